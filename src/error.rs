@@ -1,0 +1,70 @@
+//! What can go wrong, and the limits that a decoder keeps.
+
+use std::io;
+
+/// The result of every fallible function of the library.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// What can go wrong. Messages are one line; the command line adds the file's name.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// Reading or writing failed.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    /// The first bytes are not those of a lidarpc stream.
+    #[error("not a lidarpc stream (it starts with {0:02x?})")]
+    BadMagic([u8; 4]),
+    /// Written by a newer program.
+    #[error("format version {found} is newer than {newest}, the newest this program reads")]
+    UnsupportedVersion {
+        /// The version that the stream names.
+        found: u16,
+        /// The newest version that this program reads.
+        newest: u16,
+    },
+    /// The stream is damaged, cut short, or was never valid.
+    #[error("damaged stream: {what}")]
+    Corrupt {
+        /// What is wrong, and in which part.
+        what: String,
+    },
+    /// The stream asks for more than the reader allows.
+    #[error("{what}: {got} is over the limit of {max}")]
+    LimitExceeded {
+        /// What was asked for.
+        what: &'static str,
+        /// How much.
+        got: u64,
+        /// How much is allowed.
+        max: u64,
+    },
+    /// The settings contradict each other or are out of range.
+    #[error("{0}")]
+    InvalidConfig(String),
+}
+
+impl Error {
+    /// A damaged stream, with what is wrong.
+    pub fn corrupt(what: impl Into<String>) -> Self {
+        Error::Corrupt { what: what.into() }
+    }
+}
+
+/// What a decoder is willing to allocate; checked before memory is asked for.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Points (records) in one frame.
+    pub points: u64,
+    /// Bytes of one decoded file.
+    pub file_bytes: u64,
+    /// Bytes of one coded record (a group of frames) of the stream.
+    pub record_bytes: u64,
+}
+
+impl Default for Limits {
+    /// 16 million points, 1 GiB a file, 1 GiB a group: ten times any scanner's frame.
+    fn default() -> Self {
+        Limits { points: 1 << 24, file_bytes: 1 << 30, record_bytes: 1 << 30 }
+    }
+}

@@ -1,0 +1,2 @@
+//! The `lidarpc` program; see `lidarpc --help`.
+fn main() {}
