@@ -1,5 +1,11 @@
 //! A scan in memory: the points, and what it takes to give the file back byte for byte.
 
+mod layout;
+mod text_format;
+
+pub use layout::{Layout, LzfDialect, MAX_STRIDE, Wrapping};
+pub use text_format::{Column, MAX_DIGITS, NumberRule, Scalar, TextFormat};
+
 /// The points of one scan, in the order of the file. Every bit of every value counts:
 /// NaN payloads and the sign of zero are kept.
 #[derive(Clone, Debug, Default)]
@@ -11,27 +17,6 @@ pub struct PointCloud {
     /// The bytes of each record that are neither position nor intensity, record after record,
     /// `Layout::extra_stride` bytes each.
     pub extra: Vec<u8>,
-}
-
-/// How the records of a file are laid out, and how they are wrapped into it.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Layout {
-    /// How the records stand in the file.
-    pub wrapping: Wrapping,
-    /// Bytes a record; 0 if the file holds no records.
-    pub stride: u32,
-    /// Where the little-endian float32 x, y and z are in a record (byte offsets).
-    pub position: Option<[u32; 3]>,
-    /// Where the little-endian float32 intensity is in a record (byte offset).
-    pub intensity: Option<u32>,
-}
-
-impl Layout {
-    /// Bytes of a record that are neither position nor intensity.
-    pub fn extra_stride(&self) -> usize {
-        let known = 12 * u32::from(self.position.is_some()) + 4 * u32::from(self.intensity.is_some());
-        self.stride.saturating_sub(known) as usize
-    }
 }
 
 /// A file, taken apart into records of points and the bytes around them.
@@ -52,10 +37,14 @@ pub struct ScanFile {
     pub suffix: Vec<u8>,
 }
 
-/// How the records stand in the file.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Wrapping {
-    /// One after the other (KITTI `.bin`, binary PCD, binary little-endian PLY).
-    #[default]
-    Plain,
+impl ScanFile {
+    /// A file that holds no records of a known kind: every byte is `prefix`.
+    pub fn opaque(name: impl Into<String>, bytes: Vec<u8>) -> Self {
+        ScanFile { name: name.into(), prefix: bytes, ..ScanFile::default() }
+    }
+
+    /// True if the file's bytes are kept as they are, with no records.
+    pub fn is_opaque(&self) -> bool {
+        self.layout.stride == 0
+    }
 }

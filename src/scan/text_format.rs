@@ -1,0 +1,194 @@
+//! How the numbers of a text body (ascii PCD) are written.
+
+use crate::error::{Error, Result};
+
+/// Most digits that a rule may ask for: more than any writer prints, and a bound on
+/// how far a hostile stream can blow up one value.
+pub const MAX_DIGITS: u8 = 40;
+
+/// The type of one value of a record. All are little-endian in memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scalar {
+    /// Signed 8-bit integer.
+    I8,
+    /// Unsigned 8-bit integer.
+    U8,
+    /// Signed 16-bit integer.
+    I16,
+    /// Unsigned 16-bit integer.
+    U16,
+    /// Signed 32-bit integer.
+    I32,
+    /// Unsigned 32-bit integer.
+    U32,
+    /// Signed 64-bit integer.
+    I64,
+    /// Unsigned 64-bit integer.
+    U64,
+    /// IEEE 754 single precision.
+    F32,
+    /// IEEE 754 double precision.
+    F64,
+}
+
+impl Scalar {
+    /// Every scalar, at its number in the serialised form.
+    const ALL: [Scalar; 10] = {
+        use Scalar::*;
+        [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64]
+    };
+
+    /// Bytes of one value.
+    pub fn size(self) -> u32 {
+        match self {
+            Scalar::I8 | Scalar::U8 => 1,
+            Scalar::I16 | Scalar::U16 => 2,
+            Scalar::I32 | Scalar::U32 | Scalar::F32 => 4,
+            Scalar::I64 | Scalar::U64 | Scalar::F64 => 8,
+        }
+    }
+
+    /// True for the two floating-point types.
+    pub fn is_float(self) -> bool {
+        matches!(self, Scalar::F32 | Scalar::F64)
+    }
+}
+
+/// How a value becomes text. The names in brackets are what the rule is in C or Python.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NumberRule {
+    /// A decimal integer (`%d`); the only rule for integer types.
+    Integer,
+    /// That many digits after the point (`%.Nf`).
+    Fixed(u8),
+    /// One digit before the point, that many after it, and an exponent (`%.Ne`).
+    Scientific(u8),
+    /// At most that many significant digits, without trailing zeros (`%.Ng`, C++ streams).
+    Significant(u8),
+    /// The fewest digits that give the value back (`repr`).
+    Shortest {
+        /// The value is widened to double precision first, as Python does with its floats.
+        double: bool,
+        /// A whole number ends in `.0`.
+        point_zero: bool,
+    },
+}
+
+impl NumberRule {
+    /// The rule's number and its parameter.
+    fn to_bytes(self) -> (u8, u8) {
+        match self {
+            NumberRule::Integer => (0, 0),
+            NumberRule::Fixed(digits) => (1, digits),
+            NumberRule::Scientific(digits) => (2, digits),
+            NumberRule::Significant(digits) => (3, digits),
+            NumberRule::Shortest { double, point_zero } => (4, u8::from(double) | u8::from(point_zero) << 1),
+        }
+    }
+
+    fn from_bytes(rule: u8, parameter: u8) -> Option<Self> {
+        Some(match (rule, parameter) {
+            (0, 0) => NumberRule::Integer,
+            (1, digits) => NumberRule::Fixed(digits),
+            (2, digits) => NumberRule::Scientific(digits),
+            (3, digits) => NumberRule::Significant(digits),
+            (4, flags @ 0..4) => NumberRule::Shortest { double: flags & 1 != 0, point_zero: flags & 2 != 0 },
+            _ => return None,
+        })
+    }
+
+    fn suits(self, scalar: Scalar) -> bool {
+        match self {
+            NumberRule::Integer => !scalar.is_float(),
+            NumberRule::Fixed(digits) | NumberRule::Scientific(digits) => {
+                scalar.is_float() && digits <= MAX_DIGITS
+            }
+            NumberRule::Significant(digits) => scalar.is_float() && (1..=MAX_DIGITS).contains(&digits),
+            NumberRule::Shortest { .. } => scalar.is_float(),
+        }
+    }
+}
+
+/// One column of a text body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Column {
+    /// The type of the values in a record.
+    pub scalar: Scalar,
+    /// How they become text.
+    pub rule: NumberRule,
+}
+
+/// How the records of a text body are written: one a line, columns between separators.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TextFormat {
+    /// Lines end in `\r\n` instead of `\n`.
+    pub crlf: bool,
+    /// Columns are separated by a tab instead of a space.
+    pub tab: bool,
+    /// A separator follows the last column too.
+    pub trailing_separator: bool,
+    /// The columns, in the order of the file and of the record.
+    pub columns: Vec<Column>,
+}
+
+impl TextFormat {
+    /// Bytes of a record with these columns.
+    pub fn stride(&self) -> u64 {
+        self.columns.iter().map(|c| u64::from(c.scalar.size())).sum()
+    }
+
+    pub(super) fn validate(&self) -> Result<()> {
+        match self.columns.iter().all(|c| c.rule.suits(c.scalar)) {
+            true => Ok(()),
+            false => Err(Error::corrupt("record layout: a number rule does not suit its column")),
+        }
+    }
+
+    /// One byte of flags, then two bytes a column; the number of columns follows from the stride.
+    pub(super) fn write_to(&self, out: &mut Vec<u8>) {
+        let flags = [self.crlf, self.tab, self.trailing_separator];
+        out.push(flags.iter().enumerate().map(|(bit, &set)| u8::from(set) << bit).sum());
+        for column in &self.columns {
+            let (rule, parameter) = column.rule.to_bytes();
+            out.extend([column.scalar as u8 | rule << 4, parameter]);
+        }
+    }
+
+    /// Reads columns until they fill a record of `stride` bytes.
+    pub(super) fn read_from(input: &mut &[u8], stride: u32) -> Result<Self> {
+        let damaged = || Error::corrupt("record layout: text format");
+        let (&flags, rest) = input.split_first().ok_or_else(damaged)?;
+        *input = rest;
+        if flags > 7 {
+            return Err(damaged());
+        }
+        let mut format = TextFormat {
+            crlf: flags & 1 != 0,
+            tab: flags & 2 != 0,
+            trailing_separator: flags & 4 != 0,
+            columns: Vec::new(),
+        };
+        let mut filled = 0;
+        while filled < stride {
+            let (&[kind, parameter], rest) = input.split_first_chunk().ok_or_else(damaged)?;
+            *input = rest;
+            let scalar = *Scalar::ALL.get(usize::from(kind & 15)).ok_or_else(damaged)?;
+            let rule = NumberRule::from_bytes(kind >> 4, parameter).ok_or_else(damaged)?;
+            filled += scalar.size();
+            format.columns.push(Column { scalar, rule });
+        }
+        Ok(format)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scalars_are_numbered_by_their_place() {
+        for (number, scalar) in Scalar::ALL.iter().enumerate() {
+            assert_eq!(*scalar as usize, number);
+        }
+    }
+}
