@@ -1,1 +1,3 @@
-//! stub
+//! Files: scans in memory and back, and the frames of an input.
+
+mod lzf;
