@@ -1,6 +1,7 @@
 //! What can go wrong, and the limits that a decoder keeps.
 
 use std::io;
+use std::path::{Path, PathBuf};
 
 /// The result of every fallible function of the library.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -42,6 +43,14 @@ pub enum Error {
     /// The settings contradict each other or are out of range.
     #[error("{0}")]
     InvalidConfig(String),
+    /// A file or folder that was given cannot be used.
+    #[error("{} {what}", one_line(path))]
+    Input {
+        /// Which one.
+        path: PathBuf,
+        /// What is wrong with it and what to do, as the sentence that the path begins.
+        what: String,
+    },
 }
 
 impl Error {
@@ -49,6 +58,11 @@ impl Error {
     pub fn corrupt(what: impl Into<String>) -> Self {
         Error::Corrupt { what: what.into() }
     }
+}
+
+/// A path for a message: file names may hold line ends and what terminals take for commands.
+fn one_line(path: &Path) -> String {
+    path.display().to_string().replace(char::is_control, "?")
 }
 
 /// What a decoder is willing to allocate; checked before memory is asked for.

@@ -1,0 +1,121 @@
+//! PCD, the point cloud files of the Point Cloud Library: header and dispatch by kind of data.
+//!
+//! Source: "The PCD (Point Cloud Data) file format" (PCL documentation) and PCL's `pcd_io.cpp`.
+
+use super::field::{Field, layout_of, next_line};
+use super::records::plain_file;
+use super::{pcd_ascii, pcd_compressed};
+use crate::scan::{Scalar, ScanFile, Wrapping};
+
+/// What writers call intensity, the likeliest first.
+const INTENSITY_NAMES: [&str; 3] = ["intensity", "i", "reflectivity"];
+
+/// The three kinds of body.
+#[derive(Clone, Copy)]
+enum Data {
+    Ascii,
+    Binary,
+    Compressed,
+}
+
+/// What a header says.
+struct Header<'a> {
+    /// The fields; one entry for all values of a field with COUNT above 1.
+    fields: Vec<Field<'a>>,
+    /// Number of points. It may be anything: the body decides.
+    points: u64,
+    data: Data,
+    /// Bytes of the header, the line end after `DATA` included.
+    length: usize,
+}
+
+/// The points as records, the header as `prefix`, what follows as `suffix`.
+/// `None` if the header is damaged or the body cannot be given back exactly.
+pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
+    let header = Header::parse(bytes)?;
+    let layout = layout_of(&header.fields, &INTENSITY_NAMES, Wrapping::Plain)?;
+    let Header { fields, points, data, length } = header;
+    match data {
+        Data::Binary => plain_file(layout, bytes, length, points),
+        Data::Compressed => {
+            let widths = fields.iter().map(|f| f.width).collect();
+            pcd_compressed::parse(layout, widths, bytes, length)
+        }
+        Data::Ascii => pcd_ascii::parse(layout, &columns(&fields)?, bytes, length, points),
+    }
+}
+
+/// The types of all values of a record; `None` if one is of a size that has no such type.
+fn columns(fields: &[Field]) -> Option<Vec<Scalar>> {
+    let mut columns = Vec::new();
+    for field in fields {
+        let scalar = field.scalar?;
+        columns.extend((0..field.width / scalar.size()).map(|_| scalar));
+    }
+    Some(columns)
+}
+
+impl<'a> Header<'a> {
+    fn parse(bytes: &'a [u8]) -> Option<Self> {
+        let mut rest = bytes;
+        let (mut names, mut sizes, mut types, mut counts) = (vec![], vec![], vec![], vec![]);
+        let (mut width, mut height, mut points) = (None, None, None);
+        let data = loop {
+            let line = next_line(&mut rest)?;
+            let mut words = line.split_ascii_whitespace();
+            let Some(keyword) = words.next() else { continue };
+            let words: Vec<&str> = words.collect();
+            match (keyword, &words[..]) {
+                ("VERSION" | "VIEWPOINT", _) => {}
+                // COLUMNS is what the oldest files say.
+                ("FIELDS" | "COLUMNS", _) => names = words,
+                ("SIZE", _) => sizes = words,
+                ("TYPE", _) => types = words,
+                ("COUNT", _) => counts = words,
+                ("WIDTH", [n]) => width = Some(n.parse::<u64>().ok()?),
+                ("HEIGHT", [n]) => height = Some(n.parse::<u64>().ok()?),
+                ("POINTS", [n]) => points = Some(n.parse::<u64>().ok()?),
+                ("DATA", ["ascii"]) => break Data::Ascii,
+                ("DATA", ["binary"]) => break Data::Binary,
+                ("DATA", ["binary_compressed"]) => break Data::Compressed,
+                _ if keyword.starts_with('#') => {}
+                _ => return None,
+            }
+        };
+        if counts.is_empty() {
+            counts = vec!["1"; names.len()];
+        }
+        if sizes.len() != names.len() || types.len() != names.len() || counts.len() != names.len() {
+            return None;
+        }
+        let declarations = names.into_iter().zip(sizes).zip(types).zip(counts);
+        let fields = declarations.map(|(((name, size), kind), count)| field(name, size, kind, count));
+        Some(Header {
+            fields: fields.collect::<Option<_>>()?,
+            points: points.or_else(|| width?.checked_mul(height?))?,
+            data,
+            length: bytes.len() - rest.len(),
+        })
+    }
+}
+
+fn field<'a>(name: &'a str, size: &str, kind: &str, count: &str) -> Option<Field<'a>> {
+    let size = size.parse().ok().filter(|s| matches!(s, 1 | 2 | 4 | 8))?;
+    let count = count.parse().ok().filter(|&n: &u32| n > 0)?;
+    let scalar = match (kind, size) {
+        ("I", 1) => Some(Scalar::I8),
+        ("I", 2) => Some(Scalar::I16),
+        ("I", 4) => Some(Scalar::I32),
+        ("I", 8) => Some(Scalar::I64),
+        ("U", 1) => Some(Scalar::U8),
+        ("U", 2) => Some(Scalar::U16),
+        ("U", 4) => Some(Scalar::U32),
+        ("U", 8) => Some(Scalar::U64),
+        ("F", 4) => Some(Scalar::F32),
+        ("F", 8) => Some(Scalar::F64),
+        // Half precision: in a binary body it is two bytes like others.
+        ("F", _) => None,
+        _ => return None,
+    };
+    Some(Field { name, scalar, width: count.checked_mul(size)? })
+}

@@ -1,0 +1,147 @@
+//! The body of an `ascii` PCD: one record a line, values between single separators.
+//!
+//! Texts are turned into values only if the values give the texts back. Writers differ in how
+//! they print numbers, so each column's rule is found by trial.
+
+use super::number::{self, NumberWriter, Survey};
+use super::records;
+use crate::error::Result;
+use crate::scan::{Column, Layout, Scalar, ScanFile, TextFormat, Wrapping};
+
+/// Takes a file apart whose body starts at byte `start` and has at most `points` records.
+/// Lines from the first one on that does not look like those before it are `suffix`.
+/// `None` if there is no record, or a column whose texts no rule gives back.
+pub(super) fn parse(
+    layout: Layout,
+    scalars: &[Scalar],
+    bytes: &[u8],
+    start: usize,
+    points: u64,
+) -> Option<ScanFile> {
+    let body = bytes.get(start..)?;
+    let mut format = TextFormat::of_line(first_line(body)?);
+    let mut tokens: Vec<&str> = Vec::new(); // of all lines, line by line
+    let mut values = Vec::new();
+    let mut rest = body;
+    let mut lines = 0u64;
+    while lines < points
+        && let Some(line) = first_line(rest)
+        && format.read_line(line, scalars, &mut tokens, &mut values).is_some()
+    {
+        rest = &rest[line.len()..];
+        lines += 1;
+    }
+    let records = tokens.len() / scalars.len();
+    if records == 0 {
+        return None;
+    }
+    for (at, &scalar) in scalars.iter().enumerate() {
+        let width = scalar.size() as usize;
+        let offset: usize = scalars[..at].iter().map(|s| s.size() as usize).sum();
+        let texts = tokens.iter().skip(at).step_by(scalars.len()).copied();
+        let bytes = values.chunks_exact(layout.stride as usize).map(|r| &r[offset..offset + width]);
+        format.columns.push(find_rule(scalar, texts.zip(bytes))?);
+    }
+    Some(ScanFile {
+        name: String::new(),
+        cloud: records::split(&layout, &values),
+        layout: Layout { wrapping: Wrapping::PcdAscii(format), ..layout },
+        prefix: bytes[..start].to_vec(),
+        records,
+        suffix: rest.to_vec(),
+    })
+}
+
+/// Appends the text of these records, each as long as the columns together.
+///
+/// # Errors
+/// None that a valid layout brings about.
+pub(super) fn write(body: &[u8], format: &TextFormat, out: &mut Vec<u8>) -> Result<()> {
+    let mut writer = NumberWriter::default();
+    for record in body.chunks_exact((format.stride() as usize).max(1)) {
+        let mut rest = record;
+        for (at, &column) in format.columns.iter().enumerate() {
+            if at > 0 {
+                out.push(format.separator());
+            }
+            let (value, after) = rest.split_at(column.scalar.size() as usize);
+            writer.write(value, column, out)?;
+            rest = after;
+        }
+        if format.trailing_separator {
+            out.push(format.separator());
+        }
+        out.extend_from_slice(format.line_end().as_bytes());
+    }
+    Ok(())
+}
+
+/// The first rule that gives all these texts for these values.
+fn find_rule<'a>(scalar: Scalar, pairs: impl Iterator<Item = (&'a str, &'a [u8])> + Clone) -> Option<Column> {
+    let mut survey = Survey::new();
+    pairs.clone().for_each(|(text, _)| survey.add(text));
+    let mut writer = NumberWriter::default();
+    let mut out = Vec::new();
+    survey.candidates(scalar).into_iter().map(|rule| Column { scalar, rule }).find(|&column| {
+        pairs.clone().all(|(text, value)| {
+            out.clear();
+            writer.write(value, column, &mut out).is_ok() && out == text.as_bytes()
+        })
+    })
+}
+
+/// The first line with its line end; a line that is not ended is none.
+fn first_line(bytes: &[u8]) -> Option<&str> {
+    let end = bytes.iter().position(|&b| b == b'\n')?;
+    std::str::from_utf8(&bytes[..=end]).ok()
+}
+
+impl TextFormat {
+    /// The format that a line has, without columns.
+    fn of_line(line: &str) -> Self {
+        let text = line.trim_end_matches(['\r', '\n']);
+        TextFormat {
+            crlf: line.ends_with("\r\n"),
+            tab: text.contains('\t'),
+            trailing_separator: text.ends_with([' ', '\t']),
+            columns: Vec::new(),
+        }
+    }
+
+    fn separator(&self) -> u8 {
+        if self.tab { b'\t' } else { b' ' }
+    }
+
+    fn line_end(&self) -> &'static str {
+        if self.crlf { "\r\n" } else { "\n" }
+    }
+
+    /// Takes the texts and the values out of a line; `None`, and nothing taken, if it is not of
+    /// this format.
+    fn read_line<'a>(
+        &self,
+        line: &'a str,
+        scalars: &[Scalar],
+        tokens: &mut Vec<&'a str>,
+        values: &mut Vec<u8>,
+    ) -> Option<()> {
+        let separator = char::from(self.separator());
+        let mut text = line.strip_suffix(self.line_end())?;
+        if self.trailing_separator {
+            text = text.strip_suffix(separator)?;
+        }
+        let (tokens_before, values_before) = (tokens.len(), values.len());
+        let mut scalars_left = scalars.iter();
+        let complete = text.split(separator).try_for_each(|token| {
+            number::parse(token, *scalars_left.next()?, values)?;
+            tokens.push(token);
+            Some(())
+        });
+        if complete.is_none() || scalars_left.next().is_some() {
+            tokens.truncate(tokens_before);
+            values.truncate(values_before);
+            return None;
+        }
+        Some(())
+    }
+}
