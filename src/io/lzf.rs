@@ -20,7 +20,7 @@ const UNCHECKED_MATCH: usize = 19;
 const MAX_EXPANSION: usize = MAX_MATCH.div_ceil(3);
 
 /// Decompresses `input` into exactly `size` bytes; `None` if it is damaged or of another size.
-/// Memory is taken as the output grows, and never for a `size` that `input` cannot reach.
+/// No memory is taken for a `size` that `input` cannot reach.
 pub fn decompress(input: &[u8], size: usize) -> Option<Vec<u8>> {
     if size > input.len().checked_mul(MAX_EXPANSION)? {
         return None;

@@ -52,7 +52,7 @@ fn comes_back_as(file: &ScanFile, bytes: &[u8]) -> bool {
 /// Appends the bytes of a file.
 ///
 /// # Errors
-/// [`Error::Corrupt`](crate::Error::Corrupt) if the points do not match the layout, as a damaged
+/// [`Error::Corrupt`](crate::error::Error::Corrupt) if the points do not match the layout, as a damaged
 /// stream can have it. `out` may have grown then.
 pub fn write(file: &ScanFile, out: &mut Vec<u8>) -> Result<()> {
     records::check(file)?;

@@ -119,3 +119,68 @@ fn field<'a>(name: &'a str, size: &str, kind: &str, count: &str) -> Option<Field
     };
     Some(Field { name, scalar, width: count.checked_mul(size)? })
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::io::tests::{comes_back, floats, pcd};
+
+    #[test]
+    fn binary_fields_go_where_they_belong() {
+        let header = pcd("_ x y z i label", "1 4 4 4 4 2", "U F F F F U", "4 1 1 1 1 1", 2, "binary");
+        let record = [vec![1, 2, 3, 4], floats(&[1.0, 2.0, 3.0, 0.5]), vec![5, 6]].concat();
+        let scan = comes_back("a.pcd", [header.clone(), record.clone(), record, vec![9; 30]].concat());
+        assert_eq!(scan.prefix, header);
+        assert_eq!(scan.layout.position, Some([4, 8, 12]));
+        assert_eq!(scan.cloud.positions, [[1.0, 2.0, 3.0]; 2]);
+        assert_eq!(scan.cloud.intensity, [0.5; 2]);
+        assert_eq!(scan.cloud.extra, [1, 2, 3, 4, 5, 6, 1, 2, 3, 4, 5, 6]);
+        assert_eq!(scan.suffix, [9; 30], "bytes after the last point");
+    }
+
+    #[test]
+    fn a_cut_body_keeps_its_whole_records() {
+        let header = pcd("x y z", "4 4 4", "F F F", "1 1 1", u64::MAX, "binary");
+        let scan = comes_back("a.pcd", [header, vec![1; 40]].concat());
+        assert_eq!((scan.records, scan.suffix.len()), (3, 4));
+    }
+
+    #[test]
+    fn double_positions_are_extra() {
+        let header = pcd("x y z intensity", "8 8 8 4", "F F F F", "1 1 1 1", 1, "binary");
+        let scan = comes_back("a.pcd", [header, vec![1; 28]].concat());
+        assert_eq!((scan.records, scan.layout.position, scan.layout.intensity), (1, None, Some(24)));
+    }
+
+    #[test]
+    fn count_and_points_may_be_missing() {
+        let text = String::from_utf8(pcd("x y z", "4 4 4", "F F F", "1 1 1", 2, "binary")).unwrap();
+        let text = text.replace("COUNT 1 1 1\n", "").replace("POINTS 2\n", "");
+        let scan = comes_back("a.pcd", [text.as_bytes(), &[1; 30]].concat());
+        assert_eq!((scan.records, scan.suffix.len()), (2, 6));
+    }
+
+    #[test]
+    fn damaged_headers_are_opaque() {
+        let good = pcd("x y z", "4 4 4", "F F F", "1 1 1", 2, "binary");
+        let good = String::from_utf8(good).unwrap();
+        for (from, to) in [
+            ("FIELDS", "FIELD"),
+            ("SIZE 4 4 4", "SIZE 4 4"),
+            ("SIZE 4 4 4", "SIZE 4 4 3"),
+            ("SIZE 4 4 4", "SIZE 4 4 -4"),
+            ("TYPE F", "TYPE X"),
+            ("COUNT 1", "COUNT 0"),
+            ("COUNT 1", "COUNT 4294967295"),
+            ("COUNT 1", "COUNT 16383"),
+            ("POINTS 2", "POINTS 99999999999999999999"),
+            ("DATA binary", "DATA bin"),
+            ("DATA binary\n", "DATA binary"),
+            ("FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n", ""),
+        ] {
+            let broken = good.replacen(from, to, 1);
+            assert_ne!(broken, good);
+            let scan = comes_back("a.pcd", [broken.as_bytes(), &[1; 24]].concat());
+            assert!(scan.is_opaque(), "{to}");
+        }
+    }
+}

@@ -145,3 +145,96 @@ impl TextFormat {
         Some(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::tests::{comes_back, pcd};
+    use crate::scan::NumberRule;
+
+    fn file(body: &str) -> Vec<u8> {
+        let header = pcd("x y z intensity ring", "4 4 4 4 2", "F F F F U", "1 1 1 1 1", 3, "ascii");
+        [&header, body.as_bytes()].concat()
+    }
+
+    fn rules(scan: &ScanFile) -> Vec<NumberRule> {
+        match &scan.layout.wrapping {
+            Wrapping::PcdAscii(format) => format.columns.iter().map(|c| c.rule).collect(),
+            other => panic!("not text: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn the_text_of_pcl_is_values() {
+        // %.8g of float32 values
+        let body =
+            "11.375 -0.34999999 1e-05 0 1\nnan nan nan 0.25999999 22\n-120000 1.0471976 7.7510004 1 3\n";
+        let scan = comes_back("a.pcd", file(body));
+        assert_eq!((scan.records, scan.suffix.len()), (3, 0));
+        assert_eq!(scan.cloud.positions[0], [11.375, -0.35, 1e-5]);
+        assert!(scan.cloud.positions[1][0].is_nan());
+        assert_eq!(scan.cloud.intensity[1], 0.26);
+        assert_eq!(scan.cloud.extra, [1, 0, 22, 0, 3, 0]);
+    }
+
+    #[test]
+    fn each_column_has_its_rule() {
+        // %.10g, %.3f, repr in single and in double precision
+        let body =
+            "0.1000000015 1.500 0.1 0.10000000149011612 1\n2 0.100 2.0 2.0 22\n0.25 -0.000 3.25 1e-05 3\n";
+        let scan = comes_back("a.pcd", file(&body.replace("1e-05", "9.999999747378752e-06")));
+        assert_eq!(
+            rules(&scan),
+            [
+                NumberRule::Significant(10),
+                NumberRule::Fixed(3),
+                NumberRule::Shortest { double: false, point_zero: true },
+                NumberRule::Shortest { double: true, point_zero: true },
+                NumberRule::Integer,
+            ]
+        );
+        let scan = comes_back("a.pcd", file("1.50e+00 1 1 1 1\n2.25e-07 1 1 1 1\n"));
+        assert_eq!(rules(&scan)[..2], [NumberRule::Scientific(2), NumberRule::Fixed(0)]);
+    }
+
+    #[test]
+    fn lines_may_end_and_be_parted_otherwise() {
+        for body in ["1 2 3 4 5 \n1 2 3 4 5 \n", "1\t2\t3\t4\t5\r\n", "1 2 3 4 5 \r\n1 2 3 4 5 \r\n"] {
+            assert!(comes_back("a.pcd", file(body)).records > 0, "{body:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_like_the_first_line_is_suffix() {
+        for (body, records, suffix) in [
+            ("1 2 3 4 5\n1 2 3 4 5", 1, "1 2 3 4 5"),
+            ("1 2 3 4 5\n1 2 3 4\n1 2 3 4 5\n", 1, "1 2 3 4\n1 2 3 4 5\n"),
+            ("1 2 3 4 5\n1 2 3 4 5 6\n", 1, "1 2 3 4 5 6\n"),
+            ("1 2 3 4 5\n1 2 3 4  5\n", 1, "1 2 3 4  5\n"),
+            ("1 2 3 4 5\n1 2 3 4 70000\n", 1, "1 2 3 4 70000\n"),
+            ("1 2 3 4 5\r\n1 2 3 4 5\n", 1, "1 2 3 4 5\n"),
+            ("1 2 3 4 5\n1 2 3 4 5\n1 2 3 4 5\n1 2 3 4 5\n", 3, "1 2 3 4 5\n"),
+        ] {
+            let scan = comes_back("a.pcd", file(body));
+            assert_eq!((scan.records, &scan.suffix[..]), (records, suffix.as_bytes()), "{body:?}");
+        }
+    }
+
+    #[test]
+    fn texts_that_no_rule_gives_are_opaque() {
+        for body in [
+            "",
+            "1 2 3 4",
+            "01 2 3 4 5\n",
+            "+1 2 3 4 5\n",
+            "1. 2 3 4 5\n",
+            "1.5 2 3 4 5\n1.50 2 3 4 5\n",
+            "0.123456789012 2 3 4 5\n",
+            "NaN 2 3 4 5\n",
+            "1 2 3 4 05\n",
+            "1E5 2 3 4 5\n",
+        ] {
+            assert!(comes_back("a.pcd", file(body)).is_opaque(), "{body:?}");
+        }
+    }
+}

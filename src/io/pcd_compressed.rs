@@ -77,3 +77,57 @@ fn for_each_value(
         in_record += width;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::tests::{comes_back, floats, pcd};
+
+    /// 200 points whose y is constant, so that there is something to compress.
+    fn planes() -> Vec<u8> {
+        let x: Vec<f32> = (0..200).map(|i| i as f32 * 0.25).collect();
+        [floats(&x), floats(&[1.5; 200]), floats(&x), (0..200).collect()].concat()
+    }
+
+    fn file(packed: &[u8], size: usize) -> Vec<u8> {
+        let header = pcd("x y z ring", "4 4 4 1", "F F F U", "1 1 1 1", 200, "binary_compressed");
+        let sizes = [(packed.len() as u32).to_le_bytes(), (size as u32).to_le_bytes()].concat();
+        [header, sizes, packed.to_vec()].concat()
+    }
+
+    #[test]
+    fn fields_are_gathered_into_records() {
+        for dialect in LzfDialect::ALL {
+            let mut bytes = file(&lzf::compress(&planes(), dialect), 2600);
+            bytes.extend(b"more");
+            let scan = comes_back("a.pcd", bytes);
+            assert_eq!(scan.records, 200);
+            assert_eq!(scan.cloud.positions[3], [0.75, 1.5, 0.75]);
+            assert_eq!(scan.cloud.extra[199], 199);
+            assert_eq!(scan.suffix, b"more");
+        }
+    }
+
+    #[test]
+    fn bytes_of_another_compressor_are_opaque() {
+        let stored: Vec<u8> = planes().chunks(10).flat_map(|c| [&[9], c].concat()).collect();
+        assert_eq!(lzf::decompress(&stored, 2600).unwrap(), planes());
+        assert!(comes_back("a.pcd", file(&stored, 2600)).is_opaque());
+    }
+
+    #[test]
+    fn damaged_sizes_are_opaque() {
+        let packed = lzf::compress(&planes(), LzfDialect::Ultra13);
+        for size in [0, 2599, 2601, u32::MAX as usize] {
+            assert!(comes_back("a.pcd", file(&packed, size)).is_opaque(), "{size}");
+        }
+        let whole = file(&packed, 2600);
+        assert!(comes_back("a.pcd", whole[..whole.len() - 1].to_vec()).is_opaque());
+    }
+
+    #[test]
+    fn no_points_are_no_records() {
+        let scan = comes_back("a.pcd", file(&[], 0));
+        assert_eq!((scan.records, scan.is_opaque()), (0, false));
+    }
+}
