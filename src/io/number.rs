@@ -39,10 +39,11 @@ pub(super) fn parse(token: &str, scalar: Scalar, out: &mut Vec<u8>) -> Option<()
     Some(())
 }
 
-/// Writes values as text; holds the buffer that the digits pass through.
+/// Writes values as text; holds the buffers that the digits pass through.
 #[derive(Default)]
 pub(super) struct NumberWriter {
     digits: Vec<u8>,
+    rounded: Vec<u8>,
 }
 
 impl NumberWriter {
@@ -111,18 +112,49 @@ impl NumberWriter {
     /// fewest that give the value back (in single precision if `single`). Returns the decimal
     /// exponent of the first. `value` is finite and not negative.
     fn take_digits(&mut self, value: f64, after_first: Option<usize>, single: bool) -> Result<i32> {
-        self.digits.clear();
+        let text = &mut self.digits;
+        text.clear();
         match after_first {
-            Some(count) => write!(self.digits, "{value:.count$e}")?,
-            None if single => write!(self.digits, "{:e}", value as f32)?,
-            None => write!(self.digits, "{value:e}")?,
+            Some(count) => write!(text, "{value:.count$e}")?,
+            None if single => write!(text, "{:e}", value as f32)?,
+            None => write!(text, "{value:e}")?,
         }
-        let e = self.digits.iter().position(|&b| b == b'e').unwrap_or(self.digits.len());
-        let exponent = self.digits.get(e + 1..).and_then(|x| std::str::from_utf8(x).ok()?.parse().ok());
-        self.digits.truncate(e);
+        if after_first.is_none() {
+            self.settle_tie(value, single)?;
+        }
+        let (mantissa, exponent) = split_exponent(&self.digits);
+        self.digits.truncate(mantissa);
         self.digits.retain(|b| b.is_ascii_digit());
-        Ok(exponent.unwrap_or(0))
+        Ok(exponent)
     }
+
+    /// Of two shortest texts equally near to the value, the standard library takes the upper, but
+    /// `repr` and most others the one with the even last digit, as correct rounding gives it.
+    /// (What is correctly rounded need not give a power of two back; the text then stays.)
+    fn settle_tie(&mut self, value: f64, single: bool) -> Result<()> {
+        let (mantissa, _) = split_exponent(&self.digits);
+        let after_first = mantissa.saturating_sub(2);
+        self.rounded.clear();
+        write!(self.rounded, "{value:.after_first$e}")?;
+        if self.rounded != self.digits && gives_back(&self.rounded, value, single) {
+            std::mem::swap(&mut self.rounded, &mut self.digits);
+        }
+        Ok(())
+    }
+}
+
+/// The length of the mantissa, and the exponent, of a text like `1.25e-7`.
+fn split_exponent(text: &[u8]) -> (usize, i32) {
+    let mantissa = text.iter().position(|&b| b == b'e').unwrap_or(text.len());
+    let exponent = text.get(mantissa + 1..).and_then(|x| std::str::from_utf8(x).ok()?.parse().ok());
+    (mantissa, exponent.unwrap_or(0))
+}
+
+fn gives_back(text: &[u8], value: f64, single: bool) -> bool {
+    std::str::from_utf8(text).is_ok_and(|text| match single {
+        true => text.parse() == Ok(value as f32),
+        false => text.parse() == Ok(value),
+    })
 }
 
 /// `d.ddde-05`: at least two digits of exponent, and its sign.
@@ -289,6 +321,14 @@ mod tests {
         assert_eq!(text(-3.0, Scalar::F32, rule(false, true)), "-3.0");
         assert_eq!(text(-3.0, Scalar::F32, rule(false, false)), "-3");
         assert_eq!(text(1e-5, Scalar::F64, rule(true, true)), "1e-05");
+        // Two shortest texts are equally near.
+        assert_eq!(text(4.78515625, Scalar::F32, rule(false, true)), "4.7851562");
+        assert_eq!(text(4.78515625, Scalar::F64, rule(false, true)), "4.78515625");
+        assert_eq!(text(f64::from(23.959f32), Scalar::F32, rule(true, true)), "23.958999633789062");
+        // The smallest numbers, and a power of two whose shortest text is not the nearest one.
+        assert_eq!(text(f64::from_bits(1), Scalar::F64, rule(true, true)), "5e-324");
+        assert_eq!(text(f64::from(f32::from_bits(1)), Scalar::F32, rule(false, true)), "1e-45");
+        assert_eq!(text(2f64.powi(-44), Scalar::F64, rule(true, true)), "5.684341886080802e-14");
         assert_eq!(text(1.5e16, Scalar::F64, rule(true, true)), "1.5e+16");
         assert_eq!(text(12e14, Scalar::F64, rule(true, true)), "1200000000000000.0");
     }
