@@ -209,6 +209,13 @@ mod tests {
         assert_eq!(compress(b"aaaaa", LzfDialect::Ultra13), [1, b'a', b'a', 0x20, 0]);
     }
 
+    #[test]
+    fn matches_reach_8192_bytes_back() {
+        let apart = |offset: usize| [&b"-xyz"[..], &vec![0; offset - 3], b"xyz"].concat();
+        assert!(compress(&apart(8192), LzfDialect::Ultra13).ends_with(&[0x3f, 0xff]));
+        assert!(compress(&apart(8193), LzfDialect::Ultra13).ends_with(b"xyz"));
+    }
+
     /// Check values computed with the C compressors of PCL and liblzf on the same bytes.
     #[test]
     fn bytes_are_those_of_the_c_programs() {

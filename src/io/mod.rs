@@ -78,7 +78,7 @@ impl ScanFile {
     /// The bytes of the file.
     ///
     /// # Errors
-    /// As [`write`].
+    /// As [`write`](fn@write).
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         let mut out = Vec::new();
         write(self, &mut out)?;

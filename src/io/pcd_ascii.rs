@@ -148,9 +148,11 @@ impl TextFormat {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
     use crate::io::tests::{comes_back, pcd};
-    use crate::scan::NumberRule;
+    use crate::scan::{NumberRule, PointCloud};
 
     fn file(body: &str) -> Vec<u8> {
         let header = pcd("x y z intensity ring", "4 4 4 4 2", "F F F F U", "1 1 1 1 1", 3, "ascii");
@@ -193,6 +195,9 @@ mod tests {
                 NumberRule::Integer,
             ]
         );
+        // Few digits, but large enough for an exponent if the rule allowed no more than two.
+        let scan = comes_back("a.pcd", file("120000 1 1 1 1\n2.5 1 1 1 1\n"));
+        assert_eq!(rules(&scan)[0], NumberRule::Significant(6));
         let scan = comes_back("a.pcd", file("1.50e+00 1 1 1 1\n2.25e-07 1 1 1 1\n"));
         assert_eq!(rules(&scan)[..2], [NumberRule::Scientific(2), NumberRule::Fixed(0)]);
     }
@@ -235,6 +240,48 @@ mod tests {
             "1E5 2 3 4 5\n",
         ] {
             assert!(comes_back("a.pcd", file(body)).is_opaque(), "{body:?}");
+        }
+    }
+
+    /// All rules for floating point, with up to as many digits as writers ask for.
+    fn any_rule() -> impl Strategy<Value = NumberRule> {
+        prop_oneof![
+            (0u8..20).prop_map(NumberRule::Fixed),
+            (0u8..20).prop_map(NumberRule::Scientific),
+            (1u8..20).prop_map(NumberRule::Significant),
+            any::<(bool, bool)>()
+                .prop_map(|(double, point_zero)| NumberRule::Shortest { double, point_zero }),
+        ]
+    }
+
+    /// What a column of this type and rule makes of the values.
+    fn text_of(scalar: Scalar, rule: NumberRule, extra: Vec<u8>) -> Vec<u8> {
+        let size = scalar.size();
+        let records = extra.len() / size as usize;
+        let columns = vec![Column { scalar, rule }];
+        let format = TextFormat { crlf: false, tab: false, trailing_separator: false, columns };
+        let wrapping = Wrapping::PcdAscii(format);
+        let prefix = pcd("v", &size.to_string(), "F", "1", records as u64, "ascii");
+        let cloud = PointCloud { extra, ..PointCloud::default() };
+        let layout = Layout { wrapping, stride: size, ..Layout::default() };
+        ScanFile { layout, prefix, records, cloud, ..ScanFile::default() }.to_bytes().unwrap()
+    }
+
+    proptest! {
+        /// A text that any rule wrote is recognised, whatever the values.
+        #[test]
+        fn every_rule_is_found_again(
+            any in prop::collection::vec(any::<f64>(), 0..20),
+            tame in prop::collection::vec(-99999i32..99999, 1..20),
+            rule in any_rule(),
+        ) {
+            let values = any.into_iter().chain(tame.into_iter().map(|n| f64::from(n) / 64.0));
+            let doubles: Vec<u8> = values.clone().flat_map(f64::to_le_bytes).collect();
+            let singles: Vec<u8> = values.flat_map(|v| (v as f32).to_le_bytes()).collect();
+            for (scalar, bytes) in [(Scalar::F64, doubles), (Scalar::F32, singles)] {
+                let scan = comes_back("a.pcd", text_of(scalar, rule, bytes));
+                prop_assert!(!scan.is_opaque(), "{:?} {}", rule, String::from_utf8_lossy(&scan.prefix));
+            }
         }
     }
 }
