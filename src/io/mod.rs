@@ -1,6 +1,6 @@
 //! Files: scans in memory and back, and the frames of an input.
 //!
-//! [`parse`] takes any file, and [`write`] gives the same bytes back. A file of an unknown kind,
+//! [`parse`] takes any file, and [`write`](fn@write) gives the same bytes back. A file of an unknown kind,
 //! or one that could not be given back exactly, is kept as it is.
 
 mod field;

@@ -192,10 +192,8 @@ fn write_plain(digits: &[u8], exponent: i32, point_zero: bool, out: &mut Vec<u8>
 /// What the texts of a column have in common, from which its rule is guessed.
 #[derive(Debug)]
 pub(super) struct Survey {
-    /// Most significant digits of a number, zeros at both ends left out.
+    /// Most digits of a number, zeros at its start left out.
     significant: usize,
-    /// Largest decimal exponent of a number written without an exponent.
-    plain_exponent: usize,
     /// Fewest and most digits after the point.
     decimals: (usize, usize),
     /// There are numbers with an exponent; without.
@@ -206,13 +204,7 @@ pub(super) struct Survey {
 impl Survey {
     /// Of a column of no numbers yet.
     pub(super) fn new() -> Self {
-        Survey {
-            significant: 1,
-            plain_exponent: 0,
-            decimals: (usize::MAX, 0),
-            with_exponent: false,
-            without_exponent: false,
-        }
+        Survey { significant: 1, decimals: (usize::MAX, 0), with_exponent: false, without_exponent: false }
     }
 
     /// Takes one more text into account. NaN and infinity say nothing.
@@ -227,22 +219,18 @@ impl Survey {
         let mantissa = mantissa.trim_start_matches('-');
         let (whole, fraction) = mantissa.split_once('.').unwrap_or((mantissa, ""));
         let digits = whole.bytes().chain(fraction.bytes());
-        let leading = digits.clone().take_while(|&b| b == b'0').count();
-        let trailing = digits.clone().rev().take_while(|&b| b == b'0').count();
-        let count = whole.len() + fraction.len();
-        self.significant = self.significant.max(count.saturating_sub(leading + trailing));
+        self.significant = self.significant.max(digits.skip_while(|&b| b == b'0').count());
         self.decimals = (self.decimals.0.min(fraction.len()), self.decimals.1.max(fraction.len()));
         if exponent {
             self.with_exponent = true;
         } else {
             self.without_exponent = true;
-            self.plain_exponent = self.plain_exponent.max(whole.len().saturating_sub(1));
         }
     }
 
     /// The rules by which these texts may have been written, the likeliest first. A rule of N
-    /// significant digits looks the same with any larger N if no number has more than N, except
-    /// for where exponents begin; so the least N will do.
+    /// significant digits looks the same with any larger N as long as no number has more digits
+    /// (those before the point counted, as they say where exponents begin); so the least N will do.
     pub(super) fn candidates(&self, scalar: Scalar) -> Vec<NumberRule> {
         if !scalar.is_float() {
             return vec![NumberRule::Integer];
@@ -256,7 +244,7 @@ impl Survey {
                 _ => {}
             }
         }
-        let significant = within(self.significant.max(self.plain_exponent + 1));
+        let significant = within(self.significant);
         rules.extend(significant.map(NumberRule::Significant));
         for (double, point_zero) in [(false, true), (true, true), (false, false), (true, false)] {
             rules.push(NumberRule::Shortest { double, point_zero });
