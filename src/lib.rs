@@ -8,10 +8,16 @@
 //! ```
 
 pub mod error;
+pub mod grid;
 pub mod scan;
+pub mod varint;
 
 pub mod entropy;
 pub mod sensor;
+
+pub mod range_image;
+
+pub mod context;
 
 pub mod bitstream;
 pub mod codec;

@@ -1,1 +1,10 @@
-//! stub
+//! What the scanner is: the formula that turns integers (beam, tick, range steps) into the
+//! coordinates of a file, and the fit of its constants to the sequence at hand.
+
+mod coordinates;
+mod fit;
+mod model;
+
+pub use coordinates::Coordinates;
+pub use fit::fit;
+pub use model::{BeamConstants, MOST_STEPS, SensorModel};

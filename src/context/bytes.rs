@@ -1,0 +1,82 @@
+//! Bytes of no known meaning: file headers, fields of a record beside position and intensity,
+//! files that are no scans. Each bit mixed from counters in the contexts of the bytes before it
+//! and of the same place in the record before.
+
+use crate::entropy::{BitCoder, Counter, Mixer, squash};
+
+const VIEWS: usize = 5;
+const OPINIONS: usize = VIEWS + 1;
+/// Counters of each view: contexts share them by hashing.
+const SLOT_BITS: u32 = 14;
+
+/// What the coder has learned about bytes.
+#[derive(Default)]
+pub struct ByteModel {
+    learned: Option<Learned>,
+}
+
+struct Learned {
+    counters: Vec<Vec<Counter>>,
+    mixer: Mixer<OPINIONS>,
+}
+
+impl Learned {
+    fn new() -> Self {
+        let mut start = [0.3; OPINIONS];
+        start[VIEWS] = 0.0;
+        Learned {
+            counters: vec![vec![Counter::default(); 256 << SLOT_BITS]; VIEWS],
+            mixer: Mixer::new(256, start, 0.004),
+        }
+    }
+}
+
+impl ByteModel {
+    /// Codes bytes that stand in records of `stride` (1 if in none); a decoder gets a buffer of
+    /// the right length to fill.
+    pub fn code<C: BitCoder>(&mut self, coder: &mut C, stride: usize, bytes: &mut [u8]) {
+        if bytes.is_empty() {
+            return;
+        }
+        let learned = self.learned.get_or_insert_with(Learned::new);
+        for index in 0..bytes.len() {
+            let back = |distance: usize| index.checked_sub(distance).map_or(0, |i| usize::from(bytes[i]));
+            // One context for each place of a short record; long ones and plain bytes share.
+            let place = if stride > 1 { index % stride + 1 } else { 0 };
+            let views = [
+                place,
+                place << 8 | back(stride),
+                (place << 8 | back(stride)) << 8 | back(2 * stride),
+                (place << 8 | back(1)) << 8 | if stride > 1 { back(stride) } else { back(2) },
+                (back(1) << 16 | back(2) << 8 | back(3)) ^ place << 24,
+            ];
+            bytes[index] = learned.code_byte(coder, views, bytes[index]);
+        }
+    }
+}
+
+impl Learned {
+    fn code_byte<C: BitCoder>(&mut self, coder: &mut C, views: [usize; VIEWS], byte: u8) -> u8 {
+        let slots = views.map(|view| slot(view) << 8);
+        let mut node = 1usize;
+        for i in (0..8).rev() {
+            let mut opinions = [0.2; OPINIONS];
+            for view in 0..VIEWS {
+                opinions[view] = self.counters[view][slots[view] + node].opinion();
+            }
+            let p = squash(self.mixer.mix(node, &opinions));
+            let bit = coder.code(byte >> i & 1 == 1, p);
+            self.mixer.learn(node, &opinions, p, bit);
+            for view in 0..VIEWS {
+                self.counters[view][slots[view] + node].learn(bit);
+            }
+            node = node << 1 | usize::from(bit);
+        }
+        node as u8
+    }
+}
+
+/// The place of a context among the slots.
+fn slot(view: usize) -> usize {
+    ((view as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SLOT_BITS)) as usize
+}

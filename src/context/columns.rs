@@ -1,0 +1,40 @@
+//! Which azimuth ticks are columns: the gaps from one to the next, which alternate in a slow beat
+//! of the firing rate against the ticks.
+
+use crate::entropy::{AdaptiveBit, BitCoder};
+
+/// Gaps from the last odd one are counted up to this.
+const LONGEST_RUN: usize = 31;
+
+/// What the coder has learned about columns.
+pub struct ColumnModel {
+    used: Vec<AdaptiveBit>,
+}
+
+impl Default for ColumnModel {
+    fn default() -> Self {
+        ColumnModel { used: vec![AdaptiveBit::default(); 4 * (LONGEST_RUN + 1) * 4] }
+    }
+}
+
+impl ColumnModel {
+    /// Codes a set of ticks below `ticks`, given and returned as rising numbers.
+    pub fn code<C: BitCoder>(&mut self, coder: &mut C, ticks: u32, columns: &mut Vec<u32>) {
+        let known = std::mem::take(columns);
+        let mut known = known.iter().peekable();
+        let (mut gap, mut run, mut last_gap) = (0usize, 0, 0);
+        for tick in 0..ticks {
+            let used = known.next_if_eq(&&tick).is_some();
+            let context = (gap.min(3) * (LONGEST_RUN + 1) + run) * 4 + last_gap.min(3);
+            if self.used[context].code(coder, used) {
+                columns.push(tick);
+                // The short gap is the rare one: where it comes again follows from how long ago it was.
+                run = if gap == 0 { 0 } else { (run + 1).min(LONGEST_RUN) };
+                last_gap = gap;
+                gap = 0;
+            } else {
+                gap += 1;
+            }
+        }
+    }
+}

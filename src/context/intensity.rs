@@ -1,0 +1,267 @@
+//! The intensities: levels of a grid such as hundredths, each bit of a level mixed from counters
+//! in several contexts of the neighbours' levels.
+
+use super::least_squares::LeastSquares;
+use super::quantise::Levels;
+use crate::entropy::{AdaptiveBit, BitCoder, Counter, IntegerModel, Mixer, squash};
+use crate::varint::{unzigzag, zigzag};
+
+/// How many levels make 1.0, in the files of known scanners: hundredths (KITTI), 256ths
+/// (KITTI-360), 255ths, whole numbers (nuScenes, many PCD files).
+const SCALES: [u32; 4] = [100, 256, 255, 1];
+/// Levels have at most this many bits.
+const MOST_BITS: u32 = 9;
+
+/// The grid on which the intensities of a frame lie.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct IntensityScale {
+    /// Levels that make 1.0; 0 if the intensities lie on no known grid.
+    per_unit: u32,
+    /// Bits of the highest level.
+    bits: u32,
+    /// Whether some values of the frame lie off the grid.
+    exceptions: bool,
+}
+
+impl IntensityScale {
+    /// Finds the grid of a frame's intensities.
+    pub fn of(intensity: &[f32]) -> Self {
+        let off_grid = |per_unit: u32| intensity.iter().filter(|v| level_of(**v, per_unit).is_none()).count();
+        let misses = SCALES.map(off_grid);
+        let (per_unit, misses) =
+            SCALES.into_iter().zip(misses).min_by_key(|&(_, misses)| misses).unwrap_or((0, 0));
+        if misses * 20 > intensity.len() {
+            return IntensityScale::default();
+        }
+        let highest = intensity.iter().filter_map(|v| level_of(*v, per_unit)).max().unwrap_or(0);
+        let bits = (32 - highest.leading_zeros()).max(1);
+        IntensityScale { per_unit, bits, exceptions: misses > 0 }
+    }
+
+    /// Codes the grid itself.
+    pub fn code<C: BitCoder>(&mut self, coder: &mut C) {
+        self.per_unit = coder.code_plain(u64::from(self.per_unit), 16) as u32;
+        self.bits = (coder.code_plain(u64::from(self.bits), 4) as u32).clamp(1, MOST_BITS);
+        self.exceptions = coder.code_plain(u64::from(self.exceptions), 1) == 1;
+    }
+
+    /// The level of a value, cut to 1 to 128, as a context; 1 for values off the grid.
+    pub fn context_level(&self, value: f32) -> u16 {
+        let level = level_of(value, self.per_unit).unwrap_or(0) >> self.bits.saturating_sub(7);
+        level.min(127) as u16 + 1
+    }
+}
+
+/// The level of a value, if it is that of a level exactly.
+fn level_of(value: f32, per_unit: u32) -> Option<u32> {
+    let level = (f64::from(value) * f64::from(per_unit)).round();
+    let on_grid = level >= 0.0 && level < f64::from(1u32 << MOST_BITS);
+    (on_grid && per_unit > 0 && value_of(level as u32, per_unit).to_bits() == value.to_bits())
+        .then_some(level as u32)
+}
+
+/// The value at a level.
+fn value_of(level: u32, per_unit: u32) -> f32 {
+    (f64::from(level) / f64::from(per_unit)) as f32
+}
+
+/// The context levels (1 to 128, 0 = none) of the returns around one.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct IntensityNeighbours {
+    /// The last four returns of the row, nearest first.
+    pub left: [u16; 4],
+    /// In the row above: two columns left, one left, above, one right, two right.
+    pub above: [u16; 5],
+    /// Two rows above.
+    pub above2: u16,
+}
+
+const VIEWS: usize = 7;
+const OPINIONS: usize = VIEWS + 1;
+/// Counters of each view: contexts share them by hashing.
+const SLOT_BITS: u32 = 12;
+/// Counters of one context: the places in the tree of a level's bits.
+const NODES: usize = 1 << MOST_BITS;
+const FEATURES: usize = 6;
+/// Beams beyond this many share their contexts.
+const ROW_CONTEXTS: usize = 128;
+const ERROR_LEVELS: usize = 8;
+const GRADIENT_LEVELS: usize = 8;
+/// The level assumed where nothing is known.
+const TYPICAL_LEVEL: u16 = 20;
+
+/// What the coder has learned about intensities.
+pub struct IntensityModel {
+    fits: Vec<LeastSquares<FEATURES>>,
+    counters: Vec<Vec<Counter>>,
+    mixer: Mixer<OPINIONS>,
+    levels: Levels<7>,
+    exception: AdaptiveBit,
+    off_grid: IntegerModel,
+    /// Mean error along the row, and down each column.
+    mean: f32,
+    above: Vec<f32>,
+    last_off_grid: u32,
+}
+
+impl IntensityModel {
+    /// Knows nothing yet.
+    pub fn new() -> Self {
+        let mut start = [0.25; OPINIONS];
+        start[VIEWS] = 0.0;
+        IntensityModel {
+            fits: vec![LeastSquares::new(0.9995); 2],
+            counters: Vec::new(),
+            mixer: Mixer::new(MOST_BITS as usize * ERROR_LEVELS * GRADIENT_LEVELS, start, 0.003),
+            levels: Levels::new(1.0, 1.8),
+            exception: AdaptiveBit::default(),
+            off_grid: IntegerModel::default(),
+            mean: 4.0,
+            above: Vec::new(),
+            last_off_grid: 0,
+        }
+    }
+
+    /// Begins a frame with `columns` columns.
+    pub fn start_frame(&mut self, columns: usize) {
+        self.start_row();
+        self.above.clear();
+        self.above.resize(columns, 4.0);
+        if self.counters.is_empty() {
+            self.counters = vec![vec![Counter::default(); NODES << SLOT_BITS]; VIEWS];
+        }
+    }
+
+    /// Begins a row.
+    pub fn start_row(&mut self) {
+        self.mean = 4.0;
+    }
+
+    /// Codes one value. `row` and `column` only serve as contexts.
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        scale: &IntensityScale,
+        near: &IntensityNeighbours,
+        (row, column): (usize, usize),
+        value: f32,
+    ) -> f32 {
+        if scale.per_unit == 0 {
+            return self.code_off_grid(coder, value);
+        }
+        let level = level_of(value, scale.per_unit);
+        if scale.exceptions && self.exception.code(coder, level.is_none()) {
+            return self.code_off_grid(coder, value);
+        }
+        let level = self.code_level(coder, scale, near, (row, column), level.unwrap_or(0));
+        value_of(level, scale.per_unit)
+    }
+
+    /// A value on no grid: the difference of its bits from the last one's.
+    fn code_off_grid<C: BitCoder>(&mut self, coder: &mut C, value: f32) -> f32 {
+        let difference = i64::from(value.to_bits()) - i64::from(self.last_off_grid);
+        let difference = unzigzag(self.off_grid.code(coder, zigzag(difference)));
+        self.last_off_grid = i64::from(self.last_off_grid).wrapping_add(difference) as u32;
+        f32::from_bits(self.last_off_grid)
+    }
+
+    fn code_level<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        scale: &IntensityScale,
+        near: &IntensityNeighbours,
+        (row, column): (usize, usize),
+        level: u32,
+    ) -> u32 {
+        let site = self.site(near, row, self.above[column]);
+        let slots = site.views.map(|view| slot(view) * NODES);
+        let mut node = 1usize;
+        for i in (0..scale.bits).rev() {
+            let mut opinions = [0.2; OPINIONS];
+            for view in 0..VIEWS {
+                opinions[view] = self.counters[view][slots[view] + node].opinion();
+            }
+            let set = i as usize * ERROR_LEVELS * GRADIENT_LEVELS + site.mixer_set;
+            let p = squash(self.mixer.mix(set, &opinions));
+            let bit = coder.code(level >> i & 1 == 1, p);
+            self.mixer.learn(set, &opinions, p, bit);
+            for view in 0..VIEWS {
+                self.counters[view][slots[view] + node].learn(bit);
+            }
+            node = node << 1 | usize::from(bit);
+        }
+        let level = node as u32 - (1 << scale.bits);
+        self.learn(&site, column, f64::from((level >> scale.bits.saturating_sub(7)).min(127) + 1));
+        level
+    }
+
+    fn site(&self, near: &IntensityNeighbours, row: usize, error_above: f32) -> Site {
+        let or = |level: u16, other: u16| if level > 0 { level } else { other };
+        let [_, nw, n, ne, nee] = near.above;
+        let west = or(near.left[0], or(n, or(nw, or(ne, TYPICAL_LEVEL))));
+        let west2 = or(near.left[1], west);
+        let west4 = or(near.left[3], or(near.left[2], west2));
+        let north = or(n, or(ne, or(nw, west)));
+        let north_east = or(ne, north);
+        let difference = |level: u16| f64::from(level) - f64::from(west);
+        let features = [
+            difference(west2),
+            difference(north),
+            difference(or(nw, north)),
+            difference(north_east),
+            difference(or(near.above2, north)),
+            difference(or(west4, or(nee, north_east))),
+        ];
+        let fit = usize::from(near.above[2] > 0);
+        let prediction = (f64::from(west) + self.fits[fit].predict(&features)).clamp(0.0, 127.0);
+        let apart = |a: u16, b: u16| f32::from(a.abs_diff(b));
+        let gradient = apart(west, north) + apart(west, west2) + apart(north, north_east);
+        let error_level = self.levels.of(self.mean + 0.5 * error_above);
+        let gradient_level = self.levels.of(gradient);
+        let [w, ww, n] = [west, west2, north].map(usize::from);
+        let row = row.min(ROW_CONTEXTS - 1);
+        // In steps of 1.6 levels.
+        let coarse = (prediction * 0.625) as usize;
+        let mixer_set = error_level * GRADIENT_LEVELS + gradient_level;
+        let steepness = (gradient as usize / 8).min(3);
+        Site {
+            views: [
+                (w / 2) << 8 | ww / 2,
+                w << 8 | ww,
+                row << 8 | coarse,
+                row << 8 | w,
+                w << 8 | n,
+                (row << 8 | (w + ww) / 2) << 2 | steepness,
+                coarse << 6 | mixer_set,
+            ],
+            mixer_set,
+            features,
+            fit,
+            west: f64::from(west),
+            prediction,
+        }
+    }
+
+    fn learn(&mut self, site: &Site, column: usize, level: f64) {
+        let error = level - site.prediction;
+        self.fits[site.fit].learn(&site.features, level - site.west, 1.0 / (9.0 + error * error));
+        let magnitude = error.abs() as f32;
+        self.mean = 0.6 * self.mean + 0.4 * magnitude;
+        self.above[column] = 0.5 * self.above[column] + 0.5 * magnitude;
+    }
+}
+
+/// A value to be coded.
+struct Site {
+    views: [usize; VIEWS],
+    mixer_set: usize,
+    features: [f64; FEATURES],
+    fit: usize,
+    west: f64,
+    prediction: f64,
+}
+
+/// The place of a context among the slots.
+fn slot(view: usize) -> usize {
+    ((view as u32).wrapping_mul(0x9e37_79b1) >> (32 - SLOT_BITS)) as usize
+}

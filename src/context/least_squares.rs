@@ -1,0 +1,94 @@
+//! Online least squares: the linear prediction that would have served best on what has been
+//! coded, old errors forgotten exponentially.
+
+/// `N` weights, solved again every few samples from the running normal equations.
+#[derive(Clone, Debug)]
+pub struct LeastSquares<const N: usize> {
+    /// Lower triangle of the normal matrix.
+    normal: [[f64; N]; N],
+    right: [f64; N],
+    weights: [f64; N],
+    forget: f64,
+    samples: u32,
+}
+
+/// Samples from one solution to the next.
+const SOLVE_EVERY: u32 = 16;
+/// Added to the diagonal: keeps the weights of features that have not been seen near zero.
+const RIDGE: f64 = 0.05;
+
+impl<const N: usize> LeastSquares<N> {
+    /// Starts with all weights 0. Each sample makes the earlier ones count `forget` as much.
+    pub fn new(forget: f64) -> Self {
+        LeastSquares { normal: [[0.0; N]; N], right: [0.0; N], weights: [0.0; N], forget, samples: 0 }
+    }
+
+    /// The prediction for these features.
+    #[inline]
+    pub fn predict(&self, features: &[f64; N]) -> f64 {
+        self.weights.iter().zip(features).map(|(w, f)| w * f).sum()
+    }
+
+    /// Learns that `target` went with these features; `weight` says how much it counts.
+    #[inline]
+    pub fn learn(&mut self, features: &[f64; N], target: f64, weight: f64) {
+        for i in 0..N {
+            let weighted = weight * features[i];
+            for j in 0..=i {
+                self.normal[i][j] = self.normal[i][j] * self.forget + weighted * features[j];
+            }
+            self.right[i] = self.right[i] * self.forget + weighted * target;
+        }
+        self.samples += 1;
+        if self.samples >= SOLVE_EVERY {
+            self.samples = 0;
+            self.solve();
+        }
+    }
+
+    /// Cholesky; where the matrix is not positive the old weights stay.
+    fn solve(&mut self) {
+        let mut lower = [[0.0; N]; N];
+        let mut inverse = [0.0; N];
+        for i in 0..N {
+            for j in 0..=i {
+                let mut sum = self.normal[i][j];
+                for k in 0..j {
+                    sum -= lower[i][k] * lower[j][k];
+                }
+                if i > j {
+                    lower[i][j] = sum * inverse[j];
+                } else if sum + RIDGE > 1e-9 {
+                    lower[i][i] = (sum + RIDGE).sqrt();
+                    inverse[i] = 1.0 / lower[i][i];
+                } else {
+                    return;
+                }
+            }
+        }
+        let mut forward = [0.0; N];
+        for i in 0..N {
+            let known: f64 = (0..i).map(|k| lower[i][k] * forward[k]).sum();
+            forward[i] = (self.right[i] - known) * inverse[i];
+        }
+        for i in (0..N).rev() {
+            let known: f64 = (i + 1..N).map(|k| lower[k][i] * self.weights[k]).sum();
+            self.weights[i] = (forward[i] - known) * inverse[i];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_linear_law_is_found() {
+        let mut model = LeastSquares::<3>::new(0.999);
+        for i in 0..400u32 {
+            let features = [f64::from(i % 7), f64::from(i % 5) - 2.0, f64::from(i % 3)];
+            model.learn(&features, 2.0 * features[0] - features[1] + 0.5 * features[2], 1.0);
+        }
+        assert!((model.predict(&[1.0, 1.0, 2.0]) - 2.0).abs() < 0.01);
+    }
+}

@@ -1,0 +1,52 @@
+//! Numbers cut down to a few levels, to serve as contexts.
+
+/// The sign and the half-octave of a difference: 0 to 31, 16 for none.
+pub fn signed_level(difference: i32) -> usize {
+    let level = half_octave(difference.unsigned_abs()).min(15) as usize;
+    if difference < 0 { 16 - level } else { 16 + level }
+}
+
+/// 0 for 0, then two levels an octave.
+pub fn half_octave(magnitude: u32) -> u32 {
+    match magnitude {
+        0 => 0,
+        m => {
+            let octave = m.ilog2();
+            // The upper half begins at sqrt(2) times the power of two.
+            let upper = u64::from(m) * u64::from(m) >= 1 << (2 * octave + 1);
+            2 * octave + 1 + u32::from(upper)
+        }
+    }
+}
+
+/// How many of the thresholds a value has reached; these grow by `factor` from `first` on.
+#[derive(Clone, Debug)]
+pub struct Levels<const N: usize>([f32; N]);
+
+impl<const N: usize> Levels<N> {
+    /// `N` thresholds, so `N + 1` levels.
+    pub fn new(first: f32, factor: f32) -> Self {
+        let mut thresholds = [first; N];
+        (1..N).for_each(|i| thresholds[i] = thresholds[i - 1] * factor);
+        Levels(thresholds)
+    }
+
+    /// 0 to `N`.
+    #[inline]
+    pub fn of(&self, value: f32) -> usize {
+        self.0.iter().map(|&threshold| usize::from(value >= threshold)).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levels_rise_with_the_magnitude() {
+        assert_eq!([0, 1, 2, 3, 4, 6, 8].map(half_octave), [0, 1, 3, 4, 5, 6, 7]);
+        assert!((1..5000u32).all(|m| half_octave(m + 1) >= half_octave(m)));
+        assert_eq!([-1, 0, 1, i32::MIN, i32::MAX].map(signed_level), [15, 16, 17, 1, 31]);
+        assert_eq!([0.5, 1.0, 1.9, 2.0, 99.0].map(|v| Levels::<3>::new(1.0, 2.0).of(v)), [0, 1, 1, 2, 3]);
+    }
+}

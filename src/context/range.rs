@@ -1,0 +1,518 @@
+//! The ranges: a mixture of predictors gives each range a distribution, interval after interval is
+//! halved under it, and counters in several contexts correct each half's probability.
+//!
+//! For a return, the predictors are its neighbours and combinations of them, and two online
+//! least-squares fits (one that forgets within a row, one for each beam). Each has, in each
+//! context, a weight (its responsibility for the ranges so far) and a scale (its mean error).
+
+use super::least_squares::LeastSquares;
+use super::quantise::{Levels, signed_level};
+use super::shape::ErrorShape;
+use crate::entropy::{BitCoder, Counter, Mixer, ln, squash};
+use crate::grid::Grid;
+
+/// Features of the least-squares predictors.
+const FEATURES: usize = 9;
+/// Predictors in the mixture.
+const PREDICTORS: usize = 8;
+/// Places of the two least-squares predictors and of the one that stands for surprises.
+const FAST_FIT: usize = 4;
+const BEAM_FIT: usize = 6;
+const SURPRISE: usize = 7;
+/// Levels of the two measures that make a context: activity around, errors around.
+const ACTIVITY_LEVELS: usize = 12;
+const ERROR_LEVELS: usize = 12;
+const CONTEXTS: usize = ACTIVITY_LEVELS * ERROR_LEVELS;
+/// Kinds of edges for which the least-squares fits are kept apart.
+const EDGES: usize = 4;
+/// A difference of ranges, in steps, that counts as an edge.
+const EDGE: f64 = 60.0;
+/// Features and predictions are cut to this many steps from the left neighbour.
+const FEATURE_REACH: f64 = 300.0;
+const FIT_REACH: f64 = 400.0;
+/// Ranges are below this.
+const RANGE_END: f64 = 65536.0;
+/// Share of the distribution that is even over all ranges.
+const EVEN_SHARE: f64 = 0.004;
+/// Learning rates of the weights and the scales.
+const WEIGHT_RATE: f64 = 0.02;
+const SCALE_RATE: f64 = 0.02;
+/// Places in the tree of decisions that keep counters of their own.
+const NODES: usize = 64;
+/// Halvings inside a bucket that are corrected by counters; those below are all noise.
+const CORRECTED_HALVINGS: usize = 2;
+/// Contexts in which counters are kept, and the opinions that are mixed: these, the mixture's and a
+/// constant.
+const VIEWS: usize = 6;
+const OPINIONS: usize = VIEWS + 2;
+/// Number of contexts of each view.
+const VIEW_SIZES: [usize; VIEWS] = [CONTEXTS, 1024, 8 * ROW_CONTEXTS, 1024, 8 * 128, 8 * 64 * 4];
+/// Beams beyond this many share their contexts.
+const ROW_CONTEXTS: usize = 128;
+
+/// What the coder has learned about ranges.
+pub struct RangeModel {
+    shape: ErrorShape,
+    fast_fits: Vec<LeastSquares<FEATURES>>,
+    beam_fits: Vec<LeastSquares<FEATURES>>,
+    weights: Vec<[f64; PREDICTORS]>,
+    scales: Vec<[f64; PREDICTORS]>,
+    counters: [Vec<Counter>; VIEWS],
+    mixer: Mixer<OPINIONS>,
+    error_levels: Levels<{ ERROR_LEVELS - 1 }>,
+}
+
+impl RangeModel {
+    /// Knows nothing yet, of a sensor with `rows` beams.
+    pub fn new(rows: usize) -> Self {
+        let error_levels = Levels::new(1.6, 1.6);
+        let scales = |context: usize| {
+            let mut scale = 3.0f64;
+            for _ in 2..context % ERROR_LEVELS {
+                scale *= 1.6;
+            }
+            let mut scales = [scale; PREDICTORS];
+            scales[SURPRISE] = 500.0;
+            scales
+        };
+        let mut start = [0.0; OPINIONS];
+        start[0] = 1.0;
+        RangeModel {
+            shape: ErrorShape::new(),
+            fast_fits: vec![LeastSquares::new(0.998); EDGES],
+            beam_fits: vec![LeastSquares::new(0.9998); EDGES * rows.max(1)],
+            weights: vec![[1.0 / PREDICTORS as f64; PREDICTORS]; CONTEXTS],
+            scales: (0..CONTEXTS).map(scales).collect(),
+            counters: VIEW_SIZES.map(|size| vec![Counter::default(); size * NODES]),
+            mixer: Mixer::new(NODES * ERROR_LEVELS, start, 0.004),
+            error_levels,
+        }
+    }
+
+    /// Codes the range, in steps, of every cell that holds a return. `intensity` holds the
+    /// intensities coded before, cut to 1 to 128; 0 = no return.
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        occupancy: &Grid<bool>,
+        intensity: &Grid<u16>,
+        steps: &mut Grid<u32>,
+    ) {
+        let width = occupancy.columns();
+        let mut errors = ErrorTrack::new(width);
+        for row in 0..occupancy.rows() {
+            errors.start_row(row > 0);
+            let mut left = LeftNeighbours::default();
+            for column in 0..width {
+                if !occupancy[(row, column)] {
+                    errors.skip(column);
+                    continue;
+                }
+                let near = Neighbourhood::new(&left, steps, row, column);
+                let site = self.site(&near, row, errors.expected(column));
+                let views = self.views(&site, &near, &errors, intensity, (row, column));
+                let range = self.code_range(coder, &site, &views, f64::from(steps[(row, column)]));
+                steps[(row, column)] = range as u32;
+                self.learn(&site, &near, range);
+                errors.record(column, range - near.west - site.fits[0], range - site.base);
+                left.push(range);
+            }
+        }
+    }
+
+    /// The predictions for a cell, and its context.
+    fn site(&self, near: &Neighbourhood, row: usize, expected_error: f32) -> Site {
+        let features = near.features();
+        let edge =
+            usize::from(features[0].abs() > EDGE) + 2 * usize::from((features[3] - features[4]).abs() > EDGE);
+        let beam = (row * EDGES + edge).min(self.beam_fits.len() - 1);
+        let fits = [self.fast_fits[edge].predict(&features), self.beam_fits[beam].predict(&features)]
+            .map(|fit| fit.clamp(-FIT_REACH, FIT_REACH));
+        let Neighbourhood { west, west2, west3, north, north_west, .. } = *near;
+        let predictions = [
+            west,
+            north,
+            2.0 * west - west2,
+            west + north - north_west,
+            west + fits[0],
+            (west + west2 + west3) / 3.0,
+            west + fits[1],
+            west,
+        ];
+        let error_level = self.error_levels.of(expected_error);
+        let context = near.activity_level() * ERROR_LEVELS + error_level;
+        let base = (west + 0.5 * (fits[0] + fits[1])).round_ties_even().clamp(1.0, RANGE_END - 2.0);
+        let per_scale = self.scales[context].map(|scale| 1.0 / scale);
+        Site { features, edge, beam, fits, predictions, per_scale, context, error_level, base }
+    }
+
+    /// The context of each view.
+    fn views(
+        &self,
+        site: &Site,
+        near: &Neighbourhood,
+        errors: &ErrorTrack,
+        intensity: &Grid<u16>,
+        (row, column): (usize, usize),
+    ) -> [usize; VIEWS] {
+        let coarse_error = site.error_level * 8 / ERROR_LEVELS;
+        let pair = |a: f64, b: f64| signed_level(a as i32) * 32 + signed_level(b as i32);
+        let own = intensity[(row, column)];
+        let west = if column > 0 { intensity[(row, column - 1)] } else { 0 };
+        let north = if row > 0 { intensity[(row - 1, column)] } else { 0 };
+        let change = intensity_change(own, west) * 8 + intensity_change(own, north);
+        [
+            site.context,
+            pair(near.west - site.base, near.north - site.base),
+            row.min(ROW_CONTEXTS - 1) * 8 + coarse_error,
+            pair(errors.west, errors.north(column)),
+            usize::from(own).min(127) * 8 + coarse_error,
+            (change * 4 + usize::from(own / 8).min(3)) * 8 + coarse_error,
+        ]
+    }
+
+    /// Codes one range: above or below the base, then buckets of growing width away from it, then
+    /// the halves of the bucket.
+    fn code_range<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        site: &Site,
+        views: &[usize; VIEWS],
+        range: f64,
+    ) -> f64 {
+        let mut interval = Interval { low: 1.0, high: RANGE_END, below_low: 0.0, below_high: 1.0 };
+        interval.below_low = self.below(site, interval.low);
+        interval.below_high = self.below(site, interval.high);
+        let up = self.halve(coder, site, views, &mut interval, site.base, Some(0), range);
+
+        let scale = self.scales[site.context][FAST_FIT].min(self.scales[site.context][BEAM_FIT]);
+        let mut width = first_bucket(scale);
+        let mut edge = site.base;
+        let mut bucket = 0;
+        loop {
+            let next = if up { edge + width } else { edge - width };
+            if next <= interval.low || next >= interval.high {
+                break;
+            }
+            let node = 1 + bucket.min(14) * 2 + usize::from(up);
+            if self.halve(coder, site, views, &mut interval, next, Some(node), range) != up {
+                break;
+            }
+            edge = next;
+            if bucket > 0 {
+                width *= 2.0;
+            }
+            bucket += 1;
+        }
+
+        let mut halving = 0;
+        while interval.high - interval.low > 1.0 {
+            let middle = ((interval.low + interval.high) / 2.0).floor();
+            let node = 32 + halving * 8 + bucket.min(3) * 2 + usize::from(up);
+            let node = (halving < CORRECTED_HALVINGS).then_some(node);
+            self.halve(coder, site, views, &mut interval, middle, node, range);
+            halving += 1;
+        }
+        interval.low
+    }
+
+    /// Codes whether the range is at `middle` or beyond, and cuts the interval to that side.
+    /// With a `node`, the counters have a say.
+    #[allow(clippy::too_many_arguments)]
+    #[inline]
+    fn halve<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        site: &Site,
+        views: &[usize; VIEWS],
+        interval: &mut Interval,
+        middle: f64,
+        node: Option<usize>,
+        range: f64,
+    ) -> bool {
+        /// Keeps what the mixture thinks impossible codable.
+        const LEAST: f64 = 1e-12;
+        let below_middle = self.below(site, middle);
+        let above = (interval.below_high - below_middle).max(LEAST);
+        let below = (below_middle - interval.below_low).max(LEAST);
+        let bit = range >= middle;
+        let bit = match node {
+            None => coder.code(bit, ((above / (above + below) * 65536.0) as u32).clamp(1, 65535)),
+            Some(node) => self.code_corrected(coder, site, views, node, ln(above / below) as f32, bit),
+        };
+        if bit {
+            interval.low = middle;
+            interval.below_low = below_middle;
+        } else {
+            interval.high = middle;
+            interval.below_high = below_middle;
+        }
+        bit
+    }
+
+    /// Codes a bit by the mixture's log odds and the counters' together.
+    #[inline]
+    fn code_corrected<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        site: &Site,
+        views: &[usize; VIEWS],
+        node: usize,
+        odds: f32,
+        bit: bool,
+    ) -> bool {
+        let mut opinions = [0.0; OPINIONS];
+        opinions[0] = odds;
+        opinions[1] = 0.3;
+        for ((opinion, counters), view) in opinions[2..].iter_mut().zip(&self.counters).zip(views) {
+            *opinion = counters[view * NODES + node].opinion();
+        }
+        let set = node * ERROR_LEVELS + site.error_level;
+        let p = squash(self.mixer.mix(set, &opinions));
+        let bit = coder.code(bit, p);
+        self.mixer.learn(set, &opinions, p, bit);
+        for (counters, view) in self.counters.iter_mut().zip(views) {
+            counters[view * NODES + node].learn(bit);
+        }
+        bit
+    }
+
+    /// The mixture's probability that the range is below `range`.
+    #[inline]
+    fn below(&self, site: &Site, range: f64) -> f64 {
+        let mut sum = 0.0;
+        for ((weight, prediction), per_scale) in
+            self.weights[site.context].iter().zip(&site.predictions).zip(&site.per_scale)
+        {
+            sum += weight * self.shape.below(range - 0.5 - prediction, *per_scale);
+        }
+        sum * (1.0 - EVEN_SHARE) + range * (EVEN_SHARE / RANGE_END)
+    }
+
+    /// Moves weights, scales and fits towards the range that has been coded.
+    fn learn(&mut self, site: &Site, near: &Neighbourhood, range: f64) {
+        let weights = &mut self.weights[site.context];
+        let scales = &mut self.scales[site.context];
+        let mut likelihood = [0.0; PREDICTORS];
+        let mut total = 0.0;
+        for k in 0..PREDICTORS {
+            let error = range - site.predictions[k];
+            likelihood[k] = self.shape.below(error + 0.5, site.per_scale[k])
+                - self.shape.below(error - 0.5, site.per_scale[k]);
+            total += weights[k] * likelihood[k];
+        }
+        let mut sum = 0.0;
+        for k in 0..PREDICTORS {
+            let surprise = k == SURPRISE;
+            let merit = (likelihood[k] + 1e-9) / (total + 1e-9);
+            weights[k] = (weights[k] * (1.0 - WEIGHT_RATE + WEIGHT_RATE * merit)).max(0.001);
+            sum += weights[k];
+            let error = (range - site.predictions[k]).abs().min(if surprise { 4000.0 } else { FIT_REACH });
+            let responsibility = (weights[k] * merit).min(1.0) + if surprise { 0.0 } else { 0.1 };
+            scales[k] += SCALE_RATE * responsibility * (error - scales[k]);
+            scales[k] = scales[k].max(if surprise { 100.0 } else { 1.5 });
+        }
+        weights.iter_mut().for_each(|weight| *weight /= sum);
+
+        let target = (range - near.west).clamp(-FIT_REACH, FIT_REACH);
+        let fits = [&mut self.fast_fits[site.edge], &mut self.beam_fits[site.beam]];
+        for (fit, prediction) in fits.into_iter().zip(site.fits) {
+            let error = range - near.west - prediction;
+            fit.learn(&site.features, target, 1.0 / (25.0 + error * error));
+        }
+    }
+}
+
+/// Width of the first bucket beside the base, in steps: a power of two near 0.6 scales.
+fn first_bucket(scale: f64) -> f64 {
+    let mut width = 1.0;
+    // 0.6 * sqrt(2): the nearest power in octaves.
+    while width < scale * 0.42426 {
+        width *= 2.0;
+    }
+    width
+}
+
+/// Eight kinds of change from a neighbour's intensity; none if it holds no return.
+fn intensity_change(own: u16, other: u16) -> usize {
+    if other == 0 {
+        return 7;
+    }
+    let change = i32::from(own) - i32::from(other);
+    let size = match change.abs() {
+        0..2 => 0,
+        2..6 => 1,
+        6..16 => 2,
+        _ => 3,
+    };
+    if change < 0 && size > 0 { size + 3 } else { size }
+}
+
+/// What is left of the range axis, and the mixture's probability below its two ends.
+struct Interval {
+    low: f64,
+    high: f64,
+    below_low: f64,
+    below_high: f64,
+}
+
+/// A cell to be coded.
+struct Site {
+    features: [f64; FEATURES],
+    edge: usize,
+    beam: usize,
+    /// The least-squares predictions, from the left neighbour.
+    fits: [f64; 2],
+    predictions: [f64; PREDICTORS],
+    per_scale: [f64; PREDICTORS],
+    context: usize,
+    error_level: usize,
+    /// Where the coding starts: a whole number of steps.
+    base: f64,
+}
+
+/// The last returns of the row, nearest first; 0 where there is none.
+#[derive(Default)]
+struct LeftNeighbours([f64; 4]);
+
+impl LeftNeighbours {
+    fn push(&mut self, range: f64) {
+        self.0.rotate_right(1);
+        self.0[0] = range;
+    }
+}
+
+/// The ranges around a cell, each missing one replaced by the next best.
+struct Neighbourhood {
+    west: f64,
+    west2: f64,
+    west3: f64,
+    west4: f64,
+    north: f64,
+    north_west: f64,
+    north_west2: f64,
+    north_east: f64,
+    north_east2: f64,
+    north2: f64,
+}
+
+/// The range assumed where nothing is known, in steps.
+const TYPICAL_RANGE: f64 = 3000.0;
+
+impl Neighbourhood {
+    fn new(left: &LeftNeighbours, steps: &Grid<u32>, row: usize, column: usize) -> Self {
+        let at = |rows_up: usize, offset: isize| match (
+            row.checked_sub(rows_up),
+            column.checked_add_signed(offset),
+        ) {
+            (Some(row), Some(column)) if column < steps.columns() => f64::from(steps[(row, column)]),
+            _ => 0.0,
+        };
+        let or = |range: f64, other: f64| if range > 0.0 { range } else { other };
+        let (n, nw, ne) = (at(1, 0), at(1, -1), at(1, 1));
+        let west = or(left.0[0], or(n, or(nw, or(ne, TYPICAL_RANGE))));
+        let west2 = or(left.0[1], west);
+        let west3 = or(left.0[2], west2);
+        let north = or(n, or(ne, or(nw, west)));
+        let north_west = or(nw, north);
+        let north_east = or(ne, north);
+        Neighbourhood {
+            west,
+            west2,
+            west3,
+            west4: or(left.0[3], west3),
+            north,
+            north_west,
+            north_west2: or(at(1, -2), north_west),
+            north_east,
+            north_east2: or(at(1, 2), north_east),
+            north2: or(at(2, 0), north),
+        }
+    }
+
+    /// Differences to the left neighbour.
+    fn features(&self) -> [f64; FEATURES] {
+        [
+            self.west2,
+            self.west3,
+            self.west4,
+            self.north,
+            self.north_west,
+            self.north_east,
+            self.north_east2,
+            self.north_west2,
+            self.north2,
+        ]
+        .map(|range| (range - self.west).clamp(-FEATURE_REACH, FEATURE_REACH))
+    }
+
+    /// How rough the surroundings are, in octaves.
+    fn activity_level(&self) -> usize {
+        let activity = (self.west - self.west2).abs()
+            + (self.north - self.north_west).abs()
+            + (self.north - self.north_east).abs();
+        let octaves = (activity as u32).checked_ilog2().map_or(0, |octave| octave as usize + 1);
+        octaves.min(ACTIVITY_LEVELS - 1)
+    }
+}
+
+/// The errors made to the left and above.
+struct ErrorTrack {
+    /// Running mean magnitude along the row.
+    mean: f32,
+    /// For each column, the running mean down the rows, as it was above the current row and as it
+    /// is made by it.
+    above: Vec<f32>,
+    current: Vec<f32>,
+    /// The signed error of the left neighbour, and those of the row above.
+    west: f64,
+    signed_above: Vec<f32>,
+    signed_current: Vec<f32>,
+    has_row_above: bool,
+}
+
+impl ErrorTrack {
+    fn new(width: usize) -> Self {
+        let zeros = vec![0.0; width];
+        ErrorTrack {
+            mean: 0.0,
+            above: zeros.clone(),
+            current: zeros.clone(),
+            west: 0.0,
+            signed_above: zeros.clone(),
+            signed_current: zeros,
+            has_row_above: false,
+        }
+    }
+
+    fn start_row(&mut self, has_row_above: bool) {
+        self.mean = 20.0;
+        self.west = 0.0;
+        self.has_row_above = has_row_above;
+        std::mem::swap(&mut self.above, &mut self.current);
+        std::mem::swap(&mut self.signed_above, &mut self.signed_current);
+    }
+
+    fn expected(&self, column: usize) -> f32 {
+        self.mean + 0.5 * self.above[column]
+    }
+
+    fn north(&self, column: usize) -> f64 {
+        f64::from(self.signed_above[column])
+    }
+
+    /// No return in this column: what was known of it stays.
+    fn skip(&mut self, column: usize) {
+        self.current[column] = self.above[column];
+        self.signed_current[column] = self.signed_above[column];
+    }
+
+    fn record(&mut self, column: usize, fit_error: f64, base_error: f64) {
+        let magnitude = fit_error.abs().min(FEATURE_REACH) as f32;
+        self.mean = 0.6 * self.mean + 0.4 * magnitude;
+        self.current[column] =
+            if self.has_row_above { 0.5 * self.above[column] + 0.5 * magnitude } else { magnitude };
+        self.west = base_error;
+        self.signed_current[column] = base_error as f32;
+    }
+}

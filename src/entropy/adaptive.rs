@@ -1,0 +1,108 @@
+//! Models that learn from what they have coded: a bit, a small symbol, an integer of any size.
+
+use super::BitCoder;
+
+/// The probability of a bit in one context: a running mean, quick at first.
+#[derive(Clone, Copy, Debug)]
+pub struct AdaptiveBit {
+    /// Probability of a 1, in 1/65536.
+    p: u16,
+    /// Bits seen, up to where the rate stops falling.
+    seen: u8,
+}
+
+/// The slowest rate is one in 64.
+const MOST_SEEN: u8 = 62;
+
+impl Default for AdaptiveBit {
+    fn default() -> Self {
+        AdaptiveBit { p: 1 << 15, seen: 0 }
+    }
+}
+
+impl AdaptiveBit {
+    /// Codes a bit and learns it.
+    pub fn code<C: BitCoder>(&mut self, coder: &mut C, bit: bool) -> bool {
+        let bit = coder.code(bit, u32::from(self.p).clamp(16, 65520));
+        let target = if bit { 65535 } else { 0 };
+        self.p = (i32::from(self.p) + (target - i32::from(self.p)) / (i32::from(self.seen) + 2)) as u16;
+        self.seen = (self.seen + 1).min(MOST_SEEN);
+        bit
+    }
+}
+
+/// A symbol of a few bits, coded from the top bit down, each bit in the context of those above.
+#[derive(Clone, Debug)]
+pub struct SymbolModel {
+    bits: u32,
+    nodes: Vec<AdaptiveBit>,
+}
+
+impl SymbolModel {
+    /// For symbols below 2^`bits`.
+    pub fn new(bits: u32) -> Self {
+        SymbolModel { bits, nodes: vec![AdaptiveBit::default(); 1 << bits] }
+    }
+
+    /// Codes a symbol.
+    pub fn code<C: BitCoder>(&mut self, coder: &mut C, symbol: u32) -> u32 {
+        let mut node = 1;
+        for i in (0..self.bits).rev() {
+            node = node << 1 | usize::from(self.nodes[node].code(coder, symbol >> i & 1 == 1));
+        }
+        node as u32 - (1 << self.bits)
+    }
+}
+
+/// An integer of up to 63 bits: its length in bits as a symbol, the bits below the highest
+/// in the context of the length, those that hardly follow any law plain.
+#[derive(Clone, Debug)]
+pub struct IntegerModel {
+    length: SymbolModel,
+    /// For each length, the two bits below the highest.
+    top: Vec<SymbolModel>,
+}
+
+impl Default for IntegerModel {
+    fn default() -> Self {
+        IntegerModel { length: SymbolModel::new(6), top: vec![SymbolModel::new(2); 64] }
+    }
+}
+
+impl IntegerModel {
+    /// Codes an integer below 2^63.
+    pub fn code<C: BitCoder>(&mut self, coder: &mut C, value: u64) -> u64 {
+        let length = self.length.code(coder, 64 - value.leading_zeros());
+        if length < 2 {
+            return u64::from(length);
+        }
+        let below = length - 1;
+        let modelled = below.min(2);
+        // A length of 2 has one bit below the highest: the model's upper bit stays 0.
+        let top = (value >> (below - modelled)) & ((1 << modelled) - 1);
+        let top = u64::from(self.top[length as usize].code(coder, top as u32)) & ((1 << modelled) - 1);
+        let rest = below - modelled;
+        let low = coder.code_plain(value & ((1 << rest) - 1), rest);
+        ((1 << modelled) | top) << rest | low
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{ArithmeticDecoder, ArithmeticEncoder};
+    use super::*;
+
+    #[test]
+    fn integers_of_every_length_come_back() {
+        let values: Vec<u64> = (0..63)
+            .flat_map(|shift| [1u64 << shift, (1 << shift) - 1, (1 << shift) | (1 << shift) / 3])
+            .collect();
+        let mut encoder = ArithmeticEncoder::default();
+        let mut model = IntegerModel::default();
+        values.iter().for_each(|&v| assert_eq!(model.code(&mut encoder, v), v));
+        let bytes = encoder.finish();
+        let mut decoder = ArithmeticDecoder::new(&bytes);
+        let mut model = IntegerModel::default();
+        values.iter().for_each(|&v| assert_eq!(model.code(&mut decoder, 0), v));
+    }
+}

@@ -1,0 +1,55 @@
+//! A table of rows and columns.
+
+/// A table of `rows` x `columns` values, stored row after row.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Grid<T> {
+    rows: usize,
+    columns: usize,
+    cells: Vec<T>,
+}
+
+impl<T: Clone + Default> Grid<T> {
+    /// A table filled with the default value.
+    pub fn new(rows: usize, columns: usize) -> Self {
+        Grid { rows, columns, cells: vec![T::default(); rows * columns] }
+    }
+
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Number of columns.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// One row.
+    pub fn row(&self, row: usize) -> &[T] {
+        &self.cells[row * self.columns..][..self.columns]
+    }
+
+    /// One row, to change.
+    pub fn row_mut(&mut self, row: usize) -> &mut [T] {
+        &mut self.cells[row * self.columns..][..self.columns]
+    }
+
+    /// All values, row after row.
+    pub fn cells(&self) -> &[T] {
+        &self.cells
+    }
+}
+
+impl<T> std::ops::Index<(usize, usize)> for Grid<T> {
+    type Output = T;
+
+    fn index(&self, (row, column): (usize, usize)) -> &T {
+        &self.cells[row * self.columns + column]
+    }
+}
+
+impl<T> std::ops::IndexMut<(usize, usize)> for Grid<T> {
+    fn index_mut(&mut self, (row, column): (usize, usize)) -> &mut T {
+        &mut self.cells[row * self.columns + column]
+    }
+}

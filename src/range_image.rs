@@ -1,0 +1,142 @@
+//! The points of a scan as a range image: one row a beam, one column a firing.
+//!
+//! A cell holds the range in steps of the sensor model, 0 where no return came. Points that the
+//! model does not give back to within a few grid units, that fall into a taken cell, or that lie in no
+//! column stay outside, as *strays*.
+
+use crate::grid::Grid;
+use crate::scan::PointCloud;
+use crate::sensor::SensorModel;
+
+/// The range image of a scan.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RangeImage {
+    /// The column tick of each column, rising.
+    pub columns: Vec<u32>,
+    /// Rows x columns; range in steps, 0 = no return.
+    pub steps: Grid<u32>,
+}
+
+impl RangeImage {
+    /// An image without returns.
+    pub fn new(rows: usize, columns: Vec<u32>) -> Self {
+        RangeImage { steps: Grid::new(rows, columns.len()), columns }
+    }
+
+    /// Number of returns.
+    pub fn returns(&self) -> usize {
+        self.steps.cells().iter().filter(|&&steps| steps > 0).count()
+    }
+
+    /// The returns in the order in which a file holds them: row by row, by the azimuth that the
+    /// formula gives.
+    pub fn file_order(&self, sensor: &SensorModel) -> Vec<Return> {
+        let mut returns = Vec::with_capacity(self.returns());
+        let mut row_returns: Vec<(f64, Return)> = Vec::new();
+        for row in 0..self.steps.rows() {
+            row_returns.clear();
+            for (column, &steps) in self.steps.row(row).iter().enumerate().filter(|(_, steps)| **steps > 0) {
+                let tick = sensor.tick_of_column(row, self.columns[column]);
+                let found = Return { row: row as u32, column: column as u32, tick, steps };
+                row_returns.push((sensor.azimuth(row, tick, steps), found));
+            }
+            // Stable: equal azimuths stay in the order of the columns.
+            row_returns.sort_by(|a, b| a.0.total_cmp(&b.0));
+            returns.extend(row_returns.iter().map(|(_, found)| *found));
+        }
+        returns
+    }
+}
+
+/// One return of the range image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Return {
+    /// Beam.
+    pub row: u32,
+    /// Column of the image.
+    pub column: u32,
+    /// Azimuth tick of the beam.
+    pub tick: u32,
+    /// Range in steps.
+    pub steps: u32,
+}
+
+/// Where each point of a scan went.
+#[derive(Debug, Default)]
+pub struct Projection {
+    /// The range image.
+    pub image: RangeImage,
+    /// For each cell, the number of the point in it; only cells with a return count.
+    pub point_of_cell: Grid<u32>,
+    /// The points outside the image, rising.
+    pub strays: Vec<u32>,
+}
+
+/// A column that holds fewer points costs more than they do as strays.
+const FEWEST_IN_COLUMN: u32 = 3;
+/// Metres: a point that the formula misses by more is a stray.
+const REACH: f64 = 0.004;
+
+/// Projects a scan into a range image (article, IV-A, with the calibrated sensor for the ideal
+/// one, so that nothing is lost).
+pub fn project(sensor: &SensorModel, cloud: &PointCloud) -> Projection {
+    let places = places(sensor, cloud);
+    let mut in_column = vec![0u32; sensor.ticks as usize];
+    places.iter().flatten().for_each(|place| in_column[place.column_tick as usize] += 1);
+    let columns: Vec<u32> =
+        (0..sensor.ticks).filter(|&c| in_column[c as usize] >= FEWEST_IN_COLUMN).collect();
+    let mut column_of_tick = vec![None; sensor.ticks as usize];
+    columns.iter().enumerate().for_each(|(column, &tick)| column_of_tick[tick as usize] = Some(column));
+
+    let mut projection = Projection {
+        point_of_cell: Grid::new(sensor.rows(), columns.len()),
+        image: RangeImage::new(sensor.rows(), columns),
+        strays: Vec::new(),
+    };
+    for (point, place) in places.iter().enumerate() {
+        let cell = place.and_then(|p| column_of_tick[p.column_tick as usize].map(|column| (p.row, column)));
+        match (cell, place) {
+            (Some(cell), Some(place)) if projection.image.steps[cell] == 0 => {
+                projection.image.steps[cell] = place.steps;
+                projection.point_of_cell[cell] = point as u32;
+            }
+            _ => projection.strays.push(point as u32),
+        }
+    }
+    projection
+}
+
+/// Where a point belongs by the formula.
+#[derive(Clone, Copy)]
+struct Place {
+    row: usize,
+    column_tick: u32,
+    steps: u32,
+}
+
+/// The place of each point, None for those that the formula does not explain.
+fn places(sensor: &SensorModel, cloud: &PointCloud) -> Vec<Option<Place>> {
+    let mut row = 0;
+    cloud
+        .positions
+        .iter()
+        .map(|position| {
+            if !position.iter().all(|v| sensor.coordinates.unit_in_file(*v).is_some()) {
+                return None;
+            }
+            let point @ [x, y, z] = position.map(f64::from);
+            row = sensor.nearest_beam((x * x + y * y).sqrt(), z, row);
+            let (tick, steps) = sensor.invert(row, point)?;
+            let formula = sensor.point(row, tick, steps);
+            let near = formula.iter().zip(point).all(|(f, p)| (f - p).abs() < REACH);
+            // On the millimetre grid -0.0 and 0.0 are told apart by the formula's sign alone.
+            let zeros =
+                formula.iter().zip(position).all(|(f, p)| *p != 0.0 || sensor.coordinates.keeps_zero(*p, *f));
+            (near && zeros).then(|| Place {
+                row,
+                column_tick: sensor.column_tick(row, i64::from(tick)),
+                steps,
+            })
+        })
+        .collect()
+}

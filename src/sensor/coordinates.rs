@@ -1,0 +1,117 @@
+//! The grid on which a file's coordinates lie: whole millimetres, or float32 values as they are.
+
+/// The grid of the coordinates. A *unit* is one step of that grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Coordinates {
+    /// `float32(k / 1000)`, k whole millimetres: KITTI raw.
+    Millimetre,
+    /// Any float32: KITTI-360. Units count the representable values in rising order.
+    Float32,
+}
+
+impl Coordinates {
+    /// The grid of some coordinates (metres): millimetres if nearly all lie on them.
+    pub fn of<'a>(values: impl Iterator<Item = &'a f32>) -> Self {
+        let (mut on_grid, mut total) = (0usize, 0usize);
+        for value in values {
+            total += 1;
+            on_grid += usize::from(Coordinates::Millimetre.unit_in_file(*value).is_some());
+        }
+        if on_grid * 100 > total * 95 { Coordinates::Millimetre } else { Coordinates::Float32 }
+    }
+
+    /// The number that stands for the grid in a stream.
+    pub fn to_code(self) -> u64 {
+        match self {
+            Coordinates::Millimetre => 0,
+            Coordinates::Float32 => 1,
+        }
+    }
+
+    /// The inverse of [`to_code`](Self::to_code); any other number counts as 1.
+    pub fn from_code(code: u64) -> Self {
+        if code == 0 { Coordinates::Millimetre } else { Coordinates::Float32 }
+    }
+
+    /// The unit that a value in metres, as the formula gives it, rounds to: below 2^40, and 0 for NaN.
+    pub fn unit_of(self, metres: f64) -> i64 {
+        match self {
+            _ if metres.is_nan() => 0,
+            Coordinates::Millimetre => (metres * 1000.0).clamp(-1e12, 1e12).round_ties_even() as i64,
+            Coordinates::Float32 => ordered(metres as f32),
+        }
+    }
+
+    /// The coordinate at `unit`. The millimetre grid has two zeros: the sign is that of
+    /// `formula`, the value before rounding (SENSOR: a coordinate that rounds to zero keeps its sign).
+    pub fn value(self, unit: i64, formula: f64) -> f32 {
+        match self {
+            Coordinates::Millimetre if unit == 0 => 0f32.copysign(formula as f32),
+            Coordinates::Millimetre => (unit as f64 / 1000.0) as f32,
+            Coordinates::Float32 => from_ordered(unit),
+        }
+    }
+
+    /// Whether [`value`](Self::value) gives a zero of the file its own sign.
+    pub fn keeps_zero(self, zero: f32, formula: f64) -> bool {
+        match self {
+            Coordinates::Millimetre => zero.is_sign_negative() == (formula as f32).is_sign_negative(),
+            Coordinates::Float32 => true,
+        }
+    }
+
+    /// The unit of a coordinate of the file, if the grid holds that very value.
+    pub fn unit_in_file(self, value: f32) -> Option<i64> {
+        match self {
+            Coordinates::Millimetre => {
+                // Beyond 1,000 km the grid is finer than float32, and no scanner sees that far.
+                let unit = self.unit_of(f64::from(value));
+                let on_grid = value.abs() < 1e6 && (unit as f64 / 1000.0) as f32 == value;
+                on_grid.then_some(unit)
+            }
+            Coordinates::Float32 => value.is_finite().then(|| ordered(value)),
+        }
+    }
+}
+
+/// float32 values in rising order as integers; neighbours differ by one, and so do -0.0 and 0.0.
+fn ordered(value: f32) -> i64 {
+    let bits = value.to_bits();
+    let key = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
+    i64::from(key) - (1 << 31)
+}
+
+/// The inverse of [`ordered`], for any integer: those that stand for no float32 are cut to 32 bits.
+fn from_ordered(unit: i64) -> f32 {
+    let key = unit.wrapping_add(1 << 31) as u32;
+    f32::from_bits(if key >> 31 == 1 { key & !(1 << 31) } else { !key })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn float_units_count_the_representable_values() {
+        for value in [0.0f32, -0.0, 1.0, -1.5, 1e-40, -3e38, 80.123] {
+            let unit = Coordinates::Float32.unit_in_file(value).unwrap();
+            assert_eq!(Coordinates::Float32.value(unit, 0.0).to_bits(), value.to_bits());
+        }
+        assert_eq!(ordered(0.0) - ordered(-0.0), 1);
+        assert_eq!(ordered(1.0f32.next_up()) - ordered(1.0), 1);
+        assert_eq!(Coordinates::Float32.unit_in_file(f32::NAN), None);
+    }
+
+    #[test]
+    fn the_millimetre_grid_holds_thousandths_and_both_zeros() {
+        let grid = Coordinates::Millimetre;
+        for k in (-120_000i64..120_000).step_by(7) {
+            let value = (k as f64 / 1000.0) as f32;
+            assert_eq!(grid.unit_in_file(value), Some(k));
+            assert_eq!(grid.value(k, k as f64), value);
+        }
+        assert_eq!(grid.unit_in_file(0.001f32.next_up()), None);
+        assert_eq!(grid.unit_in_file(f32::INFINITY), None);
+        assert_eq!(grid.value(0, -1e-5).to_bits(), (-0.0f32).to_bits());
+    }
+}

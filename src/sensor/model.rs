@@ -1,0 +1,286 @@
+//! The calibrated sensor model: the formula of a Velodyne HDL-64E with constants for each beam.
+//!
+//! For beam `k` with elevation V, range offset b, height c, sideways offset h and azimuth
+//! offset rot, a range of `n` steps and an azimuth of `t` ticks:
+//!
+//! ```text
+//! d   = n * range_step
+//! rho = d * cos V + b                    horizontal distance from the axis
+//! z   = d * sin V + c
+//! phi = t * tick + rot + atan(h / rho)
+//! x, y = rho * cos phi, rho * sin phi
+//! ```
+//!
+//! Encoder and decoder evaluate it with the same operations on the same quantised constants;
+//! the hot path holds only `+ - * / sqrt`, which every platform rounds alike.
+
+use std::f64::consts::TAU;
+
+use super::Coordinates;
+use crate::error::{Error, Result};
+use crate::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
+
+/// Radians of one unit of a quantised angle.
+const ANGLE_UNIT: f64 = 1.0 / (1u64 << 32) as f64;
+/// Metres of one unit of a quantised length.
+const LENGTH_UNIT: f64 = 1.0 / (1u64 << 24) as f64;
+/// Quantised constants are below this: 4 rad, or 1 km.
+const LARGEST_CONSTANT: i64 = 1 << 34;
+/// More beams than any scanner has.
+const MOST_BEAMS: u64 = 1024;
+/// The finest azimuth grid allowed: 0.001 degree.
+const MOST_TICKS: u64 = 360_000;
+
+/// The constants of one beam, quantised as they stand in the stream.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BeamConstants {
+    /// V, in 2^-32 rad.
+    pub elevation: i64,
+    /// b, in 2^-24 m.
+    pub range_offset: i64,
+    /// c, in 2^-24 m.
+    pub height: i64,
+    /// h, in 2^-24 m.
+    pub side_offset: i64,
+    /// rot, in 2^-32 rad.
+    pub azimuth_offset: i64,
+    /// Ticks from this beam's azimuth to the column of its firing: column tick = t + shift.
+    pub column_shift: i64,
+}
+
+impl BeamConstants {
+    /// Quantises (V, b, c, h, rot), in radians and metres.
+    pub fn quantise([v, b, c, h, rot]: [f64; 5]) -> Self {
+        let angle = |a: f64| (a / ANGLE_UNIT).round() as i64;
+        let length = |l: f64| (l / LENGTH_UNIT).round() as i64;
+        BeamConstants {
+            elevation: angle(v),
+            range_offset: length(b),
+            height: length(c),
+            side_offset: length(h),
+            azimuth_offset: angle(rot),
+            column_shift: 0,
+        }
+    }
+
+    fn fields(&mut self) -> [&mut i64; 6] {
+        [
+            &mut self.elevation,
+            &mut self.range_offset,
+            &mut self.height,
+            &mut self.side_offset,
+            &mut self.azimuth_offset,
+            &mut self.column_shift,
+        ]
+    }
+}
+
+/// One beam's constants as the formula uses them.
+#[derive(Clone, Copy, Debug)]
+struct Beam {
+    cos_v: f64,
+    sin_v: f64,
+    b: f64,
+    c: f64,
+    h: f64,
+    rot: f64,
+    cos_rot: f64,
+    sin_rot: f64,
+}
+
+impl Beam {
+    fn new(q: &BeamConstants) -> Self {
+        let v = q.elevation as f64 * ANGLE_UNIT;
+        let rot = q.azimuth_offset as f64 * ANGLE_UNIT;
+        Beam {
+            cos_v: libm::cos(v),
+            sin_v: libm::sin(v),
+            b: q.range_offset as f64 * LENGTH_UNIT,
+            c: q.height as f64 * LENGTH_UNIT,
+            h: q.side_offset as f64 * LENGTH_UNIT,
+            rot,
+            cos_rot: libm::cos(rot),
+            sin_rot: libm::sin(rot),
+        }
+    }
+
+    /// z at horizontal distance `rho`, both in metres.
+    fn height_at(&self, rho: f64) -> f64 {
+        (rho - self.b) * (self.sin_v / self.cos_v) + self.c
+    }
+}
+
+/// The scanner of a sequence.
+#[derive(Clone, Debug)]
+pub struct SensorModel {
+    /// The grid of the file's coordinates.
+    pub coordinates: Coordinates,
+    /// Azimuth ticks a turn (4000 for 0.09 degrees).
+    pub ticks: u32,
+    /// One range step, in micrometres (2000 for 2 mm).
+    pub range_step_um: u32,
+    /// Constants of each beam, in the order of the rows of the file.
+    constants: Vec<BeamConstants>,
+    beams: Vec<Beam>,
+    /// cos and sin of each tick.
+    tick_directions: Vec<[f64; 2]>,
+}
+
+impl PartialEq for SensorModel {
+    fn eq(&self, other: &Self) -> bool {
+        self.coordinates == other.coordinates
+            && self.ticks == other.ticks
+            && self.range_step_um == other.range_step_um
+            && self.constants == other.constants
+    }
+}
+
+impl SensorModel {
+    /// A model from quantised constants. `ticks` and `range_step_um` must not be 0.
+    pub fn new(
+        coordinates: Coordinates,
+        ticks: u32,
+        range_step_um: u32,
+        constants: Vec<BeamConstants>,
+    ) -> Self {
+        let beams = constants.iter().map(Beam::new).collect();
+        let angle = |t: u32| f64::from(t) / f64::from(ticks) * TAU;
+        let tick_directions = (0..ticks).map(|t| [libm::cos(angle(t)), libm::sin(angle(t))]).collect();
+        SensorModel { coordinates, ticks, range_step_um, constants, beams, tick_directions }
+    }
+
+    /// Number of beams, which is the number of rows of the range image.
+    pub fn rows(&self) -> usize {
+        self.beams.len()
+    }
+
+    /// One range step, in metres.
+    pub fn range_step(&self) -> f64 {
+        f64::from(self.range_step_um) * 1e-6
+    }
+
+    /// The column tick (0 to `ticks`, exclusive) of azimuth tick `tick` of beam `row`.
+    pub fn column_tick(&self, row: usize, tick: i64) -> u32 {
+        (tick + self.constants[row].column_shift).rem_euclid(i64::from(self.ticks)) as u32
+    }
+
+    /// The azimuth tick (0 to `ticks`, exclusive) of beam `row` at a column tick.
+    pub fn tick_of_column(&self, row: usize, column_tick: u32) -> u32 {
+        (i64::from(column_tick) - self.constants[row].column_shift).rem_euclid(i64::from(self.ticks)) as u32
+    }
+
+    /// The formula: x, y and z in metres, before they are rounded to the file's grid.
+    pub fn point(&self, row: usize, tick: u32, steps: u32) -> [f64; 3] {
+        let beam = &self.beams[row];
+        let d = f64::from(steps) * self.range_step();
+        let rho = d * beam.cos_v + beam.b;
+        let [cos_t, sin_t] = self.tick_directions[tick as usize];
+        let (cos_a, sin_a) =
+            (cos_t * beam.cos_rot - sin_t * beam.sin_rot, sin_t * beam.cos_rot + cos_t * beam.sin_rot);
+        // Turned by atan(h / rho), whose cosine and sine are rho and h over their hypotenuse.
+        let along = rho / (rho * rho + beam.h * beam.h).sqrt();
+        [
+            along * (cos_a * rho - sin_a * beam.h),
+            along * (sin_a * rho + cos_a * beam.h),
+            d * beam.sin_v + beam.c,
+        ]
+    }
+
+    /// phi of the formula, in radians from 0 to 2 pi: the order of the points of a row in the file.
+    pub fn azimuth(&self, row: usize, tick: u32, steps: u32) -> f64 {
+        let beam = &self.beams[row];
+        let rho = f64::from(steps) * self.range_step() * beam.cos_v + beam.b;
+        let azimuth = f64::from(tick) / f64::from(self.ticks) * TAU + beam.rot + small_atan(beam.h / rho);
+        if azimuth < 0.0 {
+            azimuth + TAU
+        } else if azimuth >= TAU {
+            azimuth - TAU
+        } else {
+            azimuth
+        }
+    }
+
+    /// The formula inverted: the azimuth tick and range steps that come nearest to a point of beam
+    /// `row` (metres), for the encoder. None if the point has no such range.
+    pub fn invert(&self, row: usize, [x, y, z]: [f64; 3]) -> Option<(u32, u32)> {
+        let beam = &self.beams[row];
+        let rho = (x * x + y * y).sqrt();
+        let d = (rho - beam.b) * beam.cos_v + (z - beam.c) * beam.sin_v;
+        let steps = (d / self.range_step()).round();
+        let azimuth = y.atan2(x) - (beam.h / rho).atan() - beam.rot;
+        let tick = (azimuth / TAU * f64::from(self.ticks)).round();
+        let in_reach = steps >= 1.0 && steps <= f64::from(MOST_STEPS) && tick.is_finite();
+        in_reach.then(|| ((tick as i64).rem_euclid(i64::from(self.ticks)) as u32, steps as u32))
+    }
+
+    /// The beam whose cone passes nearest to a point at distance `rho` and height `z` (metres),
+    /// looking at `hint` first.
+    pub fn nearest_beam(&self, rho: f64, z: f64, hint: usize) -> usize {
+        /// Metres; closer than half the distance of two beams' cones at any range.
+        const ON_CONE: f64 = 0.004;
+        let miss = |row: usize| (self.beams[row].height_at(rho) - z).abs();
+        for row in [hint, hint + 1] {
+            if row < self.rows() && miss(row) < ON_CONE {
+                return row;
+            }
+        }
+        (0..self.rows()).min_by(|&a, &b| miss(a).total_cmp(&miss(b))).unwrap_or(0)
+    }
+
+    /// Writes the model's record of the stream.
+    pub fn write_to(&self, out: &mut Vec<u8>) {
+        write_unsigned(out, self.coordinates.to_code());
+        write_unsigned(out, u64::from(self.ticks));
+        write_unsigned(out, u64::from(self.range_step_um));
+        write_unsigned(out, self.constants.len() as u64);
+        for mut beam in self.constants.iter().copied() {
+            beam.fields().into_iter().for_each(|field| write_signed(out, *field));
+        }
+    }
+
+    /// Reads what [`write_to`](Self::write_to) wrote.
+    ///
+    /// # Errors
+    /// If the record is cut short or holds values that no scanner has.
+    pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
+        let coordinates = match read_unsigned(bytes)? {
+            code @ 0..2 => Coordinates::from_code(code),
+            other => return Err(Error::corrupt(format!("sensor model: unknown coordinate grid {other}"))),
+        };
+        let mut bounded = |what, max| match read_unsigned(bytes)? {
+            got @ 1.. if got <= max => Ok(got as u32),
+            got => Err(Error::LimitExceeded { what, got, max }),
+        };
+        let ticks = bounded("sensor model: ticks a turn", MOST_TICKS)?;
+        let range_step_um = bounded("sensor model: range step in micrometres", 1_000_000)?;
+        let rows = bounded("sensor model: beams", MOST_BEAMS)?;
+        let mut constants = Vec::new();
+        for _ in 0..rows {
+            let mut beam = BeamConstants::default();
+            for field in beam.fields() {
+                *field = read_signed(bytes)?;
+                if field.abs() > LARGEST_CONSTANT {
+                    return Err(Error::corrupt("sensor model: a constant is out of range"));
+                }
+            }
+            constants.push(beam);
+        }
+        Ok(Self::new(coordinates, ticks, range_step_um, constants))
+    }
+
+    /// The column shifts, for the fit to fill in.
+    pub(super) fn set_column_shifts(&mut self, shifts: &[i64]) {
+        self.constants.iter_mut().zip(shifts).for_each(|(beam, &shift)| beam.column_shift = shift);
+    }
+}
+
+/// The longest range that the range image holds, in steps.
+pub const MOST_STEPS: u32 = (1 << 16) - 1;
+
+/// atan for the small angles of the sideways offset: a fixed polynomial, the same on every
+/// platform. Off by less than 1e-9 rad below 0.05 rad; what is larger only spoils the order
+/// that the file is expected to have, never the result.
+fn small_atan(tangent: f64) -> f64 {
+    let square = tangent * tangent;
+    tangent * (1.0 - square * (1.0 / 3.0 - square * (1.0 / 5.0 - square / 7.0)))
+}
