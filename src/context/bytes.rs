@@ -2,7 +2,7 @@
 //! files that are no scans. Each bit mixed from counters in the contexts of the bytes before it
 //! and of the same place in the record before.
 
-use crate::entropy::{BitCoder, Counter, Mixer, squash};
+use crate::entropy::{BitCoder, Counter, Logistic, Mixer};
 
 const VIEWS: usize = 5;
 const OPINIONS: usize = VIEWS + 1;
@@ -18,6 +18,7 @@ pub struct ByteModel {
 struct Learned {
     counters: Vec<Vec<Counter>>,
     mixer: Mixer<OPINIONS>,
+    tables: &'static Logistic,
 }
 
 impl Learned {
@@ -27,6 +28,7 @@ impl Learned {
         Learned {
             counters: vec![vec![Counter::default(); 256 << SLOT_BITS]; VIEWS],
             mixer: Mixer::new(256, start, 0.004),
+            tables: Logistic::tables(),
         }
     }
 }
@@ -62,9 +64,9 @@ impl Learned {
         for i in (0..8).rev() {
             let mut opinions = [0.2; OPINIONS];
             for view in 0..VIEWS {
-                opinions[view] = self.counters[view][slots[view] + node].opinion();
+                opinions[view] = self.tables.opinion(self.counters[view][slots[view] + node]);
             }
-            let p = squash(self.mixer.mix(node, &opinions));
+            let p = self.tables.squash(self.mixer.mix(node, &opinions));
             let bit = coder.code(byte >> i & 1 == 1, p);
             self.mixer.learn(node, &opinions, p, bit);
             for view in 0..VIEWS {

@@ -3,7 +3,7 @@
 
 use super::least_squares::LeastSquares;
 use super::quantise::Levels;
-use crate::entropy::{AdaptiveBit, BitCoder, Counter, IntegerModel, Mixer, squash};
+use crate::entropy::{AdaptiveBit, BitCoder, Counter, IntegerModel, Logistic, Mixer};
 use crate::varint::{unzigzag, zigzag};
 
 /// How many levels make 1.0, in the files of known scanners: hundredths (KITTI), 256ths
@@ -80,8 +80,6 @@ const VIEWS: usize = 7;
 const OPINIONS: usize = VIEWS + 1;
 /// Counters of each view: contexts share them by hashing.
 const SLOT_BITS: u32 = 12;
-/// Counters of one context: the places in the tree of a level's bits.
-const NODES: usize = 1 << MOST_BITS;
 const FEATURES: usize = 6;
 /// Beams beyond this many share their contexts.
 const ROW_CONTEXTS: usize = 128;
@@ -93,8 +91,9 @@ const TYPICAL_LEVEL: u16 = 20;
 /// What the coder has learned about intensities.
 pub struct IntensityModel {
     fits: Vec<LeastSquares<FEATURES>>,
-    counters: Vec<Vec<Counter>>,
+    counters: [Vec<Counter>; VIEWS],
     mixer: Mixer<OPINIONS>,
+    tables: &'static Logistic,
     levels: Levels<7>,
     exception: AdaptiveBit,
     off_grid: IntegerModel,
@@ -111,8 +110,9 @@ impl IntensityModel {
         start[VIEWS] = 0.0;
         IntensityModel {
             fits: vec![LeastSquares::new(0.9995); 2],
-            counters: Vec::new(),
+            counters: std::array::from_fn(|_| Vec::new()),
             mixer: Mixer::new(MOST_BITS as usize * ERROR_LEVELS * GRADIENT_LEVELS, start, 0.003),
+            tables: Logistic::tables(),
             levels: Levels::new(1.0, 1.8),
             exception: AdaptiveBit::default(),
             off_grid: IntegerModel::default(),
@@ -122,13 +122,15 @@ impl IntensityModel {
         }
     }
 
-    /// Begins a frame with `columns` columns.
-    pub fn start_frame(&mut self, columns: usize) {
+    /// Begins a frame, or its strays, with `columns` columns.
+    pub fn start_frame(&mut self, scale: &IntensityScale, columns: usize) {
         self.start_row();
         self.above.clear();
         self.above.resize(columns, 4.0);
-        if self.counters.is_empty() {
-            self.counters = vec![vec![Counter::default(); NODES << SLOT_BITS]; VIEWS];
+        // A context has a counter for each place in the tree of a level's bits.
+        let counters = 1 << (SLOT_BITS + scale.bits);
+        if scale.per_unit > 0 && self.counters[0].len() < counters {
+            self.counters.iter_mut().for_each(|view| view.resize(counters, Counter::default()));
         }
     }
 
@@ -174,15 +176,15 @@ impl IntensityModel {
         level: u32,
     ) -> u32 {
         let site = self.site(near, row, self.above[column]);
-        let slots = site.views.map(|view| slot(view) * NODES);
+        let slots = site.views.map(|view| slot(view) << scale.bits);
         let mut node = 1usize;
         for i in (0..scale.bits).rev() {
             let mut opinions = [0.2; OPINIONS];
             for view in 0..VIEWS {
-                opinions[view] = self.counters[view][slots[view] + node].opinion();
+                opinions[view] = self.tables.opinion(self.counters[view][slots[view] + node]);
             }
             let set = i as usize * ERROR_LEVELS * GRADIENT_LEVELS + site.mixer_set;
-            let p = squash(self.mixer.mix(set, &opinions));
+            let p = self.tables.squash(self.mixer.mix(set, &opinions));
             let bit = coder.code(level >> i & 1 == 1, p);
             self.mixer.learn(set, &opinions, p, bit);
             for view in 0..VIEWS {

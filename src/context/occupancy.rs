@@ -1,6 +1,6 @@
 //! Which cells of the range image hold a return.
 
-use crate::entropy::{BitCoder, Counter, Mixer, squash};
+use crate::entropy::{BitCoder, Counter, Logistic, Mixer};
 use crate::grid::Grid;
 
 const VIEWS: usize = 4;
@@ -13,6 +13,7 @@ const ROW_CONTEXTS: usize = 128;
 pub struct OccupancyModel {
     counters: [Vec<Counter>; VIEWS],
     mixer: Mixer<OPINIONS>,
+    tables: &'static Logistic,
 }
 
 impl Default for OccupancyModel {
@@ -22,6 +23,7 @@ impl Default for OccupancyModel {
         OccupancyModel {
             counters: VIEW_SIZES.map(|size| vec![Counter::default(); size]),
             mixer: Mixer::new(64, start, 0.003),
+            tables: Logistic::tables(),
         }
     }
 }
@@ -63,10 +65,10 @@ impl OccupancyModel {
                 let set = near | (at(2, 0) << 4) | (at(0, -2) << 5);
                 let mut opinions = [0.3; OPINIONS];
                 for i in 0..VIEWS {
-                    opinions[i] = self.counters[i][views[i]].opinion();
+                    opinions[i] = self.tables.opinion(self.counters[i][views[i]]);
                 }
                 let west = at(0, -1) == 1;
-                let p = squash(self.mixer.mix(set, &opinions));
+                let p = self.tables.squash(self.mixer.mix(set, &opinions));
                 let filled = coder.code(occupancy[(row, column)], p);
                 self.mixer.learn(set, &opinions, p, filled);
                 for i in 0..VIEWS {

@@ -7,8 +7,8 @@
 
 use super::least_squares::LeastSquares;
 use super::quantise::{Levels, signed_level};
-use super::shape::ErrorShape;
-use crate::entropy::{BitCoder, Counter, Mixer, ln, squash};
+use super::shape::{ErrorShape, Placed};
+use crate::entropy::{BitCoder, Counter, Logistic, Mixer};
 use crate::grid::Grid;
 
 /// Features of the least-squares predictors.
@@ -59,6 +59,7 @@ pub struct RangeModel {
     scales: Vec<[f64; PREDICTORS]>,
     counters: [Vec<Counter>; VIEWS],
     mixer: Mixer<OPINIONS>,
+    tables: &'static Logistic,
     error_levels: Levels<{ ERROR_LEVELS - 1 }>,
 }
 
@@ -85,6 +86,7 @@ impl RangeModel {
             scales: (0..CONTEXTS).map(scales).collect(),
             counters: VIEW_SIZES.map(|size| vec![Counter::default(); size * NODES]),
             mixer: Mixer::new(NODES * ERROR_LEVELS, start, 0.004),
+            tables: Logistic::tables(),
             error_levels,
         }
     }
@@ -142,8 +144,9 @@ impl RangeModel {
         let error_level = self.error_levels.of(expected_error);
         let context = near.activity_level() * ERROR_LEVELS + error_level;
         let base = (west + 0.5 * (fits[0] + fits[1])).round_ties_even().clamp(1.0, RANGE_END - 2.0);
-        let per_scale = self.scales[context].map(|scale| 1.0 / scale);
-        Site { features, edge, beam, fits, predictions, per_scale, context, error_level, base }
+        let scales = &self.scales[context];
+        let placed = std::array::from_fn(|k| self.shape.place(predictions[k] + 0.5, 1.0 / scales[k]));
+        Site { features, edge, beam, fits, predictions, placed, context, error_level, base }
     }
 
     /// The context of each view.
@@ -181,8 +184,6 @@ impl RangeModel {
         range: f64,
     ) -> f64 {
         let mut interval = Interval { low: 1.0, high: RANGE_END, below_low: 0.0, below_high: 1.0 };
-        interval.below_low = self.below(site, interval.low);
-        interval.below_high = self.below(site, interval.high);
         let up = self.halve(coder, site, views, &mut interval, site.base, Some(0), range);
 
         let scale = self.scales[site.context][FAST_FIT].min(self.scales[site.context][BEAM_FIT]);
@@ -238,7 +239,9 @@ impl RangeModel {
         let bit = range >= middle;
         let bit = match node {
             None => coder.code(bit, ((above / (above + below) * 65536.0) as u32).clamp(1, 65535)),
-            Some(node) => self.code_corrected(coder, site, views, node, ln(above / below) as f32, bit),
+            Some(node) => {
+                self.code_corrected(coder, site, views, node, self.tables.ln(above / below) as f32, bit)
+            }
         };
         if bit {
             interval.low = middle;
@@ -265,10 +268,10 @@ impl RangeModel {
         opinions[0] = odds;
         opinions[1] = 0.3;
         for ((opinion, counters), view) in opinions[2..].iter_mut().zip(&self.counters).zip(views) {
-            *opinion = counters[view * NODES + node].opinion();
+            *opinion = self.tables.opinion(counters[view * NODES + node]);
         }
         let set = node * ERROR_LEVELS + site.error_level;
-        let p = squash(self.mixer.mix(set, &opinions));
+        let p = self.tables.squash(self.mixer.mix(set, &opinions));
         let bit = coder.code(bit, p);
         self.mixer.learn(set, &opinions, p, bit);
         for (counters, view) in self.counters.iter_mut().zip(views) {
@@ -280,12 +283,8 @@ impl RangeModel {
     /// The mixture's probability that the range is below `range`.
     #[inline]
     fn below(&self, site: &Site, range: f64) -> f64 {
-        let mut sum = 0.0;
-        for ((weight, prediction), per_scale) in
-            self.weights[site.context].iter().zip(&site.predictions).zip(&site.per_scale)
-        {
-            sum += weight * self.shape.below(range - 0.5 - prediction, *per_scale);
-        }
+        let parts = self.weights[site.context].iter().zip(&site.placed);
+        let sum: f64 = parts.map(|(weight, placed)| weight * self.shape.below(placed, range)).sum();
         sum * (1.0 - EVEN_SHARE) + range * (EVEN_SHARE / RANGE_END)
     }
 
@@ -296,9 +295,8 @@ impl RangeModel {
         let mut likelihood = [0.0; PREDICTORS];
         let mut total = 0.0;
         for k in 0..PREDICTORS {
-            let error = range - site.predictions[k];
-            likelihood[k] = self.shape.below(error + 0.5, site.per_scale[k])
-                - self.shape.below(error - 0.5, site.per_scale[k]);
+            let placed = &site.placed[k];
+            likelihood[k] = self.shape.below(placed, range + 1.0) - self.shape.below(placed, range);
             total += weights[k] * likelihood[k];
         }
         let mut sum = 0.0;
@@ -364,7 +362,7 @@ struct Site {
     /// The least-squares predictions, from the left neighbour.
     fits: [f64; 2],
     predictions: [f64; PREDICTORS],
-    per_scale: [f64; PREDICTORS],
+    placed: [Placed; PREDICTORS],
     context: usize,
     error_level: usize,
     /// Where the coding starts: a whole number of steps.

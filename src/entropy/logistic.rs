@@ -9,46 +9,69 @@ const SQUASH_STEPS: usize = 4096;
 const STRETCH_STEPS: usize = 4096;
 const LN_STEPS: usize = 1024;
 
-/// Probabilities of log odds from -LARGEST to LARGEST, in 1/65536.
-static SQUASH: LazyLock<Vec<f32>> = LazyLock::new(|| {
-    let at = |i: usize| (i as f64 / SQUASH_STEPS as f64 * 2.0 - 1.0) * f64::from(LARGEST);
-    (0..=SQUASH_STEPS + 1).map(|i| (65536.0 / (1.0 + libm::exp(-at(i)))) as f32).collect()
-});
-
-/// Log odds of the middles of equal steps of probability.
-static STRETCH: LazyLock<Vec<f32>> = LazyLock::new(|| {
-    let at = |i: usize| (i as f64 + 0.5) / STRETCH_STEPS as f64;
-    (0..STRETCH_STEPS).map(|i| libm::log(at(i) / (1.0 - at(i))) as f32).collect()
-});
-
-/// ln of 1 to 2.
-static LN: LazyLock<Vec<f64>> =
-    LazyLock::new(|| (0..=LN_STEPS).map(|i| libm::log(1.0 + i as f64 / LN_STEPS as f64)).collect());
-
-/// The probability, in 1/65536 (1 to 65535), of log odds.
-#[inline]
-pub fn squash(odds: f32) -> u32 {
-    let place = (odds.clamp(-LARGEST, LARGEST) + LARGEST) * (SQUASH_STEPS as f32 / (2.0 * LARGEST));
-    let index = (place as usize).min(SQUASH_STEPS);
-    let (a, b) = (SQUASH[index], SQUASH[index + 1]);
-    ((a + (b - a) * (place - index as f32)) as u32).clamp(1, 65535)
+/// The functions of logistic mixing, as tables.
+pub struct Logistic {
+    /// Probabilities of log odds from -LARGEST to LARGEST, in 1/65536.
+    squash: [f32; SQUASH_STEPS + 2],
+    /// Log odds of the middles of equal steps of probability.
+    stretch: [f32; STRETCH_STEPS],
+    /// ln of 1 to 2.
+    ln: [f64; LN_STEPS + 1],
+    /// For each count of a [`Counter`]: how far its probability can be believed.
+    belief: [f32; COUNT_LIMIT as usize + 1],
 }
 
-/// The log odds of a probability in 1/65536.
-#[inline]
-pub fn stretch(p: u32) -> f32 {
-    STRETCH[(p >> 4) as usize & (STRETCH_STEPS - 1)]
-}
+static TABLES: LazyLock<Box<Logistic>> = LazyLock::new(|| Box::new(Logistic::new()));
 
-/// ln of a positive, normal number; the same bits on every platform, good to about 1e-7.
-#[inline]
-pub fn ln(value: f64) -> f64 {
-    let bits = value.to_bits();
-    let exponent = (bits >> 52) as i64 - 1023;
-    let mantissa = (bits & ((1 << 52) - 1)) as f64 * (LN_STEPS as f64 / (1u64 << 52) as f64);
-    let index = mantissa as usize;
-    let (a, b) = (LN[index], LN[index + 1]);
-    exponent as f64 * std::f64::consts::LN_2 + a + (b - a) * (mantissa - index as f64)
+impl Logistic {
+    /// The tables, computed once. Models keep the reference: looking it up takes time.
+    pub fn tables() -> &'static Logistic {
+        &TABLES
+    }
+
+    fn new() -> Self {
+        let squash = |i: usize| {
+            let odds = (i as f64 / SQUASH_STEPS as f64 * 2.0 - 1.0) * f64::from(LARGEST);
+            (65536.0 / (1.0 + libm::exp(-odds))) as f32
+        };
+        let stretch = |i: usize| {
+            let p = (i as f64 + 0.5) / STRETCH_STEPS as f64;
+            libm::log(p / (1.0 - p)) as f32
+        };
+        Logistic {
+            squash: std::array::from_fn(squash),
+            stretch: std::array::from_fn(stretch),
+            ln: std::array::from_fn(|i| libm::log(1.0 + i as f64 / LN_STEPS as f64)),
+            belief: std::array::from_fn(|n| (n as f64 / (n as f64 + 1.5)) as f32),
+        }
+    }
+
+    /// The probability, in 1/65536 (1 to 65535), of log odds.
+    #[inline]
+    pub fn squash(&self, odds: f32) -> u32 {
+        let place = (odds.clamp(-LARGEST, LARGEST) + LARGEST) * (SQUASH_STEPS as f32 / (2.0 * LARGEST));
+        let index = (place as usize).min(SQUASH_STEPS);
+        let (a, b) = (self.squash[index], self.squash[index + 1]);
+        ((a + (b - a) * (place - index as f32)) as u32).clamp(1, 65535)
+    }
+
+    /// ln of a positive, normal number; the same bits on every platform, good to about 1e-7.
+    #[inline]
+    pub fn ln(&self, value: f64) -> f64 {
+        let bits = value.to_bits();
+        let exponent = (bits >> 52) as i64 - 1023;
+        let mantissa = (bits & ((1 << 52) - 1)) as f64 * (LN_STEPS as f64 / (1u64 << 52) as f64);
+        let index = (mantissa as usize).min(LN_STEPS - 1);
+        let (a, b) = (self.ln[index], self.ln[index + 1]);
+        exponent as f64 * std::f64::consts::LN_2 + a + (b - a) * (mantissa - index as f64)
+    }
+
+    /// The log odds of a 1 that a counter gives, less the less it knows.
+    #[inline]
+    pub fn opinion(&self, counter: Counter) -> f32 {
+        let step = (counter.0 >> (32 - STRETCH_STEPS.ilog2())) as usize;
+        self.stretch[step] * self.belief[(counter.0 & COUNT_MASK & COUNT_LIMIT) as usize]
+    }
 }
 
 /// A probability with the number of bits that it rests on: 22 bits of the one, 10 of the other.
@@ -60,12 +83,17 @@ const COUNT_MASK: u32 = (1 << COUNT_BITS) - 1;
 /// Counters forget at a rate of one in this many bits.
 const COUNT_LIMIT: u32 = 255;
 
-/// For each count: the rate (in 1/65536) at which the next bit moves the probability, and how far
-/// the probability can be believed.
-static RATES: LazyLock<Vec<(u32, f32)>> = LazyLock::new(|| {
-    let rate = |n: f64| ((65536.0 / (n + 1.5)) as u32, (n / (n + 1.5)) as f32);
-    (0..=COUNT_LIMIT).map(|n| rate(f64::from(n))).collect()
-});
+/// For each count: the rate, in 1/65536, at which the next bit moves the probability.
+static RATES: [u32; COUNT_LIMIT as usize + 1] = {
+    let mut rates = [0; COUNT_LIMIT as usize + 1];
+    let mut n = 0;
+    while n < rates.len() {
+        // 1 / (n + 1.5)
+        rates[n] = 131_072 / (2 * n as u32 + 3);
+        n += 1;
+    }
+    rates
+};
 
 impl Default for Counter {
     fn default() -> Self {
@@ -74,19 +102,13 @@ impl Default for Counter {
 }
 
 impl Counter {
-    /// Log odds of a 1, less the less is known.
-    #[inline]
-    pub fn opinion(self) -> f32 {
-        STRETCH[(self.0 >> 20) as usize] * RATES[(self.0 & COUNT_MASK) as usize].1
-    }
-
     /// Learns a bit.
     #[inline]
     pub fn learn(&mut self, bit: bool) {
-        let count = self.0 & COUNT_MASK;
+        let count = self.0 & COUNT_MASK & COUNT_LIMIT;
         let p = i64::from(self.0 >> COUNT_BITS);
         let target = if bit { (1 << 22) - 1 } else { 0 };
-        let moved = p + (((target - p) * i64::from(RATES[count as usize].0)) >> 16);
+        let moved = p + (((target - p) * i64::from(RATES[count as usize])) >> 16);
         self.0 = (moved as u32) << COUNT_BITS | (count + 1).min(COUNT_LIMIT);
     }
 }
@@ -140,26 +162,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn squash_undoes_stretch() {
-        for p in (64..65536 - 64).step_by(61) {
-            assert!(squash(stretch(p)).abs_diff(p) <= 16, "{p} {}", squash(stretch(p)));
+    fn squash_undoes_the_opinion_of_a_counter() {
+        let tables = Logistic::tables();
+        for p in (1u32 << 14..u32::MAX - (1 << 14)).step_by(1 << 19) {
+            let sure = Counter(p & !COUNT_MASK | COUNT_LIMIT);
+            assert!(tables.squash(tables.opinion(sure)).abs_diff(p >> 16) <= 64);
         }
     }
 
     #[test]
     fn ln_is_right() {
         for value in [1e-9, 0.3, 1.0, 1.999, 2.0, 12345.678] {
-            assert!((ln(value) - f64::ln(value)).abs() < 1e-6);
+            assert!((Logistic::tables().ln(value) - f64::ln(value)).abs() < 1e-6);
         }
     }
 
     #[test]
     fn counters_go_where_the_bits_go() {
+        let tables = Logistic::tables();
         let mut counter = Counter::default();
-        assert_eq!(counter.opinion(), 0.0);
+        assert_eq!(tables.opinion(counter), 0.0);
         (0..1000).for_each(|_| counter.learn(true));
-        assert!(counter.opinion() > 5.0);
+        assert!(tables.opinion(counter) > 5.0);
         (0..3000).for_each(|_| counter.learn(false));
-        assert!(counter.opinion() < -5.0);
+        assert!(tables.opinion(counter) < -5.0);
     }
 }
