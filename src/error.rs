@@ -43,13 +43,19 @@ pub enum Error {
     /// The settings contradict each other or are out of range.
     #[error("{0}")]
     InvalidConfig(String),
-    /// A file or folder that was given cannot be used.
-    #[error("{} {what}", one_line(path))]
-    Input {
-        /// Which one.
-        path: PathBuf,
-        /// What is wrong with it and what to do, as the sentence that the path begins.
+    /// The stream holds something that this program does not know.
+    #[error("written by a newer lidarpc: {what}")]
+    Unsupported {
+        /// What is unknown, and in which part.
         what: String,
+    },
+    /// Something went wrong with this file.
+    #[error("{}: {source}", path.display())]
+    At {
+        /// The file or folder.
+        path: PathBuf,
+        /// What went wrong with it.
+        source: Box<Error>,
     },
 }
 
@@ -58,11 +64,25 @@ impl Error {
     pub fn corrupt(what: impl Into<String>) -> Self {
         Error::Corrupt { what: what.into() }
     }
-}
 
-/// A path for a message: file names may hold line ends and what terminals take for commands.
-fn one_line(path: &Path) -> String {
-    path.display().to_string().replace(char::is_control, "?")
+    /// Something that only a newer program knows.
+    pub fn unsupported(what: impl Into<String>) -> Self {
+        Error::Unsupported { what: what.into() }
+    }
+
+    /// The same error, naming the file that it is about.
+    pub fn at(self, path: impl AsRef<Path>) -> Self {
+        Error::At { path: path.as_ref().to_path_buf(), source: Box::new(self) }
+    }
+
+    /// The same error, naming the part of the stream that it is about.
+    pub(crate) fn within(self, part: &str) -> Self {
+        match self {
+            Error::Corrupt { what } => Error::Corrupt { what: format!("{part}: {what}") },
+            Error::Unsupported { what } => Error::Unsupported { what: format!("{part}: {what}") },
+            other => other,
+        }
+    }
 }
 
 /// What a decoder is willing to allocate; checked before memory is asked for.

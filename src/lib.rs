@@ -23,3 +23,5 @@ pub mod bitstream;
 pub mod codec;
 pub mod io;
 pub mod synth;
+
+pub mod metrics;

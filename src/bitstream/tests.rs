@@ -1,0 +1,158 @@
+//! Whole streams: what comes back, and that no damage goes unseen.
+
+use std::io::Cursor;
+
+use super::record::write_record;
+use super::*;
+use crate::error::{Error, Limits, Result};
+
+fn frame(number: u8, sections: usize) -> Frame {
+    let header = FrameHeader {
+        name: format!("{number:010}.bin"),
+        file_size: 1000 + u64::from(number),
+        file_crc: 0x1234_5678,
+        point_count: 62,
+    };
+    let kinds = SectionKind::ALL.into_iter().take(sections);
+    Frame { header, sections: kinds.map(|kind| Section { kind, payload: vec![number; 5] }).collect() }
+}
+
+/// Two sensor models, three groups of two, one and no frames.
+fn sample_groups() -> [Group; 3] {
+    [
+        Group { sensor_model: 1, frames: vec![frame(0, 3), frame(1, 0)] },
+        Group { sensor_model: 2, frames: vec![frame(2, 9)] },
+        Group { sensor_model: 0, frames: vec![] },
+    ]
+}
+
+fn sample_stream() -> Vec<u8> {
+    let mut writer = StreamWriter::create(Vec::new(), &StreamHeader::default()).unwrap();
+    let groups = sample_groups();
+    assert_eq!(writer.write_sensor_model(b"first").unwrap(), 1);
+    writer.write_group(&groups[0]).unwrap();
+    assert_eq!(writer.write_sensor_model(b"second").unwrap(), 2);
+    writer.write_group(&groups[1]).unwrap();
+    writer.write_group(&groups[2]).unwrap();
+    let (bytes, length) = writer.finish().unwrap();
+    assert_eq!(bytes.len() as u64, length);
+    bytes
+}
+
+fn read_all(bytes: &[u8]) -> Result<(Vec<Record>, Index)> {
+    let mut reader = StreamReader::open(bytes, Limits::default())?;
+    let mut records = Vec::new();
+    while let Some(record) = reader.next_record()? {
+        records.push(record);
+    }
+    assert_eq!(reader.position(), bytes.len() as u64);
+    Ok((records, reader.index().clone()))
+}
+
+#[test]
+fn a_stream_comes_back_front_to_back() {
+    let (records, index) = read_all(&sample_stream()).unwrap();
+    let [a, b, c] = sample_groups().map(Record::Group);
+    let models = [&b"first"[..], b"second"].map(|model| Record::SensorModel(model.to_vec()));
+    assert_eq!(records, [models[0].clone(), a, models[1].clone(), b, c]);
+    assert_eq!(index.groups.iter().map(|group| group.first_frame).collect::<Vec<_>>(), [0, 2, 3]);
+    assert_eq!(index.frame_count(), 3);
+}
+
+#[test]
+fn a_stream_comes_back_through_its_index() {
+    let bytes = sample_stream();
+    let mut reader = IndexedReader::open(Cursor::new(&bytes), Limits::default()).unwrap();
+    assert_eq!(*reader.index(), read_all(&bytes).unwrap().1);
+    for (place, group) in sample_groups().iter().enumerate().rev() {
+        assert_eq!(reader.read_group(place).unwrap(), *group);
+    }
+    assert_eq!(reader.read_sensor_model(2).unwrap(), b"second");
+    assert!(reader.read_sensor_model(0).is_err());
+    assert!(reader.read_sensor_model(3).is_err());
+    assert!(reader.read_group(3).is_err());
+}
+
+#[test]
+fn every_flipped_bit_is_an_error() {
+    let bytes = sample_stream();
+    for bit in 0..bytes.len() * 8 {
+        let mut damaged = bytes.clone();
+        damaged[bit / 8] ^= 1 << (bit % 8);
+        assert!(read_all(&damaged).is_err(), "bit {bit} of byte {} went unseen", bit / 8);
+    }
+}
+
+#[test]
+fn every_cut_is_an_error() {
+    let bytes = sample_stream();
+    for length in 0..bytes.len() {
+        assert!(read_all(&bytes[..length]).is_err(), "{length} of {} bytes pass", bytes.len());
+        assert!(IndexedReader::open(Cursor::new(&bytes[..length]), Limits::default()).is_err());
+    }
+}
+
+#[test]
+fn bytes_after_the_end_are_an_error() {
+    let bytes = [&sample_stream()[..], &[0]].concat();
+    assert!(read_all(&bytes).unwrap_err().to_string().contains("bytes after it"));
+}
+
+#[test]
+fn damage_is_named_down_to_the_section() {
+    let mut bytes = sample_stream();
+    let second = bytes.windows(5).rposition(|window| window == [2; 5]).unwrap();
+    bytes[second] ^= 1;
+    let error = read_all(&bytes).unwrap_err().to_string();
+    for part in ["group 1", "frame 0", "0000000002.bin", "section 9 (extra)"] {
+        assert!(error.contains(part), "{part:?} is missing in: {error}");
+    }
+}
+
+#[test]
+fn an_unknown_record_is_named_or_skipped() {
+    let bytes = sample_stream();
+    let with_record = |kind| {
+        let mut stream = bytes[..header::HEADER_LENGTH].to_vec();
+        write_record(&mut stream, kind, b"new").unwrap();
+        stream
+    };
+    let error = read_all(&with_record(9)).unwrap_err();
+    assert!(matches!(error, Error::Unsupported { .. }), "{error}");
+    assert!(error.to_string().contains("unknown kind 9"), "{error}");
+
+    let mut reader = StreamReader::open(Cursor::new(with_record(0x89)), Limits::default()).unwrap();
+    let error = reader.next_record().unwrap_err().to_string();
+    assert!(error.contains("where a record should start"), "the record was not skipped: {error}");
+}
+
+#[test]
+fn a_reference_to_a_missing_sensor_model_is_an_error() {
+    let mut writer = StreamWriter::create(Vec::new(), &StreamHeader::default()).unwrap();
+    writer.write_group(&sample_groups()[0]).unwrap();
+    let (bytes, _) = writer.finish().unwrap();
+    assert!(read_all(&bytes).unwrap_err().to_string().contains("sensor model 1 of 0"));
+    let mut reader = IndexedReader::open(Cursor::new(&bytes), Limits::default()).unwrap();
+    assert!(reader.read_group(0).is_err());
+}
+
+#[test]
+fn limits_hold() {
+    let bytes = sample_stream();
+    let low = [
+        Limits { record_bytes: 20, ..Limits::default() },
+        Limits { file_bytes: 1000, ..Limits::default() },
+        Limits { file_bytes: 1999, ..Limits::default() },
+        Limits { points: 61, ..Limits::default() },
+    ];
+    for limits in low {
+        let mut reader = StreamReader::open(&bytes[..], limits).unwrap();
+        let error = loop {
+            match reader.next_record() {
+                Ok(record) => assert!(record.is_some(), "{limits:?} were not kept"),
+                Err(error) => break error,
+            }
+        };
+        assert!(matches!(error, Error::LimitExceeded { .. }), "{error}");
+    }
+}

@@ -1,0 +1,1 @@
+//! Fit of decoded data to the original.
