@@ -28,8 +28,7 @@ impl GroupEncoder {
     pub fn encode_frame(&mut self, scan: &ScanFile) -> Vec<Section> {
         let coded = || -> Result<Vec<u8>> {
             let bytes = scan.to_bytes()?;
-            let mut writer =
-                LzmaWriter::new_use_header(Vec::new(), &self.options, Some(bytes.len() as u64))?;
+            let mut writer = LzmaWriter::new_use_header(Vec::new(), &self.options, Some(bytes.len() as u64))?;
             writer.write_all(&bytes)?;
             Ok(writer.finish()?)
         };
@@ -57,9 +56,11 @@ impl GroupDecoder {
             return Err(Error::corrupt(format!("{} sections", sections.len())));
         };
         let mut bytes = Vec::new();
-        LzmaReader::new_mem_limit(&section.payload[..], 1 << 16, None)?
+        LzmaReader::new_mem_limit(&section.payload[..], 1 << 16, None)
+            .map_err(|e| Error::corrupt(e.to_string()))?
             .take(self.limits.file_bytes)
-            .read_to_end(&mut bytes)?;
+            .read_to_end(&mut bytes)
+            .map_err(|e| Error::corrupt(e.to_string()))?;
         Ok(parse(name, bytes))
     }
 }

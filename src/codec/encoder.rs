@@ -1,0 +1,220 @@
+//! A sequence of files to a stream.
+
+use std::fs;
+use std::io::Write;
+use std::mem;
+use std::path::PathBuf;
+
+use super::config::{EncoderConfig, resolve_threads};
+use super::group::GroupEncoder;
+use super::ordered::run_ordered;
+use crate::bitstream::{Frame, FrameHeader, Group, StreamHeader, StreamWriter};
+use crate::error::{Error, Limits, Result};
+use crate::io::{is_safe_name, parse};
+use crate::scan::ScanFile;
+use crate::sensor::{self, SensorModel};
+
+/// Frames that the sensor model is fitted to.
+const SAMPLE_FRAMES: usize = 8;
+
+/// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
+const SAMPLE_FILE_BYTES: u64 = 64 << 20;
+
+/// A group is closed early when its files reach this many bytes together: decoders hold a whole
+/// group in memory.
+const GROUP_FILE_BYTES: u64 = 256 << 20;
+
+/// One frame to encode.
+#[derive(Clone, Debug)]
+pub enum FrameInput {
+    /// A file, read when its turn comes. The frame gets the file's name, without the folder.
+    File(PathBuf),
+    /// A file's bytes.
+    Memory {
+        /// The name to give back on decoding.
+        name: String,
+        /// The file's bytes.
+        bytes: Vec<u8>,
+    },
+}
+
+/// What was encoded.
+#[derive(Clone, Debug, Default)]
+pub struct Encoded {
+    /// Name, size, checksum and points of each file, in order.
+    pub frames: Vec<FrameHeader>,
+    /// Bytes of the stream.
+    pub stream_bytes: u64,
+}
+
+impl Encoded {
+    /// Bytes of all files.
+    pub fn file_bytes(&self) -> u64 {
+        self.frames.iter().map(|frame| frame.file_size).sum()
+    }
+
+    /// Points of all files.
+    pub fn points(&self) -> u64 {
+        self.frames.iter().map(|frame| frame.point_count).sum()
+    }
+}
+
+/// Encodes a sequence. Groups are encoded in parallel; the stream's bytes do not depend on how many
+/// at a time. `on_frame` is called, from any thread, as each frame is done.
+///
+/// # Errors
+/// If a file cannot be read or is over the limits that every decoder keeps ([`Limits::default`]), if
+/// a name cannot be given back, if the output fails, or if the settings are out of range.
+pub fn encode<W: Write>(
+    frames: &[FrameInput],
+    config: &EncoderConfig,
+    out: W,
+    on_frame: &(dyn Fn() + Sync),
+) -> Result<Encoded> {
+    config.check()?;
+    let sensor = sensor::fit(&sample(frames)?);
+    let mut writer = StreamWriter::create(out, &StreamHeader::default())?;
+    let sensor_number = write_sensor_model(&mut writer, sensor.as_ref())?;
+    let coder = SequenceCoder { config, sensor: sensor.as_ref(), sensor_number, on_frame };
+
+    let mut encoded = Encoded::default();
+    let write = |groups: Vec<Group>| {
+        for group in groups {
+            writer.write_group(&group)?;
+            encoded.frames.extend(group.frames.into_iter().map(|frame| frame.header));
+        }
+        Ok(())
+    };
+    let jobs = frames.chunks(config.gop).map(Ok);
+    run_ordered(resolve_threads(config.threads), jobs, |job| coder.encode_frames(job), write)?;
+    (_, encoded.stream_bytes) = writer.finish()?;
+    Ok(encoded)
+}
+
+/// The frames that the sensor model is fitted to, spread over the sequence.
+fn sample(frames: &[FrameInput]) -> Result<Vec<ScanFile>> {
+    let count = SAMPLE_FRAMES.min(frames.len());
+    let spread = (0..count).map(|i| &frames[i * (frames.len() - 1) / (count - 1).max(1)]);
+    let mut sample = Vec::new();
+    for frame in spread {
+        if frame.size()? <= SAMPLE_FILE_BYTES {
+            sample.push(parse(frame.name()?, frame.read()?));
+        }
+    }
+    Ok(sample)
+}
+
+/// Writes the sensor model, if there is one; returns its number, 0 if there is none.
+fn write_sensor_model<W: Write>(writer: &mut StreamWriter<W>, sensor: Option<&SensorModel>) -> Result<u64> {
+    let Some(sensor) = sensor else { return Ok(0) };
+    let mut bytes = Vec::new();
+    sensor.write_to(&mut bytes);
+    writer.write_sensor_model(&bytes)
+}
+
+/// What all groups of a sequence share.
+struct SequenceCoder<'a> {
+    config: &'a EncoderConfig,
+    sensor: Option<&'a SensorModel>,
+    sensor_number: u64,
+    on_frame: &'a (dyn Fn() + Sync),
+}
+
+impl SequenceCoder<'_> {
+    /// Encodes frames as one group; as more if they are very large.
+    fn encode_frames(&self, inputs: &[FrameInput]) -> Result<Vec<Group>> {
+        let mut groups = Vec::new();
+        let mut open = OpenGroup::new(self);
+        for input in inputs {
+            let bytes = input.read()?;
+            if !open.has_room_for(&bytes) {
+                groups.push(mem::replace(&mut open, OpenGroup::new(self)).group);
+            }
+            open.encode_frame(input.name()?, bytes).map_err(|e| e.at(input.path()))?;
+            (self.on_frame)();
+        }
+        groups.push(open.group);
+        Ok(groups)
+    }
+}
+
+/// A group that is being encoded.
+struct OpenGroup {
+    coder: GroupEncoder,
+    group: Group,
+    /// Bytes of the group's files.
+    file_bytes: u64,
+}
+
+impl OpenGroup {
+    fn new(sequence: &SequenceCoder) -> Self {
+        OpenGroup {
+            coder: GroupEncoder::new(sequence.config, sequence.sensor),
+            group: Group { sensor_model: sequence.sensor_number, frames: Vec::new() },
+            file_bytes: 0,
+        }
+    }
+
+    fn has_room_for(&self, bytes: &[u8]) -> bool {
+        self.group.frames.is_empty() || self.file_bytes + bytes.len() as u64 <= GROUP_FILE_BYTES
+    }
+
+    fn encode_frame(&mut self, name: &str, bytes: Vec<u8>) -> Result<()> {
+        let (file_size, file_crc) = (bytes.len() as u64, crc32c::crc32c(&bytes));
+        let scan = parse(name, bytes);
+        let point_count = scan.records as u64;
+        check_limit("points in a frame", point_count, Limits::default().points)?;
+        let sections = self.coder.encode_frame(&scan);
+        let header = FrameHeader { name: name.to_owned(), file_size, file_crc, point_count };
+        self.group.frames.push(Frame { header, sections });
+        self.file_bytes += file_size;
+        Ok(())
+    }
+}
+
+impl FrameInput {
+    /// The name that the decoded file gets.
+    ///
+    /// # Errors
+    /// If no decoder would write a file of that name.
+    pub fn name(&self) -> Result<&str> {
+        let name = match self {
+            FrameInput::File(path) => path.file_name().and_then(|name| name.to_str()),
+            FrameInput::Memory { name, .. } => Some(name.as_str()),
+        };
+        name.filter(|name| is_safe_name(name)).ok_or_else(|| {
+            Error::InvalidConfig("its name is not one that every system can write".to_owned()).at(self.path())
+        })
+    }
+
+    /// Where it comes from, for errors.
+    fn path(&self) -> PathBuf {
+        match self {
+            FrameInput::File(path) => path.clone(),
+            FrameInput::Memory { name, .. } => PathBuf::from(name),
+        }
+    }
+
+    /// Bytes of the file.
+    fn size(&self) -> Result<u64> {
+        match self {
+            FrameInput::File(path) => Ok(fs::metadata(path).map_err(|e| Error::from(e).at(path))?.len()),
+            FrameInput::Memory { bytes, .. } => Ok(bytes.len() as u64),
+        }
+    }
+
+    /// The file's bytes.
+    fn read(&self) -> Result<Vec<u8>> {
+        check_limit("bytes of a file", self.size()?, Limits::default().file_bytes)
+            .map_err(|e| e.at(self.path()))?;
+        match self {
+            FrameInput::File(path) => fs::read(path).map_err(|e| Error::from(e).at(path)),
+            FrameInput::Memory { bytes, .. } => Ok(bytes.clone()),
+        }
+    }
+}
+
+/// An error if decoders would refuse what is encoded.
+fn check_limit(what: &'static str, got: u64, max: u64) -> Result<()> {
+    if got > max { Err(Error::LimitExceeded { what, got, max }) } else { Ok(()) }
+}
