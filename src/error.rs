@@ -43,16 +43,24 @@ pub enum Error {
     /// The settings contradict each other or are out of range.
     #[error("{0}")]
     InvalidConfig(String),
+    /// A file or folder that was given cannot be used.
+    #[error("{} {what}", one_line(path))]
+    Input {
+        /// Which one.
+        path: PathBuf,
+        /// What is wrong with it and what to do, as the sentence that the path begins.
+        what: String,
+    },
     /// The stream holds something that this program does not know.
     #[error("written by a newer lidarpc: {what}")]
     Unsupported {
         /// What is unknown, and in which part.
         what: String,
     },
-    /// Something went wrong with this file.
-    #[error("{}: {source}", path.display())]
+    /// Something went wrong with this file or folder.
+    #[error("{}: {source}", one_line(path))]
     At {
-        /// The file or folder.
+        /// Which one.
         path: PathBuf,
         /// What went wrong with it.
         source: Box<Error>,
@@ -83,6 +91,11 @@ impl Error {
             other => other,
         }
     }
+}
+
+/// A path for a message: file names may hold line ends and what terminals take for commands.
+fn one_line(path: &Path) -> String {
+    path.display().to_string().replace(char::is_control, "?")
 }
 
 /// What a decoder is willing to allocate; checked before memory is asked for.

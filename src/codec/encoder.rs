@@ -183,7 +183,8 @@ impl FrameInput {
             FrameInput::Memory { name, .. } => Some(name.as_str()),
         };
         name.filter(|name| is_safe_name(name)).ok_or_else(|| {
-            Error::InvalidConfig("its name is not one that every system can write".to_owned()).at(self.path())
+            let what = "has a name that not every system can restore; rename the file".to_owned();
+            Error::Input { path: self.path(), what }
         })
     }
 

@@ -152,6 +152,6 @@ fn names_that_no_decoder_would_write_are_refused() {
     for name in ["", "..", "a/b.bin", "a\\b.bin"] {
         let files = [(name.to_owned(), vec![1, 2, 3])];
         let result = encode(&inputs(&files), &EncoderConfig::default(), Vec::new(), &|| ());
-        assert!(matches!(result, Err(Error::At { .. })), "{name:?}");
+        assert!(matches!(result, Err(Error::Input { .. })), "{name:?}");
     }
 }

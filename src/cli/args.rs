@@ -1,0 +1,201 @@
+//! The arguments, and the help that explains them.
+
+use std::path::PathBuf;
+
+use clap::{Parser, Subcommand, ValueEnum};
+use lidarpc::codec::{EncoderConfig, FrameRange, Mode};
+use lidarpc::synth::SynthConfig;
+
+const EXAMPLES: &str = "\
+Examples:
+  lidarpc encode drive/ -o drive.lpc           a folder of scans into one file
+  lidarpc decode drive.lpc -o drive/           and back, byte for byte
+  lidarpc stats drive.lpc --against drive/     how small, and how true
+  lidarpc verify drive.lpc                     is the file as it was written?
+
+Exit codes: 0 done, 1 failed, 2 wrong usage.";
+
+/// Compresses folders of LiDAR scans, byte for byte by default.
+#[derive(Debug, Parser)]
+#[command(name = "lidarpc", version, about, after_help = EXAMPLES, max_term_width = 100)]
+pub struct Args {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Say nothing but errors and what was asked for.
+    #[arg(short, long, global = true)]
+    pub quiet: bool,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Encode scans into one file.
+    Encode(EncodeArgs),
+    /// Decode a file into a folder of scans.
+    Decode(DecodeArgs),
+    /// Report ratio, bits a point, bytes by section, and with --against the error.
+    Stats(StatsArgs),
+    /// Show what a file holds, without decoding points.
+    Info(InfoArgs),
+    /// Check a file: every checksum, and that every frame decodes.
+    Verify(VerifyArgs),
+    /// Write a synthetic drive: KITTI .bin scans of a simulated HDL-64E.
+    Synth(SynthArgs),
+}
+
+const ENCODE_EXAMPLES: &str = "\
+Examples:
+  lidarpc encode drive/ -o drive.lpc
+  lidarpc encode a.bin b.bin -o two.lpc --verify
+  lidarpc encode drive/ -o - | ssh host 'cat > drive.lpc'";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = ENCODE_EXAMPLES)]
+pub struct EncodeArgs {
+    /// Folders of scans, or scans; the frames of a folder are taken in the order of the numbers in
+    /// their names.
+    #[arg(required = true, value_name = "INPUT")]
+    pub inputs: Vec<PathBuf>,
+    /// File to write; `-` for stdout.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// What decoding promises.
+    #[arg(long, value_enum, default_value = "exact")]
+    pub mode: ModeArg,
+    /// Frames a group. Groups are decoded apart: more frames compress better, fewer seek faster.
+    #[arg(long, value_name = "FRAMES", default_value_t = default_gop(),
+          value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub gop: u32,
+    /// Effort: 1 is fast, 9 is small.
+    #[arg(long, value_name = "1..9", default_value_t = EncoderConfig::default().level,
+          value_parser = clap::value_parser!(u8).range(1..=9))]
+    pub level: u8,
+    #[command(flatten)]
+    pub threads: Threads,
+    /// Decode the written file and compare, before it gets its name.
+    #[arg(long)]
+    pub verify: bool,
+    /// Overwrite the output if it exists.
+    #[arg(short, long)]
+    pub force: bool,
+}
+
+impl EncodeArgs {
+    /// The encoder's settings.
+    pub fn config(&self) -> EncoderConfig {
+        let mode = match self.mode {
+            ModeArg::Exact => Mode::Exact,
+        };
+        EncoderConfig { mode, gop: self.gop as usize, level: self.level, threads: self.threads.threads }
+    }
+}
+
+/// What decoding promises.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum ModeArg {
+    /// Every file comes back byte for byte, whatever it holds.
+    Exact,
+}
+
+/// The default of --gop.
+fn default_gop() -> u32 {
+    u32::try_from(EncoderConfig::default().gop).unwrap_or(u32::MAX)
+}
+
+/// How many threads to use.
+#[derive(Debug, clap::Args)]
+pub struct Threads {
+    /// Threads to use; 0: one for each processor. Memory grows with them, the result is the same.
+    #[arg(long, value_name = "N", default_value_t = 0,
+          value_parser = |text: &str| match text.parse::<usize>() {
+              Ok(threads) if threads <= 1024 => Ok(threads),
+              _ => Err("not a number from 0 to 1024"),
+          })]
+    pub threads: usize,
+}
+
+const DECODE_EXAMPLES: &str = "\
+Examples:
+  lidarpc decode drive.lpc -o drive/
+  lidarpc decode drive.lpc -o part/ --frames 10..20     frames 10 to 19, the first being 0
+  lidarpc decode drive.lpc -o - --frames 5 > frame5.bin
+  ssh host 'cat drive.lpc' | lidarpc decode - -o drive/";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = DECODE_EXAMPLES)]
+pub struct DecodeArgs {
+    /// File to decode; `-` for stdin.
+    #[arg(value_name = "FILE")]
+    pub input: PathBuf,
+    /// Folder to write the scans into, made if missing; `-` for stdout, for a single frame.
+    #[arg(short, long, value_name = "FOLDER")]
+    pub output: PathBuf,
+    /// Frames to decode, the first being 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
+    #[arg(long, value_name = "RANGE")]
+    pub frames: Option<FrameRange>,
+    #[command(flatten)]
+    pub threads: Threads,
+    /// Overwrite scans that exist.
+    #[arg(short, long)]
+    pub force: bool,
+}
+
+const STATS_NOTES: &str = "\
+Ratio is coded size / original size. RMSE and max error are 3-D distances in metres between points
+paired by their order. 'container' is all that is not the payload of a section or sensor model:
+headers, names, lengths, checksums and the index. The bytes add up to the file's size.";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = STATS_NOTES)]
+pub struct StatsArgs {
+    /// File to report on; `-` for stdin.
+    #[arg(value_name = "FILE")]
+    pub input: PathBuf,
+    /// Decode, and measure the error against these original scans.
+    #[arg(long, value_name = "FOLDER", num_args = 1)]
+    pub against: Vec<PathBuf>,
+    #[command(flatten)]
+    pub threads: Threads,
+    /// Report as JSON; sizes in bytes, errors in metres.
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+pub struct InfoArgs {
+    /// File to look into; `-` for stdin.
+    #[arg(value_name = "FILE")]
+    pub input: PathBuf,
+    /// Report as JSON; sizes and offsets in bytes.
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+pub struct VerifyArgs {
+    /// File to check; `-` for stdin.
+    #[arg(value_name = "FILE")]
+    pub input: PathBuf,
+    /// Compare with these original scans, byte for byte, and find what is missing.
+    #[arg(long, value_name = "FOLDER", num_args = 1)]
+    pub against: Vec<PathBuf>,
+    #[command(flatten)]
+    pub threads: Threads,
+}
+
+#[derive(Debug, clap::Args)]
+pub struct SynthArgs {
+    /// Folder to write the scans into, made if missing.
+    #[arg(short, long, value_name = "FOLDER")]
+    pub output: PathBuf,
+    /// Scans to write, ten a second of driving.
+    #[arg(long, value_name = "N", default_value_t = SynthConfig::default().frames)]
+    pub frames: usize,
+    /// Seed of everything random: the same seed gives the same drive.
+    #[arg(long, value_name = "S", default_value_t = SynthConfig::default().seed)]
+    pub seed: u64,
+    /// Overwrite scans that exist.
+    #[arg(short, long)]
+    pub force: bool,
+}

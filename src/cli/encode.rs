@@ -1,0 +1,96 @@
+//! `lidarpc encode`
+
+use std::io::{BufReader, Write};
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::{CommandFactory, error::ErrorKind};
+use lidarpc::codec::{self, DecodeOptions, Encoded, FrameInput};
+use lidarpc::io::find_frames;
+use lidarpc::metrics;
+
+use super::args::{Args, EncodeArgs};
+use super::errors::about;
+use super::input::is_dash;
+use super::output::FileOutput;
+use super::{progress, table};
+
+pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
+    if args.verify && is_dash(&args.output) {
+        let what = "--verify needs an output that can be read again, not stdout";
+        Args::command().error(ErrorKind::ArgumentConflict, what).exit();
+    }
+    let start = Instant::now();
+    let frames = find_inputs(&args.inputs, quiet)?;
+    let mut output = FileOutput::create(&args.output, args.force)?;
+    let name = if is_dash(&args.output) { "stdout".to_owned() } else { args.output.display().to_string() };
+    let encoded = write_stream(args, &frames, &mut output, quiet).map_err(|error| about(error, &name))?;
+    if args.verify {
+        compare(args, &encoded, &output, quiet).with_context(|| name.clone())?;
+    }
+    output.finish().map_err(|error| about(error, &name))?;
+    if !quiet {
+        eprintln!("{} in {:.1} s", summary(&encoded), start.elapsed().as_secs_f64());
+    }
+    Ok(())
+}
+
+/// The frames to encode. Says what is left out: whoever archives a folder should know.
+fn find_inputs(inputs: &[PathBuf], quiet: bool) -> Result<Vec<FrameInput>> {
+    let found = find_frames(inputs)?;
+    if let Some(first) = found.left_out.first()
+        && !quiet
+    {
+        let count = table::count(found.left_out.len() as u64, "file");
+        eprintln!("lidarpc: left out {count} not known as a scan, such as {}", first.display());
+    }
+    Ok(found.frames.into_iter().map(FrameInput::File).collect())
+}
+
+fn write_stream(
+    args: &EncodeArgs,
+    frames: &[FrameInput],
+    output: &mut FileOutput,
+    quiet: bool,
+) -> lidarpc::error::Result<Encoded> {
+    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
+    let mut writer = output.writer();
+    let encoded = codec::encode(frames, &args.config(), &mut writer, &|| bar.inc(1))
+        .and_then(|encoded| Ok(writer.flush().map(|()| encoded)?));
+    bar.finish_and_clear();
+    encoded
+}
+
+/// Decodes what was written and compares it with what was read.
+fn compare(args: &EncodeArgs, encoded: &Encoded, output: &FileOutput, quiet: bool) -> Result<()> {
+    let Some(file) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
+    let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
+    let bar = progress::bar(Some(encoded.frames.len() as u64), "verifying", quiet);
+    let mut decoded = Vec::new();
+    let result = codec::decode(BufReader::new(file), &options, |frame| {
+        bar.inc(1);
+        // Not the header's checksum, which the encoder wrote: that of the bytes that came out.
+        decoded.push((frame.header.name, crc32c::crc32c(&frame.bytes), frame.bytes.len() as u64));
+        Ok(())
+    });
+    bar.finish_and_clear();
+    result?;
+    let original = encoded.frames.iter();
+    let original = original.map(|frame| (frame.name.clone(), frame.file_crc, frame.file_size));
+    ensure!(original.eq(decoded), "decodes to something else; nothing was kept, please report this");
+    Ok(())
+}
+
+fn summary(encoded: &Encoded) -> String {
+    let ratio = metrics::ratio(encoded.file_bytes(), encoded.stream_bytes);
+    let bits = metrics::bits_per_point(encoded.stream_bytes, encoded.points());
+    format!(
+        "{}: {} -> {} ({}, {} bits a point)",
+        table::count(encoded.frames.len() as u64, "frame"),
+        table::bytes(encoded.file_bytes()),
+        table::bytes(encoded.stream_bytes),
+        table::percent(ratio),
+        table::decimals(bits),
+    )
+}

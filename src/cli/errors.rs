@@ -1,0 +1,115 @@
+//! One line for what went wrong: `lidarpc: PATH: what is wrong; what to do`.
+
+use std::io::{self, ErrorKind};
+use std::process::ExitCode;
+
+use lidarpc::error::Error;
+
+/// Says the error on stderr and gives the exit code. A closed pipe is no error: whoever read from us
+/// has had enough.
+pub fn report(error: &anyhow::Error) -> ExitCode {
+    if is_closed_pipe(error) {
+        return ExitCode::SUCCESS;
+    }
+    // A name in a message may hold anything; the message is still one line.
+    let line = message(error).replace(char::is_control, "?");
+    eprintln!("lidarpc: {line}");
+    ExitCode::FAILURE
+}
+
+/// An error about the file or stream of this name, unless it says itself what file it is about.
+pub fn about(error: Error, name: &str) -> anyhow::Error {
+    match error {
+        Error::At { .. } | Error::Input { .. } => error.into(),
+        _ => error.at(name).into(),
+    }
+}
+
+/// The contexts, which name the file, then what is wrong, then what to do about it.
+fn message(error: &anyhow::Error) -> String {
+    let mut parts = Vec::new();
+    for cause in error.chain() {
+        if let Some(error) = cause.downcast_ref::<Error>() {
+            parts.push(explain(error));
+            break;
+        } else if let Some(error) = cause.downcast_ref::<io::Error>() {
+            parts.push(describe(error));
+            break;
+        }
+        parts.push(cause.to_string());
+    }
+    parts.join(": ")
+}
+
+/// What is wrong, and what to do about it.
+fn explain(error: &Error) -> String {
+    match error {
+        Error::At { path, source } => format!("{}: {}", path.display(), explain(source)),
+        Error::Input { path, what } => format!("{}: {what}", path.display()),
+        Error::Io(error) => describe(error),
+        other => match advice(other) {
+            Some(advice) => format!("{other}; {advice}"),
+            None => other.to_string(),
+        },
+    }
+}
+
+/// What to do about an error of the library.
+fn advice(error: &Error) -> Option<&'static str> {
+    match error {
+        Error::BadMagic(_) => Some("give a file that `lidarpc encode` wrote"),
+        Error::UnsupportedVersion { .. } | Error::Unsupported { .. } => Some("use a newer lidarpc"),
+        Error::Corrupt { .. } => Some("fetch it again, or encode the scans anew"),
+        _ => None,
+    }
+}
+
+/// What the system says, in words that say what to do.
+fn describe(error: &io::Error) -> String {
+    let known = match error.kind() {
+        ErrorKind::NotFound => "does not exist; check the path",
+        ErrorKind::PermissionDenied => "permission denied; check who owns it, or choose another",
+        ErrorKind::AlreadyExists => "exists; use --force to overwrite it, or choose another output",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "no space left; free some, or write elsewhere",
+        ErrorKind::FileTooLarge => "larger than the system allows; write elsewhere, or raise the limit",
+        ErrorKind::IsADirectory => "is a folder; give a file",
+        ErrorKind::NotADirectory => "is not a folder; give a folder",
+        ErrorKind::ReadOnlyFilesystem => "cannot be written, the file system is read-only; write elsewhere",
+        _ => return error.to_string(),
+    };
+    known.to_owned()
+}
+
+/// Whether whoever reads our output has gone.
+fn is_closed_pipe(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| match cause.downcast_ref() {
+        Some(error) => is_closed_pipe_inside(error),
+        None => cause.downcast_ref().is_some_and(|e: &io::Error| e.kind() == ErrorKind::BrokenPipe),
+    })
+}
+
+fn is_closed_pipe_inside(error: &Error) -> bool {
+    match error {
+        Error::At { source, .. } => is_closed_pipe_inside(source),
+        Error::Io(error) => error.kind() == ErrorKind::BrokenPipe,
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::Context;
+
+    use super::*;
+
+    #[test]
+    fn a_message_names_the_file_once_and_says_what_to_do() {
+        let missing = || Error::from(io::Error::from(ErrorKind::NotFound)).at("seq/1.bin");
+        assert_eq!(message(&missing().into()), "seq/1.bin: does not exist; check the path");
+
+        let inner: anyhow::Result<()> = Err(Error::corrupt("index").into());
+        let error = inner.context("out.lpc").unwrap_err();
+        let expected = "out.lpc: damaged stream: index; fetch it again, or encode the scans anew";
+        assert_eq!(message(&error), expected);
+    }
+}

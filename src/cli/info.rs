@@ -1,0 +1,134 @@
+//! `lidarpc info`
+
+use std::io::{self, Read, Write};
+
+use anyhow::Result;
+use lidarpc::bitstream::{Record, StreamReader};
+use lidarpc::error::Limits;
+use serde::Serialize;
+
+use super::args::InfoArgs;
+use super::errors::about;
+use super::input::{name_of, open};
+use super::table;
+
+/// What a stream holds.
+#[derive(Serialize)]
+struct Info {
+    version: u16,
+    flags: u16,
+    stream_bytes: u64,
+    file_bytes: u64,
+    points: u64,
+    /// Bytes of each sensor model.
+    sensor_models: Vec<u64>,
+    groups: Vec<GroupInfo>,
+    frames: Vec<FrameInfo>,
+}
+
+#[derive(Serialize)]
+struct GroupInfo {
+    offset: u64,
+    bytes: u64,
+    first_frame: u64,
+    frames: u64,
+    /// 0: none.
+    sensor_model: u64,
+}
+
+#[derive(Serialize)]
+struct FrameInfo {
+    number: u64,
+    name: String,
+    points: u64,
+    file_bytes: u64,
+    file_crc32c: String,
+    coded_bytes: u64,
+    /// Names of the sections.
+    sections: Vec<&'static str>,
+}
+
+pub fn run(args: &InfoArgs) -> Result<()> {
+    let info = read(open(&args.input)?.reader());
+    let info = info.map_err(|error| about(error, &name_of(&args.input)))?;
+    let mut out = io::BufWriter::new(io::stdout().lock());
+    if args.json {
+        serde_json::to_writer_pretty(&mut out, &info).map_err(io::Error::from)?;
+        writeln!(out)?;
+    } else {
+        print(&info, &mut out)?;
+    }
+    out.flush()?;
+    Ok(())
+}
+
+fn read(input: impl Read) -> lidarpc::error::Result<Info> {
+    let mut reader = StreamReader::open(input, Limits::default())?;
+    let (mut sensor_models, mut groups, mut frames) = (Vec::new(), Vec::new(), Vec::new());
+    while let Some(record) = reader.next_record()? {
+        match record {
+            Record::SensorModel(bytes) => sensor_models.push(bytes.len() as u64),
+            Record::Group(group) => {
+                let Some(entry) = reader.index().groups.last() else { continue };
+                groups.push(GroupInfo {
+                    offset: entry.offset,
+                    bytes: entry.length,
+                    first_frame: entry.first_frame,
+                    frames: group.frames.len() as u64,
+                    sensor_model: group.sensor_model,
+                });
+                for ((number, frame), size) in (entry.first_frame..).zip(group.frames).zip(&entry.frame_sizes)
+                {
+                    frames.push(FrameInfo {
+                        number,
+                        points: frame.header.point_count,
+                        file_bytes: frame.header.file_size,
+                        file_crc32c: format!("{:08x}", frame.header.file_crc),
+                        name: frame.header.name,
+                        coded_bytes: *size,
+                        sections: frame.sections.iter().map(|section| section.kind.name()).collect(),
+                    });
+                }
+            }
+        }
+    }
+    Ok(Info {
+        version: reader.header().version,
+        flags: reader.header().flags,
+        stream_bytes: reader.position(),
+        file_bytes: frames.iter().map(|frame: &FrameInfo| frame.file_bytes).sum(),
+        points: frames.iter().map(|frame| frame.points).sum(),
+        sensor_models,
+        groups,
+        frames,
+    })
+}
+
+fn print(info: &Info, out: &mut impl Write) -> io::Result<()> {
+    let models = table::count(info.sensor_models.len() as u64, "sensor model");
+    let (frames, groups) = (info.frames.len() as u64, info.groups.len() as u64);
+    writeln!(out, "format version {}, {models}", info.version)?;
+    writeln!(out, "{} in {}", table::count(frames, "frame"), table::count(groups, "group"))?;
+    let (points, files) = (info.points, table::bytes(info.file_bytes));
+    writeln!(
+        out,
+        "{} in {files}, coded in {}",
+        table::count(points, "point"),
+        table::bytes(info.stream_bytes)
+    )?;
+    writeln!(out)?;
+    writeln!(
+        out,
+        "{:>7} {:>6} {:>10} {:>12} {:>12}  name",
+        "frame", "group", "points", "file bytes", "coded bytes"
+    )?;
+    for (place, group) in info.groups.iter().enumerate() {
+        let first = group.first_frame as usize;
+        for frame in &info.frames[first..first + group.frames as usize] {
+            let FrameInfo { number, points, file_bytes, coded_bytes, name, .. } = frame;
+            let name = name.escape_debug();
+            writeln!(out, "{number:>7} {place:>6} {points:>10} {file_bytes:>12} {coded_bytes:>12}  {name}")?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,133 @@
+//! Streams to read, from a file or from stdin, and the scans to compare them with.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek};
+use std::path::{Path, PathBuf};
+
+use lidarpc::codec::{self, DecodeOptions, DecodedFrame};
+use lidarpc::error::{Error, Result};
+use lidarpc::io::find_frames;
+
+use super::errors::about;
+
+/// A stream to read.
+pub enum Input {
+    /// A file that can be sought in.
+    File(File),
+    /// Anything else: stdin, a named pipe.
+    Pipe(Box<dyn Read>),
+}
+
+impl Input {
+    /// Opens the file; `-` is stdin.
+    ///
+    /// # Errors
+    /// If it cannot be opened, or is a folder.
+    pub fn open(path: &Path) -> Result<Self> {
+        if is_dash(path) {
+            return Ok(Input::Pipe(Box::new(io::stdin().lock())));
+        }
+        let mut file = File::open(path)?;
+        if file.metadata()?.is_dir() {
+            return Err(io::Error::from(io::ErrorKind::IsADirectory).into());
+        }
+        let can_seek = file.stream_position().is_ok();
+        Ok(if can_seek { Input::File(file) } else { Input::Pipe(Box::new(file)) })
+    }
+
+    /// The stream from the front.
+    pub fn reader(self) -> Box<dyn Read> {
+        match self {
+            Input::File(file) => Box::new(BufReader::new(file)),
+            Input::Pipe(pipe) => Box::new(BufReader::new(pipe)),
+        }
+    }
+
+    /// The stream as something that can be read twice: a pipe is copied into a nameless temporary
+    /// file first.
+    pub fn rewindable(self) -> Result<File> {
+        match self {
+            Input::File(file) => Ok(file),
+            Input::Pipe(mut pipe) => {
+                let mut copy = tempfile::tempfile()?;
+                io::copy(&mut pipe, &mut copy)?;
+                copy.rewind()?;
+                Ok(copy)
+            }
+        }
+    }
+
+    /// Decodes; if only some frames are asked for and the input can be sought in, only their groups
+    /// are read. Returns how many frames the stream holds.
+    ///
+    /// # Errors
+    /// As [`codec::decode`].
+    pub fn decode(
+        self,
+        options: &DecodeOptions,
+        sink: impl FnMut(DecodedFrame) -> Result<()>,
+    ) -> Result<u64> {
+        match self {
+            Input::File(file) if !options.frames.is_all() => {
+                codec::decode_indexed(BufReader::new(file), options, sink)
+            }
+            other => codec::decode(other.reader(), options, sink),
+        }
+    }
+}
+
+/// Whether the path stands for stdin or stdout.
+pub fn is_dash(path: &Path) -> bool {
+    path.as_os_str() == "-"
+}
+
+/// What messages call an input.
+pub fn name_of(path: &Path) -> String {
+    if is_dash(path) { "stdin".to_owned() } else { path.display().to_string() }
+}
+
+/// The original scans that a stream is compared with, by name.
+pub struct Originals {
+    files: HashMap<String, PathBuf>,
+    /// What messages call where they come from.
+    folder: PathBuf,
+}
+
+impl Originals {
+    /// Finds them as `encode` would.
+    ///
+    /// # Errors
+    /// As [`find_frames`].
+    pub fn find(inputs: &[PathBuf]) -> Result<Self> {
+        let named =
+            |path: PathBuf| (path.file_name().unwrap_or_default().to_string_lossy().into_owned(), path);
+        let files = find_frames(inputs)?.frames.into_iter().map(named).collect();
+        Ok(Originals { files, folder: inputs.first().cloned().unwrap_or_default() })
+    }
+
+    /// Reads the scan of this name, which counts as found from then on.
+    ///
+    /// # Errors
+    /// If there is no such scan, or it cannot be read.
+    pub fn take(&mut self, name: &str) -> Result<Vec<u8>> {
+        let path = self.files.remove(name).ok_or_else(|| {
+            let what = format!("holds no scan named {name:?}, which the stream does");
+            Error::Input { path: self.folder.clone(), what }
+        })?;
+        std::fs::read(&path).map_err(|e| Error::from(e).at(&path))
+    }
+
+    /// A scan that was never asked for, if there is one.
+    pub fn left_over(&self) -> Option<&Path> {
+        self.files.values().min().map(PathBuf::as_path)
+    }
+}
+
+/// Opens a stream, with its name in errors.
+///
+/// # Errors
+/// As [`Input::open`].
+pub fn open(path: &Path) -> anyhow::Result<Input> {
+    Input::open(path).map_err(|error| about(error, &name_of(path)))
+}

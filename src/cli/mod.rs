@@ -1,0 +1,36 @@
+//! The command line: arguments, files and reports around the library.
+
+mod args;
+mod cleanup;
+mod decode;
+mod encode;
+mod errors;
+mod info;
+mod input;
+mod output;
+mod progress;
+mod stats;
+mod synth;
+mod table;
+mod verify;
+
+pub use args::Args;
+pub use errors::report;
+
+use args::Command;
+
+/// Does what the arguments say.
+///
+/// # Errors
+/// [`report`] says them and chooses the exit code.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    cleanup::on_signals();
+    match &args.command {
+        Command::Encode(command) => encode::run(command, args.quiet),
+        Command::Decode(command) => decode::run(command, args.quiet),
+        Command::Stats(command) => stats::run(command, args.quiet),
+        Command::Info(command) => info::run(command),
+        Command::Verify(command) => verify::run(command, args.quiet),
+        Command::Synth(command) => synth::run(command, args.quiet),
+    }
+}

@@ -1,0 +1,229 @@
+//! Output that is there as a whole or not at all: written under a temporary name in the same
+//! folder, then renamed.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use lidarpc::error::{Error, Result};
+use lidarpc::io::is_safe_name;
+use tempfile::{NamedTempFile, TempDir, TempPath};
+
+use super::cleanup::RemoveOnSignal;
+use super::errors::about;
+use super::input::is_dash;
+
+/// What temporary files and folders are called, before something random.
+const TEMPORARY_PREFIX: &str = ".lidarpc-";
+
+/// One file to write.
+pub enum FileOutput {
+    /// Under a temporary name, until it is whole.
+    Temporary { file: NamedTempFile, target: PathBuf, force: bool, _remove: RemoveOnSignal },
+    /// Stdout, or what cannot be replaced, such as a device or a named pipe.
+    Direct(Box<dyn Write>),
+}
+
+impl FileOutput {
+    /// Opens the output; `-` is stdout.
+    ///
+    /// # Errors
+    /// If it exists and `force` is not set, or if nothing can be written there.
+    pub fn create(path: &Path, force: bool) -> anyhow::Result<Self> {
+        if is_dash(path) {
+            return Ok(FileOutput::Direct(Box::new(io::stdout().lock())));
+        }
+        Self::create_file(path, force).map_err(|error| about(error, &path.display().to_string()))
+    }
+
+    fn create_file(path: &Path, force: bool) -> Result<Self> {
+        match fs::metadata(path) {
+            Ok(about) if about.is_dir() => return Err(io::Error::from(io::ErrorKind::IsADirectory).into()),
+            Ok(about) if !about.is_file() => return Ok(FileOutput::Direct(Box::new(File::create(path)?))),
+            Ok(_) if !force => return Err(io::Error::from(io::ErrorKind::AlreadyExists).into()),
+            _ => {}
+        }
+        // Through a link, so that the link stays and its target is replaced.
+        let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
+        let file = temporary_file(parent(&target)).map_err(|e| Error::from(e).at(parent(&target)))?;
+        let _remove = RemoveOnSignal::new(file.path());
+        Ok(FileOutput::Temporary { file, target, force, _remove })
+    }
+
+    /// Where to write. Buffered; flush it before [`FileOutput::finish`].
+    pub fn writer(&mut self) -> BufWriter<&mut dyn Write> {
+        match self {
+            FileOutput::Temporary { file, .. } => BufWriter::new(file.as_file_mut()),
+            FileOutput::Direct(out) => BufWriter::new(out),
+        }
+    }
+
+    /// What was written so far, to be read again; `None` if it is gone down a pipe.
+    ///
+    /// # Errors
+    /// If it cannot be opened.
+    pub fn reopen(&self) -> Result<Option<File>> {
+        match self {
+            FileOutput::Temporary { file, .. } => Ok(Some(file.reopen()?)),
+            FileOutput::Direct(_) => Ok(None),
+        }
+    }
+
+    /// Makes sure that everything is on the disk, and gives the file its name.
+    ///
+    /// # Errors
+    /// If that fails, or if meanwhile there is a file of that name and `force` is not set.
+    pub fn finish(self) -> Result<()> {
+        let FileOutput::Temporary { file, target, force, _remove } = self else { return Ok(()) };
+        file.as_file().sync_all()?;
+        let placed = if force { file.persist(&target) } else { file.persist_noclobber(&target) };
+        placed.map_err(|e| e.error)?;
+        sync_folder(parent(&target));
+        Ok(())
+    }
+}
+
+/// A folder to write scans into. They all get their names at the end, or none does.
+pub struct FolderOutput {
+    folder: PathBuf,
+    /// Inside `folder`, so that renaming stays on one file system.
+    temporary: TempDir,
+    /// The scans' names, in order.
+    names: Vec<String>,
+    force: bool,
+    _remove: RemoveOnSignal,
+    /// Folders that were made for this, removed again unless finished. The last field: dropped last.
+    made: MadeFolders,
+}
+
+impl FolderOutput {
+    /// Makes the folder if it is missing.
+    ///
+    /// # Errors
+    /// If it cannot be made, or nothing can be written there.
+    pub fn create(folder: &Path, force: bool) -> anyhow::Result<Self> {
+        Self::try_create(folder, force).map_err(|error| about(error, &folder.display().to_string()))
+    }
+
+    fn try_create(folder: &Path, force: bool) -> Result<Self> {
+        let made = MadeFolders::make(folder)?;
+        let temporary = tempfile::Builder::new().prefix(TEMPORARY_PREFIX).tempdir_in(folder)?;
+        let _remove = RemoveOnSignal::new(temporary.path());
+        Ok(FolderOutput { folder: folder.to_path_buf(), temporary, names: Vec::new(), force, _remove, made })
+    }
+
+    /// Writes one scan, under a temporary name.
+    ///
+    /// # Errors
+    /// If the name is no plain file name, is there twice, or belongs to a file that exists and
+    /// `force` is not set; or if writing fails.
+    pub fn write(&mut self, name: &str, bytes: &[u8]) -> Result<()> {
+        let refuse = |what: String| Err(Error::Input { path: self.folder.clone(), what });
+        if !is_safe_name(name) {
+            return refuse(format!("cannot safely take a file named {name:?}, as the stream asks"));
+        }
+        let (temporary, target) = (self.temporary.path().join(name), self.folder.join(name));
+        if exists(&temporary) {
+            return refuse(format!("cannot take two files named {name:?}, as the stream asks"));
+        }
+        // Not synced to the disk one by one, which would take longer than decoding: what a power cut
+        // takes away can be decoded again.
+        may_write(&target, self.force)
+            .and_then(|()| File::create_new(&temporary)?.write_all(bytes))
+            .map_err(|e| Error::from(e).at(&target))?;
+        self.names.push(name.to_owned());
+        Ok(())
+    }
+
+    /// Gives all scans their names.
+    ///
+    /// # Errors
+    /// If that fails, or if meanwhile there is a file of a scan's name and `force` is not set.
+    pub fn finish(mut self) -> Result<()> {
+        for name in &self.names {
+            let target = self.folder.join(name);
+            let temporary = TempPath::try_from_path(self.temporary.path().join(name))?;
+            let placed = match self.force {
+                true => temporary.persist(&target),
+                false => temporary.persist_noclobber(&target),
+            };
+            placed.map_err(|e| Error::from(e.error).at(&target))?;
+        }
+        sync_folder(&self.folder);
+        self.made.keep();
+        Ok(())
+    }
+}
+
+/// Folders that were made, and are removed again, as far as they are empty, unless kept.
+struct MadeFolders(Vec<PathBuf>);
+
+impl MadeFolders {
+    /// Makes `folder` and what is missing above it.
+    fn make(folder: &Path) -> io::Result<Self> {
+        let missing = folder.ancestors().take_while(|folder| !folder.as_os_str().is_empty());
+        let missing = missing.take_while(|folder| fs::symlink_metadata(folder).is_err());
+        let made = MadeFolders(missing.map(Path::to_path_buf).collect());
+        match fs::metadata(folder) {
+            Ok(about) if !about.is_dir() => return Err(io::ErrorKind::NotADirectory.into()),
+            _ => fs::create_dir_all(folder)?,
+        }
+        Ok(made)
+    }
+
+    fn keep(&mut self) {
+        self.0.clear();
+    }
+}
+
+impl Drop for MadeFolders {
+    fn drop(&mut self) {
+        for folder in &self.0 {
+            // It may hold something by now; then it stays.
+            let _ = fs::remove_dir(folder);
+        }
+    }
+}
+
+/// An error if a scan must not be written here: over a folder, or over anything without `force`.
+fn may_write(target: &Path, force: bool) -> io::Result<()> {
+    if target.is_dir() {
+        return Err(io::ErrorKind::IsADirectory.into());
+    }
+    if !force && exists(target) {
+        return Err(io::ErrorKind::AlreadyExists.into());
+    }
+    Ok(())
+}
+
+/// Whether anything has this name, be it a link that leads nowhere.
+fn exists(path: &Path) -> bool {
+    fs::symlink_metadata(path).is_ok()
+}
+
+/// The folder that a file is in.
+fn parent(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// A temporary file with the rights that a new file usually gets.
+fn temporary_file(folder: &Path) -> io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(TEMPORARY_PREFIX);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(fs::Permissions::from_mode(0o666));
+    }
+    builder.tempfile_in(folder)
+}
+
+/// Makes renames in the folder last. Not every file system can; the data itself is safe by then.
+fn sync_folder(folder: &Path) {
+    if let Ok(folder) = File::open(folder) {
+        let _ = folder.sync_all();
+    }
+}

@@ -1,0 +1,27 @@
+//! `lidarpc synth`
+
+use anyhow::Result;
+use lidarpc::synth::{SynthConfig, drive};
+
+use super::args::SynthArgs;
+use super::output::FolderOutput;
+use super::{progress, table};
+
+pub fn run(args: &SynthArgs, quiet: bool) -> Result<()> {
+    let mut folder = FolderOutput::create(&args.output, args.force)?;
+    #[allow(clippy::needless_update, reason = "the simulator has more settings than the command")]
+    let config = SynthConfig { frames: args.frames, seed: args.seed, ..SynthConfig::default() };
+    let bar = progress::bar(Some(args.frames as u64), "driving", quiet);
+    let mut points = 0;
+    for frame in drive(&config) {
+        points += frame.points.len() as u64;
+        folder.write(&frame.name, &frame.to_bytes())?;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    folder.finish()?;
+    if !quiet {
+        eprintln!("{}, {}", table::count(args.frames as u64, "frame"), table::count(points, "point"));
+    }
+    Ok(())
+}
