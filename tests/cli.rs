@@ -1,0 +1,592 @@
+//! The program from outside: what it writes, says and returns.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command as Process, Stdio};
+use std::time::{Duration, Instant};
+
+use assert_cmd::Command;
+use assert_cmd::cargo::{cargo_bin, cargo_bin_cmd};
+use serde_json::Value;
+use tempfile::TempDir;
+
+type Files = BTreeMap<String, Vec<u8>>;
+
+/// A folder to work in, with the program run inside it.
+struct Bench(TempDir);
+
+impl Bench {
+    fn new() -> Self {
+        Bench(TempDir::new().unwrap())
+    }
+
+    /// With `seq/` holding [`odd_files`] and `out.lpc` made of it, two frames a group.
+    fn encoded() -> Self {
+        let bench = Bench::new();
+        bench.write_files("seq", &odd_files());
+        bench.ok("encode seq -o out.lpc --gop 2");
+        bench
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn write_files(&self, folder: &str, files: &Files) {
+        fs::create_dir_all(self.path(folder)).unwrap();
+        for (name, bytes) in files {
+            fs::write(self.path(folder).join(name), bytes).unwrap();
+        }
+    }
+
+    /// All files of a folder, hidden ones included.
+    fn files(&self, folder: &str) -> Files {
+        let entries = fs::read_dir(self.path(folder)).unwrap().map(Result::unwrap);
+        let name = |entry: &fs::DirEntry| entry.file_name().into_string().unwrap();
+        entries.map(|entry| (name(&entry), fs::read(entry.path()).unwrap_or_default())).collect()
+    }
+
+    fn names(&self, folder: &str) -> Vec<String> {
+        self.files(folder).into_keys().collect()
+    }
+
+    fn command(&self, args: &str) -> Command {
+        let mut command = cargo_bin_cmd!("lidarpc");
+        command.current_dir(self.0.path()).args(args.split_whitespace());
+        command
+    }
+
+    /// Runs it, which must succeed without a complaint; returns stdout.
+    fn ok(&self, args: &str) -> Vec<u8> {
+        let run = self.command(args).arg("--quiet").assert().success();
+        let output = run.get_output();
+        assert_eq!(String::from_utf8_lossy(&output.stderr), "", "of {args}");
+        output.stdout.clone()
+    }
+
+    fn json(&self, args: &str) -> Value {
+        serde_json::from_slice(&self.ok(args)).unwrap()
+    }
+
+    /// Runs it, which must fail with exit code 1 and one line that starts with `lidarpc: PATH: `.
+    #[track_caller]
+    fn fails(&self, args: &str, path: &str) -> String {
+        failure(&mut self.command(args), path)
+    }
+}
+
+#[track_caller]
+fn failure(command: &mut Command, path: &str) -> String {
+    let output = command.output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert_eq!(stderr.lines().count(), 1, "{stderr}");
+    assert!(stderr.starts_with(&format!("lidarpc: {path}: ")), "{path} is not named in: {stderr}");
+    stderr
+}
+
+fn scan(points: usize, seed: u32) -> Vec<u8> {
+    let value = |n: usize| ((n as u32).wrapping_mul(2_654_435_761).wrapping_add(seed) >> 18) as f32 / 1000.0;
+    (0..points * 4).flat_map(|n| value(n).to_le_bytes()).collect()
+}
+
+/// Scans, and what else may be called one.
+fn odd_files() -> Files {
+    let special = [f32::NAN, f32::INFINITY, -0.0, 1e-40, f32::NEG_INFINITY, f32::from_bits(0x7fa0_0001)];
+    let special = special.iter().cycle().take(20).flat_map(|value| value.to_le_bytes());
+    let files = [
+        ("1.bin", scan(40, 1)),
+        ("2.bin", scan(3, 2)),
+        ("10.bin", scan(41, 3)),
+        ("empty.bin", Vec::new()),
+        ("seventeen.bin", (0..17).collect()),
+        ("nan.bin", special.collect()),
+        ("random.bin", scan(31, 4).iter().map(|byte| byte.wrapping_mul(31) ^ 0x5a).collect()),
+        ("same.bin", [scan(1, 5), scan(1, 5), scan(1, 5)].concat()),
+        ("damaged.pcd", b"# .PCD v0.7\nFIELDS x y z\nSIZE 4 4".to_vec()),
+        ("other.ply", b"ply\nformat ascii 1.0\nend_header\n".to_vec()),
+    ];
+    files.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect()
+}
+
+#[test]
+fn a_folder_comes_back_byte_for_byte() {
+    let bench = Bench::encoded();
+    bench.ok("decode out.lpc -o deep/er/back");
+    assert_eq!(bench.files("deep/er/back"), odd_files());
+    assert_eq!(bench.names("."), ["deep", "out.lpc", "seq"]);
+}
+
+#[test]
+fn files_can_be_given_one_by_one() {
+    let bench = Bench::encoded();
+    bench.ok("encode seq/2.bin seq/empty.bin -o two.lpc --verify");
+    bench.ok("decode two.lpc -o back");
+    assert_eq!(bench.names("back"), ["2.bin", "empty.bin"]);
+}
+
+#[test]
+fn frames_are_in_the_order_of_their_numbers() {
+    let bench = Bench::encoded();
+    let info = bench.json("info out.lpc --json");
+    let frames = info["frames"].as_array().unwrap();
+    let names: Vec<_> = frames.iter().map(|frame| frame["name"].as_str().unwrap()).collect();
+    assert_eq!(names[..3], ["1.bin", "2.bin", "10.bin"]);
+    assert_eq!(names.len(), odd_files().len());
+    for (number, frame) in frames.iter().enumerate() {
+        assert_eq!(frame["number"], number);
+        assert_eq!(frame["file_bytes"], odd_files()[names[number]].len());
+    }
+    assert_eq!(info["groups"].as_array().unwrap().len(), 5);
+    let text = String::from_utf8(bench.ok("info out.lpc")).unwrap();
+    assert!(text.contains("10 frames in 5 groups"), "{text}");
+    assert!(text.lines().last().unwrap().ends_with("seventeen.bin"), "{text}");
+}
+
+#[test]
+fn stats_add_up_to_the_file() {
+    let bench = Bench::encoded();
+    let stats = bench.json("stats out.lpc --json");
+    let size = fs::metadata(bench.path("out.lpc")).unwrap().len();
+    let sections = stats["sections"].as_array().unwrap();
+    let sum: u64 = sections.iter().map(|part| part["bytes"].as_u64().unwrap()).sum();
+    assert_eq!(sum, size);
+    assert_eq!(stats["stream_bytes"], size);
+    let container = sections.iter().find(|part| part["name"] == "container").unwrap();
+    assert!(container["bytes"].as_u64().unwrap() > 0 && container["bytes"].as_u64().unwrap() < size);
+
+    let original: usize = odd_files().values().map(Vec::len).sum();
+    assert_eq!(stats["file_bytes"], original);
+    let close = |value: &Value, expected: f64| (value.as_f64().unwrap() - expected).abs() < 1e-9;
+    assert!(close(&stats["ratio"], size as f64 / original as f64));
+    let points = stats["points"].as_u64().unwrap();
+    assert!(points >= 84, "{points}");
+    assert!(close(&stats["bits_per_point"], 8.0 * size as f64 / points as f64));
+    assert!(stats.get("against").is_none());
+
+    let text = String::from_utf8(bench.ok("stats out.lpc")).unwrap();
+    let total = text.lines().last().unwrap();
+    assert!(total.starts_with("total") && total.contains(&size.to_string()), "{text}");
+}
+
+#[test]
+fn stats_measure_the_error() {
+    let bench = Bench::encoded();
+    let against = bench.json("stats out.lpc --against seq --json")["against"].clone();
+    assert_eq!(against["identical_files"], odd_files().len());
+    assert_eq!((&against["rmse_m"], &against["max_error_m"]), (&Value::from(0.0), &Value::from(0.0)));
+
+    // An original whose first point is 3 m further, and that has a point more.
+    let mut moved = scan(40, 1);
+    let x = f32::from_le_bytes(moved[..4].try_into().unwrap()) + 3.0;
+    moved[..4].copy_from_slice(&x.to_le_bytes());
+    moved.extend(scan(1, 9));
+    fs::write(bench.path("seq/1.bin"), moved).unwrap();
+    let against = bench.json("stats out.lpc --against seq --json")["against"].clone();
+    assert_eq!((&against["differing_files"], &against["lost_points"]), (&1.into(), &1.into()));
+    assert!((against["max_error_m"].as_f64().unwrap() - 3.0).abs() < 1e-5, "{against}");
+
+    fs::remove_file(bench.path("seq/2.bin")).unwrap();
+    let error = bench.fails("stats out.lpc --against seq", "seq");
+    assert!(error.contains("2.bin"), "{error}");
+}
+
+#[test]
+fn verify_finds_what_differs() {
+    let bench = Bench::encoded();
+    let said = bench.command("verify out.lpc --against seq").output().unwrap();
+    assert!(String::from_utf8(said.stdout).unwrap().starts_with("out.lpc: whole; 10 frames"));
+
+    fs::write(bench.path("seq/extra.bin"), b"more").unwrap();
+    bench.fails("verify out.lpc --against seq", "seq/extra.bin");
+    fs::remove_file(bench.path("seq/extra.bin")).unwrap();
+
+    let mut changed = scan(41, 3);
+    changed[5] ^= 1;
+    fs::write(bench.path("seq/10.bin"), changed).unwrap();
+    let error = bench.fails("verify out.lpc --against seq", "out.lpc");
+    assert!(error.contains("frame 2") && error.contains("10.bin"), "{error}");
+    bench.ok("verify out.lpc");
+}
+
+#[test]
+fn the_stream_does_not_depend_on_threads() {
+    let bench = Bench::encoded();
+    let expected = fs::read(bench.path("out.lpc")).unwrap();
+    for threads in [1, 4] {
+        bench.ok(&format!("encode seq -o {threads}.lpc --gop 2 --threads {threads}"));
+        assert_eq!(fs::read(bench.path(&format!("{threads}.lpc"))).unwrap(), expected, "{threads} threads");
+    }
+}
+
+#[test]
+fn a_range_of_frames_is_the_same_as_in_the_whole() {
+    let bench = Bench::encoded();
+    let stream = fs::read(bench.path("out.lpc")).unwrap();
+    for (range, expected) in [
+        ("1", &["2.bin"][..]),
+        ("1..3", &["10.bin", "2.bin"]),
+        ("..=1", &["1.bin", "2.bin"]),
+        ("9..", &["seventeen.bin"]),
+    ] {
+        bench.ok(&format!("decode out.lpc -o {range} --frames {range}"));
+        bench
+            .command(&format!("decode - -o piped{range} --frames {range}"))
+            .write_stdin(stream.clone())
+            .assert()
+            .success();
+        let all = odd_files();
+        let expected: Files = expected.iter().map(|name| (name.to_string(), all[*name].clone())).collect();
+        assert_eq!(bench.files(range), expected);
+        assert_eq!(bench.files(&format!("piped{range}")), expected);
+    }
+    bench.fails("decode out.lpc -o none --frames 10", "out.lpc");
+    bench.fails("decode out.lpc -o none --frames 5..11", "out.lpc");
+    assert!(!bench.path("none").exists());
+}
+
+#[test]
+fn streams_go_through_pipes() {
+    let bench = Bench::encoded();
+    let stream = bench.ok("encode seq -o - --gop 2");
+    assert_eq!(stream, fs::read(bench.path("out.lpc")).unwrap());
+    let through = |args: &str| {
+        let run = bench.command(args).write_stdin(stream.clone()).assert().success();
+        run.get_output().stdout.clone()
+    };
+    through("decode - -o back");
+    assert_eq!(bench.files("back"), odd_files());
+    assert_eq!(through("stats - --json --against seq"), bench.ok("stats out.lpc --json --against seq"));
+    assert_eq!(through("info - --json"), bench.ok("info out.lpc --json"));
+    assert!(through("verify - --against seq").starts_with(b"stdin: whole"));
+    assert_eq!(through("decode - -o - --frames 2"), odd_files()["10.bin"]);
+    let error = bench.fails("decode out.lpc -o -", "out.lpc");
+    assert!(error.contains("--frames"), "{error}");
+}
+
+#[test]
+fn a_closed_pipe_is_no_failure() {
+    let bench = Bench::encoded();
+    for args in ["info out.lpc --json", "stats out.lpc", "encode seq -o - -q", "verify out.lpc"] {
+        let mut child = Process::new(cargo_bin!("lidarpc"))
+            .args(args.split(' '))
+            .current_dir(bench.0.path())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        assert_eq!((output.status.code(), &output.stderr[..]), (Some(0), &b""[..]), "{args}");
+    }
+}
+
+#[test]
+fn nothing_is_overwritten_without_force() {
+    let bench = Bench::encoded();
+    let before = fs::read(bench.path("out.lpc")).unwrap();
+    let error = bench.fails("encode seq/1.bin -o out.lpc", "out.lpc");
+    assert!(error.contains("--force"), "{error}");
+    assert_eq!(fs::read(bench.path("out.lpc")).unwrap(), before);
+    bench.ok("encode seq/1.bin -o out.lpc --force");
+    assert_ne!(fs::read(bench.path("out.lpc")).unwrap(), before);
+
+    bench.write_files(
+        "back",
+        &Files::from([("1.bin".into(), b"old".to_vec()), ("b".into(), b"mine".to_vec())]),
+    );
+    let error = bench.fails("decode out.lpc -o back", "back/1.bin");
+    assert!(error.contains("--force"), "{error}");
+    assert_eq!(bench.files("back")["1.bin"], b"old");
+    bench.ok("decode out.lpc -o back --force");
+    assert_eq!(bench.files("back")["1.bin"], odd_files()["1.bin"]);
+    assert_eq!(bench.names("back"), ["1.bin", "b"]);
+}
+
+#[test]
+fn an_input_that_cannot_be_read_is_named() {
+    let bench = Bench::encoded();
+    fs::create_dir(bench.path("void")).unwrap();
+    for (args, path) in [
+        ("encode nowhere -o new.lpc", "nowhere"),
+        ("encode seq nowhere.bin -o new.lpc", "nowhere.bin"),
+        ("encode void -o new.lpc", "void"),
+        ("encode seq -o void", "void"),
+        ("encode seq -o nowhere/new.lpc", "nowhere"),
+        ("decode nowhere.lpc -o back", "nowhere.lpc"),
+        ("decode seq -o back", "seq"),
+        ("decode seq/1.bin -o back", "seq/1.bin"),
+        ("decode seq/empty.bin -o back", "seq/empty.bin"),
+        ("decode out.lpc -o seq/1.bin", "seq/1.bin"),
+        ("decode out.lpc -o seq/1.bin/below", "seq/1.bin/below"),
+        ("stats nowhere.lpc", "nowhere.lpc"),
+        ("info seq/1.bin", "seq/1.bin"),
+        ("verify out.lpc --against void", "void"),
+        ("synth -o seq/1.bin", "seq/1.bin"),
+    ] {
+        let error = bench.fails(args, path);
+        assert!(error.contains(';') || path == "seq/empty.bin", "what to do is missing: {error}");
+    }
+    assert_eq!(bench.names("."), ["out.lpc", "seq", "void"], "something was left behind");
+    assert_eq!(bench.files("seq"), odd_files());
+}
+
+#[test]
+fn a_file_that_cannot_be_opened_is_named() {
+    // Permissions do not stop root, so a folder stands where a file is expected.
+    let bench = Bench::encoded();
+    fs::create_dir(bench.path("folder.bin")).unwrap();
+    bench.fails("encode folder.bin -o new.lpc", "folder.bin");
+    bench.fails("decode folder.bin -o new", "folder.bin");
+    fs::create_dir(bench.path("back")).unwrap();
+    fs::create_dir(bench.path("back/10.bin")).unwrap();
+    bench.fails("decode out.lpc -o back --force", "back/10.bin");
+    assert_eq!(bench.names("back"), ["10.bin"]);
+
+    let secret = bench.path("seq/2.bin");
+    let readable = fs::metadata(&secret).unwrap().permissions();
+    let mut unreadable = readable.clone();
+    #[cfg(unix)]
+    std::os::unix::fs::PermissionsExt::set_mode(&mut unreadable, 0);
+    fs::set_permissions(&secret, unreadable).unwrap();
+    if fs::read(&secret).is_ok() {
+        eprintln!("skipped: permissions do not stop this user");
+    } else {
+        let error = bench.fails("encode seq -o new.lpc", "seq/2.bin");
+        assert!(error.contains("denied"), "{error}");
+        assert!(!bench.path("new.lpc").exists());
+    }
+    fs::set_permissions(&secret, readable).unwrap();
+}
+
+#[test]
+fn a_damaged_stream_leaves_nothing_behind() {
+    let bench = Bench::encoded();
+    let whole = fs::read(bench.path("out.lpc")).unwrap();
+    fs::create_dir(bench.path("back")).unwrap();
+    let mut damaged = whole.clone();
+    damaged[whole.len() / 2] ^= 4;
+    let cuts = [0, 3, 11, 12, whole.len() / 2, whole.len() - 1].map(|length| whole[..length].to_vec());
+    for bytes in cuts.into_iter().chain([damaged, [&whole[..], b"x"].concat()]) {
+        fs::write(bench.path("bad.lpc"), &bytes).unwrap();
+        for args in ["decode bad.lpc -o back", "decode bad.lpc -o new", "verify bad.lpc", "info bad.lpc"] {
+            let error = bench.fails(args, "bad.lpc");
+            assert!(error.contains("damaged stream"), "{error}");
+        }
+        bench.fails("stats bad.lpc --against seq", "bad.lpc");
+        assert_eq!(bench.names("back"), [""; 0]);
+        assert_eq!(bench.names("."), ["back", "bad.lpc", "out.lpc", "seq"]);
+    }
+}
+
+#[test]
+fn a_newer_stream_is_named_as_such() {
+    let bench = Bench::encoded();
+    let mut newer = fs::read(bench.path("out.lpc")).unwrap();
+    newer[4] = 9;
+    let crc = crc32c::crc32c(&newer[..8]);
+    newer[8..12].copy_from_slice(&crc.to_le_bytes());
+    fs::write(bench.path("newer.lpc"), newer).unwrap();
+    let error = bench.fails("decode newer.lpc -o back", "newer.lpc");
+    assert!(error.contains("version 9") && error.contains("newer lidarpc"), "{error}");
+}
+
+#[test]
+fn names_in_a_stream_cannot_leave_the_folder() {
+    use lidarpc::bitstream::{Frame, FrameHeader, Group, StreamHeader, StreamWriter};
+    let bench = Bench::encoded();
+    // An empty file is the same under any name.
+    bench.ok("encode seq/empty.bin -o empty.lpc");
+    let group = first_group(&fs::read(bench.path("empty.lpc")).unwrap());
+    let write = |names: &[&str]| {
+        let mut writer = StreamWriter::create(Vec::new(), &StreamHeader::default()).unwrap();
+        for name in names {
+            let Frame { header, sections } = group.frames[0].clone();
+            let header = FrameHeader { name: name.to_string(), ..header };
+            // A group each, so that no frame depends on another.
+            let frames = vec![Frame { header, sections }];
+            writer.write_group(&Group { sensor_model: 0, frames }).unwrap();
+        }
+        fs::write(bench.path("evil.lpc"), writer.finish().unwrap().0).unwrap();
+    };
+    fs::create_dir_all(bench.path("in/back")).unwrap();
+    for name in ["../evil.bin", "/tmp/evil.bin", "..", "", "a/b.bin", "a\\b.bin"] {
+        write(&["fine.bin", name]);
+        bench.fails("decode evil.lpc -o in/back --force", "in/back");
+        assert_eq!(
+            (bench.names("in/back"), bench.names("in")),
+            (vec![], vec!["back".to_owned()]),
+            "{name:?}"
+        );
+    }
+    write(&["twice.bin", "twice.bin"]);
+    bench.fails("decode evil.lpc -o in/back --force", "in/back");
+    write(&["fine.bin", "also fine.bin"]);
+    bench.ok("decode evil.lpc -o in/back");
+    assert_eq!(bench.names("in/back"), ["also fine.bin", "fine.bin"]);
+}
+
+/// The first group of a stream.
+fn first_group(stream: &[u8]) -> lidarpc::bitstream::Group {
+    use lidarpc::bitstream::{Record, StreamReader};
+    let mut reader = StreamReader::open(stream, lidarpc::error::Limits::default()).unwrap();
+    loop {
+        if let Record::Group(group) = reader.next_record().unwrap().unwrap() {
+            return group;
+        }
+    }
+}
+
+#[test]
+fn two_frames_of_one_name_are_refused() {
+    let bench = Bench::encoded();
+    bench.write_files("other", &Files::from([("1.bin".into(), b"another".to_vec())]));
+    bench.command("encode seq other -o new.lpc").assert().code(1);
+    assert!(!bench.path("new.lpc").exists());
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_disk_leaves_nothing_behind() {
+    let bench = Bench::encoded();
+    let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let run = Process::new(cargo_bin!("lidarpc"))
+        .args(["encode", "seq", "-o", "-"])
+        .current_dir(bench.0.path())
+        .stdout(full)
+        .output()
+        .unwrap();
+    assert_eq!(run.status.code(), Some(1));
+    let error = String::from_utf8(run.stderr).unwrap();
+    assert!(error.starts_with("lidarpc: stdout: no space left"), "{error}");
+
+    // A limit on the size of files stands for a full disk.
+    let mut state = 1u64;
+    let noise = std::iter::repeat_with(|| {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state as u8
+    });
+    let noise = noise.take(200_000).collect();
+    bench.write_files("big", &Files::from([("noise.bin".into(), noise)]));
+    bench.ok("encode big -o big.lpc");
+    for (args, path) in [("encode big -o new.lpc", "new.lpc"), ("decode big.lpc -o back", "back/noise.bin")] {
+        let mut shell = Command::new("sh");
+        let script = r#"trap "" XFSZ; ulimit -f 16; exec "$0" "$@""#;
+        shell.args(["-c", script]).arg(cargo_bin!("lidarpc")).args(args.split(' '));
+        failure(shell.current_dir(bench.0.path()), path);
+        assert_eq!(bench.names("."), ["big", "big.lpc", "out.lpc", "seq"]);
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn a_signal_leaves_nothing_behind() {
+    let bench = Bench::encoded();
+    fs::create_dir(bench.path("back")).unwrap();
+    let stream = fs::read(bench.path("out.lpc")).unwrap();
+    for signal in ["-INT", "-TERM"] {
+        let mut child = Process::new(cargo_bin!("lidarpc"))
+            .args(["decode", "-", "-o", "back"])
+            .current_dir(bench.0.path())
+            .stdin(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let mut stdin = child.stdin.take().unwrap();
+        stdin.write_all(&stream[..stream.len() / 2]).unwrap();
+        wait_until(|| !bench.names("back").is_empty());
+        let killed = Process::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+        assert!(killed.success());
+        assert!(!child.wait().unwrap().success());
+        assert_eq!(bench.names("back"), [""; 0], "after {signal}");
+    }
+}
+
+#[cfg(unix)]
+fn wait_until(condition: impl Fn() -> bool) {
+    let start = Instant::now();
+    while !condition() {
+        assert!(start.elapsed() < Duration::from_secs(30), "it never happened");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn links_and_devices_are_written_through() {
+    let bench = Bench::encoded();
+    std::os::unix::fs::symlink("out.lpc", bench.path("link.lpc")).unwrap();
+    bench.fails("encode seq/1.bin -o link.lpc", "link.lpc");
+    let before = fs::read(bench.path("out.lpc")).unwrap();
+    bench.ok("encode seq/1.bin -o link.lpc --force");
+    assert!(fs::symlink_metadata(bench.path("link.lpc")).unwrap().is_symlink());
+    assert_ne!(fs::read(bench.path("out.lpc")).unwrap(), before);
+
+    bench.ok("encode seq -o /dev/null --force");
+    assert!(!fs::metadata("/dev/null").unwrap().is_file());
+
+    let usual = bench.path("usual");
+    fs::write(&usual, b"").unwrap();
+    let rights = |path: &Path| fs::metadata(path).unwrap().permissions();
+    assert_eq!(rights(&bench.path("out.lpc")), rights(&usual), "not the rights that new files get");
+}
+
+#[test]
+fn wrong_usage_is_exit_code_2() {
+    let bench = Bench::encoded();
+    for args in [
+        "",
+        "frobnicate",
+        "encode seq",
+        "encode -o new.lpc",
+        "encode seq -o new.lpc --gop 0",
+        "encode seq -o new.lpc --level 10",
+        "encode seq -o new.lpc --mode wild",
+        "encode seq -o new.lpc --threads many",
+        "encode seq -o - --verify",
+        "decode out.lpc",
+        "decode out.lpc -o back --frames 5..5",
+        "decode out.lpc -o back --frames five",
+    ] {
+        bench.command(args).assert().code(2);
+    }
+    assert_eq!(bench.names("."), ["out.lpc", "seq"]);
+    for command in ["", "encode", "decode", "stats", "info", "verify", "synth"] {
+        bench.command(&format!("{command} --help")).assert().success();
+    }
+}
+
+#[test]
+fn options_do_what_they_say() {
+    let bench = Bench::encoded();
+    bench.ok("encode seq -o all.lpc --gop 100 --level 1 --verify --mode exact");
+    assert_eq!(bench.json("info all.lpc --json")["groups"].as_array().unwrap().len(), 1);
+    bench.ok("decode all.lpc -o back --threads 1");
+    assert_eq!(bench.files("back"), odd_files());
+
+    let told = bench.command("encode seq -o told.lpc").output().unwrap();
+    let told = String::from_utf8(told.stderr).unwrap();
+    assert!(told.starts_with("10 frames: ") && told.lines().count() == 1, "{told}");
+
+    fs::write(bench.path("seq/notes.txt"), b"cloudy").unwrap();
+    let told = bench.command("encode seq -o noted.lpc").output().unwrap();
+    assert!(String::from_utf8(told.stderr).unwrap().contains("left out 1 file"));
+}
+
+#[test]
+fn a_synthetic_drive_is_repeatable() {
+    let bench = Bench::new();
+    bench.ok("synth -o a --frames 2 --seed 7");
+    bench.ok("synth -o b --frames 2 --seed 7");
+    bench.ok("synth -o c --frames 2 --seed 8");
+    assert_eq!(bench.files("a").len(), 2);
+    assert_eq!(bench.files("a"), bench.files("b"));
+    assert_ne!(bench.files("a"), bench.files("c"));
+    bench.ok("encode a -o a.lpc --verify");
+    bench.ok("verify a.lpc --against a");
+    bench.command("synth -o a --frames 2").assert().code(1);
+}
