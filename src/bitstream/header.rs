@@ -98,6 +98,11 @@ mod tests {
     }
 
     #[test]
+    fn the_checksum_is_the_one_that_format_md_names() {
+        assert_eq!(crc32c::crc32c(b"123456789"), 0xe306_9283);
+    }
+
+    #[test]
     fn comes_back() {
         let bytes = bytes_of(StreamHeader::default());
         assert_eq!(bytes.len(), HEADER_LENGTH);

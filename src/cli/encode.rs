@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail, ensure};
 use clap::{CommandFactory, error::ErrorKind};
 use lidarpc::codec::{self, DecodeOptions, Encoded, FrameInput};
-use lidarpc::io::find_frames;
+use lidarpc::io::sequence::find_frames;
 use lidarpc::metrics;
 
 use super::args::{Args, EncodeArgs};

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use lidarpc::codec::{self, DecodeOptions, DecodedFrame};
 use lidarpc::error::{Error, Result};
-use lidarpc::io::find_frames;
+use lidarpc::io::sequence::find_frames;
 
 use super::errors::about;
 

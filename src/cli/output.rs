@@ -6,7 +6,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use lidarpc::error::{Error, Result};
-use lidarpc::io::is_safe_name;
+use lidarpc::io::sequence::is_safe_name;
 use tempfile::{NamedTempFile, TempDir, TempPath};
 
 use super::cleanup::RemoveOnSignal;

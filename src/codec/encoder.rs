@@ -10,7 +10,8 @@ use super::group::GroupEncoder;
 use super::ordered::run_ordered;
 use crate::bitstream::{Frame, FrameHeader, Group, StreamHeader, StreamWriter};
 use crate::error::{Error, Limits, Result};
-use crate::io::{is_safe_name, parse};
+use crate::io::parse;
+use crate::io::sequence::is_safe_name;
 use crate::scan::ScanFile;
 use crate::sensor::{self, SensorModel};
 
