@@ -131,6 +131,8 @@ impl<R: Read> StreamReader<R> {
 pub struct IndexedReader<R> {
     input: R,
     limits: Limits,
+    /// Bytes of the stream.
+    size: u64,
     index: Index,
 }
 
@@ -144,13 +146,16 @@ impl<R: Read + Seek> IndexedReader<R> {
         let _header = StreamHeader::read_from(&mut input)?;
         let size = input.seek(SeekFrom::End(0))?;
         let end_offset = size.checked_sub(END_LENGTH).ok_or_else(|| Error::corrupt("it is cut short"))?;
-        let end =
-            record_at(&mut input, end_offset, END, &limits).map_err(|e| e.within("end of the stream"))?;
-        let index_offset = read_end_payload(&end.payload).map_err(|e| e.within("end record"))?;
-        let index = record_at(&mut input, index_offset, INDEX, &limits)
+        let mut reader = IndexedReader { input, limits, size, index: Index::default() };
+        let index_offset = reader
+            .record_at(end_offset, END)
+            .and_then(|raw| read_end_payload(&raw.payload))
+            .map_err(|e| e.within("end of the stream"))?;
+        reader.index = reader
+            .record_at(index_offset, INDEX)
             .and_then(|raw| Index::read_from(&raw.payload))
             .map_err(|e| e.within("index"))?;
-        Ok(IndexedReader { input, limits, index })
+        Ok(reader)
     }
 
     /// Where all records are.
@@ -194,23 +199,26 @@ impl<R: Read + Seek> IndexedReader<R> {
     }
 
     fn indexed_record(&mut self, offset: u64, length: u64, kind: u8) -> Result<RawRecord> {
-        let raw = record_at(&mut self.input, offset, kind, &self.limits)?;
+        let raw = self.record_at(offset, kind)?;
         if raw.length != length {
             return Err(Error::corrupt("it is not as long as the index says"));
         }
         Ok(raw)
     }
-}
 
-/// Reads the record at `offset`, which must be whole and of this kind.
-fn record_at(input: &mut (impl Read + Seek), offset: u64, kind: u8, limits: &Limits) -> Result<RawRecord> {
-    input.seek(SeekFrom::Start(offset))?;
-    let raw = read_record(input, limits)?;
-    if raw.kind != kind {
-        return Err(Error::corrupt(format!("there is no {} record at byte {offset}", kind_name(kind))));
+    /// Reads the record at `offset`, which must be whole and of this kind.
+    fn record_at(&mut self, offset: u64, kind: u8) -> Result<RawRecord> {
+        if offset >= self.size {
+            return Err(Error::corrupt(format!("byte {offset} is beyond the end")));
+        }
+        self.input.seek(SeekFrom::Start(offset))?;
+        let raw = read_record(&mut self.input, &self.limits)?;
+        if raw.kind != kind {
+            return Err(Error::corrupt(format!("there is no {} record at byte {offset}", kind_name(kind))));
+        }
+        check_intact(&raw, &self.limits)?;
+        Ok(raw)
     }
-    check_intact(&raw, limits)?;
-    Ok(raw)
 }
 
 /// An error if the record's checksum does not match; for a group it names the damaged section.

@@ -156,3 +156,46 @@ fn limits_hold() {
         assert!(matches!(error, Error::LimitExceeded { .. }), "{error}");
     }
 }
+
+/// Forged payloads, whose checksums would be right: each is an error, or has this one meaning only.
+#[test]
+fn every_payload_is_an_error_or_is_written_the_same() {
+    fn check<T>(payload: &[u8], read: impl Fn(&[u8]) -> Result<T>, write: impl Fn(&T, &mut Vec<u8>)) {
+        for place in 0..payload.len() {
+            for value in [0, 1, 2, 0x7f, 0x80, 0x81, 0xff] {
+                let mut forged = payload.to_vec();
+                forged[place] = value;
+                for length in [place + 1, forged.len()] {
+                    if let Ok(meaning) = read(&forged[..length]) {
+                        let mut written = Vec::new();
+                        write(&meaning, &mut written);
+                        assert_eq!(written, forged[..length]);
+                    }
+                }
+            }
+        }
+    }
+    for group in sample_groups() {
+        let mut payload = Vec::new();
+        group.write_to(&mut payload);
+        let read = |bytes: &[u8]| Ok(Group::read_from(bytes, &Limits::default())?.0);
+        check(&payload, read, |group, out| drop(group.write_to(out)));
+    }
+    let (_, index) = read_all(&sample_stream()).unwrap();
+    let mut payload = Vec::new();
+    index.write_to(&mut payload);
+    check(&payload, Index::read_from, Index::write_to);
+}
+
+#[test]
+fn an_index_that_points_beyond_the_end_is_an_error() {
+    let mut stream = sample_stream();
+    stream.truncate(stream.len() - index::END_LENGTH as usize);
+    for offset in [stream.len() as u64 + 18, u64::MAX] {
+        let mut forged = stream.clone();
+        write_record(&mut forged, record::END, &index::end_payload(offset)).unwrap();
+        let error = IndexedReader::open(Cursor::new(&forged), Limits::default()).err().unwrap();
+        assert!(error.to_string().contains("beyond the end"), "{error}");
+        assert!(read_all(&forged).is_err());
+    }
+}

@@ -120,7 +120,7 @@ impl FrameRange {
 impl fmt::Display for FrameRange {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.end {
-            Some(end) if end == self.start + 1 => write!(f, "{}", self.start),
+            Some(_) if self.end == self.start.checked_add(1) => write!(f, "{}", self.start),
             Some(end) => write!(f, "{}..{end}", self.start),
             None => write!(f, "{}..", self.start),
         }
