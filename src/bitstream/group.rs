@@ -63,7 +63,7 @@ impl Frame {
         let section_count = read_varint(input, "section count")?;
         let mut sections = Vec::new();
         for _ in 0..section_count {
-            sections.push(Section::read_from(input).map_err(|e| e.within(&format!("frame {name:?}")))?);
+            sections.push(Section::read_from(input).map_err(|e| e.within(&format!("{name:?}")))?);
         }
         Ok(Frame { header, sections })
     }

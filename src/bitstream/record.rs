@@ -38,7 +38,7 @@ pub(super) fn write_record(out: &mut impl Write, kind: u8, payload: &[u8]) -> Re
 /// Reads the next record, whatever its kind.
 pub(super) fn read_record(input: &mut impl Read, limits: &Limits) -> Result<RawRecord> {
     let mut kind = [0];
-    read_exact(input, &mut kind, "the stream, where a record should start,")?;
+    read_exact(input, &mut kind, "the stream")?;
     let length = read_varint(input, "record length")?;
     let length = limited(length, "bytes of a record", limits.record_bytes)?;
     let payload = read_bytes(input, length, "record")?;

@@ -94,15 +94,19 @@ pub fn encode<W: Write>(
 
 /// The frames that the sensor model is fitted to, spread over the sequence.
 fn sample(frames: &[FrameInput]) -> Result<Vec<ScanFile>> {
-    let count = SAMPLE_FRAMES.min(frames.len());
-    let spread = (0..count).map(|i| &frames[i * (frames.len() - 1) / (count - 1).max(1)]);
     let mut sample = Vec::new();
-    for frame in spread {
+    for frame in sample_places(frames.len()).map(|place| &frames[place]) {
         if frame.size()? <= SAMPLE_FILE_BYTES {
             sample.push(parse(frame.name()?, frame.read()?));
         }
     }
     Ok(sample)
+}
+
+/// Where the sample is taken: the first frame, the last, and others evenly between.
+fn sample_places(frames: usize) -> impl Iterator<Item = usize> {
+    let count = SAMPLE_FRAMES.min(frames);
+    (0..count).map(move |i| i * (frames - 1) / (count - 1).max(1))
 }
 
 /// Writes the sensor model, if there is one; returns its number, 0 if there is none.
@@ -219,4 +223,19 @@ impl FrameInput {
 /// An error if decoders would refuse what is encoded.
 fn check_limit(what: &'static str, got: u64, max: u64) -> Result<()> {
     if got > max { Err(Error::LimitExceeded { what, got, max }) } else { Ok(()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::sample_places;
+
+    #[test]
+    fn the_sample_is_spread_over_the_sequence() {
+        let places = |frames| sample_places(frames).collect::<Vec<_>>();
+        assert_eq!(places(0), [0; 0]);
+        assert_eq!(places(1), [0]);
+        assert_eq!(places(3), [0, 1, 2]);
+        assert_eq!(places(8), (0..8).collect::<Vec<_>>());
+        assert_eq!(places(71), [0, 10, 20, 30, 40, 50, 60, 70]);
+    }
 }
