@@ -200,3 +200,43 @@ fn an_index_that_points_beyond_the_end_is_an_error() {
         assert!(read_all(&forged).is_err());
     }
 }
+
+/// Streams whose checksums are right and whose records contradict each other.
+#[test]
+fn records_that_contradict_each_other_are_an_error() {
+    let whole = sample_stream();
+    let (_, index) = read_all(&whole).unwrap();
+    let mut index_payload = Vec::new();
+    index.write_to(&mut index_payload);
+    let end_offset = whole.len() - index::END_LENGTH as usize;
+    let index_offset = end_offset - index_payload.len() - 6;
+    assert_eq!(whole[index_offset], record::INDEX);
+    let with = |tail: &[(u8, &[u8])]| {
+        let mut stream = whole[..index_offset].to_vec();
+        for (kind, payload) in tail {
+            write_record(&mut stream, *kind, payload).unwrap();
+        }
+        read_all(&stream).map_err(|error| error.to_string())
+    };
+    let end = index::end_payload(index_offset as u64);
+    let the_index = (record::INDEX, &index_payload[..]);
+    let the_end = (record::END, &end[..]);
+    assert!(with(&[the_index, the_end]).is_ok());
+    assert!(with(&[the_index, (0x89, b"new"), the_end]).is_ok(), "what may be skipped is not");
+
+    let mut other = index.clone();
+    other.groups[1].frame_sizes[0] += 1;
+    let mut other_payload = Vec::new();
+    other.write_to(&mut other_payload);
+    for (tail, complaint) in [
+        (&[(record::INDEX, &other_payload[..]), the_end][..], "agree"),
+        (&[the_end], "point at the index"),
+        (&[the_index, (record::SENSOR_MODEL, b"late"), the_end], "after the index"),
+        (&[the_index, the_index, the_end], "after the index"),
+        (&[the_index, (record::END, &index::end_payload(12))], "point at the index"),
+        (&[the_index, (record::END, b"short")], "cut short"),
+    ] {
+        let error = with(tail).unwrap_err();
+        assert!(error.contains(complaint), "{complaint:?} is missing in: {error}");
+    }
+}
