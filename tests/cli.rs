@@ -544,7 +544,6 @@ fn wrong_usage_is_exit_code_2() {
         "encode seq",
         "encode -o new.lpc",
         "encode seq -o new.lpc --gop 0",
-        "encode seq -o new.lpc --level 10",
         "encode seq -o new.lpc --mode wild",
         "encode seq -o new.lpc --threads many",
         "encode seq -o - --verify",
@@ -563,7 +562,7 @@ fn wrong_usage_is_exit_code_2() {
 #[test]
 fn options_do_what_they_say() {
     let bench = Bench::encoded();
-    bench.ok("encode seq -o all.lpc --gop 100 --level 1 --verify --mode exact");
+    bench.ok("encode seq -o all.lpc --gop 100 --verify --mode exact");
     assert_eq!(bench.json("info all.lpc --json")["groups"].as_array().unwrap().len(), 1);
     bench.ok("decode all.lpc -o back --threads 1");
     assert_eq!(bench.files("back"), odd_files());

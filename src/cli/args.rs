@@ -67,10 +67,6 @@ pub struct EncodeArgs {
     #[arg(long, value_name = "FRAMES", default_value_t = default_gop(),
           value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub gop: u32,
-    /// Effort: 1 is fast, 9 is small.
-    #[arg(long, value_name = "1..9", default_value_t = EncoderConfig::default().level,
-          value_parser = clap::value_parser!(u8).range(1..=9))]
-    pub level: u8,
     #[command(flatten)]
     pub threads: Threads,
     /// Decode the written file and compare, before it gets its name.
@@ -87,7 +83,7 @@ impl EncodeArgs {
         let mode = match self.mode {
             ModeArg::Exact => Mode::Exact,
         };
-        EncoderConfig { mode, gop: self.gop as usize, level: self.level, threads: self.threads.threads }
+        EncoderConfig { mode, gop: self.gop as usize, threads: self.threads.threads }
     }
 }
 

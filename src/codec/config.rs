@@ -21,8 +21,6 @@ pub struct EncoderConfig {
     pub mode: Mode,
     /// Frames a group: more compress better, fewer make seeking and recovery finer. Default 20.
     pub gop: usize,
-    /// Effort, 1 (fast) to 9 (small). Default 6.
-    pub level: u8,
     /// Groups coded at the same time; 0, the default, means one for each processor. The stream is
     /// the same whatever the number.
     pub threads: usize,
@@ -30,7 +28,7 @@ pub struct EncoderConfig {
 
 impl Default for EncoderConfig {
     fn default() -> Self {
-        EncoderConfig { mode: Mode::Exact, gop: 20, level: 6, threads: 0 }
+        EncoderConfig { mode: Mode::Exact, gop: 20, threads: 0 }
     }
 }
 
@@ -42,9 +40,6 @@ impl EncoderConfig {
     pub fn check(&self) -> Result<()> {
         if self.gop == 0 {
             return Err(Error::InvalidConfig("a group holds at least one frame".to_owned()));
-        }
-        if !(1..=9).contains(&self.level) {
-            return Err(Error::InvalidConfig(format!("level {} is not 1 to 9", self.level)));
         }
         Ok(())
     }
@@ -192,7 +187,5 @@ mod tests {
     fn settings_out_of_range_are_refused() {
         assert!(EncoderConfig::default().check().is_ok());
         assert!(EncoderConfig { gop: 0, ..EncoderConfig::default() }.check().is_err());
-        assert!(EncoderConfig { level: 0, ..EncoderConfig::default() }.check().is_err());
-        assert!(EncoderConfig { level: 10, ..EncoderConfig::default() }.check().is_err());
     }
 }

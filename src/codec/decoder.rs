@@ -97,7 +97,7 @@ fn decode_group(job: GroupJob, range: &FrameRange, limits: &Limits) -> Result<Ve
 
 /// Decodes one frame; returns its file if `wanted` (the frames before it are needed for their sake).
 fn decode_frame(
-    coder: &mut GroupDecoder,
+    coder: &mut GroupDecoder<'_>,
     number: u64,
     frame: Frame,
     wanted: bool,

@@ -76,7 +76,7 @@ pub fn encode<W: Write>(
     let sensor = sensor::fit(&sample(frames)?);
     let mut writer = StreamWriter::create(out, &StreamHeader::default())?;
     let sensor_number = write_sensor_model(&mut writer, sensor.as_ref())?;
-    let coder = SequenceCoder { config, sensor: sensor.as_ref(), sensor_number, on_frame };
+    let coder = SequenceCoder { sensor: sensor.as_ref(), sensor_number, on_frame };
 
     let mut encoded = Encoded::default();
     let write = |groups: Vec<Group>| {
@@ -119,7 +119,6 @@ fn write_sensor_model<W: Write>(writer: &mut StreamWriter<W>, sensor: Option<&Se
 
 /// What all groups of a sequence share.
 struct SequenceCoder<'a> {
-    config: &'a EncoderConfig,
     sensor: Option<&'a SensorModel>,
     sensor_number: u64,
     on_frame: &'a (dyn Fn() + Sync),
@@ -144,17 +143,17 @@ impl SequenceCoder<'_> {
 }
 
 /// A group that is being encoded.
-struct OpenGroup {
-    coder: GroupEncoder,
+struct OpenGroup<'s> {
+    coder: GroupEncoder<'s>,
     group: Group,
     /// Bytes of the group's files.
     file_bytes: u64,
 }
 
-impl OpenGroup {
-    fn new(sequence: &SequenceCoder) -> Self {
+impl<'s> OpenGroup<'s> {
+    fn new(sequence: &SequenceCoder<'s>) -> Self {
         OpenGroup {
-            coder: GroupEncoder::new(sequence.config, sequence.sensor),
+            coder: GroupEncoder::new(sequence.sensor),
             group: Group { sensor_model: sequence.sensor_number, frames: Vec::new() },
             file_bytes: 0,
         }
@@ -169,7 +168,7 @@ impl OpenGroup {
         let scan = parse(name, bytes);
         let point_count = scan.records as u64;
         check_limit("points in a frame", point_count, Limits::default().points)?;
-        let sections = self.coder.encode_frame(&scan);
+        let sections = self.coder.encode_frame(&scan)?;
         let header = FrameHeader { name: name.to_owned(), file_size, file_crc, point_count };
         self.group.frames.push(Frame { header, sections });
         self.file_bytes += file_size;

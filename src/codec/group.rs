@@ -1,66 +1,59 @@
-//! Codes the frames of a group. (Stand-in: each file through LZMA.)
+//! A group of pictures: frames coded one after the other by models that learn from each. Groups
+//! know nothing of one another.
 
-use std::io::{Read, Write};
-
-use lzma_rust2::{LzmaOptions, LzmaReader, LzmaWriter};
-
-use super::config::EncoderConfig;
-use crate::bitstream::{Section, SectionKind};
-use crate::error::{Error, Limits, Result};
-use crate::io::parse;
+use super::frame::Frame;
+use super::syntax::{Models, SectionReader, SectionWriter};
+use crate::bitstream::Section;
+use crate::error::{Limits, Result};
 use crate::scan::ScanFile;
 use crate::sensor::SensorModel;
 
-/// Encodes the frames of a group, in order.
-pub struct GroupEncoder {
-    options: LzmaOptions,
+/// Encodes the frames of one group.
+pub struct GroupEncoder<'s> {
+    sensor: Option<&'s SensorModel>,
+    models: Models,
 }
 
-impl GroupEncoder {
-    /// An encoder at the start of a group.
-    pub fn new(config: &EncoderConfig, _sensor: Option<&SensorModel>) -> Self {
-        let mut options = LzmaOptions::with_preset(u32::from(config.level));
-        options.dict_size = 1 << 18;
-        GroupEncoder { options }
+impl<'s> GroupEncoder<'s> {
+    /// A new group of scans by `sensor`.
+    pub fn new(sensor: Option<&'s SensorModel>) -> Self {
+        GroupEncoder { sensor, models: Models::new(sensor) }
     }
 
     /// Encodes the next frame.
-    pub fn encode_frame(&mut self, scan: &ScanFile) -> Vec<Section> {
-        let coded = || -> Result<Vec<u8>> {
-            let bytes = scan.to_bytes()?;
-            let mut writer = LzmaWriter::new_use_header(Vec::new(), &self.options, Some(bytes.len() as u64))?;
-            writer.write_all(&bytes)?;
-            Ok(writer.finish()?)
-        };
-        vec![Section { kind: SectionKind::Points, payload: coded().unwrap_or_default() }]
+    ///
+    /// # Errors
+    /// None is known: whatever a scan holds can be coded.
+    pub fn encode_frame(&mut self, scan: &ScanFile) -> Result<Vec<Section>> {
+        let mut frame = Frame::from_scan(scan, self.sensor);
+        let mut writer = SectionWriter::new();
+        self.models.code_frame(&mut writer, self.sensor, &mut frame)?;
+        Ok(writer.sections)
     }
 }
 
-/// Decodes the frames of a group, in order.
-pub struct GroupDecoder {
+/// Decodes the frames of one group.
+pub struct GroupDecoder<'s> {
+    sensor: Option<&'s SensorModel>,
     limits: Limits,
+    models: Models,
 }
 
-impl GroupDecoder {
-    /// A decoder at the start of a group.
-    pub fn new(_sensor: Option<&SensorModel>, limits: &Limits) -> Self {
-        GroupDecoder { limits: *limits }
+impl<'s> GroupDecoder<'s> {
+    /// A new group of scans by `sensor`.
+    pub fn new(sensor: Option<&'s SensorModel>, limits: &Limits) -> Self {
+        GroupDecoder { sensor, limits: *limits, models: Models::new(sensor) }
     }
 
     /// Decodes the next frame.
     ///
     /// # Errors
-    /// If the sections are damaged.
+    /// If the sections do not make a frame, or one over the limits.
     pub fn decode_frame(&mut self, name: &str, sections: &[Section]) -> Result<ScanFile> {
-        let [section] = sections else {
-            return Err(Error::corrupt(format!("{} sections", sections.len())));
-        };
-        let mut bytes = Vec::new();
-        LzmaReader::new_mem_limit(&section.payload[..], 1 << 16, None)
-            .map_err(|e| Error::corrupt(e.to_string()))?
-            .take(self.limits.file_bytes)
-            .read_to_end(&mut bytes)
-            .map_err(|e| Error::corrupt(e.to_string()))?;
-        Ok(parse(name, bytes))
+        let mut reader = SectionReader::new(sections, &self.limits);
+        let mut frame = Frame::default();
+        let returns = self.models.code_frame(&mut reader, self.sensor, &mut frame)?;
+        reader.finish()?;
+        frame.into_scan(name, &returns)
     }
 }

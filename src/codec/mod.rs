@@ -9,7 +9,9 @@ pub mod decoder;
 pub mod encoder;
 pub mod group;
 
+mod frame;
 mod ordered;
+mod syntax;
 
 pub use config::{DecodeOptions, EncoderConfig, FrameRange, Mode};
 pub use decoder::{DecodedFrame, decode, decode_indexed};
