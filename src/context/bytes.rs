@@ -2,35 +2,20 @@
 //! files that are no scans. Each bit mixed from counters in the contexts of the bytes before it
 //! and of the same place in the record before.
 
-use crate::entropy::{BitCoder, Counter, Logistic, Mixer};
+use crate::entropy::{BitCoder, MixedBits};
 
 const VIEWS: usize = 5;
 const OPINIONS: usize = VIEWS + 1;
 /// Counters of each view: contexts share them by hashing.
 const SLOT_BITS: u32 = 14;
 
+/// The opinion that is always the same.
+const CONSTANT: f32 = 0.2;
+
 /// What the coder has learned about bytes.
 #[derive(Default)]
 pub struct ByteModel {
-    learned: Option<Learned>,
-}
-
-struct Learned {
-    counters: Vec<Vec<Counter>>,
-    mixer: Mixer<OPINIONS>,
-    tables: &'static Logistic,
-}
-
-impl Learned {
-    fn new() -> Self {
-        let mut start = [0.3; OPINIONS];
-        start[VIEWS] = 0.0;
-        Learned {
-            counters: vec![vec![Counter::default(); 256 << SLOT_BITS]; VIEWS],
-            mixer: Mixer::new(256, start, 0.004),
-            tables: Logistic::tables(),
-        }
-    }
+    bits: Option<MixedBits<VIEWS, OPINIONS>>,
 }
 
 impl ByteModel {
@@ -40,7 +25,11 @@ impl ByteModel {
         if bytes.is_empty() {
             return;
         }
-        let learned = self.learned.get_or_insert_with(Learned::new);
+        let bits = self.bits.get_or_insert_with(|| {
+            let mut start = [0.3; OPINIONS];
+            start[VIEWS] = 0.0;
+            MixedBits::new([256 << SLOT_BITS; VIEWS], 256, start, 0.004)
+        });
         for index in 0..bytes.len() {
             let back = |distance: usize| index.checked_sub(distance).map_or(0, |i| usize::from(bytes[i]));
             // One context for each place of a short record; long ones and plain bytes share.
@@ -52,30 +41,26 @@ impl ByteModel {
                 (place << 8 | back(1)) << 8 | if stride > 1 { back(stride) } else { back(2) },
                 (back(1) << 16 | back(2) << 8 | back(3)) ^ place << 24,
             ];
-            bytes[index] = learned.code_byte(coder, views, bytes[index]);
+            bytes[index] = code_byte(coder, bits, views, bytes[index]);
         }
     }
 }
 
-impl Learned {
-    fn code_byte<C: BitCoder>(&mut self, coder: &mut C, views: [usize; VIEWS], byte: u8) -> u8 {
-        let slots = views.map(|view| slot(view) << 8);
-        let mut node = 1usize;
-        for i in (0..8).rev() {
-            let mut opinions = [0.2; OPINIONS];
-            for view in 0..VIEWS {
-                opinions[view] = self.tables.opinion(self.counters[view][slots[view] + node]);
-            }
-            let p = self.tables.squash(self.mixer.mix(node, &opinions));
-            let bit = coder.code(byte >> i & 1 == 1, p);
-            self.mixer.learn(node, &opinions, p, bit);
-            for view in 0..VIEWS {
-                self.counters[view][slots[view] + node].learn(bit);
-            }
-            node = node << 1 | usize::from(bit);
-        }
-        node as u8
+/// Codes one byte from the top bit down.
+fn code_byte<C: BitCoder>(
+    coder: &mut C,
+    bits: &mut MixedBits<VIEWS, OPINIONS>,
+    views: [usize; VIEWS],
+    byte: u8,
+) -> u8 {
+    let slots = views.map(|view| slot(view) << 8);
+    let mut node = 1usize;
+    for i in (0..8).rev() {
+        let places = slots.map(|slot| slot + node);
+        let bit = bits.code(coder, node, &places, [CONSTANT; OPINIONS], byte >> i & 1 == 1);
+        node = node << 1 | usize::from(bit);
     }
+    node as u8
 }
 
 /// The place of a context among the slots.

@@ -3,7 +3,7 @@
 
 use super::least_squares::LeastSquares;
 use super::quantise::Levels;
-use crate::entropy::{AdaptiveBit, BitCoder, Counter, IntegerModel, Logistic, Mixer};
+use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel, MixedBits};
 use crate::varint::{unzigzag, zigzag};
 
 /// How many levels make 1.0, in the files of known scanners: hundredths (KITTI), 256ths
@@ -76,8 +76,10 @@ pub struct IntensityNeighbours {
     pub above2: u16,
 }
 
-const VIEWS: usize = 7;
+const VIEWS: usize = 5;
 const OPINIONS: usize = VIEWS + 1;
+/// The opinion that is always the same.
+const CONSTANT: f32 = 0.2;
 /// Counters of each view: contexts share them by hashing.
 const SLOT_BITS: u32 = 12;
 const FEATURES: usize = 6;
@@ -91,9 +93,7 @@ const TYPICAL_LEVEL: u16 = 20;
 /// What the coder has learned about intensities.
 pub struct IntensityModel {
     fits: Vec<LeastSquares<FEATURES>>,
-    counters: [Vec<Counter>; VIEWS],
-    mixer: Mixer<OPINIONS>,
-    tables: &'static Logistic,
+    bits: MixedBits<VIEWS, OPINIONS>,
     levels: Levels<7>,
     exception: AdaptiveBit,
     off_grid: IntegerModel,
@@ -110,9 +110,12 @@ impl IntensityModel {
         start[VIEWS] = 0.0;
         IntensityModel {
             fits: vec![LeastSquares::new(0.9995); 2],
-            counters: std::array::from_fn(|_| Vec::new()),
-            mixer: Mixer::new(MOST_BITS as usize * ERROR_LEVELS * GRADIENT_LEVELS, start, 0.003),
-            tables: Logistic::tables(),
+            bits: MixedBits::new(
+                [0; VIEWS],
+                MOST_BITS as usize * ERROR_LEVELS * GRADIENT_LEVELS,
+                start,
+                0.003,
+            ),
             levels: Levels::new(1.0, 1.8),
             exception: AdaptiveBit::default(),
             off_grid: IntegerModel::default(),
@@ -128,9 +131,8 @@ impl IntensityModel {
         self.above.clear();
         self.above.resize(columns, 4.0);
         // A context has a counter for each place in the tree of a level's bits.
-        let counters = 1 << (SLOT_BITS + scale.bits);
-        if scale.per_unit > 0 && self.counters[0].len() < counters {
-            self.counters.iter_mut().for_each(|view| view.resize(counters, Counter::default()));
+        if scale.per_unit > 0 {
+            self.bits.grow(1 << (SLOT_BITS + scale.bits));
         }
     }
 
@@ -179,17 +181,9 @@ impl IntensityModel {
         let slots = site.views.map(|view| slot(view) << scale.bits);
         let mut node = 1usize;
         for i in (0..scale.bits).rev() {
-            let mut opinions = [0.2; OPINIONS];
-            for view in 0..VIEWS {
-                opinions[view] = self.tables.opinion(self.counters[view][slots[view] + node]);
-            }
             let set = i as usize * ERROR_LEVELS * GRADIENT_LEVELS + site.mixer_set;
-            let p = self.tables.squash(self.mixer.mix(set, &opinions));
-            let bit = coder.code(level >> i & 1 == 1, p);
-            self.mixer.learn(set, &opinions, p, bit);
-            for view in 0..VIEWS {
-                self.counters[view][slots[view] + node].learn(bit);
-            }
+            let places = slots.map(|slot| slot + node);
+            let bit = self.bits.code(coder, set, &places, [CONSTANT; OPINIONS], level >> i & 1 == 1);
             node = node << 1 | usize::from(bit);
         }
         let level = node as u32 - (1 << scale.bits);
@@ -220,20 +214,17 @@ impl IntensityModel {
         let gradient = apart(west, north) + apart(west, west2) + apart(north, north_east);
         let error_level = self.levels.of(self.mean + 0.5 * error_above);
         let gradient_level = self.levels.of(gradient);
-        let [w, ww, n] = [west, west2, north].map(usize::from);
+        let [w, ww] = [west, west2].map(usize::from);
         let row = row.min(ROW_CONTEXTS - 1);
         // In steps of 1.6 levels.
         let coarse = (prediction * 0.625) as usize;
         let mixer_set = error_level * GRADIENT_LEVELS + gradient_level;
-        let steepness = (gradient as usize / 8).min(3);
         Site {
             views: [
                 (w / 2) << 8 | ww / 2,
                 w << 8 | ww,
                 row << 8 | coarse,
                 row << 8 | w,
-                w << 8 | n,
-                (row << 8 | (w + ww) / 2) << 2 | steepness,
                 coarse << 6 | mixer_set,
             ],
             mixer_set,

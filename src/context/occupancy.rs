@@ -1,30 +1,26 @@
 //! Which cells of the range image hold a return.
 
-use crate::entropy::{BitCoder, Counter, Logistic, Mixer};
+use crate::entropy::{BitCoder, MixedBits};
 use crate::grid::Grid;
 
 const VIEWS: usize = 4;
 const OPINIONS: usize = VIEWS + 1;
+/// The opinion that is always the same.
+const CONSTANT: f32 = 0.3;
 const VIEW_SIZES: [usize; VIEWS] = [1 << 10, 128 * 16, 1 << 12, 1 << 10];
 /// Beams beyond this many share their contexts.
 const ROW_CONTEXTS: usize = 128;
 
 /// What the coder has learned about occupancy.
 pub struct OccupancyModel {
-    counters: [Vec<Counter>; VIEWS],
-    mixer: Mixer<OPINIONS>,
-    tables: &'static Logistic,
+    filled: MixedBits<VIEWS, OPINIONS>,
 }
 
 impl Default for OccupancyModel {
     fn default() -> Self {
         let mut start = [0.4; OPINIONS];
         start[VIEWS] = 0.0;
-        OccupancyModel {
-            counters: VIEW_SIZES.map(|size| vec![Counter::default(); size]),
-            mixer: Mixer::new(64, start, 0.003),
-            tables: Logistic::tables(),
-        }
+        OccupancyModel { filled: MixedBits::new(VIEW_SIZES, 64, start, 0.003) }
     }
 }
 
@@ -63,17 +59,9 @@ impl OccupancyModel {
                     (empty_above[column] as usize >> 2) * 16 + near,
                 ];
                 let set = near | (at(2, 0) << 4) | (at(0, -2) << 5);
-                let mut opinions = [0.3; OPINIONS];
-                for i in 0..VIEWS {
-                    opinions[i] = self.tables.opinion(self.counters[i][views[i]]);
-                }
                 let west = at(0, -1) == 1;
-                let p = self.tables.squash(self.mixer.mix(set, &opinions));
-                let filled = coder.code(occupancy[(row, column)], p);
-                self.mixer.learn(set, &opinions, p, filled);
-                for i in 0..VIEWS {
-                    self.counters[i][views[i]].learn(filled);
-                }
+                let filled =
+                    self.filled.code(coder, set, &views, [CONSTANT; OPINIONS], occupancy[(row, column)]);
                 occupancy[(row, column)] = filled;
                 empty_above[column] = empty_above[column] >> 1 | u32::from(!filled) << 7;
                 run = if filled == west { run + 1 } else { 0 };

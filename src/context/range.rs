@@ -8,7 +8,7 @@
 use super::least_squares::LeastSquares;
 use super::quantise::{Levels, signed_level};
 use super::shape::{ErrorShape, Placed};
-use crate::entropy::{BitCoder, Counter, Logistic, Mixer};
+use crate::entropy::{BitCoder, Logistic, MixedBits};
 use crate::grid::Grid;
 
 /// Features of the least-squares predictors.
@@ -45,6 +45,8 @@ const CORRECTED_HALVINGS: usize = 2;
 /// constant.
 const VIEWS: usize = 6;
 const OPINIONS: usize = VIEWS + 2;
+/// The opinion that is always the same.
+const CONSTANT: f32 = 0.3;
 /// Number of contexts of each view.
 const VIEW_SIZES: [usize; VIEWS] = [CONTEXTS, 1024, 8 * ROW_CONTEXTS, 1024, 8 * 128, 8 * 64 * 4];
 /// Beams beyond this many share their contexts.
@@ -57,8 +59,7 @@ pub struct RangeModel {
     beam_fits: Vec<LeastSquares<FEATURES>>,
     weights: Vec<[f64; PREDICTORS]>,
     scales: Vec<[f64; PREDICTORS]>,
-    counters: [Vec<Counter>; VIEWS],
-    mixer: Mixer<OPINIONS>,
+    bits: MixedBits<VIEWS, OPINIONS>,
     tables: &'static Logistic,
     error_levels: Levels<{ ERROR_LEVELS - 1 }>,
 }
@@ -77,15 +78,14 @@ impl RangeModel {
             scales
         };
         let mut start = [0.0; OPINIONS];
-        start[0] = 1.0;
+        start[VIEWS] = 1.0;
         RangeModel {
             shape: ErrorShape::new(),
             fast_fits: vec![LeastSquares::new(0.998); EDGES],
             beam_fits: vec![LeastSquares::new(0.9998); EDGES * rows.max(1)],
             weights: vec![[1.0 / PREDICTORS as f64; PREDICTORS]; CONTEXTS],
             scales: (0..CONTEXTS).map(scales).collect(),
-            counters: VIEW_SIZES.map(|size| vec![Counter::default(); size * NODES]),
-            mixer: Mixer::new(NODES * ERROR_LEVELS, start, 0.004),
+            bits: MixedBits::new(VIEW_SIZES.map(|size| size * NODES), NODES * ERROR_LEVELS, start, 0.004),
             tables: Logistic::tables(),
             error_levels,
         }
@@ -264,20 +264,10 @@ impl RangeModel {
         odds: f32,
         bit: bool,
     ) -> bool {
-        let mut opinions = [0.0; OPINIONS];
-        opinions[0] = odds;
-        opinions[1] = 0.3;
-        for ((opinion, counters), view) in opinions[2..].iter_mut().zip(&self.counters).zip(views) {
-            *opinion = self.tables.opinion(counters[view * NODES + node]);
-        }
+        let mut opinions = [CONSTANT; OPINIONS];
+        opinions[VIEWS] = odds;
         let set = node * ERROR_LEVELS + site.error_level;
-        let p = self.tables.squash(self.mixer.mix(set, &opinions));
-        let bit = coder.code(bit, p);
-        self.mixer.learn(set, &opinions, p, bit);
-        for (counters, view) in self.counters.iter_mut().zip(views) {
-            counters[view * NODES + node].learn(bit);
-        }
-        bit
+        self.bits.code(coder, set, &views.map(|view| view * NODES + node), opinions, bit)
     }
 
     /// The mixture's probability that the range is below `range`.

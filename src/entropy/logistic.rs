@@ -3,16 +3,18 @@
 
 use std::sync::LazyLock;
 
-/// Log odds beyond this are cut.
-const LARGEST: f32 = 12.0;
-const SQUASH_STEPS: usize = 4096;
+use super::BitCoder;
+
+/// Steps of the table for each unit of log odds: fine enough that none is worth a thousandth of a bit.
+const SQUASH_FINENESS: f32 = 256.0;
+const SQUASH_STEPS: usize = 8192;
 const STRETCH_STEPS: usize = 4096;
 const LN_STEPS: usize = 1024;
 
 /// The functions of logistic mixing, as tables.
 pub struct Logistic {
-    /// Probabilities of log odds from -LARGEST to LARGEST, in 1/65536.
-    squash: [f32; SQUASH_STEPS + 2],
+    /// Probabilities of log odds from -16 to 16, in 1/65536.
+    squash: [u16; SQUASH_STEPS],
     /// Log odds of the middles of equal steps of probability.
     stretch: [f32; STRETCH_STEPS],
     /// ln of 1 to 2.
@@ -31,8 +33,8 @@ impl Logistic {
 
     fn new() -> Self {
         let squash = |i: usize| {
-            let odds = (i as f64 / SQUASH_STEPS as f64 * 2.0 - 1.0) * f64::from(LARGEST);
-            (65536.0 / (1.0 + libm::exp(-odds))) as f32
+            let odds = (i as f64 + 0.5 - SQUASH_STEPS as f64 / 2.0) / f64::from(SQUASH_FINENESS);
+            (65536.0 / (1.0 + libm::exp(-odds))).clamp(1.0, 65535.0) as u16
         };
         let stretch = |i: usize| {
             let p = (i as f64 + 0.5) / STRETCH_STEPS as f64;
@@ -49,10 +51,8 @@ impl Logistic {
     /// The probability, in 1/65536 (1 to 65535), of log odds.
     #[inline]
     pub fn squash(&self, odds: f32) -> u32 {
-        let place = (odds.clamp(-LARGEST, LARGEST) + LARGEST) * (SQUASH_STEPS as f32 / (2.0 * LARGEST));
-        let index = (place as usize).min(SQUASH_STEPS);
-        let (a, b) = (self.squash[index], self.squash[index + 1]);
-        ((a + (b - a) * (place - index as f32)) as u32).clamp(1, 65535)
+        let place = (odds * SQUASH_FINENESS) as i32 + (SQUASH_STEPS / 2) as i32;
+        u32::from(self.squash[place.clamp(0, SQUASH_STEPS as i32 - 1) as usize])
     }
 
     /// ln of a positive, normal number; the same bits on every platform, good to about 1e-7.
@@ -113,12 +113,16 @@ impl Counter {
     }
 }
 
-/// Weighs `N` opinions, with a set of weights for each context.
-pub struct Mixer<const N: usize> {
+/// Codes bits by the opinions of counters in `V` views, and others, `N` in all, weighed with a set of weights for
+/// each of some contexts.
+pub struct MixedBits<const V: usize, const N: usize> {
+    counters: [Vec<Counter>; V],
     weights: Vec<[f32; N]>,
-    /// How many bits each set has learned from, up to where its rate stops falling.
-    seen: Vec<f32>,
-    rate: f32,
+    /// How many bits each set has learned from.
+    seen: Vec<u16>,
+    /// The rate of learning after that many bits.
+    rates: Vec<f32>,
+    tables: &'static Logistic,
 }
 
 /// The rate of learning starts this many times as high as it ends.
@@ -126,34 +130,59 @@ const EARLY_RATE: f32 = 4.0;
 /// How many bits a set of weights takes to halve that.
 const EARLY_BITS: f32 = 200.0;
 
-impl<const N: usize> Mixer<N> {
-    /// A mixer of `contexts` sets of weights that start at `start` and learn at `rate`.
-    pub fn new(contexts: usize, start: [f32; N], rate: f32) -> Self {
-        Mixer { weights: vec![start; contexts], seen: vec![0.0; contexts], rate }
+impl<const V: usize, const N: usize> MixedBits<V, N> {
+    /// Counters for `places` of each view; `sets` sets of weights that start at `start` and come to
+    /// learn at `rate`.
+    pub fn new(places: [usize; V], sets: usize, start: [f32; N], rate: f32) -> Self {
+        let early = |seen: u16| EARLY_RATE * EARLY_BITS / (EARLY_BITS + f32::from(seen));
+        let last = (EARLY_BITS * (EARLY_RATE - 1.0)) as u16;
+        MixedBits {
+            counters: places.map(|places| vec![Counter::default(); places]),
+            weights: vec![start; sets],
+            seen: vec![0; sets],
+            rates: (0..=last).map(|seen| rate * early(seen) / 65536.0).collect(),
+            tables: Logistic::tables(),
+        }
     }
 
-    /// The log odds that the opinions make together.
+    /// Makes room for more places in each view.
+    pub fn grow(&mut self, places: usize) {
+        for view in self.counters.iter_mut().filter(|view| view.len() < places) {
+            view.resize(places, Counter::default());
+        }
+    }
+
+    /// Codes a bit. `places` says which counter of each view has a say; theirs are the first
+    /// opinions, the caller's are those behind.
     #[inline]
-    pub fn mix(&self, context: usize, opinions: &[f32; N]) -> f32 {
-        let weights = &self.weights[context];
-        let mut sum = [0.0f32; 4];
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        set: usize,
+        places: &[usize; V],
+        mut opinions: [f32; N],
+        bit: bool,
+    ) -> bool {
+        for (opinion, (view, place)) in opinions.iter_mut().zip(self.counters.iter().zip(places)) {
+            *opinion = self.tables.opinion(view[*place]);
+        }
+        let weights = &mut self.weights[set];
+        let mut sums = [0.0f32; 4];
         for i in 0..N {
-            sum[i % 4] += weights[i] * opinions[i];
+            sums[i % 4] += weights[i] * opinions[i];
         }
-        (sum[0] + sum[1]) + (sum[2] + sum[3])
-    }
-
-    /// Learns a bit for which `p` (in 1/65536) was the probability of a 1.
-    #[inline]
-    pub fn learn(&mut self, context: usize, opinions: &[f32; N], p: u32, bit: bool) {
-        let seen = &mut self.seen[context];
-        let early = EARLY_RATE * EARLY_BITS / (EARLY_BITS + *seen);
-        *seen += 1.0;
-        let target = if bit { 65536.0 } else { 0.0 };
-        let pull = (target - p as f32) * (1.0 / 65536.0) * self.rate * early.max(1.0);
-        for (weight, opinion) in self.weights[context].iter_mut().zip(opinions) {
-            *weight += pull * opinion;
+        let p = self.tables.squash((sums[0] + sums[1]) + (sums[2] + sums[3]));
+        let bit = coder.code(bit, p);
+        let seen = &mut self.seen[set];
+        let pull = ((i32::from(bit) << 16) - p as i32) as f32 * self.rates[usize::from(*seen)];
+        *seen += u16::from(usize::from(*seen) + 1 < self.rates.len());
+        for i in 0..N {
+            weights[i] += pull * opinions[i];
         }
+        for (view, place) in self.counters.iter_mut().zip(places) {
+            view[*place].learn(bit);
+        }
+        bit
     }
 }
 
