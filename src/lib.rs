@@ -9,6 +9,7 @@
 
 pub mod error;
 pub mod grid;
+mod rounding;
 pub mod scan;
 pub mod varint;
 

@@ -2,6 +2,7 @@
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::range_image::Return;
+use crate::rounding::round_ties_even;
 use crate::sensor::{Coordinates, SensorModel};
 use crate::varint::{unzigzag, zigzag};
 
@@ -57,7 +58,7 @@ impl CorrectionModel {
 
     /// A correction on a grid far coarser than the formula's errors: 0 but near a border.
     fn code_rounding<C: BitCoder>(&mut self, coder: &mut C, axis: usize, units: f64, correction: i64) -> i64 {
-        let offset = units - units.round_ties_even();
+        let offset = units - round_ties_even(units);
         let level = BORDER_DISTANCES.iter().filter(|&&d| 0.5 - offset.abs() >= d).count();
         let any = &mut self.any[level * 3 + axis];
         if !any.code(coder, correction != 0) {

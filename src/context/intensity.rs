@@ -27,9 +27,14 @@ impl IntensityScale {
     /// Finds the grid of a frame's intensities.
     pub fn of(intensity: &[f32]) -> Self {
         let off_grid = |per_unit: u32| intensity.iter().filter(|v| level_of(**v, per_unit).is_none()).count();
-        let misses = SCALES.map(off_grid);
-        let (per_unit, misses) =
-            SCALES.into_iter().zip(misses).min_by_key(|&(_, misses)| misses).unwrap_or((0, 0));
+        let mut best = (usize::MAX, 0);
+        for per_unit in SCALES {
+            best = best.min((off_grid(per_unit), per_unit));
+            if best.0 == 0 {
+                break;
+            }
+        }
+        let (misses, per_unit) = best;
         if misses * 20 > intensity.len() {
             return IntensityScale::default();
         }
@@ -54,10 +59,12 @@ impl IntensityScale {
 
 /// The level of a value, if it is that of a level exactly.
 fn level_of(value: f32, per_unit: u32) -> Option<u32> {
-    let level = (f64::from(value) * f64::from(per_unit)).round();
-    let on_grid = level >= 0.0 && level < f64::from(1u32 << MOST_BITS);
-    (on_grid && per_unit > 0 && value_of(level as u32, per_unit).to_bits() == value.to_bits())
-        .then_some(level as u32)
+    let level = f64::from(value) * f64::from(per_unit) + 0.5;
+    if !(level >= 0.0 && level < f64::from(1u32 << MOST_BITS)) || per_unit == 0 {
+        return None;
+    }
+    let level = level as u32;
+    (value_of(level, per_unit).to_bits() == value.to_bits()).then_some(level)
 }
 
 /// The value at a level.
@@ -187,7 +194,7 @@ impl IntensityModel {
             node = node << 1 | usize::from(bit);
         }
         let level = node as u32 - (1 << scale.bits);
-        self.learn(&site, column, f64::from((level >> scale.bits.saturating_sub(7)).min(127) + 1));
+        self.learn(&site, column, f32::from((level >> scale.bits.saturating_sub(7)).min(127) as u16 + 1));
         level
     }
 
@@ -199,7 +206,7 @@ impl IntensityModel {
         let west4 = or(near.left[3], or(near.left[2], west2));
         let north = or(n, or(ne, or(nw, west)));
         let north_east = or(ne, north);
-        let difference = |level: u16| f64::from(level) - f64::from(west);
+        let difference = |level: u16| f32::from(level) - f32::from(west);
         let features = [
             difference(west2),
             difference(north),
@@ -209,7 +216,7 @@ impl IntensityModel {
             difference(or(west4, or(nee, north_east))),
         ];
         let fit = usize::from(near.above[2] > 0);
-        let prediction = (f64::from(west) + self.fits[fit].predict(&features)).clamp(0.0, 127.0);
+        let prediction = (f32::from(west) + self.fits[fit].predict(&features)).clamp(0.0, 127.0);
         let apart = |a: u16, b: u16| f32::from(a.abs_diff(b));
         let gradient = apart(west, north) + apart(west, west2) + apart(north, north_east);
         let error_level = self.levels.of(self.mean + 0.5 * error_above);
@@ -230,15 +237,15 @@ impl IntensityModel {
             mixer_set,
             features,
             fit,
-            west: f64::from(west),
+            west: f32::from(west),
             prediction,
         }
     }
 
-    fn learn(&mut self, site: &Site, column: usize, level: f64) {
+    fn learn(&mut self, site: &Site, column: usize, level: f32) {
         let error = level - site.prediction;
         self.fits[site.fit].learn(&site.features, level - site.west, 1.0 / (9.0 + error * error));
-        let magnitude = error.abs() as f32;
+        let magnitude = error.abs();
         self.mean = 0.6 * self.mean + 0.4 * magnitude;
         self.above[column] = 0.5 * self.above[column] + 0.5 * magnitude;
     }
@@ -248,10 +255,10 @@ impl IntensityModel {
 struct Site {
     views: [usize; VIEWS],
     mixer_set: usize,
-    features: [f64; FEATURES],
+    features: [f32; FEATURES],
     fit: usize,
-    west: f64,
-    prediction: f64,
+    west: f32,
+    prediction: f32,
 }
 
 /// The place of a context among the slots.

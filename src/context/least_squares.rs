@@ -5,33 +5,33 @@
 #[derive(Clone, Debug)]
 pub struct LeastSquares<const N: usize> {
     /// Lower triangle of the normal matrix.
-    normal: [[f64; N]; N],
-    right: [f64; N],
-    weights: [f64; N],
-    forget: f64,
+    normal: [[f32; N]; N],
+    right: [f32; N],
+    weights: [f32; N],
+    forget: f32,
     samples: u32,
 }
 
 /// Samples from one solution to the next.
-const SOLVE_EVERY: u32 = 16;
+const SOLVE_EVERY: u32 = 32;
 /// Added to the diagonal: keeps the weights of features that have not been seen near zero.
-const RIDGE: f64 = 0.05;
+const RIDGE: f32 = 0.05;
 
 impl<const N: usize> LeastSquares<N> {
     /// Starts with all weights 0. Each sample makes the earlier ones count `forget` as much.
-    pub fn new(forget: f64) -> Self {
+    pub fn new(forget: f32) -> Self {
         LeastSquares { normal: [[0.0; N]; N], right: [0.0; N], weights: [0.0; N], forget, samples: 0 }
     }
 
     /// The prediction for these features.
     #[inline]
-    pub fn predict(&self, features: &[f64; N]) -> f64 {
+    pub fn predict(&self, features: &[f32; N]) -> f32 {
         self.weights.iter().zip(features).map(|(w, f)| w * f).sum()
     }
 
     /// Learns that `target` went with these features; `weight` says how much it counts.
     #[inline]
-    pub fn learn(&mut self, features: &[f64; N], target: f64, weight: f64) {
+    pub fn learn(&mut self, features: &[f32; N], target: f32, weight: f32) {
         for i in 0..N {
             let weighted = weight * features[i];
             for j in 0..=i {
@@ -58,7 +58,7 @@ impl<const N: usize> LeastSquares<N> {
                 }
                 if i > j {
                     lower[i][j] = sum * inverse[j];
-                } else if sum + RIDGE > 1e-9 {
+                } else if sum + RIDGE > 1e-6 {
                     lower[i][i] = (sum + RIDGE).sqrt();
                     inverse[i] = 1.0 / lower[i][i];
                 } else {
@@ -68,11 +68,11 @@ impl<const N: usize> LeastSquares<N> {
         }
         let mut forward = [0.0; N];
         for i in 0..N {
-            let known: f64 = (0..i).map(|k| lower[i][k] * forward[k]).sum();
+            let known: f32 = (0..i).map(|k| lower[i][k] * forward[k]).sum();
             forward[i] = (self.right[i] - known) * inverse[i];
         }
         for i in (0..N).rev() {
-            let known: f64 = (i + 1..N).map(|k| lower[k][i] * self.weights[k]).sum();
+            let known: f32 = (i + 1..N).map(|k| lower[k][i] * self.weights[k]).sum();
             self.weights[i] = (forward[i] - known) * inverse[i];
         }
     }
@@ -85,8 +85,8 @@ mod tests {
     #[test]
     fn a_linear_law_is_found() {
         let mut model = LeastSquares::<3>::new(0.999);
-        for i in 0..400u32 {
-            let features = [f64::from(i % 7), f64::from(i % 5) - 2.0, f64::from(i % 3)];
+        for i in 0..400u16 {
+            let features = [f32::from(i % 7), f32::from(i % 5) - 2.0, f32::from(i % 3)];
             model.learn(&features, 2.0 * features[0] - features[1] + 0.5 * features[2], 1.0);
         }
         assert!((model.predict(&[1.0, 1.0, 2.0]) - 2.0).abs() < 0.01);

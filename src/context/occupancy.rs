@@ -3,6 +3,8 @@
 use crate::entropy::{BitCoder, MixedBits};
 use crate::grid::Grid;
 
+/// Cells beyond either side that the contexts look at.
+const MARGIN: usize = 4;
 const VIEWS: usize = 4;
 const OPINIONS: usize = VIEWS + 1;
 /// The opinion that is always the same.
@@ -30,41 +32,33 @@ impl OccupancyModel {
         let width = occupancy.columns();
         // Empty cells in each column so far, halved with every row: how long ago and how many.
         let mut empty_above = vec![0u32; width];
+        // The current row and the three above. Outside counts as filled: most cells are.
+        let mut window = std::array::from_fn::<_, 4, _>(|_| vec![1usize; width + 2 * MARGIN]);
         for row in 0..occupancy.rows() {
+            window.rotate_right(1);
+            let [current, above, above2, above3] = &mut window;
             let mut run = 0usize;
             for column in 0..width {
-                let cells = &*occupancy;
-                let at = |rows_up: usize, offset: isize| {
-                    let cell = (row.checked_sub(rows_up), column.checked_add_signed(offset));
-                    match cell {
-                        (Some(row), Some(column)) if column < width => usize::from(cells[(row, column)]),
-                        // Outside counts as a return: most cells are.
-                        _ => 1,
-                    }
-                };
-                let near = at(0, -1) | at(1, 0) << 1 | at(1, -1) << 2 | at(1, 1) << 3;
-                let left = at(0, -2) | at(0, -3) << 1;
-                let above = at(2, 0) | at(1, 2) << 1 | at(1, -2) << 2 | at(2, 1) << 3;
+                let w: [usize; 3] = std::array::from_fn(|i| current[column + MARGIN - 1 - i]);
+                let n: [usize; 7] = std::array::from_fn(|i| above[column + MARGIN - 2 + i]);
+                let n2: [usize; 3] = std::array::from_fn(|i| above2[column + MARGIN + i]);
+                let n3 = above3[column + MARGIN];
+                let near = w[0] | n[2] << 1 | n[1] << 2 | n[3] << 3;
                 let run_level = run.min(255).checked_ilog2().map_or(0, |r| r as usize + 1);
                 let views = [
-                    near | left << 4 | above << 6,
+                    near | w[1] << 4 | w[2] << 5 | n2[0] << 6 | n[4] << 7 | n[0] << 8 | n2[1] << 9,
                     row.min(ROW_CONTEXTS - 1) * 16 + near,
-                    (run_level.min(7) * 8 + (at(1, 0) | at(1, 1) << 1 | at(1, 2) << 2)) * 64
-                        + (at(1, 3)
-                            | at(1, 4) << 1
-                            | at(2, 0) << 2
-                            | at(2, 2) << 3
-                            | at(0, -1) << 4
-                            | at(3, 0) << 5),
+                    (run_level.min(7) * 8 + (n[2] | n[3] << 1 | n[4] << 2)) * 64
+                        + (n[5] | n[6] << 1 | n2[0] << 2 | n2[2] << 3 | w[0] << 4 | n3 << 5),
                     (empty_above[column] as usize >> 2) * 16 + near,
                 ];
-                let set = near | (at(2, 0) << 4) | (at(0, -2) << 5);
-                let west = at(0, -1) == 1;
+                let set = near | n2[0] << 4 | w[1] << 5;
                 let filled =
                     self.filled.code(coder, set, &views, [CONSTANT; OPINIONS], occupancy[(row, column)]);
                 occupancy[(row, column)] = filled;
+                current[column + MARGIN] = usize::from(filled);
                 empty_above[column] = empty_above[column] >> 1 | u32::from(!filled) << 7;
-                run = if filled == west { run + 1 } else { 0 };
+                run = if usize::from(filled) == w[0] { run + 1 } else { 0 };
             }
         }
     }

@@ -74,15 +74,15 @@ impl PointModel {
         let distance = |p: &[f64; 3]| (p[0] * p[0] + p[1] * p[1]).sqrt();
         let own = distance(&finite(position));
         let at_distance = |p: &[f64; 3]| if distance(p) == 0.0 { p[2] } else { p[2] * own / distance(p) };
-        let farther = (own - distance(west)).clamp(-CONE_REACH, CONE_REACH);
+        let farther = (own - distance(west)).clamp(-CONE_REACH, CONE_REACH) as f32;
         let heights = [
-            west[2] + self.cone.predict(&[farther]),
+            west[2] + f64::from(self.cone.predict(&[farther])),
             at_distance(west),
             at_distance(north) + at_distance(west) - at_distance(north_west),
             2.0 * west[2] - west2[2],
         ];
         position[2] = self.coordinates[2].code(coder, grid, heights, position[2]);
-        let rise = (finite(position)[2] - west[2]).clamp(-CONE_REACH, CONE_REACH);
+        let rise = (finite(position)[2] - west[2]).clamp(-CONE_REACH, CONE_REACH) as f32;
         self.cone.learn(&[farther], rise, 1.0);
         position
     }

@@ -10,15 +10,16 @@ use super::quantise::{Levels, signed_level};
 use super::shape::{ErrorShape, Placed};
 use crate::entropy::{BitCoder, Logistic, MixedBits};
 use crate::grid::Grid;
+use crate::rounding::round_ties_even;
 
 /// Features of the least-squares predictors.
 const FEATURES: usize = 9;
 /// Predictors in the mixture.
-const PREDICTORS: usize = 8;
+const PREDICTORS: usize = 6;
 /// Places of the two least-squares predictors and of the one that stands for surprises.
-const FAST_FIT: usize = 4;
-const BEAM_FIT: usize = 6;
-const SURPRISE: usize = 7;
+const FAST_FIT: usize = 3;
+const BEAM_FIT: usize = 4;
+const SURPRISE: usize = 5;
 /// Levels of the two measures that make a context: activity around, errors around.
 const ACTIVITY_LEVELS: usize = 12;
 const ERROR_LEVELS: usize = 12;
@@ -26,7 +27,7 @@ const CONTEXTS: usize = ACTIVITY_LEVELS * ERROR_LEVELS;
 /// Kinds of edges for which the least-squares fits are kept apart.
 const EDGES: usize = 4;
 /// A difference of ranges, in steps, that counts as an edge.
-const EDGE: f64 = 60.0;
+const EDGE: f32 = 60.0;
 /// Features and predictions are cut to this many steps from the left neighbour.
 const FEATURE_REACH: f64 = 300.0;
 const FIT_REACH: f64 = 400.0;
@@ -43,14 +44,12 @@ const NODES: usize = 64;
 const CORRECTED_HALVINGS: usize = 2;
 /// Contexts in which counters are kept, and the opinions that are mixed: these, the mixture's and a
 /// constant.
-const VIEWS: usize = 6;
+const VIEWS: usize = 4;
 const OPINIONS: usize = VIEWS + 2;
 /// The opinion that is always the same.
 const CONSTANT: f32 = 0.3;
 /// Number of contexts of each view.
-const VIEW_SIZES: [usize; VIEWS] = [CONTEXTS, 1024, 8 * ROW_CONTEXTS, 1024, 8 * 128, 8 * 64 * 4];
-/// Beams beyond this many share their contexts.
-const ROW_CONTEXTS: usize = 128;
+const VIEW_SIZES: [usize; VIEWS] = [1024, 1024, 8 * 128, 8 * 64 * 4];
 
 /// What the coder has learned about ranges.
 pub struct RangeModel {
@@ -102,22 +101,24 @@ impl RangeModel {
     ) {
         let width = occupancy.columns();
         let mut errors = ErrorTrack::new(width);
+        let mut window = Window::new(width);
         for row in 0..occupancy.rows() {
             errors.start_row(row > 0);
-            let mut left = LeftNeighbours::default();
+            window.start_row();
             for column in 0..width {
                 if !occupancy[(row, column)] {
                     errors.skip(column);
                     continue;
                 }
-                let near = Neighbourhood::new(&left, steps, row, column);
+                let near = window.around(column);
                 let site = self.site(&near, row, errors.expected(column));
                 let views = self.views(&site, &near, &errors, intensity, (row, column));
-                let range = self.code_range(coder, &site, &views, f64::from(steps[(row, column)]));
+                let interval = self.code_range(coder, &site, &views, f64::from(steps[(row, column)]));
+                let range = interval.low;
                 steps[(row, column)] = range as u32;
-                self.learn(&site, &near, range);
+                self.learn(&site, &near, &interval);
                 errors.record(column, range - near.west - site.fits[0], range - site.base);
-                left.push(range);
+                window.push(column, range);
             }
         }
     }
@@ -129,21 +130,12 @@ impl RangeModel {
             usize::from(features[0].abs() > EDGE) + 2 * usize::from((features[3] - features[4]).abs() > EDGE);
         let beam = (row * EDGES + edge).min(self.beam_fits.len() - 1);
         let fits = [self.fast_fits[edge].predict(&features), self.beam_fits[beam].predict(&features)]
-            .map(|fit| fit.clamp(-FIT_REACH, FIT_REACH));
-        let Neighbourhood { west, west2, west3, north, north_west, .. } = *near;
-        let predictions = [
-            west,
-            north,
-            2.0 * west - west2,
-            west + north - north_west,
-            west + fits[0],
-            (west + west2 + west3) / 3.0,
-            west + fits[1],
-            west,
-        ];
+            .map(|fit| f64::from(fit).clamp(-FIT_REACH, FIT_REACH));
+        let Neighbourhood { west, west2, north, .. } = *near;
+        let predictions = [west, north, 2.0 * west - west2, west + fits[0], west + fits[1], west];
         let error_level = self.error_levels.of(expected_error);
         let context = near.activity_level() * ERROR_LEVELS + error_level;
-        let base = (west + 0.5 * (fits[0] + fits[1])).round_ties_even().clamp(1.0, RANGE_END - 2.0);
+        let base = round_ties_even(west + 0.5 * (fits[0] + fits[1])).clamp(1.0, RANGE_END - 2.0);
         let scales = &self.scales[context];
         let placed = std::array::from_fn(|k| self.shape.place(predictions[k] + 0.5, 1.0 / scales[k]));
         Site { features, edge, beam, fits, predictions, placed, context, error_level, base }
@@ -165,9 +157,7 @@ impl RangeModel {
         let north = if row > 0 { intensity[(row - 1, column)] } else { 0 };
         let change = intensity_change(own, west) * 8 + intensity_change(own, north);
         [
-            site.context,
             pair(near.west - site.base, near.north - site.base),
-            row.min(ROW_CONTEXTS - 1) * 8 + coarse_error,
             pair(errors.west, errors.north(column)),
             usize::from(own).min(127) * 8 + coarse_error,
             (change * 4 + usize::from(own / 8).min(3)) * 8 + coarse_error,
@@ -182,8 +172,8 @@ impl RangeModel {
         site: &Site,
         views: &[usize; VIEWS],
         range: f64,
-    ) -> f64 {
-        let mut interval = Interval { low: 1.0, high: RANGE_END, below_low: 0.0, below_high: 1.0 };
+    ) -> Interval {
+        let mut interval = Interval::whole();
         let up = self.halve(coder, site, views, &mut interval, site.base, Some(0), range);
 
         let scale = self.scales[site.context][FAST_FIT].min(self.scales[site.context][BEAM_FIT]);
@@ -214,7 +204,7 @@ impl RangeModel {
             self.halve(coder, site, views, &mut interval, middle, node, range);
             halving += 1;
         }
-        interval.low
+        interval
     }
 
     /// Codes whether the range is at `middle` or beyond, and cuts the interval to that side.
@@ -234,8 +224,8 @@ impl RangeModel {
         /// Keeps what the mixture thinks impossible codable.
         const LEAST: f64 = 1e-12;
         let below_middle = self.below(site, middle);
-        let above = (interval.below_high - below_middle).max(LEAST);
-        let below = (below_middle - interval.below_low).max(LEAST);
+        let above = (interval.below_high.mixed - below_middle.mixed).max(LEAST);
+        let below = (below_middle.mixed - interval.below_low.mixed).max(LEAST);
         let bit = range >= middle;
         let bit = match node {
             None => coder.code(bit, ((above / (above + below) * 65536.0) as u32).clamp(1, 65535)),
@@ -270,25 +260,28 @@ impl RangeModel {
         self.bits.code(coder, set, &views.map(|view| view * NODES + node), opinions, bit)
     }
 
-    /// The mixture's probability that the range is below `range`.
+    /// The probability that the range is below `range`.
     #[inline]
-    fn below(&self, site: &Site, range: f64) -> f64 {
-        let parts = self.weights[site.context].iter().zip(&site.placed);
-        let sum: f64 = parts.map(|(weight, placed)| weight * self.shape.below(placed, range)).sum();
-        sum * (1.0 - EVEN_SHARE) + range * (EVEN_SHARE / RANGE_END)
+    fn below(&self, site: &Site, range: f64) -> Below {
+        let weights = &self.weights[site.context];
+        let mut each = [0.0; PREDICTORS];
+        let mut sum = 0.0;
+        for k in 0..PREDICTORS {
+            each[k] = self.shape.below(&site.placed[k], range);
+            sum += weights[k] * each[k];
+        }
+        Below { each, mixed: sum * (1.0 - EVEN_SHARE) + range * (EVEN_SHARE / RANGE_END) }
     }
 
-    /// Moves weights, scales and fits towards the range that has been coded.
-    fn learn(&mut self, site: &Site, near: &Neighbourhood, range: f64) {
+    /// Moves weights, scales and fits towards the range that has been coded, to which the interval
+    /// has shrunk.
+    fn learn(&mut self, site: &Site, near: &Neighbourhood, interval: &Interval) {
+        let range = interval.low;
         let weights = &mut self.weights[site.context];
         let scales = &mut self.scales[site.context];
-        let mut likelihood = [0.0; PREDICTORS];
-        let mut total = 0.0;
-        for k in 0..PREDICTORS {
-            let placed = &site.placed[k];
-            likelihood[k] = self.shape.below(placed, range + 1.0) - self.shape.below(placed, range);
-            total += weights[k] * likelihood[k];
-        }
+        let likelihood: [f64; PREDICTORS] =
+            std::array::from_fn(|k| interval.below_high.each[k] - interval.below_low.each[k]);
+        let total: f64 = weights.iter().zip(&likelihood).map(|(weight, p)| weight * p).sum();
         let mut sum = 0.0;
         for k in 0..PREDICTORS {
             let surprise = k == SURPRISE;
@@ -306,7 +299,7 @@ impl RangeModel {
         let fits = [&mut self.fast_fits[site.edge], &mut self.beam_fits[site.beam]];
         for (fit, prediction) in fits.into_iter().zip(site.fits) {
             let error = range - near.west - prediction;
-            fit.learn(&site.features, target, 1.0 / (25.0 + error * error));
+            fit.learn(&site.features, target as f32, (1.0 / (25.0 + error * error)) as f32);
         }
     }
 }
@@ -336,17 +329,32 @@ fn intensity_change(own: u16, other: u16) -> usize {
     if change < 0 && size > 0 { size + 3 } else { size }
 }
 
-/// What is left of the range axis, and the mixture's probability below its two ends.
+/// What is left of the range axis, and the probability below its two ends.
 struct Interval {
     low: f64,
     high: f64,
-    below_low: f64,
-    below_high: f64,
+    below_low: Below,
+    below_high: Below,
+}
+
+/// Probability that a range is below some value: each predictor's, and the mixture's.
+#[derive(Clone, Copy)]
+struct Below {
+    each: [f64; PREDICTORS],
+    mixed: f64,
+}
+
+impl Interval {
+    /// All ranges.
+    fn whole() -> Self {
+        let below = |p| Below { each: [p; PREDICTORS], mixed: p };
+        Interval { low: 1.0, high: RANGE_END, below_low: below(0.0), below_high: below(1.0) }
+    }
 }
 
 /// A cell to be coded.
 struct Site {
-    features: [f64; FEATURES],
+    features: [f32; FEATURES],
     edge: usize,
     beam: usize,
     /// The least-squares predictions, from the left neighbour.
@@ -359,14 +367,55 @@ struct Site {
     base: f64,
 }
 
-/// The last returns of the row, nearest first; 0 where there is none.
-#[derive(Default)]
-struct LeftNeighbours([f64; 4]);
+/// The ranges coded so far that a cell looks at; 0 where there is no return.
+struct Window {
+    /// The current row and the two above, with margins of empty cells.
+    rows: [Vec<f64>; 3],
+    /// The last returns of the row, nearest first.
+    left: [f64; 4],
+}
 
-impl LeftNeighbours {
-    fn push(&mut self, range: f64) {
-        self.0.rotate_right(1);
-        self.0[0] = range;
+impl Window {
+    /// Empty cells on either side.
+    const MARGIN: usize = 2;
+
+    fn new(width: usize) -> Self {
+        Window { rows: std::array::from_fn(|_| vec![0.0; width + 2 * Self::MARGIN]), left: [0.0; 4] }
+    }
+
+    fn start_row(&mut self) {
+        self.rows.rotate_right(1);
+        self.rows[0].fill(0.0);
+        self.left = [0.0; 4];
+    }
+
+    fn push(&mut self, column: usize, range: f64) {
+        self.rows[0][column + Self::MARGIN] = range;
+        self.left = [range, self.left[0], self.left[1], self.left[2]];
+    }
+
+    #[inline]
+    fn around(&self, column: usize) -> Neighbourhood {
+        let or = |range: f64, other: f64| if range > 0.0 { range } else { other };
+        let &[nww, nw, n, ne, nee] = self.rows[1][column..].first_chunk().unwrap_or(&[0.0; 5]);
+        let west = or(self.left[0], or(n, or(nw, or(ne, TYPICAL_RANGE))));
+        let west2 = or(self.left[1], west);
+        let west3 = or(self.left[2], west2);
+        let north = or(n, or(ne, or(nw, west)));
+        let north_west = or(nw, north);
+        let north_east = or(ne, north);
+        Neighbourhood {
+            west,
+            west2,
+            west3,
+            west4: or(self.left[3], west3),
+            north,
+            north_west,
+            north_west2: or(nww, north_west),
+            north_east,
+            north_east2: or(nee, north_east),
+            north2: or(self.rows[2][column + Self::MARGIN], north),
+        }
     }
 }
 
@@ -388,38 +437,8 @@ struct Neighbourhood {
 const TYPICAL_RANGE: f64 = 3000.0;
 
 impl Neighbourhood {
-    fn new(left: &LeftNeighbours, steps: &Grid<u32>, row: usize, column: usize) -> Self {
-        let at = |rows_up: usize, offset: isize| match (
-            row.checked_sub(rows_up),
-            column.checked_add_signed(offset),
-        ) {
-            (Some(row), Some(column)) if column < steps.columns() => f64::from(steps[(row, column)]),
-            _ => 0.0,
-        };
-        let or = |range: f64, other: f64| if range > 0.0 { range } else { other };
-        let (n, nw, ne) = (at(1, 0), at(1, -1), at(1, 1));
-        let west = or(left.0[0], or(n, or(nw, or(ne, TYPICAL_RANGE))));
-        let west2 = or(left.0[1], west);
-        let west3 = or(left.0[2], west2);
-        let north = or(n, or(ne, or(nw, west)));
-        let north_west = or(nw, north);
-        let north_east = or(ne, north);
-        Neighbourhood {
-            west,
-            west2,
-            west3,
-            west4: or(left.0[3], west3),
-            north,
-            north_west,
-            north_west2: or(at(1, -2), north_west),
-            north_east,
-            north_east2: or(at(1, 2), north_east),
-            north2: or(at(2, 0), north),
-        }
-    }
-
     /// Differences to the left neighbour.
-    fn features(&self) -> [f64; FEATURES] {
+    fn features(&self) -> [f32; FEATURES] {
         [
             self.west2,
             self.west3,
@@ -431,7 +450,7 @@ impl Neighbourhood {
             self.north_west2,
             self.north2,
         ]
-        .map(|range| (range - self.west).clamp(-FEATURE_REACH, FEATURE_REACH))
+        .map(|range| (range - self.west).clamp(-FEATURE_REACH, FEATURE_REACH) as f32)
     }
 
     /// How rough the surroundings are, in octaves.

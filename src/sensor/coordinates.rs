@@ -1,5 +1,7 @@
 //! The grid on which a file's coordinates lie: whole millimetres, or float32 values as they are.
 
+use crate::rounding::round_ties_even;
+
 /// The grid of the coordinates. A *unit* is one step of that grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Coordinates {
@@ -37,7 +39,7 @@ impl Coordinates {
     pub fn unit_of(self, metres: f64) -> i64 {
         match self {
             _ if metres.is_nan() => 0,
-            Coordinates::Millimetre => (metres * 1000.0).clamp(-1e12, 1e12).round_ties_even() as i64,
+            Coordinates::Millimetre => round_ties_even((metres * 1000.0).clamp(-1e12, 1e12)) as i64,
             Coordinates::Float32 => ordered(metres as f32),
         }
     }
