@@ -196,8 +196,13 @@ impl RangeModel {
             bucket += 1;
         }
 
+        let fine = first_bucket(scale);
         let mut halving = 0;
         while interval.high - interval.low > 1.0 {
+            if halving >= CORRECTED_HALVINGS && interval.high - interval.low <= fine {
+                self.halve_evenly(coder, &mut interval, range);
+                continue;
+            }
             let middle = ((interval.low + interval.high) / 2.0).floor();
             let node = 32 + halving * 8 + bucket.min(3) * 2 + usize::from(up);
             let node = (halving < CORRECTED_HALVINGS).then_some(node);
@@ -205,6 +210,19 @@ impl RangeModel {
             halving += 1;
         }
         interval
+    }
+
+    /// Halves an interval so short that the density falls evenly over it: the odds of its halves are
+    /// then the square root of those of the interval and its last sibling.
+    #[inline]
+    fn halve_evenly<C: BitCoder>(&self, coder: &mut C, interval: &mut Interval, range: f64) {
+        interval.odds *= 0.5;
+        let middle = ((interval.low + interval.high) / 2.0).floor();
+        if coder.code(range >= middle, self.tables.squash(interval.odds)) {
+            interval.low = middle;
+        } else {
+            interval.high = middle;
+        }
     }
 
     /// Codes whether the range is at `middle` or beyond, and cuts the interval to that side.
@@ -227,11 +245,10 @@ impl RangeModel {
         let above = (interval.below_high.mixed - below_middle.mixed).max(LEAST);
         let below = (below_middle.mixed - interval.below_low.mixed).max(LEAST);
         let bit = range >= middle;
+        interval.odds = self.tables.ln(above / below) as f32;
         let bit = match node {
-            None => coder.code(bit, ((above / (above + below) * 65536.0) as u32).clamp(1, 65535)),
-            Some(node) => {
-                self.code_corrected(coder, site, views, node, self.tables.ln(above / below) as f32, bit)
-            }
+            None => coder.code(bit, self.tables.squash(interval.odds)),
+            Some(node) => self.code_corrected(coder, site, views, node, interval.odds, bit),
         };
         if bit {
             interval.low = middle;
@@ -335,6 +352,8 @@ struct Interval {
     high: f64,
     below_low: Below,
     below_high: Below,
+    /// The mixture's log odds of the last halves, upper against lower.
+    odds: f32,
 }
 
 /// Probability that a range is below some value: each predictor's, and the mixture's.
@@ -348,7 +367,7 @@ impl Interval {
     /// All ranges.
     fn whole() -> Self {
         let below = |p| Below { each: [p; PREDICTORS], mixed: p };
-        Interval { low: 1.0, high: RANGE_END, below_low: below(0.0), below_high: below(1.0) }
+        Interval { low: 1.0, high: RANGE_END, below_low: below(0.0), below_high: below(1.0), odds: 0.0 }
     }
 }
 
