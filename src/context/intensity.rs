@@ -89,7 +89,7 @@ const OPINIONS: usize = VIEWS + 1;
 const CONSTANT: f32 = 0.2;
 /// Counters of each view: contexts share them by hashing.
 const SLOT_BITS: u32 = 12;
-const FEATURES: usize = 6;
+const FEATURES: usize = 8;
 /// Beams beyond this many share their contexts.
 const ROW_CONTEXTS: usize = 128;
 const ERROR_LEVELS: usize = 8;
@@ -213,7 +213,9 @@ impl IntensityModel {
             difference(or(nw, north)),
             difference(north_east),
             difference(or(near.above2, north)),
-            difference(or(west4, or(nee, north_east))),
+            difference(or(near.left[2], west2)),
+            difference(west4),
+            difference(or(nee, north_east)),
         ];
         let fit = usize::from(near.above[2] > 0);
         let prediction = (f32::from(west) + self.fits[fit].predict(&features)).clamp(0.0, 127.0);

@@ -1,10 +1,11 @@
 //! Online least squares: the linear prediction that would have served best on what has been
 //! coded, old errors forgotten exponentially.
 
-/// `N` weights, solved again every few samples from the running normal equations.
+/// `N` weights, solved again every few samples from the running normal equations. `N` is a multiple
+/// of [`LANES`].
 #[derive(Clone, Debug)]
 pub struct LeastSquares<const N: usize> {
-    /// Lower triangle of the normal matrix.
+    /// The normal matrix; of the part above the diagonal only what shares a block with it.
     normal: [[f32; N]; N],
     right: [f32; N],
     weights: [f32; N],
@@ -12,6 +13,8 @@ pub struct LeastSquares<const N: usize> {
     samples: u32,
 }
 
+/// Numbers that a vector unit of any processor handles at once.
+pub const LANES: usize = 4;
 /// Samples from one solution to the next.
 const SOLVE_EVERY: u32 = 32;
 /// Added to the diagonal: keeps the weights of features that have not been seen near zero.
@@ -20,24 +23,38 @@ const RIDGE: f32 = 0.05;
 impl<const N: usize> LeastSquares<N> {
     /// Starts with all weights 0. Each sample makes the earlier ones count `forget` as much.
     pub fn new(forget: f32) -> Self {
+        const { assert!(N.is_multiple_of(LANES)) };
         LeastSquares { normal: [[0.0; N]; N], right: [0.0; N], weights: [0.0; N], forget, samples: 0 }
     }
 
     /// The prediction for these features.
     #[inline]
     pub fn predict(&self, features: &[f32; N]) -> f32 {
-        self.weights.iter().zip(features).map(|(w, f)| w * f).sum()
+        let mut sums = [0.0; LANES];
+        for i in 0..N {
+            sums[i % LANES] += self.weights[i] * features[i];
+        }
+        (sums[0] + sums[1]) + (sums[2] + sums[3])
     }
 
     /// Learns that `target` went with these features; `weight` says how much it counts.
     #[inline]
     pub fn learn(&mut self, features: &[f32; N], target: f32, weight: f32) {
+        let forget = self.forget;
         for i in 0..N {
             let weighted = weight * features[i];
-            for j in 0..=i {
-                self.normal[i][j] = self.normal[i][j] * self.forget + weighted * features[j];
+            // Whole blocks up to the diagonal's.
+            for block in 0..=i / LANES {
+                let place = block * LANES;
+                for lane in 0..LANES {
+                    let cell = &mut self.normal[i][place + lane];
+                    *cell = *cell * forget + weighted * features[place + lane];
+                }
             }
-            self.right[i] = self.right[i] * self.forget + weighted * target;
+        }
+        let weighted = weight * target;
+        for i in 0..N {
+            self.right[i] = self.right[i] * forget + weighted * features[i];
         }
         self.samples += 1;
         if self.samples >= SOLVE_EVERY {
@@ -84,11 +101,11 @@ mod tests {
 
     #[test]
     fn a_linear_law_is_found() {
-        let mut model = LeastSquares::<3>::new(0.999);
+        let mut model = LeastSquares::<4>::new(0.999);
         for i in 0..400u16 {
-            let features = [f32::from(i % 7), f32::from(i % 5) - 2.0, f32::from(i % 3)];
+            let features = [f32::from(i % 7), f32::from(i % 5) - 2.0, f32::from(i % 3), 0.0];
             model.learn(&features, 2.0 * features[0] - features[1] + 0.5 * features[2], 1.0);
         }
-        assert!((model.predict(&[1.0, 1.0, 2.0]) - 2.0).abs() < 0.01);
+        assert!((model.predict(&[1.0, 1.0, 2.0, 0.0]) - 2.0).abs() < 0.01);
     }
 }

@@ -18,7 +18,7 @@ const ERROR_BITS: usize = 36;
 pub struct PointModel {
     coordinates: [CoordinateModel; 3],
     /// Height against distance along a turn: a beam's cone.
-    cone: LeastSquares<1>,
+    cone: LeastSquares<4>,
 }
 
 impl Default for PointModel {
@@ -76,14 +76,14 @@ impl PointModel {
         let at_distance = |p: &[f64; 3]| if distance(p) == 0.0 { p[2] } else { p[2] * own / distance(p) };
         let farther = (own - distance(west)).clamp(-CONE_REACH, CONE_REACH) as f32;
         let heights = [
-            west[2] + f64::from(self.cone.predict(&[farther])),
+            west[2] + f64::from(self.cone.predict(&[farther, 0.0, 0.0, 0.0])),
             at_distance(west),
             at_distance(north) + at_distance(west) - at_distance(north_west),
             2.0 * west[2] - west2[2],
         ];
         position[2] = self.coordinates[2].code(coder, grid, heights, position[2]);
         let rise = (finite(position)[2] - west[2]).clamp(-CONE_REACH, CONE_REACH) as f32;
-        self.cone.learn(&[farther], rise, 1.0);
+        self.cone.learn(&[farther, 0.0, 0.0, 0.0], rise, 1.0);
         position
     }
 }

@@ -7,13 +7,12 @@
 
 use super::least_squares::LeastSquares;
 use super::quantise::{Levels, signed_level};
-use super::shape::{ErrorShape, Placed};
+use super::shape::{CERTAIN, ErrorShape, Placed};
 use crate::entropy::{BitCoder, Logistic, MixedBits};
 use crate::grid::Grid;
-use crate::rounding::round_ties_even;
 
 /// Features of the least-squares predictors.
-const FEATURES: usize = 9;
+const FEATURES: usize = 12;
 /// Predictors in the mixture.
 const PREDICTORS: usize = 6;
 /// Places of the two least-squares predictors and of the one that stands for surprises.
@@ -32,9 +31,11 @@ const EDGE: f32 = 60.0;
 const FEATURE_REACH: f64 = 300.0;
 const FIT_REACH: f64 = 400.0;
 /// Ranges are below this.
-const RANGE_END: f64 = 65536.0;
-/// Share of the distribution that is even over all ranges.
-const EVEN_SHARE: f64 = 0.004;
+const RANGE_END: i64 = 65536;
+/// Probability of the mixture in the unit of [`Below::mixed`]: weights are in 2^-16.
+const MIXED_CERTAIN: u64 = (CERTAIN as u64) << 16;
+/// Each range gets this much of it in any case, all of them together 1/256.
+const EVEN: u64 = MIXED_CERTAIN / 256 / RANGE_END as u64;
 /// Learning rates of the weights and the scales.
 const WEIGHT_RATE: f64 = 0.02;
 const SCALE_RATE: f64 = 0.02;
@@ -57,6 +58,8 @@ pub struct RangeModel {
     fast_fits: Vec<LeastSquares<FEATURES>>,
     beam_fits: Vec<LeastSquares<FEATURES>>,
     weights: Vec<[f64; PREDICTORS]>,
+    /// The weights in 2^-16.
+    shares: Vec<[u32; PREDICTORS]>,
     scales: Vec<[f64; PREDICTORS]>,
     bits: MixedBits<VIEWS, OPINIONS>,
     tables: &'static Logistic,
@@ -83,6 +86,7 @@ impl RangeModel {
             fast_fits: vec![LeastSquares::new(0.998); EDGES],
             beam_fits: vec![LeastSquares::new(0.9998); EDGES * rows.max(1)],
             weights: vec![[1.0 / PREDICTORS as f64; PREDICTORS]; CONTEXTS],
+            shares: vec![[65536 / PREDICTORS as u32; PREDICTORS]; CONTEXTS],
             scales: (0..CONTEXTS).map(scales).collect(),
             bits: MixedBits::new(VIEW_SIZES.map(|size| size * NODES), NODES * ERROR_LEVELS, start, 0.004),
             tables: Logistic::tables(),
@@ -113,11 +117,11 @@ impl RangeModel {
                 let near = window.around(column);
                 let site = self.site(&near, row, errors.expected(column));
                 let views = self.views(&site, &near, &errors, intensity, (row, column));
-                let interval = self.code_range(coder, &site, &views, f64::from(steps[(row, column)]));
-                let range = interval.low;
-                steps[(row, column)] = range as u32;
+                let interval = self.code_range(coder, &site, &views, i64::from(steps[(row, column)]));
+                steps[(row, column)] = interval.low as u32;
+                let range = interval.low as f64;
                 self.learn(&site, &near, &interval);
-                errors.record(column, range - near.west - site.fits[0], range - site.base);
+                errors.record(column, range - near.west - site.fits[0], range - site.base as f64);
                 window.push(column, range);
             }
         }
@@ -135,9 +139,9 @@ impl RangeModel {
         let predictions = [west, north, 2.0 * west - west2, west + fits[0], west + fits[1], west];
         let error_level = self.error_levels.of(expected_error);
         let context = near.activity_level() * ERROR_LEVELS + error_level;
-        let base = round_ties_even(west + 0.5 * (fits[0] + fits[1])).clamp(1.0, RANGE_END - 2.0);
+        let base = ((west + 0.5 * (fits[0] + fits[1]) + 0.5) as i64).clamp(1, RANGE_END - 2);
         let scales = &self.scales[context];
-        let placed = std::array::from_fn(|k| self.shape.place(predictions[k] + 0.5, 1.0 / scales[k]));
+        let placed = std::array::from_fn(|k| self.shape.place(predictions[k] + 0.5, scales[k]));
         Site { features, edge, beam, fits, predictions, placed, context, error_level, base }
     }
 
@@ -150,6 +154,7 @@ impl RangeModel {
         intensity: &Grid<u16>,
         (row, column): (usize, usize),
     ) -> [usize; VIEWS] {
+        let base = site.base as f64;
         let coarse_error = site.error_level * 8 / ERROR_LEVELS;
         let pair = |a: f64, b: f64| signed_level(a as i32) * 32 + signed_level(b as i32);
         let own = intensity[(row, column)];
@@ -157,7 +162,7 @@ impl RangeModel {
         let north = if row > 0 { intensity[(row - 1, column)] } else { 0 };
         let change = intensity_change(own, west) * 8 + intensity_change(own, north);
         [
-            pair(near.west - site.base, near.north - site.base),
+            pair(near.west - base, near.north - base),
             pair(errors.west, errors.north(column)),
             usize::from(own).min(127) * 8 + coarse_error,
             (change * 4 + usize::from(own / 8).min(3)) * 8 + coarse_error,
@@ -171,7 +176,7 @@ impl RangeModel {
         coder: &mut C,
         site: &Site,
         views: &[usize; VIEWS],
-        range: f64,
+        range: i64,
     ) -> Interval {
         let mut interval = Interval::whole();
         let up = self.halve(coder, site, views, &mut interval, site.base, Some(0), range);
@@ -191,19 +196,19 @@ impl RangeModel {
             }
             edge = next;
             if bucket > 0 {
-                width *= 2.0;
+                width *= 2;
             }
             bucket += 1;
         }
 
         let fine = first_bucket(scale);
         let mut halving = 0;
-        while interval.high - interval.low > 1.0 {
+        while interval.high - interval.low > 1 {
             if halving >= CORRECTED_HALVINGS && interval.high - interval.low <= fine {
                 self.halve_evenly(coder, &mut interval, range);
                 continue;
             }
-            let middle = ((interval.low + interval.high) / 2.0).floor();
+            let middle = (interval.low + interval.high) / 2;
             let node = 32 + halving * 8 + bucket.min(3) * 2 + usize::from(up);
             let node = (halving < CORRECTED_HALVINGS).then_some(node);
             self.halve(coder, site, views, &mut interval, middle, node, range);
@@ -215,9 +220,9 @@ impl RangeModel {
     /// Halves an interval so short that the density falls evenly over it: the odds of its halves are
     /// then the square root of those of the interval and its last sibling.
     #[inline]
-    fn halve_evenly<C: BitCoder>(&self, coder: &mut C, interval: &mut Interval, range: f64) {
+    fn halve_evenly<C: BitCoder>(&self, coder: &mut C, interval: &mut Interval, range: i64) {
         interval.odds *= 0.5;
-        let middle = ((interval.low + interval.high) / 2.0).floor();
+        let middle = (interval.low + interval.high) / 2;
         if coder.code(range >= middle, self.tables.squash(interval.odds)) {
             interval.low = middle;
         } else {
@@ -235,17 +240,15 @@ impl RangeModel {
         site: &Site,
         views: &[usize; VIEWS],
         interval: &mut Interval,
-        middle: f64,
+        middle: i64,
         node: Option<usize>,
-        range: f64,
+        range: i64,
     ) -> bool {
-        /// Keeps what the mixture thinks impossible codable.
-        const LEAST: f64 = 1e-12;
         let below_middle = self.below(site, middle);
-        let above = (interval.below_high.mixed - below_middle.mixed).max(LEAST);
-        let below = (below_middle.mixed - interval.below_low.mixed).max(LEAST);
+        let above = interval.below_high.mixed.saturating_sub(below_middle.mixed) | 1;
+        let below = below_middle.mixed.saturating_sub(interval.below_low.mixed) | 1;
         let bit = range >= middle;
-        interval.odds = self.tables.ln(above / below) as f32;
+        interval.odds = self.tables.ln(above) - self.tables.ln(below);
         let bit = match node {
             None => coder.code(bit, self.tables.squash(interval.odds)),
             Some(node) => self.code_corrected(coder, site, views, node, interval.odds, bit),
@@ -279,25 +282,27 @@ impl RangeModel {
 
     /// The probability that the range is below `range`.
     #[inline]
-    fn below(&self, site: &Site, range: f64) -> Below {
-        let weights = &self.weights[site.context];
-        let mut each = [0.0; PREDICTORS];
-        let mut sum = 0.0;
+    fn below(&self, site: &Site, range: i64) -> Below {
+        let shares = &self.shares[site.context];
+        let mut each = [0; PREDICTORS];
+        let mut mixed = EVEN * range as u64;
         for k in 0..PREDICTORS {
             each[k] = self.shape.below(&site.placed[k], range);
-            sum += weights[k] * each[k];
+            mixed += u64::from(shares[k]) * u64::from(each[k]);
         }
-        Below { each, mixed: sum * (1.0 - EVEN_SHARE) + range * (EVEN_SHARE / RANGE_END) }
+        Below { each, mixed }
     }
 
     /// Moves weights, scales and fits towards the range that has been coded, to which the interval
     /// has shrunk.
     fn learn(&mut self, site: &Site, near: &Neighbourhood, interval: &Interval) {
-        let range = interval.low;
+        let range = interval.low as f64;
         let weights = &mut self.weights[site.context];
         let scales = &mut self.scales[site.context];
-        let likelihood: [f64; PREDICTORS] =
-            std::array::from_fn(|k| interval.below_high.each[k] - interval.below_low.each[k]);
+        let likelihood: [f64; PREDICTORS] = std::array::from_fn(|k| {
+            let likely = interval.below_high.each[k].saturating_sub(interval.below_low.each[k]);
+            f64::from(likely) / f64::from(CERTAIN)
+        });
         let total: f64 = weights.iter().zip(&likelihood).map(|(weight, p)| weight * p).sum();
         let mut sum = 0.0;
         for k in 0..PREDICTORS {
@@ -310,7 +315,11 @@ impl RangeModel {
             scales[k] += SCALE_RATE * responsibility * (error - scales[k]);
             scales[k] = scales[k].max(if surprise { 100.0 } else { 1.5 });
         }
-        weights.iter_mut().for_each(|weight| *weight /= sum);
+        let even_out = 1.0 / sum;
+        for (weight, share) in weights.iter_mut().zip(&mut self.shares[site.context]) {
+            *weight *= even_out;
+            *share = (*weight * 65536.0) as u32;
+        }
 
         let target = (range - near.west).clamp(-FIT_REACH, FIT_REACH);
         let fits = [&mut self.fast_fits[site.edge], &mut self.beam_fits[site.beam]];
@@ -322,13 +331,9 @@ impl RangeModel {
 }
 
 /// Width of the first bucket beside the base, in steps: a power of two near 0.6 scales.
-fn first_bucket(scale: f64) -> f64 {
-    let mut width = 1.0;
+fn first_bucket(scale: f64) -> i64 {
     // 0.6 * sqrt(2): the nearest power in octaves.
-    while width < scale * 0.42426 {
-        width *= 2.0;
-    }
-    width
+    ((scale * 0.84853) as u32).checked_ilog2().map_or(1, |octave| 1 << octave)
 }
 
 /// Eight kinds of change from a neighbour's intensity; none if it holds no return.
@@ -348,8 +353,8 @@ fn intensity_change(own: u16, other: u16) -> usize {
 
 /// What is left of the range axis, and the probability below its two ends.
 struct Interval {
-    low: f64,
-    high: f64,
+    low: i64,
+    high: i64,
     below_low: Below,
     below_high: Below,
     /// The mixture's log odds of the last halves, upper against lower.
@@ -359,15 +364,16 @@ struct Interval {
 /// Probability that a range is below some value: each predictor's, and the mixture's.
 #[derive(Clone, Copy)]
 struct Below {
-    each: [f64; PREDICTORS],
-    mixed: f64,
+    each: [u32; PREDICTORS],
+    mixed: u64,
 }
 
 impl Interval {
     /// All ranges.
     fn whole() -> Self {
-        let below = |p| Below { each: [p; PREDICTORS], mixed: p };
-        Interval { low: 1.0, high: RANGE_END, below_low: below(0.0), below_high: below(1.0), odds: 0.0 }
+        let below = |each, mixed| Below { each: [each; PREDICTORS], mixed };
+        let certain = below(CERTAIN, MIXED_CERTAIN + EVEN * RANGE_END as u64);
+        Interval { low: 1, high: RANGE_END, below_low: below(0, 0), below_high: certain, odds: 0.0 }
     }
 }
 
@@ -383,7 +389,7 @@ struct Site {
     context: usize,
     error_level: usize,
     /// Where the coding starts: a whole number of steps.
-    base: f64,
+    base: i64,
 }
 
 /// The ranges coded so far that a cell looks at; 0 where there is no return.
@@ -391,49 +397,57 @@ struct Window {
     /// The current row and the two above, with margins of empty cells.
     rows: [Vec<f64>; 3],
     /// The last returns of the row, nearest first.
-    left: [f64; 4],
+    left: [f64; 5],
 }
 
 impl Window {
     /// Empty cells on either side.
-    const MARGIN: usize = 2;
+    const MARGIN: usize = 3;
 
     fn new(width: usize) -> Self {
-        Window { rows: std::array::from_fn(|_| vec![0.0; width + 2 * Self::MARGIN]), left: [0.0; 4] }
+        Window { rows: std::array::from_fn(|_| vec![0.0; width + 2 * Self::MARGIN]), left: [0.0; 5] }
     }
 
     fn start_row(&mut self) {
         self.rows.rotate_right(1);
         self.rows[0].fill(0.0);
-        self.left = [0.0; 4];
+        self.left = [0.0; 5];
     }
 
     fn push(&mut self, column: usize, range: f64) {
         self.rows[0][column + Self::MARGIN] = range;
-        self.left = [range, self.left[0], self.left[1], self.left[2]];
+        self.left.rotate_right(1);
+        self.left[0] = range;
     }
 
     #[inline]
     fn around(&self, column: usize) -> Neighbourhood {
         let or = |range: f64, other: f64| if range > 0.0 { range } else { other };
-        let &[nww, nw, n, ne, nee] = self.rows[1][column..].first_chunk().unwrap_or(&[0.0; 5]);
+        let &[_, nww, nw, n, ne, nee, neee] = self.rows[1][column..].first_chunk().unwrap_or(&[0.0; 7]);
+        let &[nn, nne] = self.rows[2][column + Self::MARGIN..].first_chunk().unwrap_or(&[0.0; 2]);
         let west = or(self.left[0], or(n, or(nw, or(ne, TYPICAL_RANGE))));
         let west2 = or(self.left[1], west);
         let west3 = or(self.left[2], west2);
         let north = or(n, or(ne, or(nw, west)));
         let north_west = or(nw, north);
         let north_east = or(ne, north);
+        let north_east2 = or(nee, north_east);
+        let north2 = or(nn, north);
+        let west4 = or(self.left[3], west3);
         Neighbourhood {
             west,
             west2,
             west3,
-            west4: or(self.left[3], west3),
+            west4,
+            west5: or(self.left[4], west4),
             north,
             north_west,
             north_west2: or(nww, north_west),
             north_east,
-            north_east2: or(nee, north_east),
-            north2: or(self.rows[2][column + Self::MARGIN], north),
+            north_east2,
+            north_east3: or(neee, north_east2),
+            north2,
+            north2_east: or(nne, north2),
         }
     }
 }
@@ -444,12 +458,15 @@ struct Neighbourhood {
     west2: f64,
     west3: f64,
     west4: f64,
+    west5: f64,
     north: f64,
     north_west: f64,
     north_west2: f64,
     north_east: f64,
     north_east2: f64,
+    north_east3: f64,
     north2: f64,
+    north2_east: f64,
 }
 
 /// The range assumed where nothing is known, in steps.
@@ -468,6 +485,9 @@ impl Neighbourhood {
             self.north_east2,
             self.north_west2,
             self.north2,
+            self.west5,
+            self.north2_east,
+            self.north_east3,
         ]
         .map(|range| (range - self.west).clamp(-FEATURE_REACH, FEATURE_REACH) as f32)
     }
