@@ -190,7 +190,7 @@ impl IntensityModel {
         for i in (0..scale.bits).rev() {
             let set = i as usize * ERROR_LEVELS * GRADIENT_LEVELS + site.mixer_set;
             let places = slots.map(|slot| slot + node);
-            let bit = self.bits.code(coder, set, &places, [CONSTANT; OPINIONS], level >> i & 1 == 1);
+            let bit = self.bits.code_or_sure(coder, set, &places, [CONSTANT; OPINIONS], level >> i & 1 == 1);
             node = node << 1 | usize::from(bit);
         }
         let level = node as u32 - (1 << scale.bits);

@@ -150,6 +150,30 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         }
     }
 
+    /// Codes a bit as [`code`](Self::code) does, but leaves the word to the first two views where both are all but
+    /// certain: what the others would add is not worth the time.
+    #[inline]
+    pub fn code_or_sure<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        set: usize,
+        places: &[usize; V],
+        opinions: [f32; N],
+        bit: bool,
+    ) -> bool {
+        /// Log odds of 1 to 90.
+        const SURE: f32 = 4.5;
+        let first = self.tables.opinion(self.counters[0][places[0]]);
+        let second = self.tables.opinion(self.counters[1][places[1]]);
+        if first.min(second) < SURE && first.max(second) > -SURE {
+            return self.code(coder, set, places, opinions, bit);
+        }
+        let bit = coder.code(bit, self.tables.squash(0.5 * (first + second)));
+        self.counters[0][places[0]].learn(bit);
+        self.counters[1][places[1]].learn(bit);
+        bit
+    }
+
     /// Codes a bit. `places` says which counter of each view has a say; theirs are the first
     /// opinions, the caller's are those behind.
     #[inline]
