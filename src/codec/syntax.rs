@@ -190,9 +190,12 @@ impl Models {
             self.points.code(coder, &mut frame.stray_positions);
             Ok(())
         })?;
-        let levels = sections.section(SectionKind::Intensity, frame.layout.intensity.is_some(), |coder| {
-            Ok(self.code_intensity(coder, frame))
-        })?;
+        let has_intensity = frame.layout.intensity.is_some();
+        let mut levels = sections
+            .section(SectionKind::Intensity, has_intensity, |coder| Ok(self.code_intensity(coder, frame)))?;
+        if !has_intensity {
+            levels = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
+        }
         sections.section(SectionKind::Range, has_image, |coder| {
             self.range.code(coder, &frame.occupancy, &levels, &mut frame.steps);
             Ok(())
