@@ -1,0 +1,73 @@
+//! Points as files.
+
+/// KITTI `.bin`: x, y, z, intensity.
+pub fn kitti(points: &[[f32; 4]]) -> Vec<u8> {
+    points.as_flattened().iter().flat_map(|value| value.to_le_bytes()).collect()
+}
+
+/// nuScenes `.pcd.bin`: x, y, z, intensity, ring.
+pub fn nuscenes(points: &[[f32; 4]]) -> Vec<u8> {
+    let record =
+        |(n, p): (usize, &[f32; 4])| [kitti(&[*p]), ((n % 32) as f32).to_le_bytes().to_vec()].concat();
+    points.iter().enumerate().flat_map(record).collect()
+}
+
+/// PCD, x, y and z alone.
+pub fn pcd_xyz(points: &[[f32; 4]]) -> Vec<u8> {
+    pcd("x y z", "4 4 4", "F F F", points, |_, [x, y, z, _]| [x, y, z].map(f32::to_le_bytes).concat())
+}
+
+/// PCD with fields before, between and behind the coordinates.
+pub fn pcd_extra(points: &[[f32; 4]]) -> Vec<u8> {
+    let fields = ("ring x y time z intensity flags", "2 4 4 8 4 4 1", "U F F F F F U");
+    pcd(fields.0, fields.1, fields.2, points, |n, [x, y, z, i]| {
+        let mut record = ((n / 500) as u16).to_le_bytes().to_vec();
+        record.extend([x, y].map(f32::to_le_bytes).concat());
+        record.extend((1.3e9 + n as f64 * 1e-5).to_le_bytes());
+        record.extend([z, i].map(f32::to_le_bytes).concat());
+        record.push((n % 7 == 0).into());
+        record
+    })
+}
+
+fn pcd(
+    fields: &str,
+    sizes: &str,
+    types: &str,
+    points: &[[f32; 4]],
+    record: impl Fn(usize, [f32; 4]) -> Vec<u8>,
+) -> Vec<u8> {
+    let (count, ones) = (points.len(), vec!["1"; fields.split(' ').count()].join(" "));
+    let mut bytes = format!(
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS {fields}\nSIZE {sizes}\nTYPE {types}\n\
+         COUNT {ones}\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n"
+    )
+    .into_bytes();
+    bytes.extend(points.iter().enumerate().flat_map(|(n, point)| record(n, *point)));
+    bytes
+}
+
+/// PCD as text, x, y, z and intensity.
+pub fn pcd_text(points: &[[f32; 4]]) -> Vec<u8> {
+    let count = points.len();
+    let mut text = format!(
+        "VERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH {count}\n\
+         HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA ascii\n"
+    );
+    points.iter().for_each(|[x, y, z, i]| text += &format!("{x} {y} {z} {i}\n"));
+    text.into_bytes()
+}
+
+/// Binary PLY, x, y, z and a colour.
+pub fn ply(points: &[[f32; 4]]) -> Vec<u8> {
+    let mut bytes = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\n\
+         property float z\nproperty uchar red\nend_header\n",
+        points.len()
+    )
+    .into_bytes();
+    let record =
+        |[x, y, z, i]: &[f32; 4]| [&[*x, *y, *z].map(f32::to_le_bytes).concat()[..], &[*i as u8]].concat();
+    bytes.extend(points.iter().flat_map(record));
+    bytes
+}

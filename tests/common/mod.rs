@@ -1,0 +1,147 @@
+//! What the tests of whole streams share: the round trip, scans to feed it, and their files.
+
+#![allow(dead_code, missing_docs)] // Each test file takes the part that it needs.
+
+pub mod formats;
+pub mod scans;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use lidarpc::bitstream::{Group, Record, SectionKind, StreamHeader, StreamReader, StreamWriter};
+use lidarpc::codec::{
+    DecodeOptions, DecodedFrame, EncoderConfig, FrameInput, decode, decode_indexed, encode,
+};
+use lidarpc::error::{Limits, Result};
+use proptest::test_runner::{Config, FileFailurePersistence};
+
+/// A file's name and bytes.
+pub type File = (String, Vec<u8>);
+
+/// Above this many bytes the decoding through the index, which is the same code, is left out.
+const SMALL: usize = 1 << 20;
+
+/// Encodes files, decodes them front to back and through the index, and holds what comes back to
+/// what went in, byte for byte. Returns the stream.
+pub fn round_trip(files: &[File], config: &EncoderConfig) -> Vec<u8> {
+    let stream = encode_files(files, config);
+    assert_same(&decode_files(&stream).expect("decodes"), files);
+    if files.iter().map(|(_, bytes)| bytes.len()).sum::<usize>() < SMALL {
+        let mut decoded = Vec::new();
+        decode_indexed(Cursor::new(&stream), &DecodeOptions::default(), |frame| keep(&mut decoded, frame))
+            .expect("decodes through the index");
+        assert_same(&decoded, files);
+    }
+    stream
+}
+
+/// Encodes files to a stream.
+pub fn encode_files(files: &[File], config: &EncoderConfig) -> Vec<u8> {
+    let input = |(name, bytes): &File| FrameInput::Memory { name: name.clone(), bytes: bytes.clone() };
+    let inputs: Vec<_> = files.iter().map(input).collect();
+    let mut stream = Vec::new();
+    let encoded = encode(&inputs, config, &mut stream, &|| ()).expect("encodes");
+    assert_eq!(encoded.stream_bytes, stream.len() as u64);
+    stream
+}
+
+/// Decodes a stream front to back, on this thread.
+pub fn decode_files(stream: &[u8]) -> Result<Vec<File>> {
+    decode_within(stream, Limits::default())
+}
+
+/// As [`decode_files`], with limits.
+pub fn decode_within(stream: &[u8], limits: Limits) -> Result<Vec<File>> {
+    let mut files = Vec::new();
+    let options = DecodeOptions { threads: 1, limits, ..DecodeOptions::default() };
+    decode(stream, &options, |frame| keep(&mut files, frame))?;
+    Ok(files)
+}
+
+fn keep(files: &mut Vec<File>, frame: DecodedFrame) -> Result<()> {
+    files.push((frame.header.name, frame.bytes));
+    Ok(())
+}
+
+fn assert_same(decoded: &[File], files: &[File]) {
+    assert_eq!(decoded.len(), files.len(), "number of files");
+    for ((name, bytes), (expected_name, expected)) in decoded.iter().zip(files) {
+        assert_eq!(name, expected_name);
+        let differ = bytes.iter().zip(expected).position(|(a, b)| a != b);
+        assert!(
+            bytes == expected,
+            "{name}: {} of {} bytes, differ at {differ:?}",
+            bytes.len(),
+            expected.len()
+        );
+    }
+}
+
+/// A stream's sensor models and groups, to be altered and written anew with right checksums.
+pub fn take_apart(stream: &[u8]) -> (Vec<Vec<u8>>, Vec<Group>) {
+    let mut reader = StreamReader::open(stream, Limits::default()).unwrap();
+    let (mut models, mut groups) = (Vec::new(), Vec::new());
+    while let Some(record) = reader.next_record().unwrap() {
+        match record {
+            Record::SensorModel(model) => models.push(model),
+            Record::Group(group) => groups.push(group),
+        }
+    }
+    (models, groups)
+}
+
+/// The inverse of [`take_apart`].
+pub fn put_together(models: &[Vec<u8>], groups: &[Group]) -> Vec<u8> {
+    let mut writer = StreamWriter::create(Vec::new(), &StreamHeader::default()).unwrap();
+    for model in models {
+        writer.write_sensor_model(model).unwrap();
+    }
+    groups.iter().for_each(|group| writer.write_group(group).unwrap());
+    writer.finish().unwrap().0
+}
+
+/// Bytes of each kind of section in a stream.
+pub fn section_bytes(stream: &[u8]) -> BTreeMap<SectionKind, usize> {
+    let mut bytes = BTreeMap::new();
+    for section in take_apart(stream).1.iter().flat_map(|group| &group.frames).flat_map(|f| &f.sections) {
+        *bytes.entry(section.kind).or_default() += section.payload.len();
+    }
+    bytes
+}
+
+/// Settings for property tests: `cases`, unless PROPTEST_CASES says otherwise.
+pub fn cases(cases: u32) -> Config {
+    let default = Config::default();
+    let cases = if std::env::var_os("PROPTEST_CASES").is_some() { default.cases } else { cases };
+    let failure_persistence = Some(Box::new(FileFailurePersistence::WithSource("regressions")) as _);
+    Config { cases, failure_persistence, ..default }
+}
+
+/// A path inside the package.
+pub fn in_package(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+/// The folders of real scans, which are not part of the package: those in the folder that
+/// LIDARPC_DATA names, or in `../shared/data`. None if it is missing, and says so.
+pub fn real_folders() -> Vec<PathBuf> {
+    let root = std::env::var_os("LIDARPC_DATA").map_or_else(|| in_package("../shared/data"), PathBuf::from);
+    let entries = fs::read_dir(&root).map(|entries| entries.flatten().map(|e| e.path()).collect());
+    let mut folders: Vec<PathBuf> = entries.unwrap_or_default();
+    folders.retain(|path| path.is_dir());
+    folders.sort();
+    if folders.is_empty() {
+        println!("skipped: no real scans in {}", root.display());
+    }
+    folders
+}
+
+/// The first files of a folder, by name.
+pub fn first_files(folder: &Path, count: usize) -> Vec<File> {
+    let mut paths: Vec<PathBuf> = fs::read_dir(folder).unwrap().flatten().map(|e| e.path()).collect();
+    paths.sort();
+    let name = |path: &Path| path.file_name().unwrap().to_string_lossy().into_owned();
+    paths.iter().take(count).map(|path| (name(path), fs::read(path).unwrap())).collect()
+}

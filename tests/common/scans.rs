@@ -1,0 +1,97 @@
+//! Scans for tests: simulated ones, and the same as other scanners or programs would store them.
+
+use std::f64::consts::TAU;
+
+use lidarpc::synth::{Beam, STEP, SynthConfig, TICKS, drive, scanner_beams};
+
+/// x, y, z and intensity.
+pub type Points = Vec<[f32; 4]>;
+
+/// A narrow, thinned drive: quick, and still enough to fit a sensor model to.
+pub fn small(seed: u64, frames: usize) -> SynthConfig {
+    SynthConfig { seed, frames, beams: 8, thinning: 10, ..SynthConfig::default() }
+}
+
+/// The frames of a simulated drive.
+pub fn scans(config: &SynthConfig) -> Vec<Points> {
+    drive(config).map(|frame| frame.points).collect()
+}
+
+/// Azimuth in radians, 0 to 2 pi; a y of -0.0 was below the seam before it was rounded.
+pub fn azimuth(point: &[f32; 4]) -> f64 {
+    let azimuth = f64::from(point[1]).atan2(f64::from(point[0]));
+    if azimuth.is_sign_negative() { azimuth + TAU } else { azimuth }
+}
+
+/// The rows of a scan: a new one begins where the azimuth falls back.
+pub fn rows(points: &[[f32; 4]]) -> Vec<Points> {
+    points.chunk_by(|a, b| azimuth(b) - azimuth(a) > -3.0).map(<[_]>::to_vec).collect()
+}
+
+/// The scan of [`scans`] as float32 coordinates that were never rounded to the millimetre: the
+/// integers of each point are found again and put through the formula.
+pub fn unrounded(config: &SynthConfig, points: &[[f32; 4]]) -> Points {
+    let beams = scanner_beams(config);
+    let rows = rows(points);
+    assert_eq!(rows.len(), beams.len(), "each beam has a row");
+    let again = |(beam, row): (&Beam, Points)| row.into_iter().map(|p| again(beam, &p)).collect::<Points>();
+    beams.iter().zip(rows).flat_map(again).collect()
+}
+
+fn again(beam: &Beam, point: &[f32; 4]) -> [f32; 4] {
+    let [x, y, z] = [0, 1, 2].map(|axis| f64::from(point[axis]));
+    let (sin, cos) = beam.elevation.to_radians().sin_cos();
+    let distance = (x.hypot(y) - beam.range_offset) * cos + (z - beam.height) * sin;
+    let d = (distance / STEP).round() * STEP;
+    let rho = d * cos + beam.range_offset;
+    let turned = (azimuth(point) - (beam.side / x.hypot(y)).atan()).to_degrees() - beam.turn;
+    let tick = (turned / 360.0 * f64::from(TICKS)).round() / f64::from(TICKS) * 360.0;
+    let phi = (tick + beam.turn).to_radians() + (beam.side / rho).atan();
+    [(rho * phi.cos()) as f32, (rho * phi.sin()) as f32, (d * sin + beam.height) as f32, point[3]]
+}
+
+/// The scan seen from elsewhere, as programs store it that correct for the motion: float32 values
+/// off any grid.
+pub fn moved(points: &[[f32; 4]]) -> Points {
+    let (sin, cos) = 0.01f64.sin_cos();
+    let turn = |&[x, y, z, i]: &[f32; 4]| {
+        let (x, y) = (f64::from(x), f64::from(y));
+        [(x * cos - y * sin + 0.0137) as f32, (x * sin + y * cos - 0.0071) as f32, z, i]
+    };
+    points.iter().map(turn).collect()
+}
+
+/// A permutation of the points.
+pub fn shuffled(points: &[[f32; 4]], seed: u64) -> Points {
+    let mut points = points.to_vec();
+    let mut random = Random(seed);
+    for i in (1..points.len()).rev() {
+        points.swap(i, random.below(i as u64 + 1) as usize);
+    }
+    points
+}
+
+/// Points anywhere, on the grid of the files.
+pub fn random_points(count: usize, seed: u64) -> Points {
+    let mut random = Random(seed);
+    let mut metres = |reach: u64| ((random.below(2 * reach) as f64 - reach as f64) / 1000.0) as f32;
+    (0..count).map(|_| [metres(60_000), metres(60_000), metres(3000), 0.25]).collect()
+}
+
+/// A small generator of numbers for tests (SplitMix64).
+pub struct Random(pub u64);
+
+impl Random {
+    /// Any number.
+    pub fn number(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ self.0 >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ z >> 31
+    }
+
+    /// A number below `end`.
+    pub fn below(&mut self, end: u64) -> u64 {
+        self.number() % end
+    }
+}
