@@ -25,7 +25,7 @@ const ANGLE_UNIT: f64 = 1.0 / (1u64 << 32) as f64;
 /// Metres of one unit of a quantised length.
 const LENGTH_UNIT: f64 = 1.0 / (1u64 << 24) as f64;
 /// Quantised constants are below this: 4 rad, or 1 km.
-const LARGEST_CONSTANT: i64 = 1 << 34;
+const LARGEST_CONSTANT: u64 = 1 << 34;
 /// More beams than any scanner has.
 const MOST_BEAMS: u64 = 1024;
 /// The finest azimuth grid allowed: 0.001 degree.
@@ -259,7 +259,7 @@ impl SensorModel {
             let mut beam = BeamConstants::default();
             for field in beam.fields() {
                 *field = read_signed(bytes)?;
-                if field.abs() > LARGEST_CONSTANT {
+                if field.unsigned_abs() > LARGEST_CONSTANT {
                     return Err(Error::corrupt("sensor model: a constant is out of range"));
                 }
             }
