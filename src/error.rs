@@ -101,7 +101,7 @@ fn one_line(path: &Path) -> String {
 /// What a decoder is willing to allocate; checked before memory is asked for.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Points (records) in one frame.
+    /// Points (records) in one frame, and cells of its range image.
     pub points: u64,
     /// Bytes of one decoded file.
     pub file_bytes: u64,

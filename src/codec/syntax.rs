@@ -176,6 +176,8 @@ impl Models {
                 self.columns.code(coder, sensor.ticks, &mut frame.columns);
                 Ok(())
             })?;
+            let cells = sensor.rows().saturating_mul(frame.columns.len());
+            within(cells, limits.points, "cells of the range image")?;
             frame.fit_image(sensor.rows());
             sections.section(SectionKind::Occupancy, true, |coder| {
                 self.occupancy.code(coder, &mut frame.occupancy);
