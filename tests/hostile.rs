@@ -1,0 +1,381 @@
+//! Streams whose checksums are right and whose contents are not: an error or a result, never a
+//! panic, an endless loop, or more memory than the limits allow.
+
+mod common;
+
+use std::sync::LazyLock;
+
+use common::formats::{kitti, pcd_extra, pcd_text};
+use common::scans::{Random, random_points, scans, small};
+use common::{File, cases, decode_files, decode_within, encode_files, put_together, take_apart};
+use lidarpc::bitstream::{Group, Section, SectionKind};
+use lidarpc::codec::EncoderConfig;
+use lidarpc::context::{ByteModel, ColumnModel};
+use lidarpc::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
+use lidarpc::error::Limits;
+use lidarpc::scan::{Layout, Wrapping};
+use lidarpc::sensor::{BeamConstants, Coordinates, SensorModel};
+use proptest::prelude::*;
+
+type Parts = (Vec<Vec<u8>>, Vec<Group>);
+
+/// Small streams that use every section between them, taken apart.
+static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
+    let frames = scans(&small(3, 3));
+    let mut odd = frames[1].clone();
+    odd.swap(40, 900);
+    odd.splice(100..100, random_points(40, 1));
+    odd[7][3] = f32::NAN;
+    let scanner =
+        vec![("0.bin", kitti(&frames[0])), ("1.bin", kitti(&odd)), ("2.pcd", pcd_extra(&frames[2]))];
+    let random = random_points(300, 2);
+    let others = vec![
+        ("0.bin", [kitti(&random), vec![1; 9]].concat()),
+        ("1.pcd", pcd_extra(&random)),
+        ("2.pcd", pcd_text(&random)),
+        ("3.bin", Vec::new()),
+        ("4.ply", b"ply, or not".to_vec()),
+    ];
+    [scanner, others]
+        .map(|files| {
+            let files: Vec<File> = files.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect();
+            take_apart(&encode_files(
+                &files,
+                &EncoderConfig { gop: 20, threads: 1, ..EncoderConfig::default() },
+            ))
+        })
+        .into()
+});
+
+/// What is done to a stream's parts. Places are counted modulo what there is.
+#[derive(Clone, Debug)]
+enum Damage {
+    Bit { section: usize, bit: usize },
+    Byte { section: usize, place: usize, value: u8 },
+    Cut { section: usize, length: usize },
+    Empty { section: usize },
+    Fill { section: usize, from: usize, value: u8 },
+    Insert { section: usize, place: usize, bytes: Vec<u8> },
+    Payload { section: usize, bytes: Vec<u8> },
+    Remove { section: usize },
+    Exchange { section: usize, other: usize },
+    Kind { section: usize, kind: SectionKind },
+    Model { place: usize, value: u8 },
+    NoModel,
+}
+
+impl Damage {
+    fn apply(&self, (models, groups): &mut Parts) {
+        let mut places = Vec::new();
+        for (g, group) in groups.iter().enumerate() {
+            for (f, frame) in group.frames.iter().enumerate() {
+                places.extend((0..frame.sections.len()).map(|s| (g, f, s)));
+            }
+        }
+        let place = |section: usize| places[section % places.len()];
+        let mut change = |section: usize, change: &mut dyn FnMut(&mut Vec<u8>)| {
+            let (g, f, s) = place(section);
+            let payload = &mut groups[g].frames[f].sections[s].payload;
+            if !payload.is_empty() {
+                change(payload);
+            }
+        };
+        match self {
+            Damage::Bit { section, bit } => change(*section, &mut |payload| {
+                let bit = bit % (payload.len() * 8);
+                payload[bit / 8] ^= 1 << (bit % 8);
+            }),
+            Damage::Byte { section, place, value } => change(*section, &mut |payload| {
+                let length = payload.len();
+                payload[place % length] = *value;
+            }),
+            Damage::Cut { section, length } => change(*section, &mut |p| p.truncate(length % p.len())),
+            Damage::Empty { section } => change(*section, &mut Vec::clear),
+            Damage::Fill { section, from, value } => change(*section, &mut |payload| {
+                let from = from % payload.len();
+                payload[from..].fill(*value);
+            }),
+            Damage::Insert { section, place, bytes } => change(*section, &mut |payload| {
+                let place = place % payload.len();
+                payload.splice(place..place, bytes.iter().copied());
+            }),
+            Damage::Payload { section, bytes } => change(*section, &mut |payload| payload.clone_from(bytes)),
+            Damage::Remove { section } => {
+                let (g, f, s) = place(*section);
+                groups[g].frames[f].sections.remove(s);
+            }
+            Damage::Exchange { section, other } => {
+                let ((g, f, s), (h, e, t)) = (place(*section), place(*other));
+                let payload = groups[g].frames[f].sections[s].payload.clone();
+                let other = std::mem::replace(&mut groups[h].frames[e].sections[t].payload, payload);
+                groups[g].frames[f].sections[s].payload = other;
+            }
+            Damage::Kind { section, kind } => {
+                let (g, f, s) = place(*section);
+                groups[g].frames[f].sections[s].kind = *kind;
+            }
+            Damage::Model { place, value } => {
+                if let Some(model) = models.first_mut() {
+                    let length = model.len();
+                    model[place % length] = *value;
+                }
+            }
+            Damage::NoModel => groups.iter_mut().for_each(|group| group.sensor_model = 0),
+        }
+    }
+}
+
+fn damage() -> impl Strategy<Value = Damage> {
+    // The first places matter most: what goes wrong there goes wrong everywhere behind.
+    let place = || prop_oneof![0usize..12, any::<usize>()];
+    let section = any::<usize>;
+    let byte = || prop_oneof![Just(0u8), Just(255), any::<u8>()];
+    let bytes = || prop::collection::vec(byte(), 0..40);
+    prop_oneof![
+        4 => (section(), place()).prop_map(|(section, bit)| Damage::Bit { section, bit }),
+        4 => (section(), place(), byte()).prop_map(|(section, place, value)| Damage::Byte { section, place, value }),
+        2 => (section(), place()).prop_map(|(section, length)| Damage::Cut { section, length }),
+        1 => section().prop_map(|section| Damage::Empty { section }),
+        3 => (section(), place(), byte()).prop_map(|(section, from, value)| Damage::Fill { section, from, value }),
+        1 => (section(), place(), bytes()).prop_map(|(section, place, bytes)| Damage::Insert { section, place, bytes }),
+        3 => (section(), bytes()).prop_map(|(section, bytes)| Damage::Payload { section, bytes }),
+        1 => section().prop_map(|section| Damage::Remove { section }),
+        1 => (section(), section()).prop_map(|(section, other)| Damage::Exchange { section, other }),
+        1 => (section(), prop::sample::select(&SectionKind::ALL[..]))
+            .prop_map(|(section, kind)| Damage::Kind { section, kind }),
+        3 => (place(), byte()).prop_map(|(place, value)| Damage::Model { place, value }),
+        1 => Just(Damage::NoModel),
+    ]
+}
+
+/// Small, so that forged counts do not make the tests slow.
+fn tight() -> Limits {
+    Limits { points: 20_000, file_bytes: 1 << 20, record_bytes: 1 << 20 }
+}
+
+proptest! {
+    #![proptest_config(cases(150))]
+
+    #[test]
+    fn damaged_parts_are_an_error_or_a_result(
+        stream in 0usize..2,
+        damages in prop::collection::vec(damage(), 1..4)
+    ) {
+        let mut parts = STREAMS[stream].clone();
+        damages.iter().for_each(|damage| damage.apply(&mut parts));
+        let _ = decode_within(&put_together(&parts.0, &parts.1), tight());
+    }
+
+    #[test]
+    fn any_sensor_record_is_an_error_or_one_meaning(bytes in prop::collection::vec(any::<u8>(), 0..60)) {
+        let mut input = &bytes[..];
+        if let Ok(model) = SensorModel::read_from(&mut input) {
+            check_model(&model);
+        }
+    }
+
+    #[test]
+    fn any_numbers_make_a_sensor_model_or_an_error(
+        head in (0u64..3, wild(), wild(), 0u64..4),
+        constants in prop::collection::vec(wild(), 24)
+    ) {
+        let numbers = [head.0, head.1, head.2, head.3].into_iter().chain(constants);
+        let mut bytes = Vec::new();
+        numbers.for_each(|number| lidarpc::varint::write_unsigned(&mut bytes, number));
+        if let Ok(model) = SensorModel::read_from(&mut &bytes[..]) {
+            check_model(&model);
+        }
+    }
+}
+
+/// Numbers of any length.
+fn wild() -> impl Strategy<Value = u64> {
+    prop_oneof![
+        prop::sample::select(vec![0, 1, u64::MAX, u64::MAX - 1, 1 << 35, (1 << 35) - 1, 360_000, 4000]),
+        (any::<u64>(), 0u32..64).prop_map(|(number, shift)| number >> shift),
+    ]
+}
+
+/// The formula of whatever model was accepted gives something everywhere.
+fn check_model(model: &SensorModel) {
+    let mut written = Vec::new();
+    model.write_to(&mut written);
+    assert_eq!(SensorModel::read_from(&mut &written[..]).unwrap(), *model);
+    for row in 0..model.rows().min(3) {
+        for column in [0, 1, model.ticks / 2, model.ticks - 1] {
+            let tick = model.tick_of_column(row, column);
+            assert!(tick < model.ticks);
+            assert_eq!(model.column_tick(row, i64::from(tick)), column);
+            for steps in [1, 2, 1000, 65535] {
+                let _ = (model.point(row, tick, steps), model.azimuth(row, tick, steps));
+            }
+        }
+        let _ = model.invert(row, [1.0, -2.0, 0.5]);
+    }
+}
+
+#[test]
+fn sensor_records_with_impossible_numbers_are_refused() {
+    let good: [i64; 10] = [0, 4000, 2000, 1, 1, 2, 3, 4, 5, 6];
+    let record = |numbers: &[i64]| {
+        let mut bytes = Vec::new();
+        for (place, &number) in numbers.iter().enumerate() {
+            match place {
+                0..4 => lidarpc::varint::write_unsigned(&mut bytes, number as u64),
+                _ => lidarpc::varint::write_signed(&mut bytes, number),
+            }
+        }
+        SensorModel::read_from(&mut &bytes[..])
+    };
+    assert!(record(&good).is_ok());
+    let bad = [(0, 2), (1, 0), (1, 360_001), (1, -1), (2, 0), (2, 1_000_001), (3, 0), (3, 2), (3, -1)];
+    let extreme = (4..10).flat_map(|place| [(place, i64::MIN), (place, i64::MAX), (place, -(1 << 35))]);
+    for (place, number) in bad.into_iter().chain(extreme) {
+        let mut numbers = good;
+        numbers[place] = number;
+        assert!(record(&numbers).is_err(), "{number} at {place}");
+    }
+}
+
+// ---- forged frames ----
+
+/// The payload of a File section that claims counts.
+fn file_section(layout: &Layout, records: u64, strays: u64) -> Section {
+    let mut coder = ArithmeticEncoder::default();
+    let (mut sizes, mut model) = (IntegerModel::default(), ByteModel::default());
+    let mut bytes = Vec::new();
+    layout.write_to(&mut bytes);
+    sizes.code(&mut coder, bytes.len() as u64);
+    model.code(&mut coder, 1, &mut bytes);
+    for number in [0, 0, records, strays] {
+        sizes.code(&mut coder, number);
+    }
+    Section { kind: SectionKind::File, payload: coder.finish() }
+}
+
+/// A stream of one frame with these sections.
+fn forged(model: Option<&SensorModel>, sections: Vec<Section>) -> Vec<u8> {
+    let mut group = STREAMS[0].1[0].clone();
+    group.frames.truncate(1);
+    group.frames[0].sections = sections;
+    group.sensor_model = model.is_some().into();
+    let mut record = Vec::new();
+    model.into_iter().for_each(|model| model.write_to(&mut record));
+    let models: Vec<_> = model.iter().map(|_| record.clone()).collect();
+    put_together(&models, &[group])
+}
+
+fn kitti_layout() -> Layout {
+    Layout { wrapping: Wrapping::Plain, stride: 16, position: Some([0, 4, 8]), intensity: Some(12) }
+}
+
+fn sections(kinds: &[SectionKind], payload: &[u8]) -> Vec<Section> {
+    kinds.iter().map(|&kind| Section { kind, payload: payload.to_vec() }).collect()
+}
+
+/// A scanner with many beams and ticks.
+fn model(rows: usize, ticks: u32) -> SensorModel {
+    SensorModel::new(Coordinates::Millimetre, ticks, 2000, vec![BeamConstants::default(); rows])
+}
+
+const IMAGE: [SectionKind; 6] = [
+    SectionKind::Columns,
+    SectionKind::Occupancy,
+    SectionKind::Intensity,
+    SectionKind::Range,
+    SectionKind::Correction,
+    SectionKind::Order,
+];
+
+#[test]
+fn forged_counts_are_an_error() {
+    let most = Limits::default().points;
+    for (records, strays) in [
+        (most + 1, 0),
+        (u64::MAX >> 1, u64::MAX >> 1),
+        (1 << 40, 5),
+        (5, 6),
+        (0, 1),
+        (3, 3),
+        (3, 0),
+        (0, 0),
+        (most, 0),
+    ] {
+        for payload in [&[][..], &[0xff; 9]] {
+            let frame =
+                [vec![file_section(&kitti_layout(), records, strays)], sections(&IMAGE, payload)].concat();
+            for sensor in [None, Some(&model(2, 40))] {
+                assert!(decode_files(&forged(sensor, frame.clone())).is_err(), "{records} {strays}");
+            }
+        }
+    }
+}
+
+/// A record that takes no bytes could be claimed any number of times.
+#[test]
+fn records_without_bytes_are_an_error() {
+    for layout in [Layout::default(), Layout { stride: 8, ..Layout::default() }] {
+        for records in [1, 1 << 24] {
+            let frame = vec![file_section(&layout, records, records)];
+            assert!(decode_files(&forged(None, frame)).is_err(), "{layout:?} {records}");
+        }
+    }
+}
+
+/// Every tick of the finest scanner as a column, of the most beams that it can have, would be an
+/// image of 370 million cells.
+#[test]
+fn an_image_larger_than_any_scan_is_an_error() {
+    let sensor = model(1024, 360_000);
+    let mut columns = ArithmeticEncoder::default();
+    ColumnModel::default().code(&mut columns, sensor.ticks, &mut (0..sensor.ticks).collect());
+    let mut frame = vec![file_section(&kitti_layout(), 1000, 0)];
+    frame.push(Section { kind: SectionKind::Columns, payload: columns.finish() });
+    frame.extend(sections(&IMAGE[1..], &[]));
+    let error = decode_files(&forged(Some(&sensor), frame)).unwrap_err().to_string();
+    assert!(error.contains("cells of the range image"), "{error}");
+}
+
+#[test]
+fn strays_of_bytes_that_are_made_up_are_an_error_in_time() {
+    for payload in [&[][..], &[0xff; 3], &[0x55; 40]] {
+        let mut frame = vec![file_section(&kitti_layout(), 30_000, 30_000)];
+        frame.extend(sections(&[SectionKind::Points, SectionKind::Intensity], payload));
+        assert!(decode_files(&forged(None, frame)).is_err());
+    }
+}
+
+/// The sections one after the other through random bytes, so that each is reached.
+#[test]
+fn random_sections_behind_a_good_file_section() {
+    let mut random = Random(9);
+    let good = file_section(&kitti_layout(), 60, 7);
+    let sensor = model(5, 40);
+    for round in 0..40 {
+        let mut payload: Vec<u8> = (0..30).map(|_| random.number() as u8).collect();
+        // The coder reads low bytes as ones: all columns and cells at first, then ever fewer.
+        payload[0] = (round * 6) as u8;
+        let mut frame = vec![good.clone()];
+        for &kind in &[&IMAGE[..2], &[SectionKind::Points], &IMAGE[2..]].concat() {
+            frame.push(Section { kind, payload: payload.clone() });
+        }
+        let _ = decode_files(&forged(Some(&sensor), frame));
+    }
+}
+
+#[test]
+fn plain_bits_are_as_many_as_the_format_allows() {
+    // The largest number that the length prefix can name.
+    let mut coder = ArithmeticEncoder::default();
+    coder.code_plain(u64::MAX, 64);
+    let payload = coder.finish();
+    for kind in IMAGE {
+        let mut parts = STREAMS[0].clone();
+        for section in parts.1.iter_mut().flat_map(|g| &mut g.frames).flat_map(|f| &mut f.sections) {
+            if section.kind == kind {
+                section.payload.clone_from(&payload);
+            }
+        }
+        assert!(decode_files(&put_together(&parts.0, &parts.1)).is_err(), "{kind}");
+    }
+}
