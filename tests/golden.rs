@@ -1,0 +1,106 @@
+//! Streams that were written once and must decode for ever, to the same bytes.
+//!
+//! Each `testdata/golden/*.lpc` has a list beside it, `*.txt`, of the files that it decodes to: a
+//! line `name size crc32c` each. New ones, after a change of the format, are written by
+//! `cargo test --test golden -- --ignored write_golden`; old ones are never written anew.
+
+mod common;
+
+use std::fs;
+use std::path::PathBuf;
+
+use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply};
+use common::scans::{random_points, scans, small, unrounded};
+use common::{File, decode_files, first_files, in_package, round_trip};
+use lidarpc::bitstream::header::VERSION;
+use lidarpc::codec::EncoderConfig;
+
+fn folder() -> PathBuf {
+    in_package("testdata/golden")
+}
+
+/// The list of files, as it stands beside a stream.
+fn list(files: &[File]) -> String {
+    let line = |(name, bytes): &File| format!("{name} {} {:08x}\n", bytes.len(), crc32c::crc32c(bytes));
+    files.iter().map(line).collect()
+}
+
+#[test]
+fn every_golden_stream_decodes_to_what_it_did() {
+    let entries = fs::read_dir(folder()).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut streams: Vec<PathBuf> = entries.filter(|path| path.extension() == Some("lpc".as_ref())).collect();
+    streams.sort();
+    for path in &streams {
+        let shown = path.display();
+        let stream = fs::read(path).unwrap();
+        let files = decode_files(&stream).unwrap_or_else(|error| panic!("{shown}: {error}"));
+        let expected = fs::read_to_string(path.with_extension("txt"))
+            .unwrap_or_else(|error| panic!("{shown}: the list beside it: {error}"));
+        assert_eq!(list(&files), expected, "{shown}");
+        if path.file_stem().is_some_and(|stem| stem.to_string_lossy().ends_with("-drive")) {
+            assert!(files == drive_files(), "{shown}: not the bytes of testdata/drive");
+        }
+        println!("{shown}: {} files, as expected", files.len());
+    }
+    if streams.is_empty() {
+        println!("no golden stream found in {}: nothing was tested", folder().display());
+    }
+}
+
+fn drive_files() -> Vec<File> {
+    first_files(&in_package("testdata/drive"), usize::MAX)
+}
+
+/// One file of each kind, in and out of order, with and without a fitted scanner.
+fn odd_files() -> Vec<File> {
+    let config = small(3, 4);
+    let frames = scans(&config);
+    let mut changed = frames[0].clone();
+    changed.swap(40, 900);
+    changed.splice(100..100, random_points(30, 1));
+    changed[7] = [f32::NAN, f32::INFINITY, -0.0, f32::from_bits(1)];
+    changed[9] = [0.0; 4];
+    changed[11][3] = f32::from_bits(0x7f80_0001);
+    let some = &frames[2][..200];
+    [
+        ("0-scan.bin", kitti(&frames[1])),
+        ("1-changed.bin", [kitti(&changed), vec![1, 2, 3]].concat()),
+        ("2-empty.bin", Vec::new()),
+        ("3-fields.pcd", pcd_extra(&frames[2])),
+        ("4-no-intensity.pcd", pcd_xyz(&frames[3])),
+        ("5-text.pcd", pcd_text(some)),
+        ("6-ring.pcd.bin", nuscenes(some)),
+        ("7-colour.ply", ply(some)),
+        ("8-random.bin", kitti(&random_points(200, 2))),
+        ("9-no-scan.pcd", b"VERSION 0.7, but damaged".to_vec()),
+    ]
+    .map(|(name, bytes)| (name.to_owned(), bytes))
+    .to_vec()
+}
+
+/// A scanner whose coordinates were not rounded to the millimetre.
+fn float_files() -> Vec<File> {
+    let config = small(5, 2);
+    let frames = scans(&config).into_iter().enumerate();
+    frames.map(|(n, points)| (format!("{n}.bin"), kitti(&unrounded(&config, &points)))).collect()
+}
+
+#[test]
+#[ignore = "writes testdata/golden"]
+fn write_golden() {
+    fs::create_dir_all(folder()).unwrap();
+    for (name, files) in
+        [("exact-drive", drive_files()), ("exact-odd-files", odd_files()), ("exact-float32", float_files())]
+    {
+        let path = folder().join(format!("v{VERSION}-{name}.lpc"));
+        if path.exists() {
+            println!("{} is there, and stays as it is", path.display());
+            continue;
+        }
+        // Two frames a group, so that there is more than one group.
+        let stream = round_trip(&files, &EncoderConfig { gop: 2, ..EncoderConfig::default() });
+        fs::write(path.with_extension("txt"), list(&files)).unwrap();
+        fs::write(&path, stream).unwrap();
+        println!("{}: {} files", path.display(), files.len());
+    }
+}
