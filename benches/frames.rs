@@ -1,0 +1,53 @@
+//! Whole frames, on one thread: the sensor model is fitted already, and each frame is coded as the
+//! next of a group. Points a second.
+
+#![allow(missing_docs)]
+
+mod common;
+
+use std::hint::black_box;
+use std::time::Duration;
+
+use common::{drives, points};
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use lidarpc::codec::group::{GroupDecoder, GroupEncoder};
+use lidarpc::error::Limits;
+use lidarpc::scan::ScanFile;
+use lidarpc::sensor::{SensorModel, fit};
+
+fn frames(c: &mut Criterion) {
+    for (name, scans) in drives() {
+        let sensor = fit(&scans);
+        let mut group = c.benchmark_group(format!("frames/{name}"));
+        group.sample_size(10).measurement_time(Duration::from_secs(4));
+        group.throughput(Throughput::Elements(points(&scans)));
+        measure(&mut group, "fitted", sensor.as_ref(), &scans);
+        measure(&mut group, "unfitted", None, &scans);
+        group.finish();
+    }
+}
+
+fn measure(
+    group: &mut criterion::BenchmarkGroup<'_, criterion::measurement::WallTime>,
+    kind: &str,
+    sensor: Option<&SensorModel>,
+    scans: &[ScanFile],
+) {
+    let encode = || {
+        let mut encoder = GroupEncoder::new(sensor);
+        scans.iter().map(|scan| encoder.encode_frame(scan).unwrap()).collect::<Vec<_>>()
+    };
+    let coded = encode();
+    group.bench_function(format!("encode/{kind}"), |b| b.iter(encode));
+    group.bench_function(format!("decode/{kind}"), |b| {
+        b.iter(|| {
+            let mut decoder = GroupDecoder::new(sensor, &Limits::default());
+            for sections in &coded {
+                black_box(decoder.decode_frame("0.bin", sections).unwrap());
+            }
+        });
+    });
+}
+
+criterion_group!(benches, frames);
+criterion_main!(benches);

@@ -1,0 +1,97 @@
+//! The stages by themselves: sensor fit, projection, and the coding of each part of a frame that
+//! has a coder of its own.
+
+#![allow(missing_docs)]
+
+mod common;
+
+use std::hint::black_box;
+use std::time::Duration;
+
+use common::{Drive, drives, points};
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use lidarpc::context::{
+    ColumnModel, CorrectionModel, OccupancyModel, OrderExceptions, OrderModel, PointModel, RangeModel,
+};
+use lidarpc::entropy::ArithmeticEncoder;
+use lidarpc::grid::Grid;
+use lidarpc::range_image::{Projection, project};
+use lidarpc::sensor::{SensorModel, fit};
+
+fn stages(c: &mut Criterion) {
+    for (name, scans) in drives() {
+        let mut group = c.benchmark_group(format!("fit/{name}"));
+        group.sample_size(10).throughput(Throughput::Elements(points(&scans)));
+        group.bench_function("sensor", |b| b.iter(|| fit(black_box(&scans))));
+        group.finish();
+        if let Some(sensor) = fit(&scans) {
+            frame_stages(c, &(name, scans), &sensor);
+        }
+    }
+}
+
+/// What is done with one frame, in the order of its coding. Models start afresh each time.
+fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &SensorModel) {
+    let cloud = &scans[0].cloud;
+    let Projection { image, point_of_cell, .. } = project(sensor, cloud);
+    let occupancy = filled(&image.steps);
+    let no_intensity = Grid::<u16>::new(occupancy.rows(), occupancy.columns());
+    let returns = image.file_order(sensor);
+    let order: Vec<u32> = (0..returns.len() as u32).collect();
+    let exceptions = OrderExceptions::of(&order, returns.len());
+    let positions: Vec<[f32; 3]> = returns
+        .iter()
+        .map(|r| cloud.positions[point_of_cell[(r.row as usize, r.column as usize)] as usize])
+        .collect();
+
+    let mut group = c.benchmark_group(format!("stages/{name}"));
+    group.sample_size(10).measurement_time(Duration::from_secs(2));
+    group.throughput(Throughput::Elements(cloud.positions.len() as u64));
+    group.bench_function("project", |b| b.iter(|| project(sensor, black_box(cloud))));
+    group.bench_function("file_order", |b| b.iter(|| black_box(&image).file_order(sensor)));
+    group.bench_function("columns", |b| {
+        b.iter(|| {
+            ColumnModel::default().code(&mut encoder(), sensor.ticks, &mut image.columns.clone());
+        });
+    });
+    group.bench_function("occupancy", |b| {
+        b.iter(|| OccupancyModel::default().code(&mut encoder(), &mut occupancy.clone()));
+    });
+    group.bench_function("range", |b| {
+        b.iter(|| {
+            let mut model = RangeModel::new(sensor.rows());
+            model.code(&mut encoder(), &occupancy, &no_intensity, &mut image.steps.clone());
+        });
+    });
+    group.bench_function("correction", |b| {
+        b.iter(|| {
+            let (mut coder, mut model) = (encoder(), CorrectionModel::default());
+            for (found, position) in returns.iter().zip(&positions) {
+                model.code(&mut coder, sensor, found, &mut position.clone());
+            }
+        });
+    });
+    group.bench_function("order", |b| {
+        b.iter(|| OrderModel::default().code(&mut encoder(), &mut exceptions.clone(), returns.len(), 0));
+    });
+    group.bench_function("points", |b| {
+        b.iter(|| PointModel::default().code(&mut encoder(), &mut cloud.positions.clone()));
+    });
+    group.finish();
+}
+
+fn filled(steps: &Grid<u32>) -> Grid<bool> {
+    let mut occupancy = Grid::new(steps.rows(), steps.columns());
+    for row in 0..steps.rows() {
+        let filled = steps.row(row).iter().map(|&steps| steps > 0);
+        occupancy.row_mut(row).iter_mut().zip(filled).for_each(|(cell, filled)| *cell = filled);
+    }
+    occupancy
+}
+
+fn encoder() -> ArithmeticEncoder {
+    ArithmeticEncoder::default()
+}
+
+criterion_group!(benches, stages);
+criterion_main!(benches);
