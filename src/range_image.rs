@@ -72,7 +72,7 @@ pub struct Projection {
     pub strays: Vec<u32>,
 }
 
-/// A column that holds fewer points costs more than they do as strays.
+/// A column that holds fewer points costs more than they do as strays, if there are so many beams.
 const FEWEST_IN_COLUMN: u32 = 3;
 /// Metres: a point that the formula misses by more is a stray.
 const REACH: f64 = 0.004;
@@ -83,8 +83,8 @@ pub fn project(sensor: &SensorModel, cloud: &PointCloud) -> Projection {
     let places = places(sensor, cloud);
     let mut in_column = vec![0u32; sensor.ticks as usize];
     places.iter().flatten().for_each(|place| in_column[place.column_tick as usize] += 1);
-    let columns: Vec<u32> =
-        (0..sensor.ticks).filter(|&c| in_column[c as usize] >= FEWEST_IN_COLUMN).collect();
+    let fewest = FEWEST_IN_COLUMN.min(sensor.rows().div_ceil(3) as u32);
+    let columns: Vec<u32> = (0..sensor.ticks).filter(|&c| in_column[c as usize] >= fewest).collect();
     let mut column_of_tick = vec![None; sensor.ticks as usize];
     columns.iter().enumerate().for_each(|(column, &tick)| column_of_tick[tick as usize] = Some(column));
 

@@ -5,13 +5,17 @@
 //! sideways offset is the one that makes the azimuth ticks most coherent; (3) the phase of the
 //! range on its grid gives the range offset; (4) all five constants by least squares on x, y, z.
 
+use std::cmp::Reverse;
 use std::f64::consts::TAU;
 
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
+use super::beams::{Beam, Cone, Point, align, split_beams, thinned};
+use super::columns::column_shifts;
+use super::model::small_atan;
 use super::{BeamConstants, Coordinates, SensorModel};
-use crate::scan::{PointCloud, ScanFile};
+use crate::scan::ScanFile;
 
 /// Azimuth ticks a turn of the scanners that the fit knows.
 const TICKS: u32 = 4000;
@@ -20,166 +24,71 @@ const RANGE_STEP_UM: u32 = 2000;
 const RANGE_STEP: f64 = RANGE_STEP_UM as f64 * 1e-6;
 const TICK: f64 = TAU / TICKS as f64;
 /// Fewer points than this do not determine a beam.
-const FEWEST_POINTS: usize = 100;
+const FEWEST_POINTS: usize = 40;
 /// Points of a beam used where a sample is enough.
 const SAMPLE: usize = 1500;
-/// A model that puts fewer of the points than this within reach of its corrections is dropped.
+/// Constants that put fewer of a beam's points than this within reach of the corrections are wrong.
+const LEAST_OF_BEAM: f64 = 0.7;
+/// A model that explains fewer of the points than this is dropped.
 const LEAST_SHARE: f64 = 0.5;
 
 /// Fits a model to a sample of the sequence's scans. None if the points are not those of such a
 /// scanner, stored beam by beam.
 pub fn fit(sample: &[ScanFile]) -> Option<SensorModel> {
-    let (coordinates, scans) = alike(sample)?;
-    let rows = scans.first()?.len();
-    let constants: Vec<_> = (0..rows)
-        .into_par_iter()
-        .map(|row| {
-            let points: Vec<_> = scans.iter().flat_map(|beams| beams[row].iter().copied()).collect();
-            fit_beam(&points, coordinates)
+    let scans: Vec<(Coordinates, Vec<Vec<Point>>)> = sample
+        .par_iter()
+        .map(|scan| {
+            (Coordinates::of(scan.cloud.positions.iter().step_by(7).flatten()), split_beams(&scan.cloud))
         })
         .collect();
-    let constants = fill_gaps(constants)?;
-    let constants = constants.into_iter().map(BeamConstants::quantise).collect();
-    let mut model = SensorModel::new(coordinates, TICKS, RANGE_STEP_UM, constants);
-    let shifts = column_shifts(&model, &scans);
-    model.set_column_shifts(&shifts);
-    (explained_share(&model, &scans) >= LEAST_SHARE).then_some(model)
+    let on = |grid: Coordinates| -> Vec<&[Vec<Point>]> {
+        scans.iter().filter(|(other, _)| *other == grid).map(|(_, beams)| beams.as_slice()).collect()
+    };
+    let mut grids = [Coordinates::Millimetre, Coordinates::Float32];
+    grids.sort_by_key(|&grid| Reverse(on(grid).iter().copied().flatten().map(Vec::len).sum::<usize>()));
+    grids.into_iter().find_map(|grid| fit_scans(grid, &on(grid)))
 }
 
-/// The points of one beam in one scan, in metres.
-type BeamPoints = Vec<[f64; 3]>;
-
-/// Splits the scans into beams where the azimuth wraps around, and keeps the largest set of scans
-/// that have the same grid of coordinates and number of beams: whichever are odd are left out.
-fn alike(sample: &[ScanFile]) -> Option<(Coordinates, Vec<Vec<BeamPoints>>)> {
-    let kinds = sample.iter().map(|scan| &scan.cloud).filter_map(|cloud| {
-        let beams = split_beams(cloud);
-        let grid = Coordinates::of(cloud.positions.iter().step_by(7).flatten());
-        (beams.len() > 1).then_some(((grid, beams.len()), beams))
-    });
-    let scans: Vec<_> = kinds.collect();
-    let frequency = |kind: (Coordinates, usize)| scans.iter().filter(|(other, _)| *other == kind).count();
-    let kind = scans.iter().map(|(kind, _)| *kind).max_by_key(|&kind| (frequency(kind), kind.1))?;
-    Some((kind.0, scans.into_iter().filter(|(other, _)| *other == kind).map(|(_, beams)| beams).collect()))
-}
-
-/// Splits one scan; a short step back over the seam is not a new beam.
-fn split_beams(cloud: &PointCloud) -> Vec<BeamPoints> {
-    /// More beams than any scanner has: the points are in some other order.
-    const MOST_BEAMS: usize = 256;
-    let mut beams = vec![BeamPoints::new()];
-    let mut row = 0usize;
-    let mut last = None;
-    for position in &cloud.positions {
-        let point = position.map(f64::from);
-        if !point.iter().all(|v| v.is_finite()) || (point[0] == 0.0 && point[1] == 0.0) {
-            continue;
-        }
-        let azimuth = point[1].atan2(point[0]).rem_euclid(TAU);
-        let step = azimuth - last.replace(azimuth).unwrap_or(azimuth);
-        if step < -5.0 {
-            row += 1;
-        } else if step > 5.0 {
-            row = row.saturating_sub(1);
-        }
-        if row >= MOST_BEAMS {
-            return Vec::new();
-        }
-        if row == beams.len() {
-            beams.push(BeamPoints::new());
-        }
-        beams[row].push(point);
-    }
-    beams
-}
-
-/// Beams with too few points get the constants of their neighbours, evenly between; they only
-/// have to be plausible.
-fn fill_gaps(constants: Vec<Option<[f64; 5]>>) -> Option<Vec<[f64; 5]>> {
-    let known: Vec<usize> = (0..constants.len()).filter(|&row| constants[row].is_some()).collect();
-    if known.len() * 2 < constants.len() || known.is_empty() {
+/// Fits a model to scans with coordinates on the same grid.
+fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<SensorModel> {
+    let beams = align(scans);
+    let constants: Vec<_> =
+        beams.par_iter().map(|beam| fit_beam(&beam.scans.concat(), coordinates)).collect();
+    let (beams, constants): (Vec<&Beam>, Vec<BeamConstants>) =
+        beams.iter().zip(constants).filter_map(|(beam, constants)| Some((beam, constants?))).unzip();
+    let taken = |scan: usize| beams.iter().map(|beam| beam.scans[scan].len()).sum::<usize>();
+    let total = |scan: usize| scans[scan].iter().map(Vec::len).sum::<usize>();
+    let used = (0..scans.len()).filter(|&scan| taken(scan) > 0);
+    let (taken, total) = used.fold((0, 0), |sum, scan| (sum.0 + taken(scan), sum.1 + total(scan)));
+    if taken == 0 || (taken as f64) < LEAST_SHARE * total as f64 {
         return None;
     }
-    let at = |row: usize| constants[row].unwrap_or_default();
-    let between = |row: usize| {
-        let above = known.iter().copied().filter(|&k| k <= row).next_back();
-        let below = known.iter().copied().find(|&k| k >= row);
-        match (above, below) {
-            (Some(a), Some(b)) if a < b => {
-                let share = (row - a) as f64 / (b - a) as f64;
-                std::array::from_fn(|i| at(a)[i] + share * (at(b)[i] - at(a)[i]))
-            }
-            (Some(a), _) => at(a),
-            (None, Some(b)) => at(b),
-            (None, None) => at(row),
-        }
-    };
-    Some((0..constants.len()).map(between).collect())
+    let mut model = SensorModel::new(coordinates, TICKS, RANGE_STEP_UM, constants);
+    let shifts = column_shifts(&model, &beams);
+    model.set_column_shifts(&shifts);
+    Some(model)
 }
 
-/// (V, b, c, h, rot) of one beam, in radians and metres.
-fn fit_beam(points: &[[f64; 3]], coordinates: Coordinates) -> Option<[f64; 5]> {
+/// The constants of one beam. None if its points are too few, or not those of such a beam.
+fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<BeamConstants> {
     if points.len() < FEWEST_POINTS {
         return None;
     }
-    let polar: Vec<Polar> = points.iter().map(|&p| Polar::of(p)).collect();
-    let (height, slope) = height_line(&polar);
-    let elevation = slope.atan();
-    let far = far_sample(&polar);
-    let (side, rot) = side_offset(&far);
-    let offset = range_phase(&polar, elevation);
-    let start = [elevation, offset, height + slope * offset, side, rot];
-    Some(refine(start, points, &polar, coordinates))
-}
-
-/// A point seen from the axis: horizontal distance, azimuth, height.
-#[derive(Clone, Copy)]
-struct Polar {
-    rho: f64,
-    azimuth: f64,
-    z: f64,
-}
-
-impl Polar {
-    fn of([x, y, z]: [f64; 3]) -> Self {
-        Polar { rho: x.hypot(y), azimuth: y.atan2(x), z }
-    }
-}
-
-/// Step 1: z = height + slope * rho, by least squares with weights that fall with the miss.
-fn height_line(polar: &[Polar]) -> (f64, f64) {
-    let (mut height, mut slope) = (0.0, 0.0);
-    for round in 0..15 {
-        let [mut n, mut r, mut rr, mut z, mut rz] = [0.0; 5];
-        for p in polar {
-            let miss = (p.z - height - slope * p.rho).abs();
-            let weight = match round {
-                0 => 1.0,
-                _ if miss > 0.02 && round > 2 => 0.0,
-                _ => 1.0 / miss.max(3e-4),
-            };
-            n += weight;
-            r += weight * p.rho;
-            rr += weight * p.rho * p.rho;
-            z += weight * p.z;
-            rz += weight * p.rho * p.z;
-        }
-        let determinant = n * rr - r * r;
-        if determinant.abs() < 1e-12 {
-            break;
-        }
-        slope = (n * rz - r * z) / determinant;
-        height = (z - slope * r) / n;
-    }
-    (height, slope)
+    let cone = Cone::fit(points);
+    let elevation = cone.slope.atan();
+    let (side, rot) = side_offset(&far_sample(points));
+    let offset = range_phase(points, elevation);
+    let start = [elevation, offset, cone.height + cone.slope * offset, side, rot];
+    let constants = refine(start, points, coordinates);
+    (explained_share(&constants, points) >= LEAST_OF_BEAM).then(|| BeamConstants::quantise(constants))
 }
 
 /// Points far enough for their azimuth to be sharp, thinned.
-fn far_sample(polar: &[Polar]) -> Vec<Polar> {
+fn far_sample(points: &[Point]) -> Vec<Point> {
     for least in [5.0, 3.2, 0.0] {
-        let far: Vec<_> = polar.iter().copied().filter(|p| p.rho > least).collect();
+        let far: Vec<_> = points.iter().copied().filter(|p| p.rho > least).collect();
         if far.len() >= 500 || least == 0.0 {
-            return far.iter().step_by(far.len().div_ceil(SAMPLE).max(1)).copied().collect();
+            return thinned(&far, SAMPLE).copied().collect();
         }
     }
     Vec::new()
@@ -197,16 +106,24 @@ fn coherence(values: impl Iterator<Item = f64>, period: f64) -> (f64, f64) {
 }
 
 /// Step 2: the sideways offset h that makes the azimuths fall on the ticks, and the phase rot.
-fn side_offset(far: &[Polar]) -> (f64, f64) {
-    let at = |h: f64| coherence(far.iter().map(|p| p.azimuth - (h / p.rho).atan()), TICK);
-    let best = (-60..=60).map(|mm| f64::from(mm) * 1e-3).max_by(|&a, &b| at(a).0.total_cmp(&at(b).0));
-    let h = best.unwrap_or(0.0);
-    (h, at(h).1 / TAU * TICK)
+/// First roughly by some of the points, then by all of them.
+fn side_offset(far: &[Point]) -> (f64, f64) {
+    const ROUGH_SAMPLE: usize = 400;
+    let some: Vec<Point> = thinned(far, ROUGH_SAMPLE).copied().collect();
+    let at =
+        |points: &[Point], h: f64| coherence(points.iter().map(|p| p.azimuth - small_atan(h / p.rho)), TICK);
+    let best = |points: &[Point], mm: &mut dyn Iterator<Item = i32>| {
+        let strength = |mm: i32| at(points, f64::from(mm) * 1e-3).0;
+        mm.map(|mm| (mm, strength(mm))).max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(mm, _)| mm)
+    };
+    let rough = best(&some, &mut (-60..=60).step_by(2));
+    let h = f64::from(best(far, &mut (rough - 2..=rough + 2))) * 1e-3;
+    (h, at(far, h).1 / TAU * TICK)
 }
 
 /// Step 3: the phase of the range on its grid, as the offset b in metres.
-fn range_phase(polar: &[Polar], elevation: f64) -> f64 {
-    let mut ranges: Vec<f64> = polar.iter().map(|p| p.rho / elevation.cos()).collect();
+fn range_phase(points: &[Point], elevation: f64) -> f64 {
+    let mut ranges: Vec<f64> = thinned(points, 4 * SAMPLE).map(|p| p.rho / elevation.cos()).collect();
     ranges.sort_by(f64::total_cmp);
     let middle = &ranges[ranges.len() / 20..ranges.len() * 17 / 20];
     coherence(middle.iter().copied(), RANGE_STEP).1 / TAU * RANGE_STEP * elevation.cos()
@@ -214,26 +131,26 @@ fn range_phase(polar: &[Polar], elevation: f64) -> f64 {
 
 /// Step 4: Gauss-Newton on the misses of x, y and z, the integers held; repeated, as the integers
 /// change with the constants.
-fn refine(start: [f64; 5], points: &[[f64; 3]], polar: &[Polar], coordinates: Coordinates) -> [f64; 5] {
+fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 5] {
     let mut constants = start;
-    let thin = points.len().div_ceil(4 * SAMPLE);
-    let least_squares = |constants: &[f64; 5], thin: usize, reach: f64| {
+    let least_squares = |constants: &[f64; 5], count: usize, reach: f64| {
+        let formula = Formula::new(constants);
         let mut system = System::default();
-        for (point, p) in points.iter().zip(polar).step_by(thin) {
-            let miss = misses(constants, point, p);
-            if miss.iter().all(|m| m.abs() < reach) {
-                system.add(miss, slopes(constants, point, p));
+        for point in thinned(points, count) {
+            let site = formula.at(point);
+            if site.largest_miss() < reach {
+                system.add(site.miss, &formula, &site);
             }
         }
         system
     };
     for reach in [0.004, 0.004, 0.0015, 0.0015, 0.0015, 0.0015] {
-        least_squares(&constants, thin, reach).step(&mut constants);
+        least_squares(&constants, 4 * SAMPLE, reach).step(&mut constants);
     }
-    let whole = least_squares(&constants, 1, 0.0015);
+    let whole = least_squares(&constants, usize::MAX, 0.0015);
     whole.step(&mut constants);
     if coordinates == Coordinates::Millimetre {
-        centre_in_roundings(&mut constants, points, polar, &whole);
+        centre_in_roundings(&mut constants, points, &whole);
     }
     constants
 }
@@ -241,7 +158,7 @@ fn refine(start: [f64; 5], points: &[[f64; 3]], polar: &[Polar], coordinates: Co
 /// A coordinate rounded to the millimetre misses by up to half of one however right the constants
 /// are: only what misses by more says that they are wrong. Moves the constants until little does,
 /// which makes them far sharper than least squares can.
-fn centre_in_roundings(constants: &mut [f64; 5], points: &[[f64; 3]], polar: &[Polar], whole: &System) {
+fn centre_in_roundings(constants: &mut [f64; 5], points: &[Point], whole: &System) {
     const ROUNDS: usize = 16;
     /// Metres.
     const HALF_UNIT: f64 = 5e-4;
@@ -249,13 +166,14 @@ fn centre_in_roundings(constants: &mut [f64; 5], points: &[[f64; 3]], polar: &[P
     /// How much the points that fit hold the constants in place.
     const INERTIA: f64 = 0.003;
     for _ in 0..ROUNDS {
+        let formula = Formula::new(constants);
         let mut system = System { normal: whole.normal * INERTIA, ..System::default() };
-        for (point, p) in points.iter().zip(polar) {
-            let miss = misses(constants, point, p);
-            let largest = miss.iter().fold(0.0f64, |largest, m| largest.max(m.abs()));
+        for point in points {
+            let site = formula.at(point);
+            let largest = site.largest_miss();
             if largest > HALF_UNIT && largest < REACH {
-                let beyond = miss.map(|m| m - m.clamp(-HALF_UNIT, HALF_UNIT));
-                system.add(beyond, slopes(constants, point, p));
+                let beyond = site.miss.map(|m| m - m.clamp(-HALF_UNIT, HALF_UNIT));
+                system.add(beyond, &formula, &site);
             }
         }
         system.step(constants);
@@ -270,8 +188,8 @@ struct System {
 }
 
 impl System {
-    fn add(&mut self, miss: [f64; 3], slopes: [[f64; 5]; 3]) {
-        for (m, slope) in miss.into_iter().zip(slopes) {
+    fn add(&mut self, miss: [f64; 3], formula: &Formula, site: &Site) {
+        for (m, slope) in miss.into_iter().zip(formula.slopes(site)) {
             if m != 0.0 {
                 let slope = SVector::from(slope);
                 self.normal += slope * slope.transpose();
@@ -289,97 +207,72 @@ impl System {
     }
 }
 
-/// The formula's d, rho and phi at the integers nearest to a point.
-fn at_integers(&[v, b, c, h, rot]: &[f64; 5], z: f64, p: &Polar) -> [f64; 3] {
-    let (sin_v, cos_v) = (libm::sin(v), libm::cos(v));
-    let d = (((p.rho - b) * cos_v + (z - c) * sin_v) / RANGE_STEP).round() * RANGE_STEP;
-    let tick = ((p.azimuth - (h / p.rho).atan() - rot) / TICK).round() * TICK;
-    let rho = d * cos_v + b;
-    [d, rho, tick + rot + (h / rho).atan()]
+/// The formula with the constants (V, b, c, h, rot) of one beam.
+struct Formula {
+    sin_v: f64,
+    cos_v: f64,
+    b: f64,
+    c: f64,
+    h: f64,
+    rot: f64,
 }
 
-/// How far the formula misses a point, in metres.
-fn misses(constants: &[f64; 5], &[x, y, z]: &[f64; 3], p: &Polar) -> [f64; 3] {
-    let [d, rho, phi] = at_integers(constants, z, p);
-    let (sin, cos) = phi.sin_cos();
-    [x - rho * cos, y - rho * sin, z - d * constants[0].sin() - constants[2]]
+/// The formula at the integers nearest to a point.
+struct Site {
+    d: f64,
+    rho: f64,
+    sin: f64,
+    cos: f64,
+    /// How far the formula misses the point, in metres.
+    miss: [f64; 3],
 }
 
-/// The slopes of the formula's x, y and z against (V, b, c, h, rot).
-fn slopes(constants: &[f64; 5], &[_, _, z]: &[f64; 3], p: &Polar) -> [[f64; 5]; 3] {
-    let [d, rho, phi] = at_integers(constants, z, p);
-    let [v, _, _, h, _] = *constants;
-    let (sin_v, cos_v) = v.sin_cos();
-    let (sin, cos) = phi.sin_cos();
-    let square = rho * rho + h * h;
-    let rho_by = [-d * sin_v, 1.0, 0.0, 0.0, 0.0];
-    let phi_by_rho = -h / square;
-    let phi_by = [rho_by[0] * phi_by_rho, phi_by_rho, 0.0, rho / square, 1.0];
-    let x_by = std::array::from_fn(|i| cos * rho_by[i] - rho * sin * phi_by[i]);
-    let y_by = std::array::from_fn(|i| sin * rho_by[i] + rho * cos * phi_by[i]);
-    let z_by = [d * cos_v, 0.0, 1.0, 0.0, 0.0];
-    [x_by, y_by, z_by]
-}
-
-/// The whole number of ticks by which each beam's columns are moved against those of the fullest
-/// beam: where their occupancies agree most.
-fn column_shifts(model: &SensorModel, scans: &[Vec<BeamPoints>]) -> Vec<i64> {
-    /// The beams of one firing look within 36 degrees of each other.
-    const WIDEST: i64 = TICKS as i64 / 10;
-    /// Scans used.
-    const SCANS: usize = 3;
-    let rows = model.rows();
-    let used: Vec<Vec<Vec<u8>>> = scans
-        .iter()
-        .take(SCANS)
-        .map(|beams| (0..rows).map(|row| used_ticks(model, row, &beams[row])).collect())
-        .collect();
-    let filled = |row: usize| used.iter().map(|scan| agreement(&scan[row], &scan[row])).sum::<u32>();
-    let reference = (0..rows).max_by_key(|&row| filled(row)).unwrap_or(0);
-    let agreement_at = |row: usize, shift: i64| {
-        let start = shift.rem_euclid(i64::from(TICKS)) as usize;
-        let overlap = |scan: &Vec<Vec<u8>>| {
-            let (mine, theirs) = (&scan[row], &scan[reference]);
-            let (head, tail) = mine.split_at(mine.len() - start);
-            agreement(head, &theirs[start..]) + agreement(tail, &theirs[..start])
-        };
-        used.iter().map(overlap).sum::<u32>()
-    };
-    let best = |row| (-WIDEST..=WIDEST).max_by_key(|&shift| (agreement_at(row, shift), -shift.abs()));
-    (0..rows).into_par_iter().map(|row| best(row).unwrap_or(0)).collect()
-}
-
-/// How many ticks both have in use.
-fn agreement(a: &[u8], b: &[u8]) -> u32 {
-    // Sums of bytes, in runs short enough not to overflow one, are what vector units do best.
-    let run = |(a, b): (&[u8], &[u8])| u32::from(a.iter().zip(b).map(|(a, b)| a & b).sum::<u8>());
-    a.chunks(255).zip(b.chunks(255)).map(run).sum()
-}
-
-/// 1 for each tick that holds a point of beam `row`, else 0.
-fn used_ticks(model: &SensorModel, row: usize, points: &[[f64; 3]]) -> Vec<u8> {
-    let mut used = vec![0; TICKS as usize];
-    for (tick, _) in points.iter().filter_map(|&p| model.invert(row, p)) {
-        used[tick as usize] = 1;
+impl Site {
+    fn largest_miss(&self) -> f64 {
+        self.miss.iter().fold(0.0f64, |largest, m| largest.max(m.abs()))
     }
-    used
+}
+
+impl Formula {
+    fn new(&[v, b, c, h, rot]: &[f64; 5]) -> Self {
+        Formula { sin_v: v.sin(), cos_v: v.cos(), b, c, h, rot }
+    }
+
+    fn at(&self, point: &Point) -> Site {
+        let [x, y, z] = point.position;
+        let steps = ((point.rho - self.b) * self.cos_v + (z - self.c) * self.sin_v) / RANGE_STEP;
+        let d = steps.round() * RANGE_STEP;
+        let rho = d * self.cos_v + self.b;
+        let (side, side_in_file) = (small_atan(self.h / rho), small_atan(self.h / point.rho));
+        let ticks = (point.azimuth - side_in_file - self.rot) / TICK;
+        // phi is less than a tick from the point's azimuth: a few terms of the series turn the
+        // point there.
+        let turn = (ticks.round() - ticks) * TICK + (side - side_in_file);
+        let (sin_turn, cos_turn) = (turn * (1.0 - turn * turn / 6.0), 1.0 - turn * turn / 2.0);
+        let (cos, sin) =
+            ((x * cos_turn - y * sin_turn) / point.rho, (y * cos_turn + x * sin_turn) / point.rho);
+        let miss = [x - rho * cos, y - rho * sin, z - d * self.sin_v - self.c];
+        Site { d, rho, sin, cos, miss }
+    }
+
+    /// The slopes of the formula's x, y and z against (V, b, c, h, rot).
+    fn slopes(&self, &Site { d, rho, sin, cos, .. }: &Site) -> [[f64; 5]; 3] {
+        let square = rho * rho + self.h * self.h;
+        let rho_by = [-d * self.sin_v, 1.0, 0.0, 0.0, 0.0];
+        let phi_by_rho = -self.h / square;
+        let phi_by = [rho_by[0] * phi_by_rho, phi_by_rho, 0.0, rho / square, 1.0];
+        let x_by = std::array::from_fn(|i| cos * rho_by[i] - rho * sin * phi_by[i]);
+        let y_by = std::array::from_fn(|i| sin * rho_by[i] + rho * cos * phi_by[i]);
+        let z_by = [d * self.cos_v, 0.0, 1.0, 0.0, 0.0];
+        [x_by, y_by, z_by]
+    }
 }
 
 /// Share of the points that the formula gives to within what its corrections reach.
-fn explained_share(model: &SensorModel, scans: &[Vec<BeamPoints>]) -> f64 {
+fn explained_share(constants: &[f64; 5], points: &[Point]) -> f64 {
     /// Metres.
     const REACH: f64 = 0.0016;
-    let mut explained = 0usize;
-    let mut total = 0usize;
-    for (row, point) in scans
-        .iter()
-        .flat_map(|beams| beams.iter().enumerate())
-        .flat_map(|(row, points)| points.iter().step_by(5).map(move |point| (row, *point)))
-    {
-        total += 1;
-        let Some((tick, steps)) = model.invert(row, point) else { continue };
-        let formula = model.point(row, tick, steps);
-        explained += usize::from(formula.iter().zip(point).all(|(f, p)| (f - p).abs() < REACH));
-    }
-    explained as f64 / total.max(1) as f64
+    let formula = Formula::new(constants);
+    let explained = points.iter().filter(|point| formula.at(point).largest_miss() < REACH).count();
+    explained as f64 / points.len().max(1) as f64
 }

@@ -1,6 +1,8 @@
 //! What the scanner is: the formula that turns integers (beam, tick, range steps) into the
 //! coordinates of a file, and the fit of its constants to the sequence at hand.
 
+mod beams;
+mod columns;
 mod coordinates;
 mod fit;
 mod model;

@@ -207,7 +207,7 @@ impl SensorModel {
         let rho = (x * x + y * y).sqrt();
         let d = (rho - beam.b) * beam.cos_v + (z - beam.c) * beam.sin_v;
         let steps = (d / self.range_step()).round();
-        let azimuth = y.atan2(x) - (beam.h / rho).atan() - beam.rot;
+        let azimuth = y.atan2(x) - small_atan(beam.h / rho) - beam.rot;
         let tick = (azimuth / TAU * f64::from(self.ticks)).round();
         let in_reach = steps >= 1.0 && steps <= f64::from(MOST_STEPS) && tick.is_finite();
         in_reach.then(|| ((tick as i64).rem_euclid(i64::from(self.ticks)) as u32, steps as u32))
@@ -280,7 +280,7 @@ pub const MOST_STEPS: u32 = (1 << 16) - 1;
 /// atan for the small angles of the sideways offset: a fixed polynomial, the same on every
 /// platform. Off by less than 1e-9 rad below 0.05 rad; what is larger only spoils the order
 /// that the file is expected to have, never the result.
-fn small_atan(tangent: f64) -> f64 {
+pub(super) fn small_atan(tangent: f64) -> f64 {
     let square = tangent * tangent;
     tangent * (1.0 - square * (1.0 / 3.0 - square * (1.0 / 5.0 - square / 7.0)))
 }

@@ -1,0 +1,223 @@
+//! The fit of the sensor model: which share of the points it explains, whatever the sample.
+
+mod common;
+
+use common::formats::kitti;
+use common::scans::{Points, moved, random_points, rows, scans, shuffled, unrounded};
+use lidarpc::io::parse;
+use lidarpc::range_image::project;
+use lidarpc::scan::ScanFile;
+use lidarpc::sensor::{Coordinates, SensorModel, fit};
+use lidarpc::synth::SynthConfig;
+
+/// All beams, every eighth firing: some 230 points a beam.
+fn config(seed: u64) -> SynthConfig {
+    SynthConfig { seed, frames: 4, thinning: 8, ..SynthConfig::default() }
+}
+
+fn file(points: &Points) -> ScanFile {
+    parse("0.bin", kitti(points))
+}
+
+fn fitted(sample: &[Points]) -> Option<SensorModel> {
+    fit(&sample.iter().map(file).collect::<Vec<_>>())
+}
+
+/// Share of a scan's points that are returns of the range image.
+fn explained(sensor: &SensorModel, points: &Points) -> f64 {
+    1.0 - project(sensor, &file(points).cloud).strays.len() as f64 / points.len() as f64
+}
+
+/// Share of a scan's points that the formula gives to the millimetre.
+fn exact(sensor: &SensorModel, points: &Points) -> f64 {
+    let mut exact = 0;
+    let mut row = 0;
+    for point in points {
+        let [x, y, z] = [0, 1, 2].map(|axis| f64::from(point[axis]));
+        row = sensor.nearest_beam(x.hypot(y), z, row);
+        let Some((tick, steps)) = sensor.invert(row, [x, y, z]) else { continue };
+        let formula = sensor.point(row, tick, steps);
+        let hit = |(f, p): (&f64, f64)| (f * 1000.0).round() == (p * 1000.0).round();
+        exact += usize::from(formula.iter().zip([x, y, z]).all(hit));
+    }
+    exact as f64 / points.len() as f64
+}
+
+/// The sample is fitted, and explains `good` but for a few points.
+fn explains(sample: &[Points], good: &Points, least: f64) -> SensorModel {
+    let sensor = fitted(sample).expect("a scanner is found");
+    let share = explained(&sensor, good);
+    assert!(share >= least, "{share} of the points explained, less than {least}");
+    comes_back(&sensor, good);
+    sensor
+}
+
+/// The model's record gives a model that projects the same, point for point.
+fn comes_back(sensor: &SensorModel, points: &Points) {
+    let mut bytes = Vec::new();
+    sensor.write_to(&mut bytes);
+    let mut input = &bytes[..];
+    let again = SensorModel::read_from(&mut input).unwrap();
+    assert!(input.is_empty());
+    assert_eq!(again, *sensor);
+    let (a, b) = (project(sensor, &file(points).cloud), project(&again, &file(points).cloud));
+    assert_eq!(a.image, b.image);
+    assert_eq!(a.strays, b.strays);
+    for found in a.image.file_order(sensor) {
+        let place = (found.row as usize, found.tick, found.steps);
+        let bits = |sensor: &SensorModel| sensor.point(place.0, place.1, place.2).map(f64::to_bits);
+        assert_eq!(bits(sensor), bits(&again));
+    }
+}
+
+#[test]
+fn one_frame_or_many_and_scanners_of_other_constants() {
+    for seed in 1..5 {
+        let frames = scans(&config(seed));
+        for sample in [&frames[..1], &frames[..2], &frames[..]] {
+            let sensor = explains(sample, &frames[3], 0.998);
+            assert_eq!((sensor.rows(), sensor.coordinates), (64, Coordinates::Millimetre));
+            let exact = exact(&sensor, &frames[3]);
+            assert!(exact > if sample.len() > 2 { 0.97 } else { 0.85 }, "{exact} to the millimetre");
+        }
+    }
+}
+
+#[test]
+fn odd_frames_among_good_ones() {
+    let frames = scans(&config(1));
+    let half = frames[0][..frames[0].len() / 2].to_vec();
+    let lower_half = frames[0][frames[0].len() / 2..].to_vec();
+    let other = scans(&SynthConfig { frames: 1, ..config(9) }).remove(0);
+    let fewer = scans(&SynthConfig { frames: 1, beams: 16, ..config(5) }).remove(0);
+    let odd = [
+        ("random", random_points(15_000, 3)),
+        ("empty", Vec::new()),
+        ("one point", vec![[1.0, 2.0, 3.0, 0.0]]),
+        ("zeros", vec![[0.0; 4]; 5000]),
+        ("other scanner", other),
+        ("fewer beams", fewer),
+        ("shuffled", shuffled(&frames[0], 1)),
+        ("first half", half),
+        ("second half", lower_half),
+        ("moved", moved(&frames[0])),
+        ("one point off", [frames[0][1000..1001].to_vec(), frames[0].clone()].concat()),
+        ("without a row", rows(&frames[0]).into_iter().skip(1).flatten().collect()),
+        ("reversed", frames[0].iter().rev().copied().collect()),
+    ];
+    for (name, points) in odd {
+        println!("{name}");
+        for place in [0, 3] {
+            let mut sample = frames[1..].to_vec();
+            sample.insert(place, points.clone());
+            explains(&sample, &frames[1], 0.998);
+        }
+    }
+}
+
+/// The first frames are all odd, each in its way, and only two are good.
+#[test]
+fn a_sequence_that_begins_with_odd_frames() {
+    let frames = scans(&config(2));
+    let without = |row: usize| {
+        let mut rows = rows(&frames[0]);
+        rows.remove(row);
+        rows.concat()
+    };
+    let sample = [
+        random_points(9000, 1),
+        Vec::new(),
+        shuffled(&frames[0], 4),
+        without(5),
+        without(40),
+        frames[1].clone(),
+        frames[2].clone(),
+    ];
+    explains(&sample, &frames[2], 0.998);
+}
+
+/// In each frame another beam is blind, so that the rows are never the same beams.
+#[test]
+fn beams_that_are_missing_now_and_then() {
+    let frames = scans(&config(3));
+    let sample: Vec<Points> = frames
+        .iter()
+        .enumerate()
+        .map(|(n, points)| {
+            let mut rows = rows(points);
+            rows.remove(n * 17);
+            rows.concat()
+        })
+        .collect();
+    explains(&sample, &frames[0], 0.98);
+    explains(&sample, &sample[1], 0.998);
+}
+
+/// Upper beams that see little but sky: a row ends long before the azimuth is round, or is empty.
+#[test]
+fn beams_with_few_points() {
+    let frames = scans(&config(4));
+    let sky = |(n, points): (usize, &Points)| -> Points {
+        let see = |(row, points): (usize, Points)| -> Points {
+            match row {
+                0 => points.into_iter().skip(60).take(3 + n).collect(),
+                1 => points.into_iter().skip(100).take(60).collect(),
+                9 => points.into_iter().take(110).collect(),
+                _ => points,
+            }
+        };
+        rows(points).into_iter().enumerate().flat_map(see).collect()
+    };
+    let sample: Vec<Points> = frames.iter().enumerate().map(sky).collect();
+    explains(&sample, &sample[0], 0.99);
+}
+
+#[test]
+fn fewer_beams_and_thinned_azimuth() {
+    for beams in [1, 2, 4, 16, 32] {
+        let config = SynthConfig { beams, thinning: 4, ..config(6) };
+        let frames = scans(&config);
+        let sensor = explains(&frames, &frames[1], 0.99);
+        assert_eq!(sensor.rows(), beams);
+    }
+    let thinned = scans(&SynthConfig { thinning: 40, frames: 8, ..config(7) });
+    explains(&thinned, &thinned[1], 0.99);
+}
+
+#[test]
+fn coordinates_that_were_not_rounded() {
+    let config = config(8);
+    let frames: Vec<Points> = scans(&config).iter().map(|points| unrounded(&config, points)).collect();
+    let sensor = explains(&frames, &frames[3], 0.998);
+    assert_eq!(sensor.coordinates, Coordinates::Float32);
+}
+
+/// What other drives hold: points in no shared column, order broken at the seam, a y of -0.0.
+#[test]
+fn frames_with_points_off_the_columns_and_out_of_order() {
+    let mut frames = scans(&config(1));
+    let other_columns = scans(&SynthConfig { thinning: 3, ..config(1) });
+    for (points, others) in frames.iter_mut().zip(&other_columns) {
+        let mut rows = rows(points);
+        for (row, others) in rows.iter_mut().zip(common::scans::rows(others)) {
+            // The end of the row comes first, as where a row starts before the seam.
+            row.rotate_right(2);
+            row.splice(50..50, others[130..133].to_vec());
+        }
+        rows[3].push([9.5, -0.0, 0.3, 0.1]);
+        *points = rows.concat();
+    }
+    explains(&frames, &frames[3], 0.985);
+}
+
+#[test]
+fn what_no_scanner_saw_is_fitted_by_none() {
+    let frames = scans(&config(1));
+    let moved: Vec<Points> = frames.iter().map(|points| moved(points)).collect();
+    assert!(fitted(&moved).is_none());
+    assert!(fitted(&[random_points(20_000, 1)]).is_none());
+    assert!(fitted(&[shuffled(&frames[0], 1)]).is_none());
+    assert!(fitted(&[vec![[f32::NAN; 4]; 500], vec![[0.0; 4]; 500], vec![]]).is_none());
+    assert!(fitted(&[vec![frames[0][0]; 9000]]).is_none());
+    assert!(fitted(&[]).is_none());
+}
