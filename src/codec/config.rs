@@ -19,7 +19,7 @@ pub enum Mode {
 pub struct EncoderConfig {
     /// What decoding promises. Default: exact.
     pub mode: Mode,
-    /// Frames a group: more compress better, fewer make seeking and recovery finer. Default 20.
+    /// Frames a group: more compress better, fewer make seeking and recovery finer. Default 10.
     pub gop: usize,
     /// Groups coded at the same time; 0, the default, means one for each processor. The stream is
     /// the same whatever the number.
@@ -28,7 +28,7 @@ pub struct EncoderConfig {
 
 impl Default for EncoderConfig {
     fn default() -> Self {
-        EncoderConfig { mode: Mode::Exact, gop: 20, threads: 0 }
+        EncoderConfig { mode: Mode::Exact, gop: 10, threads: 0 }
     }
 }
 
