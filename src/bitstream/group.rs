@@ -1,8 +1,9 @@
 //! Groups: frames that are coded together, and apart from all others.
 
 use super::section::Section;
-use super::wire::{put_varint, read_varint, take, take_u32};
+use super::wire::{take, take_u32};
 use crate::error::{Error, Limits, Result};
+use crate::varint::{read_unsigned, write_unsigned};
 
 /// The longest name of a frame, in bytes: what file systems allow.
 const NAME_MAX: u64 = 255;
@@ -32,12 +33,12 @@ pub struct Frame {
 impl Frame {
     /// Appends the frame header and the sections.
     pub fn write_to(&self, out: &mut Vec<u8>) {
-        put_varint(out, self.header.name.len() as u64);
+        write_unsigned(out, self.header.name.len() as u64);
         out.extend_from_slice(self.header.name.as_bytes());
-        put_varint(out, self.header.file_size);
+        write_unsigned(out, self.header.file_size);
         out.extend_from_slice(&self.header.file_crc.to_le_bytes());
-        put_varint(out, self.header.point_count);
-        put_varint(out, self.sections.len() as u64);
+        write_unsigned(out, self.header.point_count);
+        write_unsigned(out, self.sections.len() as u64);
         for section in &self.sections {
             section.write_to(out);
         }
@@ -48,7 +49,7 @@ impl Frame {
     /// # Errors
     /// If it is damaged, asks for more than `limits` allow, or holds an unknown section.
     pub fn read_from(input: &mut &[u8], limits: &Limits) -> Result<Self> {
-        let name_length = read_varint(input, "frame name's length")?;
+        let name_length = read_unsigned(input, "frame name's length")?;
         if name_length > NAME_MAX {
             return Err(Error::corrupt(format!("frame name of {name_length} bytes")));
         }
@@ -56,11 +57,11 @@ impl Frame {
         let name = str::from_utf8(name).map_err(|_| Error::corrupt("frame name is not UTF-8"))?;
         let header = FrameHeader {
             name: name.to_owned(),
-            file_size: limited(read_varint(input, "file size")?, "file size in bytes", limits.file_bytes)?,
+            file_size: limited(read_unsigned(input, "file size")?, "file size in bytes", limits.file_bytes)?,
             file_crc: take_u32(input, "file checksum")?,
-            point_count: limited(read_varint(input, "point count")?, "points in a frame", limits.points)?,
+            point_count: limited(read_unsigned(input, "point count")?, "points in a frame", limits.points)?,
         };
-        let section_count = read_varint(input, "section count")?;
+        let section_count = read_unsigned(input, "section count")?;
         let mut sections = Vec::new();
         for _ in 0..section_count {
             sections.push(Section::read_from(input).map_err(|e| e.within(&format!("{name:?}")))?);
@@ -82,8 +83,8 @@ pub struct Group {
 impl Group {
     /// Appends the group; returns how many bytes each frame took.
     pub fn write_to(&self, out: &mut Vec<u8>) -> Vec<u64> {
-        put_varint(out, self.sensor_model);
-        put_varint(out, self.frames.len() as u64);
+        write_unsigned(out, self.sensor_model);
+        write_unsigned(out, self.frames.len() as u64);
         let mut frame_sizes = Vec::with_capacity(self.frames.len());
         for frame in &self.frames {
             let start = out.len();
@@ -100,8 +101,8 @@ impl Group {
     /// over `limits.file_bytes` (they may all be in memory at once).
     pub fn read_from(mut input: &[u8], limits: &Limits) -> Result<(Self, Vec<u64>)> {
         let input = &mut input;
-        let sensor_model = read_varint(input, "sensor model's number")?;
-        let frame_count = read_varint(input, "frame count")?;
+        let sensor_model = read_unsigned(input, "sensor model's number")?;
+        let frame_count = read_unsigned(input, "frame count")?;
         let (mut frames, mut frame_sizes) = (Vec::new(), Vec::new());
         let mut file_bytes = 0u64;
         for number in 0..frame_count {

@@ -1,7 +1,8 @@
 //! The index: where the records are. Only seeking needs it; a stream decodes without.
 
-use super::wire::{put_varint, read_varint, take};
+use super::wire::take;
 use crate::error::{Error, Result};
+use crate::varint::{read_unsigned, write_unsigned};
 
 /// Bytes of the end record: kind, length, `index_offset`, `end_magic`, checksum.
 pub(super) const END_LENGTH: u64 = 18;
@@ -59,18 +60,18 @@ impl Index {
 
     /// Appends the payload of an index record.
     pub fn write_to(&self, out: &mut Vec<u8>) {
-        put_varint(out, self.sensor_models.len() as u64);
+        write_unsigned(out, self.sensor_models.len() as u64);
         for entry in &self.sensor_models {
-            put_varint(out, entry.offset);
-            put_varint(out, entry.length);
+            write_unsigned(out, entry.offset);
+            write_unsigned(out, entry.length);
         }
-        put_varint(out, self.groups.len() as u64);
+        write_unsigned(out, self.groups.len() as u64);
         for entry in &self.groups {
-            put_varint(out, entry.offset);
-            put_varint(out, entry.length);
-            put_varint(out, entry.frame_sizes.len() as u64);
+            write_unsigned(out, entry.offset);
+            write_unsigned(out, entry.length);
+            write_unsigned(out, entry.frame_sizes.len() as u64);
             for size in &entry.frame_sizes {
-                put_varint(out, *size);
+                write_unsigned(out, *size);
             }
         }
     }
@@ -82,16 +83,16 @@ impl Index {
     pub fn read_from(mut input: &[u8]) -> Result<Self> {
         let input = &mut input;
         let mut index = Index::default();
-        for _ in 0..read_varint(input, "sensor model count")? {
-            let offset = read_varint(input, "sensor model's offset")?;
-            index.push_sensor_model(offset, read_varint(input, "sensor model's length")?);
+        for _ in 0..read_unsigned(input, "sensor model count")? {
+            let offset = read_unsigned(input, "sensor model's offset")?;
+            index.push_sensor_model(offset, read_unsigned(input, "sensor model's length")?);
         }
-        for _ in 0..read_varint(input, "group count")? {
-            let offset = read_varint(input, "group's offset")?;
-            let length = read_varint(input, "group's length")?;
+        for _ in 0..read_unsigned(input, "group count")? {
+            let offset = read_unsigned(input, "group's offset")?;
+            let length = read_unsigned(input, "group's length")?;
             let mut frame_sizes = Vec::new();
-            for _ in 0..read_varint(input, "frame count")? {
-                frame_sizes.push(read_varint(input, "frame size")?);
+            for _ in 0..read_unsigned(input, "frame count")? {
+                frame_sizes.push(read_unsigned(input, "frame size")?);
             }
             index.push_group(offset, length, frame_sizes);
         }

@@ -3,8 +3,9 @@
 use std::io::{Read, Write};
 
 use super::group::limited;
-use super::wire::{put_varint, read_bytes, read_exact, read_varint};
+use super::wire::{read_bytes, read_exact};
 use crate::error::{Limits, Result};
+use crate::varint::{read_unsigned, write_unsigned};
 
 /// Kinds of records.
 pub(super) const SENSOR_MODEL: u8 = 1;
@@ -39,7 +40,7 @@ pub(super) fn write_record(out: &mut impl Write, kind: u8, payload: &[u8]) -> Re
 pub(super) fn read_record(input: &mut impl Read, limits: &Limits) -> Result<RawRecord> {
     let mut kind = [0];
     read_exact(input, &mut kind, "the stream")?;
-    let length = read_varint(input, "record length")?;
+    let length = read_unsigned(input, "record length")?;
     let length = limited(length, "bytes of a record", limits.record_bytes)?;
     let payload = read_bytes(input, length, "record")?;
     let mut crc = [0; 4];
@@ -57,6 +58,6 @@ pub(super) fn read_record(input: &mut impl Read, limits: &Limits) -> Result<RawR
 /// Kind and length as they stand before the payload.
 fn head(kind: u8, length: u64) -> Vec<u8> {
     let mut head = vec![kind];
-    put_varint(&mut head, length);
+    write_unsigned(&mut head, length);
     head
 }

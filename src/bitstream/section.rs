@@ -2,8 +2,9 @@
 
 use std::fmt;
 
-use super::wire::{put_varint, read_varint, take, take_u32};
+use super::wire::{take, take_u32};
 use crate::error::{Error, Result};
+use crate::varint::{read_unsigned, write_unsigned};
 
 /// What a section holds. The numbers are those of the format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -84,7 +85,7 @@ impl Section {
     pub fn write_to(&self, out: &mut Vec<u8>) {
         let start = out.len();
         out.push(self.kind as u8);
-        put_varint(out, self.payload.len() as u64);
+        write_unsigned(out, self.payload.len() as u64);
         out.extend_from_slice(&self.payload);
         let crc = crc32c::crc32c(&out[start..]);
         out.extend_from_slice(&crc.to_le_bytes());
@@ -98,7 +99,7 @@ impl Section {
         let start = *input;
         let number = take(input, 1, "section kind")?[0];
         let name = SectionKind::from_number(number).map_or("unknown", SectionKind::name);
-        let length = read_varint(input, &format!("length of section {number} ({name})"))?;
+        let length = read_unsigned(input, &format!("length of section {number} ({name})"))?;
         let payload = take(input, length, &format!("section {number} ({name})"))?;
         let crc = crc32c::crc32c(&start[..start.len() - input.len()]);
         if crc != take_u32(input, &format!("checksum of section {number} ({name})"))? {

@@ -143,7 +143,7 @@ impl Models {
             columns: ColumnModel::default(),
             occupancy: OccupancyModel::default(),
             points: PointModel::default(),
-            intensity: IntensityModel::new(),
+            intensity: IntensityModel::default(),
             range: RangeModel::new(sensor.map_or(0, SensorModel::rows)),
             correction: CorrectionModel::default(),
             order: OrderModel::default(),

@@ -110,9 +110,8 @@ pub struct IntensityModel {
     last_off_grid: u32,
 }
 
-impl IntensityModel {
-    /// Knows nothing yet.
-    pub fn new() -> Self {
+impl Default for IntensityModel {
+    fn default() -> Self {
         let mut start = [0.25; OPINIONS];
         start[VIEWS] = 0.0;
         IntensityModel {
@@ -131,7 +130,9 @@ impl IntensityModel {
             last_off_grid: 0,
         }
     }
+}
 
+impl IntensityModel {
     /// Begins a frame, or its strays, with `columns` columns.
     pub fn start_frame(&mut self, scale: &IntensityScale, columns: usize) {
         self.start_row();

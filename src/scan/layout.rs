@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::text_format::TextFormat;
 use crate::error::{Error, Result};
+use crate::varint::{read_unsigned, write_unsigned};
 
 /// Longest record in bytes. Scanners' records have 12 to some 50; point features a few thousand.
 pub const MAX_STRIDE: u32 = 1 << 16;
@@ -136,16 +137,16 @@ impl Layout {
         let position = if self.position.is_some() { HAS_POSITION } else { 0 };
         let intensity = if self.intensity.is_some() { HAS_INTENSITY } else { 0 };
         out.push(wrapping | position | intensity);
-        write_varint(self.stride, out);
+        write_unsigned(out, u64::from(self.stride));
         for offset in self.position.into_iter().flatten().chain(self.intensity) {
-            write_varint(offset, out);
+            write_unsigned(out, u64::from(offset));
         }
         match &self.wrapping {
             Wrapping::Plain => {}
             Wrapping::PcdCompressed { fields, lzf } => {
                 out.push(*lzf as u8);
                 // Their number is not written: they end where the record is full.
-                fields.iter().for_each(|&width| write_varint(width, out));
+                fields.iter().for_each(|&width| write_unsigned(out, u64::from(width)));
             }
             Wrapping::PcdAscii(format) => format.write_to(out),
         }
@@ -160,17 +161,17 @@ impl Layout {
         if flags & !(WRAPPING_MASK | HAS_POSITION | HAS_INTENSITY) != 0 {
             return Err(Error::corrupt("record layout: unknown flags"));
         }
-        let stride = read_varint(input)?;
+        let stride = read_number(input)?;
         if stride > MAX_STRIDE {
             return Err(Error::corrupt("record layout: records too long"));
         }
         let position = match flags & HAS_POSITION {
             0 => None,
-            _ => Some([read_varint(input)?, read_varint(input)?, read_varint(input)?]),
+            _ => Some([read_number(input)?, read_number(input)?, read_number(input)?]),
         };
         let intensity = match flags & HAS_INTENSITY {
             0 => None,
-            _ => Some(read_varint(input)?),
+            _ => Some(read_number(input)?),
         };
         let wrapping = match flags & WRAPPING_MASK {
             PLAIN => Wrapping::Plain,
@@ -191,7 +192,7 @@ fn read_fields(input: &mut &[u8], stride: u32) -> Result<Wrapping> {
     let mut fields = Vec::new();
     let mut filled = 0u32;
     while filled < stride {
-        let width = read_varint(input)?;
+        let width = read_number(input)?;
         filled = filled.saturating_add(width);
         fields.push(width);
     }
@@ -204,25 +205,9 @@ fn read_byte(input: &mut &[u8]) -> Result<u8> {
     Ok(byte)
 }
 
-/// LEB128: seven bits a byte, low bits first, the top bit set on all but the last.
-fn write_varint(mut value: u32, out: &mut Vec<u8>) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    out.push(value as u8);
-}
-
-fn read_varint(input: &mut &[u8]) -> Result<u32> {
-    let mut value = 0u64;
-    for shift in (0..35).step_by(7) {
-        let byte = read_byte(input)?;
-        value |= u64::from(byte & 0x7f) << shift;
-        if byte < 0x80 {
-            return u32::try_from(value).map_err(|_| Error::corrupt("record layout: number too large"));
-        }
-    }
-    Err(Error::corrupt("record layout: number too large"))
+fn read_number(input: &mut &[u8]) -> Result<u32> {
+    let number = read_unsigned(input, "record layout")?;
+    u32::try_from(number).map_err(|_| Error::corrupt("record layout: number too large"))
 }
 
 #[cfg(test)]

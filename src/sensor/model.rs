@@ -243,11 +243,11 @@ impl SensorModel {
     /// # Errors
     /// If the record is cut short or holds values that no scanner has.
     pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
-        let coordinates = match read_unsigned(bytes)? {
+        let coordinates = match read_unsigned(bytes, "sensor model")? {
             code @ 0..2 => Coordinates::from_code(code),
             other => return Err(Error::corrupt(format!("sensor model: unknown coordinate grid {other}"))),
         };
-        let mut bounded = |what, max| match read_unsigned(bytes)? {
+        let mut bounded = |what, max| match read_unsigned(bytes, "sensor model")? {
             got @ 1.. if got <= max => Ok(got as u32),
             got => Err(Error::LimitExceeded { what, got, max }),
         };
@@ -258,7 +258,7 @@ impl SensorModel {
         for _ in 0..rows {
             let mut beam = BeamConstants::default();
             for field in beam.fields() {
-                *field = read_signed(bytes)?;
+                *field = read_signed(bytes, "sensor model")?;
                 if field.unsigned_abs() > LARGEST_CONSTANT {
                     return Err(Error::corrupt("sensor model: a constant is out of range"));
                 }
