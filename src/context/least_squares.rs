@@ -41,14 +41,14 @@ impl<const N: usize> LeastSquares<N> {
     #[inline]
     pub fn learn(&mut self, features: &[f32; N], target: f32, weight: f32) {
         let forget = self.forget;
-        for i in 0..N {
+        let (blocks, _) = features.as_chunks::<LANES>();
+        for (i, row) in self.normal.iter_mut().enumerate() {
             let weighted = weight * features[i];
             // Whole blocks up to the diagonal's.
-            for block in 0..=i / LANES {
-                let place = block * LANES;
+            let (row, _) = row.as_chunks_mut::<LANES>();
+            for (cells, features) in row.iter_mut().zip(blocks).take(i / LANES + 1) {
                 for lane in 0..LANES {
-                    let cell = &mut self.normal[i][place + lane];
-                    *cell = *cell * forget + weighted * features[place + lane];
+                    cells[lane] = cells[lane] * forget + weighted * features[lane];
                 }
             }
         }

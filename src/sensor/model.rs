@@ -18,6 +18,7 @@ use std::f64::consts::TAU;
 
 use super::Coordinates;
 use crate::error::{Error, Result};
+use crate::rounding::round_ties_even;
 use crate::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 
 /// Radians of one unit of a quantised angle.
@@ -206,9 +207,9 @@ impl SensorModel {
         let beam = &self.beams[row];
         let rho = (x * x + y * y).sqrt();
         let d = (rho - beam.b) * beam.cos_v + (z - beam.c) * beam.sin_v;
-        let steps = (d / self.range_step()).round();
+        let steps = round_ties_even(d / self.range_step());
         let azimuth = y.atan2(x) - small_atan(beam.h / rho) - beam.rot;
-        let tick = (azimuth / TAU * f64::from(self.ticks)).round();
+        let tick = round_ties_even(azimuth / TAU * f64::from(self.ticks));
         let in_reach = steps >= 1.0 && steps <= f64::from(MOST_STEPS) && tick.is_finite();
         in_reach.then(|| ((tick as i64).rem_euclid(i64::from(self.ticks)) as u32, steps as u32))
     }
