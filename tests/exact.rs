@@ -9,6 +9,8 @@ use common::scans::{Points, moved, random_points, rows, scans, shuffled, small, 
 use common::{File, cases, first_files, real_folders, round_trip, section_bytes};
 use lidarpc::bitstream::SectionKind;
 use lidarpc::codec::EncoderConfig;
+use lidarpc::io::parse;
+use lidarpc::sensor::fit;
 use lidarpc::synth::SynthConfig;
 use proptest::prelude::*;
 
@@ -299,6 +301,32 @@ fn zeros_of_both_signs() {
     let zeros = [[0.0, 0.0, 0.0, 0.0], [-0.0, 0.0, -0.0, -0.0], [0.0, -0.0, 0.0, 0.5]];
     comes_back("bin", good_but(|points| zeros.iter().for_each(|zero| points.insert(77, *zero))));
     comes_back("bin", kitti(&zeros));
+}
+
+/// A coordinate that rounds to zero keeps the formula's sign in real files; here also the other one.
+#[test]
+fn zeros_of_either_sign_where_the_formula_gives_zero() {
+    let sample: Vec<_> = good_files().into_iter().map(|(name, bytes)| parse(&name, bytes)).collect();
+    let sensor = fit(&sample).expect("a scanner is found");
+    let mut zeros = Points::new();
+    for (row, tick) in (0..sensor.rows()).flat_map(|row| [0, 999, 1000, 1999, 2000, 3999].map(|t| (row, t))) {
+        for steps in (1500..30_000).step_by(7) {
+            let rounded = sensor.point(row, tick, steps).map(|v| ((v * 1000.0).round() / 1000.0) as f32);
+            if rounded[0] == 0.0 || rounded[1] == 0.0 {
+                zeros.push([rounded[0], rounded[1], rounded[2], 0.5]);
+            }
+        }
+    }
+    assert!(zeros.len() > 50, "{} points on an axis", zeros.len());
+    let other = |p: &[f32; 4]| p.map(|v| if v == 0.0 { -v } else { v });
+    let others: Points = zeros.iter().map(other).collect();
+    for points in [&zeros, &others] {
+        comes_back(
+            "bin",
+            good_but(|good| *good = points.iter().flat_map(|p| [&good[..30], &[*p]].concat()).collect()),
+        );
+        comes_back("bin", good_but(|good| good.extend(points)));
+    }
 }
 
 #[test]

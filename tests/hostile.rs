@@ -202,7 +202,7 @@ fn check_model(model: &SensorModel) {
     model.write_to(&mut written);
     assert_eq!(SensorModel::read_from(&mut &written[..]).unwrap(), *model);
     for row in 0..model.rows().min(3) {
-        for column in [0, 1, model.ticks / 2, model.ticks - 1] {
+        for column in [0, model.ticks / 2, model.ticks - 1] {
             let tick = model.tick_of_column(row, column);
             assert!(tick < model.ticks);
             assert_eq!(model.column_tick(row, i64::from(tick)), column);
