@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use common::{drives, points};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use lidarpc::bitstream::FrameHeader;
 use lidarpc::codec::group::{GroupDecoder, GroupEncoder};
 use lidarpc::error::Limits;
 use lidarpc::scan::ScanFile;
@@ -42,8 +43,9 @@ fn measure(
     group.bench_function(format!("decode/{kind}"), |b| {
         b.iter(|| {
             let mut decoder = GroupDecoder::new(sensor, &Limits::default());
-            for sections in &coded {
-                black_box(decoder.decode_frame("0.bin", sections).unwrap());
+            for (scan, sections) in scans.iter().zip(&coded) {
+                let header = FrameHeader { point_count: scan.records as u64, ..FrameHeader::default() };
+                black_box(decoder.decode_frame(&header, sections).unwrap());
             }
         });
     });

@@ -253,11 +253,12 @@ fn file_section(layout: &Layout, records: u64, strays: u64) -> Section {
     Section { kind: SectionKind::File, payload: coder.finish() }
 }
 
-/// A stream of one frame with these sections.
-fn forged(model: Option<&SensorModel>, sections: Vec<Section>) -> Vec<u8> {
+/// A stream of one frame with these sections, whose header claims so many records.
+fn forged(model: Option<&SensorModel>, records: u64, sections: Vec<Section>) -> Vec<u8> {
     let mut group = STREAMS[0].1[0].clone();
     group.frames.truncate(1);
     group.frames[0].sections = sections;
+    group.frames[0].header.point_count = records;
     group.sensor_model = model.is_some().into();
     let mut record = Vec::new();
     model.into_iter().for_each(|model| model.write_to(&mut record));
@@ -305,7 +306,7 @@ fn forged_counts_are_an_error() {
             let frame =
                 [vec![file_section(&kitti_layout(), records, strays)], sections(&IMAGE, payload)].concat();
             for sensor in [None, Some(&model(2, 40))] {
-                assert!(decode_files(&forged(sensor, frame.clone())).is_err(), "{records} {strays}");
+                assert!(decode_files(&forged(sensor, records, frame.clone())).is_err(), "{records} {strays}");
             }
         }
     }
@@ -317,7 +318,7 @@ fn records_without_bytes_are_an_error() {
     for layout in [Layout::default(), Layout { stride: 8, ..Layout::default() }] {
         for records in [1, 1 << 24] {
             let frame = vec![file_section(&layout, records, records)];
-            assert!(decode_files(&forged(None, frame)).is_err(), "{layout:?} {records}");
+            assert!(decode_files(&forged(None, records, frame)).is_err(), "{layout:?} {records}");
         }
     }
 }
@@ -332,7 +333,7 @@ fn an_image_larger_than_any_scan_is_an_error() {
     let mut frame = vec![file_section(&kitti_layout(), 1000, 0)];
     frame.push(Section { kind: SectionKind::Columns, payload: columns.finish() });
     frame.extend(sections(&IMAGE[1..], &[]));
-    let error = decode_files(&forged(Some(&sensor), frame)).unwrap_err().to_string();
+    let error = decode_files(&forged(Some(&sensor), 1000, frame)).unwrap_err().to_string();
     assert!(error.contains("cells of the range image"), "{error}");
 }
 
@@ -341,7 +342,7 @@ fn strays_of_bytes_that_are_made_up_are_an_error_in_time() {
     for payload in [&[][..], &[0xff; 3], &[0x55; 40]] {
         let mut frame = vec![file_section(&kitti_layout(), 30_000, 30_000)];
         frame.extend(sections(&[SectionKind::Points, SectionKind::Intensity], payload));
-        assert!(decode_files(&forged(None, frame)).is_err());
+        assert!(decode_files(&forged(None, 30_000, frame)).is_err());
     }
 }
 
@@ -359,7 +360,7 @@ fn random_sections_behind_a_good_file_section() {
         for &kind in &[&IMAGE[..2], &[SectionKind::Points], &IMAGE[2..]].concat() {
             frame.push(Section { kind, payload: payload.clone() });
         }
-        let _ = decode_files(&forged(Some(&sensor), frame));
+        let _ = decode_files(&forged(Some(&sensor), 1000, frame));
     }
 }
 

@@ -103,14 +103,11 @@ fn decode_frame(
     wanted: bool,
 ) -> Result<Option<DecodedFrame>> {
     let header = frame.header;
-    let scan = coder.decode_frame(&header.name, &frame.sections)?;
+    let scan = coder.decode_frame(&header, &frame.sections)?;
     if !wanted {
         return Ok(None);
     }
     let bytes = scan.to_bytes()?;
-    if scan.records as u64 != header.point_count {
-        return Err(Error::corrupt(format!("{} points, not {}", scan.records, header.point_count)));
-    }
     if bytes.len() as u64 != header.file_size {
         return Err(Error::corrupt(format!("{} bytes, not {}", bytes.len(), header.file_size)));
     }

@@ -3,7 +3,7 @@
 
 use super::frame::Frame;
 use super::syntax::{Models, SectionReader, SectionWriter};
-use crate::bitstream::Section;
+use crate::bitstream::{FrameHeader, Section};
 use crate::error::{Limits, Result};
 use crate::scan::ScanFile;
 use crate::sensor::SensorModel;
@@ -49,11 +49,11 @@ impl<'s> GroupDecoder<'s> {
     ///
     /// # Errors
     /// If the sections do not make a frame, or one over the limits.
-    pub fn decode_frame(&mut self, name: &str, sections: &[Section]) -> Result<ScanFile> {
+    pub fn decode_frame(&mut self, header: &FrameHeader, sections: &[Section]) -> Result<ScanFile> {
         let mut reader = SectionReader::new(sections, &self.limits);
-        let mut frame = Frame::default();
+        let mut frame = Frame { records: header.point_count as usize, ..Frame::default() };
         let returns = self.models.code_frame(&mut reader, self.sensor, &mut frame)?;
         reader.finish()?;
-        frame.into_scan(name, &returns)
+        frame.into_scan(&header.name, &returns)
     }
 }

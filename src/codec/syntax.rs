@@ -150,7 +150,7 @@ impl Models {
         }
     }
 
-    /// Codes a frame. The decoder's starts empty and fills; it also gets the returns in file
+    /// Codes a frame. The decoder's starts empty but for the number of records, and fills; it also gets the returns in file
     /// order, which both sides make from the range image.
     ///
     /// # Errors
@@ -244,7 +244,13 @@ impl Models {
         }
         self.code_bytes(coder, &mut frame.prefix, limits)?;
         self.code_bytes(coder, &mut frame.suffix, limits)?;
-        frame.records = self.sizes.code(coder, frame.records as u64) as usize;
+        let records = self.sizes.code(coder, frame.records as u64);
+        if records != frame.records as u64 {
+            return Err(Error::corrupt(format!(
+                "{records} points, not {} as the frame's header says",
+                frame.records
+            )));
+        }
         frame.strays = self.sizes.code(coder, frame.strays as u64) as usize;
         within(frame.records, limits.points, "points of the frame")?;
         if frame.strays > frame.records || (frame.layout.position.is_none() && frame.strays < frame.records) {

@@ -6,8 +6,9 @@ use crate::entropy::{BitCoder, MixedBits};
 
 const VIEWS: usize = 5;
 const OPINIONS: usize = VIEWS + 1;
-/// Counters of each view: contexts share them by hashing.
-const SLOT_BITS: u32 = 14;
+/// Bits of the number of slots of each view, from few bytes to many. Contexts share them by hashing.
+const FEWEST_SLOTS: u32 = 6;
+const MOST_SLOTS: u32 = 14;
 
 /// The opinion that is always the same.
 const CONSTANT: f32 = 0.2;
@@ -15,21 +16,32 @@ const CONSTANT: f32 = 0.2;
 /// What the coder has learned about bytes.
 #[derive(Default)]
 pub struct ByteModel {
-    bits: Option<MixedBits<VIEWS, OPINIONS>>,
+    learned: Option<Learned>,
+}
+
+/// Counters for as many slots as the most bytes so far make worth it.
+struct Learned {
+    slot_bits: u32,
+    bits: MixedBits<VIEWS, OPINIONS>,
+}
+
+impl Learned {
+    fn new(slot_bits: u32) -> Self {
+        let mut start = [0.3; OPINIONS];
+        start[VIEWS] = 0.0;
+        Learned { slot_bits, bits: MixedBits::new([256 << slot_bits; VIEWS], 256, start, 0.004) }
+    }
 }
 
 impl ByteModel {
     /// Codes bytes that stand in records of `stride` (1 if in none); a decoder gets a buffer of
-    /// the right length to fill.
+    /// the right length to fill. More bytes than ever before make the model start anew, larger.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, stride: usize, bytes: &mut [u8]) {
-        if bytes.is_empty() {
-            return;
-        }
-        let bits = self.bits.get_or_insert_with(|| {
-            let mut start = [0.3; OPINIONS];
-            start[VIEWS] = 0.0;
-            MixedBits::new([256 << SLOT_BITS; VIEWS], 256, start, 0.004)
-        });
+        let Some(octave) = bytes.len().checked_ilog2() else { return };
+        let slot_bits = (octave + 2).clamp(FEWEST_SLOTS, MOST_SLOTS);
+        let outgrown = self.learned.take_if(|learned| learned.slot_bits < slot_bits);
+        drop(outgrown);
+        let learned = self.learned.get_or_insert_with(|| Learned::new(slot_bits));
         for index in 0..bytes.len() {
             let back = |distance: usize| index.checked_sub(distance).map_or(0, |i| usize::from(bytes[i]));
             // One context for each place of a short record; long ones and plain bytes share.
@@ -41,29 +53,26 @@ impl ByteModel {
                 (place << 8 | back(1)) << 8 | if stride > 1 { back(stride) } else { back(2) },
                 (back(1) << 16 | back(2) << 8 | back(3)) ^ place << 24,
             ];
-            bytes[index] = code_byte(coder, bits, views, bytes[index]);
+            bytes[index] = learned.code_byte(coder, views, bytes[index]);
         }
     }
 }
 
-/// Codes one byte from the top bit down.
-fn code_byte<C: BitCoder>(
-    coder: &mut C,
-    bits: &mut MixedBits<VIEWS, OPINIONS>,
-    views: [usize; VIEWS],
-    byte: u8,
-) -> u8 {
-    let slots = views.map(|view| slot(view) << 8);
-    let mut node = 1usize;
-    for i in (0..8).rev() {
-        let places = slots.map(|slot| slot + node);
-        let bit = bits.code(coder, node, &places, [CONSTANT; OPINIONS], byte >> i & 1 == 1);
-        node = node << 1 | usize::from(bit);
+impl Learned {
+    /// Codes one byte from the top bit down.
+    fn code_byte<C: BitCoder>(&mut self, coder: &mut C, views: [usize; VIEWS], byte: u8) -> u8 {
+        let slots = views.map(|view| self.slot(view) << 8);
+        let mut node = 1usize;
+        for i in (0..8).rev() {
+            let places = slots.map(|slot| slot + node);
+            let bit = self.bits.code(coder, node, &places, [CONSTANT; OPINIONS], byte >> i & 1 == 1);
+            node = node << 1 | usize::from(bit);
+        }
+        node as u8
     }
-    node as u8
-}
 
-/// The place of a context among the slots.
-fn slot(view: usize) -> usize {
-    ((view as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SLOT_BITS)) as usize
+    /// The place of a context among the slots.
+    fn slot(&self, view: usize) -> usize {
+        ((view as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (u64::BITS - self.slot_bits)) as usize
+    }
 }

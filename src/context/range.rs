@@ -12,7 +12,7 @@ use crate::entropy::{BitCoder, Logistic, MixedBits};
 use crate::grid::Grid;
 
 /// Features of the least-squares predictors.
-const FEATURES: usize = 12;
+const FEATURES: usize = 8;
 /// Predictors in the mixture.
 const PREDICTORS: usize = 6;
 /// Places of the two least-squares predictors and of the one that stands for surprises.
@@ -397,21 +397,21 @@ struct Window {
     /// The current row and the two above, with margins of empty cells.
     rows: [Vec<f64>; 3],
     /// The last returns of the row, nearest first.
-    left: [f64; 5],
+    left: [f64; 4],
 }
 
 impl Window {
     /// Empty cells on either side.
-    const MARGIN: usize = 3;
+    const MARGIN: usize = 2;
 
     fn new(width: usize) -> Self {
-        Window { rows: std::array::from_fn(|_| vec![0.0; width + 2 * Self::MARGIN]), left: [0.0; 5] }
+        Window { rows: std::array::from_fn(|_| vec![0.0; width + 2 * Self::MARGIN]), left: [0.0; 4] }
     }
 
     fn start_row(&mut self) {
         self.rows.rotate_right(1);
         self.rows[0].fill(0.0);
-        self.left = [0.0; 5];
+        self.left = [0.0; 4];
     }
 
     fn push(&mut self, column: usize, range: f64) {
@@ -423,8 +423,8 @@ impl Window {
     #[inline]
     fn around(&self, column: usize) -> Neighbourhood {
         let or = |range: f64, other: f64| if range > 0.0 { range } else { other };
-        let &[_, nww, nw, n, ne, nee, neee] = self.rows[1][column..].first_chunk().unwrap_or(&[0.0; 7]);
-        let &[nn, nne] = self.rows[2][column + Self::MARGIN..].first_chunk().unwrap_or(&[0.0; 2]);
+        let &[_, nw, n, ne, nee] = self.rows[1][column..].first_chunk().unwrap_or(&[0.0; 5]);
+        let nn = self.rows[2][column + Self::MARGIN];
         let west = or(self.left[0], or(n, or(nw, or(ne, TYPICAL_RANGE))));
         let west2 = or(self.left[1], west);
         let west3 = or(self.left[2], west2);
@@ -434,21 +434,7 @@ impl Window {
         let north_east2 = or(nee, north_east);
         let north2 = or(nn, north);
         let west4 = or(self.left[3], west3);
-        Neighbourhood {
-            west,
-            west2,
-            west3,
-            west4,
-            west5: or(self.left[4], west4),
-            north,
-            north_west,
-            north_west2: or(nww, north_west),
-            north_east,
-            north_east2,
-            north_east3: or(neee, north_east2),
-            north2,
-            north2_east: or(nne, north2),
-        }
+        Neighbourhood { west, west2, west3, west4, north, north_west, north_east, north_east2, north2 }
     }
 }
 
@@ -458,15 +444,11 @@ struct Neighbourhood {
     west2: f64,
     west3: f64,
     west4: f64,
-    west5: f64,
     north: f64,
     north_west: f64,
-    north_west2: f64,
     north_east: f64,
     north_east2: f64,
-    north_east3: f64,
     north2: f64,
-    north2_east: f64,
 }
 
 /// The range assumed where nothing is known, in steps.
@@ -483,11 +465,7 @@ impl Neighbourhood {
             self.north_west,
             self.north_east,
             self.north_east2,
-            self.north_west2,
             self.north2,
-            self.west5,
-            self.north2_east,
-            self.north_east3,
         ]
         .map(|range| (range - self.west).clamp(-FEATURE_REACH, FEATURE_REACH) as f32)
     }
