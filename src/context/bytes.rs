@@ -5,13 +5,10 @@
 use crate::entropy::{BitCoder, MixedBits};
 
 const VIEWS: usize = 5;
-const OPINIONS: usize = VIEWS + 1;
+const OPINIONS: usize = 8;
 /// Bits of the number of slots of each view, from few bytes to many. Contexts share them by hashing.
 const FEWEST_SLOTS: u32 = 6;
 const MOST_SLOTS: u32 = 14;
-
-/// The opinion that is always the same.
-const CONSTANT: f32 = 0.2;
 
 /// What the coder has learned about bytes.
 #[derive(Default)]
@@ -27,9 +24,7 @@ struct Learned {
 
 impl Learned {
     fn new(slot_bits: u32) -> Self {
-        let mut start = [0.3; OPINIONS];
-        start[VIEWS] = 0.0;
-        Learned { slot_bits, bits: MixedBits::new([256 << slot_bits; VIEWS], 256, start, 0.004) }
+        Learned { slot_bits, bits: MixedBits::new([256 << slot_bits; VIEWS], 256, 0.3, 0.0, 0.004) }
     }
 }
 
@@ -65,7 +60,7 @@ impl Learned {
         let mut node = 1usize;
         for i in (0..8).rev() {
             let places = slots.map(|slot| slot + node);
-            let bit = self.bits.code(coder, node, &places, [CONSTANT; OPINIONS], byte >> i & 1 == 1);
+            let bit = self.bits.code(coder, node, &places, 0.0, byte >> i & 1 == 1);
             node = node << 1 | usize::from(bit);
         }
         node as u8

@@ -84,9 +84,7 @@ pub struct IntensityNeighbours {
 }
 
 const VIEWS: usize = 5;
-const OPINIONS: usize = VIEWS + 1;
-/// The opinion that is always the same.
-const CONSTANT: f32 = 0.2;
+const OPINIONS: usize = 8;
 /// Counters of each view: contexts share them by hashing.
 const SLOT_BITS: u32 = 12;
 const FEATURES: usize = 8;
@@ -112,14 +110,13 @@ pub struct IntensityModel {
 
 impl Default for IntensityModel {
     fn default() -> Self {
-        let mut start = [0.25; OPINIONS];
-        start[VIEWS] = 0.0;
         IntensityModel {
             fits: vec![LeastSquares::new(0.9995); 2],
             bits: MixedBits::new(
                 [0; VIEWS],
                 MOST_BITS as usize * ERROR_LEVELS * GRADIENT_LEVELS,
-                start,
+                0.25,
+                0.0,
                 0.003,
             ),
             levels: Levels::new(1.0, 1.8),
@@ -191,7 +188,7 @@ impl IntensityModel {
         for i in (0..scale.bits).rev() {
             let set = i as usize * ERROR_LEVELS * GRADIENT_LEVELS + site.mixer_set;
             let places = slots.map(|slot| slot + node);
-            let bit = self.bits.code_or_sure(coder, set, &places, [CONSTANT; OPINIONS], level >> i & 1 == 1);
+            let bit = self.bits.code_or_sure(coder, set, &places, level >> i & 1 == 1);
             node = node << 1 | usize::from(bit);
         }
         let level = node as u32 - (1 << scale.bits);

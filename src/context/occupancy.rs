@@ -6,9 +6,7 @@ use crate::grid::Grid;
 /// Cells beyond either side that the contexts look at.
 const MARGIN: usize = 4;
 const VIEWS: usize = 4;
-const OPINIONS: usize = VIEWS + 1;
-/// The opinion that is always the same.
-const CONSTANT: f32 = 0.3;
+const OPINIONS: usize = 8;
 const VIEW_SIZES: [usize; VIEWS] = [1 << 10, 128 * 16, 1 << 12, 1 << 10];
 /// Beams beyond this many share their contexts.
 const ROW_CONTEXTS: usize = 128;
@@ -20,9 +18,7 @@ pub struct OccupancyModel {
 
 impl Default for OccupancyModel {
     fn default() -> Self {
-        let mut start = [0.4; OPINIONS];
-        start[VIEWS] = 0.0;
-        OccupancyModel { filled: MixedBits::new(VIEW_SIZES, 64, start, 0.003) }
+        OccupancyModel { filled: MixedBits::new(VIEW_SIZES, 64, 0.4, 0.0, 0.003) }
     }
 }
 
@@ -53,8 +49,7 @@ impl OccupancyModel {
                     (empty_above[column] as usize >> 2) * 16 + near,
                 ];
                 let set = near | n2[0] << 4 | w[1] << 5;
-                let filled =
-                    self.filled.code(coder, set, &views, [CONSTANT; OPINIONS], occupancy[(row, column)]);
+                let filled = self.filled.code(coder, set, &views, 0.0, occupancy[(row, column)]);
                 occupancy[(row, column)] = filled;
                 current[column + MARGIN] = usize::from(filled);
                 empty_above[column] = empty_above[column] >> 1 | u32::from(!filled) << 7;

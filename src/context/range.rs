@@ -46,9 +46,7 @@ const CORRECTED_HALVINGS: usize = 2;
 /// Contexts in which counters are kept, and the opinions that are mixed: these, the mixture's and a
 /// constant.
 const VIEWS: usize = 4;
-const OPINIONS: usize = VIEWS + 2;
-/// The opinion that is always the same.
-const CONSTANT: f32 = 0.3;
+const OPINIONS: usize = 8;
 /// Number of contexts of each view.
 const VIEW_SIZES: [usize; VIEWS] = [1024, 1024, 8 * 128, 8 * 64 * 4];
 
@@ -79,8 +77,6 @@ impl RangeModel {
             scales[SURPRISE] = 500.0;
             scales
         };
-        let mut start = [0.0; OPINIONS];
-        start[VIEWS] = 1.0;
         RangeModel {
             shape: ErrorShape::new(),
             fast_fits: vec![LeastSquares::new(0.998); EDGES],
@@ -88,7 +84,7 @@ impl RangeModel {
             weights: vec![[1.0 / PREDICTORS as f64; PREDICTORS]; CONTEXTS],
             shares: vec![[65536 / PREDICTORS as u32; PREDICTORS]; CONTEXTS],
             scales: (0..CONTEXTS).map(scales).collect(),
-            bits: MixedBits::new(VIEW_SIZES.map(|size| size * NODES), NODES * ERROR_LEVELS, start, 0.004),
+            bits: MixedBits::new(VIEW_SIZES.map(|size| size * NODES), NODES * ERROR_LEVELS, 0.0, 1.0, 0.004),
             tables: Logistic::tables(),
             error_levels,
         }
@@ -274,10 +270,8 @@ impl RangeModel {
         odds: f32,
         bit: bool,
     ) -> bool {
-        let mut opinions = [CONSTANT; OPINIONS];
-        opinions[VIEWS] = odds;
         let set = node * ERROR_LEVELS + site.error_level;
-        self.bits.code(coder, set, &views.map(|view| view * NODES + node), opinions, bit)
+        self.bits.code(coder, set, &views.map(|view| view * NODES + node), odds, bit)
     }
 
     /// The probability that the range is below `range`.

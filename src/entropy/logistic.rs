@@ -81,13 +81,13 @@ const COUNT_MASK: u32 = (1 << COUNT_BITS) - 1;
 /// Counters forget at a rate of one in this many bits.
 const COUNT_LIMIT: u32 = 255;
 
-/// For each count: the rate, in 1/65536, at which the next bit moves the probability.
-static RATES: [u32; COUNT_LIMIT as usize + 1] = {
+/// For each count: the rate, in 1/8192, at which the next bit moves the probability.
+static RATES: [i32; COUNT_LIMIT as usize + 1] = {
     let mut rates = [0; COUNT_LIMIT as usize + 1];
     let mut n = 0;
     while n < rates.len() {
         // 1 / (n + 1.5)
-        rates[n] = 131_072 / (2 * n as u32 + 3);
+        rates[n] = 16_384 / (2 * n as i32 + 3);
         n += 1;
     }
     rates
@@ -104,17 +104,21 @@ impl Counter {
     #[inline]
     pub fn learn(&mut self, bit: bool) {
         let count = self.0 & COUNT_MASK & COUNT_LIMIT;
-        let p = i64::from(self.0 >> COUNT_BITS);
         let target = if bit { (1 << 22) - 1 } else { 0 };
-        let moved = p + (((target - p) * i64::from(RATES[count as usize])) >> 16);
-        self.0 = (moved as u32) << COUNT_BITS | (count + 1).min(COUNT_LIMIT);
+        // An eighth of the way to the target times 8192ths is in 2^-32, as the whole number is.
+        let moved = ((target - (self.0 >> COUNT_BITS) as i32) >> 3) * RATES[count as usize];
+        self.0 = self.0.wrapping_add_signed(moved & !(COUNT_MASK as i32)) + u32::from(count < COUNT_LIMIT);
     }
 }
 
-/// Codes bits by the opinions of counters in `V` views, and others, `N` in all, weighed with a set of weights for
-/// each of some contexts.
+/// Codes bits by mixing opinions: those of counters in `V` views, one from elsewhere, and one that is
+/// always the same. There is a set of weights for each of some contexts. `N` is the number of
+/// opinions, rounded up to a multiple of four.
 pub struct MixedBits<const V: usize, const N: usize> {
-    counters: [Vec<Counter>; V],
+    /// The counters of all views, one view after the other.
+    counters: Vec<Counter>,
+    /// Where each view begins.
+    views: [usize; V],
     weights: Vec<[f32; N]>,
     /// How many bits each set has learned from.
     seen: Vec<u16>,
@@ -123,19 +127,33 @@ pub struct MixedBits<const V: usize, const N: usize> {
     tables: &'static Logistic,
 }
 
+/// Numbers that a vector unit of any processor handles at once.
+const LANES: usize = 4;
+/// The opinion that is always the same.
+const CONSTANT: f32 = 0.25;
 /// The rate of learning starts this many times as high as it ends.
 const EARLY_RATE: f32 = 4.0;
 /// How many bits a set of weights takes to halve that.
 const EARLY_BITS: f32 = 200.0;
 
 impl<const V: usize, const N: usize> MixedBits<V, N> {
-    /// Counters for `places` of each view; `sets` sets of weights that start at `start` and come to
-    /// learn at `rate`.
-    pub fn new(places: [usize; V], sets: usize, start: [f32; N], rate: f32) -> Self {
+    /// Counters for `places` of each view; `sets` sets of weights, which start at `view_weight` for
+    /// each view and `other_weight` for the opinion from elsewhere, and come to learn at `rate`.
+    pub fn new(places: [usize; V], sets: usize, view_weight: f32, other_weight: f32, rate: f32) -> Self {
+        const { assert!(N.is_multiple_of(LANES) && V + 2 <= N) };
         let early = |seen: u16| EARLY_RATE * EARLY_BITS / (EARLY_BITS + f32::from(seen));
         let last = (EARLY_BITS * (EARLY_RATE - 1.0)) as u16;
+        let mut start = [0.0; N];
+        start[..V].fill(view_weight);
+        start[V] = other_weight;
+        let mut end = 0;
+        let views = places.map(|places| {
+            end += places;
+            end - places
+        });
         MixedBits {
-            counters: places.map(|places| vec![Counter::default(); places]),
+            counters: vec![Counter::default(); end],
+            views,
             weights: vec![start; sets],
             seen: vec![0; sets],
             rates: (0..=last).map(|seen| rate * early(seen) / 65536.0).collect(),
@@ -143,10 +161,16 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         }
     }
 
-    /// Makes room for more places in each view.
+    /// Makes room for `places` in each view, if there is less.
     pub fn grow(&mut self, places: usize) {
-        for view in self.counters.iter_mut().filter(|view| view.len() < places) {
-            view.resize(places, Counter::default());
+        if self.counters.len() < V * places {
+            let mut grown = vec![Counter::default(); V * places];
+            for (view, old) in self.views.iter().enumerate() {
+                let end = self.views.get(view + 1).copied().unwrap_or(self.counters.len());
+                grown[view * places..][..end - old].copy_from_slice(&self.counters[*old..end]);
+            }
+            self.counters = grown;
+            self.views = std::array::from_fn(|view| view * places);
         }
     }
 
@@ -158,51 +182,55 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         coder: &mut C,
         set: usize,
         places: &[usize; V],
-        opinions: [f32; N],
         bit: bool,
     ) -> bool {
         /// Log odds of 1 to 90.
         const SURE: f32 = 4.5;
-        let first = self.tables.opinion(self.counters[0][places[0]]);
-        let second = self.tables.opinion(self.counters[1][places[1]]);
+        let deciding = [self.views[0] + places[0], self.views[1] + places[1]];
+        let [first, second] = deciding.map(|place| self.tables.opinion(self.counters[place]));
         if first.min(second) < SURE && first.max(second) > -SURE {
-            return self.code(coder, set, places, opinions, bit);
+            return self.code(coder, set, places, 0.0, bit);
         }
         let bit = coder.code(bit, self.tables.squash(0.5 * (first + second)));
-        self.counters[0][places[0]].learn(bit);
-        self.counters[1][places[1]].learn(bit);
+        deciding.into_iter().for_each(|place| self.counters[place].learn(bit));
         bit
     }
 
-    /// Codes a bit. `places` says which counter of each view has a say; theirs are the first
-    /// opinions, the caller's are those behind.
+    /// Codes a bit. `places` says which counter of each view has a say; `other` is the opinion from
+    /// elsewhere, as log odds.
     #[inline]
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
         set: usize,
         places: &[usize; V],
-        mut opinions: [f32; N],
+        other: f32,
         bit: bool,
     ) -> bool {
-        for (opinion, (view, place)) in opinions.iter_mut().zip(self.counters.iter().zip(places)) {
-            *opinion = self.tables.opinion(view[*place]);
+        let counters = self.counters.as_mut_slice();
+        let mut opinions = [0.0; N];
+        opinions[V] = other;
+        opinions[V + 1] = CONSTANT;
+        for view in 0..V {
+            opinions[view] = self.tables.opinion(counters[self.views[view] + places[view]]);
         }
         let weights = &mut self.weights[set];
-        let mut sums = [0.0f32; 4];
-        for i in 0..N {
-            sums[i % 4] += weights[i] * opinions[i];
+        let mut sums = [0.0f32; LANES];
+        for block in (0..N).step_by(LANES) {
+            for lane in 0..LANES {
+                sums[lane] += weights[block + lane] * opinions[block + lane];
+            }
         }
         let p = self.tables.squash((sums[0] + sums[1]) + (sums[2] + sums[3]));
         let bit = coder.code(bit, p);
         let seen = &mut self.seen[set];
         let pull = ((i32::from(bit) << 16) - p as i32) as f32 * self.rates[usize::from(*seen)];
         *seen += u16::from(usize::from(*seen) + 1 < self.rates.len());
-        for i in 0..N {
-            weights[i] += pull * opinions[i];
+        for (weight, opinion) in weights.iter_mut().zip(&opinions) {
+            *weight += pull * opinion;
         }
-        for (view, place) in self.counters.iter_mut().zip(places) {
-            view[*place].learn(bit);
+        for view in 0..V {
+            counters[self.views[view] + places[view]].learn(bit);
         }
         bit
     }
