@@ -42,7 +42,7 @@ const SCALE_RATE: f64 = 0.02;
 /// Places in the tree of decisions that keep counters of their own.
 const NODES: usize = 64;
 /// Halvings inside a bucket that are corrected by counters; those below are all noise.
-const CORRECTED_HALVINGS: usize = 2;
+const CORRECTED_HALVINGS: usize = 1;
 /// Contexts in which counters are kept, and the opinions that are mixed: these, the mixture's and a
 /// constant.
 const VIEWS: usize = 4;

@@ -7,7 +7,7 @@ use super::SensorModel;
 use super::beams::{Beam, Point};
 
 /// Scans that are enough for a beam.
-const SCANS: usize = 3;
+const SCANS: usize = 2;
 
 /// The whole number of ticks by which each beam's columns are moved against those of the fullest
 /// beam.

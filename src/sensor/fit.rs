@@ -144,13 +144,13 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
         }
         system
     };
-    for reach in [0.004, 0.004, 0.0015, 0.0015, 0.0015, 0.0015] {
-        least_squares(&constants, 4 * SAMPLE, reach).step(&mut constants);
+    for reach in [0.004, 0.004, 0.0015, 0.0015] {
+        least_squares(&constants, SAMPLE, reach).step(&mut constants);
     }
-    let whole = least_squares(&constants, usize::MAX, 0.0015);
-    whole.step(&mut constants);
+    let good = least_squares(&constants, 4 * SAMPLE, 0.0015);
+    good.step(&mut constants);
     if coordinates == Coordinates::Millimetre {
-        centre_in_roundings(&mut constants, points, &whole);
+        centre_in_roundings(&mut constants, points, &good);
     }
     constants
 }
@@ -163,12 +163,21 @@ fn centre_in_roundings(constants: &mut [f64; 5], points: &[Point], whole: &Syste
     /// Metres.
     const HALF_UNIT: f64 = 5e-4;
     const REACH: f64 = 0.0015;
+    /// What comes no nearer to a border than this, in metres, will not cross one: least squares is
+    /// right to a few micrometres.
+    const NEAR_BORDER: f64 = 3e-5;
     /// How much the points that fit hold the constants in place.
-    const INERTIA: f64 = 0.003;
+    const INERTIA: f64 = 0.02;
+    let formula = Formula::new(constants);
+    let near_border = |point: &&Point| {
+        let largest = formula.at(point).largest_miss();
+        largest > HALF_UNIT - NEAR_BORDER && largest < REACH
+    };
+    let points: Vec<Point> = points.iter().filter(near_border).copied().collect();
     for _ in 0..ROUNDS {
         let formula = Formula::new(constants);
         let mut system = System { normal: whole.normal * INERTIA, ..System::default() };
-        for point in points {
+        for point in &points {
             let site = formula.at(point);
             let largest = site.largest_miss();
             if largest > HALF_UNIT && largest < REACH {
