@@ -110,8 +110,8 @@ pub struct Limits {
 }
 
 impl Default for Limits {
-    /// 16 million points, 1 GiB a file, 1 GiB a group: ten times any scanner's frame.
+    /// 16 million points, 1 GiB a file, 2 GiB a group: ten times any scanner's frame.
     fn default() -> Self {
-        Limits { points: 1 << 24, file_bytes: 1 << 30, record_bytes: 1 << 30 }
+        Limits { points: 1 << 24, file_bytes: 1 << 30, record_bytes: 1 << 31 }
     }
 }

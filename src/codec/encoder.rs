@@ -165,15 +165,25 @@ impl<'s> OpenGroup<'s> {
 
     fn encode_frame(&mut self, name: &str, bytes: Vec<u8>) -> Result<()> {
         let (file_size, file_crc) = (bytes.len() as u64, crc32c::crc32c(&bytes));
-        let scan = parse(name, bytes);
+        let scan = within_limits(parse(name, bytes))?;
         let point_count = scan.records as u64;
-        check_limit("points in a frame", point_count, Limits::default().points)?;
         let sections = self.coder.encode_frame(&scan)?;
         let header = FrameHeader { name: name.to_owned(), file_size, file_crc, point_count };
         self.group.frames.push(Frame { header, sections });
         self.file_bytes += file_size;
         Ok(())
     }
+}
+
+/// A scan that decoders take under their limits: one of too many points, or whose text or compressed
+/// records unfold to too many bytes, is coded as the bytes of its file.
+fn within_limits(scan: ScanFile) -> Result<ScanFile> {
+    let limits = Limits::default();
+    if scan.records as u64 <= limits.points && scan.cloud.extra.len() as u64 <= limits.file_bytes {
+        return Ok(scan);
+    }
+    let bytes = scan.to_bytes()?;
+    Ok(ScanFile::opaque(scan.name, bytes))
 }
 
 impl FrameInput {

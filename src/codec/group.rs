@@ -20,10 +20,10 @@ impl<'s> GroupEncoder<'s> {
         GroupEncoder { sensor, models: Models::new(sensor) }
     }
 
-    /// Encodes the next frame.
+    /// Encodes the next frame, which decoders then take under [`Limits::default`].
     ///
     /// # Errors
-    /// None is known: whatever a scan holds can be coded.
+    /// If the scan is over those limits.
     pub fn encode_frame(&mut self, scan: &ScanFile) -> Result<Vec<Section>> {
         let mut frame = Frame::from_scan(scan, self.sensor);
         let mut writer = SectionWriter::new();

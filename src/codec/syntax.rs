@@ -41,10 +41,9 @@ pub struct SectionWriter {
 }
 
 impl SectionWriter {
-    /// No sections yet. What is in memory is within every limit.
+    /// No sections yet.
     pub fn new() -> Self {
-        let limits = Limits { points: u64::MAX, file_bytes: u64::MAX, ..Limits::default() };
-        SectionWriter { sections: Vec::new(), limits }
+        SectionWriter { sections: Vec::new(), limits: Limits::default() }
     }
 }
 
@@ -240,7 +239,11 @@ impl Models {
         }
         self.code_bytes(coder, &mut layout, limits)?;
         if !C::ENCODES {
-            frame.layout = Layout::read_from(&mut layout.as_slice())?;
+            let mut rest = layout.as_slice();
+            frame.layout = Layout::read_from(&mut rest)?;
+            if !rest.is_empty() {
+                return Err(Error::corrupt("record layout: bytes left over"));
+            }
         }
         self.code_bytes(coder, &mut frame.prefix, limits)?;
         self.code_bytes(coder, &mut frame.suffix, limits)?;

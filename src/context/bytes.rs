@@ -38,9 +38,9 @@ impl ByteModel {
         drop(outgrown);
         let learned = self.learned.get_or_insert_with(|| Learned::new(slot_bits));
         for index in 0..bytes.len() {
-            let back = |distance: usize| index.checked_sub(distance).map_or(0, |i| usize::from(bytes[i]));
+            let back = |distance: usize| index.checked_sub(distance).map_or(0, |i| u64::from(bytes[i]));
             // One context for each place of a short record; long ones and plain bytes share.
-            let place = if stride > 1 { index % stride + 1 } else { 0 };
+            let place = if stride > 1 { (index % stride + 1) as u64 } else { 0 };
             let views = [
                 place,
                 place << 8 | back(stride),
@@ -55,7 +55,7 @@ impl ByteModel {
 
 impl Learned {
     /// Codes one byte from the top bit down.
-    fn code_byte<C: BitCoder>(&mut self, coder: &mut C, views: [usize; VIEWS], byte: u8) -> u8 {
+    fn code_byte<C: BitCoder>(&mut self, coder: &mut C, views: [u64; VIEWS], byte: u8) -> u8 {
         let slots = views.map(|view| self.slot(view) << 8);
         let mut node = 1usize;
         for i in (0..8).rev() {
@@ -67,7 +67,7 @@ impl Learned {
     }
 
     /// The place of a context among the slots.
-    fn slot(&self, view: usize) -> usize {
-        ((view as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (u64::BITS - self.slot_bits)) as usize
+    fn slot(&self, view: u64) -> usize {
+        (view.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (u64::BITS - self.slot_bits)) as usize
     }
 }

@@ -65,7 +65,7 @@ impl PointModel {
         position[major] =
             self.coordinates[0].code(coder, grid, [w, 2.0 * w - ww, w + n - nw, n], position[major]);
 
-        let along = f64::from(position[major]);
+        let along = finite(position)[major];
         let slope = |p: &[f64; 3]| if p[major] == 0.0 { 0.0 } else { p[minor] / p[major] };
         let [w, ww, n, nw] = near.map(|p| slope(&p));
         let slopes = [w, 2.0 * w - ww, w + n - nw, n];

@@ -80,34 +80,20 @@ pub struct ArithmeticDecoder<'a> {
     high: u32,
     code: u32,
     bytes: std::slice::Iter<'a, u8>,
-    missing: u64,
 }
 
 impl<'a> ArithmeticDecoder<'a> {
     /// Starts at the first of `bytes`.
     pub fn new(bytes: &'a [u8]) -> Self {
-        let mut decoder =
-            ArithmeticDecoder { low: 0, high: u32::MAX, code: 0, bytes: bytes.iter(), missing: 0 };
+        let mut decoder = ArithmeticDecoder { low: 0, high: u32::MAX, code: 0, bytes: bytes.iter() };
         for _ in 0..4 {
             decoder.code = decoder.code << 8 | decoder.next_byte();
         }
         decoder
     }
 
-    /// How many bytes behind the end have been read. An encoder's stream can lack a few zeros;
-    /// a decoder that has read far more is making up data.
-    pub fn missing(&self) -> u64 {
-        self.missing
-    }
-
     fn next_byte(&mut self) -> u32 {
-        match self.bytes.next() {
-            Some(&byte) => u32::from(byte),
-            None => {
-                self.missing += 1;
-                0
-            }
-        }
+        self.bytes.next().map_or(0, |&byte| u32::from(byte))
     }
 }
 

@@ -51,7 +51,7 @@ impl Logistic {
     /// The probability, in 1/65536 (1 to 65535), of log odds.
     #[inline]
     pub fn squash(&self, odds: f32) -> u32 {
-        let place = (odds * SQUASH_FINENESS) as i32 + (SQUASH_STEPS / 2) as i32;
+        let place = ((odds * SQUASH_FINENESS) as i32).saturating_add(SQUASH_STEPS as i32 / 2);
         u32::from(self.squash[place.clamp(0, SQUASH_STEPS as i32 - 1) as usize])
     }
 
@@ -105,7 +105,8 @@ impl Counter {
     pub fn learn(&mut self, bit: bool) {
         let count = self.0 & COUNT_MASK & COUNT_LIMIT;
         let target = if bit { (1 << 22) - 1 } else { 0 };
-        // An eighth of the way to the target times 8192ths is in 2^-32, as the whole number is.
+        // An eighth of the way to the target times 8192ths is in 2^-32, as the whole number is. It
+        // fits 31 bits: early rates are high, but then the probability is still near one half.
         let moved = ((target - (self.0 >> COUNT_BITS) as i32) >> 3) * RATES[count as usize];
         self.0 = self.0.wrapping_add_signed(moved & !(COUNT_MASK as i32)) + u32::from(count < COUNT_LIMIT);
     }

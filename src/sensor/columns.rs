@@ -6,28 +6,22 @@ use rayon::prelude::*;
 use super::SensorModel;
 use super::beams::{Beam, Point};
 
-/// Scans that are enough for a beam.
-const SCANS: usize = 2;
-
 /// The whole number of ticks by which each beam's columns are moved against those of the fullest
-/// beam.
+/// beam. One scan that both are in tells.
 pub(super) fn column_shifts(model: &SensorModel, beams: &[&Beam]) -> Vec<i64> {
     // The beams of one firing look within 36 degrees of each other.
     let widest = i64::from(model.ticks / 10);
-    let used: Vec<Vec<Vec<u8>>> =
-        beams.par_iter().enumerate().map(|(row, beam)| used_ticks(model, row, beam)).collect();
-    let filled = |row: usize| used[row].iter().map(|scan| agreement(scan, scan)).sum::<u32>();
+    let filled = |row: usize| beams[row].scans.iter().map(Vec::len).sum::<usize>();
     let reference = (0..beams.len()).max_by_key(|&row| filled(row)).unwrap_or(0);
     let best = |row: usize| {
-        let pairs = || used[row].iter().zip(&used[reference]);
-        let pairs: Vec<_> = pairs().filter(|(a, b)| !a.is_empty() && !b.is_empty()).take(SCANS).collect();
+        let mut pairs = beams[row].scans.iter().zip(&beams[reference].scans);
+        let Some((mine, theirs)) = pairs.find(|(a, b)| !a.is_empty() && !b.is_empty()) else { return 0 };
+        let mine = used_ticks(model, row, mine);
+        let theirs = used_ticks(model, reference, theirs);
         let agreement_at = |shift: i64| {
             let start = shift.rem_euclid(i64::from(model.ticks)) as usize;
-            let overlap = |(mine, theirs): &(&Vec<u8>, &Vec<u8>)| {
-                let (head, tail) = mine.split_at(mine.len() - start);
-                agreement(head, &theirs[start..]) + agreement(tail, &theirs[..start])
-            };
-            pairs.iter().map(overlap).sum::<u32>()
+            let (head, tail) = mine.split_at(mine.len() - start);
+            agreement(head, &theirs[start..]) + agreement(tail, &theirs[..start])
         };
         (-widest..=widest).max_by_key(|&shift| (agreement_at(shift), -shift.abs())).unwrap_or(0)
     };
@@ -41,13 +35,10 @@ fn agreement(a: &[u8], b: &[u8]) -> u32 {
     a.chunks(255).zip(b.chunks(255)).map(run).sum()
 }
 
-/// For each scan: 1 for each tick that holds a point of the beam, else 0; nothing if it has none.
-fn used_ticks(model: &SensorModel, row: usize, beam: &Beam) -> Vec<Vec<u8>> {
-    let used = |points: &Vec<Point>| {
-        let mut used = vec![0; if points.is_empty() { 0 } else { model.ticks as usize }];
-        let ticks = points.iter().filter_map(|p| model.invert(row, p.position));
-        ticks.for_each(|(tick, _)| used[tick as usize] = 1);
-        used
-    };
-    beam.scans.iter().map(used).collect()
+/// 1 for each tick that holds a point of the beam, else 0.
+fn used_ticks(model: &SensorModel, row: usize, points: &[Point]) -> Vec<u8> {
+    let mut used = vec![0; model.ticks as usize];
+    let ticks = points.iter().filter_map(|p| model.invert(row, p.position));
+    ticks.for_each(|(tick, _)| used[tick as usize] = 1);
+    used
 }

@@ -48,7 +48,7 @@ impl Coordinates {
     /// `formula`, the value before rounding (SENSOR: a coordinate that rounds to zero keeps its sign).
     pub fn value(self, unit: i64, formula: f64) -> f32 {
         match self {
-            Coordinates::Millimetre if unit == 0 => 0f32.copysign(formula as f32),
+            Coordinates::Millimetre if unit == 0 => zero_of(formula),
             Coordinates::Millimetre => (unit as f64 / 1000.0) as f32,
             Coordinates::Float32 => from_ordered(unit),
         }
@@ -57,7 +57,7 @@ impl Coordinates {
     /// Whether [`value`](Self::value) gives a zero of the file its own sign.
     pub fn keeps_zero(self, zero: f32, formula: f64) -> bool {
         match self {
-            Coordinates::Millimetre => zero.is_sign_negative() == (formula as f32).is_sign_negative(),
+            Coordinates::Millimetre => zero.to_bits() == zero_of(formula).to_bits(),
             Coordinates::Float32 => true,
         }
     }
@@ -74,6 +74,12 @@ impl Coordinates {
             Coordinates::Float32 => value.is_finite().then(|| ordered(value)),
         }
     }
+}
+
+/// The zero with the sign of `formula`. The sign of a NaN differs between processors: it counts as
+/// positive.
+fn zero_of(formula: f64) -> f32 {
+    if !formula.is_nan() && formula.is_sign_negative() { -0.0 } else { 0.0 }
 }
 
 /// float32 values in rising order as integers; neighbours differ by one, and so do -0.0 and 0.0.
