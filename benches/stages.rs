@@ -59,7 +59,7 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &SensorModel) 
     });
     group.bench_function("range", |b| {
         b.iter(|| {
-            let mut model = RangeModel::new(sensor.rows());
+            let mut model = RangeModel::default();
             model.code(&mut encoder(), &occupancy, &no_intensity, &mut image.steps.clone());
         });
     });

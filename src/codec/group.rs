@@ -17,7 +17,7 @@ pub struct GroupEncoder<'s> {
 impl<'s> GroupEncoder<'s> {
     /// A new group of scans by `sensor`.
     pub fn new(sensor: Option<&'s SensorModel>) -> Self {
-        GroupEncoder { sensor, models: Models::new(sensor) }
+        GroupEncoder { sensor, models: Models::default() }
     }
 
     /// Encodes the next frame, which decoders then take under [`Limits::default`].
@@ -42,7 +42,7 @@ pub struct GroupDecoder<'s> {
 impl<'s> GroupDecoder<'s> {
     /// A new group of scans by `sensor`.
     pub fn new(sensor: Option<&'s SensorModel>, limits: &Limits) -> Self {
-        GroupDecoder { sensor, limits: *limits, models: Models::new(sensor) }
+        GroupDecoder { sensor, limits: *limits, models: Models::default() }
     }
 
     /// Decodes the next frame.

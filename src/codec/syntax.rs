@@ -119,6 +119,7 @@ impl SectionCoder for SectionReader<'_> {
 }
 
 /// What a group's frames have taught so far.
+#[derive(Default)]
 pub struct Models {
     sizes: IntegerModel,
     bytes: ByteModel,
@@ -133,22 +134,6 @@ pub struct Models {
 }
 
 impl Models {
-    /// Nothing learned yet.
-    pub fn new(sensor: Option<&SensorModel>) -> Self {
-        Models {
-            sizes: IntegerModel::default(),
-            bytes: ByteModel::default(),
-            extra: ByteModel::default(),
-            columns: ColumnModel::default(),
-            occupancy: OccupancyModel::default(),
-            points: PointModel::default(),
-            intensity: IntensityModel::default(),
-            range: RangeModel::new(sensor.map_or(0, SensorModel::rows)),
-            correction: CorrectionModel::default(),
-            order: OrderModel::default(),
-        }
-    }
-
     /// Codes a frame. The decoder's starts empty but for the number of records, and fills; it also gets the returns in file
     /// order, which both sides make from the range image.
     ///

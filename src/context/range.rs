@@ -1,9 +1,9 @@
 //! The ranges: a mixture of predictors gives each range a distribution, interval after interval is
 //! halved under it, and counters in several contexts correct each half's probability.
 //!
-//! For a return, the predictors are its neighbours and combinations of them, and two online
-//! least-squares fits (one that forgets within a row, one for each beam). Each has, in each
-//! context, a weight (its responsibility for the ranges so far) and a scale (its mean error).
+//! For a return, the predictors are its neighbours, the line through two of them, and an online
+//! least-squares fit. Each has, in each context, a weight (its responsibility for the ranges so
+//! far) and a scale (its mean error).
 
 use super::least_squares::LeastSquares;
 use super::quantise::{Levels, signed_level};
@@ -11,14 +11,13 @@ use super::shape::{CERTAIN, ErrorShape, Placed};
 use crate::entropy::{BitCoder, Logistic, MixedBits};
 use crate::grid::Grid;
 
-/// Features of the least-squares predictors.
+/// Features of the least-squares predictor.
 const FEATURES: usize = 8;
 /// Predictors in the mixture.
-const PREDICTORS: usize = 6;
-/// Places of the two least-squares predictors and of the one that stands for surprises.
-const FAST_FIT: usize = 3;
-const BEAM_FIT: usize = 4;
-const SURPRISE: usize = 5;
+const PREDICTORS: usize = 5;
+/// Places of the least-squares predictor and of the one that stands for surprises.
+const FIT: usize = 3;
+const SURPRISE: usize = 4;
 /// Levels of the two measures that make a context: activity around, errors around.
 const ACTIVITY_LEVELS: usize = 12;
 const ERROR_LEVELS: usize = 12;
@@ -53,8 +52,7 @@ const VIEW_SIZES: [usize; VIEWS] = [1024, 1024, 8 * 128, 8 * 64 * 4];
 /// What the coder has learned about ranges.
 pub struct RangeModel {
     shape: ErrorShape,
-    fast_fits: Vec<LeastSquares<FEATURES>>,
-    beam_fits: Vec<LeastSquares<FEATURES>>,
+    fits: Vec<LeastSquares<FEATURES>>,
     weights: Vec<[f64; PREDICTORS]>,
     /// The weights in 2^-16.
     shares: Vec<[u32; PREDICTORS]>,
@@ -64,9 +62,8 @@ pub struct RangeModel {
     error_levels: Levels<{ ERROR_LEVELS - 1 }>,
 }
 
-impl RangeModel {
-    /// Knows nothing yet, of a sensor with `rows` beams.
-    pub fn new(rows: usize) -> Self {
+impl Default for RangeModel {
+    fn default() -> Self {
         let error_levels = Levels::new(1.6, 1.6);
         let scales = |context: usize| {
             let mut scale = 3.0f64;
@@ -79,8 +76,7 @@ impl RangeModel {
         };
         RangeModel {
             shape: ErrorShape::new(),
-            fast_fits: vec![LeastSquares::new(0.998); EDGES],
-            beam_fits: vec![LeastSquares::new(0.9998); EDGES * rows.max(1)],
+            fits: vec![LeastSquares::new(0.998); EDGES],
             weights: vec![[1.0 / PREDICTORS as f64; PREDICTORS]; CONTEXTS],
             shares: vec![[65536 / PREDICTORS as u32; PREDICTORS]; CONTEXTS],
             scales: (0..CONTEXTS).map(scales).collect(),
@@ -89,7 +85,9 @@ impl RangeModel {
             error_levels,
         }
     }
+}
 
+impl RangeModel {
     /// Codes the range, in steps, of every cell that holds a return. `intensity` holds the
     /// intensities coded before, cut to 1 to 128; 0 = no return.
     pub fn code<C: BitCoder>(
@@ -111,34 +109,32 @@ impl RangeModel {
                     continue;
                 }
                 let near = window.around(column);
-                let site = self.site(&near, row, errors.expected(column));
+                let site = self.site(&near, errors.expected(column));
                 let views = self.views(&site, &near, &errors, intensity, (row, column));
                 let interval = self.code_range(coder, &site, &views, i64::from(steps[(row, column)]));
                 steps[(row, column)] = interval.low as u32;
                 let range = interval.low as f64;
                 self.learn(&site, &near, &interval);
-                errors.record(column, range - near.west - site.fits[0], range - site.base as f64);
+                errors.record(column, range - near.west - site.fit, range - site.base as f64);
                 window.push(column, range);
             }
         }
     }
 
     /// The predictions for a cell, and its context.
-    fn site(&self, near: &Neighbourhood, row: usize, expected_error: f32) -> Site {
+    fn site(&self, near: &Neighbourhood, expected_error: f32) -> Site {
         let features = near.features();
         let edge =
             usize::from(features[0].abs() > EDGE) + 2 * usize::from((features[3] - features[4]).abs() > EDGE);
-        let beam = (row * EDGES + edge).min(self.beam_fits.len() - 1);
-        let fits = [self.fast_fits[edge].predict(&features), self.beam_fits[beam].predict(&features)]
-            .map(|fit| f64::from(fit).clamp(-FIT_REACH, FIT_REACH));
+        let fit = f64::from(self.fits[edge].predict(&features)).clamp(-FIT_REACH, FIT_REACH);
         let Neighbourhood { west, west2, north, .. } = *near;
-        let predictions = [west, north, 2.0 * west - west2, west + fits[0], west + fits[1], west];
+        let predictions = [west, north, 2.0 * west - west2, west + fit, west];
         let error_level = self.error_levels.of(expected_error);
         let context = near.activity_level() * ERROR_LEVELS + error_level;
-        let base = ((west + 0.5 * (fits[0] + fits[1]) + 0.5) as i64).clamp(1, RANGE_END - 2);
+        let base = ((west + fit + 0.5) as i64).clamp(1, RANGE_END - 2);
         let scales = &self.scales[context];
         let placed = std::array::from_fn(|k| self.shape.place(predictions[k] + 0.5, scales[k]));
-        Site { features, edge, beam, fits, predictions, placed, context, error_level, base }
+        Site { features, edge, fit, predictions, placed, context, error_level, base }
     }
 
     /// The context of each view.
@@ -177,7 +173,7 @@ impl RangeModel {
         let mut interval = Interval::whole();
         let up = self.halve(coder, site, views, &mut interval, site.base, Some(0), range);
 
-        let scale = self.scales[site.context][FAST_FIT].min(self.scales[site.context][BEAM_FIT]);
+        let scale = self.scales[site.context][FIT];
         let mut width = first_bucket(scale);
         let mut edge = site.base;
         let mut bucket = 0;
@@ -316,11 +312,9 @@ impl RangeModel {
         }
 
         let target = (range - near.west).clamp(-FIT_REACH, FIT_REACH);
-        let fits = [&mut self.fast_fits[site.edge], &mut self.beam_fits[site.beam]];
-        for (fit, prediction) in fits.into_iter().zip(site.fits) {
-            let error = range - near.west - prediction;
-            fit.learn(&site.features, target as f32, (1.0 / (25.0 + error * error)) as f32);
-        }
+        let error = range - near.west - site.fit;
+        let weight = 1.0 / (25.0 + error * error);
+        self.fits[site.edge].learn(&site.features, target as f32, weight as f32);
     }
 }
 
@@ -375,9 +369,8 @@ impl Interval {
 struct Site {
     features: [f32; FEATURES],
     edge: usize,
-    beam: usize,
-    /// The least-squares predictions, from the left neighbour.
-    fits: [f64; 2],
+    /// The least-squares prediction, from the left neighbour.
+    fit: f64,
     predictions: [f64; PREDICTORS],
     placed: [Placed; PREDICTORS],
     context: usize,

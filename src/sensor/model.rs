@@ -207,9 +207,9 @@ impl SensorModel {
         let beam = &self.beams[row];
         let rho = (x * x + y * y).sqrt();
         let d = (rho - beam.b) * beam.cos_v + (z - beam.c) * beam.sin_v;
-        let steps = round_ties_even(d / self.range_step());
+        let steps = round_ties_even(d * (1e6 / f64::from(self.range_step_um)));
         let azimuth = y.atan2(x) - small_atan(beam.h / rho) - beam.rot;
-        let tick = round_ties_even(azimuth / TAU * f64::from(self.ticks));
+        let tick = round_ties_even(azimuth * (f64::from(self.ticks) / TAU));
         let in_reach = steps >= 1.0 && steps <= f64::from(MOST_STEPS) && tick.is_finite();
         in_reach.then(|| ((tick as i64).rem_euclid(i64::from(self.ticks)) as u32, steps as u32))
     }
