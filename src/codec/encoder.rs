@@ -16,7 +16,7 @@ use crate::scan::ScanFile;
 use crate::sensor::{self, SensorModel};
 
 /// Frames that the sensor model is fitted to.
-const SAMPLE_FRAMES: usize = 8;
+const SAMPLE_FRAMES: usize = 6;
 
 /// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;

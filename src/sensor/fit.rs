@@ -159,7 +159,7 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
 /// are: only what misses by more says that they are wrong. Moves the constants until little does,
 /// which makes them far sharper than least squares can.
 fn centre_in_roundings(constants: &mut [f64; 5], points: &[Point], whole: &System) {
-    const ROUNDS: usize = 16;
+    const ROUNDS: usize = 12;
     /// Metres.
     const HALF_UNIT: f64 = 5e-4;
     const REACH: f64 = 0.0015;
