@@ -185,8 +185,8 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         places: &[usize; V],
         bit: bool,
     ) -> bool {
-        /// Log odds of 1 to 90.
-        const SURE: f32 = 4.5;
+        /// Log odds of 1 to 33.
+        const SURE: f32 = 3.5;
         let deciding = [self.views[0] + places[0], self.views[1] + places[1]];
         let [first, second] = deciding.map(|place| self.tables.opinion(self.counters[place]));
         if first.min(second) < SURE && first.max(second) > -SURE {
