@@ -15,6 +15,7 @@ use super::beams::{Beam, Cone, Point, align, split_beams, thinned};
 use super::columns::column_shifts;
 use super::model::small_atan;
 use super::{BeamConstants, Coordinates, SensorModel};
+use crate::rounding::round_ties_even;
 use crate::scan::ScanFile;
 
 /// Azimuth ticks a turn of the scanners that the fit knows.
@@ -74,7 +75,7 @@ fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<BeamConstants>
     if points.len() < FEWEST_POINTS {
         return None;
     }
-    let cone = Cone::fit(points);
+    let cone = Cone::fit(&thinned(points, 2 * SAMPLE).copied().collect::<Vec<_>>());
     let elevation = cone.slope.atan();
     let (side, rot) = side_offset(&far_sample(points));
     let offset = range_phase(points, elevation);
@@ -108,16 +109,15 @@ fn coherence(values: impl Iterator<Item = f64>, period: f64) -> (f64, f64) {
 /// Step 2: the sideways offset h that makes the azimuths fall on the ticks, and the phase rot.
 /// First roughly by some of the points, then by all of them.
 fn side_offset(far: &[Point]) -> (f64, f64) {
-    const ROUGH_SAMPLE: usize = 400;
-    let some: Vec<Point> = thinned(far, ROUGH_SAMPLE).copied().collect();
+    let sample = |count: usize| thinned(far, count).copied().collect::<Vec<Point>>();
     let at =
         |points: &[Point], h: f64| coherence(points.iter().map(|p| p.azimuth - small_atan(h / p.rho)), TICK);
     let best = |points: &[Point], mm: &mut dyn Iterator<Item = i32>| {
         let strength = |mm: i32| at(points, f64::from(mm) * 1e-3).0;
         mm.map(|mm| (mm, strength(mm))).max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(mm, _)| mm)
     };
-    let rough = best(&some, &mut (-60..=60).step_by(2));
-    let h = f64::from(best(far, &mut (rough - 2..=rough + 2))) * 1e-3;
+    let rough = best(&sample(250), &mut (-60..=60).step_by(3));
+    let h = f64::from(best(&sample(600), &mut (rough - 3..=rough + 3))) * 1e-3;
     (h, at(far, h).1 / TAU * TICK)
 }
 
@@ -250,13 +250,13 @@ impl Formula {
     fn at(&self, point: &Point) -> Site {
         let [x, y, z] = point.position;
         let steps = ((point.rho - self.b) * self.cos_v + (z - self.c) * self.sin_v) / RANGE_STEP;
-        let d = steps.round() * RANGE_STEP;
+        let d = round_ties_even(steps) * RANGE_STEP;
         let rho = d * self.cos_v + self.b;
         let (side, side_in_file) = (small_atan(self.h / rho), small_atan(self.h / point.rho));
         let ticks = (point.azimuth - side_in_file - self.rot) / TICK;
         // phi is less than a tick from the point's azimuth: a few terms of the series turn the
         // point there.
-        let turn = (ticks.round() - ticks) * TICK + (side - side_in_file);
+        let turn = (round_ties_even(ticks) - ticks) * TICK + (side - side_in_file);
         let (sin_turn, cos_turn) = (turn * (1.0 - turn * turn / 6.0), 1.0 - turn * turn / 2.0);
         let (cos, sin) =
             ((x * cos_turn - y * sin_turn) / point.rho, (y * cos_turn + x * sin_turn) / point.rho);
