@@ -1,20 +1,32 @@
 //! Numbers cut down to a few levels, to serve as contexts.
 
 /// The sign and the half-octave of a difference: 0 to 31, 16 for none.
+#[inline]
 pub fn signed_level(difference: i32) -> usize {
-    let level = half_octave(difference.unsigned_abs()).min(15) as usize;
+    let level = LEVELS.get(difference.unsigned_abs() as usize).map_or(15, |&level| usize::from(level));
     if difference < 0 { 16 - level } else { 16 + level }
 }
 
+/// The half-octave of each magnitude below the last level's.
+static LEVELS: [u8; 128] = {
+    let mut levels = [0; 128];
+    let mut magnitude = 0;
+    while magnitude < levels.len() {
+        levels[magnitude] = half_octave(magnitude as u32) as u8;
+        magnitude += 1;
+    }
+    levels
+};
+
 /// 0 for 0, then two levels an octave.
-pub fn half_octave(magnitude: u32) -> u32 {
+const fn half_octave(magnitude: u32) -> u32 {
     match magnitude {
         0 => 0,
         m => {
             let octave = m.ilog2();
             // The upper half begins at sqrt(2) times the power of two.
-            let upper = u64::from(m) * u64::from(m) >= 1 << (2 * octave + 1);
-            2 * octave + 1 + u32::from(upper)
+            let upper = m as u64 * m as u64 >= 1 << (2 * octave + 1);
+            2 * octave + 1 + upper as u32
         }
     }
 }
