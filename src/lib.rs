@@ -1,11 +1,14 @@
 //! lidarpc compresses sequences of spinning-LiDAR scans.
 //!
-//! The data's way:
+//! The data's way, in which the modules are listed below the ground that they stand on:
 //!
 //! ```text
-//! files -> ScanFile -> sensor model -> RangeImage -> sections -> container
-//!  io       scan        sensor          range_image   codec       bitstream
+//! files -> ScanFile -> SensorModel -> RangeImage -> sections -> groups, index -> .lpc
+//!  io       scan        sensor         range_image   context     bitstream
+//!                                                    over entropy
 //! ```
+//!
+//! [`codec::encode`] and [`codec::decode`] go it from end to end.
 
 pub mod error;
 pub mod grid;
