@@ -236,7 +236,7 @@ fn check_limit(what: &'static str, got: u64, max: u64) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::sample_places;
+    use super::{SAMPLE_FRAMES, sample_places};
 
     #[test]
     fn the_sample_is_spread_over_the_sequence() {
@@ -244,7 +244,8 @@ mod tests {
         assert_eq!(places(0), [0; 0]);
         assert_eq!(places(1), [0]);
         assert_eq!(places(3), [0, 1, 2]);
-        assert_eq!(places(8), (0..8).collect::<Vec<_>>());
-        assert_eq!(places(71), [0, 10, 20, 30, 40, 50, 60, 70]);
+        assert_eq!(places(SAMPLE_FRAMES), (0..SAMPLE_FRAMES).collect::<Vec<_>>());
+        let spread: Vec<_> = (0..SAMPLE_FRAMES).map(|i| 10 * i).collect();
+        assert_eq!(places(10 * SAMPLE_FRAMES - 9), spread);
     }
 }
