@@ -87,7 +87,7 @@ impl<'s> SectionReader<'s> {
     pub fn finish(mut self) -> Result<()> {
         match self.sections.next() {
             None => Ok(()),
-            Some(section) => Err(Error::corrupt(format!("{:?} section out of place", section.kind))),
+            Some(section) => Err(Error::corrupt(format!("{} section out of place", section.kind))),
         }
     }
 }
@@ -108,7 +108,7 @@ impl SectionCoder for SectionReader<'_> {
             return Ok(T::default());
         }
         let section = self.sections.next().filter(|section| section.kind == kind);
-        let section = section.ok_or_else(|| Error::corrupt(format!("{kind:?} section is missing")))?;
+        let section = section.ok_or_else(|| Error::corrupt(format!("{kind} section is missing")))?;
         let mut decoder = ArithmeticDecoder::new(&section.payload);
         code(&mut decoder)
     }

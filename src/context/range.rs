@@ -173,8 +173,8 @@ impl RangeModel {
         let mut interval = Interval::whole();
         let up = self.halve(coder, site, views, &mut interval, site.base, Some(0), range);
 
-        let scale = self.scales[site.context][FIT];
-        let mut width = first_bucket(scale);
+        let fine = first_bucket(self.scales[site.context][FIT]);
+        let mut width = fine;
         let mut edge = site.base;
         let mut bucket = 0;
         loop {
@@ -193,7 +193,6 @@ impl RangeModel {
             bucket += 1;
         }
 
-        let fine = first_bucket(scale);
         let mut halving = 0;
         while interval.high - interval.low > 1 {
             if halving >= CORRECTED_HALVINGS && interval.high - interval.low <= fine {
