@@ -5,8 +5,10 @@ mod beams;
 mod columns;
 mod coordinates;
 mod fit;
+mod ideal;
 mod model;
 
 pub use coordinates::Coordinates;
 pub use fit::fit;
+pub use ideal::ideal;
 pub use model::{BeamConstants, MOST_STEPS, SensorModel};

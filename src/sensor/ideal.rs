@@ -1,0 +1,44 @@
+//! The ideal sensor of the article (IV-A, equation 2): all beams leave one point, at the elevations
+//! that the maker publishes, and all columns are equally far apart.
+
+use std::f64::consts::TAU;
+
+use super::{BeamConstants, Coordinates, SensorModel};
+
+/// Elevation of the highest beam of the HDL-64E's upper block, in degrees (user's manual).
+const UPPER_TOP: f64 = 2.0;
+/// Degrees between the 32 beams of the upper block.
+const UPPER_STEP: f64 = 1.0 / 3.0;
+/// Elevation of the highest beam of the lower block, in degrees.
+const LOWER_TOP: f64 = -8.83;
+/// Degrees between the 32 beams of the lower block.
+const LOWER_STEP: f64 = 0.5;
+/// Beams of one block.
+const BLOCK: usize = 32;
+
+/// An HDL-64E as the article sees it: 64 rows by `columns` columns (2000 for 0.18 degrees), column 0
+/// looking along x, with ranges in steps of `range_step_um` micrometres. Neither may be 0.
+pub fn ideal(columns: u32, range_step_um: u32) -> SensorModel {
+    let elevations = (0..BLOCK)
+        .map(|beam| UPPER_TOP - UPPER_STEP * beam as f64)
+        .chain((0..BLOCK).map(|beam| LOWER_TOP - LOWER_STEP * beam as f64));
+    let beams = elevations
+        .map(|degrees| BeamConstants::quantise([degrees / 360.0 * TAU, 0.0, 0.0, 0.0, 0.0]))
+        .collect();
+    SensorModel::new(Coordinates::Float32, columns, range_step_um, beams)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_are_spherical_coordinates() {
+        let sensor = ideal(2000, 10_000);
+        assert_eq!(sensor.rows(), 64);
+        let [x, y, z] = sensor.point(0, 500, 1000);
+        let up = (2.0f64).to_radians();
+        assert!(x.abs() < 1e-6 && (y - 10.0 * up.cos()).abs() < 1e-6 && (z - 10.0 * up.sin()).abs() < 1e-6);
+        assert_eq!(sensor.invert(0, [x, y, z]), Some((500, 1000)));
+    }
+}
