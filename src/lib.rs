@@ -21,7 +21,14 @@ pub mod sensor;
 
 pub mod range_image;
 
+pub mod outlier;
+pub mod prediction;
+pub mod segmentation;
+
 pub mod context;
+
+pub mod backend;
+pub mod residual;
 
 pub mod bitstream;
 pub mod codec;

@@ -72,6 +72,11 @@ pub struct Projection {
     pub strays: Vec<u32>,
 }
 
+/// The longest range of an image that loses nothing, in steps: further points are strays.
+const LONGEST: u32 = (1 << EXACT_RANGE_BITS) - 1;
+/// Ranges of such an image are below 2 to this power.
+pub const EXACT_RANGE_BITS: u32 = 16;
+
 /// A column that holds fewer points costs more than they do as strays, if there are so many beams.
 const FEWEST_IN_COLUMN: u32 = 3;
 /// Metres: a point that the formula misses by more is a stray.
@@ -106,6 +111,40 @@ pub fn project(sensor: &SensorModel, cloud: &PointCloud) -> Projection {
     projection
 }
 
+/// Projects a scan into the image of the ideal sensor (article, IV-A, equation 2): every point goes to
+/// the nearest beam and column, and of two in one cell the nearer stays. Strays are the points that
+/// found no place.
+pub fn project_nearest(sensor: &SensorModel, cloud: &PointCloud) -> Projection {
+    let columns = (0..sensor.ticks).collect();
+    let mut projection = Projection {
+        point_of_cell: Grid::new(sensor.rows(), sensor.ticks as usize),
+        image: RangeImage::new(sensor.rows(), columns),
+        strays: Vec::new(),
+    };
+    let mut row = 0;
+    for (point, position) in (0u32..).zip(&cloud.positions) {
+        let position @ [x, y, z] = position.map(f64::from);
+        row = sensor.nearest_beam((x * x + y * y).sqrt(), z, row);
+        let Some((tick, steps)) = sensor.invert(row, position) else {
+            projection.strays.push(point);
+            continue;
+        };
+        let cell = (row, sensor.column_tick(row, i64::from(tick)) as usize);
+        let held = projection.image.steps[cell];
+        if held == 0 || steps < held {
+            if held > 0 {
+                projection.strays.push(projection.point_of_cell[cell]);
+            }
+            projection.image.steps[cell] = steps;
+            projection.point_of_cell[cell] = point;
+        } else {
+            projection.strays.push(point);
+        }
+    }
+    projection.strays.sort_unstable();
+    projection
+}
+
 /// Where a point belongs by the formula.
 #[derive(Clone, Copy)]
 struct Place {
@@ -126,7 +165,7 @@ fn places(sensor: &SensorModel, cloud: &PointCloud) -> Vec<Option<Place>> {
             }
             let point @ [x, y, z] = position.map(f64::from);
             row = sensor.nearest_beam((x * x + y * y).sqrt(), z, row);
-            let (tick, steps) = sensor.invert(row, point)?;
+            let (tick, steps) = sensor.invert(row, point).filter(|(_, steps)| *steps <= LONGEST)?;
             let formula = sensor.point(row, tick, steps);
             let near = formula.iter().zip(point).all(|(f, p)| (f - p).abs() < REACH);
             // On the millimetre grid -0.0 and 0.0 are told apart by the formula's sign alone.

@@ -19,6 +19,25 @@ pub struct PointCloud {
     pub extra: Vec<u8>,
 }
 
+impl PointCloud {
+    /// These points, in this order.
+    pub fn select(&self, points: &[u32]) -> PointCloud {
+        let count = self.positions.len().max(self.intensity.len()).max(1);
+        let extra_stride = self.extra.len() / count;
+        let extra = |&point: &u32| &self.extra[point as usize * extra_stride..][..extra_stride];
+        PointCloud {
+            positions: pick(&self.positions, points),
+            intensity: pick(&self.intensity, points),
+            extra: points.iter().flat_map(extra).copied().collect(),
+        }
+    }
+}
+
+/// The values of `points`; nothing if there are no values at all.
+fn pick<T: Copy>(values: &[T], points: &[u32]) -> Vec<T> {
+    if values.is_empty() { Vec::new() } else { points.iter().map(|&point| values[point as usize]).collect() }
+}
+
 /// A file, taken apart into records of points and the bytes around them.
 /// A file that holds no records of a known kind is all `prefix`.
 #[derive(Clone, Debug, Default)]

@@ -21,6 +21,18 @@ pub struct FrameHeader {
     pub point_count: u64,
 }
 
+impl FrameHeader {
+    /// The header of a file with these bytes.
+    pub fn of(name: &str, bytes: &[u8], point_count: u64) -> Self {
+        FrameHeader {
+            name: name.to_owned(),
+            file_size: bytes.len() as u64,
+            file_crc: crc32c::crc32c(bytes),
+            point_count,
+        }
+    }
+}
+
 /// One coded frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Frame {

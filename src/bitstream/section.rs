@@ -28,11 +28,19 @@ pub enum SectionKind {
     Points = 8,
     /// Fields other than position and intensity.
     Extra = 9,
+    /// How the frame is coded; left out if by the defaults.
+    Parameters = 10,
+    /// The contour map: which region each return belongs to.
+    Contour = 11,
+    /// The models of the regions.
+    Regions = 12,
+    /// What prediction leaves of the ranges, coded by a general-purpose back-end.
+    Residual = 13,
 }
 
 impl SectionKind {
     /// All kinds, in the order of their numbers.
-    pub const ALL: [SectionKind; 9] = [
+    pub const ALL: [SectionKind; 13] = [
         SectionKind::File,
         SectionKind::Columns,
         SectionKind::Occupancy,
@@ -42,6 +50,10 @@ impl SectionKind {
         SectionKind::Order,
         SectionKind::Points,
         SectionKind::Extra,
+        SectionKind::Parameters,
+        SectionKind::Contour,
+        SectionKind::Regions,
+        SectionKind::Residual,
     ];
 
     /// The kind's name in reports: lower case, one word.
@@ -56,6 +68,10 @@ impl SectionKind {
             SectionKind::Order => "order",
             SectionKind::Points => "points",
             SectionKind::Extra => "extra",
+            SectionKind::Parameters => "parameters",
+            SectionKind::Contour => "contour",
+            SectionKind::Regions => "regions",
+            SectionKind::Residual => "residual",
         }
     }
 

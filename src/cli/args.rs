@@ -2,9 +2,11 @@
 
 use std::path::PathBuf;
 
-use clap::{Parser, Subcommand, ValueEnum};
-use lidarpc::codec::{EncoderConfig, FrameRange, Mode};
+use clap::{Parser, Subcommand};
+use lidarpc::codec::FrameRange;
 use lidarpc::synth::SynthConfig;
+
+use super::coding::CodingArgs;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -48,6 +50,7 @@ const ENCODE_EXAMPLES: &str = "\
 Examples:
   lidarpc encode drive/ -o drive.lpc
   lidarpc encode a.bin b.bin -o two.lpc --verify
+  lidarpc encode drive/ -o drive.lpc --mode paper --step 1cm
   lidarpc encode drive/ -o - | ssh host 'cat > drive.lpc'";
 
 #[derive(Debug, clap::Args)]
@@ -60,13 +63,8 @@ pub struct EncodeArgs {
     /// File to write; `-` for stdout.
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
-    /// What decoding promises.
-    #[arg(long, value_enum, default_value = "exact")]
-    pub mode: ModeArg,
-    /// Frames a group. Groups are decoded apart: more frames compress better, fewer seek faster.
-    #[arg(long, value_name = "FRAMES", default_value_t = default_gop(),
-          value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    pub gop: u32,
+    #[command(flatten)]
+    pub coding: CodingArgs,
     #[command(flatten)]
     pub threads: Threads,
     /// Decode the written file and compare, before it gets its name.
@@ -75,28 +73,6 @@ pub struct EncodeArgs {
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,
-}
-
-impl EncodeArgs {
-    /// The encoder's settings.
-    pub fn config(&self) -> EncoderConfig {
-        let mode = match self.mode {
-            ModeArg::Exact => Mode::Exact,
-        };
-        EncoderConfig { mode, gop: self.gop as usize, threads: self.threads.threads }
-    }
-}
-
-/// What decoding promises.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum ModeArg {
-    /// Every file comes back byte for byte, whatever it holds.
-    Exact,
-}
-
-/// The default of --gop.
-fn default_gop() -> u32 {
-    u32::try_from(EncoderConfig::default().gop).unwrap_or(u32::MAX)
 }
 
 /// How many threads to use.

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::{CommandFactory, error::ErrorKind};
-use lidarpc::codec::{self, DecodeOptions, Encoded, FrameInput};
+use lidarpc::codec::{self, DecodeOptions, Encoded, EncoderConfig, FrameInput};
 use lidarpc::io::sequence::find_frames;
 use lidarpc::metrics;
 
@@ -14,18 +14,19 @@ use super::args::{Args, EncodeArgs};
 use super::errors::about;
 use super::input::is_dash;
 use super::output::FileOutput;
-use super::{progress, table};
+use super::{coding, progress, table};
 
 pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     if args.verify && is_dash(&args.output) {
         let what = "--verify needs an output that can be read again, not stdout";
         Args::command().error(ErrorKind::ArgumentConflict, what).exit();
     }
+    let config = coding::config(&args.coding, &args.threads);
     let start = Instant::now();
     let frames = find_inputs(&args.inputs, quiet)?;
     let mut output = FileOutput::create(&args.output, args.force)?;
     let name = if is_dash(&args.output) { "stdout".to_owned() } else { args.output.display().to_string() };
-    let encoded = write_stream(args, &frames, &mut output, quiet).map_err(|error| about(error, &name))?;
+    let encoded = write_stream(&config, &frames, &mut output, quiet).map_err(|error| about(error, &name))?;
     if args.verify {
         compare(args, &encoded, &output, quiet).with_context(|| name.clone())?;
     }
@@ -49,14 +50,14 @@ fn find_inputs(inputs: &[PathBuf], quiet: bool) -> Result<Vec<FrameInput>> {
 }
 
 fn write_stream(
-    args: &EncodeArgs,
+    config: &EncoderConfig,
     frames: &[FrameInput],
     output: &mut FileOutput,
     quiet: bool,
 ) -> lidarpc::error::Result<Encoded> {
     let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
     let mut writer = output.writer();
-    let encoded = codec::encode(frames, &args.config(), &mut writer, &|| bar.inc(1))
+    let encoded = codec::encode(frames, config, &mut writer, &|| bar.inc(1))
         .and_then(|encoded| Ok(writer.flush().map(|()| encoded)?));
     bar.finish_and_clear();
     encoded
@@ -84,7 +85,7 @@ fn compare(args: &EncodeArgs, encoded: &Encoded, output: &FileOutput, quiet: boo
 
 fn summary(encoded: &Encoded) -> String {
     let ratio = metrics::ratio(encoded.file_bytes(), encoded.stream_bytes);
-    let bits = metrics::bits_per_point(encoded.stream_bytes, encoded.points());
+    let bits = metrics::bits_per_point(encoded.stream_bytes, encoded.points);
     format!(
         "{}: {} -> {} ({}, {} bits a point)",
         table::count(encoded.frames.len() as u64, "frame"),

@@ -2,11 +2,13 @@
 
 mod args;
 mod cleanup;
+mod coding;
 mod decode;
 mod encode;
 mod errors;
 mod info;
 mod input;
+mod length;
 mod output;
 mod progress;
 mod stats;

@@ -4,9 +4,9 @@ use std::io::{self, BufReader, Read, Seek, Write};
 
 use anyhow::Result;
 use lidarpc::bitstream::{Record, SectionKind, StreamReader};
-use lidarpc::codec::{self, DecodeOptions};
+use lidarpc::codec::{self, DecodeOptions, Source};
 use lidarpc::error::Limits;
-use lidarpc::metrics::{self, PointErrors};
+use lidarpc::metrics::{self, NearestErrors, PointErrors};
 use serde::Serialize;
 
 use super::args::StatsArgs;
@@ -19,7 +19,13 @@ use super::{progress, table};
 struct Stats {
     frames: u64,
     groups: u64,
+    /// Of the original files.
     points: u64,
+    /// Points that the outlier filter dropped.
+    outliers_dropped: u64,
+    /// Points lost because the range image had no cell of their own for them.
+    points_lost: u64,
+    /// Of the original files.
     file_bytes: u64,
     stream_bytes: u64,
     /// Equation 11 of the article: coded / original.
@@ -44,8 +50,15 @@ struct Part {
 struct Against {
     identical_files: u64,
     differing_files: u64,
+    /// Points paired by their order in the file.
     rmse_m: Option<f64>,
     max_error_m: Option<f64>,
+    /// Point to point, where the order has changed: from each decoded point to the nearest original.
+    decoded_to_original_rmse_m: Option<f64>,
+    decoded_to_original_max_m: Option<f64>,
+    /// From each original point, dropped ones included, to the nearest decoded one.
+    original_to_decoded_rmse_m: Option<f64>,
+    original_to_decoded_max_m: Option<f64>,
     lost_points: u64,
     added_points: u64,
     non_finite_changed: u64,
@@ -81,15 +94,15 @@ fn read(args: &StatsArgs, input: Input, quiet: bool) -> lidarpc::error::Result<S
 fn measure(input: impl Read) -> lidarpc::error::Result<Stats> {
     let mut reader = StreamReader::open(input, Limits::default())?;
     let mut by_kind = SectionKind::ALL.map(|_| 0u64);
-    let (mut frames, mut points, mut file_bytes, mut sensor_bytes) = (0, 0, 0u64, 0);
+    let (mut frames, mut sensor_bytes) = (0, 0);
+    let mut originals = Source::default();
     while let Some(record) = reader.next_record()? {
         match record {
             Record::SensorModel(bytes) => sensor_bytes += bytes.len() as u64,
             Record::Group(group) => {
                 for frame in &group.frames {
                     frames += 1;
-                    points += frame.header.point_count;
-                    file_bytes += frame.header.file_size;
+                    originals.add(&Source::of(frame)?);
                     for section in &frame.sections {
                         let place = SectionKind::ALL.iter().position(|kind| *kind == section.kind);
                         by_kind[place.unwrap_or_default()] += section.payload.len() as u64;
@@ -99,6 +112,7 @@ fn measure(input: impl Read) -> lidarpc::error::Result<Stats> {
         }
     }
     let stream_bytes = reader.position();
+    let Source { file_size: file_bytes, points, outliers, lost } = originals;
     let part = |name, bytes| Part { name, bytes, bits_per_point: metrics::bits_per_point(bytes, points) };
     let mut sections = vec![part("sensor", sensor_bytes)];
     sections.extend(SectionKind::ALL.iter().zip(by_kind).map(|(kind, bytes)| part(kind.name(), bytes)));
@@ -108,6 +122,8 @@ fn measure(input: impl Read) -> lidarpc::error::Result<Stats> {
         frames,
         groups: reader.index().groups.len() as u64,
         points,
+        outliers_dropped: outliers,
+        points_lost: lost,
         file_bytes,
         stream_bytes,
         ratio: metrics::ratio(file_bytes, stream_bytes),
@@ -128,6 +144,7 @@ fn compare(
     let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
     let bar = progress::bar(Some(frames), "comparing", quiet);
     let (mut errors, mut against) = (PointErrors::default(), Against::default());
+    let (mut forward, mut backward) = (NearestErrors::default(), NearestErrors::default());
     let compared = codec::decode(BufReader::new(input), &options, |frame| {
         bar.inc(1);
         let name = &frame.header.name;
@@ -138,13 +155,22 @@ fn compare(
             against.differing_files += 1;
         }
         let (original, decoded) = (lidarpc::io::parse(name, original), lidarpc::io::parse(name, frame.bytes));
-        errors.add(&original.cloud, &decoded.cloud);
+        if frame.source.is_some() {
+            forward.add(&decoded.cloud, &original.cloud);
+            backward.add(&original.cloud, &decoded.cloud);
+        } else {
+            errors.add(&original.cloud, &decoded.cloud);
+        }
         Ok(())
     });
     bar.finish_and_clear();
     compared?;
     against.rmse_m = errors.rmse();
     against.max_error_m = errors.max();
+    against.decoded_to_original_rmse_m = forward.rmse();
+    against.decoded_to_original_max_m = forward.max();
+    against.original_to_decoded_rmse_m = backward.rmse();
+    against.original_to_decoded_max_m = backward.max();
     against.lost_points = errors.lost;
     against.added_points = errors.added;
     against.non_finite_changed = errors.non_finite_changed;
@@ -158,6 +184,12 @@ fn print(stats: &Stats, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "coded        {:>14} bytes", stats.stream_bytes)?;
     writeln!(out, "ratio        {:>14}", table::percent(stats.ratio))?;
     writeln!(out, "bits a point {:>14}", table::decimals(stats.bits_per_point))?;
+    for (name, count) in [("outliers", stats.outliers_dropped), ("no cell", stats.points_lost)] {
+        if count > 0 {
+            let share = table::percent(metrics::ratio(stats.points, count));
+            writeln!(out, "{name:<12} {count:>14} points dropped ({share})")?;
+        }
+    }
     if let Some(against) = &stats.against {
         print_against(against, out)?;
     }
@@ -175,8 +207,16 @@ fn print(stats: &Stats, out: &mut impl Write) -> io::Result<()> {
 fn print_against(against: &Against, out: &mut impl Write) -> io::Result<()> {
     let metres = |error: Option<f64>| error.map_or_else(|| "-".to_owned(), |error| format!("{error:.6}"));
     let files = against.identical_files + against.differing_files;
-    writeln!(out, "RMSE         {:>14} m", metres(against.rmse_m))?;
-    writeln!(out, "max error    {:>14} m", metres(against.max_error_m))?;
+    for (name, rmse, max) in [
+        ("", against.rmse_m, against.max_error_m),
+        (" to original", against.decoded_to_original_rmse_m, against.decoded_to_original_max_m),
+        (" to decoded", against.original_to_decoded_rmse_m, against.original_to_decoded_max_m),
+    ] {
+        if rmse.is_some() {
+            writeln!(out, "RMSE{name:<12} {:>10} m", metres(rmse))?;
+            writeln!(out, "max error{name:<12} {:>5} m", metres(max))?;
+        }
+    }
     writeln!(out, "identical    {:>14} of {}", against.identical_files, table::count(files, "file"))?;
     for (name, count) in [
         ("lost points", against.lost_points),

@@ -1,59 +1,174 @@
-//! What the user can choose.
+//! The coder controller (article, III-H): one place for all that the user can choose of encoding.
 
-use std::fmt;
-use std::str::FromStr;
 use std::thread;
 
-use crate::error::{Error, Limits, Result};
+use super::parameters::{FrameParameters, Positions, Prediction, RangeCoder};
+use crate::backend::{self, Level};
+use crate::error::{Error, Result};
+use crate::outlier::RadiusOutlier;
+use crate::range_image::EXACT_RANGE_BITS;
+use crate::residual::Packing;
+use crate::sensor::{FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_TICKS};
 
-/// What decoding promises.
+/// Presets of the coder controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
     /// Every file comes back byte for byte, whatever it holds.
     #[default]
     Exact,
+    /// The article's codec: outliers are dropped, the ideal sensor's range image is kept.
+    Paper,
+}
+
+/// Which range image is coded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ProjectionKind {
+    /// That of the sensor model fitted to the sequence: no point is lost.
+    #[default]
+    Calibrated,
+    /// The article's (IV-A): 64 rows at the published elevations, columns equally far apart.
+    Ideal {
+        /// Columns a turn.
+        columns: u32,
+        /// Micrometres a range step; [`FLOAT_RANGES`](crate::sensor::FLOAT_RANGES) for float32.
+        range_step_um: u32,
+    },
+}
+
+impl ProjectionKind {
+    fn has_float_ranges(self) -> bool {
+        matches!(self, ProjectionKind::Ideal { range_step_um: FLOAT_RANGES, .. })
+    }
+}
+
+/// What codes the ranges.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Coder {
+    /// The context coder.
+    #[default]
+    Context,
+    /// A general-purpose back-end, by its number in the registry.
+    Backend(u8),
 }
 
 /// Settings of the encoder.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct EncoderConfig {
-    /// What decoding promises. Default: exact.
-    pub mode: Mode,
     /// Frames a group: more compress better, fewer make seeking and recovery finer. Default 10.
     pub gop: usize,
     /// Groups coded at the same time; 0, the default, means one for each processor. The stream is
     /// the same whatever the number.
     pub threads: usize,
+    /// Points with few neighbours are dropped (equation 1). Default: none are; in paper mode those
+    /// with fewer than 2 within 0.38 m.
+    pub outliers: Option<RadiusOutlier>,
+    /// Which range image is coded (equation 2). Default: calibrated; in paper mode ideal, 2000
+    /// columns and steps of 1 mm.
+    pub projection: ProjectionKind,
+    /// Whether points come back as they were. Default: exact; in paper mode by the formula.
+    pub positions: Positions,
+    /// Whether intensities are coded. Default: yes; in paper mode, as in the article, no.
+    pub intensity: bool,
+    /// What ranges are predicted from. Default: nothing, since the context coder does better by
+    /// itself; in paper mode regions (IV-C).
+    pub prediction: Prediction,
+    /// What codes the ranges. Default: the context coder; in paper mode LZMA.
+    pub coder: Coder,
+    /// Effort of a general-purpose back-end.
+    pub level: Level,
+    /// How residuals are turned into bytes for it; `None`, the default: as suits it best.
+    pub packing: Option<Packing>,
 }
 
 impl Default for EncoderConfig {
     fn default() -> Self {
-        EncoderConfig { mode: Mode::Exact, gop: 10, threads: 0 }
+        EncoderConfig::preset(Mode::Exact)
     }
 }
+
+/// Columns and range step of the article's range image.
+const PAPER_PROJECTION: ProjectionKind = ProjectionKind::Ideal { columns: 2000, range_step_um: 1000 };
 
 impl EncoderConfig {
-    /// Checks that all settings are in range.
+    /// The settings of a mode.
+    pub fn preset(mode: Mode) -> Self {
+        let exact = EncoderConfig {
+            gop: 10,
+            threads: 0,
+            outliers: None,
+            projection: ProjectionKind::Calibrated,
+            positions: Positions::Exact,
+            intensity: true,
+            prediction: Prediction::None,
+            coder: Coder::Context,
+            level: Level::default(),
+            packing: None,
+        };
+        match mode {
+            Mode::Exact => exact,
+            Mode::Paper => EncoderConfig {
+                outliers: Some(RadiusOutlier::default()),
+                projection: PAPER_PROJECTION,
+                positions: Positions::Formula,
+                intensity: false,
+                prediction: Prediction::Intra,
+                coder: Coder::Backend(backend::LZMA),
+                ..exact
+            },
+        }
+    }
+
+    /// What ranges are best predicted from for this coder and image.
+    pub fn default_prediction(&self) -> Prediction {
+        match self.coder {
+            Coder::Context => Prediction::None,
+            Coder::Backend(_) => Prediction::Intra,
+        }
+    }
+
+    /// The parameters of a frame, as far as they do not depend on the frame.
+    pub(super) fn frame_parameters(&self) -> Result<FrameParameters> {
+        Ok(FrameParameters {
+            positions: self.positions,
+            intensity: self.intensity,
+            prediction: self.prediction,
+            range_coder: match self.coder {
+                Coder::Context => RangeCoder::Context { range_bits: EXACT_RANGE_BITS },
+                Coder::Backend(id) => {
+                    RangeCoder::Backend { id, packing: self.packing.unwrap_or(backend::by_id(id)?.packing()) }
+                }
+            },
+            source: None,
+        })
+    }
+
+    /// Checks that all settings are in range and fit together.
     ///
     /// # Errors
-    /// [`Error::InvalidConfig`] names the setting that is not.
+    /// [`Error::InvalidConfig`] names the setting that does not.
     pub fn check(&self) -> Result<()> {
+        let wrong = |what: &str| Err(Error::InvalidConfig(what.to_owned()));
         if self.gop == 0 {
-            return Err(Error::InvalidConfig("a group holds at least one frame".to_owned()));
+            return wrong("a group holds at least one frame");
         }
-        Ok(())
+        let drops =
+            self.outliers.is_some() || self.projection != ProjectionKind::Calibrated || !self.intensity;
+        if self.positions == Positions::Exact && drops {
+            return wrong("exact mode keeps every point and intensity; use paper mode to drop any");
+        }
+        if let ProjectionKind::Ideal { columns, range_step_um } = self.projection {
+            if !(1..=MOST_TICKS).contains(&u64::from(columns)) {
+                return wrong("an image has 1 to 360000 columns");
+            }
+            if u64::from(range_step_um) > MOST_RANGE_STEP_UM {
+                return wrong("a range step is at most 1 m");
+            }
+        }
+        if self.coder == Coder::Context && self.projection.has_float_ranges() {
+            return wrong("the context coder takes ranges in steps; choose a step or another back-end");
+        }
+        self.frame_parameters().map(|_| ())
     }
-}
-
-/// Settings of the decoder.
-#[derive(Clone, Debug, Default)]
-pub struct DecodeOptions {
-    /// Groups decoded at the same time; 0, the default, means one for each processor.
-    pub threads: usize,
-    /// What the decoder is willing to allocate.
-    pub limits: Limits,
-    /// Which frames to decode. Default: all.
-    pub frames: FrameRange,
 }
 
 /// The number of threads to use: one for each processor if `threads` is 0.
@@ -64,128 +179,31 @@ pub(super) fn resolve_threads(threads: usize) -> usize {
     }
 }
 
-/// A range of frame numbers, the sequence's first frame being 0.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct FrameRange {
-    /// The first frame.
-    pub start: u64,
-    /// The frame after the last; `None`: up to the end of the sequence.
-    pub end: Option<u64>,
-}
-
-impl FrameRange {
-    /// Whether these are all frames of any sequence.
-    pub fn is_all(&self) -> bool {
-        *self == FrameRange::default()
-    }
-
-    /// Whether the frame with this number is one of them.
-    pub fn contains(&self, number: u64) -> bool {
-        number >= self.start && !self.is_past(number)
-    }
-
-    /// Whether the frame with this number comes after them all.
-    pub fn is_past(&self, number: u64) -> bool {
-        self.end.is_some_and(|end| number >= end)
-    }
-
-    /// Whether one of the `count` frames from `first` on is one of them.
-    pub fn overlaps(&self, first: u64, count: u64) -> bool {
-        count > 0 && !self.is_past(first) && first.saturating_add(count) > self.start
-    }
-
-    /// Checks that a sequence of `count` frames holds them all.
-    ///
-    /// # Errors
-    /// [`Error::InvalidConfig`] says how many frames there are.
-    pub fn check(&self, count: u64) -> Result<()> {
-        let missing = self.end.is_some_and(|end| end > count) || self.start >= count;
-        if missing && !self.is_all() {
-            let range = match count {
-                0 => "no frames".to_owned(),
-                1 => "only frame 0".to_owned(),
-                _ => format!("only frames 0 to {}", count - 1),
-            };
-            return Err(Error::InvalidConfig(format!("holds {range}, not {self}")));
-        }
-        Ok(())
-    }
-}
-
-impl fmt::Display for FrameRange {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.end {
-            Some(_) if self.end == self.start.checked_add(1) => write!(f, "{}", self.start),
-            Some(end) => write!(f, "{}..{end}", self.start),
-            None => write!(f, "{}..", self.start),
-        }
-    }
-}
-
-impl FromStr for FrameRange {
-    type Err = Error;
-
-    /// Reads `5`, `10..20` (without 20), `10..=20` (with 20), `10..`, `..20`, `..=20` or `..`.
-    fn from_str(text: &str) -> Result<Self> {
-        let wrong = || Error::InvalidConfig(format!("'{text}' is no range like 5, 10..20, 10.. or ..=20"));
-        let number = |text: &str| text.parse::<u64>().map_err(|_| wrong());
-        let after = |text: &str| number(text)?.checked_add(1).ok_or_else(wrong);
-        let range = match text.split_once("..") {
-            None => FrameRange { start: number(text)?, end: Some(after(text)?) },
-            Some((start, end)) => FrameRange {
-                start: if start.is_empty() { 0 } else { number(start)? },
-                end: match end.strip_prefix('=') {
-                    Some(last) => Some(after(last)?),
-                    None if end.is_empty() => None,
-                    None => Some(number(end)?),
-                },
-            },
-        };
-        if range.end.is_some_and(|end| end <= range.start) {
-            return Err(Error::InvalidConfig(format!("'{text}' holds no frame")));
-        }
-        Ok(range)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn ranges_are_read() {
-        let range = |text: &str| text.parse::<FrameRange>().ok().map(|range| (range.start, range.end));
-        assert_eq!(range("5"), Some((5, Some(6))));
-        assert_eq!(range("10..20"), Some((10, Some(20))));
-        assert_eq!(range("10..=20"), Some((10, Some(21))));
-        assert_eq!(range("10.."), Some((10, None)));
-        assert_eq!(range("..=20"), Some((0, Some(21))));
-        assert_eq!(range(".."), Some((0, None)));
-        for wrong in ["", "x", "5..5", "7..3", "..0", "-1", "1..2..3", "18446744073709551615", "=3"] {
-            assert_eq!(range(wrong), None, "{wrong:?}");
-        }
-    }
-
-    #[test]
-    fn ranges_meet_groups() {
-        let range = FrameRange { start: 10, end: Some(20) };
-        let groups = [(0, 10), (0, 11), (10, 1), (19, 5), (20, 5), (15, 0)];
-        let met = groups.map(|(first, count)| range.overlaps(first, count));
-        assert_eq!(met, [false, true, true, true, false, false]);
-        assert!(!range.contains(9) && range.contains(10) && range.contains(19) && !range.contains(20));
-    }
-
-    #[test]
-    fn ranges_must_be_in_the_sequence() {
-        assert!(FrameRange { start: 3, end: Some(5) }.check(5).is_ok());
-        assert!(FrameRange { start: 3, end: Some(6) }.check(5).is_err());
-        assert!(FrameRange { start: 5, end: None }.check(5).is_err());
-        assert!(FrameRange::default().check(0).is_ok());
+    fn presets_are_in_range() {
+        assert!(EncoderConfig::preset(Mode::Exact).check().is_ok());
+        assert!(EncoderConfig::preset(Mode::Paper).check().is_ok());
     }
 
     #[test]
     fn settings_out_of_range_are_refused() {
-        assert!(EncoderConfig::default().check().is_ok());
-        assert!(EncoderConfig { gop: 0, ..EncoderConfig::default() }.check().is_err());
+        let exact = EncoderConfig::default;
+        let paper = || EncoderConfig::preset(Mode::Paper);
+        let ideal = |columns, range_step_um| ProjectionKind::Ideal { columns, range_step_um };
+        for wrong in [
+            EncoderConfig { gop: 0, ..exact() },
+            EncoderConfig { intensity: false, ..exact() },
+            EncoderConfig { outliers: Some(RadiusOutlier::default()), ..exact() },
+            EncoderConfig { projection: PAPER_PROJECTION, ..exact() },
+            EncoderConfig { projection: ideal(0, 1000), ..paper() },
+            EncoderConfig { projection: ideal(2000, 1_000_001), ..paper() },
+            EncoderConfig { coder: Coder::Backend(200), ..paper() },
+        ] {
+            assert!(wrong.check().is_err(), "{wrong:?}");
+        }
     }
 }

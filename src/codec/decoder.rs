@@ -3,9 +3,12 @@
 use std::io::{Read, Seek};
 use std::sync::Arc;
 
-use super::config::{DecodeOptions, FrameRange, resolve_threads};
+use super::config::resolve_threads;
 use super::group::GroupDecoder;
+use super::options::{DecodeOptions, FrameRange};
 use super::ordered::run_ordered;
+use super::parameters::Source;
+use super::steps::StepReport;
 use crate::bitstream::{Frame, FrameHeader, Group, IndexedReader, Record, StreamReader};
 use crate::error::{Error, Limits, Result};
 use crate::sensor::SensorModel;
@@ -19,6 +22,10 @@ pub struct DecodedFrame {
     pub header: FrameHeader,
     /// The file's bytes.
     pub bytes: Vec<u8>,
+    /// What the file was before, if it is not given back exactly.
+    pub source: Option<Source>,
+    /// What each step of decoding took.
+    pub steps: StepReport,
 }
 
 /// Decodes a stream front to back, as from a pipe, and hands the frames to `sink` in order. Groups
@@ -103,7 +110,8 @@ fn decode_frame(
     wanted: bool,
 ) -> Result<Option<DecodedFrame>> {
     let header = frame.header;
-    let scan = coder.decode_frame(&header, &frame.sections)?;
+    let mut steps = StepReport::default();
+    let (scan, source) = coder.decode_frame(&header, &frame.sections, &mut steps)?;
     if !wanted {
         return Ok(None);
     }
@@ -114,7 +122,7 @@ fn decode_frame(
     if crc32c::crc32c(&bytes) != header.file_crc {
         return Err(Error::corrupt("the decoded file's checksum does not match"));
     }
-    Ok(Some(DecodedFrame { number, header, bytes }))
+    Ok(Some(DecodedFrame { number, header, bytes, source, steps }))
 }
 
 fn parse_sensor_model(bytes: &[u8]) -> Result<Arc<SensorModel>> {

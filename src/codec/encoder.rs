@@ -5,9 +5,10 @@ use std::io::Write;
 use std::mem;
 use std::path::PathBuf;
 
-use super::config::{EncoderConfig, resolve_threads};
+use super::config::{EncoderConfig, ProjectionKind, resolve_threads};
 use super::group::GroupEncoder;
 use super::ordered::run_ordered;
+use super::steps::StepReport;
 use crate::bitstream::{Frame, FrameHeader, Group, StreamHeader, StreamWriter};
 use crate::error::{Error, Limits, Result};
 use crate::io::parse;
@@ -42,21 +43,20 @@ pub enum FrameInput {
 /// What was encoded.
 #[derive(Clone, Debug, Default)]
 pub struct Encoded {
-    /// Name, size, checksum and points of each file, in order.
+    /// Name, size, checksum and points of each file as it decodes, in order.
     pub frames: Vec<FrameHeader>,
+    /// What each step took and left.
+    pub steps: StepReport,
+    /// Points of all original files.
+    pub points: u64,
     /// Bytes of the stream.
     pub stream_bytes: u64,
 }
 
 impl Encoded {
-    /// Bytes of all files.
+    /// Bytes of all original files.
     pub fn file_bytes(&self) -> u64 {
-        self.frames.iter().map(|frame| frame.file_size).sum()
-    }
-
-    /// Points of all files.
-    pub fn points(&self) -> u64 {
-        self.frames.iter().map(|frame| frame.point_count).sum()
+        self.steps.original
     }
 }
 
@@ -73,15 +73,20 @@ pub fn encode<W: Write>(
     on_frame: &(dyn Fn() + Sync),
 ) -> Result<Encoded> {
     config.check()?;
-    let sensor = sensor::fit(&sample(frames)?);
+    let sensor = match config.projection {
+        ProjectionKind::Calibrated => sensor::fit(&sample(frames)?),
+        ProjectionKind::Ideal { columns, range_step_um } => Some(sensor::ideal(columns, range_step_um)),
+    };
     let mut writer = StreamWriter::create(out, &StreamHeader::default())?;
     let sensor_number = write_sensor_model(&mut writer, sensor.as_ref())?;
-    let coder = SequenceCoder { sensor: sensor.as_ref(), sensor_number, on_frame };
+    let coder = SequenceCoder { sensor: sensor.as_ref(), sensor_number, config, on_frame };
 
     let mut encoded = Encoded::default();
-    let write = |groups: Vec<Group>| {
-        for group in groups {
+    let write = |groups: Vec<EncodedGroup>| {
+        for EncodedGroup { group, steps, points, .. } in groups {
             writer.write_group(&group)?;
+            encoded.steps.add(&steps);
+            encoded.points += points;
             encoded.frames.extend(group.frames.into_iter().map(|frame| frame.header));
         }
         Ok(())
@@ -121,56 +126,64 @@ fn write_sensor_model<W: Write>(writer: &mut StreamWriter<W>, sensor: Option<&Se
 struct SequenceCoder<'a> {
     sensor: Option<&'a SensorModel>,
     sensor_number: u64,
+    config: &'a EncoderConfig,
     on_frame: &'a (dyn Fn() + Sync),
 }
 
 impl SequenceCoder<'_> {
     /// Encodes frames as one group; as more if they are very large.
-    fn encode_frames(&self, inputs: &[FrameInput]) -> Result<Vec<Group>> {
+    fn encode_frames(&self, inputs: &[FrameInput]) -> Result<Vec<EncodedGroup>> {
         let mut groups = Vec::new();
         let mut open = OpenGroup::new(self);
         for input in inputs {
             let bytes = input.read()?;
             if !open.has_room_for(&bytes) {
-                groups.push(mem::replace(&mut open, OpenGroup::new(self)).group);
+                groups.push(mem::replace(&mut open, OpenGroup::new(self)).encoded);
             }
             open.encode_frame(input.name()?, bytes).map_err(|e| e.at(input.path()))?;
             (self.on_frame)();
         }
-        groups.push(open.group);
+        groups.push(open.encoded);
         Ok(groups)
     }
+}
+
+/// A group, and what became of its files.
+struct EncodedGroup {
+    group: Group,
+    steps: StepReport,
+    /// Points of the original files.
+    points: u64,
 }
 
 /// A group that is being encoded.
 struct OpenGroup<'s> {
     coder: GroupEncoder<'s>,
-    group: Group,
-    /// Bytes of the group's files.
-    file_bytes: u64,
+    encoded: EncodedGroup,
 }
 
 impl<'s> OpenGroup<'s> {
     fn new(sequence: &SequenceCoder<'s>) -> Self {
+        let group = Group { sensor_model: sequence.sensor_number, frames: Vec::new() };
         OpenGroup {
-            coder: GroupEncoder::new(sequence.sensor),
-            group: Group { sensor_model: sequence.sensor_number, frames: Vec::new() },
-            file_bytes: 0,
+            coder: GroupEncoder::new(sequence.sensor, sequence.config),
+            encoded: EncodedGroup { group, steps: StepReport::default(), points: 0 },
         }
     }
 
     fn has_room_for(&self, bytes: &[u8]) -> bool {
-        self.group.frames.is_empty() || self.file_bytes + bytes.len() as u64 <= GROUP_FILE_BYTES
+        let group_bytes = self.encoded.steps.original;
+        self.encoded.group.frames.is_empty() || group_bytes + bytes.len() as u64 <= GROUP_FILE_BYTES
     }
 
     fn encode_frame(&mut self, name: &str, bytes: Vec<u8>) -> Result<()> {
-        let (file_size, file_crc) = (bytes.len() as u64, crc32c::crc32c(&bytes));
+        let mut original = FrameHeader::of(name, &bytes, 0);
         let scan = within_limits(parse(name, bytes))?;
-        let point_count = scan.records as u64;
-        let sections = self.coder.encode_frame(&scan)?;
-        let header = FrameHeader { name: name.to_owned(), file_size, file_crc, point_count };
-        self.group.frames.push(Frame { header, sections });
-        self.file_bytes += file_size;
+        original.point_count = scan.records as u64;
+        self.encoded.points += original.point_count;
+        let frame = self.coder.encode_frame(&scan, original)?;
+        self.encoded.steps.add(&frame.steps);
+        self.encoded.group.frames.push(Frame { header: frame.header, sections: frame.sections });
         Ok(())
     }
 }

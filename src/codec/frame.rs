@@ -1,15 +1,22 @@
 //! A scan as it is coded: the range image and what it takes to get from it to the file's points.
 
+use super::config::{EncoderConfig, ProjectionKind};
+use super::parameters::{FrameParameters, Positions, Source};
+use super::steps::{Step, StepReport};
+use std::time::Instant;
+
 use crate::context::OrderExceptions;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
-use crate::range_image::{Return, project};
+use crate::io::with_point_count;
+use crate::range_image::{Projection, Return, project, project_nearest};
 use crate::scan::{Layout, PointCloud, ScanFile};
 use crate::sensor::SensorModel;
 
 /// The parts of a frame, as the sections code them.
 #[derive(Debug, Default)]
 pub struct Frame {
+    pub parameters: FrameParameters,
     pub layout: Layout,
     pub prefix: Vec<u8>,
     pub suffix: Vec<u8>,
@@ -35,59 +42,110 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Takes a scan apart (article, IV-A: the range image).
-    pub fn from_scan(scan: &ScanFile, sensor: Option<&SensorModel>) -> Self {
-        let cloud = &scan.cloud;
+    /// Takes a scan apart (article, III-A and IV-A: the outlier filter and the range image).
+    pub fn from_scan(
+        scan: &ScanFile,
+        sensor: Option<&SensorModel>,
+        config: &EncoderConfig,
+        steps: &mut StepReport,
+    ) -> Result<Self> {
         let mut frame = Frame {
+            parameters: config.frame_parameters()?,
             layout: scan.layout.clone(),
             prefix: scan.prefix.clone(),
             suffix: scan.suffix.clone(),
             records: scan.records,
-            extra: cloud.extra.clone(),
             ..Frame::default()
         };
         match sensor {
-            Some(sensor) if !cloud.positions.is_empty() => frame.project(cloud, sensor),
-            _ => {
-                frame.strays = scan.records;
-                frame.stray_positions = cloud.positions.clone();
-                frame.stray_intensity = cloud.intensity.clone();
+            None => frame.take_strays(&scan.cloud),
+            Some(_) if scan.cloud.positions.is_empty() => frame.take_strays(&scan.cloud),
+            Some(sensor) if config.positions == Positions::Exact => {
+                steps.timed(Step::Conversion, || frame.take_points(&scan.cloud, sensor));
             }
+            Some(sensor) => frame.convert_points(&scan.cloud, sensor, config, steps),
         }
-        frame
+        frame.parameters.range_coder.fit(&frame.steps);
+        Ok(frame)
     }
 
-    fn project(&mut self, cloud: &PointCloud, sensor: &SensorModel) {
-        let projection = project(sensor, cloud);
-        let image = projection.image;
-        let returns = image.file_order(sensor);
-        let point_of =
-            |found: &Return| projection.point_of_cell[(found.row as usize, found.column as usize)] as usize;
-        self.strays = projection.strays.len();
-        self.positions = returns.iter().map(|found| cloud.positions[point_of(found)]).collect();
-        self.stray_positions = projection.strays.iter().map(|&p| cloud.positions[p as usize]).collect();
+    /// Takes all points as they come: there is no range image.
+    fn take_strays(&mut self, cloud: &PointCloud) {
+        self.parameters.positions = Positions::Exact;
+        self.strays = self.records;
+        self.stray_positions = cloud.positions.clone();
+        self.stray_intensity = cloud.intensity.clone();
+        self.extra = cloud.extra.clone();
+    }
 
-        let mut order = vec![0u32; cloud.positions.len()];
-        (0u32..).zip(&returns).for_each(|(element, found)| order[point_of(found)] = element);
-        (returns.len() as u32..)
-            .zip(&projection.strays)
-            .for_each(|(element, &p)| order[p as usize] = element);
-        self.order = OrderExceptions::of(&order, returns.len());
+    /// Takes all points as they are.
+    fn take_points(&mut self, cloud: &PointCloud, sensor: &SensorModel) {
+        let points = self.take_image(cloud, project(sensor, cloud), sensor);
+        let returns = points.len() - self.strays;
+        self.positions = points[..returns].iter().map(|&point| cloud.positions[point as usize]).collect();
+        let mut order = vec![0u32; points.len()];
+        (0u32..).zip(&points).for_each(|(element, &point)| order[point as usize] = element);
+        self.order = OrderExceptions::of(&order, returns);
+        self.extra = cloud.extra.clone();
+    }
+
+    /// Takes what the outlier filter (equation 1) and the range image (equation 2) leave of the
+    /// points.
+    fn convert_points(
+        &mut self,
+        cloud: &PointCloud,
+        sensor: &SensorModel,
+        config: &EncoderConfig,
+        steps: &mut StepReport,
+    ) {
+        let filtered = steps.timed(Step::Outliers, || Some(config.outliers?.filter(cloud)));
+        let cloud = filtered.as_ref().unwrap_or(cloud);
+        let start = Instant::now();
+        let mut projection = match config.projection {
+            ProjectionKind::Calibrated => project(sensor, cloud),
+            ProjectionKind::Ideal { .. } => project_nearest(sensor, cloud),
+        };
+        let lost = match config.projection {
+            ProjectionKind::Calibrated => 0,
+            ProjectionKind::Ideal { .. } => std::mem::take(&mut projection.strays).len(),
+        };
+        let points = self.take_image(cloud, projection, sensor);
+        self.extra = cloud.select(&points).extra;
+        self.parameters.source = Some(Source {
+            file_size: steps.original,
+            points: self.records as u64,
+            outliers: (self.records - cloud.positions.len()) as u64,
+            lost: lost as u64,
+        });
+        self.records = points.len();
+        self.prefix = with_point_count(&self.prefix, self.records);
+        steps.took(Step::Conversion, start);
+    }
+
+    /// Takes the range image and the strays. Returns the points in its order: the returns in file
+    /// order, then the strays.
+    fn take_image(&mut self, cloud: &PointCloud, projection: Projection, sensor: &SensorModel) -> Vec<u32> {
+        let Projection { image, point_of_cell, strays } = projection;
+        let returns = image.file_order(sensor);
+        let cell = |found: &Return| (found.row as usize, found.column as usize);
+        let mut points: Vec<u32> = returns.iter().map(|found| point_of_cell[cell(found)]).collect();
 
         self.occupancy = Grid::new(image.steps.rows(), image.columns.len());
         self.intensity = Grid::new(image.steps.rows(), image.columns.len());
-        for found in &returns {
-            let cell = (found.row as usize, found.column as usize);
-            self.occupancy[cell] = true;
-            if let Some(&value) = cloud.intensity.get(point_of(found)) {
-                self.intensity[cell] = value;
+        for (found, &point) in returns.iter().zip(&points) {
+            self.occupancy[cell(found)] = true;
+            if let Some(&value) = cloud.intensity.get(point as usize) {
+                self.intensity[cell(found)] = value;
             }
-        }
-        if !cloud.intensity.is_empty() {
-            self.stray_intensity = projection.strays.iter().map(|&p| cloud.intensity[p as usize]).collect();
         }
         self.columns = image.columns;
         self.steps = image.steps;
+        self.strays = strays.len();
+        let PointCloud { positions, intensity, .. } = cloud.select(&strays);
+        self.stray_positions = positions;
+        self.stray_intensity = intensity;
+        points.extend(strays);
+        points
     }
 
     /// Puts the scan together again.

@@ -8,14 +8,22 @@ pub mod config;
 pub mod decoder;
 pub mod encoder;
 pub mod group;
+pub mod options;
+pub mod parameters;
+pub mod steps;
 
 mod frame;
 mod ordered;
+mod ranges;
+mod sections;
 mod syntax;
 
-pub use config::{DecodeOptions, EncoderConfig, FrameRange, Mode};
+pub use config::{Coder, EncoderConfig, Mode, ProjectionKind};
 pub use decoder::{DecodedFrame, decode, decode_indexed};
 pub use encoder::{Encoded, FrameInput, encode};
+pub use options::{DecodeOptions, FrameRange};
+pub use parameters::{FrameParameters, Positions, Prediction, Source};
+pub use steps::{Step, StepReport};
 
 #[cfg(test)]
 mod tests;

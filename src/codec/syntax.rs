@@ -1,122 +1,23 @@
 //! The syntax of a frame: which section codes what, in which order. Written once: the encoder
 //! walks it with a frame that is full, the decoder with one that fills.
 
+use std::time::Instant;
+
 use super::frame::Frame;
-use crate::bitstream::{Section, SectionKind};
+use super::parameters::{FrameParameters, Positions};
+use super::sections::SectionCoder;
+use super::steps::{Step, StepReport};
+use crate::bitstream::SectionKind;
 use crate::context::{
     ByteModel, ColumnModel, CorrectionModel, IntensityModel, IntensityNeighbours, IntensityScale,
     OccupancyModel, OrderModel, PointModel, RangeModel, neighbours_above,
 };
-use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder, BitCoder, IntegerModel};
+use crate::entropy::{BitCoder, IntegerModel};
 use crate::error::{Error, Limits, Result};
 use crate::grid::Grid;
 use crate::range_image::{RangeImage, Return};
 use crate::scan::Layout;
 use crate::sensor::SensorModel;
-
-/// Opens the sections of a frame one after the other, to write or to read them.
-pub trait SectionCoder {
-    /// Codes the bits of a section.
-    type Coder<'a>: BitCoder
-    where
-        Self: 'a;
-
-    /// Codes one section by `code`. The section is left out if `present` is false.
-    fn section<T: Default>(
-        &mut self,
-        kind: SectionKind,
-        present: bool,
-        code: impl FnOnce(&mut Self::Coder<'_>) -> Result<T>,
-    ) -> Result<T>;
-
-    /// What this side is willing to allocate.
-    fn limits(&self) -> &Limits;
-}
-
-/// Collects the sections of a frame.
-pub struct SectionWriter {
-    /// The sections so far.
-    pub sections: Vec<Section>,
-    limits: Limits,
-}
-
-impl SectionWriter {
-    /// No sections yet.
-    pub fn new() -> Self {
-        SectionWriter { sections: Vec::new(), limits: Limits::default() }
-    }
-}
-
-impl SectionCoder for SectionWriter {
-    type Coder<'a> = ArithmeticEncoder;
-
-    fn section<T: Default>(
-        &mut self,
-        kind: SectionKind,
-        present: bool,
-        code: impl FnOnce(&mut ArithmeticEncoder) -> Result<T>,
-    ) -> Result<T> {
-        if !present {
-            return Ok(T::default());
-        }
-        let mut coder = ArithmeticEncoder::default();
-        let result = code(&mut coder)?;
-        self.sections.push(Section { kind, payload: coder.finish() });
-        Ok(result)
-    }
-
-    fn limits(&self) -> &Limits {
-        &self.limits
-    }
-}
-
-/// Takes the sections of a frame one by one.
-pub struct SectionReader<'s> {
-    sections: std::slice::Iter<'s, Section>,
-    limits: &'s Limits,
-}
-
-impl<'s> SectionReader<'s> {
-    /// Starts at the first section.
-    pub fn new(sections: &'s [Section], limits: &'s Limits) -> Self {
-        SectionReader { sections: sections.iter(), limits }
-    }
-
-    /// # Errors
-    /// If sections are left over.
-    pub fn finish(mut self) -> Result<()> {
-        match self.sections.next() {
-            None => Ok(()),
-            Some(section) => Err(Error::corrupt(format!("{} section out of place", section.kind))),
-        }
-    }
-}
-
-impl SectionCoder for SectionReader<'_> {
-    type Coder<'a>
-        = ArithmeticDecoder<'a>
-    where
-        Self: 'a;
-
-    fn section<T: Default>(
-        &mut self,
-        kind: SectionKind,
-        present: bool,
-        code: impl FnOnce(&mut ArithmeticDecoder<'_>) -> Result<T>,
-    ) -> Result<T> {
-        if !present {
-            return Ok(T::default());
-        }
-        let section = self.sections.next().filter(|section| section.kind == kind);
-        let section = section.ok_or_else(|| Error::corrupt(format!("{kind} section is missing")))?;
-        let mut decoder = ArithmeticDecoder::new(&section.payload);
-        code(&mut decoder)
-    }
-
-    fn limits(&self) -> &Limits {
-        self.limits
-    }
-}
 
 /// What a group's frames have taught so far.
 #[derive(Default)]
@@ -128,14 +29,14 @@ pub struct Models {
     occupancy: OccupancyModel,
     points: PointModel,
     intensity: IntensityModel,
-    range: RangeModel,
+    pub(super) range: RangeModel,
     correction: CorrectionModel,
     order: OrderModel,
 }
 
 impl Models {
-    /// Codes a frame. The decoder's starts empty but for the number of records, and fills; it also gets the returns in file
-    /// order, which both sides make from the range image.
+    /// Codes a frame. The decoder's starts empty but for the number of records, and fills; it also
+    /// gets the returns in file order, which both sides make from the range image.
     ///
     /// # Errors
     /// If the sections do not make a frame, or one over the limits.
@@ -144,68 +45,38 @@ impl Models {
         sections: &mut S,
         sensor: Option<&SensorModel>,
         frame: &mut Frame,
+        steps: &mut StepReport,
     ) -> Result<Vec<Return>> {
         let limits = *sections.limits();
+        let (start, before) = (Instant::now(), steps.total_time());
+        code_parameters(sections, frame)?;
         sections.section(SectionKind::File, true, |coder| self.code_file(coder, frame, &limits))?;
-        let has_points = frame.layout.position.is_some();
         let returns = frame.records - frame.strays;
-        let has_image = returns > 0;
         let sensor = match sensor {
-            Some(sensor) if has_image => Some(sensor),
-            None if has_image => return Err(Error::corrupt("a range image without a sensor model")),
+            Some(sensor) if returns > 0 => Some(sensor),
+            None if returns > 0 => return Err(Error::corrupt("a range image without a sensor model")),
             _ => None,
         };
         if let Some(sensor) = sensor {
-            sections.section(SectionKind::Columns, true, |coder| {
-                self.columns.code(coder, sensor.ticks, &mut frame.columns);
-                Ok(())
-            })?;
-            let cells = sensor.rows().saturating_mul(frame.columns.len());
-            within(cells, limits.points, "cells of the range image")?;
-            frame.fit_image(sensor.rows());
-            sections.section(SectionKind::Occupancy, true, |coder| {
-                self.occupancy.code(coder, &mut frame.occupancy);
-                Ok(())
-            })?;
-            if frame.occupancy.cells().iter().filter(|&&filled| filled).count() != returns {
-                return Err(Error::corrupt("the range image holds another number of returns than the frame"));
-            }
+            self.code_cells(sections, sensor, frame, returns)?;
         }
+        let has_points = frame.layout.position.is_some();
         frame.stray_positions.resize(if has_points { frame.strays } else { 0 }, [0.0; 3]);
         sections.section(SectionKind::Points, !frame.stray_positions.is_empty(), |coder| {
             self.points.code(coder, &mut frame.stray_positions);
             Ok(())
         })?;
-        let has_intensity = frame.layout.intensity.is_some();
-        let mut levels = sections
-            .section(SectionKind::Intensity, has_intensity, |coder| Ok(self.code_intensity(coder, frame)))?;
-        if !has_intensity {
-            levels = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
-        }
-        sections.section(SectionKind::Range, has_image, |coder| {
-            self.range.code(coder, &frame.occupancy, &levels, &mut frame.steps);
-            Ok(())
-        })?;
-        let image = RangeImage {
-            columns: std::mem::take(&mut frame.columns),
-            steps: std::mem::take(&mut frame.steps),
-        };
-        let found = sensor.map_or_else(Vec::new, |sensor| image.file_order(sensor));
+        let levels = self.code_intensities(sections, frame)?;
+        let mut found = Vec::new();
         if let Some(sensor) = sensor {
-            frame.positions.resize(returns, [0.0; 3]);
-            sections.section(SectionKind::Correction, true, |coder| {
-                for (found, position) in found.iter().zip(&mut frame.positions) {
-                    self.correction.code(coder, sensor, found, position);
-                }
-                Ok(())
-            })?;
+            steps.converted += 4 * frame.steps.cells().len() as u64;
+            self.code_ranges(sections, sensor, frame, &levels, steps)?;
+            let columns = std::mem::take(&mut frame.columns);
+            let image = RangeImage { columns, steps: std::mem::take(&mut frame.steps) };
+            found = image.file_order(sensor);
+            self.code_positions(sections, sensor, frame, &found)?;
         }
-        sections.section(SectionKind::Order, has_image, |coder| {
-            self.order.code(coder, &mut frame.order, returns, frame.strays)
-        })?;
-        if !has_image {
-            frame.order.stray_places = (0..frame.records as u64).collect();
-        }
+        self.code_order(sections, frame, returns)?;
         let extra_bytes = frame.records.saturating_mul(frame.layout.extra_stride());
         within(extra_bytes, limits.file_bytes, "bytes of the frame")?;
         frame.extra.resize(extra_bytes, 0);
@@ -213,7 +84,90 @@ impl Models {
             self.extra.code(coder, frame.layout.extra_stride(), &mut frame.extra);
             Ok(())
         })?;
+        let others = steps.total_time() - before;
+        steps.took(Step::Rest, start + others);
         Ok(found)
+    }
+
+    /// The columns of the range image, and which of its cells hold a return.
+    fn code_cells<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        sensor: &SensorModel,
+        frame: &mut Frame,
+        returns: usize,
+    ) -> Result<()> {
+        sections.section(SectionKind::Columns, true, |coder| {
+            self.columns.code(coder, sensor.ticks, &mut frame.columns);
+            Ok(())
+        })?;
+        let cells = sensor.rows().saturating_mul(frame.columns.len());
+        within(cells, sections.limits().points, "cells of the range image")?;
+        frame.fit_image(sensor.rows());
+        sections.section(SectionKind::Occupancy, true, |coder| {
+            self.occupancy.code(coder, &mut frame.occupancy);
+            Ok(())
+        })?;
+        if frame.occupancy.cells().iter().filter(|&&filled| filled).count() != returns {
+            return Err(Error::corrupt("the range image holds another number of returns than the frame"));
+        }
+        Ok(())
+    }
+
+    /// The intensities, if the frame has any and keeps them. Gives the returns' as contexts for their
+    /// ranges.
+    fn code_intensities<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        frame: &mut Frame,
+    ) -> Result<Grid<u16>> {
+        let coded = frame.layout.intensity.is_some() && frame.parameters.intensity;
+        if coded {
+            let kind = SectionKind::Intensity;
+            return sections.section(kind, true, |coder| Ok(self.code_intensity(coder, frame)));
+        }
+        frame.intensity = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
+        frame.stray_intensity = vec![0.0; frame.strays];
+        Ok(Grid::new(frame.occupancy.rows(), frame.occupancy.columns()))
+    }
+
+    /// The positions of the returns: the formula's, corrected if they are to be exact.
+    fn code_positions<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        sensor: &SensorModel,
+        frame: &mut Frame,
+        found: &[Return],
+    ) -> Result<()> {
+        frame.positions.resize(found.len(), [0.0; 3]);
+        if frame.parameters.positions == Positions::Formula {
+            for (found, position) in found.iter().zip(&mut frame.positions) {
+                *position = sensor.point(found.row as usize, found.tick, found.steps).map(|v| v as f32);
+            }
+            return Ok(());
+        }
+        sections.section(SectionKind::Correction, true, |coder| {
+            for (found, position) in found.iter().zip(&mut frame.positions) {
+                self.correction.code(coder, sensor, found, position);
+            }
+            Ok(())
+        })
+    }
+
+    /// Where the points stand in the file: in the order of the range image but for what is coded.
+    fn code_order<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        frame: &mut Frame,
+        returns: usize,
+    ) -> Result<()> {
+        if returns == 0 || frame.parameters.positions == Positions::Formula {
+            frame.order.stray_places = (returns as u64..frame.records as u64).collect();
+            return Ok(());
+        }
+        sections.section(SectionKind::Order, true, |coder| {
+            self.order.code(coder, &mut frame.order, returns, frame.strays)
+        })
     }
 
     /// The layout of the file, and the bytes around the records.
@@ -310,6 +264,14 @@ impl Models {
             levels.push(scale.context_level(*value));
         }
     }
+}
+
+/// How the frame is coded: left out if by the default parameters.
+fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+    let mut payload = frame.parameters.to_payload();
+    sections.payload(SectionKind::Parameters, &mut payload);
+    frame.parameters = FrameParameters::from_payload(&payload)?;
+    Ok(())
 }
 
 impl Frame {

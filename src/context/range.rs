@@ -29,12 +29,10 @@ const EDGE: f32 = 60.0;
 /// Features and predictions are cut to this many steps from the left neighbour.
 const FEATURE_REACH: f64 = 300.0;
 const FIT_REACH: f64 = 400.0;
-/// Ranges are below this.
-const RANGE_END: i64 = 65536;
 /// Probability of the mixture in the unit of [`Below::mixed`]: weights are in 2^-16.
 const MIXED_CERTAIN: u64 = (CERTAIN as u64) << 16;
-/// Each range gets this much of it in any case, all of them together 1/256.
-const EVEN: u64 = MIXED_CERTAIN / 256 / RANGE_END as u64;
+/// All ranges together get at least this much of it, evenly.
+const EVEN: u64 = MIXED_CERTAIN / 256;
 /// Learning rates of the weights and the scales.
 const WEIGHT_RATE: f64 = 0.02;
 const SCALE_RATE: f64 = 0.02;
@@ -51,6 +49,8 @@ const VIEW_SIZES: [usize; VIEWS] = [1024, 1024, 8 * 128, 8 * 64 * 4];
 
 /// What the coder has learned about ranges.
 pub struct RangeModel {
+    /// Ranges are below 2 to this power.
+    range_bits: u32,
     shape: ErrorShape,
     fits: Vec<LeastSquares<FEATURES>>,
     weights: Vec<[f64; PREDICTORS]>,
@@ -75,6 +75,7 @@ impl Default for RangeModel {
             scales
         };
         RangeModel {
+            range_bits: 0,
             shape: ErrorShape::new(),
             fits: vec![LeastSquares::new(0.998); EDGES],
             weights: vec![[1.0 / PREDICTORS as f64; PREDICTORS]; CONTEXTS],
@@ -88,15 +89,17 @@ impl Default for RangeModel {
 }
 
 impl RangeModel {
-    /// Codes the range, in steps, of every cell that holds a return. `intensity` holds the
-    /// intensities coded before, cut to 1 to 128; 0 = no return.
+    /// Codes the range, in steps from 1 to 2^`range_bits` - 1, of every cell that holds a return.
+    /// `intensity` holds the intensities coded before, cut to 1 to 128; 0 = no return.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
         occupancy: &Grid<bool>,
         intensity: &Grid<u16>,
+        range_bits: u32,
         steps: &mut Grid<u32>,
     ) {
+        self.range_bits = range_bits;
         let width = occupancy.columns();
         let mut errors = ErrorTrack::new(width);
         let mut window = Window::new(width);
@@ -131,7 +134,7 @@ impl RangeModel {
         let predictions = [west, north, 2.0 * west - west2, west + fit, west];
         let error_level = self.error_levels.of(expected_error);
         let context = near.activity_level() * ERROR_LEVELS + error_level;
-        let base = ((west + fit + 0.5) as i64).clamp(1, RANGE_END - 2);
+        let base = ((west + fit + 0.5) as i64).clamp(1, (1 << self.range_bits) - 2);
         let scales = &self.scales[context];
         let placed = std::array::from_fn(|k| self.shape.place(predictions[k] + 0.5, scales[k]));
         Site { features, edge, fit, predictions, placed, context, error_level, base }
@@ -170,7 +173,7 @@ impl RangeModel {
         views: &[usize; VIEWS],
         range: i64,
     ) -> Interval {
-        let mut interval = Interval::whole();
+        let mut interval = Interval::whole(self.range_bits);
         let up = self.halve(coder, site, views, &mut interval, site.base, Some(0), range);
 
         let fine = first_bucket(self.scales[site.context][FIT]);
@@ -274,7 +277,7 @@ impl RangeModel {
     fn below(&self, site: &Site, range: i64) -> Below {
         let shares = &self.shares[site.context];
         let mut each = [0; PREDICTORS];
-        let mut mixed = EVEN * range as u64;
+        let mut mixed = (EVEN >> self.range_bits) * range as u64;
         for k in 0..PREDICTORS {
             each[k] = self.shape.below(&site.placed[k], range);
             mixed += u64::from(shares[k]) * u64::from(each[k]);
@@ -357,10 +360,10 @@ struct Below {
 
 impl Interval {
     /// All ranges.
-    fn whole() -> Self {
+    fn whole(range_bits: u32) -> Self {
         let below = |each, mixed| Below { each: [each; PREDICTORS], mixed };
-        let certain = below(CERTAIN, MIXED_CERTAIN + EVEN * RANGE_END as u64);
-        Interval { low: 1, high: RANGE_END, below_low: below(0, 0), below_high: certain, odds: 0.0 }
+        let certain = below(CERTAIN, MIXED_CERTAIN + EVEN);
+        Interval { low: 1, high: 1 << range_bits, below_low: below(0, 0), below_high: certain, odds: 0.0 }
     }
 }
 

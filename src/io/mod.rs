@@ -11,8 +11,11 @@ mod pcd;
 mod pcd_ascii;
 mod pcd_compressed;
 mod ply;
+mod point_count;
 mod records;
 pub mod sequence;
+
+pub use point_count::with_point_count;
 
 use crate::error::Result;
 use crate::scan::{ScanFile, Wrapping};

@@ -30,7 +30,7 @@ const LARGEST_CONSTANT: u64 = 1 << 34;
 /// More beams than any scanner has.
 const MOST_BEAMS: u64 = 1024;
 /// The finest azimuth grid allowed: 0.001 degree.
-const MOST_TICKS: u64 = 360_000;
+pub const MOST_TICKS: u64 = 360_000;
 
 /// The constants of one beam, quantised as they stand in the stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -118,7 +118,8 @@ pub struct SensorModel {
     pub coordinates: Coordinates,
     /// Azimuth ticks a turn (4000 for 0.09 degrees).
     pub ticks: u32,
-    /// One range step, in micrometres (2000 for 2 mm).
+    /// One range step, in micrometres (2000 for 2 mm); [`FLOAT_RANGES`]: steps are the bits of ranges
+    /// in metres as float32.
     pub range_step_um: u32,
     /// Constants of each beam, in the order of the rows of the file.
     constants: Vec<BeamConstants>,
@@ -137,7 +138,7 @@ impl PartialEq for SensorModel {
 }
 
 impl SensorModel {
-    /// A model from quantised constants. `ticks` and `range_step_um` must not be 0.
+    /// A model from quantised constants. `ticks` must not be 0.
     pub fn new(
         coordinates: Coordinates,
         ticks: u32,
@@ -155,9 +156,33 @@ impl SensorModel {
         self.beams.len()
     }
 
-    /// One range step, in metres.
-    pub fn range_step(&self) -> f64 {
-        f64::from(self.range_step_um) * 1e-6
+    /// The elevation of beam `row`, in radians.
+    pub fn elevation(&self, row: usize) -> f64 {
+        self.constants[row].elevation as f64 * ANGLE_UNIT
+    }
+
+    /// A range of `steps`, in metres.
+    #[inline]
+    pub fn metres(&self, steps: u32) -> f64 {
+        match self.range_step_um {
+            FLOAT_RANGES => f64::from(f32::from_bits(steps)),
+            step => f64::from(steps) * (f64::from(step) * 1e-6),
+        }
+    }
+
+    /// The longest range that a range image of this sensor holds, in steps.
+    pub fn most_steps(&self) -> u32 {
+        if self.range_step_um == FLOAT_RANGES { FARTHEST.to_bits() } else { MOST_STEPS }
+    }
+
+    /// The steps nearest to a range in metres, for the encoder. None if there are none.
+    pub fn steps(&self, metres: f64) -> Option<u32> {
+        let steps = match self.range_step_um {
+            FLOAT_RANGES => f64::from((metres as f32).to_bits()),
+            step => round_ties_even(metres * (1e6 / f64::from(step))),
+        };
+        let in_reach = metres > 0.0 && steps >= 1.0 && steps <= f64::from(self.most_steps());
+        in_reach.then_some(steps as u32)
     }
 
     /// The column tick (0 to `ticks`, exclusive) of azimuth tick `tick` of beam `row`.
@@ -173,7 +198,7 @@ impl SensorModel {
     /// The formula: x, y and z in metres, before they are rounded to the file's grid.
     pub fn point(&self, row: usize, tick: u32, steps: u32) -> [f64; 3] {
         let beam = &self.beams[row];
-        let d = f64::from(steps) * self.range_step();
+        let d = self.metres(steps);
         let rho = d * beam.cos_v + beam.b;
         let [cos_t, sin_t] = self.tick_directions[tick as usize];
         let (cos_a, sin_a) =
@@ -190,7 +215,7 @@ impl SensorModel {
     /// phi of the formula, in radians from 0 to 2 pi: the order of the points of a row in the file.
     pub fn azimuth(&self, row: usize, tick: u32, steps: u32) -> f64 {
         let beam = &self.beams[row];
-        let rho = f64::from(steps) * self.range_step() * beam.cos_v + beam.b;
+        let rho = self.metres(steps) * beam.cos_v + beam.b;
         let azimuth = f64::from(tick) / f64::from(self.ticks) * TAU + beam.rot + small_atan(beam.h / rho);
         if azimuth < 0.0 {
             azimuth + TAU
@@ -207,11 +232,10 @@ impl SensorModel {
         let beam = &self.beams[row];
         let rho = (x * x + y * y).sqrt();
         let d = (rho - beam.b) * beam.cos_v + (z - beam.c) * beam.sin_v;
-        let steps = round_ties_even(d * (1e6 / f64::from(self.range_step_um)));
+        let steps = self.steps(d)?;
         let azimuth = y.atan2(x) - small_atan(beam.h / rho) - beam.rot;
         let tick = round_ties_even(azimuth * (f64::from(self.ticks) / TAU));
-        let in_reach = steps >= 1.0 && steps <= f64::from(MOST_STEPS) && tick.is_finite();
-        in_reach.then(|| ((tick as i64).rem_euclid(i64::from(self.ticks)) as u32, steps as u32))
+        tick.is_finite().then(|| ((tick as i64).rem_euclid(i64::from(self.ticks)) as u32, steps))
     }
 
     /// The beam whose cone passes nearest to a point at distance `rho` and height `z` (metres),
@@ -248,13 +272,13 @@ impl SensorModel {
             code @ 0..2 => Coordinates::from_code(code),
             other => return Err(Error::corrupt(format!("sensor model: unknown coordinate grid {other}"))),
         };
-        let mut bounded = |what, max| match read_unsigned(bytes, "sensor model")? {
-            got @ 1.. if got <= max => Ok(got as u32),
+        let mut bounded = |what, min, max| match read_unsigned(bytes, "sensor model")? {
+            got if (min..=max).contains(&got) => Ok(got as u32),
             got => Err(Error::LimitExceeded { what, got, max }),
         };
-        let ticks = bounded("sensor model: ticks a turn", MOST_TICKS)?;
-        let range_step_um = bounded("sensor model: range step in micrometres", 1_000_000)?;
-        let rows = bounded("sensor model: beams", MOST_BEAMS)?;
+        let ticks = bounded("sensor model: ticks a turn", 1, MOST_TICKS)?;
+        let range_step_um = bounded("sensor model: range step in micrometres", 0, MOST_RANGE_STEP_UM)?;
+        let rows = bounded("sensor model: beams", 1, MOST_BEAMS)?;
         let mut constants = Vec::new();
         for _ in 0..rows {
             let mut beam = BeamConstants::default();
@@ -275,8 +299,17 @@ impl SensorModel {
     }
 }
 
-/// The longest range that the range image holds, in steps.
-pub const MOST_STEPS: u32 = (1 << 16) - 1;
+/// The longest range that any range image holds, in steps.
+pub const MOST_STEPS: u32 = (1 << 24) - 1;
+
+/// The value of [`SensorModel::range_step_um`] for ranges that are float32.
+pub const FLOAT_RANGES: u32 = 0;
+
+/// The coarsest range step, in micrometres.
+pub const MOST_RANGE_STEP_UM: u64 = 1_000_000;
+
+/// Metres: the longest range of ranges that are float32.
+const FARTHEST: f32 = 1e6;
 
 /// atan for the small angles of the sideways offset: a fixed polynomial, the same on every
 /// platform. Off by less than 1e-9 rad below 0.05 rad; what is larger only spoils the order

@@ -1,0 +1,129 @@
+//! General-purpose lossless back-ends (article, IV-D.2): bytes to fewer bytes, and back.
+//!
+//! [`BACKENDS`] is the registry: help texts, reports and tests loop over it.
+
+mod brotli;
+mod bzip2;
+mod deflate;
+mod lz4;
+mod lzma;
+mod ppmd;
+mod store;
+mod zstd;
+
+use std::io::Read;
+
+use crate::error::{Error, Result};
+use crate::residual::Packing;
+
+/// The number of [`lzma`], which the paper preset uses.
+pub const LZMA: u8 = 3;
+
+/// All back-ends, by their numbers.
+pub static BACKENDS: &[&dyn Backend] = &[
+    &store::Store,
+    &bzip2::Bzip2,
+    &brotli::Brotli,
+    &lzma::Lzma,
+    &ppmd::Ppmd,
+    &lz4::Lz4,
+    &zstd::Zstd,
+    &deflate::Deflate,
+];
+
+/// A lossless compressor of bytes.
+pub trait Backend: Sync {
+    /// Its number in the stream. Never given to another.
+    fn id(&self) -> u8;
+
+    /// Its name on the command line and in reports: lower case.
+    fn name(&self) -> &'static str;
+
+    /// The layout of residuals that suits it best, as measured on real ones.
+    fn packing(&self) -> Packing {
+        Packing::Planes
+    }
+
+    /// Compresses `input`.
+    ///
+    /// # Errors
+    /// If the library fails.
+    fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>>;
+
+    /// Decompresses to `length` bytes, or to others if `input` is damaged: use [`decompress`].
+    ///
+    /// # Errors
+    /// If `input` is damaged so that the library notices.
+    fn decompress_unchecked(&self, input: &[u8], length: usize) -> Result<Vec<u8>>;
+}
+
+/// The back-end of this number.
+///
+/// # Errors
+/// If this program knows none.
+pub fn by_id(id: u8) -> Result<&'static dyn Backend> {
+    let found = BACKENDS.iter().find(|backend| backend.id() == id);
+    found.copied().ok_or_else(|| Error::unsupported(format!("unknown back-end {id}")))
+}
+
+/// The back-end of this name.
+pub fn by_name(name: &str) -> Option<&'static dyn Backend> {
+    BACKENDS.iter().find(|backend| backend.name() == name).copied()
+}
+
+/// Decompresses to exactly `length` bytes. Memory stays within a small multiple of `length`, whatever
+/// `input` is.
+///
+/// # Errors
+/// If `input` does not hold as many: some libraries return wrong data without a word.
+pub fn decompress(backend: &dyn Backend, input: &[u8], length: usize) -> Result<Vec<u8>> {
+    let bytes = backend.decompress_unchecked(input, length).map_err(|e| e.within(backend.name()))?;
+    if bytes.len() != length {
+        return Err(Error::corrupt(format!("{}: {} bytes, not {length}", backend.name(), bytes.len())));
+    }
+    Ok(bytes)
+}
+
+/// How hard to try: 1 is fast, 9 is small. Each back-end has its own scale, which this is mapped to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Level(u8);
+
+impl Level {
+    /// `None` if it is not from 1 to 9.
+    pub fn new(level: u8) -> Option<Self> {
+        (1..=9).contains(&level).then_some(Level(level))
+    }
+
+    /// All levels, rising.
+    pub fn all() -> impl Iterator<Item = Level> {
+        (1..=9).map(Level)
+    }
+
+    /// The number, 1 to 9.
+    pub fn number(self) -> u8 {
+        self.0
+    }
+
+    /// The entry of a back-end's own scale.
+    fn of<T: Copy>(self, scale: [T; 9]) -> T {
+        scale[usize::from(self.0) - 1]
+    }
+}
+
+impl Default for Level {
+    /// 6.
+    fn default() -> Self {
+        Level(6)
+    }
+}
+
+/// Reads up to one byte more than `length`, so that too many are noticed and not kept.
+fn read_up_to(reader: impl Read, length: usize) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let read = reader.take(length as u64 + 1).read_to_end(&mut bytes);
+    read.map_err(|error| Error::corrupt(error.to_string()))?;
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,43 @@
+//! PPMd, variant H (7-Zip's PPMd7): prediction by partial matching, and range coding.
+
+use std::io::Write;
+
+use ppmd_rust::{Ppmd7Decoder, Ppmd7Encoder};
+
+use super::{Backend, Level, read_up_to};
+use crate::error::{Error, Result};
+
+/// Levels 1 to 9 are orders 2 to 10. The payload is the order and the stream.
+pub struct Ppmd;
+
+/// The model's memory, in bytes: more than the contexts of a frame's residuals take.
+const MEMORY: u32 = 16 << 20;
+
+impl Backend for Ppmd {
+    fn id(&self) -> u8 {
+        4
+    }
+
+    fn name(&self) -> &'static str {
+        "ppmd"
+    }
+
+    fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {
+        let order = level.number() + 1;
+        let failed = |error: ppmd_rust::Error| Error::unsupported(format!("ppmd: {error}"));
+        let mut encoder = Ppmd7Encoder::new(vec![order], order.into(), MEMORY).map_err(failed)?;
+        encoder.write_all(input)?;
+        Ok(encoder.finish(false)?)
+    }
+
+    fn decompress_unchecked(&self, input: &[u8], length: usize) -> Result<Vec<u8>> {
+        let (&order, stream) = input.split_first().ok_or_else(|| Error::corrupt("no bytes"))?;
+        if length == 0 {
+            return Ok(Vec::new());
+        }
+        let decoder = Ppmd7Decoder::new(stream, order.into(), MEMORY);
+        let decoder = decoder.map_err(|error| Error::corrupt(error.to_string()))?;
+        // Without an end marker the stream gives bytes for ever.
+        read_up_to(decoder, length - 1)
+    }
+}

@@ -1,0 +1,25 @@
+//! No compression.
+
+use super::{Backend, Level};
+use crate::error::Result;
+
+/// Bytes as they are.
+pub struct Store;
+
+impl Backend for Store {
+    fn id(&self) -> u8 {
+        0
+    }
+
+    fn name(&self) -> &'static str {
+        "store"
+    }
+
+    fn compress(&self, input: &[u8], _level: Level) -> Result<Vec<u8>> {
+        Ok(input.to_vec())
+    }
+
+    fn decompress_unchecked(&self, input: &[u8], _length: usize) -> Result<Vec<u8>> {
+        Ok(input.to_vec())
+    }
+}

@@ -1,0 +1,27 @@
+//! Zstandard: LZ77, tabled asymmetric numeral systems and Huffman codes.
+
+use super::{Backend, Level};
+use crate::error::{Error, Result};
+
+/// Levels 1 to 9 are Zstandard's 1, 3, 6, 9, 12, 15, 17, 19 and 22.
+pub struct Zstd;
+
+const LEVELS: [i32; 9] = [1, 3, 6, 9, 12, 15, 17, 19, 22];
+
+impl Backend for Zstd {
+    fn id(&self) -> u8 {
+        6
+    }
+
+    fn name(&self) -> &'static str {
+        "zstd"
+    }
+
+    fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {
+        Ok(zstd::bulk::compress(input, level.of(LEVELS))?)
+    }
+
+    fn decompress_unchecked(&self, input: &[u8], length: usize) -> Result<Vec<u8>> {
+        zstd::bulk::decompress(input, length).map_err(|error| Error::corrupt(error.to_string()))
+    }
+}

@@ -1,0 +1,218 @@
+//! The options of the coder controller: a mode, and each choice by itself.
+
+use clap::error::ErrorKind;
+use clap::{Args, CommandFactory, ValueEnum};
+use lidarpc::backend::{self, Level};
+use lidarpc::codec::{Coder, EncoderConfig, Mode, Prediction, ProjectionKind};
+use lidarpc::error::{Error, Result};
+use lidarpc::outlier::RadiusOutlier;
+use lidarpc::residual::Packing;
+use lidarpc::sensor::FLOAT_RANGES;
+
+use super::args::Threads;
+use super::length::Length;
+
+/// How to code. What is not given is as the mode has it.
+#[derive(Debug, Args)]
+pub struct CodingArgs {
+    /// What decoding promises.
+    #[arg(long, value_enum, default_value = "exact")]
+    pub mode: ModeArg,
+    /// What codes the ranges.
+    #[arg(long, value_name = "NAME", value_parser = backend_names())]
+    pub backend: Option<String>,
+    /// Effort of a general-purpose back-end, 1 (fast) to 9 (small).
+    #[arg(long, value_name = "1..9")]
+    pub level: Option<u8>,
+    /// What ranges are predicted from.
+    #[arg(long, value_enum, value_name = "FROM")]
+    pub predict: Option<PredictArg>,
+    /// How residuals are laid out for a general-purpose back-end.
+    #[arg(long, value_name = "NAME", value_parser = packing_names())]
+    pub packing: Option<String>,
+    /// Frames a group. Groups are decoded apart: more frames compress better, fewer seek faster.
+    #[arg(long, value_name = "FRAMES", default_value_t = default_gop(),
+          value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub gop: u32,
+    /// Paper mode: the range image to keep; the calibrated one loses no point.
+    #[arg(long, value_enum, value_name = "KIND", help_heading = "Paper mode")]
+    pub projection: Option<ProjectionArg>,
+    /// Columns of the ideal range image; 2000 are 0.18 degrees each.
+    #[arg(long, value_name = "N", help_heading = "Paper mode")]
+    pub columns: Option<u32>,
+    /// Range step of the ideal range image, such as 1mm or 1cm, or `float` for float32 ranges.
+    #[arg(long, value_name = "LENGTH", help_heading = "Paper mode")]
+    pub step: Option<StepArg>,
+    /// Whether intensities are kept.
+    #[arg(long, value_enum, help_heading = "Paper mode")]
+    pub intensity: Option<IntensityArg>,
+    /// Keep outliers.
+    #[arg(long, help_heading = "Paper mode")]
+    pub keep_outliers: bool,
+    /// Points with fewer neighbours are outliers.
+    #[arg(long, value_name = "N", help_heading = "Paper mode")]
+    pub outlier_neighbours: Option<usize>,
+    /// How far neighbours are at most.
+    #[arg(long, value_name = "LENGTH", help_heading = "Paper mode")]
+    pub outlier_radius: Option<Length>,
+}
+
+/// What decoding promises.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum ModeArg {
+    /// Every file comes back byte for byte, whatever it holds.
+    Exact,
+    /// The article's codec: drops outliers, keeps the range image of an ideal sensor.
+    Paper,
+}
+
+/// What ranges are predicted from.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum PredictArg {
+    /// Nothing.
+    None,
+    /// The pixel before.
+    Snake,
+    /// Ground and objects.
+    Intra,
+}
+
+/// Which range image.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum ProjectionArg {
+    /// 64 rows at published elevations by --columns.
+    Ideal,
+    /// The one that exact mode codes.
+    Calibrated,
+}
+
+/// What becomes of intensities.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum IntensityArg {
+    /// They are kept exactly.
+    Exact,
+    /// They decode to 0.
+    None,
+}
+
+/// A range step, in micrometres.
+#[derive(Clone, Copy, Debug)]
+pub struct StepArg(u32);
+
+impl std::str::FromStr for StepArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        match text {
+            "float" => Ok(StepArg(FLOAT_RANGES)),
+            _ => text.parse().map(|Length(micrometres)| StepArg(micrometres)),
+        }
+    }
+}
+
+/// The name of the context coder among the back-ends.
+const CONTEXT: &str = "context";
+
+fn backend_names() -> Vec<&'static str> {
+    std::iter::once(CONTEXT).chain(backend::BACKENDS.iter().map(|backend| backend.name())).collect()
+}
+
+fn packing_names() -> Vec<&'static str> {
+    Packing::ALL.iter().map(|packing| packing.name()).collect()
+}
+
+/// The default of --gop.
+fn default_gop() -> u32 {
+    u32::try_from(EncoderConfig::default().gop).unwrap_or(u32::MAX)
+}
+
+/// The encoder's settings; ends the program, as for all wrong usage, if they do not fit together.
+pub fn config(coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
+    coding
+        .config(threads.threads)
+        .unwrap_or_else(|error| super::args::Args::command().error(ErrorKind::ArgumentConflict, error).exit())
+}
+
+impl CodingArgs {
+    /// The encoder's settings.
+    ///
+    /// # Errors
+    /// If the choices do not fit together.
+    fn config(&self, threads: usize) -> Result<EncoderConfig> {
+        let mut config = EncoderConfig::preset(match self.mode {
+            ModeArg::Exact => Mode::Exact,
+            ModeArg::Paper => Mode::Paper,
+        });
+        config.gop = self.gop as usize;
+        config.threads = threads;
+        self.choose_coder(&mut config)?;
+        self.choose_image(&mut config)?;
+        self.choose_outliers(&mut config);
+        config.check()?;
+        Ok(config)
+    }
+
+    fn choose_coder(&self, config: &mut EncoderConfig) -> Result<()> {
+        if let Some(name) = &self.backend {
+            config.coder = match backend::by_name(name) {
+                Some(backend) => Coder::Backend(backend.id()),
+                None => Coder::Context,
+            };
+            config.prediction = config.default_prediction();
+        }
+        if let Some(predict) = self.predict {
+            config.prediction = match predict {
+                PredictArg::None => Prediction::None,
+                PredictArg::Snake => Prediction::Snake,
+                PredictArg::Intra => Prediction::Intra,
+            };
+        }
+        if let Some(level) = self.level {
+            config.level = Level::new(level)
+                .ok_or_else(|| Error::InvalidConfig(format!("level {level} is not from 1 to 9")))?;
+        }
+        if let Some(name) = &self.packing {
+            config.packing = Packing::ALL.iter().copied().find(|packing| packing.name() == name);
+        }
+        Ok(())
+    }
+
+    fn choose_image(&self, config: &mut EncoderConfig) -> Result<()> {
+        match self.projection {
+            Some(ProjectionArg::Calibrated) => config.projection = ProjectionKind::Calibrated,
+            Some(ProjectionArg::Ideal) => {
+                config.projection = EncoderConfig::preset(Mode::Paper).projection;
+            }
+            None => {}
+        }
+        match &mut config.projection {
+            ProjectionKind::Ideal { columns, range_step_um } => {
+                *columns = self.columns.unwrap_or(*columns);
+                *range_step_um = self.step.map_or(*range_step_um, |step| step.0);
+            }
+            ProjectionKind::Calibrated if self.columns.is_some() || self.step.is_some() => {
+                let what = "the calibrated range image has the sensor's own columns and steps; \
+                            --columns and --step need --mode paper";
+                return Err(Error::InvalidConfig(what.to_owned()));
+            }
+            ProjectionKind::Calibrated => {}
+        }
+        if let Some(intensity) = self.intensity {
+            config.intensity = matches!(intensity, IntensityArg::Exact);
+        }
+        Ok(())
+    }
+
+    fn choose_outliers(&self, config: &mut EncoderConfig) {
+        if self.keep_outliers {
+            config.outliers = None;
+            return;
+        }
+        if self.outlier_neighbours.is_some() || self.outlier_radius.is_some() {
+            let mut filter = config.outliers.unwrap_or_else(RadiusOutlier::default);
+            filter.neighbours = self.outlier_neighbours.unwrap_or(filter.neighbours);
+            filter.radius_m = self.outlier_radius.map_or(filter.radius_m, Length::metres);
+            config.outliers = Some(filter);
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! How a frame is coded: what a decoder must know before the frame's other sections, and what
+//! reports say of the file that it was made from. Frames coded exactly by context have the default
+//! parameters, and no section for them.
+
+use crate::bitstream::{Frame, FrameHeader, SectionKind};
+use crate::error::{Error, Result};
+use crate::grid::Grid;
+use crate::range_image::EXACT_RANGE_BITS;
+use crate::residual::Packing;
+use crate::varint::{read_unsigned, write_unsigned};
+
+/// The parameters of a frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FrameParameters {
+    /// Whether the points' positions are those of the file, or those of the range image.
+    pub positions: Positions,
+    /// Whether intensities are coded; they decode to 0 if not.
+    pub intensity: bool,
+    /// What ranges are predicted from.
+    pub prediction: Prediction,
+    /// What codes the ranges.
+    pub range_coder: RangeCoder,
+    /// The original file, if the decoded one differs from it.
+    pub source: Option<Source>,
+}
+
+/// Where the positions of decoded points come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Positions {
+    /// The formula's, corrected to the file's own, in the file's own order.
+    #[default]
+    Exact,
+    /// The formula's as they are, in the order of the range image.
+    Formula,
+}
+
+/// What the ranges of a range image are predicted from before they are coded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Prediction {
+    /// Nothing: the coder gets the ranges as they are.
+    #[default]
+    None,
+    /// The pixel before, along the snake's path (article, V-C).
+    Snake,
+    /// Regions of ground and objects, and their models (article, IV-C).
+    Intra,
+}
+
+/// What codes the ranges, or what prediction leaves of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RangeCoder {
+    /// The context coder, for ranges below 2 to the power of `range_bits`.
+    Context {
+        /// 16 to 24.
+        range_bits: u32,
+    },
+    /// A general-purpose back-end.
+    Backend {
+        /// Its number in the registry.
+        id: u8,
+        /// How the residuals are turned into bytes for it.
+        packing: Packing,
+    },
+}
+
+/// The file that a frame was made from, and what became of its points.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Source {
+    /// Bytes of the file.
+    pub file_size: u64,
+    /// Points in the file.
+    pub points: u64,
+    /// Points that the outlier filter dropped (equation 1).
+    pub outliers: u64,
+    /// Points lost because a nearer one took their cell, or that the image has no cell for.
+    pub lost: u64,
+}
+
+impl Default for FrameParameters {
+    fn default() -> Self {
+        FrameParameters {
+            positions: Positions::Exact,
+            intensity: true,
+            prediction: Prediction::None,
+            range_coder: RangeCoder::Context { range_bits: EXACT_RANGE_BITS },
+            source: None,
+        }
+    }
+}
+
+/// The number of the context coder among the back-ends' numbers.
+const CONTEXT: u64 = 255;
+/// The range bits that the context coder takes.
+const RANGE_BITS: std::ops::RangeInclusive<u64> = 16..=24;
+
+impl FrameParameters {
+    /// The payload of the section; empty for the default parameters.
+    pub fn to_payload(&self) -> Vec<u8> {
+        let mut payload = Vec::new();
+        if *self != FrameParameters::default() {
+            self.write_to(&mut payload);
+        }
+        payload
+    }
+
+    fn write_to(&self, out: &mut Vec<u8>) {
+        write_unsigned(out, u64::from(self.positions == Positions::Formula));
+        write_unsigned(out, u64::from(self.intensity));
+        write_unsigned(out, self.prediction.to_code());
+        match self.range_coder {
+            RangeCoder::Context { range_bits } => {
+                write_unsigned(out, CONTEXT);
+                write_unsigned(out, u64::from(range_bits));
+            }
+            RangeCoder::Backend { id, packing } => {
+                write_unsigned(out, u64::from(id));
+                write_unsigned(out, u64::from(packing.to_code()));
+            }
+        }
+        write_unsigned(out, u64::from(self.source.is_some()));
+        if let Some(Source { file_size, points, outliers, lost }) = self.source {
+            [file_size, points, outliers, lost].into_iter().for_each(|count| write_unsigned(out, count));
+        }
+    }
+
+    /// Reads the payload of the section.
+    ///
+    /// # Errors
+    /// If it is cut short, too long, or holds a choice that this program does not know.
+    pub fn from_payload(mut bytes: &[u8]) -> Result<Self> {
+        if bytes.is_empty() {
+            return Ok(FrameParameters::default());
+        }
+        let input = &mut bytes;
+        let parameters = FrameParameters {
+            positions: if flag(input)? { Positions::Formula } else { Positions::Exact },
+            intensity: flag(input)?,
+            prediction: Prediction::from_code(read(input)?)?,
+            range_coder: RangeCoder::read_from(input)?,
+            source: if flag(input)? { Some(Source::read_from(input)?) } else { None },
+        };
+        if !input.is_empty() {
+            return Err(Error::corrupt("frame parameters: bytes left over"));
+        }
+        Ok(parameters)
+    }
+}
+
+impl Prediction {
+    fn to_code(self) -> u64 {
+        match self {
+            Prediction::None => 0,
+            Prediction::Snake => 1,
+            Prediction::Intra => 2,
+        }
+    }
+
+    fn from_code(code: u64) -> Result<Self> {
+        match code {
+            0 => Ok(Prediction::None),
+            1 => Ok(Prediction::Snake),
+            2 => Ok(Prediction::Intra),
+            _ => Err(Error::unsupported(format!("frame parameters: unknown prediction {code}"))),
+        }
+    }
+}
+
+impl RangeCoder {
+    /// Makes room for these ranges, in steps.
+    pub(super) fn fit(&mut self, steps: &Grid<u32>) {
+        if let RangeCoder::Context { range_bits } = self {
+            let most = steps.cells().iter().copied().max().unwrap_or(0);
+            *range_bits = (*range_bits).max(32 - most.leading_zeros());
+        }
+    }
+
+    fn read_from(input: &mut &[u8]) -> Result<Self> {
+        match read(input)? {
+            CONTEXT => match read(input)? {
+                bits if RANGE_BITS.contains(&bits) => Ok(RangeCoder::Context { range_bits: bits as u32 }),
+                bits => Err(Error::corrupt(format!("frame parameters: ranges of {bits} bits"))),
+            },
+            id => {
+                let unknown = || Error::unsupported(format!("frame parameters: unknown back-end {id}"));
+                let id = u8::try_from(id).map_err(|_| unknown())?;
+                let code = read(input)?;
+                let packing = u8::try_from(code).ok().and_then(Packing::from_code);
+                let unknown = || Error::unsupported(format!("frame parameters: unknown packing {code}"));
+                Ok(RangeCoder::Backend { id, packing: packing.ok_or_else(unknown)? })
+            }
+        }
+    }
+}
+
+impl Source {
+    /// The file that a coded frame was made from.
+    ///
+    /// # Errors
+    /// If the frame's parameters are damaged, or unknown to this program.
+    pub fn of(frame: &Frame) -> Result<Self> {
+        let section = frame.sections.iter().find(|section| section.kind == SectionKind::Parameters);
+        let payload = section.map_or(&[][..], |section| &section.payload);
+        let FrameHeader { file_size, point_count: points, .. } = frame.header;
+        let exact = Source { file_size, points, ..Source::default() };
+        Ok(FrameParameters::from_payload(payload)?.source.unwrap_or(exact))
+    }
+
+    /// Adds the counts of another file.
+    pub fn add(&mut self, other: &Source) {
+        self.file_size = self.file_size.saturating_add(other.file_size);
+        self.points = self.points.saturating_add(other.points);
+        self.outliers = self.outliers.saturating_add(other.outliers);
+        self.lost = self.lost.saturating_add(other.lost);
+    }
+
+    fn read_from(input: &mut &[u8]) -> Result<Self> {
+        Ok(Source {
+            file_size: read(input)?,
+            points: read(input)?,
+            outliers: read(input)?,
+            lost: read(input)?,
+        })
+    }
+}
+
+fn read(input: &mut &[u8]) -> Result<u64> {
+    read_unsigned(input, "frame parameters")
+}
+
+fn flag(input: &mut &[u8]) -> Result<bool> {
+    match read(input)? {
+        value @ 0..2 => Ok(value == 1),
+        other => Err(Error::unsupported(format!("frame parameters: unknown choice {other}"))),
+    }
+}

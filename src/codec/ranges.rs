@@ -1,0 +1,96 @@
+//! The ranges of a frame: by context, or what prediction leaves of them by a general-purpose back-end
+//! (article, IV-C and IV-D).
+
+use super::frame::Frame;
+use super::parameters::{Prediction, RangeCoder};
+use super::sections::SectionCoder;
+use super::steps::{Step, StepReport};
+use super::syntax::Models;
+use crate::backend;
+use crate::bitstream::SectionKind;
+use crate::error::{Error, Result};
+use crate::grid::Grid;
+use crate::prediction::Predictor;
+use crate::residual::{self, Packing};
+use crate::sensor::SensorModel;
+
+impl Models {
+    /// The range of each return.
+    pub(super) fn code_ranges<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        sensor: &SensorModel,
+        frame: &mut Frame,
+        levels: &Grid<u16>,
+        report: &mut StepReport,
+    ) -> Result<()> {
+        match frame.parameters.range_coder {
+            RangeCoder::Context { range_bits } => report.timed(Step::Coding, || {
+                sections.section(SectionKind::Range, true, |coder| {
+                    self.range.code(coder, &frame.occupancy, levels, range_bits, &mut frame.steps);
+                    Ok(())
+                })
+            }),
+            RangeCoder::Backend { id, packing } => {
+                let predictor = self.code_predictor(sections, sensor, frame, report)?;
+                code_residuals(sections, &predictor, (id, packing), frame, report)?;
+                check_ranges(frame, sensor)
+            }
+        }
+    }
+
+    /// What the decoder must know of the prediction.
+    fn code_predictor<S: SectionCoder>(
+        &mut self,
+        _sections: &mut S,
+        _sensor: &SensorModel,
+        frame: &mut Frame,
+        _report: &mut StepReport,
+    ) -> Result<Predictor> {
+        match frame.parameters.prediction {
+            Prediction::None => Ok(Predictor::None),
+            Prediction::Snake => Ok(Predictor::Snake),
+            Prediction::Intra => Ok(Predictor::Snake),
+        }
+    }
+}
+
+/// What prediction leaves of the ranges, by a general-purpose back-end.
+fn code_residuals<S: SectionCoder>(
+    sections: &mut S,
+    predictor: &Predictor,
+    (id, packing): (u8, Packing),
+    frame: &mut Frame,
+    report: &mut StepReport,
+) -> Result<()> {
+    let backend = backend::by_id(id)?;
+    let mut payload = Vec::new();
+    let mut packed = 0;
+    if S::ENCODES {
+        let residuals =
+            report.timed(Step::Prediction, || predictor.residuals(&frame.occupancy, &frame.steps));
+        let level = sections.level();
+        (payload, packed) =
+            report.timed(Step::Coding, || residual::compress(&residuals, backend, level, packing))?;
+    }
+    sections.payload(SectionKind::Residual, &mut payload);
+    if !S::ENCODES {
+        let count = frame.records - frame.strays;
+        let residuals;
+        (residuals, packed) =
+            report.timed(Step::Coding, || residual::decompress(&payload, backend, packing, count))?;
+        frame.steps = report.timed(Step::Prediction, || predictor.ranges(&frame.occupancy, &residuals));
+    }
+    report.predicted += packed as u64;
+    Ok(())
+}
+
+/// Every return has a range that the sensor model takes.
+fn check_ranges(frame: &Frame, sensor: &SensorModel) -> Result<()> {
+    let cells = frame.occupancy.cells().iter().zip(frame.steps.cells());
+    let most = sensor.most_steps();
+    if cells.into_iter().any(|(filled, steps)| *filled && !(1..=most).contains(steps)) {
+        return Err(Error::corrupt("a range is out of range"));
+    }
+    Ok(())
+}

@@ -1,0 +1,146 @@
+//! The sections of a frame, opened one after the other in the same order on both sides.
+
+use crate::backend::Level;
+use crate::bitstream::{Section, SectionKind};
+use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
+use crate::error::{Error, Limits, Result};
+
+/// Opens the sections of a frame one after the other, to write or to read them.
+pub trait SectionCoder {
+    /// True if the frame is there and sections are written, false if they are read and it fills.
+    const ENCODES: bool;
+
+    /// Codes the bits of a section.
+    type Coder<'a>: BitCoder
+    where
+        Self: 'a;
+
+    /// Codes one section by `code`. The section is left out if `present` is false.
+    fn section<T: Default>(
+        &mut self,
+        kind: SectionKind,
+        present: bool,
+        code: impl FnOnce(&mut Self::Coder<'_>) -> Result<T>,
+    ) -> Result<T>;
+
+    /// A section whose payload is coded elsewhere. A section that is left out has an empty payload.
+    fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>);
+
+    /// What this side is willing to allocate.
+    fn limits(&self) -> &Limits;
+
+    /// The effort of a general-purpose back-end; of no use to the decoder.
+    fn level(&self) -> Level;
+}
+
+/// Collects the sections of a frame.
+pub struct SectionWriter {
+    /// The sections so far.
+    pub sections: Vec<Section>,
+    limits: Limits,
+    level: Level,
+}
+
+impl SectionWriter {
+    /// No sections yet.
+    pub fn new(level: Level) -> Self {
+        SectionWriter { sections: Vec::new(), limits: Limits::default(), level }
+    }
+}
+
+impl SectionCoder for SectionWriter {
+    const ENCODES: bool = true;
+
+    type Coder<'a> = ArithmeticEncoder;
+
+    fn section<T: Default>(
+        &mut self,
+        kind: SectionKind,
+        present: bool,
+        code: impl FnOnce(&mut ArithmeticEncoder) -> Result<T>,
+    ) -> Result<T> {
+        if !present {
+            return Ok(T::default());
+        }
+        let mut coder = ArithmeticEncoder::default();
+        let result = code(&mut coder)?;
+        self.sections.push(Section { kind, payload: coder.finish() });
+        Ok(result)
+    }
+
+    fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>) {
+        if !payload.is_empty() {
+            self.sections.push(Section { kind, payload: payload.clone() });
+        }
+    }
+
+    fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    fn level(&self) -> Level {
+        self.level
+    }
+}
+
+/// Takes the sections of a frame one by one.
+pub struct SectionReader<'s> {
+    sections: std::slice::Iter<'s, Section>,
+    limits: &'s Limits,
+}
+
+impl<'s> SectionReader<'s> {
+    /// Starts at the first section.
+    pub fn new(sections: &'s [Section], limits: &'s Limits) -> Self {
+        SectionReader { sections: sections.iter(), limits }
+    }
+
+    /// # Errors
+    /// If sections are left over.
+    pub fn finish(mut self) -> Result<()> {
+        match self.sections.next() {
+            None => Ok(()),
+            Some(section) => Err(Error::corrupt(format!("{} section out of place", section.kind))),
+        }
+    }
+}
+
+impl SectionCoder for SectionReader<'_> {
+    const ENCODES: bool = false;
+
+    type Coder<'a>
+        = ArithmeticDecoder<'a>
+    where
+        Self: 'a;
+
+    fn section<T: Default>(
+        &mut self,
+        kind: SectionKind,
+        present: bool,
+        code: impl FnOnce(&mut ArithmeticDecoder<'_>) -> Result<T>,
+    ) -> Result<T> {
+        if !present {
+            return Ok(T::default());
+        }
+        let section = self.sections.next().filter(|section| section.kind == kind);
+        let section = section.ok_or_else(|| Error::corrupt(format!("{kind} section is missing")))?;
+        let mut decoder = ArithmeticDecoder::new(&section.payload);
+        code(&mut decoder)
+    }
+
+    fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>) {
+        payload.clear();
+        if let Some(section) = self.sections.as_slice().first().filter(|section| section.kind == kind) {
+            payload.extend_from_slice(&section.payload);
+            self.sections.next();
+        }
+    }
+
+    fn limits(&self) -> &Limits {
+        self.limits
+    }
+
+    fn level(&self) -> Level {
+        Level::default()
+    }
+}

@@ -1,0 +1,31 @@
+//! How small, and how true: the figures that reports give, and what exactly they mean.
+
+mod nearest;
+mod paired;
+
+pub use nearest::NearestErrors;
+pub use paired::PointErrors;
+
+/// The article's compression ratio (equation 11): coded size / original size. Smaller is better;
+/// 0.08 means that 8 % is left. `None` if there was nothing to encode.
+pub fn ratio(original_bytes: u64, coded_bytes: u64) -> Option<f64> {
+    (original_bytes > 0).then(|| coded_bytes as f64 / original_bytes as f64)
+}
+
+/// Coded bits for each point: 8 x bytes / points. `None` if there are no points.
+pub fn bits_per_point(coded_bytes: u64, points: u64) -> Option<f64> {
+    (points > 0).then(|| 8.0 * coded_bytes as f64 / points as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ratio_and_bits_follow_their_definitions() {
+        assert_eq!(ratio(1000, 80), Some(0.08));
+        assert_eq!(ratio(0, 80), None);
+        assert_eq!(bits_per_point(100, 50), Some(16.0));
+        assert_eq!(bits_per_point(100, 0), None);
+    }
+}

@@ -1,0 +1,104 @@
+//! The radius outlier filter (article, III-A, equation 1; R. B. Rusu's RadiusOutlierRemoval).
+
+use std::num::NonZero;
+
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+
+use crate::scan::PointCloud;
+
+/// Drops points that have few others near them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RadiusOutlier {
+    /// n: a point with fewer neighbours is an outlier.
+    pub neighbours: usize,
+    /// d: how far a neighbour is at most, in metres.
+    pub radius_m: f64,
+}
+
+impl Default for RadiusOutlier {
+    /// The article's 2 neighbours within 0.38 m, the distance of two columns at 120 m.
+    fn default() -> Self {
+        RadiusOutlier { neighbours: 2, radius_m: 0.38 }
+    }
+}
+
+impl RadiusOutlier {
+    /// The points that stay, in their order.
+    pub fn filter(&self, cloud: &PointCloud) -> PointCloud {
+        let kept = (0..).zip(self.keeps(&cloud.positions)).filter(|(_, kept)| *kept);
+        cloud.select(&kept.map(|(point, _)| point).collect::<Vec<u32>>())
+    }
+
+    /// For each point, whether at least n others are near. Points with a coordinate that is NaN or
+    /// infinite have no neighbours, and are none.
+    pub fn keeps(&self, positions: &[[f32; 3]]) -> Vec<bool> {
+        let finite: Vec<[f32; 3]> = positions.iter().copied().filter(is_finite).collect();
+        let Ok(tree) = ImmutableKdTree::<f32, 3>::new_from_slice(&finite) else {
+            return vec![self.neighbours == 0; positions.len()];
+        };
+        // A point finds itself too.
+        let wanted = NonZero::<usize>::MIN.saturating_add(self.neighbours);
+        let squared = (self.radius_m * self.radius_m) as f32;
+        let has_neighbours = |point: &[f32; 3]| {
+            let found = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).within(squared);
+            found.execute().len() >= wanted.get()
+        };
+        positions.iter().map(|point| is_finite(point) && has_neighbours(point)).collect()
+    }
+}
+
+fn is_finite(point: &[f32; 3]) -> bool {
+    point.iter().all(|value| value.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// The definition.
+    fn slowly(filter: &RadiusOutlier, positions: &[[f32; 3]]) -> Vec<bool> {
+        let squared = |a: &[f32; 3], b: &[f32; 3]| -> f32 { (0..3).map(|i| (a[i] - b[i]).powi(2)).sum() };
+        let near = |a, b| squared(a, b) <= (filter.radius_m * filter.radius_m) as f32;
+        let count = |a| positions.iter().filter(|b| near(a, b)).count();
+        positions.iter().map(|a| is_finite(a) && count(a) > filter.neighbours).collect()
+    }
+
+    #[test]
+    fn odd_clouds_are_filtered() {
+        let filter = RadiusOutlier::default();
+        assert_eq!(filter.keeps(&[]), [false; 0]);
+        assert_eq!(filter.keeps(&[[1.0; 3]]), [false]);
+        assert_eq!(filter.keeps(&[[1.0; 3]; 100]), [true; 100]);
+        assert_eq!(
+            filter.keeps(&[[f32::NAN, 0.0, 0.0], [0.0; 3], [0.0; 3], [0.0; 3]]),
+            [false, true, true, true]
+        );
+        assert_eq!(filter.keeps(&[[f32::INFINITY; 3]; 5]), [false; 5]);
+    }
+
+    #[test]
+    fn what_is_left_keeps_its_fields() {
+        let cloud = PointCloud {
+            positions: vec![[50.0, 0.0, 0.0], [0.0; 3], [0.1; 3], [0.2; 3]],
+            intensity: vec![1.0, 2.0, 3.0, 4.0],
+            extra: vec![1, 1, 2, 2, 3, 3, 4, 4],
+        };
+        let left = RadiusOutlier::default().filter(&cloud);
+        assert_eq!(left.positions, cloud.positions[1..]);
+        assert_eq!((left.intensity, left.extra), (vec![2.0, 3.0, 4.0], vec![2, 2, 3, 3, 4, 4]));
+    }
+
+    proptest! {
+        #[test]
+        fn it_keeps_what_the_definition_says(
+            points in prop::collection::vec(prop::array::uniform3(-20i8..20), 0..80),
+            neighbours in 0usize..5,
+        ) {
+            let positions: Vec<_> = points.iter().map(|p| p.map(|v| f32::from(v) * 0.25)).collect();
+            let filter = RadiusOutlier { neighbours, radius_m: 1.1 };
+            prop_assert_eq!(filter.keeps(&positions), slowly(&filter, &positions));
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! Ground and objects in a range image (article, IV-B), after I. Bogoslavskyi and C. Stachniss, "Fast
+//! Range Image-Based Segmentation of Sparse 3D Laser Scans for Online Operation" (2016) and
+//! "Efficient Online Segmentation for Sparse 3D Laser Scans" (2017). Time grows with the number of
+//! pixels alone. Only the encoder needs it.
+
+mod cluster;
+mod ground;
+mod neighbours;
+mod surface_angles;
+
+use crate::grid::Grid;
+use crate::range_image::RangeImage;
+use crate::sensor::SensorModel;
+use neighbours::Neighbours;
+use surface_angles::SurfaceAngles;
+
+/// What is ground, and what is one object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SegmentationConfig {
+    /// Two returns one above the other are ground if the line between them rises by less, in degrees
+    /// (equation 3). Default: the article's 10.
+    pub ground_angle: f64,
+    /// Two neighbours are of one object if the angle between the longer beam and the line between them
+    /// is larger, in degrees (equation 4). Default: 10, not the article's 75.
+    ///
+    /// The article says 75 degrees of the angle for which the method's authors say 10. At 75 degrees
+    /// neighbours 0.18 degrees apart at 10 m may differ by 8 mm in range, less than the sensor's noise,
+    /// and any surface that is not seen straight on falls to pixels: on a city frame 39,900 of 41,000
+    /// returns above the ground then belong to no object of 20 returns, against 3,900 at 10 degrees.
+    pub cluster_angle: f64,
+    /// Clusters of fewer returns are not objects. Default: 20.
+    pub smallest_cluster: usize,
+}
+
+impl Default for SegmentationConfig {
+    fn default() -> Self {
+        SegmentationConfig { ground_angle: 10.0, cluster_angle: 10.0, smallest_cluster: 20 }
+    }
+}
+
+/// Which region each return belongs to.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Segmentation {
+    /// Rows x columns: [`NO_RETURN`], [`UNASSIGNED`], [`GROUND`], or the number of an object, from
+    /// [`FIRST_OBJECT`] on in scan order.
+    pub labels: Grid<u32>,
+    /// Labels are below this.
+    pub end: u32,
+}
+
+/// The label of cells without a return.
+pub const NO_RETURN: u32 = 0;
+/// The label of returns that belong to no object.
+pub const UNASSIGNED: u32 = 1;
+/// The label of the ground.
+pub const GROUND: u32 = 2;
+/// The label of the first object.
+pub const FIRST_OBJECT: u32 = 3;
+
+/// Splits the returns of an image into ground, objects and what is neither.
+pub fn segment(image: &RangeImage, sensor: &SensorModel, config: &SegmentationConfig) -> Segmentation {
+    let (rows, columns) = (image.steps.rows(), image.columns.len());
+    let mut labels = Grid::new(rows, columns);
+    let neighbours = Neighbours::of(&image.steps);
+    let angles = SurfaceAngles::of(image, sensor);
+    ground::mark(&angles, &neighbours, config, &mut labels);
+    let end = cluster::mark(&angles, &neighbours, config, &mut labels);
+    Segmentation { labels, end }
+}
+
+/// The tangent of an angle in degrees, for comparing without an arctangent.
+fn tangent(degrees: f64) -> f32 {
+    libm::tan(degrees.to_radians()) as f32
+}
+
+#[cfg(test)]
+mod tests;
