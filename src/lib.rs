@@ -26,6 +26,7 @@ pub mod prediction;
 pub mod segmentation;
 
 pub mod context;
+pub mod contour;
 
 pub mod backend;
 pub mod residual;
