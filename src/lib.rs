@@ -12,6 +12,7 @@
 
 pub mod error;
 pub mod grid;
+mod random;
 mod rounding;
 pub mod scan;
 pub mod varint;

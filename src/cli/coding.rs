@@ -71,8 +71,6 @@ pub enum ModeArg {
 pub enum PredictArg {
     /// Nothing.
     None,
-    /// The pixel before.
-    Snake,
     /// Ground and objects.
     Intra,
 }
@@ -163,7 +161,6 @@ impl CodingArgs {
         if let Some(predict) = self.predict {
             config.prediction = match predict {
                 PredictArg::None => Prediction::None,
-                PredictArg::Snake => Prediction::Snake,
                 PredictArg::Intra => Prediction::Intra,
             };
         }

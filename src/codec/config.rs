@@ -6,8 +6,10 @@ use super::parameters::{FrameParameters, Positions, Prediction, RangeCoder};
 use crate::backend::{self, Level};
 use crate::error::{Error, Result};
 use crate::outlier::RadiusOutlier;
+use crate::prediction::intra::IntraConfig;
 use crate::range_image::EXACT_RANGE_BITS;
 use crate::residual::Packing;
+use crate::segmentation::SegmentationConfig;
 use crate::sensor::{FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_TICKS};
 
 /// Presets of the coder controller.
@@ -72,6 +74,13 @@ pub struct EncoderConfig {
     /// What ranges are predicted from. Default: nothing, since the context coder does better by
     /// itself; in paper mode regions (IV-C).
     pub prediction: Prediction,
+    /// Whether a general-purpose back-end gets the differences along the snake's path (V-C). Default:
+    /// yes; whatever they are predicted from, residuals get smaller by it.
+    pub snake: bool,
+    /// How ground and objects are told apart (equations 3 and 4).
+    pub segmentation: SegmentationConfig,
+    /// How regions are modelled (equations 5 to 7).
+    pub intra: IntraConfig,
     /// What codes the ranges. Default: the context coder; in paper mode LZMA.
     pub coder: Coder,
     /// Effort of a general-purpose back-end.
@@ -100,6 +109,9 @@ impl EncoderConfig {
             positions: Positions::Exact,
             intensity: true,
             prediction: Prediction::None,
+            snake: true,
+            segmentation: SegmentationConfig::default(),
+            intra: IntraConfig::default(),
             coder: Coder::Context,
             level: Level::default(),
             packing: None,
@@ -132,6 +144,7 @@ impl EncoderConfig {
             positions: self.positions,
             intensity: self.intensity,
             prediction: self.prediction,
+            snake: self.snake && self.coder != Coder::Context,
             range_coder: match self.coder {
                 Coder::Context => RangeCoder::Context { range_bits: EXACT_RANGE_BITS },
                 Coder::Backend(id) => {

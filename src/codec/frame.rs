@@ -1,7 +1,7 @@
 //! A scan as it is coded: the range image and what it takes to get from it to the file's points.
 
 use super::config::{EncoderConfig, ProjectionKind};
-use super::parameters::{FrameParameters, Positions, Source};
+use super::parameters::{FrameParameters, Positions, Prediction, Source};
 use super::steps::{Step, StepReport};
 use std::time::Instant;
 
@@ -9,8 +9,11 @@ use crate::context::OrderExceptions;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::io::with_point_count;
+use crate::prediction::Rays;
+use crate::prediction::intra::IntraPrediction;
 use crate::range_image::{Projection, Return, project, project_nearest};
 use crate::scan::{Layout, PointCloud, ScanFile};
+use crate::segmentation::segment;
 use crate::sensor::SensorModel;
 
 /// The parts of a frame, as the sections code them.
@@ -30,6 +33,8 @@ pub struct Frame {
     pub occupancy: Grid<bool>,
     /// Range of each return, in steps.
     pub steps: Grid<u32>,
+    /// The regions of the image and their models, if ranges are predicted from them.
+    pub intra: IntraPrediction,
     /// Intensity of each return.
     pub intensity: Grid<f32>,
     /// Position of each return, in file order.
@@ -66,7 +71,23 @@ impl Frame {
             Some(sensor) => frame.convert_points(&scan.cloud, sensor, config, steps),
         }
         frame.parameters.range_coder.fit(&frame.steps);
+        if let Some(sensor) = sensor {
+            frame.predict(sensor, config, steps);
+        }
         Ok(frame)
+    }
+
+    /// Finds the regions of the image (equations 3 and 4) and models them (equations 5 to 7).
+    fn predict(&mut self, sensor: &SensorModel, config: &EncoderConfig, steps: &mut StepReport) {
+        if self.parameters.prediction == Prediction::Intra {
+            let segmentation = steps.timed(Step::Clustering, || {
+                segment(&self.steps, &self.columns, sensor, &config.segmentation)
+            });
+            let rays = Rays::of(sensor, &self.columns);
+            self.intra = steps.timed(Step::Prediction, || {
+                IntraPrediction::fit(&self.steps, &self.occupancy, &rays, &segmentation, &config.intra)
+            });
+        }
     }
 
     /// Takes all points as they come: there is no range image.

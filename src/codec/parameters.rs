@@ -18,6 +18,8 @@ pub struct FrameParameters {
     pub intensity: bool,
     /// What ranges are predicted from.
     pub prediction: Prediction,
+    /// Whether a general-purpose back-end gets the differences along the snake's path (article, V-C).
+    pub snake: bool,
     /// What codes the ranges.
     pub range_coder: RangeCoder,
     /// The original file, if the decoded one differs from it.
@@ -40,8 +42,6 @@ pub enum Prediction {
     /// Nothing: the coder gets the ranges as they are.
     #[default]
     None,
-    /// The pixel before, along the snake's path (article, V-C).
-    Snake,
     /// Regions of ground and objects, and their models (article, IV-C).
     Intra,
 }
@@ -82,6 +82,7 @@ impl Default for FrameParameters {
             positions: Positions::Exact,
             intensity: true,
             prediction: Prediction::None,
+            snake: false,
             range_coder: RangeCoder::Context { range_bits: EXACT_RANGE_BITS },
             source: None,
         }
@@ -107,6 +108,7 @@ impl FrameParameters {
         write_unsigned(out, u64::from(self.positions == Positions::Formula));
         write_unsigned(out, u64::from(self.intensity));
         write_unsigned(out, self.prediction.to_code());
+        write_unsigned(out, u64::from(self.snake));
         match self.range_coder {
             RangeCoder::Context { range_bits } => {
                 write_unsigned(out, CONTEXT);
@@ -136,6 +138,7 @@ impl FrameParameters {
             positions: if flag(input)? { Positions::Formula } else { Positions::Exact },
             intensity: flag(input)?,
             prediction: Prediction::from_code(read(input)?)?,
+            snake: flag(input)?,
             range_coder: RangeCoder::read_from(input)?,
             source: if flag(input)? { Some(Source::read_from(input)?) } else { None },
         };
@@ -150,16 +153,14 @@ impl Prediction {
     fn to_code(self) -> u64 {
         match self {
             Prediction::None => 0,
-            Prediction::Snake => 1,
-            Prediction::Intra => 2,
+            Prediction::Intra => 1,
         }
     }
 
     fn from_code(code: u64) -> Result<Self> {
         match code {
             0 => Ok(Prediction::None),
-            1 => Ok(Prediction::Snake),
-            2 => Ok(Prediction::Intra),
+            1 => Ok(Prediction::Intra),
             _ => Err(Error::unsupported(format!("frame parameters: unknown prediction {code}"))),
         }
     }

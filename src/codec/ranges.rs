@@ -10,7 +10,7 @@ use crate::backend;
 use crate::bitstream::SectionKind;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
-use crate::prediction::Predictor;
+use crate::prediction::{Predictor, Rays};
 use crate::residual::{self, Packing};
 use crate::sensor::SensorModel;
 
@@ -39,19 +39,30 @@ impl Models {
         }
     }
 
-    /// What the decoder must know of the prediction.
+    /// What the decoder must know of the prediction: the contour map and the models of regions.
     fn code_predictor<S: SectionCoder>(
         &mut self,
-        _sections: &mut S,
-        _sensor: &SensorModel,
+        sections: &mut S,
+        sensor: &SensorModel,
         frame: &mut Frame,
-        _report: &mut StepReport,
+        report: &mut StepReport,
     ) -> Result<Predictor> {
-        match frame.parameters.prediction {
-            Prediction::None => Ok(Predictor::None),
-            Prediction::Snake => Ok(Predictor::Snake),
-            Prediction::Intra => Ok(Predictor::Snake),
+        let snake = frame.parameters.snake;
+        if frame.parameters.prediction == Prediction::None {
+            return Ok(Predictor { ranges: None, snake });
         }
+        report.timed(Step::Contour, || {
+            sections.section(SectionKind::Contour, true, |coder| {
+                frame.intra.code_contour(&mut self.contour, coder, &frame.occupancy)
+            })
+        })?;
+        sections.section(SectionKind::Regions, true, |coder| {
+            frame.intra.code_models(&mut self.surfaces, coder);
+            Ok(())
+        })?;
+        let rays = Rays::of(sensor, &frame.columns);
+        let ranges = report.timed(Step::Prediction, || frame.intra.ranges(&frame.occupancy, &rays));
+        Ok(Predictor { ranges: Some(ranges), snake })
     }
 }
 
@@ -79,7 +90,7 @@ fn code_residuals<S: SectionCoder>(
         let residuals;
         (residuals, packed) =
             report.timed(Step::Coding, || residual::decompress(&payload, backend, packing, count))?;
-        frame.steps = report.timed(Step::Prediction, || predictor.ranges(&frame.occupancy, &residuals));
+        frame.steps = report.timed(Step::Prediction, || predictor.restore(&frame.occupancy, &residuals));
     }
     report.predicted += packed as u64;
     Ok(())

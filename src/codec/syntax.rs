@@ -12,9 +12,11 @@ use crate::context::{
     ByteModel, ColumnModel, CorrectionModel, IntensityModel, IntensityNeighbours, IntensityScale,
     OccupancyModel, OrderModel, PointModel, RangeModel, neighbours_above,
 };
+use crate::contour::ContourModel;
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::error::{Error, Limits, Result};
 use crate::grid::Grid;
+use crate::prediction::surface::SurfaceCoder;
 use crate::range_image::{RangeImage, Return};
 use crate::scan::Layout;
 use crate::sensor::SensorModel;
@@ -30,6 +32,8 @@ pub struct Models {
     points: PointModel,
     intensity: IntensityModel,
     pub(super) range: RangeModel,
+    pub(super) contour: ContourModel,
+    pub(super) surfaces: SurfaceCoder,
     correction: CorrectionModel,
     order: OrderModel,
 }

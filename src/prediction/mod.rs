@@ -1,25 +1,33 @@
 //! What ranges are predicted from before a general-purpose back-end codes what is left.
 
+pub mod intra;
+pub mod ransac;
+pub mod surface;
+
+mod partition;
+mod rays;
 mod snake;
+
+pub use rays::Rays;
 
 use crate::grid::Grid;
 
-/// A prediction, with all that a decoder knows of it.
-pub enum Predictor {
-    /// No prediction.
-    None,
-    /// The pixel before, on the snake's path.
-    Snake,
+/// Predicted ranges, and whether what they leave is predicted once more, along the snake's path.
+pub struct Predictor {
+    /// Rows x columns, in steps; `None`: nothing is predicted.
+    pub ranges: Option<Grid<u32>>,
+    /// Article, V-C.
+    pub snake: bool,
 }
 
 impl Predictor {
     /// What is left of the ranges (steps, rows x columns), for each return in scan order.
     pub fn residuals(&self, occupancy: &Grid<bool>, steps: &Grid<u32>) -> Vec<i32> {
         let mut values = Grid::new(steps.rows(), steps.columns());
-        each_return(occupancy, |cell| values[cell] = steps[cell] as i32);
-        match self {
-            Predictor::None => {}
-            Predictor::Snake => snake::difference(occupancy, &mut values),
+        // Equation 7.
+        each_return(occupancy, |cell| values[cell] = steps[cell].wrapping_sub(self.predicted(cell)) as i32);
+        if self.snake {
+            snake::difference(occupancy, &mut values);
         }
         let mut residuals = Vec::new();
         each_return(occupancy, |cell| residuals.push(values[cell]));
@@ -28,17 +36,20 @@ impl Predictor {
 
     /// The inverse of [`residuals`](Self::residuals). There must be one for each return. The ranges
     /// may be any if the residuals are damaged.
-    pub fn ranges(&self, occupancy: &Grid<bool>, residuals: &[i32]) -> Grid<u32> {
+    pub fn restore(&self, occupancy: &Grid<bool>, residuals: &[i32]) -> Grid<u32> {
         let mut values = Grid::new(occupancy.rows(), occupancy.columns());
         let mut next = residuals.iter();
         each_return(occupancy, |cell| values[cell] = next.next().copied().unwrap_or_default());
-        match self {
-            Predictor::None => {}
-            Predictor::Snake => snake::sum(occupancy, &mut values),
+        if self.snake {
+            snake::sum(occupancy, &mut values);
         }
         let mut steps = Grid::new(occupancy.rows(), occupancy.columns());
-        each_return(occupancy, |cell| steps[cell] = values[cell] as u32);
+        each_return(occupancy, |cell| steps[cell] = (values[cell] as u32).wrapping_add(self.predicted(cell)));
         steps
+    }
+
+    fn predicted(&self, cell: (usize, usize)) -> u32 {
+        self.ranges.as_ref().map_or(0, |ranges| ranges[cell])
     }
 }
 

@@ -9,7 +9,6 @@ mod neighbours;
 mod surface_angles;
 
 use crate::grid::Grid;
-use crate::range_image::RangeImage;
 use crate::sensor::SensorModel;
 use neighbours::Neighbours;
 use surface_angles::SurfaceAngles;
@@ -58,11 +57,17 @@ pub const GROUND: u32 = 2;
 pub const FIRST_OBJECT: u32 = 3;
 
 /// Splits the returns of an image into ground, objects and what is neither.
-pub fn segment(image: &RangeImage, sensor: &SensorModel, config: &SegmentationConfig) -> Segmentation {
-    let (rows, columns) = (image.steps.rows(), image.columns.len());
-    let mut labels = Grid::new(rows, columns);
-    let neighbours = Neighbours::of(&image.steps);
-    let angles = SurfaceAngles::of(image, sensor);
+///
+/// `steps` are the ranges (rows x columns, 0 = no return), `columns` the column ticks.
+pub fn segment(
+    steps: &Grid<u32>,
+    columns: &[u32],
+    sensor: &SensorModel,
+    config: &SegmentationConfig,
+) -> Segmentation {
+    let mut labels = Grid::new(steps.rows(), steps.columns());
+    let neighbours = Neighbours::of(steps);
+    let angles = SurfaceAngles::of(steps, columns, sensor);
     ground::mark(&angles, &neighbours, config, &mut labels);
     let end = cluster::mark(&angles, &neighbours, config, &mut labels);
     Segmentation { labels, end }

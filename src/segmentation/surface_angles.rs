@@ -4,7 +4,6 @@ use std::f64::consts::TAU;
 
 use super::neighbours::Cell;
 use crate::grid::Grid;
-use crate::range_image::RangeImage;
 use crate::sensor::SensorModel;
 
 /// Ranges and directions of all returns, as if all beams left one point.
@@ -19,10 +18,10 @@ pub struct SurfaceAngles {
 
 impl SurfaceAngles {
     /// Of an image.
-    pub fn of(image: &RangeImage, sensor: &SensorModel) -> Self {
-        let mut ranges = Grid::new(image.steps.rows(), image.columns.len());
+    pub fn of(steps: &Grid<u32>, columns: &[u32], sensor: &SensorModel) -> Self {
+        let mut ranges = Grid::new(steps.rows(), steps.columns());
         for row in 0..ranges.rows() {
-            for (range, &steps) in ranges.row_mut(row).iter_mut().zip(image.steps.row(row)) {
+            for (range, &steps) in ranges.row_mut(row).iter_mut().zip(steps.row(row)) {
                 *range = sensor.metres(steps) as f32;
             }
         }
@@ -34,7 +33,7 @@ impl SurfaceAngles {
         SurfaceAngles {
             ranges,
             elevations: (0..sensor.rows()).map(elevation).collect(),
-            azimuths: image.columns.iter().map(|&column| (f64::from(column) * tick) as f32).collect(),
+            azimuths: columns.iter().map(|&column| (f64::from(column) * tick) as f32).collect(),
         }
     }
 

@@ -1,4 +1,5 @@
 use super::*;
+use crate::range_image::RangeImage;
 use crate::sensor::ideal;
 
 /// The image of a scene: for each beam and azimuth (radians) the range in metres, if any.
@@ -22,7 +23,7 @@ fn ground(elevation: f64) -> Option<f64> {
 }
 
 fn labels_of(image: &RangeImage, sensor: &SensorModel) -> Segmentation {
-    segment(image, sensor, &SegmentationConfig::default())
+    segment(&image.steps, &image.columns, sensor, &SegmentationConfig::default())
 }
 
 #[test]
@@ -95,5 +96,5 @@ fn every_return_may_be_an_object_of_its_own() {
     }
     let config =
         SegmentationConfig { smallest_cluster: 1, ground_angle: 0.0, ..SegmentationConfig::default() };
-    assert_eq!(segment(&image, &sensor, &config).end, FIRST_OBJECT + 64 * 360);
+    assert_eq!(segment(&image.steps, &image.columns, &sensor, &config).end, FIRST_OBJECT + 64 * 360);
 }

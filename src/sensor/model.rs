@@ -161,6 +161,17 @@ impl SensorModel {
         self.constants[row].elevation as f64 * ANGLE_UNIT
     }
 
+    /// The unit vector along which beam `row` looks at azimuth tick `tick`, as if all beams left one
+    /// point.
+    #[inline]
+    pub fn direction(&self, row: usize, tick: u32) -> [f64; 3] {
+        let beam = &self.beams[row];
+        let [cos_t, sin_t] = self.tick_directions[tick as usize];
+        let (x, y) =
+            (cos_t * beam.cos_rot - sin_t * beam.sin_rot, sin_t * beam.cos_rot + cos_t * beam.sin_rot);
+        [x * beam.cos_v, y * beam.cos_v, beam.sin_v]
+    }
+
     /// A range of `steps`, in metres.
     #[inline]
     pub fn metres(&self, steps: u32) -> f64 {
@@ -173,6 +184,15 @@ impl SensorModel {
     /// The longest range that a range image of this sensor holds, in steps.
     pub fn most_steps(&self) -> u32 {
         if self.range_step_um == FLOAT_RANGES { FARTHEST.to_bits() } else { MOST_STEPS }
+    }
+
+    /// The steps nearest to a positive range in metres, as far as the range image goes.
+    pub fn nearest_steps(&self, metres: f64) -> u32 {
+        let metres = metres.min(f64::from(FARTHEST));
+        match self.range_step_um {
+            FLOAT_RANGES => (metres as f32).to_bits(),
+            step => round_ties_even(metres * (1e6 / f64::from(step))).min(f64::from(MOST_STEPS)) as u32,
+        }
     }
 
     /// The steps nearest to a range in metres, for the encoder. None if there are none.

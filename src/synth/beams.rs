@@ -2,7 +2,7 @@
 
 use libm::{atan, cos, rint, sin};
 
-use super::rng::Rng;
+use crate::random::Rng;
 
 /// Encoder ticks in a turn; a tick is 0.09 degrees.
 pub const TICKS: i32 = 4000;

@@ -1,7 +1,7 @@
 //! The ground: a road with kerbs and pavements that slopes and undulates.
 
 use super::ray::{Hit, Ray};
-use super::rng::{hash, unit};
+use crate::random::{hash, unit};
 
 /// Half the width of the road, from its middle to either kerb, in metres.
 pub(super) const KERB: f64 = 6.5;

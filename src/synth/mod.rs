@@ -17,7 +17,6 @@
 mod beams;
 mod ground;
 mod ray;
-mod rng;
 mod scanner;
 mod scene;
 mod shape;

@@ -6,10 +6,10 @@ use super::SynthConfig;
 use super::beams::{Beam, STEP, Stored, TICKS};
 use super::ground::Ground;
 use super::ray::{Hit, Ray};
-use super::rng::Rng;
 use super::scene::Scene;
 use super::shape::through_box;
 use super::trajectory::Pose;
+use crate::random::Rng;
 
 /// Firings in a turn at 10 turns a second; the motor is not quite steady.
 const FIRINGS: [f64; 2] = [2148.6, 2165.4];

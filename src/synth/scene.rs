@@ -5,9 +5,9 @@ use libm::{asin, atan2, sqrt};
 use super::SynthConfig;
 use super::ground::Ground;
 use super::ray::{Hit, Ray};
-use super::rng::Rng;
 use super::street::things;
 use super::thing::{Thing, nearer};
+use crate::random::Rng;
 
 /// Sectors of the horizon.
 const SECTORS: usize = 512;

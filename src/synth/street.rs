@@ -3,9 +3,9 @@
 
 use super::SynthConfig;
 use super::ground::{Ground, KERB};
-use super::rng::Rng;
 use super::thing::{Kind, Thing};
 use super::trajectory::LANE;
+use crate::random::Rng;
 
 /// Length of a piece of the street, in metres.
 const PIECE: f64 = 20.0;

@@ -1,8 +1,8 @@
 //! The things that stand and drive in the street, and what a ray sees of them.
 
 use super::ray::{Hit, Ray};
-use super::rng::{Rng, hash, unit};
 use super::shape::{Span, through_box, through_cylinder, through_ellipsoid};
+use crate::random::{Rng, hash, unit};
 
 /// Something in the street.
 #[derive(Clone, Debug)]

@@ -1,17 +1,17 @@
-//! The random numbers of the simulator: xoshiro256++ (Blackman and Vigna), seeded by splitmix64.
+//! Random numbers that are the same everywhere: xoshiro256++ (Blackman and Vigna), seeded by splitmix64.
 //! Written out here, and built on `libm`, so that a seed gives the same bytes on every platform.
 
 use libm::{cos, log, sqrt};
 
 /// Xoshiro256++, keyed by what the numbers are for.
 #[derive(Clone, Debug)]
-pub(super) struct Rng {
+pub(crate) struct Rng {
     state: [u64; 4],
 }
 
 impl Rng {
     /// The generator of one purpose: equal keys give equal numbers, any other key unrelated ones.
-    pub(super) fn keyed(seed: u64, key: &[u64]) -> Self {
+    pub(crate) fn keyed(seed: u64, key: &[u64]) -> Self {
         let mut mixed = hash(seed, key);
         let mut next = || {
             mixed = mixed.wrapping_add(GOLDEN);
@@ -33,29 +33,34 @@ impl Rng {
         result
     }
 
+    /// Uniform in 0..end, which must not be 0.
+    pub(crate) fn below(&mut self, end: usize) -> usize {
+        ((self.unit() * end as f64) as usize).min(end - 1)
+    }
+
     /// Uniform in 0..1.
-    pub(super) fn unit(&mut self) -> f64 {
+    pub(crate) fn unit(&mut self) -> f64 {
         unit(self.next())
     }
 
     /// Uniform between two values.
-    pub(super) fn between(&mut self, low: f64, high: f64) -> f64 {
+    pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
 
     /// True with the given probability.
-    pub(super) fn chance(&mut self, probability: f64) -> bool {
+    pub(crate) fn chance(&mut self, probability: f64) -> bool {
         self.unit() < probability
     }
 
     /// Gaussian of mean 0 and sigma 1 (Box and Muller; the second value is thrown away).
-    pub(super) fn normal(&mut self) -> f64 {
+    pub(crate) fn normal(&mut self) -> f64 {
         let radius = sqrt(-2.0 * log(1.0 - self.unit()));
         radius * cos(core::f64::consts::TAU * self.unit())
     }
 
     /// Exponential of the given mean.
-    pub(super) fn exponential(&mut self, mean: f64) -> f64 {
+    pub(crate) fn exponential(&mut self, mean: f64) -> f64 {
         -mean * log(1.0 - self.unit())
     }
 }
@@ -64,13 +69,13 @@ impl Rng {
 const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// A number that depends on every bit of the seed and of the key.
-pub(super) fn hash(seed: u64, key: &[u64]) -> u64 {
+pub(crate) fn hash(seed: u64, key: &[u64]) -> u64 {
     key.iter()
         .fold(mix(seed.wrapping_add(GOLDEN)), |state, &part| mix(state ^ mix(part.wrapping_add(GOLDEN))))
 }
 
 /// Turns 64 random bits into a number in 0..1.
-pub(super) fn unit(bits: u64) -> f64 {
+pub(crate) fn unit(bits: u64) -> f64 {
     (bits >> 11) as f64 * (1.0 / (1_u64 << 53) as f64)
 }
 
