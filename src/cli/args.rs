@@ -121,17 +121,23 @@ headers, names, lengths, checksums and the index. The bytes add up to the file's
 #[derive(Debug, clap::Args)]
 #[command(after_help = STATS_NOTES)]
 pub struct StatsArgs {
-    /// File to report on; `-` for stdin.
+    /// File to report on; `-` for stdin. With --steps also a folder of scans, or a scan, which is coded
+    /// in memory as the options below say.
     #[arg(value_name = "FILE")]
     pub input: PathBuf,
+    /// Report what each step of coding takes and leaves, as the article's Tables II to VI.
+    #[arg(long, conflicts_with = "against")]
+    pub steps: bool,
     /// Decode, and measure the error against these original scans.
     #[arg(long, value_name = "FOLDER", num_args = 1)]
     pub against: Vec<PathBuf>,
     #[command(flatten)]
     pub threads: Threads,
-    /// Report as JSON; sizes in bytes, errors in metres.
+    /// Report as JSON; sizes in bytes, errors in metres, times in seconds.
     #[arg(long)]
     pub json: bool,
+    #[command(flatten)]
+    pub coding: CodingArgs,
 }
 
 #[derive(Debug, clap::Args)]

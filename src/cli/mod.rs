@@ -12,6 +12,7 @@ mod length;
 mod output;
 mod progress;
 mod stats;
+mod steps;
 mod synth;
 mod table;
 mod verify;

@@ -25,12 +25,15 @@ impl Models {
         report: &mut StepReport,
     ) -> Result<()> {
         match frame.parameters.range_coder {
-            RangeCoder::Context { range_bits } => report.timed(Step::Coding, || {
-                sections.section(SectionKind::Range, true, |coder| {
-                    self.range.code(coder, &frame.occupancy, levels, range_bits, &mut frame.steps);
-                    Ok(())
+            RangeCoder::Context { range_bits } => {
+                report.predicted += 4 * (frame.records - frame.strays) as u64;
+                report.timed(Step::Coding, || {
+                    sections.section(SectionKind::Range, true, |coder| {
+                        self.range.code(coder, &frame.occupancy, levels, range_bits, &mut frame.steps);
+                        Ok(())
+                    })
                 })
-            }),
+            }
             RangeCoder::Backend { id, packing } => {
                 let predictor = self.code_predictor(sections, sensor, frame, report)?;
                 code_residuals(sections, &predictor, (id, packing), frame, report)?;

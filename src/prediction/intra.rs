@@ -26,7 +26,7 @@ pub enum RegionModels {
 pub struct IntraConfig {
     /// Which regions there are. Default: the article's.
     pub models: RegionModels,
-    /// lambda of equation 5, in squared steps a bit. Default 20.
+    /// lambda of equation 5, in squared steps a bit. Default 1000.
     pub lambda: f64,
     /// How the plane of the ground is found.
     pub ransac: RansacConfig,
@@ -34,7 +34,7 @@ pub struct IntraConfig {
 
 impl Default for IntraConfig {
     fn default() -> Self {
-        IntraConfig { models: RegionModels::Article, lambda: 20.0, ransac: RansacConfig::default() }
+        IntraConfig { models: RegionModels::Article, lambda: 1000.0, ransac: RansacConfig::default() }
     }
 }
 

@@ -102,7 +102,7 @@ fn a_wall_with_a_step_is_split_where_it_pays() {
         labels.row_mut(row).iter_mut().for_each(|label| *label = u32::from(*label > 0) * FIRST_OBJECT);
     }
     let segmentation = Segmentation { labels, end: FIRST_OBJECT + 1 };
-    let config = IntraConfig { models: RegionModels::Fitted, ..IntraConfig::default() };
+    let config = IntraConfig { models: RegionModels::Fitted, lambda: 20.0, ..IntraConfig::default() };
     let fitted = IntraPrediction::fit(&image.steps, &occupancy, &rays, &segmentation, &config);
     assert_eq!(fitted.models, [SurfaceModel::Mean(1000), SurfaceModel::Mean(1040)]);
     let dear = IntraConfig { lambda: 1e9, ..config };

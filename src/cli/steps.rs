@@ -1,0 +1,175 @@
+//! `lidarpc stats --steps`: what each step of coding takes and leaves.
+
+use std::fs::File;
+use std::io::{self, BufReader, Read, Write};
+use std::path::Path;
+
+use anyhow::Result;
+use lidarpc::bitstream::MAGIC;
+use lidarpc::codec::{self, DecodeOptions, EncoderConfig, FrameInput, Step, StepReport};
+use lidarpc::io::sequence::find_frames;
+use serde::Serialize;
+
+use super::args::StatsArgs;
+use super::errors::about;
+use super::input::{is_dash, name_of, open};
+use super::{coding, progress};
+
+/// All that is reported; everything is the mean of a frame.
+#[derive(Serialize)]
+struct Steps {
+    frames: u64,
+    bytes: Bytes,
+    /// Seconds of one thread; none if the input was coded already.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    encoding_seconds: Option<Times>,
+    decoding_seconds: Times,
+}
+
+/// The article's Tables II and III.
+#[derive(Serialize)]
+struct Bytes {
+    original: f64,
+    after_conversion: f64,
+    after_prediction: f64,
+    contour_map: f64,
+    side_data: f64,
+    ranges: f64,
+    rest: f64,
+    after_coding: f64,
+}
+
+/// The article's Tables IV and VI.
+#[derive(Serialize)]
+struct Times {
+    steps: Vec<(&'static str, f64)>,
+    total: f64,
+}
+
+/// Reports on a stream, or on scans, which are then coded in memory as the options say.
+pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
+    let is_stream = is_dash(&args.input) || is_stream(&args.input);
+    let (encoding, decoding) = if is_stream {
+        let input = open(&args.input)?.reader();
+        let decoded = decode(input, args, quiet).map_err(|error| about(error, &name_of(&args.input)))?;
+        (None, decoded)
+    } else {
+        let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
+        let frames: Vec<_> = frames.into_iter().map(FrameInput::File).collect();
+        let config = coding::config(&args.coding, &args.threads);
+        let (encoding, stream) = encode(&frames, &config, quiet)?;
+        (Some(encoding), decode(&stream[..], args, quiet)?)
+    };
+    let steps = Steps {
+        frames: decoding.frames,
+        bytes: Bytes::of(&decoding),
+        encoding_seconds: encoding.as_ref().map(Times::of),
+        decoding_seconds: Times::of(&decoding),
+    };
+    let mut out = io::BufWriter::new(io::stdout().lock());
+    if args.json {
+        serde_json::to_writer_pretty(&mut out, &steps).map_err(io::Error::from)?;
+        writeln!(out)?;
+    } else {
+        steps.print(&mut out)?;
+    }
+    out.flush()?;
+    Ok(())
+}
+
+/// Whether a file begins as a stream does.
+fn is_stream(path: &Path) -> bool {
+    let mut magic = [0; MAGIC.len()];
+    File::open(path).and_then(|mut file| file.read_exact(&mut magic)).is_ok() && magic == MAGIC
+}
+
+fn encode(
+    frames: &[FrameInput],
+    config: &EncoderConfig,
+    quiet: bool,
+) -> lidarpc::error::Result<(StepReport, Vec<u8>)> {
+    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
+    let mut stream = Vec::new();
+    let encoded = codec::encode(frames, config, &mut stream, &|| bar.inc(1));
+    bar.finish_and_clear();
+    Ok((encoded?.steps, stream))
+}
+
+fn decode(input: impl Read, args: &StatsArgs, quiet: bool) -> lidarpc::error::Result<StepReport> {
+    let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
+    let bar = progress::bar(None, "decoding", quiet);
+    let mut steps = StepReport::default();
+    let decoded = codec::decode(BufReader::new(input), &options, |frame| {
+        bar.inc(1);
+        steps.add(&frame.steps);
+        Ok(())
+    });
+    bar.finish_and_clear();
+    decoded.map(|_| steps)
+}
+
+impl Bytes {
+    fn of(report: &StepReport) -> Self {
+        let mean = |bytes: u64| bytes as f64 / report.frames.max(1) as f64;
+        Bytes {
+            original: mean(report.original),
+            after_conversion: mean(report.converted),
+            after_prediction: mean(report.predicted),
+            contour_map: mean(report.contour),
+            side_data: mean(report.side),
+            ranges: mean(report.ranges),
+            rest: mean(report.rest),
+            after_coding: mean(report.coded()),
+        }
+    }
+
+    fn rows(&self) -> [(&'static str, f64); 8] {
+        [
+            ("original", self.original),
+            ("after conversion", self.after_conversion),
+            ("after prediction", self.after_prediction),
+            ("contour map", self.contour_map),
+            ("side data", self.side_data),
+            ("ranges", self.ranges),
+            ("the rest", self.rest),
+            ("after coding", self.after_coding),
+        ]
+    }
+}
+
+impl Times {
+    fn of(report: &StepReport) -> Self {
+        let mean = |seconds: f64| seconds / report.frames.max(1) as f64;
+        Times {
+            steps: Step::ALL
+                .iter()
+                .map(|step| (step.name(), mean(report.time(*step).as_secs_f64())))
+                .collect(),
+            total: mean(report.total_time().as_secs_f64()),
+        }
+    }
+}
+
+impl Steps {
+    fn print(&self, out: &mut impl Write) -> io::Result<()> {
+        writeln!(out, "mean of {} frames\n", self.frames)?;
+        writeln!(out, "{:<20} {:>12}", "bytes", "a frame")?;
+        for (name, bytes) in self.bytes.rows() {
+            writeln!(out, "{name:<20} {bytes:>12.0}")?;
+        }
+        let with = |times: Option<f64>| times.map_or("-".to_owned(), |s| format!("{:.2}", 1e3 * s));
+        writeln!(out, "\n{:<20} {:>12} {:>12}", "milliseconds", "encoding", "decoding")?;
+        for (place, (name, decoding)) in self.decoding_seconds.steps.iter().enumerate() {
+            let encoding = self.encoding_seconds.as_ref().map(|times| times.steps[place].1);
+            writeln!(out, "{name:<20} {:>12} {:>12}", with(encoding), with(Some(*decoding)))?;
+        }
+        let encoding = self.encoding_seconds.as_ref().map(|times| times.total);
+        writeln!(
+            out,
+            "{:<20} {:>12} {:>12}",
+            "total",
+            with(encoding),
+            with(Some(self.decoding_seconds.total))
+        )
+    }
+}
