@@ -37,4 +37,5 @@ pub mod codec;
 pub mod io;
 pub mod synth;
 
+pub mod bench;
 pub mod metrics;

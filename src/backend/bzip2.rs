@@ -5,6 +5,7 @@ use bzip2::read::{BzDecoder, BzEncoder};
 
 use super::{Backend, Level, read_up_to};
 use crate::error::Result;
+use crate::residual::Packing;
 
 /// Levels are bzip2's own: blocks of 100 to 900 kB.
 pub struct Bzip2;
@@ -16,6 +17,10 @@ impl Backend for Bzip2 {
 
     fn name(&self) -> &'static str {
         "bzip2"
+    }
+
+    fn packing(&self) -> Packing {
+        Packing::Varint
     }
 
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {

@@ -41,7 +41,7 @@ pub trait Backend: Sync {
 
     /// The layout of residuals that suits it best, as measured on real ones.
     fn packing(&self) -> Packing {
-        Packing::Planes
+        Packing::Escape
     }
 
     /// Compresses `input`.

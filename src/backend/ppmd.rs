@@ -6,6 +6,7 @@ use ppmd_rust::{Ppmd7Decoder, Ppmd7Encoder};
 
 use super::{Backend, Level, read_up_to};
 use crate::error::{Error, Result};
+use crate::residual::Packing;
 
 /// Levels 1 to 9 are orders 2 to 10. The payload is the order and the stream.
 pub struct Ppmd;
@@ -20,6 +21,10 @@ impl Backend for Ppmd {
 
     fn name(&self) -> &'static str {
         "ppmd"
+    }
+
+    fn packing(&self) -> Packing {
+        Packing::Varint
     }
 
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {

@@ -2,6 +2,7 @@
 
 use super::{Backend, Level};
 use crate::error::{Error, Result};
+use crate::residual::Packing;
 
 /// Levels 1 to 9 are Zstandard's 1, 3, 6, 9, 12, 15, 17, 19 and 22.
 pub struct Zstd;
@@ -15,6 +16,10 @@ impl Backend for Zstd {
 
     fn name(&self) -> &'static str {
         "zstd"
+    }
+
+    fn packing(&self) -> Packing {
+        Packing::Varint
     }
 
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {

@@ -42,6 +42,8 @@ pub enum Command {
     Info(InfoArgs),
     /// Check a file: every checksum, and that every frame decodes.
     Verify(VerifyArgs),
+    /// Run the article's experiments on scans: what prediction is worth to each back-end (Figure 13).
+    Bench(BenchArgs),
     /// Write a synthetic drive: KITTI .bin scans of a simulated HDL-64E.
     Synth(SynthArgs),
 }
@@ -160,6 +162,23 @@ pub struct VerifyArgs {
     pub against: Vec<PathBuf>,
     #[command(flatten)]
     pub threads: Threads,
+}
+
+#[derive(Debug, clap::Args)]
+pub struct BenchArgs {
+    /// Folder of scans, or a scan.
+    #[arg(value_name = "INPUT")]
+    pub input: PathBuf,
+    /// Measure the first few frames only.
+    #[arg(long)]
+    pub quick: bool,
+    #[command(flatten)]
+    pub threads: Threads,
+    /// Report as JSON; sizes in bytes, the mean of a frame.
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub coding: CodingArgs,
 }
 
 #[derive(Debug, clap::Args)]

@@ -13,7 +13,7 @@ use super::args::Threads;
 use super::length::Length;
 
 /// How to code. What is not given is as the mode has it.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct CodingArgs {
     /// What decoding promises.
     #[arg(long, value_enum, default_value = "exact")]
@@ -129,6 +129,11 @@ pub fn config(coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
     coding
         .config(threads.threads)
         .unwrap_or_else(|error| super::args::Args::command().error(ErrorKind::ArgumentConflict, error).exit())
+}
+
+/// As [`config`], in paper mode whatever the mode.
+pub fn paper_config(coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
+    config(&CodingArgs { mode: ModeArg::Paper, ..coding.clone() }, threads)
 }
 
 impl CodingArgs {

@@ -1,6 +1,7 @@
 //! The command line: arguments, files and reports around the library.
 
 mod args;
+mod bench;
 mod cleanup;
 mod coding;
 mod decode;
@@ -34,6 +35,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Command::Stats(command) => stats::run(command, args.quiet),
         Command::Info(command) => info::run(command),
         Command::Verify(command) => verify::run(command, args.quiet),
+        Command::Bench(command) => bench::run(command, args.quiet),
         Command::Synth(command) => synth::run(command, args.quiet),
     }
 }

@@ -3,7 +3,7 @@
 use std::thread;
 
 use super::parameters::{FrameParameters, Positions, Prediction, RangeCoder};
-use crate::backend::{self, Level};
+use crate::backend::{self, Backend, Level};
 use crate::error::{Error, Result};
 use crate::outlier::RadiusOutlier;
 use crate::prediction::intra::IntraConfig;
@@ -136,6 +136,11 @@ impl EncoderConfig {
             Coder::Context => Prediction::None,
             Coder::Backend(_) => Prediction::Intra,
         }
+    }
+
+    /// How residuals are laid out for a back-end. Ranges that are not differences are large numbers.
+    pub(crate) fn packing_for(&self, backend: &dyn Backend, snake: bool) -> Packing {
+        self.packing.unwrap_or(if snake { backend.packing() } else { Packing::Planes })
     }
 
     /// The parameters of a frame, as far as they do not depend on the frame.

@@ -232,7 +232,10 @@ impl FrameInput {
     }
 
     /// The file's bytes.
-    fn read(&self) -> Result<Vec<u8>> {
+    ///
+    /// # Errors
+    /// If it cannot be read, or is larger than any decoder takes.
+    pub fn read(&self) -> Result<Vec<u8>> {
         check_limit("bytes of a file", self.size()?, Limits::default().file_bytes)
             .map_err(|e| e.at(self.path()))?;
         match self {

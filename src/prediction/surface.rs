@@ -9,6 +9,8 @@ use crate::varint::{unzigzag, zigzag};
 const PLANE_UNIT: f64 = 1.0 / (1 << 22) as f64;
 /// Plane parameters are below this in magnitude, in units: planes 1 m away and further.
 const PLANE_END: i32 = 1 << 22;
+/// Metres: the scanner's reach (article, equation 1).
+const FARTHEST: f64 = 120.0;
 
 /// What a region looks like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,8 +42,8 @@ impl SurfaceModel {
             SurfaceModel::Plane(w) => {
                 let [x, y, z] = direction;
                 let inverse = (f64::from(w[0]) * x + f64::from(w[1]) * y + f64::from(w[2]) * z) * PLANE_UNIT;
-                // A ray that does not meet the plane goes as far as any.
-                sensor.nearest_steps(if inverse > 1e-4 { 1.0 / inverse } else { 1e4 })
+                // A ray that does not meet the plane goes as far as the scanner sees.
+                sensor.nearest_steps(if inverse * FARTHEST > 1.0 { 1.0 / inverse } else { FARTHEST })
             }
         }
     }
@@ -99,7 +101,7 @@ mod tests {
         let floor = SurfaceModel::plane([0.0, 0.0, -0.5], 77);
         let down = sensor.direction(63, 0);
         assert!(floor.range(&sensor, down).abs_diff((2000.0 / -down[2]) as u32) <= 1);
-        assert!(floor.range(&sensor, sensor.direction(0, 0)) >= 10_000_000, "upwards");
+        assert_eq!(floor.range(&sensor, sensor.direction(0, 0)), 120_000, "upwards");
         assert_eq!(SurfaceModel::plane([1.5, 0.0, 0.0], 77), SurfaceModel::Mean(77));
     }
 
