@@ -5,7 +5,10 @@
 mod brotli;
 mod bzip2;
 mod deflate;
+mod lizard;
+mod lz;
 mod lz4;
+mod lz5;
 mod lzma;
 mod ppmd;
 mod store;
@@ -28,6 +31,8 @@ pub static BACKENDS: &[&dyn Backend] = &[
     &ppmd::Ppmd,
     &lz4::Lz4,
     &zstd::Zstd,
+    &lz5::Lz5,
+    &lizard::Lizard,
     &deflate::Deflate,
 ];
 

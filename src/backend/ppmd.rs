@@ -11,8 +11,10 @@ use crate::residual::Packing;
 /// Levels 1 to 9 are orders 2 to 10. The payload is the order and the stream.
 pub struct Ppmd;
 
-/// The model's memory, in bytes: more than the contexts of a frame's residuals take.
-const MEMORY: u32 = 16 << 20;
+/// The model's memory for so many bytes, in bytes: more than the contexts of residuals take.
+fn memory(length: usize) -> u32 {
+    length.saturating_mul(64).clamp(1 << 16, 16 << 20) as u32
+}
 
 impl Backend for Ppmd {
     fn id(&self) -> u8 {
@@ -30,7 +32,8 @@ impl Backend for Ppmd {
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {
         let order = level.number() + 1;
         let failed = |error: ppmd_rust::Error| Error::unsupported(format!("ppmd: {error}"));
-        let mut encoder = Ppmd7Encoder::new(vec![order], order.into(), MEMORY).map_err(failed)?;
+        let mut encoder =
+            Ppmd7Encoder::new(vec![order], order.into(), memory(input.len())).map_err(failed)?;
         encoder.write_all(input)?;
         Ok(encoder.finish(false)?)
     }
@@ -40,7 +43,7 @@ impl Backend for Ppmd {
         if length == 0 {
             return Ok(Vec::new());
         }
-        let decoder = Ppmd7Decoder::new(stream, order.into(), MEMORY);
+        let decoder = Ppmd7Decoder::new(stream, order.into(), memory(length));
         let decoder = decoder.map_err(|error| Error::corrupt(error.to_string()))?;
         // Without an end marker the stream gives bytes for ever.
         read_up_to(decoder, length - 1)

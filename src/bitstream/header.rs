@@ -10,8 +10,11 @@ use crate::error::{Error, Result};
 /// The first four bytes of every stream; the first is no ASCII, so that nobody takes it for text.
 pub const MAGIC: [u8; 4] = *b"\x89LPC";
 
-/// The version that this program writes, and the newest that it reads.
-pub const VERSION: u16 = 1;
+/// The newest version that this program reads.
+pub const NEWEST_VERSION: u16 = 2;
+
+/// The version of streams whose frames have sections of the first nine kinds only.
+pub const FIRST_VERSION: u16 = 1;
 
 /// Bytes of the stream header. This layout stays the same in every later version.
 pub const HEADER_LENGTH: usize = 12;
@@ -30,7 +33,7 @@ pub struct StreamHeader {
 
 impl Default for StreamHeader {
     fn default() -> Self {
-        StreamHeader { version: VERSION, flags: 0 }
+        StreamHeader { version: FIRST_VERSION, flags: 0 }
     }
 }
 
@@ -76,8 +79,8 @@ impl StreamHeader {
         if self.version == 0 {
             return Err(Error::corrupt("stream header: there is no version 0"));
         }
-        if self.version > VERSION {
-            return Err(Error::UnsupportedVersion { found: self.version, newest: VERSION });
+        if self.version > NEWEST_VERSION {
+            return Err(Error::UnsupportedVersion { found: self.version, newest: NEWEST_VERSION });
         }
         let unknown = self.flags & !KNOWN_FLAGS;
         if unknown != 0 {
@@ -111,9 +114,9 @@ mod tests {
 
     #[test]
     fn newer_streams_are_named_as_such() {
-        let newer = bytes_of(StreamHeader { version: 2, flags: 0 });
+        let newer = bytes_of(StreamHeader { version: 3, flags: 0 });
         let error = StreamHeader::read_from(&mut &newer[..]).unwrap_err();
-        assert!(matches!(error, Error::UnsupportedVersion { found: 2, newest: 1 }), "{error}");
+        assert!(matches!(error, Error::UnsupportedVersion { found: 3, newest: 2 }), "{error}");
 
         let flagged = bytes_of(StreamHeader { version: 1, flags: 0x8000 });
         let error = StreamHeader::read_from(&mut &flagged[..]).unwrap_err();

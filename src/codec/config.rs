@@ -4,6 +4,7 @@ use std::thread;
 
 use super::parameters::{FrameParameters, Positions, Prediction, RangeCoder};
 use crate::backend::{self, Backend, Level};
+use crate::bitstream::{FIRST_VERSION, NEWEST_VERSION, StreamHeader};
 use crate::error::{Error, Result};
 use crate::outlier::RadiusOutlier;
 use crate::prediction::intra::IntraConfig;
@@ -158,6 +159,13 @@ impl EncoderConfig {
             },
             source: None,
         })
+    }
+
+    /// The header of the stream: the first version if it is enough.
+    pub(super) fn stream_header(&self) -> Result<StreamHeader> {
+        let is_default = self.frame_parameters()? == FrameParameters::default();
+        let version = if is_default { FIRST_VERSION } else { NEWEST_VERSION };
+        Ok(StreamHeader { version, ..StreamHeader::default() })
     }
 
     /// Checks that all settings are in range and fit together.

@@ -9,7 +9,7 @@ use super::config::{EncoderConfig, ProjectionKind, resolve_threads};
 use super::group::GroupEncoder;
 use super::ordered::run_ordered;
 use super::steps::StepReport;
-use crate::bitstream::{Frame, FrameHeader, Group, StreamHeader, StreamWriter};
+use crate::bitstream::{Frame, FrameHeader, Group, StreamWriter};
 use crate::error::{Error, Limits, Result};
 use crate::io::parse;
 use crate::io::sequence::is_safe_name;
@@ -77,7 +77,7 @@ pub fn encode<W: Write>(
         ProjectionKind::Calibrated => sensor::fit(&sample(frames)?),
         ProjectionKind::Ideal { columns, range_step_um } => Some(sensor::ideal(columns, range_step_um)),
     };
-    let mut writer = StreamWriter::create(out, &StreamHeader::default())?;
+    let mut writer = StreamWriter::create(out, &config.stream_header()?)?;
     let sensor_number = write_sensor_model(&mut writer, sensor.as_ref())?;
     let coder = SequenceCoder { sensor: sensor.as_ref(), sensor_number, config, on_frame };
 

@@ -1,0 +1,110 @@
+//! Earlier places where the bytes at hand occur: hash chains.
+
+/// Bits of the hashes of three and of four bytes.
+const HASH3_BITS: u32 = 13;
+const HASH4_BITS: u32 = 15;
+/// No place.
+const NONE: u32 = u32::MAX;
+
+/// A repetition.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Match {
+    /// How far back it begins.
+    pub offset: usize,
+    /// Bytes.
+    pub length: usize,
+}
+
+/// How matches are looked for.
+pub struct Search {
+    /// Earlier places to look at.
+    pub depth: usize,
+    /// They are at least this far back.
+    pub nearest: usize,
+    /// A match of so many bytes ends the search.
+    pub enough: usize,
+}
+
+/// The places of a block by what they begin with.
+pub struct MatchFinder<'a> {
+    input: &'a [u8],
+    /// The last place of each hash of three bytes.
+    last3: Vec<u32>,
+    /// The last place of each hash of four bytes, and for each place the one before with its hash.
+    last4: Vec<u32>,
+    before: Vec<u32>,
+    next: usize,
+}
+
+impl<'a> MatchFinder<'a> {
+    /// For a block.
+    pub fn new(input: &'a [u8]) -> Self {
+        MatchFinder {
+            input,
+            last3: vec![NONE; 1 << HASH3_BITS],
+            last4: vec![NONE; 1 << HASH4_BITS],
+            before: vec![NONE; input.len()],
+            next: 0,
+        }
+    }
+
+    /// Finds matches at `place` that end before `end`, each longer than the one before. Places must be
+    /// asked for in rising order.
+    pub fn find(&mut self, place: usize, end: usize, search: &Search, found: &mut Vec<Match>) {
+        self.insert_up_to(place);
+        if place + 4 > end {
+            return;
+        }
+        let mut longest = 2;
+        let mut look = |earlier: u32| -> usize {
+            let earlier = earlier as usize;
+            let length = common_length(&self.input[..end], earlier, place);
+            if length > longest {
+                longest = length;
+                found.push(Match { offset: place - earlier, length });
+            }
+            longest
+        };
+        let is_near = |earlier: u32| place - (earlier as usize) < search.nearest;
+        let last = self.last3[self.hash3(place)];
+        if last != NONE && !is_near(last) {
+            look(last);
+        }
+        let mut earlier = self.last4[self.hash4(place)];
+        while earlier != NONE && is_near(earlier) {
+            earlier = self.before[earlier as usize];
+        }
+        for _ in 0..search.depth {
+            if earlier == NONE || look(earlier) >= search.enough {
+                break;
+            }
+            earlier = self.before[earlier as usize];
+        }
+    }
+
+    fn insert_up_to(&mut self, place: usize) {
+        while self.next < place && self.next + 4 <= self.input.len() {
+            let (hash3, hash4) = (self.hash3(self.next), self.hash4(self.next));
+            self.last3[hash3] = self.next as u32;
+            self.before[self.next] = self.last4[hash4];
+            self.last4[hash4] = self.next as u32;
+            self.next += 1;
+        }
+    }
+
+    fn hash3(&self, place: usize) -> usize {
+        let bytes = [self.input[place], self.input[place + 1], self.input[place + 2], 0];
+        (u32::from_le_bytes(bytes).wrapping_mul(0x9e37_79b1) >> (32 - HASH3_BITS)) as usize
+    }
+
+    fn hash4(&self, place: usize) -> usize {
+        let bytes = self.input[place..].first_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
+        (bytes.wrapping_mul(0x9e37_79b1) >> (32 - HASH4_BITS)) as usize
+    }
+}
+
+/// How many bytes two places have in common.
+pub fn common_length(input: &[u8], a: usize, b: usize) -> usize {
+    let (first, second) = (&input[a..], &input[b..]);
+    first.iter().zip(second).take_while(|(a, b)| a == b).count()
+}

@@ -1,0 +1,175 @@
+//! Blocks of LZ5 1.5. A sequence is a token, literals, an offset and a match:
+//!
+//! ```text
+//! 1_OO_LL_MMM   10-bit offset    00_LLL_MMM   16-bit offset
+//! 010_LL_MMM    24-bit offset    011_LL_MMM   the offset before
+//! ```
+//!
+//! The last sequence ends with its literals.
+
+use crate::backend::lz::parser::{Format, parse};
+use crate::backend::lz::{copy_literals, copy_match, take, take_number};
+use crate::error::Result;
+
+/// Matches are at least this long; the token counts from here.
+const SHORTEST: usize = 3;
+/// The token's field of the match length; this value says that more follows.
+const MATCH_FIELD: usize = 7;
+/// Offsets are below these.
+const NEAR: usize = 1 << 10;
+const MIDDLE: usize = 1 << 16;
+const FAR: usize = 1 << 22;
+
+/// The kinds of tokens.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Near,
+    Middle,
+    Far,
+    Repeated,
+}
+
+impl Kind {
+    fn of_match(offset: usize, repeats: bool) -> Self {
+        match offset {
+            _ if repeats => Kind::Repeated,
+            ..NEAR => Kind::Near,
+            ..MIDDLE => Kind::Middle,
+            _ => Kind::Far,
+        }
+    }
+
+    fn of_token(token: usize) -> Self {
+        match token >> 5 {
+            0 | 1 => Kind::Middle,
+            2 => Kind::Far,
+            3 => Kind::Repeated,
+            _ => Kind::Near,
+        }
+    }
+
+    /// The largest number of literals that the token itself tells.
+    fn literal_field(self) -> usize {
+        if self == Kind::Middle { 7 } else { 3 }
+    }
+
+    /// Bytes of the offset.
+    fn offset_bytes(self) -> usize {
+        match self {
+            Kind::Repeated => 0,
+            Kind::Near => 1,
+            Kind::Middle => 2,
+            Kind::Far => 3,
+        }
+    }
+
+    /// The token without its lengths.
+    fn token(self, offset: usize) -> usize {
+        match self {
+            Kind::Middle => 0,
+            Kind::Far => 2 << 5,
+            Kind::Repeated => 3 << 5,
+            Kind::Near => 1 << 7 | (offset >> 8) << 5,
+        }
+    }
+}
+
+/// Appends what a block holds, up to `most` bytes altogether.
+///
+/// # Errors
+/// If the block is damaged.
+pub fn decode(mut block: &[u8], out: &mut Vec<u8>, most: usize) -> Result<()> {
+    let input = &mut block;
+    let mut offset = 1;
+    loop {
+        let token = take_number(input, 1)?;
+        let kind = Kind::of_token(token);
+        let field = kind.literal_field();
+        let literals = take_length(input, token >> 3 & field, field)?;
+        copy_literals(out, take(input, literals)?, most)?;
+        if input.is_empty() {
+            return Ok(());
+        }
+        offset = match kind {
+            Kind::Repeated => offset,
+            Kind::Near => take_number(input, 1)? | (token >> 5 & 3) << 8,
+            _ => take_number(input, kind.offset_bytes())?,
+        };
+        let length = take_length(input, token & MATCH_FIELD, MATCH_FIELD)?;
+        copy_match(out, offset, length.saturating_add(SHORTEST), most)?;
+    }
+}
+
+/// A length whose field of the token may say that bytes follow that add to it.
+fn take_length(input: &mut &[u8], field: usize, most: usize) -> Result<usize> {
+    let mut length = field;
+    if field == most {
+        loop {
+            let more = take_number(input, 1)?;
+            length = length.saturating_add(more);
+            if more < 255 {
+                break;
+            }
+        }
+    }
+    Ok(length)
+}
+
+/// Compresses a block; `depth` is the effort.
+pub fn encode(input: &[u8], depth: usize) -> Vec<u8> {
+    let mut out = Vec::new();
+    let (mut at, mut last) = (0, Lz5Format::FIRST_OFFSET);
+    for sequence in parse(&Lz5Format, input, 0, depth) {
+        let kind = Kind::of_match(sequence.offset, sequence.offset == last);
+        let (field, length) = (kind.literal_field(), sequence.length - SHORTEST);
+        let lengths = sequence.literals.min(field) << 3 | length.min(MATCH_FIELD);
+        out.push((kind.token(sequence.offset) | lengths) as u8);
+        put_length(&mut out, sequence.literals, field);
+        out.extend(&input[at..at + sequence.literals]);
+        out.extend(&sequence.offset.to_le_bytes()[..kind.offset_bytes()]);
+        put_length(&mut out, length, MATCH_FIELD);
+        at += sequence.literals + sequence.length;
+        last = sequence.offset;
+    }
+    let (literals, field) = (&input[at..], Kind::Middle.literal_field());
+    out.push((literals.len().min(field) << 3) as u8);
+    put_length(&mut out, literals.len(), field);
+    out.extend(literals);
+    out
+}
+
+fn put_length(out: &mut Vec<u8>, length: usize, field: usize) {
+    if let Some(mut rest) = length.checked_sub(field) {
+        while rest >= 255 {
+            out.push(255);
+            rest -= 255;
+        }
+        out.push(rest as u8);
+    }
+}
+
+struct Lz5Format;
+
+impl Format for Lz5Format {
+    const FIRST_OFFSET: usize = 1;
+    const NEAREST: usize = 1;
+    const LAST_MATCH: usize = 12;
+    const LAST_LITERALS: usize = 5;
+
+    fn match_bits(&self, literals: usize, offset: usize, length: usize, repeats: bool) -> Option<u32> {
+        if length < SHORTEST || offset >= FAR {
+            return None;
+        }
+        let kind = Kind::of_match(offset, repeats);
+        let field = kind.literal_field();
+        let more = |length: usize, field: usize| length.checked_sub(field).map_or(0, |rest| 1 + rest / 255);
+        // Up to 7 literals are as cheap as the widest field makes them; narrower ones pay here.
+        let narrow = usize::from(field < 7 && (field..7).contains(&literals));
+        let bytes = 1 + kind.offset_bytes() + more(length - SHORTEST, MATCH_FIELD) + narrow;
+        Some(8 * bytes as u32)
+    }
+
+    fn run_bits(&self, literals: usize) -> u32 {
+        if literals == 7 || (literals > 7 && (literals - 7).is_multiple_of(255)) { 8 } else { 0 }
+    }
+}
