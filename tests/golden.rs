@@ -11,9 +11,9 @@ use std::path::PathBuf;
 
 use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply};
 use common::scans::{random_points, scans, small, unrounded};
-use common::{File, decode_files, first_files, in_package, round_trip};
-use lidarpc::bitstream::header::VERSION;
-use lidarpc::codec::EncoderConfig;
+use common::{File, decode_files, encode_files, first_files, in_package, round_trip};
+use lidarpc::backend::BACKENDS;
+use lidarpc::codec::{Coder, EncoderConfig, Mode, ProjectionKind};
 
 fn folder() -> PathBuf {
     in_package("testdata/golden")
@@ -89,18 +89,42 @@ fn float_files() -> Vec<File> {
 #[ignore = "writes testdata/golden"]
 fn write_golden() {
     fs::create_dir_all(folder()).unwrap();
-    for (name, files) in
-        [("exact-drive", drive_files()), ("exact-odd-files", odd_files()), ("exact-float32", float_files())]
-    {
-        let path = folder().join(format!("v{VERSION}-{name}.lpc"));
-        if path.exists() {
-            println!("{} is there, and stays as it is", path.display());
-            continue;
-        }
-        // Two frames a group, so that there is more than one group.
-        let stream = round_trip(&files, &EncoderConfig { gop: 2, ..EncoderConfig::default() });
-        fs::write(path.with_extension("txt"), list(&files)).unwrap();
-        fs::write(&path, stream).unwrap();
-        println!("{}: {} files", path.display(), files.len());
+    // Two frames a group, so that there is more than one group.
+    let exact = EncoderConfig { gop: 2, ..EncoderConfig::default() };
+    for (name, files) in [
+        ("v1-exact-drive", drive_files()),
+        ("v1-exact-odd-files", odd_files()),
+        ("v1-exact-float32", float_files()),
+    ] {
+        write(name, || round_trip(&files, &exact));
     }
+    for backend in BACKENDS {
+        let config = EncoderConfig {
+            gop: 2,
+            projection: ProjectionKind::Ideal { columns: 500, range_step_um: 10_000 },
+            coder: Coder::Backend(backend.id()),
+            ..EncoderConfig::preset(Mode::Paper)
+        };
+        let name = format!("v2-paper-{}", backend.name());
+        write(&name, || encode_files(&named(&scans(&small(6, 2))), &config));
+    }
+    let lzma = EncoderConfig { coder: Coder::Backend(lidarpc::backend::LZMA), ..exact };
+    write("v2-exact-lzma-odd-files", || round_trip(&odd_files(), &lzma));
+}
+
+fn write(name: &str, encode: impl FnOnce() -> Vec<u8>) {
+    let path = folder().join(name).with_extension("lpc");
+    if path.exists() {
+        println!("{} is there, and stays as it is", path.display());
+        return;
+    }
+    let stream = encode();
+    let files = decode_files(&stream).unwrap();
+    fs::write(path.with_extension("txt"), list(&files)).unwrap();
+    fs::write(&path, stream).unwrap();
+    println!("{}: {} files", path.display(), files.len());
+}
+
+fn named(frames: &[common::scans::Points]) -> Vec<File> {
+    (0..).zip(frames).map(|(n, points)| (format!("{n}.bin"), kitti(points))).collect()
 }

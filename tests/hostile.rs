@@ -8,8 +8,9 @@ use std::sync::LazyLock;
 use common::formats::{kitti, pcd_extra, pcd_text};
 use common::scans::{Random, random_points, scans, small};
 use common::{File, cases, decode_files, decode_within, encode_files, put_together, take_apart};
+use lidarpc::backend::BACKENDS;
 use lidarpc::bitstream::{Group, Section, SectionKind};
-use lidarpc::codec::EncoderConfig;
+use lidarpc::codec::{Coder, EncoderConfig, Mode, Prediction, ProjectionKind};
 use lidarpc::context::{ByteModel, ColumnModel};
 use lidarpc::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
 use lidarpc::error::Limits;
@@ -36,16 +37,27 @@ static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
         ("3.bin", Vec::new()),
         ("4.ply", b"ply, or not".to_vec()),
     ];
-    [scanner, others]
-        .map(|files| {
-            let files: Vec<File> = files.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect();
-            take_apart(&encode_files(
-                &files,
-                &EncoderConfig { gop: 20, threads: 1, ..EncoderConfig::default() },
-            ))
-        })
-        .into()
+    let coded = |files: &[(&str, Vec<u8>)], config: EncoderConfig| {
+        let files: Vec<File> = files.iter().map(|(name, bytes)| (name.to_string(), bytes.clone())).collect();
+        take_apart(&encode_files(&files, &EncoderConfig { gop: 20, threads: 1, ..config }))
+    };
+    let mut streams = vec![
+        coded(&scanner, EncoderConfig::default()),
+        coded(&others, EncoderConfig::default()),
+        coded(&scanner, EncoderConfig { prediction: Prediction::Intra, ..with_back_end(0) }),
+    ];
+    streams.extend(BACKENDS.iter().map(|backend| coded(&scanner[..1], with_back_end(backend.id()))));
+    streams
 });
+
+/// Paper mode with a small image.
+fn with_back_end(id: u8) -> EncoderConfig {
+    EncoderConfig {
+        projection: ProjectionKind::Ideal { columns: 200, range_step_um: 10_000 },
+        coder: Coder::Backend(id),
+        ..EncoderConfig::preset(Mode::Paper)
+    }
+}
 
 /// What is done to a stream's parts. Places are counted modulo what there is.
 #[derive(Clone, Debug)]

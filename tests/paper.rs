@@ -1,0 +1,230 @@
+//! The article's codec, and its parts in exact mode.
+
+mod common;
+
+use std::sync::LazyLock;
+
+use common::formats::{kitti, pcd_extra, pcd_text, ply};
+use common::scans::{Points, random_points, scans, small};
+use common::{File, cases, decode_files, encode_files, first_files, real_folders, round_trip, take_apart};
+use lidarpc::backend::BACKENDS;
+use lidarpc::bitstream::SectionKind;
+use lidarpc::codec::{Coder, EncoderConfig, FrameParameters, Mode, Prediction, ProjectionKind, Source};
+use lidarpc::io::parse;
+use lidarpc::prediction::intra::{IntraConfig, RegionModels};
+use lidarpc::range_image::{Return, project_nearest};
+use lidarpc::residual::Packing;
+use lidarpc::scan::PointCloud;
+use lidarpc::sensor::{FLOAT_RANGES, ideal};
+use proptest::prelude::*;
+
+static SCANS: LazyLock<Vec<Points>> = LazyLock::new(|| scans(&small(1, 3)));
+
+/// Paper mode with a small image.
+fn paper() -> EncoderConfig {
+    EncoderConfig { projection: image(500, 5000), threads: 1, ..EncoderConfig::preset(Mode::Paper) }
+}
+
+fn image(columns: u32, range_step_um: u32) -> ProjectionKind {
+    ProjectionKind::Ideal { columns, range_step_um }
+}
+
+fn coders() -> impl Iterator<Item = Coder> {
+    std::iter::once(Coder::Context).chain(BACKENDS.iter().map(|backend| Coder::Backend(backend.id())))
+}
+
+fn named(points: &[Points]) -> Vec<File> {
+    (0..).zip(points).map(|(n, points)| (format!("{n}.bin"), kitti(points))).collect()
+}
+
+/// What the first section of a frame says.
+fn parameters(stream: &[u8]) -> Vec<FrameParameters> {
+    let (_, groups) = take_apart(stream);
+    let frames = groups.iter().flat_map(|group| &group.frames);
+    frames
+        .map(|frame| {
+            let section = frame.sections.iter().find(|s| s.kind == SectionKind::Parameters).unwrap();
+            FrameParameters::from_payload(&section.payload).unwrap()
+        })
+        .collect()
+}
+
+/// Encodes in paper mode and decodes; the decoded points must be those of the encoder's range image, bit
+/// for bit, and the counts must add up.
+fn keeps_the_image(files: &[File], config: &EncoderConfig) -> Vec<File> {
+    let ProjectionKind::Ideal { columns, range_step_um } = config.projection else { panic!("no image") };
+    let sensor = ideal(columns, range_step_um);
+    let filtered = |cloud: &PointCloud| match config.outliers {
+        Some(filter) => filter.filter(cloud),
+        None => cloud.clone(),
+    };
+    let stream = encode_files(files, config);
+    let decoded = decode_files(&stream).unwrap();
+    assert_eq!(decoded.len(), files.len());
+    for (((name, bytes), (_, original)), parameters) in decoded.iter().zip(files).zip(parameters(&stream)) {
+        let (before, after) = (parse(name, original.clone()), parse(name, bytes.clone()));
+        let expected = project_nearest(&sensor, &filtered(&before.cloud)).image;
+        let returns = expected.file_order(&sensor);
+        let point = |found: &Return| sensor.point(found.row as usize, found.tick, found.steps);
+        let same = returns.iter().map(|found| point(found).map(|v| (v as f32).to_bits()));
+        assert!(same.eq(after.cloud.positions.iter().map(|p| p.map(f32::to_bits))), "{name} {config:?}");
+        let Some(Source { file_size, points, outliers, lost }) = parameters.source else {
+            assert!(before.records == 0 && bytes == original, "{name}");
+            continue;
+        };
+        assert_eq!((file_size, points), (original.len() as u64, before.records as u64));
+        assert_eq!(points, outliers + lost + after.records as u64);
+        assert_eq!(after.records, expected.returns(), "the file holds as many points as its header says");
+    }
+    decoded
+}
+
+#[test]
+fn every_back_end_keeps_the_image() {
+    for coder in coders() {
+        for prediction in [Prediction::None, Prediction::Intra] {
+            keeps_the_image(&named(&SCANS), &EncoderConfig { coder, prediction, ..paper() });
+        }
+    }
+}
+
+#[test]
+fn every_setting_keeps_the_image() {
+    let files = named(&SCANS[..1]);
+    for packing in Packing::ALL {
+        for snake in [false, true] {
+            keeps_the_image(&files, &EncoderConfig { packing: Some(packing), snake, ..paper() });
+        }
+    }
+    let intra = IntraConfig { models: RegionModels::Fitted, ..IntraConfig::default() };
+    keeps_the_image(&files, &EncoderConfig { intra, ..paper() });
+    keeps_the_image(&files, &EncoderConfig { outliers: None, ..paper() });
+    for projection in [image(1, 1_000_000), image(2000, 1), image(777, 20_000), image(360, FLOAT_RANGES)] {
+        keeps_the_image(&files, &EncoderConfig { projection, ..paper() });
+    }
+    for projection in [image(2000, 100), image(100, 1_000_000)] {
+        keeps_the_image(&files, &EncoderConfig { projection, coder: Coder::Context, ..paper() });
+    }
+}
+
+#[test]
+fn intensities_and_other_fields_stay_with_their_points() {
+    let files = [("0.pcd".to_owned(), pcd_extra(&SCANS[0]))];
+    let config = EncoderConfig { intensity: true, ..paper() };
+    let decoded = keeps_the_image(&files, &config);
+    let before = parse("0.pcd", files[0].1.clone()).cloud;
+    let after = parse("0.pcd", decoded[0].1.clone()).cloud;
+    let before = config.outliers.unwrap().filter(&before);
+    let sensor = ideal(500, 5000);
+    let (from, to) = (project_nearest(&sensor, &before), project_nearest(&sensor, &after));
+    let stride = after.extra.len() / after.positions.len();
+    for row in 0..64 {
+        for column in (0..500).filter(|&column| from.image.steps[(row, column)] > 0) {
+            let [a, b] = [&from, &to].map(|p| p.point_of_cell[(row, column)] as usize);
+            assert_eq!(before.intensity[a].to_bits(), after.intensity[b].to_bits());
+            assert_eq!(before.extra[a * stride..][..stride], after.extra[b * stride..][..stride]);
+        }
+    }
+    let dropped = decode_files(&encode_files(&files, &paper())).unwrap();
+    assert!(parse("0.pcd", dropped[0].1.clone()).cloud.intensity.iter().all(|value| *value == 0.0));
+}
+
+#[test]
+fn headers_tell_the_number_of_points_that_are_left() {
+    let points = &SCANS[0][..1000];
+    // Text rounds coordinates as the file did before: its points are not those of the image to the bit.
+    for (name, bytes) in [("a.pcd", pcd_text(points)), ("a.ply", ply(points)), ("a.pcd", pcd_extra(points))] {
+        let decoded = decode_files(&encode_files(&[(name.to_owned(), bytes)], &paper())).unwrap();
+        let left = parse(name, decoded[0].1.clone());
+        assert!(left.records > 0 && left.records < points.len() && left.suffix.is_empty(), "{name}");
+        let header = String::from_utf8_lossy(&left.prefix);
+        assert!(header.contains(&format!(" {}\n", left.records)), "{header}");
+    }
+}
+
+#[test]
+fn the_calibrated_image_loses_no_point() {
+    let config =
+        EncoderConfig { projection: ProjectionKind::Calibrated, outliers: None, intensity: true, ..paper() };
+    let stream = encode_files(&named(&SCANS), &config);
+    for ((_, bytes), before) in decode_files(&stream).unwrap().into_iter().zip(SCANS.iter()) {
+        let after = parse("0.bin", bytes).cloud;
+        assert_eq!(after.positions.len(), before.len());
+        let mut sorted = [after.intensity, before.iter().map(|point| point[3]).collect()];
+        sorted.iter_mut().for_each(|values| values.sort_by(f32::total_cmp));
+        assert_eq!(sorted[0], sorted[1]);
+    }
+    assert!(parameters(&stream).iter().all(|p| p.source.is_some_and(|source| source.lost == 0)));
+}
+
+#[test]
+fn odd_scans_are_coded() {
+    let plane = |z: f32| (0..3000).map(move |i| [(i % 60) as f32 * 0.2 + 1.0, (i / 60) as f32 * 0.2, z, 0.5]);
+    let odd: Vec<Points> = vec![
+        vec![],
+        vec![[1.0, 2.0, 0.5, 0.25]],
+        vec![[5.0, 5.0, 0.1, 0.5]; 500],
+        vec![[0.0; 4]; 20],
+        vec![[f32::NAN, 1.0, 1.0, 0.5], [f32::INFINITY, 0.0, 0.0, 0.5], [1e30, 0.0, 0.0, 0.5]],
+        plane(-1.7).collect(),
+        plane(1.0).collect(),
+        random_points(5000, 3),
+    ];
+    for prediction in [Prediction::None, Prediction::Intra] {
+        for outliers in [None, paper().outliers] {
+            keeps_the_image(&named(&odd), &EncoderConfig { prediction, outliers, ..paper() });
+        }
+    }
+}
+
+#[test]
+fn files_that_are_no_scans_come_back() {
+    let files =
+        [("a.pcd".to_owned(), b"VERSION 0.7, but damaged".to_vec()), ("b.bin".to_owned(), vec![1; 5])];
+    round_trip(&files, &paper());
+}
+
+#[test]
+fn every_back_end_is_exact_in_exact_mode() {
+    let mut files = named(&SCANS[..2]);
+    files.push(("x.bin".to_owned(), kitti(&random_points(300, 5))));
+    for coder in coders() {
+        for prediction in [Prediction::None, Prediction::Intra] {
+            round_trip(&files, &EncoderConfig { coder, prediction, ..EncoderConfig::default() });
+        }
+    }
+}
+
+#[test]
+fn real_scans_keep_their_image() {
+    for folder in real_folders().iter().filter(|folder| !folder.ends_with("formats")) {
+        let config = EncoderConfig { projection: image(2000, 10_000), ..paper() };
+        keeps_the_image(&first_files(folder, 1), &config);
+        println!("{}: as expected", folder.display());
+    }
+}
+
+proptest! {
+    #![proptest_config(cases(24))]
+
+    #[test]
+    fn any_scan_keeps_its_image(
+        coordinates in prop::collection::vec(prop::array::uniform3(-4000i16..4000), 0..300),
+        columns in 1u32..400,
+        range_step_um in prop::sample::select(vec![FLOAT_RANGES, 1000, 10_000, 250_000]),
+        backend in prop::sample::select(BACKENDS.iter().map(|backend| backend.id()).collect::<Vec<_>>()),
+        keep_outliers in any::<bool>(),
+    ) {
+        let points: Points = coordinates
+            .iter()
+            .map(|[x, y, z]| [f32::from(*x) * 0.01, f32::from(*y) * 0.01, f32::from(*z) * 0.002, 0.5])
+            .collect();
+        let config = EncoderConfig {
+            projection: image(columns, range_step_um),
+            coder: Coder::Backend(backend),
+            outliers: paper().outliers.filter(|_| !keep_outliers),
+            ..paper()
+        };
+        keeps_the_image(&named(&[points]), &config);
+    }
+}
