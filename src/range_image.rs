@@ -4,6 +4,10 @@
 //! model does not give back to within a few grid units, that fall into a taken cell, or that lie in no
 //! column stay outside, as *strays*.
 
+mod alignment;
+
+pub use alignment::Alignment;
+
 use crate::grid::Grid;
 use crate::scan::PointCloud;
 use crate::sensor::SensorModel;

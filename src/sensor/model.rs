@@ -161,6 +161,11 @@ impl SensorModel {
         self.constants[row].elevation as f64 * ANGLE_UNIT
     }
 
+    /// The height above the scanner's centre at which beam `row` leaves it, in metres.
+    pub fn height(&self, row: usize) -> f64 {
+        self.constants[row].height as f64 * LENGTH_UNIT
+    }
+
     /// The unit vector along which beam `row` looks at azimuth tick `tick`, as if all beams left one
     /// point.
     #[inline]
