@@ -1,21 +1,22 @@
 //! The contour map (article, IV-D.1): which region each return belongs to, as borders and what is
 //! between them. The same functions code it in both directions.
 //!
-//! The image of labels is made whole first: cells without a return take the label to their left. A cell
-//! is on a border if the one to its right or the one below has another label. The bitmap of borders is
-//! coded in blocks of 4 x 4 bits. Cells that are not on a border are filled together with the cells to
-//! their right and below; what is filled together is a *piece*. The region of each piece is coded in
-//! scan order. Single cells between borders, the article's exceptions, are pieces like others.
+//! A return is on a border if the next one to its right or the next one below, however far away, belongs
+//! to another region. The bitmap of borders is coded in blocks of 4 x 4 cells. Returns that are not on
+//! a border are filled together with those to their right and below; what is filled together is a
+//! *piece*. The region of each piece is coded in scan order. Single returns between borders, the article's
+//! exceptions, are pieces like others. The image does not wrap around: the seam is one column of many.
 
 mod borders;
 mod pieces;
+mod returns;
 mod values;
 
 use crate::entropy::BitCoder;
 use crate::error::Result;
 use crate::grid::Grid;
 use borders::BorderModel;
-use pieces::Pieces;
+use returns::Returns;
 use values::ValueModel;
 
 /// What the coder has learned about contour maps.
@@ -27,7 +28,11 @@ pub struct ContourModel {
 
 impl ContourModel {
     /// Codes the labels (rows x columns) of the cells that hold a return. The encoder's must be
-    /// numbered as [`renumber`] does. Returns the number of regions.
+    /// numbered as [`renumber`] does; the decoder's start as any of the same size. Returns the number of
+    /// regions.
+    ///
+    /// Rows should be [aligned](crate::range_image::Alignment::align): borders that run straight down
+    /// are cheap.
     ///
     /// # Errors
     /// If the stream names a region that there is not.
@@ -37,13 +42,18 @@ impl ContourModel {
         occupancy: &Grid<bool>,
         labels: &mut Grid<u32>,
     ) -> Result<u32> {
-        let mut borders = Grid::new(occupancy.rows(), occupancy.columns());
+        let returns = Returns::of(occupancy);
+        let (mut regions_of, mut borders) = (vec![0; returns.len()], Vec::new());
         if C::ENCODES {
-            borders = borders_of(&whole(occupancy, labels));
+            (0..returns.len()).for_each(|number| regions_of[number] = labels[returns.cell(number)]);
+            borders = borders_of(&returns, &regions_of);
         }
-        self.borders.code(coder, occupancy, &mut borders);
-        let pieces = Pieces::fill(&borders);
-        self.values.code(coder, occupancy, &pieces, labels)
+        let borders = self.borders.code(coder, &returns, &borders);
+        let pieces = pieces::fill(&returns, &borders);
+        let regions = self.values.code(coder, &returns, &pieces, &mut regions_of)?;
+        *labels = Grid::new(occupancy.rows(), occupancy.columns());
+        (0..returns.len()).for_each(|number| labels[returns.cell(number)] = regions_of[number]);
+        Ok(regions)
     }
 }
 
@@ -69,37 +79,13 @@ pub fn renumber(occupancy: &Grid<bool>, labels: &mut Grid<u32>) -> Vec<u32> {
     old
 }
 
-/// The labels, with those of empty cells from the left, or from the row above where a row begins.
-fn whole(occupancy: &Grid<bool>, labels: &Grid<u32>) -> Grid<u32> {
-    let mut whole = labels.clone();
-    let mut first = 0;
-    for row in 0..labels.rows() {
-        let mut left = first;
-        for (column, label) in whole.row_mut(row).iter_mut().enumerate() {
-            if occupancy[(row, column)] {
-                left = *label;
-            }
-            *label = left;
-            if column == 0 {
-                first = left;
-            }
-        }
-    }
-    whole
-}
-
-/// Which cells differ from the one to the right or the one below.
-fn borders_of(labels: &Grid<u32>) -> Grid<bool> {
-    let mut borders = Grid::new(labels.rows(), labels.columns());
-    for row in 0..labels.rows() {
-        for column in 0..labels.columns() {
-            let own = labels[(row, column)];
-            let right = column + 1 < labels.columns() && labels[(row, column + 1)] != own;
-            let below = row + 1 < labels.rows() && labels[(row + 1, column)] != own;
-            borders[(row, column)] = right || below;
-        }
-    }
-    borders
+/// Which returns differ from the one to the right or the one below.
+fn borders_of(returns: &Returns, regions_of: &[u32]) -> Vec<bool> {
+    let is_border = |number: usize| {
+        let differs = |other: Option<usize>| other.is_some_and(|o| regions_of[o] != regions_of[number]);
+        differs(returns.right(number)) || differs(returns.below(number))
+    };
+    (0..returns.len()).map(is_border).collect()
 }
 
 #[cfg(test)]

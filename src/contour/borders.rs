@@ -1,117 +1,214 @@
-//! The bitmap of borders, in blocks of 4 x 4.
+//! The bitmap of borders, in blocks of 4 x 4 cells: for each row of blocks first which of them hold a
+//! border, then the bits of those that do, line by line, so that all that is above a bit is known.
 
-use crate::entropy::{AdaptiveBit, BitCoder, MixedBits};
-use crate::grid::Grid;
+use super::returns::Returns;
+use crate::entropy::{BitCoder, MixedBits};
 
 /// Rows and columns of a block.
 const BLOCK: usize = 4;
-const VIEWS: usize = 4;
+/// Opinions that are mixed, those of all views and two more.
 const OPINIONS: usize = 8;
-const VIEW_SIZES: [usize; VIEWS] = [1 << 10, 1 << 10, 128 << 4, 1 << 12];
+const BLOCK_VIEWS: [usize; 4] = [1 << 7, 1 << 9, 32 << 4, 1 << 10];
+const BIT_VIEWS: [usize; 6] = [1 << 10, 1 << 12, 128 << 4, 1 << 12, 1 << 9, 1 << 12];
+/// Rows of blocks beyond this many share their contexts.
+const BLOCK_ROWS: usize = 32;
 /// Beams beyond this many share their contexts.
-const ROW_CONTEXTS: usize = 128;
+const ROWS: usize = 128;
 
 /// What the coder has learned about borders.
 pub struct BorderModel {
-    /// Whether a block has no border, by its neighbours.
-    empty: Vec<AdaptiveBit>,
-    bits: MixedBits<VIEWS, OPINIONS>,
+    blocks: MixedBits<4, OPINIONS>,
+    bits: MixedBits<6, OPINIONS>,
 }
 
 impl Default for BorderModel {
     fn default() -> Self {
         BorderModel {
-            empty: vec![AdaptiveBit::default(); 1 << 5],
-            bits: MixedBits::new(VIEW_SIZES, 64, 0.4, 0.0, 0.005),
+            blocks: MixedBits::new(BLOCK_VIEWS, 32, 0.4, 0.0, 0.005),
+            bits: MixedBits::new(BIT_VIEWS, 64, 0.25, 0.0, 0.01),
         }
     }
+}
+
+/// A row of blocks. Block b is entry b + 1: on both sides there is one more.
+struct Stripe {
+    /// Its first row.
+    top: usize,
+    /// Returns of each block that are not yet coded.
+    to_code: Vec<usize>,
+    /// Whether there is a border; where there are no returns, as in the block to the left.
+    has_border: Vec<bool>,
+    /// Whether one is known.
+    border_seen: Vec<bool>,
+}
+
+impl Stripe {
+    fn new(top: usize, columns: usize) -> Self {
+        let blocks = columns.div_ceil(BLOCK) + 2;
+        Stripe {
+            top,
+            to_code: vec![0; blocks],
+            has_border: vec![false; blocks],
+            border_seen: vec![false; blocks],
+        }
+    }
+}
+
+/// What is known of the bitmap.
+struct Known<'a> {
+    returns: &'a Returns,
+    /// The bit of each return; false where it is not yet coded.
+    bits: Vec<bool>,
+    /// The last bit of each column.
+    last: Vec<bool>,
+    /// The blocks of the row of blocks above.
+    blocks_above: Vec<bool>,
 }
 
 impl BorderModel {
-    /// Codes every cell, block by block.
-    pub fn code<C: BitCoder>(&mut self, coder: &mut C, occupancy: &Grid<bool>, borders: &mut Grid<bool>) {
-        let (rows, columns) = (borders.rows(), borders.columns());
-        let mut empty = Grid::new(rows.div_ceil(BLOCK), columns.div_ceil(BLOCK));
-        for block_row in 0..empty.rows() {
-            for block_column in 0..empty.columns() {
-                let block = (block_row, block_column);
-                let is_empty = !C::ENCODES || cells_of(borders, block).all(|cell| !borders[cell]);
-                let context = block_context(&empty, occupancy, block);
-                empty[block] = self.empty[context].code(coder, is_empty);
-                if !empty[block] {
-                    for cell in cells_of(borders, block) {
-                        borders[cell] = self.code_cell(coder, occupancy, borders, cell);
-                    }
-                }
+    /// Codes which returns are on a border. The encoder's `borders` say so; the decoder's may be empty.
+    pub fn code<C: BitCoder>(&mut self, coder: &mut C, returns: &Returns, borders: &[bool]) -> Vec<bool> {
+        let (rows, columns) = (returns.rows(), returns.columns());
+        let mut known = Known {
+            returns,
+            bits: vec![false; returns.len()],
+            last: vec![false; columns],
+            blocks_above: Stripe::new(0, columns).has_border,
+        };
+        for top in (0..rows).step_by(BLOCK) {
+            let numbers = returns.in_row(top).start..returns.in_row((top + BLOCK).min(rows) - 1).end;
+            let is_border = |number: usize| C::ENCODES && borders[number];
+            let mut stripe = Stripe::new(top, columns);
+            for number in numbers.clone() {
+                let block = known.block_of(number);
+                stripe.to_code[block] += 1;
+                stripe.has_border[block] |= is_border(number);
             }
+            self.code_blocks(coder, &known, &mut stripe);
+            for number in numbers {
+                let block = known.block_of(number);
+                stripe.to_code[block] -= 1;
+                let bit = stripe.has_border[block]
+                    && self.code_bit(coder, &known, &stripe, number, is_border(number));
+                stripe.border_seen[block] |= bit;
+                known.learn(number, bit);
+            }
+            known.blocks_above = stripe.has_border;
+        }
+        known.bits
+    }
+
+    /// Codes which blocks of a row hold a border, where there is any return.
+    fn code_blocks<C: BitCoder>(&mut self, coder: &mut C, known: &Known, stripe: &mut Stripe) {
+        for block in 1..stripe.to_code.len() - 1 {
+            if stripe.to_code[block] == 0 {
+                stripe.has_border[block] = stripe.has_border[block - 1];
+                continue;
+            }
+            let (set, views) = known.around_block(stripe, block);
+            let has_border = self.blocks.code(coder, set, &views, 0.0, stripe.has_border[block]);
+            stripe.has_border[block] = has_border;
         }
     }
 
-    fn code_cell<C: BitCoder>(
+    fn code_bit<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        occupancy: &Grid<bool>,
-        borders: &Grid<bool>,
-        (row, column): (usize, usize),
+        known: &Known,
+        stripe: &Stripe,
+        number: usize,
+        border: bool,
     ) -> bool {
-        let start = column / BLOCK * BLOCK;
-        let at = |up: usize, offset: isize| -> usize {
-            match (row.checked_sub(up), column.checked_add_signed(offset)) {
-                (Some(row), Some(column)) if column < borders.columns() => {
-                    usize::from(borders[(row, column)])
-                }
-                _ => 0,
-            }
-        };
-        // Cells right of the block are known above it only.
-        let right = |up: usize, offset: isize| {
-            let known = row % BLOCK < up || column.wrapping_add_signed(offset) < start + BLOCK;
-            if known { at(up, offset) } else { 0 }
-        };
-        let filled = |down: usize, offset: isize| -> usize {
-            match column.checked_add_signed(offset) {
-                Some(column) if row + down < occupancy.rows() && column < occupancy.columns() => {
-                    usize::from(occupancy[(row + down, column)])
-                }
-                _ => 0,
-            }
-        };
-        let near = at(0, -1) | at(1, 0) << 1 | at(1, -1) << 2 | right(1, 1) << 3;
-        let wide =
-            at(0, -2) | at(2, 0) << 1 | right(1, 2) << 2 | at(1, -2) << 3 | right(2, 1) << 4 | at(2, -1) << 5;
-        let cells =
-            filled(0, 0) | filled(0, 1) << 1 | filled(1, 0) << 2 | filled(1, 1) << 3 | filled(0, -1) << 4;
-        let far = at(0, -3) | at(3, 0) << 1 | at(0, -4) << 2 | right(2, 2) << 3 | at(2, -2) << 4;
-        let views = [
-            near | wide << 4,
-            near | cells << 4 | at(2, 0) << 9,
-            row.min(ROW_CONTEXTS - 1) << 4 | near,
-            near | (wide & 7) << 4 | far << 7,
-        ];
-        let set = near | (wide & 3) << 4;
-        self.bits.code(coder, set, &views, 0.0, borders[(row, column)])
+        let (set, views) = known.around_bit(stripe, number);
+        self.bits.code(coder, set, &views, 0.0, border)
     }
 }
 
-/// What is known of the blocks around one, and whether it holds any return.
-fn block_context(empty: &Grid<bool>, occupancy: &Grid<bool>, (row, column): (usize, usize)) -> usize {
-    let at = |up: usize, offset: isize| -> usize {
-        match (row.checked_sub(up), column.checked_add_signed(offset)) {
-            (Some(row), Some(column)) if column < empty.columns() => usize::from(empty[(row, column)]),
-            _ => 1,
-        }
-    };
-    let filled = cells_of(occupancy, (row, column)).any(|cell| occupancy[cell]);
-    at(0, -1) | at(1, 0) << 1 | at(1, -1) << 2 | at(1, 1) << 3 | usize::from(filled) << 4
+impl Known<'_> {
+    fn block_of(&self, number: usize) -> usize {
+        self.returns.cell(number).1 / BLOCK + 1
+    }
+
+    fn learn(&mut self, number: usize, bit: bool) {
+        self.bits[number] = bit;
+        self.last[self.returns.cell(number).1] = bit;
+    }
+
+    /// The contexts of a block: which blocks around it have borders, and which bits right above it.
+    fn around_block(&self, stripe: &Stripe, block: usize) -> (usize, [usize; BLOCK_VIEWS.len()]) {
+        let left = usize::from(stripe.has_border[block - 1]);
+        let left_of_left = usize::from(block > 1 && stripe.has_border[block - 2]);
+        let above = |block: usize| usize::from(self.blocks_above[block]);
+        let near = left | above(block) << 1 | above(block - 1) << 2 | above(block + 1) << 3;
+        // 1 to 3 returns, 4 to 7, 8 to 15, or all 16.
+        let fill = stripe.to_code[block].ilog2().max(1) as usize - 1;
+        let column = (block - 1) * BLOCK;
+        let bit = |column: usize| usize::from(self.last.get(column).is_some_and(|bit| *bit));
+        let touching = (0..BLOCK).fold(0, |bits, i| bits | bit(column + i) << i);
+        let before = bit(column.wrapping_sub(1)) | bit(column.wrapping_sub(2)) << 1;
+        let after = bit(column + BLOCK) | bit(column + BLOCK + 1) << 1;
+        let row = (stripe.top / BLOCK).min(BLOCK_ROWS - 1);
+        let views = [
+            near | fill << 4 | left_of_left << 6,
+            touching | before << 4 | after << 6 | left << 8,
+            near | row << 4,
+            touching | near << 4 | fill << 8,
+        ];
+        (usize::from(touching > 0) | near << 1, views)
+    }
+
+    /// The contexts of a bit: the bits around it, gaps between the returns, and what its block still lacks.
+    fn around_bit(&self, stripe: &Stripe, number: usize) -> (usize, [usize; BIT_VIEWS.len()]) {
+        let returns = self.returns;
+        let bit = |other: Option<usize>| other.map_or(0, |other| usize::from(self.bits[other]));
+        let left = |of: Option<usize>| of.and_then(|of| returns.left(of));
+        let right = |of: Option<usize>| of.and_then(|of| returns.right(of));
+        let above = |of: Option<usize>| of.and_then(|of| returns.above(of));
+        let (w, n) = (returns.left(number), returns.above(number));
+        let (ww, nn, nw, ne) = (left(w), above(n), left(n), right(n));
+        let nee = right(ne);
+        let near = bit(w) | bit(n) << 1 | bit(nw) << 2 | bit(ne) << 3;
+        let straight = bit(ww) | bit(nn) << 1;
+        let wide = near | straight << 4 | bit(nee) << 6;
+        let (row, column) = returns.cell(number);
+        let block = column / BLOCK + 1;
+        let lacks = usize::from(stripe.border_seen[block]) | stripe.to_code[block] << 1;
+        let beside =
+            usize::from(stripe.has_border[block + 1]) | usize::from(stripe.has_border[block - 1]) << 1;
+        let gaps = Gaps::around(returns, number);
+        let views = [
+            wide | bit(left(nw)) << 7 | bit(right(nn)) << 8 | bit(left(nn)) << 9,
+            near | gaps.ahead << 4 | gaps.behind << 8,
+            near | row.min(ROWS - 1) << 4,
+            wide | bit(left(ww)) << 7 | bit(above(nn)) << 8 | bit(right(nee)) << 9 | (gaps.ahead & 3) << 10,
+            near | lacks << 4,
+            near | beside << 4 | gaps.ahead << 6 | (column % BLOCK) << 10,
+        ];
+        (near | straight << 4, views)
+    }
 }
 
-/// The cells of a block that are in the image, in scan order.
-fn cells_of(
-    grid: &Grid<bool>,
-    (row, column): (usize, usize),
-) -> impl Iterator<Item = (usize, usize)> + use<> {
-    let (rows, columns) = (grid.rows(), grid.columns());
-    let (top, left) = (row * BLOCK, column * BLOCK);
-    (top..(top + BLOCK).min(rows))
-        .flat_map(move |row| (left..(left + BLOCK).min(columns)).map(move |column| (row, column)))
+/// Cells without a return between one return and those around it: none, one, more; 3: there is no return.
+/// Two directions to a number.
+struct Gaps {
+    /// To the right, and below times 4.
+    ahead: usize,
+    /// To the left, and above times 4.
+    behind: usize,
+}
+
+impl Gaps {
+    fn around(returns: &Returns, number: usize) -> Self {
+        let (row, column) = returns.cell(number);
+        let gap = |other: Option<usize>| {
+            other.map_or(3, |other| {
+                let cell = returns.cell(other);
+                (cell.0.abs_diff(row) + cell.1.abs_diff(column) - 1).min(2)
+            })
+        };
+        Gaps {
+            ahead: gap(returns.right(number)) | gap(returns.below(number)) << 2,
+            behind: gap(returns.left(number)) | gap(returns.above(number)) << 2,
+        }
+    }
 }

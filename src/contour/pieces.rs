@@ -1,56 +1,34 @@
 //! The pieces between borders.
 
-use crate::grid::Grid;
+use super::returns::Returns;
 
-/// Which piece each cell belongs to.
-pub struct Pieces {
-    columns: usize,
-    /// For each cell the first cell of its piece, row after row.
-    first: Vec<u32>,
+/// Which piece each return belongs to: fills between the borders. A return that is not on a border is of
+/// one piece with those to its right and below. A piece is named by its first return.
+pub fn fill(returns: &Returns, borders: &[bool]) -> Vec<u32> {
+    let mut first: Vec<u32> = (0..returns.len() as u32).collect();
+    for number in (0..returns.len()).filter(|&number| !borders[number]) {
+        for other in [returns.right(number), returns.below(number)].into_iter().flatten() {
+            join(&mut first, number as u32, other as u32);
+        }
+    }
+    // The first return of a piece is never after another, so one pass is enough.
+    for number in 0..first.len() {
+        first[number] = first[first[number] as usize];
+    }
+    first
 }
 
-impl Pieces {
-    /// Fills: a cell that is not on a border is of one piece with the cells to its right and below.
-    pub fn fill(borders: &Grid<bool>) -> Self {
-        let (rows, columns) = (borders.rows(), borders.columns());
-        let mut first: Vec<u32> = (0..(rows * columns) as u32).collect();
-        for (cell, _) in borders.cells().iter().enumerate().filter(|(_, border)| !**border) {
-            if (cell + 1) % columns != 0 {
-                join(&mut first, cell as u32, cell as u32 + 1);
-            }
-            if cell + columns < first.len() {
-                join(&mut first, cell as u32, (cell + columns) as u32);
-            }
-        }
-        // The first cell of a piece is never after the cell, so one pass is enough.
-        for cell in 0..first.len() {
-            first[cell] = first[first[cell] as usize];
-        }
-        Pieces { columns, first }
-    }
-
-    /// The first cell of the piece, as a number in scan order.
-    pub fn of(&self, (row, column): (usize, usize)) -> usize {
-        self.first[row * self.columns + column] as usize
-    }
-
-    /// Cells of the image.
-    pub fn cells(&self) -> usize {
-        self.first.len()
-    }
-}
-
-/// Makes one piece of those of two cells; the earlier first cell stays the first.
+/// Makes one piece of those of two returns; the earlier first one stays the first.
 fn join(first: &mut [u32], a: u32, b: u32) {
     let (a, b) = (root(first, a), root(first, b));
     first[a.max(b) as usize] = a.min(b);
 }
 
-/// The first cell of a piece; the way to it is halved.
-fn root(first: &mut [u32], mut cell: u32) -> u32 {
-    while first[cell as usize] != cell {
-        first[cell as usize] = first[first[cell as usize] as usize];
-        cell = first[cell as usize];
+/// The first return of the piece; the way to it is halved.
+fn root(first: &mut [u32], mut number: u32) -> u32 {
+    while first[number as usize] != number {
+        first[number as usize] = first[first[number as usize] as usize];
+        number = first[number as usize];
     }
-    cell
+    number
 }

@@ -39,6 +39,8 @@ fn odd_maps_come_back() {
     assert!(comes_back(&all, &grid(64, 100, |_, _| 5)) < 40, "one region");
     comes_back(&all, &grid(64, 100, |r, c| (r * 100 + c) as u32));
     comes_back(&all, &grid(64, 100, |r, c| 1 + (r + c) as u32 % 2));
+    // More rows than have contexts of their own.
+    comes_back(&grid(300, 20, |r, c| (r * c) % 5 > 0), &grid(300, 20, |r, c| (r / 7 + c / 3) as u32));
 }
 
 #[test]
@@ -52,6 +54,22 @@ fn numbers_are_in_order_of_appearance() {
     let mut labels = grid(2, 3, |r, c| [[8, 7, 7], [9, 3, 7]][r][c]);
     assert_eq!(renumber(&occupancy, &mut labels), [7, 9, 3]);
     assert_eq!(labels.cells(), [0, 1, 1, 2, 3, 1]);
+}
+
+#[test]
+fn cells_without_a_return_cost_nothing() {
+    // A wall of three regions, whole and with two returns of three missing.
+    let labels = grid(60, 300, |r, c| (c + r / 10) as u32 / 110);
+    let sparse = grid(60, 300, |r, c| (r + c) % 3 == 0);
+    let whole = grid(60, 300, |_, _| true);
+    assert!(comes_back(&sparse, &labels) <= comes_back(&whole, &labels) + 10);
+}
+
+#[test]
+fn what_borders_imply_costs_nothing() {
+    // A staircase from one region to another: wherever a piece begins, the border tells of which it is.
+    let stairs = grid(64, 64, |r, c| u32::from(r + c >= 64));
+    assert!(comes_back(&grid(64, 64, |_, _| true), &stairs) < 60);
 }
 
 proptest! {

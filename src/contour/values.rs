@@ -1,14 +1,13 @@
 //! Which region each piece belongs to.
 
-use super::pieces::Pieces;
+use super::returns::Returns;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::error::{Error, Result};
-use crate::grid::Grid;
 
 /// Regions used last that have short names.
 const RECENT: usize = 4;
 /// Kinds of surroundings.
-const CONTEXTS: usize = 8;
+const CONTEXTS: usize = 1 << 5;
 
 /// What the coder has learned about the regions of pieces.
 #[derive(Default)]
@@ -21,53 +20,40 @@ pub struct ValueModel {
     back: IntegerModel,
 }
 
-/// The regions of returns around one; 0 = none.
+/// The regions around a piece where it begins.
 struct Around {
-    left: u32,
-    above: u32,
-    above_right: u32,
-}
-
-impl Around {
-    /// What is known before a piece's region is: how its neighbours' compare.
-    fn context(&self) -> usize {
-        usize::from(self.left == self.above)
-            | usize::from(self.above == self.above_right) << 1
-            | usize::from(self.left == self.above_right) << 2
-    }
+    /// Those of the returns to the left, above, and above to the right, if it may belong to them. No two are
+    /// the same; 0 = none.
+    candidates: [u32; 3],
+    /// Those that it does not belong to, as the borders say; 0 = none.
+    ruled_out: [u32; 2],
+    /// How those around it compare.
+    context: usize,
 }
 
 impl ValueModel {
-    /// Codes the region of each piece where it first holds a return. Regions are numbered from 1 on as
-    /// they appear. Returns how many there are.
+    /// Codes the region of each piece where it begins, and gives it to all its returns. Regions are
+    /// numbered from 1 on as they appear. Returns how many there are.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        occupancy: &Grid<bool>,
-        pieces: &Pieces,
-        labels: &mut Grid<u32>,
+        returns: &Returns,
+        pieces: &[u32],
+        regions_of: &mut [u32],
     ) -> Result<u32> {
-        let mut region_of = vec![0u32; pieces.cells()];
-        let mut above = vec![0u32; occupancy.columns() + 1];
         let mut recent = [0u32; RECENT];
         let mut regions = 0;
-        for row in 0..occupancy.rows() {
-            let mut left = 0;
-            for column in 0..occupancy.columns() {
-                let cell = (row, column);
-                if !occupancy[cell] {
-                    labels[cell] = 0;
-                    continue;
-                }
-                let region = &mut region_of[pieces.of(cell)];
-                if *region == 0 {
-                    let around = Around { left, above: above[column], above_right: above[column + 1] };
-                    *region = self.code_region(coder, &around, &recent, regions, labels[cell])?;
-                    regions = regions.max(*region);
-                    keep_recent(&mut recent, *region);
-                }
-                (labels[cell], left, above[column]) = (*region, *region, *region);
+        for number in 0..returns.len() {
+            let first = pieces[number] as usize;
+            if first < number {
+                regions_of[number] = regions_of[first];
+                continue;
             }
+            let around = Around::of(returns, pieces, regions_of, number);
+            let region = self.code_region(coder, &around, &recent, regions, regions_of[number])?;
+            regions_of[number] = region;
+            regions = regions.max(region);
+            keep_recent(&mut recent, region);
         }
         Ok(regions)
     }
@@ -80,23 +66,19 @@ impl ValueModel {
         regions: u32,
         region: u32,
     ) -> Result<u32> {
-        let context = around.context();
-        let Around { left, above, above_right } = *around;
-        if left > 0 && self.is_left[context].code(coder, region == left) {
-            return Ok(left);
-        }
-        if above > 0 && above != left && self.is_above[context].code(coder, region == above) {
-            return Ok(above);
-        }
-        let other = above_right > 0 && above_right != above && above_right != left;
-        if other && self.is_above_right[context].code(coder, region == above_right) {
-            return Ok(above_right);
+        let Around { candidates, ruled_out, context } = *around;
+        let models = [&mut self.is_left, &mut self.is_above, &mut self.is_above_right];
+        for (model, candidate) in models.into_iter().zip(candidates) {
+            if candidate > 0 && model[context].code(coder, region == candidate) {
+                return Ok(candidate);
+            }
         }
         if self.is_new[context].code(coder, region > regions) {
             return Ok(regions + 1);
         }
         for (model, &candidate) in self.is_recent.iter_mut().zip(recent) {
-            let excluded = [0, left, above].contains(&candidate) || (other && candidate == above_right);
+            let excluded =
+                candidate == 0 || candidates.contains(&candidate) || ruled_out.contains(&candidate);
             if !excluded && model.code(coder, region == candidate) {
                 return Ok(candidate);
             }
@@ -105,6 +87,41 @@ impl ValueModel {
         let back = u32::try_from(back).ok().filter(|back| *back < regions);
         back.map(|back| regions - back)
             .ok_or_else(|| Error::corrupt("contour map: a region that is not there"))
+    }
+}
+
+impl Around {
+    fn of(returns: &Returns, pieces: &[u32], regions_of: &[u32], number: usize) -> Self {
+        let (left, above) = (returns.left(number), returns.above(number));
+        let right_of = |other: Option<usize>| other.and_then(|other| returns.right(other));
+        let left_of = |other: Option<usize>| other.and_then(|other| returns.left(other));
+        // Pieces that begin later have no region yet.
+        let region = |other: Option<usize>| {
+            let first = other.map(|other| pieces[other] as usize).filter(|&first| first < number);
+            first.map_or(0, |first| regions_of[first])
+        };
+        let [l, a, ar, al] = [left, above, right_of(above), left_of(above)].map(region);
+        let begins_at = |other: Option<usize>| other.is_some_and(|other| pieces[other] as usize == number);
+        let is_more = begins_at(right_of(Some(number))) || begins_at(returns.below(number));
+        let context = usize::from(l == a)
+            | usize::from(a == ar) << 1
+            | usize::from(l == ar) << 2
+            | usize::from(l == al) << 3
+            | usize::from(is_more) << 4;
+        // The return before a new piece is on a border: if all else that it borders on is of its own
+        // region, the piece is not.
+        let alone = |own: u32, beside: Option<usize>| beside.is_none_or(|_| region(beside) == own);
+        let below_left = left.and_then(|left| returns.below(left));
+        let not_left = if alone(l, below_left) { l } else { 0 };
+        let not_above = if alone(a, right_of(above)) { a } else { 0 };
+        let ruled_out = [not_left, not_above];
+        let mut candidates = [l, a, ar];
+        for i in 0..candidates.len() {
+            if ruled_out.contains(&candidates[i]) || candidates[..i].contains(&candidates[i]) {
+                candidates[i] = 0;
+            }
+        }
+        Around { candidates, ruled_out, context }
     }
 }
 
