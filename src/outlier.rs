@@ -1,5 +1,6 @@
 //! The radius outlier filter (article, III-A, equation 1; R. B. Rusu's RadiusOutlierRemoval).
 
+use std::collections::HashMap;
 use std::num::NonZero;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -30,20 +31,56 @@ impl RadiusOutlier {
     }
 
     /// For each point, whether at least n others are near. Points with a coordinate that is NaN or
-    /// infinite have no neighbours, and are none.
+    /// infinite have no neighbours, and are none; they never stay.
     pub fn keeps(&self, positions: &[[f32; 3]]) -> Vec<bool> {
         let finite: Vec<[f32; 3]> = positions.iter().copied().filter(is_finite).collect();
+        if self.neighbours >= finite.len() {
+            return vec![false; positions.len()];
+        }
+        let voxels = Voxels::of(&finite, self.radius_m);
         let Ok(tree) = ImmutableKdTree::<f32, 3>::new_from_slice(&finite) else {
-            return vec![self.neighbours == 0; positions.len()];
+            return vec![false; positions.len()];
         };
         // A point finds itself too.
         let wanted = NonZero::<usize>::MIN.saturating_add(self.neighbours);
         let squared = (self.radius_m * self.radius_m) as f32;
         let has_neighbours = |point: &[f32; 3]| {
             let found = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).within(squared);
-            found.execute().len() >= wanted.get()
+            voxels.points_with(point) >= wanted.get() || found.execute().len() >= wanted.get()
         };
         positions.iter().map(|point| is_finite(point) && has_neighbours(point)).collect()
+    }
+}
+
+/// Counts of the points in cubes so small that all in one are near each other. Most points of a scan
+/// need no search: and a search among thousands of equal points, such as the (0, 0, 0) that some
+/// files hold for beams without a return, takes forever.
+struct Voxels {
+    /// Metres.
+    edge: f64,
+    counts: HashMap<[i64; 3], usize>,
+}
+
+impl Voxels {
+    fn of(points: &[[f32; 3]], radius_m: f64) -> Self {
+        // The diagonal is a thousandth shorter than the radius, more than rounding can make of it.
+        let mut voxels = Voxels { edge: radius_m * (0.999 / 3.0f64.sqrt()), counts: HashMap::new() };
+        for voxel in points.iter().filter_map(|point| voxels.voxel(point)).collect::<Vec<_>>() {
+            *voxels.counts.entry(voxel).or_default() += 1;
+        }
+        voxels
+    }
+
+    /// How many points are in a point's cube; 0 if it is in none.
+    fn points_with(&self, point: &[f32; 3]) -> usize {
+        self.voxel(point).and_then(|voxel| self.counts.get(&voxel)).copied().unwrap_or(0)
+    }
+
+    /// None where numbers get too coarse to tell cubes apart.
+    fn voxel(&self, point: &[f32; 3]) -> Option<[i64; 3]> {
+        const MOST: f64 = (1u64 << 40) as f64;
+        let places = point.map(|value| (f64::from(value) / self.edge).floor());
+        places.iter().all(|place| place.abs() < MOST).then(|| places.map(|place| place as i64))
     }
 }
 
@@ -70,12 +107,25 @@ mod tests {
         let filter = RadiusOutlier::default();
         assert_eq!(filter.keeps(&[]), [false; 0]);
         assert_eq!(filter.keeps(&[[1.0; 3]]), [false]);
-        assert_eq!(filter.keeps(&[[1.0; 3]; 100]), [true; 100]);
+        assert_eq!(filter.keeps(&[[1.0; 3]; 20_000]), [true; 20_000]);
         assert_eq!(
             filter.keeps(&[[f32::NAN, 0.0, 0.0], [0.0; 3], [0.0; 3], [0.0; 3]]),
             [false, true, true, true]
         );
         assert_eq!(filter.keeps(&[[f32::INFINITY; 3]; 5]), [false; 5]);
+        assert_eq!(filter.keeps(&[[3e38; 3], [3e38; 3], [3e38; 3], [-3e38; 3]]), [true, true, true, false]);
+    }
+
+    #[test]
+    fn odd_settings_are_followed() {
+        let points = [[1.0; 3], [1.0; 3], [1.0, 1.0, 1.5], [f32::NAN; 3]];
+        let keeps = |neighbours, radius_m| RadiusOutlier { neighbours, radius_m }.keeps(&points);
+        assert_eq!(keeps(0, 0.1), [true, true, true, false]);
+        assert_eq!(keeps(1, 0.0), [true, true, false, false]);
+        assert_eq!(keeps(2, f64::INFINITY), [true, true, true, false]);
+        assert_eq!(keeps(3, 10.0), [false; 4]);
+        assert_eq!(keeps(usize::MAX, 10.0), [false; 4]);
+        assert_eq!(RadiusOutlier { neighbours: 0, radius_m: 1.0 }.keeps(&[[f32::NAN; 3]]), [false]);
     }
 
     #[test]
