@@ -39,3 +39,4 @@ pub mod synth;
 
 pub mod bench;
 pub mod metrics;
+pub mod picture;

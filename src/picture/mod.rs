@@ -1,0 +1,16 @@
+//! Pictures of a frame: range image, occupancy, labels, prediction, residual, error, and the points
+//! from above. Pure functions from plain data; what they draw is for the eye only.
+
+mod bird;
+mod cells;
+mod colour;
+mod font;
+mod legend;
+mod painting;
+mod scale;
+
+pub use bird::BirdsEye;
+pub use cells::{LabelStyle, Zoom, error, labels, occupancy, range, residual};
+pub use colour::Rgb;
+pub use painting::{Picture, stack};
+pub use scale::Scale;
