@@ -12,6 +12,7 @@ use common::{drives, points};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidarpc::bitstream::FrameHeader;
 use lidarpc::codec::group::{GroupDecoder, GroupEncoder};
+use lidarpc::codec::{EncoderConfig, StepReport};
 use lidarpc::error::Limits;
 use lidarpc::scan::ScanFile;
 use lidarpc::sensor::{SensorModel, fit};
@@ -34,18 +35,23 @@ fn measure(
     sensor: Option<&SensorModel>,
     scans: &[ScanFile],
 ) {
+    let config = EncoderConfig::default();
     let encode = || {
-        let mut encoder = GroupEncoder::new(sensor);
-        scans.iter().map(|scan| encoder.encode_frame(scan).unwrap()).collect::<Vec<_>>()
+        let mut encoder = GroupEncoder::new(sensor, &config);
+        let mut encode = |scan: &ScanFile| {
+            let header = FrameHeader { point_count: scan.records as u64, ..FrameHeader::default() };
+            encoder.encode_frame(scan, header).unwrap()
+        };
+        scans.iter().map(&mut encode).collect::<Vec<_>>()
     };
     let coded = encode();
     group.bench_function(format!("encode/{kind}"), |b| b.iter(encode));
     group.bench_function(format!("decode/{kind}"), |b| {
         b.iter(|| {
             let mut decoder = GroupDecoder::new(sensor, &Limits::default());
-            for (scan, sections) in scans.iter().zip(&coded) {
-                let header = FrameHeader { point_count: scan.records as u64, ..FrameHeader::default() };
-                black_box(decoder.decode_frame(&header, sections).unwrap());
+            let mut steps = StepReport::default();
+            for frame in &coded {
+                black_box(decoder.decode_frame(&frame.header, &frame.sections, &mut steps).unwrap());
             }
         });
     });

@@ -15,7 +15,7 @@ use lidarpc::context::{
 };
 use lidarpc::entropy::ArithmeticEncoder;
 use lidarpc::grid::Grid;
-use lidarpc::range_image::{Projection, project};
+use lidarpc::range_image::{EXACT_RANGE_BITS, Projection, project};
 use lidarpc::sensor::{SensorModel, fit};
 
 fn stages(c: &mut Criterion) {
@@ -60,7 +60,8 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &SensorModel) 
     group.bench_function("range", |b| {
         b.iter(|| {
             let mut model = RangeModel::default();
-            model.code(&mut encoder(), &occupancy, &no_intensity, &mut image.steps.clone());
+            let steps = &mut image.steps.clone();
+            model.code(&mut encoder(), &occupancy, &no_intensity, EXACT_RANGE_BITS, steps);
         });
     });
     group.bench_function("correction", |b| {

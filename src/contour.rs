@@ -20,7 +20,7 @@ use returns::Returns;
 use values::ValueModel;
 
 /// What the coder has learned about contour maps.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct ContourModel {
     borders: BorderModel,
     values: ValueModel,

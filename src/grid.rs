@@ -38,6 +38,11 @@ impl<T: Clone + Default> Grid<T> {
     pub fn cells(&self) -> &[T] {
         &self.cells
     }
+
+    /// A table of the same shape, each value made from the one here.
+    pub fn map<U>(&self, of: impl FnMut(&T) -> U) -> Grid<U> {
+        Grid { rows: self.rows, columns: self.columns, cells: self.cells.iter().map(of).collect() }
+    }
 }
 
 impl<T> std::ops::Index<(usize, usize)> for Grid<T> {

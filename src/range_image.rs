@@ -32,6 +32,11 @@ impl RangeImage {
         self.steps.cells().iter().filter(|&&steps| steps > 0).count()
     }
 
+    /// Which cells hold a return.
+    pub fn occupancy(&self) -> Grid<bool> {
+        self.steps.map(|&steps| steps > 0)
+    }
+
     /// The returns in the order in which a file holds them: row by row, by the azimuth that the
     /// formula gives.
     pub fn file_order(&self, sensor: &SensorModel) -> Vec<Return> {

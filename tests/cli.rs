@@ -550,11 +550,28 @@ fn wrong_usage_is_exit_code_2() {
         "decode out.lpc",
         "decode out.lpc -o back --frames 5..5",
         "decode out.lpc -o back --frames five",
+        "encode seq -o new.lpc --mode paper --backend gzip",
+        "encode seq -o new.lpc --mode paper --level 10",
+        "encode seq -o new.lpc --level 5",
+        "encode seq -o new.lpc --packing planes",
+        "encode seq -o new.lpc --step 1cm",
+        "encode seq -o new.lpc --intensity none",
+        "encode seq -o new.lpc --predict intra",
+        "encode seq -o new.lpc --mode paper --step 1",
+        "encode seq -o new.lpc --mode paper --columns 0",
+        "encode seq -o new.lpc --mode paper --cluster-angle 91",
+        "encode seq -o new.lpc --mode paper --lambda nan",
+        "encode seq -o new.lpc --mode paper --step float --backend context",
+        "encode seq -o new.lpc --mode paper --step float --regions fitted",
+        "stats out.lpc --steps --against seq",
+        "view out.lpc",
+        "view out.lpc -o out.png --kind x-ray",
+        "view out.lpc -o out.png --scale 0",
     ] {
         bench.command(args).assert().code(2);
     }
     assert_eq!(bench.names("."), ["out.lpc", "seq"]);
-    for command in ["", "encode", "decode", "stats", "info", "verify", "synth"] {
+    for command in ["", "encode", "decode", "stats", "info", "verify", "view", "bench", "synth"] {
         bench.command(&format!("{command} --help")).assert().success();
     }
 }
@@ -588,4 +605,102 @@ fn a_synthetic_drive_is_repeatable() {
     bench.ok("encode a -o a.lpc --verify");
     bench.ok("verify a.lpc --against a");
     bench.command("synth -o a --frames 2").assert().code(1);
+}
+
+/// A drive of two scans, in `drive`.
+fn driven() -> Bench {
+    let bench = Bench::new();
+    bench.ok("synth -o drive --frames 2");
+    bench
+}
+
+#[test]
+fn paper_mode_says_what_it_lost() {
+    let bench = driven();
+    bench.ok("encode drive -o p.lpc --mode paper --step 1cm --columns 500 --backend zstd --level 2 --verify");
+    let info = bench.json("info p.lpc --json");
+    assert_eq!(info["frames"][0]["coding"], "range image, intra, snake, zstd, varint");
+    let stats = bench.json("stats p.lpc --against drive --json");
+    let counts = ["points", "outliers_dropped", "points_lost"].map(|name| stats[name].as_u64().unwrap());
+    assert!(counts[1] > 0 && counts[2] > 0, "{stats}");
+    assert_eq!(counts[0] - counts[1] - counts[2], info["points"].as_u64().unwrap());
+    let rmse = stats["against"]["decoded_to_original_rmse_m"].as_f64().unwrap();
+    assert!((0.001..0.5).contains(&rmse), "{stats}");
+
+    bench.ok("encode drive -o n.lpc --mode paper --predict none --no-snake --keep-outliers --packing varint");
+    let frame = bench.json("info n.lpc --json")["frames"][0].clone();
+    assert_eq!(frame["coding"], "range image, lzma, varint");
+    assert_eq!(bench.json("stats n.lpc --json")["outliers_dropped"], 0);
+}
+
+#[test]
+fn the_smaller_prediction_is_taken() {
+    let bench = driven();
+    let size = |predict: &str| {
+        bench
+            .ok(&format!("encode drive -o {predict}.lpc --mode paper --backend deflate --predict {predict}"));
+        fs::metadata(bench.path(&format!("{predict}.lpc"))).unwrap().len()
+    };
+    assert!(size("auto") <= size("none").min(size("intra")));
+}
+
+#[test]
+fn steps_add_up_to_the_sections() {
+    let bench = driven();
+    bench.ok("encode drive -o p.lpc --mode paper --columns 500");
+    let of_scans = bench.json("stats drive --steps --mode paper --columns 500 --json");
+    let of_stream = bench.json("stats p.lpc --steps --json");
+    assert_eq!(of_scans["bytes"], of_stream["bytes"]);
+    assert!(of_stream.get("encoding_seconds").is_none());
+    let bytes = |name: &str| of_stream["bytes"][name].as_f64().unwrap();
+    let parts: f64 = ["contour_map", "side_data", "ranges", "rest"].map(bytes).iter().sum();
+    assert!((parts - bytes("after_coding")).abs() < 1e-6);
+    assert_eq!(bytes("after_conversion"), 4.0 * 64.0 * 500.0);
+    assert!(bytes("contour_map") > 0.0 && bytes("after_coding") < bytes("after_prediction"));
+    let text = String::from_utf8(bench.ok("stats p.lpc --steps")).unwrap();
+    assert!(text.contains("contour map") && text.contains("clustering"), "{text}");
+}
+
+#[test]
+fn bench_tells_what_prediction_is_worth() {
+    let bench = driven();
+    let figure = bench.json("bench drive --quick --json --columns 300 --step 2cm");
+    assert_eq!(figure["frames"], 2);
+    let backends = figure["backends"].as_array().unwrap();
+    assert_eq!(backends.len(), 10);
+    for backend in backends {
+        let sizes = backend.as_object().unwrap().values().filter_map(Value::as_f64);
+        assert!(sizes.clone().count() == 6 && sizes.clone().all(|bytes| bytes > 1000.0), "{backend}");
+    }
+    let text = String::from_utf8(bench.ok("bench drive --quick --columns 300")).unwrap();
+    assert!(text.contains("lizard") && text.contains('%'), "{text}");
+}
+
+#[test]
+fn frames_are_drawn() {
+    let bench = driven();
+    bench.ok("encode drive -o p.lpc --mode paper --columns 300");
+    let png = b"\x89PNG\r\n\x1a\n";
+    let draw = |what: &str| {
+        bench.ok(&format!("view {what} -o out.png --force"));
+        let picture = fs::read(bench.path("out.png")).unwrap();
+        assert!(picture.starts_with(png), "{what}");
+        picture
+    };
+    let all = ["range", "occupancy", "labels", "regions", "prediction", "residual", "birds-eye", "all"]
+        .map(|kind| draw(&format!("p.lpc --kind {kind} --frame 1")));
+    for (place, picture) in all.iter().enumerate() {
+        assert!(!all[..place].contains(picture), "two kinds look alike");
+    }
+    assert_eq!(draw("drive --mode paper --columns 300 --frame 1"), all[7]);
+    assert_ne!(draw("p.lpc --frame 1 --scale 2"), all[7]);
+    assert!(bench.ok("view p.lpc --kind range -o -").starts_with(png));
+    assert!(bench.fails("view p.lpc --frame 2 -o new.png", "p.lpc").contains("only frames 0 to 1"));
+    assert!(bench.fails("view drive --frame 2 -o new.png", "drive").contains("only frames 0 to 1"));
+    assert!(bench.fails("view p.lpc -o out.png", "out.png").contains("--force"));
+
+    fs::write(bench.path("few.bin"), scan(2, 1)).unwrap();
+    bench.ok("view few.bin --kind birds-eye -o few.png");
+    assert!(bench.fails("view few.bin -o none.png", "few.bin").contains("no range image"));
+    assert!(!bench.path("new.png").exists() && !bench.path("none.png").exists());
 }

@@ -8,9 +8,9 @@ use std::sync::LazyLock;
 use common::formats::{kitti, pcd_extra, pcd_text};
 use common::scans::{Random, random_points, scans, small};
 use common::{File, cases, decode_files, decode_within, encode_files, put_together, take_apart};
-use lidarpc::backend::BACKENDS;
+use lidarpc::backend::{self, BACKENDS};
 use lidarpc::bitstream::{Group, Section, SectionKind};
-use lidarpc::codec::{Coder, EncoderConfig, Mode, Prediction, ProjectionKind};
+use lidarpc::codec::{Coder, EncoderConfig, Mode, ProjectionKind};
 use lidarpc::context::{ByteModel, ColumnModel};
 use lidarpc::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
 use lidarpc::error::Limits;
@@ -44,7 +44,7 @@ static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
     let mut streams = vec![
         coded(&scanner, EncoderConfig::default()),
         coded(&others, EncoderConfig::default()),
-        coded(&scanner, EncoderConfig { prediction: Prediction::Intra, ..with_back_end(0) }),
+        coded(&scanner, with_back_end(backend::LZMA)),
     ];
     streams.extend(BACKENDS.iter().map(|backend| coded(&scanner[..1], with_back_end(backend.id()))));
     streams

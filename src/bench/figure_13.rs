@@ -10,7 +10,7 @@ use crate::grid::Grid;
 use crate::prediction::intra::IntraPrediction;
 use crate::prediction::surface::SurfaceCoder;
 use crate::prediction::{Predictor, Rays};
-use crate::range_image::{RangeImage, project_nearest};
+use crate::range_image::project_nearest;
 use crate::scan::PointCloud;
 use crate::segmentation::segment;
 use crate::sensor::{FLOAT_RANGES, SensorModel, ideal};
@@ -93,7 +93,7 @@ impl<'a> Figure13Bench<'a> {
         let filtered = self.config.outliers.map(|filter| filter.filter(cloud));
         let cloud = filtered.as_ref().unwrap_or(cloud);
         let image = project_nearest(&self.sensor, cloud).image;
-        let occupancy = occupancy_of(&image);
+        let occupancy = image.occupancy();
         let rays = Rays::of(&self.sensor, &image.columns);
         let segmentation = segment(&image.steps, &image.columns, &self.sensor, &self.config.segmentation);
         let mut intra =
@@ -166,14 +166,4 @@ impl SideCoder {
         intra.code_models(&mut self.surfaces, &mut coder);
         Ok(coder.finish().len() as u64)
     }
-}
-
-fn occupancy_of(image: &RangeImage) -> Grid<bool> {
-    let mut occupancy = Grid::new(image.steps.rows(), image.steps.columns());
-    for row in 0..image.steps.rows() {
-        for (filled, steps) in occupancy.row_mut(row).iter_mut().zip(image.steps.row(row)) {
-            *filled = *steps > 0;
-        }
-    }
-    occupancy
 }

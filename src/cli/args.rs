@@ -7,6 +7,7 @@ use lidarpc::codec::FrameRange;
 use lidarpc::synth::SynthConfig;
 
 use super::coding::CodingArgs;
+use super::view::Kind;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -42,6 +43,8 @@ pub enum Command {
     Info(InfoArgs),
     /// Check a file: every checksum, and that every frame decodes.
     Verify(VerifyArgs),
+    /// Draw a frame as a PNG: its range image, regions, prediction, or the points from above.
+    View(ViewArgs),
     /// Run the article's experiments on scans: what prediction is worth to each back-end (Figure 13).
     Bench(BenchArgs),
     /// Write a synthetic drive: KITTI .bin scans of a simulated HDL-64E.
@@ -162,6 +165,39 @@ pub struct VerifyArgs {
     pub against: Vec<PathBuf>,
     #[command(flatten)]
     pub threads: Threads,
+}
+
+const VIEW_EXAMPLES: &str = "\
+Examples:
+  lidarpc view drive.lpc -o frame.png
+  lidarpc view drive/ --mode paper --frame 7 --kind labels -o labels.png
+  lidarpc view drive.lpc --kind birds-eye -o above.png";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = VIEW_EXAMPLES)]
+pub struct ViewArgs {
+    /// Stream, or folder of scans, or scan, which is coded in memory as the options below say; `-` for a
+    /// stream from stdin.
+    #[arg(value_name = "INPUT")]
+    pub input: PathBuf,
+    /// Picture to write; `-` for stdout.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// Frame to draw, the first being 0.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub frame: u64,
+    /// What to draw.
+    #[arg(long, value_enum, default_value = "all")]
+    pub kind: Kind,
+    /// Pixels that a column of the range image is wide, and a quarter of what a row is high. Default:
+    /// as makes the picture about 1500 pixels wide.
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(1..=16))]
+    pub scale: Option<u16>,
+    /// Overwrite the picture if it exists.
+    #[arg(short, long)]
+    pub force: bool,
+    #[command(flatten)]
+    pub coding: CodingArgs,
 }
 
 #[derive(Debug, clap::Args)]

@@ -3,14 +3,14 @@
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueEnum};
 use lidarpc::backend::{self, Level};
-use lidarpc::codec::{Coder, EncoderConfig, Mode, Prediction, ProjectionKind};
+use lidarpc::codec::{Coder, EncoderConfig, Mode, Prediction, PredictionChoice, ProjectionKind};
 use lidarpc::error::{Error, Result};
-use lidarpc::outlier::RadiusOutlier;
 use lidarpc::residual::Packing;
 use lidarpc::sensor::FLOAT_RANGES;
 
 use super::args::Threads;
 use super::length::Length;
+use super::regions::RegionArgs;
 
 /// How to code. What is not given is as the mode has it.
 #[derive(Clone, Debug, Args)]
@@ -24,9 +24,13 @@ pub struct CodingArgs {
     /// Effort of a general-purpose back-end, 1 (fast) to 9 (small).
     #[arg(long, value_name = "1..9")]
     pub level: Option<u8>,
-    /// What ranges are predicted from.
+    /// What ranges are predicted from before a general-purpose back-end.
     #[arg(long, value_enum, value_name = "FROM")]
     pub predict: Option<PredictArg>,
+    /// Give a general-purpose back-end what prediction leaves as it is, not as the differences along the
+    /// snake's path.
+    #[arg(long)]
+    pub no_snake: bool,
     /// How residuals are laid out for a general-purpose back-end.
     #[arg(long, value_name = "NAME", value_parser = packing_names())]
     pub packing: Option<String>,
@@ -55,6 +59,8 @@ pub struct CodingArgs {
     /// How far neighbours are at most.
     #[arg(long, value_name = "LENGTH", help_heading = "Paper mode")]
     pub outlier_radius: Option<Length>,
+    #[command(flatten)]
+    pub regions: RegionArgs,
 }
 
 /// What decoding promises.
@@ -73,6 +79,8 @@ pub enum PredictArg {
     None,
     /// Ground and objects.
     Intra,
+    /// Of these, what makes each frame smallest.
+    Auto,
 }
 
 /// Which range image.
@@ -151,6 +159,7 @@ impl CodingArgs {
         self.choose_coder(&mut config)?;
         self.choose_image(&mut config)?;
         self.choose_outliers(&mut config);
+        self.regions.choose(&mut config);
         config.check()?;
         Ok(config)
     }
@@ -165,9 +174,16 @@ impl CodingArgs {
         }
         if let Some(predict) = self.predict {
             config.prediction = match predict {
-                PredictArg::None => Prediction::None,
-                PredictArg::Intra => Prediction::Intra,
+                PredictArg::None => PredictionChoice::Always(Prediction::None),
+                PredictArg::Intra => PredictionChoice::Always(Prediction::Intra),
+                PredictArg::Auto => PredictionChoice::Smallest,
             };
+        }
+        config.snake = !self.no_snake;
+        let for_backends = [("--level", self.level.is_some()), ("--packing", self.packing.is_some())];
+        if let (Coder::Context, Some((name, _))) = (config.coder, for_backends.iter().find(|(_, is)| *is)) {
+            let what = format!("{name} is for general-purpose back-ends; choose one by --backend");
+            return Err(Error::InvalidConfig(what));
         }
         if let Some(level) = self.level {
             config.level = Level::new(level)
@@ -211,7 +227,7 @@ impl CodingArgs {
             return;
         }
         if self.outlier_neighbours.is_some() || self.outlier_radius.is_some() {
-            let mut filter = config.outliers.unwrap_or_else(RadiusOutlier::default);
+            let mut filter = config.outliers.unwrap_or_default();
             filter.neighbours = self.outlier_neighbours.unwrap_or(filter.neighbours);
             filter.radius_m = self.outlier_radius.map_or(filter.radius_m, Length::metres);
             config.outliers = Some(filter);

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use lidarpc::codec::{DecodeOptions, DecodedFrame};
-use lidarpc::error::{Error, Limits};
+use lidarpc::error::Error;
 
 use super::args::DecodeArgs;
 use super::errors::about;
@@ -18,8 +18,8 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let input = open(&args.input)?;
     let options = DecodeOptions {
         threads: args.threads.threads,
-        limits: Limits::default(),
         frames: args.frames.unwrap_or_default(),
+        ..DecodeOptions::default()
     };
     if is_dash(&args.output) {
         return to_stdout(args, input, &options);

@@ -1,9 +1,11 @@
 //! `lidarpc info`
 
+use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 
 use anyhow::Result;
 use lidarpc::bitstream::{Record, StreamReader};
+use lidarpc::codec::FrameParameters;
 use lidarpc::error::Limits;
 use serde::Serialize;
 
@@ -44,6 +46,8 @@ struct FrameInfo {
     file_bytes: u64,
     file_crc32c: String,
     coded_bytes: u64,
+    /// How it is coded, in short.
+    coding: String,
     /// Names of the sections.
     sections: Vec<&'static str>,
 }
@@ -80,6 +84,7 @@ fn read(input: impl Read) -> lidarpc::error::Result<Info> {
                 for ((number, frame), size) in (entry.first_frame..).zip(group.frames).zip(&entry.frame_sizes)
                 {
                     frames.push(FrameInfo {
+                        coding: FrameParameters::of(&frame)?.to_string(),
                         number,
                         points: frame.header.point_count,
                         file_bytes: frame.header.file_size,
@@ -116,6 +121,11 @@ fn print(info: &Info, out: &mut impl Write) -> io::Result<()> {
         table::count(points, "point"),
         table::bytes(info.stream_bytes)
     )?;
+    let mut codings = BTreeMap::<_, u64>::new();
+    info.frames.iter().for_each(|frame| *codings.entry(&frame.coding).or_default() += 1);
+    for (coding, frames) in codings {
+        writeln!(out, "{}: {coding}", table::count(frames, "frame"))?;
+    }
     writeln!(out)?;
     writeln!(
         out,

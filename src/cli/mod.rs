@@ -7,16 +7,19 @@ mod coding;
 mod decode;
 mod encode;
 mod errors;
+mod in_memory;
 mod info;
 mod input;
 mod length;
 mod output;
 mod progress;
+mod regions;
 mod stats;
 mod steps;
 mod synth;
 mod table;
 mod verify;
+mod view;
 
 pub use args::Args;
 pub use errors::report;
@@ -35,6 +38,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Command::Stats(command) => stats::run(command, args.quiet),
         Command::Info(command) => info::run(command),
         Command::Verify(command) => verify::run(command, args.quiet),
+        Command::View(command) => view::run(command),
         Command::Bench(command) => bench::run(command, args.quiet),
         Command::Synth(command) => synth::run(command, args.quiet),
     }

@@ -1,19 +1,16 @@
 //! `lidarpc stats --steps`: what each step of coding takes and leaves.
 
-use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
-use std::path::Path;
 
 use anyhow::Result;
-use lidarpc::bitstream::MAGIC;
-use lidarpc::codec::{self, DecodeOptions, EncoderConfig, FrameInput, Step, StepReport};
+use lidarpc::codec::{self, DecodeOptions, FrameInput, Step, StepReport};
 use lidarpc::io::sequence::find_frames;
 use serde::Serialize;
 
 use super::args::StatsArgs;
 use super::errors::about;
-use super::input::{is_dash, name_of, open};
-use super::{coding, progress};
+use super::input::{name_of, open};
+use super::{coding, in_memory, progress};
 
 /// All that is reported; everything is the mean of a frame.
 #[derive(Serialize)]
@@ -48,8 +45,7 @@ struct Times {
 
 /// Reports on a stream, or on scans, which are then coded in memory as the options say.
 pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
-    let is_stream = is_dash(&args.input) || is_stream(&args.input);
-    let (encoding, decoding) = if is_stream {
+    let (encoding, decoding) = if in_memory::is_stream(&args.input) {
         let input = open(&args.input)?.reader();
         let decoded = decode(input, args, quiet).map_err(|error| about(error, &name_of(&args.input)))?;
         (None, decoded)
@@ -57,7 +53,7 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
         let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
         let frames: Vec<_> = frames.into_iter().map(FrameInput::File).collect();
         let config = coding::config(&args.coding, &args.threads);
-        let (encoding, stream) = encode(&frames, &config, quiet)?;
+        let (encoding, stream) = in_memory::encode(&frames, &config, quiet)?;
         (Some(encoding), decode(&stream[..], args, quiet)?)
     };
     let steps = Steps {
@@ -75,24 +71,6 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
     }
     out.flush()?;
     Ok(())
-}
-
-/// Whether a file begins as a stream does.
-fn is_stream(path: &Path) -> bool {
-    let mut magic = [0; MAGIC.len()];
-    File::open(path).and_then(|mut file| file.read_exact(&mut magic)).is_ok() && magic == MAGIC
-}
-
-fn encode(
-    frames: &[FrameInput],
-    config: &EncoderConfig,
-    quiet: bool,
-) -> lidarpc::error::Result<(StepReport, Vec<u8>)> {
-    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
-    let mut stream = Vec::new();
-    let encoded = codec::encode(frames, config, &mut stream, &|| bar.inc(1));
-    bar.finish_and_clear();
-    Ok((encoded?.steps, stream))
 }
 
 fn decode(input: impl Read, args: &StatsArgs, quiet: bool) -> lidarpc::error::Result<StepReport> {

@@ -7,7 +7,7 @@ use crate::backend::{self, Backend, Level};
 use crate::bitstream::{FIRST_VERSION, NEWEST_VERSION, StreamHeader};
 use crate::error::{Error, Result};
 use crate::outlier::RadiusOutlier;
-use crate::prediction::intra::IntraConfig;
+use crate::prediction::intra::{IntraConfig, RegionModels};
 use crate::range_image::EXACT_RANGE_BITS;
 use crate::residual::Packing;
 use crate::segmentation::SegmentationConfig;
@@ -44,6 +44,15 @@ impl ProjectionKind {
     }
 }
 
+/// How it is chosen what ranges are predicted from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PredictionChoice {
+    /// Every frame as the user says.
+    Always(Prediction),
+    /// Each frame as makes it smallest.
+    Smallest,
+}
+
 /// What codes the ranges.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Coder {
@@ -74,7 +83,7 @@ pub struct EncoderConfig {
     pub intensity: bool,
     /// What ranges are predicted from. Default: nothing, since the context coder does better by
     /// itself; in paper mode regions (IV-C).
-    pub prediction: Prediction,
+    pub prediction: PredictionChoice,
     /// Whether a general-purpose back-end gets the differences along the snake's path (V-C). Default:
     /// yes; whatever they are predicted from, residuals get smaller by it.
     pub snake: bool,
@@ -109,7 +118,7 @@ impl EncoderConfig {
             projection: ProjectionKind::Calibrated,
             positions: Positions::Exact,
             intensity: true,
-            prediction: Prediction::None,
+            prediction: PredictionChoice::Always(Prediction::None),
             snake: true,
             segmentation: SegmentationConfig::default(),
             intra: IntraConfig::default(),
@@ -124,7 +133,7 @@ impl EncoderConfig {
                 projection: PAPER_PROJECTION,
                 positions: Positions::Formula,
                 intensity: false,
-                prediction: Prediction::Intra,
+                prediction: PredictionChoice::Always(Prediction::Intra),
                 coder: Coder::Backend(backend::LZMA),
                 ..exact
             },
@@ -132,10 +141,20 @@ impl EncoderConfig {
     }
 
     /// What ranges are best predicted from for this coder and image.
-    pub fn default_prediction(&self) -> Prediction {
-        match self.coder {
+    pub fn default_prediction(&self) -> PredictionChoice {
+        PredictionChoice::Always(match self.coder {
             Coder::Context => Prediction::None,
             Coder::Backend(_) => Prediction::Intra,
+        })
+    }
+
+    /// What is tried for each frame; the smallest result is taken.
+    pub(super) fn predictions(&self) -> &[Prediction] {
+        match (self.prediction, self.coder) {
+            (PredictionChoice::Always(Prediction::None), _) => &[Prediction::None],
+            (PredictionChoice::Always(Prediction::Intra), _) => &[Prediction::Intra],
+            (PredictionChoice::Smallest, Coder::Context) => &[Prediction::None],
+            (PredictionChoice::Smallest, Coder::Backend(_)) => &[Prediction::None, Prediction::Intra],
         }
     }
 
@@ -149,7 +168,7 @@ impl EncoderConfig {
         Ok(FrameParameters {
             positions: self.positions,
             intensity: self.intensity,
-            prediction: self.prediction,
+            prediction: self.predictions()[0],
             snake: self.snake && self.coder != Coder::Context,
             range_coder: match self.coder {
                 Coder::Context => RangeCoder::Context { range_bits: EXACT_RANGE_BITS },
@@ -193,6 +212,16 @@ impl EncoderConfig {
         if self.coder == Coder::Context && self.projection.has_float_ranges() {
             return wrong("the context coder takes ranges in steps; choose a step or another back-end");
         }
+        if self.coder == Coder::Context && self.predictions() != [Prediction::None] {
+            return wrong("the context coder predicts by itself, and better than regions do");
+        }
+        let fits_regions =
+            self.predictions().contains(&Prediction::Intra) && self.intra.models == RegionModels::Fitted;
+        if fits_regions && self.projection.has_float_ranges() {
+            return wrong("regions are fitted to ranges in steps; choose a step, or the article's regions");
+        }
+        self.segmentation.check()?;
+        self.intra.check()?;
         self.frame_parameters().map(|_| ())
     }
 }

@@ -4,13 +4,13 @@ use std::io::{Read, Seek};
 use std::sync::Arc;
 
 use super::config::resolve_threads;
-use super::group::GroupDecoder;
+use super::group::{DecodedImage, DecodedScan, GroupDecoder};
 use super::options::{DecodeOptions, FrameRange};
 use super::ordered::run_ordered;
 use super::parameters::Source;
 use super::steps::StepReport;
 use crate::bitstream::{Frame, FrameHeader, Group, IndexedReader, Record, StreamReader};
-use crate::error::{Error, Limits, Result};
+use crate::error::{Error, Result};
 use crate::sensor::SensorModel;
 
 /// One decoded file, its size and checksum verified.
@@ -24,6 +24,8 @@ pub struct DecodedFrame {
     pub bytes: Vec<u8>,
     /// What the file was before, if it is not given back exactly.
     pub source: Option<Source>,
+    /// The range image, if there is one and it was asked for.
+    pub image: Option<DecodedImage>,
     /// What each step of decoding took.
     pub steps: StepReport,
 }
@@ -79,14 +81,16 @@ fn decode_jobs(
     options: &DecodeOptions,
     mut sink: impl FnMut(DecodedFrame) -> Result<()>,
 ) -> Result<()> {
-    let work = |job| decode_group(job, &options.frames, &options.limits);
+    let work = |job| decode_group(job, options);
     let deliver = |frames: Vec<DecodedFrame>| frames.into_iter().try_for_each(&mut sink);
     run_ordered(resolve_threads(options.threads), jobs, work, deliver)
 }
 
 /// Decodes the frames of a group up to the last that is asked for.
-fn decode_group(job: GroupJob, range: &FrameRange, limits: &Limits) -> Result<Vec<DecodedFrame>> {
-    let mut coder = GroupDecoder::new(job.sensor.as_deref(), limits);
+fn decode_group(job: GroupJob, options: &DecodeOptions) -> Result<Vec<DecodedFrame>> {
+    let range = &options.frames;
+    let coder = GroupDecoder::new(job.sensor.as_deref(), &options.limits);
+    let mut coder = coder.keeping_images(options.images);
     let mut decoded = Vec::new();
     for (number, frame) in (job.first_frame..).zip(job.group.frames) {
         if range.is_past(number) {
@@ -111,7 +115,7 @@ fn decode_frame(
 ) -> Result<Option<DecodedFrame>> {
     let header = frame.header;
     let mut steps = StepReport::default();
-    let (scan, source) = coder.decode_frame(&header, &frame.sections, &mut steps)?;
+    let DecodedScan { scan, source, image } = coder.decode_frame(&header, &frame.sections, &mut steps)?;
     if !wanted {
         return Ok(None);
     }
@@ -122,7 +126,7 @@ fn decode_frame(
     if crc32c::crc32c(&bytes) != header.file_crc {
         return Err(Error::corrupt("the decoded file's checksum does not match"));
     }
-    Ok(Some(DecodedFrame { number, header, bytes, source, steps }))
+    Ok(Some(DecodedFrame { number, header, bytes, source, image, steps }))
 }
 
 fn parse_sensor_model(bytes: &[u8]) -> Result<Arc<SensorModel>> {

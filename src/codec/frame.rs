@@ -71,15 +71,20 @@ impl Frame {
             Some(sensor) => frame.convert_points(&scan.cloud, sensor, config, steps),
         }
         frame.parameters.range_coder.fit(&frame.steps);
-        if let Some(sensor) = sensor {
-            frame.predict(sensor, config, steps);
-        }
         Ok(frame)
     }
 
-    /// Finds the regions of the image (equations 3 and 4) and models them (equations 5 to 7).
-    fn predict(&mut self, sensor: &SensorModel, config: &EncoderConfig, steps: &mut StepReport) {
-        if self.parameters.prediction == Prediction::Intra {
+    /// Takes a prediction: for intra, finds the regions of the image (equations 3 and 4) and models them
+    /// (equations 5 to 7).
+    pub fn predict(
+        &mut self,
+        prediction: Prediction,
+        sensor: Option<&SensorModel>,
+        config: &EncoderConfig,
+        steps: &mut StepReport,
+    ) {
+        self.parameters.prediction = prediction;
+        if let (Some(sensor), Prediction::Intra) = (sensor, prediction) {
             let segmentation = steps.timed(Step::Clustering, || {
                 segment(&self.steps, &self.columns, sensor, &config.segmentation)
             });

@@ -1,14 +1,18 @@
 //! A group of pictures: frames coded one after the other by models that learn from each. Groups
 //! know nothing of one another.
 
+use std::mem::take;
+
 use super::config::EncoderConfig;
 use super::frame::Frame;
-use super::parameters::Source;
+use super::parameters::{Prediction, Source};
 use super::sections::{SectionReader, SectionWriter};
 use super::steps::StepReport;
 use super::syntax::Models;
 use crate::bitstream::{FrameHeader, Section};
-use crate::error::{Limits, Result};
+use crate::error::{Error, Limits, Result};
+use crate::prediction::intra::IntraPrediction;
+use crate::range_image::{RangeImage, Return};
 use crate::scan::ScanFile;
 use crate::sensor::SensorModel;
 
@@ -43,34 +47,94 @@ impl<'s> GroupEncoder<'s> {
     pub fn encode_frame(&mut self, scan: &ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let mut frame = Frame::from_scan(scan, self.sensor, self.config, &mut steps)?;
-        let mut writer = SectionWriter::new(self.config.level);
-        let returns = self.models.code_frame(&mut writer, self.sensor, &mut frame, &mut steps)?;
-        steps.count_sections(&writer.sections);
+        let mut smallest: Option<Attempt> = None;
+        for &prediction in self.config.predictions() {
+            let attempt = self.attempt(&mut frame, prediction, steps)?;
+            if smallest.as_ref().is_none_or(|smallest| attempt.size() < smallest.size()) {
+                smallest = Some(attempt);
+            }
+        }
+        let Some(Attempt { models, sections, returns, steps }) = smallest else {
+            return Err(Error::InvalidConfig("no prediction to choose from".to_owned()));
+        };
+        self.models = models;
         let header = if frame.parameters.source.is_some() {
             let decoded = frame.into_scan(&scan.name, &returns)?;
             FrameHeader::of(&scan.name, &decoded.to_bytes()?, decoded.records as u64)
         } else {
             original
         };
-        Ok(EncodedFrame { header, sections: writer.sections, steps })
+        Ok(EncodedFrame { header, sections, steps })
     }
+
+    /// Codes a frame with this prediction, by models that go on from those of the group.
+    fn attempt(&self, frame: &mut Frame, prediction: Prediction, mut steps: StepReport) -> Result<Attempt> {
+        frame.predict(prediction, self.sensor, self.config, &mut steps);
+        let mut models = self.models.clone();
+        let mut writer = SectionWriter::new(self.config.level);
+        let returns = models.code_frame(&mut writer, self.sensor, frame, &mut steps)?;
+        steps.count_sections(&writer.sections);
+        Ok(Attempt { models, sections: writer.sections, returns, steps })
+    }
+}
+
+/// A frame coded in one of several ways.
+struct Attempt {
+    /// What coding it has taught.
+    models: Models,
+    sections: Vec<Section>,
+    returns: Vec<Return>,
+    steps: StepReport,
+}
+
+impl Attempt {
+    /// Bytes of the sections.
+    fn size(&self) -> usize {
+        self.sections.iter().map(|section| section.payload.len()).sum()
+    }
+}
+
+/// A frame as [`GroupDecoder`] decodes it.
+pub struct DecodedScan {
+    /// The file.
+    pub scan: ScanFile,
+    /// What the file was before, if it is not given back exactly.
+    pub source: Option<Source>,
+    /// The range image, if there is one and it was asked for.
+    pub image: Option<DecodedImage>,
+}
+
+/// The range image of a decoded frame.
+#[derive(Clone, Debug)]
+pub struct DecodedImage {
+    /// Whose rows, ticks and steps these are.
+    pub sensor: SensorModel,
+    /// The ranges.
+    pub image: RangeImage,
+    /// The regions that they were predicted from; none if they were not.
+    pub intra: IntraPrediction,
 }
 
 /// Decodes the frames of one group.
 pub struct GroupDecoder<'s> {
     sensor: Option<&'s SensorModel>,
     limits: Limits,
+    keeps_images: bool,
     models: Models,
 }
 
 impl<'s> GroupDecoder<'s> {
     /// A new group of scans by `sensor`.
     pub fn new(sensor: Option<&'s SensorModel>, limits: &Limits) -> Self {
-        GroupDecoder { sensor, limits: *limits, models: Models::default() }
+        GroupDecoder { sensor, limits: *limits, keeps_images: false, models: Models::default() }
     }
 
-    /// Decodes the next frame; also says what its file was before, if it is not given back exactly.
-    /// What each step took is added to `steps`.
+    /// Makes it give back range images too.
+    pub fn keeping_images(self, keeps_images: bool) -> Self {
+        GroupDecoder { keeps_images, ..self }
+    }
+
+    /// Decodes the next frame; what each step took is added to `steps`.
     ///
     /// # Errors
     /// If the sections do not make a frame, or one over the limits.
@@ -79,7 +143,7 @@ impl<'s> GroupDecoder<'s> {
         header: &FrameHeader,
         sections: &[Section],
         steps: &mut StepReport,
-    ) -> Result<(ScanFile, Option<Source>)> {
+    ) -> Result<DecodedScan> {
         let mut reader = SectionReader::new(sections, &self.limits);
         let mut frame = Frame { records: header.point_count as usize, ..Frame::default() };
         let returns = self.models.code_frame(&mut reader, self.sensor, &mut frame, steps)?;
@@ -88,6 +152,11 @@ impl<'s> GroupDecoder<'s> {
         steps.frames += 1;
         steps.original += source.map_or(header.file_size, |source| source.file_size);
         steps.count_sections(sections);
-        Ok((frame.into_scan(&header.name, &returns)?, source))
+        let image = self.sensor.filter(|_| self.keeps_images).map(|sensor| DecodedImage {
+            sensor: sensor.clone(),
+            image: RangeImage { columns: take(&mut frame.columns), steps: take(&mut frame.steps) },
+            intra: take(&mut frame.intra),
+        });
+        Ok(DecodedScan { scan: frame.into_scan(&header.name, &returns)?, source, image })
     }
 }

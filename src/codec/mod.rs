@@ -18,9 +18,10 @@ mod ranges;
 mod sections;
 mod syntax;
 
-pub use config::{Coder, EncoderConfig, Mode, ProjectionKind};
+pub use config::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 pub use decoder::{DecodedFrame, decode, decode_indexed};
 pub use encoder::{Encoded, FrameInput, encode};
+pub use group::DecodedImage;
 pub use options::{DecodeOptions, FrameRange};
 pub use parameters::{FrameParameters, Positions, Prediction, Source};
 pub use steps::{Step, StepReport};

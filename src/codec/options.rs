@@ -14,6 +14,8 @@ pub struct DecodeOptions {
     pub limits: Limits,
     /// Which frames to decode. Default: all.
     pub frames: FrameRange,
+    /// Whether to give range images back too, as for pictures. Default: no.
+    pub images: bool,
 }
 
 /// A range of frame numbers, the sequence's first frame being 0.

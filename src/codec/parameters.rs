@@ -2,6 +2,9 @@
 //! reports say of the file that it was made from. Frames coded exactly by context have the default
 //! parameters, and no section for them.
 
+use std::fmt;
+
+use crate::backend;
 use crate::bitstream::{Frame, FrameHeader, SectionKind};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
@@ -147,6 +150,38 @@ impl FrameParameters {
         }
         Ok(parameters)
     }
+
+    /// The parameters of a coded frame.
+    ///
+    /// # Errors
+    /// If they are damaged, or unknown to this program.
+    pub fn of(frame: &Frame) -> Result<Self> {
+        let section = frame.sections.iter().find(|section| section.kind == SectionKind::Parameters);
+        Self::from_payload(section.map_or(&[], |section| &section.payload))
+    }
+}
+
+/// In short, such as `exact, context` or `range image, intra, snake, lzma, planes`.
+impl fmt::Display for FrameParameters {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self.positions {
+            Positions::Exact => "exact",
+            Positions::Formula => "range image",
+        })?;
+        if self.prediction == Prediction::Intra {
+            f.write_str(", intra")?;
+        }
+        if self.snake {
+            f.write_str(", snake")?;
+        }
+        match self.range_coder {
+            RangeCoder::Context { .. } => f.write_str(", context"),
+            RangeCoder::Backend { id, packing } => match backend::by_id(id) {
+                Ok(backend) => write!(f, ", {}, {}", backend.name(), packing.name()),
+                Err(_) => write!(f, ", back-end {id}, {}", packing.name()),
+            },
+        }
+    }
 }
 
 impl Prediction {
@@ -199,11 +234,9 @@ impl Source {
     /// # Errors
     /// If the frame's parameters are damaged, or unknown to this program.
     pub fn of(frame: &Frame) -> Result<Self> {
-        let section = frame.sections.iter().find(|section| section.kind == SectionKind::Parameters);
-        let payload = section.map_or(&[][..], |section| &section.payload);
         let FrameHeader { file_size, point_count: points, .. } = frame.header;
         let exact = Source { file_size, points, ..Source::default() };
-        Ok(FrameParameters::from_payload(payload)?.source.unwrap_or(exact))
+        Ok(FrameParameters::of(frame)?.source.unwrap_or(exact))
     }
 
     /// Adds the counts of another file.

@@ -22,7 +22,7 @@ use crate::scan::Layout;
 use crate::sensor::SensorModel;
 
 /// What a group's frames have taught so far.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Models {
     sizes: IntegerModel,
     bytes: ByteModel,
@@ -78,6 +78,7 @@ impl Models {
             let columns = std::mem::take(&mut frame.columns);
             let image = RangeImage { columns, steps: std::mem::take(&mut frame.steps) };
             found = image.file_order(sensor);
+            (frame.columns, frame.steps) = (image.columns, image.steps);
             self.code_positions(sections, sensor, frame, &found)?;
         }
         self.code_order(sections, frame, returns)?;

@@ -11,12 +11,13 @@ const FEWEST_SLOTS: u32 = 6;
 const MOST_SLOTS: u32 = 14;
 
 /// What the coder has learned about bytes.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct ByteModel {
     learned: Option<Learned>,
 }
 
 /// Counters for as many slots as the most bytes so far make worth it.
+#[derive(Clone)]
 struct Learned {
     slot_bits: u32,
     bits: MixedBits<VIEWS, OPINIONS>,

@@ -7,6 +7,7 @@ use crate::entropy::{AdaptiveBit, BitCoder};
 const LONGEST_RUN: usize = 31;
 
 /// What the coder has learned about columns.
+#[derive(Clone)]
 pub struct ColumnModel {
     used: Vec<AdaptiveBit>,
 }

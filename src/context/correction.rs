@@ -15,6 +15,7 @@ const CLEAR_DISTANCE: f64 = 0.05;
 const FINENESS: usize = 24;
 
 /// What the coder has learned about corrections.
+#[derive(Clone)]
 pub struct CorrectionModel {
     /// Whether a point has a correction though no coordinate is near a border.
     unclear: AdaptiveBit,

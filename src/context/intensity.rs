@@ -96,6 +96,7 @@ const GRADIENT_LEVELS: usize = 8;
 const TYPICAL_LEVEL: u16 = 20;
 
 /// What the coder has learned about intensities.
+#[derive(Clone)]
 pub struct IntensityModel {
     fits: Vec<LeastSquares<FEATURES>>,
     bits: MixedBits<VIEWS, OPINIONS>,
@@ -252,6 +253,7 @@ impl IntensityModel {
 }
 
 /// A value to be coded.
+#[derive(Clone)]
 struct Site {
     views: [usize; VIEWS],
     mixer_set: usize,

@@ -12,6 +12,7 @@ const VIEW_SIZES: [usize; VIEWS] = [1 << 10, 128 * 16, 1 << 12, 1 << 10];
 const ROW_CONTEXTS: usize = 128;
 
 /// What the coder has learned about occupancy.
+#[derive(Clone)]
 pub struct OccupancyModel {
     filled: MixedBits<VIEWS, OPINIONS>,
 }

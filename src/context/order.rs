@@ -46,7 +46,7 @@ impl OrderExceptions {
 }
 
 /// What the coder has learned about order.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct OrderModel {
     counts: IntegerModel,
     stray_gaps: IntegerModel,

@@ -15,6 +15,7 @@ const CANDIDATES: usize = 4;
 const ERROR_BITS: usize = 36;
 
 /// What the coder has learned about points.
+#[derive(Clone)]
 pub struct PointModel {
     coordinates: [CoordinateModel; 3],
     /// Height against distance along a turn: a beam's cone.
@@ -92,6 +93,7 @@ impl PointModel {
 const CONE_REACH: f64 = 1000.0;
 
 /// One coordinate against several predictions.
+#[derive(Clone)]
 struct CoordinateModel {
     /// Recent error of each candidate, in bits.
     errors: [f32; CANDIDATES],
@@ -152,7 +154,7 @@ fn direction(x: f64, y: f64) -> f64 {
 }
 
 /// Follows points around the axis, turn after turn, and finds the neighbour in the turn before.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct TurnTracker {
     above: Vec<(usize, f64)>,
     current: Vec<(usize, f64)>,

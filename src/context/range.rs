@@ -48,6 +48,7 @@ const OPINIONS: usize = 8;
 const VIEW_SIZES: [usize; VIEWS] = [1024, 1024, 8 * 128, 8 * 64 * 4];
 
 /// What the coder has learned about ranges.
+#[derive(Clone)]
 pub struct RangeModel {
     /// Ranges are below 2 to this power.
     range_bits: u32,
@@ -368,6 +369,7 @@ impl Interval {
 }
 
 /// A cell to be coded.
+#[derive(Clone)]
 struct Site {
     features: [f32; FEATURES],
     edge: usize,
@@ -382,6 +384,7 @@ struct Site {
 }
 
 /// The ranges coded so far that a cell looks at; 0 where there is no return.
+#[derive(Clone)]
 struct Window {
     /// The current row and the two above, with margins of empty cells.
     rows: [Vec<f64>; 3],
@@ -428,6 +431,7 @@ impl Window {
 }
 
 /// The ranges around a cell, each missing one replaced by the next best.
+#[derive(Clone)]
 struct Neighbourhood {
     west: f64,
     west2: f64,
@@ -470,6 +474,7 @@ impl Neighbourhood {
 }
 
 /// The errors made to the left and above.
+#[derive(Clone)]
 struct ErrorTrack {
     /// Running mean magnitude along the row.
     mean: f32,

@@ -17,6 +17,7 @@ const PLACE_BITS: u32 = 16;
 pub const CERTAIN: u32 = 1 << 30;
 
 /// The cumulative distribution of an error whose mean magnitude is 1.
+#[derive(Clone)]
 pub struct ErrorShape {
     /// The probability below the start of each step.
     below: Box<[u32; STEPS as usize + 2]>,

@@ -16,6 +16,7 @@ const BLOCK_ROWS: usize = 32;
 const ROWS: usize = 128;
 
 /// What the coder has learned about borders.
+#[derive(Clone)]
 pub struct BorderModel {
     blocks: MixedBits<4, OPINIONS>,
     bits: MixedBits<6, OPINIONS>,

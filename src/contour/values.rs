@@ -10,7 +10,7 @@ const RECENT: usize = 4;
 const CONTEXTS: usize = 1 << 5;
 
 /// What the coder has learned about the regions of pieces.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct ValueModel {
     is_left: [AdaptiveBit; CONTEXTS],
     is_above: [AdaptiveBit; CONTEXTS],

@@ -12,6 +12,7 @@ const STRETCH_STEPS: usize = 4096;
 const LN_STEPS: usize = 1024;
 
 /// The functions of logistic mixing, as tables.
+#[derive(Clone)]
 pub struct Logistic {
     /// Probabilities of log odds from -16 to 16, in 1/65536.
     squash: [u16; SQUASH_STEPS],
@@ -115,6 +116,7 @@ impl Counter {
 /// Codes bits by mixing opinions: those of counters in `V` views, one from elsewhere, and one that is
 /// always the same. There is a set of weights for each of some contexts. `N` is the number of
 /// opinions, rounded up to a multiple of four.
+#[derive(Clone)]
 pub struct MixedBits<const V: usize, const N: usize> {
     /// The counters of all views, one view after the other.
     counters: Vec<Counter>,

@@ -7,7 +7,7 @@ use super::rays::Rays;
 use super::surface::{SurfaceCoder, SurfaceModel};
 use crate::contour::{ContourModel, renumber};
 use crate::entropy::BitCoder;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::segmentation::{FIRST_OBJECT, GROUND, Segmentation, UNASSIGNED};
 
@@ -35,6 +35,27 @@ pub struct IntraConfig {
 impl Default for IntraConfig {
     fn default() -> Self {
         IntraConfig { models: RegionModels::Article, lambda: 1000.0, ransac: RansacConfig::default() }
+    }
+}
+
+impl IntraConfig {
+    /// Checks that all settings are in range.
+    ///
+    /// # Errors
+    /// [`Error::InvalidConfig`] names the setting that is not.
+    pub fn check(&self) -> Result<()> {
+        let RansacConfig { tolerance_m, foreseeable_support, confidence, .. } = self.ransac;
+        let share = 0.0..=1.0;
+        let settings = [
+            ("lambda is not negative", self.lambda >= 0.0 && self.lambda.is_finite()),
+            ("the plane's tolerance is a length", tolerance_m >= 0.0 && tolerance_m.is_finite()),
+            ("the plane's foreseeable support is from 0 to 1", share.contains(&foreseeable_support)),
+            ("the plane's confidence is from 0 to 1", share.contains(&confidence)),
+        ];
+        match settings.iter().find(|(_, holds)| !holds) {
+            Some((what, _)) => Err(Error::InvalidConfig((*what).to_owned())),
+            None => Ok(()),
+        }
     }
 }
 

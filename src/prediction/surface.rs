@@ -50,7 +50,7 @@ impl SurfaceModel {
 }
 
 /// What the coder has learned about the models of regions.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct SurfaceCoder {
     is_plane: [AdaptiveBit; 2],
     mean: IntegerModel,

@@ -90,7 +90,7 @@ impl Streams {
         let bytes = (rest as u32).to_le_bytes();
         match rest {
             ..254 => self.literals.push(rest as u8),
-            ..NEAR => {
+            254..NEAR => {
                 self.literals.push(254);
                 self.literals.extend(&bytes[..2]);
             }

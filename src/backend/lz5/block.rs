@@ -34,7 +34,7 @@ impl Kind {
         match offset {
             _ if repeats => Kind::Repeated,
             ..NEAR => Kind::Near,
-            ..MIDDLE => Kind::Middle,
+            NEAR..MIDDLE => Kind::Middle,
             _ => Kind::Far,
         }
     }

@@ -9,19 +9,9 @@ use crate::sensor::{SensorModel, ideal};
 
 const COLUMNS: u32 = 64;
 
-fn occupancy_of(image: &RangeImage) -> Grid<bool> {
-    let mut occupancy = Grid::new(image.steps.rows(), image.columns.len());
-    for row in 0..occupancy.rows() {
-        for (filled, steps) in occupancy.row_mut(row).iter_mut().zip(image.steps.row(row)) {
-            *filled = *steps > 0;
-        }
-    }
-    occupancy
-}
-
 /// Fits, codes, decodes and predicts with each kind of models; the image must come back.
 fn comes_back(image: &RangeImage, sensor: &SensorModel, segmentation: &SegmentationConfig) {
-    let occupancy = occupancy_of(image);
+    let occupancy = image.occupancy();
     let rays = Rays::of(sensor, &image.columns);
     let segmentation = segment(&image.steps, &image.columns, sensor, segmentation);
     for models in [RegionModels::Article, RegionModels::Fitted] {
@@ -74,7 +64,7 @@ fn flat_ground_leaves_next_to_nothing() {
     let sensor = ideal(COLUMNS, 10_000);
     let floor = |row: usize| if row < 20 { None } else { sensor.steps(1.7 / -sensor.elevation(row).sin()) };
     let image = image(|row, _| floor(row).unwrap_or(0));
-    let (occupancy, rays) = (occupancy_of(&image), Rays::of(&sensor, &image.columns));
+    let (occupancy, rays) = (image.occupancy(), Rays::of(&sensor, &image.columns));
     let segmentation = segment(&image.steps, &image.columns, &sensor, &SegmentationConfig::default());
     let config = IntraConfig::default();
     let fitted = IntraPrediction::fit(&image.steps, &occupancy, &rays, &segmentation, &config);
@@ -96,7 +86,7 @@ fn a_wall_with_a_step_is_split_where_it_pays() {
             1040
         }
     });
-    let (occupancy, rays) = (occupancy_of(&image), Rays::of(&sensor, &image.columns));
+    let (occupancy, rays) = (image.occupancy(), Rays::of(&sensor, &image.columns));
     let mut labels = image.steps.clone();
     for row in 0..64 {
         labels.row_mut(row).iter_mut().for_each(|label| *label = u32::from(*label > 0) * FIRST_OBJECT);

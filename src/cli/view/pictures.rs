@@ -1,0 +1,128 @@
+//! The pictures of a range image.
+
+use clap::ValueEnum;
+use lidarpc::codec::{DecodedImage, EncoderConfig};
+use lidarpc::grid::Grid;
+use lidarpc::picture::{self, LabelStyle, Picture, Scale, Zoom};
+use lidarpc::prediction::Rays;
+use lidarpc::prediction::intra::IntraPrediction;
+use lidarpc::prediction::surface::SurfaceModel;
+use lidarpc::segmentation::{GROUND, UNASSIGNED, segment};
+
+/// What is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Kind {
+    /// The range image, in metres.
+    Range,
+    /// Which cells hold a return.
+    Occupancy,
+    /// Ground brown, each object in a colour of its own, other returns grey.
+    Labels,
+    /// The regions that ranges are predicted from, in colours of their own; those with a plane brown.
+    Regions,
+    /// What the regions' models predict, in metres.
+    Prediction,
+    /// What prediction leaves, in metres.
+    Residual,
+    /// The points from above, coloured by height.
+    BirdsEye,
+    /// All of the range image's pictures, one below the other.
+    All,
+}
+
+/// All pictures of the range image and their titles, in the order in which they arise.
+pub const PICTURES: [(Kind, &str); 6] = [
+    (Kind::Range, "range, m"),
+    (Kind::Occupancy, "occupancy"),
+    (Kind::Labels, "ground, objects"),
+    (Kind::Regions, "regions"),
+    (Kind::Prediction, "prediction, m"),
+    (Kind::Residual, "residual, m"),
+];
+
+/// What the pictures of a range image show, ready to be drawn. Ranges are in millimetres, whatever the image's steps.
+pub struct Pictures {
+    occupancy: Grid<bool>,
+    ranges: Grid<u32>,
+    predicted: Grid<u32>,
+    /// As [`lidarpc::segmentation`] labels it.
+    labels: Grid<u32>,
+    intra: IntraPrediction,
+    zoom: Zoom,
+}
+
+/// Metres that the pictures' ranges are in.
+const MILLIMETRE: f64 = 1e-3;
+
+impl Pictures {
+    /// The regions are the stream's, or those that intra prediction would find.
+    pub fn of(decoded: &DecodedImage, config: &EncoderConfig, scale: Option<u16>) -> Self {
+        let DecodedImage { sensor, image, intra } = decoded;
+        let occupancy = image.occupancy();
+        let segmentation = segment(&image.steps, &image.columns, sensor, &config.segmentation);
+        let rays = Rays::of(sensor, &image.columns);
+        let intra = if intra.models.is_empty() {
+            IntraPrediction::fit(&image.steps, &occupancy, &rays, &segmentation, &config.intra)
+        } else {
+            intra.clone()
+        };
+        let millimetres =
+            |steps: &Grid<u32>| steps.map(|&steps| (sensor.metres(steps) / MILLIMETRE).round() as u32);
+        let zoom = match scale.map(usize::from) {
+            Some(column) => Zoom { row: 4 * column, column },
+            None => Zoom::for_columns(image.columns.len()),
+        };
+        Pictures {
+            ranges: millimetres(&image.steps),
+            predicted: millimetres(&intra.ranges(&occupancy, &rays)),
+            occupancy,
+            labels: segmentation.labels,
+            intra,
+            zoom,
+        }
+    }
+
+    /// The picture of a kind.
+    pub fn draw(&self, kind: Kind) -> Picture {
+        let of_ranges =
+            || Scale::of_ranges(self.ranges.cells().iter().map(|&range| f64::from(range) * MILLIMETRE));
+        match kind {
+            Kind::Occupancy => picture::occupancy(&self.occupancy, self.zoom),
+            Kind::Labels => picture::labels(&self.labels, style_of_label, self.zoom),
+            Kind::Regions => {
+                picture::labels(&self.intra.labels, |region| self.style_of_region(region), self.zoom)
+            }
+            Kind::Prediction => picture::range(&self.predicted, MILLIMETRE, &of_ranges(), self.zoom),
+            Kind::Residual => picture::residual(&self.residuals(), &self.occupancy, MILLIMETRE, self.zoom),
+            Kind::Range | Kind::BirdsEye | Kind::All => {
+                picture::range(&self.ranges, MILLIMETRE, &of_ranges(), self.zoom)
+            }
+        }
+    }
+
+    fn style_of_region(&self, region: u32) -> LabelStyle {
+        match self.intra.models[region as usize - 1] {
+            SurfaceModel::Plane(_) => LabelStyle::Ground,
+            SurfaceModel::Mean(_) => LabelStyle::Object,
+        }
+    }
+
+    /// Equation 7.
+    fn residuals(&self) -> Grid<i32> {
+        let mut residuals = self.ranges.map(|&range| range as i32);
+        for row in 0..residuals.rows() {
+            for (residual, predicted) in residuals.row_mut(row).iter_mut().zip(self.predicted.row(row)) {
+                *residual = residual.wrapping_sub(*predicted as i32);
+            }
+        }
+        residuals
+    }
+}
+
+fn style_of_label(label: u32) -> LabelStyle {
+    match label {
+        GROUND => LabelStyle::Ground,
+        UNASSIGNED => LabelStyle::Unassigned,
+        _ => LabelStyle::Object,
+    }
+}
