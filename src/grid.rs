@@ -45,6 +45,17 @@ impl<T: Clone + Default> Grid<T> {
     }
 }
 
+impl<T: Copy + Default> Grid<T> {
+    /// The value at an offset from a cell; the default value outside.
+    #[inline]
+    pub fn beside(&self, (row, column): (usize, usize), down: isize, right: isize) -> T {
+        match (row.checked_add_signed(down), column.checked_add_signed(right)) {
+            (Some(row), Some(column)) if row < self.rows && column < self.columns => self[(row, column)],
+            _ => T::default(),
+        }
+    }
+}
+
 impl<T> std::ops::Index<(usize, usize)> for Grid<T> {
     type Output = T;
 

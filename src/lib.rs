@@ -24,6 +24,7 @@ pub mod range_image;
 
 pub mod outlier;
 pub mod prediction;
+pub mod registration;
 pub mod segmentation;
 
 pub mod context;

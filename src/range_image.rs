@@ -5,8 +5,10 @@
 //! column stay outside, as *strays*.
 
 mod alignment;
+mod reference;
 
 pub use alignment::Alignment;
+pub use reference::{Layer, Reference};
 
 use crate::grid::Grid;
 use crate::scan::PointCloud;

@@ -79,6 +79,8 @@ pub enum PredictArg {
     None,
     /// Ground and objects.
     Intra,
+    /// The frame before, moved as the scanner has.
+    Inter,
     /// Of these, what makes each frame smallest.
     Auto,
 }
@@ -176,6 +178,7 @@ impl CodingArgs {
             config.prediction = match predict {
                 PredictArg::None => PredictionChoice::Always(Prediction::None),
                 PredictArg::Intra => PredictionChoice::Always(Prediction::Intra),
+                PredictArg::Inter => PredictionChoice::Always(Prediction::Inter),
                 PredictArg::Auto => PredictionChoice::Smallest,
             };
         }

@@ -9,6 +9,7 @@ use crate::error::{Error, Result};
 use crate::outlier::RadiusOutlier;
 use crate::prediction::intra::{IntraConfig, RegionModels};
 use crate::range_image::EXACT_RANGE_BITS;
+use crate::registration::QuantisedPose;
 use crate::residual::Packing;
 use crate::segmentation::SegmentationConfig;
 use crate::sensor::{FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_TICKS};
@@ -153,8 +154,14 @@ impl EncoderConfig {
         match (self.prediction, self.coder) {
             (PredictionChoice::Always(Prediction::None), _) => &[Prediction::None],
             (PredictionChoice::Always(Prediction::Intra), _) => &[Prediction::Intra],
-            (PredictionChoice::Smallest, Coder::Context) => &[Prediction::None],
-            (PredictionChoice::Smallest, Coder::Backend(_)) => &[Prediction::None, Prediction::Intra],
+            (PredictionChoice::Always(Prediction::Inter), Coder::Context) => {
+                &[Prediction::None, Prediction::Inter]
+            }
+            (PredictionChoice::Always(Prediction::Inter), _) => &[Prediction::Intra, Prediction::Inter],
+            (PredictionChoice::Smallest, Coder::Context) => &[Prediction::None, Prediction::Inter],
+            (PredictionChoice::Smallest, Coder::Backend(_)) => {
+                &[Prediction::None, Prediction::Intra, Prediction::Inter]
+            }
         }
     }
 
@@ -169,6 +176,7 @@ impl EncoderConfig {
             positions: self.positions,
             intensity: self.intensity,
             prediction: self.predictions()[0],
+            motion: QuantisedPose::default(),
             snake: self.snake && self.coder != Coder::Context,
             range_coder: match self.coder {
                 Coder::Context => RangeCoder::Context { range_bits: EXACT_RANGE_BITS },
@@ -212,7 +220,7 @@ impl EncoderConfig {
         if self.coder == Coder::Context && self.projection.has_float_ranges() {
             return wrong("the context coder takes ranges in steps; choose a step or another back-end");
         }
-        if self.coder == Coder::Context && self.predictions() != [Prediction::None] {
+        if self.coder == Coder::Context && self.predictions().contains(&Prediction::Intra) {
             return wrong("the context coder predicts by itself, and better than regions do");
         }
         let fits_regions =

@@ -12,6 +12,7 @@ use crate::io::with_point_count;
 use crate::prediction::Rays;
 use crate::prediction::intra::IntraPrediction;
 use crate::range_image::{Projection, Return, project, project_nearest};
+use crate::registration::QuantisedPose;
 use crate::scan::{Layout, PointCloud, ScanFile};
 use crate::segmentation::segment;
 use crate::sensor::SensorModel;
@@ -84,6 +85,9 @@ impl Frame {
         steps: &mut StepReport,
     ) {
         self.parameters.prediction = prediction;
+        if prediction != Prediction::Inter {
+            self.parameters.motion = QuantisedPose::default();
+        }
         if let (Some(sensor), Prediction::Intra) = (sensor, prediction) {
             let segmentation = steps.timed(Step::Clustering, || {
                 segment(&self.steps, &self.columns, sensor, &config.segmentation)

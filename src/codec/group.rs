@@ -13,6 +13,7 @@ use crate::bitstream::{FrameHeader, Section};
 use crate::error::{Error, Limits, Result};
 use crate::prediction::intra::IntraPrediction;
 use crate::range_image::{RangeImage, Return};
+use crate::registration::{Pose, RegistrationConfig, register};
 use crate::scan::ScanFile;
 use crate::sensor::SensorModel;
 
@@ -21,6 +22,8 @@ pub struct GroupEncoder<'s> {
     sensor: Option<&'s SensorModel>,
     config: &'s EncoderConfig,
     models: Models,
+    /// The last motion of the scanner, from frame to frame.
+    motion: Pose,
 }
 
 /// A frame as [`GroupEncoder`] codes it.
@@ -36,7 +39,7 @@ pub struct EncodedFrame {
 impl<'s> GroupEncoder<'s> {
     /// A new group of scans by `sensor`.
     pub fn new(sensor: Option<&'s SensorModel>, config: &'s EncoderConfig) -> Self {
-        GroupEncoder { sensor, config, models: Models::default() }
+        GroupEncoder { sensor, config, models: Models::default(), motion: Pose::default() }
     }
 
     /// Encodes the next frame, which decoders then take under [`Limits::default`]. `original` says
@@ -49,6 +52,9 @@ impl<'s> GroupEncoder<'s> {
         let mut frame = Frame::from_scan(scan, self.sensor, self.config, &mut steps)?;
         let mut smallest: Option<Attempt> = None;
         for &prediction in self.config.predictions() {
+            if prediction == Prediction::Inter && !self.estimate_motion(&mut frame) {
+                continue;
+            }
             let attempt = self.attempt(&mut frame, prediction, steps)?;
             if smallest.as_ref().is_none_or(|smallest| attempt.size() < smallest.size()) {
                 smallest = Some(attempt);
@@ -65,6 +71,22 @@ impl<'s> GroupEncoder<'s> {
             original
         };
         Ok(EncodedFrame { header, sections, steps })
+    }
+
+    /// Finds how the scanner has moved since the frame before. False if there is none, or it does not
+    /// show.
+    fn estimate_motion(&mut self, frame: &mut Frame) -> bool {
+        let (Some(sensor), Some(past)) = (self.sensor, self.models.past()) else { return false };
+        if frame.strays == frame.records {
+            return false;
+        }
+        let image = RangeImage { columns: frame.columns.clone(), steps: frame.steps.clone() };
+        let config = RegistrationConfig::default();
+        let found = register(past.surface(sensor), &image, sensor, &self.motion, &config);
+        let Some(motion) = found.and_then(|found| found.pose.quantise()) else { return false };
+        self.motion = motion.pose();
+        frame.parameters.motion = motion;
+        true
     }
 
     /// Codes a frame with this prediction, by models that go on from those of the group.

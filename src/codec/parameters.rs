@@ -9,8 +9,9 @@ use crate::bitstream::{Frame, FrameHeader, SectionKind};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::range_image::EXACT_RANGE_BITS;
+use crate::registration::QuantisedPose;
 use crate::residual::Packing;
-use crate::varint::{read_unsigned, write_unsigned};
+use crate::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 
 /// The parameters of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -21,6 +22,8 @@ pub struct FrameParameters {
     pub intensity: bool,
     /// What ranges are predicted from.
     pub prediction: Prediction,
+    /// How the scanner has moved since the frame before; only if ranges are predicted from that.
+    pub motion: QuantisedPose,
     /// Whether a general-purpose back-end gets the differences along the snake's path (article, V-C).
     pub snake: bool,
     /// What codes the ranges.
@@ -47,6 +50,8 @@ pub enum Prediction {
     None,
     /// Regions of ground and objects, and their models (article, IV-C).
     Intra,
+    /// An earlier frame of the group, moved as the scanner has (article, V).
+    Inter,
 }
 
 /// What codes the ranges, or what prediction leaves of them.
@@ -85,6 +90,7 @@ impl Default for FrameParameters {
             positions: Positions::Exact,
             intensity: true,
             prediction: Prediction::None,
+            motion: QuantisedPose::default(),
             snake: false,
             range_coder: RangeCoder::Context { range_bits: EXACT_RANGE_BITS },
             source: None,
@@ -111,6 +117,9 @@ impl FrameParameters {
         write_unsigned(out, u64::from(self.positions == Positions::Formula));
         write_unsigned(out, u64::from(self.intensity));
         write_unsigned(out, self.prediction.to_code());
+        if self.prediction == Prediction::Inter {
+            self.motion.values.iter().for_each(|&value| write_signed(out, i64::from(value)));
+        }
         write_unsigned(out, u64::from(self.snake));
         match self.range_coder {
             RangeCoder::Context { range_bits } => {
@@ -137,10 +146,18 @@ impl FrameParameters {
             return Ok(FrameParameters::default());
         }
         let input = &mut bytes;
+        let positions = if flag(input)? { Positions::Formula } else { Positions::Exact };
+        let intensity = flag(input)?;
+        let prediction = Prediction::from_code(read(input)?)?;
+        let mut motion = QuantisedPose::default();
+        if prediction == Prediction::Inter {
+            motion = read_pose(input)?;
+        }
         let parameters = FrameParameters {
-            positions: if flag(input)? { Positions::Formula } else { Positions::Exact },
-            intensity: flag(input)?,
-            prediction: Prediction::from_code(read(input)?)?,
+            positions,
+            intensity,
+            prediction,
+            motion,
             snake: flag(input)?,
             range_coder: RangeCoder::read_from(input)?,
             source: if flag(input)? { Some(Source::read_from(input)?) } else { None },
@@ -168,9 +185,11 @@ impl fmt::Display for FrameParameters {
             Positions::Exact => "exact",
             Positions::Formula => "range image",
         })?;
-        if self.prediction == Prediction::Intra {
-            f.write_str(", intra")?;
-        }
+        f.write_str(match self.prediction {
+            Prediction::None => "",
+            Prediction::Intra => ", intra",
+            Prediction::Inter => ", inter",
+        })?;
         if self.snake {
             f.write_str(", snake")?;
         }
@@ -189,6 +208,7 @@ impl Prediction {
         match self {
             Prediction::None => 0,
             Prediction::Intra => 1,
+            Prediction::Inter => 2,
         }
     }
 
@@ -196,6 +216,7 @@ impl Prediction {
         match code {
             0 => Ok(Prediction::None),
             1 => Ok(Prediction::Intra),
+            2 => Ok(Prediction::Inter),
             _ => Err(Error::unsupported(format!("frame parameters: unknown prediction {code}"))),
         }
     }
@@ -255,6 +276,15 @@ impl Source {
             lost: read(input)?,
         })
     }
+}
+
+fn read_pose(input: &mut &[u8]) -> Result<QuantisedPose> {
+    let mut pose = QuantisedPose::default();
+    for value in &mut pose.values {
+        let read = read_signed(input, "frame parameters")?;
+        *value = i32::try_from(read).map_err(|_| Error::corrupt("frame parameters: no such motion"))?;
+    }
+    Ok(pose)
 }
 
 fn read(input: &mut &[u8]) -> Result<u64> {

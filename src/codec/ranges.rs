@@ -8,9 +8,11 @@ use super::steps::{Step, StepReport};
 use super::syntax::Models;
 use crate::backend;
 use crate::bitstream::SectionKind;
+use crate::context::RangeContext;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::prediction::{Predictor, Rays};
+use crate::range_image::Reference;
 use crate::residual::{self, Packing};
 use crate::sensor::SensorModel;
 
@@ -21,7 +23,7 @@ impl Models {
         sections: &mut S,
         sensor: &SensorModel,
         frame: &mut Frame,
-        levels: &Grid<u16>,
+        (levels, reference): (&Grid<u16>, Option<&Reference>),
         report: &mut StepReport,
     ) -> Result<()> {
         match frame.parameters.range_coder {
@@ -29,7 +31,13 @@ impl Models {
                 report.predicted += 4 * (frame.records - frame.strays) as u64;
                 report.timed(Step::Coding, || {
                     sections.section(SectionKind::Range, true, |coder| {
-                        self.range.code(coder, &frame.occupancy, levels, range_bits, &mut frame.steps);
+                        let known = RangeContext {
+                            occupancy: &frame.occupancy,
+                            intensity: levels,
+                            reference,
+                            range_bits,
+                        };
+                        self.range.code(coder, &known, &mut frame.steps);
                         Ok(())
                     })
                 })

@@ -1,23 +1,25 @@
 //! The syntax of a frame: which section codes what, in which order. Written once: the encoder
 //! walks it with a frame that is full, the decoder with one that fills.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use super::frame::Frame;
-use super::parameters::{FrameParameters, Positions};
+use super::parameters::{FrameParameters, Positions, Prediction};
 use super::sections::SectionCoder;
 use super::steps::{Step, StepReport};
 use crate::bitstream::SectionKind;
 use crate::context::{
-    ByteModel, ColumnModel, CorrectionModel, IntensityModel, IntensityNeighbours, IntensityScale,
-    OccupancyModel, OrderModel, PointModel, RangeModel, neighbours_above,
+    ByteModel, ColumnModel, CorrectionModel, IntensityModel, IntensityNeighbours, IntensityReference,
+    IntensityScale, OccupancyModel, OrderModel, PointModel, RangeModel, neighbours_above,
 };
 use crate::contour::ContourModel;
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::error::{Error, Limits, Result};
 use crate::grid::Grid;
+use crate::prediction::inter::Past;
 use crate::prediction::surface::SurfaceCoder;
-use crate::range_image::{RangeImage, Return};
+use crate::range_image::{RangeImage, Reference, Return};
 use crate::scan::Layout;
 use crate::sensor::SensorModel;
 
@@ -36,6 +38,8 @@ pub struct Models {
     pub(super) surfaces: SurfaceCoder,
     correction: CorrectionModel,
     order: OrderModel,
+    /// The last frame with a range image.
+    past: Option<Arc<Past>>,
 }
 
 impl Models {
@@ -61,23 +65,25 @@ impl Models {
             None if returns > 0 => return Err(Error::corrupt("a range image without a sensor model")),
             _ => None,
         };
-        if let Some(sensor) = sensor {
-            self.code_cells(sections, sensor, frame, returns)?;
-        }
+        let reference = match sensor {
+            Some(sensor) => self.code_cells(sections, sensor, frame, returns)?,
+            None => None,
+        };
         let has_points = frame.layout.position.is_some();
         frame.stray_positions.resize(if has_points { frame.strays } else { 0 }, [0.0; 3]);
         sections.section(SectionKind::Points, !frame.stray_positions.is_empty(), |coder| {
             self.points.code(coder, &mut frame.stray_positions);
             Ok(())
         })?;
-        let levels = self.code_intensities(sections, frame)?;
+        let levels = self.code_intensities(sections, frame, reference.as_ref())?;
         let mut found = Vec::new();
         if let Some(sensor) = sensor {
             steps.converted += 4 * frame.steps.cells().len() as u64;
-            self.code_ranges(sections, sensor, frame, &levels, steps)?;
+            self.code_ranges(sections, sensor, frame, (&levels, reference.as_ref()), steps)?;
             let columns = std::mem::take(&mut frame.columns);
             let image = RangeImage { columns, steps: std::mem::take(&mut frame.steps) };
             found = image.file_order(sensor);
+            self.past = Some(Arc::new(Past::new(image.clone(), levels)));
             (frame.columns, frame.steps) = (image.columns, image.steps);
             self.code_positions(sections, sensor, frame, &found)?;
         }
@@ -94,14 +100,15 @@ impl Models {
         Ok(found)
     }
 
-    /// The columns of the range image, and which of its cells hold a return.
+    /// The columns of the range image, and which of its cells hold a return. Gives what the frame before
+    /// lets expect there, if the frame is predicted from it.
     fn code_cells<S: SectionCoder>(
         &mut self,
         sections: &mut S,
         sensor: &SensorModel,
         frame: &mut Frame,
         returns: usize,
-    ) -> Result<()> {
+    ) -> Result<Option<Reference>> {
         sections.section(SectionKind::Columns, true, |coder| {
             self.columns.code(coder, sensor.ticks, &mut frame.columns);
             Ok(())
@@ -109,14 +116,31 @@ impl Models {
         let cells = sensor.rows().saturating_mul(frame.columns.len());
         within(cells, sections.limits().points, "cells of the range image")?;
         frame.fit_image(sensor.rows());
+        let reference = self.reference(sensor, frame)?;
         sections.section(SectionKind::Occupancy, true, |coder| {
-            self.occupancy.code(coder, &mut frame.occupancy);
+            self.occupancy.code(coder, reference.as_ref(), &mut frame.occupancy);
             Ok(())
         })?;
         if frame.occupancy.cells().iter().filter(|&&filled| filled).count() != returns {
             return Err(Error::corrupt("the range image holds another number of returns than the frame"));
         }
-        Ok(())
+        Ok(reference)
+    }
+
+    /// What the frame before lets expect of this one, if it is predicted from it.
+    fn reference(&self, sensor: &SensorModel, frame: &Frame) -> Result<Option<Reference>> {
+        if frame.parameters.prediction != Prediction::Inter {
+            return Ok(None);
+        }
+        let past = self.past.as_ref();
+        let past = past.ok_or_else(|| Error::corrupt("there is no frame before to predict this one from"))?;
+        let motion = frame.parameters.motion.pose().motion();
+        Ok(Some(past.reference(sensor, &frame.columns, &motion)))
+    }
+
+    /// The frame before, if it has a range image.
+    pub(super) fn past(&self) -> Option<&Past> {
+        self.past.as_deref()
     }
 
     /// The intensities, if the frame has any and keeps them. Gives the returns' as contexts for their
@@ -125,11 +149,12 @@ impl Models {
         &mut self,
         sections: &mut S,
         frame: &mut Frame,
+        reference: Option<&Reference>,
     ) -> Result<Grid<u16>> {
         let coded = frame.layout.intensity.is_some() && frame.parameters.intensity;
         if coded {
             let kind = SectionKind::Intensity;
-            return sections.section(kind, true, |coder| Ok(self.code_intensity(coder, frame)));
+            return sections.section(kind, true, |coder| Ok(self.code_intensity(coder, frame, reference)));
         }
         frame.intensity = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
         frame.stray_intensity = vec![0.0; frame.strays];
@@ -216,7 +241,12 @@ impl Models {
 
     /// The intensities of the returns, then of the strays. Gives the returns' as contexts for
     /// their ranges.
-    fn code_intensity<C: BitCoder>(&mut self, coder: &mut C, frame: &mut Frame) -> Grid<u16> {
+    fn code_intensity<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        frame: &mut Frame,
+        reference: Option<&Reference>,
+    ) -> Grid<u16> {
         let mut scale = IntensityScale::default();
         if C::ENCODES {
             let of_returns =
@@ -233,7 +263,8 @@ impl Models {
             self.intensity.start_row();
             let mut left = [0; 4];
             for column in (0..width).filter(|&column| frame.occupancy[(row, column)]) {
-                let near = neighbours(&levels, left, row, column);
+                let mut near = neighbours(&levels, left, row, column);
+                near.back = reference.and_then(|reference| IntensityReference::at(reference, (row, column)));
                 let value = &mut frame.intensity[(row, column)];
                 *value = self.intensity.code(coder, &scale, &near, (row, column), *value);
                 levels[(row, column)] = scale.context_level(*value);
@@ -263,6 +294,7 @@ impl Models {
                 left: [1, 2, 3, 4].map(|distance| at(index.checked_sub(distance))),
                 above: [-2, -1, 0, 1, 2].map(above),
                 above2: 0,
+                back: None,
             };
             let value = &mut frame.stray_intensity[index];
             *value = self.intensity.code(coder, scale, &near, (0, 0), *value);
@@ -297,7 +329,12 @@ fn neighbours(levels: &Grid<u16>, left: [u16; 4], row: usize, column: usize) -> 
             (Some(row), Some(column)) if column < levels.columns() => levels[(row, column)],
             _ => 0,
         };
-    IntensityNeighbours { left, above: [-2, -1, 0, 1, 2].map(|offset| at(1, offset)), above2: at(2, 0) }
+    IntensityNeighbours {
+        left,
+        above: [-2, -1, 0, 1, 2].map(|offset| at(1, offset)),
+        above2: at(2, 0),
+        back: None,
+    }
 }
 
 fn within(got: usize, max: u64, what: &'static str) -> Result<()> {

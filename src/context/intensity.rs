@@ -3,7 +3,8 @@
 
 use super::least_squares::LeastSquares;
 use super::quantise::Levels;
-use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel, MixedBits};
+use crate::entropy::{AdaptiveBit, BitCoder, Counter, IntegerModel, MixedBits};
+use crate::range_image::Reference;
 use crate::varint::{unzigzag, zigzag};
 
 /// How many levels make 1.0, in the files of known scanners: hundredths (KITTI), 256ths
@@ -81,6 +82,31 @@ pub struct IntensityNeighbours {
     pub above: [u16; 5],
     /// Two rows above.
     pub above2: u16,
+    /// In an earlier frame, if that has anything here.
+    pub back: Option<IntensityReference>,
+}
+
+/// The context levels of an earlier frame around a return; 0 = none.
+#[derive(Clone, Copy, Debug)]
+pub struct IntensityReference {
+    /// The same cell, and those to its left and right.
+    pub same: [u16; 3],
+    /// Where the surface seen here was then.
+    pub moved: u16,
+}
+
+impl IntensityReference {
+    /// Around a cell; none if no earlier frame has a return there.
+    pub fn at(reference: &Reference, cell: (usize, usize)) -> Option<Self> {
+        let same = [0, -1, 1].map(|right| reference.same.levels.beside(cell, 0, right));
+        let moved = reference.moved.levels.beside(cell, 0, 0);
+        (same[0] > 0 || moved > 0).then_some(IntensityReference { same, moved })
+    }
+
+    /// The same cell's, or else that of the moved surface.
+    fn level(&self) -> u16 {
+        if self.same[0] > 0 { self.same[0] } else { self.moved }
+    }
 }
 
 const VIEWS: usize = 5;
@@ -88,18 +114,27 @@ const OPINIONS: usize = 8;
 /// Counters of each view: contexts share them by hashing.
 const SLOT_BITS: u32 = 12;
 const FEATURES: usize = 8;
+const REFERENCE_FEATURES: usize = 4;
+const ALL_FEATURES: usize = FEATURES + REFERENCE_FEATURES;
 /// Beams beyond this many share their contexts.
 const ROW_CONTEXTS: usize = 128;
 const ERROR_LEVELS: usize = 8;
 const GRADIENT_LEVELS: usize = 8;
+/// Least-squares fits: nothing above, and something.
+const FITS: usize = 2;
+/// Sets of weights; with a reference there are as many more.
+const SETS: usize = MOST_BITS as usize * ERROR_LEVELS * GRADIENT_LEVELS;
 /// The level assumed where nothing is known.
 const TYPICAL_LEVEL: u16 = 20;
 
 /// What the coder has learned about intensities.
 #[derive(Clone)]
 pub struct IntensityModel {
-    fits: Vec<LeastSquares<FEATURES>>,
+    fits: [LeastSquares<FEATURES>; FITS],
+    /// The same with a reference, once there was one.
+    reference_fits: Option<[LeastSquares<ALL_FEATURES>; FITS]>,
     bits: MixedBits<VIEWS, OPINIONS>,
+    reference: Vec<Counter>,
     levels: Levels<7>,
     exception: AdaptiveBit,
     off_grid: IntegerModel,
@@ -112,14 +147,10 @@ pub struct IntensityModel {
 impl Default for IntensityModel {
     fn default() -> Self {
         IntensityModel {
-            fits: vec![LeastSquares::new(0.9995); 2],
-            bits: MixedBits::new(
-                [0; VIEWS],
-                MOST_BITS as usize * ERROR_LEVELS * GRADIENT_LEVELS,
-                0.25,
-                0.0,
-                0.003,
-            ),
+            fits: std::array::from_fn(|_| LeastSquares::new(0.9995)),
+            reference_fits: None,
+            bits: MixedBits::new([0; VIEWS], 2 * SETS, 0.25, 0.0, 0.003),
+            reference: Vec::new(),
             levels: Levels::new(1.0, 1.8),
             exception: AdaptiveBit::default(),
             off_grid: IntegerModel::default(),
@@ -138,7 +169,9 @@ impl IntensityModel {
         self.above.resize(columns, 4.0);
         // A context has a counter for each place in the tree of a level's bits.
         if scale.per_unit > 0 {
-            self.bits.grow(1 << (SLOT_BITS + scale.bits));
+            let places = 1 << (SLOT_BITS + scale.bits);
+            self.bits.grow(places);
+            self.reference.resize(self.reference.len().max(places), Counter::default());
         }
     }
 
@@ -183,13 +216,25 @@ impl IntensityModel {
         (row, column): (usize, usize),
         level: u32,
     ) -> u32 {
+        if near.back.is_some() && self.reference_fits.is_none() {
+            self.bits.spread_sets(SETS);
+            self.reference_fits = Some(self.fits.each_ref().map(LeastSquares::widened));
+        }
         let site = self.site(near, row, self.above[column]);
         let slots = site.views.map(|view| slot(view) << scale.bits);
+        let reference = site.reference.as_ref().map(|reference| slot(reference.view) << scale.bits);
         let mut node = 1usize;
         for i in (0..scale.bits).rev() {
             let set = i as usize * ERROR_LEVELS * GRADIENT_LEVELS + site.mixer_set;
             let places = slots.map(|slot| slot + node);
-            let bit = self.bits.code_or_sure(coder, set, &places, level >> i & 1 == 1);
+            let bit = level >> i & 1 == 1;
+            let bit = match reference {
+                None => self.bits.code_or_sure(coder, set, &places, [], bit),
+                Some(slot) => {
+                    let extra = [&mut self.reference[slot + node]];
+                    self.bits.code_or_sure(coder, SETS + set, &places, extra, bit)
+                }
+            };
             node = node << 1 | usize::from(bit);
         }
         let level = node as u32 - (1 << scale.bits);
@@ -217,7 +262,20 @@ impl IntensityModel {
             difference(or(nee, north_east)),
         ];
         let fit = usize::from(near.above[2] > 0);
-        let prediction = (f32::from(west) + self.fits[fit].predict(&features)).clamp(0.0, 127.0);
+        let reference = near.back.map(|back| {
+            let mut all = [0.0; ALL_FEATURES];
+            all[..FEATURES].copy_from_slice(&features);
+            let same = back.level();
+            let [_, left, right] = back.same;
+            let levels = [same, or(left, same), or(right, same), or(back.moved, same)];
+            all[FEATURES..].copy_from_slice(&levels.map(difference));
+            (all, same)
+        });
+        let change = match (&reference, &self.reference_fits) {
+            (Some((all, _)), Some(fits)) => fits[fit].predict(all),
+            _ => self.fits[fit].predict(&features),
+        };
+        let prediction = (f32::from(west) + change).clamp(0.0, 127.0);
         let apart = |a: u16, b: u16| f32::from(a.abs_diff(b));
         let gradient = apart(west, north) + apart(west, west2) + apart(north, north_east);
         let error_level = self.levels.of(self.mean + 0.5 * error_above);
@@ -237,6 +295,8 @@ impl IntensityModel {
             ],
             mixer_set,
             features,
+            reference: reference
+                .map(|(features, same)| SiteReference { features, view: usize::from(same) << 8 | coarse }),
             fit,
             west: f32::from(west),
             prediction,
@@ -245,7 +305,11 @@ impl IntensityModel {
 
     fn learn(&mut self, site: &Site, column: usize, level: f32) {
         let error = level - site.prediction;
-        self.fits[site.fit].learn(&site.features, level - site.west, 1.0 / (9.0 + error * error));
+        let (target, weight) = (level - site.west, 1.0 / (9.0 + error * error));
+        match (&site.reference, &mut self.reference_fits) {
+            (Some(reference), Some(fits)) => fits[site.fit].learn(&reference.features, target, weight),
+            _ => self.fits[site.fit].learn(&site.features, target, weight),
+        }
         let magnitude = error.abs();
         self.mean = 0.6 * self.mean + 0.4 * magnitude;
         self.above[column] = 0.5 * self.above[column] + 0.5 * magnitude;
@@ -258,9 +322,18 @@ struct Site {
     views: [usize; VIEWS],
     mixer_set: usize,
     features: [f32; FEATURES],
+    reference: Option<SiteReference>,
     fit: usize,
     west: f32,
     prediction: f32,
+}
+
+/// What an earlier frame adds to it.
+#[derive(Clone)]
+struct SiteReference {
+    /// Those of the site and of the reference.
+    features: [f32; ALL_FEATURES],
+    view: usize,
 }
 
 /// The place of a context among the slots.

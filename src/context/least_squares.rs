@@ -27,6 +27,18 @@ impl<const N: usize> LeastSquares<N> {
         LeastSquares { normal: [[0.0; N]; N], right: [0.0; N], weights: [0.0; N], forget, samples: 0 }
     }
 
+    /// The same with more features, of which nothing is known yet.
+    pub fn widened<const M: usize>(&self) -> LeastSquares<M> {
+        let mut wide = LeastSquares::new(self.forget);
+        for (to, from) in wide.normal.iter_mut().zip(&self.normal) {
+            to[..N].copy_from_slice(from);
+        }
+        wide.right[..N].copy_from_slice(&self.right);
+        wide.weights[..N].copy_from_slice(&self.weights);
+        wide.samples = self.samples;
+        wide
+    }
+
     /// The prediction for these features.
     #[inline]
     pub fn predict(&self, features: &[f32; N]) -> f32 {

@@ -1,13 +1,19 @@
 //! Which cells of the range image hold a return.
 
-use crate::entropy::{BitCoder, MixedBits};
+use crate::entropy::{BitCoder, Counter, MixedBits};
 use crate::grid::Grid;
+use crate::range_image::Reference;
 
 /// Cells beyond either side that the contexts look at.
 const MARGIN: usize = 4;
 const VIEWS: usize = 4;
 const OPINIONS: usize = 8;
 const VIEW_SIZES: [usize; VIEWS] = [1 << 10, 128 * 16, 1 << 12, 1 << 10];
+const REFERENCE_VIEWS: usize = 2;
+const REFERENCE_VIEW_SIZES: [usize; REFERENCE_VIEWS] = [1 << 12, 1 << 9];
+/// Sets of weights for the cells around, and how many times as many with a reference.
+const SETS: usize = 64;
+const REFERENCE_SETS: usize = 4;
 /// Beams beyond this many share their contexts.
 const ROW_CONTEXTS: usize = 128;
 
@@ -15,17 +21,31 @@ const ROW_CONTEXTS: usize = 128;
 #[derive(Clone)]
 pub struct OccupancyModel {
     filled: MixedBits<VIEWS, OPINIONS>,
+    /// The counters of the reference's views, once there was one.
+    reference: Option<[Vec<Counter>; REFERENCE_VIEWS]>,
 }
 
 impl Default for OccupancyModel {
     fn default() -> Self {
-        OccupancyModel { filled: MixedBits::new(VIEW_SIZES, 64, 0.4, 0.0, 0.003) }
+        OccupancyModel {
+            filled: MixedBits::new(VIEW_SIZES, SETS * (1 + REFERENCE_SETS), 0.4, 0.0, 0.003),
+            reference: None,
+        }
     }
 }
 
 impl OccupancyModel {
-    /// Codes every cell.
-    pub fn code<C: BitCoder>(&mut self, coder: &mut C, occupancy: &mut Grid<bool>) {
+    /// Codes every cell. `reference` is what an earlier frame has there.
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        reference: Option<&Reference>,
+        occupancy: &mut Grid<bool>,
+    ) {
+        if reference.is_some() && self.reference.is_none() {
+            self.filled.spread_sets(SETS);
+            self.reference = Some(REFERENCE_VIEW_SIZES.map(|size| vec![Counter::default(); size]));
+        }
         let width = occupancy.columns();
         // Empty cells in each column so far, halved with every row: how long ago and how many.
         let mut empty_above = vec![0u32; width];
@@ -50,12 +70,52 @@ impl OccupancyModel {
                     (empty_above[column] as usize >> 2) * 16 + near,
                 ];
                 let set = near | n2[0] << 4 | w[1] << 5;
-                let filled = self.filled.code(coder, set, &views, 0.0, occupancy[(row, column)]);
-                occupancy[(row, column)] = filled;
+                let filled = &mut occupancy[(row, column)];
+                let back = reference.map(|reference| Back::at(reference, (row, column)));
+                *filled = match (back, &mut self.reference) {
+                    (Some(back), Some([first, second])) => {
+                        let places = back.places(near | w[1] << 4 | n2[0] << 5);
+                        let extra = [&mut first[places[0]], &mut second[places[1]]];
+                        let set = SETS * (1 + back.set()) + set;
+                        self.filled.code_with(coder, set, &views, 0.0, extra, *filled)
+                    }
+                    _ => self.filled.code(coder, set, &views, 0.0, *filled),
+                };
+                let filled = *filled;
                 current[column + MARGIN] = usize::from(filled);
                 empty_above[column] = empty_above[column] >> 1 | u32::from(!filled) << 7;
                 run = if usize::from(filled) == w[0] { run + 1 } else { 0 };
             }
         }
+    }
+}
+
+/// Where an earlier frame holds returns around a cell.
+struct Back {
+    /// The cell itself, then left, right, above and below.
+    around: usize,
+    /// Two to the left, two to the right, below right and below left.
+    wide: usize,
+}
+
+impl Back {
+    fn at(reference: &Reference, cell: (usize, usize)) -> Self {
+        let bits = |offsets: &[(isize, isize)]| {
+            let filled = |&(down, right)| reference.same.steps.beside(cell, down, right) > 0;
+            offsets.iter().enumerate().fold(0, |bits, (i, offset)| bits | usize::from(filled(offset)) << i)
+        };
+        Back {
+            around: bits(&[(0, 0), (0, -1), (0, 1), (-1, 0), (1, 0)]),
+            wide: bits(&[(0, -2), (0, 2), (1, 1), (1, -1)]),
+        }
+    }
+
+    /// The contexts of the reference's views; `near` are six bits of the cells coded before.
+    fn places(&self, near: usize) -> [usize; REFERENCE_VIEWS] {
+        [self.around | near << 5 | (self.wide & 1) << 11, self.around | self.wide << 5]
+    }
+
+    fn set(&self) -> usize {
+        self.around & 1 | usize::from(self.around == 0 || self.around == 31) << 1
     }
 }

@@ -177,14 +177,23 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         }
     }
 
-    /// Codes a bit as [`code`](Self::code) does, but leaves the word to the first two views where both are all but
+    /// Gives the sets after the first `sets`, as many at a time, what these have learned.
+    pub fn spread_sets(&mut self, sets: usize) {
+        for set in sets..self.weights.len() {
+            self.weights[set] = self.weights[set % sets];
+            self.seen[set] = self.seen[set % sets];
+        }
+    }
+
+    /// Codes a bit as [`code_with`](Self::code_with) does, but leaves the word to the first two views where both are all but
     /// certain: what the others would add is not worth the time.
     #[inline]
-    pub fn code_or_sure<C: BitCoder>(
+    pub fn code_or_sure<C: BitCoder, const X: usize>(
         &mut self,
         coder: &mut C,
         set: usize,
         places: &[usize; V],
+        extra: [&mut Counter; X],
         bit: bool,
     ) -> bool {
         /// Log odds of 1 to 33.
@@ -192,7 +201,7 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         let deciding = [self.views[0] + places[0], self.views[1] + places[1]];
         let [first, second] = deciding.map(|place| self.tables.opinion(self.counters[place]));
         if first.min(second) < SURE && first.max(second) > -SURE {
-            return self.code(coder, set, places, 0.0, bit);
+            return self.code_with(coder, set, places, 0.0, extra, bit);
         }
         let bit = coder.code(bit, self.tables.squash(0.5 * (first + second)));
         deciding.into_iter().for_each(|place| self.counters[place].learn(bit));
@@ -210,10 +219,29 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         other: f32,
         bit: bool,
     ) -> bool {
+        self.code_with(coder, set, places, other, [], bit)
+    }
+
+    /// Codes a bit as [`code`](Self::code) does, with `X` more counters that have a say. The weights of
+    /// theirs start at 0.
+    #[inline]
+    pub fn code_with<C: BitCoder, const X: usize>(
+        &mut self,
+        coder: &mut C,
+        set: usize,
+        places: &[usize; V],
+        other: f32,
+        extra: [&mut Counter; X],
+        bit: bool,
+    ) -> bool {
+        const { assert!(V + 2 + X <= N) };
         let counters = self.counters.as_mut_slice();
         let mut opinions = [0.0; N];
         opinions[V] = other;
         opinions[V + 1] = CONSTANT;
+        for (opinion, counter) in opinions[V + 2..].iter_mut().zip(&extra) {
+            *opinion = self.tables.opinion(**counter);
+        }
         for view in 0..V {
             opinions[view] = self.tables.opinion(counters[self.views[view] + places[view]]);
         }
@@ -235,6 +263,7 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         for view in 0..V {
             counters[self.views[view] + places[view]].learn(bit);
         }
+        extra.into_iter().for_each(|counter| counter.learn(bit));
         bit
     }
 }

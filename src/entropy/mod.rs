@@ -13,4 +13,4 @@ mod logistic;
 
 pub use adaptive::{AdaptiveBit, IntegerModel, SymbolModel};
 pub use arithmetic::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
-pub use logistic::{Logistic, MixedBits};
+pub use logistic::{Counter, Logistic, MixedBits};

@@ -1,5 +1,6 @@
 //! What ranges are predicted from before a general-purpose back-end codes what is left.
 
+pub mod inter;
 pub mod intra;
 pub mod ransac;
 pub mod surface;

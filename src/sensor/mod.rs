@@ -11,4 +11,6 @@ mod model;
 pub use coordinates::Coordinates;
 pub use fit::fit;
 pub use ideal::ideal;
-pub use model::{BeamConstants, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, SensorModel};
+pub use model::{
+    BeamConstants, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, SensorModel, Sighting,
+};

@@ -111,6 +111,19 @@ impl Beam {
     }
 }
 
+/// Where a point is seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sighting {
+    /// The nearest beam.
+    pub row: usize,
+    /// The nearest column tick.
+    pub column_tick: u32,
+    /// The range at which that beam passes nearest to it.
+    pub metres: f64,
+    /// How far it is from that beam and tick, in radians.
+    pub off: f64,
+}
+
 /// The scanner of a sequence.
 #[derive(Clone, Debug)]
 pub struct SensorModel {
@@ -222,19 +235,7 @@ impl SensorModel {
 
     /// The formula: x, y and z in metres, before they are rounded to the file's grid.
     pub fn point(&self, row: usize, tick: u32, steps: u32) -> [f64; 3] {
-        let beam = &self.beams[row];
-        let d = self.metres(steps);
-        let rho = d * beam.cos_v + beam.b;
-        let [cos_t, sin_t] = self.tick_directions[tick as usize];
-        let (cos_a, sin_a) =
-            (cos_t * beam.cos_rot - sin_t * beam.sin_rot, sin_t * beam.cos_rot + cos_t * beam.sin_rot);
-        // Turned by atan(h / rho), whose cosine and sine are rho and h over their hypotenuse.
-        let along = rho / (rho * rho + beam.h * beam.h).sqrt();
-        [
-            along * (cos_a * rho - sin_a * beam.h),
-            along * (sin_a * rho + cos_a * beam.h),
-            d * beam.sin_v + beam.c,
-        ]
+        self.point_at(row, tick, self.metres(steps))
     }
 
     /// phi of the formula, in radians from 0 to 2 pi: the order of the points of a row in the file.
@@ -261,6 +262,54 @@ impl SensorModel {
         let azimuth = y.atan2(x) - small_atan(beam.h / rho) - beam.rot;
         let tick = round_ties_even(azimuth * (f64::from(self.ticks) / TAU));
         tick.is_finite().then(|| ((tick as i64).rem_euclid(i64::from(self.ticks)) as u32, steps))
+    }
+
+    /// Where a point (metres) near beam `hint`'s cone is seen, for both sides; the same on every platform.
+    /// None if it is on no cone, or too near.
+    pub fn locate(&self, hint: usize, [x, y, z]: [f64; 3]) -> Option<Sighting> {
+        /// Metres; nearer than this is inside the scanner.
+        const NEAREST: f64 = 0.5;
+        let rho = (x * x + y * y).sqrt();
+        let miss = |row: usize| self.beams.get(row).map(|beam| (beam.height_at(rho) - z).abs());
+        let (mut row, mut least) = (hint, miss(hint)?);
+        // The beams of real scanners are in the order of their elevations.
+        for step in [1, -1] {
+            while let Some((next, off)) = row.checked_add_signed(step).and_then(|row| Some((row, miss(row)?)))
+            {
+                if off >= least {
+                    break;
+                }
+                (row, least) = (next, off);
+            }
+        }
+        let beam = &self.beams[row];
+        let metres = (rho - beam.b) * beam.cos_v + (z - beam.c) * beam.sin_v;
+        if !(metres > NEAREST && metres < f64::from(FARTHEST)) {
+            return None;
+        }
+        let azimuth = libm::atan2(y, x) - small_atan(beam.h / rho) - beam.rot;
+        let tick = azimuth * (f64::from(self.ticks) / TAU);
+        let nearest = round_ties_even(tick);
+        let aside = (tick - nearest).abs() * (TAU / f64::from(self.ticks));
+        let column_tick = self.column_tick(row, nearest as i64);
+        Some(Sighting { row, column_tick, metres, off: least / metres + aside })
+    }
+
+    /// The formula for a range in metres that need not be a whole number of steps.
+    #[inline]
+    pub fn point_at(&self, row: usize, tick: u32, metres: f64) -> [f64; 3] {
+        let beam = &self.beams[row];
+        let rho = metres * beam.cos_v + beam.b;
+        let [cos_t, sin_t] = self.tick_directions[tick as usize];
+        let (cos_a, sin_a) =
+            (cos_t * beam.cos_rot - sin_t * beam.sin_rot, sin_t * beam.cos_rot + cos_t * beam.sin_rot);
+        // Turned by atan(h / rho), whose cosine and sine are rho and h over their hypotenuse.
+        let along = rho / (rho * rho + beam.h * beam.h).sqrt();
+        [
+            along * (cos_a * rho - sin_a * beam.h),
+            along * (sin_a * rho + cos_a * beam.h),
+            metres * beam.sin_v + beam.c,
+        ]
     }
 
     /// The beam whose cone passes nearest to a point at distance `rho` and height `z` (metres),

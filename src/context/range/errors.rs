@@ -1,0 +1,69 @@
+//! The errors made around a cell.
+
+use super::FEATURE_REACH;
+
+/// The errors made to the left and above.
+pub struct ErrorTrack {
+    /// Running mean magnitude along the row.
+    mean: f32,
+    /// For each column, the running mean down the rows, as it was above the current row and as it
+    /// is made by it.
+    above: Vec<f32>,
+    current: Vec<f32>,
+    /// The signed error of the left neighbour, and those of the row above.
+    pub west: f64,
+    signed_above: Vec<f32>,
+    signed_current: Vec<f32>,
+    has_row_above: bool,
+}
+
+impl ErrorTrack {
+    /// For an image of `width` columns.
+    pub fn new(width: usize) -> Self {
+        let zeros = vec![0.0; width];
+        ErrorTrack {
+            mean: 0.0,
+            above: zeros.clone(),
+            current: zeros.clone(),
+            west: 0.0,
+            signed_above: zeros.clone(),
+            signed_current: zeros,
+            has_row_above: false,
+        }
+    }
+
+    /// Begins the next row.
+    pub fn start_row(&mut self, has_row_above: bool) {
+        self.mean = 20.0;
+        self.west = 0.0;
+        self.has_row_above = has_row_above;
+        std::mem::swap(&mut self.above, &mut self.current);
+        std::mem::swap(&mut self.signed_above, &mut self.signed_current);
+    }
+
+    /// The error to expect in a column, in steps.
+    pub fn expected(&self, column: usize) -> f32 {
+        self.mean + 0.5 * self.above[column]
+    }
+
+    /// The signed error above.
+    pub fn north(&self, column: usize) -> f64 {
+        f64::from(self.signed_above[column])
+    }
+
+    /// No return in this column: what was known of it stays.
+    pub fn skip(&mut self, column: usize) {
+        self.current[column] = self.above[column];
+        self.signed_current[column] = self.signed_above[column];
+    }
+
+    /// Notes the errors of the least-squares fit, and of the base where coding starts.
+    pub fn record(&mut self, column: usize, fit_error: f64, base_error: f64) {
+        let magnitude = fit_error.abs().min(FEATURE_REACH) as f32;
+        self.mean = 0.6 * self.mean + 0.4 * magnitude;
+        self.current[column] =
+            if self.has_row_above { 0.5 * self.above[column] + 0.5 * magnitude } else { magnitude };
+        self.west = base_error;
+        self.signed_current[column] = base_error as f32;
+    }
+}

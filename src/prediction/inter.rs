@@ -1,0 +1,68 @@
+//! Inter prediction (article, V): what the frame before lets expect of this one.
+
+mod render;
+
+use std::sync::OnceLock;
+
+use crate::grid::Grid;
+use crate::range_image::{Layer, RangeImage, Reference};
+use crate::registration::{RigidMotion, Surface};
+use crate::sensor::SensorModel;
+use render::render;
+
+/// Ticks that a column of the frame before may be off.
+const COLUMN_REACH: u32 = 2;
+
+/// The frame before, as both sides know it.
+#[derive(Debug, Default)]
+pub struct Past {
+    image: RangeImage,
+    /// Context levels of intensities, of the same shape.
+    levels: Grid<u16>,
+    /// Made when it is first asked for.
+    surface: OnceLock<Surface>,
+}
+
+impl Past {
+    /// Of a range image and the context levels of its intensities.
+    pub fn new(image: RangeImage, levels: Grid<u16>) -> Self {
+        Past { image, levels, surface: OnceLock::new() }
+    }
+
+    /// Its surfaces.
+    pub fn surface(&self, sensor: &SensorModel) -> &Surface {
+        self.surface.get_or_init(|| Surface::of(sensor, &self.image.columns, &self.image.steps))
+    }
+
+    /// What it lets expect in an image with these columns, after the scanner has moved.
+    pub fn reference(&self, sensor: &SensorModel, columns: &[u32], motion: &RigidMotion) -> Reference {
+        Reference {
+            same: self.same_cells(columns),
+            moved: render(self.surface(sensor), &self.levels, motion, sensor, columns),
+        }
+    }
+
+    /// The same cells: of the nearest column, if it is near.
+    fn same_cells(&self, columns: &[u32]) -> Layer {
+        let rows = self.image.steps.rows();
+        let mut layer =
+            Layer { steps: Grid::new(rows, columns.len()), levels: Grid::new(rows, columns.len()) };
+        let off = |column: usize, tick: u32| self.image.columns.get(column).map(|other| other.abs_diff(tick));
+        let mut nearest = 0;
+        for (column, &tick) in columns.iter().enumerate() {
+            while off(nearest + 1, tick)
+                .is_some_and(|next| off(nearest, tick).is_none_or(|this| next <= this))
+            {
+                nearest += 1;
+            }
+            if off(nearest, tick).is_none_or(|off| off > COLUMN_REACH) {
+                continue;
+            }
+            for row in 0..rows {
+                layer.steps[(row, column)] = self.image.steps[(row, nearest)];
+                layer.levels[(row, column)] = self.levels[(row, nearest)];
+            }
+        }
+        layer
+    }
+}
