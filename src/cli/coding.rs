@@ -3,7 +3,7 @@
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueEnum};
 use lidarpc::backend::{self, Level};
-use lidarpc::codec::{Coder, EncoderConfig, Mode, Prediction, PredictionChoice, ProjectionKind};
+use lidarpc::codec::{Coder, EncoderConfig, FrameOrder, Mode, Prediction, PredictionChoice, ProjectionKind};
 use lidarpc::error::{Error, Result};
 use lidarpc::residual::Packing;
 use lidarpc::sensor::FLOAT_RANGES;
@@ -24,7 +24,7 @@ pub struct CodingArgs {
     /// Effort of a general-purpose back-end, 1 (fast) to 9 (small).
     #[arg(long, value_name = "1..9")]
     pub level: Option<u8>,
-    /// What ranges are predicted from before a general-purpose back-end.
+    /// What ranges are predicted from.
     #[arg(long, value_enum, value_name = "FROM")]
     pub predict: Option<PredictArg>,
     /// Give a general-purpose back-end what prediction leaves as it is, not as the differences along the
@@ -34,6 +34,9 @@ pub struct CodingArgs {
     /// How residuals are laid out for a general-purpose back-end.
     #[arg(long, value_name = "NAME", value_parser = packing_names())]
     pub packing: Option<String>,
+    /// Which frames may be predicted from the one before.
+    #[arg(long, value_enum, value_name = "ORDER", default_value = "ratio")]
+    pub order: OrderArg,
     /// Frames a group. Groups are decoded apart: more frames compress better, fewer seek faster.
     #[arg(long, value_name = "FRAMES", default_value_t = default_gop(),
           value_parser = clap::value_parser!(u32).range(1..=100_000))]
@@ -70,6 +73,15 @@ pub enum ModeArg {
     Exact,
     /// The article's codec: drops outliers, keeps the range image of an ideal sensor.
     Paper,
+}
+
+/// Which frames of a group are P frames.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum OrderArg {
+    /// All but the first: smallest.
+    Ratio,
+    /// Every other one: less to compute.
+    Time,
 }
 
 /// What ranges are predicted from.
@@ -182,6 +194,10 @@ impl CodingArgs {
                 PredictArg::Auto => PredictionChoice::Smallest,
             };
         }
+        config.order = match self.order {
+            OrderArg::Ratio => FrameOrder::Ratio,
+            OrderArg::Time => FrameOrder::Time,
+        };
         config.snake = !self.no_snake;
         let for_backends = [("--level", self.level.is_some()), ("--packing", self.packing.is_some())];
         if let (Coder::Context, Some((name, _))) = (config.coder, for_backends.iter().find(|(_, is)| *is)) {

@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::outlier::RadiusOutlier;
 use crate::prediction::intra::{IntraConfig, RegionModels};
 use crate::range_image::EXACT_RANGE_BITS;
-use crate::registration::QuantisedPose;
+use crate::registration::{QuantisedPose, RegistrationConfig};
 use crate::residual::Packing;
 use crate::segmentation::SegmentationConfig;
 use crate::sensor::{FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_TICKS};
@@ -45,10 +45,21 @@ impl ProjectionKind {
     }
 }
 
+/// Which frames of a group may be predicted from the one before (article, Fig. 2).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FrameOrder {
+    /// Compression rate first: I P P P and so on.
+    #[default]
+    Ratio,
+    /// Time first: I P I P and so on.
+    Time,
+}
+
 /// How it is chosen what ranges are predicted from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PredictionChoice {
-    /// Every frame as the user says.
+    /// Every frame as the user says. [`Prediction::Inter`]: each P frame from the frame before or, if that
+    /// is smaller, as an I frame; that is, from regions or by context.
     Always(Prediction),
     /// Each frame as makes it smallest.
     Smallest,
@@ -82,9 +93,13 @@ pub struct EncoderConfig {
     pub positions: Positions,
     /// Whether intensities are coded. Default: yes; in paper mode, as in the article, no.
     pub intensity: bool,
-    /// What ranges are predicted from. Default: nothing, since the context coder does better by
-    /// itself; in paper mode regions (IV-C).
+    /// What ranges are predicted from. Default: what makes each frame smallest; in paper mode, as in the
+    /// article, regions (IV-C) in I frames and the frame before (V) in P frames.
     pub prediction: PredictionChoice,
+    /// Which frames are P frames. Default: all but the first of a group.
+    pub order: FrameOrder,
+    /// How the scanner's motion is found (V-B).
+    pub registration: RegistrationConfig,
     /// Whether a general-purpose back-end gets the differences along the snake's path (V-C). Default:
     /// yes; whatever they are predicted from, residuals get smaller by it.
     pub snake: bool,
@@ -119,7 +134,9 @@ impl EncoderConfig {
             projection: ProjectionKind::Calibrated,
             positions: Positions::Exact,
             intensity: true,
-            prediction: PredictionChoice::Always(Prediction::None),
+            prediction: PredictionChoice::Smallest,
+            order: FrameOrder::default(),
+            registration: RegistrationConfig::default(),
             snake: true,
             segmentation: SegmentationConfig::default(),
             intra: IntraConfig::default(),
@@ -134,35 +151,52 @@ impl EncoderConfig {
                 projection: PAPER_PROJECTION,
                 positions: Positions::Formula,
                 intensity: false,
-                prediction: PredictionChoice::Always(Prediction::Intra),
+                prediction: PredictionChoice::Always(Prediction::Inter),
                 coder: Coder::Backend(backend::LZMA),
                 ..exact
             },
         }
     }
 
-    /// What ranges are best predicted from for this coder and image.
+    /// What ranges are predicted from by default with this coder: what makes a frame smallest, or, by a
+    /// general-purpose back-end in paper mode, as in the article.
     pub fn default_prediction(&self) -> PredictionChoice {
-        PredictionChoice::Always(match self.coder {
-            Coder::Context => Prediction::None,
-            Coder::Backend(_) => Prediction::Intra,
-        })
+        match (self.coder, self.positions) {
+            (Coder::Backend(_), Positions::Formula) => PredictionChoice::Always(Prediction::Inter),
+            _ => PredictionChoice::Smallest,
+        }
     }
 
-    /// What is tried for each frame; the smallest result is taken.
-    pub(super) fn predictions(&self) -> &[Prediction] {
-        match (self.prediction, self.coder) {
-            (PredictionChoice::Always(Prediction::None), _) => &[Prediction::None],
-            (PredictionChoice::Always(Prediction::Intra), _) => &[Prediction::Intra],
-            (PredictionChoice::Always(Prediction::Inter), Coder::Context) => {
-                &[Prediction::None, Prediction::Inter]
-            }
-            (PredictionChoice::Always(Prediction::Inter), _) => &[Prediction::Intra, Prediction::Inter],
-            (PredictionChoice::Smallest, Coder::Context) => &[Prediction::None, Prediction::Inter],
-            (PredictionChoice::Smallest, Coder::Backend(_)) => {
-                &[Prediction::None, Prediction::Intra, Prediction::Inter]
-            }
+    /// Whether a frame may be predicted from the one before it; frames of a group are counted from 0.
+    pub(super) fn allows_inter(&self, frame_of_group: usize) -> bool {
+        let is_chosen = matches!(
+            self.prediction,
+            PredictionChoice::Smallest | PredictionChoice::Always(Prediction::Inter)
+        );
+        let is_turn = match self.order {
+            FrameOrder::Ratio => frame_of_group > 0,
+            FrameOrder::Time => frame_of_group % 2 == 1,
+        };
+        is_chosen && is_turn
+    }
+
+    /// What is tried for a frame, so that the smallest result is taken. `overlap` is the part of the frame
+    /// before that was found in it, if it may be predicted from that.
+    pub(super) fn predictions(&self, overlap: Option<f64>) -> Vec<Prediction> {
+        /// From here on it is not worth the time to try without: the models leave a reference that is of no
+        /// use aside.
+        const SURE: f64 = 0.6;
+        let mut tried = match (self.prediction, self.coder) {
+            (PredictionChoice::Always(Prediction::Intra), _) => vec![Prediction::Intra],
+            (PredictionChoice::Always(Prediction::Inter), Coder::Backend(_)) => vec![Prediction::Intra],
+            (PredictionChoice::Smallest, Coder::Backend(_)) => vec![Prediction::None, Prediction::Intra],
+            (_, Coder::Context) if overlap.is_some_and(|overlap| overlap > SURE) => vec![],
+            _ => vec![Prediction::None],
+        };
+        if overlap.is_some() {
+            tried.push(Prediction::Inter);
         }
+        tried
     }
 
     /// How residuals are laid out for a back-end. Ranges that are not differences are large numbers.
@@ -175,7 +209,7 @@ impl EncoderConfig {
         Ok(FrameParameters {
             positions: self.positions,
             intensity: self.intensity,
-            prediction: self.predictions()[0],
+            prediction: Prediction::None,
             motion: QuantisedPose::default(),
             snake: self.snake && self.coder != Coder::Context,
             range_coder: match self.coder {
@@ -191,7 +225,8 @@ impl EncoderConfig {
     /// The header of the stream: the first version if it is enough.
     pub(super) fn stream_header(&self) -> Result<StreamHeader> {
         let is_default = self.frame_parameters()? == FrameParameters::default();
-        let version = if is_default { FIRST_VERSION } else { NEWEST_VERSION };
+        let is_inter = (0..self.gop).take(2).any(|frame| self.allows_inter(frame));
+        let version = if is_default && !is_inter { FIRST_VERSION } else { NEWEST_VERSION };
         Ok(StreamHeader { version, ..StreamHeader::default() })
     }
 
@@ -220,11 +255,11 @@ impl EncoderConfig {
         if self.coder == Coder::Context && self.projection.has_float_ranges() {
             return wrong("the context coder takes ranges in steps; choose a step or another back-end");
         }
-        if self.coder == Coder::Context && self.predictions().contains(&Prediction::Intra) {
+        if self.coder == Coder::Context && self.prediction == PredictionChoice::Always(Prediction::Intra) {
             return wrong("the context coder predicts by itself, and better than regions do");
         }
         let fits_regions =
-            self.predictions().contains(&Prediction::Intra) && self.intra.models == RegionModels::Fitted;
+            self.predictions(None).contains(&Prediction::Intra) && self.intra.models == RegionModels::Fitted;
         if fits_regions && self.projection.has_float_ranges() {
             return wrong("regions are fitted to ranges in steps; choose a step, or the article's regions");
         }

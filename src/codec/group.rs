@@ -7,13 +7,13 @@ use super::config::EncoderConfig;
 use super::frame::Frame;
 use super::parameters::{Prediction, Source};
 use super::sections::{SectionReader, SectionWriter};
-use super::steps::StepReport;
+use super::steps::{Step, StepReport};
 use super::syntax::Models;
 use crate::bitstream::{FrameHeader, Section};
 use crate::error::{Error, Limits, Result};
 use crate::prediction::intra::IntraPrediction;
 use crate::range_image::{RangeImage, Return};
-use crate::registration::{Pose, RegistrationConfig, register};
+use crate::registration::{QuantisedPose, register};
 use crate::scan::ScanFile;
 use crate::sensor::SensorModel;
 
@@ -23,7 +23,9 @@ pub struct GroupEncoder<'s> {
     config: &'s EncoderConfig,
     models: Models,
     /// The last motion of the scanner, from frame to frame.
-    motion: Pose,
+    motion: QuantisedPose,
+    /// Frames coded so far.
+    frames: usize,
 }
 
 /// A frame as [`GroupEncoder`] codes it.
@@ -39,7 +41,13 @@ pub struct EncodedFrame {
 impl<'s> GroupEncoder<'s> {
     /// A new group of scans by `sensor`.
     pub fn new(sensor: Option<&'s SensorModel>, config: &'s EncoderConfig) -> Self {
-        GroupEncoder { sensor, config, models: Models::default(), motion: Pose::default() }
+        GroupEncoder {
+            sensor,
+            config,
+            models: Models::default(),
+            motion: QuantisedPose::default(),
+            frames: 0,
+        }
     }
 
     /// Encodes the next frame, which decoders then take under [`Limits::default`]. `original` says
@@ -51,10 +59,8 @@ impl<'s> GroupEncoder<'s> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let mut frame = Frame::from_scan(scan, self.sensor, self.config, &mut steps)?;
         let mut smallest: Option<Attempt> = None;
-        for &prediction in self.config.predictions() {
-            if prediction == Prediction::Inter && !self.estimate_motion(&mut frame) {
-                continue;
-            }
+        let overlap = steps.timed(Step::Registration, || self.estimate_motion(&frame));
+        for prediction in self.config.predictions(overlap) {
             let attempt = self.attempt(&mut frame, prediction, steps)?;
             if smallest.as_ref().is_none_or(|smallest| attempt.size() < smallest.size()) {
                 smallest = Some(attempt);
@@ -64,6 +70,7 @@ impl<'s> GroupEncoder<'s> {
             return Err(Error::InvalidConfig("no prediction to choose from".to_owned()));
         };
         self.models = models;
+        self.frames += 1;
         let header = if frame.parameters.source.is_some() {
             let decoded = frame.into_scan(&scan.name, &returns)?;
             FrameHeader::of(&scan.name, &decoded.to_bytes()?, decoded.records as u64)
@@ -73,24 +80,23 @@ impl<'s> GroupEncoder<'s> {
         Ok(EncodedFrame { header, sections, steps })
     }
 
-    /// Finds how the scanner has moved since the frame before. False if there is none, or it does not
-    /// show.
-    fn estimate_motion(&mut self, frame: &mut Frame) -> bool {
-        let (Some(sensor), Some(past)) = (self.sensor, self.models.past()) else { return false };
-        if frame.strays == frame.records {
-            return false;
+    /// Finds how the scanner has moved since the frame before, if the frame may be predicted from that
+    /// (equation 8). Gives the part of that frame that shows in this one; none if it does not.
+    fn estimate_motion(&mut self, frame: &Frame) -> Option<f64> {
+        let (sensor, past) = (self.sensor?, self.models.past()?);
+        if frame.strays == frame.records || !self.config.allows_inter(self.frames) {
+            return None;
         }
         let image = RangeImage { columns: frame.columns.clone(), steps: frame.steps.clone() };
-        let config = RegistrationConfig::default();
-        let found = register(past.surface(sensor), &image, sensor, &self.motion, &config);
-        let Some(motion) = found.and_then(|found| found.pose.quantise()) else { return false };
-        self.motion = motion.pose();
-        frame.parameters.motion = motion;
-        true
+        let surface = past.surface(sensor);
+        let found = register(surface, &image, sensor, &self.motion.pose(), &self.config.registration);
+        self.motion = found.and_then(|found| found.pose.quantise()).unwrap_or_default();
+        found.map(|found| found.overlap)
     }
 
     /// Codes a frame with this prediction, by models that go on from those of the group.
     fn attempt(&self, frame: &mut Frame, prediction: Prediction, mut steps: StepReport) -> Result<Attempt> {
+        frame.parameters.motion = self.motion;
         frame.predict(prediction, self.sensor, self.config, &mut steps);
         let mut models = self.models.clone();
         let mut writer = SectionWriter::new(self.config.level);

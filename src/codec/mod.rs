@@ -18,7 +18,7 @@ mod ranges;
 mod sections;
 mod syntax;
 
-pub use config::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
+pub use config::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind};
 pub use decoder::{DecodedFrame, decode, decode_indexed};
 pub use encoder::{Encoded, FrameInput, encode};
 pub use group::DecodedImage;

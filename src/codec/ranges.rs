@@ -11,7 +11,7 @@ use crate::bitstream::SectionKind;
 use crate::context::RangeContext;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
-use crate::prediction::{Predictor, Rays};
+use crate::prediction::{Predictor, Rays, inter};
 use crate::range_image::Reference;
 use crate::residual::{self, Packing};
 use crate::sensor::SensorModel;
@@ -43,7 +43,7 @@ impl Models {
                 })
             }
             RangeCoder::Backend { id, packing } => {
-                let predictor = self.code_predictor(sections, sensor, frame, report)?;
+                let predictor = self.code_predictor(sections, sensor, frame, reference, report)?;
                 code_residuals(sections, &predictor, (id, packing), frame, report)?;
                 check_ranges(frame, sensor)
             }
@@ -56,11 +56,17 @@ impl Models {
         sections: &mut S,
         sensor: &SensorModel,
         frame: &mut Frame,
+        reference: Option<&Reference>,
         report: &mut StepReport,
     ) -> Result<Predictor> {
         let snake = frame.parameters.snake;
-        if frame.parameters.prediction == Prediction::None {
-            return Ok(Predictor { ranges: None, snake });
+        match (frame.parameters.prediction, reference) {
+            (Prediction::None, _) => return Ok(Predictor { ranges: None, snake }),
+            (_, Some(reference)) => {
+                let ranges = report.timed(Step::Prediction, || inter::ranges(reference, &frame.occupancy));
+                return Ok(Predictor { ranges: Some(ranges), snake });
+            }
+            _ => {}
         }
         report.timed(Step::Contour, || {
             sections.section(SectionKind::Contour, true, |coder| {

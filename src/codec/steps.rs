@@ -11,6 +11,8 @@ pub enum Step {
     Outliers,
     /// Points to a range image or back (IV-A).
     Conversion,
+    /// How the scanner has moved (V-B).
+    Registration,
     /// Ground removal and clustering (IV-B).
     Clustering,
     /// Fit of the models of regions, and the prediction from them (IV-C).
@@ -25,9 +27,10 @@ pub enum Step {
 
 impl Step {
     /// All steps, in the order in which an encoder takes them.
-    pub const ALL: [Step; 7] = [
+    pub const ALL: [Step; 8] = [
         Step::Outliers,
         Step::Conversion,
+        Step::Registration,
         Step::Clustering,
         Step::Prediction,
         Step::Contour,
@@ -40,6 +43,7 @@ impl Step {
         match self {
             Step::Outliers => "outlier removal",
             Step::Conversion => "conversion",
+            Step::Registration => "registration",
             Step::Clustering => "clustering",
             Step::Prediction => "prediction",
             Step::Contour => "contour map",

@@ -4,6 +4,7 @@ mod render;
 
 use std::sync::OnceLock;
 
+use super::snake::path;
 use crate::grid::Grid;
 use crate::range_image::{Layer, RangeImage, Reference};
 use crate::registration::{RigidMotion, Surface};
@@ -65,4 +66,18 @@ impl Past {
         }
         layer
     }
+}
+
+/// The predicted range of each return, in steps, for a general-purpose back-end: the moved surface's, or
+/// that of the same cell. Where there is neither it is that of the return before on the snake's path, so that
+/// the differences along it are those of the ranges themselves.
+pub fn ranges(reference: &Reference, occupancy: &Grid<bool>) -> Grid<u32> {
+    let mut ranges = Grid::new(occupancy.rows(), occupancy.columns());
+    let mut last = 0;
+    for cell in path(occupancy) {
+        let found = [&reference.moved, &reference.same].map(|layer| layer.steps[cell]);
+        last = found.into_iter().find(|&steps| steps > 0).unwrap_or(last);
+        ranges[cell] = last;
+    }
+    ranges
 }

@@ -4,7 +4,7 @@
 use crate::grid::Grid;
 
 /// The returns along the path.
-fn path(occupancy: &Grid<bool>) -> impl Iterator<Item = (usize, usize)> {
+pub fn path(occupancy: &Grid<bool>) -> impl Iterator<Item = (usize, usize)> {
     let columns = occupancy.columns();
     let cells = (0..occupancy.rows()).flat_map(move |row| {
         (0..columns).map(move |i| (row, if row % 2 == 0 { i } else { columns - 1 - i }))
