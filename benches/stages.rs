@@ -11,7 +11,8 @@ use std::time::Duration;
 use common::{Drive, drives, points};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidarpc::context::{
-    ColumnModel, CorrectionModel, OccupancyModel, OrderExceptions, OrderModel, PointModel, RangeModel,
+    ColumnModel, CorrectionModel, OccupancyModel, OrderExceptions, OrderModel, PointModel, RangeContext,
+    RangeModel,
 };
 use lidarpc::entropy::ArithmeticEncoder;
 use lidarpc::grid::Grid;
@@ -55,13 +56,19 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &SensorModel) 
         });
     });
     group.bench_function("occupancy", |b| {
-        b.iter(|| OccupancyModel::default().code(&mut encoder(), &mut occupancy.clone()));
+        b.iter(|| OccupancyModel::default().code(&mut encoder(), None, &mut occupancy.clone()));
     });
     group.bench_function("range", |b| {
         b.iter(|| {
             let mut model = RangeModel::default();
             let steps = &mut image.steps.clone();
-            model.code(&mut encoder(), &occupancy, &no_intensity, EXACT_RANGE_BITS, steps);
+            let known = RangeContext {
+                occupancy: &occupancy,
+                intensity: &no_intensity,
+                reference: None,
+                range_bits: EXACT_RANGE_BITS,
+            };
+            model.code(&mut encoder(), &known, steps);
         });
     });
     group.bench_function("correction", |b| {

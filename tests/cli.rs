@@ -564,6 +564,13 @@ fn wrong_usage_is_exit_code_2() {
         "encode seq -o new.lpc --mode paper --step float --backend context",
         "encode seq -o new.lpc --mode paper --step float --regions fitted",
         "stats out.lpc --steps --against seq",
+        "cut out.lpc -o part.lpc",
+        "cut out.lpc --frames 2",
+        "cut out.lpc --frames 3..1 -o part.lpc",
+        "cut out.lpc out.lpc --frames 2 -o part.lpc",
+        "cat -o all.lpc",
+        "cat out.lpc",
+        "cat - out.lpc - -o all.lpc",
         "view out.lpc",
         "view out.lpc -o out.png --kind x-ray",
         "view out.lpc -o out.png --scale 0",
@@ -571,7 +578,8 @@ fn wrong_usage_is_exit_code_2() {
         bench.command(args).assert().code(2);
     }
     assert_eq!(bench.names("."), ["out.lpc", "seq"]);
-    for command in ["", "encode", "decode", "stats", "info", "verify", "view", "bench", "synth"] {
+    for command in ["", "encode", "decode", "stats", "info", "verify", "cut", "cat", "view", "bench", "synth"]
+    {
         bench.command(&format!("{command} --help")).assert().success();
     }
 }
@@ -606,6 +614,173 @@ fn a_synthetic_drive_is_repeatable() {
     bench.ok("verify a.lpc --against a");
     bench.command("synth -o a --frames 2").assert().code(1);
 }
+
+// ---- cut and cat ----
+
+impl Bench {
+    /// Holds the decoded frames of one stream to a range of those of another.
+    #[track_caller]
+    fn decodes_to_range(&self, part: &str, whole: &str, range: &str) {
+        self.ok(&format!("decode {whole} -o expected --frames {range}"));
+        self.ok(&format!("decode {part} -o got"));
+        assert_eq!(self.files("got"), self.files("expected"), "frames {range} of {whole}");
+        self.ok(&format!("verify {part} --against expected"));
+        ["got", "expected"].iter().for_each(|folder| fs::remove_dir_all(self.path(folder)).unwrap());
+    }
+
+    /// Runs it, which must succeed; returns what it says on stderr.
+    #[track_caller]
+    fn says(&self, args: &str) -> String {
+        let output = self.command(args).output().unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{stderr}");
+        stderr
+    }
+
+    fn read(&self, name: &str) -> Vec<u8> {
+        fs::read(self.path(name)).unwrap()
+    }
+}
+
+#[test]
+fn a_cut_decodes_to_the_same_as_the_range() {
+    let bench = Bench::encoded();
+    bench.ok("encode seq -o one.lpc --gop 100");
+    let stream = bench.read("out.lpc");
+    for (range, told) in [
+        ("2..6", "4 frames: 4 copied, 0 coded again"),
+        ("1..6", "5 frames: 4 copied, 1 coded again"),
+        ("3..=4", "2 frames: 1 copied, 1 coded again"),
+        ("9", "1 frame: 0 copied, 1 coded again"),
+        ("..3", "3 frames: 3 copied, 0 coded again"),
+        ("..", "10 frames: 10 copied, 0 coded again"),
+    ] {
+        let said = bench.says(&format!("cut out.lpc --frames {range} -o part.lpc --force"));
+        assert!(said.starts_with(told), "{range}: {said}");
+        bench.decodes_to_range("part.lpc", "out.lpc", range);
+        let piped = bench.command(&format!("cut - --frames {range} -o -")).write_stdin(&stream[..]).unwrap();
+        assert!(piped.stdout == bench.read("part.lpc"), "{range}: a pipe gives another stream");
+        bench.ok(&format!("cut one.lpc --frames {range} -o part.lpc --force"));
+        bench.decodes_to_range("part.lpc", "one.lpc", range);
+    }
+    bench.ok("cut out.lpc --frames .. -o all.lpc");
+    assert!(bench.read("all.lpc") == stream);
+}
+
+#[test]
+fn parts_that_are_joined_are_the_whole() {
+    let bench = Bench::encoded();
+    let whole = bench.read("out.lpc");
+    for middle in [4, 5] {
+        bench.ok(&format!("cut out.lpc --frames ..{middle} -o a.lpc --force"));
+        bench.ok(&format!("cut out.lpc --frames {middle}.. -o b.lpc --force"));
+        let said = bench.says("cat a.lpc b.lpc -o ab.lpc --force");
+        assert!(said.starts_with("2 streams: 10 frames, "), "{said}");
+        bench.decodes_to_range("ab.lpc", "out.lpc", "..");
+        assert_eq!(bench.read("ab.lpc") == whole, middle == 4, "groups are copied whole");
+    }
+    let info = bench.json("info ab.lpc --json");
+    assert_eq!(info["frames"], {
+        let mut frames = bench.json("info out.lpc --json")["frames"].clone();
+        let sizes = info["frames"].as_array().unwrap().iter().map(|frame| frame["coded_bytes"].clone());
+        frames.as_array_mut().unwrap().iter_mut().zip(sizes).for_each(|(f, size)| f["coded_bytes"] = size);
+        frames
+    });
+    let (a, b) = (bench.read("a.lpc"), bench.read("b.lpc"));
+    for (args, stdin) in [("cat - b.lpc -o -", a), ("cat a.lpc - -o -", b)] {
+        let piped = bench.command(args).write_stdin(stdin).unwrap();
+        assert!(piped.stdout == bench.read("ab.lpc"), "{args}");
+    }
+    bench.ok("cat out.lpc -o same.lpc");
+    assert!(bench.read("same.lpc") == whole);
+}
+
+#[test]
+fn streams_of_all_modes_and_sensors_are_cut_and_joined() {
+    let bench = Bench::encoded();
+    bench.ok("synth -o drive --frames 3 --seed 3");
+    bench.ok("encode drive -o p.lpc --mode paper --columns 300 --gop 3");
+    let scans: Files =
+        bench.files("drive").into_iter().map(|(name, scan)| (format!("e{name}"), scan)).collect();
+    bench.write_files("renamed", &scans);
+    bench.ok("encode renamed -o e.lpc");
+    bench.ok("cat out.lpc p.lpc e.lpc -o all.lpc");
+    let info = bench.json("info all.lpc --json");
+    assert_eq!((&info["version"], info["sensor_models"].as_array().unwrap().len()), (&2.into(), 2));
+    for (range, stream) in [("..10", "out.lpc"), ("10..13", "p.lpc"), ("13..", "e.lpc")] {
+        bench.ok(&format!("cut all.lpc --frames {range} -o part.lpc --force"));
+        bench.decodes_to_range("part.lpc", stream, "..");
+    }
+    // From the middle of a lossy group into that of an exact one, and on to the same sensor models.
+    assert!(
+        bench.says("cut all.lpc --frames 11..14 -o a.lpc").starts_with("3 frames: 1 copied, 2 coded again")
+    );
+    bench.decodes_to_range("a.lpc", "all.lpc", "11..14");
+    bench.ok("cut all.lpc --frames 14.. -o b.lpc");
+    bench.ok("cat a.lpc b.lpc -o ab.lpc");
+    bench.decodes_to_range("ab.lpc", "all.lpc", "11..");
+    assert_eq!(bench.json("info ab.lpc --json")["sensor_models"].as_array().unwrap().len(), 2);
+    let stats = |stream: &str| bench.json(&format!("stats {stream} --json"));
+    bench.ok("cut p.lpc --frames .. -o same.lpc");
+    assert_eq!(stats("same.lpc")["points_lost"], stats("p.lpc")["points_lost"]);
+    assert!(bench.read("same.lpc") == bench.read("p.lpc"));
+}
+
+#[test]
+fn what_cannot_be_cut_or_joined_is_named() {
+    let bench = Bench::encoded();
+    bench.write_files("other", &Files::from([("10.bin".into(), b"another".to_vec())]));
+    bench.ok("encode other -o other.lpc");
+    let mut damaged = bench.read("out.lpc");
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 4;
+    fs::write(bench.path("bad.lpc"), damaged).unwrap();
+    let names = bench.names(".");
+    for (args, path, complaint) in [
+        ("cut out.lpc --frames 5..11 -o new.lpc", "out.lpc", "only frames 0 to 9, not 5..11"),
+        ("cut nowhere.lpc --frames 5 -o new.lpc", "nowhere.lpc", "does not exist"),
+        ("cut seq/1.bin --frames 5 -o new.lpc", "seq/1.bin", "not a lidarpc stream"),
+        ("cut bad.lpc --frames .. -o new.lpc", "bad.lpc", "damaged stream"),
+        ("cut out.lpc --frames 5 -o other.lpc", "other.lpc", "--force"),
+        ("cut out.lpc --frames 5 -o seq", "seq", "is a folder"),
+        ("cat out.lpc nowhere.lpc -o new.lpc", "nowhere.lpc", "does not exist"),
+        ("cat out.lpc seq/1.bin -o new.lpc", "seq/1.bin", "not a lidarpc stream"),
+        ("cat bad.lpc out.lpc -o new.lpc", "bad.lpc", "damaged stream"),
+        ("cat out.lpc other.lpc -o bad.lpc", "bad.lpc", "--force"),
+        ("cat out.lpc other.lpc -o new.lpc", "other.lpc", "as frame 2 of out.lpc; leave one out"),
+        ("cat out.lpc out.lpc -o new.lpc", "out.lpc", "frame 0 (\"1.bin\") has the same name"),
+    ] {
+        let error = bench.fails(args, path);
+        assert!(error.contains(complaint) && (error.contains(';') || path == "out.lpc"), "{error}");
+    }
+    assert_eq!(bench.names("."), names, "something was left behind");
+
+    bench.ok("cut out.lpc --frames 2..4 -o other.lpc --force");
+    bench.ok("cut other.lpc --frames 1 -o other.lpc --force");
+    bench.decodes_to_range("other.lpc", "out.lpc", "3");
+    bench.ok("cat other.lpc -o bad.lpc --force");
+    assert_eq!(bench.read("bad.lpc"), bench.read("other.lpc"));
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_disk_is_the_output_s_fault() {
+    let bench = Bench::encoded();
+    for args in ["cut out.lpc --frames 1.. -o -", "cat out.lpc -o -"] {
+        let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let run = Process::new(cargo_bin!("lidarpc"))
+            .args(args.split(' '))
+            .current_dir(bench.0.path())
+            .stdout(full)
+            .output()
+            .unwrap();
+        assert_eq!(run.status.code(), Some(1));
+        let error = String::from_utf8(run.stderr).unwrap();
+        assert!(error.starts_with("lidarpc: stdout: no space left"), "{error}");
+    }
+}
+
+// ---- synthetic drives ----
 
 /// A drive of two scans, in `drive`.
 fn driven() -> Bench {

@@ -38,6 +38,11 @@ impl Default for StreamHeader {
 }
 
 impl StreamHeader {
+    /// The header of a stream that holds what this one and the other hold.
+    pub fn joined(self, other: StreamHeader) -> Self {
+        StreamHeader { version: self.version.max(other.version), flags: self.flags | other.flags }
+    }
+
     /// Writes the header with its checksum.
     ///
     /// # Errors
@@ -110,6 +115,14 @@ mod tests {
         let bytes = bytes_of(StreamHeader::default());
         assert_eq!(bytes.len(), HEADER_LENGTH);
         assert_eq!(StreamHeader::read_from(&mut &bytes[..]).unwrap(), StreamHeader::default());
+    }
+
+    #[test]
+    fn joined_streams_need_what_each_needs() {
+        let one = StreamHeader { version: 2, flags: 0x0001 };
+        let other = StreamHeader { version: 1, flags: 0x8001 };
+        let both = StreamHeader { version: 2, flags: 0x8001 };
+        assert_eq!((one.joined(other), other.joined(one)), (both, both));
     }
 
     #[test]

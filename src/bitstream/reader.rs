@@ -131,6 +131,7 @@ impl<R: Read> StreamReader<R> {
 pub struct IndexedReader<R> {
     input: R,
     limits: Limits,
+    header: StreamHeader,
     /// Bytes of the stream.
     size: u64,
     index: Index,
@@ -143,10 +144,10 @@ impl<R: Read + Seek> IndexedReader<R> {
     /// As [`StreamReader::open`]; also if the end or the index is missing or damaged.
     pub fn open(mut input: R, limits: Limits) -> Result<Self> {
         input.seek(SeekFrom::Start(0))?;
-        let _header = StreamHeader::read_from(&mut input)?;
+        let header = StreamHeader::read_from(&mut input)?;
         let size = input.seek(SeekFrom::End(0))?;
         let end_offset = size.checked_sub(END_LENGTH).ok_or_else(|| Error::corrupt("it is cut short"))?;
-        let mut reader = IndexedReader { input, limits, size, index: Index::default() };
+        let mut reader = IndexedReader { input, limits, header, size, index: Index::default() };
         let index_offset = reader
             .record_at(end_offset, END)
             .and_then(|raw| read_end_payload(&raw.payload))
@@ -156,6 +157,11 @@ impl<R: Read + Seek> IndexedReader<R> {
             .and_then(|raw| Index::read_from(&raw.payload))
             .map_err(|e| e.within("index"))?;
         Ok(reader)
+    }
+
+    /// The stream header.
+    pub fn header(&self) -> &StreamHeader {
+        &self.header
     }
 
     /// Where all records are.

@@ -15,6 +15,7 @@ Examples:
   lidarpc decode drive.lpc -o drive/           and back, byte for byte
   lidarpc stats drive.lpc --against drive/     how small, and how true
   lidarpc verify drive.lpc                     is the file as it was written?
+  lidarpc cut drive.lpc --frames 10..20 -o part.lpc
 
 Exit codes: 0 done, 1 failed, 2 wrong usage.";
 
@@ -43,6 +44,10 @@ pub enum Command {
     Info(InfoArgs),
     /// Check a file: every checksum, and that every frame decodes.
     Verify(VerifyArgs),
+    /// Take a range of frames out of a file, without loss and almost without coding.
+    Cut(CutArgs),
+    /// Join files into one, without coding anything again.
+    Cat(CatArgs),
     /// Draw a frame as a PNG: its range image, regions, prediction, or the points from above.
     View(ViewArgs),
     /// Run the article's experiments on scans: what prediction is worth to each back-end (Figure 13).
@@ -136,6 +141,14 @@ pub struct StatsArgs {
     /// Decode, and measure the error against these original scans.
     #[arg(long, value_name = "FOLDER", num_args = 1)]
     pub against: Vec<PathBuf>,
+    /// Decode, and write the scanner's way to this file: a line a frame, 12 numbers, the rows of the 3 x 4
+    /// matrix that takes its points (metres, axes of the scanner) to where the first frame has them,
+    /// as KITTI's poses. It is what registration of one frame with the next adds up to, not ground truth.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["steps", "against"])]
+    pub poses: Option<PathBuf>,
+    /// Overwrite the poses if they exist.
+    #[arg(short, long, requires = "poses")]
+    pub force: bool,
     #[command(flatten)]
     pub threads: Threads,
     /// Report as JSON; sizes in bytes, errors in metres, times in seconds.
@@ -165,6 +178,53 @@ pub struct VerifyArgs {
     pub against: Vec<PathBuf>,
     #[command(flatten)]
     pub threads: Threads,
+}
+
+const CUT_EXAMPLES: &str = "\
+Examples:
+  lidarpc cut drive.lpc --frames 10..20 -o part.lpc     frames 10 to 19, the first being 0
+  lidarpc cut drive.lpc --frames 600.. -o rest.lpc
+  ssh host 'cat drive.lpc' | lidarpc cut - --frames ..5 -o start.lpc
+
+Groups of frames are copied. Only if the range begins inside a group, the frames from there to that
+group's end are coded again; they decode to the same bytes as before, be they lossy or not.";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = CUT_EXAMPLES)]
+pub struct CutArgs {
+    /// File to take frames from; `-` for stdin.
+    #[arg(value_name = "FILE")]
+    pub input: PathBuf,
+    /// Frames to take, the first being 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
+    #[arg(long, value_name = "RANGE")]
+    pub frames: FrameRange,
+    /// File to write; `-` for stdout.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// Overwrite the output if it exists.
+    #[arg(short, long)]
+    pub force: bool,
+}
+
+const CAT_EXAMPLES: &str = "\
+Examples:
+  lidarpc cat morning.lpc evening.lpc -o day.lpc
+  lidarpc cut drive.lpc --frames 10..20 -o - | lidarpc cat first.lpc - -o both.lpc
+
+Frames keep their names, so no two may have the same; their order is that of the files.";
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = CAT_EXAMPLES)]
+pub struct CatArgs {
+    /// Files to join, in this order; `-` for stdin, at most once.
+    #[arg(required = true, value_name = "FILE")]
+    pub inputs: Vec<PathBuf>,
+    /// File to write; `-` for stdout.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// Overwrite the output if it exists.
+    #[arg(short, long)]
+    pub force: bool,
 }
 
 const VIEW_EXAMPLES: &str = "\

@@ -5,6 +5,7 @@ use clap::{Args, CommandFactory, ValueEnum};
 use lidarpc::backend::{self, Level};
 use lidarpc::codec::{Coder, EncoderConfig, FrameOrder, Mode, Prediction, PredictionChoice, ProjectionKind};
 use lidarpc::error::{Error, Result};
+use lidarpc::registration::RegistrationMethod;
 use lidarpc::residual::Packing;
 use lidarpc::sensor::FLOAT_RANGES;
 
@@ -37,6 +38,9 @@ pub struct CodingArgs {
     /// Which frames may be predicted from the one before.
     #[arg(long, value_enum, value_name = "ORDER", default_value = "ratio")]
     pub order: OrderArg,
+    /// How the scanner's motion from the frame before is found.
+    #[arg(long, value_enum, value_name = "METHOD")]
+    pub registration: Option<RegistrationArg>,
     /// Frames a group. Groups are decoded apart: more frames compress better, fewer seek faster.
     #[arg(long, value_name = "FRAMES", default_value_t = default_gop(),
           value_parser = clap::value_parser!(u32).range(1..=100_000))]
@@ -73,6 +77,15 @@ pub enum ModeArg {
     Exact,
     /// The article's codec: drops outliers, keeps the range image of an ideal sensor.
     Paper,
+}
+
+/// How a motion is found.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum RegistrationArg {
+    /// Surfaces are compared with what is seen in their place.
+    Projective,
+    /// Points are compared with the nearest points: the article's ICP.
+    Icp,
 }
 
 /// Which frames of a group are P frames.
@@ -197,6 +210,10 @@ impl CodingArgs {
         config.order = match self.order {
             OrderArg::Ratio => FrameOrder::Ratio,
             OrderArg::Time => FrameOrder::Time,
+        };
+        config.registration.method = match self.registration {
+            Some(RegistrationArg::Icp) => RegistrationMethod::Icp,
+            Some(RegistrationArg::Projective) | None => RegistrationMethod::Projective,
         };
         config.snake = !self.no_snake;
         let for_backends = [("--level", self.level.is_some()), ("--packing", self.packing.is_some())];

@@ -13,7 +13,7 @@ use lidarpc::metrics;
 use super::args::{Args, EncodeArgs};
 use super::errors::about;
 use super::input::is_dash;
-use super::output::FileOutput;
+use super::output::{FileOutput, name_of_output};
 use super::{coding, progress, table};
 
 pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
@@ -25,7 +25,7 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     let start = Instant::now();
     let frames = find_inputs(&args.inputs, quiet)?;
     let mut output = FileOutput::create(&args.output, args.force)?;
-    let name = if is_dash(&args.output) { "stdout".to_owned() } else { args.output.display().to_string() };
+    let name = name_of_output(&args.output);
     let encoded = write_stream(&config, &frames, &mut output, quiet).map_err(|error| about(error, &name))?;
     if args.verify {
         compare(args, &encoded, &output, quiet).with_context(|| name.clone())?;

@@ -2,8 +2,10 @@
 
 mod args;
 mod bench;
+mod cat;
 mod cleanup;
 mod coding;
+mod cut;
 mod decode;
 mod encode;
 mod errors;
@@ -12,6 +14,7 @@ mod info;
 mod input;
 mod length;
 mod output;
+mod poses;
 mod progress;
 mod regions;
 mod stats;
@@ -38,6 +41,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Command::Stats(command) => stats::run(command, args.quiet),
         Command::Info(command) => info::run(command),
         Command::Verify(command) => verify::run(command, args.quiet),
+        Command::Cut(command) => cut::run(command, args.quiet),
+        Command::Cat(command) => cat::run(command, args.quiet),
         Command::View(command) => view::run(command),
         Command::Bench(command) => bench::run(command, args.quiet),
         Command::Synth(command) => synth::run(command, args.quiet),

@@ -185,6 +185,11 @@ impl Drop for MadeFolders {
     }
 }
 
+/// What messages call an output.
+pub fn name_of_output(path: &Path) -> String {
+    if is_dash(path) { "stdout".to_owned() } else { path.display().to_string() }
+}
+
 /// An error if a scan must not be written here: over a folder, or over anything without `force`.
 fn may_write(target: &Path, force: bool) -> io::Result<()> {
     if target.is_dir() {

@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::args::StatsArgs;
 use super::errors::about;
 use super::input::{Input, Originals, name_of, open};
-use super::{progress, steps, table};
+use super::{poses, progress, steps, table};
 
 /// All that is reported.
 #[derive(Serialize)]
@@ -67,6 +67,9 @@ struct Against {
 pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
     if args.steps {
         return steps::run(args, quiet);
+    }
+    if let Some(output) = &args.poses {
+        return poses::run(args, output, quiet);
     }
     let input = open(&args.input)?;
     let stats = read(args, input, quiet).map_err(|error| about(error, &name_of(&args.input)))?;

@@ -265,6 +265,7 @@ impl EncoderConfig {
         }
         self.segmentation.check()?;
         self.intra.check()?;
+        self.registration.check()?;
         self.frame_parameters().map(|_| ())
     }
 }

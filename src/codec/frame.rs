@@ -84,10 +84,10 @@ impl Frame {
         config: &EncoderConfig,
         steps: &mut StepReport,
     ) {
-        self.parameters.prediction = prediction;
         if prediction != Prediction::Inter {
-            self.parameters.motion = QuantisedPose::default();
+            self.predict_from_nothing();
         }
+        self.parameters.prediction = prediction;
         if let (Some(sensor), Prediction::Intra) = (sensor, prediction) {
             let segmentation = steps.timed(Step::Clustering, || {
                 segment(&self.steps, &self.columns, sensor, &config.segmentation)
@@ -97,6 +97,12 @@ impl Frame {
                 IntraPrediction::fit(&self.steps, &self.occupancy, &rays, &segmentation, &config.intra)
             });
         }
+    }
+
+    /// Takes no prediction.
+    pub fn predict_from_nothing(&mut self) {
+        self.parameters.prediction = Prediction::None;
+        self.parameters.motion = QuantisedPose::default();
     }
 
     /// Takes all points as they come: there is no range image.

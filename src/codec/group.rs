@@ -13,7 +13,7 @@ use crate::bitstream::{FrameHeader, Section};
 use crate::error::{Error, Limits, Result};
 use crate::prediction::intra::IntraPrediction;
 use crate::range_image::{RangeImage, Return};
-use crate::registration::{QuantisedPose, register};
+use crate::registration::{Pose, QuantisedPose, register};
 use crate::scan::ScanFile;
 use crate::sensor::SensorModel;
 
@@ -141,6 +141,8 @@ pub struct DecodedImage {
     pub image: RangeImage,
     /// The regions that they were predicted from; none if they were not.
     pub intra: IntraPrediction,
+    /// How the scanner has moved since the frame before, if they were predicted from that.
+    pub motion: Option<Pose>,
 }
 
 /// Decodes the frames of one group.
@@ -184,6 +186,8 @@ impl<'s> GroupDecoder<'s> {
             sensor: sensor.clone(),
             image: RangeImage { columns: take(&mut frame.columns), steps: take(&mut frame.steps) },
             intra: take(&mut frame.intra),
+            motion: (frame.parameters.prediction == Prediction::Inter)
+                .then(|| frame.parameters.motion.pose()),
         });
         Ok(DecodedScan { scan: frame.into_scan(&header.name, &returns)?, source, image })
     }

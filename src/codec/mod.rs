@@ -2,9 +2,12 @@
 //!
 //! [`encoder`] and [`decoder`] work on sequences and know nothing of how a frame is coded; [`group`]
 //! codes the frames of one group and knows nothing of sequences. Groups are independent, so they
-//! are coded in parallel, and delivered in order.
+//! are coded in parallel, and delivered in order. [`mod@cat`] and [`mod@cut`] copy groups from stream to
+//! stream, and code anew only what they must.
 
+pub mod cat;
 pub mod config;
+pub mod cut;
 pub mod decoder;
 pub mod encoder;
 pub mod group;
@@ -12,13 +15,19 @@ pub mod options;
 pub mod parameters;
 pub mod steps;
 
+mod copier;
 mod frame;
 mod ordered;
 mod ranges;
+mod recode;
 mod sections;
+mod source;
 mod syntax;
 
+pub use cat::{Joined, cat};
 pub use config::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind};
+pub use copier::Named;
+pub use cut::{Cut, cut, cut_indexed};
 pub use decoder::{DecodedFrame, decode, decode_indexed};
 pub use encoder::{Encoded, FrameInput, encode};
 pub use group::DecodedImage;

@@ -36,6 +36,13 @@ pub struct RigidMotion {
     pub translation: [f64; 3],
 }
 
+impl Default for RigidMotion {
+    /// None.
+    fn default() -> Self {
+        Pose::default().motion()
+    }
+}
+
 impl Pose {
     /// The nearest pose that the stream can hold. None if it is beyond all reason.
     pub fn quantise(&self) -> Option<QuantisedPose> {

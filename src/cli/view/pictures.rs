@@ -57,7 +57,7 @@ const MILLIMETRE: f64 = 1e-3;
 impl Pictures {
     /// The regions are the stream's, or those that intra prediction would find.
     pub fn of(decoded: &DecodedImage, config: &EncoderConfig, scale: Option<u16>) -> Self {
-        let DecodedImage { sensor, image, intra } = decoded;
+        let DecodedImage { sensor, image, intra, .. } = decoded;
         let occupancy = image.occupancy();
         let segmentation = segment(&image.steps, &image.columns, sensor, &config.segmentation);
         let rays = Rays::of(sensor, &image.columns);

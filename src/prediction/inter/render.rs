@@ -87,7 +87,7 @@ impl Canvas<'_> {
         let slope = dot(seen.normal, self.sensor.direction(row, tick));
         let further = dot(seen.normal, away) / slope;
         let is_near = further.abs() < EXTENT * seen.metres;
-        is_near.then(|| Seen { metres: seen.metres + further, ..*seen })
+        is_near.then_some(Seen { metres: seen.metres + further, ..*seen })
     }
 
     /// For a cell in which nothing is seen: what is seen beside it, extended.

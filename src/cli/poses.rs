@@ -1,0 +1,84 @@
+//! `lidarpc stats --poses`: the scanner's way.
+
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::Result;
+use lidarpc::codec::{self, DecodeOptions, DecodedFrame, DecodedImage};
+use lidarpc::registration::{Pose, RegistrationConfig, RigidMotion, Surface, register};
+
+use super::args::StatsArgs;
+use super::errors::about;
+use super::input::{name_of, open};
+use super::output::{FileOutput, name_of_output};
+use super::progress;
+
+pub fn run(args: &StatsArgs, path: &Path, quiet: bool) -> Result<()> {
+    let mut output = FileOutput::create(path, args.force)?;
+    let input = open(&args.input)?.reader();
+    let options = DecodeOptions { threads: args.threads.threads, images: true, ..DecodeOptions::default() };
+    let bar = progress::bar(None, "decoding", quiet);
+    let mut way = Way::default();
+    let mut poses = Vec::new();
+    let decoded = codec::decode(input, &options, |frame| {
+        bar.inc(1);
+        poses.push(way.follow(frame));
+        Ok(())
+    });
+    bar.finish_and_clear();
+    decoded.map_err(|error| about(error, &name_of(&args.input)))?;
+    let mut writer = output.writer();
+    for pose in &poses {
+        writeln!(writer, "{}", line(pose))?;
+    }
+    writer.flush()?;
+    drop(writer);
+    output.finish().map_err(|error| about(error, &name_of_output(path)))?;
+    let lost = way.lost;
+    if lost > 0 && !quiet {
+        eprintln!("{lost} of {} frames could not be registered; they go on as the one before", poses.len());
+    }
+    Ok(())
+}
+
+/// Where the scanner is, frame after frame.
+#[derive(Default)]
+struct Way {
+    /// From the frame to the first.
+    to_first: RigidMotion,
+    /// From the frame before to the frame.
+    last: Pose,
+    before: Option<DecodedImage>,
+    lost: u64,
+}
+
+impl Way {
+    /// The motion is the stream's, or found anew where it has none.
+    fn follow(&mut self, frame: DecodedFrame) -> RigidMotion {
+        let in_stream = frame.image.as_ref().and_then(|image| image.motion);
+        if self.before.is_some() {
+            match in_stream.or_else(|| self.register(frame.image.as_ref()?)) {
+                Some(motion) => self.last = motion,
+                None => self.lost += 1,
+            }
+            self.to_first = self.last.motion().inverse().then(&self.to_first);
+        }
+        self.before = frame.image.or_else(|| self.before.take());
+        self.to_first
+    }
+
+    fn register(&self, current: &DecodedImage) -> Option<Pose> {
+        let DecodedImage { sensor, image, .. } = self.before.as_ref()?;
+        let surface = Surface::of(sensor, &image.columns, &image.steps);
+        let config = RegistrationConfig::default();
+        let found = register(&surface, &current.image, &current.sensor, &self.last, &config);
+        found.map(|found| found.pose)
+    }
+}
+
+/// The rows of rotation and translation.
+fn line(motion: &RigidMotion) -> String {
+    let rows = motion.rotation.iter().zip(motion.translation);
+    let numbers = rows.flat_map(|(row, along)| row.iter().copied().chain([along]).collect::<Vec<_>>());
+    numbers.map(|number| format!("{number:.9e}")).collect::<Vec<_>>().join(" ")
+}

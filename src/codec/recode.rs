@@ -1,0 +1,68 @@
+//! The end of a group as a group of its own. Frames of a group depend on those before them, so what
+//! comes after a cut is coded again. It is the decoded [`Frame`] that is: the integers of its sections,
+//! not the points that they stand for, so lossy frames lose nothing either.
+
+use super::decoder::{check_file, part_name};
+use super::frame::Frame;
+use super::parameters::Prediction;
+use super::sections::{SectionReader, SectionWriter};
+use super::source::GroupJob;
+use super::steps::StepReport;
+use super::syntax::Models;
+use crate::backend::Level;
+use crate::bitstream;
+use crate::error::{Limits, Result};
+use crate::sensor::SensorModel;
+
+/// Decodes a group, and codes its frames from number `start` of the sequence on as a new group of the
+/// same sensor model. Headers and parameters of the frames stay as they are.
+///
+/// # Errors
+/// If a frame does not decode, is over the limits, or is not the file that its header tells of; or if a
+/// back-end's library fails.
+pub(super) fn recode_from(start: u64, job: &mut GroupJob, limits: &Limits) -> Result<()> {
+    let frames = std::mem::take(&mut job.group.frames);
+    let sensor = job.sensor.as_deref().map(|sensor| &sensor.model);
+    let mut recoder = Recoder { sensor, limits, old: Models::default(), new: None };
+    let mut recoded = Vec::new();
+    for (number, frame) in (job.first_frame..).zip(frames) {
+        let part = part_name(number, &frame.header.name);
+        recoded.extend(recoder.recode(frame, number >= start).map_err(|e| e.within(&part))?);
+    }
+    (job.group.frames, job.first_frame) = (recoded, start);
+    Ok(())
+}
+
+/// Decodes a group's frames by one set of models, and codes them by another.
+struct Recoder<'a> {
+    sensor: Option<&'a SensorModel>,
+    limits: &'a Limits,
+    /// What the frames of the old group have taught.
+    old: Models,
+    /// What those of the new group have; `None` before its first.
+    new: Option<Models>,
+}
+
+impl Recoder<'_> {
+    /// Decodes the next frame; codes it if `wanted` (the frames before it are needed for their sake).
+    fn recode(&mut self, coded: bitstream::Frame, wanted: bool) -> Result<Option<bitstream::Frame>> {
+        let bitstream::Frame { header, sections } = coded;
+        let mut steps = StepReport::default();
+        let mut frame = Frame { records: header.point_count as usize, ..Frame::default() };
+        let mut reader = SectionReader::new(&sections, self.limits);
+        self.old.code_frame(&mut reader, self.sensor, &mut frame, &mut steps)?;
+        reader.finish()?;
+        if !wanted {
+            return Ok(None);
+        }
+        let models = self.new.get_or_insert_default();
+        if models.past().is_none() && frame.parameters.prediction == Prediction::Inter {
+            // The frame that it was predicted from is not in the new group.
+            frame.predict_from_nothing();
+        }
+        let mut writer = SectionWriter::new(Level::default());
+        let returns = models.code_frame(&mut writer, self.sensor, &mut frame, &mut steps)?;
+        check_file(&header, &frame.into_scan(&header.name, &returns)?.to_bytes()?)?;
+        Ok(Some(bitstream::Frame { header, sections: writer.sections }))
+    }
+}
