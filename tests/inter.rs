@@ -1,0 +1,119 @@
+//! P frames: frames predicted from the one before.
+
+mod common;
+
+use std::sync::LazyLock;
+
+use common::formats::kitti;
+use common::scans::{random_points, scans};
+use common::{File, decode_files, encode_files, put_together, round_trip, take_apart};
+use lidarpc::backend::BACKENDS;
+use lidarpc::bitstream::{Frame, Section, SectionKind};
+use lidarpc::codec::{
+    Coder, EncoderConfig, FrameOrder, FrameParameters, Mode, Prediction, PredictionChoice, ProjectionKind,
+};
+use lidarpc::synth::SynthConfig;
+
+/// A drive of five frames.
+static DRIVE: LazyLock<Vec<File>> = LazyLock::new(|| {
+    let frames = scans(&SynthConfig { frames: 5, beams: 32, thinning: 4, ..SynthConfig::default() });
+    (0..).zip(&frames).map(|(number, points)| (format!("{number}.bin"), kitti(points))).collect()
+});
+
+fn frames(stream: &[u8]) -> Vec<Frame> {
+    take_apart(stream).1.into_iter().flat_map(|group| group.frames).collect()
+}
+
+fn predictions(stream: &[u8]) -> Vec<Prediction> {
+    frames(stream).iter().map(|frame| FrameParameters::of(frame).unwrap().prediction).collect()
+}
+
+fn sizes(stream: &[u8]) -> Vec<usize> {
+    let size = |frame: &Frame| frame.sections.iter().map(|section| section.payload.len()).sum();
+    frames(stream).iter().map(size).collect()
+}
+
+fn intra() -> EncoderConfig {
+    EncoderConfig { prediction: PredictionChoice::Always(Prediction::None), ..EncoderConfig::default() }
+}
+
+const I: Prediction = Prediction::None;
+const P: Prediction = Prediction::Inter;
+
+#[test]
+fn p_frames_come_back_and_are_smaller() {
+    let inter = round_trip(&DRIVE, &EncoderConfig::default());
+    let intra = round_trip(&DRIVE, &intra());
+    assert_eq!(predictions(&inter), [I, P, P, P, P]);
+    assert_eq!(predictions(&intra), [I; 5]);
+    let [inter, intra] = [sizes(&inter), sizes(&intra)];
+    assert_eq!(inter[0], intra[0]);
+    for (inter, intra) in inter.iter().zip(&intra).skip(1) {
+        assert!(inter < intra, "{inter} bytes, {intra} without the frame before");
+    }
+}
+
+#[test]
+fn orders_and_groups_say_which_frames_are_p_frames() {
+    let coded = |order, gop| {
+        predictions(&encode_files(&DRIVE, &EncoderConfig { order, gop, ..EncoderConfig::default() }))
+    };
+    assert_eq!(coded(FrameOrder::Time, 5), [I, P, I, P, I]);
+    assert_eq!(coded(FrameOrder::Time, 3), [I, P, I, I, P]);
+    assert_eq!(coded(FrameOrder::Ratio, 2), [I, P, I, P, I]);
+    assert_eq!(coded(FrameOrder::Ratio, 1), [I; 5]);
+}
+
+#[test]
+fn a_frame_that_shows_something_else_costs_hardly_more_than_alone() {
+    let other = scans(&SynthConfig { frames: 1, beams: 32, thinning: 4, seed: 99, ..SynthConfig::default() });
+    let mut files = DRIVE.clone();
+    files[2].1 = kitti(&other[0]);
+    files.insert(3, ("2a.bin".to_owned(), Vec::new()));
+    files.insert(4, ("2b.bin".to_owned(), kitti(&random_points(50, 1))));
+    files.insert(5, ("2c.bin".to_owned(), kitti(&[[5.0, 0.0, 0.0, 0.5]])));
+    let [inter, intra] =
+        [EncoderConfig::default(), intra()].map(|config| sizes(&round_trip(&files, &config)));
+    for (inter, intra) in inter.iter().zip(&intra) {
+        // What P frames teach is not quite what I frames do. These frames are small.
+        assert!(*inter <= intra + intra / 100, "{inter} bytes, {intra} without the frame before");
+    }
+}
+
+#[test]
+fn every_back_end_decodes_its_p_frames() {
+    let paper = EncoderConfig {
+        projection: ProjectionKind::Ideal { columns: 500, range_step_um: 5000 },
+        prediction: PredictionChoice::Smallest,
+        ..EncoderConfig::preset(Mode::Paper)
+    };
+    let coders: Vec<_> = BACKENDS.iter().map(|backend| Coder::Backend(backend.id())).collect();
+    let still = vec![DRIVE[0].clone(), ("0a.bin".to_owned(), DRIVE[0].1.clone()), DRIVE[1].clone()];
+    for coder in coders.into_iter().chain([Coder::Context]) {
+        for config in
+            [EncoderConfig { coder, ..paper.clone() }, EncoderConfig { coder, ..Default::default() }]
+        {
+            let stream = encode_files(&still, &config);
+            assert_eq!(predictions(&stream)[1], P, "{coder:?}: a scan twice");
+            let decoded = decode_files(&stream).unwrap();
+            // The header of each frame has the checksum of what the encoder had: decoding compares it.
+            assert_eq!(decoded.len(), still.len());
+        }
+    }
+}
+
+#[test]
+fn the_stream_does_not_depend_on_threads() {
+    let with = |threads| encode_files(&DRIVE, &EncoderConfig { threads, gop: 2, ..EncoderConfig::default() });
+    assert!(with(1) == with(8));
+}
+
+#[test]
+fn a_p_frame_without_the_one_before_is_an_error() {
+    let (sensors, mut groups) = take_apart(&encode_files(&DRIVE, &EncoderConfig::default()));
+    let parameters = FrameParameters { prediction: P, ..FrameParameters::default() };
+    let section = Section { kind: SectionKind::Parameters, payload: parameters.to_payload() };
+    groups[0].frames[0].sections.insert(0, section);
+    let error = decode_files(&put_together(&sensors, &groups)).unwrap_err().to_string();
+    assert!(error.contains("no frame before"), "{error}");
+}
