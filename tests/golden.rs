@@ -13,7 +13,7 @@ use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply};
 use common::scans::{random_points, scans, small, unrounded};
 use common::{File, decode_files, encode_files, first_files, in_package, round_trip};
 use lidarpc::backend::BACKENDS;
-use lidarpc::codec::{Coder, EncoderConfig, Mode, ProjectionKind};
+use lidarpc::codec::{Coder, EncoderConfig, Mode, Prediction, PredictionChoice, ProjectionKind};
 
 fn folder() -> PathBuf {
     in_package("testdata/golden")
@@ -90,7 +90,8 @@ fn float_files() -> Vec<File> {
 fn write_golden() {
     fs::create_dir_all(folder()).unwrap();
     // Two frames a group, so that there is more than one group.
-    let exact = EncoderConfig { gop: 2, ..EncoderConfig::default() };
+    let alone = PredictionChoice::Always(Prediction::None);
+    let exact = EncoderConfig { gop: 2, prediction: alone, ..EncoderConfig::default() };
     for (name, files) in [
         ("v1-exact-drive", drive_files()),
         ("v1-exact-odd-files", odd_files()),
@@ -110,6 +111,20 @@ fn write_golden() {
     }
     let lzma = EncoderConfig { coder: Coder::Backend(lidarpc::backend::LZMA), ..exact };
     write("v2-exact-lzma-odd-files", || round_trip(&odd_files(), &lzma));
+    write("v2-exact-inter-drive", || round_trip(&drive_files(), &EncoderConfig::default()));
+    write("v2-exact-inter-odd-files", || round_trip(&odd_files(), &EncoderConfig::default()));
+    for (coder, name) in [(Coder::Context, "context"), (Coder::Backend(lidarpc::backend::LZMA), "lzma")] {
+        let config = EncoderConfig {
+            projection: ProjectionKind::Ideal { columns: 500, range_step_um: 10_000 },
+            coder,
+            intensity: true,
+            prediction: PredictionChoice::Smallest,
+            ..EncoderConfig::preset(Mode::Paper)
+        };
+        // Twice the same, so that a back-end has a use for the frame before.
+        let still = vec![scans(&small(6, 1)).swap_remove(0); 2];
+        write(&format!("v2-paper-inter-{name}"), || encode_files(&named(&still), &config));
+    }
 }
 
 fn write(name: &str, encode: impl FnOnce() -> Vec<u8>) {

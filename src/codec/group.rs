@@ -60,8 +60,13 @@ impl<'s> GroupEncoder<'s> {
         let mut frame = Frame::from_scan(scan, self.sensor, self.config, &mut steps)?;
         let mut smallest: Option<Attempt> = None;
         let overlap = steps.timed(Step::Registration, || self.estimate_motion(&frame));
-        for prediction in self.config.predictions(overlap) {
-            let attempt = self.attempt(&mut frame, prediction, steps)?;
+        let mut predictions = self.config.predictions(overlap).into_iter().peekable();
+        while let Some(prediction) = predictions.next() {
+            let models = match predictions.peek() {
+                Some(_) => self.models.clone(),
+                None => std::mem::take(&mut self.models),
+            };
+            let attempt = self.attempt(&mut frame, prediction, models, steps)?;
             if smallest.as_ref().is_none_or(|smallest| attempt.size() < smallest.size()) {
                 smallest = Some(attempt);
             }
@@ -95,10 +100,15 @@ impl<'s> GroupEncoder<'s> {
     }
 
     /// Codes a frame with this prediction, by models that go on from those of the group.
-    fn attempt(&self, frame: &mut Frame, prediction: Prediction, mut steps: StepReport) -> Result<Attempt> {
+    fn attempt(
+        &self,
+        frame: &mut Frame,
+        prediction: Prediction,
+        mut models: Models,
+        mut steps: StepReport,
+    ) -> Result<Attempt> {
         frame.parameters.motion = self.motion;
         frame.predict(prediction, self.sensor, self.config, &mut steps);
-        let mut models = self.models.clone();
         let mut writer = SectionWriter::new(self.config.level);
         let returns = models.code_frame(&mut writer, self.sensor, frame, &mut steps)?;
         steps.count_sections(&writer.sections);
