@@ -180,20 +180,20 @@ impl EncoderConfig {
         is_chosen && is_turn
     }
 
-    /// What is tried for a frame, so that the smallest result is taken. `overlap` is the part of the frame
-    /// before that was found in it, if it may be predicted from that.
-    pub(super) fn predictions(&self, overlap: Option<f64>) -> Vec<Prediction> {
+    /// What is tried for a frame, so that the smallest result is taken. `fit` is how much
+    /// of the frame before fits it, from 0 to 1, if it may be predicted from that.
+    pub(super) fn predictions(&self, fit: Option<f64>) -> Vec<Prediction> {
         /// From here on it is not worth the time to try without: the models leave a reference that is of no
         /// use aside.
-        const SURE: f64 = 0.6;
+        const SURE: f64 = 0.5;
         let mut tried = match (self.prediction, self.coder) {
             (PredictionChoice::Always(Prediction::Intra), _) => vec![Prediction::Intra],
             (PredictionChoice::Always(Prediction::Inter), Coder::Backend(_)) => vec![Prediction::Intra],
             (PredictionChoice::Smallest, Coder::Backend(_)) => vec![Prediction::None, Prediction::Intra],
-            (_, Coder::Context) if overlap.is_some_and(|overlap| overlap > SURE) => vec![],
+            (_, Coder::Context) if fit.is_some_and(|fit| fit > SURE) => vec![],
             _ => vec![Prediction::None],
         };
-        if overlap.is_some() {
+        if fit.is_some() {
             tried.push(Prediction::Inter);
         }
         tried

@@ -59,8 +59,8 @@ impl<'s> GroupEncoder<'s> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let mut frame = Frame::from_scan(scan, self.sensor, self.config, &mut steps)?;
         let mut smallest: Option<Attempt> = None;
-        let overlap = steps.timed(Step::Registration, || self.estimate_motion(&frame));
-        let mut predictions = self.config.predictions(overlap).into_iter().peekable();
+        let fit = steps.timed(Step::Registration, || self.estimate_motion(&frame));
+        let mut predictions = self.config.predictions(fit).into_iter().peekable();
         while let Some(prediction) = predictions.next() {
             let models = match predictions.peek() {
                 Some(_) => self.models.clone(),
@@ -86,7 +86,7 @@ impl<'s> GroupEncoder<'s> {
     }
 
     /// Finds how the scanner has moved since the frame before, if the frame may be predicted from that
-    /// (equation 8). Gives the part of that frame that shows in this one; none if it does not.
+    /// (equation 8). Gives how much of that frame fits this one, from 0 to 1; none if it does not.
     fn estimate_motion(&mut self, frame: &Frame) -> Option<f64> {
         let (sensor, past) = (self.sensor?, self.models.past()?);
         if frame.strays == frame.records || !self.config.allows_inter(self.frames) {
@@ -96,7 +96,7 @@ impl<'s> GroupEncoder<'s> {
         let surface = past.surface(sensor);
         let found = register(surface, &image, sensor, &self.motion.pose(), &self.config.registration);
         self.motion = found.and_then(|found| found.pose.quantise()).unwrap_or_default();
-        found.map(|found| found.overlap)
+        found.map(|found| found.fit)
     }
 
     /// Codes a frame with this prediction, by models that go on from those of the group.

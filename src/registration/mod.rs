@@ -1,6 +1,7 @@
 //! The motion of the scanner from one frame to the next (article, V-A and V-B). Only the encoder looks for
 //! it; both sides apply it.
 
+mod guess;
 mod icp;
 mod pose;
 mod projective;
@@ -34,9 +35,9 @@ pub struct RegistrationConfig {
     pub method: RegistrationMethod,
     /// Surfels or points that are compared, at most, taken evenly. Default 6000.
     pub most_points: usize,
-    /// Steps, at most. Default 20.
+    /// Steps, at most. Default 25.
     pub most_iterations: usize,
-    /// Metres: what is further off than this does not count, at first and at last. Default 1 and 0.15.
+    /// Metres: what is further off than this does not count, at first and at last. Default 2 and 0.15.
     pub reach_m: [f64; 2],
     /// Converged once a step moves by less than this in metres, and turns by less in tenths of a radian.
     /// Default 0.0005.
@@ -50,8 +51,8 @@ impl Default for RegistrationConfig {
         RegistrationConfig {
             method: RegistrationMethod::Projective,
             most_points: 6000,
-            most_iterations: 20,
-            reach_m: [1.0, 0.15],
+            most_iterations: 25,
+            reach_m: [2.0, 0.15],
             precision_m: 0.0005,
             least_overlap: 0.25,
         }
@@ -78,6 +79,9 @@ impl RegistrationConfig {
     }
 }
 
+/// With this fit no other start is tried.
+const CERTAIN_FIT: f64 = 0.6;
+
 /// A motion that was found.
 #[derive(Clone, Copy, Debug)]
 pub struct Registration {
@@ -85,6 +89,8 @@ pub struct Registration {
     pub pose: Pose,
     /// The part of the points that agree.
     pub overlap: f64,
+    /// The same, but points count the less the further off they are.
+    pub fit: f64,
     /// Root mean square distance of those, in metres.
     pub rmse_m: f64,
     /// Steps taken.
@@ -98,15 +104,17 @@ struct Step {
     length: f64,
     /// Points within reach.
     agreeing: usize,
+    /// The sum of their weights.
+    weights: f64,
     /// The sum of their squared distances.
     squares: f64,
 }
 
 /// A step, if it is one.
-fn small_step(motion: RigidMotion, agreeing: usize, squares: f64) -> Option<Step> {
+fn small_step(motion: RigidMotion, agreeing: usize, weights: f64, squares: f64) -> Option<Step> {
     let pose = motion.pose();
     let length = dot(pose.translation, pose.translation).sqrt() + 10.0 * pose.angle();
-    length.is_finite().then_some(Step { motion, length, agreeing, squares })
+    length.is_finite().then_some(Step { motion, length, agreeing, weights, squares })
 }
 
 /// Finds the motion that takes the surface to where `current` shows it, starting at `initial`. None if
@@ -120,10 +128,18 @@ pub fn register(
 ) -> Option<Registration> {
     match config.method {
         RegistrationMethod::Projective => {
-            let known: Vec<_> = reference.surfels.iter().filter(|surfel| surfel.normal != [0.0; 3]).collect();
-            let surfels: Vec<_> = evenly(&known, config.most_points).map(|surfel| **surfel).collect();
+            let surfels = projective::sample(reference, config.most_points);
             let aim = Aim::at(sensor, current);
-            approach(config, initial, surfels.len(), |motion, reach| aim.step(&surfels, motion, reach))
+            let from = |start: &Pose| {
+                approach(config, start, surfels.len(), |motion, reach| aim.step(&surfels, motion, reach))
+            };
+            let found = from(initial);
+            if found.is_some_and(|found| found.fit >= CERTAIN_FIT) {
+                return found;
+            }
+            let others = guess::starts(&aim, &surfels);
+            let all = found.into_iter().chain(others.iter().filter_map(from));
+            all.max_by(|a, b| a.fit.total_cmp(&b.fit))
         }
         RegistrationMethod::Icp => {
             /// Points of the reference for each of the current frame.
@@ -153,8 +169,9 @@ fn approach(
         let has_converged = step.length < config.precision_m && reach <= last_reach;
         if has_converged || iteration == config.most_iterations {
             let overlap = step.agreeing as f64 / points.max(1) as f64;
+            let fit = step.weights / points.max(1) as f64;
             let rmse_m = (step.squares / step.agreeing.max(1) as f64).sqrt();
-            let found = Registration { pose: motion.pose(), overlap, rmse_m, iterations: iteration };
+            let found = Registration { pose: motion.pose(), overlap, fit, rmse_m, iterations: iteration };
             return (overlap >= config.least_overlap).then_some(found);
         }
         reach = (reach * 0.6).max(last_reach);

@@ -3,11 +3,13 @@
 //! of a point to a plane, and what does not fit counts little (equation 8, with an information
 //! matrix along the normal).
 
+use std::f64::consts::PI;
+
 use nalgebra::{Matrix6, Vector3, Vector6};
 
 use super::pose::{Pose, RigidMotion};
-use super::surface::{Surfel, dot};
-use super::{Step, small_step};
+use super::surface::{Surface, Surfel, dot};
+use super::{Step, evenly, small_step};
 use crate::range_image::RangeImage;
 use crate::sensor::SensorModel;
 
@@ -27,7 +29,7 @@ impl<'a> Aim<'a> {
     /// One step of Gauss-Newton with Tukey's weights, after `motion`. None if the surfels say nothing.
     pub fn step(&self, surfels: &[Surfel], motion: &RigidMotion, reach: f64) -> Option<Step> {
         let (mut normal, mut right) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
-        let (mut agreeing, mut squares) = (0, 0.0);
+        let (mut agreeing, mut weights, mut squares) = (0, 0.0, 0.0);
         for surfel in surfels {
             let position = motion.apply(surfel.position);
             let Some(seen) = self.seen(surfel.cell.0 as usize, position) else { continue };
@@ -41,6 +43,7 @@ impl<'a> Aim<'a> {
             agreeing += 1;
             squares += off * off;
             let weight = (1.0 - (off / reach).powi(2)).powi(2);
+            weights += weight;
             let turned = position.cross(&facing);
             let gradient = Vector6::new(turned.x, turned.y, turned.z, facing.x, facing.y, facing.z);
             normal.ger(weight, &gradient, &gradient, 1.0);
@@ -51,7 +54,7 @@ impl<'a> Aim<'a> {
         let solution = (normal + Matrix6::identity() * damping).cholesky()?.solve(&right);
         let [roll, pitch, yaw, x, y, z] = solution.into();
         let step = Pose { yaw, pitch, roll, translation: [x, y, z] };
-        small_step(step.motion(), agreeing, squares)
+        small_step(step.motion(), agreeing, weights, squares)
     }
 
     /// The return that the current image has where a point would be seen.
@@ -62,6 +65,34 @@ impl<'a> Aim<'a> {
         let tick = self.sensor.tick_of_column(sighting.row, self.current.columns[column]);
         (steps > 0).then(|| self.sensor.point(sighting.row, tick, steps))
     }
+}
+
+/// Ways that surfaces face: up or down, and so many parts of a half turn.
+const WAYS: usize = 13;
+
+/// At most so many surfels with a normal, as many of each way to face if there are. Otherwise the ground and
+/// the walls of a street, which say nothing of how far one has come along it, outvote all else.
+pub fn sample(surface: &Surface, most: usize) -> Vec<Surfel> {
+    let mut by_way: [Vec<Surfel>; WAYS] = Default::default();
+    for surfel in surface.surfels.iter().filter(|surfel| surfel.normal != [0.0; 3]) {
+        by_way[way(surfel.normal)].push(*surfel);
+    }
+    by_way.sort_by_key(Vec::len);
+    let (mut chosen, mut room) = (Vec::new(), most);
+    for (surfels, ways) in by_way.iter().zip((1..=WAYS).rev()) {
+        let before = chosen.len();
+        chosen.extend(evenly(surfels, room / ways));
+        room -= chosen.len() - before;
+    }
+    chosen
+}
+
+fn way([x, y, z]: [f64; 3]) -> usize {
+    if z * z > x * x + y * y {
+        return 0;
+    }
+    let part = y.atan2(x).rem_euclid(PI) / PI * (WAYS - 1) as f64;
+    1 + (part as usize).min(WAYS - 2)
 }
 
 /// The nearest column of each tick, up to one tick away.
