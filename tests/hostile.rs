@@ -10,7 +10,7 @@ use common::scans::{Random, random_points, scans, small};
 use common::{File, cases, decode_files, decode_within, encode_files, put_together, take_apart};
 use lidarpc::backend::{self, BACKENDS};
 use lidarpc::bitstream::{Group, Section, SectionKind};
-use lidarpc::codec::{Coder, EncoderConfig, Mode, ProjectionKind};
+use lidarpc::codec::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::context::{ByteModel, ColumnModel};
 use lidarpc::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
 use lidarpc::error::Limits;
@@ -29,6 +29,7 @@ static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
     odd[7][3] = f32::NAN;
     let scanner =
         vec![("0.bin", kitti(&frames[0])), ("1.bin", kitti(&odd)), ("2.pcd", pcd_extra(&frames[2]))];
+    let still = vec![("0.bin", kitti(&frames[0])), ("1.bin", kitti(&frames[0]))];
     let random = random_points(300, 2);
     let others = vec![
         ("0.bin", [kitti(&random), vec![1; 9]].concat()),
@@ -45,6 +46,12 @@ static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
         coded(&scanner, EncoderConfig::default()),
         coded(&others, EncoderConfig::default()),
         coded(&scanner, with_back_end(backend::LZMA)),
+        // P frames, by context and by a back-end.
+        coded(&still, EncoderConfig::default()),
+        coded(
+            &still,
+            EncoderConfig { prediction: PredictionChoice::Smallest, ..with_back_end(backend::LZMA) },
+        ),
     ];
     streams.extend(BACKENDS.iter().map(|backend| coded(&scanner[..1], with_back_end(backend.id()))));
     streams

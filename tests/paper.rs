@@ -193,6 +193,12 @@ fn odd_scans_are_coded() {
 }
 
 #[test]
+fn scans_without_a_calibrated_image_come_back() {
+    let files = named(&[random_points(500, 1), random_points(300, 2)]);
+    round_trip(&files, &EncoderConfig { projection: ProjectionKind::Calibrated, ..paper() });
+}
+
+#[test]
 fn files_that_are_no_scans_come_back() {
     let files =
         [("a.pcd".to_owned(), b"VERSION 0.7, but damaged".to_vec()), ("b.bin".to_owned(), vec![1; 5])];

@@ -105,9 +105,10 @@ impl Frame {
         self.parameters.motion = QuantisedPose::default();
     }
 
-    /// Takes all points as they come: there is no range image.
+    /// Takes all points as they come: there is no range image. Nothing of them is lost.
     fn take_strays(&mut self, cloud: &PointCloud) {
         self.parameters.positions = Positions::Exact;
+        self.parameters.intensity = true;
         self.strays = self.records;
         self.stray_positions = cloud.positions.clone();
         self.stray_intensity = cloud.intensity.clone();
