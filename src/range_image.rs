@@ -90,8 +90,8 @@ pub const EXACT_RANGE_BITS: u32 = 16;
 
 /// A column that holds fewer points costs more than they do as strays, if there are so many beams.
 const FEWEST_IN_COLUMN: u32 = 3;
-/// Metres: a point that the formula misses by more is a stray.
-const REACH: f64 = 0.004;
+/// Metres: a point that the formula misses by more, besides half a range step, is a stray.
+const REACH: f64 = 0.003;
 
 /// Projects a scan into a range image (article, IV-A, with the calibrated sensor for the ideal
 /// one, so that nothing is lost).
@@ -166,6 +166,7 @@ struct Place {
 
 /// The place of each point, None for those that the formula does not explain.
 fn places(sensor: &SensorModel, cloud: &PointCloud) -> Vec<Option<Place>> {
+    let reach = REACH + 0.5 * (f64::from(sensor.range_step_um) * 1e-6);
     let mut row = 0;
     cloud
         .positions
@@ -178,7 +179,7 @@ fn places(sensor: &SensorModel, cloud: &PointCloud) -> Vec<Option<Place>> {
             row = sensor.nearest_beam((x * x + y * y).sqrt(), z, row);
             let (tick, steps) = sensor.invert(row, point).filter(|(_, steps)| *steps <= LONGEST)?;
             let formula = sensor.point(row, tick, steps);
-            let near = formula.iter().zip(point).all(|(f, p)| (f - p).abs() < REACH);
+            let near = formula.iter().zip(point).all(|(f, p)| (f - p).abs() < reach);
             // On the millimetre grid -0.0 and 0.0 are told apart by the formula's sign alone.
             let zeros =
                 formula.iter().zip(position).all(|(f, p)| *p != 0.0 || sensor.coordinates.keeps_zero(*p, *f));

@@ -13,6 +13,7 @@ use lidarpc::codec::{
     Coder, EncoderConfig, FrameParameters, Mode, Prediction, PredictionChoice, ProjectionKind, Source,
 };
 use lidarpc::io::parse;
+use lidarpc::metrics::NearestErrors;
 use lidarpc::prediction::intra::{IntraConfig, RegionModels};
 use lidarpc::range_image::{Return, project_nearest};
 use lidarpc::residual::Packing;
@@ -160,7 +161,7 @@ fn headers_tell_the_number_of_points_that_are_left() {
 #[test]
 fn the_calibrated_image_loses_no_point() {
     let config =
-        EncoderConfig { projection: ProjectionKind::Calibrated, outliers: None, intensity: true, ..paper() };
+        EncoderConfig { projection: ProjectionKind::CALIBRATED, outliers: None, intensity: true, ..paper() };
     let stream = encode_files(&named(&SCANS), &config);
     for ((_, bytes), before) in decode_files(&stream).unwrap().into_iter().zip(SCANS.iter()) {
         let after = parse("0.bin", bytes).cloud;
@@ -170,6 +171,26 @@ fn the_calibrated_image_loses_no_point() {
         assert_eq!(sorted[0], sorted[1]);
     }
     assert!(parameters(&stream).iter().all(|p| p.source.is_some_and(|source| source.lost == 0)));
+}
+
+#[test]
+fn coarser_steps_of_the_calibrated_image_move_points_by_half_a_step() {
+    for step_um in [5000, 20_000, 100_000] {
+        let projection = ProjectionKind::Calibrated { range_step_um: Some(step_um) };
+        let prediction = PredictionChoice::Smallest;
+        let config =
+            EncoderConfig { projection, outliers: None, coder: Coder::Context, prediction, ..paper() };
+        let stream = encode_files(&named(&SCANS), &config);
+        for ((_, bytes), before) in decode_files(&stream).unwrap().into_iter().zip(SCANS.iter()) {
+            let (after, before) = (parse("0.bin", bytes).cloud, parse("0.bin", kitti(before)).cloud);
+            assert_eq!(after.positions.len(), before.positions.len());
+            let mut errors = [NearestErrors::default(); 2];
+            errors[0].add(&after, &before);
+            errors[1].add(&before, &after);
+            let most = 0.5e-6 * f64::from(step_um) + 0.006;
+            assert!(errors.iter().all(|errors| errors.max().unwrap() < most), "{errors:?}");
+        }
+    }
 }
 
 #[test]
@@ -195,7 +216,7 @@ fn odd_scans_are_coded() {
 #[test]
 fn scans_without_a_calibrated_image_come_back() {
     let files = named(&[random_points(500, 1), random_points(300, 2)]);
-    round_trip(&files, &EncoderConfig { projection: ProjectionKind::Calibrated, ..paper() });
+    round_trip(&files, &EncoderConfig { projection: ProjectionKind::CALIBRATED, ..paper() });
 }
 
 #[test]

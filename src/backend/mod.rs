@@ -19,7 +19,7 @@ use std::io::Read;
 use crate::error::{Error, Result};
 use crate::residual::Packing;
 
-/// The number of [`lzma`], which the paper preset uses.
+/// The number of `lzma`, which the paper preset uses.
 pub const LZMA: u8 = 3;
 
 /// All back-ends, by their numbers.

@@ -51,7 +51,7 @@ pub struct CodingArgs {
     /// Columns of the ideal range image; 2000 are 0.18 degrees each.
     #[arg(long, value_name = "N", help_heading = "Paper mode")]
     pub columns: Option<u32>,
-    /// Range step of the ideal range image, such as 1mm or 1cm, or `float` for float32 ranges.
+    /// Range step of the range image, such as 1mm or 1cm, or, of the ideal one, `float` for float32 ranges.
     #[arg(long, value_name = "LENGTH", help_heading = "Paper mode")]
     pub step: Option<StepArg>,
     /// Whether intensities are kept.
@@ -233,7 +233,7 @@ impl CodingArgs {
 
     fn choose_image(&self, config: &mut EncoderConfig) -> Result<()> {
         match self.projection {
-            Some(ProjectionArg::Calibrated) => config.projection = ProjectionKind::Calibrated,
+            Some(ProjectionArg::Calibrated) => config.projection = ProjectionKind::CALIBRATED,
             Some(ProjectionArg::Ideal) => {
                 config.projection = EncoderConfig::preset(Mode::Paper).projection;
             }
@@ -244,12 +244,12 @@ impl CodingArgs {
                 *columns = self.columns.unwrap_or(*columns);
                 *range_step_um = self.step.map_or(*range_step_um, |step| step.0);
             }
-            ProjectionKind::Calibrated if self.columns.is_some() || self.step.is_some() => {
-                let what = "the calibrated range image has the sensor's own columns and steps; \
-                            --columns and --step need --mode paper";
+            ProjectionKind::Calibrated { .. } if self.columns.is_some() => {
+                let what = "the calibrated range image has the sensor's own columns; \
+                            --columns needs --mode paper";
                 return Err(Error::InvalidConfig(what.to_owned()));
             }
-            ProjectionKind::Calibrated => {}
+            ProjectionKind::Calibrated { range_step_um } => *range_step_um = self.step.map(|step| step.0),
         }
         if let Some(intensity) = self.intensity {
             config.intensity = matches!(intensity, IntensityArg::Exact);

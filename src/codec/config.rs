@@ -25,21 +25,26 @@ pub enum Mode {
 }
 
 /// Which range image is coded.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProjectionKind {
     /// That of the sensor model fitted to the sequence: no point is lost.
-    #[default]
-    Calibrated,
+    Calibrated {
+        /// Micrometres a range step; `None`: the sensor's own, which loses nothing.
+        range_step_um: Option<u32>,
+    },
     /// The article's (IV-A): 64 rows at the published elevations, columns equally far apart.
     Ideal {
         /// Columns a turn.
         columns: u32,
-        /// Micrometres a range step; [`FLOAT_RANGES`](crate::sensor::FLOAT_RANGES) for float32.
+        /// Micrometres a range step; [`FLOAT_RANGES`] for float32.
         range_step_um: u32,
     },
 }
 
 impl ProjectionKind {
+    /// The calibrated image, with the sensor's own steps.
+    pub const CALIBRATED: Self = ProjectionKind::Calibrated { range_step_um: None };
+
     fn has_float_ranges(self) -> bool {
         matches!(self, ProjectionKind::Ideal { range_step_um: FLOAT_RANGES, .. })
     }
@@ -131,7 +136,7 @@ impl EncoderConfig {
             gop: 10,
             threads: 0,
             outliers: None,
-            projection: ProjectionKind::Calibrated,
+            projection: ProjectionKind::CALIBRATED,
             positions: Positions::Exact,
             intensity: true,
             prediction: PredictionChoice::Smallest,
@@ -240,17 +245,22 @@ impl EncoderConfig {
             return wrong("a group holds at least one frame");
         }
         let drops =
-            self.outliers.is_some() || self.projection != ProjectionKind::Calibrated || !self.intensity;
+            self.outliers.is_some() || self.projection != ProjectionKind::CALIBRATED || !self.intensity;
         if self.positions == Positions::Exact && drops {
             return wrong("exact mode keeps every point and intensity; use paper mode to drop any");
         }
-        if let ProjectionKind::Ideal { columns, range_step_um } = self.projection {
-            if !(1..=MOST_TICKS).contains(&u64::from(columns)) {
-                return wrong("an image has 1 to 360000 columns");
+        let (columns, step) = match self.projection {
+            ProjectionKind::Ideal { columns, range_step_um } => (columns, range_step_um),
+            ProjectionKind::Calibrated { range_step_um: Some(FLOAT_RANGES) } => {
+                return wrong("the calibrated image has ranges in steps");
             }
-            if u64::from(range_step_um) > MOST_RANGE_STEP_UM {
-                return wrong("a range step is at most 1 m");
-            }
+            ProjectionKind::Calibrated { range_step_um } => (1, range_step_um.unwrap_or(1)),
+        };
+        if !(1..=MOST_TICKS).contains(&u64::from(columns)) {
+            return wrong("an image has 1 to 360000 columns");
+        }
+        if u64::from(step) > MOST_RANGE_STEP_UM {
+            return wrong("a range step is at most 1 m");
         }
         if self.coder == Coder::Context && self.projection.has_float_ranges() {
             return wrong("the context coder takes ranges in steps; choose a step or another back-end");

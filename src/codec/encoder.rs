@@ -74,7 +74,10 @@ pub fn encode<W: Write>(
 ) -> Result<Encoded> {
     config.check()?;
     let sensor = match config.projection {
-        ProjectionKind::Calibrated => sensor::fit(&sample(frames)?),
+        ProjectionKind::Calibrated { range_step_um } => {
+            let fitted = sensor::fit(&sample(frames)?);
+            fitted.map(|sensor| range_step_um.into_iter().fold(sensor, SensorModel::with_range_step))
+        }
         ProjectionKind::Ideal { columns, range_step_um } => Some(sensor::ideal(columns, range_step_um)),
     };
     let mut writer = StreamWriter::create(out, &config.stream_header()?)?;

@@ -139,11 +139,11 @@ impl Frame {
         let cloud = filtered.as_ref().unwrap_or(cloud);
         let start = Instant::now();
         let mut projection = match config.projection {
-            ProjectionKind::Calibrated => project(sensor, cloud),
+            ProjectionKind::Calibrated { .. } => project(sensor, cloud),
             ProjectionKind::Ideal { .. } => project_nearest(sensor, cloud),
         };
         let lost = match config.projection {
-            ProjectionKind::Calibrated => 0,
+            ProjectionKind::Calibrated { .. } => 0,
             ProjectionKind::Ideal { .. } => std::mem::take(&mut projection.strays).len(),
         };
         let points = self.take_image(cloud, projection, sensor);

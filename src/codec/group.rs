@@ -95,8 +95,9 @@ impl<'s> GroupEncoder<'s> {
         let image = RangeImage { columns: frame.columns.clone(), steps: frame.steps.clone() };
         let surface = past.surface(sensor);
         let found = register(surface, &image, sensor, &self.motion.pose(), &self.config.registration);
-        self.motion = found.and_then(|found| found.pose.quantise()).unwrap_or_default();
-        found.map(|found| found.fit)
+        let motion = found.and_then(|found| found.pose.quantise());
+        self.motion = motion.unwrap_or_default();
+        motion.and(found).map(|found| found.fit)
     }
 
     /// Codes a frame with this prediction, by models that go on from those of the group.

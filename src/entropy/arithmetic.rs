@@ -10,7 +10,7 @@ pub trait BitCoder {
     /// `bit`; the decoder does not look at it. Both return the bit.
     fn code(&mut self, bit: bool, p: u32) -> bool;
 
-    /// Codes the lowest `bits` bits of `value`, each as likely to be 0 as 1, [`PLAIN_BITS`] at a time
+    /// Codes the lowest `bits` bits of `value`, each as likely to be 0 as 1, `PLAIN_BITS` at a time
     /// where the interval is wide enough, else one by one.
     fn code_plain(&mut self, value: u64, bits: u32) -> u64 {
         let mut read = 0;

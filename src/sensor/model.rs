@@ -164,6 +164,11 @@ impl SensorModel {
         SensorModel { coordinates, ticks, range_step_um, constants, beams, tick_directions }
     }
 
+    /// The same scanner, its ranges rounded to other steps, in micrometres.
+    pub fn with_range_step(self, range_step_um: u32) -> Self {
+        SensorModel { range_step_um, ..self }
+    }
+
     /// Number of beams, which is the number of rows of the range image.
     pub fn rows(&self) -> usize {
         self.beams.len()
