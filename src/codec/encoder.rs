@@ -45,7 +45,7 @@ pub enum FrameInput {
 pub struct Encoded {
     /// Name, size, checksum and points of each file as it decodes, in order.
     pub frames: Vec<FrameHeader>,
-    /// What each step took and left.
+    /// What each step took and left; where several predictions were tried, with the one that was taken.
     pub steps: StepReport,
     /// Points of all original files.
     pub points: u64,

@@ -34,7 +34,7 @@ pub struct EncodedFrame {
     pub header: FrameHeader,
     /// The coded parts.
     pub sections: Vec<Section>,
-    /// What each step took and left.
+    /// What each step took and left; where several predictions were tried, with the one that was taken.
     pub steps: StepReport,
 }
 

@@ -4,6 +4,9 @@ use super::neighbourhood::Neighbourhood;
 use super::{FEATURE_REACH, REFERENCE_FEATURES, REFERENCE_LEVELS};
 use crate::range_image::{Layer, Reference};
 
+/// Steps; at the start of a row.
+const TYPICAL_ERROR: f32 = 20.0;
+
 /// The ranges that an earlier frame offers for a cell that has one in either layer.
 pub struct Back {
     /// The same cell's range, or else that of the moved layer; and the other way round.
@@ -67,6 +70,3 @@ impl ReferenceErrors {
         self.above[column] = 0.5 * self.above[column] + 0.5 * error;
     }
 }
-
-/// Steps; at the start of a row.
-const TYPICAL_ERROR: f32 = 20.0;
