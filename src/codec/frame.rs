@@ -3,6 +3,7 @@
 use super::config::{EncoderConfig, ProjectionKind};
 use super::parameters::{FrameParameters, Positions, Prediction, Source};
 use super::steps::{Step, StepReport};
+use std::sync::Arc;
 use std::time::Instant;
 
 use crate::context::OrderExceptions;
@@ -18,7 +19,7 @@ use crate::segmentation::segment;
 use crate::sensor::SensorModel;
 
 /// The parts of a frame, as the sections code them.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Frame {
     pub parameters: FrameParameters,
     pub layout: Layout,
@@ -45,9 +46,24 @@ pub struct Frame {
     pub order: OrderExceptions,
     /// The other bytes of the records, in the order of the file.
     pub extra: Vec<u8>,
+    /// Where the points come from; only while a scan is encoded.
+    origin: Option<Arc<Origin>>,
+}
+
+/// The points of a scan that is encoded, and where the range image has them.
+#[derive(Debug)]
+struct Origin {
+    cloud: PointCloud,
+    point_of_cell: Grid<u32>,
+    strays: Vec<u32>,
 }
 
 impl Frame {
+    /// A frame of so many records, to be decoded.
+    pub fn of_records(records: usize) -> Self {
+        Frame { records, ..Frame::default() }
+    }
+
     /// Takes a scan apart (article, III-A and IV-A: the outlier filter and the range image).
     pub fn from_scan(
         scan: &ScanFile,
@@ -66,9 +82,9 @@ impl Frame {
         match sensor {
             None => frame.take_strays(&scan.cloud),
             Some(_) if scan.cloud.positions.is_empty() => frame.take_strays(&scan.cloud),
-            Some(sensor) if config.positions == Positions::Exact => {
-                steps.timed(Step::Conversion, || frame.take_points(&scan.cloud, sensor));
-            }
+            Some(sensor) if config.positions == Positions::Exact => steps.timed(Step::Conversion, || {
+                frame.take_image(scan.cloud.clone(), project(sensor, &scan.cloud));
+            }),
             Some(sensor) => frame.convert_points(&scan.cloud, sensor, config, steps),
         }
         frame.parameters.range_coder.fit(&frame.steps);
@@ -115,17 +131,6 @@ impl Frame {
         self.extra = cloud.extra.clone();
     }
 
-    /// Takes all points as they are.
-    fn take_points(&mut self, cloud: &PointCloud, sensor: &SensorModel) {
-        let points = self.take_image(cloud, project(sensor, cloud), sensor);
-        let returns = points.len() - self.strays;
-        self.positions = points[..returns].iter().map(|&point| cloud.positions[point as usize]).collect();
-        let mut order = vec![0u32; points.len()];
-        (0u32..).zip(&points).for_each(|(element, &point)| order[point as usize] = element);
-        self.order = OrderExceptions::of(&order, returns);
-        self.extra = cloud.extra.clone();
-    }
-
     /// Takes what the outlier filter (equation 1) and the range image (equation 2) leave of the
     /// points.
     fn convert_points(
@@ -135,44 +140,40 @@ impl Frame {
         config: &EncoderConfig,
         steps: &mut StepReport,
     ) {
-        let filtered = steps.timed(Step::Outliers, || Some(config.outliers?.filter(cloud)));
-        let cloud = filtered.as_ref().unwrap_or(cloud);
+        let cloud = steps.timed(Step::Outliers, || match config.outliers {
+            Some(outliers) => outliers.filter(cloud),
+            None => cloud.clone(),
+        });
         let start = Instant::now();
         let mut projection = match config.projection {
-            ProjectionKind::Calibrated { .. } => project(sensor, cloud),
-            ProjectionKind::Ideal { .. } => project_nearest(sensor, cloud),
+            ProjectionKind::Calibrated { .. } => project(sensor, &cloud),
+            ProjectionKind::Ideal { .. } => project_nearest(sensor, &cloud),
         };
         let lost = match config.projection {
             ProjectionKind::Calibrated { .. } => 0,
             ProjectionKind::Ideal { .. } => std::mem::take(&mut projection.strays).len(),
         };
-        let points = self.take_image(cloud, projection, sensor);
-        self.extra = cloud.select(&points).extra;
         self.parameters.source = Some(Source {
             file_size: steps.original,
             points: self.records as u64,
             outliers: (self.records - cloud.positions.len()) as u64,
             lost: lost as u64,
         });
-        self.records = points.len();
+        self.records = cloud.positions.len() - lost;
+        self.take_image(cloud, projection);
         self.prefix = with_point_count(&self.prefix, self.records);
         steps.took(Step::Conversion, start);
     }
 
-    /// Takes the range image and the strays. Returns the points in its order: the returns in file
-    /// order, then the strays.
-    fn take_image(&mut self, cloud: &PointCloud, projection: Projection, sensor: &SensorModel) -> Vec<u32> {
+    /// Takes the range image and the strays.
+    fn take_image(&mut self, cloud: PointCloud, projection: Projection) {
         let Projection { image, point_of_cell, strays } = projection;
-        let returns = image.file_order(sensor);
-        let cell = |found: &Return| (found.row as usize, found.column as usize);
-        let mut points: Vec<u32> = returns.iter().map(|found| point_of_cell[cell(found)]).collect();
-
-        self.occupancy = Grid::new(image.steps.rows(), image.columns.len());
+        self.occupancy = image.occupancy();
         self.intensity = Grid::new(image.steps.rows(), image.columns.len());
-        for (found, &point) in returns.iter().zip(&points) {
-            self.occupancy[cell(found)] = true;
-            if let Some(&value) = cloud.intensity.get(point as usize) {
-                self.intensity[cell(found)] = value;
+        for row in 0..image.steps.rows() {
+            for column in (0..image.columns.len()).filter(|&column| image.steps[(row, column)] > 0) {
+                let point = point_of_cell[(row, column)] as usize;
+                self.intensity[(row, column)] = cloud.intensity.get(point).copied().unwrap_or(0.0);
             }
         }
         self.columns = image.columns;
@@ -181,8 +182,27 @@ impl Frame {
         let PointCloud { positions, intensity, .. } = cloud.select(&strays);
         self.stray_positions = positions;
         self.stray_intensity = intensity;
-        points.extend(strays);
-        points
+        self.origin = Some(Arc::new(Origin { cloud, point_of_cell, strays }));
+    }
+
+    /// Brings the encoder's points into the order in which a decoder finds the returns: the decoded ranges
+    /// tell of it.
+    pub fn arrange(&mut self, returns: &[Return]) {
+        let Some(origin) = self.origin.take() else { return };
+        let Origin { cloud, point_of_cell, strays } = &*origin;
+        let of_returns =
+            returns.iter().map(|found| point_of_cell[(found.row as usize, found.column as usize)]);
+        let points: Vec<u32> = of_returns.chain(strays.iter().copied()).collect();
+        self.positions =
+            points[..returns.len()].iter().map(|&point| cloud.positions[point as usize]).collect();
+        if self.parameters.positions == Positions::Formula {
+            self.extra = cloud.select(&points).extra;
+            return;
+        }
+        let mut order = vec![0u32; points.len()];
+        (0u32..).zip(&points).for_each(|(element, &point)| order[point as usize] = element);
+        self.order = OrderExceptions::of(&order, returns.len());
+        self.extra.clone_from(&cloud.extra);
     }
 
     /// Puts the scan together again.

@@ -62,16 +62,16 @@ impl<'s> GroupEncoder<'s> {
         let fit = steps.timed(Step::Registration, || self.estimate_motion(&frame));
         let mut predictions = self.config.predictions(fit).into_iter().peekable();
         while let Some(prediction) = predictions.next() {
-            let models = match predictions.peek() {
-                Some(_) => self.models.clone(),
-                None => std::mem::take(&mut self.models),
+            let (models, frame) = match predictions.peek() {
+                Some(_) => (self.models.clone(), frame.clone()),
+                None => (take(&mut self.models), take(&mut frame)),
             };
-            let attempt = self.attempt(&mut frame, prediction, models, steps)?;
+            let attempt = self.attempt(frame, prediction, models, steps)?;
             if smallest.as_ref().is_none_or(|smallest| attempt.size() < smallest.size()) {
                 smallest = Some(attempt);
             }
         }
-        let Some(Attempt { models, sections, returns, steps }) = smallest else {
+        let Some(Attempt { models, frame, sections, returns, steps }) = smallest else {
             return Err(Error::InvalidConfig("no prediction to choose from".to_owned()));
         };
         self.models = models;
@@ -103,7 +103,7 @@ impl<'s> GroupEncoder<'s> {
     /// Codes a frame with this prediction, by models that go on from those of the group.
     fn attempt(
         &self,
-        frame: &mut Frame,
+        mut frame: Frame,
         prediction: Prediction,
         mut models: Models,
         mut steps: StepReport,
@@ -111,9 +111,9 @@ impl<'s> GroupEncoder<'s> {
         frame.parameters.motion = self.motion;
         frame.predict(prediction, self.sensor, self.config, &mut steps);
         let mut writer = SectionWriter::new(self.config.level);
-        let returns = models.code_frame(&mut writer, self.sensor, frame, &mut steps)?;
+        let returns = models.code_frame(&mut writer, self.sensor, &mut frame, &mut steps)?;
         steps.count_sections(&writer.sections);
-        Ok(Attempt { models, sections: writer.sections, returns, steps })
+        Ok(Attempt { models, frame, sections: writer.sections, returns, steps })
     }
 }
 
@@ -121,6 +121,8 @@ impl<'s> GroupEncoder<'s> {
 struct Attempt {
     /// What coding it has taught.
     models: Models,
+    /// As it decodes.
+    frame: Frame,
     sections: Vec<Section>,
     returns: Vec<Return>,
     steps: StepReport,
@@ -186,7 +188,7 @@ impl<'s> GroupDecoder<'s> {
         steps: &mut StepReport,
     ) -> Result<DecodedScan> {
         let mut reader = SectionReader::new(sections, &self.limits);
-        let mut frame = Frame { records: header.point_count as usize, ..Frame::default() };
+        let mut frame = Frame::of_records(header.point_count as usize);
         let returns = self.models.code_frame(&mut reader, self.sensor, &mut frame, steps)?;
         reader.finish()?;
         let source = frame.parameters.source;

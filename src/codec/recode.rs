@@ -48,7 +48,7 @@ impl Recoder<'_> {
     fn recode(&mut self, coded: bitstream::Frame, wanted: bool) -> Result<Option<bitstream::Frame>> {
         let bitstream::Frame { header, sections } = coded;
         let mut steps = StepReport::default();
-        let mut frame = Frame { records: header.point_count as usize, ..Frame::default() };
+        let mut frame = Frame::of_records(header.point_count as usize);
         let mut reader = SectionReader::new(&sections, self.limits);
         self.old.code_frame(&mut reader, self.sensor, &mut frame, &mut steps)?;
         reader.finish()?;

@@ -85,6 +85,9 @@ impl Models {
             found = image.file_order(sensor);
             self.past = Some(Arc::new(Past::new(image.clone(), levels)));
             (frame.columns, frame.steps) = (image.columns, image.steps);
+        }
+        frame.arrange(&found);
+        if let Some(sensor) = sensor {
             self.code_positions(sections, sensor, frame, &found)?;
         }
         self.code_order(sections, frame, returns)?;
