@@ -16,7 +16,7 @@ use lidarpc::context::{
 };
 use lidarpc::entropy::ArithmeticEncoder;
 use lidarpc::grid::Grid;
-use lidarpc::range_image::{EXACT_RANGE_BITS, Projection, project};
+use lidarpc::range_image::{EXACT_RANGE_BITS, Projection, REACH, project};
 use lidarpc::sensor::{SensorModel, fit};
 
 fn stages(c: &mut Criterion) {
@@ -34,7 +34,7 @@ fn stages(c: &mut Criterion) {
 /// What is done with one frame, in the order of its coding. Models start afresh each time.
 fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &SensorModel) {
     let cloud = &scans[0].cloud;
-    let Projection { image, point_of_cell, .. } = project(sensor, cloud);
+    let Projection { image, point_of_cell, .. } = project(sensor, cloud, REACH);
     let occupancy = filled(&image.steps);
     let no_intensity = Grid::<u16>::new(occupancy.rows(), occupancy.columns());
     let returns = image.file_order(sensor);
@@ -48,7 +48,7 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &SensorModel) 
     let mut group = c.benchmark_group(format!("stages/{name}"));
     group.sample_size(10).measurement_time(Duration::from_secs(2));
     group.throughput(Throughput::Elements(cloud.positions.len() as u64));
-    group.bench_function("project", |b| b.iter(|| project(sensor, black_box(cloud))));
+    group.bench_function("project", |b| b.iter(|| project(sensor, black_box(cloud), REACH)));
     group.bench_function("file_order", |b| b.iter(|| black_box(&image).file_order(sensor)));
     group.bench_function("columns", |b| {
         b.iter(|| {
@@ -67,6 +67,7 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &SensorModel) 
                 intensity: &no_intensity,
                 reference: None,
                 range_bits: EXACT_RANGE_BITS,
+                bin: 1,
             };
             model.code(&mut encoder(), &known, steps);
         });
@@ -75,7 +76,8 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &SensorModel) 
         b.iter(|| {
             let (mut coder, mut model) = (encoder(), CorrectionModel::default());
             for (found, position) in returns.iter().zip(&positions) {
-                model.code(&mut coder, sensor, found, &mut position.clone());
+                let formula = sensor.point(found.row as usize, found.tick, found.steps);
+                model.code(&mut coder, sensor.coordinates, formula, &mut position.clone());
             }
         });
     });
@@ -83,7 +85,7 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &SensorModel) 
         b.iter(|| OrderModel::default().code(&mut encoder(), &mut exceptions.clone(), returns.len(), 0));
     });
     group.bench_function("points", |b| {
-        b.iter(|| PointModel::default().code(&mut encoder(), &mut cloud.positions.clone()));
+        b.iter(|| PointModel::default().code(&mut encoder(), None, &mut cloud.positions.clone()));
     });
     group.finish();
 }

@@ -39,6 +39,11 @@ impl<T: Clone + Default> Grid<T> {
         &self.cells
     }
 
+    /// All cells, row after row.
+    pub fn cells_mut(&mut self) -> &mut [T] {
+        &mut self.cells
+    }
+
     /// A table of the same shape, each value made from the one here.
     pub fn map<U>(&self, of: impl FnMut(&T) -> U) -> Grid<U> {
         Grid { rows: self.rows, columns: self.columns, cells: self.cells.iter().map(of).collect() }

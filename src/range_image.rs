@@ -11,7 +11,7 @@ pub use alignment::Alignment;
 pub use reference::{Layer, Reference};
 
 use crate::grid::Grid;
-use crate::scan::PointCloud;
+use crate::scan::{PointCloud, squared_distance};
 use crate::sensor::SensorModel;
 
 /// The range image of a scan.
@@ -83,6 +83,22 @@ pub struct Projection {
     pub strays: Vec<u32>,
 }
 
+impl Projection {
+    /// How far the formula misses the points of the image, in metres, row after row.
+    pub fn misses(&self, sensor: &SensorModel, cloud: &PointCloud) -> Vec<f64> {
+        let mut misses = Vec::with_capacity(cloud.positions.len());
+        for row in 0..self.image.steps.rows() {
+            for (column, &steps) in self.image.steps.row(row).iter().enumerate().filter(|(_, s)| **s > 0) {
+                let tick = sensor.tick_of_column(row, self.image.columns[column]);
+                let formula = sensor.point(row, tick, steps).map(|metres| metres as f32);
+                let point = &cloud.positions[self.point_of_cell[(row, column)] as usize];
+                misses.push(squared_distance(&formula, point).sqrt());
+            }
+        }
+        misses
+    }
+}
+
 /// The longest range of an image that loses nothing, in steps: further points are strays.
 const LONGEST: u32 = (1 << EXACT_RANGE_BITS) - 1;
 /// Ranges of such an image are below 2 to this power.
@@ -90,13 +106,15 @@ pub const EXACT_RANGE_BITS: u32 = 16;
 
 /// A column that holds fewer points costs more than they do as strays, if there are so many beams.
 const FEWEST_IN_COLUMN: u32 = 3;
-/// Metres: a point that the formula misses by more, besides half a range step, is a stray.
-const REACH: f64 = 0.003;
+/// Metres by which the formula may miss a point of a range image that loses nothing, besides half a range
+/// step.
+pub const REACH: f64 = 0.003;
 
 /// Projects a scan into a range image (article, IV-A, with the calibrated sensor for the ideal
-/// one, so that nothing is lost).
-pub fn project(sensor: &SensorModel, cloud: &PointCloud) -> Projection {
-    let places = places(sensor, cloud);
+/// one, so that nothing is lost). Points that the formula misses by more than `reach` metres along an axis,
+/// besides half a range step, are strays.
+pub fn project(sensor: &SensorModel, cloud: &PointCloud, reach: f64) -> Projection {
+    let places = places(sensor, cloud, reach + 0.5 * sensor.range_step_m());
     let mut in_column = vec![0u32; sensor.ticks as usize];
     places.iter().flatten().for_each(|place| in_column[place.column_tick as usize] += 1);
     let fewest = FEWEST_IN_COLUMN.min(sensor.rows().div_ceil(3) as u32);
@@ -165,8 +183,7 @@ struct Place {
 }
 
 /// The place of each point, None for those that the formula does not explain.
-fn places(sensor: &SensorModel, cloud: &PointCloud) -> Vec<Option<Place>> {
-    let reach = REACH + 0.5 * (f64::from(sensor.range_step_um) * 1e-6);
+fn places(sensor: &SensorModel, cloud: &PointCloud, reach: f64) -> Vec<Option<Place>> {
     let mut row = 0;
     cloud
         .positions

@@ -67,3 +67,8 @@ impl ScanFile {
         self.layout.stride == 0
     }
 }
+
+/// Squared 3-D distance of two positions, in square metres.
+pub fn squared_distance(a: &[f32; 3], b: &[f32; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum()
+}

@@ -13,7 +13,7 @@ use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply};
 use common::scans::{random_points, scans, small, unrounded};
 use common::{File, decode_files, encode_files, first_files, in_package, round_trip};
 use lidarpc::backend::BACKENDS;
-use lidarpc::codec::{Coder, EncoderConfig, Mode, Prediction, PredictionChoice, ProjectionKind};
+use lidarpc::codec::{Coder, EncoderConfig, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind};
 
 fn folder() -> PathBuf {
     in_package("testdata/golden")
@@ -117,7 +117,7 @@ fn write_golden() {
         let config = EncoderConfig {
             projection: ProjectionKind::Ideal { columns: 500, range_step_um: 10_000 },
             coder,
-            intensity: true,
+            intensity: Intensity::Exact,
             prediction: PredictionChoice::Smallest,
             ..EncoderConfig::preset(Mode::Paper)
         };

@@ -126,7 +126,7 @@ fn every_setting_keeps_the_image() {
 #[test]
 fn intensities_and_other_fields_stay_with_their_points() {
     let files = [("0.pcd".to_owned(), pcd_extra(&SCANS[0]))];
-    let config = EncoderConfig { intensity: true, ..paper() };
+    let config = EncoderConfig { intensity: Intensity::Exact, ..paper() };
     let decoded = keeps_the_image(&files, &config);
     let before = parse("0.pcd", files[0].1.clone()).cloud;
     let after = parse("0.pcd", decoded[0].1.clone()).cloud;
@@ -160,8 +160,12 @@ fn headers_tell_the_number_of_points_that_are_left() {
 
 #[test]
 fn the_calibrated_image_loses_no_point() {
-    let config =
-        EncoderConfig { projection: ProjectionKind::CALIBRATED, outliers: None, intensity: true, ..paper() };
+    let config = EncoderConfig {
+        projection: ProjectionKind::CALIBRATED,
+        outliers: None,
+        intensity: Intensity::Exact,
+        ..paper()
+    };
     let stream = encode_files(&named(&SCANS), &config);
     for ((_, bytes), before) in decode_files(&stream).unwrap().into_iter().zip(SCANS.iter()) {
         let after = parse("0.bin", bytes).cloud;

@@ -3,7 +3,9 @@
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueEnum};
 use lidarpc::backend::{self, Level};
-use lidarpc::codec::{Coder, EncoderConfig, FrameOrder, Mode, Prediction, PredictionChoice, ProjectionKind};
+use lidarpc::codec::{
+    Coder, EncoderConfig, FrameOrder, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind,
+};
 use lidarpc::error::{Error, Result};
 use lidarpc::registration::RegistrationMethod;
 use lidarpc::residual::Packing;
@@ -16,9 +18,15 @@ use super::regions::RegionArgs;
 /// How to code. What is not given is as the mode has it.
 #[derive(Clone, Debug, Args)]
 pub struct CodingArgs {
-    /// What decoding promises.
-    #[arg(long, value_enum, default_value = "exact")]
-    pub mode: ModeArg,
+    /// What decoding promises. Default: exact, or bounded if --max-error is given.
+    #[arg(long, value_enum)]
+    pub mode: Option<ModeArg>,
+    /// Bounded mode: how far a decoded point may be from its original, such as 10mm or 2cm.
+    #[arg(long, value_name = "LENGTH")]
+    pub max_error: Option<Length>,
+    /// Bounded mode: round intensities to multiples of this, in the file's unit, such as 0.05.
+    #[arg(long, value_name = "STEP")]
+    pub intensity_step: Option<IntensityStep>,
     /// What codes the ranges.
     #[arg(long, value_name = "NAME", value_parser = backend_names())]
     pub backend: Option<String>,
@@ -75,6 +83,8 @@ pub struct CodingArgs {
 pub enum ModeArg {
     /// Every file comes back byte for byte, whatever it holds.
     Exact,
+    /// Every point comes back in its place, no farther than --max-error from where it was.
+    Bounded,
     /// The article's codec: drops outliers, keeps the range image of an ideal sensor.
     Paper,
 }
@@ -143,6 +153,23 @@ impl std::str::FromStr for StepArg {
     }
 }
 
+/// A step of intensities, in millionths of the file's unit.
+#[derive(Clone, Copy, Debug)]
+pub struct IntensityStep(u32);
+
+impl std::str::FromStr for IntensityStep {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let wrong = |_| format!("'{text}' is no number");
+        let millionths = (text.parse::<f64>().map_err(wrong)? * 1e6).round();
+        if !(1.0..=1e9).contains(&millionths) {
+            return Err(format!("'{text}' is not from 0.000001 to 1000"));
+        }
+        Ok(IntensityStep(millionths as u32))
+    }
+}
+
 /// The name of the context coder among the back-ends.
 const CONTEXT: &str = "context";
 
@@ -168,7 +195,7 @@ pub fn config(coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
 
 /// As [`config`], in paper mode whatever the mode.
 pub fn paper_config(coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
-    config(&CodingArgs { mode: ModeArg::Paper, ..coding.clone() }, threads)
+    config(&CodingArgs { mode: Some(ModeArg::Paper), ..coding.clone() }, threads)
 }
 
 impl CodingArgs {
@@ -177,10 +204,10 @@ impl CodingArgs {
     /// # Errors
     /// If the choices do not fit together.
     fn config(&self, threads: usize) -> Result<EncoderConfig> {
-        let mut config = EncoderConfig::preset(match self.mode {
-            ModeArg::Exact => Mode::Exact,
-            ModeArg::Paper => Mode::Paper,
-        });
+        let mut config = EncoderConfig::preset(self.preset()?);
+        if let Some(IntensityStep(step_millionths)) = self.intensity_step {
+            config.intensity = Intensity::Rounded { step_millionths };
+        }
         config.gop = self.gop as usize;
         config.threads = threads;
         self.choose_coder(&mut config)?;
@@ -189,6 +216,18 @@ impl CodingArgs {
         self.regions.choose(&mut config);
         config.check()?;
         Ok(config)
+    }
+
+    /// The mode, by its name or by the options that belong to it.
+    fn preset(&self) -> Result<Mode> {
+        let wrong = |what: &str| Err(Error::InvalidConfig(what.to_owned()));
+        match (self.mode, self.max_error) {
+            (Some(ModeArg::Bounded) | None, Some(Length(max_error_um))) => Ok(Mode::Bounded { max_error_um }),
+            (Some(ModeArg::Bounded), None) => wrong("--mode bounded needs a bound, as by --max-error 10mm"),
+            (_, Some(_)) => wrong("--max-error is for --mode bounded"),
+            (Some(ModeArg::Exact) | None, None) => Ok(Mode::Exact),
+            (Some(ModeArg::Paper), None) => Ok(Mode::Paper),
+        }
     }
 
     fn choose_coder(&self, config: &mut EncoderConfig) -> Result<()> {
@@ -252,7 +291,10 @@ impl CodingArgs {
             ProjectionKind::Calibrated { range_step_um } => *range_step_um = self.step.map(|step| step.0),
         }
         if let Some(intensity) = self.intensity {
-            config.intensity = matches!(intensity, IntensityArg::Exact);
+            config.intensity = match intensity {
+                IntensityArg::Exact => Intensity::Exact,
+                IntensityArg::None => Intensity::None,
+            };
         }
         Ok(())
     }

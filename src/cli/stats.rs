@@ -161,11 +161,11 @@ fn compare(
             against.differing_files += 1;
         }
         let (original, decoded) = (lidarpc::io::parse(name, original), lidarpc::io::parse(name, frame.bytes));
-        if frame.source.is_some() {
+        if frame.in_order {
+            errors.add(&original.cloud, &decoded.cloud);
+        } else {
             forward.add(&decoded.cloud, &original.cloud);
             backward.add(&original.cloud, &decoded.cloud);
-        } else {
-            errors.add(&original.cloud, &decoded.cloud);
         }
         Ok(())
     });

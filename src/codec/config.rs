@@ -2,7 +2,7 @@
 
 use std::thread;
 
-use super::parameters::{FrameParameters, Positions, Prediction, RangeCoder};
+use super::parameters::{FrameParameters, Intensity, MOST_MAX_ERROR_UM, Positions, Prediction, RangeCoder};
 use crate::backend::{self, Backend, Level};
 use crate::bitstream::{FIRST_VERSION, NEWEST_VERSION, StreamHeader};
 use crate::error::{Error, Result};
@@ -20,6 +20,11 @@ pub enum Mode {
     /// Every file comes back byte for byte, whatever it holds.
     #[default]
     Exact,
+    /// Every point comes back, in its place in the file, no farther than a bound from where it was.
+    Bounded {
+        /// The bound on the 3-D distance, in micrometres: 1 to [`MOST_MAX_ERROR_UM`].
+        max_error_um: u32,
+    },
     /// The article's codec: outliers are dropped, the ideal sensor's range image is kept.
     Paper,
 }
@@ -94,10 +99,11 @@ pub struct EncoderConfig {
     /// Which range image is coded (equation 2). Default: calibrated; in paper mode ideal, 2000
     /// columns and steps of 1 mm.
     pub projection: ProjectionKind,
-    /// Whether points come back as they were. Default: exact; in paper mode by the formula.
+    /// Whether points come back as they were. Default: exact; in paper mode by the formula, in bounded mode
+    /// within the bound.
     pub positions: Positions,
-    /// Whether intensities are coded. Default: yes; in paper mode, as in the article, no.
-    pub intensity: bool,
+    /// What becomes of intensities. Default: they are exact; in paper mode, as in the article, left out.
+    pub intensity: Intensity,
     /// What ranges are predicted from. Default: what makes each frame smallest; in paper mode, as in the
     /// article, regions (IV-C) in I frames and the frame before (V) in P frames.
     pub prediction: PredictionChoice,
@@ -138,7 +144,7 @@ impl EncoderConfig {
             outliers: None,
             projection: ProjectionKind::CALIBRATED,
             positions: Positions::Exact,
-            intensity: true,
+            intensity: Intensity::Exact,
             prediction: PredictionChoice::Smallest,
             order: FrameOrder::default(),
             registration: RegistrationConfig::default(),
@@ -151,11 +157,14 @@ impl EncoderConfig {
         };
         match mode {
             Mode::Exact => exact,
+            Mode::Bounded { max_error_um } => {
+                EncoderConfig { positions: Positions::Bounded { max_error_um }, ..exact }
+            }
             Mode::Paper => EncoderConfig {
                 outliers: Some(RadiusOutlier::default()),
                 projection: PAPER_PROJECTION,
                 positions: Positions::Formula,
-                intensity: false,
+                intensity: Intensity::None,
                 prediction: PredictionChoice::Always(Prediction::Inter),
                 coder: Coder::Backend(backend::LZMA),
                 ..exact
@@ -218,7 +227,7 @@ impl EncoderConfig {
             motion: QuantisedPose::default(),
             snake: self.snake && self.coder != Coder::Context,
             range_coder: match self.coder {
-                Coder::Context => RangeCoder::Context { range_bits: EXACT_RANGE_BITS },
+                Coder::Context => RangeCoder::Context { range_bits: EXACT_RANGE_BITS, bin: 1 },
                 Coder::Backend(id) => {
                     RangeCoder::Backend { id, packing: self.packing.unwrap_or(backend::by_id(id)?.packing()) }
                 }
@@ -244,10 +253,30 @@ impl EncoderConfig {
         if self.gop == 0 {
             return wrong("a group holds at least one frame");
         }
-        let drops =
-            self.outliers.is_some() || self.projection != ProjectionKind::CALIBRATED || !self.intensity;
-        if self.positions == Positions::Exact && drops {
-            return wrong("exact mode keeps every point and intensity; use paper mode to drop any");
+        let drops = self.outliers.is_some()
+            || self.projection != ProjectionKind::CALIBRATED
+            || self.intensity == Intensity::None;
+        match (self.positions, self.intensity) {
+            (Positions::Formula, Intensity::Rounded { .. })
+            | (Positions::Exact, Intensity::Rounded { .. }) => {
+                return wrong("intensities are rounded in bounded mode only");
+            }
+            (_, Intensity::Rounded { step_millionths: 0 }) => return wrong("a step of intensities is not 0"),
+            (Positions::Exact, _) if drops => {
+                return wrong("exact mode keeps every point and intensity; use paper mode to drop any");
+            }
+            (Positions::Bounded { .. }, _) if drops => {
+                return wrong("bounded mode keeps every point; use paper mode to drop any");
+            }
+            (Positions::Bounded { max_error_um }, _) if !(1..=MOST_MAX_ERROR_UM).contains(&max_error_um) => {
+                return wrong("the largest error is from 1 micrometre to 10 metres");
+            }
+            (Positions::Bounded { .. }, _) if self.coder != Coder::Context => {
+                return wrong(
+                    "bounded mode needs the context coder; general-purpose back-ends know no bound",
+                );
+            }
+            _ => {}
         }
         let (columns, step) = match self.projection {
             ProjectionKind::Ideal { columns, range_step_um } => (columns, range_step_um),
@@ -295,6 +324,7 @@ mod tests {
     #[test]
     fn presets_are_in_range() {
         assert!(EncoderConfig::preset(Mode::Exact).check().is_ok());
+        assert!(EncoderConfig::preset(Mode::Bounded { max_error_um: 10_000 }).check().is_ok());
         assert!(EncoderConfig::preset(Mode::Paper).check().is_ok());
     }
 
@@ -302,15 +332,20 @@ mod tests {
     fn settings_out_of_range_are_refused() {
         let exact = EncoderConfig::default;
         let paper = || EncoderConfig::preset(Mode::Paper);
+        let bounded = || EncoderConfig::preset(Mode::Bounded { max_error_um: 10_000 });
         let ideal = |columns, range_step_um| ProjectionKind::Ideal { columns, range_step_um };
         for wrong in [
             EncoderConfig { gop: 0, ..exact() },
-            EncoderConfig { intensity: false, ..exact() },
+            EncoderConfig { intensity: Intensity::None, ..exact() },
             EncoderConfig { outliers: Some(RadiusOutlier::default()), ..exact() },
             EncoderConfig { projection: PAPER_PROJECTION, ..exact() },
             EncoderConfig { projection: ideal(0, 1000), ..paper() },
             EncoderConfig { projection: ideal(2000, 1_000_001), ..paper() },
             EncoderConfig { coder: Coder::Backend(200), ..paper() },
+            EncoderConfig::preset(Mode::Bounded { max_error_um: 0 }),
+            EncoderConfig { coder: Coder::Backend(backend::LZMA), ..bounded() },
+            EncoderConfig { intensity: Intensity::None, ..bounded() },
+            EncoderConfig { intensity: Intensity::Rounded { step_millionths: 1 }, ..exact() },
         ] {
             assert!(wrong.check().is_err(), "{wrong:?}");
         }

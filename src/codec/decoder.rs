@@ -23,6 +23,8 @@ pub struct DecodedFrame {
     pub bytes: Vec<u8>,
     /// What the file was before, if it is not given back exactly.
     pub source: Option<Source>,
+    /// Whether it holds the points of the file before, and in their order.
+    pub in_order: bool,
     /// The range image, if there is one and it was asked for.
     pub image: Option<DecodedImage>,
     /// What each step of decoding took.
@@ -106,13 +108,14 @@ fn decode_frame(
 ) -> Result<Option<DecodedFrame>> {
     let header = frame.header;
     let mut steps = StepReport::default();
-    let DecodedScan { scan, source, image } = coder.decode_frame(&header, &frame.sections, &mut steps)?;
+    let DecodedScan { scan, source, in_order, image } =
+        coder.decode_frame(&header, &frame.sections, &mut steps)?;
     if !wanted {
         return Ok(None);
     }
     let bytes = scan.to_bytes()?;
     check_file(&header, &bytes)?;
-    Ok(Some(DecodedFrame { number, header, bytes, source, image, steps }))
+    Ok(Some(DecodedFrame { number, header, bytes, source, in_order, image, steps }))
 }
 
 /// What errors call a frame.

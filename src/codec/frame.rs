@@ -1,7 +1,8 @@
 //! A scan as it is coded: the range image and what it takes to get from it to the file's points.
 
+use super::bound::Bound;
 use super::config::{EncoderConfig, ProjectionKind};
-use super::parameters::{FrameParameters, Positions, Prediction, Source};
+use super::parameters::{FrameParameters, Intensity, Positions, Prediction, RangeCoder, Source};
 use super::steps::{Step, StepReport};
 use std::sync::Arc;
 use std::time::Instant;
@@ -12,7 +13,7 @@ use crate::grid::Grid;
 use crate::io::with_point_count;
 use crate::prediction::Rays;
 use crate::prediction::intra::IntraPrediction;
-use crate::range_image::{Projection, Return, project, project_nearest};
+use crate::range_image::{Projection, REACH, Return, project, project_nearest};
 use crate::registration::QuantisedPose;
 use crate::scan::{Layout, PointCloud, ScanFile};
 use crate::segmentation::segment;
@@ -79,13 +80,19 @@ impl Frame {
             records: scan.records,
             ..Frame::default()
         };
-        match sensor {
+        let bound = Bound::of(config.positions, config.intensity);
+        match sensor.filter(|_| !scan.cloud.positions.is_empty()) {
             None => frame.take_strays(&scan.cloud),
-            Some(_) if scan.cloud.positions.is_empty() => frame.take_strays(&scan.cloud),
-            Some(sensor) if config.positions == Positions::Exact => steps.timed(Step::Conversion, || {
-                frame.take_image(scan.cloud.clone(), project(sensor, &scan.cloud));
+            Some(sensor) if config.positions == Positions::Formula => {
+                frame.convert_points(&scan.cloud, sensor, config, steps);
+            }
+            Some(sensor) => steps.timed(Step::Conversion, || {
+                frame.take_points(&scan.cloud, sensor, bound.as_ref());
             }),
-            Some(sensor) => frame.convert_points(&scan.cloud, sensor, config, steps),
+        }
+        if let Some(bound) = bound {
+            frame.round_values(&bound);
+            frame.parameters.source = Some(Source::all_points(steps.original, scan.records as u64));
         }
         frame.parameters.range_coder.fit(&frame.steps);
         Ok(frame)
@@ -121,14 +128,32 @@ impl Frame {
         self.parameters.motion = QuantisedPose::default();
     }
 
-    /// Takes all points as they come: there is no range image. Nothing of them is lost.
+    /// Takes all points as they come: there is no range image. None of them is lost.
     fn take_strays(&mut self, cloud: &PointCloud) {
-        self.parameters.positions = Positions::Exact;
-        self.parameters.intensity = true;
+        if self.parameters.positions == Positions::Formula {
+            self.parameters.positions = Positions::Exact;
+            self.parameters.intensity = Intensity::Exact;
+        }
         self.strays = self.records;
         self.stray_positions = cloud.positions.clone();
         self.stray_intensity = cloud.intensity.clone();
         self.extra = cloud.extra.clone();
+    }
+
+    /// Takes all points, in bins of range as wide as the bound allows.
+    fn take_points(&mut self, cloud: &PointCloud, sensor: &SensorModel, bound: Option<&Bound>) {
+        let projection = project(sensor, cloud, bound.map_or(REACH, |bound| bound.reach().max(REACH)));
+        if let (Some(bound), RangeCoder::Context { bin, .. }) = (bound, &mut self.parameters.range_coder) {
+            *bin = bound.bin(sensor.range_step_m(), projection.misses(sensor, cloud));
+        }
+        self.take_image(cloud.clone(), projection);
+    }
+
+    /// Moves the values that the range image does not hold as far as the bound allows.
+    fn round_values(&mut self, bound: &Bound) {
+        bound.round_positions(&mut self.stray_positions);
+        let of_cells = self.intensity.cells_mut().iter_mut();
+        bound.round_intensities(of_cells.chain(&mut self.stray_intensity));
     }
 
     /// Takes what the outlier filter (equation 1) and the range image (equation 2) leave of the
@@ -146,7 +171,7 @@ impl Frame {
         });
         let start = Instant::now();
         let mut projection = match config.projection {
-            ProjectionKind::Calibrated { .. } => project(sensor, &cloud),
+            ProjectionKind::Calibrated { .. } => project(sensor, &cloud, REACH),
             ProjectionKind::Ideal { .. } => project_nearest(sensor, &cloud),
         };
         let lost = match config.projection {

@@ -3,14 +3,16 @@
 
 use std::mem::take;
 
+use super::bound::Bound;
 use super::config::EncoderConfig;
 use super::frame::Frame;
-use super::parameters::{Prediction, Source};
+use super::parameters::{Intensity, Positions, Prediction, Source};
 use super::sections::{SectionReader, SectionWriter};
 use super::steps::{Step, StepReport};
 use super::syntax::Models;
 use crate::bitstream::{FrameHeader, Section};
 use crate::error::{Error, Limits, Result};
+use crate::io::parse;
 use crate::prediction::intra::IntraPrediction;
 use crate::range_image::{RangeImage, Return};
 use crate::registration::{Pose, QuantisedPose, register};
@@ -51,13 +53,36 @@ impl<'s> GroupEncoder<'s> {
     }
 
     /// Encodes the next frame, which decoders then take under [`Limits::default`]. `original` says
-    /// what its file is.
+    /// what its file is. A frame that would break the bound of bounded mode is coded exactly: one whose text
+    /// has no room for the decoded values, say.
     ///
     /// # Errors
     /// If the scan is over those limits, or a back-end's library fails.
     pub fn encode_frame(&mut self, scan: &ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
+        let Some(bound) = Bound::of(self.config.positions, self.config.intensity) else {
+            return Ok(self.encode_as(self.config, scan, original)?.0);
+        };
+        let before = self.models.clone();
+        let (encoded, decoded) = self.encode_as(self.config, scan, original.clone())?;
+        if decoded.is_some_and(|bytes| bound.holds(scan, &parse(&scan.name, bytes))) {
+            return Ok(encoded);
+        }
+        self.models = before;
+        self.frames -= 1;
+        let (positions, intensity) = (Positions::Exact, Intensity::Exact);
+        let exact = EncoderConfig { positions, intensity, ..self.config.clone() };
+        Ok(self.encode_as(&exact, scan, original)?.0)
+    }
+
+    /// Encodes the next frame with these settings. Gives the file that it decodes to, if it is another.
+    fn encode_as(
+        &mut self,
+        config: &EncoderConfig,
+        scan: &ScanFile,
+        original: FrameHeader,
+    ) -> Result<(EncodedFrame, Option<Vec<u8>>)> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
-        let mut frame = Frame::from_scan(scan, self.sensor, self.config, &mut steps)?;
+        let mut frame = Frame::from_scan(scan, self.sensor, config, &mut steps)?;
         let mut smallest: Option<Attempt> = None;
         let fit = steps.timed(Step::Registration, || self.estimate_motion(&frame));
         let mut predictions = self.config.predictions(fit).into_iter().peekable();
@@ -76,13 +101,13 @@ impl<'s> GroupEncoder<'s> {
         };
         self.models = models;
         self.frames += 1;
-        let header = if frame.parameters.source.is_some() {
-            let decoded = frame.into_scan(&scan.name, &returns)?;
-            FrameHeader::of(&scan.name, &decoded.to_bytes()?, decoded.records as u64)
-        } else {
-            original
-        };
-        Ok(EncodedFrame { header, sections, steps })
+        if frame.parameters.source.is_none() {
+            return Ok((EncodedFrame { header: original, sections, steps }, None));
+        }
+        let decoded = frame.into_scan(&scan.name, &returns)?;
+        let bytes = decoded.to_bytes()?;
+        let header = FrameHeader::of(&scan.name, &bytes, decoded.records as u64);
+        Ok((EncodedFrame { header, sections, steps }, Some(bytes)))
     }
 
     /// Finds how the scanner has moved since the frame before, if the frame may be predicted from that
@@ -141,6 +166,8 @@ pub struct DecodedScan {
     pub scan: ScanFile,
     /// What the file was before, if it is not given back exactly.
     pub source: Option<Source>,
+    /// Whether it holds the points of the file before, and in their order.
+    pub in_order: bool,
     /// The range image, if there is one and it was asked for.
     pub image: Option<DecodedImage>,
 }
@@ -202,6 +229,7 @@ impl<'s> GroupDecoder<'s> {
             motion: (frame.parameters.prediction == Prediction::Inter)
                 .then(|| frame.parameters.motion.pose()),
         });
-        Ok(DecodedScan { scan: frame.into_scan(&header.name, &returns)?, source, image })
+        let in_order = frame.parameters.positions != Positions::Formula;
+        Ok(DecodedScan { scan: frame.into_scan(&header.name, &returns)?, source, in_order, image })
     }
 }

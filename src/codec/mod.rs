@@ -15,6 +15,7 @@ pub mod options;
 pub mod parameters;
 pub mod steps;
 
+mod bound;
 mod copier;
 mod frame;
 mod ordered;
@@ -32,7 +33,7 @@ pub use decoder::{DecodedFrame, decode, decode_indexed};
 pub use encoder::{Encoded, FrameInput, encode};
 pub use group::DecodedImage;
 pub use options::{DecodeOptions, FrameRange};
-pub use parameters::{FrameParameters, Positions, Prediction, Source};
+pub use parameters::{FrameParameters, Intensity, MOST_MAX_ERROR_UM, Positions, Prediction, Source};
 pub use steps::{Step, StepReport};
 
 #[cfg(test)]

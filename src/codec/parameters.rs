@@ -3,6 +3,7 @@
 //! parameters, and no section for them.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 
 use crate::backend;
 use crate::bitstream::{Frame, FrameHeader, SectionKind};
@@ -11,6 +12,7 @@ use crate::grid::Grid;
 use crate::range_image::EXACT_RANGE_BITS;
 use crate::registration::QuantisedPose;
 use crate::residual::Packing;
+use crate::sensor::{Coordinates, SensorModel};
 use crate::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 
 /// The parameters of a frame.
@@ -18,8 +20,8 @@ use crate::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 pub struct FrameParameters {
     /// Whether the points' positions are those of the file, or those of the range image.
     pub positions: Positions,
-    /// Whether intensities are coded; they decode to 0 if not.
-    pub intensity: bool,
+    /// What becomes of intensities.
+    pub intensity: Intensity,
     /// What ranges are predicted from.
     pub prediction: Prediction,
     /// How the scanner has moved since the frame before; only if ranges are predicted from that.
@@ -40,7 +42,31 @@ pub enum Positions {
     Exact,
     /// The formula's as they are, in the order of the range image.
     Formula,
+    /// None is farther than this from the file's own (3-D distance), in the file's own order: the formula's,
+    /// corrected to the file's own where they are farther off.
+    Bounded {
+        /// The bound, in micrometres; not 0.
+        max_error_um: u32,
+    },
 }
+
+/// What becomes of intensities.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Intensity {
+    /// They are kept as they are.
+    #[default]
+    Exact,
+    /// They are left out, and decode to 0.
+    None,
+    /// They are rounded to whole multiples of a step.
+    Rounded {
+        /// Millionths of the file's unit; not 0.
+        step_millionths: u32,
+    },
+}
+
+/// The longest bound, in micrometres: 10 m.
+pub const MOST_MAX_ERROR_UM: u32 = 10_000_000;
 
 /// What the ranges of a range image are predicted from before they are coded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -61,6 +87,8 @@ pub enum RangeCoder {
     Context {
         /// 16 to 24.
         range_bits: u32,
+        /// Steps a bin, of which ranges decode to the middle; 1: to themselves.
+        bin: u32,
     },
     /// A general-purpose back-end.
     Backend {
@@ -88,11 +116,11 @@ impl Default for FrameParameters {
     fn default() -> Self {
         FrameParameters {
             positions: Positions::Exact,
-            intensity: true,
+            intensity: Intensity::Exact,
             prediction: Prediction::None,
             motion: QuantisedPose::default(),
             snake: false,
-            range_coder: RangeCoder::Context { range_bits: EXACT_RANGE_BITS },
+            range_coder: RangeCoder::Context { range_bits: EXACT_RANGE_BITS, bin: 1 },
             source: None,
         }
     }
@@ -100,8 +128,12 @@ impl Default for FrameParameters {
 
 /// The number of the context coder among the back-ends' numbers.
 const CONTEXT: u64 = 255;
+/// The number of the context coder with ranges in bins.
+const BINNED_CONTEXT: u64 = 254;
+/// The widest bin, in steps.
+const WIDEST_BIN: u32 = 1 << 20;
 /// The range bits that the context coder takes.
-const RANGE_BITS: std::ops::RangeInclusive<u64> = 16..=24;
+const RANGE_BITS: RangeInclusive<u64> = 16..=24;
 
 impl FrameParameters {
     /// The payload of the section; empty for the default parameters.
@@ -114,17 +146,22 @@ impl FrameParameters {
     }
 
     fn write_to(&self, out: &mut Vec<u8>) {
-        write_unsigned(out, u64::from(self.positions == Positions::Formula));
-        write_unsigned(out, u64::from(self.intensity));
+        self.positions.write_to(out);
+        self.intensity.write_to(out);
         write_unsigned(out, self.prediction.to_code());
         if self.prediction == Prediction::Inter {
             self.motion.values.iter().for_each(|&value| write_signed(out, i64::from(value)));
         }
         write_unsigned(out, u64::from(self.snake));
         match self.range_coder {
-            RangeCoder::Context { range_bits } => {
+            RangeCoder::Context { range_bits, bin: 1 } => {
                 write_unsigned(out, CONTEXT);
                 write_unsigned(out, u64::from(range_bits));
+            }
+            RangeCoder::Context { range_bits, bin } => {
+                write_unsigned(out, BINNED_CONTEXT);
+                write_unsigned(out, u64::from(range_bits));
+                write_unsigned(out, u64::from(bin));
             }
             RangeCoder::Backend { id, packing } => {
                 write_unsigned(out, u64::from(id));
@@ -146,8 +183,8 @@ impl FrameParameters {
             return Ok(FrameParameters::default());
         }
         let input = &mut bytes;
-        let positions = if flag(input)? { Positions::Formula } else { Positions::Exact };
-        let intensity = flag(input)?;
+        let positions = Positions::read_from(input)?;
+        let intensity = Intensity::read_from(input)?;
         let prediction = Prediction::from_code(read(input)?)?;
         let mut motion = QuantisedPose::default();
         if prediction == Prediction::Inter {
@@ -184,7 +221,14 @@ impl fmt::Display for FrameParameters {
         f.write_str(match self.positions {
             Positions::Exact => "exact",
             Positions::Formula => "range image",
+            Positions::Bounded { .. } => "within ",
         })?;
+        if let Positions::Bounded { max_error_um } = self.positions {
+            write!(f, "{} mm", f64::from(max_error_um) / 1000.0)?;
+        }
+        if let Intensity::Rounded { step_millionths } = self.intensity {
+            write!(f, ", intensities in steps of {}", f64::from(step_millionths) * 1e-6)?;
+        }
         f.write_str(match self.prediction {
             Prediction::None => "",
             Prediction::Intra => ", intra",
@@ -199,6 +243,76 @@ impl fmt::Display for FrameParameters {
                 Ok(backend) => write!(f, ", {}, {}", backend.name(), packing.name()),
                 Err(_) => write!(f, ", back-end {id}, {}", packing.name()),
             },
+        }
+    }
+}
+
+impl Positions {
+    /// The grid of points outside the range image, none if it is the file's own: no point is farther than
+    /// the bound from the nearest one of this cubic grid.
+    pub fn lattice(self) -> Option<Coordinates> {
+        match self {
+            Positions::Bounded { max_error_um } => {
+                // An edge of 2 / sqrt(3) bounds has its corners at the bound; the rest is room for float32.
+                Some(Coordinates::Lattice { step_nm: u64::from(max_error_um) * 1140 })
+            }
+            Positions::Exact | Positions::Formula => None,
+        }
+    }
+
+    fn write_to(self, out: &mut Vec<u8>) {
+        match self {
+            Positions::Exact => write_unsigned(out, 0),
+            Positions::Formula => write_unsigned(out, 1),
+            Positions::Bounded { max_error_um } => {
+                write_unsigned(out, 2);
+                write_unsigned(out, u64::from(max_error_um));
+            }
+        }
+    }
+
+    fn read_from(input: &mut &[u8]) -> Result<Self> {
+        match read(input)? {
+            0 => Ok(Positions::Exact),
+            1 => Ok(Positions::Formula),
+            2 => {
+                let bounds = 1..=MOST_MAX_ERROR_UM.into();
+                Ok(Positions::Bounded { max_error_um: within(input, bounds, "a largest error")? })
+            }
+            other => Err(Error::unsupported(format!("frame parameters: unknown positions {other}"))),
+        }
+    }
+}
+
+impl Intensity {
+    /// Levels that make 1, if the rounded ones are a whole number.
+    pub fn levels_per_unit(self) -> Option<u32> {
+        match self {
+            Intensity::Rounded { step_millionths: step } => (1_000_000 % step == 0).then(|| 1_000_000 / step),
+            Intensity::Exact | Intensity::None => None,
+        }
+    }
+
+    fn write_to(self, out: &mut Vec<u8>) {
+        match self {
+            Intensity::None => write_unsigned(out, 0),
+            Intensity::Exact => write_unsigned(out, 1),
+            Intensity::Rounded { step_millionths } => {
+                write_unsigned(out, 2);
+                write_unsigned(out, u64::from(step_millionths));
+            }
+        }
+    }
+
+    fn read_from(input: &mut &[u8]) -> Result<Self> {
+        match read(input)? {
+            0 => Ok(Intensity::None),
+            1 => Ok(Intensity::Exact),
+            2 => {
+                let steps = 1..=u32::MAX.into();
+                Ok(Intensity::Rounded { step_millionths: within(input, steps, "a step of intensities")? })
+            }
+            other => Err(Error::unsupported(format!("frame parameters: unknown intensities {other}"))),
         }
     }
 }
@@ -225,18 +339,30 @@ impl Prediction {
 impl RangeCoder {
     /// Makes room for these ranges, in steps.
     pub(super) fn fit(&mut self, steps: &Grid<u32>) {
-        if let RangeCoder::Context { range_bits } = self {
+        if let RangeCoder::Context { range_bits, .. } = self {
             let most = steps.cells().iter().copied().max().unwrap_or(0);
             *range_bits = (*range_bits).max(32 - most.leading_zeros());
         }
     }
 
+    /// Metres from the range of decoded steps to the middle of their bin.
+    pub(super) fn offset_m(self, sensor: &SensorModel) -> f64 {
+        match self {
+            RangeCoder::Context { bin, .. } if bin % 2 == 0 => -0.5 * sensor.range_step_m(),
+            RangeCoder::Context { .. } | RangeCoder::Backend { .. } => 0.0,
+        }
+    }
+
     fn read_from(input: &mut &[u8]) -> Result<Self> {
         match read(input)? {
-            CONTEXT => match read(input)? {
-                bits if RANGE_BITS.contains(&bits) => Ok(RangeCoder::Context { range_bits: bits as u32 }),
-                bits => Err(Error::corrupt(format!("frame parameters: ranges of {bits} bits"))),
-            },
+            coder @ (CONTEXT | BINNED_CONTEXT) => {
+                let range_bits = within(input, RANGE_BITS, "bits of a range")?;
+                let bin = match coder {
+                    CONTEXT => 1,
+                    _ => within(input, 2..=WIDEST_BIN.into(), "steps a bin")?,
+                };
+                Ok(RangeCoder::Context { range_bits, bin })
+            }
             id => {
                 let unknown = || Error::unsupported(format!("frame parameters: unknown back-end {id}"));
                 let id = u8::try_from(id).map_err(|_| unknown())?;
@@ -256,8 +382,12 @@ impl Source {
     /// If the frame's parameters are damaged, or unknown to this program.
     pub fn of(frame: &Frame) -> Result<Self> {
         let FrameHeader { file_size, point_count: points, .. } = frame.header;
-        let exact = Source { file_size, points, ..Source::default() };
-        Ok(FrameParameters::of(frame)?.source.unwrap_or(exact))
+        Ok(FrameParameters::of(frame)?.source.unwrap_or(Source::all_points(file_size, points)))
+    }
+
+    /// A file of so many bytes and points, none of which is lost.
+    pub(super) fn all_points(file_size: u64, points: u64) -> Self {
+        Source { file_size, points, ..Source::default() }
     }
 
     /// Adds the counts of another file.
@@ -289,6 +419,14 @@ fn read_pose(input: &mut &[u8]) -> Result<QuantisedPose> {
 
 fn read(input: &mut &[u8]) -> Result<u64> {
     read_unsigned(input, "frame parameters")
+}
+
+/// A number in a range that fits into 32 bits.
+fn within(input: &mut &[u8], range: RangeInclusive<u64>, what: &'static str) -> Result<u32> {
+    match read(input)? {
+        value if range.contains(&value) => Ok(value as u32),
+        value => Err(Error::corrupt(format!("frame parameters: {value} is out of range for {what}"))),
+    }
 }
 
 fn flag(input: &mut &[u8]) -> Result<bool> {

@@ -27,7 +27,7 @@ impl Models {
         report: &mut StepReport,
     ) -> Result<()> {
         match frame.parameters.range_coder {
-            RangeCoder::Context { range_bits } => {
+            RangeCoder::Context { range_bits, bin } => {
                 report.predicted += 4 * (frame.records - frame.strays) as u64;
                 report.timed(Step::Coding, || {
                     sections.section(SectionKind::Range, true, |coder| {
@@ -36,6 +36,7 @@ impl Models {
                             intensity: levels,
                             reference,
                             range_bits,
+                            bin,
                         };
                         self.range.code(coder, &known, &mut frame.steps);
                         Ok(())

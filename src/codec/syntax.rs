@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use super::frame::Frame;
-use super::parameters::{FrameParameters, Positions, Prediction};
+use super::parameters::{FrameParameters, Intensity, Positions, Prediction};
 use super::sections::SectionCoder;
 use super::steps::{Step, StepReport};
 use crate::bitstream::SectionKind;
@@ -71,8 +71,9 @@ impl Models {
         };
         let has_points = frame.layout.position.is_some();
         frame.stray_positions.resize(if has_points { frame.strays } else { 0 }, [0.0; 3]);
+        let lattice = frame.parameters.positions.lattice();
         sections.section(SectionKind::Points, !frame.stray_positions.is_empty(), |coder| {
-            self.points.code(coder, &mut frame.stray_positions);
+            self.points.code(coder, lattice, &mut frame.stray_positions);
             Ok(())
         })?;
         let levels = self.code_intensities(sections, frame, reference.as_ref())?;
@@ -154,7 +155,7 @@ impl Models {
         frame: &mut Frame,
         reference: Option<&Reference>,
     ) -> Result<Grid<u16>> {
-        let coded = frame.layout.intensity.is_some() && frame.parameters.intensity;
+        let coded = frame.layout.intensity.is_some() && frame.parameters.intensity != Intensity::None;
         if coded {
             let kind = SectionKind::Intensity;
             return sections.section(kind, true, |coder| Ok(self.code_intensity(coder, frame, reference)));
@@ -164,7 +165,7 @@ impl Models {
         Ok(Grid::new(frame.occupancy.rows(), frame.occupancy.columns()))
     }
 
-    /// The positions of the returns: the formula's, corrected if they are to be exact.
+    /// The positions of the returns: the formula's, corrected as far as they must be.
     fn code_positions<S: SectionCoder>(
         &mut self,
         sections: &mut S,
@@ -173,18 +174,30 @@ impl Models {
         found: &[Return],
     ) -> Result<()> {
         frame.positions.resize(found.len(), [0.0; 3]);
-        if frame.parameters.positions == Positions::Formula {
-            for (found, position) in found.iter().zip(&mut frame.positions) {
-                *position = sensor.point(found.row as usize, found.tick, found.steps).map(|v| v as f32);
+        let grid = sensor.coordinates;
+        let offset_m = frame.parameters.range_coder.offset_m(sensor);
+        let formula = |found: &Return| {
+            let metres = sensor.metres(found.steps) + offset_m;
+            sensor.point_at(found.row as usize, found.tick, metres)
+        };
+        let points = found.iter().map(formula).zip(&mut frame.positions);
+        match frame.parameters.positions {
+            Positions::Formula => {
+                points.for_each(|(formula, position)| *position = formula.map(|metres| metres as f32));
+                Ok(())
             }
-            return Ok(());
+            Positions::Exact => sections.section(SectionKind::Correction, true, |coder| {
+                points.for_each(|(formula, position)| self.correction.code(coder, grid, formula, position));
+                Ok(())
+            }),
+            Positions::Bounded { max_error_um } => sections.section(SectionKind::Correction, true, |coder| {
+                let max_error = f64::from(max_error_um) * 1e-6;
+                for (formula, position) in points {
+                    self.correction.code_bounded(coder, grid, formula, max_error, position);
+                }
+                Ok(())
+            }),
         }
-        sections.section(SectionKind::Correction, true, |coder| {
-            for (found, position) in found.iter().zip(&mut frame.positions) {
-                self.correction.code(coder, sensor, found, position);
-            }
-            Ok(())
-        })
     }
 
     /// Where the points stand in the file: in the order of the range image but for what is coded.
@@ -256,7 +269,7 @@ impl Models {
                 frame.occupancy.cells().iter().zip(frame.intensity.cells()).filter(|(filled, _)| **filled);
             let values: Vec<f32> =
                 of_returns.map(|(_, v)| *v).chain(frame.stray_intensity.iter().copied()).collect();
-            scale = IntensityScale::of(&values);
+            scale = IntensityScale::of(&values, frame.parameters.intensity.levels_per_unit());
         }
         scale.code(coder);
         let width = frame.occupancy.columns();

@@ -1,9 +1,9 @@
 //! What the formula misses, in units of the file's grid.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::range_image::Return;
 use crate::rounding::round_ties_even;
-use crate::sensor::{Coordinates, SensorModel};
+use crate::scan::squared_distance;
+use crate::sensor::Coordinates;
 use crate::varint::{unzigzag, zigzag};
 
 /// Distances to the border of a unit (in units) that make a difference: the formula is right to a
@@ -17,6 +17,9 @@ const FINENESS: usize = 24;
 /// What the coder has learned about corrections.
 #[derive(Clone)]
 pub struct CorrectionModel {
+    /// Whether a point that need not be exact is corrected; the last one was not, or was.
+    is_corrected: [AdaptiveBit; 2],
+    was_corrected: bool,
     /// Whether a point has a correction though no coordinate is near a border.
     unclear: AdaptiveBit,
     /// For each distance to the border: whether there is a correction.
@@ -30,6 +33,8 @@ pub struct CorrectionModel {
 impl Default for CorrectionModel {
     fn default() -> Self {
         CorrectionModel {
+            is_corrected: Default::default(),
+            was_corrected: false,
             unclear: AdaptiveBit::default(),
             any: vec![AdaptiveBit::default(); 3 * (BORDER_DISTANCES.len() + 1)],
             expected: vec![AdaptiveBit::default(); BORDER_DISTANCES.len() + 1],
@@ -39,16 +44,35 @@ impl Default for CorrectionModel {
 }
 
 impl CorrectionModel {
-    /// Codes the position of a return, given the formula's. The encoder's must lie on the grid.
+    /// Codes the position of a return that may be that of the formula, or else is corrected as by
+    /// [`code`](Self::code). The encoder's is corrected if it is farther than `max_error` from the
+    /// formula's, in metres.
+    pub fn code_bounded<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        grid: Coordinates,
+        formula: [f64; 3],
+        max_error: f64,
+        position: &mut [f32; 3],
+    ) {
+        let near = formula.map(|metres| metres as f32);
+        let is_far = C::ENCODES && squared_distance(&near, position).sqrt() > max_error;
+        self.was_corrected = self.is_corrected[usize::from(self.was_corrected)].code(coder, is_far);
+        if self.was_corrected {
+            self.code(coder, grid, formula, position);
+        } else {
+            *position = near;
+        }
+    }
+
+    /// Codes the position of a return, given the formula's, in metres. The encoder's must lie on the grid.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        sensor: &SensorModel,
-        found: &Return,
+        grid: Coordinates,
+        formula: [f64; 3],
         position: &mut [f32; 3],
     ) {
-        let grid = sensor.coordinates;
-        let formula = sensor.point(found.row as usize, found.tick, found.steps);
         let predicted = formula.map(|metres| grid.unit_of(metres));
         let mut corrections = [0; 3];
         if C::ENCODES {
@@ -59,7 +83,7 @@ impl CorrectionModel {
             Coordinates::Millimetre => {
                 self.code_roundings(coder, formula.map(|v| v * 1000.0), &mut corrections)
             }
-            Coordinates::Float32 => self.code_floats(coder, formula, &mut corrections),
+            _ => self.code_floats(coder, formula, &mut corrections),
         }
         if !C::ENCODES {
             let value =

@@ -10,6 +10,8 @@ use crate::varint::{unzigzag, zigzag};
 /// How many levels make 1.0, in the files of known scanners: hundredths (KITTI), 256ths
 /// (KITTI-360), 255ths, whole numbers (nuScenes, many PCD files).
 const SCALES: [u32; 4] = [100, 256, 255, 1];
+/// Bits of such a number.
+const SCALE_BITS: u32 = 16;
 /// Levels have at most this many bits.
 const MOST_BITS: u32 = 9;
 
@@ -25,11 +27,11 @@ pub struct IntensityScale {
 }
 
 impl IntensityScale {
-    /// Finds the grid of a frame's intensities.
-    pub fn of(intensity: &[f32]) -> Self {
+    /// Finds the grid of a frame's intensities, which may be one of `expected` levels a unit.
+    pub fn of(intensity: &[f32], expected: Option<u32>) -> Self {
         let off_grid = |per_unit: u32| intensity.iter().filter(|v| level_of(**v, per_unit).is_none()).count();
         let mut best = (usize::MAX, 0);
-        for per_unit in SCALES {
+        for per_unit in expected.into_iter().filter(|&levels| levels < 1 << SCALE_BITS).chain(SCALES) {
             best = best.min((off_grid(per_unit), per_unit));
             if best.0 == 0 {
                 break;
@@ -46,7 +48,7 @@ impl IntensityScale {
 
     /// Codes the grid itself.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C) {
-        self.per_unit = coder.code_plain(u64::from(self.per_unit), 16) as u32;
+        self.per_unit = coder.code_plain(u64::from(self.per_unit), SCALE_BITS) as u32;
         self.bits = (coder.code_plain(u64::from(self.bits), 4) as u32).clamp(1, MOST_BITS);
         self.exceptions = coder.code_plain(u64::from(self.exceptions), 1) == 1;
     }

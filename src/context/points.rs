@@ -32,10 +32,17 @@ impl Default for PointModel {
 }
 
 impl PointModel {
-    /// Codes positions one after the other.
-    pub fn code<C: BitCoder>(&mut self, coder: &mut C, positions: &mut [[f32; 3]]) {
-        let grid = Coordinates::of(positions.iter().flatten());
-        let grid = Coordinates::from_code(coder.code_plain(grid.to_code(), 1));
+    /// Codes positions one after the other. Most lie on this grid; `None`: on that of the file.
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        grid: Option<Coordinates>,
+        positions: &mut [[f32; 3]],
+    ) {
+        let grid = grid.unwrap_or_else(|| {
+            let grid = Coordinates::of(positions.iter().flatten());
+            Coordinates::from_code(coder.code_plain(grid.to_code(), 1))
+        });
         let mut turns = TurnTracker::default();
         for index in 0..positions.len() {
             let before = |distance: usize| index.checked_sub(distance).map(|i| finite(positions[i]));

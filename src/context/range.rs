@@ -6,6 +6,7 @@
 //! predictors more, features of a least-squares fit of its own, and contexts.
 
 mod back;
+mod bins;
 mod errors;
 mod halving;
 mod mixture;
@@ -18,6 +19,7 @@ use crate::entropy::{BitCoder, Counter, Logistic, MixedBits};
 use crate::grid::Grid;
 use crate::range_image::Reference;
 use back::{Back, ReferenceErrors};
+use bins::Bins;
 use errors::ErrorTrack;
 use halving::Halving;
 use mixture::Mixture;
@@ -113,6 +115,8 @@ pub struct RangeContext<'a> {
     pub reference: Option<&'a Reference>,
     /// Ranges are from 1 to 2^`range_bits` - 1 steps.
     pub range_bits: u32,
+    /// Steps a bin: ranges are coded to within half a bin; 1: exactly.
+    pub bin: u32,
 }
 
 /// A cell to be coded, as its neighbours show it.
@@ -135,7 +139,8 @@ struct Coded {
 }
 
 impl RangeModel {
-    /// Codes the range, in steps, of every cell that holds a return.
+    /// Codes the range, in steps, of every cell that holds a return. Where bins are wider than a step, both
+    /// sides go on with the middles of the bins, which the encoder's grid gets too.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, known: &RangeContext, steps: &mut Grid<u32>) {
         if known.reference.is_some() && self.with_reference.is_none() {
             self.bits.spread_sets(NODES * ERROR_LEVELS);
@@ -160,13 +165,14 @@ impl RangeModel {
                 }
                 let site = self.site(known, window.around(column), &errors, cell);
                 let back = known.reference.and_then(|reference| Back::at(reference, &reference_errors, cell));
-                let (bits, range) = (known.range_bits, i64::from(steps[cell]));
+                let axis = (known.range_bits, i64::from(known.bin));
+                let range = i64::from(steps[cell]);
                 let coded = match (&back, &mut self.with_reference) {
                     (Some(back), Some(learned)) => {
                         let parts = (&self.shape, self.tables, &mut self.bits);
-                        learned.code(coder, parts, bits, &site, back, range)
+                        learned.code(coder, parts, axis, &site, back, range)
                     }
-                    _ => self.code_alone(coder, bits, &site, range),
+                    _ => self.code_alone(coder, axis, &site, range),
                 };
                 steps[cell] = coded.range as u32;
                 let range = coded.range as f64;
@@ -208,16 +214,24 @@ impl RangeModel {
 
     /// Codes a range by its neighbours alone.
     #[inline]
-    fn code_alone<C: BitCoder>(&mut self, coder: &mut C, range_bits: u32, site: &Site, range: i64) -> Coded {
+    fn code_alone<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        (range_bits, bin): (u32, i64),
+        site: &Site,
+        range: i64,
+    ) -> Coded {
         let fits = &mut self.fits[site.edge];
         let fit = f64::from(fits.predict(&site.features)).clamp(-FIT_REACH, FIT_REACH);
         let values = site.predictions(fit);
         let base = site.base(fit, range_bits);
+        let bins = Bins::around(base, bin);
         let mut halving = Halving {
             coder,
             shape: &self.shape,
             tables: self.tables,
             range_bits,
+            bins,
             mixture: &self.mixture,
             predicted: self.mixture.place(&self.shape, values, site.context),
             bits: &mut self.bits,
@@ -225,13 +239,14 @@ impl RangeModel {
             views: site.views_from(base),
             reference_counters: &mut [],
             reference_views: [],
-            range,
+            bin: bins.of(range),
         };
-        let interval = halving.code(base);
+        let interval = halving.code();
         let predicted = halving.predicted;
-        self.mixture.learn(&predicted, &interval);
-        site.learn(fits, &site.features, fit, interval.low as f64);
-        Coded { range: interval.low, fit, base }
+        let range = bins.middle(interval.low, range_bits);
+        self.mixture.learn(&predicted, &interval, range as f64);
+        site.learn(fits, &site.features, fit, range as f64);
+        Coded { range, fit, base }
     }
 }
 
@@ -242,7 +257,7 @@ impl WithReference {
         &mut self,
         coder: &mut C,
         (shape, tables, bits): (&ErrorShape, &'static Logistic, &mut RangeBits),
-        range_bits: u32,
+        (range_bits, bin): (u32, i64),
         site: &Site,
         back: &Back,
         range: i64,
@@ -256,6 +271,7 @@ impl WithReference {
         values[..PREDICTORS].copy_from_slice(&site.predictions(fit));
         values[PREDICTORS..].copy_from_slice(&[back.same, back.moved]);
         let base = site.base(fit, range_bits);
+        let bins = Bins::around(base, bin);
         let [same, moved] = [back.same, back.moved].map(|range| range - base as f64);
         let context = back.level * CONTEXTS + site.context;
         let mut halving = Halving {
@@ -263,6 +279,7 @@ impl WithReference {
             shape,
             tables,
             range_bits,
+            bins,
             mixture: &self.mixture,
             predicted: self.mixture.place(shape, values, context),
             bits,
@@ -273,13 +290,14 @@ impl WithReference {
                 signed_level(same as i32) * 32 + back.level * 4 + site.error_level / 3,
                 pair(same, moved),
             ],
-            range,
+            bin: bins.of(range),
         };
-        let interval = halving.code(base);
+        let interval = halving.code();
         let predicted = halving.predicted;
-        self.mixture.learn(&predicted, &interval);
-        site.learn(fits, &features, fit, interval.low as f64);
-        Coded { range: interval.low, fit, base }
+        let range = bins.middle(interval.low, range_bits);
+        self.mixture.learn(&predicted, &interval, range as f64);
+        site.learn(fits, &features, fit, range as f64);
+        Coded { range, fit, base }
     }
 }
 

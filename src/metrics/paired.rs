@@ -1,6 +1,6 @@
 //! Errors of points paired by their order.
 
-use crate::scan::PointCloud;
+use crate::scan::{PointCloud, squared_distance};
 
 /// How far decoded points are from the original ones.
 ///
@@ -41,7 +41,7 @@ impl PointErrors {
     fn add_pair(&mut self, a: &[f32; 3], b: &[f32; 3]) {
         let finite = a.iter().chain(b).all(|value| value.is_finite());
         if finite {
-            let squared: f64 = a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
+            let squared = squared_distance(a, b);
             self.measured += 1;
             self.squared_sum += squared;
             self.max = self.max.max(squared.sqrt());

@@ -1,4 +1,5 @@
-//! The grid on which a file's coordinates lie: whole millimetres, or float32 values as they are.
+//! The grid on which coordinates lie: whole millimetres, float32 values as they are, or, where an error
+//! is allowed, any coarser one.
 
 use crate::rounding::round_ties_even;
 
@@ -9,6 +10,11 @@ pub enum Coordinates {
     Millimetre,
     /// Any float32: KITTI-360. Units count the representable values in rising order.
     Float32,
+    /// `float32(k * step)`: coordinates that were moved onto this grid.
+    Lattice {
+        /// Nanometres.
+        step_nm: u64,
+    },
 }
 
 impl Coordinates {
@@ -22,12 +28,9 @@ impl Coordinates {
         if on_grid * 100 > total * 95 { Coordinates::Millimetre } else { Coordinates::Float32 }
     }
 
-    /// The number that stands for the grid in a stream.
+    /// The number that stands for the grid of a file in a stream.
     pub fn to_code(self) -> u64 {
-        match self {
-            Coordinates::Millimetre => 0,
-            Coordinates::Float32 => 1,
-        }
+        u64::from(self != Coordinates::Millimetre)
     }
 
     /// The inverse of [`to_code`](Self::to_code); any other number counts as 1.
@@ -41,6 +44,9 @@ impl Coordinates {
             _ if metres.is_nan() => 0,
             Coordinates::Millimetre => round_ties_even((metres * 1000.0).clamp(-1e12, 1e12)) as i64,
             Coordinates::Float32 => ordered(metres as f32),
+            Coordinates::Lattice { step_nm } => {
+                round_ties_even((metres / lattice_step(step_nm)).clamp(-1e12, 1e12)) as i64
+            }
         }
     }
 
@@ -51,6 +57,7 @@ impl Coordinates {
             Coordinates::Millimetre if unit == 0 => zero_of(formula),
             Coordinates::Millimetre => (unit as f64 / 1000.0) as f32,
             Coordinates::Float32 => from_ordered(unit),
+            Coordinates::Lattice { step_nm } => (unit as f64 * lattice_step(step_nm)) as f32,
         }
     }
 
@@ -58,7 +65,7 @@ impl Coordinates {
     pub fn keeps_zero(self, zero: f32, formula: f64) -> bool {
         match self {
             Coordinates::Millimetre => zero.to_bits() == zero_of(formula).to_bits(),
-            Coordinates::Float32 => true,
+            Coordinates::Float32 | Coordinates::Lattice { .. } => true,
         }
     }
 
@@ -72,8 +79,17 @@ impl Coordinates {
                 on_grid.then_some(unit)
             }
             Coordinates::Float32 => value.is_finite().then(|| ordered(value)),
+            Coordinates::Lattice { .. } => {
+                let unit = self.unit_of(f64::from(value));
+                (self.value(unit, 0.0).to_bits() == value.to_bits()).then_some(unit)
+            }
         }
     }
+}
+
+/// Metres.
+fn lattice_step(step_nm: u64) -> f64 {
+    step_nm as f64 * 1e-9
 }
 
 /// The zero with the sign of `formula`. The sign of a NaN differs between processors: it counts as

@@ -195,12 +195,17 @@ impl SensorModel {
         [x * beam.cos_v, y * beam.cos_v, beam.sin_v]
     }
 
+    /// One range step, in metres; 0 if ranges are float32.
+    pub fn range_step_m(&self) -> f64 {
+        f64::from(self.range_step_um) * 1e-6
+    }
+
     /// A range of `steps`, in metres.
     #[inline]
     pub fn metres(&self, steps: u32) -> f64 {
         match self.range_step_um {
             FLOAT_RANGES => f64::from(f32::from_bits(steps)),
-            step => f64::from(steps) * (f64::from(step) * 1e-6),
+            _ => f64::from(steps) * self.range_step_m(),
         }
     }
 

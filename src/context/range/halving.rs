@@ -1,5 +1,6 @@
 //! One range, halving after halving.
 
+use super::bins::Bins;
 use super::mixture::{Interval, Mixture, Predicted};
 use super::{ERROR_LEVELS, NODES, RangeBits, VIEWS};
 use crate::context::shape::ErrorShape;
@@ -13,7 +14,9 @@ pub struct Halving<'a, C, const P: usize, const X: usize> {
     pub coder: &'a mut C,
     pub shape: &'a ErrorShape,
     pub tables: &'static Logistic,
+    /// The last bin that the range may be in ends below 2 to this power.
     pub range_bits: u32,
+    pub bins: Bins,
     pub mixture: &'a Mixture<P>,
     pub predicted: Predicted<P>,
     pub bits: &'a mut RangeBits,
@@ -23,19 +26,20 @@ pub struct Halving<'a, C, const P: usize, const X: usize> {
     pub views: [usize; VIEWS],
     pub reference_counters: &'a mut [Vec<Counter>; X],
     pub reference_views: [usize; X],
-    /// The encoder's range, in steps.
-    pub range: i64,
+    /// The encoder's bin.
+    pub bin: i64,
 }
 
 impl<C: BitCoder, const P: usize, const X: usize> Halving<'_, C, P, X> {
-    /// Codes the range: above or below the base, then buckets of growing width away from it, then the
-    /// halves of the bucket.
+    /// Codes the bin of the range: from the bin around the base on or below, then buckets of growing width
+    /// away from there, then the halves of the bucket.
     #[inline]
-    pub fn code(&mut self, base: i64) -> Interval<P> {
-        let mut interval = Interval::whole(self.range_bits);
+    pub fn code(&mut self) -> Interval<P> {
+        let mut interval = Interval::whole(self.bins.all(self.range_bits));
+        let base = self.bins.central;
         let up = self.halve(&mut interval, base, Some(0));
 
-        let fine = first_bucket(self.mixture.scale_of_fit(self.predicted.context));
+        let fine = first_bucket(self.mixture.scale_of_fit(self.predicted.context) / self.bins.width as f64);
         let mut width = fine;
         let mut edge = base;
         let mut bucket = 0;
@@ -76,21 +80,22 @@ impl<C: BitCoder, const P: usize, const X: usize> Halving<'_, C, P, X> {
     fn halve_evenly(&mut self, interval: &mut Interval<P>) {
         interval.odds *= 0.5;
         let middle = (interval.low + interval.high) / 2;
-        if self.coder.code(self.range >= middle, self.tables.squash(interval.odds)) {
+        if self.coder.code(self.bin >= middle, self.tables.squash(interval.odds)) {
             interval.low = middle;
         } else {
             interval.high = middle;
         }
     }
 
-    /// Codes whether the range is at `middle` or beyond, and cuts the interval to that side.
+    /// Codes whether the bin is `middle` or beyond, and cuts the interval to that side.
     /// With a `node`, the counters have a say.
     #[inline]
     fn halve(&mut self, interval: &mut Interval<P>, middle: i64, node: Option<usize>) -> bool {
-        let below_middle = self.mixture.below(self.shape, &self.predicted, middle, self.range_bits);
+        let start = self.bins.start(middle, self.range_bits);
+        let below_middle = self.mixture.below(self.shape, &self.predicted, start, self.range_bits);
         let above = interval.below_high.mixed.saturating_sub(below_middle.mixed) | 1;
         let below = below_middle.mixed.saturating_sub(interval.below_low.mixed) | 1;
-        let bit = self.range >= middle;
+        let bit = self.bin >= middle;
         interval.odds = self.tables.ln(above) - self.tables.ln(below);
         let bit = match node {
             None => self.coder.code(bit, self.tables.squash(interval.odds)),
@@ -120,7 +125,7 @@ impl<C: BitCoder, const P: usize, const X: usize> Halving<'_, C, P, X> {
     }
 }
 
-/// Width of the first bucket beside the base, in steps: a power of two near 0.6 scales.
+/// Width of the first bucket beside the base, in bins: a power of two near 0.6 scales.
 fn first_bucket(scale: f64) -> i64 {
     // 0.6 * sqrt(2): the nearest power in octaves.
     ((scale * 0.84853) as u32).checked_ilog2().map_or(1, |octave| 1 << octave)

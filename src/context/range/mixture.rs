@@ -27,7 +27,7 @@ pub struct Predicted<const P: usize> {
     placed: [Placed; P],
 }
 
-/// What is left of the range axis, and the probability below its two ends.
+/// What is left of the bins of the range axis, and the probability below the two ends.
 pub struct Interval<const P: usize> {
     pub low: i64,
     pub high: i64,
@@ -45,11 +45,11 @@ pub struct Below<const P: usize> {
 }
 
 impl<const P: usize> Interval<P> {
-    /// All ranges.
-    pub fn whole(range_bits: u32) -> Self {
+    /// All bins.
+    pub fn whole((low, high): (i64, i64)) -> Self {
         let below = |each, mixed| Below { each: [each; P], mixed };
         let certain = below(CERTAIN, MIXED_CERTAIN + EVEN);
-        Interval { low: 1, high: 1 << range_bits, below_low: below(0, 0), below_high: certain, odds: 0.0 }
+        Interval { low, high, below_low: below(0, 0), below_high: certain, odds: 0.0 }
     }
 }
 
@@ -126,10 +126,9 @@ impl<const P: usize> Mixture<P> {
         Below { each, mixed }
     }
 
-    /// Moves weights and scales towards the range that has been coded, to which the interval has
+    /// Moves weights and scales towards the range that has been coded, to whose bin the interval has
     /// shrunk.
-    pub fn learn(&mut self, predicted: &Predicted<P>, interval: &Interval<P>) {
-        let range = interval.low as f64;
+    pub fn learn(&mut self, predicted: &Predicted<P>, interval: &Interval<P>, range: f64) {
         let weights = &mut self.weights[predicted.context];
         let scales = &mut self.scales[predicted.context];
         let likelihood: [f64; P] = std::array::from_fn(|k| {

@@ -1,0 +1,74 @@
+//! Ranges in bins, of which only the bin is coded: near-lossless coding. The bins lie around the
+//! prediction, as in JPEG-LS (ITU-T T.87, A.4), so that what is predicted well enough takes next to
+//! nothing, wherever it lies.
+
+/// Bins of equal width. Bin `i` holds the ranges from `origin + i * width` on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bins {
+    /// Steps a bin; 1: every range has a bin of its own, its own number.
+    pub width: i64,
+    /// From 0 to `width` - 1 steps.
+    origin: i64,
+    /// The bin around the prediction.
+    pub central: i64,
+}
+
+impl Bins {
+    /// Bins of which one has `base`, a range in steps, in its middle.
+    pub fn around(base: i64, width: i64) -> Self {
+        let start = base - width / 2;
+        Bins { width, origin: start.rem_euclid(width), central: start.div_euclid(width) }
+    }
+
+    /// The bin of a range.
+    pub fn of(&self, range: i64) -> i64 {
+        (range - self.origin).div_euclid(self.width)
+    }
+
+    /// The first bin that holds ranges from 1 to 2^`range_bits` - 1, and the one after the last.
+    pub fn all(&self, range_bits: u32) -> (i64, i64) {
+        (self.of(1), self.of((1 << range_bits) - 1) + 1)
+    }
+
+    /// Where a bin starts, at 1 at the earliest and 2^`range_bits` at the latest.
+    #[inline]
+    pub fn start(&self, bin: i64, range_bits: u32) -> i64 {
+        (self.origin + bin * self.width).clamp(1, 1 << range_bits)
+    }
+
+    /// The range that stands for a bin, of 1 to 2^`range_bits` - 1 steps: of an odd number of ranges the one
+    /// in the middle, of an even number the upper of the two there.
+    pub fn middle(&self, bin: i64, range_bits: u32) -> i64 {
+        (self.origin + bin * self.width + self.width / 2).clamp(1, (1 << range_bits) - 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_range_is_near_the_middle_of_its_bin() {
+        for (width, base) in [(1, 7), (2, 7), (5, 1), (10, 3), (10, 100), (64, 65_000)] {
+            let bins = Bins::around(base, width);
+            assert_eq!(bins.of(base), bins.central);
+            let (first, end) = bins.all(16);
+            for range in (1..200).chain(65_400..65_536) {
+                let bin = bins.of(range);
+                assert!((first..end).contains(&bin));
+                assert!(bins.start(bin, 16) <= range && range < bins.start(bin + 1, 16), "{bins:?} {range}");
+                let off = range - bins.middle(bin, 16);
+                assert!((-(width / 2)..=(width - 1) / 2).contains(&off), "{bins:?} {range}");
+            }
+        }
+    }
+
+    #[test]
+    fn bins_of_one_range_are_the_ranges() {
+        let bins = Bins::around(345, 1);
+        assert_eq!((bins.all(16), bins.central), ((1, 65_536), 345));
+        assert!(
+            [1, 20, 65_535].iter().all(|&range| bins.of(range) == range && bins.middle(range, 16) == range)
+        );
+    }
+}
