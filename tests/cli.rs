@@ -545,6 +545,15 @@ fn wrong_usage_is_exit_code_2() {
         "encode -o new.lpc",
         "encode seq -o new.lpc --gop 0",
         "encode seq -o new.lpc --mode wild",
+        "encode seq -o new.lpc --mode bounded",
+        "encode seq -o new.lpc --max-error 10",
+        "encode seq -o new.lpc --mode exact --max-error 10mm",
+        "encode seq -o new.lpc --mode paper --max-error 10mm",
+        "encode seq -o new.lpc --max-error 11m",
+        "encode seq -o new.lpc --max-error 10mm --backend lzma",
+        "encode seq -o new.lpc --max-error 10mm --intensity none",
+        "encode seq -o new.lpc --max-error 10mm --intensity-step 0",
+        "encode seq -o new.lpc --intensity-step 0.1",
         "encode seq -o new.lpc --threads many",
         "encode seq -o - --verify",
         "decode out.lpc",
@@ -787,6 +796,19 @@ fn driven() -> Bench {
     let bench = Bench::new();
     bench.ok("synth -o drive --frames 2");
     bench
+}
+
+#[test]
+fn a_largest_error_is_kept_and_told() {
+    let bench = Bench::new();
+    bench.ok("synth -o drive --frames 3");
+    bench.ok("encode drive -o b.lpc --max-error 2cm --intensity-step 0.1 --verify");
+    let stats = bench.json("stats b.lpc --against drive --json");
+    let largest = stats["against"]["max_error_m"].as_f64().unwrap();
+    assert!((0.01..=0.02).contains(&largest), "{largest}");
+    assert_eq!((&stats["against"]["lost_points"], &stats["against"]["added_points"]), (&0.into(), &0.into()));
+    let coding = bench.json("info b.lpc --json")["frames"][0]["coding"].clone();
+    assert_eq!(coding, "within 20 mm, intensities in steps of 0.1, context");
 }
 
 #[test]

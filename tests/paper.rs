@@ -10,7 +10,8 @@ use common::{File, cases, decode_files, encode_files, first_files, real_folders,
 use lidarpc::backend::BACKENDS;
 use lidarpc::bitstream::SectionKind;
 use lidarpc::codec::{
-    Coder, EncoderConfig, FrameParameters, Mode, Prediction, PredictionChoice, ProjectionKind, Source,
+    Coder, EncoderConfig, FrameParameters, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind,
+    Source,
 };
 use lidarpc::io::parse;
 use lidarpc::metrics::NearestErrors;

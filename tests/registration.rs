@@ -4,7 +4,7 @@ mod common;
 
 use common::scans::small;
 use lidarpc::io::parse;
-use lidarpc::range_image::{RangeImage, project};
+use lidarpc::range_image::{REACH, RangeImage, project};
 use lidarpc::registration::{
     Pose, Registration, RegistrationConfig, RegistrationMethod, RigidMotion, Surface, register,
 };
@@ -22,7 +22,7 @@ fn simulated(config: &SynthConfig) -> Drive {
     let frames: Vec<SynthFrame> = drive(config).collect();
     let scans: Vec<_> = frames.iter().map(|frame| parse(&frame.name, frame.to_bin())).collect();
     let sensor = fit(&scans).unwrap();
-    let images = scans.iter().map(|scan| project(&sensor, &scan.cloud).image).collect();
+    let images = scans.iter().map(|scan| project(&sensor, &scan.cloud, REACH).image).collect();
     let poses: Vec<_> = frames.iter().map(|frame| motion_of(&frame.pose)).collect();
     let motions = poses.windows(2).map(|pair| pair[0].then(&pair[1].inverse())).collect();
     Drive { sensor, images, motions }

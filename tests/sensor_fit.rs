@@ -5,7 +5,7 @@ mod common;
 use common::formats::kitti;
 use common::scans::{Points, moved, random_points, rows, scans, shuffled, unrounded};
 use lidarpc::io::parse;
-use lidarpc::range_image::project;
+use lidarpc::range_image::{REACH, project};
 use lidarpc::scan::ScanFile;
 use lidarpc::sensor::{Coordinates, SensorModel, fit};
 use lidarpc::synth::SynthConfig;
@@ -25,7 +25,7 @@ fn fitted(sample: &[Points]) -> Option<SensorModel> {
 
 /// Share of a scan's points that are returns of the range image.
 fn explained(sensor: &SensorModel, points: &Points) -> f64 {
-    1.0 - project(sensor, &file(points).cloud).strays.len() as f64 / points.len() as f64
+    1.0 - project(sensor, &file(points).cloud, REACH).strays.len() as f64 / points.len() as f64
 }
 
 /// Share of a scan's points that the formula gives to the millimetre.
@@ -60,7 +60,7 @@ fn comes_back(sensor: &SensorModel, points: &Points) {
     let again = SensorModel::read_from(&mut input).unwrap();
     assert!(input.is_empty());
     assert_eq!(again, *sensor);
-    let (a, b) = (project(sensor, &file(points).cloud), project(&again, &file(points).cloud));
+    let (a, b) = (project(sensor, &file(points).cloud, REACH), project(&again, &file(points).cloud, REACH));
     assert_eq!(a.image, b.image);
     assert_eq!(a.strays, b.strays);
     for found in a.image.file_order(sensor) {

@@ -18,7 +18,7 @@ impl Bound {
     /// What these settings promise; none if it is more than a bound.
     pub fn of(positions: Positions, intensity: Intensity) -> Option<Self> {
         match (positions, positions.lattice()) {
-            (Positions::Bounded { max_error_um }, Some(lattice)) => {
+            (Positions::Bounded { max_error_um, .. }, Some(lattice)) => {
                 Some(Bound { max_error: f64::from(max_error_um) * 1e-6, lattice, intensity })
             }
             _ => None,

@@ -8,7 +8,6 @@ use crate::bitstream::{FIRST_VERSION, NEWEST_VERSION, StreamHeader};
 use crate::error::{Error, Result};
 use crate::outlier::RadiusOutlier;
 use crate::prediction::intra::{IntraConfig, RegionModels};
-use crate::range_image::EXACT_RANGE_BITS;
 use crate::registration::{QuantisedPose, RegistrationConfig};
 use crate::residual::Packing;
 use crate::segmentation::SegmentationConfig;
@@ -158,7 +157,8 @@ impl EncoderConfig {
         match mode {
             Mode::Exact => exact,
             Mode::Bounded { max_error_um } => {
-                EncoderConfig { positions: Positions::Bounded { max_error_um }, ..exact }
+                let positions = Positions::Bounded { max_error_um, on_grid: false };
+                EncoderConfig { positions, ..exact }
             }
             Mode::Paper => EncoderConfig {
                 outliers: Some(RadiusOutlier::default()),
@@ -227,7 +227,7 @@ impl EncoderConfig {
             motion: QuantisedPose::default(),
             snake: self.snake && self.coder != Coder::Context,
             range_coder: match self.coder {
-                Coder::Context => RangeCoder::Context { range_bits: EXACT_RANGE_BITS, bin: 1 },
+                Coder::Context => RangeCoder::EXACT,
                 Coder::Backend(id) => {
                     RangeCoder::Backend { id, packing: self.packing.unwrap_or(backend::by_id(id)?.packing()) }
                 }
@@ -268,7 +268,9 @@ impl EncoderConfig {
             (Positions::Bounded { .. }, _) if drops => {
                 return wrong("bounded mode keeps every point; use paper mode to drop any");
             }
-            (Positions::Bounded { max_error_um }, _) if !(1..=MOST_MAX_ERROR_UM).contains(&max_error_um) => {
+            (Positions::Bounded { max_error_um, .. }, _)
+                if !(1..=MOST_MAX_ERROR_UM).contains(&max_error_um) =>
+            {
                 return wrong("the largest error is from 1 micrometre to 10 metres");
             }
             (Positions::Bounded { .. }, _) if self.coder != Coder::Context => {

@@ -143,8 +143,12 @@ impl Frame {
     /// Takes all points, in bins of range as wide as the bound allows.
     fn take_points(&mut self, cloud: &PointCloud, sensor: &SensorModel, bound: Option<&Bound>) {
         let projection = project(sensor, cloud, bound.map_or(REACH, |bound| bound.reach().max(REACH)));
-        if let (Some(bound), RangeCoder::Context { bin, .. }) = (bound, &mut self.parameters.range_coder) {
-            *bin = bound.bin(sensor.range_step_m(), projection.misses(sensor, cloud));
+        if let Some(bound) = bound {
+            let bin = bound.bin(sensor.range_step_m(), projection.misses(sensor, cloud));
+            self.parameters.range_coder = RangeCoder::in_bins(bin);
+            if let Positions::Bounded { on_grid, .. } = &mut self.parameters.positions {
+                *on_grid = bin == 1;
+            }
         }
         self.take_image(cloud.clone(), projection);
     }

@@ -47,6 +47,8 @@ pub enum Positions {
     Bounded {
         /// The bound, in micrometres; not 0.
         max_error_um: u32,
+        /// Whether the formula's are rounded to the grid of the file: best if its ranges are exact.
+        on_grid: bool,
     },
 }
 
@@ -89,6 +91,9 @@ pub enum RangeCoder {
         range_bits: u32,
         /// Steps a bin, of which ranges decode to the middle; 1: to themselves.
         bin: u32,
+        /// Whether a decoded range stands for half a step less: the middle of an even number of steps is
+        /// between two.
+        between: bool,
     },
     /// A general-purpose back-end.
     Backend {
@@ -120,7 +125,7 @@ impl Default for FrameParameters {
             prediction: Prediction::None,
             motion: QuantisedPose::default(),
             snake: false,
-            range_coder: RangeCoder::Context { range_bits: EXACT_RANGE_BITS, bin: 1 },
+            range_coder: RangeCoder::EXACT,
             source: None,
         }
     }
@@ -154,14 +159,15 @@ impl FrameParameters {
         }
         write_unsigned(out, u64::from(self.snake));
         match self.range_coder {
-            RangeCoder::Context { range_bits, bin: 1 } => {
+            RangeCoder::Context { range_bits, bin: 1, between: false } => {
                 write_unsigned(out, CONTEXT);
                 write_unsigned(out, u64::from(range_bits));
             }
-            RangeCoder::Context { range_bits, bin } => {
+            RangeCoder::Context { range_bits, bin, between } => {
                 write_unsigned(out, BINNED_CONTEXT);
                 write_unsigned(out, u64::from(range_bits));
                 write_unsigned(out, u64::from(bin));
+                write_unsigned(out, u64::from(between));
             }
             RangeCoder::Backend { id, packing } => {
                 write_unsigned(out, u64::from(id));
@@ -223,7 +229,7 @@ impl fmt::Display for FrameParameters {
             Positions::Formula => "range image",
             Positions::Bounded { .. } => "within ",
         })?;
-        if let Positions::Bounded { max_error_um } = self.positions {
+        if let Positions::Bounded { max_error_um, .. } = self.positions {
             write!(f, "{} mm", f64::from(max_error_um) / 1000.0)?;
         }
         if let Intensity::Rounded { step_millionths } = self.intensity {
@@ -252,7 +258,7 @@ impl Positions {
     /// the bound from the nearest one of this cubic grid.
     pub fn lattice(self) -> Option<Coordinates> {
         match self {
-            Positions::Bounded { max_error_um } => {
+            Positions::Bounded { max_error_um, .. } => {
                 // An edge of 2 / sqrt(3) bounds has its corners at the bound; the rest is room for float32.
                 Some(Coordinates::Lattice { step_nm: u64::from(max_error_um) * 1140 })
             }
@@ -264,8 +270,8 @@ impl Positions {
         match self {
             Positions::Exact => write_unsigned(out, 0),
             Positions::Formula => write_unsigned(out, 1),
-            Positions::Bounded { max_error_um } => {
-                write_unsigned(out, 2);
+            Positions::Bounded { max_error_um, on_grid } => {
+                write_unsigned(out, if on_grid { 3 } else { 2 });
                 write_unsigned(out, u64::from(max_error_um));
             }
         }
@@ -275,9 +281,9 @@ impl Positions {
         match read(input)? {
             0 => Ok(Positions::Exact),
             1 => Ok(Positions::Formula),
-            2 => {
-                let bounds = 1..=MOST_MAX_ERROR_UM.into();
-                Ok(Positions::Bounded { max_error_um: within(input, bounds, "a largest error")? })
+            code @ 2..4 => {
+                let max_error_um = within(input, 1..=MOST_MAX_ERROR_UM.into(), "a largest error")?;
+                Ok(Positions::Bounded { max_error_um, on_grid: code == 3 })
             }
             other => Err(Error::unsupported(format!("frame parameters: unknown positions {other}"))),
         }
@@ -337,6 +343,24 @@ impl Prediction {
 }
 
 impl RangeCoder {
+    /// The context coder, with every range as it is.
+    pub const EXACT: Self = RangeCoder::Context { range_bits: EXACT_RANGE_BITS, bin: 1, between: false };
+
+    /// The context coder, with ranges to within half a bin of so many steps.
+    pub(super) fn in_bins(bin: u32) -> Self {
+        RangeCoder::Context { range_bits: EXACT_RANGE_BITS, bin, between: bin.is_multiple_of(2) }
+    }
+
+    /// The same for ranges that have been coded: they are what they are now.
+    pub(super) fn of_decoded(self) -> Self {
+        match self {
+            RangeCoder::Context { range_bits, between, .. } => {
+                RangeCoder::Context { range_bits, bin: 1, between }
+            }
+            RangeCoder::Backend { .. } => self,
+        }
+    }
+
     /// Makes room for these ranges, in steps.
     pub(super) fn fit(&mut self, steps: &Grid<u32>) {
         if let RangeCoder::Context { range_bits, .. } = self {
@@ -345,10 +369,10 @@ impl RangeCoder {
         }
     }
 
-    /// Metres from the range of decoded steps to the middle of their bin.
+    /// Metres from the range of decoded steps to what it stands for.
     pub(super) fn offset_m(self, sensor: &SensorModel) -> f64 {
         match self {
-            RangeCoder::Context { bin, .. } if bin % 2 == 0 => -0.5 * sensor.range_step_m(),
+            RangeCoder::Context { between: true, .. } => -0.5 * sensor.range_step_m(),
             RangeCoder::Context { .. } | RangeCoder::Backend { .. } => 0.0,
         }
     }
@@ -357,11 +381,11 @@ impl RangeCoder {
         match read(input)? {
             coder @ (CONTEXT | BINNED_CONTEXT) => {
                 let range_bits = within(input, RANGE_BITS, "bits of a range")?;
-                let bin = match coder {
-                    CONTEXT => 1,
-                    _ => within(input, 2..=WIDEST_BIN.into(), "steps a bin")?,
+                let (bin, between) = match coder {
+                    CONTEXT => (1, false),
+                    _ => (within(input, 1..=WIDEST_BIN.into(), "steps a bin")?, flag(input)?),
                 };
-                Ok(RangeCoder::Context { range_bits, bin })
+                Ok(RangeCoder::Context { range_bits, bin, between })
             }
             id => {
                 let unknown = || Error::unsupported(format!("frame parameters: unknown back-end {id}"));

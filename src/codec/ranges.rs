@@ -27,7 +27,7 @@ impl Models {
         report: &mut StepReport,
     ) -> Result<()> {
         match frame.parameters.range_coder {
-            RangeCoder::Context { range_bits, bin } => {
+            RangeCoder::Context { range_bits, bin, .. } => {
                 report.predicted += 4 * (frame.records - frame.strays) as u64;
                 report.timed(Step::Coding, || {
                     sections.section(SectionKind::Range, true, |coder| {

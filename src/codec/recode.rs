@@ -15,7 +15,7 @@ use crate::error::{Limits, Result};
 use crate::sensor::SensorModel;
 
 /// Decodes a group, and codes its frames from number `start` of the sequence on as a new group of the
-/// same sensor model. Headers and parameters of the frames stay as they are.
+/// same sensor model. Headers of the frames stay as they are.
 ///
 /// # Errors
 /// If a frame does not decode, is over the limits, or is not the file that its header tells of; or if a
@@ -60,6 +60,7 @@ impl Recoder<'_> {
             // The frame that it was predicted from is not in the new group.
             frame.predict_from_nothing();
         }
+        frame.parameters.range_coder = frame.parameters.range_coder.of_decoded();
         let mut writer = SectionWriter::new(Level::default());
         let returns = models.code_frame(&mut writer, self.sensor, &mut frame, &mut steps)?;
         check_file(&header, &frame.into_scan(&header.name, &returns)?.to_bytes()?)?;

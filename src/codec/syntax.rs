@@ -190,13 +190,20 @@ impl Models {
                 points.for_each(|(formula, position)| self.correction.code(coder, grid, formula, position));
                 Ok(())
             }),
-            Positions::Bounded { max_error_um } => sections.section(SectionKind::Correction, true, |coder| {
+            Positions::Bounded { max_error_um, on_grid } => {
                 let max_error = f64::from(max_error_um) * 1e-6;
-                for (formula, position) in points {
-                    self.correction.code_bounded(coder, grid, formula, max_error, position);
-                }
-                Ok(())
-            }),
+                let nearest = |formula: [f64; 3]| match on_grid {
+                    true => formula.map(|metres| grid.value(grid.unit_of(metres), metres)),
+                    false => formula.map(|metres| metres as f32),
+                };
+                sections.section(SectionKind::Correction, true, |coder| {
+                    for (formula, position) in points {
+                        let near = (nearest(formula), max_error);
+                        self.correction.code_bounded(coder, grid, formula, near, position);
+                    }
+                    Ok(())
+                })
+            }
         }
     }
 

@@ -44,18 +44,16 @@ impl Default for CorrectionModel {
 }
 
 impl CorrectionModel {
-    /// Codes the position of a return that may be that of the formula, or else is corrected as by
-    /// [`code`](Self::code). The encoder's is corrected if it is farther than `max_error` from the
-    /// formula's, in metres.
+    /// Codes the position of a return that may be `near`, or else is corrected as by [`code`](Self::code).
+    /// The encoder's is corrected if it is farther than `max_error` metres from there.
     pub fn code_bounded<C: BitCoder>(
         &mut self,
         coder: &mut C,
         grid: Coordinates,
         formula: [f64; 3],
-        max_error: f64,
+        (near, max_error): ([f32; 3], f64),
         position: &mut [f32; 3],
     ) {
-        let near = formula.map(|metres| metres as f32);
         let is_far = C::ENCODES && squared_distance(&near, position).sqrt() > max_error;
         self.was_corrected = self.is_corrected[usize::from(self.was_corrected)].code(coder, is_far);
         if self.was_corrected {

@@ -1,0 +1,209 @@
+//! Bounded mode: every point comes back in its place, none farther off than promised.
+
+mod common;
+
+use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, ply};
+use common::odd::{SCANS, changed_scan, noise};
+use common::scans::{Points, random_points, scans, shuffled, small};
+use common::{File, cases, decode_files, encode_files, first_files, real_folders, section_bytes};
+use lidarpc::bitstream::SectionKind;
+use lidarpc::codec::{
+    DecodeOptions, EncoderConfig, FrameInput, FrameRange, Intensity, Mode, Named, cut, decode, encode,
+};
+use lidarpc::error::Limits;
+use lidarpc::io::parse;
+use proptest::prelude::*;
+
+fn bounded(max_error_um: u32) -> EncoderConfig {
+    EncoderConfig { threads: 2, ..EncoderConfig::preset(Mode::Bounded { max_error_um }) }
+}
+
+fn named(frames: &[Points]) -> Vec<File> {
+    frames.iter().enumerate().map(|(n, points)| (format!("{n}.bin"), kitti(points))).collect()
+}
+
+/// Encodes and decodes files, and holds each point to the bound. Gives the stream and the largest error.
+fn keeps_the_bound(files: &[File], config: &EncoderConfig, max_error_um: u32) -> (Vec<u8>, f64) {
+    let stream = encode_files(files, config);
+    let largest = check_bound(files, &decode_files(&stream).expect("decodes"), config, max_error_um);
+    (stream, largest)
+}
+
+/// Holds decoded files to the originals: same names, points, order and other fields; positions within
+/// the bound or, if they are not finite, bit by bit; intensities bit by bit or within half a step.
+fn check_bound(files: &[File], decoded: &[File], config: &EncoderConfig, max_error_um: u32) -> f64 {
+    let bound = f64::from(max_error_um) * 1e-6;
+    let mut largest = 0.0f64;
+    assert_eq!(files.len(), decoded.len());
+    for ((name, before), (decoded_name, after)) in files.iter().zip(decoded) {
+        assert_eq!(name, decoded_name);
+        let (a, b) = (parse(name, before.clone()), parse(name, after.clone()));
+        assert_eq!((a.records, &a.layout, &a.cloud.extra), (b.records, &b.layout, &b.cloud.extra), "{name}");
+        if a.layout.position.is_none() {
+            assert_eq!(before, after, "{name}: what is no scan is exact");
+        }
+        assert_eq!(a.cloud.positions.len(), b.cloud.positions.len());
+        for (n, (p, q)) in a.cloud.positions.iter().zip(&b.cloud.positions).enumerate() {
+            if p.map(f32::to_bits) == q.map(f32::to_bits) {
+                continue;
+            }
+            let apart = |axis: usize| f64::from(p[axis]) - f64::from(q[axis]);
+            let error = (apart(0).powi(2) + apart(1).powi(2) + apart(2).powi(2)).sqrt();
+            assert!(error <= bound, "{name}, point {n}: {p:?} became {q:?}, {error} m away");
+            largest = largest.max(error);
+        }
+        for (p, q) in a.cloud.intensity.iter().zip(&b.cloud.intensity) {
+            match config.intensity {
+                Intensity::Rounded { step_millionths } if p.is_finite() => {
+                    let error = (f64::from(*p) - f64::from(*q)).abs();
+                    let rounding = 1e-7 * f64::from(p.abs());
+                    assert!(
+                        error <= 0.5e-6 * f64::from(step_millionths) + rounding,
+                        "{name}: {p} became {q}"
+                    );
+                }
+                _ => assert_eq!(p.to_bits(), q.to_bits(), "{name}"),
+            }
+        }
+    }
+    largest
+}
+
+#[test]
+fn the_bound_is_kept_and_used() {
+    for (n, frames) in SCANS.iter().enumerate() {
+        let files = named(frames);
+        let mut smaller = usize::MAX / 2;
+        for max_error_um in [1, 500, 2_000, 5_000, 10_000, 50_000, 1_000_000] {
+            let (stream, largest) = keeps_the_bound(&files, &bounded(max_error_um), max_error_um);
+            let bound = f64::from(max_error_um) * 1e-6;
+            // Coarser errors are spread over the whole of what is allowed.
+            assert!(max_error_um < 5_000 || largest > 0.7 * bound, "scanner {n}: {largest} m of {bound} m");
+            let size = stream.len();
+            // The bound itself takes a byte more or less.
+            assert!(
+                size <= smaller + 8 * frames.len(),
+                "scanner {n}: {size} bytes for {max_error_um} um, {smaller} for less"
+            );
+            smaller = stream.len();
+        }
+    }
+}
+
+#[test]
+fn predictable_ranges_take_next_to_nothing() {
+    let files = named(&SCANS[0][..1]);
+    let ranges = |max_error_um| {
+        section_bytes(&keeps_the_bound(&files, &bounded(max_error_um), max_error_um).0)[&SectionKind::Range]
+    };
+    let (coarse, fine) = (ranges(100_000), ranges(2_000));
+    assert!(coarse * 2 < fine, "{coarse} bytes against {fine}");
+}
+
+#[test]
+fn intensities_are_rounded_if_asked_for() {
+    let files = named(&SCANS[0]);
+    let bytes = |intensity| {
+        let config = EncoderConfig { intensity, ..bounded(10_000) };
+        section_bytes(&keeps_the_bound(&files, &config, 10_000).0)[&SectionKind::Intensity]
+    };
+    let exact = bytes(Intensity::Exact);
+    let steps =
+        [20_000, 30_000, 100_000, 350_000].map(|step_millionths| Intensity::Rounded { step_millionths });
+    for step in steps {
+        assert!(bytes(step) < exact, "{step:?}");
+    }
+}
+
+#[test]
+fn every_format_keeps_the_bound() {
+    let points = &SCANS[0][0];
+    let files: Vec<File> = [
+        ("a.pcd.bin", nuscenes(points)),
+        ("b.pcd", pcd_extra(points)),
+        ("c.pcd", pcd_text(&points[..500])),
+        ("d.ply", ply(points)),
+        ("e.bin", kitti(&shuffled(points, 3))),
+        ("f.bin", kitti(&random_points(300, 5))),
+        ("g.bin", Vec::new()),
+        ("h.pcd", b"VERSION 0.7, but damaged".to_vec()),
+    ]
+    .map(|(name, bytes)| (name.to_owned(), bytes))
+    .to_vec();
+    for max_error_um in [300, 20_000] {
+        keeps_the_bound(&files, &bounded(max_error_um), max_error_um);
+    }
+}
+
+#[test]
+fn values_that_break_things_stay() {
+    let mut points = SCANS[0][0].clone();
+    let odd = [f32::NAN, f32::INFINITY, -f32::INFINITY, f32::MAX, -1e30, 1e-40, -0.0];
+    for (n, value) in odd.into_iter().enumerate() {
+        points[40 * n][n % 3] = value;
+        points[40 * n + 7] = [value; 4];
+    }
+    for intensity in [Intensity::Exact, Intensity::Rounded { step_millionths: 50_000 }] {
+        let config = EncoderConfig { intensity, ..bounded(20_000) };
+        keeps_the_bound(&named(&[SCANS[0][1].clone(), points.clone()]), &config, 20_000);
+    }
+}
+
+#[test]
+fn a_cut_gives_the_same_points() {
+    let files = named(&scans(&small(3, 5)));
+    let stream = encode_files(&files, &bounded(20_000));
+    let whole = decode_files(&stream).unwrap();
+    let mut part = Vec::new();
+    let range = FrameRange { start: 2, end: Some(5) };
+    let named = Named { path: "whole.lpc".into(), stream: &stream[..] };
+    cut(named, range, &Limits::default(), &mut part).expect("cuts");
+    assert!(decode_files(&part).unwrap() == whole[2..]);
+}
+
+#[test]
+fn threads_and_ways_to_decode_make_no_difference() {
+    let files = named(&scans(&small(3, 5)));
+    let inputs: Vec<_> = files
+        .iter()
+        .map(|(name, bytes)| FrameInput::Memory { name: name.clone(), bytes: bytes.clone() })
+        .collect();
+    let streams = [1, 3].map(|threads| {
+        let mut stream = Vec::new();
+        let config = EncoderConfig { threads, gop: 2, ..bounded(20_000) };
+        encode(&inputs, &config, &mut stream, &|| ()).unwrap();
+        stream
+    });
+    assert!(streams[0] == streams[1]);
+    decode(&streams[0][..], &DecodeOptions::default(), |frame| {
+        assert!(frame.in_order && frame.source.is_some_and(|source| source.outliers + source.lost == 0));
+        Ok(())
+    })
+    .unwrap();
+}
+
+#[test]
+fn real_scans_keep_the_bound() {
+    for folder in real_folders() {
+        let files = first_files(&folder, 2);
+        for max_error_um in [5_000, 50_000] {
+            keeps_the_bound(&files, &bounded(max_error_um), max_error_um);
+        }
+        println!("{}: as promised", folder.display());
+    }
+}
+
+proptest! {
+    #![proptest_config(cases(32))]
+
+    #[test]
+    fn any_folder_keeps_the_bound(
+        files in prop::collection::vec(prop_oneof![4 => changed_scan(), 1 => noise()], 0..=3),
+        max_error_um in prop_oneof![1u32..10_000_000, 1u32..50_000, 1u32..1000],
+        step in prop::option::of(prop_oneof![1u32..2_000_000, prop::sample::select(vec![10_000u32, 50_000])]),
+    ) {
+        let files: Vec<File> = files.into_iter().enumerate().map(|(n, file)| file.named(n)).collect();
+        let intensity = step.map_or(Intensity::Exact, |step_millionths| Intensity::Rounded { step_millionths });
+        keeps_the_bound(&files, &EncoderConfig { intensity, ..bounded(max_error_um) }, max_error_um);
+    }
+}
