@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Parser, Subcommand};
+use clap::{Parser, Subcommand, ValueEnum};
 use lidarpc::codec::FrameRange;
 use lidarpc::synth::SynthConfig;
 
@@ -102,7 +102,19 @@ Examples:
   lidarpc decode drive.lpc -o drive/
   lidarpc decode drive.lpc -o part/ --frames 10..20     frames 10 to 19, the first being 0
   lidarpc decode drive.lpc -o - --frames 5 > frame5.bin
+  lidarpc decode drive.lpc -o clouds/ --format pcd      as other programs read them
   ssh host 'cat drive.lpc' | lidarpc decode - -o drive/";
+
+/// What scans are converted to.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum FormatArg {
+    /// KITTI's: float32 x, y, z, intensity; intensity is 0 if there is none.
+    Bin,
+    /// Binary PCD, for PCL.
+    Pcd,
+    /// Binary little-endian PLY.
+    Ply,
+}
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = DECODE_EXAMPLES)]
@@ -116,6 +128,10 @@ pub struct DecodeArgs {
     /// Frames to decode, the first being 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
     #[arg(long, value_name = "RANGE")]
     pub frames: Option<FrameRange>,
+    /// Convert the scans, whatever they were. Coordinates keep every bit; fields without a name and other
+    /// bytes of the files are left out.
+    #[arg(long, value_enum)]
+    pub format: Option<FormatArg>,
     #[command(flatten)]
     pub threads: Threads,
     /// Overwrite scans that exist.

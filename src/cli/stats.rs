@@ -6,6 +6,7 @@ use anyhow::Result;
 use lidarpc::bitstream::{Record, SectionKind, StreamReader};
 use lidarpc::codec::{self, DecodeOptions, Source};
 use lidarpc::error::Limits;
+use lidarpc::io::parse_like;
 use lidarpc::metrics::{self, NearestErrors, PointErrors};
 use serde::Serialize;
 
@@ -147,7 +148,7 @@ fn compare(
     frames: u64,
     quiet: bool,
 ) -> lidarpc::error::Result<Against> {
-    let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
+    let options = DecodeOptions { threads: args.threads.threads, scans: true, ..DecodeOptions::default() };
     let bar = progress::bar(Some(frames), "comparing", quiet);
     let (mut errors, mut against) = (PointErrors::default(), Against::default());
     let (mut forward, mut backward) = (NearestErrors::default(), NearestErrors::default());
@@ -160,7 +161,8 @@ fn compare(
         } else {
             against.differing_files += 1;
         }
-        let (original, decoded) = (lidarpc::io::parse(name, original), lidarpc::io::parse(name, frame.bytes));
+        let decoded = frame.scan.unwrap_or_default();
+        let original = parse_like(&decoded, name, original);
         if frame.source.is_some() {
             forward.add(&decoded.cloud, &original.cloud);
             backward.add(&original.cloud, &decoded.cloud);

@@ -7,7 +7,6 @@ use std::io::{Cursor, Read, Seek, Write};
 use anyhow::{Context, Result};
 use lidarpc::codec::{self, DecodeOptions, DecodedFrame, EncoderConfig, FrameInput, FrameRange};
 use lidarpc::error::Error;
-use lidarpc::io::parse;
 use lidarpc::io::sequence::find_frames;
 use lidarpc::picture::{self, BirdsEye, Picture};
 
@@ -50,7 +49,7 @@ fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<DecodedFrame> {
 }
 
 fn decode_one(stream: impl Read + Seek, frames: FrameRange) -> lidarpc::error::Result<DecodedFrame> {
-    let options = DecodeOptions { frames, images: true, ..DecodeOptions::default() };
+    let options = DecodeOptions { frames, images: true, scans: true, ..DecodeOptions::default() };
     let mut found = None;
     codec::decode_indexed(stream, &options, |frame| {
         found = Some(frame);
@@ -61,7 +60,7 @@ fn decode_one(stream: impl Read + Seek, frames: FrameRange) -> lidarpc::error::R
 
 fn draw(args: &ViewArgs, frame: DecodedFrame, config: &EncoderConfig) -> Result<Picture> {
     if args.kind == Kind::BirdsEye {
-        let points = parse(&frame.header.name, frame.bytes).cloud.positions;
+        let points = frame.scan.unwrap_or_default().cloud.positions;
         return Ok(BirdsEye::default().draw(&points));
     }
     let none = || format!("{}: has no range image; --kind birds-eye shows its points", frame.header.name);

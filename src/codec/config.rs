@@ -6,6 +6,7 @@ use super::parameters::{FrameParameters, Positions, Prediction, RangeCoder};
 use crate::backend::{self, Backend, Level};
 use crate::bitstream::{FIRST_VERSION, NEWEST_VERSION, StreamHeader};
 use crate::error::{Error, Result};
+use crate::io::HeaderlessLayout;
 use crate::outlier::RadiusOutlier;
 use crate::prediction::intra::{IntraConfig, RegionModels};
 use crate::range_image::EXACT_RANGE_BITS;
@@ -91,6 +92,9 @@ pub struct EncoderConfig {
     /// Points with few neighbours are dropped (equation 1). Default: none are; in paper mode those
     /// with fewer than 2 within 0.38 m.
     pub outliers: Option<RadiusOutlier>,
+    /// What the records of files without a header hold. Default: what KITTI's and nuScenes' do, by
+    /// the extension.
+    pub headerless: Option<HeaderlessLayout>,
     /// Which range image is coded (equation 2). Default: calibrated; in paper mode ideal, 2000
     /// columns and steps of 1 mm.
     pub projection: ProjectionKind,
@@ -135,6 +139,7 @@ impl EncoderConfig {
         let exact = EncoderConfig {
             gop: 10,
             threads: 0,
+            headerless: None,
             outliers: None,
             projection: ProjectionKind::CALIBRATED,
             positions: Positions::Exact,

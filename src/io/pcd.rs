@@ -7,9 +7,6 @@ use super::records::plain_file;
 use super::{pcd_ascii, pcd_compressed};
 use crate::scan::{Scalar, ScanFile, Wrapping};
 
-/// What writers call intensity, the likeliest first.
-const INTENSITY_NAMES: [&str; 3] = ["intensity", "i", "reflectivity"];
-
 /// The three kinds of body.
 #[derive(Clone, Copy)]
 enum Data {
@@ -19,9 +16,9 @@ enum Data {
 }
 
 /// What a header says.
-struct Header<'a> {
+pub(super) struct Header<'a> {
     /// The fields; one entry for all values of a field with COUNT above 1.
-    fields: Vec<Field<'a>>,
+    pub fields: Vec<Field<'a>>,
     /// Number of points. It may be anything: the body decides.
     points: u64,
     data: Data,
@@ -33,7 +30,7 @@ struct Header<'a> {
 /// `None` if the header is damaged or the body cannot be given back exactly.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
-    let layout = layout_of(&header.fields, &INTENSITY_NAMES, Wrapping::Plain)?;
+    let layout = layout_of(&header.fields, Wrapping::Plain)?;
     let Header { fields, points, data, length } = header;
     match data {
         Data::Binary => plain_file(layout, bytes, length, points),
@@ -56,7 +53,8 @@ fn columns(fields: &[Field]) -> Option<Vec<Scalar>> {
 }
 
 impl<'a> Header<'a> {
-    fn parse(bytes: &'a [u8]) -> Option<Self> {
+    /// Reads the header that `bytes` begin with; `None` if it is damaged.
+    pub(super) fn parse(bytes: &'a [u8]) -> Option<Self> {
         let mut rest = bytes;
         let (mut names, mut sizes, mut types, mut counts) = (vec![], vec![], vec![], vec![]);
         let (mut width, mut height, mut points) = (None, None, None);

@@ -7,44 +7,57 @@ use super::field::{Field, layout_of, next_line};
 use super::records::plain_file;
 use crate::scan::{Scalar, ScanFile, Wrapping};
 
-/// What writers call intensity; `scalar_intensity` is CloudCompare's.
-const INTENSITY_NAMES: [&str; 3] = ["intensity", "scalar_intensity", "reflectance"];
+/// What a header says.
+pub(super) struct Header<'a> {
+    /// The scalar properties of the vertices.
+    pub fields: Vec<Field<'a>>,
+    /// Number of vertices. It may be anything: the body decides.
+    vertices: u64,
+    /// Bytes of the header, the line end after `end_header` included.
+    length: usize,
+}
 
 /// The vertices as records, the header as `prefix`, the other elements as `suffix`.
 /// `None` for text, big-endian and damaged files.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
-    let mut rest = bytes;
-    if next_line(&mut rest)? != "ply" {
-        return None;
-    }
-    let mut little_endian = false;
-    let mut elements = 0;
-    let mut vertices = None;
-    let mut fields = Vec::new();
-    loop {
-        let line = next_line(&mut rest)?;
-        let words: Vec<&str> = line.split_ascii_whitespace().collect();
-        match words[..] {
-            ["comment" | "obj_info", ..] => {}
-            ["format", "binary_little_endian", _] => little_endian = true,
-            ["element", name, count] => {
-                elements += 1;
-                if elements == 1 && name == "vertex" {
-                    vertices = Some(count.parse().ok()?);
-                }
-            }
-            // Only the first element's properties matter; the others stay in the suffix.
-            ["property", ..] if elements > 1 => {}
-            ["property", kind, name] => fields.push(field(kind, name)?),
-            ["end_header"] => break,
-            _ => return None,
+    let header = Header::parse(bytes)?;
+    let layout = layout_of(&header.fields, Wrapping::Plain)?;
+    plain_file(layout, bytes, header.length, header.vertices)
+}
+
+impl<'a> Header<'a> {
+    /// Reads the header that `bytes` begin with; `None` if it is damaged or of a file of another kind.
+    pub(super) fn parse(bytes: &'a [u8]) -> Option<Self> {
+        let mut rest = bytes;
+        if next_line(&mut rest)? != "ply" {
+            return None;
         }
+        let mut little_endian = false;
+        let mut elements = 0;
+        let mut vertices = None;
+        let mut fields = Vec::new();
+        loop {
+            let line = next_line(&mut rest)?;
+            let words: Vec<&str> = line.split_ascii_whitespace().collect();
+            match words[..] {
+                ["comment" | "obj_info", ..] => {}
+                ["format", "binary_little_endian", _] => little_endian = true,
+                ["element", name, count] => {
+                    elements += 1;
+                    if elements == 1 && name == "vertex" {
+                        vertices = Some(count.parse().ok()?);
+                    }
+                }
+                // Only the first element's properties matter; the others stay in the suffix.
+                ["property", ..] if elements > 1 => {}
+                ["property", kind, name] => fields.push(field(kind, name)?),
+                ["end_header"] => break,
+                _ => return None,
+            }
+        }
+        let length = bytes.len() - rest.len();
+        little_endian.then_some(Header { fields, vertices: vertices?, length })
     }
-    let layout = layout_of(&fields, &INTENSITY_NAMES, Wrapping::Plain)?;
-    if !little_endian {
-        return None;
-    }
-    plain_file(layout, bytes, bytes.len() - rest.len(), vertices?)
 }
 
 fn field<'a>(kind: &str, name: &'a str) -> Option<Field<'a>> {
