@@ -870,6 +870,18 @@ fn paper_mode_says_what_it_lost() {
     assert_eq!(counts[0] - counts[1] - counts[2], info["points"].as_u64().unwrap());
     let rmse = stats["against"]["decoded_to_original_rmse_m"].as_f64().unwrap();
     assert!((0.001..0.5).contains(&rmse), "{stats}");
+    assert!(stats["against"].get("psnr").is_none());
+
+    let psnr = bench.json("stats p.lpc --against drive --psnr --json")["against"]["psnr"].clone();
+    let [d1, d2] = ["d1_db", "d2_db"].map(|name| psnr[name].as_f64().unwrap());
+    // 3 p^2 / d^2 is 40 dB for errors of 1 m, 100 dB for 1 mm; planes forgive errors along them.
+    assert!(40.0 < d1 && d1 < d2 && d2 < 100.0, "{psnr}");
+    assert_eq!((&psnr["peak_m"], &psnr["lossless"]), (&59.7.into(), &false.into()));
+    let text = String::from_utf8(bench.ok("stats p.lpc --against drive --psnr")).unwrap();
+    assert!(text.contains("D2 PSNR") && text.contains("peak 59.70 m"), "{text}");
+    bench.ok("encode drive -o e.lpc");
+    let psnr = bench.json("stats e.lpc --against drive --psnr --json")["against"]["psnr"].clone();
+    assert_eq!((&psnr["lossless"], &psnr["d1_db"]), (&true.into(), &Value::Null));
 
     bench.ok("encode drive -o n.lpc --mode paper --predict none --no-snake --keep-outliers --packing varint");
     let frame = bench.json("info n.lpc --json")["frames"][0].clone();

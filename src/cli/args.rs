@@ -142,7 +142,8 @@ pub struct DecodeArgs {
 const STATS_NOTES: &str = "\
 Ratio is coded size / original size. RMSE and max error are 3-D distances in metres between points
 paired by their order. 'container' is all that is not the payload of a section or sensor model:
-headers, names, lengths, checksums and the index. The bytes add up to the file's size.";
+headers, names, lengths, checksums and the index. The bytes add up to the file's size. D1 and D2 PSNR are
+10 log10(3 p^2 / MSE) with p = 59.70 m, MSE that of the worse direction, as mpeg-pcc-dmetric computes them.";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = STATS_NOTES)]
@@ -157,6 +158,9 @@ pub struct StatsArgs {
     /// Decode, and measure the error against these original scans.
     #[arg(long, value_name = "FOLDER", num_args = 1)]
     pub against: Vec<PathBuf>,
+    /// Measure PSNR too, point to point (D1) and point to plane (D2), as MPEG does.
+    #[arg(long, requires = "against")]
+    pub psnr: bool,
     /// Decode, and write the scanner's way to this file: a line a frame, 12 numbers, the rows of the 3 x 4
     /// matrix that takes its points (metres, axes of the scanner) to where the first frame has them,
     /// as KITTI's poses. It is what registration of one frame with the next adds up to, not ground truth.
