@@ -943,13 +943,17 @@ fn frames_are_drawn() {
         assert!(picture.starts_with(png), "{what}");
         picture
     };
-    let all = ["range", "occupancy", "labels", "regions", "prediction", "residual", "birds-eye", "all"]
-        .map(|kind| draw(&format!("p.lpc --kind {kind} --frame 1")));
+    let kinds = ["range", "occupancy", "labels", "regions", "prediction", "residual", "birds-eye", "error"];
+    let all = kinds.map(|kind| draw(&format!("p.lpc --kind {kind} --frame 1 --against drive")));
     for (place, picture) in all.iter().enumerate() {
         assert!(!all[..place].contains(picture), "two kinds look alike");
     }
-    assert_eq!(draw("drive --mode paper --columns 300 --frame 1"), all[7]);
-    assert_ne!(draw("p.lpc --frame 1 --scale 2"), all[7]);
+    let together = draw("p.lpc --frame 1 --against drive");
+    assert_eq!(draw("drive --mode paper --columns 300 --frame 1"), together);
+    assert_eq!(draw("drive --mode paper --columns 300 --frame 1 --kind error"), all[7]);
+    assert_ne!(draw("p.lpc --frame 1"), together, "the errors are not known");
+    assert_ne!(draw("p.lpc --frame 1 --against drive --scale 2"), together);
+    assert!(bench.fails("view p.lpc --kind error -o new.png", "0000000000.bin").contains("--against"));
     assert!(bench.ok("view p.lpc --kind range -o -").starts_with(png));
     assert!(bench.fails("view p.lpc --frame 2 -o new.png", "p.lpc").contains("only frames 0 to 1"));
     assert!(bench.fails("view drive --frame 2 -o new.png", "drive").contains("only frames 0 to 1"));

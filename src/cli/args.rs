@@ -251,6 +251,7 @@ const VIEW_EXAMPLES: &str = "\
 Examples:
   lidarpc view drive.lpc -o frame.png
   lidarpc view drive/ --mode paper --frame 7 --kind labels -o labels.png
+  lidarpc view drive.lpc --against drive/ --kind error -o error.png
   lidarpc view drive.lpc --kind birds-eye -o above.png";
 
 #[derive(Debug, clap::Args)]
@@ -269,6 +270,9 @@ pub struct ViewArgs {
     /// What to draw.
     #[arg(long, value_enum, default_value = "all")]
     pub kind: Kind,
+    /// The original scans, for the error; needed for a stream only.
+    #[arg(long, value_name = "FOLDER", num_args = 1)]
+    pub against: Vec<PathBuf>,
     /// Pixels that a column of the range image is wide, and a quarter of what a row is high. Default:
     /// as makes the picture about 1500 pixels wide.
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(1..=16))]

@@ -32,6 +32,13 @@ pub struct DecodedFrame {
     pub steps: StepReport,
 }
 
+impl DecodedFrame {
+    /// Whether its points are those of the original file, each at its place in the order.
+    pub fn keeps_order(&self) -> bool {
+        self.source.is_none()
+    }
+}
+
 /// Decodes a stream front to back, as from a pipe, and hands the frames to `sink` in order. Groups
 /// are decoded in parallel. The whole stream is read and checked even if only some frames are asked
 /// for. Returns how many frames the stream holds.

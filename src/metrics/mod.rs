@@ -4,8 +4,8 @@ mod nearest;
 mod paired;
 mod psnr;
 
-pub use nearest::{Nearest, NearestErrors, NearestPairs, NearestPoints};
-pub use paired::PointErrors;
+pub use nearest::{Nearest, NearestErrors, NearestPairs, NearestPoints, nearest_distances};
+pub use paired::{PointErrors, paired_distances};
 pub use psnr::{GeometryPsnr, PEAK_M};
 
 /// The article's compression ratio (equation 11): coded size / original size. Smaller is better;

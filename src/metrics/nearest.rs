@@ -130,6 +130,14 @@ impl NearestErrors {
     }
 }
 
+/// The distance, in metres, of each decoded point from the nearest original one; `None` if there is none or a
+/// coordinate is NaN or infinite.
+pub fn nearest_distances(original: &PointCloud, decoded: &PointCloud) -> Vec<Option<f64>> {
+    let original = NearestPoints::of(original);
+    let of_point = |point| Some(original.as_ref()?.nearest(&finite(point)?).squared.sqrt());
+    decoded.positions.par_iter().map(of_point).collect()
+}
+
 /// A point in f64, if it is finite; zeros have no sign.
 fn finite(point: &[f32; 3]) -> Option<[f64; 3]> {
     point.iter().all(|value| value.is_finite()).then(|| point.map(|value| f64::from(value) + 0.0))
@@ -157,6 +165,14 @@ mod tests {
         let errors = errors(&points, &others);
         assert_eq!(errors.max(), Some(5.0));
         assert_eq!(errors.rmse(), Some(13.0f64.sqrt()));
+    }
+
+    #[test]
+    fn each_point_has_a_distance_if_it_is_finite() {
+        let original = cloud(&[[9.0, 0.0, 0.0], [f32::NAN, 0.0, 0.0], [0.0; 3]]);
+        let decoded = cloud(&[[0.0, 3.0, 4.0], [f32::INFINITY; 3], [8.5, 0.0, 0.0]]);
+        assert_eq!(nearest_distances(&original, &decoded), [Some(5.0), None, Some(0.5)]);
+        assert_eq!(nearest_distances(&cloud(&[]), &decoded), [None; 3]);
     }
 
     #[test]

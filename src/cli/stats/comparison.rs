@@ -83,10 +83,10 @@ impl Comparison {
             true => self.identical_files += 1,
             false => self.differing_files += 1,
         }
+        let keeps_order = frame.keeps_order();
         let decoded = frame.scan.unwrap_or_default();
         let original = parse_like(&decoded, &frame.header.name, original);
         let (original, decoded) = (&original.cloud, &decoded.cloud);
-        let keeps_order = frame.source.is_none();
         if keeps_order {
             self.paired.add(original, decoded);
             match &mut self.psnr {
