@@ -4,18 +4,19 @@
 //! or one that could not be given back exactly, is kept as it is. [`convert()`] makes a file of another
 //! format of a scan.
 
+mod big_endian;
 mod convert;
 mod field;
 mod headerless;
 mod lzf;
 mod number;
 mod pcd;
-mod pcd_ascii;
 mod pcd_compressed;
 mod ply;
 mod point_count;
 mod records;
 pub mod sequence;
+mod text_records;
 
 pub use convert::{FileFormat, convert};
 pub use headerless::HeaderlessLayout;
@@ -114,10 +115,15 @@ pub fn write(file: &ScanFile, out: &mut Vec<u8>) -> Result<()> {
             records::join(file, &mut body);
             pcd_compressed::write(&body, fields, *lzf, out)?;
         }
-        Wrapping::PcdAscii(format) => {
+        Wrapping::Text(format) => {
             let mut body = Vec::new();
             records::join(file, &mut body);
-            pcd_ascii::write(&body, format, out)?;
+            text_records::write(&body, format, out)?;
+        }
+        Wrapping::BigEndian { values } => {
+            let start = out.len();
+            records::join(file, out);
+            big_endian::swap(&mut out[start..], values);
         }
     }
     out.extend_from_slice(&file.suffix);

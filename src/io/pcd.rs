@@ -4,7 +4,7 @@
 
 use super::field::{Field, layout_of, next_line};
 use super::records::plain_file;
-use super::{pcd_ascii, pcd_compressed};
+use super::{pcd_compressed, text_records};
 use crate::scan::{Scalar, ScanFile, Wrapping};
 
 /// The three kinds of body.
@@ -38,7 +38,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
             let widths = fields.iter().map(|f| f.width).collect();
             pcd_compressed::parse(layout, widths, bytes, length)
         }
-        Data::Ascii => pcd_ascii::parse(layout, &columns(&fields)?, bytes, length, points),
+        Data::Ascii => text_records::parse(layout, &columns(&fields)?, bytes, length, points),
     }
 }
 

@@ -1,4 +1,4 @@
-//! The body of an `ascii` PCD: one record a line, values between single separators.
+//! Records as text, in an ascii PCD or PLY: one record a line, values between single separators.
 //!
 //! Texts are turned into values only if the values give the texts back. Writers differ in how
 //! they print numbers, so each column's rule is found by trial.
@@ -45,7 +45,7 @@ pub(super) fn parse(
     Some(ScanFile {
         name: String::new(),
         cloud: records::split(&layout, &values),
-        layout: Layout { wrapping: Wrapping::PcdAscii(format), ..layout },
+        layout: Layout { wrapping: Wrapping::Text(format), ..layout },
         prefix: bytes[..start].to_vec(),
         records,
         suffix: rest.to_vec(),
@@ -161,7 +161,7 @@ mod tests {
 
     fn rules(scan: &ScanFile) -> Vec<NumberRule> {
         match &scan.layout.wrapping {
-            Wrapping::PcdAscii(format) => format.columns.iter().map(|c| c.rule).collect(),
+            Wrapping::Text(format) => format.columns.iter().map(|c| c.rule).collect(),
             other => panic!("not text: {other:?}"),
         }
     }
@@ -260,7 +260,7 @@ mod tests {
         let records = extra.len() / size as usize;
         let columns = vec![Column { scalar, rule }];
         let format = TextFormat { crlf: false, tab: false, trailing_separator: false, columns };
-        let wrapping = Wrapping::PcdAscii(format);
+        let wrapping = Wrapping::Text(format);
         let prefix = pcd("v", &size.to_string(), "F", "1", records as u64, "ascii");
         let cloud = PointCloud { extra, ..PointCloud::default() };
         let layout = Layout { wrapping, stride: size, ..Layout::default() };
