@@ -17,6 +17,11 @@ pub(super) struct Field<'a> {
 }
 
 impl Field<'_> {
+    /// How many values it has, if it is of a known type; else 1.
+    pub fn count(&self) -> u32 {
+        self.scalar.map_or(1, |scalar| self.width / scalar.size())
+    }
+
     fn is_single_float32(&self) -> bool {
         self.scalar == Some(Scalar::F32) && self.width == 4
     }

@@ -38,18 +38,8 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
             let widths = fields.iter().map(|f| f.width).collect();
             pcd_compressed::parse(layout, widths, bytes, length)
         }
-        Data::Ascii => text_records::parse(layout, &columns(&fields)?, bytes, length, points),
+        Data::Ascii => text_records::parse(&fields, bytes, length, points),
     }
-}
-
-/// The types of all values of a record; `None` if one is of a size that has no such type.
-fn columns(fields: &[Field]) -> Option<Vec<Scalar>> {
-    let mut columns = Vec::new();
-    for field in fields {
-        let scalar = field.scalar?;
-        columns.extend((0..field.width / scalar.size()).map(|_| scalar));
-    }
-    Some(columns)
 }
 
 impl<'a> Header<'a> {

@@ -28,10 +28,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
             let values = header.fields.iter().map(|field| field.width).collect();
             big_endian::parse(layout, values, bytes, start, header.vertices)
         }
-        Encoding::Ascii => {
-            let scalars: Vec<_> = header.fields.iter().filter_map(|field| field.scalar).collect();
-            text_records::parse(layout, &scalars, bytes, start, header.vertices)
-        }
+        Encoding::Ascii => text_records::parse(&header.fields, bytes, start, header.vertices),
     }
 }
 

@@ -6,7 +6,7 @@ use byteorder::{ByteOrder, LittleEndian};
 
 use crate::io::field::{self, Field};
 use crate::io::{HeaderlessLayout, Kind, pcd, ply};
-use crate::scan::{Scalar, ScanFile};
+use crate::scan::{Layout, Scalar, ScanFile, Wrapping};
 
 /// What the intensity is called in converted files.
 pub const INTENSITY: &str = "intensity";
@@ -57,8 +57,8 @@ pub fn of_scan(scan: &ScanFile) -> Option<Vec<Column>> {
     let (kind, _) = Kind::of(&scan.name)?;
     let columns = match kind {
         Kind::Kitti | Kind::NuScenes => of_headerless(scan, kind),
-        Kind::Pcd => of_fields(&pcd::Header::parse(&scan.prefix)?.fields, scan.layout.stride)?,
-        Kind::Ply => of_fields(&ply::Header::parse(&scan.prefix)?.fields, scan.layout.stride)?,
+        Kind::Pcd => of_fields(&pcd::Header::parse(&scan.prefix)?.fields, &scan.layout)?,
+        Kind::Ply => of_fields(&ply::Header::parse(&scan.prefix)?.fields, &scan.layout)?,
     };
     in_order(columns)
 }
@@ -104,27 +104,42 @@ fn of_headerless(scan: &ScanFile, kind: Kind) -> Vec<Column> {
 
 /// The fields that a header declares; one of several values is as many columns. `None` if they do not
 /// fill a record, as in a damaged stream.
-fn of_fields(fields: &[Field], stride: u32) -> Option<Vec<Column>> {
-    let width: u64 = fields.iter().map(|field| u64::from(field.width)).sum();
-    if width != u64::from(stride) {
+fn of_fields(fields: &[Field], layout: &Layout) -> Option<Vec<Column>> {
+    // What text is kept as need not be what its header says.
+    let text = match &layout.wrapping {
+        Wrapping::Text(format) => Some(&format.columns[..]),
+        _ => None,
+    };
+    let fits = match text {
+        Some(columns) => {
+            let values: u64 = fields.iter().map(|field| u64::from(field.count())).sum();
+            values == columns.len() as u64 && fields.iter().all(|field| field.scalar.is_some())
+        }
+        None => fields.iter().map(|field| u64::from(field.width)).sum::<u64>() == u64::from(layout.stride),
+    };
+    if !fits {
         return None;
     }
+    let mut stored = text.unwrap_or_default().iter().map(|column| column.scalar);
     let intensity = field::find_intensity(fields, |field| field.scalar.is_some());
     let mut columns = Vec::new();
     let mut at = 0;
     for (place, field) in fields.iter().enumerate() {
         let known = POSITION.into_iter().find(|name| field.name.eq_ignore_ascii_case(name));
         let name = if intensity == Some(place) { INTENSITY } else { known.unwrap_or(field.name) };
-        // PCL calls padding "_".
-        if let Some(scalar) = field.scalar.filter(|_| name != "_") {
-            let count = field.width / scalar.size();
-            columns.extend((0..count).map(|value| Column {
-                name: if count == 1 { name.to_owned() } else { format!("{name}_{value}") },
-                scalar,
-                origin: Origin::At(at + (value * scalar.size()) as usize),
-            }));
+        let Some(declared) = field.scalar else {
+            at += field.width as usize;
+            continue;
+        };
+        for value in 0..field.count() {
+            let scalar = stored.next().unwrap_or(declared);
+            // PCL calls padding "_".
+            if name != "_" {
+                let name = if field.count() == 1 { name.to_owned() } else { format!("{name}_{value}") };
+                columns.push(Column { name, scalar, origin: Origin::At(at) });
+            }
+            at += scalar.size() as usize;
         }
-        at += field.width as usize;
     }
     Some(columns)
 }
