@@ -56,7 +56,8 @@ impl FileFormat {
 /// The scan as a file of another format: `to_bytes` of what is returned is that file. Points keep their
 /// order and every bit of their coordinates. x, y and z come first, then the intensity, then the other
 /// fields that have a name, with their types. Bytes without a name, and those around the records, are
-/// left out; numbers of text are float32 if that gives their every digit back; of a file without a header only x, y, z, intensity and nuScenes' ring have a name.
+/// left out; of a file without a header only x, y, z, intensity and nuScenes' ring have a name. Numbers
+/// of text are float32 if that gives their every digit back.
 ///
 /// # Errors
 /// [`Error::Input`], with the scan's name, if it holds no points, or, for [`FileFormat::Bin`], points

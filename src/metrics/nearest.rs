@@ -130,8 +130,8 @@ impl NearestErrors {
     }
 }
 
-/// The distance, in metres, of each decoded point from the nearest original one; `None` if there is none or a
-/// coordinate is NaN or infinite.
+/// The distance, in metres, of each decoded point from the nearest original one; `None` if there is none
+/// or a coordinate is NaN or infinite.
 pub fn nearest_distances(original: &PointCloud, decoded: &PointCloud) -> Vec<Option<f64>> {
     let original = NearestPoints::of(original);
     let of_point = |point| Some(original.as_ref()?.nearest(&finite(point)?).squared.sqrt());

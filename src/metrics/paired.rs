@@ -67,8 +67,8 @@ fn squared_distance(a: &[f32; 3], b: &[f32; 3]) -> Option<f64> {
     finite.then(|| a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum())
 }
 
-/// The distance, in metres, of each decoded point from the original point at its place in the order; `None` if
-/// there is none or a coordinate is NaN or infinite.
+/// The distance, in metres, of each decoded point from the original point at its place in the order;
+/// `None` if there is none or a coordinate is NaN or infinite.
 pub fn paired_distances(original: &PointCloud, decoded: &PointCloud) -> Vec<Option<f64>> {
     let of_point = |(place, point): (usize, &[f32; 3])| {
         squared_distance(original.positions.get(place)?, point).map(f64::sqrt)

@@ -28,8 +28,9 @@ const NORMAL_POINTS: NonZero<usize> = NonZero::<usize>::MIN.saturating_add(15);
 /// the two directions, original to decoded and back, the larger mean counts. The normals of the original
 /// cloud are those of planes through the nearest points, towards the scanner; a decoded point has the mean of
 /// the normals of those original points that it is nearest to, or, if there are none, that of the
-/// original point nearest to it. Points of one place count once; those with a coordinate that is NaN or infinite
-/// do not count. PSNR is of the mean over all frames.
+/// original point nearest to it. Points of one place count once; those with a coordinate that is NaN or
+/// infinite do not count. PSNR is that of the mean of all frames' errors, so that frames without any do not
+/// make it infinite.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryPsnr {
     frames: u64,

@@ -45,7 +45,8 @@ pub const PICTURES: [(Kind, &str); 7] = [
     (Kind::Error, "error, mm"),
 ];
 
-/// What the pictures of a range image show, ready to be drawn. Ranges are in millimetres, whatever the image's steps.
+/// What the pictures of a range image show, ready to be drawn. Ranges are in millimetres, whatever the
+/// image's steps.
 pub struct Pictures {
     occupancy: Grid<bool>,
     ranges: Grid<u32>,

@@ -52,7 +52,8 @@ enum Place {
 }
 
 impl<'a> Header<'a> {
-    /// Reads the header that `bytes` begin with; `None` if it is damaged, has no vertices, or they have lists.
+    /// Reads the header that `bytes` begin with; `None` if it is damaged, has no vertices, or they have
+    /// lists.
     pub fn parse(bytes: &'a [u8]) -> Option<Self> {
         let mut rest = bytes;
         if next_line(&mut rest)? != "ply" {
