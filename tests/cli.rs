@@ -789,6 +789,75 @@ fn a_full_disk_is_the_output_s_fault() {
     }
 }
 
+// ---- formats ----
+
+#[test]
+fn scans_are_converted_as_asked() {
+    let bench = Bench::new();
+    let files = [("1.bin", scan(40, 1)), ("2.bin", scan(5, 2)), ("3.bin", [scan(2, 3), vec![7; 9]].concat())];
+    let files: Files = files.map(|(name, bytes)| (name.to_owned(), bytes)).into();
+    bench.write_files("seq", &files);
+    bench.ok("encode seq -o out.lpc");
+    for format in ["pcd", "ply"] {
+        bench.ok(&format!("decode out.lpc -o {format} --format {format}"));
+        let converted = bench.files(format);
+        let names = ["1", "2", "3"].map(|stem| format!("{stem}.{format}"));
+        assert_eq!(bench.names(format), names);
+        assert!(converted[&names[0]].ends_with(&files["1.bin"]));
+        assert_eq!(
+            bench.ok(&format!("decode out.lpc -o - --frames 0 --format {format}")),
+            converted[&names[0]]
+        );
+        // And back, by way of another stream.
+        bench.ok(&format!("encode {format} -o {format}.lpc"));
+        bench.ok(&format!("decode {format}.lpc -o from-{format} --format bin"));
+        let back = bench.files(&format!("from-{format}"));
+        assert_eq!((&back["1.bin"], &back["2.bin"]), (&files["1.bin"], &files["2.bin"]));
+        assert_eq!(back["3.bin"], scan(2, 3), "without what was behind the points");
+    }
+}
+
+#[test]
+fn what_cannot_be_converted_is_named() {
+    let bench = Bench::encoded();
+    let error = bench.fails("decode out.lpc -o back --format pcd", "damaged.pcd");
+    assert!(error.contains("without --format"), "{error}");
+    let same: Files = [("a.bin", scan(4, 1)), ("a.pcd.bin", scan(5, 1))]
+        .map(|(name, bytes)| (name.to_owned(), bytes))
+        .into();
+    bench.write_files("same", &same);
+    bench.ok("encode same -o same.lpc");
+    let error = bench.fails("decode same.lpc -o back --format ply", "a.pcd.bin");
+    assert!(error.contains("a.ply") && error.contains("a.bin"), "{error}");
+    assert!(!bench.path("back").exists());
+}
+
+#[test]
+fn records_are_what_the_layout_says() {
+    let bench = Bench::new();
+    let record = |n: u32| [n as f32, 7.0, -1.0, 0.5 * n as f32, 3.25, n as f32 + 0.125].map(f32::to_le_bytes);
+    let bytes: Vec<u8> = (0..50).flat_map(|n| record(n).concat()).collect();
+    let cut = bytes[..bytes.len() - 5].to_vec();
+    bench.write_files("seq", &Files::from([("1.bin".to_owned(), bytes.clone()), ("2.bin".to_owned(), cut)]));
+    bench.ok("encode seq -o out.lpc --layout t_zxyi --verify");
+    assert_eq!(bench.json("info out.lpc --json")["points"], 50 + 49);
+    bench.ok("verify out.lpc --against seq");
+    bench.ok("decode out.lpc -o back --format bin");
+    let expected = (0..50).flat_map(|n| {
+        let [_, _, z, x, y, i] = record(n);
+        [x, y, z, i].concat()
+    });
+    assert_eq!(bench.files("back")["1.bin"], expected.collect::<Vec<u8>>());
+
+    // The originals are measured as they were coded: this x would be an intensity in KITTI's layout.
+    let mut moved = bytes;
+    moved[12..16].copy_from_slice(&2f32.to_le_bytes());
+    fs::write(bench.path("seq/1.bin"), moved).unwrap();
+    let against = bench.json("stats out.lpc --against seq --json")["against"].clone();
+    assert_eq!((&against["max_error_m"], &against["lost_points"]), (&2.0.into(), &0.into()));
+    bench.command("encode seq -o no.lpc --layout xyq").assert().code(2);
+}
+
 // ---- synthetic drives ----
 
 /// A drive of two scans, in `drive`.
@@ -823,6 +892,18 @@ fn paper_mode_says_what_it_lost() {
     assert_eq!(counts[0] - counts[1] - counts[2], info["points"].as_u64().unwrap());
     let rmse = stats["against"]["decoded_to_original_rmse_m"].as_f64().unwrap();
     assert!((0.001..0.5).contains(&rmse), "{stats}");
+    assert!(stats["against"].get("psnr").is_none());
+
+    let psnr = bench.json("stats p.lpc --against drive --psnr --json")["against"]["psnr"].clone();
+    let [d1, d2] = ["d1_db", "d2_db"].map(|name| psnr[name].as_f64().unwrap());
+    // 3 p^2 / d^2 is 40 dB for errors of 1 m, 100 dB for 1 mm; planes forgive errors along them.
+    assert!(40.0 < d1 && d1 < d2 && d2 < 100.0, "{psnr}");
+    assert_eq!((&psnr["peak_m"], &psnr["lossless"]), (&59.7.into(), &false.into()));
+    let text = String::from_utf8(bench.ok("stats p.lpc --against drive --psnr")).unwrap();
+    assert!(text.contains("D2 PSNR") && text.contains("peak 59.70 m"), "{text}");
+    bench.ok("encode drive -o e.lpc");
+    let psnr = bench.json("stats e.lpc --against drive --psnr --json")["against"]["psnr"].clone();
+    assert_eq!((&psnr["lossless"], &psnr["d1_db"]), (&true.into(), &Value::Null));
 
     bench.ok("encode drive -o n.lpc --mode paper --predict none --no-snake --keep-outliers --packing varint");
     let frame = bench.json("info n.lpc --json")["frames"][0].clone();
@@ -884,13 +965,17 @@ fn frames_are_drawn() {
         assert!(picture.starts_with(png), "{what}");
         picture
     };
-    let all = ["range", "occupancy", "labels", "regions", "prediction", "residual", "birds-eye", "all"]
-        .map(|kind| draw(&format!("p.lpc --kind {kind} --frame 1")));
+    let kinds = ["range", "occupancy", "labels", "regions", "prediction", "residual", "birds-eye", "error"];
+    let all = kinds.map(|kind| draw(&format!("p.lpc --kind {kind} --frame 1 --against drive")));
     for (place, picture) in all.iter().enumerate() {
         assert!(!all[..place].contains(picture), "two kinds look alike");
     }
-    assert_eq!(draw("drive --mode paper --columns 300 --frame 1"), all[7]);
-    assert_ne!(draw("p.lpc --frame 1 --scale 2"), all[7]);
+    let together = draw("p.lpc --frame 1 --against drive");
+    assert_eq!(draw("drive --mode paper --columns 300 --frame 1"), together);
+    assert_eq!(draw("drive --mode paper --columns 300 --frame 1 --kind error"), all[7]);
+    assert_ne!(draw("p.lpc --frame 1"), together, "the errors are not known");
+    assert_ne!(draw("p.lpc --frame 1 --against drive --scale 2"), together);
+    assert!(bench.fails("view p.lpc --kind error -o new.png", "0000000000.bin").contains("--against"));
     assert!(bench.ok("view p.lpc --kind range -o -").starts_with(png));
     assert!(bench.fails("view p.lpc --frame 2 -o new.png", "p.lpc").contains("only frames 0 to 1"));
     assert!(bench.fails("view drive --frame 2 -o new.png", "drive").contains("only frames 0 to 1"));

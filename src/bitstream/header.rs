@@ -10,11 +10,8 @@ use crate::error::{Error, Result};
 /// The first four bytes of every stream; the first is no ASCII, so that nobody takes it for text.
 pub const MAGIC: [u8; 4] = *b"\x89LPC";
 
-/// The newest version that this program reads.
+/// The newest version that this program reads, and the one that it writes.
 pub const NEWEST_VERSION: u16 = 2;
-
-/// The version of streams whose frames have sections of the first nine kinds only.
-pub const FIRST_VERSION: u16 = 1;
 
 /// Bytes of the stream header. This layout stays the same in every later version.
 pub const HEADER_LENGTH: usize = 12;
@@ -33,7 +30,7 @@ pub struct StreamHeader {
 
 impl Default for StreamHeader {
     fn default() -> Self {
-        StreamHeader { version: FIRST_VERSION, flags: 0 }
+        StreamHeader { version: NEWEST_VERSION, flags: 0 }
     }
 }
 

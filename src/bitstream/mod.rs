@@ -15,7 +15,7 @@ mod record;
 mod wire;
 
 pub use group::{Frame, FrameHeader, Group};
-pub use header::{FIRST_VERSION, MAGIC, NEWEST_VERSION, StreamHeader};
+pub use header::{MAGIC, NEWEST_VERSION, StreamHeader};
 pub use index::{GroupEntry, Index, SensorModelEntry};
 pub use reader::{IndexedReader, Record, StreamReader};
 pub use section::{Section, SectionKind};

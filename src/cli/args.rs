@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Parser, Subcommand};
+use clap::{Parser, Subcommand, ValueEnum};
 use lidarpc::codec::FrameRange;
 use lidarpc::synth::SynthConfig;
 
@@ -102,7 +102,19 @@ Examples:
   lidarpc decode drive.lpc -o drive/
   lidarpc decode drive.lpc -o part/ --frames 10..20     frames 10 to 19, the first being 0
   lidarpc decode drive.lpc -o - --frames 5 > frame5.bin
+  lidarpc decode drive.lpc -o clouds/ --format pcd      as other programs read them
   ssh host 'cat drive.lpc' | lidarpc decode - -o drive/";
+
+/// What scans are converted to.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum FormatArg {
+    /// KITTI's: float32 x, y, z, intensity; intensity is 0 if there is none.
+    Bin,
+    /// Binary PCD, for PCL.
+    Pcd,
+    /// Binary little-endian PLY.
+    Ply,
+}
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = DECODE_EXAMPLES)]
@@ -116,6 +128,10 @@ pub struct DecodeArgs {
     /// Frames to decode, the first being 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
     #[arg(long, value_name = "RANGE")]
     pub frames: Option<FrameRange>,
+    /// Convert the scans, whatever they were. Coordinates keep every bit; fields without a name and other
+    /// bytes of the files are left out.
+    #[arg(long, value_enum)]
+    pub format: Option<FormatArg>,
     #[command(flatten)]
     pub threads: Threads,
     /// Overwrite scans that exist.
@@ -126,7 +142,8 @@ pub struct DecodeArgs {
 const STATS_NOTES: &str = "\
 Ratio is coded size / original size. RMSE and max error are 3-D distances in metres between points
 paired by their order. 'container' is all that is not the payload of a section or sensor model:
-headers, names, lengths, checksums and the index. The bytes add up to the file's size.";
+headers, names, lengths, checksums and the index. The bytes add up to the file's size. D1 and D2 PSNR are
+10 log10(3 p^2 / MSE) with p = 59.70 m, MSE that of the worse direction, as mpeg-pcc-dmetric computes them.";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = STATS_NOTES)]
@@ -141,6 +158,9 @@ pub struct StatsArgs {
     /// Decode, and measure the error against these original scans.
     #[arg(long, value_name = "FOLDER", num_args = 1)]
     pub against: Vec<PathBuf>,
+    /// Measure PSNR too, point to point (D1) and point to plane (D2), as MPEG does.
+    #[arg(long, requires = "against")]
+    pub psnr: bool,
     /// Decode, and write the scanner's way to this file: a line a frame, 12 numbers, the rows of the 3 x 4
     /// matrix that takes its points (metres, axes of the scanner) to where the first frame has them,
     /// as KITTI's poses. It is what registration of one frame with the next adds up to, not ground truth.
@@ -231,6 +251,7 @@ const VIEW_EXAMPLES: &str = "\
 Examples:
   lidarpc view drive.lpc -o frame.png
   lidarpc view drive/ --mode paper --frame 7 --kind labels -o labels.png
+  lidarpc view drive.lpc --against drive/ --kind error -o error.png
   lidarpc view drive.lpc --kind birds-eye -o above.png";
 
 #[derive(Debug, clap::Args)]
@@ -249,6 +270,9 @@ pub struct ViewArgs {
     /// What to draw.
     #[arg(long, value_enum, default_value = "all")]
     pub kind: Kind,
+    /// The original scans, for the error; needed for a stream only.
+    #[arg(long, value_name = "FOLDER", num_args = 1)]
+    pub against: Vec<PathBuf>,
     /// Pixels that a column of the range image is wide, and a quarter of what a row is high. Default:
     /// as makes the picture about 1500 pixels wide.
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(1..=16))]

@@ -6,7 +6,7 @@ use anyhow::Result;
 use lidarpc::backend::BACKENDS;
 use lidarpc::bench::{Figure13, Figure13Bench, Sizes};
 use lidarpc::codec::{EncoderConfig, FrameInput};
-use lidarpc::io::parse;
+use lidarpc::io::parse_with;
 use lidarpc::io::sequence::find_frames;
 use lidarpc::metrics;
 use serde::Serialize;
@@ -62,7 +62,7 @@ fn measure(args: &BenchArgs, config: &EncoderConfig, quiet: bool) -> Result<Figu
     for frame in frames.into_iter().map(FrameInput::File) {
         let bytes = frame.read()?;
         let size = bytes.len() as u64;
-        bench.add(&parse(frame.name()?, bytes).cloud, size)?;
+        bench.add(&parse_with(frame.name()?, bytes, config.headerless.as_ref()).cloud, size)?;
         bar.inc(1);
     }
     bar.finish_and_clear();

@@ -35,7 +35,7 @@ pub fn run(args: &CatArgs, quiet: bool) -> Result<()> {
 }
 
 fn write_stream(inputs: Vec<Piece>, output: &mut FileOutput) -> error::Result<Joined> {
-    let header = inputs.iter().map(|piece| piece.header).fold(StreamHeader::default(), StreamHeader::joined);
+    let header = inputs.iter().map(|piece| piece.header).reduce(StreamHeader::joined).unwrap_or_default();
     let mut writer = output.writer();
     let joined = codec::cat(&header, inputs.into_iter().map(Piece::stream), &mut writer)?;
     writer.flush()?;

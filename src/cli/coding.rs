@@ -7,6 +7,7 @@ use lidarpc::codec::{
     Coder, EncoderConfig, FrameOrder, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind,
 };
 use lidarpc::error::{Error, Result};
+use lidarpc::io::HeaderlessLayout;
 use lidarpc::registration::RegistrationMethod;
 use lidarpc::residual::Packing;
 use lidarpc::sensor::FLOAT_RANGES;
@@ -53,6 +54,10 @@ pub struct CodingArgs {
     #[arg(long, value_name = "FRAMES", default_value_t = default_gop(),
           value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub gop: u32,
+    /// What a record of a file without a header (.bin) holds, a letter for each float32: x, y, z,
+    /// i(ntensity), r(ing), t(ime), _ for another. Default: xyzi, and xyzir for .pcd.bin.
+    #[arg(long, value_name = "LETTERS")]
+    pub layout: Option<HeaderlessLayout>,
     /// Paper mode: the range image to keep; the calibrated one loses no point.
     #[arg(long, value_enum, value_name = "KIND", help_heading = "Paper mode")]
     pub projection: Option<ProjectionArg>,
@@ -210,6 +215,7 @@ impl CodingArgs {
         }
         config.gop = self.gop as usize;
         config.threads = threads;
+        config.headerless = self.layout.clone();
         self.choose_coder(&mut config)?;
         self.choose_image(&mut config)?;
         self.choose_outliers(&mut config);

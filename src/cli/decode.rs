@@ -1,13 +1,15 @@
 //! `lidarpc decode`
 
+use std::collections::HashMap;
 use std::io::{self, Write};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use lidarpc::codec::{DecodeOptions, DecodedFrame};
 use lidarpc::error::Error;
+use lidarpc::io::{FileFormat, convert};
 
-use super::args::DecodeArgs;
+use super::args::{DecodeArgs, FormatArg};
 use super::errors::about;
 use super::input::{Input, is_dash, name_of, open};
 use super::output::FolderOutput;
@@ -19,18 +21,21 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let options = DecodeOptions {
         threads: args.threads.threads,
         frames: args.frames.unwrap_or_default(),
+        scans: args.format.is_some(),
         ..DecodeOptions::default()
     };
+    let mut converter = Converter::new(args.format);
     if is_dash(&args.output) {
-        return to_stdout(args, input, &options);
+        return to_stdout(args, input, &options, converter);
     }
     let mut folder = FolderOutput::create(&args.output, args.force)?;
     let bar = progress::bar(None, "decoding", quiet);
     let mut bytes = 0;
     let decoded = input.decode(&options, |frame| {
         bar.inc(1);
-        bytes += frame.bytes.len() as u64;
-        folder.write(&frame.header.name, &frame.bytes)
+        let file = converter.file(frame)?;
+        bytes += file.bytes.len() as u64;
+        folder.write(&file.name, &file.bytes)
     });
     bar.finish_and_clear();
     decoded.map_err(|error| about(error, &name_of(&args.input)))?;
@@ -43,7 +48,12 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
 }
 
 /// Writes the one frame that was asked for to stdout.
-fn to_stdout(args: &DecodeArgs, input: Input, options: &DecodeOptions) -> Result<()> {
+fn to_stdout(
+    args: &DecodeArgs,
+    input: Input,
+    options: &DecodeOptions,
+    mut converter: Converter,
+) -> Result<()> {
     let mut only: Option<DecodedFrame> = None;
     let decoded = input.decode(options, |frame| match only.replace(frame) {
         None => Ok(()),
@@ -53,6 +63,46 @@ fn to_stdout(args: &DecodeArgs, input: Input, options: &DecodeOptions) -> Result
     });
     decoded.map_err(|error| about(error, &name_of(&args.input)))?;
     let Some(frame) = only else { bail!("{}: holds no frame", name_of(&args.input)) };
+    let file = converter.file(frame)?;
     let mut stdout = io::stdout().lock();
-    stdout.write_all(&frame.bytes).and_then(|()| stdout.flush()).context("stdout")
+    stdout.write_all(&file.bytes).and_then(|()| stdout.flush()).context("stdout")
+}
+
+/// A file to write.
+struct File {
+    name: String,
+    bytes: Vec<u8>,
+}
+
+/// Makes files of frames: as they were, or in another format.
+struct Converter {
+    format: Option<FileFormat>,
+    /// The frames' own names, by those of the converted files.
+    names: HashMap<String, String>,
+}
+
+impl Converter {
+    fn new(format: Option<FormatArg>) -> Self {
+        let format = format.map(|format| match format {
+            FormatArg::Bin => FileFormat::Bin,
+            FormatArg::Pcd => FileFormat::Pcd,
+            FormatArg::Ply => FileFormat::Ply,
+        });
+        Converter { format, names: HashMap::new() }
+    }
+
+    /// # Errors
+    /// If the frame cannot be converted, or another one has got the name that it would get.
+    fn file(&mut self, frame: DecodedFrame) -> lidarpc::error::Result<File> {
+        let DecodedFrame { header, bytes, scan, .. } = frame;
+        let (Some(format), Some(scan)) = (self.format, scan) else {
+            return Ok(File { name: header.name, bytes });
+        };
+        let converted = convert(&scan, format)?;
+        if let Some(other) = self.names.insert(converted.name.clone(), header.name.clone()) {
+            let what = format!("becomes {}, as {other} does; decode them apart, by --frames", converted.name);
+            return Err(Error::Input { path: header.name.into(), what });
+        }
+        Ok(File { bytes: converted.to_bytes()?, name: converted.name })
+    }
 }

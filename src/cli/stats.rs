@@ -1,18 +1,21 @@
 //! `lidarpc stats`
 
+mod comparison;
+
 use std::io::{self, BufReader, Read, Seek, Write};
 
 use anyhow::Result;
 use lidarpc::bitstream::{Record, SectionKind, StreamReader};
-use lidarpc::codec::{self, DecodeOptions, Source};
+use lidarpc::codec::Source;
 use lidarpc::error::Limits;
-use lidarpc::metrics::{self, NearestErrors, PointErrors};
+use lidarpc::metrics;
 use serde::Serialize;
 
 use super::args::StatsArgs;
 use super::errors::about;
 use super::input::{Input, Originals, name_of, open};
-use super::{poses, progress, steps, table};
+use super::{poses, steps, table};
+use comparison::{Against, compare};
 
 /// All that is reported.
 #[derive(Serialize)]
@@ -43,25 +46,6 @@ struct Part {
     name: &'static str,
     bytes: u64,
     bits_per_point: Option<f64>,
-}
-
-/// The comparison with the originals.
-#[derive(Default, Serialize)]
-struct Against {
-    identical_files: u64,
-    differing_files: u64,
-    /// Points paired by their order in the file.
-    rmse_m: Option<f64>,
-    max_error_m: Option<f64>,
-    /// Point to point, where the order has changed: from each decoded point to the nearest original.
-    decoded_to_original_rmse_m: Option<f64>,
-    decoded_to_original_max_m: Option<f64>,
-    /// From each original point, dropped ones included, to the nearest decoded one.
-    original_to_decoded_rmse_m: Option<f64>,
-    original_to_decoded_max_m: Option<f64>,
-    lost_points: u64,
-    added_points: u64,
-    non_finite_changed: u64,
 }
 
 pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
@@ -139,50 +123,6 @@ fn measure(input: impl Read) -> lidarpc::error::Result<Stats> {
     })
 }
 
-/// Decodes all frames and measures how far they are from the originals.
-fn compare(
-    args: &StatsArgs,
-    input: impl Read,
-    mut originals: Originals,
-    frames: u64,
-    quiet: bool,
-) -> lidarpc::error::Result<Against> {
-    let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
-    let bar = progress::bar(Some(frames), "comparing", quiet);
-    let (mut errors, mut against) = (PointErrors::default(), Against::default());
-    let (mut forward, mut backward) = (NearestErrors::default(), NearestErrors::default());
-    let compared = codec::decode(BufReader::new(input), &options, |frame| {
-        bar.inc(1);
-        let name = &frame.header.name;
-        let original = originals.take(name)?;
-        if original == frame.bytes {
-            against.identical_files += 1;
-        } else {
-            against.differing_files += 1;
-        }
-        let (original, decoded) = (lidarpc::io::parse(name, original), lidarpc::io::parse(name, frame.bytes));
-        if frame.in_order {
-            errors.add(&original.cloud, &decoded.cloud);
-        } else {
-            forward.add(&decoded.cloud, &original.cloud);
-            backward.add(&original.cloud, &decoded.cloud);
-        }
-        Ok(())
-    });
-    bar.finish_and_clear();
-    compared?;
-    against.rmse_m = errors.rmse();
-    against.max_error_m = errors.max();
-    against.decoded_to_original_rmse_m = forward.rmse();
-    against.decoded_to_original_max_m = forward.max();
-    against.original_to_decoded_rmse_m = backward.rmse();
-    against.original_to_decoded_max_m = backward.max();
-    against.lost_points = errors.lost;
-    against.added_points = errors.added;
-    against.non_finite_changed = errors.non_finite_changed;
-    Ok(against)
-}
-
 fn print(stats: &Stats, out: &mut impl Write) -> io::Result<()> {
     let (frames, points) = (table::count(stats.frames, "frame"), table::count(stats.points, "point"));
     writeln!(out, "{frames} in {}, {points}", table::count(stats.groups, "group"))?;
@@ -197,7 +137,7 @@ fn print(stats: &Stats, out: &mut impl Write) -> io::Result<()> {
         }
     }
     if let Some(against) = &stats.against {
-        print_against(against, out)?;
+        against.print(out)?;
     }
     writeln!(out)?;
     writeln!(out, "{:<12} {:>14} {:>9} {:>12}", "section", "bytes", "share", "bits a point")?;
@@ -208,30 +148,4 @@ fn print(stats: &Stats, out: &mut impl Write) -> io::Result<()> {
     }
     let bits = table::decimals(stats.bits_per_point);
     writeln!(out, "{:<12} {:>14} {:>9} {bits:>12}", "total", stats.stream_bytes, "100.00 %")
-}
-
-fn print_against(against: &Against, out: &mut impl Write) -> io::Result<()> {
-    let metres = |error: Option<f64>| error.map_or_else(|| "-".to_owned(), |error| format!("{error:.6}"));
-    let files = against.identical_files + against.differing_files;
-    for (name, rmse, max) in [
-        ("", against.rmse_m, against.max_error_m),
-        (" to original", against.decoded_to_original_rmse_m, against.decoded_to_original_max_m),
-        (" to decoded", against.original_to_decoded_rmse_m, against.original_to_decoded_max_m),
-    ] {
-        if rmse.is_some() {
-            writeln!(out, "RMSE{name:<12} {:>10} m", metres(rmse))?;
-            writeln!(out, "max error{name:<12} {:>5} m", metres(max))?;
-        }
-    }
-    writeln!(out, "identical    {:>14} of {}", against.identical_files, table::count(files, "file"))?;
-    for (name, count) in [
-        ("lost points", against.lost_points),
-        ("added points", against.added_points),
-        ("NaN changed", against.non_finite_changed),
-    ] {
-        if count > 0 {
-            writeln!(out, "{name:<12} {count:>14}")?;
-        }
-    }
-    Ok(())
 }

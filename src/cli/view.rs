@@ -7,13 +7,14 @@ use std::io::{Cursor, Read, Seek, Write};
 use anyhow::{Context, Result};
 use lidarpc::codec::{self, DecodeOptions, DecodedFrame, EncoderConfig, FrameInput, FrameRange};
 use lidarpc::error::Error;
-use lidarpc::io::parse;
+use lidarpc::io::parse_like;
 use lidarpc::io::sequence::find_frames;
+use lidarpc::metrics::{nearest_distances, paired_distances};
 use lidarpc::picture::{self, BirdsEye, Picture};
 
 use super::args::{Threads, ViewArgs};
 use super::errors::about;
-use super::input::{name_of, open};
+use super::input::{Originals, name_of, open};
 use super::output::FileOutput;
 use super::{coding, in_memory};
 
@@ -22,7 +23,7 @@ use pictures::{PICTURES, Pictures};
 
 pub fn run(args: &ViewArgs) -> Result<()> {
     let config = coding::config(&args.coding, &Threads { threads: 1 });
-    let picture = draw(args, decode(args, &config)?, &config)?;
+    let picture = draw(args, &decode(args, &config)?, &config)?;
     let mut output = FileOutput::create(&args.output, args.force)?;
     let mut writer = output.writer();
     writer.write_all(&picture.to_png()?)?;
@@ -32,25 +33,35 @@ pub fn run(args: &ViewArgs) -> Result<()> {
     Ok(())
 }
 
+/// A frame, and the file that it was made from, if that is known.
+struct Compared {
+    frame: DecodedFrame,
+    original: Option<Vec<u8>>,
+}
+
 /// The frame that is asked for.
-fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<DecodedFrame> {
+fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<Compared> {
     let name = name_of(&args.input);
     let only = |number: u64| FrameRange { start: number, end: number.checked_add(1) };
-    let frame = if in_memory::is_stream(&args.input) {
+    let (frame, mut original) = if in_memory::is_stream(&args.input) {
         let stream = open(&args.input)?.rewindable().map_err(|error| about(error, &name))?;
-        decode_one(stream, only(args.frame))
+        (decode_one(stream, only(args.frame)), None)
     } else {
         let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
         only(args.frame).check(frames.len() as u64).map_err(|error| about(error, &name))?;
         let frame = frames.into_iter().nth(args.frame as usize).map(FrameInput::File);
         let (_, stream) = in_memory::encode(frame.as_slice(), config, true)?;
-        decode_one(Cursor::new(stream), only(0))
+        (decode_one(Cursor::new(stream), only(0)), frame.map(|frame| frame.read()).transpose()?)
     };
-    frame.map_err(|error| about(error, &name))
+    let frame = frame.map_err(|error| about(error, &name))?;
+    if !args.against.is_empty() {
+        original = Some(Originals::find(&args.against)?.take(&frame.header.name)?);
+    }
+    Ok(Compared { frame, original })
 }
 
 fn decode_one(stream: impl Read + Seek, frames: FrameRange) -> lidarpc::error::Result<DecodedFrame> {
-    let options = DecodeOptions { frames, images: true, ..DecodeOptions::default() };
+    let options = DecodeOptions { frames, images: true, scans: true, ..DecodeOptions::default() };
     let mut found = None;
     codec::decode_indexed(stream, &options, |frame| {
         found = Some(frame);
@@ -59,16 +70,30 @@ fn decode_one(stream: impl Read + Seek, frames: FrameRange) -> lidarpc::error::R
     found.ok_or_else(|| Error::corrupt("the frame is missing"))
 }
 
-fn draw(args: &ViewArgs, frame: DecodedFrame, config: &EncoderConfig) -> Result<Picture> {
+impl Compared {
+    /// The distance of each point of the file from the original, in metres, if that is known.
+    fn errors(&self) -> Option<Vec<Option<f64>>> {
+        let decoded = self.frame.scan.as_ref()?;
+        let original = parse_like(decoded, &decoded.name, self.original.clone()?);
+        let measure = if self.frame.in_order { paired_distances } else { nearest_distances };
+        Some(measure(&original.cloud, &decoded.cloud))
+    }
+}
+
+fn draw(args: &ViewArgs, compared: &Compared, config: &EncoderConfig) -> Result<Picture> {
+    let frame = &compared.frame;
     if args.kind == Kind::BirdsEye {
-        let points = parse(&frame.header.name, frame.bytes).cloud.positions;
-        return Ok(BirdsEye::default().draw(&points));
+        let points = frame.scan.as_ref().map(|scan| &scan.cloud.positions[..]);
+        return Ok(BirdsEye::default().draw(points.unwrap_or_default()));
     }
-    let none = || format!("{}: has no range image; --kind birds-eye shows its points", frame.header.name);
-    let pictures = Pictures::of(frame.image.as_ref().with_context(none)?, config, args.scale);
+    let name = &frame.header.name;
+    let none = || format!("{name}: has no range image; --kind birds-eye shows its points");
+    let image = frame.image.as_ref().with_context(none)?;
+    let pictures = Pictures::of(image, compared.errors().as_deref(), config, args.scale);
     if args.kind != Kind::All {
-        return Ok(pictures.draw(args.kind));
+        let unknown = || format!("{name}: the original is not known; give it by --against FOLDER");
+        return pictures.draw(args.kind).with_context(unknown);
     }
-    let titled: Vec<_> = PICTURES.iter().map(|&(kind, title)| (title, pictures.draw(kind))).collect();
-    Ok(picture::stack(&titled))
+    let titled = PICTURES.iter().filter_map(|&(kind, title)| Some((title, pictures.draw(kind)?)));
+    Ok(picture::stack(&titled.collect::<Vec<_>>()))
 }

@@ -4,8 +4,8 @@ use std::thread;
 
 use super::parameters::{FrameParameters, Intensity, MOST_MAX_ERROR_UM, Positions, Prediction, RangeCoder};
 use crate::backend::{self, Backend, Level};
-use crate::bitstream::{FIRST_VERSION, NEWEST_VERSION, StreamHeader};
 use crate::error::{Error, Result};
+use crate::io::HeaderlessLayout;
 use crate::outlier::RadiusOutlier;
 use crate::prediction::intra::{IntraConfig, RegionModels};
 use crate::registration::{QuantisedPose, RegistrationConfig};
@@ -95,6 +95,9 @@ pub struct EncoderConfig {
     /// Points with few neighbours are dropped (equation 1). Default: none are; in paper mode those
     /// with fewer than 2 within 0.38 m.
     pub outliers: Option<RadiusOutlier>,
+    /// What the records of files without a header hold. Default: what KITTI's and nuScenes' do, by
+    /// the extension.
+    pub headerless: Option<HeaderlessLayout>,
     /// Which range image is coded (equation 2). Default: calibrated; in paper mode ideal, 2000
     /// columns and steps of 1 mm.
     pub projection: ProjectionKind,
@@ -140,6 +143,7 @@ impl EncoderConfig {
         let exact = EncoderConfig {
             gop: 10,
             threads: 0,
+            headerless: None,
             outliers: None,
             projection: ProjectionKind::CALIBRATED,
             positions: Positions::Exact,
@@ -234,14 +238,6 @@ impl EncoderConfig {
             },
             source: None,
         })
-    }
-
-    /// The header of the stream: the first version if it is enough.
-    pub(super) fn stream_header(&self) -> Result<StreamHeader> {
-        let is_default = self.frame_parameters()? == FrameParameters::default();
-        let is_inter = (0..self.gop).take(2).any(|frame| self.allows_inter(frame));
-        let version = if is_default && !is_inter { FIRST_VERSION } else { NEWEST_VERSION };
-        Ok(StreamHeader { version, ..StreamHeader::default() })
     }
 
     /// Checks that all settings are in range and fit together.

@@ -11,6 +11,7 @@ use super::source::{GroupJob, IndexedGroups, StreamedGroups};
 use super::steps::StepReport;
 use crate::bitstream::{Frame, FrameHeader, IndexedReader, StreamReader};
 use crate::error::{Error, Result};
+use crate::scan::ScanFile;
 
 /// One decoded file, its size and checksum verified.
 #[derive(Clone, Debug)]
@@ -21,6 +22,8 @@ pub struct DecodedFrame {
     pub header: FrameHeader,
     /// The file's bytes.
     pub bytes: Vec<u8>,
+    /// The same file taken apart, if that was asked for.
+    pub scan: Option<ScanFile>,
     /// What the file was before, if it is not given back exactly.
     pub source: Option<Source>,
     /// Whether it holds the points of the file before, and in their order.
@@ -90,32 +93,31 @@ fn decode_group(job: GroupJob, options: &DecodeOptions) -> Result<Vec<DecodedFra
             break;
         }
         let part = part_name(number, &frame.header.name);
-        if let Some(frame) =
-            decode_frame(&mut coder, number, frame, range.contains(number)).map_err(|e| e.within(&part))?
-        {
+        if let Some(frame) = decode_frame(&mut coder, number, frame, options).map_err(|e| e.within(&part))? {
             decoded.push(frame);
         }
     }
     Ok(decoded)
 }
 
-/// Decodes one frame; returns its file if `wanted` (the frames before it are needed for their sake).
+/// Decodes one frame; returns its file if it is asked for (those before it are needed for its sake).
 fn decode_frame(
     coder: &mut GroupDecoder<'_>,
     number: u64,
     frame: Frame,
-    wanted: bool,
+    options: &DecodeOptions,
 ) -> Result<Option<DecodedFrame>> {
     let header = frame.header;
     let mut steps = StepReport::default();
     let DecodedScan { scan, source, in_order, image } =
         coder.decode_frame(&header, &frame.sections, &mut steps)?;
-    if !wanted {
+    if !options.frames.contains(number) {
         return Ok(None);
     }
     let bytes = scan.to_bytes()?;
     check_file(&header, &bytes)?;
-    Ok(Some(DecodedFrame { number, header, bytes, source, in_order, image, steps }))
+    let scan = options.scans.then_some(scan);
+    Ok(Some(DecodedFrame { number, header, bytes, scan, source, in_order, image, steps }))
 }
 
 /// What errors call a frame.

@@ -9,10 +9,10 @@ use super::config::{EncoderConfig, ProjectionKind, resolve_threads};
 use super::group::GroupEncoder;
 use super::ordered::run_ordered;
 use super::steps::StepReport;
-use crate::bitstream::{Frame, FrameHeader, Group, StreamWriter};
+use crate::bitstream::{Frame, FrameHeader, Group, StreamHeader, StreamWriter};
 use crate::error::{Error, Limits, Result};
-use crate::io::parse;
 use crate::io::sequence::is_safe_name;
+use crate::io::{HeaderlessLayout, parse_with};
 use crate::scan::ScanFile;
 use crate::sensor::{self, SensorModel};
 
@@ -75,12 +75,12 @@ pub fn encode<W: Write>(
     config.check()?;
     let sensor = match config.projection {
         ProjectionKind::Calibrated { range_step_um } => {
-            let fitted = sensor::fit(&sample(frames)?);
+            let fitted = sensor::fit(&sample(frames, config)?);
             fitted.map(|sensor| range_step_um.into_iter().fold(sensor, SensorModel::with_range_step))
         }
         ProjectionKind::Ideal { columns, range_step_um } => Some(sensor::ideal(columns, range_step_um)),
     };
-    let mut writer = StreamWriter::create(out, &config.stream_header()?)?;
+    let mut writer = StreamWriter::create(out, &StreamHeader::default())?;
     let sensor_number = write_sensor_model(&mut writer, sensor.as_ref())?;
     let coder = SequenceCoder { sensor: sensor.as_ref(), sensor_number, config, on_frame };
 
@@ -101,11 +101,11 @@ pub fn encode<W: Write>(
 }
 
 /// The frames that the sensor model is fitted to, spread over the sequence.
-fn sample(frames: &[FrameInput]) -> Result<Vec<ScanFile>> {
+fn sample(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>> {
     let mut sample = Vec::new();
     for frame in sample_places(frames.len()).map(|place| &frames[place]) {
         if frame.size()? <= SAMPLE_FILE_BYTES {
-            sample.push(parse(frame.name()?, frame.read()?));
+            sample.push(parse_with(frame.name()?, frame.read()?, config.headerless.as_ref()));
         }
     }
     Ok(sample)
@@ -161,6 +161,7 @@ struct EncodedGroup {
 
 /// A group that is being encoded.
 struct OpenGroup<'s> {
+    headerless: Option<&'s HeaderlessLayout>,
     coder: GroupEncoder<'s>,
     encoded: EncodedGroup,
 }
@@ -169,6 +170,7 @@ impl<'s> OpenGroup<'s> {
     fn new(sequence: &SequenceCoder<'s>) -> Self {
         let group = Group { sensor_model: sequence.sensor_number, frames: Vec::new() };
         OpenGroup {
+            headerless: sequence.config.headerless.as_ref(),
             coder: GroupEncoder::new(sequence.sensor, sequence.config),
             encoded: EncodedGroup { group, steps: StepReport::default(), points: 0 },
         }
@@ -181,7 +183,7 @@ impl<'s> OpenGroup<'s> {
 
     fn encode_frame(&mut self, name: &str, bytes: Vec<u8>) -> Result<()> {
         let mut original = FrameHeader::of(name, &bytes, 0);
-        let scan = within_limits(parse(name, bytes))?;
+        let scan = within_limits(parse_with(name, bytes, self.headerless))?;
         original.point_count = scan.records as u64;
         self.encoded.points += original.point_count;
         let frame = self.coder.encode_frame(&scan, original)?;

@@ -234,6 +234,20 @@ impl Frame {
         self.extra.clone_from(&cloud.extra);
     }
 
+    /// Which point of the file each cell holds.
+    ///
+    /// # Errors
+    /// If the parts do not fit together.
+    pub fn point_of_cell(&self, returns: &[Return]) -> Result<Grid<Option<u32>>> {
+        let mut points = Grid::new(self.occupancy.rows(), self.occupancy.columns());
+        for (point, element) in (0u32..).zip(self.order.order(returns.len())?) {
+            if let Some(found) = returns.get(element as usize) {
+                points[(found.row as usize, found.column as usize)] = Some(point);
+            }
+        }
+        Ok(points)
+    }
+
     /// Puts the scan together again.
     ///
     /// # Errors

@@ -12,7 +12,8 @@ use super::steps::{Step, StepReport};
 use super::syntax::Models;
 use crate::bitstream::{FrameHeader, Section};
 use crate::error::{Error, Limits, Result};
-use crate::io::parse;
+use crate::grid::Grid;
+use crate::io::parse_like;
 use crate::prediction::intra::IntraPrediction;
 use crate::range_image::{RangeImage, Return};
 use crate::registration::{Pose, QuantisedPose, register};
@@ -64,7 +65,7 @@ impl<'s> GroupEncoder<'s> {
         };
         let before = self.models.clone();
         let (encoded, decoded) = self.encode_as(self.config, scan, original.clone())?;
-        if decoded.is_some_and(|bytes| bound.holds(scan, &parse(&scan.name, bytes))) {
+        if decoded.is_some_and(|bytes| bound.holds(scan, &parse_like(scan, &scan.name, bytes))) {
             return Ok(encoded);
         }
         self.models = before;
@@ -179,6 +180,8 @@ pub struct DecodedImage {
     pub sensor: SensorModel,
     /// The ranges.
     pub image: RangeImage,
+    /// Which point of the file each cell holds, the first being 0.
+    pub point_of_cell: Grid<Option<u32>>,
     /// The regions that they were predicted from; none if they were not.
     pub intra: IntraPrediction,
     /// How the scanner has moved since the frame before, if they were predicted from that.
@@ -222,13 +225,17 @@ impl<'s> GroupDecoder<'s> {
         steps.frames += 1;
         steps.original += source.map_or(header.file_size, |source| source.file_size);
         steps.count_sections(sections);
-        let image = self.sensor.filter(|_| self.keeps_images).map(|sensor| DecodedImage {
-            sensor: sensor.clone(),
-            image: RangeImage { columns: take(&mut frame.columns), steps: take(&mut frame.steps) },
-            intra: take(&mut frame.intra),
-            motion: (frame.parameters.prediction == Prediction::Inter)
-                .then(|| frame.parameters.motion.pose()),
-        });
+        let image = match self.sensor.filter(|_| self.keeps_images) {
+            Some(sensor) => Some(DecodedImage {
+                sensor: sensor.clone(),
+                point_of_cell: frame.point_of_cell(&returns)?,
+                image: RangeImage { columns: take(&mut frame.columns), steps: take(&mut frame.steps) },
+                intra: take(&mut frame.intra),
+                motion: (frame.parameters.prediction == Prediction::Inter)
+                    .then(|| frame.parameters.motion.pose()),
+            }),
+            None => None,
+        };
         let in_order = frame.parameters.positions != Positions::Formula;
         Ok(DecodedScan { scan: frame.into_scan(&header.name, &returns)?, source, in_order, image })
     }

@@ -233,7 +233,7 @@ impl fmt::Display for FrameParameters {
             write!(f, "{} mm", f64::from(max_error_um) / 1000.0)?;
         }
         if let Intensity::Rounded { step_millionths } = self.intensity {
-            write!(f, ", intensities in steps of {}", f64::from(step_millionths) * 1e-6)?;
+            write!(f, ", intensities in steps of {}", f64::from(step_millionths) / 1e6)?;
         }
         f.write_str(match self.prediction {
             Prediction::None => "",

@@ -2,6 +2,9 @@
 
 use crate::scan::{Layout, MAX_STRIDE, Scalar, Wrapping};
 
+/// What writers call intensity, the likeliest first; `scalar_intensity` is CloudCompare's.
+const INTENSITY_NAMES: [&str; 5] = ["intensity", "scalar_intensity", "i", "reflectivity", "reflectance"];
+
 /// One field of a record.
 #[derive(Debug)]
 pub(super) struct Field<'a> {
@@ -14,15 +17,30 @@ pub(super) struct Field<'a> {
 }
 
 impl Field<'_> {
+    /// How many values it has, if it is of a known type; else 1.
+    pub fn count(&self) -> u32 {
+        self.scalar.map_or(1, |scalar| self.width / scalar.size())
+    }
+
     fn is_single_float32(&self) -> bool {
         self.scalar == Some(Scalar::F32) && self.width == 4
     }
 }
 
+/// The field of this name, in any case of letters.
+pub(super) fn find(fields: &[Field], name: &str) -> Option<usize> {
+    fields.iter().position(|field| field.name.eq_ignore_ascii_case(name))
+}
+
+/// The field that holds intensities: that of the likeliest name, of those that `suits` approves.
+pub(super) fn find_intensity(fields: &[Field], suits: impl Fn(&Field) -> bool) -> Option<usize> {
+    INTENSITY_NAMES.iter().find_map(|name| find(fields, name).filter(|&at| suits(&fields[at])))
+}
+
 /// The layout of records with these fields side by side, without gaps: position if x, y and z are
-/// float32, intensity if a field of one of those names (the first that is there, in any case of
-/// letters) is float32. `None` if the records are empty or too long.
-pub(super) fn layout_of(fields: &[Field], intensity_names: &[&str], wrapping: Wrapping) -> Option<Layout> {
+/// float32, intensity if a float32 field has a name for it. `None` if the records are empty or too
+/// long.
+pub(super) fn layout_of(fields: &[Field], wrapping: Wrapping) -> Option<Layout> {
     let mut offsets = Vec::with_capacity(fields.len());
     let mut stride = 0u32;
     for field in fields {
@@ -30,14 +48,14 @@ pub(super) fn layout_of(fields: &[Field], intensity_names: &[&str], wrapping: Wr
         stride = stride.checked_add(field.width).filter(|&s| s <= MAX_STRIDE)?;
     }
     let offset_of = |name: &str| {
-        let at = fields.iter().position(|f| f.name.eq_ignore_ascii_case(name))?;
+        let at = find(fields, name)?;
         fields[at].is_single_float32().then_some(offsets[at])
     };
     let position = match (offset_of("x"), offset_of("y"), offset_of("z")) {
         (Some(x), Some(y), Some(z)) => Some([x, y, z]),
         _ => None,
     };
-    let intensity = intensity_names.iter().find_map(|name| offset_of(name));
+    let intensity = find_intensity(fields, |field| field.is_single_float32()).map(|at| offsets[at]);
     (stride > 0).then_some(Layout { wrapping, stride, position, intensity })
 }
 

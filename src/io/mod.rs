@@ -1,44 +1,92 @@
 //! Files: scans in memory and back, and the frames of an input.
 //!
 //! [`parse`] takes any file, and [`write`](fn@write) gives the same bytes back. A file of an unknown kind,
-//! or one that could not be given back exactly, is kept as it is.
+//! or one that could not be given back exactly, is kept as it is. [`convert()`] makes a file of another
+//! format of a scan.
 
+mod big_endian;
+mod convert;
 mod field;
-mod kitti_bin;
+mod headerless;
 mod lzf;
 mod number;
 mod pcd;
-mod pcd_ascii;
 mod pcd_compressed;
 mod ply;
 mod point_count;
 mod records;
 pub mod sequence;
+mod text_records;
 
+pub use convert::{FileFormat, convert};
+pub use headerless::HeaderlessLayout;
 pub use point_count::with_point_count;
 
 use crate::error::Result;
 use crate::scan::{ScanFile, Wrapping};
 
+/// What the extension of a name says of its file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// `.bin`.
+    Kitti,
+    /// `.pcd.bin`.
+    NuScenes,
+    /// `.pcd`.
+    Pcd,
+    /// `.ply`.
+    Ply,
+}
+
+impl Kind {
+    /// Every kind with its extension; one that ends in another comes first.
+    const ALL: [(Kind, &str); 4] =
+        [(Kind::NuScenes, ".pcd.bin"), (Kind::Kitti, ".bin"), (Kind::Pcd, ".pcd"), (Kind::Ply, ".ply")];
+
+    /// The kind and the name without its extension, in any case of letters; `None` for other names.
+    fn of(name: &str) -> Option<(Kind, &str)> {
+        Kind::ALL.into_iter().find_map(|(kind, extension)| {
+            let (stem, end) = name.split_at_checked(name.len().checked_sub(extension.len())?)?;
+            end.eq_ignore_ascii_case(extension).then_some((kind, stem))
+        })
+    }
+}
+
 /// Takes a file apart into points and the bytes around them, by the extension of its name.
 /// Never fails: what it does not understand is [opaque](ScanFile::opaque).
 /// `write(parse(name, bytes))` is `bytes`, whatever they are.
 pub fn parse(name: &str, bytes: Vec<u8>) -> ScanFile {
-    let lower = name.to_ascii_lowercase();
-    let parsed = if lower.ends_with(".pcd.bin") {
-        kitti_bin::parse_nuscenes(&bytes)
-    } else if lower.ends_with(".bin") {
-        kitti_bin::parse_kitti(&bytes)
-    } else if lower.ends_with(".pcd") {
-        pcd::parse(&bytes)
-    } else if lower.ends_with(".ply") {
-        ply::parse(&bytes)
-    } else {
-        None
-    };
+    parse_with(name, bytes, None)
+}
+
+/// As [`parse`], with what the records of files without a header hold; `None`: as KITTI's and nuScenes'
+/// do.
+pub fn parse_with(name: &str, bytes: Vec<u8>, headerless: Option<&HeaderlessLayout>) -> ScanFile {
+    let parsed = Kind::of(name).and_then(|(kind, _)| match (kind, headerless) {
+        (Kind::Kitti | Kind::NuScenes, Some(layout)) => layout.parse(&bytes),
+        (Kind::Kitti, None) => HeaderlessLayout::kitti().parse(&bytes),
+        (Kind::NuScenes, None) => HeaderlessLayout::nuscenes().parse(&bytes),
+        (Kind::Pcd, _) => pcd::parse(&bytes),
+        (Kind::Ply, _) => ply::parse(&bytes),
+    });
     match parsed.filter(|file| is_plain(file) || comes_back_as(file, &bytes)) {
         Some(file) => ScanFile { name: name.to_owned(), ..file },
         None => ScanFile::opaque(name, bytes),
+    }
+}
+
+/// As [`parse`], for a file to be compared with another one, `like`: if that has no header, their records
+/// are the same.
+pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
+    if like.is_opaque() {
+        return ScanFile::opaque(name, bytes);
+    }
+    let same = (is_plain(like) && like.prefix.is_empty())
+        .then(|| records::plain_file(like.layout.clone(), &bytes, 0, u64::MAX))
+        .flatten();
+    match same {
+        Some(file) => ScanFile { name: name.to_owned(), ..file },
+        None => parse(name, bytes),
     }
 }
 
@@ -67,10 +115,15 @@ pub fn write(file: &ScanFile, out: &mut Vec<u8>) -> Result<()> {
             records::join(file, &mut body);
             pcd_compressed::write(&body, fields, *lzf, out)?;
         }
-        Wrapping::PcdAscii(format) => {
+        Wrapping::Text(format) => {
             let mut body = Vec::new();
             records::join(file, &mut body);
-            pcd_ascii::write(&body, format, out)?;
+            text_records::write(&body, format, out)?;
+        }
+        Wrapping::BigEndian { values } => {
+            let start = out.len();
+            records::join(file, out);
+            big_endian::swap(&mut out[start..], values);
         }
     }
     out.extend_from_slice(&file.suffix);

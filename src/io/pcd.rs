@@ -4,11 +4,8 @@
 
 use super::field::{Field, layout_of, next_line};
 use super::records::plain_file;
-use super::{pcd_ascii, pcd_compressed};
+use super::{pcd_compressed, text_records};
 use crate::scan::{Scalar, ScanFile, Wrapping};
-
-/// What writers call intensity, the likeliest first.
-const INTENSITY_NAMES: [&str; 3] = ["intensity", "i", "reflectivity"];
 
 /// The three kinds of body.
 #[derive(Clone, Copy)]
@@ -19,9 +16,9 @@ enum Data {
 }
 
 /// What a header says.
-struct Header<'a> {
+pub(super) struct Header<'a> {
     /// The fields; one entry for all values of a field with COUNT above 1.
-    fields: Vec<Field<'a>>,
+    pub fields: Vec<Field<'a>>,
     /// Number of points. It may be anything: the body decides.
     points: u64,
     data: Data,
@@ -33,7 +30,7 @@ struct Header<'a> {
 /// `None` if the header is damaged or the body cannot be given back exactly.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
-    let layout = layout_of(&header.fields, &INTENSITY_NAMES, Wrapping::Plain)?;
+    let layout = layout_of(&header.fields, Wrapping::Plain)?;
     let Header { fields, points, data, length } = header;
     match data {
         Data::Binary => plain_file(layout, bytes, length, points),
@@ -41,22 +38,13 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
             let widths = fields.iter().map(|f| f.width).collect();
             pcd_compressed::parse(layout, widths, bytes, length)
         }
-        Data::Ascii => pcd_ascii::parse(layout, &columns(&fields)?, bytes, length, points),
+        Data::Ascii => text_records::parse(&fields, bytes, length, points),
     }
-}
-
-/// The types of all values of a record; `None` if one is of a size that has no such type.
-fn columns(fields: &[Field]) -> Option<Vec<Scalar>> {
-    let mut columns = Vec::new();
-    for field in fields {
-        let scalar = field.scalar?;
-        columns.extend((0..field.width / scalar.size()).map(|_| scalar));
-    }
-    Some(columns)
 }
 
 impl<'a> Header<'a> {
-    fn parse(bytes: &'a [u8]) -> Option<Self> {
+    /// Reads the header that `bytes` begin with; `None` if it is damaged.
+    pub(super) fn parse(bytes: &'a [u8]) -> Option<Self> {
         let mut rest = bytes;
         let (mut names, mut sizes, mut types, mut counts) = (vec![], vec![], vec![], vec![]);
         let (mut width, mut height, mut points) = (None, None, None);

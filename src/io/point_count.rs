@@ -1,13 +1,19 @@
 //! The header of a file with another number of points.
 
-/// `header`, of a PCD or PLY file, with `points` as its number of points. Other bytes come back as they
-/// are.
+/// `header`, of a PCD or PLY file and what is before its points, with `points` as its number of points. Other
+/// bytes come back as they are.
 pub fn with_point_count(header: &[u8], points: usize) -> Vec<u8> {
     let is_ply = header.starts_with(b"ply");
     let mut out = Vec::with_capacity(header.len());
+    let mut is_over = false;
     for line in header.split_inclusive(|&byte| byte == b'\n') {
         let words: Vec<&[u8]> = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).collect();
+        is_over |= matches!(words[..], [b"end_header"] | [b"DATA", _]);
         let (count, number) = match words[..] {
+            _ if is_over => {
+                out.extend_from_slice(line);
+                continue;
+            }
             [b"element", b"vertex", number] if is_ply => (points, number),
             [b"WIDTH" | b"POINTS", number] if !is_ply => (points, number),
             // One row: which points of an organised cloud are left is no table any more.

@@ -5,10 +5,9 @@ use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use super::Kind;
 use crate::error::{Error, Result};
 
-/// Extensions of the files that are taken from a folder, in small letters.
-const SCAN_EXTENSIONS: [&str; 3] = [".bin", ".pcd", ".ply"];
 /// Where a KITTI or KITTI-360 drive keeps its scans, seen from the folders above them.
 const DRIVE_FOLDERS: [&str; 3] = ["velodyne_points/data", "velodyne", "data"];
 /// Longest file name in bytes that the usual file systems take.
@@ -89,7 +88,7 @@ fn list(folder: &Path) -> Result<Sequence> {
             continue;
         }
         let path = entry.path();
-        let is_scan = has_scan_extension(&name);
+        let is_scan = Kind::of(&name).is_some();
         // Follows links. What is not called a scan need not be readable.
         match fs::metadata(&path) {
             Ok(kind) if kind.is_dir() => {}
@@ -99,11 +98,6 @@ fn list(folder: &Path) -> Result<Sequence> {
         }
     }
     Ok(found)
-}
-
-fn has_scan_extension(name: &str) -> bool {
-    let lower = name.to_ascii_lowercase();
-    SCAN_EXTENSIONS.iter().any(|extension| lower.ends_with(extension))
 }
 
 /// Sorts frames by name, and checks that the names can come back.

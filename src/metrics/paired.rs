@@ -39,9 +39,7 @@ impl PointErrors {
     }
 
     fn add_pair(&mut self, a: &[f32; 3], b: &[f32; 3]) {
-        let finite = a.iter().chain(b).all(|value| value.is_finite());
-        if finite {
-            let squared = squared_distance(a, b);
+        if let Some(squared) = finite_squared_distance(a, b) {
             self.measured += 1;
             self.squared_sum += squared;
             self.max = self.max.max(squared.sqrt());
@@ -63,6 +61,21 @@ impl PointErrors {
     }
 }
 
+/// The square of the 3-D distance, in square metres; `None` if a coordinate is NaN or infinite.
+fn finite_squared_distance(a: &[f32; 3], b: &[f32; 3]) -> Option<f64> {
+    let finite = a.iter().chain(b).all(|value| value.is_finite());
+    finite.then(|| squared_distance(a, b))
+}
+
+/// The distance, in metres, of each decoded point from the original point at its place in the order;
+/// `None` if there is none or a coordinate is NaN or infinite.
+pub fn paired_distances(original: &PointCloud, decoded: &PointCloud) -> Vec<Option<f64>> {
+    let of_point = |(place, point): (usize, &[f32; 3])| {
+        finite_squared_distance(original.positions.get(place)?, point).map(f64::sqrt)
+    };
+    decoded.positions.iter().enumerate().map(of_point).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -81,6 +94,13 @@ mod tests {
         assert_eq!(errors.max(), Some(7.0));
         assert_eq!(errors.rmse(), Some((74.0f64 / 4.0).sqrt()));
         assert_eq!((errors.paired, errors.lost, errors.added), (4, 0, 0));
+    }
+
+    #[test]
+    fn each_point_has_a_distance_if_it_has_a_partner() {
+        let original = cloud(&[[0.0; 3], [f32::NAN, 0.0, 0.0], [1.0; 3]]);
+        let decoded = cloud(&[[0.0, 3.0, 4.0], [0.0; 3], [1.0; 3], [2.0; 3]]);
+        assert_eq!(paired_distances(&original, &decoded), [Some(5.0), None, Some(0.0), None]);
     }
 
     #[test]

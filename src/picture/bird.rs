@@ -42,7 +42,7 @@ impl BirdsEye {
             }
         }
         self.draw_marks(&mut picture);
-        with_legend(&picture, &map, &scale)
+        with_legend(&picture, &map, &scale, "m")
     }
 
     /// Pixels of a side.

@@ -46,7 +46,7 @@ pub fn range(steps: &Grid<u32>, step_m: f64, scale: &Scale, zoom: Zoom) -> Pictu
         0 => BLACK,
         _ => map.at(scale.part(f64::from(steps) * step_m)),
     });
-    with_legend(&picture, &map, scale)
+    with_legend(&picture, &map, scale, "m")
 }
 
 /// Which cells hold a return.
@@ -77,19 +77,19 @@ pub fn residual(residuals: &Grid<i32>, occupancy: &Grid<bool>, step_m: f64, zoom
         true => map.at(scale.part(metres(residual))),
         false => BLACK,
     });
-    with_legend(&picture, &map, &scale)
+    with_legend(&picture, &map, &scale, "m")
 }
 
-/// Distances between decoded and original points, in metres; NaN = no return. The larger, the
+/// Distances between decoded and original points, in millimetres; NaN = no return. The larger, the
 /// lighter.
-pub fn error(metres: &Grid<f32>, zoom: Zoom) -> Picture {
-    let scale = Scale::of_errors(metres.cells().iter().map(|&error| f64::from(error)));
+pub fn error(millimetres: &Grid<f32>, zoom: Zoom) -> Picture {
+    let scale = Scale::of_errors(millimetres.cells().iter().map(|&error| f64::from(error)));
     let map = ColourMap::sequential();
-    let picture = paint(metres, zoom, |_, error| match error.is_nan() {
+    let picture = paint(millimetres, zoom, |_, error| match error.is_nan() {
         true => BLACK,
         false => map.at(scale.part(f64::from(*error))),
     });
-    with_legend(&picture, &map, &scale)
+    with_legend(&picture, &map, &scale, "mm")
 }
 
 /// One rectangle a cell.

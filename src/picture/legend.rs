@@ -12,12 +12,10 @@ const BAR_WIDTH: usize = 640;
 const MARGIN: usize = 40;
 /// Pixels of a tick's length.
 const TICK: usize = 5;
-/// What the numbers are.
-const UNIT: &str = "m";
 
-/// The picture with a legend of metres under it.
-pub fn with_legend(picture: &Picture, map: &ColourMap, scale: &Scale) -> Picture {
-    let unit_width = (1 + UNIT.len()) * LETTER_WIDTH;
+/// The picture with a legend under it, of numbers of this unit.
+pub fn with_legend(picture: &Picture, map: &ColourMap, scale: &Scale, unit: &str) -> Picture {
+    let unit_width = (1 + unit.len()) * LETTER_WIDTH;
     let width = picture.width().max(MARGIN + BAR_WIDTH + MARGIN + unit_width);
     let bar_top = picture.height() + GAP;
     let mut whole = Picture::new(width, bar_top + BAR_HEIGHT + TICK + GAP + TEXT_HEIGHT + GAP);
@@ -27,7 +25,7 @@ pub fn with_legend(picture: &Picture, map: &ColourMap, scale: &Scale) -> Picture
         whole.fill([MARGIN + x, bar_top], [1, BAR_HEIGHT], colour);
     }
     draw_ticks(&mut whole, bar_top + BAR_HEIGHT, scale);
-    whole.write(UNIT, [MARGIN + BAR_WIDTH + MARGIN, bar_top], WHITE);
+    whole.write(unit, [MARGIN + BAR_WIDTH + MARGIN, bar_top], WHITE);
     whole
 }
 
@@ -56,7 +54,7 @@ mod tests {
         let mut picture = Picture::new(3, 50);
         picture.fill([0, 0], [3, 50], [1, 2, 3]);
         let map = ColourMap::sequential();
-        let whole = with_legend(&picture, &map, &Scale::of_errors([0.02, 0.5].into_iter()));
+        let whole = with_legend(&picture, &map, &Scale::of_errors([0.02, 0.5].into_iter()), "m");
         assert_eq!((whole.pixel(2, 49), whole.pixel(3, 49)), (Some([1, 2, 3]), Some(BLACK)));
         let bar = |x| whole.pixel(x, 50 + GAP);
         assert_eq!((bar(MARGIN - 1), bar(MARGIN)), (Some(BLACK), Some(map.at(0.0))));
@@ -67,7 +65,7 @@ mod tests {
     #[test]
     fn numbers_that_would_touch_are_left_out() {
         let wide = Scale::of_ranges([1e-1, 1e7].into_iter());
-        let whole = with_legend(&Picture::new(1, 1), &ColourMap::sequential(), &wide);
+        let whole = with_legend(&Picture::new(1, 1), &ColourMap::sequential(), &wide, "m");
         let text_top = 1 + GAP + BAR_HEIGHT + TICK + GAP / 2;
         let written = (0..whole.width())
             .map(|x| (text_top..text_top + TEXT_HEIGHT).any(|y| whole.pixel(x, y) == Some(WHITE)));

@@ -1,6 +1,6 @@
 //! Which numbers a colour map covers.
 
-/// The numbers from one end of a colour map to the other, in metres.
+/// The numbers from one end of a colour map to the other, in metres or, for errors, millimetres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
     low: f64,
@@ -19,7 +19,7 @@ enum Spacing {
     RatioBeyond(f64),
 }
 
-/// The least width of a scale, in metres, for data that are all the same.
+/// The least width of a scale, in its unit, for data that are all the same.
 const LEAST_SPAN: f64 = 1e-3;
 /// The least metres of a scale of ratios.
 const LEAST_RANGE: f64 = 0.1;
@@ -48,7 +48,7 @@ impl Scale {
         Scale { low, high, spacing: Spacing::Linear }
     }
 
-    /// For errors (metres): from 0 to the 98th percentile, by ratio beyond the median. For the small
+    /// For errors (metres or millimetres): from 0 to the 98th percentile, by ratio beyond the median. For the small
     /// ones are noise and the large ones edges, and both are of interest.
     pub fn of_errors(metres: impl Iterator<Item = f64>) -> Self {
         let sorted = sorted(metres);

@@ -36,8 +36,13 @@ pub enum Wrapping {
         /// Which of the LZF compressors wrote it.
         lzf: LzfDialect,
     },
-    /// As text, one record a line (PCD `ascii`).
-    PcdAscii(TextFormat),
+    /// As text, one record a line (ascii PCD and PLY).
+    Text(TextFormat),
+    /// One after the other, the bytes of each value from the last to the first (binary big-endian PLY).
+    BigEndian {
+        /// Bytes of each value of a record.
+        values: Vec<u32>,
+    },
 }
 
 /// The LZF compressors that write PCD files. They write one format, but find different matches.
@@ -59,7 +64,8 @@ impl LzfDialect {
 // The first byte of a serialised layout: the wrapping's number and two flags.
 const PLAIN: u8 = 0;
 const PCD_COMPRESSED: u8 = 1;
-const PCD_ASCII: u8 = 2;
+const TEXT: u8 = 2;
+const BIG_ENDIAN: u8 = 3;
 const WRAPPING_MASK: u8 = 0x0f;
 const HAS_POSITION: u8 = 0x10;
 const HAS_INTENSITY: u8 = 0x20;
@@ -114,12 +120,12 @@ impl Layout {
         }
         match &self.wrapping {
             Wrapping::Plain => Ok(()),
-            Wrapping::PcdCompressed { fields, .. } => {
+            Wrapping::PcdCompressed { fields, .. } | Wrapping::BigEndian { values: fields } => {
                 let sum: u64 = fields.iter().map(|&width| u64::from(width)).sum();
                 let fits = sum == u64::from(self.stride) && sum > 0 && !fields.contains(&0);
                 check(fits, "fields do not fill the record")
             }
-            Wrapping::PcdAscii(format) => {
+            Wrapping::Text(format) => {
                 let fits = format.stride() == u64::from(self.stride) && self.stride > 0;
                 check(fits, "columns do not fill the record")?;
                 format.validate()
@@ -132,7 +138,8 @@ impl Layout {
         let wrapping = match self.wrapping {
             Wrapping::Plain => PLAIN,
             Wrapping::PcdCompressed { .. } => PCD_COMPRESSED,
-            Wrapping::PcdAscii(_) => PCD_ASCII,
+            Wrapping::Text(_) => TEXT,
+            Wrapping::BigEndian { .. } => BIG_ENDIAN,
         };
         let position = if self.position.is_some() { HAS_POSITION } else { 0 };
         let intensity = if self.intensity.is_some() { HAS_INTENSITY } else { 0 };
@@ -145,10 +152,10 @@ impl Layout {
             Wrapping::Plain => {}
             Wrapping::PcdCompressed { fields, lzf } => {
                 out.push(*lzf as u8);
-                // Their number is not written: they end where the record is full.
-                fields.iter().for_each(|&width| write_unsigned(out, u64::from(width)));
+                write_widths(out, fields);
             }
-            Wrapping::PcdAscii(format) => format.write_to(out),
+            Wrapping::BigEndian { values } => write_widths(out, values),
+            Wrapping::Text(format) => format.write_to(out),
         }
     }
 
@@ -175,8 +182,9 @@ impl Layout {
         };
         let wrapping = match flags & WRAPPING_MASK {
             PLAIN => Wrapping::Plain,
-            PCD_COMPRESSED => read_fields(input, stride)?,
-            PCD_ASCII => Wrapping::PcdAscii(TextFormat::read_from(input, stride)?),
+            PCD_COMPRESSED => read_compressed(input, stride)?,
+            BIG_ENDIAN => Wrapping::BigEndian { values: read_widths(input, stride)? },
+            TEXT => Wrapping::Text(TextFormat::read_from(input, stride)?),
             _ => return Err(Error::corrupt("record layout: unknown wrapping")),
         };
         let layout = Layout { wrapping, stride, position, intensity };
@@ -185,18 +193,27 @@ impl Layout {
     }
 }
 
-fn read_fields(input: &mut &[u8], stride: u32) -> Result<Wrapping> {
+fn read_compressed(input: &mut &[u8], stride: u32) -> Result<Wrapping> {
     let lzf = *LzfDialect::ALL
         .get(usize::from(read_byte(input)?))
         .ok_or_else(|| Error::corrupt("record layout: unknown LZF dialect"))?;
-    let mut fields = Vec::new();
+    Ok(Wrapping::PcdCompressed { fields: read_widths(input, stride)?, lzf })
+}
+
+/// Their number is not written: they end where the record is full.
+fn write_widths(out: &mut Vec<u8>, widths: &[u32]) {
+    widths.iter().for_each(|&width| write_unsigned(out, u64::from(width)));
+}
+
+fn read_widths(input: &mut &[u8], stride: u32) -> Result<Vec<u32>> {
+    let mut widths = Vec::new();
     let mut filled = 0u32;
     while filled < stride {
         let width = read_number(input)?;
         filled = filled.saturating_add(width);
-        fields.push(width);
+        widths.push(width);
     }
-    Ok(Wrapping::PcdCompressed { fields, lzf })
+    Ok(widths)
 }
 
 fn read_byte(input: &mut &[u8]) -> Result<u8> {
@@ -222,7 +239,7 @@ mod tests {
     }
 
     fn text(columns: Vec<Column>) -> Wrapping {
-        Wrapping::PcdAscii(TextFormat { crlf: true, tab: false, trailing_separator: true, columns })
+        Wrapping::Text(TextFormat { crlf: true, tab: false, trailing_separator: true, columns })
     }
 
     fn round_trip(layout: &Layout) -> usize {
@@ -243,6 +260,8 @@ mod tests {
         assert_eq!(round_trip(&kitti()), 6);
         let fields = Wrapping::PcdCompressed { fields: vec![4, 4, 4, 300], lzf: LzfDialect::Very16 };
         round_trip(&Layout { wrapping: fields, stride: 312, ..kitti() });
+        let values = Wrapping::BigEndian { values: vec![4, 4, 4, 4, 8, 1] };
+        round_trip(&Layout { wrapping: values, stride: 25, ..kitti() });
         let shortest = NumberRule::Shortest { double: true, point_zero: false };
         let columns = vec![
             Column { scalar: Scalar::F32, rule: NumberRule::Significant(8) },
@@ -274,6 +293,7 @@ mod tests {
                 wrapping: Wrapping::PcdCompressed { fields: vec![12], lzf: LzfDialect::Ultra13 },
                 ..kitti()
             },
+            Layout { wrapping: Wrapping::BigEndian { values: vec![4, 4, 4, 8] }, ..kitti() },
             Layout {
                 wrapping: text(vec![Column { scalar: Scalar::F32, rule: NumberRule::Integer }; 4]),
                 ..kitti()

@@ -1,4 +1,4 @@
-//! How the numbers of a text body (ascii PCD) are written.
+//! How the numbers of a text body (ascii PCD or PLY) are written.
 
 use crate::error::{Error, Result};
 

@@ -7,6 +7,7 @@ use lidarpc::picture::{self, LabelStyle, Picture, Scale, Zoom};
 use lidarpc::prediction::Rays;
 use lidarpc::prediction::intra::IntraPrediction;
 use lidarpc::prediction::surface::SurfaceModel;
+use lidarpc::range_image::Alignment;
 use lidarpc::segmentation::{GROUND, UNASSIGNED, segment};
 
 /// What is drawn.
@@ -24,6 +25,9 @@ pub enum Kind {
     Prediction,
     /// What prediction leaves, in metres.
     Residual,
+    /// How far points are from the originals, in millimetres: from those in their place of the order, or,
+    /// where the order has changed, from the nearest ones.
+    Error,
     /// The points from above, coloured by height.
     BirdsEye,
     /// All of the range image's pictures, one below the other.
@@ -31,16 +35,18 @@ pub enum Kind {
 }
 
 /// All pictures of the range image and their titles, in the order in which they arise.
-pub const PICTURES: [(Kind, &str); 6] = [
+pub const PICTURES: [(Kind, &str); 7] = [
     (Kind::Range, "range, m"),
     (Kind::Occupancy, "occupancy"),
     (Kind::Labels, "ground, objects"),
     (Kind::Regions, "regions"),
     (Kind::Prediction, "prediction, m"),
     (Kind::Residual, "residual, m"),
+    (Kind::Error, "error, mm"),
 ];
 
-/// What the pictures of a range image show, ready to be drawn. Ranges are in millimetres, whatever the image's steps.
+/// What the pictures of a range image show, ready to be drawn. Ranges are in millimetres, whatever the
+/// image's steps.
 pub struct Pictures {
     occupancy: Grid<bool>,
     ranges: Grid<u32>,
@@ -48,6 +54,8 @@ pub struct Pictures {
     /// As [`lidarpc::segmentation`] labels it.
     labels: Grid<u32>,
     intra: IntraPrediction,
+    /// Millimetres, NaN where there is nothing to measure, if the original is known.
+    errors: Option<Grid<f32>>,
     zoom: Zoom,
 }
 
@@ -55,9 +63,21 @@ pub struct Pictures {
 const MILLIMETRE: f64 = 1e-3;
 
 impl Pictures {
-    /// The regions are the stream's, or those that intra prediction would find.
-    pub fn of(decoded: &DecodedImage, config: &EncoderConfig, scale: Option<u16>) -> Self {
-        let DecodedImage { sensor, image, intra, .. } = decoded;
+    /// The regions are the stream's, or those that intra prediction would find. `errors` are those of the
+    /// file's points, in metres.
+    pub fn of(
+        decoded: &DecodedImage,
+        errors: Option<&[Option<f64>]>,
+        config: &EncoderConfig,
+        scale: Option<u16>,
+    ) -> Self {
+        let DecodedImage { sensor, image, point_of_cell, intra, .. } = decoded;
+        let millimetres_of = |errors: &[Option<f64>], point: &Option<u32>| {
+            let error = errors.get((*point)? as usize).copied()??;
+            Some((error / MILLIMETRE) as f32)
+        };
+        let errors =
+            errors.map(|errors| point_of_cell.map(|point| millimetres_of(errors, point).unwrap_or(f32::NAN)));
         let occupancy = image.occupancy();
         let segmentation = segment(&image.steps, &image.columns, sensor, &config.segmentation);
         let rays = Rays::of(sensor, &image.columns);
@@ -72,21 +92,34 @@ impl Pictures {
             Some(column) => Zoom { row: 4 * column, column },
             None => Zoom::for_columns(image.columns.len()),
         };
-        Pictures {
+        let mut pictures = Pictures {
             ranges: millimetres(&image.steps),
             predicted: millimetres(&intra.ranges(&occupancy, &rays)),
             occupancy,
             labels: segmentation.labels,
             intra,
+            errors,
             zoom,
-        }
+        };
+        pictures.align(&Alignment::of(sensor, image.columns.len()));
+        pictures
     }
 
-    /// The picture of a kind.
-    pub fn draw(&self, kind: Kind) -> Picture {
+    /// Puts above one another what is so in space.
+    fn align(&mut self, alignment: &Alignment) {
+        alignment.align(&mut self.occupancy);
+        alignment.align(&mut self.ranges);
+        alignment.align(&mut self.predicted);
+        alignment.align(&mut self.labels);
+        alignment.align(&mut self.intra.labels);
+        self.errors.iter_mut().for_each(|errors| alignment.align(errors));
+    }
+
+    /// The picture of a kind; `None` of errors that are not known.
+    pub fn draw(&self, kind: Kind) -> Option<Picture> {
         let of_ranges =
             || Scale::of_ranges(self.ranges.cells().iter().map(|&range| f64::from(range) * MILLIMETRE));
-        match kind {
+        Some(match kind {
             Kind::Occupancy => picture::occupancy(&self.occupancy, self.zoom),
             Kind::Labels => picture::labels(&self.labels, style_of_label, self.zoom),
             Kind::Regions => {
@@ -94,10 +127,11 @@ impl Pictures {
             }
             Kind::Prediction => picture::range(&self.predicted, MILLIMETRE, &of_ranges(), self.zoom),
             Kind::Residual => picture::residual(&self.residuals(), &self.occupancy, MILLIMETRE, self.zoom),
+            Kind::Error => picture::error(self.errors.as_ref()?, self.zoom),
             Kind::Range | Kind::BirdsEye | Kind::All => {
                 picture::range(&self.ranges, MILLIMETRE, &of_ranges(), self.zoom)
             }
-        }
+        })
     }
 
     fn style_of_region(&self, region: u32) -> LabelStyle {

@@ -1,32 +1,28 @@
-//! The body of an `ascii` PCD: one record a line, values between single separators.
+//! Records as text, in an ascii PCD or PLY: one record a line, values between single separators.
 //!
 //! Texts are turned into values only if the values give the texts back. Writers differ in how
 //! they print numbers, so each column's rule is found by trial.
 
+use super::field::{Field, layout_of};
 use super::number::{self, NumberWriter, Survey};
 use super::records;
 use crate::error::Result;
-use crate::scan::{Column, Layout, Scalar, ScanFile, TextFormat, Wrapping};
+use crate::scan::{Column, Scalar, ScanFile, TextFormat, Wrapping};
 
-/// Takes a file apart whose body starts at byte `start` and has at most `points` records.
+/// Takes a file apart whose body starts at byte `start` and has at most `points` records of these fields,
+/// which must make a valid layout.
 /// Lines from the first one on that does not look like those before it are `suffix`.
 /// `None` if there is no record, or a column whose texts no rule gives back.
-pub(super) fn parse(
-    layout: Layout,
-    scalars: &[Scalar],
-    bytes: &[u8],
-    start: usize,
-    points: u64,
-) -> Option<ScanFile> {
+pub(super) fn parse(fields: &[Field], bytes: &[u8], start: usize, points: u64) -> Option<ScanFile> {
+    let scalars = scalars(fields)?;
     let body = bytes.get(start..)?;
     let mut format = TextFormat::of_line(first_line(body)?);
     let mut tokens: Vec<&str> = Vec::new(); // of all lines, line by line
-    let mut values = Vec::new();
     let mut rest = body;
     let mut lines = 0u64;
     while lines < points
         && let Some(line) = first_line(rest)
-        && format.read_line(line, scalars, &mut tokens, &mut values).is_some()
+        && format.read_line(line, &scalars, &mut tokens).is_some()
     {
         rest = &rest[line.len()..];
         lines += 1;
@@ -35,21 +31,57 @@ pub(super) fn parse(
     if records == 0 {
         return None;
     }
+    let mut values = Vec::with_capacity(scalars.len());
     for (at, &scalar) in scalars.iter().enumerate() {
-        let width = scalar.size() as usize;
-        let offset: usize = scalars[..at].iter().map(|s| s.size() as usize).sum();
-        let texts = tokens.iter().skip(at).step_by(scalars.len()).copied();
-        let bytes = values.chunks_exact(layout.stride as usize).map(|r| &r[offset..offset + width]);
-        format.columns.push(find_rule(scalar, texts.zip(bytes))?);
+        let (column, bytes) = find_column(scalar, tokens.iter().skip(at).step_by(scalars.len()).copied())?;
+        format.columns.push(column);
+        values.push(bytes);
     }
+    let fields = as_stored(fields, &format.columns);
+    let body = side_by_side(&values, &format.columns, records);
+    let layout = layout_of(&fields, Wrapping::Text(format))?;
     Some(ScanFile {
         name: String::new(),
-        cloud: records::split(&layout, &values),
-        layout: Layout { wrapping: Wrapping::PcdAscii(format), ..layout },
+        cloud: records::split(&layout, &body),
+        layout,
         prefix: bytes[..start].to_vec(),
         records,
         suffix: rest.to_vec(),
     })
+}
+
+/// The types of all values of a record; `None` if there are none, or one is of a size that has no such type.
+fn scalars(fields: &[Field]) -> Option<Vec<Scalar>> {
+    let mut scalars = Vec::new();
+    for field in fields {
+        let scalar = field.scalar?;
+        scalars.extend((0..field.count()).map(|_| scalar));
+    }
+    (!scalars.is_empty()).then_some(scalars)
+}
+
+/// The fields as the values of these columns make them up.
+fn as_stored<'a>(fields: &[Field<'a>], columns: &[Column]) -> Vec<Field<'a>> {
+    let mut rest = columns;
+    let stored = |field: &Field<'a>| {
+        let (own, after) = rest.split_at((field.count() as usize).min(rest.len()));
+        rest = after;
+        let scalar = if let [column] = own { Some(column.scalar) } else { field.scalar };
+        Field { name: field.name, scalar, width: own.iter().map(|column| column.scalar.size()).sum() }
+    };
+    fields.iter().map(stored).collect()
+}
+
+/// Records from the values of each column.
+fn side_by_side(values: &[Vec<u8>], columns: &[Column], records: usize) -> Vec<u8> {
+    let mut body = Vec::with_capacity(values.iter().map(Vec::len).sum());
+    for record in 0..records {
+        for (values, column) in values.iter().zip(columns) {
+            let size = column.scalar.size() as usize;
+            body.extend_from_slice(&values[record * size..(record + 1) * size]);
+        }
+    }
+    body
 }
 
 /// Appends the text of these records, each as long as the columns together.
@@ -76,8 +108,27 @@ pub(super) fn write(body: &[u8], format: &TextFormat, out: &mut Vec<u8>) -> Resu
     Ok(())
 }
 
+/// The type and rule that give all these texts, and the values. Doubles whose every digit single precision
+/// gives back are kept in that: many programs print float32 values as double.
+fn find_column<'a>(
+    scalar: Scalar,
+    texts: impl Iterator<Item = &'a str> + Clone,
+) -> Option<(Column, Vec<u8>)> {
+    let narrow = (scalar == Scalar::F64).then_some(Scalar::F32);
+    narrow.into_iter().chain([scalar]).find_map(|scalar| {
+        let mut values = Vec::new();
+        texts.clone().try_for_each(|text| number::parse(text, scalar, &mut values))?;
+        let pairs = texts.clone().zip(values.chunks_exact(scalar.size() as usize));
+        let column = find_rule(scalar, pairs)?;
+        Some((column, values))
+    })
+}
+
 /// The first rule that gives all these texts for these values.
-fn find_rule<'a>(scalar: Scalar, pairs: impl Iterator<Item = (&'a str, &'a [u8])> + Clone) -> Option<Column> {
+fn find_rule<'t, 'v>(
+    scalar: Scalar,
+    pairs: impl Iterator<Item = (&'t str, &'v [u8])> + Clone,
+) -> Option<Column> {
     let mut survey = Survey::new();
     pairs.clone().for_each(|(text, _)| survey.add(text));
     let mut writer = NumberWriter::default();
@@ -116,30 +167,22 @@ impl TextFormat {
         if self.crlf { "\r\n" } else { "\n" }
     }
 
-    /// Takes the texts and the values out of a line; `None`, and nothing taken, if it is not of
-    /// this format.
-    fn read_line<'a>(
-        &self,
-        line: &'a str,
-        scalars: &[Scalar],
-        tokens: &mut Vec<&'a str>,
-        values: &mut Vec<u8>,
-    ) -> Option<()> {
+    /// Takes the texts out of a line; `None`, and nothing taken, if it is not of this format.
+    fn read_line<'a>(&self, line: &'a str, scalars: &[Scalar], tokens: &mut Vec<&'a str>) -> Option<()> {
         let separator = char::from(self.separator());
         let mut text = line.strip_suffix(self.line_end())?;
         if self.trailing_separator {
             text = text.strip_suffix(separator)?;
         }
-        let (tokens_before, values_before) = (tokens.len(), values.len());
+        let (before, mut values) = (tokens.len(), Vec::new());
         let mut scalars_left = scalars.iter();
         let complete = text.split(separator).try_for_each(|token| {
-            number::parse(token, *scalars_left.next()?, values)?;
+            number::parse(token, *scalars_left.next()?, &mut values)?;
             tokens.push(token);
             Some(())
         });
         if complete.is_none() || scalars_left.next().is_some() {
-            tokens.truncate(tokens_before);
-            values.truncate(values_before);
+            tokens.truncate(before);
             return None;
         }
         Some(())
@@ -152,7 +195,7 @@ mod tests {
 
     use super::*;
     use crate::io::tests::{comes_back, pcd};
-    use crate::scan::{NumberRule, PointCloud};
+    use crate::scan::{Layout, NumberRule, PointCloud};
 
     fn file(body: &str) -> Vec<u8> {
         let header = pcd("x y z intensity ring", "4 4 4 4 2", "F F F F U", "1 1 1 1 1", 3, "ascii");
@@ -161,7 +204,7 @@ mod tests {
 
     fn rules(scan: &ScanFile) -> Vec<NumberRule> {
         match &scan.layout.wrapping {
-            Wrapping::PcdAscii(format) => format.columns.iter().map(|c| c.rule).collect(),
+            Wrapping::Text(format) => format.columns.iter().map(|c| c.rule).collect(),
             other => panic!("not text: {other:?}"),
         }
     }
@@ -200,6 +243,15 @@ mod tests {
         assert_eq!(rules(&scan)[0], NumberRule::Significant(6));
         let scan = comes_back("a.pcd", file("1.50e+00 1 1 1 1\n2.25e-07 1 1 1 1\n"));
         assert_eq!(rules(&scan)[..2], [NumberRule::Scientific(2), NumberRule::Fixed(0)]);
+    }
+
+    #[test]
+    fn doubles_that_are_singles_are_kept_so() {
+        let header = pcd("x y z intensity t", "8 8 8 8 8", "F F F F F", "1 1 1 1 1", 2, "ascii");
+        let body = "22.719 0.031 1 0.1 1300000000.5\n18.052 0.076 -2 0.123456789012 1300000000.75\n";
+        let scan = comes_back("a.pcd", [&header, body.as_bytes()].concat());
+        assert_eq!(scan.cloud.positions, [[22.719, 0.031, 1.0], [18.052, 0.076, -2.0]]);
+        assert_eq!((scan.layout.stride, scan.layout.intensity), (3 * 4 + 2 * 8, None));
     }
 
     #[test]
@@ -260,7 +312,7 @@ mod tests {
         let records = extra.len() / size as usize;
         let columns = vec![Column { scalar, rule }];
         let format = TextFormat { crlf: false, tab: false, trailing_separator: false, columns };
-        let wrapping = Wrapping::PcdAscii(format);
+        let wrapping = Wrapping::Text(format);
         let prefix = pcd("v", &size.to_string(), "F", "1", records as u64, "ascii");
         let cloud = PointCloud { extra, ..PointCloud::default() };
         let layout = Layout { wrapping, stride: size, ..Layout::default() };

@@ -1,0 +1,167 @@
+//! Decoded scans against the originals.
+
+use std::io::{self, BufReader, Read, Write};
+
+use lidarpc::codec::{self, DecodeOptions, DecodedFrame};
+use lidarpc::io::parse_like;
+use lidarpc::metrics::{GeometryPsnr, NearestErrors, NearestPairs, PEAK_M, PointErrors};
+use serde::Serialize;
+
+use crate::cli::args::StatsArgs;
+use crate::cli::input::Originals;
+use crate::cli::{progress, table};
+
+/// The comparison with the originals.
+#[derive(Default, Serialize)]
+pub struct Against {
+    identical_files: u64,
+    differing_files: u64,
+    /// Points paired by their order in the file.
+    rmse_m: Option<f64>,
+    max_error_m: Option<f64>,
+    /// Point to point, where the order has changed: from each decoded point to the nearest original.
+    decoded_to_original_rmse_m: Option<f64>,
+    decoded_to_original_max_m: Option<f64>,
+    /// From each original point, dropped ones included, to the nearest decoded one.
+    original_to_decoded_rmse_m: Option<f64>,
+    original_to_decoded_max_m: Option<f64>,
+    lost_points: u64,
+    added_points: u64,
+    non_finite_changed: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    psnr: Option<Psnr>,
+}
+
+/// As mpeg-pcc-dmetric has it, in decibels; null if the points have not changed.
+#[derive(Serialize)]
+struct Psnr {
+    peak_m: f64,
+    lossless: bool,
+    /// Point to point.
+    d1_db: Option<f64>,
+    /// Point to plane.
+    d2_db: Option<f64>,
+}
+
+/// Decodes all frames and measures how far they are from the originals.
+pub fn compare(
+    args: &StatsArgs,
+    input: impl Read,
+    mut originals: Originals,
+    frames: u64,
+    quiet: bool,
+) -> lidarpc::error::Result<Against> {
+    let options = DecodeOptions { threads: args.threads.threads, scans: true, ..DecodeOptions::default() };
+    let bar = progress::bar(Some(frames), "comparing", quiet);
+    let mut comparison = Comparison { psnr: args.psnr.then(GeometryPsnr::default), ..Comparison::default() };
+    let compared = codec::decode(BufReader::new(input), &options, |frame| {
+        bar.inc(1);
+        let original = originals.take(&frame.header.name)?;
+        comparison.add(original, frame);
+        Ok(())
+    });
+    bar.finish_and_clear();
+    compared?;
+    Ok(comparison.report())
+}
+
+/// What is measured, frame by frame.
+#[derive(Default)]
+struct Comparison {
+    identical_files: u64,
+    differing_files: u64,
+    paired: PointErrors,
+    to_original: NearestErrors,
+    to_decoded: NearestErrors,
+    psnr: Option<GeometryPsnr>,
+}
+
+impl Comparison {
+    fn add(&mut self, original: Vec<u8>, frame: DecodedFrame) {
+        let is_identical = original == frame.bytes;
+        match is_identical {
+            true => self.identical_files += 1,
+            false => self.differing_files += 1,
+        }
+        let in_order = frame.in_order;
+        let decoded = frame.scan.unwrap_or_default();
+        let original = parse_like(&decoded, &frame.header.name, original);
+        let (original, decoded) = (&original.cloud, &decoded.cloud);
+        if in_order {
+            self.paired.add(original, decoded);
+            match &mut self.psnr {
+                None => return,
+                Some(psnr) if is_identical => return psnr.add_identical(),
+                Some(_) => {}
+            }
+        }
+        let Some(pairs) = NearestPairs::of(original, decoded) else { return };
+        if !in_order {
+            self.to_original.add_nearest(&pairs.decoded, &pairs.of_decoded);
+            self.to_decoded.add_nearest(&pairs.original, &pairs.of_original);
+        }
+        if let Some(psnr) = &mut self.psnr {
+            psnr.add(&pairs);
+        }
+    }
+
+    fn report(&self) -> Against {
+        let finite = |decibels: Option<f64>| decibels.filter(|decibels| decibels.is_finite());
+        Against {
+            identical_files: self.identical_files,
+            differing_files: self.differing_files,
+            rmse_m: self.paired.rmse(),
+            max_error_m: self.paired.max(),
+            decoded_to_original_rmse_m: self.to_original.rmse(),
+            decoded_to_original_max_m: self.to_original.max(),
+            original_to_decoded_rmse_m: self.to_decoded.rmse(),
+            original_to_decoded_max_m: self.to_decoded.max(),
+            lost_points: self.paired.lost,
+            added_points: self.paired.added,
+            non_finite_changed: self.paired.non_finite_changed,
+            psnr: self.psnr.map(|psnr| Psnr {
+                peak_m: PEAK_M,
+                lossless: psnr.d1() == Some(f64::INFINITY),
+                d1_db: finite(psnr.d1()),
+                d2_db: finite(psnr.d2()),
+            }),
+        }
+    }
+}
+
+impl Against {
+    pub fn print(&self, out: &mut impl Write) -> io::Result<()> {
+        let metres = |error: Option<f64>| error.map_or_else(|| "-".to_owned(), |error| format!("{error:.6}"));
+        let files = self.identical_files + self.differing_files;
+        for (name, rmse, max) in [
+            ("", self.rmse_m, self.max_error_m),
+            (" to original", self.decoded_to_original_rmse_m, self.decoded_to_original_max_m),
+            (" to decoded", self.original_to_decoded_rmse_m, self.original_to_decoded_max_m),
+        ] {
+            if rmse.is_some() {
+                writeln!(out, "RMSE{name:<12} {:>10} m", metres(rmse))?;
+                writeln!(out, "max error{name:<12} {:>5} m", metres(max))?;
+            }
+        }
+        writeln!(out, "identical    {:>14} of {}", self.identical_files, table::count(files, "file"))?;
+        if let Some(psnr) = &self.psnr {
+            for (name, decibels) in [("D1 PSNR", psnr.d1_db), ("D2 PSNR", psnr.d2_db)] {
+                let text = match decibels {
+                    Some(decibels) => format!("{decibels:.3} dB"),
+                    None => if psnr.lossless { "lossless" } else { "-" }.to_owned(),
+                };
+                writeln!(out, "{name:<12} {text:>14}, peak {:.2} m", psnr.peak_m)?;
+            }
+        }
+        for (name, count) in [
+            ("lost points", self.lost_points),
+            ("added points", self.added_points),
+            ("NaN changed", self.non_finite_changed),
+        ] {
+            if count > 0 {
+                writeln!(out, "{name:<12} {count:>14}")?;
+            }
+        }
+        Ok(())
+    }
+}
