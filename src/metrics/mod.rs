@@ -2,9 +2,11 @@
 
 mod nearest;
 mod paired;
+mod ranges;
 
 pub use nearest::NearestErrors;
 pub use paired::PointErrors;
+pub use ranges::RangeErrors;
 
 /// The article's compression ratio (equation 11): coded size / original size. Smaller is better;
 /// 0.08 means that 8 % is left. `None` if there was nothing to encode.
