@@ -912,7 +912,7 @@ fn bench_takes_a_single_scan_and_no_folder_without_points() {
     assert!(csv.contains("Table I,\"intra coding, LZMA\",this drive,,"), "{csv}");
     assert!(!csv.contains("Table I,\"inter coding, LZMA\",this drive"), "nothing to predict from");
     assert!(csv.contains("Table I,\"inter coding, LZMA\",city,,3.27,%,published"), "{csv}");
-    assert!(csv.lines().any(|line| line.starts_with("Figure 15,context coder,")));
+    assert!(csv.lines().any(|line| line.starts_with("Figure 15,\"context, ideal image\",")));
 
     bench.write_files("none", &[("0.bin".to_owned(), Vec::new())].into());
     assert!(bench.fails("bench none", "none").contains("no points"));

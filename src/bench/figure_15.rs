@@ -64,7 +64,7 @@ impl Curves {
         if sample.has_references() {
             curves.push(by_step("LZMA, inter", Marker::Triangle, lzma, inter));
         }
-        curves.push(by_step("context coder", Marker::Circle, Coder::Context, smallest));
+        curves.push(by_step("context, ideal image", Marker::Circle, Coder::Context, smallest));
         curves.push(Curve {
             name: "context, calibrated image",
             marker: Marker::Diamond,

@@ -115,3 +115,33 @@ impl Bench {
         Ok(sections)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+    use crate::codec::Mode;
+    use crate::synth::{SynthConfig, drive};
+
+    #[test]
+    fn progress_ends_where_it_was_said_to() {
+        let config = SynthConfig { frames: 2, thinning: 20, ..SynthConfig::default() };
+        let frame = |(name, bytes)| FrameInput::Memory { name, bytes };
+        let frames: Vec<_> = drive(&config).map(|scan| frame((scan.name.clone(), scan.to_bin()))).collect();
+        let base = EncoderConfig {
+            projection: ProjectionKind::Ideal { columns: 150, range_step_um: 10_000 },
+            ..EncoderConfig::preset(Mode::Paper)
+        };
+        for frames in [&frames[..], &frames[..1]] {
+            let bench = Bench::new(frames, &base, true).unwrap();
+            let done = AtomicUsize::new(0);
+            let on_frame = || {
+                done.fetch_add(1, Ordering::Relaxed);
+            };
+            let sections = bench.run(&on_frame).unwrap();
+            assert_eq!(done.into_inner(), bench.frames_to_code());
+            assert_eq!(sections.len(), 10);
+        }
+    }
+}

@@ -5,18 +5,25 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use anyhow::Result;
+use clap::CommandFactory;
+use clap::error::ErrorKind;
 use lidarpc::bench::Bench;
 use lidarpc::bench::report::{Report, csv, html, text};
 use lidarpc::codec::FrameInput;
 use lidarpc::io::sequence::find_frames;
 
-use super::args::BenchArgs;
+use super::args::{Args, BenchArgs};
 use super::errors::about;
 use super::input::is_dash;
 use super::output::{FileOutput, name_of_output};
 use super::{coding, progress};
 
 pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
+    let is_page_only = args.html.as_deref().is_some_and(is_dash);
+    if is_page_only && (args.json || args.csv) {
+        let what = "--html - takes stdout; write the page to a file, or leave --json and --csv out";
+        Args::command().error(ErrorKind::ArgumentConflict, what).exit();
+    }
     let config = coding::paper_config(&args.coding, &args.threads);
     // Before the work, which would be for nothing.
     let mut page = args.html.as_deref().map(|path| FileOutput::create(path, args.force)).transpose()?;
@@ -39,7 +46,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
     if let (Some(output), Some(path)) = (page.take(), &args.html) {
         write_page(output, &report).map_err(|error| error.context(name_of_output(path)))?;
     }
-    if args.html.as_deref().is_some_and(is_dash) {
+    if is_page_only {
         return Ok(());
     }
     let mut out = io::BufWriter::new(io::stdout().lock());

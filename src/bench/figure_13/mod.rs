@@ -3,6 +3,7 @@
 
 mod sections;
 
+use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
 
 use super::sample::Sample;
@@ -107,6 +108,11 @@ pub fn ideal_sensor(config: &EncoderConfig) -> Result<SensorModel> {
 /// If the configuration has no ideal projection with a step, or a back-end's library fails.
 pub fn measure(sample: &Sample, config: &EncoderConfig, on_frame: &dyn Fn()) -> Result<Figure13> {
     let sensor = ideal_sensor(config)?;
+    let threads = config.threads;
+    let pool = ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| Error::InvalidConfig(format!("cannot start {threads} threads: {e}")))?;
     let mut figure = Figure13 {
         frames: 0,
         sample: sample.describe_some(sample.compared().count()),
@@ -125,7 +131,7 @@ pub fn measure(sample: &Sample, config: &EncoderConfig, on_frame: &dyn Fn()) -> 
             figure.frames += 1;
             figure.original += sample.inputs[frame].size()?;
             let from_before = before.predict(&image, &sensor, config);
-            figure.add(&image, from_before, &sensor, config)?;
+            pool.install(|| figure.add(&image, from_before, &sensor, config))?;
         }
         before.image = Some(image);
         on_frame();

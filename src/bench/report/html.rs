@@ -40,7 +40,7 @@ fn write_section(section: &Section, place: usize, out: &mut dyn Write) -> io::Re
     match section {
         Section::Table(_) => write_table(&cells, out)?,
         Section::Figure(figure) => {
-            out.write_all(plot::draw(figure).as_bytes())?;
+            writeln!(out, "<div class=\"wide\">\n{}</div>", plot::draw(figure))?;
             writeln!(out, "<details><summary>The values</summary>")?;
             write_table(&cells, out)?;
             writeln!(out, "</details>")?;
