@@ -8,7 +8,7 @@ pub const REMARK: &str = "published, other scenes and another machine";
 pub const SCENES: [&str; 4] = ["campus", "city", "road", "residential"];
 
 /// Table I: the compression rate (equation 11) in %, for the scenes and on average. The octree coder is that
-/// of the article's reference [21].
+/// of the article's reference 21.
 pub const COMPRESSION_RATES: [(&str, [f64; 5]); 5] = [
     ("intra coding, LZMA", [3.35, 3.16, 3.84, 4.16, 3.63]),
     ("inter coding, LZMA", [2.47, 3.27, 2.54, 3.68, 2.99]),
@@ -54,8 +54,8 @@ pub const INTRA_SECONDS: [f64; 2] = [0.17, 0.07];
 /// Table V: seconds of registration and of inter prediction.
 pub const INTER_SECONDS: [f64; 2] = [26.47, 0.22];
 
-/// Table VI: seconds of encoding and decoding. Tu-MPEG and Tu-SLAM are the article's references [10] and
-/// [12]. The first two are by LZMA, as their totals in Tables IV and V say.
+/// Table VI: seconds of encoding and decoding. Tu-MPEG and Tu-SLAM are the article's references 10 and
+/// 12. The first two are by LZMA, as their totals in Tables IV and V say.
 pub const CODING_SECONDS: [(&str, [f64; 2]); 5] = [
     ("intra coding, LZMA", [0.57, 0.02]),
     ("inter coding, LZMA", [27.12, 0.04]),
