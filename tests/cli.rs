@@ -939,19 +939,89 @@ fn steps_add_up_to_the_sections() {
     assert!(text.contains("contour map") && text.contains("clustering"), "{text}");
 }
 
+/// The section of a report of `bench --json` with this number.
+fn section<'a>(report: &'a Value, number: &str) -> &'a Value {
+    let sections = report["sections"].as_array().unwrap();
+    sections.iter().find(|section| section["number"] == number).expect(number)
+}
+
+/// A value of a table.
+fn cell(table: &Value, row: &str, column: usize) -> f64 {
+    let rows = table["rows"].as_array().unwrap();
+    let row = rows.iter().find(|found| found["name"].as_str().unwrap().trim() == row).expect(row);
+    row["cells"][column].as_f64().unwrap()
+}
+
 #[test]
-fn bench_tells_what_prediction_is_worth() {
+fn bench_gives_the_tables_and_figures() {
     let bench = driven();
-    let figure = bench.json("bench drive --quick --json --columns 300 --step 2cm");
-    assert_eq!(figure["frames"], 2);
-    let backends = figure["backends"].as_array().unwrap();
-    assert_eq!(backends.len(), 10);
-    for backend in backends {
-        let sizes = backend.as_object().unwrap().values().filter_map(Value::as_f64);
-        assert!(sizes.clone().count() == 6 && sizes.clone().all(|bytes| bytes > 1000.0), "{backend}");
+    let report = bench.json("bench drive --quick --json --columns 300 --step 2cm --html page.html");
+    let numbers: Vec<_> =
+        report["sections"].as_array().unwrap().iter().map(|s| s["number"].as_str().unwrap()).collect();
+    assert_eq!(numbers[..6], ["Table I", "Table II", "Table III", "Table IV", "Table V", "Table VI"]);
+    assert_eq!(numbers[6..], ["Figure 13, table", "Figure 13, floats", "Figure 13, integers", "Figure 15"]);
+
+    let rates = section(&report, "Table I");
+    assert_eq!(cell(rates, "intra coding, LZMA", 1), 3.35, "published");
+    let measured = ["intra coding, LZMA", "inter coding, LZMA", "context coder, same image"];
+    assert!(measured.iter().all(|row| (0.1..20.0).contains(&cell(rates, row, 0))), "{rates}");
+    for number in ["Table II", "Table III"] {
+        let volumes = section(&report, number);
+        let parts = ["ranges", "contour map", "parameters, models of regions", "which cells hold a return"];
+        let sum: f64 = parts.iter().map(|part| cell(volumes, part, 0)).sum();
+        assert!((sum - cell(volumes, "after coding, LZMA", 0)).abs() < 1e-6, "{volumes}");
+        assert!((cell(volumes, "after conversion", 0) - 4.0 * 64.0 * 300.0 / 1e3).abs() < 1e-6);
     }
-    let text = String::from_utf8(bench.ok("bench drive --quick --columns 300")).unwrap();
-    assert!(text.contains("lizard") && text.contains('%'), "{text}");
+    for number in ["Table IV", "Table V"] {
+        let times = section(&report, number);
+        let steps = times["rows"].as_array().unwrap().iter().map(|row| row["cells"][0].as_f64().unwrap());
+        let sum: f64 = steps.clone().take(steps.len() - 1).sum();
+        assert!(cell(times, "total", 0) >= 0.999 * sum && sum > 0.0, "{times}");
+    }
+
+    let table = section(&report, "Figure 13, table");
+    let rows = table["rows"].as_array().unwrap();
+    assert_eq!(rows.len(), 10);
+    for row in rows {
+        let sizes = row["cells"].as_array().unwrap();
+        assert!(sizes.len() == 9 && sizes.iter().all(|size| size.as_f64().unwrap() > 1.0), "{row}");
+    }
+    let curves = section(&report, "Figure 15")["series"].as_array().unwrap();
+    let points = |curve: &Value| curve["points"].as_array().unwrap().len();
+    assert_eq!(curves.iter().map(points).collect::<Vec<_>>(), [3, 3, 3, 3, 1, 1, 1]);
+    let inter = &curves[1]["points"];
+    assert!(
+        inter[0]["x"].as_f64() > inter[2]["x"].as_f64() && inter[0]["y"].as_f64() < inter[2]["y"].as_f64()
+    );
+    assert_eq!(curves[6]["points"][0]["y"], 0.0, "exact mode");
+
+    let page = fs::read_to_string(bench.path("page.html")).unwrap();
+    assert!(page.starts_with("<!DOCTYPE html>") && page.ends_with("</html>\n"));
+    assert_eq!(page.matches("<svg ").count(), 3);
+    for loads in ["http://", "https://", "<script", "src=", "url("] {
+        assert!(!page.contains(loads), "{loads}");
+    }
+    assert!(page.contains("lidarpc bench drive --quick") && page.contains("published, other scenes"));
+    assert!(bench.fails("bench drive --quick --html page.html", "page.html").contains("--force"));
+}
+
+#[test]
+fn bench_takes_a_single_scan_and_no_folder_without_points() {
+    let bench = driven();
+    let name = bench.names("drive").remove(0);
+    let csv = bench.ok(&format!("bench drive/{name} --quick --csv --columns 200 --step 5cm"));
+    let csv = String::from_utf8(csv).unwrap();
+    assert!(csv.starts_with("section,series,x,x_unit,y,y_unit,origin\r\n"), "{csv}");
+    assert!(csv.contains("Table I,\"intra coding, LZMA\",this drive,,"), "{csv}");
+    assert!(!csv.contains("Table I,\"inter coding, LZMA\",this drive"), "nothing to predict from");
+    assert!(csv.contains("Table I,\"inter coding, LZMA\",city,,3.27,%,published"), "{csv}");
+    assert!(csv.lines().any(|line| line.starts_with("Figure 15,\"context, ideal image\",")));
+
+    bench.write_files("none", &[("0.bin".to_owned(), Vec::new())].into());
+    assert!(bench.fails("bench none", "none").contains("no points"));
+    assert!(bench.fails("bench drive --step float", "drive").contains("steps"));
+    bench.fails("bench missing --html page.html", "missing");
+    assert!(!bench.path("page.html").exists());
 }
 
 #[test]

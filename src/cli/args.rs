@@ -50,7 +50,7 @@ pub enum Command {
     Cat(CatArgs),
     /// Draw a frame as a PNG: its range image, regions, prediction, or the points from above.
     View(ViewArgs),
-    /// Run the article's experiments on scans: what prediction is worth to each back-end (Figure 13).
+    /// Run the article's experiments on scans: its tables and figures, as text or as a page with plots.
     Bench(BenchArgs),
     /// Write a synthetic drive: KITTI .bin scans of a simulated HDL-64E.
     Synth(SynthArgs),
@@ -284,19 +284,40 @@ pub struct ViewArgs {
     pub coding: CodingArgs,
 }
 
+const BENCH_EXAMPLES: &str = "\
+Examples:
+  lidarpc bench drive/ --quick
+  lidarpc bench drive/ --step 1cm --html report.html
+  lidarpc bench drive/ --csv > report.csv
+
+Frames are taken in runs spread over the drive: for the tables twice 10, for the figures twice 3.
+Coders, predictions and, for curves, steps are the experiments' own; of the options below --columns,
+--step, --level and those of outliers, registration and regions count.";
+
 #[derive(Debug, clap::Args)]
+#[command(after_help = BENCH_EXAMPLES)]
 pub struct BenchArgs {
     /// Folder of scans, or a scan.
     #[arg(value_name = "INPUT")]
     pub input: PathBuf,
-    /// Measure the first few frames only.
+    /// Measure the first three frames only, with fewer points on curves.
     #[arg(long)]
     pub quick: bool,
     #[command(flatten)]
     pub threads: Threads,
-    /// Report as JSON; sizes in bytes, the mean of a frame.
-    #[arg(long)]
+    /// Report as JSON.
+    #[arg(long, conflicts_with = "csv")]
     pub json: bool,
+    /// Report as one CSV table, a line a value: section, series (row), x (column), its unit, y (value), its
+    /// unit, and whether it is measured or published.
+    #[arg(long)]
+    pub csv: bool,
+    /// Also write a page with plots to this file, which needs nothing else; `-` for stdout, instead of text.
+    #[arg(long, value_name = "FILE")]
+    pub html: Option<PathBuf>,
+    /// Overwrite the page if it exists.
+    #[arg(short, long, requires = "html")]
+    pub force: bool,
     #[command(flatten)]
     pub coding: CodingArgs,
 }

@@ -1,131 +1,107 @@
 //! `lidarpc bench`
 
+use std::ffi::OsString;
 use std::io::{self, Write};
+use std::path::Path;
 
 use anyhow::Result;
-use lidarpc::backend::BACKENDS;
-use lidarpc::bench::{Figure13, Figure13Bench, Sizes};
-use lidarpc::codec::{EncoderConfig, FrameInput};
-use lidarpc::io::parse_with;
+use clap::CommandFactory;
+use clap::error::ErrorKind;
+use lidarpc::bench::Bench;
+use lidarpc::bench::report::{Report, csv, html, text};
+use lidarpc::codec::FrameInput;
 use lidarpc::io::sequence::find_frames;
-use lidarpc::metrics;
-use serde::Serialize;
 
-use super::args::BenchArgs;
-use super::{coding, progress, table};
-
-/// Frames that --quick measures.
-const QUICK_FRAMES: usize = 3;
-
-/// The figure's data; bytes are the mean of a frame.
-#[derive(Serialize)]
-struct Figure {
-    frames: u64,
-    original_bytes: f64,
-    /// Part of the sizes of regions.
-    side_bytes: f64,
-    backends: Vec<Entry>,
-}
-
-#[derive(Serialize)]
-struct Entry {
-    name: &'static str,
-    float_image_bytes: f64,
-    float_region_residual_bytes: f64,
-    range_bytes: f64,
-    range_difference_bytes: f64,
-    region_residual_bytes: f64,
-    region_residual_difference_bytes: f64,
-}
+use super::args::{Args, BenchArgs};
+use super::errors::about;
+use super::input::is_dash;
+use super::output::{FileOutput, name_of_output};
+use super::{coding, progress};
 
 pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
+    let is_page_only = args.html.as_deref().is_some_and(is_dash);
+    if is_page_only && (args.json || args.csv) {
+        let what = "--html - takes stdout; write the page to a file, or leave --json and --csv out";
+        Args::command().error(ErrorKind::ArgumentConflict, what).exit();
+    }
     let config = coding::paper_config(&args.coding, &args.threads);
-    let figure = Figure::of(&measure(args, &config, quiet)?);
+    // Before the work, which would be for nothing.
+    let mut page = args.html.as_deref().map(|path| FileOutput::create(path, args.force)).transpose()?;
+    let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
+    let frames: Vec<_> = frames.into_iter().map(FrameInput::File).collect();
+    let in_input = |error| about(error, &args.input.display().to_string());
+    let bench = Bench::new(&frames, &config, args.quick).map_err(in_input)?;
+    let bar = progress::bar(Some(bench.frames_to_code() as u64), "measuring", quiet);
+    let sections = bench.run(&|| bar.inc(1));
+    bar.finish_and_clear();
+
+    let name = name_of_folder(&args.input);
+    let mut facts = vec![
+        ("program".to_owned(), format!("lidarpc {}", env!("CARGO_PKG_VERSION"))),
+        ("command".to_owned(), command_line(std::env::args_os())),
+    ];
+    facts.extend(bench.facts());
+    let title = format!("The article's tables and figures on {name}");
+    let report = Report { title, facts, sections: sections.map_err(in_input)? };
+    if let (Some(output), Some(path)) = (page.take(), &args.html) {
+        write_page(output, &report).map_err(|error| error.context(name_of_output(path)))?;
+    }
+    if is_page_only {
+        return Ok(());
+    }
     let mut out = io::BufWriter::new(io::stdout().lock());
     if args.json {
-        serde_json::to_writer_pretty(&mut out, &figure).map_err(io::Error::from)?;
+        serde_json::to_writer_pretty(&mut out, &report).map_err(io::Error::from)?;
         writeln!(out)?;
+    } else if args.csv {
+        csv::write(&report, &mut out)?;
     } else {
-        figure.print(&mut out)?;
+        text::write(&report, &mut out)?;
     }
     out.flush()?;
     Ok(())
 }
 
-fn measure(args: &BenchArgs, config: &EncoderConfig, quiet: bool) -> Result<Figure13> {
-    let mut frames = find_frames(std::slice::from_ref(&args.input))?.frames;
-    if args.quick {
-        frames.truncate(QUICK_FRAMES);
-    }
-    let bar = progress::bar(Some(frames.len() as u64), "measuring", quiet);
-    let mut bench = Figure13Bench::new(config)?;
-    for frame in frames.into_iter().map(FrameInput::File) {
-        let bytes = frame.read()?;
-        let size = bytes.len() as u64;
-        bench.add(&parse_with(frame.name()?, bytes, config.headerless.as_ref()).cloud, size)?;
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
-    Ok(bench.figure())
+fn write_page(mut output: FileOutput, report: &Report) -> Result<()> {
+    let mut writer = output.writer();
+    html::write(report, &mut writer)?;
+    writer.flush()?;
+    drop(writer);
+    output.finish()?;
+    Ok(())
 }
 
-impl Figure {
-    fn of(figure: &Figure13) -> Self {
-        let mean = |bytes: u64| bytes as f64 / figure.frames.max(1) as f64;
-        let entry = |(name, sizes): (&'static str, &Sizes)| Entry {
-            name,
-            float_image_bytes: mean(sizes.float_image),
-            float_region_residual_bytes: mean(sizes.float_residual),
-            range_bytes: mean(sizes.ranges),
-            range_difference_bytes: mean(sizes.differences),
-            region_residual_bytes: mean(sizes.residual),
-            region_residual_difference_bytes: mean(sizes.residual_differences),
-        };
-        let names = BACKENDS.iter().map(|backend| backend.name());
-        Figure {
-            frames: figure.frames,
-            original_bytes: mean(figure.original),
-            side_bytes: mean(figure.side),
-            backends: names.zip(&figure.sizes).map(entry).collect(),
-        }
-    }
+/// The last part of a path; `scans` if it has none, as `..`.
+fn name_of_folder(path: &Path) -> String {
+    path.file_name().map_or_else(|| "scans".to_owned(), |name| name.to_string_lossy().into_owned())
+}
 
-    fn print(&self, out: &mut impl Write) -> io::Result<()> {
-        let frames = table::count(self.frames, "frame");
-        writeln!(out, "Figure 13: {frames}, KB a frame of {:.0} KB\n", self.original_bytes / 1e3)?;
-        writeln!(out, "{:<10} {:^25}   {:^51}", "", "32-bit floats", "integers")?;
-        writeln!(
-            out,
-            "{:<10} {:>12} {:>12}   {:>12} {:>12} {:>12} {:>12}",
-            "back-end", "image", "regions", "ranges", "differences", "regions", "regions, d."
-        )?;
-        for entry in &self.backends {
-            let Entry { name, float_image_bytes: image, float_region_residual_bytes: residual, .. } = entry;
-            write!(out, "{name:<10} {} {}  ", self.cell(*image), self.cell(*residual))?;
-            for bytes in [
-                entry.range_bytes,
-                entry.range_difference_bytes,
-                entry.region_residual_bytes,
-                entry.region_residual_difference_bytes,
-            ] {
-                write!(out, " {}", self.cell(bytes))?;
-            }
-            writeln!(out)?;
+/// The command line as it may be shown to others: of absolute paths only the last part.
+fn command_line(args: impl Iterator<Item = OsString>) -> String {
+    let shown = |text: &str| {
+        let path = Path::new(text);
+        if path.is_absolute() { name_of_folder(path) } else { text.to_owned() }
+    };
+    let shown = |arg: OsString| {
+        let arg = arg.to_string_lossy().into_owned();
+        match arg.split_once('=') {
+            Some((option, value)) if option.starts_with("--") => format!("{option}={}", shown(value)),
+            _ => shown(&arg),
         }
-        writeln!(
-            out,
-            "\nregions include {:.1} KB of contour map and models; d.: differences along the snake's path",
-            self.side_bytes / 1e3
-        )
-    }
+    };
+    let args: Vec<_> = args.skip(1).map(shown).collect();
+    format!("lidarpc {}", args.join(" "))
+}
 
-    /// KB and the ratio of equation 11.
-    fn cell(&self, bytes: f64) -> String {
-        let ratio = metrics::ratio(self.original_bytes as u64, bytes as u64);
-        format!(
-            "{:>5.1} {:>6}",
-            bytes / 1e3,
-            ratio.map_or("-".to_owned(), |ratio| format!("{:.2}%", 100.0 * ratio))
-        )
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn command_lines_are_shown_without_absolute_paths() {
+        let args =
+            ["/usr/bin/lidarpc", "bench", "/home/me/drive", "--html=/tmp/out.html", "--step", "1cm", "../x"];
+        let shown = command_line(args.into_iter().map(OsString::from));
+        assert_eq!(shown, "lidarpc bench drive --html=out.html --step 1cm ../x");
     }
 }

@@ -123,6 +123,8 @@ pub enum PredictArg {
     Inter,
     /// Of these, what makes each frame smallest.
     Auto,
+    /// The frame before in every P frame, also where ground and objects make it smaller.
+    Forced,
 }
 
 /// Which range image.
@@ -250,6 +252,7 @@ impl CodingArgs {
                 PredictArg::Intra => PredictionChoice::Always(Prediction::Intra),
                 PredictArg::Inter => PredictionChoice::Always(Prediction::Inter),
                 PredictArg::Auto => PredictionChoice::Smallest,
+                PredictArg::Forced => PredictionChoice::EveryReference,
             };
         }
         config.order = match self.order {

@@ -72,6 +72,9 @@ pub enum PredictionChoice {
     Always(Prediction),
     /// Each frame as makes it smallest.
     Smallest,
+    /// Each P frame from the frame before if it is found how the scanner has moved, even if it would be
+    /// smaller as an I frame, as in the article's experiments; I frames as by `Always(Inter)`.
+    EveryReference,
 }
 
 /// What codes the ranges.
@@ -189,7 +192,9 @@ impl EncoderConfig {
     pub(super) fn allows_inter(&self, frame_of_group: usize) -> bool {
         let is_chosen = matches!(
             self.prediction,
-            PredictionChoice::Smallest | PredictionChoice::Always(Prediction::Inter)
+            PredictionChoice::Smallest
+                | PredictionChoice::EveryReference
+                | PredictionChoice::Always(Prediction::Inter)
         );
         let is_turn = match self.order {
             FrameOrder::Ratio => frame_of_group > 0,
@@ -205,8 +210,12 @@ impl EncoderConfig {
         /// use aside.
         const SURE: f64 = 0.5;
         let mut tried = match (self.prediction, self.coder) {
+            (PredictionChoice::EveryReference, _) if fit.is_some() => vec![],
             (PredictionChoice::Always(Prediction::Intra), _) => vec![Prediction::Intra],
-            (PredictionChoice::Always(Prediction::Inter), Coder::Backend(_)) => vec![Prediction::Intra],
+            (
+                PredictionChoice::Always(Prediction::Inter) | PredictionChoice::EveryReference,
+                Coder::Backend(_),
+            ) => vec![Prediction::Intra],
             (PredictionChoice::Smallest, Coder::Backend(_)) => vec![Prediction::None, Prediction::Intra],
             (_, Coder::Context) if fit.is_some_and(|fit| fit > SURE) => vec![],
             _ => vec![Prediction::None],
@@ -324,6 +333,22 @@ mod tests {
         assert!(EncoderConfig::preset(Mode::Exact).check().is_ok());
         assert!(EncoderConfig::preset(Mode::Bounded { max_error_um: 10_000 }).check().is_ok());
         assert!(EncoderConfig::preset(Mode::Paper).check().is_ok());
+    }
+
+    #[test]
+    fn p_frames_can_be_forced() {
+        let forced = |coder| EncoderConfig {
+            coder,
+            prediction: PredictionChoice::EveryReference,
+            ..EncoderConfig::preset(Mode::Paper)
+        };
+        let lzma = forced(Coder::Backend(backend::LZMA));
+        assert_eq!(lzma.predictions(Some(0.1)), [Prediction::Inter]);
+        assert_eq!(lzma.predictions(None), [Prediction::Intra]);
+        assert_eq!(forced(Coder::Context).predictions(Some(0.1)), [Prediction::Inter]);
+        assert_eq!(forced(Coder::Context).predictions(None), [Prediction::None]);
+        assert!(lzma.allows_inter(1) && !lzma.allows_inter(0));
+        assert!(forced(Coder::Context).check().is_ok() && lzma.check().is_ok());
     }
 
     #[test]

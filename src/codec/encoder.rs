@@ -47,6 +47,8 @@ pub struct Encoded {
     pub frames: Vec<FrameHeader>,
     /// What each step took and left; where several predictions were tried, with the one that was taken.
     pub steps: StepReport,
+    /// The same, frame by frame.
+    pub frame_steps: Vec<StepReport>,
     /// Points of all original files.
     pub points: u64,
     /// Bytes of the stream.
@@ -88,7 +90,8 @@ pub fn encode<W: Write>(
     let write = |groups: Vec<EncodedGroup>| {
         for EncodedGroup { group, steps, points, .. } in groups {
             writer.write_group(&group)?;
-            encoded.steps.add(&steps);
+            steps.iter().for_each(|frame| encoded.steps.add(frame));
+            encoded.frame_steps.extend(steps);
             encoded.points += points;
             encoded.frames.extend(group.frames.into_iter().map(|frame| frame.header));
         }
@@ -154,7 +157,10 @@ impl SequenceCoder<'_> {
 /// A group, and what became of its files.
 struct EncodedGroup {
     group: Group,
-    steps: StepReport,
+    /// Of each frame.
+    steps: Vec<StepReport>,
+    /// Bytes of the original files.
+    file_bytes: u64,
     /// Points of the original files.
     points: u64,
 }
@@ -172,12 +178,12 @@ impl<'s> OpenGroup<'s> {
         OpenGroup {
             headerless: sequence.config.headerless.as_ref(),
             coder: GroupEncoder::new(sequence.sensor, sequence.config),
-            encoded: EncodedGroup { group, steps: StepReport::default(), points: 0 },
+            encoded: EncodedGroup { group, steps: Vec::new(), file_bytes: 0, points: 0 },
         }
     }
 
     fn has_room_for(&self, bytes: &[u8]) -> bool {
-        let group_bytes = self.encoded.steps.original;
+        let group_bytes = self.encoded.file_bytes;
         self.encoded.group.frames.is_empty() || group_bytes + bytes.len() as u64 <= GROUP_FILE_BYTES
     }
 
@@ -185,9 +191,10 @@ impl<'s> OpenGroup<'s> {
         let mut original = FrameHeader::of(name, &bytes, 0);
         let scan = within_limits(parse_with(name, bytes, self.headerless))?;
         original.point_count = scan.records as u64;
+        self.encoded.file_bytes += original.file_size;
         self.encoded.points += original.point_count;
         let frame = self.coder.encode_frame(&scan, original)?;
-        self.encoded.steps.add(&frame.steps);
+        self.encoded.steps.push(frame.steps);
         self.encoded.group.frames.push(Frame { header: frame.header, sections: frame.sections });
         Ok(())
     }
@@ -229,7 +236,10 @@ impl FrameInput {
     }
 
     /// Bytes of the file.
-    fn size(&self) -> Result<u64> {
+    ///
+    /// # Errors
+    /// If the file's size cannot be read.
+    pub fn size(&self) -> Result<u64> {
         match self {
             FrameInput::File(path) => Ok(fs::metadata(path).map_err(|e| Error::from(e).at(path))?.len()),
             FrameInput::Memory { bytes, .. } => Ok(bytes.len() as u64),

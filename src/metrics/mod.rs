@@ -3,10 +3,12 @@
 mod nearest;
 mod paired;
 mod psnr;
+mod ranges;
 
 pub use nearest::{Nearest, NearestErrors, NearestPairs, NearestPoints, nearest_distances};
 pub use paired::{PointErrors, paired_distances};
 pub use psnr::{GeometryPsnr, PEAK_M};
+pub use ranges::RangeErrors;
 
 /// The article's compression ratio (equation 11): coded size / original size. Smaller is better;
 /// 0.08 means that 8 % is left. `None` if there was nothing to encode.

@@ -21,7 +21,7 @@ use crate::scan::ScanFile;
 /// Azimuth ticks a turn of the scanners that the fit knows.
 const TICKS: u32 = 4000;
 /// Their range step in micrometres.
-const RANGE_STEP_UM: u32 = 2000;
+pub const RANGE_STEP_UM: u32 = 2000;
 const RANGE_STEP: f64 = RANGE_STEP_UM as f64 * 1e-6;
 const TICK: f64 = TAU / TICKS as f64;
 /// Fewer points than this do not determine a beam.

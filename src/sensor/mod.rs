@@ -9,7 +9,7 @@ mod ideal;
 mod model;
 
 pub use coordinates::Coordinates;
-pub use fit::fit;
+pub use fit::{RANGE_STEP_UM, fit};
 pub use ideal::ideal;
 pub use model::{
     BeamConstants, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, SensorModel, Sighting,

@@ -1,0 +1,105 @@
+//! Tables and figures as cells of text, for the forms of output that people read.
+
+use super::number::{decimals, significant};
+use super::{Axis, Figure, Origin, Scale, Section, Series, Table};
+
+/// A grid of text. The first column holds the names of the rows.
+pub struct Cells {
+    /// What is in the first column.
+    pub label: String,
+    /// The other columns.
+    pub columns: Vec<Heading>,
+    /// Rows: the name, then a cell for each other column.
+    pub rows: Vec<(String, Vec<String>)>,
+}
+
+/// The heading of a column.
+pub struct Heading {
+    /// What it holds.
+    pub name: String,
+    /// The unit; may be empty.
+    pub unit: String,
+    /// Where the values come from.
+    pub origin: Origin,
+}
+
+impl Cells {
+    /// A table's cells, or the points of a figure.
+    pub fn of(section: &Section) -> Self {
+        match section {
+            Section::Table(table) => of_table(table),
+            Section::Figure(figure) => match &figure.y.scale {
+                Scale::Categories(names) => of_categories(figure, names),
+                Scale::Linear | Scale::Log => of_points(figure),
+            },
+        }
+    }
+
+    /// Neighbouring columns of the same origin: how many, and which. Empty if nothing is published.
+    pub fn origins(&self) -> Vec<(Origin, usize)> {
+        if self.columns.iter().all(|column| column.origin == Origin::Measured) {
+            return Vec::new();
+        }
+        let groups = self.columns.chunk_by(|a, b| a.origin == b.origin);
+        groups.map(|group| (group[0].origin, group.len())).collect()
+    }
+}
+
+fn of_table(table: &Table) -> Cells {
+    let heading = |column: &super::Column| Heading {
+        name: column.name.clone(),
+        unit: column.unit.clone(),
+        origin: column.origin,
+    };
+    let cells = |row: &super::Row| {
+        let cells = table.columns.iter().zip(&row.cells);
+        (row.name.clone(), cells.map(|(column, cell)| decimals(*cell, column.decimals)).collect())
+    };
+    Cells {
+        label: table.label.clone(),
+        columns: table.columns.iter().map(heading).collect(),
+        rows: table.rows.iter().map(cells).collect(),
+    }
+}
+
+/// A row for each category, a column for each series.
+fn of_categories(figure: &Figure, names: &[String]) -> Cells {
+    let heading = |series: &Series| Heading {
+        name: series.name.clone(),
+        unit: figure.x.unit.clone(),
+        origin: series.origin,
+    };
+    let cell = |series: &Series, category: usize| {
+        let point = series.points.iter().find(|point| point.y as usize == category);
+        decimals(point.map(|point| point.x), Some(2))
+    };
+    let row = |(category, name): (usize, &String)| {
+        (name.clone(), figure.series.iter().map(|series| cell(series, category)).collect())
+    };
+    Cells {
+        label: figure.y.name.clone(),
+        columns: figure.series.iter().map(heading).collect(),
+        rows: names.iter().enumerate().map(row).collect(),
+    }
+}
+
+/// A row for each point.
+fn of_points(figure: &Figure) -> Cells {
+    let axis =
+        |axis: &Axis| Heading { name: axis.name.clone(), unit: axis.unit.clone(), origin: Origin::Measured };
+    let setting = Heading { name: "setting".into(), unit: String::new(), origin: Origin::Measured };
+    let rows = figure.series.iter().flat_map(|series| {
+        series.points.iter().map(|point| {
+            let name = match series.origin {
+                Origin::Measured => series.name.clone(),
+                Origin::Published => format!("{} (published)", series.name),
+            };
+            (name, vec![point.label.clone(), significant(point.x), significant(point.y)])
+        })
+    });
+    Cells {
+        label: "series".into(),
+        columns: vec![setting, axis(&figure.x), axis(&figure.y)],
+        rows: rows.collect(),
+    }
+}

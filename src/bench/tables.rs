@@ -1,0 +1,58 @@
+//! What the tables have in common.
+
+use super::experiment::Coded;
+use super::published::SCENES;
+use super::report::{Column, Origin, Row};
+use super::sample::Sample;
+
+/// A coder that is measured, in rows of a table.
+pub struct Method<'a> {
+    /// As the published figures call it.
+    pub name: String,
+    /// The sample coded by it; `None` if it cannot be measured here.
+    pub coded: Option<&'a Coded>,
+    /// Whether only frames with one before them count.
+    pub only_with_reference: bool,
+}
+
+impl Method<'_> {
+    /// The frames of the sample that count.
+    pub fn frames(&self, sample: &Sample) -> Vec<usize> {
+        match self.only_with_reference {
+            true => sample.compared().collect(),
+            false => (0..sample.inputs.len()).collect(),
+        }
+    }
+}
+
+/// A row for each method, with what is measured and what is published of it, and a row for each method
+/// of which something is published only.
+pub fn rows_of_methods<const M: usize, const P: usize>(
+    methods: &[Method<'_>],
+    measure: impl Fn(&Method<'_>, &Coded) -> [Option<f64>; M],
+    published: &[(&str, [f64; P])],
+) -> Vec<Row> {
+    let row = |name: &str, measured: [Option<f64>; M]| {
+        let published = published.iter().find(|(other, _)| *other == name);
+        let published = published.map_or([None; P], |(_, values)| values.map(Some));
+        Row { name: name.to_owned(), cells: measured.into_iter().chain(published).collect() }
+    };
+    let measured = methods.iter().map(|method| {
+        let values = method.coded.map_or([None; M], |coded| measure(method, coded));
+        row(&method.name, values)
+    });
+    let is_measured = |name: &str| methods.iter().any(|method| method.name == name);
+    let others = published.iter().filter(|(name, _)| !is_measured(name));
+    measured.chain(others.map(|(name, _)| row(name, [None; M]))).collect()
+}
+
+/// A column for what is measured, and one for each of the article's scenes.
+pub fn columns_by_scene(unit: &str, [measured, published]: [usize; 2]) -> Vec<Column> {
+    let scenes = SCENES.iter().map(|scene| column(scene, unit, Some(published), Origin::Published));
+    [column("this drive", unit, Some(measured), Origin::Measured)].into_iter().chain(scenes).collect()
+}
+
+/// A column.
+pub fn column(name: &str, unit: &str, decimals: Option<usize>, origin: Origin) -> Column {
+    Column { name: name.into(), unit: unit.into(), origin, decimals }
+}

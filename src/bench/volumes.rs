@@ -1,0 +1,131 @@
+//! Tables I to III: how small frames get, and by which steps.
+
+use super::experiment::{Coded, CodedFrame};
+use super::published;
+use super::report::{Origin, Row, Section, Table};
+use super::runs::Runs;
+use super::sample::Sample;
+use super::tables::{Method, column, columns_by_scene, rows_of_methods};
+
+/// Table I: compression rates.
+pub fn rates(sample: &Sample, runs: &Runs) -> Section {
+    let rate = |method: &Method<'_>, coded: &Coded| {
+        let frames = method.frames(sample);
+        let original: f64 = frames.iter().map(|&frame| coded.frames[frame].encoding.original as f64).sum();
+        [(original > 0.0).then(|| 100.0 * coded.bytes(frames.into_iter()) / original)]
+    };
+    let inter = runs.coders.iter().filter_map(|run| run.inter.as_ref());
+    let p_frames = inter.map(|inter| inter.frames.iter().filter(|frame| frame.is_inter()).count()).max();
+    let mut columns = columns_by_scene("%", [2, 2]);
+    columns.push(column("average", "%", Some(2), Origin::Published));
+    Section::Table(Table {
+        number: "Table I".into(),
+        title: "compression rate (equation 11)".into(),
+        note: format!(
+            "Coded bytes of the bytes of the files, everything included, the container too. On {}. Inter coding: \
+             only the frames that have one before them, as P frames if it is found how the scanner has moved \
+             ({} of {}). Any prediction: each frame from nothing, regions or the frame before, whichever is \
+             smallest. All but exact mode drop outliers and the points that have no cell of their own in the range image, \
+             and have no intensities; exact mode gives the files back byte for byte.",
+            sample.describe(),
+            p_frames.unwrap_or_default(),
+            sample.compared().filter(|&frame| sample.has_reference(frame)).count(),
+        ),
+        label: "method".into(),
+        columns,
+        rows: rows_of_methods(&runs.methods(), rate, &published::COMPRESSION_RATES),
+    })
+}
+
+/// Tables II and III: bytes of a frame after each step, of intra and of inter coding.
+pub fn volumes(sample: &Sample, runs: &Runs) -> Vec<Section> {
+    let all: Vec<_> = (0..sample.inputs.len()).collect();
+    let later: Vec<_> = sample.compared().collect();
+    let intra = Volumes {
+        number: "Table II",
+        what: "intra",
+        place: 0,
+        frames: &all,
+        coded: |runs, name| runs.of(name).map(|run| &run.intra),
+    };
+    let inter = Volumes {
+        number: "Table III",
+        what: "inter",
+        place: 1,
+        frames: &later,
+        coded: |runs, name| runs.of(name).and_then(|run| run.inter.as_ref()),
+    };
+    vec![intra.table(sample, runs), inter.table(sample, runs)]
+}
+
+/// One of the two tables.
+struct Volumes<'a> {
+    number: &'a str,
+    what: &'a str,
+    /// In the published figures: 0 intra, 1 inter.
+    place: usize,
+    frames: &'a [usize],
+    coded: fn(&'a Runs, &str) -> Option<&'a Coded>,
+}
+
+impl<'a> Volumes<'a> {
+    fn table(&self, sample: &Sample, runs: &'a Runs) -> Section {
+        let first = published::CODERS.iter().find_map(|coder| (self.coded)(runs, coder.name));
+        let mean = |coded: Option<&Coded>, of: fn(&CodedFrame) -> u64| {
+            coded?.mean(self.frames.iter().copied(), |frame| of(frame) as f64 / 1e3)
+        };
+        let row = |name: String, value: Option<f64>, published: Option<[f64; 4]>| {
+            let published = published.map_or([None; 4], |values| values.map(Some));
+            Row { name, cells: [value].into_iter().chain(published).collect() }
+        };
+        let converted = (self.place == 0).then_some(published::CONVERTED_KB);
+        let mut rows = vec![
+            row(
+                "original".into(),
+                mean(first, |frame| frame.encoding.original),
+                Some(published::ORIGINAL_KB),
+            ),
+            row("after conversion".into(), mean(first, |frame| frame.encoding.converted), converted),
+            row(
+                format!("after {} prediction", self.what),
+                mean(first, |frame| frame.encoding.predicted),
+                Some(published::PREDICTED_KB[self.place]),
+            ),
+        ];
+        for coder in &published::CODERS {
+            let coded = (self.coded)(runs, coder.name);
+            let name = format!("after coding, {}", coder.name);
+            let published = Some(coder.coded_kb[self.place]);
+            rows.push(row(name, mean(coded, |frame| frame.encoding.coded()), published));
+            if coded.is_some() {
+                for (part, of) in PARTS {
+                    rows.push(row(format!("  {part}"), mean(coded, of), None));
+                }
+            }
+        }
+        Section::Table(Table {
+            number: self.number.into(),
+            title: format!("volumes of a frame during {} coding", self.what),
+            note: format!(
+                "KB are 1000 bytes, the mean of {}, without the container. After conversion: four \
+                 bytes a cell of the range image. After prediction: what goes into the coder of the ranges, \
+                 packed.",
+                sample.describe_some(self.frames.len()),
+            ),
+            label: "step".into(),
+            columns: columns_by_scene("KB", [1, 0]),
+            rows,
+        })
+    }
+}
+
+/// A part of a frame's bytes.
+type Part = (&'static str, fn(&CodedFrame) -> u64);
+
+/// What coded frames consist of.
+const PARTS: [Part; 4] = [
+    ("ranges", |frame| frame.encoding.ranges),
+    ("contour map", |frame| frame.encoding.contour),
+    ("parameters, models of regions", |frame| frame.encoding.side),
+    ("which cells hold a return", |frame| frame.encoding.rest),
+];
