@@ -125,7 +125,11 @@ impl SectionCoder for SectionReader<'_> {
         let section = self.sections.next().filter(|section| section.kind == kind);
         let section = section.ok_or_else(|| Error::corrupt(format!("{kind} section is missing")))?;
         let mut decoder = ArithmeticDecoder::new(&section.payload);
-        code(&mut decoder)
+        let decoded = code(&mut decoder)?;
+        if decoder.is_exhausted() {
+            return Err(Error::corrupt(format!("{kind} section ends too early")));
+        }
+        Ok(decoded)
     }
 
     fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>) {

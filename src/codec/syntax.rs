@@ -257,6 +257,9 @@ impl Models {
     fn code_bytes<C: BitCoder>(&mut self, coder: &mut C, bytes: &mut Vec<u8>, limits: &Limits) -> Result<()> {
         let length = self.sizes.code(coder, bytes.len() as u64) as usize;
         within(length, limits.file_bytes, "bytes of the frame")?;
+        if length as u64 > coder.most_bits() / 8 {
+            return Err(Error::corrupt("more bytes than the section can hold"));
+        }
         bytes.resize(length, 0);
         self.bytes.code(coder, 1, bytes);
         Ok(())
@@ -283,6 +286,9 @@ impl Models {
         let mut levels = Grid::new(frame.occupancy.rows(), width);
         self.intensity.start_frame(&scale, width);
         for row in 0..levels.rows() {
+            if coder.is_exhausted() {
+                break;
+            }
             self.intensity.start_row();
             let mut left = [0; 4];
             for column in (0..width).filter(|&column| frame.occupancy[(row, column)]) {
@@ -309,6 +315,9 @@ impl Models {
         let mut levels: Vec<u16> = Vec::with_capacity(frame.strays);
         self.intensity.start_frame(scale, 1);
         for index in 0..frame.strays {
+            if coder.is_exhausted() {
+                return;
+            }
             let at = |index: Option<usize>| index.and_then(|i| levels.get(i)).copied().unwrap_or(0);
             let above = |offset: isize| {
                 at(north.get(index).copied().flatten().and_then(|i| i.checked_add_signed(offset)))

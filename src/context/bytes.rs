@@ -39,6 +39,9 @@ impl ByteModel {
         drop(outgrown);
         let learned = self.learned.get_or_insert_with(|| Learned::new(slot_bits));
         for index in 0..bytes.len() {
+            if coder.is_exhausted() {
+                return;
+            }
             let back = |distance: usize| index.checked_sub(distance).map_or(0, |i| u64::from(bytes[i]));
             // One context for each place of a short record; long ones and plain bytes share.
             let place = if stride > 1 { (index % stride + 1) as u64 } else { 0 };

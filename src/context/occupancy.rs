@@ -52,6 +52,9 @@ impl OccupancyModel {
         // The current row and the three above. Outside counts as filled: most cells are.
         let mut window = std::array::from_fn::<_, 4, _>(|_| vec![1usize; width + 2 * MARGIN]);
         for row in 0..occupancy.rows() {
+            if coder.is_exhausted() {
+                return;
+            }
             window.rotate_right(1);
             let [current, above, above2, above3] = &mut window;
             let mut run = 0usize;

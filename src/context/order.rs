@@ -94,6 +94,9 @@ fn code_rising<C: BitCoder>(coder: &mut C, gaps: &mut IntegerModel, numbers: &mu
     }
     let mut next = 0u64;
     for number in numbers {
+        if coder.is_exhausted() {
+            return;
+        }
         *number = next.saturating_add(gaps.code(coder, number.wrapping_sub(next)));
         next = number.saturating_add(1);
     }

@@ -45,6 +45,9 @@ impl PointModel {
         });
         let mut turns = TurnTracker::default();
         for index in 0..positions.len() {
+            if coder.is_exhausted() {
+                return;
+            }
             let before = |distance: usize| index.checked_sub(distance).map(|i| finite(positions[i]));
             let west = before(1).unwrap_or_default();
             let west2 = before(2).unwrap_or(west);

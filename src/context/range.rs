@@ -154,6 +154,9 @@ impl RangeModel {
         let (mut errors, mut window) = (ErrorTrack::new(width), Window::new(width));
         let mut reference_errors = ReferenceErrors::new(width);
         for row in 0..known.occupancy.rows() {
+            if coder.is_exhausted() {
+                return;
+            }
             errors.start_row(row > 0);
             window.start_row();
             reference_errors.start_row();

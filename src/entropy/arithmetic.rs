@@ -29,12 +29,30 @@ pub trait BitCoder {
         read
     }
 
+    /// Whether a decoder has come so far behind the end of its bytes as no encoder's lets it: what it gives is
+    /// of no meaning. Loops over what is decoded look at it from time to time, so that a few bytes never
+    /// make for much work.
+    fn is_exhausted(&self) -> bool {
+        false
+    }
+
+    /// How many more bits a decoder can give before it is exhausted, however likely they are.
+    fn most_bits(&self) -> u64 {
+        u64::MAX
+    }
+
     /// Codes one of 2^`bits` equally likely parts of the interval. None, and nothing coded, if it is too narrow.
     fn code_even(&mut self, part: u32, bits: u32) -> Option<u32>;
 }
 
 /// The most bits that are coded at once.
 const PLAIN_BITS: u32 = 12;
+
+/// Zeros that are left off at the end of the bytes, at most.
+const MOST_ZEROS: usize = 64;
+
+/// The likeliest bit takes 1.44 / 65536 bits, so a byte holds fewer than this many.
+const BITS_A_BYTE: u64 = 1 << 19;
 
 /// The width of each of 2^`bits` equal parts of an interval; None if they would be of no width.
 fn part_width(low: u32, high: u32, bits: u32) -> Option<u32> {
@@ -60,16 +78,15 @@ impl Default for ArithmeticEncoder {
 }
 
 impl ArithmeticEncoder {
-    /// The coded bytes. Trailing zeros are left off: the decoder reads zeros behind the end.
+    /// The coded bytes. Up to 64 trailing zeros are left off: the decoder reads zeros behind the end.
     pub fn finish(mut self) -> Vec<u8> {
         // The shortest number inside the interval, as many bytes of it as are needed.
         let shortest =
             (0..4).map(|bytes| ceiling(self.low, 8 * (4 - bytes))).find(|&v| v <= u64::from(self.high));
         let value = shortest.unwrap_or(u64::from(self.low)) as u32;
         self.out.extend_from_slice(&value.to_be_bytes());
-        while self.out.last() == Some(&0) {
-            self.out.pop();
-        }
+        let zeros = self.out.iter().rev().take(MOST_ZEROS).take_while(|&&byte| byte == 0).count();
+        self.out.truncate(self.out.len() - zeros);
         self.out
     }
 }
@@ -120,13 +137,16 @@ pub struct ArithmeticDecoder<'a> {
     low: u32,
     high: u32,
     code: u32,
+    /// Zeros read behind the end.
+    behind: usize,
     bytes: std::slice::Iter<'a, u8>,
 }
 
 impl<'a> ArithmeticDecoder<'a> {
     /// Starts at the first of `bytes`.
     pub fn new(bytes: &'a [u8]) -> Self {
-        let mut decoder = ArithmeticDecoder { low: 0, high: u32::MAX, code: 0, bytes: bytes.iter() };
+        let mut decoder =
+            ArithmeticDecoder { low: 0, high: u32::MAX, code: 0, behind: 0, bytes: bytes.iter() };
         for _ in 0..4 {
             decoder.code = decoder.code << 8 | decoder.next_byte();
         }
@@ -144,12 +164,28 @@ impl<'a> ArithmeticDecoder<'a> {
     }
 
     fn next_byte(&mut self) -> u32 {
-        self.bytes.next().map_or(0, |&byte| u32::from(byte))
+        match self.bytes.next() {
+            Some(&byte) => u32::from(byte),
+            None => {
+                self.behind = self.behind.saturating_add(1);
+                0
+            }
+        }
     }
 }
 
 impl BitCoder for ArithmeticDecoder<'_> {
     const ENCODES: bool = false;
+
+    /// Four bytes are read ahead.
+    fn is_exhausted(&self) -> bool {
+        self.behind > MOST_ZEROS + 4
+    }
+
+    fn most_bits(&self) -> u64 {
+        let bytes = self.bytes.len() + (MOST_ZEROS + 5).saturating_sub(self.behind);
+        (bytes as u64).saturating_mul(BITS_A_BYTE)
+    }
 
     #[inline]
     fn code(&mut self, _bit: bool, p: u32) -> bool {
@@ -194,7 +230,35 @@ mod tests {
             let mut decoder = ArithmeticDecoder::new(&bytes);
             for &(bit, p) in &bits {
                 prop_assert_eq!(decoder.code(false, p), bit);
+                prop_assert!(!decoder.is_exhausted());
             }
+        }
+
+        #[test]
+        fn few_bytes_give_no_more_bits_than_they_may(bytes in proptest::collection::vec(any::<u8>(), 0..3)) {
+            let mut decoder = ArithmeticDecoder::new(&bytes);
+            let most = decoder.most_bits();
+            let mut bits = 0u64;
+            // The likeliest bit each time, which takes the least.
+            while !decoder.is_exhausted() {
+                let likely = decoder.code <= split(decoder.low, decoder.high, 65535);
+                decoder.code(false, if likely { 65535 } else { 1 });
+                bits += 1;
+            }
+            prop_assert!(bits <= most, "{bits} of {most}");
+        }
+    }
+
+    #[test]
+    fn long_runs_of_zeros_are_not_all_left_off() {
+        for numbers in [0, 10, 1000] {
+            let mut encoder = ArithmeticEncoder::default();
+            for _ in 0..numbers {
+                encoder.code_plain(0, 32);
+            }
+            let bytes = encoder.finish();
+            let mut decoder = ArithmeticDecoder::new(&bytes);
+            assert!((0..numbers).all(|_| decoder.code_plain(0, 32) == 0 && !decoder.is_exhausted()));
         }
     }
 
