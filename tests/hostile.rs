@@ -3,68 +3,16 @@
 
 mod common;
 
-use std::sync::LazyLock;
-
-use common::formats::{kitti, pcd_extra, pcd_text};
-use common::scans::{Random, random_points, scans, small};
-use common::{File, cases, decode_files, decode_within, encode_files, put_together, take_apart};
-use lidarpc::backend::{self, BACKENDS};
-use lidarpc::bitstream::{Group, Section, SectionKind};
-use lidarpc::codec::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
+use common::scans::Random;
+use common::streams::{Parts, STREAMS};
+use common::{cases, decode_files, decode_within, put_together};
+use lidarpc::bitstream::{Section, SectionKind};
 use lidarpc::context::{ByteModel, ColumnModel};
 use lidarpc::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
 use lidarpc::error::Limits;
 use lidarpc::scan::{Layout, Wrapping};
 use lidarpc::sensor::{BeamConstants, Coordinates, SensorModel};
 use proptest::prelude::*;
-
-type Parts = (Vec<Vec<u8>>, Vec<Group>);
-
-/// Small streams that use every section between them, taken apart.
-static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
-    let frames = scans(&small(3, 3));
-    let mut odd = frames[1].clone();
-    odd.swap(40, 900);
-    odd.splice(100..100, random_points(40, 1));
-    odd[7][3] = f32::NAN;
-    let scanner =
-        vec![("0.bin", kitti(&frames[0])), ("1.bin", kitti(&odd)), ("2.pcd", pcd_extra(&frames[2]))];
-    let still = vec![("0.bin", kitti(&frames[0])), ("1.bin", kitti(&frames[0]))];
-    let random = random_points(300, 2);
-    let others = vec![
-        ("0.bin", [kitti(&random), vec![1; 9]].concat()),
-        ("1.pcd", pcd_extra(&random)),
-        ("2.pcd", pcd_text(&random)),
-        ("3.bin", Vec::new()),
-        ("4.ply", b"ply, or not".to_vec()),
-    ];
-    let coded = |files: &[(&str, Vec<u8>)], config: EncoderConfig| {
-        let files: Vec<File> = files.iter().map(|(name, bytes)| (name.to_string(), bytes.clone())).collect();
-        take_apart(&encode_files(&files, &EncoderConfig { gop: 20, threads: 1, ..config }))
-    };
-    let mut streams = vec![
-        coded(&scanner, EncoderConfig::default()),
-        coded(&others, EncoderConfig::default()),
-        coded(&scanner, with_back_end(backend::LZMA)),
-        // P frames, by context and by a back-end.
-        coded(&still, EncoderConfig::default()),
-        coded(
-            &still,
-            EncoderConfig { prediction: PredictionChoice::Smallest, ..with_back_end(backend::LZMA) },
-        ),
-    ];
-    streams.extend(BACKENDS.iter().map(|backend| coded(&scanner[..1], with_back_end(backend.id()))));
-    streams
-});
-
-/// Paper mode with a small image.
-fn with_back_end(id: u8) -> EncoderConfig {
-    EncoderConfig {
-        projection: ProjectionKind::Ideal { columns: 200, range_step_um: 10_000 },
-        coder: Coder::Backend(id),
-        ..EncoderConfig::preset(Mode::Paper)
-    }
-}
 
 /// What is done to a stream's parts. Places are counted modulo what there is.
 #[derive(Clone, Debug)]

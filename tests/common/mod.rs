@@ -2,9 +2,11 @@
 
 #![allow(dead_code, missing_docs)] // Each test file takes the part that it needs.
 
+pub mod bound;
 pub mod formats;
 pub mod odd;
 pub mod scans;
+pub mod streams;
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -1,0 +1,16 @@
+#!/usr/bin/env bash
+# Fuzzes each target for so many seconds (or those named): fuzz/run.sh 900 [TARGET...]
+# Needs cargo-fuzz (`cargo install cargo-fuzz`). What is found is in fuzz/artifacts/TARGET; move it to
+# fuzz/regressions/TARGET once it is understood, where tests/fuzz.rs replays it.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+seconds=$1
+shift
+targets=("$@")
+[ ${#targets[@]} -gt 0 ] || mapfile -t targets < <(ls fuzz/fuzz_targets | sed 's/\.rs$//')
+cargo test --locked --test fuzz -- --ignored write_seeds --quiet
+# The stable compiler has all that the fuzzer needs.
+export RUSTC_BOOTSTRAP=1
+for target in "${targets[@]}"; do
+    cargo fuzz run "$target" -- -max_total_time="$seconds" -rss_limit_mb=2048 -timeout=20 -max_len=65536 -print_final_stats=1
+done

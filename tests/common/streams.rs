@@ -1,0 +1,62 @@
+//! Small streams that use every section, to be damaged.
+
+use std::sync::LazyLock;
+
+use lidarpc::backend::{self, BACKENDS};
+use lidarpc::bitstream::Group;
+use lidarpc::codec::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
+
+use super::formats::{kitti, pcd_extra, pcd_text};
+use super::scans::{random_points, scans, small};
+use super::{File, encode_files, take_apart};
+
+/// Sensor models and groups.
+pub type Parts = (Vec<Vec<u8>>, Vec<Group>);
+
+/// Small streams that use every section between them, taken apart.
+pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
+    let frames = scans(&small(3, 3));
+    let mut odd = frames[1].clone();
+    odd.swap(40, 900);
+    odd.splice(100..100, random_points(40, 1));
+    odd[7][3] = f32::NAN;
+    let scanner =
+        vec![("0.bin", kitti(&frames[0])), ("1.bin", kitti(&odd)), ("2.pcd", pcd_extra(&frames[2]))];
+    let still = vec![("0.bin", kitti(&frames[0])), ("1.bin", kitti(&frames[0]))];
+    let random = random_points(300, 2);
+    let others = vec![
+        ("0.bin", [kitti(&random), vec![1; 9]].concat()),
+        ("1.pcd", pcd_extra(&random)),
+        ("2.pcd", pcd_text(&random)),
+        ("3.bin", Vec::new()),
+        ("4.ply", b"ply, or not".to_vec()),
+    ];
+    let coded = |files: &[(&str, Vec<u8>)], config: EncoderConfig| {
+        let files: Vec<File> = files.iter().map(|(name, bytes)| (name.to_string(), bytes.clone())).collect();
+        take_apart(&encode_files(&files, &EncoderConfig { gop: 20, threads: 1, ..config }))
+    };
+    let mut streams = vec![
+        coded(&scanner, EncoderConfig::default()),
+        coded(&others, EncoderConfig::default()),
+        coded(&scanner, with_back_end(backend::LZMA)),
+        // P frames, by context and by a back-end.
+        coded(&still, EncoderConfig::default()),
+        coded(
+            &still,
+            EncoderConfig { prediction: PredictionChoice::Smallest, ..with_back_end(backend::LZMA) },
+        ),
+    ];
+    let bounded = EncoderConfig::preset(Mode::Bounded { max_error_um: 20_000 });
+    streams.extend([coded(&scanner, bounded.clone()), coded(&others, bounded)]);
+    streams.extend(BACKENDS.iter().map(|backend| coded(&scanner[..1], with_back_end(backend.id()))));
+    streams
+});
+
+/// Paper mode with a small image.
+pub fn with_back_end(id: u8) -> EncoderConfig {
+    EncoderConfig {
+        projection: ProjectionKind::Ideal { columns: 200, range_step_um: 10_000 },
+        coder: Coder::Backend(id),
+        ..EncoderConfig::preset(Mode::Paper)
+    }
+}

@@ -1,0 +1,103 @@
+//! What fuzzing has found, and what it starts from, as plain tests.
+//!
+//! `fuzz/run.sh` runs the fuzzer; what it finds goes to `fuzz/regressions/TARGET/`, from where this replays it
+//! for ever.
+
+mod common;
+#[path = "../fuzz/targets.rs"]
+mod targets;
+
+use std::fs;
+use std::path::Path;
+
+use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply};
+use common::scans::{scans, small};
+use common::streams::STREAMS;
+use common::{first_files, in_package, put_together};
+use lidarpc::backend::{BACKENDS, Level};
+use targets::TARGETS;
+
+/// What the fuzzer starts from, so that it need not find the formats by chance.
+fn seeds(target: &str) -> Vec<Vec<u8>> {
+    let points = &scans(&small(6, 1))[0][..60];
+    let files = [
+        (0, kitti(points)),
+        (1, nuscenes(points)),
+        (2, pcd_xyz(points)),
+        (2, pcd_extra(points)),
+        (2, pcd_text(points)),
+        (3, ply(points)),
+        (4, b"text".to_vec()),
+    ];
+    match target {
+        "container" => STREAMS.iter().map(|(models, groups)| put_together(models, groups)).collect(),
+        "sections" => {
+            let numbered = |(number, parts): (usize, &common::streams::Parts)| {
+                let frames = parts.1.iter().flat_map(|group| &group.frames);
+                let sections = frames.flat_map(|frame| &frame.sections).enumerate();
+                let seed = |(place, section): (usize, &lidarpc::bitstream::Section)| {
+                    [&[number as u8, place as u8], &section.payload[..]].concat()
+                };
+                sections.map(seed).collect::<Vec<_>>()
+            };
+            STREAMS.iter().enumerate().flat_map(numbered).collect()
+        }
+        "backends" => {
+            let text: Vec<u8> = (0..640u32).map(|n| (n * n / 7) as u8 & 15).collect();
+            let coded = |(number, backend): (usize, &&dyn lidarpc::backend::Backend)| {
+                [vec![number as u8, 10], backend.compress(&text, Level::default()).unwrap()].concat()
+            };
+            BACKENDS.iter().enumerate().map(coded).collect()
+        }
+        "readers" => files.map(|(kind, bytes)| [vec![kind], bytes].concat()).to_vec(),
+        "sensor" => STREAMS.iter().flat_map(|(models, _)| models.clone()).collect(),
+        _ => {
+            let with =
+                |mode: u8| files.iter().map(move |(kind, bytes)| [&[mode, *kind], &bytes[..]].concat());
+            [0, 1, 2, 40, 54, 3, 7, 39].into_iter().flat_map(with).collect()
+        }
+    }
+}
+
+#[test]
+fn everything_that_fuzzing_found_is_mended() {
+    for (target, run) in TARGETS {
+        let folder = in_package("fuzz/regressions").join(target);
+        let found = if folder.is_dir() { first_files(&folder, usize::MAX) } else { Vec::new() };
+        for (name, bytes) in &found {
+            println!("{target}: {name}");
+            run(bytes);
+        }
+        println!("{target}: {} found by fuzzing", found.len());
+    }
+}
+
+#[test]
+fn every_target_takes_what_it_starts_from() {
+    for (target, run) in TARGETS {
+        let seeds = seeds(target);
+        assert!(seeds.len() > 1, "{target}");
+        seeds.iter().take(40).for_each(|seed| run(seed));
+        // Changed a little, as the fuzzer does.
+        for (n, seed) in seeds.iter().enumerate().take(20) {
+            let mut changed = seed.clone();
+            let place = n * 37 % changed.len().max(1);
+            if let Some(byte) = changed.get_mut(place) {
+                *byte ^= 1 << (n % 8);
+            }
+            run(&changed);
+        }
+    }
+}
+
+#[test]
+#[ignore = "writes fuzz/corpus"]
+fn write_seeds() {
+    for (target, _) in TARGETS {
+        let folder = in_package("fuzz/corpus").join(target);
+        fs::create_dir_all(&folder).unwrap();
+        for (number, seed) in seeds(target).iter().enumerate() {
+            fs::write(Path::new(&folder).join(format!("seed-{number:03}")), seed).unwrap();
+        }
+    }
+}
