@@ -6,7 +6,7 @@ use std::mem::take;
 use super::config::EncoderConfig;
 use super::frame::Frame;
 use super::parameters::{Prediction, Source};
-use super::sections::{SectionReader, SectionWriter};
+use super::sections::{Effort, SectionReader, SectionWriter};
 use super::steps::{Step, StepReport};
 use super::syntax::Models;
 use crate::bitstream::{FrameHeader, Section};
@@ -57,8 +57,8 @@ impl<'s> GroupEncoder<'s> {
     /// If the scan is over those limits, or a back-end's library fails.
     pub fn encode_frame(&mut self, scan: &ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
-        let mut frame = Frame::from_scan(scan, self.sensor, self.config, &mut steps)?;
-        let mut smallest: Option<Attempt> = None;
+        let frame = Frame::from_scan(scan, self.sensor, self.config, &mut steps)?;
+        let mut best: Option<Attempt> = None;
         let fit = steps.timed(Step::Registration, || self.estimate_motion(&frame));
         let mut predictions = self.config.predictions(fit).into_iter().peekable();
         while let Some(prediction) = predictions.next() {
@@ -66,12 +66,12 @@ impl<'s> GroupEncoder<'s> {
                 Some(_) => self.models.clone(),
                 None => std::mem::take(&mut self.models),
             };
-            let attempt = self.attempt(&mut frame, prediction, models, steps)?;
-            if smallest.as_ref().is_none_or(|smallest| attempt.size() < smallest.size()) {
-                smallest = Some(attempt);
+            let attempt = self.attempt(&frame, prediction, models, steps)?;
+            if best.as_ref().is_none_or(|best| attempt.cost() < best.cost()) {
+                best = Some(attempt);
             }
         }
-        let Some(Attempt { models, sections, returns, steps }) = smallest else {
+        let Some(Attempt { models, sections, frame, returns, steps, .. }) = best else {
             return Err(Error::InvalidConfig("no prediction to choose from".to_owned()));
         };
         self.models = models;
@@ -103,17 +103,22 @@ impl<'s> GroupEncoder<'s> {
     /// Codes a frame with this prediction, by models that go on from those of the group.
     fn attempt(
         &self,
-        frame: &mut Frame,
+        frame: &Frame,
         prediction: Prediction,
         mut models: Models,
         mut steps: StepReport,
     ) -> Result<Attempt> {
+        let ranges = &frame.steps;
+        let mut frame = frame.clone();
         frame.parameters.motion = self.motion;
         frame.predict(prediction, self.sensor, self.config, &mut steps);
-        let mut writer = SectionWriter::new(self.config.level);
-        let returns = models.code_frame(&mut writer, self.sensor, frame, &mut steps)?;
+        let effort = Effort { level: self.config.level, image: self.config.image };
+        let mut writer = SectionWriter::new(effort);
+        let returns = models.code_frame(&mut writer, self.sensor, &mut frame, &mut steps)?;
         steps.count_sections(&writer.sections);
-        Ok(Attempt { models, sections: writer.sections, returns, steps })
+        let errors = ranges.cells().iter().zip(frame.steps.cells()).map(|(was, is)| was.abs_diff(*is));
+        let error = errors.map(|error| f64::from(error) * f64::from(error)).sum();
+        Ok(Attempt { models, sections: writer.sections, frame, returns, error, steps })
     }
 }
 
@@ -122,14 +127,18 @@ struct Attempt {
     /// What coding it has taught.
     models: Models,
     sections: Vec<Section>,
+    /// As it decodes.
+    frame: Frame,
     returns: Vec<Return>,
+    /// Squared error of the ranges, in steps.
+    error: f64,
     steps: StepReport,
 }
 
 impl Attempt {
-    /// Bytes of the sections.
-    fn size(&self) -> usize {
-        self.sections.iter().map(|section| section.payload.len()).sum()
+    /// The error, of coders that may spend so many bits, and then the bytes of the sections.
+    fn cost(&self) -> (f64, usize) {
+        (self.error, self.sections.iter().map(|section| section.payload.len()).sum())
     }
 }
 

@@ -17,6 +17,7 @@ pub mod steps;
 
 mod copier;
 mod frame;
+mod images;
 mod ordered;
 mod ranges;
 mod recode;

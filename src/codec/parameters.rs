@@ -8,6 +8,7 @@ use crate::backend;
 use crate::bitstream::{Frame, FrameHeader, SectionKind};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
+use crate::image_coding::ImageCodec;
 use crate::range_image::EXACT_RANGE_BITS;
 use crate::registration::QuantisedPose;
 use crate::residual::Packing;
@@ -69,6 +70,8 @@ pub enum RangeCoder {
         /// How the residuals are turned into bytes for it.
         packing: Packing,
     },
+    /// An image coder; the ranges may differ from the scan's.
+    Image(ImageCodec),
 }
 
 /// The file that a frame was made from, and what became of its points.
@@ -100,6 +103,9 @@ impl Default for FrameParameters {
 
 /// The number of the context coder among the back-ends' numbers.
 const CONTEXT: u64 = 255;
+/// The numbers of the image coders among them.
+const JPEG: u64 = 128;
+const JPEG_2000: u64 = 129;
 /// The range bits that the context coder takes.
 const RANGE_BITS: std::ops::RangeInclusive<u64> = 16..=24;
 
@@ -130,6 +136,7 @@ impl FrameParameters {
                 write_unsigned(out, u64::from(id));
                 write_unsigned(out, u64::from(packing.to_code()));
             }
+            RangeCoder::Image(codec) => write_unsigned(out, image_code(codec)),
         }
         write_unsigned(out, u64::from(self.source.is_some()));
         if let Some(Source { file_size, points, outliers, lost }) = self.source {
@@ -199,7 +206,15 @@ impl fmt::Display for FrameParameters {
                 Ok(backend) => write!(f, ", {}, {}", backend.name(), packing.name()),
                 Err(_) => write!(f, ", back-end {id}, {}", packing.name()),
             },
+            RangeCoder::Image(codec) => write!(f, ", {}", codec.name()),
         }
+    }
+}
+
+fn image_code(codec: ImageCodec) -> u64 {
+    match codec {
+        ImageCodec::Jpeg => JPEG,
+        ImageCodec::Jpeg2000 => JPEG_2000,
     }
 }
 
@@ -237,6 +252,8 @@ impl RangeCoder {
                 bits if RANGE_BITS.contains(&bits) => Ok(RangeCoder::Context { range_bits: bits as u32 }),
                 bits => Err(Error::corrupt(format!("frame parameters: ranges of {bits} bits"))),
             },
+            JPEG => Ok(RangeCoder::Image(ImageCodec::Jpeg)),
+            JPEG_2000 => Ok(RangeCoder::Image(ImageCodec::Jpeg2000)),
             id => {
                 let unknown = || Error::unsupported(format!("frame parameters: unknown back-end {id}"));
                 let id = u8::try_from(id).map_err(|_| unknown())?;
