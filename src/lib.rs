@@ -31,6 +31,7 @@ pub mod context;
 pub mod contour;
 
 pub mod backend;
+pub mod image_coding;
 pub mod residual;
 
 pub mod bitstream;

@@ -9,18 +9,20 @@ use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, ply};
 use common::scans::{moved, random_points, scans, shuffled, small};
 use common::{File, cases, decode_files, encode_files, put_together, take_apart};
 use lidarpc::backend;
-use lidarpc::bitstream::{Group, StreamHeader, StreamReader};
+use lidarpc::bitstream::{Frame, Group, SectionKind, StreamHeader, StreamReader};
 use lidarpc::codec::{
-    Coder, Cut, EncoderConfig, FrameRange, Joined, Mode, Named, Prediction, PredictionChoice, ProjectionKind,
-    cat, cut, cut_indexed,
+    Coder, Cut, EncoderConfig, FrameParameters, FrameRange, Intensity, Joined, Mode, Named, Prediction,
+    PredictionChoice, ProjectionKind, cat, cut, cut_indexed,
 };
 use lidarpc::error::{Error, Limits, Result};
+use lidarpc::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::synth::SynthConfig;
 use proptest::prelude::*;
 
 const LENGTHS: [usize; 4] = [1, 2, 3, 7];
 
-/// Streams of seven frames each, by the length of their groups: exact, in paper mode, exact by a back-end.
+/// Streams of seven frames each, by the length of their groups: exact, in paper mode, exact by a back-end, by
+/// context in paper mode, by image coders.
 static STREAMS: LazyLock<Vec<Vec<Vec<u8>>>> = LazyLock::new(|| {
     let paper = EncoderConfig {
         projection: ProjectionKind::Ideal { columns: 400, range_step_um: 5000 },
@@ -40,7 +42,13 @@ static STREAMS: LazyLock<Vec<Vec<Vec<u8>>>> = LazyLock::new(|| {
         let config = |gop| EncoderConfig { gop, threads: 2, ..config.clone() };
         LENGTHS.map(|gop| encode_files(&odd_drive(), &config(gop))).to_vec()
     };
-    [EncoderConfig::default(), paper, smallest, context].iter().map(of).collect()
+    let images = ImageCodec::ALL.map(|codec| EncoderConfig {
+        coder: Coder::Image(codec),
+        image: ImageConfig { passes: 2, rate: Rate::Bits(8.0) },
+        intensity: Intensity::Exact,
+        ..paper.clone()
+    });
+    [&[EncoderConfig::default(), paper, smallest, context], &images[..]].concat().iter().map(of).collect()
 });
 
 /// Scans of a sensor, in order and not, in several formats, and what is no scan.
@@ -95,7 +103,7 @@ proptest! {
 
     #[test]
     fn any_range_decodes_as_in_the_whole(
-        kind in 0..4usize, length in 0..LENGTHS.len(), start in 0..7usize, count in 1..8usize,
+        kind in 0..6usize, length in 0..LENGTHS.len(), start in 0..7usize, count in 1..8usize,
     ) {
         let (stream, gop, end) = (&STREAMS[kind][length], LENGTHS[length], (start + count).min(7));
         let (part, done) = cut_both_ways(stream, frames(start, end));
@@ -117,7 +125,7 @@ proptest! {
 
     #[test]
     fn parts_that_are_joined_are_the_whole(
-        kind in 0..4usize, length in 0..LENGTHS.len(), middle in 1..7usize,
+        kind in 0..6usize, length in 0..LENGTHS.len(), middle in 1..7usize,
     ) {
         let (stream, gop) = (&STREAMS[kind][length], LENGTHS[length]);
         let (start, _) = cut_both_ways(stream, frames(0, middle));
@@ -146,6 +154,43 @@ fn frames_are_coded_again_as_they_were() {
             let parts = [&copied.0, &recoded.0].map(|stream| take_apart(stream));
             assert!(parts[0] == parts[1], "kind {kind}, frame {number}");
         }
+    }
+}
+
+/// A frame whose prediction is still there after a cut keeps its image, byte for byte; one that has lost what it
+/// was predicted from is coded by context. Neither loses anything again.
+#[test]
+fn images_are_written_again_as_they_are() {
+    // Standing still, so that there are P frames.
+    let scan = kitti(&scans(&small(1, 1))[0]);
+    let files: Vec<File> = (0..4).map(|n| (format!("{n}.bin"), scan.clone())).collect();
+    for codec in ImageCodec::ALL {
+        let config = EncoderConfig {
+            projection: ProjectionKind::CALIBRATED,
+            coder: Coder::Image(codec),
+            image: ImageConfig { passes: 2, rate: Rate::Bits(8.0) },
+            ..EncoderConfig::preset(Mode::Paper)
+        };
+        let stream = encode_files(&files, &config);
+        let whole = decode_files(&stream).unwrap();
+        let coded = |stream: &[u8]| groups(stream).swap_remove(0).frames;
+        let payload = |frame: &Frame| {
+            let residual = frame.sections.iter().find(|section| section.kind == SectionKind::Residual);
+            residual.map(|section| section.payload.clone())
+        };
+        let mut left_alone = 0;
+        for start in 1..4 {
+            let (part, _) = cut_both_ways(&stream, frames(start, 4));
+            assert!(decode_files(&part).unwrap() == whole[start..]);
+            for (number, (before, after)) in coded(&stream)[start..].iter().zip(&coded(&part)).enumerate() {
+                let is_predicted = FrameParameters::of(before).unwrap().prediction == Prediction::Inter;
+                assert!(payload(before).is_some());
+                let expected = payload(before).filter(|_| number > 0 || !is_predicted);
+                left_alone += usize::from(expected.is_none());
+                assert!(payload(after) == expected, "{codec:?}, cut at {start}, frame {number} after it");
+            }
+        }
+        assert!(left_alone > 0, "no cut was before a P frame");
     }
 }
 

@@ -6,17 +6,20 @@ use std::sync::LazyLock;
 
 use common::formats::{kitti, pcd_extra, pcd_text, ply};
 use common::scans::{Points, random_points, scans, small};
-use common::{File, cases, decode_files, encode_files, first_files, real_folders, round_trip, take_apart};
+use common::{
+    File, cases, decode_files, encode_files, first_files, real_folders, round_trip, section_bytes, take_apart,
+};
 use lidarpc::backend::BACKENDS;
 use lidarpc::bitstream::SectionKind;
 use lidarpc::codec::{
-    Coder, EncoderConfig, FrameParameters, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind,
-    Source,
+    Coder, DecodeOptions, EncoderConfig, FrameParameters, Intensity, Mode, Prediction, PredictionChoice,
+    ProjectionKind, Source, decode,
 };
+use lidarpc::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::io::parse;
 use lidarpc::metrics::NearestErrors;
 use lidarpc::prediction::intra::{IntraConfig, RegionModels};
-use lidarpc::range_image::{Return, project_nearest};
+use lidarpc::range_image::{RangeImage, Return, project_nearest};
 use lidarpc::residual::Packing;
 use lidarpc::scan::PointCloud;
 use lidarpc::sensor::{FLOAT_RANGES, ideal};
@@ -248,6 +251,149 @@ fn real_scans_keep_their_image() {
         let config = EncoderConfig { projection: image(2000, 10_000), ..paper() };
         keeps_the_image(&first_files(folder, 1), &config);
         println!("{}: as expected", folder.display());
+    }
+}
+
+/// The settings of an image coder with a small image.
+fn by_image(codec: ImageCodec, bits: f64, prediction: PredictionChoice) -> EncoderConfig {
+    let image = ImageConfig { rate: Rate::Bits(bits), ..ImageConfig::default() };
+    EncoderConfig { coder: Coder::Image(codec), image, prediction, ..paper() }
+}
+
+const SOURCES: [PredictionChoice; 4] = [
+    PredictionChoice::Always(Prediction::None),
+    PredictionChoice::Always(Prediction::Intra),
+    PredictionChoice::Always(Prediction::Inter),
+    PredictionChoice::Smallest,
+];
+
+/// The decoded images of a stream, and the original ones of its files in the same projection.
+fn images(files: &[File], config: &EncoderConfig) -> (Vec<u8>, Vec<[RangeImage; 2]>) {
+    let ProjectionKind::Ideal { columns, range_step_um } = config.projection else { panic!("no image") };
+    let stream = encode_files(files, config);
+    let mut decoded = Vec::new();
+    let options = DecodeOptions { images: true, threads: 1, ..DecodeOptions::default() };
+    decode(&stream[..], &options, |frame| {
+        decoded.push(frame.image.map(|image| image.image).unwrap_or_default());
+        Ok(())
+    })
+    .unwrap();
+    let original = |(name, bytes): &File| {
+        let cloud = config.outliers.unwrap().filter(&parse(name, bytes.clone()).cloud);
+        project_nearest(&ideal(columns, range_step_um), &cloud).image
+    };
+    let pairs = decoded.into_iter().zip(files).map(|(decoded, file)| [original(file), decoded]).collect();
+    (stream, pairs)
+}
+
+/// The error of ranges (equation 12), in steps.
+fn error(pairs: &[[RangeImage; 2]]) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for [original, decoded] in pairs {
+        let cells = original.steps.cells().iter().zip(decoded.steps.cells());
+        for (was, is) in cells.filter(|(was, _)| **was > 0) {
+            sum += f64::from(was.abs_diff(*is)).powi(2);
+            count += 1.0;
+        }
+    }
+    (sum / count).sqrt()
+}
+
+#[test]
+fn image_coders_spend_what_they_may_and_err_less_for_more() {
+    let files = named(&SCANS);
+    for codec in ImageCodec::ALL {
+        for prediction in SOURCES {
+            let mut errors = Vec::new();
+            for bits in [5.0, 9.0, 16.0] {
+                let (stream, pairs) = images(&files, &by_image(codec, bits, prediction));
+                let returns: usize = pairs.iter().map(|[original, _]| original.returns()).sum();
+                let sections = section_bytes(&stream);
+                let kinds = [SectionKind::Residual, SectionKind::Contour, SectionKind::Regions];
+                let spent: usize = kinds.iter().filter_map(|kind| sections.get(kind)).sum();
+                assert!(spent as f64 * 8.0 <= bits * returns as f64, "{spent} bytes for {returns} returns");
+                for [original, decoded] in &pairs {
+                    assert!(original.occupancy() == decoded.occupancy(), "returns come and go");
+                }
+                errors.push(error(&pairs));
+            }
+            assert!(errors.is_sorted_by(|more, less| more > less), "{codec:?} {prediction:?} {errors:?}");
+        }
+    }
+}
+
+/// The points of the file are at the decoded ranges, and the encoder knows it: a frame's checksum is that of the
+/// decoded file.
+#[test]
+fn lossy_points_are_at_the_decoded_ranges() {
+    let files = named(&SCANS);
+    let sensor = ideal(500, 5000);
+    for codec in ImageCodec::ALL {
+        let config = by_image(codec, 3.0, PredictionChoice::Always(Prediction::Inter));
+        let (stream, pairs) = images(&files, &config);
+        for ((_, bytes), [original, decoded]) in decode_files(&stream).unwrap().into_iter().zip(&pairs) {
+            let returns = decoded.file_order(&sensor);
+            let point = |found: &Return| sensor.point(found.row as usize, found.tick, found.steps);
+            let expected = returns.iter().map(|found| point(found).map(|v| (v as f32).to_bits()));
+            let positions = parse("0.bin", bytes).cloud.positions;
+            assert!(expected.eq(positions.iter().map(|p| p.map(f32::to_bits))));
+            assert!(decoded.steps != original.steps, "nothing was lost");
+        }
+    }
+}
+
+#[test]
+fn lossless_jpeg_2000_keeps_the_image() {
+    let image = ImageConfig { rate: Rate::Lossless, ..ImageConfig::default() };
+    let coder = Coder::Image(ImageCodec::Jpeg2000);
+    let files = named(&SCANS);
+    for prediction in SOURCES {
+        keeps_the_image(&files, &EncoderConfig { coder, image, prediction, ..paper() });
+        round_trip(&files[..1], &EncoderConfig { coder, image, prediction, ..EncoderConfig::default() });
+    }
+}
+
+/// Ranges that are a little off change the order in which the formula puts points of neighbouring columns: what
+/// belongs to a point must go with it.
+#[test]
+fn lossy_points_of_the_calibrated_image_keep_their_intensities_and_fields() {
+    let files: Vec<File> = (0..).zip(SCANS.iter()).map(|(n, p)| (format!("{n}.pcd"), pcd_extra(p))).collect();
+    for (codec, bits) in [(ImageCodec::Jpeg, 3.0), (ImageCodec::Jpeg2000, 1.0)] {
+        let config = EncoderConfig {
+            projection: ProjectionKind::CALIBRATED,
+            intensity: Intensity::Exact,
+            outliers: None,
+            ..by_image(codec, bits, PredictionChoice::Smallest)
+        };
+        for ((name, bytes), (_, original)) in
+            decode_files(&encode_files(&files, &config)).unwrap().into_iter().zip(&files)
+        {
+            let [before, after] = [original.clone(), bytes].map(|bytes| parse(&name, bytes).cloud);
+            let stride = before.extra.len() / before.positions.len();
+            // An intensity and the fields beside it, of every point.
+            let all = |cloud: &PointCloud| {
+                let fields = cloud.extra.chunks(stride).map(<[u8]>::to_vec);
+                let mut all: Vec<_> = cloud.intensity.iter().map(|v| v.to_bits()).zip(fields).collect();
+                all.sort();
+                all
+            };
+            assert!(before.positions != after.positions && all(&before) == all(&after), "{name} {codec:?}");
+        }
+    }
+}
+
+#[test]
+fn image_coders_refuse_what_they_cannot_do() {
+    let lossy = by_image(ImageCodec::Jpeg2000, 2.0, PredictionChoice::Smallest);
+    let lossless = ImageConfig { rate: Rate::Lossless, ..ImageConfig::default() };
+    for (wrong, why) in [
+        (EncoderConfig { coder: lossy.coder, ..EncoderConfig::default() }, "exact mode"),
+        (EncoderConfig { projection: image(500, FLOAT_RANGES), ..lossy.clone() }, "choose a step"),
+        (EncoderConfig { coder: Coder::Image(ImageCodec::Jpeg), image: lossless, ..paper() }, "jpeg always"),
+        (EncoderConfig { image: ImageConfig { passes: 0, ..lossless }, ..lossy.clone() }, "passes"),
+    ] {
+        let message = wrong.check().unwrap_err().to_string();
+        assert!(message.contains(why) && !message.contains('\n'), "{message}");
     }
 }
 

@@ -7,6 +7,7 @@ use lidarpc::codec::{
     Coder, EncoderConfig, FrameOrder, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind,
 };
 use lidarpc::error::{Error, Result};
+use lidarpc::image_coding::{ImageCodec, Rate};
 use lidarpc::io::HeaderlessLayout;
 use lidarpc::registration::RegistrationMethod;
 use lidarpc::residual::Packing;
@@ -44,6 +45,12 @@ pub struct CodingArgs {
     /// How residuals are laid out for a general-purpose back-end.
     #[arg(long, value_name = "NAME", value_parser = packing_names())]
     pub packing: Option<String>,
+    /// What jpeg or jpeg2000 may spend on ranges: bits for each return, on average, or `lossless`. Default 2.
+    #[arg(long, value_name = "BITS")]
+    pub rate: Option<RateArg>,
+    /// Passes of jpeg or jpeg2000 at most, each of what those before leave: 1 to 8. Default 2.
+    #[arg(long, value_name = "N")]
+    pub passes: Option<u8>,
     /// Which frames may be predicted from the one before.
     #[arg(long, value_enum, value_name = "ORDER", default_value = "ratio")]
     pub order: OrderArg,
@@ -177,11 +184,30 @@ impl std::str::FromStr for IntensityStep {
     }
 }
 
+/// What image coders may spend.
+#[derive(Clone, Copy, Debug)]
+pub struct RateArg(Rate);
+
+impl std::str::FromStr for RateArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        match text {
+            "lossless" => Ok(RateArg(Rate::Lossless)),
+            _ => text
+                .parse()
+                .map(|bits| RateArg(Rate::Bits(bits)))
+                .map_err(|_| "no number, nor `lossless`".to_owned()),
+        }
+    }
+}
+
 /// The name of the context coder among the back-ends.
 const CONTEXT: &str = "context";
 
 fn backend_names() -> Vec<&'static str> {
-    std::iter::once(CONTEXT).chain(backend::BACKENDS.iter().map(|backend| backend.name())).collect()
+    let backends = backend::BACKENDS.iter().map(|backend| backend.name());
+    std::iter::once(CONTEXT).chain(backends).chain(ImageCodec::ALL.map(ImageCodec::name)).collect()
 }
 
 fn packing_names() -> Vec<&'static str> {
@@ -240,9 +266,10 @@ impl CodingArgs {
 
     fn choose_coder(&self, config: &mut EncoderConfig) -> Result<()> {
         if let Some(name) = &self.backend {
-            config.coder = match backend::by_name(name) {
-                Some(backend) => Coder::Backend(backend.id()),
-                None => Coder::Context,
+            config.coder = match (backend::by_name(name), ImageCodec::by_name(name)) {
+                (Some(backend), _) => Coder::Backend(backend.id()),
+                (None, Some(codec)) => Coder::Image(codec),
+                (None, None) => Coder::Context,
             };
             config.prediction = config.default_prediction();
         }
@@ -264,17 +291,36 @@ impl CodingArgs {
             Some(RegistrationArg::Projective) | None => RegistrationMethod::Projective,
         };
         config.snake = !self.no_snake;
-        let for_backends = [("--level", self.level.is_some()), ("--packing", self.packing.is_some())];
-        if let (Coder::Context, Some((name, _))) = (config.coder, for_backends.iter().find(|(_, is)| *is)) {
-            let what = format!("{name} is for general-purpose back-ends; choose one by --backend");
-            return Err(Error::InvalidConfig(what));
+        self.check_options_of(config.coder)?;
+        if let Some(RateArg(rate)) = self.rate {
+            config.image.rate = rate;
         }
+        config.image.passes = self.passes.unwrap_or(config.image.passes);
         if let Some(level) = self.level {
             config.level = Level::new(level)
                 .ok_or_else(|| Error::InvalidConfig(format!("level {level} is not from 1 to 9")))?;
         }
         if let Some(name) = &self.packing {
             config.packing = Packing::ALL.iter().copied().find(|packing| packing.name() == name);
+        }
+        Ok(())
+    }
+
+    /// Refuses options that are for other coders.
+    fn check_options_of(&self, coder: Coder) -> Result<()> {
+        let for_backends = [("--level", self.level.is_some()), ("--packing", self.packing.is_some())];
+        let for_images = [("--rate", self.rate.is_some()), ("--passes", self.passes.is_some())];
+        let refuse = |options: [(&str, bool); 2], whose: &str| match options.iter().find(|(_, is)| *is) {
+            Some((name, _)) => {
+                Err(Error::InvalidConfig(format!("{name} is for {whose}; choose one by --backend")))
+            }
+            None => Ok(()),
+        };
+        if !matches!(coder, Coder::Backend(_)) {
+            refuse(for_backends, "general-purpose back-ends")?;
+        }
+        if !matches!(coder, Coder::Image(_)) {
+            refuse(for_images, "jpeg and jpeg2000")?;
         }
         Ok(())
     }

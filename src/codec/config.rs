@@ -5,6 +5,7 @@ use std::thread;
 use super::parameters::{FrameParameters, Intensity, MOST_MAX_ERROR_UM, Positions, Prediction, RangeCoder};
 use crate::backend::{self, Backend, Level};
 use crate::error::{Error, Result};
+use crate::image_coding::{ImageCodec, ImageConfig, Rate};
 use crate::io::HeaderlessLayout;
 use crate::outlier::RadiusOutlier;
 use crate::prediction::intra::{IntraConfig, RegionModels};
@@ -85,6 +86,8 @@ pub enum Coder {
     Context,
     /// A general-purpose back-end, by its number in the registry.
     Backend(u8),
+    /// An image coder, with loss.
+    Image(ImageCodec),
 }
 
 /// Settings of the encoder.
@@ -117,7 +120,8 @@ pub struct EncoderConfig {
     /// How the scanner's motion is found (V-B).
     pub registration: RegistrationConfig,
     /// Whether a general-purpose back-end gets the differences along the snake's path (V-C). Default:
-    /// yes; whatever they are predicted from, residuals get smaller by it.
+    /// yes; whatever they are predicted from, residuals get smaller by it. Image coders never do: their errors
+    /// would add up along the path.
     pub snake: bool,
     /// How ground and objects are told apart (equations 3 and 4).
     pub segmentation: SegmentationConfig,
@@ -129,6 +133,8 @@ pub struct EncoderConfig {
     pub level: Level,
     /// How residuals are turned into bytes for it; `None`, the default: as suits it best.
     pub packing: Option<Packing>,
+    /// What an image coder may spend, and in how many passes.
+    pub image: ImageConfig,
 }
 
 impl Default for EncoderConfig {
@@ -160,6 +166,7 @@ impl EncoderConfig {
             coder: Coder::Context,
             level: Level::default(),
             packing: None,
+            image: ImageConfig::default(),
         };
         match mode {
             Mode::Exact => exact,
@@ -180,10 +187,12 @@ impl EncoderConfig {
     }
 
     /// What ranges are predicted from by default with this coder: what makes a frame smallest, or, by a
-    /// general-purpose back-end in paper mode, as in the article.
+    /// general-purpose back-end or an image coder in paper mode, as in the article.
     pub fn default_prediction(&self) -> PredictionChoice {
         match (self.coder, self.positions) {
-            (Coder::Backend(_), Positions::Formula) => PredictionChoice::Always(Prediction::Inter),
+            (Coder::Backend(_) | Coder::Image(_), Positions::Formula) => {
+                PredictionChoice::Always(Prediction::Inter)
+            }
             _ => PredictionChoice::Smallest,
         }
     }
@@ -212,13 +221,12 @@ impl EncoderConfig {
         let mut tried = match (self.prediction, self.coder) {
             (PredictionChoice::EveryReference, _) if fit.is_some() => vec![],
             (PredictionChoice::Always(Prediction::Intra), _) => vec![Prediction::Intra],
-            (
-                PredictionChoice::Always(Prediction::Inter) | PredictionChoice::EveryReference,
-                Coder::Backend(_),
-            ) => vec![Prediction::Intra],
-            (PredictionChoice::Smallest, Coder::Backend(_)) => vec![Prediction::None, Prediction::Intra],
             (_, Coder::Context) if fit.is_some_and(|fit| fit > SURE) => vec![],
-            _ => vec![Prediction::None],
+            (PredictionChoice::Always(Prediction::None), _) | (_, Coder::Context) => vec![Prediction::None],
+            (PredictionChoice::Always(Prediction::Inter) | PredictionChoice::EveryReference, _) => {
+                vec![Prediction::Intra]
+            }
+            (PredictionChoice::Smallest, _) => vec![Prediction::None, Prediction::Intra],
         };
         if fit.is_some() {
             tried.push(Prediction::Inter);
@@ -238,12 +246,13 @@ impl EncoderConfig {
             intensity: self.intensity,
             prediction: Prediction::None,
             motion: QuantisedPose::default(),
-            snake: self.snake && self.coder != Coder::Context,
+            snake: self.snake && matches!(self.coder, Coder::Backend(_)),
             range_coder: match self.coder {
                 Coder::Context => RangeCoder::EXACT,
                 Coder::Backend(id) => {
                     RangeCoder::Backend { id, packing: self.packing.unwrap_or(backend::by_id(id)?.packing()) }
                 }
+                Coder::Image(codec) => RangeCoder::Image(codec),
             },
             source: None,
         })
@@ -309,10 +318,31 @@ impl EncoderConfig {
         if fits_regions && self.projection.has_float_ranges() {
             return wrong("regions are fitted to ranges in steps; choose a step, or the article's regions");
         }
+        if let Coder::Image(codec) = self.coder {
+            self.check_image_coder(codec)?;
+        }
         self.segmentation.check()?;
         self.intra.check()?;
         self.registration.check()?;
         self.frame_parameters().map(|_| ())
+    }
+}
+
+impl EncoderConfig {
+    fn check_image_coder(&self, codec: ImageCodec) -> Result<()> {
+        let wrong = |what: &str| Err(Error::InvalidConfig(what.to_owned()));
+        if self.projection.has_float_ranges() {
+            return wrong("image coders take ranges in steps; choose a step or another back-end");
+        }
+        match (codec, self.image.rate, self.positions) {
+            (ImageCodec::Jpeg, Rate::Lossless, _) => {
+                wrong("jpeg always loses something; choose a rate, or jpeg2000")
+            }
+            (_, Rate::Bits(_), Positions::Exact) => {
+                wrong("exact mode loses nothing; choose --mode paper, or jpeg2000 at --rate lossless")
+            }
+            _ => self.image.check(),
+        }
     }
 }
 

@@ -38,6 +38,8 @@ pub struct Frame {
     pub steps: Grid<u32>,
     /// The regions of the image and their models, if ranges are predicted from them.
     pub intra: IntraPrediction,
+    /// What an image coder made of the ranges; kept, so that they lose nothing when they are coded again.
+    pub image: Vec<u8>,
     /// Intensity of each return.
     pub intensity: Grid<f32>,
     /// Position of each return, in file order.

@@ -6,8 +6,8 @@ use std::mem::take;
 use super::bound::Bound;
 use super::config::EncoderConfig;
 use super::frame::Frame;
-use super::parameters::{Intensity, Positions, Prediction, Source};
-use super::sections::{SectionReader, SectionWriter};
+use super::parameters::{Intensity, Positions, Prediction, RangeCoder, Source};
+use super::sections::{Effort, SectionReader, SectionWriter};
 use super::steps::{Step, StepReport};
 use super::syntax::Models;
 use crate::bitstream::{FrameHeader, Section};
@@ -84,7 +84,7 @@ impl<'s> GroupEncoder<'s> {
     ) -> Result<(EncodedFrame, Option<Vec<u8>>)> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let mut frame = Frame::from_scan(scan, self.sensor, config, &mut steps)?;
-        let mut smallest: Option<Attempt> = None;
+        let mut best: Option<Attempt> = None;
         let fit = steps.timed(Step::Registration, || self.estimate_motion(&frame));
         let mut predictions = self.config.predictions(fit).into_iter().peekable();
         while let Some(prediction) = predictions.next() {
@@ -93,11 +93,11 @@ impl<'s> GroupEncoder<'s> {
                 None => (take(&mut self.models), take(&mut frame)),
             };
             let attempt = self.attempt(frame, prediction, models, steps)?;
-            if smallest.as_ref().is_none_or(|smallest| attempt.size() < smallest.size()) {
-                smallest = Some(attempt);
+            if best.as_ref().is_none_or(|best| attempt.cost() < best.cost()) {
+                best = Some(attempt);
             }
         }
-        let Some(Attempt { models, frame, sections, returns, steps }) = smallest else {
+        let Some(Attempt { models, frame, sections, returns, steps, .. }) = best else {
             return Err(Error::InvalidConfig("no prediction to choose from".to_owned()));
         };
         self.models = models;
@@ -134,12 +134,18 @@ impl<'s> GroupEncoder<'s> {
         mut models: Models,
         mut steps: StepReport,
     ) -> Result<Attempt> {
+        let ranges = frame.steps.clone();
         frame.parameters.motion = self.motion;
         frame.predict(prediction, self.sensor, self.config, &mut steps);
-        let mut writer = SectionWriter::new(self.config.level);
+        let effort = Effort { level: self.config.level, image: self.config.image };
+        let mut writer = SectionWriter::new(effort);
         let returns = models.code_frame(&mut writer, self.sensor, &mut frame, &mut steps)?;
         steps.count_sections(&writer.sections);
-        Ok(Attempt { models, frame, sections: writer.sections, returns, steps })
+        let error = match frame.parameters.range_coder {
+            RangeCoder::Image(_) => squared_error(&ranges, &frame.steps),
+            RangeCoder::Context { .. } | RangeCoder::Backend { .. } => 0.0,
+        };
+        Ok(Attempt { models, frame, sections: writer.sections, returns, error, steps })
     }
 }
 
@@ -151,14 +157,22 @@ struct Attempt {
     frame: Frame,
     sections: Vec<Section>,
     returns: Vec<Return>,
+    /// Squared error of the ranges, in steps, by a coder that may spend so many bits; else 0.
+    error: f64,
     steps: StepReport,
 }
 
 impl Attempt {
-    /// Bytes of the sections.
-    fn size(&self) -> usize {
-        self.sections.iter().map(|section| section.payload.len()).sum()
+    /// The error, of coders that may spend so many bits, and then the bytes of the sections.
+    fn cost(&self) -> (f64, usize) {
+        (self.error, self.sections.iter().map(|section| section.payload.len()).sum())
     }
+}
+
+/// The sum of the squared differences of two images, in steps.
+fn squared_error(a: &Grid<u32>, b: &Grid<u32>) -> f64 {
+    let differences = a.cells().iter().zip(b.cells()).map(|(a, b)| f64::from(a.abs_diff(*b)));
+    differences.map(|difference| difference * difference).sum()
 }
 
 /// A frame as [`GroupDecoder`] decodes it.

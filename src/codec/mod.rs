@@ -18,6 +18,7 @@ pub mod steps;
 mod bound;
 mod copier;
 mod frame;
+mod images;
 mod ordered;
 mod ranges;
 mod recode;

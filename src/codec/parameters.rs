@@ -9,6 +9,7 @@ use crate::backend;
 use crate::bitstream::{Frame, FrameHeader, SectionKind};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
+use crate::image_coding::ImageCodec;
 use crate::range_image::EXACT_RANGE_BITS;
 use crate::registration::QuantisedPose;
 use crate::residual::Packing;
@@ -102,6 +103,8 @@ pub enum RangeCoder {
         /// How the residuals are turned into bytes for it.
         packing: Packing,
     },
+    /// An image coder; the ranges may differ from the scan's.
+    Image(ImageCodec),
 }
 
 /// The file that a frame was made from, and what became of its points.
@@ -137,6 +140,9 @@ const CONTEXT: u64 = 255;
 const BINNED_CONTEXT: u64 = 254;
 /// The widest bin, in steps.
 const WIDEST_BIN: u32 = 1 << 20;
+/// The numbers of the image coders among them.
+const JPEG: u64 = 128;
+const JPEG_2000: u64 = 129;
 /// The range bits that the context coder takes.
 const RANGE_BITS: RangeInclusive<u64> = 16..=24;
 
@@ -173,6 +179,7 @@ impl FrameParameters {
                 write_unsigned(out, u64::from(id));
                 write_unsigned(out, u64::from(packing.to_code()));
             }
+            RangeCoder::Image(codec) => write_unsigned(out, image_code(codec)),
         }
         write_unsigned(out, u64::from(self.source.is_some()));
         if let Some(Source { file_size, points, outliers, lost }) = self.source {
@@ -249,6 +256,7 @@ impl fmt::Display for FrameParameters {
                 Ok(backend) => write!(f, ", {}, {}", backend.name(), packing.name()),
                 Err(_) => write!(f, ", back-end {id}, {}", packing.name()),
             },
+            RangeCoder::Image(codec) => write!(f, ", {}", codec.name()),
         }
     }
 }
@@ -323,6 +331,13 @@ impl Intensity {
     }
 }
 
+fn image_code(codec: ImageCodec) -> u64 {
+    match codec {
+        ImageCodec::Jpeg => JPEG,
+        ImageCodec::Jpeg2000 => JPEG_2000,
+    }
+}
+
 impl Prediction {
     fn to_code(self) -> u64 {
         match self {
@@ -357,7 +372,7 @@ impl RangeCoder {
             RangeCoder::Context { range_bits, between, .. } => {
                 RangeCoder::Context { range_bits, bin: 1, between }
             }
-            RangeCoder::Backend { .. } => self,
+            RangeCoder::Backend { .. } | RangeCoder::Image(_) => self,
         }
     }
 
@@ -373,7 +388,7 @@ impl RangeCoder {
     pub(super) fn offset_m(self, sensor: &SensorModel) -> f64 {
         match self {
             RangeCoder::Context { between: true, .. } => -0.5 * sensor.range_step_m(),
-            RangeCoder::Context { .. } | RangeCoder::Backend { .. } => 0.0,
+            RangeCoder::Context { .. } | RangeCoder::Backend { .. } | RangeCoder::Image(_) => 0.0,
         }
     }
 
@@ -387,6 +402,8 @@ impl RangeCoder {
                 };
                 Ok(RangeCoder::Context { range_bits, bin, between })
             }
+            JPEG => Ok(RangeCoder::Image(ImageCodec::Jpeg)),
+            JPEG_2000 => Ok(RangeCoder::Image(ImageCodec::Jpeg2000)),
             id => {
                 let unknown = || Error::unsupported(format!("frame parameters: unknown back-end {id}"));
                 let id = u8::try_from(id).map_err(|_| unknown())?;

@@ -1,7 +1,8 @@
 //! The ranges of a frame: by context, or what prediction leaves of them by a general-purpose back-end
-//! (article, IV-C and IV-D).
+//! or an image coder (article, IV-C and IV-D).
 
 use super::frame::Frame;
+use super::images;
 use super::parameters::{Prediction, RangeCoder};
 use super::sections::SectionCoder;
 use super::steps::{Step, StepReport};
@@ -47,6 +48,12 @@ impl Models {
                 let predictor = self.code_predictor(sections, sensor, frame, reference, report)?;
                 code_residuals(sections, &predictor, (id, packing), frame, report)?;
                 check_ranges(frame, sensor)
+            }
+            RangeCoder::Image(codec) => {
+                let before = sections.bytes_written();
+                let predictor = self.code_predictor(sections, sensor, frame, reference, report)?;
+                let side = sections.bytes_written() - before;
+                images::code_ranges(sections, &predictor, (codec, side), (frame, sensor), report)
             }
         }
     }
@@ -98,7 +105,7 @@ fn code_residuals<S: SectionCoder>(
     if S::ENCODES {
         let residuals =
             report.timed(Step::Prediction, || predictor.residuals(&frame.occupancy, &frame.steps));
-        let level = sections.level();
+        let level = sections.effort().level;
         (payload, packed) =
             report.timed(Step::Coding, || residual::compress(&residuals, backend, level, packing))?;
     }

@@ -1,21 +1,22 @@
 //! The end of a group as a group of its own. Frames of a group depend on those before them, so what
 //! comes after a cut is coded again. It is the decoded [`Frame`] that is: the integers of its sections,
-//! not the points that they stand for, so lossy frames lose nothing either.
+//! not the points that they stand for, so lossy frames lose nothing either. What an image coder made of ranges is
+//! written again as it is.
 
 use super::decoder::{check_file, part_name};
 use super::frame::Frame;
 use super::parameters::Prediction;
-use super::sections::{SectionReader, SectionWriter};
+use super::sections::{Effort, SectionReader, SectionWriter};
 use super::source::GroupJob;
 use super::steps::StepReport;
 use super::syntax::Models;
-use crate::backend::Level;
 use crate::bitstream;
 use crate::error::{Limits, Result};
 use crate::sensor::SensorModel;
 
 /// Decodes a group, and codes its frames from number `start` of the sequence on as a new group of the
-/// same sensor model. Headers of the frames stay as they are.
+/// same sensor model. Headers of the frames stay as they are, and so do their parameters, but for those of a frame
+/// that has lost what it was predicted from, and for bins: decoded ranges are coded as they are.
 ///
 /// # Errors
 /// If a frame does not decode, is over the limits, or is not the file that its header tells of; or if a
@@ -59,9 +60,10 @@ impl Recoder<'_> {
         if models.past().is_none() && frame.parameters.prediction == Prediction::Inter {
             // The frame that it was predicted from is not in the new group.
             frame.predict_from_nothing();
+            frame.leave_image();
         }
         frame.parameters.range_coder = frame.parameters.range_coder.of_decoded();
-        let mut writer = SectionWriter::new(Level::default());
+        let mut writer = SectionWriter::new(Effort::default());
         let returns = models.code_frame(&mut writer, self.sensor, &mut frame, &mut steps)?;
         check_file(&header, &frame.into_scan(&header.name, &returns)?.to_bytes()?)?;
         Ok(Some(bitstream::Frame { header, sections: writer.sections }))

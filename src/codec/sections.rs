@@ -4,6 +4,16 @@ use crate::backend::Level;
 use crate::bitstream::{Section, SectionKind};
 use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
 use crate::error::{Error, Limits, Result};
+use crate::image_coding::ImageConfig;
+
+/// How hard the coders of ranges try, and what they may spend; of no use to the decoder.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Effort {
+    /// Of a general-purpose back-end.
+    pub level: Level,
+    /// Of an image coder.
+    pub image: ImageConfig,
+}
 
 /// Opens the sections of a frame one after the other, to write or to read them.
 pub trait SectionCoder {
@@ -29,8 +39,11 @@ pub trait SectionCoder {
     /// What this side is willing to allocate.
     fn limits(&self) -> &Limits;
 
-    /// The effort of a general-purpose back-end; of no use to the decoder.
-    fn level(&self) -> Level;
+    /// The effort; of no use to the decoder.
+    fn effort(&self) -> Effort;
+
+    /// Bytes of the sections written so far; of no use to the decoder.
+    fn bytes_written(&self) -> usize;
 }
 
 /// Collects the sections of a frame.
@@ -38,13 +51,13 @@ pub struct SectionWriter {
     /// The sections so far.
     pub sections: Vec<Section>,
     limits: Limits,
-    level: Level,
+    effort: Effort,
 }
 
 impl SectionWriter {
     /// No sections yet.
-    pub fn new(level: Level) -> Self {
-        SectionWriter { sections: Vec::new(), limits: Limits::default(), level }
+    pub fn new(effort: Effort) -> Self {
+        SectionWriter { sections: Vec::new(), limits: Limits::default(), effort }
     }
 }
 
@@ -78,8 +91,12 @@ impl SectionCoder for SectionWriter {
         &self.limits
     }
 
-    fn level(&self) -> Level {
-        self.level
+    fn effort(&self) -> Effort {
+        self.effort
+    }
+
+    fn bytes_written(&self) -> usize {
+        self.sections.iter().map(|section| section.payload.len()).sum()
     }
 }
 
@@ -144,7 +161,11 @@ impl SectionCoder for SectionReader<'_> {
         self.limits
     }
 
-    fn level(&self) -> Level {
-        Level::default()
+    fn effort(&self) -> Effort {
+        Effort::default()
+    }
+
+    fn bytes_written(&self) -> usize {
+        0
     }
 }

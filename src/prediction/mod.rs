@@ -24,9 +24,7 @@ pub struct Predictor {
 impl Predictor {
     /// What is left of the ranges (steps, rows x columns), for each return in scan order.
     pub fn residuals(&self, occupancy: &Grid<bool>, steps: &Grid<u32>) -> Vec<i32> {
-        let mut values = Grid::new(steps.rows(), steps.columns());
-        // Equation 7.
-        each_return(occupancy, |cell| values[cell] = steps[cell].wrapping_sub(self.predicted(cell)) as i32);
+        let mut values = self.differences(occupancy, steps);
         if self.snake {
             snake::difference(occupancy, &mut values);
         }
@@ -46,6 +44,23 @@ impl Predictor {
         }
         let mut steps = Grid::new(occupancy.rows(), occupancy.columns());
         each_return(occupancy, |cell| steps[cell] = (values[cell] as u32).wrapping_add(self.predicted(cell)));
+        steps
+    }
+
+    /// The difference of each return to its prediction (equation 7), in steps, rows x columns; 0 elsewhere.
+    pub fn differences(&self, occupancy: &Grid<bool>, steps: &Grid<u32>) -> Grid<i32> {
+        let mut values = Grid::new(steps.rows(), steps.columns());
+        each_return(occupancy, |cell| values[cell] = steps[cell].wrapping_sub(self.predicted(cell)) as i32);
+        values
+    }
+
+    /// The ranges of the returns from differences that may be a little off: from 1 to `most` steps.
+    pub fn restore_within(&self, occupancy: &Grid<bool>, differences: &Grid<i32>, most: u32) -> Grid<u32> {
+        let mut steps = Grid::new(occupancy.rows(), occupancy.columns());
+        each_return(occupancy, |cell| {
+            let range = i64::from(self.predicted(cell)) + i64::from(differences[cell]);
+            steps[cell] = range.clamp(1, i64::from(most)) as u32;
+        });
         steps
     }
 

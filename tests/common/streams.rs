@@ -5,6 +5,7 @@ use std::sync::LazyLock;
 use lidarpc::backend::{self, BACKENDS};
 use lidarpc::bitstream::Group;
 use lidarpc::codec::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
+use lidarpc::image_coding::ImageCodec;
 
 use super::formats::{kitti, pcd_extra, pcd_text};
 use super::scans::{random_points, scans, small};
@@ -46,6 +47,8 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
             EncoderConfig { prediction: PredictionChoice::Smallest, ..with_back_end(backend::LZMA) },
         ),
     ];
+    let by_image = |codec| EncoderConfig { coder: Coder::Image(codec), ..with_back_end(backend::LZMA) };
+    streams.extend(ImageCodec::ALL.map(|codec| coded(&still, by_image(codec))));
     let bounded = EncoderConfig::preset(Mode::Bounded { max_error_um: 20_000 });
     streams.extend([coded(&scanner, bounded.clone()), coded(&others, bounded)]);
     streams.extend(BACKENDS.iter().map(|backend| coded(&scanner[..1], with_back_end(backend.id()))));
