@@ -563,6 +563,14 @@ fn wrong_usage_is_exit_code_2() {
         "encode seq -o new.lpc --mode paper --level 10",
         "encode seq -o new.lpc --level 5",
         "encode seq -o new.lpc --packing planes",
+        "encode seq -o new.lpc --rate 2",
+        "encode seq -o new.lpc --mode paper --passes 2",
+        "encode seq -o new.lpc --backend jpeg2000",
+        "encode seq -o new.lpc --backend jpeg2000 --rate 0",
+        "encode seq -o new.lpc --mode paper --backend jpeg --rate lossless",
+        "encode seq -o new.lpc --mode paper --backend jpeg --passes 9",
+        "encode seq -o new.lpc --mode paper --backend jpeg2000 --level 5",
+        "encode seq -o new.lpc --mode paper --backend jpeg2000 --step float",
         "encode seq -o new.lpc --step 1cm",
         "encode seq -o new.lpc --intensity none",
         "encode seq -o new.lpc --predict intra",
@@ -912,6 +920,26 @@ fn paper_mode_says_what_it_lost() {
 }
 
 #[test]
+fn image_coders_spend_what_they_are_given() {
+    let bench = driven();
+    let coded = |options: &str| {
+        let coding = "--mode paper --step 1cm --columns 500 --predict none --verify --force";
+        bench.ok(&format!("encode drive -o p.lpc {coding} {options}"));
+        let stats = bench.json("stats p.lpc --against drive --json");
+        let rmse = stats["against"]["decoded_to_original_rmse_m"].as_f64().unwrap();
+        (bench.json("info p.lpc --json")["frames"][0]["coding"].clone(), rmse)
+    };
+    let (coding, coarse) = coded("--backend jpeg --rate 2 --passes 1");
+    assert_eq!(coding, "range image, jpeg");
+    let (coding, finer) = coded("--backend jpeg2000 --rate 6");
+    assert_eq!(coding, "range image, jpeg2000");
+    let exact = coded("--backend jpeg2000 --rate lossless").1;
+    assert!(exact < finer && finer < coarse, "{coarse} {finer} {exact}");
+    bench.ok("encode drive -o e.lpc --backend jpeg2000 --rate lossless --verify");
+    assert_eq!(bench.json("info e.lpc --json")["frames"][0]["coding"], "exact, jpeg2000");
+}
+
+#[test]
 fn the_smaller_prediction_is_taken() {
     let bench = driven();
     let size = |predict: &str| {
@@ -988,16 +1016,22 @@ fn bench_gives_the_tables_and_figures() {
     }
     let curves = section(&report, "Figure 15")["series"].as_array().unwrap();
     let points = |curve: &Value| curve["points"].as_array().unwrap().len();
-    assert_eq!(curves.iter().map(points).collect::<Vec<_>>(), [3, 3, 3, 3, 1, 1, 1]);
+    assert_eq!(curves.iter().map(points).collect::<Vec<_>>(), [2, 2, 2, 2, 2, 2, 1, 1]);
+    for curve in &curves[..6] {
+        let [few, many] = [&curve["points"][0], &curve["points"][1]];
+        assert!(few["x"].as_f64() < many["x"].as_f64() && few["y"].as_f64() > many["y"].as_f64(), "{curve}");
+    }
+    let curves = section(&report, "Figure 15, beyond")["series"].as_array().unwrap();
+    assert_eq!(curves.iter().map(points).collect::<Vec<_>>(), [3, 3, 3, 3, 3, 1]);
     let inter = &curves[1]["points"];
     assert!(
         inter[0]["x"].as_f64() > inter[2]["x"].as_f64() && inter[0]["y"].as_f64() < inter[2]["y"].as_f64()
     );
-    assert_eq!(curves[6]["points"][0]["y"], 0.0, "exact mode");
+    assert_eq!(curves[5]["points"][0]["y"], 0.0, "exact mode");
 
     let page = fs::read_to_string(bench.path("page.html")).unwrap();
     assert!(page.starts_with("<!DOCTYPE html>") && page.ends_with("</html>\n"));
-    assert_eq!(page.matches("<svg ").count(), 3);
+    assert_eq!(page.matches("<svg ").count(), 4);
     for loads in ["http://", "https://", "<script", "src=", "url("] {
         assert!(!page.contains(loads), "{loads}");
     }

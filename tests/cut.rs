@@ -157,8 +157,8 @@ fn frames_are_coded_again_as_they_were() {
     }
 }
 
-/// A frame whose prediction is still there after a cut keeps its image, byte for byte; one that has lost what it
-/// was predicted from is coded by context. Neither loses anything again.
+/// A frame whose prediction is still there after a cut keeps its image, byte for byte; one that has lost
+/// what it was predicted from is coded by context. Neither loses anything again.
 #[test]
 fn images_are_written_again_as_they_are() {
     // Standing still, so that there are P frames.

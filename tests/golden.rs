@@ -14,6 +14,7 @@ use common::scans::{random_points, scans, small, unrounded};
 use common::{File, decode_files, encode_files, first_files, in_package, round_trip};
 use lidarpc::backend::BACKENDS;
 use lidarpc::codec::{Coder, EncoderConfig, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind};
+use lidarpc::image_coding::{ImageCodec, ImageConfig, Rate};
 
 fn folder() -> PathBuf {
     in_package("testdata/golden")
@@ -107,6 +108,16 @@ fn write_golden() {
             ..EncoderConfig::preset(Mode::Paper)
         };
         let name = format!("v2-paper-{}", backend.name());
+        write(&name, || encode_files(&named(&scans(&small(6, 2))), &config));
+    }
+    for codec in ImageCodec::ALL {
+        let config = EncoderConfig {
+            projection: ProjectionKind::Ideal { columns: 500, range_step_um: 10_000 },
+            coder: Coder::Image(codec),
+            image: ImageConfig { passes: 3, rate: Rate::Bits(16.0) },
+            ..EncoderConfig::preset(Mode::Paper)
+        };
+        let name = format!("v2-paper-{}", codec.name());
         write(&name, || encode_files(&named(&scans(&small(6, 2))), &config));
     }
     let lzma = EncoderConfig { coder: Coder::Backend(lidarpc::backend::LZMA), ..exact };

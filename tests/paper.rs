@@ -322,8 +322,8 @@ fn image_coders_spend_what_they_may_and_err_less_for_more() {
     }
 }
 
-/// The points of the file are at the decoded ranges, and the encoder knows it: a frame's checksum is that of the
-/// decoded file.
+/// The points of the file are at the decoded ranges, and the encoder knows it: a frame's checksum is that of
+/// the decoded file.
 #[test]
 fn lossy_points_are_at_the_decoded_ranges() {
     let files = named(&SCANS);
@@ -353,8 +353,8 @@ fn lossless_jpeg_2000_keeps_the_image() {
     }
 }
 
-/// Ranges that are a little off change the order in which the formula puts points of neighbouring columns: what
-/// belongs to a point must go with it.
+/// Ranges that are a little off change the order in which the formula puts points of neighbouring columns:
+/// what belongs to a point must go with it.
 #[test]
 fn lossy_points_of_the_calibrated_image_keep_their_intensities_and_fields() {
     let files: Vec<File> = (0..).zip(SCANS.iter()).map(|(n, p)| (format!("{n}.pcd"), pcd_extra(p))).collect();

@@ -6,6 +6,7 @@ use super::sample::Sample;
 use crate::backend;
 use crate::codec::{Coder, EncoderConfig, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind};
 use crate::error::Result;
+use crate::image_coding::{ImageCodec, ImageConfig, Rate};
 use crate::metrics;
 use crate::prediction::intra::{IntraConfig, RegionModels};
 use crate::sensor::{FLOAT_RANGES, RANGE_STEP_UM};
@@ -14,6 +15,14 @@ use crate::sensor::{FLOAT_RANGES, RANGE_STEP_UM};
 const STEPS_UM: [u32; 7] = [1000, 2000, 5000, 10_000, 20_000, 50_000, 100_000];
 /// Those of a quick look.
 const QUICK_STEPS_UM: [u32; 3] = [2000, 10_000, 50_000];
+
+/// Rates of image coders, in bits a return.
+const RATES: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
+/// Those of a quick look.
+const QUICK_RATES: [f64; 2] = [1.0, 4.0];
+
+const INTRA: PredictionChoice = PredictionChoice::Always(Prediction::Intra);
+const INTER: PredictionChoice = PredictionChoice::EveryReference;
 
 /// A curve, or a point: ways to code that differ in one setting.
 struct Curve {
@@ -24,128 +33,189 @@ struct Curve {
 }
 
 /// All curves.
-pub struct Curves(Vec<Curve>);
+pub struct Curves {
+    /// The article's back-ends.
+    article: Vec<Curve>,
+    /// Other ways to spend bits.
+    others: Vec<Curve>,
+}
 
 impl Curves {
     /// The curves, with the image's columns, the outlier filter and the regions as `base` has them; fewer
     /// points on each for a quick look.
     pub fn new(sample: &Sample, base: &EncoderConfig, quick: bool) -> Self {
-        let steps: &[u32] = if quick { &QUICK_STEPS_UM } else { &STEPS_UM };
-        let at = |step: u32, coder, prediction| EncoderConfig {
-            projection: with_step(base.projection, step),
-            coder,
-            prediction,
-            ..base.clone()
-        };
-        let by_step = |name, marker, coder, prediction| Curve {
-            name,
-            marker,
-            points: steps.iter().map(|&step| (length(step), at(step, coder, prediction))).collect(),
-        };
-        let one = |name, marker, setting: &str, config| Curve {
-            name,
-            marker,
-            points: vec![(setting.to_owned(), config)],
-        };
-        let lzma = Coder::Backend(backend::LZMA);
-        let (intra, inter) = (PredictionChoice::Always(Prediction::Intra), PredictionChoice::EveryReference);
-        let smallest = PredictionChoice::Smallest;
-        let calibrated = |step: u32| EncoderConfig {
-            projection: ProjectionKind::Calibrated { range_step_um: Some(step) },
-            outliers: None,
-            ..at(step, Coder::Context, smallest)
-        };
-        // So coarse a step leaves nothing of intensities.
-        let intensity = Intensity::Rounded { step_millionths: u32::MAX };
-        let bounded = |max_error_um| EncoderConfig {
-            threads: base.threads,
-            intensity,
-            ..EncoderConfig::preset(Mode::Bounded { max_error_um })
-        };
-        let coarser = steps.iter().filter(|&&step| step >= RANGE_STEP_UM);
-        let floats = |prediction| EncoderConfig {
-            intra: IntraConfig { models: RegionModels::Article, ..base.intra },
-            ..at(FLOAT_RANGES, lzma, prediction)
-        };
-        let mut curves = vec![by_step("LZMA, intra", Marker::Square, lzma, intra)];
-        if sample.has_references() {
-            curves.push(by_step("LZMA, inter", Marker::Triangle, lzma, inter));
-        }
-        curves.push(by_step("context, ideal image", Marker::Circle, Coder::Context, smallest));
-        curves.push(Curve {
-            name: "context, calibrated image",
-            marker: Marker::Diamond,
-            points: coarser.clone().map(|&step| (length(step), calibrated(step))).collect(),
-        });
-        curves.push(one("LZMA, intra, floats", Marker::Cross, "float", floats(intra)));
-        if sample.has_references() {
-            curves.push(one("LZMA, inter, floats", Marker::Plus, "float", floats(inter)));
-        }
-        curves.push(Curve {
-            name: "bounded mode, without intensities",
-            marker: Marker::TriangleDown,
-            points: coarser.map(|&error| (length(error), bounded(error))).collect(),
-        });
-        let exact = EncoderConfig { threads: base.threads, ..EncoderConfig::preset(Mode::Exact) };
-        curves.push(one("exact mode, whole files", Marker::Star, "", exact));
-        Curves(curves)
+        Curves { article: article_curves(sample, base, quick), others: other_curves(sample, base, quick) }
     }
 
     /// Frames that are coded in all.
     pub fn frames_to_code(&self, sample: &Sample) -> usize {
-        self.0.iter().map(|curve| curve.points.len()).sum::<usize>() * sample.inputs.len()
+        let curves = self.article.iter().chain(&self.others);
+        curves.map(|curve| curve.points.len()).sum::<usize>() * sample.inputs.len()
     }
 
     /// Measures all points.
     ///
     /// # Errors
     /// If a back-end's library fails.
-    pub fn measure(&self, sample: &Sample, on_frame: &(dyn Fn() + Sync)) -> Result<Section> {
-        let mut series = Vec::new();
-        let (mut most_alone, mut lost) = (0.0f64, 0.0f64);
-        for curve in &self.0 {
-            let mut points = Vec::new();
-            for (setting, config) in &curve.points {
-                let Measured { bits, rmse, alone, dropped } = measure(sample, config, on_frame)?;
-                most_alone = most_alone.max(alone);
-                lost = lost.max(dropped);
-                if let (Some(x), Some(y)) = (bits, rmse) {
-                    points.push(Point { x, y, label: setting.clone() });
-                }
-            }
-            if points.is_empty() {
-                continue;
-            }
-            series.push(Series {
-                name: curve.name.into(),
-                origin: Origin::Measured,
-                line: curve.points.len() > 1,
-                marker: curve.marker,
-                points,
-            });
-        }
-        Ok(Section::Figure(Figure {
-            number: "Figure 15".into(),
-            title: "error against bit rate".into(),
-            note: format!(
-                "On {}, of each run all frames but the first, which is there to predict from. Bits are those of \
-                 the coded frames, everything included, for each point that comes back. RMSE: equation 12 \
-                 over the returns of both range images, the original's made of float32 ranges, or of the \
-                 scanner's own steps of 2 mm for the calibrated image; at most {:.2} % of the returns are in one \
-                 of them only. It leaves out what the projection itself does to the points: {:.1} % have no cell \
-                 of their own or are outliers, and the ideal sensor's beams are not the scanner's. Exact mode has \
-                 all points, in order, with intensities: its RMSE is that of points. Without a calibrated image, \
-                 as of scans that were moved afterwards, there is no curve of it. The article's figure is a plot \
-                 without values.",
-                sample.describe(),
-                100.0 * most_alone,
-                100.0 * lost,
-            ),
-            x: Axis { name: "bit rate".into(), unit: "bits a point".into(), scale: Scale::Log },
-            y: Axis { name: "RMSE".into(), unit: "m".into(), scale: Scale::Log },
-            series,
-        }))
+    pub fn measure(&self, sample: &Sample, on_frame: &(dyn Fn() + Sync)) -> Result<Vec<Section>> {
+        let (article, worst) = measure_all(&self.article, sample, on_frame)?;
+        let note = format!(
+            "On {}, of each run all frames but the first, which is there to predict from. Bits are those of \
+             the coded frames, everything included, for each point that comes back. RMSE: equation 12 over \
+             the returns of both range images, the original's made of float32 ranges; at most {:.2} % of the \
+             returns are in one of them only. It leaves out what the projection itself does to the points: \
+             {:.1} % have no cell of their own or are outliers, and the ideal sensor's beams are not the \
+             scanner's. Directly: nothing is predicted. In two passes, each of the error of those before, where \
+             that leaves less. Floats: without loss. The article's figure is a plot without values.",
+            sample.describe(),
+            100.0 * worst.alone,
+            100.0 * worst.dropped,
+        );
+        let article = figure("Figure 15", "error against bit rate", note, article);
+        let (others, _) = measure_all(&self.others, sample, on_frame)?;
+        let note = "As above, for coarser range steps. The calibrated image's RMSE is against ranges in the \
+                    scanner's own steps of 2 mm. Bounded and exact mode have all points, in order; their RMSE \
+                    is that of points. Exact mode has intensities too. Without a calibrated image, as of scans \
+                    that were moved afterwards, there is no curve of it.";
+        let others = figure("Figure 15, beyond", "other ways to spend bits", note.to_owned(), others);
+        Ok(vec![article, others])
     }
+}
+
+fn figure(number: &str, title: &str, note: String, series: Vec<Series>) -> Section {
+    Section::Figure(Figure {
+        number: number.into(),
+        title: title.into(),
+        note,
+        x: Axis { name: "bit rate".into(), unit: "bits a point".into(), scale: Scale::Log },
+        y: Axis { name: "RMSE".into(), unit: "m".into(), scale: Scale::Log },
+        series,
+    })
+}
+
+/// A curve that is one point.
+fn one(name: &'static str, marker: Marker, setting: &str, config: EncoderConfig) -> Curve {
+    Curve { name, marker, points: vec![(setting.to_owned(), config)] }
+}
+
+/// JPEG and JPEG 2000, of the image itself and of what prediction leaves, at rising rates; and LZMA of
+/// the latter as the article has it, without loss.
+fn article_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Curve> {
+    let rates: &[f64] = if quick { &QUICK_RATES } else { &RATES };
+    let by_rate = |name, marker, codec, prediction| {
+        let at = |&rate: &f64| {
+            let image = ImageConfig { rate: Rate::Bits(rate), ..base.image };
+            (
+                format!("{rate} bits"),
+                EncoderConfig { coder: Coder::Image(codec), prediction, image, ..base.clone() },
+            )
+        };
+        Curve { name, marker, points: rates.iter().map(at).collect() }
+    };
+    let floats = |prediction| EncoderConfig {
+        projection: with_step(base.projection, FLOAT_RANGES),
+        coder: Coder::Backend(backend::LZMA),
+        intra: IntraConfig { models: RegionModels::Article, ..base.intra },
+        prediction,
+        ..base.clone()
+    };
+    let none = PredictionChoice::Always(Prediction::None);
+    let (jpeg, jpeg2000) = (ImageCodec::Jpeg, ImageCodec::Jpeg2000);
+    let mut curves = vec![
+        by_rate("JPEG, directly", Marker::Square, jpeg, none),
+        by_rate("JPEG, intra", Marker::Triangle, jpeg, INTRA),
+        by_rate("JPEG 2000, directly", Marker::Circle, jpeg2000, none),
+        by_rate("JPEG 2000, intra", Marker::Diamond, jpeg2000, INTRA),
+        one("LZMA, intra, floats", Marker::Cross, "float", floats(INTRA)),
+    ];
+    if sample.has_references() {
+        curves.insert(2, by_rate("JPEG, inter", Marker::TriangleDown, jpeg, INTER));
+        curves.insert(5, by_rate("JPEG 2000, inter", Marker::Star, jpeg2000, INTER));
+        curves.push(one("LZMA, inter, floats", Marker::Plus, "float", floats(INTER)));
+    }
+    curves
+}
+
+/// Coarser steps by lossless coders, and the modes of this program.
+fn other_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Curve> {
+    let steps: &[u32] = if quick { &QUICK_STEPS_UM } else { &STEPS_UM };
+    let at = |step: u32, coder, prediction| EncoderConfig {
+        projection: with_step(base.projection, step),
+        coder,
+        prediction,
+        ..base.clone()
+    };
+    let by_step = |name, marker, coder, prediction| Curve {
+        name,
+        marker,
+        points: steps.iter().map(|&step| (length(step), at(step, coder, prediction))).collect(),
+    };
+    let lzma = Coder::Backend(backend::LZMA);
+    let smallest = PredictionChoice::Smallest;
+    let calibrated = |step: u32| EncoderConfig {
+        projection: ProjectionKind::Calibrated { range_step_um: Some(step) },
+        outliers: None,
+        ..at(step, Coder::Context, smallest)
+    };
+    // So coarse a step leaves nothing of intensities.
+    let intensity = Intensity::Rounded { step_millionths: u32::MAX };
+    let bounded = |max_error_um| EncoderConfig {
+        threads: base.threads,
+        intensity,
+        ..EncoderConfig::preset(Mode::Bounded { max_error_um })
+    };
+    let coarser = || steps.iter().filter(|&&step| step >= RANGE_STEP_UM);
+    let mut curves = vec![by_step("LZMA, intra", Marker::Square, lzma, INTRA)];
+    if sample.has_references() {
+        curves.push(by_step("LZMA, inter", Marker::Triangle, lzma, INTER));
+    }
+    curves.push(by_step("context, ideal image", Marker::Circle, Coder::Context, smallest));
+    curves.push(Curve {
+        name: "context, calibrated image",
+        marker: Marker::Diamond,
+        points: coarser().map(|&step| (length(step), calibrated(step))).collect(),
+    });
+    curves.push(Curve {
+        name: "bounded mode, without intensities",
+        marker: Marker::TriangleDown,
+        points: coarser().map(|&error| (length(error), bounded(error))).collect(),
+    });
+    let exact = EncoderConfig { threads: base.threads, ..EncoderConfig::preset(Mode::Exact) };
+    curves.push(one("exact mode, whole files", Marker::Star, "", exact));
+    curves
+}
+
+/// Measures curves. Those of which nothing can be measured are left out. Also gives the most of the returns
+/// that only one image has, and of the points that are dropped.
+fn measure_all(
+    curves: &[Curve],
+    sample: &Sample,
+    on_frame: &(dyn Fn() + Sync),
+) -> Result<(Vec<Series>, Missing)> {
+    let mut series = Vec::new();
+    let mut worst = Missing::default();
+    for curve in curves {
+        let mut points = Vec::new();
+        for (setting, config) in &curve.points {
+            let Measured { bits, rmse, missing } = measure(sample, config, on_frame)?;
+            worst.alone = worst.alone.max(missing.alone);
+            worst.dropped = worst.dropped.max(missing.dropped);
+            if let (Some(x), Some(y)) = (bits, rmse) {
+                points.push(Point { x, y, label: setting.clone() });
+            }
+        }
+        if points.is_empty() {
+            continue;
+        }
+        series.push(Series {
+            name: curve.name.into(),
+            origin: Origin::Measured,
+            line: curve.points.len() > 1,
+            marker: curve.marker,
+            points,
+        });
+    }
+    Ok((series, worst))
 }
 
 /// A point of a curve.
@@ -154,6 +224,12 @@ struct Measured {
     bits: Option<f64>,
     /// Metres.
     rmse: Option<f64>,
+    missing: Missing,
+}
+
+/// What an error does not tell of.
+#[derive(Clone, Copy, Default)]
+struct Missing {
     /// The part of the returns that only one of the range images has.
     alone: f64,
     /// The part of the points that were dropped.
@@ -174,8 +250,7 @@ fn measure(sample: &Sample, config: &EncoderConfig, on_frame: &(dyn Fn() + Sync)
     Ok(Measured {
         bits: metrics::bits_per_point(coded.bytes(frames()).round() as u64, decoded),
         rmse: distortion.rmse(),
-        alone: part(alone, alone + ranges.compared),
-        dropped: part(dropped, points),
+        missing: Missing { alone: part(alone, alone + ranges.compared), dropped: part(dropped, points) },
     })
 }
 

@@ -111,7 +111,7 @@ impl Bench {
         sections.extend(times::steps(&self.of_tables, &runs));
         sections.push(times::coding(&self.of_tables, &runs));
         sections.extend(figure_13::measure(&self.of_figures, &self.base, on_frame)?.sections());
-        sections.push(self.curves.measure(&self.of_figures, on_frame)?);
+        sections.extend(self.curves.measure(&self.of_figures, on_frame)?);
         Ok(sections)
     }
 }

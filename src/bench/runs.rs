@@ -6,6 +6,7 @@ use super::tables::Method;
 use crate::backend;
 use crate::codec::{Coder, EncoderConfig, Mode, Prediction, PredictionChoice};
 use crate::error::Result;
+use crate::image_coding::{ImageCodec, ImageConfig, Rate};
 
 /// A coder of residuals that the article names, run on the sample.
 pub struct Run {
@@ -30,9 +31,12 @@ pub struct Runs {
 }
 
 /// The coders that are measured.
-fn coders() -> [(&'static str, Coder); 1] {
-    [("LZMA", Coder::Backend(backend::LZMA))]
+fn coders() -> [(&'static str, Coder); 2] {
+    [("LZMA", Coder::Backend(backend::LZMA)), ("JPEG 2000", Coder::Image(ImageCodec::Jpeg2000))]
 }
+
+/// Half of the 16 bits that a range takes: the article's ratio of 2.
+const RATE: Rate = Rate::Bits(8.0);
 
 /// Frames that are coded in all.
 pub fn frames_to_code(sample: &Sample) -> usize {
@@ -46,7 +50,8 @@ impl Runs {
     /// # Errors
     /// If a back-end's library fails.
     pub fn run(sample: &Sample, base: &EncoderConfig, on_frame: &(dyn Fn() + Sync)) -> Result<Self> {
-        let base = EncoderConfig { threads: 1, ..base.clone() };
+        let image = ImageConfig { rate: RATE, ..base.image };
+        let base = EncoderConfig { threads: 1, image, ..base.clone() };
         let run = |config: &EncoderConfig| experiment::run(sample, config, on_frame);
         let with = |coder, prediction| run(&EncoderConfig { coder, prediction, ..base.clone() });
         let mut measured = Vec::new();

@@ -119,8 +119,8 @@ pub struct EncoderConfig {
     pub order: FrameOrder,
     /// How the scanner's motion is found (V-B).
     pub registration: RegistrationConfig,
-    /// Whether a general-purpose back-end gets the differences along the snake's path (V-C). Default:
-    /// yes; whatever they are predicted from, residuals get smaller by it. Image coders never do: their errors
+    /// Whether a general-purpose back-end gets the differences along the snake's path (V-C). Default: yes;
+    /// whatever they are predicted from, residuals get smaller by it. Image coders never do: their errors
     /// would add up along the path.
     pub snake: bool,
     /// How ground and objects are told apart (equations 3 and 4).

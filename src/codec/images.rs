@@ -1,5 +1,5 @@
-//! What prediction leaves of the ranges, by an image coder (article, VI-C). The encoder goes on with the ranges
-//! that the decoder will have.
+//! What prediction leaves of the ranges, by an image coder (article, VI-C). The encoder goes on with the
+//! ranges that the decoder will have.
 
 use super::frame::Frame;
 use super::parameters::RangeCoder;
@@ -44,8 +44,8 @@ pub fn code_ranges<S: SectionCoder>(
 }
 
 impl Frame {
-    /// Has the ranges, as they were decoded, coded by context from now on: their image is of no use with another
-    /// prediction.
+    /// Has the ranges, as they were decoded, coded by context from now on: their image is of no use with
+    /// another prediction.
     pub fn leave_image(&mut self) {
         if let RangeCoder::Image(_) = self.parameters.range_coder {
             self.image.clear();

@@ -1,6 +1,6 @@
-//! The end of a group as a group of its own. Frames of a group depend on those before them, so what
-//! comes after a cut is coded again. It is the decoded [`Frame`] that is: the integers of its sections,
-//! not the points that they stand for, so lossy frames lose nothing either. What an image coder made of ranges is
+//! The end of a group as a group of its own. Frames of a group depend on those before them, so what comes
+//! after a cut is coded again. It is the decoded [`Frame`] that is: the integers of its sections, not the
+//! points that they stand for, so lossy frames lose nothing either. What an image coder made of ranges is
 //! written again as it is.
 
 use super::decoder::{check_file, part_name};
@@ -14,9 +14,9 @@ use crate::bitstream;
 use crate::error::{Limits, Result};
 use crate::sensor::SensorModel;
 
-/// Decodes a group, and codes its frames from number `start` of the sequence on as a new group of the
-/// same sensor model. Headers of the frames stay as they are, and so do their parameters, but for those of a frame
-/// that has lost what it was predicted from, and for bins: decoded ranges are coded as they are.
+/// Decodes a group, and codes its frames from number `start` of the sequence on as a new group of the same
+/// sensor model. Headers of the frames stay as they are, and so do their parameters, but for those of a
+/// frame that has lost what it was predicted from, and for bins: decoded ranges are coded as they are.
 ///
 /// # Errors
 /// If a frame does not decode, is over the limits, or is not the file that its header tells of; or if a

@@ -4,14 +4,10 @@
 
 mod header;
 
-use image::ExtendedColorType;
-use image::codecs::jpeg::JpegEncoder;
-// The decoder of crate `image`, asked for itself: only so can it be told to do without vector instructions, and
-// come to the same samples on every processor.
-use zune_core::bytestream::ZCursor;
-use zune_core::colorspace::ColorSpace;
-use zune_core::options::DecoderOptions;
-use zune_jpeg::JpegDecoder;
+use std::io::Cursor;
+
+use image::codecs::jpeg::{JpegDecoder, JpegEncoder};
+use image::{ExtendedColorType, ImageDecoder};
 
 use self::header::{END, SCAN_HEADER, header};
 use super::ImageCodec;
@@ -30,8 +26,8 @@ const MOST_SHARE: f64 = 64.0;
 /// The best quality.
 const BEST: u8 = 100;
 
-/// Codes a plane in one pass, with the step and the quality that leave the least error; `None` if so few bytes
-/// hold no image, or nothing may be lost.
+/// Codes a plane in one pass, with the step and the quality that leave the least error; `None` if so few
+/// bytes hold no image, or nothing may be lost.
 ///
 /// # Errors
 /// If there are more rows or columns than the format can have.
@@ -56,8 +52,8 @@ pub fn encode(plane: &Plane<'_>, most_bytes: Option<usize>) -> Result<Option<Pas
     Ok(best.map(|(_, pass)| pass))
 }
 
-/// Codes in a share of the step that brings all values to 8 bits, with the quality that leaves the least error;
-/// gives that too.
+/// Codes in a share of the step that brings all values to 8 bits, with the quality that leaves the least
+/// error; gives that too.
 fn encode_in_steps(
     plane: &Plane<'_>,
     values: &Grid<i32>,
@@ -128,17 +124,13 @@ pub fn decode(image: &[u8], rows: usize, columns: usize) -> Result<Grid<i32>> {
     }
     let (height, width) = sides(rows, columns)?;
     let stream = [&header(height, width, quality)[..], scan, &END].concat();
-    let options = DecoderOptions::default()
-        .set_use_unsafe(false)
-        .set_strict_mode(true)
-        .set_max_width(columns)
-        .set_max_height(rows)
-        .jpeg_set_out_colorspace(ColorSpace::Luma);
-    let samples = JpegDecoder::new_with_options(ZCursor::new(&stream[..]), options).decode();
-    let samples = samples.map_err(|error| damaged(&error.to_string().replace('\n', " ")))?;
-    if samples.len() != rows * columns {
+    let failed = |error: image::ImageError| damaged(&error.to_string().replace('\n', " "));
+    let decoder = JpegDecoder::new(Cursor::new(stream)).map_err(failed)?;
+    let mut samples = vec![0; rows * columns];
+    if decoder.total_bytes() != samples.len() as u64 {
         return Err(damaged("of another size"));
     }
+    decoder.read_image(&mut samples).map_err(failed)?;
     let mut grid = Grid::new(rows, columns);
     for (row, samples) in samples.chunks(columns).enumerate() {
         let cells = grid.row_mut(row).iter_mut().zip(samples);
@@ -155,3 +147,6 @@ fn sides(rows: usize, columns: usize) -> Result<(u16, u16)> {
     };
     side(rows).zip(side(columns)).ok_or_else(wrong)
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,9 +1,9 @@
-//! Lossy image coding of what prediction leaves of the ranges (article, IV-D.2 and VI-C): JPEG and JPEG 2000, in
-//! passes of which each codes the error that those before leave.
+//! Lossy image coding of what prediction leaves of the ranges (article, IV-D.2 and VI-C): JPEG and JPEG
+//! 2000, in passes of which each codes the error that those before leave.
 //!
 //! Neither format knows of cells that hold nothing: the encoder fills them so that they cost little, and the
-//! decoder does not look at them. The images' headers follow from the settings and are not in the stream, so that
-//! the libraries see nothing from a stream but the coded samples.
+//! decoder does not look at them. The images' headers follow from the settings and are not in the stream, so
+//! that the libraries see nothing from a stream but the coded samples.
 
 mod jpeg;
 mod jpeg2000;

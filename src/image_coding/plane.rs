@@ -57,7 +57,8 @@ impl Plane<'_> {
         left
     }
 
-    /// All cells, with one value in those without a return: as good as nothing where most values are the same.
+    /// All cells, with one value in those without a return: as good as nothing where most values are the
+    /// same.
     pub fn padded(&self, with: i32) -> Grid<i32> {
         let mut filled = self.values.clone();
         for row in 0..filled.rows() {
@@ -67,8 +68,9 @@ impl Plane<'_> {
         filled
     }
 
-    /// All cells, with values along straight lines between the returns to the left and right in those without:
-    /// smooth, as suits a transform. Rows without returns are as the row above, or else as that below.
+    /// All cells, with values along straight lines between the returns to the left and right in those
+    /// without: smooth, as suits a transform. Rows without returns are as the row above, or else as that
+    /// below.
     pub fn interpolated(&self) -> Grid<i32> {
         let mut filled = self.values.clone();
         let rows = filled.rows();

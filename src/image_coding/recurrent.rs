@@ -30,10 +30,12 @@ pub enum Turn {
     Last,
 }
 
-/// Codes the residuals of the returns (rows x columns, in steps), within `most_bytes` unless nothing may be lost.
+/// Codes the residuals of the returns (rows x columns, in steps), within `most_bytes` unless nothing may be
+/// lost.
 ///
 /// # Errors
-/// If the image has more columns than the format can have, or nothing may be lost and the format cannot do that.
+/// If the image has more columns than the format can have, or nothing may be lost and the format cannot do
+/// that.
 pub fn encode(
     codec: ImageCodec,
     residuals: Grid<i32>,
@@ -97,8 +99,8 @@ fn lossless(codec: ImageCodec, mut left: Plane<'_>) -> Result<Vec<Pass>> {
     Ok(passes)
 }
 
-/// The inverse of [`encode`], but for what was lost: the residual of each return of an image of so many rows and
-/// columns. The values of other cells mean nothing.
+/// The inverse of [`encode`], but for what was lost: the residual of each return of an image of so many rows
+/// and columns. The values of other cells mean nothing.
 ///
 /// # Errors
 /// If the payload does not hold such an image.

@@ -1,4 +1,4 @@
-//! What ranges are predicted from before a general-purpose back-end codes what is left.
+//! What ranges are predicted from before a general-purpose back-end or an image coder codes what is left.
 
 pub mod inter;
 pub mod intra;
