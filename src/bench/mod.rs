@@ -141,7 +141,7 @@ mod tests {
             };
             let sections = bench.run(&on_frame).unwrap();
             assert_eq!(done.into_inner(), bench.frames_to_code());
-            assert_eq!(sections.len(), 10);
+            assert_eq!(sections.len(), 11);
         }
     }
 }
