@@ -34,7 +34,7 @@ pub enum Error {
     #[error("{what}: {got} is over the limit of {max}")]
     LimitExceeded {
         /// What was asked for.
-        what: &'static str,
+        what: String,
         /// How much.
         got: u64,
         /// How much is allowed.
@@ -88,6 +88,9 @@ impl Error {
         match self {
             Error::Corrupt { what } => Error::Corrupt { what: format!("{part}: {what}") },
             Error::Unsupported { what } => Error::Unsupported { what: format!("{part}: {what}") },
+            Error::LimitExceeded { what, got, max } => {
+                Error::LimitExceeded { what: format!("{part}: {what}"), got, max }
+            }
             other => other,
         }
     }

@@ -876,6 +876,20 @@ fn driven() -> Bench {
 }
 
 #[test]
+fn limits_can_be_set() {
+    let bench = driven();
+    bench.ok("encode drive -o d.lpc");
+    for limit in ["--max-points 1000", "--max-file-bytes 5000", "--max-group-bytes 100"] {
+        for command in ["verify d.lpc", "decode d.lpc -o out", "cut d.lpc --frames 1.. -o cut.lpc"] {
+            let error = bench.fails(&format!("{command} {limit}"), "d.lpc");
+            assert!(error.contains("over the limit") && error.contains("--max-points"), "{error}");
+        }
+    }
+    bench.fails("info d.lpc --max-group-bytes 100", "d.lpc");
+    bench.ok("verify d.lpc --max-points 10000000 --max-file-bytes 10000000");
+}
+
+#[test]
 fn a_largest_error_is_kept_and_told() {
     let bench = Bench::new();
     bench.ok("synth -o drive --frames 3");
@@ -883,6 +897,8 @@ fn a_largest_error_is_kept_and_told() {
     let stats = bench.json("stats b.lpc --against drive --json");
     let largest = stats["against"]["max_error_m"].as_f64().unwrap();
     assert!((0.01..=0.02).contains(&largest), "{largest}");
+    let intensity = stats["against"]["max_intensity_error"].as_f64().unwrap();
+    assert!((0.02..0.050001).contains(&intensity), "{intensity}");
     assert_eq!((&stats["against"]["lost_points"], &stats["against"]["added_points"]), (&0.into(), &0.into()));
     let coding = bench.json("info b.lpc --json")["frames"][0]["coding"].clone();
     assert_eq!(coding, "within 20 mm, intensities in steps of 0.1, context");

@@ -124,6 +124,14 @@ fn write_golden() {
     write("v2-exact-lzma-odd-files", || round_trip(&odd_files(), &lzma));
     write("v2-exact-inter-drive", || round_trip(&drive_files(), &EncoderConfig::default()));
     write("v2-exact-inter-odd-files", || round_trip(&odd_files(), &EncoderConfig::default()));
+    let bounded = EncoderConfig::preset(Mode::Bounded { max_error_um: 20_000 });
+    write("v2-bounded-frames", || encode_files(&drive_files(), &bounded));
+    write("v2-bounded-odd-files", || encode_files(&odd_files(), &bounded));
+    let rounded = EncoderConfig {
+        intensity: Intensity::Rounded { step_millionths: 50_000 },
+        ..EncoderConfig::preset(Mode::Bounded { max_error_um: 500 })
+    };
+    write("v2-bounded-rounded-odd-files", || encode_files(&odd_files(), &rounded));
     for (coder, name) in [(Coder::Context, "context"), (Coder::Backend(lidarpc::backend::LZMA), "lzma")] {
         let config = EncoderConfig {
             projection: ProjectionKind::Ideal { columns: 500, range_step_um: 10_000 },

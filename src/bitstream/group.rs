@@ -135,5 +135,5 @@ impl Group {
 
 /// `got`, if it is within the limit.
 pub(super) fn limited(got: u64, what: &'static str, max: u64) -> Result<u64> {
-    if got > max { Err(Error::LimitExceeded { what, got, max }) } else { Ok(got) }
+    if got > max { Err(Error::LimitExceeded { what: what.to_owned(), got, max }) } else { Ok(got) }
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Parser, Subcommand, ValueEnum};
 use lidarpc::codec::FrameRange;
+use lidarpc::error::Limits;
 use lidarpc::synth::SynthConfig;
 
 use super::coding::CodingArgs;
@@ -97,6 +98,29 @@ pub struct Threads {
     pub threads: usize,
 }
 
+/// What reading a stream may take.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct LimitArgs {
+    /// Refuse frames of more points, or range images of more cells.
+    #[arg(long, value_name = "N", default_value_t = Limits::default().points, help_heading = "Limits")]
+    pub max_points: u64,
+    /// Refuse frames that decode to more bytes, and groups that decode to more together.
+    #[arg(long, value_name = "BYTES", default_value_t = Limits::default().file_bytes, help_heading = "Limits")]
+    pub max_file_bytes: u64,
+    /// Refuse parts of the stream of more bytes: groups of frames, above all.
+    #[arg(long, value_name = "BYTES", default_value_t = Limits::default().record_bytes, help_heading = "Limits")]
+    pub max_group_bytes: u64,
+}
+
+impl LimitArgs {
+    /// The limits.
+    pub fn limits(&self) -> Limits {
+        let LimitArgs { max_points: points, max_file_bytes: file_bytes, max_group_bytes: record_bytes } =
+            *self;
+        Limits { points, file_bytes, record_bytes }
+    }
+}
+
 const DECODE_EXAMPLES: &str = "\
 Examples:
   lidarpc decode drive.lpc -o drive/
@@ -137,6 +161,8 @@ pub struct DecodeArgs {
     /// Overwrite scans that exist.
     #[arg(short, long)]
     pub force: bool,
+    #[command(flatten)]
+    pub limits: LimitArgs,
 }
 
 const STATS_NOTES: &str = "\
@@ -176,6 +202,8 @@ pub struct StatsArgs {
     pub json: bool,
     #[command(flatten)]
     pub coding: CodingArgs,
+    #[command(flatten)]
+    pub limits: LimitArgs,
 }
 
 #[derive(Debug, clap::Args)]
@@ -186,6 +214,8 @@ pub struct InfoArgs {
     /// Report as JSON; sizes and offsets in bytes.
     #[arg(long)]
     pub json: bool,
+    #[command(flatten)]
+    pub limits: LimitArgs,
 }
 
 #[derive(Debug, clap::Args)]
@@ -198,6 +228,8 @@ pub struct VerifyArgs {
     pub against: Vec<PathBuf>,
     #[command(flatten)]
     pub threads: Threads,
+    #[command(flatten)]
+    pub limits: LimitArgs,
 }
 
 const CUT_EXAMPLES: &str = "\
@@ -224,6 +256,8 @@ pub struct CutArgs {
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,
+    #[command(flatten)]
+    pub limits: LimitArgs,
 }
 
 const CAT_EXAMPLES: &str = "\
@@ -245,6 +279,8 @@ pub struct CatArgs {
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,
+    #[command(flatten)]
+    pub limits: LimitArgs,
 }
 
 const VIEW_EXAMPLES: &str = "\

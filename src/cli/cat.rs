@@ -22,11 +22,12 @@ pub fn run(args: &CatArgs, quiet: bool) -> Result<()> {
         Args::command().error(ErrorKind::ArgumentConflict, what).exit();
     }
     let start = Instant::now();
-    let inputs = args.inputs.iter().map(|path| Piece::open(path));
+    let inputs = args.inputs.iter().map(|path| Piece::open(path, args.limits.limits()));
     let inputs = inputs.collect::<error::Result<Vec<_>>>()?;
     let mut output = FileOutput::create(&args.output, args.force)?;
     let name = name_of_output(&args.output);
-    let joined = write_stream(inputs, &mut output).map_err(|error| about(error, &name))?;
+    let joined =
+        write_stream(inputs, args.limits.limits(), &mut output).map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;
     if !quiet {
         eprintln!("{} in {:.1} s", summary(&joined), start.elapsed().as_secs_f64());
@@ -34,10 +35,10 @@ pub fn run(args: &CatArgs, quiet: bool) -> Result<()> {
     Ok(())
 }
 
-fn write_stream(inputs: Vec<Piece>, output: &mut FileOutput) -> error::Result<Joined> {
+fn write_stream(inputs: Vec<Piece>, limits: Limits, output: &mut FileOutput) -> error::Result<Joined> {
     let header = inputs.iter().map(|piece| piece.header).reduce(StreamHeader::joined).unwrap_or_default();
     let mut writer = output.writer();
-    let joined = codec::cat(&header, inputs.into_iter().map(Piece::stream), &mut writer)?;
+    let joined = codec::cat(&header, inputs.into_iter().map(|piece| piece.stream(limits)), &mut writer)?;
     writer.flush()?;
     Ok(joined)
 }
@@ -60,28 +61,28 @@ struct Piece {
 }
 
 impl Piece {
-    fn open(path: &Path) -> error::Result<Self> {
-        let (reader, is_pipe) = open(path)?;
+    fn open(path: &Path, limits: Limits) -> error::Result<Self> {
+        let (reader, is_pipe) = open(path, limits)?;
         let header = *reader.header();
         Ok(Piece { path: path.to_path_buf(), header, pipe: is_pipe.then_some(reader) })
     }
 
     /// The stream, after its header.
-    fn stream(self) -> error::Result<Named<Reader>> {
+    fn stream(self, limits: Limits) -> error::Result<Named<Reader>> {
         let stream = match self.pipe {
             Some(reader) => reader,
-            None => open(&self.path)?.0,
+            None => open(&self.path, limits)?.0,
         };
         Ok(Named { path: PathBuf::from(name_of(&self.path)), stream })
     }
 }
 
 /// Opens a stream and reads its header; also tells whether it is a pipe.
-fn open(path: &Path) -> error::Result<(Reader, bool)> {
+fn open(path: &Path, limits: Limits) -> error::Result<(Reader, bool)> {
     let open = || {
         let input = Input::open(path)?;
         let is_pipe = matches!(input, Input::Pipe(_));
-        Ok((StreamReader::open(input.reader(), Limits::default())?, is_pipe))
+        Ok((StreamReader::open(input.reader(), limits)?, is_pipe))
     };
     open().map_err(|error: error::Error| error.at(name_of(path)))
 }

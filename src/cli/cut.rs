@@ -6,7 +6,6 @@ use std::time::Instant;
 
 use anyhow::Result;
 use lidarpc::codec::{self, Cut, Named};
-use lidarpc::error::Limits;
 
 use super::args::CutArgs;
 use super::errors::about;
@@ -29,7 +28,7 @@ pub fn run(args: &CutArgs, quiet: bool) -> Result<()> {
 
 /// Reads only the groups that it needs, if the input can be sought in.
 fn write_stream(args: &CutArgs, input: Input, output: &mut FileOutput) -> lidarpc::error::Result<Cut> {
-    let (path, limits) = (PathBuf::from(name_of(&args.input)), Limits::default());
+    let (path, limits) = (PathBuf::from(name_of(&args.input)), args.limits.limits());
     let mut writer = output.writer();
     let cut = match input {
         Input::File(file) => {

@@ -20,6 +20,7 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let input = open(&args.input)?;
     let options = DecodeOptions {
         threads: args.threads.threads,
+        limits: args.limits.limits(),
         frames: args.frames.unwrap_or_default(),
         scans: args.format.is_some(),
         ..DecodeOptions::default()

@@ -60,6 +60,9 @@ fn advice(error: &Error) -> Option<&'static str> {
         Error::BadMagic(_) => Some("give a file that `lidarpc encode` wrote"),
         Error::UnsupportedVersion { .. } | Error::Unsupported { .. } => Some("use a newer lidarpc"),
         Error::Corrupt { .. } => Some("fetch it again, or encode the scans anew"),
+        Error::LimitExceeded { .. } => {
+            Some("if that is right, --max-points, --max-file-bytes and so on allow more")
+        }
         _ => None,
     }
 }

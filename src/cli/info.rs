@@ -53,7 +53,7 @@ struct FrameInfo {
 }
 
 pub fn run(args: &InfoArgs) -> Result<()> {
-    let info = read(open(&args.input)?.reader());
+    let info = read(open(&args.input)?.reader(), args.limits.limits());
     let info = info.map_err(|error| about(error, &name_of(&args.input)))?;
     let mut out = io::BufWriter::new(io::stdout().lock());
     if args.json {
@@ -66,8 +66,8 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     Ok(())
 }
 
-fn read(input: impl Read) -> lidarpc::error::Result<Info> {
-    let mut reader = StreamReader::open(input, Limits::default())?;
+fn read(input: impl Read, limits: Limits) -> lidarpc::error::Result<Info> {
+    let mut reader = StreamReader::open(input, limits)?;
     let (mut sensor_models, mut groups, mut frames) = (Vec::new(), Vec::new(), Vec::new());
     while let Some(record) = reader.next_record()? {
         match record {

@@ -16,7 +16,12 @@ use super::progress;
 pub fn run(args: &StatsArgs, path: &Path, quiet: bool) -> Result<()> {
     let mut output = FileOutput::create(path, args.force)?;
     let input = open(&args.input)?.reader();
-    let options = DecodeOptions { threads: args.threads.threads, images: true, ..DecodeOptions::default() };
+    let options = DecodeOptions {
+        threads: args.threads.threads,
+        limits: args.limits.limits(),
+        images: true,
+        ..DecodeOptions::default()
+    };
     let bar = progress::bar(None, "decoding", quiet);
     let mut way = Way::default();
     let mut poses = Vec::new();

@@ -70,19 +70,19 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
 
 fn read(args: &StatsArgs, input: Input, quiet: bool) -> lidarpc::error::Result<Stats> {
     if args.against.is_empty() {
-        return measure(input.reader());
+        return measure(input.reader(), args.limits.limits());
     }
     let originals = Originals::find(&args.against)?;
     let mut file = input.rewindable()?;
-    let mut stats = measure(BufReader::new(&file))?;
+    let mut stats = measure(BufReader::new(&file), args.limits.limits())?;
     file.rewind()?;
     stats.against = Some(compare(args, &file, originals, stats.frames, quiet)?);
     Ok(stats)
 }
 
 /// Adds up the sizes of all parts, without decoding.
-fn measure(input: impl Read) -> lidarpc::error::Result<Stats> {
-    let mut reader = StreamReader::open(input, Limits::default())?;
+fn measure(input: impl Read, limits: Limits) -> lidarpc::error::Result<Stats> {
+    let mut reader = StreamReader::open(input, limits)?;
     let mut by_kind = SectionKind::ALL.map(|_| 0u64);
     let (mut frames, mut sensor_bytes) = (0, 0);
     let mut originals = Source::default();

@@ -74,7 +74,11 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
 }
 
 fn decode(input: impl Read, args: &StatsArgs, quiet: bool) -> lidarpc::error::Result<StepReport> {
-    let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
+    let options = DecodeOptions {
+        threads: args.threads.threads,
+        limits: args.limits.limits(),
+        ..DecodeOptions::default()
+    };
     let bar = progress::bar(None, "decoding", quiet);
     let mut steps = StepReport::default();
     let decoded = codec::decode(BufReader::new(input), &options, |frame| {

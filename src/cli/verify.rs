@@ -17,7 +17,11 @@ pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
         [] => None,
         inputs => Some(Originals::find(inputs)?),
     };
-    let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
+    let options = DecodeOptions {
+        threads: args.threads.threads,
+        limits: args.limits.limits(),
+        ..DecodeOptions::default()
+    };
     let bar = progress::bar(None, "verifying", quiet);
     let mut bytes = 0;
     let frames = input.decode(&options, |frame| {

@@ -1,6 +1,6 @@
 //! The promise of bounded mode, and what the encoder does to keep it.
 
-use super::parameters::{Intensity, Positions};
+use super::fidelity::{Intensity, Positions};
 use crate::scan::{PointCloud, ScanFile, squared_distance};
 use crate::sensor::Coordinates;
 

@@ -2,7 +2,8 @@
 
 use std::thread;
 
-use super::parameters::{FrameParameters, Intensity, MOST_MAX_ERROR_UM, Positions, Prediction, RangeCoder};
+use super::fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
+use super::parameters::{FrameParameters, Prediction, RangeCoder};
 use crate::backend::{self, Backend, Level};
 use crate::error::{Error, Result};
 use crate::image_coding::{ImageCodec, ImageConfig, Rate};

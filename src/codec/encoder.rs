@@ -262,7 +262,7 @@ impl FrameInput {
 
 /// An error if decoders would refuse what is encoded.
 fn check_limit(what: &'static str, got: u64, max: u64) -> Result<()> {
-    if got > max { Err(Error::LimitExceeded { what, got, max }) } else { Ok(()) }
+    if got > max { Err(Error::LimitExceeded { what: what.to_owned(), got, max }) } else { Ok(()) }
 }
 
 #[cfg(test)]

@@ -2,7 +2,8 @@
 
 use super::bound::Bound;
 use super::config::{EncoderConfig, ProjectionKind};
-use super::parameters::{FrameParameters, Intensity, Positions, Prediction, RangeCoder, Source};
+use super::fidelity::{Intensity, Positions};
+use super::parameters::{FrameParameters, Prediction, RangeCoder, Source};
 use super::steps::{Step, StepReport};
 use std::sync::Arc;
 use std::time::Instant;

@@ -5,8 +5,9 @@ use std::mem::take;
 
 use super::bound::Bound;
 use super::config::EncoderConfig;
+use super::fidelity::{Intensity, Positions};
 use super::frame::Frame;
-use super::parameters::{Intensity, Positions, Prediction, RangeCoder, Source};
+use super::parameters::{Prediction, RangeCoder, Source};
 use super::sections::{Effort, SectionReader, SectionWriter};
 use super::steps::{Step, StepReport};
 use super::syntax::Models;

@@ -10,6 +10,7 @@ pub mod config;
 pub mod cut;
 pub mod decoder;
 pub mod encoder;
+pub mod fidelity;
 pub mod group;
 pub mod options;
 pub mod parameters;
@@ -32,9 +33,10 @@ pub use copier::Named;
 pub use cut::{Cut, cut, cut_indexed};
 pub use decoder::{DecodedFrame, decode, decode_indexed};
 pub use encoder::{Encoded, FrameInput, encode};
+pub use fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
 pub use group::DecodedImage;
 pub use options::{DecodeOptions, FrameRange};
-pub use parameters::{FrameParameters, Intensity, MOST_MAX_ERROR_UM, Positions, Prediction, Source};
+pub use parameters::{FrameParameters, Prediction, Source};
 pub use steps::{Step, StepReport};
 
 #[cfg(test)]

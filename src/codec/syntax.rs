@@ -4,8 +4,9 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use super::fidelity::{Intensity, Positions};
 use super::frame::Frame;
-use super::parameters::{FrameParameters, Intensity, Positions, Prediction};
+use super::parameters::{FrameParameters, Prediction};
 use super::sections::SectionCoder;
 use super::steps::{Step, StepReport};
 use crate::bitstream::SectionKind;
@@ -370,5 +371,9 @@ fn neighbours(levels: &Grid<u16>, left: [u16; 4], row: usize, column: usize) -> 
 }
 
 fn within(got: usize, max: u64, what: &'static str) -> Result<()> {
-    if got as u64 > max { Err(Error::LimitExceeded { what, got: got as u64, max }) } else { Ok(()) }
+    if got as u64 > max {
+        Err(Error::LimitExceeded { what: what.to_owned(), got: got as u64, max })
+    } else {
+        Ok(())
+    }
 }

@@ -7,7 +7,7 @@ use crate::scan::{PointCloud, squared_distance};
 /// Points are paired by their order in the file: the first decoded with the first original, and so
 /// on. The error of a pair is the 3-D distance between its positions, computed in f64. A pair in
 /// which a coordinate is NaN or infinite has no distance: it is [`PointErrors::non_finite_changed`]
-/// if any bit of its positions differs, and else counts as an error of 0. Intensity plays no part.
+/// if any bit of its positions differs, and else counts as an error of 0. Intensities are compared apart.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PointErrors {
     /// Pairs compared.
@@ -24,6 +24,8 @@ pub struct PointErrors {
     squared_sum: f64,
     /// Largest error, in metres.
     max: f64,
+    /// Largest difference of two intensities that are numbers, in the file's unit.
+    pub max_intensity: f64,
 }
 
 impl PointErrors {
@@ -35,6 +37,10 @@ impl PointErrors {
         self.added += after.saturating_sub(before);
         for (a, b) in original.positions.iter().zip(&decoded.positions) {
             self.add_pair(a, b);
+        }
+        for (a, b) in original.intensity.iter().zip(&decoded.intensity) {
+            // No number is larger than NaN.
+            self.max_intensity = self.max_intensity.max((f64::from(*a) - f64::from(*b)).abs());
         }
     }
 
@@ -101,6 +107,14 @@ mod tests {
         let original = cloud(&[[0.0; 3], [f32::NAN, 0.0, 0.0], [1.0; 3]]);
         let decoded = cloud(&[[0.0, 3.0, 4.0], [0.0; 3], [1.0; 3], [2.0; 3]]);
         assert_eq!(paired_distances(&original, &decoded), [Some(5.0), None, Some(0.0), None]);
+    }
+
+    #[test]
+    fn intensities_are_compared_where_they_are_numbers() {
+        let with = |intensity: &[f32]| PointCloud { intensity: intensity.to_vec(), ..PointCloud::default() };
+        let mut errors = PointErrors::default();
+        errors.add(&with(&[0.5, f32::NAN, 3.0]), &with(&[0.25, f32::NAN, 3.0]));
+        assert_eq!(errors.max_intensity, 0.25);
     }
 
     #[test]

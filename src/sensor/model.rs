@@ -356,9 +356,9 @@ impl SensorModel {
             code @ 0..2 => Coordinates::from_code(code),
             other => return Err(Error::corrupt(format!("sensor model: unknown coordinate grid {other}"))),
         };
-        let mut bounded = |what, min, max| match read_unsigned(bytes, "sensor model")? {
+        let mut bounded = |what: &str, min, max| match read_unsigned(bytes, "sensor model")? {
             got if (min..=max).contains(&got) => Ok(got as u32),
-            got => Err(Error::LimitExceeded { what, got, max }),
+            got => Err(Error::LimitExceeded { what: what.to_owned(), got, max }),
         };
         let ticks = bounded("sensor model: ticks a turn", 1, MOST_TICKS)?;
         let range_step_um = bounded("sensor model: range step in micrometres", 0, MOST_RANGE_STEP_UM)?;

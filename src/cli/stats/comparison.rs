@@ -19,6 +19,8 @@ pub struct Against {
     /// Points paired by their order in the file.
     rmse_m: Option<f64>,
     max_error_m: Option<f64>,
+    /// Of points paired by their order, in the file's unit.
+    max_intensity_error: f64,
     /// Point to point, where the order has changed: from each decoded point to the nearest original.
     decoded_to_original_rmse_m: Option<f64>,
     decoded_to_original_max_m: Option<f64>,
@@ -51,7 +53,12 @@ pub fn compare(
     frames: u64,
     quiet: bool,
 ) -> lidarpc::error::Result<Against> {
-    let options = DecodeOptions { threads: args.threads.threads, scans: true, ..DecodeOptions::default() };
+    let options = DecodeOptions {
+        threads: args.threads.threads,
+        limits: args.limits.limits(),
+        scans: true,
+        ..DecodeOptions::default()
+    };
     let bar = progress::bar(Some(frames), "comparing", quiet);
     let mut comparison = Comparison { psnr: args.psnr.then(GeometryPsnr::default), ..Comparison::default() };
     let compared = codec::decode(BufReader::new(input), &options, |frame| {
@@ -112,6 +119,7 @@ impl Comparison {
             differing_files: self.differing_files,
             rmse_m: self.paired.rmse(),
             max_error_m: self.paired.max(),
+            max_intensity_error: self.paired.max_intensity,
             decoded_to_original_rmse_m: self.to_original.rmse(),
             decoded_to_original_max_m: self.to_original.max(),
             original_to_decoded_rmse_m: self.to_decoded.rmse(),
@@ -142,6 +150,9 @@ impl Against {
                 writeln!(out, "RMSE{name:<12} {:>10} m", metres(rmse))?;
                 writeln!(out, "max error{name:<12} {:>5} m", metres(max))?;
             }
+        }
+        if self.max_intensity_error > 0.0 {
+            writeln!(out, "intensities  {:>14.6} at most", self.max_intensity_error)?;
         }
         writeln!(out, "identical    {:>14} of {}", self.identical_files, table::count(files, "file"))?;
         if let Some(psnr) = &self.psnr {
