@@ -306,6 +306,11 @@ mod tests {
         ]
     }
 
+    /// Any number but the largest: few digits make more of them than there is, which reads as infinite.
+    fn any_number() -> impl Strategy<Value = f64> {
+        any::<f64>().prop_filter("too large", |number| !number.is_finite() || number.abs() < 9e307)
+    }
+
     /// What a column of this type and rule makes of the values.
     fn text_of(scalar: Scalar, rule: NumberRule, extra: Vec<u8>) -> Vec<u8> {
         let size = scalar.size();
@@ -323,7 +328,7 @@ mod tests {
         /// A text that any rule wrote is recognised, whatever the values.
         #[test]
         fn every_rule_is_found_again(
-            any in prop::collection::vec(any::<f64>(), 0..20),
+            any in prop::collection::vec(any_number(), 0..20),
             tame in prop::collection::vec(-99999i32..99999, 1..20),
             rule in any_rule(),
         ) {
