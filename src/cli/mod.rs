@@ -13,10 +13,12 @@ mod in_memory;
 mod info;
 mod input;
 mod length;
+mod losses;
 mod output;
 mod poses;
 mod progress;
 mod regions;
+mod repair;
 mod stats;
 mod steps;
 mod synth;
@@ -43,6 +45,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Command::Verify(command) => verify::run(command, args.quiet),
         Command::Cut(command) => cut::run(command, args.quiet),
         Command::Cat(command) => cat::run(command, args.quiet),
+        Command::Repair(command) => repair::run(command, args.quiet),
         Command::View(command) => view::run(command),
         Command::Bench(command) => bench::run(command, args.quiet),
         Command::Synth(command) => synth::run(command, args.quiet),

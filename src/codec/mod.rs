@@ -13,6 +13,7 @@ pub mod encoder;
 pub mod group;
 pub mod options;
 pub mod parameters;
+pub mod recover;
 pub mod steps;
 
 mod bound;
@@ -34,6 +35,7 @@ pub use encoder::{Encoded, FrameInput, encode};
 pub use group::DecodedImage;
 pub use options::{DecodeOptions, FrameRange};
 pub use parameters::{FrameParameters, Intensity, MOST_MAX_ERROR_UM, Positions, Prediction, Source};
+pub use recover::{Recovered, recover, repair};
 pub use steps::{Step, StepReport};
 
 #[cfg(test)]
