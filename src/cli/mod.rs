@@ -23,6 +23,7 @@ mod stats;
 mod steps;
 mod synth;
 mod table;
+mod temporary;
 mod verify;
 mod view;
 
