@@ -1108,3 +1108,38 @@ fn frames_are_drawn() {
     assert!(bench.fails("view few.bin -o none.png", "few.bin").contains("no range image"));
     assert!(!bench.path("new.png").exists() && !bench.path("none.png").exists());
 }
+
+#[test]
+fn what_is_intact_of_a_damaged_file_is_saved() {
+    let bench = Bench::encoded();
+    let mut bytes = fs::read(bench.path("out.lpc")).unwrap();
+    let info = bench.json("info out.lpc --json");
+    let group = &info["groups"][1];
+    bytes[group["offset"].as_u64().unwrap() as usize + 9] ^= 1;
+    fs::write(bench.path("bad.lpc"), &bytes).unwrap();
+    let error = bench.fails("decode bad.lpc -o back", "bad.lpc");
+    assert!(error.contains("--keep-going"), "{error}");
+    let lost: Vec<&str> = info["frames"].as_array().unwrap()[2..4]
+        .iter()
+        .map(|frame| frame["name"].as_str().unwrap())
+        .collect();
+    let mut left = odd_files();
+    left.retain(|name, _| !lost.contains(&&name[..]));
+    for args in ["decode bad.lpc -o back --keep-going --quiet", "repair bad.lpc -o good.lpc --quiet"] {
+        let run = bench.command(args).assert().code(1);
+        let said = String::from_utf8_lossy(&run.get_output().stderr).into_owned();
+        assert!(
+            said.contains("with frames 2 to 3") && said.contains("8 frames saved, 2 frames lost"),
+            "{said}"
+        );
+    }
+    assert_eq!(bench.files("back"), left);
+    bench.ok("decode good.lpc -o again");
+    assert_eq!(bench.files("again"), left);
+    bench.ok("decode out.lpc -o whole --keep-going");
+    assert_eq!(bench.files("whole"), odd_files());
+    // A pipe can be saved from too.
+    let run = bench.command("decode - -o piped --keep-going").write_stdin(bytes).assert().code(1);
+    drop(run);
+    assert_eq!(bench.files("piped"), left);
+}

@@ -106,6 +106,22 @@ impl Group {
         frame_sizes
     }
 
+    /// The names of the frames in the payload of a damaged group record, as far as they can be read. They
+    /// may be wrong.
+    pub fn names_in(mut payload: &[u8]) -> Vec<String> {
+        let input = &mut payload;
+        let mut names = Vec::new();
+        let counts =
+            read_unsigned(input, "sensor model's number").and_then(|_| read_unsigned(input, "frame count"));
+        for _ in 0..counts.unwrap_or_default() {
+            match skim_frame(input) {
+                Ok(name) => names.push(name),
+                Err(_) => break,
+            }
+        }
+        names
+    }
+
     /// Reads the payload of a group record; also returns how many bytes each frame took.
     ///
     /// # Errors
@@ -131,6 +147,23 @@ impl Group {
         }
         Ok((Group { sensor_model, frames }, frame_sizes))
     }
+}
+
+/// Takes a frame off the front of `input` without a look at its checksums; gives its name.
+fn skim_frame(input: &mut &[u8]) -> Result<String> {
+    let name_length = read_unsigned(input, "frame name's length")?;
+    let name = take(input, name_length, "frame name")?;
+    let name = str::from_utf8(name).map_err(|_| Error::corrupt("frame name is not UTF-8"))?;
+    read_unsigned(input, "file size")?;
+    take_u32(input, "file checksum")?;
+    read_unsigned(input, "point count")?;
+    for _ in 0..read_unsigned(input, "section count")? {
+        take(input, 1, "section kind")?;
+        let length = read_unsigned(input, "section length")?;
+        take(input, length, "section")?;
+        take_u32(input, "section checksum")?;
+    }
+    Ok(name.to_owned())
 }
 
 /// `got`, if it is within the limit.

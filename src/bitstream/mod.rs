@@ -8,16 +8,19 @@ pub mod group;
 pub mod header;
 pub mod index;
 pub mod reader;
+pub mod salvage;
 pub mod section;
 pub mod writer;
 
 mod record;
+mod scan;
 mod wire;
 
 pub use group::{Frame, FrameHeader, Group};
 pub use header::{MAGIC, NEWEST_VERSION, StreamHeader};
 pub use index::{GroupEntry, Index, SensorModelEntry};
 pub use reader::{IndexedReader, Record, StreamReader};
+pub use salvage::{Lost, SalvageReader, Salvaged};
 pub use section::{Section, SectionKind};
 pub use writer::StreamWriter;
 

@@ -49,6 +49,8 @@ pub enum Command {
     Cut(CutArgs),
     /// Join files into one, without coding anything again.
     Cat(CatArgs),
+    /// Write what is intact of a damaged file as a whole file, without coding anything again.
+    Repair(RepairArgs),
     /// Draw a frame as a PNG: its range image, regions, prediction, or the points from above.
     View(ViewArgs),
     /// Run the article's experiments on scans: its tables and figures, as text or as a page with plots.
@@ -126,6 +128,7 @@ Examples:
   lidarpc decode drive.lpc -o drive/
   lidarpc decode drive.lpc -o part/ --frames 10..20     frames 10 to 19, the first being 0
   lidarpc decode drive.lpc -o - --frames 5 > frame5.bin
+  lidarpc decode damaged.lpc -o drive/ --keep-going     what is left
   lidarpc decode drive.lpc -o clouds/ --format pcd      as other programs read them
   ssh host 'cat drive.lpc' | lidarpc decode - -o drive/";
 
@@ -152,6 +155,10 @@ pub struct DecodeArgs {
     /// Frames to decode, the first being 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
     #[arg(long, value_name = "RANGE")]
     pub frames: Option<FrameRange>,
+    /// Of a damaged file, decode all groups of frames that are intact, say which frames are lost, and exit
+    /// with 1 if any are.
+    #[arg(long)]
+    pub keep_going: bool,
     /// Convert the scans, whatever they were. Coordinates keep every bit; fields without a name and other
     /// bytes of the files are left out.
     #[arg(long, value_enum)]
@@ -273,6 +280,21 @@ pub struct CatArgs {
     /// Files to join, in this order; `-` for stdin, at most once.
     #[arg(required = true, value_name = "FILE")]
     pub inputs: Vec<PathBuf>,
+    /// File to write; `-` for stdout.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// Overwrite the output if it exists.
+    #[arg(short, long)]
+    pub force: bool,
+    #[command(flatten)]
+    pub limits: LimitArgs,
+}
+
+#[derive(Debug, clap::Args)]
+pub struct RepairArgs {
+    /// Damaged file; `-` for stdin.
+    #[arg(value_name = "FILE")]
+    pub input: PathBuf,
     /// File to write; `-` for stdout.
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,

@@ -1,17 +1,18 @@
 //! `lidarpc decode`
 
 use std::collections::HashMap;
-use std::io::{self, Write};
+use std::io::{self, BufReader, Write};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use lidarpc::codec::{DecodeOptions, DecodedFrame};
+use lidarpc::codec::{self, DecodeOptions, DecodedFrame, Recovered};
 use lidarpc::error::Error;
 use lidarpc::io::{FileFormat, convert};
 
 use super::args::{DecodeArgs, FormatArg};
 use super::errors::about;
 use super::input::{Input, is_dash, name_of, open};
+use super::losses::Losses;
 use super::output::FolderOutput;
 use super::{progress, table};
 
@@ -32,7 +33,8 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let mut folder = FolderOutput::create(&args.output, args.force)?;
     let bar = progress::bar(None, "decoding", quiet);
     let mut bytes = 0;
-    let decoded = input.decode(&options, |frame| {
+    let mut losses = Losses::new(&args.input);
+    let decoded = decode(args, input, &options, &mut losses, |frame| {
         bar.inc(1);
         let file = converter.file(frame)?;
         bytes += file.bytes.len() as u64;
@@ -45,7 +47,27 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
         let frames = table::count(bar.position(), "frame");
         eprintln!("{frames}: {} in {:.1} s", table::bytes(bytes), start.elapsed().as_secs_f64());
     }
-    Ok(())
+    losses.check(bar.position())
+}
+
+/// Decodes as the arguments say: all of it or an error, or what is intact.
+fn decode(
+    args: &DecodeArgs,
+    input: Input,
+    options: &DecodeOptions,
+    losses: &mut Losses,
+    mut sink: impl FnMut(DecodedFrame) -> lidarpc::error::Result<()>,
+) -> lidarpc::error::Result<()> {
+    if !args.keep_going {
+        return input.decode(options, sink).map(drop);
+    }
+    codec::recover(BufReader::new(input.rewindable()?), options, |part| match part {
+        Recovered::Frame(frame) => sink(*frame),
+        Recovered::Lost(lost) => {
+            losses.tell(&lost);
+            Ok(())
+        }
+    })
 }
 
 /// Writes the one frame that was asked for to stdout.
@@ -56,7 +78,8 @@ fn to_stdout(
     mut converter: Converter,
 ) -> Result<()> {
     let mut only: Option<DecodedFrame> = None;
-    let decoded = input.decode(options, |frame| match only.replace(frame) {
+    let mut losses = Losses::new(&args.input);
+    let decoded = decode(args, input, options, &mut losses, |frame| match only.replace(frame) {
         None => Ok(()),
         Some(_) => {
             Err(Error::InvalidConfig("stdout takes one frame; choose one, as by --frames 5".to_owned()))
@@ -66,7 +89,8 @@ fn to_stdout(
     let Some(frame) = only else { bail!("{}: holds no frame", name_of(&args.input)) };
     let file = converter.file(frame)?;
     let mut stdout = io::stdout().lock();
-    stdout.write_all(&file.bytes).and_then(|()| stdout.flush()).context("stdout")
+    stdout.write_all(&file.bytes).and_then(|()| stdout.flush()).context("stdout")?;
+    losses.check(1)
 }
 
 /// A file to write.

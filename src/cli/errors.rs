@@ -59,7 +59,9 @@ fn advice(error: &Error) -> Option<&'static str> {
     match error {
         Error::BadMagic(_) => Some("give a file that `lidarpc encode` wrote"),
         Error::UnsupportedVersion { .. } | Error::Unsupported { .. } => Some("use a newer lidarpc"),
-        Error::Corrupt { .. } => Some("fetch it again, or encode the scans anew"),
+        Error::Corrupt { .. } => {
+            Some("fetch it again, or save what is intact by `lidarpc decode --keep-going`")
+        }
         Error::LimitExceeded { .. } => {
             Some("if that is right, --max-points, --max-file-bytes and so on allow more")
         }
@@ -112,7 +114,8 @@ mod tests {
 
         let inner: anyhow::Result<()> = Err(Error::corrupt("index").into());
         let error = inner.context("out.lpc").unwrap_err();
-        let expected = "out.lpc: damaged stream: index; fetch it again, or encode the scans anew";
+        let expected = "out.lpc: damaged stream: index; fetch it again, or save what is intact by \
+                        `lidarpc decode --keep-going`";
         assert_eq!(message(&error), expected);
     }
 }

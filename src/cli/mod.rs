@@ -13,14 +13,17 @@ mod in_memory;
 mod info;
 mod input;
 mod length;
+mod losses;
 mod output;
 mod poses;
 mod progress;
 mod regions;
+mod repair;
 mod stats;
 mod steps;
 mod synth;
 mod table;
+mod temporary;
 mod verify;
 mod view;
 
@@ -43,6 +46,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Command::Verify(command) => verify::run(command, args.quiet),
         Command::Cut(command) => cut::run(command, args.quiet),
         Command::Cat(command) => cat::run(command, args.quiet),
+        Command::Repair(command) => repair::run(command, args.quiet),
         Command::View(command) => view::run(command),
         Command::Bench(command) => bench::run(command, args.quiet),
         Command::Synth(command) => synth::run(command, args.quiet),

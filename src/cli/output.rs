@@ -12,9 +12,7 @@ use tempfile::{NamedTempFile, TempDir, TempPath};
 use super::cleanup::RemoveOnSignal;
 use super::errors::about;
 use super::input::is_dash;
-
-/// What temporary files and folders are called, before something random.
-const TEMPORARY_PREFIX: &str = ".lidarpc-";
+use super::temporary;
 
 /// One file to write.
 pub enum FileOutput {
@@ -45,7 +43,7 @@ impl FileOutput {
         }
         // Through a link, so that the link stays and its target is replaced.
         let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
-        let file = temporary_file(parent(&target)).map_err(|e| Error::from(e).at(parent(&target)))?;
+        let file = temporary::file(parent(&target)).map_err(|e| Error::from(e).at(parent(&target)))?;
         let _remove = RemoveOnSignal::new(file.path());
         Ok(FileOutput::Temporary { file, target, force, _remove })
     }
@@ -88,6 +86,7 @@ pub struct FolderOutput {
     folder: PathBuf,
     /// Inside `folder`, so that renaming stays on one file system.
     temporary: TempDir,
+    _lock: Option<File>,
     /// The scans' names, in order.
     names: Vec<String>,
     force: bool,
@@ -107,9 +106,17 @@ impl FolderOutput {
 
     fn try_create(folder: &Path, force: bool) -> Result<Self> {
         let made = MadeFolders::make(folder)?;
-        let temporary = tempfile::Builder::new().prefix(TEMPORARY_PREFIX).tempdir_in(folder)?;
+        let (temporary, _lock) = temporary::folder(folder)?;
         let _remove = RemoveOnSignal::new(temporary.path());
-        Ok(FolderOutput { folder: folder.to_path_buf(), temporary, names: Vec::new(), force, _remove, made })
+        Ok(FolderOutput {
+            folder: folder.to_path_buf(),
+            temporary,
+            _lock,
+            names: Vec::new(),
+            force,
+            _remove,
+            made,
+        })
     }
 
     /// Writes one scan, under a temporary name.
@@ -126,8 +133,6 @@ impl FolderOutput {
         if exists(&temporary) {
             return refuse(format!("cannot take two files named {name:?}, as the stream asks"));
         }
-        // Not synced to the disk one by one, which would take longer than decoding: what a power cut
-        // takes away can be decoded again.
         may_write(&target, self.force)
             .and_then(|()| File::create_new(&temporary)?.write_all(bytes))
             .map_err(|e| Error::from(e).at(&target))?;
@@ -135,11 +140,16 @@ impl FolderOutput {
         Ok(())
     }
 
-    /// Gives all scans their names.
+    /// Makes sure that all scans are on the disk, and gives them their names.
     ///
     /// # Errors
     /// If that fails, or if meanwhile there is a file of a scan's name and `force` is not set.
     pub fn finish(mut self) -> Result<()> {
+        // Not as each is written: by now the system has written most of them in its own time.
+        for name in &self.names {
+            let synced = File::open(self.temporary.path().join(name)).and_then(|file| file.sync_all());
+            synced.map_err(|e| Error::from(e).at(self.folder.join(name)))?;
+        }
         for name in &self.names {
             let target = self.folder.join(name);
             let temporary = TempPath::try_from_path(self.temporary.path().join(name))?;
@@ -212,18 +222,6 @@ fn parent(path: &Path) -> &Path {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     }
-}
-
-/// A temporary file with the rights that a new file usually gets.
-fn temporary_file(folder: &Path) -> io::Result<NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(TEMPORARY_PREFIX);
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(fs::Permissions::from_mode(0o666));
-    }
-    builder.tempfile_in(folder)
 }
 
 /// Makes renames in the folder last. Not every file system can; the data itself is safe by then.

@@ -82,7 +82,7 @@ fn decode_jobs(
 }
 
 /// Decodes the frames of a group up to the last that is asked for.
-fn decode_group(job: GroupJob, options: &DecodeOptions) -> Result<Vec<DecodedFrame>> {
+pub(super) fn decode_group(job: GroupJob, options: &DecodeOptions) -> Result<Vec<DecodedFrame>> {
     let range = &options.frames;
     let sensor = job.sensor.as_deref().map(|sensor| &sensor.model);
     let coder = GroupDecoder::new(sensor, &options.limits);

@@ -14,6 +14,7 @@ pub mod fidelity;
 pub mod group;
 pub mod options;
 pub mod parameters;
+pub mod recover;
 pub mod steps;
 
 mod bound;
@@ -37,6 +38,7 @@ pub use fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
 pub use group::DecodedImage;
 pub use options::{DecodeOptions, FrameRange};
 pub use parameters::{FrameParameters, Prediction, Source};
+pub use recover::{Recovered, recover, repair};
 pub use steps::{Step, StepReport};
 
 #[cfg(test)]

@@ -25,7 +25,7 @@ pub struct StoredSensor {
 }
 
 impl StoredSensor {
-    fn parse(record: Vec<u8>) -> Result<Arc<Self>> {
+    pub(super) fn parse(record: Vec<u8>) -> Result<Arc<Self>> {
         let mut rest = &record[..];
         let model = SensorModel::read_from(&mut rest).map_err(|e| e.within("sensor model"))?;
         if !rest.is_empty() {

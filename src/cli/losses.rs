@@ -1,0 +1,70 @@
+//! What is lost of a damaged stream, told on stderr.
+
+use std::path::Path;
+
+use anyhow::{Result, bail};
+use lidarpc::bitstream::Lost;
+
+use super::input::name_of;
+use super::table;
+
+/// Names that are told of one loss.
+const MOST_NAMES: usize = 10;
+
+/// Tells losses as they come, and counts them.
+pub struct Losses {
+    /// What messages call the input.
+    input: String,
+    places: u64,
+    frames: u64,
+    /// Whether nothing tells how many more frames were lost.
+    maybe_more: bool,
+}
+
+impl Losses {
+    pub fn new(input: &Path) -> Self {
+        Losses { input: name_of(input), places: 0, frames: 0, maybe_more: false }
+    }
+
+    /// Says one loss, in a line.
+    pub fn tell(&mut self, lost: &Lost) {
+        self.places += 1;
+        let frames = match &lost.frames {
+            None => {
+                self.maybe_more = true;
+                "lost, and nothing tells how many frames with them".to_owned()
+            }
+            Some(frames) if frames.is_empty() => "lost, but no frame".to_owned(),
+            Some(frames) => {
+                self.frames += frames.end - frames.start;
+                match frames.end - frames.start {
+                    1 => format!("lost, with frame {}", frames.start),
+                    _ => format!("lost, with frames {} to {}", frames.start, frames.end - 1),
+                }
+            }
+        };
+        let (from, to) = (lost.bytes.start, lost.bytes.end);
+        let mut line = format!("{}: bytes {from} to {to} are {frames}", self.input);
+        for (n, name) in lost.names.iter().take(MOST_NAMES).enumerate() {
+            line.push_str(if n == 0 { " (" } else { ", " });
+            line.push_str(&format!("{name:?}"));
+        }
+        if !lost.names.is_empty() {
+            line.push_str(if lost.names.len() > MOST_NAMES { ", ...)" } else { ")" });
+        }
+        eprintln!("lidarpc: {}", format!("{line}: {}", lost.why).replace(char::is_control, "?"));
+    }
+
+    /// An error if anything was lost.
+    ///
+    /// # Errors
+    /// Says what was, in all.
+    pub fn check(&self, recovered: u64) -> Result<()> {
+        if self.places == 0 {
+            return Ok(());
+        }
+        let more = if self.maybe_more { " and perhaps more" } else { "" };
+        let (recovered, lost) = (table::count(recovered, "frame"), table::count(self.frames, "frame"));
+        bail!("{}: damaged; {recovered} saved, {lost}{more} lost", self.input)
+    }
+}

@@ -1,0 +1,217 @@
+//! Damaged streams: no damage goes unseen, and what is intact can be had.
+
+mod common;
+
+use std::collections::BTreeSet;
+use std::io::Cursor;
+
+use common::formats::{kitti, pcd_extra};
+use common::scans::{random_points, scans, small};
+use common::{File, decode_files, encode_files, put_together, section_bytes, take_apart};
+use lidarpc::bitstream::{Index, Lost, SectionKind, StreamReader};
+use lidarpc::codec::{
+    Coder, DecodeOptions, EncoderConfig, Intensity, Mode, Named, PredictionChoice, ProjectionKind, Recovered,
+    recover, repair,
+};
+use lidarpc::error::{Limits, Result};
+
+/// Small files without a scanner, two a group.
+fn files() -> Vec<File> {
+    let file = |n: u64| (format!("{n}.bin"), kitti(&random_points(2 + n as usize, n)));
+    (0..7).map(file).collect()
+}
+
+fn stream_of(files: &[File]) -> Vec<u8> {
+    encode_files(files, &EncoderConfig { gop: 2, threads: 1, ..EncoderConfig::default() })
+}
+
+/// Streams that hold every kind of section between them.
+fn streams_of_all_sections() -> Vec<Vec<u8>> {
+    let frames = scans(&small(3, 2));
+    let mut odd = frames[1].clone();
+    odd.swap(40, 900);
+    odd.splice(100..100, random_points(10, 1));
+    let files: Vec<File> = vec![
+        ("0.bin".into(), kitti(&frames[0])),
+        ("1.bin".into(), kitti(&odd)),
+        ("2.pcd".into(), pcd_extra(&frames[1])),
+    ];
+    let paper = EncoderConfig {
+        projection: ProjectionKind::Ideal { columns: 200, range_step_um: 10_000 },
+        coder: Coder::Backend(lidarpc::backend::LZMA),
+        prediction: PredictionChoice::Always(lidarpc::codec::Prediction::Intra),
+        ..EncoderConfig::preset(Mode::Paper)
+    };
+    let bounded = EncoderConfig {
+        intensity: Intensity::Rounded { step_millionths: 50_000 },
+        ..EncoderConfig::preset(Mode::Bounded { max_error_um: 20_000 })
+    };
+    [EncoderConfig::default(), bounded, paper].map(|config| encode_files(&files, &config)).to_vec()
+}
+
+/// Reads a stream front to back, as all decoding does.
+fn check(stream: &[u8]) -> Result<Index> {
+    let mut reader = StreamReader::open(stream, Limits::default())?;
+    while reader.next_record()?.is_some() {}
+    Ok(reader.index().clone())
+}
+
+#[test]
+fn every_flipped_bit_and_every_cut_of_any_stream_is_seen() {
+    let streams = streams_of_all_sections();
+    let kinds: BTreeSet<SectionKind> = streams.iter().flat_map(|s| section_bytes(s).into_keys()).collect();
+    assert_eq!(kinds, BTreeSet::from(SectionKind::ALL), "not all sections are tried");
+    for stream in &streams {
+        check(stream).unwrap();
+        let mut damaged = stream.clone();
+        for bit in 0..stream.len() * 8 {
+            damaged[bit / 8] ^= 1 << (bit % 8);
+            assert!(check(&damaged).is_err(), "bit {bit} went unseen");
+            damaged[bit / 8] ^= 1 << (bit % 8);
+        }
+        for length in 0..stream.len() {
+            assert!(check(&stream[..length]).is_err(), "{length} of {} bytes pass", stream.len());
+        }
+    }
+}
+
+/// What is saved of a stream, by the frames' numbers, and what is lost.
+fn saved(stream: &[u8]) -> (Vec<(u64, File)>, Vec<Lost>) {
+    let (mut frames, mut losses) = (Vec::new(), Vec::new());
+    let options = DecodeOptions { threads: 1, ..DecodeOptions::default() };
+    recover(Cursor::new(stream), &options, |part| {
+        match part {
+            Recovered::Frame(frame) => frames.push((frame.number, (frame.header.name, frame.bytes))),
+            Recovered::Lost(lost) => losses.push(lost),
+        }
+        Ok(())
+    })
+    .unwrap();
+    (frames, losses)
+}
+
+/// The frames of the groups that `keep` takes, by the number of the group.
+fn frames_of(files: &[File], index: &Index, keep: impl Fn(usize) -> bool) -> Vec<(u64, File)> {
+    let kept = (0..files.len() as u64).filter(|&number| {
+        let place = index.groups.iter().rposition(|group| group.first_frame <= number);
+        place.is_some_and(&keep)
+    });
+    kept.map(|number| (number, files[number as usize].clone())).collect()
+}
+
+#[test]
+fn of_a_whole_stream_nothing_is_lost() {
+    let files = files();
+    let stream = stream_of(&files);
+    let all = frames_of(&files, &check(&stream).unwrap(), |_| true);
+    assert_eq!(saved(&stream), (all, Vec::new()));
+}
+
+#[test]
+fn a_flipped_bit_costs_the_group_that_it_is_in() {
+    let files = files();
+    let stream = stream_of(&files);
+    let index = check(&stream).unwrap();
+    for place in 0..stream.len() {
+        let mut damaged = stream.clone();
+        damaged[place] ^= 1 << (place % 8);
+        let at = place as u64;
+        let hit = |group: usize| {
+            let entry = &index.groups[group];
+            (entry.offset..entry.offset + entry.length).contains(&at)
+        };
+        let (frames, losses) = saved(&damaged);
+        assert_eq!(frames, frames_of(&files, &index, |group| !hit(group)), "byte {place}");
+        assert!((1..=2).contains(&losses.len()), "byte {place}: {losses:?}");
+        assert!(losses.iter().any(|lost| lost.bytes.contains(&at) || lost.bytes.is_empty()), "{losses:?}");
+        let lost: Vec<u64> = losses.iter().flat_map(|lost| lost.frames.clone().unwrap_or_default()).collect();
+        let expected = frames_of(&files, &index, hit).into_iter().map(|(number, _)| number);
+        assert_eq!(lost, expected.collect::<Vec<_>>(), "byte {place}");
+    }
+}
+
+#[test]
+fn of_a_cut_stream_all_whole_groups_are_saved() {
+    let files = files();
+    let stream = stream_of(&files);
+    let index = check(&stream).unwrap();
+    let end_of = |group: usize| (index.groups[group].offset + index.groups[group].length) as usize;
+    for length in end_of(0)..stream.len() {
+        let (frames, losses) = saved(&stream[..length]);
+        assert_eq!(frames, frames_of(&files, &index, |group| end_of(group) <= length), "{length} bytes");
+        assert_eq!(losses.len(), 1, "{length} bytes");
+        assert_eq!(losses[0].bytes.end, length as u64);
+    }
+    assert!(recover(Cursor::new(&stream[..12]), &DecodeOptions::default(), |_| Ok(())).is_ok());
+    assert!(recover(Cursor::new(b"no stream"), &DecodeOptions::default(), |_| Ok(())).is_err());
+}
+
+#[test]
+fn bytes_that_came_in_or_are_missing_shift_nothing_but_bytes() {
+    let files = files();
+    let stream = stream_of(&files);
+    let index = check(&stream).unwrap();
+    let middle = (index.groups[1].offset + index.groups[1].length / 2) as usize;
+    let rest = frames_of(&files, &index, |group| group != 1);
+    for (from, to, new) in
+        [(middle, middle, &[2u8, 0, 2, 200][..]), (middle, middle + 3, &[]), (middle - 9, middle + 9, &[1])]
+    {
+        let damaged = [&stream[..from], new, &stream[to..]].concat();
+        let (frames, losses) = saved(&damaged);
+        assert_eq!(frames, rest);
+        assert_eq!(losses[0].frames, Some(2..4));
+    }
+    // A whole group and the index with it: the frames behind it get the numbers of those that are left.
+    let entry = &index.groups[1];
+    let cut = [&stream[..entry.offset as usize], &stream[(entry.offset + entry.length) as usize..]].concat();
+    assert_eq!(saved(&cut).0, rest, "the index tells of the missing group");
+    let index_at = (index.groups[3].offset + index.groups[3].length) as usize - entry.length as usize;
+    let (frames, losses) = saved(&cut[..index_at]);
+    let numbered: Vec<_> = (0..).zip(rest.into_iter().map(|(_, file)| file)).collect();
+    assert_eq!(frames, numbered);
+    assert!(losses.iter().all(|lost| lost.frames.is_none()), "{losses:?}");
+}
+
+#[test]
+fn groups_without_their_sensor_model_are_lost_and_no_others() {
+    let frames = scans(&small(3, 2));
+    let scanned: Vec<File> =
+        (0..).zip(&frames).map(|(n, frame)| (format!("{n}.bin"), kitti(frame))).collect();
+    let (models, mut groups) = take_apart(&encode_files(&scanned, &EncoderConfig::default()));
+    assert_eq!(models.len(), 1);
+    let others = files();
+    groups.extend(take_apart(&stream_of(&others)).1);
+    let mut stream = put_together(&models, &groups);
+    assert_eq!(saved(&stream).0.len(), 9);
+    stream[20] ^= 8;
+    let (frames, losses) = saved(&stream);
+    assert_eq!(frames, (2..).zip(others).collect::<Vec<_>>());
+    assert_eq!(losses.len(), 2);
+    assert_eq!((&losses[0].frames, &losses[1].frames), (&Some(0..0), &Some(0..2)));
+    assert_eq!(losses[1].names, ["0.bin", "1.bin"]);
+    assert!(losses[1].why.contains("sensor model 1 is lost"));
+}
+
+#[test]
+fn names_of_lost_frames_are_told() {
+    let stream = stream_of(&files());
+    let index = check(&stream).unwrap();
+    let mut damaged = stream.clone();
+    let last_byte = index.groups[1].offset + index.groups[1].length - 1;
+    damaged[last_byte as usize] ^= 1;
+    assert_eq!(saved(&damaged).1[0].names, ["2.bin", "3.bin"]);
+}
+
+#[test]
+fn a_repaired_stream_is_whole() {
+    let files = files();
+    let mut stream = stream_of(&files);
+    let index = check(&stream).unwrap();
+    stream[index.groups[2].offset as usize + 5] ^= 1;
+    let (mut repaired, mut losses) = (Vec::new(), 0);
+    let input = Named { path: "in.lpc".into(), stream: Cursor::new(&stream) };
+    let frames = repair(input, &Limits::default(), &mut repaired, |_| losses += 1).unwrap();
+    assert_eq!((frames, losses), (5, 1));
+    let kept = frames_of(&files, &index, |group| group != 2).into_iter().map(|(_, file)| file);
+    assert_eq!(decode_files(&repaired).unwrap(), kept.collect::<Vec<_>>());
+}
