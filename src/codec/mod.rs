@@ -11,6 +11,7 @@ pub mod cut;
 pub mod decoder;
 pub mod encoder;
 pub mod group;
+pub mod input;
 pub mod options;
 pub mod parameters;
 pub mod recover;
@@ -31,8 +32,9 @@ pub use config::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, Proje
 pub use copier::Named;
 pub use cut::{Cut, cut, cut_indexed};
 pub use decoder::{DecodedFrame, decode, decode_indexed};
-pub use encoder::{Encoded, FrameInput, encode};
+pub use encoder::{Encoded, encode, encode_live};
 pub use group::DecodedImage;
+pub use input::FrameInput;
 pub use options::{DecodeOptions, FrameRange};
 pub use parameters::{FrameParameters, Intensity, MOST_MAX_ERROR_UM, Positions, Prediction, Source};
 pub use recover::{Recovered, recover, repair};
