@@ -37,7 +37,7 @@ impl<W: Write> StreamWriter<W> {
         Ok(self.index.sensor_models.len() as u64)
     }
 
-    /// Writes the sequence's next group.
+    /// Writes the sequence's next group, down to whoever reads the output as it grows.
     ///
     /// # Errors
     /// If the output fails.
@@ -45,6 +45,7 @@ impl<W: Write> StreamWriter<W> {
         let mut payload = Vec::new();
         let frame_sizes = group.write_to(&mut payload);
         let length = write_record(&mut self.out, GROUP, &payload)?;
+        self.out.flush()?;
         self.index.push_group(self.position, length, frame_sizes);
         self.position += length;
         Ok(())

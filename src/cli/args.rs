@@ -64,13 +64,15 @@ Examples:
   lidarpc encode drive/ -o drive.lpc
   lidarpc encode a.bin b.bin -o two.lpc --verify
   lidarpc encode drive/ -o drive.lpc --mode paper --step 1cm
+  ssh host 'tar c drive' | lidarpc encode - -o drive.lpc
   lidarpc encode drive/ -o - | ssh host 'cat > drive.lpc'";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = ENCODE_EXAMPLES)]
 pub struct EncodeArgs {
     /// Folders of scans, or scans; the frames of a folder are taken in the order of the numbers in
-    /// their names.
+    /// their names. `-`: frames from stdin, coded as they arrive, in a tar archive or each behind a line of
+    /// its name, a space and its size in bytes.
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
     /// File to write; `-` for stdout.

@@ -49,7 +49,7 @@ fn summary(joined: &Joined) -> String {
     format!("{streams}: {frames}, {size}")
 }
 
-type Reader = StreamReader<Box<dyn Read>>;
+type Reader = StreamReader<Box<dyn Read + Send>>;
 
 /// A stream to join, its header known.
 struct Piece {

@@ -1,6 +1,6 @@
 //! `lidarpc encode`
 
-use std::io::{BufReader, Write};
+use std::io::{self, BufReader, Write};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -8,6 +8,7 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::{CommandFactory, error::ErrorKind};
 use lidarpc::codec::{self, DecodeOptions, Encoded, EncoderConfig, FrameInput};
 use lidarpc::io::sequence::find_frames;
+use lidarpc::io::{ArrivedFile, ArrivingFrames};
 use lidarpc::metrics;
 
 use super::args::{Args, EncodeArgs};
@@ -26,7 +27,7 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     let frames = find_inputs(&args.inputs, quiet)?;
     let mut output = FileOutput::create(&args.output, args.force)?;
     let name = name_of_output(&args.output);
-    let encoded = write_stream(&config, &frames, &mut output, quiet).map_err(|error| about(error, &name))?;
+    let encoded = write_stream(&config, frames, &mut output, quiet).map_err(|error| about(error, &name))?;
     if args.verify {
         compare(args, &encoded, &output, quiet).with_context(|| name.clone())?;
     }
@@ -37,8 +38,23 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     Ok(())
 }
 
+/// Where the frames come from.
+enum Frames {
+    /// Files, all of them known.
+    Files(Vec<FrameInput>),
+    /// Stdin, as they arrive.
+    Live,
+}
+
 /// The frames to encode. Says what is left out: whoever archives a folder should know.
-fn find_inputs(inputs: &[PathBuf], quiet: bool) -> Result<Vec<FrameInput>> {
+fn find_inputs(inputs: &[PathBuf], quiet: bool) -> Result<Frames> {
+    if inputs.iter().any(|input| is_dash(input)) {
+        if inputs.len() > 1 {
+            let what = "`-`, for frames from stdin, stands alone";
+            Args::command().error(ErrorKind::ArgumentConflict, what).exit();
+        }
+        return Ok(Frames::Live);
+    }
     let found = find_frames(inputs)?;
     if let Some(first) = found.left_out.first()
         && !quiet
@@ -46,19 +62,30 @@ fn find_inputs(inputs: &[PathBuf], quiet: bool) -> Result<Vec<FrameInput>> {
         let count = table::count(found.left_out.len() as u64, "file");
         eprintln!("lidarpc: left out {count} not known as a scan, such as {}", first.display());
     }
-    Ok(found.frames.into_iter().map(FrameInput::File).collect())
+    Ok(Frames::Files(found.frames.into_iter().map(FrameInput::File).collect()))
 }
 
 fn write_stream(
     config: &EncoderConfig,
-    frames: &[FrameInput],
+    frames: Frames,
     output: &mut FileOutput,
     quiet: bool,
 ) -> lidarpc::error::Result<Encoded> {
-    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
+    let total = match &frames {
+        Frames::Files(files) => Some(files.len() as u64),
+        Frames::Live => None,
+    };
+    let bar = progress::bar(total, "encoding", quiet);
     let mut writer = output.writer();
-    let encoded = codec::encode(frames, config, &mut writer, &|| bar.inc(1))
-        .and_then(|encoded| Ok(writer.flush().map(|()| encoded)?));
+    let encoded = match frames {
+        Frames::Files(files) => codec::encode(&files, config, &mut writer, &|| bar.inc(1)),
+        Frames::Live => {
+            let frames = ArrivingFrames::new(io::stdin())
+                .map(|file| file.map(|ArrivedFile { name, bytes }| FrameInput::Memory { name, bytes }));
+            codec::encode_live(frames, config, &mut writer, &|| bar.inc(1))
+        }
+    };
+    let encoded = encoded.and_then(|encoded| Ok(writer.flush().map(|()| encoded)?));
     bar.finish_and_clear();
     encoded
 }

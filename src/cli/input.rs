@@ -16,7 +16,7 @@ pub enum Input {
     /// A file that can be sought in.
     File(File),
     /// Anything else: stdin, a named pipe.
-    Pipe(Box<dyn Read>),
+    Pipe(Box<dyn Read + Send>),
 }
 
 impl Input {
@@ -26,7 +26,7 @@ impl Input {
     /// If it cannot be opened, or is a folder.
     pub fn open(path: &Path) -> Result<Self> {
         if is_dash(path) {
-            return Ok(Input::Pipe(Box::new(io::stdin().lock())));
+            return Ok(Input::Pipe(Box::new(io::stdin())));
         }
         let mut file = File::open(path)?;
         if file.metadata()?.is_dir() {
@@ -37,7 +37,7 @@ impl Input {
     }
 
     /// The stream from the front.
-    pub fn reader(self) -> Box<dyn Read> {
+    pub fn reader(self) -> Box<dyn Read + Send> {
         match self {
             Input::File(file) => Box::new(BufReader::new(file)),
             Input::Pipe(pipe) => Box::new(BufReader::new(pipe)),

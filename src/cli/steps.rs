@@ -73,7 +73,7 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
     Ok(())
 }
 
-fn decode(input: impl Read, args: &StatsArgs, quiet: bool) -> lidarpc::error::Result<StepReport> {
+fn decode(input: impl Read + Send, args: &StatsArgs, quiet: bool) -> lidarpc::error::Result<StepReport> {
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),

@@ -60,7 +60,7 @@ fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<Compared> {
     Ok(Compared { frame, original })
 }
 
-fn decode_one(stream: impl Read + Seek, frames: FrameRange) -> lidarpc::error::Result<DecodedFrame> {
+fn decode_one(stream: impl Read + Seek + Send, frames: FrameRange) -> lidarpc::error::Result<DecodedFrame> {
     let options = DecodeOptions { frames, images: true, scans: true, ..DecodeOptions::default() };
     let mut found = None;
     codec::decode_indexed(stream, &options, |frame| {

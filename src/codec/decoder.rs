@@ -42,7 +42,7 @@ pub struct DecodedFrame {
 /// If the input fails or is damaged anywhere, if a frame does not decode to what was encoded, if it
 /// asks for more than the limits, if there are no such frames, or if the sink fails.
 pub fn decode(
-    input: impl Read,
+    input: impl Read + Send,
     options: &DecodeOptions,
     sink: impl FnMut(DecodedFrame) -> Result<()>,
 ) -> Result<u64> {
@@ -60,7 +60,7 @@ pub fn decode(
 /// # Errors
 /// As [`decode`]; damage elsewhere in the stream goes unseen.
 pub fn decode_indexed(
-    input: impl Read + Seek,
+    input: impl Read + Seek + Send,
     options: &DecodeOptions,
     sink: impl FnMut(DecodedFrame) -> Result<()>,
 ) -> Result<u64> {
@@ -72,7 +72,7 @@ pub fn decode_indexed(
 }
 
 fn decode_jobs(
-    jobs: &mut impl Iterator<Item = Result<GroupJob>>,
+    jobs: &mut (impl Iterator<Item = Result<GroupJob>> + Send),
     options: &DecodeOptions,
     mut sink: impl FnMut(DecodedFrame) -> Result<()>,
 ) -> Result<()> {

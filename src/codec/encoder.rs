@@ -1,17 +1,16 @@
 //! A sequence of files to a stream.
 
-use std::fs;
+use std::borrow::Cow;
 use std::io::Write;
 use std::mem;
-use std::path::PathBuf;
 
 use super::config::{EncoderConfig, ProjectionKind, resolve_threads};
 use super::group::GroupEncoder;
+use super::input::FrameInput;
 use super::ordered::run_ordered;
 use super::steps::StepReport;
 use crate::bitstream::{Frame, FrameHeader, Group, StreamHeader, StreamWriter};
-use crate::error::{Error, Limits, Result};
-use crate::io::sequence::is_safe_name;
+use crate::error::{Limits, Result};
 use crate::io::{HeaderlessLayout, parse_with};
 use crate::scan::ScanFile;
 use crate::sensor::{self, SensorModel};
@@ -25,20 +24,6 @@ const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 /// A group is closed early when its files reach this many bytes together: decoders hold a whole
 /// group in memory.
 const GROUP_FILE_BYTES: u64 = 256 << 20;
-
-/// One frame to encode.
-#[derive(Clone, Debug)]
-pub enum FrameInput {
-    /// A file, read when its turn comes. The frame gets the file's name, without the folder.
-    File(PathBuf),
-    /// A file's bytes.
-    Memory {
-        /// The name to give back on decoding.
-        name: String,
-        /// The file's bytes.
-        bytes: Vec<u8>,
-    },
-}
 
 /// What was encoded.
 #[derive(Clone, Debug, Default)]
@@ -75,13 +60,52 @@ pub fn encode<W: Write>(
     on_frame: &(dyn Fn() + Sync),
 ) -> Result<Encoded> {
     config.check()?;
-    let sensor = match config.projection {
+    let groups = frames.chunks(config.gop).map(|group| Ok(Cow::Borrowed(group)));
+    encode_groups(choose_sensor(frames, config)?, groups, config, out, on_frame)
+}
+
+/// As [`encode`], of frames that are yet to come: each group is written as soon as it is coded, which does
+/// not wait for the frame after it. The sensor model is fitted to the first group. A few groups are in
+/// memory at a time.
+///
+/// # Errors
+/// As [`encode`]; also the first error of `frames`.
+pub fn encode_live<W: Write>(
+    frames: impl Iterator<Item = Result<FrameInput>> + Send,
+    config: &EncoderConfig,
+    out: W,
+    on_frame: &(dyn Fn() + Sync),
+) -> Result<Encoded> {
+    config.check()?;
+    let mut frames = frames.fuse();
+    let mut groups = std::iter::from_fn(|| {
+        let group: Result<Vec<_>> = frames.by_ref().take(config.gop).collect();
+        group.map(|group| (!group.is_empty()).then_some(Cow::Owned(group))).transpose()
+    });
+    let first: Option<Cow<'_, [FrameInput]>> = groups.next().transpose()?;
+    let sensor = choose_sensor(first.as_deref().unwrap_or_default(), config)?;
+    encode_groups(sensor, first.map(Ok).into_iter().chain(groups), config, out, on_frame)
+}
+
+/// The sensor model of a sequence that these frames are of.
+fn choose_sensor(frames: &[FrameInput], config: &EncoderConfig) -> Result<Option<SensorModel>> {
+    Ok(match config.projection {
         ProjectionKind::Calibrated { range_step_um } => {
             let fitted = sensor::fit(&sample(frames, config)?);
             fitted.map(|sensor| range_step_um.into_iter().fold(sensor, SensorModel::with_range_step))
         }
         ProjectionKind::Ideal { columns, range_step_um } => Some(sensor::ideal(columns, range_step_um)),
-    };
+    })
+}
+
+/// Encodes groups of frames.
+fn encode_groups<'f, W: Write>(
+    sensor: Option<SensorModel>,
+    groups: impl Iterator<Item = Result<Cow<'f, [FrameInput]>>> + Send,
+    config: &EncoderConfig,
+    out: W,
+    on_frame: &(dyn Fn() + Sync),
+) -> Result<Encoded> {
     let mut writer = StreamWriter::create(out, &StreamHeader::default())?;
     let sensor_number = write_sensor_model(&mut writer, sensor.as_ref())?;
     let coder = SequenceCoder { sensor: sensor.as_ref(), sensor_number, config, on_frame };
@@ -97,8 +121,8 @@ pub fn encode<W: Write>(
         }
         Ok(())
     };
-    let jobs = frames.chunks(config.gop).map(Ok);
-    run_ordered(resolve_threads(config.threads), jobs, |job| coder.encode_frames(job), write)?;
+    let work = |group: Cow<'_, [FrameInput]>| coder.encode_frames(&group);
+    run_ordered(resolve_threads(config.threads), groups, work, write)?;
     (_, encoded.stream_bytes) = writer.finish()?;
     Ok(encoded)
 }
@@ -209,60 +233,6 @@ fn within_limits(scan: ScanFile) -> Result<ScanFile> {
     }
     let bytes = scan.to_bytes()?;
     Ok(ScanFile::opaque(scan.name, bytes))
-}
-
-impl FrameInput {
-    /// The name that the decoded file gets.
-    ///
-    /// # Errors
-    /// If no decoder would write a file of that name.
-    pub fn name(&self) -> Result<&str> {
-        let name = match self {
-            FrameInput::File(path) => path.file_name().and_then(|name| name.to_str()),
-            FrameInput::Memory { name, .. } => Some(name.as_str()),
-        };
-        name.filter(|name| is_safe_name(name)).ok_or_else(|| {
-            let what = "has a name that not every system can restore; rename the file".to_owned();
-            Error::Input { path: self.path(), what }
-        })
-    }
-
-    /// Where it comes from, for errors.
-    fn path(&self) -> PathBuf {
-        match self {
-            FrameInput::File(path) => path.clone(),
-            FrameInput::Memory { name, .. } => PathBuf::from(name),
-        }
-    }
-
-    /// Bytes of the file.
-    ///
-    /// # Errors
-    /// If the file's size cannot be read.
-    pub fn size(&self) -> Result<u64> {
-        match self {
-            FrameInput::File(path) => Ok(fs::metadata(path).map_err(|e| Error::from(e).at(path))?.len()),
-            FrameInput::Memory { bytes, .. } => Ok(bytes.len() as u64),
-        }
-    }
-
-    /// The file's bytes.
-    ///
-    /// # Errors
-    /// If it cannot be read, or is larger than any decoder takes.
-    pub fn read(&self) -> Result<Vec<u8>> {
-        check_limit("bytes of a file", self.size()?, Limits::default().file_bytes)
-            .map_err(|e| e.at(self.path()))?;
-        match self {
-            FrameInput::File(path) => fs::read(path).map_err(|e| Error::from(e).at(path)),
-            FrameInput::Memory { bytes, .. } => Ok(bytes.clone()),
-        }
-    }
-}
-
-/// An error if decoders would refuse what is encoded.
-fn check_limit(what: &'static str, got: u64, max: u64) -> Result<()> {
-    if got > max { Err(Error::LimitExceeded { what: what.to_owned(), got, max }) } else { Ok(()) }
 }
 
 #[cfg(test)]

@@ -31,7 +31,7 @@ pub enum Recovered {
 /// # Errors
 /// If the input fails, holds no record at all or was written by a newer program, or if the sink fails.
 pub fn recover(
-    input: impl Read + Seek,
+    input: impl Read + Seek + Send,
     options: &DecodeOptions,
     mut sink: impl FnMut(Recovered) -> Result<()>,
 ) -> Result<()> {

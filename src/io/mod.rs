@@ -4,6 +4,7 @@
 //! or one that could not be given back exactly, is kept as it is. [`convert()`] makes a file of another
 //! format of a scan.
 
+mod arrival;
 mod big_endian;
 mod convert;
 mod field;
@@ -16,8 +17,10 @@ mod ply;
 mod point_count;
 mod records;
 pub mod sequence;
+mod tar;
 mod text_records;
 
+pub use arrival::{ArrivedFile, ArrivingFrames};
 pub use convert::{FileFormat, convert};
 pub use headerless::HeaderlessLayout;
 pub use point_count::with_point_count;

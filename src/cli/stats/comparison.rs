@@ -48,7 +48,7 @@ struct Psnr {
 /// Decodes all frames and measures how far they are from the originals.
 pub fn compare(
     args: &StatsArgs,
-    input: impl Read,
+    input: impl Read + Send,
     mut originals: Originals,
     frames: u64,
     quiet: bool,

@@ -1,0 +1,193 @@
+//! Frames from a pipe: coded and written as they come, from any tar archive or behind lines.
+
+mod common;
+
+use std::fs;
+use std::io::{Read, Write};
+use std::process::{Child, Command, Stdio};
+
+use assert_cmd::cargo::cargo_bin;
+use common::formats::kitti;
+use common::scans::{scans, small};
+use common::{File, decode_files};
+use lidarpc::bitstream::{Record, StreamReader};
+use lidarpc::error::Limits;
+use lidarpc::io::ArrivingFrames;
+use tempfile::TempDir;
+
+/// Scans of a scanner, so that there is a sensor model to fit.
+fn files(count: usize) -> Vec<File> {
+    let frames = scans(&small(3, count));
+    (0..).zip(&frames).map(|(n, frame)| (format!("{n}.bin"), kitti(frame))).collect()
+}
+
+fn framed((name, bytes): &File) -> Vec<u8> {
+    [format!("{name} {}\n", bytes.len()).as_bytes(), bytes].concat()
+}
+
+fn program(args: &[&str]) -> Child {
+    let mut command = Command::new(cargo_bin!("lidarpc"));
+    command.args(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+}
+
+#[test]
+fn a_group_is_written_before_the_next_frame_arrives() {
+    let files = files(5);
+    let mut child = program(&["encode", "-", "-o", "-", "--gop", "2", "--quiet"]);
+    let mut stdin = child.stdin.take().unwrap();
+    let mut reader = None;
+    // The pipe stays open: were a group held back, this would wait for ever.
+    for pair in files.chunks_exact(2) {
+        pair.iter().for_each(|file| stdin.write_all(&framed(file)).unwrap());
+        stdin.flush().unwrap();
+        let reader = reader.get_or_insert_with(|| {
+            StreamReader::open(child.stdout.take().unwrap(), Limits::default()).unwrap()
+        });
+        let group = loop {
+            match reader.next_record().unwrap() {
+                Some(Record::Group(group)) => break group,
+                Some(Record::SensorModel(_)) => {}
+                None => panic!("the stream ended"),
+            }
+        };
+        let names: Vec<_> = group.frames.iter().map(|frame| &frame.header.name).collect();
+        assert_eq!(names, pair.iter().map(|(name, _)| name).collect::<Vec<_>>());
+        assert_eq!(group.sensor_model, 1, "no model was fitted to the first group");
+    }
+    stdin.write_all(&framed(&files[4])).unwrap();
+    drop(stdin);
+    let mut reader = reader.unwrap();
+    assert!(matches!(reader.next_record().unwrap(), Some(Record::Group(_))));
+    assert!(reader.next_record().unwrap().is_none());
+    assert!(child.wait().unwrap().success());
+}
+
+/// What arrives of these bytes, which come one at a time.
+fn arrive(bytes: &[u8]) -> Result<Vec<File>, String> {
+    struct Slow<'a>(&'a [u8]);
+    impl Read for Slow<'_> {
+        fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
+            let length = out.len().min(1);
+            self.0.read(&mut out[..length])
+        }
+    }
+    let frames = ArrivingFrames::new(Slow(bytes));
+    frames.map(|file| file.map(|file| (file.name, file.bytes)).map_err(|error| error.to_string())).collect()
+}
+
+#[test]
+fn lines_and_sizes_are_checked() {
+    assert_eq!(arrive(b"").unwrap(), []);
+    let two = b"a b.bin 3\nxyz1.bin 0\n";
+    assert_eq!(arrive(two).unwrap(), [("a b.bin".to_owned(), b"xyz".to_vec()), ("1.bin".to_owned(), vec![])]);
+    for (bytes, complaint) in [
+        (&b"1.bin 4\nxyz"[..], "cut short"),
+        (b"1.bin 4", "cut short"),
+        (b"1.bin\n", "neither"),
+        (b"1.bin -4\n", "neither"),
+        (b"1.bin 18446744073709551615\n", "over the limit"),
+        (b"1.bin 0\n1.bin 0\n", "second time"),
+        (&[b'x'; 2000], "neither"),
+        (b"\xff\xfe 1\nx", "neither"),
+    ] {
+        let error = arrive(bytes).unwrap_err();
+        assert!(error.contains(complaint), "{complaint:?} is missing in: {error}");
+    }
+}
+
+/// An entry of a tar archive, as POSIX has it.
+fn entry(name: &str, kind: u8, bytes: &[u8]) -> Vec<u8> {
+    let mut header = [0; 512];
+    header[..name.len()].copy_from_slice(name.as_bytes());
+    header[100..108].copy_from_slice(b"0000644\0");
+    header[124..136].copy_from_slice(format!("{:011o}\0", bytes.len()).as_bytes());
+    header[148..156].copy_from_slice(b"        ");
+    header[156] = kind;
+    header[257..265].copy_from_slice(b"ustar\x0000");
+    let sum: u32 = header.iter().map(|byte| u32::from(*byte)).sum();
+    header[148..156].copy_from_slice(format!("{sum:06o}\0 ").as_bytes());
+    let padding = vec![0; bytes.len().wrapping_neg() % 512];
+    [&header[..], bytes, &padding].concat()
+}
+
+const END: [u8; 1024] = [0; 1024];
+
+#[test]
+fn archives_of_all_dialects_are_read() {
+    let long = format!("{}.bin", "n".repeat(200));
+    let gnu = format!("folder/{long}\0");
+    let record = format!("path=folder/{long}\n");
+    let pax = format!("{} {record}", record.len() + 4);
+    let archive = [
+        entry("drive/", b'5', b""),
+        entry("drive/1.bin", b'0', &[7; 513]),
+        entry("drive/readme.txt", b'0', b"no scan"),
+        entry("drive/link.bin", b'2', b""),
+        entry("././@LongLink", b'L', gnu.as_bytes()),
+        entry("cut", b'0', b"abc"),
+        END.to_vec(),
+    ];
+    let expected = [("1.bin".to_owned(), vec![7; 513]), (long.clone(), b"abc".to_vec())];
+    assert_eq!(arrive(&archive.concat()).unwrap(), expected);
+    let archive = [entry("x", b'x', pax.as_bytes()), entry("cut", b'0', b"abc"), END.to_vec()].concat();
+    assert_eq!(arrive(&archive).unwrap(), [(long, b"abc".to_vec())]);
+}
+
+#[test]
+fn damaged_archives_are_refused() {
+    let archive = [entry("1.bin", b'0', &[7; 700]), entry("2.bin", b'0', b"abc"), END.to_vec()].concat();
+    assert_eq!(arrive(&archive).unwrap().len(), 2);
+    for length in (20..archive.len() - 1024).step_by(37) {
+        assert!(arrive(&archive[..length]).unwrap_err().contains("cut short"), "{length}");
+    }
+    for place in [3, 110, 130, 150, 300, 1600] {
+        let mut damaged = archive.clone();
+        damaged[place] ^= 1;
+        assert!(arrive(&damaged).unwrap_err().contains("damaged"), "{place}");
+    }
+    let nothing = [entry("readme.txt", b'0', b"no scan"), END.to_vec()].concat();
+    assert!(arrive(&nothing).unwrap_err().contains("no .bin"));
+}
+
+/// What the machine's own tar writes, through the program.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_tar_pipe_comes_back() {
+    let folder = TempDir::new().unwrap();
+    let files = files(4);
+    let drive = folder.path().join("a".repeat(90)).join("b".repeat(90));
+    fs::create_dir_all(&drive).unwrap();
+    files.iter().for_each(|(name, bytes)| fs::write(drive.join(name), bytes).unwrap());
+    for format in ["ustar", "gnu", "pax"] {
+        let archive = Command::new("tar")
+            .args(["-c", "--sort=name", &format!("--format={format}"), "."])
+            .current_dir(folder.path())
+            .output();
+        let Ok(archive) = archive else {
+            println!("skipped: there is no tar");
+            return;
+        };
+        let mut child = program(&["encode", "-", "-o", "-", "--quiet"]);
+        let mut stdin = child.stdin.take().unwrap();
+        let written = std::thread::spawn(move || stdin.write_all(&archive.stdout));
+        let output = child.wait_with_output().unwrap();
+        written.join().unwrap().unwrap();
+        assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+        assert_eq!(decode_files(&output.stdout).unwrap(), files, "{format}");
+    }
+}
+
+#[test]
+fn unsafe_names_and_cut_input_leave_nothing() {
+    let folder = TempDir::new().unwrap();
+    let output = folder.path().join("out.lpc");
+    for (bytes, complaint) in [(&b"../x.bin 1\nx"[..], "../x.bin"), (b"1.bin 9\nx", "cut short")] {
+        let mut child = program(&["encode", "-", "-o", output.to_str().unwrap()]);
+        child.stdin.take().unwrap().write_all(bytes).unwrap();
+        let done = child.wait_with_output().unwrap();
+        let said = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert_eq!(done.status.code(), Some(1));
+        assert!(said.contains(complaint) && said.lines().count() == 1, "{said}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+}
