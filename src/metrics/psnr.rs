@@ -17,8 +17,7 @@ pub const PEAK_M: f64 = 59.70;
 /// The tool's factor for geometry, whose errors have three coordinates.
 const FACTOR: f64 = 3.0;
 
-/// Nearest points from which a normal is estimated: 16; the point itself is
-/// one of them.
+/// Nearest points from which a normal is estimated, the point itself being one of them: 16.
 const NORMAL_POINTS: NonZero<usize> = NonZero::<usize>::MIN.saturating_add(15);
 
 /// D1 and D2 of frames, symmetric.
