@@ -71,3 +71,25 @@ pub fn ply(points: &[[f32; 4]]) -> Vec<u8> {
     bytes.extend(points.iter().flat_map(record));
     bytes
 }
+
+/// PLY of big-endian values, x, y, z and intensity.
+pub fn ply_big_endian(points: &[[f32; 4]]) -> Vec<u8> {
+    let mut bytes = ply_header("binary_big_endian", points.len());
+    bytes.extend(points.as_flattened().iter().flat_map(|value| value.to_be_bytes()));
+    bytes
+}
+
+/// PLY as text, x, y, z and intensity.
+pub fn ply_text(points: &[[f32; 4]]) -> Vec<u8> {
+    let mut bytes = ply_header("ascii", points.len());
+    bytes.extend(points.iter().flat_map(|[x, y, z, i]| format!("{x} {y} {z} {i}\n").into_bytes()));
+    bytes
+}
+
+fn ply_header(encoding: &str, points: usize) -> Vec<u8> {
+    format!(
+        "ply\nformat {encoding} 1.0\nelement vertex {points}\nproperty float x\nproperty float y\n\
+         property float z\nproperty float intensity\nend_header\n"
+    )
+    .into_bytes()
+}
