@@ -29,6 +29,7 @@ pub mod segmentation;
 
 pub mod context;
 pub mod contour;
+mod quick;
 
 pub mod backend;
 pub mod image_coding;

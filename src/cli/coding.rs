@@ -32,7 +32,7 @@ pub struct CodingArgs {
     /// What codes the ranges.
     #[arg(long, value_name = "NAME", value_parser = backend_names())]
     pub backend: Option<String>,
-    /// Effort of a general-purpose back-end, 1 (fast) to 9 (small).
+    /// Effort, 1 (fast) to 9 (small). Default 6.
     #[arg(long, value_name = "1..9")]
     pub level: Option<u8>,
     /// What ranges are predicted from.
@@ -308,19 +308,19 @@ impl CodingArgs {
 
     /// Refuses options that are for other coders.
     fn check_options_of(&self, coder: Coder) -> Result<()> {
-        let for_backends = [("--level", self.level.is_some()), ("--packing", self.packing.is_some())];
+        let for_backends = [("--packing", self.packing.is_some())];
         let for_images = [("--rate", self.rate.is_some()), ("--passes", self.passes.is_some())];
-        let refuse = |options: [(&str, bool); 2], whose: &str| match options.iter().find(|(_, is)| *is) {
+        let refuse = |options: &[(&str, bool)], whose: &str| match options.iter().find(|(_, is)| *is) {
             Some((name, _)) => {
                 Err(Error::InvalidConfig(format!("{name} is for {whose}; choose one by --backend")))
             }
             None => Ok(()),
         };
         if !matches!(coder, Coder::Backend(_)) {
-            refuse(for_backends, "general-purpose back-ends")?;
+            refuse(&for_backends, "general-purpose back-ends")?;
         }
         if !matches!(coder, Coder::Image(_)) {
-            refuse(for_images, "jpeg and jpeg2000")?;
+            refuse(&for_images, "jpeg and jpeg2000")?;
         }
         Ok(())
     }

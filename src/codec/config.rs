@@ -3,6 +3,7 @@
 use std::thread;
 
 use super::fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
+use super::modelling::Modelling;
 use super::parameters::{FrameParameters, Prediction, RangeCoder};
 use crate::backend::{self, Backend, Level};
 use crate::error::{Error, Result};
@@ -198,6 +199,15 @@ impl EncoderConfig {
         }
     }
 
+    /// How the context coder models a frame, at this level.
+    pub(super) fn modelling(&self) -> Modelling {
+        match (self.coder, self.level.number()) {
+            (Coder::Context, 1) => Modelling::Tokens { fitted: false },
+            (Coder::Context, 2) => Modelling::Tokens { fitted: true },
+            _ => Modelling::Mixed,
+        }
+    }
+
     /// Whether a frame may be predicted from the one before it; frames of a group are counted from 0.
     pub(super) fn allows_inter(&self, frame_of_group: usize) -> bool {
         let is_chosen = matches!(
@@ -210,7 +220,7 @@ impl EncoderConfig {
             FrameOrder::Ratio => frame_of_group > 0,
             FrameOrder::Time => frame_of_group % 2 == 1,
         };
-        is_chosen && is_turn
+        is_chosen && is_turn && self.modelling() == Modelling::Mixed
     }
 
     /// What is tried for a frame, so that the smallest result is taken. `fit` is how much
@@ -249,7 +259,7 @@ impl EncoderConfig {
             motion: QuantisedPose::default(),
             snake: self.snake && matches!(self.coder, Coder::Backend(_)),
             range_coder: match self.coder {
-                Coder::Context => RangeCoder::EXACT,
+                Coder::Context => RangeCoder::of_modelling(self.modelling()),
                 Coder::Backend(id) => {
                     RangeCoder::Backend { id, packing: self.packing.unwrap_or(backend::by_id(id)?.packing()) }
                 }

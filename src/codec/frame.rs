@@ -3,7 +3,7 @@
 use super::bound::Bound;
 use super::config::{EncoderConfig, ProjectionKind};
 use super::fidelity::{Intensity, Positions};
-use super::parameters::{FrameParameters, Prediction, RangeCoder, Source};
+use super::parameters::{FrameParameters, Prediction, Source};
 use super::steps::{Step, StepReport};
 use std::sync::Arc;
 use std::time::Instant;
@@ -148,7 +148,7 @@ impl Frame {
         let projection = project(sensor, cloud, bound.map_or(REACH, |bound| bound.reach().max(REACH)));
         if let Some(bound) = bound {
             let bin = bound.bin(sensor.range_step_m(), projection.misses(sensor, cloud));
-            self.parameters.range_coder = RangeCoder::in_bins(bin);
+            self.parameters.range_coder = self.parameters.range_coder.in_bins(bin);
             if let Positions::Bounded { on_grid, .. } = &mut self.parameters.positions {
                 *on_grid = bin == 1;
             }

@@ -6,6 +6,7 @@ use std::fmt;
 use std::ops::RangeInclusive;
 
 use super::fidelity::{Intensity, Positions};
+use super::modelling::Modelling;
 use crate::backend;
 use crate::bitstream::{Frame, FrameHeader, SectionKind};
 use crate::error::{Error, Result};
@@ -53,6 +54,8 @@ pub enum Prediction {
 pub enum RangeCoder {
     /// The context coder, for ranges below 2 to the power of `range_bits`.
     Context {
+        /// How ranges, and the parts of the frame that are coded beside them, are modelled.
+        modelling: Modelling,
         /// 16 to 24.
         range_bits: u32,
         /// Steps a bin, of which ranges decode to the middle; 1: to themselves.
@@ -103,6 +106,8 @@ impl Default for FrameParameters {
 const CONTEXT: u64 = 255;
 /// The number of the context coder with ranges in bins.
 const BINNED_CONTEXT: u64 = 254;
+/// The number of the context coder with a modelling of its own.
+const MODELLED_CONTEXT: u64 = 253;
 /// The widest bin, in steps.
 const WIDEST_BIN: u32 = 1 << 20;
 /// The numbers of the image coders among them.
@@ -130,12 +135,17 @@ impl FrameParameters {
         }
         write_unsigned(out, u64::from(self.snake));
         match self.range_coder {
-            RangeCoder::Context { range_bits, bin: 1, between: false } => {
+            RangeCoder::Context { modelling: Modelling::Mixed, range_bits, bin: 1, between: false } => {
                 write_unsigned(out, CONTEXT);
                 write_unsigned(out, u64::from(range_bits));
             }
-            RangeCoder::Context { range_bits, bin, between } => {
-                write_unsigned(out, BINNED_CONTEXT);
+            RangeCoder::Context { modelling, range_bits, bin, between } => {
+                if modelling == Modelling::Mixed {
+                    write_unsigned(out, BINNED_CONTEXT);
+                } else {
+                    write_unsigned(out, MODELLED_CONTEXT);
+                    write_unsigned(out, modelling.to_code());
+                }
                 write_unsigned(out, u64::from(range_bits));
                 write_unsigned(out, u64::from(bin));
                 write_unsigned(out, u64::from(between));
@@ -216,7 +226,7 @@ impl fmt::Display for FrameParameters {
             f.write_str(", snake")?;
         }
         match self.range_coder {
-            RangeCoder::Context { .. } => f.write_str(", context"),
+            RangeCoder::Context { modelling, .. } => write!(f, ", context{}", modelling.suffix()),
             RangeCoder::Backend { id, packing } => match backend::by_id(id) {
                 Ok(backend) => write!(f, ", {}, {}", backend.name(), packing.name()),
                 Err(_) => write!(f, ", back-end {id}, {}", packing.name()),
@@ -254,18 +264,36 @@ impl Prediction {
 
 impl RangeCoder {
     /// The context coder, with every range as it is.
-    pub const EXACT: Self = RangeCoder::Context { range_bits: EXACT_RANGE_BITS, bin: 1, between: false };
+    pub const EXACT: Self = RangeCoder::of_modelling(Modelling::Mixed);
 
-    /// The context coder, with ranges to within half a bin of so many steps.
-    pub(super) fn in_bins(bin: u32) -> Self {
-        RangeCoder::Context { range_bits: EXACT_RANGE_BITS, bin, between: bin.is_multiple_of(2) }
+    /// The context coder, with every range as it is, by this modelling.
+    pub(super) const fn of_modelling(modelling: Modelling) -> Self {
+        RangeCoder::Context { modelling, range_bits: EXACT_RANGE_BITS, bin: 1, between: false }
+    }
+
+    /// The same with ranges to within half a bin of so many steps, if it is the context coder.
+    pub(super) fn in_bins(self, bin: u32) -> Self {
+        match self {
+            RangeCoder::Context { modelling, range_bits, .. } => {
+                RangeCoder::Context { modelling, range_bits, bin, between: bin.is_multiple_of(2) }
+            }
+            RangeCoder::Backend { .. } | RangeCoder::Image(_) => self,
+        }
+    }
+
+    /// How the parts beside the ranges are modelled.
+    pub(super) fn modelling(self) -> Modelling {
+        match self {
+            RangeCoder::Context { modelling, .. } => modelling,
+            RangeCoder::Backend { .. } | RangeCoder::Image(_) => Modelling::Mixed,
+        }
     }
 
     /// The same for ranges that have been coded: they are what they are now.
     pub(super) fn of_decoded(self) -> Self {
         match self {
-            RangeCoder::Context { range_bits, between, .. } => {
-                RangeCoder::Context { range_bits, bin: 1, between }
+            RangeCoder::Context { modelling, range_bits, between, .. } => {
+                RangeCoder::Context { modelling, range_bits, bin: 1, between }
             }
             RangeCoder::Backend { .. } | RangeCoder::Image(_) => self,
         }
@@ -289,13 +317,17 @@ impl RangeCoder {
 
     fn read_from(input: &mut &[u8]) -> Result<Self> {
         match read(input)? {
-            coder @ (CONTEXT | BINNED_CONTEXT) => {
+            coder @ (CONTEXT | BINNED_CONTEXT | MODELLED_CONTEXT) => {
+                let modelling = match coder {
+                    MODELLED_CONTEXT => Modelling::from_code(read(input)?)?,
+                    _ => Modelling::Mixed,
+                };
                 let range_bits = within(input, RANGE_BITS, "bits of a range")?;
                 let (bin, between) = match coder {
                     CONTEXT => (1, false),
                     _ => (within(input, 1..=WIDEST_BIN.into(), "steps a bin")?, flag(input)?),
                 };
-                Ok(RangeCoder::Context { range_bits, bin, between })
+                Ok(RangeCoder::Context { modelling, range_bits, bin, between })
             }
             JPEG => Ok(RangeCoder::Image(ImageCodec::Jpeg)),
             JPEG_2000 => Ok(RangeCoder::Image(ImageCodec::Jpeg2000)),

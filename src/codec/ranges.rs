@@ -3,6 +3,7 @@
 
 use super::frame::Frame;
 use super::images;
+use super::modelling::Modelling;
 use super::parameters::{Prediction, RangeCoder};
 use super::sections::SectionCoder;
 use super::steps::{Step, StepReport};
@@ -28,7 +29,13 @@ impl Models {
         report: &mut StepReport,
     ) -> Result<()> {
         match frame.parameters.range_coder {
-            RangeCoder::Context { range_bits, bin, .. } => {
+            RangeCoder::Context { modelling: Modelling::Tokens { fitted }, range_bits, bin, .. } => {
+                report.predicted += 4 * (frame.records - frame.strays) as u64;
+                report.timed(Step::Coding, || {
+                    self.quick.code_ranges(sections, fitted, (range_bits, bin), frame)
+                })
+            }
+            RangeCoder::Context { modelling: Modelling::Mixed, range_bits, bin, .. } => {
                 report.predicted += 4 * (frame.records - frame.strays) as u64;
                 report.timed(Step::Coding, || {
                     sections.section(SectionKind::Range, true, |coder| {

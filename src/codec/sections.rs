@@ -2,7 +2,9 @@
 
 use crate::backend::Level;
 use crate::bitstream::{Section, SectionKind};
-use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
+use crate::entropy::{
+    ArithmeticDecoder, ArithmeticEncoder, BitCoder, TokenCoder, TokenReader, TokenTables, TokenWriter,
+};
 use crate::error::{Error, Limits, Result};
 use crate::image_coding::ImageConfig;
 
@@ -31,6 +33,20 @@ pub trait SectionCoder {
         kind: SectionKind,
         present: bool,
         code: impl FnOnce(&mut Self::Coder<'_>) -> Result<T>,
+    ) -> Result<T>;
+
+    /// Codes the tokens of a section.
+    type Tokens<'a>: TokenCoder
+    where
+        Self: 'a;
+
+    /// Codes one section as tokens in so many contexts, by `code`.
+    fn tokens<T>(
+        &mut self,
+        kind: SectionKind,
+        contexts: usize,
+        tables: &mut TokenTables,
+        code: impl FnOnce(&mut Self::Tokens<'_>) -> T,
     ) -> Result<T>;
 
     /// A section whose payload is coded elsewhere. A section that is left out has an empty payload.
@@ -81,6 +97,21 @@ impl SectionCoder for SectionWriter {
         Ok(result)
     }
 
+    type Tokens<'a> = TokenWriter;
+
+    fn tokens<T>(
+        &mut self,
+        kind: SectionKind,
+        contexts: usize,
+        tables: &mut TokenTables,
+        code: impl FnOnce(&mut TokenWriter) -> T,
+    ) -> Result<T> {
+        let mut writer = TokenWriter::new(contexts);
+        let result = code(&mut writer);
+        self.sections.push(Section { kind, payload: writer.finish(tables)? });
+        Ok(result)
+    }
+
     fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>) {
         if !payload.is_empty() {
             self.sections.push(Section { kind, payload: payload.clone() });
@@ -112,6 +143,13 @@ impl<'s> SectionReader<'s> {
         SectionReader { sections: sections.iter(), limits }
     }
 
+    /// The payload of the next section.
+    fn next_payload(&mut self, kind: SectionKind) -> Result<&'s [u8]> {
+        let section = self.sections.next().filter(|section| section.kind == kind);
+        let section = section.ok_or_else(|| Error::corrupt(format!("{kind} section is missing")))?;
+        Ok(&section.payload)
+    }
+
     /// # Errors
     /// If sections are left over.
     pub fn finish(mut self) -> Result<()> {
@@ -120,6 +158,10 @@ impl<'s> SectionReader<'s> {
             Some(section) => Err(Error::corrupt(format!("{} section out of place", section.kind))),
         }
     }
+}
+
+fn ends_too_early(kind: SectionKind) -> Error {
+    Error::corrupt(format!("{kind} section ends too early"))
 }
 
 impl SectionCoder for SectionReader<'_> {
@@ -139,12 +181,30 @@ impl SectionCoder for SectionReader<'_> {
         if !present {
             return Ok(T::default());
         }
-        let section = self.sections.next().filter(|section| section.kind == kind);
-        let section = section.ok_or_else(|| Error::corrupt(format!("{kind} section is missing")))?;
-        let mut decoder = ArithmeticDecoder::new(&section.payload);
+        let mut decoder = ArithmeticDecoder::new(self.next_payload(kind)?);
         let decoded = code(&mut decoder)?;
         if decoder.is_exhausted() {
-            return Err(Error::corrupt(format!("{kind} section ends too early")));
+            return Err(ends_too_early(kind));
+        }
+        Ok(decoded)
+    }
+
+    type Tokens<'a>
+        = TokenReader<'a>
+    where
+        Self: 'a;
+
+    fn tokens<T>(
+        &mut self,
+        kind: SectionKind,
+        contexts: usize,
+        tables: &mut TokenTables,
+        code: impl FnOnce(&mut TokenReader<'_>) -> T,
+    ) -> Result<T> {
+        let mut reader = TokenReader::new(self.next_payload(kind)?, contexts, tables)?;
+        let decoded = code(&mut reader);
+        if reader.is_exhausted() {
+            return Err(ends_too_early(kind));
         }
         Ok(decoded)
     }

@@ -6,7 +6,9 @@ use std::time::Instant;
 
 use super::fidelity::{Intensity, Positions};
 use super::frame::Frame;
+use super::modelling::Modelling;
 use super::parameters::{FrameParameters, Prediction};
+use super::quick::QuickModels;
 use super::sections::SectionCoder;
 use super::steps::{Step, StepReport};
 use crate::bitstream::SectionKind;
@@ -20,6 +22,7 @@ use crate::error::{Error, Limits, Result};
 use crate::grid::Grid;
 use crate::prediction::inter::Past;
 use crate::prediction::surface::SurfaceCoder;
+use crate::quick::Near;
 use crate::range_image::{RangeImage, Reference, Return};
 use crate::scan::Layout;
 use crate::sensor::SensorModel;
@@ -39,6 +42,7 @@ pub struct Models {
     pub(super) surfaces: SurfaceCoder,
     correction: CorrectionModel,
     order: OrderModel,
+    pub(super) quick: QuickModels,
     /// The last frame with a range image.
     past: Option<Arc<Past>>,
 }
@@ -85,7 +89,9 @@ impl Models {
             let columns = std::mem::take(&mut frame.columns);
             let image = RangeImage { columns, steps: std::mem::take(&mut frame.steps) };
             found = image.file_order(sensor);
-            self.past = Some(Arc::new(Past::new(image.clone(), levels)));
+            if frame.parameters.range_coder.modelling() == Modelling::Mixed {
+                self.past = Some(Arc::new(Past::new(image.clone(), levels)));
+            }
             (frame.columns, frame.steps) = (image.columns, image.steps);
         }
         frame.arrange(&found);
@@ -122,10 +128,13 @@ impl Models {
         within(cells, sections.limits().points, "cells of the range image")?;
         frame.fit_image(sensor.rows());
         let reference = self.reference(sensor, frame)?;
-        sections.section(SectionKind::Occupancy, true, |coder| {
-            self.occupancy.code(coder, reference.as_ref(), &mut frame.occupancy);
-            Ok(())
-        })?;
+        match frame.parameters.range_coder.modelling() {
+            Modelling::Mixed => sections.section(SectionKind::Occupancy, true, |coder| {
+                self.occupancy.code(coder, reference.as_ref(), &mut frame.occupancy);
+                Ok(())
+            })?,
+            Modelling::Tokens { .. } => self.quick.code_occupancy(sections, frame)?,
+        }
         if frame.occupancy.cells().iter().filter(|&&filled| filled).count() != returns {
             return Err(Error::corrupt("the range image holds another number of returns than the frame"));
         }
@@ -157,13 +166,18 @@ impl Models {
         reference: Option<&Reference>,
     ) -> Result<Grid<u16>> {
         let coded = frame.layout.intensity.is_some() && frame.parameters.intensity != Intensity::None;
-        if coded {
-            let kind = SectionKind::Intensity;
-            return sections.section(kind, true, |coder| Ok(self.code_intensity(coder, frame, reference)));
+        let no_levels = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
+        if !coded {
+            frame.intensity = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
+            frame.stray_intensity = vec![0.0; frame.strays];
+            return Ok(no_levels);
         }
-        frame.intensity = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
-        frame.stray_intensity = vec![0.0; frame.strays];
-        Ok(Grid::new(frame.occupancy.rows(), frame.occupancy.columns()))
+        match frame.parameters.range_coder.modelling() {
+            Modelling::Mixed => sections.section(SectionKind::Intensity, true, |coder| {
+                Ok(self.code_intensity(coder, frame, reference))
+            }),
+            Modelling::Tokens { .. } => self.quick.code_intensities(sections, frame).map(|()| no_levels),
+        }
     }
 
     /// The positions of the returns: the formula's, corrected as far as they must be.
@@ -181,31 +195,39 @@ impl Models {
             let metres = sensor.metres(found.steps) + offset_m;
             sensor.point_at(found.row as usize, found.tick, metres)
         };
-        let points = found.iter().map(formula).zip(&mut frame.positions);
-        match frame.parameters.positions {
+        let (max_error, on_grid) = match frame.parameters.positions {
             Positions::Formula => {
+                let points = found.iter().map(formula).zip(&mut frame.positions);
                 points.for_each(|(formula, position)| *position = formula.map(|metres| metres as f32));
-                Ok(())
+                return Ok(());
             }
-            Positions::Exact => sections.section(SectionKind::Correction, true, |coder| {
-                points.for_each(|(formula, position)| self.correction.code(coder, grid, formula, position));
-                Ok(())
-            }),
-            Positions::Bounded { max_error_um, on_grid } => {
-                let max_error = f64::from(max_error_um) * 1e-6;
-                let nearest = |formula: [f64; 3]| match on_grid {
-                    true => formula.map(|metres| grid.value(grid.unit_of(metres), metres)),
-                    false => formula.map(|metres| metres as f32),
-                };
-                sections.section(SectionKind::Correction, true, |coder| {
-                    for (formula, position) in points {
-                        let near = (nearest(formula), max_error);
-                        self.correction.code_bounded(coder, grid, formula, near, position);
-                    }
-                    Ok(())
-                })
-            }
+            Positions::Exact => (None, true),
+            Positions::Bounded { max_error_um, on_grid } => (Some(f64::from(max_error_um) * 1e-6), on_grid),
+        };
+        let near = |found: &Return| {
+            let formula = formula(found);
+            let position = match on_grid {
+                true => formula.map(|metres| grid.value(grid.unit_of(metres), metres)),
+                false => formula.map(|metres| metres as f32),
+            };
+            Near { formula, position }
+        };
+        if frame.parameters.range_coder.modelling() != Modelling::Mixed {
+            return self.quick.code_positions(sections, grid, |point| near(&found[point]), max_error, frame);
         }
+        sections.section(SectionKind::Correction, true, |coder| {
+            let points = found.iter().zip(&mut frame.positions);
+            match max_error {
+                None => points.for_each(|(found, position)| {
+                    self.correction.code(coder, grid, formula(found), position);
+                }),
+                Some(max_error) => points.for_each(|(found, position)| {
+                    let Near { formula, position: near } = near(found);
+                    self.correction.code_bounded(coder, grid, formula, (near, max_error), position);
+                }),
+            }
+            Ok(())
+        })
     }
 
     /// Where the points stand in the file: in the order of the range image but for what is coded.
@@ -274,15 +296,8 @@ impl Models {
         frame: &mut Frame,
         reference: Option<&Reference>,
     ) -> Grid<u16> {
-        let mut scale = IntensityScale::default();
-        if C::ENCODES {
-            let of_returns =
-                frame.occupancy.cells().iter().zip(frame.intensity.cells()).filter(|(filled, _)| **filled);
-            let values: Vec<f32> =
-                of_returns.map(|(_, v)| *v).chain(frame.stray_intensity.iter().copied()).collect();
-            scale = IntensityScale::of(&values, frame.parameters.intensity.levels_per_unit());
-        }
-        scale.code(coder);
+        let mut scale = if C::ENCODES { frame.intensity_scale() } else { IntensityScale::default() };
+        scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
         let width = frame.occupancy.columns();
         let mut levels = Grid::new(frame.occupancy.rows(), width);
         self.intensity.start_frame(&scale, width);

@@ -46,17 +46,49 @@ impl IntensityScale {
         IntensityScale { per_unit, bits, exceptions: misses > 0 }
     }
 
-    /// Codes the grid itself.
-    pub fn code<C: BitCoder>(&mut self, coder: &mut C) {
-        self.per_unit = coder.code_plain(u64::from(self.per_unit), SCALE_BITS) as u32;
-        self.bits = (coder.code_plain(u64::from(self.bits), 4) as u32).clamp(1, MOST_BITS);
-        self.exceptions = coder.code_plain(u64::from(self.exceptions), 1) == 1;
+    /// Codes the grid itself, by what codes plain numbers of so many bits.
+    pub fn code(&mut self, mut code_plain: impl FnMut(u32, u32) -> u32) {
+        self.per_unit = code_plain(self.per_unit, SCALE_BITS);
+        self.bits = code_plain(self.bits, 4).clamp(1, MOST_BITS);
+        self.exceptions = code_plain(u32::from(self.exceptions), 1) == 1;
     }
 
     /// The level of a value, cut to 1 to 128, as a context; 1 for values off the grid.
     pub fn context_level(&self, value: f32) -> u16 {
-        let level = level_of(value, self.per_unit).unwrap_or(0) >> self.bits.saturating_sub(7);
-        level.min(127) as u16 + 1
+        self.context_of(self.level_of(value).unwrap_or(0))
+    }
+
+    /// A level, cut to 1 to 128, as a context.
+    #[inline]
+    pub fn context_of(&self, level: u32) -> u16 {
+        (level >> self.bits.saturating_sub(7)).min(127) as u16 + 1
+    }
+
+    /// The level of a value, if it is that of a level exactly.
+    #[inline]
+    pub fn level_of(&self, value: f32) -> Option<u32> {
+        level_of(value, self.per_unit)
+    }
+
+    /// The value at a level.
+    #[inline]
+    pub fn value_of(&self, level: u32) -> f32 {
+        value_of(level, self.per_unit)
+    }
+
+    /// Whether there is a grid at all.
+    pub fn is_on_grid(&self) -> bool {
+        self.per_unit > 0
+    }
+
+    /// Whether some values lie off the grid.
+    pub fn has_exceptions(&self) -> bool {
+        self.exceptions
+    }
+
+    /// Bits of the highest level: 1 to 9.
+    pub fn bits(&self) -> u32 {
+        self.bits
     }
 }
 
@@ -191,15 +223,15 @@ impl IntensityModel {
         (row, column): (usize, usize),
         value: f32,
     ) -> f32 {
-        if scale.per_unit == 0 {
+        if !scale.is_on_grid() {
             return self.code_off_grid(coder, value);
         }
-        let level = level_of(value, scale.per_unit);
+        let level = scale.level_of(value);
         if scale.exceptions && self.exception.code(coder, level.is_none()) {
             return self.code_off_grid(coder, value);
         }
         let level = self.code_level(coder, scale, near, (row, column), level.unwrap_or(0));
-        value_of(level, scale.per_unit)
+        scale.value_of(level)
     }
 
     /// A value on no grid: the difference of its bits from the last one's.

@@ -19,7 +19,7 @@ use crate::entropy::{BitCoder, Counter, Logistic, MixedBits};
 use crate::grid::Grid;
 use crate::range_image::Reference;
 use back::{Back, ReferenceErrors};
-use bins::Bins;
+pub(crate) use bins::Bins;
 use errors::ErrorTrack;
 use halving::Halving;
 use mixture::Mixture;

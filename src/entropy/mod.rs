@@ -10,7 +10,9 @@
 mod adaptive;
 mod arithmetic;
 mod logistic;
+mod tokens;
 
 pub use adaptive::{AdaptiveBit, IntegerModel, SymbolModel};
 pub use arithmetic::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
 pub use logistic::{Counter, Logistic, MixedBits};
+pub use tokens::{TokenCoder, TokenReader, TokenTables, TokenWriter};

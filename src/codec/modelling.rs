@@ -1,0 +1,47 @@
+//! How the context coder models the parts of a frame: quickly or well.
+
+use crate::error::{Error, Result};
+
+/// What models the columns' cells, intensities, ranges and corrections of a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Modelling {
+    /// Mixed adaptive models: smallest.
+    #[default]
+    Mixed,
+    /// Tokens with static tables: quickest.
+    Tokens {
+        /// Whether ranges are predicted by least squares, or else by the left neighbour.
+        fitted: bool,
+    },
+}
+
+impl Modelling {
+    /// Its number in the stream.
+    pub(super) fn to_code(self) -> u64 {
+        match self {
+            Modelling::Mixed => 0,
+            Modelling::Tokens { fitted: false } => 1,
+            Modelling::Tokens { fitted: true } => 2,
+        }
+    }
+
+    /// What reports add to the coder's name.
+    pub(super) fn suffix(self) -> &'static str {
+        match self {
+            Modelling::Mixed => "",
+            Modelling::Tokens { fitted: false } => " (tokens)",
+            Modelling::Tokens { fitted: true } => " (tokens, fitted)",
+        }
+    }
+
+    /// # Errors
+    /// If this program knows none of this number.
+    pub(super) fn from_code(code: u64) -> Result<Self> {
+        match code {
+            0 => Ok(Modelling::Mixed),
+            1 => Ok(Modelling::Tokens { fitted: false }),
+            2 => Ok(Modelling::Tokens { fitted: true }),
+            _ => Err(Error::unsupported(format!("frame parameters: unknown modelling {code}"))),
+        }
+    }
+}

@@ -1,0 +1,106 @@
+//! The sections of a frame that is coded as tokens.
+
+use super::frame::Frame;
+use super::sections::SectionCoder;
+use crate::bitstream::SectionKind;
+use crate::context::IntensityScale;
+use crate::entropy::{TokenCoder, TokenTables};
+use crate::error::Result;
+use crate::quick::{
+    CORRECTION_CONTEXTS, INTENSITY_CONTEXTS, IntensityTokens, Near, OCCUPANCY_CONTEXTS, RANGE_CONTEXTS,
+    RangeTokens, code_occupancy, code_positions,
+};
+use crate::sensor::Coordinates;
+
+/// What a group's frames have taught so far: tables, and what predicts ranges.
+#[derive(Clone, Default)]
+pub struct QuickModels {
+    occupancy: TokenTables,
+    intensity: TokenTables,
+    range: TokenTables,
+    correction: TokenTables,
+    ranges: RangeTokens,
+}
+
+impl QuickModels {
+    /// Which cells of the range image hold a return.
+    pub fn code_occupancy<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+        sections.tokens(SectionKind::Occupancy, OCCUPANCY_CONTEXTS, &mut self.occupancy, |coder| {
+            code_occupancy(coder, &mut frame.occupancy);
+        })
+    }
+
+    /// The intensities of the returns, then of the strays.
+    pub fn code_intensities<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+        let scale = if S::ENCODES { frame.intensity_scale() } else { IntensityScale::default() };
+        sections.tokens(SectionKind::Intensity, INTENSITY_CONTEXTS, &mut self.intensity, |coder| {
+            code_intensities(coder, scale, frame);
+        })
+    }
+
+    /// The range of each return.
+    pub fn code_ranges<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        fitted: bool,
+        axis: (u32, u32),
+        frame: &mut Frame,
+    ) -> Result<()> {
+        let model = &mut self.ranges;
+        sections.tokens(SectionKind::Range, RANGE_CONTEXTS, &mut self.range, |coder| {
+            model.code(coder, &frame.occupancy, fitted, axis, &mut frame.steps);
+        })
+    }
+
+    /// The positions of the returns, given where each is by the formula.
+    pub fn code_positions<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        grid: Coordinates,
+        near: impl Fn(usize) -> Near,
+        max_error: Option<f64>,
+        frame: &mut Frame,
+    ) -> Result<()> {
+        sections.tokens(SectionKind::Correction, CORRECTION_CONTEXTS, &mut self.correction, |coder| {
+            code_positions(coder, grid, near, max_error, &mut frame.positions);
+        })
+    }
+}
+
+fn code_intensities<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, frame: &mut Frame) {
+    scale.code(|value, count| coder.bits(value, count));
+    let mut model = IntensityTokens::default();
+    let (rows, width) = (frame.occupancy.rows(), frame.occupancy.columns());
+    // The last level seen in each column.
+    let mut above = vec![0; width];
+    for row in 0..rows {
+        if coder.is_exhausted() {
+            return;
+        }
+        let mut west = 0;
+        let cells = frame.occupancy.row(row).iter().zip(frame.intensity.row_mut(row)).zip(&mut above);
+        for ((_, value), north) in cells.filter(|((filled, _), _)| **filled) {
+            west = model.code(coder, &scale, (west, *north), value);
+            *north = west;
+        }
+    }
+    frame.stray_intensity.resize(frame.strays, 0.0);
+    let mut west = 0;
+    for value in &mut frame.stray_intensity {
+        if coder.is_exhausted() {
+            return;
+        }
+        west = model.code(coder, &scale, (west, 0), value);
+    }
+}
+
+impl Frame {
+    /// The grid on which the intensities of the returns and strays lie.
+    pub(super) fn intensity_scale(&self) -> IntensityScale {
+        let of_returns =
+            self.occupancy.cells().iter().zip(self.intensity.cells()).filter(|(filled, _)| **filled);
+        let values: Vec<f32> =
+            of_returns.map(|(_, v)| *v).chain(self.stray_intensity.iter().copied()).collect();
+        IntensityScale::of(&values, self.parameters.intensity.levels_per_unit())
+    }
+}

@@ -1,0 +1,50 @@
+//! Static coding of tokens: a section's tokens are counted first, and each then takes as many bits as its
+//! share says, by an asymmetric numeral system (range ANS). Quicker than adaptive coding and nearly as small
+//! where many tokens share few contexts.
+//!
+//! As with bits, every syntax element is written once, as a function over a [`TokenCoder`].
+
+mod alias;
+mod frequencies;
+mod numbers;
+mod reader;
+mod tables;
+mod writer;
+
+pub use reader::TokenReader;
+pub use tables::TokenTables;
+pub use writer::TokenWriter;
+
+use numbers::NumberToken;
+
+/// Codes tokens and plain bits in one direction or the other.
+pub trait TokenCoder {
+    /// True if this side knows the tokens.
+    const ENCODES: bool;
+
+    /// Codes one token in a context. The decoder does not look at `token`. Both return it.
+    fn token(&mut self, context: usize, token: u8) -> u8;
+
+    /// Codes the lowest `count` bits of `value`, at most 32, each as likely to be 0 as 1.
+    fn bits(&mut self, value: u32, count: u32) -> u32;
+
+    /// Whether a decoder has come behind the end of its bytes: what it gives is of no meaning.
+    fn is_exhausted(&self) -> bool {
+        false
+    }
+
+    /// Codes a number below 2^60: small ones as tokens of their own, others as their highest bits and then
+    /// the rest as they are.
+    #[inline]
+    fn number(&mut self, context: usize, value: u64) -> u64 {
+        let known = NumberToken::of(value);
+        let found = NumberToken::from_token(self.token(context, known.token));
+        let low = found.low_bits.min(32);
+        let high = self.bits((known.rest >> low) as u32, found.low_bits - low);
+        let rest = u64::from(high) << low | u64::from(self.bits(known.rest as u32, low));
+        found.base + rest
+    }
+}
+
+#[cfg(test)]
+mod tests;

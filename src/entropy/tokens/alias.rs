@@ -1,0 +1,75 @@
+//! Which token a number below 4096 stands for: each token has as many numbers as its frequency says. By the
+//! alias method (Walker): equal buckets, each shared by two tokens at most, so that a small table will do.
+
+use super::frequencies::{Frequencies, SCALE, TOKENS};
+
+/// Numbers of a bucket.
+const BUCKET: u32 = SCALE / TOKENS as u32;
+
+/// One bucket: its first numbers are its own token's, the others another's.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Bucket {
+    own_frequency: u16,
+    other_frequency: u16,
+    /// The place of the bucket's first number among the other token's, less than 0 if it is not one of them.
+    other_place: i16,
+    /// How many numbers are the own token's.
+    own: u8,
+    other: u8,
+}
+
+/// What a number stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Slot {
+    pub token: u8,
+    /// The token's frequency.
+    pub frequency: u32,
+    /// The place of the number among the token's.
+    pub place: u32,
+}
+
+/// The buckets of a context.
+pub fn buckets(Frequencies(frequencies): &Frequencies) -> [Bucket; TOKENS] {
+    let mut left = frequencies.map(u32::from);
+    let mut buckets: [Bucket; TOKENS] = std::array::from_fn(|token| Bucket {
+        own_frequency: frequencies[token],
+        other_frequency: frequencies[token],
+        other_place: 0,
+        own: 0,
+        other: token as u8,
+    });
+    let (mut poor, mut rich): (Vec<usize>, Vec<usize>) =
+        (0..TOKENS).filter(|&token| left[token] != BUCKET).partition(|&token| left[token] < BUCKET);
+    while let (Some(from), Some(to)) = (rich.pop(), poor.pop()) {
+        // What the poor one's bucket has room for comes from the end of the rich one's numbers.
+        let own = left[to];
+        left[from] -= BUCKET - own;
+        buckets[to].own = own as u8;
+        buckets[to].other = from as u8;
+        buckets[to].other_frequency = frequencies[from];
+        buckets[to].other_place = (left[from] as i32 - own as i32) as i16;
+        match left[from] {
+            rest if rest < BUCKET => poor.push(from),
+            rest if rest > BUCKET => rich.push(from),
+            _ => {}
+        }
+    }
+    buckets
+}
+
+/// What a number below 4096 stands for.
+#[inline]
+pub fn look_up(buckets: &[Bucket; TOKENS], number: u32) -> Slot {
+    let index = (number / BUCKET) as usize % TOKENS;
+    let bucket = &buckets[index];
+    let place = number % BUCKET;
+    if place < u32::from(bucket.own) {
+        Slot { token: index as u8, frequency: u32::from(bucket.own_frequency), place }
+    } else {
+        Slot {
+            token: bucket.other,
+            frequency: u32::from(bucket.other_frequency),
+            place: place.wrapping_add_signed(i32::from(bucket.other_place)),
+        }
+    }
+}

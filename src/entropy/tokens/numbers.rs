@@ -1,0 +1,54 @@
+//! Numbers as tokens: those below [`DIRECT`] are their own, others share one with those of the same octave
+//! and the same two bits behind the highest.
+
+/// Numbers that are tokens of their own.
+const DIRECT: u64 = 32;
+const DIRECT_BITS: u32 = DIRECT.ilog2();
+/// Bits behind the highest that a token tells.
+const MANTISSA_BITS: u32 = 2;
+/// The highest octave that any token stands for.
+const HIGHEST_OCTAVE: u32 = 59;
+
+/// A number's token and what it leaves open.
+pub struct NumberToken {
+    pub token: u8,
+    /// The least number of this token.
+    pub base: u64,
+    /// How many bits the token leaves open.
+    pub low_bits: u32,
+    /// These bits.
+    pub rest: u64,
+}
+
+impl NumberToken {
+    /// Of a number below 2^60.
+    #[inline]
+    pub fn of(value: u64) -> Self {
+        if value < DIRECT {
+            return NumberToken { token: value as u8, base: value, low_bits: 0, rest: 0 };
+        }
+        let octave = value.ilog2().min(HIGHEST_OCTAVE);
+        let low_bits = octave - MANTISSA_BITS;
+        let mantissa = value >> low_bits & ((1 << MANTISSA_BITS) - 1);
+        let token = DIRECT + (u64::from(octave - DIRECT_BITS) << MANTISSA_BITS) + mantissa;
+        NumberToken {
+            token: token as u8,
+            base: value >> low_bits << low_bits,
+            low_bits,
+            rest: value & ((1 << low_bits) - 1),
+        }
+    }
+
+    /// Of which only the token is known. Tokens that stand for no number count as the last that does.
+    #[inline]
+    pub fn from_token(token: u8) -> Self {
+        let value = u64::from(token);
+        if value < DIRECT {
+            return NumberToken { token, base: value, low_bits: 0, rest: 0 };
+        }
+        let octave = (DIRECT_BITS + ((value - DIRECT) >> MANTISSA_BITS) as u32).min(HIGHEST_OCTAVE);
+        let low_bits = octave - MANTISSA_BITS;
+        let mantissa = value & ((1 << MANTISSA_BITS) - 1);
+        NumberToken { token, base: (1 << MANTISSA_BITS | mantissa) << low_bits, low_bits, rest: 0 }
+    }
+}

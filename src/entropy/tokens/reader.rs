@@ -1,0 +1,121 @@
+//! Reads tokens.
+
+use super::TokenCoder;
+use super::alias::{Bucket, look_up};
+use super::frequencies::{FrequencyModel, SCALE, SCALE_BITS, TOKENS};
+use super::tables::TokenTables;
+use super::writer::{LEAST_STATE, STATES};
+use crate::entropy::{ArithmeticDecoder, BitCoder};
+use crate::error::{Error, Result};
+use crate::varint::read_unsigned;
+
+/// Reads tokens and plain bits. Behind the end of the bytes it reads zeros: any bytes decode to something.
+pub struct TokenReader<'a> {
+    buckets: &'a [[Bucket; TOKENS]],
+    /// The one whose turn it is comes first.
+    states: [u32; STATES],
+    words: std::slice::Iter<'a, [u8; 2]>,
+    bits: &'a [u8],
+    /// Bits read ahead, and how many.
+    open: u64,
+    open_bits: u32,
+    exhausted: bool,
+}
+
+impl<'a> TokenReader<'a> {
+    /// Starts at the first byte of a payload. Its tables are added to `tables`, which has so many contexts.
+    ///
+    /// # Errors
+    /// If the payload is cut short, or its tables are none.
+    pub fn new(mut payload: &'a [u8], contexts: usize, tables: &'a mut TokenTables) -> Result<Self> {
+        let short = || Error::corrupt("tokens: cut short");
+        let input = &mut payload;
+        let length = usize::try_from(read_unsigned(input, "tokens")?).map_err(|_| short())?;
+        let frequencies = input.split_off(..length).ok_or_else(short)?;
+        let (mut coder, mut model) = (ArithmeticDecoder::new(frequencies), FrequencyModel::default());
+        tables.grow(contexts);
+        for context in 0..contexts {
+            let mut new = None;
+            model.code(&mut coder, &mut new)?;
+            new.into_iter().for_each(|new| tables.set(context, new, false));
+        }
+        if coder.is_exhausted() {
+            return Err(Error::corrupt("tokens: tables cut short"));
+        }
+        let length = usize::try_from(read_unsigned(input, "tokens")?).map_err(|_| short())?;
+        let words = input.split_off(..length.checked_mul(2).ok_or_else(short)?).ok_or_else(short)?;
+        let (words, _) = words.as_chunks();
+        let mut reader = TokenReader {
+            buckets: &tables.buckets,
+            states: [0; STATES],
+            words: words.iter(),
+            bits: input,
+            open: 0,
+            open_bits: 0,
+            exhausted: false,
+        };
+        for place in 0..STATES {
+            let [low, high] = [reader.next_word(), reader.next_word()];
+            reader.states[place] = high << 16 | low;
+        }
+        Ok(reader)
+    }
+
+    #[inline]
+    fn next_word(&mut self) -> u32 {
+        match self.words.next() {
+            Some(word) => u32::from(u16::from_le_bytes(*word)),
+            None => {
+                self.exhausted = true;
+                0
+            }
+        }
+    }
+
+    /// Reads ahead so that there are at least 32 bits.
+    #[inline]
+    fn refill(&mut self) {
+        if let Some((next, rest)) = self.bits.split_first_chunk::<4>() {
+            self.open |= u64::from(u32::from_le_bytes(*next)) << self.open_bits;
+            self.bits = rest;
+        } else {
+            self.exhausted |= self.bits.is_empty();
+            let mut last = [0; 4];
+            last[..self.bits.len()].copy_from_slice(self.bits);
+            self.open |= u64::from(u32::from_le_bytes(last)) << self.open_bits;
+            self.bits = &[];
+        }
+        self.open_bits += 32;
+    }
+}
+
+impl TokenCoder for TokenReader<'_> {
+    const ENCODES: bool = false;
+
+    #[inline]
+    fn token(&mut self, context: usize, _token: u8) -> u8 {
+        let [state, other] = self.states;
+        let slot = look_up(&self.buckets[context], state % SCALE);
+        let mut state = slot.frequency.wrapping_mul(state >> SCALE_BITS).wrapping_add(slot.place);
+        if state < LEAST_STATE {
+            state = state << 16 | self.next_word();
+        }
+        self.states = [other, state];
+        slot.token
+    }
+
+    #[inline]
+    fn bits(&mut self, _value: u32, count: u32) -> u32 {
+        if self.open_bits < count {
+            self.refill();
+        }
+        let value = self.open & ((1 << count) - 1);
+        self.open >>= count;
+        self.open_bits -= count;
+        value as u32
+    }
+
+    fn is_exhausted(&self) -> bool {
+        self.exhausted
+    }
+}

@@ -1,0 +1,78 @@
+use super::numbers::NumberToken;
+use super::*;
+use proptest::prelude::*;
+
+const CONTEXTS: usize = 5;
+
+/// Tokens, numbers and bits, some contexts with one kind of token only.
+fn code<C: TokenCoder>(coder: &mut C, values: &[(usize, u64, u32)]) -> Vec<(u64, u32)> {
+    let code_one = |&(context, value, count): &(usize, u64, u32)| {
+        let token = coder.token(context % 2, value as u8 & 7);
+        let number = coder.number(2 + context % 2, value);
+        let certain = coder.token(4, 9);
+        let bits = coder.bits(value as u32, count);
+        (number + u64::from(token) + u64::from(certain), bits)
+    };
+    values.iter().map(code_one).collect()
+}
+
+proptest! {
+    #[test]
+    fn tokens_come_back(
+        frames in proptest::collection::vec(
+            proptest::collection::vec((0usize..9, 0u64..1 << 60, 0u32..=32), 0..300), 0..4),
+        small in any::<bool>(),
+    ) {
+        let (mut written, mut read) = (TokenTables::default(), TokenTables::default());
+        for mut frame in frames {
+            if small {
+                frame.iter_mut().for_each(|(_, value, _)| *value %= 50);
+            }
+            let mut writer = TokenWriter::new(CONTEXTS);
+            let coded = code(&mut writer, &frame);
+            let payload = writer.finish(&mut written).unwrap();
+            let mut reader = TokenReader::new(&payload, CONTEXTS, &mut read).unwrap();
+            prop_assert_eq!(code(&mut reader, &frame), coded);
+            prop_assert!(!reader.is_exhausted());
+        }
+    }
+
+    #[test]
+    fn any_bytes_decode_to_something(bytes: Vec<u8>, values in proptest::collection::vec((0usize..9, 0u64..9, 0u32..=32), 0..300)) {
+        let mut tables = TokenTables::default();
+        if let Ok(mut reader) = TokenReader::new(&bytes, CONTEXTS, &mut tables) {
+            code(&mut reader, &values);
+        }
+    }
+
+    #[test]
+    fn numbers_come_back_from_their_tokens(value in 0u64..1 << 60) {
+        let token = NumberToken::of(value);
+        prop_assert_eq!(token.base + token.rest, value);
+        let found = NumberToken::from_token(token.token);
+        prop_assert_eq!((found.base, found.low_bits), (token.base, token.low_bits));
+    }
+}
+
+#[test]
+fn a_payload_gives_no_tokens_without_end() {
+    let mut writer = TokenWriter::new(1);
+    writer.token(0, 7);
+    let payload = writer.finish(&mut TokenTables::default()).unwrap();
+    let mut tables = TokenTables::default();
+    let mut reader = TokenReader::new(&payload, 1, &mut tables).unwrap();
+    let tokens = (0..1 << 20).take_while(|_| {
+        reader.token(0, 0);
+        !reader.is_exhausted()
+    });
+    assert!(tokens.count() < 1 << 17);
+}
+
+#[test]
+fn frequent_tokens_take_little() {
+    let mut writer = TokenWriter::new(1);
+    (0..100_000u32).for_each(|i| assert_eq!(writer.token(0, u8::from(i % 100 == 0)), u8::from(i % 100 == 0)));
+    let payload = writer.finish(&mut TokenTables::default()).unwrap();
+    // 0.081 bits each.
+    assert!(payload.len() < 1030, "{}", payload.len());
+}

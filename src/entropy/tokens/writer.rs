@@ -1,0 +1,121 @@
+//! Collects tokens and writes them.
+
+use super::TokenCoder;
+use super::frequencies::{Frequencies, FrequencyModel, SCALE_BITS, TOKENS};
+use super::tables::TokenTables;
+use crate::entropy::ArithmeticEncoder;
+use crate::error::{Error, Result};
+use crate::varint::write_unsigned;
+
+/// The least value of a state: those below take in 16 bits.
+pub(super) const LEAST_STATE: u32 = 1 << 16;
+/// States take turns, token by token: one works while the other waits.
+pub(super) const STATES: usize = 2;
+
+/// Collects tokens and plain bits.
+pub struct TokenWriter {
+    /// Each with its context above the lowest eight bits.
+    tokens: Vec<u32>,
+    counts: Vec<[u32; TOKENS]>,
+    bits: Vec<u8>,
+    /// Bits not written yet, and how many.
+    open: u64,
+    open_bits: u32,
+}
+
+impl TokenWriter {
+    /// For so many contexts.
+    pub fn new(contexts: usize) -> Self {
+        TokenWriter {
+            tokens: Vec::new(),
+            counts: vec![[0; TOKENS]; contexts],
+            bits: Vec::new(),
+            open: 0,
+            open_bits: 0,
+        }
+    }
+
+    /// The payload of the section. Its tables are added to `tables`.
+    ///
+    /// # Errors
+    /// None; but the tables' coder could tell of some.
+    pub fn finish(mut self, tables: &mut TokenTables) -> Result<Vec<u8>> {
+        let mut payload = Vec::new();
+        let frequencies = self.write_tables(tables)?;
+        write_unsigned(&mut payload, frequencies.len() as u64);
+        payload.extend_from_slice(&frequencies);
+        let words = self.words(tables)?;
+        write_unsigned(&mut payload, words.len() as u64);
+        words.iter().for_each(|word| payload.extend_from_slice(&word.to_le_bytes()));
+        self.bits.extend_from_slice(&self.open.to_le_bytes()[..self.open_bits.div_ceil(8) as usize]);
+        payload.extend_from_slice(&self.bits);
+        Ok(payload)
+    }
+
+    /// New tables where they save more than they take.
+    fn write_tables(&self, tables: &mut TokenTables) -> Result<Vec<u8>> {
+        let (mut coder, mut model) = (ArithmeticEncoder::default(), FrequencyModel::default());
+        tables.grow(self.counts.len());
+        for (context, counts) in self.counts.iter().enumerate() {
+            let mut new = None;
+            if counts.iter().any(|&count| count > 0) {
+                let fresh = Frequencies::of(counts);
+                let old = tables.encoders.get(context).and_then(Option::as_ref);
+                let old_cost = old.map_or(f64::INFINITY, |old| old.frequencies.cost(counts));
+                if old_cost > fresh.cost(counts) + fresh.table_cost() {
+                    new = Some(fresh);
+                }
+            }
+            model.code(&mut coder, &mut new)?;
+            new.into_iter().for_each(|new| tables.set(context, new, true));
+        }
+        Ok(coder.finish())
+    }
+
+    /// The tokens, in 16-bit words: the states that the decoder starts with, then what it takes in.
+    fn words(&self, tables: &TokenTables) -> Result<Vec<u16>> {
+        let mut states = [LEAST_STATE; STATES];
+        let mut words = Vec::with_capacity(self.tokens.len() / 2);
+        for (index, &tagged) in self.tokens.iter().enumerate().rev() {
+            let (context, token) = ((tagged >> 8) as usize, tagged as u8);
+            let table = tables.encoders.get(context).and_then(Option::as_ref);
+            let table = table.ok_or_else(|| Error::corrupt("tokens without a table"))?;
+            let frequency = u32::from(table.frequencies.0[usize::from(token)]).max(1);
+            let state = &mut states[index % STATES];
+            if *state >> (32 - SCALE_BITS) >= frequency {
+                words.push(*state as u16);
+                *state >>= 16;
+            }
+            *state = (*state / frequency) << SCALE_BITS | table.number(token, *state % frequency);
+        }
+        for state in states.iter().rev() {
+            words.extend([(*state >> 16) as u16, *state as u16]);
+        }
+        words.reverse();
+        Ok(words)
+    }
+}
+
+impl TokenCoder for TokenWriter {
+    const ENCODES: bool = true;
+
+    #[inline]
+    fn token(&mut self, context: usize, token: u8) -> u8 {
+        self.counts[context][usize::from(token)] += 1;
+        self.tokens.push((context as u32) << 8 | u32::from(token));
+        token
+    }
+
+    #[inline]
+    fn bits(&mut self, value: u32, count: u32) -> u32 {
+        let value = (u64::from(value) & ((1 << count) - 1)) as u32;
+        self.open |= u64::from(value) << self.open_bits;
+        self.open_bits += count;
+        if self.open_bits >= 32 {
+            self.bits.extend_from_slice(&(self.open as u32).to_le_bytes());
+            self.open >>= 32;
+            self.open_bits -= 32;
+        }
+        value
+    }
+}

@@ -1,0 +1,138 @@
+use super::*;
+use crate::context::IntensityScale;
+use crate::entropy::{TokenCoder, TokenReader, TokenTables, TokenWriter};
+use crate::grid::Grid;
+use crate::sensor::Coordinates;
+use proptest::prelude::*;
+
+/// Codes a section twice, as two frames of a group, and gives what is decoded the second time.
+fn round_trip<T: Clone>(
+    contexts: usize,
+    full: &T,
+    empty: &T,
+    write: impl Fn(&mut TokenWriter, &mut T),
+    read: impl Fn(&mut TokenReader<'_>, &mut T),
+) -> T {
+    let (mut written, mut known) = (TokenTables::default(), TokenTables::default());
+    let mut decoded = empty.clone();
+    for _ in 0..2 {
+        let mut writer = TokenWriter::new(contexts);
+        write(&mut writer, &mut full.clone());
+        let payload = writer.finish(&mut written).unwrap();
+        let mut reader = TokenReader::new(&payload, contexts, &mut known).unwrap();
+        decoded = empty.clone();
+        read(&mut reader, &mut decoded);
+        assert!(!reader.is_exhausted());
+    }
+    decoded
+}
+
+/// A grid of 9 rows from as many values as there are, each filled or not.
+fn grid<T: Clone + Default>(values: &[T]) -> Grid<T> {
+    let mut grid = Grid::new(9, values.len() / 9);
+    grid.cells_mut().iter_mut().zip(values).for_each(|(cell, value)| *cell = value.clone());
+    grid
+}
+
+proptest! {
+    #[test]
+    fn cells_come_back(filled in proptest::collection::vec(any::<bool>(), 0..400)) {
+        let occupancy = grid(&filled);
+        let empty = Grid::new(occupancy.rows(), occupancy.columns());
+        let decoded = round_trip(OCCUPANCY_CONTEXTS, &occupancy, &empty, |c, cells| code_occupancy(c, cells), |c, cells| code_occupancy(c, cells));
+        prop_assert_eq!(decoded, occupancy);
+    }
+
+    #[test]
+    fn ranges_come_back_to_within_half_a_bin(
+        ranges in proptest::collection::vec((any::<bool>(), 1u32..1 << 24), 0..400),
+        range_bits in 16u32..=24,
+        bin in prop_oneof![Just(1u32), 1u32..2000],
+        fitted in any::<bool>(),
+        smooth in any::<bool>(),
+    ) {
+        let range_of = |range: u32| 1 + (if smooth { 5000 + range % 50 } else { range }) % ((1 << range_bits) - 1);
+        let occupancy = grid(&ranges.iter().map(|(filled, _)| *filled).collect::<Vec<_>>());
+        let steps = grid(&ranges.iter().map(|(filled, range)| u32::from(*filled) * range_of(*range)).collect::<Vec<_>>());
+        let axis = (range_bits, bin);
+        let decoded = round_trip(
+            RANGE_CONTEXTS,
+            &steps,
+            &Grid::new(steps.rows(), steps.columns()),
+            |coder, steps| RangeTokens::default().code(coder, &occupancy, fitted, axis, steps),
+            |coder, steps| RangeTokens::default().code(coder, &occupancy, fitted, axis, steps),
+        );
+        for (range, decoded) in steps.cells().iter().zip(decoded.cells()) {
+            prop_assert!(range.abs_diff(*decoded) <= bin / 2);
+        }
+    }
+
+    #[test]
+    fn intensities_come_back(
+        levels in proptest::collection::vec((0u32..512, 0u16..40), 1..300),
+        per_unit in prop_oneof![Just(100u32), Just(255), Just(511)],
+        exceptions in any::<bool>(),
+    ) {
+        let value = |&(level, odd): &(u32, u16)| {
+            let on_grid = (f64::from(level % (per_unit + 1)) / f64::from(per_unit)) as f32;
+            if exceptions && odd == 0 { f32::from_bits(level.wrapping_mul(0x0123_4567)) } else { on_grid }
+        };
+        let values: Vec<f32> = levels.iter().map(value).collect();
+        let scale = IntensityScale::of(&values, Some(per_unit));
+        let empty = vec![0.0f32; values.len()];
+        fn code<C: TokenCoder>(coder: &mut C, scale: &IntensityScale, values: &mut [f32]) {
+            let (mut model, mut west) = (IntensityTokens::default(), 0);
+            for (index, value) in values.iter_mut().enumerate() {
+                west = model.code(coder, scale, (west, (index % 129) as u16), value);
+            }
+        }
+        let decoded = round_trip(
+            INTENSITY_CONTEXTS,
+            &values,
+            &empty,
+            |coder, values| code(coder, &scale, values),
+            |coder, values| code(coder, &scale, values),
+        );
+        let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        prop_assert_eq!(bits(&decoded), bits(&values));
+    }
+
+    #[test]
+    fn positions_come_back(
+        points in proptest::collection::vec((-50_000i32..50_000, prop_oneof![4 => Just(0i32), 1 => -900i32..900]), 0..200),
+        millimetres in any::<bool>(),
+        bounded in any::<bool>(),
+    ) {
+        let grid = if millimetres { Coordinates::Millimetre } else { Coordinates::Float32 };
+        let near = |point: usize| {
+            let formula = [0, 1, 2].map(|axis| f64::from(points[point].0 + axis) * 1.00037e-3);
+            Near { formula, position: formula.map(|metres| grid.value(grid.unit_of(metres), metres)) }
+        };
+        let off = |point: usize, axis: i32| {
+            let formula = near(point).formula[axis as usize];
+            grid.value(grid.unit_of(formula) + i64::from(points[point].1 * (axis + 1)), formula)
+        };
+        let positions: Vec<[f32; 3]> = (0..points.len()).map(|point| [0, 1, 2].map(|axis| off(point, axis))).collect();
+        let max_error = bounded.then_some(0.002);
+        let decoded = round_trip(
+            CORRECTION_CONTEXTS,
+            &positions,
+            &vec![[0.0; 3]; positions.len()],
+            |coder, positions| code_positions(coder, grid, near, max_error, positions),
+            |coder, positions| code_positions(coder, grid, near, max_error, positions),
+        );
+        for (point, (position, decoded)) in positions.iter().zip(&decoded).enumerate() {
+            let same = position.map(f32::to_bits) == decoded.map(f32::to_bits);
+            let within = *decoded == near(point).position
+                && max_error.is_some_and(|max| crate::scan::squared_distance(position, decoded).sqrt() <= max);
+            prop_assert!(same || within, "{point}: {position:?} {decoded:?}");
+        }
+    }
+}
+
+#[test]
+fn levels_rise_with_the_magnitude() {
+    let levels: Vec<usize> = (0..5000).map(|magnitude| magnitude_level(magnitude, RANGE_CONTEXTS)).collect();
+    assert!(levels.is_sorted());
+    assert_eq!((levels[0], levels[1], levels[4999]), (0, 1, RANGE_CONTEXTS - 1));
+}
