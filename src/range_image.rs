@@ -184,7 +184,8 @@ struct Place {
 
 /// The place of each point, None for those that the formula does not explain.
 fn places(sensor: &SensorModel, cloud: &PointCloud, reach: f64) -> Vec<Option<Place>> {
-    let mut row = 0;
+    // Points come row by row, tick after tick.
+    let (mut row, mut last_tick) = (0, 0);
     cloud
         .positions
         .iter()
@@ -194,7 +195,9 @@ fn places(sensor: &SensorModel, cloud: &PointCloud, reach: f64) -> Vec<Option<Pl
             }
             let point @ [x, y, z] = position.map(f64::from);
             row = sensor.nearest_beam((x * x + y * y).sqrt(), z, row);
-            let (tick, steps) = sensor.invert(row, point).filter(|(_, steps)| *steps <= LONGEST)?;
+            let found = sensor.invert_near(row, point, last_tick);
+            let (tick, steps) = found.filter(|(_, steps)| *steps <= LONGEST)?;
+            last_tick = tick;
             let formula = sensor.point(row, tick, steps);
             let near = formula.iter().zip(point).all(|(f, p)| (f - p).abs() < reach);
             // On the millimetre grid -0.0 and 0.0 are told apart by the formula's sign alone.

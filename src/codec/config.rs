@@ -204,7 +204,17 @@ impl EncoderConfig {
         match (self.coder, self.level.number()) {
             (Coder::Context, 1) => Modelling::Tokens { fitted: false },
             (Coder::Context, 2) => Modelling::Tokens { fitted: true },
+            (Coder::Context, 3..=6) => Modelling::Balanced,
             _ => Modelling::Mixed,
+        }
+    }
+
+    /// How many frames the sensor model is fitted to: more make the formula sharper.
+    pub(super) fn sample_frames(&self) -> usize {
+        match self.modelling() {
+            Modelling::Mixed => 6,
+            Modelling::Balanced => 4,
+            Modelling::Tokens { .. } => 3,
         }
     }
 

@@ -15,9 +15,6 @@ use crate::io::{HeaderlessLayout, parse_with};
 use crate::scan::ScanFile;
 use crate::sensor::{self, SensorModel};
 
-/// Frames that the sensor model is fitted to.
-const SAMPLE_FRAMES: usize = 6;
-
 /// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 
@@ -130,7 +127,7 @@ fn encode_groups<'f, W: Write>(
 /// The frames that the sensor model is fitted to, spread over the sequence.
 fn sample(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>> {
     let mut sample = Vec::new();
-    for frame in sample_places(frames.len()).map(|place| &frames[place]) {
+    for frame in sample_places(frames.len(), config.sample_frames()).map(|place| &frames[place]) {
         if frame.size()? <= SAMPLE_FILE_BYTES {
             sample.push(parse_with(frame.name()?, frame.read()?, config.headerless.as_ref()));
         }
@@ -138,9 +135,9 @@ fn sample(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>
     Ok(sample)
 }
 
-/// Where the sample is taken: the first frame, the last, and others evenly between.
-fn sample_places(frames: usize) -> impl Iterator<Item = usize> {
-    let count = SAMPLE_FRAMES.min(frames);
+/// Where a sample of at most so many frames is taken: the first frame, the last, and others evenly between.
+fn sample_places(frames: usize, most: usize) -> impl Iterator<Item = usize> {
+    let count = most.min(frames);
     (0..count).map(move |i| i * (frames - 1) / (count - 1).max(1))
 }
 
@@ -237,16 +234,15 @@ fn within_limits(scan: ScanFile) -> Result<ScanFile> {
 
 #[cfg(test)]
 mod tests {
-    use super::{SAMPLE_FRAMES, sample_places};
+    use super::sample_places;
 
     #[test]
     fn the_sample_is_spread_over_the_sequence() {
-        let places = |frames| sample_places(frames).collect::<Vec<_>>();
+        let places = |frames| sample_places(frames, 6).collect::<Vec<_>>();
         assert_eq!(places(0), [0; 0]);
         assert_eq!(places(1), [0]);
         assert_eq!(places(3), [0, 1, 2]);
-        assert_eq!(places(SAMPLE_FRAMES), (0..SAMPLE_FRAMES).collect::<Vec<_>>());
-        let spread: Vec<_> = (0..SAMPLE_FRAMES).map(|i| 10 * i).collect();
-        assert_eq!(places(10 * SAMPLE_FRAMES - 9), spread);
+        assert_eq!(places(6), (0..6).collect::<Vec<_>>());
+        assert_eq!(places(51), (0..6).map(|i| 10 * i).collect::<Vec<_>>());
     }
 }

@@ -8,6 +8,8 @@ pub enum Modelling {
     /// Mixed adaptive models: smallest.
     #[default]
     Mixed,
+    /// Ranges, predicted by least squares, and corrections as tokens; all else by mixed adaptive models.
+    Balanced,
     /// Tokens with static tables: quickest.
     Tokens {
         /// Whether ranges are predicted by least squares, or else by the left neighbour.
@@ -16,12 +18,27 @@ pub enum Modelling {
 }
 
 impl Modelling {
+    /// Whether all parts are tokens.
+    pub(super) fn is_quick(self) -> bool {
+        matches!(self, Modelling::Tokens { .. })
+    }
+
+    /// How ranges are tokens, if they are: whether they are predicted by least squares.
+    pub(super) fn range_tokens(self) -> Option<bool> {
+        match self {
+            Modelling::Mixed => None,
+            Modelling::Balanced => Some(true),
+            Modelling::Tokens { fitted } => Some(fitted),
+        }
+    }
+
     /// Its number in the stream.
     pub(super) fn to_code(self) -> u64 {
         match self {
             Modelling::Mixed => 0,
             Modelling::Tokens { fitted: false } => 1,
             Modelling::Tokens { fitted: true } => 2,
+            Modelling::Balanced => 3,
         }
     }
 
@@ -29,6 +46,7 @@ impl Modelling {
     pub(super) fn suffix(self) -> &'static str {
         match self {
             Modelling::Mixed => "",
+            Modelling::Balanced => " (balanced)",
             Modelling::Tokens { fitted: false } => " (tokens)",
             Modelling::Tokens { fitted: true } => " (tokens, fitted)",
         }
@@ -41,6 +59,7 @@ impl Modelling {
             0 => Ok(Modelling::Mixed),
             1 => Ok(Modelling::Tokens { fitted: false }),
             2 => Ok(Modelling::Tokens { fitted: true }),
+            3 => Ok(Modelling::Balanced),
             _ => Err(Error::unsupported(format!("frame parameters: unknown modelling {code}"))),
         }
     }

@@ -193,6 +193,11 @@ impl FrameParameters {
         Ok(parameters)
     }
 
+    /// Whether all parts are tokens.
+    pub(super) fn is_quick(&self) -> bool {
+        self.range_coder.modelling().is_quick()
+    }
+
     /// The parameters of a coded frame.
     ///
     /// # Errors

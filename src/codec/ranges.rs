@@ -3,7 +3,6 @@
 
 use super::frame::Frame;
 use super::images;
-use super::modelling::Modelling;
 use super::parameters::{Prediction, RangeCoder};
 use super::sections::SectionCoder;
 use super::steps::{Step, StepReport};
@@ -29,16 +28,11 @@ impl Models {
         report: &mut StepReport,
     ) -> Result<()> {
         match frame.parameters.range_coder {
-            RangeCoder::Context { modelling: Modelling::Tokens { fitted }, range_bits, bin, .. } => {
+            RangeCoder::Context { modelling, range_bits, bin, .. } => {
                 report.predicted += 4 * (frame.records - frame.strays) as u64;
-                report.timed(Step::Coding, || {
-                    self.quick.code_ranges(sections, fitted, (range_bits, bin), frame)
-                })
-            }
-            RangeCoder::Context { modelling: Modelling::Mixed, range_bits, bin, .. } => {
-                report.predicted += 4 * (frame.records - frame.strays) as u64;
-                report.timed(Step::Coding, || {
-                    sections.section(SectionKind::Range, true, |coder| {
+                report.timed(Step::Coding, || match modelling.range_tokens() {
+                    Some(fitted) => self.quick.code_ranges(sections, fitted, (range_bits, bin), frame),
+                    None => sections.section(SectionKind::Range, true, |coder| {
                         let known = RangeContext {
                             occupancy: &frame.occupancy,
                             intensity: levels,
@@ -48,7 +42,7 @@ impl Models {
                         };
                         self.range.code(coder, &known, &mut frame.steps);
                         Ok(())
-                    })
+                    }),
                 })
             }
             RangeCoder::Backend { id, packing } => {

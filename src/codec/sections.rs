@@ -206,6 +206,8 @@ impl SectionCoder for SectionReader<'_> {
         if reader.is_exhausted() {
             return Err(ends_too_early(kind));
         }
+        let counts = reader.into_counts();
+        tables.learn_decoded(&counts);
         Ok(decoded)
     }
 

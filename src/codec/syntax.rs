@@ -89,7 +89,7 @@ impl Models {
             let columns = std::mem::take(&mut frame.columns);
             let image = RangeImage { columns, steps: std::mem::take(&mut frame.steps) };
             found = image.file_order(sensor);
-            if frame.parameters.range_coder.modelling() == Modelling::Mixed {
+            if !frame.parameters.is_quick() {
                 self.past = Some(Arc::new(Past::new(image.clone(), levels)));
             }
             (frame.columns, frame.steps) = (image.columns, image.steps);
@@ -128,12 +128,13 @@ impl Models {
         within(cells, sections.limits().points, "cells of the range image")?;
         frame.fit_image(sensor.rows());
         let reference = self.reference(sensor, frame)?;
-        match frame.parameters.range_coder.modelling() {
-            Modelling::Mixed => sections.section(SectionKind::Occupancy, true, |coder| {
+        if frame.parameters.is_quick() {
+            self.quick.code_occupancy(sections, frame)?;
+        } else {
+            sections.section(SectionKind::Occupancy, true, |coder| {
                 self.occupancy.code(coder, reference.as_ref(), &mut frame.occupancy);
                 Ok(())
-            })?,
-            Modelling::Tokens { .. } => self.quick.code_occupancy(sections, frame)?,
+            })?;
         }
         if frame.occupancy.cells().iter().filter(|&&filled| filled).count() != returns {
             return Err(Error::corrupt("the range image holds another number of returns than the frame"));
@@ -172,12 +173,11 @@ impl Models {
             frame.stray_intensity = vec![0.0; frame.strays];
             return Ok(no_levels);
         }
-        match frame.parameters.range_coder.modelling() {
-            Modelling::Mixed => sections.section(SectionKind::Intensity, true, |coder| {
-                Ok(self.code_intensity(coder, frame, reference))
-            }),
-            Modelling::Tokens { .. } => self.quick.code_intensities(sections, frame).map(|()| no_levels),
+        if frame.parameters.is_quick() {
+            return self.quick.code_intensities(sections, frame).map(|()| no_levels);
         }
+        sections
+            .section(SectionKind::Intensity, true, |coder| Ok(self.code_intensity(coder, frame, reference)))
     }
 
     /// The positions of the returns: the formula's, corrected as far as they must be.
@@ -300,6 +300,7 @@ impl Models {
         scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
         let width = frame.occupancy.columns();
         let mut levels = Grid::new(frame.occupancy.rows(), width);
+        self.intensity.set_quick(frame.parameters.range_coder.modelling() != Modelling::Mixed);
         self.intensity.start_frame(&scale, width);
         for row in 0..levels.rows() {
             if coder.is_exhausted() {

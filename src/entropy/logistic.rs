@@ -128,8 +128,12 @@ pub struct MixedBits<const V: usize, const N: usize> {
     /// The rate of learning after that many bits.
     rates: Vec<f32>,
     tables: &'static Logistic,
+    /// Log odds from which on two views decide alone.
+    sure: f32,
 }
 
+/// Log odds of 1 to 33.
+const SURE: f32 = 3.5;
 /// Numbers that a vector unit of any processor handles at once.
 const LANES: usize = 4;
 /// The opinion that is always the same.
@@ -161,7 +165,13 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
             seen: vec![0; sets],
             rates: (0..=last).map(|seen| rate * early(seen) / 65536.0).collect(),
             tables: Logistic::tables(),
+            sure: SURE,
         }
+    }
+
+    /// Log odds from which on two views decide alone in [`code_or_sure`](Self::code_or_sure), 3.5 at first.
+    pub fn set_sure(&mut self, odds: f32) {
+        self.sure = odds;
     }
 
     /// Makes room for `places` in each view, if there is less.
@@ -196,11 +206,9 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         extra: [&mut Counter; X],
         bit: bool,
     ) -> bool {
-        /// Log odds of 1 to 33.
-        const SURE: f32 = 3.5;
         let deciding = [self.views[0] + places[0], self.views[1] + places[1]];
         let [first, second] = deciding.map(|place| self.tables.opinion(self.counters[place]));
-        if first.min(second) < SURE && first.max(second) > -SURE {
+        if first.min(second) < self.sure && first.max(second) > -self.sure {
             return self.code_with(coder, set, places, 0.0, extra, bit);
         }
         let bit = coder.code(bit, self.tables.squash(0.5 * (first + second)));

@@ -7,8 +7,12 @@ use crate::entropy::TokenCoder;
 use crate::grid::Grid;
 use crate::varint::{unzigzag, zigzag};
 
-/// Levels of the miss to expect.
-pub const RANGE_CONTEXTS: usize = 40;
+/// Levels of the miss to expect where the left neighbour predicts.
+const MISS_LEVELS: usize = 40;
+/// Levels of it and of the roughness around, apart, where least squares do.
+const FITTED_MISS_LEVELS: usize = 14;
+const ACTIVITY_LEVELS: usize = 12;
+pub const RANGE_CONTEXTS: usize = FITTED_MISS_LEVELS * ACTIVITY_LEVELS;
 /// The range assumed where nothing is known, in steps.
 const TYPICAL_RANGE: i32 = 3000;
 /// The miss assumed at the start of a row, in steps.
@@ -98,9 +102,7 @@ fn code_rows<C: TokenCoder, const FITTED: bool>(
             let north2 = if FITTED { ranges2[column] } else { north };
             let near = Near { west, west2, west3, west4, north, north_west, north_east, north_east2, north2 };
             let activity = (west - west2).abs() + (north - north_west).abs() + (north - north_east).abs();
-            // In sixteenths of a step.
-            let expected = miss_left + (*miss << 3) + 5 * activity.min(4 * MOST_MISS);
-            let context = magnitude_level(expected as u32 / bin >> 3, RANGE_CONTEXTS);
+            let context = context::<FITTED>((miss_left + (*miss << 3)) as u32, activity as u32, bin);
             let (features, edge, fit) = if FITTED { near.fit(fits) } else { ([0.0; FEATURES], 0, 0.0) };
             let most = (1i64 << range_bits) - 1;
             let base = (west + (fit + 1000.5) as i32 - 1000).clamp(1, (most - 1) as i32);
@@ -122,6 +124,21 @@ fn code_rows<C: TokenCoder, const FITTED: bool>(
             north_west = north;
             ranges[column] = coded;
         }
+    }
+}
+
+/// The context of a miss to expect, in sixteenths of a step, and a roughness, in steps.
+#[inline]
+fn context<const FITTED: bool>(miss: u32, activity: u32, bin: u32) -> usize {
+    if FITTED {
+        let level = (magnitude_level(miss / bin >> 2, 2 * FITTED_MISS_LEVELS + 4) >> 1)
+            .clamp(2, FITTED_MISS_LEVELS + 1)
+            - 2;
+        let activity = ((1 + activity / bin).ilog2() as usize).min(ACTIVITY_LEVELS - 1);
+        level * ACTIVITY_LEVELS + activity
+    } else {
+        let expected = miss + 5 * activity.min(4 * MOST_MISS as u32);
+        magnitude_level(expected / bin >> 3, MISS_LEVELS)
     }
 }
 

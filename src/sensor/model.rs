@@ -274,6 +274,39 @@ impl SensorModel {
         tick.is_finite().then(|| ((tick as i64).rem_euclid(i64::from(self.ticks)) as u32, steps))
     }
 
+    /// As [`invert`](Self::invert); quicker if the tick is near `hint`.
+    #[inline]
+    pub fn invert_near(&self, row: usize, point: [f64; 3], hint: u32) -> Option<(u32, u32)> {
+        /// Ticks over which an angle is as good as its sine.
+        const NEAR: f64 = 16.0;
+        let [x, y, z] = point;
+        let (beam, ticks) = (&self.beams[row], f64::from(self.ticks));
+        let rho = (x * x + y * y).sqrt();
+        let (cos_a, sin_a) = self.heading(beam, hint);
+        let turned = (y * cos_a - x * sin_a - beam.h) / rho * (ticks / TAU);
+        if !(turned.abs() < NEAR && x * cos_a + y * sin_a > 0.0 && ticks > 16.0 * NEAR) {
+            return self.invert(row, point);
+        }
+        let steps = self.steps((rho - beam.b) * beam.cos_v + (z - beam.c) * beam.sin_v)?;
+        let tick = i64::from(hint) + round_ties_even(turned) as i64;
+        let turn = i64::from(self.ticks);
+        let tick = if tick < 0 {
+            tick + turn
+        } else if tick >= turn {
+            tick - turn
+        } else {
+            tick
+        };
+        Some((tick as u32, steps))
+    }
+
+    /// Cosine and sine of a beam's azimuth at a tick.
+    #[inline]
+    fn heading(&self, beam: &Beam, tick: u32) -> (f64, f64) {
+        let [cos_t, sin_t] = self.tick_directions[tick as usize];
+        (cos_t * beam.cos_rot - sin_t * beam.sin_rot, sin_t * beam.cos_rot + cos_t * beam.sin_rot)
+    }
+
     /// Where a point (metres) near beam `hint`'s cone is seen, for both sides; the same on every platform.
     /// None if it is on no cone, or too near.
     pub fn locate(&self, hint: usize, [x, y, z]: [f64; 3]) -> Option<Sighting> {
@@ -310,9 +343,7 @@ impl SensorModel {
     pub fn point_at(&self, row: usize, tick: u32, metres: f64) -> [f64; 3] {
         let beam = &self.beams[row];
         let rho = metres * beam.cos_v + beam.b;
-        let [cos_t, sin_t] = self.tick_directions[tick as usize];
-        let (cos_a, sin_a) =
-            (cos_t * beam.cos_rot - sin_t * beam.sin_rot, sin_t * beam.cos_rot + cos_t * beam.sin_rot);
+        let (cos_a, sin_a) = self.heading(beam, tick);
         // Turned by atan(h / rho), whose cosine and sine are rho and h over their hypotenuse.
         let along = rho / (rho * rho + beam.h * beam.h).sqrt();
         [

@@ -10,8 +10,13 @@ pub const SCALE: u32 = 1 << SCALE_BITS;
 /// Tokens that there are.
 pub const TOKENS: usize = 256;
 
+/// The token that stands for those that have no frequency: which it is is told apart.
+pub const ESCAPE: u8 = u8::MAX;
+/// Bits, about, that an escape takes.
+const ESCAPE_COST: f64 = 20.0;
+
 /// The frequency of each token: 0 to 4095, and 4096 together. None is certain, so that no stream gives
-/// tokens without end.
+/// tokens without end; [`ESCAPE`]'s is not 0, so that a table serves other tokens than it was made for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frequencies(pub [u16; TOKENS]);
 
@@ -20,14 +25,8 @@ impl Frequencies {
     pub fn of(counts: &[u32; TOKENS]) -> Self {
         let total: u64 = counts.iter().map(|&count| u64::from(count)).sum::<u64>().max(1);
         let share = |count: u32| (u64::from(count) * u64::from(SCALE) / total) as u32;
-        let mut frequencies: [u32; TOKENS] =
-            std::array::from_fn(|token| if counts[token] > 0 { share(counts[token]).max(1) } else { 0 });
-        let used = frequencies.iter().filter(|&&frequency| frequency > 0).count();
-        if used < 2 {
-            // Any other token, so that the one is not certain.
-            let other = usize::from(frequencies[0] > 0);
-            frequencies[other] = 1;
-        }
+        let mut frequencies = counts.map(|count| if count > 0 { share(count).max(1) } else { 0 });
+        frequencies[usize::from(ESCAPE)] = frequencies[usize::from(ESCAPE)].max(1);
         // What rounding leaves goes to, or comes from, the most frequent, where it matters least.
         let mut sum: u32 = frequencies.iter().sum();
         while sum != SCALE {
@@ -40,14 +39,19 @@ impl Frequencies {
         Frequencies(frequencies.map(|frequency| frequency as u16))
     }
 
-    /// The bits that these counts take, but infinity if a token comes that has no frequency.
+    /// The bits, about, that these counts take.
     pub fn cost(&self, counts: &[u32; TOKENS]) -> f64 {
         let taken = counts.iter().zip(&self.0).filter(|(count, _)| **count > 0);
-        taken
-            .map(|(&count, &frequency)| {
-                f64::from(count) * (f64::from(SCALE_BITS) - f64::from(frequency).log2())
-            })
-            .sum()
+        let cost = |frequency: u16| match frequency {
+            0 => ESCAPE_COST,
+            _ => f64::from(SCALE_BITS) - f64::from(frequency).log2(),
+        };
+        taken.map(|(&count, &frequency)| f64::from(count) * cost(frequency)).sum()
+    }
+
+    /// Whether a token is told by itself, not by [`ESCAPE`].
+    pub fn has(&self, token: u8) -> bool {
+        token != ESCAPE && self.0[usize::from(token)] > 0
     }
 
     /// The bits, roughly, that it takes to write the frequencies.
@@ -82,10 +86,12 @@ impl FrequencyModel {
             return Ok(());
         }
         let Frequencies(frequencies) = new.get_or_insert(Frequencies([0; TOKENS]));
-        let last = frequencies.iter().rposition(|&frequency| frequency > 0).unwrap_or(0);
-        let last = coder.code_plain(last as u64, TOKENS.ilog2()) as usize;
+        let escape = usize::from(ESCAPE);
+        let end =
+            frequencies[..escape].iter().rposition(|&frequency| frequency > 0).map_or(0, |last| last + 1);
+        let end = coder.code_plain(end as u64, TOKENS.ilog2()) as usize;
         let (mut left, mut before) = (u64::from(SCALE), 0u16);
-        for frequency in &mut frequencies[..last] {
+        for frequency in &mut frequencies[..end] {
             let octave = before.checked_ilog2().map_or(0, |octave| 1 + octave as usize);
             let coded = self.frequencies[octave].code(coder, u64::from(*frequency));
             left = left.checked_sub(coded).ok_or_else(|| Error::corrupt("token frequencies: too many"))?;
@@ -95,7 +101,8 @@ impl FrequencyModel {
         if !(1..u64::from(SCALE)).contains(&left) {
             return Err(Error::corrupt("token frequencies: no token is certain"));
         }
-        frequencies[last] = left as u16;
+        // What they leave is the escape's.
+        frequencies[escape] = left as u16;
         Ok(())
     }
 }

@@ -2,8 +2,8 @@
 
 use super::TokenCoder;
 use super::alias::{Bucket, look_up};
-use super::frequencies::{FrequencyModel, SCALE, SCALE_BITS, TOKENS};
-use super::tables::TokenTables;
+use super::frequencies::{ESCAPE, FrequencyModel, SCALE, SCALE_BITS, TOKENS};
+use super::tables::{Counts, TokenTables};
 use super::writer::{LEAST_STATE, STATES};
 use crate::entropy::{ArithmeticDecoder, BitCoder};
 use crate::error::{Error, Result};
@@ -14,16 +14,18 @@ pub struct TokenReader<'a> {
     buckets: &'a [[Bucket; TOKENS]],
     /// The one whose turn it is comes first.
     states: [u32; STATES],
+    escaped: std::slice::Iter<'a, u8>,
     words: std::slice::Iter<'a, [u8; 2]>,
     bits: &'a [u8],
     /// Bits read ahead, and how many.
     open: u64,
     open_bits: u32,
     exhausted: bool,
+    counts: Vec<Counts>,
 }
 
 impl<'a> TokenReader<'a> {
-    /// Starts at the first byte of a payload. Its tables are added to `tables`, which has so many contexts.
+    /// Starts at the first byte of a payload. Its tables are added to `tables`, of so many contexts.
     ///
     /// # Errors
     /// If the payload is cut short, or its tables are none.
@@ -43,22 +45,31 @@ impl<'a> TokenReader<'a> {
             return Err(Error::corrupt("tokens: tables cut short"));
         }
         let length = usize::try_from(read_unsigned(input, "tokens")?).map_err(|_| short())?;
+        let escaped = input.split_off(..length).ok_or_else(short)?.iter();
+        let length = usize::try_from(read_unsigned(input, "tokens")?).map_err(|_| short())?;
         let words = input.split_off(..length.checked_mul(2).ok_or_else(short)?).ok_or_else(short)?;
         let (words, _) = words.as_chunks();
         let mut reader = TokenReader {
             buckets: &tables.buckets,
             states: [0; STATES],
+            escaped,
             words: words.iter(),
             bits: input,
             open: 0,
             open_bits: 0,
             exhausted: false,
+            counts: vec![[0; TOKENS]; contexts],
         };
         for place in 0..STATES {
             let [low, high] = [reader.next_word(), reader.next_word()];
             reader.states[place] = high << 16 | low;
         }
         Ok(reader)
+    }
+
+    /// How often each token came in each context, for [`TokenTables::learn`].
+    pub fn into_counts(self) -> Vec<Counts> {
+        self.counts
     }
 
     #[inline]
@@ -70,6 +81,13 @@ impl<'a> TokenReader<'a> {
                 0
             }
         }
+    }
+
+    #[cold]
+    fn next_escaped(&mut self) -> u8 {
+        let token = self.escaped.next().copied();
+        self.exhausted |= token.is_none();
+        token.unwrap_or(0)
     }
 
     /// Reads ahead so that there are at least 32 bits.
@@ -101,7 +119,9 @@ impl TokenCoder for TokenReader<'_> {
             state = state << 16 | self.next_word();
         }
         self.states = [other, state];
-        slot.token
+        let token = if slot.token == ESCAPE { self.next_escaped() } else { slot.token };
+        self.counts[context][usize::from(token)] += 1;
+        token
     }
 
     #[inline]

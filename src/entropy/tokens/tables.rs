@@ -1,5 +1,5 @@
-//! The tables of a section: one for each context. They live as long as a group, so that a frame need not
-//! send what the frame before has sent.
+//! The tables of a section: one for each context. They live as long as a group and learn from each frame, so
+//! that only the first sends many.
 
 use super::alias::{Bucket, buckets, look_up};
 use super::frequencies::{Frequencies, SCALE, TOKENS};
@@ -11,7 +11,14 @@ pub struct TokenTables {
     pub(super) buckets: Vec<[Bucket; TOKENS]>,
     /// What the encoder needs besides; empty in a decoder.
     pub(super) encoders: Vec<Option<EncoderTable>>,
+    /// How often each token came, by context.
+    counts: Vec<Counts>,
+    /// Frames learned from.
+    frames: u32,
 }
+
+/// How often each token comes.
+pub type Counts = [u32; TOKENS];
 
 /// The inverse of the buckets.
 #[derive(Clone)]
@@ -51,6 +58,28 @@ impl TokenTables {
     pub(super) fn grow(&mut self, contexts: usize) {
         if self.buckets.len() < contexts {
             self.buckets.resize(contexts, [Bucket::default(); TOKENS]);
+            self.counts.resize(contexts, [0; TOKENS]);
+        }
+    }
+
+    /// Learns from the tokens of a frame that has been decoded.
+    pub fn learn_decoded(&mut self, counts: &[Counts]) {
+        self.learn(counts, false);
+    }
+
+    /// Learns from the tokens of a frame. New tables are made after 1, 2, 4, 8 ... frames: later ones would
+    /// differ little.
+    pub(super) fn learn(&mut self, counts: &[Counts], encodes: bool) {
+        for (known, new) in self.counts.iter_mut().zip(counts) {
+            known.iter_mut().zip(new).for_each(|(known, new)| *known = known.saturating_add(*new));
+        }
+        self.frames = self.frames.saturating_add(1);
+        if self.frames.is_power_of_two() {
+            for context in 0..self.counts.len() {
+                if self.counts[context].iter().any(|&count| count > 0) {
+                    self.set(context, Frequencies::of(&self.counts[context]), encodes);
+                }
+            }
         }
     }
 

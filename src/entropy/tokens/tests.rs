@@ -34,6 +34,8 @@ proptest! {
             let mut reader = TokenReader::new(&payload, CONTEXTS, &mut read).unwrap();
             prop_assert_eq!(code(&mut reader, &frame), coded);
             prop_assert!(!reader.is_exhausted());
+            let counts = reader.into_counts();
+            read.learn_decoded(&counts);
         }
     }
 

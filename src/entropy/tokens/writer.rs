@@ -1,7 +1,7 @@
 //! Collects tokens and writes them.
 
 use super::TokenCoder;
-use super::frequencies::{Frequencies, FrequencyModel, SCALE_BITS, TOKENS};
+use super::frequencies::{ESCAPE, Frequencies, FrequencyModel, SCALE_BITS, TOKENS};
 use super::tables::TokenTables;
 use crate::entropy::ArithmeticEncoder;
 use crate::error::{Error, Result};
@@ -35,7 +35,7 @@ impl TokenWriter {
         }
     }
 
-    /// The payload of the section. Its tables are added to `tables`.
+    /// The payload of the section. Its tables are added to `tables`, which learn from the tokens.
     ///
     /// # Errors
     /// None; but the tables' coder could tell of some.
@@ -44,11 +44,14 @@ impl TokenWriter {
         let frequencies = self.write_tables(tables)?;
         write_unsigned(&mut payload, frequencies.len() as u64);
         payload.extend_from_slice(&frequencies);
-        let words = self.words(tables)?;
+        let (words, escaped) = self.words(tables)?;
+        write_unsigned(&mut payload, escaped.len() as u64);
+        payload.extend_from_slice(&escaped);
         write_unsigned(&mut payload, words.len() as u64);
         words.iter().for_each(|word| payload.extend_from_slice(&word.to_le_bytes()));
         self.bits.extend_from_slice(&self.open.to_le_bytes()[..self.open_bits.div_ceil(8) as usize]);
         payload.extend_from_slice(&self.bits);
+        tables.learn(&self.counts, true);
         Ok(payload)
     }
 
@@ -72,14 +75,20 @@ impl TokenWriter {
         Ok(coder.finish())
     }
 
-    /// The tokens, in 16-bit words: the states that the decoder starts with, then what it takes in.
-    fn words(&self, tables: &TokenTables) -> Result<Vec<u16>> {
+    /// The tokens, in 16-bit words: the states that the decoder starts with, then what it takes in. And those
+    /// that are escaped.
+    fn words(&self, tables: &TokenTables) -> Result<(Vec<u16>, Vec<u8>)> {
+        let mut escaped = Vec::new();
         let mut states = [LEAST_STATE; STATES];
         let mut words = Vec::with_capacity(self.tokens.len() / 2);
         for (index, &tagged) in self.tokens.iter().enumerate().rev() {
-            let (context, token) = ((tagged >> 8) as usize, tagged as u8);
+            let (context, mut token) = ((tagged >> 8) as usize, tagged as u8);
             let table = tables.encoders.get(context).and_then(Option::as_ref);
             let table = table.ok_or_else(|| Error::corrupt("tokens without a table"))?;
+            if !table.frequencies.has(token) {
+                escaped.push(token);
+                token = ESCAPE;
+            }
             let frequency = u32::from(table.frequencies.0[usize::from(token)]).max(1);
             let state = &mut states[index % STATES];
             if *state >> (32 - SCALE_BITS) >= frequency {
@@ -92,7 +101,8 @@ impl TokenWriter {
             words.extend([(*state >> 16) as u16, *state as u16]);
         }
         words.reverse();
-        Ok(words)
+        escaped.reverse();
+        Ok((words, escaped))
     }
 }
 
