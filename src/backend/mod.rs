@@ -89,11 +89,14 @@ pub fn decompress(backend: &dyn Backend, input: &[u8], length: usize) -> Result<
     Ok(bytes)
 }
 
-/// How hard to try: 1 is fast, 9 is small. Each back-end has its own scale, which this is mapped to.
+/// How hard to try: 1 is fast, 9 is small. Each coder has its own scale, which this is mapped to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Level(u8);
 
 impl Level {
+    /// 9.
+    pub const BEST: Level = Level(9);
+
     /// `None` if it is not from 1 to 9.
     pub fn new(level: u8) -> Option<Self> {
         (1..=9).contains(&level).then_some(Level(level))

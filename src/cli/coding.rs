@@ -32,7 +32,7 @@ pub struct CodingArgs {
     /// What codes the ranges.
     #[arg(long, value_name = "NAME", value_parser = backend_names())]
     pub backend: Option<String>,
-    /// Effort, 1 (fast) to 9 (small). Default 6.
+    /// Effort, 1 (fast) to 9 (small). Default 6. From 8 on frames are predicted from those before.
     #[arg(long, value_name = "1..9")]
     pub level: Option<u8>,
     /// What ranges are predicted from.
@@ -57,10 +57,10 @@ pub struct CodingArgs {
     /// How the scanner's motion from the frame before is found.
     #[arg(long, value_enum, value_name = "METHOD")]
     pub registration: Option<RegistrationArg>,
-    /// Frames a group. Groups are decoded apart: more frames compress better, fewer seek faster.
-    #[arg(long, value_name = "FRAMES", default_value_t = default_gop(),
-          value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    pub gop: u32,
+    /// Frames a group. Groups are decoded apart: more frames compress better, fewer seek faster. Default 10,
+    /// and 30 at level 9.
+    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub gop: Option<u32>,
     /// What a record of a file without a header (.bin) holds, a letter for each float32: x, y, z,
     /// i(ntensity), r(ing), t(ime), _ for another. Default: xyzi, and xyzir for .pcd.bin.
     #[arg(long, value_name = "LETTERS")]
@@ -202,6 +202,9 @@ impl std::str::FromStr for RateArg {
     }
 }
 
+/// Frames a group where size is all.
+const GOP_OF_BEST: usize = 30;
+
 /// The name of the context coder among the back-ends.
 const CONTEXT: &str = "context";
 
@@ -212,11 +215,6 @@ fn backend_names() -> Vec<&'static str> {
 
 fn packing_names() -> Vec<&'static str> {
     Packing::ALL.iter().map(|packing| packing.name()).collect()
-}
-
-/// The default of --gop.
-fn default_gop() -> u32 {
-    u32::try_from(EncoderConfig::default().gop).unwrap_or(u32::MAX)
 }
 
 /// The encoder's settings; ends the program, as for all wrong usage, if they do not fit together.
@@ -241,7 +239,6 @@ impl CodingArgs {
         if let Some(IntensityStep(step_millionths)) = self.intensity_step {
             config.intensity = Intensity::Rounded { step_millionths };
         }
-        config.gop = self.gop as usize;
         config.threads = threads;
         config.headerless = self.layout.clone();
         self.choose_coder(&mut config)?;
@@ -300,6 +297,10 @@ impl CodingArgs {
             config.level = Level::new(level)
                 .ok_or_else(|| Error::InvalidConfig(format!("level {level} is not from 1 to 9")))?;
         }
+        if config.coder == Coder::Context && config.level == Level::BEST {
+            config.gop = GOP_OF_BEST;
+        }
+        config.gop = self.gop.map_or(config.gop, |gop| gop as usize);
         if let Some(name) = &self.packing {
             config.packing = Packing::ALL.iter().copied().find(|packing| packing.name() == name);
         }
@@ -319,7 +320,9 @@ impl CodingArgs {
         if !matches!(coder, Coder::Backend(_)) {
             refuse(&for_backends, "general-purpose back-ends")?;
         }
-        if !matches!(coder, Coder::Image(_)) {
+        if matches!(coder, Coder::Image(_)) {
+            refuse(&[("--level", self.level.is_some())], "coders without --rate")?;
+        } else {
             refuse(&for_images, "jpeg and jpeg2000")?;
         }
         Ok(())

@@ -131,7 +131,7 @@ pub struct EncoderConfig {
     pub intra: IntraConfig,
     /// What codes the ranges. Default: the context coder; in paper mode LZMA.
     pub coder: Coder,
-    /// Effort of a general-purpose back-end.
+    /// Effort of the context coder, or of a general-purpose back-end. Default 6.
     pub level: Level,
     /// How residuals are turned into bytes for it; `None`, the default: as suits it best.
     pub packing: Option<Packing>,
@@ -220,17 +220,18 @@ impl EncoderConfig {
 
     /// Whether a frame may be predicted from the one before it; frames of a group are counted from 0.
     pub(super) fn allows_inter(&self, frame_of_group: usize) -> bool {
-        let is_chosen = matches!(
-            self.prediction,
-            PredictionChoice::Smallest
-                | PredictionChoice::EveryReference
-                | PredictionChoice::Always(Prediction::Inter)
-        );
+        /// The context coder takes its time for P frames from this level on, if it is not told.
+        const INTER_LEVEL: u8 = 8;
+        let is_chosen = match self.prediction {
+            PredictionChoice::Smallest => self.coder != Coder::Context || self.level.number() >= INTER_LEVEL,
+            PredictionChoice::EveryReference | PredictionChoice::Always(Prediction::Inter) => true,
+            PredictionChoice::Always(Prediction::None | Prediction::Intra) => false,
+        };
         let is_turn = match self.order {
             FrameOrder::Ratio => frame_of_group > 0,
             FrameOrder::Time => frame_of_group % 2 == 1,
         };
-        is_chosen && is_turn && self.modelling() == Modelling::Mixed
+        is_chosen && is_turn
     }
 
     /// What is tried for a frame, so that the smallest result is taken. `fit` is how much
@@ -333,6 +334,13 @@ impl EncoderConfig {
         }
         if self.coder == Coder::Context && self.prediction == PredictionChoice::Always(Prediction::Intra) {
             return wrong("the context coder predicts by itself, and better than regions do");
+        }
+        let is_inter = matches!(
+            self.prediction,
+            PredictionChoice::EveryReference | PredictionChoice::Always(Prediction::Inter)
+        );
+        if is_inter && self.modelling().is_quick() {
+            return wrong("levels 1 and 2 take every frame by itself; --predict inter needs level 3 or more");
         }
         let fits_regions =
             self.predictions(None).contains(&Prediction::Intra) && self.intra.models == RegionModels::Fitted;

@@ -193,9 +193,12 @@ impl FrameParameters {
         Ok(parameters)
     }
 
-    /// Whether all parts are tokens.
-    pub(super) fn is_quick(&self) -> bool {
-        self.range_coder.modelling().is_quick()
+    /// How ranges, and the parts that are coded beside them, are modelled.
+    pub(super) fn modelling(&self) -> Modelling {
+        match self.range_coder {
+            RangeCoder::Context { modelling, .. } => modelling,
+            RangeCoder::Backend { .. } | RangeCoder::Image(_) => Modelling::Mixed,
+        }
     }
 
     /// The parameters of a coded frame.
@@ -283,14 +286,6 @@ impl RangeCoder {
                 RangeCoder::Context { modelling, range_bits, bin, between: bin.is_multiple_of(2) }
             }
             RangeCoder::Backend { .. } | RangeCoder::Image(_) => self,
-        }
-    }
-
-    /// How the parts beside the ranges are modelled.
-    pub(super) fn modelling(self) -> Modelling {
-        match self {
-            RangeCoder::Context { modelling, .. } => modelling,
-            RangeCoder::Backend { .. } | RangeCoder::Image(_) => Modelling::Mixed,
         }
     }
 

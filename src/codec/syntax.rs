@@ -25,7 +25,7 @@ use crate::prediction::surface::SurfaceCoder;
 use crate::quick::Near;
 use crate::range_image::{RangeImage, Reference, Return};
 use crate::scan::Layout;
-use crate::sensor::SensorModel;
+use crate::sensor::{Coordinates, SensorModel};
 
 /// What a group's frames have taught so far.
 #[derive(Clone, Default)]
@@ -89,7 +89,7 @@ impl Models {
             let columns = std::mem::take(&mut frame.columns);
             let image = RangeImage { columns, steps: std::mem::take(&mut frame.steps) };
             found = image.file_order(sensor);
-            if !frame.parameters.is_quick() {
+            if !frame.parameters.modelling().is_quick() {
                 self.past = Some(Arc::new(Past::new(image.clone(), levels)));
             }
             (frame.columns, frame.steps) = (image.columns, image.steps);
@@ -128,9 +128,10 @@ impl Models {
         within(cells, sections.limits().points, "cells of the range image")?;
         frame.fit_image(sensor.rows());
         let reference = self.reference(sensor, frame)?;
-        if frame.parameters.is_quick() {
+        if frame.parameters.modelling().is_quick() {
             self.quick.code_occupancy(sections, frame)?;
         } else {
+            self.occupancy.set_quick(frame.parameters.modelling() != Modelling::Mixed);
             sections.section(SectionKind::Occupancy, true, |coder| {
                 self.occupancy.code(coder, reference.as_ref(), &mut frame.occupancy);
                 Ok(())
@@ -173,7 +174,7 @@ impl Models {
             frame.stray_intensity = vec![0.0; frame.strays];
             return Ok(no_levels);
         }
-        if frame.parameters.is_quick() {
+        if frame.parameters.modelling().is_quick() {
             return self.quick.code_intensities(sections, frame).map(|()| no_levels);
         }
         sections
@@ -212,7 +213,13 @@ impl Models {
             };
             Near { formula, position }
         };
-        if frame.parameters.range_coder.modelling() != Modelling::Mixed {
+        let quick = match frame.parameters.modelling() {
+            Modelling::Mixed => false,
+            // On finer grids most points are corrected.
+            Modelling::Balanced => grid == Coordinates::Millimetre,
+            Modelling::Tokens { .. } => true,
+        };
+        if quick {
             return self.quick.code_positions(sections, grid, |point| near(&found[point]), max_error, frame);
         }
         sections.section(SectionKind::Correction, true, |coder| {
@@ -300,7 +307,7 @@ impl Models {
         scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
         let width = frame.occupancy.columns();
         let mut levels = Grid::new(frame.occupancy.rows(), width);
-        self.intensity.set_quick(frame.parameters.range_coder.modelling() != Modelling::Mixed);
+        self.intensity.set_quick(frame.parameters.modelling() != Modelling::Mixed);
         self.intensity.start_frame(&scale, width);
         for row in 0..levels.rows() {
             if coder.is_exhausted() {

@@ -44,7 +44,8 @@ pub fn code_positions<C: TokenCoder>(
     loop {
         let next = corrected.next().unwrap_or(positions.len());
         let gap = coder.number(GAP, (next - point) as u64).min((positions.len() - point) as u64) as usize;
-        if !C::ENCODES {
+        // The encoder's are these already, unless an error is allowed.
+        if !C::ENCODES || max_error.is_some() {
             (point..point + gap).for_each(|point| positions[point] = near(point).position);
         }
         point += gap;

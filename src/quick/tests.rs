@@ -5,19 +5,21 @@ use crate::grid::Grid;
 use crate::sensor::Coordinates;
 use proptest::prelude::*;
 
-/// Codes a section twice, as two frames of a group, and gives what is decoded the second time.
+/// Codes a section twice, as two frames of a group, and gives what the encoder has made of it the second time
+/// and what is decoded.
 fn round_trip<T: Clone>(
     contexts: usize,
     full: &T,
     empty: &T,
     write: impl Fn(&mut TokenWriter, &mut T),
     read: impl Fn(&mut TokenReader<'_>, &mut T),
-) -> T {
+) -> (T, T) {
     let (mut written, mut known) = (TokenTables::default(), TokenTables::default());
-    let mut decoded = empty.clone();
+    let (mut encoded, mut decoded) = (full.clone(), empty.clone());
     for _ in 0..2 {
         let mut writer = TokenWriter::new(contexts);
-        write(&mut writer, &mut full.clone());
+        encoded = full.clone();
+        write(&mut writer, &mut encoded);
         let payload = writer.finish(&mut written).unwrap();
         let mut reader = TokenReader::new(&payload, contexts, &mut known).unwrap();
         decoded = empty.clone();
@@ -26,7 +28,7 @@ fn round_trip<T: Clone>(
         let counts = reader.into_counts();
         known.learn_decoded(&counts);
     }
-    decoded
+    (encoded, decoded)
 }
 
 /// A grid of 9 rows from as many values as there are, each filled or not.
@@ -41,8 +43,9 @@ proptest! {
     fn cells_come_back(filled in proptest::collection::vec(any::<bool>(), 0..400)) {
         let occupancy = grid(&filled);
         let empty = Grid::new(occupancy.rows(), occupancy.columns());
-        let decoded = round_trip(OCCUPANCY_CONTEXTS, &occupancy, &empty, |c, cells| code_occupancy(c, cells), |c, cells| code_occupancy(c, cells));
-        prop_assert_eq!(decoded, occupancy);
+        let (encoded, decoded) = round_trip(OCCUPANCY_CONTEXTS, &occupancy, &empty, |c, cells| code_occupancy(c, cells), |c, cells| code_occupancy(c, cells));
+        prop_assert_eq!(&decoded, &occupancy);
+        prop_assert_eq!(encoded, decoded);
     }
 
     #[test]
@@ -57,13 +60,14 @@ proptest! {
         let occupancy = grid(&ranges.iter().map(|(filled, _)| *filled).collect::<Vec<_>>());
         let steps = grid(&ranges.iter().map(|(filled, range)| u32::from(*filled) * range_of(*range)).collect::<Vec<_>>());
         let axis = (range_bits, bin);
-        let decoded = round_trip(
+        let (encoded, decoded) = round_trip(
             RANGE_CONTEXTS,
             &steps,
             &Grid::new(steps.rows(), steps.columns()),
             |coder, steps| RangeTokens::default().code(coder, &occupancy, fitted, axis, steps),
             |coder, steps| RangeTokens::default().code(coder, &occupancy, fitted, axis, steps),
         );
+        prop_assert_eq!(&encoded, &decoded);
         for (range, decoded) in steps.cells().iter().zip(decoded.cells()) {
             prop_assert!(range.abs_diff(*decoded) <= bin / 2);
         }
@@ -88,7 +92,7 @@ proptest! {
                 west = model.code(coder, scale, (west, (index % 129) as u16), value);
             }
         }
-        let decoded = round_trip(
+        let (encoded, decoded) = round_trip(
             INTENSITY_CONTEXTS,
             &values,
             &empty,
@@ -97,6 +101,7 @@ proptest! {
         );
         let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
         prop_assert_eq!(bits(&decoded), bits(&values));
+        prop_assert_eq!(bits(&encoded), bits(&values));
     }
 
     #[test]
@@ -116,13 +121,14 @@ proptest! {
         };
         let positions: Vec<[f32; 3]> = (0..points.len()).map(|point| [0, 1, 2].map(|axis| off(point, axis))).collect();
         let max_error = bounded.then_some(0.002);
-        let decoded = round_trip(
+        let (encoded, decoded) = round_trip(
             CORRECTION_CONTEXTS,
             &positions,
             &vec![[0.0; 3]; positions.len()],
             |coder, positions| code_positions(coder, grid, near, max_error, positions),
             |coder, positions| code_positions(coder, grid, near, max_error, positions),
         );
+        prop_assert_eq!(&encoded, &decoded);
         for (point, (position, decoded)) in positions.iter().zip(&decoded).enumerate() {
             let same = position.map(f32::to_bits) == decoded.map(f32::to_bits);
             let within = *decoded == near(point).position

@@ -26,7 +26,12 @@ impl Frequencies {
         let total: u64 = counts.iter().map(|&count| u64::from(count)).sum::<u64>().max(1);
         let share = |count: u32| (u64::from(count) * u64::from(SCALE) / total) as u32;
         let mut frequencies = counts.map(|count| if count > 0 { share(count).max(1) } else { 0 });
-        frequencies[usize::from(ESCAPE)] = frequencies[usize::from(ESCAPE)].max(1);
+        let escape = usize::from(ESCAPE);
+        frequencies[escape] = frequencies[escape].max(1);
+        if counts[..escape].iter().all(|&count| count == 0) {
+            // Any other token, so that the escape is not certain.
+            frequencies[0] = 1;
+        }
         // What rounding leaves goes to, or comes from, the most frequent, where it matters least.
         let mut sum: u32 = frequencies.iter().sum();
         while sum != SCALE {

@@ -22,7 +22,14 @@ pub struct TokenReader<'a> {
     open_bits: u32,
     exhausted: bool,
     counts: Vec<Counts>,
+    /// Tokens that the payload can hold.
+    left: u64,
 }
+
+/// The likeliest token takes 1.44 / 4096 bits, so a byte holds fewer than this many.
+const TOKENS_A_BYTE: u64 = 1 << 15;
+/// The states hold as many as so many bytes.
+const BYTES_OF_STATES: u64 = 16;
 
 impl<'a> TokenReader<'a> {
     /// Starts at the first byte of a payload. Its tables are added to `tables`, of so many contexts.
@@ -59,6 +66,7 @@ impl<'a> TokenReader<'a> {
             open_bits: 0,
             exhausted: false,
             counts: vec![[0; TOKENS]; contexts],
+            left: (length as u64 + BYTES_OF_STATES).saturating_mul(TOKENS_A_BYTE),
         };
         for place in 0..STATES {
             let [low, high] = [reader.next_word(), reader.next_word()];
@@ -121,6 +129,7 @@ impl TokenCoder for TokenReader<'_> {
         self.states = [other, state];
         let token = if slot.token == ESCAPE { self.next_escaped() } else { slot.token };
         self.counts[context][usize::from(token)] += 1;
+        self.left = self.left.saturating_sub(1);
         token
     }
 
@@ -136,6 +145,6 @@ impl TokenCoder for TokenReader<'_> {
     }
 
     fn is_exhausted(&self) -> bool {
-        self.exhausted
+        self.exhausted || self.left == 0
     }
 }

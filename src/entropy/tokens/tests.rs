@@ -63,11 +63,21 @@ fn a_payload_gives_no_tokens_without_end() {
     let payload = writer.finish(&mut TokenTables::default()).unwrap();
     let mut tables = TokenTables::default();
     let mut reader = TokenReader::new(&payload, 1, &mut tables).unwrap();
-    let tokens = (0..1 << 20).take_while(|_| {
+    let tokens = (0..1 << 24).take_while(|_| {
         reader.token(0, 0);
         !reader.is_exhausted()
     });
-    assert!(tokens.count() < 1 << 17);
+    assert!(tokens.count() < 1 << 21);
+}
+
+#[test]
+fn a_section_of_escapes_comes_back() {
+    let mut writer = TokenWriter::new(1);
+    (0..100).for_each(|_| assert_eq!(writer.token(0, 255), 255));
+    let payload = writer.finish(&mut TokenTables::default()).unwrap();
+    let mut tables = TokenTables::default();
+    let mut reader = TokenReader::new(&payload, 1, &mut tables).unwrap();
+    assert!((0..100).all(|_| reader.token(0, 0) == 255) && !reader.is_exhausted());
 }
 
 #[test]
