@@ -9,6 +9,7 @@ pub mod cat;
 pub mod config;
 pub mod cut;
 pub mod decoder;
+pub mod encoded;
 pub mod encoder;
 pub mod fidelity;
 pub mod group;
@@ -16,6 +17,7 @@ pub mod input;
 pub mod options;
 pub mod parameters;
 pub mod recover;
+pub mod resume;
 pub mod steps;
 
 mod bound;
@@ -26,6 +28,7 @@ mod ordered;
 mod ranges;
 mod recode;
 mod sections;
+mod sensor_choice;
 mod source;
 mod syntax;
 
@@ -34,13 +37,15 @@ pub use config::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, Proje
 pub use copier::Named;
 pub use cut::{Cut, cut, cut_indexed};
 pub use decoder::{DecodedFrame, decode, decode_indexed};
-pub use encoder::{Encoded, encode, encode_live};
+pub use encoded::Encoded;
+pub use encoder::{encode, encode_live};
 pub use fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
 pub use group::DecodedImage;
 pub use input::FrameInput;
 pub use options::{DecodeOptions, FrameRange};
 pub use parameters::{FrameParameters, Prediction, Source};
 pub use recover::{Recovered, recover, repair};
+pub use resume::{PartialFiles, encode_resuming};
 pub use steps::{Step, StepReport};
 
 #[cfg(test)]
