@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use common::formats::kitti;
 use common::scans::{random_points, scans, small};
 use common::streams::with_back_end;
-use common::{File as Scan, encode_files};
+use common::{File as Scan, encode_files, put_together, take_apart};
 use lidarpc::backend;
 use lidarpc::codec::{Encoded, EncoderConfig, FrameInput, Mode, PartialFiles, encode_resuming};
 use lidarpc::error::Result;
@@ -285,7 +285,25 @@ fn files_that_are_no_partial_stream_stay() {
     let mut others = FILES.clone();
     others[0].1 = kitti(&random_points(200, 1));
     let other = encode_files(&others, &exact());
-    for stream in [&b"garbage"[..], &[0; 10_000], &other] {
-        assert_eq!(Partial::with(stream, &journal).becomes(&whole, &FILES, &exact()), 0);
+    // One that is whole, and differs in a byte of its first frame.
+    let (models, mut groups) = take_apart(&whole);
+    groups[0].frames[0].sections[0].payload[3] ^= 1;
+    let forged = put_together(&models, &groups);
+    assert_eq!(forged.len(), whole.len());
+    // One that has other names than its journal.
+    let renamed: Vec<Scan> = FILES.iter().map(|(name, bytes)| (format!("a{name}"), bytes.clone())).collect();
+    let (stream_of_renamed, journal_of_renamed) = Partial::complete(&renamed, &exact()).contents();
+    let misnamed = String::from_utf8(journal_of_renamed).unwrap().replace("\"a", "\"");
+    for (stream, journal) in [
+        (&b"garbage"[..], &journal[..]),
+        (&[0; 10_000], &journal),
+        (&other, &journal),
+        (&forged, &journal),
+        (&stream_of_renamed, misnamed.as_bytes()),
+    ] {
+        assert_eq!(Partial::with(stream, journal).becomes(&whole, &FILES, &exact()), 0);
     }
+    // What comes after the end is not ours.
+    let longer = [&whole[..], &[7; 1000]].concat();
+    assert_eq!(Partial::with(&longer, &journal).becomes(&whole, &FILES, &exact()), 7);
 }

@@ -56,11 +56,6 @@ impl<R: Read> StreamReader<R> {
         &self.header
     }
 
-    /// The input.
-    pub fn get_ref(&self) -> &R {
-        &self.input
-    }
-
     /// Bytes read so far; after the last record, the size of the stream.
     pub fn position(&self) -> u64 {
         self.position

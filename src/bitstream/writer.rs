@@ -41,11 +41,6 @@ impl<W: Write> StreamWriter<W> {
         &self.index
     }
 
-    /// The output.
-    pub fn get_ref(&self) -> &W {
-        &self.out
-    }
-
     /// Writes a sensor model; returns the number by which groups refer to it (1 is the first).
     ///
     /// # Errors

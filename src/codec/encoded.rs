@@ -80,9 +80,9 @@ impl<W: Write> OpenStream<W> {
         self.writer.index().sensor_models.len() as u64
     }
 
-    /// What is written.
-    pub fn writer(&self) -> &StreamWriter<W> {
-        &self.writer
+    /// Bytes written so far.
+    pub fn position(&self) -> u64 {
+        self.writer.position()
     }
 
     /// Writes the next groups.

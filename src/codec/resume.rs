@@ -4,11 +4,11 @@
 //! groups of a partial stream are taken as they are if all of these are what they were: a *journal* beside
 //! the stream tells the program and the settings, and of all files in the stream their names, sizes and
 //! checksums (those in frame headers are of what is decoded, which in a mode with loss is something else).
-//! The files are read and compared, and the sensor model is fitted again. The journal also has a checksum of
-//! the stream, so it speaks of this stream only, and of nothing that a killed program or a power cut left
-//! half-written.
+//! The files are read and compared, and the sensor model is fitted again. The journal also tells the groups
+//! themselves by a checksum, so it speaks of this stream only, and of nothing that a killed program or a
+//! power cut left half-written.
 
-mod checksummed;
+mod fingerprint;
 mod journal;
 mod kept;
 mod settings;
@@ -18,7 +18,7 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use checksummed::Checksummed;
+use fingerprint::fingerprint;
 use journal::{Entry, InputFile, Journal, JournalWriter};
 use kept::Kept;
 use settings::Settings;
@@ -80,12 +80,10 @@ pub fn encode_resuming(
     let coder = SequenceCoder::new(sensor.as_ref(), stream.sensor_number(), config, on_frame);
     coder.run(rest, |groups| {
         stream.write(&groups)?;
-        let originals = groups.iter().flat_map(|group| &group.originals);
-        let written = stream.writer();
         journal.write(&Entry {
-            files: originals.map(InputFile::of).collect(),
-            stream_end: written.position(),
-            stream_crc: written.get_ref().crc(),
+            files: groups.iter().flat_map(|group| &group.originals).map(InputFile::of).collect(),
+            stream_end: stream.position(),
+            fingerprint: fingerprint(groups.iter().map(|group| &group.group)),
         })
     })?;
     stream.finish()
@@ -97,11 +95,11 @@ fn open<'p>(
     kept: Kept,
     settings: Settings,
     sensor: Option<&SensorModel>,
-) -> Result<(OpenStream<Checksummed<BufWriter<&'p File>>>, JournalWriter)> {
+) -> Result<(OpenStream<BufWriter<&'p File>>, JournalWriter)> {
     let mut stream = &partial.stream;
     stream.set_len(kept.stream_end)?;
     stream.seek(SeekFrom::Start(kept.stream_end))?;
-    let out = Checksummed::resume(BufWriter::new(stream), kept.stream_crc);
+    let out = BufWriter::new(stream);
     Ok(if kept.entries.is_empty() {
         // The journal first: no stream is to be without.
         let journal = JournalWriter::begin(&partial.journal, settings)?;

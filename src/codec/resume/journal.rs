@@ -27,8 +27,8 @@ pub struct Entry {
     pub files: Vec<InputFile>,
     /// Bytes of the stream up to the end of their groups.
     pub stream_end: u64,
-    /// CRC-32C of these bytes.
-    pub stream_crc: u32,
+    /// That of their groups.
+    pub fingerprint: u32,
 }
 
 /// A file as it was encoded, before anything is lost of it.

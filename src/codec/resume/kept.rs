@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 
-use super::checksummed::Checksummed;
+use super::fingerprint::fingerprint;
 use super::journal::{Entry, Journal};
 use super::settings::Settings;
 use crate::bitstream::{Frame, Index, Record, StreamHeader, StreamReader};
@@ -27,8 +27,6 @@ pub struct Kept {
     pub encoded: Encoded,
     /// Its length in bytes.
     pub stream_end: u64,
-    /// Its CRC-32C.
-    pub stream_crc: u32,
     /// Bytes of the journal that tell of it.
     pub journal_end: u64,
 }
@@ -42,8 +40,8 @@ impl Kept {
     pub fn find(mut stream: &File, journal: Journal) -> Result<Self> {
         stream.rewind()?;
         let mut kept = Kept { settings: journal.settings, ..Kept::default() };
-        let input = Checksummed::new(BufReader::new(stream));
-        let Some(mut reader) = intact(StreamReader::open(input, Limits::default()))? else { return Ok(kept) };
+        let reader = StreamReader::open(BufReader::new(stream), Limits::default());
+        let Some(mut reader) = intact(reader)? else { return Ok(kept) };
         if *reader.header() != StreamHeader::default() {
             return Ok(kept);
         }
@@ -53,8 +51,7 @@ impl Kept {
             groups += part.groups;
             kept.sensors.extend(part.sensors);
             part.frames.into_iter().for_each(|frame| kept.encoded.add(frame));
-            (kept.stream_end, kept.stream_crc) = (entry.stream_end, entry.stream_crc);
-            kept.journal_end = journal_end;
+            (kept.stream_end, kept.journal_end) = (entry.stream_end, journal_end);
             kept.entries.push(entry);
         }
         kept.encoded.resumed_frames = kept.encoded.frames.len() as u64;
@@ -67,7 +64,6 @@ impl Kept {
 }
 
 /// What an entry of the journal is about.
-#[derive(Default)]
 struct Part {
     sensors: Vec<Vec<u8>>,
     groups: usize,
@@ -76,38 +72,37 @@ struct Part {
 
 impl Part {
     /// Reads the next part of a stream; an error if it is not what the journal tells.
-    fn read(reader: &mut StreamReader<Checksummed<impl Read>>, entry: &Entry) -> Result<Self> {
-        let mut part = Part::default();
+    fn read(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Self> {
+        let (mut sensors, mut groups) = (Vec::new(), Vec::new());
         while reader.position() < entry.stream_end {
             match reader.next_record()? {
-                Some(Record::SensorModel(record)) => part.sensors.push(record),
-                Some(Record::Group(group)) => {
-                    part.groups += 1;
-                    for frame in group.frames {
-                        part.frames.push(FrameOfStream::kept(frame)?);
-                    }
-                }
+                Some(Record::SensorModel(record)) => sensors.push(record),
+                Some(Record::Group(group)) => groups.push(group),
                 None => break,
             }
         }
-        let names = part.frames.iter().map(|frame| &frame.header.name);
+        let frames = || groups.iter().flat_map(|group| &group.frames);
         let is_same = reader.position() == entry.stream_end
-            && reader.get_ref().crc() == entry.stream_crc
-            && names.eq(entry.files.iter().map(|file| &file.name));
-        if is_same { Ok(part) } else { Err(Error::corrupt("it is not what the journal tells")) }
+            && fingerprint(&groups) == entry.fingerprint
+            && frames().map(|frame| &frame.header.name).eq(entry.files.iter().map(|file| &file.name));
+        if !is_same {
+            return Err(Error::corrupt("it is not what the journal tells"));
+        }
+        let frames = frames().map(FrameOfStream::kept).collect::<Result<_>>()?;
+        Ok(Part { sensors, groups: groups.len(), frames })
     }
 }
 
 impl FrameOfStream {
-    fn kept(frame: Frame) -> Result<Self> {
+    fn kept(frame: &Frame) -> Result<Self> {
         // The file that it was made from, if that is another than the one that it decodes to.
-        let (original, points) = match FrameParameters::of(&frame)?.source {
+        let (original, points) = match FrameParameters::of(frame)?.source {
             Some(source) => (source.file_size, source.points),
             None => (frame.header.file_size, frame.header.point_count),
         };
         let mut steps = StepReport { frames: 1, original, ..StepReport::default() };
         steps.count_sections(&frame.sections);
-        Ok(FrameOfStream { header: frame.header, steps, points })
+        Ok(FrameOfStream { header: frame.header.clone(), steps, points })
     }
 }
 
