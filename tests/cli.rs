@@ -70,6 +70,16 @@ impl Bench {
         serde_json::from_slice(&self.ok(args)).unwrap()
     }
 
+    /// As [`Bench::command`], where a limit on the size of files stands for a full disk.
+    #[cfg(target_os = "linux")]
+    fn on_full_disk(&self, args: &str) -> Command {
+        let mut shell = Command::new("sh");
+        let script = r#"trap "" XFSZ; ulimit -f 64; exec "$0" "$@""#;
+        shell.args(["-c", script]).arg(cargo_bin!("lidarpc")).args(args.split(' '));
+        shell.current_dir(self.0.path());
+        shell
+    }
+
     /// Runs it, which must fail with exit code 1 and one line that starts with `lidarpc: PATH: `.
     #[track_caller]
     fn fails(&self, args: &str, path: &str) -> String {
@@ -462,24 +472,90 @@ fn a_full_disk_leaves_nothing_behind() {
     let error = String::from_utf8(run.stderr).unwrap();
     assert!(error.starts_with("lidarpc: stdout: no space left"), "{error}");
 
-    // A limit on the size of files stands for a full disk.
-    let mut state = 1u64;
-    let noise = std::iter::repeat_with(|| {
+    bench.write_files("big", &Files::from([("noise.bin".into(), noise(200_000, 1))]));
+    bench.ok("encode big -o big.lpc");
+    for (args, path) in [("encode big -o new.lpc", "new.lpc"), ("decode big.lpc -o back", "back/noise.bin")] {
+        failure(&mut bench.on_full_disk(args), path);
+        assert_eq!(bench.names("."), ["big", "big.lpc", "out.lpc", "seq"]);
+    }
+}
+
+/// Bytes that no coder makes smaller.
+fn noise(count: usize, seed: u64) -> Vec<u8> {
+    let mut state = seed;
+    let next = || {
         state ^= state << 13;
         state ^= state >> 7;
         state ^= state << 17;
         state as u8
-    });
-    let noise = noise.take(200_000).collect();
-    bench.write_files("big", &Files::from([("noise.bin".into(), noise)]));
-    bench.ok("encode big -o big.lpc");
-    for (args, path) in [("encode big -o new.lpc", "new.lpc"), ("decode big.lpc -o back", "back/noise.bin")] {
-        let mut shell = Command::new("sh");
-        let script = r#"trap "" XFSZ; ulimit -f 16; exec "$0" "$@""#;
-        shell.args(["-c", script]).arg(cargo_bin!("lidarpc")).args(args.split(' '));
-        failure(shell.current_dir(bench.0.path()), path);
-        assert_eq!(bench.names("."), ["big", "big.lpc", "out.lpc", "seq"]);
-    }
+    };
+    std::iter::repeat_with(next).take(count).collect()
+}
+
+/// With `seq/` holding ten scans, and `whole.lpc` made of them, two frames a group. On a disk that was full,
+/// there are `out.lpc.partial` and its journal as well.
+#[cfg(target_os = "linux")]
+fn interrupted() -> Bench {
+    let bench = Bench::new();
+    bench.write_files("seq", &(0..10).map(|n| (format!("{n}.bin"), noise(10_000, n + 1))).collect());
+    bench.ok("encode seq -o whole.lpc --gop 2");
+    failure(&mut bench.on_full_disk("encode seq -o out.lpc --gop 2 --resume"), "out.lpc");
+    bench
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn an_encode_goes_on_when_the_disk_has_room_again() {
+    let bench = interrupted();
+    let left = ["out.lpc.partial", "out.lpc.partial.journal", "seq", "whole.lpc"];
+    assert_eq!(bench.names("."), left);
+    let error = bench.fails("encode seq -o out.lpc --gop 3 --resume", "out.lpc.partial");
+    assert!(error.contains("gop: 2, now 3") && error.contains("delete it"), "{error}");
+
+    let says = bench.says("encode seq -o out.lpc --gop 2 --resume --verify");
+    let taken = says.strip_prefix("10 frames, ").and_then(|says| says.split_once(" of them from the inter"));
+    let taken: u32 = taken.unwrap_or_else(|| panic!("{says}")).0.parse().unwrap();
+    assert!((2..10).contains(&taken), "{says}");
+    assert_eq!(bench.names("."), ["out.lpc", "seq", "whole.lpc"]);
+    assert!(bench.read("out.lpc") == bench.read("whole.lpc"));
+
+    bench.fails("encode seq -o out.lpc --gop 2 --resume", "out.lpc");
+    let says = bench.says("encode seq -o out.lpc --gop 2 --resume --force");
+    assert!(says.starts_with("10 frames: "), "{says}");
+    assert!(bench.read("out.lpc") == bench.read("whole.lpc"));
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_partial_file_is_left_to_those_who_ask_for_it() {
+    let bench = interrupted();
+    let partial = || (bench.read("out.lpc.partial"), bench.read("out.lpc.partial.journal"));
+    let before = partial();
+    let says = bench.says("encode seq -o out.lpc --gop 2");
+    assert!(says.starts_with("lidarpc: out.lpc.partial of an interrupted run is left as it is"), "{says}");
+    assert!(bench.read("out.lpc") == bench.read("whole.lpc") && partial() == before);
+
+    // As long as the output is there.
+    bench.fails("encode seq -o out.lpc --gop 2 --resume", "out.lpc");
+    assert!(partial() == before);
+
+    // A file that is no partial stream.
+    fs::write(bench.path("mine.lpc.partial"), b"somebody's").unwrap();
+    bench.fails("encode seq -o mine.lpc --gop 2 --resume", "mine.lpc.partial");
+    assert_eq!(bench.read("mine.lpc.partial"), b"somebody's");
+    assert!(!bench.path("mine.lpc.partial.journal").exists());
+    fs::create_dir(bench.path("folder.lpc.partial")).unwrap();
+    bench.fails("encode seq -o folder.lpc --gop 2 --resume", "folder.lpc.partial");
+
+    // What can only be written.
+    bench.fails("encode seq -o /dev/null --resume", "/dev/null");
+
+    // While another run is at it.
+    let locked = fs::File::open(bench.path("out.lpc.partial")).unwrap();
+    locked.lock().unwrap();
+    let error = bench.fails("encode seq -o out.lpc --gop 2 --resume --force", "out.lpc.partial");
+    assert!(error.contains("another run"), "{error}");
+    assert!(partial() == before);
 }
 
 #[test]
@@ -556,6 +632,8 @@ fn wrong_usage_is_exit_code_2() {
         "encode seq -o new.lpc --intensity-step 0.1",
         "encode seq -o new.lpc --threads many",
         "encode seq -o - --verify",
+        "encode seq -o - --resume",
+        "encode - -o new.lpc --resume",
         "decode out.lpc",
         "decode out.lpc -o back --frames 5..5",
         "decode out.lpc -o back --frames five",

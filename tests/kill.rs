@@ -85,6 +85,51 @@ fn kill_at(moments: u32) {
     }
 }
 
+/// Ends an encode with --resume by each signal, again and again as soon as another group is written, until it
+/// is done.
+#[test]
+fn what_is_interrupted_goes_on() {
+    let bench = TempDir::new().unwrap();
+    let folder = bench.path();
+    let drive = in_package("testdata/drive");
+    let encode = ["encode", drive.to_str().unwrap(), "-o", "out.lpc", "--gop", "1", "--threads", "1"];
+    assert!(run(folder, &encode, None));
+    let whole = fs::read(folder.join("out.lpc")).unwrap();
+    let groups = || {
+        let journal = fs::read(folder.join("out.lpc.partial.journal")).unwrap_or_default();
+        journal.iter().filter(|byte| **byte == b'\n').count().saturating_sub(1)
+    };
+    for signal in ["-KILL", "-TERM", "-INT", "-HUP"] {
+        fs::remove_file(folder.join("out.lpc")).unwrap();
+        let mut is_done = false;
+        while !is_done {
+            let before = groups();
+            let mut command = Command::new(cargo_bin!("lidarpc"));
+            command.args(encode).args(["--resume", "--quiet"]).current_dir(folder);
+            let mut child = command.spawn().unwrap();
+            let mut ended = None;
+            while ended.is_none() && groups() == before {
+                sleep(Duration::from_millis(1));
+                ended = child.try_wait().unwrap();
+            }
+            let id = child.id().to_string();
+            let _ = Command::new("kill").args([signal, &id]).stderr(Stdio::null()).status().unwrap();
+            child.wait().unwrap();
+            is_done = folder.join("out.lpc").exists();
+            if !is_done {
+                let left: Vec<_> = files(folder).into_keys().collect();
+                assert_eq!(left, ["out.lpc.partial", "out.lpc.partial.journal"], "after {signal}");
+                assert!(groups() > before, "nothing new after {signal}");
+            }
+        }
+        // It may have been ended after the stream got its name.
+        assert!(!run(folder, &[&encode[..], &["--resume"]].concat(), None), "overwrites what is done");
+        assert_eq!(files(folder).into_keys().collect::<Vec<_>>(), ["out.lpc"]);
+        assert!(fs::read(folder.join("out.lpc")).unwrap() == whole, "another stream after {signal}");
+        assert_eq!(hidden(folder), 0);
+    }
+}
+
 #[test]
 fn nothing_is_half_written_whenever_it_is_killed() {
     kill_at(6);

@@ -47,6 +47,12 @@ impl Index {
         self.groups.last().map_or(0, |group| group.first_frame + group.frame_sizes.len() as u64)
     }
 
+    /// Where the last of the records ends, in bytes from the start of the stream; `None` if there are none.
+    pub(super) fn end(&self) -> Option<u64> {
+        let models = self.sensor_models.iter().map(|entry| entry.offset + entry.length);
+        models.chain(self.groups.iter().map(|entry| entry.offset + entry.length)).max()
+    }
+
     /// Adds the sensor model whose record starts at `offset`.
     pub(super) fn push_sensor_model(&mut self, offset: u64, length: u64) {
         self.sensor_models.push(SensorModelEntry { offset, length });

@@ -26,6 +26,21 @@ impl<W: Write> StreamWriter<W> {
         Ok(StreamWriter { out, position: HEADER_LENGTH as u64, index: Index::default() })
     }
 
+    /// Goes on with a stream that `out` has got as far as the records of `index` go, the last of them included.
+    pub fn resume(out: W, index: Index) -> Self {
+        StreamWriter { out, position: index.end().unwrap_or(HEADER_LENGTH as u64), index }
+    }
+
+    /// Bytes written so far.
+    pub fn position(&self) -> u64 {
+        self.position
+    }
+
+    /// Where the records written so far are.
+    pub fn index(&self) -> &Index {
+        &self.index
+    }
+
     /// Writes a sensor model; returns the number by which groups refer to it (1 is the first).
     ///
     /// # Errors

@@ -64,6 +64,7 @@ Examples:
   lidarpc encode drive/ -o drive.lpc
   lidarpc encode a.bin b.bin -o two.lpc --verify
   lidarpc encode drive/ -o drive.lpc --mode paper --step 1cm
+  lidarpc encode drive/ -o drive.lpc --resume     if interrupted, the same again goes on
   ssh host 'tar c drive' | lidarpc encode - -o drive.lpc
   lidarpc encode drive/ -o - | ssh host 'cat > drive.lpc'";
 
@@ -85,6 +86,11 @@ pub struct EncodeArgs {
     /// Decode the written file and compare, before it gets its name.
     #[arg(long)]
     pub verify: bool,
+    /// Write to FILE.partial, which stays if the run is interrupted, however that is; the same command then
+    /// goes on after the last whole group of frames, to the same result. FILE.partial.journal says what it was
+    /// made from. Both are gone when the output is complete.
+    #[arg(long)]
+    pub resume: bool,
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,

@@ -1,5 +1,6 @@
 //! `lidarpc encode`
 
+use std::fs::File;
 use std::io::{self, BufReader, Write};
 use std::path::PathBuf;
 use std::time::Instant;
@@ -15,27 +16,71 @@ use super::args::{Args, EncodeArgs};
 use super::errors::about;
 use super::input::is_dash;
 use super::output::{FileOutput, name_of_output};
+use super::partial::{self, PartialOutput};
 use super::{coding, progress, table};
 
 pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
-    if args.verify && is_dash(&args.output) {
-        let what = "--verify needs an output that can be read again, not stdout";
-        Args::command().error(ErrorKind::ArgumentConflict, what).exit();
+    let is_piped = args.inputs.iter().any(|input| is_dash(input));
+    for (wrong, what) in [
+        (args.verify && is_dash(&args.output), "--verify needs an output that can be read again, not stdout"),
+        (args.resume && is_dash(&args.output), "--resume needs an output that stays, not stdout"),
+        (args.resume && is_piped, "--resume needs inputs that can be read again, not stdin"),
+        (is_piped && args.inputs.len() > 1, "`-`, for frames from stdin, stands alone"),
+    ] {
+        if wrong {
+            Args::command().error(ErrorKind::ArgumentConflict, what).exit();
+        }
     }
     let config = coding::config(&args.coding, &args.threads);
     let start = Instant::now();
-    let frames = find_inputs(&args.inputs, quiet)?;
-    let mut output = FileOutput::create(&args.output, args.force)?;
-    let name = name_of_output(&args.output);
-    let encoded = write_stream(&config, frames, &mut output, quiet).map_err(|error| about(error, &name))?;
-    if args.verify {
-        compare(args, &encoded, &output, quiet).with_context(|| name.clone())?;
-    }
-    output.finish().map_err(|error| about(error, &name))?;
+    let encoded = match args.resume {
+        true => encode_in_runs(args, &config, quiet)?,
+        false => encode_whole(args, &config, quiet)?,
+    };
     if !quiet {
         eprintln!("{} in {:.1} s", summary(&encoded), start.elapsed().as_secs_f64());
     }
     Ok(())
+}
+
+/// Encodes into a file that is there as a whole or not at all.
+fn encode_whole(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<Encoded> {
+    let is_live = args.inputs.iter().any(|input| is_dash(input));
+    let frames = if is_live { Frames::Live } else { Frames::Files(find_inputs(&args.inputs, quiet)?) };
+    let mut output = FileOutput::create(&args.output, args.force)?;
+    if let Some(left) = partial::left_for(&args.output)
+        && !quiet
+    {
+        eprintln!(
+            "lidarpc: {} of an interrupted run is left as it is; --resume goes on with it",
+            left.display()
+        );
+    }
+    let name = name_of_output(&args.output);
+    let encoded = write_stream(config, frames, &mut output, quiet).map_err(|error| about(error, &name))?;
+    if args.verify {
+        let Some(file) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
+        compare(args, &encoded, file, quiet).with_context(|| name.clone())?;
+    }
+    output.finish().map_err(|error| about(error, &name))?;
+    Ok(encoded)
+}
+
+/// Encodes into a file that stays if this is interrupted, and goes on with what an interrupted run has left.
+fn encode_in_runs(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<Encoded> {
+    let frames = find_inputs(&args.inputs, quiet)?;
+    let output = PartialOutput::open(&args.output, args.force)?;
+    let name = name_of_output(&args.output);
+    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
+    let encoded =
+        output.files().and_then(|files| codec::encode_resuming(&frames, config, files, &|| bar.inc(1)));
+    bar.finish_and_clear();
+    let encoded = encoded.map_err(|error| about(error, &name))?;
+    if args.verify {
+        compare(args, &encoded, output.reopen()?, quiet).with_context(|| name.clone())?;
+    }
+    output.finish().map_err(|error| about(error, &name))?;
+    Ok(encoded)
 }
 
 /// Where the frames come from.
@@ -47,14 +92,7 @@ enum Frames {
 }
 
 /// The frames to encode. Says what is left out: whoever archives a folder should know.
-fn find_inputs(inputs: &[PathBuf], quiet: bool) -> Result<Frames> {
-    if inputs.iter().any(|input| is_dash(input)) {
-        if inputs.len() > 1 {
-            let what = "`-`, for frames from stdin, stands alone";
-            Args::command().error(ErrorKind::ArgumentConflict, what).exit();
-        }
-        return Ok(Frames::Live);
-    }
+fn find_inputs(inputs: &[PathBuf], quiet: bool) -> Result<Vec<FrameInput>> {
     let found = find_frames(inputs)?;
     if let Some(first) = found.left_out.first()
         && !quiet
@@ -62,7 +100,7 @@ fn find_inputs(inputs: &[PathBuf], quiet: bool) -> Result<Frames> {
         let count = table::count(found.left_out.len() as u64, "file");
         eprintln!("lidarpc: left out {count} not known as a scan, such as {}", first.display());
     }
-    Ok(Frames::Files(found.frames.into_iter().map(FrameInput::File).collect()))
+    Ok(found.frames.into_iter().map(FrameInput::File).collect())
 }
 
 fn write_stream(
@@ -91,8 +129,7 @@ fn write_stream(
 }
 
 /// Decodes what was written and compares it with what was read.
-fn compare(args: &EncodeArgs, encoded: &Encoded, output: &FileOutput, quiet: bool) -> Result<()> {
-    let Some(file) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
+fn compare(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> Result<()> {
     let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
     let bar = progress::bar(Some(encoded.frames.len() as u64), "verifying", quiet);
     let mut decoded = Vec::new();
@@ -106,7 +143,10 @@ fn compare(args: &EncodeArgs, encoded: &Encoded, output: &FileOutput, quiet: boo
     result?;
     let original = encoded.frames.iter();
     let original = original.map(|frame| (frame.name.clone(), frame.file_crc, frame.file_size));
-    ensure!(original.eq(decoded), "decodes to something else; nothing was kept, please report this");
+    ensure!(
+        original.eq(decoded),
+        "decodes to something else, so it does not get this name; please report this"
+    );
     Ok(())
 }
 
@@ -114,8 +154,12 @@ fn summary(encoded: &Encoded) -> String {
     let ratio = metrics::ratio(encoded.file_bytes(), encoded.stream_bytes);
     let bits = metrics::bits_per_point(encoded.stream_bytes, encoded.points);
     format!(
-        "{}: {} -> {} ({}, {} bits a point)",
+        "{}{}: {} -> {} ({}, {} bits a point)",
         table::count(encoded.frames.len() as u64, "frame"),
+        match encoded.resumed_frames {
+            0 => String::new(),
+            resumed => format!(", {resumed} of them from the interrupted run"),
+        },
         table::bytes(encoded.file_bytes()),
         table::bytes(encoded.stream_bytes),
         table::percent(ratio),

@@ -15,6 +15,7 @@ mod input;
 mod length;
 mod losses;
 mod output;
+mod partial;
 mod poses;
 mod progress;
 mod regions;

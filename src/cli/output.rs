@@ -35,14 +35,9 @@ impl FileOutput {
     }
 
     fn create_file(path: &Path, force: bool) -> Result<Self> {
-        match fs::metadata(path) {
-            Ok(about) if about.is_dir() => return Err(io::Error::from(io::ErrorKind::IsADirectory).into()),
-            Ok(about) if !about.is_file() => return Ok(FileOutput::Direct(Box::new(File::create(path)?))),
-            Ok(_) if !force => return Err(io::Error::from(io::ErrorKind::AlreadyExists).into()),
-            _ => {}
-        }
-        // Through a link, so that the link stays and its target is replaced.
-        let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
+        let Some(target) = replaceable(path, force)? else {
+            return Ok(FileOutput::Direct(Box::new(File::create(path)?)));
+        };
         let file = temporary::file(parent(&target)).map_err(|e| Error::from(e).at(parent(&target)))?;
         let _remove = RemoveOnSignal::new(file.path());
         Ok(FileOutput::Temporary { file, target, force, _remove })
@@ -74,11 +69,40 @@ impl FileOutput {
     pub fn finish(self) -> Result<()> {
         let FileOutput::Temporary { file, target, force, _remove } = self else { return Ok(()) };
         file.as_file().sync_all()?;
-        let placed = if force { file.persist(&target) } else { file.persist_noclobber(&target) };
-        placed.map_err(|e| e.error)?;
-        sync_folder(parent(&target));
-        Ok(())
+        Ok(place(file.into_temp_path(), &target, force)?)
     }
+}
+
+/// The file that the path [leads to](through_link), be it there or not. `None` if it cannot be replaced, being
+/// a device or a named pipe.
+///
+/// # Errors
+/// If it is a folder, or exists and `force` is not set.
+pub fn replaceable(path: &Path, force: bool) -> io::Result<Option<PathBuf>> {
+    match fs::metadata(path) {
+        Ok(about) if about.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
+        Ok(about) if !about.is_file() => return Ok(None),
+        Ok(_) if !force => return Err(io::ErrorKind::AlreadyExists.into()),
+        _ => {}
+    }
+    Ok(Some(through_link(path)))
+}
+
+/// The path, or where it leads to if it is a link, so that the link stays and its target is replaced.
+pub fn through_link(path: &Path) -> PathBuf {
+    let target = path.is_symlink().then(|| fs::canonicalize(path).ok()).flatten();
+    target.unwrap_or_else(|| path.to_path_buf())
+}
+
+/// Gives a file its name, and makes that last.
+///
+/// # Errors
+/// If that fails, or if there is a file of that name and `force` is not set.
+pub fn place(file: TempPath, target: &Path, force: bool) -> io::Result<()> {
+    let placed = if force { file.persist(target) } else { file.persist_noclobber(target) };
+    placed.map_err(|e| e.error)?;
+    sync_folder(parent(target));
+    Ok(())
 }
 
 /// A folder to write scans into. They all get their names at the end, or none does.
@@ -217,7 +241,7 @@ fn exists(path: &Path) -> bool {
 }
 
 /// The folder that a file is in.
-fn parent(path: &Path) -> &Path {
+pub fn parent(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),

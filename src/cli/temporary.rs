@@ -60,7 +60,7 @@ fn lock(file: &File) {
 fn lock(_: &File) {}
 
 /// Removes what killed programs left. That it cannot be removed is no reason to do nothing else.
-fn remove_leftovers(folder: &Path) {
+pub fn remove_leftovers(folder: &Path) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let name = entry.file_name();
         let is_ours = name.to_str().is_some_and(|name| name.starts_with(PREFIX) && name.ends_with(SUFFIX));

@@ -4,45 +4,22 @@ use std::borrow::Cow;
 use std::io::Write;
 use std::mem;
 
-use super::config::{EncoderConfig, ProjectionKind, resolve_threads};
+use super::config::{EncoderConfig, resolve_threads};
+use super::encoded::{Encoded, OpenStream};
 use super::group::GroupEncoder;
 use super::input::FrameInput;
 use super::ordered::run_ordered;
+use super::sensor_choice::choose_sensor;
 use super::steps::StepReport;
-use crate::bitstream::{Frame, FrameHeader, Group, StreamHeader, StreamWriter};
+use crate::bitstream::{Frame, FrameHeader, Group};
 use crate::error::{Limits, Result};
 use crate::io::{HeaderlessLayout, parse_with};
 use crate::scan::ScanFile;
-use crate::sensor::{self, SensorModel};
-
-/// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
-const SAMPLE_FILE_BYTES: u64 = 64 << 20;
+use crate::sensor::SensorModel;
 
 /// A group is closed early when its files reach this many bytes together: decoders hold a whole
 /// group in memory.
 const GROUP_FILE_BYTES: u64 = 256 << 20;
-
-/// What was encoded.
-#[derive(Clone, Debug, Default)]
-pub struct Encoded {
-    /// Name, size, checksum and points of each file as it decodes, in order.
-    pub frames: Vec<FrameHeader>,
-    /// What each step took and left; where several predictions were tried, with the one that was taken.
-    pub steps: StepReport,
-    /// The same, frame by frame.
-    pub frame_steps: Vec<StepReport>,
-    /// Points of all original files.
-    pub points: u64,
-    /// Bytes of the stream.
-    pub stream_bytes: u64,
-}
-
-impl Encoded {
-    /// Bytes of all original files.
-    pub fn file_bytes(&self) -> u64 {
-        self.steps.original
-    }
-}
 
 /// Encodes a sequence. Groups are encoded in parallel; the stream's bytes do not depend on how many
 /// at a time. `on_frame` is called, from any thread, as each frame is done.
@@ -57,8 +34,7 @@ pub fn encode<W: Write>(
     on_frame: &(dyn Fn() + Sync),
 ) -> Result<Encoded> {
     config.check()?;
-    let groups = frames.chunks(config.gop).map(|group| Ok(Cow::Borrowed(group)));
-    encode_groups(choose_sensor(frames, config)?, groups, config, out, on_frame)
+    encode_groups(choose_sensor(frames, config)?, groups_of(frames, config), config, out, on_frame)
 }
 
 /// As [`encode`], of frames that are yet to come: each group is written as soon as it is coded, which does
@@ -84,17 +60,6 @@ pub fn encode_live<W: Write>(
     encode_groups(sensor, first.map(Ok).into_iter().chain(groups), config, out, on_frame)
 }
 
-/// The sensor model of a sequence that these frames are of.
-fn choose_sensor(frames: &[FrameInput], config: &EncoderConfig) -> Result<Option<SensorModel>> {
-    Ok(match config.projection {
-        ProjectionKind::Calibrated { range_step_um } => {
-            let fitted = sensor::fit(&sample(frames, config)?);
-            fitted.map(|sensor| range_step_um.into_iter().fold(sensor, SensorModel::with_range_step))
-        }
-        ProjectionKind::Ideal { columns, range_step_um } => Some(sensor::ideal(columns, range_step_um)),
-    })
-}
-
 /// Encodes groups of frames.
 fn encode_groups<'f, W: Write>(
     sensor: Option<SensorModel>,
@@ -103,61 +68,52 @@ fn encode_groups<'f, W: Write>(
     out: W,
     on_frame: &(dyn Fn() + Sync),
 ) -> Result<Encoded> {
-    let mut writer = StreamWriter::create(out, &StreamHeader::default())?;
-    let sensor_number = write_sensor_model(&mut writer, sensor.as_ref())?;
-    let coder = SequenceCoder { sensor: sensor.as_ref(), sensor_number, config, on_frame };
-
-    let mut encoded = Encoded::default();
-    let write = |groups: Vec<EncodedGroup>| {
-        for EncodedGroup { group, steps, points, .. } in groups {
-            writer.write_group(&group)?;
-            steps.iter().for_each(|frame| encoded.steps.add(frame));
-            encoded.frame_steps.extend(steps);
-            encoded.points += points;
-            encoded.frames.extend(group.frames.into_iter().map(|frame| frame.header));
-        }
-        Ok(())
-    };
-    let work = |group: Cow<'_, [FrameInput]>| coder.encode_frames(&group);
-    run_ordered(resolve_threads(config.threads), groups, work, write)?;
-    (_, encoded.stream_bytes) = writer.finish()?;
-    Ok(encoded)
+    let mut stream = OpenStream::begin(out, sensor.as_ref())?;
+    let coder = SequenceCoder::new(sensor.as_ref(), stream.sensor_number(), config, on_frame);
+    coder.run(groups, |groups| stream.write(&groups))?;
+    stream.finish()
 }
 
-/// The frames that the sensor model is fitted to, spread over the sequence.
-fn sample(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>> {
-    let mut sample = Vec::new();
-    for frame in sample_places(frames.len(), config.sample_frames()).map(|place| &frames[place]) {
-        if frame.size()? <= SAMPLE_FILE_BYTES {
-            sample.push(parse_with(frame.name()?, frame.read()?, config.headerless.as_ref()));
-        }
-    }
-    Ok(sample)
-}
-
-/// Where a sample of at most so many frames is taken: the first frame, the last, and others evenly between.
-fn sample_places(frames: usize, most: usize) -> impl Iterator<Item = usize> {
-    let count = most.min(frames);
-    (0..count).map(move |i| i * (frames - 1) / (count - 1).max(1))
-}
-
-/// Writes the sensor model, if there is one; returns its number, 0 if there is none.
-fn write_sensor_model<W: Write>(writer: &mut StreamWriter<W>, sensor: Option<&SensorModel>) -> Result<u64> {
-    let Some(sensor) = sensor else { return Ok(0) };
-    let mut bytes = Vec::new();
-    sensor.write_to(&mut bytes);
-    writer.write_sensor_model(&bytes)
+/// The frames that are coded together.
+pub(super) fn groups_of<'f>(
+    frames: &'f [FrameInput],
+    config: &EncoderConfig,
+) -> impl Iterator<Item = Result<Cow<'f, [FrameInput]>>> + Send + use<'f> {
+    frames.chunks(config.gop).map(|group| Ok(Cow::Borrowed(group)))
 }
 
 /// What all groups of a sequence share.
-struct SequenceCoder<'a> {
+pub(super) struct SequenceCoder<'a> {
     sensor: Option<&'a SensorModel>,
     sensor_number: u64,
     config: &'a EncoderConfig,
     on_frame: &'a (dyn Fn() + Sync),
 }
 
-impl SequenceCoder<'_> {
+impl<'a> SequenceCoder<'a> {
+    /// For groups that refer to `sensor` by this number.
+    pub fn new(
+        sensor: Option<&'a SensorModel>,
+        sensor_number: u64,
+        config: &'a EncoderConfig,
+        on_frame: &'a (dyn Fn() + Sync),
+    ) -> Self {
+        SequenceCoder { sensor, sensor_number, config, on_frame }
+    }
+
+    /// Encodes frames in parallel, and hands `write` what becomes of each item of `groups`, in order.
+    ///
+    /// # Errors
+    /// As [`encode`].
+    pub fn run<'f>(
+        &self,
+        groups: impl Iterator<Item = Result<Cow<'f, [FrameInput]>>> + Send,
+        write: impl FnMut(Vec<EncodedGroup>) -> Result<()>,
+    ) -> Result<()> {
+        let work = |group: Cow<'_, [FrameInput]>| self.encode_frames(&group);
+        run_ordered(resolve_threads(self.config.threads), groups, work, write)
+    }
+
     /// Encodes frames as one group; as more if they are very large.
     fn encode_frames(&self, inputs: &[FrameInput]) -> Result<Vec<EncodedGroup>> {
         let mut groups = Vec::new();
@@ -176,14 +132,14 @@ impl SequenceCoder<'_> {
 }
 
 /// A group, and what became of its files.
-struct EncodedGroup {
-    group: Group,
+pub(super) struct EncodedGroup {
+    pub group: Group,
     /// Of each frame.
-    steps: Vec<StepReport>,
-    /// Bytes of the original files.
+    pub steps: Vec<StepReport>,
+    /// The original files.
+    pub originals: Vec<FrameHeader>,
+    /// Their bytes.
     file_bytes: u64,
-    /// Points of the original files.
-    points: u64,
 }
 
 /// A group that is being encoded.
@@ -199,7 +155,7 @@ impl<'s> OpenGroup<'s> {
         OpenGroup {
             headerless: sequence.config.headerless.as_ref(),
             coder: GroupEncoder::new(sequence.sensor, sequence.config),
-            encoded: EncodedGroup { group, steps: Vec::new(), file_bytes: 0, points: 0 },
+            encoded: EncodedGroup { group, steps: Vec::new(), originals: Vec::new(), file_bytes: 0 },
         }
     }
 
@@ -213,7 +169,7 @@ impl<'s> OpenGroup<'s> {
         let scan = within_limits(parse_with(name, bytes, self.headerless))?;
         original.point_count = scan.records as u64;
         self.encoded.file_bytes += original.file_size;
-        self.encoded.points += original.point_count;
+        self.encoded.originals.push(original.clone());
         let frame = self.coder.encode_frame(&scan, original)?;
         self.encoded.steps.push(frame.steps);
         self.encoded.group.frames.push(Frame { header: frame.header, sections: frame.sections });
@@ -230,19 +186,4 @@ fn within_limits(scan: ScanFile) -> Result<ScanFile> {
     }
     let bytes = scan.to_bytes()?;
     Ok(ScanFile::opaque(scan.name, bytes))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::sample_places;
-
-    #[test]
-    fn the_sample_is_spread_over_the_sequence() {
-        let places = |frames| sample_places(frames, 6).collect::<Vec<_>>();
-        assert_eq!(places(0), [0; 0]);
-        assert_eq!(places(1), [0]);
-        assert_eq!(places(3), [0, 1, 2]);
-        assert_eq!(places(6), (0..6).collect::<Vec<_>>());
-        assert_eq!(places(51), (0..6).map(|i| 10 * i).collect::<Vec<_>>());
-    }
 }

@@ -9,6 +9,7 @@ pub mod cat;
 pub mod config;
 pub mod cut;
 pub mod decoder;
+pub mod encoded;
 pub mod encoder;
 pub mod fidelity;
 pub mod group;
@@ -16,6 +17,7 @@ pub mod input;
 pub mod options;
 pub mod parameters;
 pub mod recover;
+pub mod resume;
 pub mod steps;
 
 mod bound;
@@ -28,6 +30,7 @@ mod quick;
 mod ranges;
 mod recode;
 mod sections;
+mod sensor_choice;
 mod source;
 mod syntax;
 
@@ -36,7 +39,8 @@ pub use config::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, Proje
 pub use copier::Named;
 pub use cut::{Cut, cut, cut_indexed};
 pub use decoder::{DecodedFrame, decode, decode_indexed};
-pub use encoder::{Encoded, encode, encode_live};
+pub use encoded::Encoded;
+pub use encoder::{encode, encode_live};
 pub use fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
 pub use group::DecodedImage;
 pub use input::FrameInput;
@@ -44,6 +48,7 @@ pub use modelling::Modelling;
 pub use options::{DecodeOptions, FrameRange};
 pub use parameters::{FrameParameters, Prediction, Source};
 pub use recover::{Recovered, recover, repair};
+pub use resume::{PartialFiles, encode_resuming};
 pub use steps::{Step, StepReport};
 
 #[cfg(test)]

@@ -367,6 +367,13 @@ impl SensorModel {
         (0..self.rows()).min_by(|&a, &b| miss(a).total_cmp(&miss(b))).unwrap_or(0)
     }
 
+    /// The payload of the model's record in the stream.
+    pub fn to_record(&self) -> Vec<u8> {
+        let mut record = Vec::new();
+        self.write_to(&mut record);
+        record
+    }
+
     /// Writes the model's record of the stream.
     pub fn write_to(&self, out: &mut Vec<u8>) {
         write_unsigned(out, self.coordinates.to_code());

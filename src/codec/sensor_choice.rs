@@ -1,0 +1,54 @@
+//! The sensor model of a sequence: fitted to a sample of it, or the article's.
+
+use super::config::{EncoderConfig, ProjectionKind};
+use super::input::FrameInput;
+use crate::error::Result;
+use crate::io::parse_with;
+use crate::scan::ScanFile;
+use crate::sensor::{self, SensorModel};
+
+/// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
+const SAMPLE_FILE_BYTES: u64 = 64 << 20;
+
+/// The sensor model of a sequence that these frames are of.
+pub(super) fn choose_sensor(frames: &[FrameInput], config: &EncoderConfig) -> Result<Option<SensorModel>> {
+    Ok(match config.projection {
+        ProjectionKind::Calibrated { range_step_um } => {
+            let fitted = sensor::fit(&sample(frames, config)?);
+            fitted.map(|sensor| range_step_um.into_iter().fold(sensor, SensorModel::with_range_step))
+        }
+        ProjectionKind::Ideal { columns, range_step_um } => Some(sensor::ideal(columns, range_step_um)),
+    })
+}
+
+/// The frames that the sensor model is fitted to, spread over the sequence.
+fn sample(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>> {
+    let mut sample = Vec::new();
+    for frame in sample_places(frames.len(), config.sample_frames()).map(|place| &frames[place]) {
+        if frame.size()? <= SAMPLE_FILE_BYTES {
+            sample.push(parse_with(frame.name()?, frame.read()?, config.headerless.as_ref()));
+        }
+    }
+    Ok(sample)
+}
+
+/// Where a sample of at most so many frames is taken: the first frame, the last, and others evenly between.
+fn sample_places(frames: usize, most: usize) -> impl Iterator<Item = usize> {
+    let count = most.min(frames);
+    (0..count).map(move |i| i * (frames - 1) / (count - 1).max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::sample_places;
+
+    #[test]
+    fn the_sample_is_spread_over_the_sequence() {
+        let places = |frames| sample_places(frames, 6).collect::<Vec<_>>();
+        assert_eq!(places(0), [0; 0]);
+        assert_eq!(places(1), [0]);
+        assert_eq!(places(3), [0, 1, 2]);
+        assert_eq!(places(6), (0..6).collect::<Vec<_>>());
+        assert_eq!(places(51), (0..6).map(|i| 10 * i).collect::<Vec<_>>());
+    }
+}
