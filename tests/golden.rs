@@ -10,11 +10,12 @@ use std::fs;
 use std::path::PathBuf;
 
 use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply, ply_big_endian, ply_text};
-use common::scans::{random_points, scans, small, unrounded};
+use common::scans::{random_points, scans, single_precision, small, unrounded};
 use common::{File, decode_files, encode_files, first_files, in_package, round_trip};
 use lidarpc::backend::BACKENDS;
 use lidarpc::codec::{Coder, EncoderConfig, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind};
 use lidarpc::image_coding::{ImageCodec, ImageConfig, Rate};
+use lidarpc::synth::SynthConfig;
 
 fn folder() -> PathBuf {
     in_package("testdata/golden")
@@ -93,6 +94,13 @@ fn float_files() -> Vec<File> {
     frames.map(|(n, points)| (format!("{n}.bin"), kitti(&unrounded(&config, &points)))).collect()
 }
 
+/// The same, computed in single precision.
+fn single_precision_files() -> Vec<File> {
+    let config = SynthConfig { beams: 2, thinning: 4, ..small(5, 3) };
+    let frames = scans(&config).into_iter().enumerate();
+    frames.map(|(n, points)| (format!("{n}.bin"), kitti(&single_precision(&config, &points)))).collect()
+}
+
 #[test]
 #[ignore = "writes testdata/golden"]
 fn write_golden() {
@@ -141,6 +149,8 @@ fn write_golden() {
     write("v2-bounded-rounded-odd-files", || encode_files(&odd_files(), &rounded));
     write("v2-bounded-ply", || encode_files(&ply_files(), &rounded));
     write("v2-exact-ply", || round_trip(&ply_files(), &EncoderConfig::default()));
+    write("v3-exact-single-precision", || round_trip(&single_precision_files(), &EncoderConfig::default()));
+    write("v3-bounded-single-precision", || encode_files(&single_precision_files(), &bounded));
     for (coder, name) in [(Coder::Context, "context"), (Coder::Backend(lidarpc::backend::LZMA), "lzma")] {
         let config = EncoderConfig {
             projection: ProjectionKind::Ideal { columns: 500, range_step_um: 10_000 },

@@ -175,6 +175,7 @@ fn check_model(model: &SensorModel) {
             assert_eq!(model.column_tick(row, i64::from(tick)), column);
             for steps in [1, 2, 1000, 65535] {
                 let _ = (model.point(row, tick, steps), model.azimuth(row, tick, steps));
+                let _ = model.position_at(row, tick, model.metres(steps));
             }
         }
         let _ = model.invert(row, [1.0, -2.0, 0.5]);

@@ -3,7 +3,7 @@
 mod common;
 
 use common::formats::kitti;
-use common::scans::{Points, moved, random_points, rows, scans, shuffled, unrounded};
+use common::scans::{Points, moved, random_points, rows, scans, shuffled, single_precision, unrounded};
 use lidarpc::io::parse;
 use lidarpc::range_image::{REACH, project};
 use lidarpc::scan::ScanFile;
@@ -190,6 +190,26 @@ fn coordinates_that_were_not_rounded() {
     let frames: Vec<Points> = scans(&config).iter().map(|points| unrounded(&config, points)).collect();
     let sensor = explains(&frames, &frames[3], 0.998);
     assert_eq!(sensor.coordinates, Coordinates::Float32);
+    assert!(!sensor.is_single_precision());
+}
+
+/// Constants are found to their last bits: what the formula gives is the very file.
+#[test]
+fn coordinates_computed_in_single_precision() {
+    let config = SynthConfig { beams: 8, thinning: 2, ..config(8) };
+    let frames: Vec<Points> = scans(&config).iter().map(|points| single_precision(&config, points)).collect();
+    let sensor = explains(&frames, &frames[3], 0.998);
+    assert!(sensor.is_single_precision());
+    let projected = project(&sensor, &file(&frames[3]).cloud, REACH);
+    let right = projected.image.file_order(&sensor).into_iter().filter(|found| {
+        let point = projected.point_of_cell[(found.row as usize, found.column as usize)];
+        let metres = sensor.metres(found.steps);
+        let position = sensor.position_at(found.row as usize, found.tick, metres);
+        position.map(|v| (v as f32).to_bits())
+            == [0, 1, 2].map(|axis| frames[3][point as usize][axis].to_bits())
+    });
+    let share = right.count() as f64 / frames[3].len() as f64;
+    assert!(share > 0.97, "{share} of the points to the bit");
 }
 
 /// What other drives hold: points in no shared column, order broken at the seam, a y of -0.0.

@@ -194,7 +194,7 @@ impl Models {
         let offset_m = frame.parameters.range_coder.offset_m(sensor);
         let formula = |found: &Return| {
             let metres = sensor.metres(found.steps) + offset_m;
-            sensor.point_at(found.row as usize, found.tick, metres)
+            sensor.position_at(found.row as usize, found.tick, metres)
         };
         let (max_error, on_grid) = match frame.parameters.positions {
             Positions::Formula => {

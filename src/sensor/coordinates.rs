@@ -99,14 +99,14 @@ fn zero_of(formula: f64) -> f32 {
 }
 
 /// float32 values in rising order as integers; neighbours differ by one, and so do -0.0 and 0.0.
-fn ordered(value: f32) -> i64 {
+pub(super) fn ordered(value: f32) -> i64 {
     let bits = value.to_bits();
     let key = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
     i64::from(key) - (1 << 31)
 }
 
 /// The inverse of [`ordered`], for any integer: those that stand for no float32 are cut to 32 bits.
-fn from_ordered(unit: i64) -> f32 {
+pub(super) fn from_ordered(unit: i64) -> f32 {
     let key = unit.wrapping_add(1 << 31) as u32;
     f32::from_bits(if key >> 31 == 1 { key & !(1 << 31) } else { !key })
 }

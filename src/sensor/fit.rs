@@ -14,7 +14,8 @@ use rayon::prelude::*;
 use super::beams::{Beam, Cone, Point, align, split_beams, thinned};
 use super::columns::column_shifts;
 use super::model::small_atan;
-use super::{BeamConstants, Coordinates, SensorModel};
+use super::sharpen::sharpen;
+use super::{BeamConstants, Coordinates, Refinement, SensorModel};
 use crate::rounding::round_ties_even;
 use crate::scan::ScanFile;
 
@@ -67,7 +68,36 @@ fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<Sensor
     let mut model = SensorModel::new(coordinates, TICKS, RANGE_STEP_UM, constants);
     let shifts = column_shifts(&model, &beams);
     model.set_column_shifts(&shifts);
-    Some(model)
+    Some(match coordinates {
+        Coordinates::Float32 => in_single_precision(model, &beams),
+        _ => model,
+    })
+}
+
+/// The model with single-precision arithmetic, if that gives more of the coordinates to the bit.
+fn in_single_precision(model: SensorModel, beams: &[&Beam]) -> SensorModel {
+    /// Points of a beam that are compared.
+    const COMPARED: usize = 200;
+    let points: Vec<Vec<Point>> = beams.par_iter().map(|beam| beam.scans.concat()).collect();
+    let refinements: Vec<Option<Refinement>> =
+        points.par_iter().enumerate().map(|(row, points)| sharpen(&model, row, points)).collect();
+    if refinements.iter().all(Option::is_none) {
+        return model;
+    }
+    let refined =
+        model.clone().with_refinements(refinements.into_iter().map(Option::unwrap_or_default).collect());
+    let exact = |model: &SensorModel| {
+        let of_point = |row: usize, point: &Point| {
+            let Some((tick, steps)) = model.invert(row, point.position) else { return 0 };
+            let position = model.position_at(row, tick, model.metres(steps));
+            position.iter().zip(point.position).filter(|(a, b)| f64::from(**a as f32) == *b).count()
+        };
+        let of_beam = |(row, points): (usize, &Vec<Point>)| {
+            thinned(points, COMPARED).map(|point| of_point(row, point)).sum::<usize>()
+        };
+        points.par_iter().enumerate().map(of_beam).sum::<usize>()
+    };
+    if exact(&refined) > exact(&model) { refined } else { model }
 }
 
 /// The constants of one beam. None if its points are too few, or not those of such a beam.

@@ -7,6 +7,9 @@ mod coordinates;
 mod fit;
 mod ideal;
 mod model;
+mod sharpen;
+mod sine;
+mod single_precision;
 
 pub use coordinates::Coordinates;
 pub use fit::{RANGE_STEP_UM, fit};
@@ -14,3 +17,5 @@ pub use ideal::ideal;
 pub use model::{
     BeamConstants, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, SensorModel, Sighting,
 };
+pub use sine::sine_and_cosine;
+pub use single_precision::Refinement;

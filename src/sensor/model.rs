@@ -17,6 +17,7 @@
 use std::f64::consts::TAU;
 
 use super::Coordinates;
+use super::single_precision::{Arithmetic, Refinement};
 use crate::error::{Error, Result};
 use crate::rounding::round_ties_even;
 use crate::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
@@ -29,6 +30,8 @@ const LENGTH_UNIT: f64 = 1.0 / (1u64 << 24) as f64;
 const LARGEST_CONSTANT: u64 = 1 << 34;
 /// More beams than any scanner has.
 const MOST_BEAMS: u64 = 1024;
+/// The number that stands for float32 coordinates by single-precision arithmetic, beside those of the grids.
+const SINGLE_PRECISION: u64 = 2;
 /// The finest azimuth grid allowed: 0.001 degree.
 pub const MOST_TICKS: u64 = 360_000;
 
@@ -139,6 +142,9 @@ pub struct SensorModel {
     beams: Vec<Beam>,
     /// cos and sin of each tick.
     tick_directions: Vec<[f64; 2]>,
+    /// Refinements of each beam, if the file's coordinates come from single-precision arithmetic.
+    refinements: Option<Vec<Refinement>>,
+    single: Vec<Arithmetic>,
 }
 
 impl PartialEq for SensorModel {
@@ -147,6 +153,7 @@ impl PartialEq for SensorModel {
             && self.ticks == other.ticks
             && self.range_step_um == other.range_step_um
             && self.constants == other.constants
+            && self.refinements == other.refinements
     }
 }
 
@@ -161,7 +168,32 @@ impl SensorModel {
         let beams = constants.iter().map(Beam::new).collect();
         let angle = |t: u32| f64::from(t) / f64::from(ticks) * TAU;
         let tick_directions = (0..ticks).map(|t| [libm::cos(angle(t)), libm::sin(angle(t))]).collect();
-        SensorModel { coordinates, ticks, range_step_um, constants, beams, tick_directions }
+        let (refinements, single) = (None, Vec::new());
+        SensorModel {
+            coordinates,
+            ticks,
+            range_step_um,
+            constants,
+            beams,
+            tick_directions,
+            refinements,
+            single,
+        }
+    }
+
+    /// The same scanner, whose file was written by single-precision arithmetic with constants that are sharper
+    /// by these, one for each beam.
+    pub fn with_refinements(mut self, refinements: Vec<Refinement>) -> Self {
+        let of_row = |(row, refinement)| self.single_precision(row).refined(refinement);
+        self.single = refinements.iter().take(self.rows()).enumerate().map(of_row).collect();
+        self.refinements = Some(refinements);
+        self
+    }
+
+    /// The constants of beam `row` as single-precision arithmetic has them, but not refined.
+    pub(super) fn single_precision(&self, row: usize) -> Arithmetic {
+        let Beam { sin_v, cos_v, b, c, h, rot, .. } = self.beams[row];
+        Arithmetic::new([sin_v, cos_v, b, c, h, rot], self.ticks)
     }
 
     /// The same scanner, its ranges rounded to other steps, in micrometres.
@@ -353,6 +385,21 @@ impl SensorModel {
         ]
     }
 
+    /// The position in the file, as well as the model gives it, in metres; by single-precision arithmetic if the
+    /// file was written so, else by the formula. The range need not be a whole number of steps.
+    #[inline]
+    pub fn position_at(&self, row: usize, tick: u32, metres: f64) -> [f64; 3] {
+        match self.single.get(row) {
+            Some(single) => single.position(tick, metres).map(f64::from),
+            None => self.point_at(row, tick, metres),
+        }
+    }
+
+    /// Whether the model has single-precision arithmetic.
+    pub fn is_single_precision(&self) -> bool {
+        self.refinements.is_some()
+    }
+
     /// The beam whose cone passes nearest to a point at distance `rho` and height `z` (metres),
     /// looking at `hint` first.
     pub fn nearest_beam(&self, rho: f64, z: f64, hint: usize) -> usize {
@@ -376,13 +423,16 @@ impl SensorModel {
 
     /// Writes the model's record of the stream.
     pub fn write_to(&self, out: &mut Vec<u8>) {
-        write_unsigned(out, self.coordinates.to_code());
+        let coordinates =
+            if self.is_single_precision() { SINGLE_PRECISION } else { self.coordinates.to_code() };
+        write_unsigned(out, coordinates);
         write_unsigned(out, u64::from(self.ticks));
         write_unsigned(out, u64::from(self.range_step_um));
         write_unsigned(out, self.constants.len() as u64);
         for mut beam in self.constants.iter().copied() {
             beam.fields().into_iter().for_each(|field| write_signed(out, *field));
         }
+        self.refinements.iter().flatten().for_each(|refinement| refinement.write_to(out));
     }
 
     /// Reads what [`write_to`](Self::write_to) wrote.
@@ -390,8 +440,9 @@ impl SensorModel {
     /// # Errors
     /// If the record is cut short or holds values that no scanner has.
     pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
-        let coordinates = match read_unsigned(bytes, "sensor model")? {
-            code @ 0..2 => Coordinates::from_code(code),
+        let (coordinates, is_single_precision) = match read_unsigned(bytes, "sensor model")? {
+            code @ 0..2 => (Coordinates::from_code(code), false),
+            SINGLE_PRECISION => (Coordinates::Float32, true),
             other => return Err(Error::corrupt(format!("sensor model: unknown coordinate grid {other}"))),
         };
         let mut bounded = |what: &str, min, max| match read_unsigned(bytes, "sensor model")? {
@@ -412,7 +463,12 @@ impl SensorModel {
             }
             constants.push(beam);
         }
-        Ok(Self::new(coordinates, ticks, range_step_um, constants))
+        let model = Self::new(coordinates, ticks, range_step_um, constants);
+        if !is_single_precision {
+            return Ok(model);
+        }
+        let refinements = (0..rows).map(|_| Refinement::read_from(bytes)).collect::<Result<_>>()?;
+        Ok(model.with_refinements(refinements))
     }
 
     /// The column shifts, for the fit to fill in.

@@ -1,8 +1,11 @@
 //! Scans for tests: simulated ones, and the same as other scanners or programs would store them.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
+use lidarpc::sensor::sine_and_cosine;
 use lidarpc::synth::{Beam, STEP, SynthConfig, TICKS, drive, scanner_beams};
+
+const TICK_DEGREES: f64 = 0.09;
 
 /// x, y, z and intensity.
 pub type Points = Vec<[f32; 4]>;
@@ -31,23 +34,59 @@ pub fn rows(points: &[[f32; 4]]) -> Vec<Points> {
 /// The scan of [`scans`] as float32 coordinates that were never rounded to the millimetre: the
 /// integers of each point are found again and put through the formula.
 pub fn unrounded(config: &SynthConfig, points: &[[f32; 4]]) -> Points {
+    from_integers(config, points, |beam, tick, d| {
+        let (sin, cos) = beam.elevation.to_radians().sin_cos();
+        let rho = d * cos + beam.range_offset;
+        let phi = (tick as f64 * TICK_DEGREES + beam.turn).to_radians() + (beam.side / rho).atan();
+        [(rho * phi.cos()) as f32, (rho * phi.sin()) as f32, (d * sin + beam.height) as f32]
+    })
+}
+
+/// The same, computed in single precision as KITTI-360's program did.
+pub fn single_precision(config: &SynthConfig, points: &[[f32; 4]]) -> Points {
+    from_integers(config, points, |beam, tick, d| {
+        let (sin_v, cos_v) = beam.elevation.to_radians().sin_cos();
+        let (sin, cos) = (sin_v as f32, cos_v as f32);
+        let offset = beam.range_offset / cos_v;
+        let distance = (d + offset) as f32;
+        let aside = (beam.side / (f64::from(distance) * f64::from(cos))).atan().to_degrees();
+        // The program counts ticks from elsewhere.
+        let first = i64::from(beam.shift);
+        let counted = (tick - first).rem_euclid(i64::from(TICKS));
+        let added = beam.turn + first as f64 * TICK_DEGREES;
+        let turned = (f64::from((counted as f64 * TICK_DEGREES) as f32) + added) as f32;
+        let degrees = (f64::from(turned) + aside) as f32;
+        let degrees = match degrees {
+            below if below < 0.0 => below + 360.0,
+            above if above >= 360.0 => above - 360.0,
+            within => within,
+        };
+        let (sine, cosine) = sine_and_cosine((f64::from(degrees) * (PI / 180.0)) as f32);
+        let z = (f64::from(distance * sin) + (beam.height - offset * sin_v)) as f32;
+        [distance * (cos * cosine), distance * (cos * sine), z]
+    })
+}
+
+/// Finds beam, tick and range of each point again, and puts them through a formula.
+fn from_integers(
+    config: &SynthConfig,
+    points: &[[f32; 4]],
+    formula: impl Fn(&Beam, i64, f64) -> [f32; 3],
+) -> Points {
     let beams = scanner_beams(config);
     let rows = rows(points);
     assert_eq!(rows.len(), beams.len(), "each beam has a row");
-    let again = |(beam, row): (&Beam, Points)| row.into_iter().map(|p| again(beam, &p)).collect::<Points>();
-    beams.iter().zip(rows).flat_map(again).collect()
-}
-
-fn again(beam: &Beam, point: &[f32; 4]) -> [f32; 4] {
-    let [x, y, z] = [0, 1, 2].map(|axis| f64::from(point[axis]));
-    let (sin, cos) = beam.elevation.to_radians().sin_cos();
-    let distance = (x.hypot(y) - beam.range_offset) * cos + (z - beam.height) * sin;
-    let d = (distance / STEP).round() * STEP;
-    let rho = d * cos + beam.range_offset;
-    let turned = (azimuth(point) - (beam.side / x.hypot(y)).atan()).to_degrees() - beam.turn;
-    let tick = (turned / 360.0 * f64::from(TICKS)).round() / f64::from(TICKS) * 360.0;
-    let phi = (tick + beam.turn).to_radians() + (beam.side / rho).atan();
-    [(rho * phi.cos()) as f32, (rho * phi.sin()) as f32, (d * sin + beam.height) as f32, point[3]]
+    let again = |beam: &Beam, point: &[f32; 4]| {
+        let [x, y, z] = [0, 1, 2].map(|axis| f64::from(point[axis]));
+        let (sin, cos) = beam.elevation.to_radians().sin_cos();
+        let distance = (x.hypot(y) - beam.range_offset) * cos + (z - beam.height) * sin;
+        let turned = (azimuth(point) - (beam.side / x.hypot(y)).atan()).to_degrees() - beam.turn;
+        let [x, y, z] =
+            formula(beam, (turned / TICK_DEGREES).round() as i64, (distance / STEP).round() * STEP);
+        [x, y, z, point[3]]
+    };
+    let of_row = |(beam, row): (&Beam, Points)| row.iter().map(|p| again(beam, p)).collect::<Points>();
+    beams.iter().zip(rows).flat_map(of_row).collect()
 }
 
 /// The scan seen from elsewhere, as programs store it that correct for the motion: float32 values
