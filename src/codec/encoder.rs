@@ -10,6 +10,7 @@ use super::input::FrameInput;
 use super::ordered::run_ordered;
 use super::steps::StepReport;
 use crate::bitstream::{Frame, FrameHeader, Group, StreamHeader, StreamWriter};
+use crate::compensation;
 use crate::error::{Limits, Result};
 use crate::io::{HeaderlessLayout, parse_with};
 use crate::scan::ScanFile;
@@ -132,7 +133,12 @@ fn sample(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>
     let mut sample = Vec::new();
     for frame in sample_places(frames.len()).map(|place| &frames[place]) {
         if frame.size()? <= SAMPLE_FILE_BYTES {
-            sample.push(parse_with(frame.name()?, frame.read()?, config.headerless.as_ref()));
+            let mut scan = parse_with(frame.name()?, frame.read()?, config.headerless.as_ref());
+            let undone = config.undoes_compensation().then(|| compensation::undo(&scan.cloud.positions));
+            if let Some((positions, _)) = undone.flatten() {
+                scan.cloud.positions = positions;
+            }
+            sample.push(scan);
         }
     }
     Ok(sample)

@@ -5,9 +5,11 @@ use super::config::{EncoderConfig, ProjectionKind};
 use super::fidelity::{Intensity, Positions};
 use super::parameters::{FrameParameters, Prediction, RangeCoder, Source};
 use super::steps::{Step, StepReport};
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
+use crate::compensation::{self, Compensation};
 use crate::context::OrderExceptions;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
@@ -50,6 +52,8 @@ pub struct Frame {
     pub order: OrderExceptions,
     /// The other bytes of the records, in the order of the file.
     pub extra: Vec<u8>,
+    /// How the points were moved after they were measured; the positions above are from before.
+    pub compensation: Option<Compensation>,
     /// Where the points come from; only while a scan is encoded.
     origin: Option<Arc<Origin>>,
 }
@@ -84,13 +88,14 @@ impl Frame {
             ..Frame::default()
         };
         let bound = Bound::of(config.positions, config.intensity);
-        match sensor.filter(|_| !scan.cloud.positions.is_empty()) {
-            None => frame.take_strays(&scan.cloud),
+        let cloud = steps.timed(Step::Conversion, || frame.undo_compensation(&scan.cloud, config));
+        match sensor.filter(|_| !cloud.positions.is_empty()) {
+            None => frame.take_strays(&cloud),
             Some(sensor) if config.positions == Positions::Formula => {
-                frame.convert_points(&scan.cloud, sensor, config, steps);
+                frame.convert_points(&cloud, sensor, config, steps);
             }
             Some(sensor) => steps.timed(Step::Conversion, || {
-                frame.take_points(&scan.cloud, sensor, bound.as_ref());
+                frame.take_points(cloud.into_owned(), sensor, bound.as_ref());
             }),
         }
         if let Some(bound) = bound {
@@ -131,6 +136,22 @@ impl Frame {
         self.parameters.motion = QuantisedPose::default();
     }
 
+    /// The points as they were measured, if they were moved after that and are to come back exactly.
+    fn undo_compensation<'c>(
+        &mut self,
+        cloud: &'c PointCloud,
+        config: &EncoderConfig,
+    ) -> Cow<'c, PointCloud> {
+        if !config.undoes_compensation() {
+            return Cow::Borrowed(cloud);
+        }
+        let Some((positions, compensation)) = compensation::undo(&cloud.positions) else {
+            return Cow::Borrowed(cloud);
+        };
+        self.compensation = Some(compensation);
+        Cow::Owned(PointCloud { positions, ..cloud.clone() })
+    }
+
     /// Takes all points as they come: there is no range image. None of them is lost.
     fn take_strays(&mut self, cloud: &PointCloud) {
         if self.parameters.positions == Positions::Formula {
@@ -144,16 +165,16 @@ impl Frame {
     }
 
     /// Takes all points, in bins of range as wide as the bound allows.
-    fn take_points(&mut self, cloud: &PointCloud, sensor: &SensorModel, bound: Option<&Bound>) {
-        let projection = project(sensor, cloud, bound.map_or(REACH, |bound| bound.reach().max(REACH)));
+    fn take_points(&mut self, cloud: PointCloud, sensor: &SensorModel, bound: Option<&Bound>) {
+        let projection = project(sensor, &cloud, bound.map_or(REACH, |bound| bound.reach().max(REACH)));
         if let Some(bound) = bound {
-            let bin = bound.bin(sensor.range_step_m(), projection.misses(sensor, cloud));
+            let bin = bound.bin(sensor.range_step_m(), projection.misses(sensor, &cloud));
             self.parameters.range_coder = RangeCoder::in_bins(bin);
             if let Positions::Bounded { on_grid, .. } = &mut self.parameters.positions {
                 *on_grid = bin == 1;
             }
         }
-        self.take_image(cloud.clone(), projection);
+        self.take_image(cloud, projection);
     }
 
     /// Moves the values that the range image does not hold as far as the bound allows.
@@ -264,6 +285,9 @@ impl Frame {
         if self.layout.position.is_some() {
             let positions: Vec<_> = self.positions.iter().chain(&self.stray_positions).copied().collect();
             cloud.positions = order.iter().map(|&element| positions[element as usize]).collect();
+        }
+        if let Some(compensation) = &self.compensation {
+            compensation.apply(&mut cloud.positions);
         }
         if self.layout.intensity.is_some() {
             let of_returns =

@@ -10,6 +10,7 @@ use super::parameters::{FrameParameters, Prediction};
 use super::sections::SectionCoder;
 use super::steps::{Step, StepReport};
 use crate::bitstream::SectionKind;
+use crate::compensation::Compensation;
 use crate::context::{
     ByteModel, ColumnModel, CorrectionModel, IntensityModel, IntensityNeighbours, IntensityReference,
     IntensityScale, OccupancyModel, OrderModel, PointModel, RangeModel, neighbours_above,
@@ -60,6 +61,7 @@ impl Models {
         let (start, before) = (Instant::now(), steps.total_time());
         code_parameters(sections, frame)?;
         sections.section(SectionKind::File, true, |coder| self.code_file(coder, frame, &limits))?;
+        code_compensation(sections, frame)?;
         let returns = frame.records - frame.strays;
         let sensor = match sensor {
             Some(sensor) if returns > 0 => Some(sensor),
@@ -341,6 +343,17 @@ fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Resu
     let mut payload = frame.parameters.to_payload();
     sections.payload(SectionKind::Parameters, &mut payload);
     frame.parameters = FrameParameters::from_payload(&payload)?;
+    Ok(())
+}
+
+/// How the points were moved after they were measured.
+fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+    let mut payload = Vec::new();
+    frame.compensation.iter().for_each(|compensation| compensation.write_to(&mut payload));
+    sections.payload(SectionKind::Compensation, &mut payload);
+    if !payload.is_empty() {
+        frame.compensation = Some(Compensation::from_payload(&payload, frame.records)?);
+    }
     Ok(())
 }
 

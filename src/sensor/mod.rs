@@ -8,6 +8,7 @@ mod fit;
 mod ideal;
 mod model;
 
+pub(crate) use beams::{Point as BeamPoint, split_beams, thinned};
 pub use coordinates::Coordinates;
 pub use fit::{RANGE_STEP_UM, fit};
 pub use ideal::ideal;
