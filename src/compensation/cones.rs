@@ -13,8 +13,8 @@ use crate::sensor::{BeamPoint, thinned};
 /// The unknowns: translation, then rotation about x and y.
 const UNKNOWNS: usize = 5;
 /// Points that are enough.
-const SAMPLE: usize = 8000;
-const ROUNDS: usize = 12;
+const SAMPLE: usize = 5000;
+const ROUNDS: usize = 10;
 /// Share of the points that must come to lie on the cones.
 const LEAST_SHARE: f64 = 0.7;
 /// Metres from the cone of a point that lies on it: a few times what millimetres leave.
@@ -27,21 +27,20 @@ struct Cone {
     slope: f64,
 }
 
-/// The motion that brings the points of each beam onto a cone, without the rotation about z. None if no
-/// motion does.
-pub fn motion_of(beams: &[Vec<BeamPoint>]) -> Option<Motion> {
+/// The motion that brings the points of each beam onto a cone, with the rotation about z that `motion` has. None
+/// if no motion does.
+pub fn improved(mut motion: Motion, beams: &[Vec<BeamPoint>]) -> Option<Motion> {
     let total: usize = beams.iter().map(Vec::len).sum();
     let share = |beam: &Vec<BeamPoint>| (SAMPLE * beam.len()).div_ceil(total.max(1));
     let samples: Vec<Vec<[f64; 3]>> =
         beams.iter().map(|beam| thinned(beam, share(beam)).map(|point| point.position).collect()).collect();
     let mut cones = vec![Cone::default(); samples.len()];
-    let mut motion = Motion::default();
     for round in 0..ROUNDS {
         // The first round has no cones to judge by, and the next ones rough ones.
         let reach = match round {
             0 => f64::INFINITY,
             1..4 => 0.3,
-            4..8 => 0.03,
+            4..7 => 0.03,
             _ => 0.01,
         };
         let (step, on_cone) = improve(&samples, &mut cones, &motion, reach)?;

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::motion::{Mover, part_of_turn};
-use super::{Compensation, Miss, cones, grid};
+use super::{Compensation, Miss, Motion, cones, grid};
 use crate::sensor::{Coordinates, split_beams};
 
 /// Scans of which the formula misses more points than one in so many are taken as they are.
@@ -16,8 +16,13 @@ pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Compensation)> {
         return None;
     }
     let finite: Vec<[f64; 3]> = positions.iter().filter_map(finite).collect();
-    let motion = cones::motion_of(&split_beams(positions))?;
-    let motion = grid::polished(grid::with_yaw(motion, &finite)?, &finite)?;
+    let beams = split_beams(positions);
+    let mut motion = Motion::default();
+    // Cones judge the motion as if there were no rotation about z, until that is known.
+    for _ in 0..2 {
+        motion = grid::with_yaw(cones::improved(motion, &beams)?, &finite)?;
+    }
+    let motion = grid::polished(motion, &finite)?;
     let mover = Mover::new(&motion);
     let points: Vec<[f32; 3]> = positions.iter().map(|position| measured(&mover, position)).collect();
     let motion = grid::sharpened(motion, &points, positions);
@@ -40,7 +45,7 @@ pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Compensation)> {
 fn may_be_moved(positions: &[[f32; 3]]) -> bool {
     /// y / x of points that even the fastest car moves by less than a third of a millimetre.
     const IN_FRONT: f32 = 5e-4;
-    const FEWEST: usize = 8;
+    const FEWEST: usize = 4;
     /// Coherence that points on no grid do not have by chance.
     const LEAST: f64 = 0.4;
     if Coordinates::of(positions.iter().step_by(7).flatten()) != Coordinates::Float32 {

@@ -26,7 +26,7 @@ struct Sample {
 /// Completes a motion by its rotation about z. None if nothing brings the points onto the grid.
 pub fn with_yaw(motion: Motion, positions: &[[f64; 3]]) -> Option<Motion> {
     /// Points of the first search, of every later step, and the fewest.
-    const FIRST: usize = 500;
+    const FIRST: usize = 300;
     const SAMPLE: usize = 1500;
     const FEWEST: usize = 60;
     /// Metres; the rotation moves no point by a unit that has less of a lever.
