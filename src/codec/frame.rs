@@ -56,6 +56,8 @@ pub struct Frame {
     pub compensation: Option<Compensation>,
     /// Where the points come from; only while a scan is encoded.
     origin: Option<Arc<Origin>>,
+    /// Positions as they are in the file, if they were moved; only while a scan is encoded.
+    moved: Option<Arc<Vec<[f32; 3]>>>,
 }
 
 /// The points of a scan that is encoded, and where the range image has them.
@@ -136,7 +138,7 @@ impl Frame {
         self.parameters.motion = QuantisedPose::default();
     }
 
-    /// The points as they were measured, if they were moved after that and are to come back exactly.
+    /// The points as they were measured, if they were moved after that.
     fn undo_compensation<'c>(
         &mut self,
         cloud: &'c PointCloud,
@@ -149,6 +151,7 @@ impl Frame {
             return Cow::Borrowed(cloud);
         };
         self.compensation = Some(compensation);
+        self.moved = Some(Arc::new(cloud.positions.clone()));
         Cow::Owned(PointCloud { positions, ..cloud.clone() })
     }
 
@@ -272,6 +275,30 @@ impl Frame {
         Ok(points)
     }
 
+    /// The positions, moved or not, in the order of the file.
+    fn positions_in_order(&self, order: &[u32]) -> Vec<[f32; 3]> {
+        let positions: Vec<_> = self.positions.iter().chain(&self.stray_positions).copied().collect();
+        order.iter().map(|&element| positions[element as usize]).collect()
+    }
+
+    /// Takes down which points compensation does not move to where they must be, now that what is decoded of
+    /// them is known.
+    ///
+    /// # Errors
+    /// If the parts do not fit together.
+    pub fn find_misses(&mut self, returns: usize) -> Result<()> {
+        let Some(moved) = self.moved.take() else { return Ok(()) };
+        let measured = self.positions_in_order(&self.order.order(returns)?);
+        let bound = Bound::of(self.parameters.positions, self.parameters.intensity);
+        if let Some(compensation) = &mut self.compensation {
+            compensation.find_misses(&measured, &moved, |a, b| match &bound {
+                Some(bound) => bound.is_near(a, b),
+                None => a.map(f32::to_bits) == b.map(f32::to_bits),
+            });
+        }
+        Ok(())
+    }
+
     /// Puts the scan together again.
     ///
     /// # Errors
@@ -281,10 +308,9 @@ impl Frame {
         if order.len() != self.records {
             return Err(Error::corrupt("the parts of the frame hold different numbers of points"));
         }
-        let mut cloud = PointCloud { extra: self.extra, ..PointCloud::default() };
+        let mut cloud = PointCloud::default();
         if self.layout.position.is_some() {
-            let positions: Vec<_> = self.positions.iter().chain(&self.stray_positions).copied().collect();
-            cloud.positions = order.iter().map(|&element| positions[element as usize]).collect();
+            cloud.positions = self.positions_in_order(&order);
         }
         if let Some(compensation) = &self.compensation {
             compensation.apply(&mut cloud.positions);
@@ -295,6 +321,7 @@ impl Frame {
             let intensity: Vec<f32> = of_returns.chain(self.stray_intensity.iter().copied()).collect();
             cloud.intensity = order.iter().map(|&element| intensity[element as usize]).collect();
         }
+        cloud.extra = self.extra;
         Ok(ScanFile {
             name: name.to_owned(),
             layout: self.layout,

@@ -61,7 +61,6 @@ impl Models {
         let (start, before) = (Instant::now(), steps.total_time());
         code_parameters(sections, frame)?;
         sections.section(SectionKind::File, true, |coder| self.code_file(coder, frame, &limits))?;
-        code_compensation(sections, frame)?;
         let returns = frame.records - frame.strays;
         let sensor = match sensor {
             Some(sensor) if returns > 0 => Some(sensor),
@@ -102,6 +101,7 @@ impl Models {
             self.extra.code(coder, frame.layout.extra_stride(), &mut frame.extra);
             Ok(())
         })?;
+        code_compensation(sections, frame, returns)?;
         let others = steps.total_time() - before;
         steps.took(Step::Rest, start + others);
         Ok(found)
@@ -347,7 +347,8 @@ fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Resu
 }
 
 /// How the points were moved after they were measured.
-fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame, returns: usize) -> Result<()> {
+    frame.find_misses(returns)?;
     let mut payload = Vec::new();
     frame.compensation.iter().for_each(|compensation| compensation.write_to(&mut payload));
     sections.payload(SectionKind::Compensation, &mut payload);

@@ -31,7 +31,10 @@ struct Cone {
 /// if no motion does.
 pub fn improved(mut motion: Motion, beams: &[Vec<BeamPoint>]) -> Option<Motion> {
     let total: usize = beams.iter().map(Vec::len).sum();
-    let share = |beam: &Vec<BeamPoint>| (SAMPLE * beam.len()).div_ceil(total.max(1));
+    if total == 0 {
+        return None;
+    }
+    let share = |beam: &Vec<BeamPoint>| (SAMPLE * beam.len()).div_ceil(total);
     let samples: Vec<Vec<[f64; 3]>> =
         beams.iter().map(|beam| thinned(beam, share(beam)).map(|point| point.position).collect()).collect();
     let mut cones = vec![Cone::default(); samples.len()];

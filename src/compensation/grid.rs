@@ -26,7 +26,7 @@ struct Sample {
 /// Completes a motion by its rotation about z. None if nothing brings the points onto the grid.
 pub fn with_yaw(motion: Motion, positions: &[[f64; 3]]) -> Option<Motion> {
     /// Points of the first search, of every later step, and the fewest.
-    const FIRST: usize = 300;
+    const FIRST: usize = 120;
     const SAMPLE: usize = 1500;
     const FEWEST: usize = 60;
     /// Metres; the rotation moves no point by a unit that has less of a lever.
@@ -127,7 +127,7 @@ pub fn sharpened(mut motion: Motion, points: &[[f32; 3]], positions: &[[f32; 3]]
     /// What is no nearer to the border of its float32 value than this, in metres, will not cross it.
     const NEAR_BORDER: f64 = 2e-8;
     /// The same in later rounds, in parts of the largest step over a border.
-    const NEAR_BORDER_OF_LARGEST: f64 = 8.0;
+    const NEAR_BORDER_OF_LARGEST: f64 = 100.0;
     /// How much the points that fit hold the motion in place, at most.
     const INERTIA: f64 = 0.02;
     let mover = Mover::new(&motion);

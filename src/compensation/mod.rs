@@ -45,6 +45,26 @@ pub struct Miss {
 }
 
 impl Compensation {
+    /// Takes down which points of the file `positions` the formula misses, given the decoded measured ones:
+    /// those that are not `near` it.
+    pub fn find_misses(
+        &mut self,
+        measured: &[[f32; 3]],
+        positions: &[[f32; 3]],
+        near: impl Fn(&[f32; 3], &[f32; 3]) -> bool,
+    ) {
+        self.misses.clear();
+        let mut formula = measured.to_vec();
+        self.apply(&mut formula);
+        for ((point, position), formula) in (0u32..).zip(positions).zip(&formula) {
+            if !near(position, formula) {
+                let unit = Coordinates::unit_of_float;
+                let units = std::array::from_fn(|axis| unit(position[axis]) - unit(formula[axis]));
+                self.misses.push(Miss { point, units });
+            }
+        }
+    }
+
     /// Moves the points of a scan, in the order of the file. Misses of points that are not there do nothing.
     pub fn apply(&self, positions: &mut [[f32; 3]]) {
         let mover = Mover::new(&self.motion);
