@@ -6,9 +6,8 @@ use super::motion::{Mover, part_of_turn};
 use super::{Compensation, Motion, cones, grid};
 use crate::sensor::{Coordinates, split_beams, thinned};
 
-/// Points as they were measured, on the millimetre grid, and how they were moved to those of the file, but for which
-/// points were not. None
-/// if these were not measured so, or moved so.
+/// Points as they were measured, on the millimetre grid, and how they were moved to those of the file; which
+/// points were not is left open. None if these were not measured so, or not moved so.
 pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Compensation)> {
     if !may_be_moved(positions) {
         return None;
@@ -27,7 +26,7 @@ pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Compensation)> {
     let points: Vec<[f32; 3]> = positions.iter().map(|position| measured(&mover, position)).collect();
     let motion = grid::sharpened(motion, &points, positions);
 
-    explains(&Mover::new(&motion), &points, positions)
+    (motion.is_possible() && explains(&Mover::new(&motion), &points, positions))
         .then_some((points, Compensation { motion, misses: Vec::new() }))
 }
 

@@ -112,7 +112,7 @@ mod tests {
         let motion = Motion { rotation: [0.003, -0.002, 0.06], translation: [1.9, 0.1, -0.02] };
         let mover = Mover::new(&motion);
         for i in 0..1000 {
-            let azimuth = f64::from(i) * 0.00628 - 3.14;
+            let azimuth = f64::from(i) * 0.0062 - 3.1;
             let point = [9.0 * azimuth.cos(), 9.0 * azimuth.sin(), f64::from(i) * 0.001];
             let again = mover.undone(mover.moved(point), part_of_turn(&point));
             assert!(point.iter().zip(again).all(|(a, b)| (a - b).abs() < 1e-5), "{point:?} {again:?}");
