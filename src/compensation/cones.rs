@@ -15,6 +15,8 @@ const UNKNOWNS: usize = 5;
 /// Points that are enough.
 const SAMPLE: usize = 5000;
 const ROUNDS: usize = 10;
+/// Fewer do not tell all of a motion, and are no rows: the points are in some other order.
+const FEWEST_BEAMS: usize = 3;
 /// Share of the points that must come to lie on the cones.
 const LEAST_SHARE: f64 = 0.7;
 /// Metres from the cone of a point that lies on it: a few times what millimetres leave.
@@ -31,7 +33,7 @@ struct Cone {
 /// if no motion does.
 pub fn improved(mut motion: Motion, beams: &[Vec<BeamPoint>]) -> Option<Motion> {
     let total: usize = beams.iter().map(Vec::len).sum();
-    if total == 0 {
+    if beams.len() < FEWEST_BEAMS || total == 0 {
         return None;
     }
     let share = |beam: &Vec<BeamPoint>| (SAMPLE * beam.len()).div_ceil(total);
