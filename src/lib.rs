@@ -20,6 +20,7 @@ pub mod varint;
 pub mod entropy;
 pub mod sensor;
 
+pub mod compensation;
 pub mod range_image;
 
 pub mod outlier;

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::io::Cursor;
 
 use common::formats::{kitti, pcd_extra};
-use common::scans::{random_points, scans, small};
+use common::scans::{compensated, random_points, scans, small};
 use common::{File, decode_files, encode_files, put_together, section_bytes, take_apart};
 use lidarpc::bitstream::{Index, Lost, SectionKind, StreamReader};
 use lidarpc::codec::{
@@ -35,6 +35,7 @@ fn streams_of_all_sections() -> Vec<Vec<u8>> {
         ("0.bin".into(), kitti(&frames[0])),
         ("1.bin".into(), kitti(&odd)),
         ("2.pcd".into(), pcd_extra(&frames[1])),
+        ("3.bin".into(), kitti(&compensated(&frames[0], [0.0, 0.001, 0.02], [-0.8, 0.0, 0.01]))),
     ];
     let paper = EncoderConfig {
         projection: ProjectionKind::Ideal { columns: 200, range_step_um: 10_000 },

@@ -10,7 +10,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply, ply_big_endian, ply_text};
-use common::scans::{random_points, scans, single_precision, small, unrounded};
+use common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
 use common::{File, decode_files, encode_files, first_files, in_package, round_trip};
 use lidarpc::backend::BACKENDS;
 use lidarpc::codec::{Coder, EncoderConfig, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind};
@@ -101,6 +101,18 @@ fn single_precision_files() -> Vec<File> {
     frames.map(|(n, points)| (format!("{n}.bin"), kitti(&single_precision(&config, &points)))).collect()
 }
 
+/// Scans that were corrected for the motion within the turn, but for a few points.
+fn compensated_files() -> Vec<File> {
+    let frames = scans(&small(8, 3));
+    let file = |(n, points): (u8, &common::scans::Points)| {
+        let mut points = compensated(points, [0.0005, 0.0011, -0.02], [-0.8, 0.04, 0.01 * f64::from(n)]);
+        points[3] = [f32::NAN, 0.5, -0.0, 0.25];
+        points[300][2] += 0.125;
+        (format!("{n}.bin"), kitti(&points))
+    };
+    (0..).zip(&frames).map(file).collect()
+}
+
 #[test]
 #[ignore = "writes testdata/golden"]
 fn write_golden() {
@@ -151,6 +163,8 @@ fn write_golden() {
     write("v2-exact-ply", || round_trip(&ply_files(), &EncoderConfig::default()));
     write("v3-exact-single-precision", || round_trip(&single_precision_files(), &EncoderConfig::default()));
     write("v3-bounded-single-precision", || encode_files(&single_precision_files(), &bounded));
+    write("v3-exact-compensated", || round_trip(&compensated_files(), &EncoderConfig::default()));
+    write("v3-bounded-compensated", || encode_files(&compensated_files(), &bounded));
     for (coder, name) in [(Coder::Context, "context"), (Coder::Backend(lidarpc::backend::LZMA), "lzma")] {
         let config = EncoderConfig {
             projection: ProjectionKind::Ideal { columns: 500, range_step_um: 10_000 },

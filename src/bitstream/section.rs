@@ -36,11 +36,13 @@ pub enum SectionKind {
     Regions = 12,
     /// What prediction leaves of the ranges, coded by a general-purpose back-end.
     Residual = 13,
+    /// How the points were moved after they were measured; left out if they were not.
+    Compensation = 14,
 }
 
 impl SectionKind {
     /// All kinds, in the order of their numbers.
-    pub const ALL: [SectionKind; 13] = [
+    pub const ALL: [SectionKind; 14] = [
         SectionKind::File,
         SectionKind::Columns,
         SectionKind::Occupancy,
@@ -54,6 +56,7 @@ impl SectionKind {
         SectionKind::Contour,
         SectionKind::Regions,
         SectionKind::Residual,
+        SectionKind::Compensation,
     ];
 
     /// The kind's name in reports: lower case, one word.
@@ -72,6 +75,7 @@ impl SectionKind {
             SectionKind::Contour => "contour",
             SectionKind::Regions => "regions",
             SectionKind::Residual => "residual",
+            SectionKind::Compensation => "compensation",
         }
     }
 

@@ -90,7 +90,8 @@ impl Bound {
             && *extra == after.extra
     }
 
-    fn is_near(&self, a: &[f32; 3], b: &[f32; 3]) -> bool {
+    /// Whether a decoded position is no farther from the original than promised.
+    pub fn is_near(&self, a: &[f32; 3], b: &[f32; 3]) -> bool {
         squared_distance(a, b).sqrt() <= self.max_error || a.map(f32::to_bits) == b.map(f32::to_bits)
     }
 }

@@ -261,6 +261,12 @@ impl EncoderConfig {
         self.packing.unwrap_or(if snake { backend.packing() } else { Packing::Planes })
     }
 
+    /// Whether points that were moved after they were measured are moved back first. Paper mode takes scans as they
+    /// are, as the article does.
+    pub(super) fn undoes_compensation(&self) -> bool {
+        self.positions != Positions::Formula
+    }
+
     /// The parameters of a frame, as far as they do not depend on the frame.
     pub(super) fn frame_parameters(&self) -> Result<FrameParameters> {
         Ok(FrameParameters {

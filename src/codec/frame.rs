@@ -5,9 +5,11 @@ use super::config::{EncoderConfig, ProjectionKind};
 use super::fidelity::{Intensity, Positions};
 use super::parameters::{FrameParameters, Prediction, Source};
 use super::steps::{Step, StepReport};
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
+use crate::compensation::{self, Compensation};
 use crate::context::OrderExceptions;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
@@ -50,8 +52,12 @@ pub struct Frame {
     pub order: OrderExceptions,
     /// The other bytes of the records, in the order of the file.
     pub extra: Vec<u8>,
+    /// How the points were moved after they were measured; the positions above are from before.
+    pub compensation: Option<Compensation>,
     /// Where the points come from; only while a scan is encoded.
     origin: Option<Arc<Origin>>,
+    /// Positions as they are in the file, if they were moved; only while a scan is encoded.
+    moved: Option<Arc<Vec<[f32; 3]>>>,
 }
 
 /// The points of a scan that is encoded, and where the range image has them.
@@ -84,13 +90,14 @@ impl Frame {
             ..Frame::default()
         };
         let bound = Bound::of(config.positions, config.intensity);
-        match sensor.filter(|_| !scan.cloud.positions.is_empty()) {
-            None => frame.take_strays(&scan.cloud),
+        let cloud = steps.timed(Step::Conversion, || frame.undo_compensation(&scan.cloud, config));
+        match sensor.filter(|_| !cloud.positions.is_empty()) {
+            None => frame.take_strays(&cloud),
             Some(sensor) if config.positions == Positions::Formula => {
-                frame.convert_points(&scan.cloud, sensor, config, steps);
+                frame.convert_points(&cloud, sensor, config, steps);
             }
             Some(sensor) => steps.timed(Step::Conversion, || {
-                frame.take_points(&scan.cloud, sensor, bound.as_ref());
+                frame.take_points(cloud.into_owned(), sensor, bound.as_ref());
             }),
         }
         if let Some(bound) = bound {
@@ -131,6 +138,23 @@ impl Frame {
         self.parameters.motion = QuantisedPose::default();
     }
 
+    /// The points as they were measured, if they were moved after that.
+    fn undo_compensation<'c>(
+        &mut self,
+        cloud: &'c PointCloud,
+        config: &EncoderConfig,
+    ) -> Cow<'c, PointCloud> {
+        if !config.undoes_compensation() {
+            return Cow::Borrowed(cloud);
+        }
+        let Some((positions, compensation)) = compensation::undo(&cloud.positions) else {
+            return Cow::Borrowed(cloud);
+        };
+        self.compensation = Some(compensation);
+        self.moved = Some(Arc::new(cloud.positions.clone()));
+        Cow::Owned(PointCloud { positions, ..cloud.clone() })
+    }
+
     /// Takes all points as they come: there is no range image. None of them is lost.
     fn take_strays(&mut self, cloud: &PointCloud) {
         if self.parameters.positions == Positions::Formula {
@@ -144,16 +168,16 @@ impl Frame {
     }
 
     /// Takes all points, in bins of range as wide as the bound allows.
-    fn take_points(&mut self, cloud: &PointCloud, sensor: &SensorModel, bound: Option<&Bound>) {
-        let projection = project(sensor, cloud, bound.map_or(REACH, |bound| bound.reach().max(REACH)));
+    fn take_points(&mut self, cloud: PointCloud, sensor: &SensorModel, bound: Option<&Bound>) {
+        let projection = project(sensor, &cloud, bound.map_or(REACH, |bound| bound.reach().max(REACH)));
         if let Some(bound) = bound {
-            let bin = bound.bin(sensor.range_step_m(), projection.misses(sensor, cloud));
+            let bin = bound.bin(sensor.range_step_m(), projection.misses(sensor, &cloud));
             self.parameters.range_coder = self.parameters.range_coder.in_bins(bin);
             if let Positions::Bounded { on_grid, .. } = &mut self.parameters.positions {
                 *on_grid = bin == 1;
             }
         }
-        self.take_image(cloud.clone(), projection);
+        self.take_image(cloud, projection);
     }
 
     /// Moves the values that the range image does not hold as far as the bound allows.
@@ -251,6 +275,30 @@ impl Frame {
         Ok(points)
     }
 
+    /// The positions, moved or not, in the order of the file.
+    fn positions_in_order(&self, order: &[u32]) -> Vec<[f32; 3]> {
+        let positions: Vec<_> = self.positions.iter().chain(&self.stray_positions).copied().collect();
+        order.iter().map(|&element| positions[element as usize]).collect()
+    }
+
+    /// Takes down which points compensation does not move to where they must be, now that what is decoded of
+    /// them is known.
+    ///
+    /// # Errors
+    /// If the parts do not fit together.
+    pub fn find_misses(&mut self, returns: usize) -> Result<()> {
+        let Some(moved) = self.moved.take() else { return Ok(()) };
+        let measured = self.positions_in_order(&self.order.order(returns)?);
+        let bound = Bound::of(self.parameters.positions, self.parameters.intensity);
+        if let Some(compensation) = &mut self.compensation {
+            compensation.find_misses(&measured, &moved, |a, b| match &bound {
+                Some(bound) => bound.is_near(a, b),
+                None => a.map(f32::to_bits) == b.map(f32::to_bits),
+            });
+        }
+        Ok(())
+    }
+
     /// Puts the scan together again.
     ///
     /// # Errors
@@ -260,10 +308,12 @@ impl Frame {
         if order.len() != self.records {
             return Err(Error::corrupt("the parts of the frame hold different numbers of points"));
         }
-        let mut cloud = PointCloud { extra: self.extra, ..PointCloud::default() };
+        let mut cloud = PointCloud::default();
         if self.layout.position.is_some() {
-            let positions: Vec<_> = self.positions.iter().chain(&self.stray_positions).copied().collect();
-            cloud.positions = order.iter().map(|&element| positions[element as usize]).collect();
+            cloud.positions = self.positions_in_order(&order);
+        }
+        if let Some(compensation) = &self.compensation {
+            compensation.apply(&mut cloud.positions);
         }
         if self.layout.intensity.is_some() {
             let of_returns =
@@ -271,6 +321,7 @@ impl Frame {
             let intensity: Vec<f32> = of_returns.chain(self.stray_intensity.iter().copied()).collect();
             cloud.intensity = order.iter().map(|&element| intensity[element as usize]).collect();
         }
+        cloud.extra = self.extra;
         Ok(ScanFile {
             name: name.to_owned(),
             layout: self.layout,

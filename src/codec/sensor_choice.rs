@@ -2,6 +2,7 @@
 
 use super::config::{EncoderConfig, ProjectionKind};
 use super::input::FrameInput;
+use crate::compensation;
 use crate::error::Result;
 use crate::io::parse_with;
 use crate::scan::ScanFile;
@@ -26,7 +27,12 @@ fn sample(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>
     let mut sample = Vec::new();
     for frame in sample_places(frames.len(), config.sample_frames()).map(|place| &frames[place]) {
         if frame.size()? <= SAMPLE_FILE_BYTES {
-            sample.push(parse_with(frame.name()?, frame.read()?, config.headerless.as_ref()));
+            let mut scan = parse_with(frame.name()?, frame.read()?, config.headerless.as_ref());
+            let undone = config.undoes_compensation().then(|| compensation::undo(&scan.cloud.positions));
+            if let Some((positions, _)) = undone.flatten() {
+                scan.cloud.positions = positions;
+            }
+            sample.push(scan);
         }
     }
     Ok(sample)

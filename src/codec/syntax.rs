@@ -12,6 +12,7 @@ use super::quick::QuickModels;
 use super::sections::SectionCoder;
 use super::steps::{Step, StepReport};
 use crate::bitstream::SectionKind;
+use crate::compensation::Compensation;
 use crate::context::{
     ByteModel, ColumnModel, CorrectionModel, IntensityModel, IntensityNeighbours, IntensityReference,
     IntensityScale, OccupancyModel, OrderModel, PointModel, RangeModel, neighbours_above,
@@ -106,6 +107,7 @@ impl Models {
             self.extra.code(coder, frame.layout.extra_stride(), &mut frame.extra);
             Ok(())
         })?;
+        code_compensation(sections, frame, returns)?;
         let others = steps.total_time() - before;
         steps.took(Step::Rest, start + others);
         Ok(found)
@@ -364,6 +366,18 @@ fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Resu
     let mut payload = frame.parameters.to_payload();
     sections.payload(SectionKind::Parameters, &mut payload);
     frame.parameters = FrameParameters::from_payload(&payload)?;
+    Ok(())
+}
+
+/// How the points were moved after they were measured.
+fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame, returns: usize) -> Result<()> {
+    frame.find_misses(returns)?;
+    let mut payload = Vec::new();
+    frame.compensation.iter().for_each(|compensation| compensation.write_to(&mut payload));
+    sections.payload(SectionKind::Compensation, &mut payload);
+    if !payload.is_empty() {
+        frame.compensation = Some(Compensation::from_payload(&payload, frame.records)?);
+    }
     Ok(())
 }
 

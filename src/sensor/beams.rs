@@ -8,11 +8,9 @@ use std::f64::consts::TAU;
 
 use rayon::prelude::*;
 
-use crate::scan::PointCloud;
-
 /// A point as the fit needs it, in metres and radians.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Point {
+pub(crate) struct Point {
     pub position: [f64; 3],
     /// Horizontal distance from the axis.
     pub rho: f64,
@@ -33,9 +31,9 @@ impl Point {
     }
 }
 
-/// Splits a scan into beams, where the azimuth falls back; a short step back over the seam is not a
+/// Splits the points of a scan into beams, where the azimuth falls back; a short step back over the seam is not a
 /// new beam. Nothing if there are too many: the points are in some other order.
-pub(super) fn split_beams(cloud: &PointCloud) -> Vec<Vec<Point>> {
+pub(crate) fn split_beams(positions: &[[f32; 3]]) -> Vec<Vec<Point>> {
     /// More beams than any scanner has.
     const MOST_BEAMS: usize = 256;
     /// Radians. Inside a beam the azimuth falls by far less, even where points are out of order.
@@ -45,7 +43,7 @@ pub(super) fn split_beams(cloud: &PointCloud) -> Vec<Vec<Point>> {
     let mut beams: Vec<Vec<Point>> = vec![Vec::new()];
     let mut row = 0usize;
     let mut last = None;
-    for point in cloud.positions.iter().filter_map(Point::new) {
+    for point in positions.iter().filter_map(Point::new) {
         let step = point.azimuth - last.replace(point.azimuth).unwrap_or(point.azimuth);
         if step < -FALL {
             row += 1;
@@ -180,6 +178,6 @@ impl Cone {
 }
 
 /// At most about `count` of the values, evenly spread.
-pub(super) fn thinned<T>(values: &[T], count: usize) -> impl Iterator<Item = &T> {
+pub(crate) fn thinned<T>(values: &[T], count: usize) -> impl Iterator<Item = &T> {
     values.iter().step_by(values.len().div_ceil(count).max(1))
 }

@@ -61,6 +61,11 @@ impl Coordinates {
         }
     }
 
+    /// The unit of any float32, on the grid of all of them.
+    pub fn unit_of_float(value: f32) -> i64 {
+        ordered(value)
+    }
+
     /// Whether [`value`](Self::value) gives a zero of the file its own sign.
     pub fn keeps_zero(self, zero: f32, formula: f64) -> bool {
         match self {

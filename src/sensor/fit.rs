@@ -40,7 +40,10 @@ pub fn fit(sample: &[ScanFile]) -> Option<SensorModel> {
     let scans: Vec<(Coordinates, Vec<Vec<Point>>)> = sample
         .par_iter()
         .map(|scan| {
-            (Coordinates::of(scan.cloud.positions.iter().step_by(7).flatten()), split_beams(&scan.cloud))
+            (
+                Coordinates::of(scan.cloud.positions.iter().step_by(7).flatten()),
+                split_beams(&scan.cloud.positions),
+            )
         })
         .collect();
     let on = |grid: Coordinates| -> Vec<&[Vec<Point>]> {

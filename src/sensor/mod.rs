@@ -11,6 +11,7 @@ mod sharpen;
 mod sine;
 mod single_precision;
 
+pub(crate) use beams::{Point as BeamPoint, split_beams, thinned};
 pub use coordinates::Coordinates;
 pub use fit::{RANGE_STEP_UM, fit};
 pub use ideal::ideal;

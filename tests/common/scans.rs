@@ -100,6 +100,26 @@ pub fn moved(points: &[[f32; 4]]) -> Points {
     points.iter().map(turn).collect()
 }
 
+/// The scan as programs store it that correct for the motion within the turn: each point is moved by the part of
+/// the motion that its azimuth, from -pi to pi, is of the turn.
+pub fn compensated(points: &[[f32; 4]], rotation: [f64; 3], translation: [f64; 3]) -> Points {
+    let moved = |&[x, y, z, intensity]: &[f32; 4]| {
+        let point = [x, y, z].map(f64::from);
+        let part = point[1].atan2(point[0]) / TAU;
+        // The exponential of the cross product with the rotation, as a series.
+        let [rx, ry, rz] = rotation.map(|r| r * part);
+        let (mut term, mut sum) = (point, point);
+        for n in 1..12 {
+            let [x, y, z] = term;
+            term = [ry * z - rz * y, rz * x - rx * z, rx * y - ry * x].map(|v| v / f64::from(n));
+            sum = [0, 1, 2].map(|axis| sum[axis] + term[axis]);
+        }
+        let [x, y, z] = [0, 1, 2].map(|axis| (sum[axis] + part * translation[axis]) as f32);
+        [x, y, z, intensity]
+    };
+    points.iter().map(moved).collect()
+}
+
 /// A permutation of the points.
 pub fn shuffled(points: &[[f32; 4]], seed: u64) -> Points {
     let mut points = points.to_vec();

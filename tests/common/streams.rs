@@ -8,7 +8,7 @@ use lidarpc::codec::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKin
 use lidarpc::image_coding::ImageCodec;
 
 use super::formats::{kitti, pcd_extra, pcd_text};
-use super::scans::{random_points, scans, small};
+use super::scans::{compensated, random_points, scans, small};
 use super::{File, encode_files, take_apart};
 
 /// Sensor models and groups.
@@ -24,6 +24,8 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
     let scanner =
         vec![("0.bin", kitti(&frames[0])), ("1.bin", kitti(&odd)), ("2.pcd", pcd_extra(&frames[2]))];
     let still = vec![("0.bin", kitti(&frames[0])), ("1.bin", kitti(&frames[0]))];
+    let mut moved = compensated(&frames[0], [0.001, 0.0, 0.03], [-0.8, 0.1, 0.02]);
+    moved[3] = [f32::NAN, 1.0, -1.0, 0.5];
     let random = random_points(300, 2);
     let others = vec![
         ("0.bin", [kitti(&random), vec![1; 9]].concat()),
@@ -39,6 +41,7 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
     let mut streams = vec![
         coded(&scanner, EncoderConfig::default()),
         coded(&others, EncoderConfig::default()),
+        coded(&[("0.bin", kitti(&moved))], EncoderConfig::default()),
         coded(&scanner, with_back_end(backend::LZMA)),
         // P frames, by context and by a back-end.
         coded(&still, EncoderConfig::default()),

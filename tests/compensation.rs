@@ -1,0 +1,134 @@
+//! Scans that were corrected for the scanner's motion: found out, coded as they were measured, and given back.
+
+mod common;
+
+use common::bound::{bounded, keeps_the_bound};
+use common::formats::{kitti, pcd_xyz};
+use common::scans::{Points, compensated, moved, random_points, scans, shuffled, small, unrounded};
+use common::{File, decode_files, encode_files, round_trip, section_bytes};
+use lidarpc::bitstream::SectionKind;
+use lidarpc::codec::{EncoderConfig, FrameRange, Named, cut};
+use lidarpc::compensation::undo;
+use lidarpc::error::Limits;
+
+fn positions(points: &Points) -> Vec<[f32; 3]> {
+    points.iter().map(|&[x, y, z, _]| [x, y, z]).collect()
+}
+
+fn named(frames: &[Points]) -> Vec<File> {
+    (0..).zip(frames).map(|(n, points)| (format!("{n}.bin"), kitti(points))).collect()
+}
+
+/// Rotations and translations of a turn: crawling, a street, a highway, a sharp corner.
+const MOTIONS: [([f64; 3], [f64; 3]); 4] = [
+    ([0.0001, -0.0002, 0.0005], [-0.02, 0.001, 0.0]),
+    ([0.0005, 0.0011, -0.002], [-0.83, -0.04, -0.02]),
+    ([-0.001, 0.002, 0.02], [-3.5, 0.1, -0.05]),
+    ([0.003, 0.001, -0.12], [-0.6, 0.05, 0.01]),
+];
+
+#[test]
+fn the_measured_millimetres_are_found_again() {
+    for (seed, (rotation, translation)) in (1..).zip(MOTIONS) {
+        let measured = scans(&small(seed, 1)).swap_remove(0);
+        let file = compensated(&measured, rotation, translation);
+        let (found, compensation) = undo(&positions(&file)).expect("a motion is found");
+        let wrong = found.iter().zip(positions(&measured)).filter(|(a, b)| **a != *b).count();
+        assert_eq!(wrong, 0);
+        // A motion that few points tell leaves some coordinates on the wrong side of a rounding.
+        let missed = compensation.misses.len();
+        assert!(missed * 200 < measured.len(), "{missed} of {} points missed", measured.len());
+        let motion = compensation.motion;
+        let off = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off(motion.rotation, rotation) < 1e-7, "{motion:?}");
+        assert!(off(motion.translation, translation) < 1e-6, "{motion:?}");
+    }
+}
+
+/// A drive as it was measured, and as it is in files.
+fn drive() -> (Vec<File>, Vec<File>) {
+    let measured = scans(&small(7, MOTIONS.len()));
+    let moved: Vec<Points> =
+        measured.iter().zip(MOTIONS).map(|(points, (r, t))| compensated(points, r, t)).collect();
+    (named(&measured), named(&moved))
+}
+
+#[test]
+fn frames_take_little_more_than_what_was_measured() {
+    let (measured, files) = drive();
+    let config = EncoderConfig::default();
+    let before = encode_files(&measured, &config).len();
+    let stream = round_trip(&files, &config);
+    assert!(stream.len() < before + 120 * files.len(), "{} bytes, measured ones {before}", stream.len());
+    let of_motion = section_bytes(&stream)[&SectionKind::Compensation];
+    assert!(of_motion < 80 * files.len(), "{of_motion} bytes");
+}
+
+#[test]
+fn the_bound_holds_where_points_are_in_the_file() {
+    let (measured, files) = drive();
+    for max_error_um in [2_000, 20_000, 200_000] {
+        let config = bounded(max_error_um);
+        let before = encode_files(&measured, &config).len();
+        let (stream, _) = keeps_the_bound(&files, &config, max_error_um);
+        assert!(section_bytes(&stream).contains_key(&SectionKind::Compensation));
+        assert!(stream.len() < before + before / 5, "{} bytes, measured ones {before}", stream.len());
+    }
+}
+
+#[test]
+fn frames_that_are_coded_again_stay_what_they_are() {
+    let (_, files) = drive();
+    for config in [EncoderConfig::default(), bounded(20_000)] {
+        let stream = encode_files(&files, &config);
+        let range = FrameRange { start: 1, end: Some(3) };
+        let mut part = Vec::new();
+        let named = Named { path: "in.lpc".into(), stream: stream.as_slice() };
+        assert_eq!(cut(named, range, &Limits::default(), &mut part).unwrap().recoded, 2);
+        assert!(decode_files(&part).unwrap() == decode_files(&stream).unwrap()[1..3]);
+    }
+}
+
+#[test]
+fn points_that_were_not_moved_so_come_back_too() {
+    let (rotation, translation) = MOTIONS[1];
+    let mut points = compensated(&scans(&small(4, 1))[0], rotation, translation);
+    points[5] = [f32::NAN, f32::INFINITY, f32::from_bits(0xffc0_0001), 0.0];
+    points[6] = [0.0, -0.0, 1e30, 0.5];
+    points[7] = [f32::MIN_POSITIVE / 4.0, f32::MAX, f32::MIN, 0.5];
+    points.iter_mut().skip(100).take(20).for_each(|point| point[1] += 0.25);
+    let odd: Points = random_points(10, 5).into_iter().map(|[x, y, z, i]| [x + 1e-5, y, z, i]).collect();
+    points.splice(700..700, odd);
+    let files = vec![
+        ("0.bin".to_owned(), [kitti(&points), vec![1, 2, 3]].concat()),
+        ("1.pcd".to_owned(), pcd_xyz(&points)),
+    ];
+    let stream = round_trip(&files, &EncoderConfig::default());
+    assert!(section_bytes(&stream).contains_key(&SectionKind::Compensation));
+}
+
+#[test]
+fn what_was_not_moved_so_is_left_alone() {
+    let config = small(2, 1);
+    let measured = scans(&config).swap_remove(0);
+    let (rotation, translation) = MOTIONS[1];
+    let file = compensated(&measured, rotation, translation);
+    let half: Points = file
+        .iter()
+        .enumerate()
+        .map(|(n, &[x, y, z, i])| [if n % 2 == 0 { x * 1.00001 } else { x }, y, z, i])
+        .collect();
+    let others = [
+        measured.clone(),
+        unrounded(&config, &measured),
+        moved(&measured),
+        shuffled(&file, 3),
+        half,
+        vec![[0.1, 0.0, 0.3, 0.0]; 300],
+        vec![[f32::NAN; 4]; 30],
+        Points::new(),
+    ];
+    for (number, points) in others.iter().enumerate() {
+        assert!(undo(&positions(points)).is_none(), "scan {number}");
+    }
+}
