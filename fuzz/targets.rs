@@ -1,7 +1,7 @@
 //! What is done to the fuzzer's bytes. The fuzzer's programs (`fuzz_targets`) and the test that replays what
 //! they have found (`tests/fuzz.rs`) share it.
 
-use lidarpc::backend::{self, BACKENDS};
+use lidarpc::backend::{self, BACKENDS, Level};
 use lidarpc::bitstream::{IndexedReader, StreamReader};
 use lidarpc::codec::{Coder, EncoderConfig, Mode, Prediction, PredictionChoice};
 use lidarpc::error::Limits;
@@ -93,7 +93,8 @@ pub fn round_trip_of(data: &[u8]) {
     let good = ("0.bin".to_owned(), kitti(&scans(&small(1, 1))[0]));
     let name = ["1.bin", "1.pcd.bin", "1.pcd", "1.ply", "1.txt"][usize::from(*kind) % 5];
     let files = [good, (name.to_owned(), bytes.to_vec())];
-    let exact = EncoderConfig { threads: 1, ..EncoderConfig::preset(Mode::Exact) };
+    let level = Level::new(1 + mode / 4 % 9).unwrap_or_default();
+    let exact = EncoderConfig { threads: 1, level, ..EncoderConfig::preset(Mode::Exact) };
     match mode % 4 {
         0 => drop(round_trip(&files, &exact)),
         1 => drop(round_trip(&files[1..], &exact)),

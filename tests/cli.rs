@@ -639,7 +639,8 @@ fn wrong_usage_is_exit_code_2() {
         "decode out.lpc -o back --frames five",
         "encode seq -o new.lpc --mode paper --backend gzip",
         "encode seq -o new.lpc --mode paper --level 10",
-        "encode seq -o new.lpc --level 5",
+        "encode seq -o new.lpc --level 0",
+        "encode seq -o new.lpc --level 2 --predict inter",
         "encode seq -o new.lpc --packing planes",
         "encode seq -o new.lpc --rate 2",
         "encode seq -o new.lpc --mode paper --passes 2",
@@ -979,7 +980,7 @@ fn a_largest_error_is_kept_and_told() {
     assert!((0.02..0.050001).contains(&intensity), "{intensity}");
     assert_eq!((&stats["against"]["lost_points"], &stats["against"]["added_points"]), (&0.into(), &0.into()));
     let coding = bench.json("info b.lpc --json")["frames"][0]["coding"].clone();
-    assert_eq!(coding, "within 20 mm, intensities in steps of 0.1, context");
+    assert_eq!(coding, "within 20 mm, intensities in steps of 0.1, context (balanced)");
 }
 
 #[test]

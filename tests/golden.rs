@@ -11,6 +11,7 @@ use std::path::PathBuf;
 
 use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply, ply_big_endian, ply_text};
 use common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
+use common::streams::at_level;
 use common::{File, decode_files, encode_files, first_files, in_package, round_trip};
 use lidarpc::backend::BACKENDS;
 use lidarpc::codec::{Coder, EncoderConfig, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind};
@@ -119,7 +120,7 @@ fn write_golden() {
     fs::create_dir_all(folder()).unwrap();
     // Two frames a group, so that there is more than one group.
     let alone = PredictionChoice::Always(Prediction::None);
-    let exact = EncoderConfig { gop: 2, prediction: alone, ..EncoderConfig::default() };
+    let exact = EncoderConfig { gop: 2, prediction: alone, ..at_level(9) };
     for (name, files) in [
         ("v1-exact-drive", drive_files()),
         ("v1-exact-odd-files", odd_files()),
@@ -149,8 +150,8 @@ fn write_golden() {
     }
     let lzma = EncoderConfig { coder: Coder::Backend(lidarpc::backend::LZMA), ..exact };
     write("v2-exact-lzma-odd-files", || round_trip(&odd_files(), &lzma));
-    write("v2-exact-inter-drive", || round_trip(&drive_files(), &EncoderConfig::default()));
-    write("v2-exact-inter-odd-files", || round_trip(&odd_files(), &EncoderConfig::default()));
+    write("v2-exact-inter-drive", || round_trip(&drive_files(), &at_level(9)));
+    write("v2-exact-inter-odd-files", || round_trip(&odd_files(), &at_level(9)));
     let bounded = EncoderConfig::preset(Mode::Bounded { max_error_um: 20_000 });
     write("v2-bounded-frames", || encode_files(&drive_files(), &bounded));
     write("v2-bounded-odd-files", || encode_files(&odd_files(), &bounded));
@@ -163,6 +164,12 @@ fn write_golden() {
     write("v2-exact-ply", || round_trip(&ply_files(), &EncoderConfig::default()));
     write("v3-exact-single-precision", || round_trip(&single_precision_files(), &EncoderConfig::default()));
     write("v3-bounded-single-precision", || encode_files(&single_precision_files(), &bounded));
+    for (level, what) in [(1, "tokens"), (2, "fitted-tokens"), (6, "balanced")] {
+        write(&format!("v3-exact-{what}"), || round_trip(&drive_files(), &at_level(level)));
+        write(&format!("v3-exact-{what}-odd-files"), || round_trip(&odd_files(), &at_level(level)));
+        let bounded = EncoderConfig { level: at_level(level).level, ..rounded.clone() };
+        write(&format!("v3-bounded-{what}"), || encode_files(&drive_files(), &bounded));
+    }
     write("v3-exact-compensated", || round_trip(&compensated_files(), &EncoderConfig::default()));
     write("v3-bounded-compensated", || encode_files(&compensated_files(), &bounded));
     for (coder, name) in [(Coder::Context, "context"), (Coder::Backend(lidarpc::backend::LZMA), "lzma")] {

@@ -6,6 +6,7 @@ use std::sync::LazyLock;
 
 use common::formats::kitti;
 use common::scans::{random_points, scans};
+use common::streams::at_level;
 use common::{File, decode_files, encode_files, put_together, round_trip, take_apart};
 use lidarpc::backend::BACKENDS;
 use lidarpc::bitstream::{Frame, Section, SectionKind};
@@ -34,7 +35,7 @@ fn sizes(stream: &[u8]) -> Vec<usize> {
 }
 
 fn intra() -> EncoderConfig {
-    EncoderConfig { prediction: PredictionChoice::Always(Prediction::None), ..EncoderConfig::default() }
+    EncoderConfig { prediction: PredictionChoice::Always(Prediction::None), ..at_level(8) }
 }
 
 const I: Prediction = Prediction::None;
@@ -42,7 +43,7 @@ const P: Prediction = Prediction::Inter;
 
 #[test]
 fn p_frames_come_back_and_are_smaller() {
-    let inter = round_trip(&DRIVE, &EncoderConfig::default());
+    let inter = round_trip(&DRIVE, &at_level(8));
     let intra = round_trip(&DRIVE, &intra());
     assert_eq!(predictions(&inter), [I, P, P, P, P]);
     assert_eq!(predictions(&intra), [I; 5]);
@@ -54,10 +55,17 @@ fn p_frames_come_back_and_are_smaller() {
 }
 
 #[test]
+fn quicker_levels_take_p_frames_if_told() {
+    let told = EncoderConfig { prediction: PredictionChoice::Always(P), ..at_level(6) };
+    assert_eq!(predictions(&round_trip(&DRIVE, &told)), [I, P, P, P, P]);
+    assert_eq!(predictions(&round_trip(&DRIVE, &at_level(6))), [I; 5]);
+    let told = EncoderConfig { level: at_level(2).level, ..told };
+    assert!(told.check().unwrap_err().to_string().contains("--predict inter needs level 3"));
+}
+
+#[test]
 fn orders_and_groups_say_which_frames_are_p_frames() {
-    let coded = |order, gop| {
-        predictions(&encode_files(&DRIVE, &EncoderConfig { order, gop, ..EncoderConfig::default() }))
-    };
+    let coded = |order, gop| predictions(&encode_files(&DRIVE, &EncoderConfig { order, gop, ..at_level(8) }));
     assert_eq!(coded(FrameOrder::Time, 5), [I, P, I, P, I]);
     assert_eq!(coded(FrameOrder::Time, 3), [I, P, I, I, P]);
     assert_eq!(coded(FrameOrder::Ratio, 2), [I, P, I, P, I]);
@@ -72,8 +80,7 @@ fn a_frame_that_shows_something_else_costs_hardly_more_than_alone() {
     files.insert(3, ("2a.bin".to_owned(), Vec::new()));
     files.insert(4, ("2b.bin".to_owned(), kitti(&random_points(50, 1))));
     files.insert(5, ("2c.bin".to_owned(), kitti(&[[5.0, 0.0, 0.0, 0.5]])));
-    let [inter, intra] =
-        [EncoderConfig::default(), intra()].map(|config| sizes(&round_trip(&files, &config)));
+    let [inter, intra] = [at_level(8), intra()].map(|config| sizes(&round_trip(&files, &config)));
     for (inter, intra) in inter.iter().zip(&intra) {
         // What P frames teach is not quite what I frames do. These frames are small.
         assert!(*inter <= intra + intra / 100, "{inter} bytes, {intra} without the frame before");
@@ -85,14 +92,13 @@ fn every_back_end_decodes_its_p_frames() {
     let paper = EncoderConfig {
         projection: ProjectionKind::Ideal { columns: 500, range_step_um: 5000 },
         prediction: PredictionChoice::Smallest,
+        level: at_level(8).level,
         ..EncoderConfig::preset(Mode::Paper)
     };
     let coders: Vec<_> = BACKENDS.iter().map(|backend| Coder::Backend(backend.id())).collect();
     let still = vec![DRIVE[0].clone(), ("0a.bin".to_owned(), DRIVE[0].1.clone()), DRIVE[1].clone()];
     for coder in coders.into_iter().chain([Coder::Context]) {
-        for config in
-            [EncoderConfig { coder, ..paper.clone() }, EncoderConfig { coder, ..Default::default() }]
-        {
+        for config in [EncoderConfig { coder, ..paper.clone() }, EncoderConfig { coder, ..at_level(8) }] {
             let stream = encode_files(&still, &config);
             assert_eq!(predictions(&stream)[1], P, "{coder:?}: a scan twice");
             let decoded = decode_files(&stream).unwrap();
@@ -104,13 +110,13 @@ fn every_back_end_decodes_its_p_frames() {
 
 #[test]
 fn the_stream_does_not_depend_on_threads() {
-    let with = |threads| encode_files(&DRIVE, &EncoderConfig { threads, gop: 2, ..EncoderConfig::default() });
+    let with = |threads| encode_files(&DRIVE, &EncoderConfig { threads, gop: 2, ..at_level(8) });
     assert!(with(1) == with(8));
 }
 
 #[test]
 fn a_p_frame_without_the_one_before_is_an_error() {
-    let (sensors, mut groups) = take_apart(&encode_files(&DRIVE, &EncoderConfig::default()));
+    let (sensors, mut groups) = take_apart(&encode_files(&DRIVE, &at_level(8)));
     let parameters = FrameParameters { prediction: P, ..FrameParameters::default() };
     let section = Section { kind: SectionKind::Parameters, payload: parameters.to_payload() };
     groups[0].frames[0].sections.insert(0, section);

@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use lidarpc::backend::{self, BACKENDS};
+use lidarpc::backend::{self, BACKENDS, Level};
 use lidarpc::bitstream::Group;
 use lidarpc::codec::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::image_coding::ImageCodec;
@@ -39,12 +39,15 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
         take_apart(&encode_files(&files, &EncoderConfig { gop: 20, threads: 1, ..config }))
     };
     let mut streams = vec![
+        coded(&scanner, at_level(1)),
+        coded(&scanner, at_level(2)),
         coded(&scanner, EncoderConfig::default()),
+        coded(&scanner, at_level(9)),
         coded(&others, EncoderConfig::default()),
         coded(&[("0.bin", kitti(&moved))], EncoderConfig::default()),
         coded(&scanner, with_back_end(backend::LZMA)),
         // P frames, by context and by a back-end.
-        coded(&still, EncoderConfig::default()),
+        coded(&still, at_level(9)),
         coded(
             &still,
             EncoderConfig { prediction: PredictionChoice::Smallest, ..with_back_end(backend::LZMA) },
@@ -57,6 +60,11 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
     streams.extend(BACKENDS.iter().map(|backend| coded(&scanner[..1], with_back_end(backend.id()))));
     streams
 });
+
+/// Exact mode, quicker or smaller.
+pub fn at_level(level: u8) -> EncoderConfig {
+    EncoderConfig { level: Level::new(level).unwrap(), ..EncoderConfig::default() }
+}
 
 /// Paper mode with a small image.
 pub fn with_back_end(id: u8) -> EncoderConfig {
