@@ -213,8 +213,7 @@ impl EncoderConfig {
     pub(super) fn sample_frames(&self) -> usize {
         match self.modelling() {
             Modelling::Mixed => 6,
-            Modelling::Balanced => 4,
-            Modelling::Tokens { .. } => 3,
+            Modelling::Balanced | Modelling::Tokens { .. } => 3,
         }
     }
 

@@ -176,7 +176,13 @@ pub struct IntensityModel {
     mean: f32,
     above: Vec<f32>,
     last_off_grid: u32,
+    /// Whether two views decide most bits.
+    quick: bool,
 }
+
+/// Log odds from which on two views decide a bit: 1 to 33, or, to be quick, 1 to 2.7.
+const SURE: f32 = 3.5;
+const QUICKLY_SURE: f32 = 1.0;
 
 impl Default for IntensityModel {
     fn default() -> Self {
@@ -191,6 +197,7 @@ impl Default for IntensityModel {
             mean: 4.0,
             above: Vec::new(),
             last_off_grid: 0,
+            quick: false,
         }
     }
 }
@@ -198,8 +205,7 @@ impl Default for IntensityModel {
 impl IntensityModel {
     /// Makes coding quicker, and a little worse, or not.
     pub fn set_quick(&mut self, quick: bool) {
-        // Log odds of 1 to 9, or 1 to 33.
-        self.bits.set_sure(if quick { 2.2 } else { 3.5 });
+        self.quick = quick;
     }
 
     /// Begins a frame, or its strays, with `columns` columns.
@@ -237,7 +243,7 @@ impl IntensityModel {
             return self.code_off_grid(coder, value);
         }
         let level = self.code_level(coder, scale, near, (row, column), level.unwrap_or(0));
-        scale.value_of(level)
+        if C::ENCODES { value } else { scale.value_of(level) }
     }
 
     /// A value on no grid: the difference of its bits from the last one's.
@@ -268,11 +274,17 @@ impl IntensityModel {
             let set = i as usize * ERROR_LEVELS * GRADIENT_LEVELS + site.mixer_set;
             let places = slots.map(|slot| slot + node);
             let bit = level >> i & 1 == 1;
+            let sure = match (self.quick, i) {
+                (false, _) => SURE,
+                // The lowest bit is all noise.
+                (true, 0) => f32::NEG_INFINITY,
+                (true, _) => QUICKLY_SURE,
+            };
             let bit = match reference {
-                None => self.bits.code_or_sure(coder, set, &places, [], bit),
+                None => self.bits.code_or_sure(coder, sure, set, &places, [], bit),
                 Some(slot) => {
                     let extra = [&mut self.reference[slot + node]];
-                    self.bits.code_or_sure(coder, SETS + set, &places, extra, bit)
+                    self.bits.code_or_sure(coder, sure, SETS + set, &places, extra, bit)
                 }
             };
             node = node << 1 | usize::from(bit);
@@ -325,14 +337,15 @@ impl IntensityModel {
         // In steps of 1.6 levels.
         let coarse = (prediction * 0.625) as usize;
         let mixer_set = error_level * GRADIENT_LEVELS + gradient_level;
+        let [pair, exact_pair, of_row, west_of_row, expected] =
+            [(w / 2) << 8 | ww / 2, w << 8 | ww, row << 8 | coarse, row << 8 | w, coarse << 6 | mixer_set];
+        // The first two are those that decide alone where they are sure.
+        let views = match self.quick {
+            false => [pair, exact_pair, of_row, west_of_row, expected],
+            true => [expected, pair, of_row, exact_pair, west_of_row],
+        };
         Site {
-            views: [
-                (w / 2) << 8 | ww / 2,
-                w << 8 | ww,
-                row << 8 | coarse,
-                row << 8 | w,
-                coarse << 6 | mixer_set,
-            ],
+            views,
             mixer_set,
             features,
             reference: reference

@@ -23,13 +23,19 @@ pub struct OccupancyModel {
     filled: MixedBits<VIEWS, OPINIONS>,
     /// The counters of the reference's views, once there was one.
     reference: Option<[Vec<Counter>; REFERENCE_VIEWS]>,
+    /// Log odds from which on two views decide a cell.
+    sure: f32,
 }
+
+/// Those to be quick, 1 to 12: most cells.
+const QUICKLY_SURE: f32 = 2.5;
 
 impl Default for OccupancyModel {
     fn default() -> Self {
         OccupancyModel {
             filled: MixedBits::new(VIEW_SIZES, SETS * (1 + REFERENCE_SETS), 0.4, 0.0, 0.003),
             reference: None,
+            sure: f32::INFINITY,
         }
     }
 }
@@ -37,8 +43,7 @@ impl Default for OccupancyModel {
 impl OccupancyModel {
     /// Makes coding quicker, and a little worse, or not.
     pub fn set_quick(&mut self, quick: bool) {
-        // Log odds of 1 to 33: most cells.
-        self.filled.set_sure(if quick { 3.5 } else { f32::INFINITY });
+        self.sure = if quick { QUICKLY_SURE } else { f32::INFINITY };
     }
 
     /// Codes every cell. `reference` is what an earlier frame has there.
@@ -86,9 +91,9 @@ impl OccupancyModel {
                         let places = back.places(near | w[1] << 4 | n2[0] << 5);
                         let extra = [&mut first[places[0]], &mut second[places[1]]];
                         let set = SETS * (1 + back.set()) + set;
-                        self.filled.code_or_sure(coder, set, &views, extra, *filled)
+                        self.filled.code_or_sure(coder, self.sure, set, &views, extra, *filled)
                     }
-                    _ => self.filled.code_or_sure(coder, set, &views, [], *filled),
+                    _ => self.filled.code_or_sure(coder, self.sure, set, &views, [], *filled),
                 };
                 let filled = *filled;
                 current[column + MARGIN] = usize::from(filled);

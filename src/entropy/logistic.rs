@@ -128,12 +128,8 @@ pub struct MixedBits<const V: usize, const N: usize> {
     /// The rate of learning after that many bits.
     rates: Vec<f32>,
     tables: &'static Logistic,
-    /// Log odds from which on two views decide alone.
-    sure: f32,
 }
 
-/// Log odds of 1 to 33.
-const SURE: f32 = 3.5;
 /// Numbers that a vector unit of any processor handles at once.
 const LANES: usize = 4;
 /// The opinion that is always the same.
@@ -165,13 +161,7 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
             seen: vec![0; sets],
             rates: (0..=last).map(|seen| rate * early(seen) / 65536.0).collect(),
             tables: Logistic::tables(),
-            sure: SURE,
         }
-    }
-
-    /// Log odds from which on two views decide alone in [`code_or_sure`](Self::code_or_sure), 3.5 at first.
-    pub fn set_sure(&mut self, odds: f32) {
-        self.sure = odds;
     }
 
     /// Makes room for `places` in each view, if there is less.
@@ -195,12 +185,13 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         }
     }
 
-    /// Codes a bit as [`code_with`](Self::code_with) does, but leaves the word to the first two views where both are all but
-    /// certain: what the others would add is not worth the time.
+    /// Codes a bit as [`code_with`](Self::code_with) does, but leaves the word to the first two views where both have log odds
+    /// of `sure` or more either way: what the others would add is not worth the time.
     #[inline]
     pub fn code_or_sure<C: BitCoder, const X: usize>(
         &mut self,
         coder: &mut C,
+        sure: f32,
         set: usize,
         places: &[usize; V],
         extra: [&mut Counter; X],
@@ -208,7 +199,7 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
     ) -> bool {
         let deciding = [self.views[0] + places[0], self.views[1] + places[1]];
         let [first, second] = deciding.map(|place| self.tables.opinion(self.counters[place]));
-        if first.min(second) < self.sure && first.max(second) > -self.sure {
+        if first.min(second) < sure && first.max(second) > -sure {
             return self.code_with(coder, set, places, 0.0, extra, bit);
         }
         let bit = coder.code(bit, self.tables.squash(0.5 * (first + second)));

@@ -132,11 +132,18 @@ fn far_sample(points: &[Point]) -> Vec<Point> {
 fn coherence(values: impl Iterator<Item = f64>, period: f64) -> (f64, f64) {
     let (mut re, mut im) = (0.0, 0.0);
     for value in values {
-        let (sin, cos) = (value / period * TAU).sin_cos();
-        re += cos;
-        im += sin;
+        let turns = value / period;
+        re += wave(turns + 0.25);
+        im += wave(turns);
     }
     (re.hypot(im), im.atan2(re))
+}
+
+/// The sine of so many turns, to within a thousandth.
+fn wave(turns: f64) -> f64 {
+    let turn = turns - round_ties_even(turns);
+    let parabola = 16.0 * turn * (0.5 - turn.abs());
+    parabola + 0.225 * (parabola * parabola.abs() - parabola)
 }
 
 /// Step 2: the sideways offset h that makes the azimuths fall on the ticks, and the phase rot.
