@@ -11,7 +11,7 @@ for folder in "$@"; do
     for error in exact 2mm 5mm 10mm 20mm 50mm; do
         bound=()
         [ "$error" = exact ] || bound=(--max-error "$error")
-        "$program" encode "$folder" -o "$stream" --force --quiet "${bound[@]}"
+        "$program" encode "$folder" -o "$stream" --level 9 --force --quiet "${bound[@]}"
         "$program" stats "$stream" --against "$folder" | awk -v name="$(basename "$folder") $error" '
             /^max error/ { max = $3 }
             /^bits a point/ { bits = $4 }

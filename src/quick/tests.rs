@@ -43,7 +43,7 @@ proptest! {
     fn cells_come_back(filled in proptest::collection::vec(any::<bool>(), 0..400)) {
         let occupancy = grid(&filled);
         let empty = Grid::new(occupancy.rows(), occupancy.columns());
-        let (encoded, decoded) = round_trip(OCCUPANCY_CONTEXTS, &occupancy, &empty, |c, cells| code_occupancy(c, cells), |c, cells| code_occupancy(c, cells));
+        let (encoded, decoded) = round_trip(OCCUPANCY_CONTEXTS, &occupancy, &empty, code_occupancy, |c, cells| code_occupancy(c, cells));
         prop_assert_eq!(&decoded, &occupancy);
         prop_assert_eq!(encoded, decoded);
     }
