@@ -2,6 +2,7 @@ use super::*;
 use crate::context::IntensityScale;
 use crate::entropy::{TokenCoder, TokenReader, TokenTables, TokenWriter};
 use crate::grid::Grid;
+use crate::scan::squared_distance;
 use crate::sensor::Coordinates;
 use proptest::prelude::*;
 
@@ -43,7 +44,8 @@ proptest! {
     fn cells_come_back(filled in proptest::collection::vec(any::<bool>(), 0..400)) {
         let occupancy = grid(&filled);
         let empty = Grid::new(occupancy.rows(), occupancy.columns());
-        let (encoded, decoded) = round_trip(OCCUPANCY_CONTEXTS, &occupancy, &empty, code_occupancy, |c, cells| code_occupancy(c, cells));
+        let read = |coder: &mut TokenReader<'_>, cells: &mut Grid<bool>| code_occupancy(coder, cells);
+        let (encoded, decoded) = round_trip(OCCUPANCY_CONTEXTS, &occupancy, &empty, code_occupancy, read);
         prop_assert_eq!(&decoded, &occupancy);
         prop_assert_eq!(encoded, decoded);
     }
@@ -106,7 +108,8 @@ proptest! {
 
     #[test]
     fn positions_come_back(
-        points in proptest::collection::vec((-50_000i32..50_000, prop_oneof![4 => Just(0i32), 1 => -900i32..900]), 0..200),
+        points in proptest::collection::vec(
+            (-50_000i32..50_000, prop_oneof![4 => Just(0i32), 1 => -900i32..900]), 0..200),
         millimetres in any::<bool>(),
         bounded in any::<bool>(),
     ) {
@@ -119,7 +122,8 @@ proptest! {
             let formula = near(point).formula[axis as usize];
             grid.value(grid.unit_of(formula) + i64::from(points[point].1 * (axis + 1)), formula)
         };
-        let positions: Vec<[f32; 3]> = (0..points.len()).map(|point| [0, 1, 2].map(|axis| off(point, axis))).collect();
+        let positions = (0..points.len()).map(|point| [0, 1, 2].map(|axis| off(point, axis)));
+        let positions: Vec<[f32; 3]> = positions.collect();
         let max_error = bounded.then_some(0.002);
         let (encoded, decoded) = round_trip(
             CORRECTION_CONTEXTS,
@@ -132,7 +136,7 @@ proptest! {
         for (point, (position, decoded)) in positions.iter().zip(&decoded).enumerate() {
             let same = position.map(f32::to_bits) == decoded.map(f32::to_bits);
             let within = *decoded == near(point).position
-                && max_error.is_some_and(|max| crate::scan::squared_distance(position, decoded).sqrt() <= max);
+                && max_error.is_some_and(|max| squared_distance(position, decoded).sqrt() <= max);
             prop_assert!(same || within, "{point}: {position:?} {decoded:?}");
         }
     }

@@ -40,7 +40,10 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_decode_to_something(bytes: Vec<u8>, values in proptest::collection::vec((0usize..9, 0u64..9, 0u32..=32), 0..300)) {
+    fn any_bytes_decode_to_something(
+        bytes: Vec<u8>,
+        values in proptest::collection::vec((0usize..9, 0u64..9, 0u32..=32), 0..300),
+    ) {
         let mut tables = TokenTables::default();
         if let Ok(mut reader) = TokenReader::new(&bytes, CONTEXTS, &mut tables) {
             code(&mut reader, &values);
