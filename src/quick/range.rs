@@ -19,6 +19,8 @@ const TYPICAL_RANGE: i32 = 3000;
 const TYPICAL_MISS: i32 = 20;
 /// Misses count as at most so many steps.
 const MOST_MISS: i32 = 300;
+/// No range is farther from a prediction, in bins.
+const MOST_BINS: i64 = 1 << 25;
 const FEATURES: usize = 8;
 /// Kinds of edges for which the least-squares fits are kept apart.
 const EDGES: usize = 4;
@@ -66,14 +68,18 @@ impl RangeTokens {
         axis: (u32, u32),
         steps: &mut Grid<u32>,
     ) {
-        if fitted {
-            code_rows::<C, true>(coder, &mut self.fits, occupancy, axis, steps);
-        } else {
-            code_rows::<C, false>(coder, &mut self.fits, occupancy, axis, steps);
+        let fits = &mut self.fits;
+        match (fitted, axis) {
+            // Nothing is divided where bins are known to be of one step.
+            (true, (range_bits, 1)) => code_rows::<C, true>(coder, fits, occupancy, (range_bits, 1), steps),
+            (true, _) => code_rows::<C, true>(coder, fits, occupancy, axis, steps),
+            (false, (range_bits, 1)) => code_rows::<C, false>(coder, fits, occupancy, (range_bits, 1), steps),
+            (false, _) => code_rows::<C, false>(coder, fits, occupancy, axis, steps),
         }
     }
 }
 
+#[inline(always)]
 fn code_rows<C: TokenCoder, const FITTED: bool>(
     coder: &mut C,
     fits: &mut [LeastSquares<FEATURES>; EDGES],
@@ -108,7 +114,7 @@ fn code_rows<C: TokenCoder, const FITTED: bool>(
             let base = (west + (fit + 1000.5) as i32 - 1000).clamp(1, (most - 1) as i32);
             let bins = Bins::around(i64::from(base), i64::from(bin));
             let off = zigzag(bins.of(i64::from(*range)) - bins.central);
-            let off = unzigzag(coder.number(context, off & ((1 << 48) - 1)));
+            let off = unzigzag(coder.number(context, off & ((1 << 48) - 1))).clamp(-MOST_BINS, MOST_BINS);
             let coded = bins.middle(bins.central + off, range_bits) as i32;
             *range = coded as u32;
             if FITTED {

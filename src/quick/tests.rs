@@ -76,6 +76,32 @@ proptest! {
     }
 
     #[test]
+    fn any_tokens_decode_to_ranges(
+        tokens in proptest::collection::vec((any::<u8>(), any::<u32>()), 60),
+        range_bits in 16u32..=24,
+        bin in prop_oneof![Just(1u32), 1u32..1 << 20],
+        fitted in any::<bool>(),
+    ) {
+        /// Gives these tokens and bits whatever is asked for.
+        struct Given(std::vec::IntoIter<(u8, u32)>);
+        impl TokenCoder for Given {
+            const ENCODES: bool = false;
+            fn token(&mut self, _: usize, _: u8) -> u8 {
+                self.0.next().map_or(0, |(token, _)| token)
+            }
+            fn bits(&mut self, _: u32, count: u32) -> u32 {
+                let bits = self.0.as_slice().first().map_or(0, |(_, bits)| *bits);
+                (u64::from(bits) & ((1 << count) - 1)) as u32
+            }
+        }
+        let occupancy = grid(&vec![true; tokens.len()]);
+        let mut steps = Grid::new(occupancy.rows(), occupancy.columns());
+        let mut coder = Given(tokens.into_iter());
+        RangeTokens::default().code(&mut coder, &occupancy, fitted, (range_bits, bin), &mut steps);
+        prop_assert!(steps.cells().iter().all(|range| (1..1 << range_bits).contains(range)));
+    }
+
+    #[test]
     fn intensities_come_back(
         levels in proptest::collection::vec((0u32..512, 0u16..40), 1..300),
         per_unit in prop_oneof![Just(100u32), Just(255), Just(511)],

@@ -15,14 +15,20 @@ pub struct Bins {
 
 impl Bins {
     /// Bins of which one has `base`, a range in steps, in its middle.
+    #[inline]
     pub fn around(base: i64, width: i64) -> Self {
+        if width == 1 {
+            // The same, without divisions.
+            return Bins { width, origin: 0, central: base };
+        }
         let start = base - width / 2;
         Bins { width, origin: start.rem_euclid(width), central: start.div_euclid(width) }
     }
 
     /// The bin of a range.
+    #[inline]
     pub fn of(&self, range: i64) -> i64 {
-        (range - self.origin).div_euclid(self.width)
+        if self.width == 1 { range } else { (range - self.origin).div_euclid(self.width) }
     }
 
     /// The first bin that holds ranges from 1 to 2^`range_bits` - 1, and the one after the last.
@@ -38,6 +44,7 @@ impl Bins {
 
     /// The range that stands for a bin, of 1 to 2^`range_bits` - 1 steps: of an odd number of ranges the one
     /// in the middle, of an even number the upper of the two there.
+    #[inline]
     pub fn middle(&self, bin: i64, range_bits: u32) -> i64 {
         (self.origin + bin * self.width + self.width / 2).clamp(1, (1 << range_bits) - 1)
     }
