@@ -109,6 +109,21 @@ fn every_back_end_decodes_its_p_frames() {
 }
 
 #[test]
+fn images_of_very_many_cells_are_coded_alone() {
+    let with_columns = |columns| EncoderConfig {
+        projection: ProjectionKind::Ideal { columns, range_step_um: 5000 },
+        coder: Coder::Backend(lidarpc::backend::LZMA),
+        prediction: PredictionChoice::EveryReference,
+        ..EncoderConfig::preset(Mode::Paper)
+    };
+    assert_eq!(predictions(&encode_files(&DRIVE[..2], &with_columns(1000)))[1], P);
+    // 64 rows of these are more than 2^22 cells.
+    let stream = encode_files(&DRIVE[..2], &with_columns(66_000));
+    assert!(!predictions(&stream).contains(&P));
+    assert_eq!(decode_files(&stream).unwrap().len(), 2);
+}
+
+#[test]
 fn the_stream_does_not_depend_on_threads() {
     let with = |threads| encode_files(&DRIVE, &EncoderConfig { threads, gop: 2, ..at_level(8) });
     assert!(with(1) == with(8));

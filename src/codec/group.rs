@@ -15,6 +15,7 @@ use crate::bitstream::{FrameHeader, Section};
 use crate::error::{Error, Limits, Result};
 use crate::grid::Grid;
 use crate::io::parse_like;
+use crate::prediction::inter;
 use crate::prediction::intra::IntraPrediction;
 use crate::range_image::{RangeImage, Return};
 use crate::registration::{Pose, QuantisedPose, register};
@@ -116,7 +117,8 @@ impl<'s> GroupEncoder<'s> {
     /// (equation 8). Gives how much of that frame fits this one, from 0 to 1; none if it does not.
     fn estimate_motion(&mut self, frame: &Frame) -> Option<f64> {
         let (sensor, past) = (self.sensor?, self.models.past()?);
-        if frame.strays == frame.records || !self.config.allows_inter(self.frames) {
+        let is_too_large = frame.steps.cells().len() > inter::MOST_CELLS;
+        if frame.strays == frame.records || is_too_large || !self.config.allows_inter(self.frames) {
             return None;
         }
         let image = RangeImage { columns: frame.columns.clone(), steps: frame.steps.clone() };

@@ -21,7 +21,7 @@ use crate::contour::ContourModel;
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::error::{Error, Limits, Result};
 use crate::grid::Grid;
-use crate::prediction::inter::Past;
+use crate::prediction::inter::{self, Past};
 use crate::prediction::surface::SurfaceCoder;
 use crate::quick::Near;
 use crate::range_image::{RangeImage, Reference, Return};
@@ -90,7 +90,8 @@ impl Models {
             let columns = std::mem::take(&mut frame.columns);
             let image = RangeImage { columns, steps: std::mem::take(&mut frame.steps) };
             found = image.file_order(sensor);
-            if !frame.parameters.modelling().is_quick() {
+            let can_be_past = image.steps.cells().len() <= inter::MOST_CELLS;
+            if can_be_past && !frame.parameters.modelling().is_quick() {
                 self.past = Some(Arc::new(Past::new(image.clone(), levels)));
             }
             (frame.columns, frame.steps) = (image.columns, image.steps);
@@ -152,6 +153,7 @@ impl Models {
         }
         let past = self.past.as_ref();
         let past = past.ok_or_else(|| Error::corrupt("there is no frame before to predict this one from"))?;
+        within(frame.occupancy.cells().len(), inter::MOST_CELLS as u64, "cells of a P frame")?;
         let motion = frame.parameters.motion.pose().motion();
         Ok(Some(past.reference(sensor, &frame.columns, &motion)))
     }

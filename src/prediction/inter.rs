@@ -14,6 +14,10 @@ use render::render;
 /// Ticks that a column of the frame before may be off.
 const COLUMN_REACH: u32 = 2;
 
+/// The most cells of an image that is predicted from another, or another from it: what is made of them takes
+/// about a hundred bytes a cell. No scanner has more than a few hundred thousand.
+pub const MOST_CELLS: usize = 1 << 22;
+
 /// The frame before, as both sides know it.
 #[derive(Debug, Default)]
 pub struct Past {

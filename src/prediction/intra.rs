@@ -144,8 +144,8 @@ impl IntraPrediction {
 }
 
 /// The ground with the plane that RANSAC finds (Algorithm 1); with its mean if there is none.
-fn with_ground_plane(judge: &Judge, cells: Vec<(u16, u16)>, config: &RansacConfig) -> Region {
-    let point = |&(row, column): &(u16, u16)| {
+fn with_ground_plane(judge: &Judge, cells: Vec<(u32, u32)>, config: &RansacConfig) -> Region {
+    let point = |&(row, column): &(u32, u32)| {
         let cell = (row as usize, column as usize);
         judge.rays.point(cell, judge.steps[cell])
     };
@@ -160,7 +160,7 @@ fn with_ground_plane(judge: &Judge, cells: Vec<(u16, u16)>, config: &RansacConfi
 
 /// The cells of each label. Returns that belong to no object join the region to their left, or above:
 /// a border around each costs more than any model of them saves.
-fn cells_of(occupancy: &Grid<bool>, segmentation: &Segmentation) -> Vec<Vec<(u16, u16)>> {
+fn cells_of(occupancy: &Grid<bool>, segmentation: &Segmentation) -> Vec<Vec<(u32, u32)>> {
     let mut cells = vec![Vec::new(); segmentation.end.max(FIRST_OBJECT) as usize];
     let mut above = vec![UNASSIGNED; occupancy.columns()];
     let mut left = UNASSIGNED;
@@ -174,7 +174,7 @@ fn cells_of(occupancy: &Grid<bool>, segmentation: &Segmentation) -> Vec<Vec<(u16
             label = if left == UNASSIGNED { above[cell.1] } else { left };
         }
         (left, above[cell.1]) = (label, label);
-        cells[label as usize].push((cell.0 as u16, cell.1 as u16));
+        cells[label as usize].push((cell.0 as u32, cell.1 as u32));
     });
     cells
 }

@@ -20,7 +20,7 @@ const SMALLEST_SPLIT: usize = 64;
 #[derive(Clone, Debug)]
 pub struct Region {
     /// Row and column of each.
-    pub cells: Vec<(u16, u16)>,
+    pub cells: Vec<(u32, u32)>,
     /// What they are predicted from.
     pub model: SurfaceModel,
     /// The sum of the squared errors of the prediction, in steps^2.
@@ -39,8 +39,8 @@ pub struct Judge<'a> {
 
 impl Judge<'_> {
     /// The cells with this model.
-    pub fn region(&self, cells: Vec<(u16, u16)>, model: SurfaceModel) -> Region {
-        let error = |&(row, column): &(u16, u16)| {
+    pub fn region(&self, cells: Vec<(u32, u32)>, model: SurfaceModel) -> Region {
+        let error = |&(row, column): &(u32, u32)| {
             let cell = (row as usize, column as usize);
             (f64::from(self.steps[cell]) - f64::from(self.rays.range(&model, cell))).powi(2)
         };
@@ -58,13 +58,13 @@ impl Judge<'_> {
     }
 
     /// The cells with their mean range.
-    pub fn with_mean(&self, cells: Vec<(u16, u16)>) -> Region {
+    pub fn with_mean(&self, cells: Vec<(u32, u32)>) -> Region {
         let mean = self.mean(&cells);
         self.region(cells, SurfaceModel::Mean(mean))
     }
 
     /// The cells with the cheaper of their mean and their plane.
-    pub fn with_best(&self, cells: Vec<(u16, u16)>) -> Region {
+    pub fn with_best(&self, cells: Vec<(u32, u32)>) -> Region {
         let points = cells.iter().map(|&(row, column)| {
             let cell = (row as usize, column as usize);
             self.rays.point(cell, self.steps[cell])
@@ -76,7 +76,7 @@ impl Judge<'_> {
         if self.cost(&by_plane) < self.cost(&by_mean) { by_plane } else { by_mean }
     }
 
-    fn mean(&self, cells: &[(u16, u16)]) -> u32 {
+    fn mean(&self, cells: &[(u32, u32)]) -> u32 {
         let sum: u64 =
             cells.iter().map(|&(row, column)| u64::from(self.steps[(row as usize, column as usize)])).sum();
         let count = cells.len().max(1) as u64;
@@ -109,14 +109,14 @@ impl Judge<'_> {
     fn split_by(
         &self,
         region: &Region,
-        along: impl Fn(&(u16, u16)) -> u16,
-        across: impl Fn(&(u16, u16)) -> u16,
+        along: impl Fn(&(u32, u32)) -> u32,
+        across: impl Fn(&(u32, u32)) -> u32,
     ) -> Option<(f64, [Region; 2])> {
         let first = region.cells.iter().map(&along).min()?;
         let last = region.cells.iter().map(&along).max()?;
-        let mut sums = vec![(0.0, 0.0); usize::from(last - first) + 1];
+        let mut sums = vec![(0.0, 0.0); (last - first) as usize + 1];
         for cell in &region.cells {
-            let sum = &mut sums[usize::from(along(cell) - first)];
+            let sum = &mut sums[(along(cell) - first) as usize];
             sum.0 += 1.0;
             sum.1 += f64::from(self.steps[(cell.0 as usize, cell.1 as usize)]);
         }
