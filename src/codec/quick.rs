@@ -7,8 +7,8 @@ use crate::context::IntensityScale;
 use crate::entropy::{TokenCoder, TokenTables};
 use crate::error::Result;
 use crate::quick::{
-    CORRECTION_CONTEXTS, INTENSITY_CONTEXTS, IntensityTokens, Near, OCCUPANCY_CONTEXTS, RANGE_CONTEXTS,
-    RangeTokens, code_occupancy, code_positions,
+    CORRECTION_CONTEXTS, INTENSITY_CONTEXTS, IntensityTokens, OCCUPANCY_CONTEXTS, RANGE_CONTEXTS,
+    RangeTokens, code_occupancy, correct_positions,
 };
 use crate::sensor::Coordinates;
 
@@ -52,17 +52,19 @@ impl QuickModels {
         })
     }
 
-    /// The positions of the returns, given where each is by the formula.
+    /// The positions of the returns, given where each is by the formula, and where it is near that in the file
+    /// if there is no correction.
     pub fn code_positions<S: SectionCoder>(
         &mut self,
         sections: &mut S,
         grid: Coordinates,
-        near: impl Fn(usize) -> Near,
-        max_error: Option<f64>,
+        formula: impl Fn(usize) -> [f64; 3],
+        (near, max_error): (Vec<[f32; 3]>, Option<f64>),
         frame: &mut Frame,
     ) -> Result<()> {
+        let wanted = std::mem::replace(&mut frame.positions, near);
         sections.tokens(SectionKind::Correction, CORRECTION_CONTEXTS, &mut self.correction, |coder| {
-            code_positions(coder, grid, near, max_error, &mut frame.positions);
+            correct_positions(coder, grid, formula, (&wanted, max_error), &mut frame.positions);
         })
     }
 }

@@ -23,8 +23,7 @@ use crate::error::{Error, Limits, Result};
 use crate::grid::Grid;
 use crate::prediction::inter::{self, Past};
 use crate::prediction::surface::SurfaceCoder;
-use crate::quick::Near;
-use crate::range_image::{RangeImage, Reference, Return};
+use crate::range_image::{RangeImage, Reference, Return, positions};
 use crate::scan::Layout;
 use crate::sensor::{Coordinates, SensorModel};
 
@@ -193,7 +192,6 @@ impl Models {
         frame: &mut Frame,
         found: &[Return],
     ) -> Result<()> {
-        frame.positions.resize(found.len(), [0.0; 3]);
         let grid = sensor.coordinates;
         let offset_m = frame.parameters.range_coder.offset_m(sensor);
         let formula = |found: &Return| {
@@ -202,20 +200,11 @@ impl Models {
         };
         let (max_error, on_grid) = match frame.parameters.positions {
             Positions::Formula => {
-                let points = found.iter().map(formula).zip(&mut frame.positions);
-                points.for_each(|(formula, position)| *position = formula.map(|metres| metres as f32));
+                frame.positions = positions(sensor, found, offset_m, false);
                 return Ok(());
             }
             Positions::Exact => (None, true),
             Positions::Bounded { max_error_um, on_grid } => (Some(f64::from(max_error_um) * 1e-6), on_grid),
-        };
-        let near = |found: &Return| {
-            let formula = formula(found);
-            let position = match on_grid {
-                true => formula.map(|metres| grid.value(grid.unit_of(metres), metres)),
-                false => formula.map(|metres| metres as f32),
-            };
-            Near { formula, position }
         };
         let quick = match frame.parameters.modelling() {
             Modelling::Mixed => false,
@@ -224,18 +213,29 @@ impl Models {
             Modelling::Tokens { .. } => true,
         };
         if quick {
-            return self.quick.code_positions(sections, grid, |point| near(&found[point]), max_error, frame);
+            let near = positions(sensor, found, offset_m, on_grid);
+            let formula = |point: usize| formula(&found[point]);
+            return self.quick.code_positions(sections, grid, formula, (near, max_error), frame);
         }
+        frame.positions.resize(found.len(), [0.0; 3]);
         sections.section(SectionKind::Correction, true, |coder| {
             let points = found.iter().zip(&mut frame.positions);
             match max_error {
                 None => points.for_each(|(found, position)| {
                     self.correction.code(coder, grid, formula(found), position);
                 }),
-                Some(max_error) => points.for_each(|(found, position)| {
-                    let Near { formula, position: near } = near(found);
-                    self.correction.code_bounded(coder, grid, formula, (near, max_error), position);
-                }),
+                Some(max_error) => {
+                    let near = positions(sensor, found, offset_m, on_grid);
+                    points.zip(near).for_each(|((found, position), near)| {
+                        self.correction.code_bounded(
+                            coder,
+                            grid,
+                            formula(found),
+                            (near, max_error),
+                            position,
+                        );
+                    });
+                }
             }
             Ok(())
         })

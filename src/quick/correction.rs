@@ -10,55 +10,36 @@ use crate::varint::{unzigzag, zigzag};
 const GAP: usize = 0;
 pub const CORRECTION_CONTEXTS: usize = 4;
 
-/// Where a return is by the formula.
-#[derive(Clone, Copy, Debug)]
-pub struct Near {
-    /// Metres.
-    pub formula: [f64; 3],
-    /// What the file holds if there is no correction, in metres.
-    pub position: [f32; 3],
-}
-
-/// Codes positions on a grid (metres), given where each is by the formula. The encoder's are corrected that
-/// are not the same and, if an error is allowed, farther than `max_error` metres from there.
-pub fn code_positions<C: TokenCoder>(
+/// Corrects positions, which are on a grid (metres), given where each is by the formula. The encoder's are
+/// brought to what is `wanted` where they are not that and, if an error is allowed, farther than so many metres
+/// from it.
+pub fn correct_positions<C: TokenCoder>(
     coder: &mut C,
     grid: Coordinates,
-    near: impl Fn(usize) -> Near,
-    max_error: Option<f64>,
+    formula: impl Fn(usize) -> [f64; 3],
+    (wanted, max_error): (&[[f32; 3]], Option<f64>),
     positions: &mut [[f32; 3]],
 ) {
-    let is_corrected = |(point, position): (usize, &[f32; 3])| {
-        let Near { position: near, .. } = near(point);
-        let same = near.map(f32::to_bits) == position.map(f32::to_bits);
-        let within = max_error.is_some_and(|max| squared_distance(&near, position).sqrt() <= max);
-        !(same || within)
+    let is_corrected = |wanted: &[f32; 3], position: &[f32; 3]| {
+        let same = position.map(f32::to_bits) == wanted.map(f32::to_bits);
+        !same && max_error.is_none_or(|max| squared_distance(position, wanted).sqrt() > max)
     };
-    let mut corrected = Vec::new();
-    if C::ENCODES {
-        let points = positions.iter().enumerate();
-        corrected.extend(points.filter(|&point| is_corrected(point)).map(|(point, _)| point));
-    }
-    let mut corrected = corrected.into_iter();
-    let mut point = 0;
+    let (mut next, end) = (0, positions.len());
     loop {
-        let next = corrected.next().unwrap_or(positions.len());
-        let gap = coder.number(GAP, (next - point) as u64).min((positions.len() - point) as u64) as usize;
-        // The encoder's are these already, unless an error is allowed.
-        if !C::ENCODES || max_error.is_some() {
-            (point..point + gap).for_each(|point| positions[point] = near(point).position);
-        }
-        point += gap;
+        // A decoder wants nothing, and is told.
+        let known = wanted.iter().zip(&*positions).skip(next);
+        let gap = known.take_while(|(wanted, position)| !is_corrected(wanted, position)).count();
+        let gap = coder.number(GAP, gap as u64).min((end - next) as u64) as usize;
+        let point = next + gap;
         let Some(position) = positions.get_mut(point).filter(|_| !coder.is_exhausted()) else { return };
-        let formula = near(point).formula;
+        let formula = formula(point);
         for axis in 0..3 {
             let unit = grid.unit_of(formula[axis]);
-            let correction = grid.unit_of(f64::from(position[axis])).wrapping_sub(unit);
+            let file = wanted.get(point).map_or(0.0, |wanted| wanted[axis]);
+            let correction = grid.unit_of(f64::from(file)).wrapping_sub(unit);
             let correction = unzigzag(coder.number(1 + axis, zigzag(correction) & ((1 << 60) - 1)));
-            if !C::ENCODES {
-                position[axis] = grid.value(unit.wrapping_add(correction), formula[axis]);
-            }
+            position[axis] = grid.value(unit.wrapping_add(correction), formula[axis]);
         }
-        point += 1;
+        next = point + 1;
     }
 }

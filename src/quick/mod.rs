@@ -6,7 +6,7 @@ mod intensity;
 mod occupancy;
 mod range;
 
-pub use correction::{CORRECTION_CONTEXTS, Near, code_positions};
+pub use correction::{CORRECTION_CONTEXTS, correct_positions};
 pub use intensity::{INTENSITY_CONTEXTS, IntensityTokens};
 pub use occupancy::{OCCUPANCY_CONTEXTS, code_occupancy};
 pub use range::{RANGE_CONTEXTS, RangeTokens};

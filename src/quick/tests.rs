@@ -140,30 +140,28 @@ proptest! {
         bounded in any::<bool>(),
     ) {
         let grid = if millimetres { Coordinates::Millimetre } else { Coordinates::Float32 };
-        let near = |point: usize| {
-            let formula = [0, 1, 2].map(|axis| f64::from(points[point].0 + axis) * 1.00037e-3);
-            Near { formula, position: formula.map(|metres| grid.value(grid.unit_of(metres), metres)) }
-        };
+        let formula = |point: usize| [0, 1, 2].map(|axis| f64::from(points[point].0 + axis) * 1.00037e-3);
+        let near: Vec<_> = (0..points.len()).map(|point| formula(point).map(|v| grid.nearest(v))).collect();
         let off = |point: usize, axis: i32| {
-            let formula = near(point).formula[axis as usize];
+            let formula = formula(point)[axis as usize];
             grid.value(grid.unit_of(formula) + i64::from(points[point].1 * (axis + 1)), formula)
         };
         let positions = (0..points.len()).map(|point| [0, 1, 2].map(|axis| off(point, axis)));
-        let positions: Vec<[f32; 3]> = positions.collect();
+        let wanted: Vec<[f32; 3]> = positions.collect();
         let max_error = bounded.then_some(0.002);
         let (encoded, decoded) = round_trip(
             CORRECTION_CONTEXTS,
-            &positions,
-            &vec![[0.0; 3]; positions.len()],
-            |coder, positions| code_positions(coder, grid, near, max_error, positions),
-            |coder, positions| code_positions(coder, grid, near, max_error, positions),
+            &near,
+            &near,
+            |coder, near| correct_positions(coder, grid, formula, (&wanted, max_error), near),
+            |coder, near| correct_positions(coder, grid, formula, (&[], max_error), near),
         );
         prop_assert_eq!(&encoded, &decoded);
-        for (point, (position, decoded)) in positions.iter().zip(&decoded).enumerate() {
-            let same = position.map(f32::to_bits) == decoded.map(f32::to_bits);
-            let within = *decoded == near(point).position
-                && max_error.is_some_and(|max| squared_distance(position, decoded).sqrt() <= max);
-            prop_assert!(same || within, "{point}: {position:?} {decoded:?}");
+        for (point, (wanted, decoded)) in wanted.iter().zip(&decoded).enumerate() {
+            let same = wanted.map(f32::to_bits) == decoded.map(f32::to_bits);
+            let within = *decoded == near[point]
+                && max_error.is_some_and(|max| squared_distance(wanted, decoded).sqrt() <= max);
+            prop_assert!(same || within, "{point}: {wanted:?} {decoded:?}");
         }
     }
 }

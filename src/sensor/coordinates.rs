@@ -61,6 +61,31 @@ impl Coordinates {
         }
     }
 
+    /// The coordinate nearest to `formula`, in metres: [`value`](Self::value) of [`unit_of`](Self::unit_of).
+    #[inline]
+    pub fn nearest(self, formula: f64) -> f32 {
+        match self {
+            Coordinates::Millimetre => nearest_millimetre(formula),
+            _ => self.value(self.unit_of(formula), formula),
+        }
+    }
+
+    /// Whether a coordinate of the file lies on the grid, and a zero has the sign that
+    /// [`value`](Self::value) would give it.
+    #[inline]
+    pub fn holds(self, value: f32, formula: f64) -> bool {
+        match self {
+            // Beyond 1,000 km the grid is finer than float32, and no scanner sees that far.
+            Coordinates::Millimetre => {
+                let own = f64::from(value);
+                let signed = if value == 0.0 { f64::from(zero_of(formula)) } else { own };
+                (nearest_millimetre(own.abs().copysign(signed)).to_bits() == value.to_bits())
+                    & (own.abs() < 1e6)
+            }
+            _ => self.unit_in_file(value).is_some() && (value != 0.0 || self.keeps_zero(value, formula)),
+        }
+    }
+
     /// The unit of any float32, on the grid of all of them.
     pub fn unit_of_float(value: f32) -> i64 {
         ordered(value)
@@ -97,6 +122,14 @@ fn lattice_step(step_nm: u64) -> f64 {
     step_nm as f64 * 1e-9
 }
 
+/// The millimetre nearest to `formula`, in metres, with its sign even if it is zero.
+#[inline]
+pub fn nearest_millimetre(formula: f64) -> f32 {
+    let unit = round_ties_even((formula * 1000.0).clamp(-1e12, 1e12));
+    let value = (unit / 1000.0).copysign(formula) as f32;
+    if formula.is_nan() { 0.0 } else { value }
+}
+
 /// The zero with the sign of `formula`. The sign of a NaN differs between processors: it counts as
 /// positive.
 fn zero_of(formula: f64) -> f32 {
@@ -129,6 +162,25 @@ mod tests {
         assert_eq!(ordered(0.0) - ordered(-0.0), 1);
         assert_eq!(ordered(1.0f32.next_up()) - ordered(1.0), 1);
         assert_eq!(Coordinates::Float32.unit_in_file(f32::NAN), None);
+    }
+
+    #[test]
+    fn the_nearest_coordinate_is_the_value_of_the_unit() {
+        let values =
+            [0.0, -0.0, 1e-4, -1e-4, 5e-4, -5e-4, 1.0005, -80.1234, 1e9, -1e30, f64::INFINITY, f64::NAN];
+        for grid in
+            [Coordinates::Millimetre, Coordinates::Float32, Coordinates::Lattice { step_nm: 20_000_000 }]
+        {
+            for formula in values {
+                let expected = grid.value(grid.unit_of(formula), formula);
+                assert_eq!(grid.nearest(formula).to_bits(), expected.to_bits(), "{formula} on {grid:?}");
+                for value in values.map(|value| value as f32) {
+                    let holds = grid.unit_in_file(value).is_some()
+                        && (value != 0.0 || grid.keeps_zero(value, formula));
+                    assert_eq!(grid.holds(value, formula), holds, "{value} near {formula} on {grid:?}");
+                }
+            }
+        }
     }
 
     #[test]

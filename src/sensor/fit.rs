@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::beams::{Beam, Cone, Point, align, split_beams, thinned};
 use super::columns::column_shifts;
-use super::model::small_atan;
+use super::formula::small_atan;
 use super::sharpen::sharpen;
 use super::{BeamConstants, Coordinates, Refinement, SensorModel};
 use crate::rounding::round_ties_even;

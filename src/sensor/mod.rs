@@ -5,14 +5,16 @@ mod beams;
 mod columns;
 mod coordinates;
 mod fit;
+mod formula;
 mod ideal;
 mod model;
+mod near;
 mod sharpen;
 mod sine;
 mod single_precision;
 
 pub(crate) use beams::{Point as BeamPoint, split_beams, thinned};
-pub use coordinates::Coordinates;
+pub use coordinates::{Coordinates, nearest_millimetre};
 pub use fit::{RANGE_STEP_UM, fit};
 pub use ideal::ideal;
 pub use model::{

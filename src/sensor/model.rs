@@ -17,6 +17,7 @@
 use std::f64::consts::TAU;
 
 use super::Coordinates;
+use super::formula::{Formula, Tick, small_atan};
 use super::single_precision::{Arithmetic, Refinement};
 use crate::error::{Error, Result};
 use crate::rounding::round_ties_even;
@@ -67,6 +68,19 @@ impl BeamConstants {
         }
     }
 
+    /// (V, b, c, h, rot), in radians and metres.
+    pub(super) fn values(&self) -> [f64; 5] {
+        let angle = |units: i64| units as f64 * ANGLE_UNIT;
+        let length = |units: i64| units as f64 * LENGTH_UNIT;
+        [
+            angle(self.elevation),
+            length(self.range_offset),
+            length(self.height),
+            length(self.side_offset),
+            angle(self.azimuth_offset),
+        ]
+    }
+
     fn fields(&mut self) -> [&mut i64; 6] {
         [
             &mut self.elevation,
@@ -76,41 +90,6 @@ impl BeamConstants {
             &mut self.azimuth_offset,
             &mut self.column_shift,
         ]
-    }
-}
-
-/// One beam's constants as the formula uses them.
-#[derive(Clone, Copy, Debug)]
-struct Beam {
-    cos_v: f64,
-    sin_v: f64,
-    b: f64,
-    c: f64,
-    h: f64,
-    rot: f64,
-    cos_rot: f64,
-    sin_rot: f64,
-}
-
-impl Beam {
-    fn new(q: &BeamConstants) -> Self {
-        let v = q.elevation as f64 * ANGLE_UNIT;
-        let rot = q.azimuth_offset as f64 * ANGLE_UNIT;
-        Beam {
-            cos_v: libm::cos(v),
-            sin_v: libm::sin(v),
-            b: q.range_offset as f64 * LENGTH_UNIT,
-            c: q.height as f64 * LENGTH_UNIT,
-            h: q.side_offset as f64 * LENGTH_UNIT,
-            rot,
-            cos_rot: libm::cos(rot),
-            sin_rot: libm::sin(rot),
-        }
-    }
-
-    /// z at horizontal distance `rho`, both in metres.
-    fn height_at(&self, rho: f64) -> f64 {
-        (rho - self.b) * (self.sin_v / self.cos_v) + self.c
     }
 }
 
@@ -139,9 +118,10 @@ pub struct SensorModel {
     pub range_step_um: u32,
     /// Constants of each beam, in the order of the rows of the file.
     constants: Vec<BeamConstants>,
-    beams: Vec<Beam>,
-    /// cos and sin of each tick.
-    tick_directions: Vec<[f64; 2]>,
+    pub(super) beams: Vec<Formula>,
+    pub(super) ticks_of_turn: Vec<Tick>,
+    /// The column shift of each beam, less whole turns.
+    shifts: Vec<i64>,
     /// Refinements of each beam, if the file's coordinates come from single-precision arithmetic.
     refinements: Option<Vec<Refinement>>,
     single: Vec<Arithmetic>,
@@ -165,17 +145,19 @@ impl SensorModel {
         range_step_um: u32,
         constants: Vec<BeamConstants>,
     ) -> Self {
-        let beams = constants.iter().map(Beam::new).collect();
+        let beams = constants.iter().map(Formula::new).collect();
         let angle = |t: u32| f64::from(t) / f64::from(ticks) * TAU;
-        let tick_directions = (0..ticks).map(|t| [libm::cos(angle(t)), libm::sin(angle(t))]).collect();
+        let ticks_of_turn = (0..ticks).map(|t| Tick::at(angle(t))).collect();
         let (refinements, single) = (None, Vec::new());
+        let shifts = constants.iter().map(|beam| beam.column_shift % i64::from(ticks)).collect();
         SensorModel {
             coordinates,
             ticks,
             range_step_um,
             constants,
             beams,
-            tick_directions,
+            ticks_of_turn,
+            shifts,
             refinements,
             single,
         }
@@ -192,7 +174,7 @@ impl SensorModel {
 
     /// The constants of beam `row` as single-precision arithmetic has them, but not refined.
     pub(super) fn single_precision(&self, row: usize) -> Arithmetic {
-        let Beam { sin_v, cos_v, b, c, h, rot, .. } = self.beams[row];
+        let Formula { sin_v, cos_v, b, c, h, rot, .. } = self.beams[row];
         Arithmetic::new([sin_v, cos_v, b, c, h, rot], self.ticks)
     }
 
@@ -221,9 +203,7 @@ impl SensorModel {
     #[inline]
     pub fn direction(&self, row: usize, tick: u32) -> [f64; 3] {
         let beam = &self.beams[row];
-        let [cos_t, sin_t] = self.tick_directions[tick as usize];
-        let (x, y) =
-            (cos_t * beam.cos_rot - sin_t * beam.sin_rot, sin_t * beam.cos_rot + cos_t * beam.sin_rot);
+        let (x, y) = beam.heading(&self.ticks_of_turn[tick as usize]);
         [x * beam.cos_v, y * beam.cos_v, beam.sin_v]
     }
 
@@ -266,13 +246,26 @@ impl SensorModel {
     }
 
     /// The column tick (0 to `ticks`, exclusive) of azimuth tick `tick` of beam `row`.
+    #[inline]
     pub fn column_tick(&self, row: usize, tick: i64) -> u32 {
-        (tick + self.constants[row].column_shift).rem_euclid(i64::from(self.ticks)) as u32
+        self.within_turn(tick + self.shifts[row])
     }
 
     /// The azimuth tick (0 to `ticks`, exclusive) of beam `row` at a column tick.
+    #[inline]
     pub fn tick_of_column(&self, row: usize, column_tick: u32) -> u32 {
-        (i64::from(column_tick) - self.constants[row].column_shift).rem_euclid(i64::from(self.ticks)) as u32
+        self.within_turn(i64::from(column_tick) - self.shifts[row])
+    }
+
+    /// A tick brought into one turn: mostly it is at most one away.
+    #[inline]
+    fn within_turn(&self, tick: i64) -> u32 {
+        let turn = i64::from(self.ticks);
+        if (-turn..2 * turn).contains(&tick) {
+            (tick + if tick < 0 { turn } else { 0 } - if tick >= turn { turn } else { 0 }) as u32
+        } else {
+            tick.rem_euclid(turn) as u32
+        }
     }
 
     /// The formula: x, y and z in metres, before they are rounded to the file's grid.
@@ -282,9 +275,7 @@ impl SensorModel {
 
     /// phi of the formula, in radians from 0 to 2 pi: the order of the points of a row in the file.
     pub fn azimuth(&self, row: usize, tick: u32, steps: u32) -> f64 {
-        let beam = &self.beams[row];
-        let rho = self.metres(steps) * beam.cos_v + beam.b;
-        let azimuth = f64::from(tick) / f64::from(self.ticks) * TAU + beam.rot + small_atan(beam.h / rho);
+        let azimuth = self.beams[row].azimuth(&self.ticks_of_turn[tick as usize], self.metres(steps));
         if azimuth < 0.0 {
             azimuth + TAU
         } else if azimuth >= TAU {
@@ -299,44 +290,10 @@ impl SensorModel {
     pub fn invert(&self, row: usize, [x, y, z]: [f64; 3]) -> Option<(u32, u32)> {
         let beam = &self.beams[row];
         let rho = (x * x + y * y).sqrt();
-        let d = (rho - beam.b) * beam.cos_v + (z - beam.c) * beam.sin_v;
-        let steps = self.steps(d)?;
+        let steps = self.steps(beam.range(rho, z))?;
         let azimuth = y.atan2(x) - small_atan(beam.h / rho) - beam.rot;
         let tick = round_ties_even(azimuth * (f64::from(self.ticks) / TAU));
         tick.is_finite().then(|| ((tick as i64).rem_euclid(i64::from(self.ticks)) as u32, steps))
-    }
-
-    /// As [`invert`](Self::invert); quicker if the tick is near `hint`.
-    #[inline]
-    pub fn invert_near(&self, row: usize, point: [f64; 3], hint: u32) -> Option<(u32, u32)> {
-        /// Ticks over which an angle is as good as its sine.
-        const NEAR: f64 = 16.0;
-        let [x, y, z] = point;
-        let (beam, ticks) = (&self.beams[row], f64::from(self.ticks));
-        let rho = (x * x + y * y).sqrt();
-        let (cos_a, sin_a) = self.heading(beam, hint);
-        let turned = (y * cos_a - x * sin_a - beam.h) / rho * (ticks / TAU);
-        if !(turned.abs() < NEAR && x * cos_a + y * sin_a > 0.0 && ticks > 16.0 * NEAR) {
-            return self.invert(row, point);
-        }
-        let steps = self.steps((rho - beam.b) * beam.cos_v + (z - beam.c) * beam.sin_v)?;
-        let tick = i64::from(hint) + round_ties_even(turned) as i64;
-        let turn = i64::from(self.ticks);
-        let tick = if tick < 0 {
-            tick + turn
-        } else if tick >= turn {
-            tick - turn
-        } else {
-            tick
-        };
-        Some((tick as u32, steps))
-    }
-
-    /// Cosine and sine of a beam's azimuth at a tick.
-    #[inline]
-    fn heading(&self, beam: &Beam, tick: u32) -> (f64, f64) {
-        let [cos_t, sin_t] = self.tick_directions[tick as usize];
-        (cos_t * beam.cos_rot - sin_t * beam.sin_rot, sin_t * beam.cos_rot + cos_t * beam.sin_rot)
     }
 
     /// Where a point (metres) near beam `hint`'s cone is seen, for both sides; the same on every platform.
@@ -358,7 +315,7 @@ impl SensorModel {
             }
         }
         let beam = &self.beams[row];
-        let metres = (rho - beam.b) * beam.cos_v + (z - beam.c) * beam.sin_v;
+        let metres = beam.range(rho, z);
         if !(metres > NEAREST && metres < f64::from(FARTHEST)) {
             return None;
         }
@@ -373,16 +330,37 @@ impl SensorModel {
     /// The formula for a range in metres that need not be a whole number of steps.
     #[inline]
     pub fn point_at(&self, row: usize, tick: u32, metres: f64) -> [f64; 3] {
-        let beam = &self.beams[row];
-        let rho = metres * beam.cos_v + beam.b;
-        let (cos_a, sin_a) = self.heading(beam, tick);
-        // Turned by atan(h / rho), whose cosine and sine are rho and h over their hypotenuse.
-        let along = rho / (rho * rho + beam.h * beam.h).sqrt();
-        [
-            along * (cos_a * rho - sin_a * beam.h),
-            along * (sin_a * rho + cos_a * beam.h),
-            metres * beam.sin_v + beam.c,
-        ]
+        let [[x], [y], [z]] = self.beams[row].points([&self.ticks_of_turn[tick as usize]], [metres]);
+        [x, y, z]
+    }
+
+    /// Fills in positions of points of beam `row`, as well as the model gives them
+    /// ([`position_at`](Self::position_at)) and as `stored` makes a coordinate of the file of metres.
+    /// `place` tells the tick and the range, in metres, of each.
+    #[inline]
+    pub fn fill_positions(
+        &self,
+        row: usize,
+        place: impl Fn(usize) -> (u32, f64),
+        stored: impl Fn(f64) -> f32,
+        positions: &mut [[f32; 3]],
+    ) {
+        /// Points at a time.
+        const LANES: usize = 4;
+        let one = |point: usize| {
+            let (tick, metres) = place(point);
+            self.position_at(row, tick, metres).map(&stored)
+        };
+        let whole = if self.single.is_empty() { positions.len() / LANES * LANES } else { 0 };
+        let (blocks, rest) = positions.split_at_mut(whole);
+        for (block, first) in blocks.as_chunks_mut::<LANES>().0.iter_mut().zip((0..).step_by(LANES)) {
+            let places: [_; LANES] = std::array::from_fn(|i| place(first + i));
+            let ticks = places.map(|(tick, _)| &self.ticks_of_turn[tick as usize]);
+            let points =
+                self.beams[row].points(ticks, places.map(|(_, metres)| metres)).map(|axis| axis.map(&stored));
+            *block = std::array::from_fn(|i| points.map(|axis| axis[i]));
+        }
+        rest.iter_mut().zip(whole..).for_each(|(position, point)| *position = one(point));
     }
 
     /// The position in the file, as well as the model gives it, in metres; by single-precision arithmetic if the
@@ -403,8 +381,6 @@ impl SensorModel {
     /// The beam whose cone passes nearest to a point at distance `rho` and height `z` (metres),
     /// looking at `hint` first.
     pub fn nearest_beam(&self, rho: f64, z: f64, hint: usize) -> usize {
-        /// Metres; closer than half the distance of two beams' cones at any range.
-        const ON_CONE: f64 = 0.004;
         let miss = |row: usize| (self.beams[row].height_at(rho) - z).abs();
         for row in [hint, hint + 1] {
             if row < self.rows() && miss(row) < ON_CONE {
@@ -474,8 +450,12 @@ impl SensorModel {
     /// The column shifts, for the fit to fill in.
     pub(super) fn set_column_shifts(&mut self, shifts: &[i64]) {
         self.constants.iter_mut().zip(shifts).for_each(|(beam, &shift)| beam.column_shift = shift);
+        self.shifts = shifts.iter().map(|shift| shift % i64::from(self.ticks)).collect();
     }
 }
+
+/// Metres; closer than half the distance of two beams' cones at any range.
+pub(super) const ON_CONE: f64 = 0.004;
 
 /// The longest range that any range image holds, in steps.
 pub const MOST_STEPS: u32 = (1 << 24) - 1;
@@ -488,11 +468,3 @@ pub const MOST_RANGE_STEP_UM: u64 = 1_000_000;
 
 /// Metres: the longest range of ranges that are float32.
 const FARTHEST: f32 = 1e6;
-
-/// atan for the small angles of the sideways offset: a fixed polynomial, the same on every
-/// platform. Off by less than 1e-9 rad below 0.05 rad; what is larger only spoils the order
-/// that the file is expected to have, never the result.
-pub(super) fn small_atan(tangent: f64) -> f64 {
-    let square = tangent * tangent;
-    tangent * (1.0 - square * (1.0 / 3.0 - square * (1.0 / 5.0 - square / 7.0)))
-}

@@ -7,7 +7,7 @@ use std::f64::consts::PI;
 use std::ops::{Add, Sub};
 
 use super::coordinates::{from_ordered, ordered};
-use super::model::small_atan;
+use super::formula::small_atan;
 use super::sine::sine_and_cosine;
 use crate::error::{Error, Result};
 use crate::varint::{read_signed, write_signed};

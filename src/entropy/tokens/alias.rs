@@ -63,13 +63,10 @@ pub fn look_up(buckets: &[Bucket; TOKENS], number: u32) -> Slot {
     let index = (number / BUCKET) as usize % TOKENS;
     let bucket = &buckets[index];
     let place = number % BUCKET;
-    if place < u32::from(bucket.own) {
-        Slot { token: index as u8, frequency: u32::from(bucket.own_frequency), place }
-    } else {
-        Slot {
-            token: bucket.other,
-            frequency: u32::from(bucket.other_frequency),
-            place: place.wrapping_add_signed(i32::from(bucket.other_place)),
-        }
-    }
+    // Chosen without a branch: which it is is as good as random.
+    let is_own = place < u32::from(bucket.own);
+    let token = if is_own { index as u8 } else { bucket.other };
+    let frequency = if is_own { bucket.own_frequency } else { bucket.other_frequency };
+    let first = if is_own { 0 } else { bucket.other_place };
+    Slot { token, frequency: u32::from(frequency), place: place.wrapping_add_signed(i32::from(first)) }
 }

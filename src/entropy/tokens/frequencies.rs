@@ -1,5 +1,7 @@
 //! How often each token of a context comes, as shares of 4096.
 
+use std::sync::LazyLock;
+
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::error::{Error, Result};
 
@@ -12,6 +14,10 @@ pub const TOKENS: usize = 256;
 
 /// The token that stands for those that have no frequency: which it is is told apart.
 pub const ESCAPE: u8 = u8::MAX;
+/// Logarithms of the frequencies; not of 0.
+static LOG2: LazyLock<Vec<f64>> =
+    LazyLock::new(|| (0..=SCALE).map(|frequency| f64::from(frequency).log2()).collect());
+
 /// Bits, about, that an escape takes.
 const ESCAPE_COST: f64 = 20.0;
 
@@ -35,8 +41,13 @@ impl Frequencies {
         // What rounding leaves goes to, or comes from, the most frequent, where it matters least.
         let mut sum: u32 = frequencies.iter().sum();
         while sum != SCALE {
-            let largest = (0..TOKENS).max_by_key(|&token| frequencies[token]).unwrap_or(0);
-            let most = frequencies[largest];
+            // The last of equals.
+            let (mut largest, mut most) = (0, 0);
+            for (token, &frequency) in frequencies.iter().enumerate() {
+                if frequency >= most {
+                    (largest, most) = (token, frequency);
+                }
+            }
             let changed = if sum < SCALE { most + (SCALE - sum) } else { most - (sum - SCALE).min(most / 2) };
             sum = sum - most + changed;
             frequencies[largest] = changed;
@@ -49,14 +60,9 @@ impl Frequencies {
         let taken = counts.iter().zip(&self.0).filter(|(count, _)| **count > 0);
         let cost = |frequency: u16| match frequency {
             0 => ESCAPE_COST,
-            _ => f64::from(SCALE_BITS) - f64::from(frequency).log2(),
+            _ => f64::from(SCALE_BITS) - LOG2[usize::from(frequency)],
         };
         taken.map(|(&count, &frequency)| f64::from(count) * cost(frequency)).sum()
-    }
-
-    /// Whether a token is told by itself, not by [`ESCAPE`].
-    pub fn has(&self, token: u8) -> bool {
-        token != ESCAPE && self.0[usize::from(token)] > 0
     }
 
     /// The bits, roughly, that it takes to write the frequencies.

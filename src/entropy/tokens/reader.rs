@@ -15,7 +15,7 @@ pub struct TokenReader<'a> {
     /// The one whose turn it is comes first.
     states: [u32; STATES],
     escaped: std::slice::Iter<'a, u8>,
-    words: std::slice::Iter<'a, [u8; 2]>,
+    words: &'a [[u8; 2]],
     bits: &'a [u8],
     /// Bits read ahead, and how many.
     open: u64,
@@ -60,7 +60,7 @@ impl<'a> TokenReader<'a> {
             buckets: &tables.buckets,
             states: [0; STATES],
             escaped,
-            words: words.iter(),
+            words,
             bits: input,
             open: 0,
             open_bits: 0,
@@ -69,8 +69,8 @@ impl<'a> TokenReader<'a> {
             left: (length as u64 + BYTES_OF_STATES).saturating_mul(TOKENS_A_BYTE),
         };
         for place in 0..STATES {
-            let [low, high] = [reader.next_word(), reader.next_word()];
-            reader.states[place] = high << 16 | low;
+            let low = reader.take_word(0, true);
+            reader.states[place] = reader.take_word(0, true) << 16 | low;
         }
         Ok(reader)
     }
@@ -80,15 +80,16 @@ impl<'a> TokenReader<'a> {
         self.counts
     }
 
+    /// The next word, if it is wanted; else `state` stays as it is.
     #[inline]
-    fn next_word(&mut self) -> u32 {
-        match self.words.next() {
-            Some(word) => u32::from(u16::from_le_bytes(*word)),
-            None => {
-                self.exhausted = true;
-                0
-            }
+    fn take_word(&mut self, state: u32, wanted: bool) -> u32 {
+        let next = self.words.first().map_or(0, |word| u32::from(u16::from_le_bytes(*word)));
+        match self.words.get(usize::from(wanted)..) {
+            Some(rest) => self.words = rest,
+            None => self.exhausted = true,
         }
+        // No branch: whether one is wanted is as good as random.
+        if wanted { state << 16 | next } else { state }
     }
 
     #[cold]
@@ -122,11 +123,8 @@ impl TokenCoder for TokenReader<'_> {
     fn token(&mut self, context: usize, _token: u8) -> u8 {
         let [state, other] = self.states;
         let slot = look_up(&self.buckets[context], state % SCALE);
-        let mut state = slot.frequency.wrapping_mul(state >> SCALE_BITS).wrapping_add(slot.place);
-        if state < LEAST_STATE {
-            state = state << 16 | self.next_word();
-        }
-        self.states = [other, state];
+        let state = slot.frequency.wrapping_mul(state >> SCALE_BITS).wrapping_add(slot.place);
+        self.states = [other, self.take_word(state, state < LEAST_STATE)];
         let token = if slot.token == ESCAPE { self.next_escaped() } else { slot.token };
         self.counts[context][usize::from(token)] += 1;
         self.left = self.left.saturating_sub(1);

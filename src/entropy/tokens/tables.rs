@@ -24,32 +24,71 @@ pub type Counts = [u32; TOKENS];
 #[derive(Clone)]
 pub(super) struct EncoderTable {
     pub frequencies: Frequencies,
-    /// The first number of each token.
-    starts: [u16; TOKENS],
+    shares: [Share; TOKENS],
     /// The numbers, token after token.
     numbers: Vec<u16>,
 }
 
+/// The numbers of a token.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Share {
+    /// 2^44 over the frequency, rounded up.
+    reciprocal: u64,
+    /// How many there are; 0 if the token is told by [`ESCAPE`].
+    frequency: u16,
+    /// The first of them in the table.
+    start: u16,
+}
+
+/// With so many bits, reciprocals of frequencies divide states below 2^20 frequencies exactly, in 64 bits.
+const RECIPROCAL_BITS: u32 = 44;
+
+impl Share {
+    pub fn of(frequency: u16, start: u16) -> Self {
+        let divisor = u64::from(frequency.max(1));
+        Share { reciprocal: (1u64 << RECIPROCAL_BITS).div_ceil(divisor), frequency, start }
+    }
+
+    #[inline]
+    pub fn frequency(self) -> u32 {
+        u32::from(self.frequency)
+    }
+
+    /// A state below 2^20 frequencies over the frequency: the quotient and what is left.
+    #[inline]
+    pub fn divide(self, state: u32) -> (u32, u32) {
+        let quotient = (u64::from(state) * self.reciprocal >> RECIPROCAL_BITS) as u32;
+        (quotient, state - quotient * self.frequency())
+    }
+}
+
 impl EncoderTable {
     fn new(frequencies: Frequencies, buckets: &[Bucket; TOKENS]) -> Self {
-        let mut starts = [0; TOKENS];
+        let mut shares = [Share::default(); TOKENS];
         let mut start = 0;
-        for (token, frequency) in frequencies.0.iter().enumerate() {
-            starts[token] = start;
+        for (share, &frequency) in shares.iter_mut().zip(&frequencies.0) {
+            *share = Share::of(frequency, start);
             start += frequency;
         }
         let mut numbers = vec![0; SCALE as usize];
         for number in 0..SCALE {
             let slot = look_up(buckets, number);
-            numbers[usize::from(starts[usize::from(slot.token)]) + slot.place as usize] = number as u16;
+            let start = shares[usize::from(slot.token)].start;
+            numbers[usize::from(start) + slot.place as usize] = number as u16;
         }
-        EncoderTable { frequencies, starts, numbers }
+        EncoderTable { frequencies, shares, numbers }
     }
 
-    /// The number at a place among those of a token.
+    /// The numbers of a token.
     #[inline]
-    pub fn number(&self, token: u8, place: u32) -> u32 {
-        u32::from(self.numbers[usize::from(self.starts[usize::from(token)]) + place as usize])
+    pub fn share(&self, token: u8) -> Share {
+        self.shares[usize::from(token)]
+    }
+
+    /// The number at a place among a token's.
+    #[inline]
+    pub fn number(&self, share: Share, place: u32) -> u32 {
+        u32::from(self.numbers[usize::from(share.start) + place as usize])
     }
 }
 

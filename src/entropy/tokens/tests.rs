@@ -91,3 +91,22 @@ fn frequent_tokens_take_little() {
     // 0.081 bits each.
     assert!(payload.len() < 1030, "{}", payload.len());
 }
+
+#[test]
+fn reciprocals_divide_exactly() {
+    for frequency in 1..4096u32 {
+        let share = super::tables::Share::of(frequency as u16, 0);
+        let end = frequency << 20;
+        let near_multiples = (0..50u32).map(|i| (end / frequency / 50 * i) * frequency);
+        let states = near_multiples.flat_map(|state| [state.wrapping_sub(1), state, state + 1]);
+        for state in states.chain([end.wrapping_sub(1), end.wrapping_sub(frequency)]) {
+            if u64::from(state) < u64::from(frequency) << 20 {
+                assert_eq!(
+                    share.divide(state),
+                    (state / frequency, state % frequency),
+                    "{state} / {frequency}"
+                );
+            }
+        }
+    }
+}

@@ -80,29 +80,34 @@ impl TokenWriter {
     fn words(&self, tables: &TokenTables) -> Result<(Vec<u16>, Vec<u8>)> {
         let mut escaped = Vec::new();
         let mut states = [LEAST_STATE; STATES];
-        let mut words = Vec::with_capacity(self.tokens.len() / 2);
+        // Filled from the end: a decoder takes them the other way round.
+        let mut words = vec![0; self.tokens.len() + 2 * STATES];
+        let mut first = words.len();
         for (index, &tagged) in self.tokens.iter().enumerate().rev() {
-            let (context, mut token) = ((tagged >> 8) as usize, tagged as u8);
+            let (context, token) = ((tagged >> 8) as usize, tagged as u8);
             let table = tables.encoders.get(context).and_then(Option::as_ref);
             let table = table.ok_or_else(|| Error::corrupt("tokens without a table"))?;
-            if !table.frequencies.has(token) {
+            let mut share = table.share(token);
+            if token == ESCAPE || share.frequency() == 0 {
                 escaped.push(token);
-                token = ESCAPE;
+                share = table.share(ESCAPE);
             }
-            let frequency = u32::from(table.frequencies.0[usize::from(token)]).max(1);
             let state = &mut states[index % STATES];
-            if *state >> (32 - SCALE_BITS) >= frequency {
-                words.push(*state as u16);
-                *state >>= 16;
-            }
-            *state = (*state / frequency) << SCALE_BITS | table.number(token, *state % frequency);
+            // No branch: whether a word goes out is as good as random.
+            words[first - 1] = *state as u16;
+            let is_full = *state >> (32 - SCALE_BITS) >= share.frequency();
+            first -= usize::from(is_full);
+            *state >>= 16 * u32::from(is_full);
+            let (quotient, place) = share.divide(*state);
+            *state = quotient << SCALE_BITS | table.number(share, place);
         }
         for state in states.iter().rev() {
-            words.extend([(*state >> 16) as u16, *state as u16]);
+            first -= 2;
+            words[first] = *state as u16;
+            words[first + 1] = (*state >> 16) as u16;
         }
-        words.reverse();
         escaped.reverse();
-        Ok((words, escaped))
+        Ok((words.split_off(first), escaped))
     }
 }
 

@@ -1,0 +1,32 @@
+//! Where the returns of a range image are by the formula.
+
+use super::Return;
+use crate::sensor::{Coordinates, SensorModel, nearest_millimetre};
+
+/// Positions of returns (metres), which are `offset_m` metres farther than their steps say: as the file's
+/// grid has them if they are `on_grid`, else as the formula gives them.
+pub fn positions(sensor: &SensorModel, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
+    let grid = sensor.coordinates;
+    match (on_grid, grid) {
+        (true, Coordinates::Millimetre) => fill(sensor, returns, offset_m, nearest_millimetre),
+        (true, _) => fill(sensor, returns, offset_m, |formula| grid.nearest(formula)),
+        (false, _) => fill(sensor, returns, offset_m, |formula| formula as f32),
+    }
+}
+
+fn fill(
+    sensor: &SensorModel,
+    returns: &[Return],
+    offset_m: f64,
+    stored: impl Fn(f64) -> f32,
+) -> Vec<[f32; 3]> {
+    let mut positions = vec![[0.0; 3]; returns.len()];
+    let mut rest = positions.as_mut_slice();
+    for row in returns.chunk_by(|a, b| a.row == b.row) {
+        let (own, others) = rest.split_at_mut(row.len());
+        let place = |point: usize| (row[point].tick, sensor.metres(row[point].steps) + offset_m);
+        sensor.fill_positions(row[0].row as usize, place, &stored, own);
+        rest = others;
+    }
+    positions
+}
