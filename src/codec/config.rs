@@ -213,7 +213,8 @@ impl EncoderConfig {
     pub(super) fn sample_frames(&self) -> usize {
         match self.modelling() {
             Modelling::Mixed => 6,
-            Modelling::Balanced | Modelling::Tokens { .. } => 3,
+            Modelling::Balanced => 3,
+            Modelling::Tokens { .. } => 2,
         }
     }
 

@@ -149,6 +149,8 @@ impl Cone {
 
     /// Least squares with weights that fall with the miss.
     pub fn fit(points: &[Point]) -> Self {
+        /// Metres by which a round moves the cone at the end.
+        const SETTLED: f64 = 1e-5;
         let mut cone = Cone { height: 0.0, slope: 0.0 };
         for round in 0..15 {
             let [mut n, mut r, mut rr, mut z, mut rz] = [0.0; 5];
@@ -171,7 +173,12 @@ impl Cone {
                 break;
             }
             let slope = (n * rz - r * z) / determinant;
-            cone = Cone { height: (z - slope * r) / n, slope };
+            let next = Cone { height: (z - slope * r) / n, slope };
+            let change = (next.slope - cone.slope).abs() * r / n + (next.height - cone.height).abs();
+            cone = next;
+            if round > 3 && change < SETTLED {
+                break;
+            }
         }
         cone
     }

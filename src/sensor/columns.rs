@@ -13,11 +13,14 @@ pub(super) fn column_shifts(model: &SensorModel, beams: &[&Beam]) -> Vec<i64> {
     let widest = i64::from(model.ticks / 10);
     let filled = |row: usize| beams[row].scans.iter().map(Vec::len).sum::<usize>();
     let reference = (0..beams.len()).max_by_key(|&row| filled(row)).unwrap_or(0);
+    let in_scan = |points: &Vec<Point>| (!points.is_empty()).then(|| used_ticks(model, reference, points));
+    let of_reference: Vec<Option<Vec<u8>>> =
+        beams.get(reference).map_or_else(Vec::new, |beam| beam.scans.iter().map(in_scan).collect());
     let best = |row: usize| {
-        let mut pairs = beams[row].scans.iter().zip(&beams[reference].scans);
-        let Some((mine, theirs)) = pairs.find(|(a, b)| !a.is_empty() && !b.is_empty()) else { return 0 };
+        let mut pairs = beams[row].scans.iter().zip(&of_reference);
+        let shared = pairs.find_map(|(mine, theirs)| (!mine.is_empty()).then_some((mine, theirs.as_ref()?)));
+        let Some((mine, theirs)) = shared else { return 0 };
         let mine = used_ticks(model, row, mine);
-        let theirs = used_ticks(model, reference, theirs);
         let agreement_at = |shift: i64| {
             let start = shift.rem_euclid(i64::from(model.ticks)) as usize;
             let (head, tail) = mine.split_at(mine.len() - start);

@@ -184,8 +184,9 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
         }
         system
     };
-    for reach in [0.004, 0.004, 0.0015, 0.0015] {
-        least_squares(&constants, SAMPLE, reach).step(&mut constants);
+    // The first steps are long, and a few points are enough for them.
+    for (count, reach) in [(SAMPLE / 4, 0.004), (SAMPLE / 4, 0.004), (SAMPLE / 2, 0.0015), (SAMPLE, 0.0015)] {
+        least_squares(&constants, count, reach).step(&mut constants);
     }
     let good = least_squares(&constants, 2 * SAMPLE, 0.0015);
     good.step(&mut constants);
@@ -240,9 +241,13 @@ impl System {
     fn add(&mut self, miss: [f64; 3], formula: &Formula, site: &Site) {
         for (m, slope) in miss.into_iter().zip(formula.slopes(site)) {
             if m != 0.0 {
-                let slope = SVector::from(slope);
-                self.normal += slope * slope.transpose();
-                self.right += slope * m;
+                // The lower triangle is all that is looked at.
+                for column in 0..5 {
+                    for row in column..5 {
+                        self.normal[(row, column)] += slope[row] * slope[column];
+                    }
+                    self.right[column] += slope[column] * m;
+                }
             }
         }
     }
