@@ -205,6 +205,7 @@ impl EncoderConfig {
             (Coder::Context, 1) => Modelling::Tokens { fitted: false },
             (Coder::Context, 2) => Modelling::Tokens { fitted: true },
             (Coder::Context, 3..=6) => Modelling::Balanced,
+            (Coder::Context, 9) => Modelling::Deep,
             _ => Modelling::Mixed,
         }
     }
@@ -212,7 +213,7 @@ impl EncoderConfig {
     /// How many frames the sensor model is fitted to: more make the formula sharper.
     pub(super) fn sample_frames(&self) -> usize {
         match self.modelling() {
-            Modelling::Mixed => 6,
+            Modelling::Mixed | Modelling::Deep => 6,
             Modelling::Balanced | Modelling::Tokens { .. } => 3,
         }
     }

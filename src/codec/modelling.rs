@@ -1,13 +1,16 @@
 //! How the context coder models the parts of a frame: quickly or well.
 
+use crate::context::Depth;
 use crate::error::{Error, Result};
 
 /// What models the columns' cells, intensities, ranges and corrections of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Modelling {
-    /// Mixed adaptive models: smallest.
+    /// Mixed adaptive models.
     #[default]
     Mixed,
+    /// More of them: smallest.
+    Deep,
     /// Ranges, predicted by least squares, and corrections as tokens; all else by mixed adaptive models.
     Balanced,
     /// Tokens with static tables: quickest.
@@ -23,10 +26,19 @@ impl Modelling {
         matches!(self, Modelling::Tokens { .. })
     }
 
+    /// How far the adaptive models go.
+    pub(super) fn depth(self) -> Depth {
+        match self {
+            Modelling::Mixed => Depth::Mixed,
+            Modelling::Deep => Depth::Deep,
+            Modelling::Balanced | Modelling::Tokens { .. } => Depth::Quick,
+        }
+    }
+
     /// How ranges are tokens, if they are: whether they are predicted by least squares.
     pub(super) fn range_tokens(self) -> Option<bool> {
         match self {
-            Modelling::Mixed => None,
+            Modelling::Mixed | Modelling::Deep => None,
             Modelling::Balanced => Some(true),
             Modelling::Tokens { fitted } => Some(fitted),
         }
@@ -39,6 +51,7 @@ impl Modelling {
             Modelling::Tokens { fitted: false } => 1,
             Modelling::Tokens { fitted: true } => 2,
             Modelling::Balanced => 3,
+            Modelling::Deep => 4,
         }
     }
 
@@ -46,6 +59,7 @@ impl Modelling {
     pub(super) fn suffix(self) -> &'static str {
         match self {
             Modelling::Mixed => "",
+            Modelling::Deep => " (deep)",
             Modelling::Balanced => " (balanced)",
             Modelling::Tokens { fitted: false } => " (tokens)",
             Modelling::Tokens { fitted: true } => " (tokens, fitted)",
@@ -60,6 +74,7 @@ impl Modelling {
             1 => Ok(Modelling::Tokens { fitted: false }),
             2 => Ok(Modelling::Tokens { fitted: true }),
             3 => Ok(Modelling::Balanced),
+            4 => Ok(Modelling::Deep),
             _ => Err(Error::unsupported(format!("frame parameters: unknown modelling {code}"))),
         }
     }

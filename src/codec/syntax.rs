@@ -134,7 +134,7 @@ impl Models {
         if frame.parameters.modelling().is_quick() {
             self.quick.code_occupancy(sections, frame)?;
         } else {
-            self.occupancy.set_quick(frame.parameters.modelling() != Modelling::Mixed);
+            self.occupancy.set_depth(frame.parameters.modelling().depth());
             sections.section(SectionKind::Occupancy, true, |coder| {
                 self.occupancy.code(coder, reference.as_ref(), &mut frame.occupancy);
                 Ok(())
@@ -218,7 +218,7 @@ impl Models {
             Near { formula, position }
         };
         let quick = match frame.parameters.modelling() {
-            Modelling::Mixed => false,
+            Modelling::Mixed | Modelling::Deep => false,
             // On finer grids most points are corrected.
             Modelling::Balanced => grid == Coordinates::Millimetre,
             Modelling::Tokens { .. } => true,
@@ -311,7 +311,7 @@ impl Models {
         scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
         let width = frame.occupancy.columns();
         let mut levels = Grid::new(frame.occupancy.rows(), width);
-        self.intensity.set_quick(frame.parameters.modelling() != Modelling::Mixed);
+        self.intensity.set_depth(frame.parameters.modelling().depth());
         self.intensity.start_frame(&scale, width);
         for row in 0..levels.rows() {
             if coder.is_exhausted() {
