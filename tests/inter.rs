@@ -56,11 +56,27 @@ fn p_frames_come_back_and_are_smaller() {
 
 #[test]
 fn quicker_levels_take_p_frames_if_told() {
-    let told = EncoderConfig { prediction: PredictionChoice::Always(P), ..at_level(6) };
+    let told = EncoderConfig { prediction: PredictionChoice::EveryReference, ..at_level(6) };
     assert_eq!(predictions(&round_trip(&DRIVE, &told)), [I, P, P, P, P]);
     assert_eq!(predictions(&round_trip(&DRIVE, &at_level(6))), [I; 5]);
     let told = EncoderConfig { level: at_level(2).level, ..told };
     assert!(told.check().unwrap_err().to_string().contains("--predict inter needs level 3"));
+}
+
+#[test]
+fn where_the_scanner_stands_still_quicker_levels_take_p_frames_by_themselves() {
+    let standing = SynthConfig { speed: 0.0, yaw_rate: 0.0, noise: 0.004, ..SynthConfig::default() };
+    let frames = scans(&SynthConfig { frames: 3, beams: 8, ..standing });
+    let drive: Vec<File> =
+        (0..).zip(&frames).map(|(number, points)| (format!("{number}.bin"), kitti(points))).collect();
+    for level in [3, 6, 7] {
+        let inter = round_trip(&drive, &at_level(level));
+        assert_eq!(predictions(&inter), [I, P, P], "level {level}");
+        let alone = EncoderConfig { prediction: PredictionChoice::Always(I), ..at_level(level) };
+        let [inter, alone] = [inter, round_trip(&drive, &alone)].map(|stream| sizes(&stream)[2]);
+        assert!(inter * 20 < alone * 19, "level {level}: {inter} bytes, {alone} without the frame before");
+    }
+    assert_eq!(predictions(&round_trip(&drive, &at_level(2))), [I; 3]);
 }
 
 #[test]

@@ -80,6 +80,16 @@ pub enum PredictionChoice {
     EveryReference,
 }
 
+/// When the encoder predicts a frame from the one before it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum InterChoice {
+    Never,
+    /// If the scanner has not moved, which is quick to see.
+    StandingStill,
+    /// If it is found how the scanner has moved.
+    IfItFits,
+}
+
 /// What codes the ranges.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Coder {
@@ -204,7 +214,8 @@ impl EncoderConfig {
         match (self.coder, self.level.number()) {
             (Coder::Context, 1) => Modelling::Tokens { fitted: false },
             (Coder::Context, 2) => Modelling::Tokens { fitted: true },
-            (Coder::Context, 3..=6) => Modelling::Balanced,
+            (Coder::Context, 3..=6) => Modelling::Balanced { refers: true },
+            (Coder::Context, 9) => Modelling::Deep,
             _ => Modelling::Mixed,
         }
     }
@@ -212,26 +223,26 @@ impl EncoderConfig {
     /// How many frames the sensor model is fitted to: more make the formula sharper.
     pub(super) fn sample_frames(&self) -> usize {
         match self.modelling() {
-            Modelling::Mixed => 6,
-            Modelling::Balanced => 3,
+            Modelling::Mixed | Modelling::Deep => 6,
+            Modelling::Balanced { .. } => 3,
             Modelling::Tokens { .. } => 2,
         }
     }
 
-    /// Whether a frame may be predicted from the one before it; frames of a group are counted from 0.
-    pub(super) fn allows_inter(&self, frame_of_group: usize) -> bool {
-        /// The context coder takes its time for P frames from this level on, if it is not told.
-        const INTER_LEVEL: u8 = 8;
-        let is_chosen = match self.prediction {
-            PredictionChoice::Smallest => self.coder != Coder::Context || self.level.number() >= INTER_LEVEL,
-            PredictionChoice::EveryReference | PredictionChoice::Always(Prediction::Inter) => true,
-            PredictionChoice::Always(Prediction::None | Prediction::Intra) => false,
-        };
+    /// When a frame is predicted from the one before it; frames of a group are counted from 0.
+    pub(super) fn inter_choice(&self, frame_of_group: usize) -> InterChoice {
         let is_turn = match self.order {
             FrameOrder::Ratio => frame_of_group > 0,
             FrameOrder::Time => frame_of_group % 2 == 1,
         };
-        is_chosen && is_turn
+        match (self.prediction, self.coder, self.level.number()) {
+            _ if !is_turn => InterChoice::Never,
+            (PredictionChoice::Always(Prediction::None | Prediction::Intra), _, _) => InterChoice::Never,
+            // Looking for the motion takes time.
+            (PredictionChoice::Smallest, Coder::Context, ..3) => InterChoice::Never,
+            (PredictionChoice::Smallest, Coder::Context, 3..8) => InterChoice::StandingStill,
+            _ => InterChoice::IfItFits,
+        }
     }
 
     /// What is tried for a frame, so that the smallest result is taken. `fit` is how much
@@ -412,7 +423,8 @@ mod tests {
         assert_eq!(lzma.predictions(None), [Prediction::Intra]);
         assert_eq!(forced(Coder::Context).predictions(Some(0.1)), [Prediction::Inter]);
         assert_eq!(forced(Coder::Context).predictions(None), [Prediction::None]);
-        assert!(lzma.allows_inter(1) && !lzma.allows_inter(0));
+        assert_eq!(lzma.inter_choice(1), InterChoice::IfItFits);
+        assert_eq!(lzma.inter_choice(0), InterChoice::Never);
         assert!(forced(Coder::Context).check().is_ok() && lzma.check().is_ok());
     }
 

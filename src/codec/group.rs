@@ -4,7 +4,7 @@
 use std::mem::take;
 
 use super::bound::Bound;
-use super::config::EncoderConfig;
+use super::config::{EncoderConfig, InterChoice};
 use super::fidelity::{Intensity, Positions};
 use super::frame::Frame;
 use super::parameters::{Prediction, RangeCoder, Source};
@@ -116,10 +116,23 @@ impl<'s> GroupEncoder<'s> {
     /// Finds how the scanner has moved since the frame before, if the frame may be predicted from that
     /// (equation 8). Gives how much of that frame fits this one, from 0 to 1; none if it does not.
     fn estimate_motion(&mut self, frame: &Frame) -> Option<f64> {
+        /// The part of the returns that are as far away as before from where the scanner stands still.
+        const STANDING_STILL: f64 = 0.5;
         let (sensor, past) = (self.sensor?, self.models.past()?);
+        let choice = self.config.inter_choice(self.frames);
         let is_too_large = frame.steps.cells().len() > inter::MOST_CELLS;
-        if frame.strays == frame.records || is_too_large || !self.config.allows_inter(self.frames) {
+        if frame.strays == frame.records || is_too_large || choice == InterChoice::Never {
             return None;
+        }
+        if choice == InterChoice::StandingStill {
+            let agreement = past.agreement(&frame.columns, &frame.steps);
+            if agreement < STANDING_STILL {
+                return None;
+            }
+            if frame.parameters.modelling().can_do_without_surfaces() {
+                self.motion = QuantisedPose::default();
+                return Some(agreement);
+            }
         }
         let image = RangeImage { columns: frame.columns.clone(), steps: frame.steps.clone() };
         let surface = past.surface(sensor);

@@ -1,15 +1,22 @@
 //! How the context coder models the parts of a frame: quickly or well.
 
+use crate::context::Depth;
 use crate::error::{Error, Result};
 
 /// What models the columns' cells, intensities, ranges and corrections of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Modelling {
-    /// Mixed adaptive models: smallest.
+    /// Mixed adaptive models.
     #[default]
     Mixed,
+    /// More of them: smallest.
+    Deep,
     /// Ranges, predicted by least squares, and corrections as tokens; all else by mixed adaptive models.
-    Balanced,
+    Balanced {
+        /// Whether ranges of P frames are predicted from the frame before. Else, as up to version 3, they are
+        /// predicted as if there were none.
+        refers: bool,
+    },
     /// Tokens with static tables: quickest.
     Tokens {
         /// Whether ranges are predicted by least squares, or else by the left neighbour.
@@ -23,13 +30,33 @@ impl Modelling {
         matches!(self, Modelling::Tokens { .. })
     }
 
+    /// How far the adaptive models go.
+    pub(super) fn depth(self) -> Depth {
+        match self {
+            Modelling::Mixed => Depth::Mixed,
+            Modelling::Deep => Depth::Deep,
+            Modelling::Balanced { .. } | Modelling::Tokens { .. } => Depth::Quick,
+        }
+    }
+
     /// How ranges are tokens, if they are: whether they are predicted by least squares.
     pub(super) fn range_tokens(self) -> Option<bool> {
         match self {
-            Modelling::Mixed => None,
-            Modelling::Balanced => Some(true),
+            Modelling::Mixed | Modelling::Deep => None,
+            Modelling::Balanced { .. } => Some(true),
             Modelling::Tokens { fitted } => Some(fitted),
         }
+    }
+
+    /// Whether ranges of P frames that are tokens are predicted from the frame before.
+    pub(super) fn range_tokens_refer(self) -> bool {
+        self == Modelling::Balanced { refers: true }
+    }
+
+    /// Whether P frames from where the scanner has not moved take the same cells of the frame before alone: it
+    /// is quicker not to look for surfaces.
+    pub(super) fn can_do_without_surfaces(self) -> bool {
+        self == Modelling::Balanced { refers: true }
     }
 
     /// Its number in the stream.
@@ -38,7 +65,9 @@ impl Modelling {
             Modelling::Mixed => 0,
             Modelling::Tokens { fitted: false } => 1,
             Modelling::Tokens { fitted: true } => 2,
-            Modelling::Balanced => 3,
+            Modelling::Balanced { refers: false } => 3,
+            Modelling::Deep => 4,
+            Modelling::Balanced { refers: true } => 5,
         }
     }
 
@@ -46,7 +75,8 @@ impl Modelling {
     pub(super) fn suffix(self) -> &'static str {
         match self {
             Modelling::Mixed => "",
-            Modelling::Balanced => " (balanced)",
+            Modelling::Deep => " (deep)",
+            Modelling::Balanced { .. } => " (balanced)",
             Modelling::Tokens { fitted: false } => " (tokens)",
             Modelling::Tokens { fitted: true } => " (tokens, fitted)",
         }
@@ -59,7 +89,9 @@ impl Modelling {
             0 => Ok(Modelling::Mixed),
             1 => Ok(Modelling::Tokens { fitted: false }),
             2 => Ok(Modelling::Tokens { fitted: true }),
-            3 => Ok(Modelling::Balanced),
+            3 => Ok(Modelling::Balanced { refers: false }),
+            4 => Ok(Modelling::Deep),
+            5 => Ok(Modelling::Balanced { refers: true }),
             _ => Err(Error::unsupported(format!("frame parameters: unknown modelling {code}"))),
         }
     }

@@ -6,6 +6,7 @@ use crate::bitstream::SectionKind;
 use crate::context::IntensityScale;
 use crate::entropy::{TokenCoder, TokenTables};
 use crate::error::Result;
+use crate::grid::Grid;
 use crate::quick::{
     CORRECTION_CONTEXTS, INTENSITY_CONTEXTS, IntensityTokens, OCCUPANCY_CONTEXTS, RANGE_CONTEXTS,
     RangeTokens, code_occupancy, correct_positions,
@@ -38,17 +39,17 @@ impl QuickModels {
         })
     }
 
-    /// The range of each return.
+    /// The range of each return; `before` is what the frame before lets expect.
     pub fn code_ranges<S: SectionCoder>(
         &mut self,
         sections: &mut S,
-        fitted: bool,
+        (fitted, expected): (bool, Option<&Grid<u32>>),
         axis: (u32, u32),
         frame: &mut Frame,
     ) -> Result<()> {
         let model = &mut self.ranges;
         sections.tokens(SectionKind::Range, RANGE_CONTEXTS, &mut self.range, |coder| {
-            model.code(coder, &frame.occupancy, fitted, axis, &mut frame.steps);
+            model.code(coder, &frame.occupancy, (fitted, expected), axis, &mut frame.steps);
         })
     }
 

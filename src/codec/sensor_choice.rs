@@ -1,5 +1,7 @@
 //! The sensor model of a sequence: fitted to a sample of it, or the article's.
 
+use rayon::prelude::*;
+
 use super::config::{EncoderConfig, ProjectionKind};
 use super::input::FrameInput;
 use crate::compensation;
@@ -24,18 +26,23 @@ pub(super) fn choose_sensor(frames: &[FrameInput], config: &EncoderConfig) -> Re
 
 /// The frames that the sensor model is fitted to, spread over the sequence.
 fn sample(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>> {
-    let mut sample = Vec::new();
-    for frame in sample_places(frames.len(), config.sample_frames()).map(|place| &frames[place]) {
-        if frame.size()? <= SAMPLE_FILE_BYTES {
-            let mut scan = parse_with(frame.name()?, frame.read()?, config.headerless.as_ref());
-            let undone = config.undoes_compensation().then(|| compensation::undo(&scan.cloud.positions));
-            if let Some((positions, _)) = undone.flatten() {
-                scan.cloud.positions = positions;
-            }
-            sample.push(scan);
-        }
+    let places: Vec<usize> = sample_places(frames.len(), config.sample_frames()).collect();
+    let scans =
+        places.into_par_iter().map(|place| scan_of(&frames[place], config)).collect::<Result<Vec<_>>>();
+    Ok(scans?.into_iter().flatten().collect())
+}
+
+/// A frame of the sample, as it was measured; none if it is too large.
+fn scan_of(frame: &FrameInput, config: &EncoderConfig) -> Result<Option<ScanFile>> {
+    if frame.size()? > SAMPLE_FILE_BYTES {
+        return Ok(None);
     }
-    Ok(sample)
+    let mut scan = parse_with(frame.name()?, frame.read()?, config.headerless.as_ref());
+    let undone = config.undoes_compensation().then(|| compensation::undo(&scan.cloud.positions));
+    if let Some((positions, _)) = undone.flatten() {
+        scan.cloud.positions = positions;
+    }
+    Ok(Some(scan))
 }
 
 /// Where a sample of at most so many frames is taken: the first frame, the last, and others evenly between.

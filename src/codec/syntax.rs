@@ -24,6 +24,7 @@ use crate::grid::Grid;
 use crate::prediction::inter::{self, Past};
 use crate::prediction::surface::SurfaceCoder;
 use crate::range_image::{RangeImage, Reference, Return, positions};
+use crate::registration::QuantisedPose;
 use crate::scan::Layout;
 use crate::sensor::{Coordinates, SensorModel};
 
@@ -133,7 +134,7 @@ impl Models {
         if frame.parameters.modelling().is_quick() {
             self.quick.code_occupancy(sections, frame)?;
         } else {
-            self.occupancy.set_quick(frame.parameters.modelling() != Modelling::Mixed);
+            self.occupancy.set_depth(frame.parameters.modelling().depth());
             sections.section(SectionKind::Occupancy, true, |coder| {
                 self.occupancy.code(coder, reference.as_ref(), &mut frame.occupancy);
                 Ok(())
@@ -153,7 +154,11 @@ impl Models {
         let past = self.past.as_ref();
         let past = past.ok_or_else(|| Error::corrupt("there is no frame before to predict this one from"))?;
         within(frame.occupancy.cells().len(), inter::MOST_CELLS as u64, "cells of a P frame")?;
-        let motion = frame.parameters.motion.pose().motion();
+        let motion = frame.parameters.motion;
+        if frame.parameters.modelling().can_do_without_surfaces() && motion == QuantisedPose::default() {
+            return Ok(Some(past.same_cells_alone(&frame.columns)));
+        }
+        let motion = motion.pose().motion();
         Ok(Some(past.reference(sensor, &frame.columns, &motion)))
     }
 
@@ -207,9 +212,9 @@ impl Models {
             Positions::Bounded { max_error_um, on_grid } => (Some(f64::from(max_error_um) * 1e-6), on_grid),
         };
         let quick = match frame.parameters.modelling() {
-            Modelling::Mixed => false,
+            Modelling::Mixed | Modelling::Deep => false,
             // On finer grids most points are corrected.
-            Modelling::Balanced => grid == Coordinates::Millimetre,
+            Modelling::Balanced { .. } => grid == Coordinates::Millimetre,
             Modelling::Tokens { .. } => true,
         };
         if quick {
@@ -311,7 +316,7 @@ impl Models {
         scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
         let width = frame.occupancy.columns();
         let mut levels = Grid::new(frame.occupancy.rows(), width);
-        self.intensity.set_quick(frame.parameters.modelling() != Modelling::Mixed);
+        self.intensity.set_depth(frame.parameters.modelling().depth());
         self.intensity.start_frame(&scale, width);
         for row in 0..levels.rows() {
             if coder.is_exhausted() {

@@ -1,6 +1,7 @@
 //! The intensities: levels of a grid such as hundredths, each bit of a level mixed from counters
 //! in several contexts of the neighbours' levels.
 
+use super::Depth;
 use super::least_squares::LeastSquares;
 use super::quantise::Levels;
 use crate::entropy::{AdaptiveBit, BitCoder, Counter, IntegerModel, MixedBits};
@@ -176,8 +177,8 @@ pub struct IntensityModel {
     mean: f32,
     above: Vec<f32>,
     last_off_grid: u32,
-    /// Whether two views decide most bits.
-    quick: bool,
+    /// How far to go; two views decide most bits if it is not far.
+    depth: Depth,
 }
 
 /// Log odds from which on two views decide a bit: 1 to 33, or, to be quick, 1 to 2.7.
@@ -197,15 +198,15 @@ impl Default for IntensityModel {
             mean: 4.0,
             above: Vec::new(),
             last_off_grid: 0,
-            quick: false,
+            depth: Depth::default(),
         }
     }
 }
 
 impl IntensityModel {
-    /// Makes coding quicker, and a little worse, or not.
-    pub fn set_quick(&mut self, quick: bool) {
-        self.quick = quick;
+    /// How far to go from now on.
+    pub fn set_depth(&mut self, depth: Depth) {
+        self.depth = depth;
     }
 
     /// Begins a frame, or its strays, with `columns` columns.
@@ -274,11 +275,11 @@ impl IntensityModel {
             let set = i as usize * ERROR_LEVELS * GRADIENT_LEVELS + site.mixer_set;
             let places = slots.map(|slot| slot + node);
             let bit = level >> i & 1 == 1;
-            let sure = match (self.quick, i) {
-                (false, _) => SURE,
+            let sure = match (self.depth, i) {
+                (Depth::Mixed | Depth::Deep, _) => SURE,
                 // The lowest bit is all noise.
-                (true, 0) => f32::NEG_INFINITY,
-                (true, _) => QUICKLY_SURE,
+                (Depth::Quick, 0) => f32::NEG_INFINITY,
+                (Depth::Quick, _) => QUICKLY_SURE,
             };
             let bit = match reference {
                 None => self.bits.code_or_sure(coder, sure, set, &places, [], bit),
@@ -340,9 +341,9 @@ impl IntensityModel {
         let [pair, exact_pair, of_row, west_of_row, expected] =
             [(w / 2) << 8 | ww / 2, w << 8 | ww, row << 8 | coarse, row << 8 | w, coarse << 6 | mixer_set];
         // The first two are those that decide alone where they are sure.
-        let views = match self.quick {
-            false => [pair, exact_pair, of_row, west_of_row, expected],
-            true => [expected, pair, of_row, exact_pair, west_of_row],
+        let views = match self.depth {
+            Depth::Mixed | Depth::Deep => [pair, exact_pair, of_row, west_of_row, expected],
+            Depth::Quick => [expected, pair, of_row, exact_pair, west_of_row],
         };
         Site {
             views,

@@ -6,6 +6,7 @@
 mod bytes;
 mod columns;
 mod correction;
+mod depth;
 mod intensity;
 mod least_squares;
 mod occupancy;
@@ -18,6 +19,7 @@ mod shape;
 pub use bytes::ByteModel;
 pub use columns::ColumnModel;
 pub use correction::CorrectionModel;
+pub use depth::Depth;
 pub use intensity::{IntensityModel, IntensityNeighbours, IntensityReference, IntensityScale};
 pub(crate) use least_squares::LeastSquares;
 pub use occupancy::OccupancyModel;

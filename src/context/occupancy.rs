@@ -1,5 +1,6 @@
 //! Which cells of the range image hold a return.
 
+use super::Depth;
 use crate::entropy::{BitCoder, Counter, MixedBits};
 use crate::grid::Grid;
 use crate::range_image::Reference;
@@ -41,9 +42,9 @@ impl Default for OccupancyModel {
 }
 
 impl OccupancyModel {
-    /// Makes coding quicker, and a little worse, or not.
-    pub fn set_quick(&mut self, quick: bool) {
-        self.sure = if quick { QUICKLY_SURE } else { f32::INFINITY };
+    /// How far to go from now on.
+    pub fn set_depth(&mut self, depth: Depth) {
+        self.sure = if depth == Depth::Quick { QUICKLY_SURE } else { f32::INFINITY };
     }
 
     /// Codes every cell. `reference` is what an earlier frame has there.

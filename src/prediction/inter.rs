@@ -47,28 +47,60 @@ impl Past {
         }
     }
 
+    /// The same without the moved surfaces: quick, and of use if the scanner stands still.
+    pub fn same_cells_alone(&self, columns: &[u32]) -> Reference {
+        Reference { same: self.same_cells(columns), ..Reference::new(self.image.steps.rows(), columns.len()) }
+    }
+
+    /// The part of the returns of an image, or of a sample of them, whose same cell is as far away in this one.
+    pub fn agreement(&self, columns: &[u32], steps: &Grid<u32>) -> f64 {
+        /// Steps.
+        const AS_FAR: u32 = 10;
+        /// Rows and columns of which one is looked at.
+        const ROWS: usize = 3;
+        const COLUMNS: usize = 5;
+        let nearest = self.nearest_columns(columns);
+        let (mut agreeing, mut returns) = (0u32, 0u32);
+        for row in (0..steps.rows()).step_by(ROWS) {
+            let cells = steps.row(row).iter().zip(&nearest).step_by(COLUMNS);
+            for (steps, nearest) in cells.filter(|(steps, _)| **steps > 0) {
+                let before = nearest.map_or(0, |nearest| self.image.steps[(row, nearest)]);
+                returns += 1;
+                agreeing += u32::from(before > 0 && steps.abs_diff(before) <= AS_FAR);
+            }
+        }
+        f64::from(agreeing) / f64::from(returns.max(1))
+    }
+
     /// The same cells: of the nearest column, if it is near.
     fn same_cells(&self, columns: &[u32]) -> Layer {
         let rows = self.image.steps.rows();
         let mut layer =
             Layer { steps: Grid::new(rows, columns.len()), levels: Grid::new(rows, columns.len()) };
+        let nearest = self.nearest_columns(columns);
+        for row in 0..rows {
+            let cells = layer.steps.row_mut(row).iter_mut().zip(layer.levels.row_mut(row)).zip(&nearest);
+            for ((steps, level), nearest) in cells.filter_map(|(cell, nearest)| Some((cell, (*nearest)?))) {
+                *steps = self.image.steps[(row, nearest)];
+                *level = self.levels[(row, nearest)];
+            }
+        }
+        layer
+    }
+
+    /// The nearest column of this frame to each of some columns (ticks, rising), if it is near.
+    fn nearest_columns(&self, columns: &[u32]) -> Vec<Option<usize>> {
         let off = |column: usize, tick: u32| self.image.columns.get(column).map(|other| other.abs_diff(tick));
         let mut nearest = 0;
-        for (column, &tick) in columns.iter().enumerate() {
+        let nearest_to = |&tick: &u32| {
             while off(nearest + 1, tick)
                 .is_some_and(|next| off(nearest, tick).is_none_or(|this| next <= this))
             {
                 nearest += 1;
             }
-            if off(nearest, tick).is_none_or(|off| off > COLUMN_REACH) {
-                continue;
-            }
-            for row in 0..rows {
-                layer.steps[(row, column)] = self.image.steps[(row, nearest)];
-                layer.levels[(row, column)] = self.levels[(row, nearest)];
-            }
-        }
-        layer
+            off(nearest, tick).is_some_and(|off| off <= COLUMN_REACH).then_some(nearest)
+        };
+        columns.iter().map(nearest_to).collect()
     }
 }
 

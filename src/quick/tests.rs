@@ -56,18 +56,23 @@ proptest! {
         range_bits in 16u32..=24,
         bin in prop_oneof![Just(1u32), 1u32..2000],
         fitted in any::<bool>(),
+        refers in any::<bool>(),
         smooth in any::<bool>(),
+        moved in 0u32..100,
     ) {
         let range_of = |range: u32| 1 + (if smooth { 5000 + range % 50 } else { range }) % ((1 << range_bits) - 1);
         let occupancy = grid(&ranges.iter().map(|(filled, _)| *filled).collect::<Vec<_>>());
         let steps = grid(&ranges.iter().map(|(filled, range)| u32::from(*filled) * range_of(*range)).collect::<Vec<_>>());
+        // Of the frame before, some cells are filled, and some of them as far away.
+        let before = |range: &u32| if range % 5 == 0 { 0 } else { range.saturating_sub(moved * (range % 3)) };
+        let same = steps.map(before);
         let axis = (range_bits, bin);
         let (encoded, decoded) = round_trip(
             RANGE_CONTEXTS,
             &steps,
             &Grid::new(steps.rows(), steps.columns()),
-            |coder, steps| RangeTokens::default().code(coder, &occupancy, fitted, axis, steps),
-            |coder, steps| RangeTokens::default().code(coder, &occupancy, fitted, axis, steps),
+            |coder, steps| RangeTokens::default().code(coder, &occupancy, (fitted, refers.then_some(&same)), axis, steps),
+            |coder, steps| RangeTokens::default().code(coder, &occupancy, (fitted, refers.then_some(&same)), axis, steps),
         );
         prop_assert_eq!(&encoded, &decoded);
         for (range, decoded) in steps.cells().iter().zip(decoded.cells()) {
@@ -81,6 +86,8 @@ proptest! {
         range_bits in 16u32..=24,
         bin in prop_oneof![Just(1u32), 1u32..1 << 20],
         fitted in any::<bool>(),
+        refers in any::<bool>(),
+        before in proptest::collection::vec(0u32..1 << 24, 63),
     ) {
         /// Gives these tokens and bits whatever is asked for.
         struct Given(std::vec::IntoIter<(u8, u32)>);
@@ -96,8 +103,11 @@ proptest! {
         }
         let occupancy = grid(&vec![true; tokens.len()]);
         let mut steps = Grid::new(occupancy.rows(), occupancy.columns());
+        let tokens_len = tokens.len();
         let mut coder = Given(tokens.into_iter());
-        RangeTokens::default().code(&mut coder, &occupancy, fitted, (range_bits, bin), &mut steps);
+        let same = grid(&before[..tokens_len]);
+        let axis = (range_bits, bin);
+        RangeTokens::default().code(&mut coder, &occupancy, (fitted, refers.then_some(&same)), axis, &mut steps);
         prop_assert!(steps.cells().iter().all(|range| (1..1 << range_bits).contains(range)));
     }
 

@@ -22,6 +22,14 @@ pub struct Reference {
 }
 
 impl Reference {
+    /// What ranges to expect: those of the moved surfaces, or else of the same cells.
+    pub fn ranges(&self) -> Grid<u32> {
+        let mut ranges = self.moved.steps.clone();
+        let same = ranges.cells_mut().iter_mut().zip(self.same.steps.cells());
+        same.filter(|(range, _)| **range == 0).for_each(|(range, same)| *range = *same);
+        ranges
+    }
+
     /// Of an image of this size: nothing.
     pub fn new(rows: usize, columns: usize) -> Self {
         let layer = Layer { steps: Grid::new(rows, columns), levels: Grid::new(rows, columns) };

@@ -1,0 +1,13 @@
+//! How far the models of the context coder go.
+
+/// How much time models may take.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Depth {
+    /// Little: what few contexts are sure of is not mixed.
+    Quick,
+    /// What streams of version 1 take.
+    #[default]
+    Mixed,
+    /// As much as helps.
+    Deep,
+}
