@@ -3,7 +3,7 @@
 use std::thread;
 
 use super::fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
-use super::modelling::Modelling;
+use super::modelling::{Edition, Modelling};
 use super::parameters::{FrameParameters, Prediction, RangeCoder};
 use crate::backend::{self, Backend, Level};
 use crate::error::{Error, Result};
@@ -212,9 +212,10 @@ impl EncoderConfig {
     /// How the context coder models a frame, at this level.
     pub(super) fn modelling(&self) -> Modelling {
         match (self.coder, self.level.number()) {
-            (Coder::Context, 1) => Modelling::Tokens { fitted: false },
-            (Coder::Context, 2) => Modelling::Tokens { fitted: true },
-            (Coder::Context, 3..=6) => Modelling::Balanced { refers: true },
+            (Coder::Context, level @ 1..3) => {
+                Modelling::Tokens { fitted: level == 2, edition: Edition::Second }
+            }
+            (Coder::Context, 3..=6) => Modelling::Balanced(Edition::Second),
             (Coder::Context, 9) => Modelling::Deep,
             _ => Modelling::Mixed,
         }
@@ -224,7 +225,7 @@ impl EncoderConfig {
     pub(super) fn sample_frames(&self) -> usize {
         match self.modelling() {
             Modelling::Mixed | Modelling::Deep => 6,
-            Modelling::Balanced { .. } => 3,
+            Modelling::Balanced(_) => 3,
             Modelling::Tokens { .. } => 2,
         }
     }

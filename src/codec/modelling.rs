@@ -12,17 +12,47 @@ pub enum Modelling {
     /// More of them: smallest.
     Deep,
     /// Ranges, predicted by least squares, and corrections as tokens; all else by mixed adaptive models.
-    Balanced {
-        /// Whether ranges of P frames are predicted from the frame before. Else, as up to version 3, they are
-        /// predicted as if there were none.
-        refers: bool,
-    },
+    Balanced(Edition),
     /// Tokens with static tables: quickest.
     Tokens {
         /// Whether ranges are predicted by least squares, or else by the left neighbour.
         fitted: bool,
+        /// What is added to ranges.
+        edition: Edition,
     },
 }
+
+/// What has been added to ranges as tokens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Edition {
+    /// That of version 3 of the format.
+    First,
+    /// Tables start from what ranges are like, and P frames predict them from the frame before.
+    Second,
+}
+
+/// How ranges are tokens.
+#[derive(Clone, Copy, Debug)]
+pub struct RangeTokenSettings {
+    /// Whether they are predicted by least squares.
+    pub fitted: bool,
+    /// Whether tables start from what ranges are like.
+    pub has_start: bool,
+    /// Whether those of P frames are predicted from the frame before.
+    pub refers: bool,
+}
+
+/// The modellings, by their numbers in the stream.
+const NUMBERED: [Modelling; 8] = [
+    Modelling::Mixed,
+    Modelling::Tokens { fitted: false, edition: Edition::First },
+    Modelling::Tokens { fitted: true, edition: Edition::First },
+    Modelling::Balanced(Edition::First),
+    Modelling::Deep,
+    Modelling::Balanced(Edition::Second),
+    Modelling::Tokens { fitted: false, edition: Edition::Second },
+    Modelling::Tokens { fitted: true, edition: Edition::Second },
+];
 
 impl Modelling {
     /// Whether all parts are tokens.
@@ -35,40 +65,33 @@ impl Modelling {
         match self {
             Modelling::Mixed => Depth::Mixed,
             Modelling::Deep => Depth::Deep,
-            Modelling::Balanced { .. } | Modelling::Tokens { .. } => Depth::Quick,
+            Modelling::Balanced(_) | Modelling::Tokens { .. } => Depth::Quick,
         }
     }
 
-    /// How ranges are tokens, if they are: whether they are predicted by least squares.
-    pub(super) fn range_tokens(self) -> Option<bool> {
+    /// How ranges are tokens, if they are.
+    pub(super) fn range_tokens(self) -> Option<RangeTokenSettings> {
+        let settings = |fitted, edition| RangeTokenSettings {
+            fitted,
+            has_start: edition == Edition::Second,
+            refers: self == Modelling::Balanced(Edition::Second),
+        };
         match self {
             Modelling::Mixed | Modelling::Deep => None,
-            Modelling::Balanced { .. } => Some(true),
-            Modelling::Tokens { fitted } => Some(fitted),
+            Modelling::Balanced(edition) => Some(settings(true, edition)),
+            Modelling::Tokens { fitted, edition } => Some(settings(fitted, edition)),
         }
-    }
-
-    /// Whether ranges of P frames that are tokens are predicted from the frame before.
-    pub(super) fn range_tokens_refer(self) -> bool {
-        self == Modelling::Balanced { refers: true }
     }
 
     /// Whether P frames from where the scanner has not moved take the same cells of the frame before alone: it
     /// is quicker not to look for surfaces.
     pub(super) fn can_do_without_surfaces(self) -> bool {
-        self == Modelling::Balanced { refers: true }
+        self == Modelling::Balanced(Edition::Second)
     }
 
     /// Its number in the stream.
     pub(super) fn to_code(self) -> u64 {
-        match self {
-            Modelling::Mixed => 0,
-            Modelling::Tokens { fitted: false } => 1,
-            Modelling::Tokens { fitted: true } => 2,
-            Modelling::Balanced { refers: false } => 3,
-            Modelling::Deep => 4,
-            Modelling::Balanced { refers: true } => 5,
-        }
+        NUMBERED.iter().position(|modelling| *modelling == self).unwrap_or_default() as u64
     }
 
     /// What reports add to the coder's name.
@@ -76,23 +99,29 @@ impl Modelling {
         match self {
             Modelling::Mixed => "",
             Modelling::Deep => " (deep)",
-            Modelling::Balanced { .. } => " (balanced)",
-            Modelling::Tokens { fitted: false } => " (tokens)",
-            Modelling::Tokens { fitted: true } => " (tokens, fitted)",
+            Modelling::Balanced(_) => " (balanced)",
+            Modelling::Tokens { fitted: false, .. } => " (tokens)",
+            Modelling::Tokens { fitted: true, .. } => " (tokens, fitted)",
         }
     }
 
     /// # Errors
     /// If this program knows none of this number.
     pub(super) fn from_code(code: u64) -> Result<Self> {
-        match code {
-            0 => Ok(Modelling::Mixed),
-            1 => Ok(Modelling::Tokens { fitted: false }),
-            2 => Ok(Modelling::Tokens { fitted: true }),
-            3 => Ok(Modelling::Balanced { refers: false }),
-            4 => Ok(Modelling::Deep),
-            5 => Ok(Modelling::Balanced { refers: true }),
-            _ => Err(Error::unsupported(format!("frame parameters: unknown modelling {code}"))),
+        let known = usize::try_from(code).ok().and_then(|code| NUMBERED.get(code).copied());
+        known.ok_or_else(|| Error::unsupported(format!("frame parameters: unknown modelling {code}")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn modellings_come_back_from_their_numbers() {
+        for code in 0..NUMBERED.len() as u64 {
+            assert_eq!(Modelling::from_code(code).unwrap().to_code(), code);
         }
+        assert!(Modelling::from_code(NUMBERED.len() as u64).is_err());
     }
 }

@@ -1,6 +1,7 @@
 //! The sections of a frame that is coded as tokens.
 
 use super::frame::Frame;
+use super::modelling::RangeTokenSettings;
 use super::sections::SectionCoder;
 use crate::bitstream::SectionKind;
 use crate::context::IntensityScale;
@@ -9,7 +10,7 @@ use crate::error::Result;
 use crate::grid::Grid;
 use crate::quick::{
     CORRECTION_CONTEXTS, INTENSITY_CONTEXTS, IntensityTokens, OCCUPANCY_CONTEXTS, RANGE_CONTEXTS,
-    RangeTokens, code_occupancy, correct_positions,
+    RangeTokens, code_occupancy, correct_positions, start_counts,
 };
 use crate::sensor::Coordinates;
 
@@ -43,13 +44,17 @@ impl QuickModels {
     pub fn code_ranges<S: SectionCoder>(
         &mut self,
         sections: &mut S,
-        (fitted, expected): (bool, Option<&Grid<u32>>),
+        settings: RangeTokenSettings,
+        expected: Option<&Grid<u32>>,
         axis: (u32, u32),
         frame: &mut Frame,
     ) -> Result<()> {
+        if settings.has_start {
+            self.range.start_from(start_counts(settings.fitted), S::ENCODES);
+        }
         let model = &mut self.ranges;
         sections.tokens(SectionKind::Range, RANGE_CONTEXTS, &mut self.range, |coder| {
-            model.code(coder, &frame.occupancy, (fitted, expected), axis, &mut frame.steps);
+            model.code(coder, &frame.occupancy, (settings.fitted, expected), axis, &mut frame.steps);
         })
     }
 

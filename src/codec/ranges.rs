@@ -31,11 +31,10 @@ impl Models {
             RangeCoder::Context { modelling, range_bits, bin, .. } => {
                 report.predicted += 4 * (frame.records - frame.strays) as u64;
                 report.timed(Step::Coding, || match modelling.range_tokens() {
-                    Some(fitted) => {
-                        let expected = reference.filter(|_| modelling.range_tokens_refer());
-                        let expected = expected.map(Reference::ranges);
-                        let expected = (fitted, expected.as_ref());
-                        self.quick.code_ranges(sections, expected, (range_bits, bin), frame)
+                    Some(settings) => {
+                        let expected = reference.filter(|_| settings.refers).map(Reference::ranges);
+                        let axis = (range_bits, bin);
+                        self.quick.code_ranges(sections, settings, expected.as_ref(), axis, frame)
                     }
                     None => sections.section(SectionKind::Range, true, |coder| {
                         let known = RangeContext {

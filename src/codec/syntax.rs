@@ -214,7 +214,7 @@ impl Models {
         let quick = match frame.parameters.modelling() {
             Modelling::Mixed | Modelling::Deep => false,
             // On finer grids most points are corrected.
-            Modelling::Balanced { .. } => grid == Coordinates::Millimetre,
+            Modelling::Balanced(_) => grid == Coordinates::Millimetre,
             Modelling::Tokens { .. } => true,
         };
         if quick {

@@ -15,4 +15,4 @@ mod tokens;
 pub use adaptive::{AdaptiveBit, IntegerModel, SymbolModel};
 pub use arithmetic::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
 pub use logistic::{Counter, Logistic, MixedBits};
-pub use tokens::{TokenCoder, TokenReader, TokenTables, TokenWriter};
+pub use tokens::{Counts, TokenCoder, TokenReader, TokenTables, TokenWriter, numbers_of_token};

@@ -11,8 +11,9 @@ mod reader;
 mod tables;
 mod writer;
 
+pub use numbers::numbers_of_token;
 pub use reader::TokenReader;
-pub use tables::TokenTables;
+pub use tables::{Counts, TokenTables};
 pub use writer::TokenWriter;
 
 use numbers::NumberToken;

@@ -9,7 +9,7 @@ mod range;
 pub use correction::{CORRECTION_CONTEXTS, correct_positions};
 pub use intensity::{INTENSITY_CONTEXTS, IntensityTokens};
 pub use occupancy::{OCCUPANCY_CONTEXTS, code_occupancy};
-pub use range::{RANGE_CONTEXTS, RangeTokens};
+pub use range::{RANGE_CONTEXTS, RangeTokens, start_counts};
 
 /// Levels of a magnitude, four an octave, of which the last stands for all that are higher.
 fn magnitude_level(magnitude: u32, levels: usize) -> usize {
@@ -17,6 +17,11 @@ fn magnitude_level(magnitude: u32, levels: usize) -> usize {
     let octave = magnitude.ilog2();
     let level = ((octave - 2) << 2 | (magnitude >> (octave - 2) & 3)) as usize;
     level.min(levels - 1)
+}
+
+/// The least magnitude of a level.
+fn magnitude_of_level(level: usize) -> u32 {
+    ((4 + level as u32 % 4) << (level / 4)) - 4
 }
 
 #[cfg(test)]

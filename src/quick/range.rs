@@ -2,8 +2,10 @@
 //! are and how far the predictions around have missed.
 
 mod prediction;
+mod start;
 
 pub use prediction::RANGE_CONTEXTS;
+pub use start::start_counts;
 
 use crate::context::Bins;
 use crate::entropy::TokenCoder;

@@ -64,7 +64,7 @@ proptest! {
         let occupancy = grid(&ranges.iter().map(|(filled, _)| *filled).collect::<Vec<_>>());
         let steps = grid(&ranges.iter().map(|(filled, range)| u32::from(*filled) * range_of(*range)).collect::<Vec<_>>());
         // Of the frame before, some cells are filled, and some of them as far away.
-        let before = |range: &u32| if range % 5 == 0 { 0 } else { range.saturating_sub(moved * (range % 3)) };
+        let before = |range: &u32| if range.is_multiple_of(5) { 0 } else { range.saturating_sub(moved * (range % 3)) };
         let same = steps.map(before);
         let axis = (range_bits, bin);
         let (encoded, decoded) = round_trip(
@@ -181,4 +181,9 @@ fn levels_rise_with_the_magnitude() {
     let levels: Vec<usize> = (0..9000).map(|magnitude| magnitude_level(magnitude, 40)).collect();
     assert!(levels.is_sorted());
     assert_eq!((levels[0], levels[1], levels[8999]), (0, 1, 39));
+    for level in 0..40 {
+        let least = magnitude_of_level(level);
+        assert_eq!(magnitude_level(least, 40), level);
+        assert!(least == 0 || magnitude_level(least - 1, 40) == level - 1);
+    }
 }

@@ -52,3 +52,9 @@ impl NumberToken {
         NumberToken { token, base: (1 << MANTISSA_BITS | mantissa) << low_bits, low_bits, rest: 0 }
     }
 }
+
+/// The least number that a token stands for, and how many there are.
+pub fn numbers_of_token(token: u8) -> (u64, u64) {
+    let NumberToken { base, low_bits, .. } = NumberToken::from_token(token);
+    (base, 1 << low_bits)
+}

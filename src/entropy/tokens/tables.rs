@@ -15,6 +15,8 @@ pub struct TokenTables {
     counts: Vec<Counts>,
     /// Frames learned from.
     frames: u32,
+    /// Whether they have started from what such tokens are like.
+    has_start: bool,
 }
 
 /// How often each token comes.
@@ -98,6 +100,20 @@ impl TokenTables {
         if self.buckets.len() < contexts {
             self.buckets.resize(contexts, [Bucket::default(); TOKENS]);
             self.counts.resize(contexts, [0; TOKENS]);
+        }
+    }
+
+    /// Lets each context start, once, from counts of what its tokens are like, before any has come. They soon count
+    /// little.
+    pub fn start_from(&mut self, counts: &[Counts], encodes: bool) {
+        /// The part that the counts count among those of tokens that have come.
+        const SHARE: u32 = 32;
+        if !std::mem::replace(&mut self.has_start, true) {
+            self.grow(counts.len());
+            for (context, counts) in counts.iter().enumerate() {
+                self.counts[context] = counts.map(|count| count / SHARE);
+                self.set(context, Frequencies::of(counts), encodes);
+            }
         }
     }
 

@@ -8,7 +8,7 @@ use crate::grid::Grid;
 use crate::quick::magnitude_level;
 
 /// Levels of the miss to expect where the left neighbour predicts.
-const MISS_LEVELS: usize = 40;
+pub const MISS_LEVELS: usize = 40;
 /// Levels of it and of the roughness around, apart, where least squares do.
 const FITTED_MISS_LEVELS: usize = 14;
 const ACTIVITY_LEVELS: usize = 12;
@@ -201,6 +201,11 @@ impl Near {
 
 fn feature(range: i32, from: i32) -> f32 {
     (range - from).clamp(-FEATURE_REACH, FEATURE_REACH) as f32
+}
+
+/// The level, as by [`magnitude_level`], of the miss that a context of least squares expects, in quarters of a bin.
+pub fn miss_level_of(context: usize) -> usize {
+    2 * (context / ACTIVITY_LEVELS + 2)
 }
 
 /// The level of a miss to expect, in sixteenths of a bin.
