@@ -1,10 +1,13 @@
 //! The intensities: levels of a grid such as hundredths, each bit of a level mixed from counters
 //! in several contexts of the neighbours' levels.
 
+mod deep;
 mod errors;
 mod mixed;
 mod neighbours;
 mod scale;
+#[cfg(test)]
+mod tests;
 
 pub use neighbours::{IntensityNeighbours, IntensityReference};
 pub use scale::IntensityScale;
@@ -12,12 +15,15 @@ pub use scale::IntensityScale;
 use super::Depth;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::varint::{unzigzag, zigzag};
+use deep::DeepLevels;
 use mixed::MixedLevels;
 
 /// What the coder has learned about intensities.
 #[derive(Clone, Default)]
 pub struct IntensityModel {
-    levels: MixedLevels,
+    mixed: MixedLevels,
+    /// Once a frame goes as deep as this.
+    deep: Option<Box<DeepLevels>>,
     exception: AdaptiveBit,
     off_grid: IntegerModel,
     last_off_grid: u32,
@@ -32,12 +38,18 @@ impl IntensityModel {
 
     /// Begins a frame, or its strays, with `columns` columns.
     pub fn start_frame(&mut self, scale: &IntensityScale, columns: usize) {
-        self.levels.start_frame(self.depth, scale, columns);
+        match self.depth {
+            Depth::Quick | Depth::Mixed => self.mixed.start_frame(self.depth, scale, columns),
+            Depth::Deep => self.deep.get_or_insert_default().start_frame(columns),
+        }
     }
 
     /// Begins a row.
     pub fn start_row(&mut self) {
-        self.levels.start_row();
+        match (self.depth, &mut self.deep) {
+            (Depth::Deep, Some(deep)) => deep.start_row(),
+            _ => self.mixed.start_row(),
+        }
     }
 
     /// Codes one value. `row` and `column` only serve as contexts.
@@ -56,7 +68,11 @@ impl IntensityModel {
         if scale.has_exceptions() && self.exception.code(coder, level.is_none()) {
             return self.code_off_grid(coder, value);
         }
-        let level = self.levels.code(coder, scale, near, (row, column), level.unwrap_or(0));
+        let level = level.unwrap_or(0);
+        let level = match (self.depth, &mut self.deep) {
+            (Depth::Deep, Some(deep)) => deep.code(coder, scale, near, (row, column), level),
+            _ => self.mixed.code(coder, scale, near, (row, column), level),
+        };
         if C::ENCODES { value } else { scale.value_of(level) }
     }
 

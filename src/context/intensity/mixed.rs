@@ -1,7 +1,7 @@
 //! Levels by five views of their neighbours and one of the reference, mixed.
 
 use super::errors::ErrorTrack;
-use super::neighbours::IntensityNeighbours;
+use super::neighbours::{IntensityNeighbours, TYPICAL_LEVEL};
 use super::scale::{IntensityScale, MOST_BITS};
 use crate::context::Depth;
 use crate::context::least_squares::LeastSquares;
@@ -23,8 +23,6 @@ const GRADIENT_LEVELS: usize = 8;
 const FITS: usize = 2;
 /// Sets of weights; with a reference there are as many more.
 const SETS: usize = MOST_BITS as usize * ERROR_LEVELS * GRADIENT_LEVELS;
-/// The level assumed where nothing is known.
-const TYPICAL_LEVEL: u16 = 20;
 
 /// What the coder has learned about levels.
 #[derive(Clone)]
@@ -131,7 +129,7 @@ impl MixedLevels {
             difference(north),
             difference(or(nw, north)),
             difference(north_east),
-            difference(or(near.above2, north)),
+            difference(or(near.above2[1], north)),
             difference(or(near.left[2], west2)),
             difference(west4),
             difference(or(nee, north_east)),

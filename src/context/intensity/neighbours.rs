@@ -2,6 +2,9 @@
 
 use crate::range_image::Reference;
 
+/// The context level assumed where nothing is known.
+pub const TYPICAL_LEVEL: u16 = 20;
+
 /// The context levels (1 to 128, 0 = none) of the returns around one.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct IntensityNeighbours {
@@ -9,8 +12,8 @@ pub struct IntensityNeighbours {
     pub left: [u16; 4],
     /// In the row above: two columns left, one left, above, one right, two right.
     pub above: [u16; 5],
-    /// Two rows above.
-    pub above2: u16,
+    /// Two rows above: one column left, above, one right.
+    pub above2: [u16; 3],
     /// In an earlier frame, if that has anything here.
     pub back: Option<IntensityReference>,
 }

@@ -57,6 +57,12 @@ impl IntensityScale {
         (level >> self.bits.saturating_sub(7)).min(127) as u16 + 1
     }
 
+    /// How many levels make a context level: 1, 2 or 4.
+    #[inline]
+    pub fn context_step(&self) -> u32 {
+        1 << self.bits.saturating_sub(7)
+    }
+
     /// The level of a value, if it is that of a level exactly.
     #[inline]
     pub fn level_of(&self, value: f32) -> Option<u32> {
