@@ -358,7 +358,7 @@ impl Models {
             let near = IntensityNeighbours {
                 left: [1, 2, 3, 4].map(|distance| at(index.checked_sub(distance))),
                 above: [-2, -1, 0, 1, 2].map(above),
-                above2: 0,
+                above2: [0; 3],
                 back: None,
             };
             let value = &mut frame.stray_intensity[index];
@@ -409,7 +409,7 @@ fn neighbours(levels: &Grid<u16>, left: [u16; 4], row: usize, column: usize) -> 
     IntensityNeighbours {
         left,
         above: [-2, -1, 0, 1, 2].map(|offset| at(1, offset)),
-        above2: at(2, 0),
+        above2: [-1, 0, 1].map(|offset| at(2, offset)),
         back: None,
     }
 }

@@ -69,7 +69,13 @@ impl Logistic {
     #[inline]
     pub fn opinion(&self, counter: Counter) -> f32 {
         let step = (counter.0 >> (32 - STRETCH_STEPS.ilog2())) as usize;
-        self.stretch[step] * self.belief[(counter.0 & COUNT_MASK & COUNT_LIMIT) as usize]
+        self.believed(step, (counter.0 & COUNT_MASK & COUNT_LIMIT) as usize)
+    }
+
+    /// The log odds of a probability, in 1/4096, less the fewer bits, 0 to 255, it rests on.
+    #[inline]
+    pub(super) fn believed(&self, step: usize, count: usize) -> f32 {
+        self.stretch[step] * self.belief[count]
     }
 }
 

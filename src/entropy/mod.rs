@@ -9,10 +9,15 @@
 
 mod adaptive;
 mod arithmetic;
+mod hashed;
+mod layers;
 mod logistic;
+mod refinement;
 mod tokens;
 
 pub use adaptive::{AdaptiveBit, IntegerModel, SymbolModel};
 pub use arithmetic::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
+pub use hashed::{HashedCounters, LINE_LEVELS, Line, hash, hash_below};
+pub use layers::{LayeredMixer, MixContexts};
 pub use logistic::{Counter, Logistic, MixedBits};
 pub use tokens::{Counts, TokenCoder, TokenReader, TokenTables, TokenWriter, numbers_of_token};

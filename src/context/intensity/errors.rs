@@ -1,0 +1,44 @@
+//! How wrong the predictions around a return were.
+
+/// What is assumed of returns that have not been coded, in context levels.
+const TYPICAL_ERROR: f32 = 4.0;
+
+/// The mean errors along the row, and down each column, in context levels.
+#[derive(Clone, Debug)]
+pub struct ErrorTrack {
+    mean: f32,
+    above: Vec<f32>,
+}
+
+impl Default for ErrorTrack {
+    fn default() -> Self {
+        ErrorTrack { mean: TYPICAL_ERROR, above: Vec::new() }
+    }
+}
+
+impl ErrorTrack {
+    /// Begins a frame with `columns` columns.
+    pub fn start_frame(&mut self, columns: usize) {
+        self.start_row();
+        self.above.clear();
+        self.above.resize(columns, TYPICAL_ERROR);
+    }
+
+    /// Begins a row.
+    pub fn start_row(&mut self) {
+        self.mean = TYPICAL_ERROR;
+    }
+
+    /// What to expect in a column.
+    #[inline]
+    pub fn expected(&self, column: usize) -> f32 {
+        self.mean + 0.5 * self.above[column]
+    }
+
+    /// Learns the magnitude of an error.
+    #[inline]
+    pub fn record(&mut self, column: usize, magnitude: f32) {
+        self.mean = 0.6 * self.mean + 0.4 * magnitude;
+        self.above[column] = 0.5 * self.above[column] + 0.5 * magnitude;
+    }
+}

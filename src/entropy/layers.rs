@@ -1,0 +1,153 @@
+//! Logistic mixing in two layers (Mahoney's PAQ8): several sets of weights, each chosen by a context of
+//! its own, mix the same opinions; what they make of them is mixed again, and refined.
+
+use super::refinement::Refinement;
+use super::{BitCoder, Logistic};
+
+/// Numbers that a vector unit of any processor handles at once.
+const LANES: usize = 4;
+/// The rate of learning starts this many times as high as it ends.
+const EARLY_RATE: f32 = 4.0;
+/// How many bits a set of weights takes to halve that.
+const EARLY_BITS: f32 = 200.0;
+/// The second layer's rate.
+const LAST_RATE: f32 = 0.0005;
+/// The first layer's results are cut to these log odds.
+const MOST_ODDS: f32 = 12.0;
+/// Maps that refine the result, and the share of each.
+const REFINEMENTS: usize = 2;
+const REFINED_SHARE: f32 = 0.25;
+
+/// Mixes `N` opinions by `S` sets of weights. `N` is a multiple of four.
+#[derive(Clone)]
+pub struct LayeredMixer<const N: usize, const S: usize> {
+    sets: [WeightSets<N>; S],
+    last: Vec<[f32; S]>,
+    refinements: [Refinement; REFINEMENTS],
+    rate: f32,
+    tables: &'static Logistic,
+}
+
+/// The contexts of a bit.
+#[derive(Clone, Copy, Debug)]
+pub struct MixContexts<const S: usize> {
+    /// Which set of weights each mixer of the first layer takes.
+    pub sets: [usize; S],
+    /// Which the second layer takes.
+    pub last: usize,
+    /// Which maps refine the result.
+    pub refinements: [usize; REFINEMENTS],
+}
+
+#[derive(Clone)]
+struct WeightSets<const N: usize> {
+    weights: Vec<[f32; N]>,
+    /// How many bits each set has learned from.
+    seen: Vec<u16>,
+}
+
+impl<const N: usize> WeightSets<N> {
+    #[inline]
+    fn mix(&self, set: usize, opinions: &[f32; N]) -> f32 {
+        let weights = &self.weights[set];
+        let mut sums = [0.0f32; LANES];
+        for block in (0..N).step_by(LANES) {
+            for lane in 0..LANES {
+                sums[lane] += weights[block + lane] * opinions[block + lane];
+            }
+        }
+        ((sums[0] + sums[1]) + (sums[2] + sums[3])).clamp(-MOST_ODDS, MOST_ODDS)
+    }
+
+    #[inline]
+    fn learn(&mut self, set: usize, opinions: &[f32; N], error: f32, rate: f32) {
+        let seen = &mut self.seen[set];
+        let early = EARLY_RATE * EARLY_BITS / (EARLY_BITS + f32::from(*seen));
+        *seen += u16::from(early > 1.0);
+        let pull = error * (rate * early);
+        for (weight, opinion) in self.weights[set].iter_mut().zip(opinions) {
+            *weight += pull * opinion;
+        }
+    }
+}
+
+impl<const N: usize, const S: usize> LayeredMixer<N, S> {
+    /// As many sets of weights for each mixer of the first layer, for the second, and maps as `counts` says.
+    /// The first layer's weights start at `weight`, and come to learn at `rate`.
+    pub fn new(counts: MixContexts<S>, weight: f32, rate: f32) -> Self {
+        const { assert!(N.is_multiple_of(LANES)) };
+        LayeredMixer {
+            sets: counts
+                .sets
+                .map(|sets| WeightSets { weights: vec![[weight; N]; sets], seen: vec![0; sets] }),
+            last: vec![[1.0 / S as f32; S]; counts.last],
+            refinements: counts.refinements.map(Refinement::new),
+            rate,
+            tables: Logistic::tables(),
+        }
+    }
+
+    /// Codes a bit.
+    #[inline]
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        contexts: &MixContexts<S>,
+        opinions: &[f32; N],
+        bit: bool,
+    ) -> bool {
+        let mut firsts = [0.0; S];
+        for (first, (sets, set)) in firsts.iter_mut().zip(self.sets.iter().zip(contexts.sets)) {
+            *first = sets.mix(set, opinions);
+        }
+        let last = &mut self.last[contexts.last];
+        let mixed = firsts.iter().zip(last.iter()).fold(0.0, |sum, (first, weight)| sum + first * weight);
+        let mut refined = mixed * (1.0 - REFINED_SHARE * REFINEMENTS as f32);
+        let places: [_; REFINEMENTS] = std::array::from_fn(|i| {
+            let (place, odds) = self.refinements[i].refine(contexts.refinements[i], mixed);
+            refined += REFINED_SHARE * odds;
+            place
+        });
+        let bit = coder.code(bit, self.tables.squash(refined));
+        let target = i32::from(bit) << 16;
+        let error = |odds: f32| (target - self.tables.squash(odds) as i32) as f32 / 65536.0;
+        let last_error = error(mixed) * LAST_RATE;
+        for i in 0..S {
+            last[i] += last_error * firsts[i];
+            self.sets[i].learn(contexts.sets[i], opinions, error(firsts[i]), self.rate);
+        }
+        for (refinement, place) in self.refinements.iter_mut().zip(places) {
+            refinement.learn(place, bit);
+        }
+        bit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{ArithmeticDecoder, ArithmeticEncoder};
+    use super::*;
+
+    /// Bits of which the second of four opinions is right, but in every eighth context the third.
+    fn coded<C: BitCoder>(coder: &mut C, bits: &[bool]) -> Vec<bool> {
+        let counts = MixContexts { sets: [8, 1], last: 1, refinements: [1, 8] };
+        let mut mixer = LayeredMixer::<4, 2>::new(counts, 0.1, 0.01);
+        let mut code = |(i, bit): (usize, &bool)| {
+            let right = if bits[i] { 2.0 } else { -2.0 };
+            let opinions = if i % 8 == 0 { [0.3, -right, right, 0.2] } else { [0.3, right, -right, 0.2] };
+            let contexts = MixContexts { sets: [i % 8, 0], last: 0, refinements: [0, i % 8] };
+            mixer.code(coder, &contexts, &opinions, *bit)
+        };
+        bits.iter().enumerate().map(&mut code).collect()
+    }
+
+    #[test]
+    fn who_is_right_is_learned_in_each_context_and_bits_come_back() {
+        let bits: Vec<bool> = (0..4000u32).map(|i| i.wrapping_mul(0x9e37_79b1) >> 31 == 1).collect();
+        let mut encoder = ArithmeticEncoder::default();
+        coded(&mut encoder, &bits);
+        let bytes = encoder.finish();
+        assert!(bytes.len() < 60, "{} bytes", bytes.len());
+        assert_eq!(coded(&mut ArithmeticDecoder::new(&bytes), &bits), bits);
+    }
+}

@@ -1,0 +1,74 @@
+//! What an estimate has turned out to be worth: a map from log odds to log odds in each of some
+//! contexts, learned at points in between of which it is straight (Mahoney's adaptive probability maps).
+
+use super::Logistic;
+
+/// Points of a map, and how many there are a unit of log odds.
+const POINTS: usize = 33;
+const FINENESS: f32 = 2.0;
+/// The log odds of the outermost points.
+const REACH: f32 = (POINTS - 1) as f32 / (2.0 * FINENESS);
+const RATE: f32 = 0.08;
+
+/// Maps in some contexts.
+#[derive(Clone)]
+pub struct Refinement {
+    maps: Vec<[f32; POINTS]>,
+    tables: &'static Logistic,
+}
+
+/// Where between two points of a map an estimate lies.
+#[derive(Clone, Copy, Debug)]
+pub struct Refined {
+    context: usize,
+    point: usize,
+    /// How far it is to the next.
+    part: f32,
+}
+
+impl Refinement {
+    /// Maps for `contexts` contexts, which start by giving back what they get.
+    pub fn new(contexts: usize) -> Self {
+        let identity = std::array::from_fn(|i| i as f32 / FINENESS - REACH);
+        Refinement { maps: vec![identity; contexts], tables: Logistic::tables() }
+    }
+
+    /// What has become of log odds like these in a context, as log odds.
+    #[inline]
+    pub fn refine(&self, context: usize, odds: f32) -> (Refined, f32) {
+        let place = (odds.clamp(-REACH, REACH) + REACH) * FINENESS;
+        let point = (place as usize).min(POINTS - 2);
+        let part = place - point as f32;
+        let map = &self.maps[context];
+        (Refined { context, point, part }, map[point] * (1.0 - part) + map[point + 1] * part)
+    }
+
+    /// Moves the two points towards the bit that came.
+    #[inline]
+    pub fn learn(&mut self, refined: Refined, bit: bool) {
+        let target = if bit { 65536 } else { 0 };
+        let map = &mut self.maps[refined.context];
+        for (point, share) in [(refined.point, 1.0 - refined.part), (refined.point + 1, refined.part)] {
+            let error = (target - self.tables.squash(map[point]) as i32) as f32 / 65536.0;
+            map[point] += RATE * share * error;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_estimate_that_is_too_sure_is_taken_back() {
+        let mut maps = Refinement::new(2);
+        for i in 0..4000 {
+            let (refined, _) = maps.refine(1, 3.2);
+            maps.learn(refined, i % 4 > 0);
+        }
+        // 3 to 1.
+        assert!((maps.refine(1, 3.2).1 - 1.1).abs() < 0.2, "{}", maps.refine(1, 3.2).1);
+        assert!((maps.refine(0, 3.2).1 - 3.2).abs() < 1e-5);
+        assert!(maps.refine(0, f32::NAN).1.is_nan() && maps.refine(0, 1e9).1 == REACH);
+    }
+}
