@@ -9,39 +9,78 @@ const SCALE_BITS: u32 = 16;
 pub const MOST_BITS: u32 = 9;
 
 /// The grid on which the intensities of a frame lie.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct IntensityScale {
-    /// Levels that make 1.0; 0 if the intensities lie on no known grid.
-    per_unit: u32,
+    grid: LevelGrid,
     /// Bits of the highest level.
     bits: u32,
     /// Whether some values of the frame lie off the grid.
     exceptions: bool,
 }
 
+/// Levels that are so many to 1.0.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct LevelGrid {
+    /// 0 if the intensities lie on no known grid.
+    per_unit: u32,
+    /// The value at each level; none if there is no grid.
+    values: Vec<f32>,
+}
+
+impl LevelGrid {
+    fn new(per_unit: u32) -> Self {
+        let value = |level: u32| (f64::from(level) / f64::from(per_unit)) as f32;
+        let levels = if per_unit > 0 { 1 << MOST_BITS } else { 0 };
+        LevelGrid { per_unit, values: (0..levels).map(value).collect() }
+    }
+
+    /// The level of a value, if it is that of a level exactly.
+    #[inline]
+    fn level_of(&self, value: f32) -> Option<u32> {
+        let level = (f64::from(value) * f64::from(self.per_unit) + 0.5) as u32;
+        let found = self.values.get(level as usize)?;
+        (found.to_bits() == value.to_bits()).then_some(level)
+    }
+
+    /// How many values are off the grid, and the highest level; none if more are off than `most`.
+    fn misses(&self, values: &[f32], most: usize) -> Option<(usize, u32)> {
+        let (mut misses, mut highest) = (0, 0);
+        for value in values {
+            match self.level_of(*value) {
+                Some(level) => highest = highest.max(level),
+                None if misses < most => misses += 1,
+                None => return None,
+            }
+        }
+        Some((misses, highest))
+    }
+}
+
 impl IntensityScale {
     /// Finds the grid of a frame's intensities, which may be one of `expected` levels a unit.
     pub fn of(intensity: &[f32], expected: Option<u32>) -> Self {
-        let off_grid = |per_unit: u32| intensity.iter().filter(|v| level_of(**v, per_unit).is_none()).count();
-        let mut best = (usize::MAX, 0);
+        let most = intensity.len() / 20;
+        let mut best: Option<(usize, u32, LevelGrid)> = None;
         for per_unit in expected.into_iter().filter(|&levels| levels < 1 << SCALE_BITS).chain(SCALES) {
-            best = best.min((off_grid(per_unit), per_unit));
-            if best.0 == 0 {
+            let grid = LevelGrid::new(per_unit);
+            let Some((misses, highest)) = grid.misses(intensity, most) else { continue };
+            let is_better = |(fewest, _, other): &(usize, u32, LevelGrid)| {
+                (misses, per_unit) < (*fewest, other.per_unit)
+            };
+            if best.as_ref().is_none_or(is_better) {
+                best = Some((misses, highest, grid));
+            }
+            if misses == 0 {
                 break;
             }
         }
-        let (misses, per_unit) = best;
-        if misses * 20 > intensity.len() {
-            return IntensityScale::default();
-        }
-        let highest = intensity.iter().filter_map(|v| level_of(*v, per_unit)).max().unwrap_or(0);
-        let bits = (32 - highest.leading_zeros()).max(1);
-        IntensityScale { per_unit, bits, exceptions: misses > 0 }
+        let Some((misses, highest, grid)) = best else { return IntensityScale::default() };
+        IntensityScale { grid, bits: (32 - highest.leading_zeros()).max(1), exceptions: misses > 0 }
     }
 
     /// Codes the grid itself, by what codes plain numbers of so many bits.
     pub fn code(&mut self, mut code_plain: impl FnMut(u32, u32) -> u32) {
-        self.per_unit = code_plain(self.per_unit, SCALE_BITS);
+        self.grid = LevelGrid::new(code_plain(self.grid.per_unit, SCALE_BITS));
         self.bits = code_plain(self.bits, 4).clamp(1, MOST_BITS);
         self.exceptions = code_plain(u32::from(self.exceptions), 1) == 1;
     }
@@ -66,18 +105,18 @@ impl IntensityScale {
     /// The level of a value, if it is that of a level exactly.
     #[inline]
     pub fn level_of(&self, value: f32) -> Option<u32> {
-        level_of(value, self.per_unit)
+        self.grid.level_of(value)
     }
 
-    /// The value at a level.
+    /// The value at a level; 0 if there is no grid.
     #[inline]
     pub fn value_of(&self, level: u32) -> f32 {
-        value_of(level, self.per_unit)
+        self.grid.values.get(level as usize).copied().unwrap_or_default()
     }
 
     /// Whether there is a grid at all.
     pub fn is_on_grid(&self) -> bool {
-        self.per_unit > 0
+        self.grid.per_unit > 0
     }
 
     /// Whether some values lie off the grid.
@@ -89,19 +128,4 @@ impl IntensityScale {
     pub fn bits(&self) -> u32 {
         self.bits
     }
-}
-
-/// The level of a value, if it is that of a level exactly.
-fn level_of(value: f32, per_unit: u32) -> Option<u32> {
-    let level = f64::from(value) * f64::from(per_unit) + 0.5;
-    if !(level >= 0.0 && level < f64::from(1u32 << MOST_BITS)) || per_unit == 0 {
-        return None;
-    }
-    let level = level as u32;
-    (value_of(level, per_unit).to_bits() == value.to_bits()).then_some(level)
-}
-
-/// The value at a level.
-fn value_of(level: u32, per_unit: u32) -> f32 {
-    (f64::from(level) / f64::from(per_unit)) as f32
 }
