@@ -7,22 +7,25 @@
 
 mod back;
 mod bins;
+mod deep;
 mod errors;
 mod halving;
 mod mixture;
 mod neighbourhood;
 
+use super::Depth;
 use super::least_squares::LeastSquares;
 use super::quantise::{Levels, signed_level};
 use super::shape::ErrorShape;
 use crate::entropy::{BitCoder, Counter, Logistic, MixedBits};
 use crate::grid::Grid;
 use crate::range_image::Reference;
-use back::{Back, ReferenceErrors};
+use back::{Back, ReferenceErrors, Surroundings};
 pub(crate) use bins::Bins;
+use deep::{DeepModel, DeepSite, Referred};
 use errors::ErrorTrack;
 use halving::Halving;
-use mixture::Mixture;
+use mixture::{Interval, Mixture, Rates};
 use neighbourhood::{Neighbourhood, Window};
 
 /// Features of the least-squares predictor, those of the reference, and both.
@@ -59,6 +62,9 @@ const OPINIONS: usize = 8;
 const VIEW_SIZES: [usize; VIEWS] = [1024, 1024, 8 * 128, 8 * 64 * 4];
 const REFERENCE_VIEW_SIZES: [usize; REFERENCE_VIEWS] = [32 * 32, 32 * 32];
 
+/// How fast the mixture learns.
+const RATES: Rates = Rates { weights: 0.02, scales: 0.02, early: 0.0 };
+
 type RangeBits = MixedBits<VIEWS, OPINIONS>;
 
 /// What the coder has learned about ranges.
@@ -72,6 +78,8 @@ pub struct RangeModel {
     mixture: Mixture<PREDICTORS>,
     /// The same for cells with a reference, once there was one.
     with_reference: Option<Box<WithReference>>,
+    /// What has been learned in its place at [`Depth::Deep`].
+    deep: Option<Box<DeepModel>>,
 }
 
 /// What the coder has learned about cells with a reference. It starts with what it has learned about
@@ -85,13 +93,6 @@ struct WithReference {
 
 impl Default for RangeModel {
     fn default() -> Self {
-        let scale = |context: usize| {
-            let mut scale = 3.0f64;
-            for _ in 2..context % ERROR_LEVELS {
-                scale *= 1.6;
-            }
-            scale
-        };
         let (sizes, sets) = (VIEW_SIZES.map(|size| size * NODES), NODES * ERROR_LEVELS);
         RangeModel {
             shape: ErrorShape::new(),
@@ -99,10 +100,16 @@ impl Default for RangeModel {
             error_levels: Levels::new(1.6, 1.6),
             bits: MixedBits::new(sizes, sets * (1 + REFERENCE_LEVELS), 0.0, 1.0, 0.004),
             fits: vec![LeastSquares::new(0.998); EDGES],
-            mixture: Mixture::new((0..CONTEXTS).map(scale)),
+            mixture: Mixture::new(RATES, (0..CONTEXTS).map(first_scale)),
             with_reference: None,
+            deep: None,
         }
     }
+}
+
+/// The scale, in steps, that a context starts with, which is of an error level.
+fn first_scale(context: usize) -> f64 {
+    (2..context % ERROR_LEVELS).fold(3.0, |scale, _| scale * 1.6)
 }
 
 /// What is known of all cells before the ranges are coded.
@@ -123,9 +130,13 @@ pub struct RangeContext<'a> {
 struct Site {
     near: Neighbourhood,
     features: [f32; FEATURES],
+    /// The intensities of the cell, of that to the left and of that above; 0 = no return.
+    intensities: [u16; 3],
     edge: usize,
     error_level: usize,
     context: usize,
+    /// How the intensity differs from that to the left and that above: 0 to 63.
+    change: usize,
     /// The context of each view but the first.
     views: [usize; VIEWS],
 }
@@ -139,10 +150,19 @@ struct Coded {
 }
 
 impl RangeModel {
+    /// Says how far the models go; the same for all frames of a group.
+    pub fn set_depth(&mut self, depth: Depth) {
+        if depth == Depth::Deep && self.deep.is_none() {
+            self.deep = Some(Box::default());
+        }
+    }
+
     /// Codes the range, in steps, of every cell that holds a return. Where bins are wider than a step, both
     /// sides go on with the middles of the bins, which the encoder's grid gets too.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, known: &RangeContext, steps: &mut Grid<u32>) {
-        if known.reference.is_some() && self.with_reference.is_none() {
+        if let Some(deep) = &mut self.deep {
+            deep.start_frame(known.occupancy.columns(), known.reference.is_some());
+        } else if known.reference.is_some() && self.with_reference.is_none() {
             self.bits.spread_sets(NODES * ERROR_LEVELS);
             self.with_reference = Some(Box::new(WithReference {
                 fits: self.fits.iter().map(LeastSquares::widened).collect(),
@@ -170,8 +190,16 @@ impl RangeModel {
                 let back = known.reference.and_then(|reference| Back::at(reference, &reference_errors, cell));
                 let axis = (known.range_bits, i64::from(known.bin));
                 let range = i64::from(steps[cell]);
-                let coded = match (&back, &mut self.with_reference) {
-                    (Some(back), Some(learned)) => {
+                let coded = match (&mut self.deep, &back, &mut self.with_reference) {
+                    (Some(deep), ..) => {
+                        let referred = known.reference.zip(back.as_ref()).map(|(reference, back)| Referred {
+                            around: Surroundings::of(reference, back, cell),
+                            back: back.clone(),
+                        });
+                        let site = DeepSite { site: &site, cell, referred };
+                        deep.code(coder, (&self.shape, self.tables), axis, &site, range)
+                    }
+                    (None, Some(back), Some(learned)) => {
                         let parts = (&self.shape, self.tables, &mut self.bits);
                         learned.code(coder, parts, axis, &site, back, range)
                     }
@@ -212,7 +240,7 @@ impl RangeModel {
             usize::from(own).min(127) * 8 + coarse_error,
             (change * 4 + usize::from(own / 8).min(3)) * 8 + coarse_error,
         ];
-        Site { near, features, edge, error_level, context, views }
+        Site { near, features, intensities: [own, west, north], edge, error_level, context, change, views }
     }
 
     /// Codes a range by its neighbours alone.
@@ -243,9 +271,10 @@ impl RangeModel {
             reference_counters: &mut [],
             reference_views: [],
             bin: bins.of(range),
+            interval: Interval::whole(bins.all(range_bits)),
         };
-        let interval = halving.code();
-        let predicted = halving.predicted;
+        halving.code();
+        let Halving { predicted, interval, .. } = halving;
         let range = bins.middle(interval.low, range_bits);
         self.mixture.learn(&predicted, &interval, range as f64);
         site.learn(fits, &site.features, fit, range as f64);
@@ -294,9 +323,10 @@ impl WithReference {
                 pair(same, moved),
             ],
             bin: bins.of(range),
+            interval: Interval::whole(bins.all(range_bits)),
         };
-        let interval = halving.code();
-        let predicted = halving.predicted;
+        halving.code();
+        let Halving { predicted, interval, .. } = halving;
         let range = bins.middle(interval.low, range_bits);
         self.mixture.learn(&predicted, &interval, range as f64);
         site.learn(fits, &features, fit, range as f64);

@@ -8,11 +8,15 @@
 //! the tables that need more are made with `libm`.
 
 mod adaptive;
+mod adaptive_map;
 mod arithmetic;
+mod layered;
 mod logistic;
 mod tokens;
 
 pub use adaptive::{AdaptiveBit, IntegerModel, SymbolModel};
+pub use adaptive_map::AdaptiveMap;
 pub use arithmetic::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
+pub use layered::{LayeredBits, LayeredContext};
 pub use logistic::{Counter, Logistic, MixedBits};
 pub use tokens::{TokenCoder, TokenReader, TokenTables, TokenWriter};
