@@ -126,7 +126,7 @@ mod tests {
     fn newer_streams_are_named_as_such() {
         let newer = bytes_of(StreamHeader { version: 5, flags: 0 });
         let error = StreamHeader::read_from(&mut &newer[..]).unwrap_err();
-        assert!(matches!(error, Error::UnsupportedVersion { found: 4, newest: 3 }), "{error}");
+        assert!(matches!(error, Error::UnsupportedVersion { found: 5, newest: 4 }), "{error}");
 
         let flagged = bytes_of(StreamHeader { version: 1, flags: 0x8000 });
         let error = StreamHeader::read_from(&mut &flagged[..]).unwrap_err();

@@ -12,6 +12,7 @@ mod errors;
 mod halving;
 mod mixture;
 mod neighbourhood;
+mod site;
 
 use super::Depth;
 use super::least_squares::LeastSquares;
@@ -26,7 +27,8 @@ use deep::{DeepModel, DeepSite, Referred};
 use errors::ErrorTrack;
 use halving::Halving;
 use mixture::{Interval, Mixture, Rates};
-use neighbourhood::{Neighbourhood, Window};
+use neighbourhood::Window;
+use site::{Site, pair};
 
 /// Features of the least-squares predictor, those of the reference, and both.
 const FEATURES: usize = 8;
@@ -65,6 +67,7 @@ const REFERENCE_VIEW_SIZES: [usize; REFERENCE_VIEWS] = [32 * 32, 32 * 32];
 /// How fast the mixture learns.
 const RATES: Rates = Rates { weights: 0.02, scales: 0.02, early: 0.0 };
 
+type ErrorLevels = Levels<{ ERROR_LEVELS - 1 }>;
 type RangeBits = MixedBits<VIEWS, OPINIONS>;
 
 /// What the coder has learned about ranges.
@@ -72,7 +75,7 @@ type RangeBits = MixedBits<VIEWS, OPINIONS>;
 pub struct RangeModel {
     shape: ErrorShape,
     tables: &'static Logistic,
-    error_levels: Levels<{ ERROR_LEVELS - 1 }>,
+    error_levels: ErrorLevels,
     bits: RangeBits,
     fits: Vec<LeastSquares<FEATURES>>,
     mixture: Mixture<PREDICTORS>,
@@ -126,21 +129,6 @@ pub struct RangeContext<'a> {
     pub bin: u32,
 }
 
-/// A cell to be coded, as its neighbours show it.
-struct Site {
-    near: Neighbourhood,
-    features: [f32; FEATURES],
-    /// The intensities of the cell, of that to the left and of that above; 0 = no return.
-    intensities: [u16; 3],
-    edge: usize,
-    error_level: usize,
-    context: usize,
-    /// How the intensity differs from that to the left and that above: 0 to 63.
-    change: usize,
-    /// The context of each view but the first.
-    views: [usize; VIEWS],
-}
-
 /// A coded range, and what the least-squares fit had made of it, in steps.
 struct Coded {
     range: i64,
@@ -186,7 +174,7 @@ impl RangeModel {
                     errors.skip(column);
                     continue;
                 }
-                let site = self.site(known, window.around(column), &errors, cell);
+                let site = Site::of(known, window.around(column), &errors, &self.error_levels, cell);
                 let back = known.reference.and_then(|reference| Back::at(reference, &reference_errors, cell));
                 let axis = (known.range_bits, i64::from(known.bin));
                 let range = i64::from(steps[cell]);
@@ -214,33 +202,6 @@ impl RangeModel {
                 window.push(column, range);
             }
         }
-    }
-
-    #[inline]
-    fn site(
-        &self,
-        known: &RangeContext,
-        near: Neighbourhood,
-        errors: &ErrorTrack,
-        (row, column): (usize, usize),
-    ) -> Site {
-        let features = near.features();
-        let edge =
-            usize::from(features[0].abs() > EDGE) + 2 * usize::from((features[3] - features[4]).abs() > EDGE);
-        let error_level = self.error_levels.of(errors.expected(column));
-        let context = near.activity_level() * ERROR_LEVELS + error_level;
-        let coarse_error = error_level * 8 / ERROR_LEVELS;
-        let own = known.intensity[(row, column)];
-        let west = if column > 0 { known.intensity[(row, column - 1)] } else { 0 };
-        let north = if row > 0 { known.intensity[(row - 1, column)] } else { 0 };
-        let change = intensity_change(own, west) * 8 + intensity_change(own, north);
-        let views = [
-            0,
-            pair(errors.west, errors.north(column)),
-            usize::from(own).min(127) * 8 + coarse_error,
-            (change * 4 + usize::from(own / 8).min(3)) * 8 + coarse_error,
-        ];
-        Site { near, features, intensities: [own, west, north], edge, error_level, context, change, views }
     }
 
     /// Codes a range by its neighbours alone.
@@ -332,52 +293,4 @@ impl WithReference {
         site.learn(fits, &features, fit, range as f64);
         Coded { range, fit, base }
     }
-}
-
-impl Site {
-    /// What the neighbours predict, the last for surprises.
-    fn predictions(&self, fit: f64) -> [f64; PREDICTORS] {
-        let Neighbourhood { west, west2, north, .. } = self.near;
-        [west, north, 2.0 * west - west2, west + fit, west]
-    }
-
-    /// Where the coding starts: a whole number of steps.
-    fn base(&self, fit: f64, range_bits: u32) -> i64 {
-        ((self.near.west + fit + 0.5) as i64).clamp(1, (1 << range_bits) - 2)
-    }
-
-    fn views_from(&self, base: i64) -> [usize; VIEWS] {
-        let base = base as f64;
-        let mut views = self.views;
-        views[0] = pair(self.near.west - base, self.near.north - base);
-        views
-    }
-
-    /// Moves a fit towards the range that has been coded.
-    fn learn<const F: usize>(&self, fits: &mut LeastSquares<F>, features: &[f32; F], fit: f64, range: f64) {
-        let target = (range - self.near.west).clamp(-FIT_REACH, FIT_REACH);
-        let error = range - self.near.west - fit;
-        let weight = 1.0 / (25.0 + error * error);
-        fits.learn(features, target as f32, weight as f32);
-    }
-}
-
-/// Two differences as one context of 1024.
-fn pair(a: f64, b: f64) -> usize {
-    signed_level(a as i32) * 32 + signed_level(b as i32)
-}
-
-/// Eight kinds of change from a neighbour's intensity; none if it holds no return.
-fn intensity_change(own: u16, other: u16) -> usize {
-    if other == 0 {
-        return 7;
-    }
-    let change = i32::from(own) - i32::from(other);
-    let size = match change.abs() {
-        0..2 => 0,
-        2..6 => 1,
-        6..16 => 2,
-        _ => 3,
-    };
-    if change < 0 && size > 0 { size + 3 } else { size }
 }

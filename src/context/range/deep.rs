@@ -6,20 +6,18 @@
 
 mod fits;
 mod halving;
+mod site;
 
-use super::back::{Back, Surroundings};
 use super::bins::Bins;
 use super::halving::{code_bin, first_bucket};
 use super::mixture::{Interval, Mixture, Rates};
-use super::{
-    ACTIVITY_LEVELS, ALL_FEATURES, CONTEXTS, Coded, EDGES, ERROR_LEVELS, FEATURES, FIT_REACH, NODES,
-    REFERENCE_LEVELS, Site, first_scale, intensity_change, pair,
-};
-use crate::context::quantise::signed_level;
+use super::{ACTIVITY_LEVELS, CONTEXTS, Coded, ERROR_LEVELS, NODES, REFERENCE_LEVELS, first_scale};
 use crate::context::shape::ErrorShape;
 use crate::entropy::{BitCoder, LayeredBits, LayeredContext, Logistic};
 use fits::Fits;
-use halving::{DeepHalving, SetContexts};
+use halving::DeepHalving;
+use site::SetContexts;
+pub use site::{DeepSite, Referred};
 
 /// Predictors in the mixtures.
 const PREDICTORS: usize = 8;
@@ -27,7 +25,7 @@ const PREDICTORS: usize = 8;
 const MIXTURES: usize = 3;
 const VIEWS: usize = 8;
 const OPINIONS: usize = 12;
-const MIXERS: usize = 4;
+const MIXERS: usize = 3;
 /// Rows that have contexts of their own; those below share the last one's.
 const ROWS: usize = 64;
 /// Kinds of references: none, and the levels of their errors.
@@ -51,7 +49,7 @@ const SIZES: LayeredContext<VIEWS, MIXERS> = LayeredContext {
         ROWS * ERROR_LEVELS * NODES,
         RECOGNITIONS * ERROR_LEVELS * NODES,
     ],
-    sets: [KINDS * NODES * ERROR_LEVELS, CHANGES * NODES, ROWS * NODES, RECOGNITIONS * NODES],
+    sets: [KINDS * NODES * ERROR_LEVELS, ROWS * NODES, RECOGNITIONS * NODES],
     last: NODES,
     maps: [NODES * ERROR_LEVELS, ROWS * NODES],
 };
@@ -66,19 +64,6 @@ pub struct DeepModel {
     bits: DeepBits,
     /// Whether there was a frame with a reference.
     had_reference: bool,
-}
-
-/// What an earlier frame has for a cell, and around it.
-pub struct Referred {
-    pub back: Back,
-    pub around: Surroundings,
-}
-
-/// A cell to be coded.
-pub struct DeepSite<'a> {
-    pub site: &'a Site,
-    pub cell: (usize, usize),
-    pub referred: Option<Referred>,
 }
 
 impl Default for DeepModel {
@@ -108,7 +93,7 @@ impl DeepModel {
             self.mixtures[0].spread(CONTEXTS);
             self.mixtures[2].spread(ERROR_LEVELS);
             self.bits.spread_sets(0, NODES * ERROR_LEVELS);
-            self.bits.spread_sets(3, NODES);
+            self.bits.spread_sets(2, NODES);
         }
     }
 
@@ -122,11 +107,11 @@ impl DeepModel {
         deep_site: &DeepSite,
         range: i64,
     ) -> Coded {
-        let DeepSite { site, cell: (row, column), referred } = deep_site;
+        let DeepSite { site, cell: (_, column), referred } = deep_site;
         let fitted = self.fits.predict(site, *column, referred.as_ref());
         let base = site.base(fitted.blend, range_bits);
         let bins = Bins::around(base, bin);
-        let contexts = set_contexts(site, *row, referred.as_ref());
+        let contexts = SetContexts::of(deep_site);
         let values = deep_site.predictions(&fitted);
         let mixture_contexts = deep_site.mixture_contexts(&contexts);
         let predicted = std::array::from_fn(|m| self.mixtures[m].place(shape, values, mixture_contexts[m]));
@@ -157,63 +142,80 @@ impl DeepModel {
     }
 }
 
-/// What chooses weights for a cell.
-fn set_contexts(site: &Site, row: usize, referred: Option<&Referred>) -> SetContexts {
-    let (kind, recognition) = referred.map_or((0, 0), |Referred { back, around }| {
-        let change = |level| intensity_change(site.intensities[0], level);
-        (1 + back.level, 1 + change(around.same_level) * 8 + change(around.moved_level))
-    });
-    let row = row.min(ROWS - 1);
-    SetContexts { kind, error_level: site.error_level, change: site.change, row, recognition }
-}
+#[cfg(test)]
+mod tests {
+    use super::super::{RangeContext, RangeModel};
+    use crate::context::Depth;
+    use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
+    use crate::grid::Grid;
+    use crate::random::Rng;
+    use crate::range_image::Reference;
 
-impl DeepSite<'_> {
-    /// What is mixed: the line through the two returns to the left, three fits, the left neighbour for
-    /// surprises, and the moved layer here and beside.
-    fn predictions(&self, fitted: &fits::Fitted) -> [f64; PREDICTORS] {
-        let near = &self.site.near;
-        let [recent, local, blend] = [fitted.recent, fitted.local, fitted.blend].map(|fit| near.west + fit);
-        let [moved, moved_west, moved_east] = match &self.referred {
-            None => [near.west + fitted.wide; 3],
-            Some(Referred { back, around }) => [back.moved, around.moved_west, around.moved_east],
-        };
-        [2.0 * near.west - near.west2, recent, local, blend, near.west, moved, moved_west, moved_east]
+    const ROWS: usize = 12;
+    const COLUMNS: usize = 150;
+
+    /// A wall with a post before it and noise on it; every ninth cell is empty.
+    fn frame(random: &mut Rng) -> Grid<u32> {
+        let mut steps = Grid::new(ROWS, COLUMNS);
+        for (i, cell) in steps.cells_mut().iter_mut().enumerate() {
+            let (row, column) = (i / COLUMNS, i % COLUMNS);
+            let surface = if (60..70).contains(&column) { 900 } else { 3000 + 7 * column + 40 * row };
+            let noise = random.below(8);
+            *cell = if i % 9 == 4 { 0 } else { (surface + noise) as u32 };
+        }
+        steps
     }
 
-    fn mixture_contexts(&self, contexts: &SetContexts) -> [usize; MIXTURES] {
-        let SetContexts { kind, error_level, change, recognition, .. } = *contexts;
-        [
-            kind * CONTEXTS + self.site.context,
-            (change * OWN_LEVELS + own_level(self.site)) * ERROR_LEVELS + error_level,
-            (recognition * KINDS + kind) * ERROR_LEVELS + error_level,
-        ]
+    /// Codes frames, of which those after the first refer to the one before if told, into steps within half
+    /// a bin; and back. Gives the bytes taken.
+    fn round_trip(bin: u32, refer: bool) -> usize {
+        let mut random = Rng::keyed(7, &[]);
+        let frames: Vec<_> = (0..3).map(|_| frame(&mut random)).collect();
+        let mut models = [RangeModel::default(), RangeModel::default()];
+        models.iter_mut().for_each(|model| model.set_depth(Depth::Deep));
+        let [encoding, decoding] = &mut models;
+        let mut before: Option<Grid<u32>> = None;
+        let mut bytes = 0;
+        for frame in frames {
+            let reference = before.take().filter(|_| refer).map(|steps| {
+                let mut reference = Reference::new(ROWS, COLUMNS);
+                reference.same.steps = steps.clone();
+                reference.moved.steps = steps;
+                reference
+            });
+            let known = RangeContext {
+                occupancy: &frame.map(|&steps| steps > 0),
+                intensity: &frame.map(|&steps| (steps / 30 % 100) as u16),
+                reference: reference.as_ref(),
+                range_bits: 16,
+                bin,
+            };
+            let mut encoder = ArithmeticEncoder::default();
+            let mut encoded = frame.clone();
+            encoding.code(&mut encoder, &known, &mut encoded);
+            let coded = encoder.finish();
+            bytes += coded.len();
+            let mut decoded = Grid::new(ROWS, COLUMNS);
+            decoding.code(&mut ArithmeticDecoder::new(&coded), &known, &mut decoded);
+            assert_eq!(encoded, decoded);
+            let far = |(a, b): (&u32, &u32)| a.abs_diff(*b) > bin / 2;
+            assert!(!frame.cells().iter().zip(decoded.cells()).any(far));
+            before = Some(decoded);
+        }
+        bytes
     }
 
-    /// The context of each view, for a coding that starts at `base`.
-    fn views(&self, contexts: &SetContexts, fitted: &fits::Fitted, base: f64) -> [usize; VIEWS] {
-        let SetContexts { kind, error_level, row, recognition, .. } = *contexts;
-        let near = &self.site.near;
-        let [_, errors, own, change] = self.site.views;
-        let wide = near.west + fitted.wide;
-        let [same, moved] = self
-            .referred
-            .as_ref()
-            .map_or([wide; 2], |Referred { back, .. }| [back.same, back.moved])
-            .map(|range| range - base);
-        [
-            pair(near.west - base, near.north - base),
-            errors,
-            own,
-            change,
-            signed_level(same as i32) * 32 + kind * 4 + error_level / 3,
-            pair(same, moved),
-            row * ERROR_LEVELS + error_level,
-            recognition * ERROR_LEVELS + error_level,
-        ]
+    #[test]
+    fn ranges_come_back_and_bins_take_less() {
+        let [exact, binned] = [1, 5].map(|bin| round_trip(bin, false));
+        // Three bits of noise a return are the least.
+        assert!((1800..2600).contains(&exact), "{exact} bytes");
+        assert!(binned < exact / 2, "{binned} of {exact} bytes");
     }
-}
 
-/// Level of the cell's own intensity.
-fn own_level(site: &Site) -> usize {
-    usize::from(site.intensities[0] / 8).min(OWN_LEVELS - 1)
+    #[test]
+    fn ranges_with_a_reference_come_back() {
+        round_trip(1, true);
+        round_trip(5, true);
+    }
 }

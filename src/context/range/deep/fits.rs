@@ -1,9 +1,12 @@
 //! Several least-squares fits, and one of what they say.
 
-use super::{ALL_FEATURES, EDGES, ERROR_LEVELS, FEATURES, FIT_REACH, Referred, Site};
+use super::Referred;
 use crate::context::least_squares::LeastSquares;
 use crate::context::range::back::SURROUNDING_FEATURES;
-use crate::context::range::{FEATURE_REACH, REFERENCE_FEATURES};
+use crate::context::range::site::Site;
+use crate::context::range::{
+    ALL_FEATURES, EDGES, ERROR_LEVELS, FEATURE_REACH, FEATURES, FIT_REACH, REFERENCE_FEATURES,
+};
 
 /// Features of the wide fit: those of neighbours near and farther off, of intensities, of the reference
 /// and around that; the last two are always 0.
@@ -12,10 +15,14 @@ const FARTHER: usize = FEATURES;
 const INTENSITIES: usize = FARTHER + 4;
 const REFERENCE: usize = INTENSITIES + 4;
 const SURROUNDINGS: usize = REFERENCE + REFERENCE_FEATURES;
+/// Features of the blend: what the others say, three ranges, two more that go on from neighbours as the
+/// reference does, the errors made around, and one that is always the same, in steps.
+const BLEND_FEATURES: usize = 12;
+const ALWAYS: f64 = 10.0;
 /// Columns that share a local fit.
 const STRETCH: usize = 64;
 /// What few returns teach is forgotten soon, and used soon: samples from one solution to the next.
-const SHORT_MEMORY: f32 = 0.98;
+const SHORT_MEMORY: f32 = 0.97;
 const LONG_MEMORY: f32 = 0.998;
 const SOON: u32 = 8;
 
@@ -29,7 +36,7 @@ pub struct Fits {
     /// Of the last few returns in a stretch of columns, in this row and those above.
     local: Vec<LeastSquares<ALL_FEATURES>>,
     /// Of what these say, by error level.
-    blend: Vec<LeastSquares<FEATURES>>,
+    blend: Vec<LeastSquares<BLEND_FEATURES>>,
 }
 
 /// What the fits say of a cell, in steps from the left neighbour, with their features.
@@ -42,7 +49,7 @@ pub struct Fitted {
     stretch: usize,
     wide_features: [f32; WIDE_FEATURES],
     local_features: [f32; ALL_FEATURES],
-    blend_features: [f32; FEATURES],
+    blend_features: [f32; BLEND_FEATURES],
 }
 
 impl Default for Fits {
@@ -101,9 +108,22 @@ impl Fits {
                 near.north - near.west + back.moved - around.moved_north,
             ],
         };
+        let differences = [
+            wide,
+            recent,
+            local,
+            near.north - near.west,
+            same,
+            moved,
+            on_from_west,
+            on_from_north,
+            site.errors[0],
+            site.errors[1],
+            site.errors[2],
+            ALWAYS,
+        ];
         let blend_features =
-            [wide, recent, local, near.north - near.west, same, moved, on_from_west, on_from_north]
-                .map(|difference| difference.clamp(-FEATURE_REACH, FEATURE_REACH) as f32);
+            differences.map(|difference| difference.clamp(-FEATURE_REACH, FEATURE_REACH) as f32);
         let blend = within_reach(self.blend[site.error_level].predict(&blend_features));
         Fitted {
             recent,

@@ -1,6 +1,7 @@
 //! The halvings of one range under several mixtures.
 
-use super::{DeepBits, MIXERS, MIXTURES, PREDICTORS, VIEWS};
+use super::site::SetContexts;
+use super::{DeepBits, MIXTURES, PREDICTORS, VIEWS};
 use crate::context::range::bins::Bins;
 use crate::context::range::halving::Halves;
 use crate::context::range::mixture::{Below, Interval, Mixture, Predicted};
@@ -26,28 +27,6 @@ pub struct DeepHalving<'a, C> {
     pub bin: i64,
     /// The mean of the mixtures' log odds of the last halves.
     pub odds: f32,
-}
-
-/// What chooses the weights of the mixers and the corrections.
-#[derive(Clone, Copy)]
-pub struct SetContexts {
-    pub kind: usize,
-    pub error_level: usize,
-    pub change: usize,
-    pub row: usize,
-    pub recognition: usize,
-}
-
-impl SetContexts {
-    #[inline]
-    fn sets(&self, node: usize) -> [usize; MIXERS] {
-        [
-            (self.kind * NODES + node) * ERROR_LEVELS + self.error_level,
-            self.change * NODES + node,
-            self.row * NODES + node,
-            self.recognition * NODES + node,
-        ]
-    }
 }
 
 impl<C: BitCoder> Halves for DeepHalving<'_, C> {
