@@ -802,7 +802,7 @@ fn streams_of_all_modes_and_sensors_are_cut_and_joined() {
     bench.ok("encode renamed -o e.lpc");
     bench.ok("cat out.lpc p.lpc e.lpc -o all.lpc");
     let info = bench.json("info all.lpc --json");
-    assert_eq!((&info["version"], info["sensor_models"].as_array().unwrap().len()), (&3.into(), 2));
+    assert_eq!((&info["version"], info["sensor_models"].as_array().unwrap().len()), (&4.into(), 2));
     for (range, stream) in [("..10", "out.lpc"), ("10..13", "p.lpc"), ("13..", "e.lpc")] {
         bench.ok(&format!("cut all.lpc --frames {range} -o part.lpc --force"));
         bench.decodes_to_range("part.lpc", stream, "..");

@@ -44,6 +44,7 @@ impl Models {
                             range_bits,
                             bin,
                         };
+                        self.range.set_depth(modelling.depth());
                         self.range.code(coder, &known, &mut frame.steps);
                         Ok(())
                     }),

@@ -11,11 +11,12 @@ pub struct LeastSquares<const N: usize> {
     weights: [f32; N],
     forget: f32,
     samples: u32,
+    solve_every: u32,
 }
 
 /// Numbers that a vector unit of any processor handles at once.
 pub const LANES: usize = 4;
-/// Samples from one solution to the next.
+/// Samples from one solution to the next, unless told otherwise.
 const SOLVE_EVERY: u32 = 32;
 /// Added to the diagonal: keeps the weights of features that have not been seen near zero.
 const RIDGE: f32 = 0.05;
@@ -24,12 +25,24 @@ impl<const N: usize> LeastSquares<N> {
     /// Starts with all weights 0. Each sample makes the earlier ones count `forget` as much.
     pub fn new(forget: f32) -> Self {
         const { assert!(N.is_multiple_of(LANES)) };
-        LeastSquares { normal: [[0.0; N]; N], right: [0.0; N], weights: [0.0; N], forget, samples: 0 }
+        LeastSquares {
+            normal: [[0.0; N]; N],
+            right: [0.0; N],
+            weights: [0.0; N],
+            forget,
+            samples: 0,
+            solve_every: SOLVE_EVERY,
+        }
+    }
+
+    /// The same, solved again after so many samples.
+    pub fn solved_every(self, samples: u32) -> Self {
+        LeastSquares { solve_every: samples, ..self }
     }
 
     /// The same with more features, of which nothing is known yet.
     pub fn widened<const M: usize>(&self) -> LeastSquares<M> {
-        let mut wide = LeastSquares::new(self.forget);
+        let mut wide = LeastSquares::new(self.forget).solved_every(self.solve_every);
         for (to, from) in wide.normal.iter_mut().zip(&self.normal) {
             to[..N].copy_from_slice(from);
         }
@@ -69,7 +82,7 @@ impl<const N: usize> LeastSquares<N> {
             self.right[i] = self.right[i] * forget + weighted * features[i];
         }
         self.samples += 1;
-        if self.samples >= SOLVE_EVERY {
+        if self.samples >= self.solve_every {
             self.samples = 0;
             self.solve();
         }

@@ -7,23 +7,28 @@
 
 mod back;
 mod bins;
+mod deep;
 mod errors;
 mod halving;
 mod mixture;
 mod neighbourhood;
+mod site;
 
+use super::Depth;
 use super::least_squares::LeastSquares;
 use super::quantise::{Levels, signed_level};
 use super::shape::ErrorShape;
 use crate::entropy::{BitCoder, Counter, Logistic, MixedBits};
 use crate::grid::Grid;
 use crate::range_image::Reference;
-use back::{Back, ReferenceErrors};
+use back::{Back, ReferenceErrors, Surroundings};
 pub(crate) use bins::Bins;
+use deep::{DeepModel, DeepSite, Referred};
 use errors::ErrorTrack;
 use halving::Halving;
-use mixture::Mixture;
-use neighbourhood::{Neighbourhood, Window};
+use mixture::{Interval, Mixture, Rates};
+use neighbourhood::Window;
+use site::{Site, pair};
 
 /// Features of the least-squares predictor, those of the reference, and both.
 const FEATURES: usize = 8;
@@ -59,6 +64,10 @@ const OPINIONS: usize = 8;
 const VIEW_SIZES: [usize; VIEWS] = [1024, 1024, 8 * 128, 8 * 64 * 4];
 const REFERENCE_VIEW_SIZES: [usize; REFERENCE_VIEWS] = [32 * 32, 32 * 32];
 
+/// How fast the mixture learns.
+const RATES: Rates = Rates { weights: 0.02, scales: 0.02, early: 0.0 };
+
+type ErrorLevels = Levels<{ ERROR_LEVELS - 1 }>;
 type RangeBits = MixedBits<VIEWS, OPINIONS>;
 
 /// What the coder has learned about ranges.
@@ -66,12 +75,14 @@ type RangeBits = MixedBits<VIEWS, OPINIONS>;
 pub struct RangeModel {
     shape: ErrorShape,
     tables: &'static Logistic,
-    error_levels: Levels<{ ERROR_LEVELS - 1 }>,
+    error_levels: ErrorLevels,
     bits: RangeBits,
     fits: Vec<LeastSquares<FEATURES>>,
     mixture: Mixture<PREDICTORS>,
     /// The same for cells with a reference, once there was one.
     with_reference: Option<Box<WithReference>>,
+    /// What has been learned in its place at [`Depth::Deep`].
+    deep: Option<Box<DeepModel>>,
 }
 
 /// What the coder has learned about cells with a reference. It starts with what it has learned about
@@ -85,13 +96,6 @@ struct WithReference {
 
 impl Default for RangeModel {
     fn default() -> Self {
-        let scale = |context: usize| {
-            let mut scale = 3.0f64;
-            for _ in 2..context % ERROR_LEVELS {
-                scale *= 1.6;
-            }
-            scale
-        };
         let (sizes, sets) = (VIEW_SIZES.map(|size| size * NODES), NODES * ERROR_LEVELS);
         RangeModel {
             shape: ErrorShape::new(),
@@ -99,10 +103,16 @@ impl Default for RangeModel {
             error_levels: Levels::new(1.6, 1.6),
             bits: MixedBits::new(sizes, sets * (1 + REFERENCE_LEVELS), 0.0, 1.0, 0.004),
             fits: vec![LeastSquares::new(0.998); EDGES],
-            mixture: Mixture::new((0..CONTEXTS).map(scale)),
+            mixture: Mixture::new(RATES, (0..CONTEXTS).map(first_scale)),
             with_reference: None,
+            deep: None,
         }
     }
+}
+
+/// The scale, in steps, that a context starts with, which is of an error level.
+fn first_scale(context: usize) -> f64 {
+    (2..context % ERROR_LEVELS).fold(3.0, |scale, _| scale * 1.6)
 }
 
 /// What is known of all cells before the ranges are coded.
@@ -119,17 +129,6 @@ pub struct RangeContext<'a> {
     pub bin: u32,
 }
 
-/// A cell to be coded, as its neighbours show it.
-struct Site {
-    near: Neighbourhood,
-    features: [f32; FEATURES],
-    edge: usize,
-    error_level: usize,
-    context: usize,
-    /// The context of each view but the first.
-    views: [usize; VIEWS],
-}
-
 /// A coded range, and what the least-squares fit had made of it, in steps.
 struct Coded {
     range: i64,
@@ -139,10 +138,19 @@ struct Coded {
 }
 
 impl RangeModel {
+    /// Says how far the models go; the same for all frames of a group.
+    pub fn set_depth(&mut self, depth: Depth) {
+        if depth == Depth::Deep && self.deep.is_none() {
+            self.deep = Some(Box::default());
+        }
+    }
+
     /// Codes the range, in steps, of every cell that holds a return. Where bins are wider than a step, both
     /// sides go on with the middles of the bins, which the encoder's grid gets too.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, known: &RangeContext, steps: &mut Grid<u32>) {
-        if known.reference.is_some() && self.with_reference.is_none() {
+        if let Some(deep) = &mut self.deep {
+            deep.start_frame(known.occupancy.columns(), known.reference.is_some());
+        } else if known.reference.is_some() && self.with_reference.is_none() {
             self.bits.spread_sets(NODES * ERROR_LEVELS);
             self.with_reference = Some(Box::new(WithReference {
                 fits: self.fits.iter().map(LeastSquares::widened).collect(),
@@ -166,12 +174,20 @@ impl RangeModel {
                     errors.skip(column);
                     continue;
                 }
-                let site = self.site(known, window.around(column), &errors, cell);
+                let site = Site::of(known, window.around(column), &errors, &self.error_levels, cell);
                 let back = known.reference.and_then(|reference| Back::at(reference, &reference_errors, cell));
                 let axis = (known.range_bits, i64::from(known.bin));
                 let range = i64::from(steps[cell]);
-                let coded = match (&back, &mut self.with_reference) {
-                    (Some(back), Some(learned)) => {
+                let coded = match (&mut self.deep, &back, &mut self.with_reference) {
+                    (Some(deep), ..) => {
+                        let referred = known.reference.zip(back.as_ref()).map(|(reference, back)| Referred {
+                            around: Surroundings::of(reference, back, cell),
+                            back: back.clone(),
+                        });
+                        let site = DeepSite { site: &site, cell, referred };
+                        deep.code(coder, (&self.shape, self.tables), axis, &site, range)
+                    }
+                    (None, Some(back), Some(learned)) => {
                         let parts = (&self.shape, self.tables, &mut self.bits);
                         learned.code(coder, parts, axis, &site, back, range)
                     }
@@ -186,33 +202,6 @@ impl RangeModel {
                 window.push(column, range);
             }
         }
-    }
-
-    #[inline]
-    fn site(
-        &self,
-        known: &RangeContext,
-        near: Neighbourhood,
-        errors: &ErrorTrack,
-        (row, column): (usize, usize),
-    ) -> Site {
-        let features = near.features();
-        let edge =
-            usize::from(features[0].abs() > EDGE) + 2 * usize::from((features[3] - features[4]).abs() > EDGE);
-        let error_level = self.error_levels.of(errors.expected(column));
-        let context = near.activity_level() * ERROR_LEVELS + error_level;
-        let coarse_error = error_level * 8 / ERROR_LEVELS;
-        let own = known.intensity[(row, column)];
-        let west = if column > 0 { known.intensity[(row, column - 1)] } else { 0 };
-        let north = if row > 0 { known.intensity[(row - 1, column)] } else { 0 };
-        let change = intensity_change(own, west) * 8 + intensity_change(own, north);
-        let views = [
-            0,
-            pair(errors.west, errors.north(column)),
-            usize::from(own).min(127) * 8 + coarse_error,
-            (change * 4 + usize::from(own / 8).min(3)) * 8 + coarse_error,
-        ];
-        Site { near, features, edge, error_level, context, views }
     }
 
     /// Codes a range by its neighbours alone.
@@ -243,9 +232,10 @@ impl RangeModel {
             reference_counters: &mut [],
             reference_views: [],
             bin: bins.of(range),
+            interval: Interval::whole(bins.all(range_bits)),
         };
-        let interval = halving.code();
-        let predicted = halving.predicted;
+        halving.code();
+        let Halving { predicted, interval, .. } = halving;
         let range = bins.middle(interval.low, range_bits);
         self.mixture.learn(&predicted, &interval, range as f64);
         site.learn(fits, &site.features, fit, range as f64);
@@ -294,60 +284,13 @@ impl WithReference {
                 pair(same, moved),
             ],
             bin: bins.of(range),
+            interval: Interval::whole(bins.all(range_bits)),
         };
-        let interval = halving.code();
-        let predicted = halving.predicted;
+        halving.code();
+        let Halving { predicted, interval, .. } = halving;
         let range = bins.middle(interval.low, range_bits);
         self.mixture.learn(&predicted, &interval, range as f64);
         site.learn(fits, &features, fit, range as f64);
         Coded { range, fit, base }
     }
-}
-
-impl Site {
-    /// What the neighbours predict, the last for surprises.
-    fn predictions(&self, fit: f64) -> [f64; PREDICTORS] {
-        let Neighbourhood { west, west2, north, .. } = self.near;
-        [west, north, 2.0 * west - west2, west + fit, west]
-    }
-
-    /// Where the coding starts: a whole number of steps.
-    fn base(&self, fit: f64, range_bits: u32) -> i64 {
-        ((self.near.west + fit + 0.5) as i64).clamp(1, (1 << range_bits) - 2)
-    }
-
-    fn views_from(&self, base: i64) -> [usize; VIEWS] {
-        let base = base as f64;
-        let mut views = self.views;
-        views[0] = pair(self.near.west - base, self.near.north - base);
-        views
-    }
-
-    /// Moves a fit towards the range that has been coded.
-    fn learn<const F: usize>(&self, fits: &mut LeastSquares<F>, features: &[f32; F], fit: f64, range: f64) {
-        let target = (range - self.near.west).clamp(-FIT_REACH, FIT_REACH);
-        let error = range - self.near.west - fit;
-        let weight = 1.0 / (25.0 + error * error);
-        fits.learn(features, target as f32, weight as f32);
-    }
-}
-
-/// Two differences as one context of 1024.
-fn pair(a: f64, b: f64) -> usize {
-    signed_level(a as i32) * 32 + signed_level(b as i32)
-}
-
-/// Eight kinds of change from a neighbour's intensity; none if it holds no return.
-fn intensity_change(own: u16, other: u16) -> usize {
-    if other == 0 {
-        return 7;
-    }
-    let change = i32::from(own) - i32::from(other);
-    let size = match change.abs() {
-        0..2 => 0,
-        2..6 => 1,
-        6..16 => 2,
-        _ => 3,
-    };
-    if change < 0 && size > 0 { size + 3 } else { size }
 }

@@ -10,8 +10,6 @@ const LANES: usize = 4;
 const EARLY_RATE: f32 = 4.0;
 /// How many bits a set of weights takes to halve that.
 const EARLY_BITS: f32 = 200.0;
-/// The second layer's rate.
-const LAST_RATE: f32 = 0.0005;
 /// The first layer's results are cut to these log odds.
 const MOST_ODDS: f32 = 12.0;
 /// Maps that refine the result, and the share of each.
@@ -24,7 +22,7 @@ pub struct LayeredMixer<const N: usize, const S: usize> {
     sets: [WeightSets<N>; S],
     last: Vec<[f32; S]>,
     refinements: [Refinement; REFINEMENTS],
-    rate: f32,
+    rates: MixRates,
     tables: &'static Logistic,
 }
 
@@ -37,6 +35,15 @@ pub struct MixContexts<const S: usize> {
     pub last: usize,
     /// Which maps refine the result.
     pub refinements: [usize; REFINEMENTS],
+}
+
+/// The rates at which the weights of the layers come to learn.
+#[derive(Clone, Copy, Debug)]
+pub struct MixRates {
+    /// Of the first layer.
+    pub first: f32,
+    /// Of the second.
+    pub last: f32,
 }
 
 #[derive(Clone)]
@@ -73,17 +80,24 @@ impl<const N: usize> WeightSets<N> {
 
 impl<const N: usize, const S: usize> LayeredMixer<N, S> {
     /// As many sets of weights for each mixer of the first layer, for the second, and maps as `counts` says.
-    /// The first layer's weights start at `weight`, and come to learn at `rate`.
-    pub fn new(counts: MixContexts<S>, weight: f32, rate: f32) -> Self {
+    /// The first layer's weights start as `weights`.
+    pub fn new(counts: MixContexts<S>, weights: [f32; N], rates: MixRates) -> Self {
         const { assert!(N.is_multiple_of(LANES)) };
         LayeredMixer {
-            sets: counts
-                .sets
-                .map(|sets| WeightSets { weights: vec![[weight; N]; sets], seen: vec![0; sets] }),
+            sets: counts.sets.map(|sets| WeightSets { weights: vec![weights; sets], seen: vec![0; sets] }),
             last: vec![[1.0 / S as f32; S]; counts.last],
             refinements: counts.refinements.map(Refinement::new),
-            rate,
+            rates,
             tables: Logistic::tables(),
+        }
+    }
+
+    /// Gives the sets of a mixer of the first layer after the first `sets`, as many at a time, what these have
+    /// learned.
+    pub fn spread_sets(&mut self, mixer: usize, sets: usize) {
+        let WeightSets { weights, seen } = &mut self.sets[mixer];
+        for set in sets..weights.len() {
+            (weights[set], seen[set]) = (weights[set % sets], seen[set % sets]);
         }
     }
 
@@ -111,10 +125,10 @@ impl<const N: usize, const S: usize> LayeredMixer<N, S> {
         let bit = coder.code(bit, self.tables.squash(refined));
         let target = i32::from(bit) << 16;
         let error = |odds: f32| (target - self.tables.squash(odds) as i32) as f32 / 65536.0;
-        let last_error = error(mixed) * LAST_RATE;
+        let last_error = error(mixed) * self.rates.last;
         for i in 0..S {
             last[i] += last_error * firsts[i];
-            self.sets[i].learn(contexts.sets[i], opinions, error(firsts[i]), self.rate);
+            self.sets[i].learn(contexts.sets[i], opinions, error(firsts[i]), self.rates.first);
         }
         for (refinement, place) in self.refinements.iter_mut().zip(places) {
             refinement.learn(place, bit);
@@ -131,7 +145,7 @@ mod tests {
     /// Bits of which the second of four opinions is right, but in every eighth context the third.
     fn coded<C: BitCoder>(coder: &mut C, bits: &[bool]) -> Vec<bool> {
         let counts = MixContexts { sets: [8, 1], last: 1, refinements: [1, 8] };
-        let mut mixer = LayeredMixer::<4, 2>::new(counts, 0.1, 0.01);
+        let mut mixer = LayeredMixer::<4, 2>::new(counts, [0.1; 4], MixRates { first: 0.01, last: 0.0005 });
         let mut code = |(i, bit): (usize, &bool)| {
             let right = if bits[i] { 2.0 } else { -2.0 };
             let opinions = if i % 8 == 0 { [0.3, -right, right, 0.2] } else { [0.3, right, -right, 0.2] };

@@ -137,9 +137,9 @@ pub struct MixedBits<const V: usize, const N: usize> {
 }
 
 /// Numbers that a vector unit of any processor handles at once.
-const LANES: usize = 4;
+pub(super) const LANES: usize = 4;
 /// The opinion that is always the same.
-const CONSTANT: f32 = 0.25;
+pub(super) const CONSTANT: f32 = 0.25;
 /// The rate of learning starts this many times as high as it ends.
 const EARLY_RATE: f32 = 4.0;
 /// How many bits a set of weights takes to halve that.

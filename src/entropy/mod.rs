@@ -10,6 +10,7 @@
 mod adaptive;
 mod arithmetic;
 mod hashed;
+mod layered;
 mod layers;
 mod logistic;
 mod refinement;
@@ -18,6 +19,7 @@ mod tokens;
 pub use adaptive::{AdaptiveBit, IntegerModel, SymbolModel};
 pub use arithmetic::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
 pub use hashed::{HashedCounters, LINE_LEVELS, Line, hash, hash_below};
-pub use layers::{LayeredMixer, MixContexts};
+pub use layered::{LayeredBits, LayeredContext};
+pub use layers::{LayeredMixer, MixContexts, MixRates};
 pub use logistic::{Counter, Logistic, MixedBits};
 pub use tokens::{Counts, TokenCoder, TokenReader, TokenTables, TokenWriter, numbers_of_token};

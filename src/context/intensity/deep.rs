@@ -15,7 +15,7 @@ use super::neighbours::IntensityNeighbours;
 use super::scale::{IntensityScale, MOST_BITS};
 use crate::context::quantise::Levels;
 use crate::entropy::{
-    BitCoder, HashedCounters, LINE_LEVELS, LayeredMixer, Logistic, MixContexts, hash_below,
+    BitCoder, HashedCounters, LINE_LEVELS, LayeredMixer, Logistic, MixContexts, MixRates, hash_below,
 };
 use fit::{Fit, FitOpinion};
 use surroundings::Surroundings;
@@ -25,8 +25,9 @@ use zero::ZeroModel;
 /// Those of the views, the fit's, and one that is always the same.
 const OPINIONS: usize = 16;
 const CONSTANT: f32 = 0.25;
-/// 2^16 lines of 32 bytes for each view.
-const INDEX_BITS: u32 = 17;
+/// For each view, so many lines of 32 bytes, as a power of two.
+const INDEX_BITS: u32 = 16;
+const RATES: MixRates = MixRates { first: 0.0045, last: 0.0005 };
 /// Places in the tree of a level's bits.
 const NODES: usize = 1 << MOST_BITS;
 /// Levels of the error to expect, and of the gradient around.
@@ -58,7 +59,7 @@ impl Default for DeepLevels {
             zero: ZeroModel::default(),
             fit: Fit::new(ERROR_LEVELS * ERROR_LEVELS),
             counters: std::array::from_fn(|_| HashedCounters::new(INDEX_BITS)),
-            mixer: LayeredMixer::new(counts, 0.15, 0.0045),
+            mixer: LayeredMixer::new(counts, [0.15; OPINIONS], RATES),
             levels: Levels::new(0.7, 1.45),
             errors: ErrorTrack::default(),
             tables: Logistic::tables(),

@@ -64,9 +64,8 @@ impl IntensityScale {
         for per_unit in expected.into_iter().filter(|&levels| levels < 1 << SCALE_BITS).chain(SCALES) {
             let grid = LevelGrid::new(per_unit);
             let Some((misses, highest)) = grid.misses(intensity, most) else { continue };
-            let is_better = |(fewest, _, other): &(usize, u32, LevelGrid)| {
-                (misses, per_unit) < (*fewest, other.per_unit)
-            };
+            let is_better =
+                |(fewest, _, other): &(usize, u32, LevelGrid)| (misses, per_unit) < (*fewest, other.per_unit);
             if best.as_ref().is_none_or(is_better) {
                 best = Some((misses, highest, grid));
             }

@@ -4,10 +4,13 @@ use super::neighbourhood::Neighbourhood;
 use super::{FEATURE_REACH, REFERENCE_FEATURES, REFERENCE_LEVELS};
 use crate::range_image::{Layer, Reference};
 
+/// Features of a least-squares fit that [`Surroundings`] give.
+pub const SURROUNDING_FEATURES: usize = 6;
 /// Steps; at the start of a row.
 const TYPICAL_ERROR: f32 = 20.0;
 
 /// The ranges that an earlier frame offers for a cell that has one in either layer.
+#[derive(Clone)]
 pub struct Back {
     /// The same cell's range, or else that of the moved layer; and the other way round.
     pub same: f64,
@@ -34,8 +37,55 @@ impl Back {
 
     /// Differences to the left neighbour.
     pub fn features(&self, near: &Neighbourhood) -> [f32; REFERENCE_FEATURES] {
-        [self.same, self.same_west, self.same_east, self.moved]
-            .map(|range| (range - near.west).clamp(-FEATURE_REACH, FEATURE_REACH) as f32)
+        [self.same, self.same_west, self.same_east, self.moved].map(|range| near.feature(range))
+    }
+}
+
+/// What else an earlier frame has around a cell: ranges, the cell's own for each missing one, and the
+/// context levels of its intensity, 0 for none.
+pub struct Surroundings {
+    pub moved_west: f64,
+    pub moved_east: f64,
+    pub moved_north: f64,
+    moved_south: f64,
+    same_north: f64,
+    same_south: f64,
+    pub same_level: u16,
+    pub moved_level: u16,
+}
+
+impl Surroundings {
+    /// Of a cell.
+    pub fn of(reference: &Reference, back: &Back, cell: (usize, usize)) -> Self {
+        let at = |layer: &Layer, down, right, other| {
+            let range = f64::from(layer.steps.beside(cell, down, right));
+            if range > 0.0 { range } else { other }
+        };
+        let moved = |down, right| at(&reference.moved, down, right, back.moved);
+        let same = |down| at(&reference.same, down, 0, back.same);
+        Surroundings {
+            moved_west: moved(0, -1),
+            moved_east: moved(0, 1),
+            moved_north: moved(-1, 0),
+            moved_south: moved(1, 0),
+            same_north: same(-1),
+            same_south: same(1),
+            same_level: reference.same.levels[cell],
+            moved_level: reference.moved.levels[cell],
+        }
+    }
+
+    /// Differences to the left neighbour.
+    pub fn features(&self, near: &Neighbourhood) -> [f32; SURROUNDING_FEATURES] {
+        [
+            self.moved_west,
+            self.moved_east,
+            self.moved_north,
+            self.moved_south,
+            self.same_north,
+            self.same_south,
+        ]
+        .map(|range| near.feature(range))
     }
 }
 

@@ -51,6 +51,11 @@ impl ErrorTrack {
         f64::from(self.signed_above[column])
     }
 
+    /// The signed error to the right of that; 0 outside.
+    pub fn north_east(&self, column: usize) -> f64 {
+        self.signed_above.get(column + 1).copied().map_or(0.0, f64::from)
+    }
+
     /// No return in this column: what was known of it stays.
     pub fn skip(&mut self, column: usize) {
         self.current[column] = self.above[column];

@@ -2,14 +2,24 @@
 
 use super::{FIT, FIT_REACH, SURPRISE};
 use crate::context::shape::{CERTAIN, ErrorShape, Placed};
+use crate::entropy::Logistic;
 
 /// Probability of the mixture in the unit of [`Below::mixed`]: weights are in 2^-16.
 const MIXED_CERTAIN: u64 = (CERTAIN as u64) << 16;
 /// All ranges together get at least this much of it, evenly.
 const EVEN: u64 = MIXED_CERTAIN / 256;
-/// Learning rates of the weights and the scales.
-const WEIGHT_RATE: f64 = 0.02;
-const SCALE_RATE: f64 = 0.02;
+
+/// How fast the weights and the scales of a context are learned.
+#[derive(Clone, Copy)]
+pub struct Rates {
+    pub weights: f64,
+    pub scales: f64,
+    /// Both are at least this over the number of returns that the context has seen, plus 1.5.
+    pub early: f64,
+}
+
+/// Contexts count no more returns than this.
+const MOST_SEEN: u16 = 1000;
 
 /// What has been learned about `P` predictors.
 #[derive(Clone)]
@@ -18,6 +28,9 @@ pub struct Mixture<const P: usize> {
     /// The weights in 2^-16.
     shares: Vec<[u32; P]>,
     scales: Vec<[f64; P]>,
+    /// Returns that each context has seen.
+    seen: Vec<u16>,
+    rates: Rates,
 }
 
 /// The predictions for a cell, in steps, in a context, placed on the range axis.
@@ -44,7 +57,34 @@ pub struct Below<const P: usize> {
     pub mixed: u64,
 }
 
+impl<const P: usize> Default for Below<P> {
+    fn default() -> Self {
+        Below { each: [0; P], mixed: 0 }
+    }
+}
+
 impl<const P: usize> Interval<P> {
+    /// The mixture's log odds of the halves above and below a place between the ends, upper against lower.
+    #[inline]
+    pub fn split(&mut self, below_middle: &Below<P>, tables: &Logistic) -> f32 {
+        let above = self.below_high.mixed.saturating_sub(below_middle.mixed) | 1;
+        let below = below_middle.mixed.saturating_sub(self.below_low.mixed) | 1;
+        self.odds = tables.ln(above) - tables.ln(below);
+        self.odds
+    }
+
+    /// Leaves the half from `middle` on, or else the one below.
+    #[inline]
+    pub fn cut(&mut self, upper: bool, middle: i64, below_middle: &Below<P>) {
+        if upper {
+            self.low = middle;
+            self.below_low = *below_middle;
+        } else {
+            self.high = middle;
+            self.below_high = *below_middle;
+        }
+    }
+
     /// All bins.
     pub fn whole((low, high): (i64, i64)) -> Self {
         let below = |each, mixed| Below { each: [each; P], mixed };
@@ -55,7 +95,7 @@ impl<const P: usize> Interval<P> {
 
 impl<const P: usize> Mixture<P> {
     /// For contexts that start with these scales.
-    pub fn new(scales: impl Iterator<Item = f64>) -> Self {
+    pub fn new(rates: Rates, scales: impl Iterator<Item = f64>) -> Self {
         let scales: Vec<_> = scales
             .map(|scale| {
                 let mut scales = [scale; P];
@@ -66,6 +106,8 @@ impl<const P: usize> Mixture<P> {
         Mixture {
             weights: vec![[1.0 / P as f64; P]; scales.len()],
             shares: vec![[65536 / P as u32; P]; scales.len()],
+            seen: vec![0; scales.len()],
+            rates,
             scales,
         }
     }
@@ -91,6 +133,19 @@ impl<const P: usize> Mixture<P> {
             weights: weights.repeat(copies),
             shares: shares.repeat(copies),
             scales: scales.repeat(copies),
+            seen: self.seen.repeat(copies),
+            rates: self.rates,
+        }
+    }
+
+    /// Gives the contexts after the first `contexts`, as many at a time, what these have learned.
+    pub fn spread(&mut self, contexts: usize) {
+        for context in contexts..self.scales.len() {
+            let from = context % contexts;
+            self.weights[context] = self.weights[from];
+            self.shares[context] = self.shares[from];
+            self.scales[context] = self.scales[from];
+            self.seen[context] = self.seen[from];
         }
     }
 
@@ -98,7 +153,10 @@ impl<const P: usize> Mixture<P> {
     #[inline]
     pub fn place(&self, shape: &ErrorShape, values: [f64; P], context: usize) -> Predicted<P> {
         let scales = &self.scales[context];
-        let placed = std::array::from_fn(|k| shape.place(values[k] + 0.5, scales[k]));
+        let mut placed = [Placed::default(); P];
+        for k in 0..P {
+            placed[k] = shape.place(values[k] + 0.5, scales[k]);
+        }
         Predicted { values, context, placed }
     }
 
@@ -131,6 +189,11 @@ impl<const P: usize> Mixture<P> {
     pub fn learn(&mut self, predicted: &Predicted<P>, interval: &Interval<P>, range: f64) {
         let weights = &mut self.weights[predicted.context];
         let scales = &mut self.scales[predicted.context];
+        let seen = &mut self.seen[predicted.context];
+        let early = self.rates.early / (f64::from(*seen) + 1.5);
+        *seen = (*seen + 1).min(MOST_SEEN);
+        let weight_rate = self.rates.weights.max(early);
+        let scale_rate = self.rates.scales.max(early);
         let likelihood: [f64; P] = std::array::from_fn(|k| {
             let likely = interval.below_high.each[k].saturating_sub(interval.below_low.each[k]);
             f64::from(likely) / f64::from(CERTAIN)
@@ -140,11 +203,11 @@ impl<const P: usize> Mixture<P> {
         for k in 0..P {
             let surprise = k == SURPRISE;
             let merit = (likelihood[k] + 1e-9) / (total + 1e-9);
-            weights[k] = (weights[k] * (1.0 - WEIGHT_RATE + WEIGHT_RATE * merit)).max(0.001);
+            weights[k] = (weights[k] * (1.0 - weight_rate + weight_rate * merit)).max(0.001);
             sum += weights[k];
             let error = (range - predicted.values[k]).abs().min(if surprise { 4000.0 } else { FIT_REACH });
             let responsibility = (weights[k] * merit).min(1.0) + if surprise { 0.0 } else { 0.1 };
-            scales[k] += SCALE_RATE * responsibility * (error - scales[k]);
+            scales[k] += scale_rate * responsibility * (error - scales[k]);
             scales[k] = scales[k].max(if surprise { 100.0 } else { 1.5 });
         }
         let even_out = 1.0 / sum;

@@ -7,7 +7,7 @@ pub struct Window {
     /// The current row and the two above, with margins of empty cells.
     rows: [Vec<f64>; 3],
     /// The last returns of the row, nearest first.
-    left: [f64; 4],
+    left: [f64; 5],
 }
 
 impl Window {
@@ -16,14 +16,14 @@ impl Window {
 
     /// For an image of `width` columns.
     pub fn new(width: usize) -> Self {
-        Window { rows: std::array::from_fn(|_| vec![0.0; width + 2 * Self::MARGIN]), left: [0.0; 4] }
+        Window { rows: std::array::from_fn(|_| vec![0.0; width + 2 * Self::MARGIN]), left: [0.0; 5] }
     }
 
     /// Begins the next row.
     pub fn start_row(&mut self) {
         self.rows.rotate_right(1);
         self.rows[0].fill(0.0);
-        self.left = [0.0; 4];
+        self.left = [0.0; 5];
     }
 
     /// Adds a return.
@@ -37,8 +37,8 @@ impl Window {
     #[inline]
     pub fn around(&self, column: usize) -> Neighbourhood {
         let or = |range: f64, other: f64| if range > 0.0 { range } else { other };
-        let &[_, nw, n, ne, nee] = self.rows[1][column..].first_chunk().unwrap_or(&[0.0; 5]);
-        let nn = self.rows[2][column + Self::MARGIN];
+        let &[nww, nw, n, ne, nee] = self.rows[1][column..].first_chunk().unwrap_or(&[0.0; 5]);
+        let &[_, nnw, nn, nne, _] = self.rows[2][column..].first_chunk().unwrap_or(&[0.0; 5]);
         let west = or(self.left[0], or(n, or(nw, or(ne, TYPICAL_RANGE))));
         let west2 = or(self.left[1], west);
         let west3 = or(self.left[2], west2);
@@ -48,7 +48,19 @@ impl Window {
         let north_east2 = or(nee, north_east);
         let north2 = or(nn, north);
         let west4 = or(self.left[3], west3);
-        Neighbourhood { west, west2, west3, west4, north, north_west, north_east, north_east2, north2 }
+        let farther = [or(self.left[4], west4), or(nww, north_west), or(nnw, north2), or(nne, north2)];
+        Neighbourhood {
+            west,
+            west2,
+            west3,
+            west4,
+            north,
+            north_west,
+            north_east,
+            north_east2,
+            north2,
+            farther,
+        }
     }
 }
 
@@ -60,9 +72,11 @@ pub struct Neighbourhood {
     west4: f64,
     pub north: f64,
     north_west: f64,
-    north_east: f64,
+    pub north_east: f64,
     north_east2: f64,
     north2: f64,
+    /// The fifth to the left, the second left of above, and those beside the second above.
+    farther: [f64; 4],
 }
 
 /// The range assumed where nothing is known, in steps.
@@ -81,7 +95,18 @@ impl Neighbourhood {
             self.north_east2,
             self.north2,
         ]
-        .map(|range| (range - self.west).clamp(-FEATURE_REACH, FEATURE_REACH) as f32)
+        .map(|range| self.feature(range))
+    }
+
+    /// The same of those farther off.
+    pub fn farther_features(&self) -> [f32; 4] {
+        self.farther.map(|range| self.feature(range))
+    }
+
+    /// A range as its difference to the left neighbour.
+    #[inline]
+    pub fn feature(&self, range: f64) -> f32 {
+        (range - self.west).clamp(-FEATURE_REACH, FEATURE_REACH) as f32
     }
 
     /// How rough the surroundings are, in octaves.

@@ -1,0 +1,100 @@
+//! Bits by counters in several views and opinions from elsewhere, mixed in two layers.
+
+use super::logistic::{CONSTANT, LANES};
+use super::{BitCoder, Counter, LayeredMixer, Logistic, MixContexts, MixRates};
+
+/// Codes bits by mixing the opinions of `O` models from elsewhere, of counters in `V` views, and one that
+/// is always the same, in `S` mixers. `N` is the number of opinions, rounded up to a multiple of four.
+#[derive(Clone)]
+pub struct LayeredBits<const O: usize, const V: usize, const N: usize, const S: usize> {
+    counters: [Vec<Counter>; V],
+    mixer: LayeredMixer<N, S>,
+    tables: &'static Logistic,
+}
+
+/// The contexts of a bit, or how many there are.
+pub struct LayeredContext<const V: usize, const S: usize> {
+    /// Of the counters of each view.
+    pub views: [usize; V],
+    /// Of what mixes.
+    pub mixer: MixContexts<S>,
+}
+
+impl<const O: usize, const V: usize, const N: usize, const S: usize> LayeredBits<O, V, N, S> {
+    /// For as many contexts as told. At first the opinions from elsewhere count alike and nothing else does.
+    pub fn new(sizes: &LayeredContext<V, S>) -> Self {
+        const { assert!(N.is_multiple_of(LANES) && O + V < N) };
+        const RATES: MixRates = MixRates { first: 0.012, last: 0.001 };
+        let mut weights = [0.0; N];
+        weights[..O].fill(1.0 / O as f32);
+        LayeredBits {
+            counters: sizes.views.map(|size| vec![Counter::default(); size]),
+            mixer: LayeredMixer::new(sizes.mixer, weights, RATES),
+            tables: Logistic::tables(),
+        }
+    }
+
+    /// Gives the sets of a mixer after the first `sets`, as many at a time, what these have learned.
+    pub fn spread_sets(&mut self, mixer: usize, sets: usize) {
+        self.mixer.spread_sets(mixer, sets);
+    }
+
+    /// Codes a bit; `others` are the opinions from elsewhere, as log odds.
+    #[inline]
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        context: &LayeredContext<V, S>,
+        others: &[f32; O],
+        bit: bool,
+    ) -> bool {
+        let mut opinions = [0.0; N];
+        opinions[..O].copy_from_slice(others);
+        for view in 0..V {
+            opinions[O + view] = self.tables.opinion(self.counters[view][context.views[view]]);
+        }
+        opinions[O + V] = CONSTANT;
+        let bit = self.mixer.code(coder, &context.mixer, &opinions, bit);
+        for view in 0..V {
+            self.counters[view][context.views[view]].learn(bit);
+        }
+        bit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{ArithmeticDecoder, ArithmeticEncoder};
+    use super::*;
+
+    const SIZES: LayeredContext<2, 2> =
+        LayeredContext { views: [4, 4], mixer: MixContexts { sets: [2, 2], last: 1, refinements: [2, 1] } };
+
+    /// Bit `i`, which its contexts tell mostly, with an opinion that is mostly wrong.
+    fn bits() -> impl Iterator<Item = (bool, LayeredContext<2, 2>, [f32; 1])> {
+        (0..4000usize).map(|i| {
+            let bit = (i % 4 == 1) != (i % 61 == 0);
+            let context = LayeredContext {
+                views: [i % 4, i / 7 % 4],
+                mixer: MixContexts { sets: [i % 2, 0], last: 0, refinements: [i % 2, 0] },
+            };
+            (bit, context, [if bit { -2.0 } else { 2.0 }])
+        })
+    }
+
+    #[test]
+    fn bits_come_back_and_wrong_opinions_are_turned_round() {
+        let mut encoder = ArithmeticEncoder::default();
+        let mut mixer = LayeredBits::<1, 2, 4, 2>::new(&SIZES);
+        bits().for_each(|(bit, context, other)| {
+            mixer.code(&mut encoder, &context, &other, bit);
+        });
+        let bytes = encoder.finish();
+        assert!(bytes.len() < 100, "{} bytes", bytes.len());
+        let mut decoder = ArithmeticDecoder::new(&bytes);
+        let mut mixer = LayeredBits::<1, 2, 4, 2>::new(&SIZES);
+        for (bit, context, other) in bits() {
+            assert_eq!(mixer.code(&mut decoder, &context, &other, false), bit);
+        }
+    }
+}
