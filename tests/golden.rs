@@ -114,6 +114,12 @@ fn compensated_files() -> Vec<File> {
     (0..).zip(&frames).map(file).collect()
 }
 
+/// A scanner that does not move.
+fn standing_still_files() -> Vec<File> {
+    let still = SynthConfig { speed: 0.0, yaw_rate: 0.0, noise: 0.004, beams: 2, ..small(9, 3) };
+    named(&scans(&SynthConfig { thinning: 1, ..still }))
+}
+
 #[test]
 #[ignore = "writes testdata/golden"]
 fn write_golden() {
@@ -172,6 +178,16 @@ fn write_golden() {
     }
     write("v3-exact-compensated", || round_trip(&compensated_files(), &EncoderConfig::default()));
     write("v3-bounded-compensated", || encode_files(&compensated_files(), &bounded));
+    for (level, what) in [(1, "tokens"), (2, "fitted-tokens"), (6, "balanced"), (9, "deep")] {
+        write(&format!("v4-exact-{what}"), || round_trip(&drive_files(), &at_level(level)));
+        write(&format!("v4-exact-{what}-odd-files"), || round_trip(&odd_files(), &at_level(level)));
+        let bounded = EncoderConfig { level: at_level(level).level, ..rounded.clone() };
+        write(&format!("v4-bounded-{what}"), || encode_files(&odd_files(), &bounded));
+    }
+    // So that balanced P frames take the same cells, and the moved surfaces.
+    write("v4-exact-balanced-standing-still", || round_trip(&standing_still_files(), &at_level(6)));
+    let told = EncoderConfig { prediction: PredictionChoice::EveryReference, ..at_level(6) };
+    write("v4-exact-balanced-inter-drive", || round_trip(&drive_files(), &told));
     for (coder, name) in [(Coder::Context, "context"), (Coder::Backend(lidarpc::backend::LZMA), "lzma")] {
         let config = EncoderConfig {
             projection: ProjectionKind::Ideal { columns: 500, range_step_um: 10_000 },

@@ -317,7 +317,7 @@ impl Models {
         let width = frame.occupancy.columns();
         let mut levels = Grid::new(frame.occupancy.rows(), width);
         self.intensity.set_depth(frame.parameters.modelling().depth());
-        self.intensity.start_frame(&scale, width);
+        self.intensity.start_frame(&scale, width, frame.records - frame.strays);
         for row in 0..levels.rows() {
             if coder.is_exhausted() {
                 break;
@@ -346,7 +346,7 @@ impl Models {
         frame.stray_intensity.resize(frame.strays, 0.0);
         let north = neighbours_above(&frame.stray_positions);
         let mut levels: Vec<u16> = Vec::with_capacity(frame.strays);
-        self.intensity.start_frame(scale, 1);
+        self.intensity.start_frame(scale, 1, frame.strays);
         for index in 0..frame.strays {
             if coder.is_exhausted() {
                 return;

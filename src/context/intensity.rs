@@ -36,11 +36,11 @@ impl IntensityModel {
         self.depth = depth;
     }
 
-    /// Begins a frame, or its strays, with `columns` columns.
-    pub fn start_frame(&mut self, scale: &IntensityScale, columns: usize) {
+    /// Begins a frame, or its strays, with `columns` columns and so many values.
+    pub fn start_frame(&mut self, scale: &IntensityScale, columns: usize, values: usize) {
         match self.depth {
             Depth::Quick | Depth::Mixed => self.mixed.start_frame(self.depth, scale, columns),
-            Depth::Deep => self.deep.get_or_insert_default().start_frame(columns),
+            Depth::Deep => self.deep.get_or_insert_default().start_frame(columns, values),
         }
     }
 

@@ -106,6 +106,11 @@ impl HashedCounters {
         HashedCounters { pairs: vec![Pair([Line::new(0); 2]); 1 << (index_bits - 1)], index_bits }
     }
 
+    /// There are 2 to this power lines.
+    pub fn index_bits(&self) -> u32 {
+        self.index_bits
+    }
+
     /// Looks where the line of a context may be. To do so for several tables before any [`line`](Self::line) is
     /// asked for lets the processor wait for all of their memory at once.
     #[inline]

@@ -10,6 +10,8 @@ mod surroundings;
 mod views;
 mod zero;
 
+use std::ops::RangeInclusive;
+
 use super::errors::ErrorTrack;
 use super::neighbours::IntensityNeighbours;
 use super::scale::{IntensityScale, MOST_BITS};
@@ -25,8 +27,8 @@ use zero::ZeroModel;
 /// Those of the views, the fit's, and one that is always the same.
 const OPINIONS: usize = 16;
 const CONSTANT: f32 = 0.25;
-/// For each view, so many lines of 32 bytes, as a power of two.
-const INDEX_BITS: u32 = 16;
+/// For each view, as many lines of 32 bytes, as a power of two: about as many as a frame has values.
+const INDEX_BITS: RangeInclusive<u32> = 8..=16;
 const RATES: MixRates = MixRates { first: 0.0045, last: 0.0005 };
 /// Places in the tree of a level's bits.
 const NODES: usize = 1 << MOST_BITS;
@@ -58,7 +60,7 @@ impl Default for DeepLevels {
         DeepLevels {
             zero: ZeroModel::default(),
             fit: Fit::new(ERROR_LEVELS * ERROR_LEVELS),
-            counters: std::array::from_fn(|_| HashedCounters::new(INDEX_BITS)),
+            counters: std::array::from_fn(|_| HashedCounters::new(*INDEX_BITS.start())),
             mixer: LayeredMixer::new(counts, [0.15; OPINIONS], RATES),
             levels: Levels::new(0.7, 1.45),
             errors: ErrorTrack::default(),
@@ -68,9 +70,14 @@ impl Default for DeepLevels {
 }
 
 impl DeepLevels {
-    /// Begins a frame, or its strays, with `columns` columns.
-    pub fn start_frame(&mut self, columns: usize) {
+    /// Begins a frame, or its strays, with `columns` columns and so many values. If they are too many for the room
+    /// that there is, there is more from here on, which is empty.
+    pub fn start_frame(&mut self, columns: usize, values: usize) {
         self.errors.start_frame(columns);
+        let wanted = values.max(1).ilog2().clamp(*INDEX_BITS.start(), *INDEX_BITS.end());
+        if wanted > self.counters[0].index_bits() {
+            self.counters = std::array::from_fn(|_| HashedCounters::new(wanted));
+        }
     }
 
     /// Begins a row.

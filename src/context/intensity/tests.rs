@@ -28,7 +28,7 @@ fn code<C: BitCoder>(coder: &mut C, depth: Depth, scale: &IntensityScale, frames
     let mut reference: Option<Reference> = None;
     for values in frames {
         model.set_depth(depth);
-        model.start_frame(scale, COLUMNS);
+        model.start_frame(scale, COLUMNS, values.cells().len());
         let mut levels: Grid<u16> = Grid::new(ROWS, COLUMNS);
         for row in 0..ROWS {
             model.start_row();
