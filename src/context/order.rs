@@ -23,9 +23,12 @@ impl OrderExceptions {
     /// The exceptions of an order: `order[i]` is the element at place i of the file.
     pub fn of(order: &[u32], returns: usize) -> Self {
         let sequence: Vec<u32> = order.iter().copied().filter(|&e| (e as usize) < returns).collect();
-        let mut place_of = vec![0u64; returns];
-        (0u64..).zip(&sequence).for_each(|(place, &e)| place_of[e as usize] = place);
         let moved = moved_elements(&sequence);
+        let mut place_of = Vec::new();
+        if !moved.is_empty() {
+            place_of.resize(returns, 0u64);
+            (0u64..).zip(&sequence).for_each(|(place, &e)| place_of[e as usize] = place);
+        }
         OrderExceptions {
             stray_places: places(order, |e| e as usize >= returns),
             move_places: moved.iter().map(|&e| place_of[e as usize]).collect(),

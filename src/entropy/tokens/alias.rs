@@ -57,6 +57,16 @@ pub fn buckets(Frequencies(frequencies): &Frequencies) -> [Bucket; TOKENS] {
     buckets
 }
 
+/// Goes through all numbers below 4096: with the token that each stands for, and its place among that one's.
+pub fn for_each_number(buckets: &[Bucket; TOKENS], mut give: impl FnMut(u8, u32, u32)) {
+    for (index, bucket) in buckets.iter().enumerate() {
+        let (first, own) = (index as u32 * BUCKET, u32::from(bucket.own));
+        (0..own).for_each(|place| give(index as u8, place, first + place));
+        let other_place = |place: u32| place.wrapping_add_signed(i32::from(bucket.other_place));
+        (own..BUCKET).for_each(|place| give(bucket.other, other_place(place), first + place));
+    }
+}
+
 /// What a number below 4096 stands for.
 #[inline]
 pub fn look_up(buckets: &[Bucket; TOKENS], number: u32) -> Slot {

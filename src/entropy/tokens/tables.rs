@@ -1,7 +1,7 @@
 //! The tables of a section: one for each context. They live as long as a group and learn from each frame, so
 //! that only the first sends many.
 
-use super::alias::{Bucket, buckets, look_up};
+use super::alias::{Bucket, buckets, for_each_number};
 use super::frequencies::{Frequencies, SCALE, TOKENS};
 
 /// The tables of the contexts of a section.
@@ -73,11 +73,10 @@ impl EncoderTable {
             start += frequency;
         }
         let mut numbers = vec![0; SCALE as usize];
-        for number in 0..SCALE {
-            let slot = look_up(buckets, number);
-            let start = shares[usize::from(slot.token)].start;
-            numbers[usize::from(start) + slot.place as usize] = number as u16;
-        }
+        for_each_number(buckets, |token, place, number| {
+            let start = usize::from(shares[usize::from(token)].start);
+            numbers[start + place as usize] = number as u16;
+        });
         EncoderTable { frequencies, shares, numbers }
     }
 
