@@ -62,7 +62,7 @@ impl OccupancyModel {
         // Empty cells in each column so far, halved with every row: how long ago and how many.
         let mut empty_above = vec![0u32; width];
         // The current row and the three above. Outside counts as filled: most cells are.
-        let mut window = std::array::from_fn::<_, 4, _>(|_| vec![1usize; width + 2 * MARGIN]);
+        let mut window = std::array::from_fn::<_, 4, _>(|_| vec![1u8; width + 2 * MARGIN]);
         for row in 0..occupancy.rows() {
             if coder.is_exhausted() {
                 return;
@@ -70,11 +70,22 @@ impl OccupancyModel {
             window.rotate_right(1);
             let [current, above, above2, above3] = &mut window;
             let mut run = 0usize;
+            // The cells to the left and, in the rows above, up to the margin to the right of a column, the last one
+            // lowest.
+            let (mut left, mut n_cells, mut n2_cells) = (usize::MAX, usize::MAX, usize::MAX);
+            for cell in &above[MARGIN..2 * MARGIN] {
+                n_cells = n_cells << 1 | usize::from(*cell);
+            }
+            for cell in &above2[MARGIN..MARGIN + 2] {
+                n2_cells = n2_cells << 1 | usize::from(*cell);
+            }
             for column in 0..width {
-                let w: [usize; 3] = std::array::from_fn(|i| current[column + MARGIN - 1 - i]);
-                let n: [usize; 7] = std::array::from_fn(|i| above[column + MARGIN - 2 + i]);
-                let n2: [usize; 3] = std::array::from_fn(|i| above2[column + MARGIN + i]);
-                let n3 = above3[column + MARGIN];
+                n_cells = n_cells << 1 | usize::from(above[column + 2 * MARGIN]);
+                n2_cells = n2_cells << 1 | usize::from(above2[column + MARGIN + 2]);
+                let w: [usize; 3] = std::array::from_fn(|i| left >> i & 1);
+                let n: [usize; 7] = std::array::from_fn(|i| n_cells >> (6 - i) & 1);
+                let n2: [usize; 3] = std::array::from_fn(|i| n2_cells >> (2 - i) & 1);
+                let n3 = usize::from(above3[column + MARGIN]);
                 let near = w[0] | n[2] << 1 | n[1] << 2 | n[3] << 3;
                 let run_level = run.min(255).checked_ilog2().map_or(0, |r| r as usize + 1);
                 let views = [
@@ -97,7 +108,8 @@ impl OccupancyModel {
                     _ => self.filled.code_or_sure(coder, self.sure, set, &views, [], *filled),
                 };
                 let filled = *filled;
-                current[column + MARGIN] = usize::from(filled);
+                current[column + MARGIN] = u8::from(filled);
+                left = left << 1 | usize::from(filled);
                 empty_above[column] = empty_above[column] >> 1 | u32::from(!filled) << 7;
                 run = if usize::from(filled) == w[0] { run + 1 } else { 0 };
             }
