@@ -46,8 +46,9 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
         coded(&others, EncoderConfig::default()),
         coded(&[("0.bin", kitti(&moved))], EncoderConfig::default()),
         coded(&scanner, with_back_end(backend::LZMA)),
-        // P frames, by context and by a back-end.
+        // P frames, by context, as tokens and by a back-end.
         coded(&still, at_level(9)),
+        coded(&still, EncoderConfig::default()),
         coded(
             &still,
             EncoderConfig { prediction: PredictionChoice::Smallest, ..with_back_end(backend::LZMA) },
