@@ -40,7 +40,7 @@ impl QuickModels {
         })
     }
 
-    /// The range of each return; `before` is what the frame before lets expect.
+    /// The range of each return; `expected` is what the frame before lets expect, in steps, if there is anything.
     pub fn code_ranges<S: SectionCoder>(
         &mut self,
         sections: &mut S,

@@ -1,7 +1,7 @@
 //! How far the models of the context coder go.
 
 /// How much time models may take.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Depth {
     /// Little: what few contexts are sure of is not mixed.
     Quick,

@@ -92,7 +92,7 @@ impl Coordinates {
     }
 
     /// Whether [`value`](Self::value) gives a zero of the file its own sign.
-    pub fn keeps_zero(self, zero: f32, formula: f64) -> bool {
+    fn keeps_zero(self, zero: f32, formula: f64) -> bool {
         match self {
             Coordinates::Millimetre => zero.to_bits() == zero_of(formula).to_bits(),
             Coordinates::Float32 | Coordinates::Lattice { .. } => true,
