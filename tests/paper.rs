@@ -273,7 +273,7 @@ fn images(files: &[File], config: &EncoderConfig) -> (Vec<u8>, Vec<[RangeImage; 
     let stream = encode_files(files, config);
     let mut decoded = Vec::new();
     let options = DecodeOptions { images: true, threads: 1, ..DecodeOptions::default() };
-    decode(&stream[..], &options, |frame| {
+    decode(&stream[..], &options, Ok, |frame| {
         decoded.push(frame.image.map(|image| image.image).unwrap_or_default());
         Ok(())
     })

@@ -53,7 +53,7 @@ pub fn run(sample: &Sample, config: &EncoderConfig, on_frame: &(dyn Fn() + Sync)
         DecodeOptions { threads: config.threads, images: true, scans: true, ..DecodeOptions::default() };
     let mut decoded = Vec::new();
     let start = Instant::now();
-    codec::decode(&stream[..], &options, |frame| {
+    codec::decode(&stream[..], &options, Ok, |frame| {
         decoded.push(frame);
         Ok(())
     })?;

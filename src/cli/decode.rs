@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::io::{self, BufReader, Write};
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
@@ -26,20 +27,25 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
         scans: args.format.is_some(),
         ..DecodeOptions::default()
     };
-    let mut converter = Converter::new(args.format);
+    let converter = Converter::new(args.format);
     if is_dash(&args.output) {
-        return to_stdout(args, input, &options, converter);
+        return to_stdout(args, input, &options, &converter);
     }
-    let mut folder = FolderOutput::create(&args.output, args.force)?;
+    let folder = FolderOutput::create(&args.output, args.force)?;
     let bar = progress::bar(None, "decoding", quiet);
     let mut bytes = 0;
     let mut losses = Losses::new(&args.input);
-    let decoded = decode(args, input, &options, &mut losses, |frame| {
-        bar.inc(1);
+    let write = |frame| {
         let file = converter.file(frame)?;
-        bytes += file.bytes.len() as u64;
-        folder.write(&file.name, &file.bytes)
-    });
+        folder.write(&file.name, &file.bytes)?;
+        Ok(file.bytes.len() as u64)
+    };
+    let count = |file_bytes: u64| {
+        bar.inc(1);
+        bytes += file_bytes;
+        Ok(())
+    };
+    let decoded = decode(args, input, &options, &mut losses, write, count);
     bar.finish_and_clear();
     decoded.map_err(|error| about(error, &name_of(&args.input)))?;
     folder.finish()?;
@@ -50,19 +56,22 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     losses.check(bar.position())
 }
 
-/// Decodes as the arguments say: all of it or an error, or what is intact.
-fn decode(
+/// Decodes as the arguments say: all of it or an error, or what is intact. Does `work` on each frame, and
+/// hands what comes of it to `sink`, in order.
+fn decode<T: Send>(
     args: &DecodeArgs,
     input: Input,
     options: &DecodeOptions,
     losses: &mut Losses,
-    mut sink: impl FnMut(DecodedFrame) -> lidarpc::error::Result<()>,
+    work: impl Fn(DecodedFrame) -> lidarpc::error::Result<T> + Sync,
+    mut sink: impl FnMut(T) -> lidarpc::error::Result<()>,
 ) -> lidarpc::error::Result<()> {
     if !args.keep_going {
-        return input.decode(options, sink).map(drop);
+        return input.decode(options, work, sink).map(drop);
     }
     codec::recover(BufReader::new(input.rewindable()?), options, |part| match part {
-        Recovered::Frame(frame) => sink(*frame),
+        // Only now: whether a frame is lost with its group is known when the whole group is decoded.
+        Recovered::Frame(frame) => sink(work(*frame)?),
         Recovered::Lost(lost) => {
             losses.tell(&lost);
             Ok(())
@@ -71,15 +80,10 @@ fn decode(
 }
 
 /// Writes the one frame that was asked for to stdout.
-fn to_stdout(
-    args: &DecodeArgs,
-    input: Input,
-    options: &DecodeOptions,
-    mut converter: Converter,
-) -> Result<()> {
+fn to_stdout(args: &DecodeArgs, input: Input, options: &DecodeOptions, converter: &Converter) -> Result<()> {
     let mut only: Option<DecodedFrame> = None;
     let mut losses = Losses::new(&args.input);
-    let decoded = decode(args, input, options, &mut losses, |frame| match only.replace(frame) {
+    let decoded = decode(args, input, options, &mut losses, Ok, |frame| match only.replace(frame) {
         None => Ok(()),
         Some(_) => {
             Err(Error::InvalidConfig("stdout takes one frame; choose one, as by --frames 5".to_owned()))
@@ -103,7 +107,7 @@ struct File {
 struct Converter {
     format: Option<FileFormat>,
     /// The frames' own names, by those of the converted files.
-    names: HashMap<String, String>,
+    names: Mutex<HashMap<String, String>>,
 }
 
 impl Converter {
@@ -113,21 +117,23 @@ impl Converter {
             FormatArg::Pcd => FileFormat::Pcd,
             FormatArg::Ply => FileFormat::Ply,
         });
-        Converter { format, names: HashMap::new() }
+        Converter { format, names: Mutex::default() }
     }
 
     /// # Errors
     /// If the frame cannot be converted, or another one has got the name that it would get.
-    fn file(&mut self, frame: DecodedFrame) -> lidarpc::error::Result<File> {
+    fn file(&self, frame: DecodedFrame) -> lidarpc::error::Result<File> {
         let DecodedFrame { header, bytes, scan, .. } = frame;
         let (Some(format), Some(scan)) = (self.format, scan) else {
             return Ok(File { name: header.name, bytes });
         };
         let converted = convert(&scan, format)?;
-        if let Some(other) = self.names.insert(converted.name.clone(), header.name.clone()) {
+        let mut names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(other) = names.insert(converted.name.clone(), header.name.clone()) {
             let what = format!("becomes {}, as {other} does; decode them apart, by --frames", converted.name);
             return Err(Error::Input { path: header.name.into(), what });
         }
+        drop(names);
         Ok(File { bytes: converted.to_bytes()?, name: converted.name })
     }
 }

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::{CommandFactory, error::ErrorKind};
-use lidarpc::codec::{self, DecodeOptions, Encoded, EncoderConfig, FrameInput};
+use lidarpc::codec::{self, DecodeOptions, DecodedFrame, Encoded, EncoderConfig, FrameInput};
 use lidarpc::io::sequence::find_frames;
 use lidarpc::io::{ArrivedFile, ArrivingFrames};
 use lidarpc::metrics;
@@ -133,10 +133,12 @@ fn compare(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> Res
     let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
     let bar = progress::bar(Some(encoded.frames.len() as u64), "verifying", quiet);
     let mut decoded = Vec::new();
-    let result = codec::decode(BufReader::new(file), &options, |frame| {
+    // Not the header's checksum, which the encoder wrote: that of the bytes that came out.
+    let identify =
+        |frame: DecodedFrame| Ok((frame.header.name, crc32c::crc32c(&frame.bytes), frame.bytes.len() as u64));
+    let result = codec::decode(BufReader::new(file), &options, identify, |file| {
         bar.inc(1);
-        // Not the header's checksum, which the encoder wrote: that of the bytes that came out.
-        decoded.push((frame.header.name, crc32c::crc32c(&frame.bytes), frame.bytes.len() as u64));
+        decoded.push(file);
         Ok(())
     });
     bar.finish_and_clear();

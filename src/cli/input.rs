@@ -63,16 +63,17 @@ impl Input {
     ///
     /// # Errors
     /// As [`codec::decode`].
-    pub fn decode(
+    pub fn decode<T: Send>(
         self,
         options: &DecodeOptions,
-        sink: impl FnMut(DecodedFrame) -> Result<()>,
+        work: impl Fn(DecodedFrame) -> Result<T> + Sync,
+        sink: impl FnMut(T) -> Result<()>,
     ) -> Result<u64> {
         match self {
             Input::File(file) if !options.frames.is_all() => {
-                codec::decode_indexed(BufReader::new(file), options, sink)
+                codec::decode_indexed(BufReader::new(file), options, work, sink)
             }
-            other => codec::decode(other.reader(), options, sink),
+            other => codec::decode(other.reader(), options, work, sink),
         }
     }
 }

@@ -81,7 +81,7 @@ fn decode(input: impl Read + Send, args: &StatsArgs, quiet: bool) -> lidarpc::er
     };
     let bar = progress::bar(None, "decoding", quiet);
     let mut steps = StepReport::default();
-    let decoded = codec::decode(BufReader::new(input), &options, |frame| {
+    let decoded = codec::decode(BufReader::new(input), &options, Ok, |frame| {
         bar.inc(1);
         steps.add(&frame.steps);
         Ok(())

@@ -8,7 +8,7 @@ use super::output::FolderOutput;
 use super::{progress, table};
 
 pub fn run(args: &SynthArgs, quiet: bool) -> Result<()> {
-    let mut folder = FolderOutput::create(&args.output, args.force)?;
+    let folder = FolderOutput::create(&args.output, args.force)?;
     #[allow(clippy::needless_update, reason = "the simulator has more settings than the command")]
     let config = SynthConfig { frames: args.frames, seed: args.seed, ..SynthConfig::default() };
     let bar = progress::bar(Some(args.frames as u64), "driving", quiet);

@@ -24,7 +24,7 @@ pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
     };
     let bar = progress::bar(None, "verifying", quiet);
     let mut bytes = 0;
-    let frames = input.decode(&options, |frame| {
+    let frames = input.decode(&options, Ok, |frame| {
         bar.inc(1);
         bytes += frame.bytes.len() as u64;
         let Some(originals) = &mut originals else { return Ok(()) };

@@ -63,7 +63,7 @@ fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<Compared> {
 fn decode_one(stream: impl Read + Seek + Send, frames: FrameRange) -> lidarpc::error::Result<DecodedFrame> {
     let options = DecodeOptions { frames, images: true, scans: true, ..DecodeOptions::default() };
     let mut found = None;
-    codec::decode_indexed(stream, &options, |frame| {
+    codec::decode_indexed(stream, &options, Ok, |frame| {
         found = Some(frame);
         Ok(())
     })?;

@@ -34,21 +34,23 @@ pub struct DecodedFrame {
     pub steps: StepReport,
 }
 
-/// Decodes a stream front to back, as from a pipe, and hands the frames to `sink` in order. Groups
-/// are decoded in parallel. The whole stream is read and checked even if only some frames are asked
+/// Decodes a stream front to back, as from a pipe. Groups are decoded in parallel: `work` is done on each
+/// frame by the thread that has decoded it, as soon as it has, and what becomes of the frame is handed to `sink` in
+/// order, on the calling thread. The whole stream is read and checked even if only some frames are asked
 /// for. Returns how many frames the stream holds.
 ///
 /// # Errors
 /// If the input fails or is damaged anywhere, if a frame does not decode to what was encoded, if it
-/// asks for more than the limits, if there are no such frames, or if the sink fails.
-pub fn decode(
+/// asks for more than the limits, if there are no such frames, or if the work or the sink fails.
+pub fn decode<T: Send>(
     input: impl Read + Send,
     options: &DecodeOptions,
-    sink: impl FnMut(DecodedFrame) -> Result<()>,
+    work: impl Fn(DecodedFrame) -> Result<T> + Sync,
+    sink: impl FnMut(T) -> Result<()>,
 ) -> Result<u64> {
     let reader = StreamReader::open(input, options.limits)?;
     let mut jobs = StreamedGroups::new(reader, options.frames);
-    decode_jobs(&mut jobs, options, sink)?;
+    decode_jobs(&mut jobs, options, work, sink)?;
     let frame_count = jobs.frame_count();
     options.frames.check(frame_count)?;
     Ok(frame_count)
@@ -59,45 +61,51 @@ pub fn decode(
 ///
 /// # Errors
 /// As [`decode`]; damage elsewhere in the stream goes unseen.
-pub fn decode_indexed(
+pub fn decode_indexed<T: Send>(
     input: impl Read + Seek + Send,
     options: &DecodeOptions,
-    sink: impl FnMut(DecodedFrame) -> Result<()>,
+    work: impl Fn(DecodedFrame) -> Result<T> + Sync,
+    sink: impl FnMut(T) -> Result<()>,
 ) -> Result<u64> {
     let reader = IndexedReader::open(input, options.limits)?;
     let frame_count = reader.index().frame_count();
     options.frames.check(frame_count)?;
-    decode_jobs(&mut IndexedGroups::new(reader, options.frames), options, sink)?;
+    decode_jobs(&mut IndexedGroups::new(reader, options.frames), options, work, sink)?;
     Ok(frame_count)
 }
 
-fn decode_jobs(
+fn decode_jobs<T: Send>(
     jobs: &mut (impl Iterator<Item = Result<GroupJob>> + Send),
     options: &DecodeOptions,
-    mut sink: impl FnMut(DecodedFrame) -> Result<()>,
+    work: impl Fn(DecodedFrame) -> Result<T> + Sync,
+    mut sink: impl FnMut(T) -> Result<()>,
 ) -> Result<()> {
-    let work = |job| decode_group(job, options);
-    let deliver = |frames: Vec<DecodedFrame>| frames.into_iter().try_for_each(&mut sink);
+    let work = |job| decode_group(job, options, &work);
+    let deliver = |results: Vec<T>| results.into_iter().try_for_each(&mut sink);
     run_ordered(resolve_threads(options.threads), jobs, work, deliver)
 }
 
-/// Decodes the frames of a group up to the last that is asked for.
-pub(super) fn decode_group(job: GroupJob, options: &DecodeOptions) -> Result<Vec<DecodedFrame>> {
+/// Decodes the frames of a group up to the last that is asked for, and does `work` on each of these.
+pub(super) fn decode_group<T>(
+    job: GroupJob,
+    options: &DecodeOptions,
+    work: impl Fn(DecodedFrame) -> Result<T>,
+) -> Result<Vec<T>> {
     let range = &options.frames;
     let sensor = job.sensor.as_deref().map(|sensor| &sensor.model);
     let coder = GroupDecoder::new(sensor, &options.limits);
     let mut coder = coder.keeping_images(options.images);
-    let mut decoded = Vec::new();
+    let mut results = Vec::new();
     for (number, frame) in (job.first_frame..).zip(job.group.frames) {
         if range.is_past(number) {
             break;
         }
         let part = part_name(number, &frame.header.name);
         if let Some(frame) = decode_frame(&mut coder, number, frame, options).map_err(|e| e.within(&part))? {
-            decoded.push(frame);
+            results.push(work(frame)?);
         }
     }
-    Ok(decoded)
+    Ok(results)
 }
 
 /// Decodes one frame; returns its file if it is asked for (those before it are needed for its sake).

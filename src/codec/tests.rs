@@ -38,7 +38,7 @@ fn options(frames: &str, threads: usize) -> DecodeOptions {
 
 fn decode_all(stream: &[u8]) -> Result<Vec<(String, Vec<u8>)>> {
     let mut files = Vec::new();
-    decode(stream, &options("..", 2), |frame| {
+    decode(stream, &options("..", 2), Ok, |frame| {
         files.push((frame.header.name, frame.bytes));
         Ok(())
     })?;
@@ -87,15 +87,15 @@ fn a_range_gives_the_same_frames_from_a_pipe_and_through_the_index() {
             list.push((frame.number, (frame.header.name, frame.bytes)));
             Ok(())
         };
-        decode(&stream[..], &options(range, 2), |frame| keep(&mut piped, frame)).unwrap();
+        decode(&stream[..], &options(range, 2), Ok, |frame| keep(&mut piped, frame)).unwrap();
         let input = Cursor::new(&stream);
-        decode_indexed(input, &options(range, 2), |frame| keep(&mut indexed, frame)).unwrap();
+        decode_indexed(input, &options(range, 2), Ok, |frame| keep(&mut indexed, frame)).unwrap();
         assert_eq!(piped, expected, "{range} from a pipe");
         assert_eq!(indexed, expected, "{range} through the index");
     }
     for range in ["7", "5..8", "9.."] {
-        assert!(decode(&stream[..], &options(range, 2), |_| Ok(())).is_err(), "{range}");
-        assert!(decode_indexed(Cursor::new(&stream), &options(range, 2), |_| Ok(())).is_err(), "{range}");
+        assert!(decode(&stream[..], &options(range, 2), Ok, |_| Ok(())).is_err(), "{range}");
+        assert!(decode_indexed(Cursor::new(&stream), &options(range, 2), Ok, |_| Ok(())).is_err(), "{range}");
     }
 }
 
@@ -110,7 +110,7 @@ fn only_the_groups_asked_for_are_read() {
     };
     let damaged = &index.groups[2];
     stream[(damaged.offset + damaged.length / 2) as usize] ^= 1;
-    let read = |range: &str| decode_indexed(Cursor::new(&stream), &options(range, 1), |_| Ok(()));
+    let read = |range: &str| decode_indexed(Cursor::new(&stream), &options(range, 1), Ok, |_| Ok(()));
     assert!(read("3..").is_ok());
     assert!(read("2..").is_err());
     assert!(decode_all(&stream).is_err());
@@ -122,10 +122,10 @@ fn every_flipped_bit_and_every_cut_is_an_error() {
     for bit in 0..stream.len() * 8 {
         let mut damaged = stream.clone();
         damaged[bit / 8] ^= 1 << (bit % 8);
-        assert!(decode(&damaged[..], &options("..", 1), |_| Ok(())).is_err(), "bit {bit}");
+        assert!(decode(&damaged[..], &options("..", 1), Ok, |_| Ok(())).is_err(), "bit {bit}");
     }
     for length in 0..stream.len() {
-        assert!(decode(&stream[..length], &options("..", 1), |_| Ok(())).is_err(), "length {length}");
+        assert!(decode(&stream[..length], &options("..", 1), Ok, |_| Ok(())).is_err(), "length {length}");
     }
 }
 

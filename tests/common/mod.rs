@@ -33,8 +33,10 @@ pub fn round_trip(files: &[File], config: &EncoderConfig) -> Vec<u8> {
     assert_same(&decode_files(&stream).expect("decodes"), files);
     if files.iter().map(|(_, bytes)| bytes.len()).sum::<usize>() < SMALL {
         let mut decoded = Vec::new();
-        decode_indexed(Cursor::new(&stream), &DecodeOptions::default(), |frame| keep(&mut decoded, frame))
-            .expect("decodes through the index");
+        decode_indexed(Cursor::new(&stream), &DecodeOptions::default(), Ok, |frame| {
+            keep(&mut decoded, frame)
+        })
+        .expect("decodes through the index");
         assert_same(&decoded, files);
     }
     stream
@@ -59,7 +61,7 @@ pub fn decode_files(stream: &[u8]) -> Result<Vec<File>> {
 pub fn decode_within(stream: &[u8], limits: Limits) -> Result<Vec<File>> {
     let mut files = Vec::new();
     let options = DecodeOptions { threads: 1, limits, ..DecodeOptions::default() };
-    decode(stream, &options, |frame| keep(&mut files, frame))?;
+    decode(stream, &options, Ok, |frame| keep(&mut files, frame))?;
     Ok(files)
 }
 

@@ -61,7 +61,7 @@ pub fn compare(
     };
     let bar = progress::bar(Some(frames), "comparing", quiet);
     let mut comparison = Comparison { psnr: args.psnr.then(GeometryPsnr::default), ..Comparison::default() };
-    let compared = codec::decode(BufReader::new(input), &options, |frame| {
+    let compared = codec::decode(BufReader::new(input), &options, Ok, |frame| {
         bar.inc(1);
         let original = originals.take(&frame.header.name)?;
         comparison.add(original, frame);
