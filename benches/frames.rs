@@ -40,7 +40,7 @@ fn measure(
         let mut encoder = GroupEncoder::new(sensor, &config);
         let mut encode = |scan: &ScanFile| {
             let header = FrameHeader { point_count: scan.records as u64, ..FrameHeader::default() };
-            encoder.encode_frame(scan, header).unwrap()
+            encoder.encode_frame(scan.clone(), header).unwrap()
         };
         scans.iter().map(&mut encode).collect::<Vec<_>>()
     };

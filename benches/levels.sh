@@ -19,7 +19,7 @@ for folder in "$@"; do
     name=$(basename "$folder")
     frames=$(find "$folder" -maxdepth 1 -name '*.bin' | wc -l)
     original=$(size "$folder"/*.bin)
-    for level in 1 2 6 7 8 9; do
+    for level in 1 2 3 6 7 8 9; do
         encode=$(least 3 target/release/lidarpc -q encode "$folder" -o "$work/drive.lpc" --threads 1 --force --level $level)
         decode=$(least 3 target/release/lidarpc -q decode "$work/drive.lpc" -o "$work/drive" --threads 1 --force)
         diff -r "$work/drive" "$folder" >&2

@@ -39,7 +39,7 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &SensorModel) 
     let no_intensity = Grid::<u16>::new(occupancy.rows(), occupancy.columns());
     let returns = image.file_order(sensor);
     let order: Vec<u32> = (0..returns.len() as u32).collect();
-    let exceptions = OrderExceptions::of(&order, returns.len());
+    let exceptions = OrderExceptions::of_places(&order, returns.len());
     let positions: Vec<[f32; 3]> = returns
         .iter()
         .map(|r| cloud.positions[point_of_cell[(r.row as usize, r.column as usize)] as usize])

@@ -51,6 +51,30 @@ impl<T: Clone + Default> Grid<T> {
 }
 
 impl<T: Copy + Default> Grid<T> {
+    /// The values of the cells that are `filled`, row after row.
+    pub fn filled(&self, filled: &Grid<bool>) -> Vec<T> {
+        let mut values = vec![T::default(); self.cells.len() + 1];
+        let mut count = 0;
+        // No branch: each value goes to the next place, where the one after it follows only if it counts.
+        for (value, filled) in self.cells.iter().zip(&filled.cells) {
+            values[count] = *value;
+            count += usize::from(*filled);
+        }
+        values.truncate(count);
+        values
+    }
+
+    /// Gives the cells that are `filled` these values, row after row: there must be as many.
+    pub fn fill(&mut self, filled: &Grid<bool>, values: &[T]) {
+        let Some(last) = values.len().checked_sub(1) else { return };
+        let mut count = 0;
+        // No branch here either.
+        for (cell, filled) in self.cells.iter_mut().zip(&filled.cells) {
+            *cell = if *filled { values[count.min(last)] } else { *cell };
+            count += usize::from(*filled);
+        }
+    }
+
     /// The value at an offset from a cell; the default value outside.
     #[inline]
     pub fn beside(&self, (row, column): (usize, usize), down: isize, right: isize) -> T {

@@ -44,7 +44,7 @@ impl RangeImage {
 }
 
 /// One return of the range image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Return {
     /// Beam.
     pub row: u32,

@@ -802,7 +802,7 @@ fn streams_of_all_modes_and_sensors_are_cut_and_joined() {
     bench.ok("encode renamed -o e.lpc");
     bench.ok("cat out.lpc p.lpc e.lpc -o all.lpc");
     let info = bench.json("info all.lpc --json");
-    assert_eq!((&info["version"], info["sensor_models"].as_array().unwrap().len()), (&4.into(), 2));
+    assert_eq!((&info["version"], info["sensor_models"].as_array().unwrap().len()), (&5.into(), 2));
     for (range, stream) in [("..10", "out.lpc"), ("10..13", "p.lpc"), ("13..", "e.lpc")] {
         bench.ok(&format!("cut all.lpc --frames {range} -o part.lpc --force"));
         bench.decodes_to_range("part.lpc", stream, "..");
@@ -980,7 +980,7 @@ fn a_largest_error_is_kept_and_told() {
     assert!((0.02..0.050001).contains(&intensity), "{intensity}");
     assert_eq!((&stats["against"]["lost_points"], &stats["against"]["added_points"]), (&0.into(), &0.into()));
     let coding = bench.json("info b.lpc --json")["frames"][0]["coding"].clone();
-    assert_eq!(coding, "within 20 mm, intensities in steps of 0.1, context (balanced)");
+    assert_eq!(coding, "within 20 mm, intensities in steps of 0.1, context (light)");
 }
 
 #[test]

@@ -170,7 +170,7 @@ fn write_golden() {
     write("v2-exact-ply", || round_trip(&ply_files(), &EncoderConfig::default()));
     write("v3-exact-single-precision", || round_trip(&single_precision_files(), &EncoderConfig::default()));
     write("v3-bounded-single-precision", || encode_files(&single_precision_files(), &bounded));
-    for (level, what) in [(1, "tokens"), (2, "fitted-tokens"), (6, "balanced")] {
+    for (level, what) in [(2, "tokens"), (3, "fitted-tokens"), (6, "balanced")] {
         write(&format!("v3-exact-{what}"), || round_trip(&drive_files(), &at_level(level)));
         write(&format!("v3-exact-{what}-odd-files"), || round_trip(&odd_files(), &at_level(level)));
         let bounded = EncoderConfig { level: at_level(level).level, ..rounded.clone() };
@@ -178,7 +178,7 @@ fn write_golden() {
     }
     write("v3-exact-compensated", || round_trip(&compensated_files(), &EncoderConfig::default()));
     write("v3-bounded-compensated", || encode_files(&compensated_files(), &bounded));
-    for (level, what) in [(1, "tokens"), (2, "fitted-tokens"), (6, "balanced"), (9, "deep")] {
+    for (level, what) in [(2, "tokens"), (3, "fitted-tokens"), (6, "balanced"), (9, "deep")] {
         write(&format!("v4-exact-{what}"), || round_trip(&drive_files(), &at_level(level)));
         write(&format!("v4-exact-{what}-odd-files"), || round_trip(&odd_files(), &at_level(level)));
         let bounded = EncoderConfig { level: at_level(level).level, ..rounded.clone() };
@@ -188,6 +188,15 @@ fn write_golden() {
     write("v4-exact-balanced-standing-still", || round_trip(&standing_still_files(), &at_level(6)));
     let told = EncoderConfig { prediction: PredictionChoice::EveryReference, ..at_level(6) };
     write("v4-exact-balanced-inter-drive", || round_trip(&drive_files(), &told));
+    for (level, what) in [(1, "packed"), (6, "light"), (8, "mixed")] {
+        write(&format!("v5-exact-{what}"), || round_trip(&drive_files(), &at_level(level)));
+        write(&format!("v5-exact-{what}-odd-files"), || round_trip(&odd_files(), &at_level(level)));
+        write(&format!("v5-exact-{what}-float32"), || round_trip(&float_files(), &at_level(level)));
+        let bounded = EncoderConfig { level: at_level(level).level, ..rounded.clone() };
+        write(&format!("v5-bounded-{what}"), || encode_files(&odd_files(), &bounded));
+    }
+    write("v5-exact-light-standing-still", || round_trip(&standing_still_files(), &at_level(6)));
+    write("v5-exact-light-inter-drive", || round_trip(&drive_files(), &told));
     for (coder, name) in [(Coder::Context, "context"), (Coder::Backend(lidarpc::backend::LZMA), "lzma")] {
         let config = EncoderConfig {
             projection: ProjectionKind::Ideal { columns: 500, range_step_um: 10_000 },

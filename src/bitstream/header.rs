@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 pub const MAGIC: [u8; 4] = *b"\x89LPC";
 
 /// The newest version that this program reads, and the one that it writes.
-pub const NEWEST_VERSION: u16 = 4;
+pub const NEWEST_VERSION: u16 = 5;
 
 /// Bytes of the stream header. This layout stays the same in every later version.
 pub const HEADER_LENGTH: usize = 12;
@@ -124,9 +124,9 @@ mod tests {
 
     #[test]
     fn newer_streams_are_named_as_such() {
-        let newer = bytes_of(StreamHeader { version: 5, flags: 0 });
+        let newer = bytes_of(StreamHeader { version: 6, flags: 0 });
         let error = StreamHeader::read_from(&mut &newer[..]).unwrap_err();
-        assert!(matches!(error, Error::UnsupportedVersion { found: 5, newest: 4 }), "{error}");
+        assert!(matches!(error, Error::UnsupportedVersion { found: 6, newest: 5 }), "{error}");
 
         let flagged = bytes_of(StreamHeader { version: 1, flags: 0x8000 });
         let error = StreamHeader::read_from(&mut &flagged[..]).unwrap_err();

@@ -32,7 +32,7 @@ pub struct CodingArgs {
     /// What codes the ranges.
     #[arg(long, value_name = "NAME", value_parser = backend_names())]
     pub backend: Option<String>,
-    /// Effort, 1 (fast) to 9 (small). Default 6. From 8 on frames are predicted from those before; from 3 on where the scanner stands still.
+    /// Effort, 1 (fast) to 9 (small). Default 6. From 8 on frames are predicted from those before; from 4 on where the scanner stands still.
     #[arg(long, value_name = "1..9")]
     pub level: Option<u8>,
     /// What ranges are predicted from.

@@ -212,21 +212,23 @@ impl EncoderConfig {
     /// How the context coder models a frame, at this level.
     pub(super) fn modelling(&self) -> Modelling {
         match (self.coder, self.level.number()) {
-            (Coder::Context, level @ 1..3) => {
-                Modelling::Tokens { fitted: level == 2, edition: Edition::Second }
+            (Coder::Context, 1) => Modelling::Packed,
+            (Coder::Context, level @ 2..4) => {
+                Modelling::Tokens { fitted: level == 3, edition: Edition::Second }
             }
-            (Coder::Context, 3..=6) => Modelling::Balanced(Edition::Second),
+            (Coder::Context, 4..=6) => Modelling::Light,
             (Coder::Context, 9) => Modelling::Deep,
-            _ => Modelling::Mixed,
+            (Coder::Context, _) => Modelling::Mixed(Edition::Second),
+            (Coder::Backend(_) | Coder::Image(_), _) => Modelling::FIRST,
         }
     }
 
     /// How many frames the sensor model is fitted to: more make the formula sharper.
     pub(super) fn sample_frames(&self) -> usize {
         match self.modelling() {
-            Modelling::Mixed | Modelling::Deep => 6,
-            Modelling::Balanced(_) => 3,
-            Modelling::Tokens { .. } => 2,
+            Modelling::Mixed(_) | Modelling::Deep => 6,
+            Modelling::Light | Modelling::Balanced(_) => 3,
+            Modelling::Tokens { .. } | Modelling::Packed => 2,
         }
     }
 
@@ -240,8 +242,8 @@ impl EncoderConfig {
             _ if !is_turn => InterChoice::Never,
             (PredictionChoice::Always(Prediction::None | Prediction::Intra), _, _) => InterChoice::Never,
             // Looking for the motion takes time.
-            (PredictionChoice::Smallest, Coder::Context, ..3) => InterChoice::Never,
-            (PredictionChoice::Smallest, Coder::Context, 3..8) => InterChoice::StandingStill,
+            (PredictionChoice::Smallest, Coder::Context, ..4) => InterChoice::Never,
+            (PredictionChoice::Smallest, Coder::Context, 4..8) => InterChoice::StandingStill,
             _ => InterChoice::IfItFits,
         }
     }
@@ -358,7 +360,7 @@ impl EncoderConfig {
             PredictionChoice::EveryReference | PredictionChoice::Always(Prediction::Inter)
         );
         if is_inter && self.modelling().is_quick() {
-            return wrong("levels 1 and 2 take every frame by itself; --predict inter needs level 3 or more");
+            return wrong("levels 1 to 3 take every frame by itself; --predict inter needs level 4 or more");
         }
         let fits_regions =
             self.predictions(None).contains(&Prediction::Intra) && self.intra.models == RegionModels::Fitted;

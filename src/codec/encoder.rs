@@ -170,7 +170,7 @@ impl<'s> OpenGroup<'s> {
         original.point_count = scan.records as u64;
         self.encoded.file_bytes += original.file_size;
         self.encoded.originals.push(original.clone());
-        let frame = self.coder.encode_frame(&scan, original)?;
+        let frame = self.coder.encode_frame(scan, original)?;
         self.encoded.steps.push(frame.steps);
         self.encoded.group.frames.push(Frame { header: frame.header, sections: frame.sections });
         Ok(())

@@ -5,7 +5,6 @@ use super::config::{EncoderConfig, ProjectionKind};
 use super::fidelity::{Intensity, Positions};
 use super::parameters::{FrameParameters, Prediction, Source};
 use super::steps::{Step, StepReport};
-use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -76,28 +75,28 @@ impl Frame {
 
     /// Takes a scan apart (article, III-A and IV-A: the outlier filter and the range image).
     pub fn from_scan(
-        scan: &ScanFile,
+        scan: ScanFile,
         sensor: Option<&SensorModel>,
         config: &EncoderConfig,
         steps: &mut StepReport,
     ) -> Result<Self> {
         let mut frame = Frame {
             parameters: config.frame_parameters()?,
-            layout: scan.layout.clone(),
-            prefix: scan.prefix.clone(),
-            suffix: scan.suffix.clone(),
+            layout: scan.layout,
+            prefix: scan.prefix,
+            suffix: scan.suffix,
             records: scan.records,
             ..Frame::default()
         };
         let bound = Bound::of(config.positions, config.intensity);
-        let cloud = steps.timed(Step::Conversion, || frame.undo_compensation(&scan.cloud, config));
+        let cloud = steps.timed(Step::Conversion, || frame.undo_compensation(scan.cloud, config));
         match sensor.filter(|_| !cloud.positions.is_empty()) {
-            None => frame.take_strays(&cloud),
+            None => frame.take_strays(cloud),
             Some(sensor) if config.positions == Positions::Formula => {
                 frame.convert_points(&cloud, sensor, config, steps);
             }
             Some(sensor) => steps.timed(Step::Conversion, || {
-                frame.take_points(cloud.into_owned(), sensor, bound.as_ref());
+                frame.take_points(cloud, sensor, bound.as_ref());
             }),
         }
         if let Some(bound) = bound {
@@ -139,32 +138,24 @@ impl Frame {
     }
 
     /// The points as they were measured, if they were moved after that.
-    fn undo_compensation<'c>(
-        &mut self,
-        cloud: &'c PointCloud,
-        config: &EncoderConfig,
-    ) -> Cow<'c, PointCloud> {
-        if !config.undoes_compensation() {
-            return Cow::Borrowed(cloud);
-        }
-        let Some((positions, compensation)) = compensation::undo(&cloud.positions) else {
-            return Cow::Borrowed(cloud);
-        };
+    fn undo_compensation(&mut self, cloud: PointCloud, config: &EncoderConfig) -> PointCloud {
+        let undone = config.undoes_compensation().then(|| compensation::undo(&cloud.positions)).flatten();
+        let Some((positions, compensation)) = undone else { return cloud };
         self.compensation = Some(compensation);
-        self.moved = Some(Arc::new(cloud.positions.clone()));
-        Cow::Owned(PointCloud { positions, ..cloud.clone() })
+        self.moved = Some(Arc::new(cloud.positions));
+        PointCloud { positions, ..cloud }
     }
 
     /// Takes all points as they come: there is no range image. None of them is lost.
-    fn take_strays(&mut self, cloud: &PointCloud) {
+    fn take_strays(&mut self, cloud: PointCloud) {
         if self.parameters.positions == Positions::Formula {
             self.parameters.positions = Positions::Exact;
             self.parameters.intensity = Intensity::Exact;
         }
         self.strays = self.records;
-        self.stray_positions = cloud.positions.clone();
-        self.stray_intensity = cloud.intensity.clone();
-        self.extra = cloud.extra.clone();
+        self.stray_positions = cloud.positions;
+        self.stray_intensity = cloud.intensity;
+        self.extra = cloud.extra;
     }
 
     /// Takes all points, in bins of range as wide as the bound allows.
@@ -255,9 +246,7 @@ impl Frame {
             self.extra = cloud.select(&points).extra;
             return;
         }
-        let mut order = vec![0u32; points.len()];
-        (0u32..).zip(&points).for_each(|(element, &point)| order[point as usize] = element);
-        self.order = OrderExceptions::of(&order, returns.len());
+        self.order = OrderExceptions::of_places(&points, returns.len());
         self.extra.clone_from(&cloud.extra);
     }
 
@@ -276,9 +265,8 @@ impl Frame {
     }
 
     /// The positions, moved or not, in the order of the file.
-    fn positions_in_order(&self, order: &[u32]) -> Vec<[f32; 3]> {
-        let positions: Vec<_> = self.positions.iter().chain(&self.stray_positions).copied().collect();
-        order.iter().map(|&element| positions[element as usize]).collect()
+    fn positions_in_order(&self) -> Result<Vec<[f32; 3]>> {
+        self.order.arranged(&self.positions, &self.stray_positions)
     }
 
     /// Takes down which points compensation does not move to where they must be, now that what is decoded of
@@ -286,9 +274,9 @@ impl Frame {
     ///
     /// # Errors
     /// If the parts do not fit together.
-    pub fn find_misses(&mut self, returns: usize) -> Result<()> {
+    pub fn find_misses(&mut self) -> Result<()> {
         let Some(moved) = self.moved.take() else { return Ok(()) };
-        let measured = self.positions_in_order(&self.order.order(returns)?);
+        let measured = self.positions_in_order()?;
         let bound = Bound::of(self.parameters.positions, self.parameters.intensity);
         if let Some(compensation) = &mut self.compensation {
             compensation.find_misses(&measured, &moved, |a, b| match &bound {
@@ -304,22 +292,20 @@ impl Frame {
     /// # Errors
     /// If the parts do not fit together.
     pub fn into_scan(self, name: &str, returns: &[Return]) -> Result<ScanFile> {
-        let order = self.order.order(returns.len())?;
-        if order.len() != self.records {
+        if returns.len() + self.order.stray_places.len() != self.records {
             return Err(Error::corrupt("the parts of the frame hold different numbers of points"));
         }
         let mut cloud = PointCloud::default();
         if self.layout.position.is_some() {
-            cloud.positions = self.positions_in_order(&order);
+            cloud.positions = self.positions_in_order()?;
         }
         if let Some(compensation) = &self.compensation {
             compensation.apply(&mut cloud.positions);
         }
         if self.layout.intensity.is_some() {
-            let of_returns =
-                returns.iter().map(|found| self.intensity[(found.row as usize, found.column as usize)]);
-            let intensity: Vec<f32> = of_returns.chain(self.stray_intensity.iter().copied()).collect();
-            cloud.intensity = order.iter().map(|&element| intensity[element as usize]).collect();
+            let of_return = |found: &Return| self.intensity[(found.row as usize, found.column as usize)];
+            let of_returns: Vec<f32> = returns.iter().map(of_return).collect();
+            cloud.intensity = self.order.arranged(&of_returns, &self.stray_intensity)?;
         }
         cloud.extra = self.extra;
         Ok(ScanFile {

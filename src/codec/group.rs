@@ -61,13 +61,13 @@ impl<'s> GroupEncoder<'s> {
     ///
     /// # Errors
     /// If the scan is over those limits, or a back-end's library fails.
-    pub fn encode_frame(&mut self, scan: &ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
+    pub fn encode_frame(&mut self, scan: ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
         let Some(bound) = Bound::of(self.config.positions, self.config.intensity) else {
             return Ok(self.encode_as(self.config, scan, original)?.0);
         };
         let before = self.models.clone();
-        let (encoded, decoded) = self.encode_as(self.config, scan, original.clone())?;
-        if decoded.is_some_and(|bytes| bound.holds(scan, &parse_like(scan, &scan.name, bytes))) {
+        let (encoded, decoded) = self.encode_as(self.config, scan.clone(), original.clone())?;
+        if decoded.is_some_and(|bytes| bound.holds(&scan, &parse_like(&scan, &scan.name, bytes))) {
             return Ok(encoded);
         }
         self.models = before;
@@ -81,10 +81,11 @@ impl<'s> GroupEncoder<'s> {
     fn encode_as(
         &mut self,
         config: &EncoderConfig,
-        scan: &ScanFile,
+        scan: ScanFile,
         original: FrameHeader,
     ) -> Result<(EncodedFrame, Option<Vec<u8>>)> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
+        let name = scan.name.clone();
         let mut frame = Frame::from_scan(scan, self.sensor, config, &mut steps)?;
         let mut best: Option<Attempt> = None;
         let fit = steps.timed(Step::Registration, || self.estimate_motion(&frame));
@@ -107,9 +108,9 @@ impl<'s> GroupEncoder<'s> {
         if frame.parameters.source.is_none() {
             return Ok((EncodedFrame { header: original, sections, steps }, None));
         }
-        let decoded = frame.into_scan(&scan.name, &returns)?;
+        let decoded = frame.into_scan(&name, &returns)?;
         let bytes = decoded.to_bytes()?;
-        let header = FrameHeader::of(&scan.name, &bytes, decoded.records as u64);
+        let header = FrameHeader::of(&name, &bytes, decoded.records as u64);
         Ok((EncodedFrame { header, sections, steps }, Some(bytes)))
     }
 

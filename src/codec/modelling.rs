@@ -4,30 +4,34 @@ use crate::context::Depth;
 use crate::error::{Error, Result};
 
 /// What models the columns' cells, intensities, ranges and corrections of a frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Modelling {
-    /// Mixed adaptive models.
-    #[default]
-    Mixed,
+    /// Mixed adaptive models; in the second edition, intensities by two of them.
+    Mixed(Edition),
     /// More of them: smallest.
     Deep,
+    /// Ranges, predicted by least squares, and corrections as tokens; intensities by two adaptive models.
+    Light,
     /// Ranges, predicted by least squares, and corrections as tokens; all else by mixed adaptive models.
     Balanced(Edition),
-    /// Tokens with static tables: quickest.
+    /// Tokens with static tables: quick.
     Tokens {
         /// Whether ranges are predicted by least squares, or else by the left neighbour.
         fitted: bool,
         /// What is added to ranges.
         edition: Edition,
     },
+    /// Ranges and intensities as differences in packed bits, all else as tokens: quickest.
+    Packed,
 }
 
-/// What has been added to ranges as tokens.
+/// Modellings have been improved since the version of the format that brought them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Edition {
-    /// That of version 3 of the format.
+    /// As they were at first.
     First,
-    /// Tables start from what ranges are like, and P frames predict them from the frame before.
+    /// Tables of ranges start from what these are like, and P frames predict them from the frame before; mixed
+    /// models leave intensities to the lighter one, which turned out to be better.
     Second,
 }
 
@@ -43,8 +47,8 @@ pub struct RangeTokenSettings {
 }
 
 /// The modellings, by their numbers in the stream.
-const NUMBERED: [Modelling; 8] = [
-    Modelling::Mixed,
+const NUMBERED: [Modelling; 11] = [
+    Modelling::FIRST,
     Modelling::Tokens { fitted: false, edition: Edition::First },
     Modelling::Tokens { fitted: true, edition: Edition::First },
     Modelling::Balanced(Edition::First),
@@ -52,21 +56,38 @@ const NUMBERED: [Modelling; 8] = [
     Modelling::Balanced(Edition::Second),
     Modelling::Tokens { fitted: false, edition: Edition::Second },
     Modelling::Tokens { fitted: true, edition: Edition::Second },
+    Modelling::Packed,
+    Modelling::Light,
+    Modelling::Mixed(Edition::Second),
 ];
 
 impl Modelling {
+    /// That of frames that do not say.
+    pub(super) const FIRST: Self = Modelling::Mixed(Edition::First);
+
     /// Whether all parts are tokens.
     pub(super) fn is_quick(self) -> bool {
-        matches!(self, Modelling::Tokens { .. })
+        matches!(self, Modelling::Tokens { .. } | Modelling::Packed)
+    }
+
+    /// Whether ranges and intensities are in packed bits.
+    pub(super) fn is_packed(self) -> bool {
+        self == Modelling::Packed
     }
 
     /// How far the adaptive models go.
     pub(super) fn depth(self) -> Depth {
         match self {
-            Modelling::Mixed => Depth::Mixed,
+            Modelling::Mixed(_) => Depth::Mixed,
             Modelling::Deep => Depth::Deep,
-            Modelling::Balanced(_) | Modelling::Tokens { .. } => Depth::Quick,
+            Modelling::Light | Modelling::Tokens { .. } | Modelling::Packed => Depth::Light,
+            Modelling::Balanced(_) => Depth::Quick,
         }
+    }
+
+    /// How far those of intensities go.
+    pub(super) fn intensity_depth(self) -> Depth {
+        if self == Modelling::Mixed(Edition::Second) { Depth::Light } else { self.depth() }
     }
 
     /// How ranges are tokens, if they are.
@@ -74,10 +95,11 @@ impl Modelling {
         let settings = |fitted, edition| RangeTokenSettings {
             fitted,
             has_start: edition == Edition::Second,
-            refers: self == Modelling::Balanced(Edition::Second),
+            refers: self.can_do_without_surfaces(),
         };
         match self {
-            Modelling::Mixed | Modelling::Deep => None,
+            Modelling::Mixed(_) | Modelling::Deep | Modelling::Packed => None,
+            Modelling::Light => Some(settings(true, Edition::Second)),
             Modelling::Balanced(edition) => Some(settings(true, edition)),
             Modelling::Tokens { fitted, edition } => Some(settings(fitted, edition)),
         }
@@ -86,7 +108,7 @@ impl Modelling {
     /// Whether P frames from where the scanner has not moved take the same cells of the frame before alone: it
     /// is quicker not to look for surfaces.
     pub(super) fn can_do_without_surfaces(self) -> bool {
-        self == Modelling::Balanced(Edition::Second)
+        matches!(self, Modelling::Light | Modelling::Balanced(Edition::Second))
     }
 
     /// Its number in the stream.
@@ -97,11 +119,13 @@ impl Modelling {
     /// What reports add to the coder's name.
     pub(super) fn suffix(self) -> &'static str {
         match self {
-            Modelling::Mixed => "",
+            Modelling::Mixed(_) => "",
             Modelling::Deep => " (deep)",
+            Modelling::Light => " (light)",
             Modelling::Balanced(_) => " (balanced)",
             Modelling::Tokens { fitted: false, .. } => " (tokens)",
             Modelling::Tokens { fitted: true, .. } => " (tokens, fitted)",
+            Modelling::Packed => " (packed)",
         }
     }
 

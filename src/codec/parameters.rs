@@ -1,6 +1,6 @@
 //! How a frame is coded: what a decoder must know before the frame's other sections, and what
-//! reports say of the file that it was made from. Frames coded exactly by context have the default
-//! parameters, and no section for them.
+//! reports say of the file that it was made from. Frames coded exactly as in version 1 of the format have the
+//! default parameters, and no section for them.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -135,12 +135,12 @@ impl FrameParameters {
         }
         write_unsigned(out, u64::from(self.snake));
         match self.range_coder {
-            RangeCoder::Context { modelling: Modelling::Mixed, range_bits, bin: 1, between: false } => {
+            RangeCoder::Context { modelling: Modelling::FIRST, range_bits, bin: 1, between: false } => {
                 write_unsigned(out, CONTEXT);
                 write_unsigned(out, u64::from(range_bits));
             }
             RangeCoder::Context { modelling, range_bits, bin, between } => {
-                if modelling == Modelling::Mixed {
+                if modelling == Modelling::FIRST {
                     write_unsigned(out, BINNED_CONTEXT);
                 } else {
                     write_unsigned(out, MODELLED_CONTEXT);
@@ -197,7 +197,7 @@ impl FrameParameters {
     pub(super) fn modelling(&self) -> Modelling {
         match self.range_coder {
             RangeCoder::Context { modelling, .. } => modelling,
-            RangeCoder::Backend { .. } | RangeCoder::Image(_) => Modelling::Mixed,
+            RangeCoder::Backend { .. } | RangeCoder::Image(_) => Modelling::FIRST,
         }
     }
 
@@ -272,7 +272,7 @@ impl Prediction {
 
 impl RangeCoder {
     /// The context coder, with every range as it is.
-    pub const EXACT: Self = RangeCoder::of_modelling(Modelling::Mixed);
+    pub const EXACT: Self = RangeCoder::of_modelling(Modelling::FIRST);
 
     /// The context coder, with every range as it is, by this modelling.
     pub(super) const fn of_modelling(modelling: Modelling) -> Self {
@@ -320,7 +320,7 @@ impl RangeCoder {
             coder @ (CONTEXT | BINNED_CONTEXT | MODELLED_CONTEXT) => {
                 let modelling = match coder {
                     MODELLED_CONTEXT => Modelling::from_code(read(input)?)?,
-                    _ => Modelling::Mixed,
+                    _ => Modelling::FIRST,
                 };
                 let range_bits = within(input, RANGE_BITS, "bits of a range")?;
                 let (bin, between) = match coder {

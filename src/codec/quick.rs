@@ -9,8 +9,9 @@ use crate::entropy::{TokenCoder, TokenTables};
 use crate::error::Result;
 use crate::grid::Grid;
 use crate::quick::{
-    CORRECTION_CONTEXTS, INTENSITY_CONTEXTS, IntensityTokens, OCCUPANCY_CONTEXTS, RANGE_CONTEXTS,
-    RangeTokens, code_occupancy, correct_positions, start_counts,
+    CORRECTION_CONTEXTS, INTENSITY_CONTEXTS, IntensityTokens, OCCUPANCY_CONTEXTS, PACKED_INTENSITY_CONTEXTS,
+    PACKED_RANGE_CONTEXTS, RANGE_CONTEXTS, RangeTokens, code_occupancy, code_packed_intensities,
+    code_packed_ranges, correct_positions, start_counts,
 };
 use crate::sensor::Coordinates;
 
@@ -21,6 +22,8 @@ pub struct QuickModels {
     intensity: TokenTables,
     range: TokenTables,
     correction: TokenTables,
+    packed_intensity: TokenTables,
+    packed_range: TokenTables,
     ranges: RangeTokens,
 }
 
@@ -35,8 +38,30 @@ impl QuickModels {
     /// The intensities of the returns, then of the strays.
     pub fn code_intensities<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
         let scale = if S::ENCODES { frame.intensity_scale() } else { IntensityScale::default() };
+        if frame.parameters.modelling().is_packed() {
+            let tables = &mut self.packed_intensity;
+            return sections.tokens(SectionKind::Intensity, PACKED_INTENSITY_CONTEXTS, tables, |coder| {
+                pack_intensities(coder, scale, frame);
+            });
+        }
         sections.tokens(SectionKind::Intensity, INTENSITY_CONTEXTS, &mut self.intensity, |coder| {
             code_intensities(coder, scale, frame);
+        })
+    }
+
+    /// The range of each return, in packed bits.
+    pub fn code_packed_ranges<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        axis: (u32, u32),
+        frame: &mut Frame,
+    ) -> Result<()> {
+        let tables = &mut self.packed_range;
+        sections.tokens(SectionKind::Range, PACKED_RANGE_CONTEXTS, tables, |coder| {
+            let returns = frame.records - frame.strays;
+            let mut ranges = if S::ENCODES { frame.steps.filled(&frame.occupancy) } else { vec![0; returns] };
+            code_packed_ranges(coder, axis, &mut ranges);
+            frame.steps.fill(&frame.occupancy, &ranges);
         })
     }
 
@@ -102,13 +127,22 @@ fn code_intensities<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, fra
     }
 }
 
+fn pack_intensities<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, frame: &mut Frame) {
+    scale.code(|value, count| coder.bits(value, count));
+    let returns = frame.records - frame.strays;
+    let mut values = if C::ENCODES { frame.intensity.filled(&frame.occupancy) } else { vec![0.0; returns] };
+    values.append(&mut frame.stray_intensity);
+    values.resize(returns + frame.strays, 0.0);
+    code_packed_intensities(coder, &scale, &mut values);
+    frame.stray_intensity = values.split_off(returns);
+    frame.intensity.fill(&frame.occupancy, &values);
+}
+
 impl Frame {
     /// The grid on which the intensities of the returns and strays lie.
     pub(super) fn intensity_scale(&self) -> IntensityScale {
-        let of_returns =
-            self.occupancy.cells().iter().zip(self.intensity.cells()).filter(|(filled, _)| **filled);
-        let values: Vec<f32> =
-            of_returns.map(|(_, v)| *v).chain(self.stray_intensity.iter().copied()).collect();
+        let mut values = self.intensity.filled(&self.occupancy);
+        values.extend(&self.stray_intensity);
         IntensityScale::of(&values, self.parameters.intensity.levels_per_unit())
     }
 }

@@ -31,6 +31,9 @@ impl Models {
             RangeCoder::Context { modelling, range_bits, bin, .. } => {
                 report.predicted += 4 * (frame.records - frame.strays) as u64;
                 report.timed(Step::Coding, || match modelling.range_tokens() {
+                    _ if modelling.is_packed() => {
+                        self.quick.code_packed_ranges(sections, (range_bits, bin), frame)
+                    }
                     Some(settings) => {
                         let expected = reference.filter(|_| settings.refers).map(Reference::ranges);
                         let axis = (range_bits, bin);
@@ -44,8 +47,9 @@ impl Models {
                             range_bits,
                             bin,
                         };
-                        self.range.set_depth(modelling.depth());
-                        self.range.code(coder, &known, &mut frame.steps);
+                        let model = self.range.get_or_insert_default();
+                        model.set_depth(modelling.depth());
+                        model.code(coder, &known, &mut frame.steps);
                         Ok(())
                     }),
                 })

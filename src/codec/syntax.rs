@@ -35,10 +35,11 @@ pub struct Models {
     bytes: ByteModel,
     extra: ByteModel,
     columns: ColumnModel,
-    occupancy: OccupancyModel,
     points: PointModel,
-    intensity: IntensityModel,
-    pub(super) range: RangeModel,
+    // The large ones are made when they are first wanted.
+    occupancy: Option<OccupancyModel>,
+    intensity: Option<IntensityModel>,
+    pub(super) range: Option<RangeModel>,
     pub(super) contour: ContourModel,
     pub(super) surfaces: SurfaceCoder,
     correction: CorrectionModel,
@@ -108,7 +109,7 @@ impl Models {
             self.extra.code(coder, frame.layout.extra_stride(), &mut frame.extra);
             Ok(())
         })?;
-        code_compensation(sections, frame, returns)?;
+        code_compensation(sections, frame)?;
         let others = steps.total_time() - before;
         steps.took(Step::Rest, start + others);
         Ok(found)
@@ -134,9 +135,10 @@ impl Models {
         if frame.parameters.modelling().is_quick() {
             self.quick.code_occupancy(sections, frame)?;
         } else {
-            self.occupancy.set_depth(frame.parameters.modelling().depth());
+            let model = self.occupancy.get_or_insert_default();
+            model.set_depth(frame.parameters.modelling().depth());
             sections.section(SectionKind::Occupancy, true, |coder| {
-                self.occupancy.code(coder, reference.as_ref(), &mut frame.occupancy);
+                model.code(coder, reference.as_ref(), &mut frame.occupancy);
                 Ok(())
             })?;
         }
@@ -212,10 +214,10 @@ impl Models {
             Positions::Bounded { max_error_um, on_grid } => (Some(f64::from(max_error_um) * 1e-6), on_grid),
         };
         let quick = match frame.parameters.modelling() {
-            Modelling::Mixed | Modelling::Deep => false,
+            Modelling::Mixed(_) | Modelling::Deep => false,
             // On finer grids most points are corrected.
-            Modelling::Balanced(_) => grid == Coordinates::Millimetre,
-            Modelling::Tokens { .. } => true,
+            Modelling::Light | Modelling::Balanced(_) => grid == Coordinates::Millimetre,
+            Modelling::Tokens { .. } | Modelling::Packed => true,
         };
         if quick {
             let near = positions(sensor, found, offset_m, on_grid);
@@ -316,55 +318,56 @@ impl Models {
         scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
         let width = frame.occupancy.columns();
         let mut levels = Grid::new(frame.occupancy.rows(), width);
-        self.intensity.set_depth(frame.parameters.modelling().depth());
-        self.intensity.start_frame(&scale, width, frame.records - frame.strays);
+        let model = self.intensity.get_or_insert_default();
+        model.set_depth(frame.parameters.modelling().intensity_depth());
+        model.start_frame(&scale, width, frame.records - frame.strays);
         for row in 0..levels.rows() {
             if coder.is_exhausted() {
                 break;
             }
-            self.intensity.start_row();
+            model.start_row();
             let mut left = [0; 4];
             for column in (0..width).filter(|&column| frame.occupancy[(row, column)]) {
                 let mut near = neighbours(&levels, left, row, column);
                 near.back = reference.and_then(|reference| IntensityReference::at(reference, (row, column)));
                 let value = &mut frame.intensity[(row, column)];
-                *value = self.intensity.code(coder, &scale, &near, (row, column), *value);
+                *value = model.code(coder, &scale, &near, (row, column), *value);
                 levels[(row, column)] = scale.context_level(*value);
                 left = [levels[(row, column)], left[0], left[1], left[2]];
             }
         }
-        self.code_stray_intensity(coder, &scale, frame);
+        code_stray_intensity(model, coder, &scale, frame);
         levels
     }
+}
 
-    fn code_stray_intensity<C: BitCoder>(
-        &mut self,
-        coder: &mut C,
-        scale: &IntensityScale,
-        frame: &mut Frame,
-    ) {
-        frame.stray_intensity.resize(frame.strays, 0.0);
-        let north = neighbours_above(&frame.stray_positions);
-        let mut levels: Vec<u16> = Vec::with_capacity(frame.strays);
-        self.intensity.start_frame(scale, 1, frame.strays);
-        for index in 0..frame.strays {
-            if coder.is_exhausted() {
-                return;
-            }
-            let at = |index: Option<usize>| index.and_then(|i| levels.get(i)).copied().unwrap_or(0);
-            let above = |offset: isize| {
-                at(north.get(index).copied().flatten().and_then(|i| i.checked_add_signed(offset)))
-            };
-            let near = IntensityNeighbours {
-                left: [1, 2, 3, 4].map(|distance| at(index.checked_sub(distance))),
-                above: [-2, -1, 0, 1, 2].map(above),
-                above2: [0; 3],
-                back: None,
-            };
-            let value = &mut frame.stray_intensity[index];
-            *value = self.intensity.code(coder, scale, &near, (0, 0), *value);
-            levels.push(scale.context_level(*value));
+fn code_stray_intensity<C: BitCoder>(
+    model: &mut IntensityModel,
+    coder: &mut C,
+    scale: &IntensityScale,
+    frame: &mut Frame,
+) {
+    frame.stray_intensity.resize(frame.strays, 0.0);
+    let north = neighbours_above(&frame.stray_positions);
+    let mut levels: Vec<u16> = Vec::with_capacity(frame.strays);
+    model.start_frame(scale, 1, frame.strays);
+    for index in 0..frame.strays {
+        if coder.is_exhausted() {
+            return;
         }
+        let at = |index: Option<usize>| index.and_then(|i| levels.get(i)).copied().unwrap_or(0);
+        let above = |offset: isize| {
+            at(north.get(index).copied().flatten().and_then(|i| i.checked_add_signed(offset)))
+        };
+        let near = IntensityNeighbours {
+            left: [1, 2, 3, 4].map(|distance| at(index.checked_sub(distance))),
+            above: [-2, -1, 0, 1, 2].map(above),
+            above2: [0; 3],
+            back: None,
+        };
+        let value = &mut frame.stray_intensity[index];
+        *value = model.code(coder, scale, &near, (0, 0), *value);
+        levels.push(scale.context_level(*value));
     }
 }
 
@@ -377,8 +380,8 @@ fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Resu
 }
 
 /// How the points were moved after they were measured.
-fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame, returns: usize) -> Result<()> {
-    frame.find_misses(returns)?;
+fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+    frame.find_misses()?;
     let mut payload = Vec::new();
     frame.compensation.iter().for_each(|compensation| compensation.write_to(&mut payload));
     sections.payload(SectionKind::Compensation, &mut payload);

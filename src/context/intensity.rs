@@ -3,6 +3,7 @@
 
 mod deep;
 mod errors;
+mod light;
 mod mixed;
 mod neighbours;
 mod scale;
@@ -16,11 +17,14 @@ use super::Depth;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::varint::{unzigzag, zigzag};
 use deep::DeepLevels;
+use light::LightLevels;
 use mixed::MixedLevels;
 
 /// What the coder has learned about intensities.
 #[derive(Clone, Default)]
 pub struct IntensityModel {
+    /// Once a frame goes no deeper than this.
+    light: Option<Box<LightLevels>>,
     mixed: MixedLevels,
     /// Once a frame goes as deep as this.
     deep: Option<Box<DeepLevels>>,
@@ -39,6 +43,7 @@ impl IntensityModel {
     /// Begins a frame, or its strays, with `columns` columns and so many values.
     pub fn start_frame(&mut self, scale: &IntensityScale, columns: usize, values: usize) {
         match self.depth {
+            Depth::Light => self.light.get_or_insert_default().start_frame(scale),
             Depth::Quick | Depth::Mixed => self.mixed.start_frame(self.depth, scale, columns),
             Depth::Deep => self.deep.get_or_insert_default().start_frame(columns, values),
         }
@@ -46,8 +51,9 @@ impl IntensityModel {
 
     /// Begins a row.
     pub fn start_row(&mut self) {
-        match (self.depth, &mut self.deep) {
-            (Depth::Deep, Some(deep)) => deep.start_row(),
+        match (self.depth, &mut self.light, &mut self.deep) {
+            (Depth::Light, ..) => {}
+            (Depth::Deep, _, Some(deep)) => deep.start_row(),
             _ => self.mixed.start_row(),
         }
     }
@@ -69,8 +75,9 @@ impl IntensityModel {
             return self.code_off_grid(coder, value);
         }
         let level = level.unwrap_or(0);
-        let level = match (self.depth, &mut self.deep) {
-            (Depth::Deep, Some(deep)) => deep.code(coder, scale, near, (row, column), level),
+        let level = match (self.depth, &mut self.light, &mut self.deep) {
+            (Depth::Light, Some(light), _) => light.code(coder, scale, near, row, level),
+            (Depth::Deep, _, Some(deep)) => deep.code(coder, scale, near, (row, column), level),
             _ => self.mixed.code(coder, scale, near, (row, column), level),
         };
         if C::ENCODES { value } else { scale.value_of(level) }

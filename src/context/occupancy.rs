@@ -44,7 +44,7 @@ impl Default for OccupancyModel {
 impl OccupancyModel {
     /// How far to go from now on.
     pub fn set_depth(&mut self, depth: Depth) {
-        self.sure = if depth == Depth::Quick { QUICKLY_SURE } else { f32::INFINITY };
+        self.sure = if matches!(depth, Depth::Light | Depth::Quick) { QUICKLY_SURE } else { f32::INFINITY };
     }
 
     /// Codes every cell. `reference` is what an earlier frame has there.

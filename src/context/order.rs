@@ -20,8 +20,20 @@ pub struct OrderExceptions {
 }
 
 impl OrderExceptions {
+    /// The exceptions of an order, given the place of each element in the file; those of the strays rise.
+    pub fn of_places(places: &[u32], returns: usize) -> Self {
+        let (of_returns, of_strays) = places.split_at(returns);
+        if of_returns.is_sorted() {
+            let stray_places = of_strays.iter().map(|&place| place.into()).collect();
+            return OrderExceptions { stray_places, ..OrderExceptions::default() };
+        }
+        let mut order = vec![0u32; places.len()];
+        (0u32..).zip(places).for_each(|(element, &place)| order[place as usize] = element);
+        Self::of(&order, returns)
+    }
+
     /// The exceptions of an order: `order[i]` is the element at place i of the file.
-    pub fn of(order: &[u32], returns: usize) -> Self {
+    fn of(order: &[u32], returns: usize) -> Self {
         let sequence: Vec<u32> = order.iter().copied().filter(|&e| (e as usize) < returns).collect();
         let moved = moved_elements(&sequence);
         let mut place_of = Vec::new();
@@ -36,16 +48,47 @@ impl OrderExceptions {
         }
     }
 
+    /// Values of the returns and strays, in the order of the file.
+    ///
+    /// # Errors
+    /// As [`order`](Self::order).
+    pub fn arranged<T: Copy>(&self, of_returns: &[T], of_strays: &[T]) -> Result<Vec<T>> {
+        let is_rising = self.stray_places.is_sorted_by(|a, b| a < b);
+        if !self.moved.is_empty() || !is_rising || of_strays.len() != self.stray_places.len() {
+            let of = |element: u32| match (element as usize).checked_sub(of_returns.len()) {
+                None => Some(of_returns[element as usize]),
+                Some(stray) => of_strays.get(stray).copied(),
+            };
+            let values: Option<Vec<T>> = self.order(of_returns.len())?.into_iter().map(of).collect();
+            return values.ok_or_else(not_a_permutation);
+        }
+        let mut values = Vec::with_capacity(of_returns.len() + of_strays.len());
+        let mut rest = of_returns;
+        for (place, stray) in self.stray_places.iter().zip(of_strays) {
+            let before = usize::try_from(*place).ok().and_then(|place| place.checked_sub(values.len()));
+            values.extend_from_slice(
+                before.and_then(|count| rest.split_off(..count)).ok_or_else(not_a_permutation)?,
+            );
+            values.push(*stray);
+        }
+        values.extend_from_slice(rest);
+        Ok(values)
+    }
+
     /// The order of `returns` returns and the strays.
     ///
     /// # Errors
     /// If it is no permutation.
     pub fn order(&self, returns: usize) -> Result<Vec<u32>> {
-        let bad = || Error::corrupt("order: not a permutation");
-        let sequence = merge(&self.moved, &self.move_places, returns).ok_or_else(bad)?;
+        let sequence = merge(&self.moved, &self.move_places, returns).ok_or_else(not_a_permutation)?;
         let strays = (returns as u64..).zip(self.stray_places.iter().copied());
-        interleave(strays, sequence.into_iter(), returns + self.stray_places.len()).ok_or_else(bad)
+        interleave(strays, sequence.into_iter(), returns + self.stray_places.len())
+            .ok_or_else(not_a_permutation)
     }
+}
+
+fn not_a_permutation() -> Error {
+    Error::corrupt("order: not a permutation")
 }
 
 /// What the coder has learned about order.
@@ -177,6 +220,9 @@ mod tests {
     fn round_trip(order: &[u32], returns: usize) -> usize {
         let strays = order.len() - returns;
         let mut exceptions = OrderExceptions::of(order, returns);
+        let mut places = vec![0; order.len()];
+        (0..).zip(order).for_each(|(place, &element)| places[element as usize] = place);
+        assert_eq!(OrderExceptions::of_places(&places, returns), exceptions);
         let mut encoder = ArithmeticEncoder::default();
         OrderModel::default().code(&mut encoder, &mut exceptions, returns, strays).unwrap();
         let bytes = encoder.finish();
@@ -186,6 +232,8 @@ mod tests {
             .unwrap();
         assert_eq!(decoded, exceptions);
         assert_eq!(decoded.order(returns).unwrap(), order);
+        let elements: Vec<u32> = (0..order.len() as u32).collect();
+        assert_eq!(decoded.arranged(&elements[..returns], &elements[returns..]).unwrap(), order);
         bytes.len()
     }
 
@@ -208,7 +256,10 @@ mod tests {
             let mut exceptions = OrderExceptions::default();
             let mut decoder = ArithmeticDecoder::new(&bytes);
             let decoded = OrderModel::default().code(&mut decoder, &mut exceptions, returns, strays);
+            let elements: Vec<u32> = (0..(returns + exceptions.stray_places.len()) as u32).collect();
+            let arranged = exceptions.arranged(&elements[..returns], &elements[returns..]);
             if let Ok(mut order) = decoded.and_then(|()| exceptions.order(returns)) {
+                prop_assert_eq!(arranged.unwrap(), order.clone());
                 order.sort_unstable();
                 prop_assert!(order.iter().copied().eq(0..(returns + strays) as u32));
             }

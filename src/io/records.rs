@@ -24,8 +24,28 @@ pub(super) fn plain_file(layout: Layout, bytes: &[u8], start: usize, records: u6
     })
 }
 
+/// Bytes of a record of KITTI's: position, intensity and nothing else.
+const PACKED: usize = 16;
+
+/// Whether records are like KITTI's, which are dealt with far quicker than others.
+fn is_packed(layout: &Layout) -> bool {
+    let (position, intensity) = (Some([0, 4, 8]), Some(12));
+    layout.stride as usize == PACKED && layout.position == position && layout.intensity == intensity
+}
+
 /// Turns whole records, one after the other, into points. The layout must be valid.
 pub(super) fn split(layout: &Layout, body: &[u8]) -> PointCloud {
+    if is_packed(layout) {
+        let (records, _) = body.as_chunks::<PACKED>();
+        return PointCloud {
+            positions: records
+                .iter()
+                .map(|record| [0, 4, 8].map(|at| LittleEndian::read_f32(&record[at..])))
+                .collect(),
+            intensity: records.iter().map(|record| LittleEndian::read_f32(&record[12..])).collect(),
+            extra: Vec::new(),
+        };
+    }
     let stride = layout.stride.max(1) as usize;
     let records = body.len() / stride;
     let extra_ranges = layout.extra_ranges();
@@ -49,6 +69,15 @@ pub(super) fn split(layout: &Layout, body: &[u8]) -> PointCloud {
 /// The file must have passed [`check`].
 pub(super) fn join(file: &ScanFile, out: &mut Vec<u8>) {
     let (layout, cloud) = (&file.layout, &file.cloud);
+    if is_packed(layout) {
+        out.reserve_exact(file.records * PACKED);
+        out.extend(cloud.positions.iter().zip(&cloud.intensity).flat_map(|([x, y, z], intensity)| {
+            let mut record = [0; PACKED];
+            LittleEndian::write_f32_into(&[*x, *y, *z, *intensity], &mut record);
+            record
+        }));
+        return;
+    }
     let (stride, extra_stride) = (layout.stride as usize, layout.extra_stride());
     let extra_ranges = layout.extra_ranges();
     let start = out.len();

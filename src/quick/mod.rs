@@ -4,11 +4,15 @@
 mod correction;
 mod intensity;
 mod occupancy;
+mod packed;
 mod range;
 
 pub use correction::{CORRECTION_CONTEXTS, correct_positions};
 pub use intensity::{INTENSITY_CONTEXTS, IntensityTokens};
 pub use occupancy::{OCCUPANCY_CONTEXTS, code_occupancy};
+pub use packed::{
+    PACKED_INTENSITY_CONTEXTS, PACKED_RANGE_CONTEXTS, code_packed_intensities, code_packed_ranges,
+};
 pub use range::{RANGE_CONTEXTS, RangeTokens, start_counts};
 
 /// Levels of a magnitude, four an octave, of which the last stands for all that are higher.

@@ -39,6 +39,22 @@ fn grid<T: Clone + Default>(values: &[T]) -> Grid<T> {
     grid
 }
 
+/// Gives these tokens and bits whatever is asked for.
+struct Given(std::vec::IntoIter<(u8, u32)>);
+
+impl TokenCoder for Given {
+    const ENCODES: bool = false;
+
+    fn token(&mut self, _: usize, _: u8) -> u8 {
+        self.0.next().map_or(0, |(token, _)| token)
+    }
+
+    fn bits(&mut self, _: u32, count: u32) -> u32 {
+        let bits = self.0.as_slice().first().map_or(0, |(_, bits)| *bits);
+        (u64::from(bits) & ((1 << count) - 1)) as u32
+    }
+}
+
 proptest! {
     #[test]
     fn cells_come_back(filled in proptest::collection::vec(any::<bool>(), 0..400)) {
@@ -89,18 +105,6 @@ proptest! {
         refers in any::<bool>(),
         before in proptest::collection::vec(0u32..1 << 24, 63),
     ) {
-        /// Gives these tokens and bits whatever is asked for.
-        struct Given(std::vec::IntoIter<(u8, u32)>);
-        impl TokenCoder for Given {
-            const ENCODES: bool = false;
-            fn token(&mut self, _: usize, _: u8) -> u8 {
-                self.0.next().map_or(0, |(token, _)| token)
-            }
-            fn bits(&mut self, _: u32, count: u32) -> u32 {
-                let bits = self.0.as_slice().first().map_or(0, |(_, bits)| *bits);
-                (u64::from(bits) & ((1 << count) - 1)) as u32
-            }
-        }
         let occupancy = grid(&vec![true; tokens.len()]);
         let mut steps = Grid::new(occupancy.rows(), occupancy.columns());
         let tokens_len = tokens.len();
@@ -136,6 +140,65 @@ proptest! {
             &empty,
             |coder, values| code(coder, &scale, values),
             |coder, values| code(coder, &scale, values),
+        );
+        let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        prop_assert_eq!(bits(&decoded), bits(&values));
+        prop_assert_eq!(bits(&encoded), bits(&values));
+    }
+
+    #[test]
+    fn packed_ranges_come_back_to_within_half_a_bin(
+        ranges in proptest::collection::vec(any::<u32>(), 0..200),
+        range_bits in 16u32..=24,
+        bin in prop_oneof![Just(1u32), 1u32..2000],
+        smooth in any::<bool>(),
+    ) {
+        let most = (1 << range_bits) - 1;
+        let range_of = |range: &u32| 1 + (if smooth { 5000 + range % 50 } else { *range }) % most;
+        let ranges: Vec<u32> = ranges.iter().map(range_of).collect();
+        let axis = (range_bits, bin);
+        let (encoded, decoded) = round_trip(
+            PACKED_RANGE_CONTEXTS,
+            &ranges,
+            &vec![0; ranges.len()],
+            |coder, ranges| code_packed_ranges(coder, axis, ranges),
+            |coder, ranges| code_packed_ranges(coder, axis, ranges),
+        );
+        prop_assert_eq!(&encoded, &decoded);
+        prop_assert!(ranges.iter().zip(&decoded).all(|(range, decoded)| range.abs_diff(*decoded) <= bin / 2));
+    }
+
+    #[test]
+    fn any_tokens_decode_to_packed_ranges(
+        tokens in proptest::collection::vec((any::<u8>(), any::<u32>()), 40),
+        range_bits in 16u32..=24,
+        bin in prop_oneof![Just(1u32), 1u32..1 << 20],
+    ) {
+        let mut ranges = [0; 99];
+        code_packed_ranges(&mut Given(tokens.into_iter()), (range_bits, bin), &mut ranges);
+        prop_assert!(ranges.iter().all(|range| (1..1 << range_bits).contains(range)));
+    }
+
+    #[test]
+    fn packed_intensities_come_back(
+        levels in proptest::collection::vec((0u32..512, 0u16..40), 0..300),
+        per_unit in prop_oneof![Just(100u32), Just(255), Just(511)],
+        odd_values in prop_oneof![Just(0u32), Just(1), Just(9)],
+    ) {
+        // None, few or most of the values are on no grid.
+        let value = |&(level, kind): &(u32, u16)| {
+            let on_grid = (f64::from(level % (per_unit + 1)) / f64::from(per_unit)) as f32;
+            let is_odd = u32::from(kind) < odd_values * 4;
+            if is_odd { f32::from_bits(level.wrapping_mul(0x0123_4567)) } else { on_grid }
+        };
+        let values: Vec<f32> = levels.iter().map(value).collect();
+        let scale = IntensityScale::of(&values, Some(per_unit));
+        let (encoded, decoded) = round_trip(
+            PACKED_INTENSITY_CONTEXTS,
+            &values,
+            &vec![0.0; values.len()],
+            |coder, values| code_packed_intensities(coder, &scale, values),
+            |coder, values| code_packed_intensities(coder, &scale, values),
         );
         let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
         prop_assert_eq!(bits(&decoded), bits(&values));

@@ -1,6 +1,6 @@
 //! The order in which a file holds the returns of a range image.
 
-use std::cmp::Ordering;
+use pulp::{Arch, NullaryFnOnce};
 
 use super::{RangeImage, Return};
 use crate::sensor::SensorModel;
@@ -9,43 +9,85 @@ impl RangeImage {
     /// The returns in the order in which a file holds them: row by row, by the azimuth that the
     /// formula gives; those of equal azimuth column by column.
     pub fn file_order(&self, sensor: &SensorModel) -> Vec<Return> {
-        let mut returns = Vec::with_capacity(self.returns());
-        let mut of_row: Vec<(f64, Return)> = Vec::new();
-        for row in 0..self.steps.rows() {
-            of_row.clear();
-            let cells = self.steps.row(row).iter().zip(&self.columns).zip(0u32..);
-            of_row.extend(cells.filter(|((steps, _), _)| **steps > 0).map(
-                |((&steps, &column_tick), column)| {
-                    let tick = sensor.tick_of_column(row, column_tick);
-                    (sensor.azimuth(row, tick, steps), Return { row: row as u32, column, tick, steps })
-                },
-            ));
-            sort(&mut of_row);
-            returns.extend(of_row.iter().map(|(_, found)| *found));
+        Arch::new().dispatch(Ordering { image: self, sensor })
+    }
+}
+
+/// What it takes to find the order.
+struct Ordering<'a> {
+    image: &'a RangeImage,
+    sensor: &'a SensorModel,
+}
+
+impl NullaryFnOnce for Ordering<'_> {
+    type Output = Vec<Return>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<Return> {
+        let Ordering { image, sensor } = self;
+        let mut returns = Vec::with_capacity(image.returns());
+        let mut of_row = vec![Return::default(); image.columns.len() + 1];
+        let mut azimuths = Vec::new();
+        for row in 0..image.steps.rows() {
+            let mut count = 0;
+            // No branch: each cell takes the next place, where the one after it follows only if it holds a return.
+            for ((&steps, &column_tick), column) in
+                image.steps.row(row).iter().zip(&image.columns).zip(0u32..)
+            {
+                let tick = sensor.tick_of_column(row, column_tick);
+                of_row[count] = Return { row: row as u32, column, tick, steps };
+                count += usize::from(steps > 0);
+            }
+            let found = &mut of_row[..count];
+            azimuths.resize(count, 0.0);
+            let place = |point: usize| (found[point].tick, found[point].steps);
+            sensor.fill_azimuths(row, place, &mut azimuths);
+            sort(&mut azimuths, found);
+            returns.extend_from_slice(found);
         }
         returns
     }
 }
 
-/// Sorts by azimuth, then column, what nearly is but for where the turn begins.
-fn sort(of_row: &mut [(f64, Return)]) {
+/// Sorts the returns of a row, which come column by column, by their azimuths, then columns: they nearly are, but
+/// for where the turn begins.
+fn sort(azimuths: &mut [f64], returns: &mut [Return]) {
     /// Radians: more than azimuths that are out of order differ by.
     const SEAM: f64 = 3.0;
     /// Places, for each return, that are worth moving returns by one by one.
     const MOVES: usize = 4;
-    let order = |a: &(f64, Return), b: &(f64, Return)| a.0.total_cmp(&b.0).then(a.1.column.cmp(&b.1.column));
-    let seam = of_row.windows(2).position(|pair| pair[1].0 < pair[0].0 - SEAM);
-    of_row.rotate_left(seam.map_or(0, |last| last + 1));
-    let mut moves = MOVES * of_row.len();
-    for next in 1..of_row.len() {
+    if let Some(last) = azimuths.windows(2).position(|pair| pair[1] < pair[0] - SEAM) {
+        azimuths.rotate_left(last + 1);
+        returns.rotate_left(last + 1);
+    }
+    let mut moves = MOVES * returns.len();
+    for next in 1..returns.len() {
         let mut place = next;
-        while place > 0 && moves > 0 && order(&of_row[place - 1], &of_row[place]) == Ordering::Greater {
-            of_row.swap(place - 1, place);
+        while place > 0 && !azimuths_rise(azimuths, returns, place) {
+            if moves == 0 {
+                return sort_all(azimuths, returns);
+            }
+            azimuths.swap(place - 1, place);
+            returns.swap(place - 1, place);
             (place, moves) = (place - 1, moves - 1);
         }
-        if moves == 0 {
-            of_row.sort_unstable_by(order);
-            return;
-        }
     }
+}
+
+/// Whether a return is in order with the one before.
+#[inline]
+fn azimuths_rise(azimuths: &[f64], returns: &[Return], place: usize) -> bool {
+    azimuths[place - 1] < azimuths[place]
+        || compare((azimuths[place - 1], returns[place - 1]), (azimuths[place], returns[place])).is_lt()
+}
+
+fn compare(a: (f64, Return), b: (f64, Return)) -> std::cmp::Ordering {
+    a.0.total_cmp(&b.0).then(a.1.column.cmp(&b.1.column))
+}
+
+#[cold]
+fn sort_all(azimuths: &[f64], returns: &mut [Return]) {
+    let mut sorted: Vec<(f64, Return)> = azimuths.iter().copied().zip(returns.iter().copied()).collect();
+    sorted.sort_unstable_by(|a, b| compare(*a, *b));
+    returns.iter_mut().zip(sorted).for_each(|(place, (_, found))| *place = found);
 }

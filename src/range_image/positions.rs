@@ -1,19 +1,43 @@
 //! Where the returns of a range image are by the formula.
 
+use pulp::{Arch, NullaryFnOnce};
+
 use super::Return;
 use crate::sensor::{Coordinates, SensorModel, nearest_millimetre};
 
 /// Positions of returns (metres), which are `offset_m` metres farther than their steps say: as the file's
 /// grid has them if they are `on_grid`, else as the formula gives them.
 pub fn positions(sensor: &SensorModel, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
-    let grid = sensor.coordinates;
-    match (on_grid, grid) {
-        (true, Coordinates::Millimetre) => fill(sensor, returns, offset_m, nearest_millimetre),
-        (true, _) => fill(sensor, returns, offset_m, |formula| grid.nearest(formula)),
-        (false, _) => fill(sensor, returns, offset_m, |formula| formula as f32),
+    Arch::new().dispatch(Filling { sensor, returns, offset_m, on_grid })
+}
+
+/// What it takes to find positions.
+struct Filling<'a> {
+    sensor: &'a SensorModel,
+    returns: &'a [Return],
+    offset_m: f64,
+    on_grid: bool,
+}
+
+impl NullaryFnOnce for Filling<'_> {
+    type Output = Vec<[f32; 3]>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<[f32; 3]> {
+        let Filling { sensor, returns, offset_m, on_grid } = self;
+        /// Metres: within the reach of `nearest_millimetre`, whatever the beams' offsets.
+        const NEAR: f64 = 1.9e6;
+        let grid = sensor.coordinates;
+        let is_near = sensor.metres(sensor.most_steps()) < NEAR;
+        match (on_grid, grid) {
+            (true, Coordinates::Millimetre) if is_near => fill(sensor, returns, offset_m, nearest_millimetre),
+            (true, _) => fill(sensor, returns, offset_m, |formula| grid.nearest(formula)),
+            (false, _) => fill(sensor, returns, offset_m, |formula| formula as f32),
+        }
     }
 }
 
+#[inline(always)]
 fn fill(
     sensor: &SensorModel,
     returns: &[Return],

@@ -1,5 +1,7 @@
 //! Where the points of a scan lie in a range image.
 
+use pulp::{Arch, NullaryFnOnce};
+
 use super::RangeImage;
 use crate::grid::Grid;
 use crate::scan::{PointCloud, squared_distance};
@@ -122,19 +124,35 @@ struct Place {
 
 /// The place of each point.
 fn places(sensor: &SensorModel, cloud: &PointCloud, reach: f64) -> Vec<Place> {
-    /// Points at a time.
-    const BLOCK: usize = 8;
-    let mut search = Search { sensor, reach, row: 0, tick: 0 };
-    let mut places = Vec::with_capacity(cloud.positions.len());
-    let (blocks, rest) = cloud.positions.as_chunks::<BLOCK>();
-    for block in blocks {
-        match search.next(block) {
-            Some(found) => places.extend(found),
-            None => places.extend(block.iter().map(|point| search.next_one(point))),
+    let search = Search { sensor, reach, row: 0, tick: 0 };
+    Arch::new().dispatch(Searching { search, positions: &cloud.positions })
+}
+
+/// What it takes to find places.
+struct Searching<'a> {
+    search: Search<'a>,
+    positions: &'a [[f32; 3]],
+}
+
+impl NullaryFnOnce for Searching<'_> {
+    type Output = Vec<Place>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<Place> {
+        /// Points at a time.
+        const BLOCK: usize = 8;
+        let Searching { mut search, positions } = self;
+        let mut places = Vec::with_capacity(positions.len());
+        let (blocks, rest) = positions.as_chunks::<BLOCK>();
+        for block in blocks {
+            match search.next(block) {
+                Some(found) => places.extend_from_slice(&found),
+                None => places.extend(block.iter().map(|point| search.next_one(point))),
+            }
         }
+        places.extend(rest.iter().map(|point| search.next_one(point)));
+        places
     }
-    places.extend(rest.iter().map(|point| search.next_one(point)));
-    places
 }
 
 /// Finds places of points that come row by row, tick after tick.
@@ -149,7 +167,7 @@ struct Search<'a> {
 
 impl Search<'_> {
     /// The places of the next points, if all of them are near the last one's.
-    #[inline]
+    #[inline(always)]
     fn next<const N: usize>(&mut self, points: &[[f32; 3]; N]) -> Option<[Place; N]> {
         let found = self.sensor.invert_near(self.row, points, self.tick, self.reach)?;
         if found.iter().any(|(_, steps)| *steps > LONGEST) {

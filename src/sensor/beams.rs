@@ -62,15 +62,27 @@ pub(crate) fn split_beams(positions: &[[f32; 3]]) -> Vec<Vec<Point>> {
 }
 
 /// A beam's points, scan by scan.
-pub(super) struct Beam {
+pub(super) struct Beam<'a> {
     cone: Cone,
-    /// One entry a scan; empty where the scan has no such beam.
-    pub scans: Vec<Vec<Point>>,
+    /// One entry a scan, its points in one piece or more; none where the scan has no such beam.
+    pub scans: Vec<Vec<&'a [Point]>>,
+}
+
+impl Beam<'_> {
+    /// All points.
+    pub fn points(&self) -> Vec<Point> {
+        self.scans.iter().flatten().copied().flatten().copied().collect()
+    }
+
+    /// How many points the beam has in a scan.
+    pub fn points_in(&self, scan: usize) -> usize {
+        self.scans[scan].iter().map(|points| points.len()).sum()
+    }
 }
 
 /// Brings the beams of several scans together, in the order of the file. Scans that have little in
 /// common with the others are left out.
-pub(super) fn align(scans: &[&[Vec<Point>]]) -> Vec<Beam> {
+pub(super) fn align<'a>(scans: &[&'a [Vec<Point>]]) -> Vec<Beam<'a>> {
     let cones: Vec<Vec<Option<Cone>>> =
         scans.par_iter().map(|beams| beams.iter().map(|points| Cone::of(points)).collect()).collect();
     let matched = |reference: usize, scan: usize| {
@@ -91,7 +103,7 @@ pub(super) fn align(scans: &[&[Vec<Point>]]) -> Vec<Beam> {
         *scan != reference && matched(reference, *scan) * 2 > scans[*scan].iter().map(Vec::len).sum()
     };
 
-    let mut beams: Vec<Beam> = Vec::new();
+    let mut beams: Vec<Beam<'a>> = Vec::new();
     for scan in std::iter::once(reference).chain((0..scans.len()).filter(alike)) {
         let mut place = 0;
         for (points, cone) in scans[scan].iter().zip(&cones[scan]) {
@@ -101,7 +113,7 @@ pub(super) fn align(scans: &[&[Vec<Point>]]) -> Vec<Beam> {
                 Some(place)
             });
             if let Some(found) = found {
-                beams[found].scans[scan].extend_from_slice(points);
+                beams[found].scans[scan].push(points);
                 place = found + 1;
             }
         }

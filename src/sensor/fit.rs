@@ -57,11 +57,10 @@ pub fn fit(sample: &[ScanFile]) -> Option<SensorModel> {
 /// Fits a model to scans with coordinates on the same grid.
 fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<SensorModel> {
     let beams = align(scans);
-    let constants: Vec<_> =
-        beams.par_iter().map(|beam| fit_beam(&beam.scans.concat(), coordinates)).collect();
+    let constants: Vec<_> = beams.par_iter().map(|beam| fit_beam(&beam.points(), coordinates)).collect();
     let (beams, constants): (Vec<&Beam>, Vec<BeamConstants>) =
         beams.iter().zip(constants).filter_map(|(beam, constants)| Some((beam, constants?))).unzip();
-    let taken = |scan: usize| beams.iter().map(|beam| beam.scans[scan].len()).sum::<usize>();
+    let taken = |scan: usize| beams.iter().map(|beam| beam.points_in(scan)).sum::<usize>();
     let total = |scan: usize| scans[scan].iter().map(Vec::len).sum::<usize>();
     let used = (0..scans.len()).filter(|&scan| taken(scan) > 0);
     let (taken, total) = used.fold((0, 0), |sum, scan| (sum.0 + taken(scan), sum.1 + total(scan)));
@@ -81,7 +80,7 @@ fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<Sensor
 fn in_single_precision(model: SensorModel, beams: &[&Beam]) -> SensorModel {
     /// Points of a beam that are compared.
     const COMPARED: usize = 200;
-    let points: Vec<Vec<Point>> = beams.par_iter().map(|beam| beam.scans.concat()).collect();
+    let points: Vec<Vec<Point>> = beams.par_iter().map(|beam| beam.points()).collect();
     let refinements: Vec<Option<Refinement>> =
         points.par_iter().enumerate().map(|(row, points)| sharpen(&model, row, points)).collect();
     if refinements.iter().all(Option::is_none) {
@@ -108,7 +107,7 @@ fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<BeamConstants>
     if points.len() < FEWEST_POINTS {
         return None;
     }
-    let cone = Cone::fit(&thinned(points, 2 * SAMPLE).copied().collect::<Vec<_>>());
+    let cone = Cone::fit(&thinned(points, SAMPLE).copied().collect::<Vec<_>>());
     let elevation = cone.slope.atan();
     let (side, rot) = side_offset(&far_sample(points));
     let offset = range_phase(points, elevation);
@@ -120,9 +119,9 @@ fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<BeamConstants>
 /// Points far enough for their azimuth to be sharp, thinned.
 fn far_sample(points: &[Point]) -> Vec<Point> {
     for least in [5.0, 3.2, 0.0] {
-        let far: Vec<_> = points.iter().copied().filter(|p| p.rho > least).collect();
+        let far: Vec<&Point> = points.iter().filter(|p| p.rho > least).collect();
         if far.len() >= 500 || least == 0.0 {
-            return thinned(&far, SAMPLE).copied().collect();
+            return thinned(&far, SAMPLE).map(|point| **point).collect();
         }
     }
     Vec::new()
@@ -156,14 +155,14 @@ fn side_offset(far: &[Point]) -> (f64, f64) {
         let strength = |mm: i32| at(points, f64::from(mm) * 1e-3).0;
         mm.map(|mm| (mm, strength(mm))).max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(mm, _)| mm)
     };
-    let rough = best(&sample(250), &mut (-60..=60).step_by(3));
-    let h = f64::from(best(&sample(600), &mut (rough - 3..=rough + 3))) * 1e-3;
+    let rough = best(&sample(150), &mut (-60..=60).step_by(3));
+    let h = f64::from(best(&sample(400), &mut (rough - 3..=rough + 3))) * 1e-3;
     (h, at(far, h).1 / TAU * TICK)
 }
 
 /// Step 3: the phase of the range on its grid, as the offset b in metres.
 fn range_phase(points: &[Point], elevation: f64) -> f64 {
-    let mut ranges: Vec<f64> = thinned(points, 2 * SAMPLE).map(|p| p.rho / elevation.cos()).collect();
+    let mut ranges: Vec<f64> = thinned(points, SAMPLE).map(|p| p.rho / elevation.cos()).collect();
     ranges.sort_by(f64::total_cmp);
     let middle = &ranges[ranges.len() / 20..ranges.len() * 17 / 20];
     coherence(middle.iter().copied(), RANGE_STEP).1 / TAU * RANGE_STEP * elevation.cos()
@@ -185,10 +184,12 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
         system
     };
     // The first steps are long, and a few points are enough for them.
-    for (count, reach) in [(SAMPLE / 4, 0.004), (SAMPLE / 4, 0.004), (SAMPLE / 2, 0.0015), (SAMPLE, 0.0015)] {
+    for (count, reach) in
+        [(SAMPLE / 8, 0.004), (SAMPLE / 8, 0.004), (SAMPLE / 4, 0.0015), (SAMPLE / 2, 0.0015)]
+    {
         least_squares(&constants, count, reach).step(&mut constants);
     }
-    let good = least_squares(&constants, 2 * SAMPLE, 0.0015);
+    let good = least_squares(&constants, SAMPLE, 0.0015);
     good.step(&mut constants);
     if coordinates == Coordinates::Millimetre {
         centre_in_roundings(&mut constants, points, &good);
@@ -208,7 +209,7 @@ fn centre_in_roundings(constants: &mut [f64; 5], points: &[Point], whole: &Syste
     /// right to a few micrometres.
     const NEAR_BORDER: f64 = 3e-5;
     /// How much the points that fit hold the constants in place.
-    const INERTIA: f64 = 0.02;
+    const INERTIA: f64 = 0.003;
     let formula = Formula::new(constants);
     let near_border = |point: &&Point| {
         let largest = formula.at(point).largest_miss();

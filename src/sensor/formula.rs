@@ -1,11 +1,12 @@
 //! The formula of one beam ([`SensorModel`](super::SensorModel) has it in full).
 
-use std::array::from_fn;
+use std::f64::consts::TAU;
 
 use super::BeamConstants;
+use super::lanes::lanes;
 
 /// An azimuth tick.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Tick {
     /// Its angle, in radians, and that one's cosine and sine.
     radians: f64,
@@ -45,55 +46,60 @@ impl Formula {
     }
 
     /// z at horizontal distance `rho`, both in metres.
-    #[inline]
+    #[inline(always)]
     pub fn height_at(&self, rho: f64) -> f64 {
         (rho - self.b) * self.slope + self.c
     }
 
     /// Cosine and sine of the beam's azimuth at a tick.
-    #[inline]
+    #[inline(always)]
     pub fn heading(&self, tick: &Tick) -> (f64, f64) {
         let Tick { cos, sin, .. } = tick;
         (cos * self.cos_rot - sin * self.sin_rot, sin * self.cos_rot + cos * self.sin_rot)
     }
 
     /// The horizontal distance from the axis at a range, both in metres.
-    #[inline]
+    #[inline(always)]
     pub fn rho(&self, metres: f64) -> f64 {
         metres * self.cos_v + self.b
     }
 
     /// The range, in metres, at which the beam passes nearest to a point at distance `rho` and height `z`.
-    #[inline]
+    #[inline(always)]
     pub fn range(&self, rho: f64, z: f64) -> f64 {
         (rho - self.b) * self.cos_v + (z - self.c) * self.sin_v
     }
 
     /// x, y and z, in metres, of `N` points at a time, which vector units compute side by side.
-    #[inline]
-    pub fn points<const N: usize>(&self, ticks: [&Tick; N], metres: [f64; N]) -> [[f64; N]; 3] {
-        let headings: [_; N] = from_fn(|i| self.heading(ticks[i]));
-        let rho: [f64; N] = from_fn(|i| self.rho(metres[i]));
+    #[inline(always)]
+    pub fn points<const N: usize>(&self, ticks: [Tick; N], metres: [f64; N]) -> [[f64; N]; 3] {
+        let headings: [(f64, f64); N] = lanes(|i| self.heading(&ticks[i]));
+        let rho: [f64; N] = lanes(|i| self.rho(metres[i]));
         // Turned by atan(h / rho), whose cosine and sine are rho and h over their hypotenuse.
-        let along: [f64; N] = from_fn(|i| rho[i] / (rho[i] * rho[i] + self.h * self.h).sqrt());
+        let along: [f64; N] = lanes(|i| rho[i] / (rho[i] * rho[i] + self.h * self.h).sqrt());
         [
-            from_fn(|i| along[i] * (headings[i].0 * rho[i] - headings[i].1 * self.h)),
-            from_fn(|i| along[i] * (headings[i].1 * rho[i] + headings[i].0 * self.h)),
-            from_fn(|i| metres[i] * self.sin_v + self.c),
+            lanes(|i| along[i] * (headings[i].0 * rho[i] - headings[i].1 * self.h)),
+            lanes(|i| along[i] * (headings[i].1 * rho[i] + headings[i].0 * self.h)),
+            lanes(|i| metres[i] * self.sin_v + self.c),
         ]
     }
 
-    /// phi: the azimuth, in radians, before it is brought into one turn.
-    #[inline]
-    pub fn azimuth(&self, tick: &Tick, metres: f64) -> f64 {
-        tick.radians + self.rot + small_atan(self.h / self.rho(metres))
+    /// phi: the azimuths, in radians from 0 to 2 pi, of `N` points at a time.
+    #[inline(always)]
+    pub fn azimuths<const N: usize>(&self, ticks: [Tick; N], metres: [f64; N]) -> [f64; N] {
+        let side: [f64; N] = lanes(|i| small_atan(self.h / self.rho(metres[i])));
+        lanes(|i| {
+            let azimuth = ticks[i].radians + self.rot + side[i];
+            let (before, behind) = (azimuth < 0.0, azimuth >= TAU);
+            azimuth + if before { TAU } else { 0.0 } - if behind { TAU } else { 0.0 }
+        })
     }
 }
 
 /// atan for the small angles of the sideways offset: a fixed polynomial, the same on every
 /// platform. Off by less than 1e-9 rad below 0.05 rad; what is larger only spoils the order
 /// that the file is expected to have, never the result.
-#[inline]
+#[inline(always)]
 pub(super) fn small_atan(tangent: f64) -> f64 {
     let square = tangent * tangent;
     tangent * (1.0 - square * (1.0 / 3.0 - square * (1.0 / 5.0 - square / 7.0)))

@@ -7,6 +7,7 @@ mod coordinates;
 mod fit;
 mod formula;
 mod ideal;
+mod lanes;
 mod model;
 mod near;
 mod sharpen;

@@ -18,6 +18,7 @@ use std::f64::consts::TAU;
 
 use super::Coordinates;
 use super::formula::{Formula, Tick, small_atan};
+use super::lanes::lanes;
 use super::single_precision::{Arithmetic, Refinement};
 use crate::error::{Error, Result};
 use crate::rounding::round_ties_even;
@@ -273,16 +274,24 @@ impl SensorModel {
         self.point_at(row, tick, self.metres(steps))
     }
 
-    /// phi of the formula, in radians from 0 to 2 pi: the order of the points of a row in the file.
-    pub fn azimuth(&self, row: usize, tick: u32, steps: u32) -> f64 {
-        let azimuth = self.beams[row].azimuth(&self.ticks_of_turn[tick as usize], self.metres(steps));
-        if azimuth < 0.0 {
-            azimuth + TAU
-        } else if azimuth >= TAU {
-            azimuth - TAU
-        } else {
-            azimuth
+    /// phi of the formula, in radians from 0 to 2 pi, of ticks and ranges in steps of one row: the order of its
+    /// points in the file.
+    #[inline(always)]
+    pub fn fill_azimuths(&self, row: usize, places: impl Fn(usize) -> (u32, u32), azimuths: &mut [f64]) {
+        /// Points at a time.
+        const LANES: usize = 8;
+        let beam = &self.beams[row];
+        let one = |(tick, steps): (u32, u32)| {
+            beam.azimuths([self.ticks_of_turn[tick as usize]], [self.metres(steps)])[0]
+        };
+        let (blocks, rest) = azimuths.as_chunks_mut::<LANES>();
+        let first_of_rest = LANES * blocks.len();
+        for (block, first) in blocks.iter_mut().zip((0..).step_by(LANES)) {
+            let places: [(u32, u32); LANES] = lanes(|i| places(first + i));
+            let ticks: [Tick; LANES] = lanes(|i| self.ticks_of_turn[places[i].0 as usize]);
+            *block = beam.azimuths(ticks, lanes(|i| self.metres(places[i].1)));
         }
+        rest.iter_mut().zip(first_of_rest..).for_each(|(azimuth, point)| *azimuth = one(places(point)));
     }
 
     /// The formula inverted: the azimuth tick and range steps that come nearest to a point of beam
@@ -330,14 +339,14 @@ impl SensorModel {
     /// The formula for a range in metres that need not be a whole number of steps.
     #[inline]
     pub fn point_at(&self, row: usize, tick: u32, metres: f64) -> [f64; 3] {
-        let [[x], [y], [z]] = self.beams[row].points([&self.ticks_of_turn[tick as usize]], [metres]);
+        let [[x], [y], [z]] = self.beams[row].points([self.ticks_of_turn[tick as usize]], [metres]);
         [x, y, z]
     }
 
     /// Fills in positions of points of beam `row`, as well as the model gives them
     /// ([`position_at`](Self::position_at)) and as `stored` makes a coordinate of the file of metres.
     /// `place` tells the tick and the range, in metres, of each.
-    #[inline]
+    #[inline(always)]
     pub fn fill_positions(
         &self,
         row: usize,
@@ -346,7 +355,7 @@ impl SensorModel {
         positions: &mut [[f32; 3]],
     ) {
         /// Points at a time.
-        const LANES: usize = 4;
+        const LANES: usize = 8;
         let one = |point: usize| {
             let (tick, metres) = place(point);
             self.position_at(row, tick, metres).map(&stored)
@@ -354,11 +363,10 @@ impl SensorModel {
         let whole = if self.single.is_empty() { positions.len() / LANES * LANES } else { 0 };
         let (blocks, rest) = positions.split_at_mut(whole);
         for (block, first) in blocks.as_chunks_mut::<LANES>().0.iter_mut().zip((0..).step_by(LANES)) {
-            let places: [_; LANES] = std::array::from_fn(|i| place(first + i));
-            let ticks = places.map(|(tick, _)| &self.ticks_of_turn[tick as usize]);
-            let points =
-                self.beams[row].points(ticks, places.map(|(_, metres)| metres)).map(|axis| axis.map(&stored));
-            *block = std::array::from_fn(|i| points.map(|axis| axis[i]));
+            let places: [(u32, f64); LANES] = lanes(|i| place(first + i));
+            let ticks: [Tick; LANES] = lanes(|i| self.ticks_of_turn[places[i].0 as usize]);
+            let [x, y, z] = self.beams[row].points(ticks, lanes(|i| places[i].1));
+            *block = lanes(|i| [stored(x[i]), stored(y[i]), stored(z[i])]);
         }
         rest.iter_mut().zip(whole..).for_each(|(position, point)| *position = one(point));
     }

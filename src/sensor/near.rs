@@ -1,9 +1,9 @@
 //! The formula inverted for several points at a time, where they are expected. For the encoder, whose points
 //! nearly always follow one another by a tick.
 
-use std::array::from_fn;
 use std::f64::consts::TAU;
 
+use super::lanes::lanes;
 use super::model::ON_CONE;
 use super::{FLOAT_RANGES, SensorModel};
 use crate::rounding::round_ties_even;
@@ -15,7 +15,7 @@ impl SensorModel {
     /// The ticks and the range steps of points (metres, as the file has them) of beam `row`, none of them far from
     /// tick `hint`. None if that is not what they all are, if one is off the file's grid, or if the formula
     /// misses one by `reach` metres or more along an axis.
-    #[inline]
+    #[inline(always)]
     pub fn invert_near<const N: usize>(
         &self,
         row: usize,
@@ -27,13 +27,12 @@ impl SensorModel {
         if self.range_step_um == FLOAT_RANGES || turn < 16.0 * NEAR {
             return None;
         }
-        let [x, y, z]: [[f64; N]; 3] = from_fn(|axis| from_fn(|i| f64::from(points[i][axis])));
-        let rho: [f64; N] = from_fn(|i| (x[i] * x[i] + y[i] * y[i]).sqrt());
+        let [x, y, z]: [[f64; N]; 3] = [0, 1, 2].map(|axis| lanes(|i| f64::from(points[i][axis])));
+        let rho: [f64; N] = lanes(|i| (x[i] * x[i] + y[i] * y[i]).sqrt());
         let (cos, sin) = beam.heading(&self.ticks_of_turn[hint as usize]);
-        let turned: [f64; N] =
-            from_fn(|i| (y[i] * cos - x[i] * sin - beam.h) / rho[i] * (turn * (1.0 / TAU)));
+        let turned: [f64; N] = lanes(|i| (y[i] * cos - x[i] * sin - beam.h) / rho[i] * (turn * (1.0 / TAU)));
         let steps: [f64; N] =
-            from_fn(|i| round_ties_even(beam.range(rho[i], z[i]) * (1e6 / f64::from(self.range_step_um))));
+            lanes(|i| round_ties_even(beam.range(rho[i], z[i]) * (1e6 / f64::from(self.range_step_um))));
         let most = f64::from(self.most_steps());
         let is_expected = |i: usize| {
             ((beam.height_at(rho[i]) - z[i]).abs() < ON_CONE)
@@ -42,21 +41,31 @@ impl SensorModel {
                 & (steps[i] >= 1.0)
                 & (steps[i] <= most)
         };
-        if !(0..N).fold(true, |all, i| all & is_expected(i)) {
+        // Loops, for calls would not be compiled for the same vector unit.
+        let mut all_expected = true;
+        for i in 0..N {
+            all_expected &= is_expected(i);
+        }
+        if !all_expected {
             return None;
         }
-        let ticks: [u32; N] = from_fn(|i| {
+        let ticks: [u32; N] = lanes(|i| {
             let tick = hint as i32 + round_ties_even(turned[i]) as i32;
             let (first, end) = (tick < 0, tick >= self.ticks as i32);
             (tick + self.ticks as i32 * (i32::from(first) - i32::from(end))) as u32
         });
-        let metres = steps.map(|steps| steps * self.range_step_m());
-        let formula = beam.points(ticks.map(|tick| &self.ticks_of_turn[tick as usize]), metres);
+        let metres: [f64; N] = lanes(|i| steps[i] * self.range_step_m());
+        let formula = beam.points(lanes(|i| self.ticks_of_turn[ticks[i] as usize]), metres);
         let is_near = |axis: usize, i: usize| {
             let (point, formula) = (points[i][axis], formula[axis][i]);
             self.coordinates.holds(point, formula) & ((formula - f64::from(point)).abs() < reach)
         };
-        let all_near = (0..3).fold(true, |all, axis| (0..N).fold(all, |all, i| all & is_near(axis, i)));
-        all_near.then(|| from_fn(|i| (ticks[i], steps[i] as u32)))
+        let mut all_near = true;
+        for axis in 0..3 {
+            for i in 0..N {
+                all_near &= is_near(axis, i);
+            }
+        }
+        all_near.then(|| lanes(|i| (ticks[i], steps[i] as u32)))
     }
 }

@@ -41,6 +41,8 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
     let mut streams = vec![
         coded(&scanner, at_level(1)),
         coded(&scanner, at_level(2)),
+        coded(&scanner, at_level(3)),
+        coded(&scanner, at_level(8)),
         coded(&scanner, EncoderConfig::default()),
         coded(&scanner, at_level(9)),
         coded(&others, EncoderConfig::default()),

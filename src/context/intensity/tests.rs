@@ -68,7 +68,7 @@ fn bytes_of(depth: Depth, per_unit: u32, frames: &[Grid<f32>]) -> usize {
 
 #[test]
 fn levels_of_seven_to_nine_bits_come_back_at_any_depth() {
-    for depth in [Depth::Quick, Depth::Mixed, Depth::Deep] {
+    for depth in [Depth::Light, Depth::Quick, Depth::Mixed, Depth::Deep] {
         for (per_unit, brightest) in [(100, 100.0), (256, 250.0), (1, 500.0)] {
             let mut frames = vec![frame(1, per_unit, brightest), frame(2, per_unit, brightest)];
             frames[0][(3, 7)] = 0.1234;
@@ -93,7 +93,9 @@ fn any_bytes_decode_to_something() {
         let mut random = Rng::keyed(seed, &[1]);
         let bytes: Vec<u8> = (0..200).map(|_| random.below(256) as u8).collect();
         let mut values = vec![Grid::new(ROWS, COLUMNS); 2];
-        code(&mut ArithmeticDecoder::new(&bytes), Depth::Deep, &scale, &mut values);
-        assert!(values.iter().flat_map(Grid::cells).all(|value| scale.level_of(*value).is_some()));
+        for depth in [Depth::Light, Depth::Quick, Depth::Mixed, Depth::Deep] {
+            code(&mut ArithmeticDecoder::new(&bytes), depth, &scale, &mut values);
+            assert!(values.iter().flat_map(Grid::cells).all(|value| scale.level_of(*value).is_some()));
+        }
     }
 }

@@ -1,0 +1,132 @@
+//! Levels by two views of the levels before and one of the reference, mixed: the quickest of adaptive models.
+
+use super::neighbours::{IntensityNeighbours, TYPICAL_LEVEL};
+use super::scale::{IntensityScale, MOST_BITS};
+use crate::entropy::{BitCoder, Counter, Logistic};
+
+/// Contexts of each view, which it shares by hashing.
+const SLOT_BITS: u32 = 13;
+/// Beams beyond this many share their contexts.
+const ROWS: usize = 128;
+/// The weights that two opinions and three start with: several know more than one, but much of it is the same.
+const OF_TWO: f32 = 0.55;
+const OF_THREE: f32 = 0.45;
+/// How fast weights learn.
+const RATE: f32 = 0.005;
+/// Places in the tree of a level's bits.
+const NODES: usize = 1 << MOST_BITS;
+
+/// What the coder has learned about levels.
+#[derive(Clone)]
+pub struct LightLevels {
+    /// Of each view, for each slot a counter for each place in the tree of a level's bits.
+    views: [Vec<Counter>; 2],
+    weights: Vec<[f32; 2]>,
+    /// The view of the reference, once there was one, and the weights of all three.
+    reference: Vec<Counter>,
+    reference_weights: Vec<[f32; 3]>,
+    tables: &'static Logistic,
+}
+
+impl Default for LightLevels {
+    fn default() -> Self {
+        LightLevels {
+            views: Default::default(),
+            weights: vec![[OF_TWO; 2]; NODES],
+            reference: Vec::new(),
+            reference_weights: vec![[OF_THREE; 3]; NODES],
+            tables: Logistic::tables(),
+        }
+    }
+}
+
+impl LightLevels {
+    /// Begins a frame, or its strays.
+    pub fn start_frame(&mut self, scale: &IntensityScale) {
+        if scale.is_on_grid() {
+            self.views.iter_mut().for_each(|view| grow(view, scale));
+        }
+    }
+
+    /// Codes one level. `row` only serves as a context.
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        scale: &IntensityScale,
+        near: &IntensityNeighbours,
+        row: usize,
+        level: u32,
+    ) -> u32 {
+        let or = |level: u16, other: u16| if level > 0 { level } else { other };
+        let [_, north_west, north, north_east, _] = near.above;
+        let west = or(near.left[0], or(north, or(north_west, or(north_east, TYPICAL_LEVEL))));
+        let west2 = or(near.left[1], west);
+        let [w, ww, www] = [west, west2, near.left[2]].map(usize::from);
+        let [first, second] = [(w / 2) << 16 | (ww / 2) << 8 | www / 8, row.min(ROWS - 1) << 8 | w]
+            .map(|view| slot(view) << scale.bits());
+        let [of_before, of_row] = &mut self.views;
+        let (tables, weights) = (self.tables, &mut self.weights);
+        let Some(back) = near.back else {
+            return code_bits(scale.bits(), level, |bit, node| {
+                let counters = [&mut of_before[first + node], &mut of_row[second + node]];
+                mix(coder, tables, &mut weights[node], counters, bit)
+            });
+        };
+        grow(&mut self.reference, scale);
+        let (of_reference, weights) = (&mut self.reference, &mut self.reference_weights);
+        let third = slot(usize::from(back.level()) << 8 | w / 4) << scale.bits();
+        code_bits(scale.bits(), level, |bit, node| {
+            let counters =
+                [&mut of_before[first + node], &mut of_row[second + node], &mut of_reference[third + node]];
+            mix(coder, tables, &mut weights[node], counters, bit)
+        })
+    }
+}
+
+/// Makes room for the levels of a scale.
+fn grow(view: &mut Vec<Counter>, scale: &IntensityScale) {
+    let places = 1 << (SLOT_BITS + scale.bits());
+    if view.len() < places {
+        view.resize(places, Counter::default());
+    }
+}
+
+/// Codes the bits of a level, the highest first, by what codes one at a node of their tree.
+#[inline(always)]
+fn code_bits(bits: u32, level: u32, mut code: impl FnMut(bool, usize) -> bool) -> u32 {
+    let mut node = 1;
+    for i in (0..bits).rev() {
+        node = node << 1 | usize::from(code(level >> i & 1 == 1, node));
+    }
+    node as u32 - (1 << bits)
+}
+
+/// Codes a bit by the weighed sum of some opinions; counters and weights learn from it.
+#[inline(always)]
+fn mix<C: BitCoder, const N: usize>(
+    coder: &mut C,
+    tables: &Logistic,
+    weights: &mut [f32; N],
+    counters: [&mut Counter; N],
+    bit: bool,
+) -> bool {
+    let mut opinions = [0.0; N];
+    let mut odds = 0.0;
+    for i in 0..N {
+        opinions[i] = tables.opinion(*counters[i]);
+        odds += weights[i] * opinions[i];
+    }
+    let p = tables.squash(odds);
+    let bit = coder.code(bit, p);
+    let pull = ((i32::from(bit) << 16) - p as i32) as f32 * (RATE / 65536.0);
+    for i in 0..N {
+        weights[i] += pull * opinions[i];
+    }
+    counters.into_iter().for_each(|counter| counter.learn(bit));
+    bit
+}
+
+/// The place of a context among the slots.
+fn slot(view: usize) -> usize {
+    ((view as u32).wrapping_mul(0x9e37_79b1) >> (32 - SLOT_BITS)) as usize
+}

@@ -1,0 +1,11 @@
+//! Several values side by side, as vector units compute them.
+
+/// One value for each lane. Unlike that of the standard library this is compiled for the vector unit of what calls it.
+#[inline(always)]
+pub fn lanes<T: Copy + Default, const N: usize>(value: impl Fn(usize) -> T) -> [T; N] {
+    let mut values = [T::default(); N];
+    for lane in 0..N {
+        values[lane] = value(lane);
+    }
+    values
+}
