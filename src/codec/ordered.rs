@@ -5,6 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Sender};
 use std::thread;
 
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
 use crate::error::{Error, Result};
 
 /// What the calling thread waits for.
@@ -15,6 +17,15 @@ enum Event<J, T> {
     End,
     /// The job with this number is done.
     Done(usize, Result<T>),
+}
+
+/// So many threads.
+///
+/// # Errors
+/// If they cannot be started.
+pub(super) fn pool(threads: usize) -> Result<ThreadPool> {
+    let pool = ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.map_err(|e| Error::InvalidConfig(format!("cannot start {threads} threads: {e}")))
 }
 
 /// Does `work` for each job on `threads` threads and hands the results to `sink` in the order of the
@@ -31,10 +42,7 @@ pub(super) fn run_ordered<J: Send, T: Send>(
     work: impl Fn(J) -> Result<T> + Sync,
     sink: impl FnMut(T) -> Result<()>,
 ) -> Result<()> {
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|e| Error::InvalidConfig(format!("cannot start {threads} threads: {e}")))?;
+    let pool = pool(threads)?;
     let stop = AtomicBool::new(false);
     let (stop, work) = (&stop, &work);
     let (events, inbox) = mpsc::channel();

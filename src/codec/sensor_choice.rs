@@ -2,8 +2,9 @@
 
 use rayon::prelude::*;
 
-use super::config::{EncoderConfig, ProjectionKind};
+use super::config::{EncoderConfig, ProjectionKind, resolve_threads};
 use super::input::FrameInput;
+use super::ordered::pool;
 use crate::compensation;
 use crate::error::Result;
 use crate::io::parse_with;
@@ -17,7 +18,8 @@ const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 pub(super) fn choose_sensor(frames: &[FrameInput], config: &EncoderConfig) -> Result<Option<SensorModel>> {
     Ok(match config.projection {
         ProjectionKind::Calibrated { range_step_um } => {
-            let fitted = sensor::fit(&sample(frames, config)?);
+            let pool = pool(resolve_threads(config.threads))?;
+            let fitted = pool.install(|| sample(frames, config).map(|sample| sensor::fit(&sample)))?;
             fitted.map(|sensor| range_step_um.into_iter().fold(sensor, SensorModel::with_range_step))
         }
         ProjectionKind::Ideal { columns, range_step_um } => Some(sensor::ideal(columns, range_step_um)),
