@@ -9,6 +9,8 @@ mod file_order;
 mod positions;
 mod projection;
 mod reference;
+#[cfg(test)]
+mod testing;
 
 pub use alignment::Alignment;
 pub use positions::positions;

@@ -91,3 +91,40 @@ fn sort_all(azimuths: &[f64], returns: &mut [Return]) {
     sorted.sort_unstable_by(|a, b| compare(*a, *b));
     returns.iter_mut().zip(sorted).for_each(|(place, (_, found))| *place = found);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::range_image::testing::scanner;
+
+    #[test]
+    fn returns_come_by_their_azimuths_on_every_vector_unit() {
+        let (sensor, image) = scanner();
+        let returns = image.file_order(&sensor);
+        assert_eq!(returns, Ordering { image: &image, sensor: &sensor }.call());
+        assert_eq!(returns.len(), image.returns());
+        let mut out_of_columns = 0;
+        for pair in returns.windows(2).filter(|pair| pair[0].row == pair[1].row) {
+            let [before, after] = [pair[0], pair[1]].map(|found| {
+                let mut azimuth = [0.0];
+                sensor.fill_azimuths(found.row as usize, |_| (found.tick, found.steps), &mut azimuth);
+                (azimuth[0], found)
+            });
+            assert!(compare(before, after).is_lt(), "{before:?} {after:?}");
+            out_of_columns += usize::from(before.1.column > after.1.column);
+        }
+        assert!(out_of_columns > 100, "the image must have returns out of the columns' order");
+    }
+
+    #[test]
+    fn the_order_of_returns_in_no_order_is_found_too() {
+        let (sensor, image) = scanner();
+        let mut returns = image.file_order(&sensor);
+        returns.retain(|found| found.row == 0);
+        // Azimuths that fall from place to place, but nowhere by more than the seam does.
+        let mut azimuths: Vec<f64> = (0..returns.len()).rev().map(|i| i as f64 * 1e-4).collect();
+        let reversed: Vec<Return> = returns.iter().rev().copied().collect();
+        sort(&mut azimuths, &mut returns);
+        assert_eq!(returns, reversed);
+    }
+}

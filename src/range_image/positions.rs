@@ -54,3 +54,22 @@ fn fill(
     }
     positions
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::range_image::testing::scanner;
+
+    #[test]
+    fn every_vector_unit_gives_the_same_bits() {
+        let (sensor, image) = scanner();
+        let returns = image.file_order(&sensor);
+        for on_grid in [false, true] {
+            let here = positions(&sensor, &returns, 1e-4, on_grid);
+            let anywhere = Filling { sensor: &sensor, returns: &returns, offset_m: 1e-4, on_grid }.call();
+            assert!(
+                here.iter().flatten().map(|v| v.to_bits()).eq(anywhere.iter().flatten().map(|v| v.to_bits()))
+            );
+        }
+    }
+}

@@ -114,7 +114,7 @@ pub fn project_nearest(sensor: &SensorModel, cloud: &PointCloud) -> Projection {
 }
 
 /// Where a point belongs by the formula.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Default, PartialEq)]
 struct Place {
     row: u32,
     column_tick: u32,
@@ -202,5 +202,23 @@ impl Search<'_> {
     fn place(&self, tick: u32, steps: u32) -> Place {
         let column_tick = self.sensor.column_tick(self.row, i64::from(tick));
         Place { row: self.row as u32, column_tick, steps }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::range_image::{positions, testing::scanner};
+
+    #[test]
+    fn points_find_their_cells_on_every_vector_unit() {
+        let (sensor, image) = scanner();
+        let positions = positions(&sensor, &image.file_order(&sensor), 0.0, true);
+        let reach = REACH + 0.5 * sensor.range_step_m();
+        let search = Search { sensor: &sensor, reach, row: 0, tick: 0 };
+        let cloud = PointCloud { positions, ..PointCloud::default() };
+        let anywhere = Searching { search, positions: &cloud.positions }.call();
+        assert!(places(&sensor, &cloud, reach) == anywhere);
+        assert_eq!(project(&sensor, &cloud, REACH).image, image);
     }
 }
