@@ -9,22 +9,22 @@ impl RangeImage {
     /// The returns in the order in which a file holds them: row by row, by the azimuth that the
     /// formula gives; those of equal azimuth column by column.
     pub fn file_order(&self, sensor: &SensorModel) -> Vec<Return> {
-        Arch::new().dispatch(Ordering { image: self, sensor })
+        Arch::new().dispatch(FileOrder { image: self, sensor })
     }
 }
 
 /// What it takes to find the order.
-struct Ordering<'a> {
+struct FileOrder<'a> {
     image: &'a RangeImage,
     sensor: &'a SensorModel,
 }
 
-impl NullaryFnOnce for Ordering<'_> {
+impl NullaryFnOnce for FileOrder<'_> {
     type Output = Vec<Return>;
 
     #[inline(always)]
     fn call(self) -> Vec<Return> {
-        let Ordering { image, sensor } = self;
+        let FileOrder { image, sensor } = self;
         let mut returns = Vec::with_capacity(image.returns());
         let mut of_row = vec![Return::default(); image.columns.len() + 1];
         let mut azimuths = Vec::new();
@@ -101,7 +101,7 @@ mod tests {
     fn returns_come_by_their_azimuths_on_every_vector_unit() {
         let (sensor, image) = scanner();
         let returns = image.file_order(&sensor);
-        assert_eq!(returns, Ordering { image: &image, sensor: &sensor }.call());
+        assert_eq!(returns, FileOrder { image: &image, sensor: &sensor }.call());
         assert_eq!(returns.len(), image.returns());
         let mut out_of_columns = 0;
         for pair in returns.windows(2).filter(|pair| pair[0].row == pair[1].row) {
