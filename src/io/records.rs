@@ -24,42 +24,24 @@ pub(super) fn plain_file(layout: Layout, bytes: &[u8], start: usize, records: u6
     })
 }
 
-/// Bytes of a record of KITTI's: position, intensity and nothing else.
-const PACKED: usize = 16;
-
-/// Whether records are like KITTI's, which are dealt with far quicker than others.
-fn is_packed(layout: &Layout) -> bool {
-    let (position, intensity) = (Some([0, 4, 8]), Some(12));
-    layout.stride as usize == PACKED && layout.position == position && layout.intensity == intensity
-}
-
 /// Turns whole records, one after the other, into points. The layout must be valid.
 pub(super) fn split(layout: &Layout, body: &[u8]) -> PointCloud {
-    if is_packed(layout) {
-        let (records, _) = body.as_chunks::<PACKED>();
-        return PointCloud {
-            positions: records
-                .iter()
-                .map(|record| [0, 4, 8].map(|at| LittleEndian::read_f32(&record[at..])))
-                .collect(),
-            intensity: records.iter().map(|record| LittleEndian::read_f32(&record[12..])).collect(),
-            extra: Vec::new(),
-        };
-    }
-    let stride = layout.stride.max(1) as usize;
-    let records = body.len() / stride;
-    let extra_ranges = layout.extra_ranges();
+    let records = body.chunks_exact(layout.stride.max(1) as usize);
+    let value = |record: &[u8], at: u32| LittleEndian::read_f32(&record[at as usize..]);
+    // Field by field: a vector that is collected at once does not ask for each value whether it has room.
     let mut cloud = PointCloud {
-        positions: Vec::with_capacity(if layout.position.is_some() { records } else { 0 }),
-        intensity: Vec::with_capacity(if layout.intensity.is_some() { records } else { 0 }),
-        extra: Vec::with_capacity(records * layout.extra_stride()),
+        positions: layout.position.map_or_else(Vec::new, |offsets| {
+            records.clone().map(|record| offsets.map(|at| value(record, at))).collect()
+        }),
+        intensity: layout
+            .intensity
+            .map_or_else(Vec::new, |at| records.clone().map(|record| value(record, at)).collect()),
+        extra: Vec::with_capacity(records.len() * layout.extra_stride()),
     };
-    for record in body.chunks_exact(stride) {
-        let value = |at: u32| LittleEndian::read_f32(&record[at as usize..]);
-        cloud.positions.extend(layout.position.map(|offsets| offsets.map(value)));
-        cloud.intensity.extend(layout.intensity.map(value));
-        for range in &extra_ranges {
-            cloud.extra.extend_from_slice(&record[range.clone()]);
+    let extra_ranges = layout.extra_ranges();
+    if !extra_ranges.is_empty() {
+        for record in records {
+            extra_ranges.iter().for_each(|range| cloud.extra.extend_from_slice(&record[range.clone()]));
         }
     }
     cloud
@@ -69,33 +51,30 @@ pub(super) fn split(layout: &Layout, body: &[u8]) -> PointCloud {
 /// The file must have passed [`check`].
 pub(super) fn join(file: &ScanFile, out: &mut Vec<u8>) {
     let (layout, cloud) = (&file.layout, &file.cloud);
-    if is_packed(layout) {
-        out.reserve_exact(file.records * PACKED);
-        out.extend(cloud.positions.iter().zip(&cloud.intensity).flat_map(|([x, y, z], intensity)| {
-            let mut record = [0; PACKED];
-            LittleEndian::write_f32_into(&[*x, *y, *z, *intensity], &mut record);
-            record
-        }));
-        return;
-    }
-    let (stride, extra_stride) = (layout.stride as usize, layout.extra_stride());
-    let extra_ranges = layout.extra_ranges();
+    let (stride, extra_stride) = (layout.stride.max(1) as usize, layout.extra_stride());
     let start = out.len();
-    out.resize(start + file.records * stride, 0);
-    for (i, record) in out[start..].chunks_exact_mut(stride.max(1)).enumerate() {
-        if let Some(offsets) = layout.position {
-            for (at, value) in offsets.into_iter().zip(cloud.positions[i]) {
-                LittleEndian::write_f32(&mut record[at as usize..], value);
+    out.resize(start + file.records * layout.stride as usize, 0);
+    let body = &mut out[start..];
+    if let Some(offsets) = layout.position {
+        for (record, position) in body.chunks_exact_mut(stride).zip(&cloud.positions) {
+            for (at, value) in offsets.into_iter().zip(position) {
+                LittleEndian::write_f32(&mut record[at as usize..], *value);
             }
         }
-        if let Some(at) = layout.intensity {
-            LittleEndian::write_f32(&mut record[at as usize..], cloud.intensity[i]);
+    }
+    if let Some(at) = layout.intensity {
+        for (record, value) in body.chunks_exact_mut(stride).zip(&cloud.intensity) {
+            LittleEndian::write_f32(&mut record[at as usize..], *value);
         }
-        let mut extra = &cloud.extra[i * extra_stride..(i + 1) * extra_stride];
-        for range in &extra_ranges {
-            let (gap, rest) = extra.split_at(range.len());
-            record[range.clone()].copy_from_slice(gap);
-            extra = rest;
+    }
+    if extra_stride > 0 {
+        let extra_ranges = layout.extra_ranges();
+        for (record, mut extra) in body.chunks_exact_mut(stride).zip(cloud.extra.chunks_exact(extra_stride)) {
+            for range in &extra_ranges {
+                let (gap, rest) = extra.split_at(range.len());
+                record[range.clone()].copy_from_slice(gap);
+                extra = rest;
+            }
         }
     }
 }
