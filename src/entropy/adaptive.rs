@@ -31,7 +31,17 @@ impl AdaptiveBit {
     }
 }
 
-/// A symbol of a few bits, coded from the top bit down, each bit in the context of those above.
+/// Codes a symbol below 2^`bits` from the top bit down, each bit in the context of those above: `nodes` has
+/// 2^`bits` contexts, the first of no use.
+fn code_symbol<C: BitCoder>(nodes: &mut [AdaptiveBit], coder: &mut C, bits: u32, symbol: u32) -> u32 {
+    let mut node = 1;
+    for i in (0..bits).rev() {
+        node = node << 1 | usize::from(nodes[node].code(coder, symbol >> i & 1 == 1));
+    }
+    node as u32 - (1 << bits)
+}
+
+/// A symbol of a few bits.
 #[derive(Clone, Debug)]
 pub struct SymbolModel {
     bits: u32,
@@ -46,11 +56,7 @@ impl SymbolModel {
 
     /// Codes a symbol.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, symbol: u32) -> u32 {
-        let mut node = 1;
-        for i in (0..self.bits).rev() {
-            node = node << 1 | usize::from(self.nodes[node].code(coder, symbol >> i & 1 == 1));
-        }
-        node as u32 - (1 << self.bits)
+        code_symbol(&mut self.nodes, coder, self.bits, symbol)
     }
 }
 
@@ -58,21 +64,24 @@ impl SymbolModel {
 /// in the context of the length, those that hardly follow any law plain.
 #[derive(Clone, Debug)]
 pub struct IntegerModel {
-    length: SymbolModel,
-    /// For each length, the two bits below the highest.
-    top: Vec<SymbolModel>,
+    /// Those of the length, then for each length those of the two bits below the highest: one piece of memory.
+    nodes: Vec<AdaptiveBit>,
 }
+
+/// Contexts of the length, in bits, of an integer.
+const LENGTHS: usize = 64;
 
 impl Default for IntegerModel {
     fn default() -> Self {
-        IntegerModel { length: SymbolModel::new(6), top: vec![SymbolModel::new(2); 64] }
+        IntegerModel { nodes: vec![AdaptiveBit::default(); LENGTHS + 4 * LENGTHS] }
     }
 }
 
 impl IntegerModel {
     /// Codes an integer below 2^63.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, value: u64) -> u64 {
-        let length = self.length.code(coder, 64 - value.leading_zeros());
+        let (lengths, tops) = self.nodes.split_at_mut(LENGTHS);
+        let length = code_symbol(lengths, coder, 6, 64 - value.leading_zeros());
         if length < 2 {
             return u64::from(length);
         }
@@ -80,7 +89,8 @@ impl IntegerModel {
         let modelled = below.min(2);
         // A length of 2 has one bit below the highest: the model's upper bit stays 0.
         let top = (value >> (below - modelled)) & ((1 << modelled) - 1);
-        let top = u64::from(self.top[length as usize].code(coder, top as u32)) & ((1 << modelled) - 1);
+        let nodes = &mut tops[4 * length as usize..][..4];
+        let top = u64::from(code_symbol(nodes, coder, 2, top as u32)) & ((1 << modelled) - 1);
         let rest = below - modelled;
         let low = coder.code_plain(value & ((1 << rest) - 1), rest);
         ((1 << modelled) | top) << rest | low
