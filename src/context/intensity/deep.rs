@@ -12,7 +12,7 @@ mod zero;
 
 use std::ops::RangeInclusive;
 
-use super::errors::ErrorTrack;
+use super::errors::MeanErrors;
 use super::neighbours::IntensityNeighbours;
 use super::scale::{IntensityScale, MOST_BITS};
 use crate::context::quantise::Levels;
@@ -46,7 +46,7 @@ pub struct DeepLevels {
     counters: [HashedCounters; VIEWS],
     mixer: LayeredMixer<OPINIONS, 2>,
     levels: Levels<{ ERROR_LEVELS - 1 }>,
-    errors: ErrorTrack,
+    errors: MeanErrors,
     tables: &'static Logistic,
 }
 
@@ -63,7 +63,7 @@ impl Default for DeepLevels {
             counters: std::array::from_fn(|_| HashedCounters::new(*INDEX_BITS.start())),
             mixer: LayeredMixer::new(counts, [0.15; OPINIONS], RATES),
             levels: Levels::new(0.7, 1.45),
-            errors: ErrorTrack::default(),
+            errors: MeanErrors::default(),
             tables: Logistic::tables(),
         }
     }

@@ -5,18 +5,18 @@ const TYPICAL_ERROR: f32 = 4.0;
 
 /// The mean errors along the row, and down each column, in context levels.
 #[derive(Clone, Debug)]
-pub struct ErrorTrack {
+pub struct MeanErrors {
     mean: f32,
     above: Vec<f32>,
 }
 
-impl Default for ErrorTrack {
+impl Default for MeanErrors {
     fn default() -> Self {
-        ErrorTrack { mean: TYPICAL_ERROR, above: Vec::new() }
+        MeanErrors { mean: TYPICAL_ERROR, above: Vec::new() }
     }
 }
 
-impl ErrorTrack {
+impl MeanErrors {
     /// Begins a frame with `columns` columns.
     pub fn start_frame(&mut self, columns: usize) {
         self.start_row();

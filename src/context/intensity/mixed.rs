@@ -1,6 +1,6 @@
 //! Levels by five views of their neighbours and one of the reference, mixed.
 
-use super::errors::ErrorTrack;
+use super::errors::MeanErrors;
 use super::neighbours::{IntensityNeighbours, TYPICAL_LEVEL};
 use super::scale::{IntensityScale, MOST_BITS};
 use crate::context::Depth;
@@ -33,7 +33,7 @@ pub struct MixedLevels {
     bits: MixedBits<VIEWS, OPINIONS>,
     reference: Vec<Counter>,
     levels: Levels<7>,
-    errors: ErrorTrack,
+    errors: MeanErrors,
     /// Whether two views decide most bits.
     is_quick: bool,
 }
@@ -50,7 +50,7 @@ impl Default for MixedLevels {
             bits: MixedBits::new([0; VIEWS], 2 * SETS, 0.25, 0.0, 0.003),
             reference: Vec::new(),
             levels: Levels::new(1.0, 1.8),
-            errors: ErrorTrack::default(),
+            errors: MeanErrors::default(),
             is_quick: false,
         }
     }
