@@ -50,29 +50,30 @@ impl<T: Clone + Default> Grid<T> {
     }
 }
 
-impl<T: Copy + Default> Grid<T> {
-    /// The values of the cells that are `filled`, row after row.
-    pub fn filled(&self, filled: &Grid<bool>) -> Vec<T> {
-        let mut values = vec![T::default(); self.cells.len() + 1];
+impl Grid<bool> {
+    /// The numbers of the cells that are `true`, row after row.
+    pub fn places(&self) -> Vec<u32> {
+        let mut places = vec![0; self.cells.len() + 1];
         let mut count = 0;
-        // No branch: each value goes to the next place, where the one after it follows only if it counts.
-        for (value, filled) in self.cells.iter().zip(&filled.cells) {
-            values[count] = *value;
+        // No branch: each number goes to the next place, where the one after it follows only if it counts.
+        for (place, filled) in (0u32..).zip(&self.cells) {
+            places[count] = place;
             count += usize::from(*filled);
         }
-        values.truncate(count);
-        values
+        places.truncate(count);
+        places
+    }
+}
+
+impl<T: Copy + Default> Grid<T> {
+    /// The values of the cells with these numbers.
+    pub fn at(&self, places: &[u32]) -> Vec<T> {
+        places.iter().map(|&place| self.cells[place as usize]).collect()
     }
 
-    /// Gives the cells that are `filled` these values, row after row: there must be as many.
-    pub fn fill(&mut self, filled: &Grid<bool>, values: &[T]) {
-        let Some(last) = values.len().checked_sub(1) else { return };
-        let mut count = 0;
-        // No branch here either.
-        for (cell, filled) in self.cells.iter_mut().zip(&filled.cells) {
-            *cell = if *filled { values[count.min(last)] } else { *cell };
-            count += usize::from(*filled);
-        }
+    /// Gives the cells with these numbers these values.
+    pub fn fill(&mut self, places: &[u32], values: &[T]) {
+        places.iter().zip(values).for_each(|(&place, &value)| self.cells[place as usize] = value);
     }
 
     /// The value at an offset from a cell; the default value outside.

@@ -175,7 +175,7 @@ fn check_model(model: &SensorModel) {
             assert_eq!(model.column_tick(row, i64::from(tick)), column);
             for steps in [1, 2, 1000, 65535] {
                 let _ = model.point(row, tick, steps);
-                model.fill_azimuths(row, |_| (tick, steps), &mut [0.0; 5]);
+                model.fill_azimuths(row, &[(tick, steps); 9], |place| *place, &mut [0.0; 9]);
                 let _ = model.position_at(row, tick, model.metres(steps));
             }
         }

@@ -36,6 +36,8 @@ pub struct Frame {
     pub columns: Vec<u32>,
     /// Which cells hold a return.
     pub occupancy: Grid<bool>,
+    /// The numbers of the cells that do, row after row.
+    pub cells: Vec<u32>,
     /// Range of each return, in steps.
     pub steps: Grid<u32>,
     /// The regions of the image and their models, if ranges are predicted from them.

@@ -58,10 +58,10 @@ impl QuickModels {
     ) -> Result<()> {
         let tables = &mut self.packed_range;
         sections.tokens(SectionKind::Range, PACKED_RANGE_CONTEXTS, tables, |coder| {
-            let returns = frame.records - frame.strays;
-            let mut ranges = if S::ENCODES { frame.steps.filled(&frame.occupancy) } else { vec![0; returns] };
+            let returns = frame.cells.len();
+            let mut ranges = if S::ENCODES { frame.steps.at(&frame.cells) } else { vec![0; returns] };
             code_packed_ranges(coder, axis, &mut ranges);
-            frame.steps.fill(&frame.occupancy, &ranges);
+            frame.steps.fill(&frame.cells, &ranges);
         })
     }
 
@@ -101,7 +101,7 @@ impl QuickModels {
 }
 
 fn code_intensities<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, frame: &mut Frame) {
-    scale.code(|value, count| coder.bits(value, count));
+    scale.code(|value, count| coder.bits(value.into(), count) as u32);
     let mut model = IntensityTokens::default();
     let (rows, width) = (frame.occupancy.rows(), frame.occupancy.columns());
     // The last level seen in each column.
@@ -128,20 +128,20 @@ fn code_intensities<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, fra
 }
 
 fn pack_intensities<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, frame: &mut Frame) {
-    scale.code(|value, count| coder.bits(value, count));
-    let returns = frame.records - frame.strays;
-    let mut values = if C::ENCODES { frame.intensity.filled(&frame.occupancy) } else { vec![0.0; returns] };
+    scale.code(|value, count| coder.bits(value.into(), count) as u32);
+    let returns = frame.cells.len();
+    let mut values = if C::ENCODES { frame.intensity.at(&frame.cells) } else { vec![0.0; returns] };
     values.append(&mut frame.stray_intensity);
-    values.resize(returns + frame.strays, 0.0);
+    values.resize(frame.records, 0.0);
     code_packed_intensities(coder, &scale, &mut values);
     frame.stray_intensity = values.split_off(returns);
-    frame.intensity.fill(&frame.occupancy, &values);
+    frame.intensity.fill(&frame.cells, &values);
 }
 
 impl Frame {
     /// The grid on which the intensities of the returns and strays lie.
     pub(super) fn intensity_scale(&self) -> IntensityScale {
-        let mut values = self.intensity.filled(&self.occupancy);
+        let mut values = self.intensity.at(&self.cells);
         values.extend(&self.stray_intensity);
         IntensityScale::of(&values, self.parameters.intensity.levels_per_unit())
     }

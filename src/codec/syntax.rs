@@ -142,7 +142,8 @@ impl Models {
                 Ok(())
             })?;
         }
-        if frame.occupancy.cells().iter().filter(|&&filled| filled).count() != returns {
+        frame.cells = frame.occupancy.places();
+        if frame.cells.len() != returns {
             return Err(Error::corrupt("the range image holds another number of returns than the frame"));
         }
         Ok(reference)
@@ -178,14 +179,15 @@ impl Models {
         reference: Option<&Reference>,
     ) -> Result<Grid<u16>> {
         let coded = frame.layout.intensity.is_some() && frame.parameters.intensity != Intensity::None;
-        let no_levels = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
         if !coded {
-            frame.intensity = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
+            let (rows, columns) = (frame.occupancy.rows(), frame.occupancy.columns());
+            frame.intensity = Grid::new(rows, columns);
             frame.stray_intensity = vec![0.0; frame.strays];
-            return Ok(no_levels);
+            return Ok(Grid::new(rows, columns));
         }
         if frame.parameters.modelling().is_quick() {
-            return self.quick.code_intensities(sections, frame).map(|()| no_levels);
+            // No contexts.
+            return self.quick.code_intensities(sections, frame).map(|()| Grid::default());
         }
         sections
             .section(SectionKind::Intensity, true, |coder| Ok(self.code_intensity(coder, frame, reference)))

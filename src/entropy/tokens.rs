@@ -18,6 +18,9 @@ pub use writer::TokenWriter;
 
 use numbers::NumberToken;
 
+/// The most plain bits that are coded at once: eight bytes hold them wherever in a byte they begin.
+pub const MOST_BITS: u32 = 56;
+
 /// Codes tokens and plain bits in one direction or the other.
 pub trait TokenCoder {
     /// True if this side knows the tokens.
@@ -26,8 +29,8 @@ pub trait TokenCoder {
     /// Codes one token in a context. The decoder does not look at `token`. Both return it.
     fn token(&mut self, context: usize, token: u8) -> u8;
 
-    /// Codes the lowest `count` bits of `value`, at most 32, each as likely to be 0 as 1.
-    fn bits(&mut self, value: u32, count: u32) -> u32;
+    /// Codes the lowest `count` bits of `value`, at most [`MOST_BITS`], each as likely to be 0 as 1.
+    fn bits(&mut self, value: u64, count: u32) -> u64;
 
     /// Whether a decoder has come behind the end of its bytes: what it gives is of no meaning.
     fn is_exhausted(&self) -> bool {
@@ -41,9 +44,8 @@ pub trait TokenCoder {
         let known = NumberToken::of(value);
         let found = NumberToken::from_token(self.token(context, known.token));
         let low = found.low_bits.min(32);
-        let high = self.bits((known.rest >> low) as u32, found.low_bits - low);
-        let rest = u64::from(high) << low | u64::from(self.bits(known.rest as u32, low));
-        found.base + rest
+        let high = self.bits(known.rest >> low, found.low_bits - low);
+        found.base + (high << low | self.bits(known.rest, low))
     }
 }
 

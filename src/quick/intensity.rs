@@ -49,7 +49,7 @@ impl IntensityTokens {
         let low_bits = scale.bits().saturating_sub(TOKEN_BITS);
         let level = level.unwrap_or(0);
         let high = coder.token(context, (level >> low_bits) as u8);
-        let level = u32::from(high) << low_bits | coder.bits(level, low_bits);
+        let level = u32::from(high) << low_bits | coder.bits(level.into(), low_bits) as u32;
         if !C::ENCODES {
             *value = scale.value_of(level);
         }

@@ -1,6 +1,8 @@
 //! Numbers in blocks, each block's in as many bits as its largest one takes: nothing is quicker. What is coded is
 //! the difference to the number before.
 
+use pulp::{Arch, NullaryFnOnce};
+
 use crate::context::{Bins, IntensityScale};
 use crate::entropy::TokenCoder;
 
@@ -25,7 +27,10 @@ pub fn code_packed_ranges<C: TokenCoder>(coder: &mut C, (range_bits, bin): (u32,
     const TYPICAL: u32 = 3000;
     let most = (1 << range_bits) - 1;
     if bin == 1 {
-        let range = |before, miss| differing(before, miss).clamp(1, most);
+        let range = |before, miss| {
+            let range = differing(before, miss);
+            if (1..=most).contains(&range) { range } else { cut(range, most) }
+        };
         return code_values(coder, TYPICAL, ranges, difference, range);
     }
     let bins = |before: u32| Bins::around(i64::from(before), i64::from(bin));
@@ -80,52 +85,95 @@ fn code_off_grid<C: TokenCoder>(coder: &mut C, known: &[(usize, f32)], values: &
         let Some(found) = values.get_mut(next + gap as usize).filter(|_| !coder.is_exhausted()) else {
             return;
         };
-        *found = f32::from_bits(coder.bits(value.to_bits(), 32));
+        *found = f32::from_bits(coder.bits(value.to_bits().into(), 32) as u32);
         next += gap as usize + 1;
     }
 }
 
 /// Codes values, given what each differs from the one before by (of that and itself), and the value again (of that
 /// before and the difference).
-#[inline(always)]
 fn code_values<C: TokenCoder>(
     coder: &mut C,
-    mut before: u32,
+    before: u32,
     values: &mut [u32],
     difference: impl Fn(u32, u32) -> u32,
     differing: impl Fn(u32, u32) -> u32,
 ) {
-    let mut width = 0;
-    for block in values.chunks_mut(BLOCK) {
-        if coder.is_exhausted() {
-            return;
-        }
-        let mut differences = [0; BLOCK];
-        if C::ENCODES {
-            let mut before = before;
-            for (coded, value) in differences.iter_mut().zip(&*block) {
-                *coded = difference(before, *value);
-                before = differing(before, *coded);
+    Arch::new().dispatch(Packing {
+        coder,
+        values,
+        blocks: Blocks { before, width: 0, difference, differing },
+    });
+}
+
+/// What it takes to code values.
+struct Packing<'a, C, D, V> {
+    coder: &'a mut C,
+    values: &'a mut [u32],
+    blocks: Blocks<D, V>,
+}
+
+impl<C: TokenCoder, D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> NullaryFnOnce for Packing<'_, C, D, V> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Packing { coder, values, mut blocks } = self;
+        let (whole, rest) = values.as_chunks_mut::<BLOCK>();
+        // Those are compiled for their length.
+        for block in whole {
+            if !blocks.code(coder, block) {
+                return;
             }
         }
-        let largest = differences.iter().fold(0, |all, difference| all | difference);
-        let bits = (u32::BITS - largest.leading_zeros()) as u8;
-        width = coder.token(usize::from(width), bits).min(MOST_WIDTH);
-        code_block(coder, u32::from(width), &mut differences[..block.len()]);
-        for (difference, value) in differences.iter().zip(block) {
-            before = differing(before, *difference);
-            *value = before;
+        if !rest.is_empty() {
+            blocks.code(coder, rest);
         }
     }
 }
 
-/// Codes numbers of so many bits, as many at a time as bits can be coded at once.
-#[inline]
+/// Codes blocks of values, one after the other.
+struct Blocks<D, V> {
+    /// The last value of the block before.
+    before: u32,
+    /// Its width.
+    width: u8,
+    difference: D,
+    differing: V,
+}
+
+impl<D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> Blocks<D, V> {
+    /// Codes a block; false if a decoder has come behind the end of its bytes.
+    #[inline(always)]
+    fn code<C: TokenCoder>(&mut self, coder: &mut C, block: &mut [u32]) -> bool {
+        let mut differences = [0; BLOCK];
+        if C::ENCODES {
+            let mut before = self.before;
+            for (coded, value) in differences.iter_mut().zip(&*block) {
+                *coded = (self.difference)(before, *value);
+                before = (self.differing)(before, *coded);
+            }
+        }
+        let largest = differences.iter().fold(0, |all, difference| all | difference);
+        let bits = (u32::BITS - largest.leading_zeros()) as u8;
+        self.width = coder.token(usize::from(self.width), bits).min(MOST_WIDTH);
+        code_block(coder, u32::from(self.width), &mut differences[..block.len()]);
+        for (difference, value) in differences.iter().zip(block) {
+            self.before = (self.differing)(self.before, *difference);
+            *value = self.before;
+        }
+        !coder.is_exhausted()
+    }
+}
+
+/// Codes numbers of so many bits, as many at a time as can be coded at once.
+#[inline(always)]
 fn code_block<C: TokenCoder>(coder: &mut C, width: u32, numbers: &mut [u32]) {
     match width {
         0 => numbers.fill(0),
-        1..=8 => code_groups::<C, 4>(coder, width, numbers),
-        9..=16 => code_groups::<C, 2>(coder, width, numbers),
+        1..=7 => code_groups::<C, 8>(coder, width, numbers),
+        8..=14 => code_groups::<C, 4>(coder, width, numbers),
+        15..=28 => code_groups::<C, 2>(coder, width, numbers),
         _ => code_groups::<C, 1>(coder, width, numbers),
     }
 }
@@ -135,11 +183,17 @@ fn code_groups<C: TokenCoder, const N: usize>(coder: &mut C, width: u32, numbers
     let mask = u32::MAX >> (u32::BITS - width);
     let (groups, rest) = numbers.as_chunks_mut::<N>();
     for group in groups {
-        let bits = (0..N).fold(0, |bits, i| bits | group[i] << (i as u32 * width));
+        let bits = (0..N).fold(0, |bits, i| bits | u64::from(group[i]) << (i as u32 * width));
         let bits = coder.bits(bits, N as u32 * width);
-        (0..N).for_each(|i| group[i] = bits >> (i as u32 * width) & mask);
+        (0..N).for_each(|i| group[i] = (bits >> (i as u32 * width)) as u32 & mask);
     }
-    rest.iter_mut().for_each(|number| *number = coder.bits(*number, width));
+    rest.iter_mut().for_each(|number| *number = coder.bits((*number).into(), width) as u32);
+}
+
+/// A range of a damaged section, brought among those that there are: apart, so that others need not wait for it.
+#[cold]
+fn cut(range: u32, most: u32) -> u32 {
+    range.clamp(1, most)
 }
 
 /// The difference of a value to the one before, small magnitudes first: 0, -1, 1, -2 become 0, 1, 2, 3.

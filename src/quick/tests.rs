@@ -49,9 +49,9 @@ impl TokenCoder for Given {
         self.0.next().map_or(0, |(token, _)| token)
     }
 
-    fn bits(&mut self, _: u32, count: u32) -> u32 {
+    fn bits(&mut self, _: u64, count: u32) -> u64 {
         let bits = self.0.as_slice().first().map_or(0, |(_, bits)| *bits);
-        (u64::from(bits) & ((1 << count) - 1)) as u32
+        u64::from(bits) & ((1 << count) - 1)
     }
 }
 

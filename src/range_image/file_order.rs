@@ -29,19 +29,21 @@ impl NullaryFnOnce for FileOrder<'_> {
         let mut of_row = vec![Return::default(); image.columns.len() + 1];
         let mut azimuths = Vec::new();
         for row in 0..image.steps.rows() {
+            let first = sensor.first_column_tick(row);
+            let first = image.columns.partition_point(|&column_tick| column_tick < first);
+            let tick = sensor.ticks_of_columns(row);
             let mut count = 0;
-            // No branch: each cell takes the next place, where the one after it follows only if it holds a return.
-            for ((&steps, &column_tick), column) in
-                image.steps.row(row).iter().zip(&image.columns).zip(0u32..)
-            {
-                let tick = sensor.tick_of_column(row, column_tick);
-                of_row[count] = Return { row: row as u32, column, tick, steps };
-                count += usize::from(steps > 0);
+            for columns in [first..image.columns.len(), 0..first] {
+                let cells = image.steps.row(row)[columns.clone()].iter().zip(&image.columns[columns.clone()]);
+                // No branch: each cell takes the next place, where the one after it follows only if it holds a return.
+                for ((&steps, &column_tick), column) in cells.zip(columns.start as u32..) {
+                    of_row[count] = Return { row: row as u32, column, tick: tick(column_tick), steps };
+                    count += usize::from(steps > 0);
+                }
             }
             let found = &mut of_row[..count];
             azimuths.resize(count, 0.0);
-            let place = |point: usize| (found[point].tick, found[point].steps);
-            sensor.fill_azimuths(row, place, &mut azimuths);
+            sensor.fill_azimuths(row, found, |found| (found.tick, found.steps), &mut azimuths);
             sort(&mut azimuths, found);
             returns.extend_from_slice(found);
         }
@@ -49,38 +51,55 @@ impl NullaryFnOnce for FileOrder<'_> {
     }
 }
 
-/// Sorts the returns of a row, which come column by column, by their azimuths, then columns: they nearly are, but
-/// for where the turn begins.
+/// Sorts the returns of a row by their azimuths, then columns: they nearly are.
+#[inline(always)]
 fn sort(azimuths: &mut [f64], returns: &mut [Return]) {
-    /// Radians: more than azimuths that are out of order differ by.
-    const SEAM: f64 = 3.0;
     /// Places, for each return, that are worth moving returns by one by one.
     const MOVES: usize = 4;
-    if let Some(last) = azimuths.windows(2).position(|pair| pair[1] < pair[0] - SEAM) {
+    /// Returns that are looked at together.
+    const BLOCK: usize = 8;
+    turn_to_seam(azimuths, returns);
+    let mut moves = MOVES * returns.len();
+    let mut next = 1;
+    while next < returns.len() {
+        if let (Some(before), Some(block)) =
+            (azimuths[next - 1..].first_chunk::<BLOCK>(), azimuths[next..].first_chunk::<BLOCK>())
+            && (0..BLOCK).fold(true, |all, i| all & (before[i] < block[i]))
+        {
+            next += BLOCK;
+            continue;
+        }
+        let moved = (azimuths[next], returns[next]);
+        let mut place = next;
+        while place > 0 && compare((azimuths[place - 1], returns[place - 1]), moved).is_gt() {
+            if moves == 0 {
+                (azimuths[place], returns[place]) = moved;
+                return sort_all(azimuths, returns);
+            }
+            (azimuths[place], returns[place]) = (azimuths[place - 1], returns[place - 1]);
+            (place, moves) = (place - 1, moves - 1);
+        }
+        (azimuths[place], returns[place]) = moved;
+        next += 1;
+    }
+}
+
+/// Turns a row so that it begins where azimuths pass 0: it nearly does, and points near there are at either end.
+fn turn_to_seam(azimuths: &mut [f64], returns: &mut [Return]) {
+    /// Radians: more than azimuths that are out of order differ by.
+    const SEAM: f64 = 3.0;
+    /// Returns that may be at the wrong end.
+    const FEW: usize = 100;
+    let falls = |part: &[f64]| part.windows(2).rposition(|pair| pair[1] < pair[0] - SEAM);
+    let tail = azimuths.len().saturating_sub(FEW);
+    let last = falls(&azimuths[tail..]).map(|place| tail + place);
+    if let Some(last) = last.or_else(|| falls(&azimuths[..azimuths.len().min(FEW)])) {
         azimuths.rotate_left(last + 1);
         returns.rotate_left(last + 1);
     }
-    let mut moves = MOVES * returns.len();
-    for next in 1..returns.len() {
-        let mut place = next;
-        while place > 0 && !azimuths_rise(azimuths, returns, place) {
-            if moves == 0 {
-                return sort_all(azimuths, returns);
-            }
-            azimuths.swap(place - 1, place);
-            returns.swap(place - 1, place);
-            (place, moves) = (place - 1, moves - 1);
-        }
-    }
 }
 
-/// Whether a return is in order with the one before.
-#[inline]
-fn azimuths_rise(azimuths: &[f64], returns: &[Return], place: usize) -> bool {
-    azimuths[place - 1] < azimuths[place]
-        || compare((azimuths[place - 1], returns[place - 1]), (azimuths[place], returns[place])).is_lt()
-}
-
+#[inline(always)]
 fn compare(a: (f64, Return), b: (f64, Return)) -> std::cmp::Ordering {
     a.0.total_cmp(&b.0).then(a.1.column.cmp(&b.1.column))
 }
@@ -107,7 +126,12 @@ mod tests {
         for pair in returns.windows(2).filter(|pair| pair[0].row == pair[1].row) {
             let [before, after] = [pair[0], pair[1]].map(|found| {
                 let mut azimuth = [0.0];
-                sensor.fill_azimuths(found.row as usize, |_| (found.tick, found.steps), &mut azimuth);
+                sensor.fill_azimuths(
+                    found.row as usize,
+                    &[found],
+                    |found| (found.tick, found.steps),
+                    &mut azimuth,
+                );
                 (azimuth[0], found)
             });
             assert!(compare(before, after).is_lt(), "{before:?} {after:?}");

@@ -5,7 +5,7 @@ use pulp::{Arch, NullaryFnOnce};
 use super::Return;
 use crate::sensor::{Coordinates, SensorModel, nearest_millimetre};
 
-/// Positions of returns (metres), which are `offset_m` metres farther than their steps say: as the file's
+/// Positions of returns (metres), which come row by row and are `offset_m` metres farther than their steps say: as the file's
 /// grid has them if they are `on_grid`, else as the formula gives them.
 pub fn positions(sensor: &SensorModel, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
     Arch::new().dispatch(Filling { sensor, returns, offset_m, on_grid })
@@ -45,12 +45,14 @@ fn fill(
     stored: impl Fn(f64) -> f32,
 ) -> Vec<[f32; 3]> {
     let mut positions = vec![[0.0; 3]; returns.len()];
-    let mut rest = positions.as_mut_slice();
-    for row in returns.chunk_by(|a, b| a.row == b.row) {
-        let (own, others) = rest.split_at_mut(row.len());
-        let place = |point: usize| (row[point].tick, sensor.metres(row[point].steps) + offset_m);
-        sensor.fill_positions(row[0].row as usize, place, &stored, own);
-        rest = others;
+    let (mut returns, mut rest) = (returns, positions.as_mut_slice());
+    while let Some(first) = returns.first() {
+        let of_row = returns.partition_point(|found| found.row <= first.row).max(1);
+        let (of_row, others) = returns.split_at(of_row);
+        let (own, behind) = rest.split_at_mut(of_row.len());
+        let place = |found: &Return| (found.tick, found.steps);
+        sensor.fill_positions(first.row as usize, (of_row, offset_m), place, &stored, own);
+        (returns, rest) = (others, behind);
     }
     positions
 }

@@ -5,7 +5,7 @@ use pulp::{Arch, NullaryFnOnce};
 use super::RangeImage;
 use crate::grid::Grid;
 use crate::scan::{PointCloud, squared_distance};
-use crate::sensor::SensorModel;
+use crate::sensor::{SensorModel, lanes};
 
 /// Where each point of a scan went.
 #[derive(Debug, Default)]
@@ -174,7 +174,8 @@ impl Search<'_> {
             return None;
         }
         self.tick = found.last()?.0;
-        Some(found.map(|(tick, steps)| self.place(tick, steps)))
+        let (row, column_tick) = (self.row as u32, self.sensor.columns_of_ticks(self.row));
+        Some(lanes(|i| Place { row, column_tick: column_tick(found[i].0), steps: found[i].1 }))
     }
 
     /// The place of the next point, wherever it is.
@@ -193,15 +194,14 @@ impl Search<'_> {
                     (formula - f64::from(*value)).abs() < self.reach
                         && self.sensor.coordinates.holds(*value, formula)
                 };
-                if axes.all(is_near) { self.place(tick, steps) } else { Place::default() }
+                let place = || {
+                    let column_tick = self.sensor.column_tick(self.row, i64::from(tick));
+                    Place { row: self.row as u32, column_tick, steps }
+                };
+                if axes.all(is_near) { place() } else { Place::default() }
             }
             None => Place::default(),
         }
-    }
-
-    fn place(&self, tick: u32, steps: u32) -> Place {
-        let column_tick = self.sensor.column_tick(self.row, i64::from(tick));
-        Place { row: self.row as u32, column_tick, steps }
     }
 }
 

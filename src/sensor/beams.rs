@@ -22,7 +22,8 @@ impl Point {
     /// None for points that have no direction.
     fn new(position: &[f32; 3]) -> Option<Self> {
         let position @ [x, y, _] = position.map(f64::from);
-        let (rho, azimuth) = ((x * x + y * y).sqrt(), y.atan2(x).rem_euclid(TAU));
+        let (rho, turned) = ((x * x + y * y).sqrt(), y.atan2(x));
+        let azimuth = if turned < 0.0 { turned + TAU } else { turned };
         (rho > 0.0 && position.iter().all(|v| v.is_finite())).then_some(Point { position, rho, azimuth })
     }
 

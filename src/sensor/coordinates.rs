@@ -83,6 +83,23 @@ impl Coordinates {
         }
     }
 
+    /// Whether [`holds`](Self::holds) is true of all these values.
+    #[inline(always)]
+    pub fn holds_all<const N: usize>(self, values: [f64; N], formula: [f64; N]) -> bool {
+        if self == Coordinates::Millimetre {
+            // What is on the grid mostly, and not 0, needs no look at its sign.
+            let mut all = true;
+            for value in values {
+                let near = (round_ties_even(value * 1000.0) * 0.001) as f32;
+                all &= (f64::from(near) == value) & (value != 0.0) & (value.abs() < 1e6);
+            }
+            if all {
+                return true;
+            }
+        }
+        (0..N).all(|i| self.holds(values[i] as f32, formula[i]))
+    }
+
     /// The unit of any float32, on the grid of all of them.
     pub fn unit_of_float(value: f32) -> i64 {
         ordered(value)
@@ -191,6 +208,8 @@ mod tests {
                     let holds = grid.unit_in_file(value).is_some()
                         && (value != 0.0 || grid.keeps_zero(value, formula));
                     assert_eq!(grid.holds(value, formula), holds, "{value} near {formula} on {grid:?}");
+                    let all = grid.holds_all([f64::from(value); 2], [formula; 2]);
+                    assert_eq!(all, holds, "{value} near {formula} on {grid:?}");
                 }
             }
         }

@@ -9,11 +9,13 @@ use std::cmp::Reverse;
 use std::f64::consts::TAU;
 
 use nalgebra::{SMatrix, SVector};
+use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 use super::beams::{Beam, Cone, Point, align, split_beams, thinned};
 use super::columns::column_shifts;
 use super::formula::small_atan;
+use super::lanes::lanes;
 use super::sharpen::sharpen;
 use super::{BeamConstants, Coordinates, Refinement, SensorModel};
 use crate::rounding::round_ties_even;
@@ -107,7 +109,7 @@ fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<BeamConstants>
     if points.len() < FEWEST_POINTS {
         return None;
     }
-    let cone = Cone::fit(&thinned(points, SAMPLE).copied().collect::<Vec<_>>());
+    let cone = Cone::fit(&thinned(points, SAMPLE / 3).copied().collect::<Vec<_>>());
     let elevation = cone.slope.atan();
     let (side, rot) = side_offset(&far_sample(points));
     let offset = range_phase(points, elevation);
@@ -130,8 +132,9 @@ fn far_sample(points: &[Point]) -> Vec<Point> {
 /// Strength and phase (radians) of a set of values on a grid of `period`.
 fn coherence(values: impl Iterator<Item = f64>, period: f64) -> (f64, f64) {
     let (mut re, mut im) = (0.0, 0.0);
+    let by_period = 1.0 / period;
     for value in values {
-        let turns = value / period;
+        let turns = value * by_period;
         re += wave(turns + 0.25);
         im += wave(turns);
     }
@@ -163,8 +166,11 @@ fn side_offset(far: &[Point]) -> (f64, f64) {
 /// Step 3: the phase of the range on its grid, as the offset b in metres.
 fn range_phase(points: &[Point], elevation: f64) -> f64 {
     let mut ranges: Vec<f64> = thinned(points, SAMPLE).map(|p| p.rho / elevation.cos()).collect();
-    ranges.sort_by(f64::total_cmp);
-    let middle = &ranges[ranges.len() / 20..ranges.len() * 17 / 20];
+    // Without the nearest and the farthest.
+    let (first, end) = (ranges.len() / 20, ranges.len() * 17 / 20);
+    ranges.select_nth_unstable_by(end, f64::total_cmp);
+    ranges[..end].select_nth_unstable_by(first, f64::total_cmp);
+    let middle = &ranges[first..end];
     coherence(middle.iter().copied(), RANGE_STEP).1 / TAU * RANGE_STEP * elevation.cos()
 }
 
@@ -176,7 +182,7 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
         let formula = Formula::new(constants);
         let mut system = System::default();
         for point in thinned(points, count) {
-            let site = formula.at(point);
+            let site = formula.at_one(point);
             if site.largest_miss() < reach {
                 system.add(site.miss, &formula, &site);
             }
@@ -210,22 +216,19 @@ fn centre_in_roundings(constants: &mut [f64; 5], points: &[Point], whole: &Syste
     const NEAR_BORDER: f64 = 3e-5;
     /// How much the points that fit hold the constants in place.
     const INERTIA: f64 = 0.003;
-    let formula = Formula::new(constants);
-    let near_border = |point: &&Point| {
-        let largest = formula.at(point).largest_miss();
-        largest > HALF_UNIT - NEAR_BORDER && largest < REACH
-    };
-    let points: Vec<Point> = points.iter().filter(near_border).copied().collect();
+    let largest_misses = Formula::new(constants).largest_misses(points);
+    let is_near_border = |largest: f64| largest > HALF_UNIT - NEAR_BORDER && largest < REACH;
+    let near_border = points.iter().zip(largest_misses).filter(|(_, largest)| is_near_border(*largest));
+    let points: Vec<Point> = near_border.map(|(point, _)| *point).collect();
     for _ in 0..ROUNDS {
         let formula = Formula::new(constants);
         let mut system = System { normal: whole.normal * INERTIA, ..System::default() };
-        for point in &points {
-            let site = formula.at(point);
-            let largest = site.largest_miss();
-            if largest > HALF_UNIT && largest < REACH {
-                let beyond = site.miss.map(|m| m - m.clamp(-HALF_UNIT, HALF_UNIT));
-                system.add(beyond, &formula, &site);
-            }
+        let largest_misses = formula.largest_misses(&points);
+        let is_beyond = |largest: f64| largest > HALF_UNIT && largest < REACH;
+        for (point, _) in points.iter().zip(largest_misses).filter(|(_, largest)| is_beyond(*largest)) {
+            let site = formula.at_one(point);
+            let beyond = site.miss.map(|m| m - m.clamp(-HALF_UNIT, HALF_UNIT));
+            system.add(beyond, &formula, &site);
         }
         system.step(constants);
     }
@@ -239,16 +242,24 @@ struct System {
 }
 
 impl System {
-    fn add(&mut self, miss: [f64; 3], formula: &Formula, site: &Site) {
-        for (m, slope) in miss.into_iter().zip(formula.slopes(site)) {
-            if m != 0.0 {
-                // The lower triangle is all that is looked at.
-                for column in 0..5 {
-                    for row in column..5 {
-                        self.normal[(row, column)] += slope[row] * slope[column];
-                    }
-                    self.right[column] += slope[column] * m;
+    fn add(&mut self, [x, y, z]: [f64; 3], formula: &Formula, site: &Site) {
+        let [x_by, y_by, z_by] = formula.slopes(site);
+        // The others are 0.
+        self.add_axis([0, 1, 3, 4], x_by, x);
+        self.add_axis([0, 1, 3, 4], y_by, y);
+        self.add_axis([0, 2], z_by, z);
+    }
+
+    /// Adds what one coordinate is missed by, which has slopes against these of the constants.
+    #[inline(always)]
+    fn add_axis<const N: usize>(&mut self, constants: [usize; N], slope: [f64; 5], miss: f64) {
+        if miss != 0.0 {
+            // The lower triangle is all that is looked at.
+            for (place, &column) in constants.iter().enumerate() {
+                for &row in &constants[place..] {
+                    self.normal[(row, column)] += slope[row] * slope[column];
                 }
+                self.right[column] += slope[column] * miss;
             }
         }
     }
@@ -272,6 +283,26 @@ struct Formula {
     rot: f64,
 }
 
+/// The formula at the integers nearest to each of some points.
+#[derive(Clone, Copy)]
+struct Sites<const N: usize> {
+    d: [f64; N],
+    rho: [f64; N],
+    sin: [f64; N],
+    cos: [f64; N],
+    /// How far the formula misses the points along each axis, in metres.
+    miss: [[f64; N]; 3],
+}
+
+impl<const N: usize> Sites<N> {
+    /// By how much along the axis where most.
+    #[inline(always)]
+    fn largest_misses(&self) -> [f64; N] {
+        let [x, y, z] = &self.miss;
+        lanes(|i| x[i].abs().max(y[i].abs()).max(z[i].abs()))
+    }
+}
+
 /// The formula at the integers nearest to a point.
 struct Site {
     d: f64,
@@ -293,21 +324,45 @@ impl Formula {
         Formula { sin_v: v.sin(), cos_v: v.cos(), b, c, h, rot }
     }
 
-    fn at(&self, point: &Point) -> Site {
-        let [x, y, z] = point.position;
-        let steps = ((point.rho - self.b) * self.cos_v + (z - self.c) * self.sin_v) / RANGE_STEP;
-        let d = round_ties_even(steps) * RANGE_STEP;
-        let rho = d * self.cos_v + self.b;
-        let (side, side_in_file) = (small_atan(self.h / rho), small_atan(self.h / point.rho));
-        let ticks = (point.azimuth - side_in_file - self.rot) / TICK;
+    fn at_one(&self, point: &Point) -> Site {
+        let Sites { d: [d], rho: [rho], sin: [sin], cos: [cos], miss: [[x], [y], [z]] } =
+            self.at(std::array::from_ref(point));
+        Site { d, rho, sin, cos, miss: [x, y, z] }
+    }
+
+    #[inline(always)]
+    fn at<const N: usize>(&self, points: &[Point; N]) -> Sites<N> {
+        let [x, y, z]: [[f64; N]; 3] = [0, 1, 2].map(|axis| lanes(|i| points[i].position[axis]));
+        let (rho_in_file, azimuth): ([f64; N], [f64; N]) =
+            (lanes(|i| points[i].rho), lanes(|i| points[i].azimuth));
+        let d: [f64; N] = lanes(|i| {
+            let metres = (rho_in_file[i] - self.b) * self.cos_v + (z[i] - self.c) * self.sin_v;
+            round_ties_even(metres * (1.0 / RANGE_STEP)) * RANGE_STEP
+        });
+        let rho: [f64; N] = lanes(|i| d[i] * self.cos_v + self.b);
+        let by_rho: [f64; N] = lanes(|i| 1.0 / rho_in_file[i]);
         // phi is less than a tick from the point's azimuth: a few terms of the series turn the
         // point there.
-        let turn = (round_ties_even(ticks) - ticks) * TICK + (side - side_in_file);
-        let (sin_turn, cos_turn) = (turn * (1.0 - turn * turn / 6.0), 1.0 - turn * turn / 2.0);
-        let (cos, sin) =
-            ((x * cos_turn - y * sin_turn) / point.rho, (y * cos_turn + x * sin_turn) / point.rho);
-        let miss = [x - rho * cos, y - rho * sin, z - d * self.sin_v - self.c];
-        Site { d, rho, sin, cos, miss }
+        let turn: [f64; N] = lanes(|i| {
+            let (side, side_in_file) = (small_atan(self.h / rho[i]), small_atan(self.h * by_rho[i]));
+            let ticks = (azimuth[i] - side_in_file - self.rot) * (1.0 / TICK);
+            (round_ties_even(ticks) - ticks) * TICK + (side - side_in_file)
+        });
+        let sin_turn: [f64; N] = lanes(|i| turn[i] * (1.0 - turn[i] * turn[i] / 6.0));
+        let cos_turn: [f64; N] = lanes(|i| 1.0 - turn[i] * turn[i] / 2.0);
+        let cos: [f64; N] = lanes(|i| (x[i] * cos_turn[i] - y[i] * sin_turn[i]) * by_rho[i]);
+        let sin: [f64; N] = lanes(|i| (y[i] * cos_turn[i] + x[i] * sin_turn[i]) * by_rho[i]);
+        let miss = [
+            lanes(|i| x[i] - rho[i] * cos[i]),
+            lanes(|i| y[i] - rho[i] * sin[i]),
+            lanes(|i| z[i] - d[i] * self.sin_v - self.c),
+        ];
+        Sites { d, rho, sin, cos, miss }
+    }
+
+    /// How far the formula misses each point along the axis where most, in metres.
+    fn largest_misses(&self, points: &[Point]) -> Vec<f64> {
+        Arch::new().dispatch(LargestMisses { formula: self, points })
     }
 
     /// The slopes of the formula's x, y and z against (V, b, c, h, rot).
@@ -323,15 +378,37 @@ impl Formula {
     }
 }
 
+/// What it takes to find how far the formula misses points.
+struct LargestMisses<'a> {
+    formula: &'a Formula,
+    points: &'a [Point],
+}
+
+impl NullaryFnOnce for LargestMisses<'_> {
+    type Output = Vec<f64>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<f64> {
+        /// Points at a time.
+        const LANES: usize = 8;
+        let mut misses = vec![0.0; self.points.len()];
+        let (blocks, rest) = self.points.as_chunks::<LANES>();
+        let (of_blocks, of_rest) = misses.as_chunks_mut::<LANES>();
+        for (block, misses) in blocks.iter().zip(of_blocks) {
+            *misses = self.formula.at(block).largest_misses();
+        }
+        for (point, miss) in rest.iter().zip(of_rest) {
+            [*miss] = self.formula.at(std::array::from_ref(point)).largest_misses();
+        }
+        misses
+    }
+}
+
 /// Share of some of the points that the formula gives to within what its corrections reach.
 fn explained_share(constants: &[f64; 5], points: &[Point]) -> f64 {
     /// Metres.
     const REACH: f64 = 0.0016;
-    let formula = Formula::new(constants);
-    let (mut explained, mut seen) = (0usize, 0usize);
-    for point in thinned(points, SAMPLE) {
-        explained += usize::from(formula.at(point).largest_miss() < REACH);
-        seen += 1;
-    }
-    explained as f64 / seen.max(1) as f64
+    let points: Vec<Point> = thinned(points, SAMPLE).copied().collect();
+    let misses = Formula::new(constants).largest_misses(&points);
+    misses.iter().filter(|miss| **miss < REACH).count() as f64 / misses.len().max(1) as f64
 }

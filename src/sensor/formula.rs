@@ -5,11 +5,9 @@ use std::f64::consts::TAU;
 use super::BeamConstants;
 use super::lanes::lanes;
 
-/// An azimuth tick.
+/// Cosine and sine of the angle of an azimuth tick.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Tick {
-    /// Its angle, in radians, and that one's cosine and sine.
-    radians: f64,
     cos: f64,
     sin: f64,
 }
@@ -17,7 +15,7 @@ pub(super) struct Tick {
 impl Tick {
     /// At an angle in radians.
     pub fn at(radians: f64) -> Self {
-        Tick { radians, cos: libm::cos(radians), sin: libm::sin(radians) }
+        Tick { cos: libm::cos(radians), sin: libm::sin(radians) }
     }
 }
 
@@ -54,7 +52,7 @@ impl Formula {
     /// Cosine and sine of the beam's azimuth at a tick.
     #[inline(always)]
     pub fn heading(&self, tick: &Tick) -> (f64, f64) {
-        let Tick { cos, sin, .. } = tick;
+        let Tick { cos, sin } = tick;
         (cos * self.cos_rot - sin * self.sin_rot, sin * self.cos_rot + cos * self.sin_rot)
     }
 
@@ -84,12 +82,12 @@ impl Formula {
         ]
     }
 
-    /// phi: the azimuths, in radians from 0 to 2 pi, of `N` points at a time.
+    /// phi: the azimuths, in radians from 0 to 2 pi, of `N` points at a time, given those of their ticks.
     #[inline(always)]
-    pub fn azimuths<const N: usize>(&self, ticks: [Tick; N], metres: [f64; N]) -> [f64; N] {
+    pub fn azimuths<const N: usize>(&self, ticks: [f64; N], metres: [f64; N]) -> [f64; N] {
         let side: [f64; N] = lanes(|i| small_atan(self.h / self.rho(metres[i])));
         lanes(|i| {
-            let azimuth = ticks[i].radians + self.rot + side[i];
+            let azimuth = ticks[i] + self.rot + side[i];
             let (before, behind) = (azimuth < 0.0, azimuth >= TAU);
             azimuth + if before { TAU } else { 0.0 } - if behind { TAU } else { 0.0 }
         })

@@ -18,6 +18,7 @@ pub(crate) use beams::{Point as BeamPoint, split_beams, thinned};
 pub use coordinates::{Coordinates, nearest_millimetre};
 pub use fit::{RANGE_STEP_UM, fit};
 pub use ideal::ideal;
+pub(crate) use lanes::lanes;
 pub use model::{
     BeamConstants, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, SensorModel, Sighting,
 };

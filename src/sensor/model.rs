@@ -121,8 +121,10 @@ pub struct SensorModel {
     constants: Vec<BeamConstants>,
     pub(super) beams: Vec<Formula>,
     pub(super) ticks_of_turn: Vec<Tick>,
-    /// The column shift of each beam, less whole turns.
-    shifts: Vec<i64>,
+    /// The angle of each tick, in radians.
+    angles: Vec<f64>,
+    /// The column shift of each beam, less whole turns: 0 to `ticks`, exclusive.
+    shifts: Vec<u32>,
     /// Refinements of each beam, if the file's coordinates come from single-precision arithmetic.
     refinements: Option<Vec<Refinement>>,
     single: Vec<Arithmetic>,
@@ -147,21 +149,23 @@ impl SensorModel {
         constants: Vec<BeamConstants>,
     ) -> Self {
         let beams = constants.iter().map(Formula::new).collect();
-        let angle = |t: u32| f64::from(t) / f64::from(ticks) * TAU;
-        let ticks_of_turn = (0..ticks).map(|t| Tick::at(angle(t))).collect();
-        let (refinements, single) = (None, Vec::new());
-        let shifts = constants.iter().map(|beam| beam.column_shift % i64::from(ticks)).collect();
-        SensorModel {
+        let angles: Vec<f64> = (0..ticks).map(|t| f64::from(t) / f64::from(ticks) * TAU).collect();
+        let ticks_of_turn = angles.iter().map(|&angle| Tick::at(angle)).collect();
+        let (refinements, single, shifts) = (None, Vec::new(), Vec::new());
+        let mut model = SensorModel {
             coordinates,
             ticks,
             range_step_um,
             constants,
             beams,
             ticks_of_turn,
+            angles,
             shifts,
             refinements,
             single,
-        }
+        };
+        model.shifts = model.constants.iter().map(|beam| model.within_turn(beam.column_shift)).collect();
+        model
     }
 
     /// The same scanner, whose file was written by single-precision arithmetic with constants that are sharper
@@ -249,13 +253,42 @@ impl SensorModel {
     /// The column tick (0 to `ticks`, exclusive) of azimuth tick `tick` of beam `row`.
     #[inline]
     pub fn column_tick(&self, row: usize, tick: i64) -> u32 {
-        self.within_turn(tick + self.shifts[row])
+        self.within_turn(tick + i64::from(self.shifts[row]))
     }
 
-    /// The azimuth tick (0 to `ticks`, exclusive) of beam `row` at a column tick.
+    /// The azimuth tick (0 to `ticks`, exclusive) of beam `row` at a column tick, which is one too.
     #[inline]
     pub fn tick_of_column(&self, row: usize, column_tick: u32) -> u32 {
-        self.within_turn(i64::from(column_tick) - self.shifts[row])
+        self.ticks_of_columns(row)(column_tick)
+    }
+
+    /// As [`tick_of_column`](Self::tick_of_column), for many columns.
+    #[inline(always)]
+    pub fn ticks_of_columns(&self, row: usize) -> impl Fn(u32) -> u32 + use<> {
+        let (ticks, shift) = (self.ticks, self.shifts[row]);
+        move |column_tick| {
+            debug_assert!(column_tick < ticks);
+            let turn = if column_tick < shift { ticks } else { 0 };
+            column_tick + turn - shift
+        }
+    }
+
+    /// The inverse of [`ticks_of_columns`](Self::ticks_of_columns).
+    #[inline(always)]
+    pub fn columns_of_ticks(&self, row: usize) -> impl Fn(u32) -> u32 + use<> {
+        let (ticks, shift) = (self.ticks, self.shifts[row]);
+        move |tick| {
+            debug_assert!(tick < ticks);
+            let column_tick = tick + shift;
+            column_tick - if column_tick >= ticks { ticks } else { 0 }
+        }
+    }
+
+    /// The column tick from which on the azimuths of beam `row` rise from 0, but for what its points' ranges do to
+    /// them.
+    pub fn first_column_tick(&self, row: usize) -> u32 {
+        let turned = self.beams[row].rot * (f64::from(self.ticks) / TAU);
+        self.column_tick(row, (-turned).ceil() as i64)
     }
 
     /// A tick brought into one turn: mostly it is at most one away.
@@ -274,24 +307,46 @@ impl SensorModel {
         self.point_at(row, tick, self.metres(steps))
     }
 
-    /// phi of the formula, in radians from 0 to 2 pi, of ticks and ranges in steps of one row: the order of its
-    /// points in the file.
+    /// Ranges in steps, in metres.
     #[inline(always)]
-    pub fn fill_azimuths(&self, row: usize, places: impl Fn(usize) -> (u32, u32), azimuths: &mut [f64]) {
+    fn metres_of<const N: usize>(&self, steps: [u32; N]) -> [f64; N] {
+        match self.range_step_um {
+            FLOAT_RANGES => lanes(|i| self.metres(steps[i])),
+            _ => lanes(|i| f64::from(steps[i]) * self.range_step_m()),
+        }
+    }
+
+    /// phi of the formula, in radians from 0 to 2 pi, of points of one row: the order of these in the file.
+    /// `place` tells the tick and the steps of each.
+    #[inline(always)]
+    pub fn fill_azimuths<P>(
+        &self,
+        row: usize,
+        points: &[P],
+        place: impl Fn(&P) -> (u32, u32),
+        azimuths: &mut [f64],
+    ) {
         /// Points at a time.
         const LANES: usize = 8;
-        let beam = &self.beams[row];
-        let one = |(tick, steps): (u32, u32)| {
-            beam.azimuths([self.ticks_of_turn[tick as usize]], [self.metres(steps)])[0]
-        };
-        let (blocks, rest) = azimuths.as_chunks_mut::<LANES>();
-        let first_of_rest = LANES * blocks.len();
-        for (block, first) in blocks.iter_mut().zip((0..).step_by(LANES)) {
-            let places: [(u32, u32); LANES] = lanes(|i| places(first + i));
-            let ticks: [Tick; LANES] = lanes(|i| self.ticks_of_turn[places[i].0 as usize]);
-            *block = beam.azimuths(ticks, lanes(|i| self.metres(places[i].1)));
+        let (blocks, rest) = points.as_chunks::<LANES>();
+        let (of_blocks, of_rest) = azimuths.as_chunks_mut::<LANES>();
+        for (block, azimuths) in blocks.iter().zip(of_blocks) {
+            *azimuths = self.azimuths(row, block, &place);
         }
-        rest.iter_mut().zip(first_of_rest..).for_each(|(azimuth, point)| *azimuth = one(places(point)));
+        for (point, azimuth) in rest.iter().zip(of_rest) {
+            [*azimuth] = self.azimuths(row, std::array::from_ref(point), &place);
+        }
+    }
+
+    #[inline(always)]
+    fn azimuths<P, const N: usize>(
+        &self,
+        row: usize,
+        points: &[P; N],
+        place: impl Fn(&P) -> (u32, u32),
+    ) -> [f64; N] {
+        let metres = self.metres_of(lanes(|i| place(&points[i]).1));
+        self.beams[row].azimuths(lanes(|i| self.angles[place(&points[i]).0 as usize]), metres)
     }
 
     /// The formula inverted: the azimuth tick and range steps that come nearest to a point of beam
@@ -300,9 +355,15 @@ impl SensorModel {
         let beam = &self.beams[row];
         let rho = (x * x + y * y).sqrt();
         let steps = self.steps(beam.range(rho, z))?;
-        let azimuth = y.atan2(x) - small_atan(beam.h / rho) - beam.rot;
-        let tick = round_ties_even(azimuth * (f64::from(self.ticks) / TAU));
-        tick.is_finite().then(|| ((tick as i64).rem_euclid(i64::from(self.ticks)) as u32, steps))
+        let azimuth = y.atan2(x);
+        azimuth.is_finite().then(|| (self.nearest_tick(row, azimuth, rho), steps))
+    }
+
+    /// The tick of beam `row` that is nearest to an azimuth, in radians, at distance `rho` from the axis, in metres.
+    pub(super) fn nearest_tick(&self, row: usize, azimuth: f64, rho: f64) -> u32 {
+        let beam = &self.beams[row];
+        let turned = azimuth - small_atan(beam.h / rho) - beam.rot;
+        self.within_turn(round_ties_even(turned * (f64::from(self.ticks) / TAU)) as i64)
     }
 
     /// Where a point (metres) near beam `hint`'s cone is seen, for both sides; the same on every platform.
@@ -345,30 +406,32 @@ impl SensorModel {
 
     /// Fills in positions of points of beam `row`, as well as the model gives them
     /// ([`position_at`](Self::position_at)) and as `stored` makes a coordinate of the file of metres.
-    /// `place` tells the tick and the range, in metres, of each.
+    /// `place` tells the tick and the steps of each; they are `offset_m` metres farther than these say.
     #[inline(always)]
-    pub fn fill_positions(
+    pub fn fill_positions<P>(
         &self,
         row: usize,
-        place: impl Fn(usize) -> (u32, f64),
+        (points, offset_m): (&[P], f64),
+        place: impl Fn(&P) -> (u32, u32),
         stored: impl Fn(f64) -> f32,
         positions: &mut [[f32; 3]],
     ) {
         /// Points at a time.
         const LANES: usize = 8;
-        let one = |point: usize| {
-            let (tick, metres) = place(point);
-            self.position_at(row, tick, metres).map(&stored)
-        };
-        let whole = if self.single.is_empty() { positions.len() / LANES * LANES } else { 0 };
-        let (blocks, rest) = positions.split_at_mut(whole);
-        for (block, first) in blocks.as_chunks_mut::<LANES>().0.iter_mut().zip((0..).step_by(LANES)) {
-            let places: [(u32, f64); LANES] = lanes(|i| place(first + i));
-            let ticks: [Tick; LANES] = lanes(|i| self.ticks_of_turn[places[i].0 as usize]);
-            let [x, y, z] = self.beams[row].points(ticks, lanes(|i| places[i].1));
-            *block = lanes(|i| [stored(x[i]), stored(y[i]), stored(z[i])]);
+        let whole = if self.single.is_empty() { points.len() / LANES * LANES } else { 0 };
+        let (blocks, rest) = points.split_at(whole);
+        let (of_blocks, of_rest) = positions.split_at_mut(whole);
+        let (blocks, of_blocks) = (blocks.as_chunks::<LANES>().0, of_blocks.as_chunks_mut::<LANES>().0);
+        for (block, positions) in blocks.iter().zip(of_blocks) {
+            let near: [f64; LANES] = self.metres_of(lanes(|i| place(&block[i]).1));
+            let ticks: [Tick; LANES] = lanes(|i| self.ticks_of_turn[place(&block[i]).0 as usize]);
+            let [x, y, z] = self.beams[row].points(ticks, lanes(|i| near[i] + offset_m));
+            *positions = lanes(|i| [stored(x[i]), stored(y[i]), stored(z[i])]);
         }
-        rest.iter_mut().zip(whole..).for_each(|(position, point)| *position = one(point));
+        for (point, position) in rest.iter().zip(of_rest) {
+            let (tick, steps) = place(point);
+            *position = self.position_at(row, tick, self.metres(steps) + offset_m).map(&stored);
+        }
     }
 
     /// The position in the file, as well as the model gives it, in metres; by single-precision arithmetic if the
@@ -458,7 +521,7 @@ impl SensorModel {
     /// The column shifts, for the fit to fill in.
     pub(super) fn set_column_shifts(&mut self, shifts: &[i64]) {
         self.constants.iter_mut().zip(shifts).for_each(|(beam, &shift)| beam.column_shift = shift);
-        self.shifts = shifts.iter().map(|shift| shift % i64::from(self.ticks)).collect();
+        self.shifts = shifts.iter().map(|&shift| self.within_turn(shift)).collect();
     }
 }
 

@@ -56,15 +56,12 @@ impl SensorModel {
         });
         let metres: [f64; N] = lanes(|i| steps[i] * self.range_step_m());
         let formula = beam.points(lanes(|i| self.ticks_of_turn[ticks[i] as usize]), metres);
-        let is_near = |axis: usize, i: usize| {
-            let (point, formula) = (points[i][axis], formula[axis][i]);
-            self.coordinates.holds(point, formula) & ((formula - f64::from(point)).abs() < reach)
-        };
         let mut all_near = true;
-        for axis in 0..3 {
+        for (axis, values) in [x, y, z].into_iter().enumerate() {
             for i in 0..N {
-                all_near &= is_near(axis, i);
+                all_near &= (formula[axis][i] - values[i]).abs() < reach;
             }
+            all_near &= self.coordinates.holds_all(values, formula[axis]);
         }
         all_near.then(|| lanes(|i| (ticks[i], steps[i] as u32)))
     }

@@ -1,10 +1,10 @@
 //! Reads tokens.
 
-use super::TokenCoder;
 use super::alias::{Bucket, look_up};
 use super::frequencies::{ESCAPE, FrequencyModel, SCALE, SCALE_BITS, TOKENS};
 use super::tables::{Counts, TokenTables};
 use super::writer::{LEAST_STATE, STATES};
+use super::{MOST_BITS, TokenCoder};
 use crate::entropy::{ArithmeticDecoder, BitCoder};
 use crate::error::{Error, Result};
 use crate::varint::read_unsigned;
@@ -17,9 +17,8 @@ pub struct TokenReader<'a> {
     escaped: std::slice::Iter<'a, u8>,
     words: &'a [[u8; 2]],
     bits: &'a [u8],
-    /// Bits read ahead, and how many.
-    open: u64,
-    open_bits: u32,
+    /// Bits read of these.
+    bits_read: u64,
     exhausted: bool,
     counts: Vec<Counts>,
     /// Tokens that the payload can hold.
@@ -62,8 +61,7 @@ impl<'a> TokenReader<'a> {
             escaped,
             words,
             bits: input,
-            open: 0,
-            open_bits: 0,
+            bits_read: 0,
             exhausted: false,
             counts: vec![[0; TOKENS]; contexts],
             left: (length as u64 + BYTES_OF_STATES).saturating_mul(TOKENS_A_BYTE),
@@ -99,27 +97,20 @@ impl<'a> TokenReader<'a> {
         token.unwrap_or(0)
     }
 
-    /// Reads ahead so that there are at least 32 bits.
-    #[inline]
-    fn refill(&mut self) {
-        if let Some((next, rest)) = self.bits.split_first_chunk::<4>() {
-            self.open |= u64::from(u32::from_le_bytes(*next)) << self.open_bits;
-            self.bits = rest;
-        } else {
-            self.exhausted |= self.bits.is_empty();
-            let mut last = [0; 4];
-            last[..self.bits.len()].copy_from_slice(self.bits);
-            self.open |= u64::from(u32::from_le_bytes(last)) << self.open_bits;
-            self.bits = &[];
-        }
-        self.open_bits += 32;
+    /// The last bytes, from `at` on, as if zeros came after them.
+    #[cold]
+    fn last_bytes(&self, at: u64) -> u64 {
+        let rest = usize::try_from(at).ok().and_then(|at| self.bits.get(at..)).unwrap_or_default();
+        let mut last = [0; 8];
+        last.iter_mut().zip(rest).for_each(|(last, byte)| *last = *byte);
+        u64::from_le_bytes(last)
     }
 }
 
 impl TokenCoder for TokenReader<'_> {
     const ENCODES: bool = false;
 
-    #[inline]
+    #[inline(always)]
     fn token(&mut self, context: usize, _token: u8) -> u8 {
         let [state, other] = self.states;
         let slot = look_up(&self.buckets[context], state % SCALE);
@@ -131,18 +122,18 @@ impl TokenCoder for TokenReader<'_> {
         token
     }
 
-    #[inline]
-    fn bits(&mut self, _value: u32, count: u32) -> u32 {
-        if self.open_bits < count {
-            self.refill();
-        }
-        let value = self.open & ((1 << count) - 1);
-        self.open >>= count;
-        self.open_bits -= count;
-        value as u32
+    #[inline(always)]
+    fn bits(&mut self, _value: u64, count: u32) -> u64 {
+        debug_assert!(count <= MOST_BITS);
+        let at = self.bits_read / 8;
+        let whole = usize::try_from(at).ok().and_then(|at| self.bits.get(at..)?.first_chunk());
+        let bytes = whole.map_or_else(|| self.last_bytes(at), |bytes| u64::from_le_bytes(*bytes));
+        let value = bytes >> (self.bits_read % 8) & ((1 << count) - 1);
+        self.bits_read += u64::from(count);
+        value
     }
 
     fn is_exhausted(&self) -> bool {
-        self.exhausted || self.left == 0
+        self.exhausted || self.left == 0 || self.bits_read > 8 * self.bits.len() as u64
     }
 }

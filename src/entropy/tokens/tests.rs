@@ -5,12 +5,12 @@ use proptest::prelude::*;
 const CONTEXTS: usize = 5;
 
 /// Tokens, numbers and bits, some contexts with one kind of token only.
-fn code<C: TokenCoder>(coder: &mut C, values: &[(usize, u64, u32)]) -> Vec<(u64, u32)> {
+fn code<C: TokenCoder>(coder: &mut C, values: &[(usize, u64, u32)]) -> Vec<(u64, u64)> {
     let code_one = |&(context, value, count): &(usize, u64, u32)| {
         let token = coder.token(context % 2, value as u8 & 7);
         let number = coder.number(2 + context % 2, value);
         let certain = coder.token(4, 9);
-        let bits = coder.bits(value as u32, count);
+        let bits = coder.bits(value, count);
         (number + u64::from(token) + u64::from(certain), bits)
     };
     values.iter().map(code_one).collect()
@@ -20,7 +20,7 @@ proptest! {
     #[test]
     fn tokens_come_back(
         frames in proptest::collection::vec(
-            proptest::collection::vec((0usize..9, 0u64..1 << 60, 0u32..=32), 0..300), 0..4),
+            proptest::collection::vec((0usize..9, 0u64..1 << 60, 0..=MOST_BITS), 0..300), 0..4),
         small in any::<bool>(),
     ) {
         let (mut written, mut read) = (TokenTables::default(), TokenTables::default());
@@ -42,7 +42,7 @@ proptest! {
     #[test]
     fn any_bytes_decode_to_something(
         bytes: Vec<u8>,
-        values in proptest::collection::vec((0usize..9, 0u64..9, 0u32..=32), 0..300),
+        values in proptest::collection::vec((0usize..9, 0u64..9, 0..=MOST_BITS), 0..300),
     ) {
         let mut tables = TokenTables::default();
         if let Ok(mut reader) = TokenReader::new(&bytes, CONTEXTS, &mut tables) {

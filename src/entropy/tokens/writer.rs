@@ -1,8 +1,8 @@
 //! Collects tokens and writes them.
 
-use super::TokenCoder;
 use super::frequencies::{ESCAPE, Frequencies, FrequencyModel, SCALE_BITS, TOKENS};
 use super::tables::TokenTables;
+use super::{MOST_BITS, TokenCoder};
 use crate::entropy::ArithmeticEncoder;
 use crate::error::{Error, Result};
 use crate::varint::write_unsigned;
@@ -114,23 +114,24 @@ impl TokenWriter {
 impl TokenCoder for TokenWriter {
     const ENCODES: bool = true;
 
-    #[inline]
+    #[inline(always)]
     fn token(&mut self, context: usize, token: u8) -> u8 {
         self.counts[context][usize::from(token)] += 1;
         self.tokens.push((context as u32) << 8 | u32::from(token));
         token
     }
 
-    #[inline]
-    fn bits(&mut self, value: u32, count: u32) -> u32 {
-        let value = (u64::from(value) & ((1 << count) - 1)) as u32;
-        self.open |= u64::from(value) << self.open_bits;
+    #[inline(always)]
+    fn bits(&mut self, value: u64, count: u32) -> u64 {
+        debug_assert!(count <= MOST_BITS);
+        let value = value & ((1 << count) - 1);
+        self.open |= value << self.open_bits;
         self.open_bits += count;
-        if self.open_bits >= 32 {
-            self.bits.extend_from_slice(&(self.open as u32).to_le_bytes());
-            self.open >>= 32;
-            self.open_bits -= 32;
-        }
+        let whole = self.open_bits / 8;
+        self.bits.extend_from_slice(&self.open.to_le_bytes());
+        self.bits.truncate(self.bits.len() - 8 + whole as usize);
+        self.open = self.open.checked_shr(8 * whole).unwrap_or(0);
+        self.open_bits -= 8 * whole;
         value
     }
 }
