@@ -82,7 +82,10 @@ fn saved(stream: &[u8]) -> (Vec<(u64, File)>, Vec<Lost>) {
     let options = DecodeOptions { threads: 1, ..DecodeOptions::default() };
     recover(Cursor::new(stream), &options, |part| {
         match part {
-            Recovered::Frame(frame) => frames.push((frame.number, (frame.header.name, frame.bytes))),
+            Recovered::Frame(frame) => {
+                let bytes = frame.to_bytes()?;
+                frames.push((frame.number, (frame.header.name, bytes)));
+            }
             Recovered::Lost(lost) => losses.push(lost),
         }
         Ok(())

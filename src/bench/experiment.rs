@@ -49,11 +49,10 @@ pub fn run(sample: &Sample, config: &EncoderConfig, on_frame: &(dyn Fn() + Sync)
     let encoded = codec::encode(&sample.inputs, &config, &mut stream, on_frame)?;
     let encoding_time = start.elapsed();
 
-    let options =
-        DecodeOptions { threads: config.threads, images: true, scans: true, ..DecodeOptions::default() };
+    let options = DecodeOptions { threads: config.threads, images: true, ..DecodeOptions::default() };
     let mut decoded = Vec::new();
     let start = Instant::now();
-    codec::decode(&stream[..], &options, Ok, |frame| {
+    codec::decode(&stream[..], &options, DecodedFrame::checked, |frame| {
         decoded.push(frame);
         Ok(())
     })?;
@@ -125,11 +124,7 @@ impl Distortion {
                 self.ranges.add((&sensor, &reference), (&image.sensor, &image.image));
             }
             (None, Positions::Formula) => {}
-            _ => {
-                if let Some(scan) = &decoded.scan {
-                    self.points.add(original, &scan.cloud);
-                }
-            }
+            _ => self.points.add(original, &decoded.scan.cloud),
         }
     }
 }

@@ -9,12 +9,13 @@ use anyhow::{Context, Result, bail};
 use lidarpc::codec::{self, DecodeOptions, DecodedFrame, Recovered};
 use lidarpc::error::Error;
 use lidarpc::io::{FileFormat, convert};
+use lidarpc::scan::ScanFile;
 
 use super::args::{DecodeArgs, FormatArg};
 use super::errors::about;
 use super::input::{Input, is_dash, name_of, open};
 use super::losses::Losses;
-use super::output::FolderOutput;
+use super::output::{FolderOutput, Give};
 use super::{progress, table};
 
 pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
@@ -24,7 +25,6 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
         threads: args.threads.threads,
         limits: args.limits.limits(),
         frames: args.frames.unwrap_or_default(),
-        scans: args.format.is_some(),
         ..DecodeOptions::default()
     };
     let converter = Converter::new(args.format);
@@ -37,8 +37,7 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let mut losses = Losses::new(&args.input);
     let write = |frame| {
         let file = converter.file(frame)?;
-        folder.write(&file.name, &file.bytes)?;
-        Ok(file.bytes.len() as u64)
+        folder.write(file.name(), |give| file.write(give))
     };
     let count = |file_bytes: u64| {
         bar.inc(1);
@@ -83,24 +82,45 @@ fn decode<T: Send>(
 fn to_stdout(args: &DecodeArgs, input: Input, options: &DecodeOptions, converter: &Converter) -> Result<()> {
     let mut only: Option<DecodedFrame> = None;
     let mut losses = Losses::new(&args.input);
-    let decoded = decode(args, input, options, &mut losses, Ok, |frame| match only.replace(frame) {
-        None => Ok(()),
-        Some(_) => {
-            Err(Error::InvalidConfig("stdout takes one frame; choose one, as by --frames 5".to_owned()))
-        }
-    });
+    let decoded =
+        decode(args, input, options, &mut losses, DecodedFrame::checked, |frame| match only.replace(frame) {
+            None => Ok(()),
+            Some(_) => {
+                Err(Error::InvalidConfig("stdout takes one frame; choose one, as by --frames 5".to_owned()))
+            }
+        });
     decoded.map_err(|error| about(error, &name_of(&args.input)))?;
     let Some(frame) = only else { bail!("{}: holds no frame", name_of(&args.input)) };
     let file = converter.file(frame)?;
     let mut stdout = io::stdout().lock();
-    stdout.write_all(&file.bytes).and_then(|()| stdout.flush()).context("stdout")?;
+    let written = file.write(&mut |piece| Ok(stdout.write_all(piece)?));
+    written.and_then(|()| Ok(stdout.flush()?)).context("stdout")?;
     losses.check(1)
 }
 
 /// A file to write.
-struct File {
-    name: String,
-    bytes: Vec<u8>,
+enum File {
+    /// As it was.
+    Original(Box<DecodedFrame>),
+    /// In another format.
+    Converted(Box<ScanFile>),
+}
+
+impl File {
+    fn name(&self) -> &str {
+        match self {
+            File::Original(frame) => &frame.header.name,
+            File::Converted(scan) => &scan.name,
+        }
+    }
+
+    /// Gives its bytes, piece by piece.
+    fn write(&self, give: &mut Give<'_>) -> lidarpc::error::Result<()> {
+        match self {
+            File::Original(frame) => frame.write(give),
+            File::Converted(scan) => lidarpc::io::write(scan, give),
+        }
+    }
 }
 
 /// Makes files of frames: as they were, or in another format.
@@ -123,10 +143,8 @@ impl Converter {
     /// # Errors
     /// If the frame cannot be converted, or another one has got the name that it would get.
     fn file(&self, frame: DecodedFrame) -> lidarpc::error::Result<File> {
-        let DecodedFrame { header, bytes, scan, .. } = frame;
-        let (Some(format), Some(scan)) = (self.format, scan) else {
-            return Ok(File { name: header.name, bytes });
-        };
+        let Some(format) = self.format else { return Ok(File::Original(Box::new(frame))) };
+        let DecodedFrame { header, scan, .. } = frame.checked()?;
         let converted = convert(&scan, format)?;
         let mut names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(other) = names.insert(converted.name.clone(), header.name.clone()) {
@@ -134,6 +152,6 @@ impl Converter {
             return Err(Error::Input { path: header.name.into(), what });
         }
         drop(names);
-        Ok(File { bytes: converted.to_bytes()?, name: converted.name })
+        Ok(File::Converted(Box::new(converted)))
     }
 }

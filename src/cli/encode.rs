@@ -134,8 +134,14 @@ fn compare(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> Res
     let bar = progress::bar(Some(encoded.frames.len() as u64), "verifying", quiet);
     let mut decoded = Vec::new();
     // Not the header's checksum, which the encoder wrote: that of the bytes that came out.
-    let identify =
-        |frame: DecodedFrame| Ok((frame.header.name, crc32c::crc32c(&frame.bytes), frame.bytes.len() as u64));
+    let identify = |frame: DecodedFrame| {
+        let (mut crc, mut size) = (0, 0);
+        frame.write(|piece| {
+            (crc, size) = (crc32c::crc32c_append(crc, piece), size + piece.len() as u64);
+            Ok(())
+        })?;
+        Ok((frame.header.name, crc, size))
+    };
     let result = codec::decode(BufReader::new(file), &options, identify, |file| {
         bar.inc(1);
         decoded.push(file);

@@ -106,6 +106,9 @@ pub fn place(file: TempPath, target: &Path, force: bool) -> io::Result<()> {
     Ok(())
 }
 
+/// Takes the next bytes of a file.
+pub type Give<'a> = dyn FnMut(&[u8]) -> Result<()> + 'a;
+
 /// Bytes written at a time. For larger pieces Linux takes larger pages, which are seldom at hand: ten times its time
 /// for the copy.
 const WRITE_BYTES: usize = 64 << 10;
@@ -148,27 +151,34 @@ impl FolderOutput {
         })
     }
 
-    /// Writes one scan, under a temporary name; from any thread.
+    /// Writes one scan, whose bytes `write` gives piece by piece, under a temporary name; from any thread. Returns how
+    /// many they are.
     ///
     /// # Errors
     /// If the name is no plain file name, is there twice, or belongs to a file that exists and
-    /// `force` is not set; or if writing fails.
-    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<()> {
+    /// `force` is not set; if writing fails; those of `write`.
+    pub fn write(&self, name: &str, write: impl FnOnce(&mut Give<'_>) -> Result<()>) -> Result<u64> {
         let refuse = |what: String| Err(Error::Input { path: self.folder.clone(), what });
         if !is_safe_name(name) {
             return refuse(format!("cannot safely take a file named {name:?}, as the stream asks"));
         }
         let (temporary, target) = (self.temporary.path().join(name), self.folder.join(name));
         may_write(&target, self.force).map_err(|e| Error::from(e).at(&target))?;
-        let write = |mut file: File| bytes.chunks(WRITE_BYTES).try_for_each(|chunk| file.write_all(chunk));
-        match File::create_new(&temporary).and_then(write) {
+        let mut file = match File::create_new(&temporary) {
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {
                 return refuse(format!("cannot take two files named {name:?}, as the stream asks"));
             }
-            written => written.map_err(|e| Error::from(e).at(&target))?,
-        }
+            file => file.map_err(|e| Error::from(e).at(&target))?,
+        };
+        let mut size = 0;
+        write(&mut |piece| {
+            let written = piece.chunks(WRITE_BYTES).try_for_each(|chunk| file.write_all(chunk));
+            written.map_err(|e| Error::from(e).at(&target))?;
+            size += piece.len() as u64;
+            Ok(())
+        })?;
         self.names.lock().unwrap_or_else(PoisonError::into_inner).push(name.to_owned());
-        Ok(())
+        Ok(size)
     }
 
     /// Makes sure that all scans are on the disk, and gives them their names.

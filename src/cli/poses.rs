@@ -25,7 +25,7 @@ pub fn run(args: &StatsArgs, path: &Path, quiet: bool) -> Result<()> {
     let bar = progress::bar(None, "decoding", quiet);
     let mut way = Way::default();
     let mut poses = Vec::new();
-    let decoded = codec::decode(input, &options, Ok, |frame| {
+    let decoded = codec::decode(input, &options, DecodedFrame::checked, |frame| {
         bar.inc(1);
         poses.push(way.follow(frame));
         Ok(())

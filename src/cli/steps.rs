@@ -3,7 +3,7 @@
 use std::io::{self, BufReader, Read, Write};
 
 use anyhow::Result;
-use lidarpc::codec::{self, DecodeOptions, FrameInput, Step, StepReport};
+use lidarpc::codec::{self, DecodeOptions, DecodedFrame, FrameInput, Step, StepReport};
 use lidarpc::io::sequence::find_frames;
 use serde::Serialize;
 
@@ -81,7 +81,7 @@ fn decode(input: impl Read + Send, args: &StatsArgs, quiet: bool) -> lidarpc::er
     };
     let bar = progress::bar(None, "decoding", quiet);
     let mut steps = StepReport::default();
-    let decoded = codec::decode(BufReader::new(input), &options, Ok, |frame| {
+    let decoded = codec::decode(BufReader::new(input), &options, DecodedFrame::checked, |frame| {
         bar.inc(1);
         steps.add(&frame.steps);
         Ok(())

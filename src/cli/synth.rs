@@ -15,7 +15,7 @@ pub fn run(args: &SynthArgs, quiet: bool) -> Result<()> {
     let mut points = 0;
     for frame in drive(&config) {
         points += frame.points.len() as u64;
-        folder.write(&frame.name, &frame.to_bin())?;
+        folder.write(&frame.name, |give| give(&frame.to_bin()))?;
         bar.inc(1);
     }
     bar.finish_and_clear();

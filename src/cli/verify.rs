@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use anyhow::{Result, bail};
-use lidarpc::codec::DecodeOptions;
+use lidarpc::codec::{DecodeOptions, DecodedFrame};
 use lidarpc::error::Error;
 
 use super::args::VerifyArgs;
@@ -24,11 +24,11 @@ pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
     };
     let bar = progress::bar(None, "verifying", quiet);
     let mut bytes = 0;
-    let frames = input.decode(&options, Ok, |frame| {
+    let frames = input.decode(&options, DecodedFrame::checked, |frame| {
         bar.inc(1);
-        bytes += frame.bytes.len() as u64;
+        bytes += frame.header.file_size;
         let Some(originals) = &mut originals else { return Ok(()) };
-        if originals.take(&frame.header.name)? != frame.bytes {
+        if originals.take(&frame.header.name)? != frame.to_bytes()? {
             let what = format!("frame {} ({:?}) is not the original", frame.number, frame.header.name);
             return Err(Error::InvalidConfig(what));
         }

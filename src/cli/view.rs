@@ -61,9 +61,9 @@ fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<Compared> {
 }
 
 fn decode_one(stream: impl Read + Seek + Send, frames: FrameRange) -> lidarpc::error::Result<DecodedFrame> {
-    let options = DecodeOptions { frames, images: true, scans: true, ..DecodeOptions::default() };
+    let options = DecodeOptions { frames, images: true, ..DecodeOptions::default() };
     let mut found = None;
-    codec::decode_indexed(stream, &options, Ok, |frame| {
+    codec::decode_indexed(stream, &options, DecodedFrame::checked, |frame| {
         found = Some(frame);
         Ok(())
     })?;
@@ -73,7 +73,7 @@ fn decode_one(stream: impl Read + Seek + Send, frames: FrameRange) -> lidarpc::e
 impl Compared {
     /// The distance of each point of the file from the original, in metres, if that is known.
     fn errors(&self) -> Option<Vec<Option<f64>>> {
-        let decoded = self.frame.scan.as_ref()?;
+        let decoded = &self.frame.scan;
         let original = parse_like(decoded, &decoded.name, self.original.clone()?);
         let measure = if self.frame.in_order { paired_distances } else { nearest_distances };
         Some(measure(&original.cloud, &decoded.cloud))
@@ -83,8 +83,7 @@ impl Compared {
 fn draw(args: &ViewArgs, compared: &Compared, config: &EncoderConfig) -> Result<Picture> {
     let frame = &compared.frame;
     if args.kind == Kind::BirdsEye {
-        let points = frame.scan.as_ref().map(|scan| &scan.cloud.positions[..]);
-        return Ok(BirdsEye::default().draw(points.unwrap_or_default()));
+        return Ok(BirdsEye::default().draw(&frame.scan.cloud.positions));
     }
     let name = &frame.header.name;
     let none = || format!("{name}: has no range image; --kind birds-eye shows its points");

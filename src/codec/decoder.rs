@@ -11,19 +11,19 @@ use super::source::{GroupJob, IndexedGroups, StreamedGroups};
 use super::steps::StepReport;
 use crate::bitstream::{Frame, FrameHeader, IndexedReader, StreamReader};
 use crate::error::{Error, Result};
+use crate::io;
 use crate::scan::ScanFile;
 
-/// One decoded file, its size and checksum verified.
+/// One decoded file. Whether it is the file that was encoded shows when its bytes are asked for, or by
+/// [`checked`](Self::checked).
 #[derive(Clone, Debug)]
 pub struct DecodedFrame {
     /// Its number in the sequence, the first being 0.
     pub number: u64,
     /// What the stream says of it. The name is as in the stream: check it before use as a path.
     pub header: FrameHeader,
-    /// The file's bytes.
-    pub bytes: Vec<u8>,
-    /// The same file taken apart, if that was asked for.
-    pub scan: Option<ScanFile>,
+    /// The file, taken apart.
+    pub scan: ScanFile,
     /// What the file was before, if it is not given back exactly.
     pub source: Option<Source>,
     /// Whether it holds the points of the file before, and in their order.
@@ -34,14 +34,46 @@ pub struct DecodedFrame {
     pub steps: StepReport,
 }
 
+impl DecodedFrame {
+    /// Gives the file's bytes, piece by piece.
+    ///
+    /// # Errors
+    /// If, as shows in the end, they are not those of the file that was encoded; those of `give`.
+    pub fn write(&self, give: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+        write_checked(&self.scan, &self.header, give)
+            .map_err(|e| e.within(&part_name(self.number, &self.header.name)))
+    }
+
+    /// The file's bytes.
+    ///
+    /// # Errors
+    /// If they are not those of the file that was encoded.
+    pub fn to_bytes(&self) -> Result<Vec<u8>> {
+        let mut bytes = Vec::with_capacity(self.scan.records * self.scan.layout.stride as usize);
+        self.write(|piece| {
+            bytes.extend_from_slice(piece);
+            Ok(())
+        })?;
+        Ok(bytes)
+    }
+
+    /// The frame, if it is the file that was encoded.
+    ///
+    /// # Errors
+    /// If it is not.
+    pub fn checked(self) -> Result<Self> {
+        self.write(|_| Ok(())).map(|()| self)
+    }
+}
+
 /// Decodes a stream front to back, as from a pipe. Groups are decoded in parallel: `work` is done on each
 /// frame by the thread that has decoded it, as soon as it has, and what becomes of the frame is handed to `sink` in
 /// order, on the calling thread. The whole stream is read and checked even if only some frames are asked
 /// for. Returns how many frames the stream holds.
 ///
 /// # Errors
-/// If the input fails or is damaged anywhere, if a frame does not decode to what was encoded, if it
-/// asks for more than the limits, if there are no such frames, or if the work or the sink fails.
+/// If the input fails or is damaged anywhere, if a frame asks for more than the limits, if there are no such
+/// frames, or if the work or the sink fails.
 pub fn decode<T: Send>(
     input: impl Read + Send,
     options: &DecodeOptions,
@@ -122,10 +154,7 @@ fn decode_frame(
     if !options.frames.contains(number) {
         return Ok(None);
     }
-    let bytes = scan.to_bytes()?;
-    check_file(&header, &bytes)?;
-    let scan = options.scans.then_some(scan);
-    Ok(Some(DecodedFrame { number, header, bytes, scan, source, in_order, image, steps }))
+    Ok(Some(DecodedFrame { number, header, scan, source, in_order, image, steps }))
 }
 
 /// What errors call a frame.
@@ -133,12 +162,23 @@ pub(super) fn part_name(number: u64, name: &str) -> String {
     format!("frame {number} ({name:?})")
 }
 
-/// An error if these are not the bytes of the file that the frame's header tells of.
-pub(super) fn check_file(header: &FrameHeader, bytes: &[u8]) -> Result<()> {
-    if bytes.len() as u64 != header.file_size {
-        return Err(Error::corrupt(format!("{} bytes, not {}", bytes.len(), header.file_size)));
+/// Gives the bytes of a file, piece by piece; an error if in the end they are not those that the frame's header tells
+/// of.
+pub(super) fn write_checked(
+    scan: &ScanFile,
+    header: &FrameHeader,
+    mut give: impl FnMut(&[u8]) -> Result<()>,
+) -> Result<()> {
+    let (mut size, mut crc) = (0, 0);
+    io::write(scan, |piece| {
+        size += piece.len() as u64;
+        crc = crc32c::crc32c_append(crc, piece);
+        give(piece)
+    })?;
+    if size != header.file_size {
+        return Err(Error::corrupt(format!("{size} bytes, not {}", header.file_size)));
     }
-    if crc32c::crc32c(bytes) != header.file_crc {
+    if crc != header.file_crc {
         return Err(Error::corrupt("the decoded file's checksum does not match"));
     }
     Ok(())

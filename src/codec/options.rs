@@ -16,8 +16,6 @@ pub struct DecodeOptions {
     pub frames: FrameRange,
     /// Whether to give range images back too, as for pictures. Default: no.
     pub images: bool,
-    /// Whether to give the points back too, and not the bytes of the files alone. Default: no.
-    pub scans: bool,
 }
 
 /// A range of frame numbers, the sequence's first frame being 0.

@@ -3,7 +3,7 @@
 //! points that they stand for, so lossy frames lose nothing either. What an image coder made of ranges is
 //! written again as it is.
 
-use super::decoder::{check_file, part_name};
+use super::decoder::{part_name, write_checked};
 use super::frame::Frame;
 use super::parameters::Prediction;
 use super::sections::{Effort, SectionReader, SectionWriter};
@@ -65,7 +65,7 @@ impl Recoder<'_> {
         frame.parameters.range_coder = frame.parameters.range_coder.of_decoded();
         let mut writer = SectionWriter::new(Effort::default());
         let returns = models.code_frame(&mut writer, self.sensor, &mut frame, &mut steps)?;
-        check_file(&header, &frame.into_scan(&header.name, &returns)?.to_bytes()?)?;
+        write_checked(&frame.into_scan(&header.name, &returns)?, &header, |_| Ok(()))?;
         Ok(Some(bitstream::Frame { header, sections: writer.sections }))
     }
 }

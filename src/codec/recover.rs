@@ -41,7 +41,7 @@ pub fn recover(
             Part::Lost(lost) => vec![Recovered::Lost(lost)],
             Part::Group(bytes, job) => {
                 let lost = lost_group(bytes, &job, String::new());
-                match decode_group(job, options, Ok) {
+                match decode_group(job, options, DecodedFrame::checked) {
                     Ok(frames) => frames.into_iter().map(|f| Recovered::Frame(Box::new(f))).collect(),
                     Err(error) => vec![Recovered::Lost(Lost { why: error.to_string(), ..lost })],
                 }

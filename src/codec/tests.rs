@@ -39,7 +39,8 @@ fn options(frames: &str, threads: usize) -> DecodeOptions {
 fn decode_all(stream: &[u8]) -> Result<Vec<(String, Vec<u8>)>> {
     let mut files = Vec::new();
     decode(stream, &options("..", 2), Ok, |frame| {
-        files.push((frame.header.name, frame.bytes));
+        let bytes = frame.to_bytes()?;
+        files.push((frame.header.name, bytes));
         Ok(())
     })?;
     Ok(files)
@@ -84,7 +85,8 @@ fn a_range_gives_the_same_frames_from_a_pipe_and_through_the_index() {
         let expected: Vec<_> = expected.map(|number| (number as u64, files[number].clone())).collect();
         let (mut piped, mut indexed) = (Vec::new(), Vec::new());
         let keep = |list: &mut Vec<_>, frame: DecodedFrame| {
-            list.push((frame.number, (frame.header.name, frame.bytes)));
+            let bytes = frame.to_bytes()?;
+            list.push((frame.number, (frame.header.name, bytes)));
             Ok(())
         };
         decode(&stream[..], &options(range, 2), Ok, |frame| keep(&mut piped, frame)).unwrap();
@@ -94,8 +96,15 @@ fn a_range_gives_the_same_frames_from_a_pipe_and_through_the_index() {
         assert_eq!(indexed, expected, "{range} through the index");
     }
     for range in ["7", "5..8", "9.."] {
-        assert!(decode(&stream[..], &options(range, 2), Ok, |_| Ok(())).is_err(), "{range}");
-        assert!(decode_indexed(Cursor::new(&stream), &options(range, 2), Ok, |_| Ok(())).is_err(), "{range}");
+        assert!(
+            decode(&stream[..], &options(range, 2), DecodedFrame::checked, |_| Ok(())).is_err(),
+            "{range}"
+        );
+        assert!(
+            decode_indexed(Cursor::new(&stream), &options(range, 2), DecodedFrame::checked, |_| Ok(()))
+                .is_err(),
+            "{range}"
+        );
     }
 }
 
@@ -110,7 +119,9 @@ fn only_the_groups_asked_for_are_read() {
     };
     let damaged = &index.groups[2];
     stream[(damaged.offset + damaged.length / 2) as usize] ^= 1;
-    let read = |range: &str| decode_indexed(Cursor::new(&stream), &options(range, 1), Ok, |_| Ok(()));
+    let read = |range: &str| {
+        decode_indexed(Cursor::new(&stream), &options(range, 1), DecodedFrame::checked, |_| Ok(()))
+    };
     assert!(read("3..").is_ok());
     assert!(read("2..").is_err());
     assert!(decode_all(&stream).is_err());
@@ -122,10 +133,16 @@ fn every_flipped_bit_and_every_cut_is_an_error() {
     for bit in 0..stream.len() * 8 {
         let mut damaged = stream.clone();
         damaged[bit / 8] ^= 1 << (bit % 8);
-        assert!(decode(&damaged[..], &options("..", 1), Ok, |_| Ok(())).is_err(), "bit {bit}");
+        assert!(
+            decode(&damaged[..], &options("..", 1), DecodedFrame::checked, |_| Ok(())).is_err(),
+            "bit {bit}"
+        );
     }
     for length in 0..stream.len() {
-        assert!(decode(&stream[..length], &options("..", 1), Ok, |_| Ok(())).is_err(), "length {length}");
+        assert!(
+            decode(&stream[..length], &options("..", 1), DecodedFrame::checked, |_| Ok(())).is_err(),
+            "length {length}"
+        );
     }
 }
 

@@ -70,8 +70,7 @@ pub fn convert(scan: &ScanFile, format: FileFormat) -> Result<ScanFile> {
         .columns(columns)
         .ok_or_else(|| refuse("has coordinates that are not float32; convert it to pcd or ply"))?;
     records::check(scan)?;
-    let mut body = Vec::new();
-    records::join(scan, &mut body);
+    let body = records::join(scan)?;
     let mut converted = Vec::new();
     for record in body.chunks_exact((scan.layout.stride as usize).max(1)) {
         columns.iter().for_each(|column| column.write(record, &mut converted));

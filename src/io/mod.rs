@@ -103,34 +103,27 @@ fn comes_back_as(file: &ScanFile, bytes: &[u8]) -> bool {
     file.to_bytes().is_ok_and(|written| written == bytes)
 }
 
-/// Appends the bytes of a file.
+/// Gives the bytes of a file, piece by piece.
 ///
 /// # Errors
 /// [`Error::Corrupt`](crate::error::Error::Corrupt) if the points do not match the layout, as a damaged
-/// stream can have it. `out` may have grown then.
-pub fn write(file: &ScanFile, out: &mut Vec<u8>) -> Result<()> {
+/// stream can have it; those of `give`. Some pieces may have been given then.
+pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
     records::check(file)?;
-    out.extend_from_slice(&file.prefix);
+    give(&file.prefix)?;
     match &file.layout.wrapping {
-        Wrapping::Plain => records::join(file, out),
+        Wrapping::Plain => records::give(file, &mut give)?,
         Wrapping::PcdCompressed { fields, lzf } => {
-            let mut body = Vec::new();
-            records::join(file, &mut body);
-            pcd_compressed::write(&body, fields, *lzf, out)?;
+            give(&pcd_compressed::write(&records::join(file)?, fields, *lzf)?)?;
         }
-        Wrapping::Text(format) => {
-            let mut body = Vec::new();
-            records::join(file, &mut body);
-            text_records::write(&body, format, out)?;
-        }
+        Wrapping::Text(format) => give(&text_records::write(&records::join(file)?, format)?)?,
         Wrapping::BigEndian { values } => {
-            let start = out.len();
-            records::join(file, out);
-            big_endian::swap(&mut out[start..], values);
+            let mut body = records::join(file)?;
+            big_endian::swap(&mut body, values);
+            give(&body)?;
         }
     }
-    out.extend_from_slice(&file.suffix);
-    Ok(())
+    give(&file.suffix)
 }
 
 impl ScanFile {
@@ -140,7 +133,10 @@ impl ScanFile {
     /// As [`write`](fn@write).
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         let mut out = Vec::new();
-        write(self, &mut out)?;
+        write(self, |piece| {
+            out.extend_from_slice(piece);
+            Ok(())
+        })?;
         Ok(out)
     }
 }

@@ -38,11 +38,11 @@ pub(super) fn parse(layout: Layout, fields: Vec<u32>, bytes: &[u8], start: usize
     })
 }
 
-/// Appends the body that holds these records.
+/// The body that holds these records.
 ///
 /// # Errors
 /// [`Error::Corrupt`] if the records take more than the 4 GiB that the format has room for.
-pub(super) fn write(body: &[u8], fields: &[u32], dialect: LzfDialect, out: &mut Vec<u8>) -> Result<()> {
+pub(super) fn write(body: &[u8], fields: &[u32], dialect: LzfDialect) -> Result<Vec<u8>> {
     let too_long = |_| Error::corrupt("records too long for a compressed PCD file");
     let stride: usize = fields.iter().map(|&width| width as usize).sum();
     let size = u32::try_from(body.len()).map_err(too_long)?;
@@ -52,10 +52,7 @@ pub(super) fn write(body: &[u8], fields: &[u32], dialect: LzfDialect, out: &mut 
     });
     let packed = lzf::compress(&planes, dialect);
     let packed_size = u32::try_from(packed.len()).map_err(too_long)?;
-    out.extend(packed_size.to_le_bytes());
-    out.extend(size.to_le_bytes());
-    out.extend(packed);
-    Ok(())
+    Ok([&packed_size.to_le_bytes()[..], &size.to_le_bytes(), &packed].concat())
 }
 
 /// Calls `visit` with the place of each value field by field, and its place record by record.

@@ -1,5 +1,7 @@
 //! Records as bytes and as a cloud of points.
 
+use std::ops::Range;
+
 use byteorder::{ByteOrder, LittleEndian};
 
 use crate::error::{Error, Result};
@@ -47,29 +49,56 @@ pub(super) fn split(layout: &Layout, body: &[u8]) -> PointCloud {
     cloud
 }
 
-/// Appends the records of `file`, one after the other: the inverse of [`split`].
+/// Gives the records of `file`, one after the other and some at a time: the inverse of [`split`].
 /// The file must have passed [`check`].
-pub(super) fn join(file: &ScanFile, out: &mut Vec<u8>) {
-    let (layout, cloud) = (&file.layout, &file.cloud);
+///
+/// # Errors
+/// Those of `give`.
+pub(super) fn give(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+    /// Bytes at a time: as many as a processor keeps near while fields are filled in one after the other, and then
+    /// they are read again.
+    const AT_ONCE: usize = 64 << 10;
+    let stride = file.layout.stride.max(1) as usize;
+    let count = (AT_ONCE / stride).max(1);
+    let mut body = vec![0; count.min(file.records) * stride];
+    for first in (0..file.records).step_by(count) {
+        let records = first..file.records.min(first + count);
+        let body = &mut body[..records.len() * stride];
+        fill(&file.layout, &file.cloud, records, body);
+        give(body)?;
+    }
+    Ok(())
+}
+
+/// As [`give`], all at once.
+pub(super) fn join(file: &ScanFile) -> Result<Vec<u8>> {
+    let mut body = Vec::with_capacity(file.records * file.layout.stride as usize);
+    give(file, |records| {
+        body.extend_from_slice(records);
+        Ok(())
+    })?;
+    Ok(body)
+}
+
+/// Fills in the fields of some records: between them they are every byte of these.
+fn fill(layout: &Layout, cloud: &PointCloud, records: Range<usize>, body: &mut [u8]) {
     let (stride, extra_stride) = (layout.stride.max(1) as usize, layout.extra_stride());
-    let start = out.len();
-    out.resize(start + file.records * layout.stride as usize, 0);
-    let body = &mut out[start..];
     if let Some(offsets) = layout.position {
-        for (record, position) in body.chunks_exact_mut(stride).zip(&cloud.positions) {
+        for (record, position) in body.chunks_exact_mut(stride).zip(&cloud.positions[records.clone()]) {
             for (at, value) in offsets.into_iter().zip(position) {
                 LittleEndian::write_f32(&mut record[at as usize..], *value);
             }
         }
     }
     if let Some(at) = layout.intensity {
-        for (record, value) in body.chunks_exact_mut(stride).zip(&cloud.intensity) {
+        for (record, value) in body.chunks_exact_mut(stride).zip(&cloud.intensity[records.clone()]) {
             LittleEndian::write_f32(&mut record[at as usize..], *value);
         }
     }
     if extra_stride > 0 {
         let extra_ranges = layout.extra_ranges();
-        for (record, mut extra) in body.chunks_exact_mut(stride).zip(cloud.extra.chunks_exact(extra_stride)) {
+        let extra = cloud.extra[records.start * extra_stride..].chunks_exact(extra_stride);
+        for (record, mut extra) in body.chunks_exact_mut(stride).zip(extra) {
             for range in &extra_ranges {
                 let (gap, rest) = extra.split_at(range.len());
                 record[range.clone()].copy_from_slice(gap);

@@ -84,11 +84,12 @@ fn side_by_side(values: &[Vec<u8>], columns: &[Column], records: usize) -> Vec<u
     body
 }
 
-/// Appends the text of these records, each as long as the columns together.
+/// The text of these records, each as long as the columns together.
 ///
 /// # Errors
 /// None that a valid layout brings about.
-pub(super) fn write(body: &[u8], format: &TextFormat, out: &mut Vec<u8>) -> Result<()> {
+pub(super) fn write(body: &[u8], format: &TextFormat) -> Result<Vec<u8>> {
+    let mut out = Vec::new();
     let mut writer = NumberWriter::default();
     for record in body.chunks_exact((format.stride() as usize).max(1)) {
         let mut rest = record;
@@ -97,7 +98,7 @@ pub(super) fn write(body: &[u8], format: &TextFormat, out: &mut Vec<u8>) -> Resu
                 out.push(format.separator());
             }
             let (value, after) = rest.split_at(column.scalar.size() as usize);
-            writer.write(value, column, out)?;
+            writer.write(value, column, &mut out)?;
             rest = after;
         }
         if format.trailing_separator {
@@ -105,7 +106,7 @@ pub(super) fn write(body: &[u8], format: &TextFormat, out: &mut Vec<u8>) -> Resu
         }
         out.extend_from_slice(format.line_end().as_bytes());
     }
-    Ok(())
+    Ok(out)
 }
 
 /// The type and rule that give all these texts, and the values. Doubles whose every digit single precision

@@ -66,7 +66,8 @@ pub fn decode_within(stream: &[u8], limits: Limits) -> Result<Vec<File>> {
 }
 
 fn keep(files: &mut Vec<File>, frame: DecodedFrame) -> Result<()> {
-    files.push((frame.header.name, frame.bytes));
+    let bytes = frame.to_bytes()?;
+    files.push((frame.header.name, bytes));
     Ok(())
 }
 

@@ -56,7 +56,6 @@ pub fn compare(
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),
-        scans: true,
         ..DecodeOptions::default()
     };
     let bar = progress::bar(Some(frames), "comparing", quiet);
@@ -64,8 +63,7 @@ pub fn compare(
     let compared = codec::decode(BufReader::new(input), &options, Ok, |frame| {
         bar.inc(1);
         let original = originals.take(&frame.header.name)?;
-        comparison.add(original, frame);
-        Ok(())
+        comparison.add(original, frame)
     });
     bar.finish_and_clear();
     compared?;
@@ -84,25 +82,28 @@ struct Comparison {
 }
 
 impl Comparison {
-    fn add(&mut self, original: Vec<u8>, frame: DecodedFrame) {
-        let is_identical = original == frame.bytes;
+    fn add(&mut self, original: Vec<u8>, frame: DecodedFrame) -> lidarpc::error::Result<()> {
+        let is_identical = original == frame.to_bytes()?;
         match is_identical {
             true => self.identical_files += 1,
             false => self.differing_files += 1,
         }
         let in_order = frame.in_order;
-        let decoded = frame.scan.unwrap_or_default();
+        let decoded = frame.scan;
         let original = parse_like(&decoded, &frame.header.name, original);
         let (original, decoded) = (&original.cloud, &decoded.cloud);
         if in_order {
             self.paired.add(original, decoded);
             match &mut self.psnr {
-                None => return,
-                Some(psnr) if is_identical => return psnr.add_identical(),
+                None => return Ok(()),
+                Some(psnr) if is_identical => {
+                    psnr.add_identical();
+                    return Ok(());
+                }
                 Some(_) => {}
             }
         }
-        let Some(pairs) = NearestPairs::of(original, decoded) else { return };
+        let Some(pairs) = NearestPairs::of(original, decoded) else { return Ok(()) };
         if !in_order {
             self.to_original.add_nearest(&pairs.decoded, &pairs.of_decoded);
             self.to_decoded.add_nearest(&pairs.original, &pairs.of_original);
@@ -110,6 +111,7 @@ impl Comparison {
         if let Some(psnr) = &mut self.psnr {
             psnr.add(&pairs);
         }
+        Ok(())
     }
 
     fn report(&self) -> Against {
