@@ -31,6 +31,10 @@ impl NullaryFnOnce for Filling<'_> {
         let is_near = sensor.metres(sensor.most_steps()) < NEAR;
         match (on_grid, grid) {
             (true, Coordinates::Millimetre) if is_near => fill(sensor, returns, offset_m, nearest_millimetre),
+            (true, Coordinates::Float32) => {
+                // As `nearest` has it, without counting floats.
+                fill(sensor, returns, offset_m, |formula| if formula.is_nan() { 0.0 } else { formula as f32 })
+            }
             (true, _) => fill(sensor, returns, offset_m, |formula| grid.nearest(formula)),
             (false, _) => fill(sensor, returns, offset_m, |formula| formula as f32),
         }
@@ -61,17 +65,29 @@ fn fill(
 mod tests {
     use super::*;
     use crate::range_image::testing::scanner;
+    use crate::sensor::Refinement;
 
     #[test]
     fn every_vector_unit_gives_the_same_bits() {
+        let bits =
+            |positions: &[[f32; 3]]| positions.concat().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
         let (sensor, image) = scanner();
-        let returns = image.file_order(&sensor);
-        for on_grid in [false, true] {
-            let here = positions(&sensor, &returns, 1e-4, on_grid);
-            let anywhere = Filling { sensor: &sensor, returns: &returns, offset_m: 1e-4, on_grid }.call();
-            assert!(
-                here.iter().flatten().map(|v| v.to_bits()).eq(anywhere.iter().flatten().map(|v| v.to_bits()))
-            );
+        let single = sensor.clone().with_refinements(vec![Refinement::default(); sensor.rows()]);
+        let mut of_floats = single.clone();
+        of_floats.coordinates = Coordinates::Float32;
+        for sensor in [of_floats, single, sensor] {
+            let returns = image.file_order(&sensor);
+            for on_grid in [false, true] {
+                let here = positions(&sensor, &returns, 1e-4, on_grid);
+                let anywhere = Filling { sensor: &sensor, returns: &returns, offset_m: 1e-4, on_grid }.call();
+                assert_eq!(bits(&here), bits(&anywhere));
+                let alone = returns.iter().map(|found| {
+                    let metres = sensor.metres(found.steps) + 1e-4;
+                    let position = sensor.position_at(found.row as usize, found.tick, metres);
+                    position.map(|m| if on_grid { sensor.coordinates.nearest(m) } else { m as f32 })
+                });
+                assert_eq!(bits(&here), bits(&alone.collect::<Vec<_>>()));
+            }
         }
     }
 }

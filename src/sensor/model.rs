@@ -418,14 +418,20 @@ impl SensorModel {
     ) {
         /// Points at a time.
         const LANES: usize = 8;
-        let whole = if self.single.is_empty() { points.len() / LANES * LANES } else { 0 };
-        let (blocks, rest) = points.split_at(whole);
-        let (of_blocks, of_rest) = positions.split_at_mut(whole);
-        let (blocks, of_blocks) = (blocks.as_chunks::<LANES>().0, of_blocks.as_chunks_mut::<LANES>().0);
+        let (blocks, rest) = points.as_chunks::<LANES>();
+        let (of_blocks, of_rest) = positions.as_chunks_mut::<LANES>();
+        let single = self.single.get(row);
         for (block, positions) in blocks.iter().zip(of_blocks) {
+            let ticks: [u32; LANES] = lanes(|i| place(&block[i]).0);
             let near: [f64; LANES] = self.metres_of(lanes(|i| place(&block[i]).1));
-            let ticks: [Tick; LANES] = lanes(|i| self.ticks_of_turn[place(&block[i]).0 as usize]);
-            let [x, y, z] = self.beams[row].points(ticks, lanes(|i| near[i] + offset_m));
+            let metres: [f64; LANES] = lanes(|i| near[i] + offset_m);
+            let [x, y, z]: [[f64; LANES]; 3] = match single {
+                Some(single) => {
+                    let [x, y, z] = single.positions(ticks, metres);
+                    [lanes(|i| x[i].into()), lanes(|i| y[i].into()), lanes(|i| z[i].into())]
+                }
+                None => self.beams[row].points(lanes(|i| self.ticks_of_turn[ticks[i] as usize]), metres),
+            };
             *positions = lanes(|i| [stored(x[i]), stored(y[i]), stored(z[i])]);
         }
         for (point, position) in rest.iter().zip(of_rest) {

@@ -36,53 +36,55 @@ const COSINE: [f32; 6] = [
 ];
 
 /// Sine and cosine of an angle from 0 to 2 pi, in radians. For other angles: some numbers, the same everywhere.
+///
+/// Every case is computed, and then one is chosen: so vector units can do several angles at a time.
+#[inline(always)]
 pub fn sine_and_cosine(angle: f32) -> (f32, f32) {
-    if angle <= QUARTER_PI {
-        return (sine_near_zero(angle, None), cosine_near_zero(angle, 0.0));
-    }
+    let is_reduced = !(angle <= QUARTER_PI);
     let (quarter_turns, rest, error) = reduce(angle);
-    let (sine, cosine) = (sine_near_zero(rest, Some(error)), cosine_near_zero(rest, error));
-    match quarter_turns & 3 {
-        0 => (sine, cosine),
-        1 => (cosine, -sine),
-        2 => (-sine, -cosine),
-        _ => (-cosine, sine),
-    }
+    let quarter_turns = if is_reduced { quarter_turns } else { 0 };
+    let (rest, error) = if is_reduced { (rest, error) } else { (angle, 0.0) };
+    let sine = sine_near_zero(rest, error, is_reduced);
+    let cosine = cosine_near_zero(rest, error);
+    let is_odd = quarter_turns & 1 == 1;
+    let (first, second) = if is_odd { (cosine, sine) } else { (sine, cosine) };
+    let first = if quarter_turns & 2 == 2 { -first } else { first };
+    let second = if quarter_turns.wrapping_add(1) & 2 == 2 { -second } else { second };
+    (first, second)
 }
 
 /// The nearest number of quarter turns, and what is left of the angle as a sum of two.
+#[inline(always)]
 fn reduce(angle: f32) -> (i32, f32, f32) {
     /// From so many leading bits lost on, the second part of pi / 2 is taken into account.
     const MOST_BITS_LOST: i32 = 8;
     let exponent = |v: f32| (v.to_bits() >> 23 & 0xff) as i32;
     let quarter_turns = (angle * TWO_OVER_PI + 0.5) as i32;
     let count = quarter_turns as f32;
-    let mut head = angle - count * HALF_PI_HEAD;
-    let mut tail = count * HALF_PI_TAIL;
-    let mut rest = head - tail;
-    if exponent(angle) - exponent(rest) > MOST_BITS_LOST {
-        let before = head;
-        let second = count * HALF_PI_TAIL_HEAD;
-        head = before - second;
-        tail = count * HALF_PI_TAIL_TAIL - ((before - head) - second);
-        rest = head - tail;
-    }
+    let (head, tail) = (angle - count * HALF_PI_HEAD, count * HALF_PI_TAIL);
+    let rest = head - tail;
+    let second = count * HALF_PI_TAIL_HEAD;
+    let finer_head = head - second;
+    let finer_tail = count * HALF_PI_TAIL_TAIL - ((head - finer_head) - second);
+    let is_fine = exponent(angle) - exponent(rest) > MOST_BITS_LOST;
+    let (head, tail) = if is_fine { (finer_head, finer_tail) } else { (head, tail) };
+    let rest = head - tail;
     (quarter_turns, rest, (head - rest) - tail)
 }
 
-/// Sine of x, or of x + error, for |x| up to pi / 4.
-fn sine_near_zero(x: f32, error: Option<f32>) -> f32 {
+/// Sine of x, or of x + error if it was reduced, for |x| up to pi / 4.
+#[inline(always)]
+fn sine_near_zero(x: f32, error: f32, is_reduced: bool) -> f32 {
     let [first, second, .., last] = SINE;
     let z = x * x;
     let v = z * x;
     let r = second + z * (SINE[2] + z * (SINE[3] + z * (SINE[4] + z * last)));
-    match error {
-        None => x + v * (first + z * r),
-        Some(error) => x - ((z * (0.5 * error - v * r) - error) - v * first),
-    }
+    let (plain, of_sum) = (x + v * (first + z * r), x - ((z * (0.5 * error - v * r) - error) - v * first));
+    if is_reduced { of_sum } else { plain }
 }
 
 /// Cosine of x + error, for |x| up to pi / 4.
+#[inline(always)]
 fn cosine_near_zero(x: f32, error: f32) -> f32 {
     const SMALL: u32 = 0x3e99_999a; // 0.3
     const LARGE: u32 = 0x3f48_0000; // 0.78125
@@ -90,13 +92,13 @@ fn cosine_near_zero(x: f32, error: f32) -> f32 {
     let z = x * x;
     let r = z * (first + z * (COSINE[1] + z * (COSINE[2] + z * (COSINE[3] + z * (COSINE[4] + z * last)))));
     let bits = x.abs().to_bits();
-    if bits < SMALL {
-        return 1.0 - (0.5 * z - (z * r - x * error));
-    }
+    let correction = z * r - x * error;
+    let of_small = 1.0 - (0.5 * z - correction);
     // About x / 4: what is taken from 1 without an error.
-    let part = if bits > LARGE { 0.281_25 } else { f32::from_bits(bits - 0x0100_0000) };
+    let part = if bits > LARGE { 0.281_25 } else { f32::from_bits(bits.wrapping_sub(0x0100_0000)) };
     let half_square = 0.5 * z - part;
-    (1.0 - part) - (half_square - (z * r - x * error))
+    let of_large = (1.0 - part) - (half_square - correction);
+    if bits < SMALL { of_small } else { of_large }
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use std::ops::{Add, Sub};
 
 use super::coordinates::{from_ordered, ordered};
 use super::formula::small_atan;
+use super::lanes::lanes;
 use super::sine::sine_and_cosine;
 use crate::error::{Error, Result};
 use crate::varint::{read_signed, write_signed};
@@ -142,25 +143,25 @@ impl Arithmetic {
     }
 
     /// The distance along the beam of a range in metres.
-    #[inline]
+    #[inline(always)]
     pub fn distance(&self, metres: f64) -> f32 {
         (metres + self.range_offset) as f32
     }
 
     /// z, in metres.
-    #[inline]
+    #[inline(always)]
     pub fn z(&self, distance: f32) -> f32 {
         (f64::from(distance * self.sine) + self.height) as f32
     }
 
     /// By how much the sideways offset turns the beam, in degrees.
-    #[inline]
+    #[inline(always)]
     pub fn aside(&self, distance: f32) -> f64 {
         small_atan(self.side_offset / (f64::from(distance) * f64::from(self.cosine))) * DEGREES
     }
 
     /// The angle of a tick, with what is added to it, in degrees.
-    #[inline]
+    #[inline(always)]
     pub fn turned(&self, tick: u32) -> f32 {
         let counted = within(i64::from(tick) - self.first_tick, i64::from(self.ticks));
         let angle = (counted as f64 * self.tick_degrees) as f32;
@@ -168,14 +169,14 @@ impl Arithmetic {
     }
 
     /// Azimuth at a tick of a beam that is turned `aside` degrees, in radians.
-    #[inline]
+    #[inline(always)]
     pub fn azimuth(&self, tick: u32, aside: f64) -> f32 {
         let degrees = within((f64::from(self.turned(tick)) + aside) as f32, 360.0);
         (f64::from(degrees) * (PI / 180.0)) as f32
     }
 
     /// x and y at a distance and an azimuth, in metres and radians.
-    #[inline]
+    #[inline(always)]
     pub fn x_y(&self, distance: f32, azimuth: f32) -> [f32; 2] {
         let (sine, cosine) = sine_and_cosine(azimuth);
         [distance * (self.cosine * cosine), distance * (self.cosine * sine)]
@@ -184,13 +185,23 @@ impl Arithmetic {
     /// The formula: x, y and z at a tick and a range, in metres.
     #[inline]
     pub fn position(&self, tick: u32, metres: f64) -> [f32; 3] {
-        let distance = self.distance(metres);
-        let [x, y] = self.x_y(distance, self.azimuth(tick, self.aside(distance)));
-        [x, y, self.z(distance)]
+        let [[x], [y], [z]] = self.positions([tick], [metres]);
+        [x, y, z]
+    }
+
+    /// As [`position`](Self::position), for `N` points at a time.
+    #[inline(always)]
+    pub fn positions<const N: usize>(&self, ticks: [u32; N], metres: [f64; N]) -> [[f32; N]; 3] {
+        let distance: [f32; N] = lanes(|i| self.distance(metres[i]));
+        let aside: [f64; N] = lanes(|i| self.aside(distance[i]));
+        let azimuth: [f32; N] = lanes(|i| self.azimuth(ticks[i], aside[i]));
+        let x_y: [[f32; 2]; N] = lanes(|i| self.x_y(distance[i], azimuth[i]));
+        [lanes(|i| x_y[i][0]), lanes(|i| x_y[i][1]), lanes(|i| self.z(distance[i]))]
     }
 }
 
 /// A value less than one turn outside 0 to `turn`, brought back there; others come nearer.
+#[inline(always)]
 fn within<T: Copy + Default + PartialOrd + Add<Output = T> + Sub<Output = T>>(value: T, turn: T) -> T {
     if value < T::default() {
         value + turn
