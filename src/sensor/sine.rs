@@ -40,11 +40,11 @@ const COSINE: [f32; 6] = [
 /// Every case is computed, and then one is chosen: so vector units can do several angles at a time.
 #[inline(always)]
 pub fn sine_and_cosine(angle: f32) -> (f32, f32) {
-    let is_reduced = !(angle <= QUARTER_PI);
+    let is_small = angle <= QUARTER_PI;
     let (quarter_turns, rest, error) = reduce(angle);
-    let quarter_turns = if is_reduced { quarter_turns } else { 0 };
-    let (rest, error) = if is_reduced { (rest, error) } else { (angle, 0.0) };
-    let sine = sine_near_zero(rest, error, is_reduced);
+    let quarter_turns = if is_small { 0 } else { quarter_turns };
+    let (rest, error) = if is_small { (angle, 0.0) } else { (rest, error) };
+    let sine = sine_near_zero(rest, error, is_small);
     let cosine = cosine_near_zero(rest, error);
     let is_odd = quarter_turns & 1 == 1;
     let (first, second) = if is_odd { (cosine, sine) } else { (sine, cosine) };
@@ -72,15 +72,15 @@ fn reduce(angle: f32) -> (i32, f32, f32) {
     (quarter_turns, rest, (head - rest) - tail)
 }
 
-/// Sine of x, or of x + error if it was reduced, for |x| up to pi / 4.
+/// Sine of x if the angle was that small, else of x + error, for |x| up to pi / 4.
 #[inline(always)]
-fn sine_near_zero(x: f32, error: f32, is_reduced: bool) -> f32 {
+fn sine_near_zero(x: f32, error: f32, is_small: bool) -> f32 {
     let [first, second, .., last] = SINE;
     let z = x * x;
     let v = z * x;
     let r = second + z * (SINE[2] + z * (SINE[3] + z * (SINE[4] + z * last)));
     let (plain, of_sum) = (x + v * (first + z * r), x - ((z * (0.5 * error - v * r) - error) - v * first));
-    if is_reduced { of_sum } else { plain }
+    if is_small { plain } else { of_sum }
 }
 
 /// Cosine of x + error, for |x| up to pi / 4.
