@@ -107,6 +107,12 @@ impl Default for Counter {
 }
 
 impl Counter {
+    /// All of it, as one number.
+    #[inline]
+    pub fn bits(self) -> u32 {
+        self.0
+    }
+
     /// Learns a bit.
     #[inline]
     pub fn learn(&mut self, bit: bool) {

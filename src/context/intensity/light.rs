@@ -65,6 +65,10 @@ impl LightLevels {
         let [first, second] = [(w / 2) << 16 | (ww / 2) << 8 | www / 8, row.min(ROWS - 1) << 8 | w]
             .map(|view| slot(view) << scale.bits());
         let [of_before, of_row] = &mut self.views;
+        if !C::ENCODES {
+            touch(&of_before[first..][..1 << scale.bits()]);
+            touch(&of_row[second..][..1 << scale.bits()]);
+        }
         let (tables, weights) = (self.tables, &mut self.weights);
         let Some(back) = near.back else {
             return code_bits(scale.bits(), level, |bit, node| {
@@ -89,6 +93,16 @@ fn grow(view: &mut Vec<Counter>, scale: &IntensityScale) {
     if view.len() < places {
         view.resize(places, Counter::default());
     }
+}
+
+/// Asks for the counters of a slot all at once. A decoder knows which it needs bit by bit, and would wait for memory as
+/// often.
+#[inline(always)]
+fn touch(slot: &[Counter]) {
+    /// Counters of a cache line.
+    const LINE: usize = 16;
+    let lines = slot.iter().step_by(LINE);
+    std::hint::black_box(lines.fold(0, |all, counter| all ^ counter.bits()));
 }
 
 /// Codes the bits of a level, the highest first, by what codes one at a node of their tree.
