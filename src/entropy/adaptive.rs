@@ -1,4 +1,4 @@
-//! Models that learn from what they have coded: a bit, a small symbol, an integer of any size.
+//! Models that learn from what they have coded: a bit, an integer of any size.
 
 use super::BitCoder;
 
@@ -39,25 +39,6 @@ fn code_symbol<C: BitCoder>(nodes: &mut [AdaptiveBit], coder: &mut C, bits: u32,
         node = node << 1 | usize::from(nodes[node].code(coder, symbol >> i & 1 == 1));
     }
     node as u32 - (1 << bits)
-}
-
-/// A symbol of a few bits.
-#[derive(Clone, Debug)]
-pub struct SymbolModel {
-    bits: u32,
-    nodes: Vec<AdaptiveBit>,
-}
-
-impl SymbolModel {
-    /// For symbols below 2^`bits`.
-    pub fn new(bits: u32) -> Self {
-        SymbolModel { bits, nodes: vec![AdaptiveBit::default(); 1 << bits] }
-    }
-
-    /// Codes a symbol.
-    pub fn code<C: BitCoder>(&mut self, coder: &mut C, symbol: u32) -> u32 {
-        code_symbol(&mut self.nodes, coder, self.bits, symbol)
-    }
 }
 
 /// An integer of up to 63 bits: its length in bits as a symbol, the bits below the highest

@@ -16,7 +16,7 @@ mod logistic;
 mod refinement;
 mod tokens;
 
-pub use adaptive::{AdaptiveBit, IntegerModel, SymbolModel};
+pub use adaptive::{AdaptiveBit, IntegerModel};
 pub use arithmetic::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
 pub use hashed::{HashedCounters, LINE_LEVELS, Line, hash, hash_below};
 pub use layered_bits::{LayeredBits, LayeredContext};
