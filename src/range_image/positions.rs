@@ -5,8 +5,8 @@ use pulp::{Arch, NullaryFnOnce};
 use super::Return;
 use crate::sensor::{Coordinates, SensorModel, nearest_millimetre};
 
-/// Positions of returns (metres), which come row by row and are `offset_m` metres farther than their steps say: as the file's
-/// grid has them if they are `on_grid`, else as the formula gives them.
+/// Positions of returns (metres), which come row by row and are `offset_m` metres farther than their steps say:
+/// as the file's grid has them if they are `on_grid`, else as the formula gives them.
 pub fn positions(sensor: &SensorModel, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
     Arch::new().dispatch(Filling { sensor, returns, offset_m, on_grid })
 }
