@@ -8,14 +8,14 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use lidarpc::codec::{self, DecodeOptions, DecodedFrame, Recovered};
 use lidarpc::error::Error;
-use lidarpc::io::{FileFormat, convert};
+use lidarpc::io::{FileFormat, Give, convert};
 use lidarpc::scan::ScanFile;
 
 use super::args::{DecodeArgs, FormatArg};
 use super::errors::about;
 use super::input::{Input, is_dash, name_of, open};
 use super::losses::Losses;
-use super::output::{FolderOutput, Give};
+use super::output::FolderOutput;
 use super::{progress, table};
 
 pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {

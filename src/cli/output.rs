@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use lidarpc::error::{Error, Result};
+use lidarpc::io::Give;
 use lidarpc::io::sequence::is_safe_name;
 use tempfile::{NamedTempFile, TempDir, TempPath};
 
@@ -105,9 +106,6 @@ pub fn place(file: TempPath, target: &Path, force: bool) -> io::Result<()> {
     sync_folder(parent(target));
     Ok(())
 }
-
-/// Takes the next bytes of a file.
-pub type Give<'a> = dyn FnMut(&[u8]) -> Result<()> + 'a;
 
 /// Bytes written at a time. For larger pieces Linux takes larger pages, which are seldom at hand: ten times its time
 /// for the copy.

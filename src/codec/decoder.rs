@@ -49,12 +49,7 @@ impl DecodedFrame {
     /// # Errors
     /// If they are not those of the file that was encoded.
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
-        let mut bytes = Vec::with_capacity(self.scan.records * self.scan.layout.stride as usize);
-        self.write(|piece| {
-            bytes.extend_from_slice(piece);
-            Ok(())
-        })?;
-        Ok(bytes)
+        io::collected(|give| self.write(give))
     }
 
     /// The frame, if it is the file that was encoded.

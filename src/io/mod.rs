@@ -126,18 +126,29 @@ pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Resu
     give(&file.suffix)
 }
 
+/// Takes the next bytes of a file.
+pub type Give<'a> = dyn FnMut(&[u8]) -> Result<()> + 'a;
+
+/// All that `write` gives, piece by piece.
+///
+/// # Errors
+/// Those of `write`.
+pub fn collected(write: impl FnOnce(&mut Give<'_>) -> Result<()>) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    write(&mut |piece| {
+        bytes.extend_from_slice(piece);
+        Ok(())
+    })?;
+    Ok(bytes)
+}
+
 impl ScanFile {
     /// The bytes of the file.
     ///
     /// # Errors
     /// As [`write`](fn@write).
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
-        let mut out = Vec::new();
-        write(self, |piece| {
-            out.extend_from_slice(piece);
-            Ok(())
-        })?;
-        Ok(out)
+        collected(|give| write(self, give))
     }
 }
 

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use byteorder::{ByteOrder, LittleEndian};
 
+use super::collected;
 use crate::error::{Error, Result};
 use crate::scan::{Layout, PointCloud, ScanFile, Wrapping};
 
@@ -72,12 +73,7 @@ pub(super) fn give(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -
 
 /// As [`give`], all at once.
 pub(super) fn join(file: &ScanFile) -> Result<Vec<u8>> {
-    let mut body = Vec::with_capacity(file.records * file.layout.stride as usize);
-    give(file, |records| {
-        body.extend_from_slice(records);
-        Ok(())
-    })?;
-    Ok(body)
+    collected(|out| give(file, out))
 }
 
 /// Fills in the fields of some records: between them they are every byte of these.
