@@ -10,12 +10,14 @@ use std::time::Duration;
 
 use common::{drives, points};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use lidarpc::bitstream::FrameHeader;
-use lidarpc::codec::group::{GroupDecoder, GroupEncoder};
-use lidarpc::codec::{EncoderConfig, StepReport};
-use lidarpc::error::Limits;
+use lidarpc::frame::StepReport;
+use lidarpc::frame::group::{GroupDecoder, GroupEncoder};
+use lidarpc::frame::settings::EncoderConfig;
+use lidarpc::ground::error::Limits;
 use lidarpc::scan::ScanFile;
-use lidarpc::sensor::{SensorModel, fit};
+use lidarpc::scanner::SensorModel;
+use lidarpc::scanner::hdl64::fit;
+use lidarpc::stream::container::FrameHeader;
 
 fn frames(c: &mut Criterion) {
     for (name, scans) in drives() {

@@ -10,14 +10,15 @@ use std::time::Duration;
 
 use common::{Drive, drives, points};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use lidarpc::context::{
+use lidarpc::entropy::ArithmeticEncoder;
+use lidarpc::ground::grid::Grid;
+use lidarpc::models::{
     ColumnModel, CorrectionModel, OccupancyModel, OrderExceptions, OrderModel, PointModel, RangeContext,
     RangeModel,
 };
-use lidarpc::entropy::ArithmeticEncoder;
-use lidarpc::grid::Grid;
-use lidarpc::range_image::{EXACT_RANGE_BITS, Projection, REACH, project};
-use lidarpc::sensor::{SensorModel, fit};
+use lidarpc::scanner::SensorModel;
+use lidarpc::scanner::hdl64::fit;
+use lidarpc::scanner::{EXACT_RANGE_BITS, Projection, REACH, project};
 
 fn stages(c: &mut Criterion) {
     for (name, scans) in drives() {

@@ -2,11 +2,12 @@
 //! they have found (`tests/fuzz.rs`) share it.
 
 use lidarpc::backend::{self, BACKENDS, Level};
-use lidarpc::bitstream::{IndexedReader, StreamReader};
-use lidarpc::codec::{Coder, EncoderConfig, Mode, Prediction, PredictionChoice};
-use lidarpc::error::Limits;
-use lidarpc::io::parse;
-use lidarpc::sensor::SensorModel;
+use lidarpc::files::parse;
+use lidarpc::frame::Prediction;
+use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
+use lidarpc::ground::error::Limits;
+use lidarpc::scanner::SensorModel;
+use lidarpc::stream::container::{IndexedReader, StreamReader};
 
 use crate::common::bound::{bounded, keeps_the_bound};
 use crate::common::formats::kitti;

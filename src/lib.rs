@@ -1,46 +1,37 @@
 //! lidarpc compresses sequences of spinning-LiDAR scans.
 //!
-//! The data's way, in which the modules are listed below the ground that they stand on:
+//! The data's way, in which the modules are listed:
 //!
 //! ```text
-//! files -> ScanFile -> SensorModel -> RangeImage -> sections -> groups, index -> .lpc
-//!  io       scan        sensor         range_image   context     bitstream
-//!                                                    over entropy
+//! files -> Scan -> scanner -> range image -> models -> frame -> stream -> .lpc
+//!  files    scan    scanner                  over       frame    stream
+//!                                            entropy
 //! ```
-//!
-//! [`codec::encode`] and [`codec::decode`] go it from end to end.
 
-pub mod error;
-pub mod grid;
-mod random;
-mod rounding;
+pub mod ground;
+
 pub mod scan;
-pub mod varint;
+
+pub mod files;
+
+pub mod scanner;
 
 pub mod entropy;
-pub mod sensor;
-
-pub mod compensation;
-pub mod range_image;
-
-pub mod outlier;
-pub mod prediction;
-pub mod registration;
-pub mod segmentation;
-
-pub mod context;
-pub mod contour;
-mod quick;
 
 pub mod backend;
-pub mod image_coding;
-pub mod residual;
+pub mod models;
 
-pub mod bitstream;
-pub mod codec;
-pub mod io;
-pub mod synth;
+pub mod inter;
 
-pub mod bench;
-pub mod metrics;
-pub mod picture;
+pub mod article;
+
+pub mod frame;
+
+pub mod stream;
+
+pub mod edit;
+
+pub mod study;
+
+#[doc(hidden)]
+pub mod cli;

@@ -8,15 +8,15 @@ use std::sync::LazyLock;
 use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, ply};
 use common::scans::{moved, random_points, scans, shuffled, small};
 use common::{File, cases, decode_files, encode_files, put_together, take_apart};
+use lidarpc::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::backend;
-use lidarpc::bitstream::{Frame, Group, SectionKind, StreamHeader, StreamReader};
-use lidarpc::codec::{
-    Coder, Cut, EncoderConfig, FrameParameters, FrameRange, Intensity, Joined, Mode, Named, Prediction,
-    PredictionChoice, ProjectionKind, cat, cut, cut_indexed,
-};
-use lidarpc::error::{Error, Limits, Result};
-use lidarpc::image_coding::{ImageCodec, ImageConfig, Rate};
-use lidarpc::synth::SynthConfig;
+use lidarpc::edit::{Cut, Joined, Named, cat, cut, cut_indexed};
+use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
+use lidarpc::frame::{FrameParameters, Intensity, Prediction};
+use lidarpc::ground::error::{Error, Limits, Result};
+use lidarpc::stream::FrameRange;
+use lidarpc::stream::container::{Frame, Group, SectionKind, StreamHeader, StreamReader};
+use lidarpc::study::synth::SynthConfig;
 use proptest::prelude::*;
 
 const LENGTHS: [usize; 4] = [1, 2, 3, 7];

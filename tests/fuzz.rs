@@ -35,7 +35,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
             let numbered = |(number, parts): (usize, &common::streams::Parts)| {
                 let frames = parts.1.iter().flat_map(|group| &group.frames);
                 let sections = frames.flat_map(|frame| &frame.sections).enumerate();
-                let seed = |(place, section): (usize, &lidarpc::bitstream::Section)| {
+                let seed = |(place, section): (usize, &lidarpc::stream::container::Section)| {
                     [&[number as u8, place as u8], &section.payload[..]].concat()
                 };
                 sections.map(seed).collect::<Vec<_>>()

@@ -13,10 +13,11 @@ use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply, ply_bi
 use common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
 use common::streams::at_level;
 use common::{File, decode_files, encode_files, first_files, in_package, round_trip};
+use lidarpc::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::backend::BACKENDS;
-use lidarpc::codec::{Coder, EncoderConfig, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind};
-use lidarpc::image_coding::{ImageCodec, ImageConfig, Rate};
-use lidarpc::synth::SynthConfig;
+use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
+use lidarpc::frame::{Intensity, Prediction};
+use lidarpc::study::synth::SynthConfig;
 
 fn folder() -> PathBuf {
     in_package("testdata/golden")

@@ -6,12 +6,12 @@ mod common;
 use common::scans::Random;
 use common::streams::{Parts, STREAMS};
 use common::{cases, decode_files, decode_within, put_together};
-use lidarpc::bitstream::{Section, SectionKind};
-use lidarpc::context::{ByteModel, ColumnModel};
 use lidarpc::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
-use lidarpc::error::Limits;
+use lidarpc::ground::error::Limits;
+use lidarpc::models::{ByteModel, ColumnModel};
 use lidarpc::scan::{Layout, Wrapping};
-use lidarpc::sensor::{BeamConstants, Coordinates, SensorModel};
+use lidarpc::scanner::{BeamConstants, Coordinates, SensorModel};
+use lidarpc::stream::container::{Section, SectionKind};
 use proptest::prelude::*;
 
 /// What is done to a stream's parts. Places are counted modulo what there is.
@@ -148,7 +148,7 @@ proptest! {
     ) {
         let numbers = [head.0, head.1, head.2, head.3].into_iter().chain(constants);
         let mut bytes = Vec::new();
-        numbers.for_each(|number| lidarpc::varint::write_unsigned(&mut bytes, number));
+        numbers.for_each(|number| lidarpc::ground::varint::write_unsigned(&mut bytes, number));
         if let Ok(model) = SensorModel::read_from(&mut &bytes[..]) {
             check_model(&model);
         }
@@ -190,8 +190,8 @@ fn sensor_records_with_impossible_numbers_are_refused() {
         let mut bytes = Vec::new();
         for (place, &number) in numbers.iter().enumerate() {
             match place {
-                0..4 => lidarpc::varint::write_unsigned(&mut bytes, number as u64),
-                _ => lidarpc::varint::write_signed(&mut bytes, number),
+                0..4 => lidarpc::ground::varint::write_unsigned(&mut bytes, number as u64),
+                _ => lidarpc::ground::varint::write_signed(&mut bytes, number),
             }
         }
         SensorModel::read_from(&mut &bytes[..])

@@ -9,11 +9,10 @@ use common::scans::{random_points, scans};
 use common::streams::at_level;
 use common::{File, decode_files, encode_files, put_together, round_trip, take_apart};
 use lidarpc::backend::BACKENDS;
-use lidarpc::bitstream::{Frame, Section, SectionKind};
-use lidarpc::codec::{
-    Coder, EncoderConfig, FrameOrder, FrameParameters, Mode, Prediction, PredictionChoice, ProjectionKind,
-};
-use lidarpc::synth::SynthConfig;
+use lidarpc::frame::settings::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind};
+use lidarpc::frame::{FrameParameters, Prediction};
+use lidarpc::stream::container::{Frame, Section, SectionKind};
+use lidarpc::study::synth::SynthConfig;
 
 /// A drive of five frames.
 static DRIVE: LazyLock<Vec<File>> = LazyLock::new(|| {

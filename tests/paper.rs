@@ -9,20 +9,19 @@ use common::scans::{Points, random_points, scans, small};
 use common::{
     File, cases, decode_files, encode_files, first_files, real_folders, round_trip, section_bytes, take_apart,
 };
+use lidarpc::article::image_coding::{ImageCodec, ImageConfig, Rate};
+use lidarpc::article::prediction::intra::{IntraConfig, RegionModels};
+use lidarpc::article::residual::Packing;
 use lidarpc::backend::BACKENDS;
-use lidarpc::bitstream::SectionKind;
-use lidarpc::codec::{
-    Coder, DecodeOptions, EncoderConfig, FrameParameters, Intensity, Mode, Prediction, PredictionChoice,
-    ProjectionKind, Source, decode,
-};
-use lidarpc::image_coding::{ImageCodec, ImageConfig, Rate};
-use lidarpc::io::parse;
-use lidarpc::metrics::NearestErrors;
-use lidarpc::prediction::intra::{IntraConfig, RegionModels};
-use lidarpc::range_image::{RangeImage, Return, project_nearest};
-use lidarpc::residual::Packing;
+use lidarpc::files::parse;
+use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
+use lidarpc::frame::{FrameParameters, Intensity, Prediction, Source};
 use lidarpc::scan::PointCloud;
-use lidarpc::sensor::{FLOAT_RANGES, ideal};
+use lidarpc::scanner::{FLOAT_RANGES, ideal};
+use lidarpc::scanner::{RangeImage, Return, project_nearest};
+use lidarpc::stream::container::SectionKind;
+use lidarpc::stream::{DecodeOptions, decode};
+use lidarpc::study::metrics::NearestErrors;
 use proptest::prelude::*;
 
 static SCANS: LazyLock<Vec<Points>> = LazyLock::new(|| scans(&small(1, 3)));

@@ -3,13 +3,14 @@
 mod common;
 
 use common::scans::small;
-use lidarpc::io::parse;
-use lidarpc::range_image::{REACH, RangeImage, project};
-use lidarpc::registration::{
+use lidarpc::files::parse;
+use lidarpc::inter::registration::{
     Pose, Registration, RegistrationConfig, RegistrationMethod, RigidMotion, Surface, register,
 };
-use lidarpc::sensor::{SensorModel, fit};
-use lidarpc::synth::{SynthConfig, SynthFrame, drive};
+use lidarpc::scanner::SensorModel;
+use lidarpc::scanner::hdl64::fit;
+use lidarpc::scanner::{REACH, RangeImage, project};
+use lidarpc::study::synth::{SynthConfig, SynthFrame, drive};
 
 /// Images of a drive, and the motion that led to each but the first.
 struct Drive {

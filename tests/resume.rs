@@ -11,8 +11,10 @@ use common::scans::{random_points, scans, small};
 use common::streams::with_back_end;
 use common::{File as Scan, encode_files, put_together, take_apart};
 use lidarpc::backend;
-use lidarpc::codec::{Encoded, EncoderConfig, FrameInput, Mode, PartialFiles, encode_resuming};
-use lidarpc::error::Result;
+use lidarpc::edit::{PartialFiles, encode_resuming};
+use lidarpc::frame::settings::{EncoderConfig, Mode};
+use lidarpc::ground::error::Result;
+use lidarpc::stream::{Encoded, FrameInput};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -191,7 +193,10 @@ fn other_settings_are_refused() {
     for (config, what) in [
         (EncoderConfig { gop: 3, ..exact() }, "gop: 2, now 3"),
         (modes()[1].clone(), "positions: Exact, now Bounded"),
-        (EncoderConfig { order: lidarpc::codec::FrameOrder::Time, ..exact() }, "order: Ratio, now Time"),
+        (
+            EncoderConfig { order: lidarpc::frame::settings::FrameOrder::Time, ..exact() },
+            "order: Ratio, now Time",
+        ),
     ] {
         let error = partial.refuses(&FILES, &config);
         assert!(error.starts_with("out.partial was begun with other settings"), "{error}");

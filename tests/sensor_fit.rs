@@ -4,11 +4,12 @@ mod common;
 
 use common::formats::kitti;
 use common::scans::{Points, moved, random_points, rows, scans, shuffled, single_precision, unrounded};
-use lidarpc::io::parse;
-use lidarpc::range_image::{REACH, project};
+use lidarpc::files::parse;
 use lidarpc::scan::ScanFile;
-use lidarpc::sensor::{Coordinates, SensorModel, fit};
-use lidarpc::synth::SynthConfig;
+use lidarpc::scanner::hdl64::fit;
+use lidarpc::scanner::{Coordinates, SensorModel};
+use lidarpc::scanner::{REACH, project};
+use lidarpc::study::synth::SynthConfig;
 
 /// All beams, every eighth firing: some 230 points a beam.
 fn config(seed: u64) -> SynthConfig {

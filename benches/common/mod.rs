@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use lidarpc::io::parse;
+use lidarpc::files::parse;
 use lidarpc::scan::ScanFile;
 
 /// Frames of each drive.

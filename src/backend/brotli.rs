@@ -3,7 +3,7 @@
 use std::io::Write;
 
 use super::{Backend, Level, read_up_to};
-use crate::error::Result;
+use crate::ground::error::Result;
 
 /// Levels 1 to 9 are Brotli's qualities 1, 3, 4, 5, 7, 9, 9, 10 and 11. The last two take seconds a
 /// frame.

@@ -4,8 +4,8 @@ use bzip2::Compression;
 use bzip2::read::{BzDecoder, BzEncoder};
 
 use super::{Backend, Level, read_up_to};
-use crate::error::Result;
-use crate::residual::Packing;
+use crate::article::residual::Packing;
+use crate::ground::error::Result;
 
 /// Levels are bzip2's own: blocks of 100 to 900 kB.
 pub struct Bzip2;

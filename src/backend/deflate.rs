@@ -7,7 +7,7 @@ use flate2::read::DeflateDecoder;
 use flate2::write::DeflateEncoder;
 
 use super::{Backend, Level, read_up_to};
-use crate::error::Result;
+use crate::ground::error::Result;
 
 /// Levels are zlib's own. The payload is a raw deflate stream.
 pub struct Deflate;

@@ -1,7 +1,7 @@
 //! LZ4: LZ77 without entropy coding.
 
 use super::{Backend, Level};
-use crate::error::{Error, Result};
+use crate::ground::error::{Error, Result};
 
 /// There is one level: the library has no thorough parser.
 pub struct Lz4;

@@ -8,7 +8,7 @@ use std::io::Write;
 use lzma_rust2::{LzmaOptions, LzmaReader, LzmaWriter};
 
 use super::{Backend, Level, read_up_to};
-use crate::error::{Error, Result};
+use crate::ground::error::{Error, Result};
 
 /// Levels 1 to 9 are liblzma's presets.
 pub struct Lzma;

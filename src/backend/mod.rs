@@ -16,8 +16,8 @@ mod zstd;
 
 use std::io::Read;
 
-use crate::error::{Error, Result};
-use crate::residual::Packing;
+use crate::article::residual::Packing;
+use crate::ground::error::{Error, Result};
 
 /// The number of `lzma`, which the paper preset uses.
 pub const LZMA: u8 = 3;

@@ -5,8 +5,8 @@ use std::io::Write;
 use ppmd_rust::{Ppmd7Decoder, Ppmd7Encoder};
 
 use super::{Backend, Level, read_up_to};
-use crate::error::{Error, Result};
-use crate::residual::Packing;
+use crate::article::residual::Packing;
+use crate::ground::error::{Error, Result};
 
 /// Levels 1 to 9 are orders 2 to 10. The payload is the order and the stream.
 pub struct Ppmd;

@@ -1,7 +1,7 @@
 //! No compression.
 
 use super::{Backend, Level};
-use crate::error::Result;
+use crate::ground::error::Result;
 
 /// Bytes as they are.
 pub struct Store;

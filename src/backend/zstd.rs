@@ -1,8 +1,8 @@
 //! Zstandard: LZ77, tabled asymmetric numeral systems and Huffman codes.
 
 use super::{Backend, Level};
-use crate::error::{Error, Result};
-use crate::residual::Packing;
+use crate::article::residual::Packing;
+use crate::ground::error::{Error, Result};
 
 /// Levels 1 to 9 are Zstandard's 1, 3, 6, 9, 12, 15, 17, 19 and 22.
 pub struct Zstd;

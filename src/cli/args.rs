@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
+use crate::ground::error::Limits;
+use crate::stream::FrameRange;
+use crate::study::synth::SynthConfig;
 use clap::{Parser, Subcommand, ValueEnum};
-use lidarpc::codec::FrameRange;
-use lidarpc::error::Limits;
-use lidarpc::synth::SynthConfig;
 
 use super::coding::CodingArgs;
 use super::view::Kind;

@@ -4,13 +4,13 @@ use std::ffi::OsString;
 use std::io::{self, Write};
 use std::path::Path;
 
+use crate::files::sequence::find_frames;
+use crate::stream::FrameInput;
+use crate::study::bench::Bench;
+use crate::study::bench::report::{Report, csv, html, text};
 use anyhow::Result;
 use clap::CommandFactory;
 use clap::error::ErrorKind;
-use lidarpc::bench::Bench;
-use lidarpc::bench::report::{Report, csv, html, text};
-use lidarpc::codec::FrameInput;
-use lidarpc::io::sequence::find_frames;
 
 use super::args::{Args, BenchArgs};
 use super::errors::about;

@@ -1,14 +1,15 @@
 //! `lidarpc cat`
 
+use crate::edit;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use crate::edit::{Joined, Named};
+use crate::ground::error::{self, Limits};
+use crate::stream::container::{StreamHeader, StreamReader};
 use anyhow::Result;
 use clap::{CommandFactory, error::ErrorKind};
-use lidarpc::bitstream::{StreamHeader, StreamReader};
-use lidarpc::codec::{self, Joined, Named};
-use lidarpc::error::{self, Limits};
 
 use super::args::{Args, CatArgs};
 use super::errors::about;
@@ -38,7 +39,7 @@ pub fn run(args: &CatArgs, quiet: bool) -> Result<()> {
 fn write_stream(inputs: Vec<Piece>, limits: Limits, output: &mut FileOutput) -> error::Result<Joined> {
     let header = inputs.iter().map(|piece| piece.header).reduce(StreamHeader::joined).unwrap_or_default();
     let mut writer = output.writer();
-    let joined = codec::cat(&header, inputs.into_iter().map(|piece| piece.stream(limits)), &mut writer)?;
+    let joined = edit::cat(&header, inputs.into_iter().map(|piece| piece.stream(limits)), &mut writer)?;
     writer.flush()?;
     Ok(joined)
 }

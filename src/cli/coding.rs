@@ -1,17 +1,16 @@
 //! The options of the coder controller: a mode, and each choice by itself.
 
+use crate::article::image_coding::{ImageCodec, Rate};
+use crate::article::residual::Packing;
+use crate::backend::{self, Level};
+use crate::files::HeaderlessLayout;
+use crate::frame::settings::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind};
+use crate::frame::{Intensity, Prediction};
+use crate::ground::error::{Error, Result};
+use crate::inter::registration::RegistrationMethod;
+use crate::scanner::FLOAT_RANGES;
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueEnum};
-use lidarpc::backend::{self, Level};
-use lidarpc::codec::{
-    Coder, EncoderConfig, FrameOrder, Intensity, Mode, Prediction, PredictionChoice, ProjectionKind,
-};
-use lidarpc::error::{Error, Result};
-use lidarpc::image_coding::{ImageCodec, Rate};
-use lidarpc::io::HeaderlessLayout;
-use lidarpc::registration::RegistrationMethod;
-use lidarpc::residual::Packing;
-use lidarpc::sensor::FLOAT_RANGES;
 
 use super::args::Threads;
 use super::length::Length;

@@ -1,11 +1,12 @@
 //! `lidarpc cut`
 
+use crate::edit;
 use std::io::{BufReader, Write};
 use std::path::PathBuf;
 use std::time::Instant;
 
+use crate::edit::{Cut, Named};
 use anyhow::Result;
-use lidarpc::codec::{self, Cut, Named};
 
 use super::args::CutArgs;
 use super::errors::about;
@@ -27,17 +28,17 @@ pub fn run(args: &CutArgs, quiet: bool) -> Result<()> {
 }
 
 /// Reads only the groups that it needs, if the input can be sought in.
-fn write_stream(args: &CutArgs, input: Input, output: &mut FileOutput) -> lidarpc::error::Result<Cut> {
+fn write_stream(args: &CutArgs, input: Input, output: &mut FileOutput) -> crate::ground::error::Result<Cut> {
     let (path, limits) = (PathBuf::from(name_of(&args.input)), args.limits.limits());
     let mut writer = output.writer();
     let cut = match input {
         Input::File(file) => {
             let input = Named { path, stream: BufReader::new(file) };
-            codec::cut_indexed(input, args.frames, &limits, &mut writer)
+            edit::cut_indexed(input, args.frames, &limits, &mut writer)
         }
         pipe => {
             let input = Named { path, stream: pipe.reader() };
-            codec::cut(input, args.frames, &limits, &mut writer)
+            edit::cut(input, args.frames, &limits, &mut writer)
         }
     }?;
     writer.flush()?;

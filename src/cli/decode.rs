@@ -1,15 +1,17 @@
 //! `lidarpc decode`
 
+use crate::edit;
 use std::collections::HashMap;
 use std::io::{self, BufReader, Write};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
+use crate::edit::Recovered;
+use crate::files::{FileFormat, Give, convert};
+use crate::ground::error::Error;
+use crate::scan::ScanFile;
+use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::{Context, Result, bail};
-use lidarpc::codec::{self, DecodeOptions, DecodedFrame, Recovered};
-use lidarpc::error::Error;
-use lidarpc::io::{FileFormat, Give, convert};
-use lidarpc::scan::ScanFile;
 
 use super::args::{DecodeArgs, FormatArg};
 use super::errors::about;
@@ -62,13 +64,13 @@ fn decode<T: Send>(
     input: Input,
     options: &DecodeOptions,
     losses: &mut Losses,
-    work: impl Fn(DecodedFrame) -> lidarpc::error::Result<T> + Sync,
-    mut sink: impl FnMut(T) -> lidarpc::error::Result<()>,
-) -> lidarpc::error::Result<()> {
+    work: impl Fn(DecodedFrame) -> crate::ground::error::Result<T> + Sync,
+    mut sink: impl FnMut(T) -> crate::ground::error::Result<()>,
+) -> crate::ground::error::Result<()> {
     if !args.keep_going {
         return input.decode(options, work, sink).map(drop);
     }
-    codec::recover(BufReader::new(input.rewindable()?), options, |part| match part {
+    edit::recover(BufReader::new(input.rewindable()?), options, |part| match part {
         // Only now: whether a frame is lost with its group is known when the whole group is decoded.
         Recovered::Frame(frame) => sink(work(*frame)?),
         Recovered::Lost(lost) => {
@@ -115,10 +117,10 @@ impl File {
     }
 
     /// Gives its bytes, piece by piece.
-    fn write(&self, give: &mut Give<'_>) -> lidarpc::error::Result<()> {
+    fn write(&self, give: &mut Give<'_>) -> crate::ground::error::Result<()> {
         match self {
             File::Original(frame) => frame.write(give),
-            File::Converted(scan) => lidarpc::io::write(scan, give),
+            File::Converted(scan) => crate::files::write(scan, give),
         }
     }
 }
@@ -142,7 +144,7 @@ impl Converter {
 
     /// # Errors
     /// If the frame cannot be converted, or another one has got the name that it would get.
-    fn file(&self, frame: DecodedFrame) -> lidarpc::error::Result<File> {
+    fn file(&self, frame: DecodedFrame) -> crate::ground::error::Result<File> {
         let Some(format) = self.format else { return Ok(File::Original(Box::new(frame))) };
         let DecodedFrame { header, scan, .. } = frame.checked()?;
         let converted = convert(&scan, format)?;

@@ -1,16 +1,19 @@
 //! `lidarpc encode`
 
+use crate::edit;
+use crate::stream;
 use std::fs::File;
 use std::io::{self, BufReader, Write};
 use std::path::PathBuf;
 use std::time::Instant;
 
+use crate::files::sequence::find_frames;
+use crate::files::{ArrivedFile, ArrivingFrames};
+use crate::frame::settings::EncoderConfig;
+use crate::stream::{DecodeOptions, DecodedFrame, Encoded, FrameInput};
+use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};
 use clap::{CommandFactory, error::ErrorKind};
-use lidarpc::codec::{self, DecodeOptions, DecodedFrame, Encoded, EncoderConfig, FrameInput};
-use lidarpc::io::sequence::find_frames;
-use lidarpc::io::{ArrivedFile, ArrivingFrames};
-use lidarpc::metrics;
 
 use super::args::{Args, EncodeArgs};
 use super::errors::about;
@@ -73,7 +76,7 @@ fn encode_in_runs(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Res
     let name = name_of_output(&args.output);
     let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
     let encoded =
-        output.files().and_then(|files| codec::encode_resuming(&frames, config, files, &|| bar.inc(1)));
+        output.files().and_then(|files| edit::encode_resuming(&frames, config, files, &|| bar.inc(1)));
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| about(error, &name))?;
     if args.verify {
@@ -108,7 +111,7 @@ fn write_stream(
     frames: Frames,
     output: &mut FileOutput,
     quiet: bool,
-) -> lidarpc::error::Result<Encoded> {
+) -> crate::ground::error::Result<Encoded> {
     let total = match &frames {
         Frames::Files(files) => Some(files.len() as u64),
         Frames::Live => None,
@@ -116,11 +119,11 @@ fn write_stream(
     let bar = progress::bar(total, "encoding", quiet);
     let mut writer = output.writer();
     let encoded = match frames {
-        Frames::Files(files) => codec::encode(&files, config, &mut writer, &|| bar.inc(1)),
+        Frames::Files(files) => stream::encode(&files, config, &mut writer, &|| bar.inc(1)),
         Frames::Live => {
             let frames = ArrivingFrames::new(io::stdin())
                 .map(|file| file.map(|ArrivedFile { name, bytes }| FrameInput::Memory { name, bytes }));
-            codec::encode_live(frames, config, &mut writer, &|| bar.inc(1))
+            stream::encode_live(frames, config, &mut writer, &|| bar.inc(1))
         }
     };
     let encoded = encoded.and_then(|encoded| Ok(writer.flush().map(|()| encoded)?));
@@ -142,7 +145,7 @@ fn compare(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> Res
         })?;
         Ok((frame.header.name, crc, size))
     };
-    let result = codec::decode(BufReader::new(file), &options, identify, |file| {
+    let result = stream::decode(BufReader::new(file), &options, identify, |file| {
         bar.inc(1);
         decoded.push(file);
         Ok(())

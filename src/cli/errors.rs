@@ -3,7 +3,7 @@
 use std::io::{self, ErrorKind};
 use std::process::ExitCode;
 
-use lidarpc::error::Error;
+use crate::ground::error::Error;
 
 /// Says the error on stderr and gives the exit code. A closed pipe is no error: whoever read from us
 /// has had enough.

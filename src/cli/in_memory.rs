@@ -1,12 +1,15 @@
 //! Scans given to a command that works on streams: they are coded in memory.
 
+use crate::stream;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use lidarpc::bitstream::MAGIC;
-use lidarpc::codec::{self, EncoderConfig, FrameInput, StepReport};
-use lidarpc::error::Result;
+use crate::frame::StepReport;
+use crate::frame::settings::EncoderConfig;
+use crate::ground::error::Result;
+use crate::stream::FrameInput;
+use crate::stream::container::MAGIC;
 
 use super::input::is_dash;
 use super::progress;
@@ -22,7 +25,7 @@ pub fn is_stream(path: &Path) -> bool {
 pub fn encode(frames: &[FrameInput], config: &EncoderConfig, quiet: bool) -> Result<(StepReport, Vec<u8>)> {
     let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
     let mut stream = Vec::new();
-    let encoded = codec::encode(frames, config, &mut stream, &|| bar.inc(1));
+    let encoded = stream::encode(frames, config, &mut stream, &|| bar.inc(1));
     bar.finish_and_clear();
     Ok((encoded?.steps, stream))
 }

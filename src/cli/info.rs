@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 
+use crate::frame::FrameParameters;
+use crate::ground::error::Limits;
+use crate::stream::container::{Record, StreamReader};
 use anyhow::Result;
-use lidarpc::bitstream::{Record, StreamReader};
-use lidarpc::codec::FrameParameters;
-use lidarpc::error::Limits;
 use serde::Serialize;
 
 use super::args::InfoArgs;
@@ -66,7 +66,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     Ok(())
 }
 
-fn read(input: impl Read, limits: Limits) -> lidarpc::error::Result<Info> {
+fn read(input: impl Read, limits: Limits) -> crate::ground::error::Result<Info> {
     let mut reader = StreamReader::open(input, limits)?;
     let (mut sensor_models, mut groups, mut frames) = (Vec::new(), Vec::new(), Vec::new());
     while let Some(record) = reader.next_record()? {

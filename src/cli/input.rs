@@ -1,13 +1,14 @@
 //! Streams to read, from a file or from stdin, and the scans to compare them with.
 
+use crate::stream;
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 
-use lidarpc::codec::{self, DecodeOptions, DecodedFrame};
-use lidarpc::error::{Error, Result};
-use lidarpc::io::sequence::find_frames;
+use crate::files::sequence::find_frames;
+use crate::ground::error::{Error, Result};
+use crate::stream::{DecodeOptions, DecodedFrame};
 
 use super::errors::about;
 
@@ -62,7 +63,7 @@ impl Input {
     /// are read. Returns how many frames the stream holds.
     ///
     /// # Errors
-    /// As [`codec::decode`].
+    /// As [`stream::decode`].
     pub fn decode<T: Send>(
         self,
         options: &DecodeOptions,
@@ -71,9 +72,9 @@ impl Input {
     ) -> Result<u64> {
         match self {
             Input::File(file) if !options.frames.is_all() => {
-                codec::decode_indexed(BufReader::new(file), options, work, sink)
+                stream::decode_indexed(BufReader::new(file), options, work, sink)
             }
-            other => codec::decode(other.reader(), options, work, sink),
+            other => stream::decode(other.reader(), options, work, sink),
         }
     }
 }

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use crate::stream::container::Lost;
 use anyhow::{Result, bail};
-use lidarpc::bitstream::Lost;
 
 use super::input::name_of;
 use super::table;

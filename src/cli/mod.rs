@@ -28,16 +28,35 @@ mod temporary;
 mod verify;
 mod view;
 
-pub use args::Args;
-pub use errors::report;
+use std::process::ExitCode;
 
-use args::Command;
+use args::{Args, Command};
+use clap::Parser;
+use errors::report;
+
+/// The whole program: arguments in, exit code out.
+pub fn main() -> ExitCode {
+    keep_memory();
+    let args = Args::parse();
+    match run(&args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => report(&error),
+    }
+}
+
+/// Lets memory that is freed be used again, rather than go back to the system and be asked for, page by page, for the
+/// next frame: glibc's `malloc` keeps as much as the largest block that was freed before.
+fn keep_memory() {
+    /// Bytes: the largest that it takes notice of is 32 MiB.
+    const LARGEST: usize = 31 << 20;
+    drop(std::hint::black_box(Vec::<u8>::with_capacity(LARGEST)));
+}
 
 /// Does what the arguments say.
 ///
 /// # Errors
 /// [`report`] says them and chooses the exit code.
-pub fn run(args: &Args) -> anyhow::Result<()> {
+fn run(args: &Args) -> anyhow::Result<()> {
     cleanup::on_signals();
     match &args.command {
         Command::Encode(command) => encode::run(command, args.quiet),

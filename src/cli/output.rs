@@ -6,9 +6,9 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use lidarpc::error::{Error, Result};
-use lidarpc::io::Give;
-use lidarpc::io::sequence::is_safe_name;
+use crate::files::Give;
+use crate::files::sequence::is_safe_name;
+use crate::ground::error::{Error, Result};
 use tempfile::{NamedTempFile, TempDir, TempPath};
 
 use super::cleanup::RemoveOnSignal;

@@ -4,8 +4,8 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use lidarpc::codec::PartialFiles;
-use lidarpc::error::{Error, Result};
+use crate::edit::PartialFiles;
+use crate::ground::error::{Error, Result};
 use tempfile::TempPath;
 
 use super::errors::about;

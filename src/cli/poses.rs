@@ -1,11 +1,13 @@
 //! `lidarpc stats --poses`: the scanner's way.
 
+use crate::stream;
 use std::io::Write;
 use std::path::Path;
 
+use crate::frame::DecodedImage;
+use crate::inter::registration::{Pose, RegistrationConfig, RigidMotion, Surface, register};
+use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::Result;
-use lidarpc::codec::{self, DecodeOptions, DecodedFrame, DecodedImage};
-use lidarpc::registration::{Pose, RegistrationConfig, RigidMotion, Surface, register};
 
 use super::args::StatsArgs;
 use super::errors::about;
@@ -25,7 +27,7 @@ pub fn run(args: &StatsArgs, path: &Path, quiet: bool) -> Result<()> {
     let bar = progress::bar(None, "decoding", quiet);
     let mut way = Way::default();
     let mut poses = Vec::new();
-    let decoded = codec::decode(input, &options, DecodedFrame::checked, |frame| {
+    let decoded = stream::decode(input, &options, DecodedFrame::checked, |frame| {
         bar.inc(1);
         poses.push(way.follow(frame));
         Ok(())

@@ -1,8 +1,8 @@
 //! The options of segmentation and intra prediction.
 
+use crate::article::prediction::intra::RegionModels;
+use crate::frame::settings::EncoderConfig;
 use clap::{Args, ValueEnum};
-use lidarpc::codec::EncoderConfig;
-use lidarpc::prediction::intra::RegionModels;
 
 use super::length::Length;
 

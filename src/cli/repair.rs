@@ -1,10 +1,11 @@
 //! `lidarpc repair`
 
+use crate::edit;
 use std::io::{BufReader, Write};
 use std::path::PathBuf;
 
+use crate::edit::Named;
 use anyhow::Result;
-use lidarpc::codec::{self, Named};
 
 use super::args::RepairArgs;
 use super::errors::about;
@@ -20,7 +21,7 @@ pub fn run(args: &RepairArgs, quiet: bool) -> Result<()> {
     let mut losses = Losses::new(&args.input);
     let mut writer = output.writer();
     let named = Named { path: PathBuf::from(input), stream: BufReader::new(stream) };
-    let frames = codec::repair(named, &args.limits.limits(), &mut writer, |lost| losses.tell(&lost))
+    let frames = edit::repair(named, &args.limits.limits(), &mut writer, |lost| losses.tell(&lost))
         .and_then(|frames| Ok(writer.flush().map(|()| frames)?));
     drop(writer);
     let name = name_of_output(&args.output);

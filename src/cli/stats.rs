@@ -4,11 +4,11 @@ mod comparison;
 
 use std::io::{self, BufReader, Read, Seek, Write};
 
+use crate::frame::Source;
+use crate::ground::error::Limits;
+use crate::stream::container::{Record, SectionKind, StreamReader};
+use crate::study::metrics;
 use anyhow::Result;
-use lidarpc::bitstream::{Record, SectionKind, StreamReader};
-use lidarpc::codec::Source;
-use lidarpc::error::Limits;
-use lidarpc::metrics;
 use serde::Serialize;
 
 use super::args::StatsArgs;
@@ -68,7 +68,7 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
     Ok(())
 }
 
-fn read(args: &StatsArgs, input: Input, quiet: bool) -> lidarpc::error::Result<Stats> {
+fn read(args: &StatsArgs, input: Input, quiet: bool) -> crate::ground::error::Result<Stats> {
     if args.against.is_empty() {
         return measure(input.reader(), args.limits.limits());
     }
@@ -81,7 +81,7 @@ fn read(args: &StatsArgs, input: Input, quiet: bool) -> lidarpc::error::Result<S
 }
 
 /// Adds up the sizes of all parts, without decoding.
-fn measure(input: impl Read, limits: Limits) -> lidarpc::error::Result<Stats> {
+fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Stats> {
     let mut reader = StreamReader::open(input, limits)?;
     let mut by_kind = SectionKind::ALL.map(|_| 0u64);
     let (mut frames, mut sensor_bytes) = (0, 0);

@@ -1,10 +1,12 @@
 //! `lidarpc stats --steps`: what each step of coding takes and leaves.
 
+use crate::stream;
 use std::io::{self, BufReader, Read, Write};
 
+use crate::files::sequence::find_frames;
+use crate::frame::{Step, StepReport};
+use crate::stream::{DecodeOptions, DecodedFrame, FrameInput};
 use anyhow::Result;
-use lidarpc::codec::{self, DecodeOptions, DecodedFrame, FrameInput, Step, StepReport};
-use lidarpc::io::sequence::find_frames;
 use serde::Serialize;
 
 use super::args::StatsArgs;
@@ -73,7 +75,11 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
     Ok(())
 }
 
-fn decode(input: impl Read + Send, args: &StatsArgs, quiet: bool) -> lidarpc::error::Result<StepReport> {
+fn decode(
+    input: impl Read + Send,
+    args: &StatsArgs,
+    quiet: bool,
+) -> crate::ground::error::Result<StepReport> {
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),
@@ -81,7 +87,7 @@ fn decode(input: impl Read + Send, args: &StatsArgs, quiet: bool) -> lidarpc::er
     };
     let bar = progress::bar(None, "decoding", quiet);
     let mut steps = StepReport::default();
-    let decoded = codec::decode(BufReader::new(input), &options, DecodedFrame::checked, |frame| {
+    let decoded = stream::decode(BufReader::new(input), &options, DecodedFrame::checked, |frame| {
         bar.inc(1);
         steps.add(&frame.steps);
         Ok(())

@@ -1,7 +1,7 @@
 //! `lidarpc synth`
 
+use crate::study::synth::{SynthConfig, drive};
 use anyhow::Result;
-use lidarpc::synth::{SynthConfig, drive};
 
 use super::args::SynthArgs;
 use super::output::FolderOutput;

@@ -2,9 +2,9 @@
 
 use std::io::{self, Write};
 
+use crate::ground::error::Error;
+use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::{Result, bail};
-use lidarpc::codec::{DecodeOptions, DecodedFrame};
-use lidarpc::error::Error;
 
 use super::args::VerifyArgs;
 use super::errors::about;

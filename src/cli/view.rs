@@ -2,15 +2,17 @@
 
 mod pictures;
 
+use crate::stream;
 use std::io::{Cursor, Read, Seek, Write};
 
+use crate::files::parse_like;
+use crate::files::sequence::find_frames;
+use crate::frame::settings::EncoderConfig;
+use crate::ground::error::Error;
+use crate::stream::{DecodeOptions, DecodedFrame, FrameInput, FrameRange};
+use crate::study::metrics::{nearest_distances, paired_distances};
+use crate::study::picture::{self, BirdsEye, Picture};
 use anyhow::{Context, Result};
-use lidarpc::codec::{self, DecodeOptions, DecodedFrame, EncoderConfig, FrameInput, FrameRange};
-use lidarpc::error::Error;
-use lidarpc::io::parse_like;
-use lidarpc::io::sequence::find_frames;
-use lidarpc::metrics::{nearest_distances, paired_distances};
-use lidarpc::picture::{self, BirdsEye, Picture};
 
 use super::args::{Threads, ViewArgs};
 use super::errors::about;
@@ -60,10 +62,13 @@ fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<Compared> {
     Ok(Compared { frame, original })
 }
 
-fn decode_one(stream: impl Read + Seek + Send, frames: FrameRange) -> lidarpc::error::Result<DecodedFrame> {
+fn decode_one(
+    stream: impl Read + Seek + Send,
+    frames: FrameRange,
+) -> crate::ground::error::Result<DecodedFrame> {
     let options = DecodeOptions { frames, images: true, ..DecodeOptions::default() };
     let mut found = None;
-    codec::decode_indexed(stream, &options, DecodedFrame::checked, |frame| {
+    stream::decode_indexed(stream, &options, DecodedFrame::checked, |frame| {
         found = Some(frame);
         Ok(())
     })?;

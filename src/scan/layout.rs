@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use super::text_format::TextFormat;
-use crate::error::{Error, Result};
-use crate::varint::{read_unsigned, write_unsigned};
+use crate::ground::error::{Error, Result};
+use crate::ground::varint::{read_unsigned, write_unsigned};
 
 /// Longest record in bytes. Scanners' records have 12 to some 50; point features a few thousand.
 pub const MAX_STRIDE: u32 = 1 << 16;

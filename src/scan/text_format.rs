@@ -1,6 +1,6 @@
 //! How the numbers of a text body (ascii PCD or PLY) are written.
 
-use crate::error::{Error, Result};
+use crate::ground::error::{Error, Result};
 
 /// Most digits that a rule may ask for: more than any writer prints, and a bound on
 /// how far a hostile stream can blow up one value.

@@ -1,7 +1,8 @@
 //! Bounded mode's promise, held to by comparing files.
 
-use lidarpc::codec::{EncoderConfig, Intensity, Mode};
-use lidarpc::io::parse;
+use lidarpc::files::parse;
+use lidarpc::frame::Intensity;
+use lidarpc::frame::settings::{EncoderConfig, Mode};
 use lidarpc::scan::ScanFile;
 
 use super::{File, decode_files, encode_files};

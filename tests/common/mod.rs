@@ -13,11 +13,10 @@ use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use lidarpc::bitstream::{Group, Record, SectionKind, StreamHeader, StreamReader, StreamWriter};
-use lidarpc::codec::{
-    DecodeOptions, DecodedFrame, EncoderConfig, FrameInput, decode, decode_indexed, encode,
-};
-use lidarpc::error::{Limits, Result};
+use lidarpc::frame::settings::EncoderConfig;
+use lidarpc::ground::error::{Limits, Result};
+use lidarpc::stream::container::{Group, Record, SectionKind, StreamHeader, StreamReader, StreamWriter};
+use lidarpc::stream::{DecodeOptions, DecodedFrame, FrameInput, decode, decode_indexed, encode};
 use proptest::test_runner::{Config, FileFailurePersistence};
 
 /// A file's name and bytes.

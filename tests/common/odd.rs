@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use lidarpc::synth::SynthConfig;
+use lidarpc::study::synth::SynthConfig;
 use proptest::prelude::*;
 
 use super::File;

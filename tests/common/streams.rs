@@ -2,10 +2,10 @@
 
 use std::sync::LazyLock;
 
+use lidarpc::article::image_coding::ImageCodec;
 use lidarpc::backend::{self, BACKENDS, Level};
-use lidarpc::bitstream::Group;
-use lidarpc::codec::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
-use lidarpc::image_coding::ImageCodec;
+use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
+use lidarpc::stream::container::Group;
 
 use super::formats::{kitti, pcd_extra, pcd_text};
 use super::scans::{compensated, random_points, scans, small};

@@ -1,7 +1,7 @@
 //! Bits read from the back of a stream to its front, as Huff0 and FSE write them: the highest set bit of
 //! the last byte marks the end.
 
-use crate::error::{Error, Result};
+use crate::ground::error::{Error, Result};
 
 /// Reads bits backwards.
 pub struct BackwardBits<'a> {

@@ -3,7 +3,7 @@
 
 use super::huffman;
 use crate::backend::lz::{copy_literals, copy_match, take, take_number};
-use crate::error::{Error, Result};
+use crate::ground::error::{Error, Result};
 
 /// Input bytes of a part.
 pub const PART: usize = 128 << 10;

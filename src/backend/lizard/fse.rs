@@ -2,7 +2,7 @@
 //! 4.1 and 4.2.1.2).
 
 use super::bits::BackwardBits;
-use crate::error::{Error, Result};
+use crate::ground::error::{Error, Result};
 
 /// The accuracy of the tables for weights is at most this.
 const MOST_ACCURACY: usize = 6;

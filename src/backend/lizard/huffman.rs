@@ -4,7 +4,7 @@
 use super::bits::BackwardBits;
 use super::fse;
 use crate::backend::lz::{take, take_number};
-use crate::error::{Error, Result};
+use crate::ground::error::{Error, Result};
 
 /// Codes are at most this long, in bits.
 const LONGEST: usize = 12;

@@ -3,7 +3,7 @@
 
 use super::xxh32::xxh32;
 use super::{copy_literals, take, take_number};
-use crate::error::{Error, Result};
+use crate::ground::error::{Error, Result};
 
 /// What differs between the formats.
 pub struct FrameFormat {

@@ -6,7 +6,7 @@ pub mod parser;
 mod matches;
 mod xxh32;
 
-use crate::error::{Error, Result};
+use crate::ground::error::{Error, Result};
 
 /// Appends `length` bytes from `offset` bytes back, at most up to `most` bytes altogether.
 pub fn copy_match(out: &mut Vec<u8>, offset: usize, length: usize, most: usize) -> Result<()> {

@@ -9,7 +9,7 @@
 
 use crate::backend::lz::parser::{Format, parse};
 use crate::backend::lz::{copy_literals, copy_match, take, take_number};
-use crate::error::Result;
+use crate::ground::error::Result;
 
 /// Matches are at least this long; the token counts from here.
 const SHORTEST: usize = 3;

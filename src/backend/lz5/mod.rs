@@ -6,7 +6,7 @@ mod block;
 
 use super::lz::frame::{self, FrameFormat};
 use super::{Backend, Level};
-use crate::error::Result;
+use crate::ground::error::Result;
 
 /// Levels 1 to 9 look at 1 to 1024 earlier places for each byte.
 pub struct Lz5;

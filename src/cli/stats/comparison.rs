@@ -1,10 +1,11 @@
 //! Decoded scans against the originals.
 
+use crate::stream;
 use std::io::{self, BufReader, Read, Write};
 
-use lidarpc::codec::{self, DecodeOptions, DecodedFrame};
-use lidarpc::io::parse_like;
-use lidarpc::metrics::{GeometryPsnr, NearestErrors, NearestPairs, PEAK_M, PointErrors};
+use crate::files::parse_like;
+use crate::stream::{DecodeOptions, DecodedFrame};
+use crate::study::metrics::{GeometryPsnr, NearestErrors, NearestPairs, PEAK_M, PointErrors};
 use serde::Serialize;
 
 use crate::cli::args::StatsArgs;
@@ -52,7 +53,7 @@ pub fn compare(
     mut originals: Originals,
     frames: u64,
     quiet: bool,
-) -> lidarpc::error::Result<Against> {
+) -> crate::ground::error::Result<Against> {
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),
@@ -60,7 +61,7 @@ pub fn compare(
     };
     let bar = progress::bar(Some(frames), "comparing", quiet);
     let mut comparison = Comparison { psnr: args.psnr.then(GeometryPsnr::default), ..Comparison::default() };
-    let compared = codec::decode(BufReader::new(input), &options, Ok, |frame| {
+    let compared = stream::decode(BufReader::new(input), &options, Ok, |frame| {
         bar.inc(1);
         let original = originals.take(&frame.header.name)?;
         comparison.add(original, frame)
@@ -82,7 +83,7 @@ struct Comparison {
 }
 
 impl Comparison {
-    fn add(&mut self, original: Vec<u8>, frame: DecodedFrame) -> lidarpc::error::Result<()> {
+    fn add(&mut self, original: Vec<u8>, frame: DecodedFrame) -> crate::ground::error::Result<()> {
         let is_identical = original == frame.to_bytes()?;
         match is_identical {
             true => self.identical_files += 1,

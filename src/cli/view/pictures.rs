@@ -1,14 +1,15 @@
 //! The pictures of a range image.
 
+use crate::article::prediction::Rays;
+use crate::article::prediction::intra::IntraPrediction;
+use crate::article::prediction::surface::SurfaceModel;
+use crate::article::segmentation::{GROUND, UNASSIGNED, segment};
+use crate::frame::DecodedImage;
+use crate::frame::settings::EncoderConfig;
+use crate::ground::grid::Grid;
+use crate::scanner::Alignment;
+use crate::study::picture::{self, LabelStyle, Picture, Scale, Zoom};
 use clap::ValueEnum;
-use lidarpc::codec::{DecodedImage, EncoderConfig};
-use lidarpc::grid::Grid;
-use lidarpc::picture::{self, LabelStyle, Picture, Scale, Zoom};
-use lidarpc::prediction::Rays;
-use lidarpc::prediction::intra::IntraPrediction;
-use lidarpc::prediction::surface::SurfaceModel;
-use lidarpc::range_image::Alignment;
-use lidarpc::segmentation::{GROUND, UNASSIGNED, segment};
 
 /// What is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -51,7 +52,7 @@ pub struct Pictures {
     occupancy: Grid<bool>,
     ranges: Grid<u32>,
     predicted: Grid<u32>,
-    /// As [`lidarpc::segmentation`] labels it.
+    /// As [`crate::article::segmentation`] labels it.
     labels: Grid<u32>,
     intra: IntraPrediction,
     /// Millimetres, NaN where there is nothing to measure, if the original is known.

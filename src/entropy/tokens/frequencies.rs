@@ -3,7 +3,7 @@
 use std::sync::LazyLock;
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::error::{Error, Result};
+use crate::ground::error::{Error, Result};
 
 /// The sum of the frequencies of a context, as a power of two.
 pub const SCALE_BITS: u32 = 12;

@@ -6,8 +6,8 @@ use super::tables::{Counts, TokenTables};
 use super::writer::{LEAST_STATE, STATES};
 use super::{MOST_BITS, TokenCoder};
 use crate::entropy::{ArithmeticDecoder, BitCoder};
-use crate::error::{Error, Result};
-use crate::varint::read_unsigned;
+use crate::ground::error::{Error, Result};
+use crate::ground::varint::read_unsigned;
 
 /// Reads tokens and plain bits. Behind the end of the bytes it reads zeros: any bytes decode to something.
 pub struct TokenReader<'a> {

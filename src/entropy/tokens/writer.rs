@@ -4,8 +4,8 @@ use super::frequencies::{ESCAPE, Frequencies, FrequencyModel, SCALE_BITS, TOKENS
 use super::tables::TokenTables;
 use super::{MOST_BITS, TokenCoder};
 use crate::entropy::ArithmeticEncoder;
-use crate::error::{Error, Result};
-use crate::varint::write_unsigned;
+use crate::ground::error::{Error, Result};
+use crate::ground::varint::write_unsigned;
 
 /// The least value of a state: those below take in 16 bits.
 pub(super) const LEAST_STATE: u32 = 1 << 16;

@@ -1,0 +1,142 @@
+//! JPEG 2000 (ITU-T T.800), by OpenJPEG in Rust (crates `openjp2` and `jpeg2k`), for one pass.
+//!
+//! The 5/3 wavelet at every rate: it is of integers, so that all decoders come to the same samples, it loses
+//! nothing in the end, and it leaves 1 to 20 % less error than the 9/7 one of reals on range images. The
+//! image is a byte each for the bits of a sample and the number of resolutions, and the packets.
+
+mod header;
+mod library;
+
+use self::header::{END, Shape};
+use super::plane::Plane;
+use super::recurrent::{Pass, Turn};
+use crate::ground::error::{Error, Result};
+use crate::ground::grid::Grid;
+
+/// Most bits of a sample, its sign included: the library has 32, of which the wavelet takes 2 and the
+/// estimate of errors 6.
+const MOST_BITS: u8 = 22;
+/// Resolutions of what is smooth. More hardly matter.
+const RESOLUTIONS: u32 = 6;
+
+/// Codes a plane in one pass, within so many bytes or without loss of samples; `None` if so few bytes hold no
+/// image.
+///
+/// An early pass goes without the wavelet: it takes what stands out alone, as the edges of objects do. What
+/// is left is smooth, and the wavelet's. Where nothing is to be lost what is smaller is taken.
+///
+/// # Errors
+/// If the library fails.
+pub fn encode(plane: &Plane<'_>, turn: Turn, most_bytes: Option<usize>) -> Result<Option<Pass>> {
+    let by_wavelet = || encode_values(&plane.interpolated(), middle(plane), RESOLUTIONS, most_bytes);
+    let apart = || {
+        let median = plane.median();
+        encode_values(&plane.padded(median), median, 1, most_bytes)
+    };
+    match (turn, most_bytes) {
+        (Turn::Early, _) => apart(),
+        (Turn::Last, Some(_)) => by_wavelet(),
+        (Turn::Last, None) => {
+            let passes = [apart()?, by_wavelet()?].into_iter().flatten();
+            Ok(passes.min_by_key(|pass| pass.image.len()))
+        }
+    }
+}
+
+fn middle(plane: &Plane<'_>) -> i32 {
+    let (least, greatest) = plane.extremes();
+    ((i64::from(least) + i64::from(greatest)) / 2) as i32
+}
+
+/// Codes values less their centre, in steps of 1 if that is within [`MOST_BITS`].
+fn encode_values(
+    values: &Grid<i32>,
+    centre: i32,
+    resolutions: u32,
+    most_bytes: Option<usize>,
+) -> Result<Option<Pass>> {
+    let (rows, columns) = (values.rows(), values.columns());
+    let above = |value: &i32| i64::from(*value) - i64::from(centre);
+    let bits = values.cells().iter().map(|value| bits(above(value))).max().unwrap_or(1);
+    let shift = bits.saturating_sub(MOST_BITS);
+    // Half a step is added so as to round; at the very top that would need another bit.
+    let most = (1 << (MOST_BITS - 1)) - 1;
+    let samples = values.map(|value| ((above(value) + ((1 << shift) >> 1)) >> shift).min(most) as i32);
+
+    let levels = rows.min(columns).checked_ilog2().unwrap_or(0);
+    let shape = Shape::new(rows, columns, bits.min(MOST_BITS), resolutions.min(levels + 1) as u8)?;
+    let empty = shape.header(0).len() + END.len();
+    let Some(stream) = library::encode(&samples, shape, most_bytes.map(|bytes| bytes + empty)) else {
+        // It also fails where there is no room for the least image.
+        return most_bytes.map(|_| None).ok_or_else(|| Error::corrupt("the JPEG 2000 library failed"));
+    };
+    let packets = packets(&stream).ok_or_else(|| Error::corrupt("the JPEG 2000 library wrote no image"))?;
+    let image = [&[shape.precision, shape.resolutions], packets].concat();
+    let fits = most_bytes.is_none_or(|bytes| image.len() <= bytes);
+    Ok(fits.then_some(Pass { centre, step: 1 << shift, image }))
+}
+
+/// Bits of a value, its sign included.
+fn bits(value: i64) -> u8 {
+    (65 - (if value < 0 { !value } else { value }).leading_zeros()) as u8
+}
+
+/// What is between the headers and the end of a codestream of one tile-part.
+fn packets(stream: &[u8]) -> Option<&[u8]> {
+    const START_OF_DATA: [u8; 2] = [0xff, 0x93];
+    let header = stream.windows(2).position(|bytes| bytes == START_OF_DATA)?;
+    stream[header + START_OF_DATA.len()..].strip_suffix(&END)
+}
+
+/// The samples of an image.
+///
+/// # Errors
+/// If it is damaged so that the library notices.
+pub fn decode(image: &[u8], rows: usize, columns: usize) -> Result<Grid<i32>> {
+    let damaged = |what: &str| Error::corrupt(format!("JPEG 2000: {what}"));
+    let &[precision, resolutions, ref packets @ ..] = image else {
+        return Err(damaged("no image"));
+    };
+    let shape = Shape::new(rows, columns, precision, resolutions)?;
+    let stream = [&shape.header(packets.len())[..], packets, &END].concat();
+    let decoded = jpeg2k::Image::from_bytes(&stream).map_err(|error| damaged(&error.to_string()))?;
+    let component = decoded.components().first().ok_or_else(|| damaged("no component"))?;
+    let samples = component.data();
+    if samples.len() != rows * columns {
+        return Err(damaged("of another size"));
+    }
+    let mut grid = Grid::new(rows, columns);
+    samples.chunks(columns).enumerate().for_each(|(row, samples)| grid.row_mut(row).copy_from_slice(samples));
+    Ok(grid)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the format says of coefficients whose last bits are missing, and that is all that is lost
+    /// without a wavelet.
+    #[test]
+    fn missing_bits_are_taken_for_half() {
+        let mut samples: Grid<i32> = Grid::new(64, 130);
+        for row in 0..64 {
+            (0..)
+                .zip(samples.row_mut(row))
+                .for_each(|(i, value)| *value = (i * i * 37 + i * row as i32) % 9001 - 4500);
+        }
+        let mut coarser = 0;
+        for most_bytes in [500, 4000, 9000] {
+            let pass = encode_values(&samples, 0, 1, Some(most_bytes)).unwrap().unwrap();
+            let decoded = decode(&pass.image, 64, 130).unwrap();
+            for (value, decoded) in samples.cells().iter().zip(decoded.cells()) {
+                let is_middle = |bits: u32| {
+                    let known = value.abs() >> bits;
+                    known > 0 && *decoded == value.signum() * ((known << bits) + (1 << bits) / 2)
+                };
+                assert!(*decoded == 0 || (0..14).any(is_middle), "{value} became {decoded}");
+                coarser += usize::from(decoded != value);
+            }
+        }
+        assert!(coarser > 5000);
+    }
+}

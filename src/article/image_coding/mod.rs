@@ -1,0 +1,103 @@
+//! Lossy image coding of what prediction leaves of the ranges (article, IV-D.2 and VI-C): JPEG and JPEG
+//! 2000, in passes of which each codes the error that those before leave.
+//!
+//! Neither format knows of cells that hold nothing: the encoder fills them so that they cost little, and the
+//! decoder does not look at them. The images' headers follow from the settings and are not in the stream, so
+//! that the libraries see nothing from a stream but the coded samples.
+
+mod jpeg;
+mod jpeg2000;
+mod plane;
+mod recurrent;
+
+pub use recurrent::{decode, encode};
+
+use crate::ground::error::{Error, Result};
+
+/// The image formats.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageCodec {
+    /// JPEG (ITU-T T.81): 8 bits a sample, always with loss.
+    Jpeg,
+    /// JPEG 2000 (ITU-T T.800) with the reversible wavelet: without loss, if enough bits may be spent.
+    Jpeg2000,
+}
+
+impl ImageCodec {
+    /// All formats.
+    pub const ALL: [ImageCodec; 2] = [ImageCodec::Jpeg, ImageCodec::Jpeg2000];
+
+    /// Its name on the command line and in reports: lower case.
+    pub fn name(self) -> &'static str {
+        match self {
+            ImageCodec::Jpeg => "jpeg",
+            ImageCodec::Jpeg2000 => "jpeg2000",
+        }
+    }
+
+    /// The format of this name.
+    pub fn by_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|codec| codec.name() == name)
+    }
+}
+
+/// How much may be spent on the ranges of a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rate {
+    /// As much as it takes to lose nothing.
+    Lossless,
+    /// So many bits for each return, on average.
+    Bits(f64),
+}
+
+impl Rate {
+    /// What it comes to, in bytes; `None` if there is no bound.
+    pub fn bytes(self, returns: usize) -> Option<usize> {
+        match self {
+            Rate::Lossless => None,
+            Rate::Bits(bits) => Some((bits * returns as f64 / 8.0) as usize),
+        }
+    }
+}
+
+/// Most bits a return that [`Rate::Bits`] may name.
+const MOST_BITS: f64 = 64.0;
+/// Most passes.
+pub const MOST_PASSES: u8 = 8;
+
+/// Settings of the encoder.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImageConfig {
+    /// Most passes, 1 to 8; fewer are taken where they leave less error. Default 2, as in the article.
+    pub passes: u8,
+    /// What may be spent on all passes together. Default 2 bits a return.
+    pub rate: Rate,
+}
+
+impl Default for ImageConfig {
+    fn default() -> Self {
+        ImageConfig { passes: 2, rate: Rate::Bits(2.0) }
+    }
+}
+
+impl ImageConfig {
+    /// Checks that all settings are in range.
+    ///
+    /// # Errors
+    /// [`Error::InvalidConfig`] names the setting that is not.
+    pub fn check(&self) -> Result<()> {
+        let wrong = |what: String| Err(Error::InvalidConfig(what));
+        if !(1..=MOST_PASSES).contains(&self.passes) {
+            return wrong(format!("there are 1 to {MOST_PASSES} passes"));
+        }
+        match self.rate {
+            Rate::Bits(bits) if !(bits > 0.0 && bits <= MOST_BITS) => {
+                wrong(format!("a rate is more than 0 and at most {MOST_BITS} bits a return, or lossless"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

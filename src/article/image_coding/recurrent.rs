@@ -1,0 +1,174 @@
+//! Recurrent coding (article, VI-C, Fig. 14): each pass codes what those before leave.
+
+use super::plane::Plane;
+use super::{ImageCodec, MOST_PASSES, jpeg, jpeg2000};
+use crate::ground::error::{Error, Result};
+use crate::ground::grid::Grid;
+use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
+
+/// The share of the bits left that a pass gets if another follows it. Measured: less is better at high rates,
+/// more at low ones.
+const SHARE: f64 = 0.4;
+/// Bytes that a pass takes besides its image, at most.
+const OVERHEAD: usize = 16;
+
+/// One pass: an image whose sample s stands for the value `centre + step * s`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Pass {
+    pub centre: i32,
+    pub step: u32,
+    /// As the format has it; if empty, all samples are 0.
+    pub image: Vec<u8>,
+}
+
+/// Whether more passes follow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Turn {
+    /// They do: this one may leave to them what suits it less.
+    Early,
+    /// They do not.
+    Last,
+}
+
+/// Codes the residuals of the returns (rows x columns, in steps), within `most_bytes` unless nothing may be
+/// lost.
+///
+/// # Errors
+/// If the image has more columns than the format can have, or nothing may be lost and the format cannot do
+/// that.
+pub fn encode(
+    codec: ImageCodec,
+    residuals: Grid<i32>,
+    returns: &Grid<bool>,
+    passes: u8,
+    most_bytes: Option<usize>,
+) -> Result<Vec<u8>> {
+    let plane = Plane { values: residuals, returns };
+    let passes = match most_bytes {
+        Some(bytes) => within(codec, plane, passes, bytes)?,
+        None => lossless(codec, plane)?,
+    };
+    let mut payload = Vec::new();
+    write_unsigned(&mut payload, passes.len() as u64);
+    passes.iter().for_each(|pass| pass.write_to(&mut payload));
+    Ok(payload)
+}
+
+/// The passes that leave the least error within so many bytes: one, or more of which each but the last gets a
+/// share of what is left.
+fn within(codec: ImageCodec, plane: Plane<'_>, passes: u8, mut bytes: usize) -> Result<Vec<Pass>> {
+    let mut early = Vec::new();
+    let mut left = plane;
+    let (mut least, mut best) = (left.energy(), Vec::new());
+    let constant = Pass { centre: left.median(), step: 1, image: Vec::new() };
+    let error = left.without(&constant.decode(codec, left.size())?).energy();
+    if bytes > OVERHEAD && error < least {
+        (least, best) = (error, vec![constant]);
+    }
+    for number in 1..=passes {
+        let room = bytes.saturating_sub(OVERHEAD);
+        if let Some(last) = codec.encode(&left, Turn::Last, Some(room))? {
+            let error = left.without(&last.decode(codec, left.size())?).energy();
+            if error < least {
+                (least, best) = (error, [&early[..], &[last]].concat());
+            }
+        }
+        if number == passes {
+            break;
+        }
+        let share = (room as f64 * SHARE) as usize;
+        let Some(pass) = codec.encode(&left, Turn::Early, Some(share))? else { break };
+        bytes = room.saturating_sub(pass.image.len());
+        left = left.without(&pass.decode(codec, left.size())?);
+        early.push(pass);
+    }
+    Ok(best)
+}
+
+/// As many passes as it takes.
+fn lossless(codec: ImageCodec, mut left: Plane<'_>) -> Result<Vec<Pass>> {
+    let mut passes = Vec::new();
+    while left.energy() > 0.0 {
+        let pass = codec.encode(&left, Turn::Last, None)?.filter(|_| passes.len() < usize::from(MOST_PASSES));
+        let cannot =
+            || Error::InvalidConfig(format!("{} cannot code these ranges without loss", codec.name()));
+        let pass = pass.ok_or_else(cannot)?;
+        left = left.without(&pass.decode(codec, left.size())?);
+        passes.push(pass);
+    }
+    Ok(passes)
+}
+
+/// The inverse of [`encode`], but for what was lost: the residual of each return of an image of so many rows
+/// and columns. The values of other cells mean nothing.
+///
+/// # Errors
+/// If the payload does not hold such an image.
+pub fn decode(codec: ImageCodec, mut payload: &[u8], rows: usize, columns: usize) -> Result<Grid<i32>> {
+    let input = &mut payload;
+    let passes = read_unsigned(input, "number of passes")?;
+    if passes > u64::from(MOST_PASSES) {
+        return Err(Error::corrupt(format!("an image in {passes} passes")));
+    }
+    let mut sum: Grid<i32> = Grid::new(rows, columns);
+    for _ in 0..passes {
+        let values = Pass::read_from(input)?.decode(codec, (rows, columns))?;
+        for row in 0..rows {
+            let cells = sum.row_mut(row).iter_mut().zip(values.row(row));
+            cells.for_each(|(sum, value)| *sum = sum.saturating_add(*value));
+        }
+    }
+    if !input.is_empty() {
+        return Err(Error::corrupt("bytes left over behind the image"));
+    }
+    Ok(sum)
+}
+
+impl Pass {
+    fn write_to(&self, out: &mut Vec<u8>) {
+        write_signed(out, i64::from(self.centre));
+        write_unsigned(out, u64::from(self.step));
+        write_unsigned(out, self.image.len() as u64);
+        out.extend_from_slice(&self.image);
+    }
+
+    fn read_from(input: &mut &[u8]) -> Result<Self> {
+        let damaged = || Error::corrupt("damaged pass of an image");
+        let centre = i32::try_from(read_signed(input, "pass")?).map_err(|_| damaged())?;
+        let step = u32::try_from(read_unsigned(input, "pass")?).map_err(|_| damaged())?;
+        let length = usize::try_from(read_unsigned(input, "pass")?).map_err(|_| damaged())?;
+        let (image, rest) = input.split_at_checked(length).ok_or_else(damaged)?;
+        *input = rest;
+        Ok(Pass { centre, step, image: image.to_vec() })
+    }
+
+    /// The values of all cells.
+    pub fn decode(&self, codec: ImageCodec, (rows, columns): (usize, usize)) -> Result<Grid<i32>> {
+        let samples = match self.image.is_empty() {
+            true => Grid::new(rows, columns),
+            false => codec.decode(&self.image, rows, columns)?,
+        };
+        Ok(samples.map(|sample| {
+            let value = i64::from(self.centre) + i64::from(self.step) * i64::from(*sample);
+            value.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32
+        }))
+    }
+}
+
+impl ImageCodec {
+    /// Codes a plane in one pass; `None` if that many bytes hold no image.
+    fn encode(self, plane: &Plane<'_>, turn: Turn, most_bytes: Option<usize>) -> Result<Option<Pass>> {
+        match self {
+            ImageCodec::Jpeg => jpeg::encode(plane, most_bytes),
+            ImageCodec::Jpeg2000 => jpeg2000::encode(plane, turn, most_bytes),
+        }
+    }
+
+    /// The samples of an image, rows x columns.
+    fn decode(self, image: &[u8], rows: usize, columns: usize) -> Result<Grid<i32>> {
+        match self {
+            ImageCodec::Jpeg => jpeg::decode(image, rows, columns),
+            ImageCodec::Jpeg2000 => jpeg2000::decode(image, rows, columns),
+        }
+    }
+}

@@ -1,0 +1,183 @@
+//! Intra prediction (article, IV-C): each return is predicted from the model of its region.
+
+use super::each_return;
+use super::partition::{Judge, Region};
+use super::ransac::{RansacConfig, fit_plane};
+use super::rays::Rays;
+use super::surface::{SurfaceCoder, SurfaceModel};
+use crate::article::contour::{ContourModel, renumber};
+use crate::article::segmentation::{FIRST_OBJECT, GROUND, Segmentation, UNASSIGNED};
+use crate::entropy::BitCoder;
+use crate::ground::error::{Error, Result};
+use crate::ground::grid::Grid;
+
+/// Which regions there are, and how they are modelled.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RegionModels {
+    /// The article's: the mean of each object, one plane for the ground.
+    #[default]
+    Article,
+    /// For each region its mean or its plane; split and merged where SSE + lambda * bits gets smaller.
+    Fitted,
+}
+
+/// How regions are fitted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IntraConfig {
+    /// Which regions there are. Default: the article's.
+    pub models: RegionModels,
+    /// lambda of equation 5, in squared steps a bit. Default 1000.
+    pub lambda: f64,
+    /// How the plane of the ground is found.
+    pub ransac: RansacConfig,
+}
+
+impl Default for IntraConfig {
+    fn default() -> Self {
+        IntraConfig { models: RegionModels::Article, lambda: 1000.0, ransac: RansacConfig::default() }
+    }
+}
+
+impl IntraConfig {
+    /// Checks that all settings are in range.
+    ///
+    /// # Errors
+    /// [`Error::InvalidConfig`] names the setting that is not.
+    pub fn check(&self) -> Result<()> {
+        let RansacConfig { tolerance_m, foreseeable_support, confidence, .. } = self.ransac;
+        let share = 0.0..=1.0;
+        let settings = [
+            ("lambda is not negative", self.lambda >= 0.0 && self.lambda.is_finite()),
+            ("the plane's tolerance is a length", tolerance_m >= 0.0 && tolerance_m.is_finite()),
+            ("the plane's foreseeable support is from 0 to 1", share.contains(&foreseeable_support)),
+            ("the plane's confidence is from 0 to 1", share.contains(&confidence)),
+        ];
+        match settings.iter().find(|(_, holds)| !holds) {
+            Some((what, _)) => Err(Error::InvalidConfig((*what).to_owned())),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The regions of a frame and their models, as they stand in the stream.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct IntraPrediction {
+    /// Rows x columns: the region of each return, from 1 on in order of appearance; 0 = no return.
+    pub labels: Grid<u32>,
+    /// The model of each region, from the first on.
+    pub models: Vec<SurfaceModel>,
+}
+
+impl IntraPrediction {
+    /// Models the regions of a segmented image, for the encoder. `steps` are rows x columns.
+    pub fn fit(
+        steps: &Grid<u32>,
+        occupancy: &Grid<bool>,
+        rays: &Rays,
+        segmentation: &Segmentation,
+        config: &IntraConfig,
+    ) -> Self {
+        let judge = Judge { steps, rays, lambda: config.lambda };
+        let mut regions = Vec::new();
+        for (label, cells) in (0..).zip(cells_of(occupancy, segmentation)) {
+            let region = match (label, config.models) {
+                _ if cells.is_empty() => continue,
+                (GROUND, _) => with_ground_plane(&judge, cells, &config.ransac),
+                (_, RegionModels::Article) => judge.with_mean(cells),
+                (_, RegionModels::Fitted) => judge.with_best(cells),
+            };
+            match config.models {
+                RegionModels::Article => regions.push(region),
+                RegionModels::Fitted => judge.split(region, &mut regions),
+            }
+        }
+        if config.models == RegionModels::Fitted {
+            regions = judge.merge(regions);
+        }
+        IntraPrediction::of(occupancy, &regions)
+    }
+
+    fn of(occupancy: &Grid<bool>, regions: &[Region]) -> Self {
+        let mut labels: Grid<u32> = Grid::new(occupancy.rows(), occupancy.columns());
+        for (label, region) in (1..).zip(regions) {
+            region.cells.iter().for_each(|&(row, column)| labels[(row as usize, column as usize)] = label);
+        }
+        let order = renumber(occupancy, &mut labels);
+        IntraPrediction {
+            labels,
+            models: order.iter().map(|&label| regions[label as usize - 1].model).collect(),
+        }
+    }
+
+    /// Codes the contour map (article, IV-D.1).
+    ///
+    /// # Errors
+    /// If the stream names a region that there is not.
+    pub fn code_contour<C: BitCoder>(
+        &mut self,
+        model: &mut ContourModel,
+        coder: &mut C,
+        occupancy: &Grid<bool>,
+    ) -> Result<()> {
+        if !C::ENCODES {
+            self.labels = Grid::new(occupancy.rows(), occupancy.columns());
+        }
+        let regions = model.code(coder, occupancy, &mut self.labels)?;
+        self.models.resize(regions as usize, SurfaceModel::Mean(0));
+        Ok(())
+    }
+
+    /// Codes the model of each region.
+    pub fn code_models<C: BitCoder>(&mut self, model: &mut SurfaceCoder, coder: &mut C) {
+        self.models.iter_mut().for_each(|surface| *surface = model.code(coder, *surface));
+    }
+
+    /// The predicted range of each return, in steps; 0 elsewhere.
+    pub fn ranges(&self, occupancy: &Grid<bool>, rays: &Rays) -> Grid<u32> {
+        let mut ranges = Grid::new(occupancy.rows(), occupancy.columns());
+        each_return(occupancy, |cell| {
+            let model = &self.models[self.labels[cell] as usize - 1];
+            ranges[cell] = rays.range(model, cell);
+        });
+        ranges
+    }
+}
+
+/// The ground with the plane that RANSAC finds (Algorithm 1); with its mean if there is none.
+fn with_ground_plane(judge: &Judge, cells: Vec<(u32, u32)>, config: &RansacConfig) -> Region {
+    let point = |&(row, column): &(u32, u32)| {
+        let cell = (row as usize, column as usize);
+        judge.rays.point(cell, judge.steps[cell])
+    };
+    let points: Vec<_> = cells.iter().map(point).collect();
+    let by_mean = judge.with_mean(cells);
+    let SurfaceModel::Mean(mean) = by_mean.model else { return by_mean };
+    match fit_plane(&points, config) {
+        Some(plane) => judge.region(by_mean.cells, SurfaceModel::plane(plane, mean)),
+        None => by_mean,
+    }
+}
+
+/// The cells of each label. Returns that belong to no object join the region to their left, or above:
+/// a border around each costs more than any model of them saves.
+fn cells_of(occupancy: &Grid<bool>, segmentation: &Segmentation) -> Vec<Vec<(u32, u32)>> {
+    let mut cells = vec![Vec::new(); segmentation.end.max(FIRST_OBJECT) as usize];
+    let mut above = vec![UNASSIGNED; occupancy.columns()];
+    let mut left = UNASSIGNED;
+    let mut last_row = 0;
+    each_return(occupancy, |cell| {
+        if cell.0 != last_row {
+            (last_row, left) = (cell.0, UNASSIGNED);
+        }
+        let mut label = segmentation.labels[cell];
+        if label == UNASSIGNED {
+            label = if left == UNASSIGNED { above[cell.1] } else { left };
+        }
+        (left, above[cell.1]) = (label, label);
+        cells[label as usize].push((cell.0 as u32, cell.1 as u32));
+    });
+    cells
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,35 @@
+//! The rays of a range image.
+
+use super::surface::SurfaceModel;
+use crate::scanner::SensorModel;
+
+/// Where each pixel of a range image looks.
+pub struct Rays<'a> {
+    sensor: &'a SensorModel,
+    /// Column tick of each column.
+    columns: &'a [u32],
+}
+
+impl<'a> Rays<'a> {
+    /// Of an image with these columns.
+    pub fn of(sensor: &'a SensorModel, columns: &'a [u32]) -> Self {
+        Rays { sensor, columns }
+    }
+
+    /// The range that a model predicts for a pixel, in steps.
+    #[inline]
+    pub fn range(&self, model: &SurfaceModel, cell: (usize, usize)) -> u32 {
+        model.range(self.sensor, self.direction(cell))
+    }
+
+    /// Where a range of `steps` ends, in metres, as if all beams left one point.
+    pub fn point(&self, cell: (usize, usize), steps: u32) -> [f64; 3] {
+        let metres = self.sensor.metres(steps);
+        self.direction(cell).map(|v| v * metres)
+    }
+
+    #[inline]
+    fn direction(&self, (row, column): (usize, usize)) -> [f64; 3] {
+        self.sensor.direction(row, self.sensor.tick_of_column(row, self.columns[column]))
+    }
+}

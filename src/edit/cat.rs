@@ -1,0 +1,87 @@
+//! Streams one after the other as one stream, their groups copied as they are.
+
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::io::{Read, Write};
+use std::path::PathBuf;
+
+use super::copier::{GroupCopier, Named};
+use crate::ground::error::{Error, Result};
+use crate::stream::container::{StreamHeader, StreamReader};
+use crate::stream::options::FrameRange;
+use crate::stream::source::{GroupJob, StreamedGroups};
+
+/// What was joined.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Joined {
+    /// Streams that were read.
+    pub streams: u64,
+    /// Frames of them all.
+    pub frames: u64,
+    /// Bytes of the new stream.
+    pub stream_bytes: u64,
+}
+
+/// Joins streams. They are read front to back and checked, one after the other; of each only a group
+/// at a time is in memory, and the names of all frames. `header` is that of them all
+/// ([`StreamHeader::joined`]), which must be known before the first group is written.
+///
+/// # Errors
+/// Naming the stream: if it cannot be read or is damaged, if its header needs more than `header` says, or
+/// if it holds a frame of the same name as one before, which no decoder could write into the same folder.
+/// Without a name: if the output fails. What was written by then is no whole stream.
+pub fn cat<R: Read>(
+    header: &StreamHeader,
+    inputs: impl IntoIterator<Item = Result<Named<StreamReader<R>>>>,
+    out: impl Write,
+) -> Result<Joined> {
+    let mut copier = GroupCopier::create(out, header)?;
+    let (mut names, mut joined) = (Names::default(), Joined::default());
+    for input in inputs {
+        let Named { path, stream } = input?;
+        if header.joined(*stream.header()) != *header {
+            let what = "changed while it was read; try again".to_owned();
+            return Err(Error::Input { path, what });
+        }
+        names.paths.push(path.clone());
+        for job in StreamedGroups::new(stream, FrameRange::default()) {
+            let job = job.and_then(|job| names.check(&job).map(|()| job)).map_err(|e| e.at(&path))?;
+            joined.frames += job.group.frames.len() as u64;
+            copier.write(job)?;
+        }
+        joined.streams += 1;
+    }
+    joined.stream_bytes = copier.finish()?;
+    Ok(joined)
+}
+
+/// The names of the frames so far.
+#[derive(Default)]
+struct Names {
+    /// The streams.
+    paths: Vec<PathBuf>,
+    /// Where each name is: the place of its stream, and the frame's number there.
+    places: HashMap<String, (usize, u64)>,
+}
+
+impl Names {
+    /// Adds the names of a group of the last stream, if they are new.
+    fn check(&mut self, job: &GroupJob) -> Result<()> {
+        let stream = self.paths.len() - 1;
+        for (number, frame) in (job.first_frame..).zip(&job.group.frames) {
+            match self.places.entry(frame.header.name.clone()) {
+                Entry::Vacant(free) => drop(free.insert((stream, number))),
+                Entry::Occupied(taken) => {
+                    let (other, first) = *taken.get();
+                    let (name, other) = (&frame.header.name, self.paths[other].display());
+                    let what = format!(
+                        "frame {number} ({name:?}) has the same name as frame {first} of {other}; \
+                         leave one out by `lidarpc cut`, or keep the streams apart"
+                    );
+                    return Err(Error::InvalidConfig(what));
+                }
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,106 @@
+//! A range of a stream's frames as a stream of its own. Groups are copied as they are, and so is the
+//! beginning of a group; frames after a cut inside their group are coded again.
+
+use std::io::{Read, Seek, Write};
+use std::path::Path;
+
+use super::copier::{GroupCopier, Named};
+use super::recode::recode_from;
+use crate::ground::error::{Limits, Result};
+use crate::stream::container::{IndexedReader, StreamHeader, StreamReader};
+use crate::stream::options::FrameRange;
+use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
+
+/// What was cut out of a stream.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Cut {
+    /// Frames that were copied as they are.
+    pub copied: u64,
+    /// Frames that were coded again.
+    pub recoded: u64,
+    /// Bytes of the new stream.
+    pub stream_bytes: u64,
+}
+
+/// Cuts a range of frames out of a stream that is read front to back, as from a pipe; all of it is read
+/// and checked. The frames decode to the same files as before. Those that must be coded again are so by
+/// general-purpose back-ends at their default effort.
+///
+/// # Errors
+/// Naming the input: if it fails or is damaged anywhere, goes over the limits, or does not hold these
+/// frames, or if a frame that must be coded again does not decode to what was encoded. Without a name: if
+/// the output fails. What was written by then is no whole stream.
+pub fn cut(input: Named<impl Read>, frames: FrameRange, limits: &Limits, out: impl Write) -> Result<Cut> {
+    let Named { path, stream } = input;
+    let reader = StreamReader::open(stream, *limits).map_err(|e| e.at(&path))?;
+    let mut cutter = Cutter::create(out, reader.header(), frames, limits)?;
+    let mut groups = StreamedGroups::new(reader, frames);
+    cutter.write_groups(&mut groups, &path)?;
+    frames.check(groups.frame_count()).map_err(|e| e.at(&path))?;
+    cutter.finish()
+}
+
+/// As [`cut`], but reads only the groups that hold the frames asked for.
+///
+/// # Errors
+/// As [`cut`]; damage elsewhere in the stream goes unseen.
+pub fn cut_indexed(
+    input: Named<impl Read + Seek>,
+    frames: FrameRange,
+    limits: &Limits,
+    out: impl Write,
+) -> Result<Cut> {
+    let Named { path, stream } = input;
+    let reader = IndexedReader::open(stream, *limits).map_err(|e| e.at(&path))?;
+    frames.check(reader.index().frame_count()).map_err(|e| e.at(&path))?;
+    let mut cutter = Cutter::create(out, reader.header(), frames, limits)?;
+    cutter.write_groups(&mut IndexedGroups::new(reader, frames), &path)?;
+    cutter.finish()
+}
+
+/// Writes the groups that a range of frames leaves.
+struct Cutter<'l, W> {
+    copier: GroupCopier<W>,
+    frames: FrameRange,
+    limits: &'l Limits,
+    done: Cut,
+}
+
+impl<'l, W: Write> Cutter<'l, W> {
+    fn create(out: W, header: &StreamHeader, frames: FrameRange, limits: &'l Limits) -> Result<Self> {
+        let copier = GroupCopier::create(out, header)?;
+        Ok(Cutter { copier, frames, limits, done: Cut::default() })
+    }
+
+    fn write_groups(
+        &mut self,
+        groups: &mut impl Iterator<Item = Result<GroupJob>>,
+        path: &Path,
+    ) -> Result<()> {
+        for group in groups {
+            let group = group.and_then(|group| self.cut_group(group)).map_err(|e| e.at(path))?;
+            self.copier.write(group)?;
+        }
+        Ok(())
+    }
+
+    /// Takes off the frames that are not wanted. At the end of a group they simply go: no frame depends on
+    /// one after it.
+    fn cut_group(&mut self, mut job: GroupJob) -> Result<GroupJob> {
+        if let Some(end) = self.frames.end {
+            let wanted = end.saturating_sub(job.first_frame);
+            job.group.frames.truncate(usize::try_from(wanted).unwrap_or(usize::MAX));
+        }
+        if job.first_frame < self.frames.start {
+            recode_from(self.frames.start, &mut job, self.limits)?;
+            self.done.recoded += job.group.frames.len() as u64;
+        } else {
+            self.done.copied += job.group.frames.len() as u64;
+        }
+        Ok(job)
+    }
+
+    fn finish(self) -> Result<Cut> {
+        Ok(Cut { stream_bytes: self.copier.finish()?, ..self.done })
+    }
+}

@@ -1,0 +1,16 @@
+//! What is done to streams that are there: groups are copied from one to another, and coded anew only where they
+//! must be.
+
+pub mod cat;
+pub mod cut;
+pub mod recover;
+pub mod resume;
+
+mod copier;
+mod recode;
+
+pub use cat::{Joined, cat};
+pub use copier::Named;
+pub use cut::{Cut, cut, cut_indexed};
+pub use recover::{Recovered, recover, repair};
+pub use resume::{PartialFiles, encode_resuming};

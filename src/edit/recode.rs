@@ -1,0 +1,71 @@
+//! The end of a group as a group of its own. Frames of a group depend on those before them, so what comes
+//! after a cut is coded again. It is the decoded [`Frame`] that is: the integers of its sections, not the
+//! points that they stand for, so lossy frames lose nothing either. What an image coder made of ranges is
+//! written again as it is.
+
+use crate::frame::frame::Frame;
+use crate::frame::parameters::Prediction;
+use crate::frame::sections::{Effort, SectionReader, SectionWriter};
+use crate::frame::steps::StepReport;
+use crate::frame::syntax::Models;
+use crate::ground::error::{Limits, Result};
+use crate::scanner::SensorModel;
+use crate::stream::container;
+use crate::stream::decoder::{part_name, write_checked};
+use crate::stream::source::GroupJob;
+
+/// Decodes a group, and codes its frames from number `start` of the sequence on as a new group of the same
+/// sensor model. Headers of the frames stay as they are, and so do their parameters, but for those of a
+/// frame that has lost what it was predicted from, and for bins: decoded ranges are coded as they are.
+///
+/// # Errors
+/// If a frame does not decode, is over the limits, or is not the file that its header tells of; or if a
+/// back-end's library fails.
+pub(crate) fn recode_from(start: u64, job: &mut GroupJob, limits: &Limits) -> Result<()> {
+    let frames = std::mem::take(&mut job.group.frames);
+    let sensor = job.sensor.as_deref().map(|sensor| &sensor.model);
+    let mut recoder = Recoder { sensor, limits, old: Models::default(), new: None };
+    let mut recoded = Vec::new();
+    for (number, frame) in (job.first_frame..).zip(frames) {
+        let part = part_name(number, &frame.header.name);
+        recoded.extend(recoder.recode(frame, number >= start).map_err(|e| e.within(&part))?);
+    }
+    (job.group.frames, job.first_frame) = (recoded, start);
+    Ok(())
+}
+
+/// Decodes a group's frames by one set of models, and codes them by another.
+struct Recoder<'a> {
+    sensor: Option<&'a SensorModel>,
+    limits: &'a Limits,
+    /// What the frames of the old group have taught.
+    old: Models,
+    /// What those of the new group have; `None` before its first.
+    new: Option<Models>,
+}
+
+impl Recoder<'_> {
+    /// Decodes the next frame; codes it if `wanted` (the frames before it are needed for their sake).
+    fn recode(&mut self, coded: container::Frame, wanted: bool) -> Result<Option<container::Frame>> {
+        let container::Frame { header, sections } = coded;
+        let mut steps = StepReport::default();
+        let mut frame = Frame::of_records(header.point_count as usize);
+        let mut reader = SectionReader::new(&sections, self.limits);
+        self.old.code_frame(&mut reader, self.sensor, &mut frame, &mut steps)?;
+        reader.finish()?;
+        if !wanted {
+            return Ok(None);
+        }
+        let models = self.new.get_or_insert_default();
+        if models.past().is_none() && frame.parameters.prediction == Prediction::Inter {
+            // The frame that it was predicted from is not in the new group.
+            frame.predict_from_nothing();
+            frame.leave_image();
+        }
+        frame.parameters.range_coder = frame.parameters.range_coder.of_decoded();
+        let mut writer = SectionWriter::new(Effort::default());
+        let returns = models.code_frame(&mut writer, self.sensor, &mut frame, &mut steps)?;
+        write_checked(&frame.into_scan(&header.name, &returns)?, &header, |_| Ok(()))?;
+        Ok(Some(container::Frame { header, sections: writer.sections }))
+    }
+}

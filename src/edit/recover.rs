@@ -1,0 +1,152 @@
+//! What is intact of a damaged stream: its frames, or a new stream of its groups.
+
+use std::collections::HashMap;
+use std::io::{Read, Seek, Write};
+use std::ops::Range;
+use std::sync::Arc;
+
+use super::copier::{GroupCopier, Named};
+use crate::frame::settings::resolve_threads;
+use crate::ground::error::{Limits, Result};
+use crate::stream::container::{Lost, SalvageReader, Salvaged};
+use crate::stream::decoder::{DecodedFrame, decode_group};
+use crate::stream::options::{DecodeOptions, FrameRange};
+use crate::stream::ordered::run_ordered;
+use crate::stream::source::{GroupJob, StoredSensor};
+
+/// What becomes of a part of a damaged stream.
+#[derive(Clone, Debug)]
+pub enum Recovered {
+    /// A frame that was decoded and is the file that was encoded.
+    Frame(Box<DecodedFrame>),
+    /// A part that is lost.
+    Lost(Lost),
+}
+
+/// Decodes all groups of a damaged stream that are intact, and hands frames and losses to `sink`, in order.
+/// A group is lost if its record is damaged or missing, or the sensor model that it needs. Frames keep
+/// their numbers as far as an intact index tells them; else they are those of the frames found. Of a stream
+/// without damage nothing is lost.
+///
+/// # Errors
+/// If the input fails, holds no record at all or was written by a newer program, or if the sink fails.
+pub fn recover(
+    input: impl Read + Seek + Send,
+    options: &DecodeOptions,
+    mut sink: impl FnMut(Recovered) -> Result<()>,
+) -> Result<()> {
+    let groups = RecoveredGroups::open(input, &options.limits, options.frames)?;
+    let work = |part| {
+        Ok(match part {
+            Part::Lost(lost) => vec![Recovered::Lost(lost)],
+            Part::Group(bytes, job) => {
+                let lost = lost_group(bytes, &job, String::new());
+                match decode_group(job, options, DecodedFrame::checked) {
+                    Ok(frames) => frames.into_iter().map(|f| Recovered::Frame(Box::new(f))).collect(),
+                    Err(error) => vec![Recovered::Lost(Lost { why: error.to_string(), ..lost })],
+                }
+            }
+        })
+    };
+    let deliver = |parts: Vec<Recovered>| parts.into_iter().try_for_each(&mut sink);
+    run_ordered(resolve_threads(options.threads), groups, work, deliver)
+}
+
+/// Copies all intact groups of a damaged stream into a new one; returns how many frames that has. Groups
+/// are not decoded. `on_lost` hears what is lost.
+///
+/// # Errors
+/// Naming the input: if it fails, holds no record at all or was written by a newer program. Without a name:
+/// if the output fails.
+pub fn repair(
+    input: Named<impl Read + Seek>,
+    limits: &Limits,
+    out: impl Write,
+    mut on_lost: impl FnMut(Lost),
+) -> Result<u64> {
+    let Named { path, stream } = input;
+    let groups = RecoveredGroups::open(stream, limits, FrameRange::default()).map_err(|e| e.at(&path))?;
+    let mut copier = GroupCopier::create(out, groups.reader.header())?;
+    let mut frames = 0;
+    for part in groups {
+        match part.map_err(|e| e.at(&path))? {
+            Part::Lost(lost) => on_lost(lost),
+            Part::Group(_, job) => {
+                frames += job.group.frames.len() as u64;
+                copier.write(job)?;
+            }
+        }
+    }
+    copier.finish()?;
+    Ok(frames)
+}
+
+/// A part of a damaged stream.
+enum Part {
+    /// A group, where it is in the stream, and all that it takes to decode it.
+    Group(Range<u64>, GroupJob),
+    Lost(Lost),
+}
+
+/// The parts of a damaged stream, as far as they hold the frames asked for.
+struct RecoveredGroups<R> {
+    reader: SalvageReader<R>,
+    /// The intact sensor models so far, by their numbers.
+    sensors: HashMap<u64, Arc<StoredSensor>>,
+    range: FrameRange,
+}
+
+impl<R: Read + Seek> RecoveredGroups<R> {
+    fn open(input: R, limits: &Limits, range: FrameRange) -> Result<Self> {
+        let is_sensor_model = |payload: &[u8]| StoredSensor::parse(payload.to_vec()).is_ok();
+        let reader = SalvageReader::open(input, *limits, is_sensor_model)?;
+        Ok(RecoveredGroups { reader, sensors: HashMap::new(), range })
+    }
+
+    fn next_part(&mut self) -> Result<Option<Part>> {
+        while let Some(part) = self.reader.next_part()? {
+            let part = match part {
+                Salvaged::SensorModel(number, record) => {
+                    self.sensors.insert(number, StoredSensor::parse(record)?);
+                    continue;
+                }
+                Salvaged::Lost(lost) => Part::Lost(lost),
+                Salvaged::Group { first_frame, bytes, group } => {
+                    let number = group.sensor_model;
+                    let sensor = self.sensors.get(&number).cloned();
+                    let is_missing = number > 0 && sensor.is_none();
+                    let job = GroupJob { first_frame, sensor, group };
+                    match is_missing {
+                        true => Part::Lost(lost_group(bytes, &job, format!("sensor model {number} is lost"))),
+                        false => Part::Group(bytes, job),
+                    }
+                }
+            };
+            let frames = match &part {
+                Part::Group(_, job) => Some((job.first_frame, job.group.frames.len() as u64)),
+                Part::Lost(lost) => {
+                    lost.frames.as_ref().map(|frames| (frames.start, frames.end - frames.start))
+                }
+            };
+            if self.range.is_all() || frames.is_none_or(|(first, count)| self.range.overlaps(first, count)) {
+                return Ok(Some(part));
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl<R: Read + Seek> Iterator for RecoveredGroups<R> {
+    type Item = Result<Part>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.next_part().transpose()
+    }
+}
+
+/// The loss of a whole group.
+fn lost_group(bytes: Range<u64>, job: &GroupJob, why: String) -> Lost {
+    let frames = Some(job.first_frame..job.first_frame + job.group.frames.len() as u64);
+    let names = job.group.frames.iter().map(|frame| frame.header.name.clone()).collect();
+    Lost { bytes, frames, names, why }
+}

@@ -1,0 +1,163 @@
+//! Going on with an encode that was interrupted, so that the same stream comes of it.
+//!
+//! A group depends on nothing but the program, its settings, the sensor model and the group's files. So the
+//! groups of a partial stream are taken as they are if all of these are what they were: a *journal* beside
+//! the stream tells the program and the settings, and of all files in the stream their names, sizes and
+//! checksums (those in frame headers are of what is decoded, which in a mode with loss is something else).
+//! The files are read and compared, and the sensor model is fitted again. The journal also tells the groups
+//! themselves by a checksum, so it speaks of this stream only, and of nothing that a killed program or a
+//! power cut left half-written.
+
+mod fingerprint;
+mod journal;
+mod kept;
+mod settings;
+
+use std::borrow::Cow;
+use std::fs::File;
+use std::io::{BufWriter, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use fingerprint::fingerprint;
+use journal::{Entry, InputFile, Journal, JournalWriter};
+use kept::Kept;
+use settings::Settings;
+
+use crate::frame::settings::{EncoderConfig, resolve_threads};
+use crate::ground::error::{Error, Result};
+use crate::scanner::SensorModel;
+use crate::stream::encoded::{Encoded, OpenStream};
+use crate::stream::encoder::{SequenceCoder, groups_of};
+use crate::stream::input::FrameInput;
+use crate::stream::ordered::run_ordered;
+use crate::stream::scanner_choice::choose_sensor;
+
+/// What to do about a partial stream that cannot be gone on with.
+const ADVICE: &str = "delete it to start anew, or encode without --resume";
+
+/// The files of an encode that may be interrupted.
+#[derive(Debug)]
+pub struct PartialFiles {
+    /// What errors call the partial stream.
+    pub path: PathBuf,
+    /// The stream, as far as it is written; open for reading and writing, empty at first.
+    pub stream: File,
+    /// The file that says what it was made from; there is none at first.
+    pub journal: PathBuf,
+}
+
+/// As [`encode`](crate::stream::encode()), into files from which it goes on if it was interrupted before: groups that
+/// are in them already are kept. The stream is then the same as that of an encode without interruption, byte
+/// for byte. For frames that are kept, `on_frame` is called as their files have been compared.
+///
+/// # Errors
+/// As [`encode`](crate::stream::encode()); also if the files are not those of an encode, or of an encode with other
+/// settings or other frames. They are then as they were.
+pub fn encode_resuming(
+    frames: &[FrameInput],
+    config: &EncoderConfig,
+    partial: PartialFiles,
+    on_frame: &(dyn Fn() + Sync),
+) -> Result<Encoded> {
+    config.check()?;
+    let settings = settings::list(config, frames.len());
+    let kept = find_kept(&partial)?;
+    if !kept.entries.is_empty() {
+        if let Some(what) = settings::difference(&kept.settings, &settings) {
+            return Err(refuse(&partial.path, format!("was begun with other settings ({what})")));
+        }
+        compare_inputs(&kept, frames, config, &partial.path, on_frame)?;
+    }
+    let sensor = choose_sensor(frames, config)?;
+    let record = sensor.as_ref().map(SensorModel::to_record);
+    if !kept.entries.is_empty() && !kept.sensors.iter().eq(&record) {
+        let what = "was begun with another sensor model, so scans that it was fitted to were changed";
+        return Err(refuse(&partial.path, what));
+    }
+
+    let rest = groups_of(frames, config).skip(kept.entries.len());
+    let (mut stream, mut journal) = open(&partial, kept, settings, sensor.as_ref())?;
+    let coder = SequenceCoder::new(sensor.as_ref(), stream.sensor_number(), config, on_frame);
+    coder.run(rest, |groups| {
+        stream.write(&groups)?;
+        journal.write(&Entry {
+            files: groups.iter().flat_map(|group| &group.originals).map(InputFile::of).collect(),
+            stream_end: stream.position(),
+            fingerprint: fingerprint(groups.iter().map(|group| &group.group)),
+        })
+    })?;
+    stream.finish()
+}
+
+/// Opens the files to be written from where what is kept ends; from the start, if that is nothing.
+fn open<'p>(
+    partial: &'p PartialFiles,
+    kept: Kept,
+    settings: Settings,
+    sensor: Option<&SensorModel>,
+) -> Result<(OpenStream<BufWriter<&'p File>>, JournalWriter)> {
+    let mut stream = &partial.stream;
+    stream.set_len(kept.stream_end)?;
+    stream.seek(SeekFrom::Start(kept.stream_end))?;
+    let out = BufWriter::new(stream);
+    Ok(if kept.entries.is_empty() {
+        // The journal first: no stream is to be without.
+        let journal = JournalWriter::begin(&partial.journal, settings)?;
+        (OpenStream::begin(out, sensor)?, journal)
+    } else {
+        let journal = JournalWriter::resume(&partial.journal, kept.journal_end)?;
+        (OpenStream::resume(out, kept.index, kept.encoded), journal)
+    })
+}
+
+/// What is intact of the files; nothing if they are new.
+fn find_kept(partial: &PartialFiles) -> Result<Kept> {
+    match Journal::read(&partial.journal)? {
+        Some(journal) => Kept::find(&partial.stream, journal),
+        None if partial.stream.metadata()?.len() == 0 => Ok(Kept::default()),
+        None => Err(refuse(&partial.path, "has no journal that says what it was made from")),
+    }
+}
+
+/// An error if these are not the files that the kept groups were made of.
+fn compare_inputs(
+    kept: &Kept,
+    frames: &[FrameInput],
+    config: &EncoderConfig,
+    partial: &Path,
+    on_frame: &(dyn Fn() + Sync),
+) -> Result<()> {
+    if kept.encoded.frames.len() > frames.len() {
+        return Err(refuse(partial, "was begun with more frames"));
+    }
+    let pairs = kept.entries.iter().zip(groups_of(frames, config));
+    let pairs = pairs.map(|(entry, inputs)| Ok((entry, inputs?)));
+    let compare = |(entry, inputs): (&Entry, Cow<'_, [FrameInput]>)| {
+        if entry.files.len() != inputs.len() {
+            return Err(refuse(partial, "was begun with other frames"));
+        }
+        for (file, input) in entry.files.iter().zip(&*inputs) {
+            let name = input.name()?;
+            if file.name != name {
+                let what = format!("was begun with other frames ({:?}, now {name:?})", file.name);
+                return Err(refuse(partial, what));
+            }
+            if *file != InputFile::new(name, &input.read()?) {
+                let partial = partial.display();
+                let what = format!(
+                    "was changed after {partial} was begun with it; delete that to start anew, or encode \
+                     without --resume"
+                );
+                return Err(Error::Input { path: input.path(), what });
+            }
+            on_frame();
+        }
+        Ok(())
+    };
+    run_ordered(resolve_threads(config.threads), pairs, compare, Ok)
+}
+
+/// An error about a partial stream.
+fn refuse(partial: &Path, what: impl std::fmt::Display) -> Error {
+    Error::Input { path: partial.to_path_buf(), what: format!("{what}; {ADVICE}") }
+}

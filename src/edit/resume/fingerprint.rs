@@ -1,0 +1,45 @@
+//! Tells the groups of a stream from others of the same length.
+
+use crate::stream::container::{Frame, Group};
+
+/// A checksum over the checksums of all that is in the groups. One over the bytes of the stream would not do:
+/// each section ends in its own CRC-32C, and a CRC over such bytes is the same whatever they are.
+pub fn fingerprint<'g>(groups: impl IntoIterator<Item = &'g Group>) -> u32 {
+    let mut parts = Vec::new();
+    for group in groups {
+        parts.extend(group.sensor_model.to_le_bytes());
+        for Frame { header, sections } in &group.frames {
+            Frame { header: header.clone(), sections: Vec::new() }.write_to(&mut parts);
+            for section in sections {
+                parts.push(section.kind as u8);
+                parts.extend(crc32c::crc32c(&section.payload).to_le_bytes());
+            }
+        }
+    }
+    crc32c::crc32c(&parts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::container::{FrameHeader, Section, SectionKind};
+
+    #[test]
+    fn groups_of_the_same_length_differ() {
+        let group = |name: &str, byte, kind, sensor_model| {
+            let sections = vec![Section { kind, payload: vec![byte; 9] }];
+            Group { sensor_model, frames: vec![Frame { header: FrameHeader::of(name, b"", 0), sections }] }
+        };
+        let groups = [
+            group("1", 1, SectionKind::Range, 1),
+            group("2", 1, SectionKind::Range, 1),
+            group("1", 2, SectionKind::Range, 1),
+            group("1", 1, SectionKind::Points, 1),
+            group("1", 1, SectionKind::Range, 0),
+        ];
+        for (place, one) in groups.iter().enumerate() {
+            let same = groups.iter().filter(|other| fingerprint([*other]) == fingerprint([one])).count();
+            assert_eq!(same, 1, "{place}");
+        }
+    }
+}

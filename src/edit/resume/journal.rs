@@ -1,0 +1,124 @@
+//! The journal of an encode: what the stream was made from. Text, a JSON value a line: the settings, then,
+//! when a group is in the stream, the files that it was made of.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, ErrorKind, Seek, SeekFrom, Write};
+use std::path::Path;
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::settings::Settings;
+use crate::ground::error::{Error, Result};
+use crate::stream::container::FrameHeader;
+
+/// The first line.
+#[derive(Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct Head {
+    settings: Settings,
+}
+
+/// Another line: files that were coded together, and the stream after that.
+#[derive(Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Entry {
+    /// In order.
+    pub files: Vec<InputFile>,
+    /// Bytes of the stream up to the end of their groups.
+    pub stream_end: u64,
+    /// That of their groups.
+    pub fingerprint: u32,
+}
+
+/// A file as it was encoded, before anything is lost of it.
+#[derive(Debug, Deserialize, PartialEq, Eq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct InputFile {
+    pub name: String,
+    /// In bytes.
+    pub size: u64,
+    /// CRC-32C of its bytes.
+    pub crc: u32,
+}
+
+impl InputFile {
+    pub fn new(name: &str, bytes: &[u8]) -> Self {
+        Self::of(&FrameHeader::of(name, bytes, 0))
+    }
+
+    pub fn of(header: &FrameHeader) -> Self {
+        InputFile { name: header.name.clone(), size: header.file_size, crc: header.file_crc }
+    }
+}
+
+/// What a journal tells, as far as its lines are whole.
+#[derive(Debug)]
+pub struct Journal {
+    pub settings: Settings,
+    /// The lines after the first, each with where it ends, in bytes from the start.
+    pub entries: Vec<(Entry, u64)>,
+}
+
+impl Journal {
+    /// Reads a journal; `None` if it is missing, or even its first line is.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub fn read(path: &Path) -> Result<Option<Self>> {
+        let file = match File::open(path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+            file => file.map_err(|e| Error::from(e).at(path))?,
+        };
+        let (mut input, mut end) = (BufReader::new(file), 0);
+        let Some(Head { settings }) = read_line(&mut input, &mut end)? else { return Ok(None) };
+        let mut entries = Vec::new();
+        while let Some(entry) = read_line(&mut input, &mut end)? {
+            entries.push((entry, end));
+        }
+        Ok(Some(Journal { settings, entries }))
+    }
+}
+
+/// Reads a line that ends at `end` then; `None` if there is none, or half of one.
+fn read_line<T: DeserializeOwned>(input: &mut impl BufRead, end: &mut u64) -> Result<Option<T>> {
+    let mut line = Vec::new();
+    *end += input.read_until(b'\n', &mut line)? as u64;
+    Ok(line.strip_suffix(b"\n").and_then(|line| serde_json::from_slice(line).ok()))
+}
+
+/// Writes a journal.
+#[derive(Debug)]
+pub struct JournalWriter(File);
+
+impl JournalWriter {
+    /// Makes a new one with its first line. That is on the disk then: a stream must not outlive its journal.
+    ///
+    /// # Errors
+    /// This and all other functions: if writing fails.
+    pub fn begin(path: &Path, settings: Settings) -> Result<Self> {
+        let mut writer = JournalWriter(File::create(path).map_err(|e| Error::from(e).at(path))?);
+        writer.write_line(&Head { settings })?;
+        writer.0.sync_all()?;
+        Ok(writer)
+    }
+
+    /// Goes on after so many bytes.
+    pub fn resume(path: &Path, end: u64) -> Result<Self> {
+        let mut file = File::options().write(true).open(path).map_err(|e| Error::from(e).at(path))?;
+        file.set_len(end)?;
+        file.seek(SeekFrom::End(0))?;
+        Ok(JournalWriter(file))
+    }
+
+    /// Writes a line about files whose groups were written.
+    pub fn write(&mut self, entry: &Entry) -> Result<()> {
+        self.write_line(entry)
+    }
+
+    fn write_line(&mut self, value: &impl Serialize) -> Result<()> {
+        let mut line = serde_json::to_vec(value).map_err(io::Error::from)?;
+        line.push(b'\n');
+        Ok(self.0.write_all(&line)?)
+    }
+}

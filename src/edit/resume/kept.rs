@@ -1,0 +1,116 @@
+//! What is intact of a partial stream.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Seek};
+
+use super::fingerprint::fingerprint;
+use super::journal::{Entry, Journal};
+use super::settings::Settings;
+use crate::frame::parameters::FrameParameters;
+use crate::frame::steps::StepReport;
+use crate::ground::error::{Error, Limits, Result};
+use crate::stream::container::{Frame, Index, Record, StreamHeader, StreamReader};
+use crate::stream::encoded::{Encoded, FrameOfStream};
+
+/// The beginning of a partial stream, as far as it is whole and the journal tells what it was made from.
+#[derive(Default)]
+pub struct Kept {
+    /// Settings that it was made by.
+    pub settings: Settings,
+    /// What the journal tells of its groups; none if nothing is kept.
+    pub entries: Vec<Entry>,
+    /// The payloads of its sensor models' records.
+    pub sensors: Vec<Vec<u8>>,
+    /// Where its records are.
+    pub index: Index,
+    /// What is in it.
+    pub encoded: Encoded,
+    /// Its length in bytes.
+    pub stream_end: u64,
+    /// Bytes of the journal that tell of it.
+    pub journal_end: u64,
+}
+
+impl Kept {
+    /// Reads a stream up to the first byte that is not as the journal says. Damage is no error, there only
+    /// is less to keep.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub fn find(mut stream: &File, journal: Journal) -> Result<Self> {
+        stream.rewind()?;
+        let mut kept = Kept { settings: journal.settings, ..Kept::default() };
+        let reader = StreamReader::open(BufReader::new(stream), Limits::default());
+        let Some(mut reader) = intact(reader)? else { return Ok(kept) };
+        if *reader.header() != StreamHeader::default() {
+            return Ok(kept);
+        }
+        let mut groups = 0;
+        for (entry, journal_end) in journal.entries {
+            let Some(part) = intact(Part::read(&mut reader, &entry))? else { break };
+            groups += part.groups;
+            kept.sensors.extend(part.sensors);
+            part.frames.into_iter().for_each(|frame| kept.encoded.add(frame));
+            (kept.stream_end, kept.journal_end) = (entry.stream_end, journal_end);
+            kept.entries.push(entry);
+        }
+        kept.encoded.resumed_frames = kept.encoded.frames.len() as u64;
+        // What was read after that is not kept.
+        kept.index = reader.index().clone();
+        kept.index.groups.truncate(groups);
+        kept.index.sensor_models.truncate(kept.sensors.len());
+        Ok(kept)
+    }
+}
+
+/// What an entry of the journal is about.
+struct Part {
+    sensors: Vec<Vec<u8>>,
+    groups: usize,
+    frames: Vec<FrameOfStream>,
+}
+
+impl Part {
+    /// Reads the next part of a stream; an error if it is not what the journal tells.
+    fn read(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Self> {
+        let (mut sensors, mut groups) = (Vec::new(), Vec::new());
+        while reader.position() < entry.stream_end {
+            match reader.next_record()? {
+                Some(Record::SensorModel(record)) => sensors.push(record),
+                Some(Record::Group(group)) => groups.push(group),
+                None => break,
+            }
+        }
+        let frames = || groups.iter().flat_map(|group| &group.frames);
+        let is_same = reader.position() == entry.stream_end
+            && fingerprint(&groups) == entry.fingerprint
+            && frames().map(|frame| &frame.header.name).eq(entry.files.iter().map(|file| &file.name));
+        if !is_same {
+            return Err(Error::corrupt("it is not what the journal tells"));
+        }
+        let frames = frames().map(FrameOfStream::kept).collect::<Result<_>>()?;
+        Ok(Part { sensors, groups: groups.len(), frames })
+    }
+}
+
+impl FrameOfStream {
+    fn kept(frame: &Frame) -> Result<Self> {
+        // The file that it was made from, if that is another than the one that it decodes to.
+        let (original, points) = match FrameParameters::of(frame)?.source {
+            Some(source) => (source.file_size, source.points),
+            None => (frame.header.file_size, frame.header.point_count),
+        };
+        let mut steps = StepReport { frames: 1, original, ..StepReport::default() };
+        steps.count_sections(&frame.sections);
+        Ok(FrameOfStream { header: frame.header.clone(), steps, points })
+    }
+}
+
+/// A result of the stream's bytes; `None` if they are damaged.
+fn intact<T>(result: Result<T>) -> Result<Option<T>> {
+    match result {
+        Ok(value) => Ok(Some(value)),
+        Err(error @ Error::Io(_)) => Err(error),
+        Err(_) => Ok(None),
+    }
+}

@@ -1,0 +1,84 @@
+//! All that a stream depends on but the files' bytes and order, as text to be compared.
+
+use crate::frame::settings::EncoderConfig;
+
+/// Names and values, in the order in which they are compared.
+pub type Settings = Vec<(String, String)>;
+
+/// The settings of this program: its version, and all choices but the number of threads, which changes
+/// nothing. The number of frames is among them, for the sensor model is fitted to a sample of them all.
+pub fn list(config: &EncoderConfig, frames: usize) -> Settings {
+    // Every field by its name, so that none that comes new is forgotten here.
+    let EncoderConfig {
+        gop,
+        threads: _,
+        outliers,
+        headerless,
+        projection,
+        positions,
+        intensity,
+        prediction,
+        order,
+        registration,
+        snake,
+        segmentation,
+        intra,
+        coder,
+        level,
+        packing,
+        image,
+    } = config;
+    let settings = [
+        ("lidarpc", env!("CARGO_PKG_VERSION").to_owned()),
+        ("frames", frames.to_string()),
+        ("gop", gop.to_string()),
+        ("positions", format!("{positions:?}")),
+        ("intensity", format!("{intensity:?}")),
+        ("projection", format!("{projection:?}")),
+        ("layout", format!("{headerless:?}")),
+        ("outliers", format!("{outliers:?}")),
+        ("backend", format!("{coder:?}")),
+        ("level", format!("{level:?}")),
+        ("packing", format!("{packing:?}")),
+        ("snake", format!("{snake:?}")),
+        ("image", format!("{image:?}")),
+        ("predict", format!("{prediction:?}")),
+        ("order", format!("{order:?}")),
+        ("registration", format!("{registration:?}")),
+        ("segmentation", format!("{segmentation:?}")),
+        ("regions", format!("{intra:?}")),
+    ];
+    settings.map(|(name, value)| (name.to_owned(), value)).into()
+}
+
+/// What differs first, if anything does.
+pub fn difference(before: &Settings, now: &Settings) -> Option<String> {
+    let differs = before.iter().zip(now).find(|(before, now)| before != now);
+    match differs {
+        Some(((name, before), (other, now))) if name == other => Some(format!("{name}: {before}, now {now}")),
+        None if before.len() == now.len() => None,
+        _ => Some("of another program".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::settings::Mode;
+
+    #[test]
+    fn what_differs_is_named_and_threads_do_not() {
+        let exact = EncoderConfig::default();
+        let before = list(&exact, 3);
+        assert_eq!(difference(&before, &list(&EncoderConfig { threads: 7, ..exact.clone() }, 3)), None);
+        assert_eq!(difference(&before, &list(&exact, 4)).unwrap(), "frames: 3, now 4");
+        assert_eq!(
+            difference(&before, &list(&EncoderConfig { gop: 2, ..exact }, 3)).unwrap(),
+            "gop: 10, now 2"
+        );
+        let bounded = |max_error_um| list(&EncoderConfig::preset(Mode::Bounded { max_error_um }), 3);
+        let what = difference(&bounded(10_000), &bounded(10_001)).unwrap();
+        assert!(what.contains("10000") && what.contains("10001"), "{what}");
+        assert!(difference(&before[..5].to_vec(), &before).is_some());
+    }
+}

@@ -1,0 +1,156 @@
+//! Frames as they arrive: in a tar archive, or each behind a line that tells its name and size.
+
+use std::collections::HashSet;
+use std::io::{BufReader, Chain, Cursor, Read};
+use std::path::PathBuf;
+
+use super::Kind;
+use super::tar::TarReader;
+use crate::ground::error::{Error, Limits, Result};
+
+/// The longest line before a frame, in bytes: a name, a space, and a number.
+const MAX_LINE: usize = 300;
+
+/// A file that arrived.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ArrivedFile {
+    /// Its name, without a folder.
+    pub name: String,
+    /// Its bytes.
+    pub bytes: Vec<u8>,
+}
+
+/// Reads frames as they arrive, none farther than it must. What they come in is told by the first bytes: a
+/// line ends with a line feed, and a tar archive has a zero byte before any.
+pub struct ArrivingFrames<R> {
+    source: Source<R>,
+    /// The names so far: no decoder could write two files of one name.
+    names: HashSet<String>,
+    /// Files of the archive that are not scans.
+    left_out: u64,
+}
+
+/// The input, with what was read of it to see what it is.
+type Whole<R> = Chain<Cursor<Vec<u8>>, BufReader<R>>;
+
+enum Source<R> {
+    /// Nothing was read yet.
+    New(BufReader<R>),
+    Lines(Whole<R>),
+    Tar(TarReader<Whole<R>>),
+    /// After the last frame, or an error.
+    Ended,
+}
+
+impl<R: Read> ArrivingFrames<R> {
+    /// From the first byte on.
+    pub fn new(input: R) -> Self {
+        ArrivingFrames { source: Source::New(BufReader::new(input)), names: HashSet::new(), left_out: 0 }
+    }
+
+    /// The next frame; `None` after the last. Files of an archive that are hidden or not known as scans are
+    /// passed over, as those of a folder are.
+    fn next_file(&mut self) -> Result<Option<ArrivedFile>> {
+        if matches!(self.source, Source::New(_)) {
+            self.source = detect(std::mem::replace(&mut self.source, Source::Ended))?;
+        }
+        let file = match &mut self.source {
+            Source::Lines(input) => next_of_lines(input)?,
+            Source::Tar(archive) => loop {
+                match archive.next_file()? {
+                    Some(file) if file.name.starts_with('.') || Kind::of(&file.name).is_none() => {
+                        self.left_out += 1;
+                    }
+                    file => break file,
+                }
+            },
+            Source::New(_) | Source::Ended => None,
+        };
+        let Some(file) = file else { return self.end() };
+        if !self.names.insert(file.name.clone()) {
+            return Err(refuse(&file.name, "arrives a second time; give each frame a name of its own"));
+        }
+        Ok(Some(file))
+    }
+
+    /// An archive without scans is a mistake, as a folder without scans is.
+    fn end(&mut self) -> Result<Option<ArrivedFile>> {
+        if self.names.is_empty() && self.left_out > 0 {
+            let what = format!("holds {} files, but no .bin, .pcd or .ply", self.left_out);
+            return Err(refuse("the archive", what));
+        }
+        Ok(None)
+    }
+}
+
+impl<R: Read> Iterator for ArrivingFrames<R> {
+    type Item = Result<ArrivedFile>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let file = self.next_file().transpose();
+        if !matches!(file, Some(Ok(_))) {
+            self.source = Source::Ended;
+        }
+        file
+    }
+}
+
+fn detect<R: Read>(source: Source<R>) -> Result<Source<R>> {
+    let Source::New(mut input) = source else { return Ok(source) };
+    let mut start = Vec::new();
+    while start.len() < MAX_LINE && input.by_ref().take(1).read_to_end(&mut start)? > 0 {
+        if let Some(0 | b'\n') = start.last() {
+            break;
+        }
+    }
+    let is_tar = start.last() == Some(&0);
+    let whole = Cursor::new(start).chain(input);
+    Ok(if is_tar { Source::Tar(TarReader::new(whole)) } else { Source::Lines(whole) })
+}
+
+/// A line `NAME SIZE`, then as many bytes.
+fn next_of_lines(input: &mut impl Read) -> Result<Option<ArrivedFile>> {
+    let mut line = Vec::new();
+    loop {
+        if input.by_ref().take(1).read_to_end(&mut line)? == 0 {
+            return if line.is_empty() { Ok(None) } else { Err(cut_short("stdin")) };
+        }
+        if line.last() == Some(&b'\n') {
+            break;
+        }
+        if line.len() > MAX_LINE {
+            return Err(no_line(&line));
+        }
+    }
+    let parts = str::from_utf8(&line).ok().and_then(|line| line.trim_end().rsplit_once(' '));
+    let parts = parts.and_then(|(name, size)| Some((name.to_owned(), size.parse().ok()?)));
+    let (name, size) = parts.ok_or_else(|| no_line(&line))?;
+    Ok(Some(ArrivedFile { bytes: read_file(input, &name, size)?, name }))
+}
+
+/// Reads the bytes of a file. Memory grows with what arrives.
+pub(super) fn read_file(input: &mut impl Read, name: &str, size: u64) -> Result<Vec<u8>> {
+    let max = Limits::default().file_bytes;
+    if size > max {
+        return Err(Error::LimitExceeded { what: "bytes of a file".to_owned(), got: size, max }.at(name));
+    }
+    let mut bytes = Vec::new();
+    if input.by_ref().take(size).read_to_end(&mut bytes)? as u64 != size {
+        return Err(cut_short(name));
+    }
+    Ok(bytes)
+}
+
+/// An error about a file, or about what it comes in.
+pub(super) fn refuse(name: &str, what: impl Into<String>) -> Error {
+    Error::Input { path: PathBuf::from(name), what: what.into() }
+}
+
+pub(super) fn cut_short(name: &str) -> Error {
+    refuse(name, "is cut short; send it again")
+}
+
+fn no_line(line: &[u8]) -> Error {
+    let shown = String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned();
+    refuse("stdin", format!("sends {shown:?}, neither a tar archive nor a line of name and size"))
+}

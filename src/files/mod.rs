@@ -1,0 +1,156 @@
+//! Files: scans in memory and back, and the frames of an input.
+//!
+//! [`parse`] takes any file, and [`write`](fn@write) gives the same bytes back. A file of an unknown kind,
+//! or one that could not be given back exactly, is kept as it is. [`convert()`] makes a file of another
+//! format of a scan.
+
+mod arrival;
+mod big_endian;
+mod convert;
+mod field;
+mod headerless;
+mod lzf;
+mod number;
+mod pcd;
+mod pcd_compressed;
+mod ply;
+mod point_count;
+mod records;
+pub mod sequence;
+mod tar;
+mod text_records;
+
+pub use arrival::{ArrivedFile, ArrivingFrames};
+pub use convert::{FileFormat, convert};
+pub use headerless::HeaderlessLayout;
+pub use point_count::with_point_count;
+
+use crate::ground::error::Result;
+use crate::scan::{ScanFile, Wrapping};
+
+/// What the extension of a name says of its file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// `.bin`.
+    Kitti,
+    /// `.pcd.bin`.
+    NuScenes,
+    /// `.pcd`.
+    Pcd,
+    /// `.ply`.
+    Ply,
+}
+
+impl Kind {
+    /// Every kind with its extension; one that ends in another comes first.
+    const ALL: [(Kind, &str); 4] =
+        [(Kind::NuScenes, ".pcd.bin"), (Kind::Kitti, ".bin"), (Kind::Pcd, ".pcd"), (Kind::Ply, ".ply")];
+
+    /// The kind and the name without its extension, in any case of letters; `None` for other names.
+    fn of(name: &str) -> Option<(Kind, &str)> {
+        Kind::ALL.into_iter().find_map(|(kind, extension)| {
+            let (stem, end) = name.split_at_checked(name.len().checked_sub(extension.len())?)?;
+            end.eq_ignore_ascii_case(extension).then_some((kind, stem))
+        })
+    }
+}
+
+/// Takes a file apart into points and the bytes around them, by the extension of its name.
+/// Never fails: what it does not understand is [opaque](ScanFile::opaque).
+/// `write(parse(name, bytes))` is `bytes`, whatever they are.
+pub fn parse(name: &str, bytes: Vec<u8>) -> ScanFile {
+    parse_with(name, bytes, None)
+}
+
+/// As [`parse`], with what the records of files without a header hold; `None`: as KITTI's and nuScenes'
+/// do.
+pub fn parse_with(name: &str, bytes: Vec<u8>, headerless: Option<&HeaderlessLayout>) -> ScanFile {
+    let parsed = Kind::of(name).and_then(|(kind, _)| match (kind, headerless) {
+        (Kind::Kitti | Kind::NuScenes, Some(layout)) => layout.parse(&bytes),
+        (Kind::Kitti, None) => HeaderlessLayout::kitti().parse(&bytes),
+        (Kind::NuScenes, None) => HeaderlessLayout::nuscenes().parse(&bytes),
+        (Kind::Pcd, _) => pcd::parse(&bytes),
+        (Kind::Ply, _) => ply::parse(&bytes),
+    });
+    match parsed.filter(|file| is_plain(file) || comes_back_as(file, &bytes)) {
+        Some(file) => ScanFile { name: name.to_owned(), ..file },
+        None => ScanFile::opaque(name, bytes),
+    }
+}
+
+/// As [`parse`], for a file to be compared with another one, `like`: if that has no header, their records
+/// are the same.
+pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
+    if like.is_opaque() {
+        return ScanFile::opaque(name, bytes);
+    }
+    let same = (is_plain(like) && like.prefix.is_empty())
+        .then(|| records::plain_file(like.layout.clone(), &bytes, 0, u64::MAX))
+        .flatten();
+    match same {
+        Some(file) => ScanFile { name: name.to_owned(), ..file },
+        None => parse(name, bytes),
+    }
+}
+
+/// Plain records come back by construction: all that is done is to move bytes.
+fn is_plain(file: &ScanFile) -> bool {
+    file.layout.wrapping == Wrapping::Plain
+}
+
+/// Compression and text are written anew, so the promise is checked on the file itself.
+fn comes_back_as(file: &ScanFile, bytes: &[u8]) -> bool {
+    file.to_bytes().is_ok_and(|written| written == bytes)
+}
+
+/// Gives the bytes of a file, piece by piece.
+///
+/// # Errors
+/// [`Error::Corrupt`](crate::ground::error::Error::Corrupt) if the points do not match the layout, as a damaged
+/// stream can have it; those of `give`. Some pieces may have been given then.
+pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+    records::check(file)?;
+    give(&file.prefix)?;
+    match &file.layout.wrapping {
+        Wrapping::Plain => records::give(file, &mut give)?,
+        Wrapping::PcdCompressed { fields, lzf } => {
+            give(&pcd_compressed::write(&records::join(file)?, fields, *lzf)?)?;
+        }
+        Wrapping::Text(format) => give(&text_records::write(&records::join(file)?, format)?)?,
+        Wrapping::BigEndian { values } => {
+            let mut body = records::join(file)?;
+            big_endian::swap(&mut body, values);
+            give(&body)?;
+        }
+    }
+    give(&file.suffix)
+}
+
+/// Takes the next bytes of a file.
+pub type Give<'a> = dyn FnMut(&[u8]) -> Result<()> + 'a;
+
+/// All that `write` gives, piece by piece.
+///
+/// # Errors
+/// Those of `write`.
+pub fn collected(write: impl FnOnce(&mut Give<'_>) -> Result<()>) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    write(&mut |piece| {
+        bytes.extend_from_slice(piece);
+        Ok(())
+    })?;
+    Ok(bytes)
+}
+
+impl ScanFile {
+    /// The bytes of the file.
+    ///
+    /// # Errors
+    /// As [`write`](fn@write).
+    pub fn to_bytes(&self) -> Result<Vec<u8>> {
+        collected(|give| write(self, give))
+    }
+}
+
+#[cfg(test)]
+mod tests;

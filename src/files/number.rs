@@ -1,0 +1,346 @@
+//! Numbers as text, by the rules of common writers.
+
+use std::io::Write;
+
+use byteorder::{ByteOrder, LittleEndian};
+
+use crate::ground::error::Result;
+use crate::scan::{Column, MAX_DIGITS, NumberRule, Scalar};
+
+/// `%g` and `repr` write smaller numbers with an exponent.
+const LEAST_PLAIN_EXPONENT: i32 = -4;
+/// `repr` writes numbers from 1e16 on with an exponent.
+const REPR_EXPONENT: i32 = 16;
+
+/// Parses `token` and appends the value's little-endian bytes. `None` if it is no such number.
+/// What is accepted is wider than what is written: whether the text comes back is for the
+/// caller to check.
+pub(super) fn parse(token: &str, scalar: Scalar, out: &mut Vec<u8>) -> Option<()> {
+    match scalar {
+        Scalar::I8 => out.extend(token.parse::<i8>().ok()?.to_le_bytes()),
+        Scalar::U8 => out.extend(token.parse::<u8>().ok()?.to_le_bytes()),
+        Scalar::I16 => out.extend(token.parse::<i16>().ok()?.to_le_bytes()),
+        Scalar::U16 => out.extend(token.parse::<u16>().ok()?.to_le_bytes()),
+        Scalar::I32 => out.extend(token.parse::<i32>().ok()?.to_le_bytes()),
+        Scalar::U32 => out.extend(token.parse::<u32>().ok()?.to_le_bytes()),
+        Scalar::I64 => out.extend(token.parse::<i64>().ok()?.to_le_bytes()),
+        Scalar::U64 => out.extend(token.parse::<u64>().ok()?.to_le_bytes()),
+        Scalar::F32 => match token {
+            "nan" => out.extend(f32::NAN.copysign(1.0).to_le_bytes()),
+            "-nan" => out.extend(f32::NAN.copysign(-1.0).to_le_bytes()),
+            _ => out.extend(token.parse::<f32>().ok()?.to_le_bytes()),
+        },
+        Scalar::F64 => match token {
+            "nan" => out.extend(f64::NAN.copysign(1.0).to_le_bytes()),
+            "-nan" => out.extend(f64::NAN.copysign(-1.0).to_le_bytes()),
+            _ => out.extend(token.parse::<f64>().ok()?.to_le_bytes()),
+        },
+    }
+    Some(())
+}
+
+/// Writes values as text; holds the buffers that the digits pass through.
+#[derive(Default)]
+pub(super) struct NumberWriter {
+    digits: Vec<u8>,
+    rounded: Vec<u8>,
+}
+
+impl NumberWriter {
+    /// Appends the text of the value whose little-endian bytes are `value`, `column.scalar.size()`
+    /// of them. The rule must suit the type.
+    pub(super) fn write(&mut self, value: &[u8], column: Column, out: &mut Vec<u8>) -> Result<()> {
+        match column.scalar {
+            Scalar::F32 => self.write_float(LittleEndian::read_f32(value).into(), column, out)?,
+            Scalar::F64 => self.write_float(LittleEndian::read_f64(value), column, out)?,
+            Scalar::U8 | Scalar::U16 | Scalar::U32 | Scalar::U64 => {
+                write!(out, "{}", LittleEndian::read_uint(value, value.len()))?;
+            }
+            Scalar::I8 | Scalar::I16 | Scalar::I32 | Scalar::I64 => {
+                write!(out, "{}", LittleEndian::read_int(value, value.len()))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Appends the text of `value`. Single precision is widened without loss by the caller.
+    fn write_float(&mut self, value: f64, column: Column, out: &mut Vec<u8>) -> Result<()> {
+        if value.is_sign_negative() {
+            out.push(b'-');
+        }
+        let value = value.abs();
+        if !value.is_finite() {
+            out.extend_from_slice(if value.is_nan() { b"nan" } else { b"inf" });
+            return Ok(());
+        }
+        match column.rule {
+            NumberRule::Fixed(decimals) => {
+                let decimals = usize::from(decimals);
+                write!(out, "{value:.decimals$}")?;
+            }
+            NumberRule::Scientific(digits) => {
+                let exponent = self.take_digits(value, Some(digits.into()), false)?;
+                write_scientific(&self.digits, exponent, out)?;
+            }
+            NumberRule::Significant(digits) => {
+                let exponent = self.take_digits(value, Some(usize::from(digits).saturating_sub(1)), false)?;
+                while self.digits.len() > 1 && self.digits.ends_with(b"0") {
+                    self.digits.pop();
+                }
+                if exponent < LEAST_PLAIN_EXPONENT || exponent >= digits.into() {
+                    write_scientific(&self.digits, exponent, out)?;
+                } else {
+                    write_plain(&self.digits, exponent, false, out);
+                }
+            }
+            NumberRule::Shortest { double, point_zero } => {
+                let single = column.scalar == Scalar::F32 && !double;
+                let exponent = self.take_digits(value, None, single)?;
+                if !(LEAST_PLAIN_EXPONENT..REPR_EXPONENT).contains(&exponent) {
+                    write_scientific(&self.digits, exponent, out)?;
+                } else {
+                    write_plain(&self.digits, exponent, point_zero, out);
+                }
+            }
+            // Refused for floating point where layouts are validated.
+            NumberRule::Integer => write!(out, "{value}")?,
+        }
+        Ok(())
+    }
+
+    /// Puts the significant digits of `value` into `self.digits`: so many after the first, or the
+    /// fewest that give the value back (in single precision if `single`). Returns the decimal
+    /// exponent of the first. `value` is finite and not negative.
+    fn take_digits(&mut self, value: f64, after_first: Option<usize>, single: bool) -> Result<i32> {
+        let text = &mut self.digits;
+        text.clear();
+        match after_first {
+            Some(count) => write!(text, "{value:.count$e}")?,
+            None if single => write!(text, "{:e}", value as f32)?,
+            None => write!(text, "{value:e}")?,
+        }
+        if after_first.is_none() {
+            self.settle_tie(value, single)?;
+        }
+        let (mantissa, exponent) = split_exponent(&self.digits);
+        self.digits.truncate(mantissa);
+        self.digits.retain(|b| b.is_ascii_digit());
+        Ok(exponent)
+    }
+
+    /// Of two shortest texts equally near to the value, the standard library takes the upper, but
+    /// `repr` and most others the one with the even last digit, as correct rounding gives it.
+    /// (What is correctly rounded need not give a power of two back; the text then stays.)
+    fn settle_tie(&mut self, value: f64, single: bool) -> Result<()> {
+        let (mantissa, _) = split_exponent(&self.digits);
+        let after_first = mantissa.saturating_sub(2);
+        self.rounded.clear();
+        write!(self.rounded, "{value:.after_first$e}")?;
+        if self.rounded != self.digits && gives_back(&self.rounded, value, single) {
+            std::mem::swap(&mut self.rounded, &mut self.digits);
+        }
+        Ok(())
+    }
+}
+
+/// The length of the mantissa, and the exponent, of a text like `1.25e-7`.
+fn split_exponent(text: &[u8]) -> (usize, i32) {
+    let mantissa = text.iter().position(|&b| b == b'e').unwrap_or(text.len());
+    let exponent = text.get(mantissa + 1..).and_then(|x| std::str::from_utf8(x).ok()?.parse().ok());
+    (mantissa, exponent.unwrap_or(0))
+}
+
+fn gives_back(text: &[u8], value: f64, single: bool) -> bool {
+    std::str::from_utf8(text).is_ok_and(|text| match single {
+        true => text.parse() == Ok(value as f32),
+        false => text.parse() == Ok(value),
+    })
+}
+
+/// `d.ddde-05`: at least two digits of exponent, and its sign.
+fn write_scientific(digits: &[u8], exponent: i32, out: &mut Vec<u8>) -> Result<()> {
+    let (first, others) = digits.split_at(1.min(digits.len()));
+    out.extend_from_slice(first);
+    if !others.is_empty() {
+        out.push(b'.');
+        out.extend_from_slice(others);
+    }
+    let sign = if exponent < 0 { '-' } else { '+' };
+    write!(out, "e{sign}{:02}", exponent.unsigned_abs())?;
+    Ok(())
+}
+
+/// Digits with a point at its place, and zeros up to it.
+fn write_plain(digits: &[u8], exponent: i32, point_zero: bool, out: &mut Vec<u8>) {
+    let Ok(exponent) = usize::try_from(exponent) else {
+        out.extend_from_slice(b"0.");
+        out.extend((exponent + 1..0).map(|_| b'0'));
+        out.extend_from_slice(digits);
+        return;
+    };
+    let (whole, fraction) = digits.split_at(digits.len().min(exponent + 1));
+    out.extend_from_slice(whole);
+    out.extend((whole.len()..exponent + 1).map(|_| b'0'));
+    if !fraction.is_empty() {
+        out.push(b'.');
+        out.extend_from_slice(fraction);
+    } else if point_zero {
+        out.extend_from_slice(b".0");
+    }
+}
+
+/// What the texts of a column have in common, from which its rule is guessed.
+#[derive(Debug)]
+pub(super) struct Survey {
+    /// Most digits of a number, zeros at its start left out.
+    significant: usize,
+    /// Fewest and most digits after the point.
+    decimals: (usize, usize),
+    /// There are numbers with an exponent; without.
+    with_exponent: bool,
+    without_exponent: bool,
+}
+
+impl Survey {
+    /// Of a column of no numbers yet.
+    pub(super) fn new() -> Self {
+        Survey { significant: 1, decimals: (usize::MAX, 0), with_exponent: false, without_exponent: false }
+    }
+
+    /// Takes one more text into account. NaN and infinity say nothing.
+    pub(super) fn add(&mut self, token: &str) {
+        let (mantissa, exponent) = match token.split_once('e') {
+            Some((mantissa, _)) => (mantissa, true),
+            None => (token, false),
+        };
+        if !mantissa.ends_with(|c: char| c.is_ascii_digit()) {
+            return;
+        }
+        let mantissa = mantissa.trim_start_matches('-');
+        let (whole, fraction) = mantissa.split_once('.').unwrap_or((mantissa, ""));
+        let digits = whole.bytes().chain(fraction.bytes());
+        self.significant = self.significant.max(digits.skip_while(|&b| b == b'0').count());
+        self.decimals = (self.decimals.0.min(fraction.len()), self.decimals.1.max(fraction.len()));
+        if exponent {
+            self.with_exponent = true;
+        } else {
+            self.without_exponent = true;
+        }
+    }
+
+    /// The rules by which these texts may have been written, the likeliest first. A rule of N
+    /// significant digits looks the same with any larger N as long as no number has more digits
+    /// (those before the point counted, as they say where exponents begin); so the least N will do.
+    pub(super) fn candidates(&self, scalar: Scalar) -> Vec<NumberRule> {
+        if !scalar.is_float() {
+            return vec![NumberRule::Integer];
+        }
+        let mut rules = Vec::new();
+        let within = |digits: usize| u8::try_from(digits).ok().filter(|&d| d <= MAX_DIGITS);
+        if self.decimals.0 >= self.decimals.1 {
+            match (self.with_exponent, within(self.decimals.1)) {
+                (false, Some(digits)) => rules.push(NumberRule::Fixed(digits)),
+                (true, Some(digits)) if !self.without_exponent => rules.push(NumberRule::Scientific(digits)),
+                _ => {}
+            }
+        }
+        let significant = within(self.significant);
+        rules.extend(significant.map(NumberRule::Significant));
+        for (double, point_zero) in [(false, true), (true, true), (false, false), (true, false)] {
+            rules.push(NumberRule::Shortest { double, point_zero });
+        }
+        rules
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text(value: f64, scalar: Scalar, rule: NumberRule) -> String {
+        let bytes = match scalar {
+            Scalar::F32 => (value as f32).to_le_bytes().to_vec(),
+            _ => value.to_le_bytes().to_vec(),
+        };
+        let mut out = Vec::new();
+        NumberWriter::default().write(&bytes, Column { scalar, rule }, &mut out).unwrap();
+        String::from_utf8(out).unwrap()
+    }
+
+    /// Expected texts are what C's printf gives.
+    #[test]
+    fn significant_digits_are_those_of_printf() {
+        for (value, digits, expected) in [
+            (0.0, 8, "0"),
+            (-0.0, 8, "-0"),
+            (1.0, 8, "1"),
+            (100.0, 8, "100"),
+            (f64::from(0.1f32), 8, "0.1"),
+            (f64::from(0.1f32), 10, "0.1000000015"),
+            (f64::from(-25.467f32), 8, "-25.466999"),
+            (0.0001, 6, "0.0001"),
+            (0.00001234, 8, "1.234e-05"),
+            (123456789.0, 8, "1.2345679e+08"),
+            (99999999.9, 8, "1e+08"),
+            (1e100, 3, "1e+100"),
+            (131072.125, 8, "131072.12"),
+            (f64::INFINITY, 8, "inf"),
+            (-f64::NAN, 8, "-nan"),
+        ] {
+            assert_eq!(text(value, Scalar::F64, NumberRule::Significant(digits)), expected);
+        }
+    }
+
+    #[test]
+    fn decimals_are_those_of_printf() {
+        assert_eq!(text(-0.001, Scalar::F64, NumberRule::Fixed(2)), "-0.00");
+        assert_eq!(text(0.125, Scalar::F64, NumberRule::Fixed(2)), "0.12");
+        assert_eq!(text(2.5, Scalar::F64, NumberRule::Fixed(0)), "2");
+        assert_eq!(text(0.1, Scalar::F32, NumberRule::Fixed(10)), "0.1000000015");
+        assert_eq!(text(0.5, Scalar::F64, NumberRule::Scientific(18)), "5.000000000000000000e-01");
+        assert_eq!(text(0.0, Scalar::F64, NumberRule::Scientific(0)), "0e+00");
+    }
+
+    #[test]
+    fn shortest_digits_are_those_of_repr() {
+        let rule = |double, point_zero| NumberRule::Shortest { double, point_zero };
+        assert_eq!(text(0.1, Scalar::F32, rule(false, true)), "0.1");
+        assert_eq!(text(0.1, Scalar::F32, rule(true, true)), "0.10000000149011612");
+        assert_eq!(text(-3.0, Scalar::F32, rule(false, true)), "-3.0");
+        assert_eq!(text(-3.0, Scalar::F32, rule(false, false)), "-3");
+        assert_eq!(text(1e-5, Scalar::F64, rule(true, true)), "1e-05");
+        // Two shortest texts are equally near.
+        assert_eq!(text(4.78515625, Scalar::F32, rule(false, true)), "4.7851562");
+        assert_eq!(text(4.78515625, Scalar::F64, rule(false, true)), "4.78515625");
+        assert_eq!(text(f64::from(23.959f32), Scalar::F32, rule(true, true)), "23.958999633789062");
+        // The smallest numbers, and a power of two whose shortest text is not the nearest one.
+        assert_eq!(text(f64::from_bits(1), Scalar::F64, rule(true, true)), "5e-324");
+        assert_eq!(text(f64::from(f32::from_bits(1)), Scalar::F32, rule(false, true)), "1e-45");
+        assert_eq!(text(2f64.powi(-44), Scalar::F64, rule(true, true)), "5.684341886080802e-14");
+        assert_eq!(text(1.5e16, Scalar::F64, rule(true, true)), "1.5e+16");
+        assert_eq!(text(12e14, Scalar::F64, rule(true, true)), "1200000000000000.0");
+    }
+
+    #[test]
+    fn integers_of_all_sizes_come_back() {
+        for (scalar, token) in [
+            (Scalar::I8, "-128"),
+            (Scalar::U8, "255"),
+            (Scalar::I16, "-32768"),
+            (Scalar::U16, "65535"),
+            (Scalar::I32, "-2147483648"),
+            (Scalar::U32, "4294967295"),
+            (Scalar::I64, "-9223372036854775808"),
+            (Scalar::U64, "18446744073709551615"),
+        ] {
+            let mut bytes = Vec::new();
+            parse(token, scalar, &mut bytes).unwrap();
+            assert_eq!(bytes.len() as u32, scalar.size());
+            let mut out = Vec::new();
+            let column = Column { scalar, rule: NumberRule::Integer };
+            NumberWriter::default().write(&bytes, column, &mut out).unwrap();
+            assert_eq!(out, token.as_bytes());
+            assert!(parse(&format!("{token}0"), scalar, &mut bytes).is_none());
+        }
+    }
+}

@@ -1,0 +1,174 @@
+//! PCD, the point cloud files of the Point Cloud Library: header and dispatch by kind of data.
+//!
+//! Source: "The PCD (Point Cloud Data) file format" (PCL documentation) and PCL's `pcd_io.cpp`.
+
+use super::field::{Field, layout_of, next_line};
+use super::records::plain_file;
+use super::{pcd_compressed, text_records};
+use crate::scan::{Scalar, ScanFile, Wrapping};
+
+/// The three kinds of body.
+#[derive(Clone, Copy)]
+enum Data {
+    Ascii,
+    Binary,
+    Compressed,
+}
+
+/// What a header says.
+pub(super) struct Header<'a> {
+    /// The fields; one entry for all values of a field with COUNT above 1.
+    pub fields: Vec<Field<'a>>,
+    /// Number of points. It may be anything: the body decides.
+    points: u64,
+    data: Data,
+    /// Bytes of the header, the line end after `DATA` included.
+    length: usize,
+}
+
+/// The points as records, the header as `prefix`, what follows as `suffix`.
+/// `None` if the header is damaged or the body cannot be given back exactly.
+pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
+    let header = Header::parse(bytes)?;
+    let layout = layout_of(&header.fields, Wrapping::Plain)?;
+    let Header { fields, points, data, length } = header;
+    match data {
+        Data::Binary => plain_file(layout, bytes, length, points),
+        Data::Compressed => {
+            let widths = fields.iter().map(|f| f.width).collect();
+            pcd_compressed::parse(layout, widths, bytes, length)
+        }
+        Data::Ascii => text_records::parse(&fields, bytes, length, points),
+    }
+}
+
+impl<'a> Header<'a> {
+    /// Reads the header that `bytes` begin with; `None` if it is damaged.
+    pub(super) fn parse(bytes: &'a [u8]) -> Option<Self> {
+        let mut rest = bytes;
+        let (mut names, mut sizes, mut types, mut counts) = (vec![], vec![], vec![], vec![]);
+        let (mut width, mut height, mut points) = (None, None, None);
+        let data = loop {
+            let line = next_line(&mut rest)?;
+            let mut words = line.split_ascii_whitespace();
+            let Some(keyword) = words.next() else { continue };
+            let words: Vec<&str> = words.collect();
+            match (keyword, &words[..]) {
+                ("VERSION" | "VIEWPOINT", _) => {}
+                // COLUMNS is what the oldest files say.
+                ("FIELDS" | "COLUMNS", _) => names = words,
+                ("SIZE", _) => sizes = words,
+                ("TYPE", _) => types = words,
+                ("COUNT", _) => counts = words,
+                ("WIDTH", [n]) => width = Some(n.parse::<u64>().ok()?),
+                ("HEIGHT", [n]) => height = Some(n.parse::<u64>().ok()?),
+                ("POINTS", [n]) => points = Some(n.parse::<u64>().ok()?),
+                ("DATA", ["ascii"]) => break Data::Ascii,
+                ("DATA", ["binary"]) => break Data::Binary,
+                ("DATA", ["binary_compressed"]) => break Data::Compressed,
+                _ if keyword.starts_with('#') => {}
+                _ => return None,
+            }
+        };
+        if counts.is_empty() {
+            counts = vec!["1"; names.len()];
+        }
+        if sizes.len() != names.len() || types.len() != names.len() || counts.len() != names.len() {
+            return None;
+        }
+        let declarations = names.into_iter().zip(sizes).zip(types).zip(counts);
+        let fields = declarations.map(|(((name, size), kind), count)| field(name, size, kind, count));
+        Some(Header {
+            fields: fields.collect::<Option<_>>()?,
+            points: points.or_else(|| width?.checked_mul(height?))?,
+            data,
+            length: bytes.len() - rest.len(),
+        })
+    }
+}
+
+fn field<'a>(name: &'a str, size: &str, kind: &str, count: &str) -> Option<Field<'a>> {
+    let size = size.parse().ok().filter(|s| matches!(s, 1 | 2 | 4 | 8))?;
+    let count = count.parse().ok().filter(|&n: &u32| n > 0)?;
+    let scalar = match (kind, size) {
+        ("I", 1) => Some(Scalar::I8),
+        ("I", 2) => Some(Scalar::I16),
+        ("I", 4) => Some(Scalar::I32),
+        ("I", 8) => Some(Scalar::I64),
+        ("U", 1) => Some(Scalar::U8),
+        ("U", 2) => Some(Scalar::U16),
+        ("U", 4) => Some(Scalar::U32),
+        ("U", 8) => Some(Scalar::U64),
+        ("F", 4) => Some(Scalar::F32),
+        ("F", 8) => Some(Scalar::F64),
+        // Half precision: in a binary body it is two bytes like others.
+        ("F", _) => None,
+        _ => return None,
+    };
+    Some(Field { name, scalar, width: count.checked_mul(size)? })
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::files::tests::{comes_back, floats, pcd};
+
+    #[test]
+    fn binary_fields_go_where_they_belong() {
+        let header = pcd("_ x y z i label", "1 4 4 4 4 2", "U F F F F U", "4 1 1 1 1 1", 2, "binary");
+        let record = [vec![1, 2, 3, 4], floats(&[1.0, 2.0, 3.0, 0.5]), vec![5, 6]].concat();
+        let scan = comes_back("a.pcd", [header.clone(), record.clone(), record, vec![9; 30]].concat());
+        assert_eq!(scan.prefix, header);
+        assert_eq!(scan.layout.position, Some([4, 8, 12]));
+        assert_eq!(scan.cloud.positions, [[1.0, 2.0, 3.0]; 2]);
+        assert_eq!(scan.cloud.intensity, [0.5; 2]);
+        assert_eq!(scan.cloud.extra, [1, 2, 3, 4, 5, 6, 1, 2, 3, 4, 5, 6]);
+        assert_eq!(scan.suffix, [9; 30], "bytes after the last point");
+    }
+
+    #[test]
+    fn a_cut_body_keeps_its_whole_records() {
+        let header = pcd("x y z", "4 4 4", "F F F", "1 1 1", u64::MAX, "binary");
+        let scan = comes_back("a.pcd", [header, vec![1; 40]].concat());
+        assert_eq!((scan.records, scan.suffix.len()), (3, 4));
+    }
+
+    #[test]
+    fn double_positions_are_extra() {
+        let header = pcd("x y z intensity", "8 8 8 4", "F F F F", "1 1 1 1", 1, "binary");
+        let scan = comes_back("a.pcd", [header, vec![1; 28]].concat());
+        assert_eq!((scan.records, scan.layout.position, scan.layout.intensity), (1, None, Some(24)));
+    }
+
+    #[test]
+    fn count_and_points_may_be_missing() {
+        let text = String::from_utf8(pcd("x y z", "4 4 4", "F F F", "1 1 1", 2, "binary")).unwrap();
+        let text = text.replace("COUNT 1 1 1\n", "").replace("POINTS 2\n", "");
+        let scan = comes_back("a.pcd", [text.as_bytes(), &[1; 30]].concat());
+        assert_eq!((scan.records, scan.suffix.len()), (2, 6));
+    }
+
+    #[test]
+    fn damaged_headers_are_opaque() {
+        let good = pcd("x y z", "4 4 4", "F F F", "1 1 1", 2, "binary");
+        let good = String::from_utf8(good).unwrap();
+        for (from, to) in [
+            ("FIELDS", "FIELD"),
+            ("SIZE 4 4 4", "SIZE 4 4"),
+            ("SIZE 4 4 4", "SIZE 4 4 3"),
+            ("SIZE 4 4 4", "SIZE 4 4 -4"),
+            ("TYPE F", "TYPE X"),
+            ("COUNT 1", "COUNT 0"),
+            ("COUNT 1", "COUNT 4294967295"),
+            ("COUNT 1", "COUNT 16383"),
+            ("POINTS 2", "POINTS 99999999999999999999"),
+            ("DATA binary", "DATA bin"),
+            ("DATA binary\n", "DATA binary"),
+            ("FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n", ""),
+        ] {
+            let broken = good.replacen(from, to, 1);
+            assert_ne!(broken, good);
+            let scan = comes_back("a.pcd", [broken.as_bytes(), &[1; 24]].concat());
+            assert!(scan.is_opaque(), "{to}");
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! What stands before the vertices of a PLY file.
+
+use byteorder::{BigEndian, ByteOrder, LittleEndian};
+
+use crate::files::field::{Field, next_line};
+use crate::scan::Scalar;
+
+/// How values are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    Ascii,
+    LittleEndian,
+    BigEndian,
+}
+
+/// What a header says.
+pub struct Header<'a> {
+    /// How values are written.
+    pub encoding: Encoding,
+    /// The elements before the vertices.
+    pub before: Vec<Element>,
+    /// The scalar properties of the vertices.
+    pub fields: Vec<Field<'a>>,
+    /// Number of vertices. It may be anything: the body decides.
+    pub vertices: u64,
+    /// Bytes of the header, the line end after `end_header` included.
+    pub length: usize,
+}
+
+/// An element that is no vertex.
+#[derive(Debug, Default)]
+pub struct Element {
+    count: u64,
+    properties: Vec<Property>,
+}
+
+/// A property of an element.
+#[derive(Clone, Copy, Debug)]
+enum Property {
+    Scalar(Scalar),
+    /// So many values, by a number of the first type before them, of the second.
+    List(Scalar, Scalar),
+}
+
+/// Where the reader of a header is.
+enum Place {
+    /// Before the vertices, whose elements count.
+    Before,
+    Vertices,
+    /// After them: those elements stay in the suffix, whatever they are.
+    After,
+}
+
+impl<'a> Header<'a> {
+    /// Reads the header that `bytes` begin with; `None` if it is damaged, has no vertices, or they have
+    /// lists.
+    pub fn parse(bytes: &'a [u8]) -> Option<Self> {
+        let mut rest = bytes;
+        if next_line(&mut rest)? != "ply" {
+            return None;
+        }
+        let (mut encoding, mut vertices, mut place) = (None, None, Place::Before);
+        let (mut before, mut fields): (Vec<Element>, _) = (Vec::new(), Vec::new());
+        loop {
+            let line = next_line(&mut rest)?;
+            let words: Vec<&str> = line.split_ascii_whitespace().collect();
+            match (&place, &words[..]) {
+                (_, ["comment" | "obj_info", ..]) => {}
+                (_, ["format", name, _]) => encoding = Some(Encoding::of(name)?),
+                (_, ["end_header"]) => break,
+                (Place::Before, ["element", "vertex", count]) => {
+                    vertices = Some(count.parse().ok()?);
+                    place = Place::Vertices;
+                }
+                (Place::Before, ["element", _, count]) => {
+                    before.push(Element { count: count.parse().ok()?, properties: Vec::new() });
+                }
+                (Place::Before, ["property", kind @ .., _]) => {
+                    before.last_mut()?.properties.push(Property::of(kind)?);
+                }
+                (Place::Vertices, ["property", kind, name]) => {
+                    let scalar = scalar(kind)?;
+                    fields.push(Field { name, scalar: Some(scalar), width: scalar.size() });
+                }
+                (_, ["element", _, _]) => place = Place::After,
+                (Place::After, ["property", ..]) => {}
+                _ => return None,
+            }
+        }
+        let length = bytes.len() - rest.len();
+        Some(Header { encoding: encoding?, before, fields, vertices: vertices?, length })
+    }
+}
+
+impl Encoding {
+    fn of(name: &str) -> Option<Self> {
+        match name {
+            "ascii" => Some(Encoding::Ascii),
+            "binary_little_endian" => Some(Encoding::LittleEndian),
+            "binary_big_endian" => Some(Encoding::BigEndian),
+            _ => None,
+        }
+    }
+
+    /// A whole number in binary; `None` if it is not one, or negative.
+    fn number(self, scalar: Scalar, bytes: &[u8]) -> Option<usize> {
+        let width = bytes.len();
+        let number = match (self, scalar) {
+            (_, Scalar::F32 | Scalar::F64) => return None,
+            (Encoding::BigEndian, Scalar::I8 | Scalar::I16 | Scalar::I32 | Scalar::I64) => {
+                BigEndian::read_int(bytes, width).try_into().ok()?
+            }
+            (_, Scalar::I8 | Scalar::I16 | Scalar::I32 | Scalar::I64) => {
+                LittleEndian::read_int(bytes, width).try_into().ok()?
+            }
+            (Encoding::BigEndian, _) => BigEndian::read_uint(bytes, width),
+            (_, _) => LittleEndian::read_uint(bytes, width),
+        };
+        usize::try_from(number).ok()
+    }
+}
+
+impl Property {
+    /// By the words between `property` and the name.
+    fn of(kind: &[&str]) -> Option<Self> {
+        match kind {
+            [kind] => Some(Property::Scalar(scalar(kind)?)),
+            ["list", count, item] => Some(Property::List(scalar(count)?, scalar(item)?)),
+            _ => None,
+        }
+    }
+
+    /// Bytes that it takes at the front of `bytes`.
+    fn size(self, encoding: Encoding, bytes: &[u8]) -> Option<usize> {
+        match self {
+            Property::Scalar(scalar) => Some(scalar.size() as usize),
+            Property::List(count, item) => {
+                let width = count.size() as usize;
+                let items = encoding.number(count, bytes.get(..width)?)?;
+                items.checked_mul(item.size() as usize)?.checked_add(width)
+            }
+        }
+    }
+}
+
+/// Bytes that all of an element take at the front of `body`; `None` if it ends before.
+pub fn skip(element: &Element, encoding: Encoding, body: &[u8]) -> Option<usize> {
+    let mut rest = body;
+    // Each takes a byte or more, so there are no more of them than there are bytes.
+    if element.properties.is_empty() || element.count > body.len() as u64 {
+        return (element.count == 0).then_some(0);
+    }
+    for _ in 0..element.count {
+        if encoding == Encoding::Ascii {
+            next_line(&mut rest)?;
+            continue;
+        }
+        for property in &element.properties {
+            rest = rest.get(property.size(encoding, rest)?..)?;
+        }
+    }
+    Some(body.len() - rest.len())
+}
+
+fn scalar(kind: &str) -> Option<Scalar> {
+    Some(match kind {
+        "char" | "int8" => Scalar::I8,
+        "uchar" | "uint8" => Scalar::U8,
+        "short" | "int16" => Scalar::I16,
+        "ushort" | "uint16" => Scalar::U16,
+        "int" | "int32" => Scalar::I32,
+        "uint" | "uint32" => Scalar::U32,
+        "float" | "float32" => Scalar::F32,
+        "double" | "float64" => Scalar::F64,
+        _ => return None,
+    })
+}

@@ -1,0 +1,345 @@
+//! Records as text, in an ascii PCD or PLY: one record a line, values between single separators.
+//!
+//! Texts are turned into values only if the values give the texts back. Writers differ in how
+//! they print numbers, so each column's rule is found by trial.
+
+use super::field::{Field, layout_of};
+use super::number::{self, NumberWriter, Survey};
+use super::records;
+use crate::ground::error::Result;
+use crate::scan::{Column, Scalar, ScanFile, TextFormat, Wrapping};
+
+/// Takes a file apart whose body starts at byte `start` and has at most `points` records of these fields,
+/// which must make a valid layout.
+/// Lines from the first one on that does not look like those before it are `suffix`.
+/// `None` if there is no record, or a column whose texts no rule gives back.
+pub(super) fn parse(fields: &[Field], bytes: &[u8], start: usize, points: u64) -> Option<ScanFile> {
+    let scalars = scalars(fields)?;
+    let body = bytes.get(start..)?;
+    let mut format = TextFormat::of_line(first_line(body)?);
+    let mut tokens: Vec<&str> = Vec::new(); // of all lines, line by line
+    let mut rest = body;
+    let mut lines = 0u64;
+    while lines < points
+        && let Some(line) = first_line(rest)
+        && format.read_line(line, &scalars, &mut tokens).is_some()
+    {
+        rest = &rest[line.len()..];
+        lines += 1;
+    }
+    let records = tokens.len() / scalars.len();
+    if records == 0 {
+        return None;
+    }
+    let mut values = Vec::with_capacity(scalars.len());
+    for (at, &scalar) in scalars.iter().enumerate() {
+        let (column, bytes) = find_column(scalar, tokens.iter().skip(at).step_by(scalars.len()).copied())?;
+        format.columns.push(column);
+        values.push(bytes);
+    }
+    let fields = as_stored(fields, &format.columns);
+    let body = side_by_side(&values, &format.columns, records);
+    let layout = layout_of(&fields, Wrapping::Text(format))?;
+    Some(ScanFile {
+        name: String::new(),
+        cloud: records::split(&layout, &body),
+        layout,
+        prefix: bytes[..start].to_vec(),
+        records,
+        suffix: rest.to_vec(),
+    })
+}
+
+/// The types of all values of a record; `None` if there are none, or one is of a size that has no such type.
+fn scalars(fields: &[Field]) -> Option<Vec<Scalar>> {
+    let mut scalars = Vec::new();
+    for field in fields {
+        let scalar = field.scalar?;
+        scalars.extend((0..field.count()).map(|_| scalar));
+    }
+    (!scalars.is_empty()).then_some(scalars)
+}
+
+/// The fields as the values of these columns make them up.
+fn as_stored<'a>(fields: &[Field<'a>], columns: &[Column]) -> Vec<Field<'a>> {
+    let mut rest = columns;
+    let stored = |field: &Field<'a>| {
+        let (own, after) = rest.split_at((field.count() as usize).min(rest.len()));
+        rest = after;
+        let scalar = if let [column] = own { Some(column.scalar) } else { field.scalar };
+        Field { name: field.name, scalar, width: own.iter().map(|column| column.scalar.size()).sum() }
+    };
+    fields.iter().map(stored).collect()
+}
+
+/// Records from the values of each column.
+fn side_by_side(values: &[Vec<u8>], columns: &[Column], records: usize) -> Vec<u8> {
+    let mut body = Vec::with_capacity(values.iter().map(Vec::len).sum());
+    for record in 0..records {
+        for (values, column) in values.iter().zip(columns) {
+            let size = column.scalar.size() as usize;
+            body.extend_from_slice(&values[record * size..(record + 1) * size]);
+        }
+    }
+    body
+}
+
+/// The text of these records, each as long as the columns together.
+///
+/// # Errors
+/// None that a valid layout brings about.
+pub(super) fn write(body: &[u8], format: &TextFormat) -> Result<Vec<u8>> {
+    let mut out = Vec::new();
+    let mut writer = NumberWriter::default();
+    for record in body.chunks_exact((format.stride() as usize).max(1)) {
+        let mut rest = record;
+        for (at, &column) in format.columns.iter().enumerate() {
+            if at > 0 {
+                out.push(format.separator());
+            }
+            let (value, after) = rest.split_at(column.scalar.size() as usize);
+            writer.write(value, column, &mut out)?;
+            rest = after;
+        }
+        if format.trailing_separator {
+            out.push(format.separator());
+        }
+        out.extend_from_slice(format.line_end().as_bytes());
+    }
+    Ok(out)
+}
+
+/// The type and rule that give all these texts, and the values. Doubles whose every digit single precision
+/// gives back are kept in that: many programs print float32 values as double.
+fn find_column<'a>(
+    scalar: Scalar,
+    texts: impl Iterator<Item = &'a str> + Clone,
+) -> Option<(Column, Vec<u8>)> {
+    let narrow = (scalar == Scalar::F64).then_some(Scalar::F32);
+    narrow.into_iter().chain([scalar]).find_map(|scalar| {
+        let mut values = Vec::new();
+        texts.clone().try_for_each(|text| number::parse(text, scalar, &mut values))?;
+        let pairs = texts.clone().zip(values.chunks_exact(scalar.size() as usize));
+        let column = find_rule(scalar, pairs)?;
+        Some((column, values))
+    })
+}
+
+/// The first rule that gives all these texts for these values.
+fn find_rule<'t, 'v>(
+    scalar: Scalar,
+    pairs: impl Iterator<Item = (&'t str, &'v [u8])> + Clone,
+) -> Option<Column> {
+    let mut survey = Survey::new();
+    pairs.clone().for_each(|(text, _)| survey.add(text));
+    let mut writer = NumberWriter::default();
+    let mut out = Vec::new();
+    survey.candidates(scalar).into_iter().map(|rule| Column { scalar, rule }).find(|&column| {
+        pairs.clone().all(|(text, value)| {
+            out.clear();
+            writer.write(value, column, &mut out).is_ok() && out == text.as_bytes()
+        })
+    })
+}
+
+/// The first line with its line end; a line that is not ended is none.
+fn first_line(bytes: &[u8]) -> Option<&str> {
+    let end = bytes.iter().position(|&b| b == b'\n')?;
+    std::str::from_utf8(&bytes[..=end]).ok()
+}
+
+impl TextFormat {
+    /// The format that a line has, without columns.
+    fn of_line(line: &str) -> Self {
+        let text = line.trim_end_matches(['\r', '\n']);
+        TextFormat {
+            crlf: line.ends_with("\r\n"),
+            tab: text.contains('\t'),
+            trailing_separator: text.ends_with([' ', '\t']),
+            columns: Vec::new(),
+        }
+    }
+
+    fn separator(&self) -> u8 {
+        if self.tab { b'\t' } else { b' ' }
+    }
+
+    fn line_end(&self) -> &'static str {
+        if self.crlf { "\r\n" } else { "\n" }
+    }
+
+    /// Takes the texts out of a line; `None`, and nothing taken, if it is not of this format.
+    fn read_line<'a>(&self, line: &'a str, scalars: &[Scalar], tokens: &mut Vec<&'a str>) -> Option<()> {
+        let separator = char::from(self.separator());
+        let mut text = line.strip_suffix(self.line_end())?;
+        if self.trailing_separator {
+            text = text.strip_suffix(separator)?;
+        }
+        let (before, mut values) = (tokens.len(), Vec::new());
+        let mut scalars_left = scalars.iter();
+        let complete = text.split(separator).try_for_each(|token| {
+            number::parse(token, *scalars_left.next()?, &mut values)?;
+            tokens.push(token);
+            Some(())
+        });
+        if complete.is_none() || scalars_left.next().is_some() {
+            tokens.truncate(before);
+            return None;
+        }
+        Some(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::files::tests::{comes_back, pcd};
+    use crate::scan::{Layout, NumberRule, PointCloud};
+
+    fn file(body: &str) -> Vec<u8> {
+        let header = pcd("x y z intensity ring", "4 4 4 4 2", "F F F F U", "1 1 1 1 1", 3, "ascii");
+        [&header, body.as_bytes()].concat()
+    }
+
+    fn rules(scan: &ScanFile) -> Vec<NumberRule> {
+        match &scan.layout.wrapping {
+            Wrapping::Text(format) => format.columns.iter().map(|c| c.rule).collect(),
+            other => panic!("not text: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn the_text_of_pcl_is_values() {
+        // %.8g of float32 values
+        let body =
+            "11.375 -0.34999999 1e-05 0 1\nnan nan nan 0.25999999 22\n-120000 1.0471976 7.7510004 1 3\n";
+        let scan = comes_back("a.pcd", file(body));
+        assert_eq!((scan.records, scan.suffix.len()), (3, 0));
+        assert_eq!(scan.cloud.positions[0], [11.375, -0.35, 1e-5]);
+        assert!(scan.cloud.positions[1][0].is_nan());
+        assert_eq!(scan.cloud.intensity[1], 0.26);
+        assert_eq!(scan.cloud.extra, [1, 0, 22, 0, 3, 0]);
+    }
+
+    #[test]
+    fn each_column_has_its_rule() {
+        // %.10g, %.3f, repr in single and in double precision
+        let body =
+            "0.1000000015 1.500 0.1 0.10000000149011612 1\n2 0.100 2.0 2.0 22\n0.25 -0.000 3.25 1e-05 3\n";
+        let scan = comes_back("a.pcd", file(&body.replace("1e-05", "9.999999747378752e-06")));
+        assert_eq!(
+            rules(&scan),
+            [
+                NumberRule::Significant(10),
+                NumberRule::Fixed(3),
+                NumberRule::Shortest { double: false, point_zero: true },
+                NumberRule::Shortest { double: true, point_zero: true },
+                NumberRule::Integer,
+            ]
+        );
+        // Few digits, but large enough for an exponent if the rule allowed no more than two.
+        let scan = comes_back("a.pcd", file("120000 1 1 1 1\n2.5 1 1 1 1\n"));
+        assert_eq!(rules(&scan)[0], NumberRule::Significant(6));
+        let scan = comes_back("a.pcd", file("1.50e+00 1 1 1 1\n2.25e-07 1 1 1 1\n"));
+        assert_eq!(rules(&scan)[..2], [NumberRule::Scientific(2), NumberRule::Fixed(0)]);
+    }
+
+    #[test]
+    fn doubles_that_are_singles_are_kept_so() {
+        let header = pcd("x y z intensity t", "8 8 8 8 8", "F F F F F", "1 1 1 1 1", 2, "ascii");
+        let body = "22.719 0.031 1 0.1 1300000000.5\n18.052 0.076 -2 0.123456789012 1300000000.75\n";
+        let scan = comes_back("a.pcd", [&header, body.as_bytes()].concat());
+        assert_eq!(scan.cloud.positions, [[22.719, 0.031, 1.0], [18.052, 0.076, -2.0]]);
+        assert_eq!((scan.layout.stride, scan.layout.intensity), (3 * 4 + 2 * 8, None));
+    }
+
+    #[test]
+    fn lines_may_end_and_be_parted_otherwise() {
+        for body in ["1 2 3 4 5 \n1 2 3 4 5 \n", "1\t2\t3\t4\t5\r\n", "1 2 3 4 5 \r\n1 2 3 4 5 \r\n"] {
+            assert!(comes_back("a.pcd", file(body)).records > 0, "{body:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_like_the_first_line_is_suffix() {
+        for (body, records, suffix) in [
+            ("1 2 3 4 5\n1 2 3 4 5", 1, "1 2 3 4 5"),
+            ("1 2 3 4 5\n1 2 3 4\n1 2 3 4 5\n", 1, "1 2 3 4\n1 2 3 4 5\n"),
+            ("1 2 3 4 5\n1 2 3 4 5 6\n", 1, "1 2 3 4 5 6\n"),
+            ("1 2 3 4 5\n1 2 3 4  5\n", 1, "1 2 3 4  5\n"),
+            ("1 2 3 4 5\n1 2 3 4 70000\n", 1, "1 2 3 4 70000\n"),
+            ("1 2 3 4 5\r\n1 2 3 4 5\n", 1, "1 2 3 4 5\n"),
+            ("1 2 3 4 5\n1 2 3 4 5\n1 2 3 4 5\n1 2 3 4 5\n", 3, "1 2 3 4 5\n"),
+        ] {
+            let scan = comes_back("a.pcd", file(body));
+            assert_eq!((scan.records, &scan.suffix[..]), (records, suffix.as_bytes()), "{body:?}");
+        }
+    }
+
+    #[test]
+    fn texts_that_no_rule_gives_are_opaque() {
+        for body in [
+            "",
+            "1 2 3 4",
+            "01 2 3 4 5\n",
+            "+1 2 3 4 5\n",
+            "1. 2 3 4 5\n",
+            "1.5 2 3 4 5\n1.50 2 3 4 5\n",
+            "0.123456789012 2 3 4 5\n",
+            "NaN 2 3 4 5\n",
+            "1 2 3 4 05\n",
+            "1E5 2 3 4 5\n",
+        ] {
+            assert!(comes_back("a.pcd", file(body)).is_opaque(), "{body:?}");
+        }
+    }
+
+    /// All rules for floating point, with up to as many digits as writers ask for.
+    fn any_rule() -> impl Strategy<Value = NumberRule> {
+        prop_oneof![
+            (0u8..20).prop_map(NumberRule::Fixed),
+            (0u8..20).prop_map(NumberRule::Scientific),
+            (1u8..20).prop_map(NumberRule::Significant),
+            any::<(bool, bool)>()
+                .prop_map(|(double, point_zero)| NumberRule::Shortest { double, point_zero }),
+        ]
+    }
+
+    /// Any number but the largest: few digits make more of them than there is, which reads as infinite.
+    fn any_number() -> impl Strategy<Value = f64> {
+        any::<f64>().prop_filter("too large", |number| !number.is_finite() || number.abs() < 9e307)
+    }
+
+    /// What a column of this type and rule makes of the values.
+    fn text_of(scalar: Scalar, rule: NumberRule, extra: Vec<u8>) -> Vec<u8> {
+        let size = scalar.size();
+        let records = extra.len() / size as usize;
+        let columns = vec![Column { scalar, rule }];
+        let format = TextFormat { crlf: false, tab: false, trailing_separator: false, columns };
+        let wrapping = Wrapping::Text(format);
+        let prefix = pcd("v", &size.to_string(), "F", "1", records as u64, "ascii");
+        let cloud = PointCloud { extra, ..PointCloud::default() };
+        let layout = Layout { wrapping, stride: size, ..Layout::default() };
+        ScanFile { layout, prefix, records, cloud, ..ScanFile::default() }.to_bytes().unwrap()
+    }
+
+    proptest! {
+        /// A text that any rule wrote is recognised, whatever the values.
+        #[test]
+        fn every_rule_is_found_again(
+            any in prop::collection::vec(any_number(), 0..20),
+            tame in prop::collection::vec(-99999i32..99999, 1..20),
+            rule in any_rule(),
+        ) {
+            let values = any.into_iter().chain(tame.into_iter().map(|n| f64::from(n) / 64.0));
+            let doubles: Vec<u8> = values.clone().flat_map(f64::to_le_bytes).collect();
+            let singles: Vec<u8> = values.flat_map(|v| (v as f32).to_le_bytes()).collect();
+            for (scalar, bytes) in [(Scalar::F64, doubles), (Scalar::F32, singles)] {
+                let scan = comes_back("a.pcd", text_of(scalar, rule, bytes));
+                prop_assert!(!scan.is_opaque(), "{:?} {}", rule, String::from_utf8_lossy(&scan.prefix));
+            }
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! The promise of bounded mode, and what the encoder does to keep it.
+
+use super::fidelity::{Intensity, Positions};
+use crate::scan::{PointCloud, ScanFile, squared_distance};
+use crate::scanner::Coordinates;
+
+/// How far decoded values may be from those of the file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bound {
+    /// Metres (3-D distance).
+    max_error: f64,
+    /// The grid of points outside the range image.
+    lattice: Coordinates,
+    intensity: Intensity,
+}
+
+impl Bound {
+    /// What these settings promise; none if it is more than a bound.
+    pub fn of(positions: Positions, intensity: Intensity) -> Option<Self> {
+        match (positions, positions.lattice()) {
+            (Positions::Bounded { max_error_um, .. }, Some(lattice)) => {
+                Some(Bound { max_error: f64::from(max_error_um) * 1e-6, lattice, intensity })
+            }
+            _ => None,
+        }
+    }
+
+    /// How far the formula may miss a point that goes into the range image, in metres.
+    pub fn reach(&self) -> f64 {
+        0.5 * self.max_error
+    }
+
+    /// The widest bins of ranges, in steps of `step` metres, that keep nearly all points within the bound.
+    /// `misses` are their distances from where the formula has them before that, in metres.
+    pub fn bin(&self, step: f64, mut misses: Vec<f64>) -> u32 {
+        /// The rest is corrected. A correction takes a few bytes, a finer step a bit of every point.
+        const KEPT: f64 = 0.995;
+        if misses.is_empty() {
+            return 1;
+        }
+        let place = ((misses.len() - 1) as f64 * KEPT) as usize;
+        let (_, miss, _) = misses.select_nth_unstable_by(place, f64::total_cmp);
+        // The ends of a bin of n steps are (n - 1) / 2 steps from its middle.
+        let steps = 2.0 * (self.max_error - *miss) / step;
+        (steps + 1.0).clamp(1.0, 65_536.0) as u32
+    }
+
+    /// Moves positions to the lattice where the bound allows it.
+    pub fn round_positions(&self, positions: &mut [[f32; 3]]) {
+        for position in positions {
+            let moved = position.map(|v| self.lattice.value(self.lattice.unit_of(f64::from(v)), 0.0));
+            if self.is_near(position, &moved) {
+                *position = moved;
+            }
+        }
+    }
+
+    /// Rounds intensities to multiples of the step, if there is one.
+    pub fn round_intensities<'a>(&self, intensities: impl Iterator<Item = &'a mut f32>) {
+        let Intensity::Rounded { step_millionths } = self.intensity else { return };
+        for value in intensities.filter(|value| value.is_finite()) {
+            let count = (f64::from(*value) * 1e6 / f64::from(step_millionths)).round();
+            *value = match self.intensity.levels_per_unit() {
+                Some(levels) => (count / f64::from(levels)) as f32,
+                None => (count * (f64::from(step_millionths) * 1e-6)) as f32,
+            };
+        }
+    }
+
+    /// Whether a decoded scan has the very points of the original, in their order, and none is farther off
+    /// than promised.
+    pub fn holds(&self, original: &ScanFile, decoded: &ScanFile) -> bool {
+        let (PointCloud { positions, intensity, extra }, after) = (&original.cloud, &decoded.cloud);
+        let half_step = match self.intensity {
+            Intensity::Rounded { step_millionths } => 0.5e-6 * f64::from(step_millionths),
+            Intensity::Exact | Intensity::None => 0.0,
+        };
+        // A float32 is rounded by less than this part of itself.
+        let near =
+            |a: f32, b: f32| (f64::from(a) - f64::from(b)).abs() <= half_step + 1e-7 * f64::from(a.abs());
+        let same_bits = |a: f32, b: f32| a.to_bits() == b.to_bits();
+        original.records == decoded.records
+            && positions.len() == after.positions.len()
+            && positions.iter().zip(&after.positions).all(|(a, b)| self.is_near(a, b))
+            && intensity.len() == after.intensity.len()
+            && intensity
+                .iter()
+                .zip(&after.intensity)
+                .all(|(&a, &b)| same_bits(a, b) || (half_step > 0.0 && near(a, b)))
+            && *extra == after.extra
+    }
+
+    /// Whether a decoded position is no farther from the original than promised.
+    pub fn is_near(&self, a: &[f32; 3], b: &[f32; 3]) -> bool {
+        squared_distance(a, b).sqrt() <= self.max_error || a.map(f32::to_bits) == b.map(f32::to_bits)
+    }
+}

@@ -1,0 +1,112 @@
+//! How true decoded points are to those of the file: what is promised of their positions and intensities.
+
+use super::parameters::{read, within};
+use crate::ground::error::{Error, Result};
+use crate::ground::varint::write_unsigned;
+use crate::scanner::Coordinates;
+
+/// Where the positions of decoded points come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Positions {
+    /// The formula's, corrected to the file's own, in the file's own order.
+    #[default]
+    Exact,
+    /// The formula's as they are, in the order of the range image.
+    Formula,
+    /// None is farther than this from the file's own (3-D distance), in the file's own order: the formula's,
+    /// corrected to the file's own where they are farther off.
+    Bounded {
+        /// The bound, in micrometres; not 0.
+        max_error_um: u32,
+        /// Whether the formula's are rounded to the grid of the file: best if its ranges are exact.
+        on_grid: bool,
+    },
+}
+
+/// What becomes of intensities.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Intensity {
+    /// They are kept as they are.
+    #[default]
+    Exact,
+    /// They are left out, and decode to 0.
+    None,
+    /// They are rounded to whole multiples of a step.
+    Rounded {
+        /// Millionths of the file's unit; not 0.
+        step_millionths: u32,
+    },
+}
+
+/// The longest bound, in micrometres: 10 m.
+pub const MOST_MAX_ERROR_UM: u32 = 10_000_000;
+
+impl Positions {
+    /// The grid of points outside the range image, none if it is the file's own: no point is farther than
+    /// the bound from the nearest one of this cubic grid.
+    pub fn lattice(self) -> Option<Coordinates> {
+        match self {
+            Positions::Bounded { max_error_um, .. } => {
+                // An edge of 2 / sqrt(3) bounds has its corners at the bound; the rest is room for float32.
+                Some(Coordinates::Lattice { step_nm: u64::from(max_error_um) * 1140 })
+            }
+            Positions::Exact | Positions::Formula => None,
+        }
+    }
+
+    pub(crate) fn write_to(self, out: &mut Vec<u8>) {
+        match self {
+            Positions::Exact => write_unsigned(out, 0),
+            Positions::Formula => write_unsigned(out, 1),
+            Positions::Bounded { max_error_um, on_grid } => {
+                write_unsigned(out, if on_grid { 3 } else { 2 });
+                write_unsigned(out, u64::from(max_error_um));
+            }
+        }
+    }
+
+    pub(crate) fn read_from(input: &mut &[u8]) -> Result<Self> {
+        match read(input)? {
+            0 => Ok(Positions::Exact),
+            1 => Ok(Positions::Formula),
+            code @ 2..4 => {
+                let max_error_um = within(input, 1..=MOST_MAX_ERROR_UM.into(), "a largest error")?;
+                Ok(Positions::Bounded { max_error_um, on_grid: code == 3 })
+            }
+            other => Err(Error::unsupported(format!("frame parameters: unknown positions {other}"))),
+        }
+    }
+}
+
+impl Intensity {
+    /// Levels that make 1, if the rounded ones are a whole number.
+    pub fn levels_per_unit(self) -> Option<u32> {
+        match self {
+            Intensity::Rounded { step_millionths: step } => (1_000_000 % step == 0).then(|| 1_000_000 / step),
+            Intensity::Exact | Intensity::None => None,
+        }
+    }
+
+    pub(crate) fn write_to(self, out: &mut Vec<u8>) {
+        match self {
+            Intensity::None => write_unsigned(out, 0),
+            Intensity::Exact => write_unsigned(out, 1),
+            Intensity::Rounded { step_millionths } => {
+                write_unsigned(out, 2);
+                write_unsigned(out, u64::from(step_millionths));
+            }
+        }
+    }
+
+    pub(crate) fn read_from(input: &mut &[u8]) -> Result<Self> {
+        match read(input)? {
+            0 => Ok(Intensity::None),
+            1 => Ok(Intensity::Exact),
+            2 => {
+                let steps = 1..=u32::MAX.into();
+                Ok(Intensity::Rounded { step_millionths: within(input, steps, "a step of intensities")? })
+            }
+            other => Err(Error::unsupported(format!("frame parameters: unknown intensities {other}"))),
+        }
+    }
+}

@@ -1,0 +1,322 @@
+//! A scan as it is coded: the range image and what it takes to get from it to the file's points.
+
+use super::bound::Bound;
+use super::fidelity::{Intensity, Positions};
+use super::parameters::{FrameParameters, Prediction, Source};
+use super::settings::{EncoderConfig, ProjectionKind};
+use super::steps::{Step, StepReport};
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::article::prediction::Rays;
+use crate::article::prediction::intra::IntraPrediction;
+use crate::article::segmentation::segment;
+use crate::files::with_point_count;
+use crate::ground::error::{Error, Result};
+use crate::ground::grid::Grid;
+use crate::inter::registration::QuantisedPose;
+use crate::models::OrderExceptions;
+use crate::scan::{Layout, PointCloud, ScanFile};
+use crate::scanner::SensorModel;
+use crate::scanner::motion::{self, Compensation};
+use crate::scanner::{Projection, REACH, Return, project, project_nearest};
+
+/// The parts of a frame, as the sections code them.
+#[derive(Clone, Debug, Default)]
+pub struct Frame {
+    pub parameters: FrameParameters,
+    pub layout: Layout,
+    pub prefix: Vec<u8>,
+    pub suffix: Vec<u8>,
+    /// Number of records in the file.
+    pub records: usize,
+    /// Number of records that are strays; the others are returns of the range image.
+    pub strays: usize,
+    /// Column ticks of the range image, rising.
+    pub columns: Vec<u32>,
+    /// Which cells hold a return.
+    pub occupancy: Grid<bool>,
+    /// The numbers of the cells that do, row after row.
+    pub cells: Vec<u32>,
+    /// Range of each return, in steps.
+    pub steps: Grid<u32>,
+    /// The regions of the image and their models, if ranges are predicted from them.
+    pub intra: IntraPrediction,
+    /// What an image coder made of the ranges; kept, so that they lose nothing when they are coded again.
+    pub image: Vec<u8>,
+    /// Intensity of each return.
+    pub intensity: Grid<f32>,
+    /// Position of each return, in file order.
+    pub positions: Vec<[f32; 3]>,
+    pub stray_positions: Vec<[f32; 3]>,
+    pub stray_intensity: Vec<f32>,
+    pub order: OrderExceptions,
+    /// The other bytes of the records, in the order of the file.
+    pub extra: Vec<u8>,
+    /// How the points were moved after they were measured; the positions above are from before.
+    pub compensation: Option<Compensation>,
+    /// Where the points come from; only while a scan is encoded.
+    origin: Option<Arc<Origin>>,
+    /// Positions as they are in the file, if they were moved; only while a scan is encoded.
+    moved: Option<Arc<Vec<[f32; 3]>>>,
+}
+
+/// The points of a scan that is encoded, and where the range image has them.
+#[derive(Debug)]
+struct Origin {
+    cloud: PointCloud,
+    point_of_cell: Grid<u32>,
+    strays: Vec<u32>,
+}
+
+impl Frame {
+    /// A frame of so many records, to be decoded.
+    pub fn of_records(records: usize) -> Self {
+        Frame { records, ..Frame::default() }
+    }
+
+    /// Takes a scan apart (article, III-A and IV-A: the outlier filter and the range image).
+    pub fn from_scan(
+        scan: ScanFile,
+        sensor: Option<&SensorModel>,
+        config: &EncoderConfig,
+        steps: &mut StepReport,
+    ) -> Result<Self> {
+        let mut frame = Frame {
+            parameters: config.frame_parameters()?,
+            layout: scan.layout,
+            prefix: scan.prefix,
+            suffix: scan.suffix,
+            records: scan.records,
+            ..Frame::default()
+        };
+        let bound = Bound::of(config.positions, config.intensity);
+        let cloud = steps.timed(Step::Conversion, || frame.undo_compensation(scan.cloud, config));
+        match sensor.filter(|_| !cloud.positions.is_empty()) {
+            None => frame.take_strays(cloud),
+            Some(sensor) if config.positions == Positions::Formula => {
+                frame.convert_points(&cloud, sensor, config, steps);
+            }
+            Some(sensor) => steps.timed(Step::Conversion, || {
+                frame.take_points(cloud, sensor, bound.as_ref());
+            }),
+        }
+        if let Some(bound) = bound {
+            frame.round_values(&bound);
+            frame.parameters.source = Some(Source::all_points(steps.original, scan.records as u64));
+        }
+        frame.parameters.range_coder.fit(&frame.steps);
+        Ok(frame)
+    }
+
+    /// Takes a prediction: for intra, finds the regions of the image (equations 3 and 4) and models them
+    /// (equations 5 to 7).
+    pub fn predict(
+        &mut self,
+        prediction: Prediction,
+        sensor: Option<&SensorModel>,
+        config: &EncoderConfig,
+        steps: &mut StepReport,
+    ) {
+        if prediction != Prediction::Inter {
+            self.predict_from_nothing();
+        }
+        self.parameters.prediction = prediction;
+        if let (Some(sensor), Prediction::Intra) = (sensor, prediction) {
+            let segmentation = steps.timed(Step::Clustering, || {
+                segment(&self.steps, &self.columns, sensor, &config.segmentation)
+            });
+            let rays = Rays::of(sensor, &self.columns);
+            self.intra = steps.timed(Step::Prediction, || {
+                IntraPrediction::fit(&self.steps, &self.occupancy, &rays, &segmentation, &config.intra)
+            });
+        }
+    }
+
+    /// Takes no prediction.
+    pub fn predict_from_nothing(&mut self) {
+        self.parameters.prediction = Prediction::None;
+        self.parameters.motion = QuantisedPose::default();
+    }
+
+    /// The points as they were measured, if they were moved after that.
+    fn undo_compensation(&mut self, cloud: PointCloud, config: &EncoderConfig) -> PointCloud {
+        let undone = config.undoes_compensation().then(|| motion::undo(&cloud.positions)).flatten();
+        let Some((positions, compensation)) = undone else { return cloud };
+        self.compensation = Some(compensation);
+        self.moved = Some(Arc::new(cloud.positions));
+        PointCloud { positions, ..cloud }
+    }
+
+    /// Takes all points as they come: there is no range image. None of them is lost.
+    fn take_strays(&mut self, cloud: PointCloud) {
+        if self.parameters.positions == Positions::Formula {
+            self.parameters.positions = Positions::Exact;
+            self.parameters.intensity = Intensity::Exact;
+        }
+        self.strays = self.records;
+        self.stray_positions = cloud.positions;
+        self.stray_intensity = cloud.intensity;
+        self.extra = cloud.extra;
+    }
+
+    /// Takes all points, in bins of range as wide as the bound allows.
+    fn take_points(&mut self, cloud: PointCloud, sensor: &SensorModel, bound: Option<&Bound>) {
+        let projection = project(sensor, &cloud, bound.map_or(REACH, |bound| bound.reach().max(REACH)));
+        if let Some(bound) = bound {
+            let bin = bound.bin(sensor.range_step_m(), projection.misses(sensor, &cloud));
+            self.parameters.range_coder = self.parameters.range_coder.in_bins(bin);
+            if let Positions::Bounded { on_grid, .. } = &mut self.parameters.positions {
+                *on_grid = bin == 1;
+            }
+        }
+        self.take_image(cloud, projection);
+    }
+
+    /// Moves the values that the range image does not hold as far as the bound allows.
+    fn round_values(&mut self, bound: &Bound) {
+        bound.round_positions(&mut self.stray_positions);
+        let of_cells = self.intensity.cells_mut().iter_mut();
+        bound.round_intensities(of_cells.chain(&mut self.stray_intensity));
+    }
+
+    /// Takes what the outlier filter (equation 1) and the range image (equation 2) leave of the
+    /// points.
+    fn convert_points(
+        &mut self,
+        cloud: &PointCloud,
+        sensor: &SensorModel,
+        config: &EncoderConfig,
+        steps: &mut StepReport,
+    ) {
+        let cloud = steps.timed(Step::Outliers, || match config.outliers {
+            Some(outliers) => outliers.filter(cloud),
+            None => cloud.clone(),
+        });
+        let start = Instant::now();
+        let mut projection = match config.projection {
+            ProjectionKind::Calibrated { .. } => project(sensor, &cloud, REACH),
+            ProjectionKind::Ideal { .. } => project_nearest(sensor, &cloud),
+        };
+        let lost = match config.projection {
+            ProjectionKind::Calibrated { .. } => 0,
+            ProjectionKind::Ideal { .. } => std::mem::take(&mut projection.strays).len(),
+        };
+        self.parameters.source = Some(Source {
+            file_size: steps.original,
+            points: self.records as u64,
+            outliers: (self.records - cloud.positions.len()) as u64,
+            lost: lost as u64,
+        });
+        self.records = cloud.positions.len() - lost;
+        self.take_image(cloud, projection);
+        self.prefix = with_point_count(&self.prefix, self.records);
+        steps.took(Step::Conversion, start);
+    }
+
+    /// Takes the range image and the strays.
+    fn take_image(&mut self, cloud: PointCloud, projection: Projection) {
+        let Projection { image, point_of_cell, strays } = projection;
+        self.occupancy = image.occupancy();
+        self.intensity = Grid::new(image.steps.rows(), image.columns.len());
+        for row in 0..image.steps.rows() {
+            for column in (0..image.columns.len()).filter(|&column| image.steps[(row, column)] > 0) {
+                let point = point_of_cell[(row, column)] as usize;
+                self.intensity[(row, column)] = cloud.intensity.get(point).copied().unwrap_or(0.0);
+            }
+        }
+        self.columns = image.columns;
+        self.steps = image.steps;
+        self.strays = strays.len();
+        let PointCloud { positions, intensity, .. } = cloud.select(&strays);
+        self.stray_positions = positions;
+        self.stray_intensity = intensity;
+        self.origin = Some(Arc::new(Origin { cloud, point_of_cell, strays }));
+    }
+
+    /// Brings the encoder's points into the order in which a decoder finds the returns: the decoded ranges
+    /// tell of it.
+    pub fn arrange(&mut self, returns: &[Return]) {
+        let Some(origin) = self.origin.take() else { return };
+        let Origin { cloud, point_of_cell, strays } = &*origin;
+        let of_returns =
+            returns.iter().map(|found| point_of_cell[(found.row as usize, found.column as usize)]);
+        let points: Vec<u32> = of_returns.chain(strays.iter().copied()).collect();
+        self.positions =
+            points[..returns.len()].iter().map(|&point| cloud.positions[point as usize]).collect();
+        if self.parameters.positions == Positions::Formula {
+            self.extra = cloud.select(&points).extra;
+            return;
+        }
+        self.order = OrderExceptions::of_places(&points, returns.len());
+        self.extra.clone_from(&cloud.extra);
+    }
+
+    /// Which point of the file each cell holds.
+    ///
+    /// # Errors
+    /// If the parts do not fit together.
+    pub fn point_of_cell(&self, returns: &[Return]) -> Result<Grid<Option<u32>>> {
+        let mut points = Grid::new(self.occupancy.rows(), self.occupancy.columns());
+        for (point, element) in (0u32..).zip(self.order.order(returns.len())?) {
+            if let Some(found) = returns.get(element as usize) {
+                points[(found.row as usize, found.column as usize)] = Some(point);
+            }
+        }
+        Ok(points)
+    }
+
+    /// The positions, moved or not, in the order of the file.
+    fn positions_in_order(&self) -> Result<Vec<[f32; 3]>> {
+        self.order.arranged(&self.positions, &self.stray_positions)
+    }
+
+    /// Takes down which points compensation does not move to where they must be, now that what is decoded of
+    /// them is known.
+    ///
+    /// # Errors
+    /// If the parts do not fit together.
+    pub fn find_misses(&mut self) -> Result<()> {
+        let Some(moved) = self.moved.take() else { return Ok(()) };
+        let measured = self.positions_in_order()?;
+        let bound = Bound::of(self.parameters.positions, self.parameters.intensity);
+        if let Some(compensation) = &mut self.compensation {
+            compensation.find_misses(&measured, &moved, |a, b| match &bound {
+                Some(bound) => bound.is_near(a, b),
+                None => a.map(f32::to_bits) == b.map(f32::to_bits),
+            });
+        }
+        Ok(())
+    }
+
+    /// Puts the scan together again.
+    ///
+    /// # Errors
+    /// If the parts do not fit together.
+    pub fn into_scan(self, name: &str, returns: &[Return]) -> Result<ScanFile> {
+        if returns.len() + self.order.stray_places.len() != self.records {
+            return Err(Error::corrupt("the parts of the frame hold different numbers of points"));
+        }
+        let mut cloud = PointCloud::default();
+        if self.layout.position.is_some() {
+            cloud.positions = self.positions_in_order()?;
+        }
+        if let Some(compensation) = &self.compensation {
+            compensation.apply(&mut cloud.positions);
+        }
+        if self.layout.intensity.is_some() {
+            let of_return = |found: &Return| self.intensity[(found.row as usize, found.column as usize)];
+            let of_returns: Vec<f32> = returns.iter().map(of_return).collect();
+            cloud.intensity = self.order.arranged(&of_returns, &self.stray_intensity)?;
+        }
+        cloud.extra = self.extra;
+        Ok(ScanFile {
+            name: name.to_owned(),
+            layout: self.layout,
+            prefix: self.prefix,
+            records: self.records,
+            cloud,
+            suffix: self.suffix,
+        })
+    }
+}

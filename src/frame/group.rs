@@ -1,0 +1,273 @@
+//! A group of pictures: frames coded one after the other by models that learn from each. Groups
+//! know nothing of one another.
+
+use std::mem::take;
+
+use super::bound::Bound;
+use super::fidelity::{Intensity, Positions};
+use super::frame::Frame;
+use super::parameters::{Prediction, RangeCoder, Source};
+use super::sections::{Effort, SectionReader, SectionWriter};
+use super::settings::{EncoderConfig, InterChoice};
+use super::steps::{Step, StepReport};
+use super::syntax::Models;
+use crate::article::prediction::intra::IntraPrediction;
+use crate::files::parse_like;
+use crate::ground::error::{Error, Limits, Result};
+use crate::ground::grid::Grid;
+use crate::inter;
+use crate::inter::registration::{Pose, QuantisedPose, register};
+use crate::scan::ScanFile;
+use crate::scanner::SensorModel;
+use crate::scanner::{RangeImage, Return};
+use crate::stream::container::{FrameHeader, Section};
+
+/// Encodes the frames of one group.
+pub struct GroupEncoder<'s> {
+    sensor: Option<&'s SensorModel>,
+    config: &'s EncoderConfig,
+    models: Models,
+    /// The last motion of the scanner, from frame to frame.
+    motion: QuantisedPose,
+    /// Frames coded so far.
+    frames: usize,
+}
+
+/// A frame as [`GroupEncoder`] codes it.
+pub struct EncodedFrame {
+    /// What it decodes to.
+    pub header: FrameHeader,
+    /// The coded parts.
+    pub sections: Vec<Section>,
+    /// What each step took and left; where several predictions were tried, with the one that was taken.
+    pub steps: StepReport,
+}
+
+impl<'s> GroupEncoder<'s> {
+    /// A new group of scans by `sensor`.
+    pub fn new(sensor: Option<&'s SensorModel>, config: &'s EncoderConfig) -> Self {
+        GroupEncoder {
+            sensor,
+            config,
+            models: Models::default(),
+            motion: QuantisedPose::default(),
+            frames: 0,
+        }
+    }
+
+    /// Encodes the next frame, which decoders then take under [`Limits::default`]. `original` says
+    /// what its file is. A frame that would break the bound of bounded mode is coded exactly: one whose text
+    /// has no room for the decoded values, say.
+    ///
+    /// # Errors
+    /// If the scan is over those limits, or a back-end's library fails.
+    pub fn encode_frame(&mut self, scan: ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
+        let Some(bound) = Bound::of(self.config.positions, self.config.intensity) else {
+            return Ok(self.encode_as(self.config, scan, original)?.0);
+        };
+        let before = self.models.clone();
+        let (encoded, decoded) = self.encode_as(self.config, scan.clone(), original.clone())?;
+        if decoded.is_some_and(|bytes| bound.holds(&scan, &parse_like(&scan, &scan.name, bytes))) {
+            return Ok(encoded);
+        }
+        self.models = before;
+        self.frames -= 1;
+        let (positions, intensity) = (Positions::Exact, Intensity::Exact);
+        let exact = EncoderConfig { positions, intensity, ..self.config.clone() };
+        Ok(self.encode_as(&exact, scan, original)?.0)
+    }
+
+    /// Encodes the next frame with these settings. Gives the file that it decodes to, if it is another.
+    fn encode_as(
+        &mut self,
+        config: &EncoderConfig,
+        scan: ScanFile,
+        original: FrameHeader,
+    ) -> Result<(EncodedFrame, Option<Vec<u8>>)> {
+        let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
+        let name = scan.name.clone();
+        let mut frame = Frame::from_scan(scan, self.sensor, config, &mut steps)?;
+        let mut best: Option<Attempt> = None;
+        let fit = steps.timed(Step::Registration, || self.estimate_motion(&frame));
+        let mut predictions = self.config.predictions(fit).into_iter().peekable();
+        while let Some(prediction) = predictions.next() {
+            let (models, frame) = match predictions.peek() {
+                Some(_) => (self.models.clone(), frame.clone()),
+                None => (take(&mut self.models), take(&mut frame)),
+            };
+            let attempt = self.attempt(frame, prediction, models, steps)?;
+            if best.as_ref().is_none_or(|best| attempt.cost() < best.cost()) {
+                best = Some(attempt);
+            }
+        }
+        let Some(Attempt { models, frame, sections, returns, steps, .. }) = best else {
+            return Err(Error::InvalidConfig("no prediction to choose from".to_owned()));
+        };
+        self.models = models;
+        self.frames += 1;
+        if frame.parameters.source.is_none() {
+            return Ok((EncodedFrame { header: original, sections, steps }, None));
+        }
+        let decoded = frame.into_scan(&name, &returns)?;
+        let bytes = decoded.to_bytes()?;
+        let header = FrameHeader::of(&name, &bytes, decoded.records as u64);
+        Ok((EncodedFrame { header, sections, steps }, Some(bytes)))
+    }
+
+    /// Finds how the scanner has moved since the frame before, if the frame may be predicted from that
+    /// (equation 8). Gives how much of that frame fits this one, from 0 to 1; none if it does not.
+    fn estimate_motion(&mut self, frame: &Frame) -> Option<f64> {
+        /// The part of the returns that are as far away as before from where the scanner stands still.
+        const STANDING_STILL: f64 = 0.5;
+        let (sensor, past) = (self.sensor?, self.models.past()?);
+        let choice = self.config.inter_choice(self.frames);
+        let is_too_large = frame.steps.cells().len() > inter::MOST_CELLS;
+        if frame.strays == frame.records || is_too_large || choice == InterChoice::Never {
+            return None;
+        }
+        if choice == InterChoice::StandingStill {
+            let agreement = past.agreement(&frame.columns, &frame.steps);
+            if agreement < STANDING_STILL {
+                return None;
+            }
+            if frame.parameters.modelling().can_do_without_surfaces() {
+                self.motion = QuantisedPose::default();
+                return Some(agreement);
+            }
+        }
+        let image = RangeImage { columns: frame.columns.clone(), steps: frame.steps.clone() };
+        let surface = past.surface(sensor);
+        let found = register(surface, &image, sensor, &self.motion.pose(), &self.config.registration);
+        let motion = found.and_then(|found| found.pose.quantise());
+        self.motion = motion.unwrap_or_default();
+        motion.and(found).map(|found| found.fit)
+    }
+
+    /// Codes a frame with this prediction, by models that go on from those of the group.
+    fn attempt(
+        &self,
+        mut frame: Frame,
+        prediction: Prediction,
+        mut models: Models,
+        mut steps: StepReport,
+    ) -> Result<Attempt> {
+        let ranges = frame.steps.clone();
+        frame.parameters.motion = self.motion;
+        frame.predict(prediction, self.sensor, self.config, &mut steps);
+        let effort = Effort { level: self.config.level, image: self.config.image };
+        let mut writer = SectionWriter::new(effort);
+        let returns = models.code_frame(&mut writer, self.sensor, &mut frame, &mut steps)?;
+        steps.count_sections(&writer.sections);
+        let error = match frame.parameters.range_coder {
+            RangeCoder::Image(_) => squared_error(&ranges, &frame.steps),
+            RangeCoder::Context { .. } | RangeCoder::Backend { .. } => 0.0,
+        };
+        Ok(Attempt { models, frame, sections: writer.sections, returns, error, steps })
+    }
+}
+
+/// A frame coded in one of several ways.
+struct Attempt {
+    /// What coding it has taught.
+    models: Models,
+    /// As it decodes.
+    frame: Frame,
+    sections: Vec<Section>,
+    returns: Vec<Return>,
+    /// Squared error of the ranges, in steps, by a coder that may spend so many bits; else 0.
+    error: f64,
+    steps: StepReport,
+}
+
+impl Attempt {
+    /// The error, of coders that may spend so many bits, and then the bytes of the sections.
+    fn cost(&self) -> (f64, usize) {
+        (self.error, self.sections.iter().map(|section| section.payload.len()).sum())
+    }
+}
+
+/// The sum of the squared differences of two images, in steps.
+fn squared_error(a: &Grid<u32>, b: &Grid<u32>) -> f64 {
+    let differences = a.cells().iter().zip(b.cells()).map(|(a, b)| f64::from(a.abs_diff(*b)));
+    differences.map(|difference| difference * difference).sum()
+}
+
+/// A frame as [`GroupDecoder`] decodes it.
+pub struct DecodedScan {
+    /// The file.
+    pub scan: ScanFile,
+    /// What the file was before, if it is not given back exactly.
+    pub source: Option<Source>,
+    /// Whether it holds the points of the file before, and in their order.
+    pub in_order: bool,
+    /// The range image, if there is one and it was asked for.
+    pub image: Option<DecodedImage>,
+}
+
+/// The range image of a decoded frame.
+#[derive(Clone, Debug)]
+pub struct DecodedImage {
+    /// Whose rows, ticks and steps these are.
+    pub sensor: SensorModel,
+    /// The ranges.
+    pub image: RangeImage,
+    /// Which point of the file each cell holds, the first being 0.
+    pub point_of_cell: Grid<Option<u32>>,
+    /// The regions that they were predicted from; none if they were not.
+    pub intra: IntraPrediction,
+    /// How the scanner has moved since the frame before, if they were predicted from that.
+    pub motion: Option<Pose>,
+}
+
+/// Decodes the frames of one group.
+pub struct GroupDecoder<'s> {
+    sensor: Option<&'s SensorModel>,
+    limits: Limits,
+    keeps_images: bool,
+    models: Models,
+}
+
+impl<'s> GroupDecoder<'s> {
+    /// A new group of scans by `sensor`.
+    pub fn new(sensor: Option<&'s SensorModel>, limits: &Limits) -> Self {
+        GroupDecoder { sensor, limits: *limits, keeps_images: false, models: Models::default() }
+    }
+
+    /// Makes it give back range images too.
+    pub fn keeping_images(self, keeps_images: bool) -> Self {
+        GroupDecoder { keeps_images, ..self }
+    }
+
+    /// Decodes the next frame; what each step took is added to `steps`.
+    ///
+    /// # Errors
+    /// If the sections do not make a frame, or one over the limits.
+    pub fn decode_frame(
+        &mut self,
+        header: &FrameHeader,
+        sections: &[Section],
+        steps: &mut StepReport,
+    ) -> Result<DecodedScan> {
+        let mut reader = SectionReader::new(sections, &self.limits);
+        let mut frame = Frame::of_records(header.point_count as usize);
+        let returns = self.models.code_frame(&mut reader, self.sensor, &mut frame, steps)?;
+        reader.finish()?;
+        let source = frame.parameters.source;
+        steps.frames += 1;
+        steps.original += source.map_or(header.file_size, |source| source.file_size);
+        steps.count_sections(sections);
+        let image = match self.sensor.filter(|_| self.keeps_images) {
+            Some(sensor) => Some(DecodedImage {
+                sensor: sensor.clone(),
+                point_of_cell: frame.point_of_cell(&returns)?,
+                image: RangeImage { columns: take(&mut frame.columns), steps: take(&mut frame.steps) },
+                intra: take(&mut frame.intra),
+                motion: (frame.parameters.prediction == Prediction::Inter)
+                    .then(|| frame.parameters.motion.pose()),
+            }),
+            None => None,
+        };
+        let in_order = frame.parameters.positions != Positions::Formula;
+        Ok(DecodedScan { scan: frame.into_scan(&header.name, &returns)?, source, in_order, image })
+    }
+}

@@ -1,0 +1,56 @@
+//! What prediction leaves of the ranges, by an image coder (article, VI-C). The encoder goes on with the
+//! ranges that the decoder will have.
+
+use super::frame::Frame;
+use super::parameters::RangeCoder;
+use super::sections::SectionCoder;
+use super::steps::{Step, StepReport};
+use crate::article::image_coding::{self, ImageCodec};
+use crate::article::prediction::Predictor;
+use crate::ground::error::Result;
+use crate::scanner::SensorModel;
+use crate::stream::container::SectionKind;
+
+/// The range of each return, of which `side` bytes of the prediction are written already.
+///
+/// # Errors
+/// If the section is damaged, or the image's size is none that the format can have.
+pub fn code_ranges<S: SectionCoder>(
+    sections: &mut S,
+    predictor: &Predictor,
+    (codec, side): (ImageCodec, usize),
+    (frame, sensor): (&mut Frame, &SensorModel),
+    report: &mut StepReport,
+) -> Result<()> {
+    let returns = frame.records - frame.strays;
+    report.predicted += 4 * returns as u64;
+    if S::ENCODES && frame.image.is_empty() {
+        let residuals =
+            report.timed(Step::Prediction, || predictor.differences(&frame.occupancy, &frame.steps));
+        let config = sections.effort().image;
+        let most_bytes = config.rate.bytes(returns).map(|bytes| bytes.saturating_sub(side));
+        frame.image = report.timed(Step::Coding, || {
+            image_coding::encode(codec, residuals, &frame.occupancy, config.passes, most_bytes)
+        })?;
+    }
+    sections.payload(SectionKind::Residual, &mut frame.image);
+    let (rows, columns) = (frame.occupancy.rows(), frame.occupancy.columns());
+    let residuals =
+        report.timed(Step::Coding, || image_coding::decode(codec, &frame.image, rows, columns))?;
+    let most = sensor.most_steps();
+    frame.steps =
+        report.timed(Step::Prediction, || predictor.restore_within(&frame.occupancy, &residuals, most));
+    Ok(())
+}
+
+impl Frame {
+    /// Has the ranges, as they were decoded, coded by context from now on: their image is of no use with
+    /// another prediction.
+    pub fn leave_image(&mut self) {
+        if let RangeCoder::Image(_) = self.parameters.range_coder {
+            self.image.clear();
+            self.parameters.range_coder = RangeCoder::EXACT;
+            self.parameters.range_coder.fit(&self.steps);
+        }
+    }
+}

@@ -1,0 +1,24 @@
+//! How one frame, and a group of them, is coded: the syntax, the parameters, what is promised.
+
+pub mod fidelity;
+pub mod group;
+pub mod parameters;
+pub mod settings;
+pub mod steps;
+
+pub(crate) mod bound;
+#[allow(clippy::module_inception)]
+pub(crate) mod frame;
+mod images;
+pub(crate) mod modelling;
+mod quick;
+mod ranges;
+pub(crate) mod sections;
+pub(crate) mod syntax;
+
+pub use fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
+pub use group::DecodedImage;
+pub use modelling::Modelling;
+pub use parameters::{FrameParameters, Prediction, Source};
+pub use settings::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind};
+pub use steps::{Step, StepReport};

@@ -1,0 +1,405 @@
+//! How a frame is coded: what a decoder must know before the frame's other sections, and what
+//! reports say of the file that it was made from. Frames coded exactly as in version 1 of the format have the
+//! default parameters, and no section for them.
+
+use std::fmt;
+use std::ops::RangeInclusive;
+
+use super::fidelity::{Intensity, Positions};
+use super::modelling::Modelling;
+use crate::article::image_coding::ImageCodec;
+use crate::article::residual::Packing;
+use crate::backend;
+use crate::ground::error::{Error, Result};
+use crate::ground::grid::Grid;
+use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
+use crate::inter::registration::QuantisedPose;
+use crate::scanner::EXACT_RANGE_BITS;
+use crate::scanner::SensorModel;
+use crate::stream::container::{Frame, FrameHeader, SectionKind};
+
+/// The parameters of a frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FrameParameters {
+    /// Whether the points' positions are those of the file, or those of the range image.
+    pub positions: Positions,
+    /// What becomes of intensities.
+    pub intensity: Intensity,
+    /// What ranges are predicted from.
+    pub prediction: Prediction,
+    /// How the scanner has moved since the frame before; only if ranges are predicted from that.
+    pub motion: QuantisedPose,
+    /// Whether a general-purpose back-end gets the differences along the snake's path (article, V-C).
+    pub snake: bool,
+    /// What codes the ranges.
+    pub range_coder: RangeCoder,
+    /// The original file, if the decoded one differs from it.
+    pub source: Option<Source>,
+}
+
+/// What the ranges of a range image are predicted from before they are coded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Prediction {
+    /// Nothing: the coder gets the ranges as they are.
+    #[default]
+    None,
+    /// Regions of ground and objects, and their models (article, IV-C).
+    Intra,
+    /// An earlier frame of the group, moved as the scanner has (article, V).
+    Inter,
+}
+
+/// What codes the ranges, or what prediction leaves of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RangeCoder {
+    /// The context coder, for ranges below 2 to the power of `range_bits`.
+    Context {
+        /// How ranges, and the parts of the frame that are coded beside them, are modelled.
+        modelling: Modelling,
+        /// 16 to 24.
+        range_bits: u32,
+        /// Steps a bin, of which ranges decode to the middle; 1: to themselves.
+        bin: u32,
+        /// Whether a decoded range stands for half a step less: the middle of an even number of steps is
+        /// between two.
+        between: bool,
+    },
+    /// A general-purpose back-end.
+    Backend {
+        /// Its number in the registry.
+        id: u8,
+        /// How the residuals are turned into bytes for it.
+        packing: Packing,
+    },
+    /// An image coder; the ranges may differ from the scan's.
+    Image(ImageCodec),
+}
+
+/// The file that a frame was made from, and what became of its points.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Source {
+    /// Bytes of the file.
+    pub file_size: u64,
+    /// Points in the file.
+    pub points: u64,
+    /// Points that the outlier filter dropped (equation 1).
+    pub outliers: u64,
+    /// Points lost because a nearer one took their cell, or that the image has no cell for.
+    pub lost: u64,
+}
+
+impl Default for FrameParameters {
+    fn default() -> Self {
+        FrameParameters {
+            positions: Positions::Exact,
+            intensity: Intensity::Exact,
+            prediction: Prediction::None,
+            motion: QuantisedPose::default(),
+            snake: false,
+            range_coder: RangeCoder::EXACT,
+            source: None,
+        }
+    }
+}
+
+/// The number of the context coder among the back-ends' numbers.
+const CONTEXT: u64 = 255;
+/// The number of the context coder with ranges in bins.
+const BINNED_CONTEXT: u64 = 254;
+/// The number of the context coder with a modelling of its own.
+const MODELLED_CONTEXT: u64 = 253;
+/// The widest bin, in steps.
+const WIDEST_BIN: u32 = 1 << 20;
+/// The numbers of the image coders among them.
+const JPEG: u64 = 128;
+const JPEG_2000: u64 = 129;
+/// The range bits that the context coder takes.
+const RANGE_BITS: RangeInclusive<u64> = 16..=24;
+
+impl FrameParameters {
+    /// The payload of the section; empty for the default parameters.
+    pub fn to_payload(&self) -> Vec<u8> {
+        let mut payload = Vec::new();
+        if *self != FrameParameters::default() {
+            self.write_to(&mut payload);
+        }
+        payload
+    }
+
+    fn write_to(&self, out: &mut Vec<u8>) {
+        self.positions.write_to(out);
+        self.intensity.write_to(out);
+        write_unsigned(out, self.prediction.to_code());
+        if self.prediction == Prediction::Inter {
+            self.motion.values.iter().for_each(|&value| write_signed(out, i64::from(value)));
+        }
+        write_unsigned(out, u64::from(self.snake));
+        match self.range_coder {
+            RangeCoder::Context { modelling: Modelling::FIRST, range_bits, bin: 1, between: false } => {
+                write_unsigned(out, CONTEXT);
+                write_unsigned(out, u64::from(range_bits));
+            }
+            RangeCoder::Context { modelling, range_bits, bin, between } => {
+                if modelling == Modelling::FIRST {
+                    write_unsigned(out, BINNED_CONTEXT);
+                } else {
+                    write_unsigned(out, MODELLED_CONTEXT);
+                    write_unsigned(out, modelling.to_code());
+                }
+                write_unsigned(out, u64::from(range_bits));
+                write_unsigned(out, u64::from(bin));
+                write_unsigned(out, u64::from(between));
+            }
+            RangeCoder::Backend { id, packing } => {
+                write_unsigned(out, u64::from(id));
+                write_unsigned(out, u64::from(packing.to_code()));
+            }
+            RangeCoder::Image(codec) => write_unsigned(out, image_code(codec)),
+        }
+        write_unsigned(out, u64::from(self.source.is_some()));
+        if let Some(Source { file_size, points, outliers, lost }) = self.source {
+            [file_size, points, outliers, lost].into_iter().for_each(|count| write_unsigned(out, count));
+        }
+    }
+
+    /// Reads the payload of the section.
+    ///
+    /// # Errors
+    /// If it is cut short, too long, or holds a choice that this program does not know.
+    pub fn from_payload(mut bytes: &[u8]) -> Result<Self> {
+        if bytes.is_empty() {
+            return Ok(FrameParameters::default());
+        }
+        let input = &mut bytes;
+        let positions = Positions::read_from(input)?;
+        let intensity = Intensity::read_from(input)?;
+        let prediction = Prediction::from_code(read(input)?)?;
+        let mut motion = QuantisedPose::default();
+        if prediction == Prediction::Inter {
+            motion = read_pose(input)?;
+        }
+        let parameters = FrameParameters {
+            positions,
+            intensity,
+            prediction,
+            motion,
+            snake: flag(input)?,
+            range_coder: RangeCoder::read_from(input)?,
+            source: if flag(input)? { Some(Source::read_from(input)?) } else { None },
+        };
+        if !input.is_empty() {
+            return Err(Error::corrupt("frame parameters: bytes left over"));
+        }
+        Ok(parameters)
+    }
+
+    /// How ranges, and the parts that are coded beside them, are modelled.
+    pub(crate) fn modelling(&self) -> Modelling {
+        match self.range_coder {
+            RangeCoder::Context { modelling, .. } => modelling,
+            RangeCoder::Backend { .. } | RangeCoder::Image(_) => Modelling::FIRST,
+        }
+    }
+
+    /// The parameters of a coded frame.
+    ///
+    /// # Errors
+    /// If they are damaged, or unknown to this program.
+    pub fn of(frame: &Frame) -> Result<Self> {
+        let section = frame.sections.iter().find(|section| section.kind == SectionKind::Parameters);
+        Self::from_payload(section.map_or(&[], |section| &section.payload))
+    }
+}
+
+/// In short, such as `exact, context` or `range image, intra, snake, lzma, planes`.
+impl fmt::Display for FrameParameters {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self.positions {
+            Positions::Exact => "exact",
+            Positions::Formula => "range image",
+            Positions::Bounded { .. } => "within ",
+        })?;
+        if let Positions::Bounded { max_error_um, .. } = self.positions {
+            write!(f, "{} mm", f64::from(max_error_um) / 1000.0)?;
+        }
+        if let Intensity::Rounded { step_millionths } = self.intensity {
+            write!(f, ", intensities in steps of {}", f64::from(step_millionths) / 1e6)?;
+        }
+        f.write_str(match self.prediction {
+            Prediction::None => "",
+            Prediction::Intra => ", intra",
+            Prediction::Inter => ", inter",
+        })?;
+        if self.snake {
+            f.write_str(", snake")?;
+        }
+        match self.range_coder {
+            RangeCoder::Context { modelling, .. } => write!(f, ", context{}", modelling.suffix()),
+            RangeCoder::Backend { id, packing } => match backend::by_id(id) {
+                Ok(backend) => write!(f, ", {}, {}", backend.name(), packing.name()),
+                Err(_) => write!(f, ", back-end {id}, {}", packing.name()),
+            },
+            RangeCoder::Image(codec) => write!(f, ", {}", codec.name()),
+        }
+    }
+}
+
+fn image_code(codec: ImageCodec) -> u64 {
+    match codec {
+        ImageCodec::Jpeg => JPEG,
+        ImageCodec::Jpeg2000 => JPEG_2000,
+    }
+}
+
+impl Prediction {
+    fn to_code(self) -> u64 {
+        match self {
+            Prediction::None => 0,
+            Prediction::Intra => 1,
+            Prediction::Inter => 2,
+        }
+    }
+
+    fn from_code(code: u64) -> Result<Self> {
+        match code {
+            0 => Ok(Prediction::None),
+            1 => Ok(Prediction::Intra),
+            2 => Ok(Prediction::Inter),
+            _ => Err(Error::unsupported(format!("frame parameters: unknown prediction {code}"))),
+        }
+    }
+}
+
+impl RangeCoder {
+    /// The context coder, with every range as it is.
+    pub const EXACT: Self = RangeCoder::of_modelling(Modelling::FIRST);
+
+    /// The context coder, with every range as it is, by this modelling.
+    pub(crate) const fn of_modelling(modelling: Modelling) -> Self {
+        RangeCoder::Context { modelling, range_bits: EXACT_RANGE_BITS, bin: 1, between: false }
+    }
+
+    /// The same with ranges to within half a bin of so many steps, if it is the context coder.
+    pub(crate) fn in_bins(self, bin: u32) -> Self {
+        match self {
+            RangeCoder::Context { modelling, range_bits, .. } => {
+                RangeCoder::Context { modelling, range_bits, bin, between: bin.is_multiple_of(2) }
+            }
+            RangeCoder::Backend { .. } | RangeCoder::Image(_) => self,
+        }
+    }
+
+    /// The same for ranges that have been coded: they are what they are now.
+    pub(crate) fn of_decoded(self) -> Self {
+        match self {
+            RangeCoder::Context { modelling, range_bits, between, .. } => {
+                RangeCoder::Context { modelling, range_bits, bin: 1, between }
+            }
+            RangeCoder::Backend { .. } | RangeCoder::Image(_) => self,
+        }
+    }
+
+    /// Makes room for these ranges, in steps.
+    pub(crate) fn fit(&mut self, steps: &Grid<u32>) {
+        if let RangeCoder::Context { range_bits, .. } = self {
+            let most = steps.cells().iter().copied().max().unwrap_or(0);
+            *range_bits = (*range_bits).max(32 - most.leading_zeros());
+        }
+    }
+
+    /// Metres from the range of decoded steps to what it stands for.
+    pub(crate) fn offset_m(self, sensor: &SensorModel) -> f64 {
+        match self {
+            RangeCoder::Context { between: true, .. } => -0.5 * sensor.range_step_m(),
+            RangeCoder::Context { .. } | RangeCoder::Backend { .. } | RangeCoder::Image(_) => 0.0,
+        }
+    }
+
+    fn read_from(input: &mut &[u8]) -> Result<Self> {
+        match read(input)? {
+            coder @ (CONTEXT | BINNED_CONTEXT | MODELLED_CONTEXT) => {
+                let modelling = match coder {
+                    MODELLED_CONTEXT => Modelling::from_code(read(input)?)?,
+                    _ => Modelling::FIRST,
+                };
+                let range_bits = within(input, RANGE_BITS, "bits of a range")?;
+                let (bin, between) = match coder {
+                    CONTEXT => (1, false),
+                    _ => (within(input, 1..=WIDEST_BIN.into(), "steps a bin")?, flag(input)?),
+                };
+                Ok(RangeCoder::Context { modelling, range_bits, bin, between })
+            }
+            JPEG => Ok(RangeCoder::Image(ImageCodec::Jpeg)),
+            JPEG_2000 => Ok(RangeCoder::Image(ImageCodec::Jpeg2000)),
+            id => {
+                let unknown = || Error::unsupported(format!("frame parameters: unknown back-end {id}"));
+                let id = u8::try_from(id).map_err(|_| unknown())?;
+                let code = read(input)?;
+                let packing = u8::try_from(code).ok().and_then(Packing::from_code);
+                let unknown = || Error::unsupported(format!("frame parameters: unknown packing {code}"));
+                Ok(RangeCoder::Backend { id, packing: packing.ok_or_else(unknown)? })
+            }
+        }
+    }
+}
+
+impl Source {
+    /// The file that a coded frame was made from.
+    ///
+    /// # Errors
+    /// If the frame's parameters are damaged, or unknown to this program.
+    pub fn of(frame: &Frame) -> Result<Self> {
+        let FrameHeader { file_size, point_count: points, .. } = frame.header;
+        Ok(FrameParameters::of(frame)?.source.unwrap_or(Source::all_points(file_size, points)))
+    }
+
+    /// A file of so many bytes and points, none of which is lost.
+    pub(crate) fn all_points(file_size: u64, points: u64) -> Self {
+        Source { file_size, points, ..Source::default() }
+    }
+
+    /// Adds the counts of another file.
+    pub fn add(&mut self, other: &Source) {
+        self.file_size = self.file_size.saturating_add(other.file_size);
+        self.points = self.points.saturating_add(other.points);
+        self.outliers = self.outliers.saturating_add(other.outliers);
+        self.lost = self.lost.saturating_add(other.lost);
+    }
+
+    fn read_from(input: &mut &[u8]) -> Result<Self> {
+        Ok(Source {
+            file_size: read(input)?,
+            points: read(input)?,
+            outliers: read(input)?,
+            lost: read(input)?,
+        })
+    }
+}
+
+fn read_pose(input: &mut &[u8]) -> Result<QuantisedPose> {
+    let mut pose = QuantisedPose::default();
+    for value in &mut pose.values {
+        let read = read_signed(input, "frame parameters")?;
+        *value = i32::try_from(read).map_err(|_| Error::corrupt("frame parameters: no such motion"))?;
+    }
+    Ok(pose)
+}
+
+pub(crate) fn read(input: &mut &[u8]) -> Result<u64> {
+    read_unsigned(input, "frame parameters")
+}
+
+/// A number in a range that fits into 32 bits.
+pub(crate) fn within(input: &mut &[u8], range: RangeInclusive<u64>, what: &'static str) -> Result<u32> {
+    match read(input)? {
+        value if range.contains(&value) => Ok(value as u32),
+        value => Err(Error::corrupt(format!("frame parameters: {value} is out of range for {what}"))),
+    }
+}
+
+fn flag(input: &mut &[u8]) -> Result<bool> {
+    match read(input)? {
+        value @ 0..2 => Ok(value == 1),
+        other => Err(Error::unsupported(format!("frame parameters: unknown choice {other}"))),
+    }
+}

@@ -1,0 +1,143 @@
+//! The ranges of a frame: by context, or what prediction leaves of them by a general-purpose back-end
+//! or an image coder (article, IV-C and IV-D).
+
+use super::frame::Frame;
+use super::images;
+use super::parameters::{Prediction, RangeCoder};
+use super::sections::SectionCoder;
+use super::steps::{Step, StepReport};
+use super::syntax::Models;
+use crate::article::prediction::{Predictor, Rays};
+use crate::article::residual::{self, Packing};
+use crate::backend;
+use crate::ground::error::{Error, Result};
+use crate::ground::grid::Grid;
+use crate::inter;
+use crate::inter::Reference;
+use crate::models::RangeContext;
+use crate::scanner::SensorModel;
+use crate::stream::container::SectionKind;
+
+impl Models {
+    /// The range of each return.
+    pub(crate) fn code_ranges<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        sensor: &SensorModel,
+        frame: &mut Frame,
+        (levels, reference): (&Grid<u16>, Option<&Reference>),
+        report: &mut StepReport,
+    ) -> Result<()> {
+        match frame.parameters.range_coder {
+            RangeCoder::Context { modelling, range_bits, bin, .. } => {
+                report.predicted += 4 * (frame.records - frame.strays) as u64;
+                report.timed(Step::Coding, || match modelling.range_tokens() {
+                    _ if modelling.is_packed() => {
+                        self.quick.code_packed_ranges(sections, (range_bits, bin), frame)
+                    }
+                    Some(settings) => {
+                        let expected = reference.filter(|_| settings.refers).map(Reference::ranges);
+                        let axis = (range_bits, bin);
+                        self.quick.code_ranges(sections, settings, expected.as_ref(), axis, frame)
+                    }
+                    None => sections.section(SectionKind::Range, true, |coder| {
+                        let known = RangeContext {
+                            occupancy: &frame.occupancy,
+                            intensity: levels,
+                            reference,
+                            range_bits,
+                            bin,
+                        };
+                        let model = self.range.get_or_insert_default();
+                        model.set_depth(modelling.depth());
+                        model.code(coder, &known, &mut frame.steps);
+                        Ok(())
+                    }),
+                })
+            }
+            RangeCoder::Backend { id, packing } => {
+                let predictor = self.code_predictor(sections, sensor, frame, reference, report)?;
+                code_residuals(sections, &predictor, (id, packing), frame, report)?;
+                check_ranges(frame, sensor)
+            }
+            RangeCoder::Image(codec) => {
+                let before = sections.bytes_written();
+                let predictor = self.code_predictor(sections, sensor, frame, reference, report)?;
+                let side = sections.bytes_written() - before;
+                images::code_ranges(sections, &predictor, (codec, side), (frame, sensor), report)
+            }
+        }
+    }
+
+    /// What the decoder must know of the prediction: the contour map and the models of regions.
+    fn code_predictor<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        sensor: &SensorModel,
+        frame: &mut Frame,
+        reference: Option<&Reference>,
+        report: &mut StepReport,
+    ) -> Result<Predictor> {
+        let snake = frame.parameters.snake;
+        match (frame.parameters.prediction, reference) {
+            (Prediction::None, _) => return Ok(Predictor { ranges: None, snake }),
+            (_, Some(reference)) => {
+                let ranges = report.timed(Step::Prediction, || inter::ranges(reference, &frame.occupancy));
+                return Ok(Predictor { ranges: Some(ranges), snake });
+            }
+            _ => {}
+        }
+        report.timed(Step::Contour, || {
+            sections.section(SectionKind::Contour, true, |coder| {
+                frame.intra.code_contour(&mut self.contour, coder, &frame.occupancy)
+            })
+        })?;
+        sections.section(SectionKind::Regions, true, |coder| {
+            frame.intra.code_models(&mut self.surfaces, coder);
+            Ok(())
+        })?;
+        let rays = Rays::of(sensor, &frame.columns);
+        let ranges = report.timed(Step::Prediction, || frame.intra.ranges(&frame.occupancy, &rays));
+        Ok(Predictor { ranges: Some(ranges), snake })
+    }
+}
+
+/// What prediction leaves of the ranges, by a general-purpose back-end.
+fn code_residuals<S: SectionCoder>(
+    sections: &mut S,
+    predictor: &Predictor,
+    (id, packing): (u8, Packing),
+    frame: &mut Frame,
+    report: &mut StepReport,
+) -> Result<()> {
+    let backend = backend::by_id(id)?;
+    let mut payload = Vec::new();
+    let mut packed = 0;
+    if S::ENCODES {
+        let residuals =
+            report.timed(Step::Prediction, || predictor.residuals(&frame.occupancy, &frame.steps));
+        let level = sections.effort().level;
+        (payload, packed) =
+            report.timed(Step::Coding, || residual::compress(&residuals, backend, level, packing))?;
+    }
+    sections.payload(SectionKind::Residual, &mut payload);
+    if !S::ENCODES {
+        let count = frame.records - frame.strays;
+        let residuals;
+        (residuals, packed) =
+            report.timed(Step::Coding, || residual::decompress(&payload, backend, packing, count))?;
+        frame.steps = report.timed(Step::Prediction, || predictor.restore(&frame.occupancy, &residuals));
+    }
+    report.predicted += packed as u64;
+    Ok(())
+}
+
+/// Every return has a range that the sensor model takes.
+fn check_ranges(frame: &Frame, sensor: &SensorModel) -> Result<()> {
+    let cells = frame.occupancy.cells().iter().zip(frame.steps.cells());
+    let most = sensor.most_steps();
+    if cells.into_iter().any(|(filled, steps)| *filled && !(1..=most).contains(steps)) {
+        return Err(Error::corrupt("a range is out of range"));
+    }
+    Ok(())
+}

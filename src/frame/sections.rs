@@ -1,0 +1,233 @@
+//! The sections of a frame, opened one after the other in the same order on both sides.
+
+use crate::article::image_coding::ImageConfig;
+use crate::backend::Level;
+use crate::entropy::{
+    ArithmeticDecoder, ArithmeticEncoder, BitCoder, TokenCoder, TokenReader, TokenTables, TokenWriter,
+};
+use crate::ground::error::{Error, Limits, Result};
+use crate::stream::container::{Section, SectionKind};
+
+/// How hard the coders of ranges try, and what they may spend; of no use to the decoder.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Effort {
+    /// Of a general-purpose back-end.
+    pub level: Level,
+    /// Of an image coder.
+    pub image: ImageConfig,
+}
+
+/// Opens the sections of a frame one after the other, to write or to read them.
+pub trait SectionCoder {
+    /// True if the frame is there and sections are written, false if they are read and it fills.
+    const ENCODES: bool;
+
+    /// Codes the bits of a section.
+    type Coder<'a>: BitCoder
+    where
+        Self: 'a;
+
+    /// Codes one section by `code`. The section is left out if `present` is false.
+    fn section<T: Default>(
+        &mut self,
+        kind: SectionKind,
+        present: bool,
+        code: impl FnOnce(&mut Self::Coder<'_>) -> Result<T>,
+    ) -> Result<T>;
+
+    /// Codes the tokens of a section.
+    type Tokens<'a>: TokenCoder
+    where
+        Self: 'a;
+
+    /// Codes one section as tokens in so many contexts, by `code`.
+    fn tokens<T>(
+        &mut self,
+        kind: SectionKind,
+        contexts: usize,
+        tables: &mut TokenTables,
+        code: impl FnOnce(&mut Self::Tokens<'_>) -> T,
+    ) -> Result<T>;
+
+    /// A section whose payload is coded elsewhere. A section that is left out has an empty payload.
+    fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>);
+
+    /// What this side is willing to allocate.
+    fn limits(&self) -> &Limits;
+
+    /// The effort; of no use to the decoder.
+    fn effort(&self) -> Effort;
+
+    /// Bytes of the sections written so far; of no use to the decoder.
+    fn bytes_written(&self) -> usize;
+}
+
+/// Collects the sections of a frame.
+pub struct SectionWriter {
+    /// The sections so far.
+    pub sections: Vec<Section>,
+    limits: Limits,
+    effort: Effort,
+}
+
+impl SectionWriter {
+    /// No sections yet.
+    pub fn new(effort: Effort) -> Self {
+        SectionWriter { sections: Vec::new(), limits: Limits::default(), effort }
+    }
+}
+
+impl SectionCoder for SectionWriter {
+    const ENCODES: bool = true;
+
+    type Coder<'a> = ArithmeticEncoder;
+
+    fn section<T: Default>(
+        &mut self,
+        kind: SectionKind,
+        present: bool,
+        code: impl FnOnce(&mut ArithmeticEncoder) -> Result<T>,
+    ) -> Result<T> {
+        if !present {
+            return Ok(T::default());
+        }
+        let mut coder = ArithmeticEncoder::default();
+        let result = code(&mut coder)?;
+        self.sections.push(Section { kind, payload: coder.finish() });
+        Ok(result)
+    }
+
+    type Tokens<'a> = TokenWriter;
+
+    fn tokens<T>(
+        &mut self,
+        kind: SectionKind,
+        contexts: usize,
+        tables: &mut TokenTables,
+        code: impl FnOnce(&mut TokenWriter) -> T,
+    ) -> Result<T> {
+        let mut writer = TokenWriter::new(contexts);
+        let result = code(&mut writer);
+        self.sections.push(Section { kind, payload: writer.finish(tables)? });
+        Ok(result)
+    }
+
+    fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>) {
+        if !payload.is_empty() {
+            self.sections.push(Section { kind, payload: payload.clone() });
+        }
+    }
+
+    fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    fn effort(&self) -> Effort {
+        self.effort
+    }
+
+    fn bytes_written(&self) -> usize {
+        self.sections.iter().map(|section| section.payload.len()).sum()
+    }
+}
+
+/// Takes the sections of a frame one by one.
+pub struct SectionReader<'s> {
+    sections: std::slice::Iter<'s, Section>,
+    limits: &'s Limits,
+}
+
+impl<'s> SectionReader<'s> {
+    /// Starts at the first section.
+    pub fn new(sections: &'s [Section], limits: &'s Limits) -> Self {
+        SectionReader { sections: sections.iter(), limits }
+    }
+
+    /// The payload of the next section.
+    fn next_payload(&mut self, kind: SectionKind) -> Result<&'s [u8]> {
+        let section = self.sections.next().filter(|section| section.kind == kind);
+        let section = section.ok_or_else(|| Error::corrupt(format!("{kind} section is missing")))?;
+        Ok(&section.payload)
+    }
+
+    /// # Errors
+    /// If sections are left over.
+    pub fn finish(mut self) -> Result<()> {
+        match self.sections.next() {
+            None => Ok(()),
+            Some(section) => Err(Error::corrupt(format!("{} section out of place", section.kind))),
+        }
+    }
+}
+
+fn ends_too_early(kind: SectionKind) -> Error {
+    Error::corrupt(format!("{kind} section ends too early"))
+}
+
+impl SectionCoder for SectionReader<'_> {
+    const ENCODES: bool = false;
+
+    type Coder<'a>
+        = ArithmeticDecoder<'a>
+    where
+        Self: 'a;
+
+    fn section<T: Default>(
+        &mut self,
+        kind: SectionKind,
+        present: bool,
+        code: impl FnOnce(&mut ArithmeticDecoder<'_>) -> Result<T>,
+    ) -> Result<T> {
+        if !present {
+            return Ok(T::default());
+        }
+        let mut decoder = ArithmeticDecoder::new(self.next_payload(kind)?);
+        let decoded = code(&mut decoder)?;
+        if decoder.is_exhausted() {
+            return Err(ends_too_early(kind));
+        }
+        Ok(decoded)
+    }
+
+    type Tokens<'a>
+        = TokenReader<'a>
+    where
+        Self: 'a;
+
+    fn tokens<T>(
+        &mut self,
+        kind: SectionKind,
+        contexts: usize,
+        tables: &mut TokenTables,
+        code: impl FnOnce(&mut TokenReader<'_>) -> T,
+    ) -> Result<T> {
+        let mut reader = TokenReader::new(self.next_payload(kind)?, contexts, tables)?;
+        let decoded = code(&mut reader);
+        if reader.is_exhausted() {
+            return Err(ends_too_early(kind));
+        }
+        let counts = reader.into_counts();
+        tables.learn_decoded(&counts);
+        Ok(decoded)
+    }
+
+    fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>) {
+        payload.clear();
+        if let Some(section) = self.sections.as_slice().first().filter(|section| section.kind == kind) {
+            payload.extend_from_slice(&section.payload);
+            self.sections.next();
+        }
+    }
+
+    fn limits(&self) -> &Limits {
+        self.limits
+    }
+
+    fn effort(&self) -> Effort {
+        Effort::default()
+    }
+
+    fn bytes_written(&self) -> usize {
+        0
+    }
+}

@@ -1,0 +1,456 @@
+//! The coder controller (article, III-H): one place for all that the user can choose of encoding.
+
+use std::thread;
+
+use super::fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
+use super::modelling::{Edition, Modelling};
+use super::parameters::{FrameParameters, Prediction, RangeCoder};
+use crate::article::image_coding::{ImageCodec, ImageConfig, Rate};
+use crate::article::outlier::RadiusOutlier;
+use crate::article::prediction::intra::{IntraConfig, RegionModels};
+use crate::article::residual::Packing;
+use crate::article::segmentation::SegmentationConfig;
+use crate::backend::{self, Backend, Level};
+use crate::files::HeaderlessLayout;
+use crate::ground::error::{Error, Result};
+use crate::inter::registration::{QuantisedPose, RegistrationConfig};
+use crate::scanner::{FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_TICKS};
+
+/// Presets of the coder controller.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// Every file comes back byte for byte, whatever it holds.
+    #[default]
+    Exact,
+    /// Every point comes back, in its place in the file, no farther than a bound from where it was.
+    Bounded {
+        /// The bound on the 3-D distance, in micrometres: 1 to [`MOST_MAX_ERROR_UM`].
+        max_error_um: u32,
+    },
+    /// The article's codec: outliers are dropped, the ideal sensor's range image is kept.
+    Paper,
+}
+
+/// Which range image is coded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ProjectionKind {
+    /// That of the sensor model fitted to the sequence: no point is lost.
+    Calibrated {
+        /// Micrometres a range step; `None`: the sensor's own, which loses nothing.
+        range_step_um: Option<u32>,
+    },
+    /// The article's (IV-A): 64 rows at the published elevations, columns equally far apart.
+    Ideal {
+        /// Columns a turn.
+        columns: u32,
+        /// Micrometres a range step; [`FLOAT_RANGES`] for float32.
+        range_step_um: u32,
+    },
+}
+
+impl ProjectionKind {
+    /// The calibrated image, with the sensor's own steps.
+    pub const CALIBRATED: Self = ProjectionKind::Calibrated { range_step_um: None };
+
+    fn has_float_ranges(self) -> bool {
+        matches!(self, ProjectionKind::Ideal { range_step_um: FLOAT_RANGES, .. })
+    }
+}
+
+/// Which frames of a group may be predicted from the one before (article, Fig. 2).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FrameOrder {
+    /// Compression rate first: I P P P and so on.
+    #[default]
+    Ratio,
+    /// Time first: I P I P and so on.
+    Time,
+}
+
+/// How it is chosen what ranges are predicted from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PredictionChoice {
+    /// Every frame as the user says. [`Prediction::Inter`]: each P frame from the frame before or, if that
+    /// is smaller, as an I frame; that is, from regions or by context.
+    Always(Prediction),
+    /// Each frame as makes it smallest.
+    Smallest,
+    /// Each P frame from the frame before if it is found how the scanner has moved, even if it would be
+    /// smaller as an I frame, as in the article's experiments; I frames as by `Always(Inter)`.
+    EveryReference,
+}
+
+/// When the encoder predicts a frame from the one before it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum InterChoice {
+    Never,
+    /// If the scanner has not moved, which is quick to see.
+    StandingStill,
+    /// If it is found how the scanner has moved.
+    IfItFits,
+}
+
+/// What codes the ranges.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Coder {
+    /// The context coder.
+    #[default]
+    Context,
+    /// A general-purpose back-end, by its number in the registry.
+    Backend(u8),
+    /// An image coder, with loss.
+    Image(ImageCodec),
+}
+
+/// Settings of the encoder.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EncoderConfig {
+    /// Frames a group: more compress better, fewer make seeking and recovery finer. Default 10.
+    pub gop: usize,
+    /// Groups coded at the same time; 0, the default, means one for each processor. The stream is
+    /// the same whatever the number.
+    pub threads: usize,
+    /// Points with few neighbours are dropped (equation 1). Default: none are; in paper mode those
+    /// with fewer than 2 within 0.38 m.
+    pub outliers: Option<RadiusOutlier>,
+    /// What the records of files without a header hold. Default: what KITTI's and nuScenes' do, by
+    /// the extension.
+    pub headerless: Option<HeaderlessLayout>,
+    /// Which range image is coded (equation 2). Default: calibrated; in paper mode ideal, 2000
+    /// columns and steps of 1 mm.
+    pub projection: ProjectionKind,
+    /// Whether points come back as they were. Default: exact; in paper mode by the formula, in bounded mode
+    /// within the bound.
+    pub positions: Positions,
+    /// What becomes of intensities. Default: they are exact; in paper mode, as in the article, left out.
+    pub intensity: Intensity,
+    /// What ranges are predicted from. Default: what makes each frame smallest; in paper mode, as in the
+    /// article, regions (IV-C) in I frames and the frame before (V) in P frames.
+    pub prediction: PredictionChoice,
+    /// Which frames are P frames. Default: all but the first of a group.
+    pub order: FrameOrder,
+    /// How the scanner's motion is found (V-B).
+    pub registration: RegistrationConfig,
+    /// Whether a general-purpose back-end gets the differences along the snake's path (V-C). Default: yes;
+    /// whatever they are predicted from, residuals get smaller by it. Image coders never do: their errors
+    /// would add up along the path.
+    pub snake: bool,
+    /// How ground and objects are told apart (equations 3 and 4).
+    pub segmentation: SegmentationConfig,
+    /// How regions are modelled (equations 5 to 7).
+    pub intra: IntraConfig,
+    /// What codes the ranges. Default: the context coder; in paper mode LZMA.
+    pub coder: Coder,
+    /// Effort of the context coder, or of a general-purpose back-end. Default 6.
+    pub level: Level,
+    /// How residuals are turned into bytes for it; `None`, the default: as suits it best.
+    pub packing: Option<Packing>,
+    /// What an image coder may spend, and in how many passes.
+    pub image: ImageConfig,
+}
+
+impl Default for EncoderConfig {
+    fn default() -> Self {
+        EncoderConfig::preset(Mode::Exact)
+    }
+}
+
+/// Columns and range step of the article's range image.
+const PAPER_PROJECTION: ProjectionKind = ProjectionKind::Ideal { columns: 2000, range_step_um: 1000 };
+
+impl EncoderConfig {
+    /// The settings of a mode.
+    pub fn preset(mode: Mode) -> Self {
+        let exact = EncoderConfig {
+            gop: 10,
+            threads: 0,
+            headerless: None,
+            outliers: None,
+            projection: ProjectionKind::CALIBRATED,
+            positions: Positions::Exact,
+            intensity: Intensity::Exact,
+            prediction: PredictionChoice::Smallest,
+            order: FrameOrder::default(),
+            registration: RegistrationConfig::default(),
+            snake: true,
+            segmentation: SegmentationConfig::default(),
+            intra: IntraConfig::default(),
+            coder: Coder::Context,
+            level: Level::default(),
+            packing: None,
+            image: ImageConfig::default(),
+        };
+        match mode {
+            Mode::Exact => exact,
+            Mode::Bounded { max_error_um } => {
+                let positions = Positions::Bounded { max_error_um, on_grid: false };
+                EncoderConfig { positions, ..exact }
+            }
+            Mode::Paper => EncoderConfig {
+                outliers: Some(RadiusOutlier::default()),
+                projection: PAPER_PROJECTION,
+                positions: Positions::Formula,
+                intensity: Intensity::None,
+                prediction: PredictionChoice::Always(Prediction::Inter),
+                coder: Coder::Backend(backend::LZMA),
+                ..exact
+            },
+        }
+    }
+
+    /// What ranges are predicted from by default with this coder: what makes a frame smallest, or, by a
+    /// general-purpose back-end or an image coder in paper mode, as in the article.
+    pub fn default_prediction(&self) -> PredictionChoice {
+        match (self.coder, self.positions) {
+            (Coder::Backend(_) | Coder::Image(_), Positions::Formula) => {
+                PredictionChoice::Always(Prediction::Inter)
+            }
+            _ => PredictionChoice::Smallest,
+        }
+    }
+
+    /// How the context coder models a frame, at this level.
+    pub(crate) fn modelling(&self) -> Modelling {
+        match (self.coder, self.level.number()) {
+            (Coder::Context, 1) => Modelling::Packed,
+            (Coder::Context, level @ 2..4) => {
+                Modelling::Tokens { fitted: level == 3, edition: Edition::Second }
+            }
+            (Coder::Context, 4..=6) => Modelling::Light,
+            (Coder::Context, 9) => Modelling::Deep,
+            (Coder::Context, _) => Modelling::Mixed(Edition::Second),
+            (Coder::Backend(_) | Coder::Image(_), _) => Modelling::FIRST,
+        }
+    }
+
+    /// How many frames the sensor model is fitted to: more make the formula sharper.
+    pub(crate) fn sample_frames(&self) -> usize {
+        match self.modelling() {
+            Modelling::Mixed(_) | Modelling::Deep => 6,
+            Modelling::Light | Modelling::Balanced(_) => 3,
+            Modelling::Tokens { .. } | Modelling::Packed => 2,
+        }
+    }
+
+    /// When a frame is predicted from the one before it; frames of a group are counted from 0.
+    pub(crate) fn inter_choice(&self, frame_of_group: usize) -> InterChoice {
+        let is_turn = match self.order {
+            FrameOrder::Ratio => frame_of_group > 0,
+            FrameOrder::Time => frame_of_group % 2 == 1,
+        };
+        match (self.prediction, self.coder, self.level.number()) {
+            _ if !is_turn => InterChoice::Never,
+            (PredictionChoice::Always(Prediction::None | Prediction::Intra), _, _) => InterChoice::Never,
+            // Looking for the motion takes time.
+            (PredictionChoice::Smallest, Coder::Context, ..4) => InterChoice::Never,
+            (PredictionChoice::Smallest, Coder::Context, 4..8) => InterChoice::StandingStill,
+            _ => InterChoice::IfItFits,
+        }
+    }
+
+    /// What is tried for a frame, so that the smallest result is taken. `fit` is how much
+    /// of the frame before fits it, from 0 to 1, if it may be predicted from that.
+    pub(crate) fn predictions(&self, fit: Option<f64>) -> Vec<Prediction> {
+        /// From here on it is not worth the time to try without: the models leave a reference that is of no
+        /// use aside.
+        const SURE: f64 = 0.5;
+        let mut tried = match (self.prediction, self.coder) {
+            (PredictionChoice::EveryReference, _) if fit.is_some() => vec![],
+            (PredictionChoice::Always(Prediction::Intra), _) => vec![Prediction::Intra],
+            (_, Coder::Context) if fit.is_some_and(|fit| fit > SURE) => vec![],
+            (PredictionChoice::Always(Prediction::None), _) | (_, Coder::Context) => vec![Prediction::None],
+            (PredictionChoice::Always(Prediction::Inter) | PredictionChoice::EveryReference, _) => {
+                vec![Prediction::Intra]
+            }
+            (PredictionChoice::Smallest, _) => vec![Prediction::None, Prediction::Intra],
+        };
+        if fit.is_some() {
+            tried.push(Prediction::Inter);
+        }
+        tried
+    }
+
+    /// How residuals are laid out for a back-end. Ranges that are not differences are large numbers.
+    pub(crate) fn packing_for(&self, backend: &dyn Backend, snake: bool) -> Packing {
+        self.packing.unwrap_or(if snake { backend.packing() } else { Packing::Planes })
+    }
+
+    /// Whether points that were moved after they were measured are moved back first. Paper mode takes scans as they
+    /// are, as the article does.
+    pub(crate) fn undoes_compensation(&self) -> bool {
+        self.positions != Positions::Formula
+    }
+
+    /// The parameters of a frame, as far as they do not depend on the frame.
+    pub(crate) fn frame_parameters(&self) -> Result<FrameParameters> {
+        Ok(FrameParameters {
+            positions: self.positions,
+            intensity: self.intensity,
+            prediction: Prediction::None,
+            motion: QuantisedPose::default(),
+            snake: self.snake && matches!(self.coder, Coder::Backend(_)),
+            range_coder: match self.coder {
+                Coder::Context => RangeCoder::of_modelling(self.modelling()),
+                Coder::Backend(id) => {
+                    RangeCoder::Backend { id, packing: self.packing.unwrap_or(backend::by_id(id)?.packing()) }
+                }
+                Coder::Image(codec) => RangeCoder::Image(codec),
+            },
+            source: None,
+        })
+    }
+
+    /// Checks that all settings are in range and fit together.
+    ///
+    /// # Errors
+    /// [`Error::InvalidConfig`] names the setting that does not.
+    pub fn check(&self) -> Result<()> {
+        let wrong = |what: &str| Err(Error::InvalidConfig(what.to_owned()));
+        if self.gop == 0 {
+            return wrong("a group holds at least one frame");
+        }
+        let drops = self.outliers.is_some()
+            || self.projection != ProjectionKind::CALIBRATED
+            || self.intensity == Intensity::None;
+        match (self.positions, self.intensity) {
+            (Positions::Formula, Intensity::Rounded { .. })
+            | (Positions::Exact, Intensity::Rounded { .. }) => {
+                return wrong("intensities are rounded in bounded mode only");
+            }
+            (_, Intensity::Rounded { step_millionths: 0 }) => return wrong("a step of intensities is not 0"),
+            (Positions::Exact, _) if drops => {
+                return wrong("exact mode keeps every point and intensity; use paper mode to drop any");
+            }
+            (Positions::Bounded { .. }, _) if drops => {
+                return wrong("bounded mode keeps every point; use paper mode to drop any");
+            }
+            (Positions::Bounded { max_error_um, .. }, _)
+                if !(1..=MOST_MAX_ERROR_UM).contains(&max_error_um) =>
+            {
+                return wrong("the largest error is from 1 micrometre to 10 metres");
+            }
+            (Positions::Bounded { .. }, _) if self.coder != Coder::Context => {
+                return wrong(
+                    "bounded mode needs the context coder; general-purpose back-ends know no bound",
+                );
+            }
+            _ => {}
+        }
+        let (columns, step) = match self.projection {
+            ProjectionKind::Ideal { columns, range_step_um } => (columns, range_step_um),
+            ProjectionKind::Calibrated { range_step_um: Some(FLOAT_RANGES) } => {
+                return wrong("the calibrated image has ranges in steps");
+            }
+            ProjectionKind::Calibrated { range_step_um } => (1, range_step_um.unwrap_or(1)),
+        };
+        if !(1..=MOST_TICKS).contains(&u64::from(columns)) {
+            return wrong("an image has 1 to 360000 columns");
+        }
+        if u64::from(step) > MOST_RANGE_STEP_UM {
+            return wrong("a range step is at most 1 m");
+        }
+        if self.coder == Coder::Context && self.projection.has_float_ranges() {
+            return wrong("the context coder takes ranges in steps; choose a step or another back-end");
+        }
+        if self.coder == Coder::Context && self.prediction == PredictionChoice::Always(Prediction::Intra) {
+            return wrong("the context coder predicts by itself, and better than regions do");
+        }
+        let is_inter = matches!(
+            self.prediction,
+            PredictionChoice::EveryReference | PredictionChoice::Always(Prediction::Inter)
+        );
+        if is_inter && self.modelling().is_quick() {
+            return wrong("levels 1 to 3 take every frame by itself; --predict inter needs level 4 or more");
+        }
+        let fits_regions =
+            self.predictions(None).contains(&Prediction::Intra) && self.intra.models == RegionModels::Fitted;
+        if fits_regions && self.projection.has_float_ranges() {
+            return wrong("regions are fitted to ranges in steps; choose a step, or the article's regions");
+        }
+        if let Coder::Image(codec) = self.coder {
+            self.check_image_coder(codec)?;
+        }
+        self.segmentation.check()?;
+        self.intra.check()?;
+        self.registration.check()?;
+        self.frame_parameters().map(|_| ())
+    }
+}
+
+impl EncoderConfig {
+    fn check_image_coder(&self, codec: ImageCodec) -> Result<()> {
+        let wrong = |what: &str| Err(Error::InvalidConfig(what.to_owned()));
+        if self.projection.has_float_ranges() {
+            return wrong("image coders take ranges in steps; choose a step or another back-end");
+        }
+        match (codec, self.image.rate, self.positions) {
+            (ImageCodec::Jpeg, Rate::Lossless, _) => {
+                wrong("jpeg always loses something; choose a rate, or jpeg2000")
+            }
+            (_, Rate::Bits(_), Positions::Exact) => {
+                wrong("exact mode loses nothing; choose --mode paper, or jpeg2000 at --rate lossless")
+            }
+            _ => self.image.check(),
+        }
+    }
+}
+
+/// The number of threads to use: one for each processor if `threads` is 0.
+pub(crate) fn resolve_threads(threads: usize) -> usize {
+    match threads {
+        0 => thread::available_parallelism().map_or(1, Into::into),
+        _ => threads,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presets_are_in_range() {
+        assert!(EncoderConfig::preset(Mode::Exact).check().is_ok());
+        assert!(EncoderConfig::preset(Mode::Bounded { max_error_um: 10_000 }).check().is_ok());
+        assert!(EncoderConfig::preset(Mode::Paper).check().is_ok());
+    }
+
+    #[test]
+    fn p_frames_can_be_forced() {
+        let forced = |coder| EncoderConfig {
+            coder,
+            prediction: PredictionChoice::EveryReference,
+            ..EncoderConfig::preset(Mode::Paper)
+        };
+        let lzma = forced(Coder::Backend(backend::LZMA));
+        assert_eq!(lzma.predictions(Some(0.1)), [Prediction::Inter]);
+        assert_eq!(lzma.predictions(None), [Prediction::Intra]);
+        assert_eq!(forced(Coder::Context).predictions(Some(0.1)), [Prediction::Inter]);
+        assert_eq!(forced(Coder::Context).predictions(None), [Prediction::None]);
+        assert_eq!(lzma.inter_choice(1), InterChoice::IfItFits);
+        assert_eq!(lzma.inter_choice(0), InterChoice::Never);
+        assert!(forced(Coder::Context).check().is_ok() && lzma.check().is_ok());
+    }
+
+    #[test]
+    fn settings_out_of_range_are_refused() {
+        let exact = EncoderConfig::default;
+        let paper = || EncoderConfig::preset(Mode::Paper);
+        let bounded = || EncoderConfig::preset(Mode::Bounded { max_error_um: 10_000 });
+        let ideal = |columns, range_step_um| ProjectionKind::Ideal { columns, range_step_um };
+        for wrong in [
+            EncoderConfig { gop: 0, ..exact() },
+            EncoderConfig { intensity: Intensity::None, ..exact() },
+            EncoderConfig { outliers: Some(RadiusOutlier::default()), ..exact() },
+            EncoderConfig { projection: PAPER_PROJECTION, ..exact() },
+            EncoderConfig { projection: ideal(0, 1000), ..paper() },
+            EncoderConfig { projection: ideal(2000, 1_000_001), ..paper() },
+            EncoderConfig { coder: Coder::Backend(200), ..paper() },
+            EncoderConfig::preset(Mode::Bounded { max_error_um: 0 }),
+            EncoderConfig { coder: Coder::Backend(backend::LZMA), ..bounded() },
+            EncoderConfig { intensity: Intensity::None, ..bounded() },
+            EncoderConfig { intensity: Intensity::Rounded { step_millionths: 1 }, ..exact() },
+        ] {
+            assert!(wrong.check().is_err(), "{wrong:?}");
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! What each step of coding takes and leaves, as the article's Tables II to VI have it.
+
+use std::time::{Duration, Instant};
+
+use crate::stream::container::{Section, SectionKind};
+
+/// The steps whose time is taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// The outlier filter (III-A).
+    Outliers,
+    /// Points to a range image or back (IV-A).
+    Conversion,
+    /// How the scanner has moved (V-B).
+    Registration,
+    /// Ground removal and clustering (IV-B).
+    Clustering,
+    /// Fit of the models of regions, and the prediction from them (IV-C).
+    Prediction,
+    /// The contour map (IV-D.1).
+    Contour,
+    /// The ranges, or what prediction leaves of them (IV-D.2).
+    Coding,
+    /// Everything else: which cells hold a return, intensities, corrections, order, other fields.
+    Rest,
+}
+
+impl Step {
+    /// All steps, in the order in which an encoder takes them.
+    pub const ALL: [Step; 8] = [
+        Step::Outliers,
+        Step::Conversion,
+        Step::Registration,
+        Step::Clustering,
+        Step::Prediction,
+        Step::Contour,
+        Step::Coding,
+        Step::Rest,
+    ];
+
+    /// The step's name in reports: lower case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Step::Outliers => "outlier removal",
+            Step::Conversion => "conversion",
+            Step::Registration => "registration",
+            Step::Clustering => "clustering",
+            Step::Prediction => "prediction",
+            Step::Contour => "contour map",
+            Step::Coding => "coding of ranges",
+            Step::Rest => "the rest",
+        }
+    }
+}
+
+/// Bytes and times of some frames, added up.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StepReport {
+    /// Frames.
+    pub frames: u64,
+    /// Bytes of the files.
+    pub original: u64,
+    /// Bytes of the range images, four a cell, as the article stores them.
+    pub converted: u64,
+    /// Bytes of what prediction leaves, as they go into a general-purpose back-end; the bytes of the
+    /// ranges if there is none.
+    pub predicted: u64,
+    /// Bytes of the contour maps, coded.
+    pub contour: u64,
+    /// Bytes of other side data, coded: parameters and models of regions.
+    pub side: u64,
+    /// Bytes of the ranges or residuals, coded.
+    pub ranges: u64,
+    /// Bytes of everything else, coded.
+    pub rest: u64,
+    pub(crate) times: [Duration; Step::ALL.len()],
+}
+
+impl StepReport {
+    /// Adds another report.
+    pub fn add(&mut self, other: &StepReport) {
+        self.frames += other.frames;
+        self.original += other.original;
+        self.converted += other.converted;
+        self.predicted += other.predicted;
+        self.contour += other.contour;
+        self.side += other.side;
+        self.ranges += other.ranges;
+        self.rest += other.rest;
+        for (time, more) in self.times.iter_mut().zip(other.times) {
+            *time += more;
+        }
+    }
+
+    /// All coded bytes of the frames, without the container's.
+    pub fn coded(&self) -> u64 {
+        self.contour + self.side + self.ranges + self.rest
+    }
+
+    /// The time that a step took.
+    pub fn time(&self, step: Step) -> Duration {
+        self.times[step as usize]
+    }
+
+    /// The time that all steps took together.
+    pub fn total_time(&self) -> Duration {
+        self.times.iter().sum()
+    }
+
+    /// Runs a step and takes its time.
+    pub(crate) fn timed<T>(&mut self, step: Step, run: impl FnOnce() -> T) -> T {
+        let start = Instant::now();
+        let result = run();
+        self.times[step as usize] += start.elapsed();
+        result
+    }
+
+    /// Adds the time since `start` to a step.
+    pub(crate) fn took(&mut self, step: Step, start: Instant) {
+        self.times[step as usize] += start.elapsed();
+    }
+
+    /// Adds a frame's sections.
+    pub(crate) fn count_sections(&mut self, sections: &[Section]) {
+        for section in sections {
+            let bytes = section.payload.len() as u64;
+            match section.kind {
+                SectionKind::Contour => self.contour += bytes,
+                SectionKind::Parameters | SectionKind::Regions => self.side += bytes,
+                SectionKind::Range | SectionKind::Residual => self.ranges += bytes,
+                _ => self.rest += bytes,
+            }
+        }
+    }
+}

@@ -1,0 +1,429 @@
+//! The syntax of a frame: which section codes what, in which order. Written once: the encoder
+//! walks it with a frame that is full, the decoder with one that fills.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::fidelity::{Intensity, Positions};
+use super::frame::Frame;
+use super::modelling::Modelling;
+use super::parameters::{FrameParameters, Prediction};
+use super::quick::QuickModels;
+use super::sections::SectionCoder;
+use super::steps::{Step, StepReport};
+use crate::article::contour::ContourModel;
+use crate::article::prediction::surface::SurfaceCoder;
+use crate::entropy::{BitCoder, IntegerModel};
+use crate::ground::error::{Error, Limits, Result};
+use crate::ground::grid::Grid;
+use crate::inter::Reference;
+use crate::inter::registration::QuantisedPose;
+use crate::inter::{self, Past};
+use crate::models::{
+    ByteModel, ColumnModel, CorrectionModel, IntensityModel, IntensityNeighbours, IntensityReference,
+    IntensityScale, OccupancyModel, OrderModel, PointModel, RangeModel, neighbours_above,
+};
+use crate::scan::Layout;
+use crate::scanner::motion::Compensation;
+use crate::scanner::{Coordinates, SensorModel};
+use crate::scanner::{RangeImage, Return, positions};
+use crate::stream::container::SectionKind;
+
+/// What a group's frames have taught so far.
+#[derive(Clone, Default)]
+pub struct Models {
+    sizes: IntegerModel,
+    bytes: ByteModel,
+    extra: ByteModel,
+    columns: ColumnModel,
+    points: PointModel,
+    // The large ones are made when they are first wanted.
+    occupancy: Option<OccupancyModel>,
+    intensity: Option<IntensityModel>,
+    pub(crate) range: Option<RangeModel>,
+    pub(crate) contour: ContourModel,
+    pub(crate) surfaces: SurfaceCoder,
+    correction: CorrectionModel,
+    order: OrderModel,
+    pub(crate) quick: QuickModels,
+    /// The last frame with a range image.
+    past: Option<Arc<Past>>,
+}
+
+impl Models {
+    /// Codes a frame. The decoder's starts empty but for the number of records, and fills; it also
+    /// gets the returns in file order, which both sides make from the range image.
+    ///
+    /// # Errors
+    /// If the sections do not make a frame, or one over the limits.
+    pub fn code_frame<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        sensor: Option<&SensorModel>,
+        frame: &mut Frame,
+        steps: &mut StepReport,
+    ) -> Result<Vec<Return>> {
+        let limits = *sections.limits();
+        let (start, before) = (Instant::now(), steps.total_time());
+        code_parameters(sections, frame)?;
+        sections.section(SectionKind::File, true, |coder| self.code_file(coder, frame, &limits))?;
+        let returns = frame.records - frame.strays;
+        let sensor = match sensor {
+            Some(sensor) if returns > 0 => Some(sensor),
+            None if returns > 0 => return Err(Error::corrupt("a range image without a sensor model")),
+            _ => None,
+        };
+        let reference = match sensor {
+            Some(sensor) => self.code_cells(sections, sensor, frame, returns)?,
+            None => None,
+        };
+        let has_points = frame.layout.position.is_some();
+        frame.stray_positions.resize(if has_points { frame.strays } else { 0 }, [0.0; 3]);
+        let lattice = frame.parameters.positions.lattice();
+        sections.section(SectionKind::Points, !frame.stray_positions.is_empty(), |coder| {
+            self.points.code(coder, lattice, &mut frame.stray_positions);
+            Ok(())
+        })?;
+        let levels = self.code_intensities(sections, frame, reference.as_ref())?;
+        let mut found = Vec::new();
+        if let Some(sensor) = sensor {
+            steps.converted += 4 * frame.steps.cells().len() as u64;
+            self.code_ranges(sections, sensor, frame, (&levels, reference.as_ref()), steps)?;
+            let columns = std::mem::take(&mut frame.columns);
+            let image = RangeImage { columns, steps: std::mem::take(&mut frame.steps) };
+            found = image.file_order(sensor);
+            let can_be_past = image.steps.cells().len() <= inter::MOST_CELLS;
+            if can_be_past && !frame.parameters.modelling().is_quick() {
+                self.past = Some(Arc::new(Past::new(image.clone(), levels)));
+            }
+            (frame.columns, frame.steps) = (image.columns, image.steps);
+        }
+        frame.arrange(&found);
+        if let Some(sensor) = sensor {
+            self.code_positions(sections, sensor, frame, &found)?;
+        }
+        self.code_order(sections, frame, returns)?;
+        let extra_bytes = frame.records.saturating_mul(frame.layout.extra_stride());
+        within(extra_bytes, limits.file_bytes, "bytes of the frame")?;
+        frame.extra.resize(extra_bytes, 0);
+        sections.section(SectionKind::Extra, extra_bytes > 0, |coder| {
+            self.extra.code(coder, frame.layout.extra_stride(), &mut frame.extra);
+            Ok(())
+        })?;
+        code_compensation(sections, frame)?;
+        let others = steps.total_time() - before;
+        steps.took(Step::Rest, start + others);
+        Ok(found)
+    }
+
+    /// The columns of the range image, and which of its cells hold a return. Gives what the frame before
+    /// lets expect there, if the frame is predicted from it.
+    fn code_cells<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        sensor: &SensorModel,
+        frame: &mut Frame,
+        returns: usize,
+    ) -> Result<Option<Reference>> {
+        sections.section(SectionKind::Columns, true, |coder| {
+            self.columns.code(coder, sensor.ticks, &mut frame.columns);
+            Ok(())
+        })?;
+        let cells = sensor.rows().saturating_mul(frame.columns.len());
+        within(cells, sections.limits().points, "cells of the range image")?;
+        frame.fit_image(sensor.rows());
+        let reference = self.reference(sensor, frame)?;
+        if frame.parameters.modelling().is_quick() {
+            self.quick.code_occupancy(sections, frame)?;
+        } else {
+            let model = self.occupancy.get_or_insert_default();
+            model.set_depth(frame.parameters.modelling().depth());
+            sections.section(SectionKind::Occupancy, true, |coder| {
+                model.code(coder, reference.as_ref(), &mut frame.occupancy);
+                Ok(())
+            })?;
+        }
+        frame.cells = frame.occupancy.places();
+        if frame.cells.len() != returns {
+            return Err(Error::corrupt("the range image holds another number of returns than the frame"));
+        }
+        Ok(reference)
+    }
+
+    /// What the frame before lets expect of this one, if it is predicted from it.
+    fn reference(&self, sensor: &SensorModel, frame: &Frame) -> Result<Option<Reference>> {
+        if frame.parameters.prediction != Prediction::Inter {
+            return Ok(None);
+        }
+        let past = self.past.as_ref();
+        let past = past.ok_or_else(|| Error::corrupt("there is no frame before to predict this one from"))?;
+        within(frame.occupancy.cells().len(), inter::MOST_CELLS as u64, "cells of a P frame")?;
+        let motion = frame.parameters.motion;
+        if frame.parameters.modelling().can_do_without_surfaces() && motion == QuantisedPose::default() {
+            return Ok(Some(past.same_cells_alone(&frame.columns)));
+        }
+        let motion = motion.pose().motion();
+        Ok(Some(past.reference(sensor, &frame.columns, &motion)))
+    }
+
+    /// The frame before, if it has a range image.
+    pub(crate) fn past(&self) -> Option<&Past> {
+        self.past.as_deref()
+    }
+
+    /// The intensities, if the frame has any and keeps them. Gives the returns' as contexts for their
+    /// ranges.
+    fn code_intensities<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        frame: &mut Frame,
+        reference: Option<&Reference>,
+    ) -> Result<Grid<u16>> {
+        let coded = frame.layout.intensity.is_some() && frame.parameters.intensity != Intensity::None;
+        if !coded {
+            let (rows, columns) = (frame.occupancy.rows(), frame.occupancy.columns());
+            frame.intensity = Grid::new(rows, columns);
+            frame.stray_intensity = vec![0.0; frame.strays];
+            return Ok(Grid::new(rows, columns));
+        }
+        if frame.parameters.modelling().is_quick() {
+            // No contexts.
+            return self.quick.code_intensities(sections, frame).map(|()| Grid::default());
+        }
+        sections
+            .section(SectionKind::Intensity, true, |coder| Ok(self.code_intensity(coder, frame, reference)))
+    }
+
+    /// The positions of the returns: the formula's, corrected as far as they must be.
+    fn code_positions<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        sensor: &SensorModel,
+        frame: &mut Frame,
+        found: &[Return],
+    ) -> Result<()> {
+        let grid = sensor.coordinates;
+        let offset_m = frame.parameters.range_coder.offset_m(sensor);
+        let formula = |found: &Return| {
+            let metres = sensor.metres(found.steps) + offset_m;
+            sensor.position_at(found.row as usize, found.tick, metres)
+        };
+        let (max_error, on_grid) = match frame.parameters.positions {
+            Positions::Formula => {
+                frame.positions = positions(sensor, found, offset_m, false);
+                return Ok(());
+            }
+            Positions::Exact => (None, true),
+            Positions::Bounded { max_error_um, on_grid } => (Some(f64::from(max_error_um) * 1e-6), on_grid),
+        };
+        let quick = match frame.parameters.modelling() {
+            Modelling::Mixed(_) | Modelling::Deep => false,
+            // On finer grids most points are corrected.
+            Modelling::Light | Modelling::Balanced(_) => grid == Coordinates::Millimetre,
+            Modelling::Tokens { .. } | Modelling::Packed => true,
+        };
+        if quick {
+            let near = positions(sensor, found, offset_m, on_grid);
+            let formula = |point: usize| formula(&found[point]);
+            return self.quick.code_positions(sections, grid, formula, (near, max_error), frame);
+        }
+        frame.positions.resize(found.len(), [0.0; 3]);
+        sections.section(SectionKind::Correction, true, |coder| {
+            let points = found.iter().zip(&mut frame.positions);
+            match max_error {
+                None => points.for_each(|(found, position)| {
+                    self.correction.code(coder, grid, formula(found), position);
+                }),
+                Some(max_error) => {
+                    let near = positions(sensor, found, offset_m, on_grid);
+                    points.zip(near).for_each(|((found, position), near)| {
+                        self.correction.code_bounded(
+                            coder,
+                            grid,
+                            formula(found),
+                            (near, max_error),
+                            position,
+                        );
+                    });
+                }
+            }
+            Ok(())
+        })
+    }
+
+    /// Where the points stand in the file: in the order of the range image but for what is coded.
+    fn code_order<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        frame: &mut Frame,
+        returns: usize,
+    ) -> Result<()> {
+        if returns == 0 || frame.parameters.positions == Positions::Formula {
+            frame.order.stray_places = (returns as u64..frame.records as u64).collect();
+            return Ok(());
+        }
+        sections.section(SectionKind::Order, true, |coder| {
+            self.order.code(coder, &mut frame.order, returns, frame.strays)
+        })
+    }
+
+    /// The layout of the file, and the bytes around the records.
+    fn code_file<C: BitCoder>(&mut self, coder: &mut C, frame: &mut Frame, limits: &Limits) -> Result<()> {
+        let mut layout = Vec::new();
+        if C::ENCODES {
+            frame.layout.write_to(&mut layout);
+        }
+        self.code_bytes(coder, &mut layout, limits)?;
+        if !C::ENCODES {
+            let mut rest = layout.as_slice();
+            frame.layout = Layout::read_from(&mut rest)?;
+            if !rest.is_empty() {
+                return Err(Error::corrupt("record layout: bytes left over"));
+            }
+        }
+        self.code_bytes(coder, &mut frame.prefix, limits)?;
+        self.code_bytes(coder, &mut frame.suffix, limits)?;
+        let records = self.sizes.code(coder, frame.records as u64);
+        if records != frame.records as u64 {
+            return Err(Error::corrupt(format!(
+                "{records} points, not {} as the frame's header says",
+                frame.records
+            )));
+        }
+        frame.strays = self.sizes.code(coder, frame.strays as u64) as usize;
+        within(frame.records, limits.points, "points of the frame")?;
+        if frame.strays > frame.records || (frame.layout.position.is_none() && frame.strays < frame.records) {
+            return Err(Error::corrupt("more strays than points"));
+        }
+        Ok(())
+    }
+
+    fn code_bytes<C: BitCoder>(&mut self, coder: &mut C, bytes: &mut Vec<u8>, limits: &Limits) -> Result<()> {
+        let length = self.sizes.code(coder, bytes.len() as u64) as usize;
+        within(length, limits.file_bytes, "bytes of the frame")?;
+        if length as u64 > coder.most_bits() / 8 {
+            return Err(Error::corrupt("more bytes than the section can hold"));
+        }
+        bytes.resize(length, 0);
+        self.bytes.code(coder, 1, bytes);
+        Ok(())
+    }
+
+    /// The intensities of the returns, then of the strays. Gives the returns' as contexts for
+    /// their ranges.
+    fn code_intensity<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        frame: &mut Frame,
+        reference: Option<&Reference>,
+    ) -> Grid<u16> {
+        let mut scale = if C::ENCODES { frame.intensity_scale() } else { IntensityScale::default() };
+        scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
+        let width = frame.occupancy.columns();
+        let mut levels = Grid::new(frame.occupancy.rows(), width);
+        let model = self.intensity.get_or_insert_default();
+        model.set_depth(frame.parameters.modelling().intensity_depth());
+        model.start_frame(&scale, width, frame.records - frame.strays);
+        for row in 0..levels.rows() {
+            if coder.is_exhausted() {
+                break;
+            }
+            model.start_row();
+            let mut left = [0; 4];
+            for column in (0..width).filter(|&column| frame.occupancy[(row, column)]) {
+                let mut near = neighbours(&levels, left, row, column);
+                near.back = reference.and_then(|reference| IntensityReference::at(reference, (row, column)));
+                let value = &mut frame.intensity[(row, column)];
+                *value = model.code(coder, &scale, &near, (row, column), *value);
+                levels[(row, column)] = scale.context_level(*value);
+                left = [levels[(row, column)], left[0], left[1], left[2]];
+            }
+        }
+        code_stray_intensity(model, coder, &scale, frame);
+        levels
+    }
+}
+
+fn code_stray_intensity<C: BitCoder>(
+    model: &mut IntensityModel,
+    coder: &mut C,
+    scale: &IntensityScale,
+    frame: &mut Frame,
+) {
+    frame.stray_intensity.resize(frame.strays, 0.0);
+    let north = neighbours_above(&frame.stray_positions);
+    let mut levels: Vec<u16> = Vec::with_capacity(frame.strays);
+    model.start_frame(scale, 1, frame.strays);
+    for index in 0..frame.strays {
+        if coder.is_exhausted() {
+            return;
+        }
+        let at = |index: Option<usize>| index.and_then(|i| levels.get(i)).copied().unwrap_or(0);
+        let above = |offset: isize| {
+            at(north.get(index).copied().flatten().and_then(|i| i.checked_add_signed(offset)))
+        };
+        let near = IntensityNeighbours {
+            left: [1, 2, 3, 4].map(|distance| at(index.checked_sub(distance))),
+            above: [-2, -1, 0, 1, 2].map(above),
+            above2: [0; 3],
+            back: None,
+        };
+        let value = &mut frame.stray_intensity[index];
+        *value = model.code(coder, scale, &near, (0, 0), *value);
+        levels.push(scale.context_level(*value));
+    }
+}
+
+/// How the frame is coded: left out if by the default parameters.
+fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+    let mut payload = frame.parameters.to_payload();
+    sections.payload(SectionKind::Parameters, &mut payload);
+    frame.parameters = FrameParameters::from_payload(&payload)?;
+    Ok(())
+}
+
+/// How the points were moved after they were measured.
+fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+    frame.find_misses()?;
+    let mut payload = Vec::new();
+    frame.compensation.iter().for_each(|compensation| compensation.write_to(&mut payload));
+    sections.payload(SectionKind::Compensation, &mut payload);
+    if !payload.is_empty() {
+        frame.compensation = Some(Compensation::from_payload(&payload, frame.records)?);
+    }
+    Ok(())
+}
+
+impl Frame {
+    /// Gives the decoder's grids the size of the image.
+    fn fit_image(&mut self, rows: usize) {
+        if self.occupancy.rows() != rows || self.occupancy.columns() != self.columns.len() {
+            self.occupancy = Grid::new(rows, self.columns.len());
+            self.steps = Grid::new(rows, self.columns.len());
+            self.intensity = Grid::new(rows, self.columns.len());
+        }
+    }
+}
+
+/// The levels around a cell.
+fn neighbours(levels: &Grid<u16>, left: [u16; 4], row: usize, column: usize) -> IntensityNeighbours {
+    let at =
+        |rows_up: usize, offset: isize| match (row.checked_sub(rows_up), column.checked_add_signed(offset)) {
+            (Some(row), Some(column)) if column < levels.columns() => levels[(row, column)],
+            _ => 0,
+        };
+    IntensityNeighbours {
+        left,
+        above: [-2, -1, 0, 1, 2].map(|offset| at(1, offset)),
+        above2: [-1, 0, 1].map(|offset| at(2, offset)),
+        back: None,
+    }
+}
+
+fn within(got: usize, max: u64, what: &'static str) -> Result<()> {
+    if got as u64 > max {
+        Err(Error::LimitExceeded { what: what.to_owned(), got: got as u64, max })
+    } else {
+        Ok(())
+    }
+}

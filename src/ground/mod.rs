@@ -1,0 +1,10 @@
+//! What everything else stands on: errors, limits, tables, integers of variable length, rounding, random numbers,
+//! and the helper for vector units.
+
+pub mod error;
+pub mod grid;
+pub mod random;
+pub mod rounding;
+pub mod varint;
+
+pub(crate) mod lanes;

@@ -1,0 +1,92 @@
+//! Integers of variable length: seven bits a byte, lowest first, the top bit set on all but the
+//! last (LEB128). Signed ones are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3.
+
+use std::io::{ErrorKind, Read};
+
+use crate::ground::error::{Error, Result};
+
+/// The most bytes that a 64-bit integer takes.
+pub const VARINT_MAX: usize = 10;
+
+/// Appends an unsigned integer.
+pub fn write_unsigned(out: &mut Vec<u8>, mut value: u64) {
+    while value >= 0x80 {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
+}
+
+/// Reads an unsigned integer. `what` names the field in errors.
+///
+/// # Errors
+/// If the input ends, the integer does not fit 64 bits, or is longer than it need be: one value has
+/// one spelling.
+pub fn read_unsigned(input: &mut impl Read, what: &str) -> Result<u64> {
+    let mut value = 0u64;
+    for place in 0..VARINT_MAX {
+        let mut byte = [0];
+        input.read_exact(&mut byte).map_err(|error| match error.kind() {
+            ErrorKind::UnexpectedEof => Error::corrupt(format!("{what} is cut short")),
+            _ => error.into(),
+        })?;
+        if place == VARINT_MAX - 1 && byte[0] > 1 {
+            break;
+        }
+        value |= u64::from(byte[0] & 0x7f) << (7 * place);
+        if byte[0] < 0x80 {
+            if byte[0] == 0 && place > 0 {
+                return Err(Error::corrupt(format!("{what} is spelled longer than it need be")));
+            }
+            return Ok(value);
+        }
+    }
+    Err(Error::corrupt(format!("{what} does not fit 64 bits")))
+}
+
+/// Appends a signed integer.
+pub fn write_signed(out: &mut Vec<u8>, value: i64) {
+    write_unsigned(out, zigzag(value));
+}
+
+/// Reads a signed integer.
+///
+/// # Errors
+/// As [`read_unsigned`].
+pub fn read_signed(input: &mut impl Read, what: &str) -> Result<i64> {
+    read_unsigned(input, what).map(unzigzag)
+}
+
+/// Signed to unsigned, small magnitudes first.
+pub fn zigzag(value: i64) -> u64 {
+    ((value << 1) ^ (value >> 63)) as u64
+}
+
+/// The inverse of [`zigzag`].
+pub fn unzigzag(code: u64) -> i64 {
+    (code >> 1) as i64 ^ -((code & 1) as i64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn integers_come_back() {
+        for value in [0, 1, -1, 63, -64, 64, 300, i64::MAX - 1, i64::MAX, i64::MIN] {
+            let mut bytes = Vec::new();
+            write_signed(&mut bytes, value);
+            assert_eq!(read_signed(&mut &bytes[..], "n").unwrap(), value);
+            assert!(read_signed(&mut &bytes[..bytes.len() - 1], "n").is_err(), "{value} cut short");
+        }
+    }
+
+    #[test]
+    fn an_integer_has_one_spelling_and_64_bits() {
+        assert!(read_unsigned(&mut &[0x80, 0x00][..], "n").is_err());
+        let mut too_big = [0xff; VARINT_MAX];
+        too_big[VARINT_MAX - 1] = 0x02;
+        assert!(read_unsigned(&mut &too_big[..], "n").is_err());
+        assert!(read_unsigned(&mut &[0xff; VARINT_MAX + 1][..], "n").is_err());
+    }
+}

@@ -1,0 +1,185 @@
+//! The motion of the scanner from one frame to the next (article, V-A and V-B). Only the encoder looks for
+//! it; both sides apply it.
+
+mod guess;
+mod icp;
+mod pose;
+mod projective;
+mod surface;
+
+pub use pose::{Pose, QuantisedPose, RigidMotion};
+pub use projective::columns_by_tick;
+pub use surface::{Surface, Surfel, dot};
+
+use crate::ground::error::{Error, Result};
+use crate::scanner::RangeImage;
+use crate::scanner::SensorModel;
+use icp::NearestPoints;
+use projective::Aim;
+
+/// What is compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RegistrationMethod {
+    /// Planes of the reference with the returns that are seen in their place. On real drives five times as
+    /// fast as the other, and closer.
+    #[default]
+    Projective,
+    /// Points with the nearest points: the article's ICP.
+    Icp,
+}
+
+/// How a motion is looked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RegistrationConfig {
+    /// What is compared. Default: projective.
+    pub method: RegistrationMethod,
+    /// Surfels or points that are compared, at most, taken evenly. Default 6000.
+    pub most_points: usize,
+    /// Steps, at most. Default 25.
+    pub most_iterations: usize,
+    /// Metres: what is further off than this does not count, at first and at last. Default 2 and 0.15.
+    pub reach_m: [f64; 2],
+    /// Converged once a step moves by less than this in metres, and turns by less in tenths of a radian.
+    /// Default 0.0005.
+    pub precision_m: f64,
+    /// The part of the points that must agree in the end. Default 0.25.
+    pub least_overlap: f64,
+}
+
+impl Default for RegistrationConfig {
+    fn default() -> Self {
+        RegistrationConfig {
+            method: RegistrationMethod::Projective,
+            most_points: 6000,
+            most_iterations: 25,
+            reach_m: [2.0, 0.15],
+            precision_m: 0.0005,
+            least_overlap: 0.25,
+        }
+    }
+}
+
+impl RegistrationConfig {
+    /// Checks that all settings are in range.
+    ///
+    /// # Errors
+    /// [`Error::InvalidConfig`] names the setting that is not.
+    pub fn check(&self) -> Result<()> {
+        let lengths = [self.reach_m[0], self.reach_m[1], self.precision_m];
+        let settings = [
+            ("points to compare", self.most_points > 0),
+            ("iterations", self.most_iterations > 0),
+            ("reach or precision", lengths.iter().all(|length| *length > 0.0 && length.is_finite())),
+            ("least overlap", (0.0..=1.0).contains(&self.least_overlap)),
+        ];
+        match settings.iter().find(|(_, holds)| !holds) {
+            Some((name, _)) => Err(Error::InvalidConfig(format!("registration: {name} out of range"))),
+            None => Ok(()),
+        }
+    }
+}
+
+/// With this fit no other start is tried.
+const CERTAIN_FIT: f64 = 0.6;
+
+/// A motion that was found.
+#[derive(Clone, Copy, Debug)]
+pub struct Registration {
+    /// From the reference to the current frame.
+    pub pose: Pose,
+    /// The part of the points that agree.
+    pub overlap: f64,
+    /// The same, but points count the less the further off they are.
+    pub fit: f64,
+    /// Root mean square distance of those, in metres.
+    pub rmse_m: f64,
+    /// Steps taken.
+    pub iterations: usize,
+}
+
+/// A step towards the motion.
+struct Step {
+    motion: RigidMotion,
+    /// Metres, and tenths of a radian.
+    length: f64,
+    /// Points within reach.
+    agreeing: usize,
+    /// The sum of their weights.
+    weights: f64,
+    /// The sum of their squared distances.
+    squares: f64,
+}
+
+/// A step, if it is one.
+fn small_step(motion: RigidMotion, agreeing: usize, weights: f64, squares: f64) -> Option<Step> {
+    let pose = motion.pose();
+    let length = dot(pose.translation, pose.translation).sqrt() + 10.0 * pose.angle();
+    length.is_finite().then_some(Step { motion, length, agreeing, weights, squares })
+}
+
+/// Finds the motion that takes the surface to where `current` shows it, starting at `initial`. None if
+/// there is too little to compare, or it does not fit.
+pub fn register(
+    reference: &Surface,
+    current: &RangeImage,
+    sensor: &SensorModel,
+    initial: &Pose,
+    config: &RegistrationConfig,
+) -> Option<Registration> {
+    match config.method {
+        RegistrationMethod::Projective => {
+            let surfels = projective::sample(reference, config.most_points);
+            let aim = Aim::at(sensor, current);
+            let from = |start: &Pose| {
+                approach(config, start, surfels.len(), |motion, reach| aim.step(&surfels, motion, reach))
+            };
+            let found = from(initial);
+            if found.is_some_and(|found| found.fit >= CERTAIN_FIT) {
+                return found;
+            }
+            let others = guess::starts(&aim, &surfels);
+            let all = found.into_iter().chain(others.iter().filter_map(from));
+            all.max_by(|a, b| a.fit.total_cmp(&b.fit))
+        }
+        RegistrationMethod::Icp => {
+            /// Points of the reference for each of the current frame.
+            const DENSITY: usize = 4;
+            let most = config.most_points.saturating_mul(DENSITY);
+            let points = NearestPoints::of(evenly(&reference.surfels, most))?;
+            let current = Surface::of(sensor, &current.columns, &current.steps).surfels;
+            let current: Vec<_> =
+                evenly(&current, config.most_points).map(|surfel| surfel.position).collect();
+            approach(config, initial, current.len(), |motion, reach| points.step(&current, motion, reach))
+        }
+    }
+}
+
+/// Takes steps until they are small. What counts gets narrower with each.
+fn approach(
+    config: &RegistrationConfig,
+    initial: &Pose,
+    points: usize,
+    step: impl Fn(&RigidMotion, f64) -> Option<Step>,
+) -> Option<Registration> {
+    let [mut reach, last_reach] = config.reach_m;
+    let mut motion = initial.motion();
+    for iteration in 1..=config.most_iterations {
+        let step = step(&motion, reach)?;
+        motion = motion.then(&step.motion);
+        let has_converged = step.length < config.precision_m && reach <= last_reach;
+        if has_converged || iteration == config.most_iterations {
+            let overlap = step.agreeing as f64 / points.max(1) as f64;
+            let fit = step.weights / points.max(1) as f64;
+            let rmse_m = (step.squares / step.agreeing.max(1) as f64).sqrt();
+            let found = Registration { pose: motion.pose(), overlap, fit, rmse_m, iterations: iteration };
+            return (overlap >= config.least_overlap).then_some(found);
+        }
+        reach = (reach * 0.6).max(last_reach);
+    }
+    None
+}
+
+/// At most so many of them, evenly taken.
+fn evenly<T>(all: &[T], most: usize) -> impl Iterator<Item = &T> {
+    all.iter().step_by(all.len().div_ceil(most.max(1)).max(1))
+}

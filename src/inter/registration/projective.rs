@@ -1,0 +1,111 @@
+//! Registration by projection: each surfel of the reference is compared with the return that the
+//! current image has where it would be seen. No search for neighbours is needed; the distance is that
+//! of a point to a plane, and what does not fit counts little (equation 8, with an information
+//! matrix along the normal).
+
+use std::f64::consts::PI;
+
+use nalgebra::{Matrix6, Vector3, Vector6};
+
+use super::pose::{Pose, RigidMotion};
+use super::surface::{Surface, Surfel, dot};
+use super::{Step, evenly, small_step};
+use crate::scanner::RangeImage;
+use crate::scanner::SensorModel;
+
+/// The current image, as surfels are compared with it.
+pub struct Aim<'a> {
+    sensor: &'a SensorModel,
+    current: &'a RangeImage,
+    column_of_tick: Vec<Option<u32>>,
+}
+
+impl<'a> Aim<'a> {
+    /// At this image.
+    pub fn at(sensor: &'a SensorModel, current: &'a RangeImage) -> Self {
+        Aim { sensor, current, column_of_tick: columns_by_tick(&current.columns, sensor.ticks) }
+    }
+
+    /// One step of Gauss-Newton with Tukey's weights, after `motion`. None if the surfels say nothing.
+    pub fn step(&self, surfels: &[Surfel], motion: &RigidMotion, reach: f64) -> Option<Step> {
+        let (mut normal, mut right) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
+        let (mut agreeing, mut weights, mut squares) = (0, 0.0, 0.0);
+        for surfel in surfels {
+            let position = motion.apply(surfel.position);
+            let Some(seen) = self.seen(surfel.cell.0 as usize, position) else { continue };
+            let facing = motion.turn(surfel.normal);
+            let facing = Vector3::from(facing) / dot(facing, facing).sqrt();
+            let position = Vector3::from(position);
+            let off = facing.dot(&(Vector3::from(seen) - position));
+            if off.is_nan() || off.abs() >= reach {
+                continue;
+            }
+            agreeing += 1;
+            squares += off * off;
+            let weight = (1.0 - (off / reach).powi(2)).powi(2);
+            weights += weight;
+            let turned = position.cross(&facing);
+            let gradient = Vector6::new(turned.x, turned.y, turned.z, facing.x, facing.y, facing.z);
+            normal.ger(weight, &gradient, &gradient, 1.0);
+            right.axpy(weight * off, &gradient, 1.0);
+        }
+        // A hair of damping, or a tunnel without features has no answer.
+        let damping = 1e-6 * normal.trace();
+        let solution = (normal + Matrix6::identity() * damping).cholesky()?.solve(&right);
+        let [roll, pitch, yaw, x, y, z] = solution.into();
+        let step = Pose { yaw, pitch, roll, translation: [x, y, z] };
+        small_step(step.motion(), agreeing, weights, squares)
+    }
+
+    /// The return that the current image has where a point would be seen.
+    fn seen(&self, row: usize, position: [f64; 3]) -> Option<[f64; 3]> {
+        let sighting = self.sensor.locate(row, position)?;
+        let column = self.column_of_tick[sighting.column_tick as usize]? as usize;
+        let steps = self.current.steps[(sighting.row, column)];
+        let tick = self.sensor.tick_of_column(sighting.row, self.current.columns[column]);
+        (steps > 0).then(|| self.sensor.point(sighting.row, tick, steps))
+    }
+}
+
+/// Ways that surfaces face: up or down, and so many parts of a half turn.
+const WAYS: usize = 13;
+
+/// At most so many surfels with a normal, as many of each way to face if there are. Otherwise the ground and
+/// the walls of a street, which say nothing of how far one has come along it, outvote all else.
+pub fn sample(surface: &Surface, most: usize) -> Vec<Surfel> {
+    let mut by_way: [Vec<Surfel>; WAYS] = Default::default();
+    for surfel in surface.surfels.iter().filter(|surfel| surfel.normal != [0.0; 3]) {
+        by_way[way(surfel.normal)].push(*surfel);
+    }
+    by_way.sort_by_key(Vec::len);
+    let (mut chosen, mut room) = (Vec::new(), most);
+    for (surfels, ways) in by_way.iter().zip((1..=WAYS).rev()) {
+        let before = chosen.len();
+        chosen.extend(evenly(surfels, room / ways));
+        room -= chosen.len() - before;
+    }
+    chosen
+}
+
+fn way([x, y, z]: [f64; 3]) -> usize {
+    if z * z > x * x + y * y {
+        return 0;
+    }
+    let part = y.atan2(x).rem_euclid(PI) / PI * (WAYS - 1) as f64;
+    1 + (part as usize).min(WAYS - 2)
+}
+
+/// The nearest column of each tick, up to one tick away.
+pub fn columns_by_tick(columns: &[u32], ticks: u32) -> Vec<Option<u32>> {
+    let mut of_tick = vec![None; ticks as usize];
+    for (column, &tick) in (0..).zip(columns) {
+        for near in [(tick + 1) % ticks, (tick + ticks - 1) % ticks] {
+            let place: &mut Option<u32> = &mut of_tick[near as usize];
+            *place = place.or(Some(column));
+        }
+    }
+    for (column, &tick) in (0..).zip(columns) {
+        of_tick[tick as usize] = Some(column);
+    }
+    of_tick
+}

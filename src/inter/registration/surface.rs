@@ -1,0 +1,139 @@
+//! The surfaces that a range image shows: for each return where it is, and which way the surface
+//! faces there.
+
+use crate::ground::grid::Grid;
+use crate::scanner::Alignment;
+use crate::scanner::SensorModel;
+
+/// A return and the surface around it.
+#[derive(Clone, Copy, Debug)]
+pub struct Surfel {
+    /// Metres.
+    pub position: [f64; 3],
+    /// At right angles to the surface, of any length; zero if it is not known.
+    pub normal: [f64; 3],
+    /// Its row and column.
+    pub cell: (u32, u32),
+}
+
+/// The surfels of an image, row by row.
+#[derive(Clone, Debug, Default)]
+pub struct Surface {
+    /// Those of all returns.
+    pub surfels: Vec<Surfel>,
+}
+
+/// Neighbours in a row are of one surface if their ranges differ by less than the sum of this, in
+/// metres, and this part of the range.
+const ROW_GAP: f64 = 0.2;
+const ROW_GAP_SHARE: f64 = 0.03;
+/// The same for neighbours in a column: on the ground they are far apart.
+const COLUMN_GAP: f64 = 0.3;
+const COLUMN_GAP_SHARE: f64 = 0.15;
+/// Columns between the neighbours in a row that give its slope: over more, noise matters less.
+const ROW_REACH: isize = 2;
+
+impl Surface {
+    /// Of the ranges `steps` (rows x columns, 0 = no return) at these column ticks. The same on every
+    /// platform.
+    pub fn of(sensor: &SensorModel, columns: &[u32], steps: &Grid<u32>) -> Self {
+        let alignment = Alignment::of(sensor, columns.len());
+        let mut positions = Grid::new(steps.rows(), steps.columns());
+        for row in 0..steps.rows() {
+            let cells = positions.row_mut(row).iter_mut().zip(steps.row(row)).zip(columns);
+            for ((position, &steps), &column) in cells.filter(|((_, steps), _)| **steps > 0) {
+                *position = sensor.point(row, sensor.tick_of_column(row, column), steps);
+            }
+        }
+        let image = Image { sensor, alignment: &alignment, positions: &positions, steps };
+        let mut surfels = Vec::new();
+        for row in 0..steps.rows() {
+            for column in (0..steps.columns()).filter(|&column| steps[(row, column)] > 0) {
+                surfels.push(Surfel {
+                    position: positions[(row, column)],
+                    normal: image.normal(row, column),
+                    cell: (row as u32, column as u32),
+                });
+            }
+        }
+        Surface { surfels }
+    }
+}
+
+struct Image<'a> {
+    sensor: &'a SensorModel,
+    alignment: &'a Alignment,
+    positions: &'a Grid<[f64; 3]>,
+    steps: &'a Grid<u32>,
+}
+
+impl Image<'_> {
+    fn normal(&self, row: usize, column: usize) -> [f64; 3] {
+        match (self.along(row, column), self.across(row, column)) {
+            (Some(along), Some(across)) => cross(along, across),
+            _ => [0.0; 3],
+        }
+    }
+
+    /// The slope along the row.
+    fn along(&self, row: usize, column: usize) -> Option<[f64; 3]> {
+        let range = self.sensor.metres(self.steps[(row, column)]);
+        let gap = ROW_GAP + ROW_GAP_SHARE * range;
+        let beside = |right: isize| {
+            (1..=ROW_REACH).rev().find_map(|reach| {
+                let column =
+                    column.checked_add_signed(right * reach).filter(|&c| c < self.steps.columns())?;
+                self.near((row, column), range, gap)
+            })
+        };
+        let here = self.positions[(row, column)];
+        match (beside(-1), beside(1)) {
+            (Some((_, left)), Some((_, right))) => Some(difference(right, left)),
+            (Some((_, left)), None) => Some(difference(here, left)),
+            (None, Some((_, right))) => Some(difference(right, here)),
+            (None, None) => None,
+        }
+    }
+
+    /// The slope across the rows, to the neighbour whose range differs less.
+    fn across(&self, row: usize, column: usize) -> Option<[f64; 3]> {
+        let range = self.sensor.metres(self.steps[(row, column)]);
+        let gap = COLUMN_GAP + COLUMN_GAP_SHARE * range;
+        let width = self.steps.columns();
+        let beside = |down: isize| {
+            let other = row.checked_add_signed(down).filter(|&row| row < self.steps.rows())?;
+            let column = (column + width - self.alignment.turn(row) + self.alignment.turn(other)) % width;
+            self.near((other, column), range, gap)
+        };
+        let here = self.positions[(row, column)];
+        match (beside(-1), beside(1)) {
+            (Some((off_above, above)), Some((off_below, below))) => {
+                Some(if off_above < off_below { difference(here, above) } else { difference(below, here) })
+            }
+            (Some((_, above)), None) => Some(difference(here, above)),
+            (None, Some((_, below))) => Some(difference(below, here)),
+            (None, None) => None,
+        }
+    }
+
+    /// How far off the range is, and the position, if there is a return of the same surface.
+    fn near(&self, cell: (usize, usize), range: f64, gap: f64) -> Option<(f64, [f64; 3])> {
+        let steps = self.steps[cell];
+        let off = (self.sensor.metres(steps) - range).abs();
+        (steps > 0 && off < gap).then(|| (off, self.positions[cell]))
+    }
+}
+
+fn difference(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|i| a[i] - b[i])
+}
+
+fn cross([a, b, c]: [f64; 3], [d, e, f]: [f64; 3]) -> [f64; 3] {
+    [b * f - c * e, c * d - a * f, a * e - b * d]
+}
+
+/// The scalar product.
+#[inline]
+pub fn dot([a, b, c]: [f64; 3], [d, e, f]: [f64; 3]) -> f64 {
+    a * d + b * e + c * f
+}

@@ -1,0 +1,111 @@
+//! What the surfaces of the frame before look like from where the scanner is now.
+
+use crate::ground::grid::Grid;
+use crate::inter::Layer;
+use crate::inter::registration::{RigidMotion, Surface, Surfel, columns_by_tick, dot};
+use crate::scanner::Alignment;
+use crate::scanner::{SensorModel, Sighting};
+
+/// Of two surfels in a cell the nearer one is seen if it is nearer by more than this part of the range;
+/// else the one closer to the middle of the cell.
+const IN_FRONT: f64 = 0.05;
+/// A surfel is not extended to a ray further than this part of its range from it.
+const EXTENT: f64 = 0.2;
+
+/// A surfel that is seen in a cell.
+#[derive(Clone, Copy)]
+struct Seen {
+    /// Where the cell's ray meets it, in metres.
+    metres: f64,
+    /// How far the surfel is from the ray, in radians.
+    off: f64,
+    position: [f64; 3],
+    normal: [f64; 3],
+    level: u16,
+}
+
+/// Renders a moved surface into an image with these columns. `levels` are the intensities of the
+/// surface's cells.
+pub fn render(
+    surface: &Surface,
+    levels: &Grid<u16>,
+    motion: &RigidMotion,
+    sensor: &SensorModel,
+    columns: &[u32],
+) -> Layer {
+    let rows = sensor.rows();
+    let canvas = Canvas { sensor, columns, column_of_tick: columns_by_tick(columns, sensor.ticks) };
+    let mut seen: Grid<Option<Seen>> = Grid::new(rows, columns.len());
+    for surfel in &surface.surfels {
+        let level = levels[(surfel.cell.0 as usize, surfel.cell.1 as usize)];
+        let Some((cell, new)) = canvas.see(surfel, level, motion) else { continue };
+        let old = &mut seen[cell];
+        let is_better = old.is_none_or(|old| {
+            let closer = new.metres - old.metres;
+            closer < -IN_FRONT * new.metres || closer < IN_FRONT * new.metres && new.off < old.off
+        });
+        if is_better {
+            *old = Some(new);
+        }
+    }
+    let alignment = Alignment::of(sensor, columns.len());
+    let mut layer = Layer { steps: Grid::new(rows, columns.len()), levels: Grid::new(rows, columns.len()) };
+    for row in 0..rows {
+        for column in 0..columns.len() {
+            let found = seen[(row, column)].or_else(|| canvas.beside(&seen, &alignment, (row, column)));
+            if let Some(found) = found {
+                layer.steps[(row, column)] = sensor.nearest_steps(found.metres).max(1);
+                layer.levels[(row, column)] = found.level;
+            }
+        }
+    }
+    layer
+}
+
+struct Canvas<'a> {
+    sensor: &'a SensorModel,
+    columns: &'a [u32],
+    column_of_tick: Vec<Option<u32>>,
+}
+
+impl Canvas<'_> {
+    /// The cell in which a surfel is seen after a motion.
+    fn see(&self, surfel: &Surfel, level: u16, motion: &RigidMotion) -> Option<((usize, usize), Seen)> {
+        let position = motion.apply(surfel.position);
+        let Sighting { row, column_tick, metres, off } =
+            self.sensor.locate(surfel.cell.0 as usize, position)?;
+        let column = self.column_of_tick[column_tick as usize]? as usize;
+        let normal = motion.turn(surfel.normal);
+        let seen = Seen { metres, off, position, normal, level };
+        Some(((row, column), self.extend(&seen, (row, column)).unwrap_or(seen)))
+    }
+
+    /// The surfel's plane where a cell's ray meets it, if that is near.
+    fn extend(&self, seen: &Seen, (row, column): (usize, usize)) -> Option<Seen> {
+        let tick = self.sensor.tick_of_column(row, self.columns[column]);
+        let on_ray = self.sensor.point_at(row, tick, seen.metres);
+        let away: [f64; 3] = std::array::from_fn(|i| seen.position[i] - on_ray[i]);
+        let slope = dot(seen.normal, self.sensor.direction(row, tick));
+        let further = dot(seen.normal, away) / slope;
+        let is_near = further.abs() < EXTENT * seen.metres;
+        is_near.then_some(Seen { metres: seen.metres + further, ..*seen })
+    }
+
+    /// For a cell in which nothing is seen: what is seen beside it, extended.
+    fn beside(
+        &self,
+        seen: &Grid<Option<Seen>>,
+        alignment: &Alignment,
+        (row, column): (usize, usize),
+    ) -> Option<Seen> {
+        let width = self.columns.len();
+        let at = |down: isize, right: isize| {
+            let other = row.checked_add_signed(down).filter(|&other| other < seen.rows())?;
+            let column = column + width - alignment.turn(row) + alignment.turn(other);
+            seen[(other, column.checked_add_signed(right)? % width)]
+        };
+        let candidates = [at(0, -1), at(0, 1), at(-1, 0), at(1, 0)];
+        let extended = candidates.into_iter().flatten().filter_map(|near| self.extend(&near, (row, column)));
+        extended.min_by(|a, b| a.metres.total_cmp(&b.metres))
+    }
+}

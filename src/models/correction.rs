@@ -1,0 +1,133 @@
+//! What the formula misses, in units of the file's grid.
+
+mod tokens;
+
+pub use tokens::{CORRECTION_CONTEXTS, correct_positions};
+
+use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
+use crate::ground::rounding::round_ties_even;
+use crate::ground::varint::{unzigzag, zigzag};
+use crate::scan::squared_distance;
+use crate::scanner::Coordinates;
+
+/// Distances to the border of a unit (in units) that make a difference: the formula is right to a
+/// few micrometres, so only what lies closer to a border is ever rounded the other way.
+const BORDER_DISTANCES: [f64; 6] = [0.0005, 0.001, 0.002, 0.004, 0.008, 0.016];
+/// Beyond this distance hardly anything is.
+const CLEAR_DISTANCE: f64 = 0.05;
+/// Contexts of float32 corrections: how much finer the coordinate's unit is than the range's.
+const FINENESS: usize = 24;
+
+/// What the coder has learned about corrections.
+#[derive(Clone)]
+pub struct CorrectionModel {
+    /// Whether a point that need not be exact is corrected; the last one was not, or was.
+    is_corrected: [AdaptiveBit; 2],
+    was_corrected: bool,
+    /// Whether a point has a correction though no coordinate is near a border.
+    unclear: AdaptiveBit,
+    /// For each distance to the border: whether there is a correction.
+    any: Vec<AdaptiveBit>,
+    /// Whether it goes over the border that is near.
+    expected: Vec<AdaptiveBit>,
+    /// The magnitudes that remain, for each axis and fineness.
+    rest: Vec<IntegerModel>,
+}
+
+impl Default for CorrectionModel {
+    fn default() -> Self {
+        CorrectionModel {
+            is_corrected: Default::default(),
+            was_corrected: false,
+            unclear: AdaptiveBit::default(),
+            any: vec![AdaptiveBit::default(); 3 * (BORDER_DISTANCES.len() + 1)],
+            expected: vec![AdaptiveBit::default(); BORDER_DISTANCES.len() + 1],
+            rest: vec![IntegerModel::default(); 3 * FINENESS],
+        }
+    }
+}
+
+impl CorrectionModel {
+    /// Codes the position of a return that may be `near`, or else is corrected as by [`code`](Self::code).
+    /// The encoder's is corrected if it is farther than `max_error` metres from there.
+    pub fn code_bounded<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        grid: Coordinates,
+        formula: [f64; 3],
+        (near, max_error): ([f32; 3], f64),
+        position: &mut [f32; 3],
+    ) {
+        let is_far = C::ENCODES && squared_distance(&near, position).sqrt() > max_error;
+        self.was_corrected = self.is_corrected[usize::from(self.was_corrected)].code(coder, is_far);
+        if self.was_corrected {
+            self.code(coder, grid, formula, position);
+        } else {
+            *position = near;
+        }
+    }
+
+    /// Codes the position of a return, given the formula's, in metres. The encoder's must lie on the grid.
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        grid: Coordinates,
+        formula: [f64; 3],
+        position: &mut [f32; 3],
+    ) {
+        let predicted = formula.map(|metres| grid.unit_of(metres));
+        let mut corrections = [0; 3];
+        if C::ENCODES {
+            corrections =
+                std::array::from_fn(|axis| grid.unit_of(f64::from(position[axis])) - predicted[axis]);
+        }
+        match grid {
+            Coordinates::Millimetre => {
+                self.code_roundings(coder, formula.map(|v| v * 1000.0), &mut corrections)
+            }
+            _ => self.code_floats(coder, formula, &mut corrections),
+        }
+        if !C::ENCODES {
+            let value =
+                |axis: usize| grid.value(predicted[axis].wrapping_add(corrections[axis]), formula[axis]);
+            *position = std::array::from_fn(value);
+        }
+    }
+
+    /// Corrections on a grid far coarser than the formula's errors: 0 but near a border.
+    fn code_roundings<C: BitCoder>(&mut self, coder: &mut C, units: [f64; 3], corrections: &mut [i64; 3]) {
+        let offsets = units.map(|u| u - round_ties_even(u));
+        let distances = offsets.map(|offset| 0.5 - offset.abs());
+        if distances.iter().all(|&d| d >= CLEAR_DISTANCE) && !self.unclear.code(coder, *corrections != [0; 3])
+        {
+            return;
+        }
+        for axis in 0..3 {
+            let level = BORDER_DISTANCES.iter().filter(|&&border| distances[axis] >= border).count();
+            let correction = &mut corrections[axis];
+            let over_border = if offsets[axis] < 0.0 { -1 } else { 1 };
+            if !self.any[level * 3 + axis].code(coder, *correction != 0) {
+                *correction = 0;
+            } else if self.expected[level].code(coder, *correction == over_border) {
+                *correction = over_border;
+            } else {
+                *correction = self.code_rest(coder, axis * FINENESS, *correction);
+            }
+        }
+    }
+
+    /// Corrections on a grid finer than the formula's errors, which are about the same length
+    /// along every axis, however fine its unit is.
+    fn code_floats<C: BitCoder>(&mut self, coder: &mut C, formula: [f64; 3], corrections: &mut [i64; 3]) {
+        let exponents = formula.map(|v| (v.to_bits() >> 52 & 0x7ff) as usize);
+        let largest = exponents.into_iter().max().unwrap_or(0);
+        for axis in 0..3 {
+            let fineness = (largest - exponents[axis]).min(FINENESS - 1);
+            corrections[axis] = self.code_rest(coder, axis * FINENESS + fineness, corrections[axis]);
+        }
+    }
+
+    fn code_rest<C: BitCoder>(&mut self, coder: &mut C, context: usize, correction: i64) -> i64 {
+        unzigzag(self.rest[context].code(coder, zigzag(correction) & (u64::MAX >> 1)))
+    }
+}

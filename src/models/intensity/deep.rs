@@ -1,0 +1,180 @@
+//! Levels by many views of what is around them, in lines of counters by hash, and a least-squares fit,
+//! mixed in two layers.
+//!
+//! Beams answer differently: a level that one gives often another never gives, and the same surface may
+//! get one of several levels, as the laser's power changes. Such things are learned by views of exact
+//! levels together with the beam.
+
+mod fit;
+mod surroundings;
+mod views;
+mod zero;
+
+use std::ops::RangeInclusive;
+
+use super::errors::MeanErrors;
+use super::neighbours::IntensityNeighbours;
+use super::scale::{IntensityScale, MOST_BITS};
+use crate::entropy::{
+    BitCoder, HashedCounters, LINE_LEVELS, LayeredMixer, Logistic, MixContexts, MixRates, hash_below,
+};
+use crate::models::quantise::Levels;
+use fit::{Fit, FitOpinion};
+use surroundings::Surroundings;
+use views::VIEWS;
+use zero::ZeroModel;
+
+/// Those of the views, the fit's, and one that is always the same.
+const OPINIONS: usize = 16;
+const CONSTANT: f32 = 0.25;
+/// For each view, as many lines of 32 bytes, as a power of two: about as many as a frame has values.
+const INDEX_BITS: RangeInclusive<u32> = 8..=16;
+const RATES: MixRates = MixRates { first: 0.0045, last: 0.0005 };
+/// Places in the tree of a level's bits.
+const NODES: usize = 1 << MOST_BITS;
+/// Levels of the error to expect, and of the gradient around.
+const ERROR_LEVELS: usize = 12;
+/// Two levels of neighbours in steps of four.
+const PAIRS: usize = 32 * 32;
+const BITS: usize = MOST_BITS as usize;
+
+/// What the coder has learned about levels.
+#[derive(Clone)]
+pub struct DeepLevels {
+    zero: ZeroModel,
+    fit: Fit,
+    counters: [HashedCounters; VIEWS],
+    mixer: LayeredMixer<OPINIONS, 2>,
+    levels: Levels<{ ERROR_LEVELS - 1 }>,
+    errors: MeanErrors,
+    tables: &'static Logistic,
+}
+
+impl Default for DeepLevels {
+    fn default() -> Self {
+        let counts = MixContexts {
+            sets: [2 * NODES, PAIRS * BITS],
+            last: 2 * BITS,
+            refinements: [NODES, ERROR_LEVELS * ERROR_LEVELS],
+        };
+        DeepLevels {
+            zero: ZeroModel::default(),
+            fit: Fit::new(ERROR_LEVELS * ERROR_LEVELS),
+            counters: std::array::from_fn(|_| HashedCounters::new(*INDEX_BITS.start())),
+            mixer: LayeredMixer::new(counts, [0.15; OPINIONS], RATES),
+            levels: Levels::new(0.7, 1.45),
+            errors: MeanErrors::default(),
+            tables: Logistic::tables(),
+        }
+    }
+}
+
+impl DeepLevels {
+    /// Begins a frame, or its strays, with `columns` columns and so many values. If they are too many for the room
+    /// that there is, there is more from here on, which is empty.
+    pub fn start_frame(&mut self, columns: usize, values: usize) {
+        self.errors.start_frame(columns);
+        let wanted = values.max(1).ilog2().clamp(*INDEX_BITS.start(), *INDEX_BITS.end());
+        if wanted > self.counters[0].index_bits() {
+            self.counters = std::array::from_fn(|_| HashedCounters::new(wanted));
+        }
+    }
+
+    /// Begins a row.
+    pub fn start_row(&mut self) {
+        self.errors.start_row();
+    }
+
+    /// Codes one level. `row` and `column` only serve as contexts.
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        scale: &IntensityScale,
+        near: &IntensityNeighbours,
+        (row, column): (usize, usize),
+        level: u32,
+    ) -> u32 {
+        let around = Surroundings::new(near);
+        let prediction = self.fit.predict(&around);
+        if self.zero.code(coder, &around, (row, column), prediction, level == 0) {
+            return 0;
+        }
+        let [expected, gradient] =
+            [self.errors.expected(column), around.gradient()].map(|measure| self.levels.of(measure));
+        let site = Site {
+            hashes: views::hashes(&around, (row, column), prediction),
+            has_reference: usize::from(around.has_reference()),
+            pair: around.pair(),
+            uncertainty: expected * ERROR_LEVELS + gradient,
+        };
+        let opinion = self.fit.opinion(prediction, site.uncertainty, scale);
+        let level = self.code_bits(coder, scale.bits(), &site, opinion, level);
+        if level > 0 {
+            let own = f32::from(scale.context_of(level));
+            self.fit.learn(&around, prediction, site.uncertainty, own);
+            self.errors.record(column, (own - prediction).abs());
+        }
+        level
+    }
+
+    /// Codes a level's bits, from the highest on.
+    fn code_bits<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        bits: u32,
+        site: &Site,
+        mut fit: FitOpinion,
+        level: u32,
+    ) -> u32 {
+        let mut node = 1usize;
+        let mut left = bits;
+        while left > 0 {
+            let candidates: [_; VIEWS] = std::array::from_fn(|view| {
+                self.counters[view].candidates(hash_below(site.hashes[view], node))
+            });
+            let mut view = 0;
+            let mut lines = self.counters.each_mut().map(|counters| {
+                view += 1;
+                counters.line(candidates[view - 1])
+            });
+            // The place among the lines' levels of the tree.
+            let mut place = 1;
+            for _ in 0..left.min(LINE_LEVELS) {
+                left -= 1;
+                let mut opinions = [CONSTANT; OPINIONS];
+                for (opinion, line) in opinions.iter_mut().zip(&lines) {
+                    *opinion = line.opinion(self.tables, place);
+                }
+                opinions[VIEWS] = fit.of_upper_half(self.fit.shape(), self.tables);
+                let bit = level >> left & 1 == 1;
+                let bit = self.mixer.code(coder, &site.mix_contexts(node, left), &opinions, bit);
+                lines.iter_mut().for_each(|line| line.learn(place, bit));
+                fit.narrow(bit);
+                node = node << 1 | usize::from(bit);
+                place = place << 1 | usize::from(bit);
+            }
+        }
+        node as u32 - (1 << bits)
+    }
+}
+
+/// A level to be coded.
+struct Site {
+    /// Of each view's context.
+    hashes: [u32; VIEWS],
+    /// 1 if an earlier frame has anything here.
+    has_reference: usize,
+    pair: usize,
+    uncertainty: usize,
+}
+
+impl Site {
+    /// Where the mixer looks at a place in the tree, with `below` bits to come after this one.
+    fn mix_contexts(&self, node: usize, below: u32) -> MixContexts<2> {
+        MixContexts {
+            sets: [node + NODES * self.has_reference, self.pair * BITS + below as usize],
+            last: 2 * below as usize + self.has_reference,
+            refinements: [node, self.uncertainty],
+        }
+    }
+}

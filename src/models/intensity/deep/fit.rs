@@ -1,0 +1,101 @@
+//! A least-squares fit of the level, and how sure it is.
+
+use super::surroundings::{FEATURES, Surroundings};
+use crate::entropy::Logistic;
+use crate::models::intensity::scale::IntensityScale;
+use crate::models::least_squares::LeastSquares;
+use crate::models::shape::{CERTAIN, ErrorShape, Placed};
+
+/// Fits: something to the left or not, above or not, in an earlier frame or not.
+const FITS: usize = 8;
+/// Parts of a level in which distributions are placed.
+const FINENESS: i64 = 16;
+/// The least mean error that is believed, in context levels.
+const LEAST_SCALE: f32 = 0.3;
+/// At which rate mean errors are learned.
+const SCALE_RATE: f32 = 0.01;
+/// Added to probabilities of 2^-30 before their logarithm is taken.
+const LEAST: u64 = 64;
+
+/// The fits, and their mean errors.
+#[derive(Clone)]
+pub struct Fit {
+    fits: [LeastSquares<FEATURES>; FITS],
+    shape: ErrorShape,
+    /// In each context, in context levels.
+    scales: Vec<f32>,
+}
+
+impl Fit {
+    /// Nothing learned; errors are kept apart in `contexts` contexts.
+    pub fn new(contexts: usize) -> Self {
+        Fit {
+            fits: std::array::from_fn(|_| LeastSquares::new(0.998)),
+            shape: ErrorShape::new(),
+            scales: vec![4.0; contexts],
+        }
+    }
+
+    /// The context level that is expected: 0 to 127.9.
+    pub fn predict(&self, around: &Surroundings) -> f32 {
+        (around.base() + self.fits[around.fit()].predict(around.features())).clamp(0.0, 127.9)
+    }
+
+    /// The distribution of the level around a prediction.
+    pub fn opinion(&self, prediction: f32, context: usize, scale: &IntensityScale) -> FitOpinion {
+        let unit = scale.context_step() as f32 * FINENESS as f32;
+        let placed = self.shape.place(
+            f64::from((prediction - 0.5) * unit),
+            f64::from(self.scales[context].max(LEAST_SCALE) * unit),
+        );
+        FitOpinion { placed, low: 0, high: 1 << scale.bits(), below: [0, 0, CERTAIN] }
+    }
+
+    /// The shape of errors.
+    pub fn shape(&self) -> &ErrorShape {
+        &self.shape
+    }
+
+    /// Learns the context level that came.
+    pub fn learn(&mut self, around: &Surroundings, prediction: f32, context: usize, own: f32) {
+        let error = own - prediction;
+        let weight = 1.0 / (9.0 + error * error);
+        self.fits[around.fit()].learn(around.features(), own - around.base(), weight);
+        let scale = &mut self.scales[context];
+        *scale += (error.abs() - *scale) * SCALE_RATE;
+    }
+}
+
+/// What a fit says of each bit of a level: where the distribution around its prediction lies.
+#[derive(Clone, Copy, Debug)]
+pub struct FitOpinion {
+    placed: Placed,
+    /// The levels that the bits so far leave: `low` to below `high`.
+    low: i64,
+    high: i64,
+    /// The probability of a level below `low`, the middle, and `high`, in 2^-30.
+    below: [u32; 3],
+}
+
+impl FitOpinion {
+    /// The log odds that the level is in the upper half of what is left.
+    #[inline]
+    pub fn of_upper_half(&mut self, shape: &ErrorShape, tables: &Logistic) -> f32 {
+        let [low, _, high] = self.below;
+        let middle = shape.below(&self.placed, (self.low + self.high) / 2 * FINENESS);
+        self.below[1] = middle;
+        let [lower, upper] = [middle.saturating_sub(low), high.saturating_sub(middle)].map(u64::from);
+        tables.ln(upper + LEAST) - tables.ln(lower + LEAST)
+    }
+
+    /// Goes on with the upper half, or else the lower.
+    #[inline]
+    pub fn narrow(&mut self, upper: bool) {
+        let middle = (self.low + self.high) / 2;
+        if upper {
+            (self.low, self.below[0]) = (middle, self.below[1]);
+        } else {
+            (self.high, self.below[2]) = (middle, self.below[1]);
+        }
+    }
+}

@@ -1,0 +1,41 @@
+//! Ways to look at what is around a level: each makes a context.
+
+use super::surroundings::Surroundings;
+use crate::entropy::hash;
+use crate::models::quantise::signed_level;
+
+pub const VIEWS: usize = 14;
+/// Beams beyond this many share their contexts.
+const ROW_CONTEXTS: usize = 128;
+/// Columns of a sector: what one frame has learned there serves the next.
+const WIDE_SECTOR: usize = 64;
+pub const NARROW_SECTOR: usize = 32;
+
+/// The hash of each view's context.
+pub fn hashes(around: &Surroundings, (row, column): (usize, usize), prediction: f32) -> [u32; VIEWS] {
+    let row = row.min(ROW_CONTEXTS - 1) as u32;
+    let Surroundings { west, west2, west3, north, same, moved, zeros, .. } = *around;
+    let [w, w2, w3, n, same, moved] = [west, west2, west3, north, same, moved].map(u32::from);
+    let (wide, narrow) = ((column / WIDE_SECTOR) as u32, (column / NARROW_SECTOR) as u32);
+    let change = signed_level((prediction - around.base()) as i32) as u32;
+    // In steps of 1.6 levels.
+    let coarse = (prediction * 0.625) as u32;
+    // Fields of eight bits, the beam in seven.
+    let contexts = [
+        w / 2 | (w2 / 2) << 8,
+        row | w << 7,
+        w / 2 | (n / 2) << 8,
+        moved | coarse << 8 | (same / 4) << 16,
+        row | moved << 7 | (w / 4) << 15,
+        row | (w / 4) << 7 | (w2 / 4) << 15 | (w3 / 4) << 23,
+        row | w << 7 | change << 15,
+        w | w3 << 8,
+        row | w << 7 | wide << 15,
+        row / 32 | w << 2 | w2 << 10,
+        row | (same / 2) << 7 | (moved / 2) << 15,
+        row | (zeros as u32) << 7,
+        row / 2 | (w / 2) << 6 | wide << 14,
+        row | (w / 4) << 7 | narrow << 15,
+    ];
+    std::array::from_fn(|view| hash(view, contexts[view]))
+}

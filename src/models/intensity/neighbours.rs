@@ -1,0 +1,42 @@
+//! What is known around an intensity.
+
+use crate::inter::Reference;
+
+/// The context level assumed where nothing is known.
+pub const TYPICAL_LEVEL: u16 = 20;
+
+/// The context levels (1 to 128, 0 = none) of the returns around one.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct IntensityNeighbours {
+    /// The last four returns of the row, nearest first.
+    pub left: [u16; 4],
+    /// In the row above: two columns left, one left, above, one right, two right.
+    pub above: [u16; 5],
+    /// Two rows above: one column left, above, one right.
+    pub above2: [u16; 3],
+    /// In an earlier frame, if that has anything here.
+    pub back: Option<IntensityReference>,
+}
+
+/// The context levels of an earlier frame around a return; 0 = none.
+#[derive(Clone, Copy, Debug)]
+pub struct IntensityReference {
+    /// The same cell, and those to its left and right.
+    pub same: [u16; 3],
+    /// Where the surface seen here was then.
+    pub moved: u16,
+}
+
+impl IntensityReference {
+    /// Around a cell; none if no earlier frame has a return there.
+    pub fn at(reference: &Reference, cell: (usize, usize)) -> Option<Self> {
+        let same = [0, -1, 1].map(|right| reference.same.levels.beside(cell, 0, right));
+        let moved = reference.moved.levels.beside(cell, 0, 0);
+        (same[0] > 0 || moved > 0).then_some(IntensityReference { same, moved })
+    }
+
+    /// The same cell's, or else that of the moved surface.
+    pub fn level(&self) -> u16 {
+        if self.same[0] > 0 { self.same[0] } else { self.moved }
+    }
+}

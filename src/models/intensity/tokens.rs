@@ -1,0 +1,59 @@
+//! The intensities: levels of a grid such as hundredths, each a token whose context is the level before and
+//! whether that agrees with the one above.
+
+use crate::entropy::TokenCoder;
+use crate::ground::varint::{unzigzag, zigzag};
+use crate::models::IntensityScale;
+
+/// Levels of more bits than this have their lowest coded as they are.
+const TOKEN_BITS: u32 = 8;
+/// Contexts by the level before, 7 bits of it.
+const LEVEL_CONTEXTS: usize = 64;
+/// Levels, of 128, that count as the same.
+const NEAR: u16 = 4;
+/// The context of whether a value is off the grid, and that of such values.
+const IS_OFF_GRID: usize = 2 * LEVEL_CONTEXTS;
+const OFF_GRID: usize = IS_OFF_GRID + 1;
+/// Contexts of an intensity.
+pub const INTENSITY_CONTEXTS: usize = OFF_GRID + 1;
+
+/// Codes the intensities of a frame.
+#[derive(Clone, Default)]
+pub struct IntensityTokens {
+    last_off_grid: u32,
+}
+
+impl IntensityTokens {
+    /// Codes one value, given the context levels (1 to 128; 0 = none) of the return before and of the one
+    /// above. Gives its own.
+    #[inline]
+    pub fn code<C: TokenCoder>(
+        &mut self,
+        coder: &mut C,
+        scale: &IntensityScale,
+        (west, north): (u16, u16),
+        value: &mut f32,
+    ) -> u16 {
+        let level = if C::ENCODES { scale.level_of(*value) } else { None };
+        let is_off = !scale.is_on_grid()
+            || (scale.has_exceptions() && { coder.token(IS_OFF_GRID, u8::from(level.is_none())) == 1 });
+        if is_off {
+            let difference = zigzag(i64::from(value.to_bits()) - i64::from(self.last_off_grid));
+            let difference = unzigzag(coder.number(OFF_GRID, difference));
+            self.last_off_grid = i64::from(self.last_off_grid).wrapping_add(difference) as u32;
+            *value = f32::from_bits(self.last_off_grid);
+            return scale.context_level(*value);
+        }
+        let before = if west > 0 { west } else { north };
+        let agrees = north > 0 && before.abs_diff(north) < NEAR;
+        let context = usize::from(before / 2).min(LEVEL_CONTEXTS - 1) * 2 + usize::from(agrees);
+        let low_bits = scale.bits().saturating_sub(TOKEN_BITS);
+        let level = level.unwrap_or(0);
+        let high = coder.token(context, (level >> low_bits) as u8);
+        let level = u32::from(high) << low_bits | coder.bits(level.into(), low_bits) as u32;
+        if !C::ENCODES {
+            *value = scale.value_of(level);
+        }
+        scale.context_of(level)
+    }
+}

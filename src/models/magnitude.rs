@@ -1,0 +1,14 @@
+//! Magnitudes by levels, for tables of tokens.
+
+/// Levels of a magnitude, four an octave, of which the last stands for all that are higher.
+pub fn magnitude_level(magnitude: u32, levels: usize) -> usize {
+    let magnitude = magnitude + 4;
+    let octave = magnitude.ilog2();
+    let level = ((octave - 2) << 2 | (magnitude >> (octave - 2) & 3)) as usize;
+    level.min(levels - 1)
+}
+
+/// The least magnitude of a level.
+pub fn magnitude_of_level(level: usize) -> u32 {
+    ((4 + level as u32 % 4) << (level / 4)) - 4
+}

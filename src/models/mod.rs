@@ -1,0 +1,40 @@
+//! The `context` back-end: each part of a frame through adaptive binary arithmetic coding, each
+//! part one function that serves both directions.
+//!
+//! The models live as long as a group of pictures: what one frame teaches helps the next.
+
+mod bytes;
+mod columns;
+mod correction;
+mod depth;
+mod intensity;
+mod least_squares;
+mod magnitude;
+mod occupancy;
+mod order;
+mod packed;
+mod points;
+mod quantise;
+mod range;
+mod shape;
+
+pub use bytes::ByteModel;
+pub use columns::ColumnModel;
+pub use correction::{CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
+pub use depth::Depth;
+pub use intensity::{
+    INTENSITY_CONTEXTS, IntensityModel, IntensityNeighbours, IntensityReference, IntensityScale,
+    IntensityTokens,
+};
+pub(crate) use least_squares::LeastSquares;
+pub use occupancy::{OCCUPANCY_CONTEXTS, OccupancyModel, code_occupancy};
+pub use order::{OrderExceptions, OrderModel};
+pub use packed::{
+    PACKED_INTENSITY_CONTEXTS, PACKED_RANGE_CONTEXTS, code_packed_intensities, code_packed_ranges,
+};
+pub use points::{PointModel, neighbours_above};
+pub(crate) use range::Bins;
+pub use range::{RANGE_CONTEXTS, RangeContext, RangeModel, RangeTokens, start_counts};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,210 @@
+//! Numbers in blocks, each block's in as many bits as its largest one takes: nothing is quicker. What is coded is
+//! the difference to the number before.
+
+use pulp::{Arch, NullaryFnOnce};
+
+use crate::entropy::TokenCoder;
+use crate::models::{Bins, IntensityScale};
+
+/// Numbers a block: more save widths, fewer waste less where one number is large.
+const BLOCK: usize = 8;
+/// The most bits of a number.
+const MOST_WIDTH: u8 = 32;
+/// The width of a block is a token whose context is the width of the block before.
+const WIDTH_CONTEXTS: usize = MOST_WIDTH as usize + 1;
+/// The context of the number of values before one off the grid.
+const GAP: usize = WIDTH_CONTEXTS;
+
+/// Contexts of a section of ranges.
+pub const PACKED_RANGE_CONTEXTS: usize = WIDTH_CONTEXTS;
+/// Contexts of a section of intensities.
+pub const PACKED_INTENSITY_CONTEXTS: usize = WIDTH_CONTEXTS + 1;
+
+/// Codes ranges, in steps, in the order of the cells: the bins of `bin` steps around the one before. As
+/// [`RangeTokens`](super::RangeTokens), ranges are from 1 to 2^`range_bits` - 1, and come back as the middles of their bins.
+pub fn code_packed_ranges<C: TokenCoder>(coder: &mut C, (range_bits, bin): (u32, u32), ranges: &mut [u32]) {
+    /// The range that the first one differs from.
+    const TYPICAL: u32 = 3000;
+    let most = (1 << range_bits) - 1;
+    if bin == 1 {
+        let range = |before, miss| {
+            let range = differing(before, miss);
+            if (1..=most).contains(&range) { range } else { cut(range, most) }
+        };
+        return code_values(coder, TYPICAL, ranges, difference, range);
+    }
+    let bins = |before: u32| Bins::around(i64::from(before), i64::from(bin));
+    let miss = |before, range| {
+        let bins = bins(before);
+        difference(0, (bins.of(i64::from(range)) - bins.central) as u32)
+    };
+    let range = |before, miss| {
+        let bins = bins(before);
+        bins.middle(bins.central + i64::from(differing(0, miss) as i32), range_bits) as u32
+    };
+    code_values(coder, TYPICAL, ranges, miss, range);
+}
+
+/// Codes intensities, in the order of the cells: their levels on the scale, and which ones are off it. Where nothing
+/// is on it, they are numbers by their bits.
+pub fn code_packed_intensities<C: TokenCoder>(coder: &mut C, scale: &IntensityScale, values: &mut [f32]) {
+    if !scale.is_on_grid() {
+        let mut bits: Vec<u32> = values.iter().map(|value| value.to_bits()).collect();
+        code_values(coder, 0, &mut bits, difference, differing);
+        values.iter_mut().zip(bits).for_each(|(value, bits)| *value = f32::from_bits(bits));
+        return;
+    }
+    let mut levels = vec![0; values.len()];
+    let mut off_grid = Vec::new();
+    if C::ENCODES {
+        let mut before = 0;
+        for (place, (level, value)) in levels.iter_mut().zip(&*values).enumerate() {
+            before = scale.level_of(*value).unwrap_or_else(|| {
+                off_grid.push((place, *value));
+                before
+            });
+            *level = before;
+        }
+    }
+    code_values(coder, 0, &mut levels, difference, differing);
+    if !C::ENCODES {
+        values.iter_mut().zip(&levels).for_each(|(value, level)| *value = scale.value_of(*level));
+    }
+    if scale.has_exceptions() {
+        code_off_grid(coder, &off_grid, values);
+    }
+}
+
+/// Codes the values that are off the grid, which the encoder knows with their places.
+fn code_off_grid<C: TokenCoder>(coder: &mut C, known: &[(usize, f32)], values: &mut [f32]) {
+    let mut known = known.iter();
+    let mut next = 0;
+    loop {
+        let (place, value) = known.next().copied().unwrap_or((values.len(), 0.0));
+        let gap = coder.number(GAP, (place.wrapping_sub(next)) as u64).min((values.len() - next) as u64);
+        let Some(found) = values.get_mut(next + gap as usize).filter(|_| !coder.is_exhausted()) else {
+            return;
+        };
+        *found = f32::from_bits(coder.bits(value.to_bits().into(), 32) as u32);
+        next += gap as usize + 1;
+    }
+}
+
+/// Codes values, given what each differs from the one before by (of that and itself), and the value again (of that
+/// before and the difference).
+fn code_values<C: TokenCoder>(
+    coder: &mut C,
+    before: u32,
+    values: &mut [u32],
+    difference: impl Fn(u32, u32) -> u32,
+    differing: impl Fn(u32, u32) -> u32,
+) {
+    Arch::new().dispatch(Packing {
+        coder,
+        values,
+        blocks: Blocks { before, width: 0, difference, differing },
+    });
+}
+
+/// What it takes to code values.
+struct Packing<'a, C, D, V> {
+    coder: &'a mut C,
+    values: &'a mut [u32],
+    blocks: Blocks<D, V>,
+}
+
+impl<C: TokenCoder, D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> NullaryFnOnce for Packing<'_, C, D, V> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Packing { coder, values, mut blocks } = self;
+        let (whole, rest) = values.as_chunks_mut::<BLOCK>();
+        // Those are compiled for their length.
+        for block in whole {
+            if !blocks.code(coder, block) {
+                return;
+            }
+        }
+        if !rest.is_empty() {
+            blocks.code(coder, rest);
+        }
+    }
+}
+
+/// Codes blocks of values, one after the other.
+struct Blocks<D, V> {
+    /// The last value of the block before.
+    before: u32,
+    /// Its width.
+    width: u8,
+    difference: D,
+    differing: V,
+}
+
+impl<D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> Blocks<D, V> {
+    /// Codes a block; false if a decoder has come behind the end of its bytes.
+    #[inline(always)]
+    fn code<C: TokenCoder>(&mut self, coder: &mut C, block: &mut [u32]) -> bool {
+        let mut differences = [0; BLOCK];
+        if C::ENCODES {
+            let mut before = self.before;
+            for (coded, value) in differences.iter_mut().zip(&*block) {
+                *coded = (self.difference)(before, *value);
+                before = (self.differing)(before, *coded);
+            }
+        }
+        let largest = differences.iter().fold(0, |all, difference| all | difference);
+        let bits = (u32::BITS - largest.leading_zeros()) as u8;
+        self.width = coder.token(usize::from(self.width), bits).min(MOST_WIDTH);
+        code_block(coder, u32::from(self.width), &mut differences[..block.len()]);
+        for (difference, value) in differences.iter().zip(block) {
+            self.before = (self.differing)(self.before, *difference);
+            *value = self.before;
+        }
+        !coder.is_exhausted()
+    }
+}
+
+/// Codes numbers of so many bits, as many at a time as can be coded at once.
+#[inline(always)]
+fn code_block<C: TokenCoder>(coder: &mut C, width: u32, numbers: &mut [u32]) {
+    match width {
+        0 => numbers.fill(0),
+        1..=7 => code_groups::<C, 8>(coder, width, numbers),
+        8..=14 => code_groups::<C, 4>(coder, width, numbers),
+        15..=28 => code_groups::<C, 2>(coder, width, numbers),
+        _ => code_groups::<C, 1>(coder, width, numbers),
+    }
+}
+
+#[inline(always)]
+fn code_groups<C: TokenCoder, const N: usize>(coder: &mut C, width: u32, numbers: &mut [u32]) {
+    let mask = u32::MAX >> (u32::BITS - width);
+    let (groups, rest) = numbers.as_chunks_mut::<N>();
+    for group in groups {
+        let bits = (0..N).fold(0, |bits, i| bits | u64::from(group[i]) << (i as u32 * width));
+        let bits = coder.bits(bits, N as u32 * width);
+        (0..N).for_each(|i| group[i] = (bits >> (i as u32 * width)) as u32 & mask);
+    }
+    rest.iter_mut().for_each(|number| *number = coder.bits((*number).into(), width) as u32);
+}
+
+/// A range of a damaged section, brought among those that there are: apart, so that others need not wait for it.
+#[cold]
+fn cut(range: u32, most: u32) -> u32 {
+    range.clamp(1, most)
+}
+
+/// The difference of a value to the one before, small magnitudes first: 0, -1, 1, -2 become 0, 1, 2, 3.
+#[inline]
+fn difference(before: u32, value: u32) -> u32 {
+    let difference = value.wrapping_sub(before) as i32;
+    (difference << 1 ^ difference >> 31) as u32
+}
+
+/// The inverse of [`difference`]: the value.
+#[inline]
+fn differing(before: u32, difference: u32) -> u32 {
+    before.wrapping_add(difference >> 1 ^ (difference & 1).wrapping_neg())
+}

@@ -1,0 +1,208 @@
+//! Points as they come, for scans without a sensor model and for the strays of those with one.
+//!
+//! A point is predicted from those before it and from the nearest one of the turn before, if the
+//! points go round in turns: first its larger horizontal coordinate, then the other along the
+//! expected direction, then the height at the distance that these two give.
+
+use super::least_squares::LeastSquares;
+use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
+use crate::ground::varint::{unzigzag, zigzag};
+use crate::scanner::Coordinates;
+
+/// Ways to predict each coordinate; the one that has erred least of late is taken.
+const CANDIDATES: usize = 4;
+/// Levels of the recent errors, in bits.
+const ERROR_BITS: usize = 36;
+
+/// What the coder has learned about points.
+#[derive(Clone)]
+pub struct PointModel {
+    coordinates: [CoordinateModel; 3],
+    /// Height against distance along a turn: a beam's cone.
+    cone: LeastSquares<4>,
+}
+
+impl Default for PointModel {
+    fn default() -> Self {
+        PointModel {
+            coordinates: std::array::from_fn(|_| CoordinateModel::new()),
+            cone: LeastSquares::new(0.98),
+        }
+    }
+}
+
+impl PointModel {
+    /// Codes positions one after the other. Most lie on this grid; `None`: on that of the file.
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        grid: Option<Coordinates>,
+        positions: &mut [[f32; 3]],
+    ) {
+        let grid = grid.unwrap_or_else(|| {
+            let grid = Coordinates::of(positions.iter().flatten());
+            Coordinates::from_code(coder.code_plain(grid.to_code(), 1))
+        });
+        let mut turns = TurnTracker::default();
+        for index in 0..positions.len() {
+            if coder.is_exhausted() {
+                return;
+            }
+            let before = |distance: usize| index.checked_sub(distance).map(|i| finite(positions[i]));
+            let west = before(1).unwrap_or_default();
+            let west2 = before(2).unwrap_or(west);
+            let expected: [f64; 2] = std::array::from_fn(|axis| 2.0 * west[axis] - west2[axis]);
+            let above = turns.nearest_above(direction(expected[0], expected[1]));
+            let north = above.map_or(west, |i| finite(positions[i]));
+            let north_west = above.map_or(west2, |i| finite(positions[i.saturating_sub(1)]));
+            let near = [west, west2, north, north_west];
+            positions[index] = self.code_point(coder, grid, &near, positions[index]);
+            let [x, y, _] = finite(positions[index]);
+            turns.push(index, direction(x, y));
+        }
+    }
+
+    fn code_point<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        grid: Coordinates,
+        near: &[[f64; 3]; 4],
+        mut position: [f32; 3],
+    ) -> [f32; 3] {
+        let [west, west2, north, north_west] = near;
+        let (major, minor) = if west[0].abs() >= west[1].abs() { (0, 1) } else { (1, 0) };
+
+        let [w, ww, n, nw] = near.map(|p| p[major]);
+        position[major] =
+            self.coordinates[0].code(coder, grid, [w, 2.0 * w - ww, w + n - nw, n], position[major]);
+
+        let along = finite(position)[major];
+        let slope = |p: &[f64; 3]| if p[major] == 0.0 { 0.0 } else { p[minor] / p[major] };
+        let [w, ww, n, nw] = near.map(|p| slope(&p));
+        let slopes = [w, 2.0 * w - ww, w + n - nw, n];
+        position[minor] = self.coordinates[1].code(coder, grid, slopes.map(|s| along * s), position[minor]);
+
+        let distance = |p: &[f64; 3]| (p[0] * p[0] + p[1] * p[1]).sqrt();
+        let own = distance(&finite(position));
+        let at_distance = |p: &[f64; 3]| if distance(p) == 0.0 { p[2] } else { p[2] * own / distance(p) };
+        let farther = (own - distance(west)).clamp(-CONE_REACH, CONE_REACH) as f32;
+        let heights = [
+            west[2] + f64::from(self.cone.predict(&[farther, 0.0, 0.0, 0.0])),
+            at_distance(west),
+            at_distance(north) + at_distance(west) - at_distance(north_west),
+            2.0 * west[2] - west2[2],
+        ];
+        position[2] = self.coordinates[2].code(coder, grid, heights, position[2]);
+        let rise = (finite(position)[2] - west[2]).clamp(-CONE_REACH, CONE_REACH) as f32;
+        self.cone.learn(&[farther, 0.0, 0.0, 0.0], rise, 1.0);
+        position
+    }
+}
+
+/// Metres; a step beyond it says nothing about a beam's cone.
+const CONE_REACH: f64 = 1000.0;
+
+/// One coordinate against several predictions.
+#[derive(Clone)]
+struct CoordinateModel {
+    /// Recent error of each candidate, in bits.
+    errors: [f32; CANDIDATES],
+    raw: AdaptiveBit,
+    /// For each candidate and level of recent error.
+    residual: Vec<IntegerModel>,
+}
+
+impl CoordinateModel {
+    fn new() -> Self {
+        CoordinateModel {
+            errors: [16.0; CANDIDATES],
+            raw: AdaptiveBit::default(),
+            residual: vec![IntegerModel::default(); ERROR_BITS],
+        }
+    }
+
+    fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        grid: Coordinates,
+        predictions: [f64; CANDIDATES],
+        value: f32,
+    ) -> f32 {
+        let best = (0..CANDIDATES).min_by(|&a, &b| self.errors[a].total_cmp(&self.errors[b])).unwrap_or(0);
+        let units = predictions.map(|p| grid.unit_of(p));
+        let fits = |unit: &i64| grid.value(*unit, predictions[best]).to_bits() == value.to_bits();
+        let unit = grid.unit_in_file(value).filter(fits);
+        if self.raw.code(coder, unit.is_none()) {
+            return f32::from_bits(coder.code_plain(u64::from(value.to_bits()), 32) as u32);
+        }
+        let level = (self.errors[best] as usize).min(ERROR_BITS - 1);
+        let residual = unit.unwrap_or(0).wrapping_sub(units[best]);
+        let code = self.residual[level].code(coder, zigzag(residual) & (u64::MAX >> 1));
+        let unit = units[best].wrapping_add(unzigzag(code));
+        for (error, predicted) in self.errors.iter_mut().zip(units) {
+            let bits = u64::BITS - unit.wrapping_sub(predicted).unsigned_abs().leading_zeros();
+            *error = 0.8 * *error + 0.2 * bits as f32;
+        }
+        grid.value(unit, predictions[best])
+    }
+}
+
+/// A position to predict from: what is not finite counts as 0.
+fn finite(position: [f32; 3]) -> [f64; 3] {
+    position.map(|v| if v.is_finite() { f64::from(v) } else { 0.0 })
+}
+
+/// A measure of the azimuth that takes no trigonometry: 0 to 4, rising with the angle.
+fn direction(x: f64, y: f64) -> f64 {
+    let sum = x.abs() + y.abs();
+    let part = if sum == 0.0 { 0.0 } else { y / sum };
+    match (x < 0.0, y < 0.0) {
+        (false, false) => part,
+        (true, _) => 2.0 - part,
+        (false, true) => 4.0 + part,
+    }
+}
+
+/// Follows points around the axis, turn after turn, and finds the neighbour in the turn before.
+#[derive(Clone, Default)]
+pub struct TurnTracker {
+    above: Vec<(usize, f64)>,
+    current: Vec<(usize, f64)>,
+    cursor: usize,
+}
+
+impl TurnTracker {
+    /// The index of the point of the turn before that lies nearest to a direction.
+    fn nearest_above(&mut self, direction: f64) -> Option<usize> {
+        let apart = |cursor: usize| self.above.get(cursor).map(|(_, d)| (d - direction).abs());
+        let mut cursor = self.cursor;
+        while apart(cursor + 1).is_some_and(|next| apart(cursor).is_some_and(|here| next <= here)) {
+            cursor += 1;
+        }
+        self.cursor = cursor;
+        self.above.get(cursor).map(|(index, _)| *index)
+    }
+
+    /// Adds a point; a leap over most of a turn begins a new one.
+    fn push(&mut self, index: usize, direction: f64) {
+        if self.current.last().is_some_and(|(_, last)| (direction - last).abs() > 3.0) {
+            self.above = std::mem::take(&mut self.current);
+            self.cursor = 0;
+        }
+        self.current.push((index, direction));
+    }
+}
+
+/// For each position, the index of its neighbour in the turn before.
+pub fn neighbours_above(positions: &[[f32; 3]]) -> Vec<Option<usize>> {
+    let mut turns = TurnTracker::default();
+    (0..positions.len())
+        .map(|index| {
+            let [x, y, _] = finite(positions[index]);
+            let direction = direction(x, y);
+            // First push, so that the first point of a turn looks into the one just ended.
+            turns.push(index, direction);
+            turns.nearest_above(direction)
+        })
+        .collect()
+}

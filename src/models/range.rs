@@ -1,0 +1,298 @@
+//! The ranges: a mixture of predictors gives each range a distribution, interval after interval is
+//! halved under it, and counters in several contexts correct each half's probability.
+//!
+//! For a return, the predictors are its neighbours, the line through two of them, and an online
+//! least-squares fit. Where an earlier frame has something to say of a cell, what it has there is two
+//! predictors more, features of a least-squares fit of its own, and contexts.
+
+mod back;
+mod bins;
+mod deep;
+mod errors;
+mod halving;
+mod mixture;
+mod neighbourhood;
+mod site;
+mod tokens;
+
+use super::Depth;
+use super::least_squares::LeastSquares;
+use super::quantise::{Levels, signed_level};
+use super::shape::ErrorShape;
+use crate::entropy::{BitCoder, Counter, Logistic, MixedBits};
+use crate::ground::grid::Grid;
+use crate::inter::Reference;
+use back::{Back, ReferenceErrors, Surroundings};
+pub(crate) use bins::Bins;
+use deep::{DeepModel, DeepSite, Referred};
+use errors::ErrorTrack;
+use halving::Halving;
+use mixture::{Interval, Mixture, Rates};
+use neighbourhood::Window;
+use site::{Site, pair};
+pub use tokens::{RANGE_CONTEXTS, RangeTokens, start_counts};
+
+/// Features of the least-squares predictor, those of the reference, and both.
+const FEATURES: usize = 8;
+const REFERENCE_FEATURES: usize = 4;
+const ALL_FEATURES: usize = FEATURES + REFERENCE_FEATURES;
+/// Predictors in the mixture, without and with those of the reference.
+const PREDICTORS: usize = 5;
+const ALL_PREDICTORS: usize = PREDICTORS + 2;
+/// Places of the least-squares predictor and of the one that stands for surprises.
+const FIT: usize = 3;
+const SURPRISE: usize = 4;
+/// Levels of the measures that make a context: activity around, errors around, the reference's errors
+/// around.
+const ACTIVITY_LEVELS: usize = 12;
+const ERROR_LEVELS: usize = 12;
+const REFERENCE_LEVELS: usize = 7;
+const CONTEXTS: usize = ACTIVITY_LEVELS * ERROR_LEVELS;
+/// Kinds of edges for which the least-squares fits are kept apart.
+const EDGES: usize = 4;
+/// A difference of ranges, in steps, that counts as an edge.
+const EDGE: f32 = 60.0;
+/// Features and predictions are cut to this many steps from the left neighbour.
+const FEATURE_REACH: f64 = 300.0;
+const FIT_REACH: f64 = 400.0;
+/// Places in the tree of decisions that keep counters of their own.
+const NODES: usize = 64;
+/// Contexts in which counters are kept, and the opinions that are mixed: these, the mixture's, a
+/// constant, and those of the views of the reference.
+const VIEWS: usize = 4;
+const REFERENCE_VIEWS: usize = 2;
+const OPINIONS: usize = 8;
+/// Number of contexts of each view.
+const VIEW_SIZES: [usize; VIEWS] = [1024, 1024, 8 * 128, 8 * 64 * 4];
+const REFERENCE_VIEW_SIZES: [usize; REFERENCE_VIEWS] = [32 * 32, 32 * 32];
+
+/// How fast the mixture learns.
+const RATES: Rates = Rates { weights: 0.02, scales: 0.02, early: 0.0 };
+
+type ErrorLevels = Levels<{ ERROR_LEVELS - 1 }>;
+type RangeBits = MixedBits<VIEWS, OPINIONS>;
+
+/// What the coder has learned about ranges.
+#[derive(Clone)]
+pub struct RangeModel {
+    shape: ErrorShape,
+    tables: &'static Logistic,
+    error_levels: ErrorLevels,
+    bits: RangeBits,
+    fits: Vec<LeastSquares<FEATURES>>,
+    mixture: Mixture<PREDICTORS>,
+    /// The same for cells with a reference, once there was one.
+    with_reference: Option<Box<WithReference>>,
+    /// What has been learned in its place at [`Depth::Deep`].
+    deep: Option<Box<DeepModel>>,
+}
+
+/// What the coder has learned about cells with a reference. It starts with what it has learned about
+/// others.
+#[derive(Clone)]
+struct WithReference {
+    fits: Vec<LeastSquares<ALL_FEATURES>>,
+    mixture: Mixture<ALL_PREDICTORS>,
+    counters: [Vec<Counter>; REFERENCE_VIEWS],
+}
+
+impl Default for RangeModel {
+    fn default() -> Self {
+        let (sizes, sets) = (VIEW_SIZES.map(|size| size * NODES), NODES * ERROR_LEVELS);
+        RangeModel {
+            shape: ErrorShape::new(),
+            tables: Logistic::tables(),
+            error_levels: Levels::new(1.6, 1.6),
+            bits: MixedBits::new(sizes, sets * (1 + REFERENCE_LEVELS), 0.0, 1.0, 0.004),
+            fits: vec![LeastSquares::new(0.998); EDGES],
+            mixture: Mixture::new(RATES, (0..CONTEXTS).map(first_scale)),
+            with_reference: None,
+            deep: None,
+        }
+    }
+}
+
+/// The scale, in steps, that a context starts with, which is of an error level.
+fn first_scale(context: usize) -> f64 {
+    (2..context % ERROR_LEVELS).fold(3.0, |scale, _| scale * 1.6)
+}
+
+/// What is known of all cells before the ranges are coded.
+pub struct RangeContext<'a> {
+    /// Which cells hold a return.
+    pub occupancy: &'a Grid<bool>,
+    /// The intensities coded before, cut to 1 to 128; 0 = no return.
+    pub intensity: &'a Grid<u16>,
+    /// What an earlier frame has there.
+    pub reference: Option<&'a Reference>,
+    /// Ranges are from 1 to 2^`range_bits` - 1 steps.
+    pub range_bits: u32,
+    /// Steps a bin: ranges are coded to within half a bin; 1: exactly.
+    pub bin: u32,
+}
+
+/// A coded range, and what the least-squares fit had made of it, in steps.
+struct Coded {
+    range: i64,
+    /// From the left neighbour.
+    fit: f64,
+    base: i64,
+}
+
+impl RangeModel {
+    /// Says how far the models go; the same for all frames of a group.
+    pub fn set_depth(&mut self, depth: Depth) {
+        if depth == Depth::Deep && self.deep.is_none() {
+            self.deep = Some(Box::default());
+        }
+    }
+
+    /// Codes the range, in steps, of every cell that holds a return. Where bins are wider than a step, both
+    /// sides go on with the middles of the bins, which the encoder's grid gets too.
+    pub fn code<C: BitCoder>(&mut self, coder: &mut C, known: &RangeContext, steps: &mut Grid<u32>) {
+        if let Some(deep) = &mut self.deep {
+            deep.start_frame(known.occupancy.columns(), known.reference.is_some());
+        } else if known.reference.is_some() && self.with_reference.is_none() {
+            self.bits.spread_sets(NODES * ERROR_LEVELS);
+            self.with_reference = Some(Box::new(WithReference {
+                fits: self.fits.iter().map(LeastSquares::widened).collect(),
+                mixture: self.mixture.widened(REFERENCE_LEVELS),
+                counters: REFERENCE_VIEW_SIZES.map(|size| vec![Counter::default(); size * NODES]),
+            }));
+        }
+        let width = known.occupancy.columns();
+        let (mut errors, mut window) = (ErrorTrack::new(width), Window::new(width));
+        let mut reference_errors = ReferenceErrors::new(width);
+        for row in 0..known.occupancy.rows() {
+            if coder.is_exhausted() {
+                return;
+            }
+            errors.start_row(row > 0);
+            window.start_row();
+            reference_errors.start_row();
+            for column in 0..width {
+                let cell = (row, column);
+                if !known.occupancy[cell] {
+                    errors.skip(column);
+                    continue;
+                }
+                let site = Site::of(known, window.around(column), &errors, &self.error_levels, cell);
+                let back = known.reference.and_then(|reference| Back::at(reference, &reference_errors, cell));
+                let axis = (known.range_bits, i64::from(known.bin));
+                let range = i64::from(steps[cell]);
+                let coded = match (&mut self.deep, &back, &mut self.with_reference) {
+                    (Some(deep), ..) => {
+                        let referred = known.reference.zip(back.as_ref()).map(|(reference, back)| Referred {
+                            around: Surroundings::of(reference, back, cell),
+                            back: back.clone(),
+                        });
+                        let site = DeepSite { site: &site, cell, referred };
+                        deep.code(coder, (&self.shape, self.tables), axis, &site, range)
+                    }
+                    (None, Some(back), Some(learned)) => {
+                        let parts = (&self.shape, self.tables, &mut self.bits);
+                        learned.code(coder, parts, axis, &site, back, range)
+                    }
+                    _ => self.code_alone(coder, axis, &site, range),
+                };
+                steps[cell] = coded.range as u32;
+                let range = coded.range as f64;
+                errors.record(column, range - site.near.west - coded.fit, range - coded.base as f64);
+                if let Some(back) = &back {
+                    reference_errors.record(column, range, back);
+                }
+                window.push(column, range);
+            }
+        }
+    }
+
+    /// Codes a range by its neighbours alone.
+    #[inline]
+    fn code_alone<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        (range_bits, bin): (u32, i64),
+        site: &Site,
+        range: i64,
+    ) -> Coded {
+        let fits = &mut self.fits[site.edge];
+        let fit = f64::from(fits.predict(&site.features)).clamp(-FIT_REACH, FIT_REACH);
+        let values = site.predictions(fit);
+        let base = site.base(fit, range_bits);
+        let bins = Bins::around(base, bin);
+        let mut halving = Halving {
+            coder,
+            shape: &self.shape,
+            tables: self.tables,
+            range_bits,
+            bins,
+            mixture: &self.mixture,
+            predicted: self.mixture.place(&self.shape, values, site.context),
+            bits: &mut self.bits,
+            first_set: site.error_level,
+            views: site.views_from(base),
+            reference_counters: &mut [],
+            reference_views: [],
+            bin: bins.of(range),
+            interval: Interval::whole(bins.all(range_bits)),
+        };
+        halving.code();
+        let Halving { predicted, interval, .. } = halving;
+        let range = bins.middle(interval.low, range_bits);
+        self.mixture.learn(&predicted, &interval, range as f64);
+        site.learn(fits, &site.features, fit, range as f64);
+        Coded { range, fit, base }
+    }
+}
+
+impl WithReference {
+    /// Codes a range by its neighbours and what an earlier frame has there.
+    #[inline]
+    fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        (shape, tables, bits): (&ErrorShape, &'static Logistic, &mut RangeBits),
+        (range_bits, bin): (u32, i64),
+        site: &Site,
+        back: &Back,
+        range: i64,
+    ) -> Coded {
+        let mut features = [0.0; ALL_FEATURES];
+        features[..FEATURES].copy_from_slice(&site.features);
+        features[FEATURES..].copy_from_slice(&back.features(&site.near));
+        let fits = &mut self.fits[site.edge];
+        let fit = f64::from(fits.predict(&features)).clamp(-FIT_REACH, FIT_REACH);
+        let mut values = [0.0; ALL_PREDICTORS];
+        values[..PREDICTORS].copy_from_slice(&site.predictions(fit));
+        values[PREDICTORS..].copy_from_slice(&[back.same, back.moved]);
+        let base = site.base(fit, range_bits);
+        let bins = Bins::around(base, bin);
+        let [same, moved] = [back.same, back.moved].map(|range| range - base as f64);
+        let context = back.level * CONTEXTS + site.context;
+        let mut halving = Halving {
+            coder,
+            shape,
+            tables,
+            range_bits,
+            bins,
+            mixture: &self.mixture,
+            predicted: self.mixture.place(shape, values, context),
+            bits,
+            first_set: (1 + back.level) * NODES * ERROR_LEVELS + site.error_level,
+            views: site.views_from(base),
+            reference_counters: &mut self.counters,
+            reference_views: [
+                signed_level(same as i32) * 32 + back.level * 4 + site.error_level / 3,
+                pair(same, moved),
+            ],
+            bin: bins.of(range),
+            interval: Interval::whole(bins.all(range_bits)),
+        };
+        halving.code();
+        let Halving { predicted, interval, .. } = halving;
+        let range = bins.middle(interval.low, range_bits);
+        self.mixture.learn(&predicted, &interval, range as f64);
+        site.learn(fits, &features, fit, range as f64);
+        Coded { range, fit, base }
+    }
+}

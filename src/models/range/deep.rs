@@ -1,0 +1,223 @@
+//! The ranges at [`Depth::Deep`](crate::models::Depth::Deep): more least-squares fits, among them one for
+//! each stretch of columns; several mixtures of the same predictors, each in contexts of its own; and
+//! mixing in two layers.
+//!
+//! Cells with and without a reference go the same way: what there is of the reference makes contexts.
+
+mod fits;
+mod halving;
+mod site;
+
+use super::bins::Bins;
+use super::halving::{code_bin, first_bucket};
+use super::mixture::{Interval, Mixture, Rates};
+use super::{ACTIVITY_LEVELS, CONTEXTS, Coded, ERROR_LEVELS, NODES, REFERENCE_LEVELS, first_scale};
+use crate::entropy::{BitCoder, LayeredBits, LayeredContext, Logistic, MixContexts};
+use crate::models::shape::ErrorShape;
+use fits::Fits;
+use halving::DeepHalving;
+use site::SetContexts;
+pub use site::{DeepSite, Referred};
+
+/// Predictors in the mixtures.
+const PREDICTORS: usize = 8;
+/// Mixtures, views, opinions and mixers.
+const MIXTURES: usize = 3;
+const VIEWS: usize = 8;
+const OPINIONS: usize = 12;
+const MIXERS: usize = 3;
+/// Rows that have contexts of their own; those below share the last one's.
+const ROWS: usize = 64;
+/// Kinds of references: none, and the levels of their errors.
+const KINDS: usize = 1 + REFERENCE_LEVELS;
+/// Changes of the intensity from two others: eight of each.
+const CHANGES: usize = 64;
+/// No reference, and the changes from its two layers.
+const RECOGNITIONS: usize = 1 + CHANGES;
+/// Levels of the own intensity.
+const OWN_LEVELS: usize = 4;
+
+const RATES: Rates = Rates { weights: 0.03, scales: 0.02, early: 0.3 };
+const SIZES: LayeredContext<VIEWS, MIXERS> = LayeredContext {
+    views: [
+        1024 * NODES,
+        1024 * NODES,
+        128 * 8 * NODES,
+        CHANGES * OWN_LEVELS * 8 * NODES,
+        1024 * NODES,
+        1024 * NODES,
+        ROWS * ERROR_LEVELS * NODES,
+        RECOGNITIONS * ERROR_LEVELS * NODES,
+    ],
+    mixer: MixContexts {
+        sets: [KINDS * NODES * ERROR_LEVELS, ROWS * NODES, RECOGNITIONS * NODES],
+        last: NODES,
+        refinements: [NODES * ERROR_LEVELS, ROWS * NODES],
+    },
+};
+
+type DeepBits = LayeredBits<MIXTURES, VIEWS, OPINIONS, MIXERS>;
+
+/// What has been learned.
+#[derive(Clone)]
+pub struct DeepModel {
+    fits: Fits,
+    mixtures: [Mixture<PREDICTORS>; MIXTURES],
+    bits: DeepBits,
+    /// Whether there was a frame with a reference.
+    had_reference: bool,
+}
+
+impl Default for DeepModel {
+    fn default() -> Self {
+        let mixture = |contexts: usize| Mixture::new(RATES, (0..contexts).map(first_scale));
+        DeepModel {
+            fits: Fits::default(),
+            mixtures: [
+                mixture(KINDS * ACTIVITY_LEVELS * ERROR_LEVELS),
+                mixture(CHANGES * OWN_LEVELS * ERROR_LEVELS),
+                mixture(RECOGNITIONS * KINDS * ERROR_LEVELS),
+            ],
+            bits: LayeredBits::new(&SIZES),
+            had_reference: false,
+        }
+    }
+}
+
+impl DeepModel {
+    /// Makes ready for an image of `columns`. When the first frame with a reference comes, all that depends
+    /// on references starts from what has been learned without.
+    pub fn start_frame(&mut self, columns: usize, has_reference: bool) {
+        self.fits.start_frame(columns);
+        if has_reference && !self.had_reference {
+            self.had_reference = true;
+            self.fits.spread();
+            self.mixtures[0].spread(CONTEXTS);
+            self.mixtures[2].spread(ERROR_LEVELS);
+            self.bits.spread_sets(0, NODES * ERROR_LEVELS);
+            self.bits.spread_sets(2, NODES);
+        }
+    }
+
+    /// Codes a range, in steps.
+    #[inline]
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        (shape, tables): (&ErrorShape, &'static Logistic),
+        (range_bits, bin): (u32, i64),
+        deep_site: &DeepSite,
+        range: i64,
+    ) -> Coded {
+        let DeepSite { site, cell: (_, column), referred } = deep_site;
+        let fitted = self.fits.predict(site, *column, referred.as_ref());
+        let base = site.base(fitted.blend, range_bits);
+        let bins = Bins::around(base, bin);
+        let contexts = SetContexts::of(deep_site);
+        let values = deep_site.predictions(&fitted);
+        let mixture_contexts = deep_site.mixture_contexts(&contexts);
+        let predicted = std::array::from_fn(|m| self.mixtures[m].place(shape, values, mixture_contexts[m]));
+        let mut intervals = std::array::from_fn(|_| Interval::whole(bins.all(range_bits)));
+        let mut halving = DeepHalving {
+            coder,
+            shape,
+            tables,
+            range_bits,
+            bins,
+            mixtures: &self.mixtures,
+            predicted: &predicted,
+            intervals: &mut intervals,
+            bits: &mut self.bits,
+            views: deep_site.views(&contexts, &fitted, base as f64),
+            contexts,
+            bin: bins.of(range),
+            odds: 0.0,
+        };
+        let scale = self.mixtures[0].scale_of_fit(mixture_contexts[0]);
+        code_bin(&mut halving, bins.central, first_bucket(scale / bins.width as f64));
+        let range = bins.middle(intervals[0].low, range_bits);
+        for ((mixture, predicted), interval) in self.mixtures.iter_mut().zip(&predicted).zip(&intervals) {
+            mixture.learn(predicted, interval, range as f64);
+        }
+        self.fits.learn(site, &fitted, range as f64);
+        Coded { range, fit: fitted.blend, base }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{RangeContext, RangeModel};
+    use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
+    use crate::ground::grid::Grid;
+    use crate::ground::random::Rng;
+    use crate::inter::Reference;
+    use crate::models::Depth;
+
+    const ROWS: usize = 12;
+    const COLUMNS: usize = 150;
+
+    /// A wall with a post before it and noise on it; every ninth cell is empty.
+    fn frame(random: &mut Rng) -> Grid<u32> {
+        let mut steps = Grid::new(ROWS, COLUMNS);
+        for (i, cell) in steps.cells_mut().iter_mut().enumerate() {
+            let (row, column) = (i / COLUMNS, i % COLUMNS);
+            let surface = if (60..70).contains(&column) { 900 } else { 3000 + 7 * column + 40 * row };
+            let noise = random.below(8);
+            *cell = if i % 9 == 4 { 0 } else { (surface + noise) as u32 };
+        }
+        steps
+    }
+
+    /// Codes frames, of which those after the first refer to the one before if told, into steps within half
+    /// a bin; and back. Gives the bytes taken.
+    fn round_trip(bin: u32, refer: bool) -> usize {
+        let mut random = Rng::keyed(7, &[]);
+        let frames: Vec<_> = (0..3).map(|_| frame(&mut random)).collect();
+        let mut models = [RangeModel::default(), RangeModel::default()];
+        models.iter_mut().for_each(|model| model.set_depth(Depth::Deep));
+        let [encoding, decoding] = &mut models;
+        let mut before: Option<Grid<u32>> = None;
+        let mut bytes = 0;
+        for frame in frames {
+            let reference = before.take().filter(|_| refer).map(|steps| {
+                let mut reference = Reference::new(ROWS, COLUMNS);
+                reference.same.steps = steps.clone();
+                reference.moved.steps = steps;
+                reference
+            });
+            let known = RangeContext {
+                occupancy: &frame.map(|&steps| steps > 0),
+                intensity: &frame.map(|&steps| (steps / 30 % 100) as u16),
+                reference: reference.as_ref(),
+                range_bits: 16,
+                bin,
+            };
+            let mut encoder = ArithmeticEncoder::default();
+            let mut encoded = frame.clone();
+            encoding.code(&mut encoder, &known, &mut encoded);
+            let coded = encoder.finish();
+            bytes += coded.len();
+            let mut decoded = Grid::new(ROWS, COLUMNS);
+            decoding.code(&mut ArithmeticDecoder::new(&coded), &known, &mut decoded);
+            assert_eq!(encoded, decoded);
+            let far = |(a, b): (&u32, &u32)| a.abs_diff(*b) > bin / 2;
+            assert!(!frame.cells().iter().zip(decoded.cells()).any(far));
+            before = Some(decoded);
+        }
+        bytes
+    }
+
+    #[test]
+    fn ranges_come_back_and_bins_take_less() {
+        let [exact, binned] = [1, 5].map(|bin| round_trip(bin, false));
+        // Three bits of noise a return are the least.
+        assert!((1800..2600).contains(&exact), "{exact} bytes");
+        assert!(binned < exact / 2, "{binned} of {exact} bytes");
+    }
+
+    #[test]
+    fn ranges_with_a_reference_come_back() {
+        round_trip(1, true);
+        round_trip(5, true);
+    }
+}

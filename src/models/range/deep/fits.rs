@@ -1,0 +1,164 @@
+//! Several least-squares fits, and one of what they say.
+
+use super::Referred;
+use crate::models::least_squares::LeastSquares;
+use crate::models::range::back::SURROUNDING_FEATURES;
+use crate::models::range::site::Site;
+use crate::models::range::{
+    ALL_FEATURES, EDGES, ERROR_LEVELS, FEATURE_REACH, FEATURES, FIT_REACH, REFERENCE_FEATURES,
+};
+
+/// Features of the wide fit: those of neighbours near and farther off, of intensities, of the reference
+/// and around that; the last two are always 0.
+const WIDE_FEATURES: usize = 28;
+const FARTHER: usize = FEATURES;
+const INTENSITIES: usize = FARTHER + 4;
+const REFERENCE: usize = INTENSITIES + 4;
+const SURROUNDINGS: usize = REFERENCE + REFERENCE_FEATURES;
+/// Features of the blend: what the others say, three ranges, two more that go on from neighbours as the
+/// reference does, the errors made around, and one that is always the same, in steps.
+const BLEND_FEATURES: usize = 12;
+const ALWAYS: f64 = 10.0;
+/// Columns that share a local fit.
+const STRETCH: usize = 64;
+/// What few returns teach is forgotten soon, and used soon: samples from one solution to the next.
+const SHORT_MEMORY: f32 = 0.97;
+const LONG_MEMORY: f32 = 0.998;
+const SOON: u32 = 8;
+
+/// The fits.
+#[derive(Clone)]
+pub struct Fits {
+    /// By kind of edge; after those without a reference those with one.
+    wide: Vec<LeastSquares<WIDE_FEATURES>>,
+    /// Of the last few returns, by kind of edge.
+    recent: Vec<LeastSquares<FEATURES>>,
+    /// Of the last few returns in a stretch of columns, in this row and those above.
+    local: Vec<LeastSquares<ALL_FEATURES>>,
+    /// Of what these say, by error level.
+    blend: Vec<LeastSquares<BLEND_FEATURES>>,
+}
+
+/// What the fits say of a cell, in steps from the left neighbour, with their features.
+pub struct Fitted {
+    pub recent: f64,
+    pub local: f64,
+    pub blend: f64,
+    pub wide: f64,
+    wide_fit: usize,
+    stretch: usize,
+    wide_features: [f32; WIDE_FEATURES],
+    local_features: [f32; ALL_FEATURES],
+    blend_features: [f32; BLEND_FEATURES],
+}
+
+impl Default for Fits {
+    fn default() -> Self {
+        Fits {
+            wide: vec![LeastSquares::new(LONG_MEMORY); 2 * EDGES],
+            recent: vec![LeastSquares::new(SHORT_MEMORY).solved_every(SOON); EDGES],
+            local: Vec::new(),
+            blend: vec![LeastSquares::new(LONG_MEMORY).solved_every(SOON); ERROR_LEVELS],
+        }
+    }
+}
+
+impl Fits {
+    /// Makes ready for an image of `columns`.
+    pub fn start_frame(&mut self, columns: usize) {
+        let stretches = columns.div_ceil(STRETCH).max(self.local.len());
+        self.local.resize(stretches, LeastSquares::new(SHORT_MEMORY).solved_every(SOON));
+    }
+
+    /// Lets those with a reference start from what those without have learned.
+    pub fn spread(&mut self) {
+        let (alone, referred) = self.wide.split_at_mut(EDGES);
+        referred.clone_from_slice(alone);
+    }
+
+    /// Predicts.
+    #[inline]
+    pub fn predict(&self, site: &Site, column: usize, referred: Option<&Referred>) -> Fitted {
+        let mut wide_features = [0.0; WIDE_FEATURES];
+        wide_features[..FARTHER].copy_from_slice(&site.features);
+        wide_features[FARTHER..INTENSITIES].copy_from_slice(&site.near.farther_features());
+        wide_features[INTENSITIES..REFERENCE].copy_from_slice(&intensity_features(site.intensities));
+        let mut local_features = [0.0; ALL_FEATURES];
+        local_features[..FEATURES].copy_from_slice(&site.features);
+        if let Some(Referred { back, around }) = referred {
+            let of_reference = back.features(&site.near);
+            local_features[FEATURES..].copy_from_slice(&of_reference);
+            wide_features[REFERENCE..SURROUNDINGS].copy_from_slice(&of_reference);
+            wide_features[SURROUNDINGS..][..SURROUNDING_FEATURES]
+                .copy_from_slice(&around.features(&site.near));
+        }
+        let wide_fit = site.edge + if referred.is_some() { EDGES } else { 0 };
+        let stretch = column / STRETCH;
+        let wide = within_reach(self.wide[wide_fit].predict(&wide_features));
+        let recent = within_reach(self.recent[site.edge].predict(&site.features));
+        let local = within_reach(self.local[stretch].predict(&local_features));
+
+        let near = &site.near;
+        let [same, moved, on_from_west, on_from_north] = match referred {
+            None => [wide; 4],
+            Some(Referred { back, around }) => [
+                back.same - near.west,
+                back.moved - near.west,
+                back.moved - around.moved_west,
+                near.north - near.west + back.moved - around.moved_north,
+            ],
+        };
+        let differences = [
+            wide,
+            recent,
+            local,
+            near.north - near.west,
+            same,
+            moved,
+            on_from_west,
+            on_from_north,
+            site.errors[0],
+            site.errors[1],
+            site.errors[2],
+            ALWAYS,
+        ];
+        let blend_features =
+            differences.map(|difference| difference.clamp(-FEATURE_REACH, FEATURE_REACH) as f32);
+        let blend = within_reach(self.blend[site.error_level].predict(&blend_features));
+        Fitted {
+            recent,
+            local,
+            blend,
+            wide,
+            wide_fit,
+            stretch,
+            wide_features,
+            local_features,
+            blend_features,
+        }
+    }
+
+    /// Moves the fits towards the range that has been coded, in steps.
+    #[inline]
+    pub fn learn(&mut self, site: &Site, fitted: &Fitted, range: f64) {
+        site.learn(&mut self.wide[fitted.wide_fit], &fitted.wide_features, fitted.wide, range);
+        site.learn(&mut self.recent[site.edge], &site.features, fitted.recent, range);
+        site.learn(&mut self.local[fitted.stretch], &fitted.local_features, fitted.local, range);
+        site.learn(&mut self.blend[site.error_level], &fitted.blend_features, fitted.blend, range);
+    }
+}
+
+#[inline]
+fn within_reach(fit: f32) -> f64 {
+    f64::from(fit).clamp(-FIT_REACH, FIT_REACH)
+}
+
+/// How the cell's own intensity differs from those to the left and above, in levels and in a measure that
+/// tells the weak ones apart: weak returns are measured late. 0 where a neighbour has none.
+#[inline]
+fn intensity_features([own, west, north]: [u16; 3]) -> [f32; 4] {
+    let weakness = |level: u16| 40.0 / (f32::from(level) + 2.0);
+    let change = |other: u16| if other == 0 { 0.0 } else { f32::from(own) - f32::from(other) };
+    let change_of_weakness = |other: u16| if other == 0 { 0.0 } else { weakness(own) - weakness(other) };
+    [change(west), change(north), change_of_weakness(west), change_of_weakness(north)]
+}

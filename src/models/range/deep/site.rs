@@ -1,0 +1,107 @@
+//! What the deep model makes of a cell: predictions and contexts.
+
+use super::fits::Fitted;
+use super::{KINDS, MIXERS, MIXTURES, OWN_LEVELS, PREDICTORS, ROWS, VIEWS};
+use crate::models::quantise::signed_level;
+use crate::models::range::back::{Back, Surroundings};
+use crate::models::range::site::{Site, intensity_change, pair};
+use crate::models::range::{CONTEXTS, ERROR_LEVELS, NODES};
+
+/// What an earlier frame has for a cell, and around it.
+pub struct Referred {
+    pub back: Back,
+    pub around: Surroundings,
+}
+
+/// A cell to be coded.
+pub struct DeepSite<'a> {
+    pub site: &'a Site,
+    pub cell: (usize, usize),
+    pub referred: Option<Referred>,
+}
+
+/// What chooses the weights of the mixers and the corrections.
+#[derive(Clone, Copy)]
+pub struct SetContexts {
+    /// 0 without a reference, else by the level of its errors.
+    pub kind: usize,
+    pub error_level: usize,
+    /// The row; those below the last that has contexts share its own.
+    pub row: usize,
+    /// How the intensity differs from the reference's; 0 without one.
+    pub recognition: usize,
+}
+
+impl SetContexts {
+    /// Of a cell.
+    pub fn of(DeepSite { site, cell, referred }: &DeepSite) -> Self {
+        let (kind, recognition) = referred.as_ref().map_or((0, 0), |Referred { back, around }| {
+            let change = |level| intensity_change(site.intensities[0], level);
+            (1 + back.level, 1 + change(around.same_level) * 8 + change(around.moved_level))
+        });
+        let row = cell.0.min(ROWS - 1);
+        SetContexts { kind, error_level: site.error_level, row, recognition }
+    }
+
+    /// The set of each mixer at a node.
+    #[inline]
+    pub fn sets(&self, node: usize) -> [usize; MIXERS] {
+        [
+            (self.kind * NODES + node) * ERROR_LEVELS + self.error_level,
+            self.row * NODES + node,
+            self.recognition * NODES + node,
+        ]
+    }
+}
+
+impl DeepSite<'_> {
+    /// What is mixed: the line through the two returns to the left, three fits, the left neighbour for
+    /// surprises, and the moved layer here and beside.
+    pub fn predictions(&self, fitted: &Fitted) -> [f64; PREDICTORS] {
+        let near = &self.site.near;
+        let [recent, local, blend] = [fitted.recent, fitted.local, fitted.blend].map(|fit| near.west + fit);
+        let [moved, moved_west, moved_east] = match &self.referred {
+            None => [near.west + fitted.wide; 3],
+            Some(Referred { back, around }) => [back.moved, around.moved_west, around.moved_east],
+        };
+        [2.0 * near.west - near.west2, recent, local, blend, near.west, moved, moved_west, moved_east]
+    }
+
+    /// The context of each mixture.
+    pub fn mixture_contexts(&self, contexts: &SetContexts) -> [usize; MIXTURES] {
+        let SetContexts { kind, error_level, recognition, .. } = *contexts;
+        [
+            kind * CONTEXTS + self.site.context,
+            (self.site.change * OWN_LEVELS + own_level(self.site)) * ERROR_LEVELS + error_level,
+            (recognition * KINDS + kind) * ERROR_LEVELS + error_level,
+        ]
+    }
+
+    /// The context of each view, for a coding that starts at `base`.
+    pub fn views(&self, contexts: &SetContexts, fitted: &Fitted, base: f64) -> [usize; VIEWS] {
+        let SetContexts { kind, error_level, row, recognition, .. } = *contexts;
+        let near = &self.site.near;
+        let [_, errors, own, change] = self.site.views;
+        let wide = near.west + fitted.wide;
+        let [same, moved] = self
+            .referred
+            .as_ref()
+            .map_or([wide; 2], |Referred { back, .. }| [back.same, back.moved])
+            .map(|range| range - base);
+        [
+            pair(near.west - base, near.north - base),
+            errors,
+            own,
+            change,
+            signed_level(same as i32) * 32 + kind * 4 + error_level / 3,
+            pair(same, moved),
+            row * ERROR_LEVELS + error_level,
+            recognition * ERROR_LEVELS + error_level,
+        ]
+    }
+}
+
+/// Level of the cell's own intensity.
+fn own_level(site: &Site) -> usize {
+    usize::from(site.intensities[0] / 8).min(OWN_LEVELS - 1)
+}

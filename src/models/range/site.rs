@@ -1,0 +1,109 @@
+//! A cell to be coded, as its neighbours show it.
+
+use super::errors::ErrorTrack;
+use super::neighbourhood::Neighbourhood;
+use super::{EDGE, ERROR_LEVELS, ErrorLevels, FEATURES, FIT_REACH, PREDICTORS, RangeContext, VIEWS};
+use crate::models::least_squares::LeastSquares;
+use crate::models::quantise::signed_level;
+
+/// A cell to be coded, as its neighbours show it.
+pub struct Site {
+    pub near: Neighbourhood,
+    pub features: [f32; FEATURES],
+    /// The intensities of the cell, of that to the left and of that above; 0 = no return.
+    pub intensities: [u16; 3],
+    pub edge: usize,
+    pub error_level: usize,
+    pub context: usize,
+    /// How the intensity differs from that to the left and that above: 0 to 63.
+    pub change: usize,
+    /// The signed errors made to the left, above and to the right of that, in steps.
+    pub errors: [f64; 3],
+    /// The context of each view but the first.
+    pub views: [usize; VIEWS],
+}
+
+impl Site {
+    /// Of a cell with these neighbours.
+    #[inline]
+    pub fn of(
+        known: &RangeContext,
+        near: Neighbourhood,
+        errors: &ErrorTrack,
+        error_levels: &ErrorLevels,
+        (row, column): (usize, usize),
+    ) -> Site {
+        let features = near.features();
+        let edge =
+            usize::from(features[0].abs() > EDGE) + 2 * usize::from((features[3] - features[4]).abs() > EDGE);
+        let error_level = error_levels.of(errors.expected(column));
+        let context = near.activity_level() * ERROR_LEVELS + error_level;
+        let coarse_error = error_level * 8 / ERROR_LEVELS;
+        let own = known.intensity[(row, column)];
+        let west = if column > 0 { known.intensity[(row, column - 1)] } else { 0 };
+        let north = if row > 0 { known.intensity[(row - 1, column)] } else { 0 };
+        let change = intensity_change(own, west) * 8 + intensity_change(own, north);
+        let views = [
+            0,
+            pair(errors.west, errors.north(column)),
+            usize::from(own).min(127) * 8 + coarse_error,
+            (change * 4 + usize::from(own / 8).min(3)) * 8 + coarse_error,
+        ];
+        let intensities = [own, west, north];
+        let errors = [errors.west, errors.north(column), errors.north_east(column)];
+        Site { near, features, intensities, edge, error_level, context, change, errors, views }
+    }
+
+    /// What the neighbours predict, the last for surprises.
+    pub fn predictions(&self, fit: f64) -> [f64; PREDICTORS] {
+        let Neighbourhood { west, west2, north, .. } = self.near;
+        [west, north, 2.0 * west - west2, west + fit, west]
+    }
+
+    /// Where the coding starts: a whole number of steps.
+    pub fn base(&self, fit: f64, range_bits: u32) -> i64 {
+        ((self.near.west + fit + 0.5) as i64).clamp(1, (1 << range_bits) - 2)
+    }
+
+    /// The contexts of all views, for a coding that starts at `base`.
+    pub fn views_from(&self, base: i64) -> [usize; VIEWS] {
+        let base = base as f64;
+        let mut views = self.views;
+        views[0] = pair(self.near.west - base, self.near.north - base);
+        views
+    }
+
+    /// Moves a fit towards the range that has been coded.
+    pub fn learn<const F: usize>(
+        &self,
+        fits: &mut LeastSquares<F>,
+        features: &[f32; F],
+        fit: f64,
+        range: f64,
+    ) {
+        let target = (range - self.near.west).clamp(-FIT_REACH, FIT_REACH);
+        let error = range - self.near.west - fit;
+        let weight = 1.0 / (25.0 + error * error);
+        fits.learn(features, target as f32, weight as f32);
+    }
+}
+
+/// Two differences as one context of 1024.
+pub fn pair(a: f64, b: f64) -> usize {
+    signed_level(a as i32) * 32 + signed_level(b as i32)
+}
+
+/// Eight kinds of change from a neighbour's intensity; none if it holds no return.
+pub fn intensity_change(own: u16, other: u16) -> usize {
+    if other == 0 {
+        return 7;
+    }
+    let change = i32::from(own) - i32::from(other);
+    let size = match change.abs() {
+        0..2 => 0,
+        2..6 => 1,
+        6..16 => 2,
+        _ => 3,
+    };
+    if change < 0 && size > 0 { size + 3 } else { size }
+}

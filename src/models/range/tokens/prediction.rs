@@ -1,0 +1,216 @@
+//! What a range is predicted from, and the context of what the prediction misses it by.
+
+use std::array::from_fn;
+
+use super::MOST_MISS;
+use crate::ground::grid::Grid;
+use crate::models::LeastSquares;
+use crate::models::magnitude::magnitude_level;
+
+/// Levels of the miss to expect where the left neighbour predicts.
+pub const MISS_LEVELS: usize = 40;
+/// Levels of it and of the roughness around, apart, where least squares do.
+const FITTED_MISS_LEVELS: usize = 14;
+const ACTIVITY_LEVELS: usize = 12;
+/// Contexts of a range.
+pub const RANGE_CONTEXTS: usize = FITTED_MISS_LEVELS * ACTIVITY_LEVELS;
+/// Features by the neighbours, and with the frame before.
+const FEATURES: usize = 8;
+const REFERRING_FEATURES: usize = 16;
+/// Kinds of edges for which the least-squares fits are kept apart.
+const EDGES: usize = 4;
+/// A difference of ranges, in steps, that counts as an edge, or as a change from the frame before.
+const EDGE: i32 = 60;
+/// Features and predictions are cut to so many steps from where they start.
+const FEATURE_REACH: i32 = 300;
+const FIT_REACH: f32 = 400.0;
+
+/// What least squares have learned.
+#[derive(Clone)]
+pub struct Fits {
+    /// By the neighbours, and with the frame before: one for each kind of edge.
+    near: [LeastSquares<FEATURES>; EDGES],
+    before: [LeastSquares<REFERRING_FEATURES>; EDGES],
+}
+
+impl Default for Fits {
+    fn default() -> Self {
+        Fits { near: from_fn(|_| LeastSquares::new(0.998)), before: from_fn(|_| LeastSquares::new(0.998)) }
+    }
+}
+
+impl Fits {
+    /// Learns the range that a guess was about, in steps.
+    #[inline]
+    pub fn learn(&mut self, guess: &Guess, range: i32) {
+        let off = (range - guess.from) as f32;
+        let error = off - guess.fit;
+        let (target, weight) = (off.clamp(-FIT_REACH, FIT_REACH), 1.0 / (25.0 + error * error));
+        match &guess.by {
+            By::West => {}
+            By::Fit { edge, features } => self.near[*edge].learn(features, target, weight),
+            By::Before { edge, features } => self.before[*edge].learn(features, target, weight),
+        }
+    }
+}
+
+/// The ranges coded before a cell's, in steps, each missing one replaced by the next best.
+pub struct Near {
+    pub west: i32,
+    pub west2: i32,
+    pub west3: i32,
+    pub west4: i32,
+    pub north: i32,
+    pub north_west: i32,
+    pub north_east: i32,
+    pub north_east2: i32,
+    pub north2: i32,
+}
+
+/// What the frame before lets expect in a cell and around it, in steps; 0 where that is nothing.
+pub struct Before {
+    here: i32,
+    west: i32,
+    north: i32,
+    west2: i32,
+    east: i32,
+    south: i32,
+    south_east: i32,
+    north_east: i32,
+}
+
+impl Before {
+    /// Of a cell whose left neighbour is `west` steps away; none if nothing is expected there, or
+    /// something else.
+    #[inline]
+    pub fn at(expected: &Grid<u32>, cell: (usize, usize), west: i32) -> Option<Self> {
+        let at = |down, right| expected.beside(cell, down, right) as i32;
+        let (here, west_before) = (at(0, 0), at(0, -1));
+        let is_as_before = here > 0 && west_before > 0 && (west - west_before).abs() <= EDGE;
+        is_as_before.then(|| Before {
+            here,
+            west: west_before,
+            north: at(-1, 0),
+            west2: at(0, -2),
+            east: at(0, 1),
+            south: at(1, 0),
+            south_east: at(1, 1),
+            north_east: at(-1, 1),
+        })
+    }
+}
+
+/// The prediction of a range.
+pub struct Guess {
+    /// Where it starts, in steps, and how far from there it is.
+    pub from: i32,
+    pub fit: f32,
+    /// Of what it misses the range by.
+    pub context: usize,
+    by: By,
+}
+
+/// How it was made.
+enum By {
+    West,
+    Fit { edge: usize, features: [f32; FEATURES] },
+    Before { edge: usize, features: [f32; REFERRING_FEATURES] },
+}
+
+impl Guess {
+    /// The left neighbour's. `expected` is the miss to expect, in sixteenths of a step.
+    #[inline]
+    pub fn west(near: &Near, expected: u32, bin: u32) -> Self {
+        let expected = expected + 5 * near.activity().min(4 * MOST_MISS as u32);
+        let context = magnitude_level(expected / bin >> 3, MISS_LEVELS);
+        Guess { from: near.west, fit: 0.0, context, by: By::West }
+    }
+
+    /// By least squares from the neighbours.
+    #[inline]
+    pub fn fitted(near: &Near, fits: &Fits, expected: u32, bin: u32) -> Self {
+        let features = [
+            near.west2,
+            near.west3,
+            near.west4,
+            near.north,
+            near.north_west,
+            near.north_east,
+            near.north_east2,
+            near.north2,
+        ]
+        .map(|range| feature(range, near.west));
+        let edge = near.edge();
+        let fit = fits.near[edge].predict(&features).clamp(-FIT_REACH, FIT_REACH);
+        let context = near.context(expected, bin);
+        Guess { from: near.west, fit, context, by: By::Fit { edge, features } }
+    }
+
+    /// By least squares from the frame before and the neighbours.
+    #[inline]
+    pub fn from_before(before: &Before, near: &Near, fits: &Fits, expected: u32, bin: u32) -> Self {
+        let or_here = |range: i32| if range > 0 { range } else { before.here };
+        let features = [
+            near.west,
+            near.west2,
+            near.north,
+            near.north_west,
+            near.north_east,
+            near.north2,
+            near.west3,
+            near.west4,
+            near.north_east2,
+            or_here(before.north_east),
+            before.west,
+            or_here(before.west2),
+            or_here(before.north),
+            or_here(before.east),
+            or_here(before.south),
+            or_here(before.south_east),
+        ]
+        .map(|range| feature(range, before.here));
+        let edge = near.edge();
+        let fit = fits.before[edge].predict(&features).clamp(-FIT_REACH, FIT_REACH);
+        let context = near.context(expected, bin);
+        Guess { from: before.here, fit, context, by: By::Before { edge, features } }
+    }
+}
+
+impl Near {
+    /// How rough it is around, in steps.
+    #[inline]
+    fn activity(&self) -> u32 {
+        let Near { west, west2, north, north_west, north_east, .. } = self;
+        ((west - west2).abs() + (north - north_west).abs() + (north - north_east).abs()) as u32
+    }
+
+    /// The kind of edge.
+    #[inline]
+    fn edge(&self) -> usize {
+        let from_west = |range| feature(range, self.west);
+        usize::from((self.west2 - self.west).abs() > EDGE)
+            + 2 * usize::from((from_west(self.north) - from_west(self.north_west)).abs() > EDGE as f32)
+    }
+
+    /// The context where least squares predict.
+    #[inline]
+    fn context(&self, expected: u32, bin: u32) -> usize {
+        let activity = ((1 + self.activity() / bin).ilog2() as usize).min(ACTIVITY_LEVELS - 1);
+        miss_level(expected / bin) * ACTIVITY_LEVELS + activity
+    }
+}
+
+fn feature(range: i32, from: i32) -> f32 {
+    (range - from).clamp(-FEATURE_REACH, FEATURE_REACH) as f32
+}
+
+/// The level, as by [`magnitude_level`], of the miss that a context of least squares expects, in quarters of a bin.
+pub fn miss_level_of(context: usize) -> usize {
+    2 * (context / ACTIVITY_LEVELS + 2)
+}
+
+/// The level of a miss to expect, in sixteenths of a bin.
+#[inline]
+fn miss_level(expected: u32) -> usize {
+    (magnitude_level(expected >> 2, 2 * FITTED_MISS_LEVELS + 4) >> 1).clamp(2, FITTED_MISS_LEVELS + 1) - 2
+}

@@ -1,0 +1,47 @@
+//! What misses are like before any has been seen, so that small scans need not send tables: a bell with long
+//! tails, as wide as the miss that the context expects.
+
+use std::sync::LazyLock;
+
+use super::prediction::{MISS_LEVELS, RANGE_CONTEXTS, miss_level_of};
+use crate::entropy::{Counts, numbers_of_token};
+use crate::models::magnitude::magnitude_of_level;
+
+/// Numbers beyond are escaped until one has been seen.
+const FARTHEST: u64 = 1 << 18;
+/// Points of a token of many numbers that stand for all of them.
+const POINTS: u64 = 4;
+/// The sum, about, of the counts of a context.
+const SUM: f64 = 4096.0;
+
+/// How often tokens come, by context, where ranges are predicted by their left neighbours, or are `fitted`.
+pub fn start_counts(fitted: bool) -> &'static [Counts] {
+    static FITTED: LazyLock<Vec<Counts>> = LazyLock::new(|| {
+        let width = |context| 1.5 + f64::from(magnitude_of_level(miss_level_of(context))) / 12.0;
+        (0..RANGE_CONTEXTS).map(|context| bell(width(context))).collect()
+    });
+    static WEST: LazyLock<Vec<Counts>> = LazyLock::new(|| {
+        let width = |level| 2.0 + f64::from(magnitude_of_level(level)) / 9.0;
+        (0..MISS_LEVELS).map(|level| bell(width(level))).collect()
+    });
+    if fitted { &FITTED } else { &WEST }
+}
+
+/// Counts of misses that come as 1 / (1 + (miss / width)^2) says.
+fn bell(width: f64) -> Counts {
+    let at = |miss: f64| {
+        let part = miss / width;
+        1.0 / (1.0 + part * part)
+    };
+    let weight = |token: usize| match numbers_of_token(token as u8) {
+        (first, _) if first >= FARTHEST => 0.0,
+        (number, 1) => at(number.div_ceil(2) as f64),
+        (first, numbers) => {
+            let points = (0..POINTS).map(|i| at((first + numbers * (2 * i + 1) / (2 * POINTS)) as f64 / 2.0));
+            points.sum::<f64>() * (numbers / POINTS) as f64
+        }
+    };
+    let weights: [f64; 255] = std::array::from_fn(weight);
+    let sum = weights.iter().sum::<f64>();
+    std::array::from_fn(|token| weights.get(token).map_or(0, |weight| (SUM * weight / sum) as u32))
+}

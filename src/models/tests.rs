@@ -1,0 +1,253 @@
+use super::magnitude::{magnitude_level, magnitude_of_level};
+use super::*;
+use crate::entropy::{TokenCoder, TokenReader, TokenTables, TokenWriter};
+use crate::ground::grid::Grid;
+use crate::models::IntensityScale;
+use crate::scan::squared_distance;
+use crate::scanner::Coordinates;
+use proptest::prelude::*;
+
+/// Codes a section twice, as two frames of a group, and gives what the encoder has made of it the second time
+/// and what is decoded.
+fn round_trip<T: Clone>(
+    contexts: usize,
+    full: &T,
+    empty: &T,
+    write: impl Fn(&mut TokenWriter, &mut T),
+    read: impl Fn(&mut TokenReader<'_>, &mut T),
+) -> (T, T) {
+    let (mut written, mut known) = (TokenTables::default(), TokenTables::default());
+    let (mut encoded, mut decoded) = (full.clone(), empty.clone());
+    for _ in 0..2 {
+        let mut writer = TokenWriter::new(contexts);
+        encoded = full.clone();
+        write(&mut writer, &mut encoded);
+        let payload = writer.finish(&mut written).unwrap();
+        let mut reader = TokenReader::new(&payload, contexts, &mut known).unwrap();
+        decoded = empty.clone();
+        read(&mut reader, &mut decoded);
+        assert!(!reader.is_exhausted());
+        let counts = reader.into_counts();
+        known.learn_decoded(&counts);
+    }
+    (encoded, decoded)
+}
+
+/// A grid of 9 rows from as many values as there are, each filled or not.
+fn grid<T: Clone + Default>(values: &[T]) -> Grid<T> {
+    let mut grid = Grid::new(9, values.len() / 9);
+    grid.cells_mut().iter_mut().zip(values).for_each(|(cell, value)| *cell = value.clone());
+    grid
+}
+
+/// Gives these tokens and bits whatever is asked for.
+struct Given(std::vec::IntoIter<(u8, u32)>);
+
+impl TokenCoder for Given {
+    const ENCODES: bool = false;
+
+    fn token(&mut self, _: usize, _: u8) -> u8 {
+        self.0.next().map_or(0, |(token, _)| token)
+    }
+
+    fn bits(&mut self, _: u64, count: u32) -> u64 {
+        let bits = self.0.as_slice().first().map_or(0, |(_, bits)| *bits);
+        u64::from(bits) & ((1 << count) - 1)
+    }
+}
+
+proptest! {
+    #[test]
+    fn cells_come_back(filled in proptest::collection::vec(any::<bool>(), 0..400)) {
+        let occupancy = grid(&filled);
+        let empty = Grid::new(occupancy.rows(), occupancy.columns());
+        let read = |coder: &mut TokenReader<'_>, cells: &mut Grid<bool>| code_occupancy(coder, cells);
+        let (encoded, decoded) = round_trip(OCCUPANCY_CONTEXTS, &occupancy, &empty, code_occupancy, read);
+        prop_assert_eq!(&decoded, &occupancy);
+        prop_assert_eq!(encoded, decoded);
+    }
+
+    #[test]
+    fn ranges_come_back_to_within_half_a_bin(
+        ranges in proptest::collection::vec((any::<bool>(), 1u32..1 << 24), 0..400),
+        range_bits in 16u32..=24,
+        bin in prop_oneof![Just(1u32), 1u32..2000],
+        fitted in any::<bool>(),
+        refers in any::<bool>(),
+        smooth in any::<bool>(),
+        moved in 0u32..100,
+    ) {
+        let range_of = |range: u32| 1 + (if smooth { 5000 + range % 50 } else { range }) % ((1 << range_bits) - 1);
+        let occupancy = grid(&ranges.iter().map(|(filled, _)| *filled).collect::<Vec<_>>());
+        let steps = grid(&ranges.iter().map(|(filled, range)| u32::from(*filled) * range_of(*range)).collect::<Vec<_>>());
+        // Of the frame before, some cells are filled, and some of them as far away.
+        let before = |range: &u32| if range.is_multiple_of(5) { 0 } else { range.saturating_sub(moved * (range % 3)) };
+        let same = steps.map(before);
+        let axis = (range_bits, bin);
+        let (encoded, decoded) = round_trip(
+            RANGE_CONTEXTS,
+            &steps,
+            &Grid::new(steps.rows(), steps.columns()),
+            |coder, steps| RangeTokens::default().code(coder, &occupancy, (fitted, refers.then_some(&same)), axis, steps),
+            |coder, steps| RangeTokens::default().code(coder, &occupancy, (fitted, refers.then_some(&same)), axis, steps),
+        );
+        prop_assert_eq!(&encoded, &decoded);
+        for (range, decoded) in steps.cells().iter().zip(decoded.cells()) {
+            prop_assert!(range.abs_diff(*decoded) <= bin / 2);
+        }
+    }
+
+    #[test]
+    fn any_tokens_decode_to_ranges(
+        tokens in proptest::collection::vec((any::<u8>(), any::<u32>()), 60),
+        range_bits in 16u32..=24,
+        bin in prop_oneof![Just(1u32), 1u32..1 << 20],
+        fitted in any::<bool>(),
+        refers in any::<bool>(),
+        before in proptest::collection::vec(0u32..1 << 24, 63),
+    ) {
+        let occupancy = grid(&vec![true; tokens.len()]);
+        let mut steps = Grid::new(occupancy.rows(), occupancy.columns());
+        let tokens_len = tokens.len();
+        let mut coder = Given(tokens.into_iter());
+        let same = grid(&before[..tokens_len]);
+        let axis = (range_bits, bin);
+        RangeTokens::default().code(&mut coder, &occupancy, (fitted, refers.then_some(&same)), axis, &mut steps);
+        prop_assert!(steps.cells().iter().all(|range| (1..1 << range_bits).contains(range)));
+    }
+
+    #[test]
+    fn intensities_come_back(
+        levels in proptest::collection::vec((0u32..512, 0u16..40), 1..300),
+        per_unit in prop_oneof![Just(100u32), Just(255), Just(511)],
+        exceptions in any::<bool>(),
+    ) {
+        let value = |&(level, odd): &(u32, u16)| {
+            let on_grid = (f64::from(level % (per_unit + 1)) / f64::from(per_unit)) as f32;
+            if exceptions && odd == 0 { f32::from_bits(level.wrapping_mul(0x0123_4567)) } else { on_grid }
+        };
+        let values: Vec<f32> = levels.iter().map(value).collect();
+        let scale = IntensityScale::of(&values, Some(per_unit));
+        let empty = vec![0.0f32; values.len()];
+        fn code<C: TokenCoder>(coder: &mut C, scale: &IntensityScale, values: &mut [f32]) {
+            let (mut model, mut west) = (IntensityTokens::default(), 0);
+            for (index, value) in values.iter_mut().enumerate() {
+                west = model.code(coder, scale, (west, (index % 129) as u16), value);
+            }
+        }
+        let (encoded, decoded) = round_trip(
+            INTENSITY_CONTEXTS,
+            &values,
+            &empty,
+            |coder, values| code(coder, &scale, values),
+            |coder, values| code(coder, &scale, values),
+        );
+        let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        prop_assert_eq!(bits(&decoded), bits(&values));
+        prop_assert_eq!(bits(&encoded), bits(&values));
+    }
+
+    #[test]
+    fn packed_ranges_come_back_to_within_half_a_bin(
+        ranges in proptest::collection::vec(any::<u32>(), 0..200),
+        range_bits in 16u32..=24,
+        bin in prop_oneof![Just(1u32), 1u32..2000],
+        smooth in any::<bool>(),
+    ) {
+        let most = (1 << range_bits) - 1;
+        let range_of = |range: &u32| 1 + (if smooth { 5000 + range % 50 } else { *range }) % most;
+        let ranges: Vec<u32> = ranges.iter().map(range_of).collect();
+        let axis = (range_bits, bin);
+        let (encoded, decoded) = round_trip(
+            PACKED_RANGE_CONTEXTS,
+            &ranges,
+            &vec![0; ranges.len()],
+            |coder, ranges| code_packed_ranges(coder, axis, ranges),
+            |coder, ranges| code_packed_ranges(coder, axis, ranges),
+        );
+        prop_assert_eq!(&encoded, &decoded);
+        prop_assert!(ranges.iter().zip(&decoded).all(|(range, decoded)| range.abs_diff(*decoded) <= bin / 2));
+    }
+
+    #[test]
+    fn any_tokens_decode_to_packed_ranges(
+        tokens in proptest::collection::vec((any::<u8>(), any::<u32>()), 40),
+        range_bits in 16u32..=24,
+        bin in prop_oneof![Just(1u32), 1u32..1 << 20],
+    ) {
+        let mut ranges = [0; 99];
+        code_packed_ranges(&mut Given(tokens.into_iter()), (range_bits, bin), &mut ranges);
+        prop_assert!(ranges.iter().all(|range| (1..1 << range_bits).contains(range)));
+    }
+
+    #[test]
+    fn packed_intensities_come_back(
+        levels in proptest::collection::vec((0u32..512, 0u16..40), 0..300),
+        per_unit in prop_oneof![Just(100u32), Just(255), Just(511)],
+        odd_values in prop_oneof![Just(0u32), Just(1), Just(9)],
+    ) {
+        // None, few or most of the values are on no grid.
+        let value = |&(level, kind): &(u32, u16)| {
+            let on_grid = (f64::from(level % (per_unit + 1)) / f64::from(per_unit)) as f32;
+            let is_odd = u32::from(kind) < odd_values * 4;
+            if is_odd { f32::from_bits(level.wrapping_mul(0x0123_4567)) } else { on_grid }
+        };
+        let values: Vec<f32> = levels.iter().map(value).collect();
+        let scale = IntensityScale::of(&values, Some(per_unit));
+        let (encoded, decoded) = round_trip(
+            PACKED_INTENSITY_CONTEXTS,
+            &values,
+            &vec![0.0; values.len()],
+            |coder, values| code_packed_intensities(coder, &scale, values),
+            |coder, values| code_packed_intensities(coder, &scale, values),
+        );
+        let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        prop_assert_eq!(bits(&decoded), bits(&values));
+        prop_assert_eq!(bits(&encoded), bits(&values));
+    }
+
+    #[test]
+    fn positions_come_back(
+        points in proptest::collection::vec(
+            (-50_000i32..50_000, prop_oneof![4 => Just(0i32), 1 => -900i32..900]), 0..200),
+        millimetres in any::<bool>(),
+        bounded in any::<bool>(),
+    ) {
+        let grid = if millimetres { Coordinates::Millimetre } else { Coordinates::Float32 };
+        let formula = |point: usize| [0, 1, 2].map(|axis| f64::from(points[point].0 + axis) * 1.00037e-3);
+        let near: Vec<_> = (0..points.len()).map(|point| formula(point).map(|v| grid.nearest(v))).collect();
+        let off = |point: usize, axis: i32| {
+            let formula = formula(point)[axis as usize];
+            grid.value(grid.unit_of(formula) + i64::from(points[point].1 * (axis + 1)), formula)
+        };
+        let positions = (0..points.len()).map(|point| [0, 1, 2].map(|axis| off(point, axis)));
+        let wanted: Vec<[f32; 3]> = positions.collect();
+        let max_error = bounded.then_some(0.002);
+        let (encoded, decoded) = round_trip(
+            CORRECTION_CONTEXTS,
+            &near,
+            &near,
+            |coder, near| correct_positions(coder, grid, formula, (&wanted, max_error), near),
+            |coder, near| correct_positions(coder, grid, formula, (&[], max_error), near),
+        );
+        prop_assert_eq!(&encoded, &decoded);
+        for (point, (wanted, decoded)) in wanted.iter().zip(&decoded).enumerate() {
+            let same = wanted.map(f32::to_bits) == decoded.map(f32::to_bits);
+            let within = *decoded == near[point]
+                && max_error.is_some_and(|max| squared_distance(wanted, decoded).sqrt() <= max);
+            prop_assert!(same || within, "{point}: {wanted:?} {decoded:?}");
+        }
+    }
+}
+
+#[test]
+fn levels_rise_with_the_magnitude() {
+    let levels: Vec<usize> = (0..9000).map(|magnitude| magnitude_level(magnitude, 40)).collect();
+    assert!(levels.is_sorted());
+    assert_eq!((levels[0], levels[1], levels[8999]), (0, 1, 39));
+    for level in 0..40 {
+        let least = magnitude_of_level(level);
+        assert_eq!(magnitude_level(least, 40), level);
+        assert!(least == 0 || magnitude_level(least - 1, 40) == level - 1);
+    }
+}

@@ -1,0 +1,230 @@
+//! The grid on which coordinates lie: whole millimetres, float32 values as they are, or, where an error
+//! is allowed, any coarser one.
+
+use crate::ground::rounding::round_ties_even;
+
+/// The grid of the coordinates. A *unit* is one step of that grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Coordinates {
+    /// `float32(k / 1000)`, k whole millimetres: KITTI raw.
+    Millimetre,
+    /// Any float32: KITTI-360. Units count the representable values in rising order.
+    Float32,
+    /// `float32(k * step)`: coordinates that were moved onto this grid.
+    Lattice {
+        /// Nanometres.
+        step_nm: u64,
+    },
+}
+
+impl Coordinates {
+    /// The grid of some coordinates (metres): millimetres if nearly all lie on them.
+    pub fn of<'a>(values: impl Iterator<Item = &'a f32>) -> Self {
+        let (mut on_grid, mut total) = (0usize, 0usize);
+        for value in values {
+            total += 1;
+            on_grid += usize::from(Coordinates::Millimetre.unit_in_file(*value).is_some());
+        }
+        if on_grid * 100 > total * 95 { Coordinates::Millimetre } else { Coordinates::Float32 }
+    }
+
+    /// The number that stands for the grid of a file in a stream.
+    pub fn to_code(self) -> u64 {
+        u64::from(self != Coordinates::Millimetre)
+    }
+
+    /// The inverse of [`to_code`](Self::to_code); any other number counts as 1.
+    pub fn from_code(code: u64) -> Self {
+        if code == 0 { Coordinates::Millimetre } else { Coordinates::Float32 }
+    }
+
+    /// The unit that a value in metres, as the formula gives it, rounds to: below 2^40, and 0 for NaN.
+    pub fn unit_of(self, metres: f64) -> i64 {
+        match self {
+            _ if metres.is_nan() => 0,
+            Coordinates::Millimetre => round_ties_even((metres * 1000.0).clamp(-1e12, 1e12)) as i64,
+            Coordinates::Float32 => ordered(metres as f32),
+            Coordinates::Lattice { step_nm } => {
+                round_ties_even((metres / lattice_step(step_nm)).clamp(-1e12, 1e12)) as i64
+            }
+        }
+    }
+
+    /// The coordinate at `unit`. The millimetre grid has two zeros: the sign is that of
+    /// `formula`, the value before rounding (SENSOR: a coordinate that rounds to zero keeps its sign).
+    pub fn value(self, unit: i64, formula: f64) -> f32 {
+        match self {
+            Coordinates::Millimetre if unit == 0 => zero_of(formula),
+            Coordinates::Millimetre => (unit as f64 / 1000.0) as f32,
+            Coordinates::Float32 => from_ordered(unit),
+            Coordinates::Lattice { step_nm } => (unit as f64 * lattice_step(step_nm)) as f32,
+        }
+    }
+
+    /// The coordinate nearest to `formula`, in metres: [`value`](Self::value) of [`unit_of`](Self::unit_of).
+    #[inline]
+    pub fn nearest(self, formula: f64) -> f32 {
+        self.value(self.unit_of(formula), formula)
+    }
+
+    /// Whether a coordinate of the file lies on the grid, and a zero has the sign that
+    /// [`value`](Self::value) would give it.
+    #[inline]
+    pub fn holds(self, value: f32, formula: f64) -> bool {
+        match self {
+            // Beyond 1,000 km the grid is finer than float32, and no scanner sees that far.
+            Coordinates::Millimetre => {
+                let own = f64::from(value);
+                let signed = if value == 0.0 { f64::from(zero_of(formula)) } else { own };
+                (nearest_millimetre(own.abs().copysign(signed)).to_bits() == value.to_bits())
+                    & (own.abs() < 1e6)
+            }
+            _ => self.unit_in_file(value).is_some() && (value != 0.0 || self.keeps_zero(value, formula)),
+        }
+    }
+
+    /// Whether [`holds`](Self::holds) is true of all these values.
+    #[inline(always)]
+    pub fn holds_all<const N: usize>(self, values: [f64; N], formula: [f64; N]) -> bool {
+        if self == Coordinates::Millimetre {
+            // What is on the grid mostly, and not 0, needs no look at its sign.
+            let mut all = true;
+            for value in values {
+                let near = (round_ties_even(value * 1000.0) * 0.001) as f32;
+                all &= (f64::from(near) == value) & (value != 0.0) & (value.abs() < 1e6);
+            }
+            if all {
+                return true;
+            }
+        }
+        (0..N).all(|i| self.holds(values[i] as f32, formula[i]))
+    }
+
+    /// The unit of any float32, on the grid of all of them.
+    pub fn unit_of_float(value: f32) -> i64 {
+        ordered(value)
+    }
+
+    /// Whether [`value`](Self::value) gives a zero of the file its own sign.
+    fn keeps_zero(self, zero: f32, formula: f64) -> bool {
+        match self {
+            Coordinates::Millimetre => zero.to_bits() == zero_of(formula).to_bits(),
+            Coordinates::Float32 | Coordinates::Lattice { .. } => true,
+        }
+    }
+
+    /// The unit of a coordinate of the file, if the grid holds that very value.
+    pub fn unit_in_file(self, value: f32) -> Option<i64> {
+        match self {
+            Coordinates::Millimetre => {
+                // Beyond 1,000 km the grid is finer than float32, and no scanner sees that far.
+                let unit = self.unit_of(f64::from(value));
+                let on_grid = value.abs() < 1e6 && (unit as f64 / 1000.0) as f32 == value;
+                on_grid.then_some(unit)
+            }
+            Coordinates::Float32 => value.is_finite().then(|| ordered(value)),
+            Coordinates::Lattice { .. } => {
+                let unit = self.unit_of(f64::from(value));
+                (self.value(unit, 0.0).to_bits() == value.to_bits()).then_some(unit)
+            }
+        }
+    }
+}
+
+/// Metres.
+fn lattice_step(step_nm: u64) -> f64 {
+    step_nm as f64 * 1e-9
+}
+
+/// The millimetre nearest to `formula`, in metres, with its sign even if it is zero: up to 2,000 km what
+/// [`Coordinates::nearest`] gives, but without a division.
+#[inline]
+pub fn nearest_millimetre(formula: f64) -> f32 {
+    let unit = round_ties_even((formula * 1000.0).clamp(-1e12, 1e12));
+    // As float32 this is unit / 1000, which up to there is never nearer than 1e-13 to the middle of two float32.
+    let value = (unit * 0.001).copysign(formula) as f32;
+    if formula.is_nan() { 0.0 } else { value }
+}
+
+/// The zero with the sign of `formula`. The sign of a NaN differs between processors: it counts as
+/// positive.
+fn zero_of(formula: f64) -> f32 {
+    if !formula.is_nan() && formula.is_sign_negative() { -0.0 } else { 0.0 }
+}
+
+/// float32 values in rising order as integers; neighbours differ by one, and so do -0.0 and 0.0.
+pub(super) fn ordered(value: f32) -> i64 {
+    let bits = value.to_bits();
+    let key = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
+    i64::from(key) - (1 << 31)
+}
+
+/// The inverse of [`ordered`], for any integer: those that stand for no float32 are cut to 32 bits.
+pub(super) fn from_ordered(unit: i64) -> f32 {
+    let key = unit.wrapping_add(1 << 31) as u32;
+    f32::from_bits(if key >> 31 == 1 { key & !(1 << 31) } else { !key })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn float_units_count_the_representable_values() {
+        for value in [0.0f32, -0.0, 1.0, -1.5, 1e-40, -3e38, 80.123] {
+            let unit = Coordinates::Float32.unit_in_file(value).unwrap();
+            assert_eq!(Coordinates::Float32.value(unit, 0.0).to_bits(), value.to_bits());
+        }
+        assert_eq!(ordered(0.0) - ordered(-0.0), 1);
+        assert_eq!(ordered(1.0f32.next_up()) - ordered(1.0), 1);
+        assert_eq!(Coordinates::Float32.unit_in_file(f32::NAN), None);
+    }
+
+    #[test]
+    fn the_nearest_millimetre_is_a_thousandth_as_float32() {
+        // All below 300 m, and some up to 2,000 km.
+        for unit in (0..300_000).chain((300_000..2_000_000_000).step_by(9_973)) {
+            let expected = (f64::from(unit) / 1000.0) as f32;
+            assert_eq!(nearest_millimetre(f64::from(unit) / 1000.0 + 1e-4), expected, "{unit}");
+        }
+    }
+
+    #[test]
+    fn the_quick_ways_to_round_and_to_look_agree_with_the_others() {
+        let values =
+            [0.0, -0.0, 1e-4, -1e-4, 5e-4, -5e-4, 1.0005, -80.1234, 1e9, -1e30, f64::INFINITY, f64::NAN];
+        for grid in
+            [Coordinates::Millimetre, Coordinates::Float32, Coordinates::Lattice { step_nm: 20_000_000 }]
+        {
+            for formula in values {
+                if grid == Coordinates::Millimetre && (formula.abs() < 2e6 || formula.is_nan()) {
+                    assert_eq!(
+                        nearest_millimetre(formula).to_bits(),
+                        grid.nearest(formula).to_bits(),
+                        "{formula}"
+                    );
+                }
+                for value in values.map(|value| value as f32) {
+                    let holds = grid.unit_in_file(value).is_some()
+                        && (value != 0.0 || grid.keeps_zero(value, formula));
+                    assert_eq!(grid.holds(value, formula), holds, "{value} near {formula} on {grid:?}");
+                    let all = grid.holds_all([f64::from(value); 2], [formula; 2]);
+                    assert_eq!(all, holds, "{value} near {formula} on {grid:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_millimetre_grid_holds_thousandths_and_both_zeros() {
+        let grid = Coordinates::Millimetre;
+        for k in (-120_000i64..120_000).step_by(7) {
+            let value = (k as f64 / 1000.0) as f32;
+            assert_eq!(grid.unit_in_file(value), Some(k));
+            assert_eq!(grid.value(k, k as f64), value);
+        }
+        assert_eq!(grid.unit_in_file(0.001f32.next_up()), None);
+        assert_eq!(grid.unit_in_file(f32::INFINITY), None);
+        assert_eq!(grid.value(0, -1e-5).to_bits(), (-0.0f32).to_bits());
+    }
+}

@@ -1,0 +1,86 @@
+//! Cells above one another that look the same way.
+
+use crate::ground::grid::Grid;
+use crate::scanner::SensorModel;
+
+/// How far each row of a range image is turned against the others. A column holds what fired
+/// together, but the beams of a real scanner point up to some ten degrees to either side of its
+/// middle: what a column shows at its top may be far from what it shows at its bottom. Rows turned
+/// back by whole columns are a picture of the scene.
+#[derive(Clone, Debug)]
+pub struct Alignment {
+    /// Columns, for each row.
+    turns: Vec<usize>,
+}
+
+impl Alignment {
+    /// For an image of `columns` columns by this sensor. Nothing is turned if it is the ideal one.
+    pub fn of(sensor: &SensorModel, columns: usize) -> Self {
+        let ticks = u64::from(sensor.ticks);
+        let turn = |row| {
+            let shift = u64::from(sensor.column_tick(row, 0));
+            ((shift * columns as u64 + ticks / 2) / ticks) as usize
+        };
+        // A shift of almost a turn may round up to a whole one, which is none.
+        let turns = (0..sensor.rows()).map(|row| turn(row).checked_rem(columns).unwrap_or(0)).collect();
+        Alignment { turns }
+    }
+
+    /// How many columns a row is turned by: what its first aligned column is in the image.
+    pub fn turn(&self, row: usize) -> usize {
+        self.turns[row]
+    }
+
+    /// Turns the rows of an image so that its columns are lines of sight. It must have the size that this
+    /// is for.
+    pub fn align<T: Clone + Default>(&self, grid: &mut Grid<T>) {
+        (0..grid.rows()).for_each(|row| grid.row_mut(row).rotate_left(self.turns[row]));
+    }
+
+    /// Undoes [`align`](Self::align).
+    pub fn restore<T: Clone + Default>(&self, grid: &mut Grid<T>) {
+        (0..grid.rows()).for_each(|row| grid.row_mut(row).rotate_right(self.turns[row]));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scanner::{BeamConstants, Coordinates, ideal};
+
+    /// A sensor of 4000 ticks with these shifts.
+    fn shifted(shifts: &[i64]) -> SensorModel {
+        let beam = |&column_shift: &i64| BeamConstants { column_shift, ..BeamConstants::default() };
+        SensorModel::new(Coordinates::Millimetre, 4000, 2000, shifts.iter().map(beam).collect())
+    }
+
+    #[test]
+    fn what_looks_the_same_way_comes_together() {
+        let sensor = shifted(&[0, 20, -20, 3999]);
+        let columns: Vec<u32> = (0..2000).map(|column| 2 * column).collect();
+        let alignment = Alignment::of(&sensor, columns.len());
+        let mut seen = Grid::new(4, 2000);
+        for row in 0..4 {
+            let way = |(tick, &column): (&mut u32, &u32)| *tick = sensor.tick_of_column(row, column);
+            seen.row_mut(row).iter_mut().zip(&columns).for_each(way);
+        }
+        let before = seen.clone();
+        alignment.align(&mut seen);
+        for column in 0..2000u32 {
+            let tick = |row| seen[(row, column as usize)];
+            assert_eq!([tick(0), tick(1), tick(2)], [2 * column; 3]);
+            assert_eq!(tick(3), (2 * column + 1) % 4000);
+        }
+        alignment.restore(&mut seen);
+        assert_eq!(seen, before);
+    }
+
+    #[test]
+    fn images_without_columns_or_shifts_stay_as_they_are() {
+        let mut none = Grid::<u32>::new(2, 0);
+        Alignment::of(&shifted(&[5, 7]), 0).align(&mut none);
+        assert_eq!(none, Grid::new(2, 0));
+        let alignment = Alignment::of(&ideal(2000, 10_000), 2000);
+        assert!((0..64).all(|row| alignment.turn(row) == 0));
+    }
+}

@@ -1,0 +1,203 @@
+//! Which points of a sample belong to which beam, found without knowing the scanner: files hold
+//! beam after beam, each going once round, and the points of a beam lie on a cone.
+//!
+//! Scans of a sequence need not agree: one may lack a beam, be cut short, or be by another scanner.
+//! The scan that most others agree with is the reference; their beams go where they lie on its cones.
+
+use std::f64::consts::TAU;
+
+use rayon::prelude::*;
+
+/// A point as the fit needs it, in metres and radians.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Point {
+    pub position: [f64; 3],
+    /// Horizontal distance from the axis.
+    pub rho: f64,
+    /// 0 to 2 pi.
+    pub azimuth: f64,
+}
+
+impl Point {
+    /// None for points that have no direction.
+    fn new(position: &[f32; 3]) -> Option<Self> {
+        let position @ [x, y, _] = position.map(f64::from);
+        let (rho, turned) = ((x * x + y * y).sqrt(), y.atan2(x));
+        let azimuth = if turned < 0.0 { turned + TAU } else { turned };
+        (rho > 0.0 && position.iter().all(|v| v.is_finite())).then_some(Point { position, rho, azimuth })
+    }
+
+    pub fn z(&self) -> f64 {
+        self.position[2]
+    }
+}
+
+/// Splits the points of a scan into beams, where the azimuth falls back; a short step back over the seam is not a
+/// new beam. Nothing if there are too many: the points are in some other order.
+pub(crate) fn split_beams(positions: &[[f32; 3]]) -> Vec<Vec<Point>> {
+    /// More beams than any scanner has.
+    const MOST_BEAMS: usize = 256;
+    /// Radians. Inside a beam the azimuth falls by far less, even where points are out of order.
+    const FALL: f64 = 1.0;
+    /// A rise like this is a step back over the seam.
+    const RISE: f64 = 5.0;
+    let mut beams: Vec<Vec<Point>> = vec![Vec::new()];
+    let mut row = 0usize;
+    let mut last = None;
+    for point in positions.iter().filter_map(Point::new) {
+        let step = point.azimuth - last.replace(point.azimuth).unwrap_or(point.azimuth);
+        if step < -FALL {
+            row += 1;
+        } else if step > RISE {
+            row = row.saturating_sub(1);
+        }
+        if row >= MOST_BEAMS {
+            return Vec::new();
+        }
+        if row == beams.len() {
+            beams.push(Vec::new());
+        }
+        beams[row].push(point);
+    }
+    beams
+}
+
+/// A beam's points, scan by scan.
+pub(crate) struct Beam<'a> {
+    cone: Cone,
+    /// One entry a scan, its points in one piece or more; none where the scan has no such beam.
+    pub scans: Vec<Vec<&'a [Point]>>,
+}
+
+impl Beam<'_> {
+    /// All points.
+    pub fn points(&self) -> Vec<Point> {
+        self.scans.iter().flatten().copied().flatten().copied().collect()
+    }
+
+    /// How many points the beam has in a scan.
+    pub fn points_in(&self, scan: usize) -> usize {
+        self.scans[scan].iter().map(|points| points.len()).sum()
+    }
+}
+
+/// Brings the beams of several scans together, in the order of the file. Scans that have little in
+/// common with the others are left out.
+pub(crate) fn align<'a>(scans: &[&'a [Vec<Point>]]) -> Vec<Beam<'a>> {
+    let cones: Vec<Vec<Option<Cone>>> =
+        scans.par_iter().map(|beams| beams.iter().map(|points| Cone::of(points)).collect()).collect();
+    let matched = |reference: usize, scan: usize| {
+        let known: Vec<Cone> = cones[reference].iter().flatten().copied().collect();
+        let mut place = 0;
+        let mut points = 0;
+        for beam in scans[scan] {
+            if let Some(found) = matching(&known, place, beam) {
+                (place, points) = (found + 1, points + beam.len());
+            }
+        }
+        points
+    };
+    let total = |reference: &usize| (0..scans.len()).map(|scan| matched(*reference, scan)).sum::<usize>();
+    // The first of equals.
+    let Some(reference) = (0..scans.len()).rev().max_by_key(total) else { return Vec::new() };
+    let alike = |scan: &usize| {
+        *scan != reference && matched(reference, *scan) * 2 > scans[*scan].iter().map(Vec::len).sum()
+    };
+
+    let mut beams: Vec<Beam<'a>> = Vec::new();
+    for scan in std::iter::once(reference).chain((0..scans.len()).filter(alike)) {
+        let mut place = 0;
+        for (points, cone) in scans[scan].iter().zip(&cones[scan]) {
+            let known: Vec<Cone> = beams.iter().map(|beam| beam.cone).collect();
+            let found = matching(&known, place, points).or_else(|| {
+                beams.insert(place, Beam { cone: (*cone)?, scans: vec![Vec::new(); scans.len()] });
+                Some(place)
+            });
+            if let Some(found) = found {
+                beams[found].scans[scan].push(points);
+                place = found + 1;
+            }
+        }
+    }
+    beams
+}
+
+/// The cone on which the points lie, looking from `place` on first.
+fn matching(cones: &[Cone], place: usize, points: &[Point]) -> Option<usize> {
+    let after = place.min(cones.len());
+    (after..cones.len()).chain(0..after).find(|&i| cones[i].holds(points))
+}
+
+/// Where a beam can see: z = height + slope * rho.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Cone {
+    pub height: f64,
+    pub slope: f64,
+}
+
+impl Cone {
+    /// The cone of a beam's points, if they lie on one.
+    fn of(points: &[Point]) -> Option<Self> {
+        /// Fewer points lie on many cones.
+        const FEWEST: usize = 20;
+        /// Points that are enough.
+        const SAMPLE: usize = 400;
+        let sample: Vec<Point> = thinned(points, SAMPLE).copied().collect();
+        let cone = Cone::fit(&sample);
+        (points.len() >= FEWEST && cone.holds(points)).then_some(cone)
+    }
+
+    /// Whether most of the points lie on it.
+    fn holds(&self, points: &[Point]) -> bool {
+        /// Metres; closer than half the distance of two beams' cones at any range.
+        const ON_CONE: f64 = 0.004;
+        const SAMPLE: usize = 30;
+        let (mut on, mut seen) = (0, 0);
+        for point in thinned(points, SAMPLE) {
+            seen += 1;
+            on += usize::from((point.z() - self.height - self.slope * point.rho).abs() < ON_CONE);
+        }
+        on * 3 > seen * 2
+    }
+
+    /// Least squares with weights that fall with the miss.
+    pub fn fit(points: &[Point]) -> Self {
+        /// Metres by which a round moves the cone at the end.
+        const SETTLED: f64 = 1e-5;
+        let mut cone = Cone { height: 0.0, slope: 0.0 };
+        for round in 0..15 {
+            let [mut n, mut r, mut rr, mut z, mut rz] = [0.0; 5];
+            for p in points {
+                let miss = (p.z() - cone.height - cone.slope * p.rho).abs();
+                let weight = match round {
+                    0 => 1.0,
+                    _ if miss > 0.02 && round > 2 => 0.0,
+                    _ => 1.0 / miss.max(3e-4),
+                };
+                n += weight;
+                r += weight * p.rho;
+                rr += weight * p.rho * p.rho;
+                z += weight * p.z();
+                rz += weight * p.rho * p.z();
+            }
+            let determinant = n * rr - r * r;
+            // All at one distance: any cone.
+            if determinant < 1e-9 * n * rr {
+                break;
+            }
+            let slope = (n * rz - r * z) / determinant;
+            let next = Cone { height: (z - slope * r) / n, slope };
+            let change = (next.slope - cone.slope).abs() * r / n + (next.height - cone.height).abs();
+            cone = next;
+            if round > 3 && change < SETTLED {
+                break;
+            }
+        }
+        cone
+    }
+}
+
+/// At most about `count` of the values, evenly spread.
+pub(crate) fn thinned<T>(values: &[T], count: usize) -> impl Iterator<Item = &T> {
+    values.iter().step_by(values.len().div_ceil(count).max(1))
+}

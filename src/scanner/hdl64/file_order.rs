@@ -1,0 +1,154 @@
+//! The order in which a file holds the returns of a range image.
+
+use pulp::{Arch, NullaryFnOnce};
+
+use crate::scanner::SensorModel;
+use crate::scanner::{RangeImage, Return};
+
+impl RangeImage {
+    /// The returns in the order in which a file holds them: row by row, by the azimuth that the
+    /// formula gives; those of equal azimuth column by column.
+    pub fn file_order(&self, sensor: &SensorModel) -> Vec<Return> {
+        Arch::new().dispatch(FileOrder { image: self, sensor })
+    }
+}
+
+/// What it takes to find the order.
+struct FileOrder<'a> {
+    image: &'a RangeImage,
+    sensor: &'a SensorModel,
+}
+
+impl NullaryFnOnce for FileOrder<'_> {
+    type Output = Vec<Return>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<Return> {
+        let FileOrder { image, sensor } = self;
+        let mut returns = Vec::with_capacity(image.returns());
+        let mut of_row = vec![Return::default(); image.columns.len() + 1];
+        let mut azimuths = Vec::new();
+        for row in 0..image.steps.rows() {
+            let first = sensor.first_column_tick(row);
+            let first = image.columns.partition_point(|&column_tick| column_tick < first);
+            let tick = sensor.ticks_of_columns(row);
+            let mut count = 0;
+            for columns in [first..image.columns.len(), 0..first] {
+                let cells = image.steps.row(row)[columns.clone()].iter().zip(&image.columns[columns.clone()]);
+                // No branch: each cell takes the next place, where the one after it follows only if it holds a return.
+                for ((&steps, &column_tick), column) in cells.zip(columns.start as u32..) {
+                    of_row[count] = Return { row: row as u32, column, tick: tick(column_tick), steps };
+                    count += usize::from(steps > 0);
+                }
+            }
+            let found = &mut of_row[..count];
+            azimuths.resize(count, 0.0);
+            sensor.fill_azimuths(row, found, |found| (found.tick, found.steps), &mut azimuths);
+            sort(&mut azimuths, found);
+            returns.extend_from_slice(found);
+        }
+        returns
+    }
+}
+
+/// Sorts the returns of a row by their azimuths, then columns: they nearly are.
+#[inline(always)]
+fn sort(azimuths: &mut [f64], returns: &mut [Return]) {
+    /// Places, for each return, that are worth moving returns by one by one.
+    const MOVES: usize = 4;
+    /// Returns that are looked at together.
+    const BLOCK: usize = 8;
+    turn_to_seam(azimuths, returns);
+    let mut moves = MOVES * returns.len();
+    let mut next = 1;
+    while next < returns.len() {
+        if let (Some(before), Some(block)) =
+            (azimuths[next - 1..].first_chunk::<BLOCK>(), azimuths[next..].first_chunk::<BLOCK>())
+            && (0..BLOCK).fold(true, |all, i| all & (before[i] < block[i]))
+        {
+            next += BLOCK;
+            continue;
+        }
+        let moved = (azimuths[next], returns[next]);
+        let mut place = next;
+        while place > 0 && compare((azimuths[place - 1], returns[place - 1]), moved).is_gt() {
+            if moves == 0 {
+                (azimuths[place], returns[place]) = moved;
+                return sort_all(azimuths, returns);
+            }
+            (azimuths[place], returns[place]) = (azimuths[place - 1], returns[place - 1]);
+            (place, moves) = (place - 1, moves - 1);
+        }
+        (azimuths[place], returns[place]) = moved;
+        next += 1;
+    }
+}
+
+/// Turns a row so that it begins where azimuths pass 0: it nearly does, and points near there are at either end.
+fn turn_to_seam(azimuths: &mut [f64], returns: &mut [Return]) {
+    /// Radians: more than azimuths that are out of order differ by.
+    const SEAM: f64 = 3.0;
+    /// Returns that may be at the wrong end.
+    const FEW: usize = 100;
+    let falls = |part: &[f64]| part.windows(2).rposition(|pair| pair[1] < pair[0] - SEAM);
+    let tail = azimuths.len().saturating_sub(FEW);
+    let last = falls(&azimuths[tail..]).map(|place| tail + place);
+    if let Some(last) = last.or_else(|| falls(&azimuths[..azimuths.len().min(FEW)])) {
+        azimuths.rotate_left(last + 1);
+        returns.rotate_left(last + 1);
+    }
+}
+
+#[inline(always)]
+fn compare(a: (f64, Return), b: (f64, Return)) -> std::cmp::Ordering {
+    a.0.total_cmp(&b.0).then(a.1.column.cmp(&b.1.column))
+}
+
+#[cold]
+fn sort_all(azimuths: &[f64], returns: &mut [Return]) {
+    let mut sorted: Vec<(f64, Return)> = azimuths.iter().copied().zip(returns.iter().copied()).collect();
+    sorted.sort_unstable_by(|a, b| compare(*a, *b));
+    returns.iter_mut().zip(sorted).for_each(|(place, (_, found))| *place = found);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scanner::hdl64::testing::scanner;
+
+    #[test]
+    fn returns_come_by_their_azimuths_on_every_vector_unit() {
+        let (sensor, image) = scanner();
+        let returns = image.file_order(&sensor);
+        assert_eq!(returns, FileOrder { image: &image, sensor: &sensor }.call());
+        assert_eq!(returns.len(), image.returns());
+        let mut out_of_columns = 0;
+        for pair in returns.windows(2).filter(|pair| pair[0].row == pair[1].row) {
+            let [before, after] = [pair[0], pair[1]].map(|found| {
+                let mut azimuth = [0.0];
+                sensor.fill_azimuths(
+                    found.row as usize,
+                    &[found],
+                    |found| (found.tick, found.steps),
+                    &mut azimuth,
+                );
+                (azimuth[0], found)
+            });
+            assert!(compare(before, after).is_lt(), "{before:?} {after:?}");
+            out_of_columns += usize::from(before.1.column > after.1.column);
+        }
+        assert!(out_of_columns > 100, "the image must have returns out of the columns' order");
+    }
+
+    #[test]
+    fn the_order_of_returns_in_no_order_is_found_too() {
+        let (sensor, image) = scanner();
+        let mut returns = image.file_order(&sensor);
+        returns.retain(|found| found.row == 0);
+        // Azimuths that fall from place to place, but nowhere by more than the seam does.
+        let mut azimuths: Vec<f64> = (0..returns.len()).rev().map(|i| i as f64 * 1e-4).collect();
+        let reversed: Vec<Return> = returns.iter().rev().copied().collect();
+        sort(&mut azimuths, &mut returns);
+        assert_eq!(returns, reversed);
+    }
+}

@@ -1,0 +1,414 @@
+//! Fits the sensor model to the sequence itself, with no prior knowledge of the scanner but its
+//! grids: 0.09 degree azimuth ticks and 2 mm range steps (Velodyne HDL-64E).
+//!
+//! The steps for each beam: (1) z against rho, a robust line, gives elevation and height; (2) the
+//! sideways offset is the one that makes the azimuth ticks most coherent; (3) the phase of the
+//! range on its grid gives the range offset; (4) all five constants by least squares on x, y, z.
+
+use std::cmp::Reverse;
+use std::f64::consts::TAU;
+
+use nalgebra::{SMatrix, SVector};
+use pulp::{Arch, NullaryFnOnce};
+use rayon::prelude::*;
+
+use super::beams::{Beam, Cone, Point, align, split_beams, thinned};
+use super::columns::column_shifts;
+use super::formula::small_atan;
+use super::sharpen::sharpen;
+use crate::ground::lanes::lanes;
+use crate::ground::rounding::round_ties_even;
+use crate::scan::ScanFile;
+use crate::scanner::{BeamConstants, Coordinates, Refinement, SensorModel};
+
+/// Azimuth ticks a turn of the scanners that the fit knows.
+const TICKS: u32 = 4000;
+/// Their range step in micrometres.
+pub const RANGE_STEP_UM: u32 = 2000;
+const RANGE_STEP: f64 = RANGE_STEP_UM as f64 * 1e-6;
+const TICK: f64 = TAU / TICKS as f64;
+/// Fewer points than this do not determine a beam.
+const FEWEST_POINTS: usize = 40;
+/// Points of a beam used where a sample is enough.
+const SAMPLE: usize = 1500;
+/// Constants that put fewer of a beam's points than this within reach of the corrections are wrong.
+const LEAST_OF_BEAM: f64 = 0.7;
+/// A model that explains fewer of the points than this is dropped.
+const LEAST_SHARE: f64 = 0.5;
+
+/// Fits a model to a sample of the sequence's scans. None if the points are not those of such a
+/// scanner, stored beam by beam.
+pub fn fit(sample: &[ScanFile]) -> Option<SensorModel> {
+    let scans: Vec<(Coordinates, Vec<Vec<Point>>)> = sample
+        .par_iter()
+        .map(|scan| {
+            (
+                Coordinates::of(scan.cloud.positions.iter().step_by(7).flatten()),
+                split_beams(&scan.cloud.positions),
+            )
+        })
+        .collect();
+    let on = |grid: Coordinates| -> Vec<&[Vec<Point>]> {
+        scans.iter().filter(|(other, _)| *other == grid).map(|(_, beams)| beams.as_slice()).collect()
+    };
+    let mut grids = [Coordinates::Millimetre, Coordinates::Float32];
+    grids.sort_by_key(|&grid| Reverse(on(grid).iter().copied().flatten().map(Vec::len).sum::<usize>()));
+    grids.into_iter().find_map(|grid| fit_scans(grid, &on(grid)))
+}
+
+/// Fits a model to scans with coordinates on the same grid.
+fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<SensorModel> {
+    let beams = align(scans);
+    let constants: Vec<_> = beams.par_iter().map(|beam| fit_beam(&beam.points(), coordinates)).collect();
+    let (beams, constants): (Vec<&Beam>, Vec<BeamConstants>) =
+        beams.iter().zip(constants).filter_map(|(beam, constants)| Some((beam, constants?))).unzip();
+    let taken = |scan: usize| beams.iter().map(|beam| beam.points_in(scan)).sum::<usize>();
+    let total = |scan: usize| scans[scan].iter().map(Vec::len).sum::<usize>();
+    let used = (0..scans.len()).filter(|&scan| taken(scan) > 0);
+    let (taken, total) = used.fold((0, 0), |sum, scan| (sum.0 + taken(scan), sum.1 + total(scan)));
+    if taken == 0 || (taken as f64) < LEAST_SHARE * total as f64 {
+        return None;
+    }
+    let mut model = SensorModel::new(coordinates, TICKS, RANGE_STEP_UM, constants);
+    let shifts = column_shifts(&model, &beams);
+    model.set_column_shifts(&shifts);
+    Some(match coordinates {
+        Coordinates::Float32 => in_single_precision(model, &beams),
+        _ => model,
+    })
+}
+
+/// The model with single-precision arithmetic, if that gives more of the coordinates to the bit.
+fn in_single_precision(model: SensorModel, beams: &[&Beam]) -> SensorModel {
+    /// Points of a beam that are compared.
+    const COMPARED: usize = 200;
+    let points: Vec<Vec<Point>> = beams.par_iter().map(|beam| beam.points()).collect();
+    let refinements: Vec<Option<Refinement>> =
+        points.par_iter().enumerate().map(|(row, points)| sharpen(&model, row, points)).collect();
+    if refinements.iter().all(Option::is_none) {
+        return model;
+    }
+    let refined =
+        model.clone().with_refinements(refinements.into_iter().map(Option::unwrap_or_default).collect());
+    let exact = |model: &SensorModel| {
+        let of_point = |row: usize, point: &Point| {
+            let Some((tick, steps)) = model.invert(row, point.position) else { return 0 };
+            let position = model.position_at(row, tick, model.metres(steps));
+            position.iter().zip(point.position).filter(|(a, b)| f64::from(**a as f32) == *b).count()
+        };
+        let of_beam = |(row, points): (usize, &Vec<Point>)| {
+            thinned(points, COMPARED).map(|point| of_point(row, point)).sum::<usize>()
+        };
+        points.par_iter().enumerate().map(of_beam).sum::<usize>()
+    };
+    if exact(&refined) > exact(&model) { refined } else { model }
+}
+
+/// The constants of one beam. None if its points are too few, or not those of such a beam.
+fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<BeamConstants> {
+    if points.len() < FEWEST_POINTS {
+        return None;
+    }
+    let cone = Cone::fit(&thinned(points, SAMPLE / 3).copied().collect::<Vec<_>>());
+    let elevation = cone.slope.atan();
+    let (side, rot) = side_offset(&far_sample(points));
+    let offset = range_phase(points, elevation);
+    let start = [elevation, offset, cone.height + cone.slope * offset, side, rot];
+    let constants = refine(start, points, coordinates);
+    (explained_share(&constants, points) >= LEAST_OF_BEAM).then(|| BeamConstants::quantise(constants))
+}
+
+/// Points far enough for their azimuth to be sharp, thinned.
+fn far_sample(points: &[Point]) -> Vec<Point> {
+    for least in [5.0, 3.2, 0.0] {
+        let far: Vec<&Point> = points.iter().filter(|p| p.rho > least).collect();
+        if far.len() >= 500 || least == 0.0 {
+            return thinned(&far, SAMPLE).map(|point| **point).collect();
+        }
+    }
+    Vec::new()
+}
+
+/// Strength and phase (radians) of a set of values on a grid of `period`.
+fn coherence(values: impl Iterator<Item = f64>, period: f64) -> (f64, f64) {
+    let (mut re, mut im) = (0.0, 0.0);
+    let by_period = 1.0 / period;
+    for value in values {
+        let turns = value * by_period;
+        re += wave(turns + 0.25);
+        im += wave(turns);
+    }
+    (re.hypot(im), im.atan2(re))
+}
+
+/// The sine of so many turns, to within a thousandth.
+fn wave(turns: f64) -> f64 {
+    let turn = turns - round_ties_even(turns);
+    let parabola = 16.0 * turn * (0.5 - turn.abs());
+    parabola + 0.225 * (parabola * parabola.abs() - parabola)
+}
+
+/// Step 2: the sideways offset h that makes the azimuths fall on the ticks, and the phase rot.
+/// First roughly by some of the points, then by all of them.
+fn side_offset(far: &[Point]) -> (f64, f64) {
+    let sample = |count: usize| thinned(far, count).copied().collect::<Vec<Point>>();
+    let at =
+        |points: &[Point], h: f64| coherence(points.iter().map(|p| p.azimuth - small_atan(h / p.rho)), TICK);
+    let best = |points: &[Point], mm: &mut dyn Iterator<Item = i32>| {
+        let strength = |mm: i32| at(points, f64::from(mm) * 1e-3).0;
+        mm.map(|mm| (mm, strength(mm))).max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(mm, _)| mm)
+    };
+    let rough = best(&sample(150), &mut (-60..=60).step_by(3));
+    let h = f64::from(best(&sample(400), &mut (rough - 3..=rough + 3))) * 1e-3;
+    (h, at(far, h).1 / TAU * TICK)
+}
+
+/// Step 3: the phase of the range on its grid, as the offset b in metres.
+fn range_phase(points: &[Point], elevation: f64) -> f64 {
+    let mut ranges: Vec<f64> = thinned(points, SAMPLE).map(|p| p.rho / elevation.cos()).collect();
+    // Without the nearest and the farthest.
+    let (first, end) = (ranges.len() / 20, ranges.len() * 17 / 20);
+    ranges.select_nth_unstable_by(end, f64::total_cmp);
+    ranges[..end].select_nth_unstable_by(first, f64::total_cmp);
+    let middle = &ranges[first..end];
+    coherence(middle.iter().copied(), RANGE_STEP).1 / TAU * RANGE_STEP * elevation.cos()
+}
+
+/// Step 4: Gauss-Newton on the misses of x, y and z, the integers held; repeated, as the integers
+/// change with the constants.
+fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 5] {
+    let mut constants = start;
+    let least_squares = |constants: &[f64; 5], count: usize, reach: f64| {
+        let formula = Formula::new(constants);
+        let mut system = System::default();
+        for point in thinned(points, count) {
+            let site = formula.at_one(point);
+            if site.largest_miss() < reach {
+                system.add(site.miss, &formula, &site);
+            }
+        }
+        system
+    };
+    // The first steps are long, and a few points are enough for them.
+    for (count, reach) in
+        [(SAMPLE / 8, 0.004), (SAMPLE / 8, 0.004), (SAMPLE / 4, 0.0015), (SAMPLE / 2, 0.0015)]
+    {
+        least_squares(&constants, count, reach).step(&mut constants);
+    }
+    let good = least_squares(&constants, SAMPLE, 0.0015);
+    good.step(&mut constants);
+    if coordinates == Coordinates::Millimetre {
+        centre_in_roundings(&mut constants, points, &good);
+    }
+    constants
+}
+
+/// A coordinate rounded to the millimetre misses by up to half of one however right the constants
+/// are: only what misses by more says that they are wrong. Moves the constants until little does,
+/// which makes them far sharper than least squares can.
+fn centre_in_roundings(constants: &mut [f64; 5], points: &[Point], whole: &System) {
+    const ROUNDS: usize = 12;
+    /// Metres.
+    const HALF_UNIT: f64 = 5e-4;
+    const REACH: f64 = 0.0015;
+    /// What comes no nearer to a border than this, in metres, will not cross one: least squares is
+    /// right to a few micrometres.
+    const NEAR_BORDER: f64 = 3e-5;
+    /// How much the points that fit hold the constants in place.
+    const INERTIA: f64 = 0.003;
+    let largest_misses = Formula::new(constants).largest_misses(points);
+    let is_near_border = |largest: f64| largest > HALF_UNIT - NEAR_BORDER && largest < REACH;
+    let near_border = points.iter().zip(largest_misses).filter(|(_, largest)| is_near_border(*largest));
+    let points: Vec<Point> = near_border.map(|(point, _)| *point).collect();
+    for _ in 0..ROUNDS {
+        let formula = Formula::new(constants);
+        let mut system = System { normal: whole.normal * INERTIA, ..System::default() };
+        let largest_misses = formula.largest_misses(&points);
+        let is_beyond = |largest: f64| largest > HALF_UNIT && largest < REACH;
+        for (point, _) in points.iter().zip(largest_misses).filter(|(_, largest)| is_beyond(*largest)) {
+            let site = formula.at_one(point);
+            let beyond = site.miss.map(|m| m - m.clamp(-HALF_UNIT, HALF_UNIT));
+            system.add(beyond, &formula, &site);
+        }
+        system.step(constants);
+    }
+}
+
+/// The normal equations of a least-squares problem in the five constants.
+#[derive(Default)]
+struct System {
+    normal: SMatrix<f64, 5, 5>,
+    right: SVector<f64, 5>,
+}
+
+impl System {
+    fn add(&mut self, [x, y, z]: [f64; 3], formula: &Formula, site: &Site) {
+        let [x_by, y_by, z_by] = formula.slopes(site);
+        // The others are 0.
+        self.add_axis([0, 1, 3, 4], x_by, x);
+        self.add_axis([0, 1, 3, 4], y_by, y);
+        self.add_axis([0, 2], z_by, z);
+    }
+
+    /// Adds what one coordinate is missed by, which has slopes against these of the constants.
+    #[inline(always)]
+    fn add_axis<const N: usize>(&mut self, constants: [usize; N], slope: [f64; 5], miss: f64) {
+        if miss != 0.0 {
+            // The lower triangle is all that is looked at.
+            for (place, &column) in constants.iter().enumerate() {
+                for &row in &constants[place..] {
+                    self.normal[(row, column)] += slope[row] * slope[column];
+                }
+                self.right[column] += slope[column] * miss;
+            }
+        }
+    }
+
+    /// Moves the constants to the solution; where there is none they stay.
+    fn step(&self, constants: &mut [f64; 5]) {
+        if let Some(cholesky) = self.normal.cholesky() {
+            let step = cholesky.solve(&self.right);
+            constants.iter_mut().zip(step.iter()).for_each(|(constant, s)| *constant += s);
+        }
+    }
+}
+
+/// The formula with the constants (V, b, c, h, rot) of one beam.
+struct Formula {
+    sin_v: f64,
+    cos_v: f64,
+    b: f64,
+    c: f64,
+    h: f64,
+    rot: f64,
+}
+
+/// The formula at the integers nearest to each of some points.
+#[derive(Clone, Copy)]
+struct Sites<const N: usize> {
+    d: [f64; N],
+    rho: [f64; N],
+    sin: [f64; N],
+    cos: [f64; N],
+    /// How far the formula misses the points along each axis, in metres.
+    miss: [[f64; N]; 3],
+}
+
+impl<const N: usize> Sites<N> {
+    /// By how much along the axis where most.
+    #[inline(always)]
+    fn largest_misses(&self) -> [f64; N] {
+        let [x, y, z] = &self.miss;
+        lanes(|i| x[i].abs().max(y[i].abs()).max(z[i].abs()))
+    }
+}
+
+/// The formula at the integers nearest to a point.
+struct Site {
+    d: f64,
+    rho: f64,
+    sin: f64,
+    cos: f64,
+    /// How far the formula misses the point, in metres.
+    miss: [f64; 3],
+}
+
+impl Site {
+    fn largest_miss(&self) -> f64 {
+        self.miss.iter().fold(0.0f64, |largest, m| largest.max(m.abs()))
+    }
+}
+
+impl Formula {
+    fn new(&[v, b, c, h, rot]: &[f64; 5]) -> Self {
+        Formula { sin_v: v.sin(), cos_v: v.cos(), b, c, h, rot }
+    }
+
+    fn at_one(&self, point: &Point) -> Site {
+        let Sites { d: [d], rho: [rho], sin: [sin], cos: [cos], miss: [[x], [y], [z]] } =
+            self.at(std::array::from_ref(point));
+        Site { d, rho, sin, cos, miss: [x, y, z] }
+    }
+
+    #[inline(always)]
+    fn at<const N: usize>(&self, points: &[Point; N]) -> Sites<N> {
+        let [x, y, z]: [[f64; N]; 3] = [0, 1, 2].map(|axis| lanes(|i| points[i].position[axis]));
+        let (rho_in_file, azimuth): ([f64; N], [f64; N]) =
+            (lanes(|i| points[i].rho), lanes(|i| points[i].azimuth));
+        let d: [f64; N] = lanes(|i| {
+            let metres = (rho_in_file[i] - self.b) * self.cos_v + (z[i] - self.c) * self.sin_v;
+            round_ties_even(metres * (1.0 / RANGE_STEP)) * RANGE_STEP
+        });
+        let rho: [f64; N] = lanes(|i| d[i] * self.cos_v + self.b);
+        let by_rho: [f64; N] = lanes(|i| 1.0 / rho_in_file[i]);
+        // phi is less than a tick from the point's azimuth: a few terms of the series turn the
+        // point there.
+        let turn: [f64; N] = lanes(|i| {
+            let (side, side_in_file) = (small_atan(self.h / rho[i]), small_atan(self.h * by_rho[i]));
+            let ticks = (azimuth[i] - side_in_file - self.rot) * (1.0 / TICK);
+            (round_ties_even(ticks) - ticks) * TICK + (side - side_in_file)
+        });
+        let sin_turn: [f64; N] = lanes(|i| turn[i] * (1.0 - turn[i] * turn[i] / 6.0));
+        let cos_turn: [f64; N] = lanes(|i| 1.0 - turn[i] * turn[i] / 2.0);
+        let cos: [f64; N] = lanes(|i| (x[i] * cos_turn[i] - y[i] * sin_turn[i]) * by_rho[i]);
+        let sin: [f64; N] = lanes(|i| (y[i] * cos_turn[i] + x[i] * sin_turn[i]) * by_rho[i]);
+        let miss = [
+            lanes(|i| x[i] - rho[i] * cos[i]),
+            lanes(|i| y[i] - rho[i] * sin[i]),
+            lanes(|i| z[i] - d[i] * self.sin_v - self.c),
+        ];
+        Sites { d, rho, sin, cos, miss }
+    }
+
+    /// How far the formula misses each point along the axis where most, in metres.
+    fn largest_misses(&self, points: &[Point]) -> Vec<f64> {
+        Arch::new().dispatch(LargestMisses { formula: self, points })
+    }
+
+    /// The slopes of the formula's x, y and z against (V, b, c, h, rot).
+    fn slopes(&self, &Site { d, rho, sin, cos, .. }: &Site) -> [[f64; 5]; 3] {
+        let square = rho * rho + self.h * self.h;
+        let rho_by = [-d * self.sin_v, 1.0, 0.0, 0.0, 0.0];
+        let phi_by_rho = -self.h / square;
+        let phi_by = [rho_by[0] * phi_by_rho, phi_by_rho, 0.0, rho / square, 1.0];
+        let x_by = std::array::from_fn(|i| cos * rho_by[i] - rho * sin * phi_by[i]);
+        let y_by = std::array::from_fn(|i| sin * rho_by[i] + rho * cos * phi_by[i]);
+        let z_by = [d * self.cos_v, 0.0, 1.0, 0.0, 0.0];
+        [x_by, y_by, z_by]
+    }
+}
+
+/// What it takes to find how far the formula misses points.
+struct LargestMisses<'a> {
+    formula: &'a Formula,
+    points: &'a [Point],
+}
+
+impl NullaryFnOnce for LargestMisses<'_> {
+    type Output = Vec<f64>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<f64> {
+        /// Points at a time.
+        const LANES: usize = 8;
+        let mut misses = vec![0.0; self.points.len()];
+        let (blocks, rest) = self.points.as_chunks::<LANES>();
+        let (of_blocks, of_rest) = misses.as_chunks_mut::<LANES>();
+        for (block, misses) in blocks.iter().zip(of_blocks) {
+            *misses = self.formula.at(block).largest_misses();
+        }
+        for (point, miss) in rest.iter().zip(of_rest) {
+            [*miss] = self.formula.at(std::array::from_ref(point)).largest_misses();
+        }
+        misses
+    }
+}
+
+/// Share of some of the points that the formula gives to within what its corrections reach.
+fn explained_share(constants: &[f64; 5], points: &[Point]) -> f64 {
+    /// Metres.
+    const REACH: f64 = 0.0016;
+    let points: Vec<Point> = thinned(points, SAMPLE).copied().collect();
+    let misses = Formula::new(constants).largest_misses(&points);
+    misses.iter().filter(|miss| **miss < REACH).count() as f64 / misses.len().max(1) as f64
+}

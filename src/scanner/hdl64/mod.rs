@@ -1,0 +1,28 @@
+//! Velodyne HDL-64E: a formula with constants for each beam, files row by row.
+
+mod alignment;
+mod beams;
+mod columns;
+mod file_order;
+mod fit;
+mod formula;
+mod model;
+mod near;
+mod positions;
+mod projection;
+mod sharpen;
+mod sine;
+mod single_precision;
+#[cfg(test)]
+mod testing;
+
+pub use alignment::Alignment;
+pub(crate) use beams::{Point as BeamPoint, split_beams, thinned};
+pub use fit::{RANGE_STEP_UM, fit};
+pub use model::{
+    BeamConstants, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, SensorModel, Sighting,
+};
+pub use positions::positions;
+pub use projection::{EXACT_RANGE_BITS, Projection, REACH, project, project_nearest};
+pub use sine::sine_and_cosine;
+pub use single_precision::Refinement;

@@ -1,0 +1,547 @@
+//! The calibrated sensor model: the formula of a Velodyne HDL-64E with constants for each beam.
+//!
+//! For beam `k` with elevation V, range offset b, height c, sideways offset h and azimuth
+//! offset rot, a range of `n` steps and an azimuth of `t` ticks:
+//!
+//! ```text
+//! d   = n * range_step
+//! rho = d * cos V + b                    horizontal distance from the axis
+//! z   = d * sin V + c
+//! phi = t * tick + rot + atan(h / rho)
+//! x, y = rho * cos phi, rho * sin phi
+//! ```
+//!
+//! Encoder and decoder evaluate it with the same operations on the same quantised constants;
+//! the hot path holds only `+ - * / sqrt`, which every platform rounds alike.
+
+use std::f64::consts::TAU;
+
+use super::formula::{Formula, Tick, small_atan};
+use super::single_precision::{Arithmetic, Refinement};
+use crate::ground::error::{Error, Result};
+use crate::ground::lanes::lanes;
+use crate::ground::rounding::round_ties_even;
+use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
+use crate::scanner::Coordinates;
+
+/// Radians of one unit of a quantised angle.
+const ANGLE_UNIT: f64 = 1.0 / (1u64 << 32) as f64;
+/// Metres of one unit of a quantised length.
+const LENGTH_UNIT: f64 = 1.0 / (1u64 << 24) as f64;
+/// Quantised constants are below this: 4 rad, or 1 km.
+const LARGEST_CONSTANT: u64 = 1 << 34;
+/// More beams than any scanner has.
+const MOST_BEAMS: u64 = 1024;
+/// The number that stands for float32 coordinates by single-precision arithmetic, beside those of the grids.
+const SINGLE_PRECISION: u64 = 2;
+/// The finest azimuth grid allowed: 0.001 degree.
+pub const MOST_TICKS: u64 = 360_000;
+
+/// The constants of one beam, quantised as they stand in the stream.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BeamConstants {
+    /// V, in 2^-32 rad.
+    pub elevation: i64,
+    /// b, in 2^-24 m.
+    pub range_offset: i64,
+    /// c, in 2^-24 m.
+    pub height: i64,
+    /// h, in 2^-24 m.
+    pub side_offset: i64,
+    /// rot, in 2^-32 rad.
+    pub azimuth_offset: i64,
+    /// Ticks from this beam's azimuth to the column of its firing: column tick = t + shift.
+    pub column_shift: i64,
+}
+
+impl BeamConstants {
+    /// Quantises (V, b, c, h, rot), in radians and metres.
+    pub fn quantise([v, b, c, h, rot]: [f64; 5]) -> Self {
+        let angle = |a: f64| (a / ANGLE_UNIT).round() as i64;
+        let length = |l: f64| (l / LENGTH_UNIT).round() as i64;
+        BeamConstants {
+            elevation: angle(v),
+            range_offset: length(b),
+            height: length(c),
+            side_offset: length(h),
+            azimuth_offset: angle(rot),
+            column_shift: 0,
+        }
+    }
+
+    /// (V, b, c, h, rot), in radians and metres.
+    pub(crate) fn values(&self) -> [f64; 5] {
+        let angle = |units: i64| units as f64 * ANGLE_UNIT;
+        let length = |units: i64| units as f64 * LENGTH_UNIT;
+        [
+            angle(self.elevation),
+            length(self.range_offset),
+            length(self.height),
+            length(self.side_offset),
+            angle(self.azimuth_offset),
+        ]
+    }
+
+    fn fields(&mut self) -> [&mut i64; 6] {
+        [
+            &mut self.elevation,
+            &mut self.range_offset,
+            &mut self.height,
+            &mut self.side_offset,
+            &mut self.azimuth_offset,
+            &mut self.column_shift,
+        ]
+    }
+}
+
+/// Where a point is seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sighting {
+    /// The nearest beam.
+    pub row: usize,
+    /// The nearest column tick.
+    pub column_tick: u32,
+    /// The range at which that beam passes nearest to it.
+    pub metres: f64,
+    /// How far it is from that beam and tick, in radians.
+    pub off: f64,
+}
+
+/// The scanner of a sequence.
+#[derive(Clone, Debug)]
+pub struct SensorModel {
+    /// The grid of the file's coordinates.
+    pub coordinates: Coordinates,
+    /// Azimuth ticks a turn (4000 for 0.09 degrees).
+    pub ticks: u32,
+    /// One range step, in micrometres (2000 for 2 mm); [`FLOAT_RANGES`]: steps are the bits of ranges
+    /// in metres as float32.
+    pub range_step_um: u32,
+    /// Constants of each beam, in the order of the rows of the file.
+    constants: Vec<BeamConstants>,
+    pub(crate) beams: Vec<Formula>,
+    pub(crate) ticks_of_turn: Vec<Tick>,
+    /// The angle of each tick, in radians.
+    angles: Vec<f64>,
+    /// The column shift of each beam, less whole turns: 0 to `ticks`, exclusive.
+    shifts: Vec<u32>,
+    /// Refinements of each beam, if the file's coordinates come from single-precision arithmetic.
+    refinements: Option<Vec<Refinement>>,
+    single: Vec<Arithmetic>,
+}
+
+impl PartialEq for SensorModel {
+    fn eq(&self, other: &Self) -> bool {
+        self.coordinates == other.coordinates
+            && self.ticks == other.ticks
+            && self.range_step_um == other.range_step_um
+            && self.constants == other.constants
+            && self.refinements == other.refinements
+    }
+}
+
+impl SensorModel {
+    /// A model from quantised constants. `ticks` must not be 0.
+    pub fn new(
+        coordinates: Coordinates,
+        ticks: u32,
+        range_step_um: u32,
+        constants: Vec<BeamConstants>,
+    ) -> Self {
+        let beams = constants.iter().map(Formula::new).collect();
+        let angles: Vec<f64> = (0..ticks).map(|t| f64::from(t) / f64::from(ticks) * TAU).collect();
+        let ticks_of_turn = angles.iter().map(|&angle| Tick::at(angle)).collect();
+        let (refinements, single, shifts) = (None, Vec::new(), Vec::new());
+        let mut model = SensorModel {
+            coordinates,
+            ticks,
+            range_step_um,
+            constants,
+            beams,
+            ticks_of_turn,
+            angles,
+            shifts,
+            refinements,
+            single,
+        };
+        model.shifts = model.constants.iter().map(|beam| model.within_turn(beam.column_shift)).collect();
+        model
+    }
+
+    /// The same scanner, whose file was written by single-precision arithmetic with constants that are sharper
+    /// by these, one for each beam.
+    pub fn with_refinements(mut self, refinements: Vec<Refinement>) -> Self {
+        let of_row = |(row, refinement)| self.single_precision(row).refined(refinement);
+        self.single = refinements.iter().take(self.rows()).enumerate().map(of_row).collect();
+        self.refinements = Some(refinements);
+        self
+    }
+
+    /// The constants of beam `row` as single-precision arithmetic has them, but not refined.
+    pub(crate) fn single_precision(&self, row: usize) -> Arithmetic {
+        let Formula { sin_v, cos_v, b, c, h, rot, .. } = self.beams[row];
+        Arithmetic::new([sin_v, cos_v, b, c, h, rot], self.ticks)
+    }
+
+    /// The same scanner, its ranges rounded to other steps, in micrometres.
+    pub fn with_range_step(self, range_step_um: u32) -> Self {
+        SensorModel { range_step_um, ..self }
+    }
+
+    /// Number of beams, which is the number of rows of the range image.
+    pub fn rows(&self) -> usize {
+        self.beams.len()
+    }
+
+    /// The elevation of beam `row`, in radians.
+    pub fn elevation(&self, row: usize) -> f64 {
+        self.constants[row].elevation as f64 * ANGLE_UNIT
+    }
+
+    /// The height above the scanner's centre at which beam `row` leaves it, in metres.
+    pub fn height(&self, row: usize) -> f64 {
+        self.constants[row].height as f64 * LENGTH_UNIT
+    }
+
+    /// The unit vector along which beam `row` looks at azimuth tick `tick`, as if all beams left one
+    /// point.
+    #[inline]
+    pub fn direction(&self, row: usize, tick: u32) -> [f64; 3] {
+        let beam = &self.beams[row];
+        let (x, y) = beam.heading(&self.ticks_of_turn[tick as usize]);
+        [x * beam.cos_v, y * beam.cos_v, beam.sin_v]
+    }
+
+    /// One range step, in metres; 0 if ranges are float32.
+    pub fn range_step_m(&self) -> f64 {
+        f64::from(self.range_step_um) * 1e-6
+    }
+
+    /// A range of `steps`, in metres.
+    #[inline]
+    pub fn metres(&self, steps: u32) -> f64 {
+        match self.range_step_um {
+            FLOAT_RANGES => f64::from(f32::from_bits(steps)),
+            _ => f64::from(steps) * self.range_step_m(),
+        }
+    }
+
+    /// The longest range that a range image of this sensor holds, in steps.
+    pub fn most_steps(&self) -> u32 {
+        if self.range_step_um == FLOAT_RANGES { FARTHEST.to_bits() } else { MOST_STEPS }
+    }
+
+    /// The steps nearest to a positive range in metres, as far as the range image goes.
+    pub fn nearest_steps(&self, metres: f64) -> u32 {
+        let metres = metres.min(f64::from(FARTHEST));
+        match self.range_step_um {
+            FLOAT_RANGES => (metres as f32).to_bits(),
+            step => round_ties_even(metres * (1e6 / f64::from(step))).min(f64::from(MOST_STEPS)) as u32,
+        }
+    }
+
+    /// The steps nearest to a range in metres, for the encoder. None if there are none.
+    pub fn steps(&self, metres: f64) -> Option<u32> {
+        let steps = match self.range_step_um {
+            FLOAT_RANGES => f64::from((metres as f32).to_bits()),
+            step => round_ties_even(metres * (1e6 / f64::from(step))),
+        };
+        let in_reach = metres > 0.0 && steps >= 1.0 && steps <= f64::from(self.most_steps());
+        in_reach.then_some(steps as u32)
+    }
+
+    /// The column tick (0 to `ticks`, exclusive) of azimuth tick `tick` of beam `row`.
+    #[inline]
+    pub fn column_tick(&self, row: usize, tick: i64) -> u32 {
+        self.within_turn(tick + i64::from(self.shifts[row]))
+    }
+
+    /// The azimuth tick (0 to `ticks`, exclusive) of beam `row` at a column tick, which is one too.
+    #[inline]
+    pub fn tick_of_column(&self, row: usize, column_tick: u32) -> u32 {
+        self.ticks_of_columns(row)(column_tick)
+    }
+
+    /// As [`tick_of_column`](Self::tick_of_column), for many columns.
+    #[inline(always)]
+    pub fn ticks_of_columns(&self, row: usize) -> impl Fn(u32) -> u32 + use<> {
+        let (ticks, shift) = (self.ticks, self.shifts[row]);
+        move |column_tick| {
+            debug_assert!(column_tick < ticks);
+            let turn = if column_tick < shift { ticks } else { 0 };
+            column_tick + turn - shift
+        }
+    }
+
+    /// The inverse of [`ticks_of_columns`](Self::ticks_of_columns).
+    #[inline(always)]
+    pub fn columns_of_ticks(&self, row: usize) -> impl Fn(u32) -> u32 + use<> {
+        let (ticks, shift) = (self.ticks, self.shifts[row]);
+        move |tick| {
+            debug_assert!(tick < ticks);
+            let column_tick = tick + shift;
+            column_tick - if column_tick >= ticks { ticks } else { 0 }
+        }
+    }
+
+    /// The column tick from which on the azimuths of beam `row` rise from 0, but for what its points' ranges do to
+    /// them.
+    pub fn first_column_tick(&self, row: usize) -> u32 {
+        let turned = self.beams[row].rot * (f64::from(self.ticks) / TAU);
+        self.column_tick(row, (-turned).ceil() as i64)
+    }
+
+    /// A tick brought into one turn: mostly it is at most one away.
+    #[inline]
+    fn within_turn(&self, tick: i64) -> u32 {
+        let turn = i64::from(self.ticks);
+        if (-turn..2 * turn).contains(&tick) {
+            (tick + if tick < 0 { turn } else { 0 } - if tick >= turn { turn } else { 0 }) as u32
+        } else {
+            tick.rem_euclid(turn) as u32
+        }
+    }
+
+    /// The formula: x, y and z in metres, before they are rounded to the file's grid.
+    pub fn point(&self, row: usize, tick: u32, steps: u32) -> [f64; 3] {
+        self.point_at(row, tick, self.metres(steps))
+    }
+
+    /// Ranges in steps, in metres.
+    #[inline(always)]
+    fn metres_of<const N: usize>(&self, steps: [u32; N]) -> [f64; N] {
+        match self.range_step_um {
+            FLOAT_RANGES => lanes(|i| self.metres(steps[i])),
+            _ => lanes(|i| f64::from(steps[i]) * self.range_step_m()),
+        }
+    }
+
+    /// phi of the formula, in radians from 0 to 2 pi, of points of one row: the order of these in the file.
+    /// `place` tells the tick and the steps of each.
+    #[inline(always)]
+    pub fn fill_azimuths<P>(
+        &self,
+        row: usize,
+        points: &[P],
+        place: impl Fn(&P) -> (u32, u32),
+        azimuths: &mut [f64],
+    ) {
+        /// Points at a time.
+        const LANES: usize = 8;
+        let (blocks, rest) = points.as_chunks::<LANES>();
+        let (of_blocks, of_rest) = azimuths.as_chunks_mut::<LANES>();
+        for (block, azimuths) in blocks.iter().zip(of_blocks) {
+            *azimuths = self.azimuths(row, block, &place);
+        }
+        for (point, azimuth) in rest.iter().zip(of_rest) {
+            [*azimuth] = self.azimuths(row, std::array::from_ref(point), &place);
+        }
+    }
+
+    #[inline(always)]
+    fn azimuths<P, const N: usize>(
+        &self,
+        row: usize,
+        points: &[P; N],
+        place: impl Fn(&P) -> (u32, u32),
+    ) -> [f64; N] {
+        let metres = self.metres_of(lanes(|i| place(&points[i]).1));
+        self.beams[row].azimuths(lanes(|i| self.angles[place(&points[i]).0 as usize]), metres)
+    }
+
+    /// The formula inverted: the azimuth tick and range steps that come nearest to a point of beam
+    /// `row` (metres), for the encoder. None if the point has no such range.
+    pub fn invert(&self, row: usize, [x, y, z]: [f64; 3]) -> Option<(u32, u32)> {
+        let beam = &self.beams[row];
+        let rho = (x * x + y * y).sqrt();
+        let steps = self.steps(beam.range(rho, z))?;
+        let azimuth = y.atan2(x);
+        azimuth.is_finite().then(|| (self.nearest_tick(row, azimuth, rho), steps))
+    }
+
+    /// The tick of beam `row` that is nearest to an azimuth, in radians, at distance `rho` from the axis, in metres.
+    pub(crate) fn nearest_tick(&self, row: usize, azimuth: f64, rho: f64) -> u32 {
+        let beam = &self.beams[row];
+        let turned = azimuth - small_atan(beam.h / rho) - beam.rot;
+        self.within_turn(round_ties_even(turned * (f64::from(self.ticks) / TAU)) as i64)
+    }
+
+    /// Where a point (metres) near beam `hint`'s cone is seen, for both sides; the same on every platform.
+    /// None if it is on no cone, or too near.
+    pub fn locate(&self, hint: usize, [x, y, z]: [f64; 3]) -> Option<Sighting> {
+        /// Metres; nearer than this is inside the scanner.
+        const NEAREST: f64 = 0.5;
+        let rho = (x * x + y * y).sqrt();
+        let miss = |row: usize| self.beams.get(row).map(|beam| (beam.height_at(rho) - z).abs());
+        let (mut row, mut least) = (hint, miss(hint)?);
+        // The beams of real scanners are in the order of their elevations.
+        for step in [1, -1] {
+            while let Some((next, off)) = row.checked_add_signed(step).and_then(|row| Some((row, miss(row)?)))
+            {
+                if off >= least {
+                    break;
+                }
+                (row, least) = (next, off);
+            }
+        }
+        let beam = &self.beams[row];
+        let metres = beam.range(rho, z);
+        if !(metres > NEAREST && metres < f64::from(FARTHEST)) {
+            return None;
+        }
+        let azimuth = libm::atan2(y, x) - small_atan(beam.h / rho) - beam.rot;
+        let tick = azimuth * (f64::from(self.ticks) / TAU);
+        let nearest = round_ties_even(tick);
+        let aside = (tick - nearest).abs() * (TAU / f64::from(self.ticks));
+        let column_tick = self.column_tick(row, nearest as i64);
+        Some(Sighting { row, column_tick, metres, off: least / metres + aside })
+    }
+
+    /// The formula for a range in metres that need not be a whole number of steps.
+    #[inline]
+    pub fn point_at(&self, row: usize, tick: u32, metres: f64) -> [f64; 3] {
+        let [[x], [y], [z]] = self.beams[row].points([self.ticks_of_turn[tick as usize]], [metres]);
+        [x, y, z]
+    }
+
+    /// Fills in positions of points of beam `row`, as well as the model gives them
+    /// ([`position_at`](Self::position_at)) and as `stored` makes a coordinate of the file of metres.
+    /// `place` tells the tick and the steps of each; they are `offset_m` metres farther than these say.
+    #[inline(always)]
+    pub fn fill_positions<P>(
+        &self,
+        row: usize,
+        (points, offset_m): (&[P], f64),
+        place: impl Fn(&P) -> (u32, u32),
+        stored: impl Fn(f64) -> f32,
+        positions: &mut [[f32; 3]],
+    ) {
+        /// Points at a time.
+        const LANES: usize = 8;
+        let (blocks, rest) = points.as_chunks::<LANES>();
+        let (of_blocks, of_rest) = positions.as_chunks_mut::<LANES>();
+        let single = self.single.get(row);
+        for (block, positions) in blocks.iter().zip(of_blocks) {
+            let ticks: [u32; LANES] = lanes(|i| place(&block[i]).0);
+            let near: [f64; LANES] = self.metres_of(lanes(|i| place(&block[i]).1));
+            let metres: [f64; LANES] = lanes(|i| near[i] + offset_m);
+            let [x, y, z]: [[f64; LANES]; 3] = match single {
+                Some(single) => {
+                    let [x, y, z] = single.positions(ticks, metres);
+                    [lanes(|i| x[i].into()), lanes(|i| y[i].into()), lanes(|i| z[i].into())]
+                }
+                None => self.beams[row].points(lanes(|i| self.ticks_of_turn[ticks[i] as usize]), metres),
+            };
+            *positions = lanes(|i| [stored(x[i]), stored(y[i]), stored(z[i])]);
+        }
+        for (point, position) in rest.iter().zip(of_rest) {
+            let (tick, steps) = place(point);
+            *position = self.position_at(row, tick, self.metres(steps) + offset_m).map(&stored);
+        }
+    }
+
+    /// The position in the file, as well as the model gives it, in metres; by single-precision arithmetic if the
+    /// file was written so, else by the formula. The range need not be a whole number of steps.
+    #[inline]
+    pub fn position_at(&self, row: usize, tick: u32, metres: f64) -> [f64; 3] {
+        match self.single.get(row) {
+            Some(single) => single.position(tick, metres).map(f64::from),
+            None => self.point_at(row, tick, metres),
+        }
+    }
+
+    /// Whether the model has single-precision arithmetic.
+    pub fn is_single_precision(&self) -> bool {
+        self.refinements.is_some()
+    }
+
+    /// The beam whose cone passes nearest to a point at distance `rho` and height `z` (metres),
+    /// looking at `hint` first.
+    pub fn nearest_beam(&self, rho: f64, z: f64, hint: usize) -> usize {
+        let miss = |row: usize| (self.beams[row].height_at(rho) - z).abs();
+        for row in [hint, hint + 1] {
+            if row < self.rows() && miss(row) < ON_CONE {
+                return row;
+            }
+        }
+        (0..self.rows()).min_by(|&a, &b| miss(a).total_cmp(&miss(b))).unwrap_or(0)
+    }
+
+    /// The payload of the model's record in the stream.
+    pub fn to_record(&self) -> Vec<u8> {
+        let mut record = Vec::new();
+        self.write_to(&mut record);
+        record
+    }
+
+    /// Writes the model's record of the stream.
+    pub fn write_to(&self, out: &mut Vec<u8>) {
+        let coordinates =
+            if self.is_single_precision() { SINGLE_PRECISION } else { self.coordinates.to_code() };
+        write_unsigned(out, coordinates);
+        write_unsigned(out, u64::from(self.ticks));
+        write_unsigned(out, u64::from(self.range_step_um));
+        write_unsigned(out, self.constants.len() as u64);
+        for mut beam in self.constants.iter().copied() {
+            beam.fields().into_iter().for_each(|field| write_signed(out, *field));
+        }
+        self.refinements.iter().flatten().for_each(|refinement| refinement.write_to(out));
+    }
+
+    /// Reads what [`write_to`](Self::write_to) wrote.
+    ///
+    /// # Errors
+    /// If the record is cut short or holds values that no scanner has.
+    pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
+        let (coordinates, is_single_precision) = match read_unsigned(bytes, "sensor model")? {
+            code @ 0..2 => (Coordinates::from_code(code), false),
+            SINGLE_PRECISION => (Coordinates::Float32, true),
+            other => return Err(Error::corrupt(format!("sensor model: unknown coordinate grid {other}"))),
+        };
+        let mut bounded = |what: &str, min, max| match read_unsigned(bytes, "sensor model")? {
+            got if (min..=max).contains(&got) => Ok(got as u32),
+            got => Err(Error::LimitExceeded { what: what.to_owned(), got, max }),
+        };
+        let ticks = bounded("sensor model: ticks a turn", 1, MOST_TICKS)?;
+        let range_step_um = bounded("sensor model: range step in micrometres", 0, MOST_RANGE_STEP_UM)?;
+        let rows = bounded("sensor model: beams", 1, MOST_BEAMS)?;
+        let mut constants = Vec::new();
+        for _ in 0..rows {
+            let mut beam = BeamConstants::default();
+            for field in beam.fields() {
+                *field = read_signed(bytes, "sensor model")?;
+                if field.unsigned_abs() > LARGEST_CONSTANT {
+                    return Err(Error::corrupt("sensor model: a constant is out of range"));
+                }
+            }
+            constants.push(beam);
+        }
+        let model = Self::new(coordinates, ticks, range_step_um, constants);
+        if !is_single_precision {
+            return Ok(model);
+        }
+        let refinements = (0..rows).map(|_| Refinement::read_from(bytes)).collect::<Result<_>>()?;
+        Ok(model.with_refinements(refinements))
+    }
+
+    /// The column shifts, for the fit to fill in.
+    pub(crate) fn set_column_shifts(&mut self, shifts: &[i64]) {
+        self.constants.iter_mut().zip(shifts).for_each(|(beam, &shift)| beam.column_shift = shift);
+        self.shifts = shifts.iter().map(|&shift| self.within_turn(shift)).collect();
+    }
+}
+
+/// Metres; closer than half the distance of two beams' cones at any range.
+pub(crate) const ON_CONE: f64 = 0.004;
+
+/// The longest range that any range image holds, in steps.
+pub const MOST_STEPS: u32 = (1 << 24) - 1;
+
+/// The value of [`SensorModel::range_step_um`] for ranges that are float32.
+pub const FLOAT_RANGES: u32 = 0;
+
+/// The coarsest range step, in micrometres.
+pub const MOST_RANGE_STEP_UM: u64 = 1_000_000;
+
+/// Metres: the longest range of ranges that are float32.
+const FARTHEST: f32 = 1e6;

@@ -1,0 +1,68 @@
+//! The formula inverted for several points at a time, where they are expected. For the encoder, whose points
+//! nearly always follow one another by a tick.
+
+use std::f64::consts::TAU;
+
+use super::model::ON_CONE;
+use crate::ground::lanes::lanes;
+use crate::ground::rounding::round_ties_even;
+use crate::scanner::{FLOAT_RANGES, SensorModel};
+
+/// Ticks over which an angle is as good as its sine.
+const NEAR: f64 = 16.0;
+
+impl SensorModel {
+    /// The ticks and the range steps of points (metres, as the file has them) of beam `row`, none of them far from
+    /// tick `hint`. None if that is not what they all are, if one is off the file's grid, or if the formula
+    /// misses one by `reach` metres or more along an axis.
+    #[inline(always)]
+    pub fn invert_near<const N: usize>(
+        &self,
+        row: usize,
+        points: &[[f32; 3]; N],
+        hint: u32,
+        reach: f64,
+    ) -> Option<[(u32, u32); N]> {
+        let (beam, turn) = (&self.beams[row], f64::from(self.ticks));
+        if self.range_step_um == FLOAT_RANGES || turn < 16.0 * NEAR {
+            return None;
+        }
+        let [x, y, z]: [[f64; N]; 3] = [0, 1, 2].map(|axis| lanes(|i| f64::from(points[i][axis])));
+        let rho: [f64; N] = lanes(|i| (x[i] * x[i] + y[i] * y[i]).sqrt());
+        let (cos, sin) = beam.heading(&self.ticks_of_turn[hint as usize]);
+        let turned: [f64; N] = lanes(|i| (y[i] * cos - x[i] * sin - beam.h) / rho[i] * (turn * (1.0 / TAU)));
+        let steps: [f64; N] =
+            lanes(|i| round_ties_even(beam.range(rho[i], z[i]) * (1e6 / f64::from(self.range_step_um))));
+        let most = f64::from(self.most_steps());
+        let is_expected = |i: usize| {
+            ((beam.height_at(rho[i]) - z[i]).abs() < ON_CONE)
+                & (turned[i].abs() < NEAR)
+                & (x[i] * cos + y[i] * sin > 0.0)
+                & (steps[i] >= 1.0)
+                & (steps[i] <= most)
+        };
+        // Loops, for calls would not be compiled for the same vector unit.
+        let mut all_expected = true;
+        for i in 0..N {
+            all_expected &= is_expected(i);
+        }
+        if !all_expected {
+            return None;
+        }
+        let ticks: [u32; N] = lanes(|i| {
+            let tick = hint as i32 + round_ties_even(turned[i]) as i32;
+            let (first, end) = (tick < 0, tick >= self.ticks as i32);
+            (tick + self.ticks as i32 * (i32::from(first) - i32::from(end))) as u32
+        });
+        let metres: [f64; N] = lanes(|i| steps[i] * self.range_step_m());
+        let formula = beam.points(lanes(|i| self.ticks_of_turn[ticks[i] as usize]), metres);
+        let mut all_near = true;
+        for (axis, values) in [x, y, z].into_iter().enumerate() {
+            for i in 0..N {
+                all_near &= (formula[axis][i] - values[i]).abs() < reach;
+            }
+            all_near &= self.coordinates.holds_all(values, formula[axis]);
+        }
+        all_near.then(|| lanes(|i| (ticks[i], steps[i] as u32)))
+    }
+}

@@ -1,0 +1,93 @@
+//! Where the returns of a range image are by the formula.
+
+use pulp::{Arch, NullaryFnOnce};
+
+use crate::scanner::Return;
+use crate::scanner::{Coordinates, SensorModel, nearest_millimetre};
+
+/// Positions of returns (metres), which come row by row and are `offset_m` metres farther than their steps say:
+/// as the file's grid has them if they are `on_grid`, else as the formula gives them.
+pub fn positions(sensor: &SensorModel, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
+    Arch::new().dispatch(Filling { sensor, returns, offset_m, on_grid })
+}
+
+/// What it takes to find positions.
+struct Filling<'a> {
+    sensor: &'a SensorModel,
+    returns: &'a [Return],
+    offset_m: f64,
+    on_grid: bool,
+}
+
+impl NullaryFnOnce for Filling<'_> {
+    type Output = Vec<[f32; 3]>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<[f32; 3]> {
+        let Filling { sensor, returns, offset_m, on_grid } = self;
+        /// Metres: within the reach of `nearest_millimetre`, whatever the beams' offsets.
+        const NEAR: f64 = 1.9e6;
+        let grid = sensor.coordinates;
+        let is_near = sensor.metres(sensor.most_steps()) < NEAR;
+        match (on_grid, grid) {
+            (true, Coordinates::Millimetre) if is_near => fill(sensor, returns, offset_m, nearest_millimetre),
+            (true, Coordinates::Float32) => {
+                // As `nearest` has it, without counting floats.
+                fill(sensor, returns, offset_m, |formula| if formula.is_nan() { 0.0 } else { formula as f32 })
+            }
+            (true, _) => fill(sensor, returns, offset_m, |formula| grid.nearest(formula)),
+            (false, _) => fill(sensor, returns, offset_m, |formula| formula as f32),
+        }
+    }
+}
+
+#[inline(always)]
+fn fill(
+    sensor: &SensorModel,
+    returns: &[Return],
+    offset_m: f64,
+    stored: impl Fn(f64) -> f32,
+) -> Vec<[f32; 3]> {
+    let mut positions = vec![[0.0; 3]; returns.len()];
+    let (mut returns, mut rest) = (returns, positions.as_mut_slice());
+    while let Some(first) = returns.first() {
+        let of_row = returns.partition_point(|found| found.row <= first.row).max(1);
+        let (of_row, others) = returns.split_at(of_row);
+        let (own, behind) = rest.split_at_mut(of_row.len());
+        let place = |found: &Return| (found.tick, found.steps);
+        sensor.fill_positions(first.row as usize, (of_row, offset_m), place, &stored, own);
+        (returns, rest) = (others, behind);
+    }
+    positions
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scanner::Refinement;
+    use crate::scanner::hdl64::testing::scanner;
+
+    #[test]
+    fn every_vector_unit_gives_the_same_bits() {
+        let bits =
+            |positions: &[[f32; 3]]| positions.concat().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        let (sensor, image) = scanner();
+        let single = sensor.clone().with_refinements(vec![Refinement::default(); sensor.rows()]);
+        let mut of_floats = single.clone();
+        of_floats.coordinates = Coordinates::Float32;
+        for sensor in [of_floats, single, sensor] {
+            let returns = image.file_order(&sensor);
+            for on_grid in [false, true] {
+                let here = positions(&sensor, &returns, 1e-4, on_grid);
+                let anywhere = Filling { sensor: &sensor, returns: &returns, offset_m: 1e-4, on_grid }.call();
+                assert_eq!(bits(&here), bits(&anywhere));
+                let alone = returns.iter().map(|found| {
+                    let metres = sensor.metres(found.steps) + 1e-4;
+                    let position = sensor.position_at(found.row as usize, found.tick, metres);
+                    position.map(|m| if on_grid { sensor.coordinates.nearest(m) } else { m as f32 })
+                });
+                assert_eq!(bits(&here), bits(&alone.collect::<Vec<_>>()));
+            }
+        }
+    }
+}

@@ -1,0 +1,226 @@
+//! Where the points of a scan lie in a range image.
+
+use pulp::{Arch, NullaryFnOnce};
+
+use crate::ground::grid::Grid;
+use crate::ground::lanes::lanes;
+use crate::scan::{PointCloud, squared_distance};
+use crate::scanner::RangeImage;
+use crate::scanner::SensorModel;
+
+/// Where each point of a scan went.
+#[derive(Debug, Default)]
+pub struct Projection {
+    /// The range image.
+    pub image: RangeImage,
+    /// For each cell, the number of the point in it; only cells with a return count.
+    pub point_of_cell: Grid<u32>,
+    /// The points outside the image, rising.
+    pub strays: Vec<u32>,
+}
+
+impl Projection {
+    /// How far the formula misses the points of the image, in metres, row after row.
+    pub fn misses(&self, sensor: &SensorModel, cloud: &PointCloud) -> Vec<f64> {
+        let mut misses = Vec::with_capacity(cloud.positions.len());
+        for row in 0..self.image.steps.rows() {
+            for (column, &steps) in self.image.steps.row(row).iter().enumerate().filter(|(_, s)| **s > 0) {
+                let tick = sensor.tick_of_column(row, self.image.columns[column]);
+                let formula = sensor.point(row, tick, steps).map(|metres| metres as f32);
+                let point = &cloud.positions[self.point_of_cell[(row, column)] as usize];
+                misses.push(squared_distance(&formula, point).sqrt());
+            }
+        }
+        misses
+    }
+}
+
+/// The longest range of an image that loses nothing, in steps: further points are strays.
+const LONGEST: u32 = (1 << EXACT_RANGE_BITS) - 1;
+/// Ranges of such an image are below 2 to this power.
+pub const EXACT_RANGE_BITS: u32 = 16;
+
+/// A column that holds fewer points costs more than they do as strays, if there are so many beams.
+const FEWEST_IN_COLUMN: u32 = 3;
+/// Metres by which the formula may miss a point of a range image that loses nothing, besides half a range
+/// step.
+pub const REACH: f64 = 0.003;
+
+/// Projects a scan into a range image (article, IV-A, with the calibrated sensor for the ideal
+/// one, so that nothing is lost). Points that the formula misses by more than `reach` metres along an axis,
+/// besides half a range step, are strays.
+pub fn project(sensor: &SensorModel, cloud: &PointCloud, reach: f64) -> Projection {
+    let places = places(sensor, cloud, reach + 0.5 * sensor.range_step_m());
+    let mut in_column = vec![0u32; sensor.ticks as usize];
+    places
+        .iter()
+        .filter(|place| place.steps > 0)
+        .for_each(|place| in_column[place.column_tick as usize] += 1);
+    let fewest = FEWEST_IN_COLUMN.min(sensor.rows().div_ceil(3) as u32);
+    let columns: Vec<u32> = (0..sensor.ticks).filter(|&c| in_column[c as usize] >= fewest).collect();
+    let mut column_of_tick = vec![None; sensor.ticks as usize];
+    (0u32..).zip(&columns).for_each(|(column, &tick)| column_of_tick[tick as usize] = Some(column));
+
+    let mut projection = Projection {
+        point_of_cell: Grid::new(sensor.rows(), columns.len()),
+        image: RangeImage::new(sensor.rows(), columns),
+        strays: Vec::new(),
+    };
+    for (point, place) in (0u32..).zip(&places) {
+        let column = column_of_tick[place.column_tick as usize].filter(|_| place.steps > 0);
+        let cell = column.map(|column| (place.row as usize, column as usize));
+        match cell.filter(|&cell| projection.image.steps[cell] == 0) {
+            Some(cell) => {
+                projection.image.steps[cell] = place.steps;
+                projection.point_of_cell[cell] = point;
+            }
+            None => projection.strays.push(point),
+        }
+    }
+    projection
+}
+
+/// Projects a scan into the image of the ideal sensor (article, IV-A, equation 2): every point goes to
+/// the nearest beam and column, and of two in one cell the nearer stays. Strays are the points that
+/// found no place.
+pub fn project_nearest(sensor: &SensorModel, cloud: &PointCloud) -> Projection {
+    let columns = (0..sensor.ticks).collect();
+    let mut projection = Projection {
+        point_of_cell: Grid::new(sensor.rows(), sensor.ticks as usize),
+        image: RangeImage::new(sensor.rows(), columns),
+        strays: Vec::new(),
+    };
+    let mut row = 0;
+    for (point, position) in (0u32..).zip(&cloud.positions) {
+        let position @ [x, y, z] = position.map(f64::from);
+        row = sensor.nearest_beam((x * x + y * y).sqrt(), z, row);
+        let Some((tick, steps)) = sensor.invert(row, position) else {
+            projection.strays.push(point);
+            continue;
+        };
+        let cell = (row, sensor.column_tick(row, i64::from(tick)) as usize);
+        let held = projection.image.steps[cell];
+        if held == 0 || steps < held {
+            if held > 0 {
+                projection.strays.push(projection.point_of_cell[cell]);
+            }
+            projection.image.steps[cell] = steps;
+            projection.point_of_cell[cell] = point;
+        } else {
+            projection.strays.push(point);
+        }
+    }
+    projection.strays.sort_unstable();
+    projection
+}
+
+/// Where a point belongs by the formula.
+#[derive(Clone, Copy, Default, PartialEq)]
+struct Place {
+    row: u32,
+    column_tick: u32,
+    /// 0: nowhere, for the formula does not explain it.
+    steps: u32,
+}
+
+/// The place of each point.
+fn places(sensor: &SensorModel, cloud: &PointCloud, reach: f64) -> Vec<Place> {
+    let search = Search { sensor, reach, row: 0, tick: 0 };
+    Arch::new().dispatch(Searching { search, positions: &cloud.positions })
+}
+
+/// What it takes to find places.
+struct Searching<'a> {
+    search: Search<'a>,
+    positions: &'a [[f32; 3]],
+}
+
+impl NullaryFnOnce for Searching<'_> {
+    type Output = Vec<Place>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<Place> {
+        /// Points at a time.
+        const BLOCK: usize = 8;
+        let Searching { mut search, positions } = self;
+        let mut places = Vec::with_capacity(positions.len());
+        let (blocks, rest) = positions.as_chunks::<BLOCK>();
+        for block in blocks {
+            match search.next(block) {
+                Some(found) => places.extend_from_slice(&found),
+                None => places.extend(block.iter().map(|point| search.next_one(point))),
+            }
+        }
+        places.extend(rest.iter().map(|point| search.next_one(point)));
+        places
+    }
+}
+
+/// Finds places of points that come row by row, tick after tick.
+struct Search<'a> {
+    sensor: &'a SensorModel,
+    /// Metres.
+    reach: f64,
+    /// Where the last one was found.
+    row: usize,
+    tick: u32,
+}
+
+impl Search<'_> {
+    /// The places of the next points, if all of them are near the last one's.
+    #[inline(always)]
+    fn next<const N: usize>(&mut self, points: &[[f32; 3]; N]) -> Option<[Place; N]> {
+        let found = self.sensor.invert_near(self.row, points, self.tick, self.reach)?;
+        if found.iter().any(|(_, steps)| *steps > LONGEST) {
+            return None;
+        }
+        self.tick = found.last()?.0;
+        let (row, column_tick) = (self.row as u32, self.sensor.columns_of_ticks(self.row));
+        Some(lanes(|i| Place { row, column_tick: column_tick(found[i].0), steps: found[i].1 }))
+    }
+
+    /// The place of the next point, wherever it is.
+    fn next_one(&mut self, position: &[f32; 3]) -> Place {
+        if let Some([place]) = self.next(&[*position]) {
+            return place;
+        }
+        let point @ [x, y, z] = position.map(f64::from);
+        self.row = self.sensor.nearest_beam((x * x + y * y).sqrt(), z, self.row);
+        match self.sensor.invert(self.row, point).filter(|(_, steps)| *steps <= LONGEST) {
+            Some((tick, steps)) => {
+                self.tick = tick;
+                let formula = self.sensor.point(self.row, tick, steps);
+                let mut axes = formula.into_iter().zip(position);
+                let is_near = |(formula, value): (f64, &f32)| {
+                    (formula - f64::from(*value)).abs() < self.reach
+                        && self.sensor.coordinates.holds(*value, formula)
+                };
+                let place = || {
+                    let column_tick = self.sensor.column_tick(self.row, i64::from(tick));
+                    Place { row: self.row as u32, column_tick, steps }
+                };
+                if axes.all(is_near) { place() } else { Place::default() }
+            }
+            None => Place::default(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scanner::hdl64::testing::scanner;
+    use crate::scanner::positions;
+
+    #[test]
+    fn points_find_their_cells_on_every_vector_unit() {
+        let (sensor, image) = scanner();
+        let positions = positions(&sensor, &image.file_order(&sensor), 0.0, true);
+        let reach = REACH + 0.5 * sensor.range_step_m();
+        let search = Search { sensor: &sensor, reach, row: 0, tick: 0 };
+        let cloud = PointCloud { positions, ..PointCloud::default() };
+        let anywhere = Searching { search, positions: &cloud.positions }.call();
+        assert!(places(&sensor, &cloud, reach) == anywhere);
+        assert_eq!(project(&sensor, &cloud, REACH).image, image);
+    }
+}

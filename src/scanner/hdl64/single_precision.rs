@@ -1,0 +1,259 @@
+//! The formula as the program computed it that wrote the file: partly in single precision, operation by operation.
+//!
+//! Files whose coordinates were not rounded hold the last bit of every one of those operations. The constants
+//! are those of the f64 formula, only sharper; so a stream holds what has to be added to those.
+
+use std::f64::consts::PI;
+use std::ops::{Add, Sub};
+
+use super::formula::small_atan;
+use super::sine::sine_and_cosine;
+use crate::ground::error::{Error, Result};
+use crate::ground::lanes::lanes;
+use crate::ground::varint::{read_signed, write_signed};
+use crate::scanner::coordinates::{from_ordered, ordered};
+
+/// Metres or degrees of one unit of a refinement.
+const UNIT: f64 = 1.0 / (1u64 << 40) as f64;
+/// Refinements are below this: 1/16 m or degree, or more float32 values than there are.
+const LARGEST: u64 = 1 << 36;
+/// Degrees of one radian.
+const DEGREES: f64 = 180.0 / PI;
+
+/// What is added to the constants of one beam, quantised as it stands in the stream.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Refinement {
+    /// To the sine of the elevation, in float32 values.
+    pub sine: i64,
+    /// To the cosine of the elevation, in float32 values.
+    pub cosine: i64,
+    /// To the range offset, in 2^-40 m.
+    pub range_offset: i64,
+    /// To the height, in 2^-40 m.
+    pub height: i64,
+    /// To the sideways offset, in 2^-40 m.
+    pub side_offset: i64,
+    /// To the azimuth offset, in 2^-40 degrees.
+    pub azimuth_offset: i64,
+    /// The tick that the program counts as 0: what it adds to a tick's angle is more by this one's.
+    pub first_tick: i64,
+}
+
+impl Refinement {
+    /// What has to be added to one beam's constants to get others, given as by [`Arithmetic`].
+    pub(crate) fn between(rough: &Arithmetic, sharp: &Arithmetic) -> Self {
+        let units = |rough: f64, sharp: f64| ((sharp - rough) / UNIT).round() as i64;
+        let turned = sharp.first_tick as f64 * sharp.tick_degrees;
+        Refinement {
+            sine: ordered(sharp.sine) - ordered(rough.sine),
+            cosine: ordered(sharp.cosine) - ordered(rough.cosine),
+            range_offset: units(rough.range_offset, sharp.range_offset),
+            height: units(rough.height, sharp.height),
+            side_offset: units(rough.side_offset, sharp.side_offset),
+            azimuth_offset: units(rough.azimuth_offset + turned, sharp.azimuth_offset),
+            first_tick: sharp.first_tick,
+        }
+    }
+
+    fn fields(&mut self) -> [&mut i64; 7] {
+        [
+            &mut self.sine,
+            &mut self.cosine,
+            &mut self.range_offset,
+            &mut self.height,
+            &mut self.side_offset,
+            &mut self.azimuth_offset,
+            &mut self.first_tick,
+        ]
+    }
+
+    /// Writes the refinement's part of the stream.
+    pub(crate) fn write_to(mut self, out: &mut Vec<u8>) {
+        self.fields().into_iter().for_each(|field| write_signed(out, *field));
+    }
+
+    /// Reads what [`write_to`](Self::write_to) wrote.
+    ///
+    /// # Errors
+    /// If it is cut short or holds values that no scanner has.
+    pub(crate) fn read_from(bytes: &mut &[u8]) -> Result<Self> {
+        let mut refinement = Refinement::default();
+        for field in refinement.fields() {
+            *field = read_signed(bytes, "sensor model")?;
+            if field.unsigned_abs() > LARGEST {
+                return Err(Error::corrupt("sensor model: a refinement is out of range"));
+            }
+        }
+        Ok(refinement)
+    }
+}
+
+/// The constants of one beam as this arithmetic uses them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Arithmetic {
+    /// Sine and cosine of the elevation.
+    pub sine: f32,
+    pub cosine: f32,
+    /// Added to a range along the beam, in metres.
+    pub range_offset: f64,
+    /// Where the beam starts, in metres.
+    pub height: f64,
+    /// In metres.
+    pub side_offset: f64,
+    /// Added to the angle of a tick, in degrees.
+    pub azimuth_offset: f64,
+    /// The tick whose angle is 0.
+    pub first_tick: i64,
+    /// Ticks a turn.
+    pub ticks: u32,
+    /// Degrees of a tick.
+    pub tick_degrees: f64,
+}
+
+impl Arithmetic {
+    /// From the constants (V, b, c, h, rot) of the f64 formula, in radians and metres; `ticks` a turn.
+    pub fn new([sin_v, cos_v, b, c, h, rot]: [f64; 6], ticks: u32) -> Self {
+        let range_offset = b / cos_v;
+        Arithmetic {
+            sine: sin_v as f32,
+            cosine: cos_v as f32,
+            range_offset,
+            height: c - range_offset * sin_v,
+            side_offset: h,
+            azimuth_offset: rot * DEGREES,
+            first_tick: 0,
+            ticks,
+            tick_degrees: 360.0 / f64::from(ticks),
+        }
+    }
+
+    /// The sharper constants.
+    pub fn refined(self, by: &Refinement) -> Self {
+        let turned = by.first_tick as f64 * self.tick_degrees;
+        Arithmetic {
+            sine: from_ordered(ordered(self.sine) + by.sine),
+            cosine: from_ordered(ordered(self.cosine) + by.cosine),
+            range_offset: self.range_offset + by.range_offset as f64 * UNIT,
+            height: self.height + by.height as f64 * UNIT,
+            side_offset: self.side_offset + by.side_offset as f64 * UNIT,
+            azimuth_offset: (self.azimuth_offset + turned) + by.azimuth_offset as f64 * UNIT,
+            first_tick: by.first_tick,
+            ..self
+        }
+    }
+
+    /// The distance along the beam of a range in metres.
+    #[inline(always)]
+    pub fn distance(&self, metres: f64) -> f32 {
+        (metres + self.range_offset) as f32
+    }
+
+    /// z, in metres.
+    #[inline(always)]
+    pub fn z(&self, distance: f32) -> f32 {
+        (f64::from(distance * self.sine) + self.height) as f32
+    }
+
+    /// By how much the sideways offset turns the beam, in degrees.
+    #[inline(always)]
+    pub fn aside(&self, distance: f32) -> f64 {
+        small_atan(self.side_offset / (f64::from(distance) * f64::from(self.cosine))) * DEGREES
+    }
+
+    /// The angle of a tick, with what is added to it, in degrees.
+    #[inline(always)]
+    pub fn turned(&self, tick: u32) -> f32 {
+        let counted = within(i64::from(tick) - self.first_tick, i64::from(self.ticks));
+        let angle = (counted as f64 * self.tick_degrees) as f32;
+        (f64::from(angle) + self.azimuth_offset) as f32
+    }
+
+    /// Azimuth at a tick of a beam that is turned `aside` degrees, in radians.
+    #[inline(always)]
+    pub fn azimuth(&self, tick: u32, aside: f64) -> f32 {
+        let degrees = within((f64::from(self.turned(tick)) + aside) as f32, 360.0);
+        (f64::from(degrees) * (PI / 180.0)) as f32
+    }
+
+    /// x and y at a distance and an azimuth, in metres and radians.
+    #[inline(always)]
+    pub fn x_y(&self, distance: f32, azimuth: f32) -> [f32; 2] {
+        let (sine, cosine) = sine_and_cosine(azimuth);
+        [distance * (self.cosine * cosine), distance * (self.cosine * sine)]
+    }
+
+    /// The formula: x, y and z at a tick and a range, in metres.
+    #[inline]
+    pub fn position(&self, tick: u32, metres: f64) -> [f32; 3] {
+        let [[x], [y], [z]] = self.positions([tick], [metres]);
+        [x, y, z]
+    }
+
+    /// As [`position`](Self::position), for `N` points at a time.
+    #[inline(always)]
+    pub fn positions<const N: usize>(&self, ticks: [u32; N], metres: [f64; N]) -> [[f32; N]; 3] {
+        let distance: [f32; N] = lanes(|i| self.distance(metres[i]));
+        let aside: [f64; N] = lanes(|i| self.aside(distance[i]));
+        let azimuth: [f32; N] = lanes(|i| self.azimuth(ticks[i], aside[i]));
+        let x_y: [[f32; 2]; N] = lanes(|i| self.x_y(distance[i], azimuth[i]));
+        [lanes(|i| x_y[i][0]), lanes(|i| x_y[i][1]), lanes(|i| self.z(distance[i]))]
+    }
+}
+
+/// A value less than one turn outside 0 to `turn`, brought back there; others come nearer.
+#[inline(always)]
+fn within<T: Copy + Default + PartialOrd + Add<Output = T> + Sub<Output = T>>(value: T, turn: T) -> T {
+    if value < T::default() {
+        value + turn
+    } else if value >= turn {
+        value - turn
+    } else {
+        value
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rough() -> Arithmetic {
+        let (sin_v, cos_v) = (-0.1f64).sin_cos();
+        Arithmetic::new([sin_v, cos_v, -0.0004, 0.2, 0.026, 0.0003], 4000)
+    }
+
+    #[test]
+    fn a_refinement_gives_the_constants_that_it_was_made_from() {
+        let sharp = Arithmetic {
+            sine: rough().sine.next_up(),
+            range_offset: rough().range_offset + 3e-9,
+            height: rough().height - 7e-8,
+            azimuth_offset: rough().azimuth_offset + 1.5e-8 - 33.0 * 0.09,
+            first_tick: -33,
+            ..rough()
+        };
+        let again = rough().refined(&Refinement::between(&rough(), &sharp));
+        assert_eq!((again.sine, again.cosine, again.first_tick), (sharp.sine, sharp.cosine, -33));
+        for (a, b) in [
+            (again.range_offset, sharp.range_offset),
+            (again.height, sharp.height),
+            (again.side_offset, sharp.side_offset),
+            (again.azimuth_offset, sharp.azimuth_offset),
+        ] {
+            assert!((a - b).abs() < UNIT, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn is_the_formula_of_double_precision_but_for_roundings() {
+        let beam = rough();
+        for (tick, metres) in [(0, 5.0), (1, 100.0), (1234, 20.0), (3999, 60.0)] {
+            let d = metres + beam.range_offset;
+            let rho = d * (-0.1f64).cos();
+            let phi = (f64::from(tick) * 0.09 + beam.azimuth_offset).to_radians() + (0.026 / rho).atan();
+            let truth = [rho * phi.cos(), rho * phi.sin(), d * (-0.1f64).sin() + beam.height];
+            for (got, truth) in beam.position(tick, metres).into_iter().zip(truth) {
+                assert!((f64::from(got) - truth).abs() < 1e-6 * metres, "{got} {truth}");
+            }
+        }
+    }
+}

@@ -1,0 +1,30 @@
+//! A scanner and an image for the tests of what is compiled for several vector units.
+
+use crate::ground::random::Rng;
+use crate::scanner::RangeImage;
+use crate::scanner::{BeamConstants, Coordinates, SensorModel};
+
+/// Some beams of an HDL-64E, which look past the axis on both sides, and what they may see: near, far and nothing.
+pub fn scanner() -> (SensorModel, RangeImage) {
+    let constants = |beam: usize| {
+        let beam = beam as f64;
+        BeamConstants::quantise([
+            0.01 * beam - 0.1,
+            1.0 + 1e-4 * beam,
+            0.1,
+            0.026 - 0.0123 * beam,
+            0.02 * beam,
+        ])
+    };
+    let sensor = SensorModel::new(Coordinates::Millimetre, 4000, 2000, (0..5).map(constants).collect());
+    let mut image = RangeImage::new(5, (0..4000).step_by(2).collect());
+    let mut random = Rng::keyed(1, &[]);
+    for steps in image.steps.cells_mut() {
+        *steps = match random.below(20) {
+            0 => 0,
+            1 => 1 + random.below(60_000) as u32,
+            _ => 2000 + random.below(40) as u32,
+        };
+    }
+    (sensor, image)
+}

@@ -1,0 +1,19 @@
+//! What the scanner is: the formula that turns integers (beam, tick, range steps) into the
+//! coordinates of a file, and the fit of its constants to the sequence at hand.
+
+pub mod hdl64;
+pub mod motion;
+
+mod coordinates;
+mod ideal;
+mod range_image;
+
+pub use coordinates::{Coordinates, nearest_millimetre};
+pub use hdl64::{
+    Alignment, BeamConstants, EXACT_RANGE_BITS, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS,
+    Projection, RANGE_STEP_UM, REACH, Refinement, SensorModel, Sighting, fit, positions, project,
+    project_nearest, sine_and_cosine,
+};
+pub(crate) use hdl64::{BeamPoint, split_beams, thinned};
+pub use ideal::ideal;
+pub use range_image::{RangeImage, Return};

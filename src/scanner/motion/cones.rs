@@ -1,0 +1,113 @@
+//! What the cones of the beams tell of the motion: all but the rotation about their axis, which leaves every
+//! point on its cone.
+//!
+//! Weighted least squares, repeated: the height of each point above its beam's cone is explained by the
+//! cone's own two constants and by the motion that all points share. The constants are eliminated beam by
+//! beam.
+
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+
+use super::motion::{Motion, Mover, part_of_turn};
+use crate::scanner::{BeamPoint, thinned};
+
+/// The unknowns: translation, then rotation about x and y.
+const UNKNOWNS: usize = 5;
+/// Points that are enough.
+const SAMPLE: usize = 5000;
+const ROUNDS: usize = 10;
+/// Fewer do not tell all of a motion, and are no rows: the points are in some other order.
+const FEWEST_BEAMS: usize = 3;
+/// Share of the points that must come to lie on the cones.
+const LEAST_SHARE: f64 = 0.7;
+/// Metres from the cone of a point that lies on it: a few times what millimetres leave.
+const ON_CONE: f64 = 0.002;
+
+/// z = height + slope * rho.
+#[derive(Clone, Copy, Default)]
+struct Cone {
+    height: f64,
+    slope: f64,
+}
+
+/// The motion that brings the points of each beam onto a cone, with the rotation about z that `motion` has. None
+/// if no motion does.
+pub fn improved(mut motion: Motion, beams: &[Vec<BeamPoint>]) -> Option<Motion> {
+    let total: usize = beams.iter().map(Vec::len).sum();
+    if beams.len() < FEWEST_BEAMS || total == 0 {
+        return None;
+    }
+    let share = |beam: &Vec<BeamPoint>| (SAMPLE * beam.len()).div_ceil(total);
+    let samples: Vec<Vec<[f64; 3]>> =
+        beams.iter().map(|beam| thinned(beam, share(beam)).map(|point| point.position).collect()).collect();
+    let mut cones = vec![Cone::default(); samples.len()];
+    for round in 0..ROUNDS {
+        // The first round has no cones to judge by, and the next ones rough ones.
+        let reach = match round {
+            0 => f64::INFINITY,
+            1..4 => 0.3,
+            4..7 => 0.03,
+            _ => 0.01,
+        };
+        let (step, on_cone) = improve(&samples, &mut cones, &motion, reach)?;
+        if round == ROUNDS - 1 {
+            let sampled: usize = samples.iter().map(Vec::len).sum();
+            return (on_cone as f64 >= LEAST_SHARE * sampled as f64).then_some(motion);
+        }
+        motion = motion.changed_by(&step);
+    }
+    None
+}
+
+/// One round: improves the cones; gives the step of the motion, and how many points are on their cones.
+fn improve(
+    samples: &[Vec<[f64; 3]>],
+    cones: &mut [Cone],
+    motion: &Motion,
+    reach: f64,
+) -> Option<([f64; 6], usize)> {
+    /// Metres; keeps weights finite.
+    const SOFT: f64 = 1e-3;
+    /// Holds still what the points say nothing of.
+    const RIDGE: f64 = 1e-6;
+    let mover = Mover::new(motion);
+    let mut system = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::identity() * RIDGE;
+    let mut right = SVector::<f64, UNKNOWNS>::zeros();
+    let mut eliminated = Vec::with_capacity(cones.len());
+    let mut on_cone = 0;
+    for (points, cone) in samples.iter().zip(&*cones) {
+        let mut own = Matrix2::identity() * RIDGE;
+        let mut own_right = Vector2::zeros();
+        let mut shared = SMatrix::<f64, 2, UNKNOWNS>::zeros();
+        for &moved in points {
+            let point @ [x, y, z] = mover.undone(moved, part_of_turn(&moved));
+            let rho = (x * x + y * y).sqrt();
+            let miss = z - cone.height - cone.slope * rho;
+            on_cone += usize::from(miss.abs() < ON_CONE);
+            if !(miss.abs() < reach && rho > 0.0) {
+                continue;
+            }
+            let weight = if reach.is_finite() { 1.0 / (miss.abs() + SOFT) } else { 1.0 };
+            let part = part_of_turn(&point);
+            // The cone's normal, and how the miss falls as the motion grows.
+            let [nx, ny] = [-cone.slope * x / rho, -cone.slope * y / rho];
+            let by = SVector::from([nx, ny, 1.0, y - z * ny, z * nx - x]) * part;
+            let constants = Vector2::new(1.0, rho);
+            own += constants * constants.transpose() * weight;
+            own_right += constants * (weight * miss);
+            shared += constants * by.transpose() * weight;
+            system += by * by.transpose() * weight;
+            right += by * (weight * miss);
+        }
+        let inverse = own.try_inverse()?;
+        system -= shared.transpose() * inverse * shared;
+        right -= shared.transpose() * (inverse * own_right);
+        eliminated.push((inverse, own_right, shared));
+    }
+    let step = system.cholesky()?.solve(&right);
+    for (cone, (inverse, own_right, shared)) in cones.iter_mut().zip(eliminated) {
+        let change = inverse * (own_right - shared * step);
+        cone.height += change[0];
+        cone.slope += change[1];
+    }
+    Some(([step[3], step[4], 0.0, step[0], step[1], step[2]], on_cone))
+}

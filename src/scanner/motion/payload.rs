@@ -1,0 +1,90 @@
+//! The section of a frame that says how its points were moved.
+
+use super::{Compensation, Miss, Motion};
+use crate::ground::error::{Error, Result};
+use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
+
+/// The section, in errors.
+const WHAT: &str = "motion compensation";
+
+impl Compensation {
+    /// Appends the payload of the section.
+    pub fn write_to(&self, out: &mut Vec<u8>) {
+        let Motion { rotation, translation } = self.motion;
+        rotation.iter().chain(&translation).for_each(|value| out.extend_from_slice(&value.to_le_bytes()));
+        let mut next = 0;
+        for miss in &self.misses {
+            write_unsigned(out, u64::from(miss.point - next));
+            miss.units.iter().for_each(|&units| write_signed(out, units));
+            next = miss.point + 1;
+        }
+    }
+
+    /// Reads the payload of the section, for a frame of so many points.
+    ///
+    /// # Errors
+    /// If it is cut short, holds a motion that no scanner makes, or points that the frame does not have.
+    pub fn from_payload(mut bytes: &[u8], points: usize) -> Result<Self> {
+        let input = &mut bytes;
+        let mut values = [0.0; 6];
+        for value in &mut values {
+            let (first, rest) =
+                input.split_first_chunk().ok_or_else(|| Error::corrupt(format!("{WHAT} is cut short")))?;
+            (*value, *input) = (f64::from_le_bytes(*first), rest);
+        }
+        let [rx, ry, rz, x, y, z] = values;
+        let motion = Motion { rotation: [rx, ry, rz], translation: [x, y, z] };
+        if !motion.is_possible() {
+            return Err(Error::corrupt(format!("{WHAT}: no scanner moves so far in a turn")));
+        }
+        let mut compensation = Compensation { motion, misses: Vec::new() };
+        let mut next = 0u64;
+        while !input.is_empty() {
+            let point = next.saturating_add(read_unsigned(input, WHAT)?);
+            if point >= points as u64 || point > u64::from(u32::MAX) {
+                return Err(Error::corrupt(format!("{WHAT}: the frame has no point {point}")));
+            }
+            let mut units = [0; 3];
+            for unit in &mut units {
+                *unit = read_signed(input, WHAT)?;
+            }
+            compensation.misses.push(Miss { point: point as u32, units });
+            next = point + 1;
+        }
+        Ok(compensation)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn example() -> Compensation {
+        let motion = Motion { rotation: [0.25, -1e-9, 0.0], translation: [0.8, 0.1, -0.25] };
+        let miss = |point, units| Miss { point, units };
+        Compensation {
+            motion,
+            misses: vec![miss(0, [1, 0, 0]), miss(1, [0, -70_000, 1 << 33]), miss(9, [0; 3])],
+        }
+    }
+
+    #[test]
+    fn comes_back() {
+        let mut bytes = Vec::new();
+        example().write_to(&mut bytes);
+        assert_eq!(Compensation::from_payload(&bytes, 10).unwrap(), example());
+        assert!(Compensation::from_payload(&bytes, 9).is_err(), "a point too many");
+        assert!(Compensation::from_payload(&bytes[..bytes.len() - 1], 10).is_err(), "cut short");
+        assert!(Compensation::from_payload(&bytes[..47], 10).is_err(), "cut short");
+    }
+
+    #[test]
+    fn impossible_motions_are_refused() {
+        for value in [f64::NAN, f64::INFINITY, -9.0] {
+            let mut bytes = Vec::new();
+            example().write_to(&mut bytes);
+            bytes[..8].copy_from_slice(&value.to_le_bytes());
+            assert!(Compensation::from_payload(&bytes, 10).is_err(), "{value}");
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! The points of a scan as a range image: one row a beam, one column a firing.
+//!
+//! A cell holds the range in steps of the sensor model, 0 where no return came. Points that the
+//! model does not give back to within a few grid units, that fall into a taken cell, or that lie in no
+//! column stay outside, as *strays*.
+
+use crate::ground::grid::Grid;
+
+/// The range image of a scan.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RangeImage {
+    /// The column tick of each column, rising.
+    pub columns: Vec<u32>,
+    /// Rows x columns; range in steps, 0 = no return.
+    pub steps: Grid<u32>,
+}
+
+impl RangeImage {
+    /// An image without returns.
+    pub fn new(rows: usize, columns: Vec<u32>) -> Self {
+        RangeImage { steps: Grid::new(rows, columns.len()), columns }
+    }
+
+    /// Number of returns.
+    pub fn returns(&self) -> usize {
+        self.steps.cells().iter().filter(|&&steps| steps > 0).count()
+    }
+
+    /// Which cells hold a return.
+    pub fn occupancy(&self) -> Grid<bool> {
+        self.steps.map(|&steps| steps > 0)
+    }
+}
+
+/// One return of the range image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Return {
+    /// Beam.
+    pub row: u32,
+    /// Column of the image.
+    pub column: u32,
+    /// Azimuth tick of the beam.
+    pub tick: u32,
+    /// Range in steps.
+    pub steps: u32,
+}

@@ -1,0 +1,172 @@
+//! Groups: frames that are coded together, and apart from all others.
+
+use super::section::Section;
+use super::wire::{take, take_u32};
+use crate::ground::error::{Error, Limits, Result};
+use crate::ground::varint::{read_unsigned, write_unsigned};
+
+/// The longest name of a frame, in bytes: what file systems allow.
+const NAME_MAX: u64 = 255;
+
+/// What a frame decodes to, without decoding it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct FrameHeader {
+    /// The file's name, without any folder. It comes from the stream: check it before use as a path.
+    pub name: String,
+    /// Bytes of the decoded file.
+    pub file_size: u64,
+    /// CRC32C of the decoded file's bytes.
+    pub file_crc: u32,
+    /// Points (records) in the file.
+    pub point_count: u64,
+}
+
+impl FrameHeader {
+    /// The header of a file with these bytes.
+    pub fn of(name: &str, bytes: &[u8], point_count: u64) -> Self {
+        FrameHeader {
+            name: name.to_owned(),
+            file_size: bytes.len() as u64,
+            file_crc: crc32c::crc32c(bytes),
+            point_count,
+        }
+    }
+}
+
+/// One coded frame.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Frame {
+    /// What it decodes to.
+    pub header: FrameHeader,
+    /// The coded parts.
+    pub sections: Vec<Section>,
+}
+
+impl Frame {
+    /// Appends the frame header and the sections.
+    pub fn write_to(&self, out: &mut Vec<u8>) {
+        write_unsigned(out, self.header.name.len() as u64);
+        out.extend_from_slice(self.header.name.as_bytes());
+        write_unsigned(out, self.header.file_size);
+        out.extend_from_slice(&self.header.file_crc.to_le_bytes());
+        write_unsigned(out, self.header.point_count);
+        write_unsigned(out, self.sections.len() as u64);
+        for section in &self.sections {
+            section.write_to(out);
+        }
+    }
+
+    /// Takes a frame off the front of `input`.
+    ///
+    /// # Errors
+    /// If it is damaged, asks for more than `limits` allow, or holds an unknown section.
+    pub fn read_from(input: &mut &[u8], limits: &Limits) -> Result<Self> {
+        let name_length = read_unsigned(input, "frame name's length")?;
+        if name_length > NAME_MAX {
+            return Err(Error::corrupt(format!("frame name of {name_length} bytes")));
+        }
+        let name = take(input, name_length, "frame name")?;
+        let name = str::from_utf8(name).map_err(|_| Error::corrupt("frame name is not UTF-8"))?;
+        let header = FrameHeader {
+            name: name.to_owned(),
+            file_size: limited(read_unsigned(input, "file size")?, "file size in bytes", limits.file_bytes)?,
+            file_crc: take_u32(input, "file checksum")?,
+            point_count: limited(read_unsigned(input, "point count")?, "points in a frame", limits.points)?,
+        };
+        let section_count = read_unsigned(input, "section count")?;
+        let mut sections = Vec::new();
+        for _ in 0..section_count {
+            sections.push(Section::read_from(input).map_err(|e| e.within(&format!("{name:?}")))?);
+        }
+        Ok(Frame { header, sections })
+    }
+}
+
+/// Frames that are coded together. A group says nothing of its place in the sequence, so that
+/// groups can be cut and joined without coding them anew.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Group {
+    /// Which of the stream's sensor models it was coded with: 1 is the first; 0 is none.
+    pub sensor_model: u64,
+    /// The frames, in order.
+    pub frames: Vec<Frame>,
+}
+
+impl Group {
+    /// Appends the group; returns how many bytes each frame took.
+    pub fn write_to(&self, out: &mut Vec<u8>) -> Vec<u64> {
+        write_unsigned(out, self.sensor_model);
+        write_unsigned(out, self.frames.len() as u64);
+        let mut frame_sizes = Vec::with_capacity(self.frames.len());
+        for frame in &self.frames {
+            let start = out.len();
+            frame.write_to(out);
+            frame_sizes.push((out.len() - start) as u64);
+        }
+        frame_sizes
+    }
+
+    /// The names of the frames in the payload of a damaged group record, as far as they can be read. They
+    /// may be wrong.
+    pub fn names_in(mut payload: &[u8]) -> Vec<String> {
+        let input = &mut payload;
+        let mut names = Vec::new();
+        let counts =
+            read_unsigned(input, "sensor model's number").and_then(|_| read_unsigned(input, "frame count"));
+        for _ in 0..counts.unwrap_or_default() {
+            match skim_frame(input) {
+                Ok(name) => names.push(name),
+                Err(_) => break,
+            }
+        }
+        names
+    }
+
+    /// Reads the payload of a group record; also returns how many bytes each frame took.
+    ///
+    /// # Errors
+    /// As [`Frame::read_from`]; also if bytes are left over, or the files of the group are together
+    /// over `limits.file_bytes` (they may all be in memory at once).
+    pub fn read_from(mut input: &[u8], limits: &Limits) -> Result<(Self, Vec<u64>)> {
+        let input = &mut input;
+        let sensor_model = read_unsigned(input, "sensor model's number")?;
+        let frame_count = read_unsigned(input, "frame count")?;
+        let (mut frames, mut frame_sizes) = (Vec::new(), Vec::new());
+        let mut file_bytes = 0u64;
+        for number in 0..frame_count {
+            let before = input.len();
+            let frame = Frame::read_from(input, limits)
+                .map_err(|e| e.within(&format!("frame {number} of the group")))?;
+            file_bytes = file_bytes.saturating_add(frame.header.file_size);
+            limited(file_bytes, "bytes of a group's files", limits.file_bytes)?;
+            frames.push(frame);
+            frame_sizes.push((before - input.len()) as u64);
+        }
+        if !input.is_empty() {
+            return Err(Error::corrupt(format!("{} bytes left over after the last frame", input.len())));
+        }
+        Ok((Group { sensor_model, frames }, frame_sizes))
+    }
+}
+
+/// Takes a frame off the front of `input` without a look at its checksums; gives its name.
+fn skim_frame(input: &mut &[u8]) -> Result<String> {
+    let name_length = read_unsigned(input, "frame name's length")?;
+    let name = take(input, name_length, "frame name")?;
+    let name = str::from_utf8(name).map_err(|_| Error::corrupt("frame name is not UTF-8"))?;
+    read_unsigned(input, "file size")?;
+    take_u32(input, "file checksum")?;
+    read_unsigned(input, "point count")?;
+    for _ in 0..read_unsigned(input, "section count")? {
+        take(input, 1, "section kind")?;
+        let length = read_unsigned(input, "section length")?;
+        take(input, length, "section")?;
+        take_u32(input, "section checksum")?;
+    }
+    Ok(name.to_owned())
+}
+
+/// `got`, if it is within the limit.
+pub(super) fn limited(got: u64, what: &'static str, max: u64) -> Result<u64> {
+    if got > max { Err(Error::LimitExceeded { what: what.to_owned(), got, max }) } else { Ok(got) }
+}

@@ -1,0 +1,141 @@
+//! The stream header: the first bytes of every stream.
+
+use std::io::{Read, Write};
+
+use byteorder::{ByteOrder, LittleEndian};
+
+use super::wire::read_exact;
+use crate::ground::error::{Error, Result};
+
+/// The first four bytes of every stream; the first is no ASCII, so that nobody takes it for text.
+pub const MAGIC: [u8; 4] = *b"\x89LPC";
+
+/// The newest version that this program reads, and the one that it writes.
+pub const NEWEST_VERSION: u16 = 5;
+
+/// Bytes of the stream header. This layout stays the same in every later version.
+pub const HEADER_LENGTH: usize = 12;
+
+/// Flag bits that this version knows: none so far.
+const KNOWN_FLAGS: u16 = 0;
+
+/// What a reader must know before the first record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StreamHeader {
+    /// Version of the format.
+    pub version: u16,
+    /// Features that a reader must know in order to read the stream; a bit each.
+    pub flags: u16,
+}
+
+impl Default for StreamHeader {
+    fn default() -> Self {
+        StreamHeader { version: NEWEST_VERSION, flags: 0 }
+    }
+}
+
+impl StreamHeader {
+    /// The header of a stream that holds what this one and the other hold.
+    pub fn joined(self, other: StreamHeader) -> Self {
+        StreamHeader { version: self.version.max(other.version), flags: self.flags | other.flags }
+    }
+
+    /// Writes the header with its checksum.
+    ///
+    /// # Errors
+    /// If `out` fails.
+    pub fn write_to(&self, out: &mut impl Write) -> Result<()> {
+        let mut bytes = [0; HEADER_LENGTH];
+        bytes[..4].copy_from_slice(&MAGIC);
+        LittleEndian::write_u16(&mut bytes[4..6], self.version);
+        LittleEndian::write_u16(&mut bytes[6..8], self.flags);
+        let crc = crc32c::crc32c(&bytes[..8]);
+        LittleEndian::write_u32(&mut bytes[8..], crc);
+        out.write_all(&bytes)?;
+        Ok(())
+    }
+
+    /// Reads a header and checks that this program can read what follows.
+    ///
+    /// # Errors
+    /// If the input is no lidarpc stream, is damaged, or was written by a newer program.
+    pub fn read_from(input: &mut impl Read) -> Result<Self> {
+        let mut bytes = [0; HEADER_LENGTH];
+        read_exact(input, &mut bytes[..4], "stream header")?;
+        if bytes[..4] != MAGIC {
+            return Err(Error::BadMagic([bytes[0], bytes[1], bytes[2], bytes[3]]));
+        }
+        read_exact(input, &mut bytes[4..], "stream header")?;
+        if crc32c::crc32c(&bytes[..8]) != LittleEndian::read_u32(&bytes[8..]) {
+            return Err(Error::corrupt("stream header: checksum does not match"));
+        }
+        let header = StreamHeader {
+            version: LittleEndian::read_u16(&bytes[4..6]),
+            flags: LittleEndian::read_u16(&bytes[6..8]),
+        };
+        header.check()?;
+        Ok(header)
+    }
+
+    fn check(&self) -> Result<()> {
+        if self.version == 0 {
+            return Err(Error::corrupt("stream header: there is no version 0"));
+        }
+        if self.version > NEWEST_VERSION {
+            return Err(Error::UnsupportedVersion { found: self.version, newest: NEWEST_VERSION });
+        }
+        let unknown = self.flags & !KNOWN_FLAGS;
+        if unknown != 0 {
+            return Err(Error::unsupported(format!("stream header: unknown flags {unknown:#06x}")));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bytes_of(header: StreamHeader) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        header.write_to(&mut bytes).unwrap();
+        bytes
+    }
+
+    #[test]
+    fn the_checksum_is_the_one_that_format_md_names() {
+        assert_eq!(crc32c::crc32c(b"123456789"), 0xe306_9283);
+    }
+
+    #[test]
+    fn comes_back() {
+        let bytes = bytes_of(StreamHeader::default());
+        assert_eq!(bytes.len(), HEADER_LENGTH);
+        assert_eq!(StreamHeader::read_from(&mut &bytes[..]).unwrap(), StreamHeader::default());
+    }
+
+    #[test]
+    fn joined_streams_need_what_each_needs() {
+        let one = StreamHeader { version: 2, flags: 0x0001 };
+        let other = StreamHeader { version: 1, flags: 0x8001 };
+        let both = StreamHeader { version: 2, flags: 0x8001 };
+        assert_eq!((one.joined(other), other.joined(one)), (both, both));
+    }
+
+    #[test]
+    fn newer_streams_are_named_as_such() {
+        let newer = bytes_of(StreamHeader { version: 6, flags: 0 });
+        let error = StreamHeader::read_from(&mut &newer[..]).unwrap_err();
+        assert!(matches!(error, Error::UnsupportedVersion { found: 6, newest: 5 }), "{error}");
+
+        let flagged = bytes_of(StreamHeader { version: 1, flags: 0x8000 });
+        let error = StreamHeader::read_from(&mut &flagged[..]).unwrap_err();
+        assert!(error.to_string().contains("unknown flags 0x8000"), "{error}");
+    }
+
+    #[test]
+    fn other_files_are_named_as_such() {
+        let error = StreamHeader::read_from(&mut &b"PK\x03\x04 and so on"[..]).unwrap_err();
+        assert!(matches!(error, Error::BadMagic(_)), "{error}");
+    }
+}

@@ -1,0 +1,28 @@
+//! The container: a stream header, then records with a length and a checksum each, the last of
+//! them an index and the end. It moves bytes about and knows no algorithms.
+//!
+//! FORMAT.md describes the same fields under the same names. Every length is checked against
+//! [`Limits`](crate::ground::error::Limits) and against what is really there before memory is asked for.
+
+pub mod group;
+pub mod header;
+pub mod index;
+pub mod reader;
+pub mod salvage;
+pub mod section;
+pub mod writer;
+
+mod record;
+mod scan;
+mod wire;
+
+pub use group::{Frame, FrameHeader, Group};
+pub use header::{MAGIC, NEWEST_VERSION, StreamHeader};
+pub use index::{GroupEntry, Index, SensorModelEntry};
+pub use reader::{IndexedReader, Record, StreamReader};
+pub use salvage::{Lost, SalvageReader, Salvaged};
+pub use section::{Section, SectionKind};
+pub use writer::StreamWriter;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,271 @@
+//! Reads a stream: front to back, or group by group through its index.
+
+use std::io::{Read, Seek, SeekFrom};
+
+use super::group::Group;
+use super::header::{HEADER_LENGTH, StreamHeader};
+use super::index::{END_LENGTH, Index, read_end_payload};
+use super::record::{END, GROUP, INDEX, RawRecord, SENSOR_MODEL, SKIPPABLE, read_record};
+use crate::ground::error::{Error, Limits, Result};
+
+/// What a stream is made of.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Record {
+    /// A sensor model; its number is one more than that of the model before, the first being 1.
+    SensorModel(Vec<u8>),
+    /// The sequence's next group.
+    Group(Group),
+}
+
+/// Reads a stream front to back, as from a pipe. A stream that is read until `None` is whole: every
+/// byte of it was covered by a checksum, and the index agrees with the records.
+pub struct StreamReader<R> {
+    input: R,
+    limits: Limits,
+    header: StreamHeader,
+    /// Bytes read.
+    position: u64,
+    /// What was found so far, to compare the stream's own index with.
+    seen: Index,
+    /// Where the index record was, once it was read.
+    index_offset: Option<u64>,
+    ended: bool,
+}
+
+impl<R: Read> StreamReader<R> {
+    /// Reads the stream header.
+    ///
+    /// # Errors
+    /// If the input fails, is no stream, is damaged, or was written by a newer program.
+    pub fn open(mut input: R, limits: Limits) -> Result<Self> {
+        let header = StreamHeader::read_from(&mut input)?;
+        let position = HEADER_LENGTH as u64;
+        Ok(StreamReader {
+            input,
+            limits,
+            header,
+            position,
+            seen: Index::default(),
+            index_offset: None,
+            ended: false,
+        })
+    }
+
+    /// The stream header.
+    pub fn header(&self) -> &StreamHeader {
+        &self.header
+    }
+
+    /// Bytes read so far; after the last record, the size of the stream.
+    pub fn position(&self) -> u64 {
+        self.position
+    }
+
+    /// Where the records read so far are.
+    pub fn index(&self) -> &Index {
+        &self.seen
+    }
+
+    /// The next sensor model or group, or `None` after the last.
+    ///
+    /// # Errors
+    /// If the input fails, is damaged or cut short, goes over the limits, or holds what only a newer
+    /// program knows. After an error there is nothing more to read.
+    pub fn next_record(&mut self) -> Result<Option<Record>> {
+        while !self.ended {
+            let offset = self.position;
+            let raw = read_record(&mut self.input, &self.limits)
+                .map_err(|e| e.within(&format!("record at byte {offset}")))?;
+            self.position += raw.length;
+            let part = format!("{} at byte {offset}", describe(raw.kind, &self.seen));
+            if let Some(record) = self.accept(raw, offset).map_err(|e| e.within(&part))? {
+                return Ok(Some(record));
+            }
+        }
+        Ok(None)
+    }
+
+    fn accept(&mut self, raw: RawRecord, offset: u64) -> Result<Option<Record>> {
+        check_intact(&raw, &self.limits)?;
+        if self.index_offset.is_some() && matches!(raw.kind, SENSOR_MODEL | GROUP | INDEX) {
+            return Err(Error::corrupt("it comes after the index"));
+        }
+        match raw.kind {
+            SENSOR_MODEL => {
+                self.seen.push_sensor_model(offset, raw.length);
+                return Ok(Some(Record::SensorModel(raw.payload)));
+            }
+            GROUP => {
+                let (group, frame_sizes) = Group::read_from(&raw.payload, &self.limits)?;
+                check_reference(&group, &self.seen)?;
+                self.seen.push_group(offset, raw.length, frame_sizes);
+                return Ok(Some(Record::Group(group)));
+            }
+            INDEX => {
+                if Index::read_from(&raw.payload)? != self.seen {
+                    return Err(Error::corrupt("it does not agree with the records before it"));
+                }
+                self.index_offset = Some(offset);
+            }
+            END => self.accept_end(&raw)?,
+            kind if kind & SKIPPABLE != 0 => {}
+            kind => return Err(Error::unsupported(format!("record of unknown kind {kind}"))),
+        }
+        Ok(None)
+    }
+
+    fn accept_end(&mut self, raw: &RawRecord) -> Result<()> {
+        let index_offset = read_end_payload(&raw.payload)?;
+        if self.index_offset != Some(index_offset) {
+            return Err(Error::corrupt("it does not point at the index"));
+        }
+        if self.input.by_ref().take(1).read_to_end(&mut Vec::new())? != 0 {
+            return Err(Error::corrupt("there are bytes after it"));
+        }
+        self.ended = true;
+        Ok(())
+    }
+}
+
+/// Reads single records of a stream that can be sought in, by way of its index.
+pub struct IndexedReader<R> {
+    input: R,
+    limits: Limits,
+    header: StreamHeader,
+    /// Bytes of the stream.
+    size: u64,
+    index: Index,
+}
+
+impl<R: Read + Seek> IndexedReader<R> {
+    /// Reads the stream header, the end record and the index.
+    ///
+    /// # Errors
+    /// As [`StreamReader::open`]; also if the end or the index is missing or damaged.
+    pub fn open(mut input: R, limits: Limits) -> Result<Self> {
+        input.seek(SeekFrom::Start(0))?;
+        let header = StreamHeader::read_from(&mut input)?;
+        let size = input.seek(SeekFrom::End(0))?;
+        let end_offset = size.checked_sub(END_LENGTH).ok_or_else(|| Error::corrupt("it is cut short"))?;
+        let mut reader = IndexedReader { input, limits, header, size, index: Index::default() };
+        let index_offset = reader
+            .record_at(end_offset, END)
+            .and_then(|raw| read_end_payload(&raw.payload))
+            .map_err(|e| e.within("end of the stream"))?;
+        reader.index = reader
+            .record_at(index_offset, INDEX)
+            .and_then(|raw| Index::read_from(&raw.payload))
+            .map_err(|e| e.within("index"))?;
+        Ok(reader)
+    }
+
+    /// The stream header.
+    pub fn header(&self) -> &StreamHeader {
+        &self.header
+    }
+
+    /// Where all records are.
+    pub fn index(&self) -> &Index {
+        &self.index
+    }
+
+    /// The sensor model with this number, the first being 1.
+    ///
+    /// # Errors
+    /// If there is no such model, or its record is damaged or not where the index says.
+    pub fn read_sensor_model(&mut self, number: u64) -> Result<Vec<u8>> {
+        let part = format!("sensor model {number}");
+        let place = usize::try_from(number).ok().and_then(|number| number.checked_sub(1));
+        let entry = place.and_then(|place| self.index.sensor_models.get(place)).copied();
+        let entry = entry.ok_or_else(|| Error::corrupt(format!("{part} is not in the index")))?;
+        let raw = self.indexed_record(entry.offset, entry.length, SENSOR_MODEL);
+        Ok(raw.map_err(|e| e.within(&part))?.payload)
+    }
+
+    /// The group at this place of the index, the first being 0.
+    ///
+    /// # Errors
+    /// If there is no such group, or its record is damaged or not what the index says.
+    pub fn read_group(&mut self, place: usize) -> Result<Group> {
+        self.try_read_group(place).map_err(|e| e.within(&format!("group {place}")))
+    }
+
+    fn try_read_group(&mut self, place: usize) -> Result<Group> {
+        let entry = self.index.groups.get(place);
+        let (offset, length) = entry
+            .map(|entry| (entry.offset, entry.length))
+            .ok_or_else(|| Error::corrupt("it is not in the index"))?;
+        let raw = self.indexed_record(offset, length, GROUP)?;
+        let (group, frame_sizes) = Group::read_from(&raw.payload, &self.limits)?;
+        if frame_sizes != self.index.groups[place].frame_sizes {
+            return Err(Error::corrupt("it does not agree with the index"));
+        }
+        check_reference(&group, &self.index)?;
+        Ok(group)
+    }
+
+    fn indexed_record(&mut self, offset: u64, length: u64, kind: u8) -> Result<RawRecord> {
+        let raw = self.record_at(offset, kind)?;
+        if raw.length != length {
+            return Err(Error::corrupt("it is not as long as the index says"));
+        }
+        Ok(raw)
+    }
+
+    /// Reads the record at `offset`, which must be whole and of this kind.
+    fn record_at(&mut self, offset: u64, kind: u8) -> Result<RawRecord> {
+        if offset >= self.size {
+            return Err(Error::corrupt(format!("byte {offset} is beyond the end")));
+        }
+        self.input.seek(SeekFrom::Start(offset))?;
+        let raw = read_record(&mut self.input, &self.limits)?;
+        if raw.kind != kind {
+            return Err(Error::corrupt(format!("there is no {} record at byte {offset}", kind_name(kind))));
+        }
+        check_intact(&raw, &self.limits)?;
+        Ok(raw)
+    }
+}
+
+/// An error if the record's checksum does not match; for a group it names the damaged section.
+fn check_intact(raw: &RawRecord, limits: &Limits) -> Result<()> {
+    if raw.intact {
+        return Ok(());
+    }
+    if raw.kind == GROUP
+        && let Err(error @ Error::Corrupt { .. }) = Group::read_from(&raw.payload, limits)
+    {
+        return Err(error);
+    }
+    Err(Error::corrupt("checksum does not match"))
+}
+
+/// An error if the group refers to a sensor model that the stream does not hold.
+fn check_reference(group: &Group, index: &Index) -> Result<()> {
+    let models = index.sensor_models.len() as u64;
+    if group.sensor_model > models {
+        return Err(Error::corrupt(format!("sensor model {} of {models}", group.sensor_model)));
+    }
+    Ok(())
+}
+
+fn kind_name(kind: u8) -> &'static str {
+    match kind {
+        SENSOR_MODEL => "sensor model",
+        GROUP => "group",
+        INDEX => "index",
+        END => "end",
+        _ => "unknown",
+    }
+}
+
+/// What an error calls the record that follows those in `seen`.
+fn describe(kind: u8, seen: &Index) -> String {
+    match kind {
+        SENSOR_MODEL => format!("sensor model {}", seen.sensor_models.len() + 1),
+        GROUP => format!("group {}", seen.groups.len()),
+        INDEX => "index".to_owned(),
+        END => "end record".to_owned(),
+        _ => "record".to_owned(),
+    }
+}

@@ -1,0 +1,242 @@
+//! Whole streams: what comes back, and that no damage goes unseen.
+
+use std::io::Cursor;
+
+use super::record::write_record;
+use super::*;
+use crate::ground::error::{Error, Limits, Result};
+
+fn frame(number: u8, sections: usize) -> Frame {
+    let header = FrameHeader {
+        name: format!("{number:010}.bin"),
+        file_size: 1000 + u64::from(number),
+        file_crc: 0x1234_5678,
+        point_count: 62,
+    };
+    let kinds = SectionKind::ALL.into_iter().take(sections);
+    Frame { header, sections: kinds.map(|kind| Section { kind, payload: vec![number; 5] }).collect() }
+}
+
+/// Two sensor models, three groups of two, one and no frames.
+fn sample_groups() -> [Group; 3] {
+    [
+        Group { sensor_model: 1, frames: vec![frame(0, 3), frame(1, 0)] },
+        Group { sensor_model: 2, frames: vec![frame(2, 9)] },
+        Group { sensor_model: 0, frames: vec![] },
+    ]
+}
+
+fn sample_stream() -> Vec<u8> {
+    let mut writer = StreamWriter::create(Vec::new(), &StreamHeader::default()).unwrap();
+    let groups = sample_groups();
+    assert_eq!(writer.write_sensor_model(b"first").unwrap(), 1);
+    writer.write_group(&groups[0]).unwrap();
+    assert_eq!(writer.write_sensor_model(b"second").unwrap(), 2);
+    writer.write_group(&groups[1]).unwrap();
+    writer.write_group(&groups[2]).unwrap();
+    let (bytes, length) = writer.finish().unwrap();
+    assert_eq!(bytes.len() as u64, length);
+    bytes
+}
+
+fn read_all(bytes: &[u8]) -> Result<(Vec<Record>, Index)> {
+    let mut reader = StreamReader::open(bytes, Limits::default())?;
+    let mut records = Vec::new();
+    while let Some(record) = reader.next_record()? {
+        records.push(record);
+    }
+    assert_eq!(reader.position(), bytes.len() as u64);
+    Ok((records, reader.index().clone()))
+}
+
+#[test]
+fn a_stream_comes_back_front_to_back() {
+    let (records, index) = read_all(&sample_stream()).unwrap();
+    let [a, b, c] = sample_groups().map(Record::Group);
+    let models = [&b"first"[..], b"second"].map(|model| Record::SensorModel(model.to_vec()));
+    assert_eq!(records, [models[0].clone(), a, models[1].clone(), b, c]);
+    assert_eq!(index.groups.iter().map(|group| group.first_frame).collect::<Vec<_>>(), [0, 2, 3]);
+    assert_eq!(index.frame_count(), 3);
+}
+
+#[test]
+fn a_stream_comes_back_through_its_index() {
+    let bytes = sample_stream();
+    let mut reader = IndexedReader::open(Cursor::new(&bytes), Limits::default()).unwrap();
+    assert_eq!(*reader.index(), read_all(&bytes).unwrap().1);
+    for (place, group) in sample_groups().iter().enumerate().rev() {
+        assert_eq!(reader.read_group(place).unwrap(), *group);
+    }
+    assert_eq!(reader.read_sensor_model(2).unwrap(), b"second");
+    assert!(reader.read_sensor_model(0).is_err());
+    assert!(reader.read_sensor_model(3).is_err());
+    assert!(reader.read_group(3).is_err());
+}
+
+#[test]
+fn every_flipped_bit_is_an_error() {
+    let bytes = sample_stream();
+    for bit in 0..bytes.len() * 8 {
+        let mut damaged = bytes.clone();
+        damaged[bit / 8] ^= 1 << (bit % 8);
+        assert!(read_all(&damaged).is_err(), "bit {bit} of byte {} went unseen", bit / 8);
+    }
+}
+
+#[test]
+fn every_cut_is_an_error() {
+    let bytes = sample_stream();
+    for length in 0..bytes.len() {
+        assert!(read_all(&bytes[..length]).is_err(), "{length} of {} bytes pass", bytes.len());
+        assert!(IndexedReader::open(Cursor::new(&bytes[..length]), Limits::default()).is_err());
+    }
+}
+
+#[test]
+fn bytes_after_the_end_are_an_error() {
+    let bytes = [&sample_stream()[..], &[0]].concat();
+    assert!(read_all(&bytes).unwrap_err().to_string().contains("bytes after it"));
+}
+
+#[test]
+fn damage_is_named_down_to_the_section() {
+    let mut bytes = sample_stream();
+    let second = bytes.windows(5).rposition(|window| window == [2; 5]).unwrap();
+    bytes[second] ^= 1;
+    let error = read_all(&bytes).unwrap_err().to_string();
+    for part in ["group 1", "frame 0", "0000000002.bin", "section 9 (extra)"] {
+        assert!(error.contains(part), "{part:?} is missing in: {error}");
+    }
+}
+
+#[test]
+fn an_unknown_record_is_named_or_skipped() {
+    let bytes = sample_stream();
+    let with_record = |kind| {
+        let mut stream = bytes[..header::HEADER_LENGTH].to_vec();
+        write_record(&mut stream, kind, b"new").unwrap();
+        stream
+    };
+    let error = read_all(&with_record(9)).unwrap_err();
+    assert!(matches!(error, Error::Unsupported { .. }), "{error}");
+    assert!(error.to_string().contains("unknown kind 9"), "{error}");
+
+    let mut reader = StreamReader::open(Cursor::new(with_record(0x89)), Limits::default()).unwrap();
+    let error = reader.next_record().unwrap_err().to_string();
+    let after = header::HEADER_LENGTH + 2 + 3 + 4;
+    assert!(error.contains(&format!("record at byte {after}: the stream is cut short")), "{error}");
+}
+
+#[test]
+fn a_reference_to_a_missing_sensor_model_is_an_error() {
+    let mut writer = StreamWriter::create(Vec::new(), &StreamHeader::default()).unwrap();
+    writer.write_group(&sample_groups()[0]).unwrap();
+    let (bytes, _) = writer.finish().unwrap();
+    assert!(read_all(&bytes).unwrap_err().to_string().contains("sensor model 1 of 0"));
+    let mut reader = IndexedReader::open(Cursor::new(&bytes), Limits::default()).unwrap();
+    assert!(reader.read_group(0).is_err());
+}
+
+#[test]
+fn limits_hold() {
+    let bytes = sample_stream();
+    let low = [
+        Limits { record_bytes: 20, ..Limits::default() },
+        Limits { file_bytes: 1000, ..Limits::default() },
+        Limits { file_bytes: 1999, ..Limits::default() },
+        Limits { points: 61, ..Limits::default() },
+    ];
+    for limits in low {
+        let mut reader = StreamReader::open(&bytes[..], limits).unwrap();
+        let error = loop {
+            match reader.next_record() {
+                Ok(record) => assert!(record.is_some(), "{limits:?} were not kept"),
+                Err(error) => break error,
+            }
+        };
+        assert!(matches!(error, Error::LimitExceeded { .. }), "{error}");
+    }
+}
+
+/// Forged payloads, whose checksums would be right: each is an error, or has this one meaning only.
+#[test]
+fn every_payload_is_an_error_or_is_written_the_same() {
+    fn check<T>(payload: &[u8], read: impl Fn(&[u8]) -> Result<T>, write: impl Fn(&T, &mut Vec<u8>)) {
+        for place in 0..payload.len() {
+            for value in [0, 1, 2, 0x7f, 0x80, 0x81, 0xff] {
+                let mut forged = payload.to_vec();
+                forged[place] = value;
+                for length in [place + 1, forged.len()] {
+                    if let Ok(meaning) = read(&forged[..length]) {
+                        let mut written = Vec::new();
+                        write(&meaning, &mut written);
+                        assert_eq!(written, forged[..length]);
+                    }
+                }
+            }
+        }
+    }
+    for group in sample_groups() {
+        let mut payload = Vec::new();
+        group.write_to(&mut payload);
+        let read = |bytes: &[u8]| Ok(Group::read_from(bytes, &Limits::default())?.0);
+        check(&payload, read, |group, out| drop(group.write_to(out)));
+    }
+    let (_, index) = read_all(&sample_stream()).unwrap();
+    let mut payload = Vec::new();
+    index.write_to(&mut payload);
+    check(&payload, Index::read_from, Index::write_to);
+}
+
+#[test]
+fn an_index_that_points_beyond_the_end_is_an_error() {
+    let mut stream = sample_stream();
+    stream.truncate(stream.len() - index::END_LENGTH as usize);
+    for offset in [stream.len() as u64 + 18, u64::MAX] {
+        let mut forged = stream.clone();
+        write_record(&mut forged, record::END, &index::end_payload(offset)).unwrap();
+        let error = IndexedReader::open(Cursor::new(&forged), Limits::default()).err().unwrap();
+        assert!(error.to_string().contains("beyond the end"), "{error}");
+        assert!(read_all(&forged).is_err());
+    }
+}
+
+/// Streams whose checksums are right and whose records contradict each other.
+#[test]
+fn records_that_contradict_each_other_are_an_error() {
+    let whole = sample_stream();
+    let (_, index) = read_all(&whole).unwrap();
+    let mut index_payload = Vec::new();
+    index.write_to(&mut index_payload);
+    let end_offset = whole.len() - index::END_LENGTH as usize;
+    let index_offset = end_offset - index_payload.len() - 6;
+    assert_eq!(whole[index_offset], record::INDEX);
+    let with = |tail: &[(u8, &[u8])]| {
+        let mut stream = whole[..index_offset].to_vec();
+        for (kind, payload) in tail {
+            write_record(&mut stream, *kind, payload).unwrap();
+        }
+        read_all(&stream).map_err(|error| error.to_string())
+    };
+    let end = index::end_payload(index_offset as u64);
+    let the_index = (record::INDEX, &index_payload[..]);
+    let the_end = (record::END, &end[..]);
+    assert!(with(&[the_index, the_end]).is_ok());
+    assert!(with(&[the_index, (0x89, b"new"), the_end]).is_ok(), "what may be skipped is not");
+
+    let mut other = index.clone();
+    other.groups[1].frame_sizes[0] += 1;
+    let mut other_payload = Vec::new();
+    other.write_to(&mut other_payload);
+    for (tail, complaint) in [
+        (&[(record::INDEX, &other_payload[..]), the_end][..], "agree"),
+        (&[the_end], "point at the index"),
+        (&[the_index, (record::SENSOR_MODEL, b"late"), the_end], "after the index"),
+        (&[the_index, the_index, the_end], "after the index"),
+        (&[the_index, (record::END, &index::end_payload(12))], "point at the index"),
+        (&[the_index, (record::END, b"short")], "cut short"),
+    ] {
+        let error = with(tail).unwrap_err();
+        assert!(error.contains(complaint), "{complaint:?} is missing in: {error}");
+    }
+}

@@ -1,0 +1,81 @@
+//! Writes a stream, front to back.
+
+use std::io::Write;
+
+use super::group::Group;
+use super::header::{HEADER_LENGTH, StreamHeader};
+use super::index::{Index, end_payload};
+use super::record::{END, GROUP, INDEX, SENSOR_MODEL, write_record};
+use crate::ground::error::Result;
+
+/// Writes a stream, front to back, keeping only the index in memory.
+pub struct StreamWriter<W> {
+    out: W,
+    /// Bytes written.
+    position: u64,
+    index: Index,
+}
+
+impl<W: Write> StreamWriter<W> {
+    /// Writes the stream header.
+    ///
+    /// # Errors
+    /// This and all other functions: if `out` fails.
+    pub fn create(mut out: W, header: &StreamHeader) -> Result<Self> {
+        header.write_to(&mut out)?;
+        Ok(StreamWriter { out, position: HEADER_LENGTH as u64, index: Index::default() })
+    }
+
+    /// Goes on with a stream that `out` has got as far as the records of `index` go, the last of them included.
+    pub fn resume(out: W, index: Index) -> Self {
+        StreamWriter { out, position: index.end().unwrap_or(HEADER_LENGTH as u64), index }
+    }
+
+    /// Bytes written so far.
+    pub fn position(&self) -> u64 {
+        self.position
+    }
+
+    /// Where the records written so far are.
+    pub fn index(&self) -> &Index {
+        &self.index
+    }
+
+    /// Writes a sensor model; returns the number by which groups refer to it (1 is the first).
+    ///
+    /// # Errors
+    /// If the output fails.
+    pub fn write_sensor_model(&mut self, model: &[u8]) -> Result<u64> {
+        let length = write_record(&mut self.out, SENSOR_MODEL, model)?;
+        self.index.push_sensor_model(self.position, length);
+        self.position += length;
+        Ok(self.index.sensor_models.len() as u64)
+    }
+
+    /// Writes the sequence's next group, down to whoever reads the output as it grows.
+    ///
+    /// # Errors
+    /// If the output fails.
+    pub fn write_group(&mut self, group: &Group) -> Result<()> {
+        let mut payload = Vec::new();
+        let frame_sizes = group.write_to(&mut payload);
+        let length = write_record(&mut self.out, GROUP, &payload)?;
+        self.out.flush()?;
+        self.index.push_group(self.position, length, frame_sizes);
+        self.position += length;
+        Ok(())
+    }
+
+    /// Writes the index and the end, and flushes; returns the output and how many bytes it got.
+    ///
+    /// # Errors
+    /// If the output fails.
+    pub fn finish(mut self) -> Result<(W, u64)> {
+        let mut payload = Vec::new();
+        self.index.write_to(&mut payload);
+        let index_length = write_record(&mut self.out, INDEX, &payload)?;
+        let end_length = write_record(&mut self.out, END, &end_payload(self.position))?;
+        self.out.flush()?;
+        Ok((self.out, self.position + index_length + end_length))
+    }
+}

@@ -1,0 +1,180 @@
+//! A stream to a sequence of files.
+
+use std::io::{Read, Seek};
+
+use super::options::DecodeOptions;
+use super::ordered::run_ordered;
+use super::source::{GroupJob, IndexedGroups, StreamedGroups};
+use crate::files;
+use crate::frame::group::{DecodedImage, DecodedScan, GroupDecoder};
+use crate::frame::parameters::Source;
+use crate::frame::settings::resolve_threads;
+use crate::frame::steps::StepReport;
+use crate::ground::error::{Error, Result};
+use crate::scan::ScanFile;
+use crate::stream::container::{Frame, FrameHeader, IndexedReader, StreamReader};
+
+/// One decoded file. Whether it is the file that was encoded shows when its bytes are asked for, or by
+/// [`checked`](Self::checked).
+#[derive(Clone, Debug)]
+pub struct DecodedFrame {
+    /// Its number in the sequence, the first being 0.
+    pub number: u64,
+    /// What the stream says of it. The name is as in the stream: check it before use as a path.
+    pub header: FrameHeader,
+    /// The file, taken apart.
+    pub scan: ScanFile,
+    /// What the file was before, if it is not given back exactly.
+    pub source: Option<Source>,
+    /// Whether it holds the points of the file before, and in their order.
+    pub in_order: bool,
+    /// The range image, if there is one and it was asked for.
+    pub image: Option<DecodedImage>,
+    /// What each step of decoding took.
+    pub steps: StepReport,
+}
+
+impl DecodedFrame {
+    /// Gives the file's bytes, piece by piece.
+    ///
+    /// # Errors
+    /// If, as shows in the end, they are not those of the file that was encoded; those of `give`.
+    pub fn write(&self, give: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+        write_checked(&self.scan, &self.header, give)
+            .map_err(|e| e.within(&part_name(self.number, &self.header.name)))
+    }
+
+    /// The file's bytes.
+    ///
+    /// # Errors
+    /// If they are not those of the file that was encoded.
+    pub fn to_bytes(&self) -> Result<Vec<u8>> {
+        files::collected(|give| self.write(give))
+    }
+
+    /// The frame, if it is the file that was encoded.
+    ///
+    /// # Errors
+    /// If it is not.
+    pub fn checked(self) -> Result<Self> {
+        self.write(|_| Ok(())).map(|()| self)
+    }
+}
+
+/// Decodes a stream front to back, as from a pipe. Groups are decoded in parallel: `work` is done on each
+/// frame by the thread that has decoded it, as soon as it has, and what becomes of the frame is handed to `sink` in
+/// order, on the calling thread. The whole stream is read and checked even if only some frames are asked
+/// for. Returns how many frames the stream holds.
+///
+/// # Errors
+/// If the input fails or is damaged anywhere, if a frame asks for more than the limits, if there are no such
+/// frames, or if the work or the sink fails.
+pub fn decode<T: Send>(
+    input: impl Read + Send,
+    options: &DecodeOptions,
+    work: impl Fn(DecodedFrame) -> Result<T> + Sync,
+    sink: impl FnMut(T) -> Result<()>,
+) -> Result<u64> {
+    let reader = StreamReader::open(input, options.limits)?;
+    let mut jobs = StreamedGroups::new(reader, options.frames);
+    decode_jobs(&mut jobs, options, work, sink)?;
+    let frame_count = jobs.frame_count();
+    options.frames.check(frame_count)?;
+    Ok(frame_count)
+}
+
+/// As [`decode`], but reads only the groups that hold the frames asked for. Returns how many frames
+/// the stream holds.
+///
+/// # Errors
+/// As [`decode`]; damage elsewhere in the stream goes unseen.
+pub fn decode_indexed<T: Send>(
+    input: impl Read + Seek + Send,
+    options: &DecodeOptions,
+    work: impl Fn(DecodedFrame) -> Result<T> + Sync,
+    sink: impl FnMut(T) -> Result<()>,
+) -> Result<u64> {
+    let reader = IndexedReader::open(input, options.limits)?;
+    let frame_count = reader.index().frame_count();
+    options.frames.check(frame_count)?;
+    decode_jobs(&mut IndexedGroups::new(reader, options.frames), options, work, sink)?;
+    Ok(frame_count)
+}
+
+fn decode_jobs<T: Send>(
+    jobs: &mut (impl Iterator<Item = Result<GroupJob>> + Send),
+    options: &DecodeOptions,
+    work: impl Fn(DecodedFrame) -> Result<T> + Sync,
+    mut sink: impl FnMut(T) -> Result<()>,
+) -> Result<()> {
+    let work = |job| decode_group(job, options, &work);
+    let deliver = |results: Vec<T>| results.into_iter().try_for_each(&mut sink);
+    run_ordered(resolve_threads(options.threads), jobs, work, deliver)
+}
+
+/// Decodes the frames of a group up to the last that is asked for, and does `work` on each of these.
+pub(crate) fn decode_group<T>(
+    job: GroupJob,
+    options: &DecodeOptions,
+    work: impl Fn(DecodedFrame) -> Result<T>,
+) -> Result<Vec<T>> {
+    let range = &options.frames;
+    let sensor = job.sensor.as_deref().map(|sensor| &sensor.model);
+    let coder = GroupDecoder::new(sensor, &options.limits);
+    let mut coder = coder.keeping_images(options.images);
+    let mut results = Vec::new();
+    for (number, frame) in (job.first_frame..).zip(job.group.frames) {
+        if range.is_past(number) {
+            break;
+        }
+        let part = part_name(number, &frame.header.name);
+        if let Some(frame) = decode_frame(&mut coder, number, frame, options).map_err(|e| e.within(&part))? {
+            results.push(work(frame)?);
+        }
+    }
+    Ok(results)
+}
+
+/// Decodes one frame; returns its file if it is asked for (those before it are needed for its sake).
+fn decode_frame(
+    coder: &mut GroupDecoder<'_>,
+    number: u64,
+    frame: Frame,
+    options: &DecodeOptions,
+) -> Result<Option<DecodedFrame>> {
+    let header = frame.header;
+    let mut steps = StepReport::default();
+    let DecodedScan { scan, source, in_order, image } =
+        coder.decode_frame(&header, &frame.sections, &mut steps)?;
+    if !options.frames.contains(number) {
+        return Ok(None);
+    }
+    Ok(Some(DecodedFrame { number, header, scan, source, in_order, image, steps }))
+}
+
+/// What errors call a frame.
+pub(crate) fn part_name(number: u64, name: &str) -> String {
+    format!("frame {number} ({name:?})")
+}
+
+/// Gives the bytes of a file, piece by piece; an error if in the end they are not those that the frame's header tells
+/// of.
+pub(crate) fn write_checked(
+    scan: &ScanFile,
+    header: &FrameHeader,
+    mut give: impl FnMut(&[u8]) -> Result<()>,
+) -> Result<()> {
+    let (mut size, mut crc) = (0, 0);
+    files::write(scan, |piece| {
+        size += piece.len() as u64;
+        crc = crc32c::crc32c_append(crc, piece);
+        give(piece)
+    })?;
+    if size != header.file_size {
+        return Err(Error::corrupt(format!("{size} bytes, not {}", header.file_size)));
+    }
+    if crc != header.file_crc {
+        return Err(Error::corrupt("the decoded file's checksum does not match"));
+    }
+    Ok(())
+}

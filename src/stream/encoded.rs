@@ -1,0 +1,105 @@
+//! A stream as it is encoded, and what it has come to.
+
+use std::io::Write;
+
+use super::encoder::EncodedGroup;
+use crate::frame::steps::StepReport;
+use crate::ground::error::Result;
+use crate::scanner::SensorModel;
+use crate::stream::container::{FrameHeader, Index, StreamHeader, StreamWriter};
+
+/// What was encoded.
+#[derive(Clone, Debug, Default)]
+pub struct Encoded {
+    /// Name, size, checksum and points of each file as it decodes, in order.
+    pub frames: Vec<FrameHeader>,
+    /// What each step took and left; where several predictions were tried, with the one that was taken.
+    pub steps: StepReport,
+    /// The same, frame by frame.
+    pub frame_steps: Vec<StepReport>,
+    /// Points of all original files.
+    pub points: u64,
+    /// Frames that were taken over from an interrupted run. Of these, steps have no times.
+    pub resumed_frames: u64,
+    /// Bytes of the stream.
+    pub stream_bytes: u64,
+}
+
+impl Encoded {
+    /// Bytes of all original files.
+    pub fn file_bytes(&self) -> u64 {
+        self.steps.original
+    }
+}
+
+/// A frame of the stream.
+pub(crate) struct FrameOfStream {
+    /// What it decodes to.
+    pub header: FrameHeader,
+    pub steps: StepReport,
+    /// Points of the original file.
+    pub points: u64,
+}
+
+impl Encoded {
+    /// Adds the next frame.
+    pub(crate) fn add(&mut self, frame: FrameOfStream) {
+        self.steps.add(&frame.steps);
+        self.frame_steps.push(frame.steps);
+        self.points += frame.points;
+        self.frames.push(frame.header);
+    }
+}
+
+/// A stream that groups are written to.
+pub(crate) struct OpenStream<W> {
+    writer: StreamWriter<W>,
+    encoded: Encoded,
+}
+
+impl<W: Write> OpenStream<W> {
+    /// Writes the stream header, and the sensor model if there is one.
+    ///
+    /// # Errors
+    /// This and all other functions: if the output fails.
+    pub fn begin(out: W, sensor: Option<&SensorModel>) -> Result<Self> {
+        let mut writer = StreamWriter::create(out, &StreamHeader::default())?;
+        if let Some(sensor) = sensor {
+            writer.write_sensor_model(&sensor.to_record())?;
+        }
+        Ok(OpenStream { writer, encoded: Encoded::default() })
+    }
+
+    /// Goes on with a stream that holds this already.
+    pub fn resume(out: W, index: Index, encoded: Encoded) -> Self {
+        OpenStream { writer: StreamWriter::resume(out, index), encoded }
+    }
+
+    /// The number of the sensor model, 0 if there is none.
+    pub fn sensor_number(&self) -> u64 {
+        self.writer.index().sensor_models.len() as u64
+    }
+
+    /// Bytes written so far.
+    pub fn position(&self) -> u64 {
+        self.writer.position()
+    }
+
+    /// Writes the next groups.
+    pub fn write(&mut self, groups: &[EncodedGroup]) -> Result<()> {
+        for EncodedGroup { group, steps, originals, .. } in groups {
+            self.writer.write_group(group)?;
+            for ((frame, steps), original) in group.frames.iter().zip(steps).zip(originals) {
+                let (header, points) = (frame.header.clone(), original.point_count);
+                self.encoded.add(FrameOfStream { header, steps: *steps, points });
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the index and the end.
+    pub fn finish(mut self) -> Result<Encoded> {
+        (_, self.encoded.stream_bytes) = self.writer.finish()?;
+        Ok(self.encoded)
+    }
+}

@@ -1,0 +1,189 @@
+//! A sequence of files to a stream.
+
+use std::borrow::Cow;
+use std::io::Write;
+use std::mem;
+
+use super::encoded::{Encoded, OpenStream};
+use super::input::FrameInput;
+use super::ordered::run_ordered;
+use super::scanner_choice::choose_sensor;
+use crate::files::{HeaderlessLayout, parse_with};
+use crate::frame::group::GroupEncoder;
+use crate::frame::settings::{EncoderConfig, resolve_threads};
+use crate::frame::steps::StepReport;
+use crate::ground::error::{Limits, Result};
+use crate::scan::ScanFile;
+use crate::scanner::SensorModel;
+use crate::stream::container::{Frame, FrameHeader, Group};
+
+/// A group is closed early when its files reach this many bytes together: decoders hold a whole
+/// group in memory.
+const GROUP_FILE_BYTES: u64 = 256 << 20;
+
+/// Encodes a sequence. Groups are encoded in parallel; the stream's bytes do not depend on how many
+/// at a time. `on_frame` is called, from any thread, as each frame is done.
+///
+/// # Errors
+/// If a file cannot be read or is over the limits that every decoder keeps ([`Limits::default`]), if
+/// a name cannot be given back, if the output fails, or if the settings are out of range.
+pub fn encode<W: Write>(
+    frames: &[FrameInput],
+    config: &EncoderConfig,
+    out: W,
+    on_frame: &(dyn Fn() + Sync),
+) -> Result<Encoded> {
+    config.check()?;
+    encode_groups(choose_sensor(frames, config)?, groups_of(frames, config), config, out, on_frame)
+}
+
+/// As [`encode`], of frames that are yet to come: each group is written as soon as it is coded, which does
+/// not wait for the frame after it. The sensor model is fitted to the first group. A few groups are in
+/// memory at a time.
+///
+/// # Errors
+/// As [`encode`]; also the first error of `frames`.
+pub fn encode_live<W: Write>(
+    frames: impl Iterator<Item = Result<FrameInput>> + Send,
+    config: &EncoderConfig,
+    out: W,
+    on_frame: &(dyn Fn() + Sync),
+) -> Result<Encoded> {
+    config.check()?;
+    let mut frames = frames.fuse();
+    let mut groups = std::iter::from_fn(|| {
+        let group: Result<Vec<_>> = frames.by_ref().take(config.gop).collect();
+        group.map(|group| (!group.is_empty()).then_some(Cow::Owned(group))).transpose()
+    });
+    let first: Option<Cow<'_, [FrameInput]>> = groups.next().transpose()?;
+    let sensor = choose_sensor(first.as_deref().unwrap_or_default(), config)?;
+    encode_groups(sensor, first.map(Ok).into_iter().chain(groups), config, out, on_frame)
+}
+
+/// Encodes groups of frames.
+fn encode_groups<'f, W: Write>(
+    sensor: Option<SensorModel>,
+    groups: impl Iterator<Item = Result<Cow<'f, [FrameInput]>>> + Send,
+    config: &EncoderConfig,
+    out: W,
+    on_frame: &(dyn Fn() + Sync),
+) -> Result<Encoded> {
+    let mut stream = OpenStream::begin(out, sensor.as_ref())?;
+    let coder = SequenceCoder::new(sensor.as_ref(), stream.sensor_number(), config, on_frame);
+    coder.run(groups, |groups| stream.write(&groups))?;
+    stream.finish()
+}
+
+/// The frames that are coded together.
+pub(crate) fn groups_of<'f>(
+    frames: &'f [FrameInput],
+    config: &EncoderConfig,
+) -> impl Iterator<Item = Result<Cow<'f, [FrameInput]>>> + Send + use<'f> {
+    frames.chunks(config.gop).map(|group| Ok(Cow::Borrowed(group)))
+}
+
+/// What all groups of a sequence share.
+pub(crate) struct SequenceCoder<'a> {
+    sensor: Option<&'a SensorModel>,
+    sensor_number: u64,
+    config: &'a EncoderConfig,
+    on_frame: &'a (dyn Fn() + Sync),
+}
+
+impl<'a> SequenceCoder<'a> {
+    /// For groups that refer to `sensor` by this number.
+    pub fn new(
+        sensor: Option<&'a SensorModel>,
+        sensor_number: u64,
+        config: &'a EncoderConfig,
+        on_frame: &'a (dyn Fn() + Sync),
+    ) -> Self {
+        SequenceCoder { sensor, sensor_number, config, on_frame }
+    }
+
+    /// Encodes frames in parallel, and hands `write` what becomes of each item of `groups`, in order.
+    ///
+    /// # Errors
+    /// As [`encode`].
+    pub fn run<'f>(
+        &self,
+        groups: impl Iterator<Item = Result<Cow<'f, [FrameInput]>>> + Send,
+        write: impl FnMut(Vec<EncodedGroup>) -> Result<()>,
+    ) -> Result<()> {
+        let work = |group: Cow<'_, [FrameInput]>| self.encode_frames(&group);
+        run_ordered(resolve_threads(self.config.threads), groups, work, write)
+    }
+
+    /// Encodes frames as one group; as more if they are very large.
+    fn encode_frames(&self, inputs: &[FrameInput]) -> Result<Vec<EncodedGroup>> {
+        let mut groups = Vec::new();
+        let mut open = OpenGroup::new(self);
+        for input in inputs {
+            let bytes = input.read()?;
+            if !open.has_room_for(&bytes) {
+                groups.push(mem::replace(&mut open, OpenGroup::new(self)).encoded);
+            }
+            open.encode_frame(input.name()?, bytes).map_err(|e| e.at(input.path()))?;
+            (self.on_frame)();
+        }
+        groups.push(open.encoded);
+        Ok(groups)
+    }
+}
+
+/// A group, and what became of its files.
+pub(crate) struct EncodedGroup {
+    pub group: Group,
+    /// Of each frame.
+    pub steps: Vec<StepReport>,
+    /// The original files.
+    pub originals: Vec<FrameHeader>,
+    /// Their bytes.
+    file_bytes: u64,
+}
+
+/// A group that is being encoded.
+struct OpenGroup<'s> {
+    headerless: Option<&'s HeaderlessLayout>,
+    coder: GroupEncoder<'s>,
+    encoded: EncodedGroup,
+}
+
+impl<'s> OpenGroup<'s> {
+    fn new(sequence: &SequenceCoder<'s>) -> Self {
+        let group = Group { sensor_model: sequence.sensor_number, frames: Vec::new() };
+        OpenGroup {
+            headerless: sequence.config.headerless.as_ref(),
+            coder: GroupEncoder::new(sequence.sensor, sequence.config),
+            encoded: EncodedGroup { group, steps: Vec::new(), originals: Vec::new(), file_bytes: 0 },
+        }
+    }
+
+    fn has_room_for(&self, bytes: &[u8]) -> bool {
+        let group_bytes = self.encoded.file_bytes;
+        self.encoded.group.frames.is_empty() || group_bytes + bytes.len() as u64 <= GROUP_FILE_BYTES
+    }
+
+    fn encode_frame(&mut self, name: &str, bytes: Vec<u8>) -> Result<()> {
+        let mut original = FrameHeader::of(name, &bytes, 0);
+        let scan = within_limits(parse_with(name, bytes, self.headerless))?;
+        original.point_count = scan.records as u64;
+        self.encoded.file_bytes += original.file_size;
+        self.encoded.originals.push(original.clone());
+        let frame = self.coder.encode_frame(scan, original)?;
+        self.encoded.steps.push(frame.steps);
+        self.encoded.group.frames.push(Frame { header: frame.header, sections: frame.sections });
+        Ok(())
+    }
+}
+
+/// A scan that decoders take under their limits: one of too many points, or whose text or compressed
+/// records unfold to too many bytes, is coded as the bytes of its file.
+fn within_limits(scan: ScanFile) -> Result<ScanFile> {
+    let limits = Limits::default();
+    if scan.records as u64 <= limits.points && scan.cloud.extra.len() as u64 <= limits.file_bytes {
+        return Ok(scan);
+    }
+    let bytes = scan.to_bytes()?;
+    Ok(ScanFile::opaque(scan.name, bytes))
+}

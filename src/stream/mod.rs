@@ -1,0 +1,23 @@
+//! A sequence of scans to a stream of groups, and back.
+//!
+//! Groups are independent, so they are coded in parallel, and delivered in order.
+
+pub mod container;
+pub mod decoder;
+pub mod encoded;
+pub mod encoder;
+pub mod input;
+pub mod options;
+
+pub(crate) mod ordered;
+pub(crate) mod scanner_choice;
+pub(crate) mod source;
+
+pub use decoder::{DecodedFrame, decode, decode_indexed};
+pub use encoded::Encoded;
+pub use encoder::{encode, encode_live};
+pub use input::FrameInput;
+pub use options::{DecodeOptions, FrameRange};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,223 @@
+//! Work in parallel, results in order, memory bounded.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Sender};
+use std::thread;
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::ground::error::{Error, Result};
+
+/// What the calling thread waits for.
+enum Event<J, T> {
+    /// The next job.
+    Job(Result<J>),
+    /// There is no job any more.
+    End,
+    /// The job with this number is done.
+    Done(usize, Result<T>),
+}
+
+/// So many threads.
+///
+/// # Errors
+/// If they cannot be started.
+pub(crate) fn pool(threads: usize) -> Result<ThreadPool> {
+    let pool = ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.map_err(|e| Error::InvalidConfig(format!("cannot start {threads} threads: {e}")))
+}
+
+/// Does `work` for each job on `threads` threads and hands the results to `sink` in the order of the
+/// jobs, each as soon as it and those before it are there. Jobs are drawn on a thread of their own, which
+/// may wait for its input; results are handed over on the calling thread. At most `threads + 1` jobs are
+/// drawn, under way or waiting, so memory does not grow with their number.
+///
+/// # Errors
+/// The first error of the jobs, the work or the sink, in the order of the jobs; which one does not
+/// depend on timing.
+pub(crate) fn run_ordered<J: Send, T: Send>(
+    threads: usize,
+    jobs: impl Iterator<Item = Result<J>> + Send,
+    work: impl Fn(J) -> Result<T> + Sync,
+    sink: impl FnMut(T) -> Result<()>,
+) -> Result<()> {
+    let pool = pool(threads)?;
+    let stop = AtomicBool::new(false);
+    let (stop, work) = (&stop, &work);
+    let (events, inbox) = mpsc::channel();
+    let (permits, permitted) = mpsc::channel::<()>();
+    thread::scope(|drawer| {
+        let drawn = events.clone();
+        drawer.spawn(move || draw(jobs, &permitted, drawn));
+        pool.in_place_scope_fifo(|scope| {
+            let start = |place, job| {
+                let ticket = Ticket { events: events.clone(), place, is_done: false };
+                scope.spawn_fifo(move |_| {
+                    if !stop.load(Ordering::Relaxed) {
+                        ticket.done(work(job));
+                    }
+                });
+            };
+            for _ in 0..=threads {
+                // The drawer is gone only after its last event, which is yet to be read.
+                let _ = permits.send(());
+            }
+            let result = pass(&inbox, &permits, start, sink);
+            // After an error, do not begin what nobody waits for.
+            stop.store(true, Ordering::Relaxed);
+            drop(permits);
+            result
+        })
+    })
+}
+
+/// Draws a job for each permit, up to the last or the first error.
+fn draw<J, T>(
+    mut jobs: impl Iterator<Item = Result<J>>,
+    permitted: &mpsc::Receiver<()>,
+    events: Sender<Event<J, T>>,
+) {
+    let events = Drawn(events);
+    for () in permitted {
+        let Some(job) = jobs.next() else { return };
+        let is_last = job.is_err();
+        if events.0.send(Event::Job(job)).is_err() || is_last {
+            return;
+        }
+    }
+}
+
+/// Tells that there is no job any more, even if drawing one panics (which the scope passes on).
+struct Drawn<J, T>(Sender<Event<J, T>>);
+
+impl<J, T> Drop for Drawn<J, T> {
+    fn drop(&mut self) {
+        let _ = self.0.send(Event::End);
+    }
+}
+
+/// Starts jobs as they come, and hands over results as they are next.
+fn pass<J, T>(
+    inbox: &mpsc::Receiver<Event<J, T>>,
+    permits: &Sender<()>,
+    start: impl Fn(usize, J),
+    mut sink: impl FnMut(T) -> Result<()>,
+) -> Result<()> {
+    // Of the jobs from number `first` on, what is there.
+    let mut results: VecDeque<Option<Result<T>>> = VecDeque::new();
+    let (mut first, mut ended) = (0, false);
+    while !ended || !results.is_empty() {
+        match inbox.recv() {
+            Ok(Event::Job(Ok(job))) => {
+                start(first + results.len(), job);
+                results.push_back(None);
+            }
+            Ok(Event::Job(Err(error))) => {
+                ended = true;
+                results.push_back(Some(Err(error)));
+            }
+            Ok(Event::Done(place, result)) => {
+                if let Some(slot) = results.get_mut(place - first) {
+                    *slot = Some(result);
+                }
+            }
+            Ok(Event::End) | Err(_) => ended = true,
+        }
+        while let Some(Some(_)) = results.front() {
+            if let Some(Some(result)) = results.pop_front() {
+                first += 1;
+                sink(result?)?;
+                let _ = permits.send(());
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Tells how a job ended, even if its worker panics (which the scope passes on).
+struct Ticket<J, T> {
+    events: Sender<Event<J, T>>,
+    place: usize,
+    is_done: bool,
+}
+
+impl<J, T> Ticket<J, T> {
+    fn done(mut self, result: Result<T>) {
+        self.is_done = true;
+        // The receiver is gone after an error elsewhere; nobody misses the result.
+        let _ = self.events.send(Event::Done(self.place, result));
+    }
+}
+
+impl<J, T> Drop for Ticket<J, T> {
+    fn drop(&mut self) {
+        if !self.is_done {
+            let died = Error::InvalidConfig("a worker thread died".to_owned());
+            let _ = self.events.send(Event::Done(self.place, Err(died)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicUsize;
+    use std::thread::sleep;
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn results_come_in_order_and_few_wait() {
+        let (begun, mut done) = (AtomicUsize::new(0), Vec::new());
+        let jobs = (0..40usize).map(|job| {
+            begun.fetch_add(1, Ordering::Relaxed);
+            Ok(job)
+        });
+        let work = |job: usize| {
+            sleep(Duration::from_micros((job * 7 % 5) as u64 * 200));
+            Ok(job * job)
+        };
+        run_ordered(4, jobs, work, |square| {
+            done.push(square);
+            assert!(begun.load(Ordering::Relaxed) <= done.len() + 4, "too many under way");
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!(done, (0..40usize).map(|job| job * job).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn the_first_error_wins() {
+        let fail = |what: usize| Error::corrupt(what.to_string());
+        let work = |job: usize| if job >= 5 { Err(fail(job)) } else { Ok(job) };
+        let mut delivered = 0;
+        let count = |_| {
+            delivered += 1;
+            Ok(())
+        };
+        let error = run_ordered(3, (0..20).map(Ok), work, count).unwrap_err();
+        assert_eq!((error.to_string(), delivered), (fail(5).to_string(), 5));
+
+        let error = run_ordered(3, (0..20).map(Ok), Ok, |job: usize| Err::<(), _>(fail(job))).unwrap_err();
+        assert_eq!(error.to_string(), fail(0).to_string());
+    }
+
+    #[test]
+    fn a_result_does_not_wait_for_the_next_job() {
+        let (sender, receiver) = mpsc::channel();
+        let sender = std::cell::RefCell::new(Some(sender));
+        sender.borrow().as_ref().unwrap().send(0).unwrap();
+        let mut delivered = Vec::new();
+        run_ordered(2, receiver.into_iter().map(Ok), Ok, |job: u32| {
+            delivered.push(job);
+            // Job 1 comes only after the result of job 0, and the end only after that of job 1.
+            let next = sender.take().filter(|_| job == 0);
+            next.iter().for_each(|next| next.send(1).unwrap());
+            *sender.borrow_mut() = next;
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!(delivered, [0, 1]);
+    }
+}

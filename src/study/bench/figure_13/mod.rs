@@ -1,0 +1,232 @@
+//! Figure 13 of the article: what prediction is worth to each lossless back-end. Twice: in the article's
+//! terms, range image and residuals as 32-bit floats, and in integers, where plain differences compete.
+
+mod sections;
+
+use rayon::ThreadPoolBuilder;
+use rayon::prelude::*;
+
+use super::sample::Sample;
+use crate::article::contour::ContourModel;
+use crate::article::prediction::intra::IntraPrediction;
+use crate::article::prediction::surface::SurfaceCoder;
+use crate::article::prediction::{Predictor, Rays};
+use crate::article::segmentation::segment;
+use crate::backend::{BACKENDS, Backend};
+use crate::entropy::ArithmeticEncoder;
+use crate::frame::settings::{EncoderConfig, ProjectionKind};
+use crate::ground::error::{Error, Result};
+use crate::ground::grid::Grid;
+use crate::inter::registration::{QuantisedPose, register};
+use crate::inter::{self, Past};
+use crate::scan::PointCloud;
+use crate::scanner::{FLOAT_RANGES, SensorModel, ideal};
+use crate::scanner::{RangeImage, project_nearest};
+
+/// What ranges are predicted from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Source {
+    Nothing,
+    Regions,
+    FrameBefore,
+}
+
+/// A form in which a back-end gets a frame.
+#[derive(Clone, Copy, Debug)]
+struct Form {
+    name: &'static str,
+    /// All cells as 32-bit floats in metres, 0 where there is no return; if not, the returns' integers.
+    floats: bool,
+    source: Source,
+    /// Differences along the snake's path (V-C).
+    snake: bool,
+}
+
+const fn floats(name: &'static str, source: Source, snake: bool) -> Form {
+    Form { name, floats: true, source, snake }
+}
+
+const fn integers(name: &'static str, source: Source, snake: bool) -> Form {
+    Form { name, floats: false, source, snake }
+}
+
+/// The forms. In floats they are the article's, who takes differences of inter residuals only.
+const FORMS: [Form; 9] = [
+    floats("float image", Source::Nothing, false),
+    floats("float intra", Source::Regions, false),
+    floats("float inter", Source::FrameBefore, true),
+    integers("ranges", Source::Nothing, false),
+    integers("differences", Source::Nothing, true),
+    integers("intra", Source::Regions, false),
+    integers("intra, diff.", Source::Regions, true),
+    integers("inter", Source::FrameBefore, false),
+    integers("inter, diff.", Source::FrameBefore, true),
+];
+
+/// Bytes of one or more frames by one back-end, in each form. Contour map and models of regions are
+/// counted where regions predict; which cells hold a return, and the dozen bytes of a motion, nowhere.
+type Sizes = [u64; FORMS.len()];
+
+/// The figure's data.
+#[derive(Clone, Debug)]
+pub struct Figure13 {
+    /// Frames that were measured: those with a frame before them, for which all forms can be compared.
+    frames: u64,
+    /// The same and where they are from, in words.
+    sample: String,
+    /// Whether the forms that need a frame before are measured.
+    has_references: bool,
+    /// Bytes of the frames' files.
+    original: u64,
+    /// Bytes of contour maps and models of regions, part of the sizes.
+    side: u64,
+    /// For each back-end of the registry, in its order.
+    sizes: Vec<Sizes>,
+}
+
+/// The sensor of the ideal range image in steps that all experiments use.
+///
+/// # Errors
+/// If the configuration has another range image.
+pub fn ideal_sensor(config: &EncoderConfig) -> Result<SensorModel> {
+    match config.projection {
+        ProjectionKind::Ideal { columns, range_step_um } if range_step_um != FLOAT_RANGES => {
+            Ok(ideal(columns, range_step_um))
+        }
+        _ => {
+            let what = "the experiments need the ideal range image in steps; leave --projection and a step of \
+                        float out";
+            Err(Error::InvalidConfig(what.to_owned()))
+        }
+    }
+}
+
+/// Measures a sample, with the article's projection, outlier filter and regions as `config` has them.
+/// `on_frame` is called as each frame is measured.
+///
+/// # Errors
+/// If the configuration has no ideal projection with a step, or a back-end's library fails.
+pub fn measure(sample: &Sample, config: &EncoderConfig, on_frame: &dyn Fn()) -> Result<Figure13> {
+    let sensor = ideal_sensor(config)?;
+    let threads = config.threads;
+    let pool = ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| Error::InvalidConfig(format!("cannot start {threads} threads: {e}")))?;
+    let mut figure = Figure13 {
+        frames: 0,
+        sample: sample.describe_some(sample.compared().count()),
+        has_references: sample.has_references(),
+        original: 0,
+        side: 0,
+        sizes: vec![[0; FORMS.len()]; BACKENDS.len()],
+    };
+    let mut before = Before::default();
+    for (frame, cloud) in sample.clouds.iter().enumerate() {
+        if !sample.has_reference(frame) {
+            before = Before::default();
+        }
+        let image = image(cloud, &sensor, config);
+        if sample.compared().any(|compared| compared == frame) {
+            figure.frames += 1;
+            figure.original += sample.inputs[frame].size()?;
+            let from_before = before.predict(&image, &sensor, config);
+            pool.install(|| figure.add(&image, from_before, &sensor, config))?;
+        }
+        before.image = Some(image);
+        on_frame();
+    }
+    Ok(figure)
+}
+
+/// The range image of what the outlier filter leaves (III-A, IV-A).
+fn image(cloud: &PointCloud, sensor: &SensorModel, config: &EncoderConfig) -> RangeImage {
+    let filtered = config.outliers.map(|filter| filter.filter(cloud));
+    project_nearest(sensor, filtered.as_ref().unwrap_or(cloud)).image
+}
+
+impl Figure13 {
+    fn add(
+        &mut self,
+        image: &RangeImage,
+        from_before: Option<Grid<u32>>,
+        sensor: &SensorModel,
+        config: &EncoderConfig,
+    ) -> Result<()> {
+        let occupancy = image.occupancy();
+        let rays = Rays::of(sensor, &image.columns);
+        let segmentation = segment(&image.steps, &image.columns, sensor, &config.segmentation);
+        let mut intra = IntraPrediction::fit(&image.steps, &occupancy, &rays, &segmentation, &config.intra);
+        let side = side_bytes(&mut intra, &occupancy)?;
+        let from_regions = intra.ranges(&occupancy, &rays);
+        self.side += side;
+        let residuals = |form: Form| {
+            let ranges = match form.source {
+                Source::Nothing => None,
+                Source::Regions => Some(from_regions.clone()),
+                Source::FrameBefore => Some(from_before.clone()?),
+            };
+            Some(Predictor { ranges, snake: form.snake }.residuals(&occupancy, &image.steps))
+        };
+        let residuals = FORMS.map(residuals);
+        let size = |backend: &dyn Backend, form: Form, residuals: &[i32]| -> Result<u64> {
+            let bytes = match form.floats {
+                true => as_floats(residuals, &occupancy, sensor),
+                false => config.packing_for(backend, form.snake).pack(residuals),
+            };
+            let side = if form.source == Source::Regions { side } else { 0 };
+            Ok(backend.compress(&bytes, config.level)?.len() as u64 + side)
+        };
+        self.sizes.par_iter_mut().zip(BACKENDS.par_iter()).try_for_each(|(sizes, backend)| {
+            for ((total, form), residuals) in sizes.iter_mut().zip(FORMS).zip(&residuals) {
+                if let Some(residuals) = residuals {
+                    *total += size(*backend, form, residuals)?;
+                }
+            }
+            Ok(())
+        })
+    }
+}
+
+/// Bytes of the contour map and the models of regions.
+fn side_bytes(intra: &mut IntraPrediction, occupancy: &Grid<bool>) -> Result<u64> {
+    let mut coder = ArithmeticEncoder::default();
+    intra.code_contour(&mut ContourModel::default(), &mut coder, occupancy)?;
+    intra.code_models(&mut SurfaceCoder::default(), &mut coder);
+    Ok(coder.finish().len() as u64)
+}
+
+/// The whole image as floats in metres, 0 where there is no return.
+fn as_floats(residuals: &[i32], occupancy: &Grid<bool>, sensor: &SensorModel) -> Vec<u8> {
+    let metres = |steps: i32| (f64::from(steps) * f64::from(sensor.range_step_um) * 1e-6) as f32;
+    let mut residuals = residuals.iter();
+    let value = |filled: &bool| if *filled { residuals.next().copied().unwrap_or_default() } else { 0 };
+    occupancy.cells().iter().map(value).flat_map(|steps| metres(steps).to_le_bytes()).collect()
+}
+
+/// The frame before, and how the scanner came from there to it.
+#[derive(Default)]
+struct Before {
+    image: Option<RangeImage>,
+    motion: QuantisedPose,
+}
+
+impl Before {
+    /// The ranges that it lets expect (V-B and V-C): the scanner is taken to stand still if its motion is
+    /// not found. `None` if there is no frame before.
+    fn predict(
+        &mut self,
+        image: &RangeImage,
+        sensor: &SensorModel,
+        config: &EncoderConfig,
+    ) -> Option<Grid<u32>> {
+        let before = self.image.take()?;
+        let levels = Grid::new(before.steps.rows(), before.steps.columns());
+        let past = Past::new(before, levels);
+        let surface = past.surface(sensor);
+        let found = register(surface, image, sensor, &self.motion.pose(), &config.registration);
+        self.motion = found.and_then(|found| found.pose.quantise()).unwrap_or_default();
+        let reference = past.reference(sensor, &image.columns, &self.motion.pose().motion());
+        Some(inter::ranges(&reference, &image.occupancy()))
+    }
+}

@@ -1,0 +1,6 @@
+//! Instruments: the article's experiments, measures of error, pictures, simulated drives.
+
+pub mod bench;
+pub mod metrics;
+pub mod picture;
+pub mod synth;

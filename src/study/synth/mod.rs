@@ -1,0 +1,149 @@
+//! A simulated drive: a Velodyne HDL-64E, a street made up from a seed, and scans as KITTI stores them.
+//!
+//! For tests and demonstrations that need scans with the structure of real ones but none of their
+//! data. What is imitated is the sensor: 64 beams with constants of their own, 2 mm range steps,
+//! 0.09 degree azimuth ticks, columns that all beams share, coordinates rounded to the millimetre,
+//! 8.9 mm of range noise. A seed gives the same bytes on every platform.
+//!
+//! ```
+//! use crate::study::synth::{SynthConfig, drive};
+//!
+//! let config = SynthConfig { frames: 2, beams: 8, thinning: 16, ..SynthConfig::default() };
+//! for frame in drive(&config) {
+//!     println!("{}: {} points, {} bytes", frame.name, frame.points.len(), frame.to_bin().len());
+//! }
+//! ```
+
+mod beams;
+mod ground;
+mod ray;
+mod scanner;
+mod scene;
+mod shape;
+mod street;
+mod thing;
+mod trajectory;
+
+pub use beams::{BEAMS, Beam, STEP, TICKS};
+
+use crate::ground::error::{Error, Result};
+use ground::Ground;
+use scanner::Scanner;
+use trajectory::Pose;
+
+/// What to simulate. The default is a car in a street of houses at 30 km/h, ten frames a second.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SynthConfig {
+    /// Number of frames. Default 10.
+    pub frames: usize,
+    /// Makes the scanner, the street and the noise what they are. Default 1.
+    pub seed: u64,
+    /// Beams, 1 to 64: every (64 / beams)-th one of the full scanner. Default 64.
+    pub beams: usize,
+    /// Only every so many-th firing is kept; 1 keeps all of the about 2157 of a turn. Default 1.
+    pub thinning: usize,
+    /// Way from one frame to the next, in metres. Default 0.8.
+    pub speed: f64,
+    /// The heading swings to and fro; this is its fastest change, in radians a frame. Default 0.004.
+    pub yaw_rate: f64,
+    /// Whether the car moves on while the head turns. If so, the points are those that the sensor
+    /// saw from where it was at each firing, not corrected, as in KITTI raw data. Default true.
+    pub rolling: bool,
+    /// Whether other cars drive too. Default true.
+    pub traffic: bool,
+    /// Sigma of the range noise, in metres. Default 0.0089.
+    pub noise: f64,
+    /// Share of returns lost for no reason, on top of those too weak to be heard. Default 0.002.
+    pub dropout: f64,
+    /// Nearest range, in metres. Default 2.
+    pub min_range: f64,
+    /// Farthest range, in metres. Default 120.
+    pub max_range: f64,
+}
+
+impl Default for SynthConfig {
+    fn default() -> Self {
+        SynthConfig {
+            frames: 10,
+            seed: 1,
+            beams: BEAMS,
+            thinning: 1,
+            speed: 0.8,
+            yaw_rate: 0.004,
+            rolling: true,
+            traffic: true,
+            noise: 0.0089,
+            dropout: 0.002,
+            min_range: 2.0,
+            max_range: 120.0,
+        }
+    }
+}
+
+impl SynthConfig {
+    /// The drive in `testdata/drive`: three frames of all beams and every fourth firing, which leaves
+    /// each beam some hundred points to fit its constants to, in less than 1.6 MB.
+    pub fn testdata() -> Self {
+        SynthConfig { frames: 3, seed: 64, thinning: 4, ..SynthConfig::default() }
+    }
+
+    /// Says which setting is out of range, if one is. [`drive`] takes any settings without harm,
+    /// but those make no sense.
+    pub fn check(&self) -> Result<()> {
+        let beams = (1..=BEAMS).contains(&self.beams);
+        require(beams, || format!("{} beams: the scanner has 1 to {BEAMS}", self.beams))?;
+        require(self.thinning > 0, || "a thinning of 0: 1 keeps every firing".to_owned())?;
+        for (name, value, low, high) in [
+            ("speed", self.speed, -20.0, 20.0),
+            ("yaw rate", self.yaw_rate, -0.5, 0.5),
+            ("noise", self.noise, 0.0, 10.0),
+            ("dropout", self.dropout, 0.0, 1.0),
+            ("nearest range", self.min_range, 1.0, self.max_range),
+            ("farthest range", self.max_range, 1.0, 250.0),
+        ] {
+            require((low..=high).contains(&value), || format!("{name} {value} is not in {low} to {high}"))?;
+        }
+        Ok(())
+    }
+}
+
+fn require(holds: bool, message: impl FnOnce() -> String) -> Result<()> {
+    if holds { Ok(()) } else { Err(Error::InvalidConfig(message())) }
+}
+
+/// One scan of the simulated drive.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SynthFrame {
+    /// File name as in KITTI: "0000000000.bin" is the first.
+    pub name: String,
+    /// x, y, z in metres and intensity, beam by beam from the top and by azimuth in each beam.
+    pub points: Vec<[f32; 4]>,
+    /// The sensor in the world when it looks ahead, in the middle of its turn: rotation and
+    /// position in metres, the first three rows of the matrix that takes points to the world.
+    pub pose: [f64; 12],
+}
+
+impl SynthFrame {
+    /// The bytes of the KITTI `.bin` file: four little-endian float32 a point.
+    pub fn to_bin(&self) -> Vec<u8> {
+        self.points.as_flattened().iter().flat_map(|value| value.to_le_bytes()).collect()
+    }
+}
+
+/// Simulates a drive; each frame is made when it is asked for.
+pub fn drive(config: &SynthConfig) -> impl Iterator<Item = SynthFrame> + use<> {
+    let (config, ground, beams) = (config.clone(), Ground::new(config.seed), scanner_beams(config));
+    (0..config.frames).map(move |frame| SynthFrame {
+        name: format!("{frame:010}.bin"),
+        points: Scanner { config: &config, ground: &ground, beams: &beams }.scan(frame),
+        pose: Pose::at(&config, &ground, frame as f64).row_major(),
+    })
+}
+
+/// The true constants of the simulated scanner, from the top beam down: what a fit should find.
+pub fn scanner_beams(config: &SynthConfig) -> Vec<Beam> {
+    beams::beams(config.seed, config.beams)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,165 @@
+//! The turning head: when it fires, what comes back, and the order of the points in the file.
+
+use libm::{exp, rint, sqrt};
+
+use super::SynthConfig;
+use super::beams::{Beam, STEP, Stored, TICKS};
+use super::ground::Ground;
+use super::ray::{Hit, Ray};
+use super::scene::Scene;
+use super::shape::through_box;
+use super::trajectory::Pose;
+use crate::ground::random::Rng;
+
+/// Firings in a turn at 10 turns a second; the motor is not quite steady.
+const FIRINGS: [f64; 2] = [2148.6, 2165.4];
+/// Unsteadiness from one firing to the next, sigma in ticks.
+const JITTER: f64 = 0.01;
+/// Probability that a point's tick is one too high.
+const STRAY: f64 = 1e-5;
+/// The roof that carries the sensor, in the sensor's coordinates (metres).
+const ROOF: ([f64; 3], [f64; 3]) = ([-1.6, -0.75, -2.0], [1.0, 0.75, -0.35]);
+/// How sure a return is: the higher, the farther are dark and slanting surfaces seen.
+const SENSITIVITY: f64 = 90.0;
+/// The distance that `SENSITIVITY` is for, in metres.
+const SENSITIVITY_RANGE: f64 = 50.0;
+/// Noise of the intensity, sigma: hundredths, and speckle as a share of the intensity itself.
+const INTENSITY_NOISE: f64 = 2.5;
+const SPECKLE: f64 = 0.1;
+
+/// The ticks of the firings of a turn, as columns that all beams share; each `thinning`-th of them.
+pub(super) fn columns(rng: &mut Rng, thinning: usize) -> Vec<i32> {
+    let spacing = f64::from(TICKS) / rng.between(FIRINGS[0], FIRINGS[1]);
+    let mut at = rng.between(0.0, 1.0);
+    let mut columns = Vec::new();
+    while at < f64::from(TICKS) {
+        columns.push(at as i32);
+        at += spacing + JITTER * rng.normal();
+    }
+    columns.into_iter().step_by(thinning.max(1)).collect()
+}
+
+/// A frame in the making.
+pub(super) struct Scanner<'a> {
+    pub config: &'a SynthConfig,
+    pub ground: &'a Ground,
+    pub beams: &'a [Beam],
+}
+
+impl Scanner<'_> {
+    /// The points of a frame, as x, y, z and intensity in the order of the file.
+    pub(super) fn scan(&self, frame: usize) -> Vec<[f32; 4]> {
+        let time = frame as f64;
+        let middle = Pose::at(self.config, self.ground, time);
+        let scene = Scene::new(self.config, self.ground, [middle.origin[0], middle.origin[1]], time);
+        let columns = columns(&mut self.rng(frame, usize::MAX), self.config.thinning);
+        let firings: Vec<(i32, Pose)> =
+            columns.into_iter().map(|column| (column, self.pose(time, column))).collect();
+        let rows = self.beams.iter().enumerate();
+        rows.flat_map(|(row, beam)| self.row(&scene, beam, &firings, &mut self.rng(frame, row))).collect()
+    }
+
+    fn rng(&self, frame: usize, row: usize) -> Rng {
+        Rng::keyed(self.config.seed, &[u64::from(b'f'), frame as u64, row as u64])
+    }
+
+    /// Where the sensor is when it fires in a column. A turn begins and ends behind the car.
+    fn pose(&self, time: f64, column: i32) -> Pose {
+        let turned = f64::from((column + TICKS / 2) % TICKS) / f64::from(TICKS) - 0.5;
+        Pose::at(self.config, self.ground, if self.config.rolling { time + turned } else { time })
+    }
+
+    /// One beam's points. They are sorted by azimuth before it was rounded, 0 to 360 degrees, so at
+    /// the seam, and where a near point stands before a far one, the ticks are not in order.
+    fn row(&self, scene: &Scene, beam: &Beam, firings: &[(i32, Pose)], rng: &mut Rng) -> Vec<[f32; 4]> {
+        let mut row: Vec<(Stored, f32)> = Vec::with_capacity(firings.len());
+        for (column, pose) in firings {
+            row.extend(self.fire(scene, beam, *column, pose, rng));
+        }
+        row.sort_by(|a, b| a.0.azimuth.total_cmp(&b.0.azimuth));
+        row.into_iter().map(|(Stored { position: [x, y, z], .. }, intensity)| [x, y, z, intensity]).collect()
+    }
+
+    /// One pulse: the point and its intensity, if enough light comes back.
+    fn fire(
+        &self,
+        scene: &Scene,
+        beam: &Beam,
+        column: i32,
+        pose: &Pose,
+        rng: &mut Rng,
+    ) -> Option<(Stored, f32)> {
+        let tick = (column - beam.shift).rem_euclid(TICKS);
+        let hit = look(scene, &leave(beam, tick), pose, rng)?;
+        let noise = sqrt(self.config.noise * self.config.noise + hit.scatter * hit.scatter);
+        let distance = hit.distance + noise * rng.normal();
+        let heard = self.is_heard(&hit, rng);
+        if !heard || distance < self.config.min_range || distance > self.config.max_range {
+            return None;
+        }
+        let steps = rint((distance - beam.distance_offset()) / STEP).max(1.0) as u32;
+        let stray = i32::from(rng.chance(STRAY));
+        Some((beam.point((tick + stray) % TICKS, steps), intensity(&hit, beam.gain, rng)))
+    }
+
+    /// Whether the return is strong enough, and not lost by chance.
+    fn is_heard(&self, hit: &Hit, rng: &mut Rng) -> bool {
+        let range = hit.distance / SENSITIVITY_RANGE;
+        let strength = SENSITIVITY * hit.reflectivity * hit.incidence / (range * range);
+        rng.chance((1.0 - exp(-strength)) * (1.0 - hit.loss) * (1.0 - self.config.dropout))
+    }
+}
+
+/// The ray of a beam in the sensor's coordinates.
+fn leave(beam: &Beam, tick: i32) -> Ray {
+    let (sin_v, cos_v) = beam.slope();
+    let (sin, cos) = libm::sincos(beam.azimuth(tick));
+    Ray {
+        origin: [-beam.side * sin, beam.side * cos, beam.origin_height()],
+        direction: [cos_v * cos, cos_v * sin, sin_v],
+    }
+}
+
+/// What a ray of the sensor sees: the roof under it or the street.
+fn look(scene: &Scene, ray: &Ray, pose: &Pose, rng: &mut Rng) -> Option<Hit> {
+    if let Some(span) = through_box(ray, ROOF.0, ROOF.1).filter(|span| span.enter > 0.0) {
+        return Some(Hit::plain(span.enter, span.incidence, 0.4));
+    }
+    scene.trace(&Ray { origin: pose.place(ray.origin), direction: pose.turn(ray.direction) }, rng)
+}
+
+/// Intensity as stored: hundredths, 0.00 to 0.99. The scanner makes up for most of the distance;
+/// slanting surfaces look darker.
+fn intensity(hit: &Hit, gain: f64, rng: &mut Rng) -> f32 {
+    let facing = 0.35 + 0.65 * sqrt(hit.incidence);
+    let fading = 1.0 / (1.0 + hit.distance / 120.0);
+    let level = 100.0 * gain * hit.reflectivity * facing * fading;
+    let noise = (INTENSITY_NOISE + SPECKLE * level) * rng.normal();
+    (rint(level + noise).clamp(0.0, 99.0) / 100.0) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn firings_are_two_ticks_apart_and_now_and_then_one() {
+        for seed in 0..20 {
+            let columns = columns(&mut Rng::keyed(seed, &[]), 1);
+            assert!((2147..=2167).contains(&columns.len()), "{}", columns.len());
+            let gaps: Vec<i32> = columns.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            assert!(gaps.iter().all(|gap| [1, 2].contains(gap)));
+            let singles = gaps.iter().filter(|gap| **gap == 1).count();
+            assert!((250..400).contains(&singles), "{singles}");
+            assert!(columns.iter().all(|column| (0..TICKS).contains(column)));
+        }
+    }
+
+    #[test]
+    fn thinning_takes_some_of_the_same_firings() {
+        let all = columns(&mut Rng::keyed(4, &[]), 1);
+        let some = columns(&mut Rng::keyed(4, &[]), 4);
+        assert!(some.iter().enumerate().all(|(at, column)| *column == all[4 * at]));
+        assert_eq!(some.len(), all.len().div_ceil(4));
+    }
+}

@@ -1,0 +1,217 @@
+//! What stands along the street, made up piece by piece from the seed, so that a drive of any
+//! length needs no more memory than what the sensor can see.
+
+use super::SynthConfig;
+use super::ground::{Ground, KERB};
+use super::thing::{Kind, Thing};
+use super::trajectory::LANE;
+use crate::ground::random::Rng;
+
+/// Length of a piece of the street, in metres.
+const PIECE: f64 = 20.0;
+/// Distance of the moving cars that follow each other, in metres.
+const HEADWAY: f64 = 45.0;
+/// The right side of the street and the left one: signs of y.
+const SIDES: [f64; 2] = [-1.0, 1.0];
+
+/// All things between two places along the street, at a time counted in frames.
+pub(super) fn things(config: &SynthConfig, ground: &Ground, from: f64, to: f64, time: f64) -> Vec<Thing> {
+    let mut street = Street { ground, seed: config.seed, things: Vec::new() };
+    for piece in cells(from, to, PIECE) {
+        for side in SIDES {
+            street.build(piece, side);
+        }
+    }
+    if config.traffic {
+        street.drive(config, from, to, time);
+    }
+    street.things
+}
+
+/// The numbers of the cells of a length that lie between two places.
+fn cells(from: f64, to: f64, length: f64) -> core::ops::Range<i64> {
+    libm::floor(from / length) as i64..libm::ceil(to / length) as i64
+}
+
+struct Street<'a> {
+    ground: &'a Ground,
+    seed: u64,
+    things: Vec<Thing>,
+}
+
+impl Street<'_> {
+    /// Sets a thing on the ground, turned by a small angle against the street.
+    fn put(&mut self, kind: Kind, [x, y]: [f64; 2], angle: f64, reflectivity: f64) {
+        let heading = [libm::cos(angle), libm::sin(angle)];
+        let place = [x, y, self.ground.height(x, y)];
+        self.things.push(Thing { kind, place, heading, reflectivity });
+    }
+
+    /// Fills one side of a piece of the street.
+    fn build(&mut self, piece: i64, side: f64) {
+        let key = [u64::from(b's'), piece as u64, u64::from(side > 0.0)];
+        let mut rng = Rng::keyed(self.seed, &key);
+        let start = piece as f64 * PIECE;
+        match rng.unit() {
+            dice if dice < 0.72 => self.houses(start, side, &mut rng),
+            dice if dice < 0.88 => self.park(start, side, &mut rng),
+            _ => self.side_street(start, side, &mut rng),
+        }
+        self.kerbside(start, side, &mut rng);
+    }
+
+    /// A house, joined to the next one or with a gap, and what is before it.
+    fn houses(&mut self, start: f64, side: f64, rng: &mut Rng) {
+        let width = if rng.chance(0.5) { PIECE } else { rng.between(12.0, 17.0) };
+        let front = rng.between(9.2, 13.5);
+        let kind = Kind::House {
+            half_width: 0.5 * width,
+            depth: rng.between(8.0, 11.0),
+            height: rng.between(5.0, 11.0),
+            seed: self.seed ^ (start as i64 as u64),
+        };
+        // The front looks to the street: on the right side the house is turned by half a turn.
+        let angle = if side < 0.0 { core::f64::consts::PI } else { 0.0 };
+        self.put(kind, [start + 0.5 * width, side * front], angle, rng.between(0.25, 0.6));
+        if front > 10.8 && rng.chance(0.6) {
+            let wall = Kind::Block { half: [0.4 * width, 0.12], height: [-0.5, rng.between(0.5, 1.0)] };
+            self.put(wall, [start + 0.5 * width, side * 8.8], 0.0, rng.between(0.2, 0.5));
+        }
+        for _ in 0..3 {
+            if front > 10.5 && rng.chance(0.7) {
+                let x = start + rng.between(1.0, PIECE - 1.0);
+                self.bush([x, side * rng.between(9.3, front - 0.3)], rng);
+            }
+        }
+    }
+
+    /// A hedge, trees on grass, and a building at the far end.
+    fn park(&mut self, start: f64, side: f64, rng: &mut Rng) {
+        let hedge = Kind::Foliage { centre: 0.6, half: [8.5, 0.7, 1.0], gap: 0.15 };
+        self.put(hedge, [start + 9.0, side * 9.6], 0.0, rng.between(0.3, 0.5));
+        for _ in 0..4 {
+            let place = [start + rng.between(0.0, PIECE), side * rng.between(10.0, 24.0)];
+            self.tree(place, rng);
+            self.bush([place[0] + rng.between(-3.0, 3.0), place[1] + side * 2.0], rng);
+        }
+        self.far_building(start, side, 30.0, rng);
+    }
+
+    /// A street that leads away: cars stand in it, and it ends somewhere.
+    fn side_street(&mut self, start: f64, side: f64, rng: &mut Rng) {
+        for step in 0..3 {
+            if rng.chance(0.6) {
+                let y = side * (13.0 + 6.5 * f64::from(step));
+                self.car([start + 4.0, y], core::f64::consts::FRAC_PI_2, rng);
+            }
+        }
+        self.far_building(start, side, 45.0, rng);
+    }
+
+    fn far_building(&mut self, start: f64, side: f64, distance: f64, rng: &mut Rng) {
+        let block = Kind::Block { half: [14.0, 4.0], height: [-3.0, 9.0] };
+        self.put(
+            block,
+            [start + 10.0, side * (distance + rng.between(0.0, 8.0))],
+            0.0,
+            rng.between(0.2, 0.5),
+        );
+    }
+
+    /// Parked cars, lamp posts, signs and trees along the kerb.
+    fn kerbside(&mut self, start: f64, side: f64, rng: &mut Rng) {
+        for slot in 0..3 {
+            if rng.chance(0.55) {
+                let x = start + 3.2 + 6.6 * f64::from(slot) + rng.between(-0.5, 0.5);
+                self.car([x, side * (KERB - rng.between(1.0, 1.15))], rng.between(-0.04, 0.04), rng);
+            }
+        }
+        let behind = side * (KERB + 0.7);
+        if rng.chance(0.7) {
+            let post = Kind::Pole { radius: rng.between(0.05, 0.1), height: 6.0 };
+            self.put(post, [start + rng.between(0.0, PIECE), behind], 0.0, rng.between(0.2, 0.5));
+        }
+        if rng.chance(0.3) {
+            let x = start + rng.between(0.0, PIECE);
+            self.put(Kind::Pole { radius: 0.035, height: 2.9 }, [x, behind], 0.0, 0.4);
+            let plate = Kind::Block { half: [0.02, 0.32], height: [2.2, 2.85] };
+            self.put(plate, [x + 0.06, behind], 0.0, 2.5);
+        }
+        if rng.chance(0.45) {
+            self.tree([start + rng.between(0.0, PIECE), side * (KERB + 1.1)], rng);
+        }
+    }
+
+    fn car(&mut self, place: [f64; 2], angle: f64, rng: &mut Rng) {
+        let tall = rng.chance(0.12);
+        let reflectivity = rng.between(0.08, 0.6);
+        if tall {
+            let van = Kind::Block { half: [2.6, 0.95], height: [0.3, 2.3] };
+            self.put(van, place, angle, reflectivity);
+        } else {
+            let half = [rng.between(1.85, 2.35), rng.between(0.82, 0.9)];
+            self.put(Kind::Car { half }, place, angle, reflectivity);
+        }
+    }
+
+    fn tree(&mut self, place: [f64; 2], rng: &mut Rng) {
+        let (trunk, crown) = (rng.between(0.1, 0.22), rng.between(1.6, 2.8));
+        self.put(Kind::Pole { radius: trunk, height: 4.0 }, place, 0.0, 0.3);
+        let half = [crown, crown, rng.between(1.5, 2.5)];
+        let leaves =
+            Kind::Foliage { centre: half[2] + rng.between(1.4, 2.4), half, gap: rng.between(0.6, 1.4) };
+        self.put(leaves, place, 0.0, rng.between(0.3, 0.5));
+    }
+
+    fn bush(&mut self, place: [f64; 2], rng: &mut Rng) {
+        let size = rng.between(0.6, 1.4);
+        let half = [size * rng.between(0.8, 1.4), size, size];
+        let leaves = Kind::Foliage { centre: 0.5 * size, half, gap: rng.between(0.15, 0.5) };
+        self.put(leaves, place, 0.0, rng.between(0.3, 0.5));
+    }
+
+    /// Cars that drive: those of the own lane as fast as the sensor, the others towards it.
+    fn drive(&mut self, config: &SynthConfig, from: f64, to: f64, time: f64) {
+        let way = config.speed * time;
+        for (lane, travelled) in [(LANE, way), (-LANE, -1.1 * way)] {
+            for number in cells(from - travelled - HEADWAY, to - travelled + HEADWAY, HEADWAY) {
+                let mut rng = Rng::keyed(self.seed, &[u64::from(b't'), number as u64, u64::from(lane > 0.0)]);
+                let own_place = lane == LANE && number == 0;
+                if own_place || rng.chance(0.4) {
+                    continue;
+                }
+                let x = travelled + HEADWAY * number as f64 + rng.between(-12.0, 12.0);
+                self.car([x, lane + rng.between(-0.2, 0.2)], 0.0, &mut rng);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_same_piece_is_the_same_from_anywhere() {
+        let (config, ground) = (SynthConfig { traffic: false, ..SynthConfig::default() }, Ground::new(1));
+        let place = |thing: &Thing| thing.place;
+        let all: Vec<_> = things(&config, &ground, -100.0, 100.0, 0.0).iter().map(place).collect();
+        let some: Vec<_> = things(&config, &ground, 0.0, 40.0, 9.0).iter().map(place).collect();
+        assert!(some.len() > 5);
+        assert!(some.iter().all(|place| all.contains(place)));
+    }
+
+    #[test]
+    fn nothing_stands_where_the_sensor_drives() {
+        let (config, ground) = (SynthConfig::default(), Ground::new(1));
+        for frame in 0..100 {
+            let way = config.speed * f64::from(frame);
+            for thing in things(&config, &ground, way - 50.0, way + 50.0, f64::from(frame)) {
+                let [x, y, _] = thing.place;
+                let turned_away = matches!(thing.kind, Kind::House { .. } | Kind::Foliage { .. });
+                let clear = (x - way).abs() > 4.0 || (y - LANE).abs() > 1.5;
+                assert!(clear || turned_away, "{thing:?}");
+            }
+        }
+    }
+}
