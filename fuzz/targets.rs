@@ -95,7 +95,10 @@ pub fn round_trip_of(data: &[u8]) {
     let name = ["1.bin", "1.pcd.bin", "1.pcd", "1.ply", "1.txt"][usize::from(*kind) % 5];
     let files = [good, (name.to_owned(), bytes.to_vec())];
     let level = Level::new(1 + mode / 4 % 9).unwrap_or_default();
-    let exact = EncoderConfig { threads: 1, level, ..EncoderConfig::preset(Mode::Exact) };
+    let default = EncoderConfig { threads: 1, ..EncoderConfig::preset(Mode::Exact) };
+    let exact = EncoderConfig { level, ..default.clone() };
+    // The context coder does not have all levels.
+    let exact = if exact.check().is_ok() { exact } else { default };
     match mode % 4 {
         0 => drop(round_trip(&files, &exact)),
         1 => drop(round_trip(&files[1..], &exact)),

@@ -94,9 +94,6 @@ pub fn decompress(backend: &dyn Backend, input: &[u8], length: usize) -> Result<
 pub struct Level(u8);
 
 impl Level {
-    /// 9.
-    pub const BEST: Level = Level(9);
-
     /// `None` if it is not from 1 to 9.
     pub fn new(level: u8) -> Option<Self> {
         (1..=9).contains(&level).then_some(Level(level))

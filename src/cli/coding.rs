@@ -31,7 +31,8 @@ pub struct CodingArgs {
     /// What codes the ranges.
     #[arg(long, value_name = "NAME", value_parser = backend_names())]
     pub backend: Option<String>,
-    /// Effort, 1 (fast) to 9 (small). Default 6. From 8 on frames are predicted from those before; from 4 on where the scanner stands still.
+    /// Effort, 1 (fast) to 9 (small). Default 6. The context coder has 1, 2, 3, 6, 7, 8 and 9: from 8 on frames are
+    /// predicted from those before, from 6 on where the scanner stands still.
     #[arg(long, value_name = "1..9")]
     pub level: Option<u8>,
     /// What ranges are predicted from.
@@ -201,9 +202,6 @@ impl std::str::FromStr for RateArg {
     }
 }
 
-/// Frames a group where size is all.
-const GOP_OF_BEST: usize = 30;
-
 /// The name of the context coder among the back-ends.
 const CONTEXT: &str = "context";
 
@@ -296,10 +294,7 @@ impl CodingArgs {
             config.level = Level::new(level)
                 .ok_or_else(|| Error::InvalidConfig(format!("level {level} is not from 1 to 9")))?;
         }
-        if config.coder == Coder::Context && config.level == Level::BEST {
-            config.gop = GOP_OF_BEST;
-        }
-        config.gop = self.gop.map_or(config.gop, |gop| gop as usize);
+        config.gop = self.gop.map_or(config.default_gop(), |gop| gop as usize);
         if let Some(name) = &self.packing {
             config.packing = Packing::ALL.iter().copied().find(|packing| packing.name() == name);
         }

@@ -176,19 +176,6 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         }
     }
 
-    /// Makes room for `places` in each view, if there is less.
-    pub fn grow(&mut self, places: usize) {
-        if self.counters.len() < V * places {
-            let mut grown = vec![Counter::default(); V * places];
-            for (view, old) in self.views.iter().enumerate() {
-                let end = self.views.get(view + 1).copied().unwrap_or(self.counters.len());
-                grown[view * places..][..end - old].copy_from_slice(&self.counters[*old..end]);
-            }
-            self.counters = grown;
-            self.views = std::array::from_fn(|view| view * places);
-        }
-    }
-
     /// Gives the sets after the first `sets`, as many at a time, what these have learned.
     pub fn spread_sets(&mut self, sets: usize) {
         for set in sets..self.weights.len() {

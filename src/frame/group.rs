@@ -6,9 +6,10 @@ use std::mem::take;
 use super::bound::Bound;
 use super::fidelity::{Intensity, Positions};
 use super::frame::Frame;
+use super::levels::InterChoice;
 use super::parameters::{Prediction, RangeCoder, Source};
 use super::sections::{Effort, SectionReader, SectionWriter};
-use super::settings::{EncoderConfig, InterChoice};
+use super::settings::EncoderConfig;
 use super::steps::{Step, StepReport};
 use super::syntax::Models;
 use crate::article::prediction::intra::IntraPrediction;
@@ -130,7 +131,7 @@ impl<'s> GroupEncoder<'s> {
             if agreement < STANDING_STILL {
                 return None;
             }
-            if frame.parameters.modelling().can_do_without_surfaces() {
+            if frame.parameters.can_do_without_surfaces() {
                 self.motion = QuantisedPose::default();
                 return Some(agreement);
             }

@@ -10,6 +10,7 @@ pub(crate) mod bound;
 #[allow(clippy::module_inception)]
 pub(crate) mod frame;
 mod images;
+pub(crate) mod levels;
 pub(crate) mod modelling;
 mod quick;
 mod ranges;

@@ -1,139 +1,140 @@
 //! How the context coder models the parts of a frame: quickly or well.
 
 use crate::ground::error::{Error, Result};
-use crate::models::Depth;
 
-/// What models the columns' cells, intensities, ranges and corrections of a frame.
+/// What models the columns' cells, intensities, ranges and corrections of a frame; the numbers are those of the
+/// format. What general-purpose back-ends and image coders leave is coded as by [`Light`](Modelling::Light).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Modelling {
-    /// Mixed adaptive models; in the second edition, intensities by two of them.
-    Mixed(Edition),
-    /// More of them: smallest.
-    Deep,
-    /// Ranges, predicted by least squares, and corrections as tokens; intensities by two adaptive models.
-    Light,
-    /// Ranges, predicted by least squares, and corrections as tokens; all else by mixed adaptive models.
-    Balanced(Edition),
-    /// Tokens with static tables: quick.
-    Tokens {
-        /// Whether ranges are predicted by least squares, or else by the left neighbour.
-        fitted: bool,
-        /// What is added to ranges.
-        edition: Edition,
-    },
+    /// Mixed adaptive models of cells and ranges, lighter ones of intensities.
+    Mixed = 0,
+    /// More of them, of intensities too: smallest.
+    Deep = 1,
+    /// Cells and intensities by adaptive models, ranges, predicted by least squares, and corrections as tokens.
+    Light = 2,
+    /// Tokens with static tables, ranges predicted by the left neighbour: quick.
+    Tokens = 3,
+    /// Tokens with static tables, ranges predicted by least squares.
+    FittedTokens = 4,
     /// Ranges and intensities as differences in packed bits, all else as tokens: quickest.
+    Packed = 5,
+}
+
+/// How the cells of the range image are modelled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum OccupancyModelling {
+    /// Bits, each mixed from all views.
+    Mixed,
+    /// Bits; two views decide where they are sure.
+    Light,
+    Tokens,
+}
+
+/// How intensities are modelled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum IntensityModelling {
+    /// Bits, mixed from two views.
+    Light,
+    /// Bits, mixed from many views.
+    Deep,
+    Tokens,
+    /// Differences in packed bits.
     Packed,
 }
 
-/// Modellings have been improved since the version of the format that brought them.
+/// How ranges are modelled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Edition {
-    /// As they were at first.
-    First,
-    /// Tables of ranges start from what these are like, and P frames predict them from the frame before; mixed
-    /// models leave intensities to the lighter one, which turned out to be better.
-    Second,
+pub(crate) enum RangeModelling {
+    /// Bits, mixed from many views.
+    Mixed,
+    /// Bits, mixed from more of them.
+    Deep,
+    /// What a prediction by least squares misses them by, or one by the left neighbour.
+    Tokens { fitted: bool },
+    /// Differences in packed bits.
+    Packed,
 }
 
-/// How ranges are tokens.
+/// How corrections are modelled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum CorrectionModelling {
+    /// Adaptive bits.
+    Adaptive,
+    /// Tokens on the millimetre grid; adaptive bits on finer grids, where most points are corrected.
+    Light,
+    Tokens,
+}
+
+/// How each part of a frame is modelled.
 #[derive(Clone, Copy, Debug)]
-pub struct RangeTokenSettings {
-    /// Whether they are predicted by least squares.
-    pub fitted: bool,
-    /// Whether tables start from what ranges are like.
-    pub has_start: bool,
-    /// Whether those of P frames are predicted from the frame before.
-    pub refers: bool,
+pub(crate) struct Parts {
+    pub occupancy: OccupancyModelling,
+    pub intensity: IntensityModelling,
+    pub range: RangeModelling,
+    pub correction: CorrectionModelling,
 }
-
-/// The modellings, by their numbers in the stream.
-const NUMBERED: [Modelling; 11] = [
-    Modelling::FIRST,
-    Modelling::Tokens { fitted: false, edition: Edition::First },
-    Modelling::Tokens { fitted: true, edition: Edition::First },
-    Modelling::Balanced(Edition::First),
-    Modelling::Deep,
-    Modelling::Balanced(Edition::Second),
-    Modelling::Tokens { fitted: false, edition: Edition::Second },
-    Modelling::Tokens { fitted: true, edition: Edition::Second },
-    Modelling::Packed,
-    Modelling::Light,
-    Modelling::Mixed(Edition::Second),
-];
 
 impl Modelling {
-    /// That of frames that do not say.
-    pub(crate) const FIRST: Self = Modelling::Mixed(Edition::First);
+    /// All, in the order of their numbers.
+    const ALL: [Modelling; 6] = [
+        Modelling::Mixed,
+        Modelling::Deep,
+        Modelling::Light,
+        Modelling::Tokens,
+        Modelling::FittedTokens,
+        Modelling::Packed,
+    ];
 
-    /// Whether all parts are tokens.
-    pub(crate) fn is_quick(self) -> bool {
-        matches!(self, Modelling::Tokens { .. } | Modelling::Packed)
-    }
-
-    /// Whether ranges and intensities are in packed bits.
-    pub(crate) fn is_packed(self) -> bool {
-        self == Modelling::Packed
-    }
-
-    /// How far the adaptive models go.
-    pub(crate) fn depth(self) -> Depth {
-        match self {
-            Modelling::Mixed(_) => Depth::Mixed,
-            Modelling::Deep => Depth::Deep,
-            Modelling::Light | Modelling::Tokens { .. } | Modelling::Packed => Depth::Light,
-            Modelling::Balanced(_) => Depth::Quick,
-        }
-    }
-
-    /// How far those of intensities go.
-    pub(crate) fn intensity_depth(self) -> Depth {
-        if self == Modelling::Mixed(Edition::Second) { Depth::Light } else { self.depth() }
-    }
-
-    /// How ranges are tokens, if they are.
-    pub(crate) fn range_tokens(self) -> Option<RangeTokenSettings> {
-        let settings = |fitted, edition| RangeTokenSettings {
-            fitted,
-            has_start: edition == Edition::Second,
-            refers: self.can_do_without_surfaces(),
+    /// How each part is modelled.
+    pub(crate) fn parts(self) -> Parts {
+        use {
+            CorrectionModelling as Correction, IntensityModelling as Intensity,
+            OccupancyModelling as Occupancy, RangeModelling as Range,
         };
-        match self {
-            Modelling::Mixed(_) | Modelling::Deep | Modelling::Packed => None,
-            Modelling::Light => Some(settings(true, Edition::Second)),
-            Modelling::Balanced(edition) => Some(settings(true, edition)),
-            Modelling::Tokens { fitted, edition } => Some(settings(fitted, edition)),
-        }
+        let (occupancy, intensity, range, correction) = match self {
+            Self::Mixed => (Occupancy::Mixed, Intensity::Light, Range::Mixed, Correction::Adaptive),
+            Self::Deep => (Occupancy::Mixed, Intensity::Deep, Range::Deep, Correction::Adaptive),
+            Self::Light => {
+                (Occupancy::Light, Intensity::Light, Range::Tokens { fitted: true }, Correction::Light)
+            }
+            Self::Tokens => {
+                (Occupancy::Tokens, Intensity::Tokens, Range::Tokens { fitted: false }, Correction::Tokens)
+            }
+            Self::FittedTokens => {
+                (Occupancy::Tokens, Intensity::Tokens, Range::Tokens { fitted: true }, Correction::Tokens)
+            }
+            Self::Packed => (Occupancy::Tokens, Intensity::Packed, Range::Packed, Correction::Tokens),
+        };
+        Parts { occupancy, intensity, range, correction }
     }
 
-    /// Whether P frames from where the scanner has not moved take the same cells of the frame before alone: it
-    /// is quicker not to look for surfaces.
-    pub(crate) fn can_do_without_surfaces(self) -> bool {
-        matches!(self, Modelling::Light | Modelling::Balanced(Edition::Second))
+    /// Whether frames may be predicted from the one before: not where all parts are tokens.
+    pub(crate) fn has_p_frames(self) -> bool {
+        self.parts().occupancy != OccupancyModelling::Tokens
     }
 
     /// Its number in the stream.
     pub(crate) fn to_code(self) -> u64 {
-        NUMBERED.iter().position(|modelling| *modelling == self).unwrap_or_default() as u64
+        self as u64
     }
 
-    /// What reports add to the coder's name.
+    /// Its name in reports; none for that of the first number.
     pub(crate) fn suffix(self) -> &'static str {
         match self {
-            Modelling::Mixed(_) => "",
+            Modelling::Mixed => "",
             Modelling::Deep => " (deep)",
             Modelling::Light => " (light)",
-            Modelling::Balanced(_) => " (balanced)",
-            Modelling::Tokens { fitted: false, .. } => " (tokens)",
-            Modelling::Tokens { fitted: true, .. } => " (tokens, fitted)",
+            Modelling::Tokens => " (tokens)",
+            Modelling::FittedTokens => " (tokens, fitted)",
             Modelling::Packed => " (packed)",
         }
     }
 
     /// # Errors
-    /// If this program knows none of this number.
+    /// If there is none of this number.
     pub(crate) fn from_code(code: u64) -> Result<Self> {
-        let known = usize::try_from(code).ok().and_then(|code| NUMBERED.get(code).copied());
-        known.ok_or_else(|| Error::unsupported(format!("frame parameters: unknown modelling {code}")))
+        let known = Self::ALL.into_iter().find(|modelling| modelling.to_code() == code);
+        known.ok_or_else(|| Error::unsupported(format!("frame parameters: unknown coder {code}")))
     }
 }
 
@@ -143,9 +144,9 @@ mod tests {
 
     #[test]
     fn modellings_come_back_from_their_numbers() {
-        for code in 0..NUMBERED.len() as u64 {
+        for code in 0..6 {
             assert_eq!(Modelling::from_code(code).unwrap().to_code(), code);
         }
-        assert!(Modelling::from_code(NUMBERED.len() as u64).is_err());
+        assert!(Modelling::from_code(6).is_err());
     }
 }

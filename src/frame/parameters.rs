@@ -1,6 +1,5 @@
 //! How a frame is coded: what a decoder must know before the frame's other sections, and what
-//! reports say of the file that it was made from. Frames coded exactly as in version 1 of the format have the
-//! default parameters, and no section for them.
+//! reports say of the file that it was made from.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -102,27 +101,21 @@ impl Default for FrameParameters {
     }
 }
 
-/// The number of the context coder among the back-ends' numbers.
-const CONTEXT: u64 = 255;
-/// The number of the context coder with ranges in bins.
-const BINNED_CONTEXT: u64 = 254;
-/// The number of the context coder with a modelling of its own.
-const MODELLED_CONTEXT: u64 = 253;
+/// The numbers of coders: below these, the context coder by a modelling of this number.
+const BACKENDS: u64 = 32;
+/// From [`BACKENDS`] on, general-purpose back-ends by their own numbers; from here on, image coders.
+const JPEG: u64 = 64;
+const JPEG_2000: u64 = 65;
 /// The widest bin, in steps.
 const WIDEST_BIN: u32 = 1 << 20;
-/// The numbers of the image coders among them.
-const JPEG: u64 = 128;
-const JPEG_2000: u64 = 129;
 /// The range bits that the context coder takes.
 const RANGE_BITS: RangeInclusive<u64> = 16..=24;
 
 impl FrameParameters {
-    /// The payload of the section; empty for the default parameters.
+    /// The payload of the section.
     pub fn to_payload(&self) -> Vec<u8> {
         let mut payload = Vec::new();
-        if *self != FrameParameters::default() {
-            self.write_to(&mut payload);
-        }
+        self.write_to(&mut payload);
         payload
     }
 
@@ -135,23 +128,14 @@ impl FrameParameters {
         }
         write_unsigned(out, u64::from(self.snake));
         match self.range_coder {
-            RangeCoder::Context { modelling: Modelling::FIRST, range_bits, bin: 1, between: false } => {
-                write_unsigned(out, CONTEXT);
-                write_unsigned(out, u64::from(range_bits));
-            }
             RangeCoder::Context { modelling, range_bits, bin, between } => {
-                if modelling == Modelling::FIRST {
-                    write_unsigned(out, BINNED_CONTEXT);
-                } else {
-                    write_unsigned(out, MODELLED_CONTEXT);
-                    write_unsigned(out, modelling.to_code());
-                }
+                write_unsigned(out, modelling.to_code());
                 write_unsigned(out, u64::from(range_bits));
                 write_unsigned(out, u64::from(bin));
                 write_unsigned(out, u64::from(between));
             }
             RangeCoder::Backend { id, packing } => {
-                write_unsigned(out, u64::from(id));
+                write_unsigned(out, BACKENDS + u64::from(id));
                 write_unsigned(out, u64::from(packing.to_code()));
             }
             RangeCoder::Image(codec) => write_unsigned(out, image_code(codec)),
@@ -168,7 +152,7 @@ impl FrameParameters {
     /// If it is cut short, too long, or holds a choice that this program does not know.
     pub fn from_payload(mut bytes: &[u8]) -> Result<Self> {
         if bytes.is_empty() {
-            return Ok(FrameParameters::default());
+            return Err(Error::corrupt("parameters section is missing"));
         }
         let input = &mut bytes;
         let positions = Positions::read_from(input)?;
@@ -197,8 +181,14 @@ impl FrameParameters {
     pub(crate) fn modelling(&self) -> Modelling {
         match self.range_coder {
             RangeCoder::Context { modelling, .. } => modelling,
-            RangeCoder::Backend { .. } | RangeCoder::Image(_) => Modelling::FIRST,
+            RangeCoder::Backend { .. } | RangeCoder::Image(_) => Modelling::Light,
         }
+    }
+
+    /// Whether a P frame from where the scanner has not moved takes the same cells of the frame before alone: it
+    /// is quicker not to look for surfaces.
+    pub(crate) fn can_do_without_surfaces(&self) -> bool {
+        matches!(self.range_coder, RangeCoder::Context { modelling: Modelling::Light, .. })
     }
 
     /// The parameters of a coded frame.
@@ -271,8 +261,8 @@ impl Prediction {
 }
 
 impl RangeCoder {
-    /// The context coder, with every range as it is.
-    pub const EXACT: Self = RangeCoder::of_modelling(Modelling::FIRST);
+    /// The context coder, with every range as it is, beside parts that are coded as a back-end's frames have them.
+    pub const EXACT: Self = RangeCoder::of_modelling(Modelling::Light);
 
     /// The context coder, with every range as it is, by this modelling.
     pub(crate) const fn of_modelling(modelling: Modelling) -> Self {
@@ -317,28 +307,22 @@ impl RangeCoder {
 
     fn read_from(input: &mut &[u8]) -> Result<Self> {
         match read(input)? {
-            coder @ (CONTEXT | BINNED_CONTEXT | MODELLED_CONTEXT) => {
-                let modelling = match coder {
-                    MODELLED_CONTEXT => Modelling::from_code(read(input)?)?,
-                    _ => Modelling::FIRST,
-                };
-                let range_bits = within(input, RANGE_BITS, "bits of a range")?;
-                let (bin, between) = match coder {
-                    CONTEXT => (1, false),
-                    _ => (within(input, 1..=WIDEST_BIN.into(), "steps a bin")?, flag(input)?),
-                };
-                Ok(RangeCoder::Context { modelling, range_bits, bin, between })
-            }
-            JPEG => Ok(RangeCoder::Image(ImageCodec::Jpeg)),
-            JPEG_2000 => Ok(RangeCoder::Image(ImageCodec::Jpeg2000)),
-            id => {
-                let unknown = || Error::unsupported(format!("frame parameters: unknown back-end {id}"));
-                let id = u8::try_from(id).map_err(|_| unknown())?;
+            coder @ ..BACKENDS => Ok(RangeCoder::Context {
+                modelling: Modelling::from_code(coder)?,
+                range_bits: within(input, RANGE_BITS, "bits of a range")?,
+                bin: within(input, 1..=WIDEST_BIN.into(), "steps a bin")?,
+                between: flag(input)?,
+            }),
+            coder @ BACKENDS..JPEG => {
                 let code = read(input)?;
                 let packing = u8::try_from(code).ok().and_then(Packing::from_code);
                 let unknown = || Error::unsupported(format!("frame parameters: unknown packing {code}"));
+                let id = (coder - BACKENDS) as u8;
                 Ok(RangeCoder::Backend { id, packing: packing.ok_or_else(unknown)? })
             }
+            JPEG => Ok(RangeCoder::Image(ImageCodec::Jpeg)),
+            JPEG_2000 => Ok(RangeCoder::Image(ImageCodec::Jpeg2000)),
+            other => Err(Error::unsupported(format!("frame parameters: unknown coder {other}"))),
         }
     }
 }

@@ -1,7 +1,6 @@
 //! The sections of a frame that is coded as tokens.
 
 use super::frame::Frame;
-use super::modelling::RangeTokenSettings;
 use super::sections::SectionCoder;
 use crate::entropy::{TokenCoder, TokenTables};
 use crate::ground::error::Result;
@@ -38,14 +37,21 @@ impl QuickModels {
     /// The intensities of the returns, then of the strays.
     pub fn code_intensities<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
         let scale = if S::ENCODES { frame.intensity_scale() } else { IntensityScale::default() };
-        if frame.parameters.modelling().is_packed() {
-            let tables = &mut self.packed_intensity;
-            return sections.tokens(SectionKind::Intensity, PACKED_INTENSITY_CONTEXTS, tables, |coder| {
-                pack_intensities(coder, scale, frame);
-            });
-        }
         sections.tokens(SectionKind::Intensity, INTENSITY_CONTEXTS, &mut self.intensity, |coder| {
             code_intensities(coder, scale, frame);
+        })
+    }
+
+    /// The intensities of the returns, then of the strays, in packed bits.
+    pub fn code_packed_intensities<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        frame: &mut Frame,
+    ) -> Result<()> {
+        let scale = if S::ENCODES { frame.intensity_scale() } else { IntensityScale::default() };
+        let tables = &mut self.packed_intensity;
+        sections.tokens(SectionKind::Intensity, PACKED_INTENSITY_CONTEXTS, tables, |coder| {
+            pack_intensities(coder, scale, frame);
         })
     }
 
@@ -65,21 +71,19 @@ impl QuickModels {
         })
     }
 
-    /// The range of each return; `expected` is what the frame before lets expect, in steps, if there is anything.
+    /// The range of each return, predicted by least squares (`fitted`) or by its left neighbour; `expected` is
+    /// what the frame before lets expect, in steps, if there is anything.
     pub fn code_ranges<S: SectionCoder>(
         &mut self,
         sections: &mut S,
-        settings: RangeTokenSettings,
-        expected: Option<&Grid<u32>>,
+        (fitted, expected): (bool, Option<&Grid<u32>>),
         axis: (u32, u32),
         frame: &mut Frame,
     ) -> Result<()> {
-        if settings.has_start {
-            self.range.start_from(start_counts(settings.fitted), S::ENCODES);
-        }
+        self.range.start_from(start_counts(fitted), S::ENCODES);
         let model = &mut self.ranges;
         sections.tokens(SectionKind::Range, RANGE_CONTEXTS, &mut self.range, |coder| {
-            model.code(coder, &frame.occupancy, (settings.fitted, expected), axis, &mut frame.steps);
+            model.code(coder, &frame.occupancy, (fitted, expected), axis, &mut frame.steps);
         })
     }
 

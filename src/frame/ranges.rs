@@ -3,6 +3,7 @@
 
 use super::frame::Frame;
 use super::images;
+use super::modelling::RangeModelling;
 use super::parameters::{Prediction, RangeCoder};
 use super::sections::SectionCoder;
 use super::steps::{Step, StepReport};
@@ -31,16 +32,15 @@ impl Models {
         match frame.parameters.range_coder {
             RangeCoder::Context { modelling, range_bits, bin, .. } => {
                 report.predicted += 4 * (frame.records - frame.strays) as u64;
-                report.timed(Step::Coding, || match modelling.range_tokens() {
-                    _ if modelling.is_packed() => {
-                        self.quick.code_packed_ranges(sections, (range_bits, bin), frame)
+                let axis = (range_bits, bin);
+                report.timed(Step::Coding, || match modelling.parts().range {
+                    RangeModelling::Packed => self.quick.code_packed_ranges(sections, axis, frame),
+                    RangeModelling::Tokens { fitted } => {
+                        let reference = reference.filter(|_| modelling.has_p_frames());
+                        let expected = reference.map(Reference::ranges);
+                        self.quick.code_ranges(sections, (fitted, expected.as_ref()), axis, frame)
                     }
-                    Some(settings) => {
-                        let expected = reference.filter(|_| settings.refers).map(Reference::ranges);
-                        let axis = (range_bits, bin);
-                        self.quick.code_ranges(sections, settings, expected.as_ref(), axis, frame)
-                    }
-                    None => sections.section(SectionKind::Range, true, |coder| {
+                    depth => sections.section(SectionKind::Range, true, |coder| {
                         let known = RangeContext {
                             occupancy: &frame.occupancy,
                             intensity: levels,
@@ -49,7 +49,9 @@ impl Models {
                             bin,
                         };
                         let model = self.range.get_or_insert_default();
-                        model.set_depth(modelling.depth());
+                        if depth == RangeModelling::Deep {
+                            model.go_deep();
+                        }
                         model.code(coder, &known, &mut frame.steps);
                         Ok(())
                     }),

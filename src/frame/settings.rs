@@ -3,7 +3,8 @@
 use std::thread;
 
 use super::fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
-use super::modelling::{Edition, Modelling};
+use super::levels::{self, InterChoice, LevelSettings};
+use super::modelling::Modelling;
 use super::parameters::{FrameParameters, Prediction, RangeCoder};
 use crate::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use crate::article::outlier::RadiusOutlier;
@@ -80,16 +81,6 @@ pub enum PredictionChoice {
     EveryReference,
 }
 
-/// When the encoder predicts a frame from the one before it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum InterChoice {
-    Never,
-    /// If the scanner has not moved, which is quick to see.
-    StandingStill,
-    /// If it is found how the scanner has moved.
-    IfItFits,
-}
-
 /// What codes the ranges.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Coder {
@@ -141,7 +132,7 @@ pub struct EncoderConfig {
     pub intra: IntraConfig,
     /// What codes the ranges. Default: the context coder; in paper mode LZMA.
     pub coder: Coder,
-    /// Effort of the context coder, or of a general-purpose back-end. Default 6.
+    /// Effort of the context coder, which does not have all numbers, or of a general-purpose back-end. Default 6.
     pub level: Level,
     /// How residuals are turned into bytes for it; `None`, the default: as suits it best.
     pub packing: Option<Packing>,
@@ -162,7 +153,7 @@ impl EncoderConfig {
     /// The settings of a mode.
     pub fn preset(mode: Mode) -> Self {
         let exact = EncoderConfig {
-            gop: 10,
+            gop: levels::GOP,
             threads: 0,
             headerless: None,
             outliers: None,
@@ -209,27 +200,27 @@ impl EncoderConfig {
         }
     }
 
-    /// How the context coder models a frame, at this level.
-    pub(crate) fn modelling(&self) -> Modelling {
-        match (self.coder, self.level.number()) {
-            (Coder::Context, 1) => Modelling::Packed,
-            (Coder::Context, level @ 2..4) => {
-                Modelling::Tokens { fitted: level == 3, edition: Edition::Second }
-            }
-            (Coder::Context, 4..=6) => Modelling::Light,
-            (Coder::Context, 9) => Modelling::Deep,
-            (Coder::Context, _) => Modelling::Mixed(Edition::Second),
-            (Coder::Backend(_) | Coder::Image(_), _) => Modelling::FIRST,
+    /// What the level means to the coder. [`check`](Self::check) refuses levels that mean nothing to it.
+    fn level_settings(&self) -> LevelSettings {
+        match self.coder {
+            Coder::Context => levels::settings_of(self.level).unwrap_or(levels::OTHER_CODERS),
+            Coder::Backend(_) | Coder::Image(_) => levels::OTHER_CODERS,
         }
     }
 
-    /// How many frames the sensor model is fitted to: more make the formula sharper.
+    /// Frames a group, as suits the coder at its level.
+    pub fn default_gop(&self) -> usize {
+        self.level_settings().gop
+    }
+
+    /// How the context coder models a frame, at this level.
+    pub(crate) fn modelling(&self) -> Modelling {
+        self.level_settings().modelling
+    }
+
+    /// How many frames the sensor model is fitted to.
     pub(crate) fn sample_frames(&self) -> usize {
-        match self.modelling() {
-            Modelling::Mixed(_) | Modelling::Deep => 6,
-            Modelling::Light | Modelling::Balanced(_) => 3,
-            Modelling::Tokens { .. } | Modelling::Packed => 2,
-        }
+        self.level_settings().sample_frames
     }
 
     /// When a frame is predicted from the one before it; frames of a group are counted from 0.
@@ -238,13 +229,13 @@ impl EncoderConfig {
             FrameOrder::Ratio => frame_of_group > 0,
             FrameOrder::Time => frame_of_group % 2 == 1,
         };
-        match (self.prediction, self.coder, self.level.number()) {
+        match self.prediction {
             _ if !is_turn => InterChoice::Never,
-            (PredictionChoice::Always(Prediction::None | Prediction::Intra), _, _) => InterChoice::Never,
-            // Looking for the motion takes time.
-            (PredictionChoice::Smallest, Coder::Context, ..4) => InterChoice::Never,
-            (PredictionChoice::Smallest, Coder::Context, 4..8) => InterChoice::StandingStill,
-            _ => InterChoice::IfItFits,
+            PredictionChoice::Always(Prediction::None | Prediction::Intra) => InterChoice::Never,
+            PredictionChoice::Smallest => self.level_settings().inter,
+            PredictionChoice::Always(Prediction::Inter) | PredictionChoice::EveryReference => {
+                InterChoice::IfItFits
+            }
         }
     }
 
@@ -336,6 +327,10 @@ impl EncoderConfig {
             }
             _ => {}
         }
+        if self.coder == Coder::Context && levels::settings_of(self.level).is_none() {
+            let (level, numbers) = (self.level.number(), levels::numbers());
+            return wrong(&format!("the context coder has no level {level}; choose one of {numbers}"));
+        }
         let (columns, step) = match self.projection {
             ProjectionKind::Ideal { columns, range_step_um } => (columns, range_step_um),
             ProjectionKind::Calibrated { range_step_um: Some(FLOAT_RANGES) } => {
@@ -359,8 +354,8 @@ impl EncoderConfig {
             self.prediction,
             PredictionChoice::EveryReference | PredictionChoice::Always(Prediction::Inter)
         );
-        if is_inter && self.modelling().is_quick() {
-            return wrong("levels 1 to 3 take every frame by itself; --predict inter needs level 4 or more");
+        if is_inter && !self.modelling().has_p_frames() {
+            return wrong("levels 1 to 3 take every frame by itself; --predict inter needs level 6 or more");
         }
         let fits_regions =
             self.predictions(None).contains(&Prediction::Intra) && self.intra.models == RegionModels::Fitted;
@@ -445,6 +440,7 @@ mod tests {
             EncoderConfig { projection: ideal(0, 1000), ..paper() },
             EncoderConfig { projection: ideal(2000, 1_000_001), ..paper() },
             EncoderConfig { coder: Coder::Backend(200), ..paper() },
+            EncoderConfig { level: Level::new(4).unwrap(), ..exact() },
             EncoderConfig::preset(Mode::Bounded { max_error_um: 0 }),
             EncoderConfig { coder: Coder::Backend(backend::LZMA), ..bounded() },
             EncoderConfig { intensity: Intensity::None, ..bounded() },

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use super::fidelity::{Intensity, Positions};
 use super::frame::Frame;
-use super::modelling::Modelling;
+use super::modelling::{CorrectionModelling, IntensityModelling, OccupancyModelling};
 use super::parameters::{FrameParameters, Prediction};
 use super::quick::QuickModels;
 use super::sections::SectionCoder;
@@ -93,7 +93,7 @@ impl Models {
             let image = RangeImage { columns, steps: std::mem::take(&mut frame.steps) };
             found = image.file_order(sensor);
             let can_be_past = image.steps.cells().len() <= inter::MOST_CELLS;
-            if can_be_past && !frame.parameters.modelling().is_quick() {
+            if can_be_past && frame.parameters.modelling().has_p_frames() {
                 self.past = Some(Arc::new(Past::new(image.clone(), levels)));
             }
             (frame.columns, frame.steps) = (image.columns, image.steps);
@@ -133,11 +133,12 @@ impl Models {
         within(cells, sections.limits().points, "cells of the range image")?;
         frame.fit_image(sensor.rows());
         let reference = self.reference(sensor, frame)?;
-        if frame.parameters.modelling().is_quick() {
+        let modelling = frame.parameters.modelling().parts().occupancy;
+        if modelling == OccupancyModelling::Tokens {
             self.quick.code_occupancy(sections, frame)?;
         } else {
             let model = self.occupancy.get_or_insert_default();
-            model.set_depth(frame.parameters.modelling().depth());
+            model.set_quick(modelling == OccupancyModelling::Light);
             sections.section(SectionKind::Occupancy, true, |coder| {
                 model.code(coder, reference.as_ref(), &mut frame.occupancy);
                 Ok(())
@@ -159,7 +160,7 @@ impl Models {
         let past = past.ok_or_else(|| Error::corrupt("there is no frame before to predict this one from"))?;
         within(frame.occupancy.cells().len(), inter::MOST_CELLS as u64, "cells of a P frame")?;
         let motion = frame.parameters.motion;
-        if frame.parameters.modelling().can_do_without_surfaces() && motion == QuantisedPose::default() {
+        if frame.parameters.can_do_without_surfaces() && motion == QuantisedPose::default() {
             return Ok(Some(past.same_cells_alone(&frame.columns)));
         }
         let motion = motion.pose().motion();
@@ -186,12 +187,21 @@ impl Models {
             frame.stray_intensity = vec![0.0; frame.strays];
             return Ok(Grid::new(rows, columns));
         }
-        if frame.parameters.modelling().is_quick() {
-            // No contexts.
-            return self.quick.code_intensities(sections, frame).map(|()| Grid::default());
-        }
+        // Tokens need no contexts.
+        let is_deep = match frame.parameters.modelling().parts().intensity {
+            IntensityModelling::Light => false,
+            IntensityModelling::Deep => true,
+            IntensityModelling::Tokens => {
+                return self.quick.code_intensities(sections, frame).map(|()| Grid::default());
+            }
+            IntensityModelling::Packed => {
+                return self.quick.code_packed_intensities(sections, frame).map(|()| Grid::default());
+            }
+        };
+        let model = self.intensity.get_or_insert_default();
+        model.set_deep(is_deep);
         sections
-            .section(SectionKind::Intensity, true, |coder| Ok(self.code_intensity(coder, frame, reference)))
+            .section(SectionKind::Intensity, true, |coder| Ok(code_intensity(model, coder, frame, reference)))
     }
 
     /// The positions of the returns: the formula's, corrected as far as they must be.
@@ -216,13 +226,12 @@ impl Models {
             Positions::Exact => (None, true),
             Positions::Bounded { max_error_um, on_grid } => (Some(f64::from(max_error_um) * 1e-6), on_grid),
         };
-        let quick = match frame.parameters.modelling() {
-            Modelling::Mixed(_) | Modelling::Deep => false,
-            // On finer grids most points are corrected.
-            Modelling::Light | Modelling::Balanced(_) => grid == Coordinates::Millimetre,
-            Modelling::Tokens { .. } | Modelling::Packed => true,
+        let as_tokens = match frame.parameters.modelling().parts().correction {
+            CorrectionModelling::Adaptive => false,
+            CorrectionModelling::Light => grid == Coordinates::Millimetre,
+            CorrectionModelling::Tokens => true,
         };
-        if quick {
+        if as_tokens {
             let near = positions(sensor, found, offset_m, on_grid);
             let formula = |point: usize| formula(&found[point]);
             return self.quick.code_positions(sections, grid, formula, (near, max_error), frame);
@@ -308,40 +317,38 @@ impl Models {
         self.bytes.code(coder, 1, bytes);
         Ok(())
     }
+}
 
-    /// The intensities of the returns, then of the strays. Gives the returns' as contexts for
-    /// their ranges.
-    fn code_intensity<C: BitCoder>(
-        &mut self,
-        coder: &mut C,
-        frame: &mut Frame,
-        reference: Option<&Reference>,
-    ) -> Grid<u16> {
-        let mut scale = if C::ENCODES { frame.intensity_scale() } else { IntensityScale::default() };
-        scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
-        let width = frame.occupancy.columns();
-        let mut levels = Grid::new(frame.occupancy.rows(), width);
-        let model = self.intensity.get_or_insert_default();
-        model.set_depth(frame.parameters.modelling().intensity_depth());
-        model.start_frame(&scale, width, frame.records - frame.strays);
-        for row in 0..levels.rows() {
-            if coder.is_exhausted() {
-                break;
-            }
-            model.start_row();
-            let mut left = [0; 4];
-            for column in (0..width).filter(|&column| frame.occupancy[(row, column)]) {
-                let mut near = neighbours(&levels, left, row, column);
-                near.back = reference.and_then(|reference| IntensityReference::at(reference, (row, column)));
-                let value = &mut frame.intensity[(row, column)];
-                *value = model.code(coder, &scale, &near, (row, column), *value);
-                levels[(row, column)] = scale.context_level(*value);
-                left = [levels[(row, column)], left[0], left[1], left[2]];
-            }
+/// The intensities of the returns, then of the strays. Gives the returns' as contexts for
+/// their ranges.
+fn code_intensity<C: BitCoder>(
+    model: &mut IntensityModel,
+    coder: &mut C,
+    frame: &mut Frame,
+    reference: Option<&Reference>,
+) -> Grid<u16> {
+    let mut scale = if C::ENCODES { frame.intensity_scale() } else { IntensityScale::default() };
+    scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
+    let width = frame.occupancy.columns();
+    let mut levels = Grid::new(frame.occupancy.rows(), width);
+    model.start_frame(&scale, width, frame.records - frame.strays);
+    for row in 0..levels.rows() {
+        if coder.is_exhausted() {
+            break;
         }
-        code_stray_intensity(model, coder, &scale, frame);
-        levels
+        model.start_row();
+        let mut left = [0; 4];
+        for column in (0..width).filter(|&column| frame.occupancy[(row, column)]) {
+            let mut near = neighbours(&levels, left, row, column);
+            near.back = reference.and_then(|reference| IntensityReference::at(reference, (row, column)));
+            let value = &mut frame.intensity[(row, column)];
+            *value = model.code(coder, &scale, &near, (row, column), *value);
+            levels[(row, column)] = scale.context_level(*value);
+            left = [levels[(row, column)], left[0], left[1], left[2]];
+        }
     }
+    code_stray_intensity(model, coder, &scale, frame);
+    levels
 }
 
 fn code_stray_intensity<C: BitCoder>(

@@ -1,10 +1,9 @@
 //! The intensities: levels of a grid such as hundredths, each bit of a level mixed from counters
-//! in several contexts of the neighbours' levels.
+//! in contexts of the neighbours' levels: few, or many.
 
 mod deep;
 mod errors;
 mod light;
-mod mixed;
 mod neighbours;
 mod scale;
 #[cfg(test)]
@@ -15,48 +14,42 @@ pub use neighbours::{IntensityNeighbours, IntensityReference};
 pub use scale::IntensityScale;
 pub use tokens::{INTENSITY_CONTEXTS, IntensityTokens};
 
-use super::Depth;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::varint::{unzigzag, zigzag};
 use deep::DeepLevels;
 use light::LightLevels;
-use mixed::MixedLevels;
 
 /// What the coder has learned about intensities.
 #[derive(Clone, Default)]
 pub struct IntensityModel {
-    /// Once a frame goes no deeper than this.
-    light: Option<Box<LightLevels>>,
-    mixed: MixedLevels,
-    /// Once a frame goes as deep as this.
+    light: LightLevels,
+    /// What codes levels in its place in frames that go deep, once there was one.
     deep: Option<Box<DeepLevels>>,
     exception: AdaptiveBit,
     off_grid: IntegerModel,
     last_off_grid: u32,
-    depth: Depth,
+    is_deep: bool,
 }
 
 impl IntensityModel {
-    /// How far to go from now on.
-    pub fn set_depth(&mut self, depth: Depth) {
-        self.depth = depth;
+    /// Says whether to mix from many contexts from now on.
+    pub fn set_deep(&mut self, is_deep: bool) {
+        self.is_deep = is_deep;
     }
 
     /// Begins a frame, or its strays, with `columns` columns and so many values.
     pub fn start_frame(&mut self, scale: &IntensityScale, columns: usize, values: usize) {
-        match self.depth {
-            Depth::Light => self.light.get_or_insert_default().start_frame(scale),
-            Depth::Quick | Depth::Mixed => self.mixed.start_frame(self.depth, scale, columns),
-            Depth::Deep => self.deep.get_or_insert_default().start_frame(columns, values),
+        if self.is_deep {
+            self.deep.get_or_insert_default().start_frame(columns, values);
+        } else {
+            self.light.start_frame(scale);
         }
     }
 
     /// Begins a row.
     pub fn start_row(&mut self) {
-        match (self.depth, &mut self.light, &mut self.deep) {
-            (Depth::Light, ..) => {}
-            (Depth::Deep, _, Some(deep)) => deep.start_row(),
-            _ => self.mixed.start_row(),
+        if let Some(deep) = self.deep.as_mut().filter(|_| self.is_deep) {
+            deep.start_row();
         }
     }
 
@@ -77,10 +70,9 @@ impl IntensityModel {
             return self.code_off_grid(coder, value);
         }
         let level = level.unwrap_or(0);
-        let level = match (self.depth, &mut self.light, &mut self.deep) {
-            (Depth::Light, Some(light), _) => light.code(coder, scale, near, row, level),
-            (Depth::Deep, _, Some(deep)) => deep.code(coder, scale, near, (row, column), level),
-            _ => self.mixed.code(coder, scale, near, (row, column), level),
+        let level = match self.deep.as_mut().filter(|_| self.is_deep) {
+            Some(deep) => deep.code(coder, scale, near, (row, column), level),
+            None => self.light.code(coder, scale, near, row, level),
         };
         if C::ENCODES { value } else { scale.value_of(level) }
     }

@@ -6,7 +6,6 @@
 mod bytes;
 mod columns;
 mod correction;
-mod depth;
 mod intensity;
 mod least_squares;
 mod magnitude;
@@ -21,7 +20,6 @@ mod shape;
 pub use bytes::ByteModel;
 pub use columns::ColumnModel;
 pub use correction::{CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
-pub use depth::Depth;
 pub use intensity::{
     INTENSITY_CONTEXTS, IntensityModel, IntensityNeighbours, IntensityReference, IntensityScale,
     IntensityTokens,

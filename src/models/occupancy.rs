@@ -4,7 +4,6 @@ mod tokens;
 
 pub use tokens::{OCCUPANCY_CONTEXTS, code_occupancy};
 
-use super::Depth;
 use crate::entropy::{BitCoder, Counter, MixedBits};
 use crate::ground::grid::Grid;
 use crate::inter::Reference;
@@ -46,9 +45,9 @@ impl Default for OccupancyModel {
 }
 
 impl OccupancyModel {
-    /// How far to go from now on.
-    pub fn set_depth(&mut self, depth: Depth) {
-        self.sure = if matches!(depth, Depth::Light | Depth::Quick) { QUICKLY_SURE } else { f32::INFINITY };
+    /// Says whether to leave the word, from now on, to few views where these are sure.
+    pub fn set_quick(&mut self, is_quick: bool) {
+        self.sure = if is_quick { QUICKLY_SURE } else { f32::INFINITY };
     }
 
     /// Codes every cell. `reference` is what an earlier frame has there.

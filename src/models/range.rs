@@ -15,7 +15,6 @@ mod neighbourhood;
 mod site;
 mod tokens;
 
-use super::Depth;
 use super::least_squares::LeastSquares;
 use super::quantise::{Levels, signed_level};
 use super::shape::ErrorShape;
@@ -83,7 +82,7 @@ pub struct RangeModel {
     mixture: Mixture<PREDICTORS>,
     /// The same for cells with a reference, once there was one.
     with_reference: Option<Box<WithReference>>,
-    /// What has been learned in its place at [`Depth::Deep`].
+    /// What has been learned in its place [once it goes deep](Self::go_deep).
     deep: Option<Box<DeepModel>>,
 }
 
@@ -140,11 +139,9 @@ struct Coded {
 }
 
 impl RangeModel {
-    /// Says how far the models go; the same for all frames of a group.
-    pub fn set_depth(&mut self, depth: Depth) {
-        if depth == Depth::Deep && self.deep.is_none() {
-            self.deep = Some(Box::default());
-        }
+    /// Goes on with more models, in all frames of the group from now on.
+    pub fn go_deep(&mut self) {
+        self.deep.get_or_insert_default();
     }
 
     /// Codes the range, in steps, of every cell that holds a return. Where bins are wider than a step, both

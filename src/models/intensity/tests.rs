@@ -23,11 +23,11 @@ fn frame(seed: u64, per_unit: u32, brightest: f64) -> Grid<f32> {
 }
 
 /// Codes frames, each with the one before as its reference.
-fn code<C: BitCoder>(coder: &mut C, depth: Depth, scale: &IntensityScale, frames: &mut [Grid<f32>]) {
+fn code<C: BitCoder>(coder: &mut C, is_deep: bool, scale: &IntensityScale, frames: &mut [Grid<f32>]) {
     let mut model = IntensityModel::default();
     let mut reference: Option<Reference> = None;
     for values in frames {
-        model.set_depth(depth);
+        model.set_deep(is_deep);
         model.start_frame(scale, COLUMNS, values.cells().len());
         let mut levels: Grid<u16> = Grid::new(ROWS, COLUMNS);
         for row in 0..ROWS {
@@ -54,26 +54,26 @@ fn code<C: BitCoder>(coder: &mut C, depth: Depth, scale: &IntensityScale, frames
 }
 
 /// The bytes that frames take; they come back.
-fn bytes_of(depth: Depth, per_unit: u32, frames: &[Grid<f32>]) -> usize {
+fn bytes_of(is_deep: bool, per_unit: u32, frames: &[Grid<f32>]) -> usize {
     let all: Vec<f32> = frames.iter().flat_map(|frame| frame.cells().to_vec()).collect();
     let scale = IntensityScale::of(&all, Some(per_unit));
     let mut encoder = ArithmeticEncoder::default();
-    code(&mut encoder, depth, &scale, &mut frames.to_vec());
+    code(&mut encoder, is_deep, &scale, &mut frames.to_vec());
     let bytes = encoder.finish();
     let mut decoded = vec![Grid::new(ROWS, COLUMNS); frames.len()];
-    code(&mut ArithmeticDecoder::new(&bytes), depth, &scale, &mut decoded);
-    assert_eq!(decoded, frames, "{depth:?}, {per_unit} levels a unit");
+    code(&mut ArithmeticDecoder::new(&bytes), is_deep, &scale, &mut decoded);
+    assert_eq!(decoded, frames, "deep: {is_deep}, {per_unit} levels a unit");
     bytes.len()
 }
 
 #[test]
-fn levels_of_seven_to_nine_bits_come_back_at_any_depth() {
-    for depth in [Depth::Light, Depth::Quick, Depth::Mixed, Depth::Deep] {
+fn levels_of_seven_to_nine_bits_come_back_light_and_deep() {
+    for is_deep in [false, true] {
         for (per_unit, brightest) in [(100, 100.0), (256, 250.0), (1, 500.0)] {
             let mut frames = vec![frame(1, per_unit, brightest), frame(2, per_unit, brightest)];
             frames[0][(3, 7)] = 0.1234;
             frames[1][(0, 0)] = -0.0;
-            bytes_of(depth, per_unit, &frames);
+            bytes_of(is_deep, per_unit, &frames);
         }
     }
 }
@@ -81,9 +81,8 @@ fn levels_of_seven_to_nine_bits_come_back_at_any_depth() {
 #[test]
 fn going_deeper_pays_where_beams_differ() {
     let frames: Vec<Grid<f32>> = (0..4).map(|seed| frame(seed, 100, 100.0)).collect();
-    let [quick, mixed, deep] =
-        [Depth::Quick, Depth::Mixed, Depth::Deep].map(|depth| bytes_of(depth, 100, &frames));
-    assert!(mixed < quick && deep * 100 < mixed * 97, "{quick}, {mixed}, {deep} bytes");
+    let [light, deep] = [false, true].map(|is_deep| bytes_of(is_deep, 100, &frames));
+    assert!(deep * 100 < light * 97, "{light}, {deep} bytes");
 }
 
 #[test]
@@ -93,8 +92,8 @@ fn any_bytes_decode_to_something() {
         let mut random = Rng::keyed(seed, &[1]);
         let bytes: Vec<u8> = (0..200).map(|_| random.below(256) as u8).collect();
         let mut values = vec![Grid::new(ROWS, COLUMNS); 2];
-        for depth in [Depth::Light, Depth::Quick, Depth::Mixed, Depth::Deep] {
-            code(&mut ArithmeticDecoder::new(&bytes), depth, &scale, &mut values);
+        for is_deep in [false, true] {
+            code(&mut ArithmeticDecoder::new(&bytes), is_deep, &scale, &mut values);
             assert!(values.iter().flat_map(Grid::cells).all(|value| scale.level_of(*value).is_some()));
         }
     }

@@ -1,4 +1,4 @@
-//! The ranges at [`Depth::Deep`](crate::models::Depth::Deep): more least-squares fits, among them one for
+//! The ranges of models that go deep: more least-squares fits, among them one for
 //! each stretch of columns; several mixtures of the same predictors, each in contexts of its own; and
 //! mixing in two layers.
 //!
@@ -151,7 +151,6 @@ mod tests {
     use crate::ground::grid::Grid;
     use crate::ground::random::Rng;
     use crate::inter::Reference;
-    use crate::models::Depth;
 
     const ROWS: usize = 12;
     const COLUMNS: usize = 150;
@@ -174,7 +173,7 @@ mod tests {
         let mut random = Rng::keyed(7, &[]);
         let frames: Vec<_> = (0..3).map(|_| frame(&mut random)).collect();
         let mut models = [RangeModel::default(), RangeModel::default()];
-        models.iter_mut().for_each(|model| model.set_depth(Depth::Deep));
+        models.iter_mut().for_each(|model| model.go_deep());
         let [encoding, decoding] = &mut models;
         let mut before: Option<Grid<u32>> = None;
         let mut bytes = 0;
