@@ -39,7 +39,7 @@ fn measure(
 ) {
     let config = EncoderConfig::default();
     let encode = || {
-        let mut encoder = GroupEncoder::new(sensor, &config);
+        let mut encoder = GroupEncoder::new(&[sensor], &config);
         let mut encode = |scan: &ScanFile| {
             let header = FrameHeader { point_count: scan.records as u64, ..FrameHeader::default() };
             encoder.encode_frame(scan.clone(), header).unwrap()
@@ -50,7 +50,7 @@ fn measure(
     group.bench_function(format!("encode/{kind}"), |b| b.iter(encode));
     group.bench_function(format!("decode/{kind}"), |b| {
         b.iter(|| {
-            let mut decoder = GroupDecoder::new(sensor, &Limits::default());
+            let mut decoder = GroupDecoder::new(&[sensor], &Limits::default());
             let mut steps = StepReport::default();
             for frame in &coded {
                 black_box(decoder.decode_frame(&frame.header, &frame.sections, &mut steps).unwrap());

@@ -114,10 +114,8 @@ fn a_cut_gives_the_same_points() {
 #[test]
 fn threads_and_ways_to_decode_make_no_difference() {
     let files = named(&scans(&small(3, 5)));
-    let inputs: Vec<_> = files
-        .iter()
-        .map(|(name, bytes)| FrameInput::Memory { name: name.clone(), bytes: bytes.clone() })
-        .collect();
+    let inputs: Vec<_> =
+        files.iter().map(|(name, bytes)| FrameInput::memory(name.clone(), bytes.clone())).collect();
     let streams = [1, 3].map(|threads| {
         let mut stream = Vec::new();
         let config = EncoderConfig { threads, gop: 2, ..bounded(20_000) };

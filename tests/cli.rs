@@ -405,19 +405,19 @@ fn a_newer_stream_is_named_as_such() {
 
 #[test]
 fn names_in_a_stream_cannot_leave_the_folder() {
-    use lidarpc::stream::container::{Frame, FrameHeader, Group, StreamHeader, StreamWriter};
+    use lidarpc::stream::container::{Frame, FrameHeader, Group, StreamWriter};
     let bench = Bench::encoded();
     // An empty file is the same under any name.
     bench.ok("encode seq/empty.bin -o empty.lpc");
     let group = first_group(&fs::read(bench.path("empty.lpc")).unwrap());
     let write = |names: &[&str]| {
-        let mut writer = StreamWriter::create(Vec::new(), &StreamHeader::default()).unwrap();
+        let mut writer = StreamWriter::create(Vec::new()).unwrap();
         for name in names {
             let Frame { header, sections } = group.frames[0].clone();
             let header = FrameHeader { name: name.to_string(), ..header };
             // A group each, so that no frame depends on another.
             let frames = vec![Frame { header, sections }];
-            writer.write_group(&Group { sensor_model: 0, frames }).unwrap();
+            writer.write_group(&Group { scanners: vec![0], frames }).unwrap();
         }
         fs::write(bench.path("evil.lpc"), writer.finish().unwrap().0).unwrap();
     };
@@ -802,7 +802,7 @@ fn streams_of_all_modes_and_sensors_are_cut_and_joined() {
     bench.ok("encode renamed -o e.lpc");
     bench.ok("cat out.lpc p.lpc e.lpc -o all.lpc");
     let info = bench.json("info all.lpc --json");
-    assert_eq!((&info["version"], info["sensor_models"].as_array().unwrap().len()), (&5.into(), 2));
+    assert_eq!((&info["version"], info["scanners"].as_array().unwrap().len()), (&1.into(), 2));
     for (range, stream) in [("..10", "out.lpc"), ("10..13", "p.lpc"), ("13..", "e.lpc")] {
         bench.ok(&format!("cut all.lpc --frames {range} -o part.lpc --force"));
         bench.decodes_to_range("part.lpc", stream, "..");
@@ -815,7 +815,7 @@ fn streams_of_all_modes_and_sensors_are_cut_and_joined() {
     bench.ok("cut all.lpc --frames 14.. -o b.lpc");
     bench.ok("cat a.lpc b.lpc -o ab.lpc");
     bench.decodes_to_range("ab.lpc", "all.lpc", "11..");
-    assert_eq!(bench.json("info ab.lpc --json")["sensor_models"].as_array().unwrap().len(), 2);
+    assert_eq!(bench.json("info ab.lpc --json")["scanners"].as_array().unwrap().len(), 2);
     let stats = |stream: &str| bench.json(&format!("stats {stream} --json"));
     bench.ok("cut p.lpc --frames .. -o same.lpc");
     assert_eq!(stats("same.lpc")["points_lost"], stats("p.lpc")["points_lost"]);

@@ -15,7 +15,7 @@ use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, Pro
 use lidarpc::frame::{FrameParameters, Intensity, Prediction};
 use lidarpc::ground::error::{Error, Limits, Result};
 use lidarpc::stream::FrameRange;
-use lidarpc::stream::container::{Frame, Group, SectionKind, StreamHeader, StreamReader};
+use lidarpc::stream::container::{Frame, Group, SectionKind, StreamReader};
 use lidarpc::study::synth::SynthConfig;
 use proptest::prelude::*;
 
@@ -86,10 +86,8 @@ fn cut_both_ways(stream: &[u8], range: FrameRange) -> (Vec<u8>, Cut) {
 
 fn join(streams: &[&[u8]]) -> Result<(Vec<u8>, Joined)> {
     let open = |stream| StreamReader::open(stream, Limits::default()).map(named);
-    let header = streams.iter().map(|stream| *open(*stream).unwrap().stream.header());
-    let header = header.reduce(StreamHeader::joined).unwrap_or_default();
     let mut out = Vec::new();
-    let joined = cat(&header, streams.iter().map(|stream| open(*stream)), &mut out)?;
+    let joined = cat(streams.iter().map(|stream| open(*stream)), &mut out)?;
     assert_eq!(joined.stream_bytes, out.len() as u64);
     Ok((out, joined))
 }
@@ -195,7 +193,7 @@ fn images_are_written_again_as_they_are() {
 }
 
 #[test]
-fn every_stream_keeps_its_own_sensor_model() {
+fn every_stream_keeps_its_own_scanner() {
     let drive = |config: SynthConfig, prefix: &str| {
         let scans = scans(&config);
         let files = (0..).zip(&scans).map(|(n, points)| (format!("{prefix}{n}.bin"), kitti(points)));
@@ -209,7 +207,10 @@ fn every_stream_keeps_its_own_sensor_model() {
     assert_eq!((joined.streams, joined.frames), (3, 9));
     let (models, joined_groups) = take_apart(&all);
     assert_eq!(models, [take_apart(&one).0, take_apart(&other).0].concat());
-    assert_eq!(joined_groups.iter().map(|group| group.sensor_model).collect::<Vec<_>>(), [1, 1, 2, 2, 1, 1]);
+    assert_eq!(
+        joined_groups.iter().map(|group| group.scanners.clone()).collect::<Vec<_>>(),
+        [1, 1, 2, 2, 1, 1].map(|number| vec![number])
+    );
     let expected = [&one, &other, &again].map(|stream| decode_files(stream).unwrap()).concat();
     assert!(decode_files(&all).unwrap() == expected);
 
@@ -217,7 +218,10 @@ fn every_stream_keeps_its_own_sensor_model() {
     assert!(decode_files(&part).unwrap() == expected[4..8]);
     let (models, groups) = take_apart(&part);
     assert_eq!(models, [take_apart(&other).0, take_apart(&one).0].concat());
-    assert_eq!(groups.iter().map(|group| group.sensor_model).collect::<Vec<_>>(), [1, 1, 2]);
+    assert_eq!(
+        groups.iter().map(|group| group.scanners.clone()).collect::<Vec<_>>(),
+        [1, 1, 2].map(|number| vec![number])
+    );
     assert!(
         take_apart(&cut_both_ways(&all, frames(3, 6)).0).0 == take_apart(&other).0,
         "a model nobody needs"
@@ -274,14 +278,6 @@ fn two_frames_of_one_name_are_refused() {
         error.starts_with("in.lpc: frame 0 (\"2.bin\") has the same name as frame 2 of in.lpc; "),
         "{error}"
     );
-}
-
-#[test]
-fn a_stream_that_needs_more_than_the_header_says_is_refused() {
-    let reader = StreamReader::open(&STREAMS[1][0][..], Limits::default()).unwrap();
-    let older = StreamHeader { version: 1, ..StreamHeader::default() };
-    let error = cat(&older, [Ok(named(reader))], std::io::sink()).unwrap_err();
-    assert_eq!(error.to_string(), "in.lpc changed while it was read; try again");
 }
 
 #[test]

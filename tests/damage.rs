@@ -177,7 +177,7 @@ fn bytes_that_came_in_or_are_missing_shift_nothing_but_bytes() {
 }
 
 #[test]
-fn groups_without_their_sensor_model_are_lost_and_no_others() {
+fn groups_without_their_scanner_are_lost_and_no_others() {
     let frames = scans(&small(3, 2));
     let scanned: Vec<File> =
         (0..).zip(&frames).map(|(n, frame)| (format!("{n}.bin"), kitti(frame))).collect();
@@ -193,7 +193,7 @@ fn groups_without_their_sensor_model_are_lost_and_no_others() {
     assert_eq!(losses.len(), 2);
     assert_eq!((&losses[0].frames, &losses[1].frames), (&Some(0..0), &Some(0..2)));
     assert_eq!(losses[1].names, ["0.bin", "1.bin"]);
-    assert!(losses[1].why.contains("sensor model 1 is lost"));
+    assert!(losses[1].why.contains("scanner 1 is lost"));
 }
 
 #[test]

@@ -7,11 +7,13 @@ use common::scans::Random;
 use common::streams::{Parts, STREAMS};
 use common::{cases, decode_files, decode_within, put_together};
 use lidarpc::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
+use lidarpc::frame::parameters::RangeCoder;
+use lidarpc::frame::{FrameParameters, Modelling};
 use lidarpc::ground::error::Limits;
 use lidarpc::models::{ByteModel, ColumnModel};
 use lidarpc::scan::{Layout, Wrapping};
 use lidarpc::scanner::{BeamConstants, Coordinates, SensorModel};
-use lidarpc::stream::container::{Section, SectionKind};
+use lidarpc::stream::container::{ScannerRecord, Section, SectionKind};
 use proptest::prelude::*;
 
 /// What is done to a stream's parts. Places are counted modulo what there is.
@@ -83,11 +85,11 @@ impl Damage {
             }
             Damage::Model { place, value } => {
                 if let Some(model) = models.first_mut() {
-                    let length = model.len();
-                    model[place % length] = *value;
+                    let length = model.payload.len();
+                    model.payload[place % length] = *value;
                 }
             }
-            Damage::NoModel => groups.iter_mut().for_each(|group| group.sensor_model = 0),
+            Damage::NoModel => groups.iter_mut().for_each(|group| group.scanners.fill(0)),
         }
     }
 }
@@ -222,17 +224,28 @@ fn file_section(layout: &Layout, records: u64, strays: u64) -> Section {
     Section { kind: SectionKind::File, payload: coder.finish() }
 }
 
-/// A stream of one frame with these sections, whose header claims so many records.
+/// A stream of one frame with these sections behind its parameters, whose header claims so many records.
 fn forged(model: Option<&SensorModel>, records: u64, sections: Vec<Section>) -> Vec<u8> {
+    forged_as(Modelling::Mixed, model, records, sections)
+}
+
+fn forged_as(
+    modelling: Modelling,
+    model: Option<&SensorModel>,
+    records: u64,
+    mut sections: Vec<Section>,
+) -> Vec<u8> {
+    let range_coder = RangeCoder::Context { modelling, range_bits: 16, bin: 1, between: false };
+    let parameters = FrameParameters { range_coder, ..FrameParameters::default() };
+    sections.insert(0, Section { kind: SectionKind::Parameters, payload: parameters.to_payload() });
     let mut group = STREAMS[0].1[0].clone();
     group.frames.truncate(1);
     group.frames[0].sections = sections;
     group.frames[0].header.point_count = records;
-    group.sensor_model = model.is_some().into();
-    let mut record = Vec::new();
-    model.into_iter().for_each(|model| model.write_to(&mut record));
-    let models: Vec<_> = model.iter().map(|_| record.clone()).collect();
-    put_together(&models, &[group])
+    group.scanners = vec![model.is_some().into()];
+    let record =
+        |model: &SensorModel| ScannerRecord { family: SensorModel::FAMILY, payload: model.to_payload() };
+    put_together(&model.map(record).into_iter().collect::<Vec<_>>(), &[group])
 }
 
 fn kitti_layout() -> Layout {
@@ -332,7 +345,9 @@ fn random_sections_behind_a_good_file_section() {
         for &kind in &[&IMAGE[..2], &[SectionKind::Points], &IMAGE[2..]].concat() {
             frame.push(Section { kind, payload: payload.clone() });
         }
-        let _ = decode_files(&forged(Some(&sensor), 1000, frame));
+        for modelling in [Modelling::Mixed, Modelling::Deep, Modelling::Light, Modelling::Packed] {
+            let _ = decode_files(&forged_as(modelling, Some(&sensor), 1000, frame.clone()));
+        }
     }
 }
 

@@ -46,13 +46,13 @@ fn a_group_is_written_before_the_next_frame_arrives() {
         let group = loop {
             match reader.next_record().unwrap() {
                 Some(Record::Group(group)) => break group,
-                Some(Record::SensorModel(_)) => {}
+                Some(Record::Scanner(_)) => {}
                 None => panic!("the stream ended"),
             }
         };
         let names: Vec<_> = group.frames.iter().map(|frame| &frame.header.name).collect();
         assert_eq!(names, pair.iter().map(|(name, _)| name).collect::<Vec<_>>());
-        assert_eq!(group.sensor_model, 1, "no model was fitted to the first group");
+        assert_eq!(group.scanners, [1], "no model was fitted to the first group");
     }
     stdin.write_all(&framed(&files[4])).unwrap();
     drop(stdin);

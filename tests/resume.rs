@@ -42,7 +42,7 @@ fn modes() -> [EncoderConfig; 3] {
 }
 
 fn inputs(files: &[Scan]) -> Vec<FrameInput> {
-    let input = |(name, bytes): &Scan| FrameInput::Memory { name: name.clone(), bytes: bytes.clone() };
+    let input = |(name, bytes): &Scan| FrameInput::memory(name.clone(), bytes.clone());
     files.iter().map(input).collect()
 }
 

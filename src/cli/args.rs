@@ -182,7 +182,7 @@ pub struct DecodeArgs {
 
 const STATS_NOTES: &str = "\
 Ratio is coded size / original size. RMSE and max error are 3-D distances in metres between points
-paired by their order. 'container' is all that is not the payload of a section or sensor model:
+paired by their order. 'container' is all that is not the payload of a section or scanner:
 headers, names, lengths, checksums and the index. The bytes add up to the file's size. D1 and D2 PSNR are
 10 log10(3 p^2 / MSE) with p = 59.70 m, MSE that of the worse direction, as mpeg-pcc-dmetric computes them.";
 

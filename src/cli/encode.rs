@@ -103,7 +103,7 @@ fn find_inputs(inputs: &[PathBuf], quiet: bool) -> Result<Vec<FrameInput>> {
         let count = table::count(found.left_out.len() as u64, "file");
         eprintln!("lidarpc: left out {count} not known as a scan, such as {}", first.display());
     }
-    Ok(found.frames.into_iter().map(FrameInput::File).collect())
+    Ok(found.frames.into_iter().map(FrameInput::file).collect())
 }
 
 fn write_stream(
@@ -122,7 +122,7 @@ fn write_stream(
         Frames::Files(files) => stream::encode(&files, config, &mut writer, &|| bar.inc(1)),
         Frames::Live => {
             let frames = ArrivingFrames::new(io::stdin())
-                .map(|file| file.map(|ArrivedFile { name, bytes }| FrameInput::Memory { name, bytes }));
+                .map(|file| file.map(|ArrivedFile { name, bytes }| FrameInput::memory(name, bytes)));
             stream::encode_live(frames, config, &mut writer, &|| bar.inc(1))
         }
     };

@@ -5,7 +5,7 @@ use std::io::{self, Read, Write};
 
 use crate::frame::FrameParameters;
 use crate::ground::error::Limits;
-use crate::stream::container::{Record, StreamReader};
+use crate::stream::container::{Record, ScannerRecord, Stamp, StreamReader};
 use anyhow::Result;
 use serde::Serialize;
 
@@ -22,10 +22,15 @@ struct Info {
     stream_bytes: u64,
     file_bytes: u64,
     points: u64,
-    /// Bytes of each sensor model.
-    sensor_models: Vec<u64>,
+    scanners: Vec<ScannerInfo>,
     groups: Vec<GroupInfo>,
     frames: Vec<FrameInfo>,
+}
+
+#[derive(Serialize)]
+struct ScannerInfo {
+    family: u64,
+    bytes: u64,
 }
 
 #[derive(Serialize)]
@@ -34,14 +39,22 @@ struct GroupInfo {
     bytes: u64,
     first_frame: u64,
     frames: u64,
-    /// 0: none.
-    sensor_model: u64,
+    /// Of each stream, its number among the scanners, from 1 on; 0: none.
+    scanners: Vec<u64>,
 }
 
 #[derive(Serialize)]
 struct FrameInfo {
     number: u64,
     name: String,
+    unit: &'static str,
+    /// Its place among the streams of the group.
+    stream: u8,
+    /// Nanoseconds since 1970.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time: Option<i64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time_source: Option<&'static str>,
     points: u64,
     file_bytes: u64,
     file_crc32c: String,
@@ -68,10 +81,12 @@ pub fn run(args: &InfoArgs) -> Result<()> {
 
 fn read(input: impl Read, limits: Limits) -> crate::ground::error::Result<Info> {
     let mut reader = StreamReader::open(input, limits)?;
-    let (mut sensor_models, mut groups, mut frames) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut scanners, mut groups, mut frames) = (Vec::new(), Vec::new(), Vec::new());
     while let Some(record) = reader.next_record()? {
         match record {
-            Record::SensorModel(bytes) => sensor_models.push(bytes.len() as u64),
+            Record::Scanner(ScannerRecord { family, payload }) => {
+                scanners.push(ScannerInfo { family, bytes: payload.len() as u64 });
+            }
             Record::Group(group) => {
                 let Some(entry) = reader.index().groups.last() else { continue };
                 groups.push(GroupInfo {
@@ -79,18 +94,22 @@ fn read(input: impl Read, limits: Limits) -> crate::ground::error::Result<Info> 
                     bytes: entry.length,
                     first_frame: entry.first_frame,
                     frames: group.frames.len() as u64,
-                    sensor_model: group.sensor_model,
+                    scanners: group.scanners,
                 });
-                for ((number, frame), size) in (entry.first_frame..).zip(group.frames).zip(&entry.frame_sizes)
-                {
+                for ((number, frame), entry) in (entry.first_frame..).zip(group.frames).zip(&entry.frames) {
+                    let Stamp { unit, stream, time } = entry.stamp;
                     frames.push(FrameInfo {
                         coding: FrameParameters::of(&frame)?.to_string(),
                         number,
+                        unit: unit.name(),
+                        stream,
+                        time: time.map(|time| time.nanoseconds),
+                        time_source: time.map(|time| time.source.name()),
                         points: frame.header.point_count,
                         file_bytes: frame.header.file_size,
                         file_crc32c: format!("{:08x}", frame.header.file_crc),
                         name: frame.header.name,
-                        coded_bytes: *size,
+                        coded_bytes: entry.size,
                         sections: frame.sections.iter().map(|section| section.kind.name()).collect(),
                     });
                 }
@@ -103,16 +122,16 @@ fn read(input: impl Read, limits: Limits) -> crate::ground::error::Result<Info> 
         stream_bytes: reader.position(),
         file_bytes: frames.iter().map(|frame: &FrameInfo| frame.file_bytes).sum(),
         points: frames.iter().map(|frame| frame.points).sum(),
-        sensor_models,
+        scanners,
         groups,
         frames,
     })
 }
 
 fn print(info: &Info, out: &mut impl Write) -> io::Result<()> {
-    let models = table::count(info.sensor_models.len() as u64, "sensor model");
+    let scanners = table::count(info.scanners.len() as u64, "scanner");
     let (frames, groups) = (info.frames.len() as u64, info.groups.len() as u64);
-    writeln!(out, "format version {}, {models}", info.version)?;
+    writeln!(out, "format version {}, {scanners}", info.version)?;
     writeln!(out, "{} in {}", table::count(frames, "frame"), table::count(groups, "group"))?;
     let (points, files) = (info.points, table::bytes(info.file_bytes));
     writeln!(

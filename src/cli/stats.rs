@@ -84,18 +84,21 @@ fn read(args: &StatsArgs, input: Input, quiet: bool) -> crate::ground::error::Re
 fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Stats> {
     let mut reader = StreamReader::open(input, limits)?;
     let mut by_kind = SectionKind::ALL.map(|_| 0u64);
-    let (mut frames, mut sensor_bytes) = (0, 0);
+    let (mut frames, mut scanner_bytes) = (0, 0);
     let mut originals = Source::default();
     while let Some(record) = reader.next_record()? {
         match record {
-            Record::SensorModel(bytes) => sensor_bytes += bytes.len() as u64,
+            Record::Scanner(record) => scanner_bytes += record.payload.len() as u64,
             Record::Group(group) => {
                 for frame in &group.frames {
                     frames += 1;
                     originals.add(&Source::of(frame)?);
                     for section in &frame.sections {
                         let place = SectionKind::ALL.iter().position(|kind| *kind == section.kind);
-                        by_kind[place.unwrap_or_default()] += section.payload.len() as u64;
+                        // What this program does not know counts as the container's.
+                        if let Some(place) = place {
+                            by_kind[place] += section.payload.len() as u64;
+                        }
                     }
                 }
             }
@@ -104,7 +107,7 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
     let stream_bytes = reader.position();
     let Source { file_size: file_bytes, points, outliers, lost } = originals;
     let part = |name, bytes| Part { name, bytes, bits_per_point: metrics::bits_per_point(bytes, points) };
-    let mut sections = vec![part("sensor", sensor_bytes)];
+    let mut sections = vec![part("scanner", scanner_bytes)];
     sections.extend(SectionKind::ALL.iter().zip(by_kind).map(|(kind, bytes)| part(kind.name(), bytes)));
     let payloads: u64 = sections.iter().map(|part| part.bytes).sum();
     sections.push(part("container", stream_bytes - payloads));

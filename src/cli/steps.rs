@@ -53,7 +53,7 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
         (None, decoded)
     } else {
         let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
-        let frames: Vec<_> = frames.into_iter().map(FrameInput::File).collect();
+        let frames: Vec<_> = frames.into_iter().map(FrameInput::file).collect();
         let config = coding::config(&args.coding, &args.threads);
         let (encoding, stream) = in_memory::encode(&frames, &config, quiet)?;
         (Some(encoding), decode(&stream[..], args, quiet)?)

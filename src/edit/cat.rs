@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use super::copier::{GroupCopier, Named};
 use crate::ground::error::{Error, Result};
-use crate::stream::container::{StreamHeader, StreamReader};
+use crate::stream::container::StreamReader;
 use crate::stream::options::FrameRange;
 use crate::stream::source::{GroupJob, StreamedGroups};
 
@@ -23,26 +23,19 @@ pub struct Joined {
 }
 
 /// Joins streams. They are read front to back and checked, one after the other; of each only a group
-/// at a time is in memory, and the names of all frames. `header` is that of them all
-/// ([`StreamHeader::joined`]), which must be known before the first group is written.
+/// at a time is in memory, and the names of all frames.
 ///
 /// # Errors
-/// Naming the stream: if it cannot be read or is damaged, if its header needs more than `header` says, or
-/// if it holds a frame of the same name as one before, which no decoder could write into the same folder.
+/// Naming the stream: if it cannot be read or is damaged, or if it holds a frame of the same name as one before, which no decoder could write into the same folder.
 /// Without a name: if the output fails. What was written by then is no whole stream.
 pub fn cat<R: Read>(
-    header: &StreamHeader,
     inputs: impl IntoIterator<Item = Result<Named<StreamReader<R>>>>,
     out: impl Write,
 ) -> Result<Joined> {
-    let mut copier = GroupCopier::create(out, header)?;
+    let mut copier = GroupCopier::create(out)?;
     let (mut names, mut joined) = (Names::default(), Joined::default());
     for input in inputs {
         let Named { path, stream } = input?;
-        if header.joined(*stream.header()) != *header {
-            let what = "changed while it was read; try again".to_owned();
-            return Err(Error::Input { path, what });
-        }
         names.paths.push(path.clone());
         for job in StreamedGroups::new(stream, FrameRange::default()) {
             let job = job.and_then(|job| names.check(&job).map(|()| job)).map_err(|e| e.at(&path))?;

@@ -3,10 +3,11 @@
 use std::collections::HashMap;
 use std::io::Write;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use crate::ground::error::Result;
-use crate::stream::container::{Group, StreamHeader, StreamWriter};
-use crate::stream::source::GroupJob;
+use crate::stream::container::{Group, ScannerRecord, StreamWriter};
+use crate::stream::source::{GroupJob, StoredScanner};
 
 /// A stream to read, and what errors call it.
 #[derive(Clone, Debug)]
@@ -17,11 +18,11 @@ pub struct Named<T> {
     pub stream: T,
 }
 
-/// Writes groups of other streams, and before them the sensor models that they need, each once.
+/// Writes groups of other streams, and before them the scanners that they need, each once.
 pub struct GroupCopier<W> {
     writer: StreamWriter<W>,
-    /// The numbers of the sensor models written so far, by the payloads of their records.
-    sensors: HashMap<Vec<u8>, u64>,
+    /// The numbers of the scanners written so far.
+    numbers: HashMap<ScannerRecord, u64>,
 }
 
 impl<W: Write> GroupCopier<W> {
@@ -29,8 +30,8 @@ impl<W: Write> GroupCopier<W> {
     ///
     /// # Errors
     /// This and all other functions: if `out` fails.
-    pub fn create(out: W, header: &StreamHeader) -> Result<Self> {
-        Ok(GroupCopier { writer: StreamWriter::create(out, header)?, sensors: HashMap::new() })
+    pub fn create(out: W) -> Result<Self> {
+        Ok(GroupCopier { writer: StreamWriter::create(out)?, numbers: HashMap::new() })
     }
 
     /// Writes the next group.
@@ -38,19 +39,20 @@ impl<W: Write> GroupCopier<W> {
     /// # Errors
     /// If the output fails.
     pub fn write(&mut self, job: GroupJob) -> Result<()> {
-        let sensor_model = match &job.sensor {
-            Some(sensor) => self.number_of(&sensor.record)?,
-            None => 0,
+        let number = |scanner: &Option<Arc<StoredScanner>>| match scanner {
+            Some(scanner) => self.number_of(&scanner.record),
+            None => Ok(0),
         };
-        self.writer.write_group(&Group { sensor_model, ..job.group })
+        let scanners = job.scanners.iter().map(number).collect::<Result<_>>()?;
+        self.writer.write_group(&Group { scanners, ..job.group })
     }
 
-    fn number_of(&mut self, record: &[u8]) -> Result<u64> {
-        if let Some(number) = self.sensors.get(record) {
+    fn number_of(&mut self, record: &ScannerRecord) -> Result<u64> {
+        if let Some(number) = self.numbers.get(record) {
             return Ok(*number);
         }
-        let number = self.writer.write_sensor_model(record)?;
-        self.sensors.insert(record.to_vec(), number);
+        let number = self.writer.write_scanner(record)?;
+        self.numbers.insert(record.clone(), number);
         Ok(number)
     }
 

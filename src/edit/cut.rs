@@ -7,7 +7,7 @@ use std::path::Path;
 use super::copier::{GroupCopier, Named};
 use super::recode::recode_from;
 use crate::ground::error::{Limits, Result};
-use crate::stream::container::{IndexedReader, StreamHeader, StreamReader};
+use crate::stream::container::{IndexedReader, StreamReader};
 use crate::stream::options::FrameRange;
 use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
 
@@ -33,7 +33,7 @@ pub struct Cut {
 pub fn cut(input: Named<impl Read>, frames: FrameRange, limits: &Limits, out: impl Write) -> Result<Cut> {
     let Named { path, stream } = input;
     let reader = StreamReader::open(stream, *limits).map_err(|e| e.at(&path))?;
-    let mut cutter = Cutter::create(out, reader.header(), frames, limits)?;
+    let mut cutter = Cutter::create(out, frames, limits)?;
     let mut groups = StreamedGroups::new(reader, frames);
     cutter.write_groups(&mut groups, &path)?;
     frames.check(groups.frame_count()).map_err(|e| e.at(&path))?;
@@ -53,7 +53,7 @@ pub fn cut_indexed(
     let Named { path, stream } = input;
     let reader = IndexedReader::open(stream, *limits).map_err(|e| e.at(&path))?;
     frames.check(reader.index().frame_count()).map_err(|e| e.at(&path))?;
-    let mut cutter = Cutter::create(out, reader.header(), frames, limits)?;
+    let mut cutter = Cutter::create(out, frames, limits)?;
     cutter.write_groups(&mut IndexedGroups::new(reader, frames), &path)?;
     cutter.finish()
 }
@@ -67,8 +67,8 @@ struct Cutter<'l, W> {
 }
 
 impl<'l, W: Write> Cutter<'l, W> {
-    fn create(out: W, header: &StreamHeader, frames: FrameRange, limits: &'l Limits) -> Result<Self> {
-        let copier = GroupCopier::create(out, header)?;
+    fn create(out: W, frames: FrameRange, limits: &'l Limits) -> Result<Self> {
+        let copier = GroupCopier::create(out)?;
         Ok(Cutter { copier, frames, limits, done: Cut::default() })
     }
 

@@ -8,40 +8,43 @@ use crate::frame::parameters::Prediction;
 use crate::frame::sections::{Effort, SectionReader, SectionWriter};
 use crate::frame::steps::StepReport;
 use crate::frame::syntax::Models;
-use crate::ground::error::{Limits, Result};
+use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::SensorModel;
 use crate::stream::container;
 use crate::stream::decoder::{part_name, write_checked};
 use crate::stream::source::GroupJob;
 
 /// Decodes a group, and codes its frames from number `start` of the sequence on as a new group of the same
-/// sensor model. Headers of the frames stay as they are, and so do their parameters, but for those of a
+/// scanners. Headers of the frames stay as they are, and so do their parameters, but for those of a
 /// frame that has lost what it was predicted from, and for bins: decoded ranges are coded as they are.
 ///
 /// # Errors
-/// If a frame does not decode, is over the limits, or is not the file that its header tells of; or if a
+/// If a scanner is of a family that this program does not know; if a frame does not decode, is over the limits, or is not the file that its header tells of; or if a
 /// back-end's library fails.
 pub(crate) fn recode_from(start: u64, job: &mut GroupJob, limits: &Limits) -> Result<()> {
     let frames = std::mem::take(&mut job.group.frames);
-    let sensor = job.sensor.as_deref().map(|sensor| &sensor.model);
-    let mut recoder = Recoder { sensor, limits, old: Models::default(), new: None };
+    let recoder = |scanner| Recoder { scanner, limits, old: Models::default(), new: Models::default() };
+    let mut streams: Vec<_> = job.models()?.into_iter().map(recoder).collect();
     let mut recoded = Vec::new();
     for (number, frame) in (job.first_frame..).zip(frames) {
         let part = part_name(number, &frame.header.name);
+        let stream = streams.get_mut(usize::from(frame.header.stamp.stream));
+        let recoder =
+            stream.ok_or_else(|| Error::corrupt("a frame of a stream that the group does not have"))?;
         recoded.extend(recoder.recode(frame, number >= start).map_err(|e| e.within(&part))?);
     }
     (job.group.frames, job.first_frame) = (recoded, start);
     Ok(())
 }
 
-/// Decodes a group's frames by one set of models, and codes them by another.
+/// Decodes the frames of a stream of a group by one set of models, and codes them by another.
 struct Recoder<'a> {
-    sensor: Option<&'a SensorModel>,
+    scanner: Option<&'a SensorModel>,
     limits: &'a Limits,
     /// What the frames of the old group have taught.
     old: Models,
-    /// What those of the new group have; `None` before its first.
-    new: Option<Models>,
+    /// What those of the new group have.
+    new: Models,
 }
 
 impl Recoder<'_> {
@@ -51,12 +54,12 @@ impl Recoder<'_> {
         let mut steps = StepReport::default();
         let mut frame = Frame::of_records(header.point_count as usize);
         let mut reader = SectionReader::new(&sections, self.limits);
-        self.old.code_frame(&mut reader, self.sensor, &mut frame, &mut steps)?;
+        self.old.code_frame(&mut reader, self.scanner, &mut frame, &mut steps)?;
         reader.finish()?;
         if !wanted {
             return Ok(None);
         }
-        let models = self.new.get_or_insert_default();
+        let models = &mut self.new;
         if models.past().is_none() && frame.parameters.prediction == Prediction::Inter {
             // The frame that it was predicted from is not in the new group.
             frame.predict_from_nothing();
@@ -64,8 +67,10 @@ impl Recoder<'_> {
         }
         frame.parameters.range_coder = frame.parameters.range_coder.of_decoded();
         let mut writer = SectionWriter::new(Effort::default());
-        let returns = models.code_frame(&mut writer, self.sensor, &mut frame, &mut steps)?;
+        let returns = models.code_frame(&mut writer, self.scanner, &mut frame, &mut steps)?;
         write_checked(&frame.into_scan(&header.name, &returns)?, &header, |_| Ok(()))?;
-        Ok(Some(container::Frame { header, sections: writer.sections }))
+        // What this program does not know is not its to drop.
+        let unknown = sections.into_iter().filter(|section| section.kind.is_skippable());
+        Ok(Some(container::Frame { header, sections: writer.sections.into_iter().chain(unknown).collect() }))
     }
 }

@@ -8,11 +8,11 @@ use std::sync::Arc;
 use super::copier::{GroupCopier, Named};
 use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Limits, Result};
-use crate::stream::container::{Lost, SalvageReader, Salvaged};
+use crate::stream::container::{Lost, SalvageReader, Salvaged, ScannerRecord};
 use crate::stream::decoder::{DecodedFrame, decode_group};
 use crate::stream::options::{DecodeOptions, FrameRange};
 use crate::stream::ordered::run_ordered;
-use crate::stream::source::{GroupJob, StoredSensor};
+use crate::stream::source::{GroupJob, StoredScanner};
 
 /// What becomes of a part of a damaged stream.
 #[derive(Clone, Debug)]
@@ -24,12 +24,12 @@ pub enum Recovered {
 }
 
 /// Decodes all groups of a damaged stream that are intact, and hands frames and losses to `sink`, in order.
-/// A group is lost if its record is damaged or missing, or the sensor model that it needs. Frames keep
+/// A group is lost if its record is damaged or missing, or a scanner that it needs. Frames keep
 /// their numbers as far as an intact index tells them; else they are those of the frames found. Of a stream
 /// without damage nothing is lost.
 ///
 /// # Errors
-/// If the input fails, holds no record at all or was written by a newer program, or if the sink fails.
+/// If the input fails, holds no record at all or is of another version of the format, or if the sink fails.
 pub fn recover(
     input: impl Read + Seek + Send,
     options: &DecodeOptions,
@@ -56,7 +56,7 @@ pub fn recover(
 /// are not decoded. `on_lost` hears what is lost.
 ///
 /// # Errors
-/// Naming the input: if it fails, holds no record at all or was written by a newer program. Without a name:
+/// Naming the input: if it fails, holds no record at all or is of another version of the format. Without a name:
 /// if the output fails.
 pub fn repair(
     input: Named<impl Read + Seek>,
@@ -66,7 +66,7 @@ pub fn repair(
 ) -> Result<u64> {
     let Named { path, stream } = input;
     let groups = RecoveredGroups::open(stream, limits, FrameRange::default()).map_err(|e| e.at(&path))?;
-    let mut copier = GroupCopier::create(out, groups.reader.header())?;
+    let mut copier = GroupCopier::create(out)?;
     let mut frames = 0;
     for part in groups {
         match part.map_err(|e| e.at(&path))? {
@@ -91,34 +91,36 @@ enum Part {
 /// The parts of a damaged stream, as far as they hold the frames asked for.
 struct RecoveredGroups<R> {
     reader: SalvageReader<R>,
-    /// The intact sensor models so far, by their numbers.
-    sensors: HashMap<u64, Arc<StoredSensor>>,
+    /// The intact scanners so far, by their numbers.
+    scanners: HashMap<u64, Arc<StoredScanner>>,
     range: FrameRange,
 }
 
 impl<R: Read + Seek> RecoveredGroups<R> {
     fn open(input: R, limits: &Limits, range: FrameRange) -> Result<Self> {
-        let is_sensor_model = |payload: &[u8]| StoredSensor::parse(payload.to_vec()).is_ok();
-        let reader = SalvageReader::open(input, *limits, is_sensor_model)?;
-        Ok(RecoveredGroups { reader, sensors: HashMap::new(), range })
+        let is_scanner = |record: &ScannerRecord| StoredScanner::parse(record.clone()).is_ok();
+        let reader = SalvageReader::open(input, *limits, is_scanner)?;
+        Ok(RecoveredGroups { reader, scanners: HashMap::new(), range })
     }
 
     fn next_part(&mut self) -> Result<Option<Part>> {
         while let Some(part) = self.reader.next_part()? {
             let part = match part {
-                Salvaged::SensorModel(number, record) => {
-                    self.sensors.insert(number, StoredSensor::parse(record)?);
+                Salvaged::Scanner(number, record) => {
+                    self.scanners.insert(number, StoredScanner::parse(record)?);
                     continue;
                 }
                 Salvaged::Lost(lost) => Part::Lost(lost),
                 Salvaged::Group { first_frame, bytes, group } => {
-                    let number = group.sensor_model;
-                    let sensor = self.sensors.get(&number).cloned();
-                    let is_missing = number > 0 && sensor.is_none();
-                    let job = GroupJob { first_frame, sensor, group };
-                    match is_missing {
-                        true => Part::Lost(lost_group(bytes, &job, format!("sensor model {number} is lost"))),
-                        false => Part::Group(bytes, job),
+                    let scanners = group.scanners.iter().map(|number| self.scanners.get(number).cloned());
+                    let scanners: Vec<_> = scanners.collect();
+                    let mut numbered = group.scanners.iter().zip(&scanners);
+                    let missing = numbered.find(|(number, scanner)| **number > 0 && scanner.is_none());
+                    let why = missing.map(|(number, _)| format!("scanner {number} is lost"));
+                    let job = GroupJob { first_frame, scanners, group };
+                    match why {
+                        Some(why) => Part::Lost(lost_group(bytes, &job, why)),
+                        None => Part::Group(bytes, job),
                     }
                 }
             };

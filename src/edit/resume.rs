@@ -25,12 +25,11 @@ use settings::Settings;
 
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::ground::error::{Error, Result};
-use crate::scanner::SensorModel;
 use crate::stream::encoded::{Encoded, OpenStream};
 use crate::stream::encoder::{SequenceCoder, groups_of};
 use crate::stream::input::FrameInput;
 use crate::stream::ordered::run_ordered;
-use crate::stream::scanner_choice::choose_sensor;
+use crate::stream::scanner_choice::{Scanners, choose_scanners};
 
 /// What to do about a partial stream that cannot be gone on with.
 const ADVICE: &str = "delete it to start anew, or encode without --resume";
@@ -68,16 +67,15 @@ pub fn encode_resuming(
         }
         compare_inputs(&kept, frames, config, &partial.path, on_frame)?;
     }
-    let sensor = choose_sensor(frames, config)?;
-    let record = sensor.as_ref().map(SensorModel::to_record);
-    if !kept.entries.is_empty() && !kept.sensors.iter().eq(&record) {
+    let scanners = choose_scanners(frames, config)?;
+    if !kept.entries.is_empty() && kept.scanners != scanners.records {
         let what = "was begun with another sensor model, so scans that it was fitted to were changed";
         return Err(refuse(&partial.path, what));
     }
 
     let rest = groups_of(frames, config).skip(kept.entries.len());
-    let (mut stream, mut journal) = open(&partial, kept, settings, sensor.as_ref())?;
-    let coder = SequenceCoder::new(sensor.as_ref(), stream.sensor_number(), config, on_frame);
+    let (mut stream, mut journal) = open(&partial, kept, settings, &scanners)?;
+    let coder = SequenceCoder::new(&scanners, config, on_frame);
     coder.run(rest, |groups| {
         stream.write(&groups)?;
         journal.write(&Entry {
@@ -94,7 +92,7 @@ fn open<'p>(
     partial: &'p PartialFiles,
     kept: Kept,
     settings: Settings,
-    sensor: Option<&SensorModel>,
+    scanners: &Scanners,
 ) -> Result<(OpenStream<BufWriter<&'p File>>, JournalWriter)> {
     let mut stream = &partial.stream;
     stream.set_len(kept.stream_end)?;
@@ -103,7 +101,7 @@ fn open<'p>(
     Ok(if kept.entries.is_empty() {
         // The journal first: no stream is to be without.
         let journal = JournalWriter::begin(&partial.journal, settings)?;
-        (OpenStream::begin(out, sensor)?, journal)
+        (OpenStream::begin(out, &scanners.records)?, journal)
     } else {
         let journal = JournalWriter::resume(&partial.journal, kept.journal_end)?;
         (OpenStream::resume(out, kept.index, kept.encoded), journal)
@@ -138,11 +136,11 @@ fn compare_inputs(
         }
         for (file, input) in entry.files.iter().zip(&*inputs) {
             let name = input.name()?;
-            if file.name != name {
+            if file.name != name || file.stamp != format!("{:?}", input.stamp()) {
                 let what = format!("was begun with other frames ({:?}, now {name:?})", file.name);
                 return Err(refuse(partial, what));
             }
-            if *file != InputFile::new(name, &input.read()?) {
+            if *file != InputFile::of(&input.header(&input.read()?)?) {
                 let partial = partial.display();
                 let what = format!(
                     "was changed after {partial} was begun with it; delete that to start anew, or encode \

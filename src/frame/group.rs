@@ -1,5 +1,6 @@
-//! A group of pictures: frames coded one after the other by models that learn from each. Groups
-//! know nothing of one another.
+//! A group of pictures: frames coded one after the other by models that learn from each. The frames of
+//! several scanners may take turns in it; those of each are a stream, with models of its own. Groups know
+//! nothing of one another.
 
 use std::mem::take;
 
@@ -25,6 +26,12 @@ use crate::stream::container::{FrameHeader, Section};
 
 /// Encodes the frames of one group.
 pub struct GroupEncoder<'s> {
+    streams: Vec<StreamEncoder<'s>>,
+    config: &'s EncoderConfig,
+}
+
+/// Encodes the frames of one stream of a group.
+struct StreamEncoder<'s> {
     sensor: Option<&'s SensorModel>,
     config: &'s EncoderConfig,
     models: Models,
@@ -45,9 +52,30 @@ pub struct EncodedFrame {
 }
 
 impl<'s> GroupEncoder<'s> {
-    /// A new group of scans by `sensor`.
-    pub fn new(sensor: Option<&'s SensorModel>, config: &'s EncoderConfig) -> Self {
-        GroupEncoder {
+    /// A new group of streams of these scanners.
+    pub fn new(scanners: &[Option<&'s SensorModel>], config: &'s EncoderConfig) -> Self {
+        let streams = scanners.iter().map(|scanner| StreamEncoder::new(*scanner, config)).collect();
+        GroupEncoder { streams, config }
+    }
+
+    /// Encodes the next frame, which decoders then take under [`Limits::default`]. `original` says
+    /// what its file is, and of which stream; one that the group does not have yet has no scanner. A frame that
+    /// would break the bound of bounded mode is coded exactly: one whose text has no room for the decoded values,
+    /// say.
+    ///
+    /// # Errors
+    /// If the scan is over those limits, or a back-end's library fails.
+    pub fn encode_frame(&mut self, scan: ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
+        let stream = usize::from(original.stamp.stream);
+        let streams = self.streams.len().max(stream + 1);
+        self.streams.resize_with(streams, || StreamEncoder::new(None, self.config));
+        self.streams[stream].encode_frame(scan, original)
+    }
+}
+
+impl<'s> StreamEncoder<'s> {
+    fn new(sensor: Option<&'s SensorModel>, config: &'s EncoderConfig) -> Self {
+        StreamEncoder {
             sensor,
             config,
             models: Models::default(),
@@ -56,13 +84,8 @@ impl<'s> GroupEncoder<'s> {
         }
     }
 
-    /// Encodes the next frame, which decoders then take under [`Limits::default`]. `original` says
-    /// what its file is. A frame that would break the bound of bounded mode is coded exactly: one whose text
-    /// has no room for the decoded values, say.
-    ///
-    /// # Errors
-    /// If the scan is over those limits, or a back-end's library fails.
-    pub fn encode_frame(&mut self, scan: ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
+    /// As [`GroupEncoder::encode_frame`].
+    fn encode_frame(&mut self, scan: ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
         let Some(bound) = Bound::of(self.config.positions, self.config.intensity) else {
             return Ok(self.encode_as(self.config, scan, original)?.0);
         };
@@ -111,7 +134,8 @@ impl<'s> GroupEncoder<'s> {
         }
         let decoded = frame.into_scan(&name, &returns)?;
         let bytes = decoded.to_bytes()?;
-        let header = FrameHeader::of(&name, &bytes, decoded.records as u64);
+        let header =
+            FrameHeader { stamp: original.stamp, ..FrameHeader::of(&name, &bytes, decoded.records as u64) };
         Ok((EncodedFrame { header, sections, steps }, Some(bytes)))
     }
 
@@ -222,16 +246,17 @@ pub struct DecodedImage {
 
 /// Decodes the frames of one group.
 pub struct GroupDecoder<'s> {
-    sensor: Option<&'s SensorModel>,
+    /// The scanner of each stream, and what its frames have taught.
+    streams: Vec<(Option<&'s SensorModel>, Models)>,
     limits: Limits,
     keeps_images: bool,
-    models: Models,
 }
 
 impl<'s> GroupDecoder<'s> {
-    /// A new group of scans by `sensor`.
-    pub fn new(sensor: Option<&'s SensorModel>, limits: &Limits) -> Self {
-        GroupDecoder { sensor, limits: *limits, keeps_images: false, models: Models::default() }
+    /// A new group of streams of these scanners.
+    pub fn new(scanners: &[Option<&'s SensorModel>], limits: &Limits) -> Self {
+        let streams = scanners.iter().map(|scanner| (*scanner, Models::default())).collect();
+        GroupDecoder { streams, limits: *limits, keeps_images: false }
     }
 
     /// Makes it give back range images too.
@@ -242,22 +267,25 @@ impl<'s> GroupDecoder<'s> {
     /// Decodes the next frame; what each step took is added to `steps`.
     ///
     /// # Errors
-    /// If the sections do not make a frame, or one over the limits.
+    /// If the sections do not make a frame, or one over the limits; if the group does not have the frame's stream.
     pub fn decode_frame(
         &mut self,
         header: &FrameHeader,
         sections: &[Section],
         steps: &mut StepReport,
     ) -> Result<DecodedScan> {
+        let stream = self.streams.get_mut(usize::from(header.stamp.stream));
+        let unknown = || Error::corrupt("a frame of a stream that the group does not have");
+        let (sensor, models) = stream.ok_or_else(unknown)?;
         let mut reader = SectionReader::new(sections, &self.limits);
         let mut frame = Frame::of_records(header.point_count as usize);
-        let returns = self.models.code_frame(&mut reader, self.sensor, &mut frame, steps)?;
+        let returns = models.code_frame(&mut reader, *sensor, &mut frame, steps)?;
         reader.finish()?;
         let source = frame.parameters.source;
         steps.frames += 1;
         steps.original += source.map_or(header.file_size, |source| source.file_size);
         steps.count_sections(sections);
-        let image = match self.sensor.filter(|_| self.keeps_images) {
+        let image = match sensor.filter(|_| self.keeps_images) {
             Some(sensor) => Some(DecodedImage {
                 sensor: sensor.clone(),
                 point_of_cell: frame.point_of_cell(&returns)?,

@@ -194,10 +194,11 @@ impl FrameParameters {
     /// The parameters of a coded frame.
     ///
     /// # Errors
-    /// If they are damaged, or unknown to this program.
+    /// If they are damaged, unknown to this program, or not where they must be: before all other sections.
     pub fn of(frame: &Frame) -> Result<Self> {
-        let section = frame.sections.iter().find(|section| section.kind == SectionKind::Parameters);
-        Self::from_payload(section.map_or(&[], |section| &section.payload))
+        let first = frame.sections.iter().find(|section| !section.kind.is_skippable());
+        let first = first.filter(|section| section.kind == SectionKind::Parameters);
+        Self::from_payload(first.map_or(&[], |section| &section.payload))
     }
 }
 

@@ -133,27 +133,44 @@ impl SectionCoder for SectionWriter {
 
 /// Takes the sections of a frame one by one.
 pub struct SectionReader<'s> {
-    sections: std::slice::Iter<'s, Section>,
+    /// Those to come.
+    sections: &'s [Section],
     limits: &'s Limits,
 }
 
 impl<'s> SectionReader<'s> {
     /// Starts at the first section.
     pub fn new(sections: &'s [Section], limits: &'s Limits) -> Self {
-        SectionReader { sections: sections.iter(), limits }
+        SectionReader { sections, limits }
+    }
+
+    /// The next section that is not to be left aside.
+    fn peek(&mut self) -> Option<&'s Section> {
+        while let [first, rest @ ..] = self.sections {
+            if !first.kind.is_skippable() {
+                return Some(first);
+            }
+            self.sections = rest;
+        }
+        None
+    }
+
+    /// The payload of the next section, if it is of this kind.
+    fn next_if(&mut self, kind: SectionKind) -> Option<&'s [u8]> {
+        let section = self.peek().filter(|section| section.kind == kind)?;
+        self.sections = &self.sections[1..];
+        Some(&section.payload)
     }
 
     /// The payload of the next section.
     fn next_payload(&mut self, kind: SectionKind) -> Result<&'s [u8]> {
-        let section = self.sections.next().filter(|section| section.kind == kind);
-        let section = section.ok_or_else(|| Error::corrupt(format!("{kind} section is missing")))?;
-        Ok(&section.payload)
+        self.next_if(kind).ok_or_else(|| Error::corrupt(format!("{kind} section is missing")))
     }
 
     /// # Errors
     /// If sections are left over.
     pub fn finish(mut self) -> Result<()> {
-        match self.sections.next() {
+        match self.peek() {
             None => Ok(()),
             Some(section) => Err(Error::corrupt(format!("{} section out of place", section.kind))),
         }
@@ -213,10 +230,7 @@ impl SectionCoder for SectionReader<'_> {
 
     fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>) {
         payload.clear();
-        if let Some(section) = self.sections.as_slice().first().filter(|section| section.kind == kind) {
-            payload.extend_from_slice(&section.payload);
-            self.sections.next();
-        }
+        payload.extend_from_slice(self.next_if(kind).unwrap_or_default());
     }
 
     fn limits(&self) -> &Limits {

@@ -381,7 +381,7 @@ fn code_stray_intensity<C: BitCoder>(
     }
 }
 
-/// How the frame is coded: left out if by the default parameters.
+/// How the frame is coded.
 fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
     let mut payload = frame.parameters.to_payload();
     sections.payload(SectionKind::Parameters, &mut payload);

@@ -16,13 +16,13 @@ pub enum Error {
     /// The first bytes are not those of a lidarpc stream.
     #[error("not a lidarpc stream (it starts with {0:02x?})")]
     BadMagic([u8; 4]),
-    /// Written by a newer program.
-    #[error("format version {found} is newer than {newest}, the newest this program reads")]
+    /// Written in another version of the format.
+    #[error("format version {found} is not one that this program reads ({known})")]
     UnsupportedVersion {
         /// The version that the stream names.
         found: u16,
-        /// The newest version that this program reads.
-        newest: u16,
+        /// The version that this program reads.
+        known: u16,
     },
     /// The stream is damaged, cut short, or was never valid.
     #[error("damaged stream: {what}")]

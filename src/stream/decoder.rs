@@ -119,11 +119,10 @@ pub(crate) fn decode_group<T>(
     work: impl Fn(DecodedFrame) -> Result<T>,
 ) -> Result<Vec<T>> {
     let range = &options.frames;
-    let sensor = job.sensor.as_deref().map(|sensor| &sensor.model);
-    let coder = GroupDecoder::new(sensor, &options.limits);
+    let coder = GroupDecoder::new(&job.models()?, &options.limits);
     let mut coder = coder.keeping_images(options.images);
     let mut results = Vec::new();
-    for (number, frame) in (job.first_frame..).zip(job.group.frames) {
+    for (number, frame) in (job.first_frame..).zip(&job.group.frames) {
         if range.is_past(number) {
             break;
         }
@@ -139,10 +138,10 @@ pub(crate) fn decode_group<T>(
 fn decode_frame(
     coder: &mut GroupDecoder<'_>,
     number: u64,
-    frame: Frame,
+    frame: &Frame,
     options: &DecodeOptions,
 ) -> Result<Option<DecodedFrame>> {
-    let header = frame.header;
+    let header = frame.header.clone();
     let mut steps = StepReport::default();
     let DecodedScan { scan, source, in_order, image } =
         coder.decode_frame(&header, &frame.sections, &mut steps)?;

@@ -5,13 +5,12 @@ use std::io::Write;
 use super::encoder::EncodedGroup;
 use crate::frame::steps::StepReport;
 use crate::ground::error::Result;
-use crate::scanner::SensorModel;
-use crate::stream::container::{FrameHeader, Index, StreamHeader, StreamWriter};
+use crate::stream::container::{FrameHeader, Index, ScannerRecord, StreamWriter};
 
 /// What was encoded.
 #[derive(Clone, Debug, Default)]
 pub struct Encoded {
-    /// Name, size, checksum and points of each file as it decodes, in order.
+    /// Name, stamp, size, checksum and points of each file as it decodes, in order.
     pub frames: Vec<FrameHeader>,
     /// What each step took and left; where several predictions were tried, with the one that was taken.
     pub steps: StepReport,
@@ -58,14 +57,14 @@ pub(crate) struct OpenStream<W> {
 }
 
 impl<W: Write> OpenStream<W> {
-    /// Writes the stream header, and the sensor model if there is one.
+    /// Writes the stream header and the scanners.
     ///
     /// # Errors
     /// This and all other functions: if the output fails.
-    pub fn begin(out: W, sensor: Option<&SensorModel>) -> Result<Self> {
-        let mut writer = StreamWriter::create(out, &StreamHeader::default())?;
-        if let Some(sensor) = sensor {
-            writer.write_sensor_model(&sensor.to_record())?;
+    pub fn begin(out: W, scanners: &[ScannerRecord]) -> Result<Self> {
+        let mut writer = StreamWriter::create(out)?;
+        for scanner in scanners {
+            writer.write_scanner(scanner)?;
         }
         Ok(OpenStream { writer, encoded: Encoded::default() })
     }
@@ -73,11 +72,6 @@ impl<W: Write> OpenStream<W> {
     /// Goes on with a stream that holds this already.
     pub fn resume(out: W, index: Index, encoded: Encoded) -> Self {
         OpenStream { writer: StreamWriter::resume(out, index), encoded }
-    }
-
-    /// The number of the sensor model, 0 if there is none.
-    pub fn sensor_number(&self) -> u64 {
-        self.writer.index().sensor_models.len() as u64
     }
 
     /// Bytes written so far.

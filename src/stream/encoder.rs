@@ -7,14 +7,13 @@ use std::mem;
 use super::encoded::{Encoded, OpenStream};
 use super::input::FrameInput;
 use super::ordered::run_ordered;
-use super::scanner_choice::choose_sensor;
+use super::scanner_choice::{Scanners, choose_scanners};
 use crate::files::{HeaderlessLayout, parse_with};
 use crate::frame::group::GroupEncoder;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::frame::steps::StepReport;
 use crate::ground::error::{Limits, Result};
 use crate::scan::ScanFile;
-use crate::scanner::SensorModel;
 use crate::stream::container::{Frame, FrameHeader, Group};
 
 /// A group is closed early when its files reach this many bytes together: decoders hold a whole
@@ -34,12 +33,12 @@ pub fn encode<W: Write>(
     on_frame: &(dyn Fn() + Sync),
 ) -> Result<Encoded> {
     config.check()?;
-    encode_groups(choose_sensor(frames, config)?, groups_of(frames, config), config, out, on_frame)
+    encode_groups(choose_scanners(frames, config)?, groups_of(frames, config), config, out, on_frame)
 }
 
 /// As [`encode`], of frames that are yet to come: each group is written as soon as it is coded, which does
-/// not wait for the frame after it. The sensor model is fitted to the first group. A few groups are in
-/// memory at a time.
+/// not wait for the frame after it. Scanners are fitted to the first group; streams that begin later are coded
+/// without. A few groups are in memory at a time.
 ///
 /// # Errors
 /// As [`encode`]; also the first error of `frames`.
@@ -56,20 +55,20 @@ pub fn encode_live<W: Write>(
         group.map(|group| (!group.is_empty()).then_some(Cow::Owned(group))).transpose()
     });
     let first: Option<Cow<'_, [FrameInput]>> = groups.next().transpose()?;
-    let sensor = choose_sensor(first.as_deref().unwrap_or_default(), config)?;
-    encode_groups(sensor, first.map(Ok).into_iter().chain(groups), config, out, on_frame)
+    let scanners = choose_scanners(first.as_deref().unwrap_or_default(), config)?;
+    encode_groups(scanners, first.map(Ok).into_iter().chain(groups), config, out, on_frame)
 }
 
 /// Encodes groups of frames.
 fn encode_groups<'f, W: Write>(
-    sensor: Option<SensorModel>,
+    scanners: Scanners,
     groups: impl Iterator<Item = Result<Cow<'f, [FrameInput]>>> + Send,
     config: &EncoderConfig,
     out: W,
     on_frame: &(dyn Fn() + Sync),
 ) -> Result<Encoded> {
-    let mut stream = OpenStream::begin(out, sensor.as_ref())?;
-    let coder = SequenceCoder::new(sensor.as_ref(), stream.sensor_number(), config, on_frame);
+    let mut stream = OpenStream::begin(out, &scanners.records)?;
+    let coder = SequenceCoder::new(&scanners, config, on_frame);
     coder.run(groups, |groups| stream.write(&groups))?;
     stream.finish()
 }
@@ -84,21 +83,15 @@ pub(crate) fn groups_of<'f>(
 
 /// What all groups of a sequence share.
 pub(crate) struct SequenceCoder<'a> {
-    sensor: Option<&'a SensorModel>,
-    sensor_number: u64,
+    scanners: &'a Scanners,
     config: &'a EncoderConfig,
     on_frame: &'a (dyn Fn() + Sync),
 }
 
 impl<'a> SequenceCoder<'a> {
-    /// For groups that refer to `sensor` by this number.
-    pub fn new(
-        sensor: Option<&'a SensorModel>,
-        sensor_number: u64,
-        config: &'a EncoderConfig,
-        on_frame: &'a (dyn Fn() + Sync),
-    ) -> Self {
-        SequenceCoder { sensor, sensor_number, config, on_frame }
+    /// For groups of streams of these scanners.
+    pub fn new(scanners: &'a Scanners, config: &'a EncoderConfig, on_frame: &'a (dyn Fn() + Sync)) -> Self {
+        SequenceCoder { scanners, config, on_frame }
     }
 
     /// Encodes frames in parallel, and hands `write` what becomes of each item of `groups`, in order.
@@ -123,7 +116,7 @@ impl<'a> SequenceCoder<'a> {
             if !open.has_room_for(&bytes) {
                 groups.push(mem::replace(&mut open, OpenGroup::new(self)).encoded);
             }
-            open.encode_frame(input.name()?, bytes).map_err(|e| e.at(input.path()))?;
+            open.encode_frame(input, bytes).map_err(|e| e.at(input.path()))?;
             (self.on_frame)();
         }
         groups.push(open.encoded);
@@ -151,10 +144,11 @@ struct OpenGroup<'s> {
 
 impl<'s> OpenGroup<'s> {
     fn new(sequence: &SequenceCoder<'s>) -> Self {
-        let group = Group { sensor_model: sequence.sensor_number, frames: Vec::new() };
+        let group = Group { scanners: sequence.scanners.numbers.clone(), frames: Vec::new() };
+        let models: Vec<_> = sequence.scanners.models.iter().map(Option::as_ref).collect();
         OpenGroup {
             headerless: sequence.config.headerless.as_ref(),
-            coder: GroupEncoder::new(sequence.sensor, sequence.config),
+            coder: GroupEncoder::new(&models, sequence.config),
             encoded: EncodedGroup { group, steps: Vec::new(), originals: Vec::new(), file_bytes: 0 },
         }
     }
@@ -164,9 +158,12 @@ impl<'s> OpenGroup<'s> {
         self.encoded.group.frames.is_empty() || group_bytes + bytes.len() as u64 <= GROUP_FILE_BYTES
     }
 
-    fn encode_frame(&mut self, name: &str, bytes: Vec<u8>) -> Result<()> {
-        let mut original = FrameHeader::of(name, &bytes, 0);
-        let scan = within_limits(parse_with(name, bytes, self.headerless))?;
+    fn encode_frame(&mut self, input: &FrameInput, bytes: Vec<u8>) -> Result<()> {
+        let mut original = input.header(&bytes)?;
+        let scan = within_limits(parse_with(input.name()?, bytes, self.headerless))?;
+        let streams = usize::from(original.stamp.stream) + 1;
+        let scanners = &mut self.encoded.group.scanners;
+        scanners.resize(scanners.len().max(streams), 0);
         original.point_count = scan.records as u64;
         self.encoded.file_bytes += original.file_size;
         self.encoded.originals.push(original.clone());

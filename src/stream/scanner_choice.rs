@@ -1,21 +1,62 @@
-//! The sensor model of a sequence: fitted to a sample of it, or the article's.
+//! The scanners of a sequence: fitted to a sample of each stream, or the article's.
 
 use rayon::prelude::*;
 
 use super::input::FrameInput;
 use super::ordered::pool;
+use super::source::record_of;
 use crate::files::parse_with;
 use crate::frame::settings::{EncoderConfig, ProjectionKind, resolve_threads};
 use crate::ground::error::Result;
 use crate::scan::ScanFile;
 use crate::scanner::motion;
 use crate::scanner::{self, SensorModel};
+use crate::stream::container::ScannerRecord;
 
 /// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 
-/// The sensor model of a sequence that these frames are of.
-pub(crate) fn choose_sensor(frames: &[FrameInput], config: &EncoderConfig) -> Result<Option<SensorModel>> {
+/// The scanners of a sequence.
+pub(crate) struct Scanners {
+    /// That of each stream, if there is a model that it fits.
+    pub models: Vec<Option<SensorModel>>,
+    /// The numbers of these among the records; 1 is the first, 0 is none.
+    pub numbers: Vec<u64>,
+    /// What is written of them: each once.
+    pub records: Vec<ScannerRecord>,
+}
+
+impl Scanners {
+    fn new(models: Vec<Option<SensorModel>>) -> Self {
+        let mut records = Vec::new();
+        let mut number = |model: &Option<SensorModel>| {
+            let Some(record) = model.as_ref().map(record_of) else { return 0 };
+            let place = records.iter().position(|other| *other == record).unwrap_or(records.len());
+            if place == records.len() {
+                records.push(record);
+            }
+            place as u64 + 1
+        };
+        let numbers = models.iter().map(&mut number).collect();
+        Scanners { models, numbers, records }
+    }
+}
+
+/// The scanners of a sequence that these frames are of.
+///
+/// # Errors
+/// If a file cannot be read.
+pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> Result<Scanners> {
+    let last = frames.iter().map(|frame| frame.stamp().stream).max().unwrap_or(0);
+    let model = |stream| {
+        let frames: Vec<_> = frames.iter().filter(|frame| frame.stamp().stream == stream).collect();
+        choose_model(&frames, config)
+    };
+    Ok(Scanners::new((0..=last).map(model).collect::<Result<_>>()?))
+}
+
+/// The model of the scanner of a stream that these frames are of.
+fn choose_model(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Option<SensorModel>> {
     Ok(match config.projection {
         ProjectionKind::Calibrated { range_step_um } => {
             let pool = pool(resolve_threads(config.threads))?;
@@ -27,10 +68,10 @@ pub(crate) fn choose_sensor(frames: &[FrameInput], config: &EncoderConfig) -> Re
 }
 
 /// The frames that the sensor model is fitted to, spread over the sequence.
-fn sample(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>> {
+fn sample(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>> {
     let places: Vec<usize> = sample_places(frames.len(), config.sample_frames()).collect();
     let scans =
-        places.into_par_iter().map(|place| scan_of(&frames[place], config)).collect::<Result<Vec<_>>>();
+        places.into_par_iter().map(|place| scan_of(frames[place], config)).collect::<Result<Vec<_>>>();
     Ok(scans?.into_iter().flatten().collect())
 }
 

@@ -1,4 +1,4 @@
-//! The groups of a stream that hold the frames asked for, each with its sensor model: as they arrive,
+//! The groups of a stream that hold the frames asked for, each with its scanners: as they arrive,
 //! or by the index.
 
 use std::io::{Read, Seek};
@@ -7,46 +7,75 @@ use std::sync::Arc;
 use super::options::FrameRange;
 use crate::ground::error::{Error, Result};
 use crate::scanner::SensorModel;
-use crate::stream::container::{Group, IndexedReader, Record, StreamReader};
+use crate::stream::container::{Group, IndexedReader, Record, ScannerRecord, StreamReader};
 
 /// A group, with all that it takes to decode or to copy it.
 pub struct GroupJob {
     /// Number of its first frame in the sequence.
     pub first_frame: u64,
-    /// The sensor model, if the group has one.
-    pub sensor: Option<Arc<StoredSensor>>,
+    /// The scanner of each stream of the group, if it has one.
+    pub scanners: Vec<Option<Arc<StoredScanner>>>,
     pub group: Group,
 }
 
-/// A sensor model, and the payload of its record.
-pub struct StoredSensor {
-    pub model: SensorModel,
-    pub record: Vec<u8>,
+impl GroupJob {
+    /// The models of the scanners.
+    ///
+    /// # Errors
+    /// If one is of a family that this program does not know.
+    pub fn models(&self) -> Result<Vec<Option<&SensorModel>>> {
+        let models = self.scanners.iter();
+        models.map(|scanner| scanner.as_deref().map(StoredScanner::model).transpose()).collect()
+    }
 }
 
-impl StoredSensor {
-    pub(crate) fn parse(record: Vec<u8>) -> Result<Arc<Self>> {
-        let mut rest = &record[..];
-        let model = SensorModel::read_from(&mut rest).map_err(|e| e.within("sensor model"))?;
-        if !rest.is_empty() {
-            return Err(Error::corrupt("sensor model: bytes left over"));
-        }
-        Ok(Arc::new(StoredSensor { model, record }))
+/// A scanner, and its record.
+pub struct StoredScanner {
+    /// None if the family is unknown. Groups of such a scanner can be copied all the same.
+    model: Option<SensorModel>,
+    pub record: ScannerRecord,
+}
+
+impl StoredScanner {
+    pub(crate) fn parse(record: ScannerRecord) -> Result<Arc<Self>> {
+        let model = match record.family {
+            SensorModel::FAMILY => Some(Self::parse_model(&record.payload).map_err(|e| e.within("scanner"))?),
+            _ => None,
+        };
+        Ok(Arc::new(StoredScanner { model, record }))
     }
+
+    fn parse_model(mut payload: &[u8]) -> Result<SensorModel> {
+        let model = SensorModel::read_from(&mut payload)?;
+        if !payload.is_empty() {
+            return Err(Error::corrupt("bytes left over"));
+        }
+        Ok(model)
+    }
+
+    fn model(&self) -> Result<&SensorModel> {
+        let unknown = || Error::unsupported(format!("a scanner of unknown family {}", self.record.family));
+        self.model.as_ref().ok_or_else(unknown)
+    }
+}
+
+/// The record of a scanner.
+pub(crate) fn record_of(model: &SensorModel) -> ScannerRecord {
+    ScannerRecord { family: SensorModel::FAMILY, payload: model.to_payload() }
 }
 
 /// The groups of a stream as they arrive.
 pub struct StreamedGroups<R> {
     reader: StreamReader<R>,
-    /// The sensor models so far, in order.
-    sensors: Vec<Arc<StoredSensor>>,
+    /// The scanners so far, in order.
+    scanners: Vec<Arc<StoredScanner>>,
     range: FrameRange,
 }
 
 impl<R: Read> StreamedGroups<R> {
     /// From the first on.
     pub fn new(reader: StreamReader<R>, range: FrameRange) -> Self {
-        StreamedGroups { reader, sensors: Vec::new(), range }
+        StreamedGroups { reader, scanners: Vec::new(), range }
     }
 
     /// Frames in all groups so far, wanted or not; after the last group, those of the stream.
@@ -57,12 +86,13 @@ impl<R: Read> StreamedGroups<R> {
     fn next_job(&mut self) -> Result<Option<GroupJob>> {
         while let Some(record) = self.reader.next_record()? {
             match record {
-                Record::SensorModel(bytes) => self.sensors.push(StoredSensor::parse(bytes)?),
+                Record::Scanner(record) => self.scanners.push(StoredScanner::parse(record)?),
                 Record::Group(group) => {
                     let first_frame = self.frame_count() - group.frames.len() as u64;
                     if self.range.overlaps(first_frame, group.frames.len() as u64) {
-                        let sensor = sensor_place(&group).and_then(|place| self.sensors.get(place)).cloned();
-                        return Ok(Some(GroupJob { first_frame, sensor, group }));
+                        let scanner = |number: &u64| self.scanners.get(scanner_place(*number)?).cloned();
+                        let scanners = group.scanners.iter().map(scanner).collect();
+                        return Ok(Some(GroupJob { first_frame, scanners, group }));
                     }
                 }
             }
@@ -82,8 +112,8 @@ impl<R: Read> Iterator for StreamedGroups<R> {
 /// The groups that hold the frames asked for, read where the index says.
 pub struct IndexedGroups<R> {
     reader: IndexedReader<R>,
-    /// The sensor models, once they were read.
-    sensors: Vec<Option<Arc<StoredSensor>>>,
+    /// The scanners, once they were read.
+    scanners: Vec<Option<Arc<StoredScanner>>>,
     range: FrameRange,
     /// The next group's place in the index.
     place: usize,
@@ -92,30 +122,32 @@ pub struct IndexedGroups<R> {
 impl<R: Read + Seek> IndexedGroups<R> {
     /// From the first on.
     pub fn new(reader: IndexedReader<R>, range: FrameRange) -> Self {
-        let mut sensors = Vec::new();
-        sensors.resize(reader.index().sensor_models.len(), None);
-        IndexedGroups { reader, sensors, range, place: 0 }
+        let scanners = vec![None; reader.index().scanners.len()];
+        IndexedGroups { reader, scanners, range, place: 0 }
     }
 
     fn next_job(&mut self) -> Result<Option<GroupJob>> {
         while let Some(entry) = self.reader.index().groups.get(self.place) {
-            let (first_frame, count) = (entry.first_frame, entry.frame_sizes.len() as u64);
+            let (first_frame, count) = (entry.first_frame, entry.frames.len() as u64);
             let place = self.place;
             self.place += 1;
             if self.range.overlaps(first_frame, count) {
                 let group = self.reader.read_group(place)?;
-                return Ok(Some(GroupJob { first_frame, sensor: self.sensor_of(&group)?, group }));
+                let scanners = group.scanners.iter().map(|number| self.scanner(*number));
+                let scanners = scanners.collect::<Result<_>>()?;
+                return Ok(Some(GroupJob { first_frame, scanners, group }));
             }
         }
         Ok(None)
     }
 
-    fn sensor_of(&mut self, group: &Group) -> Result<Option<Arc<StoredSensor>>> {
-        let Some(slot) = sensor_place(group).and_then(|place| self.sensors.get_mut(place)) else {
+    /// The scanner of this number, which is read if it has not been.
+    fn scanner(&mut self, number: u64) -> Result<Option<Arc<StoredScanner>>> {
+        let Some(slot) = scanner_place(number).and_then(|place| self.scanners.get_mut(place)) else {
             return Ok(None);
         };
         if slot.is_none() {
-            *slot = Some(StoredSensor::parse(self.reader.read_sensor_model(group.sensor_model)?)?);
+            *slot = Some(StoredScanner::parse(self.reader.read_scanner(number)?)?);
         }
         Ok(slot.clone())
     }
@@ -129,8 +161,8 @@ impl<R: Read + Seek> Iterator for IndexedGroups<R> {
     }
 }
 
-/// Where a group's sensor model is among the stream's; `None` if it has none. The readers have
-/// checked that there is such a model.
-fn sensor_place(group: &Group) -> Option<usize> {
-    usize::try_from(group.sensor_model).ok()?.checked_sub(1)
+/// Where the scanner of this number is among the stream's; `None` if the number stands for none. The readers have
+/// checked that there is such a scanner.
+fn scanner_place(number: u64) -> Option<usize> {
+    usize::try_from(number).ok()?.checked_sub(1)
 }

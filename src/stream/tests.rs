@@ -3,9 +3,14 @@
 use std::io::Cursor;
 
 use super::*;
+use crate::edit::{Named, cat, cut};
 use crate::frame::*;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::container::{Record, StreamReader};
+use crate::stream::container::{
+    Group, Record, ScannerRecord, Section, SectionKind, Stamp, StreamReader, StreamWriter, Time, TimeSource,
+    Unit,
+};
+use crate::study::synth::{SynthConfig, drive};
 
 /// Seven files: scans, an empty one, an odd one, and one that is no scan.
 fn sample_files() -> Vec<(String, Vec<u8>)> {
@@ -19,8 +24,7 @@ fn sample_files() -> Vec<(String, Vec<u8>)> {
 }
 
 fn inputs(files: &[(String, Vec<u8>)]) -> Vec<FrameInput> {
-    let input =
-        |(name, bytes): &(String, Vec<u8>)| FrameInput::Memory { name: name.clone(), bytes: bytes.clone() };
+    let input = |(name, bytes): &(String, Vec<u8>)| FrameInput::memory(name.clone(), bytes.clone());
     files.iter().map(input).collect()
 }
 
@@ -155,7 +159,7 @@ fn a_frame_that_decodes_to_something_else_is_an_error() {
     let recoded = |change: &dyn Fn(&mut crate::stream::container::FrameHeader)| {
         let mut group = group.clone();
         change(&mut group.frames[0].header);
-        let mut writer = crate::stream::container::StreamWriter::create(Vec::new(), reader.header()).unwrap();
+        let mut writer = StreamWriter::create(Vec::new()).unwrap();
         writer.write_group(&group).unwrap();
         decode_all(&writer.finish().unwrap().0)
     };
@@ -171,5 +175,175 @@ fn names_that_no_decoder_would_write_are_refused() {
         let files = [(name.to_owned(), vec![1, 2, 3])];
         let result = encode(&inputs(&files), &EncoderConfig::default(), Vec::new(), &|| ());
         assert!(matches!(result, Err(Error::Input { .. })), "{name:?}");
+    }
+}
+
+/// The frames of a scanner that stands still, as messages of a stream of a recording.
+fn messages(stream: u8, config: SynthConfig) -> Vec<FrameInput> {
+    let still = SynthConfig { frames: 4, speed: 0.0, yaw_rate: 0.0, noise: 0.004, ..config };
+    let message = |(number, frame): (i64, crate::study::synth::SynthFrame)| {
+        let nanoseconds = -100_000_000 * number - i64::from(stream);
+        let time = Some(Time { source: TimeSource::Recording, nanoseconds });
+        let name = format!("{stream}-{number}.bin");
+        FrameInput::memory(name, frame.to_bin()).stamped(Stamp { unit: Unit::Message, stream, time })
+    };
+    (0..).zip(drive(&still)).map(message).collect()
+}
+
+fn encoded(inputs: &[FrameInput]) -> Vec<u8> {
+    let mut stream = Vec::new();
+    encode(inputs, &EncoderConfig::default(), &mut stream, &|| ()).unwrap();
+    stream
+}
+
+/// The records of a stream.
+fn records(stream: &[u8]) -> (Vec<ScannerRecord>, Vec<Group>) {
+    let mut reader = StreamReader::open(stream, Limits::default()).unwrap();
+    let (mut scanners, mut groups) = (Vec::new(), Vec::new());
+    while let Some(record) = reader.next_record().unwrap() {
+        match record {
+            Record::Scanner(scanner) => scanners.push(scanner),
+            Record::Group(group) => groups.push(group),
+        }
+    }
+    (scanners, groups)
+}
+
+fn written(scanners: &[ScannerRecord], groups: &[Group]) -> Vec<u8> {
+    let mut writer = StreamWriter::create(Vec::new()).unwrap();
+    for scanner in scanners {
+        writer.write_scanner(scanner).unwrap();
+    }
+    groups.iter().for_each(|group| writer.write_group(group).unwrap());
+    writer.finish().unwrap().0
+}
+
+/// Holds decoded frames to what was encoded: bytes, name and stamp.
+fn assert_decodes_to(stream: &[u8], inputs: &[FrameInput]) {
+    let mut inputs = inputs.iter();
+    decode(stream, &options("..", 2), Ok, |frame| {
+        let input = inputs.next().unwrap();
+        assert_eq!((&*frame.header.name, frame.header.stamp), (input.name()?, input.stamp()));
+        assert!(frame.to_bytes()? == input.read()?, "{}", frame.header.name);
+        Ok(())
+    })
+    .unwrap();
+    assert_eq!(inputs.len(), 0, "frames are missing");
+}
+
+#[test]
+fn two_scanners_that_take_turns_cost_what_they_cost_alone() {
+    let one = messages(0, SynthConfig { beams: 8, seed: 1, ..SynthConfig::default() });
+    let other = messages(1, SynthConfig { beams: 4, seed: 2, ..SynthConfig::default() });
+    let turns: Vec<_> = one.iter().zip(&other).flat_map(|(a, b)| [a.clone(), b.clone()]).collect();
+    let both = encoded(&turns);
+    assert_decodes_to(&both, &turns);
+    let other_alone: Vec<_> =
+        other.iter().map(|input| input.clone().stamped(Stamp { stream: 0, ..input.stamp() })).collect();
+    let alone = [encoded(&one), encoded(&other_alone)];
+    let [first, second] = [records(&alone[0]), records(&alone[1])];
+
+    // The same scanners, and the very sections that each frame has alone: P frames of its own stream's past.
+    let (scanners, groups) = records(&both);
+    assert_eq!(scanners, [first.0, second.0].concat());
+    assert_eq!(groups.iter().map(|group| &group.scanners[..]).collect::<Vec<_>>(), [[1, 2]]);
+    let sections = |groups: &[Group], stream: u8| -> Vec<_> {
+        let frames = groups.iter().flat_map(|group| &group.frames);
+        let frames = frames.filter(|frame| frame.header.stamp.stream == stream);
+        frames.map(|frame| frame.sections.clone()).collect()
+    };
+    assert!(sections(&groups, 0) == sections(&first.1, 0) && sections(&groups, 1) == sections(&second.1, 0));
+    let prediction = |frame| FrameParameters::of(frame).unwrap().prediction;
+    let predictions: Vec<_> = groups[0].frames.iter().map(prediction).collect();
+    assert_eq!(predictions[..2], [Prediction::None; 2]);
+    assert_eq!(predictions[2..], [Prediction::Inter; 6]);
+    assert!(both.len() < alone[0].len() + alone[1].len());
+}
+
+#[test]
+fn streams_that_take_turns_are_cut_inside_a_group() {
+    let one = messages(0, SynthConfig { beams: 8, seed: 1, ..SynthConfig::default() });
+    let other = messages(1, SynthConfig { beams: 4, seed: 2, ..SynthConfig::default() });
+    let turns: Vec<_> = one.iter().zip(&other).flat_map(|(a, b)| [a.clone(), b.clone()]).collect();
+    let stream = encoded(&turns);
+    for start in [1, 4, 7] {
+        let range = FrameRange { start, end: None };
+        let mut part = Vec::new();
+        let input = Named { path: "in.lpc".into(), stream: &stream[..] };
+        cut(input, range, &Limits::default(), &mut part).unwrap();
+        assert_decodes_to(&part, &turns[start as usize..]);
+    }
+}
+
+#[test]
+fn streams_that_begin_late_in_a_live_sequence_have_no_scanner() {
+    let one = messages(0, SynthConfig { beams: 8, seed: 1, ..SynthConfig::default() });
+    let late = messages(2, SynthConfig { beams: 8, seed: 2, ..SynthConfig::default() });
+    let inputs = [&one[..], &late[..2]].concat();
+    let (mut stream, config) = (Vec::new(), EncoderConfig { gop: 4, ..EncoderConfig::default() });
+    encode_live(inputs.iter().cloned().map(Ok), &config, &mut stream, &|| ()).unwrap();
+    assert_decodes_to(&stream, &inputs);
+    let groups = records(&stream).1;
+    assert_eq!(groups.iter().map(|group| &group.scanners[..]).collect::<Vec<_>>(), [&[1][..], &[1, 0, 0]]);
+
+    let last = Stamp { stream: 255, ..Stamp::default() };
+    let result = encode(&[one[0].clone().stamped(last)], &config, Vec::new(), &|| ());
+    assert!(result.is_err(), "no group has 256 streams");
+}
+
+#[test]
+fn a_scanner_of_an_unknown_family_only_matters_to_its_groups() {
+    let inputs = messages(0, SynthConfig { beams: 8, seed: 1, ..SynthConfig::default() });
+    let (mut scanners, mut groups) = records(&encoded(&inputs));
+    scanners.insert(0, ScannerRecord { family: 99, payload: vec![1, 2, 3] });
+    groups[0].scanners = vec![2];
+    let stream = written(&scanners, &groups);
+    assert_decodes_to(&stream, &inputs);
+
+    groups.push(Group { scanners: vec![1], ..groups[0].clone() });
+    groups[1].frames.iter_mut().for_each(|frame| frame.header.name.insert(0, 'x'));
+    let stream = written(&scanners, &groups);
+    let error = decode_all(&stream).unwrap_err();
+    assert!(error.to_string().contains("unknown family 99"), "{error}");
+    assert!(matches!(error, Error::Unsupported { .. }), "{error}");
+    let read = |range| decode_indexed(Cursor::new(&stream), &options(range, 1), Ok, |_| Ok(()));
+    assert!(read("..4").is_ok() && read("4..").is_err());
+
+    // Groups are copied all the same.
+    let input = StreamReader::open(&stream[..], Limits::default());
+    let mut copy = Vec::new();
+    cat([input.map(|stream| Named { path: "in.lpc".into(), stream })], &mut copy).unwrap();
+    let copied = records(&copy);
+    assert_eq!(copied.0, [scanners[1].clone(), scanners[0].clone()]);
+    assert_eq!(copied.1.iter().map(|group| &group.scanners[..]).collect::<Vec<_>>(), [[1], [2]]);
+}
+
+#[test]
+fn sections_that_may_be_skipped_are_and_parameters_come_first() {
+    let inputs = messages(0, SynthConfig { beams: 8, seed: 1, ..SynthConfig::default() });
+    let (scanners, groups) = records(&encoded(&inputs));
+    let sections = groups[0].frames[1].sections.len();
+    let unknown = Section { kind: SectionKind::Skippable(0x93), payload: b"unknown".to_vec() };
+    for place in 0..=sections {
+        let mut changed = groups.clone();
+        changed[0].frames[1].sections.insert(place, unknown.clone());
+        let stream = written(&scanners, &changed);
+        assert_decodes_to(&stream, &inputs);
+        assert!(records(&stream).1 == changed, "it is not there any more");
+        let mut part = Vec::new();
+        let input = Named { path: "in.lpc".into(), stream: &stream[..] };
+        cut(input, FrameRange { start: 1, end: None }, &Limits::default(), &mut part).unwrap();
+        assert_decodes_to(&part, &inputs[1..]);
+        assert_eq!(records(&part).1[0].frames[0].sections.last(), Some(&unknown));
+    }
+
+    let first = &groups[0].frames[0];
+    assert_eq!(first.sections[0].kind, SectionKind::Parameters);
+    for sections in [first.sections[1..].to_vec(), [&first.sections[1..], &first.sections[..1]].concat()] {
+        let mut changed = groups.clone();
+        changed[0].frames[0].sections = sections;
+        assert!(FrameParameters::of(&changed[0].frames[0]).is_err());
+        let error = decode_all(&written(&scanners, &changed)).unwrap_err().to_string();
+        assert!(error.contains("parameters section is missing"), "{error}");
     }
 }

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 use lidarpc::frame::settings::EncoderConfig;
 use lidarpc::ground::error::{Limits, Result};
-use lidarpc::stream::container::{Group, Record, SectionKind, StreamHeader, StreamReader, StreamWriter};
+use lidarpc::stream::container::{Group, Record, ScannerRecord, SectionKind, StreamReader, StreamWriter};
 use lidarpc::stream::{DecodeOptions, DecodedFrame, FrameInput, decode, decode_indexed, encode};
 use proptest::test_runner::{Config, FileFailurePersistence};
 
@@ -43,7 +43,7 @@ pub fn round_trip(files: &[File], config: &EncoderConfig) -> Vec<u8> {
 
 /// Encodes files to a stream.
 pub fn encode_files(files: &[File], config: &EncoderConfig) -> Vec<u8> {
-    let input = |(name, bytes): &File| FrameInput::Memory { name: name.clone(), bytes: bytes.clone() };
+    let input = |(name, bytes): &File| FrameInput::memory(name.clone(), bytes.clone());
     let inputs: Vec<_> = files.iter().map(input).collect();
     let mut stream = Vec::new();
     let encoded = encode(&inputs, config, &mut stream, &|| ()).expect("encodes");
@@ -84,24 +84,24 @@ fn assert_same(decoded: &[File], files: &[File]) {
     }
 }
 
-/// A stream's sensor models and groups, to be altered and written anew with right checksums.
-pub fn take_apart(stream: &[u8]) -> (Vec<Vec<u8>>, Vec<Group>) {
+/// A stream's scanners and groups, to be altered and written anew with right checksums.
+pub fn take_apart(stream: &[u8]) -> (Vec<ScannerRecord>, Vec<Group>) {
     let mut reader = StreamReader::open(stream, Limits::default()).unwrap();
-    let (mut models, mut groups) = (Vec::new(), Vec::new());
+    let (mut scanners, mut groups) = (Vec::new(), Vec::new());
     while let Some(record) = reader.next_record().unwrap() {
         match record {
-            Record::SensorModel(model) => models.push(model),
+            Record::Scanner(scanner) => scanners.push(scanner),
             Record::Group(group) => groups.push(group),
         }
     }
-    (models, groups)
+    (scanners, groups)
 }
 
 /// The inverse of [`take_apart`].
-pub fn put_together(models: &[Vec<u8>], groups: &[Group]) -> Vec<u8> {
-    let mut writer = StreamWriter::create(Vec::new(), &StreamHeader::default()).unwrap();
-    for model in models {
-        writer.write_sensor_model(model).unwrap();
+pub fn put_together(scanners: &[ScannerRecord], groups: &[Group]) -> Vec<u8> {
+    let mut writer = StreamWriter::create(Vec::new()).unwrap();
+    for scanner in scanners {
+        writer.write_scanner(scanner).unwrap();
     }
     groups.iter().for_each(|group| writer.write_group(group).unwrap());
     writer.finish().unwrap().0

@@ -5,14 +5,14 @@ use std::sync::LazyLock;
 use lidarpc::article::image_coding::ImageCodec;
 use lidarpc::backend::{self, BACKENDS, Level};
 use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
-use lidarpc::stream::container::Group;
+use lidarpc::stream::container::{Group, ScannerRecord};
 
 use super::formats::{kitti, pcd_extra, pcd_text};
 use super::scans::{compensated, random_points, scans, small};
 use super::{File, encode_files, take_apart};
 
-/// Sensor models and groups.
-pub type Parts = (Vec<Vec<u8>>, Vec<Group>);
+/// Scanners and groups.
+pub type Parts = (Vec<ScannerRecord>, Vec<Group>);
 
 /// Small streams that use every section between them, taken apart.
 pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {

@@ -7,11 +7,11 @@ use crate::stream::container::{Frame, Group};
 pub fn fingerprint<'g>(groups: impl IntoIterator<Item = &'g Group>) -> u32 {
     let mut parts = Vec::new();
     for group in groups {
-        parts.extend(group.sensor_model.to_le_bytes());
+        parts.extend(group.scanners.iter().flat_map(|number| number.to_le_bytes()));
         for Frame { header, sections } in &group.frames {
             Frame { header: header.clone(), sections: Vec::new() }.write_to(&mut parts);
             for section in sections {
-                parts.push(section.kind as u8);
+                parts.push(section.kind.number());
                 parts.extend(crc32c::crc32c(&section.payload).to_le_bytes());
             }
         }
@@ -26,9 +26,12 @@ mod tests {
 
     #[test]
     fn groups_of_the_same_length_differ() {
-        let group = |name: &str, byte, kind, sensor_model| {
+        let group = |name: &str, byte, kind, scanner| {
             let sections = vec![Section { kind, payload: vec![byte; 9] }];
-            Group { sensor_model, frames: vec![Frame { header: FrameHeader::of(name, b"", 0), sections }] }
+            Group {
+                scanners: vec![scanner],
+                frames: vec![Frame { header: FrameHeader::of(name, b"", 0), sections }],
+            }
         };
         let groups = [
             group("1", 1, SectionKind::Range, 1),

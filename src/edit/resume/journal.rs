@@ -36,6 +36,8 @@ pub struct Entry {
 #[serde(deny_unknown_fields)]
 pub struct InputFile {
     pub name: String,
+    /// What it is, of which stream, and of when.
+    pub stamp: String,
     /// In bytes.
     pub size: u64,
     /// CRC-32C of its bytes.
@@ -43,12 +45,9 @@ pub struct InputFile {
 }
 
 impl InputFile {
-    pub fn new(name: &str, bytes: &[u8]) -> Self {
-        Self::of(&FrameHeader::of(name, bytes, 0))
-    }
-
     pub fn of(header: &FrameHeader) -> Self {
-        InputFile { name: header.name.clone(), size: header.file_size, crc: header.file_crc }
+        let stamp = format!("{:?}", header.stamp);
+        InputFile { name: header.name.clone(), stamp, size: header.file_size, crc: header.file_crc }
     }
 }
 

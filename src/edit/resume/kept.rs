@@ -9,7 +9,7 @@ use super::settings::Settings;
 use crate::frame::parameters::FrameParameters;
 use crate::frame::steps::StepReport;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::container::{Frame, Index, Record, StreamHeader, StreamReader};
+use crate::stream::container::{Frame, Index, Record, ScannerRecord, StreamReader};
 use crate::stream::encoded::{Encoded, FrameOfStream};
 
 /// The beginning of a partial stream, as far as it is whole and the journal tells what it was made from.
@@ -19,8 +19,8 @@ pub struct Kept {
     pub settings: Settings,
     /// What the journal tells of its groups; none if nothing is kept.
     pub entries: Vec<Entry>,
-    /// The payloads of its sensor models' records.
-    pub sensors: Vec<Vec<u8>>,
+    /// Its scanners.
+    pub scanners: Vec<ScannerRecord>,
     /// Where its records are.
     pub index: Index,
     /// What is in it.
@@ -42,14 +42,11 @@ impl Kept {
         let mut kept = Kept { settings: journal.settings, ..Kept::default() };
         let reader = StreamReader::open(BufReader::new(stream), Limits::default());
         let Some(mut reader) = intact(reader)? else { return Ok(kept) };
-        if *reader.header() != StreamHeader::default() {
-            return Ok(kept);
-        }
         let mut groups = 0;
         for (entry, journal_end) in journal.entries {
             let Some(part) = intact(Part::read(&mut reader, &entry))? else { break };
             groups += part.groups;
-            kept.sensors.extend(part.sensors);
+            kept.scanners.extend(part.scanners);
             part.frames.into_iter().for_each(|frame| kept.encoded.add(frame));
             (kept.stream_end, kept.journal_end) = (entry.stream_end, journal_end);
             kept.entries.push(entry);
@@ -58,14 +55,14 @@ impl Kept {
         // What was read after that is not kept.
         kept.index = reader.index().clone();
         kept.index.groups.truncate(groups);
-        kept.index.sensor_models.truncate(kept.sensors.len());
+        kept.index.scanners.truncate(kept.scanners.len());
         Ok(kept)
     }
 }
 
 /// What an entry of the journal is about.
 struct Part {
-    sensors: Vec<Vec<u8>>,
+    scanners: Vec<ScannerRecord>,
     groups: usize,
     frames: Vec<FrameOfStream>,
 }
@@ -73,10 +70,10 @@ struct Part {
 impl Part {
     /// Reads the next part of a stream; an error if it is not what the journal tells.
     fn read(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Self> {
-        let (mut sensors, mut groups) = (Vec::new(), Vec::new());
+        let (mut scanners, mut groups) = (Vec::new(), Vec::new());
         while reader.position() < entry.stream_end {
             match reader.next_record()? {
-                Some(Record::SensorModel(record)) => sensors.push(record),
+                Some(Record::Scanner(record)) => scanners.push(record),
                 Some(Record::Group(group)) => groups.push(group),
                 None => break,
             }
@@ -89,7 +86,7 @@ impl Part {
             return Err(Error::corrupt("it is not what the journal tells"));
         }
         let frames = frames().map(FrameOfStream::kept).collect::<Result<_>>()?;
-        Ok(Part { sensors, groups: groups.len(), frames })
+        Ok(Part { scanners, groups: groups.len(), frames })
     }
 }
 

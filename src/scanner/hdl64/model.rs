@@ -467,14 +467,17 @@ impl SensorModel {
         (0..self.rows()).min_by(|&a, &b| miss(a).total_cmp(&miss(b))).unwrap_or(0)
     }
 
-    /// The payload of the model's record in the stream.
-    pub fn to_record(&self) -> Vec<u8> {
-        let mut record = Vec::new();
-        self.write_to(&mut record);
-        record
+    /// The number of its family of scanners in the stream.
+    pub const FAMILY: u64 = 1;
+
+    /// The payload of the scanner's record in the stream.
+    pub fn to_payload(&self) -> Vec<u8> {
+        let mut payload = Vec::new();
+        self.write_to(&mut payload);
+        payload
     }
 
-    /// Writes the model's record of the stream.
+    /// Writes the payload of the scanner's record in the stream.
     pub fn write_to(&self, out: &mut Vec<u8>) {
         let coordinates =
             if self.is_single_precision() { SINGLE_PRECISION } else { self.coordinates.to_code() };

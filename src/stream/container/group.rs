@@ -1,6 +1,8 @@
 //! Groups: frames that are coded together, and apart from all others.
 
+use super::index::FrameEntry;
 use super::section::Section;
+use super::stamp::Stamp;
 use super::wire::{take, take_u32};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -8,11 +10,16 @@ use crate::ground::varint::{read_unsigned, write_unsigned};
 /// The longest name of a frame, in bytes: what file systems allow.
 const NAME_MAX: u64 = 255;
 
+/// The most streams that take turns in a group.
+pub const STREAMS_MAX: u64 = 255;
+
 /// What a frame decodes to, without decoding it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FrameHeader {
     /// The file's name, without any folder. It comes from the stream: check it before use as a path.
     pub name: String,
+    /// What it is, whose, and of when.
+    pub stamp: Stamp,
     /// Bytes of the decoded file.
     pub file_size: u64,
     /// CRC32C of the decoded file's bytes.
@@ -26,6 +33,7 @@ impl FrameHeader {
     pub fn of(name: &str, bytes: &[u8], point_count: u64) -> Self {
         FrameHeader {
             name: name.to_owned(),
+            stamp: Stamp::default(),
             file_size: bytes.len() as u64,
             file_crc: crc32c::crc32c(bytes),
             point_count,
@@ -47,6 +55,7 @@ impl Frame {
     pub fn write_to(&self, out: &mut Vec<u8>) {
         write_unsigned(out, self.header.name.len() as u64);
         out.extend_from_slice(self.header.name.as_bytes());
+        self.header.stamp.write_to(out);
         write_unsigned(out, self.header.file_size);
         out.extend_from_slice(&self.header.file_crc.to_le_bytes());
         write_unsigned(out, self.header.point_count);
@@ -69,6 +78,7 @@ impl Frame {
         let name = str::from_utf8(name).map_err(|_| Error::corrupt("frame name is not UTF-8"))?;
         let header = FrameHeader {
             name: name.to_owned(),
+            stamp: Stamp::read_from(input)?,
             file_size: limited(read_unsigned(input, "file size")?, "file size in bytes", limits.file_bytes)?,
             file_crc: take_u32(input, "file checksum")?,
             point_count: limited(read_unsigned(input, "point count")?, "points in a frame", limits.points)?,
@@ -82,28 +92,30 @@ impl Frame {
     }
 }
 
-/// Frames that are coded together. A group says nothing of its place in the sequence, so that
+/// Frames that are coded together; those of each stream learn from one another, and from no other's. A group says nothing of its place in the sequence, so that
 /// groups can be cut and joined without coding them anew.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Group {
-    /// Which of the stream's sensor models it was coded with: 1 is the first; 0 is none.
-    pub sensor_model: u64,
-    /// The frames, in order.
+    /// The scanner of each stream, 1 to 255 of them, by its number among those of the whole stream: 1 is the first;
+    /// 0 is none.
+    pub scanners: Vec<u64>,
+    /// The frames of all streams, in order.
     pub frames: Vec<Frame>,
 }
 
 impl Group {
-    /// Appends the group; returns how many bytes each frame took.
-    pub fn write_to(&self, out: &mut Vec<u8>) -> Vec<u64> {
-        write_unsigned(out, self.sensor_model);
+    /// Appends the group; returns what the index says of each frame.
+    pub fn write_to(&self, out: &mut Vec<u8>) -> Vec<FrameEntry> {
+        write_unsigned(out, self.scanners.len() as u64);
+        self.scanners.iter().for_each(|number| write_unsigned(out, *number));
         write_unsigned(out, self.frames.len() as u64);
-        let mut frame_sizes = Vec::with_capacity(self.frames.len());
+        let mut entries = Vec::with_capacity(self.frames.len());
         for frame in &self.frames {
             let start = out.len();
             frame.write_to(out);
-            frame_sizes.push((out.len() - start) as u64);
+            entries.push(FrameEntry { size: (out.len() - start) as u64, stamp: frame.header.stamp });
         }
-        frame_sizes
+        entries
     }
 
     /// The names of the frames in the payload of a damaged group record, as far as they can be read. They
@@ -111,9 +123,8 @@ impl Group {
     pub fn names_in(mut payload: &[u8]) -> Vec<String> {
         let input = &mut payload;
         let mut names = Vec::new();
-        let counts =
-            read_unsigned(input, "sensor model's number").and_then(|_| read_unsigned(input, "frame count"));
-        for _ in 0..counts.unwrap_or_default() {
+        let count = read_scanners(input).and_then(|_| read_unsigned(input, "frame count"));
+        for _ in 0..count.unwrap_or_default() {
             match skim_frame(input) {
                 Ok(name) => names.push(name),
                 Err(_) => break,
@@ -122,30 +133,43 @@ impl Group {
         names
     }
 
-    /// Reads the payload of a group record; also returns how many bytes each frame took.
+    /// Reads the payload of a group record; also returns what the index must say of each frame.
     ///
     /// # Errors
-    /// As [`Frame::read_from`]; also if bytes are left over, or the files of the group are together
+    /// As [`Frame::read_from`]; also if a frame is of a stream that the group does not have, if bytes are left over, or if the files of the group are together
     /// over `limits.file_bytes` (they may all be in memory at once).
-    pub fn read_from(mut input: &[u8], limits: &Limits) -> Result<(Self, Vec<u64>)> {
+    pub fn read_from(mut input: &[u8], limits: &Limits) -> Result<(Self, Vec<FrameEntry>)> {
         let input = &mut input;
-        let sensor_model = read_unsigned(input, "sensor model's number")?;
+        let scanners = read_scanners(input)?;
         let frame_count = read_unsigned(input, "frame count")?;
-        let (mut frames, mut frame_sizes) = (Vec::new(), Vec::new());
+        let (mut frames, mut entries) = (Vec::new(), Vec::new());
         let mut file_bytes = 0u64;
         for number in 0..frame_count {
             let before = input.len();
-            let frame = Frame::read_from(input, limits)
-                .map_err(|e| e.within(&format!("frame {number} of the group")))?;
+            let part = || format!("frame {number} of the group");
+            let frame = Frame::read_from(input, limits).map_err(|e| e.within(&part()))?;
+            let stamp = frame.header.stamp;
+            if usize::from(stamp.stream) >= scanners.len() {
+                let what = format!("{}: stream {} of {}", part(), stamp.stream, scanners.len());
+                return Err(Error::corrupt(what));
+            }
             file_bytes = file_bytes.saturating_add(frame.header.file_size);
             limited(file_bytes, "bytes of a group's files", limits.file_bytes)?;
             frames.push(frame);
-            frame_sizes.push((before - input.len()) as u64);
+            entries.push(FrameEntry { size: (before - input.len()) as u64, stamp });
         }
         if !input.is_empty() {
             return Err(Error::corrupt(format!("{} bytes left over after the last frame", input.len())));
         }
-        Ok((Group { sensor_model, frames }, frame_sizes))
+        Ok((Group { scanners, frames }, entries))
+    }
+}
+
+/// Takes the numbers of a group's scanners off the front of `input`.
+fn read_scanners(input: &mut &[u8]) -> Result<Vec<u64>> {
+    match read_unsigned(input, "scanner count")? {
+        count @ 1..=STREAMS_MAX => (0..count).map(|_| read_unsigned(input, "scanner's number")).collect(),
+        count => Err(Error::corrupt(format!("a group of {count} streams"))),
     }
 }
 
@@ -154,6 +178,7 @@ fn skim_frame(input: &mut &[u8]) -> Result<String> {
     let name_length = read_unsigned(input, "frame name's length")?;
     let name = take(input, name_length, "frame name")?;
     let name = str::from_utf8(name).map_err(|_| Error::corrupt("frame name is not UTF-8"))?;
+    Stamp::read_from(input)?;
     read_unsigned(input, "file size")?;
     take_u32(input, "file checksum")?;
     read_unsigned(input, "point count")?;

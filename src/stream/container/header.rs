@@ -10,8 +10,8 @@ use crate::ground::error::{Error, Result};
 /// The first four bytes of every stream; the first is no ASCII, so that nobody takes it for text.
 pub const MAGIC: [u8; 4] = *b"\x89LPC";
 
-/// The newest version that this program reads, and the one that it writes.
-pub const NEWEST_VERSION: u16 = 5;
+/// The version of the format: the only one that this program reads, and the one that it writes.
+pub const VERSION: u16 = 1;
 
 /// Bytes of the stream header. This layout stays the same in every later version.
 pub const HEADER_LENGTH: usize = 12;
@@ -30,16 +30,11 @@ pub struct StreamHeader {
 
 impl Default for StreamHeader {
     fn default() -> Self {
-        StreamHeader { version: NEWEST_VERSION, flags: 0 }
+        StreamHeader { version: VERSION, flags: 0 }
     }
 }
 
 impl StreamHeader {
-    /// The header of a stream that holds what this one and the other hold.
-    pub fn joined(self, other: StreamHeader) -> Self {
-        StreamHeader { version: self.version.max(other.version), flags: self.flags | other.flags }
-    }
-
     /// Writes the header with its checksum.
     ///
     /// # Errors
@@ -58,7 +53,7 @@ impl StreamHeader {
     /// Reads a header and checks that this program can read what follows.
     ///
     /// # Errors
-    /// If the input is no lidarpc stream, is damaged, or was written by a newer program.
+    /// If the input is no lidarpc stream, is damaged, or is of another version of the format.
     pub fn read_from(input: &mut impl Read) -> Result<Self> {
         let mut bytes = [0; HEADER_LENGTH];
         read_exact(input, &mut bytes[..4], "stream header")?;
@@ -78,11 +73,8 @@ impl StreamHeader {
     }
 
     fn check(&self) -> Result<()> {
-        if self.version == 0 {
-            return Err(Error::corrupt("stream header: there is no version 0"));
-        }
-        if self.version > NEWEST_VERSION {
-            return Err(Error::UnsupportedVersion { found: self.version, newest: NEWEST_VERSION });
+        if self.version != VERSION {
+            return Err(Error::UnsupportedVersion { found: self.version, known: VERSION });
         }
         let unknown = self.flags & !KNOWN_FLAGS;
         if unknown != 0 {
@@ -115,19 +107,12 @@ mod tests {
     }
 
     #[test]
-    fn joined_streams_need_what_each_needs() {
-        let one = StreamHeader { version: 2, flags: 0x0001 };
-        let other = StreamHeader { version: 1, flags: 0x8001 };
-        let both = StreamHeader { version: 2, flags: 0x8001 };
-        assert_eq!((one.joined(other), other.joined(one)), (both, both));
-    }
-
-    #[test]
-    fn newer_streams_are_named_as_such() {
-        let newer = bytes_of(StreamHeader { version: 6, flags: 0 });
-        let error = StreamHeader::read_from(&mut &newer[..]).unwrap_err();
-        assert!(matches!(error, Error::UnsupportedVersion { found: 6, newest: 5 }), "{error}");
-
+    fn streams_of_other_versions_are_named_as_such() {
+        for version in [0, 2, 5, u16::MAX] {
+            let other = bytes_of(StreamHeader { version, flags: 0 });
+            let error = StreamHeader::read_from(&mut &other[..]).unwrap_err().to_string();
+            assert_eq!(error, format!("format version {version} is not one that this program reads (1)"));
+        }
         let flagged = bytes_of(StreamHeader { version: 1, flags: 0x8000 });
         let error = StreamHeader::read_from(&mut &flagged[..]).unwrap_err();
         assert!(error.to_string().contains("unknown flags 0x8000"), "{error}");

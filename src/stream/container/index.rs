@@ -1,5 +1,6 @@
 //! The index: where the records are. Only seeking needs it; a stream decodes without.
 
+use super::stamp::Stamp;
 use super::wire::take;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -10,9 +11,9 @@ pub(super) const END_LENGTH: u64 = 18;
 /// The last bytes of the end record's payload.
 const END_MAGIC: [u8; 4] = *b"LPC.";
 
-/// Where a sensor model's record is.
+/// Where a scanner's record is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SensorModelEntry {
+pub struct ScannerEntry {
     /// Offset of the record from the start of the stream, in bytes.
     pub offset: u64,
     /// Bytes of the whole record.
@@ -28,15 +29,24 @@ pub struct GroupEntry {
     pub length: u64,
     /// Number of its first frame in the sequence. Not stored: it is the sum of the counts before.
     pub first_frame: u64,
-    /// Coded bytes of each frame, frame header and checksums included.
-    pub frame_sizes: Vec<u64>,
+    /// Its frames, in order.
+    pub frames: Vec<FrameEntry>,
+}
+
+/// A frame of a group.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameEntry {
+    /// Coded bytes, frame header and checksums included.
+    pub size: u64,
+    /// What it is, whose, and of when: as in the frame's header.
+    pub stamp: Stamp,
 }
 
 /// Where all records are.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Index {
-    /// The sensor models, in order; groups refer to them by number, 1 being the first.
-    pub sensor_models: Vec<SensorModelEntry>,
+    /// The scanners, in order; groups refer to them by number, 1 being the first.
+    pub scanners: Vec<ScannerEntry>,
     /// The groups, in order.
     pub groups: Vec<GroupEntry>,
 }
@@ -44,30 +54,30 @@ pub struct Index {
 impl Index {
     /// Frames in all groups.
     pub fn frame_count(&self) -> u64 {
-        self.groups.last().map_or(0, |group| group.first_frame + group.frame_sizes.len() as u64)
+        self.groups.last().map_or(0, |group| group.first_frame + group.frames.len() as u64)
     }
 
     /// Where the last of the records ends, in bytes from the start of the stream; `None` if there are none.
     pub(super) fn end(&self) -> Option<u64> {
-        let models = self.sensor_models.iter().map(|entry| entry.offset + entry.length);
-        models.chain(self.groups.iter().map(|entry| entry.offset + entry.length)).max()
+        let scanners = self.scanners.iter().map(|entry| entry.offset + entry.length);
+        scanners.chain(self.groups.iter().map(|entry| entry.offset + entry.length)).max()
     }
 
-    /// Adds the sensor model whose record starts at `offset`.
-    pub(super) fn push_sensor_model(&mut self, offset: u64, length: u64) {
-        self.sensor_models.push(SensorModelEntry { offset, length });
+    /// Adds the scanner whose record starts at `offset`.
+    pub(super) fn push_scanner(&mut self, offset: u64, length: u64) {
+        self.scanners.push(ScannerEntry { offset, length });
     }
 
     /// Adds the group whose record starts at `offset`.
-    pub(super) fn push_group(&mut self, offset: u64, length: u64, frame_sizes: Vec<u64>) {
+    pub(super) fn push_group(&mut self, offset: u64, length: u64, frames: Vec<FrameEntry>) {
         let first_frame = self.frame_count();
-        self.groups.push(GroupEntry { offset, length, first_frame, frame_sizes });
+        self.groups.push(GroupEntry { offset, length, first_frame, frames });
     }
 
     /// Appends the payload of an index record.
     pub fn write_to(&self, out: &mut Vec<u8>) {
-        write_unsigned(out, self.sensor_models.len() as u64);
-        for entry in &self.sensor_models {
+        write_unsigned(out, self.scanners.len() as u64);
+        for entry in &self.scanners {
             write_unsigned(out, entry.offset);
             write_unsigned(out, entry.length);
         }
@@ -75,10 +85,9 @@ impl Index {
         for entry in &self.groups {
             write_unsigned(out, entry.offset);
             write_unsigned(out, entry.length);
-            write_unsigned(out, entry.frame_sizes.len() as u64);
-            for size in &entry.frame_sizes {
-                write_unsigned(out, *size);
-            }
+            write_unsigned(out, entry.frames.len() as u64);
+            entry.frames.iter().for_each(|frame| write_unsigned(out, frame.size));
+            entry.frames.iter().for_each(|frame| frame.stamp.write_to(out));
         }
     }
 
@@ -89,18 +98,22 @@ impl Index {
     pub fn read_from(mut input: &[u8]) -> Result<Self> {
         let input = &mut input;
         let mut index = Index::default();
-        for _ in 0..read_unsigned(input, "sensor model count")? {
-            let offset = read_unsigned(input, "sensor model's offset")?;
-            index.push_sensor_model(offset, read_unsigned(input, "sensor model's length")?);
+        for _ in 0..read_unsigned(input, "scanner count")? {
+            let offset = read_unsigned(input, "scanner's offset")?;
+            index.push_scanner(offset, read_unsigned(input, "scanner's length")?);
         }
         for _ in 0..read_unsigned(input, "group count")? {
             let offset = read_unsigned(input, "group's offset")?;
             let length = read_unsigned(input, "group's length")?;
-            let mut frame_sizes = Vec::new();
+            let mut frames = Vec::new();
             for _ in 0..read_unsigned(input, "frame count")? {
-                frame_sizes.push(read_unsigned(input, "frame size")?);
+                let size = read_unsigned(input, "frame size")?;
+                frames.push(FrameEntry { size, stamp: Stamp::default() });
             }
-            index.push_group(offset, length, frame_sizes);
+            for frame in &mut frames {
+                frame.stamp = Stamp::read_from(input)?;
+            }
+            index.push_group(offset, length, frames);
         }
         if !input.is_empty() {
             return Err(Error::corrupt("bytes left over"));

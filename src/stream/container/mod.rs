@@ -9,19 +9,23 @@ pub mod header;
 pub mod index;
 pub mod reader;
 pub mod salvage;
+pub mod scanner;
 pub mod section;
+pub mod stamp;
 pub mod writer;
 
 mod record;
 mod scan;
 mod wire;
 
-pub use group::{Frame, FrameHeader, Group};
-pub use header::{MAGIC, NEWEST_VERSION, StreamHeader};
-pub use index::{GroupEntry, Index, SensorModelEntry};
+pub use group::{Frame, FrameHeader, Group, STREAMS_MAX};
+pub use header::{MAGIC, StreamHeader, VERSION};
+pub use index::{FrameEntry, GroupEntry, Index, ScannerEntry};
 pub use reader::{IndexedReader, Record, StreamReader};
 pub use salvage::{Lost, SalvageReader, Salvaged};
+pub use scanner::ScannerRecord;
 pub use section::{Section, SectionKind};
+pub use stamp::{Stamp, Time, TimeSource, Unit};
 pub use writer::StreamWriter;
 
 #[cfg(test)]

@@ -5,14 +5,15 @@ use std::io::{Read, Seek, SeekFrom};
 use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
 use super::index::{END_LENGTH, Index, read_end_payload};
-use super::record::{END, GROUP, INDEX, RawRecord, SENSOR_MODEL, SKIPPABLE, read_record};
+use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, SKIPPABLE, read_record};
+use super::scanner::ScannerRecord;
 use crate::ground::error::{Error, Limits, Result};
 
 /// What a stream is made of.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Record {
-    /// A sensor model; its number is one more than that of the model before, the first being 1.
-    SensorModel(Vec<u8>),
+    /// A scanner; its number is one more than that of the scanner before, the first being 1.
+    Scanner(ScannerRecord),
     /// The sequence's next group.
     Group(Group),
 }
@@ -36,7 +37,7 @@ impl<R: Read> StreamReader<R> {
     /// Reads the stream header.
     ///
     /// # Errors
-    /// If the input fails, is no stream, is damaged, or was written by a newer program.
+    /// If the input fails, is no stream, is damaged, or is of another version of the format.
     pub fn open(mut input: R, limits: Limits) -> Result<Self> {
         let header = StreamHeader::read_from(&mut input)?;
         let position = HEADER_LENGTH as u64;
@@ -66,7 +67,7 @@ impl<R: Read> StreamReader<R> {
         &self.seen
     }
 
-    /// The next sensor model or group, or `None` after the last.
+    /// The next scanner or group, or `None` after the last.
     ///
     /// # Errors
     /// If the input fails, is damaged or cut short, goes over the limits, or holds what only a newer
@@ -87,18 +88,19 @@ impl<R: Read> StreamReader<R> {
 
     fn accept(&mut self, raw: RawRecord, offset: u64) -> Result<Option<Record>> {
         check_intact(&raw, &self.limits)?;
-        if self.index_offset.is_some() && matches!(raw.kind, SENSOR_MODEL | GROUP | INDEX) {
+        if self.index_offset.is_some() && matches!(raw.kind, SCANNER | GROUP | INDEX) {
             return Err(Error::corrupt("it comes after the index"));
         }
         match raw.kind {
-            SENSOR_MODEL => {
-                self.seen.push_sensor_model(offset, raw.length);
-                return Ok(Some(Record::SensorModel(raw.payload)));
+            SCANNER => {
+                let scanner = ScannerRecord::read_from(&raw.payload)?;
+                self.seen.push_scanner(offset, raw.length);
+                return Ok(Some(Record::Scanner(scanner)));
             }
             GROUP => {
-                let (group, frame_sizes) = Group::read_from(&raw.payload, &self.limits)?;
+                let (group, frames) = Group::read_from(&raw.payload, &self.limits)?;
                 check_reference(&group, &self.seen)?;
-                self.seen.push_group(offset, raw.length, frame_sizes);
+                self.seen.push_group(offset, raw.length, frames);
                 return Ok(Some(Record::Group(group)));
             }
             INDEX => {
@@ -108,7 +110,7 @@ impl<R: Read> StreamReader<R> {
                 self.index_offset = Some(offset);
             }
             END => self.accept_end(&raw)?,
-            kind if kind & SKIPPABLE != 0 => {}
+            SKIPPABLE.. => {}
             kind => return Err(Error::unsupported(format!("record of unknown kind {kind}"))),
         }
         Ok(None)
@@ -169,17 +171,17 @@ impl<R: Read + Seek> IndexedReader<R> {
         &self.index
     }
 
-    /// The sensor model with this number, the first being 1.
+    /// The scanner with this number, the first being 1.
     ///
     /// # Errors
-    /// If there is no such model, or its record is damaged or not where the index says.
-    pub fn read_sensor_model(&mut self, number: u64) -> Result<Vec<u8>> {
-        let part = format!("sensor model {number}");
+    /// If there is no such scanner, or its record is damaged or not where the index says.
+    pub fn read_scanner(&mut self, number: u64) -> Result<ScannerRecord> {
+        let part = format!("scanner {number}");
         let place = usize::try_from(number).ok().and_then(|number| number.checked_sub(1));
-        let entry = place.and_then(|place| self.index.sensor_models.get(place)).copied();
+        let entry = place.and_then(|place| self.index.scanners.get(place)).copied();
         let entry = entry.ok_or_else(|| Error::corrupt(format!("{part} is not in the index")))?;
-        let raw = self.indexed_record(entry.offset, entry.length, SENSOR_MODEL);
-        Ok(raw.map_err(|e| e.within(&part))?.payload)
+        let raw = self.indexed_record(entry.offset, entry.length, SCANNER);
+        raw.and_then(|raw| ScannerRecord::read_from(&raw.payload)).map_err(|e| e.within(&part))
     }
 
     /// The group at this place of the index, the first being 0.
@@ -196,8 +198,8 @@ impl<R: Read + Seek> IndexedReader<R> {
             .map(|entry| (entry.offset, entry.length))
             .ok_or_else(|| Error::corrupt("it is not in the index"))?;
         let raw = self.indexed_record(offset, length, GROUP)?;
-        let (group, frame_sizes) = Group::read_from(&raw.payload, &self.limits)?;
-        if frame_sizes != self.index.groups[place].frame_sizes {
+        let (group, frames) = Group::read_from(&raw.payload, &self.limits)?;
+        if frames != self.index.groups[place].frames {
             return Err(Error::corrupt("it does not agree with the index"));
         }
         check_reference(&group, &self.index)?;
@@ -240,18 +242,18 @@ fn check_intact(raw: &RawRecord, limits: &Limits) -> Result<()> {
     Err(Error::corrupt("checksum does not match"))
 }
 
-/// An error if the group refers to a sensor model that the stream does not hold.
+/// An error if the group refers to a scanner that the stream does not hold.
 fn check_reference(group: &Group, index: &Index) -> Result<()> {
-    let models = index.sensor_models.len() as u64;
-    if group.sensor_model > models {
-        return Err(Error::corrupt(format!("sensor model {} of {models}", group.sensor_model)));
+    let scanners = index.scanners.len() as u64;
+    match group.scanners.iter().find(|number| **number > scanners) {
+        Some(number) => Err(Error::corrupt(format!("scanner {number} of {scanners}"))),
+        None => Ok(()),
     }
-    Ok(())
 }
 
 fn kind_name(kind: u8) -> &'static str {
     match kind {
-        SENSOR_MODEL => "sensor model",
+        SCANNER => "scanner",
         GROUP => "group",
         INDEX => "index",
         END => "end",
@@ -262,7 +264,7 @@ fn kind_name(kind: u8) -> &'static str {
 /// What an error calls the record that follows those in `seen`.
 fn describe(kind: u8, seen: &Index) -> String {
     match kind {
-        SENSOR_MODEL => format!("sensor model {}", seen.sensor_models.len() + 1),
+        SCANNER => format!("scanner {}", seen.scanners.len() + 1),
         GROUP => format!("group {}", seen.groups.len()),
         INDEX => "index".to_owned(),
         END => "end record".to_owned(),

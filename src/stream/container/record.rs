@@ -8,12 +8,12 @@ use crate::ground::error::{Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
 /// Kinds of records.
-pub(super) const SENSOR_MODEL: u8 = 1;
+pub(super) const SCANNER: u8 = 1;
 pub(super) const GROUP: u8 = 2;
 pub(super) const INDEX: u8 = 3;
 pub(super) const END: u8 = 4;
 
-/// A kind with this bit may be skipped by readers that do not know it.
+/// A kind of a record or section that readers who do not know it may skip: this one and all above.
 pub(super) const SKIPPABLE: u8 = 0x80;
 
 /// A record as read, its checksum computed but not yet judged: the reader knows best what to say.

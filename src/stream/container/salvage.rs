@@ -6,8 +6,9 @@ use std::ops::Range;
 use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
 use super::index::{GroupEntry, Index, read_end_payload};
-use super::record::{END, GROUP, INDEX, RawRecord, SENSOR_MODEL, SKIPPABLE, read_record};
+use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, SKIPPABLE, read_record};
 use super::scan::{FoundRecord, find_records};
+use super::scanner::ScannerRecord;
 use crate::ground::error::{Error, Limits, Result};
 
 /// Groups of the index among which one is looked for that is not where the index says. So many lost in a
@@ -17,8 +18,8 @@ const LOOK_AHEAD: usize = 1000;
 /// A part of a damaged stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Salvaged {
-    /// An intact sensor model and its number, the first being 1.
-    SensorModel(u64, Vec<u8>),
+    /// An intact scanner and its number, the first being 1.
+    Scanner(u64, ScannerRecord),
     /// An intact group.
     Group {
         /// Number of its first frame in the sequence; of those that were found, if nothing tells how
@@ -51,8 +52,6 @@ pub struct Lost {
 pub struct SalvageReader<R> {
     input: R,
     limits: Limits,
-    /// From the stream; as this program writes it, if that is damaged.
-    header: StreamHeader,
     size: u64,
     records: Vec<FoundRecord>,
     /// The next of the records.
@@ -60,8 +59,8 @@ pub struct SalvageReader<R> {
     index: Option<Index>,
     /// The place in the index of the next group; those before were found, or are lost.
     next_entry: usize,
-    /// The number of the last sensor model found.
-    last_model: u64,
+    /// The number of the last scanner found.
+    last_scanner: u64,
     /// Where the last record ended.
     position: u64,
     next_frame: u64,
@@ -70,37 +69,36 @@ pub struct SalvageReader<R> {
 }
 
 impl<R: Read + Seek> SalvageReader<R> {
-    /// Looks for the records. `is_sensor_model` tells whether bytes are the payload of a sensor model's.
+    /// Looks for the records. `is_scanner` tells whether a record is of a scanner.
     ///
     /// # Errors
-    /// If the input fails, is no stream, or was written by a newer program.
-    pub fn open(mut input: R, limits: Limits, is_sensor_model: impl Fn(&[u8]) -> bool) -> Result<Self> {
+    /// If the input fails, is no stream, or is of another version of the format.
+    pub fn open(mut input: R, limits: Limits, is_scanner: impl Fn(&ScannerRecord) -> bool) -> Result<Self> {
         input.seek(SeekFrom::Start(0))?;
         let read = StreamHeader::read_from(&mut input);
         let start = if read.is_ok() { HEADER_LENGTH as u64 } else { 0 };
         let is_one = |raw: &RawRecord| match raw.kind {
-            SENSOR_MODEL => is_sensor_model(&raw.payload),
+            SCANNER => ScannerRecord::read_from(&raw.payload).is_ok_and(|record| is_scanner(&record)),
             GROUP => Group::read_from(&raw.payload, &limits).is_ok(),
             INDEX => Index::read_from(&raw.payload).is_ok(),
             END => read_end_payload(&raw.payload).is_ok(),
             _ => false,
         };
         let records = find_records(&mut input, start, &limits, is_one)?;
-        let header = match read {
-            Err(Error::Corrupt { .. } | Error::BadMagic(_)) if !records.is_empty() => StreamHeader::default(),
-            read => read?,
-        };
+        match read {
+            Err(Error::Corrupt { .. } | Error::BadMagic(_)) if !records.is_empty() => {}
+            read => drop(read?),
+        }
         let size = input.seek(SeekFrom::End(0))?;
         let mut reader = SalvageReader {
             input,
             limits,
-            header,
             size,
             records,
             next: 0,
             index: None,
             next_entry: 0,
-            last_model: 0,
+            last_scanner: 0,
             position: start,
             next_frame: 0,
             ended: false,
@@ -109,11 +107,6 @@ impl<R: Read + Seek> SalvageReader<R> {
             reader.index = Index::read_from(&reader.read(found)?.payload).ok();
         }
         Ok(reader)
-    }
-
-    /// The stream header.
-    pub fn header(&self) -> &StreamHeader {
-        &self.header
     }
 
     /// Whether an intact index tells the numbers of the frames.
@@ -200,7 +193,7 @@ impl<R: Read + Seek> SalvageReader<R> {
         while self.position < offset {
             self.input.seek(SeekFrom::Start(self.position))?;
             match read_record(&mut self.input.by_ref().take(offset - self.position), &self.limits) {
-                Ok(raw) if raw.kind & SKIPPABLE != 0 && raw.intact => self.position += raw.length,
+                Ok(raw) if raw.kind >= SKIPPABLE && raw.intact => self.position += raw.length,
                 Err(Error::Io(error)) => return Err(error.into()),
                 _ => break,
             }
@@ -229,10 +222,11 @@ impl<R: Read + Seek> SalvageReader<R> {
 
     fn accept(&mut self, found: FoundRecord, first_frame: u64) -> Result<Option<Salvaged>> {
         match found.kind {
-            SENSOR_MODEL => {
-                let number = self.number_of_model(found);
-                self.last_model = number;
-                Ok(Some(Salvaged::SensorModel(number, self.read(found)?.payload)))
+            SCANNER => {
+                let number = self.number_of_scanner(found);
+                self.last_scanner = number;
+                let record = ScannerRecord::read_from(&self.read(found)?.payload)?;
+                Ok(Some(Salvaged::Scanner(number, record)))
             }
             GROUP => Ok(Some(self.accept_group(found, first_frame)?)),
             _ => Ok(None),
@@ -248,11 +242,11 @@ impl<R: Read + Seek> SalvageReader<R> {
         Ok(Salvaged::Group { first_frame, bytes: found.offset..found.end(), group })
     }
 
-    /// The number of a sensor model: its place in the index, or one more than that of the last.
-    fn number_of_model(&self, found: FoundRecord) -> u64 {
-        let models = self.index.as_ref().map_or(&[][..], |index| &index.sensor_models);
-        let place = models.iter().position(|entry| entry.offset == found.offset);
-        place.map_or(self.last_model + 1, |place| place as u64 + 1)
+    /// The number of a scanner: its place in the index, or one more than that of the last.
+    fn number_of_scanner(&self, found: FoundRecord) -> u64 {
+        let scanners = self.index.as_ref().map_or(&[][..], |index| &index.scanners);
+        let place = scanners.iter().position(|entry| entry.offset == found.offset);
+        place.map_or(self.last_scanner + 1, |place| place as u64 + 1)
     }
 
     fn read(&mut self, found: FoundRecord) -> Result<RawRecord> {

@@ -8,7 +8,8 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::io::{Read, Seek, SeekFrom};
 
-use super::record::{END, GROUP, INDEX, RawRecord, SENSOR_MODEL, read_record};
+use super::group::STREAMS_MAX;
+use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
 use crate::ground::error::{Limits, Result};
 use crate::ground::varint::read_unsigned;
 
@@ -189,7 +190,7 @@ fn multiply(a: u32, mut b: u32) -> u32 {
 /// A record that may begin here, and the length of its kind and length.
 fn begin(bytes: &[u8], offset: u64, size: u64, limits: &Limits) -> Option<(FoundRecord, usize)> {
     let (&kind, mut rest) = bytes.split_first()?;
-    if !matches!(kind, SENSOR_MODEL | GROUP | INDEX | END) || bytes.len() < SHORTEST {
+    if !matches!(kind, SCANNER | GROUP | INDEX | END) || bytes.len() < SHORTEST {
         return None;
     }
     let before = rest.len();
@@ -205,17 +206,20 @@ fn may_be(kind: u8, head: usize, bytes: &[u8], offset: u64) -> bool {
     let mut next = || read_unsigned(&mut payload, "number").ok();
     match kind {
         GROUP => {
-            let (Some(_model), Some(_frames), Some(name_length)) = (next(), next(), next()) else {
+            let Some(scanners @ 1..=STREAMS_MAX) = next() else { return false };
+            // Their numbers, and that of the frames.
+            if (0..=scanners).any(|_| next().is_none()) {
                 return false;
-            };
+            }
+            let Some(name_length) = next() else { return false };
             let name = usize::try_from(name_length).ok().and_then(|length| payload.get(..length));
             name_length <= 255 && name.is_some_and(|name| std::str::from_utf8(name).is_ok())
         }
         INDEX => {
-            let (Some(models), Some(first)) = (next(), next()) else { return false };
-            models < offset && first < offset
+            let (Some(scanners), Some(first)) = (next(), next()) else { return false };
+            scanners < offset && first < offset
         }
-        SENSOR_MODEL => true,
+        SCANNER => true,
         _ => false,
     }
 }
@@ -234,22 +238,22 @@ mod tests {
 
     /// The payload of a group whose only frame is called `name`, as far as the scan looks at it.
     fn group(length: usize) -> Vec<u8> {
-        let mut payload = vec![0, 1, 1, b'a'];
-        payload.extend((4..length).map(|place| (place * 7 % 251) as u8));
+        let mut payload = vec![1, 0, 1, 1, b'a'];
+        payload.extend((5..length).map(|place| (place * 7 % 251) as u8));
         payload
     }
 
     #[test]
     fn records_of_any_length_are_found_between_any_bytes() {
         let noise = |length: u32| (0..length).map(|n| (n.wrapping_mul(2_654_435_761) >> 23) as u8);
-        for length in [4, 100, WINDOW - 20, WINDOW, WINDOW + 1, CHUNK, 3 * CHUNK + 5] {
+        for length in [5, 100, WINDOW - 20, WINDOW, WINDOW + 1, CHUNK, 3 * CHUNK + 5] {
             for before in [0, 1, 3000, CHUNK as u32 - 3, CHUNK as u32 + 9000] {
                 let mut bytes: Vec<u8> = noise(before).collect();
                 write_record(&mut bytes, GROUP, &group(length)).unwrap();
                 bytes.extend(noise(300));
                 let second = bytes.len() as u64;
-                write_record(&mut bytes, SENSOR_MODEL, &group(50)).unwrap();
-                assert_eq!(find(&bytes), [(u64::from(before), GROUP), (second, SENSOR_MODEL)]);
+                write_record(&mut bytes, SCANNER, &group(50)).unwrap();
+                assert_eq!(find(&bytes), [(u64::from(before), GROUP), (second, SCANNER)]);
             }
         }
     }
@@ -257,7 +261,7 @@ mod tests {
     #[test]
     fn a_record_inside_a_record_is_not_one() {
         let mut inner = group(10_000);
-        write_record(&mut inner, SENSOR_MODEL, &[7; 30]).unwrap();
+        write_record(&mut inner, SCANNER, &[7; 30]).unwrap();
         let mut bytes = vec![9; 40];
         write_record(&mut bytes, GROUP, &[&inner[..], &[1; 20_000]].concat()).unwrap();
         assert_eq!(find(&bytes), [(40, GROUP)]);
@@ -270,7 +274,7 @@ mod tests {
     #[test]
     fn a_stream_that_looks_like_records_everywhere_takes_no_long_time() {
         // A long record may begin at every fourth byte: 1.5 * 10^11 bytes of checksums, one by one.
-        let bytes: Vec<u8> = [SENSOR_MODEL, 0x80, 0x80, 0x10].into_iter().cycle().take(1 << 20).collect();
+        let bytes: Vec<u8> = [SCANNER, 0x80, 0x80, 0x10].into_iter().cycle().take(1 << 20).collect();
         assert_eq!(find(&bytes), []);
     }
 }

@@ -2,46 +2,48 @@
 
 use std::fmt;
 
+use super::record::SKIPPABLE;
 use super::wire::{take, take_u32};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
-/// What a section holds. The numbers are those of the format.
+/// What a section holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[repr(u8)]
 pub enum SectionKind {
     /// Layout of the file, and the bytes before and after the records.
-    File = 1,
+    File,
     /// Which columns of the range image are used.
-    Columns = 2,
+    Columns,
     /// Which cells of the range image hold a point.
-    Occupancy = 3,
+    Occupancy,
     /// Ranges.
-    Range = 4,
+    Range,
     /// What rounding leaves between the model's coordinates and the file's.
-    Correction = 5,
+    Correction,
     /// Intensities.
-    Intensity = 6,
+    Intensity,
     /// Where the points' order differs from the canonical one.
-    Order = 7,
+    Order,
     /// Points that no model explains, as they come.
-    Points = 8,
+    Points,
     /// Fields other than position and intensity.
-    Extra = 9,
-    /// How the frame is coded; left out if by the defaults.
-    Parameters = 10,
+    Extra,
+    /// How the frame is coded; the first of all.
+    Parameters,
     /// The contour map: which region each return belongs to.
-    Contour = 11,
+    Contour,
     /// The models of the regions.
-    Regions = 12,
+    Regions,
     /// What prediction leaves of the ranges, coded by a general-purpose back-end.
-    Residual = 13,
+    Residual,
     /// How the points were moved after they were measured; left out if they were not.
-    Compensation = 14,
+    Compensation,
+    /// Something that this program does not know, of this number, but may leave aside.
+    Skippable(u8),
 }
 
 impl SectionKind {
-    /// All kinds, in the order of their numbers.
+    /// All kinds that this program knows, in the order of their numbers, the first of which is 1.
     pub const ALL: [SectionKind; 14] = [
         SectionKind::File,
         SectionKind::Columns,
@@ -76,12 +78,29 @@ impl SectionKind {
             SectionKind::Regions => "regions",
             SectionKind::Residual => "residual",
             SectionKind::Compensation => "compensation",
+            SectionKind::Skippable(_) => "skippable",
+        }
+    }
+
+    /// The number in the stream.
+    pub fn number(self) -> u8 {
+        match self {
+            SectionKind::Skippable(number) => number,
+            known => 1 + Self::ALL.iter().take_while(|kind| **kind != known).count() as u8,
         }
     }
 
     /// The kind with this number, if there is one.
     pub fn from_number(number: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| *kind as u8 == number)
+        match number {
+            SKIPPABLE.. => Some(SectionKind::Skippable(number)),
+            _ => Self::ALL.get(usize::from(number).checked_sub(1)?).copied(),
+        }
+    }
+
+    /// Whether a decoder leaves the section aside.
+    pub fn is_skippable(self) -> bool {
+        matches!(self, SectionKind::Skippable(_))
     }
 }
 
@@ -104,7 +123,7 @@ impl Section {
     /// Appends kind, length, payload and the checksum over all three.
     pub fn write_to(&self, out: &mut Vec<u8>) {
         let start = out.len();
-        out.push(self.kind as u8);
+        out.push(self.kind.number());
         write_unsigned(out, self.payload.len() as u64);
         out.extend_from_slice(&self.payload);
         let crc = crc32c::crc32c(&out[start..]);
@@ -137,12 +156,13 @@ mod tests {
 
     #[test]
     fn comes_back_and_leaves_what_follows() {
-        for kind in SectionKind::ALL {
-            let section = Section { kind, payload: vec![kind as u8; 200] };
+        for kind in SectionKind::ALL.into_iter().chain([128, 255].map(SectionKind::Skippable)) {
+            let section = Section { kind, payload: vec![kind.number(); 200] };
             let mut bytes = Vec::new();
             section.write_to(&mut bytes);
             bytes.extend_from_slice(b"next");
             let mut input = &bytes[..];
+            assert_eq!(SectionKind::from_number(bytes[0]), Some(kind));
             assert_eq!(Section::read_from(&mut input).unwrap(), section);
             assert_eq!(input, b"next");
         }
@@ -150,6 +170,7 @@ mod tests {
 
     #[test]
     fn an_unknown_kind_is_named() {
+        assert_eq!([0, 15, 77, 127].map(SectionKind::from_number), [None; 4]);
         let mut bytes = vec![77, 1, 42];
         let crc = crc32c::crc32c(&bytes);
         bytes.extend_from_slice(&crc.to_le_bytes());

@@ -6,9 +6,20 @@ use super::record::write_record;
 use super::*;
 use crate::ground::error::{Error, Limits, Result};
 
+/// What is said of frames: this and that.
+fn stamp(number: u8) -> Stamp {
+    let time = |source| Some(Time { source, nanoseconds: -1_000_000_007 * i64::from(number) });
+    match number {
+        0 => Stamp::default(),
+        1 => Stamp { unit: Unit::Message, stream: 2, time: time(TimeSource::Recording) },
+        _ => Stamp { unit: Unit::Points, stream: 0, time: time(TimeSource::List) },
+    }
+}
+
 fn frame(number: u8, sections: usize) -> Frame {
     let header = FrameHeader {
         name: format!("{number:010}.bin"),
+        stamp: stamp(number),
         file_size: 1000 + u64::from(number),
         file_crc: 0x1234_5678,
         point_count: 62,
@@ -17,21 +28,26 @@ fn frame(number: u8, sections: usize) -> Frame {
     Frame { header, sections: kinds.map(|kind| Section { kind, payload: vec![number; 5] }).collect() }
 }
 
-/// Two sensor models, three groups of two, one and no frames.
+/// Two scanners, three groups of two, one and no frames.
 fn sample_groups() -> [Group; 3] {
     [
-        Group { sensor_model: 1, frames: vec![frame(0, 3), frame(1, 0)] },
-        Group { sensor_model: 2, frames: vec![frame(2, 9)] },
-        Group { sensor_model: 0, frames: vec![] },
+        Group { scanners: vec![1, 0, 1], frames: vec![frame(0, 3), frame(1, 0)] },
+        Group { scanners: vec![2], frames: vec![frame(2, 9)] },
+        Group { scanners: vec![0], frames: vec![] },
     ]
 }
 
+/// Of two families, one of which has nothing more to say.
+fn scanner(number: u64) -> ScannerRecord {
+    ScannerRecord { family: number * 100, payload: [&b""[..], b"first"][number as usize % 2].to_vec() }
+}
+
 fn sample_stream() -> Vec<u8> {
-    let mut writer = StreamWriter::create(Vec::new(), &StreamHeader::default()).unwrap();
+    let mut writer = StreamWriter::create(Vec::new()).unwrap();
     let groups = sample_groups();
-    assert_eq!(writer.write_sensor_model(b"first").unwrap(), 1);
+    assert_eq!(writer.write_scanner(&scanner(1)).unwrap(), 1);
     writer.write_group(&groups[0]).unwrap();
-    assert_eq!(writer.write_sensor_model(b"second").unwrap(), 2);
+    assert_eq!(writer.write_scanner(&scanner(2)).unwrap(), 2);
     writer.write_group(&groups[1]).unwrap();
     writer.write_group(&groups[2]).unwrap();
     let (bytes, length) = writer.finish().unwrap();
@@ -53,8 +69,10 @@ fn read_all(bytes: &[u8]) -> Result<(Vec<Record>, Index)> {
 fn a_stream_comes_back_front_to_back() {
     let (records, index) = read_all(&sample_stream()).unwrap();
     let [a, b, c] = sample_groups().map(Record::Group);
-    let models = [&b"first"[..], b"second"].map(|model| Record::SensorModel(model.to_vec()));
-    assert_eq!(records, [models[0].clone(), a, models[1].clone(), b, c]);
+    let [first, second] = [1, 2].map(|number| Record::Scanner(scanner(number)));
+    assert_eq!(records, [first, a, second, b, c]);
+    let stamps = index.groups.iter().flat_map(|group| &group.frames).map(|frame| frame.stamp);
+    assert_eq!(stamps.collect::<Vec<_>>(), [0, 1, 2].map(stamp));
     assert_eq!(index.groups.iter().map(|group| group.first_frame).collect::<Vec<_>>(), [0, 2, 3]);
     assert_eq!(index.frame_count(), 3);
 }
@@ -67,9 +85,9 @@ fn a_stream_comes_back_through_its_index() {
     for (place, group) in sample_groups().iter().enumerate().rev() {
         assert_eq!(reader.read_group(place).unwrap(), *group);
     }
-    assert_eq!(reader.read_sensor_model(2).unwrap(), b"second");
-    assert!(reader.read_sensor_model(0).is_err());
-    assert!(reader.read_sensor_model(3).is_err());
+    assert_eq!(reader.read_scanner(2).unwrap(), scanner(2));
+    assert!(reader.read_scanner(0).is_err());
+    assert!(reader.read_scanner(3).is_err());
     assert!(reader.read_group(3).is_err());
 }
 
@@ -128,11 +146,11 @@ fn an_unknown_record_is_named_or_skipped() {
 }
 
 #[test]
-fn a_reference_to_a_missing_sensor_model_is_an_error() {
-    let mut writer = StreamWriter::create(Vec::new(), &StreamHeader::default()).unwrap();
+fn a_reference_to_a_missing_scanner_is_an_error() {
+    let mut writer = StreamWriter::create(Vec::new()).unwrap();
     writer.write_group(&sample_groups()[0]).unwrap();
     let (bytes, _) = writer.finish().unwrap();
-    assert!(read_all(&bytes).unwrap_err().to_string().contains("sensor model 1 of 0"));
+    assert!(read_all(&bytes).unwrap_err().to_string().contains("scanner 1 of 0"));
     let mut reader = IndexedReader::open(Cursor::new(&bytes), Limits::default()).unwrap();
     assert!(reader.read_group(0).is_err());
 }
@@ -225,13 +243,13 @@ fn records_that_contradict_each_other_are_an_error() {
     assert!(with(&[the_index, (0x89, b"new"), the_end]).is_ok(), "what may be skipped is not");
 
     let mut other = index.clone();
-    other.groups[1].frame_sizes[0] += 1;
+    other.groups[1].frames[0].size += 1;
     let mut other_payload = Vec::new();
     other.write_to(&mut other_payload);
     for (tail, complaint) in [
         (&[(record::INDEX, &other_payload[..]), the_end][..], "agree"),
         (&[the_end], "point at the index"),
-        (&[the_index, (record::SENSOR_MODEL, b"late"), the_end], "after the index"),
+        (&[the_index, (record::SCANNER, b"late"), the_end], "after the index"),
         (&[the_index, the_index, the_end], "after the index"),
         (&[the_index, (record::END, &index::end_payload(12))], "point at the index"),
         (&[the_index, (record::END, b"short")], "cut short"),

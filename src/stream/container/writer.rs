@@ -5,7 +5,8 @@ use std::io::Write;
 use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
 use super::index::{Index, end_payload};
-use super::record::{END, GROUP, INDEX, SENSOR_MODEL, write_record};
+use super::record::{END, GROUP, INDEX, SCANNER, write_record};
+use super::scanner::ScannerRecord;
 use crate::ground::error::Result;
 
 /// Writes a stream, front to back, keeping only the index in memory.
@@ -21,8 +22,8 @@ impl<W: Write> StreamWriter<W> {
     ///
     /// # Errors
     /// This and all other functions: if `out` fails.
-    pub fn create(mut out: W, header: &StreamHeader) -> Result<Self> {
-        header.write_to(&mut out)?;
+    pub fn create(mut out: W) -> Result<Self> {
+        StreamHeader::default().write_to(&mut out)?;
         Ok(StreamWriter { out, position: HEADER_LENGTH as u64, index: Index::default() })
     }
 
@@ -41,15 +42,17 @@ impl<W: Write> StreamWriter<W> {
         &self.index
     }
 
-    /// Writes a sensor model; returns the number by which groups refer to it (1 is the first).
+    /// Writes a scanner; returns the number by which groups refer to it (1 is the first).
     ///
     /// # Errors
     /// If the output fails.
-    pub fn write_sensor_model(&mut self, model: &[u8]) -> Result<u64> {
-        let length = write_record(&mut self.out, SENSOR_MODEL, model)?;
-        self.index.push_sensor_model(self.position, length);
+    pub fn write_scanner(&mut self, scanner: &ScannerRecord) -> Result<u64> {
+        let mut payload = Vec::new();
+        scanner.write_to(&mut payload);
+        let length = write_record(&mut self.out, SCANNER, &payload)?;
+        self.index.push_scanner(self.position, length);
         self.position += length;
-        Ok(self.index.sensor_models.len() as u64)
+        Ok(self.index.scanners.len() as u64)
     }
 
     /// Writes the sequence's next group, down to whoever reads the output as it grows.
@@ -58,10 +61,10 @@ impl<W: Write> StreamWriter<W> {
     /// If the output fails.
     pub fn write_group(&mut self, group: &Group) -> Result<()> {
         let mut payload = Vec::new();
-        let frame_sizes = group.write_to(&mut payload);
+        let frames = group.write_to(&mut payload);
         let length = write_record(&mut self.out, GROUP, &payload)?;
         self.out.flush()?;
-        self.index.push_group(self.position, length, frame_sizes);
+        self.index.push_group(self.position, length, frames);
         self.position += length;
         Ok(())
     }

@@ -167,9 +167,9 @@ mod tests {
 
     fn sample() -> Sample {
         let config = SynthConfig { frames: 4, thinning: 10, ..SynthConfig::default() };
-        let frame = |frame: crate::study::synth::SynthFrame| FrameInput::Memory {
-            bytes: frame.to_bin(),
-            name: frame.name,
+        let frame = |frame: crate::study::synth::SynthFrame| {
+            let bytes = frame.to_bin();
+            FrameInput::memory(frame.name, bytes)
         };
         let frames: Vec<_> = drive(&config).map(frame).collect();
         Sample::read(&frames, Extent { runs: 1, frames_a_run: 4 }).unwrap()

@@ -129,7 +129,7 @@ mod tests {
     #[test]
     fn progress_ends_where_it_was_said_to() {
         let config = SynthConfig { frames: 2, thinning: 20, ..SynthConfig::default() };
-        let frame = |(name, bytes)| FrameInput::Memory { name, bytes };
+        let frame = |(name, bytes)| FrameInput::memory(name, bytes);
         let frames: Vec<_> = drive(&config).map(|scan| frame((scan.name.clone(), scan.to_bin()))).collect();
         let base = EncoderConfig {
             projection: ProjectionKind::Ideal { columns: 150, range_step_um: 10_000 },

@@ -50,7 +50,7 @@ impl Sample {
         let (mut inputs, mut clouds) = (Vec::new(), Vec::new());
         for frame in places.iter().map(|&place| &frames[place]) {
             let (name, bytes) = (frame.name()?.to_owned(), frame.read()?);
-            inputs.push(FrameInput::Memory { name: name.clone(), bytes: bytes.clone() });
+            inputs.push(FrameInput::memory(name.clone(), bytes.clone()));
             clouds.push(parse(&name, bytes).cloud);
         }
         Ok(Sample { places, inputs, clouds, run })
@@ -113,7 +113,7 @@ mod tests {
 
     #[test]
     fn samples_know_which_frames_have_a_reference() {
-        let frame = |n: usize| FrameInput::Memory { name: format!("{n}.bin"), bytes: vec![0; 16 * (n + 1)] };
+        let frame = |n: usize| FrameInput::memory(format!("{n}.bin"), vec![0; 16 * (n + 1)]);
         let frames: Vec<_> = (0..10).map(frame).collect();
         let sample = Sample::read(&frames, Extent { runs: 2, frames_a_run: 3 }).unwrap();
         assert_eq!(sample.describe(), "6 frames (0 to 2, 7 to 9)");

@@ -1,0 +1,147 @@
+//! What a frame was, whose it is, and of when.
+
+use crate::ground::error::{Error, Result};
+use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
+
+/// What the bytes are that a frame decodes to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Unit {
+    /// A file.
+    #[default]
+    File = 0,
+    /// A message of a recording.
+    Message = 1,
+    /// Points that were handed over in memory.
+    Points = 2,
+}
+
+impl Unit {
+    const ALL: [Unit; 3] = [Unit::File, Unit::Message, Unit::Points];
+
+    /// Its name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Unit::File => "file",
+            Unit::Message => "message",
+            Unit::Points => "points",
+        }
+    }
+}
+
+/// Who told the time of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TimeSource {
+    /// The recording that it is from, or the caller.
+    Recording = 1,
+    /// The file's name.
+    FileName = 2,
+    /// A list beside the files.
+    List = 3,
+}
+
+impl TimeSource {
+    const ALL: [TimeSource; 3] = [TimeSource::Recording, TimeSource::FileName, TimeSource::List];
+
+    /// Its name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            TimeSource::Recording => "recording",
+            TimeSource::FileName => "file name",
+            TimeSource::List => "list",
+        }
+    }
+}
+
+/// A point in time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Time {
+    /// Who told it.
+    pub source: TimeSource,
+    /// Nanoseconds since the beginning of 1970, UTC.
+    pub nanoseconds: i64,
+}
+
+/// What a frame was, whose it is, and of when. The same in the frame's header and in the index.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Stamp {
+    /// What its bytes are.
+    pub unit: Unit,
+    /// Its place among the streams of the group, the first being 0: each is of a scanner of its own.
+    pub stream: u8,
+    /// When it was taken, if anybody told.
+    pub time: Option<Time>,
+}
+
+impl Stamp {
+    /// Appends unit, stream and time.
+    pub(super) fn write_to(&self, out: &mut Vec<u8>) {
+        write_unsigned(out, self.unit as u64);
+        write_unsigned(out, u64::from(self.stream));
+        write_unsigned(out, self.time.map_or(0, |time| time.source as u64));
+        if let Some(time) = self.time {
+            write_signed(out, time.nanoseconds);
+        }
+    }
+
+    /// Takes a stamp off the front of `input`.
+    ///
+    /// # Errors
+    /// If it is cut short, or holds what this program does not know.
+    pub(super) fn read_from(input: &mut &[u8]) -> Result<Self> {
+        let unit = read_unsigned(input, "frame's unit")?;
+        let unit = Unit::ALL
+            .into_iter()
+            .find(|known| *known as u64 == unit)
+            .ok_or_else(|| Error::unsupported(format!("unknown unit {unit} of a frame")))?;
+        let stream = read_unsigned(input, "frame's stream")?;
+        let stream = u8::try_from(stream)
+            .map_err(|_| Error::corrupt(format!("a frame of stream {stream}, which no group has")))?;
+        let time = match read_unsigned(input, "source of a frame's time")? {
+            0 => None,
+            number => {
+                let source =
+                    TimeSource::ALL.into_iter().find(|known| *known as u64 == number).ok_or_else(|| {
+                        Error::unsupported(format!("unknown source {number} of a frame's time"))
+                    })?;
+                Some(Time { source, nanoseconds: read_signed(input, "frame's time")? })
+            }
+        };
+        Ok(Stamp { unit, stream, time })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn comes_back_and_leaves_what_follows() {
+        let times = [i64::MIN, -1, 0, 1_316_998_000_123_456_789, i64::MAX]
+            .into_iter()
+            .flat_map(|nanoseconds| TimeSource::ALL.map(|source| Some(Time { source, nanoseconds })));
+        for time in times.chain([None]) {
+            for (unit, stream) in Unit::ALL.into_iter().zip([0, 7, 254]) {
+                let stamp = Stamp { unit, stream, time };
+                let mut bytes = Vec::new();
+                stamp.write_to(&mut bytes);
+                bytes.push(42);
+                let mut input = &bytes[..];
+                assert_eq!(Stamp::read_from(&mut input).unwrap(), stamp);
+                assert_eq!(input, [42]);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_unknown_is_named() {
+        for (bytes, complaint) in [
+            (&[3u8, 0, 0][..], "unknown unit 3"),
+            (&[0, 0x80, 2, 0], "stream 256"),
+            (&[0, 0, 4, 0], "unknown source 4"),
+            (&[0, 0, 1], "frame's time"),
+        ] {
+            let error = Stamp::read_from(&mut &bytes[..]).unwrap_err().to_string();
+            assert!(error.contains(complaint), "{error}");
+        }
+    }
+}
