@@ -160,7 +160,8 @@ impl<'s> StreamEncoder<'s> {
                 return Some(agreement);
             }
         }
-        let image = RangeImage { columns: frame.columns.clone(), steps: frame.steps.clone() };
+        let image =
+            RangeImage { columns: frame.columns.clone(), spans: Vec::new(), steps: frame.steps.clone() };
         let surface = past.surface(sensor);
         let found = register(surface, &image, sensor, &self.motion.pose(), &self.config.registration);
         let motion = found.and_then(|found| found.pose.quantise());
@@ -289,7 +290,11 @@ impl<'s> GroupDecoder<'s> {
             Some(sensor) => Some(DecodedImage {
                 sensor: sensor.clone(),
                 point_of_cell: frame.point_of_cell(&returns)?,
-                image: RangeImage { columns: take(&mut frame.columns), steps: take(&mut frame.steps) },
+                image: RangeImage {
+                    columns: take(&mut frame.columns),
+                    spans: Vec::new(),
+                    steps: take(&mut frame.steps),
+                },
                 intra: take(&mut frame.intra),
                 motion: (frame.parameters.prediction == Prediction::Inter)
                     .then(|| frame.parameters.motion.pose()),

@@ -90,7 +90,7 @@ impl Models {
             steps.converted += 4 * frame.steps.cells().len() as u64;
             self.code_ranges(sections, sensor, frame, (&levels, reference.as_ref()), steps)?;
             let columns = std::mem::take(&mut frame.columns);
-            let image = RangeImage { columns, steps: std::mem::take(&mut frame.steps) };
+            let image = RangeImage { columns, spans: Vec::new(), steps: std::mem::take(&mut frame.steps) };
             found = image.file_order(sensor);
             let can_be_past = image.steps.cells().len() <= inter::MOST_CELLS;
             if can_be_past && frame.parameters.modelling().has_p_frames() {

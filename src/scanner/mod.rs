@@ -1,6 +1,7 @@
 //! What the scanner is: the formula that turns integers (beam, tick, range steps) into the
 //! coordinates of a file, and the fit of its constants to the sequence at hand.
 
+pub mod firings;
 pub mod hdl64;
 pub mod motion;
 

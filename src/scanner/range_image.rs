@@ -9,8 +9,10 @@ use crate::ground::grid::Grid;
 /// The range image of a scan.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RangeImage {
-    /// The column tick of each column, rising.
+    /// The column tick of each column.
     pub columns: Vec<u32>,
+    /// What else the scanner's family must know of each column; empty if the ticks say all.
+    pub spans: Vec<u32>,
     /// Rows x columns; range in steps, 0 = no return.
     pub steps: Grid<u32>,
 }
@@ -18,7 +20,7 @@ pub struct RangeImage {
 impl RangeImage {
     /// An image without returns.
     pub fn new(rows: usize, columns: Vec<u32>) -> Self {
-        RangeImage { steps: Grid::new(rows, columns.len()), columns }
+        RangeImage { steps: Grid::new(rows, columns.len()), columns, spans: Vec::new() }
     }
 
     /// Number of returns.

@@ -1,0 +1,139 @@
+//! The azimuths of the firings: which tick each has, and how its slots go on from there.
+
+use super::{Firings, Span};
+use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
+use crate::ground::error::{Error, Result};
+use crate::ground::varint::{unzigzag, zigzag};
+
+/// What the last step differed from the one before it by, up to this, is a context of the next.
+const FAR: i64 = 2;
+/// Values of such a context.
+const CONTEXTS: usize = 2 * FAR as usize + 1;
+
+/// What the coder has learned about columns of firings.
+#[derive(Clone)]
+pub struct FiringColumnModel {
+    count: IntegerModel,
+    /// Whether a column is of the same block as the one before it, by whether that was.
+    same_block: [AdaptiveBit; 2],
+    /// What a step differs from the one before it by.
+    steps: Vec<IntegerModel>,
+    /// What a span differs from the step to the next block by.
+    spans: Vec<IntegerModel>,
+    /// The number of the firing in its block, by whether it follows one of the same block.
+    firing: [AdaptiveBit; 2],
+}
+
+impl Default for FiringColumnModel {
+    fn default() -> Self {
+        FiringColumnModel {
+            count: IntegerModel::default(),
+            same_block: Default::default(),
+            steps: vec![IntegerModel::default(); CONTEXTS],
+            spans: vec![IntegerModel::default(); CONTEXTS],
+            firing: Default::default(),
+        }
+    }
+}
+
+fn context(difference: i64) -> usize {
+    (difference.clamp(-FAR, FAR) + FAR) as usize
+}
+
+fn code_signed<C: BitCoder>(model: &mut IntegerModel, coder: &mut C, value: i64) -> i64 {
+    unzigzag(model.code(coder, zigzag(value) & (u64::MAX >> 1)))
+}
+
+impl FiringColumnModel {
+    /// Codes the ticks of columns, and their spans if the scanner has any.
+    ///
+    /// # Errors
+    /// If there are more columns than `most`, or a number is none that a column can have.
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        scanner: &Firings,
+        (columns, spans): (&mut Vec<u32>, &mut Vec<u32>),
+        most: u64,
+    ) -> Result<()> {
+        let count = self.count.code(coder, columns.len() as u64);
+        if count > most {
+            return Err(Error::LimitExceeded {
+                what: "columns of the range image".to_owned(),
+                got: count,
+                max: most,
+            });
+        }
+        let interpolated = scanner.timing.is_interpolated();
+        let turn = i64::from(scanner.ticks);
+        if !C::ENCODES {
+            columns.clear();
+        }
+        let (mut last_tick, mut last_step, mut change) = (0i64, 0i64, 0i64);
+        let mut was_same = false;
+        // The number of the block that each column is of.
+        let mut blocks = Vec::new();
+        for column in 0..count as usize {
+            if coder.is_exhausted() {
+                return Ok(());
+            }
+            let tick = if C::ENCODES { i64::from(columns[column]) } else { 0 };
+            let same = interpolated
+                && self.same_block[usize::from(was_same)]
+                    .code(coder, C::ENCODES && column > 0 && tick == last_tick);
+            was_same = same;
+            if !same {
+                // The shortest way round.
+                let step = (tick - last_tick + turn / 2).rem_euclid(turn) - turn / 2;
+                let difference = code_signed(&mut self.steps[context(change)], coder, step - last_step);
+                let step = last_step.wrapping_add(difference);
+                change = difference;
+                last_tick = last_tick.wrapping_add(step).rem_euclid(turn);
+                last_step = step;
+            }
+            blocks.push(blocks.last().map_or(0, |block| block + usize::from(!same)));
+            if !C::ENCODES {
+                columns.push(last_tick as u32);
+            }
+        }
+        if interpolated { self.code_spans(coder, turn, &blocks, columns, spans) } else { Ok(()) }
+    }
+
+    /// The spans, given the columns' ticks.
+    fn code_spans<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        turn: i64,
+        blocks: &[usize],
+        columns: &[u32],
+        spans: &mut Vec<u32>,
+    ) -> Result<()> {
+        let known = std::mem::take(spans);
+        let (mut difference, mut last) = (0, 0i64);
+        let mut next = 0;
+        for (column, &block) in blocks.iter().enumerate() {
+            if coder.is_exhausted() {
+                return Ok(());
+            }
+            while next < blocks.len() && blocks[next] == block {
+                next += 1;
+            }
+            let follows = column > 0 && blocks[column - 1] == block;
+            let Span { ticks, firing } = Span::of(known.get(column).copied().unwrap_or(0));
+            let firing = u32::from(self.firing[usize::from(follows)].code(coder, firing == 1));
+            if !follows {
+                let expected = match columns.get(next) {
+                    Some(&after) => (i64::from(after) - i64::from(columns[column])).rem_euclid(turn),
+                    None => last,
+                };
+                difference =
+                    code_signed(&mut self.spans[context(difference)], coder, i64::from(ticks) - expected);
+                last = expected.wrapping_add(difference);
+            }
+            let ticks = u32::try_from(last).ok().filter(|&ticks| i64::from(ticks) <= turn);
+            let ticks = ticks.ok_or_else(|| Error::corrupt("columns: a span of more than a turn"))?;
+            spans.push(Span { ticks, firing }.kept());
+        }
+        Ok(())
+    }
+}
