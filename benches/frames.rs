@@ -1,4 +1,4 @@
-//! Whole frames, on one thread: the sensor model is fitted already, and each frame is coded as the
+//! Whole frames, on one thread: the scanner model is fitted already, and each frame is coded as the
 //! next of a group. Points a second.
 
 #![allow(missing_docs)]
@@ -15,17 +15,16 @@ use lidarpc::frame::group::{GroupDecoder, GroupEncoder};
 use lidarpc::frame::settings::EncoderConfig;
 use lidarpc::ground::error::Limits;
 use lidarpc::scan::ScanFile;
-use lidarpc::scanner::SensorModel;
-use lidarpc::scanner::hdl64::fit;
+use lidarpc::scanner::Scanner;
 use lidarpc::stream::container::FrameHeader;
 
 fn frames(c: &mut Criterion) {
     for (name, scans) in drives() {
-        let sensor = fit(&scans);
+        let scanner = Scanner::fit(&scans);
         let mut group = c.benchmark_group(format!("frames/{name}"));
         group.sample_size(10).measurement_time(Duration::from_secs(4));
         group.throughput(Throughput::Elements(points(&scans)));
-        measure(&mut group, "fitted", sensor.as_ref(), &scans);
+        measure(&mut group, "fitted", scanner.as_ref(), &scans);
         measure(&mut group, "unfitted", None, &scans);
         group.finish();
     }
@@ -34,12 +33,12 @@ fn frames(c: &mut Criterion) {
 fn measure(
     group: &mut criterion::BenchmarkGroup<'_, criterion::measurement::WallTime>,
     kind: &str,
-    sensor: Option<&SensorModel>,
+    scanner: Option<&Scanner>,
     scans: &[ScanFile],
 ) {
     let config = EncoderConfig::default();
     let encode = || {
-        let mut encoder = GroupEncoder::new(&[sensor], &config);
+        let mut encoder = GroupEncoder::new(&[scanner], &config);
         let mut encode = |scan: &ScanFile| {
             let header = FrameHeader { point_count: scan.records as u64, ..FrameHeader::default() };
             encoder.encode_frame(scan.clone(), header).unwrap()
@@ -50,7 +49,7 @@ fn measure(
     group.bench_function(format!("encode/{kind}"), |b| b.iter(encode));
     group.bench_function(format!("decode/{kind}"), |b| {
         b.iter(|| {
-            let mut decoder = GroupDecoder::new(&[sensor], &Limits::default());
+            let mut decoder = GroupDecoder::new(&[scanner], &Limits::default());
             let mut steps = StepReport::default();
             for frame in &coded {
                 black_box(decoder.decode_frame(&frame.header, &frame.sections, &mut steps).unwrap());

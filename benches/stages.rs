@@ -16,7 +16,7 @@ use lidarpc::models::{
     ColumnModel, CorrectionModel, OccupancyModel, OrderExceptions, OrderModel, PointModel, RangeContext,
     RangeModel,
 };
-use lidarpc::scanner::SensorModel;
+use lidarpc::scanner::Hdl64;
 use lidarpc::scanner::hdl64::fit;
 use lidarpc::scanner::{EXACT_RANGE_BITS, Projection, REACH, project};
 
@@ -33,7 +33,7 @@ fn stages(c: &mut Criterion) {
 }
 
 /// What is done with one frame, in the order of its coding. Models start afresh each time.
-fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &SensorModel) {
+fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &Hdl64) {
     let cloud = &scans[0].cloud;
     let Projection { image, point_of_cell, .. } = project(sensor, cloud, REACH);
     let occupancy = filled(&image.steps);

@@ -6,7 +6,7 @@ use lidarpc::files::parse;
 use lidarpc::frame::Prediction;
 use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
 use lidarpc::ground::error::Limits;
-use lidarpc::scanner::SensorModel;
+use lidarpc::scanner::Hdl64;
 use lidarpc::stream::container::{IndexedReader, StreamReader};
 
 use crate::common::bound::{bounded, keeps_the_bound};
@@ -77,7 +77,7 @@ pub fn readers(data: &[u8]) {
 /// Any bytes as a sensor model's record; what is one is written as the same bytes.
 pub fn sensor(data: &[u8]) {
     let mut rest = data;
-    if let Ok(model) = SensorModel::read_from(&mut rest) {
+    if let Ok(model) = Hdl64::read_from(&mut rest) {
         let mut written = Vec::new();
         model.write_to(&mut written);
         assert_eq!(written, data[..data.len() - rest.len()]);

@@ -50,7 +50,10 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
             BACKENDS.iter().enumerate().map(coded).collect()
         }
         "readers" => files.map(|(kind, bytes)| [vec![kind], bytes].concat()).to_vec(),
-        "sensor" => STREAMS.iter().flat_map(|(models, _)| models.clone()).collect(),
+        "sensor" => STREAMS
+            .iter()
+            .flat_map(|(scanners, _)| scanners.iter().map(|scanner| scanner.payload.clone()))
+            .collect(),
         _ => {
             let with =
                 |mode: u8| files.iter().map(move |(kind, bytes)| [&[mode, *kind], &bytes[..]].concat());

@@ -12,7 +12,7 @@ use lidarpc::frame::{FrameParameters, Modelling};
 use lidarpc::ground::error::Limits;
 use lidarpc::models::{ByteModel, ColumnModel};
 use lidarpc::scan::{Layout, Wrapping};
-use lidarpc::scanner::{BeamConstants, Coordinates, SensorModel};
+use lidarpc::scanner::{BeamConstants, Coordinates, Hdl64};
 use lidarpc::stream::container::{ScannerRecord, Section, SectionKind};
 use proptest::prelude::*;
 
@@ -138,7 +138,7 @@ proptest! {
     #[test]
     fn any_sensor_record_is_an_error_or_one_meaning(bytes in prop::collection::vec(any::<u8>(), 0..60)) {
         let mut input = &bytes[..];
-        if let Ok(model) = SensorModel::read_from(&mut input) {
+        if let Ok(model) = Hdl64::read_from(&mut input) {
             check_model(&model);
         }
     }
@@ -151,7 +151,7 @@ proptest! {
         let numbers = [head.0, head.1, head.2, head.3].into_iter().chain(constants);
         let mut bytes = Vec::new();
         numbers.for_each(|number| lidarpc::ground::varint::write_unsigned(&mut bytes, number));
-        if let Ok(model) = SensorModel::read_from(&mut &bytes[..]) {
+        if let Ok(model) = Hdl64::read_from(&mut &bytes[..]) {
             check_model(&model);
         }
     }
@@ -166,10 +166,10 @@ fn wild() -> impl Strategy<Value = u64> {
 }
 
 /// The formula of whatever model was accepted gives something everywhere.
-fn check_model(model: &SensorModel) {
+fn check_model(model: &Hdl64) {
     let mut written = Vec::new();
     model.write_to(&mut written);
-    assert_eq!(SensorModel::read_from(&mut &written[..]).unwrap(), *model);
+    assert_eq!(Hdl64::read_from(&mut &written[..]).unwrap(), *model);
     for row in 0..model.rows().min(3) {
         for column in [0, model.ticks / 2, model.ticks - 1] {
             let tick = model.tick_of_column(row, column);
@@ -196,7 +196,7 @@ fn sensor_records_with_impossible_numbers_are_refused() {
                 _ => lidarpc::ground::varint::write_signed(&mut bytes, number),
             }
         }
-        SensorModel::read_from(&mut &bytes[..])
+        Hdl64::read_from(&mut &bytes[..])
     };
     assert!(record(&good).is_ok());
     let bad = [(0, 2), (1, 0), (1, 360_001), (1, -1), (2, 1_000_001), (3, 0), (3, 2), (3, -1)];
@@ -225,13 +225,13 @@ fn file_section(layout: &Layout, records: u64, strays: u64) -> Section {
 }
 
 /// A stream of one frame with these sections behind its parameters, whose header claims so many records.
-fn forged(model: Option<&SensorModel>, records: u64, sections: Vec<Section>) -> Vec<u8> {
+fn forged(model: Option<&Hdl64>, records: u64, sections: Vec<Section>) -> Vec<u8> {
     forged_as(Modelling::Mixed, model, records, sections)
 }
 
 fn forged_as(
     modelling: Modelling,
-    model: Option<&SensorModel>,
+    model: Option<&Hdl64>,
     records: u64,
     mut sections: Vec<Section>,
 ) -> Vec<u8> {
@@ -243,8 +243,7 @@ fn forged_as(
     group.frames[0].sections = sections;
     group.frames[0].header.point_count = records;
     group.scanners = vec![model.is_some().into()];
-    let record =
-        |model: &SensorModel| ScannerRecord { family: SensorModel::FAMILY, payload: model.to_payload() };
+    let record = |model: &Hdl64| ScannerRecord { family: 1, payload: model.to_payload() };
     put_together(&model.map(record).into_iter().collect::<Vec<_>>(), &[group])
 }
 
@@ -257,8 +256,8 @@ fn sections(kinds: &[SectionKind], payload: &[u8]) -> Vec<Section> {
 }
 
 /// A scanner with many beams and ticks.
-fn model(rows: usize, ticks: u32) -> SensorModel {
-    SensorModel::new(Coordinates::Millimetre, ticks, 2000, vec![BeamConstants::default(); rows])
+fn model(rows: usize, ticks: u32) -> Hdl64 {
+    Hdl64::new(Coordinates::Millimetre, ticks, 2000, vec![BeamConstants::default(); rows])
 }
 
 const IMAGE: [SectionKind; 6] = [

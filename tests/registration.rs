@@ -7,14 +7,14 @@ use lidarpc::files::parse;
 use lidarpc::inter::registration::{
     Pose, Registration, RegistrationConfig, RegistrationMethod, RigidMotion, Surface, register,
 };
-use lidarpc::scanner::SensorModel;
+use lidarpc::scanner::Hdl64;
 use lidarpc::scanner::hdl64::fit;
 use lidarpc::scanner::{REACH, RangeImage, project};
 use lidarpc::study::synth::{SynthConfig, SynthFrame, drive};
 
 /// Images of a drive, and the motion that led to each but the first.
 struct Drive {
-    sensor: SensorModel,
+    sensor: Hdl64,
     images: Vec<RangeImage>,
     motions: Vec<RigidMotion>,
 }

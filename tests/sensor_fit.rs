@@ -7,7 +7,7 @@ use common::scans::{Points, moved, random_points, rows, scans, shuffled, single_
 use lidarpc::files::parse;
 use lidarpc::scan::ScanFile;
 use lidarpc::scanner::hdl64::fit;
-use lidarpc::scanner::{Coordinates, SensorModel};
+use lidarpc::scanner::{Coordinates, Hdl64};
 use lidarpc::scanner::{REACH, project};
 use lidarpc::study::synth::SynthConfig;
 
@@ -20,17 +20,17 @@ fn file(points: &Points) -> ScanFile {
     parse("0.bin", kitti(points))
 }
 
-fn fitted(sample: &[Points]) -> Option<SensorModel> {
+fn fitted(sample: &[Points]) -> Option<Hdl64> {
     fit(&sample.iter().map(file).collect::<Vec<_>>())
 }
 
 /// Share of a scan's points that are returns of the range image.
-fn explained(sensor: &SensorModel, points: &Points) -> f64 {
+fn explained(sensor: &Hdl64, points: &Points) -> f64 {
     1.0 - project(sensor, &file(points).cloud, REACH).strays.len() as f64 / points.len() as f64
 }
 
 /// Share of a scan's points that the formula gives to the millimetre.
-fn exact(sensor: &SensorModel, points: &Points) -> f64 {
+fn exact(sensor: &Hdl64, points: &Points) -> f64 {
     let mut exact = 0;
     let mut row = 0;
     for point in points {
@@ -45,7 +45,7 @@ fn exact(sensor: &SensorModel, points: &Points) -> f64 {
 }
 
 /// The sample is fitted, and explains `good` but for a few points.
-fn explains(sample: &[Points], good: &Points, least: f64) -> SensorModel {
+fn explains(sample: &[Points], good: &Points, least: f64) -> Hdl64 {
     let sensor = fitted(sample).expect("a scanner is found");
     let share = explained(&sensor, good);
     assert!(share >= least, "{share} of the points explained, less than {least}");
@@ -54,11 +54,11 @@ fn explains(sample: &[Points], good: &Points, least: f64) -> SensorModel {
 }
 
 /// The model's record gives a model that projects the same, point for point.
-fn comes_back(sensor: &SensorModel, points: &Points) {
+fn comes_back(sensor: &Hdl64, points: &Points) {
     let mut bytes = Vec::new();
     sensor.write_to(&mut bytes);
     let mut input = &bytes[..];
-    let again = SensorModel::read_from(&mut input).unwrap();
+    let again = Hdl64::read_from(&mut input).unwrap();
     assert!(input.is_empty());
     assert_eq!(again, *sensor);
     let (a, b) = (project(sensor, &file(points).cloud, REACH), project(&again, &file(points).cloud, REACH));
@@ -66,7 +66,7 @@ fn comes_back(sensor: &SensorModel, points: &Points) {
     assert_eq!(a.strays, b.strays);
     for found in a.image.file_order(sensor) {
         let place = (found.row as usize, found.tick, found.steps);
-        let bits = |sensor: &SensorModel| sensor.point(place.0, place.1, place.2).map(f64::to_bits);
+        let bits = |sensor: &Hdl64| sensor.point(place.0, place.1, place.2).map(f64::to_bits);
         assert_eq!(bits(sensor), bits(&again));
     }
 }

@@ -75,10 +75,10 @@ impl Way {
     }
 
     fn register(&self, current: &DecodedImage) -> Option<Pose> {
-        let DecodedImage { sensor, image, .. } = self.before.as_ref()?;
-        let surface = Surface::of(sensor, &image.columns, &image.steps);
+        let DecodedImage { scanner, image, .. } = self.before.as_ref()?;
+        let surface = Surface::of(scanner.hdl64()?, &image.columns, &image.steps);
         let config = RegistrationConfig::default();
-        let found = register(&surface, &current.image, &current.sensor, &self.last, &config);
+        let found = register(&surface, &current.image, current.scanner.hdl64()?, &self.last, &config);
         found.map(|found| found.pose)
     }
 }

@@ -9,7 +9,7 @@ use crate::frame::sections::{Effort, SectionReader, SectionWriter};
 use crate::frame::steps::StepReport;
 use crate::frame::syntax::Models;
 use crate::ground::error::{Error, Limits, Result};
-use crate::scanner::SensorModel;
+use crate::scanner::Scanner;
 use crate::stream::container;
 use crate::stream::decoder::{part_name, write_checked};
 use crate::stream::source::GroupJob;
@@ -39,7 +39,7 @@ pub(crate) fn recode_from(start: u64, job: &mut GroupJob, limits: &Limits) -> Re
 
 /// Decodes the frames of a stream of a group by one set of models, and codes them by another.
 struct Recoder<'a> {
-    scanner: Option<&'a SensorModel>,
+    scanner: Option<&'a Scanner>,
     limits: &'a Limits,
     /// What the frames of the old group have taught.
     old: Models,

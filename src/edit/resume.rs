@@ -1,10 +1,10 @@
 //! Going on with an encode that was interrupted, so that the same stream comes of it.
 //!
-//! A group depends on nothing but the program, its settings, the sensor model and the group's files. So the
+//! A group depends on nothing but the program, its settings, the scanner model and the group's files. So the
 //! groups of a partial stream are taken as they are if all of these are what they were: a *journal* beside
 //! the stream tells the program and the settings, and of all files in the stream their names, sizes and
 //! checksums (those in frame headers are of what is decoded, which in a mode with loss is something else).
-//! The files are read and compared, and the sensor model is fitted again. The journal also tells the groups
+//! The files are read and compared, and the scanner model is fitted again. The journal also tells the groups
 //! themselves by a checksum, so it speaks of this stream only, and of nothing that a killed program or a
 //! power cut left half-written.
 
@@ -69,7 +69,7 @@ pub fn encode_resuming(
     }
     let scanners = choose_scanners(frames, config)?;
     if !kept.entries.is_empty() && kept.scanners != scanners.records {
-        let what = "was begun with another sensor model, so scans that it was fitted to were changed";
+        let what = "was begun with another scanner model, so scans that it was fitted to were changed";
         return Err(refuse(&partial.path, what));
     }
 

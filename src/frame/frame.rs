@@ -17,9 +17,9 @@ use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
 use crate::models::OrderExceptions;
 use crate::scan::{Layout, PointCloud, ScanFile};
-use crate::scanner::SensorModel;
+use crate::scanner::Scanner;
 use crate::scanner::motion::{self, Compensation};
-use crate::scanner::{Projection, REACH, Return, project, project_nearest};
+use crate::scanner::{Projection, REACH, RangeImage, Return, project_nearest};
 
 /// The parts of a frame, as the sections code them.
 #[derive(Clone, Debug, Default)]
@@ -32,18 +32,16 @@ pub struct Frame {
     pub records: usize,
     /// Number of records that are strays; the others are returns of the range image.
     pub strays: usize,
-    /// Column ticks of the range image, rising.
-    pub columns: Vec<u32>,
+    /// The range image.
+    pub image: RangeImage,
     /// Which cells hold a return.
     pub occupancy: Grid<bool>,
     /// The numbers of the cells that do, row after row.
     pub cells: Vec<u32>,
-    /// Range of each return, in steps.
-    pub steps: Grid<u32>,
     /// The regions of the image and their models, if ranges are predicted from them.
     pub intra: IntraPrediction,
     /// What an image coder made of the ranges; kept, so that they lose nothing when they are coded again.
-    pub image: Vec<u8>,
+    pub coded_image: Vec<u8>,
     /// Intensity of each return.
     pub intensity: Grid<f32>,
     /// Position of each return, in file order.
@@ -78,7 +76,7 @@ impl Frame {
     /// Takes a scan apart (article, III-A and IV-A: the outlier filter and the range image).
     pub fn from_scan(
         scan: ScanFile,
-        sensor: Option<&SensorModel>,
+        scanner: Option<&Scanner>,
         config: &EncoderConfig,
         steps: &mut StepReport,
     ) -> Result<Self> {
@@ -92,20 +90,20 @@ impl Frame {
         };
         let bound = Bound::of(config.positions, config.intensity);
         let cloud = steps.timed(Step::Conversion, || frame.undo_compensation(scan.cloud, config));
-        match sensor.filter(|_| !cloud.positions.is_empty()) {
+        match scanner.filter(|_| !cloud.positions.is_empty()) {
             None => frame.take_strays(cloud),
-            Some(sensor) if config.positions == Positions::Formula => {
-                frame.convert_points(&cloud, sensor, config, steps);
+            Some(scanner) if config.positions == Positions::Formula => {
+                frame.convert_points(&cloud, scanner, config, steps);
             }
-            Some(sensor) => steps.timed(Step::Conversion, || {
-                frame.take_points(cloud, sensor, bound.as_ref());
+            Some(scanner) => steps.timed(Step::Conversion, || {
+                frame.take_points(cloud, scanner, bound.as_ref());
             }),
         }
         if let Some(bound) = bound {
             frame.round_values(&bound);
             frame.parameters.source = Some(Source::all_points(steps.original, scan.records as u64));
         }
-        frame.parameters.range_coder.fit(&frame.steps);
+        frame.parameters.range_coder.fit(&frame.image.steps);
         Ok(frame)
     }
 
@@ -114,7 +112,7 @@ impl Frame {
     pub fn predict(
         &mut self,
         prediction: Prediction,
-        sensor: Option<&SensorModel>,
+        scanner: Option<&Scanner>,
         config: &EncoderConfig,
         steps: &mut StepReport,
     ) {
@@ -122,13 +120,13 @@ impl Frame {
             self.predict_from_nothing();
         }
         self.parameters.prediction = prediction;
-        if let (Some(sensor), Prediction::Intra) = (sensor, prediction) {
+        if let (Some(scanner), Prediction::Intra) = (scanner.and_then(Scanner::hdl64), prediction) {
             let segmentation = steps.timed(Step::Clustering, || {
-                segment(&self.steps, &self.columns, sensor, &config.segmentation)
+                segment(&self.image.steps, &self.image.columns, scanner, &config.segmentation)
             });
-            let rays = Rays::of(sensor, &self.columns);
+            let rays = Rays::of(scanner, &self.image.columns);
             self.intra = steps.timed(Step::Prediction, || {
-                IntraPrediction::fit(&self.steps, &self.occupancy, &rays, &segmentation, &config.intra)
+                IntraPrediction::fit(&self.image.steps, &self.occupancy, &rays, &segmentation, &config.intra)
             });
         }
     }
@@ -161,10 +159,10 @@ impl Frame {
     }
 
     /// Takes all points, in bins of range as wide as the bound allows.
-    fn take_points(&mut self, cloud: PointCloud, sensor: &SensorModel, bound: Option<&Bound>) {
-        let projection = project(sensor, &cloud, bound.map_or(REACH, |bound| bound.reach().max(REACH)));
+    fn take_points(&mut self, cloud: PointCloud, scanner: &Scanner, bound: Option<&Bound>) {
+        let projection = scanner.project(&cloud, bound.map_or(REACH, |bound| bound.reach().max(REACH)));
         if let Some(bound) = bound {
-            let bin = bound.bin(sensor.range_step_m(), projection.misses(sensor, &cloud));
+            let bin = bound.bin(scanner.range_step_m(), scanner.misses(&projection, &cloud));
             self.parameters.range_coder = self.parameters.range_coder.in_bins(bin);
             if let Positions::Bounded { on_grid, .. } = &mut self.parameters.positions {
                 *on_grid = bin == 1;
@@ -185,7 +183,7 @@ impl Frame {
     fn convert_points(
         &mut self,
         cloud: &PointCloud,
-        sensor: &SensorModel,
+        scanner: &Scanner,
         config: &EncoderConfig,
         steps: &mut StepReport,
     ) {
@@ -195,8 +193,11 @@ impl Frame {
         });
         let start = Instant::now();
         let mut projection = match config.projection {
-            ProjectionKind::Calibrated { .. } => project(sensor, &cloud, REACH),
-            ProjectionKind::Ideal { .. } => project_nearest(sensor, &cloud),
+            ProjectionKind::Calibrated { .. } => scanner.project(&cloud, REACH),
+            ProjectionKind::Ideal { .. } => match scanner.hdl64() {
+                Some(scanner) => project_nearest(scanner, &cloud),
+                None => scanner.project(&cloud, REACH),
+            },
         };
         let lost = match config.projection {
             ProjectionKind::Calibrated { .. } => 0,
@@ -225,8 +226,7 @@ impl Frame {
                 self.intensity[(row, column)] = cloud.intensity.get(point).copied().unwrap_or(0.0);
             }
         }
-        self.columns = image.columns;
-        self.steps = image.steps;
+        self.image = image;
         self.strays = strays.len();
         let PointCloud { positions, intensity, .. } = cloud.select(&strays);
         self.stray_positions = positions;

@@ -20,7 +20,7 @@ use crate::ground::grid::Grid;
 use crate::inter;
 use crate::inter::registration::{Pose, QuantisedPose, register};
 use crate::scan::ScanFile;
-use crate::scanner::SensorModel;
+use crate::scanner::Scanner;
 use crate::scanner::{RangeImage, Return};
 use crate::stream::container::{FrameHeader, Section};
 
@@ -32,7 +32,7 @@ pub struct GroupEncoder<'s> {
 
 /// Encodes the frames of one stream of a group.
 struct StreamEncoder<'s> {
-    sensor: Option<&'s SensorModel>,
+    scanner: Option<&'s Scanner>,
     config: &'s EncoderConfig,
     models: Models,
     /// The last motion of the scanner, from frame to frame.
@@ -53,7 +53,7 @@ pub struct EncodedFrame {
 
 impl<'s> GroupEncoder<'s> {
     /// A new group of streams of these scanners.
-    pub fn new(scanners: &[Option<&'s SensorModel>], config: &'s EncoderConfig) -> Self {
+    pub fn new(scanners: &[Option<&'s Scanner>], config: &'s EncoderConfig) -> Self {
         let streams = scanners.iter().map(|scanner| StreamEncoder::new(*scanner, config)).collect();
         GroupEncoder { streams, config }
     }
@@ -74,9 +74,9 @@ impl<'s> GroupEncoder<'s> {
 }
 
 impl<'s> StreamEncoder<'s> {
-    fn new(sensor: Option<&'s SensorModel>, config: &'s EncoderConfig) -> Self {
+    fn new(scanner: Option<&'s Scanner>, config: &'s EncoderConfig) -> Self {
         StreamEncoder {
-            sensor,
+            scanner,
             config,
             models: Models::default(),
             motion: QuantisedPose::default(),
@@ -110,10 +110,11 @@ impl<'s> StreamEncoder<'s> {
     ) -> Result<(EncodedFrame, Option<Vec<u8>>)> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let name = scan.name.clone();
-        let mut frame = Frame::from_scan(scan, self.sensor, config, &mut steps)?;
+        let mut frame = Frame::from_scan(scan, self.scanner, config, &mut steps)?;
         let mut best: Option<Attempt> = None;
         let fit = steps.timed(Step::Registration, || self.estimate_motion(&frame));
-        let mut predictions = self.config.predictions(fit).into_iter().peekable();
+        let has_regions = self.scanner.is_some_and(|scanner| scanner.hdl64().is_some());
+        let mut predictions = self.config.predictions(fit, has_regions).into_iter().peekable();
         while let Some(prediction) = predictions.next() {
             let (models, frame) = match predictions.peek() {
                 Some(_) => (self.models.clone(), frame.clone()),
@@ -144,14 +145,14 @@ impl<'s> StreamEncoder<'s> {
     fn estimate_motion(&mut self, frame: &Frame) -> Option<f64> {
         /// The part of the returns that are as far away as before from where the scanner stands still.
         const STANDING_STILL: f64 = 0.5;
-        let (sensor, past) = (self.sensor?, self.models.past()?);
+        let (scanner, past) = (self.scanner?.hdl64()?, self.models.past()?);
         let choice = self.config.inter_choice(self.frames);
-        let is_too_large = frame.steps.cells().len() > inter::MOST_CELLS;
+        let is_too_large = frame.image.steps.cells().len() > inter::MOST_CELLS;
         if frame.strays == frame.records || is_too_large || choice == InterChoice::Never {
             return None;
         }
         if choice == InterChoice::StandingStill {
-            let agreement = past.agreement(&frame.columns, &frame.steps);
+            let agreement = past.agreement(&frame.image.columns, &frame.image.steps);
             if agreement < STANDING_STILL {
                 return None;
             }
@@ -160,10 +161,8 @@ impl<'s> StreamEncoder<'s> {
                 return Some(agreement);
             }
         }
-        let image =
-            RangeImage { columns: frame.columns.clone(), spans: Vec::new(), steps: frame.steps.clone() };
-        let surface = past.surface(sensor);
-        let found = register(surface, &image, sensor, &self.motion.pose(), &self.config.registration);
+        let surface = past.surface(scanner);
+        let found = register(surface, &frame.image, scanner, &self.motion.pose(), &self.config.registration);
         let motion = found.and_then(|found| found.pose.quantise());
         self.motion = motion.unwrap_or_default();
         motion.and(found).map(|found| found.fit)
@@ -177,15 +176,15 @@ impl<'s> StreamEncoder<'s> {
         mut models: Models,
         mut steps: StepReport,
     ) -> Result<Attempt> {
-        let ranges = frame.steps.clone();
+        let ranges = frame.image.steps.clone();
         frame.parameters.motion = self.motion;
-        frame.predict(prediction, self.sensor, self.config, &mut steps);
+        frame.predict(prediction, self.scanner, self.config, &mut steps);
         let effort = Effort { level: self.config.level, image: self.config.image };
         let mut writer = SectionWriter::new(effort);
-        let returns = models.code_frame(&mut writer, self.sensor, &mut frame, &mut steps)?;
+        let returns = models.code_frame(&mut writer, self.scanner, &mut frame, &mut steps)?;
         steps.count_sections(&writer.sections);
         let error = match frame.parameters.range_coder {
-            RangeCoder::Image(_) => squared_error(&ranges, &frame.steps),
+            RangeCoder::Image(_) => squared_error(&ranges, &frame.image.steps),
             RangeCoder::Context { .. } | RangeCoder::Backend { .. } => 0.0,
         };
         Ok(Attempt { models, frame, sections: writer.sections, returns, error, steps })
@@ -234,7 +233,7 @@ pub struct DecodedScan {
 #[derive(Clone, Debug)]
 pub struct DecodedImage {
     /// Whose rows, ticks and steps these are.
-    pub sensor: SensorModel,
+    pub scanner: Scanner,
     /// The ranges.
     pub image: RangeImage,
     /// Which point of the file each cell holds, the first being 0.
@@ -248,14 +247,14 @@ pub struct DecodedImage {
 /// Decodes the frames of one group.
 pub struct GroupDecoder<'s> {
     /// The scanner of each stream, and what its frames have taught.
-    streams: Vec<(Option<&'s SensorModel>, Models)>,
+    streams: Vec<(Option<&'s Scanner>, Models)>,
     limits: Limits,
     keeps_images: bool,
 }
 
 impl<'s> GroupDecoder<'s> {
     /// A new group of streams of these scanners.
-    pub fn new(scanners: &[Option<&'s SensorModel>], limits: &Limits) -> Self {
+    pub fn new(scanners: &[Option<&'s Scanner>], limits: &Limits) -> Self {
         let streams = scanners.iter().map(|scanner| (*scanner, Models::default())).collect();
         GroupDecoder { streams, limits: *limits, keeps_images: false }
     }
@@ -277,24 +276,20 @@ impl<'s> GroupDecoder<'s> {
     ) -> Result<DecodedScan> {
         let stream = self.streams.get_mut(usize::from(header.stamp.stream));
         let unknown = || Error::corrupt("a frame of a stream that the group does not have");
-        let (sensor, models) = stream.ok_or_else(unknown)?;
+        let (scanner, models) = stream.ok_or_else(unknown)?;
         let mut reader = SectionReader::new(sections, &self.limits);
         let mut frame = Frame::of_records(header.point_count as usize);
-        let returns = models.code_frame(&mut reader, *sensor, &mut frame, steps)?;
+        let returns = models.code_frame(&mut reader, *scanner, &mut frame, steps)?;
         reader.finish()?;
         let source = frame.parameters.source;
         steps.frames += 1;
         steps.original += source.map_or(header.file_size, |source| source.file_size);
         steps.count_sections(sections);
-        let image = match sensor.filter(|_| self.keeps_images) {
-            Some(sensor) => Some(DecodedImage {
-                sensor: sensor.clone(),
+        let image = match scanner.filter(|_| self.keeps_images) {
+            Some(scanner) => Some(DecodedImage {
+                scanner: scanner.clone(),
                 point_of_cell: frame.point_of_cell(&returns)?,
-                image: RangeImage {
-                    columns: take(&mut frame.columns),
-                    spans: Vec::new(),
-                    steps: take(&mut frame.steps),
-                },
+                image: take(&mut frame.image),
                 intra: take(&mut frame.intra),
                 motion: (frame.parameters.prediction == Prediction::Inter)
                     .then(|| frame.parameters.motion.pose()),

@@ -8,7 +8,7 @@ use super::steps::{Step, StepReport};
 use crate::article::image_coding::{self, ImageCodec};
 use crate::article::prediction::Predictor;
 use crate::ground::error::Result;
-use crate::scanner::SensorModel;
+use crate::scanner::Scanner;
 use crate::stream::container::SectionKind;
 
 /// The range of each return, of which `side` bytes of the prediction are written already.
@@ -19,26 +19,26 @@ pub fn code_ranges<S: SectionCoder>(
     sections: &mut S,
     predictor: &Predictor,
     (codec, side): (ImageCodec, usize),
-    (frame, sensor): (&mut Frame, &SensorModel),
+    (frame, scanner): (&mut Frame, &Scanner),
     report: &mut StepReport,
 ) -> Result<()> {
     let returns = frame.records - frame.strays;
     report.predicted += 4 * returns as u64;
-    if S::ENCODES && frame.image.is_empty() {
+    if S::ENCODES && frame.coded_image.is_empty() {
         let residuals =
-            report.timed(Step::Prediction, || predictor.differences(&frame.occupancy, &frame.steps));
+            report.timed(Step::Prediction, || predictor.differences(&frame.occupancy, &frame.image.steps));
         let config = sections.effort().image;
         let most_bytes = config.rate.bytes(returns).map(|bytes| bytes.saturating_sub(side));
-        frame.image = report.timed(Step::Coding, || {
+        frame.coded_image = report.timed(Step::Coding, || {
             image_coding::encode(codec, residuals, &frame.occupancy, config.passes, most_bytes)
         })?;
     }
-    sections.payload(SectionKind::Residual, &mut frame.image);
+    sections.payload(SectionKind::Residual, &mut frame.coded_image);
     let (rows, columns) = (frame.occupancy.rows(), frame.occupancy.columns());
     let residuals =
-        report.timed(Step::Coding, || image_coding::decode(codec, &frame.image, rows, columns))?;
-    let most = sensor.most_steps();
-    frame.steps =
+        report.timed(Step::Coding, || image_coding::decode(codec, &frame.coded_image, rows, columns))?;
+    let most = scanner.most_steps();
+    frame.image.steps =
         report.timed(Step::Prediction, || predictor.restore_within(&frame.occupancy, &residuals, most));
     Ok(())
 }
@@ -48,9 +48,9 @@ impl Frame {
     /// another prediction.
     pub fn leave_image(&mut self) {
         if let RangeCoder::Image(_) = self.parameters.range_coder {
-            self.image.clear();
+            self.coded_image.clear();
             self.parameters.range_coder = RangeCoder::EXACT;
-            self.parameters.range_coder.fit(&self.steps);
+            self.parameters.range_coder.fit(&self.image.steps);
         }
     }
 }

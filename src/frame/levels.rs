@@ -20,7 +20,7 @@ pub(crate) struct LevelSettings {
     pub modelling: Modelling,
     /// When P frames are tried.
     pub inter: InterChoice,
-    /// How many frames the sensor model is fitted to: more make the formula sharper.
+    /// How many frames the scanner model is fitted to: more make the formula sharper.
     pub sample_frames: usize,
     /// Frames a group, unless the user says.
     pub gop: usize,

@@ -14,7 +14,7 @@ use crate::ground::grid::Grid;
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 use crate::inter::registration::QuantisedPose;
 use crate::scanner::EXACT_RANGE_BITS;
-use crate::scanner::SensorModel;
+use crate::scanner::Scanner;
 use crate::stream::container::{Frame, FrameHeader, SectionKind};
 
 /// The parameters of a frame.
@@ -299,9 +299,9 @@ impl RangeCoder {
     }
 
     /// Metres from the range of decoded steps to what it stands for.
-    pub(crate) fn offset_m(self, sensor: &SensorModel) -> f64 {
+    pub(crate) fn offset_m(self, scanner: &Scanner) -> f64 {
         match self {
-            RangeCoder::Context { between: true, .. } => -0.5 * sensor.range_step_m(),
+            RangeCoder::Context { between: true, .. } => -0.5 * scanner.range_step_m(),
             RangeCoder::Context { .. } | RangeCoder::Backend { .. } | RangeCoder::Image(_) => 0.0,
         }
     }

@@ -65,9 +65,9 @@ impl QuickModels {
         let tables = &mut self.packed_range;
         sections.tokens(SectionKind::Range, PACKED_RANGE_CONTEXTS, tables, |coder| {
             let returns = frame.cells.len();
-            let mut ranges = if S::ENCODES { frame.steps.at(&frame.cells) } else { vec![0; returns] };
+            let mut ranges = if S::ENCODES { frame.image.steps.at(&frame.cells) } else { vec![0; returns] };
             code_packed_ranges(coder, axis, &mut ranges);
-            frame.steps.fill(&frame.cells, &ranges);
+            frame.image.steps.fill(&frame.cells, &ranges);
         })
     }
 
@@ -83,7 +83,7 @@ impl QuickModels {
         self.range.start_from(start_counts(fitted), S::ENCODES);
         let model = &mut self.ranges;
         sections.tokens(SectionKind::Range, RANGE_CONTEXTS, &mut self.range, |coder| {
-            model.code(coder, &frame.occupancy, (fitted, expected), axis, &mut frame.steps);
+            model.code(coder, &frame.occupancy, (fitted, expected), axis, &mut frame.image.steps);
         })
     }
 

@@ -16,7 +16,7 @@ use crate::ground::grid::Grid;
 use crate::inter;
 use crate::inter::Reference;
 use crate::models::RangeContext;
-use crate::scanner::SensorModel;
+use crate::scanner::Scanner;
 use crate::stream::container::SectionKind;
 
 impl Models {
@@ -24,7 +24,7 @@ impl Models {
     pub(crate) fn code_ranges<S: SectionCoder>(
         &mut self,
         sections: &mut S,
-        sensor: &SensorModel,
+        scanner: &Scanner,
         frame: &mut Frame,
         (levels, reference): (&Grid<u16>, Option<&Reference>),
         report: &mut StepReport,
@@ -52,21 +52,21 @@ impl Models {
                         if depth == RangeModelling::Deep {
                             model.go_deep();
                         }
-                        model.code(coder, &known, &mut frame.steps);
+                        model.code(coder, &known, &mut frame.image.steps);
                         Ok(())
                     }),
                 })
             }
             RangeCoder::Backend { id, packing } => {
-                let predictor = self.code_predictor(sections, sensor, frame, reference, report)?;
+                let predictor = self.code_predictor(sections, scanner, frame, reference, report)?;
                 code_residuals(sections, &predictor, (id, packing), frame, report)?;
-                check_ranges(frame, sensor)
+                check_ranges(frame, scanner)
             }
             RangeCoder::Image(codec) => {
                 let before = sections.bytes_written();
-                let predictor = self.code_predictor(sections, sensor, frame, reference, report)?;
+                let predictor = self.code_predictor(sections, scanner, frame, reference, report)?;
                 let side = sections.bytes_written() - before;
-                images::code_ranges(sections, &predictor, (codec, side), (frame, sensor), report)
+                images::code_ranges(sections, &predictor, (codec, side), (frame, scanner), report)
             }
         }
     }
@@ -75,7 +75,7 @@ impl Models {
     fn code_predictor<S: SectionCoder>(
         &mut self,
         sections: &mut S,
-        sensor: &SensorModel,
+        scanner: &Scanner,
         frame: &mut Frame,
         reference: Option<&Reference>,
         report: &mut StepReport,
@@ -98,7 +98,8 @@ impl Models {
             frame.intra.code_models(&mut self.surfaces, coder);
             Ok(())
         })?;
-        let rays = Rays::of(sensor, &frame.columns);
+        let scanner = scanner.hdl64().ok_or_else(|| Error::corrupt("regions of a scanner that has none"))?;
+        let rays = Rays::of(scanner, &frame.image.columns);
         let ranges = report.timed(Step::Prediction, || frame.intra.ranges(&frame.occupancy, &rays));
         Ok(Predictor { ranges: Some(ranges), snake })
     }
@@ -117,7 +118,7 @@ fn code_residuals<S: SectionCoder>(
     let mut packed = 0;
     if S::ENCODES {
         let residuals =
-            report.timed(Step::Prediction, || predictor.residuals(&frame.occupancy, &frame.steps));
+            report.timed(Step::Prediction, || predictor.residuals(&frame.occupancy, &frame.image.steps));
         let level = sections.effort().level;
         (payload, packed) =
             report.timed(Step::Coding, || residual::compress(&residuals, backend, level, packing))?;
@@ -128,16 +129,17 @@ fn code_residuals<S: SectionCoder>(
         let residuals;
         (residuals, packed) =
             report.timed(Step::Coding, || residual::decompress(&payload, backend, packing, count))?;
-        frame.steps = report.timed(Step::Prediction, || predictor.restore(&frame.occupancy, &residuals));
+        frame.image.steps =
+            report.timed(Step::Prediction, || predictor.restore(&frame.occupancy, &residuals));
     }
     report.predicted += packed as u64;
     Ok(())
 }
 
-/// Every return has a range that the sensor model takes.
-fn check_ranges(frame: &Frame, sensor: &SensorModel) -> Result<()> {
-    let cells = frame.occupancy.cells().iter().zip(frame.steps.cells());
-    let most = sensor.most_steps();
+/// Every return has a range that the scanner model takes.
+fn check_ranges(frame: &Frame, scanner: &Scanner) -> Result<()> {
+    let cells = frame.occupancy.cells().iter().zip(frame.image.steps.cells());
+    let most = scanner.most_steps();
     if cells.into_iter().any(|(filled, steps)| *filled && !(1..=most).contains(steps)) {
         return Err(Error::corrupt("a range is out of range"));
     }

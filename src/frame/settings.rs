@@ -28,16 +28,16 @@ pub enum Mode {
         /// The bound on the 3-D distance, in micrometres: 1 to [`MOST_MAX_ERROR_UM`].
         max_error_um: u32,
     },
-    /// The article's codec: outliers are dropped, the ideal sensor's range image is kept.
+    /// The article's codec: outliers are dropped, the ideal scanner's range image is kept.
     Paper,
 }
 
 /// Which range image is coded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProjectionKind {
-    /// That of the sensor model fitted to the sequence: no point is lost.
+    /// That of the scanner model fitted to the sequence: no point is lost.
     Calibrated {
-        /// Micrometres a range step; `None`: the sensor's own, which loses nothing.
+        /// Micrometres a range step; `None`: the scanner's own, which loses nothing.
         range_step_um: Option<u32>,
     },
     /// The article's (IV-A): 64 rows at the published elevations, columns equally far apart.
@@ -50,7 +50,7 @@ pub enum ProjectionKind {
 }
 
 impl ProjectionKind {
-    /// The calibrated image, with the sensor's own steps.
+    /// The calibrated image, with the scanner's own steps.
     pub const CALIBRATED: Self = ProjectionKind::Calibrated { range_step_um: None };
 
     fn has_float_ranges(self) -> bool {
@@ -218,7 +218,7 @@ impl EncoderConfig {
         self.level_settings().modelling
     }
 
-    /// How many frames the sensor model is fitted to.
+    /// How many frames the scanner model is fitted to.
     pub(crate) fn sample_frames(&self) -> usize {
         self.level_settings().sample_frames
     }
@@ -240,8 +240,8 @@ impl EncoderConfig {
     }
 
     /// What is tried for a frame, so that the smallest result is taken. `fit` is how much
-    /// of the frame before fits it, from 0 to 1, if it may be predicted from that.
-    pub(crate) fn predictions(&self, fit: Option<f64>) -> Vec<Prediction> {
+    /// of the frame before fits it, from 0 to 1, if it may be predicted from that; without regions none are tried.
+    pub(crate) fn predictions(&self, fit: Option<f64>, has_regions: bool) -> Vec<Prediction> {
         /// From here on it is not worth the time to try without: the models leave a reference that is of no
         /// use aside.
         const SURE: f64 = 0.5;
@@ -257,6 +257,12 @@ impl EncoderConfig {
         };
         if fit.is_some() {
             tried.push(Prediction::Inter);
+        }
+        if !has_regions {
+            tried.retain(|prediction| *prediction != Prediction::Intra);
+        }
+        if tried.is_empty() {
+            tried.push(Prediction::None);
         }
         tried
     }
@@ -357,8 +363,8 @@ impl EncoderConfig {
         if is_inter && !self.modelling().has_p_frames() {
             return wrong("levels 1 to 3 take every frame by itself; --predict inter needs level 6 or more");
         }
-        let fits_regions =
-            self.predictions(None).contains(&Prediction::Intra) && self.intra.models == RegionModels::Fitted;
+        let fits_regions = self.predictions(None, true).contains(&Prediction::Intra)
+            && self.intra.models == RegionModels::Fitted;
         if fits_regions && self.projection.has_float_ranges() {
             return wrong("regions are fitted to ranges in steps; choose a step, or the article's regions");
         }
@@ -417,10 +423,10 @@ mod tests {
             ..EncoderConfig::preset(Mode::Paper)
         };
         let lzma = forced(Coder::Backend(backend::LZMA));
-        assert_eq!(lzma.predictions(Some(0.1)), [Prediction::Inter]);
-        assert_eq!(lzma.predictions(None), [Prediction::Intra]);
-        assert_eq!(forced(Coder::Context).predictions(Some(0.1)), [Prediction::Inter]);
-        assert_eq!(forced(Coder::Context).predictions(None), [Prediction::None]);
+        assert_eq!(lzma.predictions(Some(0.1), true), [Prediction::Inter]);
+        assert_eq!(lzma.predictions(None, true), [Prediction::Intra]);
+        assert_eq!(forced(Coder::Context).predictions(Some(0.1), true), [Prediction::Inter]);
+        assert_eq!(forced(Coder::Context).predictions(None, true), [Prediction::None]);
         assert_eq!(lzma.inter_choice(1), InterChoice::IfItFits);
         assert_eq!(lzma.inter_choice(0), InterChoice::Never);
         assert!(forced(Coder::Context).check().is_ok() && lzma.check().is_ok());

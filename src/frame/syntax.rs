@@ -20,13 +20,12 @@ use crate::inter::Reference;
 use crate::inter::registration::QuantisedPose;
 use crate::inter::{self, Past};
 use crate::models::{
-    ByteModel, ColumnModel, CorrectionModel, IntensityModel, IntensityNeighbours, IntensityReference,
-    IntensityScale, OccupancyModel, OrderModel, PointModel, RangeModel, neighbours_above,
+    ByteModel, CorrectionModel, IntensityModel, IntensityNeighbours, IntensityReference, IntensityScale,
+    OccupancyModel, OrderModel, PointModel, RangeModel, neighbours_above,
 };
 use crate::scan::Layout;
 use crate::scanner::motion::Compensation;
-use crate::scanner::{Coordinates, SensorModel};
-use crate::scanner::{RangeImage, Return, positions};
+use crate::scanner::{ColumnModels, Coordinates, Return, Scanner};
 use crate::stream::container::SectionKind;
 
 /// What a group's frames have taught so far.
@@ -35,7 +34,7 @@ pub struct Models {
     sizes: IntegerModel,
     bytes: ByteModel,
     extra: ByteModel,
-    columns: ColumnModel,
+    columns: ColumnModels,
     points: PointModel,
     // The large ones are made when they are first wanted.
     occupancy: Option<OccupancyModel>,
@@ -59,7 +58,7 @@ impl Models {
     pub fn code_frame<S: SectionCoder>(
         &mut self,
         sections: &mut S,
-        sensor: Option<&SensorModel>,
+        scanner: Option<&Scanner>,
         frame: &mut Frame,
         steps: &mut StepReport,
     ) -> Result<Vec<Return>> {
@@ -68,13 +67,13 @@ impl Models {
         code_parameters(sections, frame)?;
         sections.section(SectionKind::File, true, |coder| self.code_file(coder, frame, &limits))?;
         let returns = frame.records - frame.strays;
-        let sensor = match sensor {
-            Some(sensor) if returns > 0 => Some(sensor),
-            None if returns > 0 => return Err(Error::corrupt("a range image without a sensor model")),
+        let scanner = match scanner {
+            Some(scanner) if returns > 0 => Some(scanner),
+            None if returns > 0 => return Err(Error::corrupt("a range image without a scanner model")),
             _ => None,
         };
-        let reference = match sensor {
-            Some(sensor) => self.code_cells(sections, sensor, frame, returns)?,
+        let reference = match scanner {
+            Some(scanner) => self.code_cells(sections, scanner, frame, returns)?,
             None => None,
         };
         let has_points = frame.layout.position.is_some();
@@ -86,21 +85,19 @@ impl Models {
         })?;
         let levels = self.code_intensities(sections, frame, reference.as_ref())?;
         let mut found = Vec::new();
-        if let Some(sensor) = sensor {
-            steps.converted += 4 * frame.steps.cells().len() as u64;
-            self.code_ranges(sections, sensor, frame, (&levels, reference.as_ref()), steps)?;
-            let columns = std::mem::take(&mut frame.columns);
-            let image = RangeImage { columns, spans: Vec::new(), steps: std::mem::take(&mut frame.steps) };
-            found = image.file_order(sensor);
-            let can_be_past = image.steps.cells().len() <= inter::MOST_CELLS;
+        if let Some(scanner) = scanner {
+            steps.converted += 4 * frame.image.steps.cells().len() as u64;
+            self.code_ranges(sections, scanner, frame, (&levels, reference.as_ref()), steps)?;
+            found = scanner.file_order(&frame.image);
+            let can_be_past =
+                scanner.hdl64().is_some() && frame.image.steps.cells().len() <= inter::MOST_CELLS;
             if can_be_past && frame.parameters.modelling().has_p_frames() {
-                self.past = Some(Arc::new(Past::new(image.clone(), levels)));
+                self.past = Some(Arc::new(Past::new(frame.image.clone(), levels)));
             }
-            (frame.columns, frame.steps) = (image.columns, image.steps);
         }
         frame.arrange(&found);
-        if let Some(sensor) = sensor {
-            self.code_positions(sections, sensor, frame, &found)?;
+        if let Some(scanner) = scanner {
+            self.code_positions(sections, scanner, frame, &found)?;
         }
         self.code_order(sections, frame, returns)?;
         let extra_bytes = frame.records.saturating_mul(frame.layout.extra_stride());
@@ -121,18 +118,18 @@ impl Models {
     fn code_cells<S: SectionCoder>(
         &mut self,
         sections: &mut S,
-        sensor: &SensorModel,
+        scanner: &Scanner,
         frame: &mut Frame,
         returns: usize,
     ) -> Result<Option<Reference>> {
+        let most = sections.limits().points;
         sections.section(SectionKind::Columns, true, |coder| {
-            self.columns.code(coder, sensor.ticks, &mut frame.columns);
-            Ok(())
+            scanner.code_columns(&mut self.columns, coder, &mut frame.image, most)
         })?;
-        let cells = sensor.rows().saturating_mul(frame.columns.len());
+        let cells = scanner.rows().saturating_mul(frame.image.columns.len());
         within(cells, sections.limits().points, "cells of the range image")?;
-        frame.fit_image(sensor.rows());
-        let reference = self.reference(sensor, frame)?;
+        frame.fit_image(scanner.rows());
+        let reference = self.reference(scanner, frame)?;
         let modelling = frame.parameters.modelling().parts().occupancy;
         if modelling == OccupancyModelling::Tokens {
             self.quick.code_occupancy(sections, frame)?;
@@ -152,7 +149,7 @@ impl Models {
     }
 
     /// What the frame before lets expect of this one, if it is predicted from it.
-    fn reference(&self, sensor: &SensorModel, frame: &Frame) -> Result<Option<Reference>> {
+    fn reference(&self, scanner: &Scanner, frame: &Frame) -> Result<Option<Reference>> {
         if frame.parameters.prediction != Prediction::Inter {
             return Ok(None);
         }
@@ -161,10 +158,12 @@ impl Models {
         within(frame.occupancy.cells().len(), inter::MOST_CELLS as u64, "cells of a P frame")?;
         let motion = frame.parameters.motion;
         if frame.parameters.can_do_without_surfaces() && motion == QuantisedPose::default() {
-            return Ok(Some(past.same_cells_alone(&frame.columns)));
+            return Ok(Some(past.same_cells_alone(&frame.image.columns)));
         }
         let motion = motion.pose().motion();
-        Ok(Some(past.reference(sensor, &frame.columns, &motion)))
+        let scanner =
+            scanner.hdl64().ok_or_else(|| Error::corrupt("a P frame of a scanner that has none"))?;
+        Ok(Some(past.reference(scanner, &frame.image.columns, &motion)))
     }
 
     /// The frame before, if it has a range image.
@@ -208,19 +207,16 @@ impl Models {
     fn code_positions<S: SectionCoder>(
         &mut self,
         sections: &mut S,
-        sensor: &SensorModel,
+        scanner: &Scanner,
         frame: &mut Frame,
         found: &[Return],
     ) -> Result<()> {
-        let grid = sensor.coordinates;
-        let offset_m = frame.parameters.range_coder.offset_m(sensor);
-        let formula = |found: &Return| {
-            let metres = sensor.metres(found.steps) + offset_m;
-            sensor.position_at(found.row as usize, found.tick, metres)
-        };
+        let grid = scanner.coordinates();
+        let offset_m = frame.parameters.range_coder.offset_m(scanner);
+        let formula = |found: &Return| scanner.position(found, offset_m);
         let (max_error, on_grid) = match frame.parameters.positions {
             Positions::Formula => {
-                frame.positions = positions(sensor, found, offset_m, false);
+                frame.positions = scanner.positions(found, offset_m, false);
                 return Ok(());
             }
             Positions::Exact => (None, true),
@@ -232,7 +228,7 @@ impl Models {
             CorrectionModelling::Tokens => true,
         };
         if as_tokens {
-            let near = positions(sensor, found, offset_m, on_grid);
+            let near = scanner.positions(found, offset_m, on_grid);
             let formula = |point: usize| formula(&found[point]);
             return self.quick.code_positions(sections, grid, formula, (near, max_error), frame);
         }
@@ -244,7 +240,7 @@ impl Models {
                     self.correction.code(coder, grid, formula(found), position);
                 }),
                 Some(max_error) => {
-                    let near = positions(sensor, found, offset_m, on_grid);
+                    let near = scanner.positions(found, offset_m, on_grid);
                     points.zip(near).for_each(|((found, position), near)| {
                         self.correction.code_bounded(
                             coder,
@@ -404,10 +400,11 @@ fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Re
 impl Frame {
     /// Gives the decoder's grids the size of the image.
     fn fit_image(&mut self, rows: usize) {
-        if self.occupancy.rows() != rows || self.occupancy.columns() != self.columns.len() {
-            self.occupancy = Grid::new(rows, self.columns.len());
-            self.steps = Grid::new(rows, self.columns.len());
-            self.intensity = Grid::new(rows, self.columns.len());
+        let columns = self.image.columns.len();
+        if self.occupancy.rows() != rows || self.occupancy.columns() != columns {
+            self.occupancy = Grid::new(rows, columns);
+            self.image.steps = Grid::new(rows, columns);
+            self.intensity = Grid::new(rows, columns);
         }
     }
 }

@@ -12,8 +12,8 @@ use std::sync::OnceLock;
 use crate::article::prediction::snake::path;
 use crate::ground::grid::Grid;
 use crate::inter::registration::{RigidMotion, Surface};
+use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
-use crate::scanner::SensorModel;
 use render::render;
 
 /// Ticks that a column of the frame before may be off.
@@ -40,12 +40,12 @@ impl Past {
     }
 
     /// Its surfaces.
-    pub fn surface(&self, sensor: &SensorModel) -> &Surface {
+    pub fn surface(&self, sensor: &Hdl64) -> &Surface {
         self.surface.get_or_init(|| Surface::of(sensor, &self.image.columns, &self.image.steps))
     }
 
     /// What it lets expect in an image with these columns, after the scanner has moved.
-    pub fn reference(&self, sensor: &SensorModel, columns: &[u32], motion: &RigidMotion) -> Reference {
+    pub fn reference(&self, sensor: &Hdl64, columns: &[u32], motion: &RigidMotion) -> Reference {
         Reference {
             same: self.same_cells(columns),
             moved: render(self.surface(sensor), &self.levels, motion, sensor, columns),

@@ -4,7 +4,7 @@ use crate::ground::grid::Grid;
 use crate::inter::Layer;
 use crate::inter::registration::{RigidMotion, Surface, Surfel, columns_by_tick, dot};
 use crate::scanner::Alignment;
-use crate::scanner::{SensorModel, Sighting};
+use crate::scanner::{Hdl64, Sighting};
 
 /// Of two surfels in a cell the nearer one is seen if it is nearer by more than this part of the range;
 /// else the one closer to the middle of the cell.
@@ -30,7 +30,7 @@ pub fn render(
     surface: &Surface,
     levels: &Grid<u16>,
     motion: &RigidMotion,
-    sensor: &SensorModel,
+    sensor: &Hdl64,
     columns: &[u32],
 ) -> Layer {
     let rows = sensor.rows();
@@ -63,7 +63,7 @@ pub fn render(
 }
 
 struct Canvas<'a> {
-    sensor: &'a SensorModel,
+    sensor: &'a Hdl64,
     columns: &'a [u32],
     column_of_tick: Vec<Option<u32>>,
 }

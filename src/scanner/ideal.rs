@@ -3,7 +3,7 @@
 
 use std::f64::consts::TAU;
 
-use super::{BeamConstants, Coordinates, SensorModel};
+use super::{BeamConstants, Coordinates, Hdl64};
 
 /// Elevation of the highest beam of the HDL-64E's upper block, in degrees (user's manual).
 const UPPER_TOP: f64 = 2.0;
@@ -18,14 +18,14 @@ const BLOCK: usize = 32;
 
 /// An HDL-64E as the article sees it: 64 rows by `columns` columns (2000 for 0.18 degrees), column 0
 /// looking along x, with ranges in steps of `range_step_um` micrometres. Neither may be 0.
-pub fn ideal(columns: u32, range_step_um: u32) -> SensorModel {
+pub fn ideal(columns: u32, range_step_um: u32) -> Hdl64 {
     let elevations = (0..BLOCK)
         .map(|beam| UPPER_TOP - UPPER_STEP * beam as f64)
         .chain((0..BLOCK).map(|beam| LOWER_TOP - LOWER_STEP * beam as f64));
     let beams = elevations
         .map(|degrees| BeamConstants::quantise([degrees / 360.0 * TAU, 0.0, 0.0, 0.0, 0.0]))
         .collect();
-    SensorModel::new(Coordinates::Float32, columns, range_step_um, beams)
+    Hdl64::new(Coordinates::Float32, columns, range_step_um, beams)
 }
 
 #[cfg(test)]

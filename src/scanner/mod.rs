@@ -8,13 +8,16 @@ pub mod motion;
 mod coordinates;
 mod ideal;
 mod range_image;
+#[allow(clippy::module_inception)]
+mod scanner;
 
 pub use coordinates::{Coordinates, nearest_millimetre};
 pub use hdl64::{
-    Alignment, BeamConstants, EXACT_RANGE_BITS, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS,
-    Projection, RANGE_STEP_UM, REACH, Refinement, SensorModel, Sighting, fit, positions, project,
+    Alignment, BeamConstants, EXACT_RANGE_BITS, FLOAT_RANGES, Hdl64, MOST_RANGE_STEP_UM, MOST_STEPS,
+    MOST_TICKS, Projection, RANGE_STEP_UM, REACH, Refinement, Sighting, fit, positions, project,
     project_nearest, sine_and_cosine,
 };
 pub(crate) use hdl64::{BeamPoint, split_beams, thinned};
 pub use ideal::ideal;
 pub use range_image::{RangeImage, Return};
+pub use scanner::{ColumnModels, Scanner};

@@ -10,7 +10,7 @@ use crate::frame::settings::{EncoderConfig, ProjectionKind, resolve_threads};
 use crate::ground::error::Result;
 use crate::scan::ScanFile;
 use crate::scanner::motion;
-use crate::scanner::{self, SensorModel};
+use crate::scanner::{self, Scanner};
 use crate::stream::container::ScannerRecord;
 
 /// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
@@ -19,7 +19,7 @@ const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 /// The scanners of a sequence.
 pub(crate) struct Scanners {
     /// That of each stream, if there is a model that it fits.
-    pub models: Vec<Option<SensorModel>>,
+    pub models: Vec<Option<Scanner>>,
     /// The numbers of these among the records; 1 is the first, 0 is none.
     pub numbers: Vec<u64>,
     /// What is written of them: each once.
@@ -27,9 +27,9 @@ pub(crate) struct Scanners {
 }
 
 impl Scanners {
-    fn new(models: Vec<Option<SensorModel>>) -> Self {
+    fn new(models: Vec<Option<Scanner>>) -> Self {
         let mut records = Vec::new();
-        let mut number = |model: &Option<SensorModel>| {
+        let mut number = |model: &Option<Scanner>| {
             let Some(record) = model.as_ref().map(record_of) else { return 0 };
             let place = records.iter().position(|other| *other == record).unwrap_or(records.len());
             if place == records.len() {
@@ -56,18 +56,20 @@ pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> 
 }
 
 /// The model of the scanner of a stream that these frames are of.
-fn choose_model(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Option<SensorModel>> {
+fn choose_model(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Option<Scanner>> {
     Ok(match config.projection {
         ProjectionKind::Calibrated { range_step_um } => {
             let pool = pool(resolve_threads(config.threads))?;
-            let fitted = pool.install(|| sample(frames, config).map(|sample| scanner::fit(&sample)))?;
-            fitted.map(|sensor| range_step_um.into_iter().fold(sensor, SensorModel::with_range_step))
+            let fitted = pool.install(|| sample(frames, config).map(|sample| Scanner::fit(&sample)))?;
+            fitted.map(|scanner| range_step_um.into_iter().fold(scanner, Scanner::with_range_step))
         }
-        ProjectionKind::Ideal { columns, range_step_um } => Some(scanner::ideal(columns, range_step_um)),
+        ProjectionKind::Ideal { columns, range_step_um } => {
+            Some(Scanner::Hdl64(scanner::ideal(columns, range_step_um)))
+        }
     })
 }
 
-/// The frames that the sensor model is fitted to, spread over the sequence.
+/// The frames that the scanner model is fitted to, spread over the sequence.
 fn sample(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>> {
     let places: Vec<usize> = sample_places(frames.len(), config.sample_frames()).collect();
     let scans =

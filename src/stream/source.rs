@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::options::FrameRange;
 use crate::ground::error::{Error, Result};
-use crate::scanner::SensorModel;
+use crate::scanner::Scanner;
 use crate::stream::container::{Group, IndexedReader, Record, ScannerRecord, StreamReader};
 
 /// A group, with all that it takes to decode or to copy it.
@@ -23,7 +23,7 @@ impl GroupJob {
     ///
     /// # Errors
     /// If one is of a family that this program does not know.
-    pub fn models(&self) -> Result<Vec<Option<&SensorModel>>> {
+    pub fn models(&self) -> Result<Vec<Option<&Scanner>>> {
         let models = self.scanners.iter();
         models.map(|scanner| scanner.as_deref().map(StoredScanner::model).transpose()).collect()
     }
@@ -32,36 +32,25 @@ impl GroupJob {
 /// A scanner, and its record.
 pub struct StoredScanner {
     /// None if the family is unknown. Groups of such a scanner can be copied all the same.
-    model: Option<SensorModel>,
+    model: Option<Scanner>,
     pub record: ScannerRecord,
 }
 
 impl StoredScanner {
     pub(crate) fn parse(record: ScannerRecord) -> Result<Arc<Self>> {
-        let model = match record.family {
-            SensorModel::FAMILY => Some(Self::parse_model(&record.payload).map_err(|e| e.within("scanner"))?),
-            _ => None,
-        };
+        let model = Scanner::of_record(record.family, &record.payload).map_err(|e| e.within("scanner"))?;
         Ok(Arc::new(StoredScanner { model, record }))
     }
 
-    fn parse_model(mut payload: &[u8]) -> Result<SensorModel> {
-        let model = SensorModel::read_from(&mut payload)?;
-        if !payload.is_empty() {
-            return Err(Error::corrupt("bytes left over"));
-        }
-        Ok(model)
-    }
-
-    fn model(&self) -> Result<&SensorModel> {
+    fn model(&self) -> Result<&Scanner> {
         let unknown = || Error::unsupported(format!("a scanner of unknown family {}", self.record.family));
         self.model.as_ref().ok_or_else(unknown)
     }
 }
 
 /// The record of a scanner.
-pub(crate) fn record_of(model: &SensorModel) -> ScannerRecord {
-    ScannerRecord { family: SensorModel::FAMILY, payload: model.to_payload() }
+pub(crate) fn record_of(model: &Scanner) -> ScannerRecord {
+    ScannerRecord { family: model.family(), payload: model.to_payload() }
 }
 
 /// The groups of a stream as they arrive.

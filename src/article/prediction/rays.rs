@@ -1,18 +1,18 @@
 //! The rays of a range image.
 
 use super::surface::SurfaceModel;
-use crate::scanner::SensorModel;
+use crate::scanner::Hdl64;
 
 /// Where each pixel of a range image looks.
 pub struct Rays<'a> {
-    sensor: &'a SensorModel,
+    sensor: &'a Hdl64,
     /// Column tick of each column.
     columns: &'a [u32],
 }
 
 impl<'a> Rays<'a> {
     /// Of an image with these columns.
-    pub fn of(sensor: &'a SensorModel, columns: &'a [u32]) -> Self {
+    pub fn of(sensor: &'a Hdl64, columns: &'a [u32]) -> Self {
         Rays { sensor, columns }
     }
 

@@ -3,7 +3,7 @@
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::varint::{unzigzag, zigzag};
-use crate::scanner::SensorModel;
+use crate::scanner::Hdl64;
 
 /// Plane parameters are in units of 2^-22 per metre: 3 mm of range at 100 m.
 const PLANE_UNIT: f64 = 1.0 / (1 << 22) as f64;
@@ -36,7 +36,7 @@ impl SurfaceModel {
     /// The range, in steps, at which the ray in `direction` (a unit vector) meets the surface.
     /// The same on every machine: nothing but + - * / on f64.
     #[inline]
-    pub fn range(&self, sensor: &SensorModel, direction: [f64; 3]) -> u32 {
+    pub fn range(&self, sensor: &Hdl64, direction: [f64; 3]) -> u32 {
         match *self {
             SurfaceModel::Mean(steps) => steps,
             SurfaceModel::Plane(w) => {

@@ -11,7 +11,7 @@ mod scene;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::scanner::Alignment;
-use crate::scanner::SensorModel;
+use crate::scanner::Hdl64;
 use neighbours::Neighbours;
 use scene::Scene;
 
@@ -98,7 +98,7 @@ pub const FIRST_OBJECT: u32 = 3;
 pub fn segment(
     steps: &Grid<u32>,
     columns: &[u32],
-    sensor: &SensorModel,
+    sensor: &Hdl64,
     config: &SegmentationConfig,
 ) -> Segmentation {
     let alignment = Alignment::of(sensor, columns.len());

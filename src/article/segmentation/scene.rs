@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use crate::ground::grid::Grid;
 use crate::scanner::Alignment;
-use crate::scanner::SensorModel;
+use crate::scanner::Hdl64;
 
 use super::neighbours::Cell;
 
@@ -30,7 +30,7 @@ pub struct Scene {
 
 impl Scene {
     /// Of an image's ranges in steps and column ticks.
-    pub fn of(steps: &Grid<u32>, columns: &[u32], sensor: &SensorModel, alignment: &Alignment) -> Self {
+    pub fn of(steps: &Grid<u32>, columns: &[u32], sensor: &Hdl64, alignment: &Alignment) -> Self {
         let mut ranges = Grid::new(steps.rows(), steps.columns());
         for row in 0..ranges.rows() {
             for (range, &steps) in ranges.row_mut(row).iter_mut().zip(steps.row(row)) {

@@ -3,13 +3,13 @@ use crate::scanner::RangeImage;
 use crate::scanner::{BeamConstants, Coordinates, ideal};
 
 /// The image of a scene: for each beam and azimuth (radians) the range in metres, if any.
-fn image(range: impl Fn(f64, f64) -> Option<f64>) -> (RangeImage, SensorModel) {
+fn image(range: impl Fn(f64, f64) -> Option<f64>) -> (RangeImage, Hdl64) {
     let sensor = ideal(360, 10_000);
     (image_of(&sensor, range), sensor)
 }
 
 /// The same, as a sensor of 360 ticks sees it.
-fn image_of(sensor: &SensorModel, range: impl Fn(f64, f64) -> Option<f64>) -> RangeImage {
+fn image_of(sensor: &Hdl64, range: impl Fn(f64, f64) -> Option<f64>) -> RangeImage {
     let mut image = RangeImage::new(sensor.rows(), (0..360).collect());
     for row in 0..sensor.rows() {
         for column in 0..360 {
@@ -27,7 +27,7 @@ fn ground(elevation: f64) -> Option<f64> {
     (elevation < -0.0425).then(|| 1.7 / -elevation.sin())
 }
 
-fn labels_of(image: &RangeImage, sensor: &SensorModel) -> Segmentation {
+fn labels_of(image: &RangeImage, sensor: &Hdl64) -> Segmentation {
     segment(&image.steps, &image.columns, sensor, &SegmentationConfig::default())
 }
 
@@ -69,7 +69,7 @@ fn beams_that_point_aside_see_the_same() {
         ..BeamConstants::quantise([ideal(360, 10_000).elevation(row), 0.0, 0.0, 0.0, 0.0])
     };
     let beams = (0..64).map(beam).collect();
-    let sensor = SensorModel::new(Coordinates::Float32, 360, 10_000, beams);
+    let sensor = Hdl64::new(Coordinates::Float32, 360, 10_000, beams);
     let found = labels_of(&image_of(&sensor, two_posts), &sensor);
     let (straight, straight_sensor) = image(two_posts);
     let expected = labels_of(&straight, &straight_sensor);
@@ -82,7 +82,7 @@ fn beams_that_point_aside_see_the_same() {
 }
 
 /// How much of an image is ground, in percent.
-fn ground_share(image: &RangeImage, sensor: &SensorModel, config: &SegmentationConfig) -> usize {
+fn ground_share(image: &RangeImage, sensor: &Hdl64, config: &SegmentationConfig) -> usize {
     let found = segment(&image.steps, &image.columns, sensor, config);
     found.labels.cells().iter().filter(|label| **label == GROUND).count() * 100 / image.returns()
 }

@@ -72,7 +72,7 @@ impl Pictures {
         config: &EncoderConfig,
         scale: Option<u16>,
     ) -> Self {
-        let DecodedImage { sensor, image, point_of_cell, intra, .. } = decoded;
+        let DecodedImage { scanner, image, point_of_cell, intra, .. } = decoded;
         let millimetres_of = |errors: &[Option<f64>], point: &Option<u32>| {
             let error = errors.get((*point)? as usize).copied()??;
             Some((error / MILLIMETRE) as f32)
@@ -80,29 +80,37 @@ impl Pictures {
         let errors =
             errors.map(|errors| point_of_cell.map(|point| millimetres_of(errors, point).unwrap_or(f32::NAN)));
         let occupancy = image.occupancy();
-        let segmentation = segment(&image.steps, &image.columns, sensor, &config.segmentation);
-        let rays = Rays::of(sensor, &image.columns);
-        let intra = if intra.models.is_empty() {
-            IntraPrediction::fit(&image.steps, &occupancy, &rays, &segmentation, &config.intra)
-        } else {
-            intra.clone()
-        };
+        let (mut labels, mut predicted) = (Grid::new(image.steps.rows(), image.columns.len()), None);
+        let mut intra = intra.clone();
+        // Regions are those of an HDL-64E's image, or of one like it.
+        if let Some(scanner) = scanner.hdl64() {
+            let segmentation = segment(&image.steps, &image.columns, scanner, &config.segmentation);
+            let rays = Rays::of(scanner, &image.columns);
+            if intra.models.is_empty() {
+                intra = IntraPrediction::fit(&image.steps, &occupancy, &rays, &segmentation, &config.intra);
+            }
+            predicted = Some(intra.ranges(&occupancy, &rays));
+            labels = segmentation.labels;
+        }
+        let predicted = predicted.unwrap_or_else(|| image.steps.clone());
         let millimetres =
-            |steps: &Grid<u32>| steps.map(|&steps| (sensor.metres(steps) / MILLIMETRE).round() as u32);
+            |steps: &Grid<u32>| steps.map(|&steps| (scanner.metres(steps) / MILLIMETRE).round() as u32);
         let zoom = match scale.map(usize::from) {
             Some(column) => Zoom { row: 4 * column, column },
             None => Zoom::for_columns(image.columns.len()),
         };
         let mut pictures = Pictures {
             ranges: millimetres(&image.steps),
-            predicted: millimetres(&intra.ranges(&occupancy, &rays)),
+            predicted: millimetres(&predicted),
             occupancy,
-            labels: segmentation.labels,
+            labels,
             intra,
             errors,
             zoom,
         };
-        pictures.align(&Alignment::of(sensor, image.columns.len()));
+        if let Some(scanner) = scanner.hdl64() {
+            pictures.align(&Alignment::of(scanner, image.columns.len()));
+        }
         pictures
     }
 

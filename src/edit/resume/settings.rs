@@ -6,7 +6,7 @@ use crate::frame::settings::EncoderConfig;
 pub type Settings = Vec<(String, String)>;
 
 /// The settings of this program: its version, and all choices but the number of threads, which changes
-/// nothing. The number of frames is among them, for the sensor model is fitted to a sample of them all.
+/// nothing. The number of frames is among them, for the scanner model is fitted to a sample of them all.
 pub fn list(config: &EncoderConfig, frames: usize) -> Settings {
     // Every field by its name, so that none that comes new is forgotten here.
     let EncoderConfig {

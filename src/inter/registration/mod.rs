@@ -12,8 +12,8 @@ pub use projective::columns_by_tick;
 pub use surface::{Surface, Surfel, dot};
 
 use crate::ground::error::{Error, Result};
+use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
-use crate::scanner::SensorModel;
 use icp::NearestPoints;
 use projective::Aim;
 
@@ -122,7 +122,7 @@ fn small_step(motion: RigidMotion, agreeing: usize, weights: f64, squares: f64) 
 pub fn register(
     reference: &Surface,
     current: &RangeImage,
-    sensor: &SensorModel,
+    sensor: &Hdl64,
     initial: &Pose,
     config: &RegistrationConfig,
 ) -> Option<Registration> {

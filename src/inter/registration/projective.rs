@@ -10,19 +10,19 @@ use nalgebra::{Matrix6, Vector3, Vector6};
 use super::pose::{Pose, RigidMotion};
 use super::surface::{Surface, Surfel, dot};
 use super::{Step, evenly, small_step};
+use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
-use crate::scanner::SensorModel;
 
 /// The current image, as surfels are compared with it.
 pub struct Aim<'a> {
-    sensor: &'a SensorModel,
+    sensor: &'a Hdl64,
     current: &'a RangeImage,
     column_of_tick: Vec<Option<u32>>,
 }
 
 impl<'a> Aim<'a> {
     /// At this image.
-    pub fn at(sensor: &'a SensorModel, current: &'a RangeImage) -> Self {
+    pub fn at(sensor: &'a Hdl64, current: &'a RangeImage) -> Self {
         Aim { sensor, current, column_of_tick: columns_by_tick(&current.columns, sensor.ticks) }
     }
 

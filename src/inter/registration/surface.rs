@@ -3,7 +3,7 @@
 
 use crate::ground::grid::Grid;
 use crate::scanner::Alignment;
-use crate::scanner::SensorModel;
+use crate::scanner::Hdl64;
 
 /// A return and the surface around it.
 #[derive(Clone, Copy, Debug)]
@@ -36,7 +36,7 @@ const ROW_REACH: isize = 2;
 impl Surface {
     /// Of the ranges `steps` (rows x columns, 0 = no return) at these column ticks. The same on every
     /// platform.
-    pub fn of(sensor: &SensorModel, columns: &[u32], steps: &Grid<u32>) -> Self {
+    pub fn of(sensor: &Hdl64, columns: &[u32], steps: &Grid<u32>) -> Self {
         let alignment = Alignment::of(sensor, columns.len());
         let mut positions = Grid::new(steps.rows(), steps.columns());
         for row in 0..steps.rows() {
@@ -61,7 +61,7 @@ impl Surface {
 }
 
 struct Image<'a> {
-    sensor: &'a SensorModel,
+    sensor: &'a Hdl64,
     alignment: &'a Alignment,
     positions: &'a Grid<[f64; 3]>,
     steps: &'a Grid<u32>,

@@ -130,7 +130,7 @@ pub struct Firings {
 
 impl PartialEq for Firings {
     fn eq(&self, other: &Self) -> bool {
-        self.to_record() == other.to_record()
+        self.to_payload() == other.to_payload()
     }
 }
 
@@ -257,7 +257,7 @@ impl Firings {
     }
 
     /// The payload of the scanner's record.
-    pub fn to_record(&self) -> Vec<u8> {
+    pub fn to_payload(&self) -> Vec<u8> {
         let mut record = Vec::new();
         let out = &mut record;
         let Timing { slot, firing, block } = self.timing;

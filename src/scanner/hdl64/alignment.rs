@@ -1,7 +1,7 @@
 //! Cells above one another that look the same way.
 
 use crate::ground::grid::Grid;
-use crate::scanner::SensorModel;
+use crate::scanner::Hdl64;
 
 /// How far each row of a range image is turned against the others. A column holds what fired
 /// together, but the beams of a real scanner point up to some ten degrees to either side of its
@@ -15,7 +15,7 @@ pub struct Alignment {
 
 impl Alignment {
     /// For an image of `columns` columns by this sensor. Nothing is turned if it is the ideal one.
-    pub fn of(sensor: &SensorModel, columns: usize) -> Self {
+    pub fn of(sensor: &Hdl64, columns: usize) -> Self {
         let ticks = u64::from(sensor.ticks);
         let turn = |row| {
             let shift = u64::from(sensor.column_tick(row, 0));
@@ -49,9 +49,9 @@ mod tests {
     use crate::scanner::{BeamConstants, Coordinates, ideal};
 
     /// A sensor of 4000 ticks with these shifts.
-    fn shifted(shifts: &[i64]) -> SensorModel {
+    fn shifted(shifts: &[i64]) -> Hdl64 {
         let beam = |&column_shift: &i64| BeamConstants { column_shift, ..BeamConstants::default() };
-        SensorModel::new(Coordinates::Millimetre, 4000, 2000, shifts.iter().map(beam).collect())
+        Hdl64::new(Coordinates::Millimetre, 4000, 2000, shifts.iter().map(beam).collect())
     }
 
     #[test]

@@ -7,11 +7,11 @@ use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 use super::beams::{Beam, Point};
-use crate::scanner::SensorModel;
+use crate::scanner::Hdl64;
 
 /// The whole number of ticks by which each beam's columns are moved against those of the fullest
 /// beam. One scan that both are in tells.
-pub(crate) fn column_shifts(model: &SensorModel, beams: &[&Beam]) -> Vec<i64> {
+pub(crate) fn column_shifts(model: &Hdl64, beams: &[&Beam]) -> Vec<i64> {
     /// The part of the turn that is looked at first, and how many shifts are then left.
     const SHARE: usize = 2;
     const LIKELY: usize = 100;
@@ -85,7 +85,7 @@ fn agreement(a: &[u8], b: &[u8]) -> u32 {
 }
 
 /// 1 for each tick that holds a point of the beam, else 0.
-fn used_ticks(model: &SensorModel, row: usize, pieces: &[&[Point]]) -> Vec<u8> {
+fn used_ticks(model: &Hdl64, row: usize, pieces: &[&[Point]]) -> Vec<u8> {
     let mut used = vec![0; model.ticks as usize];
     let points = pieces.iter().copied().flatten();
     points.for_each(|p| used[model.nearest_tick(row, p.azimuth, p.rho) as usize] = 1);

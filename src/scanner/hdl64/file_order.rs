@@ -2,13 +2,13 @@
 
 use pulp::{Arch, NullaryFnOnce};
 
-use crate::scanner::SensorModel;
+use crate::scanner::Hdl64;
 use crate::scanner::{RangeImage, Return};
 
 impl RangeImage {
     /// The returns in the order in which a file holds them: row by row, by the azimuth that the
     /// formula gives; those of equal azimuth column by column.
-    pub fn file_order(&self, sensor: &SensorModel) -> Vec<Return> {
+    pub fn file_order(&self, sensor: &Hdl64) -> Vec<Return> {
         Arch::new().dispatch(FileOrder { image: self, sensor })
     }
 }
@@ -16,7 +16,7 @@ impl RangeImage {
 /// What it takes to find the order.
 struct FileOrder<'a> {
     image: &'a RangeImage,
-    sensor: &'a SensorModel,
+    sensor: &'a Hdl64,
 }
 
 impl NullaryFnOnce for FileOrder<'_> {

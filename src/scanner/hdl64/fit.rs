@@ -19,7 +19,7 @@ use super::sharpen::sharpen;
 use crate::ground::lanes::lanes;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
-use crate::scanner::{BeamConstants, Coordinates, Refinement, SensorModel};
+use crate::scanner::{BeamConstants, Coordinates, Hdl64, Refinement};
 
 /// Azimuth ticks a turn of the scanners that the fit knows.
 const TICKS: u32 = 4000;
@@ -38,7 +38,7 @@ const LEAST_SHARE: f64 = 0.5;
 
 /// Fits a model to a sample of the sequence's scans. None if the points are not those of such a
 /// scanner, stored beam by beam.
-pub fn fit(sample: &[ScanFile]) -> Option<SensorModel> {
+pub fn fit(sample: &[ScanFile]) -> Option<Hdl64> {
     let scans: Vec<(Coordinates, Vec<Vec<Point>>)> = sample
         .par_iter()
         .map(|scan| {
@@ -57,7 +57,7 @@ pub fn fit(sample: &[ScanFile]) -> Option<SensorModel> {
 }
 
 /// Fits a model to scans with coordinates on the same grid.
-fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<SensorModel> {
+fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<Hdl64> {
     let beams = align(scans);
     let constants: Vec<_> = beams.par_iter().map(|beam| fit_beam(&beam.points(), coordinates)).collect();
     let (beams, constants): (Vec<&Beam>, Vec<BeamConstants>) =
@@ -69,7 +69,7 @@ fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<Sensor
     if taken == 0 || (taken as f64) < LEAST_SHARE * total as f64 {
         return None;
     }
-    let mut model = SensorModel::new(coordinates, TICKS, RANGE_STEP_UM, constants);
+    let mut model = Hdl64::new(coordinates, TICKS, RANGE_STEP_UM, constants);
     let shifts = column_shifts(&model, &beams);
     model.set_column_shifts(&shifts);
     Some(match coordinates {
@@ -79,7 +79,7 @@ fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<Sensor
 }
 
 /// The model with single-precision arithmetic, if that gives more of the coordinates to the bit.
-fn in_single_precision(model: SensorModel, beams: &[&Beam]) -> SensorModel {
+fn in_single_precision(model: Hdl64, beams: &[&Beam]) -> Hdl64 {
     /// Points of a beam that are compared.
     const COMPARED: usize = 200;
     let points: Vec<Vec<Point>> = beams.par_iter().map(|beam| beam.points()).collect();
@@ -90,7 +90,7 @@ fn in_single_precision(model: SensorModel, beams: &[&Beam]) -> SensorModel {
     }
     let refined =
         model.clone().with_refinements(refinements.into_iter().map(Option::unwrap_or_default).collect());
-    let exact = |model: &SensorModel| {
+    let exact = |model: &Hdl64| {
         let of_point = |row: usize, point: &Point| {
             let Some((tick, steps)) = model.invert(row, point.position) else { return 0 };
             let position = model.position_at(row, tick, model.metres(steps));

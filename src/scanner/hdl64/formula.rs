@@ -1,4 +1,4 @@
-//! The formula of one beam ([`SensorModel`](crate::scanner::SensorModel) has it in full).
+//! The formula of one beam ([`Hdl64`](crate::scanner::Hdl64) has it in full).
 
 use std::f64::consts::TAU;
 

@@ -109,7 +109,7 @@ pub struct Sighting {
 
 /// The scanner of a sequence.
 #[derive(Clone, Debug)]
-pub struct SensorModel {
+pub struct Hdl64 {
     /// The grid of the file's coordinates.
     pub coordinates: Coordinates,
     /// Azimuth ticks a turn (4000 for 0.09 degrees).
@@ -130,7 +130,7 @@ pub struct SensorModel {
     single: Vec<Arithmetic>,
 }
 
-impl PartialEq for SensorModel {
+impl PartialEq for Hdl64 {
     fn eq(&self, other: &Self) -> bool {
         self.coordinates == other.coordinates
             && self.ticks == other.ticks
@@ -140,7 +140,7 @@ impl PartialEq for SensorModel {
     }
 }
 
-impl SensorModel {
+impl Hdl64 {
     /// A model from quantised constants. `ticks` must not be 0.
     pub fn new(
         coordinates: Coordinates,
@@ -152,7 +152,7 @@ impl SensorModel {
         let angles: Vec<f64> = (0..ticks).map(|t| f64::from(t) / f64::from(ticks) * TAU).collect();
         let ticks_of_turn = angles.iter().map(|&angle| Tick::at(angle)).collect();
         let (refinements, single, shifts) = (None, Vec::new(), Vec::new());
-        let mut model = SensorModel {
+        let mut model = Hdl64 {
             coordinates,
             ticks,
             range_step_um,
@@ -185,7 +185,7 @@ impl SensorModel {
 
     /// The same scanner, its ranges rounded to other steps, in micrometres.
     pub fn with_range_step(self, range_step_um: u32) -> Self {
-        SensorModel { range_step_um, ..self }
+        Hdl64 { range_step_um, ..self }
     }
 
     /// Number of beams, which is the number of rows of the range image.
@@ -467,9 +467,6 @@ impl SensorModel {
         (0..self.rows()).min_by(|&a, &b| miss(a).total_cmp(&miss(b))).unwrap_or(0)
     }
 
-    /// The number of its family of scanners in the stream.
-    pub const FAMILY: u64 = 1;
-
     /// The payload of the scanner's record in the stream.
     pub fn to_payload(&self) -> Vec<u8> {
         let mut payload = Vec::new();
@@ -540,7 +537,7 @@ pub(crate) const ON_CONE: f64 = 0.004;
 /// The longest range that any range image holds, in steps.
 pub const MOST_STEPS: u32 = (1 << 24) - 1;
 
-/// The value of [`SensorModel::range_step_um`] for ranges that are float32.
+/// The value of [`Hdl64::range_step_um`] for ranges that are float32.
 pub const FLOAT_RANGES: u32 = 0;
 
 /// The coarsest range step, in micrometres.

@@ -6,12 +6,12 @@ use std::f64::consts::TAU;
 use super::model::ON_CONE;
 use crate::ground::lanes::lanes;
 use crate::ground::rounding::round_ties_even;
-use crate::scanner::{FLOAT_RANGES, SensorModel};
+use crate::scanner::{FLOAT_RANGES, Hdl64};
 
 /// Ticks over which an angle is as good as its sine.
 const NEAR: f64 = 16.0;
 
-impl SensorModel {
+impl Hdl64 {
     /// The ticks and the range steps of points (metres, as the file has them) of beam `row`, none of them far from
     /// tick `hint`. None if that is not what they all are, if one is off the file's grid, or if the formula
     /// misses one by `reach` metres or more along an axis.

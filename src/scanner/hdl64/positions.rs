@@ -3,17 +3,17 @@
 use pulp::{Arch, NullaryFnOnce};
 
 use crate::scanner::Return;
-use crate::scanner::{Coordinates, SensorModel, nearest_millimetre};
+use crate::scanner::{Coordinates, Hdl64, nearest_millimetre};
 
 /// Positions of returns (metres), which come row by row and are `offset_m` metres farther than their steps say:
 /// as the file's grid has them if they are `on_grid`, else as the formula gives them.
-pub fn positions(sensor: &SensorModel, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
+pub fn positions(sensor: &Hdl64, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
     Arch::new().dispatch(Filling { sensor, returns, offset_m, on_grid })
 }
 
 /// What it takes to find positions.
 struct Filling<'a> {
-    sensor: &'a SensorModel,
+    sensor: &'a Hdl64,
     returns: &'a [Return],
     offset_m: f64,
     on_grid: bool,
@@ -42,12 +42,7 @@ impl NullaryFnOnce for Filling<'_> {
 }
 
 #[inline(always)]
-fn fill(
-    sensor: &SensorModel,
-    returns: &[Return],
-    offset_m: f64,
-    stored: impl Fn(f64) -> f32,
-) -> Vec<[f32; 3]> {
+fn fill(sensor: &Hdl64, returns: &[Return], offset_m: f64, stored: impl Fn(f64) -> f32) -> Vec<[f32; 3]> {
     let mut positions = vec![[0.0; 3]; returns.len()];
     let (mut returns, mut rest) = (returns, positions.as_mut_slice());
     while let Some(first) = returns.first() {

@@ -5,8 +5,8 @@ use pulp::{Arch, NullaryFnOnce};
 use crate::ground::grid::Grid;
 use crate::ground::lanes::lanes;
 use crate::scan::{PointCloud, squared_distance};
+use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
-use crate::scanner::SensorModel;
 
 /// Where each point of a scan went.
 #[derive(Debug, Default)]
@@ -21,7 +21,7 @@ pub struct Projection {
 
 impl Projection {
     /// How far the formula misses the points of the image, in metres, row after row.
-    pub fn misses(&self, sensor: &SensorModel, cloud: &PointCloud) -> Vec<f64> {
+    pub fn misses(&self, sensor: &Hdl64, cloud: &PointCloud) -> Vec<f64> {
         let mut misses = Vec::with_capacity(cloud.positions.len());
         for row in 0..self.image.steps.rows() {
             for (column, &steps) in self.image.steps.row(row).iter().enumerate().filter(|(_, s)| **s > 0) {
@@ -49,7 +49,7 @@ pub const REACH: f64 = 0.003;
 /// Projects a scan into a range image (article, IV-A, with the calibrated sensor for the ideal
 /// one, so that nothing is lost). Points that the formula misses by more than `reach` metres along an axis,
 /// besides half a range step, are strays.
-pub fn project(sensor: &SensorModel, cloud: &PointCloud, reach: f64) -> Projection {
+pub fn project(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Projection {
     let places = places(sensor, cloud, reach + 0.5 * sensor.range_step_m());
     let mut in_column = vec![0u32; sensor.ticks as usize];
     places
@@ -83,7 +83,7 @@ pub fn project(sensor: &SensorModel, cloud: &PointCloud, reach: f64) -> Projecti
 /// Projects a scan into the image of the ideal sensor (article, IV-A, equation 2): every point goes to
 /// the nearest beam and column, and of two in one cell the nearer stays. Strays are the points that
 /// found no place.
-pub fn project_nearest(sensor: &SensorModel, cloud: &PointCloud) -> Projection {
+pub fn project_nearest(sensor: &Hdl64, cloud: &PointCloud) -> Projection {
     let columns = (0..sensor.ticks).collect();
     let mut projection = Projection {
         point_of_cell: Grid::new(sensor.rows(), sensor.ticks as usize),
@@ -124,7 +124,7 @@ struct Place {
 }
 
 /// The place of each point.
-fn places(sensor: &SensorModel, cloud: &PointCloud, reach: f64) -> Vec<Place> {
+fn places(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Vec<Place> {
     let search = Search { sensor, reach, row: 0, tick: 0 };
     Arch::new().dispatch(Searching { search, positions: &cloud.positions })
 }
@@ -158,7 +158,7 @@ impl NullaryFnOnce for Searching<'_> {
 
 /// Finds places of points that come row by row, tick after tick.
 struct Search<'a> {
-    sensor: &'a SensorModel,
+    sensor: &'a Hdl64,
     /// Metres.
     reach: f64,
     /// Where the last one was found.

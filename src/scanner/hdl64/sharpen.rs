@@ -10,7 +10,7 @@ use std::ops::Range;
 
 use super::beams::{Point, thinned};
 use super::single_precision::{Arithmetic, Refinement};
-use crate::scanner::SensorModel;
+use crate::scanner::Hdl64;
 
 /// Points of a beam that are looked at.
 const SAMPLE: usize = 1500;
@@ -33,7 +33,7 @@ struct Site {
 
 /// What to add to the constants of beam `row` so that single-precision arithmetic gives its points to the bit.
 /// None if it does not.
-pub(crate) fn sharpen(model: &SensorModel, row: usize, points: &[Point]) -> Option<Refinement> {
+pub(crate) fn sharpen(model: &Hdl64, row: usize, points: &[Point]) -> Option<Refinement> {
     let sites: Vec<Site> = thinned(points, SAMPLE).filter_map(|point| site(model, row, point)).collect();
     if sites.len() < FEWEST_POINTS {
         return None;
@@ -49,7 +49,7 @@ pub(crate) fn sharpen(model: &SensorModel, row: usize, points: &[Point]) -> Opti
 }
 
 /// The site of a point that the f64 formula gives but for roundings.
-fn site(model: &SensorModel, row: usize, point: &Point) -> Option<Site> {
+fn site(model: &Hdl64, row: usize, point: &Point) -> Option<Site> {
     /// Metres along x and y, and along z, which are as much as roundings do.
     const NEAR: [f64; 3] = [1e-4, 1e-4, 2e-6];
     let (tick, steps) = model.invert(row, point.position)?;

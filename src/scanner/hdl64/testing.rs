@@ -2,10 +2,10 @@
 
 use crate::ground::random::Rng;
 use crate::scanner::RangeImage;
-use crate::scanner::{BeamConstants, Coordinates, SensorModel};
+use crate::scanner::{BeamConstants, Coordinates, Hdl64};
 
 /// Some beams of an HDL-64E, which look past the axis on both sides, and what they may see: near, far and nothing.
-pub fn scanner() -> (SensorModel, RangeImage) {
+pub fn scanner() -> (Hdl64, RangeImage) {
     let constants = |beam: usize| {
         let beam = beam as f64;
         BeamConstants::quantise([
@@ -16,7 +16,7 @@ pub fn scanner() -> (SensorModel, RangeImage) {
             0.02 * beam,
         ])
     };
-    let sensor = SensorModel::new(Coordinates::Millimetre, 4000, 2000, (0..5).map(constants).collect());
+    let sensor = Hdl64::new(Coordinates::Millimetre, 4000, 2000, (0..5).map(constants).collect());
     let mut image = RangeImage::new(5, (0..4000).step_by(2).collect());
     let mut random = Rng::keyed(1, &[]);
     for steps in image.steps.cells_mut() {

@@ -8,8 +8,8 @@ use crate::frame::settings::{EncoderConfig, ProjectionKind};
 use crate::frame::{Positions, StepReport};
 use crate::ground::error::Result;
 use crate::scan::PointCloud;
-use crate::scanner::{FLOAT_RANGES, RANGE_STEP_UM, SensorModel};
-use crate::scanner::{REACH, RangeImage, project, project_nearest};
+use crate::scanner::{FLOAT_RANGES, RANGE_STEP_UM, Scanner};
+use crate::scanner::{REACH, RangeImage, project_nearest};
 use crate::stream::{DecodeOptions, DecodedFrame};
 use crate::study::metrics::{PointErrors, RangeErrors};
 
@@ -123,8 +123,8 @@ impl Distortion {
     fn add(&mut self, original: &PointCloud, decoded: &DecodedFrame, config: &EncoderConfig) {
         match (&decoded.image, config.positions) {
             (Some(image), Positions::Formula) => {
-                let (sensor, reference) = reference_image(original, &image.sensor, config);
-                self.ranges.add((&sensor, &reference), (&image.sensor, &image.image));
+                let (scanner, reference) = reference_image(original, &image.scanner, config);
+                self.ranges.add((&scanner, &reference), (&image.scanner, &image.image));
             }
             (None, Positions::Formula) => {}
             _ => self.points.add(original, &decoded.scan.cloud),
@@ -136,21 +136,21 @@ impl Distortion {
 /// float32 for the ideal sensor, the scanner's own for a calibrated one.
 fn reference_image(
     original: &PointCloud,
-    sensor: &SensorModel,
+    scanner: &Scanner,
     config: &EncoderConfig,
-) -> (SensorModel, RangeImage) {
+) -> (Scanner, RangeImage) {
     let filtered = config.outliers.map(|filter| filter.filter(original));
     let cloud = filtered.as_ref().unwrap_or(original);
-    match config.projection {
-        ProjectionKind::Ideal { .. } => {
-            let sensor = sensor.clone().with_range_step(FLOAT_RANGES);
-            let image = project_nearest(&sensor, cloud).image;
-            (sensor, image)
+    match (config.projection, scanner) {
+        (ProjectionKind::Ideal { .. }, Scanner::Hdl64(ideal)) => {
+            let ideal = ideal.clone().with_range_step(FLOAT_RANGES);
+            let image = project_nearest(&ideal, cloud).image;
+            (Scanner::Hdl64(ideal), image)
         }
-        ProjectionKind::Calibrated { .. } => {
-            let sensor = sensor.clone().with_range_step(RANGE_STEP_UM);
-            let image = project(&sensor, cloud, REACH).image;
-            (sensor, image)
+        _ => {
+            let scanner = scanner.clone().with_range_step(RANGE_STEP_UM);
+            let image = scanner.project(cloud, REACH).image;
+            (scanner, image)
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Errors of range images, cell by cell.
 
 use crate::scanner::RangeImage;
-use crate::scanner::SensorModel;
+use crate::scanner::Scanner;
 
 /// How far the ranges of a decoded image are from those of the original one: the RMSE of the article
 /// (VI-A, equation 12),
@@ -27,9 +27,9 @@ pub struct RangeErrors {
 }
 
 impl RangeErrors {
-    /// Adds the images of one frame, each with the sensor whose steps it counts. They are of the same rows;
+    /// Adds the images of one frame, each with the scanner whose steps it counts. They are of the same rows;
     /// columns belong together if their ticks are equal.
-    pub fn add(&mut self, original: (&SensorModel, &RangeImage), decoded: (&SensorModel, &RangeImage)) {
+    pub fn add(&mut self, original: (&Scanner, &RangeImage), decoded: (&Scanner, &RangeImage)) {
         let (mut left, mut right) = (0, 0);
         let tick = |image: &RangeImage, column: usize| image.columns.get(column).copied();
         loop {
@@ -53,9 +53,9 @@ impl RangeErrors {
 
     fn add_column(
         &mut self,
-        (sensor, original): (&SensorModel, &RangeImage),
+        (scanner, original): (&Scanner, &RangeImage),
         left: usize,
-        (decoded_sensor, decoded): (&SensorModel, &RangeImage),
+        (decoded_scanner, decoded): (&Scanner, &RangeImage),
         right: usize,
     ) {
         for row in 0..original.steps.rows().min(decoded.steps.rows()) {
@@ -64,7 +64,7 @@ impl RangeErrors {
                 (_, 0) => self.only_original += 1,
                 (0, _) => self.only_decoded += 1,
                 (before, after) => {
-                    let error = (sensor.metres(before) - decoded_sensor.metres(after)).abs();
+                    let error = (scanner.metres(before) - decoded_scanner.metres(after)).abs();
                     self.compared += 1;
                     self.squared_sum += error * error;
                     self.max = self.max.max(error);
@@ -102,7 +102,8 @@ mod tests {
 
     #[test]
     fn errors_are_range_differences_of_returns_in_both_images() {
-        let (millimetres, centimetres) = (ideal(100, 1000), ideal(100, 10_000));
+        let (millimetres, centimetres) =
+            (Scanner::Hdl64(ideal(100, 1000)), Scanner::Hdl64(ideal(100, 10_000)));
         let original = image(&[(0, 1003), (1, 2000), (2, 0), (3, 4004), (4, 0)]);
         let decoded = image(&[(0, 100), (1, 0), (2, 7), (3, 400), (4, 0)]);
         let mut errors = RangeErrors::default();
@@ -115,11 +116,11 @@ mod tests {
 
     #[test]
     fn columns_are_matched_by_their_ticks() {
-        let sensor = ideal(100, 1000);
+        let scanner = Scanner::Hdl64(ideal(100, 1000));
         let mut errors = RangeErrors::default();
         errors.add(
-            (&sensor, &image(&[(1, 10), (5, 20), (7, 30)])),
-            (&sensor, &image(&[(0, 9), (5, 20), (9, 9)])),
+            (&scanner, &image(&[(1, 10), (5, 20), (7, 30)])),
+            (&scanner, &image(&[(0, 9), (5, 20), (9, 9)])),
         );
         assert_eq!((errors.compared, errors.only_original, errors.only_decoded), (1, 2, 2));
         assert_eq!(errors.rmse(), Some(0.0));

@@ -5,12 +5,12 @@ use crate::article::prediction::Predictor;
 use crate::article::segmentation::{SegmentationConfig, segment};
 use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
 use crate::scanner::RangeImage;
-use crate::scanner::{SensorModel, ideal};
+use crate::scanner::{Hdl64, ideal};
 
 const COLUMNS: u32 = 64;
 
 /// Fits, codes, decodes and predicts with each kind of models; the image must come back.
-fn comes_back(image: &RangeImage, sensor: &SensorModel, segmentation: &SegmentationConfig) {
+fn comes_back(image: &RangeImage, sensor: &Hdl64, segmentation: &SegmentationConfig) {
     let occupancy = image.occupancy();
     let rays = Rays::of(sensor, &image.columns);
     let segmentation = segment(&image.steps, &image.columns, sensor, segmentation);

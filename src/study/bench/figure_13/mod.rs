@@ -20,7 +20,7 @@ use crate::ground::grid::Grid;
 use crate::inter::registration::{QuantisedPose, register};
 use crate::inter::{self, Past};
 use crate::scan::PointCloud;
-use crate::scanner::{FLOAT_RANGES, SensorModel, ideal};
+use crate::scanner::{FLOAT_RANGES, Hdl64, ideal};
 use crate::scanner::{RangeImage, project_nearest};
 
 /// What ranges are predicted from.
@@ -88,7 +88,7 @@ pub struct Figure13 {
 ///
 /// # Errors
 /// If the configuration has another range image.
-pub fn ideal_sensor(config: &EncoderConfig) -> Result<SensorModel> {
+pub fn ideal_sensor(config: &EncoderConfig) -> Result<Hdl64> {
     match config.projection {
         ProjectionKind::Ideal { columns, range_step_um } if range_step_um != FLOAT_RANGES => {
             Ok(ideal(columns, range_step_um))
@@ -140,7 +140,7 @@ pub fn measure(sample: &Sample, config: &EncoderConfig, on_frame: &dyn Fn()) -> 
 }
 
 /// The range image of what the outlier filter leaves (III-A, IV-A).
-fn image(cloud: &PointCloud, sensor: &SensorModel, config: &EncoderConfig) -> RangeImage {
+fn image(cloud: &PointCloud, sensor: &Hdl64, config: &EncoderConfig) -> RangeImage {
     let filtered = config.outliers.map(|filter| filter.filter(cloud));
     project_nearest(sensor, filtered.as_ref().unwrap_or(cloud)).image
 }
@@ -150,7 +150,7 @@ impl Figure13 {
         &mut self,
         image: &RangeImage,
         from_before: Option<Grid<u32>>,
-        sensor: &SensorModel,
+        sensor: &Hdl64,
         config: &EncoderConfig,
     ) -> Result<()> {
         let occupancy = image.occupancy();
@@ -197,7 +197,7 @@ fn side_bytes(intra: &mut IntraPrediction, occupancy: &Grid<bool>) -> Result<u64
 }
 
 /// The whole image as floats in metres, 0 where there is no return.
-fn as_floats(residuals: &[i32], occupancy: &Grid<bool>, sensor: &SensorModel) -> Vec<u8> {
+fn as_floats(residuals: &[i32], occupancy: &Grid<bool>, sensor: &Hdl64) -> Vec<u8> {
     let metres = |steps: i32| (f64::from(steps) * f64::from(sensor.range_step_um) * 1e-6) as f32;
     let mut residuals = residuals.iter();
     let value = |filled: &bool| if *filled { residuals.next().copied().unwrap_or_default() } else { 0 };
@@ -214,12 +214,7 @@ struct Before {
 impl Before {
     /// The ranges that it lets expect (V-B and V-C): the scanner is taken to stand still if its motion is
     /// not found. `None` if there is no frame before.
-    fn predict(
-        &mut self,
-        image: &RangeImage,
-        sensor: &SensorModel,
-        config: &EncoderConfig,
-    ) -> Option<Grid<u32>> {
+    fn predict(&mut self, image: &RangeImage, sensor: &Hdl64, config: &EncoderConfig) -> Option<Grid<u32>> {
         let before = self.image.take()?;
         let levels = Grid::new(before.steps.rows(), before.steps.columns());
         let past = Past::new(before, levels);
