@@ -55,7 +55,7 @@ pub enum Command {
     View(ViewArgs),
     /// Run the article's experiments on scans: its tables and figures, as text or as a page with plots.
     Bench(BenchArgs),
-    /// Write a synthetic drive: KITTI .bin scans of a simulated HDL-64E.
+    /// Write a synthetic drive: KITTI .bin scans of a simulated scanner.
     Synth(SynthArgs),
 }
 
@@ -399,7 +399,20 @@ pub struct SynthArgs {
     /// Seed of everything random: the same seed gives the same drive.
     #[arg(long, value_name = "S", default_value_t = SynthConfig::default().seed)]
     pub seed: u64,
+    /// The scanner to simulate.
+    #[arg(long, value_enum, default_value_t)]
+    pub scanner: SimulatedScanner,
     /// Overwrite scans that exist.
     #[arg(short, long)]
     pub force: bool,
+}
+
+/// The scanners of the simulator.
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub enum SimulatedScanner {
+    /// Velodyne HDL-64E, as KITTI stores its scans.
+    #[default]
+    Hdl64,
+    /// Velodyne VLP-16, as the ROS driver computes its points.
+    Vlp16,
 }

@@ -1,16 +1,19 @@
 //! `lidarpc synth`
 
-use crate::study::synth::{SynthConfig, drive};
+use crate::study::synth::{SynthConfig, SynthScanner, drive};
 use anyhow::Result;
 
-use super::args::SynthArgs;
+use super::args::{SimulatedScanner, SynthArgs};
 use super::output::FolderOutput;
 use super::{progress, table};
 
 pub fn run(args: &SynthArgs, quiet: bool) -> Result<()> {
     let folder = FolderOutput::create(&args.output, args.force)?;
-    #[allow(clippy::needless_update, reason = "the simulator has more settings than the command")]
-    let config = SynthConfig { frames: args.frames, seed: args.seed, ..SynthConfig::default() };
+    let scanner = match args.scanner {
+        SimulatedScanner::Hdl64 => SynthScanner::Hdl64,
+        SimulatedScanner::Vlp16 => SynthScanner::Vlp16,
+    };
+    let config = SynthConfig { scanner, frames: args.frames, seed: args.seed, ..SynthConfig::default() };
     let bar = progress::bar(Some(args.frames as u64), "driving", quiet);
     let mut points = 0;
     for frame in drive(&config) {

@@ -1,4 +1,5 @@
-//! A simulated drive: a Velodyne HDL-64E, a street made up from a seed, and scans as KITTI stores them.
+//! A simulated drive: a Velodyne HDL-64E or VLP-16, a street made up from a seed, and scans as KITTI or the ROS driver
+//! stores them.
 //!
 //! For tests and demonstrations that need scans with the structure of real ones but none of their
 //! data. What is imitated is the sensor: 64 beams with constants of their own, 2 mm range steps,
@@ -23,24 +24,39 @@ mod shape;
 mod street;
 mod thing;
 mod trajectory;
+mod vlp16;
 
 pub use beams::{BEAMS, Beam, STEP, TICKS};
+pub use vlp16::VLP_16_ELEVATIONS;
 
 use crate::ground::error::{Error, Result};
 use ground::Ground;
 use scanner::Scanner;
 use trajectory::Pose;
 
+/// The scanner on the car's roof.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SynthScanner {
+    /// Velodyne HDL-64E: beam by beam, rounded to the millimetre, as in KITTI.
+    #[default]
+    Hdl64,
+    /// Velodyne VLP-16: firing by firing, by the single-precision arithmetic of the ROS driver.
+    Vlp16,
+}
+
 /// What to simulate. The default is a car in a street of houses at 30 km/h, ten frames a second.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SynthConfig {
+    /// The scanner. Default HDL-64E.
+    pub scanner: SynthScanner,
     /// Number of frames. Default 10.
     pub frames: usize,
     /// Makes the scanner, the street and the noise what they are. Default 1.
     pub seed: u64,
-    /// Beams, 1 to 64: every (64 / beams)-th one of the full scanner. Default 64.
+    /// Beams of the HDL-64E, 1 to 64: every (64 / beams)-th one of the full scanner. Default 64.
     pub beams: usize,
-    /// Only every so many-th firing is kept; 1 keeps all of the about 2157 of a turn. Default 1.
+    /// Only every so many-th firing is kept, of the VLP-16 every so many-th block of two; 1 keeps all of a turn.
+    /// Default 1.
     pub thinning: usize,
     /// Way from one frame to the next, in metres. Default 0.8.
     pub speed: f64,
@@ -64,6 +80,7 @@ pub struct SynthConfig {
 impl Default for SynthConfig {
     fn default() -> Self {
         SynthConfig {
+            scanner: SynthScanner::default(),
             frames: 10,
             seed: 1,
             beams: BEAMS,
@@ -116,7 +133,8 @@ fn require(holds: bool, message: impl FnOnce() -> String) -> Result<()> {
 pub struct SynthFrame {
     /// File name as in KITTI: "0000000000.bin" is the first.
     pub name: String,
-    /// x, y, z in metres and intensity, beam by beam from the top and by azimuth in each beam.
+    /// x, y, z in metres and intensity: of the HDL-64E beam by beam from the top and by azimuth in each beam, the
+    /// intensity from 0 to 0.99; of the VLP-16 firing by firing, the intensity a whole number from 0 to 255.
     pub points: Vec<[f32; 4]>,
     /// The sensor in the world when it looks ahead, in the middle of its turn: rotation and
     /// position in metres, the first three rows of the matrix that takes points to the world.
@@ -135,12 +153,15 @@ pub fn drive(config: &SynthConfig) -> impl Iterator<Item = SynthFrame> + use<> {
     let (config, ground, beams) = (config.clone(), Ground::new(config.seed), scanner_beams(config));
     (0..config.frames).map(move |frame| SynthFrame {
         name: format!("{frame:010}.bin"),
-        points: Scanner { config: &config, ground: &ground, beams: &beams }.scan(frame),
+        points: match config.scanner {
+            SynthScanner::Hdl64 => Scanner { config: &config, ground: &ground, beams: &beams }.scan(frame),
+            SynthScanner::Vlp16 => vlp16::scan(&config, &ground, frame),
+        },
         pose: Pose::at(&config, &ground, frame as f64).row_major(),
     })
 }
 
-/// The true constants of the simulated scanner, from the top beam down: what a fit should find.
+/// The true constants of the simulated HDL-64E, from the top beam down: what a fit should find.
 pub fn scanner_beams(config: &SynthConfig) -> Vec<Beam> {
     beams::beams(config.seed, config.beams)
 }

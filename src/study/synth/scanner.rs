@@ -66,7 +66,7 @@ impl Scanner<'_> {
     /// Where the sensor is when it fires in a column. A turn begins and ends behind the car.
     fn pose(&self, time: f64, column: i32) -> Pose {
         let turned = f64::from((column + TICKS / 2) % TICKS) / f64::from(TICKS) - 0.5;
-        Pose::at(self.config, self.ground, if self.config.rolling { time + turned } else { time })
+        pose(self.config, self.ground, time, turned)
     }
 
     /// One beam's points. They are sorted by azimuth before it was rounded, 0 to 360 degrees, so at
@@ -91,23 +91,32 @@ impl Scanner<'_> {
     ) -> Option<(Stored, f32)> {
         let tick = (column - beam.shift).rem_euclid(TICKS);
         let hit = look(scene, &leave(beam, tick), pose, rng)?;
-        let noise = sqrt(self.config.noise * self.config.noise + hit.scatter * hit.scatter);
-        let distance = hit.distance + noise * rng.normal();
-        let heard = self.is_heard(&hit, rng);
-        if !heard || distance < self.config.min_range || distance > self.config.max_range {
-            return None;
-        }
+        let distance = measured(self.config, &hit, rng)?;
         let steps = rint((distance - beam.distance_offset()) / STEP).max(1.0) as u32;
         let stray = i32::from(rng.chance(STRAY));
         Some((beam.point((tick + stray) % TICKS, steps), intensity(&hit, beam.gain, rng)))
     }
+}
 
-    /// Whether the return is strong enough, and not lost by chance.
-    fn is_heard(&self, hit: &Hit, rng: &mut Rng) -> bool {
-        let range = hit.distance / SENSITIVITY_RANGE;
-        let strength = SENSITIVITY * hit.reflectivity * hit.incidence / (range * range);
-        rng.chance((1.0 - exp(-strength)) * (1.0 - hit.loss) * (1.0 - self.config.dropout))
-    }
+/// What the scanner measures along a ray that meets something: the distance in metres, with its noise. None if not
+/// enough light comes back, or from too near or too far.
+pub(super) fn measured(config: &SynthConfig, hit: &Hit, rng: &mut Rng) -> Option<f64> {
+    let noise = sqrt(config.noise * config.noise + hit.scatter * hit.scatter);
+    let distance = hit.distance + noise * rng.normal();
+    let is_heard = is_heard(config, hit, rng);
+    (is_heard && distance >= config.min_range && distance <= config.max_range).then_some(distance)
+}
+
+/// Whether a return is strong enough, and not lost by chance.
+fn is_heard(config: &SynthConfig, hit: &Hit, rng: &mut Rng) -> bool {
+    let range = hit.distance / SENSITIVITY_RANGE;
+    let strength = SENSITIVITY * hit.reflectivity * hit.incidence / (range * range);
+    rng.chance((1.0 - exp(-strength)) * (1.0 - hit.loss) * (1.0 - config.dropout))
+}
+
+/// Where the sensor is in a part of its turn, from -0.5 to 0.5.
+pub(super) fn pose(config: &SynthConfig, ground: &Ground, time: f64, turned: f64) -> Pose {
+    Pose::at(config, ground, if config.rolling { time + turned } else { time })
 }
 
 /// The ray of a beam in the sensor's coordinates.
@@ -121,7 +130,7 @@ fn leave(beam: &Beam, tick: i32) -> Ray {
 }
 
 /// What a ray of the sensor sees: the roof under it or the street.
-fn look(scene: &Scene, ray: &Ray, pose: &Pose, rng: &mut Rng) -> Option<Hit> {
+pub(super) fn look(scene: &Scene, ray: &Ray, pose: &Pose, rng: &mut Rng) -> Option<Hit> {
     if let Some(span) = through_box(ray, ROOF.0, ROOF.1).filter(|span| span.enter > 0.0) {
         return Some(Hit::plain(span.enter, span.incidence, 0.4));
     }
@@ -131,11 +140,16 @@ fn look(scene: &Scene, ray: &Ray, pose: &Pose, rng: &mut Rng) -> Option<Hit> {
 /// Intensity as stored: hundredths, 0.00 to 0.99. The scanner makes up for most of the distance;
 /// slanting surfaces look darker.
 fn intensity(hit: &Hit, gain: f64, rng: &mut Rng) -> f32 {
+    (brightness(hit, gain, rng).clamp(0.0, 99.0) / 100.0) as f32
+}
+
+/// The same as a whole number, not limited.
+pub(super) fn brightness(hit: &Hit, gain: f64, rng: &mut Rng) -> f64 {
     let facing = 0.35 + 0.65 * sqrt(hit.incidence);
     let fading = 1.0 / (1.0 + hit.distance / 120.0);
     let level = 100.0 * gain * hit.reflectivity * facing * fading;
     let noise = (INTENSITY_NOISE + SPECKLE * level) * rng.normal();
-    (rint(level + noise).clamp(0.0, 99.0) / 100.0) as f32
+    rint(level + noise)
 }
 
 #[cfg(test)]
