@@ -52,7 +52,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         "readers" => files.map(|(kind, bytes)| [vec![kind], bytes].concat()).to_vec(),
         "sensor" => STREAMS
             .iter()
-            .flat_map(|(scanners, _)| scanners.iter().map(|scanner| scanner.payload.clone()))
+            .flat_map(|(models, _)| models.iter().map(|scanner| scanner.payload.clone()))
             .collect(),
         _ => {
             let with =
