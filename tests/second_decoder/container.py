@@ -80,7 +80,7 @@ class Reader:
         return (c >> 1) ^ -(c & 1)
 
     def block(self):
-        """A record (2.2) or a section (2.7): kind, payload."""
+        """A record (2.2) or a section (2.6): kind, payload."""
         start = self.at
         kind = self.unsigned(1)
         payload = self.take(self.varint())
@@ -195,7 +195,7 @@ def read_entry(reader):
 
 
 def compare(reader, places):
-    """2.8: the index with what was read."""
+    """2.7: the index with what was read."""
     scanners = [(reader.varint(), reader.varint()) for _ in range(reader.varint())]
     found = [(reader.varint(), reader.varint(), read_entry(reader)) for _ in range(reader.varint())]
     reader.end()

@@ -272,10 +272,8 @@ class Tokens:
         return self.words[at]
 
     def first_state(self):
-        at = self.next_word
-        self.next_word = at + 2
-        pair = (self.words[at : at + 2] + [0, 0])[:2]
-        return pair[0] | pair[1] << 16
+        low = self.word()
+        return low | self.word() << 16
 
     def token(self, context):
         state = self.state

@@ -147,7 +147,9 @@ class Decoder:
             if parameters.prediction == INTER:
                 if self.past is None:
                     raise Refused("a frame is predicted from none")
-                seen = references.Reference(scanner, self.past, columns, parameters.motion, parameters.is_light)
+                seen = references.Reference(
+                    scanner, self.past, columns, parameters.motion, parameters.coder == LIGHT
+                )
             image = self.occupied(parameters, columns, seen)
             if sum(map(sum, image)) != returns:
                 raise Refused("the range image does not hold as many returns as it should")
@@ -174,10 +176,7 @@ class Decoder:
                 if levels is None:
                     levels = [[0] * len(columns) for _ in image]
                 self.past = references.Past(columns, ranges, levels)
-        elements = self.in_file_order(ranges, columns) if parameters.positions != OF_FORMULA else [
-            (row, column, scanner.tick_of_column(row, columns[column]), ranges[row][column])
-            for row, cells in enumerate(image) for column, filled in enumerate(cells) if filled
-        ]
+        elements = self.in_canonical_order(ranges, columns)
         stray_places, moved, move_places = range(returns, records), [], []
         positions = []
         if returns:
@@ -235,7 +234,7 @@ class Decoder:
             model = self.model(tokens.Range, coder != TOKENS)
         return model.code(Reader(payload), image, parameters, seen)
 
-    def in_file_order(self, ranges, columns):
+    def in_canonical_order(self, ranges, columns):
         scanner = self.scanner
         found = []
         for row, cells in enumerate(ranges):
@@ -244,27 +243,22 @@ class Decoder:
                 if steps:
                     tick = scanner.tick_of_column(row, columns[column])
                     of_row.append((scanner.azimuth(row, tick, steps), row, column, tick, steps))
-            of_row.sort(key=lambda e: total_order(e[0]))
+            of_row.sort(key=lambda e: e[0])
             found += [e[1:] for e in of_row]
         return found
 
     def positions(self, parameters, elements):
         scanner = self.scanner
-        if parameters.positions == OF_FORMULA:
-            return [sections.rounded(scanner.point(row, tick, steps)) for row, _, tick, steps in elements]
         formulas = [
             scanner.expected_position(row, tick, steps, parameters.between) for row, _, tick, steps in elements
         ]
+        if parameters.positions == OF_FORMULA:
+            return [sections.rounded(formula) for formula in formulas]
         payload = self.next_section(kinds.CORRECTION)
         grid = scanner.grid
         if parameters.is_tokens or parameters.is_light and grid.kind == MILLIMETRE:
             return self.model(tokens.Correction).code(Reader(payload), grid, parameters.positions, formulas)
         return self.correction.code(Bits(payload), grid, parameters.positions, formulas)
-
-
-def total_order(v):
-    """A key that sorts -0.0 before 0.0."""
-    return v, struct.pack(">d", v)[0] >> 7 == 0
 
 
 def compensated(reader, positions):

@@ -1,4 +1,4 @@
-"""Section 3 of FORMAT.md: the scanner of family `hdl64`, coordinate grids, single-precision arithmetic."""
+"""Sections 3.1 to 3.4 of FORMAT.md: scanners of family `hdl64`, coordinate grids, single-precision arithmetic."""
 
 import struct
 from math import copysign, inf, isnan, nan, sqrt
@@ -38,7 +38,7 @@ def from_ordered(unit):
 
 
 class Grid:
-    """3.5: a grid of coordinates. Values are the bits of float32s."""
+    """3.4: a grid of coordinates. Values are the bits of float32s."""
 
     def __init__(self, kind, step=None):
         self.kind = kind
@@ -153,7 +153,7 @@ class Scanner:
             return azimuth - TAU
         return azimuth
 
-    # 3.6 Single-precision arithmetic
+    # Single-precision arithmetic
 
     def single(self, beam, values):
         sine, cosine, offset, height, side, azimuth, first_tick = values
@@ -187,8 +187,7 @@ class Scanner:
         """The formula of the correction section (8.7)."""
         d = self.metres(steps)
         if between:
-            step = self.range_step
-            d = float(steps) * step + (-0.5 * step)
+            d += -0.5 * self.range_step
         if self.coordinates == SINGLE_PRECISION:
             return self.position(row, tick, d)
         return self.point_at(row, tick, d)

@@ -1,4 +1,4 @@
-"""Section 3.4 of FORMAT.md: sine, cosine and arctangent as musl and fdlibm compute them, to the last bit."""
+"""Section 3.5 of FORMAT.md: sine, cosine and arctangent as musl and fdlibm compute them, to the last bit."""
 
 import struct
 
@@ -185,7 +185,7 @@ def atan2(y, x):
     return (z - PI_LO) - PI
 
 
-# 3.6: in float32
+# In float32
 
 
 def _f32(bits):
