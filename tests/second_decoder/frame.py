@@ -5,6 +5,7 @@ from math import isfinite, sqrt
 
 import container as kinds
 import files
+import image as images
 import reference as references
 import residual
 import sections
@@ -21,7 +22,6 @@ from trigonometry import atan2, cos, sin
 OF_FORMULA, AS_FORMULA, ON_GRID = 1, 2, 3
 REGIONS, INTER = 1, 2
 MIXED, DEEP, LIGHT, TOKENS, FITTED_TOKENS, PACKED = range(6)
-IMAGE_CODERS = 64
 
 
 class Parameters:
@@ -49,9 +49,7 @@ class Parameters:
                 raise Refused("impossible parameters of ranges")
         elif BACK_ENDS <= self.coder < BACK_ENDS + len(residual.NAMES):
             self.packing = reader.varint()
-        elif self.coder in (IMAGE_CODERS, IMAGE_CODERS + 1):
-            raise NotHere("ranges by an image coder")
-        else:
+        elif self.coder not in (images.JPEG, images.JPEG_2000):
             raise Refused("an unknown coder")
         has_source = reader.varint()
         if has_source:

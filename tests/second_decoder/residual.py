@@ -4,6 +4,7 @@ import bz2
 import lzma
 import zlib
 
+import image as images
 from container import Reader
 from entropy import AdaptiveBit, IntegerModel, adaptive, integers, unzigzag, wrap
 from errors import NotHere, Refused
@@ -249,6 +250,8 @@ def unpacked(backend, data, size):
             found = data
         elif name == "bzip2":
             found = bz2.decompress(data)
+        elif name == "lz4":
+            found = lz4_block(data)
         elif name == "deflate":
             found = zlib.decompress(data, -15)
         elif name == "lzma":
@@ -262,6 +265,36 @@ def unpacked(backend, data, size):
     if len(found) != size:
         raise Refused("a back-end gives more or fewer bytes than it should")
     return found
+
+
+def lz4_block(data):
+    out = bytearray()
+    at = 0
+
+    def length(n):
+        nonlocal at
+        if n == 15:
+            while True:
+                at += 1
+                n += data[at - 1]
+                if data[at - 1] < 255:
+                    break
+        return n
+
+    while True:
+        token = data[at]
+        at += 1
+        literals = length(token >> 4)
+        out += data[at : at + literals]
+        at += literals
+        if at >= len(data):
+            return bytes(out)
+        offset = data[at] | data[at + 1] << 8
+        at += 2
+        if not 1 <= offset <= len(out):
+            raise IndexError("an offset beyond the start")
+        for _ in range(length(token & 15) + 4):
+            out.append(out[-offset])
 
 
 def residuals(data, packing, n):
@@ -295,40 +328,48 @@ def path(image):
                 yield row, column
 
 
-def ranges(scanner, parameters, payload, image, columns, labels, models, reference):
-    """The ranges of a frame whose residuals a general-purpose back-end codes."""
-    reader = Reader(payload)
-    size = reader.varint()
-    n = sum(map(sum, image))
-    found = residuals(unpacked(parameters.coder - BACK_ENDS, reader.rest(), size), parameters.packing, n)
-    found = iter(found)
-    residual = [[next(found) if filled else 0 for filled in cells] for cells in image]
-    if parameters.snake:
-        total = 0
-        for row, column in path(image):
-            total = wrap(total + residual[row][column], 32)
-            residual[row][column] = total
-    prediction = [[0] * len(columns) for _ in image]
+def predictions(scanner, parameters, image, columns, labels, models, reference):
+    """The prediction of each return's range."""
+    found = [[0] * len(columns) for _ in image]
     if parameters.prediction == 1:
         labels = iter(labels)
         for row, cells in enumerate(image):
             for column, filled in enumerate(cells):
                 if filled:
                     tick = scanner.tick_of_column(row, columns[column])
-                    prediction[row][column] = region_prediction(scanner, models[next(labels) - 1], row, tick)
+                    found[row][column] = region_prediction(scanner, models[next(labels) - 1], row, tick)
     elif parameters.prediction == 2:
         last = 0
         for row, column in path(image):
             last = reference.moved.ranges[row][column] or reference.same.ranges[row][column] or last
-            prediction[row][column] = last
+            found[row][column] = last
+    return found
+
+
+def ranges(scanner, parameters, payload, image, columns, labels, models, reference):
+    """The ranges of a frame with a residual section."""
+    predicted = predictions(scanner, parameters, image, columns, labels, models, reference)
     most = (1 << 24) - 1 if scanner.range_step_um else 0x49742400
+    if parameters.coder >= images.JPEG:
+        residual = images.residuals(parameters.coder, payload, len(image), len(columns))
+        return [
+            [min(max(p + r, 1), most) if filled else 0 for filled, p, r in zip(*rows)]
+            for rows in zip(image, predicted, residual)
+        ]
+    reader = Reader(payload)
+    size = reader.varint()
+    n = sum(map(sum, image))
+    found = iter(residuals(unpacked(parameters.coder - BACK_ENDS, reader.rest(), size), parameters.packing, n))
+    residual = [[next(found) if filled else 0 for filled in cells] for cells in image]
+    if parameters.snake:
+        total = 0
+        for row, column in path(image):
+            total = wrap(total + residual[row][column], 32)
+            residual[row][column] = total
     out = []
-    for cells, predicted, left in zip(image, prediction, residual):
-        own = []
-        for filled, p, r in zip(cells, predicted, left):
-            v = wrap(p + r, 32) if filled else 0
-            if filled and not 1 <= v <= most:
-                raise Refused("a range that is none")
-            own.append(v)
+    for rows in zip(image, predicted, residual):
+        own = [wrap(p + r, 32) if filled else 0 for filled, p, r in zip(*rows)]
+        if any(filled and not 1 <= v <= most for filled, v in zip(rows[0], own)):
+            raise Refused("a range that is none")
         out.append(own)
     return out
