@@ -1,7 +1,7 @@
 """Section 4 of FORMAT.md: a frame's sections in order, and what they make."""
 
 import struct
-from math import isfinite, sqrt
+from math import isfinite, isnan, sqrt
 
 import container as kinds
 import files
@@ -16,7 +16,7 @@ from errors import NotHere, Refused
 from models import TAU, f32
 from ranges import Deep, Mixed
 from residual import BACK_ENDS
-from scanner import FLOAT32, MILLIMETRE, Grid, Unknown, bits_of_float, float_of_bits, from_ordered
+from scanner import MILLIMETRE, Grid, Unknown, bits_of_float, float_of_bits, from_ordered, ordered
 from trigonometry import atan2, cos, sin
 
 OF_FORMULA, AS_FORMULA, ON_GRID = 1, 2, 3
@@ -274,7 +274,6 @@ def compensated(reader, positions):
         raise Refused("a miss of a point that is none")
     angle = sqrt(rx * rx + ry * ry + rz * rz)
     kx, ky, kz = (rx / angle, ry / angle, rz / angle) if angle else (0.0, 0.0, 0.0)
-    grid = Grid(FLOAT32)
     moved = []
     for place, position in enumerate(positions):
         x, y, z = map(float_of_bits, position)
@@ -286,8 +285,9 @@ def compensated(reader, positions):
             (y * cs + (kz * x - kx * z) * sn + ky * along) + s * ty,
             (z * cs + (kx * y - ky * x) * sn + kz * along) + s * tz,
         )
+        if not any(map(isnan, (x, y, z, *now))):
+            position = tuple(bits_of_float(f32(v)) for v in now)
         if place in misses:
-            moved.append(tuple(from_ordered(wrap(grid.unit_of(v) + u, 64)) for v, u in zip(now, misses[place])))
-        else:
-            moved.append(tuple(bits_of_float(f32(v)) for v in now))
+            position = tuple(from_ordered(wrap(ordered(v) + u, 64)) for v, u in zip(position, misses[place]))
+        moved.append(position)
     return moved

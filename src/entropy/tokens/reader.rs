@@ -64,7 +64,7 @@ impl<'a> TokenReader<'a> {
             bits_read: 0,
             exhausted: false,
             counts: vec![[0; TOKENS]; contexts],
-            left: (length as u64 + BYTES_OF_STATES).saturating_mul(TOKENS_A_BYTE),
+            left: (2 * length as u64 + BYTES_OF_STATES).saturating_mul(TOKENS_A_BYTE),
         };
         for place in 0..STATES {
             let low = reader.take_word(0, true);
