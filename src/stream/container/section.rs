@@ -27,7 +27,7 @@ pub enum SectionKind {
     /// Points that no model explains, as they come.
     Points = 8,
     /// Fields other than position and intensity.
-    Extra = 9,
+    Channels = 9,
     /// How the frame is coded; left out if by the defaults.
     Parameters = 10,
     /// The contour map: which region each return belongs to.
@@ -51,7 +51,7 @@ impl SectionKind {
         SectionKind::Intensity,
         SectionKind::Order,
         SectionKind::Points,
-        SectionKind::Extra,
+        SectionKind::Channels,
         SectionKind::Parameters,
         SectionKind::Contour,
         SectionKind::Regions,
@@ -70,7 +70,7 @@ impl SectionKind {
             SectionKind::Intensity => "intensity",
             SectionKind::Order => "order",
             SectionKind::Points => "points",
-            SectionKind::Extra => "extra",
+            SectionKind::Channels => "channels",
             SectionKind::Parameters => "parameters",
             SectionKind::Contour => "contour",
             SectionKind::Regions => "regions",
