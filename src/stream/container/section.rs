@@ -38,11 +38,13 @@ pub enum SectionKind {
     Residual = 13,
     /// How the points were moved after they were measured; left out if they were not.
     Compensation = 14,
+    /// The file as it is, through a general-purpose coder: then nothing else is there but parameters.
+    Bytes = 15,
 }
 
 impl SectionKind {
     /// All kinds, in the order of their numbers.
-    pub const ALL: [SectionKind; 14] = [
+    pub const ALL: [SectionKind; 15] = [
         SectionKind::File,
         SectionKind::Columns,
         SectionKind::Occupancy,
@@ -57,6 +59,7 @@ impl SectionKind {
         SectionKind::Regions,
         SectionKind::Residual,
         SectionKind::Compensation,
+        SectionKind::Bytes,
     ];
 
     /// The kind's name in reports: lower case, one word.
@@ -76,6 +79,7 @@ impl SectionKind {
             SectionKind::Regions => "regions",
             SectionKind::Residual => "residual",
             SectionKind::Compensation => "compensation",
+            SectionKind::Bytes => "bytes",
         }
     }
 
