@@ -13,6 +13,7 @@ mod lzf;
 mod number;
 mod pcd;
 mod pcd_compressed;
+mod places;
 mod ply;
 mod point_count;
 mod records;
@@ -26,7 +27,7 @@ pub use headerless::HeaderlessLayout;
 pub use point_count::with_point_count;
 
 use crate::ground::error::Result;
-use crate::scan::{ScanFile, Wrapping};
+use crate::scan::{Layout, ScanFile, Wrapping};
 
 /// What the extension of a name says of its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,6 +53,16 @@ impl Kind {
             let (stem, end) = name.split_at_checked(name.len().checked_sub(extension.len())?)?;
             end.eq_ignore_ascii_case(extension).then_some((kind, stem))
         })
+    }
+}
+
+/// Whether a file of this name, that begins with these bytes, is taken for a scan: any without a header is.
+pub fn starts_as_scan(name: &str, start: &[u8]) -> bool {
+    match Kind::of(name) {
+        None => false,
+        Some((Kind::Kitti | Kind::NuScenes, _)) => true,
+        Some((Kind::Pcd, _)) => pcd::Header::parse(start).is_some(),
+        Some((Kind::Ply, _)) => ply::Header::parse(start).is_some(),
     }
 }
 
@@ -93,6 +104,12 @@ pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
     }
 }
 
+/// A file whose records stand one after the other behind `start` bytes, at most so many. `None` if the layout is
+/// not valid.
+pub(crate) fn plain_records(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
+    records::plain_file(layout, bytes, start, records)
+}
+
 /// Plain records come back by construction: all that is done is to move bytes.
 fn is_plain(file: &ScanFile) -> bool {
     file.layout.wrapping == Wrapping::Plain
@@ -113,13 +130,13 @@ pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Resu
     give(&file.prefix)?;
     match &file.layout.wrapping {
         Wrapping::Plain => records::give(file, &mut give)?,
-        Wrapping::PcdCompressed { fields, lzf } => {
-            give(&pcd_compressed::write(&records::join(file)?, fields, *lzf)?)?;
+        Wrapping::PcdCompressed { lzf } => {
+            give(&pcd_compressed::write(&records::join(file)?, &file.layout, *lzf)?)?;
         }
         Wrapping::Text(format) => give(&text_records::write(&records::join(file)?, format)?)?,
-        Wrapping::BigEndian { values } => {
+        Wrapping::BigEndian => {
             let mut body = records::join(file)?;
-            big_endian::swap(&mut body, values);
+            big_endian::swap(&mut body, &file.layout);
             give(&body)?;
         }
     }

@@ -27,7 +27,7 @@ pub enum SectionKind {
     /// Points that no model explains, as they come.
     Points,
     /// Fields other than position and intensity.
-    Extra,
+    Channels,
     /// How the frame is coded; the first of all.
     Parameters,
     /// The contour map: which region each return belongs to.
@@ -38,13 +38,15 @@ pub enum SectionKind {
     Residual,
     /// How the points were moved after they were measured; left out if they were not.
     Compensation,
+    /// The file as it is, through a general-purpose coder: then nothing else is there but parameters.
+    Bytes,
     /// Something that this program does not know, of this number, but may leave aside.
     Skippable(u8),
 }
 
 impl SectionKind {
     /// All kinds that this program knows, in the order of their numbers, the first of which is 1.
-    pub const ALL: [SectionKind; 14] = [
+    pub const ALL: [SectionKind; 15] = [
         SectionKind::File,
         SectionKind::Columns,
         SectionKind::Occupancy,
@@ -53,12 +55,13 @@ impl SectionKind {
         SectionKind::Intensity,
         SectionKind::Order,
         SectionKind::Points,
-        SectionKind::Extra,
+        SectionKind::Channels,
         SectionKind::Parameters,
         SectionKind::Contour,
         SectionKind::Regions,
         SectionKind::Residual,
         SectionKind::Compensation,
+        SectionKind::Bytes,
     ];
 
     /// The kind's name in reports: lower case, one word.
@@ -72,12 +75,13 @@ impl SectionKind {
             SectionKind::Intensity => "intensity",
             SectionKind::Order => "order",
             SectionKind::Points => "points",
-            SectionKind::Extra => "extra",
+            SectionKind::Channels => "channels",
             SectionKind::Parameters => "parameters",
             SectionKind::Contour => "contour",
             SectionKind::Regions => "regions",
             SectionKind::Residual => "residual",
             SectionKind::Compensation => "compensation",
+            SectionKind::Bytes => "bytes",
             SectionKind::Skippable(_) => "skippable",
         }
     }
