@@ -11,7 +11,7 @@ use lidarpc::frame::parameters::RangeCoder;
 use lidarpc::frame::{FrameParameters, Modelling};
 use lidarpc::ground::error::Limits;
 use lidarpc::models::{ByteModel, ColumnModel};
-use lidarpc::scan::{Layout, Wrapping};
+use lidarpc::scan::{Field, Layout, Scalar, Wrapping};
 use lidarpc::scanner::{BeamConstants, Coordinates, Hdl64};
 use lidarpc::stream::container::{ScannerRecord, Section, SectionKind};
 use proptest::prelude::*;
@@ -248,7 +248,8 @@ fn forged_as(
 }
 
 fn kitti_layout() -> Layout {
-    Layout { wrapping: Wrapping::Plain, stride: 16, position: Some([0, 4, 8]), intensity: Some(12) }
+    let fields = ["x", "y", "z", "i"].map(|name| Field::new(name, Scalar::F32)).to_vec();
+    Layout { wrapping: Wrapping::Plain, fields, position: Some([0, 1, 2]), intensity: Some(3) }
 }
 
 fn sections(kinds: &[SectionKind], payload: &[u8]) -> Vec<Section> {
@@ -296,7 +297,7 @@ fn forged_counts_are_an_error() {
 /// A record that takes no bytes could be claimed any number of times.
 #[test]
 fn records_without_bytes_are_an_error() {
-    for layout in [Layout::default(), Layout { stride: 8, ..Layout::default() }] {
+    for layout in [Layout::default(), Layout { fields: vec![Field::padding(8)], ..Layout::default() }] {
         for records in [1, 1 << 24] {
             let frame = vec![file_section(&layout, records, records)];
             assert!(decode_files(&forged(None, records, frame)).is_err(), "{layout:?} {records}");

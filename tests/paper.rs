@@ -16,7 +16,7 @@ use lidarpc::backend::BACKENDS;
 use lidarpc::files::parse;
 use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::frame::{FrameParameters, Intensity, Prediction, Source};
-use lidarpc::scan::PointCloud;
+use lidarpc::scan::{Channel, PointCloud};
 use lidarpc::scanner::{FLOAT_RANGES, ideal};
 use lidarpc::scanner::{RangeImage, Return, project_nearest};
 use lidarpc::stream::container::SectionKind;
@@ -136,12 +136,14 @@ fn intensities_and_other_fields_stay_with_their_points() {
     let before = config.outliers.unwrap().filter(&before);
     let sensor = ideal(500, 5000);
     let (from, to) = (project_nearest(&sensor, &before), project_nearest(&sensor, &after));
-    let stride = after.extra.len() / after.positions.len();
     for row in 0..64 {
         for column in (0..500).filter(|&column| from.image.steps[(row, column)] > 0) {
             let [a, b] = [&from, &to].map(|p| p.point_of_cell[(row, column)] as usize);
             assert_eq!(before.intensity[a].to_bits(), after.intensity[b].to_bits());
-            assert_eq!(before.extra[a * stride..][..stride], after.extra[b * stride..][..stride]);
+            for (before, after) in before.channels.iter().zip(&after.channels) {
+                let width = before.field.width();
+                assert_eq!(before.bytes[a * width..][..width], after.bytes[b * width..][..width]);
+            }
         }
     }
     let dropped = decode_files(&encode_files(&files, &paper())).unwrap();
@@ -368,11 +370,17 @@ fn lossy_points_of_the_calibrated_image_keep_their_intensities_and_fields() {
             decode_files(&encode_files(&files, &config)).unwrap().into_iter().zip(&files)
         {
             let [before, after] = [original.clone(), bytes].map(|bytes| parse(&name, bytes).cloud);
-            let stride = before.extra.len() / before.positions.len();
             // An intensity and the fields beside it, of every point.
             let all = |cloud: &PointCloud| {
-                let fields = cloud.extra.chunks(stride).map(<[u8]>::to_vec);
-                let mut all: Vec<_> = cloud.intensity.iter().map(|v| v.to_bits()).zip(fields).collect();
+                let fields = |point: usize| -> Vec<u8> {
+                    let value = |channel: &Channel| {
+                        let width = channel.field.width();
+                        channel.bytes[point * width..][..width].to_vec()
+                    };
+                    cloud.channels.iter().flat_map(value).collect()
+                };
+                let intensities = cloud.intensity.iter().enumerate();
+                let mut all: Vec<_> = intensities.map(|(n, value)| (value.to_bits(), fields(n))).collect();
                 all.sort();
                 all
             };

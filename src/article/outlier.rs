@@ -93,6 +93,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::scan::{Channel, Field};
 
     /// The definition.
     fn slowly(filter: &RadiusOutlier, positions: &[[f32; 3]]) -> Vec<bool> {
@@ -133,11 +134,14 @@ mod tests {
         let cloud = PointCloud {
             positions: vec![[50.0, 0.0, 0.0], [0.0; 3], [0.1; 3], [0.2; 3]],
             intensity: vec![1.0, 2.0, 3.0, 4.0],
-            extra: vec![1, 1, 2, 2, 3, 3, 4, 4],
+            channels: vec![Channel { field: Field::padding(2), bytes: vec![1, 1, 2, 2, 3, 3, 4, 4] }],
         };
         let left = RadiusOutlier::default().filter(&cloud);
         assert_eq!(left.positions, cloud.positions[1..]);
-        assert_eq!((left.intensity, left.extra), (vec![2.0, 3.0, 4.0], vec![2, 2, 3, 3, 4, 4]));
+        assert_eq!(
+            (left.intensity, &left.channels[0].bytes[..]),
+            (vec![2.0, 3.0, 4.0], &[2, 2, 3, 3, 4, 4][..])
+        );
     }
 
     proptest! {

@@ -4,33 +4,25 @@ use super::records::plain_file;
 use crate::scan::{Layout, ScanFile, Wrapping};
 
 /// Takes a file apart whose records stand one after the other from byte `start` on: at most `records`
-/// of them, of values of these many bytes. `None` if the layout is not valid.
-pub(super) fn parse(
-    layout: Layout,
-    values: Vec<u32>,
-    bytes: &[u8],
-    start: usize,
-    records: u64,
-) -> Option<ScanFile> {
-    let stride = layout.stride as usize;
+/// of them. `None` if the layout is not valid.
+pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
+    let stride = layout.stride();
     let present = bytes.len().checked_sub(start)?.checked_div(stride)?;
     let count = usize::try_from(records).map_or(present, |n| n.min(present));
     let mut swapped = bytes.to_vec();
-    swap(&mut swapped[start..start + count * stride], &values);
+    swap(&mut swapped[start..start + count * stride], &layout);
     let file = plain_file(layout, &swapped, start, records)?;
-    Some(ScanFile { layout: Layout { wrapping: Wrapping::BigEndian { values }, ..file.layout }, ..file })
+    Some(ScanFile { layout: Layout { wrapping: Wrapping::BigEndian, ..file.layout }, ..file })
 }
 
-/// Turns the bytes of each value around. Whole records, of values of these many bytes.
-pub(super) fn swap(records: &mut [u8], values: &[u32]) {
-    let mut rest = records;
-    for &width in values.iter().cycle() {
-        let Some((value, after)) =
-            rest.split_at_mut_checked(width as usize).filter(|(value, _)| !value.is_empty())
-        else {
-            return;
-        };
-        value.reverse();
-        rest = after;
+/// Turns the bytes of each value around, of whole records.
+pub(super) fn swap(records: &mut [u8], layout: &Layout) {
+    for record in records.chunks_exact_mut(layout.stride().max(1)) {
+        let mut rest = record;
+        for field in &layout.fields {
+            let (values, after) = rest.split_at_mut(field.width());
+            values.chunks_exact_mut(field.scalar.size() as usize).for_each(<[u8]>::reverse);
+            rest = after;
+        }
     }
 }

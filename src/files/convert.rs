@@ -5,9 +5,10 @@ mod headers;
 
 use self::columns::Column;
 use super::Kind;
+use super::field::layout_of;
 use super::records;
 use crate::ground::error::{Error, Result};
-use crate::scan::{Layout, Scalar, ScanFile, Wrapping};
+use crate::scan::{Scalar, ScanFile, Wrapping};
 
 /// A format that scans can be converted to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,9 +56,8 @@ impl FileFormat {
 
 /// The scan as a file of another format: `to_bytes` of what is returned is that file. Points keep their
 /// order and every bit of their coordinates. x, y and z come first, then the intensity, then the other
-/// fields that have a name, with their types. Bytes without a name, and those around the records, are
-/// left out; of a file without a header only x, y, z, intensity and nuScenes' ring have a name. Numbers
-/// of text are float32 if that gives their every digit back.
+/// fields that have a name, with their types; of several values, each is a field. Padding, and the bytes around
+/// the records, are left out. Numbers of text are float32 if that gives their every digit back.
 ///
 /// # Errors
 /// [`Error::Input`], with the scan's name, if it holds no points, or, for [`FileFormat::Bin`], points
@@ -72,33 +72,21 @@ pub fn convert(scan: &ScanFile, format: FileFormat) -> Result<ScanFile> {
     records::check(scan)?;
     let body = records::join(scan)?;
     let mut converted = Vec::new();
-    for record in body.chunks_exact((scan.layout.stride as usize).max(1)) {
+    for record in body.chunks_exact(scan.layout.stride().max(1)) {
         columns.iter().for_each(|column| column.write(record, &mut converted));
     }
-    let layout = layout_of(&columns);
+    let fields = columns.iter().map(Column::field).collect();
+    let layout = layout_of(fields, Wrapping::Plain).unwrap_or_default();
     layout.validate()?;
+    let (layout, cloud) = records::split(layout, &converted);
     Ok(ScanFile {
         name: format.file_name(&scan.name),
         prefix: format.header(&columns, scan.records).into_bytes(),
         records: scan.records,
-        cloud: records::split(&layout, &converted),
+        cloud,
         suffix: Vec::new(),
         layout,
     })
-}
-
-/// The layout of records with these columns side by side.
-fn layout_of(columns: &[Column]) -> Layout {
-    let offset = |name: &str| {
-        let at = columns.iter().position(|column| column.name == name && column.scalar == Scalar::F32)?;
-        Some(columns[..at].iter().map(|column| column.scalar.size()).sum())
-    };
-    Layout {
-        wrapping: Wrapping::Plain,
-        stride: columns.iter().map(|column| column.scalar.size()).sum(),
-        position: (|| Some([offset("x")?, offset("y")?, offset("z")?]))(),
-        intensity: offset(columns::INTENSITY),
-    }
 }
 
 #[cfg(test)]

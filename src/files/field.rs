@@ -1,13 +1,15 @@
 //! Named fields of a record, as the headers of PCD and PLY declare them.
 
-use crate::scan::{Layout, MAX_STRIDE, Scalar, Wrapping};
+use crate::scan::{Field, Layout, MAX_NAME, MAX_STRIDE, Scalar, Wrapping};
 
 /// What writers call intensity, the likeliest first; `scalar_intensity` is CloudCompare's.
 const INTENSITY_NAMES: [&str; 5] = ["intensity", "scalar_intensity", "i", "reflectivity", "reflectance"];
+/// What PCL calls padding.
+const PADDING: &str = "_";
 
-/// One field of a record.
-#[derive(Debug)]
-pub(super) struct Field<'a> {
+/// One field of a record, as a header declares it.
+#[derive(Clone, Debug)]
+pub(super) struct Declared<'a> {
     /// Its name.
     pub name: &'a str,
     /// The type of its values, if it is one of those that this program knows.
@@ -16,15 +18,33 @@ pub(super) struct Field<'a> {
     pub width: u32,
 }
 
-impl Field<'_> {
+impl Declared<'_> {
     /// How many values it has, if it is of a known type; else 1.
     pub fn count(&self) -> u32 {
         self.scalar.map_or(1, |scalar| self.width / scalar.size())
     }
 
-    fn is_single_float32(&self) -> bool {
-        self.scalar == Some(Scalar::F32) && self.width == 4
+    /// Whether it is of no known meaning.
+    pub fn is_padding(&self) -> bool {
+        self.name == PADDING || self.scalar.is_none()
     }
+
+    /// The field; `None` if it takes no bytes.
+    pub fn field(&self) -> Option<Field> {
+        if self.width == 0 {
+            return None;
+        }
+        Some(match self.scalar {
+            Some(scalar) => Field { name: name_of(self.name), scalar, count: self.width / scalar.size() },
+            None => Field::padding(self.width),
+        })
+    }
+}
+
+/// The name that a field gets; the start of one that is too long, and none for padding.
+pub(super) fn name_of(name: &str) -> String {
+    let name = (0..=MAX_NAME.min(name.len())).rev().find_map(|end| name.get(..end)).unwrap_or_default();
+    if name == PADDING || !Field::is_name(name) { String::new() } else { name.to_owned() }
 }
 
 /// The field of this name, in any case of letters.
@@ -37,26 +57,27 @@ pub(super) fn find_intensity(fields: &[Field], suits: impl Fn(&Field) -> bool) -
     INTENSITY_NAMES.iter().find_map(|name| find(fields, name).filter(|&at| suits(&fields[at])))
 }
 
-/// The layout of records with these fields side by side, without gaps: position if x, y and z are
-/// float32, intensity if a float32 field has a name for it. `None` if the records are empty or too
+/// The layout of records with these fields side by side: position if x, y and z are single float32 values,
+/// intensity if a single float32, u8 or u16 value has a name for it. `None` if the records are empty or too
 /// long.
-pub(super) fn layout_of(fields: &[Field], wrapping: Wrapping) -> Option<Layout> {
-    let mut offsets = Vec::with_capacity(fields.len());
-    let mut stride = 0u32;
-    for field in fields {
-        offsets.push(stride);
-        stride = stride.checked_add(field.width).filter(|&s| s <= MAX_STRIDE)?;
+pub(super) fn layout_of(fields: Vec<Field>, wrapping: Wrapping) -> Option<Layout> {
+    let stride: u64 = fields.iter().map(|field| field.width() as u64).sum();
+    if stride == 0 || stride > MAX_STRIDE.into() {
+        return None;
     }
-    let offset_of = |name: &str| {
-        let at = find(fields, name)?;
-        fields[at].is_single_float32().then_some(offsets[at])
+    let coordinate = |name: &str| {
+        let at = find(&fields, name)?;
+        let suits = fields[at].scalar == Scalar::F32 && fields[at].count == 1;
+        suits.then_some(at as u32)
     };
-    let position = match (offset_of("x"), offset_of("y"), offset_of("z")) {
+    let position = match (coordinate("x"), coordinate("y"), coordinate("z")) {
         (Some(x), Some(y), Some(z)) => Some([x, y, z]),
         _ => None,
     };
-    let intensity = find_intensity(fields, |field| field.is_single_float32()).map(|at| offsets[at]);
-    (stride > 0).then_some(Layout { wrapping, stride, position, intensity })
+    let suits =
+        |field: &Field| matches!(field.scalar, Scalar::F32 | Scalar::U8 | Scalar::U16) && field.count == 1;
+    let intensity = find_intensity(&fields, suits).map(|at| at as u32);
+    Some(Layout { wrapping, fields, position, intensity })
 }
 
 /// Takes one line off the front of `rest`, without its `\n` or `\r\n`; `None` at the end, for a

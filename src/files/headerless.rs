@@ -1,4 +1,4 @@
-//! Headerless float32 records: KITTI's `.bin`, nuScenes' `.pcd.bin`, and what else a user says a
+//! Records without a header: KITTI's `.bin`, nuScenes' `.pcd.bin`, and what else a user says a
 //! record is.
 //!
 //! Sources: A. Geiger et al., "Vision meets Robotics: The KITTI Dataset" (raw data development
@@ -7,31 +7,46 @@
 use std::fmt;
 use std::str::FromStr;
 
+use super::field::{find, layout_of};
 use super::records::plain_file;
 use crate::ground::error::{Error, Result};
-use crate::scan::{Layout, ScanFile, Wrapping};
+use crate::scan::{Field, Layout, MAX_NAME, MAX_STRIDE, Scalar, ScanFile, Wrapping};
 
-/// Most values of a record; scanners' have 3 to some 20.
-const MOST_VALUES: usize = 64;
-/// Bytes of a value.
-const VALUE: u32 = 4;
+/// Most fields of a record; scanners' have 3 to some 20.
+const MOST_FIELDS: usize = 64;
+/// The fields that have a letter.
+const LETTERS: [(char, &str); 7] =
+    [('x', "x"), ('y', "y"), ('z', "z"), ('i', "intensity"), ('r', "ring"), ('t', "time"), ('_', "")];
 
-/// What a record of a file without a header holds: little-endian float32 values, one a letter.
+/// What a record of a file without a header holds: little-endian values, side by side.
 ///
-/// `x`, `y`, `z` (metres), `i` intensity, `r` ring, `t` time, `_` a value of no known meaning. x, y and
-/// z are needed; only `_` may stand there more than once.
+/// Either a letter for each float32: `x`, `y`, `z` (metres), `i` intensity, `r` ring, `t` time, `_` a value of
+/// no known meaning; or a list of fields such as `x,y,z,intensity,ring:u16,time:f64,_:u8*4`: a name or a letter,
+/// a type unless it is `f32`, and how many values unless it is one. x, y and z are needed; only `_` may stand
+/// there more than once.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct HeaderlessLayout(String);
+pub struct HeaderlessLayout {
+    /// As the user gave it.
+    text: String,
+    fields: Vec<Field>,
+}
 
 impl HeaderlessLayout {
     /// KITTI: x, y, z, intensity.
     pub fn kitti() -> Self {
-        HeaderlessLayout("xyzi".to_owned())
+        Self::of_letters("xyzi")
     }
 
     /// nuScenes: x, y, z, intensity, ring.
     pub fn nuscenes() -> Self {
-        HeaderlessLayout("xyzir".to_owned())
+        Self::of_letters("xyzir")
+    }
+
+    /// Letters that have no meaning are left out.
+    fn of_letters(letters: &str) -> Self {
+        let name = |letter: char| LETTERS.iter().find(|(known, _)| *known == letter).map(|(_, name)| name);
+        let fields = letters.chars().filter_map(name).map(|name| Field::new(name, Scalar::F32)).collect();
+        HeaderlessLayout { text: letters.to_owned(), fields }
     }
 
     /// Takes a file apart; what is left over after the last whole record is `suffix`.
@@ -41,15 +56,7 @@ impl HeaderlessLayout {
 
     /// The layout of the records; `None` is not possible for what was read from text.
     pub(super) fn layout(&self) -> Option<Layout> {
-        let position = [self.offset('x')?, self.offset('y')?, self.offset('z')?];
-        let stride = u32::try_from(self.0.len()).ok()? * VALUE;
-        let intensity = self.offset('i');
-        Some(Layout { wrapping: Wrapping::Plain, stride, position: Some(position), intensity })
-    }
-
-    /// Bytes before the value of this letter.
-    pub(super) fn offset(&self, letter: char) -> Option<u32> {
-        Some(u32::try_from(self.0.find(letter)?).ok()? * VALUE)
+        layout_of(self.fields.clone(), Wrapping::Plain)
     }
 }
 
@@ -57,26 +64,61 @@ impl FromStr for HeaderlessLayout {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let wrong = |what: &str| Err(Error::InvalidConfig(format!("'{text}' {what}")));
-        if let Some(letter) = text.chars().find(|letter| !"xyzirt_".contains(*letter)) {
-            return wrong(&format!("has the letter '{letter}'; known are x, y, z, i, r, t and _"));
+        let wrong = |what: String| Error::InvalidConfig(format!("'{text}' {what}"));
+        let is_list = text.contains([',', ':', '*']);
+        let layout = if is_list {
+            let fields = text.split(',').map(field).collect::<std::result::Result<_, _>>().map_err(wrong)?;
+            HeaderlessLayout { text: text.to_owned(), fields }
+        } else {
+            let unknown = text.chars().find(|letter| LETTERS.iter().all(|(known, _)| known != letter));
+            if let Some(letter) = unknown {
+                return Err(wrong(format!(
+                    "has the letter '{letter}'; known are x, y, z, i, r, t and _, or give a list such as \
+                     x,y,z,intensity,ring:u16"
+                )));
+            }
+            Self::of_letters(text)
+        };
+        let fields = &layout.fields;
+        let is_twice =
+            |(at, field): (usize, &Field)| !field.name.is_empty() && find(fields, &field.name) != Some(at);
+        if let Some((_, field)) = fields.iter().enumerate().find(|&pair| is_twice(pair)) {
+            return Err(wrong(format!("has {} twice", field.name)));
         }
-        if let Some(letter) = "xyzirt".chars().find(|letter| text.matches(*letter).count() > 1) {
-            return wrong(&format!("has the letter {letter} twice"));
+        if !["x", "y", "z"].iter().all(|name| find(fields, name).is_some()) {
+            return Err(wrong("needs x, y and z".to_owned()));
         }
-        if !"xyz".chars().all(|letter| text.contains(letter)) {
-            return wrong("needs the letters x, y and z");
+        if fields.len() > MOST_FIELDS {
+            return Err(wrong(format!("has more than {MOST_FIELDS} fields")));
         }
-        if text.len() > MOST_VALUES {
-            return wrong(&format!("has more than {MOST_VALUES} letters"));
+        match layout.layout() {
+            Some(_) => Ok(layout),
+            None => Err(wrong(format!("makes records of more than {MAX_STRIDE} bytes"))),
         }
-        Ok(HeaderlessLayout(text.to_owned()))
     }
+}
+
+/// A field of a list: `name`, `name:type` or `name:type*count`. The error says what is wrong.
+fn field(text: &str) -> std::result::Result<Field, String> {
+    let (name, kind) = text.split_once(':').unwrap_or((text, "f32"));
+    let (kind, count) = kind.split_once('*').unwrap_or((kind, "1"));
+    let scalar = Scalar::from_name(kind).ok_or_else(|| {
+        format!("has the type '{kind}'; known are i8, u8, i16, u16, i32, u32, i64, u64, f32, f64")
+    })?;
+    let count = count.parse().ok().filter(|count| (1..=MAX_STRIDE).contains(count));
+    let count = count.ok_or_else(|| format!("has '{text}', which is no number of values"))?;
+    let letter = LETTERS.iter().find(|(letter, _)| name.chars().eq([*letter]));
+    let name = letter.map_or(name, |(_, name)| name);
+    let is_plain = name.chars().all(|c| c.is_ascii_alphanumeric() || "_.-".contains(c));
+    if !is_plain || name.len() > MAX_NAME || (name.is_empty() && letter.is_none()) {
+        return Err(format!("has the name '{name}'; names are letters, digits, _, . and -"));
+    }
+    Ok(Field { name: name.to_owned(), scalar, count })
 }
 
 impl fmt::Display for HeaderlessLayout {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
+        f.write_str(&self.text)
     }
 }
 
@@ -99,7 +141,7 @@ mod tests {
     fn nuscenes_records_have_a_ring_too() {
         let scan = comes_back("0.pcd.bin", [floats(&[1.0, 2.0, 3.0, 40.0, 31.0]), vec![9]].concat());
         assert_eq!((scan.records, scan.cloud.intensity[0]), (1, 40.0));
-        assert_eq!(scan.cloud.extra, floats(&[31.0]));
+        assert_eq!(scan.cloud.channel("ring").unwrap().bytes, floats(&[31.0]));
         assert_eq!(scan.suffix, [9]);
     }
 
@@ -123,7 +165,11 @@ mod tests {
         let scan = layout.parse(&bytes).unwrap();
         assert_eq!(scan.cloud.positions, [[1.0, 2.0, 3.0]]);
         assert_eq!(scan.cloud.intensity, [0.5]);
-        assert_eq!(scan.cloud.extra, floats(&[9.0, 8.0, 7.0]));
+        let others: Vec<_> =
+            scan.cloud.channels.iter().map(|c| (&c.field.name[..], c.bytes.clone())).collect();
+        let expected =
+            [("", 9.0), ("time", 8.0), ("ring", 7.0)].map(|(name, value)| (name, floats(&[value])));
+        assert_eq!(others, expected);
         assert_eq!(scan.to_bytes().unwrap(), bytes);
         assert_eq!(layout.to_string(), "_tzyxir");
         let without = "xyz".parse::<HeaderlessLayout>().unwrap().parse(&floats(&[1.0; 6])).unwrap();
@@ -131,9 +177,53 @@ mod tests {
     }
 
     #[test]
+    fn lists_name_typed_fields() {
+        let layout: HeaderlessLayout = "x,y,z,i:u8,ring:u16,time:f64,_:u8*4".parse().unwrap();
+        let layout = layout.layout().unwrap();
+        assert_eq!(
+            layout.fields[3..6],
+            [
+                Field::new("intensity", Scalar::U8),
+                Field::new("ring", Scalar::U16),
+                Field::new("time", Scalar::F64)
+            ]
+        );
+        assert_eq!((layout.fields[6].clone(), layout.stride()), (Field::padding(4), 27));
+        assert_eq!((layout.position, layout.intensity), (Some([0, 1, 2]), Some(3)));
+        let integers = "x:u16,y:u16,z:u16,intensity:u8,ring:u8".parse::<HeaderlessLayout>().unwrap();
+        assert_eq!(integers.layout().unwrap().position, None);
+        assert_eq!(
+            "x,y,z,r".parse::<HeaderlessLayout>().unwrap().fields,
+            "xyzr".parse::<HeaderlessLayout>().unwrap().fields
+        );
+    }
+
+    #[test]
     fn layouts_of_no_sense_are_refused() {
         let long = format!("xyz{}", "_".repeat(62));
-        for wrong in ["", "xy", "xyi", "xyzz", "xyzii", "xyzI", "x y z", "xyz\u{e9}", &long] {
+        for wrong in [
+            "",
+            "xy",
+            "xyi",
+            "xyzz",
+            "xyzii",
+            "xyzI",
+            "x y z",
+            "xyz\u{e9}",
+            &long,
+            ",",
+            "x,y",
+            "x,y,z,",
+            "x,y,z,x",
+            "x,y,z,:u8",
+            "x,y,z,a:u9",
+            "x,y,z,a:u8*0",
+            "x,y,z,a:u8*",
+            "x,y,z,a b",
+            "x,y,z,_:u8*65536",
+            "x,y,z,_:f64*65537",
+            "x,y,z,intensity,i",
+        ] {
             assert!(wrong.parse::<HeaderlessLayout>().is_err(), "{wrong:?}");
         }
         assert!(long[1..].parse::<HeaderlessLayout>().is_err());

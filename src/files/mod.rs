@@ -13,6 +13,7 @@ mod lzf;
 mod number;
 mod pcd;
 mod pcd_compressed;
+mod places;
 mod ply;
 mod point_count;
 mod records;
@@ -113,13 +114,13 @@ pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Resu
     give(&file.prefix)?;
     match &file.layout.wrapping {
         Wrapping::Plain => records::give(file, &mut give)?,
-        Wrapping::PcdCompressed { fields, lzf } => {
-            give(&pcd_compressed::write(&records::join(file)?, fields, *lzf)?)?;
+        Wrapping::PcdCompressed { lzf } => {
+            give(&pcd_compressed::write(&records::join(file)?, &file.layout, *lzf)?)?;
         }
         Wrapping::Text(format) => give(&text_records::write(&records::join(file)?, format)?)?,
-        Wrapping::BigEndian { values } => {
+        Wrapping::BigEndian => {
             let mut body = records::join(file)?;
-            big_endian::swap(&mut body, values);
+            big_endian::swap(&mut body, &file.layout);
             give(&body)?;
         }
     }

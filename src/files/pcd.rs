@@ -2,9 +2,9 @@
 //!
 //! Source: "The PCD (Point Cloud Data) file format" (PCL documentation) and PCL's `pcd_io.cpp`.
 
-use super::field::{Field, layout_of, next_line};
+use super::field::{Declared, layout_of, next_line};
 use super::records::plain_file;
-use super::{pcd_compressed, text_records};
+use super::{pcd_compressed, places, text_records};
 use crate::scan::{Scalar, ScanFile, Wrapping};
 
 /// The three kinds of body.
@@ -18,7 +18,7 @@ enum Data {
 /// What a header says.
 pub(super) struct Header<'a> {
     /// The fields; one entry for all values of a field with COUNT above 1.
-    pub fields: Vec<Field<'a>>,
+    pub fields: Vec<Declared<'a>>,
     /// Number of points. It may be anything: the body decides.
     points: u64,
     data: Data,
@@ -30,14 +30,14 @@ pub(super) struct Header<'a> {
 /// `None` if the header is damaged or the body cannot be given back exactly.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
-    let layout = layout_of(&header.fields, Wrapping::Plain)?;
     let Header { fields, points, data, length } = header;
+    let as_declared = || fields.iter().filter_map(Declared::field).collect();
     match data {
-        Data::Binary => plain_file(layout, bytes, length, points),
-        Data::Compressed => {
-            let widths = fields.iter().map(|f| f.width).collect();
-            pcd_compressed::parse(layout, widths, bytes, length)
+        Data::Binary => {
+            let found = places::find(&fields, bytes.get(length..)?, points).unwrap_or_else(as_declared);
+            plain_file(layout_of(found, Wrapping::Plain)?, bytes, length, points)
         }
+        Data::Compressed => pcd_compressed::parse(layout_of(as_declared(), Wrapping::Plain)?, bytes, length),
         Data::Ascii => text_records::parse(&fields, bytes, length, points),
     }
 }
@@ -87,9 +87,9 @@ impl<'a> Header<'a> {
     }
 }
 
-fn field<'a>(name: &'a str, size: &str, kind: &str, count: &str) -> Option<Field<'a>> {
+fn field<'a>(name: &'a str, size: &str, kind: &str, count: &str) -> Option<Declared<'a>> {
     let size = size.parse().ok().filter(|s| matches!(s, 1 | 2 | 4 | 8))?;
-    let count = count.parse().ok().filter(|&n: &u32| n > 0)?;
+    let count: u32 = count.parse().ok()?;
     let scalar = match (kind, size) {
         ("I", 1) => Some(Scalar::I8),
         ("I", 2) => Some(Scalar::I16),
@@ -105,11 +105,12 @@ fn field<'a>(name: &'a str, size: &str, kind: &str, count: &str) -> Option<Field
         ("F", _) => None,
         _ => return None,
     };
-    Some(Field { name, scalar, width: count.checked_mul(size)? })
+    Some(Declared { name, scalar, width: count.checked_mul(size)? })
 }
 
 #[cfg(test)]
 mod tests {
+    use super::*;
     use crate::files::tests::{comes_back, floats, pcd};
 
     #[test]
@@ -118,10 +119,12 @@ mod tests {
         let record = [vec![1, 2, 3, 4], floats(&[1.0, 2.0, 3.0, 0.5]), vec![5, 6]].concat();
         let scan = comes_back("a.pcd", [header.clone(), record.clone(), record, vec![9; 30]].concat());
         assert_eq!(scan.prefix, header);
-        assert_eq!(scan.layout.position, Some([4, 8, 12]));
+        assert_eq!(scan.layout.position_offsets(), Some([4, 8, 12]));
         assert_eq!(scan.cloud.positions, [[1.0, 2.0, 3.0]; 2]);
         assert_eq!(scan.cloud.intensity, [0.5; 2]);
-        assert_eq!(scan.cloud.extra, [1, 2, 3, 4, 5, 6, 1, 2, 3, 4, 5, 6]);
+        let [padding, label] = &scan.cloud.channels[..] else { panic!("{:?}", scan.layout) };
+        assert_eq!((&padding.field.name[..], &padding.bytes[..]), ("", &[1, 2, 3, 4, 1, 2, 3, 4][..]));
+        assert_eq!((&label.field.name[..], &label.bytes[..]), ("label", &[5, 6, 5, 6][..]));
         assert_eq!(scan.suffix, [9; 30], "bytes after the last point");
     }
 
@@ -133,10 +136,11 @@ mod tests {
     }
 
     #[test]
-    fn double_positions_are_extra() {
+    fn double_positions_are_channels() {
         let header = pcd("x y z intensity", "8 8 8 4", "F F F F", "1 1 1 1", 1, "binary");
         let scan = comes_back("a.pcd", [header, vec![1; 28]].concat());
-        assert_eq!((scan.records, scan.layout.position, scan.layout.intensity), (1, None, Some(24)));
+        assert_eq!((scan.records, scan.layout.position, scan.layout.intensity), (1, None, Some(3)));
+        assert_eq!(scan.cloud.channel("y").map(|y| y.field.scalar), Some(Scalar::F64));
     }
 
     #[test]
@@ -157,7 +161,6 @@ mod tests {
             ("SIZE 4 4 4", "SIZE 4 4 3"),
             ("SIZE 4 4 4", "SIZE 4 4 -4"),
             ("TYPE F", "TYPE X"),
-            ("COUNT 1", "COUNT 0"),
             ("COUNT 1", "COUNT 4294967295"),
             ("COUNT 1", "COUNT 16383"),
             ("POINTS 2", "POINTS 99999999999999999999"),

@@ -9,7 +9,7 @@ mod header;
 pub(super) use header::Header;
 
 use self::header::{Encoding, skip};
-use super::field::layout_of;
+use super::field::{Declared, layout_of};
 use super::records::plain_file;
 use super::{big_endian, text_records};
 use crate::scan::{ScanFile, Wrapping};
@@ -18,16 +18,14 @@ use crate::scan::{ScanFile, Wrapping};
 /// `suffix`. `None` if the header is damaged, a vertex has a list, or text would not come back.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
-    let layout = layout_of(&header.fields, Wrapping::Plain)?;
+    let fields = header.fields.iter().filter_map(Declared::field).collect();
+    let layout = layout_of(fields, Wrapping::Plain)?;
     let start = header.before.iter().try_fold(header.length, |start, element| {
         Some(start + skip(element, header.encoding, bytes.get(start..)?)?)
     })?;
     match header.encoding {
         Encoding::LittleEndian => plain_file(layout, bytes, start, header.vertices),
-        Encoding::BigEndian => {
-            let values = header.fields.iter().map(|field| field.width).collect();
-            big_endian::parse(layout, values, bytes, start, header.vertices)
-        }
+        Encoding::BigEndian => big_endian::parse(layout, bytes, start, header.vertices),
         Encoding::Ascii => text_records::parse(&header.fields, bytes, start, header.vertices),
     }
 }

@@ -6,48 +6,75 @@ use byteorder::{ByteOrder, LittleEndian};
 
 use super::collected;
 use crate::ground::error::{Error, Result};
-use crate::scan::{Layout, PointCloud, ScanFile, Wrapping};
+use crate::scan::{Channel, Layout, PointCloud, Scalar, ScanFile, Wrapping};
 
 /// Takes a file apart whose records stand one after the other from byte `start` on: at most
 /// `records` of them, fewer if the file ends before. `None` if the layout is not valid.
 pub(super) fn plain_file(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
     layout.validate().ok()?;
-    let stride = layout.stride as usize;
+    let stride = layout.stride();
     let body = bytes.get(start..)?;
     let present = body.len().checked_div(stride)?;
     let records = usize::try_from(records).map_or(present, |n| n.min(present));
     let (body, suffix) = body.split_at(records * stride);
+    let (layout, cloud) = split(layout, body);
     Some(ScanFile {
         prefix: bytes[..start].to_vec(),
         records,
-        cloud: split(&layout, body),
+        cloud,
         suffix: suffix.to_vec(),
         layout,
         name: String::new(),
     })
 }
 
-/// Turns whole records, one after the other, into points. The layout must be valid.
-pub(super) fn split(layout: &Layout, body: &[u8]) -> PointCloud {
-    let records = body.chunks_exact(layout.stride.max(1) as usize);
-    let value = |record: &[u8], at: u32| LittleEndian::read_f32(&record[at as usize..]);
+/// The largest intensity that the models of intensities know as a whole number.
+const MOST_INTENSITY: f32 = 511.0;
+
+/// Turns whole records, one after the other, into points. The layout must be valid. Integers beyond what
+/// intensities may be are a channel like others: then the layout that is given back knows of no intensity.
+pub(super) fn split(mut layout: Layout, body: &[u8]) -> (Layout, PointCloud) {
+    let stride = layout.stride().max(1);
+    let records = body.chunks_exact(stride);
+    let value = |record: &[u8], at: usize| LittleEndian::read_f32(&record[at..]);
     // Field by field: a vector that is collected at once does not ask for each value whether it has room.
-    let mut cloud = PointCloud {
-        positions: layout.position.map_or_else(Vec::new, |offsets| {
-            records.clone().map(|record| offsets.map(|at| value(record, at))).collect()
-        }),
-        intensity: layout
-            .intensity
-            .map_or_else(Vec::new, |at| records.clone().map(|record| value(record, at)).collect()),
-        extra: Vec::with_capacity(records.len() * layout.extra_stride()),
-    };
-    let extra_ranges = layout.extra_ranges();
-    if !extra_ranges.is_empty() {
-        for record in records {
-            extra_ranges.iter().for_each(|range| cloud.extra.extend_from_slice(&record[range.clone()]));
+    let positions = layout.position_offsets().map_or_else(Vec::new, |offsets| {
+        records.clone().map(|record| offsets.map(|at| value(record, at))).collect()
+    });
+    let mut intensity: Vec<f32> = match layout.intensity_place() {
+        Some((at, Scalar::F32)) => records.map(|record| value(record, at)).collect(),
+        Some((at, Scalar::U16)) => {
+            records.map(|record| LittleEndian::read_u16(&record[at..]).into()).collect()
         }
+        Some((at, _)) => records.map(|record| record[at].into()).collect(),
+        None => Vec::new(),
+    };
+    let is_wide = layout.intensity_place().is_some_and(|(_, scalar)| scalar == Scalar::U16);
+    if is_wide && intensity.iter().any(|&value| value > MOST_INTENSITY) {
+        layout.intensity = None;
+        intensity.clear();
     }
-    cloud
+    let channels = layout
+        .channels()
+        .map(|(at, field)| Channel { field: field.clone(), bytes: taken(body, stride, at, field.width()) })
+        .collect();
+    (layout, PointCloud { positions, intensity, channels })
+}
+
+/// The bytes of one field, record after record.
+fn taken(body: &[u8], stride: usize, at: usize, width: usize) -> Vec<u8> {
+    /// A width that is known when this is compiled is moved at once.
+    fn values<const WIDTH: usize>(body: &[u8], stride: usize, at: usize) -> Vec<u8> {
+        let value = |record: &[u8]| -> [u8; WIDTH] { std::array::from_fn(|byte| record[at + byte]) };
+        body.chunks_exact(stride).flat_map(value).collect()
+    }
+    match width {
+        1 => values::<1>(body, stride, at),
+        2 => values::<2>(body, stride, at),
+        4 => values::<4>(body, stride, at),
+        8 => values::<8>(body, stride, at),
+        _ => body.chunks_exact(stride).flat_map(|record| &record[at..at + width]).copied().collect(),
+    }
 }
 
 /// Gives the records of `file`, one after the other and some at a time: the inverse of [`split`].
@@ -59,7 +86,7 @@ pub(super) fn give(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -
     /// Bytes at a time: as many as a processor keeps near while fields are filled in one after the other, and then
     /// they are read again.
     const AT_ONCE: usize = 64 << 10;
-    let stride = file.layout.stride.max(1) as usize;
+    let stride = file.layout.stride().max(1);
     let count = (AT_ONCE / stride).max(1);
     let mut body = vec![0; count.min(file.records) * stride];
     for first in (0..file.records).step_by(count) {
@@ -78,28 +105,29 @@ pub(super) fn join(file: &ScanFile) -> Result<Vec<u8>> {
 
 /// Fills in the fields of some records: between them they are every byte of these.
 fn fill(layout: &Layout, cloud: &PointCloud, records: Range<usize>, body: &mut [u8]) {
-    let (stride, extra_stride) = (layout.stride.max(1) as usize, layout.extra_stride());
-    if let Some(offsets) = layout.position {
+    let stride = layout.stride().max(1);
+    if let Some(offsets) = layout.position_offsets() {
         for (record, position) in body.chunks_exact_mut(stride).zip(&cloud.positions[records.clone()]) {
             for (at, value) in offsets.into_iter().zip(position) {
-                LittleEndian::write_f32(&mut record[at as usize..], *value);
+                LittleEndian::write_f32(&mut record[at..], *value);
             }
         }
     }
-    if let Some(at) = layout.intensity {
+    if let Some((at, scalar)) = layout.intensity_place() {
         for (record, value) in body.chunks_exact_mut(stride).zip(&cloud.intensity[records.clone()]) {
-            LittleEndian::write_f32(&mut record[at as usize..], *value);
+            // Rounded ones need not be whole.
+            match scalar {
+                Scalar::F32 => LittleEndian::write_f32(&mut record[at..], *value),
+                Scalar::U16 => LittleEndian::write_u16(&mut record[at..], (value + 0.5) as u16),
+                _ => record[at] = (value + 0.5) as u8,
+            }
         }
     }
-    if extra_stride > 0 {
-        let extra_ranges = layout.extra_ranges();
-        let extra = cloud.extra[records.start * extra_stride..].chunks_exact(extra_stride);
-        for (record, mut extra) in body.chunks_exact_mut(stride).zip(extra) {
-            for range in &extra_ranges {
-                let (gap, rest) = extra.split_at(range.len());
-                record[range.clone()].copy_from_slice(gap);
-                extra = rest;
-            }
+    for ((at, field), channel) in layout.channels().zip(&cloud.channels) {
+        let width = field.width();
+        let values = channel.bytes[records.start * width..].chunks_exact(width);
+        for (record, value) in body.chunks_exact_mut(stride).zip(values) {
+            record[at..at + width].copy_from_slice(value);
         }
     }
 }
@@ -114,10 +142,19 @@ pub(super) fn check(file: &ScanFile) -> Result<()> {
     layout.validate()?;
     let positions = if layout.position.is_some() { file.records } else { 0 };
     let intensities = if layout.intensity.is_some() { file.records } else { 0 };
+    let channels_fit = layout.channels().map(Some).chain(std::iter::repeat(None)).zip(&cloud.channels).all(
+        |(field, channel)| {
+            field.is_some_and(|(_, field)| {
+                *field == channel.field
+                    && Some(channel.bytes.len()) == file.records.checked_mul(field.width())
+            })
+        },
+    );
     let fits = cloud.positions.len() == positions
         && cloud.intensity.len() == intensities
-        && Some(cloud.extra.len()) == file.records.checked_mul(layout.extra_stride())
-        && (layout.stride > 0 || (file.records == 0 && layout.wrapping == Wrapping::Plain));
+        && channels_fit
+        && layout.channels().count() == cloud.channels.len()
+        && (layout.stride() > 0 || (file.records == 0 && layout.wrapping == Wrapping::Plain));
     match fits {
         true => Ok(()),
         false => Err(Error::corrupt("points do not match the record layout")),

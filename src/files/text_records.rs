@@ -3,17 +3,17 @@
 //! Texts are turned into values only if the values give the texts back. Writers differ in how
 //! they print numbers, so each column's rule is found by trial.
 
-use super::field::{Field, layout_of};
+use super::field::{Declared, layout_of, name_of};
 use super::number::{self, NumberWriter, Survey};
 use super::records;
 use crate::ground::error::Result;
-use crate::scan::{Column, Scalar, ScanFile, TextFormat, Wrapping};
+use crate::scan::{Column, Field, Layout, Scalar, ScanFile, TextFormat, Wrapping};
 
 /// Takes a file apart whose body starts at byte `start` and has at most `points` records of these fields,
 /// which must make a valid layout.
 /// Lines from the first one on that does not look like those before it are `suffix`.
 /// `None` if there is no record, or a column whose texts no rule gives back.
-pub(super) fn parse(fields: &[Field], bytes: &[u8], start: usize, points: u64) -> Option<ScanFile> {
+pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64) -> Option<ScanFile> {
     let scalars = scalars(fields)?;
     let body = bytes.get(start..)?;
     let mut format = TextFormat::of_line(first_line(body)?);
@@ -39,10 +39,10 @@ pub(super) fn parse(fields: &[Field], bytes: &[u8], start: usize, points: u64) -
     }
     let fields = as_stored(fields, &format.columns);
     let body = side_by_side(&values, &format.columns, records);
-    let layout = layout_of(&fields, Wrapping::Text(format))?;
+    let (layout, cloud) = records::split(valid(layout_of(fields, Wrapping::Text(format))?)?, &body);
     Some(ScanFile {
         name: String::new(),
-        cloud: records::split(&layout, &body),
+        cloud,
         layout,
         prefix: bytes[..start].to_vec(),
         records,
@@ -51,7 +51,7 @@ pub(super) fn parse(fields: &[Field], bytes: &[u8], start: usize, points: u64) -
 }
 
 /// The types of all values of a record; `None` if there are none, or one is of a size that has no such type.
-fn scalars(fields: &[Field]) -> Option<Vec<Scalar>> {
+fn scalars(fields: &[Declared]) -> Option<Vec<Scalar>> {
     let mut scalars = Vec::new();
     for field in fields {
         let scalar = field.scalar?;
@@ -60,16 +60,29 @@ fn scalars(fields: &[Field]) -> Option<Vec<Scalar>> {
     (!scalars.is_empty()).then_some(scalars)
 }
 
-/// The fields as the values of these columns make them up.
-fn as_stored<'a>(fields: &[Field<'a>], columns: &[Column]) -> Vec<Field<'a>> {
+/// The fields as the values of these columns make them up: one whose values are kept in different types is
+/// as many fields.
+fn as_stored(fields: &[Declared], columns: &[Column]) -> Vec<Field> {
     let mut rest = columns;
-    let stored = |field: &Field<'a>| {
-        let (own, after) = rest.split_at((field.count() as usize).min(rest.len()));
+    let mut stored = Vec::with_capacity(fields.len());
+    for declared in fields {
+        let (own, after) = rest.split_at((declared.count() as usize).min(rest.len()));
         rest = after;
-        let scalar = if let [column] = own { Some(column.scalar) } else { field.scalar };
-        Field { name: field.name, scalar, width: own.iter().map(|column| column.scalar.size()).sum() }
-    };
-    fields.iter().map(stored).collect()
+        let Some(field) = declared.field() else { continue };
+        match own {
+            [first, others @ ..] if others.iter().all(|column| column.scalar == first.scalar) => {
+                stored.push(Field { scalar: first.scalar, ..field });
+            }
+            _ => stored.extend((0..).zip(own).map(|(value, column): (u32, _)| {
+                Field::new(&name_of(&format!("{}_{value}", declared.name)), column.scalar)
+            })),
+        }
+    }
+    stored
+}
+
+fn valid(layout: Layout) -> Option<Layout> {
+    layout.validate().ok().map(|()| layout)
 }
 
 /// Records from the values of each column.
@@ -91,7 +104,7 @@ fn side_by_side(values: &[Vec<u8>], columns: &[Column], records: usize) -> Vec<u
 pub(super) fn write(body: &[u8], format: &TextFormat) -> Result<Vec<u8>> {
     let mut out = Vec::new();
     let mut writer = NumberWriter::default();
-    for record in body.chunks_exact((format.stride() as usize).max(1)) {
+    for record in body.chunks_exact(format.stride().max(1)) {
         let mut rest = record;
         for (at, &column) in format.columns.iter().enumerate() {
             if at > 0 {
@@ -196,7 +209,7 @@ mod tests {
 
     use super::*;
     use crate::files::tests::{comes_back, pcd};
-    use crate::scan::{Layout, NumberRule, PointCloud};
+    use crate::scan::{Channel, NumberRule, PointCloud};
 
     fn file(body: &str) -> Vec<u8> {
         let header = pcd("x y z intensity ring", "4 4 4 4 2", "F F F F U", "1 1 1 1 1", 3, "ascii");
@@ -220,7 +233,7 @@ mod tests {
         assert_eq!(scan.cloud.positions[0], [11.375, -0.35, 1e-5]);
         assert!(scan.cloud.positions[1][0].is_nan());
         assert_eq!(scan.cloud.intensity[1], 0.26);
-        assert_eq!(scan.cloud.extra, [1, 0, 22, 0, 3, 0]);
+        assert_eq!(scan.cloud.channels[0].bytes, [1, 0, 22, 0, 3, 0]);
     }
 
     #[test]
@@ -252,7 +265,7 @@ mod tests {
         let body = "22.719 0.031 1 0.1 1300000000.5\n18.052 0.076 -2 0.123456789012 1300000000.75\n";
         let scan = comes_back("a.pcd", [&header, body.as_bytes()].concat());
         assert_eq!(scan.cloud.positions, [[22.719, 0.031, 1.0], [18.052, 0.076, -2.0]]);
-        assert_eq!((scan.layout.stride, scan.layout.intensity), (3 * 4 + 2 * 8, None));
+        assert_eq!((scan.layout.stride(), scan.layout.intensity), (3 * 4 + 2 * 8, None));
     }
 
     #[test]
@@ -313,15 +326,16 @@ mod tests {
     }
 
     /// What a column of this type and rule makes of the values.
-    fn text_of(scalar: Scalar, rule: NumberRule, extra: Vec<u8>) -> Vec<u8> {
+    fn text_of(scalar: Scalar, rule: NumberRule, bytes: Vec<u8>) -> Vec<u8> {
         let size = scalar.size();
-        let records = extra.len() / size as usize;
+        let records = bytes.len() / size as usize;
         let columns = vec![Column { scalar, rule }];
         let format = TextFormat { crlf: false, tab: false, trailing_separator: false, columns };
         let wrapping = Wrapping::Text(format);
         let prefix = pcd("v", &size.to_string(), "F", "1", records as u64, "ascii");
-        let cloud = PointCloud { extra, ..PointCloud::default() };
-        let layout = Layout { wrapping, stride: size, ..Layout::default() };
+        let field = Field::new("v", scalar);
+        let layout = Layout { wrapping, fields: vec![field.clone()], ..Layout::default() };
+        let cloud = PointCloud { channels: vec![Channel { field, bytes }], ..PointCloud::default() };
         ScanFile { layout, prefix, records, cloud, ..ScanFile::default() }.to_bytes().unwrap()
     }
 

@@ -70,7 +70,7 @@ impl Bound {
     /// Whether a decoded scan has the very points of the original, in their order, and none is farther off
     /// than promised.
     pub fn holds(&self, original: &ScanFile, decoded: &ScanFile) -> bool {
-        let (PointCloud { positions, intensity, extra }, after) = (&original.cloud, &decoded.cloud);
+        let (PointCloud { positions, intensity, channels }, after) = (&original.cloud, &decoded.cloud);
         let half_step = match self.intensity {
             Intensity::Rounded { step_millionths } => 0.5e-6 * f64::from(step_millionths),
             Intensity::Exact | Intensity::None => 0.0,
@@ -87,7 +87,7 @@ impl Bound {
                 .iter()
                 .zip(&after.intensity)
                 .all(|(&a, &b)| same_bits(a, b) || (half_step > 0.0 && near(a, b)))
-            && *extra == after.extra
+            && *channels == after.channels
     }
 
     /// Whether a decoded position is no farther from the original than promised.

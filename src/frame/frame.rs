@@ -16,7 +16,7 @@ use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
 use crate::models::OrderExceptions;
-use crate::scan::{Layout, PointCloud, ScanFile};
+use crate::scan::{Channel, Layout, PointCloud, ScanFile};
 use crate::scanner::Scanner;
 use crate::scanner::motion::{self, Compensation};
 use crate::scanner::{Projection, REACH, RangeImage, Return, project_nearest};
@@ -49,8 +49,8 @@ pub struct Frame {
     pub stray_positions: Vec<[f32; 3]>,
     pub stray_intensity: Vec<f32>,
     pub order: OrderExceptions,
-    /// The other bytes of the records, in the order of the file.
-    pub extra: Vec<u8>,
+    /// The other fields of the records, in the order of the file.
+    pub channels: Vec<Channel>,
     /// How the points were moved after they were measured; the positions above are from before.
     pub compensation: Option<Compensation>,
     /// Where the points come from; only while a scan is encoded.
@@ -155,7 +155,7 @@ impl Frame {
         self.strays = self.records;
         self.stray_positions = cloud.positions;
         self.stray_intensity = cloud.intensity;
-        self.extra = cloud.extra;
+        self.channels = cloud.channels;
     }
 
     /// Takes all points, in bins of range as wide as the bound allows.
@@ -245,11 +245,11 @@ impl Frame {
         self.positions =
             points[..returns.len()].iter().map(|&point| cloud.positions[point as usize]).collect();
         if self.parameters.positions == Positions::Formula {
-            self.extra = cloud.select(&points).extra;
+            self.channels = cloud.select(&points).channels;
             return;
         }
         self.order = OrderExceptions::of_places(&points, returns.len());
-        self.extra.clone_from(&cloud.extra);
+        self.channels.clone_from(&cloud.channels);
     }
 
     /// Which point of the file each cell holds.
@@ -309,7 +309,7 @@ impl Frame {
             let of_returns: Vec<f32> = returns.iter().map(of_return).collect();
             cloud.intensity = self.order.arranged(&of_returns, &self.stray_intensity)?;
         }
-        cloud.extra = self.extra;
+        cloud.channels = self.channels;
         Ok(ScanFile {
             name: name.to_owned(),
             layout: self.layout,

@@ -23,7 +23,7 @@ use crate::models::{
     ByteModel, CorrectionModel, IntensityModel, IntensityNeighbours, IntensityReference, IntensityScale,
     OccupancyModel, OrderModel, PointModel, RangeModel, neighbours_above,
 };
-use crate::scan::Layout;
+use crate::scan::{Channel, Field, Layout};
 use crate::scanner::motion::Compensation;
 use crate::scanner::{ColumnModels, Coordinates, Return, Scanner};
 use crate::stream::container::SectionKind;
@@ -31,6 +31,8 @@ use crate::stream::container::SectionKind;
 /// What a group's frames have taught so far.
 #[derive(Clone, Default)]
 pub struct Models {
+    /// Of the last frame.
+    layout: Option<Layout>,
     sizes: IntegerModel,
     bytes: ByteModel,
     extra: ByteModel,
@@ -100,11 +102,13 @@ impl Models {
             self.code_positions(sections, scanner, frame, &found)?;
         }
         self.code_order(sections, frame, returns)?;
-        let extra_bytes = frame.records.saturating_mul(frame.layout.extra_stride());
-        within(extra_bytes, limits.file_bytes, "bytes of the frame")?;
-        frame.extra.resize(extra_bytes, 0);
-        sections.section(SectionKind::Extra, extra_bytes > 0, |coder| {
-            self.extra.code(coder, frame.layout.extra_stride(), &mut frame.extra);
+        let channel_bytes = frame.records.saturating_mul(frame.layout.channel_bytes());
+        within(channel_bytes, limits.file_bytes, "bytes of the frame")?;
+        frame.fit_channels();
+        sections.section(SectionKind::Channels, channel_bytes > 0, |coder| {
+            for channel in &mut frame.channels {
+                self.extra.code(coder, channel.field.width(), &mut channel.bytes);
+            }
             Ok(())
         })?;
         code_compensation(sections, frame)?;
@@ -274,18 +278,7 @@ impl Models {
 
     /// The layout of the file, and the bytes around the records.
     fn code_file<C: BitCoder>(&mut self, coder: &mut C, frame: &mut Frame, limits: &Limits) -> Result<()> {
-        let mut layout = Vec::new();
-        if C::ENCODES {
-            frame.layout.write_to(&mut layout);
-        }
-        self.code_bytes(coder, &mut layout, limits)?;
-        if !C::ENCODES {
-            let mut rest = layout.as_slice();
-            frame.layout = Layout::read_from(&mut rest)?;
-            if !rest.is_empty() {
-                return Err(Error::corrupt("record layout: bytes left over"));
-            }
-        }
+        self.code_layout(coder, &mut frame.layout, limits)?;
         self.code_bytes(coder, &mut frame.prefix, limits)?;
         self.code_bytes(coder, &mut frame.suffix, limits)?;
         let records = self.sizes.code(coder, frame.records as u64);
@@ -300,6 +293,32 @@ impl Models {
         if frame.strays > frame.records || (frame.layout.position.is_none() && frame.strays < frame.records) {
             return Err(Error::corrupt("more strays than points"));
         }
+        Ok(())
+    }
+
+    /// The layout; no bytes if it is that of the frame before.
+    fn code_layout<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        layout: &mut Layout,
+        limits: &Limits,
+    ) -> Result<()> {
+        let mut bytes = Vec::new();
+        if C::ENCODES && self.layout.as_ref() != Some(layout) {
+            layout.write_to(&mut bytes);
+        }
+        self.code_bytes(coder, &mut bytes, limits)?;
+        if bytes.is_empty() {
+            let before = self.layout.as_ref();
+            layout.clone_from(before.ok_or_else(|| Error::corrupt("record layout: there is none before"))?);
+            return Ok(());
+        }
+        let mut rest = bytes.as_slice();
+        *layout = Layout::read_from(&mut rest)?;
+        if !rest.is_empty() {
+            return Err(Error::corrupt("record layout: bytes left over"));
+        }
+        self.layout = Some(layout.clone());
         Ok(())
     }
 
@@ -398,6 +417,17 @@ fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Re
 }
 
 impl Frame {
+    /// Gives the decoder's channels the size of their values.
+    fn fit_channels(&mut self) {
+        if self.channels.is_empty() {
+            let sized = |field: &Field| Channel {
+                field: field.clone(),
+                bytes: vec![0; self.records.saturating_mul(field.width())],
+            };
+            self.channels = self.layout.channels().map(|(_, field)| sized(field)).collect();
+        }
+    }
+
     /// Gives the decoder's grids the size of the image.
     fn fit_image(&mut self, rows: usize) {
         let columns = self.image.columns.len();

@@ -3,7 +3,7 @@
 mod layout;
 mod text_format;
 
-pub use layout::{Layout, LzfDialect, MAX_STRIDE, Wrapping};
+pub use layout::{Field, Layout, LzfDialect, MAX_NAME, MAX_STRIDE, Wrapping};
 pub use text_format::{Column, MAX_DIGITS, NumberRule, Scalar, TextFormat};
 
 /// The points of one scan, in the order of the file. Every bit of every value counts:
@@ -12,24 +12,43 @@ pub use text_format::{Column, MAX_DIGITS, NumberRule, Scalar, TextFormat};
 pub struct PointCloud {
     /// x, y, z in metres, one entry a point. Empty if the file's records hold no float32 position.
     pub positions: Vec<[f32; 3]>,
-    /// One value a point, in the file's own unit. Empty if the records hold no float32 intensity.
+    /// One value a point, in the file's own unit. Empty if the records hold no intensity.
     pub intensity: Vec<f32>,
-    /// The bytes of each record that are neither position nor intensity, record after record,
-    /// `Layout::extra_stride` bytes each.
-    pub extra: Vec<u8>,
+    /// The other fields, in the order of the records.
+    pub channels: Vec<Channel>,
+}
+
+/// A field of all points.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Channel {
+    /// Its name and type.
+    pub field: Field,
+    /// The little-endian bytes of its values, point after point.
+    pub bytes: Vec<u8>,
 }
 
 impl PointCloud {
     /// These points, in this order.
     pub fn select(&self, points: &[u32]) -> PointCloud {
-        let count = self.positions.len().max(self.intensity.len()).max(1);
-        let extra_stride = self.extra.len() / count;
-        let extra = |&point: &u32| &self.extra[point as usize * extra_stride..][..extra_stride];
         PointCloud {
             positions: pick(&self.positions, points),
             intensity: pick(&self.intensity, points),
-            extra: points.iter().flat_map(extra).copied().collect(),
+            channels: self.channels.iter().map(|channel| channel.select(points)).collect(),
         }
+    }
+
+    /// The channel of this name.
+    pub fn channel(&self, name: &str) -> Option<&Channel> {
+        self.channels.iter().find(|channel| channel.field.name == name)
+    }
+}
+
+impl Channel {
+    /// The values of these points, in this order.
+    fn select(&self, points: &[u32]) -> Channel {
+        let width = self.field.width();
+        let value = |&point: &u32| &self.bytes[point as usize * width..][..width];
+        Channel { field: self.field.clone(), bytes: points.iter().flat_map(value).copied().collect() }
     }
 }
 
@@ -64,7 +83,7 @@ impl ScanFile {
 
     /// True if the file's bytes are kept as they are, with no records.
     pub fn is_opaque(&self) -> bool {
-        self.layout.stride == 0
+        self.layout.fields.is_empty()
     }
 }
 

@@ -48,6 +48,21 @@ impl Scalar {
         }
     }
 
+    /// The type of this number in the serialised form.
+    pub fn from_number(number: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(number)).copied()
+    }
+
+    /// What it is called in a list of fields: `u8`, `f32` and so on.
+    pub fn name(self) -> &'static str {
+        ["i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64", "f32", "f64"][self as usize]
+    }
+
+    /// The type of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|scalar| scalar.name() == name)
+    }
+
     /// True for the two floating-point types.
     pub fn is_float(self) -> bool {
         matches!(self, Scalar::F32 | Scalar::F64)
@@ -133,8 +148,8 @@ pub struct TextFormat {
 
 impl TextFormat {
     /// Bytes of a record with these columns.
-    pub fn stride(&self) -> u64 {
-        self.columns.iter().map(|c| u64::from(c.scalar.size())).sum()
+    pub fn stride(&self) -> usize {
+        self.columns.iter().map(|c| c.scalar.size() as usize).sum()
     }
 
     pub(super) fn validate(&self) -> Result<()> {
@@ -144,7 +159,7 @@ impl TextFormat {
         }
     }
 
-    /// One byte of flags, then two bytes a column; the number of columns follows from the stride.
+    /// One byte of flags, then two bytes a column; the number of columns follows from the fields.
     pub(super) fn write_to(&self, out: &mut Vec<u8>) {
         let flags = [self.crlf, self.tab, self.trailing_separator];
         out.push(flags.iter().enumerate().map(|(bit, &set)| u8::from(set) << bit).sum());
@@ -154,8 +169,8 @@ impl TextFormat {
         }
     }
 
-    /// Reads columns until they fill a record of `stride` bytes.
-    pub(super) fn read_from(input: &mut &[u8], stride: u32) -> Result<Self> {
+    /// Reads so many columns.
+    pub(super) fn read_from(input: &mut &[u8], columns: u64) -> Result<Self> {
         let damaged = || Error::corrupt("record layout: text format");
         let (&flags, rest) = input.split_first().ok_or_else(damaged)?;
         *input = rest;
@@ -168,13 +183,12 @@ impl TextFormat {
             trailing_separator: flags & 4 != 0,
             columns: Vec::new(),
         };
-        let mut filled = 0;
-        while filled < stride {
+        // The list grows with what is there.
+        for _ in 0..columns {
             let (&[kind, parameter], rest) = input.split_first_chunk().ok_or_else(damaged)?;
             *input = rest;
             let scalar = *Scalar::ALL.get(usize::from(kind & 15)).ok_or_else(damaged)?;
             let rule = NumberRule::from_bytes(kind >> 4, parameter).ok_or_else(damaged)?;
-            filled += scalar.size();
             format.columns.push(Column { scalar, rule });
         }
         Ok(format)

@@ -178,7 +178,8 @@ impl<'s> OpenGroup<'s> {
 /// records unfold to too many bytes, is coded as the bytes of its file.
 fn within_limits(scan: ScanFile) -> Result<ScanFile> {
     let limits = Limits::default();
-    if scan.records as u64 <= limits.points && scan.cloud.extra.len() as u64 <= limits.file_bytes {
+    let channels: u64 = scan.cloud.channels.iter().map(|channel| channel.bytes.len() as u64).sum();
+    if scan.records as u64 <= limits.points && channels <= limits.file_bytes {
         return Ok(scan);
     }
     let bytes = scan.to_bytes()?;

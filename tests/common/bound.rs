@@ -31,8 +31,8 @@ fn check_bound(files: &[File], decoded: &[File], config: &EncoderConfig, max_err
         // Not all of the layout: other numbers may look as if another rule had written them as text.
         let fields = |scan: &ScanFile| (scan.layout.position.is_some(), scan.layout.intensity.is_some());
         assert_eq!(
-            (a.records, fields(&a), &a.cloud.extra),
-            (b.records, fields(&b), &b.cloud.extra),
+            (a.records, fields(&a), &a.cloud.channels),
+            (b.records, fields(&b), &b.cloud.channels),
             "{name}"
         );
         if a.layout.position.is_none() {

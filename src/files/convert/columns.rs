@@ -4,9 +4,8 @@ use std::collections::HashSet;
 
 use byteorder::{ByteOrder, LittleEndian};
 
-use crate::files::field::{self, Field};
-use crate::files::{HeaderlessLayout, Kind, pcd, ply};
-use crate::scan::{Layout, Scalar, ScanFile, Wrapping};
+use crate::files::field;
+use crate::scan::{Field, Layout, Scalar, ScanFile};
 
 /// What the intensity is called in converted files.
 pub const INTENSITY: &str = "intensity";
@@ -35,6 +34,11 @@ enum Origin {
 }
 
 impl Column {
+    /// The field that it is in the converted file.
+    pub fn field(&self) -> Field {
+        Field::new(&field::name_of(&self.name), self.scalar)
+    }
+
     /// Appends the value that it has in a record of the original file.
     pub fn write(&self, record: &[u8], out: &mut Vec<u8>) {
         match self.origin {
@@ -54,13 +58,7 @@ pub fn of_scan(scan: &ScanFile) -> Option<Vec<Column>> {
     if scan.is_opaque() {
         return None;
     }
-    let (kind, _) = Kind::of(&scan.name)?;
-    let columns = match kind {
-        Kind::Kitti | Kind::NuScenes => of_headerless(scan, kind),
-        Kind::Pcd => of_fields(&pcd::Header::parse(&scan.prefix)?.fields, &scan.layout)?,
-        Kind::Ply => of_fields(&ply::Header::parse(&scan.prefix)?.fields, &scan.layout)?,
-    };
-    in_order(columns)
+    in_order(of_fields(&scan.layout))
 }
 
 /// The columns of KITTI's files, of those of a scan; `None` if coordinates are not float32.
@@ -85,72 +83,48 @@ impl Column {
     }
 }
 
-/// Files without a header: what their layout knows, and nuScenes' ring.
-fn of_headerless(scan: &ScanFile, kind: Kind) -> Vec<Column> {
-    let float32 = |name: &str, at: u32| Column {
-        name: name.to_owned(),
-        scalar: Scalar::F32,
-        origin: Origin::At(at as usize),
-    };
-    let position = scan.layout.position.into_iter().flat_map(|offsets| POSITION.into_iter().zip(offsets));
-    let mut columns: Vec<Column> = position.map(|(name, at)| float32(name, at)).collect();
-    columns.extend(scan.layout.intensity.map(|at| float32(INTENSITY, at)));
-    let nuscenes = HeaderlessLayout::nuscenes();
-    if kind == Kind::NuScenes && nuscenes.layout().as_ref() == Some(&scan.layout) {
-        columns.extend(nuscenes.offset('r').map(|at| float32("ring", at)));
+/// The fields that have a name; one of several values is as many columns.
+fn of_fields(layout: &Layout) -> Vec<Column> {
+    let is_known = |field: &Field| field.count == 1;
+    let intensity = field::find_intensity(&layout.fields, is_known);
+    let mut columns = Vec::new();
+    let mut at = 0;
+    for (place, field) in layout.fields.iter().enumerate() {
+        let known = POSITION.into_iter().find(|name| field.name.eq_ignore_ascii_case(name));
+        let name = if intensity == Some(place) { INTENSITY } else { known.unwrap_or(&field.name) };
+        for value in 0..field.count {
+            if !name.is_empty() {
+                let name = if field.count == 1 { name.to_owned() } else { format!("{name}_{value}") };
+                columns.push(Column { name, scalar: field.scalar, origin: Origin::At(at) });
+            }
+            at += field.scalar.size() as usize;
+        }
     }
     columns
 }
 
-/// The fields that a header declares; one of several values is as many columns. `None` if they do not
-/// fill a record, as in a damaged stream.
-fn of_fields(fields: &[Field], layout: &Layout) -> Option<Vec<Column>> {
-    // What text is kept as need not be what its header says.
-    let text = match &layout.wrapping {
-        Wrapping::Text(format) => Some(&format.columns[..]),
-        _ => None,
-    };
-    let fits = match text {
-        Some(columns) => {
-            let values: u64 = fields.iter().map(|field| u64::from(field.count())).sum();
-            values == columns.len() as u64 && fields.iter().all(|field| field.scalar.is_some())
-        }
-        None => fields.iter().map(|field| u64::from(field.width)).sum::<u64>() == u64::from(layout.stride),
-    };
-    if !fits {
-        return None;
-    }
-    let mut stored = text.unwrap_or_default().iter().map(|column| column.scalar);
-    let intensity = field::find_intensity(fields, |field| field.scalar.is_some());
-    let mut columns = Vec::new();
-    let mut at = 0;
-    for (place, field) in fields.iter().enumerate() {
-        let known = POSITION.into_iter().find(|name| field.name.eq_ignore_ascii_case(name));
-        let name = if intensity == Some(place) { INTENSITY } else { known.unwrap_or(field.name) };
-        let Some(declared) = field.scalar else {
-            at += field.width as usize;
-            continue;
-        };
-        for value in 0..field.count() {
-            let scalar = stored.next().unwrap_or(declared);
-            // PCL calls padding "_".
-            if name != "_" {
-                let name = if field.count() == 1 { name.to_owned() } else { format!("{name}_{value}") };
-                columns.push(Column { name, scalar, origin: Origin::At(at) });
-            }
-            at += scalar.size() as usize;
+/// Coordinates first, intensity next, and each name once: the second of a name gets another. `None` if a
+/// coordinate is missing.
+fn in_order(mut columns: Vec<Column>) -> Option<Vec<Column>> {
+    let mut ordered = Vec::with_capacity(columns.len());
+    for name in POSITION.into_iter().chain([INTENSITY]) {
+        match columns.iter().position(|column| column.name == name) {
+            Some(at) => ordered.push(columns.remove(at)),
+            None if name == INTENSITY => {}
+            None => return None,
         }
     }
-    Some(columns)
-}
-
-/// Coordinates first, intensity next, and each name once. `None` if a coordinate is missing.
-fn in_order(columns: Vec<Column>) -> Option<Vec<Column>> {
-    let find = |name: &str| columns.iter().find(|column| column.name == name).cloned();
-    let mut ordered = POSITION.into_iter().map(find).collect::<Option<Vec<Column>>>()?;
-    ordered.extend(find(INTENSITY));
-    let mut names: HashSet<String> = ordered.iter().map(|column| column.name.clone()).collect();
-    ordered.extend(columns.into_iter().filter(|column| names.insert(column.name.clone())));
+    let mut names: HashSet<String> =
+        columns.iter().chain(&ordered).map(|column| column.name.clone()).collect();
+    let mut seen: HashSet<String> = ordered.iter().map(|column| column.name.clone()).collect();
+    for mut column in columns {
+        if !seen.insert(column.name.clone()) {
+            let others = (2u32..).map(|number| format!("{}_{number}", column.name));
+            let Some(free) = { others }.find(|name| names.insert(name.clone())) else { continue };
+            column.name = free;
+        }
+        ordered.push(column);
+    }
     Some(ordered)
 }
 

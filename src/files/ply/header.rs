@@ -2,7 +2,7 @@
 
 use byteorder::{BigEndian, ByteOrder, LittleEndian};
 
-use crate::files::field::{Field, next_line};
+use crate::files::field::{Declared, next_line};
 use crate::scan::Scalar;
 
 /// How values are written.
@@ -20,7 +20,7 @@ pub struct Header<'a> {
     /// The elements before the vertices.
     pub before: Vec<Element>,
     /// The scalar properties of the vertices.
-    pub fields: Vec<Field<'a>>,
+    pub fields: Vec<Declared<'a>>,
     /// Number of vertices. It may be anything: the body decides.
     pub vertices: u64,
     /// Bytes of the header, the line end after `end_header` included.
@@ -80,7 +80,7 @@ impl<'a> Header<'a> {
                 }
                 (Place::Vertices, ["property", kind, name]) => {
                     let scalar = scalar(kind)?;
-                    fields.push(Field { name, scalar: Some(scalar), width: scalar.size() });
+                    fields.push(Declared { name, scalar: Some(scalar), width: scalar.size() });
                 }
                 (_, ["element", _, _]) => place = Place::After,
                 (Place::After, ["property", ..]) => {}

@@ -22,7 +22,7 @@ fn vertices_are_records_and_faces_stay() {
     assert_eq!(scan.prefix, HEADER.as_bytes());
     assert_eq!(scan.cloud.positions, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
     assert_eq!(scan.cloud.intensity, [0.5, 0.25]);
-    assert_eq!(scan.cloud.extra, [7, 8]);
+    assert_eq!(scan.cloud.channels[0].bytes, [7, 8]);
     assert_eq!(scan.suffix, [3, 0, 0, 0, 0]);
 }
 
@@ -74,7 +74,10 @@ fn big_endian_values_are_turned_around() {
     let scan = comes_back("a.ply", file(&header, &body));
     assert_eq!(scan.cloud.positions[0], [1.0, 2.0, 3.0]);
     assert_eq!(scan.cloud.positions[1][2].to_bits(), 0x7fa0_0001);
-    assert_eq!((&scan.cloud.intensity[..], &scan.cloud.extra[..]), (&[0.5, 0.25][..], &[7, 8][..]));
+    assert_eq!(
+        (&scan.cloud.intensity[..], &scan.cloud.channels[0].bytes[..]),
+        (&[0.5, 0.25][..], &[7, 8][..])
+    );
     assert_eq!(scan.suffix, [3, 0, 0, 0, 0]);
     let scan = comes_back("a.ply", file(&header, &body[..20]));
     assert_eq!((scan.records, scan.suffix.len()), (1, 3));
@@ -87,7 +90,10 @@ fn text_is_values() {
     let body = "1 -0.25 3.5 7 0.5 \n4 5 6.125 8 0.25 \n3 0 1 1 \n";
     let scan = comes_back("a.ply", file(&header, body.as_bytes()));
     assert_eq!(scan.cloud.positions, [[1.0, -0.25, 3.5], [4.0, 5.0, 6.125]]);
-    assert_eq!((&scan.cloud.intensity[..], &scan.cloud.extra[..]), (&[0.5, 0.25][..], &[7, 8][..]));
+    assert_eq!(
+        (&scan.cloud.intensity[..], &scan.cloud.channels[0].bytes[..]),
+        (&[0.5, 0.25][..], &[7, 8][..])
+    );
     assert_eq!(scan.suffix, b"3 0 1 1 \n");
     let Wrapping::Text(format) = &scan.layout.wrapping else { panic!("{:?}", scan.layout) };
     assert_eq!(format.columns[3].rule, NumberRule::Integer);

@@ -27,7 +27,7 @@ pub enum SectionKind {
     /// Points that no model explains, as they come.
     Points,
     /// Fields other than position and intensity.
-    Extra,
+    Channels,
     /// How the frame is coded; the first of all.
     Parameters,
     /// The contour map: which region each return belongs to.
@@ -53,7 +53,7 @@ impl SectionKind {
         SectionKind::Intensity,
         SectionKind::Order,
         SectionKind::Points,
-        SectionKind::Extra,
+        SectionKind::Channels,
         SectionKind::Parameters,
         SectionKind::Contour,
         SectionKind::Regions,
@@ -72,7 +72,7 @@ impl SectionKind {
             SectionKind::Intensity => "intensity",
             SectionKind::Order => "order",
             SectionKind::Points => "points",
-            SectionKind::Extra => "extra",
+            SectionKind::Channels => "channels",
             SectionKind::Parameters => "parameters",
             SectionKind::Contour => "contour",
             SectionKind::Regions => "regions",

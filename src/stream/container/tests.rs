@@ -122,7 +122,7 @@ fn damage_is_named_down_to_the_section() {
     let second = bytes.windows(5).rposition(|window| window == [2; 5]).unwrap();
     bytes[second] ^= 1;
     let error = read_all(&bytes).unwrap_err().to_string();
-    for part in ["group 1", "frame 0", "0000000002.bin", "section 9 (extra)"] {
+    for part in ["group 1", "frame 0", "0000000002.bin", "section 9 (channels)"] {
         assert!(error.contains(part), "{part:?} is missing in: {error}");
     }
 }
