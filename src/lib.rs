@@ -33,5 +33,14 @@ pub mod edit;
 
 pub mod study;
 
+mod library;
+
 #[doc(hidden)]
 pub mod cli;
+
+pub use ground::error::{Error, Limits, Result};
+pub use library::{
+    ChannelInfo, Decoder, Encoder, FrameDetails, FrameInfo, Scalar, Scan, Scans, Settings, Summary,
+};
+pub use scan::Scalar as ScalarType;
+pub use stream::container::{SectionKind, Unit};

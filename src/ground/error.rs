@@ -43,6 +43,12 @@ pub enum Error {
     /// The settings contradict each other or are out of range.
     #[error("{0}")]
     InvalidConfig(String),
+    /// What was asked for is not there, or cannot be done.
+    #[error("{0}")]
+    Usage(String),
+    /// Something that should never happen, or that the system refuses, such as threads.
+    #[error("{0}")]
+    Internal(String),
     /// A file or folder that was given cannot be used.
     #[error("{} {what}", one_line(path))]
     Input {

@@ -116,7 +116,7 @@ fn decode_jobs<T: Send>(
 pub(crate) fn decode_group<T>(
     job: GroupJob,
     options: &DecodeOptions,
-    work: impl Fn(DecodedFrame) -> Result<T>,
+    mut work: impl FnMut(DecodedFrame) -> Result<T>,
 ) -> Result<Vec<T>> {
     let range = &options.frames;
     let coder = GroupDecoder::new(&job.models()?, &options.limits);
