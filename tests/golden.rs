@@ -12,7 +12,9 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 
-use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply, ply_big_endian, ply_text};
+use common::formats::{
+    kitti, nuscenes, pcd_extra, pcd_ros, pcd_text, pcd_xyz, ply, ply_big_endian, ply_text,
+};
 use common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
 use common::streams::{at_level, with_back_end};
 use common::{File, decode_files, encode_files, in_package, round_trip, take_apart};
@@ -22,7 +24,7 @@ use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
 use lidarpc::frame::{FrameParameters, Intensity, Prediction};
 use lidarpc::stream::container::{Stamp, StreamHeader, Time, TimeSource, Unit};
 use lidarpc::stream::{FrameInput, encode};
-use lidarpc::study::synth::SynthConfig;
+use lidarpc::study::synth::{SynthConfig, SynthScanner};
 
 /// The version of the format that the streams are of.
 const VERSION: u16 = 1;
@@ -146,6 +148,9 @@ fn recipes() -> Vec<Recipe> {
     exact("single-precision", single_precision_files, EncoderConfig::default());
     exact("compensated", compensated_files, EncoderConfig::default());
     exact("standing-still", standing_still_files, EncoderConfig::default());
+    for (level, name) in [(1, "-packed"), (6, ""), (9, "-deep")] {
+        exact(&format!("firings{name}"), firing_files, at_level(level));
+    }
 
     let mut lossy = |name: &str, files: fn() -> Vec<File>, config: EncoderConfig| {
         recipes.push((name.to_owned(), Box::new(move || encode_files(&files(), &config))));
@@ -245,6 +250,16 @@ fn ply_files() -> Vec<File> {
         ("0-big.ply".to_owned(), ply_big_endian(&frames[0])),
         ("1-text.ply".to_owned(), ply_text(&frames[1])),
     ]
+}
+
+/// A VLP-16's scans as the ROS driver's records, one of them with points that no scanner explains.
+fn firing_files() -> Vec<File> {
+    let config = SynthConfig { scanner: SynthScanner::Vlp16, frames: 2, thinning: 12, ..small(4, 2) };
+    let mut frames = scans(&config);
+    frames[1].splice(100..100, random_points(10, 1));
+    frames[1].swap(300, 500);
+    let frames = frames.iter().enumerate();
+    frames.map(|(number, points)| (format!("{number}.pcd"), pcd_ros(points))).collect()
 }
 
 /// A scanner whose coordinates were not rounded to the millimetre.

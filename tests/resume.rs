@@ -261,7 +261,7 @@ fn a_sample_that_was_changed_is_refused() {
     let mut files = FILES.clone();
     let other = scans(&small(4, 7));
     files.iter_mut().zip(&other).skip(2).for_each(|(file, other)| file.1 = kitti(other));
-    assert!(partial.refuses(&files, &exact()).contains("another sensor model"));
+    assert!(partial.refuses(&files, &exact()).contains("another scanner model"));
 }
 
 #[test]

@@ -26,13 +26,7 @@ impl Backend for Lzma {
     }
 
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {
-        let mut options = LzmaOptions::with_preset(level.number().into());
-        options.dict_size = window(input.len())?;
-        let mut out = vec![options.get_props()];
-        let mut writer = LzmaWriter::new_no_header(&mut out, &options, false)?;
-        writer.write_all(input)?;
-        writer.finish()?;
-        Ok(out)
+        compress_by(input, LzmaOptions::with_preset(level.number().into()))
     }
 
     fn decompress_unchecked(&self, input: &[u8], length: usize) -> Result<Vec<u8>> {
@@ -40,6 +34,29 @@ impl Backend for Lzma {
         let reader = LzmaReader::new_with_props(stream, length as u64, properties, window(length)?, None);
         read_up_to(reader.map_err(|error| Error::corrupt(error.to_string()))?, length)
     }
+}
+
+/// Compresses as `xz -9e` does: [`Lzma`] reads it.
+///
+/// # Errors
+/// If the library fails.
+pub fn compress_hardest(input: &[u8]) -> Result<Vec<u8>> {
+    /// The longest match that LZMA knows is taken without a further look.
+    const NICE_LENGTH: u32 = 273;
+    const DEPTH: i32 = 512;
+    let mut options = LzmaOptions::with_preset(9);
+    options.nice_len = NICE_LENGTH;
+    options.depth_limit = DEPTH;
+    compress_by(input, options)
+}
+
+fn compress_by(input: &[u8], mut options: LzmaOptions) -> Result<Vec<u8>> {
+    options.dict_size = window(input.len())?;
+    let mut out = vec![options.get_props()];
+    let mut writer = LzmaWriter::new_no_header(&mut out, &options, false)?;
+    writer.write_all(input)?;
+    writer.finish()?;
+    Ok(out)
 }
 
 /// The window for so many bytes.

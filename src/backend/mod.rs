@@ -22,6 +22,9 @@ use crate::ground::error::{Error, Result};
 /// The number of `lzma`, which the paper preset uses.
 pub const LZMA: u8 = 3;
 
+/// The number of `zstd`.
+pub const ZSTD: u8 = 6;
+
 /// All back-ends, by their numbers.
 pub static BACKENDS: &[&dyn Backend] = &[
     &store::Store,
@@ -88,6 +91,9 @@ pub fn decompress(backend: &dyn Backend, input: &[u8], length: usize) -> Result<
     }
     Ok(bytes)
 }
+
+pub use lzma::compress_hardest;
+pub use zstd::compress_quickly;
 
 /// How hard to try: 1 is fast, 9 is small. Each coder has its own scale, which this is mapped to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -94,6 +94,9 @@ pub struct EncodeArgs {
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,
+    /// Take files that are named and hold no scan, as plain bytes.
+    #[arg(long)]
+    pub force_bytes: bool,
 }
 
 /// How many threads to use.

@@ -61,9 +61,10 @@ pub struct CodingArgs {
     /// and 30 at level 9.
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub gop: Option<u32>,
-    /// What a record of a file without a header (.bin) holds, a letter for each float32: x, y, z,
-    /// i(ntensity), r(ing), t(ime), _ for another. Default: xyzi, and xyzir for .pcd.bin.
-    #[arg(long, value_name = "LETTERS")]
+    /// What a record of a file without a header (.bin) holds: a letter for each float32, x, y, z,
+    /// i(ntensity), r(ing), t(ime), _ for another; or a list of fields with their types, such as
+    /// x,y,z,intensity:u8,ring:u16,time:f64,_:u8*4. Default: xyzi, and xyzir for .pcd.bin.
+    #[arg(long, value_name = "FIELDS")]
     pub layout: Option<HeaderlessLayout>,
     /// Paper mode: the range image to keep; the calibrated one loses no point.
     #[arg(long, value_enum, value_name = "KIND", help_heading = "Paper mode")]

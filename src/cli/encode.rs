@@ -3,12 +3,12 @@
 use crate::edit;
 use crate::stream;
 use std::fs::File;
-use std::io::{self, BufReader, Write};
-use std::path::PathBuf;
+use std::io::{self, BufReader, Read, Write};
+use std::path::Path;
 use std::time::Instant;
 
 use crate::files::sequence::find_frames;
-use crate::files::{ArrivedFile, ArrivingFrames};
+use crate::files::{ArrivedFile, ArrivingFrames, starts_as_scan};
 use crate::frame::settings::EncoderConfig;
 use crate::stream::{DecodeOptions, DecodedFrame, Encoded, FrameInput};
 use crate::study::metrics;
@@ -49,7 +49,7 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
 /// Encodes into a file that is there as a whole or not at all.
 fn encode_whole(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<Encoded> {
     let is_live = args.inputs.iter().any(|input| is_dash(input));
-    let frames = if is_live { Frames::Live } else { Frames::Files(find_inputs(&args.inputs, quiet)?) };
+    let frames = if is_live { Frames::Live } else { Frames::Files(find_inputs(args, quiet)?) };
     let mut output = FileOutput::create(&args.output, args.force)?;
     if let Some(left) = partial::left_for(&args.output)
         && !quiet
@@ -71,7 +71,7 @@ fn encode_whole(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Resul
 
 /// Encodes into a file that stays if this is interrupted, and goes on with what an interrupted run has left.
 fn encode_in_runs(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<Encoded> {
-    let frames = find_inputs(&args.inputs, quiet)?;
+    let frames = find_inputs(args, quiet)?;
     let output = PartialOutput::open(&args.output, args.force)?;
     let name = name_of_output(&args.output);
     let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
@@ -95,8 +95,11 @@ enum Frames {
 }
 
 /// The frames to encode. Says what is left out: whoever archives a folder should know.
-fn find_inputs(inputs: &[PathBuf], quiet: bool) -> Result<Vec<FrameInput>> {
-    let found = find_frames(inputs)?;
+fn find_inputs(args: &EncodeArgs, quiet: bool) -> Result<Vec<FrameInput>> {
+    let found = find_frames(&args.inputs)?;
+    if !args.force_bytes {
+        args.inputs.iter().filter(|input| input.is_file()).try_for_each(|input| check_scan(input))?;
+    }
     if let Some(first) = found.left_out.first()
         && !quiet
     {
@@ -104,6 +107,22 @@ fn find_inputs(inputs: &[PathBuf], quiet: bool) -> Result<Vec<FrameInput>> {
         eprintln!("lidarpc: left out {count} not known as a scan, such as {}", first.display());
     }
     Ok(found.frames.into_iter().map(FrameInput::file).collect())
+}
+
+/// Refuses a file that is named and holds no scan: it would be packed as bytes, and no better than by others.
+fn check_scan(path: &Path) -> Result<()> {
+    /// Bytes that a header takes at most.
+    const HEADER: u64 = 1 << 20;
+    let unreadable = |error: io::Error| about(error.into(), &path.display().to_string());
+    let mut start = Vec::new();
+    File::open(path).map_err(unreadable)?.take(HEADER).read_to_end(&mut start).map_err(unreadable)?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    ensure!(
+        starts_as_scan(&name, &start),
+        "{}: holds no scan that is known (.bin, .pcd, .ply); --force-bytes takes it as plain bytes",
+        path.display()
+    );
+    Ok(())
 }
 
 fn write_stream(

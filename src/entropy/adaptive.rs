@@ -1,8 +1,8 @@
-//! Models that learn from what they have coded: a bit, an integer of any size.
+//! Adaptive models: of a single bit, and of integers of any size.
 
 use super::BitCoder;
 
-/// The probability of a bit in one context: a running mean, quick at first.
+/// The probability of a bit in one context: a running mean that adapts fast at first.
 #[derive(Clone, Copy, Debug)]
 pub struct AdaptiveBit {
     /// Probability of a 1, in 1/65536.
@@ -21,7 +21,7 @@ impl Default for AdaptiveBit {
 }
 
 impl AdaptiveBit {
-    /// Codes a bit and learns it.
+    /// Codes a bit and learns from it.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, bit: bool) -> bool {
         let bit = coder.code(bit, u32::from(self.p).clamp(16, 65520));
         let target = if bit { 65535 } else { 0 };
@@ -31,8 +31,8 @@ impl AdaptiveBit {
     }
 }
 
-/// Codes a symbol below 2^`bits` from the top bit down, each bit in the context of those above: `nodes` has
-/// 2^`bits` contexts, the first of no use.
+/// Codes a symbol below 2^`bits` from the top bit down, each bit in the context of the bits above it. `nodes`
+/// has 2^`bits` contexts, the first of which is unused.
 fn code_symbol<C: BitCoder>(nodes: &mut [AdaptiveBit], coder: &mut C, bits: u32, symbol: u32) -> u32 {
     let mut node = 1;
     for i in (0..bits).rev() {
@@ -41,11 +41,12 @@ fn code_symbol<C: BitCoder>(nodes: &mut [AdaptiveBit], coder: &mut C, bits: u32,
     node as u32 - (1 << bits)
 }
 
-/// An integer of up to 63 bits: its length in bits as a symbol, the bits below the highest
-/// in the context of the length, those that hardly follow any law plain.
+/// An integer of up to 63 bits: its length in bits as a symbol, the two bits below the highest in the context
+/// of the length, and the others, which are nearly random, as plain bits.
 #[derive(Clone, Debug)]
 pub struct IntegerModel {
-    /// Those of the length, then for each length those of the two bits below the highest: one piece of memory.
+    /// The contexts of the length, then for each length those of the two bits below the highest, in one
+    /// allocation.
     nodes: Vec<AdaptiveBit>,
 }
 

@@ -1,17 +1,17 @@
-//! The binary arithmetic coder: 32-bit interval, 16-bit probabilities, bytes out of the top.
-//! (The carry-free form of Mahoney's lpaq.)
+//! The binary arithmetic coder: 32-bit interval, 16-bit probabilities, bytes shifted out at the top (the
+//! carry-free form of Mahoney's lpaq).
 
 /// Codes binary decisions in one direction or the other.
 pub trait BitCoder {
-    /// True if this side knows the bits; the decoder's side may then not look at the data it fills.
+    /// True if this side knows the bits. A decoder's models must not read the data that they are filling.
     const ENCODES: bool;
 
     /// Codes one bit that is 1 with probability `p` / 65536, 1 <= `p` <= 65535. The encoder writes
     /// `bit`; the decoder does not look at it. Both return the bit.
     fn code(&mut self, bit: bool, p: u32) -> bool;
 
-    /// Codes the lowest `bits` bits of `value`, each as likely to be 0 as 1, `PLAIN_BITS` at a time
-    /// where the interval is wide enough, else one by one.
+    /// Codes the lowest `bits` bits of `value`, each equally likely to be 0 or 1: `PLAIN_BITS` at a time
+    /// where the interval is wide enough, otherwise one by one.
     fn code_plain(&mut self, value: u64, bits: u32) -> u64 {
         let mut read = 0;
         let mut left = bits;
@@ -29,37 +29,39 @@ pub trait BitCoder {
         read
     }
 
-    /// Whether a decoder has come so far behind the end of its bytes as no encoder's lets it: what it gives is
-    /// of no meaning. Loops over what is decoded look at it from time to time, so that a few bytes never
-    /// make for much work.
+    /// Whether a decoder has read farther past the end of its bytes than any encoder's output allows, so that
+    /// what it returns is meaningless. Loops over decoded data check this from time to time, so that a few
+    /// bytes cannot cause much work.
     fn is_exhausted(&self) -> bool {
         false
     }
 
-    /// How many more bits a decoder can give before it is exhausted, however likely they are.
+    /// An upper limit of the bits that a decoder can still return before it is exhausted, however likely they
+    /// are.
     fn most_bits(&self) -> u64 {
         u64::MAX
     }
 
-    /// Codes one of 2^`bits` equally likely parts of the interval. None, and nothing coded, if it is too narrow.
+    /// Codes one of 2^`bits` equally likely parts of the interval. `None`, with nothing coded, if the
+    /// interval is too narrow.
     fn code_even(&mut self, part: u32, bits: u32) -> Option<u32>;
 }
 
-/// The most bits that are coded at once.
+/// The most plain bits that are coded at once.
 const PLAIN_BITS: u32 = 12;
 
-/// Zeros that are left off at the end of the bytes, at most.
+/// At most this many zeros are dropped from the end of the bytes.
 const MOST_ZEROS: usize = 64;
 
-/// The likeliest bit takes 1.44 / 65536 bits, so a byte holds fewer than this many.
+/// The likeliest bit takes 1.44 / 65536 bits, so a byte holds fewer bits than this.
 const BITS_A_BYTE: u64 = 1 << 19;
 
-/// The width of each of 2^`bits` equal parts of an interval; None if they would be of no width.
+/// The width of each of 2^`bits` equal parts of an interval; `None` if it would be 0.
 fn part_width(low: u32, high: u32, bits: u32) -> Option<u32> {
     Some((high - low) >> bits).filter(|&width| width > 0)
 }
 
-/// Where the interval is split: 1 below, 0 above.
+/// Where the interval is split: below is a 1, above a 0.
 fn split(low: u32, high: u32, p: u32) -> u32 {
     low + ((u64::from(high - low) * u64::from(p)) >> 16) as u32
 }
@@ -78,9 +80,9 @@ impl Default for ArithmeticEncoder {
 }
 
 impl ArithmeticEncoder {
-    /// The coded bytes. Up to 64 trailing zeros are left off: the decoder reads zeros behind the end.
+    /// The coded bytes. Up to 64 trailing zeros are dropped, as the decoder reads zeros past the end.
     pub fn finish(mut self) -> Vec<u8> {
-        // The shortest number inside the interval, as many bytes of it as are needed.
+        // The shortest number inside the interval, with as many bytes as it needs.
         let shortest =
             (0..4).map(|bytes| ceiling(self.low, 8 * (4 - bytes))).find(|&v| v <= u64::from(self.high));
         let value = shortest.unwrap_or(u64::from(self.low)) as u32;
@@ -97,7 +99,7 @@ fn ceiling(value: u32, bits: u32) -> u64 {
 }
 
 impl ArithmeticEncoder {
-    /// Puts out the bytes that both ends share.
+    /// Writes the leading bytes that both ends of the interval share.
     #[inline]
     fn shift_out(&mut self) {
         while (self.low ^ self.high) >> 24 == 0 {
@@ -132,12 +134,12 @@ impl BitCoder for ArithmeticEncoder {
     }
 }
 
-/// Reads bits. Behind the end of the bytes it reads zeros: any bytes decode to something.
+/// Reads bits. Past the end of the bytes it reads zeros, so any bytes decode to something.
 pub struct ArithmeticDecoder<'a> {
     low: u32,
     high: u32,
     code: u32,
-    /// Zeros read behind the end.
+    /// Zeros read past the end.
     behind: usize,
     bytes: std::slice::Iter<'a, u8>,
 }
@@ -153,7 +155,7 @@ impl<'a> ArithmeticDecoder<'a> {
         decoder
     }
 
-    /// Takes in a byte for each that both ends share.
+    /// Reads one byte for each leading byte that both ends of the interval share.
     #[inline]
     fn shift_in(&mut self) {
         while (self.low ^ self.high) >> 24 == 0 {
@@ -202,7 +204,8 @@ impl BitCoder for ArithmeticDecoder<'_> {
 
     fn code_even(&mut self, _part: u32, bits: u32) -> Option<u32> {
         let width = part_width(self.low, self.high, bits)?;
-        // No encoder's number lies in what the division leaves over: altered ones count as the last part.
+        // No encoder's number lies in the remainder of the division; in damaged data it counts as the last
+        // part.
         let part = ((self.code - self.low) / width).min((1 << bits) - 1);
         self.low += part * width;
         self.high = self.low + (width - 1);
@@ -239,7 +242,7 @@ mod tests {
             let mut decoder = ArithmeticDecoder::new(&bytes);
             let most = decoder.most_bits();
             let mut bits = 0u64;
-            // The likeliest bit each time, which takes the least.
+            // Always the likeliest bit, which takes the least.
             while !decoder.is_exhausted() {
                 let likely = decoder.code <= split(decoder.low, decoder.high, 65535);
                 decoder.code(false, if likely { 65535 } else { 1 });

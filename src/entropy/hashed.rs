@@ -1,23 +1,23 @@
-//! Counters for more contexts than there is room for: found by a hash, and given up for new contexts
-//! if they have been of little use.
+//! Counters for more contexts than there is room for. They are found by a hash, and those of little use are
+//! replaced by those of new contexts.
 
 use super::Logistic;
 
-/// Levels of a tree that are looked up at once.
+/// Levels of a tree that one lookup serves.
 pub const LINE_LEVELS: u32 = 4;
-/// Bits of a hash that a line keeps, to be told from others.
+/// Bits of the hash that a line keeps to recognise its context.
 const TAG_BITS: u32 = 12;
 const TAG_MASK: u16 = (1 << TAG_BITS) - 1;
 /// One more use of a line.
 const USE: u16 = 1 << TAG_BITS;
 
-/// A probability, 12 bits, over the number of bits that it rests on, 4 bits.
+/// A probability of 12 bits above the number of bits that it is based on, of 4 bits.
 #[derive(Clone, Copy, Debug)]
 struct SmallCounter(u16);
 
 const COUNT_BITS: u32 = 4;
 const COUNT_MASK: u16 = (1 << COUNT_BITS) - 1;
-/// From this count on, counts stand for ever more bits.
+/// Counts from this one on stand for more and more bits.
 const EXACT_COUNTS: i32 = 8;
 
 /// For each count: the rate, in 1/65536, at which the next bit moves the probability.
@@ -51,12 +51,12 @@ impl SmallCounter {
     }
 }
 
-/// The counters of one context, for [`LINE_LEVELS`] levels of a tree: half a cache line.
+/// The counters of one context for [`LINE_LEVELS`] levels of a tree: half a cache line.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(32))]
 pub struct Line {
-    /// First the tag: how often the line was asked for, up to 15, over the lowest bits of the hash.
-    /// Then a counter for each place in the tree.
+    /// First the tag: how often the line was looked up, up to 15, above the lowest bits of the hash. Then one
+    /// counter for each node of the tree.
     cells: [u16; 1 << LINE_LEVELS],
 }
 
@@ -67,13 +67,13 @@ impl Line {
         Line { cells }
     }
 
-    /// The log odds of a 1 at a place in the tree of four levels: 1 to 15.
+    /// The log odds of a 1 at a node (1 to 15) of the tree of four levels.
     #[inline]
     pub fn opinion(&self, tables: &Logistic, place: usize) -> f32 {
         SmallCounter(self.cells[place % (1 << LINE_LEVELS)]).opinion(tables)
     }
 
-    /// Learns a bit there.
+    /// Learns from a bit at a node.
     #[inline]
     pub fn learn(&mut self, place: usize, bit: bool) {
         let cell = &mut self.cells[place % (1 << LINE_LEVELS)];
@@ -81,19 +81,19 @@ impl Line {
     }
 }
 
-/// The two lines that a context may have, which are loaded at once.
+/// The two lines in which a context may be, loaded together.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
 struct Pair([Line; 2]);
 
-/// Lines of counters, by hash.
+/// Lines of counters, found by hash.
 #[derive(Clone, Debug)]
 pub struct HashedCounters {
     pairs: Vec<Pair>,
     index_bits: u32,
 }
 
-/// Where a context has its line, or may have it.
+/// The two lines in which a context may be.
 #[derive(Clone, Copy, Debug)]
 pub struct Candidates {
     hash: u32,
@@ -101,18 +101,18 @@ pub struct Candidates {
 }
 
 impl HashedCounters {
-    /// 2^`index_bits` lines of 32 bytes; `index_bits` is from 2 to 20.
+    /// Creates 2^`index_bits` lines of 32 bytes; `index_bits` is from 2 to 20.
     pub fn new(index_bits: u32) -> Self {
         HashedCounters { pairs: vec![Pair([Line::new(0); 2]); 1 << (index_bits - 1)], index_bits }
     }
 
-    /// There are 2 to this power lines.
+    /// The binary logarithm of the number of lines.
     pub fn index_bits(&self) -> u32 {
         self.index_bits
     }
 
-    /// Looks where the line of a context may be. To do so for several tables before any [`line`](Self::line) is
-    /// asked for lets the processor wait for all of their memory at once.
+    /// Prefetches the lines in which a context may be. Calling this for several tables before the first
+    /// [`line`](Self::line) lets the processor load all of them at the same time.
     #[inline]
     pub fn candidates(&self, hash: u32) -> Candidates {
         let Pair(lines) = &self.pairs[self.pair(hash)];
@@ -124,8 +124,8 @@ impl HashedCounters {
         (hash >> (33 - self.index_bits)) as usize
     }
 
-    /// The line of a context: if it has none, that of the two it may have which was asked for less is its
-    /// from now on, or else the one that its hash names.
+    /// The line of a context. If the context has none, it takes over the one of its two candidates that was
+    /// looked up less often, or, if they are equal, the one that its hash points to.
     #[inline]
     pub fn line(&mut self, candidates: Candidates) -> &mut Line {
         let Candidates { hash, tags } = candidates;
@@ -152,14 +152,14 @@ impl HashedCounters {
     }
 }
 
-/// A hash of a context, for a view of this number.
+/// A hash of a context and the number of its view.
 #[inline]
 pub fn hash(view: usize, context: u32) -> u32 {
     let mixed = context.wrapping_add((view as u32).wrapping_mul(0x3c6e_f372)).wrapping_mul(0x9e37_79b1);
     (mixed ^ mixed >> 15).wrapping_mul(0x85eb_ca6b)
 }
 
-/// The hash of the same context further down a tree.
+/// A hash of the same context further down the tree.
 #[inline]
 pub fn hash_below(hash: u32, node: usize) -> u32 {
     (hash ^ (node as u32).wrapping_mul(0x2545_f491)).wrapping_mul(0x9e37_79b1)
@@ -184,7 +184,7 @@ mod tests {
     fn a_line_is_found_again_until_it_is_given_up() {
         let tables = Logistic::tables();
         let mut counters = HashedCounters::new(2);
-        // All in the first of the pairs.
+        // All of these share one pair of lines.
         let opinion = |counters: &mut HashedCounters, hash: u32| {
             let candidates = counters.candidates(hash);
             let line = counters.line(candidates);
@@ -196,7 +196,7 @@ mod tests {
         assert!((2..8).all(|other| opinion(&mut counters, other) < -1.0));
         let candidates = counters.candidates(1);
         assert_eq!(counters.line(candidates).opinion(tables, 3), often);
-        // Each of the others makes it count less, until one takes its place.
+        // Each of the others lowers its count, until one replaces it.
         for hash in (8..40).chain([1]) {
             let candidates = counters.candidates(hash);
             counters.line(candidates);

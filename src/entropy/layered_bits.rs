@@ -1,10 +1,10 @@
-//! Bits by counters in several views and opinions from elsewhere, mixed in two layers.
+//! Bits coded from counters in several views and opinions from outside, mixed in two layers.
 
 use super::logistic::{CONSTANT, LANES};
 use super::{BitCoder, Counter, LayeredMixer, Logistic, MixContexts, MixRates};
 
-/// Codes bits by mixing the opinions of `O` models from elsewhere, of counters in `V` views, and one that
-/// is always the same, in `S` mixers. `N` is the number of opinions, rounded up to a multiple of four.
+/// Codes bits by mixing `O` opinions from outside, those of counters in `V` views, and a constant one, in `S`
+/// mixers. `N` is the number of opinions, rounded up to a multiple of four.
 #[derive(Clone)]
 pub struct LayeredBits<const O: usize, const V: usize, const N: usize, const S: usize> {
     counters: [Vec<Counter>; V],
@@ -12,16 +12,17 @@ pub struct LayeredBits<const O: usize, const V: usize, const N: usize, const S: 
     tables: &'static Logistic,
 }
 
-/// The contexts of a bit, or how many there are.
+/// The contexts of a bit, or the number of contexts.
 pub struct LayeredContext<const V: usize, const S: usize> {
-    /// Of the counters of each view.
+    /// The context of each view's counter.
     pub views: [usize; V],
-    /// Of what mixes.
+    /// The contexts of the mixer.
     pub mixer: MixContexts<S>,
 }
 
 impl<const O: usize, const V: usize, const N: usize, const S: usize> LayeredBits<O, V, N, S> {
-    /// For as many contexts as told. At first the opinions from elsewhere count alike and nothing else does.
+    /// Creates the given numbers of contexts. At first, all opinions from outside have the same weight, and
+    /// all others have none.
     pub fn new(sizes: &LayeredContext<V, S>) -> Self {
         const { assert!(N.is_multiple_of(LANES) && O + V < N) };
         const RATES: MixRates = MixRates { first: 0.012, last: 0.001 };
@@ -34,12 +35,13 @@ impl<const O: usize, const V: usize, const N: usize, const S: usize> LayeredBits
         }
     }
 
-    /// Gives the sets of a mixer after the first `sets`, as many at a time, what these have learned.
+    /// Copies what the first `sets` weight sets of a mixer have learned to those that follow, `sets` at a
+    /// time.
     pub fn spread_sets(&mut self, mixer: usize, sets: usize) {
         self.mixer.spread_sets(mixer, sets);
     }
 
-    /// Codes a bit; `others` are the opinions from elsewhere, as log odds.
+    /// Codes a bit; `others` are the opinions from outside, as log odds.
     #[inline]
     pub fn code<C: BitCoder>(
         &mut self,
@@ -70,7 +72,7 @@ mod tests {
     const SIZES: LayeredContext<2, 2> =
         LayeredContext { views: [4, 4], mixer: MixContexts { sets: [2, 2], last: 1, refinements: [2, 1] } };
 
-    /// Bit `i`, which its contexts tell mostly, with an opinion that is mostly wrong.
+    /// Bit `i`, which its contexts mostly determine, with an opinion that is mostly wrong.
     fn bits() -> impl Iterator<Item = (bool, LayeredContext<2, 2>, [f32; 1])> {
         (0..4000usize).map(|i| {
             let bit = (i % 4 == 1) != (i % 61 == 0);

@@ -1,22 +1,22 @@
-//! Logistic mixing in two layers (Mahoney's PAQ8): several sets of weights, each chosen by a context of
-//! its own, mix the same opinions; what they make of them is mixed again, and refined.
+//! Logistic mixing in two layers (Mahoney's PAQ8): several weight sets, each selected by a context of its
+//! own, mix the same opinions; their results are mixed again and refined.
 
 use super::refinement::Refinement;
 use super::{BitCoder, Logistic};
 
 /// Numbers that a vector unit of any processor handles at once.
 const LANES: usize = 4;
-/// The rate of learning starts this many times as high as it ends.
+/// The learning rate starts this many times as high as it ends.
 const EARLY_RATE: f32 = 4.0;
-/// How many bits a set of weights takes to halve that.
+/// After this many bits, the learning rate of a weight set has halved.
 const EARLY_BITS: f32 = 200.0;
-/// The first layer's results are cut to these log odds.
+/// The results of the first layer are limited to these log odds.
 const MOST_ODDS: f32 = 12.0;
-/// Maps that refine the result, and the share of each.
+/// Number of maps that refine the result, and the share of each in it.
 const REFINEMENTS: usize = 2;
 const REFINED_SHARE: f32 = 0.25;
 
-/// Mixes `N` opinions by `S` sets of weights. `N` is a multiple of four.
+/// Mixes `N` opinions by `S` weight sets. `N` is a multiple of four.
 #[derive(Clone)]
 pub struct LayeredMixer<const N: usize, const S: usize> {
     sets: [WeightSets<N>; S],
@@ -26,30 +26,30 @@ pub struct LayeredMixer<const N: usize, const S: usize> {
     tables: &'static Logistic,
 }
 
-/// The contexts of a bit.
+/// The contexts of a bit, or the number of contexts.
 #[derive(Clone, Copy, Debug)]
 pub struct MixContexts<const S: usize> {
-    /// Which set of weights each mixer of the first layer takes.
+    /// The weight set that each mixer of the first layer uses.
     pub sets: [usize; S],
-    /// Which the second layer takes.
+    /// The weight set that the second layer uses.
     pub last: usize,
-    /// Which maps refine the result.
+    /// The maps that refine the result.
     pub refinements: [usize; REFINEMENTS],
 }
 
-/// The rates at which the weights of the layers come to learn.
+/// The learning rates that the layers' weights arrive at.
 #[derive(Clone, Copy, Debug)]
 pub struct MixRates {
-    /// Of the first layer.
+    /// The rate of the first layer.
     pub first: f32,
-    /// Of the second.
+    /// The rate of the second layer.
     pub last: f32,
 }
 
 #[derive(Clone)]
 struct WeightSets<const N: usize> {
     weights: Vec<[f32; N]>,
-    /// How many bits each set has learned from.
+    /// How many bits each weight set has learned from.
     seen: Vec<u16>,
 }
 
@@ -79,8 +79,8 @@ impl<const N: usize> WeightSets<N> {
 }
 
 impl<const N: usize, const S: usize> LayeredMixer<N, S> {
-    /// As many sets of weights for each mixer of the first layer, for the second, and maps as `counts` says.
-    /// The first layer's weights start as `weights`.
+    /// Creates the numbers of weight sets and maps that `counts` gives. The first layer's weights start as
+    /// `weights`.
     pub fn new(counts: MixContexts<S>, weights: [f32; N], rates: MixRates) -> Self {
         const { assert!(N.is_multiple_of(LANES)) };
         LayeredMixer {
@@ -92,8 +92,8 @@ impl<const N: usize, const S: usize> LayeredMixer<N, S> {
         }
     }
 
-    /// Gives the sets of a mixer of the first layer after the first `sets`, as many at a time, what these have
-    /// learned.
+    /// Copies what the first `sets` weight sets of a mixer of the first layer have learned to those that
+    /// follow, `sets` at a time.
     pub fn spread_sets(&mut self, mixer: usize, sets: usize) {
         let WeightSets { weights, seen } = &mut self.sets[mixer];
         for set in sets..weights.len() {
@@ -142,7 +142,8 @@ mod tests {
     use super::super::{ArithmeticDecoder, ArithmeticEncoder};
     use super::*;
 
-    /// Bits of which the second of four opinions is right, but in every eighth context the third.
+    /// Bits for which the second of four opinions is right, except in every eighth context, where the third
+    /// is.
     fn coded<C: BitCoder>(coder: &mut C, bits: &[bool]) -> Vec<bool> {
         let counts = MixContexts { sets: [8, 1], last: 1, refinements: [1, 8] };
         let mut mixer = LayeredMixer::<4, 2>::new(counts, [0.1; 4], MixRates { first: 0.01, last: 0.0005 });

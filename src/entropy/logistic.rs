@@ -1,11 +1,11 @@
-//! Logistic mixing: the opinions of several models on the next bit, weighed by how much each has
-//! helped so far (Mahoney's PAQ). Opinions are log odds, ln(p / (1 - p)).
+//! Logistic mixing: the opinions of several models about the next bit, weighted by how much each has helped
+//! so far (Mahoney's PAQ). Opinions are log odds, ln(p / (1 - p)).
 
 use std::sync::LazyLock;
 
 use super::BitCoder;
 
-/// Steps of the table for each unit of log odds: fine enough that none is worth a thousandth of a bit.
+/// Table steps per unit of log odds: so fine that no step makes a difference of a thousandth of a bit.
 const SQUASH_FINENESS: f32 = 256.0;
 const SQUASH_STEPS: usize = 8192;
 const STRETCH_STEPS: usize = 4096;
@@ -16,18 +16,18 @@ const LN_STEPS: usize = 1024;
 pub struct Logistic {
     /// Probabilities of log odds from -16 to 16, in 1/65536.
     squash: [u16; SQUASH_STEPS],
-    /// Log odds of the middles of equal steps of probability.
+    /// Log odds at the centres of equal steps of probability.
     stretch: [f32; STRETCH_STEPS],
-    /// ln of 1 to 2.
+    /// ln of values from 1 to 2.
     ln: [f32; LN_STEPS],
-    /// For each count of a [`Counter`]: how far its probability can be believed.
+    /// For each count of a [`Counter`], how far its probability can be trusted.
     belief: [f32; COUNT_LIMIT as usize + 1],
 }
 
 static TABLES: LazyLock<Box<Logistic>> = LazyLock::new(|| Box::new(Logistic::new()));
 
 impl Logistic {
-    /// The tables, computed once. Models keep the reference: looking it up takes time.
+    /// The tables, computed once. Models keep the reference, because looking it up takes time.
     pub fn tables() -> &'static Logistic {
         &TABLES
     }
@@ -56,36 +56,36 @@ impl Logistic {
         u32::from(self.squash[place.clamp(0, SQUASH_STEPS as i32 - 1) as usize])
     }
 
-    /// ln of a positive integer, good to about a thousandth.
+    /// ln of a positive integer, to within about a thousandth.
     #[inline]
     pub fn ln(&self, value: u64) -> f32 {
         let octave = value.leading_zeros();
-        // The bits behind the highest.
+        // The bits below the highest.
         let index = (value << octave << 1) >> (64 - LN_STEPS.ilog2());
         (63 - octave as i32) as f32 * std::f32::consts::LN_2 + self.ln[index as usize & (LN_STEPS - 1)]
     }
 
-    /// The log odds of a 1 that a counter gives, less the less it knows.
+    /// The log odds of a 1 by this counter, closer to 0 the fewer bits it has seen.
     #[inline]
     pub fn opinion(&self, counter: Counter) -> f32 {
         let step = (counter.0 >> (32 - STRETCH_STEPS.ilog2())) as usize;
         self.believed(step, (counter.0 & COUNT_MASK & COUNT_LIMIT) as usize)
     }
 
-    /// The log odds of a probability, in 1/4096, less the fewer bits, 0 to 255, it rests on.
+    /// The log odds of a probability, in 1/4096, closer to 0 the fewer bits (0 to 255) it is based on.
     #[inline]
     pub(super) fn believed(&self, step: usize, count: usize) -> f32 {
         self.stretch[step] * self.belief[count]
     }
 }
 
-/// A probability with the number of bits that it rests on: 22 bits of the one, 10 of the other.
+/// A probability of 22 bits above the number of bits that it is based on, of 10 bits.
 #[derive(Clone, Copy, Debug)]
 pub struct Counter(u32);
 
 const COUNT_BITS: u32 = 10;
 const COUNT_MASK: u32 = (1 << COUNT_BITS) - 1;
-/// Counters forget at a rate of one in this many bits.
+/// Counters never adapt more slowly than by one part in this many.
 const COUNT_LIMIT: u32 = 255;
 
 /// For each count: the rate, in 1/8192, at which the next bit moves the probability.
@@ -107,13 +107,13 @@ impl Default for Counter {
 }
 
 impl Counter {
-    /// All of it, as one number.
+    /// The counter as one number.
     #[inline]
     pub fn bits(self) -> u32 {
         self.0
     }
 
-    /// Learns a bit.
+    /// Learns from a bit.
     #[inline]
     pub fn learn(&mut self, bit: bool) {
         let count = self.0 & COUNT_MASK & COUNT_LIMIT;
@@ -125,9 +125,8 @@ impl Counter {
     }
 }
 
-/// Codes bits by mixing opinions: those of counters in `V` views, one from elsewhere, and one that is
-/// always the same. There is a set of weights for each of some contexts. `N` is the number of
-/// opinions, rounded up to a multiple of four.
+/// Codes bits by mixing opinions: those of counters in `V` views, one from outside, and a constant one. Each
+/// of some contexts has its own weight set. `N` is the number of opinions, rounded up to a multiple of four.
 #[derive(Clone)]
 pub struct MixedBits<const V: usize, const N: usize> {
     /// The counters of all views, one view after the other.
@@ -135,25 +134,25 @@ pub struct MixedBits<const V: usize, const N: usize> {
     /// Where each view begins.
     views: [usize; V],
     weights: Vec<[f32; N]>,
-    /// How many bits each set has learned from.
+    /// How many bits each weight set has learned from.
     seen: Vec<u16>,
-    /// The rate of learning after that many bits.
+    /// The learning rate after that many bits.
     rates: Vec<f32>,
     tables: &'static Logistic,
 }
 
 /// Numbers that a vector unit of any processor handles at once.
 pub(super) const LANES: usize = 4;
-/// The opinion that is always the same.
+/// The constant opinion.
 pub(super) const CONSTANT: f32 = 0.25;
-/// The rate of learning starts this many times as high as it ends.
+/// The learning rate starts this many times as high as it ends.
 const EARLY_RATE: f32 = 4.0;
-/// How many bits a set of weights takes to halve that.
+/// After this many bits, the learning rate of a weight set has halved.
 const EARLY_BITS: f32 = 200.0;
 
 impl<const V: usize, const N: usize> MixedBits<V, N> {
-    /// Counters for `places` of each view; `sets` sets of weights, which start at `view_weight` for
-    /// each view and `other_weight` for the opinion from elsewhere, and come to learn at `rate`.
+    /// Creates `places` counters for each view and `sets` weight sets. Weights start at `view_weight` for
+    /// each view and at `other_weight` for the opinion from outside; the learning rate ends at `rate`.
     pub fn new(places: [usize; V], sets: usize, view_weight: f32, other_weight: f32, rate: f32) -> Self {
         const { assert!(N.is_multiple_of(LANES) && V + 2 <= N) };
         let early = |seen: u16| EARLY_RATE * EARLY_BITS / (EARLY_BITS + f32::from(seen));
@@ -176,7 +175,7 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         }
     }
 
-    /// Gives the sets after the first `sets`, as many at a time, what these have learned.
+    /// Copies what the first `sets` weight sets have learned to those that follow, `sets` at a time.
     pub fn spread_sets(&mut self, sets: usize) {
         for set in sets..self.weights.len() {
             self.weights[set] = self.weights[set % sets];
@@ -184,8 +183,8 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         }
     }
 
-    /// Codes a bit as [`code_with`](Self::code_with) does, but leaves the word to the first two views where both have log odds
-    /// of `sure` or more either way: what the others would add is not worth the time.
+    /// Codes a bit as [`code_with`](Self::code_with) does, but from the first two views alone if the log odds
+    /// of both are at least `sure` in magnitude: what the others would add is not worth the time.
     #[inline]
     pub fn code_or_sure<C: BitCoder, const X: usize>(
         &mut self,
@@ -206,8 +205,8 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         bit
     }
 
-    /// Codes a bit. `places` says which counter of each view has a say; `other` is the opinion from
-    /// elsewhere, as log odds.
+    /// Codes a bit. `places` selects the counter of each view; `other` is the opinion from outside, as log
+    /// odds.
     #[inline]
     pub fn code<C: BitCoder>(
         &mut self,
@@ -220,8 +219,7 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         self.code_with(coder, set, places, other, [], bit)
     }
 
-    /// Codes a bit as [`code`](Self::code) does, with `X` more counters that have a say. The weights of
-    /// theirs start at 0.
+    /// Codes a bit as [`code`](Self::code) does, with `X` more counters, whose weights start at 0.
     #[inline]
     pub fn code_with<C: BitCoder, const X: usize>(
         &mut self,

@@ -1,11 +1,11 @@
-//! Adaptive binary arithmetic coding.
+//! Entropy coding: adaptive binary arithmetic coding, and static coding of tokens.
 //!
-//! Every syntax element is written once, as a function over a [`BitCoder`]: the encoder's takes
-//! the bits that it is given, the decoder's returns those of the stream. The models beside it turn
-//! what is already known into the probability of the next bit; both sides run the same ones.
+//! Every syntax element is written once, as a function over a [`BitCoder`]: the encoder's coder takes the
+//! bits, the decoder's returns them. The models turn what is already known into the probability of the next
+//! bit, in the same way on both sides.
 //!
-//! Floating point here is f32 and f64 with `+ - * / sqrt` only, which all platforms round alike;
-//! the tables that need more are made with `libm`.
+//! Floating point here is f32 and f64 with `+ - * / sqrt` only, which all platforms round alike; tables that
+//! need more are made with `libm`.
 
 mod adaptive;
 mod arithmetic;

@@ -1,16 +1,17 @@
-//! What an estimate has turned out to be worth: a map from log odds to log odds in each of some
-//! contexts, learned at points in between of which it is straight (Mahoney's adaptive probability maps).
+//! Maps that refine an estimate by how such estimates have turned out before: from log odds to log odds, one
+//! map for each of some contexts, piecewise linear between learned points (Mahoney's adaptive probability
+//! maps).
 
 use super::Logistic;
 
-/// Points of a map, and how many there are a unit of log odds.
+/// Points of a map, and points per unit of log odds.
 const POINTS: usize = 33;
 const FINENESS: f32 = 2.0;
 /// The log odds of the outermost points.
 const REACH: f32 = (POINTS - 1) as f32 / (2.0 * FINENESS);
 const RATE: f32 = 0.08;
 
-/// Maps in some contexts.
+/// One map for each context.
 #[derive(Clone)]
 pub struct Refinement {
     maps: Vec<[f32; POINTS]>,
@@ -22,18 +23,18 @@ pub struct Refinement {
 pub struct Refined {
     context: usize,
     point: usize,
-    /// How far it is to the next.
+    /// How far it lies between that point and the next, from 0 to 1.
     part: f32,
 }
 
 impl Refinement {
-    /// Maps for `contexts` contexts, which start by giving back what they get.
+    /// Creates maps for `contexts` contexts, which start as the identity.
     pub fn new(contexts: usize) -> Self {
         let identity = std::array::from_fn(|i| i as f32 / FINENESS - REACH);
         Refinement { maps: vec![identity; contexts], tables: Logistic::tables() }
     }
 
-    /// What has become of log odds like these in a context, as log odds.
+    /// The refined log odds of an estimate in a context.
     #[inline]
     pub fn refine(&self, context: usize, odds: f32) -> (Refined, f32) {
         let place = (odds.clamp(-REACH, REACH) + REACH) * FINENESS;
@@ -43,7 +44,7 @@ impl Refinement {
         (Refined { context, point, part }, map[point] * (1.0 - part) + map[point + 1] * part)
     }
 
-    /// Moves the two points towards the bit that came.
+    /// Moves both points towards the bit that was coded.
     #[inline]
     pub fn learn(&mut self, refined: Refined, bit: bool) {
         let target = if bit { 65536 } else { 0 };

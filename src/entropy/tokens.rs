@@ -1,6 +1,6 @@
-//! Static coding of tokens: a section's tokens are counted first, and each then takes as many bits as its
-//! share says, by an asymmetric numeral system (range ANS). Quicker than adaptive coding and nearly as small
-//! where many tokens share few contexts.
+//! Static coding of tokens by an asymmetric numeral system (range ANS): a section's tokens are counted first,
+//! then each is coded by its share. Faster than adaptive coding, and nearly as small where many tokens share
+//! few contexts.
 //!
 //! As with bits, every syntax element is written once, as a function over a [`TokenCoder`].
 
@@ -18,7 +18,7 @@ pub use writer::TokenWriter;
 
 use numbers::NumberToken;
 
-/// The most plain bits that are coded at once: eight bytes hold them wherever in a byte they begin.
+/// The most plain bits that are coded at once: they fit into eight bytes wherever in a byte they begin.
 pub const MOST_BITS: u32 = 56;
 
 /// Codes tokens and plain bits in one direction or the other.
@@ -32,13 +32,13 @@ pub trait TokenCoder {
     /// Codes the lowest `count` bits of `value`, at most [`MOST_BITS`], each as likely to be 0 as 1.
     fn bits(&mut self, value: u64, count: u32) -> u64;
 
-    /// Whether a decoder has come behind the end of its bytes: what it gives is of no meaning.
+    /// Whether a decoder has read past the end of its bytes, so that what it returns is meaningless.
     fn is_exhausted(&self) -> bool {
         false
     }
 
-    /// Codes a number below 2^60: small ones as tokens of their own, others as their highest bits and then
-    /// the rest as they are.
+    /// Codes a number below 2^60: small ones as tokens of their own, larger ones by a token for their highest
+    /// bits and the rest as plain bits.
     #[inline]
     fn number(&mut self, context: usize, value: u64) -> u64 {
         let known = NumberToken::of(value);

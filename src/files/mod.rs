@@ -58,6 +58,16 @@ impl Kind {
     }
 }
 
+/// Whether a file of this name, that begins with these bytes, is taken for a scan: any without a header is.
+pub fn starts_as_scan(name: &str, start: &[u8]) -> bool {
+    match Kind::of(name) {
+        None => false,
+        Some((Kind::Kitti | Kind::NuScenes, _)) => true,
+        Some((Kind::Pcd, _)) => pcd::Header::parse(start).is_some(),
+        Some((Kind::Ply, _)) => ply::Header::parse(start).is_some(),
+    }
+}
+
 /// Takes a file apart into points and the bytes around them, by the extension of its name.
 /// Never fails: what it does not understand is [opaque](ScanFile::opaque).
 /// `write(parse(name, bytes))` is `bytes`, whatever they are.
@@ -100,6 +110,12 @@ pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
 /// told by their names and types. `None` if the records are empty or too long.
 pub fn plain_layout(fields: Vec<Field>) -> Option<Layout> {
     field::layout_of(fields, Wrapping::Plain)
+}
+
+/// A file whose records stand one after the other behind `start` bytes, at most so many. `None` if the layout is
+/// not valid.
+pub(crate) fn plain_records(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
+    records::plain_file(layout, bytes, start, records)
 }
 
 /// Plain records come back by construction: all that is done is to move bytes.

@@ -5,6 +5,7 @@ use super::fidelity::{Intensity, Positions};
 use super::parameters::{FrameParameters, Prediction, Source};
 use super::settings::{EncoderConfig, ProjectionKind};
 use super::steps::{Step, StepReport};
+use super::whole::WholeFile;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -15,7 +16,7 @@ use crate::files::with_point_count;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
-use crate::models::OrderExceptions;
+use crate::models::{Beside, OrderExceptions};
 use crate::scan::{Channel, Layout, PointCloud, ScanFile};
 use crate::scanner::Scanner;
 use crate::scanner::motion::{self, Compensation};
@@ -51,6 +52,8 @@ pub struct Frame {
     pub order: OrderExceptions,
     /// The other fields of the records, in the order of the file.
     pub channels: Vec<Channel>,
+    /// The file's bytes, if the frame is coded as that and nothing else.
+    pub whole: Option<WholeFile>,
     /// How the points were moved after they were measured; the positions above are from before.
     pub compensation: Option<Compensation>,
     /// Where the points come from; only while a scan is encoded.
@@ -71,6 +74,11 @@ impl Frame {
     /// A frame of so many records, to be decoded.
     pub fn of_records(records: usize) -> Self {
         Frame { records, ..Frame::default() }
+    }
+
+    /// A frame that is the bytes of its file.
+    pub fn of_whole(whole: WholeFile, records: usize) -> Self {
+        Frame { whole: Some(whole), records, ..Frame::default() }
     }
 
     /// Takes a scan apart (article, III-A and IV-A: the outlier filter and the range image).
@@ -266,6 +274,35 @@ impl Frame {
         Ok(points)
     }
 
+    /// What is known of the records when their channels are coded.
+    ///
+    /// # Errors
+    /// If the parts do not fit together.
+    pub fn beside(&self, returns: &[Return]) -> Result<Beside> {
+        let mut beside = Beside::default();
+        if self.layout.position.is_some() {
+            beside.positions = self.positions_in_order()?;
+        }
+        if self.layout.intensity.is_some() {
+            beside.intensity = self.intensities_in_order(returns)?;
+        }
+        if !returns.is_empty() {
+            let none = vec![0; self.order.stray_places.len()];
+            let rows: Vec<u32> = returns.iter().map(|found| found.row + 1).collect();
+            let columns: Vec<u32> = returns.iter().map(|found| found.column + 1).collect();
+            beside.rows = self.order.arranged(&rows, &none)?;
+            beside.columns = self.order.arranged(&columns, &none)?;
+        }
+        Ok(beside)
+    }
+
+    /// The intensities in the order of the file.
+    fn intensities_in_order(&self, returns: &[Return]) -> Result<Vec<f32>> {
+        let of_return = |found: &Return| self.intensity[(found.row as usize, found.column as usize)];
+        let of_returns: Vec<f32> = returns.iter().map(of_return).collect();
+        self.order.arranged(&of_returns, &self.stray_intensity)
+    }
+
     /// The positions, moved or not, in the order of the file.
     fn positions_in_order(&self) -> Result<Vec<[f32; 3]>> {
         self.order.arranged(&self.positions, &self.stray_positions)
@@ -294,6 +331,9 @@ impl Frame {
     /// # Errors
     /// If the parts do not fit together.
     pub fn into_scan(self, name: &str, returns: &[Return]) -> Result<ScanFile> {
+        if let Some(whole) = self.whole {
+            return whole.into_scan(name, self.records);
+        }
         if returns.len() + self.order.stray_places.len() != self.records {
             return Err(Error::corrupt("the parts of the frame hold different numbers of points"));
         }
@@ -305,9 +345,7 @@ impl Frame {
             compensation.apply(&mut cloud.positions);
         }
         if self.layout.intensity.is_some() {
-            let of_return = |found: &Return| self.intensity[(found.row as usize, found.column as usize)];
-            let of_returns: Vec<f32> = returns.iter().map(of_return).collect();
-            cloud.intensity = self.order.arranged(&of_returns, &self.stray_intensity)?;
+            cloud.intensity = self.intensities_in_order(returns)?;
         }
         cloud.channels = self.channels;
         Ok(ScanFile {

@@ -13,6 +13,7 @@ use super::sections::{Effort, SectionReader, SectionWriter};
 use super::settings::EncoderConfig;
 use super::steps::{Step, StepReport};
 use super::syntax::Models;
+use super::whole::WholeFile;
 use crate::article::prediction::intra::IntraPrediction;
 use crate::files::parse_like;
 use crate::ground::error::{Error, Limits, Result};
@@ -111,6 +112,7 @@ impl<'s> StreamEncoder<'s> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let name = scan.name.clone();
         let mut frame = Frame::from_scan(scan, self.scanner, config, &mut steps)?;
+        let before = is_unexplained(&frame, config).then(|| (self.models.clone(), steps));
         let mut best: Option<Attempt> = None;
         let fit = steps.timed(Step::Registration, || self.estimate_motion(&frame));
         let has_regions = self.scanner.is_some_and(|scanner| scanner.hdl64().is_some());
@@ -128,8 +130,24 @@ impl<'s> StreamEncoder<'s> {
         let Some(Attempt { models, frame, sections, returns, steps, .. }) = best else {
             return Err(Error::InvalidConfig("no prediction to choose from".to_owned()));
         };
-        self.models = models;
         self.frames += 1;
+        if let Some((models, mut steps)) = before {
+            let own = sections.iter().map(|section| section.payload.len()).sum();
+            let (records, scan) = (frame.records, frame.clone().into_scan(&name, &returns)?);
+            if let Some(whole) = WholeFile::shortest(&scan, config.level, own)? {
+                self.models = models;
+                let mut writer = SectionWriter::new(Effort::default());
+                self.models.code_frame(
+                    &mut writer,
+                    None,
+                    &mut Frame::of_whole(whole, records),
+                    &mut steps,
+                )?;
+                steps.count_sections(&writer.sections);
+                return Ok((EncodedFrame { header: original, sections: writer.sections, steps }, None));
+            }
+        }
+        self.models = models;
         if frame.parameters.source.is_none() {
             return Ok((EncodedFrame { header: original, sections, steps }, None));
         }
@@ -189,6 +207,13 @@ impl<'s> StreamEncoder<'s> {
         };
         Ok(Attempt { models, frame, sections: writer.sections, returns, error, steps })
     }
+}
+
+/// Whether no range image explains most points, and all must come back as they are: then models may be worse
+/// than what knows nothing of points.
+fn is_unexplained(frame: &Frame, config: &EncoderConfig) -> bool {
+    let is_exact = config.positions == Positions::Exact && config.intensity == Intensity::Exact;
+    is_exact && frame.parameters.source.is_none() && 2 * frame.strays >= frame.records
 }
 
 /// A frame coded in one of several ways.

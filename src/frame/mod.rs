@@ -16,6 +16,7 @@ mod quick;
 mod ranges;
 pub(crate) mod sections;
 pub(crate) mod syntax;
+mod whole;
 
 pub use fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
 pub use group::DecodedImage;

@@ -4,6 +4,8 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use byteorder::{ByteOrder, LittleEndian};
+
 use super::fidelity::{Intensity, Positions};
 use super::frame::Frame;
 use super::modelling::{CorrectionModelling, IntensityModelling, OccupancyModelling};
@@ -11,19 +13,22 @@ use super::parameters::{FrameParameters, Prediction};
 use super::quick::QuickModels;
 use super::sections::SectionCoder;
 use super::steps::{Step, StepReport};
+use super::whole::WholeFile;
 use crate::article::contour::ContourModel;
 use crate::article::prediction::surface::SurfaceCoder;
-use crate::entropy::{BitCoder, IntegerModel};
+use crate::backend::Level;
+use crate::entropy::{AdaptiveBit, ArithmeticEncoder, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::grid::Grid;
 use crate::inter::Reference;
 use crate::inter::registration::QuantisedPose;
 use crate::inter::{self, Past};
+use crate::models::channels::{Packed, code_packed};
 use crate::models::{
-    ByteModel, CorrectionModel, IntensityModel, IntensityNeighbours, IntensityReference, IntensityScale,
-    OccupancyModel, OrderModel, PointModel, RangeModel, neighbours_above,
+    Beside, ByteModel, ChannelsModel, CorrectionModel, IntensityModel, IntensityNeighbours,
+    IntensityReference, IntensityScale, OccupancyModel, OrderModel, PointModel, RangeModel, neighbours_above,
 };
-use crate::scan::{Channel, Field, Layout};
+use crate::scan::{Channel, Field, Layout, Scalar};
 use crate::scanner::motion::Compensation;
 use crate::scanner::{ColumnModels, Coordinates, Return, Scanner};
 use crate::stream::container::SectionKind;
@@ -35,9 +40,11 @@ pub struct Models {
     layout: Option<Layout>,
     sizes: IntegerModel,
     bytes: ByteModel,
-    extra: ByteModel,
+    channels: ChannelsModel,
+    rough_intensity: ChannelsModel,
     columns: ColumnModels,
     points: PointModel,
+    points_are_packed: AdaptiveBit,
     // The large ones are made when they are first wanted.
     occupancy: Option<OccupancyModel>,
     intensity: Option<IntensityModel>,
@@ -67,6 +74,10 @@ impl Models {
         let limits = *sections.limits();
         let (start, before) = (Instant::now(), steps.total_time());
         code_parameters(sections, frame)?;
+        if code_whole(sections, frame)? {
+            steps.took(Step::Rest, start);
+            return Ok(Vec::new());
+        }
         sections.section(SectionKind::File, true, |coder| self.code_file(coder, frame, &limits))?;
         let returns = frame.records - frame.strays;
         let scanner = match scanner {
@@ -81,9 +92,9 @@ impl Models {
         let has_points = frame.layout.position.is_some();
         frame.stray_positions.resize(if has_points { frame.strays } else { 0 }, [0.0; 3]);
         let lattice = frame.parameters.positions.lattice();
+        let effort = sections.effort();
         sections.section(SectionKind::Points, !frame.stray_positions.is_empty(), |coder| {
-            self.points.code(coder, lattice, &mut frame.stray_positions);
-            Ok(())
+            self.code_strays(coder, (lattice, effort.level), frame.records, &mut frame.stray_positions)
         })?;
         let levels = self.code_intensities(sections, frame, reference.as_ref())?;
         let mut found = Vec::new();
@@ -106,15 +117,44 @@ impl Models {
         within(channel_bytes, limits.file_bytes, "bytes of the frame")?;
         frame.fit_channels();
         sections.section(SectionKind::Channels, channel_bytes > 0, |coder| {
-            for channel in &mut frame.channels {
-                self.extra.code(coder, channel.field.width(), &mut channel.bytes);
-            }
-            Ok(())
+            let beside = frame.beside(&found)?;
+            self.channels.code(coder, &mut frame.channels, &beside, effort.level)
         })?;
         code_compensation(sections, frame)?;
         let others = steps.total_time() - before;
         steps.took(Step::Rest, start + others);
         Ok(found)
+    }
+
+    /// Points that no range image has, by the model of points or, where most are such, by a general-purpose coder
+    /// if that is shorter.
+    fn code_strays<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        (lattice, level): (Option<Coordinates>, Level),
+        records: usize,
+        positions: &mut [[f32; 3]],
+    ) -> Result<()> {
+        const WIDTH: usize = 12;
+        let mut packed = None;
+        if C::ENCODES && lattice.is_none() && 2 * positions.len() > records {
+            let mut encoder = ArithmeticEncoder::default();
+            self.points.clone().code(&mut encoder, lattice, &mut positions.to_vec());
+            let bytes: Vec<u8> = positions.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
+            packed = Packed::shortest(&bytes, Scalar::F32, WIDTH, level, encoder.finish().len());
+        }
+        if !self.points_are_packed.code(coder, packed.is_some()) {
+            self.points.code(coder, lattice, positions);
+            return Ok(());
+        }
+        let mut bytes = vec![0; WIDTH * positions.len()];
+        code_packed(coder, packed, Scalar::F32, WIDTH, &mut bytes)?;
+        if !C::ENCODES {
+            for (position, values) in positions.iter_mut().zip(bytes.chunks_exact(WIDTH)) {
+                *position = std::array::from_fn(|axis| LittleEndian::read_f32(&values[4 * axis..]));
+            }
+        }
+        Ok(())
     }
 
     /// The columns of the range image, and which of its cells hold a return. Gives what the frame before
@@ -201,10 +241,48 @@ impl Models {
                 return self.quick.code_packed_intensities(sections, frame).map(|()| Grid::default());
             }
         };
-        let model = self.intensity.get_or_insert_default();
-        model.set_deep(is_deep);
-        sections
-            .section(SectionKind::Intensity, true, |coder| Ok(code_intensity(model, coder, frame, reference)))
+        let level = sections.effort().level;
+        sections.section(SectionKind::Intensity, true, |coder| {
+            let mut scale = if S::ENCODES { frame.intensity_scale() } else { IntensityScale::default() };
+            scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
+            if !scale.is_on_grid() {
+                return self.code_rough_intensity(coder, frame, level);
+            }
+            let model = self.intensity.get_or_insert_default();
+            model.set_deep(is_deep);
+            Ok(code_intensity(model, coder, frame, scale, reference))
+        })
+    }
+
+    /// Intensities on no grid that the models of intensities know, as a channel of the returns and strays. No
+    /// contexts for ranges.
+    fn code_rough_intensity<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        frame: &mut Frame,
+        level: Level,
+    ) -> Result<Grid<u16>> {
+        let returns = frame.cells.len();
+        let width = frame.occupancy.columns() as u32;
+        let strays = || std::iter::repeat_n(0, frame.strays);
+        let beside = Beside {
+            rows: frame.cells.iter().map(|cell| cell / width + 1).chain(strays()).collect(),
+            columns: frame.cells.iter().map(|cell| cell % width + 1).chain(strays()).collect(),
+            ..Beside::default()
+        };
+        let mut values = if C::ENCODES { frame.intensity.at(&frame.cells) } else { vec![0.0; returns] };
+        values.append(&mut frame.stray_intensity);
+        values.resize(frame.records, 0.0);
+        let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        let mut channels = [Channel { field: Field::new("intensity", Scalar::F32), bytes }];
+        self.rough_intensity.code(coder, &mut channels, &beside, level)?;
+        let [Channel { bytes, .. }] = channels;
+        let mut values: Vec<f32> = bytes.chunks_exact(4).map(LittleEndian::read_f32).collect();
+        frame.stray_intensity = values.split_off(returns);
+        frame.intensity.fill(&frame.cells, &values);
+        let mut levels = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
+        levels.cells_mut().fill(1);
+        Ok(levels)
     }
 
     /// The positions of the returns: the formula's, corrected as far as they must be.
@@ -340,10 +418,9 @@ fn code_intensity<C: BitCoder>(
     model: &mut IntensityModel,
     coder: &mut C,
     frame: &mut Frame,
+    scale: IntensityScale,
     reference: Option<&Reference>,
 ) -> Grid<u16> {
-    let mut scale = if C::ENCODES { frame.intensity_scale() } else { IntensityScale::default() };
-    scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
     let width = frame.occupancy.columns();
     let mut levels = Grid::new(frame.occupancy.rows(), width);
     model.start_frame(&scale, width, frame.records - frame.strays);
@@ -402,6 +479,16 @@ fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Resu
     sections.payload(SectionKind::Parameters, &mut payload);
     frame.parameters = FrameParameters::from_payload(&payload)?;
     Ok(())
+}
+
+/// The frame as the bytes of its file, if it is that: then nothing else follows.
+fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<bool> {
+    let mut payload = frame.whole.as_ref().map_or_else(Vec::new, |whole| whole.payload().to_vec());
+    sections.payload(SectionKind::Bytes, &mut payload);
+    if !S::ENCODES && !payload.is_empty() {
+        frame.whole = Some(WholeFile::from_payload(&payload, sections.limits())?);
+    }
+    Ok(!payload.is_empty())
 }
 
 /// How the points were moved after they were measured.

@@ -16,7 +16,7 @@ pub enum Error {
     /// The first bytes are not those of a lidarpc stream.
     #[error("not a lidarpc stream (it starts with {0:02x?})")]
     BadMagic([u8; 4]),
-    /// Written in another version of the format.
+    /// The stream is of another version of the format.
     #[error("format version {found} is not one that this program reads ({known})")]
     UnsupportedVersion {
         /// The version that the stream names.
@@ -35,9 +35,9 @@ pub enum Error {
     LimitExceeded {
         /// What was asked for.
         what: String,
-        /// How much.
+        /// The amount.
         got: u64,
-        /// How much is allowed.
+        /// The amount that is allowed.
         max: u64,
     },
     /// The settings contradict each other or are out of range.
@@ -52,9 +52,9 @@ pub enum Error {
     /// A file or folder that was given cannot be used.
     #[error("{} {what}", one_line(path))]
     Input {
-        /// Which one.
+        /// The file or folder.
         path: PathBuf,
-        /// What is wrong with it and what to do, as the sentence that the path begins.
+        /// What is wrong with it and what to do about it, as a sentence that continues after the path.
         what: String,
     },
     /// The stream holds something that this program does not know.
@@ -66,7 +66,7 @@ pub enum Error {
     /// Something went wrong with this file or folder.
     #[error("{}: {source}", one_line(path))]
     At {
-        /// Which one.
+        /// The file or folder.
         path: PathBuf,
         /// What went wrong with it.
         source: Box<Error>,
@@ -74,12 +74,12 @@ pub enum Error {
 }
 
 impl Error {
-    /// A damaged stream, with what is wrong.
+    /// An error about a damaged stream; `what` says what is wrong.
     pub fn corrupt(what: impl Into<String>) -> Self {
         Error::Corrupt { what: what.into() }
     }
 
-    /// Something that only a newer program knows.
+    /// An error about something that only a newer program knows.
     pub fn unsupported(what: impl Into<String>) -> Self {
         Error::Unsupported { what: what.into() }
     }
@@ -102,12 +102,12 @@ impl Error {
     }
 }
 
-/// A path for a message: file names may hold line ends and what terminals take for commands.
+/// A path for a message: file names may contain line breaks and terminal control sequences.
 fn one_line(path: &Path) -> String {
     path.display().to_string().replace(char::is_control, "?")
 }
 
-/// What a decoder is willing to allocate; checked before memory is asked for.
+/// What a decoder is willing to allocate; checked before any memory is allocated.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Points (records) in one frame, and cells of its range image.
@@ -119,7 +119,7 @@ pub struct Limits {
 }
 
 impl Default for Limits {
-    /// 16 million points, 1 GiB a file, 2 GiB a group: ten times any scanner's frame.
+    /// 16 million points, 1 GiB a file, 2 GiB a group: ten times the frame of any scanner.
     fn default() -> Self {
         Limits { points: 1 << 24, file_bytes: 1 << 30, record_bytes: 1 << 31 }
     }

@@ -24,12 +24,12 @@ impl<T: Clone + Default> Grid<T> {
         self.columns
     }
 
-    /// One row.
+    /// The values of a row.
     pub fn row(&self, row: usize) -> &[T] {
         &self.cells[row * self.columns..][..self.columns]
     }
 
-    /// One row, to change.
+    /// The values of a row, mutable.
     pub fn row_mut(&mut self, row: usize) -> &mut [T] {
         &mut self.cells[row * self.columns..][..self.columns]
     }
@@ -39,12 +39,12 @@ impl<T: Clone + Default> Grid<T> {
         &self.cells
     }
 
-    /// All cells, row after row.
+    /// All values, row after row, mutable.
     pub fn cells_mut(&mut self) -> &mut [T] {
         &mut self.cells
     }
 
-    /// A table of the same shape, each value made from the one here.
+    /// A table of the same shape, with each value computed from the one here.
     pub fn map<U>(&self, of: impl FnMut(&T) -> U) -> Grid<U> {
         Grid { rows: self.rows, columns: self.columns, cells: self.cells.iter().map(of).collect() }
     }
@@ -55,7 +55,8 @@ impl Grid<bool> {
     pub fn places(&self) -> Vec<u32> {
         let mut places = vec![0; self.cells.len() + 1];
         let mut count = 0;
-        // No branch: each number goes to the next place, where the one after it follows only if it counts.
+        // Without a branch: every number is written to the next place, and overwritten there unless it
+        // counts.
         for (place, filled) in (0u32..).zip(&self.cells) {
             places[count] = place;
             count += usize::from(*filled);
@@ -71,12 +72,12 @@ impl<T: Copy + Default> Grid<T> {
         places.iter().map(|&place| self.cells[place as usize]).collect()
     }
 
-    /// Gives the cells with these numbers these values.
+    /// Sets the cells with these numbers to these values.
     pub fn fill(&mut self, places: &[u32], values: &[T]) {
         places.iter().zip(values).for_each(|(&place, &value)| self.cells[place as usize] = value);
     }
 
-    /// The value at an offset from a cell; the default value outside.
+    /// The value at an offset from a cell; the default value outside the table.
     #[inline]
     pub fn beside(&self, (row, column): (usize, usize), down: isize, right: isize) -> T {
         match (row.checked_add_signed(down), column.checked_add_signed(right)) {

@@ -1,6 +1,6 @@
 //! Several values side by side, as vector units compute them.
 
-/// One value for each lane. Unlike that of the standard library this is compiled for the vector unit of what calls it.
+/// One value for each lane. Unlike `std::array::from_fn`, this is compiled for the vector unit of its caller.
 #[inline(always)]
 pub fn lanes<T: Copy + Default, const N: usize>(value: impl Fn(usize) -> T) -> [T; N] {
     let mut values = [T::default(); N];

@@ -1,5 +1,5 @@
-//! What everything else stands on: errors, limits, tables, integers of variable length, rounding, random numbers,
-//! and the helper for vector units.
+//! The ground that everything else stands on: errors, limits, tables, variable-length integers, rounding,
+//! random numbers, and the helper for vector units.
 
 pub mod error;
 pub mod grid;

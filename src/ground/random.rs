@@ -1,16 +1,16 @@
 //! Random numbers that are the same everywhere: xoshiro256++ (Blackman and Vigna), seeded by splitmix64.
-//! Written out here, and built on `libm`, so that a seed gives the same bytes on every platform.
+//! Implemented here, on top of `libm`, so that a seed gives the same bytes on every platform.
 
 use libm::{cos, log, sqrt};
 
-/// Xoshiro256++, keyed by what the numbers are for.
+/// Xoshiro256++, keyed by the purpose of the numbers.
 #[derive(Clone, Debug)]
 pub(crate) struct Rng {
     state: [u64; 4],
 }
 
 impl Rng {
-    /// The generator of one purpose: equal keys give equal numbers, any other key unrelated ones.
+    /// The generator for one purpose: equal keys give equal numbers, any other key gives unrelated ones.
     pub(crate) fn keyed(seed: u64, key: &[u64]) -> Self {
         let mut mixed = hash(seed, key);
         let mut next = || {
@@ -53,13 +53,13 @@ impl Rng {
         self.unit() < probability
     }
 
-    /// Gaussian of mean 0 and sigma 1 (Box and Muller; the second value is thrown away).
+    /// Gaussian with mean 0 and sigma 1 (Box and Muller; the second value is discarded).
     pub(crate) fn normal(&mut self) -> f64 {
         let radius = sqrt(-2.0 * log(1.0 - self.unit()));
         radius * cos(core::f64::consts::TAU * self.unit())
     }
 
-    /// Exponential of the given mean.
+    /// Exponential with the given mean.
     pub(crate) fn exponential(&mut self, mean: f64) -> f64 {
         -mean * log(1.0 - self.unit())
     }

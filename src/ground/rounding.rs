@@ -1,10 +1,10 @@
-//! Rounding without a call: the standard functions are slow on processors that have no instruction for
-//! them or may not use it.
+//! Rounding without a call: the standard functions are slow on processors that have no instruction for it, or
+//! where that must not be assumed.
 
 /// Rounds to the nearest whole number, halves to even; for magnitudes below 2^51.
 #[inline]
 pub fn round_ties_even(value: f64) -> f64 {
-    // Up here neighbouring floats are one apart, so adding rounds.
+    // At this magnitude neighbouring floats are 1 apart, so the addition rounds.
     const ONES: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
     (value + ONES) - ONES
 }

@@ -1,5 +1,5 @@
-//! Integers of variable length: seven bits a byte, lowest first, the top bit set on all but the
-//! last (LEB128). Signed ones are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3.
+//! Variable-length integers: seven bits a byte, least significant first, the top bit set on all but the last
+//! byte (LEB128). Signed ones are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3.
 
 use std::io::{ErrorKind, Read};
 
@@ -20,8 +20,8 @@ pub fn write_unsigned(out: &mut Vec<u8>, mut value: u64) {
 /// Reads an unsigned integer. `what` names the field in errors.
 ///
 /// # Errors
-/// If the input ends, the integer does not fit 64 bits, or is longer than it need be: one value has
-/// one spelling.
+/// If the input ends, if the integer does not fit into 64 bits, or if it is longer than necessary: each value
+/// has exactly one encoding.
 pub fn read_unsigned(input: &mut impl Read, what: &str) -> Result<u64> {
     let mut value = 0u64;
     for place in 0..VARINT_MAX {
@@ -57,7 +57,7 @@ pub fn read_signed(input: &mut impl Read, what: &str) -> Result<i64> {
     read_unsigned(input, what).map(unzigzag)
 }
 
-/// Signed to unsigned, small magnitudes first.
+/// Signed to unsigned, with small magnitudes first.
 pub fn zigzag(value: i64) -> u64 {
     ((value << 1) ^ (value >> 63)) as u64
 }

@@ -1,4 +1,4 @@
-//! Inter prediction (article, V): what the frame before lets expect of this one.
+//! Inter prediction (article, V): what the frame before predicts of the current one.
 
 pub mod registration;
 
@@ -16,35 +16,36 @@ use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
 use render::render;
 
-/// Ticks that a column of the frame before may be off.
+/// A column of the frame before may be this many ticks away from the current one.
 const COLUMN_REACH: u32 = 2;
 
-/// The most cells of an image that is predicted from another, or another from it: what is made of them takes
-/// about a hundred bytes a cell. No scanner has more than a few hundred thousand.
+/// The most cells that an image used for inter prediction may have, as the reference or as the predicted
+/// image: prediction takes about a hundred bytes a cell. No scanner has more than a few hundred thousand
+/// cells.
 pub const MOST_CELLS: usize = 1 << 22;
 
-/// The frame before, as both sides know it.
+/// The frame before, as both encoder and decoder know it.
 #[derive(Debug, Default)]
 pub struct Past {
     image: RangeImage,
-    /// Context levels of intensities, of the same shape.
+    /// Intensity levels as contexts (1 to 128), of the same shape.
     levels: Grid<u16>,
-    /// Made when it is first asked for.
+    /// Computed when it is first needed.
     surface: OnceLock<Surface>,
 }
 
 impl Past {
-    /// Of a range image and the context levels of its intensities.
+    /// Creates the past from a range image and the context levels of its intensities.
     pub fn new(image: RangeImage, levels: Grid<u16>) -> Self {
         Past { image, levels, surface: OnceLock::new() }
     }
 
-    /// Its surfaces.
+    /// The surfaces of the frame.
     pub fn surface(&self, sensor: &Hdl64) -> &Surface {
         self.surface.get_or_init(|| Surface::of(sensor, &self.image.columns, &self.image.steps))
     }
 
-    /// What it lets expect in an image with these columns, after the scanner has moved.
+    /// What the frame predicts of an image with these columns, after the scanner has moved.
     pub fn reference(&self, sensor: &Hdl64, columns: &[u32], motion: &RigidMotion) -> Reference {
         Reference {
             same: self.same_cells(columns),
@@ -52,16 +53,18 @@ impl Past {
         }
     }
 
-    /// The same without the moved surfaces: quick, and of use if the scanner stands still.
+    /// As [`reference`](Self::reference), without the moved surfaces: fast, and useful where the scanner
+    /// stands still.
     pub fn same_cells_alone(&self, columns: &[u32]) -> Reference {
         Reference { same: self.same_cells(columns), ..Reference::new(self.image.steps.rows(), columns.len()) }
     }
 
-    /// The part of the returns of an image, or of a sample of them, whose same cell is as far away in this one.
+    /// The share of the returns of an image, judged by a sample, that are as far away as those of the same
+    /// cells here.
     pub fn agreement(&self, columns: &[u32], steps: &Grid<u32>) -> f64 {
-        /// Steps.
+        /// In steps.
         const AS_FAR: u32 = 10;
-        /// Rows and columns of which one is looked at.
+        /// One row in so many is looked at, and one column in so many.
         const ROWS: usize = 3;
         const COLUMNS: usize = 5;
         let nearest = self.nearest_columns(columns);
@@ -77,7 +80,7 @@ impl Past {
         f64::from(agreeing) / f64::from(returns.max(1))
     }
 
-    /// The same cells: of the nearest column, if it is near.
+    /// The same cells, each from the nearest column, if that is near enough.
     fn same_cells(&self, columns: &[u32]) -> Layer {
         let rows = self.image.steps.rows();
         let mut layer =
@@ -93,7 +96,7 @@ impl Past {
         layer
     }
 
-    /// The nearest column of this frame to each of some columns (ticks, rising), if it is near.
+    /// For each of some columns (ticks, rising), the nearest column of this frame, if it is near enough.
     fn nearest_columns(&self, columns: &[u32]) -> Vec<Option<usize>> {
         let off = |column: usize, tick: u32| self.image.columns.get(column).map(|other| other.abs_diff(tick));
         let mut nearest = 0;
@@ -109,9 +112,9 @@ impl Past {
     }
 }
 
-/// The predicted range of each return, in steps, for a general-purpose back-end: the moved surface's, or
-/// that of the same cell. Where there is neither it is that of the return before on the snake's path, so that
-/// the differences along it are those of the ranges themselves.
+/// The predicted range of each return, in steps, for a general-purpose back-end: that of the moved surface,
+/// or else of the same cell. Where neither has one, it is the prediction of the preceding return on the
+/// snake's path, so that the differences along the path are those of the ranges themselves.
 pub fn ranges(reference: &Reference, occupancy: &Grid<bool>) -> Grid<u32> {
     let mut ranges = Grid::new(occupancy.rows(), occupancy.columns());
     let mut last = 0;

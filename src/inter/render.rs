@@ -1,4 +1,4 @@
-//! What the surfaces of the frame before look like from where the scanner is now.
+//! The surfaces of the frame before, as seen from where the scanner is now.
 
 use crate::ground::grid::Grid;
 use crate::inter::Layer;
@@ -6,18 +6,18 @@ use crate::inter::registration::{RigidMotion, Surface, Surfel, columns_by_tick, 
 use crate::scanner::Alignment;
 use crate::scanner::{Hdl64, Sighting};
 
-/// Of two surfels in a cell the nearer one is seen if it is nearer by more than this part of the range;
-/// else the one closer to the middle of the cell.
+/// Of two surfels in a cell, the nearer one is seen if it is nearer by more than this share of the range;
+/// otherwise the one closer to the centre of the cell.
 const IN_FRONT: f64 = 0.05;
-/// A surfel is not extended to a ray further than this part of its range from it.
+/// A surfel is not extended to a ray that is farther from it than this share of its range.
 const EXTENT: f64 = 0.2;
 
 /// A surfel that is seen in a cell.
 #[derive(Clone, Copy)]
 struct Seen {
-    /// Where the cell's ray meets it, in metres.
+    /// The range at which the cell's ray meets it, in metres.
     metres: f64,
-    /// How far the surfel is from the ray, in radians.
+    /// The distance of the surfel from the ray, in radians.
     off: f64,
     position: [f64; 3],
     normal: [f64; 3],
@@ -80,7 +80,7 @@ impl Canvas<'_> {
         Some(((row, column), self.extend(&seen, (row, column)).unwrap_or(seen)))
     }
 
-    /// The surfel's plane where a cell's ray meets it, if that is near.
+    /// The surfel's plane where a cell's ray meets it, if that is near the surfel.
     fn extend(&self, seen: &Seen, (row, column): (usize, usize)) -> Option<Seen> {
         let tick = self.sensor.tick_of_column(row, self.columns[column]);
         let on_ray = self.sensor.point_at(row, tick, seen.metres);
@@ -91,7 +91,7 @@ impl Canvas<'_> {
         is_near.then_some(Seen { metres: seen.metres + further, ..*seen })
     }
 
-    /// For a cell in which nothing is seen: what is seen beside it, extended.
+    /// For a cell in which nothing is seen: what is seen in a neighbouring cell, extended.
     fn beside(
         &self,
         seen: &Grid<Option<Seen>>,

@@ -1,9 +1,9 @@
-//! Which azimuth ticks are columns: the gaps from one to the next, which alternate in a slow beat
-//! of the firing rate against the ticks.
+//! Which azimuth ticks are columns: the gaps between them, which alternate in a slow beat of the firing rate
+//! against the ticks.
 
 use crate::entropy::{AdaptiveBit, BitCoder};
 
-/// Gaps from the last odd one are counted up to this.
+/// The distance from the last odd gap is counted up to this.
 const LONGEST_RUN: usize = 31;
 
 /// What the coder has learned about columns.
@@ -19,7 +19,7 @@ impl Default for ColumnModel {
 }
 
 impl ColumnModel {
-    /// Codes a set of ticks below `ticks`, given and returned as rising numbers.
+    /// Codes a set of ticks below `ticks`, as rising numbers.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, ticks: u32, columns: &mut Vec<u32>) {
         let known = std::mem::take(columns);
         let mut known = known.iter().peekable();
@@ -29,7 +29,7 @@ impl ColumnModel {
             let context = (gap.min(3) * (LONGEST_RUN + 1) + run) * 4 + last_gap.min(3);
             if self.used[context].code(coder, used) {
                 columns.push(tick);
-                // The short gap is the rare one: where it comes again follows from how long ago it was.
+                // The short gap is the rare one; when it comes again depends on how long ago it last came.
                 run = if gap == 0 { 0 } else { (run + 1).min(LONGEST_RUN) };
                 last_gap = gap;
                 gap = 0;

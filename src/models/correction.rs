@@ -1,4 +1,4 @@
-//! What the formula misses, in units of the file's grid.
+//! The corrections: what is added to the formula's coordinates, in units of the file's grid.
 
 mod tokens;
 
@@ -10,27 +10,27 @@ use crate::ground::varint::{unzigzag, zigzag};
 use crate::scan::squared_distance;
 use crate::scanner::Coordinates;
 
-/// Distances to the border of a unit (in units) that make a difference: the formula is right to a
-/// few micrometres, so only what lies closer to a border is ever rounded the other way.
+/// Distances to the border of a unit (in units) that make a difference: the formula is accurate to a few
+/// micrometres, so only coordinates closer to a border are ever rounded the other way.
 const BORDER_DISTANCES: [f64; 6] = [0.0005, 0.001, 0.002, 0.004, 0.008, 0.016];
-/// Beyond this distance hardly anything is.
+/// Farther from a border than this, hardly any coordinate is corrected.
 const CLEAR_DISTANCE: f64 = 0.05;
-/// Contexts of float32 corrections: how much finer the coordinate's unit is than the range's.
+/// Contexts of float32 corrections: by how much the coordinate's unit is finer than the range's.
 const FINENESS: usize = 24;
 
 /// What the coder has learned about corrections.
 #[derive(Clone)]
 pub struct CorrectionModel {
-    /// Whether a point that need not be exact is corrected; the last one was not, or was.
+    /// Whether a point that need not be exact is corrected, given that the last one was not, or was.
     is_corrected: [AdaptiveBit; 2],
     was_corrected: bool,
-    /// Whether a point has a correction though no coordinate is near a border.
+    /// Whether a point is corrected although no coordinate is near a border.
     unclear: AdaptiveBit,
-    /// For each distance to the border: whether there is a correction.
+    /// Whether there is a correction, for each distance to the border.
     any: Vec<AdaptiveBit>,
-    /// Whether it goes over the border that is near.
+    /// Whether the correction crosses the border that is near.
     expected: Vec<AdaptiveBit>,
-    /// The magnitudes that remain, for each axis and fineness.
+    /// The remaining magnitudes, for each axis and fineness.
     rest: Vec<IntegerModel>,
 }
 
@@ -48,8 +48,8 @@ impl Default for CorrectionModel {
 }
 
 impl CorrectionModel {
-    /// Codes the position of a return that may be `near`, or else is corrected as by [`code`](Self::code).
-    /// The encoder's is corrected if it is farther than `max_error` metres from there.
+    /// Codes the position of a return, which is `near` or else corrected as by [`code`](Self::code). The
+    /// encoder corrects it if it is farther than `max_error` metres from `near`.
     pub fn code_bounded<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -67,7 +67,8 @@ impl CorrectionModel {
         }
     }
 
-    /// Codes the position of a return, given the formula's, in metres. The encoder's must lie on the grid.
+    /// Codes the position of a return, given the formula's position in metres. The encoder's position must
+    /// lie on the grid.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -94,7 +95,7 @@ impl CorrectionModel {
         }
     }
 
-    /// Corrections on a grid far coarser than the formula's errors: 0 but near a border.
+    /// Corrections on a grid far coarser than the formula's errors: 0 except near a border.
     fn code_roundings<C: BitCoder>(&mut self, coder: &mut C, units: [f64; 3], corrections: &mut [i64; 3]) {
         let offsets = units.map(|u| u - round_ties_even(u));
         let distances = offsets.map(|offset| 0.5 - offset.abs());
@@ -116,8 +117,8 @@ impl CorrectionModel {
         }
     }
 
-    /// Corrections on a grid finer than the formula's errors, which are about the same length
-    /// along every axis, however fine its unit is.
+    /// Corrections on a grid finer than the formula's errors, which have about the same length along every
+    /// axis, however fine its unit is.
     fn code_floats<C: BitCoder>(&mut self, coder: &mut C, formula: [f64; 3], corrections: &mut [i64; 3]) {
         let exponents = formula.map(|v| (v.to_bits() >> 52 & 0x7ff) as usize);
         let largest = exponents.into_iter().max().unwrap_or(0);

@@ -1,5 +1,5 @@
-//! The intensities: levels of a grid such as hundredths, each bit of a level mixed from counters
-//! in contexts of the neighbours' levels: few, or many.
+//! The intensities: levels of a grid such as hundredths, coded bit by bit from counters in contexts of the
+//! neighbours' levels, which are few (light) or many (deep).
 
 mod deep;
 mod errors;
@@ -23,7 +23,7 @@ use light::LightLevels;
 #[derive(Clone, Default)]
 pub struct IntensityModel {
     light: LightLevels,
-    /// What codes levels in its place in frames that go deep, once there was one.
+    /// The deep model, once a frame has used it; it then replaces the light one.
     deep: Option<Box<DeepLevels>>,
     exception: AdaptiveBit,
     off_grid: IntegerModel,
@@ -32,12 +32,12 @@ pub struct IntensityModel {
 }
 
 impl IntensityModel {
-    /// Says whether to mix from many contexts from now on.
+    /// Sets whether the deep model is used from now on.
     pub fn set_deep(&mut self, is_deep: bool) {
         self.is_deep = is_deep;
     }
 
-    /// Begins a frame, or its strays, with `columns` columns and so many values.
+    /// Starts a frame, or its strays, with `columns` columns and `values` values.
     pub fn start_frame(&mut self, scale: &IntensityScale, columns: usize, values: usize) {
         if self.is_deep {
             self.deep.get_or_insert_default().start_frame(columns, values);
@@ -46,14 +46,14 @@ impl IntensityModel {
         }
     }
 
-    /// Begins a row.
+    /// Starts a row.
     pub fn start_row(&mut self) {
         if let Some(deep) = self.deep.as_mut().filter(|_| self.is_deep) {
             deep.start_row();
         }
     }
 
-    /// Codes one value. `row` and `column` only serve as contexts.
+    /// Codes one value. `row` and `column` serve only as contexts.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -77,7 +77,7 @@ impl IntensityModel {
         if C::ENCODES { value } else { scale.value_of(level) }
     }
 
-    /// A value on no grid: the difference of its bits from the last one's.
+    /// A value that is not on the grid: the difference between its bits and those of the last one.
     fn code_off_grid<C: BitCoder>(&mut self, coder: &mut C, value: f32) -> f32 {
         let difference = i64::from(value.to_bits()) - i64::from(self.last_off_grid);
         let difference = unzigzag(self.off_grid.code(coder, zigzag(difference)));

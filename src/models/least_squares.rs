@@ -1,11 +1,11 @@
-//! Online least squares: the linear prediction that would have served best on what has been
-//! coded, old errors forgotten exponentially.
+//! Online least squares: the linear prediction that would have been best for what has been coded so far, with
+//! old errors forgotten exponentially.
 
-/// `N` weights, solved again every few samples from the running normal equations. `N` is a multiple
-/// of [`LANES`].
+/// `N` weights, solved again every few samples from the running normal equations. `N` is a multiple of
+/// [`LANES`].
 #[derive(Clone, Debug)]
 pub struct LeastSquares<const N: usize> {
-    /// The normal matrix; of the part above the diagonal only what shares a block with it.
+    /// The normal matrix. Above the diagonal, only the elements that share a block with it are kept.
     normal: [[f32; N]; N],
     right: [f32; N],
     weights: [f32; N],
@@ -16,13 +16,13 @@ pub struct LeastSquares<const N: usize> {
 
 /// Numbers that a vector unit of any processor handles at once.
 pub const LANES: usize = 4;
-/// Samples from one solution to the next, unless told otherwise.
+/// Samples between two solutions, by default.
 const SOLVE_EVERY: u32 = 32;
-/// Added to the diagonal: keeps the weights of features that have not been seen near zero.
+/// Added to the diagonal; keeps the weights of features that have not yet occurred near zero.
 const RIDGE: f32 = 0.05;
 
 impl<const N: usize> LeastSquares<N> {
-    /// Starts with all weights 0. Each sample makes the earlier ones count `forget` as much.
+    /// Starts with all weights 0. With each sample, the weight of all earlier ones is multiplied by `forget`.
     pub fn new(forget: f32) -> Self {
         const { assert!(N.is_multiple_of(LANES)) };
         LeastSquares {
@@ -35,12 +35,12 @@ impl<const N: usize> LeastSquares<N> {
         }
     }
 
-    /// The same, solved again after so many samples.
+    /// The same, but solved after every `samples` samples.
     pub fn solved_every(self, samples: u32) -> Self {
         LeastSquares { solve_every: samples, ..self }
     }
 
-    /// The same with more features, of which nothing is known yet.
+    /// The same with additional features, about which nothing is known yet.
     pub fn widened<const M: usize>(&self) -> LeastSquares<M> {
         let mut wide = LeastSquares::new(self.forget).solved_every(self.solve_every);
         for (to, from) in wide.normal.iter_mut().zip(&self.normal) {
@@ -52,7 +52,7 @@ impl<const N: usize> LeastSquares<N> {
         wide
     }
 
-    /// The prediction for these features.
+    /// The prediction from these features.
     #[inline]
     pub fn predict(&self, features: &[f32; N]) -> f32 {
         let mut sums = [0.0; LANES];
@@ -62,14 +62,14 @@ impl<const N: usize> LeastSquares<N> {
         (sums[0] + sums[1]) + (sums[2] + sums[3])
     }
 
-    /// Learns that `target` went with these features; `weight` says how much it counts.
+    /// Learns that `target` came with these features; `weight` is the weight of this sample.
     #[inline]
     pub fn learn(&mut self, features: &[f32; N], target: f32, weight: f32) {
         let forget = self.forget;
         let (blocks, _) = features.as_chunks::<LANES>();
         for (i, row) in self.normal.iter_mut().enumerate() {
             let weighted = weight * features[i];
-            // Whole blocks up to the diagonal's.
+            // Whole blocks, up to the one on the diagonal.
             let (row, _) = row.as_chunks_mut::<LANES>();
             for (cells, features) in row.iter_mut().zip(blocks).take(i / LANES + 1) {
                 for lane in 0..LANES {
@@ -88,7 +88,7 @@ impl<const N: usize> LeastSquares<N> {
         }
     }
 
-    /// Cholesky; where the matrix is not positive the old weights stay.
+    /// Solves by Cholesky; if the matrix is not positive definite, the old weights stay.
     fn solve(&mut self) {
         let mut lower = [[0.0; N]; N];
         let mut inverse = [0.0; N];

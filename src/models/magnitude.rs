@@ -1,6 +1,6 @@
-//! Magnitudes by levels, for tables of tokens.
+//! Magnitudes in logarithmic classes, as contexts of tokens.
 
-/// Levels of a magnitude, four an octave, of which the last stands for all that are higher.
+/// The class of a magnitude, four an octave; the last class holds all that are higher.
 pub fn magnitude_level(magnitude: u32, levels: usize) -> usize {
     let magnitude = magnitude + 4;
     let octave = magnitude.ilog2();
@@ -8,7 +8,7 @@ pub fn magnitude_level(magnitude: u32, levels: usize) -> usize {
     level.min(levels - 1)
 }
 
-/// The least magnitude of a level.
+/// The least magnitude of a class.
 pub fn magnitude_of_level(level: usize) -> u32 {
     ((4 + level as u32 % 4) << (level / 4)) - 4
 }

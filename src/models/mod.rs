@@ -4,6 +4,7 @@
 //! The models live as long as a group of pictures: what one frame teaches helps the next.
 
 mod bytes;
+pub(crate) mod channels;
 mod columns;
 mod correction;
 mod intensity;
@@ -18,6 +19,7 @@ mod range;
 mod shape;
 
 pub use bytes::ByteModel;
+pub use channels::{Beside, ChannelsModel};
 pub use columns::ColumnModel;
 pub use correction::{CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
 pub use intensity::{

@@ -8,30 +8,30 @@ use crate::entropy::{BitCoder, Counter, MixedBits};
 use crate::ground::grid::Grid;
 use crate::inter::Reference;
 
-/// Cells beyond either side that the contexts look at.
+/// Cells beyond each side that the contexts look at.
 const MARGIN: usize = 4;
 const VIEWS: usize = 4;
 const OPINIONS: usize = 8;
 const VIEW_SIZES: [usize; VIEWS] = [1 << 10, 128 * 16, 1 << 12, 1 << 10];
 const REFERENCE_VIEWS: usize = 2;
 const REFERENCE_VIEW_SIZES: [usize; REFERENCE_VIEWS] = [1 << 12, 1 << 9];
-/// Sets of weights for the cells around, and how many times as many with a reference.
+/// Weight sets for the cells around, and how many times as many there are with a reference.
 const SETS: usize = 64;
 const REFERENCE_SETS: usize = 4;
-/// Beams beyond this many share their contexts.
+/// Beams from this number on share their contexts.
 const ROW_CONTEXTS: usize = 128;
 
 /// What the coder has learned about occupancy.
 #[derive(Clone)]
 pub struct OccupancyModel {
     filled: MixedBits<VIEWS, OPINIONS>,
-    /// The counters of the reference's views, once there was one.
+    /// The counters of the reference's views, once there was a reference.
     reference: Option<[Vec<Counter>; REFERENCE_VIEWS]>,
-    /// Log odds from which on two views decide a cell.
+    /// Log odds from which two views alone decide a cell.
     sure: f32,
 }
 
-/// Those to be quick, 1 to 12: most cells.
+/// The log odds that make coding fast, 1 to 12: most cells are this certain.
 const QUICKLY_SURE: f32 = 2.5;
 
 impl Default for OccupancyModel {
@@ -45,7 +45,7 @@ impl Default for OccupancyModel {
 }
 
 impl OccupancyModel {
-    /// Says whether to leave the word, from now on, to few views where these are sure.
+    /// Sets whether a few views decide alone, from now on, where they are certain.
     pub fn set_quick(&mut self, is_quick: bool) {
         self.sure = if is_quick { QUICKLY_SURE } else { f32::INFINITY };
     }
@@ -62,9 +62,9 @@ impl OccupancyModel {
             self.reference = Some(REFERENCE_VIEW_SIZES.map(|size| vec![Counter::default(); size]));
         }
         let width = occupancy.columns();
-        // Empty cells in each column so far, halved with every row: how long ago and how many.
+        // How many cells were empty in each column, and how long ago: the bits move down with every row.
         let mut empty_above = vec![0u32; width];
-        // The current row and the three above. Outside counts as filled: most cells are.
+        // The current row and the three above. Outside counts as occupied, because most cells are.
         let mut window = std::array::from_fn::<_, 4, _>(|_| vec![1u8; width + 2 * MARGIN]);
         for row in 0..occupancy.rows() {
             if coder.is_exhausted() {
@@ -73,8 +73,8 @@ impl OccupancyModel {
             window.rotate_right(1);
             let [current, above, above2, above3] = &mut window;
             let mut run = 0usize;
-            // The cells to the left and, in the rows above, up to the margin to the right of a column, the last one
-            // lowest.
+            // The cells to the left and, in the rows above, those up to the margin to the right of a column;
+            // the last cell is in the lowest bit.
             let (mut left, mut n_cells, mut n2_cells) = (usize::MAX, usize::MAX, usize::MAX);
             for cell in &above[MARGIN..2 * MARGIN] {
                 n_cells = n_cells << 1 | usize::from(*cell);
@@ -120,7 +120,7 @@ impl OccupancyModel {
     }
 }
 
-/// Where an earlier frame holds returns around a cell.
+/// Where an earlier frame has returns around a cell.
 struct Back {
     /// The cell itself, then left, right, above and below.
     around: usize,
@@ -140,7 +140,7 @@ impl Back {
         }
     }
 
-    /// The contexts of the reference's views; `near` are six bits of the cells coded before.
+    /// The contexts of the reference's views; `near` is six bits of the cells coded before.
     fn places(&self, near: usize) -> [usize; REFERENCE_VIEWS] {
         [self.around | near << 5 | (self.wide & 1) << 11, self.around | self.wide << 5]
     }

@@ -1,26 +1,26 @@
-//! The order of the points in the file, where it is not the one that the range image implies.
+//! The order of the points in the file, where it differs from the one that the range image implies.
 //!
-//! The implied order: strays take the places that are listed for them, the returns of the image
-//! fill the others in file order. A return that stands elsewhere is *moved*: it is named, with its
-//! place, and the rest close up.
+//! In the implied order, strays take the places that are listed for them, and the returns of the image fill
+//! the others in file order. A return elsewhere is *moved*: it is listed with its place, and the rest close
+//! up.
 
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 
-/// Where the file's order is not the implied one. Elements 0 to `returns` (exclusive) are the
-/// returns in file order, those above the strays in theirs.
+/// Where the order of the file differs from the implied one. Elements 0 to `returns` (exclusive) are the
+/// returns in file order, those from there on the strays in theirs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct OrderExceptions {
     /// The places of the strays in the file, rising.
     pub stray_places: Vec<u64>,
     /// The returns that are moved, rising.
     pub moved: Vec<u64>,
-    /// The place of each moved one among the returns.
+    /// The place of each moved return among the returns.
     pub move_places: Vec<u64>,
 }
 
 impl OrderExceptions {
-    /// The exceptions of an order, given the place of each element in the file; those of the strays rise.
+    /// The exceptions of an order, given each element's place in the file; the places of the strays rise.
     pub fn of_places(places: &[u32], returns: usize) -> Self {
         let (of_returns, of_strays) = places.split_at(returns);
         if of_returns.is_sorted() {
@@ -48,7 +48,7 @@ impl OrderExceptions {
         }
     }
 
-    /// Values of the returns and strays, in the order of the file.
+    /// Arranges the values of returns and strays in the order of the file.
     ///
     /// # Errors
     /// As [`order`](Self::order).
@@ -75,10 +75,10 @@ impl OrderExceptions {
         Ok(values)
     }
 
-    /// The order of `returns` returns and the strays.
+    /// The order of `returns` returns and the strays: for each place of the file, its element.
     ///
     /// # Errors
-    /// If it is no permutation.
+    /// If it is not a permutation.
     pub fn order(&self, returns: usize) -> Result<Vec<u32>> {
         let sequence = merge(&self.moved, &self.move_places, returns).ok_or_else(not_a_permutation)?;
         let strays = (returns as u64..).zip(self.stray_places.iter().copied());
@@ -103,7 +103,7 @@ impl OrderModel {
     /// Codes the exceptions for `returns` returns and `strays` strays.
     ///
     /// # Errors
-    /// If the stream names more moved returns than there are.
+    /// If the stream lists more moved returns than there are returns.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -131,10 +131,10 @@ fn places(order: &[u32], kind: impl Fn(u32) -> bool) -> Vec<u64> {
     (0u64..).zip(order).filter(|(_, e)| kind(**e)).map(|(place, _)| place).collect()
 }
 
-/// Codes rising numbers below `end` as the gaps between them. A decoder's may reach beyond.
+/// Codes rising numbers below `end` as the gaps between them. Those of a decoder may reach beyond.
 fn code_rising<C: BitCoder>(coder: &mut C, gaps: &mut IntegerModel, numbers: &mut [u64], end: usize) {
     if numbers.len() == end {
-        // As many numbers as places leave no gaps.
+        // If there are as many numbers as places, there are no gaps.
         (0..).zip(numbers).for_each(|(place, number)| *number = place);
         return;
     }
@@ -148,7 +148,7 @@ fn code_rising<C: BitCoder>(coder: &mut C, gaps: &mut IntegerModel, numbers: &mu
     }
 }
 
-/// The returns' sequence from the moved ones and their places.
+/// The sequence of the returns, from the moved ones and their places.
 fn merge(moved: &[u64], places: &[u64], returns: usize) -> Option<Vec<u64>> {
     let mut is_moved = vec![false; returns];
     for &element in moved {
@@ -159,8 +159,8 @@ fn merge(moved: &[u64], places: &[u64], returns: usize) -> Option<Vec<u64>> {
     Some(sequence.into_iter().map(u64::from).collect())
 }
 
-/// Puts each placed element in its place and fills the others in turn. None if a place is taken
-/// or lies outside, or the elements do not fill `total` places.
+/// Puts each placed element in its place and fills the other places in turn. `None` if a place is taken or
+/// lies outside, or if the elements do not fill `total` places.
 fn interleave(
     placed: impl Iterator<Item = (u64, u64)>,
     mut fill: impl Iterator<Item = u64>,
@@ -181,8 +181,8 @@ fn interleave(
     fill.next().is_none().then_some(order)
 }
 
-/// The fewest elements to take out, rising, so that the rest of the sequence rises: all but a
-/// longest increasing subsequence (patience sorting).
+/// The smallest set of elements, rising, without which the rest of the sequence rises: all but a longest
+/// increasing subsequence (patience sorting).
 fn moved_elements(sequence: &[u32]) -> Vec<u32> {
     if sequence.is_sorted() {
         return Vec::new();

@@ -1,29 +1,30 @@
-//! Numbers in blocks, each block's in as many bits as its largest one takes: nothing is quicker. What is coded is
-//! the difference to the number before.
+//! Numbers in blocks, each block in as many bits as its largest number takes: nothing is faster. What is
+//! coded is the difference to the number before.
 
 use pulp::{Arch, NullaryFnOnce};
 
 use crate::entropy::TokenCoder;
 use crate::models::{Bins, IntensityScale};
 
-/// Numbers a block: more save widths, fewer waste less where one number is large.
+/// Numbers in a block: larger blocks save widths, smaller ones waste less where a single number is large.
 const BLOCK: usize = 8;
 /// The most bits of a number.
 const MOST_WIDTH: u8 = 32;
 /// The width of a block is a token whose context is the width of the block before.
 const WIDTH_CONTEXTS: usize = MOST_WIDTH as usize + 1;
-/// The context of the number of values before one off the grid.
+/// The context of the number of values before one that is not on the grid.
 const GAP: usize = WIDTH_CONTEXTS;
 
-/// Contexts of a section of ranges.
+/// Number of contexts of a section of ranges.
 pub const PACKED_RANGE_CONTEXTS: usize = WIDTH_CONTEXTS;
-/// Contexts of a section of intensities.
+/// Number of contexts of a section of intensities.
 pub const PACKED_INTENSITY_CONTEXTS: usize = WIDTH_CONTEXTS + 1;
 
-/// Codes ranges, in steps, in the order of the cells: the bins of `bin` steps around the one before. As
-/// [`RangeTokens`](super::RangeTokens), ranges are from 1 to 2^`range_bits` - 1, and come back as the middles of their bins.
+/// Codes ranges, in steps, in the order of the cells: their bins of `bin` steps around the range before. As
+/// in [`RangeTokens`](super::RangeTokens), ranges are from 1 to 2^`range_bits` - 1 and are decoded as the
+/// middles of their bins.
 pub fn code_packed_ranges<C: TokenCoder>(coder: &mut C, (range_bits, bin): (u32, u32), ranges: &mut [u32]) {
-    /// The range that the first one differs from.
+    /// The prediction of the first range.
     const TYPICAL: u32 = 3000;
     let most = (1 << range_bits) - 1;
     if bin == 1 {
@@ -45,8 +46,8 @@ pub fn code_packed_ranges<C: TokenCoder>(coder: &mut C, (range_bits, bin): (u32,
     code_values(coder, TYPICAL, ranges, miss, range);
 }
 
-/// Codes intensities, in the order of the cells: their levels on the scale, and which ones are off it. Where nothing
-/// is on it, they are numbers by their bits.
+/// Codes intensities, in the order of the cells: their levels on the scale, and which of them are not on it.
+/// If there is no grid, the bits of the values are coded as numbers.
 pub fn code_packed_intensities<C: TokenCoder>(coder: &mut C, scale: &IntensityScale, values: &mut [f32]) {
     if !scale.is_on_grid() {
         let mut bits: Vec<u32> = values.iter().map(|value| value.to_bits()).collect();
@@ -75,7 +76,7 @@ pub fn code_packed_intensities<C: TokenCoder>(coder: &mut C, scale: &IntensitySc
     }
 }
 
-/// Codes the values that are off the grid, which the encoder knows with their places.
+/// Codes the values that are not on the grid, which the encoder knows together with their places.
 fn code_off_grid<C: TokenCoder>(coder: &mut C, known: &[(usize, f32)], values: &mut [f32]) {
     let mut known = known.iter();
     let mut next = 0;
@@ -90,8 +91,8 @@ fn code_off_grid<C: TokenCoder>(coder: &mut C, known: &[(usize, f32)], values: &
     }
 }
 
-/// Codes values, given what each differs from the one before by (of that and itself), and the value again (of that
-/// before and the difference).
+/// Codes values as differences: `difference(before, value)` gives what is coded, and `differing(before,
+/// difference)` gives the value back.
 fn code_values<C: TokenCoder>(
     coder: &mut C,
     before: u32,
@@ -106,7 +107,7 @@ fn code_values<C: TokenCoder>(
     });
 }
 
-/// What it takes to code values.
+/// The arguments of [`code_values`], for a function compiled for several vector units.
 struct Packing<'a, C, D, V> {
     coder: &'a mut C,
     values: &'a mut [u32],
@@ -120,7 +121,7 @@ impl<C: TokenCoder, D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> NullaryFnOnc
     fn call(self) {
         let Packing { coder, values, mut blocks } = self;
         let (whole, rest) = values.as_chunks_mut::<BLOCK>();
-        // Those are compiled for their length.
+        // The block length is a constant here, so this loop is compiled for it.
         for block in whole {
             if !blocks.code(coder, block) {
                 return;
@@ -132,18 +133,18 @@ impl<C: TokenCoder, D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> NullaryFnOnc
     }
 }
 
-/// Codes blocks of values, one after the other.
+/// Codes one block of values after the other.
 struct Blocks<D, V> {
-    /// The last value of the block before.
+    /// The last value of the preceding block.
     before: u32,
-    /// Its width.
+    /// The width of the preceding block.
     width: u8,
     difference: D,
     differing: V,
 }
 
 impl<D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> Blocks<D, V> {
-    /// Codes a block; false if a decoder has come behind the end of its bytes.
+    /// Codes a block; returns false if a decoder has read past the end of its bytes.
     #[inline(always)]
     fn code<C: TokenCoder>(&mut self, coder: &mut C, block: &mut [u32]) -> bool {
         let mut differences = [0; BLOCK];
@@ -166,7 +167,7 @@ impl<D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> Blocks<D, V> {
     }
 }
 
-/// Codes numbers of so many bits, as many at a time as can be coded at once.
+/// Codes numbers of `width` bits, as many at a time as the coder takes.
 #[inline(always)]
 fn code_block<C: TokenCoder>(coder: &mut C, width: u32, numbers: &mut [u32]) {
     match width {
@@ -190,7 +191,8 @@ fn code_groups<C: TokenCoder, const N: usize>(coder: &mut C, width: u32, numbers
     rest.iter_mut().for_each(|number| *number = coder.bits((*number).into(), width) as u32);
 }
 
-/// A range of a damaged section, brought among those that there are: apart, so that others need not wait for it.
+/// Clamps a range of a damaged section to the valid ones; kept out of line, so that valid ranges need not
+/// wait.
 #[cold]
 fn cut(range: u32, most: u32) -> u32 {
     range.clamp(1, most)
@@ -203,7 +205,7 @@ fn difference(before: u32, value: u32) -> u32 {
     (difference << 1 ^ difference >> 31) as u32
 }
 
-/// The inverse of [`difference`]: the value.
+/// The inverse of [`difference`]: the value itself.
 #[inline]
 fn differing(before: u32, difference: u32) -> u32 {
     before.wrapping_add(difference >> 1 ^ (difference & 1).wrapping_neg())

@@ -1,24 +1,24 @@
-//! Points as they come, for scans without a sensor model and for the strays of those with one.
+//! Points one by one, for scans without a scanner model and for the strays of those with one.
 //!
-//! A point is predicted from those before it and from the nearest one of the turn before, if the
-//! points go round in turns: first its larger horizontal coordinate, then the other along the
-//! expected direction, then the height at the distance that these two give.
+//! A point is predicted from those before it and from the nearest one of the preceding turn, if the points go
+//! round in turns: first its larger horizontal coordinate, then the other one along the expected direction,
+//! then the height at the distance that these two give.
 
 use super::least_squares::LeastSquares;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::Coordinates;
 
-/// Ways to predict each coordinate; the one that has erred least of late is taken.
+/// Ways to predict each coordinate; the one with the smallest recent errors is used.
 const CANDIDATES: usize = 4;
-/// Levels of the recent errors, in bits.
+/// Classes of the recent errors, in bits.
 const ERROR_BITS: usize = 36;
 
 /// What the coder has learned about points.
 #[derive(Clone)]
 pub struct PointModel {
     coordinates: [CoordinateModel; 3],
-    /// Height against distance along a turn: a beam's cone.
+    /// Height as a function of distance along a turn: a beam's cone.
     cone: LeastSquares<4>,
 }
 
@@ -32,7 +32,8 @@ impl Default for PointModel {
 }
 
 impl PointModel {
-    /// Codes positions one after the other. Most lie on this grid; `None`: on that of the file.
+    /// Codes positions one after the other. Most of them lie on this grid; `None` stands for the grid of the
+    /// file.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -99,16 +100,16 @@ impl PointModel {
     }
 }
 
-/// Metres; a step beyond it says nothing about a beam's cone.
+/// In metres; a step beyond it tells nothing about a beam's cone.
 const CONE_REACH: f64 = 1000.0;
 
 /// One coordinate against several predictions.
 #[derive(Clone)]
 struct CoordinateModel {
-    /// Recent error of each candidate, in bits.
+    /// The recent error of each candidate, in bits.
     errors: [f32; CANDIDATES],
     raw: AdaptiveBit,
-    /// For each candidate and level of recent error.
+    /// For each candidate and class of recent error.
     residual: Vec<IntegerModel>,
 }
 
@@ -147,12 +148,12 @@ impl CoordinateModel {
     }
 }
 
-/// A position to predict from: what is not finite counts as 0.
+/// A position to predict from; what is not finite counts as 0.
 fn finite(position: [f32; 3]) -> [f64; 3] {
     position.map(|v| if v.is_finite() { f64::from(v) } else { 0.0 })
 }
 
-/// A measure of the azimuth that takes no trigonometry: 0 to 4, rising with the angle.
+/// A measure of the azimuth without trigonometry: 0 to 4, rising with the angle.
 fn direction(x: f64, y: f64) -> f64 {
     let sum = x.abs() + y.abs();
     let part = if sum == 0.0 { 0.0 } else { y / sum };
@@ -172,7 +173,7 @@ pub struct TurnTracker {
 }
 
 impl TurnTracker {
-    /// The index of the point of the turn before that lies nearest to a direction.
+    /// The index of the point of the preceding turn that is nearest to a direction.
     fn nearest_above(&mut self, direction: f64) -> Option<usize> {
         let apart = |cursor: usize| self.above.get(cursor).map(|(_, d)| (d - direction).abs());
         let mut cursor = self.cursor;
@@ -183,7 +184,7 @@ impl TurnTracker {
         self.above.get(cursor).map(|(index, _)| *index)
     }
 
-    /// Adds a point; a leap over most of a turn begins a new one.
+    /// Adds a point; a jump over most of a turn starts a new one.
     fn push(&mut self, index: usize, direction: f64) {
         if self.current.last().is_some_and(|(_, last)| (direction - last).abs() > 3.0) {
             self.above = std::mem::take(&mut self.current);
@@ -193,14 +194,14 @@ impl TurnTracker {
     }
 }
 
-/// For each position, the index of its neighbour in the turn before.
+/// For each position, the index of its neighbour in the preceding turn.
 pub fn neighbours_above(positions: &[[f32; 3]]) -> Vec<Option<usize>> {
     let mut turns = TurnTracker::default();
     (0..positions.len())
         .map(|index| {
             let [x, y, _] = finite(positions[index]);
             let direction = direction(x, y);
-            // First push, so that the first point of a turn looks into the one just ended.
+            // Pushed first, so that the first point of a turn looks into the one just ended.
             turns.push(index, direction);
             turns.nearest_above(direction)
         })

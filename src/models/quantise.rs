@@ -1,13 +1,13 @@
-//! Numbers cut down to a few levels, to serve as contexts.
+//! Numbers quantised to a few classes, to serve as contexts.
 
-/// The sign and the half-octave of a difference: 0 to 31, 16 for none.
+/// The sign and half-octave of a difference: 0 to 31, with 16 for no difference.
 #[inline]
 pub fn signed_level(difference: i32) -> usize {
     let level = LEVELS.get(difference.unsigned_abs() as usize).map_or(15, |&level| usize::from(level));
     if difference < 0 { 16 - level } else { 16 + level }
 }
 
-/// The half-octave of each magnitude below the last level's.
+/// The half-octave of each magnitude below that of the last class.
 static LEVELS: [u8; 128] = {
     let mut levels = [0; 128];
     let mut magnitude = 0;
@@ -18,7 +18,7 @@ static LEVELS: [u8; 128] = {
     levels
 };
 
-/// 0 for 0, then two levels an octave.
+/// 0 for 0, then two classes an octave.
 const fn half_octave(magnitude: u32) -> u32 {
     match magnitude {
         0 => 0,
@@ -31,19 +31,19 @@ const fn half_octave(magnitude: u32) -> u32 {
     }
 }
 
-/// How many of the thresholds a value has reached; these grow by `factor` from `first` on.
+/// Counts how many thresholds a value has reached; they start at `first` and grow by `factor`.
 #[derive(Clone, Debug)]
 pub struct Levels<const N: usize>([f32; N]);
 
 impl<const N: usize> Levels<N> {
-    /// `N` thresholds, so `N + 1` levels.
+    /// Creates `N` thresholds, so `N + 1` classes.
     pub fn new(first: f32, factor: f32) -> Self {
         let mut thresholds = [first; N];
         (1..N).for_each(|i| thresholds[i] = thresholds[i - 1] * factor);
         Levels(thresholds)
     }
 
-    /// 0 to `N`.
+    /// The class of a value: 0 to `N`.
     #[inline]
     pub fn of(&self, value: f32) -> usize {
         self.0.iter().map(|&threshold| usize::from(value >= threshold)).sum()

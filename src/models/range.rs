@@ -1,9 +1,9 @@
-//! The ranges: a mixture of predictors gives each range a distribution, interval after interval is
-//! halved under it, and counters in several contexts correct each half's probability.
+//! The ranges: a mixture of predictors gives each range a distribution. Interval after interval is halved
+//! under it, and counters in several contexts correct the probability of each half.
 //!
-//! For a return, the predictors are its neighbours, the line through two of them, and an online
-//! least-squares fit. Where an earlier frame has something to say of a cell, what it has there is two
-//! predictors more, features of a least-squares fit of its own, and contexts.
+//! The predictors of a return are its neighbours, the line through two of them, and an online least-squares
+//! fit. Where an earlier frame has a return in a cell, this adds two predictors, features of a least-squares
+//! fit of its own, and contexts.
 
 mod back;
 mod bins;
@@ -41,23 +41,23 @@ const ALL_PREDICTORS: usize = PREDICTORS + 2;
 /// Places of the least-squares predictor and of the one that stands for surprises.
 const FIT: usize = 3;
 const SURPRISE: usize = 4;
-/// Levels of the measures that make a context: activity around, errors around, the reference's errors
+/// Classes of the measures that make a context: activity around, errors around, errors of the reference
 /// around.
 const ACTIVITY_LEVELS: usize = 12;
 const ERROR_LEVELS: usize = 12;
 const REFERENCE_LEVELS: usize = 7;
 const CONTEXTS: usize = ACTIVITY_LEVELS * ERROR_LEVELS;
-/// Kinds of edges for which the least-squares fits are kept apart.
+/// Kinds of edges; each has its own least-squares fits.
 const EDGES: usize = 4;
 /// A difference of ranges, in steps, that counts as an edge.
 const EDGE: f32 = 60.0;
-/// Features and predictions are cut to this many steps from the left neighbour.
+/// Features and predictions are limited to this many steps from the left neighbour.
 const FEATURE_REACH: f64 = 300.0;
 const FIT_REACH: f64 = 400.0;
-/// Places in the tree of decisions that keep counters of their own.
+/// Nodes of the tree of decisions that have counters of their own.
 const NODES: usize = 64;
-/// Contexts in which counters are kept, and the opinions that are mixed: these, the mixture's, a
-/// constant, and those of the views of the reference.
+/// Views of the context, each with counters of its own; and the number of opinions that are mixed: those of
+/// the views, the mixture's, a constant one, and those of the reference's views.
 const VIEWS: usize = 4;
 const REFERENCE_VIEWS: usize = 2;
 const OPINIONS: usize = 8;
@@ -65,7 +65,7 @@ const OPINIONS: usize = 8;
 const VIEW_SIZES: [usize; VIEWS] = [1024, 1024, 8 * 128, 8 * 64 * 4];
 const REFERENCE_VIEW_SIZES: [usize; REFERENCE_VIEWS] = [32 * 32, 32 * 32];
 
-/// How fast the mixture learns.
+/// The learning rates of the mixture.
 const RATES: Rates = Rates { weights: 0.02, scales: 0.02, early: 0.0 };
 
 type ErrorLevels = Levels<{ ERROR_LEVELS - 1 }>;
@@ -80,13 +80,13 @@ pub struct RangeModel {
     bits: RangeBits,
     fits: Vec<LeastSquares<FEATURES>>,
     mixture: Mixture<PREDICTORS>,
-    /// The same for cells with a reference, once there was one.
+    /// The same for cells with a reference, once there was a reference.
     with_reference: Option<Box<WithReference>>,
-    /// What has been learned in its place [once it goes deep](Self::go_deep).
+    /// The deep model, which replaces all this [once it is chosen](Self::go_deep).
     deep: Option<Box<DeepModel>>,
 }
 
-/// What the coder has learned about cells with a reference. It starts with what it has learned about
+/// What the coder has learned about cells with a reference. It starts from what it has learned about the
 /// others.
 #[derive(Clone)]
 struct WithReference {
@@ -111,41 +111,41 @@ impl Default for RangeModel {
     }
 }
 
-/// The scale, in steps, that a context starts with, which is of an error level.
+/// The initial scale, in steps, of a context, which is a class of errors.
 fn first_scale(context: usize) -> f64 {
     (2..context % ERROR_LEVELS).fold(3.0, |scale, _| scale * 1.6)
 }
 
-/// What is known of all cells before the ranges are coded.
+/// What is known of all cells before their ranges are coded.
 pub struct RangeContext<'a> {
     /// Which cells hold a return.
     pub occupancy: &'a Grid<bool>,
-    /// The intensities coded before, cut to 1 to 128; 0 = no return.
+    /// The intensities, which are coded before, limited to 1 to 128; 0 = no return.
     pub intensity: &'a Grid<u16>,
     /// What an earlier frame has there.
     pub reference: Option<&'a Reference>,
     /// Ranges are from 1 to 2^`range_bits` - 1 steps.
     pub range_bits: u32,
-    /// Steps a bin: ranges are coded to within half a bin; 1: exactly.
+    /// Steps in a bin: ranges are coded to within half a bin. 1: exactly.
     pub bin: u32,
 }
 
-/// A coded range, and what the least-squares fit had made of it, in steps.
+/// A coded range, and the prediction of the least-squares fit, in steps.
 struct Coded {
     range: i64,
-    /// From the left neighbour.
+    /// Relative to the left neighbour.
     fit: f64,
     base: i64,
 }
 
 impl RangeModel {
-    /// Goes on with more models, in all frames of the group from now on.
+    /// Switches to the deep model, for all further frames of the group.
     pub fn go_deep(&mut self) {
         self.deep.get_or_insert_default();
     }
 
-    /// Codes the range, in steps, of every cell that holds a return. Where bins are wider than a step, both
-    /// sides go on with the middles of the bins, which the encoder's grid gets too.
+    /// Codes the range, in steps, of every cell that holds a return. If bins are wider than a step, both
+    /// sides continue with the middles of the bins, which are also written into the encoder's grid.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, known: &RangeContext, steps: &mut Grid<u32>) {
         if let Some(deep) = &mut self.deep {
             deep.start_frame(known.occupancy.columns(), known.reference.is_some());
@@ -203,7 +203,7 @@ impl RangeModel {
         }
     }
 
-    /// Codes a range by its neighbours alone.
+    /// Codes a range from its neighbours alone.
     #[inline]
     fn code_alone<C: BitCoder>(
         &mut self,
@@ -243,7 +243,7 @@ impl RangeModel {
 }
 
 impl WithReference {
-    /// Codes a range by its neighbours and what an earlier frame has there.
+    /// Codes a range from its neighbours and from what an earlier frame has there.
     #[inline]
     fn code<C: BitCoder>(
         &mut self,

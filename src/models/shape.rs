@@ -1,17 +1,16 @@
-//! The shape of a prediction's error: a Gaussian core, the sensor's noise, in a wide tail, the
-//! edges of objects. Found on real scans: ranges on smooth surfaces scatter by a Gaussian.
+//! The shape of a prediction's error: a Gaussian core, from the sensor's noise, and a wide tail, from the
+//! edges of objects. Found on real scans: ranges on smooth surfaces have Gaussian noise.
 
-//!
-//! All in integers, for speed: the table's places have 16 binary digits behind the point, its
-//! probabilities are in 2^-30.
+//! All in integers, for speed: places in the table have 16 binary digits after the point, and probabilities
+//! are in 2^-30.
 
-/// The table reaches this many deviations of the core to each side.
+/// The table reaches this many standard deviations of the core to each side.
 const REACH: f64 = 40.0;
 const STEPS: i64 = 2048;
 /// Share of the core, and how many times wider the tail is.
 const CORE: f64 = 0.7;
 const TAIL_WIDTH: f64 = 3.0;
-/// Binary digits behind the point of a place.
+/// Binary digits of a place after the point.
 const PLACE_BITS: u32 = 16;
 /// The probability 1.
 pub const CERTAIN: u32 = 1 << 30;
@@ -21,11 +20,11 @@ pub const CERTAIN: u32 = 1 << 30;
 pub struct ErrorShape {
     /// The probability below the start of each step.
     below: Box<[u32; STEPS as usize + 2]>,
-    /// Places a unit.
+    /// Places per unit.
     places: f64,
 }
 
-/// An [`ErrorShape`] around a prediction, as the line from a value to its place in the table.
+/// An [`ErrorShape`] around a prediction: the line that maps a value to its place in the table.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Placed {
     origin: i64,

@@ -7,8 +7,8 @@ use crate::scan::squared_distance;
 use crate::scanner::Coordinates;
 use proptest::prelude::*;
 
-/// Codes a section twice, as two frames of a group, and gives what the encoder has made of it the second time
-/// and what is decoded.
+/// Codes a section twice, as two frames of a group. Returns what the encoder made of it the second time, and
+/// what was decoded.
 fn round_trip<T: Clone>(
     contexts: usize,
     full: &T,
@@ -33,14 +33,14 @@ fn round_trip<T: Clone>(
     (encoded, decoded)
 }
 
-/// A grid of 9 rows from as many values as there are, each filled or not.
+/// A grid of 9 rows from as many values as there are, each occupied or not.
 fn grid<T: Clone + Default>(values: &[T]) -> Grid<T> {
     let mut grid = Grid::new(9, values.len() / 9);
     grid.cells_mut().iter_mut().zip(values).for_each(|(cell, value)| *cell = value.clone());
     grid
 }
 
-/// Gives these tokens and bits whatever is asked for.
+/// Returns these tokens and bits, whatever is requested.
 struct Given(std::vec::IntoIter<(u8, u32)>);
 
 impl TokenCoder for Given {
@@ -80,7 +80,7 @@ proptest! {
         let range_of = |range: u32| 1 + (if smooth { 5000 + range % 50 } else { range }) % ((1 << range_bits) - 1);
         let occupancy = grid(&ranges.iter().map(|(filled, _)| *filled).collect::<Vec<_>>());
         let steps = grid(&ranges.iter().map(|(filled, range)| u32::from(*filled) * range_of(*range)).collect::<Vec<_>>());
-        // Of the frame before, some cells are filled, and some of them as far away.
+        // Of the frame before, some cells are occupied, and some of these are at the same distance.
         let before = |range: &u32| if range.is_multiple_of(5) { 0 } else { range.saturating_sub(moved * (range % 3)) };
         let same = steps.map(before);
         let axis = (range_bits, bin);
@@ -186,7 +186,7 @@ proptest! {
         per_unit in prop_oneof![Just(100u32), Just(255), Just(511)],
         odd_values in prop_oneof![Just(0u32), Just(1), Just(9)],
     ) {
-        // None, few or most of the values are on no grid.
+        // None, a few or most of the values are not on a grid.
         let value = |&(level, kind): &(u32, u16)| {
             let on_grid = (f64::from(level % (per_unit + 1)) / f64::from(per_unit)) as f32;
             let is_odd = u32::from(kind) < odd_values * 4;

@@ -93,3 +93,25 @@ fn ply_header(encoding: &str, points: usize) -> Vec<u8> {
     )
     .into_bytes()
 }
+
+/// A PCD file as PCL writes the records of Velodyne's ROS driver: 32 bytes, with padding and the ring.
+pub fn pcd_ros(points: &[[f32; 4]]) -> Vec<u8> {
+    let header = format!(
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ intensity ring _\n\
+         SIZE 4 4 4 1 4 2 1\nTYPE F F F U F U U\nCOUNT 1 1 1 4 1 1 10\nWIDTH {0}\nHEIGHT 1\n\
+         VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {0}\nDATA binary\n",
+        points.len()
+    );
+    let mut bytes = header.into_bytes();
+    for &[x, y, z, intensity] in points {
+        [x, y, z].iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+        bytes.extend([7, 0, 0, 9]);
+        bytes.extend(intensity.to_le_bytes());
+        // Rings are two degrees apart, the lowest 15 degrees below the horizon.
+        let elevation = f64::from(z).atan2(f64::from(x).hypot(f64::from(y))).to_degrees();
+        let ring = ((elevation + 15.0) / 2.0).round() as u16;
+        bytes.extend(ring.to_le_bytes());
+        bytes.extend([1, 2, 3, 4, 5, 6, 7, 8, 9, 10]);
+    }
+    bytes
+}

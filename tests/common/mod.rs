@@ -136,6 +136,14 @@ pub fn real_folders() -> Vec<PathBuf> {
     let entries = fs::read_dir(&root).map(|entries| entries.flatten().map(|e| e.path()).collect());
     let mut folders: Vec<PathBuf> = entries.unwrap_or_default();
     folders.retain(|path| path.is_dir());
+    // A folder of folders is one of them all.
+    let subfolders = |folder: &PathBuf| -> Vec<PathBuf> {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+        entries.filter(|path| path.is_dir()).collect()
+    };
+    let (with, mut folders): (Vec<_>, Vec<_>) =
+        folders.into_iter().partition(|folder| !subfolders(folder).is_empty());
+    folders.extend(with.iter().flat_map(subfolders));
     folders.sort();
     if folders.is_empty() {
         println!("skipped: no real scans in {}", root.display());

@@ -1,19 +1,20 @@
-//! Which token a number below 4096 stands for: each token has as many numbers as its frequency says. By the
-//! alias method (Walker): equal buckets, each shared by two tokens at most, so that a small table will do.
+//! Maps each number below 4096 to a token, so that each token has as many numbers as its frequency. By
+//! Walker's alias method: equal buckets, each shared by at most two tokens, make for a small table.
 
 use super::frequencies::{Frequencies, SCALE, TOKENS};
 
-/// Numbers of a bucket.
+/// Numbers in a bucket.
 const BUCKET: u32 = SCALE / TOKENS as u32;
 
-/// One bucket: its first numbers are its own token's, the others another's.
+/// A bucket: its first numbers belong to its own token, the rest to another.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Bucket {
     own_frequency: u16,
     other_frequency: u16,
-    /// The place of the bucket's first number among the other token's, less than 0 if it is not one of them.
+    /// The place of the bucket's first number among those of the other token; negative if it would lie before
+    /// their first.
     other_place: i16,
-    /// How many numbers are the own token's.
+    /// How many numbers belong to the own token.
     own: u8,
     other: u8,
 }
@@ -41,7 +42,7 @@ pub fn buckets(Frequencies(frequencies): &Frequencies) -> [Bucket; TOKENS] {
     let (mut poor, mut rich): (Vec<usize>, Vec<usize>) =
         (0..TOKENS).filter(|&token| left[token] != BUCKET).partition(|&token| left[token] < BUCKET);
     while let (Some(from), Some(to)) = (rich.pop(), poor.pop()) {
-        // What the poor one's bucket has room for comes from the end of the rich one's numbers.
+        // The rest of the poor token's bucket is filled from the end of the rich token's numbers.
         let own = left[to];
         left[from] -= BUCKET - own;
         buckets[to].own = own as u8;
@@ -57,7 +58,8 @@ pub fn buckets(Frequencies(frequencies): &Frequencies) -> [Bucket; TOKENS] {
     buckets
 }
 
-/// Goes through all numbers below 4096: with the token that each stands for, and its place among that one's.
+/// Visits all numbers below 4096, with the token that each stands for and its place among that token's
+/// numbers.
 pub fn for_each_number(buckets: &[Bucket; TOKENS], mut give: impl FnMut(u8, u32, u32)) {
     for (index, bucket) in buckets.iter().enumerate() {
         let (first, own) = (index as u32 * BUCKET, u32::from(bucket.own));
@@ -73,7 +75,7 @@ pub fn look_up(buckets: &[Bucket; TOKENS], number: u32) -> Slot {
     let index = (number / BUCKET) as usize % TOKENS;
     let bucket = &buckets[index];
     let place = number % BUCKET;
-    // Chosen without a branch: which it is is as good as random.
+    // Chosen without a branch, which would be unpredictable.
     let is_own = place < u32::from(bucket.own);
     let token = if is_own { index as u8 } else { bucket.other };
     let frequency = if is_own { bucket.own_frequency } else { bucket.other_frequency };

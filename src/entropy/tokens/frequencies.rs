@@ -1,4 +1,4 @@
-//! How often each token of a context comes, as shares of 4096.
+//! How often each token of a context occurs, as shares of 4096.
 
 use std::sync::LazyLock;
 
@@ -9,25 +9,25 @@ use crate::ground::error::{Error, Result};
 pub const SCALE_BITS: u32 = 12;
 /// The sum of the frequencies of a context.
 pub const SCALE: u32 = 1 << SCALE_BITS;
-/// Tokens that there are.
+/// Number of tokens.
 pub const TOKENS: usize = 256;
 
-/// The token that stands for those that have no frequency: which it is is told apart.
+/// The token that stands for all those without a frequency; which of them it is, is coded separately.
 pub const ESCAPE: u8 = u8::MAX;
 /// Logarithms of the frequencies; not of 0.
 static LOG2: LazyLock<Vec<f64>> =
     LazyLock::new(|| (0..=SCALE).map(|frequency| f64::from(frequency).log2()).collect());
 
-/// Bits, about, that an escape takes.
+/// Approximate cost of an escape, in bits.
 const ESCAPE_COST: f64 = 20.0;
 
-/// The frequency of each token: 0 to 4095, and 4096 together. None is certain, so that no stream gives
-/// tokens without end; [`ESCAPE`]'s is not 0, so that a table serves other tokens than it was made for.
+/// The frequency of each token: 0 to 4095, 4096 in all. No token is certain, so no stream yields tokens
+/// without end; the frequency of [`ESCAPE`] is not 0, so a table can code tokens that it was not made for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frequencies(pub [u16; TOKENS]);
 
 impl Frequencies {
-    /// The nearest to these counts, of which at least one is not 0.
+    /// The frequencies nearest to these counts, of which at least one is not 0.
     pub fn of(counts: &[u32; TOKENS]) -> Self {
         let total: u64 = counts.iter().map(|&count| u64::from(count)).sum::<u64>().max(1);
         let share = |count: u32| (u64::from(count) * u64::from(SCALE) / total) as u32;
@@ -35,13 +35,13 @@ impl Frequencies {
         let escape = usize::from(ESCAPE);
         frequencies[escape] = frequencies[escape].max(1);
         if counts[..escape].iter().all(|&count| count == 0) {
-            // Any other token, so that the escape is not certain.
+            // Some other token, so that the escape is not certain.
             frequencies[0] = 1;
         }
-        // What rounding leaves goes to, or comes from, the most frequent, where it matters least.
+        // What rounding leaves is added to, or taken from, the most frequent token, where it matters least.
         let mut sum: u32 = frequencies.iter().sum();
         while sum != SCALE {
-            // The last of equals.
+            // The last of several equal ones.
             let (mut largest, mut most) = (0, 0);
             for (token, &frequency) in frequencies.iter().enumerate() {
                 if frequency >= most {
@@ -55,7 +55,7 @@ impl Frequencies {
         Frequencies(frequencies.map(|frequency| frequency as u16))
     }
 
-    /// The bits, about, that these counts take.
+    /// Approximate number of bits that tokens with these counts take.
     pub fn cost(&self, counts: &[u32; TOKENS]) -> f64 {
         let taken = counts.iter().zip(&self.0).filter(|(count, _)| **count > 0);
         let cost = |frequency: u16| match frequency {
@@ -65,7 +65,7 @@ impl Frequencies {
         taken.map(|(&count, &frequency)| f64::from(count) * cost(frequency)).sum()
     }
 
-    /// The bits, roughly, that it takes to write the frequencies.
+    /// Rough estimate of the bits that it takes to write the frequencies.
     pub fn table_cost(&self) -> f64 {
         const HEAD: f64 = 10.0;
         const EACH: f64 = 5.0;
@@ -76,7 +76,7 @@ impl Frequencies {
 /// Codes the tables of a section.
 pub struct FrequencyModel {
     is_new: AdaptiveBit,
-    /// For each octave of the frequency before.
+    /// One model for each octave of the preceding frequency.
     frequencies: Vec<IntegerModel>,
 }
 
@@ -91,7 +91,7 @@ impl FrequencyModel {
     /// Codes the frequencies of a context if there are new ones.
     ///
     /// # Errors
-    /// If they do not make 4096.
+    /// If they do not add up to 4096.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, new: &mut Option<Frequencies>) -> Result<()> {
         if !self.is_new.code(coder, new.is_some()) {
             return Ok(());
@@ -112,7 +112,7 @@ impl FrequencyModel {
         if !(1..u64::from(SCALE)).contains(&left) {
             return Err(Error::corrupt("token frequencies: no token is certain"));
         }
-        // What they leave is the escape's.
+        // The rest is the escape's.
         frequencies[escape] = left as u16;
         Ok(())
     }

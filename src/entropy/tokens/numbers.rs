@@ -1,18 +1,18 @@
-//! Numbers as tokens: those below [`DIRECT`] are their own, others share one with those of the same octave
-//! and the same two bits behind the highest.
+//! Numbers as tokens: those below [`DIRECT`] have a token each, larger ones share one with all numbers of the
+//! same octave that agree in the two bits below the highest.
 
-/// Numbers that are tokens of their own.
+/// Numbers below this have a token of their own.
 const DIRECT: u64 = 32;
 const DIRECT_BITS: u32 = DIRECT.ilog2();
-/// Bits behind the highest that a token tells.
+/// Bits below the highest that a token determines.
 const MANTISSA_BITS: u32 = 2;
 /// The highest octave that any token stands for.
 const HIGHEST_OCTAVE: u32 = 59;
 
-/// A number's token and what it leaves open.
+/// A number's token and the bits that it leaves open.
 pub struct NumberToken {
     pub token: u8,
-    /// The least number of this token.
+    /// The least number with this token.
     pub base: u64,
     /// How many bits the token leaves open.
     pub low_bits: u32,
@@ -21,7 +21,7 @@ pub struct NumberToken {
 }
 
 impl NumberToken {
-    /// Of a number below 2^60.
+    /// The token of a number below 2^60.
     #[inline]
     pub fn of(value: u64) -> Self {
         if value < DIRECT {
@@ -39,7 +39,7 @@ impl NumberToken {
         }
     }
 
-    /// Of which only the token is known. Tokens that stand for no number count as the last that does.
+    /// A token alone, as a decoder knows it. Tokens that stand for no number count as the last one that does.
     #[inline]
     pub fn from_token(token: u8) -> Self {
         let value = u64::from(token);

@@ -9,32 +9,32 @@ use crate::entropy::{ArithmeticDecoder, BitCoder};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::read_unsigned;
 
-/// Reads tokens and plain bits. Behind the end of the bytes it reads zeros: any bytes decode to something.
+/// Reads tokens and plain bits. Past the end of the bytes it reads zeros, so any bytes decode to something.
 pub struct TokenReader<'a> {
     buckets: &'a [[Bucket; TOKENS]],
-    /// The one whose turn it is comes first.
+    /// The state whose turn it is comes first.
     states: [u32; STATES],
     escaped: std::slice::Iter<'a, u8>,
     words: &'a [[u8; 2]],
     bits: &'a [u8],
-    /// Bits read of these.
+    /// Number of plain bits already read.
     bits_read: u64,
     exhausted: bool,
     counts: Vec<Counts>,
-    /// Tokens that the payload can hold.
+    /// Tokens that the payload can still hold.
     left: u64,
 }
 
-/// The likeliest token takes 1.44 / 4096 bits, so a byte holds fewer than this many.
+/// The likeliest token takes 1.44 / 4096 bits, so a byte holds fewer tokens than this.
 const TOKENS_A_BYTE: u64 = 1 << 15;
-/// The states hold as many as so many bytes.
+/// The states hold as many tokens as this many bytes.
 const BYTES_OF_STATES: u64 = 16;
 
 impl<'a> TokenReader<'a> {
-    /// Starts at the first byte of a payload. Its tables are added to `tables`, of so many contexts.
+    /// Starts at the first byte of a payload. Its tables, for `contexts` contexts, are added to `tables`.
     ///
     /// # Errors
-    /// If the payload is cut short, or its tables are none.
+    /// If the payload is cut short, or its tables are invalid.
     pub fn new(mut payload: &'a [u8], contexts: usize, tables: &'a mut TokenTables) -> Result<Self> {
         let short = || Error::corrupt("tokens: cut short");
         let input = &mut payload;
@@ -64,7 +64,7 @@ impl<'a> TokenReader<'a> {
             bits_read: 0,
             exhausted: false,
             counts: vec![[0; TOKENS]; contexts],
-            left: (length as u64 + BYTES_OF_STATES).saturating_mul(TOKENS_A_BYTE),
+            left: (2 * length as u64 + BYTES_OF_STATES).saturating_mul(TOKENS_A_BYTE),
         };
         for place in 0..STATES {
             let low = reader.take_word(0, true);
@@ -73,12 +73,12 @@ impl<'a> TokenReader<'a> {
         Ok(reader)
     }
 
-    /// How often each token came in each context, for [`TokenTables::learn`].
+    /// How often each token occurred in each context, for [`TokenTables::learn`].
     pub fn into_counts(self) -> Vec<Counts> {
         self.counts
     }
 
-    /// The next word, if it is wanted; else `state` stays as it is.
+    /// Shifts the next word into `state` if it is wanted, else leaves `state` as it is.
     #[inline]
     fn take_word(&mut self, state: u32, wanted: bool) -> u32 {
         let next = self.words.first().map_or(0, |word| u32::from(u16::from_le_bytes(*word)));
@@ -86,7 +86,7 @@ impl<'a> TokenReader<'a> {
             Some(rest) => self.words = rest,
             None => self.exhausted = true,
         }
-        // No branch: whether one is wanted is as good as random.
+        // Without a branch, which would be unpredictable.
         if wanted { state << 16 | next } else { state }
     }
 
@@ -97,7 +97,7 @@ impl<'a> TokenReader<'a> {
         token.unwrap_or(0)
     }
 
-    /// The last bytes, from `at` on, as if zeros came after them.
+    /// The last bytes, from `at` on, as if zeros followed them.
     #[cold]
     fn last_bytes(&self, at: u64) -> u64 {
         let rest = usize::try_from(at).ok().and_then(|at| self.bits.get(at..)).unwrap_or_default();

@@ -1,25 +1,25 @@
-//! The tables of a section: one for each context. They live as long as a group and learn from each frame, so
-//! that only the first sends many.
+//! The tables of a section, one for each context. They live as long as a group and learn from each frame, so
+//! only the first frame has to send many.
 
 use super::alias::{Bucket, buckets, for_each_number};
 use super::frequencies::{Frequencies, SCALE, TOKENS};
 
-/// The tables of the contexts of a section.
+/// The tables of a section's contexts.
 #[derive(Clone, Default)]
 pub struct TokenTables {
-    /// The buckets of each context; all empty where there was no token yet.
+    /// The buckets of each context; all empty where no token has occurred yet.
     pub(super) buckets: Vec<[Bucket; TOKENS]>,
-    /// What the encoder needs besides; empty in a decoder.
+    /// What only the encoder needs; empty in a decoder.
     pub(super) encoders: Vec<Option<EncoderTable>>,
-    /// How often each token came, by context.
+    /// How often each token has occurred, by context.
     counts: Vec<Counts>,
     /// Frames learned from.
     frames: u32,
-    /// Whether they have started from what such tokens are like.
+    /// Whether the tables have been given their starting distribution.
     has_start: bool,
 }
 
-/// How often each token comes.
+/// How often each token occurs.
 pub type Counts = [u32; TOKENS];
 
 /// The inverse of the buckets.
@@ -27,7 +27,7 @@ pub type Counts = [u32; TOKENS];
 pub(super) struct EncoderTable {
     pub frequencies: Frequencies,
     shares: [Share; TOKENS],
-    /// The numbers, token after token.
+    /// The numbers of all tokens, token after token.
     numbers: Vec<u16>,
 }
 
@@ -36,13 +36,14 @@ pub(super) struct EncoderTable {
 pub(super) struct Share {
     /// 2^44 over the frequency, rounded up.
     reciprocal: u64,
-    /// How many there are; 0 if the token is told by [`ESCAPE`].
+    /// How many there are; 0 if the token is coded by way of [`ESCAPE`].
     frequency: u16,
     /// The first of them in the table.
     start: u16,
 }
 
-/// With so many bits, reciprocals of frequencies divide states below 2^20 frequencies exactly, in 64 bits.
+/// With this many bits, reciprocals of frequencies divide states below 2^20 times the frequency exactly, in
+/// 64 bits.
 const RECIPROCAL_BITS: u32 = 44;
 
 impl Share {
@@ -56,7 +57,7 @@ impl Share {
         u32::from(self.frequency)
     }
 
-    /// A state below 2^20 frequencies over the frequency: the quotient and what is left.
+    /// Divides a state below 2^20 times the frequency by the frequency: quotient and remainder.
     #[inline]
     pub fn divide(self, state: u32) -> (u32, u32) {
         let quotient = (u64::from(state) * self.reciprocal >> RECIPROCAL_BITS) as u32;
@@ -86,7 +87,7 @@ impl EncoderTable {
         self.shares[usize::from(token)]
     }
 
-    /// The number at a place among a token's.
+    /// The number at a place among those of a token.
     #[inline]
     pub fn number(&self, share: Share, place: u32) -> u32 {
         u32::from(self.numbers[usize::from(share.start) + place as usize])
@@ -94,7 +95,7 @@ impl EncoderTable {
 }
 
 impl TokenTables {
-    /// Makes room for so many contexts.
+    /// Makes room for `contexts` contexts.
     pub(super) fn grow(&mut self, contexts: usize) {
         if self.buckets.len() < contexts {
             self.buckets.resize(contexts, [Bucket::default(); TOKENS]);
@@ -102,10 +103,10 @@ impl TokenTables {
         }
     }
 
-    /// Lets each context start, once, from counts of what its tokens are like, before any has come. They soon count
-    /// little.
+    /// Initialises each context, once, from the counts that are typical of its tokens, before any has
+    /// occurred. Their influence soon fades.
     pub fn start_from(&mut self, counts: &[Counts], encodes: bool) {
-        /// The part that the counts count among those of tokens that have come.
+        /// The share that the initial counts have among those of tokens that have occurred.
         const SHARE: u32 = 32;
         if !std::mem::replace(&mut self.has_start, true) {
             self.grow(counts.len());
@@ -121,8 +122,8 @@ impl TokenTables {
         self.learn(counts, false);
     }
 
-    /// Learns from the tokens of a frame. New tables are made after 1, 2, 4, 8 ... frames: later ones would
-    /// differ little.
+    /// Learns from the tokens of a frame. New tables are made after 1, 2, 4, 8 ... frames, as later ones
+    /// would hardly differ.
     pub(super) fn learn(&mut self, counts: &[Counts], encodes: bool) {
         for (known, new) in self.counts.iter_mut().zip(counts) {
             known.iter_mut().zip(new).for_each(|(known, new)| *known = known.saturating_add(*new));
@@ -137,7 +138,7 @@ impl TokenTables {
         }
     }
 
-    /// Takes a new table for a context.
+    /// Installs a new table for a context.
     pub(super) fn set(&mut self, context: usize, frequencies: Frequencies, encodes: bool) {
         self.buckets[context] = buckets(&frequencies);
         if encodes {

@@ -110,3 +110,19 @@ fn reciprocals_divide_exactly() {
         }
     }
 }
+
+/// The likeliest token takes so few bits that a word holds more than 2^15 of them.
+#[test]
+fn many_tokens_in_few_words_come_back() {
+    let tokens = |place: usize| if place % 4100 == 0 { 1u8 } else { 0 };
+    let (mut written, mut read) = (TokenTables::default(), TokenTables::default());
+    let mut writer = TokenWriter::new(1);
+    let count = 20_000_000;
+    for place in 0..count {
+        writer.token(0, tokens(place));
+    }
+    let payload = writer.finish(&mut written).unwrap();
+    let mut reader = TokenReader::new(&payload, 1, &mut read).unwrap();
+    assert!((0..count).all(|place| reader.token(0, 0) == tokens(place)));
+    assert!(!reader.is_exhausted());
+}

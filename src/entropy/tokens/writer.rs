@@ -7,24 +7,24 @@ use crate::entropy::ArithmeticEncoder;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::write_unsigned;
 
-/// The least value of a state: those below take in 16 bits.
+/// The least value of a state: smaller ones read 16 more bits.
 pub(super) const LEAST_STATE: u32 = 1 << 16;
-/// States take turns, token by token: one works while the other waits.
+/// Number of states. They take turns, token by token, so that one can work while the other waits.
 pub(super) const STATES: usize = 2;
 
 /// Collects tokens and plain bits.
 pub struct TokenWriter {
-    /// Each with its context above the lowest eight bits.
+    /// Each token in the lowest eight bits, its context above.
     tokens: Vec<u32>,
     counts: Vec<[u32; TOKENS]>,
     bits: Vec<u8>,
-    /// Bits not written yet, and how many.
+    /// Bits not yet written, and their number.
     open: u64,
     open_bits: u32,
 }
 
 impl TokenWriter {
-    /// For so many contexts.
+    /// Creates a writer for `contexts` contexts.
     pub fn new(contexts: usize) -> Self {
         TokenWriter {
             tokens: Vec::new(),
@@ -38,7 +38,7 @@ impl TokenWriter {
     /// The payload of the section. Its tables are added to `tables`, which learn from the tokens.
     ///
     /// # Errors
-    /// None; but the tables' coder could tell of some.
+    /// None of its own; but the coder of the tables could return some.
     pub fn finish(mut self, tables: &mut TokenTables) -> Result<Vec<u8>> {
         let mut payload = Vec::new();
         let frequencies = self.write_tables(tables)?;
@@ -55,7 +55,7 @@ impl TokenWriter {
         Ok(payload)
     }
 
-    /// New tables where they save more than they take.
+    /// Writes new tables where they save more than they cost.
     fn write_tables(&self, tables: &mut TokenTables) -> Result<Vec<u8>> {
         let (mut coder, mut model) = (ArithmeticEncoder::default(), FrequencyModel::default());
         tables.grow(self.counts.len());
@@ -75,12 +75,12 @@ impl TokenWriter {
         Ok(coder.finish())
     }
 
-    /// The tokens, in 16-bit words: the states that the decoder starts with, then what it takes in. And those
-    /// that are escaped.
+    /// The tokens as 16-bit words (the decoder's initial states, then what it reads), and the tokens that are
+    /// escaped.
     fn words(&self, tables: &TokenTables) -> Result<(Vec<u16>, Vec<u8>)> {
         let mut escaped = Vec::new();
         let mut states = [LEAST_STATE; STATES];
-        // Filled from the end: a decoder takes them the other way round.
+        // Filled from the end, because a decoder reads them in reverse.
         let mut words = vec![0; self.tokens.len() + 2 * STATES];
         let mut first = words.len();
         for (index, &tagged) in self.tokens.iter().enumerate().rev() {
@@ -93,7 +93,7 @@ impl TokenWriter {
                 share = table.share(ESCAPE);
             }
             let state = &mut states[index % STATES];
-            // No branch: whether a word goes out is as good as random.
+            // Without a branch, which would be unpredictable.
             words[first - 1] = *state as u16;
             let is_full = *state >> (32 - SCALE_BITS) >= share.frequency();
             first -= usize::from(is_full);

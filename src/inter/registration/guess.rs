@@ -1,24 +1,24 @@
-//! Where to start if nothing is known of the motion: a car that drives ahead, at any speed, in a bend or not.
+//! Where to start if nothing is known of the motion: a car drives ahead at any speed, straight or in a bend.
 
 use super::pose::Pose;
 use super::projective::Aim;
 use super::surface::Surfel;
 
-/// Metres from frame to frame: up to 45 m/s, ten frames a second, and backwards.
+/// Metres between frames: up to 45 m/s at ten frames a second, and backwards.
 const STEP: f64 = 0.5;
 const FORWARD: i32 = 9;
 const BACKWARD: i32 = 2;
-/// Radians from frame to frame.
+/// Radians between frames.
 const TURN: f64 = 0.025;
 const TURNS: i32 = 2;
-/// Metres within which a surfel counts.
+/// A surfel counts if it is within this many metres of what is seen in its place.
 const REACH: f64 = 0.4;
-/// Surfels that are looked at.
+/// Number of surfels that are looked at.
 const FEW: usize = 1000;
-/// Starts that are worth a try.
+/// Number of starts that are worth trying.
 const BEST: usize = 3;
 
-/// The motions, of many, under which the most surfels are near what is seen in their place.
+/// Of many motions, those under which the most surfels are near what is seen in their place.
 pub fn starts(aim: &Aim, surfels: &[Surfel]) -> Vec<Pose> {
     let few: Vec<Surfel> = super::evenly(surfels, FEW).copied().collect();
     let mut starts = Vec::new();

@@ -1,5 +1,5 @@
-//! The article's registration: iterative closest point (equation 8, the same weight for all), each return
-//! of the current frame paired with the nearest of the reference.
+//! The article's registration: iterative closest point (equation 8, with equal weights), each return of the
+//! current frame paired with the nearest point of the reference.
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::{Matrix3, Vector3};
@@ -8,14 +8,14 @@ use super::pose::RigidMotion;
 use super::surface::Surfel;
 use super::{Step, small_step};
 
-/// The points of the reference, to be searched.
+/// The points of the reference, indexed for nearest-neighbour search.
 pub struct NearestPoints {
     points: Vec<[f64; 3]>,
     tree: ImmutableKdTree<f64, 3>,
 }
 
 impl NearestPoints {
-    /// Of some surfels of the reference. None if there are none.
+    /// Indexes some surfels of the reference. `None` if there are none.
     pub fn of<'a>(surfels: impl Iterator<Item = &'a Surfel>) -> Option<Self> {
         let points: Vec<_> = surfels.map(|surfel| surfel.position).collect();
         if points.is_empty() {
@@ -25,8 +25,8 @@ impl NearestPoints {
         Some(NearestPoints { points, tree })
     }
 
-    /// One step: the motion, after `motion`, that brings pairs closest together (Kabsch). None if there are
-    /// too few.
+    /// One step: the motion, composed with `motion`, that brings the pairs closest together (Kabsch). `None`
+    /// if there are too few pairs.
     pub fn step(&self, current: &[[f64; 3]], motion: &RigidMotion, reach: f64) -> Option<Step> {
         let back = motion.inverse();
         let mut pairs = Vec::new();

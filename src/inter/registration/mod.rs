@@ -1,4 +1,4 @@
-//! The motion of the scanner from one frame to the next (article, V-A and V-B). Only the encoder looks for
+//! The motion of the scanner from one frame to the next (article, V-A and V-B). Only the encoder estimates
 //! it; both sides apply it.
 
 mod guess;
@@ -17,32 +17,33 @@ use crate::scanner::RangeImage;
 use icp::NearestPoints;
 use projective::Aim;
 
-/// What is compared.
+/// What registration compares.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RegistrationMethod {
-    /// Planes of the reference with the returns that are seen in their place. On real drives five times as
-    /// fast as the other, and closer.
+    /// Planes of the reference with the returns seen in their place. On real drives five times as fast as the
+    /// other, and more accurate.
     #[default]
     Projective,
-    /// Points with the nearest points: the article's ICP.
+    /// Points with their nearest points: the article's ICP.
     Icp,
 }
 
-/// How a motion is looked for.
+/// How a motion is estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RegistrationConfig {
     /// What is compared. Default: projective.
     pub method: RegistrationMethod,
-    /// Surfels or points that are compared, at most, taken evenly. Default 6000.
+    /// The most surfels or points that are compared, sampled evenly. Default 6000.
     pub most_points: usize,
-    /// Steps, at most. Default 25.
+    /// The most iterations. Default 25.
     pub most_iterations: usize,
-    /// Metres: what is further off than this does not count, at first and at last. Default 2 and 0.15.
+    /// Distance in metres beyond which a pair does not count, in the first and in the last iteration. Default
+    /// 2 and 0.15.
     pub reach_m: [f64; 2],
-    /// Converged once a step moves by less than this in metres, and turns by less in tenths of a radian.
-    /// Default 0.0005.
+    /// Converged once an iteration moves by less than this in metres, and rotates by less than this in tenths
+    /// of a radian. Default 0.0005.
     pub precision_m: f64,
-    /// The part of the points that must agree in the end. Default 0.25.
+    /// The share of the points that must agree in the end. Default 0.25.
     pub least_overlap: f64,
 }
 
@@ -79,30 +80,30 @@ impl RegistrationConfig {
     }
 }
 
-/// With this fit no other start is tried.
+/// If the fit is this good, no other start is tried.
 const CERTAIN_FIT: f64 = 0.6;
 
-/// A motion that was found.
+/// An estimated motion.
 #[derive(Clone, Copy, Debug)]
 pub struct Registration {
-    /// From the reference to the current frame.
+    /// The motion from the reference to the current frame.
     pub pose: Pose,
-    /// The part of the points that agree.
+    /// The share of the points that agree.
     pub overlap: f64,
-    /// The same, but points count the less the further off they are.
+    /// The same, with points weighted less the farther off they are.
     pub fit: f64,
-    /// Root mean square distance of those, in metres.
+    /// Root mean square distance of the points that agree, in metres.
     pub rmse_m: f64,
-    /// Steps taken.
+    /// Number of iterations.
     pub iterations: usize,
 }
 
-/// A step towards the motion.
+/// One iteration.
 struct Step {
     motion: RigidMotion,
-    /// Metres, and tenths of a radian.
+    /// Length of the motion, in metres and tenths of a radian.
     length: f64,
-    /// Points within reach.
+    /// Number of points within reach.
     agreeing: usize,
     /// The sum of their weights.
     weights: f64,
@@ -110,15 +111,15 @@ struct Step {
     squares: f64,
 }
 
-/// A step, if it is one.
+/// The iteration by this motion; `None` if it is no valid motion.
 fn small_step(motion: RigidMotion, agreeing: usize, weights: f64, squares: f64) -> Option<Step> {
     let pose = motion.pose();
     let length = dot(pose.translation, pose.translation).sqrt() + 10.0 * pose.angle();
     length.is_finite().then_some(Step { motion, length, agreeing, weights, squares })
 }
 
-/// Finds the motion that takes the surface to where `current` shows it, starting at `initial`. None if
-/// there is too little to compare, or it does not fit.
+/// Finds the motion that takes the surface to where `current` shows it, starting from `initial`. `None` if
+/// there is too little to compare, or if it does not fit.
 pub fn register(
     reference: &Surface,
     current: &RangeImage,
@@ -142,7 +143,7 @@ pub fn register(
             all.max_by(|a, b| a.fit.total_cmp(&b.fit))
         }
         RegistrationMethod::Icp => {
-            /// Points of the reference for each of the current frame.
+            /// Points of the reference for each point of the current frame.
             const DENSITY: usize = 4;
             let most = config.most_points.saturating_mul(DENSITY);
             let points = NearestPoints::of(evenly(&reference.surfels, most))?;
@@ -154,7 +155,7 @@ pub fn register(
     }
 }
 
-/// Takes steps until they are small. What counts gets narrower with each.
+/// Iterates until the steps are small. The reach shrinks with each.
 fn approach(
     config: &RegistrationConfig,
     initial: &Pose,
@@ -179,7 +180,7 @@ fn approach(
     None
 }
 
-/// At most so many of them, evenly taken.
+/// At most `most` of them, sampled evenly.
 fn evenly<T>(all: &[T], most: usize) -> impl Iterator<Item = &T> {
     all.iter().step_by(all.len().div_ceil(most.max(1)).max(1))
 }

@@ -1,20 +1,20 @@
-//! Rigid motions, and how they stand in the stream.
+//! Rigid motions, and their form in the stream.
 
-/// Radians of a unit of a quantised angle: 0.8 mm at 100 m.
+/// The unit of quantised angles, in radians: 0.8 mm at 100 m.
 const ANGLE_UNIT: f64 = 1.0 / (1 << 17) as f64;
-/// Metres of a unit of a quantised length.
+/// The unit of quantised lengths, in metres.
 const LENGTH_UNIT: f64 = 1.0 / (1 << 12) as f64;
-/// Quantised values are at most this: 64 rad, or 2 km.
+/// The largest magnitude of quantised values: 64 rad, or 2 km.
 const LARGEST: f64 = (1 << 23) as f64;
 
-/// A rigid motion as the article has it (equation 9): p' = R_yaw R_pitch R_roll p + C.
+/// A rigid motion as in the article (equation 9): p' = R_yaw R_pitch R_roll p + C.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pose {
-    /// Turns about z, y and x, in radians.
+    /// Rotation about z, in radians.
     pub yaw: f64,
-    /// About y.
+    /// Rotation about y, in radians.
     pub pitch: f64,
-    /// About x.
+    /// Rotation about x, in radians.
     pub roll: f64,
     /// C, in metres.
     pub translation: [f64; 3],
@@ -27,7 +27,7 @@ pub struct QuantisedPose {
     pub values: [i32; 6],
 }
 
-/// A rigid motion ready to be applied.
+/// A rigid motion, ready to be applied.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidMotion {
     /// R, row by row.
@@ -37,14 +37,14 @@ pub struct RigidMotion {
 }
 
 impl Default for RigidMotion {
-    /// None.
+    /// No motion.
     fn default() -> Self {
         Pose::default().motion()
     }
 }
 
 impl Pose {
-    /// The nearest pose that the stream can hold. None if it is beyond all reason.
+    /// The nearest pose that the stream can represent. `None` if it is too large.
     pub fn quantise(&self) -> Option<QuantisedPose> {
         let [x, y, z] = self.translation;
         let [yaw, pitch, roll] = [self.yaw, self.pitch, self.roll].map(|angle| angle / ANGLE_UNIT);
@@ -54,7 +54,7 @@ impl Pose {
         within.then(|| QuantisedPose { values: values.map(|value| value as i32) })
     }
 
-    /// The motion. The same on every platform.
+    /// The motion of this pose; the same on every platform.
     pub fn motion(&self) -> RigidMotion {
         let [(sy, cy), (sp, cp), (sr, cr)] =
             [self.yaw, self.pitch, self.roll].map(|angle| (libm::sin(angle), libm::cos(angle)));
@@ -68,14 +68,14 @@ impl Pose {
         }
     }
 
-    /// The turn, in radians; for small angles.
+    /// The angle of the rotation, in radians; for small angles.
     pub fn angle(&self) -> f64 {
         (self.yaw * self.yaw + self.pitch * self.pitch + self.roll * self.roll).sqrt()
     }
 }
 
 impl QuantisedPose {
-    /// The pose.
+    /// The pose in radians and metres.
     pub fn pose(&self) -> Pose {
         let [yaw, pitch, roll, x, y, z] = self.values.map(f64::from);
         Pose {
@@ -88,20 +88,20 @@ impl QuantisedPose {
 }
 
 impl RigidMotion {
-    /// Where a point goes.
+    /// Moves a point.
     #[inline]
     pub fn apply(&self, point: [f64; 3]) -> [f64; 3] {
         let turned = self.turn(point);
         std::array::from_fn(|i| turned[i] + self.translation[i])
     }
 
-    /// Which way a direction turns.
+    /// Rotates a direction.
     #[inline]
     pub fn turn(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         self.rotation.map(|[a, b, c]| a * x + b * y + c * z)
     }
 
-    /// Its angles.
+    /// The angles and the translation of this motion.
     pub fn pose(&self) -> Pose {
         let r = &self.rotation;
         Pose {
@@ -112,7 +112,7 @@ impl RigidMotion {
         }
     }
 
-    /// This motion, then another.
+    /// This motion, followed by another.
     pub fn then(&self, next: &RigidMotion) -> RigidMotion {
         let column = |j: usize| next.turn([self.rotation[0][j], self.rotation[1][j], self.rotation[2][j]]);
         let columns = [column(0), column(1), column(2)];
@@ -122,7 +122,7 @@ impl RigidMotion {
         }
     }
 
-    /// The way back.
+    /// The inverse motion.
     pub fn inverse(&self) -> RigidMotion {
         let r = &self.rotation;
         let rotation: [[f64; 3]; 3] = std::array::from_fn(|i| std::array::from_fn(|j| r[j][i]));

@@ -1,7 +1,7 @@
-//! Registration by projection: each surfel of the reference is compared with the return that the
-//! current image has where it would be seen. No search for neighbours is needed; the distance is that
-//! of a point to a plane, and what does not fit counts little (equation 8, with an information
-//! matrix along the normal).
+//! Projective registration: each surfel of the reference is compared with the return at the place in the
+//! current image where the surfel would be seen, which takes no search for neighbours. The distance is that
+//! of a point to a plane, and outliers have little weight (equation 8, with an information matrix along the
+//! normal).
 
 use std::f64::consts::PI;
 
@@ -13,7 +13,7 @@ use super::{Step, evenly, small_step};
 use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
 
-/// The current image, as surfels are compared with it.
+/// The current image, to which surfels are compared.
 pub struct Aim<'a> {
     sensor: &'a Hdl64,
     current: &'a RangeImage,
@@ -21,12 +21,13 @@ pub struct Aim<'a> {
 }
 
 impl<'a> Aim<'a> {
-    /// At this image.
+    /// Prepares an image.
     pub fn at(sensor: &'a Hdl64, current: &'a RangeImage) -> Self {
         Aim { sensor, current, column_of_tick: columns_by_tick(&current.columns, sensor.ticks) }
     }
 
-    /// One step of Gauss-Newton with Tukey's weights, after `motion`. None if the surfels say nothing.
+    /// One Gauss-Newton step with Tukey's weights, composed with `motion`. `None` if the surfels do not
+    /// determine one.
     pub fn step(&self, surfels: &[Surfel], motion: &RigidMotion, reach: f64) -> Option<Step> {
         let (mut normal, mut right) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
         let (mut agreeing, mut weights, mut squares) = (0, 0.0, 0.0);
@@ -49,7 +50,7 @@ impl<'a> Aim<'a> {
             normal.ger(weight, &gradient, &gradient, 1.0);
             right.axpy(weight * off, &gradient, 1.0);
         }
-        // A hair of damping, or a tunnel without features has no answer.
+        // Slight damping, without which a tunnel without features has no solution.
         let damping = 1e-6 * normal.trace();
         let solution = (normal + Matrix6::identity() * damping).cholesky()?.solve(&right);
         let [roll, pitch, yaw, x, y, z] = solution.into();
@@ -57,7 +58,7 @@ impl<'a> Aim<'a> {
         small_step(step.motion(), agreeing, weights, squares)
     }
 
-    /// The return that the current image has where a point would be seen.
+    /// The return of the current image at the place where a point would be seen.
     fn seen(&self, row: usize, position: [f64; 3]) -> Option<[f64; 3]> {
         let sighting = self.sensor.locate(row, position)?;
         let column = self.column_of_tick[sighting.column_tick as usize]? as usize;
@@ -67,11 +68,12 @@ impl<'a> Aim<'a> {
     }
 }
 
-/// Ways that surfaces face: up or down, and so many parts of a half turn.
+/// Classes of orientation: up or down, and equal parts of a half turn.
 const WAYS: usize = 13;
 
-/// At most so many surfels with a normal, as many of each way to face if there are. Otherwise the ground and
-/// the walls of a street, which say nothing of how far one has come along it, outvote all else.
+/// At most `most` surfels with a normal, as evenly distributed over the orientations as possible. Otherwise
+/// the ground and the walls of a street, which do not tell how far the scanner has come along it, outvote all
+/// else.
 pub fn sample(surface: &Surface, most: usize) -> Vec<Surfel> {
     let mut by_way: [Vec<Surfel>; WAYS] = Default::default();
     for surfel in surface.surfels.iter().filter(|surfel| surfel.normal != [0.0; 3]) {
@@ -95,7 +97,7 @@ fn way([x, y, z]: [f64; 3]) -> usize {
     1 + (part as usize).min(WAYS - 2)
 }
 
-/// The nearest column of each tick, up to one tick away.
+/// The nearest column of each tick, at most one tick away.
 pub fn columns_by_tick(columns: &[u32], ticks: u32) -> Vec<Option<u32>> {
     let mut of_tick = vec![None; ticks as usize];
     for (column, &tick) in (0..).zip(columns) {

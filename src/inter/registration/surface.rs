@@ -1,5 +1,5 @@
-//! The surfaces that a range image shows: for each return where it is, and which way the surface
-//! faces there.
+//! The surfaces that a range image shows: the position of each return, and the orientation of the surface
+//! there.
 
 use crate::ground::grid::Grid;
 use crate::scanner::Alignment;
@@ -8,34 +8,34 @@ use crate::scanner::Hdl64;
 /// A return and the surface around it.
 #[derive(Clone, Copy, Debug)]
 pub struct Surfel {
-    /// Metres.
+    /// Position in metres.
     pub position: [f64; 3],
-    /// At right angles to the surface, of any length; zero if it is not known.
+    /// Perpendicular to the surface, of any length; zero if unknown.
     pub normal: [f64; 3],
-    /// Its row and column.
+    /// Its row and column in the image.
     pub cell: (u32, u32),
 }
 
 /// The surfels of an image, row by row.
 #[derive(Clone, Debug, Default)]
 pub struct Surface {
-    /// Those of all returns.
+    /// The surfels of all returns.
     pub surfels: Vec<Surfel>,
 }
 
-/// Neighbours in a row are of one surface if their ranges differ by less than the sum of this, in
-/// metres, and this part of the range.
+/// Neighbours in a row belong to one surface if their ranges differ by less than the sum of this, in metres,
+/// and this share of the range.
 const ROW_GAP: f64 = 0.2;
 const ROW_GAP_SHARE: f64 = 0.03;
-/// The same for neighbours in a column: on the ground they are far apart.
+/// The same for neighbours in a column, which are far apart on the ground.
 const COLUMN_GAP: f64 = 0.3;
 const COLUMN_GAP_SHARE: f64 = 0.15;
-/// Columns between the neighbours in a row that give its slope: over more, noise matters less.
+/// Columns to the neighbours in a row that give its slope: over a longer distance, noise matters less.
 const ROW_REACH: isize = 2;
 
 impl Surface {
-    /// Of the ranges `steps` (rows x columns, 0 = no return) at these column ticks. The same on every
-    /// platform.
+    /// The surfaces of the ranges `steps` (rows x columns, 0 = no return) at these column ticks; the same on
+    /// every platform.
     pub fn of(sensor: &Hdl64, columns: &[u32], steps: &Grid<u32>) -> Self {
         let alignment = Alignment::of(sensor, columns.len());
         let mut positions = Grid::new(steps.rows(), steps.columns());
@@ -116,7 +116,7 @@ impl Image<'_> {
         }
     }
 
-    /// How far off the range is, and the position, if there is a return of the same surface.
+    /// The position of a cell's return and the difference of the ranges, if it belongs to the same surface.
     fn near(&self, cell: (usize, usize), range: f64, gap: f64) -> Option<(f64, [f64; 3])> {
         let steps = self.steps[cell];
         let off = (self.sensor.metres(steps) - range).abs();

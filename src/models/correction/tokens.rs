@@ -1,19 +1,19 @@
-//! What the formula's coordinates miss the file's by, in units of their grid: how many points need no
-//! correction, and then those of the one that does.
+//! The corrections as tokens: the number of points that need none, then the correction of the one that does,
+//! in units of the grid.
 
 use crate::entropy::TokenCoder;
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scan::squared_distance;
 use crate::scanner::Coordinates;
 
-/// The context of the number of points without corrections; the axes' come after it.
+/// The context of the number of points without corrections; those of the axes follow.
 const GAP: usize = 0;
-/// Contexts of a correction.
+/// Number of contexts of a correction.
 pub const CORRECTION_CONTEXTS: usize = 4;
 
-/// Corrects positions, which are on a grid (metres), given where each is by the formula. The encoder's are
-/// brought to what is `wanted` where they are not that and, if an error is allowed, farther than so many metres
-/// from it.
+/// Corrects positions, which lie on a grid (metres), given the formula's positions. The encoder replaces a
+/// position by the one `wanted` if they differ and, where an error is allowed, only if they are farther apart
+/// than that.
 pub fn correct_positions<C: TokenCoder>(
     coder: &mut C,
     grid: Coordinates,
@@ -27,7 +27,7 @@ pub fn correct_positions<C: TokenCoder>(
     };
     let (mut next, end) = (0, positions.len());
     loop {
-        // A decoder wants nothing, and is told.
+        // In a decoder `wanted` is empty, and the number comes from the stream.
         let known = wanted.iter().zip(&*positions).skip(next);
         let gap = known.take_while(|(wanted, position)| !is_corrected(wanted, position)).count();
         let gap = coder.number(GAP, gap as u64).min((end - next) as u64) as usize;

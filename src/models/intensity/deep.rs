@@ -1,9 +1,9 @@
-//! Levels by many views of what is around them, in lines of counters by hash, and a least-squares fit,
-//! mixed in two layers.
+//! Intensity levels coded from many views of their surroundings, with hashed lines of counters, and a
+//! least-squares fit, mixed in two layers.
 //!
-//! Beams answer differently: a level that one gives often another never gives, and the same surface may
-//! get one of several levels, as the laser's power changes. Such things are learned by views of exact
-//! levels together with the beam.
+//! Beams respond differently: a level that one beam gives often another never gives, and the same surface may
+//! get one of several levels, as the laser's power changes. Views of exact levels together with the beam
+//! learn this.
 
 mod fit;
 mod surroundings;
@@ -24,21 +24,21 @@ use surroundings::Surroundings;
 use views::VIEWS;
 use zero::ZeroModel;
 
-/// Those of the views, the fit's, and one that is always the same.
+/// The opinions of the views, that of the fit, and a constant one.
 const OPINIONS: usize = 16;
 const CONSTANT: f32 = 0.25;
-/// For each view, as many lines of 32 bytes, as a power of two: about as many as a frame has values.
+/// The lines of 32 bytes for each view, as a power of two: about as many as a frame has values.
 const INDEX_BITS: RangeInclusive<u32> = 8..=16;
 const RATES: MixRates = MixRates { first: 0.0045, last: 0.0005 };
-/// Places in the tree of a level's bits.
+/// Nodes of the tree of a level's bits.
 const NODES: usize = 1 << MOST_BITS;
-/// Levels of the error to expect, and of the gradient around.
+/// Classes of the expected error, and of the gradient around.
 const ERROR_LEVELS: usize = 12;
-/// Two levels of neighbours in steps of four.
+/// The levels of two neighbours, in steps of four.
 const PAIRS: usize = 32 * 32;
 const BITS: usize = MOST_BITS as usize;
 
-/// What the coder has learned about levels.
+/// What the coder has learned about intensity levels.
 #[derive(Clone)]
 pub struct DeepLevels {
     zero: ZeroModel,
@@ -70,8 +70,8 @@ impl Default for DeepLevels {
 }
 
 impl DeepLevels {
-    /// Begins a frame, or its strays, with `columns` columns and so many values. If they are too many for the room
-    /// that there is, there is more from here on, which is empty.
+    /// Starts a frame, or its strays, with `columns` columns and `values` values. If these are too many for
+    /// the present tables, larger ones, which are empty, replace them.
     pub fn start_frame(&mut self, columns: usize, values: usize) {
         self.errors.start_frame(columns);
         let wanted = values.max(1).ilog2().clamp(*INDEX_BITS.start(), *INDEX_BITS.end());
@@ -80,12 +80,12 @@ impl DeepLevels {
         }
     }
 
-    /// Begins a row.
+    /// Starts a row.
     pub fn start_row(&mut self) {
         self.errors.start_row();
     }
 
-    /// Codes one level. `row` and `column` only serve as contexts.
+    /// Codes one level. `row` and `column` serve only as contexts.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -117,7 +117,7 @@ impl DeepLevels {
         level
     }
 
-    /// Codes a level's bits, from the highest on.
+    /// Codes the bits of a level, from the highest down.
     fn code_bits<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -137,7 +137,7 @@ impl DeepLevels {
                 view += 1;
                 counters.line(candidates[view - 1])
             });
-            // The place among the lines' levels of the tree.
+            // The node within the levels of the tree that a line serves.
             let mut place = 1;
             for _ in 0..left.min(LINE_LEVELS) {
                 left -= 1;
@@ -158,18 +158,18 @@ impl DeepLevels {
     }
 }
 
-/// A level to be coded.
+/// An intensity to be coded.
 struct Site {
-    /// Of each view's context.
+    /// The hash of each view's context.
     hashes: [u32; VIEWS],
-    /// 1 if an earlier frame has anything here.
+    /// 1 if an earlier frame has a return here.
     has_reference: usize,
     pair: usize,
     uncertainty: usize,
 }
 
 impl Site {
-    /// Where the mixer looks at a place in the tree, with `below` bits to come after this one.
+    /// The mixer's contexts at a node of the tree, with `below` bits still to come after this one.
     fn mix_contexts(&self, node: usize, below: u32) -> MixContexts<2> {
         MixContexts {
             sets: [node + NODES * self.has_reference, self.pair * BITS + below as usize],

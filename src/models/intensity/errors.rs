@@ -1,6 +1,6 @@
-//! How wrong the predictions around a return were.
+//! The errors of the predictions around a return.
 
-/// What is assumed of returns that have not been coded, in context levels.
+/// The error assumed where nothing has been coded yet, in context levels.
 const TYPICAL_ERROR: f32 = 4.0;
 
 /// The mean errors along the row, and down each column, in context levels.
@@ -17,19 +17,19 @@ impl Default for MeanErrors {
 }
 
 impl MeanErrors {
-    /// Begins a frame with `columns` columns.
+    /// Starts a frame with `columns` columns.
     pub fn start_frame(&mut self, columns: usize) {
         self.start_row();
         self.above.clear();
         self.above.resize(columns, TYPICAL_ERROR);
     }
 
-    /// Begins a row.
+    /// Starts a row.
     pub fn start_row(&mut self) {
         self.mean = TYPICAL_ERROR;
     }
 
-    /// What to expect in a column.
+    /// The expected error in a column.
     #[inline]
     pub fn expected(&self, column: usize) -> f32 {
         self.mean + 0.5 * self.above[column]

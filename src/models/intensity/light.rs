@@ -1,28 +1,29 @@
-//! Levels by two views of the levels before and one of the reference, mixed: the quickest of adaptive models.
+//! Intensity levels from two views of the levels before and one of the reference, mixed: the fastest of the
+//! adaptive models.
 
 use super::neighbours::{IntensityNeighbours, TYPICAL_LEVEL};
 use super::scale::{IntensityScale, MOST_BITS};
 use crate::entropy::{BitCoder, Counter, Logistic};
 
-/// Contexts of each view, which it shares by hashing.
+/// Slots of each view, as a power of two: contexts share them by hashing.
 const SLOT_BITS: u32 = 13;
-/// Beams beyond this many share their contexts.
+/// Beams from this number on share their contexts.
 const ROWS: usize = 128;
-/// The weights that two opinions and three start with: several know more than one, but much of it is the same.
+/// Initial weights of two opinions, and of three: several know more than one, but much of it is the same.
 const OF_TWO: f32 = 0.55;
 const OF_THREE: f32 = 0.45;
-/// How fast weights learn.
+/// The learning rate of the weights.
 const RATE: f32 = 0.005;
-/// Places in the tree of a level's bits.
+/// Nodes of the tree of a level's bits.
 const NODES: usize = 1 << MOST_BITS;
 
-/// What the coder has learned about levels.
+/// What the coder has learned about intensity levels.
 #[derive(Clone)]
 pub struct LightLevels {
-    /// Of each view, for each slot a counter for each place in the tree of a level's bits.
+    /// For each view and slot, one counter for each node of the tree of a level's bits.
     views: [Vec<Counter>; 2],
     weights: Vec<[f32; 2]>,
-    /// The view of the reference, once there was one, and the weights of all three.
+    /// The view of the reference, once there was one, and the weights of all three views.
     reference: Vec<Counter>,
     reference_weights: Vec<[f32; 3]>,
     tables: &'static Logistic,
@@ -41,14 +42,14 @@ impl Default for LightLevels {
 }
 
 impl LightLevels {
-    /// Begins a frame, or its strays.
+    /// Starts a frame, or its strays.
     pub fn start_frame(&mut self, scale: &IntensityScale) {
         if scale.is_on_grid() {
             self.views.iter_mut().for_each(|view| grow(view, scale));
         }
     }
 
-    /// Codes one level. `row` only serves as a context.
+    /// Codes one level. `row` serves only as a context.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -95,17 +96,17 @@ fn grow(view: &mut Vec<Counter>, scale: &IntensityScale) {
     }
 }
 
-/// Asks for the counters of a slot all at once. A decoder knows which it needs bit by bit, and would wait for memory as
-/// often.
+/// Prefetches all counters of a slot at once. A decoder learns bit by bit which of them it needs, and would
+/// otherwise wait for memory each time.
 #[inline(always)]
 fn touch(slot: &[Counter]) {
-    /// Counters of a cache line.
+    /// Counters in a cache line.
     const LINE: usize = 16;
     let lines = slot.iter().step_by(LINE);
     std::hint::black_box(lines.fold(0, |all, counter| all ^ counter.bits()));
 }
 
-/// Codes the bits of a level, the highest first, by what codes one at a node of their tree.
+/// Codes the bits of a level, from the highest down; `code` codes the bit at a node of their tree.
 #[inline(always)]
 fn code_bits(bits: u32, level: u32, mut code: impl FnMut(bool, usize) -> bool) -> u32 {
     let mut node = 1;
@@ -115,7 +116,7 @@ fn code_bits(bits: u32, level: u32, mut code: impl FnMut(bool, usize) -> bool) -
     node as u32 - (1 << bits)
 }
 
-/// Codes a bit by the weighed sum of some opinions; counters and weights learn from it.
+/// Codes a bit by the weighted sum of some opinions; counters and weights learn from it.
 #[inline(always)]
 fn mix<C: BitCoder, const N: usize>(
     coder: &mut C,
@@ -140,7 +141,7 @@ fn mix<C: BitCoder, const N: usize>(
     bit
 }
 
-/// The place of a context among the slots.
+/// The slot of a context.
 fn slot(view: usize) -> usize {
     ((view as u32).wrapping_mul(0x9e37_79b1) >> (32 - SLOT_BITS)) as usize
 }

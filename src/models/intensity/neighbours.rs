@@ -1,4 +1,4 @@
-//! What is known around an intensity.
+//! The intensities around a return.
 
 use crate::inter::Reference;
 
@@ -14,28 +14,28 @@ pub struct IntensityNeighbours {
     pub above: [u16; 5],
     /// Two rows above: one column left, above, one right.
     pub above2: [u16; 3],
-    /// In an earlier frame, if that has anything here.
+    /// Those of an earlier frame, if it has a return here.
     pub back: Option<IntensityReference>,
 }
 
 /// The context levels of an earlier frame around a return; 0 = none.
 #[derive(Clone, Copy, Debug)]
 pub struct IntensityReference {
-    /// The same cell, and those to its left and right.
+    /// Those of the same cell and of the cells to its left and right.
     pub same: [u16; 3],
-    /// Where the surface seen here was then.
+    /// That of the place where the surface seen here was then.
     pub moved: u16,
 }
 
 impl IntensityReference {
-    /// Around a cell; none if no earlier frame has a return there.
+    /// The levels around a cell; `None` if no earlier frame has a return there.
     pub fn at(reference: &Reference, cell: (usize, usize)) -> Option<Self> {
         let same = [0, -1, 1].map(|right| reference.same.levels.beside(cell, 0, right));
         let moved = reference.moved.levels.beside(cell, 0, 0);
         (same[0] > 0 || moved > 0).then_some(IntensityReference { same, moved })
     }
 
-    /// The same cell's, or else that of the moved surface.
+    /// That of the same cell, or else of the moved surface.
     pub fn level(&self) -> u16 {
         if self.same[0] > 0 { self.same[0] } else { self.moved }
     }

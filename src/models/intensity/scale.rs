@@ -1,11 +1,11 @@
-//! The grid of intensities: levels that are whole parts of 1.0.
+//! The grid of intensities: levels that are equal parts of 1.0.
 
-/// How many levels make 1.0, in the files of known scanners: hundredths (KITTI), 256ths
-/// (KITTI-360), 255ths, whole numbers (nuScenes, many PCD files).
+/// Levels per 1.0 in the files of known scanners: hundredths (KITTI), 256ths (KITTI-360), 255ths, whole
+/// numbers (nuScenes, many PCD files).
 const SCALES: [u32; 4] = [100, 256, 255, 1];
-/// Bits of such a number.
+/// Bits in which such a number is coded.
 const SCALE_BITS: u32 = 16;
-/// Levels have at most this many bits.
+/// The most bits of a level.
 pub const MOST_BITS: u32 = 9;
 
 /// The grid on which the intensities of a frame lie.
@@ -14,16 +14,16 @@ pub struct IntensityScale {
     grid: LevelGrid,
     /// Bits of the highest level.
     bits: u32,
-    /// Whether some values of the frame lie off the grid.
+    /// Whether some values of the frame are not on the grid.
     exceptions: bool,
 }
 
-/// Levels that are so many to 1.0.
+/// A grid with a given number of levels per 1.0.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct LevelGrid {
     /// 0 if the intensities lie on no known grid.
     per_unit: u32,
-    /// The value at each level; none if there is no grid.
+    /// The value of each level; empty if there is no grid.
     values: Vec<f32>,
 }
 
@@ -34,7 +34,7 @@ impl LevelGrid {
         LevelGrid { per_unit, values: (0..levels).map(value).collect() }
     }
 
-    /// The level of a value, if it is that of a level exactly.
+    /// The level of a value, if it is exactly that of a level.
     #[inline]
     fn level_of(&self, value: f32) -> Option<u32> {
         let level = (f64::from(value) * f64::from(self.per_unit) + 0.5) as u32;
@@ -42,7 +42,8 @@ impl LevelGrid {
         (found.to_bits() == value.to_bits()).then_some(level)
     }
 
-    /// How many values are off the grid, and the highest level; none if more are off than `most`.
+    /// The number of values that are not on the grid, and the highest level; `None` if there are more than
+    /// `most` of the former.
     fn misses(&self, values: &[f32], most: usize) -> Option<(usize, u32)> {
         let (mut misses, mut highest) = (0, 0);
         for value in values {
@@ -57,7 +58,7 @@ impl LevelGrid {
 }
 
 impl IntensityScale {
-    /// Finds the grid of a frame's intensities, which may be one of `expected` levels a unit.
+    /// Finds the grid of a frame's intensities, which may have `expected` levels per unit.
     pub fn of(intensity: &[f32], expected: Option<u32>) -> Self {
         let most = intensity.len() / 20;
         let mut best: Option<(usize, u32, LevelGrid)> = None;
@@ -77,37 +78,37 @@ impl IntensityScale {
         IntensityScale { grid, bits: (32 - highest.leading_zeros()).max(1), exceptions: misses > 0 }
     }
 
-    /// Codes the grid itself, by what codes plain numbers of so many bits.
+    /// Codes the grid itself; `code_plain` codes plain numbers of a given number of bits.
     pub fn code(&mut self, mut code_plain: impl FnMut(u32, u32) -> u32) {
         self.grid = LevelGrid::new(code_plain(self.grid.per_unit, SCALE_BITS));
         self.bits = code_plain(self.bits, 4).clamp(1, MOST_BITS);
         self.exceptions = code_plain(u32::from(self.exceptions), 1) == 1;
     }
 
-    /// The level of a value, cut to 1 to 128, as a context; 1 for values off the grid.
+    /// The level of a value as a context, limited to 1 to 128; 1 for values that are not on the grid.
     pub fn context_level(&self, value: f32) -> u16 {
         self.context_of(self.level_of(value).unwrap_or(0))
     }
 
-    /// A level, cut to 1 to 128, as a context.
+    /// A level as a context, limited to 1 to 128.
     #[inline]
     pub fn context_of(&self, level: u32) -> u16 {
         (level >> self.bits.saturating_sub(7)).min(127) as u16 + 1
     }
 
-    /// How many levels make a context level: 1, 2 or 4.
+    /// How many levels share a context level: 1, 2 or 4.
     #[inline]
     pub fn context_step(&self) -> u32 {
         1 << self.bits.saturating_sub(7)
     }
 
-    /// The level of a value, if it is that of a level exactly.
+    /// The level of a value, if it is exactly that of a level.
     #[inline]
     pub fn level_of(&self, value: f32) -> Option<u32> {
         self.grid.level_of(value)
     }
 
-    /// The value at a level; 0 if there is no grid.
+    /// The value of a level; 0 if there is no grid.
     #[inline]
     pub fn value_of(&self, level: u32) -> f32 {
         self.grid.values.get(level as usize).copied().unwrap_or_default()
@@ -118,7 +119,7 @@ impl IntensityScale {
         self.grid.per_unit > 0
     }
 
-    /// Whether some values lie off the grid.
+    /// Whether some values are not on the grid.
     pub fn has_exceptions(&self) -> bool {
         self.exceptions
     }

@@ -1,20 +1,20 @@
-//! The intensities: levels of a grid such as hundredths, each a token whose context is the level before and
-//! whether that agrees with the one above.
+//! The intensities as tokens: each level is a token, whose context is the level before and whether that
+//! agrees with the one above.
 
 use crate::entropy::TokenCoder;
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::models::IntensityScale;
 
-/// Levels of more bits than this have their lowest coded as they are.
+/// Of levels with more bits than this, the lowest bits are coded as plain bits.
 const TOKEN_BITS: u32 = 8;
-/// Contexts by the level before, 7 bits of it.
+/// Contexts by the level before, of which 7 bits count.
 const LEVEL_CONTEXTS: usize = 64;
-/// Levels, of 128, that count as the same.
+/// Levels, of 128, that count as equal.
 const NEAR: u16 = 4;
-/// The context of whether a value is off the grid, and that of such values.
+/// The context of the flag for values that are not on the grid, and that of such values.
 const IS_OFF_GRID: usize = 2 * LEVEL_CONTEXTS;
 const OFF_GRID: usize = IS_OFF_GRID + 1;
-/// Contexts of an intensity.
+/// Number of contexts of an intensity.
 pub const INTENSITY_CONTEXTS: usize = OFF_GRID + 1;
 
 /// Codes the intensities of a frame.
@@ -25,7 +25,7 @@ pub struct IntensityTokens {
 
 impl IntensityTokens {
     /// Codes one value, given the context levels (1 to 128; 0 = none) of the return before and of the one
-    /// above. Gives its own.
+    /// above. Returns its own.
     #[inline]
     pub fn code<C: TokenCoder>(
         &mut self,

@@ -1,19 +1,20 @@
-//! Which cells of the range image hold a return: eight cells a token, as what differs from the row above.
+//! Which cells of the range image hold a return, as tokens: eight cells each, as their difference to the row
+//! above.
 
 use crate::entropy::TokenCoder;
 use crate::ground::grid::Grid;
 
-/// Cells a token.
+/// Cells in a token.
 const CELLS: usize = 8;
-/// Kinds of eight cells: all filled, none, and two between.
+/// Kinds of eight cells: all occupied, none, and two in between.
 const KINDS: usize = 4;
-/// A context is the kind of the cells above and of those before.
+/// A context is made of the kind of the cells above and that of the cells before.
 pub const OCCUPANCY_CONTEXTS: usize = KINDS * KINDS;
 
 /// Codes every cell.
 pub fn code_occupancy<C: TokenCoder>(coder: &mut C, occupancy: &mut Grid<bool>) {
     let (rows, columns) = (occupancy.rows(), occupancy.columns());
-    // Above the first row all cells count as filled: most are.
+    // Above the first row all cells count as occupied, because most are.
     let mut above = vec![u8::MAX; columns.div_ceil(CELLS)];
     for row in 0..rows {
         if coder.is_exhausted() {

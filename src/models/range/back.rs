@@ -1,28 +1,28 @@
-//! The reference around a cell, and how well it has done.
+//! The reference around a cell, and its recent errors.
 
 use super::neighbourhood::Neighbourhood;
 use super::{FEATURE_REACH, REFERENCE_FEATURES, REFERENCE_LEVELS};
 use crate::inter::{Layer, Reference};
 
-/// Features of a least-squares fit that [`Surroundings`] give.
+/// Features of a least-squares fit that come from [`Surroundings`].
 pub const SURROUNDING_FEATURES: usize = 6;
-/// Steps; at the start of a row.
+/// In steps; assumed at the start of a row.
 const TYPICAL_ERROR: f32 = 20.0;
 
-/// The ranges that an earlier frame offers for a cell that has one in either layer.
+/// The ranges that an earlier frame has for a cell, in either layer.
 #[derive(Clone)]
 pub struct Back {
-    /// The same cell's range, or else that of the moved layer; and the other way round.
+    /// The range of the same cell, or else of the moved layer; `moved` is the other way round.
     pub same: f64,
     pub moved: f64,
     same_west: f64,
     same_east: f64,
-    /// How far off they have been around here, in octaves.
+    /// The recent error of the reference around here, in octaves.
     pub level: usize,
 }
 
 impl Back {
-    /// Of a cell; none if no earlier frame has a return there.
+    /// The reference of a cell; `None` if no earlier frame has a return there.
     pub fn at(reference: &Reference, errors: &ReferenceErrors, cell: (usize, usize)) -> Option<Self> {
         let at = |layer: &Layer, right| f64::from(layer.steps.beside(cell, 0, right));
         let or = |range: f64, other: f64| if range > 0.0 { range } else { other };
@@ -41,8 +41,8 @@ impl Back {
     }
 }
 
-/// What else an earlier frame has around a cell: ranges, the cell's own for each missing one, and the
-/// context levels of its intensity, 0 for none.
+/// What else an earlier frame has around a cell: ranges, with the cell's own in place of missing ones, and
+/// the context levels of intensities, 0 for none.
 pub struct Surroundings {
     pub moved_west: f64,
     pub moved_east: f64,
@@ -55,7 +55,7 @@ pub struct Surroundings {
 }
 
 impl Surroundings {
-    /// Of a cell.
+    /// The surroundings of a cell.
     pub fn of(reference: &Reference, back: &Back, cell: (usize, usize)) -> Self {
         let at = |layer: &Layer, down, right, other| {
             let range = f64::from(layer.steps.beside(cell, down, right));
@@ -89,31 +89,31 @@ impl Surroundings {
     }
 }
 
-/// How far off the reference has been to the left and above.
+/// The errors of the reference to the left and above.
 pub struct ReferenceErrors {
     mean: f32,
     above: Vec<f32>,
 }
 
 impl ReferenceErrors {
-    /// For an image of `width` columns.
+    /// Creates the errors for an image of `width` columns.
     pub fn new(width: usize) -> Self {
         ReferenceErrors { mean: TYPICAL_ERROR, above: vec![0.0; width] }
     }
 
-    /// Begins the next row.
+    /// Starts the next row.
     pub fn start_row(&mut self) {
         self.mean = TYPICAL_ERROR;
     }
 
-    /// In octaves.
+    /// The expected error, in octaves.
     fn level(&self, column: usize) -> usize {
         let error = self.mean + 0.5 * self.above[column];
         let octaves = ((error * 0.5) as u32).checked_ilog2().map_or(0, |octave| octave as usize + 1);
         octaves.min(REFERENCE_LEVELS - 1)
     }
 
-    /// Notes the better of a cell's two references.
+    /// Records the error of the better of a cell's two references.
     pub fn record(&mut self, column: usize, range: f64, back: &Back) {
         let error = (range - back.same).abs().min((range - back.moved).abs()).min(FEATURE_REACH) as f32;
         self.mean = 0.6 * self.mean + 0.4 * error;

@@ -1,11 +1,11 @@
-//! Ranges in bins, of which only the bin is coded: near-lossless coding. The bins lie around the
-//! prediction, as in JPEG-LS (ITU-T T.87, A.4), so that what is predicted well enough takes next to
-//! nothing, wherever it lies.
+//! Ranges in bins, of which only the bin is coded: near-lossless coding. The bins lie around the prediction,
+//! as in JPEG-LS (ITU-T T.87, A.4), so that whatever is predicted well enough costs next to nothing, wherever
+//! it lies.
 
 /// Bins of equal width. Bin `i` holds the ranges from `origin + i * width` on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bins {
-    /// Steps a bin; 1: every range has a bin of its own, its own number.
+    /// Steps in a bin. 1: every range has a bin of its own, whose number is the range.
     pub width: i64,
     /// From 0 to `width` - 1 steps.
     origin: i64,
@@ -14,11 +14,11 @@ pub struct Bins {
 }
 
 impl Bins {
-    /// Bins of which one has `base`, a range in steps, in its middle.
+    /// Creates bins, one of which has `base`, a range in steps, in its middle.
     #[inline]
     pub fn around(base: i64, width: i64) -> Self {
         if width == 1 {
-            // The same, without divisions.
+            // The same without divisions.
             return Bins { width, origin: 0, central: base };
         }
         let start = base - width / 2;
@@ -31,19 +31,19 @@ impl Bins {
         if self.width == 1 { range } else { (range - self.origin).div_euclid(self.width) }
     }
 
-    /// The first bin that holds ranges from 1 to 2^`range_bits` - 1, and the one after the last.
+    /// The first bin that holds ranges from 1 to 2^`range_bits` - 1, and the bin after the last.
     pub fn all(&self, range_bits: u32) -> (i64, i64) {
         (self.of(1), self.of((1 << range_bits) - 1) + 1)
     }
 
-    /// Where a bin starts, at 1 at the earliest and 2^`range_bits` at the latest.
+    /// The start of a bin, limited to 1 to 2^`range_bits`.
     #[inline]
     pub fn start(&self, bin: i64, range_bits: u32) -> i64 {
         (self.origin + bin * self.width).clamp(1, 1 << range_bits)
     }
 
-    /// The range that stands for a bin, of 1 to 2^`range_bits` - 1 steps: of an odd number of ranges the one
-    /// in the middle, of an even number the upper of the two there.
+    /// The range that stands for a bin, 1 to 2^`range_bits` - 1 steps: the one in the middle, or the upper of
+    /// the two there.
     #[inline]
     pub fn middle(&self, bin: i64, range_bits: u32) -> i64 {
         (self.origin + bin * self.width + self.width / 2).clamp(1, (1 << range_bits) - 1)

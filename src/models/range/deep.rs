@@ -1,8 +1,7 @@
-//! The ranges of models that go deep: more least-squares fits, among them one for
-//! each stretch of columns; several mixtures of the same predictors, each in contexts of its own; and
-//! mixing in two layers.
+//! The deep model of ranges: more least-squares fits, among them one for each stretch of columns; several
+//! mixtures of the same predictors, each in contexts of its own; and mixing in two layers.
 //!
-//! Cells with and without a reference go the same way: what there is of the reference makes contexts.
+//! Cells with and without a reference are treated alike: what there is of the reference makes contexts.
 
 mod fits;
 mod halving;
@@ -21,20 +20,20 @@ pub use site::{DeepSite, Referred};
 
 /// Predictors in the mixtures.
 const PREDICTORS: usize = 8;
-/// Mixtures, views, opinions and mixers.
+/// Numbers of mixtures, views, opinions and mixers.
 const MIXTURES: usize = 3;
 const VIEWS: usize = 8;
 const OPINIONS: usize = 12;
 const MIXERS: usize = 3;
-/// Rows that have contexts of their own; those below share the last one's.
+/// Rows with contexts of their own; those below share that of the last one.
 const ROWS: usize = 64;
-/// Kinds of references: none, and the levels of their errors.
+/// Kinds of references: none, and the classes of their errors.
 const KINDS: usize = 1 + REFERENCE_LEVELS;
-/// Changes of the intensity from two others: eight of each.
+/// Changes of the intensity from two others: eight classes each.
 const CHANGES: usize = 64;
-/// No reference, and the changes from its two layers.
+/// No reference, or the changes from its two layers.
 const RECOGNITIONS: usize = 1 + CHANGES;
-/// Levels of the own intensity.
+/// Classes of the cell's own intensity.
 const OWN_LEVELS: usize = 4;
 
 const RATES: Rates = Rates { weights: 0.03, scales: 0.02, early: 0.3 };
@@ -58,13 +57,13 @@ const SIZES: LayeredContext<VIEWS, MIXERS> = LayeredContext {
 
 type DeepBits = LayeredBits<MIXTURES, VIEWS, OPINIONS, MIXERS>;
 
-/// What has been learned.
+/// What the coder has learned about ranges.
 #[derive(Clone)]
 pub struct DeepModel {
     fits: Fits,
     mixtures: [Mixture<PREDICTORS>; MIXTURES],
     bits: DeepBits,
-    /// Whether there was a frame with a reference.
+    /// Whether any frame so far has had a reference.
     had_reference: bool,
 }
 
@@ -85,8 +84,8 @@ impl Default for DeepModel {
 }
 
 impl DeepModel {
-    /// Makes ready for an image of `columns`. When the first frame with a reference comes, all that depends
-    /// on references starts from what has been learned without.
+    /// Prepares for an image of `columns`. When the first frame with a reference comes, all that depends on
+    /// references starts from what has been learned without.
     pub fn start_frame(&mut self, columns: usize, has_reference: bool) {
         self.fits.start_frame(columns);
         if has_reference && !self.had_reference {
@@ -155,7 +154,7 @@ mod tests {
     const ROWS: usize = 12;
     const COLUMNS: usize = 150;
 
-    /// A wall with a post before it and noise on it; every ninth cell is empty.
+    /// A wall with a post in front of it, and noise; every ninth cell is empty.
     fn frame(random: &mut Rng) -> Grid<u32> {
         let mut steps = Grid::new(ROWS, COLUMNS);
         for (i, cell) in steps.cells_mut().iter_mut().enumerate() {
@@ -167,8 +166,8 @@ mod tests {
         steps
     }
 
-    /// Codes frames, of which those after the first refer to the one before if told, into steps within half
-    /// a bin; and back. Gives the bytes taken.
+    /// Codes frames in steps to within half a bin, and decodes them; if `refer`, those after the first refer
+    /// to the one before. Returns the number of bytes.
     fn round_trip(bin: u32, refer: bool) -> usize {
         let mut random = Rng::keyed(7, &[]);
         let frames: Vec<_> = (0..3).map(|_| frame(&mut random)).collect();
@@ -209,7 +208,7 @@ mod tests {
     #[test]
     fn ranges_come_back_and_bins_take_less() {
         let [exact, binned] = [1, 5].map(|bin| round_trip(bin, false));
-        // Three bits of noise a return are the least.
+        // Three bits of noise a return are the minimum.
         assert!((1800..2600).contains(&exact), "{exact} bytes");
         assert!(binned < exact / 2, "{binned} of {exact} bytes");
     }

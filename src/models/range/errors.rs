@@ -4,10 +4,10 @@ use super::FEATURE_REACH;
 
 /// The errors made to the left and above.
 pub struct ErrorTrack {
-    /// Running mean magnitude along the row.
+    /// Running mean of the magnitudes along the row.
     mean: f32,
-    /// For each column, the running mean down the rows, as it was above the current row and as it
-    /// is made by it.
+    /// For each column, the running mean down the rows: first as it was above the current row, then updated
+    /// by it.
     above: Vec<f32>,
     current: Vec<f32>,
     /// The signed error of the left neighbour, and those of the row above.
@@ -18,7 +18,7 @@ pub struct ErrorTrack {
 }
 
 impl ErrorTrack {
-    /// For an image of `width` columns.
+    /// Creates the errors for an image of `width` columns.
     pub fn new(width: usize) -> Self {
         let zeros = vec![0.0; width];
         ErrorTrack {
@@ -32,7 +32,7 @@ impl ErrorTrack {
         }
     }
 
-    /// Begins the next row.
+    /// Starts the next row.
     pub fn start_row(&mut self, has_row_above: bool) {
         self.mean = 20.0;
         self.west = 0.0;
@@ -41,28 +41,28 @@ impl ErrorTrack {
         std::mem::swap(&mut self.signed_above, &mut self.signed_current);
     }
 
-    /// The error to expect in a column, in steps.
+    /// The expected error in a column, in steps.
     pub fn expected(&self, column: usize) -> f32 {
         self.mean + 0.5 * self.above[column]
     }
 
-    /// The signed error above.
+    /// The signed error above a cell.
     pub fn north(&self, column: usize) -> f64 {
         f64::from(self.signed_above[column])
     }
 
-    /// The signed error to the right of that; 0 outside.
+    /// The signed error above and to the right; 0 outside the image.
     pub fn north_east(&self, column: usize) -> f64 {
         self.signed_above.get(column + 1).copied().map_or(0.0, f64::from)
     }
 
-    /// No return in this column: what was known of it stays.
+    /// Skips a column without a return: what is known of it stays.
     pub fn skip(&mut self, column: usize) {
         self.current[column] = self.above[column];
         self.signed_current[column] = self.signed_above[column];
     }
 
-    /// Notes the errors of the least-squares fit, and of the base where coding starts.
+    /// Records the errors of the least-squares fit, and of the base at which coding starts.
     pub fn record(&mut self, column: usize, fit_error: f64, base_error: f64) {
         let magnitude = fit_error.abs().min(FEATURE_REACH) as f32;
         self.mean = 0.6 * self.mean + 0.4 * magnitude;

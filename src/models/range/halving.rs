@@ -1,4 +1,4 @@
-//! One range, halving after halving.
+//! Coding one range by repeated halving.
 
 use super::bins::Bins;
 use super::mixture::{Interval, Mixture, Predicted};
@@ -6,25 +6,25 @@ use super::{ERROR_LEVELS, NODES, RangeBits, VIEWS};
 use crate::entropy::{BitCoder, Counter, Logistic};
 use crate::models::shape::ErrorShape;
 
-/// Codes which half of what is left of the bins a range is in.
+/// Codes in which half of the remaining bins a range is.
 pub trait Halves {
-    /// Halvings inside a bucket that are corrected by counters; those below are all noise.
+    /// Halvings inside a bucket that are corrected by counters; the further ones are pure noise.
     const CORRECTED: usize;
 
-    /// The first of the bins that are left, and the one after the last.
+    /// The first of the remaining bins, and the bin after the last.
     fn ends(&self) -> (i64, i64);
 
-    /// Codes whether the bin is `middle` or beyond, and cuts what is left to that side.
-    /// With a `node`, the counters have a say.
+    /// Codes whether the bin is `middle` or beyond, and keeps that side. With a `node`, the counters
+    /// contribute.
     fn halve(&mut self, middle: i64, node: Option<usize>) -> bool;
 
-    /// Halves what is so short that the density falls evenly over it: the odds of its halves are
-    /// then the square root of those of the interval and its last sibling.
+    /// Halves an interval so short that the density decreases evenly over it: the odds of its halves are then
+    /// the square root of those of the interval and its last sibling.
     fn halve_evenly(&mut self, middle: i64);
 }
 
-/// Codes a bin: from the bin around the base on or below, then buckets of growing width away from there,
-/// the first `fine` bins wide, then the halves of the bucket.
+/// Codes a bin: first whether it is at or above the bin around the base, or below; then in which bucket, of
+/// growing width away from there, the first `fine` bins wide; then by halving the bucket.
 #[inline]
 pub fn code_bin<H: Halves>(halves: &mut H, base: i64, fine: i64) {
     let up = halves.halve(base, Some(0));
@@ -67,22 +67,22 @@ pub fn code_bin<H: Halves>(halves: &mut H, base: i64, fine: i64) {
 
 /// Width of the first bucket beside the base, in bins: a power of two near 0.6 scales.
 pub fn first_bucket(scale: f64) -> i64 {
-    // 0.6 * sqrt(2): the nearest power in octaves.
+    // 0.6 * sqrt(2): this selects the nearest power, on a logarithmic scale.
     ((scale * 0.84853) as u32).checked_ilog2().map_or(1, |octave| 1 << octave)
 }
 
-/// What the halvings of one range need. `P` predictors; `X` views of references.
+/// The state of halving one range, with `P` predictors and `X` views of references.
 pub struct Halving<'a, C, const P: usize, const X: usize> {
     pub coder: &'a mut C,
     pub shape: &'a ErrorShape,
     pub tables: &'static Logistic,
-    /// The last bin that the range may be in ends below 2 to this power.
+    /// The last bin that the range may be in ends below 2^`range_bits`.
     pub range_bits: u32,
     pub bins: Bins,
     pub mixture: &'a Mixture<P>,
     pub predicted: Predicted<P>,
     pub bits: &'a mut RangeBits,
-    /// The set of weights of the first node.
+    /// The weight set of the first node.
     pub first_set: usize,
     /// The context of each view.
     pub views: [usize; VIEWS],
@@ -90,7 +90,7 @@ pub struct Halving<'a, C, const P: usize, const X: usize> {
     pub reference_views: [usize; X],
     /// The encoder's bin.
     pub bin: i64,
-    /// What is left.
+    /// What is left of the bins.
     pub interval: Interval<P>,
 }
 
@@ -102,7 +102,7 @@ impl<C: BitCoder, const P: usize, const X: usize> Halving<'_, C, P, X> {
         code_bin(self, self.bins.central, first_bucket(scale / self.bins.width as f64));
     }
 
-    /// Codes a bit by the mixture's log odds and the counters' together.
+    /// Codes a bit from the log odds of the mixture and of the counters.
     #[inline]
     fn code_corrected(&mut self, node: usize, odds: f32, bit: bool) -> bool {
         let set = self.first_set + node * ERROR_LEVELS;

@@ -4,53 +4,53 @@ use super::{FIT, FIT_REACH, SURPRISE};
 use crate::entropy::Logistic;
 use crate::models::shape::{CERTAIN, ErrorShape, Placed};
 
-/// Probability of the mixture in the unit of [`Below::mixed`]: weights are in 2^-16.
+/// The probability 1 in the unit of [`Below::mixed`], as weights are in 2^-16.
 const MIXED_CERTAIN: u64 = (CERTAIN as u64) << 16;
-/// All ranges together get at least this much of it, evenly.
+/// The part of it that is distributed evenly over all ranges.
 const EVEN: u64 = MIXED_CERTAIN / 256;
 
-/// How fast the weights and the scales of a context are learned.
+/// The learning rates of a context's weights and scales.
 #[derive(Clone, Copy)]
 pub struct Rates {
     pub weights: f64,
     pub scales: f64,
-    /// Both are at least this over the number of returns that the context has seen, plus 1.5.
+    /// Both rates are at least this divided by the number of returns that the context has seen plus 1.5.
     pub early: f64,
 }
 
-/// Contexts count no more returns than this.
+/// Returns are counted up to this number.
 const MOST_SEEN: u16 = 1000;
 
-/// What has been learned about `P` predictors.
+/// What the coder has learned about `P` predictors.
 #[derive(Clone)]
 pub struct Mixture<const P: usize> {
     weights: Vec<[f64; P]>,
     /// The weights in 2^-16.
     shares: Vec<[u32; P]>,
     scales: Vec<[f64; P]>,
-    /// Returns that each context has seen.
+    /// Number of returns that each context has seen.
     seen: Vec<u16>,
     rates: Rates,
 }
 
-/// The predictions for a cell, in steps, in a context, placed on the range axis.
+/// The predictions for a cell, in steps, in a context, as places in the table of the error shape.
 pub struct Predicted<const P: usize> {
     pub values: [f64; P],
     pub context: usize,
     placed: [Placed; P],
 }
 
-/// What is left of the bins of the range axis, and the probability below the two ends.
+/// The remaining bins, and the probability below each end.
 pub struct Interval<const P: usize> {
     pub low: i64,
     pub high: i64,
     pub below_low: Below<P>,
     pub below_high: Below<P>,
-    /// The mixture's log odds of the last halves, upper against lower.
+    /// The mixture's log odds for the last halves, upper against lower.
     pub odds: f32,
 }
 
-/// Probability that a range is below some value: each predictor's, and the mixture's.
+/// Probability that a range is below some value: by each predictor, and by the mixture.
 #[derive(Clone, Copy)]
 pub struct Below<const P: usize> {
     each: [u32; P],
@@ -64,7 +64,7 @@ impl<const P: usize> Default for Below<P> {
 }
 
 impl<const P: usize> Interval<P> {
-    /// The mixture's log odds of the halves above and below a place between the ends, upper against lower.
+    /// The mixture's log odds for the halves above and below a place between the ends, upper against lower.
     #[inline]
     pub fn split(&mut self, below_middle: &Below<P>, tables: &Logistic) -> f32 {
         let above = self.below_high.mixed.saturating_sub(below_middle.mixed) | 1;
@@ -73,7 +73,7 @@ impl<const P: usize> Interval<P> {
         self.odds
     }
 
-    /// Leaves the half from `middle` on, or else the one below.
+    /// Keeps the half from `middle` on, or else the one below.
     #[inline]
     pub fn cut(&mut self, upper: bool, middle: i64, below_middle: &Below<P>) {
         if upper {
@@ -85,7 +85,7 @@ impl<const P: usize> Interval<P> {
         }
     }
 
-    /// All bins.
+    /// The interval of all bins.
     pub fn whole((low, high): (i64, i64)) -> Self {
         let below = |each, mixed| Below { each: [each; P], mixed };
         let certain = below(CERTAIN, MIXED_CERTAIN + EVEN);
@@ -94,7 +94,7 @@ impl<const P: usize> Interval<P> {
 }
 
 impl<const P: usize> Mixture<P> {
-    /// For contexts that start with these scales.
+    /// Creates a mixture whose contexts start with these scales.
     pub fn new(rates: Rates, scales: impl Iterator<Item = f64>) -> Self {
         let scales: Vec<_> = scales
             .map(|scale| {
@@ -112,8 +112,8 @@ impl<const P: usize> Mixture<P> {
         }
     }
 
-    /// The same with more predictors, of which nothing is known yet, and every context as often as told:
-    /// copy after copy.
+    /// The same with additional predictors, about which nothing is known yet, and with all contexts repeated
+    /// `copies` times.
     pub fn widened<const Q: usize>(&self, copies: usize) -> Mixture<Q> {
         let share = P as f64 / Q as f64;
         let weights = self.weights.iter().map(|old| {
@@ -138,7 +138,7 @@ impl<const P: usize> Mixture<P> {
         }
     }
 
-    /// Gives the contexts after the first `contexts`, as many at a time, what these have learned.
+    /// Copies what the first `contexts` contexts have learned to those that follow, `contexts` at a time.
     pub fn spread(&mut self, contexts: usize) {
         for context in contexts..self.scales.len() {
             let from = context % contexts;
@@ -149,7 +149,7 @@ impl<const P: usize> Mixture<P> {
         }
     }
 
-    /// Places predictions.
+    /// Places the error distributions around the predictions.
     #[inline]
     pub fn place(&self, shape: &ErrorShape, values: [f64; P], context: usize) -> Predicted<P> {
         let scales = &self.scales[context];
@@ -184,8 +184,7 @@ impl<const P: usize> Mixture<P> {
         Below { each, mixed }
     }
 
-    /// Moves weights and scales towards the range that has been coded, to whose bin the interval has
-    /// shrunk.
+    /// Adapts weights and scales to the range that has been coded, to whose bin the interval has shrunk.
     pub fn learn(&mut self, predicted: &Predicted<P>, interval: &Interval<P>, range: f64) {
         let weights = &mut self.weights[predicted.context];
         let scales = &mut self.scales[predicted.context];

@@ -2,7 +2,7 @@
 
 use super::{ACTIVITY_LEVELS, FEATURE_REACH, FEATURES};
 
-/// The ranges coded so far that a cell looks at; 0 where there is no return.
+/// The ranges coded so far that the prediction of a cell uses; 0 where there is no return.
 pub struct Window {
     /// The current row and the two above, with margins of empty cells.
     rows: [Vec<f64>; 3],
@@ -14,12 +14,12 @@ impl Window {
     /// Empty cells on either side.
     const MARGIN: usize = 2;
 
-    /// For an image of `width` columns.
+    /// Creates the window for an image of `width` columns.
     pub fn new(width: usize) -> Self {
         Window { rows: std::array::from_fn(|_| vec![0.0; width + 2 * Self::MARGIN]), left: [0.0; 5] }
     }
 
-    /// Begins the next row.
+    /// Starts the next row.
     pub fn start_row(&mut self) {
         self.rows.rotate_right(1);
         self.rows[0].fill(0.0);
@@ -33,7 +33,7 @@ impl Window {
         self.left[0] = range;
     }
 
-    /// What is around a cell of the current row.
+    /// The ranges around a cell of the current row.
     #[inline]
     pub fn around(&self, column: usize) -> Neighbourhood {
         let or = |range: f64, other: f64| if range > 0.0 { range } else { other };
@@ -64,7 +64,7 @@ impl Window {
     }
 }
 
-/// The ranges around a cell, each missing one replaced by the next best.
+/// The ranges around a cell, with missing ones replaced by the next best.
 pub struct Neighbourhood {
     pub west: f64,
     pub west2: f64,
@@ -75,7 +75,7 @@ pub struct Neighbourhood {
     pub north_east: f64,
     north_east2: f64,
     north2: f64,
-    /// The fifth to the left, the second left of above, and those beside the second above.
+    /// The fifth to the left, the second to the left of the one above, and those beside the second above.
     farther: [f64; 4],
 }
 
@@ -98,7 +98,7 @@ impl Neighbourhood {
         .map(|range| self.feature(range))
     }
 
-    /// The same of those farther off.
+    /// The same for the farther ones.
     pub fn farther_features(&self) -> [f32; 4] {
         self.farther.map(|range| self.feature(range))
     }

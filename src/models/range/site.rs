@@ -1,4 +1,4 @@
-//! A cell to be coded, as its neighbours show it.
+//! A cell to be coded, as described by its neighbours.
 
 use super::errors::ErrorTrack;
 use super::neighbourhood::Neighbourhood;
@@ -6,25 +6,25 @@ use super::{EDGE, ERROR_LEVELS, ErrorLevels, FEATURES, FIT_REACH, PREDICTORS, Ra
 use crate::models::least_squares::LeastSquares;
 use crate::models::quantise::signed_level;
 
-/// A cell to be coded, as its neighbours show it.
+/// A cell to be coded, as described by its neighbours.
 pub struct Site {
     pub near: Neighbourhood,
     pub features: [f32; FEATURES],
-    /// The intensities of the cell, of that to the left and of that above; 0 = no return.
+    /// The intensities of the cell, of the one to the left and of the one above; 0 = no return.
     pub intensities: [u16; 3],
     pub edge: usize,
     pub error_level: usize,
     pub context: usize,
-    /// How the intensity differs from that to the left and that above: 0 to 63.
+    /// How the intensity differs from the one to the left and the one above: 0 to 63.
     pub change: usize,
-    /// The signed errors made to the left, above and to the right of that, in steps.
+    /// The signed errors made to the left, above, and above to the right, in steps.
     pub errors: [f64; 3],
     /// The context of each view but the first.
     pub views: [usize; VIEWS],
 }
 
 impl Site {
-    /// Of a cell with these neighbours.
+    /// The site of a cell with these neighbours.
     #[inline]
     pub fn of(
         known: &RangeContext,
@@ -54,18 +54,18 @@ impl Site {
         Site { near, features, intensities, edge, error_level, context, change, errors, views }
     }
 
-    /// What the neighbours predict, the last for surprises.
+    /// The predictions from the neighbours; the last one is for surprises.
     pub fn predictions(&self, fit: f64) -> [f64; PREDICTORS] {
         let Neighbourhood { west, west2, north, .. } = self.near;
         [west, north, 2.0 * west - west2, west + fit, west]
     }
 
-    /// Where the coding starts: a whole number of steps.
+    /// Where coding starts: a whole number of steps.
     pub fn base(&self, fit: f64, range_bits: u32) -> i64 {
         ((self.near.west + fit + 0.5) as i64).clamp(1, (1 << range_bits) - 2)
     }
 
-    /// The contexts of all views, for a coding that starts at `base`.
+    /// The contexts of all views, if coding starts at `base`.
     pub fn views_from(&self, base: i64) -> [usize; VIEWS] {
         let base = base as f64;
         let mut views = self.views;
@@ -73,7 +73,7 @@ impl Site {
         views
     }
 
-    /// Moves a fit towards the range that has been coded.
+    /// Adapts a fit to the range that has been coded.
     pub fn learn<const F: usize>(
         &self,
         fits: &mut LeastSquares<F>,
@@ -93,7 +93,7 @@ pub fn pair(a: f64, b: f64) -> usize {
     signed_level(a as i32) * 32 + signed_level(b as i32)
 }
 
-/// Eight kinds of change from a neighbour's intensity; none if it holds no return.
+/// Eight classes of change from a neighbour's intensity; the last if it holds no return.
 pub fn intensity_change(own: u16, other: u16) -> usize {
     if other == 0 {
         return 7;

@@ -1,5 +1,5 @@
-//! The ranges: what a prediction misses them by, as numbers whose contexts are how rough the surroundings
-//! are and how far the predictions around have missed.
+//! The ranges as tokens: prediction errors (misses), whose contexts are how rough the surroundings are and
+//! how large the misses around were.
 
 mod prediction;
 mod start;
@@ -17,12 +17,12 @@ use prediction::{Before, Fits, Guess, Near};
 const TYPICAL_RANGE: i32 = 3000;
 /// The miss assumed at the start of a row, in steps.
 const TYPICAL_MISS: i32 = 20;
-/// Misses count as at most so many steps.
+/// Misses count as at most this many steps.
 const MOST_MISS: i32 = 300;
 /// No range is farther from a prediction, in bins.
 const MOST_BINS: i64 = 1 << 25;
 
-/// What has been learned about ranges, besides the tables.
+/// What the coder has learned about ranges, besides the tables.
 #[derive(Clone, Default)]
 pub struct RangeTokens {
     fits: Fits,
@@ -30,9 +30,10 @@ pub struct RangeTokens {
 
 impl RangeTokens {
     /// Codes the range, in steps, of every cell that holds a return: the number of its bin, of `bin` steps
-    /// around the prediction, which is the left neighbour or, `fitted`, by least squares: from the neighbours and,
-    /// where there is any, what the frame before lets expect (`expected`; 0 = nothing). Ranges are from 1
-    /// to 2^`range_bits` - 1; where bins are wider than a step, both sides go on with the middles of the bins.
+    /// around the prediction. This is the left neighbour or, if `fitted`, by least squares from the
+    /// neighbours and, where there is one, from the frame before (`expected`; 0 = nothing). Ranges are from 1
+    /// to 2^`range_bits` - 1; if bins are wider than a step, both sides continue with the middles of the
+    /// bins.
     pub fn code<C: TokenCoder>(
         &mut self,
         coder: &mut C,
@@ -43,8 +44,7 @@ impl RangeTokens {
     ) {
         let fits = &mut self.fits;
         match (fitted, expected, axis) {
-            // Nothing is divided where bins are known to be of one step, nor looked for in a frame before where
-            // it is known that there is none.
+            // Compiled apart for bins of one step, which need no division, and without a frame before.
             (true, None, (bits, 1)) => {
                 code_rows::<C, true>(coder, fits, (occupancy, None), (bits, 1), steps);
             }
@@ -68,7 +68,7 @@ fn code_rows<C: TokenCoder, const FITTED: bool>(
     /// Columns beyond the last, so that every cell has neighbours to the right.
     const MARGIN: usize = 2;
     let width = occupancy.columns();
-    // For each column: the last ranges seen in it, and how far the predictions there missed.
+    // For each column: the last ranges in it, and the size of the misses there.
     let mut ranges = vec![TYPICAL_RANGE; width + MARGIN];
     let mut ranges2 = vec![TYPICAL_RANGE; if FITTED { width } else { 0 }];
     let mut misses = vec![TYPICAL_MISS; width];

@@ -94,11 +94,12 @@ impl Firings {
 
     /// Places by columns: a new one begins where the slots begin anew, or the tick is another.
     fn columns(&self, places: &[Place]) -> Vec<Column> {
+        let ticks_of_slot = self.ticks_of_slot(places);
         let mut columns: Vec<Column> = Vec::new();
         let mut last: Option<&Place> = None;
         for (number, place) in places.iter().enumerate() {
             let goes_on =
-                last.is_some_and(|last| place.slot > last.slot && self.goes_on(last.tick, place.tick));
+                last.is_some_and(|last| place.slot > last.slot && self.goes_on(last, place, ticks_of_slot));
             match columns.last_mut().filter(|_| goes_on) {
                 Some(column) => column.places.end = number + 1,
                 None => columns.push(Column {
@@ -110,37 +111,65 @@ impl Firings {
             last = Some(place);
         }
         if self.timing.is_interpolated() {
-            self.find_spans(places, &mut columns);
+            self.find_spans(places, &mut columns, ticks_of_slot);
         }
         columns
     }
 
-    /// Whether a tick may follow another in one firing.
-    fn goes_on(&self, last: u32, tick: u32) -> bool {
-        /// The part of a turn that a firing may take.
-        const LONGEST_FIRING: u32 = 300;
-        match self.timing.is_interpolated() {
-            true => (tick + self.ticks - last) % self.ticks <= self.ticks / LONGEST_FIRING,
-            false => last == tick,
+    /// The ticks that pass from slot to slot, on the average.
+    fn ticks_of_slot(&self, places: &[Place]) -> f64 {
+        /// The part of a turn that passes in no firing.
+        const FAR: u32 = 1000;
+        let (mut ticks, mut slots) = (0, 0);
+        for pair in places.windows(2).filter(|pair| pair[1].slot > pair[0].slot) {
+            let passed = self.ticks_from(pair[0].tick, pair[1].tick);
+            if passed < self.ticks / FAR {
+                ticks += passed;
+                slots += pair[1].slot - pair[0].slot;
+            }
         }
+        f64::from(ticks) / f64::from(slots.max(1))
+    }
+
+    /// Ticks from one to another, forwards.
+    fn ticks_from(&self, from: u32, to: u32) -> u32 {
+        (to + self.ticks - from) % self.ticks
+    }
+
+    /// Whether a place of a later slot may be of the same firing.
+    fn goes_on(&self, last: &Place, place: &Place, ticks_of_slot: f64) -> bool {
+        if !self.timing.is_interpolated() {
+            return last.tick == place.tick;
+        }
+        // Half of what passes from a firing to the next, in slots, tells the two apart.
+        let between = f64::from(self.timing.firing) / f64::from(self.timing.slot.max(1)) / 2.0;
+        let ticks = f64::from(self.ticks_from(last.tick, place.tick));
+        ticks <= (f64::from(place.slot - last.slot) + between) * ticks_of_slot
     }
 
     /// Finds the tick of each block, and the ticks to the next one: those by which the ticks of all its places come out.
-    fn find_spans(&self, places: &[Place], columns: &mut [Column]) {
-        /// Blocks that no numbers explain, before no more are looked for widely.
+    fn find_spans(&self, places: &[Place], columns: &mut [Column], ticks_of_slot: f64) {
+        /// Blocks that no numbers explain, before no more are looked for.
         const MOST_FAILURES: usize = 16;
         let mut number = 0;
-        let mut last = 0;
+        let slots_of_block = f64::from(self.timing.block) / f64::from(self.timing.slot.max(1));
+        let mut last = round_ties_even(ticks_of_slot * slots_of_block) as u32;
         let mut failures = 0;
         while number < columns.len() {
             let next = columns.get(number + 2).map(|column| &places[column.places.clone()]);
-            let both = self.block(places, columns, number..(number + 2).min(columns.len()), 0, (last, next));
+            let both = self.block(
+                places,
+                columns,
+                number..(number + 2).min(columns.len()),
+                0,
+                (last, next, ticks_of_slot),
+            );
             let (count, first) = match both {
                 Some(_) => (2, 0),
                 None => (1, 0),
             };
-            let alone = || self.block(places, columns, number..number + 1, 0, (last, None));
-            let second = || self.block(places, columns, number..number + 1, 1, (last, None));
+            let alone = || self.block(places, columns, number..number + 1, 0, (last, None, ticks_of_slot));
+            let second = || self.block(places, columns, number..number + 1, 1, (last, None, ticks_of_slot));
             let (found, first) = match both.or_else(alone) {
                 Some(found) => (Some(found), first),
                 None => (second(), 1),
@@ -161,45 +190,44 @@ impl Firings {
         }
     }
 
-    /// The tick of a block of these columns, the first of which is this firing of it, and the ticks to the next one.
+    /// The tick of a block of these columns, the first of which is this firing of it, and the ticks to the next one:
+    /// those nearest to what was there before, and to what the next block's first place tells.
     fn block(
         &self,
         places: &[Place],
         columns: &[Column],
         block: std::ops::Range<usize>,
         first_firing: u32,
-        (last, next): (u32, Option<&[Place]>),
+        (last, next, ticks_of_slot): (u32, Option<&[Place]>, f64),
     ) -> Option<(u32, u32)> {
         /// Ticks between blocks differ by less than this from those before, if the scanner turns evenly.
         const UNEVEN: u32 = 12;
+        /// Ticks by which a first place may be elsewhere than on the average.
+        const OFF: i64 = 3;
         let first = places.get(columns[block.start].places.start)?;
         let fits = |tick: u32, ticks: u32| {
             (first_firing..).zip(&columns[block.clone()]).all(|(firing, column)| {
-                places[column.places.clone()]
-                    .iter()
-                    .all(|place| self.tick(place.row as usize, tick, Span { ticks, firing }) == place.tick)
+                let mut places = places[column.places.clone()].iter();
+                places.all(|place| self.tick(place.row as usize, tick, Span { ticks, firing }) == place.tick)
             })
         };
-        // The next block tells how many ticks there are, if its first slot has a return.
-        let told = next.and_then(<[Place]>::first).filter(|next| next.slot == 0).map(|next| next.tick);
-        let around = (0..=UNEVEN).flat_map(|off| [last.saturating_sub(off), last + off]);
-        let widely = 0..=self.ticks / 100;
-        for back in 0..=self.ticks / 400 {
-            let tick = (first.tick + self.ticks - back) % self.ticks;
-            let told = told.map(|told| (told + self.ticks - tick) % self.ticks);
-            let found = match back {
-                0 => told
-                    .into_iter()
-                    .chain(around.clone())
-                    .chain(widely.clone())
-                    .find(|&ticks| fits(tick, ticks)),
-                _ => told.into_iter().chain(around.clone()).find(|&ticks| fits(tick, ticks)),
-            };
-            if let Some(ticks) = found {
+        // Where the azimuth of a block must be, given the place of a firing of it.
+        let turn = i64::from(self.ticks);
+        let slots_of_firing = f64::from(self.timing.firing) / f64::from(self.timing.slot.max(1));
+        let start = |place: &Place, firing: u32| {
+            let passed = (f64::from(place.slot) + f64::from(firing) * slots_of_firing) * ticks_of_slot;
+            i64::from(place.tick) - round_ties_even(passed) as i64
+        };
+        let from = start(first, first_firing);
+        let told = next.and_then(<[Place]>::first).map(|next| start(next, 0));
+        for off in (0..=2 * OFF).map(|i| if i % 2 == 0 { i / 2 } else { -(i + 1) / 2 }) {
+            let tick = (from + off).rem_euclid(turn) as u32;
+            let told = told.map(|told| (told - from - off).rem_euclid(turn) as u32);
+            let near_told = told.into_iter().flat_map(|told| [told, told.saturating_sub(1), told + 1]);
+            let near_last = (0..=UNEVEN).flat_map(|off| [last.saturating_sub(off), last + off]);
+            let mut spans = near_told.filter(|told| told.abs_diff(last) <= 2 * UNEVEN).chain(near_last);
+            if let Some(ticks) = spans.find(|&ticks| fits(tick, ticks)) {
                 return Some((tick, ticks));
-            }
-            if first.slot == 0 && first_firing == 0 {
-                break;
             }
         }
         None

@@ -70,14 +70,17 @@ impl Compensation {
         let mover = Mover::new(&self.motion);
         let mut misses = self.misses.iter().peekable();
         for (number, position) in (0u32..).zip(positions) {
-            let moved = mover.moved(position.map(f64::from));
-            *position = match misses.next_if(|miss| miss.point == number) {
-                Some(miss) => std::array::from_fn(|axis| {
-                    let unit = Coordinates::Float32.unit_of(moved[axis]);
-                    Coordinates::Float32.value(unit.wrapping_add(miss.units[axis]), moved[axis])
-                }),
-                None => moved.map(|metres| metres as f32),
-            };
+            let moved = mover.moved(position.map(f64::from)).map(|metres| metres as f32);
+            // What is no number stays as it is: processors differ in the bits of a NaN that they compute.
+            if moved.iter().chain(&*position).all(|metres| !metres.is_nan()) {
+                *position = moved;
+            }
+            if let Some(miss) = misses.next_if(|miss| miss.point == number) {
+                *position = std::array::from_fn(|axis| {
+                    let unit = Coordinates::unit_of_float(position[axis]);
+                    Coordinates::Float32.value(unit.wrapping_add(miss.units[axis]), 0.0)
+                });
+            }
         }
     }
 }

@@ -38,13 +38,15 @@ pub enum SectionKind {
     Residual,
     /// How the points were moved after they were measured; left out if they were not.
     Compensation,
+    /// The file as it is, through a general-purpose coder: then nothing else is there but parameters.
+    Bytes,
     /// Something that this program does not know, of this number, but may leave aside.
     Skippable(u8),
 }
 
 impl SectionKind {
     /// All kinds that this program knows, in the order of their numbers, the first of which is 1.
-    pub const ALL: [SectionKind; 14] = [
+    pub const ALL: [SectionKind; 15] = [
         SectionKind::File,
         SectionKind::Columns,
         SectionKind::Occupancy,
@@ -59,6 +61,7 @@ impl SectionKind {
         SectionKind::Regions,
         SectionKind::Residual,
         SectionKind::Compensation,
+        SectionKind::Bytes,
     ];
 
     /// The kind's name in reports: lower case, one word.
@@ -78,6 +81,7 @@ impl SectionKind {
             SectionKind::Regions => "regions",
             SectionKind::Residual => "residual",
             SectionKind::Compensation => "compensation",
+            SectionKind::Bytes => "bytes",
             SectionKind::Skippable(_) => "skippable",
         }
     }

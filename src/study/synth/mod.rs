@@ -7,7 +7,7 @@
 //! 8.9 mm of range noise. A seed gives the same bytes on every platform.
 //!
 //! ```
-//! use crate::study::synth::{SynthConfig, drive};
+//! use lidarpc::study::synth::{SynthConfig, drive};
 //!
 //! let config = SynthConfig { frames: 2, beams: 8, thinning: 16, ..SynthConfig::default() };
 //! for frame in drive(&config) {

@@ -1,4 +1,4 @@
-//! A least-squares fit of the level, and how sure it is.
+//! A least-squares fit of the intensity level, and its reliability.
 
 use super::surroundings::{FEATURES, Surroundings};
 use crate::entropy::Logistic;
@@ -6,15 +6,16 @@ use crate::models::intensity::scale::IntensityScale;
 use crate::models::least_squares::LeastSquares;
 use crate::models::shape::{CERTAIN, ErrorShape, Placed};
 
-/// Fits: something to the left or not, above or not, in an earlier frame or not.
+/// Fits: one for each combination of whether there is a neighbour to the left, one above, and one in an
+/// earlier frame.
 const FITS: usize = 8;
-/// Parts of a level in which distributions are placed.
+/// Distributions are placed at this fraction of a level.
 const FINENESS: i64 = 16;
-/// The least mean error that is believed, in context levels.
+/// The least mean error that is considered possible, in context levels.
 const LEAST_SCALE: f32 = 0.3;
-/// At which rate mean errors are learned.
+/// The rate at which mean errors are learned.
 const SCALE_RATE: f32 = 0.01;
-/// Added to probabilities of 2^-30 before their logarithm is taken.
+/// Added to probabilities, in units of 2^-30, before their logarithm is taken.
 const LEAST: u64 = 64;
 
 /// The fits, and their mean errors.
@@ -22,12 +23,12 @@ const LEAST: u64 = 64;
 pub struct Fit {
     fits: [LeastSquares<FEATURES>; FITS],
     shape: ErrorShape,
-    /// In each context, in context levels.
+    /// For each context, in context levels.
     scales: Vec<f32>,
 }
 
 impl Fit {
-    /// Nothing learned; errors are kept apart in `contexts` contexts.
+    /// Creates fits that know nothing, with mean errors for `contexts` contexts.
     pub fn new(contexts: usize) -> Self {
         Fit {
             fits: std::array::from_fn(|_| LeastSquares::new(0.998)),
@@ -36,7 +37,7 @@ impl Fit {
         }
     }
 
-    /// The context level that is expected: 0 to 127.9.
+    /// The predicted context level: 0 to 127.9.
     pub fn predict(&self, around: &Surroundings) -> f32 {
         (around.base() + self.fits[around.fit()].predict(around.features())).clamp(0.0, 127.9)
     }
@@ -51,12 +52,12 @@ impl Fit {
         FitOpinion { placed, low: 0, high: 1 << scale.bits(), below: [0, 0, CERTAIN] }
     }
 
-    /// The shape of errors.
+    /// The shape of the error distribution.
     pub fn shape(&self) -> &ErrorShape {
         &self.shape
     }
 
-    /// Learns the context level that came.
+    /// Learns from the context level that was coded.
     pub fn learn(&mut self, around: &Surroundings, prediction: f32, context: usize, own: f32) {
         let error = own - prediction;
         let weight = 1.0 / (9.0 + error * error);
@@ -66,19 +67,19 @@ impl Fit {
     }
 }
 
-/// What a fit says of each bit of a level: where the distribution around its prediction lies.
+/// The opinion of a fit on each bit of a level, from the distribution around its prediction.
 #[derive(Clone, Copy, Debug)]
 pub struct FitOpinion {
     placed: Placed,
-    /// The levels that the bits so far leave: `low` to below `high`.
+    /// The levels still possible after the bits so far: `low` to below `high`.
     low: i64,
     high: i64,
-    /// The probability of a level below `low`, the middle, and `high`, in 2^-30.
+    /// The probability of a level below `low`, below the middle, and below `high`, in 2^-30.
     below: [u32; 3],
 }
 
 impl FitOpinion {
-    /// The log odds that the level is in the upper half of what is left.
+    /// The log odds that the level is in the upper half of those still possible.
     #[inline]
     pub fn of_upper_half(&mut self, shape: &ErrorShape, tables: &Logistic) -> f32 {
         let [low, _, high] = self.below;
@@ -88,7 +89,7 @@ impl FitOpinion {
         tables.ln(upper + LEAST) - tables.ln(lower + LEAST)
     }
 
-    /// Goes on with the upper half, or else the lower.
+    /// Continues with the upper half, or with the lower one.
     #[inline]
     pub fn narrow(&mut self, upper: bool) {
         let middle = (self.low + self.high) / 2;

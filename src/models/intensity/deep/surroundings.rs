@@ -1,28 +1,28 @@
-//! The levels around a return, gaps filled from beside.
+//! The intensity levels around a return, with gaps filled from their neighbours.
 
 use crate::models::intensity::neighbours::{IntensityNeighbours, TYPICAL_LEVEL};
 
 /// Features of the least-squares fit.
 pub const FEATURES: usize = 16;
-/// The context level of a level of 0.
+/// The context level of an intensity of 0.
 const ZERO: u16 = 1;
-/// The feature that is always the same.
+/// The constant feature.
 const CONSTANT: f32 = 4.0;
 
 /// Context levels around a return.
 #[derive(Clone, Copy, Debug)]
 pub struct Surroundings {
-    /// The last three of the row, nearest first, and the one above; none of them 0.
+    /// The last three levels of the row, nearest first, and the one above; none of them is 0.
     pub west: u16,
     pub west2: u16,
     pub west3: u16,
     pub north: u16,
-    /// In the same cell of an earlier frame, and of its moved surface; 0 = none.
+    /// The level of the same cell in an earlier frame, and that of its moved surface; 0 = none.
     pub same: u16,
     pub moved: u16,
-    /// Which of the neighbours are [`ZERO`], a bit each.
+    /// One bit for each neighbour, set if it is [`ZERO`].
     pub zeros: usize,
-    /// What a fit predicts from, or the next best where that holds no level or a 0.
+    /// Where a fit's prediction starts: the best neighbour that is neither missing nor 0.
     base: u16,
     features: [f32; FEATURES],
     gradient: f32,
@@ -30,13 +30,13 @@ pub struct Surroundings {
     fit: usize,
 }
 
-/// The first level that is known.
+/// The first level, or the other if the first is unknown.
 fn or(level: u16, other: u16) -> u16 {
     if level > 0 { level } else { other }
 }
 
 impl Surroundings {
-    /// Of what is near.
+    /// The surroundings of a return.
     pub fn new(near: &IntensityNeighbours) -> Self {
         let [w, ww, www, wwww] = near.left;
         let [nww, nw, n, ne, nee] = near.above;
@@ -61,7 +61,7 @@ impl Surroundings {
             fit: usize::from(n > 0) | usize::from(near.back.is_some()) << 1 | usize::from(w > 0) << 2,
         };
 
-        // A level of 0 says nothing of the surface, so here it is a gap.
+        // A level of 0 tells nothing about the surface, so it counts as a gap here.
         let [w, ww, www, wwww, nww, nw, n, ne, nee, nnw, nn, nne, same, same_west, same_east, moved] =
             [w, ww, www, wwww, nww, nw, n, ne, nee, nnw, nn, nne, same, same_west, same_east, moved]
                 .map(|level| if level == ZERO { 0 } else { level });
@@ -87,27 +87,27 @@ impl Surroundings {
         Surroundings { base, features, gradient, ..filled }
     }
 
-    /// Whether an earlier frame has anything here.
+    /// Whether an earlier frame has a return here.
     pub fn has_reference(&self) -> bool {
         self.same > 0 || self.moved > 0
     }
 
-    /// Which fit applies, 0 to 7: by whether anything is above, in an earlier frame, and to the left.
+    /// Which fit applies, 0 to 7: by whether there is a level above, in an earlier frame, and to the left.
     pub fn fit(&self) -> usize {
         self.fit
     }
 
-    /// Where the features start from.
+    /// Where the features start.
     pub fn base(&self) -> f32 {
         f32::from(self.base)
     }
 
-    /// Differences of the levels around from the base.
+    /// Differences between the levels around and the base.
     pub fn features(&self) -> &[f32; FEATURES] {
         &self.features
     }
 
-    /// How much the levels around differ.
+    /// How much the levels around differ from each other.
     pub fn gradient(&self) -> f32 {
         self.gradient
     }

@@ -1,13 +1,13 @@
-//! Ways to look at what is around a level: each makes a context.
+//! Views of the surroundings of an intensity: each makes a context.
 
 use super::surroundings::Surroundings;
 use crate::entropy::hash;
 use crate::models::quantise::signed_level;
 
 pub const VIEWS: usize = 14;
-/// Beams beyond this many share their contexts.
+/// Beams from this number on share their contexts.
 const ROW_CONTEXTS: usize = 128;
-/// Columns of a sector: what one frame has learned there serves the next.
+/// Columns of a sector: what is learned there in one frame serves the next.
 const WIDE_SECTOR: usize = 64;
 pub const NARROW_SECTOR: usize = 32;
 

@@ -1,5 +1,5 @@
-//! Whether a level is 0: what came back was too weak to be told from nothing. It is a thing of its own, not
-//! the lowest of the levels that a surface may give.
+//! Whether an intensity is 0, because the return was too weak. That is a case of its own, not the lowest of
+//! the levels that a surface may have.
 
 use super::surroundings::Surroundings;
 use super::views::NARROW_SECTOR;
@@ -7,14 +7,14 @@ use crate::entropy::{BitCoder, MixedBits};
 
 const VIEWS: usize = 8;
 const OPINIONS: usize = 12;
-/// Counters of each view: contexts share them by hashing.
+/// Counters of each view, as a power of two: contexts share them by hashing.
 const SLOT_BITS: u32 = 16;
-/// Six of the neighbours are 0 or not; with a reference there are as many more.
+/// Weight sets: six of the neighbours are 0 or not, and as many again with a reference.
 const SETS: usize = 128;
-/// Beams beyond this many share their contexts.
+/// Beams from this number on share their contexts.
 const ROW_CONTEXTS: usize = 128;
 
-/// What has been learned about zeros.
+/// What the coder has learned about zeros.
 #[derive(Clone)]
 pub struct ZeroModel {
     bits: MixedBits<VIEWS, OPINIONS>,
@@ -27,7 +27,7 @@ impl Default for ZeroModel {
 }
 
 impl ZeroModel {
-    /// Codes whether a level is 0. `prediction` is what it may be if not.
+    /// Codes whether a level is 0. `prediction` is its predicted value otherwise.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -57,7 +57,7 @@ impl ZeroModel {
     }
 }
 
-/// The place of a context among the slots.
+/// The slot of a context.
 fn slot(context: usize) -> usize {
     ((context as u32).wrapping_mul(0x9e37_79b1) >> (32 - SLOT_BITS)) as usize
 }

@@ -1,4 +1,4 @@
-//! Several least-squares fits, and one of what they say.
+//! Several least-squares fits, and one that blends their predictions.
 
 use super::Referred;
 use crate::models::least_squares::LeastSquares;
@@ -8,20 +8,20 @@ use crate::models::range::{
     ALL_FEATURES, EDGES, ERROR_LEVELS, FEATURE_REACH, FEATURES, FIT_REACH, REFERENCE_FEATURES,
 };
 
-/// Features of the wide fit: those of neighbours near and farther off, of intensities, of the reference
-/// and around that; the last two are always 0.
+/// Features of the wide fit: those of near and farther neighbours, of intensities, of the reference and its
+/// surroundings; the last two are always 0.
 const WIDE_FEATURES: usize = 28;
 const FARTHER: usize = FEATURES;
 const INTENSITIES: usize = FARTHER + 4;
 const REFERENCE: usize = INTENSITIES + 4;
 const SURROUNDINGS: usize = REFERENCE + REFERENCE_FEATURES;
-/// Features of the blend: what the others say, three ranges, two more that go on from neighbours as the
-/// reference does, the errors made around, and one that is always the same, in steps.
+/// Features of the blend: the predictions of the other fits, three ranges, two more that continue from
+/// neighbours as the reference does, the errors made around, and a constant, in steps.
 const BLEND_FEATURES: usize = 12;
 const ALWAYS: f64 = 10.0;
 /// Columns that share a local fit.
 const STRETCH: usize = 64;
-/// What few returns teach is forgotten soon, and used soon: samples from one solution to the next.
+/// What few returns teach is forgotten soon, and used soon: `SOON` samples between two solutions.
 const SHORT_MEMORY: f32 = 0.97;
 const LONG_MEMORY: f32 = 0.998;
 const SOON: u32 = 8;
@@ -29,17 +29,17 @@ const SOON: u32 = 8;
 /// The fits.
 #[derive(Clone)]
 pub struct Fits {
-    /// By kind of edge; after those without a reference those with one.
+    /// By kind of edge; those with a reference follow those without.
     wide: Vec<LeastSquares<WIDE_FEATURES>>,
     /// Of the last few returns, by kind of edge.
     recent: Vec<LeastSquares<FEATURES>>,
     /// Of the last few returns in a stretch of columns, in this row and those above.
     local: Vec<LeastSquares<ALL_FEATURES>>,
-    /// Of what these say, by error level.
+    /// Of the predictions of these, by class of error.
     blend: Vec<LeastSquares<BLEND_FEATURES>>,
 }
 
-/// What the fits say of a cell, in steps from the left neighbour, with their features.
+/// The predictions of the fits for a cell, in steps from the left neighbour, with their features.
 pub struct Fitted {
     pub recent: f64,
     pub local: f64,
@@ -64,19 +64,19 @@ impl Default for Fits {
 }
 
 impl Fits {
-    /// Makes ready for an image of `columns`.
+    /// Prepares for an image of `columns`.
     pub fn start_frame(&mut self, columns: usize) {
         let stretches = columns.div_ceil(STRETCH).max(self.local.len());
         self.local.resize(stretches, LeastSquares::new(SHORT_MEMORY).solved_every(SOON));
     }
 
-    /// Lets those with a reference start from what those without have learned.
+    /// Copies what the fits without a reference have learned to those with one.
     pub fn spread(&mut self) {
         let (alone, referred) = self.wide.split_at_mut(EDGES);
         referred.clone_from_slice(alone);
     }
 
-    /// Predicts.
+    /// Predicts the range of a cell.
     #[inline]
     pub fn predict(&self, site: &Site, column: usize, referred: Option<&Referred>) -> Fitted {
         let mut wide_features = [0.0; WIDE_FEATURES];
@@ -138,7 +138,7 @@ impl Fits {
         }
     }
 
-    /// Moves the fits towards the range that has been coded, in steps.
+    /// Adapts the fits to the range that has been coded, in steps.
     #[inline]
     pub fn learn(&mut self, site: &Site, fitted: &Fitted, range: f64) {
         site.learn(&mut self.wide[fitted.wide_fit], &fitted.wide_features, fitted.wide, range);
@@ -154,7 +154,7 @@ fn within_reach(fit: f32) -> f64 {
 }
 
 /// How the cell's own intensity differs from those to the left and above, in levels and in a measure that
-/// tells the weak ones apart: weak returns are measured late. 0 where a neighbour has none.
+/// singles out weak returns, which are measured late. 0 where a neighbour has none.
 #[inline]
 fn intensity_features([own, west, north]: [u16; 3]) -> [f32; 4] {
     let weakness = |level: u16| 40.0 / (f32::from(level) + 2.0);

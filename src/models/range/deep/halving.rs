@@ -1,4 +1,4 @@
-//! The halvings of one range under several mixtures.
+//! Halving one range under several mixtures.
 
 use super::site::SetContexts;
 use super::{DeepBits, MIXTURES, PREDICTORS, VIEWS};
@@ -9,7 +9,7 @@ use crate::models::range::mixture::{Below, Interval, Mixture, Predicted};
 use crate::models::range::{ERROR_LEVELS, NODES};
 use crate::models::shape::ErrorShape;
 
-/// What the halvings of one range need.
+/// The state of halving one range.
 pub struct DeepHalving<'a, C> {
     pub coder: &'a mut C,
     pub shape: &'a ErrorShape,
@@ -18,14 +18,14 @@ pub struct DeepHalving<'a, C> {
     pub bins: Bins,
     pub mixtures: &'a [Mixture<PREDICTORS>; MIXTURES],
     pub predicted: &'a [Predicted<PREDICTORS>; MIXTURES],
-    /// What is left.
+    /// What is left of the bins, under each mixture.
     pub intervals: &'a mut [Interval<PREDICTORS>; MIXTURES],
     pub bits: &'a mut DeepBits,
     pub views: [usize; VIEWS],
     pub contexts: SetContexts,
     /// The encoder's bin.
     pub bin: i64,
-    /// The mean of the mixtures' log odds of the last halves.
+    /// The mean of the mixtures' log odds for the last halves.
     pub odds: f32,
 }
 

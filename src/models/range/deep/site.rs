@@ -1,4 +1,4 @@
-//! What the deep model makes of a cell: predictions and contexts.
+//! A cell as the deep model sees it: predictions and contexts.
 
 use super::fits::Fitted;
 use super::{KINDS, MIXERS, MIXTURES, OWN_LEVELS, PREDICTORS, ROWS, VIEWS};
@@ -7,7 +7,7 @@ use crate::models::range::back::{Back, Surroundings};
 use crate::models::range::site::{Site, intensity_change, pair};
 use crate::models::range::{CONTEXTS, ERROR_LEVELS, NODES};
 
-/// What an earlier frame has for a cell, and around it.
+/// What an earlier frame has for a cell and around it.
 pub struct Referred {
     pub back: Back,
     pub around: Surroundings,
@@ -20,20 +20,20 @@ pub struct DeepSite<'a> {
     pub referred: Option<Referred>,
 }
 
-/// What chooses the weights of the mixers and the corrections.
+/// The contexts that select the weights of the mixers and the corrections.
 #[derive(Clone, Copy)]
 pub struct SetContexts {
-    /// 0 without a reference, else by the level of its errors.
+    /// 0 without a reference, else by the class of its errors.
     pub kind: usize,
     pub error_level: usize,
-    /// The row; those below the last that has contexts share its own.
+    /// The row; those below the last row with contexts of its own share that one's.
     pub row: usize,
-    /// How the intensity differs from the reference's; 0 without one.
+    /// How the intensity differs from that of the reference; 0 without a reference.
     pub recognition: usize,
 }
 
 impl SetContexts {
-    /// Of a cell.
+    /// The contexts of a cell.
     pub fn of(DeepSite { site, cell, referred }: &DeepSite) -> Self {
         let (kind, recognition) = referred.as_ref().map_or((0, 0), |Referred { back, around }| {
             let change = |level| intensity_change(site.intensities[0], level);
@@ -43,7 +43,7 @@ impl SetContexts {
         SetContexts { kind, error_level: site.error_level, row, recognition }
     }
 
-    /// The set of each mixer at a node.
+    /// The weight set of each mixer at a node.
     #[inline]
     pub fn sets(&self, node: usize) -> [usize; MIXERS] {
         [
@@ -55,8 +55,8 @@ impl SetContexts {
 }
 
 impl DeepSite<'_> {
-    /// What is mixed: the line through the two returns to the left, three fits, the left neighbour for
-    /// surprises, and the moved layer here and beside.
+    /// The predictions that are mixed: the line through the two returns to the left, three fits, the left
+    /// neighbour for surprises, and the moved layer here and in the neighbouring cells.
     pub fn predictions(&self, fitted: &Fitted) -> [f64; PREDICTORS] {
         let near = &self.site.near;
         let [recent, local, blend] = [fitted.recent, fitted.local, fitted.blend].map(|fit| near.west + fit);
@@ -77,7 +77,7 @@ impl DeepSite<'_> {
         ]
     }
 
-    /// The context of each view, for a coding that starts at `base`.
+    /// The context of each view, if coding starts at `base`.
     pub fn views(&self, contexts: &SetContexts, fitted: &Fitted, base: f64) -> [usize; VIEWS] {
         let SetContexts { kind, error_level, row, recognition, .. } = *contexts;
         let near = &self.site.near;
@@ -101,7 +101,7 @@ impl DeepSite<'_> {
     }
 }
 
-/// Level of the cell's own intensity.
+/// The class of the cell's own intensity.
 fn own_level(site: &Site) -> usize {
     usize::from(site.intensities[0] / 8).min(OWN_LEVELS - 1)
 }

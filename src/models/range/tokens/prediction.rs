@@ -1,4 +1,4 @@
-//! What a range is predicted from, and the context of what the prediction misses it by.
+//! The prediction of a range, and the context of its miss.
 
 use std::array::from_fn;
 
@@ -7,28 +7,28 @@ use crate::ground::grid::Grid;
 use crate::models::LeastSquares;
 use crate::models::magnitude::magnitude_level;
 
-/// Levels of the miss to expect where the left neighbour predicts.
+/// Classes of the expected miss, if the left neighbour predicts.
 pub const MISS_LEVELS: usize = 40;
-/// Levels of it and of the roughness around, apart, where least squares do.
+/// Classes of the expected miss and of the roughness around, if least squares predict.
 const FITTED_MISS_LEVELS: usize = 14;
 const ACTIVITY_LEVELS: usize = 12;
-/// Contexts of a range.
+/// Number of contexts of a range.
 pub const RANGE_CONTEXTS: usize = FITTED_MISS_LEVELS * ACTIVITY_LEVELS;
-/// Features by the neighbours, and with the frame before.
+/// Number of features from the neighbours, and with the frame before.
 const FEATURES: usize = 8;
 const REFERRING_FEATURES: usize = 16;
-/// Kinds of edges for which the least-squares fits are kept apart.
+/// Kinds of edges; each has its own least-squares fits.
 const EDGES: usize = 4;
 /// A difference of ranges, in steps, that counts as an edge, or as a change from the frame before.
 const EDGE: i32 = 60;
-/// Features and predictions are cut to so many steps from where they start.
+/// Features and predictions are limited to this many steps from where they start.
 const FEATURE_REACH: i32 = 300;
 const FIT_REACH: f32 = 400.0;
 
-/// What least squares have learned.
+/// What the coder has learned by least squares.
 #[derive(Clone)]
 pub struct Fits {
-    /// By the neighbours, and with the frame before: one for each kind of edge.
+    /// From the neighbours, and with the frame before: one for each kind of edge.
     near: [LeastSquares<FEATURES>; EDGES],
     before: [LeastSquares<REFERRING_FEATURES>; EDGES],
 }
@@ -40,7 +40,7 @@ impl Default for Fits {
 }
 
 impl Fits {
-    /// Learns the range that a guess was about, in steps.
+    /// Learns the range that was predicted by a guess, in steps.
     #[inline]
     pub fn learn(&mut self, guess: &Guess, range: i32) {
         let off = (range - guess.from) as f32;
@@ -54,7 +54,7 @@ impl Fits {
     }
 }
 
-/// The ranges coded before a cell's, in steps, each missing one replaced by the next best.
+/// The ranges coded before that of a cell, in steps, with missing ones replaced by the next best.
 pub struct Near {
     pub west: i32,
     pub west2: i32,
@@ -67,7 +67,7 @@ pub struct Near {
     pub north2: i32,
 }
 
-/// What the frame before lets expect in a cell and around it, in steps; 0 where that is nothing.
+/// What the frame before predicts for a cell and around it, in steps; 0 = nothing.
 pub struct Before {
     here: i32,
     west: i32,
@@ -80,8 +80,8 @@ pub struct Before {
 }
 
 impl Before {
-    /// Of a cell whose left neighbour is `west` steps away; none if nothing is expected there, or
-    /// something else.
+    /// The prediction for a cell whose left neighbour is `west` steps away; `None` if the frame before has
+    /// nothing there, or something else to the left of it.
     #[inline]
     pub fn at(expected: &Grid<u32>, cell: (usize, usize), west: i32) -> Option<Self> {
         let at = |down, right| expected.beside(cell, down, right) as i32;
@@ -102,10 +102,10 @@ impl Before {
 
 /// The prediction of a range.
 pub struct Guess {
-    /// Where it starts, in steps, and how far from there it is.
+    /// Where the prediction starts, in steps, and its distance from there.
     pub from: i32,
     pub fit: f32,
-    /// Of what it misses the range by.
+    /// The context of the miss.
     pub context: usize,
     by: By,
 }
@@ -118,7 +118,7 @@ enum By {
 }
 
 impl Guess {
-    /// The left neighbour's. `expected` is the miss to expect, in sixteenths of a step.
+    /// Predicts from the left neighbour. `expected` is the expected miss, in sixteenths of a step.
     #[inline]
     pub fn west(near: &Near, expected: u32, bin: u32) -> Self {
         let expected = expected + 5 * near.activity().min(4 * MOST_MISS as u32);
@@ -126,7 +126,7 @@ impl Guess {
         Guess { from: near.west, fit: 0.0, context, by: By::West }
     }
 
-    /// By least squares from the neighbours.
+    /// Predicts by least squares from the neighbours.
     #[inline]
     pub fn fitted(near: &Near, fits: &Fits, expected: u32, bin: u32) -> Self {
         let features = [
@@ -146,7 +146,7 @@ impl Guess {
         Guess { from: near.west, fit, context, by: By::Fit { edge, features } }
     }
 
-    /// By least squares from the frame before and the neighbours.
+    /// Predicts by least squares from the frame before and the neighbours.
     #[inline]
     pub fn from_before(before: &Before, near: &Near, fits: &Fits, expected: u32, bin: u32) -> Self {
         let or_here = |range: i32| if range > 0 { range } else { before.here };
@@ -177,7 +177,7 @@ impl Guess {
 }
 
 impl Near {
-    /// How rough it is around, in steps.
+    /// The roughness around the cell, in steps.
     #[inline]
     fn activity(&self) -> u32 {
         let Near { west, west2, north, north_west, north_east, .. } = self;
@@ -192,7 +192,7 @@ impl Near {
             + 2 * usize::from((from_west(self.north) - from_west(self.north_west)).abs() > EDGE as f32)
     }
 
-    /// The context where least squares predict.
+    /// The context if least squares predict.
     #[inline]
     fn context(&self, expected: u32, bin: u32) -> usize {
         let activity = ((1 + self.activity() / bin).ilog2() as usize).min(ACTIVITY_LEVELS - 1);
@@ -204,12 +204,13 @@ fn feature(range: i32, from: i32) -> f32 {
     (range - from).clamp(-FEATURE_REACH, FEATURE_REACH) as f32
 }
 
-/// The level, as by [`magnitude_level`], of the miss that a context of least squares expects, in quarters of a bin.
+/// The class, as in [`magnitude_level`], of the miss that a context of least squares expects, in quarters of
+/// a bin.
 pub fn miss_level_of(context: usize) -> usize {
     2 * (context / ACTIVITY_LEVELS + 2)
 }
 
-/// The level of a miss to expect, in sixteenths of a bin.
+/// The class of an expected miss, in sixteenths of a bin.
 #[inline]
 fn miss_level(expected: u32) -> usize {
     (magnitude_level(expected >> 2, 2 * FITTED_MISS_LEVELS + 4) >> 1).clamp(2, FITTED_MISS_LEVELS + 1) - 2

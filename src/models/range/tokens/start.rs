@@ -1,5 +1,5 @@
-//! What misses are like before any has been seen, so that small scans need not send tables: a bell with long
-//! tails, as wide as the miss that the context expects.
+//! The distribution of misses before any has occurred, so that small scans need not send tables: a bell with
+//! long tails, as wide as the miss that the context expects.
 
 use std::sync::LazyLock;
 
@@ -7,14 +7,14 @@ use super::prediction::{MISS_LEVELS, RANGE_CONTEXTS, miss_level_of};
 use crate::entropy::{Counts, numbers_of_token};
 use crate::models::magnitude::magnitude_of_level;
 
-/// Numbers beyond are escaped until one has been seen.
+/// Larger numbers are escaped until one has occurred.
 const FARTHEST: u64 = 1 << 18;
-/// Points of a token of many numbers that stand for all of them.
+/// Points that are evaluated for a token of many numbers.
 const POINTS: u64 = 4;
-/// The sum, about, of the counts of a context.
+/// The approximate sum of the counts of a context.
 const SUM: f64 = 4096.0;
 
-/// How often tokens come, by context, where ranges are predicted by their left neighbours, or are `fitted`.
+/// Typical counts of tokens, by context, if ranges are predicted from their left neighbours, or are `fitted`.
 pub fn start_counts(fitted: bool) -> &'static [Counts] {
     static FITTED: LazyLock<Vec<Counts>> = LazyLock::new(|| {
         let width = |context| 1.5 + f64::from(magnitude_of_level(miss_level_of(context))) / 12.0;
@@ -27,7 +27,7 @@ pub fn start_counts(fitted: bool) -> &'static [Counts] {
     if fitted { &FITTED } else { &WEST }
 }
 
-/// Counts of misses that come as 1 / (1 + (miss / width)^2) says.
+/// Counts of misses with frequencies of 1 / (1 + (miss / width)^2).
 fn bell(width: f64) -> Counts {
     let at = |miss: f64| {
         let part = miss / width;

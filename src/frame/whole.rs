@@ -1,0 +1,98 @@
+//! A frame that is the bytes of its file, through a general-purpose coder: the floor under all models.
+
+use crate::backend::{self, LZMA, Level, ZSTD};
+use crate::files::{parse, plain_records};
+use crate::ground::error::{Error, Limits, Result};
+use crate::ground::varint::{read_unsigned, write_unsigned};
+use crate::models::channels::{FLOOR_LEVEL, LZMA_GAIN};
+use crate::scan::{Layout, ScanFile, Wrapping};
+
+/// The bytes of a file, and what they hold.
+#[derive(Clone, Debug, Default)]
+pub struct WholeFile {
+    bytes: Vec<u8>,
+    /// How records stand in it, and after how many bytes, if its name does not tell.
+    records: Option<(Layout, usize)>,
+    /// The bytes as they are coded.
+    payload: Vec<u8>,
+}
+
+impl WholeFile {
+    /// A file as a general-purpose coder has it; none if that is not shorter than `most` bytes.
+    ///
+    /// # Errors
+    /// If the coder's library fails.
+    pub fn shortest(scan: &ScanFile, level: Level, most: usize) -> Result<Option<Self>> {
+        let bytes = scan.to_bytes()?;
+        let records = (scan.layout.wrapping == Wrapping::Plain && !scan.is_opaque())
+            .then(|| (scan.layout.clone(), scan.prefix.len()));
+        let quick = backend::compress_quickly(&bytes)?;
+        let mut best = (ZSTD, quick);
+        if level.number() >= FLOOR_LEVEL && best.1.len() as f64 * LZMA_GAIN < most as f64 {
+            let hardest = backend::compress_hardest(&bytes)?;
+            if hardest.len() < best.1.len() {
+                best = (LZMA, hardest);
+            }
+        }
+        let mut payload = vec![best.0];
+        let mut layout = Vec::new();
+        records.iter().for_each(|(records, _)| records.write_to(&mut layout));
+        write_unsigned(&mut payload, layout.len() as u64);
+        payload.extend(layout);
+        let prefix = records.as_ref().map_or(0, |(_, prefix)| *prefix);
+        write_unsigned(&mut payload, prefix as u64);
+        write_unsigned(&mut payload, bytes.len() as u64);
+        payload.extend(best.1);
+        Ok((payload.len() < most).then_some(WholeFile { bytes, records, payload }))
+    }
+
+    /// The payload of the section.
+    pub fn payload(&self) -> &[u8] {
+        &self.payload
+    }
+
+    /// Reads the payload of the section.
+    ///
+    /// # Errors
+    /// If it is damaged, or the file is over the limits.
+    pub fn from_payload(mut input: &[u8], limits: &Limits) -> Result<Self> {
+        let damaged = || Error::corrupt("bytes: cut short");
+        let (&id, rest) = input.split_first().ok_or_else(damaged)?;
+        input = rest;
+        let layout_length = read_length(&mut input)?;
+        let mut layout = input.split_off(..layout_length).ok_or_else(damaged)?;
+        let layout = if layout.is_empty() { None } else { Some(Layout::read_from(&mut layout)?) };
+        if layout.as_ref().is_some_and(|layout| layout.wrapping != Wrapping::Plain) {
+            return Err(Error::corrupt("bytes: records that are no bytes"));
+        }
+        let prefix = read_length(&mut input)?;
+        let length = read_length(&mut input)?;
+        if length as u64 > limits.file_bytes {
+            let what = "bytes of the frame".to_owned();
+            return Err(Error::LimitExceeded { what, got: length as u64, max: limits.file_bytes });
+        }
+        let bytes = backend::decompress(backend::by_id(id)?, input, length)?;
+        Ok(WholeFile { bytes, records: layout.map(|layout| (layout, prefix)), payload: Vec::new() })
+    }
+
+    /// The scan that it holds, of so many records.
+    ///
+    /// # Errors
+    /// If it does not hold as many.
+    pub fn into_scan(self, name: &str, records: usize) -> Result<ScanFile> {
+        let scan = match self.records {
+            None => parse(name, self.bytes),
+            Some((layout, prefix)) => {
+                let scan = plain_records(layout, &self.bytes, prefix, records as u64);
+                let scan = scan.filter(|scan| scan.records == records);
+                scan.ok_or_else(|| Error::corrupt("bytes: fewer records than the frame's header says"))?
+            }
+        };
+        Ok(ScanFile { name: name.to_owned(), ..scan })
+    }
+}
+
+fn read_length(input: &mut &[u8]) -> Result<usize> {
+    let length = read_unsigned(input, "bytes")?;
+    usize::try_from(length).map_err(|_| Error::corrupt("bytes: number too large"))
+}

@@ -1,0 +1,232 @@
+//! Integers, one a record, each predicted in several ways: which way is right tells of the next one. What none
+//! tells is the difference from the one that errs least.
+
+use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel, MixedBits};
+use crate::ground::varint::{unzigzag, zigzag};
+
+/// Ways to predict an integer.
+const CANDIDATES: usize = 13;
+/// How many are asked in turn, the one that was right most often first.
+const TRIES: usize = 4;
+/// Contexts of a try, and opinions on it.
+const VIEWS: usize = 5;
+const OPINIONS: usize = 8;
+/// Bits of the number of entries of a table of what followed what.
+const TABLE_BITS: u32 = 14;
+/// Levels of the recent error, in half bits.
+const ERROR_LEVELS: usize = 64;
+/// Differences of this many bits and more are coded as they are.
+const LONGEST: u32 = 62;
+
+/// Where a record is, and what is known of it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Site {
+    /// Its beam.
+    pub key: u32,
+    /// Its column in the range image, the first being 1; 0 for none.
+    pub column: u32,
+    /// What it is by its position, if that tells.
+    pub geometry: Option<i64>,
+    /// The integer a lag before, and the one before that.
+    pub lagged: Option<[i64; 2]>,
+}
+
+/// What the coder has learned about the integers of a column.
+#[derive(Clone)]
+pub struct IntegersModel {
+    /// The last integers, the latest first.
+    last: [i64; 3],
+    /// The last site's key.
+    key: u32,
+    /// By hash of the key: the last integer there, the one before, its difference from the geometry.
+    of_key: Vec<[i64; 3]>,
+    /// By hash of the last key and this one: the last difference.
+    of_keys: Vec<i64>,
+    /// By column: the last integer.
+    of_column: Vec<i64>,
+    /// By hash of the last two integers: what came next.
+    after: Vec<i64>,
+    /// By hash of the last two differences: the next.
+    after_steps: Vec<i64>,
+    /// How often each candidate has been right of late, from 0 to 1.
+    scores: [f32; CANDIDATES],
+    /// How far off each has been of late, in half bits.
+    errors: [f32; CANDIDATES],
+    /// Which of the last tries were right, a bit each.
+    history: usize,
+    hits: MixedBits<VIEWS, OPINIONS>,
+    is_long: AdaptiveBit,
+    differences: Vec<IntegerModel>,
+}
+
+/// Counters of each context of a try.
+const PLACES: usize = 1 << 14;
+
+impl Default for IntegersModel {
+    fn default() -> Self {
+        let table = 1 << TABLE_BITS;
+        IntegersModel {
+            last: [0; 3],
+            key: 0,
+            of_key: vec![[0; 3]; table],
+            of_keys: vec![0; table],
+            of_column: Vec::new(),
+            after: vec![0; table],
+            after_steps: vec![0; table],
+            scores: [0.5; CANDIDATES],
+            errors: [16.0; CANDIDATES],
+            history: 0,
+            hits: MixedBits::new([PLACES; VIEWS], TRIES, 0.3, 0.0, 0.004),
+            is_long: AdaptiveBit::default(),
+            differences: vec![IntegerModel::default(); ERROR_LEVELS],
+        }
+    }
+}
+
+/// The entries of the tables that a site looks at.
+struct Entries {
+    key: usize,
+    keys: usize,
+    column: usize,
+    after: usize,
+    after_steps: usize,
+}
+
+impl IntegersModel {
+    /// Codes the next integer.
+    pub fn code<C: BitCoder>(&mut self, coder: &mut C, site: &Site, value: i64) -> i64 {
+        let entries = self.entries(site);
+        let candidates = self.candidates(site, &entries);
+        let coded = self.code_by(coder, site, &entries, &candidates, value);
+        self.learn(site, &entries, &candidates, coded);
+        coded
+    }
+
+    fn entries(&mut self, site: &Site) -> Entries {
+        let column = site.column as usize;
+        if self.of_column.len() <= column {
+            self.of_column.resize(column + 1, 0);
+        }
+        let [a, b, c] = self.last;
+        Entries {
+            key: slot(site.key.into(), 0),
+            keys: slot(site.key.into(), u64::from(self.key) + 1),
+            column,
+            after: slot(a as u64, b as u64),
+            after_steps: slot(a.wrapping_sub(b) as u64, b.wrapping_sub(c) as u64),
+        }
+    }
+
+    /// What each way expects.
+    fn candidates(&self, site: &Site, entries: &Entries) -> [i64; CANDIDATES] {
+        let [last, before, _] = self.last;
+        let step = last.wrapping_sub(before);
+        let [of_key, before_of_key, off] = self.of_key[entries.key];
+        // How far the record before was from the one before it in its own beam.
+        let change = last.wrapping_sub(self.of_key[slot(self.key.into(), 0)][1]);
+        let [lagged, before_lagged] = site.lagged.unwrap_or([last; 2]);
+        let geometry = site.geometry.unwrap_or(last);
+        [
+            last,
+            last.wrapping_add(step),
+            last.wrapping_add(self.of_keys[entries.keys]),
+            of_key,
+            of_key.wrapping_add(of_key.wrapping_sub(before_of_key)),
+            of_key.wrapping_add(change),
+            if entries.column > 0 { self.of_column[entries.column] } else { last },
+            lagged,
+            lagged.wrapping_add(last.wrapping_sub(before_lagged)),
+            self.after[entries.after],
+            last.wrapping_add(self.after_steps[entries.after_steps]),
+            geometry,
+            if site.geometry.is_some() { geometry.wrapping_add(off) } else { last },
+        ]
+    }
+
+    /// Codes an integer, given what is expected.
+    fn code_by<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        site: &Site,
+        entries: &Entries,
+        candidates: &[i64; CANDIDATES],
+        value: i64,
+    ) -> i64 {
+        let mut is_out = [false; CANDIDATES];
+        for attempt in 0..TRIES {
+            let left = (0..CANDIDATES).filter(|&at| !is_out[at]);
+            let Some(best) = left.reduce(|a, b| if self.scores[b] > self.scores[a] { b } else { a }) else {
+                break;
+            };
+            let expected = candidates[best];
+            // Those that expect the same, and are out if it is wrong.
+            let mut alike = 0;
+            let mut trust = 0.0;
+            for at in (0..CANDIDATES).filter(|&at| candidates[at] == expected) {
+                is_out[at] = true;
+                alike |= 1 << at;
+                trust += self.scores[at];
+            }
+            let context = attempt | (self.history & 0xff) << 2;
+            let places = [
+                context,
+                attempt | best << 2 | level(self.scores[best]) << 6 | (self.history & 7) << 11,
+                attempt | alike << 2 & (PLACES - 1),
+                slot(site.key.into(), (attempt as u64) << 32 | 1 << 40),
+                attempt | level(trust / 4.0) << 2 | (entries.keys & 0x7f) << 7,
+            ];
+            let hit = self.hits.code(
+                coder,
+                attempt,
+                &places.map(|place| place & (PLACES - 1)),
+                0.0,
+                value == expected,
+            );
+            if hit {
+                self.history = self.history << 2 | attempt.min(2) + 1;
+                return expected;
+            }
+        }
+        self.history <<= 2;
+        let nearest =
+            (0..CANDIDATES).reduce(|a, b| if self.errors[b] < self.errors[a] { b } else { a }).unwrap_or(0);
+        let expected = candidates[nearest];
+        let difference = zigzag(value.wrapping_sub(expected));
+        if self.is_long.code(coder, difference >> LONGEST > 0) {
+            return coder.code_plain(value as u64, 64) as i64;
+        }
+        let model = &mut self.differences[(self.errors[nearest] as usize).min(ERROR_LEVELS - 1)];
+        expected.wrapping_add(unzigzag(model.code(coder, difference)))
+    }
+
+    fn learn(&mut self, site: &Site, entries: &Entries, candidates: &[i64; CANDIDATES], value: i64) {
+        for (at, candidate) in candidates.iter().enumerate() {
+            let is_right = if *candidate == value { 1.0 } else { 0.0 };
+            self.scores[at] += (is_right - self.scores[at]) * (1.0 / 32.0);
+            let off = candidate.wrapping_sub(value).unsigned_abs();
+            let half_bits = 2.0 * (u64::BITS - off.leading_zeros()) as f32;
+            self.errors[at] += (half_bits - self.errors[at]) * (1.0 / 8.0);
+        }
+        let [last, before, _] = self.last;
+        self.after[entries.after] = value;
+        self.after_steps[entries.after_steps] = value.wrapping_sub(last);
+        self.of_keys[entries.keys] = value.wrapping_sub(last);
+        self.of_column[entries.column] = value;
+        let [of_key, _, _] = self.of_key[entries.key];
+        let off = site.geometry.map_or(0, |geometry| value.wrapping_sub(geometry));
+        self.of_key[entries.key] = [value, of_key, off];
+        self.last = [value, last, before];
+        self.key = site.key;
+    }
+}
+
+/// A part of 1 in 32 levels.
+fn level(part: f32) -> usize {
+    ((part * 32.0) as usize).min(31)
+}
+
+fn slot(a: u64, b: u64) -> usize {
+    let mixed =
+        (a.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ b.rotate_left(29)).wrapping_mul(0xd6e8_feb8_6659_fd93);
+    ((mixed ^ mixed >> 31).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (u64::BITS - TABLE_BITS)) as usize
+}

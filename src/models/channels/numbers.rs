@@ -1,0 +1,271 @@
+//! Values as integers: those of integer types as they are, floating point as multiples of a step if they are
+//! that, else as its place among all floating-point numbers.
+
+use byteorder::{ByteOrder, LittleEndian};
+
+use crate::scan::Scalar;
+
+/// How values become integers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Scale {
+    /// 0: integers as they are, floating point by its place among all numbers; else 1 + 10 * the number of a form
+    /// + a decimal exponent, or beyond these the numbers of levels that make 1.
+    code: u8,
+}
+
+const EXPONENTS: u8 = 10;
+const FORMS: u8 = 6;
+/// Further quotients: a number of levels that make 1.
+const LEVELS: [u32; 4] = [255, 256, 65_535, 65_536];
+
+/// How an integer makes a floating-point number.
+#[derive(Clone, Copy, Debug)]
+enum Form {
+    /// n / 10^k, in double precision, then rounded.
+    Quotient,
+    /// n * 10^-k, in double precision, then rounded.
+    Product,
+    /// n * (m * 10^-k), both factors and the product in single precision.
+    Single(f64),
+    /// n over a number of levels, in double precision, then rounded.
+    Levels(f64),
+    /// n * 10^-k degrees in radians, in double precision, then rounded.
+    Degrees,
+}
+
+impl Scale {
+    /// As they are, or by their place among all numbers.
+    pub const PLACE: Scale = Scale { code: 0 };
+
+    /// The number in the stream.
+    pub fn to_code(self) -> u8 {
+        self.code
+    }
+
+    /// The scale of this number.
+    pub fn from_code(code: u8) -> Option<Self> {
+        (code <= FORMS * EXPONENTS + LEVELS.len() as u8).then_some(Scale { code })
+    }
+
+    /// The scale that suits nearly all of these values best: the coarsest grid that they lie on.
+    pub fn of(scalar: Scalar, values: &[u8]) -> Self {
+        /// How many are looked at, at most, before all are.
+        const SAMPLES: usize = 200;
+        /// One in so many may lie off the grid.
+        const RARE: usize = 64;
+        if !scalar.is_float() {
+            return Scale::PLACE;
+        }
+        let size = scalar.size() as usize;
+        let step = (values.len() / size / SAMPLES).max(1);
+        let suits = |scale: Scale, every: usize| {
+            let tried = values.chunks_exact(size).step_by(every);
+            let most = tried.len() / RARE;
+            tried.filter(|value| scale.integer(scalar, value).is_none()).nth(most).is_none()
+        };
+        let finite =
+            values.chunks_exact(size).map(|value| number(scalar, value).abs()).filter(|v| v.is_finite());
+        let highest = finite.fold(0.0, f64::max);
+        let resolution = highest * if scalar == Scalar::F32 { 1.2e-7 } else { 2.3e-16 };
+        let mut scales: Vec<Scale> =
+            (1..=FORMS * EXPONENTS + LEVELS.len() as u8).map(|code| Scale { code }).collect();
+        scales.retain(|scale| scale.step() > resolution);
+        scales.sort_by(|a, b| b.step().total_cmp(&a.step()));
+        scales.into_iter().find(|&scale| suits(scale, step) && suits(scale, 1)).unwrap_or(Scale::PLACE)
+    }
+
+    fn form(self) -> Option<(Form, i32)> {
+        let code = self.code.checked_sub(1)?;
+        if let Some(levels) = code.checked_sub(FORMS * EXPONENTS).and_then(|at| LEVELS.get(usize::from(at))) {
+            return Some((Form::Levels(f64::from(*levels)), 0));
+        }
+        let form = match code / EXPONENTS {
+            0 => Form::Quotient,
+            1 => Form::Product,
+            2 => Form::Single(1.0),
+            3 => Form::Single(5.0),
+            4 => Form::Single(25.0),
+            _ => Form::Degrees,
+        };
+        Some((form, i32::from(code % EXPONENTS)))
+    }
+
+    /// What one step stands for.
+    pub fn step(self) -> f64 {
+        match self.form() {
+            None => 1.0,
+            Some((Form::Quotient | Form::Product, exponent)) => 1.0 / power(exponent),
+            Some((Form::Levels(levels), _)) => 1.0 / levels,
+            Some((Form::Single(factor), exponent)) => factor / power(exponent),
+            Some((Form::Degrees, exponent)) => 1.0 / power(exponent) * (std::f64::consts::PI / 180.0),
+        }
+    }
+
+    /// The integer of a value; `None` if it is off the grid.
+    pub fn integer(self, scalar: Scalar, value: &[u8]) -> Option<i64> {
+        if self.form().is_none() {
+            return Some(place(scalar, value));
+        }
+        let number = number(scalar, value);
+        let count = libm::rint(number / self.step());
+        if !(count.abs() < 9e15) {
+            return None;
+        }
+        let mut again = [0; 8];
+        self.write(scalar, count as i64, &mut again);
+        (again[..value.len()] == *value).then_some(count as i64)
+    }
+
+    /// The value of an integer.
+    pub fn write(self, scalar: Scalar, integer: i64, value: &mut [u8]) {
+        let Some((form, exponent)) = self.form() else { return write_place(scalar, integer, value) };
+        let count = integer as f64;
+        let number = match form {
+            Form::Quotient => count / power(exponent),
+            Form::Product => count * (1.0 / power(exponent)),
+            Form::Levels(levels) => count / levels,
+            Form::Single(factor) => f64::from(count as f32 * (factor / power(exponent)) as f32),
+            Form::Degrees => count * (1.0 / power(exponent)) * std::f64::consts::PI / 180.0,
+        };
+        match scalar {
+            Scalar::F32 => LittleEndian::write_f32(value, number as f32),
+            _ => LittleEndian::write_f64(value, number),
+        }
+    }
+
+    /// The integer that comes nearest to a number.
+    pub fn nearest(self, scalar: Scalar, number: f64) -> i64 {
+        match (self.form(), scalar) {
+            (None, Scalar::F32) => ordered32((number as f32).to_bits()),
+            (None, Scalar::F64) => ordered64(number.to_bits()),
+            _ => libm::rint(number / self.step()) as i64,
+        }
+    }
+}
+
+/// 10^k; exact.
+fn power(exponent: i32) -> f64 {
+    (0..exponent).fold(1.0, |power, _| power * 10.0)
+}
+
+/// The number that a value is.
+pub fn number(scalar: Scalar, value: &[u8]) -> f64 {
+    match scalar {
+        Scalar::F32 => LittleEndian::read_f32(value).into(),
+        Scalar::F64 => LittleEndian::read_f64(value),
+        Scalar::U64 => LittleEndian::read_u64(value) as f64,
+        _ => place(scalar, value) as f64,
+    }
+}
+
+/// Writes the value of a type that is nearest to a number.
+pub fn write_number(scalar: Scalar, number: f64, value: &mut [u8]) {
+    match scalar {
+        Scalar::F32 => LittleEndian::write_f32(value, number as f32),
+        Scalar::F64 => LittleEndian::write_f64(value, number),
+        Scalar::U64 => LittleEndian::write_u64(value, number as u64),
+        _ => write_place(scalar, number as i64, value),
+    }
+}
+
+/// An integer as it is; floating point as its place among all numbers, 0 being that of 0.
+fn place(scalar: Scalar, value: &[u8]) -> i64 {
+    let size = value.len();
+    match scalar {
+        Scalar::F32 => ordered32(LittleEndian::read_u32(value)),
+        Scalar::F64 => ordered64(LittleEndian::read_u64(value)),
+        Scalar::U8 | Scalar::U16 | Scalar::U32 | Scalar::U64 => LittleEndian::read_uint(value, size) as i64,
+        Scalar::I8 | Scalar::I16 | Scalar::I32 | Scalar::I64 => LittleEndian::read_int(value, size),
+    }
+}
+
+/// The inverse of [`place`].
+fn write_place(scalar: Scalar, place: i64, value: &mut [u8]) {
+    let bits = match scalar {
+        Scalar::F32 => u64::from(bits32(place)),
+        Scalar::F64 => bits64(place),
+        _ => place as u64,
+    };
+    let size = scalar.size() as usize;
+    value[..size].copy_from_slice(&bits.to_le_bytes()[..size]);
+}
+
+/// -0 has a place of its own, below 0.
+fn ordered32(bits: u32) -> i64 {
+    let signed = bits as i32;
+    i64::from(if signed < 0 { !(signed & i32::MAX) } else { signed })
+}
+
+fn bits32(place: i64) -> u32 {
+    let signed = place as i32;
+    (if signed < 0 { !signed | i32::MIN } else { signed }) as u32
+}
+
+fn ordered64(bits: u64) -> i64 {
+    let signed = bits as i64;
+    if signed < 0 { !(signed & i64::MAX) } else { signed }
+}
+
+fn bits64(place: i64) -> u64 {
+    (if place < 0 { !place | i64::MIN } else { place }) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn singles(values: impl Iterator<Item = f32>) -> Vec<u8> {
+        values.flat_map(f32::to_le_bytes).collect()
+    }
+
+    #[test]
+    fn grids_are_found() {
+        let n = || (0..1000u32).map(|n| f64::from(n * 7 % 1001));
+        let find = |value: &dyn Fn(f64) -> f32| Scale::of(Scalar::F32, &singles(n().map(value))).step();
+        assert_eq!(find(&|n| n as f32), 1.0);
+        assert_eq!(find(&|n| (n / 100.0) as f32), 0.01);
+        assert_eq!(find(&|n| n as f32 * 0.0025f32), 0.0025);
+        assert!((find(&|n| (n * 0.01 * std::f64::consts::PI / 180.0) as f32) - 1.745e-4).abs() < 1e-6);
+        let times: Vec<u8> = n().flat_map(|n| ((1.6e15 + n) / 1e6).to_le_bytes()).collect();
+        assert_eq!(Scale::of(Scalar::F64, &times).step(), 1e-6);
+        let rough = singles((1..1000).map(|n| libm::sqrtf(n as f32)));
+        assert_eq!(Scale::of(Scalar::F32, &rough), Scale::PLACE);
+    }
+
+    proptest! {
+        #[test]
+        fn every_value_has_a_place(bits: u64, number in 0usize..10) {
+            let scalar = Scalar::from_number(number as u8).unwrap();
+            let value = &bits.to_le_bytes()[..scalar.size() as usize];
+            let mut again = [0; 8];
+            write_place(scalar, place(scalar, value), &mut again);
+            prop_assert_eq!(&again[..value.len()], value);
+        }
+
+        #[test]
+        fn what_is_on_a_grid_comes_back(bits: u64, small in -1000i64..1000, code in 0u8..=64, double: bool) {
+            let scalar = if double { Scalar::F64 } else { Scalar::F32 };
+            let scale = Scale::from_code(code).unwrap();
+            let size = scalar.size() as usize;
+            let mut value = bits.to_le_bytes();
+            if bits % 3 > 0 {
+                scale.write(scalar, small, &mut value);
+            }
+            if let Some(integer) = scale.integer(scalar, &value[..size]) {
+                let mut again = [0; 8];
+                scale.write(scalar, integer, &mut again);
+                prop_assert_eq!(&again[..size], &value[..size]);
+            }
+            scale.nearest(scalar, f64::from_bits(bits));
+        }
+
+        #[test]
+        fn places_are_in_order(a: f32, b: f32) {
+            prop_assume!(a < b);
+            prop_assert!(ordered32(a.to_bits()) < ordered32(b.to_bits()));
+            prop_assert!(ordered64(f64::from(a).to_bits()) < ordered64(f64::from(b).to_bits()));
+        }
+    }
+}

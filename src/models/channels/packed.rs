@@ -1,0 +1,178 @@
+//! Columns by a general-purpose coder, once their bytes are arranged for it.
+
+use crate::backend::{self, LZMA, Level, ZSTD};
+use crate::entropy::{BitCoder, IntegerModel};
+use crate::ground::error::{Error, Result};
+use crate::scan::Scalar;
+
+/// How the bytes of records are arranged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Arrangement {
+    /// As they are.
+    Records,
+    /// The first byte of every record, then the second, ...
+    Planes,
+    /// The same of each value's difference from the one a record before.
+    Differences,
+}
+
+impl Arrangement {
+    /// All, at their numbers.
+    pub const ALL: [Arrangement; 3] = [Arrangement::Records, Arrangement::Planes, Arrangement::Differences];
+
+    /// Arranges records of `width` bytes that hold values of this type.
+    pub fn apply(self, bytes: &[u8], scalar: Scalar, width: usize) -> Vec<u8> {
+        match self {
+            Arrangement::Records => bytes.to_vec(),
+            Arrangement::Planes => planes(bytes, width),
+            Arrangement::Differences => {
+                let mut differences = bytes.to_vec();
+                let size = scalar.size() as usize;
+                for at in (width..bytes.len()).step_by(size) {
+                    let value =
+                        number(&bytes[at..at + size]).wrapping_sub(number(&bytes[at - width..][..size]));
+                    differences[at..at + size].copy_from_slice(&value.to_le_bytes()[..size]);
+                }
+                planes(&differences, width)
+            }
+        }
+    }
+
+    /// The inverse of [`apply`](Self::apply).
+    pub fn undo(self, arranged: &[u8], scalar: Scalar, width: usize, bytes: &mut [u8]) {
+        if self == Arrangement::Records {
+            bytes.copy_from_slice(arranged);
+            return;
+        }
+        let records = bytes.len() / width.max(1);
+        for (at, plane) in arranged.chunks_exact(records.max(1)).enumerate() {
+            bytes.iter_mut().skip(at).step_by(width).zip(plane).for_each(|(to, from)| *to = *from);
+        }
+        if self == Arrangement::Differences {
+            let size = scalar.size() as usize;
+            for at in (width..bytes.len()).step_by(size) {
+                let value = number(&bytes[at..at + size]).wrapping_add(number(&bytes[at - width..][..size]));
+                bytes[at..at + size].copy_from_slice(&value.to_le_bytes()[..size]);
+            }
+        }
+    }
+}
+
+fn planes(bytes: &[u8], width: usize) -> Vec<u8> {
+    (0..width).flat_map(|at| bytes.iter().skip(at).step_by(width)).copied().collect()
+}
+
+/// Up to eight little-endian bytes.
+fn number(bytes: &[u8]) -> u64 {
+    bytes.iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte))
+}
+
+/// Records as a general-purpose coder has them.
+pub struct Packed {
+    backend: u8,
+    arrangement: Arrangement,
+    payload: Vec<u8>,
+}
+
+impl Packed {
+    /// The shortest; `None` if none is shorter than `most` bytes, or that is little anyway.
+    pub fn shortest(bytes: &[u8], scalar: Scalar, width: usize, level: Level, most: usize) -> Option<Self> {
+        /// Bytes a record in 16ths: what is coded in less is explained.
+        const EXPLAINED: usize = 2;
+        /// Bytes.
+        const SMALL: usize = 1000;
+        let records = bytes.len() / width.max(1);
+        if most < SMALL || most < records * EXPLAINED / 16 {
+            return None;
+        }
+        let mut best: Option<Packed> = None;
+        for arrangement in Arrangement::ALL {
+            let arranged = arrangement.apply(bytes, scalar, width);
+            let mut consider = |backend: u8, payload: Vec<u8>| {
+                if payload.len() + 8 < best.as_ref().map_or(most, |best| best.payload.len()) {
+                    best = Some(Packed { backend, arrangement, payload });
+                }
+            };
+            let quick = backend::compress_quickly(&arranged).ok()?;
+            let is_worth_it = quick.len() as f64 * LZMA_GAIN < most as f64;
+            consider(ZSTD, quick);
+            if level.number() >= FLOOR_LEVEL && is_worth_it {
+                consider(LZMA, backend::compress_hardest(&arranged).ok()?);
+            }
+        }
+        best
+    }
+}
+
+/// LZMA makes of what zstd has made no less than this part, but for what lies far apart.
+pub const LZMA_GAIN: f64 = 0.5;
+/// From this level on, the floor is what LZMA makes of the bytes.
+pub const FLOOR_LEVEL: u8 = 4;
+/// Codes records that a general-purpose coder has packed; a decoder gets them with as many zeros, and no packed
+/// ones.
+///
+/// # Errors
+/// If a decoder's bytes are damaged.
+pub fn code_packed<C: BitCoder>(
+    coder: &mut C,
+    packed: Option<Packed>,
+    scalar: Scalar,
+    width: usize,
+    bytes: &mut [u8],
+) -> Result<()> {
+    let mut packed =
+        packed.unwrap_or(Packed { backend: 0, arrangement: Arrangement::Records, payload: Vec::new() });
+    let backend = coder.code_plain(packed.backend.into(), 8) as u8;
+    let arrangement = coder.code_plain(packed.arrangement as u64, 8) as usize;
+    let arrangement = Arrangement::ALL.get(arrangement);
+    let arrangement = arrangement.ok_or_else(|| Error::unsupported("channels: unknown arrangement"))?;
+    code_payload(coder, &mut packed.payload)?;
+    if !C::ENCODES {
+        let arranged = backend::decompress(backend::by_id(backend)?, &packed.payload, bytes.len())?;
+        arrangement.undo(&arranged, scalar, width, bytes);
+    }
+    Ok(())
+}
+
+/// Codes bytes that are coded already, and how many they are.
+fn code_payload<C: BitCoder>(coder: &mut C, payload: &mut Vec<u8>) -> Result<()> {
+    let length = IntegerModel::default().code(coder, payload.len() as u64);
+    // They are as likely one as the other.
+    if length > coder.most_bits() / 8 || length > usize::MAX as u64 / 2 {
+        return Err(Error::corrupt("channels: more bytes than the section can hold"));
+    }
+    if C::ENCODES {
+        payload.iter().for_each(|&byte| {
+            coder.code_plain(byte.into(), 8);
+        });
+        return Ok(());
+    }
+    for _ in 0..length {
+        if coder.is_exhausted() {
+            return Err(Error::corrupt("channels: packed bytes are cut short"));
+        }
+        payload.push(coder.code_plain(0, 8) as u8);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn arrangements_are_undone(values: Vec<u8>, number in 0u8..10, count in 1usize..4) {
+            let scalar = Scalar::from_number(number).unwrap();
+            let width = scalar.size() as usize * count;
+            let bytes = &values[..values.len() / width * width];
+            for arrangement in Arrangement::ALL {
+                let mut again = vec![0; bytes.len()];
+                arrangement.undo(&arrangement.apply(bytes, scalar, width), scalar, width, &mut again);
+                prop_assert_eq!(&again[..], bytes);
+            }
+        }
+    }
+}

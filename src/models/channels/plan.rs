@@ -1,0 +1,115 @@
+//! How a column is coded: the encoder's choice, as it stands in the stream.
+
+use super::numbers::Scale;
+use crate::entropy::BitCoder;
+use crate::ground::error::{Error, Result};
+
+/// How a column is coded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Plan {
+    /// All records have the same value.
+    Constant,
+    /// The values are those of another column: 0 to 2 x, y and z, 3 the intensity, then the channels.
+    Same(u16),
+    /// As integers, each predicted in several ways.
+    Integers(Integers),
+}
+
+/// The number of a [`Plan`] in the stream.
+enum Method {
+    Constant = 0,
+    Same = 1,
+    Integers = 2,
+}
+
+/// What integers are, and what predicts them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Integers {
+    /// What makes them of values.
+    pub scale: Scale,
+    /// Whether some values lie off that scale.
+    pub has_exceptions: bool,
+    /// What tells one beam from another: 0 the row of the range image, if there is one, else the channel of this
+    /// number, the first being 1.
+    pub key: u16,
+    /// How many records after it a value is likely to come again; 0: none.
+    pub lag: u32,
+    /// What of the position it may follow from.
+    pub geometry: Geometry,
+}
+
+/// A number that follows from a position.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Geometry(u8);
+
+/// The numbers of distances, and of angles in radians, degrees and hundredths of degrees.
+const GEOMETRIES: u8 = 12;
+
+impl Geometry {
+    /// No number.
+    pub const NONE: Geometry = Geometry(0);
+
+    /// All that there are, [`NONE`](Self::NONE) aside.
+    pub fn all() -> impl Iterator<Item = Geometry> {
+        (1..GEOMETRIES).map(Geometry)
+    }
+
+    /// The number of a position; 0 for [`NONE`](Self::NONE).
+    pub fn of(self, position: &[f32; 3]) -> f64 {
+        let [x, y, z] = position.map(f64::from);
+        let flat = x * x + y * y;
+        let angle = |radians: f64| match (self.0 - 3) % 3 {
+            0 => radians,
+            1 => radians * (180.0 / std::f64::consts::PI),
+            _ => radians * (18_000.0 / std::f64::consts::PI),
+        };
+        match self.0 {
+            0 => 0.0,
+            1 => (flat + z * z).sqrt(),
+            2 => flat.sqrt(),
+            3..6 => angle(libm::atan2(y, x)),
+            6..9 => angle(libm::atan2(x, y)),
+            _ => angle(libm::atan2(z, flat.sqrt())),
+        }
+    }
+}
+
+impl Default for Plan {
+    fn default() -> Self {
+        Plan::Constant
+    }
+}
+
+impl Plan {
+    /// Codes the choice; a decoder gets any.
+    ///
+    /// # Errors
+    /// If a decoder reads none that this program knows.
+    pub fn code<C: BitCoder>(self, coder: &mut C) -> Result<Self> {
+        let unknown = || Error::unsupported("channels: unknown method");
+        let (method, source) = match self {
+            Plan::Constant => (Method::Constant, 0),
+            Plan::Same(source) => (Method::Same, source),
+            Plan::Integers(_) => (Method::Integers, 0),
+        };
+        match coder.code_plain(method as u64, 8) {
+            0 => Ok(Plan::Constant),
+            1 => Ok(Plan::Same(coder.code_plain(source.into(), 16) as u16)),
+            2 => {
+                let Integers { scale, has_exceptions, key, lag, geometry } = match self {
+                    Plan::Integers(integers) => integers,
+                    _ => Integers::default(),
+                };
+                let code = coder.code_plain(scale.to_code().into(), 8) as u8;
+                let scale = Scale::from_code(code).ok_or_else(unknown)?;
+                let has_exceptions = coder.code_plain(has_exceptions.into(), 1) == 1;
+                let key = coder.code_plain(key.into(), 16) as u16;
+                let lag = coder.code_plain(lag.into(), 24) as u32;
+                let geometry = coder.code_plain(geometry.0.into(), 8) as u8;
+                let geometry = Some(Geometry(geometry)).filter(|g| g.0 < GEOMETRIES).ok_or_else(unknown)?;
+                Ok(Plan::Integers(Integers { scale, has_exceptions, key, lag, geometry }))
+            }
+            _ => Err(unknown()),
+        }
+    }
+}

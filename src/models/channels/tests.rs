@@ -1,0 +1,150 @@
+//! Channels of every kind come back, and those that follow from others cost next to nothing.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
+
+/// Codes channels in two frames, checks that they come back, and gives the bytes of the second.
+fn round_trip(channels: &[Channel], beside: &Beside) -> usize {
+    let (mut writer, mut reader) = (ChannelsModel::default(), ChannelsModel::default());
+    let mut size = 0;
+    for _ in 0..2 {
+        let mut encoder = ArithmeticEncoder::default();
+        writer.code(&mut encoder, &mut channels.to_vec(), beside, Level::default()).unwrap();
+        let bytes = encoder.finish();
+        size = bytes.len();
+        let mut decoded = empty(channels);
+        reader.code(&mut ArithmeticDecoder::new(&bytes), &mut decoded, beside, Level::default()).unwrap();
+        assert_eq!(decoded, channels);
+    }
+    size
+}
+
+/// The same channels, all zeros.
+fn empty(channels: &[Channel]) -> Vec<Channel> {
+    let empty = |channel: &Channel| Channel { bytes: vec![0; channel.bytes.len()], ..channel.clone() };
+    channels.iter().map(empty).collect()
+}
+
+fn channel<const N: usize>(name: &str, scalar: Scalar, values: impl Iterator<Item = [u8; N]>) -> Channel {
+    Channel { field: Field::new(name, scalar), bytes: values.flatten().collect() }
+}
+
+/// A number that follows no rule.
+fn noise(n: u32) -> u32 {
+    (n.wrapping_mul(2_654_435_761) ^ n >> 3).wrapping_mul(0x9e37_79b1) >> 8
+}
+
+const RECORDS: u32 = 4000;
+
+/// Records of a scanner of 16 beams that misses some returns.
+fn returns() -> Vec<u32> {
+    (0..RECORDS * 2).filter(|&n| noise(n) % 5 > 0).take(RECORDS as usize).collect()
+}
+
+#[test]
+fn what_follows_from_the_beam_costs_next_to_nothing() {
+    let returns = returns();
+    let rows = returns.iter().map(|n| n % 16 + 1).collect();
+    let beside = Beside { rows, ..Beside::default() };
+    let ring = channel("ring", Scalar::U16, returns.iter().map(|n| ((n % 16 * 7 % 16) as u16).to_le_bytes()));
+    let size = round_trip(&[ring], &beside);
+    assert!(size < 60, "{size} bytes");
+}
+
+#[test]
+fn times_of_firings_are_explained_by_the_ring() {
+    let returns = returns();
+    let ring = channel("ring", Scalar::U16, returns.iter().map(|n| ((n % 16) as u16).to_le_bytes()));
+    let time = |n: &u32| {
+        ((1_600_000_000_000_000u64 + u64::from(n / 16 * 55 + n % 16 * 2)) as f64 / 1e6).to_le_bytes()
+    };
+    let time = channel("time", Scalar::F64, returns.iter().map(time));
+    let rings = round_trip(&[ring.clone()], &Beside::default());
+    let both = round_trip(&[time, ring], &Beside::default());
+    assert!(both - rings < RECORDS as usize / 40, "{both} bytes, {rings} of rings");
+}
+
+#[test]
+fn the_same_in_another_type_and_constants_cost_nothing() {
+    let values = || (0..RECORDS).map(|n| noise(n) % 256);
+    let intensity: Vec<f32> = values().map(|n| n as f32).collect();
+    let beside = Beside { intensity, ..Beside::default() };
+    let channels = [
+        channel("reflectivity", Scalar::U16, values().map(|n| (n as u16).to_le_bytes())),
+        channel("again", Scalar::F64, values().map(|n| f64::from(n).to_le_bytes())),
+        Channel {
+            field: Field::padding(12),
+            bytes: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12].repeat(RECORDS as usize),
+        },
+        channel("return_type", Scalar::U8, (0..RECORDS).map(|_| [3])),
+    ];
+    let size = round_trip(&channels, &beside);
+    assert!(size < 40, "{size} bytes");
+}
+
+#[test]
+fn what_follows_from_the_position_costs_little() {
+    let metres = |n: u32| f64::from(2000 + noise(n) % 5000) * 0.002;
+    let angle = |n: u32| f64::from(n * 20) * 0.01 * std::f64::consts::PI / 180.0;
+    let positions = (0..RECORDS)
+        .map(|n| {
+            let (metres, angle) = (metres(n), angle(n));
+            [(metres * libm::sin(angle)) as f32, (metres * libm::cos(angle)) as f32, 0.25]
+        })
+        .collect();
+    let beside = Beside { positions, ..Beside::default() };
+    let distance = |n: u32| {
+        let metres = metres(n);
+        ((metres * metres + 0.0625).sqrt() as f32).to_le_bytes()
+    };
+    let channels = [channel("distance", Scalar::F32, (0..RECORDS).map(distance))];
+    let size = round_trip(&channels, &beside);
+    assert!(size < RECORDS as usize / 2, "{size} bytes");
+}
+
+/// Values of any type that are sometimes like those before them.
+fn any_channel(records: usize) -> impl Strategy<Value = Channel> {
+    let values = prop::collection::vec(any::<[u8; 8]>(), records * 3);
+    (values, 0u8..10, 1u32..4, 0u8..4, any::<bool>()).prop_map(
+        move |(values, number, count, kind, is_named)| {
+            let scalar = Scalar::from_number(number).unwrap();
+            let size = scalar.size() as usize;
+            let mut bytes = Vec::new();
+            for (n, value) in values.iter().take(records * count as usize).enumerate() {
+                let value = match kind {
+                    0 => *value,
+                    1 => [value[0] & 1, 0, 0, 0, 0, 0, 0, 0],
+                    2 => (n as f64 / 100.0).to_le_bytes(),
+                    _ => [7; 8],
+                };
+                bytes.extend_from_slice(&value[8 - size..]);
+            }
+            let name = if is_named { "a" } else { "" }.to_owned();
+            Channel { field: Field { name, scalar, count }, bytes }
+        },
+    )
+}
+
+proptest! {
+    #[test]
+    fn any_channels_come_back(
+        (channels, rows) in (0usize..50).prop_flat_map(|records| {
+            let channels = prop::collection::vec(any_channel(records), 0..5);
+            (channels, prop::collection::vec(0u32..5, records))
+        }),
+        has_image: bool,
+    ) {
+        let rows = if has_image { rows } else { Vec::new() };
+        let beside = Beside { columns: rows.clone(), rows, ..Beside::default() };
+        round_trip(&channels, &beside);
+    }
+
+    #[test]
+    fn any_bytes_decode_to_channels_or_an_error(bytes: Vec<u8>, channels in prop::collection::vec(any_channel(20), 1..4)) {
+        let mut decoded = empty(&channels);
+        let mut decoder = ArithmeticDecoder::new(&bytes);
+        drop(ChannelsModel::default().code(&mut decoder, &mut decoded, &Beside::default(), Level::default()));
+    }
+}

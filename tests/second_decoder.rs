@@ -1,0 +1,63 @@
+//! The second decoder, written in Python from FORMAT.md, gives the same files for the golden streams.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+
+/// Streams whose frames take it more than a few seconds, of which the first two are decoded.
+const SLOW: [&str; 1] = ["exact-deep-p-frames"];
+/// The status with which it says that a stream needs what Python's library does not have.
+const NOT_HERE: i32 = 3;
+/// Such streams, by a part of their names.
+const BACK_ENDS: [&str; 6] = ["brotli", "ppmd", "zstd", "lz5", "lizard", "jpeg2000"];
+
+#[test]
+fn golden_streams_decode_to_the_same_files() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let python = Command::new("python3").arg("--version").output();
+    if !python.is_ok_and(|python| python.status.success()) {
+        eprintln!("skipped: there is no python3, so the second decoder was not run");
+        return;
+    }
+    let entries = fs::read_dir(root.join("testdata/golden")).unwrap();
+    let mut streams: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    streams.retain(|path| path.extension().is_some_and(|extension| extension == "lpc"));
+    streams.sort();
+    assert!(streams.len() > 20);
+    let next = AtomicUsize::new(0);
+    let check_some = || {
+        while let Some(stream) = streams.get(next.fetch_add(1, Ordering::Relaxed)) {
+            check(root, stream);
+        }
+    };
+    thread::scope(|scope| {
+        for _ in 0..thread::available_parallelism().map_or(1, usize::from) {
+            scope.spawn(check_some);
+        }
+    });
+}
+
+fn check(root: &Path, stream: &Path) {
+    let name = stream.file_stem().unwrap().to_str().unwrap();
+    let mut command = Command::new("python3");
+    command.arg(root.join("tests/second_decoder")).arg("--list").arg(stream);
+    let is_slow = SLOW.contains(&name);
+    if is_slow {
+        command.args(["--first", "2"]);
+    }
+    let output = command.output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr);
+    if BACK_ENDS.iter().any(|back_end| name.contains(back_end)) {
+        assert_eq!(output.status.code(), Some(NOT_HERE), "{name}: {error}");
+        return;
+    }
+    assert!(output.status.success(), "{name}: {error}");
+    // Each line: name, size, checksum; then the number of points, which the lists of the golden streams do not have.
+    let decoded = String::from_utf8(output.stdout).unwrap();
+    let decoded: Vec<&str> = decoded.lines().map(|line| line.rsplit_once(' ').unwrap().0).collect();
+    let list = fs::read_to_string(stream.with_extension("txt")).unwrap();
+    let listed = list.lines().take(if is_slow { 2 } else { usize::MAX });
+    assert_eq!(decoded, listed.collect::<Vec<_>>(), "{name}");
+}

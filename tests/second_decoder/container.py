@@ -1,0 +1,203 @@
+"""Section 2 of FORMAT.md: varints, checksums, records, groups, frames, sections, the index."""
+
+from errors import Refused
+from scanner import scanner
+
+MAGIC = b"\x89LPC"
+END_MAGIC = b"LPC."
+VERSION = 1
+
+SCANNER, GROUP, INDEX, END = 1, 2, 3, 4
+SKIPPABLE = 0x80
+
+FILE, COLUMNS, OCCUPANCY, RANGE, CORRECTION, INTENSITY, ORDER, POINTS, EXTRA, PARAMETERS = range(1, 11)
+CONTOUR, REGIONS, RESIDUAL, COMPENSATION = range(11, 15)
+
+
+def _crc_table():
+    table = []
+    for i in range(256):
+        for _ in range(8):
+            i = i >> 1 ^ (0x82F63B78 if i & 1 else 0)
+        table.append(i)
+    return table
+
+
+_CRC = _crc_table()
+
+
+def crc32c(data):
+    crc = 0xFFFFFFFF
+    table = _CRC
+    for byte in data:
+        crc = table[(crc ^ byte) & 255] ^ crc >> 8
+    return crc ^ 0xFFFFFFFF
+
+
+class Reader:
+    """Reads fields from bytes."""
+
+    def __init__(self, data, at=0, end=None):
+        self.data = data
+        self.at = at
+        self.limit = len(data) if end is None else end
+
+    def take(self, n):
+        if n > self.limit - self.at:
+            raise Refused("the data end early")
+        at = self.at
+        self.at = at + n
+        return self.data[at : at + n]
+
+    def rest(self):
+        return self.take(self.limit - self.at)
+
+    def at_end(self):
+        return self.at == self.limit
+
+    def end(self):
+        if self.at != self.limit:
+            raise Refused("bytes follow where nothing should")
+
+    def unsigned(self, n):
+        return int.from_bytes(self.take(n), "little")
+
+    def varint(self):
+        value = 0
+        shift = 0
+        while True:
+            byte = self.unsigned(1)
+            value |= (byte & 127) << shift
+            if byte < 128:
+                break
+            shift += 7
+        if value >> 64 or shift > 63 or (byte == 0 and shift > 0):
+            raise Refused("a varint is too long")
+        return value
+
+    def svarint(self):
+        c = self.varint()
+        return (c >> 1) ^ -(c & 1)
+
+    def block(self):
+        """A record (2.2) or a section (2.6): kind, payload."""
+        start = self.at
+        kind = self.unsigned(1)
+        payload = self.take(self.varint())
+        crc = crc32c(self.data[start : self.at])
+        if self.unsigned(4) != crc:
+            raise Refused("a checksum does not match")
+        return kind, payload
+
+
+def stamp(reader):
+    """Of a frame, in its header and in the index: unit, stream, time_source, time."""
+    unit, stream, time_source = reader.varint(), reader.varint(), reader.varint()
+    if unit > 2 or stream > 254 or time_source > 3:
+        raise Refused("an unknown unit, stream or source of time")
+    return unit, stream, time_source, reader.svarint() if time_source else None
+
+
+class Frame:
+    """2.5."""
+
+    def __init__(self, reader, scanner_count):
+        start = reader.at
+        length = reader.varint()
+        if length > 255:
+            raise Refused("a name is too long")
+        self.name = str(reader.take(length), "utf-8")
+        self.stamp = stamp(reader)
+        self.stream = self.stamp[1]
+        if self.stream >= scanner_count:
+            raise Refused("a frame of a stream that its group does not have")
+        self.file_size = reader.varint()
+        self.file_crc = reader.unsigned(4)
+        self.point_count = reader.varint()
+        self.sections = []
+        for _ in range(reader.varint()):
+            kind, payload = reader.block()
+            if kind < SKIPPABLE:
+                self.sections.append((kind, payload))
+        self.size = reader.at - start
+
+
+class Group:
+    """2.4."""
+
+    def __init__(self, payload, scanners):
+        reader = Reader(payload)
+        count = reader.varint()
+        if not 1 <= count <= 255:
+            raise Refused("a group of no streams, or too many")
+        numbers = [reader.varint() for _ in range(count)]
+        if max(numbers) > len(scanners):
+            raise Refused("a group has a scanner that does not stand before it")
+        self.scanners = [scanners[number - 1] if number else None for number in numbers]
+        self.frames = [Frame(reader, count) for _ in range(reader.varint())]
+        reader.end()
+
+
+def groups(data):
+    """The groups of a stream, which is checked as a whole at the end."""
+    if data[:4] != MAGIC:
+        raise Refused("not a lidarpc stream")
+    if int.from_bytes(data[8:12], "little") != crc32c(data[:8]):
+        raise Refused("the header's checksum does not match")
+    version, flags = data[4] | data[5] << 8, data[6] | data[7] << 8
+    if version != VERSION or flags:
+        raise Refused(f"version {version}, flags {flags:#x}: unknown")
+    reader = Reader(data, 12)
+    scanners = []
+    places = {SCANNER: [], GROUP: []}
+    index = None
+    while True:
+        start = reader.at
+        kind, payload = reader.block()
+        if kind & SKIPPABLE:
+            continue
+        if index is not None and kind != END:
+            raise Refused("a record after the index")
+        if kind == SCANNER:
+            scanners.append(scanner_of(Reader(payload)))
+            places[kind].append((start, reader.at - start))
+        elif kind == GROUP:
+            group = Group(payload, scanners)
+            places[kind].append((start, reader.at - start, group_entry(group)))
+            yield group
+        elif kind == INDEX:
+            index = start
+            compare(Reader(payload), places)
+        elif kind == END:
+            break
+        else:
+            raise Refused(f"a record of unknown kind {kind}")
+    if index is None or payload != index.to_bytes(8, "little") + END_MAGIC:
+        raise Refused("the end record does not point to the index")
+    reader.end()
+
+
+def scanner_of(reader):
+    """2.3."""
+    family = reader.varint()
+    payload = Reader(reader.take(reader.varint()))
+    reader.end()
+    return scanner(family, payload)
+
+
+def group_entry(group):
+    return [frame.size for frame in group.frames], [frame.stamp for frame in group.frames]
+
+
+def read_entry(reader):
+    count = reader.varint()
+    return [reader.varint() for _ in range(count)], [stamp(reader) for _ in range(count)]
+
+
+def compare(reader, places):
+    """2.7: the index with what was read."""
+    scanners = [(reader.varint(), reader.varint()) for _ in range(reader.varint())]
+    found = [(reader.varint(), reader.varint(), read_entry(reader)) for _ in range(reader.varint())]
+    reader.end()
+    if scanners != places[SCANNER] or found != places[GROUP]:
+        raise Refused("the index does not match the records")

@@ -1,0 +1,293 @@
+"""Section 4 of FORMAT.md: a frame's sections in order, and what they make."""
+
+import struct
+from math import isfinite, isnan, sqrt
+
+import container as kinds
+import files
+import image as images
+import reference as references
+import residual
+import sections
+import tokens
+from container import Reader, crc32c
+from entropy import Bits, IntegerModel, wrap
+from errors import NotHere, Refused
+from models import TAU, f32
+from ranges import Deep, Mixed
+from residual import BACK_ENDS
+from scanner import MILLIMETRE, Grid, Unknown, bits_of_float, float_of_bits, from_ordered, ordered
+from trigonometry import atan2, cos, sin
+
+OF_FORMULA, AS_FORMULA, ON_GRID = 1, 2, 3
+REGIONS, INTER = 1, 2
+MIXED, DEEP, LIGHT, TOKENS, FITTED_TOKENS, PACKED = range(6)
+
+
+class Parameters:
+    """8.10."""
+
+    def __init__(self, payload):
+        reader = Reader(payload)
+        self.positions = reader.varint()
+        self.max_error_um = None
+        if self.positions in (AS_FORMULA, ON_GRID):
+            self.max_error_um = reader.varint()
+            if not 1 <= self.max_error_um <= 10**7:
+                raise Refused("an impossible greatest error")
+        self.intensity = reader.varint()
+        if self.intensity == 2 and not 1 <= reader.varint() < 1 << 32:
+            raise Refused("an impossible step of intensities")
+        self.prediction = reader.varint()
+        self.motion = [reader.svarint() for _ in range(6)] if self.prediction == INTER else None
+        self.snake = reader.varint()
+        self.coder = reader.varint()
+        self.range_bits, self.bin, self.between = 16, 1, 0
+        if self.coder <= PACKED:
+            self.range_bits, self.bin, self.between = (reader.varint() for _ in range(3))
+            if not 16 <= self.range_bits <= 24 or not 1 <= self.bin <= 1 << 20 or self.between > 1:
+                raise Refused("impossible parameters of ranges")
+        elif BACK_ENDS <= self.coder < BACK_ENDS + len(residual.NAMES):
+            self.packing = reader.varint()
+        elif self.coder not in (images.JPEG, images.JPEG_2000):
+            raise Refused("an unknown coder")
+        has_source = reader.varint()
+        if has_source:
+            for _ in range(4):
+                reader.varint()
+        reader.end()
+        if self.positions > ON_GRID or self.intensity > 2 or self.prediction > INTER or self.snake > 1 or has_source > 1:
+            raise Refused("unknown parameters")
+
+    @property
+    def is_tokens(self):
+        return self.coder in (TOKENS, FITTED_TOKENS, PACKED)
+
+    @property
+    def is_light(self):
+        """Whether all but the ranges is as `light` has it."""
+        return self.coder == LIGHT or self.coder >= BACK_ENDS
+
+
+class Decoder:
+    """The frames of one stream of a group, in order."""
+
+    def __init__(self, scanner):
+        if isinstance(scanner, Unknown):
+            raise NotHere(f"scanners of family {scanner.family}")
+        self.scanner = scanner
+        self.sizes = IntegerModel()
+        self.bytes = sections.ByteModel()
+        self.columns = sections.Columns()
+        self.occupancy = sections.Occupancy()
+        self.points = sections.Points()
+        self.off_grid = sections.OffGrid()
+        self.intensity = sections.Intensity(self.off_grid)
+        self.deep_intensity = None
+        self.correction = sections.Correction()
+        self.order = sections.Order()
+        self.extra = sections.ByteModel()
+        self.contour = residual.Contour()
+        self.regions = residual.Regions()
+        self.made = {}
+        self.past = None
+
+    def model(self, make, *arguments):
+        """A model that few frames need, made when the first does."""
+        key = make, arguments
+        if key not in self.made:
+            self.made[key] = make(*arguments)
+        return self.made[key]
+
+    def next_section(self, kind):
+        if not self.sections or self.sections[0][0] != kind:
+            raise Refused(f"section {kind} is missing, or others stand in its place")
+        return self.sections.pop(0)[1]
+
+    def bits(self, kind):
+        return Bits(self.next_section(kind))
+
+    def frame(self, frame):
+        """The file of a frame."""
+        self.sections = list(frame.sections)
+        parameters = Parameters(self.next_section(kinds.PARAMETERS))
+        bits = self.bits(kinds.FILE)
+        layout, prefix, suffix = (self.bytes.code(bits, self.sizes.code(bits)) for _ in range(3))
+        layout = files.Layout(layout)
+        records, strays = self.sizes.code(bits), self.sizes.code(bits)
+        if records != frame.point_count or strays > records or records and not layout.stride:
+            raise Refused("numbers of points that do not agree")
+        returns = records - strays
+        if returns and not (self.scanner and layout.position):
+            raise Refused("returns without a scanner or a position")
+
+        positions, intensities = self.points_of(layout, parameters, records, strays)
+        extra = b""
+        if records * layout.extra_stride:
+            extra = self.extra.code(self.bits(kinds.EXTRA), records * layout.extra_stride, layout.extra_stride)
+        if self.sections and self.sections[0][0] == kinds.COMPENSATION:
+            positions = compensated(Reader(self.next_section(kinds.COMPENSATION)), positions)
+        if self.sections:
+            raise Refused("a section too many")
+        packed = files.records_of(layout, records, positions, intensities, extra)
+        file = prefix + files.wrapped(layout, packed) + suffix
+        if len(file) != frame.file_size or crc32c(file) != frame.file_crc:
+            raise Refused("the file is not the one that was encoded")
+        return file
+
+    def points_of(self, layout, parameters, records, strays):
+        """Positions and intensities in the order of the file."""
+        returns = records - strays
+        scanner = self.scanner
+        image, columns, seen = [], [], None
+        if returns:
+            columns = self.columns.code(self.bits(kinds.COLUMNS), scanner.ticks)
+            if parameters.prediction == INTER:
+                if self.past is None:
+                    raise Refused("a frame is predicted from none")
+                seen = references.Reference(
+                    scanner, self.past, columns, parameters.motion, parameters.coder == LIGHT
+                )
+            image = self.occupied(parameters, columns, seen)
+            if sum(map(sum, image)) != returns:
+                raise Refused("the range image does not hold as many returns as it should")
+
+        of_strays = []
+        if strays and layout.position:
+            grid = None
+            if parameters.max_error_um:
+                grid = Grid(MILLIMETRE, float(parameters.max_error_um * 1140) * 1e-9)
+            of_strays = self.points.code(self.bits(kinds.POINTS), strays, grid)
+
+        values, values_of_strays = [[0] * len(columns)] * len(image), [0] * strays
+        levels = None
+        if layout.intensity is not None and parameters.intensity:
+            above = [None] * strays
+            if layout.position:
+                above = sections.places_of_strays(of_strays)
+            values, values_of_strays, levels = self.intensities(parameters, image, above, seen)
+
+        ranges = []
+        if returns:
+            ranges = self.ranges(parameters, image, columns, levels, seen)
+            if not parameters.is_tokens and len(image) * len(columns) <= 1 << 22:
+                if levels is None:
+                    levels = [[0] * len(columns) for _ in image]
+                self.past = references.Past(columns, ranges, levels)
+        elements = self.in_canonical_order(ranges, columns)
+        stray_places, moved, move_places = range(returns, records), [], []
+        positions = []
+        if returns:
+            positions = self.positions(parameters, elements)
+            if parameters.positions != OF_FORMULA:
+                stray_places, moved, move_places = self.order.code(self.bits(kinds.ORDER), records, strays)
+        is_moved = set(moved)
+        sequence = sections.placed(
+            returns, zip(move_places, moved), (e for e in range(returns) if e not in is_moved)
+        )
+        sequence = sections.placed(records, zip(stray_places, range(returns, records)), sequence)
+        positions = positions + of_strays
+        intensities = [values[row][column] for row, column, _, _ in elements] + values_of_strays
+        if not layout.position:
+            positions = None
+        return (
+            [positions[e] for e in sequence] if positions is not None else None,
+            [intensities[e] for e in sequence],
+        )
+
+    def occupied(self, parameters, columns, seen):
+        payload = self.next_section(kinds.OCCUPANCY)
+        rows = self.scanner.rows
+        if parameters.is_tokens:
+            return self.model(tokens.Occupancy).code(Reader(payload), rows, len(columns))
+        return self.occupancy.code(Bits(payload), rows, len(columns), parameters.is_light, seen)
+
+    def intensities(self, parameters, image, strays, seen):
+        payload = self.next_section(kinds.INTENSITY)
+        if parameters.is_tokens:
+            make = tokens.PackedIntensity if parameters.coder == PACKED else tokens.Intensity
+            return *self.model(make).code(Reader(payload), image, strays), None
+        if parameters.coder == DEEP:
+            model = self.model(sections.DeepIntensity, self.off_grid)
+        else:
+            model = self.intensity
+        return model.code(Bits(payload), image, strays, seen)
+
+    def ranges(self, parameters, image, columns, levels, seen):
+        coder = parameters.coder
+        if coder >= BACK_ENDS:
+            labels = models = None
+            if parameters.prediction == REGIONS:
+                labels = self.contour.code(self.bits(kinds.CONTOUR), image)
+                models = self.regions.code(self.bits(kinds.REGIONS), self.contour.regions)
+            payload = self.next_section(kinds.RESIDUAL)
+            return residual.ranges(self.scanner, parameters, payload, image, columns, labels, models, seen)
+        payload = self.next_section(kinds.RANGE)
+        if coder in (MIXED, DEEP):
+            model = self.model(Mixed if coder == MIXED else Deep)
+            return model.code(Bits(payload), image, levels, parameters, seen)
+        if coder == PACKED:
+            model = self.model(tokens.PackedRange)
+        else:
+            model = self.model(tokens.Range, coder != TOKENS)
+        return model.code(Reader(payload), image, parameters, seen)
+
+    def in_canonical_order(self, ranges, columns):
+        scanner = self.scanner
+        found = []
+        for row, cells in enumerate(ranges):
+            of_row = []
+            for column, steps in enumerate(cells):
+                if steps:
+                    tick = scanner.tick_of_column(row, columns[column])
+                    of_row.append((scanner.azimuth(row, tick, steps), row, column, tick, steps))
+            of_row.sort(key=lambda e: e[0])
+            found += [e[1:] for e in of_row]
+        return found
+
+    def positions(self, parameters, elements):
+        scanner = self.scanner
+        formulas = [
+            scanner.expected_position(row, tick, steps, parameters.between) for row, _, tick, steps in elements
+        ]
+        if parameters.positions == OF_FORMULA:
+            return [sections.rounded(formula) for formula in formulas]
+        payload = self.next_section(kinds.CORRECTION)
+        grid = scanner.grid
+        if parameters.is_tokens or parameters.is_light and grid.kind == MILLIMETRE:
+            return self.model(tokens.Correction).code(Reader(payload), grid, parameters.positions, formulas)
+        return self.correction.code(Bits(payload), grid, parameters.positions, formulas)
+
+
+def compensated(reader, positions):
+    """8.15."""
+    rx, ry, rz, tx, ty, tz = motion = struct.unpack("<6d", reader.take(48))
+    if not all(abs(v) <= most for v, most in zip(motion, [8.0] * 3 + [1e6] * 3)):
+        raise Refused("a motion that is none")
+    misses = {}
+    following = 0
+    while not reader.at_end():
+        place = following + reader.varint()
+        misses[place] = [reader.svarint() for _ in range(3)]
+        following = place + 1
+    if following > len(positions):
+        raise Refused("a miss of a point that is none")
+    angle = sqrt(rx * rx + ry * ry + rz * rz)
+    kx, ky, kz = (rx / angle, ry / angle, rz / angle) if angle else (0.0, 0.0, 0.0)
+    moved = []
+    for place, position in enumerate(positions):
+        x, y, z = map(float_of_bits, position)
+        s = atan2(y, x) / TAU
+        sn, cs = sin(s * angle), cos(s * angle)
+        along = (kx * x + ky * y + kz * z) * (1 - cs)
+        now = (
+            (x * cs + (ky * z - kz * y) * sn + kx * along) + s * tx,
+            (y * cs + (kz * x - kx * z) * sn + ky * along) + s * ty,
+            (z * cs + (kx * y - ky * x) * sn + kz * along) + s * tz,
+        )
+        if not any(map(isnan, (x, y, z, *now))):
+            position = tuple(bits_of_float(f32(v)) for v in now)
+        if place in misses:
+            position = tuple(from_ordered(wrap(ordered(v) + u, 64)) for v, u in zip(position, misses[place]))
+        moved.append(position)
+    return moved

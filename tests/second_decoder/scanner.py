@@ -1,0 +1,209 @@
+"""Sections 3.1 to 3.4 of FORMAT.md: scanners of family `hdl64`, coordinate grids, single-precision arithmetic."""
+
+import struct
+from math import copysign, inf, isnan, nan, sqrt
+
+from errors import Refused
+from models import TAU, clamp, f32, to_int
+from trigonometry import cos, sin, sin_cos_f32
+
+HDL64 = 1
+MILLIMETRE, FLOAT32 = 0, 1
+SINGLE_PRECISION = 2
+
+
+def small_atan(t):
+    s = t * t
+    return t * (1 - s * (1 / 3 - s * (1 / 5 - s / 7)))
+
+
+def float_of_bits(bits):
+    return struct.unpack("<f", struct.pack("<I", bits))[0]
+
+
+def bits_of_float(v):
+    return struct.unpack("<I", struct.pack("<f", v))[0]
+
+
+def ordered(v):
+    """Of a float32, as its bits."""
+    key = v ^ 0xFFFFFFFF if v >> 31 else v | 0x80000000
+    return key - 0x80000000
+
+
+def from_ordered(unit):
+    """The bits of a float32."""
+    key = unit + 0x80000000 & 0xFFFFFFFF
+    return key - 0x80000000 if key >> 31 else key ^ 0xFFFFFFFF
+
+
+class Grid:
+    """3.4: a grid of coordinates. Values are the bits of float32s."""
+
+    def __init__(self, kind, step=None):
+        self.kind = kind
+        self.step = step
+
+    def unit_of(self, metres):
+        if isnan(metres):
+            return 0
+        if self.kind == FLOAT32:
+            return ordered(bits_of_float(f32(metres)))
+        scaled = metres / self.step if self.step else metres * 1000
+        return round(clamp(scaled, -1e12, 1e12))
+
+    def value(self, unit, formula):
+        if self.kind == FLOAT32:
+            return from_ordered(unit)
+        if self.step:
+            return bits_of_float(f32(float(unit) * self.step))
+        if unit == 0:
+            if isnan(formula):
+                return 0
+            return bits_of_float(f32(formula)) & 0x80000000
+        return bits_of_float(f32(float(unit) / 1000))
+
+
+class Beam:
+    pass
+
+
+class Scanner:
+    """Family `hdl64`."""
+
+    def __init__(self, reader):
+        self.coordinates = reader.varint()
+        if self.coordinates > SINGLE_PRECISION:
+            raise Refused("unknown grid of coordinates")
+        self.ticks = reader.varint()
+        range_step_um = reader.varint()
+        rows = reader.varint()
+        if not 1 <= self.ticks <= 360000 or range_step_um > 1000000 or not 1 <= rows <= 1024:
+            raise Refused("a scanner with impossible numbers")
+        self.range_step_um = range_step_um
+        self.range_step = range_step_um * 1e-6
+        self.beams = []
+        for _ in range(rows):
+            beam = Beam()
+            values = [reader.svarint() for _ in range(6)]
+            if max(map(abs, values)) > 1 << 34:
+                raise Refused("a beam with impossible constants")
+            beam.elevation = values[0] * 2.0**-32
+            beam.b, beam.c, beam.h = (v * 2.0**-24 for v in values[1:4])
+            beam.rot = values[4] * 2.0**-32
+            beam.column_shift = values[5]
+            beam.cos_v, beam.sin_v = cos(beam.elevation), sin(beam.elevation)
+            beam.cos_rot, beam.sin_rot = cos(beam.rot), sin(beam.rot)
+            self.beams.append(beam)
+        if self.coordinates == SINGLE_PRECISION:
+            for beam in self.beams:
+                values = [reader.svarint() for _ in range(7)]
+                if max(map(abs, values)) > 1 << 36:
+                    raise Refused("a beam with impossible constants")
+                self.single(beam, values)
+        reader.end()
+        self.grid = Grid(MILLIMETRE if self.coordinates == MILLIMETRE else FLOAT32)
+        self.directions = {}
+
+    @property
+    def rows(self):
+        return len(self.beams)
+
+    def direction(self, tick):
+        """(cos, sin) of a tick."""
+        found = self.directions.get(tick)
+        if found is None:
+            angle = (tick / self.ticks) * TAU
+            found = self.directions[tick] = cos(angle), sin(angle)
+        return found
+
+    def tick_of_column(self, row, column_tick):
+        return (column_tick - self.beams[row].column_shift) % self.ticks
+
+    def metres(self, steps):
+        return steps * self.range_step if self.range_step_um else float_of_bits(steps)
+
+    def turned(self, beam, tick):
+        cos_t, sin_t = self.direction(tick)
+        return cos_t * beam.cos_rot - sin_t * beam.sin_rot, sin_t * beam.cos_rot + cos_t * beam.sin_rot
+
+    def point_at(self, row, tick, d):
+        beam = self.beams[row]
+        rho = d * beam.cos_v + beam.b
+        cos_a, sin_a = self.turned(beam, tick)
+        h = beam.h
+        length = sqrt(rho * rho + h * h)
+        z = d * beam.sin_v + beam.c
+        if length == 0:
+            return nan, nan, z
+        along = rho / length
+        return along * (cos_a * rho - sin_a * h), along * (sin_a * rho + cos_a * h), z
+
+    def point(self, row, tick, steps):
+        return self.point_at(row, tick, self.metres(steps))
+
+    def azimuth(self, row, tick, steps):
+        beam = self.beams[row]
+        rho = self.metres(steps) * beam.cos_v + beam.b
+        side = beam.h / rho if rho else nan if beam.h == 0 else copysign(inf, beam.h)
+        azimuth = (tick / self.ticks) * TAU + beam.rot + small_atan(side)
+        if azimuth < 0:
+            return azimuth + TAU
+        if azimuth >= TAU:
+            return azimuth - TAU
+        return azimuth
+
+    # Single-precision arithmetic
+
+    def single(self, beam, values):
+        sine, cosine, offset, height, side, azimuth, first_tick = values
+        tick_degrees = 360 / self.ticks
+        degrees = 180 / (TAU / 2)
+        e = beam.b / beam.cos_v
+        beam.sine = float_of_bits(from_ordered(ordered(bits_of_float(f32(beam.sin_v))) + sine))
+        beam.cosine = float_of_bits(from_ordered(ordered(bits_of_float(f32(beam.cos_v))) + cosine))
+        beam.offset = e + offset * 2.0**-40
+        beam.height = (beam.c - e * beam.sin_v) + height * 2.0**-40
+        beam.side = beam.h + side * 2.0**-40
+        beam.added = (beam.rot * degrees + first_tick * tick_degrees) + azimuth * 2.0**-40
+        beam.first_tick = first_tick
+
+    def position(self, row, tick, d):
+        beam = self.beams[row]
+        degrees_of = 180 / (TAU / 2)
+        tick_degrees = 360 / self.ticks
+        distance = f32(d + beam.offset)
+        aside = small_atan(beam.side / (distance * beam.cosine)) * degrees_of
+        counted = within(tick - beam.first_tick, self.ticks)
+        turned = f32(f32(float(counted) * tick_degrees) + beam.added)
+        degrees = f32(within(f32(turned + aside), 360))
+        phi = f32(degrees * ((TAU / 2) / 180))
+        s, c = sin_cos_f32(phi)
+        x = f32(distance * f32(beam.cosine * c))
+        y = f32(distance * f32(beam.cosine * s))
+        return x, y, f32(f32(distance * beam.sine) + beam.height)
+
+    def expected_position(self, row, tick, steps, between):
+        """The formula of the correction section (8.7)."""
+        d = self.metres(steps)
+        if between:
+            d += -0.5 * self.range_step
+        if self.coordinates == SINGLE_PRECISION:
+            return self.position(row, tick, d)
+        return self.point_at(row, tick, d)
+
+
+def within(v, turn):
+    return v + turn if v < 0 else v - turn if v >= turn else v
+
+
+class Unknown:
+    """A scanner of a family that this decoder does not know."""
+
+    def __init__(self, family):
+        self.family = family
+
+
+def scanner(family, reader):
+    """3.1: a scanner of any family."""
+    return Scanner(reader) if family == HDL64 else Unknown(family)
