@@ -6,14 +6,14 @@ mod common;
 use common::scans::Random;
 use common::streams::{Parts, STREAMS};
 use common::{cases, decode_files, decode_within, put_together};
-use lidarpc::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
-use lidarpc::frame::parameters::RangeCoder;
-use lidarpc::frame::{FrameParameters, Modelling};
-use lidarpc::ground::error::Limits;
-use lidarpc::models::{ByteModel, ColumnModel};
-use lidarpc::scan::{Field, Layout, Scalar, Wrapping};
-use lidarpc::scanner::{BeamConstants, Coordinates, Hdl64};
-use lidarpc::stream::container::{ScannerRecord, Section, SectionKind};
+use lidarpc::internals::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
+use lidarpc::internals::frame::parameters::RangeCoder;
+use lidarpc::internals::frame::{FrameParameters, Modelling};
+use lidarpc::internals::ground::error::Limits;
+use lidarpc::internals::models::{ByteModel, ColumnModel};
+use lidarpc::internals::scan::{Field, Layout, Scalar, Wrapping};
+use lidarpc::internals::scanner::{BeamConstants, Coordinates, Hdl64};
+use lidarpc::internals::stream::container::{ScannerRecord, Section, SectionKind};
 use proptest::prelude::*;
 
 /// What is done to a stream's parts. Places are counted modulo what there is.
@@ -150,7 +150,7 @@ proptest! {
     ) {
         let numbers = [head.0, head.1, head.2, head.3].into_iter().chain(constants);
         let mut bytes = Vec::new();
-        numbers.for_each(|number| lidarpc::ground::varint::write_unsigned(&mut bytes, number));
+        numbers.for_each(|number| lidarpc::internals::ground::varint::write_unsigned(&mut bytes, number));
         if let Ok(model) = Hdl64::read_from(&mut &bytes[..]) {
             check_model(&model);
         }
@@ -192,8 +192,8 @@ fn sensor_records_with_impossible_numbers_are_refused() {
         let mut bytes = Vec::new();
         for (place, &number) in numbers.iter().enumerate() {
             match place {
-                0..4 => lidarpc::ground::varint::write_unsigned(&mut bytes, number as u64),
-                _ => lidarpc::ground::varint::write_signed(&mut bytes, number),
+                0..4 => lidarpc::internals::ground::varint::write_unsigned(&mut bytes, number as u64),
+                _ => lidarpc::internals::ground::varint::write_signed(&mut bytes, number),
             }
         }
         Hdl64::read_from(&mut &bytes[..])

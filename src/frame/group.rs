@@ -128,7 +128,7 @@ impl<'s> StreamEncoder<'s> {
             }
         }
         let Some(Attempt { models, frame, sections, returns, steps, .. }) = best else {
-            return Err(Error::InvalidConfig("no prediction to choose from".to_owned()));
+            return Err(Error::Internal("no prediction to choose from".to_owned()));
         };
         self.frames += 1;
         if let Some((models, mut steps)) = before {

@@ -35,8 +35,9 @@ pub fn code_ranges<S: SectionCoder>(
     }
     sections.payload(SectionKind::Residual, &mut frame.coded_image);
     let (rows, columns) = (frame.occupancy.rows(), frame.occupancy.columns());
-    let residuals =
-        report.timed(Step::Coding, || image_coding::decode(codec, &frame.coded_image, rows, columns))?;
+    let residuals = report
+        .timed(Step::Coding, || image_coding::decode(codec, &frame.coded_image, rows, columns))
+        .map_err(|e| e.within_section(SectionKind::Residual))?;
     let most = scanner.most_steps();
     frame.image.steps =
         report.timed(Step::Prediction, || predictor.restore_within(&frame.occupancy, &residuals, most));

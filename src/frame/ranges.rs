@@ -127,8 +127,9 @@ fn code_residuals<S: SectionCoder>(
     if !S::ENCODES {
         let count = frame.records - frame.strays;
         let residuals;
-        (residuals, packed) =
-            report.timed(Step::Coding, || residual::decompress(&payload, backend, packing, count))?;
+        (residuals, packed) = report
+            .timed(Step::Coding, || residual::decompress(&payload, backend, packing, count))
+            .map_err(|e| e.within_section(SectionKind::Residual))?;
         frame.image.steps =
             report.timed(Step::Prediction, || predictor.restore(&frame.occupancy, &residuals));
     }

@@ -300,11 +300,15 @@ impl EncoderConfig {
     /// Checks that all settings are in range and fit together.
     ///
     /// # Errors
-    /// [`Error::InvalidConfig`] names the setting that does not.
+    /// [`Error::InvalidSettings`] names the setting that does not.
     pub fn check(&self) -> Result<()> {
-        let wrong = |what: &str| Err(Error::InvalidConfig(what.to_owned()));
+        let wrong = |what: &str| Err(Error::InvalidSettings(what.to_owned()));
         if self.gop == 0 {
             return wrong("a group holds at least one frame");
+        }
+        let has_all = cfg!(feature = "article");
+        if !has_all && (self.outliers.is_some() || matches!(self.coder, Coder::Image(_))) {
+            return wrong("outliers and image coders need the feature `article`, which was not built");
         }
         let drops = self.outliers.is_some()
             || self.projection != ProjectionKind::CALIBRATED
@@ -380,7 +384,7 @@ impl EncoderConfig {
 
 impl EncoderConfig {
     fn check_image_coder(&self, codec: ImageCodec) -> Result<()> {
-        let wrong = |what: &str| Err(Error::InvalidConfig(what.to_owned()));
+        let wrong = |what: &str| Err(Error::InvalidSettings(what.to_owned()));
         if self.projection.has_float_ranges() {
             return wrong("image coders take ranges in steps; choose a step or another back-end");
         }

@@ -477,7 +477,8 @@ fn code_stray_intensity<C: BitCoder>(
 fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
     let mut payload = frame.parameters.to_payload();
     sections.payload(SectionKind::Parameters, &mut payload);
-    frame.parameters = FrameParameters::from_payload(&payload)?;
+    frame.parameters =
+        FrameParameters::from_payload(&payload).map_err(|e| e.within_section(SectionKind::Parameters))?;
     Ok(())
 }
 
@@ -486,7 +487,8 @@ fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<bo
     let mut payload = frame.whole.as_ref().map_or_else(Vec::new, |whole| whole.payload().to_vec());
     sections.payload(SectionKind::Bytes, &mut payload);
     if !S::ENCODES && !payload.is_empty() {
-        frame.whole = Some(WholeFile::from_payload(&payload, sections.limits())?);
+        let whole = WholeFile::from_payload(&payload, sections.limits());
+        frame.whole = Some(whole.map_err(|e| e.within_section(SectionKind::Bytes))?);
     }
     Ok(!payload.is_empty())
 }
@@ -542,9 +544,5 @@ fn neighbours(levels: &Grid<u16>, left: [u16; 4], row: usize, column: usize) -> 
 }
 
 fn within(got: usize, max: u64, what: &'static str) -> Result<()> {
-    if got as u64 > max {
-        Err(Error::LimitExceeded { what: what.to_owned(), got: got as u64, max })
-    } else {
-        Ok(())
-    }
+    if got as u64 > max { Err(Error::over_limit(what, got as u64, max)) } else { Ok(()) }
 }

@@ -30,7 +30,7 @@ pub struct Encoder<W> {
 enum State<W> {
     /// No group was full yet.
     Waiting(W),
-    Coding(Coding<W>),
+    Coding(Box<Coding<W>>),
     /// Something went wrong, and was reported.
     Failed,
 }
@@ -66,7 +66,7 @@ impl<W: Write> Encoder<W> {
     /// An encoder that writes a stream to `out`. It writes large pieces, so buffering brings nothing.
     ///
     /// # Errors
-    /// [`Error::InvalidConfig`] if the settings are out of range or do not fit together.
+    /// [`Error::InvalidSettings`] if the settings are out of range or do not fit together.
     pub fn new(out: W, settings: Settings) -> Result<Self> {
         let config = Arc::new(settings.config()?);
         Ok(Encoder { config, open: Vec::new(), state: State::Waiting(out) })
@@ -110,7 +110,7 @@ impl<W: Write> Encoder<W> {
         let group = take(&mut self.open);
         let state = std::mem::replace(&mut self.state, State::Failed);
         let mut coding = match state {
-            State::Waiting(out) => Coding::begin(out, &group, &self.config)?,
+            State::Waiting(out) => Box::new(Coding::begin(out, &group, &self.config)?),
             State::Coding(coding) => coding,
             State::Failed => return Err(failed()),
         };

@@ -41,6 +41,7 @@ impl Settings {
     }
 
     /// The article's codec: outliers are dropped, the ideal scanner's range image is kept.
+    #[cfg(feature = "article")]
     pub fn paper() -> Self {
         Settings::of_mode(Mode::Paper)
     }
@@ -77,11 +78,11 @@ impl Settings {
     /// The settings of the encoder behind it.
     ///
     /// # Errors
-    /// [`Error::InvalidConfig`] if they are out of range or do not fit together.
+    /// [`Error::InvalidSettings`] if they are out of range or do not fit together.
     pub(super) fn config(&self) -> Result<EncoderConfig> {
         let mut config = self.config.clone();
         if let Some(level) = self.level {
-            let unknown = || Error::InvalidConfig(format!("level {level} is not from 1 to 9"));
+            let unknown = || Error::InvalidSettings(format!("level {level} is not from 1 to 9"));
             config.level = Level::new(level).ok_or_else(unknown)?;
         }
         config.gop = self.group_of_pictures.unwrap_or(config.default_gop());

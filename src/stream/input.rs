@@ -176,5 +176,5 @@ fn header_of(scan: &ScanFile) -> Result<FrameHeader> {
 
 /// An error if decoders would refuse what is encoded.
 fn check_limit(what: &'static str, got: u64, max: u64) -> Result<()> {
-    if got > max { Err(Error::LimitExceeded { what: what.to_owned(), got, max }) } else { Ok(()) }
+    if got > max { Err(Error::over_limit(what, got, max)) } else { Ok(()) }
 }

@@ -29,7 +29,7 @@ pub(crate) fn pool(threads: usize) -> Result<ThreadPool> {
 }
 
 fn no_threads(threads: usize, error: &ThreadPoolBuildError) -> Error {
-    Error::InvalidConfig(format!("cannot start {threads} threads: {error}"))
+    Error::Internal(format!("cannot start {threads} threads: {error}"))
 }
 
 /// Does `work` for each job on `threads` threads and hands the results to `sink` in the order of the
@@ -157,7 +157,7 @@ impl<J, T> Ticket<J, T> {
 impl<J, T> Drop for Ticket<J, T> {
     fn drop(&mut self) {
         if !self.is_done {
-            let died = Error::InvalidConfig("a worker thread died".to_owned());
+            let died = Error::Internal("a worker thread died".to_owned());
             let _ = self.events.send(Event::Done(self.place, Err(died)));
         }
     }

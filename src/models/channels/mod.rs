@@ -198,7 +198,7 @@ struct ChannelCoder<'m> {
 }
 
 impl ChannelCoder<'_> {
-    fn code<C: BitCoder>(&mut self, coder: &mut C, sources: &Sources, bytes: &mut Vec<u8>) -> Result<()> {
+    fn code<C: BitCoder>(&mut self, coder: &mut C, sources: &Sources, bytes: &mut [u8]) -> Result<()> {
         let (mut shape, mut plans, mut packed) = (Shape::Bytes, Vec::new(), None);
         if C::ENCODES {
             (shape, plans, packed) = self.choose(sources, bytes);

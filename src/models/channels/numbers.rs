@@ -108,7 +108,7 @@ impl Scale {
         }
         let number = number(scalar, value);
         let count = libm::rint(number / self.step());
-        if !(count.abs() < 9e15) {
+        if count.is_nan() || count.abs() >= 9e15 {
             return None;
         }
         let mut again = [0; 8];
