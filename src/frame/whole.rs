@@ -84,7 +84,7 @@ impl WholeFile {
             Some((layout, prefix)) => {
                 let scan = plain_records(layout, &self.bytes, prefix, records as u64);
                 let scan = scan.filter(|scan| scan.records == records);
-                scan.ok_or_else(|| Error::corrupt("bytes: fewer records than the frame's header says"))?
+                scan.ok_or_else(|| Error::corrupt("bytes: fewer points than the frame's header says"))?
             }
         };
         Ok(ScanFile { name: name.to_owned(), ..scan })
