@@ -3,17 +3,17 @@
 #[cfg(feature = "article")]
 mod search;
 
-/// Drops points that have few others near them.
+/// Drops points with few other points near them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RadiusOutlier {
     /// n: a point with fewer neighbours is an outlier.
     pub neighbours: usize,
-    /// d: how far a neighbour is at most, in metres.
+    /// d: the greatest distance of a neighbour, in metres.
     pub radius_m: f64,
 }
 
 impl Default for RadiusOutlier {
-    /// The article's 2 neighbours within 0.38 m, the distance of two columns at 120 m.
+    /// The article's 2 neighbours within 0.38 m, which is the distance between two columns at 120 m.
     fn default() -> Self {
         RadiusOutlier { neighbours: 2, radius_m: 0.38 }
     }

@@ -1,10 +1,11 @@
-//! Snake prediction (article, V-C): each pixel is predicted from the one before on a path that runs
-//! through the rows to and fro, so that a row's first pixel has its reference right above.
+//! Snake prediction (article, V-C): each pixel is predicted from the one before it on a path that runs
+//! through the rows in alternating directions, so that the first pixel of a row has its reference right
+//! above.
 
 use crate::ground::grid::Grid;
 use crate::inter::snake_path as path;
 
-/// Replaces the value of each return by its difference from the one before on the path.
+/// Replaces the value of each return by its difference to the one before it on the path.
 pub fn difference(occupancy: &Grid<bool>, values: &mut Grid<i32>) {
     let mut before = 0;
     for cell in path(occupancy) {

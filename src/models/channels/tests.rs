@@ -104,6 +104,37 @@ fn what_follows_from_the_position_costs_little() {
     assert!(size < RECORDS as usize / 2, "{size} bytes");
 }
 
+#[test]
+fn what_repeats_far_away_is_packed() {
+    // Bytes of no rule that come again, but not after a fixed number of records.
+    let turn: Vec<u8> = (0..20_000).map(|n| noise(n) as u8).collect();
+    let field = Field { count: 20, ..Field::padding(1) };
+    let bytes = [&turn[..], &turn[..7000], &turn[..], &turn[..9000]].concat();
+    for level in Level::all() {
+        let channels = [Channel { field: field.clone(), bytes: bytes.clone() }];
+        let mut encoder = ArithmeticEncoder::default();
+        ChannelsModel::default()
+            .code(&mut encoder, &mut channels.clone(), &Beside::default(), level)
+            .unwrap();
+        let coded = encoder.finish();
+        assert!(coded.len() < 21_000, "{} bytes", coded.len());
+        let mut decoded = empty(&channels);
+        ChannelsModel::default()
+            .code(&mut ArithmeticDecoder::new(&coded), &mut decoded, &Beside::default(), level)
+            .unwrap();
+        assert_eq!(decoded, channels);
+    }
+}
+
+#[test]
+fn more_columns_than_have_models_come_back() {
+    let values = |n: u32| {
+        channel(&format!("c{n}"), Scalar::U8, (0..300).map(move |at| [noise(at * 100 + n) as u8 & 3]))
+    };
+    let channels: Vec<Channel> = (0..70).map(values).collect();
+    round_trip(&channels, &Beside::default());
+}
+
 /// Values of any type that are sometimes like those before them.
 fn any_channel(records: usize) -> impl Strategy<Value = Channel> {
     let values = prop::collection::vec(any::<[u8; 8]>(), records * 3);
