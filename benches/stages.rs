@@ -10,15 +10,15 @@ use std::time::Duration;
 
 use common::{Drive, drives, points};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use lidarpc::entropy::ArithmeticEncoder;
-use lidarpc::ground::grid::Grid;
-use lidarpc::models::{
+use lidarpc::internals::entropy::ArithmeticEncoder;
+use lidarpc::internals::ground::grid::Grid;
+use lidarpc::internals::models::{
     ColumnModel, CorrectionModel, OccupancyModel, OrderExceptions, OrderModel, PointModel, RangeContext,
     RangeModel,
 };
-use lidarpc::scanner::Hdl64;
-use lidarpc::scanner::hdl64::fit;
-use lidarpc::scanner::{EXACT_RANGE_BITS, Projection, REACH, project};
+use lidarpc::internals::scanner::Hdl64;
+use lidarpc::internals::scanner::hdl64::fit;
+use lidarpc::internals::scanner::{EXACT_RANGE_BITS, Projection, REACH, project};
 
 fn stages(c: &mut Criterion) {
     for (name, scans) in drives() {

@@ -1,13 +1,13 @@
 //! What is done to the fuzzer's bytes. The fuzzer's programs (`fuzz_targets`) and the test that replays what
 //! they have found (`tests/fuzz.rs`) share it.
 
-use lidarpc::backend::{self, BACKENDS, Level};
-use lidarpc::files::parse;
-use lidarpc::frame::Prediction;
-use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
-use lidarpc::ground::error::Limits;
-use lidarpc::scanner::Hdl64;
-use lidarpc::stream::container::{IndexedReader, StreamReader};
+use lidarpc::internals::backend::{self, BACKENDS, Level};
+use lidarpc::internals::files::parse;
+use lidarpc::internals::frame::Prediction;
+use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
+use lidarpc::internals::ground::error::Limits;
+use lidarpc::internals::scanner::Hdl64;
+use lidarpc::internals::stream::container::{IndexedReader, StreamReader};
 
 use crate::common::bound::{bounded, keeps_the_bound};
 use crate::common::formats::kitti;

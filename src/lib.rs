@@ -1,4 +1,39 @@
-//! lidarpc compresses sequences of spinning-LiDAR scans.
+//! lidarpc compresses sequences of spinning-LiDAR scans, losslessly unless told otherwise.
+//!
+//! [`Encoder`] makes a stream of scans, [`Decoder`] gives them back: by number, in order, or from a pipe. A [`Scan`]
+//! has positions and named, typed channels; it comes from a file, which comes back byte for byte, or from memory.
+//! [`Settings`] say what may be lost, if anything, and how hard the encoder tries.
+//!
+//! ```no_run
+//! use std::fs::File;
+//!
+//! use lidarpc::{Decoder, Encoder, Scan, Settings};
+//!
+//! fn copy(drive: &[(i64, Vec<[f32; 4]>)]) -> lidarpc::Result<()> {
+//!     let mut encoder = Encoder::new(File::create("drive.lpc")?, Settings::exact())?;
+//!     for (time, xyzi) in drive {
+//!         encoder.push(Scan::from_xyzi(xyzi).stamped(*time))?;
+//!     }
+//!     encoder.finish()?;
+//!     for scan in Decoder::open(File::open("drive.lpc")?)?.scans(10..20) {
+//!         let scan = scan?;
+//!         let (positions, intensities) = (scan.positions(), scan.channel::<f32>("intensity")?);
+//!         assert_eq!(positions.len(), intensities.len());
+//!     }
+//!     Ok(())
+//! }
+//! ```
+//!
+//! # Features
+//!
+//! All are on by default; a program that only reads and writes streams needs none of them.
+//!
+//! - `cli`: the program `lidarpc`.
+//! - `article`: what only the article's codec needs, [`Settings::paper`] and its image coders. Without it a stream of
+//!   JPEG or JPEG 2000 images is [`Error::Unsupported`]; all others decode.
+//! - `study`: the instruments of the program's `bench`, `view` and `synth`.
+//!
+//! # Inside
 //!
 //! The data's way, in which the modules are listed:
 //!
@@ -8,30 +43,69 @@
 //!                                            entropy
 //! ```
 
-pub mod ground;
+// What nothing uses is found where all features are built: the program uses much that the library alone does not.
+#![cfg_attr(not(feature = "cli"), allow(dead_code, unused_imports))]
+// What is re-exported for tests alone is not used without them.
+#![cfg_attr(not(feature = "internals"), allow(unused_imports))]
 
-pub mod scan;
+mod ground;
 
-pub mod files;
+mod scan;
 
-pub mod scanner;
+mod files;
 
-pub mod entropy;
+mod scanner;
 
-pub mod backend;
-pub mod models;
+mod entropy;
 
-pub mod inter;
+mod backend;
+mod models;
 
-pub mod article;
+mod inter;
 
-pub mod frame;
+mod article;
 
-pub mod stream;
+mod frame;
 
-pub mod edit;
+mod stream;
 
-pub mod study;
+#[cfg(feature = "cli")]
+mod edit;
 
+#[cfg(feature = "study")]
+mod study;
+
+mod library;
+
+#[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;
+
+pub use ground::error::{Error, Limits, Result};
+pub use library::{
+    ChannelInfo, Decoder, Encoder, FrameDetails, FrameInfo, Scalar, Scan, Scans, Settings, Summary,
+};
+pub use scan::Scalar as ScalarType;
+pub use stream::container::{SectionKind, Unit};
+
+/// What is inside, for this crate's own tests, benchmarks and fuzz targets. It may change at any time.
+#[cfg(feature = "internals")]
+#[doc(hidden)]
+#[rustfmt::skip]
+pub mod internals {
+    pub mod ground { pub use crate::ground::*; }
+    pub mod scan { pub use crate::scan::*; }
+    pub mod files { pub use crate::files::*; }
+    pub mod scanner { pub use crate::scanner::*; }
+    pub mod entropy { pub use crate::entropy::*; }
+    pub mod backend { pub use crate::backend::*; }
+    pub mod models { pub use crate::models::*; }
+    pub mod inter { pub use crate::inter::*; }
+    pub mod article { pub use crate::article::*; }
+    pub mod frame { pub use crate::frame::*; }
+    pub mod stream { pub use crate::stream::*; }
+    #[cfg(feature = "cli")]
+    pub mod edit { pub use crate::edit::*; }
+    #[cfg(feature = "study")]
+    pub mod study { pub use crate::study::*; }
+}

@@ -7,12 +7,12 @@ use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, ply};
 use common::odd::{SCANS, changed_scan, noise};
 use common::scans::{Points, random_points, scans, shuffled, small};
 use common::{File, cases, decode_files, encode_files, first_files, real_folders, section_bytes};
-use lidarpc::edit::{Named, cut};
-use lidarpc::frame::Intensity;
-use lidarpc::frame::settings::EncoderConfig;
-use lidarpc::ground::error::Limits;
-use lidarpc::stream::container::SectionKind;
-use lidarpc::stream::{DecodeOptions, FrameInput, FrameRange, decode, encode};
+use lidarpc::internals::edit::{Named, cut};
+use lidarpc::internals::frame::Intensity;
+use lidarpc::internals::frame::settings::EncoderConfig;
+use lidarpc::internals::ground::error::Limits;
+use lidarpc::internals::stream::container::SectionKind;
+use lidarpc::internals::stream::{DecodeOptions, FrameInput, FrameRange, decode, encode};
 use proptest::prelude::*;
 
 fn named(frames: &[Points]) -> Vec<File> {

@@ -405,7 +405,7 @@ fn a_newer_stream_is_named_as_such() {
 
 #[test]
 fn names_in_a_stream_cannot_leave_the_folder() {
-    use lidarpc::stream::container::{Frame, FrameHeader, Group, StreamWriter};
+    use lidarpc::internals::stream::container::{Frame, FrameHeader, Group, StreamWriter};
     let bench = Bench::encoded();
     // An empty file is the same under any name.
     bench.ok("encode seq/empty.bin -o empty.lpc");
@@ -439,9 +439,10 @@ fn names_in_a_stream_cannot_leave_the_folder() {
 }
 
 /// The first group of a stream.
-fn first_group(stream: &[u8]) -> lidarpc::stream::container::Group {
-    use lidarpc::stream::container::{Record, StreamReader};
-    let mut reader = StreamReader::open(stream, lidarpc::ground::error::Limits::default()).unwrap();
+fn first_group(stream: &[u8]) -> lidarpc::internals::stream::container::Group {
+    use lidarpc::internals::stream::container::{Record, StreamReader};
+    let mut reader =
+        StreamReader::open(stream, lidarpc::internals::ground::error::Limits::default()).unwrap();
     loop {
         if let Record::Group(group) = reader.next_record().unwrap().unwrap() {
             return group;

@@ -6,12 +6,12 @@ use common::bound::{bounded, keeps_the_bound};
 use common::formats::{kitti, pcd_xyz};
 use common::scans::{Points, compensated, moved, random_points, scans, shuffled, small, unrounded};
 use common::{File, decode_files, encode_files, round_trip, section_bytes};
-use lidarpc::edit::{Named, cut};
-use lidarpc::frame::settings::EncoderConfig;
-use lidarpc::ground::error::Limits;
-use lidarpc::scanner::motion::undo;
-use lidarpc::stream::FrameRange;
-use lidarpc::stream::container::SectionKind;
+use lidarpc::internals::edit::{Named, cut};
+use lidarpc::internals::frame::settings::EncoderConfig;
+use lidarpc::internals::ground::error::Limits;
+use lidarpc::internals::scanner::motion::undo;
+use lidarpc::internals::stream::FrameRange;
+use lidarpc::internals::stream::container::SectionKind;
 
 fn positions(points: &Points) -> Vec<[f32; 3]> {
     points.iter().map(|&[x, y, z, _]| [x, y, z]).collect()

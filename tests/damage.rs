@@ -8,12 +8,12 @@ use std::io::Cursor;
 use common::formats::{kitti, pcd_extra};
 use common::scans::{compensated, random_points, scans, small};
 use common::{File, decode_files, encode_files, put_together, section_bytes, take_apart};
-use lidarpc::edit::{Named, Recovered, recover, repair};
-use lidarpc::frame::Intensity;
-use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
-use lidarpc::ground::error::{Limits, Result};
-use lidarpc::stream::DecodeOptions;
-use lidarpc::stream::container::{Index, Lost, SectionKind, StreamReader};
+use lidarpc::internals::edit::{Named, Recovered, recover, repair};
+use lidarpc::internals::frame::Intensity;
+use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
+use lidarpc::internals::ground::error::{Limits, Result};
+use lidarpc::internals::stream::DecodeOptions;
+use lidarpc::internals::stream::container::{Index, Lost, SectionKind, StreamReader};
 
 /// Small files without a scanner, two a group.
 fn files() -> Vec<File> {
@@ -40,8 +40,8 @@ fn streams_of_all_sections() -> Vec<Vec<u8>> {
     ];
     let paper = EncoderConfig {
         projection: ProjectionKind::Ideal { columns: 200, range_step_um: 10_000 },
-        coder: Coder::Backend(lidarpc::backend::LZMA),
-        prediction: PredictionChoice::Always(lidarpc::frame::Prediction::Intra),
+        coder: Coder::Backend(lidarpc::internals::backend::LZMA),
+        prediction: PredictionChoice::Always(lidarpc::internals::frame::Prediction::Intra),
         ..EncoderConfig::preset(Mode::Paper)
     };
     let bounded = EncoderConfig {

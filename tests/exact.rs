@@ -6,10 +6,10 @@ use common::formats::{kitti, pcd_extra, pcd_xyz};
 use common::odd::{Change, Format, SCANS, changed_scan, noise};
 use common::scans::{Points, random_points, rows, shuffled};
 use common::{File, cases, first_files, real_folders, round_trip, section_bytes};
-use lidarpc::files::parse;
-use lidarpc::frame::settings::EncoderConfig;
-use lidarpc::scanner::hdl64::fit;
-use lidarpc::stream::container::SectionKind;
+use lidarpc::internals::files::parse;
+use lidarpc::internals::frame::settings::EncoderConfig;
+use lidarpc::internals::scanner::hdl64::fit;
+use lidarpc::internals::stream::container::SectionKind;
 use proptest::prelude::*;
 
 /// Settings with this many frames a group.

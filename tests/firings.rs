@@ -5,13 +5,13 @@ mod common;
 use common::formats::kitti;
 use common::scans::Points;
 use common::{File, round_trip, take_apart};
-use lidarpc::files::parse;
-use lidarpc::frame::settings::EncoderConfig;
-use lidarpc::scan::ScanFile;
-use lidarpc::scanner::firings::{Firings, Recipe, Timing, fit};
-use lidarpc::scanner::{REACH, Scanner};
-use lidarpc::stream::container::SectionKind;
-use lidarpc::study::synth::{SynthConfig, SynthScanner, VLP_16_ELEVATIONS, drive};
+use lidarpc::internals::files::parse;
+use lidarpc::internals::frame::settings::EncoderConfig;
+use lidarpc::internals::scan::ScanFile;
+use lidarpc::internals::scanner::firings::{Firings, Recipe, Timing, fit};
+use lidarpc::internals::scanner::{REACH, Scanner};
+use lidarpc::internals::stream::container::SectionKind;
+use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, VLP_16_ELEVATIONS, drive};
 
 /// A VLP-16, every so many-th block of its firings.
 fn config(seed: u64, frames: usize, thinning: usize) -> SynthConfig {
@@ -123,7 +123,7 @@ fn scans_that_are_cut_and_mixed_up_come_back() {
     let twice: Points = whole.iter().flat_map(|point| [*point, *point]).collect();
     let scans = [whole.clone(), reversed, no_third_laser, sector, with_others, swapped, twice, Vec::new()];
     for level in [1, 6] {
-        let level = lidarpc::backend::Level::new(level).unwrap();
+        let level = lidarpc::internals::backend::Level::new(level).unwrap();
         round_trip(&files(&scans), &EncoderConfig { level, ..EncoderConfig::default() });
     }
 }
@@ -131,7 +131,7 @@ fn scans_that_are_cut_and_mixed_up_come_back() {
 #[test]
 fn scans_within_a_bound_stay_there() {
     let scans = scans(&config(4, 2, 4));
-    let config = EncoderConfig::preset(lidarpc::frame::Mode::Bounded { max_error_um: 10_000 });
+    let config = EncoderConfig::preset(lidarpc::internals::frame::Mode::Bounded { max_error_um: 10_000 });
     let stream = common::encode_files(&files(&scans), &config);
     for ((_, bytes), points) in common::decode_files(&stream).unwrap().iter().zip(&scans) {
         let decoded = parse("0.bin", bytes.clone()).cloud.positions;

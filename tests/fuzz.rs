@@ -14,7 +14,7 @@ use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply};
 use common::scans::{scans, small};
 use common::streams::STREAMS;
 use common::{first_files, in_package, put_together};
-use lidarpc::backend::{BACKENDS, Level};
+use lidarpc::internals::backend::{BACKENDS, Level};
 use targets::TARGETS;
 
 /// What the fuzzer starts from, so that it need not find the formats by chance.
@@ -35,7 +35,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
             let numbered = |(number, parts): (usize, &common::streams::Parts)| {
                 let frames = parts.1.iter().flat_map(|group| &group.frames);
                 let sections = frames.flat_map(|frame| &frame.sections).enumerate();
-                let seed = |(place, section): (usize, &lidarpc::stream::container::Section)| {
+                let seed = |(place, section): (usize, &lidarpc::internals::stream::container::Section)| {
                     [&[number as u8, place as u8], &section.payload[..]].concat()
                 };
                 sections.map(seed).collect::<Vec<_>>()
@@ -44,7 +44,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         }
         "backends" => {
             let text: Vec<u8> = (0..640u32).map(|n| (n * n / 7) as u8 & 15).collect();
-            let coded = |(number, backend): (usize, &&dyn lidarpc::backend::Backend)| {
+            let coded = |(number, backend): (usize, &&dyn lidarpc::internals::backend::Backend)| {
                 [vec![number as u8, 10], backend.compress(&text, Level::default()).unwrap()].concat()
             };
             BACKENDS.iter().enumerate().map(coded).collect()

@@ -18,13 +18,13 @@ use common::formats::{
 use common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
 use common::streams::{at_level, with_back_end};
 use common::{File, decode_files, encode_files, in_package, round_trip, take_apart};
-use lidarpc::article::image_coding::{ImageCodec, ImageConfig, Rate};
-use lidarpc::backend::{BACKENDS, LZMA};
-use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
-use lidarpc::frame::{FrameParameters, Intensity, Prediction};
-use lidarpc::stream::container::{Stamp, StreamHeader, Time, TimeSource, Unit};
-use lidarpc::stream::{FrameInput, encode};
-use lidarpc::study::synth::{SynthConfig, SynthScanner};
+use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
+use lidarpc::internals::backend::{BACKENDS, LZMA};
+use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
+use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction};
+use lidarpc::internals::stream::container::{Stamp, StreamHeader, Time, TimeSource, Unit};
+use lidarpc::internals::stream::{FrameInput, encode};
+use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 
 /// The version of the format that the streams are of.
 const VERSION: u16 = 1;

@@ -6,15 +6,15 @@ mod common;
 use common::scans::Random;
 use common::streams::{Parts, STREAMS};
 use common::{cases, decode_files, decode_within, put_together};
-use lidarpc::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
-use lidarpc::frame::parameters::RangeCoder;
-use lidarpc::frame::{FrameParameters, Modelling};
-use lidarpc::ground::error::Limits;
-use lidarpc::ground::varint::write_unsigned;
-use lidarpc::models::{ByteModel, ColumnModel};
-use lidarpc::scan::{Field, Layout, Scalar, Wrapping};
-use lidarpc::scanner::{BeamConstants, Coordinates, Hdl64};
-use lidarpc::stream::container::{ScannerRecord, Section, SectionKind};
+use lidarpc::internals::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
+use lidarpc::internals::frame::parameters::RangeCoder;
+use lidarpc::internals::frame::{FrameParameters, Modelling};
+use lidarpc::internals::ground::error::Limits;
+use lidarpc::internals::ground::varint::write_unsigned;
+use lidarpc::internals::models::{ByteModel, ColumnModel};
+use lidarpc::internals::scan::{Field, Layout, Scalar, Wrapping};
+use lidarpc::internals::scanner::{BeamConstants, Coordinates, Hdl64};
+use lidarpc::internals::stream::container::{ScannerRecord, Section, SectionKind};
 use proptest::prelude::*;
 
 /// What is done to a stream's parts. Places are counted modulo what there is.
@@ -194,7 +194,7 @@ fn sensor_records_with_impossible_numbers_are_refused() {
         for (place, &number) in numbers.iter().enumerate() {
             match place {
                 0..4 => write_unsigned(&mut bytes, number as u64),
-                _ => lidarpc::ground::varint::write_signed(&mut bytes, number),
+                _ => lidarpc::internals::ground::varint::write_signed(&mut bytes, number),
             }
         }
         Hdl64::read_from(&mut &bytes[..])
@@ -301,7 +301,7 @@ fn forged_files_are_an_error() {
     let mut layout = Vec::new();
     kitti_layout().write_to(&mut layout);
     let whole = |layout: &[u8], prefix: u64, length: u64, payload: &[u8]| {
-        let mut bytes = vec![lidarpc::backend::ZSTD];
+        let mut bytes = vec![lidarpc::internals::backend::ZSTD];
         write_unsigned(&mut bytes, layout.len() as u64);
         bytes.extend(layout);
         write_unsigned(&mut bytes, prefix);
@@ -309,7 +309,7 @@ fn forged_files_are_an_error() {
         bytes.extend(payload);
         vec![Section { kind: SectionKind::Bytes, payload: bytes }]
     };
-    let content = lidarpc::backend::compress_quickly(&[7; 64]).unwrap();
+    let content = lidarpc::internals::backend::compress_quickly(&[7; 64]).unwrap();
     for (layout, prefix, length, payload, records) in [
         (&layout[..], 0, u64::MAX, &content[..], 4),
         (&layout, 0, 1 << 31, &content, 4),

@@ -8,11 +8,13 @@ use common::formats::kitti;
 use common::scans::{random_points, scans};
 use common::streams::at_level;
 use common::{File, decode_files, encode_files, put_together, round_trip, take_apart};
-use lidarpc::backend::BACKENDS;
-use lidarpc::frame::settings::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind};
-use lidarpc::frame::{FrameParameters, Prediction};
-use lidarpc::stream::container::{Frame, Section, SectionKind};
-use lidarpc::study::synth::SynthConfig;
+use lidarpc::internals::backend::BACKENDS;
+use lidarpc::internals::frame::settings::{
+    Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind,
+};
+use lidarpc::internals::frame::{FrameParameters, Prediction};
+use lidarpc::internals::stream::container::{Frame, Section, SectionKind};
+use lidarpc::internals::study::synth::SynthConfig;
 
 /// A drive of five frames.
 static DRIVE: LazyLock<Vec<File>> = LazyLock::new(|| {
@@ -127,7 +129,7 @@ fn every_back_end_decodes_its_p_frames() {
 fn images_of_very_many_cells_are_coded_alone() {
     let with_columns = |columns| EncoderConfig {
         projection: ProjectionKind::Ideal { columns, range_step_um: 5000 },
-        coder: Coder::Backend(lidarpc::backend::LZMA),
+        coder: Coder::Backend(lidarpc::internals::backend::LZMA),
         prediction: PredictionChoice::EveryReference,
         ..EncoderConfig::preset(Mode::Paper)
     };

@@ -10,9 +10,9 @@ use assert_cmd::cargo::cargo_bin;
 use common::formats::kitti;
 use common::scans::{scans, small};
 use common::{File, decode_files};
-use lidarpc::files::ArrivingFrames;
-use lidarpc::ground::error::Limits;
-use lidarpc::stream::container::{Record, StreamReader};
+use lidarpc::internals::files::ArrivingFrames;
+use lidarpc::internals::ground::error::Limits;
+use lidarpc::internals::stream::container::{Record, StreamReader};
 use tempfile::TempDir;
 
 /// Scans of a scanner, so that there is a sensor model to fit.

@@ -9,19 +9,19 @@ use common::scans::{Points, random_points, scans, small};
 use common::{
     File, cases, decode_files, encode_files, first_files, real_folders, round_trip, section_bytes, take_apart,
 };
-use lidarpc::article::image_coding::{ImageCodec, ImageConfig, Rate};
-use lidarpc::article::prediction::intra::{IntraConfig, RegionModels};
-use lidarpc::article::residual::Packing;
-use lidarpc::backend::BACKENDS;
-use lidarpc::files::parse;
-use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
-use lidarpc::frame::{FrameParameters, Intensity, Prediction, Source};
-use lidarpc::scan::{Channel, PointCloud};
-use lidarpc::scanner::{FLOAT_RANGES, ideal};
-use lidarpc::scanner::{RangeImage, Return, project_nearest};
-use lidarpc::stream::container::SectionKind;
-use lidarpc::stream::{DecodeOptions, decode};
-use lidarpc::study::metrics::NearestErrors;
+use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
+use lidarpc::internals::article::prediction::intra::{IntraConfig, RegionModels};
+use lidarpc::internals::article::residual::Packing;
+use lidarpc::internals::backend::BACKENDS;
+use lidarpc::internals::files::parse;
+use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
+use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction, Source};
+use lidarpc::internals::scan::{Channel, PointCloud};
+use lidarpc::internals::scanner::{FLOAT_RANGES, ideal};
+use lidarpc::internals::scanner::{RangeImage, Return, project_nearest};
+use lidarpc::internals::stream::container::SectionKind;
+use lidarpc::internals::stream::{DecodeOptions, decode};
+use lidarpc::internals::study::metrics::NearestErrors;
 use proptest::prelude::*;
 
 static SCANS: LazyLock<Vec<Points>> = LazyLock::new(|| scans(&small(1, 3)));

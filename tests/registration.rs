@@ -3,14 +3,14 @@
 mod common;
 
 use common::scans::small;
-use lidarpc::files::parse;
-use lidarpc::inter::registration::{
+use lidarpc::internals::files::parse;
+use lidarpc::internals::inter::registration::{
     Pose, Registration, RegistrationConfig, RegistrationMethod, RigidMotion, Surface, register,
 };
-use lidarpc::scanner::Hdl64;
-use lidarpc::scanner::hdl64::fit;
-use lidarpc::scanner::{REACH, RangeImage, project};
-use lidarpc::study::synth::{SynthConfig, SynthFrame, drive};
+use lidarpc::internals::scanner::Hdl64;
+use lidarpc::internals::scanner::hdl64::fit;
+use lidarpc::internals::scanner::{REACH, RangeImage, project};
+use lidarpc::internals::study::synth::{SynthConfig, SynthFrame, drive};
 
 /// Images of a drive, and the motion that led to each but the first.
 struct Drive {
@@ -125,6 +125,6 @@ fn what_cannot_be_registered_is_noticed() {
             wall.steps.row_mut(row).iter_mut().for_each(|steps| *steps = (*steps).min(900));
         }
         let found = register(&here.images[0], &wall);
-        assert!(found.is_none_or(|found| found.overlap < 0.6), "{method:?} {found:?}");
+        assert!(found.is_none_or(|found| found.fit < 0.6), "{method:?} {found:?}");
     }
 }

@@ -10,11 +10,11 @@ use common::formats::kitti;
 use common::scans::{random_points, scans, small};
 use common::streams::with_back_end;
 use common::{File as Scan, encode_files, put_together, take_apart};
-use lidarpc::backend;
-use lidarpc::edit::{PartialFiles, encode_resuming};
-use lidarpc::frame::settings::{EncoderConfig, Mode};
-use lidarpc::ground::error::Result;
-use lidarpc::stream::{Encoded, FrameInput};
+use lidarpc::internals::backend;
+use lidarpc::internals::edit::{PartialFiles, encode_resuming};
+use lidarpc::internals::frame::settings::{EncoderConfig, Mode};
+use lidarpc::internals::ground::error::Result;
+use lidarpc::internals::stream::{Encoded, FrameInput};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -194,7 +194,7 @@ fn other_settings_are_refused() {
         (EncoderConfig { gop: 3, ..exact() }, "gop: 2, now 3"),
         (modes()[1].clone(), "positions: Exact, now Bounded"),
         (
-            EncoderConfig { order: lidarpc::frame::settings::FrameOrder::Time, ..exact() },
+            EncoderConfig { order: lidarpc::internals::frame::settings::FrameOrder::Time, ..exact() },
             "order: Ratio, now Time",
         ),
     ] {

@@ -4,12 +4,12 @@ mod common;
 
 use common::formats::kitti;
 use common::scans::{Points, moved, random_points, rows, scans, shuffled, single_precision, unrounded};
-use lidarpc::files::parse;
-use lidarpc::scan::ScanFile;
-use lidarpc::scanner::hdl64::fit;
-use lidarpc::scanner::{Coordinates, Hdl64};
-use lidarpc::scanner::{REACH, project};
-use lidarpc::study::synth::SynthConfig;
+use lidarpc::internals::files::parse;
+use lidarpc::internals::scan::ScanFile;
+use lidarpc::internals::scanner::hdl64::fit;
+use lidarpc::internals::scanner::{Coordinates, Hdl64};
+use lidarpc::internals::scanner::{REACH, project};
+use lidarpc::internals::study::synth::SynthConfig;
 
 /// All beams, every eighth firing: some 230 points a beam.
 fn config(seed: u64) -> SynthConfig {

@@ -12,8 +12,8 @@ use std::fs;
 use common::formats::{kitti, pcd_velodyne};
 use common::streams::at_level;
 use common::{File, encode_files, first_files, in_package, real_folders, take_apart};
-use lidarpc::scanner::Scanner;
-use lidarpc::study::synth::{SynthConfig, SynthScanner, drive};
+use lidarpc::internals::scanner::Scanner;
+use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, drive};
 
 /// Names and files: the test data, simulated scans, and one of each folder of real ones.
 fn inputs() -> Vec<(String, Vec<File>)> {

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use lidarpc::backend::{by_name, decompress};
+use lidarpc::internals::backend::{by_name, decompress};
 
 /// Deltas as of a range image: mostly small, some large, zigzag, 16 bits little-endian.
 fn residuals() -> Vec<u8> {

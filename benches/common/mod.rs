@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use lidarpc::files::parse;
-use lidarpc::scan::ScanFile;
+use lidarpc::internals::files::parse;
+use lidarpc::internals::scan::ScanFile;
 
 /// Frames of each drive.
 const FRAMES: usize = 4;

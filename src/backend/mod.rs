@@ -106,6 +106,7 @@ impl Level {
     }
 
     /// All levels, rising.
+    #[cfg(test)]
     pub fn all() -> impl Iterator<Item = Level> {
         (1..=9).map(Level)
     }

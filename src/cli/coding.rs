@@ -249,7 +249,7 @@ impl CodingArgs {
 
     /// The mode, by its name or by the options that belong to it.
     fn preset(&self) -> Result<Mode> {
-        let wrong = |what: &str| Err(Error::InvalidConfig(what.to_owned()));
+        let wrong = |what: &str| Err(Error::InvalidSettings(what.to_owned()));
         match (self.mode, self.max_error) {
             (Some(ModeArg::Bounded) | None, Some(Length(max_error_um))) => Ok(Mode::Bounded { max_error_um }),
             (Some(ModeArg::Bounded), None) => wrong("--mode bounded needs a bound, as by --max-error 10mm"),
@@ -293,7 +293,7 @@ impl CodingArgs {
         config.image.passes = self.passes.unwrap_or(config.image.passes);
         if let Some(level) = self.level {
             config.level = Level::new(level)
-                .ok_or_else(|| Error::InvalidConfig(format!("level {level} is not from 1 to 9")))?;
+                .ok_or_else(|| Error::InvalidSettings(format!("level {level} is not from 1 to 9")))?;
         }
         config.gop = self.gop.map_or(config.default_gop(), |gop| gop as usize);
         if let Some(name) = &self.packing {
@@ -308,7 +308,7 @@ impl CodingArgs {
         let for_images = [("--rate", self.rate.is_some()), ("--passes", self.passes.is_some())];
         let refuse = |options: &[(&str, bool)], whose: &str| match options.iter().find(|(_, is)| *is) {
             Some((name, _)) => {
-                Err(Error::InvalidConfig(format!("{name} is for {whose}; choose one by --backend")))
+                Err(Error::InvalidSettings(format!("{name} is for {whose}; choose one by --backend")))
             }
             None => Ok(()),
         };
@@ -339,7 +339,7 @@ impl CodingArgs {
             ProjectionKind::Calibrated { .. } if self.columns.is_some() => {
                 let what = "the calibrated range image has the sensor's own columns; \
                             --columns needs --mode paper";
-                return Err(Error::InvalidConfig(what.to_owned()));
+                return Err(Error::InvalidSettings(what.to_owned()));
             }
             ProjectionKind::Calibrated { range_step_um } => *range_step_um = self.step.map(|step| step.0),
         }

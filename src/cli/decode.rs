@@ -10,6 +10,7 @@ use crate::edit::Recovered;
 use crate::files::{FileFormat, Give, convert};
 use crate::ground::error::Error;
 use crate::scan::ScanFile;
+use crate::stream::container::Unit;
 use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::{Context, Result, bail};
 
@@ -87,9 +88,7 @@ fn to_stdout(args: &DecodeArgs, input: Input, options: &DecodeOptions, converter
     let decoded =
         decode(args, input, options, &mut losses, DecodedFrame::checked, |frame| match only.replace(frame) {
             None => Ok(()),
-            Some(_) => {
-                Err(Error::InvalidConfig("stdout takes one frame; choose one, as by --frames 5".to_owned()))
-            }
+            Some(_) => Err(Error::Usage("stdout takes one frame; choose one, as by --frames 5".to_owned())),
         });
     decoded.map_err(|error| about(error, &name_of(&args.input)))?;
     let Some(frame) = only else { bail!("{}: holds no frame", name_of(&args.input)) };
@@ -145,8 +144,13 @@ impl Converter {
     /// # Errors
     /// If the frame cannot be converted, or another one has got the name that it would get.
     fn file(&self, frame: DecodedFrame) -> crate::ground::error::Result<File> {
-        let Some(format) = self.format else { return Ok(File::Original(Box::new(frame))) };
-        let DecodedFrame { header, scan, .. } = frame.checked()?;
+        // Points that never were a file become one that says what their channels are.
+        let of_points = (frame.header.stamp.unit == Unit::Points).then_some(FileFormat::Pcd);
+        let Some(format) = self.format.or(of_points) else { return Ok(File::Original(Box::new(frame))) };
+        let DecodedFrame { number, header, mut scan, .. } = frame.checked()?;
+        if scan.name.is_empty() {
+            scan.name = format!("{number:06}");
+        }
         let converted = convert(&scan, format)?;
         let mut names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(other) = names.insert(converted.name.clone(), header.name.clone()) {

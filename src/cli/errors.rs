@@ -62,6 +62,7 @@ fn advice(error: &Error) -> Option<&'static str> {
         Error::Corrupt { .. } => {
             Some("fetch it again, or save what is intact by `lidarpc decode --keep-going`")
         }
+        Error::NotBuilt { .. } => Some("use a lidarpc that was built with it"),
         Error::LimitExceeded { .. } => {
             Some("if that is right, --max-points, --max-file-bytes and so on allow more")
         }

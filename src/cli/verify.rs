@@ -30,7 +30,7 @@ pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
         let Some(originals) = &mut originals else { return Ok(()) };
         if originals.take(&frame.header.name)? != frame.to_bytes()? {
             let what = format!("frame {} ({:?}) is not the original", frame.number, frame.header.name);
-            return Err(Error::InvalidConfig(what));
+            return Err(Error::Usage(what));
         }
         Ok(())
     });

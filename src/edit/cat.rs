@@ -62,7 +62,9 @@ impl Names {
     /// Adds the names of a group of the last stream, if they are new.
     fn check(&mut self, job: &GroupJob) -> Result<()> {
         let stream = self.paths.len() - 1;
-        for (number, frame) in (job.first_frame..).zip(&job.group.frames) {
+        // Points in memory need no name, and then there is none to be the same.
+        let frames = (job.first_frame..).zip(&job.group.frames);
+        for (number, frame) in frames.filter(|(_, frame)| !frame.header.name.is_empty()) {
             match self.places.entry(frame.header.name.clone()) {
                 Entry::Vacant(free) => drop(free.insert((stream, number))),
                 Entry::Occupied(taken) => {
@@ -72,7 +74,7 @@ impl Names {
                         "frame {number} ({name:?}) has the same name as frame {first} of {other}; \
                          leave one out by `lidarpc cut`, or keep the streams apart"
                     );
-                    return Err(Error::InvalidConfig(what));
+                    return Err(Error::Usage(what));
                 }
             }
         }

@@ -10,7 +10,7 @@ use crate::frame::syntax::Models;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::Scanner;
 use crate::stream::container;
-use crate::stream::decoder::{part_name, write_checked};
+use crate::stream::decoder::write_checked;
 use crate::stream::source::GroupJob;
 
 /// Decodes a group, and codes its frames from number `start` of the sequence on as a new group with the same
@@ -26,11 +26,11 @@ pub(crate) fn recode_from(start: u64, job: &mut GroupJob, limits: &Limits) -> Re
     let mut streams: Vec<_> = job.models()?.into_iter().map(recoder).collect();
     let mut recoded = Vec::new();
     for (number, frame) in (job.first_frame..).zip(frames) {
-        let part = part_name(number, &frame.header.name);
+        let name = frame.header.name.clone();
         let stream = streams.get_mut(usize::from(frame.header.stamp.stream));
         let recoder =
             stream.ok_or_else(|| Error::corrupt("a frame of a stream that the group does not have"))?;
-        recoded.extend(recoder.recode(frame, number >= start).map_err(|e| e.within(&part))?);
+        recoded.extend(recoder.recode(frame, number >= start).map_err(|e| e.within_frame(number, &name))?);
     }
     (job.group.frames, job.first_frame) = (recoded, start);
     Ok(())

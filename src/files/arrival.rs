@@ -132,7 +132,7 @@ fn next_of_lines(input: &mut impl Read) -> Result<Option<ArrivedFile>> {
 pub(super) fn read_file(input: &mut impl Read, name: &str, size: u64) -> Result<Vec<u8>> {
     let max = Limits::default().file_bytes;
     if size > max {
-        return Err(Error::LimitExceeded { what: "bytes of a file".to_owned(), got: size, max }.at(name));
+        return Err(Error::over_limit("bytes of a file", size, max).at(name));
     }
     let mut bytes = Vec::new();
     if input.by_ref().take(size).read_to_end(&mut bytes)? as u64 != size {

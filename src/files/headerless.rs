@@ -64,7 +64,7 @@ impl FromStr for HeaderlessLayout {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let wrong = |what: String| Error::InvalidConfig(format!("'{text}' {what}"));
+        let wrong = |what: String| Error::InvalidSettings(format!("'{text}' {what}"));
         let is_list = text.contains([',', ':', '*']);
         let layout = if is_list {
             let fields = text.split(',').map(field).collect::<std::result::Result<_, _>>().map_err(wrong)?;

@@ -26,8 +26,10 @@ pub use convert::{FileFormat, convert};
 pub use headerless::HeaderlessLayout;
 pub use point_count::with_point_count;
 
+pub use records::MOST_INTENSITY;
+
 use crate::ground::error::Result;
-use crate::scan::{Layout, ScanFile, Wrapping};
+use crate::scan::{Field, Layout, ScanFile, Wrapping};
 
 /// What the extension of a name says of its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,6 +104,12 @@ pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
         Some(file) => ScanFile { name: name.to_owned(), ..file },
         None => parse(name, bytes),
     }
+}
+
+/// The layout of records that hold these fields, side by side, one record after the other: which field is what, is
+/// told by their names and types. `None` if the records are empty or too long.
+pub fn plain_layout(fields: Vec<Field>) -> Option<Layout> {
+    field::layout_of(fields, Wrapping::Plain)
 }
 
 /// A file whose records stand one after the other behind `start` bytes, at most so many. `None` if the layout is

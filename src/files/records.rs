@@ -29,7 +29,7 @@ pub(super) fn plain_file(layout: Layout, bytes: &[u8], start: usize, records: u6
 }
 
 /// The largest intensity that the models of intensities know as a whole number.
-const MOST_INTENSITY: f32 = 511.0;
+pub const MOST_INTENSITY: f32 = 511.0;
 
 /// Turns whole records, one after the other, into points. The layout must be valid. Integers beyond what
 /// intensities may be are a channel like others: then the layout that is given back knows of no intensity.

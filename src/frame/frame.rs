@@ -199,8 +199,9 @@ impl Frame {
         steps: &mut StepReport,
     ) {
         let cloud = steps.timed(Step::Outliers, || match config.outliers {
+            #[cfg(feature = "article")]
             Some(outliers) => outliers.filter(cloud),
-            None => cloud.clone(),
+            _ => cloud.clone(),
         });
         let start = Instant::now();
         let mut projection = match config.projection {

@@ -21,8 +21,8 @@ use crate::ground::grid::Grid;
 use crate::inter;
 use crate::inter::registration::{Pose, QuantisedPose, register};
 use crate::scan::ScanFile;
-use crate::scanner::Scanner;
 use crate::scanner::RangeImage;
+use crate::scanner::Scanner;
 use crate::stream::container::{FrameHeader, Section};
 
 /// Encodes the frames of one group.
@@ -129,7 +129,7 @@ impl<'s> StreamEncoder<'s> {
             }
         }
         let Some(Attempt { models, frame, sections, steps, .. }) = best else {
-            return Err(Error::InvalidConfig("no prediction to choose from".to_owned()));
+            return Err(Error::Internal("no prediction to choose from".to_owned()));
         };
         self.frames += 1;
         if let Some((models, mut steps)) = before {

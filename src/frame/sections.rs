@@ -186,7 +186,8 @@ impl<'s> SectionReader<'s> {
 
     /// The payload of the next section.
     fn next_payload(&mut self, kind: SectionKind) -> Result<&'s [u8]> {
-        self.next_if(kind).ok_or_else(|| Error::corrupt(format!("{kind} section is missing")))
+        let missing = || Error::corrupt(format!("{kind} section is missing")).within_section(kind);
+        self.next_if(kind).ok_or_else(missing)
     }
 
     /// What each step took.
@@ -196,13 +197,15 @@ impl<'s> SectionReader<'s> {
     pub fn finish(mut self) -> Result<StepReport> {
         match self.peek() {
             None => Ok(self.report),
-            Some(section) => Err(Error::corrupt(format!("{} section out of place", section.kind))),
+            Some(Section { kind, .. }) => {
+                Err(Error::corrupt(format!("{kind} section out of place")).within_section(*kind))
+            }
         }
     }
 }
 
 fn ends_too_early(kind: SectionKind) -> Error {
-    Error::corrupt(format!("{kind} section ends too early"))
+    Error::corrupt(format!("{kind} section ends too early")).within_section(kind)
 }
 
 impl SectionCoder for SectionReader<'_> {
@@ -224,7 +227,7 @@ impl SectionCoder for SectionReader<'_> {
         }
         let start = Instant::now();
         let mut decoder = ArithmeticDecoder::new(self.next_payload(kind)?);
-        let decoded = code(&mut decoder)?;
+        let decoded = code(&mut decoder).map_err(|e| e.within_section(kind))?;
         if decoder.is_exhausted() {
             return Err(ends_too_early(kind));
         }
@@ -245,7 +248,8 @@ impl SectionCoder for SectionReader<'_> {
         code: impl FnOnce(&mut TokenReader<'_>) -> T,
     ) -> Result<T> {
         let start = Instant::now();
-        let mut reader = TokenReader::new(self.next_payload(kind)?, contexts, tables)?;
+        let reader = TokenReader::new(self.next_payload(kind)?, contexts, tables);
+        let mut reader = reader.map_err(|e| e.within_section(kind))?;
         let decoded = code(&mut reader);
         if reader.is_exhausted() {
             return Err(ends_too_early(kind));

@@ -301,74 +301,18 @@ impl EncoderConfig {
     /// Checks that all settings are in range and fit together.
     ///
     /// # Errors
-    /// [`Error::InvalidConfig`] names the setting that does not.
+    /// [`Error::InvalidSettings`] names the setting that does not.
     pub fn check(&self) -> Result<()> {
-        let wrong = |what: &str| Err(Error::InvalidConfig(what.to_owned()));
-        if self.gop == 0 {
-            return wrong("a group holds at least one frame");
-        }
-        let drops = self.outliers.is_some()
-            || self.projection != ProjectionKind::CALIBRATED
-            || self.intensity == Intensity::None;
-        match (self.positions, self.intensity) {
-            (Positions::Formula, Intensity::Rounded { .. })
-            | (Positions::Exact, Intensity::Rounded { .. }) => {
-                return wrong("intensities are rounded in bounded mode only");
-            }
-            (_, Intensity::Rounded { step_millionths: 0 }) => return wrong("a step of intensities is not 0"),
-            (Positions::Exact, _) if drops => {
-                return wrong("exact mode keeps every point and intensity; use paper mode to drop any");
-            }
-            (Positions::Bounded { .. }, _) if drops => {
-                return wrong("bounded mode keeps every point; use paper mode to drop any");
-            }
-            (Positions::Bounded { max_error_um, .. }, _)
-                if !(1..=MOST_MAX_ERROR_UM).contains(&max_error_um) =>
-            {
-                return wrong("the largest error is from 1 micrometre to 10 metres");
-            }
-            (Positions::Bounded { .. }, _) if self.coder != Coder::Context => {
-                return wrong(
-                    "bounded mode needs the context coder; general-purpose back-ends know no bound",
-                );
-            }
-            _ => {}
-        }
-        if self.coder == Coder::Context && levels::settings_of(self.level).is_none() {
-            let (level, numbers) = (self.level.number(), levels::numbers());
-            return wrong(&format!("the context coder has no level {level}; choose one of {numbers}"));
-        }
-        let (columns, step) = match self.projection {
-            ProjectionKind::Ideal { columns, range_step_um } => (columns, range_step_um),
-            ProjectionKind::Calibrated { range_step_um: Some(FLOAT_RANGES) } => {
-                return wrong("the calibrated image has ranges in steps");
-            }
-            ProjectionKind::Calibrated { range_step_um } => (1, range_step_um.unwrap_or(1)),
-        };
-        if !(1..=MOST_TICKS).contains(&u64::from(columns)) {
-            return wrong("an image has 1 to 360000 columns");
-        }
-        if u64::from(step) > MOST_RANGE_STEP_UM {
-            return wrong("a range step is at most 1 m");
-        }
-        if self.coder == Coder::Context && self.projection.has_float_ranges() {
-            return wrong("the context coder takes ranges in steps; choose a step or another back-end");
-        }
-        if self.coder == Coder::Context && self.prediction == PredictionChoice::Always(Prediction::Intra) {
-            return wrong("the context coder predicts by itself, and better than regions do");
-        }
-        let is_inter = matches!(
-            self.prediction,
-            PredictionChoice::EveryReference | PredictionChoice::Always(Prediction::Inter)
-        );
-        if is_inter && !self.modelling().has_p_frames() {
-            return wrong("levels 1 to 3 take every frame by itself; --predict inter needs level 6 or more");
-        }
-        let fits_regions = self.predictions(None, true).contains(&Prediction::Intra)
-            && self.intra.models == RegionModels::Fitted;
-        if fits_regions && self.projection.has_float_ranges() {
-            return wrong("regions are fitted to ranges in steps; choose a step, or the article's regions");
-        }
+        require(self.gop > 0, "a group holds at least one frame")?;
+        let needs_article = self.outliers.is_some() || matches!(self.coder, Coder::Image(_));
+        require(
+            cfg!(feature = "article") || !needs_article,
+            "outliers and image coders need the feature `article`, which was not built",
+        )?;
+        self.check_fidelity()?;
+        self.check_level()?;
+        self.check_projection()?;
+        self.check_prediction()?;
         if let Coder::Image(codec) = self.coder {
             self.check_image_coder(codec)?;
         }
@@ -377,14 +321,86 @@ impl EncoderConfig {
         self.registration.check()?;
         self.frame_parameters().map(|_| ())
     }
-}
 
-impl EncoderConfig {
-    fn check_image_coder(&self, codec: ImageCodec) -> Result<()> {
-        let wrong = |what: &str| Err(Error::InvalidConfig(what.to_owned()));
-        if self.projection.has_float_ranges() {
-            return wrong("image coders take ranges in steps; choose a step or another back-end");
+    /// What must come back, and that nothing else drops it.
+    fn check_fidelity(&self) -> Result<()> {
+        let drops = self.outliers.is_some()
+            || self.projection != ProjectionKind::CALIBRATED
+            || self.intensity == Intensity::None;
+        match (self.positions, self.intensity) {
+            (Positions::Formula | Positions::Exact, Intensity::Rounded { .. }) => {
+                wrong("intensities are rounded in bounded mode only")
+            }
+            (_, Intensity::Rounded { step_millionths: 0 }) => wrong("a step of intensities is not 0"),
+            (Positions::Exact, _) if drops => {
+                wrong("exact mode keeps every point and intensity; use paper mode to drop any")
+            }
+            (Positions::Bounded { .. }, _) if drops => {
+                wrong("bounded mode keeps every point; use paper mode to drop any")
+            }
+            (Positions::Bounded { max_error_um, .. }, _)
+                if !(1..=MOST_MAX_ERROR_UM).contains(&max_error_um) =>
+            {
+                wrong("the largest error is from 1 micrometre to 10 metres")
+            }
+            (Positions::Bounded { .. }, _) if self.coder != Coder::Context => {
+                wrong("bounded mode needs the context coder; general-purpose back-ends know no bound")
+            }
+            _ => Ok(()),
         }
+    }
+
+    fn check_level(&self) -> Result<()> {
+        if self.coder != Coder::Context || levels::settings_of(self.level).is_some() {
+            return Ok(());
+        }
+        let (level, numbers) = (self.level.number(), levels::numbers());
+        wrong(&format!("the context coder has no level {level}; choose one of {numbers}"))
+    }
+
+    fn check_projection(&self) -> Result<()> {
+        let (columns, step) = match self.projection {
+            ProjectionKind::Ideal { columns, range_step_um } => (columns, range_step_um),
+            ProjectionKind::Calibrated { range_step_um: Some(FLOAT_RANGES) } => {
+                return wrong("the calibrated image has ranges in steps");
+            }
+            ProjectionKind::Calibrated { range_step_um } => (1, range_step_um.unwrap_or(1)),
+        };
+        require((1..=MOST_TICKS).contains(&u64::from(columns)), "an image has 1 to 360000 columns")?;
+        require(u64::from(step) <= MOST_RANGE_STEP_UM, "a range step is at most 1 m")?;
+        require(
+            self.coder != Coder::Context || !self.projection.has_float_ranges(),
+            "the context coder takes ranges in steps; choose a step or another back-end",
+        )
+    }
+
+    fn check_prediction(&self) -> Result<()> {
+        let (is_intra, is_inter) = match self.prediction {
+            PredictionChoice::Always(prediction) => {
+                (prediction == Prediction::Intra, prediction == Prediction::Inter)
+            }
+            PredictionChoice::EveryReference => (false, true),
+            PredictionChoice::Smallest => (false, false),
+        };
+        require(
+            self.coder != Coder::Context || !is_intra,
+            "the context coder predicts by itself, and better than regions do",
+        )?;
+        require(
+            !is_inter || self.modelling().has_p_frames(),
+            "levels 1 to 3 take every frame by itself; --predict inter needs level 6 or more",
+        )?;
+        let fits_regions = self.predictions(None, true).contains(&Prediction::Intra)
+            && self.intra.models == RegionModels::Fitted;
+        require(
+            !fits_regions || !self.projection.has_float_ranges(),
+            "regions are fitted to ranges in steps; choose a step, or the article's regions",
+        )
+    }
+
+    fn check_image_coder(&self, codec: ImageCodec) -> Result<()> {
+        let float_ranges = "image coders take ranges in steps; choose a step or another back-end";
+        require(!self.projection.has_float_ranges(), float_ranges)?;
         match (codec, self.image.rate, self.positions) {
             (ImageCodec::Jpeg, Rate::Lossless, _) => {
                 wrong("jpeg always loses something; choose a rate, or jpeg2000")
@@ -395,6 +411,15 @@ impl EncoderConfig {
             _ => self.image.check(),
         }
     }
+}
+
+/// An error about a setting.
+fn wrong(what: &str) -> Result<()> {
+    Err(Error::InvalidSettings(what.to_owned()))
+}
+
+fn require(holds: bool, what: &str) -> Result<()> {
+    if holds { Ok(()) } else { wrong(what) }
 }
 
 /// The number of threads to use: one for each processor if `threads` is 0.

@@ -69,8 +69,7 @@ impl WholeFile {
         let prefix = read_length(&mut input)?;
         let length = read_length(&mut input)?;
         if length as u64 > limits.file_bytes {
-            let what = "bytes of the frame".to_owned();
-            return Err(Error::LimitExceeded { what, got: length as u64, max: limits.file_bytes });
+            return Err(Error::over_limit("bytes of the frame", length as u64, limits.file_bytes));
         }
         let bytes = backend::decompress(backend::by_id(id)?, input, length)?;
         Ok(WholeFile { bytes, records: layout.map(|layout| (layout, prefix)), payload })

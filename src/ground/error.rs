@@ -1,7 +1,9 @@
 //! What can go wrong, and the limits that a decoder keeps.
 
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fmt, io};
+
+use super::section_kind::SectionKind;
 
 /// The result of every fallible function of the library.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -25,13 +27,15 @@ pub enum Error {
         known: u16,
     },
     /// The stream is damaged, cut short, or was never valid.
-    #[error("damaged stream: {what}")]
+    #[error("damaged stream: {place}{what}")]
     Corrupt {
-        /// What is wrong, and in which part.
+        /// What is wrong.
         what: String,
+        /// Where.
+        place: Place,
     },
-    /// The stream asks for more than the reader allows.
-    #[error("{what}: {got} is over the limit of {max}")]
+    /// The stream asks for more than the reader allows, or a scan for more than readers do.
+    #[error("{place}{what}: {got} is over the limit of {max}")]
     LimitExceeded {
         /// What was asked for.
         what: String,
@@ -39,22 +43,42 @@ pub enum Error {
         got: u64,
         /// The amount that is allowed.
         max: u64,
+        /// Where.
+        place: Place,
+    },
+    /// The stream holds something that this program does not know.
+    #[error("written by a newer lidarpc: {place}{what}")]
+    Unsupported {
+        /// What is unknown.
+        what: String,
+        /// Where.
+        place: Place,
+    },
+    /// The stream holds something that this program knows, but was built without.
+    #[error("{place}{what}: this program was built without the feature `{feature}`")]
+    NotBuilt {
+        /// What it holds.
+        what: String,
+        /// The cargo feature.
+        feature: &'static str,
+        /// Where.
+        place: Place,
     },
     /// The settings contradict each other or are out of range.
     #[error("{0}")]
-    InvalidConfig(String),
+    InvalidSettings(String),
+    /// What was asked for is not there, or cannot be done.
+    #[error("{0}")]
+    Usage(String),
+    /// A fault of this library, or something that the system refuses, such as threads.
+    #[error("{0}")]
+    Internal(String),
     /// A file or folder that was given cannot be used.
     #[error("{} {what}", one_line(path))]
     Input {
         /// The file or folder.
         path: PathBuf,
         /// What is wrong with it and what to do about it, as a sentence that continues after the path.
-        what: String,
-    },
-    /// The stream holds something that this program does not know.
-    #[error("written by a newer lidarpc: {what}")]
-    Unsupported {
-        /// What is unknown, and in which part.
         what: String,
     },
     /// Something went wrong with this file or folder.
@@ -69,30 +93,110 @@ pub enum Error {
 
 impl Error {
     /// An error about a damaged stream; `what` says what is wrong.
-    pub fn corrupt(what: impl Into<String>) -> Self {
-        Error::Corrupt { what: what.into() }
+    pub(crate) fn corrupt(what: impl Into<String>) -> Self {
+        Error::Corrupt { what: what.into(), place: Place::default() }
     }
 
     /// An error about something that only a newer program knows.
-    pub fn unsupported(what: impl Into<String>) -> Self {
-        Error::Unsupported { what: what.into() }
+    pub(crate) fn unsupported(what: impl Into<String>) -> Self {
+        Error::Unsupported { what: what.into(), place: Place::default() }
+    }
+
+    /// An error about something that only a program with this feature knows.
+    #[cfg(not(feature = "article"))]
+    pub(crate) fn not_built(what: impl Into<String>, feature: &'static str) -> Self {
+        Error::NotBuilt { what: what.into(), feature, place: Place::default() }
+    }
+
+    /// An error about `what`, of which there is too much.
+    pub(crate) fn over_limit(what: impl Into<String>, got: u64, max: u64) -> Self {
+        Error::LimitExceeded { what: what.into(), got, max, place: Place::default() }
     }
 
     /// The same error, naming the file that it is about.
-    pub fn at(self, path: impl AsRef<Path>) -> Self {
+    pub(crate) fn at(self, path: impl AsRef<Path>) -> Self {
         Error::At { path: path.as_ref().to_path_buf(), source: Box::new(self) }
     }
 
     /// The same error, naming the part of the stream that it is about.
-    pub(crate) fn within(self, part: &str) -> Self {
-        match self {
-            Error::Corrupt { what } => Error::Corrupt { what: format!("{part}: {what}") },
-            Error::Unsupported { what } => Error::Unsupported { what: format!("{part}: {what}") },
-            Error::LimitExceeded { what, got, max } => {
-                Error::LimitExceeded { what: format!("{part}: {what}"), got, max }
-            }
-            other => other,
+    pub(crate) fn within(mut self, part: impl Into<String>) -> Self {
+        if let Some(place) = self.place_mut() {
+            place.parts.push(part.into());
         }
+        self
+    }
+
+    /// The same error, naming the frame that it is about.
+    pub(crate) fn within_frame(mut self, number: u64, name: &str) -> Self {
+        if let Some(place) = self.place_mut() {
+            place.frame = Some(number);
+        }
+        self.within(format!("frame {number} ({name:?})"))
+    }
+
+    /// The same error, naming the frame of a group that it is about; the first is 0.
+    pub(crate) fn within_frame_of_group(mut self, number: u64) -> Self {
+        if let Some(place) = self.place_mut() {
+            place.frame = Some(number);
+        }
+        self.within(format!("frame {number} of the group"))
+    }
+
+    /// The same error, about a frame of the group whose first frame has this number.
+    pub(crate) fn counted_from(mut self, first_frame: u64) -> Self {
+        if let Some(frame) = self.place_mut().and_then(|place| place.frame.as_mut()) {
+            *frame = frame.saturating_add(first_frame);
+        }
+        self
+    }
+
+    /// The same error, which is about a section of this kind.
+    pub(crate) fn within_section(mut self, kind: SectionKind) -> Self {
+        if let Some(place) = self.place_mut() {
+            place.section = Some(kind);
+        }
+        self
+    }
+
+    /// Where in a stream it is, if that is known.
+    pub fn place(&self) -> Option<&Place> {
+        match self {
+            Error::Corrupt { place, .. }
+            | Error::Unsupported { place, .. }
+            | Error::NotBuilt { place, .. }
+            | Error::LimitExceeded { place, .. } => Some(place),
+            Error::At { source, .. } => source.place(),
+            _ => None,
+        }
+    }
+
+    fn place_mut(&mut self) -> Option<&mut Place> {
+        match self {
+            Error::Corrupt { place, .. }
+            | Error::Unsupported { place, .. }
+            | Error::NotBuilt { place, .. }
+            | Error::LimitExceeded { place, .. } => Some(place),
+            _ => None,
+        }
+    }
+}
+
+/// Where in a stream something is wrong, as far as that is known. Its text names the parts from the outermost inwards,
+/// each followed by a colon.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Place {
+    /// Number of the frame, the first being 0.
+    pub frame: Option<u64>,
+    /// Which of its sections.
+    pub section: Option<SectionKind>,
+    /// The parts in words, the innermost first.
+    parts: Vec<String>,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.parts.iter().rev().try_for_each(|part| write!(f, "{part}: "))
     }
 }
 

@@ -7,4 +7,9 @@ pub mod random;
 pub mod rounding;
 pub mod varint;
 
+mod section_kind;
+
 pub(crate) mod lanes;
+
+pub(crate) use section_kind::SKIPPABLE;
+pub use section_kind::SectionKind;

@@ -9,7 +9,6 @@ pub use reference::{Layer, Reference};
 
 use std::sync::OnceLock;
 
-use crate::article::prediction::snake::path;
 use crate::ground::grid::Grid;
 use crate::inter::registration::{RigidMotion, Surface};
 use crate::scanner::Hdl64;
@@ -23,6 +22,16 @@ const COLUMN_REACH: u32 = 2;
 /// image: prediction takes about a hundred bytes a cell. No scanner has more than a few hundred thousand
 /// cells.
 pub const MOST_CELLS: usize = 1 << 22;
+
+/// The returns along the snake's path (article, V-C), which runs through the rows to and fro: the reference of a row's
+/// first return is right above it.
+pub fn snake_path(occupancy: &Grid<bool>) -> impl Iterator<Item = (usize, usize)> {
+    let columns = occupancy.columns();
+    let cells = (0..occupancy.rows()).flat_map(move |row| {
+        (0..columns).map(move |i| (row, if row % 2 == 0 { i } else { columns - 1 - i }))
+    });
+    cells.filter(|&cell| occupancy[cell])
+}
 
 /// The frame before, as both encoder and decoder know it.
 #[derive(Debug, Default)]
@@ -118,7 +127,7 @@ impl Past {
 pub fn ranges(reference: &Reference, occupancy: &Grid<bool>) -> Grid<u32> {
     let mut ranges = Grid::new(occupancy.rows(), occupancy.columns());
     let mut last = 0;
-    for cell in path(occupancy) {
+    for cell in snake_path(occupancy) {
         let found = [&reference.moved, &reference.same].map(|layer| layer.steps[cell]);
         last = found.into_iter().find(|&steps| steps > 0).unwrap_or(last);
         ranges[cell] = last;

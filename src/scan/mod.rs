@@ -38,6 +38,7 @@ impl PointCloud {
     }
 
     /// The channel of this name.
+    #[cfg(test)]
     pub fn channel(&self, name: &str) -> Option<&Channel> {
         self.channels.iter().find(|channel| channel.field.name == name)
     }

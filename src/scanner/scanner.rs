@@ -49,6 +49,7 @@ impl Scanner {
     }
 
     /// The family's name in reports.
+    #[cfg(any(test, feature = "internals"))]
     pub fn name(&self) -> &'static str {
         match self {
             Scanner::Hdl64(_) => "hdl64",

@@ -41,7 +41,7 @@ impl DecodedFrame {
     /// If, as shows in the end, they are not those of the file that was encoded; those of `give`.
     pub fn write(&self, give: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
         write_checked(&self.scan, &self.header, give)
-            .map_err(|e| e.within(&part_name(self.number, &self.header.name)))
+            .map_err(|e| e.within_frame(self.number, &self.header.name))
     }
 
     /// The file's bytes.
@@ -116,7 +116,7 @@ fn decode_jobs<T: Send>(
 pub(crate) fn decode_group<T>(
     job: GroupJob,
     options: &DecodeOptions,
-    work: impl Fn(DecodedFrame) -> Result<T>,
+    mut work: impl FnMut(DecodedFrame) -> Result<T>,
 ) -> Result<Vec<T>> {
     let range = &options.frames;
     let coder = GroupDecoder::new(&job.models()?, &options.limits);
@@ -126,8 +126,8 @@ pub(crate) fn decode_group<T>(
         if range.is_past(number) {
             break;
         }
-        let part = part_name(number, &frame.header.name);
-        if let Some(frame) = decode_frame(&mut coder, number, frame, options).map_err(|e| e.within(&part))? {
+        let decoded = decode_frame(&mut coder, number, frame, options);
+        if let Some(frame) = decoded.map_err(|e| e.within_frame(number, &frame.header.name))? {
             results.push(work(frame)?);
         }
     }
@@ -149,11 +149,6 @@ fn decode_frame(
         return Ok(None);
     }
     Ok(Some(DecodedFrame { number, header, scan, source, in_order, image, steps }))
-}
-
-/// What errors call a frame.
-pub(crate) fn part_name(number: u64, name: &str) -> String {
-    format!("frame {number} ({name:?})")
 }
 
 /// Gives the bytes of a file, piece by piece; an error if in the end they are not those that the frame's header tells

@@ -5,10 +5,9 @@ use std::io::Write;
 use std::mem;
 
 use super::encoded::{Encoded, OpenStream};
-use super::input::FrameInput;
+use super::input::{FrameInput, ReadFrame};
 use super::ordered::run_ordered;
 use super::scanner_choice::{Scanners, choose_scanners};
-use crate::files::{HeaderlessLayout, parse_with};
 use crate::frame::group::GroupEncoder;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::frame::steps::StepReport;
@@ -103,20 +102,24 @@ impl<'a> SequenceCoder<'a> {
         groups: impl Iterator<Item = Result<Cow<'f, [FrameInput]>>> + Send,
         write: impl FnMut(Vec<EncodedGroup>) -> Result<()>,
     ) -> Result<()> {
-        let work = |group: Cow<'_, [FrameInput]>| self.encode_frames(&group);
+        let work = |group: Cow<'_, [FrameInput]>| self.encode_frames(group.into_owned());
         run_ordered(resolve_threads(self.config.threads), groups, work, write)
     }
 
     /// Encodes frames as one group; as more if they are very large.
-    fn encode_frames(&self, inputs: &[FrameInput]) -> Result<Vec<EncodedGroup>> {
+    ///
+    /// # Errors
+    /// As [`encode`].
+    pub fn encode_frames(&self, inputs: Vec<FrameInput>) -> Result<Vec<EncodedGroup>> {
         let mut groups = Vec::new();
         let mut open = OpenGroup::new(self);
         for input in inputs {
-            let bytes = input.read()?;
-            if !open.has_room_for(&bytes) {
+            let path = input.path();
+            let frame = input.into_frame(self.config.headerless.as_ref())?;
+            if !open.has_room_for(&frame) {
                 groups.push(mem::replace(&mut open, OpenGroup::new(self)).encoded);
             }
-            open.encode_frame(input, bytes).map_err(|e| e.at(input.path()))?;
+            open.encode_frame(frame).map_err(|e| e.at(path))?;
             (self.on_frame)();
         }
         groups.push(open.encoded);
@@ -137,7 +140,6 @@ pub(crate) struct EncodedGroup {
 
 /// A group that is being encoded.
 struct OpenGroup<'s> {
-    headerless: Option<&'s HeaderlessLayout>,
     coder: GroupEncoder<'s>,
     encoded: EncodedGroup,
 }
@@ -147,24 +149,23 @@ impl<'s> OpenGroup<'s> {
         let group = Group { scanners: sequence.scanners.numbers.clone(), frames: Vec::new() };
         let models: Vec<_> = sequence.scanners.models.iter().map(Option::as_ref).collect();
         OpenGroup {
-            headerless: sequence.config.headerless.as_ref(),
             coder: GroupEncoder::new(&models, sequence.config),
             encoded: EncodedGroup { group, steps: Vec::new(), originals: Vec::new(), file_bytes: 0 },
         }
     }
 
-    fn has_room_for(&self, bytes: &[u8]) -> bool {
+    fn has_room_for(&self, frame: &ReadFrame) -> bool {
         let group_bytes = self.encoded.file_bytes;
-        self.encoded.group.frames.is_empty() || group_bytes + bytes.len() as u64 <= GROUP_FILE_BYTES
+        self.encoded.group.frames.is_empty() || group_bytes + frame.header.file_size <= GROUP_FILE_BYTES
     }
 
-    fn encode_frame(&mut self, input: &FrameInput, bytes: Vec<u8>) -> Result<()> {
-        let mut original = input.header(&bytes)?;
-        let scan = within_limits(parse_with(input.name()?, bytes, self.headerless))?;
+    fn encode_frame(&mut self, frame: ReadFrame) -> Result<()> {
+        let ReadFrame { header: original, scan } = frame;
+        let scan = within_limits(scan)?;
         let streams = usize::from(original.stamp.stream) + 1;
         let scanners = &mut self.encoded.group.scanners;
         scanners.resize(scanners.len().max(streams), 0);
-        original.point_count = scan.records as u64;
+        let original = FrameHeader { point_count: scan.records as u64, ..original };
         self.encoded.file_bytes += original.file_size;
         self.encoded.originals.push(original.clone());
         let frame = self.coder.encode_frame(scan, original)?;

@@ -4,8 +4,10 @@ use std::fs;
 use std::path::PathBuf;
 
 use crate::files::sequence::is_safe_name;
+use crate::files::{self, HeaderlessLayout, parse_with};
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::container::{FrameHeader, STREAMS_MAX, Stamp};
+use crate::scan::ScanFile;
+use crate::stream::container::{FrameHeader, STREAMS_MAX, Stamp, Unit};
 
 /// One frame to encode.
 #[derive(Clone, Debug)]
@@ -14,11 +16,20 @@ pub struct FrameInput {
     stamp: Stamp,
 }
 
-/// Where its bytes are.
+/// Where its points are.
 #[derive(Clone, Debug)]
 enum Data {
     File(PathBuf),
     Memory { name: String, bytes: Vec<u8> },
+    Scan(Box<ScanFile>),
+}
+
+/// A frame as the encoder takes it.
+pub(crate) struct ReadFrame {
+    /// What its unit is.
+    pub header: FrameHeader,
+    /// The same, taken apart.
+    pub scan: ScanFile,
 }
 
 impl FrameInput {
@@ -30,6 +41,13 @@ impl FrameInput {
     /// A file's bytes, and the name to give back on decoding.
     pub fn memory(name: String, bytes: Vec<u8>) -> Self {
         FrameInput { data: Data::Memory { name, bytes }, stamp: Stamp::default() }
+    }
+
+    /// What is already taken apart: [points](Unit::Points) that never were a file, which need no name, unless
+    /// [`stamped`](Self::stamped) says otherwise.
+    pub fn scan(scan: ScanFile) -> Self {
+        let stamp = Stamp { unit: Unit::Points, ..Stamp::default() };
+        FrameInput { data: Data::Scan(Box::new(scan)), stamp }
     }
 
     /// The same, saying what it is, of which stream, and of when; if this is not said, it is a file of the
@@ -51,8 +69,10 @@ impl FrameInput {
         let name = match &self.data {
             Data::File(path) => path.file_name().and_then(|name| name.to_str()),
             Data::Memory { name, .. } => Some(name.as_str()),
+            Data::Scan(scan) => Some(scan.name.as_str()),
         };
-        name.filter(|name| is_safe_name(name)).ok_or_else(|| {
+        let can_do_without = self.stamp.unit == Unit::Points;
+        name.filter(|name| is_safe_name(name) || (name.is_empty() && can_do_without)).ok_or_else(|| {
             let what = "has a name that not every system can restore; rename the file".to_owned();
             Error::Input { path: self.path(), what }
         })
@@ -63,6 +83,8 @@ impl FrameInput {
         match &self.data {
             Data::File(path) => path.clone(),
             Data::Memory { name, .. } => PathBuf::from(name),
+            Data::Scan(scan) if scan.name.is_empty() => PathBuf::from("scan"),
+            Data::Scan(scan) => PathBuf::from(&scan.name),
         }
     }
 
@@ -74,6 +96,10 @@ impl FrameInput {
         match &self.data {
             Data::File(path) => Ok(fs::metadata(path).map_err(|e| Error::from(e).at(path))?.len()),
             Data::Memory { bytes, .. } => Ok(bytes.len() as u64),
+            Data::Scan(scan) => {
+                let records = (scan.records as u64).saturating_mul(scan.layout.stride() as u64);
+                Ok(records.saturating_add((scan.prefix.len() + scan.suffix.len()) as u64))
+            }
         }
     }
 
@@ -82,12 +108,49 @@ impl FrameInput {
     /// # Errors
     /// If it cannot be read, or is larger than any decoder takes.
     pub fn read(&self) -> Result<Vec<u8>> {
+        self.clone().into_bytes()
+    }
+
+    fn into_bytes(self) -> Result<Vec<u8>> {
         check_limit("bytes of a file", self.size()?, Limits::default().file_bytes)
             .map_err(|e| e.at(self.path()))?;
-        match &self.data {
-            Data::File(path) => fs::read(path).map_err(|e| Error::from(e).at(path)),
-            Data::Memory { bytes, .. } => Ok(bytes.clone()),
+        match self.data {
+            Data::File(path) => fs::read(&path).map_err(|e| Error::from(e).at(path)),
+            Data::Memory { bytes, .. } => Ok(bytes),
+            Data::Scan(scan) => scan.to_bytes(),
         }
+    }
+
+    /// The frame, taken apart. `headerless` says what the records of files without a header hold.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read) and [`name`](Self::name); also if no group has so many streams.
+    pub(crate) fn into_frame(self, headerless: Option<&HeaderlessLayout>) -> Result<ReadFrame> {
+        let path = self.path();
+        self.try_into_frame(headerless).map_err(|error| match error {
+            Error::At { .. } | Error::Input { .. } => error,
+            other => other.at(path),
+        })
+    }
+
+    fn try_into_frame(self, headerless: Option<&HeaderlessLayout>) -> Result<ReadFrame> {
+        check_limit("number of a frame's stream", self.stamp.stream.into(), STREAMS_MAX - 1)?;
+        let (name, stamp) = (self.name()?.to_owned(), self.stamp);
+        let (header, scan) = match self.data {
+            Data::Scan(scan) => {
+                if stamp.unit == Unit::Points {
+                    check_limit("points of a scan", scan.records as u64, Limits::default().points)?;
+                }
+                (header_of(&scan)?, *scan)
+            }
+            Data::File(_) | Data::Memory { .. } => {
+                let bytes = self.into_bytes()?;
+                (FrameHeader::of(&name, &bytes, 0), parse_with(&name, bytes, headerless))
+            }
+        };
+        check_limit("bytes of a file", header.file_size, Limits::default().file_bytes)?;
+        let point_count = scan.records as u64;
+        Ok(ReadFrame { header: FrameHeader { stamp, point_count, ..header }, scan })
     }
 
     /// The header of a frame that decodes to these bytes; its points are not counted yet.
@@ -100,7 +163,18 @@ impl FrameInput {
     }
 }
 
+/// What the header of a frame says of a unit that is taken apart.
+fn header_of(scan: &ScanFile) -> Result<FrameHeader> {
+    let mut header = FrameHeader { name: scan.name.clone(), ..FrameHeader::default() };
+    files::write(scan, |piece| {
+        header.file_size += piece.len() as u64;
+        header.file_crc = crc32c::crc32c_append(header.file_crc, piece);
+        Ok(())
+    })?;
+    Ok(header)
+}
+
 /// An error if decoders would refuse what is encoded.
 fn check_limit(what: &'static str, got: u64, max: u64) -> Result<()> {
-    if got > max { Err(Error::LimitExceeded { what: what.to_owned(), got, max }) } else { Ok(()) }
+    if got > max { Err(Error::over_limit(what, got, max)) } else { Ok(()) }
 }

@@ -19,5 +19,5 @@ pub use encoder::{encode, encode_live};
 pub use input::FrameInput;
 pub use options::{DecodeOptions, FrameRange};
 
-#[cfg(test)]
+#[cfg(all(test, feature = "cli"))]
 mod tests;

@@ -51,7 +51,7 @@ impl FrameRange {
     /// Checks that a sequence of `count` frames holds them all.
     ///
     /// # Errors
-    /// [`Error::InvalidConfig`] says how many frames there are.
+    /// [`Error::Usage`] says how many frames there are.
     pub fn check(&self, count: u64) -> Result<()> {
         let missing = self.end.is_some_and(|end| end > count) || self.start >= count;
         if missing && !self.is_all() {
@@ -60,7 +60,7 @@ impl FrameRange {
                 1 => "only frame 0".to_owned(),
                 _ => format!("only frames 0 to {}", count - 1),
             };
-            return Err(Error::InvalidConfig(format!("holds {range}, not {self}")));
+            return Err(Error::Usage(format!("holds {range}, not {self}")));
         }
         Ok(())
     }
@@ -81,7 +81,7 @@ impl FromStr for FrameRange {
 
     /// Reads `5`, `10..20` (without 20), `10..=20` (with 20), `10..`, `..20`, `..=20` or `..`.
     fn from_str(text: &str) -> Result<Self> {
-        let wrong = || Error::InvalidConfig(format!("'{text}' is no range like 5, 10..20, 10.. or ..=20"));
+        let wrong = || Error::Usage(format!("'{text}' is no range like 5, 10..20, 10.. or ..=20"));
         let number = |text: &str| text.parse::<u64>().map_err(|_| wrong());
         let after = |text: &str| number(text)?.checked_add(1).ok_or_else(wrong);
         let range = match text.split_once("..") {
@@ -96,7 +96,7 @@ impl FromStr for FrameRange {
             },
         };
         if range.end.is_some_and(|end| end <= range.start) {
-            return Err(Error::InvalidConfig(format!("'{text}' holds no frame")));
+            return Err(Error::Usage(format!("'{text}' holds no frame")));
         }
         Ok(range)
     }

@@ -1,11 +1,12 @@
 //! Work in parallel, results in order, memory bounded.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Sender};
+use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread;
 
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
 use crate::ground::error::{Error, Result};
 
@@ -24,8 +25,11 @@ enum Event<J, T> {
 /// # Errors
 /// If they cannot be started.
 pub(crate) fn pool(threads: usize) -> Result<ThreadPool> {
-    let pool = ThreadPoolBuilder::new().num_threads(threads).build();
-    pool.map_err(|e| Error::InvalidConfig(format!("cannot start {threads} threads: {e}")))
+    ThreadPoolBuilder::new().num_threads(threads).build().map_err(|e| no_threads(threads, &e))
+}
+
+fn no_threads(threads: usize, error: &ThreadPoolBuildError) -> Error {
+    Error::Internal(format!("cannot start {threads} threads: {error}"))
 }
 
 /// Does `work` for each job on `threads` threads and hands the results to `sink` in the order of the
@@ -153,9 +157,101 @@ impl<J, T> Ticket<J, T> {
 impl<J, T> Drop for Ticket<J, T> {
     fn drop(&mut self) {
         if !self.is_done {
-            let died = Error::InvalidConfig("a worker thread died".to_owned());
+            let died = Error::Internal("a worker thread died".to_owned());
             let _ = self.events.send(Event::Done(self.place, Err(died)));
         }
+    }
+}
+
+/// Threads that work ahead of a caller who comes now and then: jobs in, results out in the order of the jobs. The
+/// caller sees to it that not too many are under way.
+pub(crate) struct Workers<T> {
+    /// None: jobs are done by the caller's thread, as they come.
+    pool: Option<ThreadPool>,
+    events: Sender<Event<(), T>>,
+    inbox: Receiver<Event<(), T>>,
+    /// Of the jobs from number `first` on, what is there.
+    results: VecDeque<Option<Result<T>>>,
+    first: usize,
+    threads: usize,
+    /// Set when nobody waits for results any more.
+    stop: Arc<AtomicBool>,
+}
+
+impl<T: Send + 'static> Workers<T> {
+    /// So many threads; one is the caller's own.
+    ///
+    /// # Errors
+    /// If they cannot be started.
+    pub fn new(threads: usize) -> Result<Self> {
+        // A worker that panics says so by its ticket.
+        let builder = || ThreadPoolBuilder::new().num_threads(threads).panic_handler(drop);
+        let pool = (threads > 1).then(|| builder().build()).transpose();
+        let pool = pool.map_err(|e| no_threads(threads, &e))?;
+        let (events, inbox) = mpsc::channel();
+        let (results, stop) = (VecDeque::new(), Arc::default());
+        Ok(Workers { pool, events, inbox, results, first: 0, threads, stop })
+    }
+
+    /// Whether as many jobs are under way, or done and not taken, as there should be.
+    pub fn is_full(&self) -> bool {
+        self.results.len() > self.threads
+    }
+
+    /// Begins a job.
+    pub fn start(&mut self, job: impl FnOnce() -> Result<T> + Send + 'static) {
+        let Some(pool) = &self.pool else {
+            self.results.push_back(Some(job()));
+            return;
+        };
+        let place = self.first + self.results.len();
+        let ticket = Ticket { events: self.events.clone(), place, is_done: false };
+        let stop = Arc::clone(&self.stop);
+        self.results.push_back(None);
+        pool.spawn_fifo(move || {
+            if !stop.load(Ordering::Relaxed) {
+                ticket.done(job());
+            }
+        });
+    }
+
+    /// The result of the oldest job, once it is done; `None` if there is no job.
+    pub fn wait(&mut self) -> Option<Result<T>> {
+        while matches!(self.results.front(), Some(None)) {
+            let Ok(event) = self.inbox.recv() else { break };
+            self.accept(event);
+        }
+        self.take()
+    }
+
+    /// The result of the oldest job, if it is done.
+    pub fn poll(&mut self) -> Option<Result<T>> {
+        while let Ok(event) = self.inbox.try_recv() {
+            self.accept(event);
+        }
+        self.take()
+    }
+
+    fn accept(&mut self, event: Event<(), T>) {
+        if let Event::Done(place, result) = event
+            && let Some(slot) = self.results.get_mut(place - self.first)
+        {
+            *slot = Some(result);
+        }
+    }
+
+    fn take(&mut self) -> Option<Result<T>> {
+        if matches!(self.results.front(), Some(Some(_))) {
+            self.first += 1;
+            return self.results.pop_front().flatten();
+        }
+        None
+    }
+}
+
+impl<T> Drop for Workers<T> {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
     }
 }
 
@@ -201,6 +297,35 @@ mod tests {
 
         let error = run_ordered(3, (0..20).map(Ok), Ok, |job: usize| Err::<(), _>(fail(job))).unwrap_err();
         assert_eq!(error.to_string(), fail(0).to_string());
+    }
+
+    #[test]
+    fn workers_give_results_in_the_order_of_the_jobs() {
+        for threads in [1, 3] {
+            let mut workers = Workers::new(threads).unwrap();
+            let mut done = Vec::new();
+            for job in 0..40usize {
+                while workers.is_full() {
+                    done.push(workers.wait().unwrap().unwrap());
+                }
+                workers.start(move || {
+                    sleep(Duration::from_micros((job * 7 % 5) as u64 * 200));
+                    Ok(job)
+                });
+                done.extend(std::iter::from_fn(|| workers.poll()).map(Result::unwrap));
+            }
+            done.extend(std::iter::from_fn(|| workers.wait()).map(Result::unwrap));
+            assert_eq!(done, (0..40).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn a_worker_that_panics_is_an_error() {
+        let mut workers = Workers::<()>::new(2).unwrap();
+        workers.start(|| panic!("on purpose"));
+        workers.start(|| Ok(()));
+        assert!(workers.wait().unwrap().unwrap_err().to_string().contains("died"));
+        assert!(workers.wait().unwrap().is_ok() && workers.wait().is_none());
     }
 
     #[test]

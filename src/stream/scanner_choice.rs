@@ -5,7 +5,6 @@ use rayon::prelude::*;
 use super::input::FrameInput;
 use super::ordered::pool;
 use super::source::record_of;
-use crate::files::parse_with;
 use crate::frame::settings::{EncoderConfig, ProjectionKind, resolve_threads};
 use crate::ground::error::Result;
 use crate::scan::ScanFile;
@@ -82,7 +81,7 @@ fn scan_of(frame: &FrameInput, config: &EncoderConfig) -> Result<Option<ScanFile
     if frame.size()? > SAMPLE_FILE_BYTES {
         return Ok(None);
     }
-    let mut scan = parse_with(frame.name()?, frame.read()?, config.headerless.as_ref());
+    let mut scan = frame.clone().into_frame(config.headerless.as_ref())?.scan;
     let undone = config.undoes_compensation().then(|| motion::undo(&scan.cloud.positions));
     if let Some((positions, _)) = undone.flatten() {
         scan.cloud.positions = positions;

@@ -7,7 +7,9 @@ use std::sync::Arc;
 use super::options::FrameRange;
 use crate::ground::error::{Error, Result};
 use crate::scanner::Scanner;
-use crate::stream::container::{Group, IndexedReader, Record, ScannerRecord, StreamReader};
+use crate::stream::container::{
+    Group, GroupEntry, Index, IndexedReader, Record, ScannerRecord, StreamReader,
+};
 
 /// A group, with all that it takes to decode or to copy it.
 pub struct GroupJob {
@@ -113,6 +115,18 @@ impl<R: Read + Seek> IndexedGroups<R> {
     pub fn new(reader: IndexedReader<R>, range: FrameRange) -> Self {
         let scanners = vec![None; reader.index().scanners.len()];
         IndexedGroups { reader, scanners, range, place: 0 }
+    }
+
+    /// Where all records are.
+    pub fn index(&self) -> &Index {
+        self.reader.index()
+    }
+
+    /// Goes on with the groups that hold these frames, wherever they are.
+    pub fn seek(&mut self, range: FrameRange) {
+        let is_before = |group: &GroupEntry| group.first_frame + group.frames.len() as u64 <= range.start;
+        self.place = self.index().groups.partition_point(is_before);
+        self.range = range;
     }
 
     fn next_job(&mut self) -> Result<Option<GroupJob>> {

@@ -1,9 +1,9 @@
 //! Bounded mode's promise, held to by comparing files.
 
-use lidarpc::files::parse;
-use lidarpc::frame::Intensity;
-use lidarpc::frame::settings::{EncoderConfig, Mode};
-use lidarpc::scan::ScanFile;
+use lidarpc::internals::files::parse;
+use lidarpc::internals::frame::Intensity;
+use lidarpc::internals::frame::settings::{EncoderConfig, Mode};
+use lidarpc::internals::scan::ScanFile;
 
 use super::{File, decode_files, encode_files};
 

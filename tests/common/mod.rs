@@ -13,10 +13,12 @@ use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use lidarpc::frame::settings::EncoderConfig;
-use lidarpc::ground::error::{Limits, Result};
-use lidarpc::stream::container::{Group, Record, ScannerRecord, SectionKind, StreamReader, StreamWriter};
-use lidarpc::stream::{DecodeOptions, DecodedFrame, FrameInput, decode, decode_indexed, encode};
+use lidarpc::internals::frame::settings::EncoderConfig;
+use lidarpc::internals::ground::error::{Limits, Result};
+use lidarpc::internals::stream::container::{
+    Group, Record, ScannerRecord, SectionKind, StreamReader, StreamWriter,
+};
+use lidarpc::internals::stream::{DecodeOptions, DecodedFrame, FrameInput, decode, decode_indexed, encode};
 use proptest::test_runner::{Config, FileFailurePersistence};
 
 /// A file's name and bytes.

@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use lidarpc::study::synth::SynthConfig;
+use lidarpc::internals::study::synth::SynthConfig;
 use proptest::prelude::*;
 
 use super::File;

@@ -2,8 +2,8 @@
 
 use std::f64::consts::{PI, TAU};
 
-use lidarpc::scanner::sine_and_cosine;
-use lidarpc::study::synth::{Beam, STEP, SynthConfig, TICKS, drive, scanner_beams};
+use lidarpc::internals::scanner::sine_and_cosine;
+use lidarpc::internals::study::synth::{Beam, STEP, SynthConfig, TICKS, drive, scanner_beams};
 
 const TICK_DEGREES: f64 = 0.09;
 

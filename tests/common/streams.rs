@@ -2,10 +2,10 @@
 
 use std::sync::LazyLock;
 
-use lidarpc::article::image_coding::ImageCodec;
-use lidarpc::backend::{self, BACKENDS, Level};
-use lidarpc::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
-use lidarpc::stream::container::{Group, ScannerRecord};
+use lidarpc::internals::article::image_coding::ImageCodec;
+use lidarpc::internals::backend::{self, BACKENDS, Level};
+use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
+use lidarpc::internals::stream::container::{Group, ScannerRecord};
 
 use super::formats::{kitti, pcd_extra, pcd_text};
 use super::scans::{compensated, random_points, scans, small};

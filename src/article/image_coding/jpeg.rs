@@ -143,7 +143,7 @@ pub fn decode(image: &[u8], rows: usize, columns: usize) -> Result<Grid<i32>> {
 fn sides(rows: usize, columns: usize) -> Result<(u16, u16)> {
     let side = |length: usize| u16::try_from(length).ok().filter(|length| *length > 0);
     let wrong = || {
-        Error::InvalidConfig(format!("no JPEG image has {rows} rows and {columns} columns; 65535 are most"))
+        Error::InvalidSettings(format!("no JPEG image has {rows} rows and {columns} columns; 65535 are most"))
     };
     side(rows).zip(side(columns)).ok_or_else(wrong)
 }

@@ -5,12 +5,21 @@
 //! them. The images' headers follow from the settings and are not in the stream, so that the libraries see
 //! nothing of a stream but the coded samples.
 
+#[cfg(feature = "article")]
 mod jpeg;
+#[cfg(feature = "article")]
 mod jpeg2000;
+#[cfg(feature = "article")]
 mod plane;
+#[cfg(feature = "article")]
 mod recurrent;
+#[cfg(not(feature = "article"))]
+mod without;
 
+#[cfg(feature = "article")]
 pub use recurrent::{decode, encode};
+#[cfg(not(feature = "article"))]
+pub use without::{decode, encode};
 
 use crate::ground::error::{Error, Result};
 
@@ -84,9 +93,9 @@ impl ImageConfig {
     /// Checks that all settings are in range.
     ///
     /// # Errors
-    /// [`Error::InvalidConfig`] names the setting that is not.
+    /// [`Error::InvalidSettings`] names the setting that is not.
     pub fn check(&self) -> Result<()> {
-        let wrong = |what: String| Err(Error::InvalidConfig(what));
+        let wrong = |what: String| Err(Error::InvalidSettings(what));
         if !(1..=MOST_PASSES).contains(&self.passes) {
             return wrong(format!("there are 1 to {MOST_PASSES} passes"));
         }
@@ -99,5 +108,5 @@ impl ImageConfig {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "article"))]
 mod tests;

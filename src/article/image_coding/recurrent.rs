@@ -90,7 +90,7 @@ fn lossless(codec: ImageCodec, mut left: Plane<'_>) -> Result<Vec<Pass>> {
     while left.energy() > 0.0 {
         let pass = codec.encode(&left, Turn::Last, None)?.filter(|_| passes.len() < usize::from(MOST_PASSES));
         let cannot =
-            || Error::InvalidConfig(format!("{} cannot code these ranges without loss", codec.name()));
+            || Error::InvalidSettings(format!("{} cannot code these ranges without loss", codec.name()));
         let pass = pass.ok_or_else(cannot)?;
         left = left.without(&pass.decode(codec, left.size())?);
         passes.push(pass);

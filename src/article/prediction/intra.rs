@@ -43,7 +43,7 @@ impl IntraConfig {
     /// Checks that all settings are in range.
     ///
     /// # Errors
-    /// [`Error::InvalidConfig`] names the setting that is not.
+    /// [`Error::InvalidSettings`] names the setting that is not.
     pub fn check(&self) -> Result<()> {
         let RansacConfig { tolerance_m, foreseeable_support, confidence, .. } = self.ransac;
         let share = 0.0..=1.0;
@@ -54,7 +54,7 @@ impl IntraConfig {
             ("the plane's confidence is from 0 to 1", share.contains(&confidence)),
         ];
         match settings.iter().find(|(_, holds)| !holds) {
-            Some((what, _)) => Err(Error::InvalidConfig((*what).to_owned())),
+            Some((what, _)) => Err(Error::InvalidSettings((*what).to_owned())),
             None => Ok(()),
         }
     }

@@ -3,15 +3,7 @@
 //! above.
 
 use crate::ground::grid::Grid;
-
-/// The returns along the path.
-pub fn path(occupancy: &Grid<bool>) -> impl Iterator<Item = (usize, usize)> {
-    let columns = occupancy.columns();
-    let cells = (0..occupancy.rows()).flat_map(move |row| {
-        (0..columns).map(move |i| (row, if row % 2 == 0 { i } else { columns - 1 - i }))
-    });
-    cells.filter(|&cell| occupancy[cell])
-}
+use crate::inter::snake_path as path;
 
 /// Replaces the value of each return by its difference to the one before it on the path.
 pub fn difference(occupancy: &Grid<bool>, values: &mut Grid<i32>) {

@@ -57,17 +57,17 @@ impl SegmentationConfig {
     /// Checks that all settings are in range.
     ///
     /// # Errors
-    /// [`Error::InvalidConfig`] names the setting that is not.
+    /// [`Error::InvalidSettings`] names the setting that is not.
     pub fn check(&self) -> Result<()> {
         let angles = [("the ground angle", self.ground_angle), ("the cluster angle", self.cluster_angle)];
         for (name, degrees) in angles {
             if !(0.0..=90.0).contains(&degrees) {
-                return Err(Error::InvalidConfig(format!("{name} is from 0 to 90 degrees")));
+                return Err(Error::InvalidSettings(format!("{name} is from 0 to 90 degrees")));
             }
         }
         let lengths = [("the ground rise", self.ground_rise_m), ("the ground reach", self.ground_reach_m)];
         match lengths.iter().find(|(_, metres)| !(*metres >= 0.0 && metres.is_finite())) {
-            Some((name, _)) => Err(Error::InvalidConfig(format!("{name} is no length"))),
+            Some((name, _)) => Err(Error::InvalidSettings(format!("{name} is no length"))),
             None => Ok(()),
         }
     }

@@ -114,7 +114,7 @@ fn reciprocals_divide_exactly() {
 /// The likeliest token takes so few bits that a word holds more than 2^15 of them.
 #[test]
 fn many_tokens_in_few_words_come_back() {
-    let tokens = |place: usize| if place % 4100 == 0 { 1u8 } else { 0 };
+    let tokens = |place: usize| if place.is_multiple_of(4100) { 1u8 } else { 0 };
     let (mut written, mut read) = (TokenTables::default(), TokenTables::default());
     let mut writer = TokenWriter::new(1);
     let count = 20_000_000;

@@ -91,7 +91,8 @@ impl Models {
 fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
     let mut payload = frame.parameters.to_payload();
     sections.payload(SectionKind::Parameters, &mut payload);
-    frame.parameters = FrameParameters::from_payload(&payload)?;
+    frame.parameters =
+        FrameParameters::from_payload(&payload).map_err(|e| e.within_section(SectionKind::Parameters))?;
     Ok(())
 }
 
@@ -100,7 +101,8 @@ fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<bo
     let mut payload = frame.whole.as_ref().map_or_else(Vec::new, |whole| whole.payload().to_vec());
     sections.payload(SectionKind::Bytes, &mut payload);
     if !S::ENCODES && !payload.is_empty() {
-        frame.whole = Some(WholeFile::from_payload(&payload, sections.limits())?);
+        let whole = WholeFile::from_payload(&payload, sections.limits());
+        frame.whole = Some(whole.map_err(|e| e.within_section(SectionKind::Bytes))?);
     }
     Ok(!payload.is_empty())
 }
@@ -129,9 +131,5 @@ impl Frame {
 }
 
 fn within(got: usize, max: u64, what: &'static str) -> Result<()> {
-    if got as u64 > max {
-        Err(Error::LimitExceeded { what: what.to_owned(), got: got as u64, max })
-    } else {
-        Ok(())
-    }
+    if got as u64 > max { Err(Error::over_limit(what, got as u64, max)) } else { Ok(()) }
 }

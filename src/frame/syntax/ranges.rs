@@ -167,8 +167,9 @@ fn code_residuals<S: SectionCoder>(
     if !S::ENCODES {
         let count = frame.records - frame.strays;
         let residuals;
-        (residuals, packed) =
-            report.timed(Step::Coding, || residual::decompress(&payload, backend, packing, count))?;
+        (residuals, packed) = report
+            .timed(Step::Coding, || residual::decompress(&payload, backend, packing, count))
+            .map_err(|e| e.within_section(SectionKind::Residual))?;
         frame.image.steps =
             report.timed(Step::Prediction, || predictor.restore(&frame.occupancy, &residuals));
     }
@@ -209,8 +210,9 @@ fn code_image<S: SectionCoder>(
     sections.payload(SectionKind::Residual, &mut frame.coded_image);
     let report = sections.report();
     let (rows, columns) = (frame.occupancy.rows(), frame.occupancy.columns());
-    let residuals =
-        report.timed(Step::Coding, || image_coding::decode(codec, &frame.coded_image, rows, columns))?;
+    let residuals = report
+        .timed(Step::Coding, || image_coding::decode(codec, &frame.coded_image, rows, columns))
+        .map_err(|e| e.within_section(SectionKind::Residual))?;
     frame.image.steps =
         report.timed(Step::Prediction, || predictor.restore_within(&frame.occupancy, &residuals, most));
     Ok(())

@@ -64,6 +64,6 @@ impl NearestPoints {
             rotation: std::array::from_fn(|i| std::array::from_fn(|j| rotation[(i, j)])),
             translation: translation.into(),
         };
-        small_step(step, pairs.len(), count - squares / (reach * reach), squares)
+        small_step(step, pairs.len(), count - squares / (reach * reach))
     }
 }

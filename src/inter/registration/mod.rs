@@ -2,6 +2,7 @@
 //! it; both sides apply it.
 
 mod guess;
+#[cfg(feature = "article")]
 mod icp;
 mod pose;
 mod projective;
@@ -14,6 +15,7 @@ pub use surface::{Surface, Surfel, dot};
 use crate::ground::error::{Error, Result};
 use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
+#[cfg(feature = "article")]
 use icp::NearestPoints;
 use projective::Aim;
 
@@ -25,6 +27,7 @@ pub enum RegistrationMethod {
     #[default]
     Projective,
     /// Points with their nearest points: the article's ICP.
+    #[cfg(feature = "article")]
     Icp,
 }
 
@@ -64,7 +67,7 @@ impl RegistrationConfig {
     /// Checks that all settings are in range.
     ///
     /// # Errors
-    /// [`Error::InvalidConfig`] names the setting that is not.
+    /// [`Error::InvalidSettings`] names the setting that is not.
     pub fn check(&self) -> Result<()> {
         let lengths = [self.reach_m[0], self.reach_m[1], self.precision_m];
         let settings = [
@@ -74,7 +77,7 @@ impl RegistrationConfig {
             ("least overlap", (0.0..=1.0).contains(&self.least_overlap)),
         ];
         match settings.iter().find(|(_, holds)| !holds) {
-            Some((name, _)) => Err(Error::InvalidConfig(format!("registration: {name} out of range"))),
+            Some((name, _)) => Err(Error::InvalidSettings(format!("registration: {name} out of range"))),
             None => Ok(()),
         }
     }
@@ -88,14 +91,8 @@ const CERTAIN_FIT: f64 = 0.6;
 pub struct Registration {
     /// The motion from the reference to the current frame.
     pub pose: Pose,
-    /// The share of the points that agree.
-    pub overlap: f64,
-    /// The same, with points weighted less the farther off they are.
+    /// The fraction of the points that agree, each weighted less the farther off it is.
     pub fit: f64,
-    /// Root mean square distance of the points that agree, in metres.
-    pub rmse_m: f64,
-    /// Number of iterations.
-    pub iterations: usize,
 }
 
 /// One iteration.
@@ -107,15 +104,13 @@ struct Step {
     agreeing: usize,
     /// The sum of their weights.
     weights: f64,
-    /// The sum of their squared distances.
-    squares: f64,
 }
 
 /// The iteration by this motion; `None` if it is no valid motion.
-fn small_step(motion: RigidMotion, agreeing: usize, weights: f64, squares: f64) -> Option<Step> {
+fn small_step(motion: RigidMotion, agreeing: usize, weights: f64) -> Option<Step> {
     let pose = motion.pose();
     let length = dot(pose.translation, pose.translation).sqrt() + 10.0 * pose.angle();
-    length.is_finite().then_some(Step { motion, length, agreeing, weights, squares })
+    length.is_finite().then_some(Step { motion, length, agreeing, weights })
 }
 
 /// Finds the motion that takes the surface to where `current` shows it, starting from `initial`. `None` if
@@ -142,6 +137,7 @@ pub fn register(
             let all = found.into_iter().chain(others.iter().filter_map(from));
             all.max_by(|a, b| a.fit.total_cmp(&b.fit))
         }
+        #[cfg(feature = "article")]
         RegistrationMethod::Icp => {
             /// Points of the reference for each point of the current frame.
             const DENSITY: usize = 4;
@@ -171,8 +167,7 @@ fn approach(
         if has_converged || iteration == config.most_iterations {
             let overlap = step.agreeing as f64 / points.max(1) as f64;
             let fit = step.weights / points.max(1) as f64;
-            let rmse_m = (step.squares / step.agreeing.max(1) as f64).sqrt();
-            let found = Registration { pose: motion.pose(), overlap, fit, rmse_m, iterations: iteration };
+            let found = Registration { pose: motion.pose(), fit };
             return (overlap >= config.least_overlap).then_some(found);
         }
         reach = (reach * 0.6).max(last_reach);

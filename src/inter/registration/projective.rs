@@ -30,7 +30,7 @@ impl<'a> Aim<'a> {
     /// determine one.
     pub fn step(&self, surfels: &[Surfel], motion: &RigidMotion, reach: f64) -> Option<Step> {
         let (mut normal, mut right) = (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros());
-        let (mut agreeing, mut weights, mut squares) = (0, 0.0, 0.0);
+        let (mut agreeing, mut weights) = (0, 0.0);
         for surfel in surfels {
             let position = motion.apply(surfel.position);
             let Some(seen) = self.seen(surfel.cell.0 as usize, position) else { continue };
@@ -42,7 +42,6 @@ impl<'a> Aim<'a> {
                 continue;
             }
             agreeing += 1;
-            squares += off * off;
             let weight = (1.0 - (off / reach).powi(2)).powi(2);
             weights += weight;
             let turned = position.cross(&facing);
@@ -55,7 +54,7 @@ impl<'a> Aim<'a> {
         let solution = (normal + Matrix6::identity() * damping).cholesky()?.solve(&right);
         let [roll, pitch, yaw, x, y, z] = solution.into();
         let step = Pose { yaw, pitch, roll, translation: [x, y, z] };
-        small_step(step.motion(), agreeing, weights, squares)
+        small_step(step.motion(), agreeing, weights)
     }
 
     /// The return of the current image at the place where a point would be seen.

@@ -58,11 +58,7 @@ impl FiringColumnModel {
     ) -> Result<()> {
         let count = self.count.code(coder, columns.len() as u64);
         if count > most {
-            return Err(Error::LimitExceeded {
-                what: "columns of the range image".to_owned(),
-                got: count,
-                max: most,
-            });
+            return Err(Error::over_limit("columns of the range image", count, most));
         }
         let interpolated = scanner.timing.is_interpolated();
         let turn = i64::from(scanner.ticks);

@@ -25,7 +25,6 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use crate::ground::error::{Error, Result};
-use crate::ground::grid::Grid;
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 use crate::scanner::{MOST_RANGE_STEP_UM, MOST_TICKS, RangeImage, Return};
 use recipe::{Arithmetic, Turn};
@@ -175,21 +174,31 @@ impl Firings {
     }
 
     /// The program that wrote the files.
+    #[cfg(any(test, feature = "internals"))]
     pub fn recipe(&self) -> Recipe {
         self.recipe
     }
 
     /// Azimuth ticks a turn.
+    #[cfg(any(test, feature = "internals"))]
     pub fn ticks(&self) -> u32 {
         self.ticks
     }
 
+    /// One range step, in micrometres.
+    #[cfg(any(test, feature = "internals"))]
+    pub fn range_step_um(&self) -> u32 {
+        self.range_step_um
+    }
+
     /// How the azimuth goes on inside a block of firings.
+    #[cfg(any(test, feature = "internals"))]
     pub fn timing(&self) -> Timing {
         self.timing
     }
 
     /// The lasers, row by row.
+    #[cfg(any(test, feature = "internals"))]
     pub fn lasers(&self) -> &[Laser] {
         &self.lasers
     }
@@ -197,11 +206,6 @@ impl Firings {
     /// Number of lasers, which is the number of rows of the range image.
     pub fn rows(&self) -> usize {
         self.lasers.len()
-    }
-
-    /// One range step, in micrometres.
-    pub fn range_step_um(&self) -> u32 {
-        self.range_step_um
     }
 
     /// One range step, in metres.
@@ -279,7 +283,7 @@ impl Firings {
     pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
         let mut bounded = |what: &str, min: u64, max: u64| match read_unsigned(bytes, "scanner")? {
             got if (min..=max).contains(&got) => Ok(got as u32),
-            got => Err(Error::LimitExceeded { what: format!("scanner: {what}"), got, max }),
+            got => Err(Error::over_limit(format!("scanner: {what}"), got, max)),
         };
         let recipe = bounded("recipe", 0, u64::from(u32::MAX))?;
         let recipe = Recipe::of_number(recipe)
@@ -311,16 +315,6 @@ impl Firings {
             rows_of_slots.push(row as u32);
         }
         Ok(Self::new(recipe, (ticks, range_step_um), timing, lasers, rows_of_slots))
-    }
-
-    /// The table of all cells' ticks.
-    pub fn ticks_of_cells(&self, image: &RangeImage) -> Grid<u32> {
-        let mut ticks = Grid::new(self.rows(), image.columns.len());
-        for (column, &column_tick) in image.columns.iter().enumerate() {
-            let span = Span::of(image.spans.get(column).copied().unwrap_or(0));
-            (0..self.rows()).for_each(|row| ticks[(row, column)] = self.tick(row, column_tick, span));
-        }
-        ticks
     }
 
     /// Radians of a tick.

@@ -500,7 +500,7 @@ impl Hdl64 {
         };
         let mut bounded = |what: &str, min, max| match read_unsigned(bytes, "sensor model")? {
             got if (min..=max).contains(&got) => Ok(got as u32),
-            got => Err(Error::LimitExceeded { what: what.to_owned(), got, max }),
+            got => Err(Error::over_limit(what, got, max)),
         };
         let ticks = bounded("sensor model: ticks a turn", 1, MOST_TICKS)?;
         let range_step_um = bounded("sensor model: range step in micrometres", 0, MOST_RANGE_STEP_UM)?;

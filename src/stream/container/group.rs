@@ -86,7 +86,7 @@ impl Frame {
         let section_count = read_unsigned(input, "section count")?;
         let mut sections = Vec::new();
         for _ in 0..section_count {
-            sections.push(Section::read_from(input).map_err(|e| e.within(&format!("{name:?}")))?);
+            sections.push(Section::read_from(input).map_err(|e| e.within(format!("{name:?}")))?);
         }
         Ok(Frame { header, sections })
     }
@@ -146,12 +146,11 @@ impl Group {
         let mut file_bytes = 0u64;
         for number in 0..frame_count {
             let before = input.len();
-            let part = || format!("frame {number} of the group");
-            let frame = Frame::read_from(input, limits).map_err(|e| e.within(&part()))?;
+            let frame = Frame::read_from(input, limits).map_err(|e| e.within_frame_of_group(number))?;
             let stamp = frame.header.stamp;
             if usize::from(stamp.stream) >= scanners.len() {
-                let what = format!("{}: stream {} of {}", part(), stamp.stream, scanners.len());
-                return Err(Error::corrupt(what));
+                let what = format!("stream {} of {}", stamp.stream, scanners.len());
+                return Err(Error::corrupt(what).within_frame_of_group(number));
             }
             file_bytes = file_bytes.saturating_add(frame.header.file_size);
             limited(file_bytes, "bytes of a group's files", limits.file_bytes)?;
@@ -193,5 +192,5 @@ fn skim_frame(input: &mut &[u8]) -> Result<String> {
 
 /// `got`, if it is within the limit.
 pub(super) fn limited(got: u64, what: &'static str, max: u64) -> Result<u64> {
-    if got > max { Err(Error::LimitExceeded { what: what.to_owned(), got, max }) } else { Ok(got) }
+    if got > max { Err(Error::over_limit(what, got, max)) } else { Ok(got) }
 }

@@ -24,7 +24,9 @@ pub use index::{FrameEntry, GroupEntry, Index, ScannerEntry};
 pub use reader::{IndexedReader, Record, StreamReader};
 pub use salvage::{Lost, SalvageReader, Salvaged};
 pub use scanner::ScannerRecord;
-pub use section::{Section, SectionKind};
+pub use section::Section;
+
+pub use crate::ground::SectionKind;
 pub use stamp::{Stamp, Time, TimeSource, Unit};
 pub use writer::StreamWriter;
 

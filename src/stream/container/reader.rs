@@ -5,8 +5,9 @@ use std::io::{Read, Seek, SeekFrom};
 use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
 use super::index::{END_LENGTH, Index, read_end_payload};
-use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, SKIPPABLE, read_record};
+use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
 use super::scanner::ScannerRecord;
+use crate::ground::SKIPPABLE;
 use crate::ground::error::{Error, Limits, Result};
 
 /// What a stream is made of.
@@ -76,10 +77,10 @@ impl<R: Read> StreamReader<R> {
         while !self.ended {
             let offset = self.position;
             let raw = read_record(&mut self.input, &self.limits)
-                .map_err(|e| e.within(&format!("record at byte {offset}")))?;
+                .map_err(|e| e.within(format!("record at byte {offset}")))?;
             self.position += raw.length;
             let part = format!("{} at byte {offset}", describe(raw.kind, &self.seen));
-            if let Some(record) = self.accept(raw, offset).map_err(|e| e.within(&part))? {
+            if let Some(record) = self.accept(raw, offset).map_err(|e| e.within(part))? {
                 return Ok(Some(record));
             }
         }
@@ -87,7 +88,8 @@ impl<R: Read> StreamReader<R> {
     }
 
     fn accept(&mut self, raw: RawRecord, offset: u64) -> Result<Option<Record>> {
-        check_intact(&raw, &self.limits)?;
+        let first_frame = self.seen.frame_count();
+        check_intact(&raw, &self.limits).map_err(|e| e.counted_from(first_frame))?;
         if self.index_offset.is_some() && matches!(raw.kind, SCANNER | GROUP | INDEX) {
             return Err(Error::corrupt("it comes after the index"));
         }
@@ -98,7 +100,8 @@ impl<R: Read> StreamReader<R> {
                 return Ok(Some(Record::Scanner(scanner)));
             }
             GROUP => {
-                let (group, frames) = Group::read_from(&raw.payload, &self.limits)?;
+                let group = Group::read_from(&raw.payload, &self.limits);
+                let (group, frames) = group.map_err(|e| e.counted_from(first_frame))?;
                 check_reference(&group, &self.seen)?;
                 self.seen.push_group(offset, raw.length, frames);
                 return Ok(Some(Record::Group(group)));
@@ -133,7 +136,6 @@ impl<R: Read> StreamReader<R> {
 pub struct IndexedReader<R> {
     input: R,
     limits: Limits,
-    header: StreamHeader,
     /// Bytes of the stream.
     size: u64,
     index: Index,
@@ -146,10 +148,10 @@ impl<R: Read + Seek> IndexedReader<R> {
     /// As [`StreamReader::open`]; also if the end or the index is missing or damaged.
     pub fn open(mut input: R, limits: Limits) -> Result<Self> {
         input.seek(SeekFrom::Start(0))?;
-        let header = StreamHeader::read_from(&mut input)?;
+        StreamHeader::read_from(&mut input)?;
         let size = input.seek(SeekFrom::End(0))?;
         let end_offset = size.checked_sub(END_LENGTH).ok_or_else(|| Error::corrupt("it is cut short"))?;
-        let mut reader = IndexedReader { input, limits, header, size, index: Index::default() };
+        let mut reader = IndexedReader { input, limits, size, index: Index::default() };
         let index_offset = reader
             .record_at(end_offset, END)
             .and_then(|raw| read_end_payload(&raw.payload))
@@ -159,11 +161,6 @@ impl<R: Read + Seek> IndexedReader<R> {
             .and_then(|raw| Index::read_from(&raw.payload))
             .map_err(|e| e.within("index"))?;
         Ok(reader)
-    }
-
-    /// The stream header.
-    pub fn header(&self) -> &StreamHeader {
-        &self.header
     }
 
     /// Where all records are.
@@ -181,7 +178,7 @@ impl<R: Read + Seek> IndexedReader<R> {
         let entry = place.and_then(|place| self.index.scanners.get(place)).copied();
         let entry = entry.ok_or_else(|| Error::corrupt(format!("{part} is not in the index")))?;
         let raw = self.indexed_record(entry.offset, entry.length, SCANNER);
-        raw.and_then(|raw| ScannerRecord::read_from(&raw.payload)).map_err(|e| e.within(&part))
+        raw.and_then(|raw| ScannerRecord::read_from(&raw.payload)).map_err(|e| e.within(part))
     }
 
     /// The group at this place of the index, the first being 0.
@@ -189,16 +186,18 @@ impl<R: Read + Seek> IndexedReader<R> {
     /// # Errors
     /// If there is no such group, or its record is damaged or not what the index says.
     pub fn read_group(&mut self, place: usize) -> Result<Group> {
-        self.try_read_group(place).map_err(|e| e.within(&format!("group {place}")))
+        self.try_read_group(place).map_err(|e| e.within(format!("group {place}")))
     }
 
     fn try_read_group(&mut self, place: usize) -> Result<Group> {
         let entry = self.index.groups.get(place);
-        let (offset, length) = entry
-            .map(|entry| (entry.offset, entry.length))
+        let (offset, length, first_frame) = entry
+            .map(|entry| (entry.offset, entry.length, entry.first_frame))
             .ok_or_else(|| Error::corrupt("it is not in the index"))?;
-        let raw = self.indexed_record(offset, length, GROUP)?;
-        let (group, frames) = Group::read_from(&raw.payload, &self.limits)?;
+        let group = self
+            .indexed_record(offset, length, GROUP)
+            .and_then(|raw| Group::read_from(&raw.payload, &self.limits));
+        let (group, frames) = group.map_err(|e| e.counted_from(first_frame))?;
         if frames != self.index.groups[place].frames {
             return Err(Error::corrupt("it does not agree with the index"));
         }

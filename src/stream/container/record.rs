@@ -13,9 +13,6 @@ pub(super) const GROUP: u8 = 2;
 pub(super) const INDEX: u8 = 3;
 pub(super) const END: u8 = 4;
 
-/// A kind of a record or section that readers who do not know it may skip: this one and all above.
-pub(super) const SKIPPABLE: u8 = 0x80;
-
 /// A record as read, its checksum computed but not yet judged: the reader knows best what to say.
 pub(super) struct RawRecord {
     pub kind: u8,

@@ -6,9 +6,10 @@ use std::ops::Range;
 use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
 use super::index::{GroupEntry, Index, read_end_payload};
-use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, SKIPPABLE, read_record};
+use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
 use super::scan::{FoundRecord, find_records};
 use super::scanner::ScannerRecord;
+use crate::ground::SKIPPABLE;
 use crate::ground::error::{Error, Limits, Result};
 
 /// Groups of the index among which one is looked for that is not where the index says. So many lost in a

@@ -37,11 +37,6 @@ impl<W: Write> StreamWriter<W> {
         self.position
     }
 
-    /// Where the records written so far are.
-    pub fn index(&self) -> &Index {
-        &self.index
-    }
-
     /// Writes a scanner; returns the number by which groups refer to it (1 is the first).
     ///
     /// # Errors

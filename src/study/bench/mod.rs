@@ -55,7 +55,7 @@ impl Bench {
         let of_tables = Sample::read(frames, extents[0])?;
         let of_figures = Sample::read(frames, extents[1])?;
         if of_tables.clouds.iter().chain(&of_figures.clouds).all(|cloud| cloud.positions.is_empty()) {
-            return Err(Error::InvalidConfig("no points in any scan; give scans with points".into()));
+            return Err(Error::Usage("no points in any scan; give scans with points".into()));
         }
         let base = EncoderConfig { order: FrameOrder::Ratio, intensity: Intensity::None, ..base.clone() };
         let curves = Curves::new(&of_figures, &base, quick);

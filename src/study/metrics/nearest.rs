@@ -104,6 +104,7 @@ pub struct NearestErrors {
 impl NearestErrors {
     /// Adds the points of one frame: the distance of each of `points` to the nearest of `others`.
     /// Nothing is added if there are no others.
+    #[cfg(any(test, feature = "internals"))]
     pub fn add(&mut self, points: &PointCloud, others: &PointCloud) {
         if let (Some(points), Some(others)) = (NearestPoints::of(points), NearestPoints::of(others)) {
             self.add_nearest(&points, &others.nearest_to_all(&points));

@@ -79,6 +79,7 @@ impl RangeErrors {
     }
 
     /// Largest error, in metres; `None` if there is nothing to compare.
+    #[cfg(any(test, feature = "internals"))]
     pub fn max(&self) -> Option<f64> {
         (self.compared > 0).then_some(self.max)
     }

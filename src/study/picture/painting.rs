@@ -44,6 +44,7 @@ impl Picture {
     }
 
     /// The pixel `x` to the right of and `y` below the upper left one; `None` if that is outside.
+    #[cfg(test)]
     pub fn pixel(&self, x: usize, y: usize) -> Option<Rgb> {
         (x < self.width && y < self.height).then(|| self.pixels[y * self.width + x])
     }
@@ -55,7 +56,7 @@ impl Picture {
     pub fn to_png(&self) -> Result<Vec<u8>> {
         let sides = (u32::try_from(self.width), u32::try_from(self.height));
         let (Ok(width), Ok(height)) = sides else {
-            return Err(Error::InvalidConfig("the picture is too large for PNG".to_owned()));
+            return Err(Error::Usage("the picture is too large for PNG".to_owned()));
         };
         let mut file = Vec::new();
         PngEncoder::new(&mut file)

@@ -29,7 +29,6 @@ mod vlp16;
 pub use beams::{BEAMS, Beam, STEP, TICKS};
 pub use vlp16::VLP_16_ELEVATIONS;
 
-use crate::ground::error::{Error, Result};
 use ground::Ground;
 use scanner::Scanner;
 use trajectory::Pose;
@@ -100,32 +99,10 @@ impl Default for SynthConfig {
 impl SynthConfig {
     /// The drive in `testdata/drive`: three frames of all beams and every fourth firing, which leaves
     /// each beam some hundred points to fit its constants to, in less than 1.6 MB.
+    #[cfg(any(test, feature = "internals"))]
     pub fn testdata() -> Self {
         SynthConfig { frames: 3, seed: 64, thinning: 4, ..SynthConfig::default() }
     }
-
-    /// Names the setting that is out of range, if any. [`drive`] accepts any settings without harm, but such
-    /// settings make no sense.
-    pub fn check(&self) -> Result<()> {
-        let beams = (1..=BEAMS).contains(&self.beams);
-        require(beams, || format!("{} beams: the scanner has 1 to {BEAMS}", self.beams))?;
-        require(self.thinning > 0, || "a thinning of 0: 1 keeps every firing".to_owned())?;
-        for (name, value, low, high) in [
-            ("speed", self.speed, -20.0, 20.0),
-            ("yaw rate", self.yaw_rate, -0.5, 0.5),
-            ("noise", self.noise, 0.0, 10.0),
-            ("dropout", self.dropout, 0.0, 1.0),
-            ("nearest range", self.min_range, 1.0, self.max_range),
-            ("farthest range", self.max_range, 1.0, 250.0),
-        ] {
-            require((low..=high).contains(&value), || format!("{name} {value} is not in {low} to {high}"))?;
-        }
-        Ok(())
-    }
-}
-
-fn require(holds: bool, message: impl FnOnce() -> String) -> Result<()> {
-    if holds { Ok(()) } else { Err(Error::InvalidConfig(message())) }
 }
 
 /// One scan of the simulated drive.

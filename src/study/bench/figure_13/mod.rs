@@ -98,7 +98,7 @@ pub fn ideal_sensor(config: &EncoderConfig) -> Result<Hdl64> {
         _ => {
             let what = "the experiments need the ideal range image in steps; leave --projection and a step of \
                         float out";
-            Err(Error::InvalidConfig(what.to_owned()))
+            Err(Error::InvalidSettings(what.to_owned()))
         }
     }
 }
@@ -114,7 +114,7 @@ pub fn measure(sample: &Sample, config: &EncoderConfig, on_frame: &dyn Fn()) -> 
     let pool = ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
-        .map_err(|e| Error::InvalidConfig(format!("cannot start {threads} threads: {e}")))?;
+        .map_err(|e| Error::Internal(format!("cannot start {threads} threads: {e}")))?;
     let mut figure = Figure13 {
         frames: 0,
         sample: sample.describe_some(sample.compared().count()),

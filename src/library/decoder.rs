@@ -1,0 +1,276 @@
+//! A stream to scans: by number, or one after the other.
+
+use std::collections::VecDeque;
+use std::io::{Read, Seek};
+use std::ops::{Bound, RangeBounds};
+
+use super::scan::Scan;
+use crate::frame::settings::resolve_threads;
+use crate::ground::error::{Error, Limits, Result};
+use crate::stream::container::{FrameHeader, IndexedReader, Stamp, StreamReader, Unit};
+use crate::stream::decoder::decode_group;
+use crate::stream::ordered::Workers;
+use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
+use crate::stream::{DecodeOptions, FrameRange};
+
+/// Decodes the scans of a stream that can be sought in, by its index.
+pub struct Decoder<R> {
+    groups: IndexedGroups<R>,
+    limits: Limits,
+    threads: usize,
+}
+
+/// What the index of a stream says of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct FrameInfo {
+    /// Its number, the first being 0.
+    pub number: u64,
+    /// What it was.
+    pub unit: Unit,
+    /// Which of several scanners it is of; the first is 0.
+    pub stream: u8,
+    /// When it was taken, in nanoseconds since 1970, if that is known.
+    pub time: Option<i64>,
+    /// Bytes that it takes in the stream.
+    pub coded_bytes: u64,
+}
+
+/// What a stream says of a frame, short of decoding it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct FrameDetails {
+    /// Its number, the first being 0.
+    pub number: u64,
+    /// Its name; empty if it has none. It may be any: check it before use as a path.
+    pub name: String,
+    /// Number of points.
+    pub points: u64,
+    /// Bytes of the file, or of the points as records.
+    pub bytes: u64,
+}
+
+impl<R: Read + Seek + Send> Decoder<R> {
+    /// Reads the index of a stream.
+    ///
+    /// # Errors
+    /// If the input fails, is no stream, is damaged at its beginning or end, or is of another version of the format.
+    pub fn open(input: R) -> Result<Self> {
+        Self::open_within(input, Limits::default())
+    }
+
+    /// As [`open`](Self::open), with limits on what may be allocated.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_within(input: R, limits: Limits) -> Result<Self> {
+        let reader = IndexedReader::open(input, limits)?;
+        Ok(Decoder { groups: IndexedGroups::new(reader, FrameRange::default()), limits, threads: 1 })
+    }
+
+    /// Has [`scans`](Self::scans) decoded ahead by so many threads; 0 stands for one a processor. With 1, the default,
+    /// there are none: the caller's thread decodes a group when its first scan is asked for.
+    pub fn threads(self, threads: usize) -> Self {
+        Decoder { threads, ..self }
+    }
+
+    /// Number of frames.
+    pub fn len(&self) -> u64 {
+        self.groups.index().frame_count()
+    }
+
+    /// Whether there are no frames.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// What the index says of each frame.
+    pub fn frames(&self) -> impl Iterator<Item = FrameInfo> {
+        let groups = self.groups.index().groups.iter();
+        let frames = groups.flat_map(|group| (group.first_frame..).zip(&group.frames));
+        frames.map(|(number, frame)| {
+            let Stamp { unit, stream, time } = frame.stamp;
+            FrameInfo {
+                number,
+                unit,
+                stream,
+                time: time.map(|time| time.nanoseconds),
+                coded_bytes: frame.size,
+            }
+        })
+    }
+
+    /// What the stream says of these frames: reads their groups, but decodes nothing.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] if there are no such frames; if the input fails or is damaged there.
+    pub fn details(&mut self, frames: impl RangeBounds<u64>) -> Result<Vec<FrameDetails>> {
+        let range = self.seek(&frames)?;
+        let mut details = Vec::new();
+        for job in &mut self.groups {
+            let GroupJob { first_frame, group, .. } = job?;
+            let frames = (first_frame..).zip(group.frames);
+            details.extend(frames.filter(|(number, _)| range.contains(*number)).map(|(number, frame)| {
+                let FrameHeader { name, point_count: points, file_size: bytes, .. } = frame.header;
+                FrameDetails { number, name, points, bytes }
+            }));
+        }
+        Ok(details)
+    }
+
+    /// The scan with this number, the first being 0. Only its group is read, and decoded as far as this scan: to get
+    /// several that are near each other, [`scans`](Self::scans) is quicker.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] if there is no such scan; if the input fails, is damaged there, or asks for more than the
+    /// limits.
+    pub fn scan(&mut self, number: u64) -> Result<Scan> {
+        let missing = || Error::Usage(format!("there is no frame {number} in a stream of {}", self.len()));
+        let end = number.checked_add(1).filter(|_| number < self.len()).ok_or_else(missing)?;
+        self.scans(number..end).next().unwrap_or_else(|| Err(Error::corrupt("a group without its frames")))
+    }
+
+    /// These scans, one after the other. An error, or a range that is not in the stream, is the last item.
+    pub fn scans(&mut self, frames: impl RangeBounds<u64>) -> Scans<'_> {
+        let (threads, limits) = (self.threads, self.limits);
+        let options = |frames| DecodeOptions { threads, limits, frames, images: false };
+        match self.seek(&frames) {
+            Ok(range) => Scans::new(Box::new(&mut self.groups), options(range)),
+            Err(error) => Scans::new(Box::new(std::iter::once(Err(error))), options(FrameRange::default())),
+        }
+    }
+
+    /// Goes to the group of the first of these frames.
+    fn seek(&mut self, frames: &impl RangeBounds<u64>) -> Result<FrameRange> {
+        let start = match frames.start_bound() {
+            Bound::Included(start) => *start,
+            Bound::Excluded(before) => before.saturating_add(1),
+            Bound::Unbounded => 0,
+        };
+        let end = match frames.end_bound() {
+            Bound::Included(last) => last.saturating_add(1),
+            Bound::Excluded(end) => *end,
+            Bound::Unbounded => self.len(),
+        };
+        let len = self.len();
+        if start > end || end > len {
+            return Err(Error::Usage(format!("there are no frames {start}..{end} in a stream of {len}")));
+        }
+        let range = FrameRange { start, end: Some(end) };
+        self.groups.seek(range);
+        Ok(range)
+    }
+}
+
+impl Decoder<()> {
+    /// The scans of a stream front to back, as from a pipe, decoded ahead by so many threads; 0 stands for one a
+    /// processor, 1 for none but the caller's. The stream is whole if the last item is not an error.
+    ///
+    /// # Errors
+    /// If the input fails, is no stream, or is of another version of the format.
+    pub fn stream<'r>(input: impl Read + Send + 'r, threads: usize) -> Result<Scans<'r>> {
+        let limits = Limits::default();
+        let groups = StreamedGroups::new(StreamReader::open(input, limits)?, FrameRange::default());
+        let options = DecodeOptions { threads, limits, ..DecodeOptions::default() };
+        Ok(Scans::new(Box::new(groups), options))
+    }
+}
+
+impl<R> std::fmt::Debug for Decoder<R> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Decoder").field("threads", &self.threads).finish_non_exhaustive()
+    }
+}
+
+/// Scans of a stream, one after the other: by [`Decoder::scans`] or [`Decoder::stream`]. After an error there are no
+/// more.
+pub struct Scans<'d> {
+    groups: Box<dyn Iterator<Item = Result<GroupJob>> + Send + 'd>,
+    options: DecodeOptions,
+    /// None until the first scan is asked for, and after an error.
+    workers: Option<Workers<DecodedGroup>>,
+    /// Decoded and not yet asked for.
+    ready: VecDeque<Scan>,
+    /// What comes after these.
+    error: Option<Error>,
+    /// Whether all groups are read.
+    ended: bool,
+}
+
+/// The scans of a group, up to an error.
+struct DecodedGroup {
+    scans: Vec<Scan>,
+    error: Option<Error>,
+}
+
+impl<'d> Scans<'d> {
+    fn new(groups: Box<dyn Iterator<Item = Result<GroupJob>> + Send + 'd>, options: DecodeOptions) -> Self {
+        Scans { groups, options, workers: None, ready: VecDeque::new(), error: None, ended: false }
+    }
+
+    /// Reads groups for all threads, and takes the scans of the next one that is decoded; false if there is none.
+    fn advance(&mut self) -> Result<bool> {
+        let workers = match &mut self.workers {
+            Some(workers) => workers,
+            empty => empty.insert(Workers::new(resolve_threads(self.options.threads))?),
+        };
+        // One thread decodes while it is asked for scans; no group waits then.
+        while !self.ended && !workers.is_full() {
+            let Some(job) = self.groups.next() else {
+                self.ended = true;
+                break;
+            };
+            self.ended = job.is_err();
+            let options = self.options.clone();
+            workers.start(move || Ok(decode(job?, &options)));
+            if resolve_threads(self.options.threads) == 1 {
+                break;
+            }
+        }
+        let Some(group) = workers.wait().transpose()? else { return Ok(false) };
+        self.ready.extend(group.scans);
+        group.error.map_or(Ok(true), Err)
+    }
+}
+
+/// Decodes the scans of a group that are asked for.
+fn decode(job: GroupJob, options: &DecodeOptions) -> DecodedGroup {
+    let mut scans = Vec::new();
+    let error = decode_group(job, options, |frame| {
+        let frame = frame.checked()?;
+        scans.push(Scan::of_parts(frame.scan, frame.header.stamp));
+        Ok(())
+    });
+    DecodedGroup { error: error.err(), scans }
+}
+
+impl Iterator for Scans<'_> {
+    type Item = Result<Scan>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if let Some(scan) = self.ready.pop_front() {
+                return Some(Ok(scan));
+            }
+            if self.workers.is_none() && self.ended {
+                return None;
+            }
+            if let Some(error) = self.error.take() {
+                self.workers = None;
+                self.ended = true;
+                return Some(Err(error));
+            }
+            match self.advance() {
+                Ok(true) => {}
+                Ok(false) => return None,
+                Err(error) => self.error = Some(error),
+            }
+        }
+    }
+}
+
+impl std::fmt::Debug for Scans<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Scans").finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,151 @@
+//! Scans that are pushed, one by one, to a stream.
+
+use std::io::Write;
+use std::mem::take;
+use std::sync::Arc;
+
+use super::scan::Scan;
+use super::settings::Settings;
+use crate::frame::settings::{EncoderConfig, resolve_threads};
+use crate::ground::error::{Error, Result};
+use crate::stream::FrameInput;
+use crate::stream::encoded::OpenStream;
+use crate::stream::encoder::{EncodedGroup, SequenceCoder};
+use crate::stream::ordered::Workers;
+use crate::stream::scanner_choice::{Scanners, choose_scanners};
+
+/// Encodes scans as they come. The scanner is found in the first group of scans; groups are coded by threads of their
+/// own while more scans are pushed, and written as they are done. A few groups are in memory at a time.
+///
+/// A stream whose encoder is dropped before [`finish`](Self::finish) has no index and no end.
+#[derive(Debug)]
+pub struct Encoder<W> {
+    config: Arc<EncoderConfig>,
+    /// Scans of the next group.
+    open: Vec<FrameInput>,
+    state: State<W>,
+}
+
+#[derive(Debug)]
+enum State<W> {
+    /// No group was full yet.
+    Waiting(W),
+    Coding(Box<Coding<W>>),
+    /// Something went wrong, and was reported.
+    Failed,
+}
+
+/// An encoder that knows its scanners.
+struct Coding<W> {
+    scanners: Arc<Scanners>,
+    workers: Workers<Vec<EncodedGroup>>,
+    stream: OpenStream<W>,
+}
+
+impl<W> std::fmt::Debug for Coding<W> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Coding").finish_non_exhaustive()
+    }
+}
+
+/// What was encoded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Summary {
+    /// Scans.
+    pub scans: u64,
+    /// Points of all scans.
+    pub points: u64,
+    /// Bytes of all scans: those of files as they are, those of points in memory as records.
+    pub scan_bytes: u64,
+    /// Bytes of the stream.
+    pub stream_bytes: u64,
+}
+
+impl<W: Write> Encoder<W> {
+    /// An encoder that writes a stream to `out`. It writes large pieces, so buffering brings nothing.
+    ///
+    /// # Errors
+    /// [`Error::InvalidSettings`] if the settings are out of range or do not fit together.
+    pub fn new(out: W, settings: Settings) -> Result<Self> {
+        let config = Arc::new(settings.config()?);
+        Ok(Encoder { config, open: Vec::new(), state: State::Waiting(out) })
+    }
+
+    /// Takes the next scan. Waits only if all threads have work already.
+    ///
+    /// # Errors
+    /// If this scan, or one of those before it, is over the limits that every decoder keeps, or has a name that not
+    /// every system can restore; if the output fails. The stream cannot be finished then.
+    pub fn push(&mut self, scan: Scan) -> Result<()> {
+        let (scan, stamp) = scan.into_parts();
+        self.open.push(FrameInput::scan(scan).stamped(stamp));
+        if self.open.len() < self.config.gop { Ok(()) } else { self.close_group() }
+    }
+
+    /// Codes and writes what is left, and the index.
+    ///
+    /// # Errors
+    /// As [`push`](Self::push).
+    pub fn finish(mut self) -> Result<Summary> {
+        // Without a scan there is a stream all the same.
+        if !self.open.is_empty() || matches!(self.state, State::Waiting(_)) {
+            self.close_group()?;
+        }
+        let State::Coding(mut coding) = self.state else { return Err(failed()) };
+        while let Some(groups) = coding.workers.wait() {
+            coding.stream.write(&groups?)?;
+        }
+        let encoded = coding.stream.finish()?;
+        Ok(Summary {
+            scans: encoded.frames.len() as u64,
+            points: encoded.points,
+            scan_bytes: encoded.file_bytes(),
+            stream_bytes: encoded.stream_bytes,
+        })
+    }
+
+    /// Has the open group coded.
+    fn close_group(&mut self) -> Result<()> {
+        let group = take(&mut self.open);
+        let state = std::mem::replace(&mut self.state, State::Failed);
+        let mut coding = match state {
+            State::Waiting(out) => Box::new(Coding::begin(out, &group, &self.config)?),
+            State::Coding(coding) => coding,
+            State::Failed => return Err(failed()),
+        };
+        coding.code(group, &self.config)?;
+        self.state = State::Coding(coding);
+        Ok(())
+    }
+}
+
+fn failed() -> Error {
+    Error::Usage("the encoder has failed before".to_owned())
+}
+
+impl<W: Write> Coding<W> {
+    /// Finds the scanners, and begins the stream.
+    fn begin(out: W, group: &[FrameInput], config: &EncoderConfig) -> Result<Self> {
+        let scanners = Arc::new(choose_scanners(group, config)?);
+        let stream = OpenStream::begin(out, &scanners.records)?;
+        Ok(Coding { scanners, workers: Workers::new(resolve_threads(config.threads))?, stream })
+    }
+
+    /// Has a group coded, and writes those that are done.
+    fn code(&mut self, group: Vec<FrameInput>, config: &Arc<EncoderConfig>) -> Result<()> {
+        while self.workers.is_full() {
+            if let Some(groups) = self.workers.wait() {
+                self.stream.write(&groups?)?;
+            }
+        }
+        if !group.is_empty() {
+            let (scanners, config) = (Arc::clone(&self.scanners), Arc::clone(config));
+            self.workers.start(move || SequenceCoder::new(&scanners, &config, &|| ()).encode_frames(group));
+        }
+        while let Some(groups) = self.workers.poll() {
+            self.stream.write(&groups?)?;
+        }
+        Ok(())
+    }
+}

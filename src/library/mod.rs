@@ -1,0 +1,16 @@
+//! What other programs build on: scans in, scans out.
+
+mod decoder;
+mod encoder;
+mod scalar;
+mod scan;
+mod settings;
+
+pub use decoder::{Decoder, FrameDetails, FrameInfo, Scans};
+pub use encoder::{Encoder, Summary};
+pub use scalar::Scalar;
+pub use scan::{ChannelInfo, Scan};
+pub use settings::Settings;
+
+#[cfg(test)]
+mod tests;

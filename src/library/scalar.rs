@@ -1,0 +1,87 @@
+//! The values of a channel, by type.
+
+use crate::scan;
+
+/// The types that the values of a channel may have: integers of 8 to 64 bits, `f32` and `f64`.
+pub trait Scalar: Copy + sealed::Value {
+    /// The type, as a value.
+    const TYPE: scan::Scalar;
+}
+
+/// What only this crate may do.
+mod sealed {
+    use super::Values;
+
+    /// A type that [`Values`] holds.
+    pub trait Value: Sized {
+        fn into_values(values: Vec<Self>) -> Values;
+        fn of_values(values: &Values) -> Option<&[Self]>;
+    }
+}
+
+use sealed::Value;
+
+macro_rules! scalars {
+    ($($variant:ident $scalar:ident),*) => {
+        /// The values of a channel, point after point.
+        #[derive(Clone, Debug, PartialEq)]
+        pub enum Values {
+            $($variant(Vec<$scalar>),)*
+        }
+
+        impl Values {
+            /// From their little-endian bytes, of which those left over after the last whole value are left aside.
+            pub fn from_bytes(scalar: scan::Scalar, bytes: &[u8]) -> Self {
+                match scalar {
+                    $(scan::Scalar::$variant => Values::$variant(
+                        bytes.as_chunks().0.iter().map(|value| $scalar::from_le_bytes(*value)).collect(),
+                    ),)*
+                }
+            }
+
+            /// Their little-endian bytes.
+            pub fn to_bytes(&self) -> Vec<u8> {
+                match self {
+                    $(Values::$variant(values) => {
+                        values.iter().flat_map(|value| value.to_le_bytes()).collect()
+                    })*
+                }
+            }
+
+            /// Their type.
+            pub fn scalar(&self) -> scan::Scalar {
+                match self {
+                    $(Values::$variant(_) => scan::Scalar::$variant,)*
+                }
+            }
+
+            /// How many they are.
+            pub fn len(&self) -> usize {
+                match self {
+                    $(Values::$variant(values) => values.len(),)*
+                }
+            }
+        }
+
+        $(
+            impl Value for $scalar {
+                fn into_values(values: Vec<Self>) -> Values {
+                    Values::$variant(values)
+                }
+
+                fn of_values(values: &Values) -> Option<&[Self]> {
+                    match values {
+                        Values::$variant(values) => Some(values),
+                        _ => None,
+                    }
+                }
+            }
+
+            impl Scalar for $scalar {
+                const TYPE: scan::Scalar = scan::Scalar::$variant;
+            }
+        )*
+    };
+}
+
+scalars!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64, F32 f32, F64 f64);

@@ -1,0 +1,294 @@
+//! A scan: points with named, typed channels, and what is known of it.
+
+use super::scalar::{Scalar, Values};
+use crate::files;
+use crate::ground::error::{Error, Result};
+use crate::scan::{self, Channel, Field, Layout, MAX_STRIDE, PointCloud, ScanFile};
+use crate::stream::container::{Stamp, Time, TimeSource, Unit};
+
+/// What the channel of intensities is called.
+const INTENSITY: &str = "intensity";
+/// The fields that positions are made of.
+const POSITION: [&str; 3] = ["x", "y", "z"];
+
+/// A scan: points with named, typed channels. Every bit of every value counts: NaN payloads and the sign of zero are
+/// kept.
+///
+/// It is either what was [a file](Self::from_file), which then comes back byte for byte, or points handed over in
+/// memory, of which positions and channels come back.
+///
+/// ```
+/// # fn main() -> lidarpc::Result<()> {
+/// let scan = lidarpc::Scan::from_positions(&[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+///     .with_channel("intensity", &[0.25f32, 0.5])?
+///     .with_channel("ring", &[7u16, 8])?
+///     .stamped(1_316_998_000_123_456_789);
+/// assert_eq!(scan.channel::<u16>("ring")?, [7, 8]);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone, Debug, Default)]
+pub struct Scan {
+    name: String,
+    stream: u8,
+    time: Option<Time>,
+    points: usize,
+    positions: Vec<[f32; 3]>,
+    /// All other fields, in the order of the records.
+    channels: Vec<TypedChannel>,
+    /// What it takes to make a file of it again, if it was one.
+    file: Option<Box<Envelope>>,
+}
+
+/// A field other than the position, with a value (or so many) for each point.
+#[derive(Clone, Debug)]
+struct TypedChannel {
+    name: String,
+    /// Values a point.
+    count: u32,
+    values: Values,
+}
+
+/// A file but for its points.
+#[derive(Clone, Debug)]
+struct Envelope {
+    unit: Unit,
+    layout: Layout,
+    prefix: Vec<u8>,
+    suffix: Vec<u8>,
+}
+
+/// What a scan says of one of its channels.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct ChannelInfo<'s> {
+    /// Its name.
+    pub name: &'s str,
+    /// The type of its values.
+    pub scalar: scan::Scalar,
+    /// How many values it has for each point, one after the other: 1 but for fields of files that have more.
+    pub count: u32,
+}
+
+impl Scan {
+    /// Points with a position alone: x, y and z in metres.
+    pub fn from_positions(positions: &[[f32; 3]]) -> Self {
+        Scan { points: positions.len(), positions: positions.to_vec(), ..Scan::default() }
+    }
+
+    /// Points as KITTI has them: x, y and z in metres, and the intensity, which becomes a channel of that name.
+    pub fn from_xyzi(points: &[[f32; 4]]) -> Self {
+        let positions = points.iter().map(|&[x, y, z, _]| [x, y, z]).collect();
+        let values = Values::F32(points.iter().map(|point| point[3]).collect());
+        let intensity = TypedChannel { name: INTENSITY.to_owned(), count: 1, values };
+        Scan { points: points.len(), positions, channels: vec![intensity], ..Scan::default() }
+    }
+
+    /// A file, given by its name and its bytes: what it holds is told by the extension (`.bin`, `.pcd.bin`, `.pcd`,
+    /// `.ply`). A file of any other kind is a scan without points.
+    pub fn from_file(name: &str, bytes: Vec<u8>) -> Self {
+        Scan::of_parts(files::parse(name, bytes), Stamp::default())
+    }
+
+    /// The same with one more channel: a value for each point. Values of a channel named `intensity` (also `i`,
+    /// `reflectivity` or `reflectance`) of type `f32`, `u8` or `u16` are coded as intensities are.
+    /// A scan that was a file is one no longer.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] if there are more or fewer values than points, if the scan has a channel of this name (x, y
+    /// and z are such), or if it is no name: empty, longer than 64 bytes, or with white space.
+    pub fn with_channel<T: Scalar>(mut self, name: &str, values: &[T]) -> Result<Self> {
+        let refuse = |what: String| Err(Error::Usage(format!("channel {name:?}: {what}")));
+        if name.is_empty() || !Field::is_name(name) {
+            return refuse("a name has 1 to 64 bytes without white space".to_owned());
+        }
+        if POSITION.contains(&name) || self.channels.iter().any(|channel| channel.name == name) {
+            return refuse("the scan has it already".to_owned());
+        }
+        if values.len() != self.points {
+            return refuse(format!("{} values for {} points", values.len(), self.points));
+        }
+        let width = self
+            .channels
+            .iter()
+            .map(|channel| channel.count as usize * channel.values.scalar().size() as usize);
+        if width.sum::<usize>() + 3 * size_of::<f32>() + size_of::<T>() > MAX_STRIDE as usize {
+            return refuse(format!("a point is at most {MAX_STRIDE} bytes"));
+        }
+        let values = T::into_values(values.to_vec());
+        self.channels.push(TypedChannel { name: name.to_owned(), count: 1, values });
+        self.file = None;
+        Ok(self)
+    }
+
+    /// The same with a name, which a frame of the stream gets, such as `000001`. A file has one already.
+    pub fn named(self, name: &str) -> Self {
+        Scan { name: name.to_owned(), ..self }
+    }
+
+    /// The same with the time at which it was taken: nanoseconds since 1970.
+    pub fn stamped(self, nanoseconds: i64) -> Self {
+        Scan { time: Some(Time { source: TimeSource::Recording, nanoseconds }), ..self }
+    }
+
+    /// The same as a scan of another scanner than that of stream 0. The scans of several scanners may take turns; those
+    /// of each are modelled by themselves.
+    pub fn on_stream(self, stream: u8) -> Self {
+        Scan { stream, ..self }
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.points
+    }
+
+    /// Whether there are no points.
+    pub fn is_empty(&self) -> bool {
+        self.points == 0
+    }
+
+    /// x, y and z of each point, in metres. Empty if the scan was a file whose coordinates are not float32: they are
+    /// channels then.
+    pub fn positions(&self) -> &[[f32; 3]] {
+        &self.positions
+    }
+
+    /// The values of a channel, point after point.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] if the scan has no channel of this name, or one of another type; it says which.
+    pub fn channel<T: Scalar>(&self, name: &str) -> Result<&[T]> {
+        let channel = self.channels.iter().find(|channel| channel.name == name);
+        let channel = channel.ok_or_else(|| Error::Usage(format!("the scan has no channel {name:?}")))?;
+        T::of_values(&channel.values).ok_or_else(|| {
+            let (wanted, scalar) = (T::TYPE.name(), channel.values.scalar().name());
+            Error::Usage(format!("channel {name:?} holds {scalar}, not {wanted}"))
+        })
+    }
+
+    /// The channels that have a name, in the order of the records: all fields but the position.
+    pub fn channels(&self) -> impl Iterator<Item = ChannelInfo<'_>> {
+        self.channels.iter().filter(|channel| !channel.name.is_empty()).map(|channel| ChannelInfo {
+            name: &channel.name,
+            scalar: channel.values.scalar(),
+            count: channel.count,
+        })
+    }
+
+    /// When it was taken, in nanoseconds since 1970, if that is known.
+    pub fn time(&self) -> Option<i64> {
+        self.time.map(|time| time.nanoseconds)
+    }
+
+    /// Its name, such as `000001.bin`; empty if it has none. A name from a stream may be any: check it before use as
+    /// a path.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Which of several scanners that take turns it is of; the first is 0.
+    pub fn stream(&self) -> u8 {
+        self.stream
+    }
+
+    /// What it was: a file, a message, or points in memory.
+    pub fn unit(&self) -> Unit {
+        self.file.as_ref().map_or(Unit::Points, |file| file.unit)
+    }
+
+    /// The bytes of the file that it was; `None` if it was none.
+    ///
+    /// # Errors
+    /// Never for a scan from [`from_file`](Self::from_file) or a [`Decoder`](crate::Decoder).
+    pub fn file_bytes(&self) -> Result<Option<Vec<u8>>> {
+        self.file.is_some().then(|| self.clone().into_parts().0.to_bytes()).transpose()
+    }
+
+    /// What was taken apart, or decoded.
+    pub(super) fn of_parts(scan: ScanFile, stamp: Stamp) -> Self {
+        let ScanFile { name, layout, prefix, records, cloud, suffix } = scan;
+        let mut channels: Vec<_> = cloud
+            .channels
+            .into_iter()
+            .map(|Channel { field, bytes }| TypedChannel {
+                values: Values::from_bytes(field.scalar, &bytes),
+                name: field.name,
+                count: field.count,
+            })
+            .collect();
+        if let Some((place, field)) = intensity_place(&layout) {
+            let values = intensity_values(field.scalar, cloud.intensity);
+            let channel = TypedChannel { name: field.name.clone(), count: 1, values };
+            channels.insert(place.min(channels.len()), channel);
+        }
+        let Stamp { unit, stream, time } = stamp;
+        let file = (unit != Unit::Points).then(|| Box::new(Envelope { unit, layout, prefix, suffix }));
+        Scan { name, stream, time, points: records, positions: cloud.positions, channels, file }
+    }
+
+    /// As the encoder takes it.
+    pub(super) fn into_parts(self) -> (ScanFile, Stamp) {
+        let stamp = Stamp { unit: self.unit(), stream: self.stream, time: self.time };
+        let (layout, prefix, suffix) = match self.file {
+            Some(file) => (file.layout, file.prefix, file.suffix),
+            None => (layout_in_memory(&self.channels), Vec::new(), Vec::new()),
+        };
+        let mut cloud = PointCloud { positions: self.positions, ..PointCloud::default() };
+        let intensity = intensity_place(&layout).map(|(place, _)| place);
+        for (place, TypedChannel { name, count, values }) in self.channels.into_iter().enumerate() {
+            if intensity == Some(place) {
+                cloud.intensity = intensities(values);
+            } else {
+                let field = Field { name, scalar: values.scalar(), count };
+                cloud.channels.push(Channel { field, bytes: values.to_bytes() });
+            }
+        }
+        let records = self.points;
+        (ScanFile { name: self.name, layout, prefix, records, cloud, suffix }, stamp)
+    }
+}
+
+/// Where the intensity stands among the channels, and its field.
+fn intensity_place(layout: &Layout) -> Option<(usize, &Field)> {
+    let number = layout.intensity?;
+    let positions_before = layout.position.iter().flatten().filter(|field| **field < number).count();
+    Some((number as usize - positions_before, layout.fields.get(number as usize)?))
+}
+
+/// Intensities, which are float32 wherever they are coded, as the type of their field has them.
+fn intensity_values(scalar: scan::Scalar, values: Vec<f32>) -> Values {
+    match scalar {
+        scan::Scalar::U8 => Values::U8(values.into_iter().map(|value| (value + 0.5) as u8).collect()),
+        scan::Scalar::U16 => Values::U16(values.into_iter().map(|value| (value + 0.5) as u16).collect()),
+        _ => Values::F32(values),
+    }
+}
+
+/// The inverse of [`intensity_values`]; nothing for values of types that intensities do not have.
+fn intensities(values: Values) -> Vec<f32> {
+    match values {
+        Values::F32(values) => values,
+        Values::U8(values) => values.into_iter().map(f32::from).collect(),
+        Values::U16(values) => values.into_iter().map(f32::from).collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// The layout of points in memory: that of a file without a header whose records hold the same fields.
+fn layout_in_memory(channels: &[TypedChannel]) -> Layout {
+    let positions = POSITION.map(|name| Field::new(name, scan::Scalar::F32));
+    let others = channels.iter().map(|TypedChannel { name, count, values }| Field {
+        name: name.clone(),
+        scalar: values.scalar(),
+        count: *count,
+    });
+    let layout = files::plain_layout(positions.into_iter().chain(others).collect());
+    let mut layout = layout.unwrap_or_default();
+    let values = intensity_place(&layout).and_then(|(place, _)| Some(&channels.get(place)?.values));
+    if let Some(Values::U16(values)) = values
+        && values.iter().any(|&value| f32::from(value) > files::MOST_INTENSITY)
+    {
+        layout.intensity = None;
+    }
+    layout
+}

@@ -1,0 +1,96 @@
+//! What users choose of encoding.
+
+use crate::backend::Level;
+use crate::frame::Intensity;
+use crate::frame::settings::{EncoderConfig, Mode};
+use crate::ground::error::{Error, Result};
+
+/// Settings of an [`Encoder`](crate::Encoder): a mode, and what may be chosen beside it.
+///
+/// ```
+/// let settings = lidarpc::Settings::bounded(0.01).level(9).threads(2);
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    config: EncoderConfig,
+    level: Option<u8>,
+    group_of_pictures: Option<usize>,
+    /// In the unit of the file.
+    intensity_step: Option<f64>,
+}
+
+impl Default for Settings {
+    /// [`exact`](Self::exact).
+    fn default() -> Self {
+        Settings::exact()
+    }
+}
+
+impl Settings {
+    /// Everything comes back: files byte for byte, points in memory with every bit.
+    pub fn exact() -> Self {
+        Settings::of_mode(Mode::Exact)
+    }
+
+    /// Every point comes back, in its place, no farther than `max_error_m` from where it was (the distance in space,
+    /// in metres, from a micrometre to 10 m); all else with every bit.
+    pub fn bounded(max_error_m: f64) -> Self {
+        // Never more than was asked for; a number that is a whole count of micrometres but for its last bit is that.
+        let max_error_um = (max_error_m * 1e6 + 1e-6).floor() as u32;
+        Settings::of_mode(Mode::Bounded { max_error_um })
+    }
+
+    /// The article's codec: outliers are dropped, the ideal scanner's range image is kept.
+    #[cfg(feature = "article")]
+    pub fn paper() -> Self {
+        Settings::of_mode(Mode::Paper)
+    }
+
+    fn of_mode(mode: Mode) -> Self {
+        let config = EncoderConfig::preset(mode);
+        Settings { config, level: None, group_of_pictures: None, intensity_step: None }
+    }
+
+    /// The effort, from 1 (quick) to 9 (small). Default: 6.
+    pub fn level(self, level: u8) -> Self {
+        Settings { level: Some(level), ..self }
+    }
+
+    /// Threads that code groups beside the caller's; 0, the default, stands for one a processor. With 1 there are none:
+    /// groups are coded as they fill up, by the thread that pushes scans. The stream is the same whatever the number.
+    pub fn threads(mut self, threads: usize) -> Self {
+        self.config.threads = threads;
+        self
+    }
+
+    /// Scans a group: more compress better, fewer make seeking and recovery finer, and an encoder wait less before it
+    /// writes. Default: 10; 30 at level 9.
+    pub fn group_of_pictures(self, scans: usize) -> Self {
+        Settings { group_of_pictures: Some(scans), ..self }
+    }
+
+    /// Lets intensities be rounded to multiples of this, from 0.000001 to 1000, in bounded mode. Default: they are
+    /// exact.
+    pub fn intensity_step(self, step: f64) -> Self {
+        Settings { intensity_step: Some(step), ..self }
+    }
+
+    /// The settings of the encoder behind it.
+    ///
+    /// # Errors
+    /// [`Error::InvalidSettings`] if they are out of range or do not fit together.
+    pub(super) fn config(&self) -> Result<EncoderConfig> {
+        let mut config = self.config.clone();
+        if let Some(level) = self.level {
+            let unknown = || Error::InvalidSettings(format!("level {level} is not from 1 to 9"));
+            config.level = Level::new(level).ok_or_else(unknown)?;
+        }
+        config.gop = self.group_of_pictures.unwrap_or(config.default_gop());
+        if let Some(step) = self.intensity_step {
+            // Steps that are no number become 0, which is refused.
+            config.intensity = Intensity::Rounded { step_millionths: (step * 1e6).round() as u32 };
+        }
+        config.check()?;
+        Ok(config)
+    }
+}

@@ -1,0 +1,292 @@
+//! Scans in and out by the public interface alone, and that streams are those of the command line.
+
+use std::fs;
+use std::io::{self, Cursor, Write};
+
+use super::*;
+use crate::frame::EncoderConfig;
+use crate::ground::error::{Error, Result};
+use crate::scan::Scalar as ScalarType;
+use crate::stream::container::Unit;
+use crate::stream::{FrameInput, encode_live};
+
+/// Three scans of a simulated drive: file names and points.
+fn drive() -> Vec<(String, Vec<u8>)> {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/testdata/drive");
+    let name = |number| format!("{number:010}.bin");
+    (0..3).map(|number| (name(number), fs::read(format!("{folder}/{}", name(number))).unwrap())).collect()
+}
+
+fn xyzi(bytes: &[u8]) -> Vec<[f32; 4]> {
+    let value = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes);
+    bytes
+        .as_chunks::<16>()
+        .0
+        .iter()
+        .map(|point| {
+            let (values, _) = point.as_chunks::<4>();
+            std::array::from_fn(|field| value(&values[field]))
+        })
+        .collect()
+}
+
+fn encoded(scans: impl IntoIterator<Item = Scan>, settings: Settings) -> Vec<u8> {
+    let mut stream = Vec::new();
+    let mut encoder = Encoder::new(&mut stream, settings).unwrap();
+    scans.into_iter().for_each(|scan| encoder.push(scan).unwrap());
+    let summary = encoder.finish().unwrap();
+    assert_eq!(summary.stream_bytes, stream.len() as u64);
+    stream
+}
+
+fn decoded(stream: &[u8]) -> Vec<Scan> {
+    Decoder::open(Cursor::new(stream)).unwrap().scans(..).collect::<Result<_>>().unwrap()
+}
+
+/// Scans of a few points each.
+fn small_scans(count: u16) -> Vec<Scan> {
+    let scan = |number: u16| {
+        let positions: Vec<[f32; 3]> = (0..number).map(|point| [f32::from(point), -0.0, f32::NAN]).collect();
+        let rings: Vec<u16> = (0..number).collect();
+        Scan::from_positions(&positions).with_channel("ring", &rings).unwrap().stamped(i64::from(number))
+    };
+    (0..count).map(scan).collect()
+}
+
+fn bits(scan: &Scan) -> Vec<[u32; 3]> {
+    scan.positions().iter().map(|position| position.map(f32::to_bits)).collect()
+}
+
+#[test]
+fn everything_may_be_sent_to_another_thread() {
+    fn assert_send<T: Send>() {}
+    assert_send::<Encoder<Vec<u8>>>();
+    assert_send::<Decoder<fs::File>>();
+    assert_send::<Scans<'static>>();
+    assert_send::<Scan>();
+    assert_send::<Error>();
+}
+
+#[test]
+fn files_make_the_same_stream_as_by_the_command_line() {
+    let files = drive();
+    for threads in [1, 3] {
+        let config = EncoderConfig { gop: 2, threads, ..EncoderConfig::default() };
+        let mut expected = Vec::new();
+        let inputs = files.iter().map(|(name, bytes)| Ok(FrameInput::memory(name.clone(), bytes.clone())));
+        encode_live(inputs, &config, &mut expected, &|| ()).unwrap();
+        let scans = files.iter().map(|(name, bytes)| Scan::from_file(name, bytes.clone()));
+        let stream = encoded(scans, Settings::exact().group_of_pictures(2).threads(threads));
+        assert!(stream == expected, "{threads} threads");
+        for (scan, (name, bytes)) in decoded(&stream).into_iter().zip(&files) {
+            assert_eq!((scan.name(), scan.unit()), (&name[..], Unit::File));
+            assert_eq!(scan.file_bytes().unwrap().as_ref(), Some(bytes));
+            assert_eq!(
+                scan.channels().map(|channel| channel.name.to_owned()).collect::<Vec<_>>(),
+                ["intensity"]
+            );
+        }
+    }
+}
+
+#[test]
+fn points_in_memory_take_what_a_file_takes_but_for_its_name() {
+    let files = drive();
+    let as_files =
+        encoded(files.iter().map(|(name, bytes)| Scan::from_file(name, bytes.clone())), Settings::exact());
+    let scans = || files.iter().map(|(_, bytes)| Scan::from_xyzi(&xyzi(bytes)));
+    let as_points = encoded(scans(), Settings::exact());
+    let names: usize = files.iter().map(|(name, _)| name.len()).sum();
+    assert_eq!(as_points.len(), as_files.len() - names);
+    for (found, scan) in decoded(&as_points).iter().zip(scans()) {
+        assert!(
+            found.unit() == Unit::Points && found.file_bytes().unwrap().is_none() && found.name().is_empty()
+        );
+        assert_eq!(bits(found), bits(&scan));
+        let intensities = |scan: &Scan| scan.channel::<f32>("intensity").unwrap().to_vec();
+        assert_eq!(intensities(found), intensities(&scan));
+    }
+}
+
+#[test]
+fn channels_of_every_type_come_back() {
+    let scan = Scan::from_positions(&[[1.0, 2.0, 3.0]; 2])
+        .with_channel("i8", &[i8::MIN, 1])
+        .unwrap()
+        .with_channel("u8", &[u8::MAX, 1])
+        .unwrap()
+        .with_channel("i16", &[i16::MIN, 1])
+        .unwrap()
+        .with_channel("intensity", &[u16::MAX, 1])
+        .unwrap()
+        .with_channel("i32", &[i32::MIN, 1])
+        .unwrap()
+        .with_channel("u32", &[u32::MAX, 1])
+        .unwrap()
+        .with_channel("i64", &[i64::MIN, 1])
+        .unwrap()
+        .with_channel("u64", &[u64::MAX, 1])
+        .unwrap()
+        .with_channel("f32", &[f32::MIN, -0.0])
+        .unwrap()
+        .with_channel("f64", &[f64::NAN, 1e300])
+        .unwrap()
+        .named("000001")
+        .stamped(-5)
+        .on_stream(3);
+    let found = &decoded(&encoded([scan.clone()], Settings::exact()))[0];
+    assert_eq!((found.name(), found.time(), found.stream(), found.len()), ("000001", Some(-5), 3, 2));
+    assert_eq!(found.channels().collect::<Vec<_>>(), scan.channels().collect::<Vec<_>>());
+    assert_eq!(found.channel::<i8>("i8").unwrap(), [i8::MIN, 1]);
+    assert_eq!(found.channel::<u16>("intensity").unwrap(), [u16::MAX, 1]);
+    assert_eq!(found.channel::<u64>("u64").unwrap(), [u64::MAX, 1]);
+    let doubles = found.channel::<f64>("f64").unwrap();
+    assert!(doubles[0].to_bits() == f64::NAN.to_bits() && doubles[1] == 1e300);
+}
+
+#[test]
+fn intensities_of_every_type_come_back() {
+    fn check<T: Scalar + PartialEq + std::fmt::Debug>(values: &[T]) {
+        let scan = Scan::from_positions(&[[1.0; 3]; 2])
+            .with_channel("ring", &[1u8, 2])
+            .unwrap()
+            .with_channel("reflectivity", values)
+            .unwrap()
+            .with_channel("time", &[0.5f64, 1.0])
+            .unwrap();
+        let found = &decoded(&encoded([scan], Settings::exact()))[0];
+        assert_eq!(found.channel::<T>("reflectivity").unwrap(), values);
+        let names: Vec<_> = found.channels().map(|channel| channel.name).collect();
+        assert_eq!(names, ["ring", "reflectivity", "time"]);
+        assert_eq!(found.channels().nth(1).unwrap().scalar, T::TYPE);
+    }
+    check(&[1u8, 255]);
+    check(&[1u16, 511]);
+    check(&[1u16, 512]);
+    check(&[0.25f32, -0.0]);
+    check(&[0.25f64, 1e-300]);
+    check(&[1u32, 2]);
+}
+
+#[test]
+fn channels_that_do_not_fit_are_refused() {
+    let scan = || Scan::from_xyzi(&[[0.0; 4]; 3]);
+    let refusals = [
+        scan().with_channel("ring", &[1u8]),
+        scan().with_channel("x", &[1u8; 3]),
+        scan().with_channel("intensity", &[1u8; 3]),
+        scan().with_channel("", &[1u8; 3]),
+        scan().with_channel("a b", &[1u8; 3]),
+        scan().with_channel(&"a".repeat(65), &[1u8; 3]),
+    ];
+    for refusal in refusals {
+        assert!(matches!(refusal, Err(Error::Usage(_))), "{refusal:?}");
+    }
+    let error = scan().channel::<u8>("intensity").unwrap_err().to_string();
+    assert_eq!(error, "channel \"intensity\" holds f32, not u8");
+    assert_eq!(scan().channel::<u8>("time").unwrap_err().to_string(), "the scan has no channel \"time\"");
+    assert_eq!(scan().channels().next().unwrap().scalar, ScalarType::F32);
+}
+
+#[test]
+fn scans_come_by_number_and_in_order() {
+    let stream = encoded(small_scans(25), Settings::exact().group_of_pictures(4).threads(2));
+    let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap();
+    assert_eq!(decoder.len(), 25);
+    let times: Vec<_> = decoder.frames().map(|frame| frame.time).collect();
+    assert_eq!(times, (0..25).map(Some).collect::<Vec<_>>());
+    let details = decoder.details(3..=5).unwrap();
+    assert_eq!(
+        details.iter().map(|frame| (frame.number, frame.points)).collect::<Vec<_>>(),
+        [(3, 3), (4, 4), (5, 5)]
+    );
+    for number in [24, 0, 7, 8] {
+        let scan = decoder.scan(number).unwrap();
+        assert_eq!((scan.time(), scan.len() as u64), (Some(number as i64), number));
+    }
+    for threads in [0, 1, 3] {
+        let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap().threads(threads);
+        for range in [0..25, 3..4, 7..21, 5..5, 25..25] {
+            let times: Vec<_> =
+                decoder.scans(range.clone()).map(|scan| scan.unwrap().time().unwrap() as u64).collect();
+            assert_eq!(times, range.collect::<Vec<_>>(), "{threads} threads");
+        }
+        let piped = Decoder::stream(&stream[..], threads).unwrap();
+        let lengths: Vec<_> = piped.map(|scan| scan.unwrap().len()).collect();
+        assert_eq!(lengths, (0..25).collect::<Vec<_>>());
+    }
+    assert!(matches!(decoder.scan(25), Err(Error::Usage(_))));
+    let beyond: Vec<_> = decoder.scans(20..26).collect();
+    assert!(matches!(&beyond[..], [Err(Error::Usage(_))]));
+}
+
+#[test]
+fn a_stream_without_scans_is_a_stream() {
+    let stream = encoded([], Settings::exact());
+    let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap();
+    assert!(decoder.is_empty() && decoder.scans(..).next().is_none());
+    assert!(Decoder::stream(&stream[..], 2).unwrap().next().is_none());
+}
+
+#[test]
+fn a_bound_holds() {
+    let points = xyzi(&drive()[0].1);
+    let stream = encoded([Scan::from_xyzi(&points)], Settings::bounded(0.01).level(1));
+    for (found, point) in decoded(&stream)[0].positions().iter().zip(&points) {
+        let squares: f64 =
+            found.iter().zip(point).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
+        assert!(squares.sqrt() <= 0.01);
+    }
+}
+
+#[test]
+fn settings_out_of_range_are_refused() {
+    for wrong in [
+        Settings::exact().level(0),
+        Settings::exact().level(10),
+        Settings::exact().group_of_pictures(0),
+        Settings::exact().intensity_step(0.5),
+        Settings::bounded(0.01).intensity_step(f64::NAN),
+        Settings::bounded(f64::NAN),
+        Settings::bounded(-1.0),
+        Settings::bounded(10.1),
+    ] {
+        assert!(Encoder::new(Vec::new(), wrong.clone()).is_err(), "{wrong:?}");
+    }
+}
+
+#[test]
+fn damage_is_an_error_after_the_scans_before_it() {
+    let mut stream = encoded(small_scans(12), Settings::exact().group_of_pictures(4));
+    let middle = stream.len() / 2;
+    stream[middle] ^= 1;
+    let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap();
+    let scans: Vec<_> = decoder.scans(..).collect();
+    let (last, before) = scans.split_last().unwrap();
+    assert!(before.len() >= 4 && before.iter().all(Result::is_ok));
+    assert!(matches!(last, Err(Error::Corrupt { .. })), "{last:?}");
+}
+
+/// An output that takes so many bytes.
+struct Full(usize);
+
+impl Write for Full {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0 = self.0.checked_sub(bytes.len()).ok_or(io::ErrorKind::StorageFull)?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn an_encoder_that_failed_stays_failed() {
+    let mut encoder = Encoder::new(Full(60), Settings::exact().group_of_pictures(1).threads(1)).unwrap();
+    let failures = small_scans(20).into_iter().filter_map(|scan| encoder.push(scan).err());
+    let failures: Vec<Error> = failures.collect();
+    assert!(matches!(failures[0], Error::Io(_)) && failures.len() > 1);
+    assert!(failures[1..].iter().all(|error| matches!(error, Error::Usage(_))));
+    assert!(encoder.finish().is_err());
+}
