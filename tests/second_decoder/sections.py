@@ -70,26 +70,6 @@ class ByteModel:
         return bytes(out)
 
 
-class Columns:
-    """8.2."""
-
-    def __init__(self):
-        self.bits = adaptive(4 * 32 * 4)
-
-    def code(self, bits, ticks):
-        columns = []
-        gap = run = last_gap = 0
-        for tick in range(ticks):
-            if self.bits[(min(gap, 3) * 32 + run) * 4 + min(last_gap, 3)].code(bits):
-                columns.append(tick)
-                run = min(run + 1, 31) if gap else 0
-                last_gap = gap
-                gap = 0
-            else:
-                gap += 1
-        return columns
-
-
 class Occupancy:
     """8.3."""
 
@@ -399,7 +379,7 @@ class OffGrid:
         self.last = 0
 
     def is_next(self, bits, scale):
-        return scale.per_unit == 0 or scale.exceptions and self.exception.code(bits)
+        return scale.exceptions and self.exception.code(bits)
 
     def code(self, bits):
         self.last = self.last + unzigzag(self.model.code(bits)) & 0xFFFFFFFF
@@ -416,11 +396,9 @@ class Intensity:
         self.reference_weights = [floats([0.45] * 3) for _ in range(512)]
         self.rate = f32(f32(0.005) / 65536)
 
-    def code(self, bits, image, strays, reference):
-        scale = Scale(bits.plain)
-        if scale.per_unit:
-            for view in self.views:
-                view.extend(new_counters(max((1 << (13 + scale.bits)) - len(view), 0)))
+    def code(self, bits, scale, image, strays, reference):
+        for view in self.views:
+            view.extend(new_counters(max((1 << (13 + scale.bits)) - len(view), 0)))
 
         def begin(columns, n):
             pass
@@ -478,9 +456,7 @@ class DeepIntensity:
         self.hashed = [HashedCounters(8) for _ in range(14)]
         self.mixer = LayeredMixer([1024, 9216], [0.15] * 16, 0.0045, 0.0005, 18, [512, 144])
 
-    def code(self, bits, image, strays, reference):
-        scale = Scale(bits.plain)
-
+    def code(self, bits, scale, image, strays, reference):
         def begin(columns, n):
             self.above = floats([4.0] * columns)
             b = clamp(ilog2(max(n, 1)), 8, 16)
