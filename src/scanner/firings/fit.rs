@@ -50,36 +50,34 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     let scan = sample.iter().max_by_key(|scan| scan.cloud.positions.len())?;
     let range_step_um = range_step(&scan.cloud.positions)?;
     let points: Vec<Point> = scan.cloud.positions.iter().filter_map(Point::new).collect();
-    let elevations = elevations(&points)?;
-    let falling: Vec<f64> = elevations.iter().map(|(median, _)| *median).collect();
-    let rows: Vec<Option<u32>> = points
-        .iter()
-        .map(|point| {
-            let row = nearest(&falling, point.elevation);
-            ((falling[row] - point.elevation).abs() < ON_CONE).then_some(row as u32)
-        })
-        .collect();
-    let of_rows = by_rows(&points, &rows, falling.len());
-    let recipes = Recipe::ALL.into_par_iter().filter_map(|recipe| {
-        let ticks = ticks(recipe, &of_rows)?;
-        let any = Firings::new(recipe, (ticks, range_step_um), Timing::default(), Vec::new(), Vec::new());
-        let found: Vec<(Laser, usize, usize)> =
-            falling.iter().zip(&of_rows).map(|(elevation, points)| laser(&any, *elevation, points)).collect();
-        let (exact, tried) =
-            found.iter().fold((0, 0), |sum, (_, exact, tried)| (sum.0 + exact, sum.1 + tried));
-        let lasers = found.into_iter().map(|(laser, _, _)| laser).collect::<Vec<_>>();
-        Some((exact as f64 / tried.max(1) as f64, recipe, ticks, lasers))
+    let elevations = completed(elevations(&points)?);
+    let row = |point: &Point| {
+        let row = nearest(&elevations, point.elevation);
+        ((elevations[row] - point.elevation).abs() < ON_CONE).then_some(row)
+    };
+    let rows: Vec<Option<usize>> = points.iter().map(row).collect();
+    let of_rows = by_rows(&points, &rows, elevations.len());
+    let ticks = ticks(&of_rows)?;
+    let phases: Vec<f64> =
+        of_rows.iter().map(|points| phase(points.iter().map(|point| in_ticks(point, ticks))).0).collect();
+    let sequence = points.iter().zip(&rows).filter_map(|(point, row)| {
+        let tick = round_ties_even(in_ticks(point, ticks) - phases[(*row)?]) as i64;
+        Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
     });
-    let recipes: Vec<_> = recipes.collect();
+    let sequence: Vec<(usize, u32)> = sequence.collect();
+    let Order { mut rows_of_slots, shifts, timing } = order(&sequence, elevations.len(), ticks)?;
+    if timing == Timing::VLP_16 && elevations.len() == VLP_16.len() {
+        let row = |degrees: i32| nearest(&elevations, f64::from(degrees).to_radians()) as u32;
+        rows_of_slots = VLP_16.map(row).to_vec();
+    }
+    let offsets: Vec<f64> =
+        phases.iter().zip(&shifts).map(|(phase, shift)| (phase + shift) * 360.0 / f64::from(ticks)).collect();
+    let constants = Constants { elevations, offsets, of_rows };
+    let recipes: Vec<_> =
+        Recipe::ALL.into_par_iter().map(|recipe| constants.rounded(recipe, (ticks, range_step_um))).collect();
     // The first of equals.
-    let (_, recipe, ticks, lasers) = recipes.into_iter().rev().max_by(|a, b| a.0.total_cmp(&b.0))?;
-    let identity = (0..lasers.len() as u32).collect();
-    let scanner = Firings::new(recipe, (ticks, range_step_um), Timing::default(), lasers.clone(), identity);
-    let places = scanner.places(&scan.cloud.positions, REACH + 0.5 * scanner.range_step_m());
-    let sequence: Vec<(u32, u32)> = places.iter().map(|place| (place.row, place.tick)).collect();
-    let (slots, spread) = slots(&sequence, lasers.len(), ticks)?;
-    let timing = if spread > 2.0 { Timing::VLP_16 } else { Timing::default() };
-    let scanner = Firings::new(recipe, (ticks, range_step_um), timing, lasers, slots);
+    let (_, recipe, lasers) = recipes.into_iter().rev().max_by_key(|(exact, _, _)| *exact)?;
+    let scanner = Firings::new(recipe, (ticks, range_step_um), timing, lasers, rows_of_slots);
     let projection = scanner.project(&scan.cloud, REACH);
     let share = projection.image.returns() as f64 / points.len().max(1) as f64;
     (share >= LEAST_SHARE).then_some((scanner, share))
@@ -122,9 +120,8 @@ fn phase(values: impl Iterator<Item = f64>) -> (f64, f64) {
 /// Radians: the points of a laser lie this near to its cone.
 const ON_CONE: f64 = 1e-4;
 
-/// The elevations of the lasers, from the highest to the lowest, with the number of their points: the narrow heaps of
-/// the points' elevations. None if most points lie in none.
-fn elevations(points: &[Point]) -> Option<Vec<(f64, usize)>> {
+/// The elevations of the lasers, from the highest to the lowest: the narrow heaps of the points' elevations. None if most points lie in none.
+fn elevations(points: &[Point]) -> Option<Vec<f64>> {
     /// Radians between the heaps of two lasers.
     const GAP: f64 = 6e-5;
     /// Metres: elevations of nearer points are not sharp.
@@ -138,19 +135,31 @@ fn elevations(points: &[Point]) -> Option<Vec<(f64, usize)>> {
     let fewest = (all.len() / 2000).max(8);
     let heaps = all.chunk_by(|a, b| a - b < GAP);
     let narrow = heaps.filter(|heap| heap.len() >= fewest && heap[0] - heap[heap.len() - 1] < 2.0 * ON_CONE);
-    let found: Vec<(f64, usize)> = narrow.map(|heap| (heap[heap.len() / 2], heap.len())).collect();
-    let inside: usize = found.iter().map(|(_, count)| count).sum();
+    let found: Vec<&[f64]> = narrow.collect();
+    let inside: usize = found.iter().map(|heap| heap.len()).sum();
     let is_scanner = (FEWEST_LASERS..=MOST_LASERS).contains(&found.len())
         && inside as f64 >= LEAST_SHARE * all.len() as f64;
-    is_scanner.then_some(found)
+    is_scanner.then(|| found.iter().map(|heap| heap[heap.len() / 2]).collect())
 }
 
+/// The elevations of a VLP-16, if those that were found are some of them: which lasers are missing matters, for azimuths
+/// go on while they fire.
+fn completed(elevations: Vec<f64>) -> Vec<f64> {
+    let mut all = VLP_16.map(|degrees| f64::from(degrees).to_radians());
+    all.sort_unstable_by(|a, b| b.total_cmp(a));
+    let is_known = |found: &f64| all.iter().any(|known| (known - found).abs() < ON_CONE);
+    if elevations.iter().all(is_known) { all.to_vec() } else { elevations }
+}
+
+/// The elevations of Velodyne's VLP-16 in degrees, in the order in which its lasers fire.
+const VLP_16: [i32; 16] = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15];
+
 /// Some points of each row, the far ones where there are enough.
-fn by_rows(points: &[Point], rows: &[Option<u32>], count: usize) -> Vec<Vec<Point>> {
+fn by_rows(points: &[Point], rows: &[Option<usize>], count: usize) -> Vec<Vec<Point>> {
     let mut of_rows = vec![Vec::new(); count];
     for (point, row) in points.iter().zip(rows) {
         if let Some(row) = row {
-            of_rows[*row as usize].push(*point);
+            of_rows[*row].push(*point);
         }
     }
     for row in &mut of_rows {
@@ -163,10 +172,10 @@ fn by_rows(points: &[Point], rows: &[Option<u32>], count: usize) -> Vec<Vec<Poin
 }
 
 /// The ticks a turn on which the azimuths of most rows lie, each with a phase of its own.
-fn ticks(recipe: Recipe, of_rows: &[Vec<Point>]) -> Option<u32> {
+fn ticks(of_rows: &[Vec<Point>]) -> Option<u32> {
     let coherence = |ticks: u32| {
         let of_row = |points: &Vec<Point>| {
-            let (_, strength) = phase(points.iter().map(|point| in_ticks(recipe, point, ticks)));
+            let (_, strength) = phase(points.iter().map(|point| in_ticks(point, ticks)));
             (strength * points.len() as f64, points.len() as f64)
         };
         let (sum, count) = of_rows.iter().map(of_row).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
@@ -175,16 +184,60 @@ fn ticks(recipe: Recipe, of_rows: &[Vec<Point>]) -> Option<u32> {
     TICKS.into_iter().find(|&ticks| coherence(ticks) > COHERENT)
 }
 
-fn in_ticks(recipe: Recipe, point: &Point, ticks: u32) -> f64 {
+/// The azimuth of a point, clockwise from ahead. Where y is ahead all ticks are a quarter of a turn further, which is a
+/// whole number.
+fn in_ticks(point: &Point, ticks: u32) -> f64 {
     let [x, y, _] = point.position;
-    recipe.azimuth(x, y) / TAU * f64::from(ticks)
+    libm::atan2(-y, x) / TAU * f64::from(ticks)
 }
 
-/// The constants of a laser, how many of its points they give to the last bit, and of how many.
-fn laser(any: &Firings, elevation: f64, points: &[Point]) -> (Laser, usize, usize) {
-    let (recipe, ticks) = (any.recipe, any.ticks);
-    let (offset, _) = phase(points.iter().map(|point| in_ticks(recipe, point, ticks)));
-    let degrees = [elevation.to_degrees(), offset * 360.0 / f64::from(ticks)];
+/// What is known of the lasers before it is rounded as their maker wrote it.
+struct Constants {
+    /// Radians, falling.
+    elevations: Vec<f64>,
+    /// Azimuth offsets in degrees, but for whole ticks that all have in common.
+    offsets: Vec<f64>,
+    /// Some points of each.
+    of_rows: Vec<Vec<Point>>,
+}
+
+impl Constants {
+    /// The lasers with constants by which a recipe gives the most points to the last bit, and how many.
+    fn rounded(&self, recipe: Recipe, (ticks, range_step_um): (u32, u32)) -> (usize, Recipe, Vec<Laser>) {
+        /// Whole ticks by which all offsets may be off.
+        const COMMON: i32 = 4;
+        let any = Firings::new(recipe, (ticks, range_step_um), Timing::default(), Vec::new(), Vec::new());
+        let tick = 360.0 / f64::from(ticks);
+        let mean = self.offsets.iter().sum::<f64>() / self.offsets.len().max(1) as f64;
+        let middle = round_ties_even(-mean / tick);
+        // Only where a tick is no whole number of thousandths of a degree it matters.
+        let is_whole = 360_000 % ticks == 0;
+        let common = if is_whole { 0..=0 } else { -COMMON..=COMMON };
+        let lasers = |common: i32| {
+            let offset = (middle + f64::from(common)) * tick;
+            let pairs = self.elevations.iter().zip(&self.offsets).zip(&self.of_rows);
+            let found = pairs.map(|((elevation, azimuth), points)| {
+                laser(&any, [elevation.to_degrees(), azimuth + offset], points)
+            });
+            let (lasers, exact): (Vec<Laser>, Vec<usize>) = found.unzip();
+            (exact.into_iter().sum::<usize>(), recipe, lasers)
+        };
+        let in_thousandths = |lasers: &[Laser]| {
+            let thousandth = (1e-3 / ANGLE_UNIT) as i64;
+            lasers.iter().filter(|laser| laser.azimuth % thousandth == 0).count()
+        };
+        // The nearest to the middle of equals.
+        let mut common: Vec<i32> = common.collect();
+        common.sort_by_key(|common| -common.abs());
+        let found = common.into_iter().map(lasers);
+        let best = found.max_by_key(|(exact, _, lasers)| (*exact, in_thousandths(lasers)));
+        best.unwrap_or((0, recipe, Vec::new()))
+    }
+}
+
+/// The constants of a laser, given its elevation and azimuth offset in degrees, and how many of its points they give to
+/// the last bit.
+fn laser(any: &Firings, degrees: [f64; 2], points: &[Point]) -> (Laser, usize) {
     let exact = |laser: &Laser| {
         let scanner = any.of_laser(*laser);
         let is_exact = |point: &&Point| {
@@ -205,73 +258,124 @@ fn laser(any: &Firings, elevation: f64, points: &[Point]) -> (Laser, usize, usiz
         }
     };
     let azimuths = roundings(degrees[1]);
-    let rounded = roundings(degrees[0]);
-    let pairs =
-        rounded.flat_map(|elevation| azimuths.clone().map(move |azimuth| Laser { elevation, azimuth }));
+    let pairs = roundings(degrees[0])
+        .flat_map(|elevation| azimuths.clone().map(move |azimuth| Laser { elevation, azimuth }));
     try_all(&mut best, &mut pairs.clone());
     if best.is_some_and(|(_, count)| count < points.len()) {
         let (around, _) = best.unwrap_or_default();
-        let step = recipe.elevation_step(around.elevation_degrees());
+        let step = any.recipe.elevation_step(around.elevation_degrees());
         let near = (-NEIGHBOURS..=NEIGHBOURS).map(|steps| {
             let elevation = around.elevation + (f64::from(steps) * step / ANGLE_UNIT).round() as i64;
             Laser { elevation, ..around }
         });
         try_all(&mut best, &mut near.clone());
     }
-    let (laser, count) = best.unwrap_or_default();
-    (laser, count, points.len())
+    best.unwrap_or_default()
 }
 
 /// Steps to either side in which the constant of a program is looked for that wrote it with fewer digits.
 const NEIGHBOURS: i32 = 4;
 
-/// An angle in degrees as its maker may have written it, in units: with three, two, one or no digits, and as it is.
+/// An angle in degrees as its maker may have written it, in units: with three digits, with two, and as it is.
 fn roundings(degrees: f64) -> impl Iterator<Item = i64> + Clone {
     let units = 1.0 / ANGLE_UNIT;
     let rounded = move |digits: f64| (round_ties_even(degrees * digits) * (units / digits)).round() as i64;
     [rounded(1000.0), rounded(100.0), rounded(units)].into_iter()
 }
 
-/// The row of each slot, from who follows whom in a file, and how many ticks pass from the first slot to the last.
-/// None if the points are not in the order of firings.
-fn slots(sequence: &[(u32, u32)], rows: usize, ticks: u32) -> Option<(Vec<u32>, f64)> {
+/// The order in which lasers fire.
+struct Order {
+    rows_of_slots: Vec<u32>,
+    /// Whole ticks that each row is ahead.
+    shifts: Vec<f64>,
+    timing: Timing,
+}
+
+/// Finds the order of the lasers from rows and ticks in the order of a file. None if they are not in the order of
+/// firings.
+fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Order> {
+    /// The part of the steps from a slot to the next that are the same if all of a firing have one azimuth.
+    const STEADY: f64 = 0.8;
+    /// Ticks from the first slot to the last from which on azimuths go on inside a firing.
+    const GOING_ON: f64 = 2.0;
+    let mut order = cycle(sequence, rows)?;
+    let mut slots = vec![0; rows];
+    order.iter().enumerate().for_each(|(slot, &row)| slots[row] = slot);
     let turned = |from: u32, to: u32| {
         let turn = i64::from(ticks);
-        ((i64::from(to) - i64::from(from) + turn / 2).rem_euclid(turn) - turn / 2) as f64
+        (i64::from(to) - i64::from(from) + turn / 2).rem_euclid(turn) - turn / 2
     };
-    let mut follows = vec![(0u32, 0.0f64); rows * rows];
+    // The steps from each slot to the next one, the last followed by the first.
+    let mut steps: Vec<Vec<i64>> = vec![Vec::new(); rows];
     for pair in sequence.windows(2) {
         let [(from, before), (to, after)] = [pair[0], pair[1]];
-        let turned = turned(before, after);
-        let entry = &mut follows[from as usize * rows + to as usize];
-        entry.0 += 1;
-        // A jump in the file is no step.
-        entry.1 += if turned.abs() < f64::from(ticks) / 100.0 { turned } else { 0.0 };
+        if (slots[from] + 1) % rows == slots[to] {
+            steps[slots[from]].push(turned(before, after));
+        }
     }
-    let again: u32 = (0..rows).map(|row| follows[row * rows + row].0).sum();
-    if again as usize * 2 > sequence.len() {
+    // The most frequent step, and its part of all.
+    let mode = |steps: &mut Vec<i64>| {
+        steps.sort_unstable();
+        let most = steps.chunk_by(|a, b| a == b).max_by_key(|same| same.len());
+        most.map_or((0, 1.0), |same| (same[0], same.len() as f64 / steps.len() as f64))
+    };
+    let modes: Vec<(i64, f64)> = steps.iter_mut().map(mode).collect();
+    let mean = |slot: usize| steps[slot].iter().sum::<i64>() as f64 / steps[slot].len().max(1) as f64;
+    let unsteady = modes.iter().filter(|(_, share)| *share < STEADY).count();
+    if unsteady <= 1 + rows / 16 {
+        // One azimuth a firing: its end is where the steps differ most, or else, if the scanner turns by the same from
+        // firing to firing, where it goes back from one end of the rows to the other.
+        let worst = (0..rows).min_by(|&a, &b| modes[a].1.total_cmp(&modes[b].1)).unwrap_or(0);
+        let jump = |slot: &usize| order[*slot].abs_diff(order[(*slot + 1) % rows]);
+        let longest = (0..rows).rev().max_by_key(jump).unwrap_or(0);
+        let start = (if modes[worst].1 < STEADY { worst } else { longest } + 1) % rows;
+        let (mut shifts, mut shift) = (vec![0.0; rows], 0);
+        for slot in 0..rows {
+            let place = (start + slot) % rows;
+            shifts[order[place]] = shift as f64;
+            shift += modes[place].0;
+        }
+        order.rotate_left(start);
+        let rows_of_slots = order.into_iter().map(|row| row as u32).collect();
+        return Some(Order { rows_of_slots, shifts, timing: Timing::default() });
+    }
+    // Azimuths that go on: the longest step is the one to the next firing.
+    let last = (0..rows).max_by(|&a, &b| mean(a).abs().total_cmp(&mean(b).abs()))?;
+    let spread: f64 = (0..rows).filter(|slot| *slot != last).map(mean).sum();
+    order.rotate_left((last + 1) % rows);
+    let timing = if spread.abs() > GOING_ON { Timing::VLP_16 } else { Timing::default() };
+    let rows_of_slots = order.into_iter().map(|row| row as u32).collect();
+    Some(Order { rows_of_slots, shifts: vec![0.0; rows], timing })
+}
+
+/// The rows in the order in which they follow one another, round and round, beginning anywhere. None if they do not.
+fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
+    /// Rounds that tell enough.
+    const ROUNDS: usize = 500;
+    let mut counts = vec![0u32; rows];
+    sequence.iter().for_each(|(row, _)| counts[*row] += 1);
+    let again = sequence.windows(2).filter(|pair| pair[0].0 == pair[1].0).count();
+    if again * 2 > sequence.len() {
         return None;
     }
-    let count = |from: usize, to: usize| follows[from * rows + to].0;
-    let of_row = |row: usize| (0..rows).map(|to| count(row, to)).sum::<u32>();
-    let start = (0..rows).rev().max_by_key(|&row| of_row(row))?;
-    let mut order = vec![start];
-    let mut is_free = vec![true; rows];
-    is_free[start] = false;
-    while order.len() < rows {
-        let last = order[order.len() - 1];
-        let next = (0..rows).rev().filter(|&row| is_free[row]).max_by_key(|&row| count(last, row))?;
-        is_free[next] = false;
-        order.push(next);
-    }
-    // The firing begins after the longest step.
-    let mean = |from: usize, to: usize| {
-        let (count, sum) = follows[from * rows + to];
-        if count == 0 { 0.0 } else { sum / f64::from(count) }
+    // Rounds begin with the row that is seen most.
+    let first = (0..rows).rev().max_by_key(|&row| counts[row])?;
+    let rounds = sequence.chunk_by(|_, next| next.0 != first);
+    let is_single = |round: &&[(usize, u32)]| {
+        let mut seen = vec![false; rows];
+        round.len() > 1 && round.iter().all(|(row, _)| !std::mem::replace(&mut seen[*row], true))
     };
-    let step = |slot: usize| mean(order[slot], order[(slot + 1) % rows]).abs();
-    let last = (0..rows).rev().max_by(|&a, &b| step(a).total_cmp(&step(b)))?;
-    order.rotate_left((last + 1) % rows);
-    let spread: f64 = order.windows(2).map(|pair| mean(pair[0], pair[1])).sum();
-    Some((order.into_iter().map(|row| row as u32).collect(), spread.abs()))
+    let rounds: Vec<_> = rounds.filter(is_single).collect();
+    let mut before = vec![0u32; rows * rows];
+    for round in rounds.iter().step_by((rounds.len() / ROUNDS).max(1)) {
+        for (place, (row, _)) in round.iter().enumerate() {
+            round[place + 1..].iter().for_each(|(later, _)| before[row * rows + later] += 1);
+        }
+    }
+    let precedes = |a: usize, b: usize| before[a * rows + b] > before[b * rows + a];
+    let mut order: Vec<usize> = (0..rows).collect();
+    order.sort_by_cached_key(|&row| {
+        (row != first, rows - (0..rows).filter(|&other| precedes(row, other)).count())
+    });
+    Some(order)
 }

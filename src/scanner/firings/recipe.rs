@@ -14,8 +14,10 @@ pub enum Recipe {
     VelodyneRos = 0,
     /// Double precision, rounded once; y ahead, azimuth clockwise: PCL's grabber, VeloView, Hesai's driver.
     DoubleYAhead = 1,
-    /// Double precision, rounded once; x ahead, azimuth clockwise: Ouster.
+    /// Double precision, rounded once; x ahead, azimuth clockwise.
     DoubleXAhead = 2,
+    /// The same with ranges in single precision: Ouster.
+    SingleRangeXAhead = 3,
 }
 
 /// Axes of the coordinates.
@@ -27,7 +29,8 @@ pub(super) enum Axes {
 
 impl Recipe {
     /// Every recipe, in the order in which the fit tries them.
-    pub const ALL: [Recipe; 3] = [Recipe::VelodyneRos, Recipe::DoubleYAhead, Recipe::DoubleXAhead];
+    pub const ALL: [Recipe; 4] =
+        [Recipe::VelodyneRos, Recipe::DoubleYAhead, Recipe::DoubleXAhead, Recipe::SingleRangeXAhead];
 
     /// The recipe of this number in the stream.
     pub fn of_number(number: u32) -> Option<Self> {
@@ -36,7 +39,7 @@ impl Recipe {
 
     fn axes(self) -> Axes {
         match self {
-            Recipe::VelodyneRos | Recipe::DoubleXAhead => Axes::XAhead,
+            Recipe::VelodyneRos | Recipe::DoubleXAhead | Recipe::SingleRangeXAhead => Axes::XAhead,
             Recipe::DoubleYAhead => Axes::YAhead,
         }
     }
@@ -48,7 +51,7 @@ impl Recipe {
                 let single = radians(degrees.abs()) as f32;
                 f64::from(single.next_up() - single).to_degrees()
             }
-            Recipe::DoubleYAhead | Recipe::DoubleXAhead => 1e-7,
+            _ => 1e-7,
         }
     }
 
@@ -86,7 +89,7 @@ impl Turn {
                 };
                 Turn::Single((0..ticks).map(entry).collect())
             }
-            Recipe::DoubleYAhead | Recipe::DoubleXAhead => Turn::Double(tick),
+            _ => Turn::Double(tick),
         }
     }
 }
@@ -97,7 +100,7 @@ pub(super) enum Arithmetic {
     /// Cosine and sine of the elevation, and of the azimuth offset if there is one.
     Single { cos_v: f32, sin_v: f32, offset: Option<[f32; 2]> },
     /// The same in double precision; the azimuth offset in degrees.
-    Double { cos_v: f64, sin_v: f64, offset: f64, axes: Axes },
+    Double { cos_v: f64, sin_v: f64, offset: f64, axes: Axes, single_range: bool },
 }
 
 impl Arithmetic {
@@ -115,7 +118,8 @@ impl Arithmetic {
                         .then(|| [libm::cos(offset) as f32, libm::sin(offset) as f32]),
                 }
             }
-            Recipe::DoubleYAhead | Recipe::DoubleXAhead => Arithmetic::Double {
+            _ => Arithmetic::Double {
+                single_range: recipe == Recipe::SingleRangeXAhead,
                 cos_v: libm::cos(elevation),
                 sin_v: libm::sin(elevation),
                 offset: laser.azimuth_degrees(),
@@ -129,7 +133,14 @@ impl Arithmetic {
         let step = f64::from(range_step_um) * 1e-6;
         match self {
             Arithmetic::Single { .. } => self.single(turn, tick, steps as f32 * step as f32),
-            Arithmetic::Double { .. } => self.double(turn, tick, f64::from(steps) * step).map(|v| v as f32),
+            Arithmetic::Double { single_range, .. } => {
+                let metres = if *single_range {
+                    f64::from(steps as f32 * step as f32)
+                } else {
+                    f64::from(steps) * step
+                };
+                self.double(turn, tick, metres).map(|v| v as f32)
+            }
         }
     }
 
@@ -154,7 +165,8 @@ impl Arithmetic {
     }
 
     fn double(&self, turn: &Turn, tick: u32, metres: f64) -> [f64; 3] {
-        let (Arithmetic::Double { cos_v, sin_v, offset, axes }, Turn::Double(degrees)) = (self, turn) else {
+        let (Arithmetic::Double { cos_v, sin_v, offset, axes, .. }, Turn::Double(degrees)) = (self, turn)
+        else {
             return [0.0; 3];
         };
         let angle = radians(f64::from(tick) * degrees + offset);
