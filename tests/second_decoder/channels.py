@@ -3,7 +3,7 @@
 from array import array
 
 from back_ends import unpacked
-from entropy import AdaptiveBit, IntegerModel, M64, adaptive, integers, unzigzag, wrap
+from entropy import M64, AdaptiveBit, IntegerModel, unzigzag, wrap
 from errors import Refused
 from layout import F32, SIZES
 from models import MixedBits, f32, floats
@@ -32,7 +32,7 @@ class Beside:
 class Channels:
     def __init__(self):
         self.columns = []
-        self.bytes = {}
+        self.bytes = ByteModel(12)
 
     def code(self, bits, fields, records, beside):
         """The bytes of each of these fields."""
@@ -41,21 +41,23 @@ class Channels:
         found = [None] * len(fields)
         for n in sorted(range(len(fields)), key=lambda n: fields[n].size):
             field = fields[n]
-            count = field.count if field.count <= 8 else 0
+            count = field.count
+            if count > 8 or first + count > 64:
+                count = 0
             self.columns += [Column() for _ in range(first + count - len(self.columns))]
             models = self.columns[first : first + count]
             first += count
-            found[n] = self.channel(bits, field, records, sources, models, self.bytes.setdefault(n, ByteModel()))
+            found[n] = self.channel(bits, field, records, sources, models)
             if field.count == 1:
                 sources.channels[n] = field.kind, found[n]
         return found
 
-    def channel(self, bits, field, records, sources, models, byte_model):
+    def channel(self, bits, field, records, sources, models):
         shape = bits.plain(8)
         if shape == CONSTANT:
             return bytes(bits.plain(8) for _ in range(field.width)) * records
         if shape == BYTES:
-            return byte_model.code(bits, records * field.width, field.width)
+            return self.bytes.code(bits, records * field.width, field.width)
         if shape == PACKED:
             return packed(bits, field.kind, field.width, records)
         if shape != COLUMNS or not models:

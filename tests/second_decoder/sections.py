@@ -35,13 +35,14 @@ from scanner import FLOAT32, MILLIMETRE, Grid, bits_of_float, float_of_bits
 class ByteModel:
     """8.1."""
 
-    def __init__(self):
+    def __init__(self, most_slot_bits=14):
         self.slot_bits = 0
+        self.most_slot_bits = most_slot_bits
 
     def code(self, bits, n, stride=1):
         if n == 0:
             return b""
-        wanted = clamp(ilog2(n) + 2, 6, 14)
+        wanted = clamp(ilog2(n) + 2, 6, self.most_slot_bits)
         if wanted > self.slot_bits:
             self.slot_bits = wanted
             self.mixed = MixedBits([1 << (8 + wanted)] * 5, 256, 0.3, 0.0, 0.004)

@@ -23,7 +23,6 @@ def double_of_bits(v):
     return struct.unpack("<d", v.to_bytes(8, "little"))[0]
 
 
-
 def place(kind, value):
     """The place of a value among all of its type."""
     bits = 8 * SIZES[kind]
