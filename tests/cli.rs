@@ -920,6 +920,49 @@ fn what_cannot_be_converted_is_named() {
 }
 
 #[test]
+fn named_fields_keep_their_names_and_types() {
+    let bench = Bench::new();
+    let record = |n: u32| {
+        let point = [n as f32, 7.0, -1.0].map(f32::to_le_bytes).concat();
+        [&point[..], &[n as u8], &(n as u16 % 16).to_le_bytes(), &f64::from(n).to_le_bytes(), &[9; 4]]
+            .concat()
+    };
+    let bytes: Vec<u8> = (0..200).flat_map(record).collect();
+    bench.write_files("seq", &Files::from([("1.bin".to_owned(), bytes.clone())]));
+    bench.ok("encode seq -o out.lpc --layout x,y,z,intensity:u8,ring:u16,time:f64,_:u8*4 --verify");
+    bench.ok("verify out.lpc --against seq");
+    bench.ok("decode out.lpc -o pcd --format pcd");
+    let pcd = &bench.files("pcd")["1.pcd"];
+    let header = "FIELDS x y z intensity ring time\nSIZE 4 4 4 1 2 8\nTYPE F F F U U F\n";
+    assert!(String::from_utf8_lossy(pcd).contains(header));
+    let body: Vec<u8> = bytes.chunks(27).flat_map(|record| record[..23].to_vec()).collect();
+    assert!(pcd.ends_with(&body));
+    bench.ok("decode out.lpc -o ply --format ply");
+    let ply = String::from_utf8_lossy(&bench.files("ply")["1.ply"]).into_owned();
+    let properties = "property uchar intensity\nproperty ushort ring\nproperty double time\nend_header\n";
+    assert!(ply.contains(properties), "{ply}");
+}
+
+#[test]
+fn files_that_are_named_must_hold_scans() {
+    let bench = Bench::new();
+    let files = ["a.npy", "a.mcap", "a.png", "a.lpc", "bad.pcd", "bad.ply"];
+    let bytes: Vec<u8> = (0..2000u32).flat_map(|n| (n % 1000).to_le_bytes()).collect();
+    bench.write_files("odd", &files.iter().map(|name| (name.to_string(), bytes.clone())).collect());
+    for name in files {
+        let error = bench.fails(&format!("encode odd/{name} -o out.lpc"), &format!("odd/{name}"));
+        assert!(error.contains("--force-bytes"), "{error}");
+        assert!(!bench.path("out.lpc").exists());
+        bench.ok(&format!("encode odd/{name} -o {name}.lpc --force-bytes --verify"));
+        bench.ok(&format!("decode {name}.lpc -o back"));
+        assert_eq!(bench.files("back")[name], bytes);
+    }
+    // A folder's are told by their names alone.
+    bench.ok("encode odd -o folder.lpc");
+    assert_eq!(bench.json("info folder.lpc --json")["frames"].as_array().map(Vec::len), Some(2));
+}
+
+#[test]
 fn records_are_what_the_layout_says() {
     let bench = Bench::new();
     let record = |n: u32| [n as f32, 7.0, -1.0, 0.5 * n as f32, 3.25, n as f32 + 0.125].map(f32::to_le_bytes);

@@ -35,6 +35,7 @@ fn streams_of_all_sections() -> Vec<Vec<u8>> {
         ("0.bin".into(), kitti(&frames[0])),
         ("1.bin".into(), kitti(&odd)),
         ("2.pcd".into(), pcd_extra(&frames[1])),
+        ("3.txt".into(), b"no scan".repeat(20)),
         ("3.bin".into(), kitti(&compensated(&frames[0], [0.0, 0.001, 0.02], [-0.8, 0.0, 0.01]))),
     ];
     let paper = EncoderConfig {

@@ -13,7 +13,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use common::formats::{
-    kitti, nuscenes, pcd_extra, pcd_ros, pcd_text, pcd_xyz, ply, ply_big_endian, ply_text,
+    kitti, nuscenes, pcd_extra, pcd_text, pcd_velodyne, pcd_xyz, ply, ply_big_endian, ply_text,
 };
 use common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
 use common::streams::{at_level, with_back_end};
@@ -259,7 +259,7 @@ fn firing_files() -> Vec<File> {
     frames[1].splice(100..100, random_points(10, 1));
     frames[1].swap(300, 500);
     let frames = frames.iter().enumerate();
-    frames.map(|(number, points)| (format!("{number}.pcd"), pcd_ros(points))).collect()
+    frames.map(|(number, points)| (format!("{number}.pcd"), pcd_velodyne(points))).collect()
 }
 
 /// A scanner whose coordinates were not rounded to the millimetre.

@@ -9,7 +9,7 @@ mod common;
 use std::collections::BTreeMap;
 use std::fs;
 
-use common::formats::{kitti, pcd_ros};
+use common::formats::{kitti, pcd_velodyne};
 use common::streams::at_level;
 use common::{File, encode_files, first_files, in_package, real_folders, take_apart};
 use lidarpc::scanner::Scanner;
@@ -28,7 +28,7 @@ fn inputs() -> Vec<(String, Vec<File>)> {
     let mut inputs = vec![
         ("drive".to_owned(), first_files(&in_package("testdata/drive"), 3)),
         ("vlp16-bin".to_owned(), named("bin", kitti)),
-        ("vlp16-pcd".to_owned(), named("pcd", pcd_ros)),
+        ("vlp16-pcd".to_owned(), named("pcd", pcd_velodyne)),
     ];
     for folder in real_folders() {
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();

@@ -7,31 +7,31 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
 use crate::scan::PointCloud;
 
-/// Drops points that have few others near them.
+/// Drops points with few other points near them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RadiusOutlier {
     /// n: a point with fewer neighbours is an outlier.
     pub neighbours: usize,
-    /// d: how far a neighbour is at most, in metres.
+    /// d: the greatest distance of a neighbour, in metres.
     pub radius_m: f64,
 }
 
 impl Default for RadiusOutlier {
-    /// The article's 2 neighbours within 0.38 m, the distance of two columns at 120 m.
+    /// The article's 2 neighbours within 0.38 m, which is the distance between two columns at 120 m.
     fn default() -> Self {
         RadiusOutlier { neighbours: 2, radius_m: 0.38 }
     }
 }
 
 impl RadiusOutlier {
-    /// The points that stay, in their order.
+    /// The points that remain, in the same order.
     pub fn filter(&self, cloud: &PointCloud) -> PointCloud {
         let kept = (0..).zip(self.keeps(&cloud.positions)).filter(|(_, kept)| *kept);
         cloud.select(&kept.map(|(point, _)| point).collect::<Vec<u32>>())
     }
 
-    /// For each point, whether at least n others are near. Points with a coordinate that is NaN or
-    /// infinite have no neighbours, and are none; they never stay.
+    /// For each point, whether at least n others are near. Points with a NaN or infinite coordinate neither
+    /// have neighbours nor count as such, and are always dropped.
     pub fn keeps(&self, positions: &[[f32; 3]]) -> Vec<bool> {
         let finite: Vec<[f32; 3]> = positions.iter().copied().filter(is_finite).collect();
         if self.neighbours >= finite.len() {
@@ -41,7 +41,7 @@ impl RadiusOutlier {
         let Ok(tree) = ImmutableKdTree::<f32, 3>::new_from_slice(&finite) else {
             return vec![false; positions.len()];
         };
-        // A point finds itself too.
+        // A search for neighbours finds the point itself, too.
         let wanted = NonZero::<usize>::MIN.saturating_add(self.neighbours);
         let squared = (self.radius_m * self.radius_m) as f32;
         let has_neighbours = |point: &[f32; 3]| {
@@ -52,18 +52,18 @@ impl RadiusOutlier {
     }
 }
 
-/// Counts of the points in cubes so small that all in one are near each other. Most points of a scan
-/// need no search: and a search among thousands of equal points, such as the (0, 0, 0) that some
-/// files hold for beams without a return, takes forever.
+/// Number of points in cubes so small that all points in one are neighbours. Most points of a scan then need
+/// no search; and a search among thousands of equal points, such as the (0, 0, 0) that some files hold for
+/// beams without a return, would take forever.
 struct Voxels {
-    /// Metres.
+    /// In metres.
     edge: f64,
     counts: HashMap<[i64; 3], usize>,
 }
 
 impl Voxels {
     fn of(points: &[[f32; 3]], radius_m: f64) -> Self {
-        // The diagonal is a thousandth shorter than the radius, more than rounding can make of it.
+        // The diagonal is a thousandth shorter than the radius, which is more than rounding can amount to.
         let mut voxels = Voxels { edge: radius_m * (0.999 / 3.0f64.sqrt()), counts: HashMap::new() };
         for voxel in points.iter().filter_map(|point| voxels.voxel(point)).collect::<Vec<_>>() {
             *voxels.counts.entry(voxel).or_default() += 1;
@@ -71,12 +71,12 @@ impl Voxels {
         voxels
     }
 
-    /// How many points are in a point's cube; 0 if it is in none.
+    /// Number of points in the cube of a point; 0 if it is in none.
     fn points_with(&self, point: &[f32; 3]) -> usize {
         self.voxel(point).and_then(|voxel| self.counts.get(&voxel)).copied().unwrap_or(0)
     }
 
-    /// None where numbers get too coarse to tell cubes apart.
+    /// `None` where numbers are too coarse to tell cubes apart.
     fn voxel(&self, point: &[f32; 3]) -> Option<[i64; 3]> {
         const MOST: f64 = (1u64 << 40) as f64;
         let places = point.map(|value| (f64::from(value) / self.edge).floor());
@@ -95,7 +95,7 @@ mod tests {
     use super::*;
     use crate::scan::{Channel, Field};
 
-    /// The definition.
+    /// The definition, implemented directly.
     fn slowly(filter: &RadiusOutlier, positions: &[[f32; 3]]) -> Vec<bool> {
         let squared = |a: &[f32; 3], b: &[f32; 3]| -> f32 { (0..3).map(|i| (a[i] - b[i]).powi(2)).sum() };
         let near = |a, b| squared(a, b) <= (filter.radius_m * filter.radius_m) as f32;

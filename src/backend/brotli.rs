@@ -5,12 +5,11 @@ use std::io::Write;
 use super::{Backend, Level, read_up_to};
 use crate::ground::error::Result;
 
-/// Levels 1 to 9 are Brotli's qualities 1, 3, 4, 5, 7, 9, 9, 10 and 11. The last two take seconds a
-/// frame.
+/// Levels 1 to 9 are Brotli's qualities 1, 3, 4, 5, 7, 9, 9, 10 and 11. The last two take seconds a frame.
 pub struct Brotli;
 
 const QUALITY: [u32; 9] = [1, 3, 4, 5, 7, 9, 9, 10, 11];
-/// log2 of the window: 4 MB, more than a frame's residuals.
+/// Binary logarithm of the window: 4 MB, more than a frame's residuals.
 const WINDOW_BITS: u32 = 22;
 /// Bytes that the library moves at a time.
 const BUFFER: usize = 1 << 16;

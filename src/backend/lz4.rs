@@ -3,7 +3,7 @@
 use super::{Backend, Level};
 use crate::ground::error::{Error, Result};
 
-/// There is one level: the library has no thorough parser.
+/// There is only one level, as the library has no optimal parser.
 pub struct Lz4;
 
 impl Backend for Lz4 {

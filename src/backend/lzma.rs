@@ -1,7 +1,7 @@
 //! LZMA: LZ77 with a large window, and adaptive binary range coding.
 //!
-//! The payload is the byte of LZMA's properties and the raw stream, without an end marker. The window
-//! is not sent: it is as large as the data.
+//! The payload is the byte of LZMA's properties, then the raw stream without an end marker. The size of the
+//! window is not sent, because it is that of the data.
 
 use std::io::Write;
 
@@ -36,12 +36,12 @@ impl Backend for Lzma {
     }
 }
 
-/// Compresses as `xz -9e` does: [`Lzma`] reads it.
+/// Compresses as `xz -9e` does; [`Lzma`] reads the result.
 ///
 /// # Errors
 /// If the library fails.
 pub fn compress_hardest(input: &[u8]) -> Result<Vec<u8>> {
-    /// The longest match that LZMA knows is taken without a further look.
+    /// The longest match that LZMA knows is taken without looking further.
     const NICE_LENGTH: u32 = 273;
     const DEPTH: i32 = 512;
     let mut options = LzmaOptions::with_preset(9);
@@ -59,7 +59,7 @@ fn compress_by(input: &[u8], mut options: LzmaOptions) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// The window for so many bytes.
+/// The window for data of this length.
 fn window(length: usize) -> Result<u32> {
     let length = u32::try_from(length).ok().filter(|length| *length <= 1 << 30);
     Ok(length.ok_or_else(|| Error::unsupported("more than 1 GiB at once"))?.max(SMALLEST_WINDOW))

@@ -19,7 +19,7 @@ use std::io::Read;
 use crate::article::residual::Packing;
 use crate::ground::error::{Error, Result};
 
-/// The number of `lzma`, which the paper preset uses.
+/// The number of `lzma`, which paper mode uses.
 pub const LZMA: u8 = 3;
 
 /// The number of `zstd`.
@@ -41,13 +41,13 @@ pub static BACKENDS: &[&dyn Backend] = &[
 
 /// A lossless compressor of bytes.
 pub trait Backend: Sync {
-    /// Its number in the stream. Never given to another.
+    /// Its number in the stream, which is never given to another back-end.
     fn id(&self) -> u8;
 
     /// Its name on the command line and in reports: lower case.
     fn name(&self) -> &'static str;
 
-    /// The layout of residuals that suits it best, as measured on real ones.
+    /// The packing of residuals that suits it best, as measured on real ones.
     fn packing(&self) -> Packing {
         Packing::Escape
     }
@@ -58,17 +58,17 @@ pub trait Backend: Sync {
     /// If the library fails.
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>>;
 
-    /// Decompresses to `length` bytes, or to others if `input` is damaged: use [`decompress`].
+    /// Decompresses to `length` bytes, or to any other number if `input` is damaged: use [`decompress`].
     ///
     /// # Errors
-    /// If `input` is damaged so that the library notices.
+    /// If `input` is damaged in a way that the library notices.
     fn decompress_unchecked(&self, input: &[u8], length: usize) -> Result<Vec<u8>>;
 }
 
 /// The back-end of this number.
 ///
 /// # Errors
-/// If this program knows none.
+/// If this program knows no such back-end.
 pub fn by_id(id: u8) -> Result<&'static dyn Backend> {
     let found = BACKENDS.iter().find(|backend| backend.id() == id);
     found.copied().ok_or_else(|| Error::unsupported(format!("unknown back-end {id}")))
@@ -79,11 +79,11 @@ pub fn by_name(name: &str) -> Option<&'static dyn Backend> {
     BACKENDS.iter().find(|backend| backend.name() == name).copied()
 }
 
-/// Decompresses to exactly `length` bytes. Memory stays within a small multiple of `length`, whatever
-/// `input` is.
+/// Decompresses to exactly `length` bytes. Memory stays within a small multiple of `length`, whatever `input`
+/// is.
 ///
 /// # Errors
-/// If `input` does not hold as many: some libraries return wrong data without a word.
+/// If `input` does not hold exactly that many: some libraries silently return wrong data.
 pub fn decompress(backend: &dyn Backend, input: &[u8], length: usize) -> Result<Vec<u8>> {
     let bytes = backend.decompress_unchecked(input, length).map_err(|e| e.within(backend.name()))?;
     if bytes.len() != length {
@@ -95,7 +95,7 @@ pub fn decompress(backend: &dyn Backend, input: &[u8], length: usize) -> Result<
 pub use lzma::compress_hardest;
 pub use zstd::compress_quickly;
 
-/// How hard to try: 1 is fast, 9 is small. Each coder has its own scale, which this is mapped to.
+/// Effort: 1 is fast, 9 is small. Each coder maps it to a scale of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Level(u8);
 
@@ -115,7 +115,7 @@ impl Level {
         self.0
     }
 
-    /// The entry of a back-end's own scale.
+    /// The entry in a back-end's own scale.
     fn of<T: Copy>(self, scale: [T; 9]) -> T {
         scale[usize::from(self.0) - 1]
     }
@@ -128,7 +128,7 @@ impl Default for Level {
     }
 }
 
-/// Reads up to one byte more than `length`, so that too many are noticed and not kept.
+/// Reads up to one byte more than `length`, so that too many bytes are noticed but not kept.
 fn read_up_to(reader: impl Read, length: usize) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let read = reader.take(length as u64 + 1).read_to_end(&mut bytes);

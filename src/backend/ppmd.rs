@@ -8,10 +8,10 @@ use super::{Backend, Level, read_up_to};
 use crate::article::residual::Packing;
 use crate::ground::error::{Error, Result};
 
-/// Levels 1 to 9 are orders 2 to 10. The payload is the order and the stream.
+/// Levels 1 to 9 are orders 2 to 10. The payload is the order, then the stream.
 pub struct Ppmd;
 
-/// The model's memory for so many bytes, in bytes: more than the contexts of residuals take.
+/// The model's memory in bytes for data of this length: more than the contexts of residuals take.
 fn memory(length: usize) -> u32 {
     length.saturating_mul(64).clamp(1 << 16, 16 << 20) as u32
 }
@@ -45,7 +45,7 @@ impl Backend for Ppmd {
         }
         let decoder = Ppmd7Decoder::new(stream, order.into(), memory(length));
         let decoder = decoder.map_err(|error| Error::corrupt(error.to_string()))?;
-        // Without an end marker the stream gives bytes for ever.
+        // Without an end marker the stream yields bytes without end.
         read_up_to(decoder, length - 1)
     }
 }

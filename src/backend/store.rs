@@ -3,7 +3,7 @@
 use super::{Backend, Level};
 use crate::ground::error::Result;
 
-/// Bytes as they are.
+/// Stores bytes as they are.
 pub struct Store;
 
 impl Backend for Store {

@@ -1,10 +1,10 @@
-//! Every back-end of the registry must pass these.
+//! Tests that every back-end of the registry must pass.
 
 use proptest::prelude::*;
 
 use super::*;
 
-/// Bytes like those of residuals: small numbers, some larger.
+/// Bytes like those of residuals: mostly small numbers, some larger ones.
 fn residual_like(length: usize) -> Vec<u8> {
     let mut state = 12345u32;
     let mut next = || {

@@ -9,7 +9,7 @@ pub struct Zstd;
 
 const LEVELS: [i32; 9] = [1, 3, 6, 9, 12, 15, 17, 19, 22];
 
-/// Compresses as `zstd -3` does: [`Zstd`] reads it.
+/// Compresses as `zstd -3` does; [`Zstd`] reads the result.
 ///
 /// # Errors
 /// If the library fails.

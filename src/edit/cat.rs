@@ -1,4 +1,4 @@
-//! Streams one after the other as one stream, their groups copied as they are.
+//! Joins streams into one, copying their groups as they are.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -11,23 +11,24 @@ use crate::stream::container::StreamReader;
 use crate::stream::options::FrameRange;
 use crate::stream::source::{GroupJob, StreamedGroups};
 
-/// What was joined.
+/// The result of joining streams.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Joined {
     /// Streams that were read.
     pub streams: u64,
-    /// Frames of them all.
+    /// Frames of all of them.
     pub frames: u64,
     /// Bytes of the new stream.
     pub stream_bytes: u64,
 }
 
-/// Joins streams. They are read front to back and checked, one after the other; of each only a group
-/// at a time is in memory, and the names of all frames.
+/// Joins streams. They are read front to back and checked, one after the other; only one group at a time, and
+/// the names of all frames, are in memory.
 ///
 /// # Errors
-/// Naming the stream: if it cannot be read or is damaged, or if it holds a frame of the same name as one before, which no decoder could write into the same folder.
-/// Without a name: if the output fails. What was written by then is no whole stream.
+/// Naming the stream: if it cannot be read or is damaged, or if it holds a frame with the same name as an
+/// earlier one, which no decoder could write into the same folder. Without a name: if the output fails. What
+/// has been written by then is not a whole stream.
 pub fn cat<R: Read>(
     inputs: impl IntoIterator<Item = Result<Named<StreamReader<R>>>>,
     out: impl Write,
@@ -51,9 +52,9 @@ pub fn cat<R: Read>(
 /// The names of the frames so far.
 #[derive(Default)]
 struct Names {
-    /// The streams.
+    /// The paths of the streams.
     paths: Vec<PathBuf>,
-    /// Where each name is: the place of its stream, and the frame's number there.
+    /// For each name, the index of its stream and the frame's number there.
     places: HashMap<String, (usize, u64)>,
 }
 

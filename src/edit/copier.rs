@@ -1,4 +1,4 @@
-//! Groups from streams to another stream, as they are.
+//! Copies groups from streams into another stream, as they are.
 
 use std::collections::HashMap;
 use std::io::Write;
@@ -9,16 +9,16 @@ use crate::ground::error::Result;
 use crate::stream::container::{Group, ScannerRecord, StreamWriter};
 use crate::stream::source::{GroupJob, StoredScanner};
 
-/// A stream to read, and what errors call it.
+/// A stream to read, and its name in errors.
 #[derive(Clone, Debug)]
 pub struct Named<T> {
-    /// Its file, or a word for what has none.
+    /// Its file, or a word for a stream without one.
     pub path: PathBuf,
     /// The stream.
     pub stream: T,
 }
 
-/// Writes groups of other streams, and before them the scanners that they need, each once.
+/// Writes groups of other streams, preceded by the scanners that they need, each written once.
 pub struct GroupCopier<W> {
     writer: StreamWriter<W>,
     /// The numbers of the scanners written so far.

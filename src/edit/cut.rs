@@ -1,5 +1,5 @@
-//! A range of a stream's frames as a stream of its own. Groups are copied as they are, and so is the
-//! beginning of a group; frames after a cut inside their group are coded again.
+//! Cuts a range of a stream's frames out as a stream of its own. Whole groups are copied as they are, and so
+//! is the beginning of a group; frames after a cut inside their group are coded again.
 
 use std::io::{Read, Seek, Write};
 use std::path::Path;
@@ -11,7 +11,7 @@ use crate::stream::container::{IndexedReader, StreamReader};
 use crate::stream::options::FrameRange;
 use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
 
-/// What was cut out of a stream.
+/// The result of a cut.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cut {
     /// Frames that were copied as they are.
@@ -22,14 +22,14 @@ pub struct Cut {
     pub stream_bytes: u64,
 }
 
-/// Cuts a range of frames out of a stream that is read front to back, as from a pipe; all of it is read
-/// and checked. The frames decode to the same files as before. Those that must be coded again are so by
+/// Cuts a range of frames out of a stream that is read front to back, as from a pipe; all of it is read and
+/// checked. The frames decode to the same files as before. Frames that must be coded again use
 /// general-purpose back-ends at their default effort.
 ///
 /// # Errors
-/// Naming the input: if it fails or is damaged anywhere, goes over the limits, or does not hold these
-/// frames, or if a frame that must be coded again does not decode to what was encoded. Without a name: if
-/// the output fails. What was written by then is no whole stream.
+/// Naming the input: if it fails or is damaged anywhere, exceeds the limits, or does not hold these frames,
+/// or if a frame that must be coded again does not decode to what was encoded. Without a name: if the output
+/// fails. What has been written by then is not a whole stream.
 pub fn cut(input: Named<impl Read>, frames: FrameRange, limits: &Limits, out: impl Write) -> Result<Cut> {
     let Named { path, stream } = input;
     let reader = StreamReader::open(stream, *limits).map_err(|e| e.at(&path))?;
@@ -43,7 +43,7 @@ pub fn cut(input: Named<impl Read>, frames: FrameRange, limits: &Limits, out: im
 /// As [`cut`], but reads only the groups that hold the frames asked for.
 ///
 /// # Errors
-/// As [`cut`]; damage elsewhere in the stream goes unseen.
+/// As [`cut`]; damage elsewhere in the stream goes unnoticed.
 pub fn cut_indexed(
     input: Named<impl Read + Seek>,
     frames: FrameRange,
@@ -58,7 +58,7 @@ pub fn cut_indexed(
     cutter.finish()
 }
 
-/// Writes the groups that a range of frames leaves.
+/// Writes the groups of a range of frames.
 struct Cutter<'l, W> {
     copier: GroupCopier<W>,
     frames: FrameRange,
@@ -84,8 +84,8 @@ impl<'l, W: Write> Cutter<'l, W> {
         Ok(())
     }
 
-    /// Takes off the frames that are not wanted. At the end of a group they simply go: no frame depends on
-    /// one after it.
+    /// Removes the frames that are not wanted. At the end of a group they are simply dropped, as no frame
+    /// depends on a later one.
     fn cut_group(&mut self, mut job: GroupJob) -> Result<GroupJob> {
         if let Some(end) = self.frames.end {
             let wanted = end.saturating_sub(job.first_frame);

@@ -1,4 +1,4 @@
-//! What is done to streams that are there: groups are copied from one to another, and coded anew only where they
+//! Operations on finished streams: groups are copied from one to another, and coded again only where they
 //! must be.
 
 pub mod cat;

@@ -1,7 +1,7 @@
-//! The end of a group as a group of its own. Frames of a group depend on those before them, so what comes
-//! after a cut is coded again. It is the decoded [`Frame`] that is: the integers of its sections, not the
-//! points that they stand for, so lossy frames lose nothing either. What an image coder made of ranges is
-//! written again as it is.
+//! Codes the end of a group as a group of its own. Frames of a group depend on those before them, so what
+//! comes after a cut is coded again. This starts from the decoded [`Frame`], that is, from the integers of
+//! its sections and not from the points that they stand for, so lossy frames lose nothing further. The output
+//! of an image coder is written again as it is.
 
 use crate::frame::frame::Frame;
 use crate::frame::parameters::Prediction;
@@ -14,13 +14,13 @@ use crate::stream::container;
 use crate::stream::decoder::{part_name, write_checked};
 use crate::stream::source::GroupJob;
 
-/// Decodes a group, and codes its frames from number `start` of the sequence on as a new group of the same
-/// scanners. Headers of the frames stay as they are, and so do their parameters, but for those of a
-/// frame that has lost what it was predicted from, and for bins: decoded ranges are coded as they are.
+/// Decodes a group, and codes its frames from number `start` of the sequence on as a new group with the same
+/// scanners. The headers of the frames stay as they are, and so do their parameters, except for those of a
+/// frame that has lost its reference, and for bins: decoded ranges are coded as they are.
 ///
 /// # Errors
-/// If a scanner is of a family that this program does not know; if a frame does not decode, is over the limits, or is not the file that its header tells of; or if a
-/// back-end's library fails.
+/// If a scanner is of a family that this program does not know; if a frame does not decode, exceeds the
+/// limits, or is not the file of which its header tells; or if a back-end's library fails.
 pub(crate) fn recode_from(start: u64, job: &mut GroupJob, limits: &Limits) -> Result<()> {
     let frames = std::mem::take(&mut job.group.frames);
     let recoder = |scanner| Recoder { scanner, limits, old: Models::default(), new: Models::default() };
@@ -37,18 +37,19 @@ pub(crate) fn recode_from(start: u64, job: &mut GroupJob, limits: &Limits) -> Re
     Ok(())
 }
 
-/// Decodes the frames of a stream of a group by one set of models, and codes them by another.
+/// Decodes the frames of a stream of a group with one set of models, and codes them with another.
 struct Recoder<'a> {
     scanner: Option<&'a Scanner>,
     limits: &'a Limits,
     /// What the frames of the old group have taught.
     old: Models,
-    /// What those of the new group have.
+    /// What the frames of the new group have taught.
     new: Models,
 }
 
 impl Recoder<'_> {
-    /// Decodes the next frame; codes it if `wanted` (the frames before it are needed for their sake).
+    /// Decodes the next frame, and codes it if `wanted`; earlier frames are decoded only because others
+    /// depend on them.
     fn recode(&mut self, coded: container::Frame, wanted: bool) -> Result<Option<container::Frame>> {
         let container::Frame { header, sections } = coded;
         let mut steps = StepReport::default();
@@ -69,7 +70,7 @@ impl Recoder<'_> {
         let mut writer = SectionWriter::new(Effort::default());
         let returns = models.code_frame(&mut writer, self.scanner, &mut frame, &mut steps)?;
         write_checked(&frame.into_scan(&header.name, &returns)?, &header, |_| Ok(()))?;
-        // What this program does not know is not its to drop.
+        // Sections that this program does not know are kept.
         let unknown = sections.into_iter().filter(|section| section.kind.is_skippable());
         Ok(Some(container::Frame { header, sections: writer.sections.into_iter().chain(unknown).collect() }))
     }

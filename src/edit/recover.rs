@@ -1,4 +1,4 @@
-//! What is intact of a damaged stream: its frames, or a new stream of its groups.
+//! Saves what is intact of a damaged stream: its frames, or its groups as a new stream.
 
 use std::collections::HashMap;
 use std::io::{Read, Seek, Write};
@@ -14,7 +14,7 @@ use crate::stream::options::{DecodeOptions, FrameRange};
 use crate::stream::ordered::run_ordered;
 use crate::stream::source::{GroupJob, StoredScanner};
 
-/// What becomes of a part of a damaged stream.
+/// The fate of a part of a damaged stream.
 #[derive(Clone, Debug)]
 pub enum Recovered {
     /// A frame that was decoded and is the file that was encoded.
@@ -23,10 +23,10 @@ pub enum Recovered {
     Lost(Lost),
 }
 
-/// Decodes all groups of a damaged stream that are intact, and hands frames and losses to `sink`, in order.
-/// A group is lost if its record is damaged or missing, or a scanner that it needs. Frames keep
-/// their numbers as far as an intact index tells them; else they are those of the frames found. Of a stream
-/// without damage nothing is lost.
+/// Decodes all intact groups of a damaged stream, and passes frames and losses to `sink`, in order. A group
+/// is lost if its record, or that of a scanner that it needs, is damaged or missing. Frames keep their
+/// numbers as far as an intact index gives them; otherwise the frames that were found are numbered. Nothing
+/// is lost of an undamaged stream.
 ///
 /// # Errors
 /// If the input fails, holds no record at all or is of another version of the format, or if the sink fails.
@@ -52,8 +52,8 @@ pub fn recover(
     run_ordered(resolve_threads(options.threads), groups, work, deliver)
 }
 
-/// Copies all intact groups of a damaged stream into a new one; returns how many frames that has. Groups
-/// are not decoded. `on_lost` hears what is lost.
+/// Copies all intact groups of a damaged stream into a new one without decoding them; returns the number of
+/// frames. `on_lost` is told what is lost.
 ///
 /// # Errors
 /// Naming the input: if it fails, holds no record at all or is of another version of the format. Without a name:
@@ -83,12 +83,12 @@ pub fn repair(
 
 /// A part of a damaged stream.
 enum Part {
-    /// A group, where it is in the stream, and all that it takes to decode it.
+    /// A group, its place in the stream, and all that is needed to decode it.
     Group(Range<u64>, GroupJob),
     Lost(Lost),
 }
 
-/// The parts of a damaged stream, as far as they hold the frames asked for.
+/// The parts of a damaged stream, as far as they hold the requested frames.
 struct RecoveredGroups<R> {
     reader: SalvageReader<R>,
     /// The intact scanners so far, by their numbers.

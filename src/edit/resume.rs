@@ -1,12 +1,12 @@
-//! Going on with an encode that was interrupted, so that the same stream comes of it.
+//! Resumes an encode that was interrupted, with the same stream as the result.
 //!
-//! A group depends on nothing but the program, its settings, the scanner model and the group's files. So the
-//! groups of a partial stream are taken as they are if all of these are what they were: a *journal* beside
-//! the stream tells the program and the settings, and of all files in the stream their names, sizes and
-//! checksums (those in frame headers are of what is decoded, which in a mode with loss is something else).
-//! The files are read and compared, and the scanner model is fitted again. The journal also tells the groups
-//! themselves by a checksum, so it speaks of this stream only, and of nothing that a killed program or a
-//! power cut left half-written.
+//! A group depends on nothing but the program, its settings, the scanners and the group's files. So the
+//! groups of a partial stream are kept if all of these are unchanged. A *journal* beside the stream records
+//! the program, the settings, and the names, sizes and checksums of all files in the stream. (The checksums
+//! in frame headers are those of the decoded files, which differ in lossy modes.) The files are read again
+//! and compared, and the scanners are fitted again. The journal also holds a checksum of the groups
+//! themselves, so that it applies to this stream only, and to nothing that a killed program or a power cut
+//! left half-written.
 
 mod fingerprint;
 mod journal;
@@ -31,27 +31,28 @@ use crate::stream::input::FrameInput;
 use crate::stream::ordered::run_ordered;
 use crate::stream::scanner_choice::{Scanners, choose_scanners};
 
-/// What to do about a partial stream that cannot be gone on with.
+/// Advice for a partial stream with which encoding cannot continue.
 const ADVICE: &str = "delete it to start anew, or encode without --resume";
 
 /// The files of an encode that may be interrupted.
 #[derive(Debug)]
 pub struct PartialFiles {
-    /// What errors call the partial stream.
+    /// The name of the partial stream in errors.
     pub path: PathBuf,
-    /// The stream, as far as it is written; open for reading and writing, empty at first.
+    /// The stream as far as it is written; open for reading and writing, empty at first.
     pub stream: File,
-    /// The file that says what it was made from; there is none at first.
+    /// The journal; it does not exist at first.
     pub journal: PathBuf,
 }
 
-/// As [`encode`](crate::stream::encode()), into files from which it goes on if it was interrupted before: groups that
-/// are in them already are kept. The stream is then the same as that of an encode without interruption, byte
-/// for byte. For frames that are kept, `on_frame` is called as their files have been compared.
+/// As [`encode`](crate::stream::encode()), into files from which it continues if it was interrupted before:
+/// groups that are already in them are kept. The result is the same stream, byte for byte, as that of an
+/// encode without interruption. For frames that are kept, `on_frame` is called when their files have been
+/// compared.
 ///
 /// # Errors
-/// As [`encode`](crate::stream::encode()); also if the files are not those of an encode, or of an encode with other
-/// settings or other frames. They are then as they were.
+/// As [`encode`](crate::stream::encode()); also if the files are not those of an encode, or if they are those
+/// of an encode with other settings or other frames. They are then left unchanged.
 pub fn encode_resuming(
     frames: &[FrameInput],
     config: &EncoderConfig,
@@ -87,7 +88,7 @@ pub fn encode_resuming(
     stream.finish()
 }
 
-/// Opens the files to be written from where what is kept ends; from the start, if that is nothing.
+/// Opens the files for writing after the part that is kept, or from the start if nothing is.
 fn open<'p>(
     partial: &'p PartialFiles,
     kept: Kept,
@@ -99,7 +100,7 @@ fn open<'p>(
     stream.seek(SeekFrom::Start(kept.stream_end))?;
     let out = BufWriter::new(stream);
     Ok(if kept.entries.is_empty() {
-        // The journal first: no stream is to be without.
+        // The journal comes first: no stream may be without one.
         let journal = JournalWriter::begin(&partial.journal, settings)?;
         (OpenStream::begin(out, &scanners.records)?, journal)
     } else {
@@ -117,7 +118,7 @@ fn find_kept(partial: &PartialFiles) -> Result<Kept> {
     }
 }
 
-/// An error if these are not the files that the kept groups were made of.
+/// An error if these are not the files from which the kept groups were made.
 fn compare_inputs(
     kept: &Kept,
     frames: &[FrameInput],

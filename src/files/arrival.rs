@@ -1,4 +1,4 @@
-//! Frames as they arrive: in a tar archive, or each behind a line that tells its name and size.
+//! Frames as they arrive: in a tar archive, or each after a line that gives its name and size.
 
 use std::collections::HashSet;
 use std::io::{BufReader, Chain, Cursor, Read};
@@ -20,21 +20,21 @@ pub struct ArrivedFile {
     pub bytes: Vec<u8>,
 }
 
-/// Reads frames as they arrive, none farther than it must. What they come in is told by the first bytes: a
-/// line ends with a line feed, and a tar archive has a zero byte before any.
+/// Reads frames as they arrive, never farther than necessary. The first bytes tell the container: a line ends
+/// with a line feed, and a tar archive has a zero byte before any line feed.
 pub struct ArrivingFrames<R> {
     source: Source<R>,
-    /// The names so far: no decoder could write two files of one name.
+    /// The names so far, because no decoder could write two files with one name.
     names: HashSet<String>,
-    /// Files of the archive that are not scans.
+    /// Number of files in the archive that are not scans.
     left_out: u64,
 }
 
-/// The input, with what was read of it to see what it is.
+/// The input, including what was read from it to recognise the container.
 type Whole<R> = Chain<Cursor<Vec<u8>>, BufReader<R>>;
 
 enum Source<R> {
-    /// Nothing was read yet.
+    /// Nothing has been read yet.
     New(BufReader<R>),
     Lines(Whole<R>),
     Tar(TarReader<Whole<R>>),
@@ -43,13 +43,13 @@ enum Source<R> {
 }
 
 impl<R: Read> ArrivingFrames<R> {
-    /// From the first byte on.
+    /// Starts at the first byte of the input.
     pub fn new(input: R) -> Self {
         ArrivingFrames { source: Source::New(BufReader::new(input)), names: HashSet::new(), left_out: 0 }
     }
 
     /// The next frame; `None` after the last. Files of an archive that are hidden or not known as scans are
-    /// passed over, as those of a folder are.
+    /// skipped, as in a folder.
     fn next_file(&mut self) -> Result<Option<ArrivedFile>> {
         if matches!(self.source, Source::New(_)) {
             self.source = detect(std::mem::replace(&mut self.source, Source::Ended))?;
@@ -73,7 +73,7 @@ impl<R: Read> ArrivingFrames<R> {
         Ok(Some(file))
     }
 
-    /// An archive without scans is a mistake, as a folder without scans is.
+    /// An archive without scans is an error, as a folder without scans is.
     fn end(&mut self) -> Result<Option<ArrivedFile>> {
         if self.names.is_empty() && self.left_out > 0 {
             let what = format!("holds {} files, but no .bin, .pcd or .ply", self.left_out);
@@ -108,7 +108,7 @@ fn detect<R: Read>(source: Source<R>) -> Result<Source<R>> {
     Ok(if is_tar { Source::Tar(TarReader::new(whole)) } else { Source::Lines(whole) })
 }
 
-/// A line `NAME SIZE`, then as many bytes.
+/// Reads a line `NAME SIZE`, then `SIZE` bytes.
 fn next_of_lines(input: &mut impl Read) -> Result<Option<ArrivedFile>> {
     let mut line = Vec::new();
     loop {
@@ -128,7 +128,7 @@ fn next_of_lines(input: &mut impl Read) -> Result<Option<ArrivedFile>> {
     Ok(Some(ArrivedFile { bytes: read_file(input, &name, size)?, name }))
 }
 
-/// Reads the bytes of a file. Memory grows with what arrives.
+/// Reads the bytes of a file. Memory grows only with what arrives.
 pub(super) fn read_file(input: &mut impl Read, name: &str, size: u64) -> Result<Vec<u8>> {
     let max = Limits::default().file_bytes;
     if size > max {
@@ -141,7 +141,7 @@ pub(super) fn read_file(input: &mut impl Read, name: &str, size: u64) -> Result<
     Ok(bytes)
 }
 
-/// An error about a file, or about what it comes in.
+/// An error about a file, or about its container.
 pub(super) fn refuse(name: &str, what: impl Into<String>) -> Error {
     Error::Input { path: PathBuf::from(name), what: what.into() }
 }

@@ -3,8 +3,8 @@
 use super::records::plain_file;
 use crate::scan::{Layout, ScanFile, Wrapping};
 
-/// Takes a file apart whose records stand one after the other from byte `start` on: at most `records`
-/// of them. `None` if the layout is not valid.
+/// Takes a file apart whose records stand one after the other from byte `start` on, at most `records` of
+/// them. `None` if the layout is not valid.
 pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
     let stride = layout.stride();
     let present = bytes.len().checked_sub(start)?.checked_div(stride)?;
@@ -15,7 +15,7 @@ pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, records: u64) ->
     Some(ScanFile { layout: Layout { wrapping: Wrapping::BigEndian, ..file.layout }, ..file })
 }
 
-/// Turns the bytes of each value around, of whole records.
+/// Reverses the bytes of each value in whole records.
 pub(super) fn swap(records: &mut [u8], layout: &Layout) {
     for record in records.chunks_exact_mut(layout.stride().max(1)) {
         let mut rest = record;

@@ -22,7 +22,7 @@ pub enum FileFormat {
 }
 
 impl FileFormat {
-    /// The name of a frame in this format: the extension is another.
+    /// The name of a frame in this format, with the extension replaced.
     pub fn file_name(self, name: &str) -> String {
         let stem = Kind::of(name).map_or(name, |(_, stem)| stem);
         match self {
@@ -32,13 +32,13 @@ impl FileFormat {
         }
     }
 
-    /// The columns of a scan as a file of this format has them; `None` if it cannot.
+    /// The columns of a scan in a file of this format; `None` if it cannot hold them.
     fn columns(self, mut columns: Vec<Column>) -> Option<Vec<Column>> {
         match self {
             FileFormat::Bin => columns::of_kitti(columns),
             FileFormat::Pcd => Some(columns),
             FileFormat::Ply => {
-                // There are no integers of 64 bits.
+                // PLY has no 64-bit integers.
                 columns.retain(|column| !matches!(column.scalar, Scalar::I64 | Scalar::U64));
                 Some(columns)
             }
@@ -54,14 +54,14 @@ impl FileFormat {
     }
 }
 
-/// The scan as a file of another format: `to_bytes` of what is returned is that file. Points keep their
-/// order and every bit of their coordinates. x, y and z come first, then the intensity, then the other
-/// fields that have a name, with their types; of several values, each is a field. Padding, and the bytes around
-/// the records, are left out. Numbers of text are float32 if that gives their every digit back.
+/// The scan as a file of another format: `to_bytes` of the result is that file. Points keep their order and
+/// every bit of their coordinates. x, y and z come first, then the intensity, then the other named fields,
+/// with their types; each value of a field with several becomes a field. Padding and the bytes around the
+/// records are left out. Numbers from text become float32 if that preserves all their digits.
 ///
 /// # Errors
-/// [`Error::Input`], with the scan's name, if it holds no points, or, for [`FileFormat::Bin`], points
-/// that are not float32.
+/// [`Error::Input`], with the scan's name, if it holds no points, or if they are not float32, for
+/// [`FileFormat::Bin`].
 pub fn convert(scan: &ScanFile, format: FileFormat) -> Result<ScanFile> {
     let refuse = |what: &str| Error::Input { path: scan.name.clone().into(), what: what.to_owned() };
     let columns = columns::of_scan(scan)

@@ -2,7 +2,7 @@
 
 use crate::scan::{Field, Layout, MAX_NAME, MAX_STRIDE, Scalar, Wrapping};
 
-/// What writers call intensity, the likeliest first; `scalar_intensity` is CloudCompare's.
+/// What programs call intensity, the likeliest first; `scalar_intensity` is CloudCompare's.
 const INTENSITY_NAMES: [&str; 5] = ["intensity", "scalar_intensity", "i", "reflectivity", "reflectance"];
 /// What PCL calls padding.
 const PADDING: &str = "_";
@@ -12,19 +12,19 @@ const PADDING: &str = "_";
 pub(super) struct Declared<'a> {
     /// Its name.
     pub name: &'a str,
-    /// The type of its values, if it is one of those that this program knows.
+    /// The type of its values, if it is a type that this program knows.
     pub scalar: Option<Scalar>,
-    /// Bytes it takes in a record.
+    /// Number of bytes that it takes in a record.
     pub width: u32,
 }
 
 impl Declared<'_> {
-    /// How many values it has, if it is of a known type; else 1.
+    /// Number of values, if they are of a known type; otherwise 1.
     pub fn count(&self) -> u32 {
         self.scalar.map_or(1, |scalar| self.width / scalar.size())
     }
 
-    /// Whether it is of no known meaning.
+    /// Whether its meaning is unknown.
     pub fn is_padding(&self) -> bool {
         self.name == PADDING || self.scalar.is_none()
     }
@@ -41,25 +41,25 @@ impl Declared<'_> {
     }
 }
 
-/// The name that a field gets; the start of one that is too long, and none for padding.
+/// The name that a field gets: shortened if it is too long, and none for padding.
 pub(super) fn name_of(name: &str) -> String {
     let name = (0..=MAX_NAME.min(name.len())).rev().find_map(|end| name.get(..end)).unwrap_or_default();
     if name == PADDING || !Field::is_name(name) { String::new() } else { name.to_owned() }
 }
 
-/// The field of this name, in any case of letters.
+/// The field with this name, ignoring case.
 pub(super) fn find(fields: &[Field], name: &str) -> Option<usize> {
     fields.iter().position(|field| field.name.eq_ignore_ascii_case(name))
 }
 
-/// The field that holds intensities: that of the likeliest name, of those that `suits` approves.
+/// The field that holds intensities: of those that `suits` accepts, the one with the likeliest name.
 pub(super) fn find_intensity(fields: &[Field], suits: impl Fn(&Field) -> bool) -> Option<usize> {
     INTENSITY_NAMES.iter().find_map(|name| find(fields, name).filter(|&at| suits(&fields[at])))
 }
 
-/// The layout of records with these fields side by side: position if x, y and z are single float32 values,
-/// intensity if a single float32, u8 or u16 value has a name for it. `None` if the records are empty or too
-/// long.
+/// The layout of records with these fields side by side. They have a position if x, y and z are single
+/// float32 values, and an intensity if a single float32, u8 or u16 value has a name for it. `None` if the
+/// records are empty or too long.
 pub(super) fn layout_of(fields: Vec<Field>, wrapping: Wrapping) -> Option<Layout> {
     let stride: u64 = fields.iter().map(|field| field.width() as u64).sum();
     if stride == 0 || stride > MAX_STRIDE.into() {
@@ -80,8 +80,8 @@ pub(super) fn layout_of(fields: Vec<Field>, wrapping: Wrapping) -> Option<Layout
     Some(Layout { wrapping, fields, position, intensity })
 }
 
-/// Takes one line off the front of `rest`, without its `\n` or `\r\n`; `None` at the end, for a
-/// line that is not ended, and for one that is not text.
+/// Takes one line off the front of `rest`, without its `\n` or `\r\n`; `None` at the end, for an incomplete
+/// line, and for one that is not text.
 pub(super) fn next_line<'a>(rest: &mut &'a [u8]) -> Option<&'a str> {
     let end = rest.iter().position(|&b| b == b'\n')?;
     let line = &rest[..end];

@@ -1,5 +1,5 @@
-//! Records without a header: KITTI's `.bin`, nuScenes' `.pcd.bin`, and what else a user says a
-//! record is.
+//! Records without a header: KITTI's `.bin`, nuScenes' `.pcd.bin`, and whatever the user says that a record
+//! contains.
 //!
 //! Sources: A. Geiger et al., "Vision meets Robotics: The KITTI Dataset" (raw data development
 //! kit); nuScenes devkit, `LidarPointCloud.from_file`.
@@ -12,18 +12,18 @@ use super::records::plain_file;
 use crate::ground::error::{Error, Result};
 use crate::scan::{Field, Layout, MAX_NAME, MAX_STRIDE, Scalar, ScanFile, Wrapping};
 
-/// Most fields of a record; scanners' have 3 to some 20.
+/// The most fields of a record; those of scanners have 3 to about 20.
 const MOST_FIELDS: usize = 64;
 /// The fields that have a letter.
 const LETTERS: [(char, &str); 7] =
     [('x', "x"), ('y', "y"), ('z', "z"), ('i', "intensity"), ('r', "ring"), ('t', "time"), ('_', "")];
 
-/// What a record of a file without a header holds: little-endian values, side by side.
+/// The fields of a file without a header: little-endian values, side by side.
 ///
-/// Either a letter for each float32: `x`, `y`, `z` (metres), `i` intensity, `r` ring, `t` time, `_` a value of
-/// no known meaning; or a list of fields such as `x,y,z,intensity,ring:u16,time:f64,_:u8*4`: a name or a letter,
-/// a type unless it is `f32`, and how many values unless it is one. x, y and z are needed; only `_` may stand
-/// there more than once.
+/// Either a letter for each float32: `x`, `y`, `z` (metres), `i` intensity, `r` ring, `t` time, `_` a value
+/// of no known meaning; or a list of fields such as `x,y,z,intensity,ring:u16,time:f64,_:u8*4`: a name or a
+/// letter, a type unless it is `f32`, and the number of values unless it is one. x, y and z are required;
+/// only `_` may appear more than once.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HeaderlessLayout {
     /// As the user gave it.
@@ -42,19 +42,19 @@ impl HeaderlessLayout {
         Self::of_letters("xyzir")
     }
 
-    /// Letters that have no meaning are left out.
+    /// Letters without a meaning are left out.
     fn of_letters(letters: &str) -> Self {
         let name = |letter: char| LETTERS.iter().find(|(known, _)| *known == letter).map(|(_, name)| name);
         let fields = letters.chars().filter_map(name).map(|name| Field::new(name, Scalar::F32)).collect();
         HeaderlessLayout { text: letters.to_owned(), fields }
     }
 
-    /// Takes a file apart; what is left over after the last whole record is `suffix`.
+    /// Takes a file apart; what follows the last whole record is `suffix`.
     pub(super) fn parse(&self, bytes: &[u8]) -> Option<ScanFile> {
         plain_file(self.layout()?, bytes, 0, u64::MAX)
     }
 
-    /// The layout of the records; `None` is not possible for what was read from text.
+    /// The layout of the records; never `None` for a layout that was read from text.
     pub(super) fn layout(&self) -> Option<Layout> {
         layout_of(self.fields.clone(), Wrapping::Plain)
     }

@@ -6,8 +6,8 @@
 //! 111ooooo LLLLLLLL oooooooo  copy L + 9 bytes (9..=264) from o + 1 bytes back
 //! ```
 //!
-//! The compressor finds the very matches that the C programs find, because a file comes back
-//! byte for byte only if compressing its points again gives the same bytes.
+//! The compressor finds exactly the matches that the C programs find, because a file comes back byte for byte
+//! only if compressing its points again gives the same bytes.
 
 use crate::scan::LzfDialect;
 
@@ -19,8 +19,8 @@ const UNCHECKED_MATCH: usize = 19;
 /// No three input bytes can stand for more output than this.
 const MAX_EXPANSION: usize = MAX_MATCH.div_ceil(3);
 
-/// Decompresses `input` into exactly `size` bytes; `None` if it is damaged or of another size.
-/// No memory is taken for a `size` that `input` cannot reach.
+/// Decompresses `input` into exactly `size` bytes; `None` if it is damaged or of another size. No memory is
+/// allocated for a `size` that `input` cannot reach.
 pub fn decompress(input: &[u8], size: usize) -> Option<Vec<u8>> {
     if size > input.len().checked_mul(MAX_EXPANSION)? {
         return None;
@@ -65,8 +65,8 @@ fn copy_back(out: &mut Vec<u8>, offset: usize, length: usize) -> Option<()> {
     Some(())
 }
 
-/// Compresses `input` as the programs of that dialect do. Inputs of 4 GiB and more have no place
-/// in a PCD file, and positions are kept as u32.
+/// Compresses `input` as the programs of that dialect do. Inputs of 4 GiB and more do not fit into a PCD
+/// file, and positions are stored as u32.
 pub fn compress(input: &[u8], dialect: LzfDialect) -> Vec<u8> {
     let mut out = Vec::with_capacity(input.len() / 2);
     let mut table = HashTable::new(dialect);
@@ -96,7 +96,7 @@ pub fn compress(input: &[u8], dialect: LzfDialect) -> Vec<u8> {
     out
 }
 
-/// How far the bytes at `candidate` and at `at` agree; the first three are known to.
+/// The length of the match between the bytes at `candidate` and at `at`; the first three are known to match.
 fn match_length(input: &[u8], candidate: usize, at: usize) -> usize {
     let left = input.len() - at - 2;
     let limit = match left.min(MAX_MATCH) {
@@ -122,7 +122,7 @@ fn write_match(offset: usize, length: usize, out: &mut Vec<u8>) {
     }
 }
 
-/// Where three bytes were seen last.
+/// The last position of each three bytes.
 struct HashTable {
     slots: Vec<u32>,
     bits: u32,
@@ -141,7 +141,7 @@ impl HashTable {
         HashTable { slots: vec![0; 1 << bits], bits, multiplier, inserts_after_match }
     }
 
-    /// Enters the three bytes at `at`; returns what was in their slot.
+    /// Enters the three bytes at `at`; returns the previous entry of their slot.
     fn replace(&mut self, input: &[u8], at: usize) -> usize {
         let bytes = u32::from_be_bytes([0, input[at], input[at + 1], input[at + 2]]);
         let hash = (bytes >> (24 - self.bits)).wrapping_sub(bytes.wrapping_mul(self.multiplier));

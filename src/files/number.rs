@@ -1,4 +1,4 @@
-//! Numbers as text, by the rules of common writers.
+//! Numbers as text, by the rules of common programs.
 
 use std::io::Write;
 
@@ -7,14 +7,13 @@ use byteorder::{ByteOrder, LittleEndian};
 use crate::ground::error::Result;
 use crate::scan::{Column, MAX_DIGITS, NumberRule, Scalar};
 
-/// `%g` and `repr` write smaller numbers with an exponent.
+/// `%g` and `repr` write numbers with a smaller exponent than this in scientific notation.
 const LEAST_PLAIN_EXPONENT: i32 = -4;
-/// `repr` writes numbers from 1e16 on with an exponent.
+/// `repr` writes numbers from 1e16 on in scientific notation.
 const REPR_EXPONENT: i32 = 16;
 
-/// Parses `token` and appends the value's little-endian bytes. `None` if it is no such number.
-/// What is accepted is wider than what is written: whether the text comes back is for the
-/// caller to check.
+/// Parses `token` and appends the little-endian bytes of the value. `None` if it is no number of this type.
+/// More is accepted than is ever written: whether the text comes back is for the caller to check.
 pub(super) fn parse(token: &str, scalar: Scalar, out: &mut Vec<u8>) -> Option<()> {
     match scalar {
         Scalar::I8 => out.extend(token.parse::<i8>().ok()?.to_le_bytes()),
@@ -39,7 +38,7 @@ pub(super) fn parse(token: &str, scalar: Scalar, out: &mut Vec<u8>) -> Option<()
     Some(())
 }
 
-/// Writes values as text; holds the buffers that the digits pass through.
+/// Writes values as text; holds the buffers for the digits.
 #[derive(Default)]
 pub(super) struct NumberWriter {
     digits: Vec<u8>,
@@ -108,9 +107,9 @@ impl NumberWriter {
         Ok(())
     }
 
-    /// Puts the significant digits of `value` into `self.digits`: so many after the first, or the
-    /// fewest that give the value back (in single precision if `single`). Returns the decimal
-    /// exponent of the first. `value` is finite and not negative.
+    /// Stores the significant digits of `value` in `self.digits`: `after_first` digits after the first, or
+    /// the fewest that give the value back (in single precision if `single`). Returns the decimal exponent of
+    /// the first digit. `value` is finite and not negative.
     fn take_digits(&mut self, value: f64, after_first: Option<usize>, single: bool) -> Result<i32> {
         let text = &mut self.digits;
         text.clear();
@@ -128,9 +127,9 @@ impl NumberWriter {
         Ok(exponent)
     }
 
-    /// Of two shortest texts equally near to the value, the standard library takes the upper, but
-    /// `repr` and most others the one with the even last digit, as correct rounding gives it.
-    /// (What is correctly rounded need not give a power of two back; the text then stays.)
+    /// If two shortest texts are equally near to the value, the standard library takes the upper one, but
+    /// `repr` and most others the one with an even last digit, as correct rounding gives it. (A correctly
+    /// rounded text need not give a power of two back; the text then stays.)
     fn settle_tie(&mut self, value: f64, single: bool) -> Result<()> {
         let (mantissa, _) = split_exponent(&self.digits);
         let after_first = mantissa.saturating_sub(2);
@@ -143,7 +142,7 @@ impl NumberWriter {
     }
 }
 
-/// The length of the mantissa, and the exponent, of a text like `1.25e-7`.
+/// The length of the mantissa and the exponent of a text such as `1.25e-7`.
 fn split_exponent(text: &[u8]) -> (usize, i32) {
     let mantissa = text.iter().position(|&b| b == b'e').unwrap_or(text.len());
     let exponent = text.get(mantissa + 1..).and_then(|x| std::str::from_utf8(x).ok()?.parse().ok());
@@ -157,7 +156,7 @@ fn gives_back(text: &[u8], value: f64, single: bool) -> bool {
     })
 }
 
-/// `d.ddde-05`: at least two digits of exponent, and its sign.
+/// `d.ddde-05`: an exponent with a sign and at least two digits.
 fn write_scientific(digits: &[u8], exponent: i32, out: &mut Vec<u8>) -> Result<()> {
     let (first, others) = digits.split_at(1.min(digits.len()));
     out.extend_from_slice(first);
@@ -170,7 +169,7 @@ fn write_scientific(digits: &[u8], exponent: i32, out: &mut Vec<u8>) -> Result<(
     Ok(())
 }
 
-/// Digits with a point at its place, and zeros up to it.
+/// Digits with a decimal point in its place, and zeros up to it.
 fn write_plain(digits: &[u8], exponent: i32, point_zero: bool, out: &mut Vec<u8>) {
     let Ok(exponent) = usize::try_from(exponent) else {
         out.extend_from_slice(b"0.");
@@ -192,22 +191,22 @@ fn write_plain(digits: &[u8], exponent: i32, point_zero: bool, out: &mut Vec<u8>
 /// What the texts of a column have in common, from which its rule is guessed.
 #[derive(Debug)]
 pub(super) struct Survey {
-    /// Most digits of a number, zeros at its start left out.
+    /// The most digits of a number, not counting leading zeros.
     significant: usize,
-    /// Fewest and most digits after the point.
+    /// The fewest and the most digits after the decimal point.
     decimals: (usize, usize),
-    /// There are numbers with an exponent; without.
+    /// Whether there are numbers with an exponent, and without.
     with_exponent: bool,
     without_exponent: bool,
 }
 
 impl Survey {
-    /// Of a column of no numbers yet.
+    /// The survey of an empty column.
     pub(super) fn new() -> Self {
         Survey { significant: 1, decimals: (usize::MAX, 0), with_exponent: false, without_exponent: false }
     }
 
-    /// Takes one more text into account. NaN and infinity say nothing.
+    /// Takes one more text into account. NaN and infinity tell nothing.
     pub(super) fn add(&mut self, token: &str) {
         let (mantissa, exponent) = match token.split_once('e') {
             Some((mantissa, _)) => (mantissa, true),
@@ -228,9 +227,9 @@ impl Survey {
         }
     }
 
-    /// The rules by which these texts may have been written, the likeliest first. A rule of N
-    /// significant digits looks the same with any larger N as long as no number has more digits
-    /// (those before the point counted, as they say where exponents begin); so the least N will do.
+    /// The rules by which these texts may have been written, the likeliest first. A rule of N significant
+    /// digits looks the same with any larger N as long as no number has more digits (those before the decimal
+    /// point count, because they determine where exponents begin), so the least N will do.
     pub(super) fn candidates(&self, scalar: Scalar) -> Vec<NumberRule> {
         if !scalar.is_float() {
             return vec![NumberRule::Integer];
@@ -267,7 +266,7 @@ mod tests {
         String::from_utf8(out).unwrap()
     }
 
-    /// Expected texts are what C's printf gives.
+    /// The expected texts are those of C's printf.
     #[test]
     fn significant_digits_are_those_of_printf() {
         for (value, digits, expected) in [

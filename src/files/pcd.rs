@@ -1,4 +1,4 @@
-//! PCD, the point cloud files of the Point Cloud Library: header and dispatch by kind of data.
+//! PCD, the point cloud files of the Point Cloud Library: the header, and dispatch by kind of data.
 //!
 //! Source: "The PCD (Point Cloud Data) file format" (PCL documentation) and PCL's `pcd_io.cpp`.
 
@@ -7,7 +7,7 @@ use super::records::plain_file;
 use super::{pcd_compressed, places, text_records};
 use crate::scan::{Scalar, ScanFile, Wrapping};
 
-/// The three kinds of body.
+/// The three kinds of data.
 #[derive(Clone, Copy)]
 enum Data {
     Ascii,
@@ -15,19 +15,19 @@ enum Data {
     Compressed,
 }
 
-/// What a header says.
+/// The contents of a header.
 pub(super) struct Header<'a> {
     /// The fields; one entry for all values of a field with COUNT above 1.
     pub fields: Vec<Declared<'a>>,
-    /// Number of points. It may be anything: the body decides.
+    /// Number of points, which may be wrong: the body decides.
     points: u64,
     data: Data,
-    /// Bytes of the header, the line end after `DATA` included.
+    /// Bytes of the header, including the line end after `DATA`.
     length: usize,
 }
 
-/// The points as records, the header as `prefix`, what follows as `suffix`.
-/// `None` if the header is damaged or the body cannot be given back exactly.
+/// The points as records, the header as `prefix`, what follows as `suffix`. `None` if the header is damaged
+/// or the body cannot be restored exactly.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
     let Header { fields, points, data, length } = header;
@@ -55,7 +55,7 @@ impl<'a> Header<'a> {
             let words: Vec<&str> = words.collect();
             match (keyword, &words[..]) {
                 ("VERSION" | "VIEWPOINT", _) => {}
-                // COLUMNS is what the oldest files say.
+                // The oldest files say COLUMNS.
                 ("FIELDS" | "COLUMNS", _) => names = words,
                 ("SIZE", _) => sizes = words,
                 ("TYPE", _) => types = words,
@@ -101,7 +101,7 @@ fn field<'a>(name: &'a str, size: &str, kind: &str, count: &str) -> Option<Decla
         ("U", 8) => Some(Scalar::U64),
         ("F", 4) => Some(Scalar::F32),
         ("F", 8) => Some(Scalar::F64),
-        // Half precision: in a binary body it is two bytes like others.
+        // Half precision: in a binary body it is two bytes like any other.
         ("F", _) => None,
         _ => return None,
     };

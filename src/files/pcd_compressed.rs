@@ -10,8 +10,8 @@ use crate::scan::{Field, Layout, LzfDialect, ScanFile, Wrapping};
 /// Bytes before the compressed ones.
 const SIZES: usize = 8;
 
-/// Takes a file apart whose body starts at byte `start`. `None` if the body is damaged or none of
-/// the known compressors writes it.
+/// Takes a file apart whose body starts at byte `start`. `None` if the body is damaged, or if none of the
+/// known compressors would write it.
 pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize) -> Option<ScanFile> {
     let (sizes, rest) = bytes.get(start..)?.split_at_checked(SIZES)?;
     let packed_size = LittleEndian::read_u32(sizes) as usize;
@@ -38,10 +38,10 @@ pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize) -> Option<ScanFi
     })
 }
 
-/// The body that holds these records.
+/// The body with these records.
 ///
 /// # Errors
-/// [`Error::Corrupt`] if the records take more than the 4 GiB that the format has room for.
+/// [`Error::Corrupt`] if the records take more than the 4 GiB that the format allows.
 pub(super) fn write(body: &[u8], layout: &Layout, dialect: LzfDialect) -> Result<Vec<u8>> {
     let too_long = |_| Error::corrupt("records too long for a compressed PCD file");
     let size = u32::try_from(body.len()).map_err(too_long)?;
@@ -54,7 +54,7 @@ pub(super) fn write(body: &[u8], layout: &Layout, dialect: LzfDialect) -> Result
     Ok([&packed_size.to_le_bytes()[..], &size.to_le_bytes(), &packed].concat())
 }
 
-/// Calls `visit` with the place of each value field by field, and its place record by record.
+/// Calls `visit` with the place of each value in field order and its place in record order.
 fn for_each_value(
     layout: &Layout,
     records: usize,

@@ -1,14 +1,14 @@
-//! Where the fields of a binary record are if its header is wrong.
+//! The places of the fields of a binary record whose header is wrong.
 //!
-//! PCL writes `COUNT 0` for padding, and some programs declare the gaps of their structures wrongly: then the
-//! length of the body says how long a record is, and its bytes say where the fields are.
+//! PCL writes `COUNT 0` for padding, and some programs declare the gaps in their structures wrongly. The
+//! length of the body then tells how long a record is, and its bytes tell where the fields are.
 
 use super::field::Declared;
 use crate::scan::{Field, MAX_STRIDE};
 
-/// Fewer points are no evidence of how long a record is.
+/// With fewer points than this, the length of a record is not certain.
 const FEWEST_POINTS: u64 = 100;
-/// How many records are looked at, at most.
+/// The most records that are examined.
 const MOST_SAMPLES: usize = 2000;
 
 /// A field and its place in a record.
@@ -17,8 +17,8 @@ struct Placed<'f, 'a> {
     at: usize,
 }
 
-/// The fields of the records that `body` begins with, as its bytes have them; `None` if there is no reason to
-/// doubt what is declared.
+/// The fields of the records that `body` begins with, according to its bytes; `None` if there is no reason to
+/// doubt the declaration.
 pub(super) fn find(fields: &[Declared], body: &[u8], points: u64) -> Option<Vec<Field>> {
     let declared: usize = fields.iter().map(|field| field.width as usize).sum();
     let first_empty = fields.iter().position(|field| field.width == 0);
@@ -31,14 +31,15 @@ pub(super) fn find(fields: &[Declared], body: &[u8], points: u64) -> Option<Vec<
     if !(fits || is_whole) || stride > MAX_STRIDE as usize {
         return None;
     }
-    // As declared; as a structure without the padding behind the first field that takes no bytes; without any.
+    // As declared; as a structure without the padding after the first field that takes no bytes; without any
+    // padding.
     let candidates = [
         declared_places(fields),
         aligned_places(fields, first_empty.unwrap_or(0)),
         aligned_places(fields, 0),
     ];
     let placed = candidates.into_iter().filter(|placed| ends_within(placed, stride));
-    // The first of those that are alike.
+    // The first of several equal ones.
     let best =
         placed.rev().max_by(|a, b| steadiness(a, body, stride).total_cmp(&steadiness(b, body, stride)))?;
     Some(with_padding(&best, stride))
@@ -56,8 +57,8 @@ fn declared_places<'f, 'a>(fields: &'f [Declared<'a>]) -> Vec<Placed<'f, 'a>> {
     placed
 }
 
-/// Each value at a multiple of its size, as compilers place them; padding that is declared counts before the
-/// field of number `until` alone.
+/// Places each value at a multiple of its size, as compilers do; declared padding counts only before the
+/// field with the number `until`.
 fn aligned_places<'f, 'a>(fields: &'f [Declared<'a>], until: usize) -> Vec<Placed<'f, 'a>> {
     let mut at = 0;
     let mut placed = Vec::new();
@@ -78,8 +79,9 @@ fn ends_within(placed: &[Placed], stride: usize) -> bool {
     placed.iter().all(|field| field.at + field.declared.width as usize <= stride)
 }
 
-/// How often the highest byte of a value is that of the record before: numbers change little from point to
-/// point, their lower bytes change at random. Values that never change are no evidence: padding does not either.
+/// How often the highest byte of a value equals that of the preceding record: numbers change little from
+/// point to point, while their lower bytes change at random. Values that never change are no evidence, since
+/// padding does not change either.
 fn steadiness(placed: &[Placed], body: &[u8], stride: usize) -> f64 {
     let step = (body.len() / stride / MOST_SAMPLES).max(1);
     let of_field = |field: &Placed| {
@@ -97,7 +99,7 @@ fn steadiness(placed: &[Placed], body: &[u8], stride: usize) -> f64 {
     placed.iter().map(of_field).sum()
 }
 
-/// The fields with padding between them, so that they fill the record.
+/// The fields with padding between them, filling the record.
 fn with_padding(placed: &[Placed], stride: usize) -> Vec<Field> {
     let mut fields = Vec::new();
     let mut filled = 0;
@@ -119,7 +121,7 @@ mod tests {
     use crate::files::tests::{comes_back, pcd};
     use crate::scan::{Scalar, ScanFile};
 
-    /// 48-byte records as a structure of x, y, z, intensity, a time and a ring.
+    /// 48-byte records, a structure of x, y, z, intensity, a time and a ring.
     fn body(points: u32) -> Vec<u8> {
         let mut body = Vec::new();
         for n in 0..points {
@@ -171,7 +173,7 @@ mod tests {
             scan.layout.channels().any(|(at, field)| at == 38 && field.name == "ring"),
             "no reason to doubt"
         );
-        // Cut off: nothing says that records are shorter.
+        // Cut off; nothing suggests that records are shorter.
         let (points, cut) = (500, 48 * 500 - 7);
         let header = pcd("x y z _", "4 4 4 1", "F F F U", "1 1 1 36", points, "binary");
         let scan = comes_back("a.pcd", [&header, &body(500)[..cut]].concat());

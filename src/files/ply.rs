@@ -1,5 +1,5 @@
-//! PLY in its three encodings: the scalar properties of the vertices are records; elements before and
-//! after them stay as they are.
+//! PLY in its three encodings: the scalar properties of the vertices are records; elements before and after
+//! them are kept as they are.
 //!
 //! Source: G. Turk, "The PLY Polygon File Format" (1994), with the sized type names
 //! (`float32`, `uint8`, ...) that later writers use.
@@ -15,7 +15,8 @@ use super::{big_endian, text_records};
 use crate::scan::{ScanFile, Wrapping};
 
 /// The vertices as records, the header and the elements before them as `prefix`, the elements after them as
-/// `suffix`. `None` if the header is damaged, a vertex has a list, or text would not come back.
+/// `suffix`. `None` if the header is damaged, if a vertex has a list, or if text would not be restored
+/// exactly.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
     let fields = header.fields.iter().filter_map(Declared::field).collect();

@@ -1,7 +1,7 @@
-//! The header of a file with another number of points.
+//! Headers with another number of points.
 
-/// `header`, of a PCD or PLY file and what is before its points, with `points` as its number of points. Other
-/// bytes come back as they are.
+/// The header of a PCD or PLY file, with everything before its points, changed to `points` points. Other
+/// bytes are returned as they are.
 pub fn with_point_count(header: &[u8], points: usize) -> Vec<u8> {
     let is_ply = header.starts_with(b"ply");
     let mut out = Vec::with_capacity(header.len());
@@ -16,7 +16,7 @@ pub fn with_point_count(header: &[u8], points: usize) -> Vec<u8> {
             }
             [b"element", b"vertex", number] if is_ply => (points, number),
             [b"WIDTH" | b"POINTS", number] if !is_ply => (points, number),
-            // One row: which points of an organised cloud are left is no table any more.
+            // One row, because the remaining points of an organised cloud are no longer a table.
             [b"HEIGHT", number] if !is_ply => (1, number),
             _ => {
                 out.extend_from_slice(line);

@@ -8,12 +8,12 @@ use std::path::{Path, PathBuf};
 use super::Kind;
 use crate::ground::error::{Error, Result};
 
-/// Where a KITTI or KITTI-360 drive keeps its scans, seen from the folders above them.
+/// Where KITTI and KITTI-360 drives keep their scans, relative to the folders above.
 const DRIVE_FOLDERS: [&str; 3] = ["velodyne_points/data", "velodyne", "data"];
-/// Longest file name in bytes that the usual file systems take.
+/// The longest file name, in bytes, that common file systems allow.
 const MAX_NAME: usize = 255;
 
-/// What was found.
+/// The frames of an input.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Sequence {
     /// The scans, in the natural order of their names. No two have the same name.
@@ -22,14 +22,14 @@ pub struct Sequence {
     pub left_out: Vec<PathBuf>,
 }
 
-/// Finds the frames of `inputs`: files, folders of scans (`.bin`, `.pcd`, `.ply`; not those in
-/// folders below, and no hidden ones), or KITTI drives (folders above `velodyne_points/data` or
-/// `velodyne`). A file that is named itself is taken whatever its extension. Wherever they come
-/// from, frames are put in the natural order of their names.
+/// Finds the frames of `inputs`: files, folders of scans (`.bin`, `.pcd`, `.ply`; neither subfolders nor
+/// hidden files), or KITTI drives (folders above `velodyne_points/data` or `velodyne`). A file that is named
+/// explicitly is taken whatever its extension. Frames are sorted in the natural order of their names,
+/// wherever they come from.
 ///
 /// # Errors
-/// [`Error::Input`], with the path and what to do: nothing there, no scan in a folder, unreadable,
-/// two frames of the same name, or a name that could not be restored (see [`is_safe_name`]).
+/// [`Error::Input`], with the path and what to do: nothing there, no scan in a folder, unreadable, two frames
+/// with the same name, or a name that could not be restored (see [`is_safe_name`]).
 pub fn find_frames(inputs: &[PathBuf]) -> Result<Sequence> {
     let mut found = Sequence::default();
     for input in inputs {
@@ -52,7 +52,7 @@ pub fn find_frames(inputs: &[PathBuf]) -> Result<Sequence> {
     Ok(found)
 }
 
-/// Lists `folder`, or the folder below it that has the scans if it is a drive.
+/// Lists `folder`, or, if it is a drive, the folder inside that holds the scans.
 fn scan_folder(folder: &Path) -> Result<Sequence> {
     let direct = list(folder)?;
     if !direct.frames.is_empty() {
@@ -77,7 +77,7 @@ fn scan_folder(folder: &Path) -> Result<Sequence> {
     }
 }
 
-/// The files of one folder, hidden ones left out without a word.
+/// The files of a folder, without hidden ones.
 fn list(folder: &Path) -> Result<Sequence> {
     let mut found = Sequence::default();
     for entry in fs::read_dir(folder).map_err(|error| unreadable(folder, &error))? {
@@ -89,7 +89,7 @@ fn list(folder: &Path) -> Result<Sequence> {
         }
         let path = entry.path();
         let is_scan = Kind::of(&name).is_some();
-        // Follows links. What is not called a scan need not be readable.
+        // Follows links. A file without a scan's extension need not be readable.
         match fs::metadata(&path) {
             Ok(kind) if kind.is_dir() => {}
             Ok(kind) if is_scan && kind.is_file() => found.frames.push(path),
@@ -100,7 +100,7 @@ fn list(folder: &Path) -> Result<Sequence> {
     Ok(found)
 }
 
-/// Sorts frames by name, and checks that the names can come back.
+/// Sorts frames by name, and checks that the names can be restored.
 fn in_natural_order(frames: Vec<PathBuf>) -> Result<Vec<PathBuf>> {
     let mut named = Vec::with_capacity(frames.len());
     let mut seen: HashMap<String, PathBuf> = HashMap::with_capacity(frames.len());
@@ -116,7 +116,7 @@ fn in_natural_order(frames: Vec<PathBuf>) -> Result<Vec<PathBuf>> {
     Ok(named.into_iter().map(|(_, path)| path).collect())
 }
 
-/// The name under which a frame is kept and comes back.
+/// The name under which a frame is stored and restored.
 ///
 /// # Errors
 /// [`Error::Input`] if it is not UTF-8 or not [safe](is_safe_name).
@@ -131,14 +131,14 @@ pub fn frame_name(path: &Path) -> Result<&str> {
     }
 }
 
-/// Compares names as people sort them: runs of digits by their value, all else by its bytes
-/// (`2.bin` before `10.bin`). Names that differ are never equal: `1.bin` comes before `01.bin`.
+/// Compares names as people sort them: runs of digits by their value, everything else by its bytes (`2.bin`
+/// before `10.bin`). Names that differ are never equal: `1.bin` comes before `01.bin`.
 pub fn natural_cmp(a: &str, b: &str) -> Ordering {
     natural_key(a).cmp(natural_key(b)).then_with(|| a.len().cmp(&b.len())).then_with(|| a.cmp(b))
 }
 
-/// A name as comparable pieces: a byte, or a number as its place among the bytes, its number of
-/// digits, and its digits without leading zeros.
+/// A name as comparable pieces: a byte, or a number as its rank among the bytes, its number of digits, and
+/// its digits without leading zeros.
 fn natural_key(name: &str) -> impl Iterator<Item = (u8, usize, &[u8])> {
     let mut rest = name.as_bytes();
     std::iter::from_fn(move || {
@@ -155,10 +155,10 @@ fn natural_key(name: &str) -> impl Iterator<Item = (u8, usize, &[u8])> {
     })
 }
 
-/// True if a name from a stream can be created as a file in any folder without leaving it or
-/// meaning something else there: no separators, no control characters, not `.` or `..`, none of
-/// Windows' device names (`NUL`, `COM1.bin`) or drives (`C:x`), no dot or space at its end, and
-/// 1 to 255 bytes.
+/// True if a name from a stream can be created as a file in any folder, without leaving the folder and
+/// without having a special meaning there: no separators, no control characters, not `.` or `..`, none of
+/// Windows' device names (`NUL`, `COM1.bin`) or drives (`C:x`), no dot or space at its end, and 1 to 255
+/// bytes.
 pub fn is_safe_name(name: &str) -> bool {
     let has_drive = matches!(name.as_bytes(), [letter, b':', ..] if letter.is_ascii_alphabetic());
     (1..=MAX_NAME).contains(&name.len())
@@ -168,12 +168,12 @@ pub fn is_safe_name(name: &str) -> bool {
         && !is_windows_device(name)
 }
 
-/// Windows looks at what is before the first dot, in any case of letters, spaces at its end aside.
+/// Windows looks at what is before the first dot, ignoring case and trailing spaces.
 fn is_windows_device(name: &str) -> bool {
     let stem = name.split(['.', ':']).next().unwrap_or(name).trim_end_matches(' ').to_ascii_uppercase();
     let is_port = |port: &str| {
         let number = stem.strip_prefix(port).map(|n| n.chars().collect::<Vec<_>>());
-        // Windows takes the superscript digits too.
+        // Windows accepts the superscript digits too.
         matches!(number.as_deref(), Some(['0'..='9' | '\u{b9}' | '\u{b2}' | '\u{b3}']))
     };
     matches!(&stem[..], "CON" | "PRN" | "AUX" | "NUL" | "CONIN$" | "CONOUT$")
@@ -220,7 +220,7 @@ mod tests {
         find_frames(&inputs.iter().map(|i| dir.path().join(i)).collect::<Vec<_>>())
     }
 
-    /// The error's one line, which must name the path.
+    /// The one-line error, which must name the path.
     fn complaint(dir: &TempDir, inputs: &[&str], names: &str) -> String {
         let message = find(dir, inputs).unwrap_err().to_string();
         assert!(message.starts_with(dir.path().join(names).to_str().unwrap()), "{message}");

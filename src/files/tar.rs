@@ -1,5 +1,5 @@
-//! Reads a tar archive from a pipe: POSIX ustar and pax, and GNU's long names and large numbers. An
-//! archive reader is no more than this, and must be one that never seeks nor reads ahead.
+//! Reads a tar archive from a pipe: POSIX ustar and pax, and GNU's long names and large numbers. An archive
+//! reader need be no more than this, but it must neither seek nor read ahead.
 
 use std::io::{Read, copy, sink};
 
@@ -9,20 +9,20 @@ use crate::ground::error::Result;
 /// Headers and files are padded to blocks of this many bytes.
 const BLOCK: usize = 512;
 
-/// Bytes of a long name or of a pax header at most.
+/// The most bytes of a long name or of a pax header.
 const MAX_EXTENSION: u64 = 1 << 20;
 
-/// What errors call the archive.
+/// The name of the archive in errors.
 const ARCHIVE: &str = "the archive";
 
-/// Gives the regular files of an archive, one after the other.
+/// Returns the regular files of an archive, one after the other.
 pub(super) struct TarReader<R> {
     input: R,
-    /// Bytes that fill the last block of the file before.
+    /// Bytes of padding that follow the file before.
     padding: u64,
 }
 
-/// What comes before a file's header and holds for it.
+/// What precedes a file's header and applies to it.
 #[derive(Default)]
 struct Extension {
     path: Option<String>,
@@ -52,7 +52,7 @@ impl<R: Read> TarReader<R> {
                         None => ustar_path(&header)?,
                     };
                     let size = extension.size.take().unwrap_or(size);
-                    // Before POSIX, a folder was a file whose name ends so.
+                    // Before POSIX, a folder was a file whose name ended in a slash.
                     let name = path.rsplit('/').next().unwrap_or_default();
                     if !name.is_empty() {
                         let bytes = read_file(&mut self.input, name, size)?;
@@ -73,7 +73,8 @@ impl<R: Read> TarReader<R> {
         }
     }
 
-    /// The next header; `None` at the end, after which the rest is read, for the sake of who writes it.
+    /// The next header; `None` at the end, after which the rest is read, so that the writing program does not
+    /// fail.
     fn header(&mut self) -> Result<Option<[u8; BLOCK]>> {
         self.discard(self.padding)?;
         self.padding = 0;
@@ -86,7 +87,7 @@ impl<R: Read> TarReader<R> {
             copy(&mut self.input, &mut sink())?;
             return Ok(None);
         }
-        // The sum of all bytes, those of the sum itself taken as spaces.
+        // The sum of all bytes, with those of the checksum itself counted as spaces.
         let sum = |bytes: &[u8]| bytes.iter().map(|byte| u64::from(*byte)).sum::<u64>();
         let computed = sum(&block[..148]) + 8 * u64::from(b' ') + sum(&block[156..]);
         if number(&block[148..156]) != Some(computed) {
@@ -95,7 +96,7 @@ impl<R: Read> TarReader<R> {
         Ok(Some(block))
     }
 
-    /// The contents of a long name or of a pax header.
+    /// The contents of a long name or a pax header.
     fn extension(&mut self, size: u64) -> Result<Vec<u8>> {
         if size > MAX_EXTENSION {
             return Err(damaged());
@@ -110,7 +111,7 @@ impl<R: Read> TarReader<R> {
         self.discard(size)
     }
 
-    /// The padding is read with the next header: it may arrive with that.
+    /// The padding is read together with the next header, as it may arrive only then.
     fn pad(&mut self, size: u64) {
         self.padding = size.wrapping_neg() % BLOCK as u64;
     }
@@ -124,7 +125,7 @@ impl<R: Read> TarReader<R> {
 }
 
 impl Extension {
-    /// Reads records `LENGTH KEY=VALUE\n`, of which the path and the size count.
+    /// Reads records `LENGTH KEY=VALUE\n`, of which the path and the size are used.
     fn read_pax(&mut self, mut bytes: &[u8]) -> Result<()> {
         while !bytes.is_empty() {
             let space = bytes.iter().position(|&byte| byte == b' ').ok_or_else(damaged)?;
@@ -143,7 +144,7 @@ impl Extension {
     }
 }
 
-/// A number in octal digits, or, if the top bit is set, in bytes, highest first.
+/// A number in octal digits or, if the top bit is set, in bytes, highest first.
 fn number(field: &[u8]) -> Option<u64> {
     if let [0x80, bytes @ ..] = field {
         return bytes.iter().try_fold(0u64, |value, byte| Some(value.checked_mul(256)? + u64::from(*byte)));

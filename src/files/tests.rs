@@ -1,4 +1,4 @@
-//! The promise of this module, on files of all kinds and none.
+//! Tests that files of all kinds, and of none, come back.
 
 use std::path::Path;
 
@@ -58,7 +58,7 @@ fn files_of_others_have_records_and_come_back() {
         let file = comes_back(name, std::fs::read(&path).unwrap());
         assert!(file.records > 10_000, "{name} has {} records", file.records);
         assert!(file.layout.position.is_some() && file.layout.intensity.is_some(), "{name}");
-        // Some versions of PCL leave the rest of a memory page behind the points.
+        // Some versions of PCL leave the rest of a memory page after the points.
         assert!(file.suffix.len() < 4096, "{name} has {} bytes left over", file.suffix.len());
         kinds.push(name.split_once('.').map(|(_, kind)| kind.to_owned()).unwrap());
     }
@@ -119,7 +119,7 @@ fn any_name() -> impl Strategy<Value = String> {
         .prop_map(|(stem, extension)| stem + extension)
 }
 
-/// A good file of any kind, of few points, from values that make both short and long text.
+/// A valid file of any kind, with few points, whose values make both short and long text.
 fn any_good_file() -> impl Strategy<Value = (String, Vec<u8>)> {
     let value = prop_oneof![
         any::<f32>(),
@@ -192,8 +192,8 @@ proptest! {
         prop_assert!(is_text || !file.is_opaque());
     }
 
-    /// Bytes changed, put in and taken out anywhere, mostly in the header; words swapped for nasty
-    /// ones; the end cut off.
+    /// Changes, inserts and removes bytes anywhere, mostly in the header; replaces words by nasty ones; cuts
+    /// off the end.
     #[test]
     fn damaged_files_come_back(
         (name, mut bytes) in any_good_file(),
@@ -221,7 +221,7 @@ proptest! {
         comes_back(&name, bytes);
     }
 
-    /// Whatever layout and sizes a stream names, writing ends in bytes or in an error.
+    /// Whatever layout and sizes a stream gives, writing ends in bytes or in an error.
     #[test]
     fn any_layout_is_written_or_refused(
         layout in prop::collection::vec(0u8..10, 2..40),

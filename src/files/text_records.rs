@@ -1,7 +1,7 @@
 //! Records as text, in an ascii PCD or PLY: one record a line, values between single separators.
 //!
-//! Texts are turned into values only if the values give the texts back. Writers differ in how
-//! they print numbers, so each column's rule is found by trial.
+//! Texts are turned into values only if the values give the texts back. Programs differ in how they print
+//! numbers, so each column's rule is found by trial.
 
 use super::field::{Declared, layout_of, name_of};
 use super::number::{self, NumberWriter, Survey};
@@ -10,9 +10,8 @@ use crate::ground::error::Result;
 use crate::scan::{Column, Field, Layout, Scalar, ScanFile, TextFormat, Wrapping};
 
 /// Takes a file apart whose body starts at byte `start` and has at most `points` records of these fields,
-/// which must make a valid layout.
-/// Lines from the first one on that does not look like those before it are `suffix`.
-/// `None` if there is no record, or a column whose texts no rule gives back.
+/// which must make a valid layout. Lines from the first one that does not look like those before it are
+/// `suffix`. `None` if there is no record, or if no rule gives back the texts of a column.
 pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64) -> Option<ScanFile> {
     let scalars = scalars(fields)?;
     let body = bytes.get(start..)?;
@@ -50,7 +49,7 @@ pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64
     })
 }
 
-/// The types of all values of a record; `None` if there are none, or one is of a size that has no such type.
+/// The types of all values of a record; `None` if there are no values, or if no type has the size of one.
 fn scalars(fields: &[Declared]) -> Option<Vec<Scalar>> {
     let mut scalars = Vec::new();
     for field in fields {
@@ -60,8 +59,7 @@ fn scalars(fields: &[Declared]) -> Option<Vec<Scalar>> {
     (!scalars.is_empty()).then_some(scalars)
 }
 
-/// The fields as the values of these columns make them up: one whose values are kept in different types is
-/// as many fields.
+/// The fields as these columns store them: a field whose values have different types becomes as many fields.
 fn as_stored(fields: &[Declared], columns: &[Column]) -> Vec<Field> {
     let mut rest = columns;
     let mut stored = Vec::with_capacity(fields.len());
@@ -85,7 +83,7 @@ fn valid(layout: Layout) -> Option<Layout> {
     layout.validate().ok().map(|()| layout)
 }
 
-/// Records from the values of each column.
+/// Joins the values of the columns into records.
 fn side_by_side(values: &[Vec<u8>], columns: &[Column], records: usize) -> Vec<u8> {
     let mut body = Vec::with_capacity(values.iter().map(Vec::len).sum());
     for record in 0..records {
@@ -100,7 +98,7 @@ fn side_by_side(values: &[Vec<u8>], columns: &[Column], records: usize) -> Vec<u
 /// The text of these records, each as long as the columns together.
 ///
 /// # Errors
-/// None that a valid layout brings about.
+/// None, if the layout is valid.
 pub(super) fn write(body: &[u8], format: &TextFormat) -> Result<Vec<u8>> {
     let mut out = Vec::new();
     let mut writer = NumberWriter::default();
@@ -122,8 +120,8 @@ pub(super) fn write(body: &[u8], format: &TextFormat) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// The type and rule that give all these texts, and the values. Doubles whose every digit single precision
-/// gives back are kept in that: many programs print float32 values as double.
+/// The type and rule that give all these texts, and the values. Doubles of which single precision preserves
+/// every digit are stored as float32: many programs print float32 values as doubles.
 fn find_column<'a>(
     scalar: Scalar,
     texts: impl Iterator<Item = &'a str> + Clone,
@@ -155,14 +153,14 @@ fn find_rule<'t, 'v>(
     })
 }
 
-/// The first line with its line end; a line that is not ended is none.
+/// The first line, including its line end; `None` if it is incomplete.
 fn first_line(bytes: &[u8]) -> Option<&str> {
     let end = bytes.iter().position(|&b| b == b'\n')?;
     std::str::from_utf8(&bytes[..=end]).ok()
 }
 
 impl TextFormat {
-    /// The format that a line has, without columns.
+    /// The format of a line, without columns.
     fn of_line(line: &str) -> Self {
         let text = line.trim_end_matches(['\r', '\n']);
         TextFormat {
@@ -181,7 +179,7 @@ impl TextFormat {
         if self.crlf { "\r\n" } else { "\n" }
     }
 
-    /// Takes the texts out of a line; `None`, and nothing taken, if it is not of this format.
+    /// Takes the texts out of a line; `None`, with nothing taken, if the line is not of this format.
     fn read_line<'a>(&self, line: &'a str, scalars: &[Scalar], tokens: &mut Vec<&'a str>) -> Option<()> {
         let separator = char::from(self.separator());
         let mut text = line.strip_suffix(self.line_end())?;
@@ -252,7 +250,7 @@ mod tests {
                 NumberRule::Integer,
             ]
         );
-        // Few digits, but large enough for an exponent if the rule allowed no more than two.
+        // Few digits, but so large that it would have an exponent if the rule allowed no more than two.
         let scan = comes_back("a.pcd", file("120000 1 1 1 1\n2.5 1 1 1 1\n"));
         assert_eq!(rules(&scan)[0], NumberRule::Significant(6));
         let scan = comes_back("a.pcd", file("1.50e+00 1 1 1 1\n2.25e-07 1 1 1 1\n"));
@@ -309,7 +307,7 @@ mod tests {
         }
     }
 
-    /// All rules for floating point, with up to as many digits as writers ask for.
+    /// All rules for floating point, with up to as many digits as programs use.
     fn any_rule() -> impl Strategy<Value = NumberRule> {
         prop_oneof![
             (0u8..20).prop_map(NumberRule::Fixed),
@@ -320,12 +318,13 @@ mod tests {
         ]
     }
 
-    /// Any number but the largest: few digits make more of them than there is, which reads as infinite.
+    /// Any number but the largest: with few digits these round to more than the maximum, which reads as
+    /// infinity.
     fn any_number() -> impl Strategy<Value = f64> {
         any::<f64>().prop_filter("too large", |number| !number.is_finite() || number.abs() < 9e307)
     }
 
-    /// What a column of this type and rule makes of the values.
+    /// The text of the values with this type and rule.
     fn text_of(scalar: Scalar, rule: NumberRule, bytes: Vec<u8>) -> Vec<u8> {
         let size = scalar.size();
         let records = bytes.len() / size as usize;
@@ -340,7 +339,7 @@ mod tests {
     }
 
     proptest! {
-        /// A text that any rule wrote is recognised, whatever the values.
+        /// A text written by any rule is recognised, whatever the values.
         #[test]
         fn every_rule_is_found_again(
             any in prop::collection::vec(any_number(), 0..20),

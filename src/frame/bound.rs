@@ -1,13 +1,13 @@
-//! The promise of bounded mode, and what the encoder does to keep it.
+//! The promise of bounded mode, and how the encoder keeps it.
 
 use super::fidelity::{Intensity, Positions};
 use crate::scan::{PointCloud, ScanFile, squared_distance};
 use crate::scanner::Coordinates;
 
-/// How far decoded values may be from those of the file.
+/// The largest errors allowed for decoded values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bound {
-    /// Metres (3-D distance).
+    /// In metres (3-D distance).
     max_error: f64,
     /// The grid of points outside the range image.
     lattice: Coordinates,
@@ -15,7 +15,7 @@ pub struct Bound {
 }
 
 impl Bound {
-    /// What these settings promise; none if it is more than a bound.
+    /// The promise of these settings; `None` if they promise more than a bound.
     pub fn of(positions: Positions, intensity: Intensity) -> Option<Self> {
         match (positions, positions.lattice()) {
             (Positions::Bounded { max_error_um, .. }, Some(lattice)) => {
@@ -25,15 +25,16 @@ impl Bound {
         }
     }
 
-    /// How far the formula may miss a point that goes into the range image, in metres.
+    /// The largest error of the formula for a point of the range image, in metres.
     pub fn reach(&self) -> f64 {
         0.5 * self.max_error
     }
 
     /// The widest bins of ranges, in steps of `step` metres, that keep nearly all points within the bound.
-    /// `misses` are their distances from where the formula has them before that, in metres.
+    /// `misses` are the errors of the formula without bins, in metres.
     pub fn bin(&self, step: f64, mut misses: Vec<f64>) -> u32 {
-        /// The rest is corrected. A correction takes a few bytes, a finer step a bit of every point.
+        /// The other points are corrected. A correction costs a few bytes, a finer step one bit for every
+        /// point.
         const KEPT: f64 = 0.995;
         if misses.is_empty() {
             return 1;
@@ -67,15 +68,15 @@ impl Bound {
         }
     }
 
-    /// Whether a decoded scan has the very points of the original, in their order, and none is farther off
-    /// than promised.
+    /// Whether a decoded scan has the points of the original, in the same order, with none farther away than
+    /// promised.
     pub fn holds(&self, original: &ScanFile, decoded: &ScanFile) -> bool {
         let (PointCloud { positions, intensity, channels }, after) = (&original.cloud, &decoded.cloud);
         let half_step = match self.intensity {
             Intensity::Rounded { step_millionths } => 0.5e-6 * f64::from(step_millionths),
             Intensity::Exact | Intensity::None => 0.0,
         };
-        // A float32 is rounded by less than this part of itself.
+        // The relative error of rounding to float32 is smaller than this.
         let near =
             |a: f32, b: f32| (f64::from(a) - f64::from(b)).abs() <= half_step + 1e-7 * f64::from(a.abs());
         let same_bits = |a: f32, b: f32| a.to_bits() == b.to_bits();

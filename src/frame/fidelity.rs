@@ -1,4 +1,4 @@
-//! How true decoded points are to those of the file: what is promised of their positions and intensities.
+//! The fidelity of decoded points: what is promised of their positions and intensities.
 
 use super::parameters::{read, within};
 use crate::ground::error::{Error, Result};
@@ -8,22 +8,23 @@ use crate::scanner::Coordinates;
 /// Where the positions of decoded points come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Positions {
-    /// The formula's, corrected to the file's own, in the file's own order.
+    /// The formula's positions, corrected to those of the file, in the order of the file.
     #[default]
     Exact,
-    /// The formula's as they are, in the order of the range image.
+    /// The formula's positions as they are, in the order of the range image.
     Formula,
-    /// None is farther than this from the file's own (3-D distance), in the file's own order: the formula's,
-    /// corrected to the file's own where they are farther off.
+    /// No position is farther than the bound from that of the file (3-D distance), in the order of the file:
+    /// the formula's positions, replaced by those of the file where they are farther away.
     Bounded {
         /// The bound, in micrometres; not 0.
         max_error_um: u32,
-        /// Whether the formula's are rounded to the grid of the file: best if its ranges are exact.
+        /// Whether the formula's positions are rounded to the grid of the file, which is best if ranges are
+        /// exact.
         on_grid: bool,
     },
 }
 
-/// What becomes of intensities.
+/// What happens to intensities.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Intensity {
     /// They are kept as they are.
@@ -42,12 +43,13 @@ pub enum Intensity {
 pub const MOST_MAX_ERROR_UM: u32 = 10_000_000;
 
 impl Positions {
-    /// The grid of points outside the range image, none if it is the file's own: no point is farther than
-    /// the bound from the nearest one of this cubic grid.
+    /// The grid of points outside the range image, or `None` if it is that of the file: no point is farther
+    /// than the bound from the nearest point of this cubic grid.
     pub fn lattice(self) -> Option<Coordinates> {
         match self {
             Positions::Bounded { max_error_um, .. } => {
-                // An edge of 2 / sqrt(3) bounds has its corners at the bound; the rest is room for float32.
+                // A cube with edges of 2 / sqrt(3) bounds has its corners at the bound; the rest is room for
+                // rounding to float32.
                 Some(Coordinates::Lattice { step_nm: u64::from(max_error_um) * 1140 })
             }
             Positions::Exact | Positions::Formula => None,
@@ -79,7 +81,7 @@ impl Positions {
 }
 
 impl Intensity {
-    /// Levels that make 1, if the rounded ones are a whole number.
+    /// Levels per 1.0 of the rounded intensities, if that is a whole number.
     pub fn levels_per_unit(self) -> Option<u32> {
         match self {
             Intensity::Rounded { step_millionths: step } => (1_000_000 % step == 0).then(|| 1_000_000 / step),

@@ -1,4 +1,5 @@
-//! A scan as it is coded: the range image and what it takes to get from it to the file's points.
+//! A scan in the form in which it is coded: the range image, and what is needed to get from it to the file's
+//! points.
 
 use super::bound::Bound;
 use super::fidelity::{Intensity, Positions};
@@ -37,11 +38,12 @@ pub struct Frame {
     pub image: RangeImage,
     /// Which cells hold a return.
     pub occupancy: Grid<bool>,
-    /// The numbers of the cells that do, row after row.
+    /// The indices of these cells, row after row.
     pub cells: Vec<u32>,
-    /// The regions of the image and their models, if ranges are predicted from them.
+    /// The regions of the image and their models, if they predict the ranges.
     pub intra: IntraPrediction,
-    /// What an image coder made of the ranges; kept, so that they lose nothing when they are coded again.
+    /// The output of an image coder for the ranges, kept so that nothing more is lost when they are coded
+    /// again.
     pub coded_image: Vec<u8>,
     /// Intensity of each return.
     pub intensity: Grid<f32>,
@@ -52,17 +54,17 @@ pub struct Frame {
     pub order: OrderExceptions,
     /// The other fields of the records, in the order of the file.
     pub channels: Vec<Channel>,
-    /// The file's bytes, if the frame is coded as that and nothing else.
+    /// The file's bytes, if the whole frame is coded as bytes.
     pub whole: Option<WholeFile>,
-    /// How the points were moved after they were measured; the positions above are from before.
+    /// How the points were moved after they were measured; the positions above are those before.
     pub compensation: Option<Compensation>,
-    /// Where the points come from; only while a scan is encoded.
+    /// The original points; only while a scan is encoded.
     origin: Option<Arc<Origin>>,
-    /// Positions as they are in the file, if they were moved; only while a scan is encoded.
+    /// Positions as in the file, if they were moved; only while a scan is encoded.
     moved: Option<Arc<Vec<[f32; 3]>>>,
 }
 
-/// The points of a scan that is encoded, and where the range image has them.
+/// The points of a scan that is being encoded, and their places in the range image.
 #[derive(Debug)]
 struct Origin {
     cloud: PointCloud,
@@ -71,7 +73,7 @@ struct Origin {
 }
 
 impl Frame {
-    /// A frame of so many records, to be decoded.
+    /// A frame with `records` records, to be decoded.
     pub fn of_records(records: usize) -> Self {
         Frame { records, ..Frame::default() }
     }
@@ -115,7 +117,7 @@ impl Frame {
         Ok(frame)
     }
 
-    /// Takes a prediction: for intra, finds the regions of the image (equations 3 and 4) and models them
+    /// Applies a prediction: for intra, finds the regions of the image (equations 3 and 4) and models them
     /// (equations 5 to 7).
     pub fn predict(
         &mut self,
@@ -139,13 +141,13 @@ impl Frame {
         }
     }
 
-    /// Takes no prediction.
+    /// Removes the prediction.
     pub fn predict_from_nothing(&mut self) {
         self.parameters.prediction = Prediction::None;
         self.parameters.motion = QuantisedPose::default();
     }
 
-    /// The points as they were measured, if they were moved after that.
+    /// The points as they were measured, if they have been moved since.
     fn undo_compensation(&mut self, cloud: PointCloud, config: &EncoderConfig) -> PointCloud {
         let undone = config.undoes_compensation().then(|| motion::undo(&cloud.positions)).flatten();
         let Some((positions, compensation)) = undone else { return cloud };
@@ -154,7 +156,7 @@ impl Frame {
         PointCloud { positions, ..cloud }
     }
 
-    /// Takes all points as they come: there is no range image. None of them is lost.
+    /// Codes all points one by one, without a range image. None of them is lost.
     fn take_strays(&mut self, cloud: PointCloud) {
         if self.parameters.positions == Positions::Formula {
             self.parameters.positions = Positions::Exact;
@@ -166,7 +168,7 @@ impl Frame {
         self.channels = cloud.channels;
     }
 
-    /// Takes all points, in bins of range as wide as the bound allows.
+    /// Codes all points, in bins of range as wide as the bound allows.
     fn take_points(&mut self, cloud: PointCloud, scanner: &Scanner, bound: Option<&Bound>) {
         let projection = scanner.project(&cloud, bound.map_or(REACH, |bound| bound.reach().max(REACH)));
         if let Some(bound) = bound {
@@ -179,15 +181,14 @@ impl Frame {
         self.take_image(cloud, projection);
     }
 
-    /// Moves the values that the range image does not hold as far as the bound allows.
+    /// Rounds the values outside the range image as far as the bound allows.
     fn round_values(&mut self, bound: &Bound) {
         bound.round_positions(&mut self.stray_positions);
         let of_cells = self.intensity.cells_mut().iter_mut();
         bound.round_intensities(of_cells.chain(&mut self.stray_intensity));
     }
 
-    /// Takes what the outlier filter (equation 1) and the range image (equation 2) leave of the
-    /// points.
+    /// Codes the points that the outlier filter (equation 1) and the range image (equation 2) leave.
     fn convert_points(
         &mut self,
         cloud: &PointCloud,
@@ -223,7 +224,7 @@ impl Frame {
         steps.took(Step::Conversion, start);
     }
 
-    /// Takes the range image and the strays.
+    /// Sets the range image and the strays.
     fn take_image(&mut self, cloud: PointCloud, projection: Projection) {
         let Projection { image, point_of_cell, strays } = projection;
         self.occupancy = image.occupancy();
@@ -242,8 +243,8 @@ impl Frame {
         self.origin = Some(Arc::new(Origin { cloud, point_of_cell, strays }));
     }
 
-    /// Brings the encoder's points into the order in which a decoder finds the returns: the decoded ranges
-    /// tell of it.
+    /// Brings the encoder's points into the order in which a decoder finds the returns, which depends on the
+    /// decoded ranges.
     pub fn arrange(&mut self, returns: &[Return]) {
         let Some(origin) = self.origin.take() else { return };
         let Origin { cloud, point_of_cell, strays } = &*origin;
@@ -260,7 +261,7 @@ impl Frame {
         self.channels.clone_from(&cloud.channels);
     }
 
-    /// Which point of the file each cell holds.
+    /// The point of the file in each cell.
     ///
     /// # Errors
     /// If the parts do not fit together.
@@ -308,8 +309,8 @@ impl Frame {
         self.order.arranged(&self.positions, &self.stray_positions)
     }
 
-    /// Takes down which points compensation does not move to where they must be, now that what is decoded of
-    /// them is known.
+    /// Lists the points that motion compensation does not move to their places in the file, now that their
+    /// decoded positions are known.
     ///
     /// # Errors
     /// If the parts do not fit together.
@@ -326,7 +327,7 @@ impl Frame {
         Ok(())
     }
 
-    /// Puts the scan together again.
+    /// Restores the scan from its parts.
     ///
     /// # Errors
     /// If the parts do not fit together.

@@ -1,6 +1,6 @@
-//! A group of pictures: frames coded one after the other by models that learn from each. The frames of
-//! several scanners may take turns in it; those of each are a stream, with models of its own. Groups know
-//! nothing of one another.
+//! A group of pictures: frames coded one after the other with models that learn from each. The frames of
+//! several scanners may take turns; those of each scanner are a stream of the group, with models of its own.
+//! Groups are independent of each other.
 
 use std::mem::take;
 
@@ -48,24 +48,25 @@ pub struct EncodedFrame {
     pub header: FrameHeader,
     /// The coded parts.
     pub sections: Vec<Section>,
-    /// What each step took and left; where several predictions were tried, with the one that was taken.
+    /// What each step took and produced. If several predictions were tried, the report of the one that was
+    /// chosen.
     pub steps: StepReport,
 }
 
 impl<'s> GroupEncoder<'s> {
-    /// A new group of streams of these scanners.
+    /// A new group whose streams have these scanners.
     pub fn new(scanners: &[Option<&'s Scanner>], config: &'s EncoderConfig) -> Self {
         let streams = scanners.iter().map(|scanner| StreamEncoder::new(*scanner, config)).collect();
         GroupEncoder { streams, config }
     }
 
-    /// Encodes the next frame, which decoders then take under [`Limits::default`]. `original` says
-    /// what its file is, and of which stream; one that the group does not have yet has no scanner. A frame that
-    /// would break the bound of bounded mode is coded exactly: one whose text has no room for the decoded values,
-    /// say.
+    /// Encodes the next frame so that decoders accept it under [`Limits::default`]. `original` describes its
+    /// file and names its stream; a stream that the group does not have yet has no scanner. A frame that
+    /// would break the bound of bounded mode, such as text without enough digits for the decoded values, is
+    /// coded exactly.
     ///
     /// # Errors
-    /// If the scan is over those limits, or a back-end's library fails.
+    /// If the scan exceeds those limits, or if a back-end's library fails.
     pub fn encode_frame(&mut self, scan: ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
         let stream = usize::from(original.stamp.stream);
         let streams = self.streams.len().max(stream + 1);
@@ -102,7 +103,7 @@ impl<'s> StreamEncoder<'s> {
         Ok(self.encode_as(&exact, scan, original)?.0)
     }
 
-    /// Encodes the next frame with these settings. Gives the file that it decodes to, if it is another.
+    /// Encodes the next frame with these settings. Returns the decoded file, if that differs.
     fn encode_as(
         &mut self,
         config: &EncoderConfig,
@@ -158,10 +159,10 @@ impl<'s> StreamEncoder<'s> {
         Ok((EncodedFrame { header, sections, steps }, Some(bytes)))
     }
 
-    /// Finds how the scanner has moved since the frame before, if the frame may be predicted from that
-    /// (equation 8). Gives how much of that frame fits this one, from 0 to 1; none if it does not.
+    /// Estimates how the scanner has moved since the frame before, if the frame may be predicted from that
+    /// (equation 8). Returns how much of that frame fits this one, from 0 to 1; `None` if it does not.
     fn estimate_motion(&mut self, frame: &Frame) -> Option<f64> {
-        /// The part of the returns that are as far away as before from where the scanner stands still.
+        /// The share of the returns that are as far away as before if the scanner stands still.
         const STANDING_STILL: f64 = 0.5;
         let (scanner, past) = (self.scanner?.hdl64()?, self.models.past()?);
         let choice = self.config.inter_choice(self.frames);
@@ -186,7 +187,7 @@ impl<'s> StreamEncoder<'s> {
         motion.and(found).map(|found| found.fit)
     }
 
-    /// Codes a frame with this prediction, by models that go on from those of the group.
+    /// Codes a frame with this prediction, with models that continue from those of the group.
     fn attempt(
         &self,
         mut frame: Frame,
@@ -209,8 +210,8 @@ impl<'s> StreamEncoder<'s> {
     }
 }
 
-/// Whether no range image explains most points, and all must come back as they are: then models may be worse
-/// than what knows nothing of points.
+/// Whether most points are outside any range image and all must come back exactly: the models may then do
+/// worse than a coder that knows nothing about points.
 fn is_unexplained(frame: &Frame, config: &EncoderConfig) -> bool {
     let is_exact = config.positions == Positions::Exact && config.intensity == Intensity::Exact;
     is_exact && frame.parameters.source.is_none() && 2 * frame.strays >= frame.records
@@ -218,19 +219,19 @@ fn is_unexplained(frame: &Frame, config: &EncoderConfig) -> bool {
 
 /// A frame coded in one of several ways.
 struct Attempt {
-    /// What coding it has taught.
+    /// The models after coding it.
     models: Models,
-    /// As it decodes.
+    /// The frame as it decodes.
     frame: Frame,
     sections: Vec<Section>,
     returns: Vec<Return>,
-    /// Squared error of the ranges, in steps, by a coder that may spend so many bits; else 0.
+    /// Squared error of the ranges, in steps, with a coder that has a bit rate; otherwise 0.
     error: f64,
     steps: StepReport,
 }
 
 impl Attempt {
-    /// The error, of coders that may spend so many bits, and then the bytes of the sections.
+    /// The error of coders that have a bit rate, then the bytes of the sections.
     fn cost(&self) -> (f64, usize) {
         (self.error, self.sections.iter().map(|section| section.payload.len()).sum())
     }
@@ -246,26 +247,26 @@ fn squared_error(a: &Grid<u32>, b: &Grid<u32>) -> f64 {
 pub struct DecodedScan {
     /// The file.
     pub scan: ScanFile,
-    /// What the file was before, if it is not given back exactly.
+    /// The original file, if it is not restored exactly.
     pub source: Option<Source>,
-    /// Whether it holds the points of the file before, and in their order.
+    /// Whether it holds the points of the original file, in the same order.
     pub in_order: bool,
-    /// The range image, if there is one and it was asked for.
+    /// The range image, if there is one and it was requested.
     pub image: Option<DecodedImage>,
 }
 
 /// The range image of a decoded frame.
 #[derive(Clone, Debug)]
 pub struct DecodedImage {
-    /// Whose rows, ticks and steps these are.
+    /// The scanner whose rows, ticks and steps these are.
     pub scanner: Scanner,
     /// The ranges.
     pub image: RangeImage,
-    /// Which point of the file each cell holds, the first being 0.
+    /// The point of the file in each cell, counted from 0.
     pub point_of_cell: Grid<Option<u32>>,
-    /// The regions that they were predicted from; none if they were not.
+    /// The regions that predict the ranges; empty if none do.
     pub intra: IntraPrediction,
-    /// How the scanner has moved since the frame before, if they were predicted from that.
+    /// How the scanner has moved since the frame before, if that predicts the ranges.
     pub motion: Option<Pose>,
 }
 
@@ -278,21 +279,22 @@ pub struct GroupDecoder<'s> {
 }
 
 impl<'s> GroupDecoder<'s> {
-    /// A new group of streams of these scanners.
+    /// A new group whose streams have these scanners.
     pub fn new(scanners: &[Option<&'s Scanner>], limits: &Limits) -> Self {
         let streams = scanners.iter().map(|scanner| (*scanner, Models::default())).collect();
         GroupDecoder { streams, limits: *limits, keeps_images: false }
     }
 
-    /// Makes it give back range images too.
+    /// Makes the decoder return range images, too.
     pub fn keeping_images(self, keeps_images: bool) -> Self {
         GroupDecoder { keeps_images, ..self }
     }
 
-    /// Decodes the next frame; what each step took is added to `steps`.
+    /// Decodes the next frame; adds the times of all steps to `steps`.
     ///
     /// # Errors
-    /// If the sections do not make a frame, or one over the limits; if the group does not have the frame's stream.
+    /// If the sections do not make a frame, or make one that exceeds the limits; if the group does not have
+    /// the frame's stream.
     pub fn decode_frame(
         &mut self,
         header: &FrameHeader,

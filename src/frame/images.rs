@@ -1,5 +1,5 @@
-//! What prediction leaves of the ranges, by an image coder (article, VI-C). The encoder goes on with the
-//! ranges that the decoder will have.
+//! The residuals of ranges, coded by an image coder (article, VI-C). The encoder continues with the ranges
+//! that the decoder will have.
 
 use super::frame::Frame;
 use super::parameters::RangeCoder;
@@ -11,10 +11,10 @@ use crate::ground::error::Result;
 use crate::scanner::Scanner;
 use crate::stream::container::SectionKind;
 
-/// The range of each return, of which `side` bytes of the prediction are written already.
+/// Codes the range of each return; `side` bytes of the prediction have been written already.
 ///
 /// # Errors
-/// If the section is damaged, or the image's size is none that the format can have.
+/// If the section is damaged, or if the size of the image is impossible in the format.
 pub fn code_ranges<S: SectionCoder>(
     sections: &mut S,
     predictor: &Predictor,
@@ -44,7 +44,7 @@ pub fn code_ranges<S: SectionCoder>(
 }
 
 impl Frame {
-    /// Has the ranges, as they were decoded, coded by context from now on: their image is of no use with
+    /// Codes the ranges, as they were decoded, by context from now on, because their image is useless with
     /// another prediction.
     pub fn leave_image(&mut self) {
         if let RangeCoder::Image(_) = self.parameters.range_coder {

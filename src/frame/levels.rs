@@ -1,4 +1,4 @@
-//! What the levels of the context coder mean: one table.
+//! The meaning of the context coder's levels, in one table.
 
 use super::modelling::Modelling;
 use crate::backend::Level;
@@ -7,33 +7,33 @@ use crate::backend::Level;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum InterChoice {
     Never,
-    /// If the scanner has not moved, which is quick to see.
+    /// If the scanner has not moved, which is quickly determined.
     StandingStill,
-    /// If it is found how the scanner has moved, which takes time.
+    /// If the motion of the scanner is found, which takes time.
     IfItFits,
 }
 
-/// What the context coder does at a level. What it means for each part of a frame is
-/// [`Modelling::parts`]'s to say.
+/// The settings of the context coder at a level. [`Modelling::parts`] says what the modelling means for each
+/// part of a frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LevelSettings {
     pub modelling: Modelling,
     /// When P frames are tried.
     pub inter: InterChoice,
-    /// How many frames the scanner model is fitted to: more make the formula sharper.
+    /// Number of frames to which the scanner is fitted: more frames make the constants more accurate.
     pub sample_frames: usize,
-    /// Frames a group, unless the user says.
+    /// Frames in a group, by default.
     pub gop: usize,
 }
 
-/// Frames a group: enough to seek by, at the price of a few thousandths of the size.
+/// Frames in a group: few enough for seeking, at a cost of a few thousandths of the size.
 pub(crate) const GOP: usize = 10;
 
-/// Frames a group where size is all.
+/// Frames in a group where only size counts.
 const LONG_GOP: usize = 30;
 
-/// The levels, by number. Each is smaller than the one before and takes longer; numbers at which nothing lies
-/// between their neighbours have none.
+/// The levels, by number. Each is smaller than the one before, and slower; numbers that would add nothing
+/// between their neighbours are left out.
 #[rustfmt::skip]
 const LEVELS: [(u8, LevelSettings); 7] = {
     use InterChoice::{IfItFits, Never, StandingStill};
@@ -49,16 +49,17 @@ const LEVELS: [(u8, LevelSettings); 7] = {
     ]
 };
 
-/// What all other coders than the context coder do, whatever their level, which is on a scale of their own.
+/// The settings with all other coders than the context coder, at every level, since these have scales of
+/// their own.
 pub(crate) const OTHER_CODERS: LevelSettings =
     LevelSettings { modelling: Modelling::Light, inter: InterChoice::IfItFits, sample_frames: 6, gop: GOP };
 
-/// What the context coder does at this level; `None` if it has no such level.
+/// The settings of the context coder at this level; `None` if it has no such level.
 pub(crate) fn settings_of(level: Level) -> Option<LevelSettings> {
     LEVELS.iter().find(|(number, _)| *number == level.number()).map(|(_, settings)| *settings)
 }
 
-/// The numbers of the context coder's levels, to choose from.
+/// The numbers of the context coder's levels, for messages.
 pub(crate) fn numbers() -> String {
     let numbers: Vec<String> = LEVELS.iter().map(|(number, _)| number.to_string()).collect();
     numbers.join(", ")

@@ -1,4 +1,4 @@
-//! How one frame, and a group of them, is coded: the syntax, the parameters, what is promised.
+//! How a frame, and a group of frames, is coded: syntax, parameters, and promises.
 
 pub mod fidelity;
 pub mod group;

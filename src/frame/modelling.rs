@@ -1,31 +1,33 @@
-//! How the context coder models the parts of a frame: quickly or well.
+//! How the context coder models the parts of a frame, from fast to thorough.
 
 use crate::ground::error::{Error, Result};
 
-/// What models the columns' cells, intensities, ranges and corrections of a frame; the numbers are those of the
-/// format. What general-purpose back-ends and image coders leave is coded as by [`Light`](Modelling::Light).
+/// The models of a frame's occupancy, intensities, ranges and corrections; the numbers are those of the
+/// format. With general-purpose back-ends and image coders, all that they leave is coded as by
+/// [`Light`](Modelling::Light).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Modelling {
-    /// Mixed adaptive models of cells and ranges, lighter ones of intensities.
+    /// Mixed adaptive models of occupancy and ranges, simpler ones of intensities.
     Mixed = 0,
-    /// More of them, of intensities too: smallest.
+    /// More models of ranges and of intensities: smallest.
     Deep = 1,
-    /// Cells and intensities by adaptive models, ranges, predicted by least squares, and corrections as tokens.
+    /// Adaptive models of occupancy and intensities; ranges, predicted by least squares, and corrections as
+    /// tokens.
     Light = 2,
-    /// Tokens with static tables, ranges predicted by the left neighbour: quick.
+    /// Tokens with static tables; ranges are predicted from the left neighbour: fast.
     Tokens = 3,
-    /// Tokens with static tables, ranges predicted by least squares.
+    /// Tokens with static tables; ranges are predicted by least squares.
     FittedTokens = 4,
-    /// Ranges and intensities as differences in packed bits, all else as tokens: quickest.
+    /// Ranges and intensities as differences in packed bits, everything else as tokens: fastest.
     Packed = 5,
 }
 
-/// How the cells of the range image are modelled.
+/// How the occupancy of the range image is modelled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum OccupancyModelling {
     /// Bits, each mixed from all views.
     Mixed,
-    /// Bits; two views decide where they are sure.
+    /// Bits; two views decide alone where they are certain.
     Light,
     Tokens,
 }
@@ -47,9 +49,9 @@ pub(crate) enum IntensityModelling {
 pub(crate) enum RangeModelling {
     /// Bits, mixed from many views.
     Mixed,
-    /// Bits, mixed from more of them.
+    /// Bits, mixed from even more views.
     Deep,
-    /// What a prediction by least squares misses them by, or one by the left neighbour.
+    /// Prediction errors; the prediction is by least squares if `fitted`, otherwise the left neighbour.
     Tokens { fitted: bool },
     /// Differences in packed bits.
     Packed,
@@ -75,7 +77,7 @@ pub(crate) struct Parts {
 }
 
 impl Modelling {
-    /// All, in the order of their numbers.
+    /// All modellings, in the order of their numbers.
     const ALL: [Modelling; 6] = [
         Modelling::Mixed,
         Modelling::Deep,
@@ -108,7 +110,7 @@ impl Modelling {
         Parts { occupancy, intensity, range, correction }
     }
 
-    /// Whether frames may be predicted from the one before: not where all parts are tokens.
+    /// Whether there are P frames: not if all parts are tokens.
     pub(crate) fn has_p_frames(self) -> bool {
         self.parts().occupancy != OccupancyModelling::Tokens
     }
@@ -118,7 +120,7 @@ impl Modelling {
         self as u64
     }
 
-    /// Its name in reports; none for that of the first number.
+    /// Its name in reports; empty for the first.
     pub(crate) fn suffix(self) -> &'static str {
         match self {
             Modelling::Mixed => "",
@@ -131,7 +133,7 @@ impl Modelling {
     }
 
     /// # Errors
-    /// If there is none of this number.
+    /// If there is no modelling with this number.
     pub(crate) fn from_code(code: u64) -> Result<Self> {
         let known = Self::ALL.into_iter().find(|modelling| modelling.to_code() == code);
         known.ok_or_else(|| Error::unsupported(format!("frame parameters: unknown coder {code}")))

@@ -1,5 +1,5 @@
-//! How a frame is coded: what a decoder must know before the frame's other sections, and what
-//! reports say of the file that it was made from.
+//! How a frame is coded: what a decoder must know before the frame's other sections, and what reports say
+//! about the file from which it was made.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -22,11 +22,11 @@ use crate::stream::container::{Frame, FrameHeader, SectionKind};
 pub struct FrameParameters {
     /// Whether the points' positions are those of the file, or those of the range image.
     pub positions: Positions,
-    /// What becomes of intensities.
+    /// What happens to intensities.
     pub intensity: Intensity,
-    /// What ranges are predicted from.
+    /// What the ranges are predicted from.
     pub prediction: Prediction,
-    /// How the scanner has moved since the frame before; only if ranges are predicted from that.
+    /// How the scanner has moved since the frame before; only if that predicts the ranges.
     pub motion: QuantisedPose,
     /// Whether a general-purpose back-end gets the differences along the snake's path (article, V-C).
     pub snake: bool,
@@ -39,7 +39,7 @@ pub struct FrameParameters {
 /// What the ranges of a range image are predicted from before they are coded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Prediction {
-    /// Nothing: the coder gets the ranges as they are.
+    /// No prediction: the coder gets the ranges as they are.
     #[default]
     None,
     /// Regions of ground and objects, and their models (article, IV-C).
@@ -48,7 +48,7 @@ pub enum Prediction {
     Inter,
 }
 
-/// What codes the ranges, or what prediction leaves of them.
+/// What codes the ranges, or their residuals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RangeCoder {
     /// The context coder, for ranges below 2 to the power of `range_bits`.
@@ -57,24 +57,24 @@ pub enum RangeCoder {
         modelling: Modelling,
         /// 16 to 24.
         range_bits: u32,
-        /// Steps a bin, of which ranges decode to the middle; 1: to themselves.
+        /// Steps in a bin, whose ranges decode to its middle; 1: every range decodes to itself.
         bin: u32,
-        /// Whether a decoded range stands for half a step less: the middle of an even number of steps is
-        /// between two.
+        /// Whether a decoded range stands for half a step less, because the middle of an even number of steps
+        /// is between two steps.
         between: bool,
     },
     /// A general-purpose back-end.
     Backend {
         /// Its number in the registry.
         id: u8,
-        /// How the residuals are turned into bytes for it.
+        /// How the residuals are packed for it.
         packing: Packing,
     },
     /// An image coder; the ranges may differ from the scan's.
     Image(ImageCodec),
 }
 
-/// The file that a frame was made from, and what became of its points.
+/// The file from which a frame was made, and what happened to its points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Source {
     /// Bytes of the file.
@@ -83,7 +83,7 @@ pub struct Source {
     pub points: u64,
     /// Points that the outlier filter dropped (equation 1).
     pub outliers: u64,
-    /// Points lost because a nearer one took their cell, or that the image has no cell for.
+    /// Points lost because a nearer one took their cell, or because the image has no cell for them.
     pub lost: u64,
 }
 
@@ -101,14 +101,14 @@ impl Default for FrameParameters {
     }
 }
 
-/// The numbers of coders: below these, the context coder by a modelling of this number.
+/// The numbers of coders: below this, the context coder with the modelling of that number.
 const BACKENDS: u64 = 32;
-/// From [`BACKENDS`] on, general-purpose back-ends by their own numbers; from here on, image coders.
+/// From [`BACKENDS`] on, general-purpose back-ends, plus their own numbers; from here on, image coders.
 const JPEG: u64 = 64;
 const JPEG_2000: u64 = 65;
 /// The widest bin, in steps.
 const WIDEST_BIN: u32 = 1 << 20;
-/// The range bits that the context coder takes.
+/// The range bits that the context coder accepts.
 const RANGE_BITS: RangeInclusive<u64> = 16..=24;
 
 impl FrameParameters {
@@ -149,7 +149,7 @@ impl FrameParameters {
     /// Reads the payload of the section.
     ///
     /// # Errors
-    /// If it is cut short, too long, or holds a choice that this program does not know.
+    /// If it is cut short, too long, or holds a value that this program does not know.
     pub fn from_payload(mut bytes: &[u8]) -> Result<Self> {
         if bytes.is_empty() {
             return Err(Error::corrupt("parameters section is missing"));
@@ -185,8 +185,8 @@ impl FrameParameters {
         }
     }
 
-    /// Whether a P frame from where the scanner has not moved takes the same cells of the frame before alone: it
-    /// is quicker not to look for surfaces.
+    /// Whether a P frame uses only the same cells of the frame before if the scanner has not moved, because
+    /// computing surfaces would take time.
     pub(crate) fn can_do_without_surfaces(&self) -> bool {
         matches!(self.range_coder, RangeCoder::Context { modelling: Modelling::Light, .. })
     }
@@ -194,7 +194,7 @@ impl FrameParameters {
     /// The parameters of a coded frame.
     ///
     /// # Errors
-    /// If they are damaged, unknown to this program, or not where they must be: before all other sections.
+    /// If they are damaged, unknown to this program, or not before all other sections.
     pub fn of(frame: &Frame) -> Result<Self> {
         let first = frame.sections.iter().find(|section| !section.kind.is_skippable());
         let first = first.filter(|section| section.kind == SectionKind::Parameters);
@@ -202,7 +202,7 @@ impl FrameParameters {
     }
 }
 
-/// In short, such as `exact, context` or `range image, intra, snake, lzma, planes`.
+/// A short form, such as `exact, context` or `range image, intra, snake, lzma, planes`.
 impl fmt::Display for FrameParameters {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self.positions {
@@ -262,15 +262,15 @@ impl Prediction {
 }
 
 impl RangeCoder {
-    /// The context coder, with every range as it is, beside parts that are coded as a back-end's frames have them.
+    /// The context coder with exact ranges; other parts are coded as in the frames of back-ends.
     pub const EXACT: Self = RangeCoder::of_modelling(Modelling::Light);
 
-    /// The context coder, with every range as it is, by this modelling.
+    /// The context coder with exact ranges and this modelling.
     pub(crate) const fn of_modelling(modelling: Modelling) -> Self {
         RangeCoder::Context { modelling, range_bits: EXACT_RANGE_BITS, bin: 1, between: false }
     }
 
-    /// The same with ranges to within half a bin of so many steps, if it is the context coder.
+    /// The same with ranges to within half a bin of `bin` steps, if it is the context coder.
     pub(crate) fn in_bins(self, bin: u32) -> Self {
         match self {
             RangeCoder::Context { modelling, range_bits, .. } => {
@@ -280,7 +280,7 @@ impl RangeCoder {
         }
     }
 
-    /// The same for ranges that have been coded: they are what they are now.
+    /// The same for ranges that have been decoded, which are then coded exactly.
     pub(crate) fn of_decoded(self) -> Self {
         match self {
             RangeCoder::Context { modelling, range_bits, between, .. } => {
@@ -298,7 +298,7 @@ impl RangeCoder {
         }
     }
 
-    /// Metres from the range of decoded steps to what it stands for.
+    /// The difference between the range that decoded steps stand for and these steps, in metres.
     pub(crate) fn offset_m(self, scanner: &Scanner) -> f64 {
         match self {
             RangeCoder::Context { between: true, .. } => -0.5 * scanner.range_step_m(),
@@ -329,7 +329,7 @@ impl RangeCoder {
 }
 
 impl Source {
-    /// The file that a coded frame was made from.
+    /// The file from which a coded frame was made.
     ///
     /// # Errors
     /// If the frame's parameters are damaged, or unknown to this program.
@@ -338,7 +338,7 @@ impl Source {
         Ok(FrameParameters::of(frame)?.source.unwrap_or(Source::all_points(file_size, points)))
     }
 
-    /// A file of so many bytes and points, none of which is lost.
+    /// A file with this size and number of points, none of which is lost.
     pub(crate) fn all_points(file_size: u64, points: u64) -> Self {
         Source { file_size, points, ..Source::default() }
     }

@@ -1,4 +1,4 @@
-//! The sections of a frame that is coded as tokens.
+//! The sections of frames that are coded as tokens.
 
 use super::frame::Frame;
 use super::sections::SectionCoder;
@@ -14,7 +14,7 @@ use crate::models::{
 use crate::scanner::Coordinates;
 use crate::stream::container::SectionKind;
 
-/// What a group's frames have taught so far: tables, and what predicts ranges.
+/// What a group's frames have taught so far: tables, and predictors of ranges.
 #[derive(Clone, Default)]
 pub struct QuickModels {
     occupancy: TokenTables,
@@ -71,8 +71,8 @@ impl QuickModels {
         })
     }
 
-    /// The range of each return, predicted by least squares (`fitted`) or by its left neighbour; `expected` is
-    /// what the frame before lets expect, in steps, if there is anything.
+    /// The range of each return, predicted by least squares (`fitted`) or from its left neighbour; `expected`
+    /// is what the frame before predicts, in steps, if anything.
     pub fn code_ranges<S: SectionCoder>(
         &mut self,
         sections: &mut S,
@@ -87,8 +87,8 @@ impl QuickModels {
         })
     }
 
-    /// The positions of the returns, given where each is by the formula, and where it is near that in the file
-    /// if there is no correction.
+    /// The positions of the returns, given those of the formula, and `near`, those of the file where there is
+    /// no correction.
     pub fn code_positions<S: SectionCoder>(
         &mut self,
         sections: &mut S,
@@ -108,7 +108,7 @@ fn code_intensities<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, fra
     scale.code(|value, count| coder.bits(value.into(), count) as u32);
     let mut model = IntensityTokens::default();
     let (rows, width) = (frame.occupancy.rows(), frame.occupancy.columns());
-    // The last level seen in each column.
+    // The last intensity level in each column.
     let mut above = vec![0; width];
     for row in 0..rows {
         if coder.is_exhausted() {

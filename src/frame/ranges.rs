@@ -1,5 +1,5 @@
-//! The ranges of a frame: by context, or what prediction leaves of them by a general-purpose back-end
-//! or an image coder (article, IV-C and IV-D).
+//! The ranges of a frame: coded by context, or as residuals by a general-purpose back-end or an image coder
+//! (article, IV-C and IV-D).
 
 use super::frame::Frame;
 use super::images;
@@ -71,7 +71,7 @@ impl Models {
         }
     }
 
-    /// What the decoder must know of the prediction: the contour map and the models of regions.
+    /// The side data of the prediction: the contour map and the models of regions.
     fn code_predictor<S: SectionCoder>(
         &mut self,
         sections: &mut S,
@@ -105,7 +105,7 @@ impl Models {
     }
 }
 
-/// What prediction leaves of the ranges, by a general-purpose back-end.
+/// The residuals, coded by a general-purpose back-end.
 fn code_residuals<S: SectionCoder>(
     sections: &mut S,
     predictor: &Predictor,
@@ -136,7 +136,7 @@ fn code_residuals<S: SectionCoder>(
     Ok(())
 }
 
-/// Every return has a range that the scanner model takes.
+/// Checks that every return has a range that the scanner accepts.
 fn check_ranges(frame: &Frame, scanner: &Scanner) -> Result<()> {
     let cells = frame.occupancy.cells().iter().zip(frame.image.steps.cells());
     let most = scanner.most_steps();

@@ -8,18 +8,18 @@ use crate::entropy::{
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::container::{Section, SectionKind};
 
-/// How hard the coders of ranges try, and what they may spend; of no use to the decoder.
+/// The effort of the coders of ranges, and their bit rate; unused by the decoder.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Effort {
-    /// Of a general-purpose back-end.
+    /// The effort of a general-purpose back-end.
     pub level: Level,
-    /// Of an image coder.
+    /// The settings of an image coder.
     pub image: ImageConfig,
 }
 
-/// Opens the sections of a frame one after the other, to write or to read them.
+/// Opens the sections of a frame one after the other, for writing or for reading.
 pub trait SectionCoder {
-    /// True if the frame is there and sections are written, false if they are read and it fills.
+    /// True if the frame is there and sections are written; false if sections are read and fill the frame.
     const ENCODES: bool;
 
     /// Codes the bits of a section.
@@ -27,7 +27,7 @@ pub trait SectionCoder {
     where
         Self: 'a;
 
-    /// Codes one section by `code`. The section is left out if `present` is false.
+    /// Codes one section with `code`. The section is left out if `present` is false.
     fn section<T: Default>(
         &mut self,
         kind: SectionKind,
@@ -40,7 +40,7 @@ pub trait SectionCoder {
     where
         Self: 'a;
 
-    /// Codes one section as tokens in so many contexts, by `code`.
+    /// Codes one section as tokens in `contexts` contexts, with `code`.
     fn tokens<T>(
         &mut self,
         kind: SectionKind,
@@ -49,16 +49,16 @@ pub trait SectionCoder {
         code: impl FnOnce(&mut Self::Tokens<'_>) -> T,
     ) -> Result<T>;
 
-    /// A section whose payload is coded elsewhere. A section that is left out has an empty payload.
+    /// Codes a section whose payload is made elsewhere. A section that is left out has an empty payload.
     fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>);
 
     /// What this side is willing to allocate.
     fn limits(&self) -> &Limits;
 
-    /// The effort; of no use to the decoder.
+    /// The effort; unused by the decoder.
     fn effort(&self) -> Effort;
 
-    /// Bytes of the sections written so far; of no use to the decoder.
+    /// Bytes of the sections written so far; unused by the decoder.
     fn bytes_written(&self) -> usize;
 }
 
@@ -71,7 +71,7 @@ pub struct SectionWriter {
 }
 
 impl SectionWriter {
-    /// No sections yet.
+    /// A writer without any sections yet.
     pub fn new(effort: Effort) -> Self {
         SectionWriter { sections: Vec::new(), limits: Limits::default(), effort }
     }
@@ -131,9 +131,9 @@ impl SectionCoder for SectionWriter {
     }
 }
 
-/// Takes the sections of a frame one by one.
+/// Reads the sections of a frame one by one.
 pub struct SectionReader<'s> {
-    /// Those to come.
+    /// The remaining sections.
     sections: &'s [Section],
     limits: &'s Limits,
 }
@@ -144,7 +144,7 @@ impl<'s> SectionReader<'s> {
         SectionReader { sections, limits }
     }
 
-    /// The next section that is not to be left aside.
+    /// The next section that is not to be skipped.
     fn peek(&mut self) -> Option<&'s Section> {
         while let [first, rest @ ..] = self.sections {
             if !first.kind.is_skippable() {

@@ -1,4 +1,4 @@
-//! The coder controller (article, III-H): one place for all that the user can choose of encoding.
+//! The coder controller (article, III-H): all settings of the encoder in one place.
 
 use std::thread;
 
@@ -35,16 +35,16 @@ pub enum Mode {
 /// Which range image is coded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProjectionKind {
-    /// That of the scanner model fitted to the sequence: no point is lost.
+    /// That of the scanner fitted to the sequence: no point is lost.
     Calibrated {
-        /// Micrometres a range step; `None`: the scanner's own, which loses nothing.
+        /// Range step in micrometres; `None`: the scanner's own step, which loses nothing.
         range_step_um: Option<u32>,
     },
     /// The article's (IV-A): 64 rows at the published elevations, columns equally far apart.
     Ideal {
-        /// Columns a turn.
+        /// Columns in a turn.
         columns: u32,
-        /// Micrometres a range step; [`FLOAT_RANGES`] for float32.
+        /// Range step in micrometres; [`FLOAT_RANGES`] for float32.
         range_step_um: u32,
     },
 }
@@ -68,16 +68,16 @@ pub enum FrameOrder {
     Time,
 }
 
-/// How it is chosen what ranges are predicted from.
+/// How the prediction of the ranges is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PredictionChoice {
-    /// Every frame as the user says. [`Prediction::Inter`]: each P frame from the frame before or, if that
-    /// is smaller, as an I frame; that is, from regions or by context.
+    /// As the user says for every frame. [`Prediction::Inter`]: each P frame from the frame before or, if
+    /// that is smaller, as an I frame; that is, from regions or by context.
     Always(Prediction),
-    /// Each frame as makes it smallest.
+    /// For each frame the one that makes it smallest.
     Smallest,
-    /// Each P frame from the frame before if it is found how the scanner has moved, even if it would be
-    /// smaller as an I frame, as in the article's experiments; I frames as by `Always(Inter)`.
+    /// Each P frame from the frame before, if the motion of the scanner is found, even if an I frame would be
+    /// smaller, as in the article's experiments; I frames as with `Always(Inter)`.
     EveryReference,
 }
 
@@ -96,47 +96,48 @@ pub enum Coder {
 /// Settings of the encoder.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EncoderConfig {
-    /// Frames a group: more compress better, fewer make seeking and recovery finer. Default 10.
+    /// Frames in a group: more compress better, fewer make seeking and recovery finer. Default 10.
     pub gop: usize,
-    /// Groups coded at the same time; 0, the default, means one for each processor. The stream is
-    /// the same whatever the number.
+    /// Number of groups coded at the same time; 0, the default, means one for each processor. The stream does
+    /// not depend on it.
     pub threads: usize,
-    /// Points with few neighbours are dropped (equation 1). Default: none are; in paper mode those
-    /// with fewer than 2 within 0.38 m.
+    /// The filter of points with few neighbours (equation 1). Default: none; in paper mode, points with fewer
+    /// than 2 neighbours within 0.38 m are dropped.
     pub outliers: Option<RadiusOutlier>,
-    /// What the records of files without a header hold. Default: what KITTI's and nuScenes' do, by
-    /// the extension.
+    /// The fields of files without a header. Default: KITTI's and nuScenes', depending on the extension.
     pub headerless: Option<HeaderlessLayout>,
     /// Which range image is coded (equation 2). Default: calibrated; in paper mode ideal, 2000
     /// columns and steps of 1 mm.
     pub projection: ProjectionKind,
-    /// Whether points come back as they were. Default: exact; in paper mode by the formula, in bounded mode
-    /// within the bound.
+    /// Whether points come back exactly. Default: they do; in paper mode they are those of the formula, in
+    /// bounded mode within the bound.
     pub positions: Positions,
-    /// What becomes of intensities. Default: they are exact; in paper mode, as in the article, left out.
+    /// What happens to intensities. Default: they are exact; in paper mode they are left out, as in the
+    /// article.
     pub intensity: Intensity,
-    /// What ranges are predicted from. Default: what makes each frame smallest; in paper mode, as in the
-    /// article, regions (IV-C) in I frames and the frame before (V) in P frames.
+    /// What the ranges are predicted from. Default: whatever makes each frame smallest; in paper mode, as in
+    /// the article, regions (IV-C) in I frames and the frame before (V) in P frames.
     pub prediction: PredictionChoice,
     /// Which frames are P frames. Default: all but the first of a group.
     pub order: FrameOrder,
-    /// How the scanner's motion is found (V-B).
+    /// How the motion of the scanner is estimated (V-B).
     pub registration: RegistrationConfig,
-    /// Whether a general-purpose back-end gets the differences along the snake's path (V-C). Default: yes;
-    /// whatever they are predicted from, residuals get smaller by it. Image coders never do: their errors
-    /// would add up along the path.
+    /// Whether a general-purpose back-end gets the differences along the snake's path (V-C). Default: yes,
+    /// since this makes residuals smaller whatever the prediction. Image coders never get them, as their
+    /// errors would add up along the path.
     pub snake: bool,
-    /// How ground and objects are told apart (equations 3 and 4).
+    /// How ground and objects are distinguished (equations 3 and 4).
     pub segmentation: SegmentationConfig,
     /// How regions are modelled (equations 5 to 7).
     pub intra: IntraConfig,
     /// What codes the ranges. Default: the context coder; in paper mode LZMA.
     pub coder: Coder,
-    /// Effort of the context coder, which does not have all numbers, or of a general-purpose back-end. Default 6.
+    /// Effort of the context coder, which does not have every level, or of a general-purpose back-end.
+    /// Default 6.
     pub level: Level,
-    /// How residuals are turned into bytes for it; `None`, the default: as suits it best.
+    /// How residuals are packed for a back-end; `None`, the default: as suits it best.
     pub packing: Option<Packing>,
-    /// What an image coder may spend, and in how many passes.
+    /// The bit rate of an image coder, and the number of its passes.
     pub image: ImageConfig,
 }
 
@@ -189,8 +190,8 @@ impl EncoderConfig {
         }
     }
 
-    /// What ranges are predicted from by default with this coder: what makes a frame smallest, or, by a
-    /// general-purpose back-end or an image coder in paper mode, as in the article.
+    /// The default prediction with this coder: whatever makes a frame smallest, or, with a general-purpose
+    /// back-end or an image coder in paper mode, as in the article.
     pub fn default_prediction(&self) -> PredictionChoice {
         match (self.coder, self.positions) {
             (Coder::Backend(_) | Coder::Image(_), Positions::Formula) => {
@@ -200,7 +201,7 @@ impl EncoderConfig {
         }
     }
 
-    /// What the level means to the coder. [`check`](Self::check) refuses levels that mean nothing to it.
+    /// The meaning of the level for the coder. [`check`](Self::check) refuses levels without a meaning.
     fn level_settings(&self) -> LevelSettings {
         match self.coder {
             Coder::Context => levels::settings_of(self.level).unwrap_or(levels::OTHER_CODERS),
@@ -208,17 +209,17 @@ impl EncoderConfig {
         }
     }
 
-    /// Frames a group, as suits the coder at its level.
+    /// The default number of frames in a group, for the coder at its level.
     pub fn default_gop(&self) -> usize {
         self.level_settings().gop
     }
 
-    /// How the context coder models a frame, at this level.
+    /// The context coder's modelling at this level.
     pub(crate) fn modelling(&self) -> Modelling {
         self.level_settings().modelling
     }
 
-    /// How many frames the scanner model is fitted to.
+    /// The number of frames to which the scanner is fitted.
     pub(crate) fn sample_frames(&self) -> usize {
         self.level_settings().sample_frames
     }
@@ -239,11 +240,12 @@ impl EncoderConfig {
         }
     }
 
-    /// What is tried for a frame, so that the smallest result is taken. `fit` is how much
-    /// of the frame before fits it, from 0 to 1, if it may be predicted from that; without regions none are tried.
+    /// The predictions that are tried for a frame, the smallest of which is taken. `fit` says how much of the
+    /// frame before fits it, from 0 to 1, if it may be predicted from that; without regions, intra is not
+    /// tried.
     pub(crate) fn predictions(&self, fit: Option<f64>, has_regions: bool) -> Vec<Prediction> {
-        /// From here on it is not worth the time to try without: the models leave a reference that is of no
-        /// use aside.
+        /// From this fit on, trying without the reference is not worth the time, as the models ignore a
+        /// reference that is useless.
         const SURE: f64 = 0.5;
         let mut tried = match (self.prediction, self.coder) {
             (PredictionChoice::EveryReference, _) if fit.is_some() => vec![],
@@ -267,13 +269,12 @@ impl EncoderConfig {
         tried
     }
 
-    /// How residuals are laid out for a back-end. Ranges that are not differences are large numbers.
+    /// How residuals are packed for a back-end. Ranges that are not differences are large numbers.
     pub(crate) fn packing_for(&self, backend: &dyn Backend, snake: bool) -> Packing {
         self.packing.unwrap_or(if snake { backend.packing() } else { Packing::Planes })
     }
 
-    /// Whether points that were moved after they were measured are moved back first. Paper mode takes scans as they
-    /// are, as the article does.
+    /// Whether motion compensation is undone. Paper mode takes scans as they are, as the article does.
     pub(crate) fn undoes_compensation(&self) -> bool {
         self.positions != Positions::Formula
     }

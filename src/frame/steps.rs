@@ -1,4 +1,4 @@
-//! What each step of coding takes and leaves, as the article's Tables II to VI have it.
+//! What each step of coding takes and leaves, as in the article's Tables II to VI.
 
 use std::time::{Duration, Instant};
 
@@ -9,19 +9,19 @@ use crate::stream::container::{Section, SectionKind};
 pub enum Step {
     /// The outlier filter (III-A).
     Outliers,
-    /// Points to a range image or back (IV-A).
+    /// Conversion of points to a range image or back (IV-A).
     Conversion,
-    /// How the scanner has moved (V-B).
+    /// Estimating the motion of the scanner (V-B).
     Registration,
     /// Ground removal and clustering (IV-B).
     Clustering,
-    /// Fit of the models of regions, and the prediction from them (IV-C).
+    /// Fitting the models of regions, and predicting from them (IV-C).
     Prediction,
     /// The contour map (IV-D.1).
     Contour,
-    /// The ranges, or what prediction leaves of them (IV-D.2).
+    /// Coding the ranges or their residuals (IV-D.2).
     Coding,
-    /// Everything else: which cells hold a return, intensities, corrections, order, other fields.
+    /// Everything else: occupancy, intensities, corrections, order, other fields.
     Rest,
 }
 
@@ -53,17 +53,17 @@ impl Step {
     }
 }
 
-/// Bytes and times of some frames, added up.
+/// Bytes and times, summed over frames.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StepReport {
     /// Frames.
     pub frames: u64,
     /// Bytes of the files.
     pub original: u64,
-    /// Bytes of the range images, four a cell, as the article stores them.
+    /// Bytes of the range images, at four bytes a cell, as the article stores them.
     pub converted: u64,
-    /// Bytes of what prediction leaves, as they go into a general-purpose back-end; the bytes of the
-    /// ranges if there is none.
+    /// Bytes of the residuals as they go into a general-purpose back-end; the bytes of the ranges if there is
+    /// none.
     pub predicted: u64,
     /// Bytes of the contour maps, coded.
     pub contour: u64,
@@ -107,7 +107,7 @@ impl StepReport {
         self.times.iter().sum()
     }
 
-    /// Runs a step and takes its time.
+    /// Runs a step and measures its time.
     pub(crate) fn timed<T>(&mut self, step: Step, run: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = run();

@@ -1,5 +1,5 @@
-//! The syntax of a frame: which section codes what, in which order. Written once: the encoder
-//! walks it with a frame that is full, the decoder with one that fills.
+//! The syntax of a frame: its sections in order, and what codes each. Written once: the encoder passes a
+//! frame that is complete, the decoder one that is filled.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -36,7 +36,7 @@ use crate::stream::container::SectionKind;
 /// What a group's frames have taught so far.
 #[derive(Clone, Default)]
 pub struct Models {
-    /// Of the last frame.
+    /// The layout of the last frame.
     layout: Option<Layout>,
     sizes: IntegerModel,
     bytes: ByteModel,
@@ -45,7 +45,7 @@ pub struct Models {
     columns: ColumnModels,
     points: PointModel,
     points_are_packed: AdaptiveBit,
-    // The large ones are made when they are first wanted.
+    // The large ones are created when they are first needed.
     occupancy: Option<OccupancyModel>,
     intensity: Option<IntensityModel>,
     pub(crate) range: Option<RangeModel>,
@@ -59,11 +59,11 @@ pub struct Models {
 }
 
 impl Models {
-    /// Codes a frame. The decoder's starts empty but for the number of records, and fills; it also
-    /// gets the returns in file order, which both sides make from the range image.
+    /// Codes a frame. The decoder's frame is empty at first, except for the number of records, and is filled;
+    /// it also gets the returns in file order, which both sides derive from the range image.
     ///
     /// # Errors
-    /// If the sections do not make a frame, or one over the limits.
+    /// If the sections do not make a frame, or make one that exceeds the limits.
     pub fn code_frame<S: SectionCoder>(
         &mut self,
         sections: &mut S,
@@ -126,8 +126,8 @@ impl Models {
         Ok(found)
     }
 
-    /// Points that no range image has, by the model of points or, where most are such, by a general-purpose coder
-    /// if that is shorter.
+    /// Points outside any range image: by the model of points, or, if most points are such, by a
+    /// general-purpose coder where that is shorter.
     fn code_strays<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -157,8 +157,8 @@ impl Models {
         Ok(())
     }
 
-    /// The columns of the range image, and which of its cells hold a return. Gives what the frame before
-    /// lets expect there, if the frame is predicted from it.
+    /// The columns of the range image, and which of its cells hold a return. Returns the reference if the
+    /// frame is predicted from the one before.
     fn code_cells<S: SectionCoder>(
         &mut self,
         sections: &mut S,
@@ -192,7 +192,7 @@ impl Models {
         Ok(reference)
     }
 
-    /// What the frame before lets expect of this one, if it is predicted from it.
+    /// The reference, if the frame is predicted from the one before.
     fn reference(&self, scanner: &Scanner, frame: &Frame) -> Result<Option<Reference>> {
         if frame.parameters.prediction != Prediction::Inter {
             return Ok(None);
@@ -215,7 +215,7 @@ impl Models {
         self.past.as_deref()
     }
 
-    /// The intensities, if the frame has any and keeps them. Gives the returns' as contexts for their
+    /// The intensities, if the frame has any and keeps them. Returns those of the returns as contexts for the
     /// ranges.
     fn code_intensities<S: SectionCoder>(
         &mut self,
@@ -254,8 +254,8 @@ impl Models {
         })
     }
 
-    /// Intensities on no grid that the models of intensities know, as a channel of the returns and strays. No
-    /// contexts for ranges.
+    /// Intensities on a grid that the models of intensities do not know, coded as a channel of the returns
+    /// and strays. Returns no contexts for the ranges.
     fn code_rough_intensity<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -285,7 +285,7 @@ impl Models {
         Ok(levels)
     }
 
-    /// The positions of the returns: the formula's, corrected as far as they must be.
+    /// The positions of the returns: those of the formula, corrected as far as necessary.
     fn code_positions<S: SectionCoder>(
         &mut self,
         sections: &mut S,
@@ -338,7 +338,7 @@ impl Models {
         })
     }
 
-    /// Where the points stand in the file: in the order of the range image but for what is coded.
+    /// The order of the points in the file: that of the range image, except for the exceptions coded here.
     fn code_order<S: SectionCoder>(
         &mut self,
         sections: &mut S,
@@ -374,7 +374,7 @@ impl Models {
         Ok(())
     }
 
-    /// The layout; no bytes if it is that of the frame before.
+    /// The layout; empty if it is that of the frame before.
     fn code_layout<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -412,8 +412,8 @@ impl Models {
     }
 }
 
-/// The intensities of the returns, then of the strays. Gives the returns' as contexts for
-/// their ranges.
+/// The intensities of the returns, then of the strays. Returns those of the returns as contexts for the
+/// ranges.
 fn code_intensity<C: BitCoder>(
     model: &mut IntensityModel,
     coder: &mut C,
@@ -481,7 +481,7 @@ fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Resu
     Ok(())
 }
 
-/// The frame as the bytes of its file, if it is that: then nothing else follows.
+/// The frame as the bytes of its file, if it is coded that way; then nothing else follows.
 fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<bool> {
     let mut payload = frame.whole.as_ref().map_or_else(Vec::new, |whole| whole.payload().to_vec());
     sections.payload(SectionKind::Bytes, &mut payload);
@@ -504,7 +504,7 @@ fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Re
 }
 
 impl Frame {
-    /// Gives the decoder's channels the size of their values.
+    /// Resizes the decoder's channels for their values.
     fn fit_channels(&mut self) {
         if self.channels.is_empty() {
             let sized = |field: &Field| Channel {
@@ -515,7 +515,7 @@ impl Frame {
         }
     }
 
-    /// Gives the decoder's grids the size of the image.
+    /// Resizes the decoder's grids to the size of the image.
     fn fit_image(&mut self, rows: usize) {
         let columns = self.image.columns.len();
         if self.occupancy.rows() != rows || self.occupancy.columns() != columns {
@@ -526,7 +526,7 @@ impl Frame {
     }
 }
 
-/// The levels around a cell.
+/// The intensity levels around a cell.
 fn neighbours(levels: &Grid<u16>, left: [u16; 4], row: usize, column: usize) -> IntensityNeighbours {
     let at =
         |rows_up: usize, offset: isize| match (row.checked_sub(rows_up), column.checked_add_signed(offset)) {

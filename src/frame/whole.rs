@@ -57,6 +57,7 @@ impl WholeFile {
     /// If it is damaged, or the file is over the limits.
     pub fn from_payload(mut input: &[u8], limits: &Limits) -> Result<Self> {
         let damaged = || Error::corrupt("bytes: cut short");
+        let payload = input.to_vec();
         let (&id, rest) = input.split_first().ok_or_else(damaged)?;
         input = rest;
         let layout_length = read_length(&mut input)?;
@@ -72,20 +73,24 @@ impl WholeFile {
             return Err(Error::LimitExceeded { what, got: length as u64, max: limits.file_bytes });
         }
         let bytes = backend::decompress(backend::by_id(id)?, input, length)?;
-        Ok(WholeFile { bytes, records: layout.map(|layout| (layout, prefix)), payload: Vec::new() })
+        Ok(WholeFile { bytes, records: layout.map(|layout| (layout, prefix)), payload })
     }
 
-    /// The scan that it holds, of so many records.
+    /// The scan that it holds, of so many records. A file that is no longer understood as it was is the bytes that
+    /// it is.
     ///
     /// # Errors
     /// If it does not hold as many.
     pub fn into_scan(self, name: &str, records: usize) -> Result<ScanFile> {
         let scan = match self.records {
-            None => parse(name, self.bytes),
+            None => {
+                let scan = parse(name, self.bytes);
+                if scan.records == records { scan } else { ScanFile::opaque(name, scan.to_bytes()?) }
+            }
             Some((layout, prefix)) => {
                 let scan = plain_records(layout, &self.bytes, prefix, records as u64);
                 let scan = scan.filter(|scan| scan.records == records);
-                scan.ok_or_else(|| Error::corrupt("bytes: fewer records than the frame's header says"))?
+                scan.ok_or_else(|| Error::corrupt("bytes: fewer points than the frame's header says"))?
             }
         };
         Ok(ScanFile { name: name.to_owned(), ..scan })
@@ -95,4 +100,40 @@ impl WholeFile {
 fn read_length(input: &mut &[u8]) -> Result<usize> {
     let length = read_unsigned(input, "bytes")?;
     usize::try_from(length).map_err(|_| Error::corrupt("bytes: number too large"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn comes_back(name: &str, bytes: &[u8]) {
+        let scan = parse(name, bytes.to_vec());
+        for level in Level::all() {
+            let whole = WholeFile::shortest(&scan, level, usize::MAX).unwrap().unwrap();
+            let (payload, limits) = (whole.payload().to_vec(), Limits::default());
+            let decoded = WholeFile::from_payload(&payload, &limits).unwrap();
+            let decoded = decoded.into_scan(name, scan.records).unwrap();
+            assert_eq!(
+                (&decoded.name, decoded.records, &decoded.layout),
+                (&scan.name, scan.records, &scan.layout)
+            );
+            assert_eq!(decoded.to_bytes().unwrap(), bytes);
+            let small = Limits { file_bytes: bytes.len() as u64 - 1, ..limits };
+            assert!(WholeFile::from_payload(&payload, &small).is_err());
+            for cut in 0..payload.len() {
+                let cut = WholeFile::from_payload(&payload[..cut], &limits);
+                assert!(cut.and_then(|whole| whole.into_scan(name, scan.records)).is_err());
+            }
+            assert!(WholeFile::shortest(&scan, level, payload.len()).unwrap().is_none());
+        }
+    }
+
+    #[test]
+    fn files_of_all_kinds_come_back() {
+        comes_back("1.bin", &[7; 70]);
+        comes_back("1.txt", b"a b a b a b a b a b");
+        let header = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\n";
+        comes_back("1.pcd", format!("{header}DATA ascii\n1 2 3\n4 5 6\n# more\n").as_bytes());
+        comes_back("1.pcd", &[header.as_bytes(), b"DATA binary\n", &[1; 30]].concat());
+    }
 }

@@ -11,9 +11,16 @@ const FEWEST_SLOTS: u32 = 6;
 const MOST_SLOTS: u32 = 14;
 
 /// What the coder has learned about bytes.
-#[derive(Clone, Default)]
+#[derive(Clone)]
 pub struct ByteModel {
     learned: Option<Learned>,
+    most_slot_bits: u32,
+}
+
+impl Default for ByteModel {
+    fn default() -> Self {
+        ByteModel { learned: None, most_slot_bits: MOST_SLOTS }
+    }
 }
 
 /// Counters for as many slots as the most bytes so far make worth it.
@@ -30,11 +37,16 @@ impl Learned {
 }
 
 impl ByteModel {
+    /// One that takes a quarter of the memory.
+    pub fn small() -> Self {
+        ByteModel { most_slot_bits: MOST_SLOTS - 2, ..ByteModel::default() }
+    }
+
     /// Codes bytes that stand in records of `stride` (1 if in none); a decoder gets a buffer of
     /// the right length to fill. More bytes than ever before make the model start anew, larger.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, stride: usize, bytes: &mut [u8]) {
         let Some(octave) = bytes.len().checked_ilog2() else { return };
-        let slot_bits = (octave + 2).clamp(FEWEST_SLOTS, MOST_SLOTS);
+        let slot_bits = (octave + 2).clamp(FEWEST_SLOTS, self.most_slot_bits);
         let outgrown = self.learned.take_if(|learned| learned.slot_bits < slot_bits);
         drop(outgrown);
         let learned = self.learned.get_or_insert_with(|| Learned::new(slot_bits));

@@ -1,7 +1,7 @@
-//! The `context` back-end: each part of a frame through adaptive binary arithmetic coding, each
-//! part one function that serves both directions.
+//! The models of the parts of a frame, for adaptive binary arithmetic coding, tokens or packed bits; each is
+//! one function that serves both directions.
 //!
-//! The models live as long as a group of pictures: what one frame teaches helps the next.
+//! The models live as long as a group of pictures, so that what one frame teaches helps the next.
 
 mod bytes;
 pub(crate) mod channels;

@@ -1,22 +1,23 @@
-//! What the records of a file hold and how they are wrapped, and the serialised form of that.
+//! The fields of a file's records and how they are wrapped, and the serialised form of both.
 
 use super::text_format::{Scalar, TextFormat};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
-/// Longest record in bytes. Scanners' records have 12 to some 50; point features a few thousand.
+/// The longest record, in bytes. Those of scanners have 12 to about 50, those of point features a few
+/// thousand.
 pub const MAX_STRIDE: u32 = 1 << 16;
-/// Longest name of a field in bytes.
+/// The longest name of a field, in bytes.
 pub const MAX_NAME: usize = 64;
 
-/// One field of a record: so many values of one type.
+/// One field of a record: one or more values of one type.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Field {
     /// Its name, without white space; empty for padding.
     pub name: String,
     /// The type of its values.
     pub scalar: Scalar,
-    /// How many values it has, at least 1.
+    /// Number of values, at least 1.
     pub count: u32,
 }
 
@@ -26,12 +27,12 @@ impl Field {
         Field { name: name.to_owned(), scalar, count: 1 }
     }
 
-    /// So many bytes of no known meaning.
+    /// Padding: this many bytes of no known meaning.
     pub fn padding(bytes: u32) -> Self {
         Field { name: String::new(), scalar: Scalar::U8, count: bytes }
     }
 
-    /// Bytes it takes in a record.
+    /// Number of bytes that it takes in a record.
     pub fn width(&self) -> usize {
         self.scalar.size() as usize * self.count as usize
     }
@@ -42,12 +43,12 @@ impl Field {
     }
 }
 
-/// What the records of a file hold, and how they are wrapped into it.
+/// The fields of a file's records, and how the records are wrapped into the file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Layout {
-    /// How the records stand in the file.
+    /// How the records are stored in the file.
     pub wrapping: Wrapping,
-    /// The fields, one after the other without gaps; none if the file holds no records.
+    /// The fields, one after the other without gaps; empty if the file holds no records.
     pub fields: Vec<Field>,
     /// Which fields are x, y and z: single float32 values, in metres.
     pub position: Option<[u32; 3]>,
@@ -55,14 +56,14 @@ pub struct Layout {
     pub intensity: Option<u32>,
 }
 
-/// How the records stand in the file.
+/// How the records are stored in the file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Wrapping {
     /// One after the other (KITTI `.bin`, binary PCD, binary little-endian PLY).
     #[default]
     Plain,
-    /// Field by field (all x, then all y, ...), compressed with LZF, behind two u32 that give
-    /// the compressed and the uncompressed size (PCD `binary_compressed`).
+    /// Field by field (all x, then all y, ...), compressed with LZF, after two u32 with the compressed and
+    /// the uncompressed size (PCD `binary_compressed`).
     PcdCompressed {
         /// Which of the LZF compressors wrote it.
         lzf: LzfDialect,
@@ -73,19 +74,19 @@ pub enum Wrapping {
     BigEndian,
 }
 
-/// The LZF compressors that write PCD files. They write one format, but find different matches.
+/// The LZF compressors that write PCD files. Their format is the same, but they find different matches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LzfDialect {
     /// 2^13 hash slots, the "ultra fast" hash (today's PCL).
     Ultra13,
     /// 2^16 hash slots, the "ultra fast" hash (older PCL).
     Ultra16,
-    /// 2^16 hash slots, the "very fast" hash (liblzf as it comes; Open3D).
+    /// 2^16 hash slots, the "very fast" hash (plain liblzf; Open3D).
     Very16,
 }
 
 impl LzfDialect {
-    /// Every dialect, at its number in the serialised form; the likeliest first.
+    /// Every dialect, at the index of its number in the serialised form; the likeliest first.
     pub const ALL: [LzfDialect; 3] = [LzfDialect::Ultra13, LzfDialect::Ultra16, LzfDialect::Very16];
 }
 
@@ -96,17 +97,17 @@ const TEXT: u8 = 2;
 const BIG_ENDIAN: u8 = 3;
 
 impl Layout {
-    /// Bytes a record; 0 if the file holds no records.
+    /// Number of bytes of a record; 0 if the file holds no records.
     pub fn stride(&self) -> usize {
         self.fields.iter().map(Field::width).sum()
     }
 
-    /// Byte offsets of x, y and z in a record. Meaningful for a layout that is valid.
+    /// Byte offsets of x, y and z in a record. Meaningful only for a valid layout.
     pub fn position_offsets(&self) -> Option<[usize; 3]> {
         self.position.map(|fields| fields.map(|field| self.offset(field)))
     }
 
-    /// Byte offset and type of the intensity. Meaningful for a layout that is valid.
+    /// Byte offset and type of the intensity. Meaningful only for a valid layout.
     pub fn intensity_place(&self) -> Option<(usize, Scalar)> {
         let field = self.intensity?;
         Some((self.offset(field), self.fields.get(field as usize)?.scalar))
@@ -128,13 +129,13 @@ impl Layout {
         })
     }
 
-    /// Bytes a record of all [`channels`](Self::channels).
+    /// Number of bytes in a record that belong to [`channels`](Self::channels).
     pub fn channel_bytes(&self) -> usize {
         self.channels().map(|(_, field)| field.width()).sum()
     }
 
-    /// Checks that records are not too long, that roles suit their fields, and that the wrapping describes a
-    /// record of these fields.
+    /// Checks that records are not too long, that the fields suit their roles, and that the wrapping
+    /// describes a record with these fields.
     ///
     /// # Errors
     /// [`Error::Corrupt`] if not.
@@ -209,7 +210,7 @@ impl Layout {
     pub fn read_from(input: &mut &[u8]) -> Result<Layout> {
         let wrapping = read_byte(input)?;
         let count = read_number(input)?;
-        // The list grows with what is there: each field takes three bytes or more.
+        // The list grows with the input: each field takes three bytes or more.
         let mut fields = Vec::new();
         for _ in 0..count {
             fields.push(read_field(input)?);
@@ -238,7 +239,7 @@ impl Layout {
     }
 }
 
-/// The types that an intensity may have: those whose every value is a float32.
+/// The types that an intensity may have: those all of whose values are float32 values.
 pub const INTENSITY_TYPES: [Scalar; 3] = [Scalar::F32, Scalar::U8, Scalar::U16];
 
 fn read_field(input: &mut &[u8]) -> Result<Field> {
@@ -282,7 +283,7 @@ mod tests {
         }
     }
 
-    /// With these fields behind KITTI's.
+    /// A layout with these fields after KITTI's.
     fn with(fields: &[Field]) -> Layout {
         Layout { fields: [&kitti().fields, fields].concat(), ..kitti() }
     }

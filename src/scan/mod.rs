@@ -1,4 +1,4 @@
-//! A scan in memory: the points, and what it takes to give the file back byte for byte.
+//! A scan in memory: the points, and what is needed to restore the file byte for byte.
 
 mod layout;
 mod text_format;
@@ -10,9 +10,9 @@ pub use text_format::{Column, MAX_DIGITS, NumberRule, Scalar, TextFormat};
 /// NaN payloads and the sign of zero are kept.
 #[derive(Clone, Debug, Default)]
 pub struct PointCloud {
-    /// x, y, z in metres, one entry a point. Empty if the file's records hold no float32 position.
+    /// x, y, z in metres, one entry for each point. Empty if the file's records hold no float32 position.
     pub positions: Vec<[f32; 3]>,
-    /// One value a point, in the file's own unit. Empty if the records hold no intensity.
+    /// One value for each point, in the file's own unit. Empty if the records hold no intensity.
     pub intensity: Vec<f32>,
     /// The other fields, in the order of the records.
     pub channels: Vec<Channel>,
@@ -28,7 +28,7 @@ pub struct Channel {
 }
 
 impl PointCloud {
-    /// These points, in this order.
+    /// Some of the points, in this order.
     pub fn select(&self, points: &[u32]) -> PointCloud {
         PointCloud {
             positions: pick(&self.positions, points),
@@ -44,7 +44,7 @@ impl PointCloud {
 }
 
 impl Channel {
-    /// The values of these points, in this order.
+    /// The values of some of the points, in this order.
     fn select(&self, points: &[u32]) -> Channel {
         let width = self.field.width();
         let value = |&point: &u32| &self.bytes[point as usize * width..][..width];
@@ -61,7 +61,7 @@ fn pick<T: Copy>(values: &[T], points: &[u32]) -> Vec<T> {
 /// A file that holds no records of a known kind is all `prefix`.
 #[derive(Clone, Debug, Default)]
 pub struct ScanFile {
-    /// The file's name as it is to come back, without any folder.
+    /// The file's name as it is to be restored, without any folder.
     pub name: String,
     /// How the records are laid out.
     pub layout: Layout,
@@ -69,7 +69,7 @@ pub struct ScanFile {
     pub prefix: Vec<u8>,
     /// Number of records.
     pub records: usize,
-    /// What the records hold.
+    /// The contents of the records.
     pub cloud: PointCloud,
     /// Bytes after the records, such as a cut-off last record.
     pub suffix: Vec<u8>,

@@ -2,11 +2,11 @@
 
 use crate::ground::error::{Error, Result};
 
-/// Most digits that a rule may ask for: more than any writer prints, and a bound on
-/// how far a hostile stream can blow up one value.
+/// The most digits that a rule may have: more than any program prints, and a limit of how far a malicious
+/// stream can expand one value.
 pub const MAX_DIGITS: u8 = 40;
 
-/// The type of one value of a record. All are little-endian in memory.
+/// The type of a value in a record. All types are little-endian in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scalar {
     /// Signed 8-bit integer.
@@ -32,7 +32,7 @@ pub enum Scalar {
 }
 
 impl Scalar {
-    /// Every scalar, at its number in the serialised form.
+    /// Every scalar, at the index of its number in the serialised form.
     const ALL: [Scalar; 10] = {
         use Scalar::*;
         [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64]
@@ -53,7 +53,7 @@ impl Scalar {
         Self::ALL.get(usize::from(number)).copied()
     }
 
-    /// What it is called in a list of fields: `u8`, `f32` and so on.
+    /// Its name in a list of fields: `u8`, `f32` and so on.
     pub fn name(self) -> &'static str {
         ["i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64", "f32", "f64"][self as usize]
     }
@@ -69,20 +69,20 @@ impl Scalar {
     }
 }
 
-/// How a value becomes text. The names in brackets are what the rule is in C or Python.
+/// How a value becomes text. The brackets give the rule in C or Python.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NumberRule {
     /// A decimal integer (`%d`); the only rule for integer types.
     Integer,
-    /// That many digits after the point (`%.Nf`).
+    /// This many digits after the decimal point (`%.Nf`).
     Fixed(u8),
-    /// One digit before the point, that many after it, and an exponent (`%.Ne`).
+    /// One digit before the decimal point, this many after it, and an exponent (`%.Ne`).
     Scientific(u8),
-    /// At most that many significant digits, without trailing zeros (`%.Ng`, C++ streams).
+    /// At most this many significant digits, without trailing zeros (`%.Ng`, C++ streams).
     Significant(u8),
     /// The fewest digits that give the value back (`repr`).
     Shortest {
-        /// The value is widened to double precision first, as Python does with its floats.
+        /// The value is first widened to double precision, as Python does with its floats.
         double: bool,
         /// A whole number ends in `.0`.
         point_zero: bool,
@@ -133,7 +133,7 @@ pub struct Column {
     pub rule: NumberRule,
 }
 
-/// How the records of a text body are written: one a line, columns between separators.
+/// How the records of a text body are written: one a line, with separators between the columns.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TextFormat {
     /// Lines end in `\r\n` instead of `\n`.
@@ -159,7 +159,7 @@ impl TextFormat {
         }
     }
 
-    /// One byte of flags, then two bytes a column; the number of columns follows from the fields.
+    /// One byte of flags, then two bytes for each column; the number of columns follows from the fields.
     pub(super) fn write_to(&self, out: &mut Vec<u8>) {
         let flags = [self.crlf, self.tab, self.trailing_separator];
         out.push(flags.iter().enumerate().map(|(bit, &set)| u8::from(set) << bit).sum());
@@ -169,7 +169,7 @@ impl TextFormat {
         }
     }
 
-    /// Reads so many columns.
+    /// Reads `columns` columns.
     pub(super) fn read_from(input: &mut &[u8], columns: u64) -> Result<Self> {
         let damaged = || Error::corrupt("record layout: text format");
         let (&flags, rest) = input.split_first().ok_or_else(damaged)?;
@@ -183,7 +183,7 @@ impl TextFormat {
             trailing_separator: flags & 4 != 0,
             columns: Vec::new(),
         };
-        // The list grows with what is there.
+        // The list grows with the input.
         for _ in 0..columns {
             let (&[kind, parameter], rest) = input.split_first_chunk().ok_or_else(damaged)?;
             *input = rest;

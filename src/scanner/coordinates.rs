@@ -1,24 +1,24 @@
-//! The grid on which coordinates lie: whole millimetres, float32 values as they are, or, where an error
-//! is allowed, any coarser one.
+//! The grid of coordinates: whole millimetres, float32 values as they are, or, where an error is allowed, any
+//! coarser grid.
 
 use crate::ground::rounding::round_ties_even;
 
-/// The grid of the coordinates. A *unit* is one step of that grid.
+/// The grid of the coordinates. A *unit* is the distance between neighbouring values of that grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Coordinates {
     /// `float32(k / 1000)`, k whole millimetres: KITTI raw.
     Millimetre,
     /// Any float32: KITTI-360. Units count the representable values in rising order.
     Float32,
-    /// `float32(k * step)`: coordinates that were moved onto this grid.
+    /// `float32(k * step)`: coordinates that were rounded to this grid.
     Lattice {
-        /// Nanometres.
+        /// In nanometres.
         step_nm: u64,
     },
 }
 
 impl Coordinates {
-    /// The grid of some coordinates (metres): millimetres if nearly all lie on them.
+    /// The grid of some coordinates (metres): millimetres if nearly all of them are whole millimetres.
     pub fn of<'a>(values: impl Iterator<Item = &'a f32>) -> Self {
         let (mut on_grid, mut total) = (0usize, 0usize);
         for value in values {
@@ -28,7 +28,7 @@ impl Coordinates {
         if on_grid * 100 > total * 95 { Coordinates::Millimetre } else { Coordinates::Float32 }
     }
 
-    /// The number that stands for the grid of a file in a stream.
+    /// The number of a file's grid in a stream.
     pub fn to_code(self) -> u64 {
         u64::from(self != Coordinates::Millimetre)
     }
@@ -38,7 +38,7 @@ impl Coordinates {
         if code == 0 { Coordinates::Millimetre } else { Coordinates::Float32 }
     }
 
-    /// The unit that a value in metres, as the formula gives it, rounds to: below 2^40, and 0 for NaN.
+    /// The unit to which a value in metres, as the formula gives it, rounds: below 2^40, and 0 for NaN.
     pub fn unit_of(self, metres: f64) -> i64 {
         match self {
             _ if metres.is_nan() => 0,
@@ -50,8 +50,8 @@ impl Coordinates {
         }
     }
 
-    /// The coordinate at `unit`. The millimetre grid has two zeros: the sign is that of
-    /// `formula`, the value before rounding (SENSOR: a coordinate that rounds to zero keeps its sign).
+    /// The coordinate at `unit`. The millimetre grid has two zeros: the sign is that of `formula`, the value
+    /// before rounding.
     pub fn value(self, unit: i64, formula: f64) -> f32 {
         match self {
             Coordinates::Millimetre if unit == 0 => zero_of(formula),
@@ -87,7 +87,8 @@ impl Coordinates {
     #[inline(always)]
     pub fn holds_all<const N: usize>(self, values: [f64; N], formula: [f64; N]) -> bool {
         if self == Coordinates::Millimetre {
-            // What is on the grid mostly, and not 0, needs no look at its sign.
+            // A shortcut for the most frequent case: values on the grid that are not 0 need no check of their
+            // sign.
             let mut all = true;
             for value in values {
                 let near = (round_ties_even(value * 1000.0) * 0.001) as f32;
@@ -131,35 +132,35 @@ impl Coordinates {
     }
 }
 
-/// Metres.
+/// The step in metres.
 fn lattice_step(step_nm: u64) -> f64 {
     step_nm as f64 * 1e-9
 }
 
-/// The millimetre nearest to `formula`, in metres, with its sign even if it is zero: up to 2,000 km what
-/// [`Coordinates::nearest`] gives, but without a division.
+/// The millimetre nearest to `formula`, in metres, keeping the sign even of zero: up to 2,000 km the same as
+/// [`Coordinates::nearest`], but without a division.
 #[inline]
 pub fn nearest_millimetre(formula: f64) -> f32 {
     let unit = round_ties_even((formula * 1000.0).clamp(-1e12, 1e12));
-    // As float32 this is unit / 1000, which up to there is never nearer than 1e-13 to the middle of two float32.
+    // As a float32 this is unit / 1000, which up to that distance is never closer than 1e-13 to the middle
+    // between two float32 values.
     let value = (unit * 0.001).copysign(formula) as f32;
     if formula.is_nan() { 0.0 } else { value }
 }
 
-/// The zero with the sign of `formula`. The sign of a NaN differs between processors: it counts as
-/// positive.
+/// The zero with the sign of `formula`. NaN counts as positive, because its sign differs between processors.
 fn zero_of(formula: f64) -> f32 {
     if !formula.is_nan() && formula.is_sign_negative() { -0.0 } else { 0.0 }
 }
 
-/// float32 values in rising order as integers; neighbours differ by one, and so do -0.0 and 0.0.
+/// float32 values as integers in rising order; neighbours differ by one, and so do -0.0 and 0.0.
 pub(super) fn ordered(value: f32) -> i64 {
     let bits = value.to_bits();
     let key = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
     i64::from(key) - (1 << 31)
 }
 
-/// The inverse of [`ordered`], for any integer: those that stand for no float32 are cut to 32 bits.
+/// The inverse of [`ordered`], for any integer: those that stand for no float32 are truncated to 32 bits.
 pub(super) fn from_ordered(unit: i64) -> f32 {
     let key = unit.wrapping_add(1 << 31) as u32;
     f32::from_bits(if key >> 31 == 1 { key & !(1 << 31) } else { !key })

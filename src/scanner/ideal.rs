@@ -1,5 +1,5 @@
-//! The ideal sensor of the article (IV-A, equation 2): all beams leave one point, at the elevations
-//! that the maker publishes, and all columns are equally far apart.
+//! The ideal sensor of the article (IV-A, equation 2): all beams start at one point, at the elevations
+//! published by the manufacturer, and all columns are equally far apart.
 
 use std::f64::consts::TAU;
 
@@ -16,8 +16,8 @@ const LOWER_STEP: f64 = 0.5;
 /// Beams of one block.
 const BLOCK: usize = 32;
 
-/// An HDL-64E as the article sees it: 64 rows by `columns` columns (2000 for 0.18 degrees), column 0
-/// looking along x, with ranges in steps of `range_step_um` micrometres. Neither may be 0.
+/// An HDL-64E as the article sees it: 64 rows by `columns` columns (2000 for 0.18 degrees), with column 0
+/// along x and ranges in steps of `range_step_um` micrometres. Neither may be 0.
 pub fn ideal(columns: u32, range_step_um: u32) -> Hdl64 {
     let elevations = (0..BLOCK)
         .map(|beam| UPPER_TOP - UPPER_STEP * beam as f64)

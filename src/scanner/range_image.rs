@@ -1,8 +1,8 @@
-//! The points of a scan as a range image: one row a beam, one column a firing.
+//! The points of a scan as a range image: one row for each laser, one column for each firing.
 //!
-//! A cell holds the range in steps of the sensor model, 0 where no return came. Points that the
-//! model does not give back to within a few grid units, that fall into a taken cell, or that lie in no
-//! column stay outside, as *strays*.
+//! A cell holds the range in steps of the scanner, or 0 where there is no return. Points that the scanner's
+//! formula misses by more than a few grid units, that fall into a cell already taken, or that lie in no
+//! column stay outside as *strays*.
 
 use crate::ground::grid::Grid;
 
@@ -11,7 +11,7 @@ use crate::ground::grid::Grid;
 pub struct RangeImage {
     /// The column tick of each column.
     pub columns: Vec<u32>,
-    /// What else the scanner's family must know of each column; empty if the ticks say all.
+    /// What else the scanner's family must know about each column; empty if the ticks are enough.
     pub spans: Vec<u32>,
     /// Rows x columns; range in steps, 0 = no return.
     pub steps: Grid<u32>,
@@ -37,11 +37,11 @@ impl RangeImage {
 /// One return of the range image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Return {
-    /// Beam.
+    /// Row of the image.
     pub row: u32,
     /// Column of the image.
     pub column: u32,
-    /// Azimuth tick of the beam.
+    /// Azimuth tick of the laser.
     pub tick: u32,
     /// Range in steps.
     pub steps: u32,

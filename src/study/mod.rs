@@ -1,4 +1,4 @@
-//! Instruments: the article's experiments, measures of error, pictures, simulated drives.
+//! Instruments: the article's experiments, measures of error, pictures, and simulated drives.
 
 pub mod bench;
 pub mod metrics;

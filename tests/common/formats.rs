@@ -30,6 +30,28 @@ pub fn pcd_extra(points: &[[f32; 4]]) -> Vec<u8> {
     })
 }
 
+/// PCD as a ROS driver's structure, with the header that PCL makes of it: padding with and without COUNT.
+pub fn pcd_ros(points: &[[f32; 4]]) -> Vec<u8> {
+    let (count, fields) = (points.len(), "x y z _ intensity _ time ring return_type _");
+    let mut bytes = format!(
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS {fields}\nSIZE 4 4 4 1 4 1 8 2 1 1\n\
+         TYPE F F F U F U F U U U\nCOUNT 1 1 1 4 1 0 1 1 1 5\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n\
+         POINTS {count}\nDATA binary\n"
+    )
+    .into_bytes();
+    for (n, [x, y, z, i]) in points.iter().enumerate() {
+        let mut record = [0xc5; 40];
+        for (at, value) in [(0, x), (4, y), (8, z), (16, i)] {
+            record[at..at + 4].copy_from_slice(&value.to_le_bytes());
+        }
+        record[24..32].copy_from_slice(&(1.6e9 + (n / 16) as f64 * 5.5e-5).to_le_bytes());
+        record[32..34].copy_from_slice(&((n % 16) as u16).to_le_bytes());
+        record[34] = u8::from(n % 11 == 0);
+        bytes.extend(record);
+    }
+    bytes
+}
+
 fn pcd(
     fields: &str,
     sizes: &str,
@@ -95,7 +117,7 @@ fn ply_header(encoding: &str, points: usize) -> Vec<u8> {
 }
 
 /// A PCD file as PCL writes the records of Velodyne's ROS driver: 32 bytes, with padding and the ring.
-pub fn pcd_ros(points: &[[f32; 4]]) -> Vec<u8> {
+pub fn pcd_velodyne(points: &[[f32; 4]]) -> Vec<u8> {
     let header = format!(
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ intensity ring _\n\
          SIZE 4 4 4 1 4 2 1\nTYPE F F F U F U U\nCOUNT 1 1 1 4 1 1 10\nWIDTH {0}\nHEIGHT 1\n\

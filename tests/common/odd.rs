@@ -6,7 +6,7 @@ use lidarpc::study::synth::SynthConfig;
 use proptest::prelude::*;
 
 use super::File;
-use super::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply};
+use super::formats::{kitti, nuscenes, pcd_extra, pcd_ros, pcd_text, pcd_xyz, ply};
 use super::scans::{Points, moved, rows, scans, shuffled, small, unrounded};
 
 /// Scans to start from: two scanners, one off the millimetre grid, one off every grid.
@@ -25,13 +25,21 @@ pub enum Format {
     Nuscenes,
     PcdXyz,
     PcdExtra,
+    PcdRos,
     PcdText,
     Ply,
 }
 
 impl Format {
-    pub const ALL: [Format; 6] =
-        [Format::Kitti, Format::Nuscenes, Format::PcdXyz, Format::PcdExtra, Format::PcdText, Format::Ply];
+    pub const ALL: [Format; 7] = [
+        Format::Kitti,
+        Format::Nuscenes,
+        Format::PcdXyz,
+        Format::PcdExtra,
+        Format::PcdRos,
+        Format::PcdText,
+        Format::Ply,
+    ];
 
     pub fn write(self, points: &[[f32; 4]]) -> Vec<u8> {
         match self {
@@ -39,6 +47,7 @@ impl Format {
             Format::Nuscenes => nuscenes(points),
             Format::PcdXyz => pcd_xyz(points),
             Format::PcdExtra => pcd_extra(points),
+            Format::PcdRos => pcd_ros(points),
             Format::PcdText => pcd_text(points),
             Format::Ply => ply(points),
         }
@@ -48,7 +57,7 @@ impl Format {
         match self {
             Format::Kitti => "bin",
             Format::Nuscenes => "pcd.bin",
-            Format::PcdXyz | Format::PcdExtra | Format::PcdText => "pcd",
+            Format::PcdXyz | Format::PcdExtra | Format::PcdRos | Format::PcdText => "pcd",
             Format::Ply => "ply",
         }
     }

@@ -1,18 +1,18 @@
-//! The bitmap of borders, in blocks of 4 x 4 cells: for each row of blocks first which of them hold a
-//! border, then the bits of those that do, line by line, so that all that is above a bit is known.
+//! The bitmap of borders, in blocks of 4 x 4 cells. For each row of blocks, first which of them contain a
+//! border, then the bits of those that do, line by line, so that everything above a bit is known.
 
 use super::returns::Returns;
 use crate::entropy::{BitCoder, MixedBits};
 
 /// Rows and columns of a block.
 const BLOCK: usize = 4;
-/// Opinions that are mixed, those of all views and two more.
+/// Opinions that are mixed: those of all views and two more.
 const OPINIONS: usize = 8;
 const BLOCK_VIEWS: [usize; 4] = [1 << 7, 1 << 9, 32 << 4, 1 << 10];
 const BIT_VIEWS: [usize; 6] = [1 << 10, 1 << 12, 128 << 4, 1 << 12, 1 << 9, 1 << 12];
-/// Rows of blocks beyond this many share their contexts.
+/// Rows of blocks from this number on share their contexts.
 const BLOCK_ROWS: usize = 32;
-/// Beams beyond this many share their contexts.
+/// Beams from this number on share their contexts.
 const ROWS: usize = 128;
 
 /// What the coder has learned about borders.
@@ -31,15 +31,15 @@ impl Default for BorderModel {
     }
 }
 
-/// A row of blocks. Block b is entry b + 1: on both sides there is one more.
+/// A row of blocks. Block b is entry b + 1, because there is one more block on each side.
 struct Stripe {
     /// Its first row.
     top: usize,
-    /// Returns of each block that are not yet coded.
+    /// Number of returns of each block that are not yet coded.
     to_code: Vec<usize>,
-    /// Whether there is a border; where there are no returns, as in the block to the left.
+    /// Whether there is a border in each block; without returns, as in the block to the left.
     has_border: Vec<bool>,
-    /// Whether one is known.
+    /// Whether a border of each block has already been coded.
     border_seen: Vec<bool>,
 }
 
@@ -58,16 +58,16 @@ impl Stripe {
 /// What is known of the bitmap.
 struct Known<'a> {
     returns: &'a Returns,
-    /// The bit of each return; false where it is not yet coded.
+    /// The bit of each return; false if it is not yet coded.
     bits: Vec<bool>,
-    /// The last bit of each column.
+    /// The last bit in each column.
     last: Vec<bool>,
-    /// The blocks of the row of blocks above.
+    /// Which blocks of the row above contain a border.
     blocks_above: Vec<bool>,
 }
 
 impl BorderModel {
-    /// Codes which returns are on a border. The encoder's `borders` say so; the decoder's may be empty.
+    /// Codes which returns are on a border, given by the encoder's `borders`; the decoder's may be empty.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, returns: &Returns, borders: &[bool]) -> Vec<bool> {
         let (rows, columns) = (returns.rows(), returns.columns());
         let mut known = Known {
@@ -99,7 +99,7 @@ impl BorderModel {
         known.bits
     }
 
-    /// Codes which blocks of a row hold a border, where there is any return.
+    /// Codes which blocks of a row contain a border, where there are any returns.
     fn code_blocks<C: BitCoder>(&mut self, coder: &mut C, known: &Known, stripe: &mut Stripe) {
         for block in 1..stripe.to_code.len() - 1 {
             if stripe.to_code[block] == 0 {
@@ -135,7 +135,7 @@ impl Known<'_> {
         self.last[self.returns.cell(number).1] = bit;
     }
 
-    /// The contexts of a block: which blocks around it have borders, and which bits right above it.
+    /// The contexts of a block: which blocks around it contain borders, and the bits right above it.
     fn around_block(&self, stripe: &Stripe, block: usize) -> (usize, [usize; BLOCK_VIEWS.len()]) {
         let left = usize::from(stripe.has_border[block - 1]);
         let left_of_left = usize::from(block > 1 && stripe.has_border[block - 2]);
@@ -189,12 +189,12 @@ impl Known<'_> {
     }
 }
 
-/// Cells without a return between one return and those around it: none, one, more; 3: there is no return.
-/// Two directions to a number.
+/// Numbers of empty cells between a return and those around it: 0, 1, or 2 for more; 3 if there is no return.
+/// Two directions share a number.
 struct Gaps {
-    /// To the right, and below times 4.
+    /// To the right, plus 4 times below.
     ahead: usize,
-    /// To the left, and above times 4.
+    /// To the left, plus 4 times above.
     behind: usize,
 }
 

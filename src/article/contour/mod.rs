@@ -1,11 +1,11 @@
-//! The contour map (article, IV-D.1): which region each return belongs to, as borders and what is
+//! The contour map (article, IV-D.1): the region that each return belongs to, as borders and what lies
 //! between them. The same functions code it in both directions.
 //!
-//! A return is on a border if the next one to its right or the next one below, however far away, belongs
-//! to another region. The bitmap of borders is coded in blocks of 4 x 4 cells. Returns that are not on
-//! a border are filled together with those to their right and below; what is filled together is a
-//! *piece*. The region of each piece is coded in scan order. Single returns between borders, the article's
-//! exceptions, are pieces like others. The image does not wrap around: the seam is one column of many.
+//! A return is on a border if the next return to its right or below it, however far away, belongs to another
+//! region. The bitmap of borders is coded in blocks of 4 x 4 cells. A return that is not on a border is
+//! joined with those to its right and below; returns that are joined are a *piece*. The region of each piece
+//! is coded in scan order. Single returns between borders, the article's exceptions, are pieces like others.
+//! The image does not wrap around: the seam is one column of many.
 
 mod borders;
 mod pieces;
@@ -27,15 +27,14 @@ pub struct ContourModel {
 }
 
 impl ContourModel {
-    /// Codes the labels (rows x columns) of the cells that hold a return. The encoder's must be
-    /// numbered as [`renumber`] does; the decoder's start as any of the same size. Returns the number of
-    /// regions.
+    /// Codes the labels (rows x columns) of the cells that hold a return. The encoder's must be numbered as
+    /// [`renumber`] does; the decoder's may hold anything, in the same size. Returns the number of regions.
     ///
-    /// Rows should be [aligned](crate::scanner::Alignment::align): borders that run straight down
-    /// are cheap.
+    /// Rows should be [aligned](crate::scanner::Alignment::align), as borders that run straight down are
+    /// cheap.
     ///
     /// # Errors
-    /// If the stream names a region that there is not.
+    /// If the stream names a region that does not exist.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -57,8 +56,8 @@ impl ContourModel {
     }
 }
 
-/// Numbers the labels of returns from 1 on as they first appear in scan order; 0 elsewhere. Returns the
-/// old label of each number, from 1 on.
+/// Numbers the labels of returns from 1 in the order of their first appearance in the scan; 0 elsewhere.
+/// Returns the old label of each number, from 1 on.
 pub fn renumber(occupancy: &Grid<bool>, labels: &mut Grid<u32>) -> Vec<u32> {
     let end = labels.cells().iter().max().map_or(0, |most| *most as usize + 1);
     let (mut numbers, mut old) = (vec![0; end], Vec::new());

@@ -2,8 +2,8 @@
 
 use super::returns::Returns;
 
-/// Which piece each return belongs to: fills between the borders. A return that is not on a border is of
-/// one piece with those to its right and below. A piece is named by its first return.
+/// The piece that each return belongs to, found by filling between the borders. A return that is not on a
+/// border is in one piece with those to its right and below. A piece is identified by its first return.
 pub fn fill(returns: &Returns, borders: &[bool]) -> Vec<u32> {
     let mut first: Vec<u32> = (0..returns.len() as u32).collect();
     for number in (0..returns.len()).filter(|&number| !borders[number]) {
@@ -11,20 +11,20 @@ pub fn fill(returns: &Returns, borders: &[bool]) -> Vec<u32> {
             join(&mut first, number as u32, other as u32);
         }
     }
-    // The first return of a piece is never after another, so one pass is enough.
+    // The first return of a piece never comes after another one, so one pass is enough.
     for number in 0..first.len() {
         first[number] = first[first[number] as usize];
     }
     first
 }
 
-/// Makes one piece of those of two returns; the earlier first one stays the first.
+/// Joins the pieces of two returns; the earlier first return stays the first.
 fn join(first: &mut [u32], a: u32, b: u32) {
     let (a, b) = (root(first, a), root(first, b));
     first[a.max(b) as usize] = a.min(b);
 }
 
-/// The first return of the piece; the way to it is halved.
+/// The first return of the piece; halves the path to it (union-find).
 fn root(first: &mut [u32], mut number: u32) -> u32 {
     while first[number as usize] != number {
         first[number as usize] = first[first[number as usize] as usize];

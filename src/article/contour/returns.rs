@@ -1,23 +1,23 @@
-//! The returns of an image as the contour map sees them: numbered in scan order, each with those around
-//! it. Cells without a return do not exist here, so a border costs nothing over them.
+//! The returns of an image as the contour map sees them: numbered in scan order, each with its neighbours.
+//! Cells without a return do not exist here, so a border across them costs nothing.
 
 use std::ops::Range;
 
 use crate::ground::grid::Grid;
 
-/// Returns, with the next ones in their row and column however far away.
+/// Returns, with the next one in each direction of their row and column, however far away.
 pub struct Returns {
     columns: usize,
     /// Where each row starts, and the end of the last.
     row_starts: Vec<usize>,
-    /// Row and column of each.
+    /// Row and column of each return.
     cells: Vec<(u32, u32)>,
     above: Vec<Option<u32>>,
     below: Vec<Option<u32>>,
 }
 
 impl Returns {
-    /// Of an image.
+    /// The returns of an image.
     pub fn of(occupancy: &Grid<bool>) -> Self {
         let (columns, row_starts) = (occupancy.columns(), vec![0]);
         let mut returns =
@@ -32,7 +32,7 @@ impl Returns {
         returns
     }
 
-    /// Adds one; `last` is the last one in its column, and becomes this one.
+    /// Adds a return; `last` is the last one in its column, and becomes this one.
     fn push(&mut self, (row, column): (usize, usize), last: &mut Option<u32>) {
         let number = self.len() as u32;
         let above = last.replace(number);
@@ -44,17 +44,17 @@ impl Returns {
         self.below.push(None);
     }
 
-    /// How many there are.
+    /// Number of returns.
     pub fn len(&self) -> usize {
         self.cells.len()
     }
 
-    /// Columns of the image.
+    /// Number of columns of the image.
     pub fn columns(&self) -> usize {
         self.columns
     }
 
-    /// Rows of the image.
+    /// Number of rows of the image.
     pub fn rows(&self) -> usize {
         self.row_starts.len() - 1
     }

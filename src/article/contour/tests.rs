@@ -67,7 +67,8 @@ fn cells_without_a_return_cost_nothing() {
 
 #[test]
 fn what_borders_imply_costs_nothing() {
-    // A staircase from one region to another: wherever a piece begins, the border tells of which it is.
+    // A staircase from one region to another: wherever a piece begins, the border tells which one it belongs
+    // to.
     let stairs = grid(64, 64, |r, c| u32::from(r + c >= 64));
     assert!(comes_back(&grid(64, 64, |_, _| true), &stairs) < 60);
 }

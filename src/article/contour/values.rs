@@ -1,12 +1,12 @@
-//! Which region each piece belongs to.
+//! The region of each piece.
 
 use super::returns::Returns;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 
-/// Regions used last that have short names.
+/// Number of recently used regions that have short codes.
 const RECENT: usize = 4;
-/// Kinds of surroundings.
+/// Classes of surroundings.
 const CONTEXTS: usize = 1 << 5;
 
 /// What the coder has learned about the regions of pieces.
@@ -20,20 +20,20 @@ pub struct ValueModel {
     back: IntegerModel,
 }
 
-/// The regions around a piece where it begins.
+/// The regions around the first return of a piece.
 struct Around {
-    /// Those of the returns to the left, above, and above to the right, if it may belong to them. No two are
-    /// the same; 0 = none.
+    /// The regions of the returns to the left, above, and above to the right, as far as the piece may belong
+    /// to them. All different; 0 = none.
     candidates: [u32; 3],
-    /// Those that it does not belong to, as the borders say; 0 = none.
+    /// Regions that it does not belong to, as the borders tell; 0 = none.
     ruled_out: [u32; 2],
-    /// How those around it compare.
+    /// How the regions around it compare.
     context: usize,
 }
 
 impl ValueModel {
-    /// Codes the region of each piece where it begins, and gives it to all its returns. Regions are
-    /// numbered from 1 on as they appear. Returns how many there are.
+    /// Codes the region of each piece at its first return, and assigns it to all its returns. Regions are
+    /// numbered from 1 in order of appearance. Returns their number.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -108,8 +108,8 @@ impl Around {
             | usize::from(l == ar) << 2
             | usize::from(l == al) << 3
             | usize::from(is_more) << 4;
-        // The return before a new piece is on a border: if all else that it borders on is of its own
-        // region, the piece is not.
+        // The return before a new piece is on a border: if everything else that it borders on belongs to its
+        // own region, the piece does not.
         let alone = |own: u32, beside: Option<usize>| beside.is_none_or(|_| region(beside) == own);
         let below_left = left.and_then(|left| returns.below(left));
         let not_left = if alone(l, below_left) { l } else { 0 };
@@ -125,7 +125,7 @@ impl Around {
     }
 }
 
-/// Puts a region in front of those used last.
+/// Moves a region to the front of those used most recently.
 fn keep_recent(recent: &mut [u32; RECENT], region: u32) {
     let place = recent.iter().position(|other| *other == region).unwrap_or(RECENT - 1);
     recent[..=place].rotate_right(1);

@@ -1,6 +1,6 @@
-//! JPEG (ITU-T T.81, baseline), by crate `image`, for one pass: values are brought to 8 bits by a step.
+//! JPEG (ITU-T T.81, baseline), by crate `image`, for one pass: values are scaled to 8 bits by a step.
 //!
-//! The image is a byte for the quality, and the coded data of the scan.
+//! The payload is one byte for the quality, then the coded data of the scan.
 
 mod header;
 
@@ -18,19 +18,19 @@ use crate::ground::grid::Grid;
 
 /// The sample of a value at the centre.
 const CENTRE: i32 = 128;
-/// The next step that the encoder tries, in shares of the last: larger ones make room for a better quality,
+/// The next step that the encoder tries, relative to the last: larger ones leave room for a better quality,
 /// smaller ones clip.
 const FACTORS: [f64; 2] = [std::f64::consts::SQRT_2, std::f64::consts::FRAC_1_SQRT_2];
-/// The largest step that it tries, in shares of that which brings all values to 8 bits.
+/// The largest step that it tries, relative to the one that brings all values to 8 bits.
 const MOST_SHARE: f64 = 64.0;
 /// The best quality.
 const BEST: u8 = 100;
 
 /// Codes a plane in one pass, with the step and the quality that leave the least error; `None` if so few
-/// bytes hold no image, or nothing may be lost.
+/// bytes cannot hold an image, or if no loss is allowed.
 ///
 /// # Errors
-/// If there are more rows or columns than the format can have.
+/// If there are more rows or columns than the format allows.
 pub fn encode(plane: &Plane<'_>, most_bytes: Option<usize>) -> Result<Option<Pass>> {
     let Some(most_bytes) = most_bytes else { return Ok(None) };
     let values = plane.interpolated();
@@ -52,8 +52,8 @@ pub fn encode(plane: &Plane<'_>, most_bytes: Option<usize>) -> Result<Option<Pas
     Ok(best.map(|(_, pass)| pass))
 }
 
-/// Codes in a share of the step that brings all values to 8 bits, with the quality that leaves the least
-/// error; gives that too.
+/// Codes in `share` times the step that brings all values to 8 bits, with the quality that leaves the least
+/// error; also returns that error.
 fn encode_in_steps(
     plane: &Plane<'_>,
     values: &Grid<i32>,
@@ -61,7 +61,7 @@ fn encode_in_steps(
     most_bytes: usize,
 ) -> Result<Option<(f64, Pass)>> {
     let (least, greatest) = plane.extremes();
-    // Where values are clipped, those in the middle of most are best kept.
+    // Where values are clipped, it is best to keep those around the median.
     let centre =
         if share < 1.0 { plane.median() } else { ((i64::from(least) + i64::from(greatest)) / 2) as i32 };
     let whole = (f64::from(greatest) - f64::from(least)) / 255.0;
@@ -86,7 +86,7 @@ fn encode_in_steps(
     Ok(best)
 }
 
-/// Brings values to 8 bits.
+/// Scales values to 8 bits.
 fn samples(values: &Grid<i32>, centre: i32, step: u32) -> Grid<u8> {
     let step = i64::from(step);
     values.map(|value| {
@@ -108,17 +108,17 @@ fn encode_samples(samples: &Grid<u8>, quality: u8) -> Result<Vec<u8>> {
     Ok([&[quality], scan].concat())
 }
 
-/// The samples of an image, less that of the centre: -128 to 127.
+/// The samples of an image, minus that of the centre: -128 to 127.
 ///
 /// # Errors
-/// If it is damaged so that the library notices.
+/// If it is damaged in a way that the library notices.
 pub fn decode(image: &[u8], rows: usize, columns: usize) -> Result<Grid<i32>> {
     let damaged = |what: &str| Error::corrupt(format!("JPEG: {what}"));
     let (&quality, scan) = image.split_first().ok_or_else(|| damaged("no image"))?;
     if !(1..=BEST).contains(&quality) {
         return Err(damaged("no such quality"));
     }
-    // Behind any of these the library would look for other tables, sizes and scans.
+    // After any of these markers the library would expect other tables, sizes and scans.
     if scan.windows(2).any(|pair| pair[0] == 0xff && pair[1] != 0) || scan.ends_with(&[0xff]) {
         return Err(damaged("a marker in the scan"));
     }
@@ -139,7 +139,7 @@ pub fn decode(image: &[u8], rows: usize, columns: usize) -> Result<Grid<i32>> {
     Ok(grid)
 }
 
-/// The sides as the format has them.
+/// The sides in the type that the format has.
 fn sides(rows: usize, columns: usize) -> Result<(u16, u16)> {
     let side = |length: usize| u16::try_from(length).ok().filter(|length| *length > 0);
     let wrong = || {

@@ -1,8 +1,8 @@
 //! JPEG 2000 (ITU-T T.800), by OpenJPEG in Rust (crates `openjp2` and `jpeg2k`), for one pass.
 //!
-//! The 5/3 wavelet at every rate: it is of integers, so that all decoders come to the same samples, it loses
-//! nothing in the end, and it leaves 1 to 20 % less error than the 9/7 one of reals on range images. The
-//! image is a byte each for the bits of a sample and the number of resolutions, and the packets.
+//! The 5/3 wavelet is used at every rate: it works on integers, so that all decoders give the same samples,
+//! it can be lossless, and it leaves 1 to 20 % less error on range images than the 9/7 wavelet. The payload
+//! is one byte each for the bits of a sample and the number of resolutions, then the packets.
 
 mod header;
 mod library;
@@ -13,17 +13,17 @@ use super::recurrent::{Pass, Turn};
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 
-/// Most bits of a sample, its sign included: the library has 32, of which the wavelet takes 2 and the
+/// The most bits of a sample, including its sign: the library has 32, of which the wavelet takes 2 and the
 /// estimate of errors 6.
 const MOST_BITS: u8 = 22;
-/// Resolutions of what is smooth. More hardly matter.
+/// Resolutions for smooth images. More make hardly any difference.
 const RESOLUTIONS: u32 = 6;
 
-/// Codes a plane in one pass, within so many bytes or without loss of samples; `None` if so few bytes hold no
+/// Codes a plane in one pass, within `most_bytes` or without loss; `None` if so few bytes cannot hold an
 /// image.
 ///
-/// An early pass goes without the wavelet: it takes what stands out alone, as the edges of objects do. What
-/// is left is smooth, and the wavelet's. Where nothing is to be lost what is smaller is taken.
+/// An early pass goes without the wavelet: it takes isolated values, such as those at the edges of objects.
+/// What remains is smooth and suits the wavelet. Without loss, whichever is smaller is used.
 ///
 /// # Errors
 /// If the library fails.
@@ -48,7 +48,7 @@ fn middle(plane: &Plane<'_>) -> i32 {
     ((i64::from(least) + i64::from(greatest)) / 2) as i32
 }
 
-/// Codes values less their centre, in steps of 1 if that is within [`MOST_BITS`].
+/// Codes values minus their centre, in steps of 1 if that fits into [`MOST_BITS`].
 fn encode_values(
     values: &Grid<i32>,
     centre: i32,
@@ -59,7 +59,7 @@ fn encode_values(
     let above = |value: &i32| i64::from(*value) - i64::from(centre);
     let bits = values.cells().iter().map(|value| bits(above(value))).max().unwrap_or(1);
     let shift = bits.saturating_sub(MOST_BITS);
-    // Half a step is added so as to round; at the very top that would need another bit.
+    // Half a step is added for rounding; at the very top that would need another bit.
     let most = (1 << (MOST_BITS - 1)) - 1;
     let samples = values.map(|value| ((above(value) + ((1 << shift) >> 1)) >> shift).min(most) as i32);
 
@@ -76,12 +76,12 @@ fn encode_values(
     Ok(fits.then_some(Pass { centre, step: 1 << shift, image }))
 }
 
-/// Bits of a value, its sign included.
+/// Bits of a value, including its sign.
 fn bits(value: i64) -> u8 {
     (65 - (if value < 0 { !value } else { value }).leading_zeros()) as u8
 }
 
-/// What is between the headers and the end of a codestream of one tile-part.
+/// The part between the headers and the end of a codestream with one tile-part.
 fn packets(stream: &[u8]) -> Option<&[u8]> {
     const START_OF_DATA: [u8; 2] = [0xff, 0x93];
     let header = stream.windows(2).position(|bytes| bytes == START_OF_DATA)?;
@@ -91,7 +91,7 @@ fn packets(stream: &[u8]) -> Option<&[u8]> {
 /// The samples of an image.
 ///
 /// # Errors
-/// If it is damaged so that the library notices.
+/// If it is damaged in a way that the library notices.
 pub fn decode(image: &[u8], rows: usize, columns: usize) -> Result<Grid<i32>> {
     let damaged = |what: &str| Error::corrupt(format!("JPEG 2000: {what}"));
     let &[precision, resolutions, ref packets @ ..] = image else {
@@ -114,8 +114,8 @@ pub fn decode(image: &[u8], rows: usize, columns: usize) -> Result<Grid<i32>> {
 mod tests {
     use super::*;
 
-    /// What the format says of coefficients whose last bits are missing, and that is all that is lost
-    /// without a wavelet.
+    /// The format's rule for coefficients whose last bits are missing; without a wavelet, nothing else is
+    /// lost.
     #[test]
     fn missing_bits_are_taken_for_half() {
         let mut samples: Grid<i32> = Grid::new(64, 130);

@@ -1,9 +1,9 @@
-//! Lossy image coding of what prediction leaves of the ranges (article, IV-D.2 and VI-C): JPEG and JPEG
-//! 2000, in passes of which each codes the error that those before leave.
+//! Lossy image coding of the residuals of ranges (article, IV-D.2 and VI-C): JPEG and JPEG 2000, in passes,
+//! each of which codes the error left by those before.
 //!
-//! Neither format knows of cells that hold nothing: the encoder fills them so that they cost little, and the
-//! decoder does not look at them. The images' headers follow from the settings and are not in the stream, so
-//! that the libraries see nothing from a stream but the coded samples.
+//! Neither format knows empty cells: the encoder fills them so that they cost little, and the decoder ignores
+//! them. The images' headers follow from the settings and are not in the stream, so that the libraries see
+//! nothing of a stream but the coded samples.
 
 mod jpeg;
 mod jpeg2000;
@@ -46,12 +46,12 @@ impl ImageCodec {
 pub enum Rate {
     /// As much as it takes to lose nothing.
     Lossless,
-    /// So many bits for each return, on average.
+    /// This many bits for each return, on average.
     Bits(f64),
 }
 
 impl Rate {
-    /// What it comes to, in bytes; `None` if there is no bound.
+    /// The bound in bytes; `None` if there is none.
     pub fn bytes(self, returns: usize) -> Option<usize> {
         match self {
             Rate::Lossless => None,
@@ -60,17 +60,17 @@ impl Rate {
     }
 }
 
-/// Most bits a return that [`Rate::Bits`] may name.
+/// The most bits per return that [`Rate::Bits`] accepts.
 const MOST_BITS: f64 = 64.0;
-/// Most passes.
+/// The most passes.
 pub const MOST_PASSES: u8 = 8;
 
 /// Settings of the encoder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageConfig {
-    /// Most passes, 1 to 8; fewer are taken where they leave less error. Default 2, as in the article.
+    /// The most passes, 1 to 8; fewer are used where they leave less error. Default 2, as in the article.
     pub passes: u8,
-    /// What may be spent on all passes together. Default 2 bits a return.
+    /// The rate of all passes together. Default 2 bits a return.
     pub rate: Rate,
 }
 

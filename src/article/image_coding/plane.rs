@@ -1,11 +1,11 @@
-//! A plane of values of which only those of returns count.
+//! A plane of values, of which only those of returns matter.
 
 use crate::ground::grid::Grid;
 
-/// What is left to code: a value for each return.
+/// What is still to be coded: a value for each return.
 #[derive(Clone, Debug)]
 pub struct Plane<'a> {
-    /// Rows x columns; what is in other cells than returns does not matter.
+    /// Rows x columns; the values of cells without a return do not matter.
     pub values: Grid<i32>,
     /// Which cells hold a return.
     pub returns: &'a Grid<bool>,
@@ -22,7 +22,7 @@ impl Plane<'_> {
         self.values.cells().iter().zip(self.returns.cells()).filter(|(_, is)| **is).map(|(value, _)| *value)
     }
 
-    /// The least and the greatest value; zeros without returns.
+    /// The least and the greatest value; zeros if there are no returns.
     pub fn extremes(&self) -> (i32, i32) {
         let extremes = |(least, greatest): (i32, i32), value: i32| (least.min(value), greatest.max(value));
         self.of_returns()
@@ -31,7 +31,7 @@ impl Plane<'_> {
             .unwrap_or_default()
     }
 
-    /// The value that half of the others are not above.
+    /// The median.
     pub fn median(&self) -> i32 {
         let mut values: Vec<i32> = self.of_returns().collect();
         if values.is_empty() {
@@ -41,12 +41,12 @@ impl Plane<'_> {
         *values.select_nth_unstable(middle).1
     }
 
-    /// The sum of the squared values.
+    /// The sum of the squares of the values.
     pub fn energy(&self) -> f64 {
         self.of_returns().map(|value| f64::from(value) * f64::from(value)).sum()
     }
 
-    /// What is left when this is coded.
+    /// What remains when `coded` is subtracted.
     pub fn without(&self, coded: &Grid<i32>) -> Self {
         let mut left = self.clone();
         for row in 0..coded.rows() {
@@ -57,7 +57,7 @@ impl Plane<'_> {
         left
     }
 
-    /// All cells, with one value in those without a return: as good as nothing where most values are the
+    /// All cells, with a constant in those without a return: costs almost nothing where most values are the
     /// same.
     pub fn padded(&self, with: i32) -> Grid<i32> {
         let mut filled = self.values.clone();
@@ -68,9 +68,9 @@ impl Plane<'_> {
         filled
     }
 
-    /// All cells, with values along straight lines between the returns to the left and right in those
-    /// without: smooth, as suits a transform. Rows without returns are as the row above, or else as that
-    /// below.
+    /// All cells, with those without a return interpolated along straight lines between the returns to the
+    /// left and right: smooth, as suits a transform. Rows without returns are like the row above, or else the
+    /// row below.
     pub fn interpolated(&self) -> Grid<i32> {
         let mut filled = self.values.clone();
         let rows = filled.rows();
@@ -109,7 +109,7 @@ fn interpolate(values: &mut [i32], returns: &[bool]) {
     }
 }
 
-/// The value at a place of the line through two others, rounded down.
+/// The value of the line through two others at a place, rounded down.
 fn between((left, from): (usize, i32), (right, to): (usize, i32), place: usize) -> i32 {
     let (run, rise) = ((right - left) as i64, i64::from(to) - i64::from(from));
     (i64::from(from) + (rise * (place - left) as i64).div_euclid(run)) as i32

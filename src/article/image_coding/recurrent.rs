@@ -1,4 +1,4 @@
-//! Recurrent coding (article, VI-C, Fig. 14): each pass codes what those before leave.
+//! Recurrent coding (article, VI-C, Fig. 14): each pass codes what those before have left.
 
 use super::plane::Plane;
 use super::{ImageCodec, MOST_PASSES, jpeg, jpeg2000};
@@ -6,10 +6,10 @@ use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 
-/// The share of the bits left that a pass gets if another follows it. Measured: less is better at high rates,
-/// more at low ones.
+/// The share of the remaining bits that a pass gets if another one follows. Measured: less is better at high
+/// rates, more at low rates.
 const SHARE: f64 = 0.4;
-/// Bytes that a pass takes besides its image, at most.
+/// The most bytes that a pass takes besides its image.
 const OVERHEAD: usize = 16;
 
 /// One pass: an image whose sample s stands for the value `centre + step * s`.
@@ -17,25 +17,24 @@ const OVERHEAD: usize = 16;
 pub struct Pass {
     pub centre: i32,
     pub step: u32,
-    /// As the format has it; if empty, all samples are 0.
+    /// In the format of the codec; if empty, all samples are 0.
     pub image: Vec<u8>,
 }
 
 /// Whether more passes follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
-    /// They do: this one may leave to them what suits it less.
+    /// They do; this pass may leave to them what suits it less.
     Early,
     /// They do not.
     Last,
 }
 
-/// Codes the residuals of the returns (rows x columns, in steps), within `most_bytes` unless nothing may be
-/// lost.
+/// Codes the residuals of the returns (rows x columns, in steps), within `most_bytes`, or without loss.
 ///
 /// # Errors
-/// If the image has more columns than the format can have, or nothing may be lost and the format cannot do
-/// that.
+/// If the image has more columns than the format allows, or if it is to be coded without loss and the format
+/// cannot do that.
 pub fn encode(
     codec: ImageCodec,
     residuals: Grid<i32>,
@@ -54,8 +53,8 @@ pub fn encode(
     Ok(payload)
 }
 
-/// The passes that leave the least error within so many bytes: one, or more of which each but the last gets a
-/// share of what is left.
+/// The passes that leave the least error within so many bytes: a single one, or several, each of which but
+/// the last gets a share of what is left.
 fn within(codec: ImageCodec, plane: Plane<'_>, passes: u8, mut bytes: usize) -> Result<Vec<Pass>> {
     let mut early = Vec::new();
     let mut left = plane;
@@ -85,7 +84,7 @@ fn within(codec: ImageCodec, plane: Plane<'_>, passes: u8, mut bytes: usize) -> 
     Ok(best)
 }
 
-/// As many passes as it takes.
+/// As many passes as a lossless result needs.
 fn lossless(codec: ImageCodec, mut left: Plane<'_>) -> Result<Vec<Pass>> {
     let mut passes = Vec::new();
     while left.energy() > 0.0 {
@@ -99,8 +98,8 @@ fn lossless(codec: ImageCodec, mut left: Plane<'_>) -> Result<Vec<Pass>> {
     Ok(passes)
 }
 
-/// The inverse of [`encode`], but for what was lost: the residual of each return of an image of so many rows
-/// and columns. The values of other cells mean nothing.
+/// The inverse of [`encode`], except for what was lost: the residual of each return of an image with so many
+/// rows and columns. The values of other cells are meaningless.
 ///
 /// # Errors
 /// If the payload does not hold such an image.
@@ -156,7 +155,7 @@ impl Pass {
 }
 
 impl ImageCodec {
-    /// Codes a plane in one pass; `None` if that many bytes hold no image.
+    /// Codes a plane in one pass; `None` if `most_bytes` cannot hold an image.
     fn encode(self, plane: &Plane<'_>, turn: Turn, most_bytes: Option<usize>) -> Result<Option<Pass>> {
         match self {
             ImageCodec::Jpeg => jpeg::encode(plane, most_bytes),

@@ -4,7 +4,7 @@ use super::*;
 use crate::ground::grid::Grid;
 use crate::ground::random::Rng;
 
-/// What prediction might leave: a surface with steps, noise, a few values far off, and gaps.
+/// What prediction might leave: a surface with steps, noise, a few outliers, and gaps.
 fn residuals(rows: usize, columns: usize, scale: f64) -> (Grid<i32>, Grid<bool>) {
     let mut random = Rng::keyed(3, &[rows as u64, columns as u64]);
     let mut values = Grid::new(rows, columns);
@@ -20,7 +20,7 @@ fn residuals(rows: usize, columns: usize, scale: f64) -> (Grid<i32>, Grid<bool>)
     (values, returns)
 }
 
-/// Encodes and decodes; gives the payload and what is left, which the decoder must find too.
+/// Encodes and decodes; returns the payload and what is left, which the decoder must find too.
 fn round_trip(
     codec: ImageCodec,
     (values, returns): &(Grid<i32>, Grid<bool>),
@@ -44,7 +44,7 @@ const LOSSLESS: ImageConfig = ImageConfig { passes: 1, rate: Rate::Lossless };
 #[test]
 fn lossless_is_exact() {
     let codec = ImageCodec::Jpeg2000;
-    // The last take more bits than a pass has.
+    // The last ones take more bits than a pass has.
     for scale in [0.0, 3.0, 1000.0, 1e6, 6e8] {
         for (rows, columns) in [(1, 1), (1, 50), (50, 1), (3, 3), (20, 90), (64, 70)] {
             let case = residuals(rows, columns, scale);
@@ -148,7 +148,7 @@ fn damaged_images_are_an_error_or_a_result() {
 fn impossible_passes_are_an_error() {
     let pass = |image: &[u8]| Pass { centre: 0, step: 1, image: image.to_vec() };
     for codec in ImageCodec::ALL {
-        // No quality or precision of 0 or 255; no room for more than 5 resolutions; markers.
+        // A quality or precision of 0 or 255, more resolutions than 5, markers.
         for image in [&[0][..], &[0, 1, 5, 5], &[255, 1, 5, 5], &[16, 6, 0xff, 0xd9]] {
             assert!(pass(image).decode(codec, (16, 60)).is_err(), "{codec:?} {image:?}");
         }

@@ -11,24 +11,25 @@ use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 
-/// Which regions there are, and how they are modelled.
+/// The regions, and how they are modelled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RegionModels {
-    /// The article's: the mean of each object, one plane for the ground.
+    /// As in the article: the mean of each object, and one plane for the ground.
     #[default]
     Article,
-    /// For each region its mean or its plane; split and merged where SSE + lambda * bits gets smaller.
+    /// For each region its mean or its plane; regions are split and merged wherever SSE + lambda * bits
+    /// decreases.
     Fitted,
 }
 
 /// How regions are fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IntraConfig {
-    /// Which regions there are. Default: the article's.
+    /// The regions. Default: the article's.
     pub models: RegionModels,
-    /// lambda of equation 5, in squared steps a bit. Default 1000.
+    /// lambda of equation 5, in squared steps per bit. Default 1000.
     pub lambda: f64,
-    /// How the plane of the ground is found.
+    /// How the ground plane is found.
     pub ransac: RansacConfig,
 }
 
@@ -59,7 +60,7 @@ impl IntraConfig {
     }
 }
 
-/// The regions of a frame and their models, as they stand in the stream.
+/// The regions of a frame and their models, in the form that they have in the stream.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct IntraPrediction {
     /// Rows x columns: the region of each return, from 1 on in order of appearance; 0 = no return.
@@ -69,7 +70,7 @@ pub struct IntraPrediction {
 }
 
 impl IntraPrediction {
-    /// Models the regions of a segmented image, for the encoder. `steps` are rows x columns.
+    /// Models the regions of a segmented image; for the encoder. `steps` is rows x columns.
     pub fn fit(
         steps: &Grid<u32>,
         occupancy: &Grid<bool>,
@@ -112,7 +113,7 @@ impl IntraPrediction {
     /// Codes the contour map (article, IV-D.1).
     ///
     /// # Errors
-    /// If the stream names a region that there is not.
+    /// If the stream names a region that does not exist.
     pub fn code_contour<C: BitCoder>(
         &mut self,
         model: &mut ContourModel,
@@ -143,7 +144,7 @@ impl IntraPrediction {
     }
 }
 
-/// The ground with the plane that RANSAC finds (Algorithm 1); with its mean if there is none.
+/// The ground with the plane that RANSAC finds (Algorithm 1), or with its mean if there is none.
 fn with_ground_plane(judge: &Judge, cells: Vec<(u32, u32)>, config: &RansacConfig) -> Region {
     let point = |&(row, column): &(u32, u32)| {
         let cell = (row as usize, column as usize);
@@ -158,8 +159,8 @@ fn with_ground_plane(judge: &Judge, cells: Vec<(u32, u32)>, config: &RansacConfi
     }
 }
 
-/// The cells of each label. Returns that belong to no object join the region to their left, or above:
-/// a border around each costs more than any model of them saves.
+/// The cells of each label. Returns that belong to no object join the region to their left, or above: a
+/// border around each costs more than any model of them saves.
 fn cells_of(occupancy: &Grid<bool>, segmentation: &Segmentation) -> Vec<Vec<(u32, u32)>> {
     let mut cells = vec![Vec::new(); segmentation.end.max(FIRST_OBJECT) as usize];
     let mut above = vec![UNASSIGNED; occupancy.columns()];

@@ -1,4 +1,4 @@
-//! What ranges are predicted from before a general-purpose back-end or an image coder codes what is left.
+//! The prediction of ranges, whose residuals a general-purpose back-end or an image coder then codes.
 
 pub mod intra;
 pub mod ransac;
@@ -12,16 +12,16 @@ pub use rays::Rays;
 
 use crate::ground::grid::Grid;
 
-/// Predicted ranges, and whether what they leave is predicted once more, along the snake's path.
+/// Predicted ranges, and whether their residuals are predicted again along the snake's path.
 pub struct Predictor {
-    /// Rows x columns, in steps; `None`: nothing is predicted.
+    /// Rows x columns, in steps; `None`: no prediction.
     pub ranges: Option<Grid<u32>>,
-    /// Article, V-C.
+    /// Whether the snake's path is used (article, V-C).
     pub snake: bool,
 }
 
 impl Predictor {
-    /// What is left of the ranges (steps, rows x columns), for each return in scan order.
+    /// The residuals of the ranges (steps, rows x columns), for each return in scan order.
     pub fn residuals(&self, occupancy: &Grid<bool>, steps: &Grid<u32>) -> Vec<i32> {
         let mut values = self.differences(occupancy, steps);
         if self.snake {
@@ -32,8 +32,8 @@ impl Predictor {
         residuals
     }
 
-    /// The inverse of [`residuals`](Self::residuals). There must be one for each return. The ranges
-    /// may be any if the residuals are damaged.
+    /// The inverse of [`residuals`](Self::residuals), of which there must be one for each return. If they are
+    /// damaged, any ranges may result.
     pub fn restore(&self, occupancy: &Grid<bool>, residuals: &[i32]) -> Grid<u32> {
         let mut values = Grid::new(occupancy.rows(), occupancy.columns());
         let mut next = residuals.iter();
@@ -46,14 +46,15 @@ impl Predictor {
         steps
     }
 
-    /// The difference of each return to its prediction (equation 7), in steps, rows x columns; 0 elsewhere.
+    /// The difference between each return and its prediction (equation 7), in steps, rows x columns; 0
+    /// elsewhere.
     pub fn differences(&self, occupancy: &Grid<bool>, steps: &Grid<u32>) -> Grid<i32> {
         let mut values = Grid::new(steps.rows(), steps.columns());
         each_return(occupancy, |cell| values[cell] = steps[cell].wrapping_sub(self.predicted(cell)) as i32);
         values
     }
 
-    /// The ranges of the returns from differences that may be a little off: from 1 to `most` steps.
+    /// The ranges of the returns from differences that may be slightly off: from 1 to `most` steps.
     pub fn restore_within(&self, occupancy: &Grid<bool>, differences: &Grid<i32>, most: u32) -> Grid<u32> {
         let mut steps = Grid::new(occupancy.rows(), occupancy.columns());
         each_return(occupancy, |cell| {
@@ -68,7 +69,7 @@ impl Predictor {
     }
 }
 
-/// Visits the returns in scan order: row by row, each from the left.
+/// Visits the returns in scan order: row by row, from the left.
 fn each_return(occupancy: &Grid<bool>, mut visit: impl FnMut((usize, usize))) {
     for row in 0..occupancy.rows() {
         let filled = occupancy.row(row).iter().enumerate().filter(|(_, filled)| **filled);

@@ -1,5 +1,5 @@
-//! Which regions are worth their bits (article, IV-C.1): each partition is judged by SSE + lambda * bits
-//! (equation 5). Only the encoder needs it.
+//! Which regions are worth their bits (article, IV-C.1): partitions are compared by SSE + lambda * bits
+//! (equation 5). Only the encoder needs this.
 
 use std::collections::BTreeMap;
 
@@ -8,32 +8,32 @@ use super::rays::Rays;
 use super::surface::SurfaceModel;
 use crate::ground::grid::Grid;
 
-/// Bits that a border costs for each cell along it, as measured on real contour maps.
+/// Cost of a border in bits for each cell along it, measured on real contour maps.
 const BORDER_BITS: f64 = 2.0;
-/// Bits that a region costs besides: its model and its name.
+/// Further cost of a region in bits: its model and its number.
 const MEAN_BITS: f64 = 20.0;
 const PLANE_BITS: f64 = 60.0;
 /// Regions of fewer returns are not split.
 const SMALLEST_SPLIT: usize = 64;
 
-/// Returns that are predicted by one model.
+/// Returns that share a model.
 #[derive(Clone, Debug)]
 pub struct Region {
-    /// Row and column of each.
+    /// Row and column of each return.
     pub cells: Vec<(u32, u32)>,
-    /// What they are predicted from.
+    /// The model that predicts them.
     pub model: SurfaceModel,
-    /// The sum of the squared errors of the prediction, in steps^2.
+    /// The sum of the squared prediction errors, in steps^2.
     pub squared_errors: f64,
 }
 
-/// Judges regions.
+/// Compares regions by equation 5.
 pub struct Judge<'a> {
     /// Rows x columns, in steps.
     pub steps: &'a Grid<u32>,
     /// The rays of the image.
     pub rays: &'a Rays<'a>,
-    /// Squared steps that a bit is worth.
+    /// Lambda: the squared steps that one bit is worth.
     pub lambda: f64,
 }
 
@@ -57,13 +57,13 @@ impl Judge<'_> {
         region.squared_errors + self.lambda * bits
     }
 
-    /// The cells with their mean range.
+    /// The cells, modelled by their mean range.
     pub fn with_mean(&self, cells: Vec<(u32, u32)>) -> Region {
         let mean = self.mean(&cells);
         self.region(cells, SurfaceModel::Mean(mean))
     }
 
-    /// The cells with the cheaper of their mean and their plane.
+    /// The cells, modelled by their mean or their plane, whichever is cheaper.
     pub fn with_best(&self, cells: Vec<(u32, u32)>) -> Region {
         let points = cells.iter().map(|&(row, column)| {
             let cell = (row as usize, column as usize);
@@ -83,7 +83,7 @@ impl Judge<'_> {
         ((sum + count / 2) / count) as u32
     }
 
-    /// Splits a region, and its parts, where depth varies, as long as it pays.
+    /// Splits a region and its parts where depth varies, as long as that pays.
     pub fn split(&self, region: Region, parts: &mut Vec<Region>) {
         let mut open = vec![region];
         while let Some(region) = open.pop() {
@@ -94,7 +94,7 @@ impl Judge<'_> {
         }
     }
 
-    /// The better of a split between columns and one between rows, if either pays.
+    /// The better of a split between columns and a split between rows, if either pays.
     fn best_split(&self, region: &Region) -> Option<[Region; 2]> {
         if region.cells.len() < SMALLEST_SPLIT {
             return None;
@@ -105,7 +105,7 @@ impl Judge<'_> {
         (best.0 < self.cost(region)).then_some(best.1)
     }
 
-    /// Splits where two means explain the most; the cost of the halves and of the border.
+    /// Splits where two means explain most; returns the cost of the halves and of the border.
     fn split_by(
         &self,
         region: &Region,
@@ -141,15 +141,15 @@ impl Judge<'_> {
         Some((cost, halves))
     }
 
-    /// Merges neighbouring regions that are predicted by their means, where the border costs more than
-    /// it saves.
+    /// Merges neighbouring regions that are predicted by their means, where the border costs more than it
+    /// saves.
     pub fn merge(&self, regions: Vec<Region>) -> Vec<Region> {
         let mut labels: Grid<u32> = Grid::new(self.steps.rows(), self.steps.columns());
         for (label, region) in (1..).zip(&regions) {
             region.cells.iter().for_each(|&(row, column)| labels[(row as usize, column as usize)] = label);
         }
         let mut parts: Vec<Option<Region>> = regions.into_iter().map(Some).collect();
-        // Where each region went.
+        // The region that each region was merged into.
         let mut merged_into: Vec<usize> = (0..parts.len()).collect();
         for ((a, b), border) in borders(&labels) {
             let (a, b) = (follow(&mut merged_into, a), follow(&mut merged_into, b));
@@ -173,7 +173,7 @@ impl Judge<'_> {
     }
 }
 
-/// The length of the border between each two neighbouring regions, counted from 0.
+/// The length of the border between each two neighbouring regions, which are numbered from 0.
 fn borders(labels: &Grid<u32>) -> BTreeMap<(usize, usize), u32> {
     let mut borders = BTreeMap::new();
     let mut meet = |a: u32, b: u32| {

@@ -1,22 +1,23 @@
-//! The plane of the ground by random sample consensus (article, IV-C.2, Algorithm 1).
+//! The ground plane by random sample consensus (article, IV-C.2, Algorithm 1).
 
 use nalgebra::{Matrix3, Vector3};
 
 use crate::ground::random::Rng;
 
-/// How a plane is looked for.
+/// How a plane is searched for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RansacConfig {
-    /// t: a point no further from the plane supports it, in metres. Default 0.15.
+    /// t: a point no farther from the plane than this supports it, in metres. Default 0.15.
     pub tolerance_m: f64,
-    /// The share of the points that the best plane is expected to have (forseeable_support /
+    /// The share of the points that the best plane is expected to contain (forseeable_support /
     /// length(point_list)). Default 0.5.
     pub foreseeable_support: f64,
-    /// alpha: how likely one of the planes tried goes through three of them. Default 0.99.
+    /// alpha: the probability that one of the planes tried goes through three points of that share. Default
+    /// 0.99.
     pub confidence: f64,
-    /// Points looked at; more are sampled evenly. Default 4000.
+    /// The most points that are used; of more, an even sample is taken. Default 4000.
     pub most_points: usize,
-    /// Where the random choices start. Default 1.
+    /// The seed of the random choices. Default 1.
     pub seed: u64,
 }
 
@@ -32,11 +33,11 @@ impl Default for RansacConfig {
     }
 }
 
-/// Planes tried at most, whatever is asked for.
+/// The most planes that are tried, whatever the settings.
 const MOST_TRIALS: f64 = 1000.0;
 
-/// The best plane of the points (metres) as `w` with `w . p = 1` on it (equation 6 divided by d),
-/// sharpened by least squares over its support. None if no three points make a plane that misses the
+/// The best plane of the points (metres), as `w` with `w . p = 1` on it (equation 6 divided by d), refined by
+/// least squares over its support. `None` if no three points make a plane that does not pass through the
 /// origin.
 pub fn fit_plane(points: &[[f64; 3]], config: &RansacConfig) -> Option<[f64; 3]> {
     let stride = points.len().div_ceil(config.most_points.max(3)).max(1);
@@ -92,14 +93,14 @@ fn distance(plane: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
     (plane.dot(point) - 1.0).abs() / plane.norm()
 }
 
-/// The plane through three points, if there is one and it misses the origin.
+/// The plane through three points, if there is one and it does not pass through the origin.
 fn through(points: &[Vector3<f64>; 3]) -> Option<Vector3<f64>> {
     let plane = Matrix3::from_rows(&points.map(|p| p.transpose())).lu().solve(&Vector3::repeat(1.0))?;
     (plane.norm() > 0.0 && plane.iter().all(|w| w.is_finite())).then_some(plane)
 }
 
-/// The plane with the least squared distances to points (metres), as `w` with `w . p = 1` on it. None
-/// if they lie on a line.
+/// The plane with the least squared distances to points (metres), as `w` with `w . p = 1` on it. `None` if
+/// they lie on a line.
 pub fn least_squares_plane(points: impl Iterator<Item = [f64; 3]>) -> Option<[f64; 3]> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for point in points.map(Vector3::from) {
@@ -114,7 +115,7 @@ pub fn least_squares_plane(points: impl Iterator<Item = [f64; 3]>) -> Option<[f6
 mod tests {
     use super::*;
 
-    /// Points of a tilted floor 1.7 m below, and as many anywhere.
+    /// Points of a tilted floor 1.7 m below, and as many clutter points.
     fn floor_and_clutter() -> Vec<[f64; 3]> {
         let mut random = Rng::keyed(7, &[]);
         let mut number = |scale: f64| (random.below(20_001) as f64 / 10_000.0 - 1.0) * scale;

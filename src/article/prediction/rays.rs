@@ -3,7 +3,7 @@
 use super::surface::SurfaceModel;
 use crate::scanner::Hdl64;
 
-/// Where each pixel of a range image looks.
+/// The direction of each pixel of a range image.
 pub struct Rays<'a> {
     sensor: &'a Hdl64,
     /// Column tick of each column.
@@ -11,7 +11,7 @@ pub struct Rays<'a> {
 }
 
 impl<'a> Rays<'a> {
-    /// Of an image with these columns.
+    /// The rays of an image with these columns.
     pub fn of(sensor: &'a Hdl64, columns: &'a [u32]) -> Self {
         Rays { sensor, columns }
     }
@@ -22,7 +22,7 @@ impl<'a> Rays<'a> {
         model.range(self.sensor, self.direction(cell))
     }
 
-    /// Where a range of `steps` ends, in metres, as if all beams left one point.
+    /// The end point of a range of `steps`, in metres, as if all beams started at one point.
     pub fn point(&self, cell: (usize, usize), steps: u32) -> [f64; 3] {
         let metres = self.sensor.metres(steps);
         self.direction(cell).map(|v| v * metres)

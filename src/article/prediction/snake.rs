@@ -1,5 +1,6 @@
-//! Snake prediction (article, V-C): each pixel is predicted from the one before on a path that runs
-//! through the rows to and fro, so that a row's first pixel has its reference right above.
+//! Snake prediction (article, V-C): each pixel is predicted from the one before it on a path that runs
+//! through the rows in alternating directions, so that the first pixel of a row has its reference right
+//! above.
 
 use crate::ground::grid::Grid;
 
@@ -12,7 +13,7 @@ pub fn path(occupancy: &Grid<bool>) -> impl Iterator<Item = (usize, usize)> {
     cells.filter(|&cell| occupancy[cell])
 }
 
-/// Replaces the value of each return by its difference from the one before on the path.
+/// Replaces the value of each return by its difference to the one before it on the path.
 pub fn difference(occupancy: &Grid<bool>, values: &mut Grid<i32>) {
     let mut before = 0;
     for cell in path(occupancy) {

@@ -1,5 +1,5 @@
-//! Models of a region's surface (article, IV-C), as they stand in the stream, and the ranges that they
-//! predict.
+//! Models of a region's surface (article, IV-C) in the form that they have in the stream, and the ranges that
+//! they predict.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::varint::{unzigzag, zigzag};
@@ -7,23 +7,23 @@ use crate::scanner::Hdl64;
 
 /// Plane parameters are in units of 2^-22 per metre: 3 mm of range at 100 m.
 const PLANE_UNIT: f64 = 1.0 / (1 << 22) as f64;
-/// Plane parameters are below this in magnitude, in units: planes 1 m away and further.
+/// Plane parameters are below this in magnitude, in units: planes at least 1 m away.
 const PLANE_END: i32 = 1 << 22;
 /// Metres: the scanner's reach (article, equation 1).
 const FARTHEST: f64 = 120.0;
 
-/// What a region looks like.
+/// The surface of a region.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SurfaceModel {
-    /// One range for all, in steps: an object.
+    /// One range for all returns, in steps: an object.
     Mean(u32),
-    /// The plane of all points p with `w . p = 1` (equation 6 divided by d), w in units of 2^-22 per
-    /// metre: the ground.
+    /// The plane of all points p with `w . p = 1` (equation 6 divided by d), w in units of 2^-22 per metre:
+    /// the ground.
     Plane([i32; 3]),
 }
 
 impl SurfaceModel {
-    /// The plane with these parameters, per metre; the mean, in steps, if it is too near for one.
+    /// The plane with these parameters, per metre; the mean, in steps, if the plane is too near.
     pub fn plane(parameters: [f64; 3], mean: u32) -> Self {
         let units = parameters.map(|w| w / PLANE_UNIT);
         if units.iter().all(|w| w.abs() < f64::from(PLANE_END)) {
@@ -33,8 +33,8 @@ impl SurfaceModel {
         }
     }
 
-    /// The range, in steps, at which the ray in `direction` (a unit vector) meets the surface.
-    /// The same on every machine: nothing but + - * / on f64.
+    /// The range, in steps, at which the ray in `direction` (a unit vector) meets the surface. The same on
+    /// every machine: nothing but + - * / on f64.
     #[inline]
     pub fn range(&self, sensor: &Hdl64, direction: [f64; 3]) -> u32 {
         match *self {
@@ -42,7 +42,7 @@ impl SurfaceModel {
             SurfaceModel::Plane(w) => {
                 let [x, y, z] = direction;
                 let inverse = (f64::from(w[0]) * x + f64::from(w[1]) * y + f64::from(w[2]) * z) * PLANE_UNIT;
-                // A ray that does not meet the plane goes as far as the scanner sees.
+                // A ray that does not meet the plane goes as far as the scanner's reach.
                 sensor.nearest_steps(if inverse * FARTHEST > 1.0 { 1.0 / inverse } else { FARTHEST })
             }
         }
@@ -61,7 +61,7 @@ pub struct SurfaceCoder {
 }
 
 impl SurfaceCoder {
-    /// Codes one model, by its difference from the last of its kind.
+    /// Codes a model by its difference to the last one of its kind.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, model: SurfaceModel) -> SurfaceModel {
         let is_plane = matches!(model, SurfaceModel::Plane(_));
         let is_plane = self.is_plane[usize::from(self.last_was_plane)].code(coder, is_plane);
@@ -79,7 +79,7 @@ impl SurfaceCoder {
     }
 }
 
-/// Codes a value by its difference from another.
+/// Codes a value by its difference to another.
 fn code_near<C: BitCoder>(coder: &mut C, model: &mut IntegerModel, value: i32, other: i32) -> i32 {
     let difference = i64::from(value) - i64::from(other);
     let difference = unzigzag(model.code(coder, zigzag(difference)));

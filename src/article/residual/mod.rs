@@ -1,4 +1,4 @@
-//! Residuals of a range image through a general-purpose back-end (article, IV-D.2).
+//! Residuals of a range image, compressed by a general-purpose back-end (article, IV-D.2).
 
 mod packing;
 
@@ -8,8 +8,8 @@ use crate::backend::{self, Backend, Level};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
-/// Packs and compresses residuals. The payload is the number of packed bytes and what the back-end
-/// makes of them; also returns that number.
+/// Packs and compresses residuals. The payload is the number of packed bytes, then the output of the
+/// back-end; the number is also returned.
 ///
 /// # Errors
 /// If the back-end's library fails.
@@ -29,7 +29,7 @@ pub fn compress(
 /// The inverse of [`compress`] for `count` residuals; also returns the number of packed bytes.
 ///
 /// # Errors
-/// If the payload does not hold as many.
+/// If the payload does not hold exactly that many.
 pub fn decompress(
     mut payload: &[u8],
     backend: &dyn Backend,

@@ -1,24 +1,24 @@
-//! Residuals as bytes, laid out so that general-purpose back-ends see what they have in common.
+//! Residuals as bytes, laid out so that general-purpose back-ends find what they have in common.
 
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
-/// How residuals are laid out.
+/// Layouts of residuals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Packing {
-    /// Two's complement, 32 bits, little-endian: as a program would hold them.
+    /// Two's complement, 32 bits, little-endian: as in a program's memory.
     Words,
-    /// Zigzag (0, -1, 1, -2, ...), in as many bytes as the largest takes, little-endian.
+    /// Zigzag (0, -1, 1, -2, ...), each in as many bytes as the largest needs, little-endian.
     Zigzag,
-    /// The same, first the low bytes of all, then the next bytes, and so on.
+    /// The same, but first the low bytes of all, then the next bytes, and so on.
     Planes,
-    /// Zigzag, a byte each; 255 stands for 255 and more, whose excess follows at the end as varints.
+    /// Zigzag, one byte each; 255 stands for 255 and more, with the excess of each as a varint at the end.
     Escape,
     /// Zigzag varints (LEB128).
     Varint,
 }
 
-/// The largest byte that [`Packing::Escape`] takes for itself.
+/// The byte that [`Packing::Escape`] uses as its escape.
 const ESCAPE: u32 = 255;
 
 impl Packing {
@@ -47,12 +47,12 @@ impl Packing {
         Self::ALL.get(usize::from(code)).copied()
     }
 
-    /// No packing takes more bytes for `count` residuals.
+    /// An upper limit of the packed bytes of `count` residuals, for every packing.
     pub fn most_bytes(count: usize) -> usize {
         count.saturating_mul(6).saturating_add(1)
     }
 
-    /// Residuals to bytes.
+    /// Packs residuals into bytes.
     pub fn pack(self, residuals: &[i32]) -> Vec<u8> {
         let mut out = Vec::with_capacity(residuals.len() * 2);
         match self {
@@ -82,10 +82,10 @@ impl Packing {
         out
     }
 
-    /// Bytes to `count` residuals.
+    /// Unpacks `count` residuals from bytes.
     ///
     /// # Errors
-    /// If the bytes do not hold exactly as many.
+    /// If the bytes do not hold exactly that many.
     pub fn unpack(self, bytes: &[u8], count: usize) -> Result<Vec<i32>> {
         let wrong = || Error::corrupt(format!("{} bytes do not hold {count} residuals", bytes.len()));
         match self {
@@ -123,7 +123,7 @@ impl Packing {
     }
 }
 
-/// Writes how many bytes the largest residual takes.
+/// Writes the number of bytes that the largest residual needs.
 fn start_width(residuals: &[i32], out: &mut Vec<u8>) -> usize {
     let all = residuals.iter().fold(0, |bits, &value| bits | zigzag(value));
     let width = (32 - all.leading_zeros()).div_ceil(8);
@@ -131,7 +131,8 @@ fn start_width(residuals: &[i32], out: &mut Vec<u8>) -> usize {
     width as usize
 }
 
-/// The width that [`start_width`] wrote, and the bytes behind it, if they are as many as they should.
+/// The width that [`start_width`] wrote, and the bytes that follow it, if there are as many as there should
+/// be.
 fn take_width(bytes: &[u8], count: usize) -> Option<(usize, &[u8])> {
     let (&width, body) = bytes.split_first()?;
     let width = usize::from(width);

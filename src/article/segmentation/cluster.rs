@@ -1,12 +1,12 @@
-//! Object clustering (article, IV-B.2): returns are of one object if a chain of neighbours on common
-//! surfaces leads from one to the other.
+//! Object clustering (article, IV-B.2): returns belong to one object if a chain of neighbours on common
+//! surfaces connects them.
 
 use super::neighbours::{Cell, Neighbours};
 use super::scene::Scene;
 use super::{FIRST_OBJECT, NO_RETURN, SegmentationConfig, UNASSIGNED};
 use crate::ground::grid::Grid;
 
-/// Returns farther apart in their column are not compared, in rows.
+/// Returns in a column are compared only if they are at most this many rows apart.
 const REACH: usize = 3;
 
 /// Labels all returns that have no label. Returns the end of the labels.
@@ -36,7 +36,7 @@ pub fn mark(
     end
 }
 
-/// The surfaces that neighbours have in common.
+/// The surfaces that neighbours share.
 struct Surfaces<'a> {
     scene: &'a Scene,
     neighbours: &'a Neighbours,
@@ -44,8 +44,8 @@ struct Surfaces<'a> {
 }
 
 impl Surfaces<'_> {
-    /// Gives a label to all that is connected with a return, breadth first; `cluster` is then what it was
-    /// given to.
+    /// Labels everything connected with a return, breadth first; `cluster` then holds the returns that were
+    /// labelled.
     fn fill(&self, seed: Cell, label: u32, labels: &mut Grid<u32>, cluster: &mut Vec<Cell>) {
         labels[seed] = label;
         cluster.clear();

@@ -1,7 +1,7 @@
-//! Ground and objects in a range image (article, IV-B), after I. Bogoslavskyi and C. Stachniss, "Fast
-//! Range Image-Based Segmentation of Sparse 3D Laser Scans for Online Operation" (2016) and
-//! "Efficient Online Segmentation for Sparse 3D Laser Scans" (2017). Time grows with the number of
-//! pixels alone. Only the encoder needs it.
+//! Ground and objects in a range image (article, IV-B), after I. Bogoslavskyi and C. Stachniss, "Fast Range
+//! Image-Based Segmentation of Sparse 3D Laser Scans for Online Operation" (2016) and "Efficient Online
+//! Segmentation for Sparse 3D Laser Scans" (2017). The time depends on the number of pixels alone. Only the
+//! encoder needs this.
 
 mod cluster;
 mod ground;
@@ -15,29 +15,29 @@ use crate::scanner::Hdl64;
 use neighbours::Neighbours;
 use scene::Scene;
 
-/// What is ground, and what is one object.
+/// What counts as ground, and what as one object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SegmentationConfig {
-    /// Two returns one above the other are ground if the line between them rises by less, in degrees
-    /// (equation 3). Default: the article's 10.
+    /// Two returns one above the other are ground if the slope of the line between them is smaller than this,
+    /// in degrees (equation 3). Default: the article's 10.
     pub ground_angle: f64,
-    /// But not if it rises by more, in metres: far from the scanner, an angle alone leads from the ground
-    /// behind an object onto its top. Default: 0.4.
+    /// They are not ground if the line rises by more than this, in metres: far from the scanner, an angle
+    /// alone leads from the ground behind an object onto its top. Default: 0.4.
     pub ground_rise_m: f64,
-    /// The two may be up to three returns apart if they are nearer to each other than this on the map, in
-    /// metres: near the scanner, where the ground's rows are close together, the elevation of an ideal
-    /// beam, a quarter of a degree off, is more than an angle between neighbours can bear. Default: 2.
+    /// The two may be up to three returns apart if their horizontal distance is smaller than this, in metres.
+    /// Near the scanner the rows on the ground are close together, and the elevation of an ideal beam is off
+    /// by a quarter of a degree, which is too much for an angle between neighbours. Default: 2.
     pub ground_reach_m: f64,
-    /// Two neighbours are of one object if the angle between the longer beam and the line between them
-    /// is larger, in degrees (equation 4). Default: 10, not the article's 75.
+    /// Two neighbours belong to one object if the angle between the longer beam and the line between them is
+    /// larger than this, in degrees (equation 4). Default: 10, not the article's 75.
     ///
-    /// The article says 75 degrees of the angle for which the method's authors say 10. At 75 degrees
-    /// neighbours 0.18 degrees apart at 10 m may differ by 8 mm in range, less than the sensor's noise,
-    /// and any surface that is not seen straight on falls to pixels: of the returns above the ground, 97
-    /// (city drive) and 98 (road) of 100 then belong to no object of 20 returns, against 9 and 5 at 10
+    /// The article states 75 degrees for the angle for which the method's authors state 10. At 75 degrees,
+    /// neighbours 0.18 degrees apart at 10 m may differ by 8 mm in range, less than the sensor's noise, and
+    /// any surface that is not seen straight on falls apart into pixels: of the returns above the ground, 97
+    /// % (city drive) and 98 % (road) then belong to no object of 20 returns, against 9 % and 5 % at 10
     /// degrees.
     pub cluster_angle: f64,
-    /// Clusters of fewer returns are not objects. Default: 20.
+    /// Clusters with fewer returns are not objects. Default: 20.
     pub smallest_cluster: usize,
 }
 
@@ -73,13 +73,13 @@ impl SegmentationConfig {
     }
 }
 
-/// Which region each return belongs to.
+/// The region of each return.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Segmentation {
     /// Rows x columns: [`NO_RETURN`], [`UNASSIGNED`], [`GROUND`], or the number of an object, from
     /// [`FIRST_OBJECT`] on.
     pub labels: Grid<u32>,
-    /// Labels are below this.
+    /// All labels are below this.
     pub end: u32,
 }
 
@@ -92,7 +92,7 @@ pub const GROUND: u32 = 2;
 /// The label of the first object.
 pub const FIRST_OBJECT: u32 = 3;
 
-/// Splits the returns of an image into ground, objects and what is neither.
+/// Divides the returns of an image into ground, objects and the rest.
 ///
 /// `steps` are the ranges (rows x columns, 0 = no return), `columns` the column ticks.
 pub fn segment(
@@ -111,7 +111,7 @@ pub fn segment(
     Segmentation { labels, end }
 }
 
-/// The tangent of an angle in degrees, for comparing without an arctangent.
+/// The tangent of an angle in degrees, so that angles can be compared without an arc tangent.
 fn tangent(degrees: f64) -> f32 {
     libm::tan(degrees.to_radians()) as f32
 }

@@ -7,13 +7,13 @@ use crate::ground::grid::Grid;
 /// A cell, row and column.
 pub type Cell = (usize, usize);
 
-/// Returns farther apart in their row are no neighbours, in columns.
+/// Returns in a row are neighbours if they are at most this many columns apart.
 const ROW_REACH: usize = 4;
-/// Returns farther apart in their column are no neighbours, in rows. Some beams return little, and the
-/// ideal image has rows that no real beam looks into.
+/// Returns in a column are neighbours if they are at most this many rows apart. Some beams return little, and
+/// the ideal image has rows in which no real beam looks.
 const COLUMN_REACH: usize = 10;
 
-/// How many cells away the next return is on each side; 0 = none near.
+/// The number of cells to the next return on each side; 0 = none near.
 #[derive(Clone, Copy, Default)]
 struct Distances {
     left: u8,
@@ -22,16 +22,16 @@ struct Distances {
     below: u8,
 }
 
-/// Finds the returns around one. The image wraps around from its last column to its first.
+/// Finds the returns around a cell. The image wraps around from its last column to its first.
 pub struct Neighbours {
     distances: Grid<Distances>,
 }
 
 impl Neighbours {
-    /// Of an image of ranges, 0 = no return.
+    /// The neighbours in an image of ranges, 0 = no return.
     pub fn of(ranges: &Grid<f32>) -> Self {
         let mut neighbours = Neighbours { distances: Grid::new(ranges.rows(), ranges.columns()) };
-        // For each column the row of the last return so far.
+        // For each column, the row of the last return so far.
         let mut last_rows = vec![None; ranges.columns()];
         for row in 0..ranges.rows() {
             neighbours.link_row(row, ranges.row(row));
@@ -42,7 +42,7 @@ impl Neighbours {
 
     fn link_row(&mut self, row: usize, ranges: &[f32]) {
         let columns = ranges.len();
-        // Columns are counted on from the end of the turn before, so that the row's end meets its start.
+        // Columns continue from the end of the preceding turn, so that the end of a row meets its beginning.
         let mut last = ranges.iter().rposition(|&range| range > 0.0).unwrap_or(0);
         for column in (0..columns).filter(|&column| ranges[column] > 0.0) {
             let distance = column + columns - last;
@@ -74,7 +74,7 @@ impl Neighbours {
         left.into_iter().chain(right)
     }
 
-    /// The returns above, from the nearest on.
+    /// The returns above, beginning with the nearest.
     pub fn above(&self, cell: Cell) -> impl Iterator<Item = Cell> {
         let next = |&(row, column): &Cell| match usize::from(self.distances[(row, column)].above) {
             0 => None,
@@ -83,7 +83,7 @@ impl Neighbours {
         successors(next(&cell), next)
     }
 
-    /// The returns below, from the nearest on.
+    /// The returns below, beginning with the nearest.
     pub fn below(&self, cell: Cell) -> impl Iterator<Item = Cell> {
         let next = |&(row, column): &Cell| match usize::from(self.distances[(row, column)].below) {
             0 => None,

@@ -1,4 +1,4 @@
-//! Where returns are, and the angles between them.
+//! The places of returns, and the angles between them.
 
 use std::f64::consts::TAU;
 
@@ -8,14 +8,14 @@ use crate::scanner::Hdl64;
 
 use super::neighbours::Cell;
 
-/// Where one beam looks.
+/// The direction of a beam.
 struct Beam {
     /// Cosine and sine of its elevation.
     cos: f32,
     sin: f32,
-    /// Metres that it starts above the scanner's centre.
+    /// Height of its origin above the scanner's centre, in metres.
     height: f32,
-    /// The column of the image that its first aligned column is.
+    /// The column of the image that corresponds to its first aligned column.
     turn: usize,
 }
 
@@ -24,12 +24,12 @@ pub struct Scene {
     /// Rows x columns, metres; 0 = no return.
     pub ranges: Grid<f32>,
     beams: Vec<Beam>,
-    /// Azimuth of each column of the image, in radians, twice over.
+    /// Azimuth of each column of the image, in radians, for two turns.
     azimuths: Vec<f32>,
 }
 
 impl Scene {
-    /// Of an image's ranges in steps and column ticks.
+    /// The scene of an image, given its ranges in steps and its column ticks.
     pub fn of(steps: &Grid<u32>, columns: &[u32], sensor: &Hdl64, alignment: &Alignment) -> Self {
         let mut ranges = Grid::new(steps.rows(), steps.columns());
         for row in 0..ranges.rows() {
@@ -61,20 +61,20 @@ impl Scene {
         self.ranges[cell] > 0.0
     }
 
-    /// By how much the line between two returns of a row or a column rises, and the square of its
-    /// length on the map, in metres (delta z and the square of delta x of equation 3).
+    /// How far the line between two returns of a row or a column rises, and the square of its horizontal
+    /// length, in metres (delta z and the square of delta x of equation 3).
     pub fn rise_and_run(&self, a: Cell, b: Cell) -> (f32, f32) {
         let ((rho_a, z_a), (rho_b, z_b)) = (self.place(a), self.place(b));
         let across = if a.0 == b.0 { self.turn(a, b) * rho_a.min(rho_b) } else { 0.0 };
         ((z_a - z_b).abs(), (rho_a - rho_b) * (rho_a - rho_b) + across * across)
     }
 
-    /// Equation 4: whether the angle between the longer beam and the line to the shorter one's end is
-    /// larger than that of this tangent.
+    /// Equation 4: whether the angle between the longer beam and the line to the end of the shorter one is
+    /// larger than the angle with this tangent.
     pub fn is_one_surface(&self, a: Cell, b: Cell, tangent: f32) -> bool {
         let between = if a.0 == b.0 { self.turn(a, b) } else { self.tilt(a.0, b.0) };
         let (near, far) = (self.ranges[a].min(self.ranges[b]), self.ranges[a].max(self.ranges[b]));
-        // For angles of a few degrees, to a thousandth of it.
+        // For angles of a few degrees; accurate to a thousandth.
         let (sin, cos) = (between, 1.0 - 0.5 * between * between);
         near * sin > tangent * (far - near * cos)
     }

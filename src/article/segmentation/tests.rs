@@ -2,13 +2,13 @@ use super::*;
 use crate::scanner::RangeImage;
 use crate::scanner::{BeamConstants, Coordinates, ideal};
 
-/// The image of a scene: for each beam and azimuth (radians) the range in metres, if any.
+/// The image of a scene: for each beam and azimuth (radians), the range in metres, if any.
 fn image(range: impl Fn(f64, f64) -> Option<f64>) -> (RangeImage, Hdl64) {
     let sensor = ideal(360, 10_000);
     (image_of(&sensor, range), sensor)
 }
 
-/// The same, as a sensor of 360 ticks sees it.
+/// The same for a sensor with 360 ticks.
 fn image_of(sensor: &Hdl64, range: impl Fn(f64, f64) -> Option<f64>) -> RangeImage {
     let mut image = RangeImage::new(sensor.rows(), (0..360).collect());
     for row in 0..sensor.rows() {
@@ -81,7 +81,7 @@ fn beams_that_point_aside_see_the_same() {
     assert!((0..64).all(|row| (0..360).all(|column| same(row, column))));
 }
 
-/// How much of an image is ground, in percent.
+/// The share of the ground in an image, in percent.
 fn ground_share(image: &RangeImage, sensor: &Hdl64, config: &SegmentationConfig) -> usize {
     let found = segment(&image.steps, &image.columns, sensor, config);
     found.labels.cells().iter().filter(|label| **label == GROUND).count() * 100 / image.returns()

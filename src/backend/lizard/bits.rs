@@ -1,12 +1,12 @@
-//! Bits read from the back of a stream to its front, as Huff0 and FSE write them: the highest set bit of
-//! the last byte marks the end.
+//! Bits read from the back of a stream to its front, as Huff0 and FSE write them: the highest set bit of the
+//! last byte marks the end.
 
 use crate::ground::error::{Error, Result};
 
-/// Reads bits backwards.
+/// Reads bits in reverse.
 pub struct BackwardBits<'a> {
     bytes: &'a [u8],
-    /// Bits that are left.
+    /// Number of bits that are left.
     left: usize,
 }
 
@@ -18,12 +18,12 @@ impl<'a> BackwardBits<'a> {
         Ok(BackwardBits { bytes, left: bytes.len() * 8 - 1 - last.leading_zeros() as usize })
     }
 
-    /// Bits that are left.
+    /// Number of bits that are left.
     pub fn left(&self) -> usize {
         self.left
     }
 
-    /// The next `count` bits, at most 16, the first being the highest; as if zeros followed the last.
+    /// The next `count` bits, at most 16, the first of them highest; as if zeros followed the last bit.
     pub fn peek(&self, count: usize) -> usize {
         let start = self.left.saturating_sub(count);
         let missing = count - (self.left - start);
@@ -38,7 +38,7 @@ impl<'a> BackwardBits<'a> {
     /// Skips bits.
     ///
     /// # Errors
-    /// If there are not as many.
+    /// If there are not that many.
     pub fn skip(&mut self, count: usize) -> Result<()> {
         self.left = self.left.checked_sub(count).ok_or_else(|| Error::corrupt("bits run out"))?;
         Ok(())
@@ -47,7 +47,7 @@ impl<'a> BackwardBits<'a> {
     /// Takes bits; see [`peek`](Self::peek).
     ///
     /// # Errors
-    /// If there are not as many.
+    /// If there are not that many.
     pub fn take(&mut self, count: usize) -> Result<usize> {
         let bits = self.peek(count);
         self.skip(count)?;

@@ -1,5 +1,5 @@
-//! Reading blocks of Lizard 1.x: a byte that says the level, then parts of up to 128 KB, each of five
-//! streams. The level tells which codewords the tokens are: LZ4's or Lizard's own.
+//! Reading blocks of Lizard 1.x: a byte that gives the level, then parts of up to 128 KB, each with five
+//! streams. The level determines the codewords of the tokens: LZ4's or Lizard's own.
 
 use super::huffman;
 use crate::backend::lz::{copy_literals, copy_match, take, take_number};
@@ -9,7 +9,7 @@ use crate::ground::error::{Error, Result};
 pub const PART: usize = 128 << 10;
 /// The header of a part that is not compressed.
 pub const STORED: usize = 128;
-/// Flags of the header: which streams are Huffman-coded.
+/// Flags of the header: the streams that are Huffman-coded.
 const LITERALS: usize = 1;
 const TOKENS: usize = 2;
 const OFFSETS_16: usize = 4;
@@ -18,10 +18,11 @@ const KNOWN: usize = LITERALS | TOKENS | OFFSETS_16 | OFFSETS_24;
 /// The reference program's levels; of each 20, the first 10 have LZ4's codewords.
 const LEVELS: std::ops::RangeInclusive<usize> = 10..=49;
 
-/// Lizard's codewords: the token's fields for lengths, and what they start from.
+/// Lizard's codewords: the fields of a token for lengths, and their offsets.
 pub const LITERAL_FIELD: usize = 7;
 pub const MATCH_FIELD: usize = 15;
-/// Tokens below this have a 24-bit offset and no literals; the last of them says that more follows.
+/// Tokens below this have a 24-bit offset and no literals; the last of them says that more of the length
+/// follows.
 pub const FAR_TOKENS: usize = 32;
 /// The shortest match with a 24-bit offset.
 pub const FAR_SHORTEST: usize = 16;
@@ -29,7 +30,7 @@ pub const FAR_SHORTEST: usize = 16;
 const LZ4_FIELD: usize = 15;
 const LZ4_SHORTEST: usize = 4;
 
-/// The streams of a part. Lengths that do not fit into tokens stand among the literals.
+/// The streams of a part. Lengths that do not fit into tokens are stored among the literals.
 struct Streams<'a> {
     tokens: &'a [u8],
     literals: &'a [u8],
@@ -37,7 +38,7 @@ struct Streams<'a> {
     offsets_24: &'a [u8],
 }
 
-/// Appends what a block holds, up to `most` bytes altogether.
+/// Appends the contents of a block, up to `most` bytes in all.
 ///
 /// # Errors
 /// If the block is damaged.
@@ -123,8 +124,8 @@ fn decode_lizard(mut streams: Streams, out: &mut Vec<u8>, most: usize) -> Result
 }
 
 impl Streams<'_> {
-    /// A length whose field of the token may say that more follows: a byte, or 254 and two bytes, or
-    /// 255 and three.
+    /// A length whose field in the token may say that more follows: a byte, or 254 and two bytes, or 255 and
+    /// three.
     fn take_length(&mut self, field: usize, most: usize) -> Result<usize> {
         if field < most {
             return Ok(field);

@@ -1,5 +1,5 @@
-//! FSE, the tabled asymmetric numeral system that Huff0's weights are coded by (described in RFC 8878,
-//! 4.1 and 4.2.1.2).
+//! FSE, the tabled asymmetric numeral system by which Huff0's weights are coded (described in RFC 8878, 4.1
+//! and 4.2.1.2).
 
 use super::bits::BackwardBits;
 use crate::ground::error::{Error, Result};
@@ -9,7 +9,7 @@ const MOST_ACCURACY: usize = 6;
 /// Weights are below this.
 const SYMBOLS: usize = 13;
 
-/// Decodes up to `most` weights by two states that take turns.
+/// Decodes up to `most` weights with two states that take turns.
 ///
 /// # Errors
 /// If the bytes are damaged.
@@ -19,7 +19,8 @@ pub fn decode(coded: &[u8], most: usize) -> Result<Vec<u8>> {
     let mut bits = BackwardBits::new(&coded[used..])?;
     let mut states = [bits.take(accuracy)?, bits.take(accuracy)?];
     let mut weights = Vec::new();
-    // Each state gives a symbol until the bits do not suffice to move it on; the other's is the last.
+    // Each state gives a symbol until there are not enough bits to update it; the symbol of the other state
+    // is then the last.
     for turn in 0.. {
         let state = turn % 2;
         let entry = &table[states[state]];
@@ -36,7 +37,7 @@ pub fn decode(coded: &[u8], most: usize) -> Result<Vec<u8>> {
     Ok(weights)
 }
 
-/// Bits read from the front, the lowest of each byte first.
+/// Bits read from the front, the lowest bit of each byte first.
 struct ForwardBits<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -57,7 +58,8 @@ impl ForwardBits<'_> {
     }
 }
 
-/// The table's accuracy, how often each symbol occurs (-1: less than once), and the bytes that said so.
+/// The accuracy of the table, how often each symbol occurs (-1: less than once), and the number of bytes
+/// read.
 fn read_counts(coded: &[u8]) -> Result<(usize, Vec<i32>, usize)> {
     let wrong = || Error::corrupt("counts that make no table");
     let mut bits = ForwardBits { bytes: coded, at: 0 };
@@ -85,7 +87,7 @@ fn read_counts(coded: &[u8]) -> Result<(usize, Vec<i32>, usize)> {
         left -= count.abs();
         counts.push(count);
         if count == 0 {
-            // How many more do not occur, two bits at a time.
+            // How many further symbols do not occur, two bits at a time.
             loop {
                 let more = bits.take(2);
                 counts.extend(std::iter::repeat_n(0, more));
@@ -100,7 +102,7 @@ fn read_counts(coded: &[u8]) -> Result<(usize, Vec<i32>, usize)> {
     if fits { Ok((accuracy, counts, used)) } else { Err(wrong()) }
 }
 
-/// What a state stands for, and how the next one is found.
+/// The symbol of a state, and how the next state is found.
 #[derive(Clone, Copy, Default)]
 struct Entry {
     symbol: u8,

@@ -1,5 +1,4 @@
-//! Huff0, the Huffman coder of Lizard's streams (described in RFC 8878, 4.2, but for its streams of few
-//! bytes).
+//! Huff0, the Huffman coder of Lizard's streams (described in RFC 8878, 4.2, except for its short streams).
 
 use super::bits::BackwardBits;
 use super::fse;
@@ -8,9 +7,9 @@ use crate::ground::error::{Error, Result};
 
 /// Codes are at most this long, in bits.
 const LONGEST: usize = 12;
-/// Headers from here on hold the weights as they are, four bits each.
+/// Headers from this value on store the weights uncompressed, four bits each.
 const PLAIN_WEIGHTS: usize = 128;
-/// Symbols at most, one less than which have a weight in the header.
+/// The most symbols; all but one of them have a weight in the header.
 const SYMBOLS: usize = 256;
 
 /// Decodes a stream of `length` bytes.
@@ -45,10 +44,10 @@ fn decode_four(mut input: &[u8], length: usize, table: &Table) -> Result<Vec<u8>
     Ok(out)
 }
 
-/// Which symbol each run of bits begins with.
+/// The symbol that each run of bits begins with.
 struct Table {
     bits: usize,
-    /// For each value of the next bits: the symbol, and how many bits it takes.
+    /// For each value of the next bits: the symbol, and the number of bits that it takes.
     entries: Vec<(u8, u8)>,
 }
 
@@ -65,7 +64,7 @@ impl Table {
         Table::of(weights)
     }
 
-    /// The table of these weights; the last symbol's follows from the others.
+    /// The table of these weights; that of the last symbol follows from the others.
     fn of(mut weights: Vec<u8>) -> Result<Self> {
         let wrong = || Error::corrupt("weights that make no code");
         if weights.iter().any(|weight| usize::from(*weight) > LONGEST) {
@@ -91,7 +90,7 @@ impl Table {
         if entries.len() == 1 << bits { Ok(Table { bits, entries }) } else { Err(wrong()) }
     }
 
-    /// Appends `count` symbols; the bits must be used up by then.
+    /// Appends `count` symbols, which must use up all bits.
     fn decode(&self, coded: &[u8], count: usize, out: &mut Vec<u8>) -> Result<()> {
         let mut bits = BackwardBits::new(coded)?;
         for _ in 0..count {

@@ -1,7 +1,7 @@
 //! Lizard 1.x: LZ77 in separate streams of tokens, offsets and literals, each of which may be Huffman-coded
-//! ("Lizard v1.x Block Format Description" and "Lizard Frame Format Description" by P. Skibinski and
-//! Y. Collet). The payload is a frame that the reference program decodes. Written without Huffman
-//! coding (the reference's levels 10 to 29), read with and without.
+//! ("Lizard v1.x Block Format Description" and "Lizard Frame Format Description" by P. Skibinski and Y.
+//! Collet). The payload is a frame that the reference program decodes. Written without Huffman coding (the
+//! reference's levels 10 to 29); read with and without it.
 
 mod bits;
 mod block;
@@ -13,7 +13,7 @@ use super::lz::frame::{self, FrameFormat};
 use super::{Backend, Level};
 use crate::ground::error::Result;
 
-/// Levels 1 to 9 look at 1 to 1024 earlier places for each byte.
+/// At levels 1 to 9, 1 to 1024 earlier places are tried for each byte.
 pub struct Lizard;
 
 const FORMAT: FrameFormat = FrameFormat {

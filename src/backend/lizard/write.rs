@@ -1,12 +1,12 @@
-//! Writing blocks of Lizard 1.x, with Lizard's own codewords and without Huffman coding: what the
-//! reference program calls levels 20 to 29.
+//! Writing blocks of Lizard 1.x, with Lizard's own codewords and without Huffman coding: the reference
+//! program's levels 20 to 29.
 
 use super::block::{FAR_SHORTEST, FAR_TOKENS, LITERAL_FIELD, MATCH_FIELD, PART, STORED};
 use crate::backend::lz::parser::{Format, Sequence, parse};
 
-/// The level that the block names: decoders learn from it which codewords these are.
+/// The level in the block, from which decoders learn which codewords it uses.
 const LEVEL: u8 = 29;
-/// 16-bit offsets are below this, 24-bit ones below that.
+/// 16-bit offsets are below the first of these, 24-bit offsets below the second.
 const NEAR: usize = 1 << 16;
 const FAR: usize = 1 << 24;
 /// The shortest match with a new 16-bit offset.
@@ -67,7 +67,7 @@ impl Streams {
             return;
         }
         if !literals.is_empty() {
-            // A token with a 24-bit offset has no literals: they go before, with an empty match.
+            // A token with a 24-bit offset has no literals; these go before it, with an empty match.
             self.put_token(literals, 0, true);
         }
         let field = (length - FAR_SHORTEST).min(FAR_TOKENS - 1);
@@ -84,7 +84,7 @@ impl Streams {
         self.put_length(length, MATCH_FIELD);
     }
 
-    /// What a token's field does not tell of a length: among the literals.
+    /// Stores the part of a length that does not fit into the token's field, among the literals.
     fn put_length(&mut self, length: usize, field: usize) {
         let Some(rest) = length.checked_sub(field) else { return };
         let bytes = (rest as u32).to_le_bytes();

@@ -5,7 +5,7 @@ use super::xxh32::xxh32;
 use super::{copy_literals, take, take_number};
 use crate::ground::error::{Error, Result};
 
-/// What differs between the formats.
+/// The differences between the formats.
 pub struct FrameFormat {
     /// The first four bytes, little-endian.
     pub magic: u32,
@@ -21,13 +21,13 @@ const BLOCK_CHECKSUMS: u8 = 0b0001_0000;
 const CONTENT_SIZE: u8 = 0b0000_1000;
 const CONTENT_CHECKSUM: u8 = 0b0000_0100;
 const RESERVED: u8 = 0b0000_0011;
-/// The bit of a block's length that says that it is not compressed.
+/// The bit of a block's length that marks it as not compressed.
 const STORED: usize = 1 << 31;
-/// Blocks are at most of the size of this code when written: 1 MB.
+/// Blocks are written with at most the size of this code: 1 MB.
 const LARGEST_WRITTEN: usize = 3;
 
-/// Decodes a frame to at most `most` bytes. `decode_block` appends what a block holds to what was
-/// decoded so far, up to as many bytes as it is told.
+/// Decodes a frame to at most `most` bytes. `decode_block` appends the contents of a block to what has been
+/// decoded so far, up to the given total.
 ///
 /// # Errors
 /// If the frame is damaged, or anything follows it.
@@ -89,8 +89,8 @@ fn header_checksum(descriptor: &[u8]) -> u8 {
     (xxh32(descriptor) >> 8) as u8
 }
 
-/// Writes a frame of independent blocks without checksums. A block that does not get smaller by
-/// `compress_block` is stored.
+/// Writes a frame of independent blocks without checksums. A block that `compress_block` does not make
+/// smaller is stored.
 pub fn encode(input: &[u8], format: &FrameFormat, compress_block: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
     let code = (1..LARGEST_WRITTEN).find(|code| input.len() <= format.block_sizes[code - 1]);
     let code = code.unwrap_or(LARGEST_WRITTEN);

@@ -1,4 +1,4 @@
-//! Earlier places where the bytes at hand occur: hash chains.
+//! Earlier occurrences of the bytes at a place, found by hash chains.
 
 /// Bits of the hashes of three and of four bytes.
 const HASH3_BITS: u32 = 13;
@@ -9,35 +9,35 @@ const NONE: u32 = u32::MAX;
 /// A repetition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Match {
-    /// How far back it begins.
+    /// Distance back to its beginning.
     pub offset: usize,
-    /// Bytes.
+    /// Length in bytes.
     pub length: usize,
 }
 
-/// How matches are looked for.
+/// Settings of the search for matches.
 pub struct Search {
-    /// Earlier places to look at.
+    /// Number of earlier places to try.
     pub depth: usize,
-    /// They are at least this far back.
+    /// Their least distance.
     pub nearest: usize,
-    /// A match of so many bytes ends the search.
+    /// A match of this length ends the search.
     pub enough: usize,
 }
 
-/// The places of a block by what they begin with.
+/// The places of a block by the bytes that they begin with.
 pub struct MatchFinder<'a> {
     input: &'a [u8],
     /// The last place of each hash of three bytes.
     last3: Vec<u32>,
-    /// The last place of each hash of four bytes, and for each place the one before with its hash.
+    /// The last place of each hash of four bytes, and for each place the preceding one with the same hash.
     last4: Vec<u32>,
     before: Vec<u32>,
     next: usize,
 }
 
 impl<'a> MatchFinder<'a> {
-    /// For a block.
+    /// Creates a finder for a block.
     pub fn new(input: &'a [u8]) -> Self {
         MatchFinder {
             input,
@@ -48,8 +48,8 @@ impl<'a> MatchFinder<'a> {
         }
     }
 
-    /// Finds matches at `place` that end before `end`, each longer than the one before. Places must be
-    /// asked for in rising order.
+    /// Finds matches at `place` that end before `end`, each longer than the one before. Calls must be in
+    /// order of rising places.
     pub fn find(&mut self, place: usize, end: usize, search: &Search, found: &mut Vec<Match>) {
         self.insert_up_to(place);
         if place + 4 > end {
@@ -103,7 +103,7 @@ impl<'a> MatchFinder<'a> {
     }
 }
 
-/// How many bytes two places have in common.
+/// Number of bytes that two places have in common.
 pub fn common_length(input: &[u8], a: usize, b: usize) -> usize {
     let (first, second) = (&input[a..], &input[b..]);
     first.iter().zip(second).take_while(|(a, b)| a == b).count()

@@ -1,4 +1,4 @@
-//! What LZ5 and Lizard have in common: frames, their checksum, and the search for matches.
+//! What LZ5 and Lizard share: frames, their checksum, and the search for matches.
 
 pub mod frame;
 pub mod parser;
@@ -8,7 +8,7 @@ mod xxh32;
 
 use crate::ground::error::{Error, Result};
 
-/// Appends `length` bytes from `offset` bytes back, at most up to `most` bytes altogether.
+/// Appends `length` bytes from `offset` bytes back, up to `most` bytes in all.
 pub fn copy_match(out: &mut Vec<u8>, offset: usize, length: usize, most: usize) -> Result<()> {
     let start = out.len().checked_sub(offset).filter(|start| *start < out.len());
     let start = start.ok_or_else(|| Error::corrupt("a match from before the data"))?;
@@ -21,7 +21,7 @@ pub fn copy_match(out: &mut Vec<u8>, offset: usize, length: usize, most: usize) 
     Ok(())
 }
 
-/// Appends literals, at most up to `most` bytes altogether.
+/// Appends literals, up to `most` bytes in all.
 pub fn copy_literals(out: &mut Vec<u8>, literals: &[u8], most: usize) -> Result<()> {
     check_room(out, literals.len(), most)?;
     out.extend_from_slice(literals);

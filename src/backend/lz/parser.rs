@@ -1,5 +1,5 @@
-//! Which matches to take: the cheapest way through a block, by dynamic programming over the prices of
-//! literals and matches.
+//! Chooses the matches: the cheapest way through a block, by dynamic programming over the prices of literals
+//! and matches.
 
 use super::matches::{Match, MatchFinder, Search, common_length};
 
@@ -8,33 +8,33 @@ use super::matches::{Match, MatchFinder, Search, common_length};
 pub struct Sequence {
     /// Number of literals.
     pub literals: usize,
-    /// How far back the match begins.
+    /// Distance back to the beginning of the match.
     pub offset: usize,
-    /// Bytes of the match.
+    /// Length of the match in bytes.
     pub length: usize,
 }
 
-/// What a format charges and allows.
+/// The prices and restrictions of a format.
 pub trait Format {
-    /// Bits of a match after `literals` literals, which are not counted; `repeats` if its offset is
-    /// that of the match before. `None` if there is no code for it.
+    /// Bits of a match after `literals` literals, which are not counted; `repeats` if its offset equals that
+    /// of the preceding match. `None` if there is no code for it.
     fn match_bits(&self, literals: usize, offset: usize, length: usize, repeats: bool) -> Option<u32>;
 
-    /// Bits that the length of a run takes besides, where it grows to `literals` literals.
+    /// Additional bits for the length of a run of literals when it grows to `literals`.
     fn run_bits(&self, literals: usize) -> u32;
 
-    /// The offset that counts as that of the match before at first; 0 if there is none.
+    /// The offset that is taken as that of the preceding match at the start of a block; 0 if there is none.
     const FIRST_OFFSET: usize;
-    /// Matches begin at least this far back.
+    /// The least distance of a match.
     const NEAREST: usize;
     /// The last match starts at least this many bytes before the end of a block ...
     const LAST_MATCH: usize;
-    /// ... and ends this many before it.
+    /// ... and ends at least this many bytes before it.
     const LAST_LITERALS: usize;
 }
 
-/// A match of this length is taken whole, and nothing is looked for inside it: no run of equal bytes
-/// takes more time than others.
+/// A match of this length is taken whole, without looking for others inside it, so that runs of equal bytes
+/// take no more time than other data.
 const NICE_LENGTH: usize = 96;
 /// Bits of a literal.
 const LITERAL: u32 = 8;
@@ -47,12 +47,12 @@ struct Step {
     literals: u32,
     /// The last match's offset.
     offset: u32,
-    /// Length of the match that leads here; 0 for a literal.
+    /// Length of the match that ends here; 0 for a literal.
     length: u32,
 }
 
-/// Parses `input` from `start` on, where a new block begins; what is before serves for matches.
-/// `depth` earlier places are looked at for each. The bytes after the last match are literals.
+/// Parses `input` from `start` on, where a new block begins; earlier bytes serve for matches. `depth` earlier
+/// places are tried for each. The bytes after the last match are literals.
 pub fn parse<F: Format>(format: &F, input: &[u8], start: usize, depth: usize) -> Vec<Sequence> {
     let mut finder = MatchFinder::new(input);
     let (count, limit) = (input.len() - start, input.len().saturating_sub(F::LAST_LITERALS));
@@ -114,7 +114,7 @@ fn improve(step: &mut Step, other: Step) {
     }
 }
 
-/// The sequences on the way to the end.
+/// The sequences on the cheapest way to the end.
 fn trace(steps: &[Step]) -> Vec<Sequence> {
     let mut sequences = Vec::new();
     let mut at = steps.len() - 1;

@@ -11,9 +11,9 @@ use crate::backend::lz::parser::{Format, parse};
 use crate::backend::lz::{copy_literals, copy_match, take, take_number};
 use crate::ground::error::Result;
 
-/// Matches are at least this long; the token counts from here.
+/// Matches are at least this long; lengths in tokens are relative to it.
 const SHORTEST: usize = 3;
-/// The token's field of the match length; this value says that more follows.
+/// The largest value of the token's field for the match length, which says that more follows.
 const MATCH_FIELD: usize = 7;
 /// Offsets are below these.
 const NEAR: usize = 1 << 10;
@@ -48,7 +48,7 @@ impl Kind {
         }
     }
 
-    /// The largest number of literals that the token itself tells.
+    /// The largest number of literals that the token itself can express.
     fn literal_field(self) -> usize {
         if self == Kind::Middle { 7 } else { 3 }
     }
@@ -74,7 +74,7 @@ impl Kind {
     }
 }
 
-/// Appends what a block holds, up to `most` bytes altogether.
+/// Appends the contents of a block, up to `most` bytes in all.
 ///
 /// # Errors
 /// If the block is damaged.
@@ -100,7 +100,7 @@ pub fn decode(mut block: &[u8], out: &mut Vec<u8>, most: usize) -> Result<()> {
     }
 }
 
-/// A length whose field of the token may say that bytes follow that add to it.
+/// A length whose field in the token may say that further bytes are added to it.
 fn take_length(input: &mut &[u8], field: usize, most: usize) -> Result<usize> {
     let mut length = field;
     if field == most {
@@ -163,7 +163,7 @@ impl Format for Lz5Format {
         let kind = Kind::of_match(offset, repeats);
         let field = kind.literal_field();
         let more = |length: usize, field: usize| length.checked_sub(field).map_or(0, |rest| 1 + rest / 255);
-        // Up to 7 literals are as cheap as the widest field makes them; narrower ones pay here.
+        // Up to 7 literals cost as little as with the widest field; narrower fields pay for them here.
         let narrow = usize::from(field < 7 && (field..7).contains(&literals));
         let bytes = 1 + kind.offset_bytes() + more(length - SHORTEST, MATCH_FIELD) + narrow;
         Some(8 * bytes as u32)

@@ -1,9 +1,9 @@
-//! Tells the groups of a stream from others of the same length.
+//! Distinguishes the groups of a stream from others of the same length.
 
 use crate::stream::container::{Frame, Group};
 
-/// A checksum over the checksums of all that is in the groups. One over the bytes of the stream would not do:
-/// each section ends in its own CRC-32C, and a CRC over such bytes is the same whatever they are.
+/// A checksum over the checksums of everything in the groups. A CRC over the bytes of the stream would not
+/// do: each section ends in its own CRC-32C, and a CRC over such bytes depends on their length alone.
 pub fn fingerprint<'g>(groups: impl IntoIterator<Item = &'g Group>) -> u32 {
     let mut parts = Vec::new();
     for group in groups {

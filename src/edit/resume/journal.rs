@@ -1,5 +1,5 @@
-//! The journal of an encode: what the stream was made from. Text, a JSON value a line: the settings, then,
-//! when a group is in the stream, the files that it was made of.
+//! The journal of an encode: what the stream was made from. It is text, one JSON value a line: the settings,
+//! then, whenever a group has been written to the stream, the files from which it was made.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Seek, SeekFrom, Write};
@@ -19,24 +19,24 @@ struct Head {
     settings: Settings,
 }
 
-/// Another line: files that were coded together, and the stream after that.
+/// Any further line: files that were coded together, and the state of the stream after them.
 #[derive(Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Entry {
-    /// In order.
+    /// The files, in order.
     pub files: Vec<InputFile>,
     /// Bytes of the stream up to the end of their groups.
     pub stream_end: u64,
-    /// That of their groups.
+    /// The fingerprint of their groups.
     pub fingerprint: u32,
 }
 
-/// A file as it was encoded, before anything is lost of it.
+/// A file as it was encoded, before any loss.
 #[derive(Debug, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct InputFile {
     pub name: String,
-    /// What it is, of which stream, and of when.
+    /// Its unit, stream and time.
     pub stamp: String,
     /// In bytes.
     pub size: u64,
@@ -51,16 +51,16 @@ impl InputFile {
     }
 }
 
-/// What a journal tells, as far as its lines are whole.
+/// The contents of a journal, as far as its lines are complete.
 #[derive(Debug)]
 pub struct Journal {
     pub settings: Settings,
-    /// The lines after the first, each with where it ends, in bytes from the start.
+    /// The lines after the first, each with its end, in bytes from the start.
     pub entries: Vec<(Entry, u64)>,
 }
 
 impl Journal {
-    /// Reads a journal; `None` if it is missing, or even its first line is.
+    /// Reads a journal; `None` if it or its first line is missing.
     ///
     /// # Errors
     /// If the file cannot be read.
@@ -79,7 +79,7 @@ impl Journal {
     }
 }
 
-/// Reads a line that ends at `end` then; `None` if there is none, or half of one.
+/// Reads a line, and sets `end` to its end; `None` if there is no line, or an incomplete one.
 fn read_line<T: DeserializeOwned>(input: &mut impl BufRead, end: &mut u64) -> Result<Option<T>> {
     let mut line = Vec::new();
     *end += input.read_until(b'\n', &mut line)? as u64;
@@ -91,7 +91,8 @@ fn read_line<T: DeserializeOwned>(input: &mut impl BufRead, end: &mut u64) -> Re
 pub struct JournalWriter(File);
 
 impl JournalWriter {
-    /// Makes a new one with its first line. That is on the disk then: a stream must not outlive its journal.
+    /// Creates a journal with its first line, and waits until that is on the disk: a stream must not outlive
+    /// its journal.
     ///
     /// # Errors
     /// This and all other functions: if writing fails.
@@ -102,7 +103,7 @@ impl JournalWriter {
         Ok(writer)
     }
 
-    /// Goes on after so many bytes.
+    /// Continues after `end` bytes.
     pub fn resume(path: &Path, end: u64) -> Result<Self> {
         let mut file = File::options().write(true).open(path).map_err(|e| Error::from(e).at(path))?;
         file.set_len(end)?;
@@ -110,7 +111,7 @@ impl JournalWriter {
         Ok(JournalWriter(file))
     }
 
-    /// Writes a line about files whose groups were written.
+    /// Writes a line about files whose groups have been written.
     pub fn write(&mut self, entry: &Entry) -> Result<()> {
         self.write_line(entry)
     }

@@ -1,4 +1,4 @@
-//! What is intact of a partial stream.
+//! The intact part of a partial stream.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -12,28 +12,28 @@ use crate::ground::error::{Error, Limits, Result};
 use crate::stream::container::{Frame, Index, Record, ScannerRecord, StreamReader};
 use crate::stream::encoded::{Encoded, FrameOfStream};
 
-/// The beginning of a partial stream, as far as it is whole and the journal tells what it was made from.
+/// The beginning of a partial stream, as far as it is intact and the journal records what it was made from.
 #[derive(Default)]
 pub struct Kept {
-    /// Settings that it was made by.
+    /// The settings with which it was made.
     pub settings: Settings,
-    /// What the journal tells of its groups; none if nothing is kept.
+    /// The journal's entries about its groups; empty if nothing is kept.
     pub entries: Vec<Entry>,
     /// Its scanners.
     pub scanners: Vec<ScannerRecord>,
-    /// Where its records are.
+    /// The places of its records.
     pub index: Index,
-    /// What is in it.
+    /// Its contents.
     pub encoded: Encoded,
     /// Its length in bytes.
     pub stream_end: u64,
-    /// Bytes of the journal that tell of it.
+    /// Length in bytes of the part of the journal that describes it.
     pub journal_end: u64,
 }
 
 impl Kept {
-    /// Reads a stream up to the first byte that is not as the journal says. Damage is no error, there only
-    /// is less to keep.
+    /// Reads a stream up to the first byte that is not as the journal says. Damage is not an error; it only
+    /// leaves less to keep.
     ///
     /// # Errors
     /// If the file cannot be read.
@@ -60,7 +60,7 @@ impl Kept {
     }
 }
 
-/// What an entry of the journal is about.
+/// The part of a stream that an entry of the journal describes.
 struct Part {
     scanners: Vec<ScannerRecord>,
     groups: usize,
@@ -68,7 +68,7 @@ struct Part {
 }
 
 impl Part {
-    /// Reads the next part of a stream; an error if it is not what the journal tells.
+    /// Reads the next part of a stream; an error if it is not as the journal says.
     fn read(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Self> {
         let (mut scanners, mut groups) = (Vec::new(), Vec::new());
         while reader.position() < entry.stream_end {
@@ -92,7 +92,7 @@ impl Part {
 
 impl FrameOfStream {
     fn kept(frame: &Frame) -> Result<Self> {
-        // The file that it was made from, if that is another than the one that it decodes to.
+        // The file from which it was made, if that differs from the one to which it decodes.
         let (original, points) = match FrameParameters::of(frame)?.source {
             Some(source) => (source.file_size, source.points),
             None => (frame.header.file_size, frame.header.point_count),
@@ -103,7 +103,7 @@ impl FrameOfStream {
     }
 }
 
-/// A result of the stream's bytes; `None` if they are damaged.
+/// A result of reading the stream; `None` if its bytes are damaged.
 fn intact<T>(result: Result<T>) -> Result<Option<T>> {
     match result {
         Ok(value) => Ok(Some(value)),

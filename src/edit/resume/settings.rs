@@ -1,14 +1,14 @@
-//! All that a stream depends on but the files' bytes and order, as text to be compared.
+//! Everything that determines a stream besides the contents and order of the files, as text for comparison.
 
 use crate::frame::settings::EncoderConfig;
 
 /// Names and values, in the order in which they are compared.
 pub type Settings = Vec<(String, String)>;
 
-/// The settings of this program: its version, and all choices but the number of threads, which changes
-/// nothing. The number of frames is among them, for the scanner model is fitted to a sample of them all.
+/// The settings of this program: its version, and all choices except the number of threads, which changes
+/// nothing. The number of frames is included, because the scanner is fitted to a sample of all of them.
 pub fn list(config: &EncoderConfig, frames: usize) -> Settings {
-    // Every field by its name, so that none that comes new is forgotten here.
+    // Every field is named, so that a new one cannot be forgotten here.
     let EncoderConfig {
         gop,
         threads: _,
@@ -51,7 +51,7 @@ pub fn list(config: &EncoderConfig, frames: usize) -> Settings {
     settings.map(|(name, value)| (name.to_owned(), value)).into()
 }
 
-/// What differs first, if anything does.
+/// The first difference, if there is any.
 pub fn difference(before: &Settings, now: &Settings) -> Option<String> {
     let differs = before.iter().zip(now).find(|(before, now)| before != now);
     match differs {

@@ -1,4 +1,4 @@
-//! The values of a record by name, wherever they come from.
+//! The values of a record by name, regardless of the original format.
 
 use std::collections::HashSet;
 
@@ -7,9 +7,9 @@ use byteorder::{ByteOrder, LittleEndian};
 use crate::files::field;
 use crate::scan::{Field, Layout, Scalar, ScanFile};
 
-/// What the intensity is called in converted files.
+/// The name of the intensity in converted files.
 pub const INTENSITY: &str = "intensity";
-/// The coordinates.
+/// The names of the coordinates.
 const POSITION: [&str; 3] = ["x", "y", "z"];
 
 /// One value of a converted record.
@@ -25,21 +25,21 @@ pub struct Column {
 /// Where a value comes from.
 #[derive(Clone, Copy, Debug)]
 enum Origin {
-    /// The bytes from here on in the original record, as they are.
+    /// The bytes from here on in the original record, unchanged.
     At(usize),
-    /// The number of this type from there on, as the nearest float32.
+    /// The number of this type from here on, rounded to float32.
     Number(usize, Scalar),
-    /// Nowhere: it is 0.
+    /// No original value: it is 0.
     Nowhere,
 }
 
 impl Column {
-    /// The field that it is in the converted file.
+    /// Its field in the converted file.
     pub fn field(&self) -> Field {
         Field::new(&field::name_of(&self.name), self.scalar)
     }
 
-    /// Appends the value that it has in a record of the original file.
+    /// Appends its value in a record of the original file.
     pub fn write(&self, record: &[u8], out: &mut Vec<u8>) {
         match self.origin {
             Origin::At(at) => out.extend_from_slice(&record[at..at + self.scalar.size() as usize]),
@@ -52,8 +52,8 @@ impl Column {
     }
 }
 
-/// The columns of a scan: x, y, z, the intensity if there is one, then the others in the order of the
-/// file, each name once. `None` if there is no x, y and z.
+/// The columns of a scan: x, y, z, the intensity if there is one, then the others in the order of the file,
+/// each name once. `None` if x, y or z is missing.
 pub fn of_scan(scan: &ScanFile) -> Option<Vec<Column>> {
     if scan.is_opaque() {
         return None;
@@ -61,7 +61,7 @@ pub fn of_scan(scan: &ScanFile) -> Option<Vec<Column>> {
     in_order(of_fields(&scan.layout))
 }
 
-/// The columns of KITTI's files, of those of a scan; `None` if coordinates are not float32.
+/// Selects the columns of KITTI's files from those of a scan; `None` if the coordinates are not float32.
 pub fn of_kitti(mut columns: Vec<Column>) -> Option<Vec<Column>> {
     let intensity = columns.iter().find(|column| column.name == INTENSITY).map(|column| column.as_float32());
     columns.truncate(POSITION.len());
@@ -83,7 +83,7 @@ impl Column {
     }
 }
 
-/// The fields that have a name; one of several values is as many columns.
+/// The named fields; one with several values becomes as many columns.
 fn of_fields(layout: &Layout) -> Vec<Column> {
     let is_known = |field: &Field| field.count == 1;
     let intensity = field::find_intensity(&layout.fields, is_known);
@@ -103,8 +103,7 @@ fn of_fields(layout: &Layout) -> Vec<Column> {
     columns
 }
 
-/// Coordinates first, intensity next, and each name once: the second of a name gets another. `None` if a
-/// coordinate is missing.
+/// Puts coordinates first and the intensity next, and makes names unique. `None` if a coordinate is missing.
 fn in_order(mut columns: Vec<Column>) -> Option<Vec<Column>> {
     let mut ordered = Vec::with_capacity(columns.len());
     for name in POSITION.into_iter().chain([INTENSITY]) {
@@ -128,7 +127,7 @@ fn in_order(mut columns: Vec<Column>) -> Option<Vec<Column>> {
     Some(ordered)
 }
 
-/// The number that these little-endian bytes are.
+/// The number in these little-endian bytes.
 fn number(scalar: Scalar, bytes: &[u8]) -> f64 {
     match scalar {
         Scalar::F32 => LittleEndian::read_f32(bytes).into(),

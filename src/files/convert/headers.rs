@@ -1,4 +1,4 @@
-//! The headers of converted files, in the words of the programs that read them.
+//! The headers of converted files, in the terms of the programs that read them.
 //!
 //! Sources: "The PCD (Point Cloud Data) file format" (PCL documentation); G. Turk, "The PLY Polygon File
 //! Format" (1994).
@@ -31,14 +31,14 @@ pub fn pcd(columns: &[Column], points: usize) -> String {
     .concat()
 }
 
-/// A PLY header with vertices alone. The columns must be of types that PLY has.
+/// A PLY header with nothing but vertices. The types of the columns must be types of PLY.
 pub fn ply(columns: &[Column], points: usize) -> String {
     let property = |column: &Column| format!("property {} {}\n", ply_type(column.scalar), column.name);
     let properties: String = columns.iter().map(property).collect();
     format!("ply\nformat binary_little_endian 1.0\nelement vertex {points}\n{properties}end_header\n")
 }
 
-/// The names of 1994, which all readers know.
+/// The type names of 1994, which all readers know.
 fn ply_type(scalar: Scalar) -> &'static str {
     match scalar {
         Scalar::I8 => "char",

@@ -1,4 +1,4 @@
-//! What converted files hold.
+//! Tests of the contents of converted files.
 
 use super::*;
 use crate::files::parse;
@@ -6,7 +6,7 @@ use crate::files::tests::{floats, pcd};
 
 const FORMATS: [FileFormat; 3] = [FileFormat::Bin, FileFormat::Pcd, FileFormat::Ply];
 
-/// Converts a file, checks that it reads as it was made, and gives its text up to the body, and the body.
+/// Converts a file, checks that it can be read back, and returns its text up to the body, and the body.
 fn converted(name: &str, bytes: Vec<u8>, format: FileFormat) -> (String, Vec<u8>, ScanFile) {
     let file = convert(&parse(name, bytes), format).unwrap();
     let bytes = file.to_bytes().unwrap();
@@ -17,7 +17,7 @@ fn converted(name: &str, bytes: Vec<u8>, format: FileFormat) -> (String, Vec<u8>
     (String::from_utf8(file.prefix.clone()).unwrap(), body, read)
 }
 
-/// Two KITTI points with bits that floating point would not keep.
+/// Two KITTI points with bits that floating-point arithmetic would not preserve.
 fn kitti() -> Vec<u8> {
     let odd = f32::from_bits(0x7fa0_0001);
     floats(&[1.0, -0.0, odd, 0.5, 4.0, 5.0, 6.0, 0.25])

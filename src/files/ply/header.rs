@@ -1,4 +1,4 @@
-//! What stands before the vertices of a PLY file.
+//! The header of a PLY file.
 
 use byteorder::{BigEndian, ByteOrder, LittleEndian};
 
@@ -13,7 +13,7 @@ pub enum Encoding {
     BigEndian,
 }
 
-/// What a header says.
+/// The contents of a header.
 pub struct Header<'a> {
     /// How values are written.
     pub encoding: Encoding,
@@ -21,13 +21,13 @@ pub struct Header<'a> {
     pub before: Vec<Element>,
     /// The scalar properties of the vertices.
     pub fields: Vec<Declared<'a>>,
-    /// Number of vertices. It may be anything: the body decides.
+    /// Number of vertices, which may be wrong: the body decides.
     pub vertices: u64,
-    /// Bytes of the header, the line end after `end_header` included.
+    /// Bytes of the header, including the line end after `end_header`.
     pub length: usize,
 }
 
-/// An element that is no vertex.
+/// An element other than the vertices.
 #[derive(Debug, Default)]
 pub struct Element {
     count: u64,
@@ -38,21 +38,21 @@ pub struct Element {
 #[derive(Clone, Copy, Debug)]
 enum Property {
     Scalar(Scalar),
-    /// So many values, by a number of the first type before them, of the second.
+    /// A list: its length, of the first type, then that many values of the second.
     List(Scalar, Scalar),
 }
 
-/// Where the reader of a header is.
+/// The position of a header's reader relative to the vertices.
 enum Place {
-    /// Before the vertices, whose elements count.
+    /// Before the vertices; these elements matter.
     Before,
     Vertices,
-    /// After them: those elements stay in the suffix, whatever they are.
+    /// After them; these elements stay in the suffix, whatever they are.
     After,
 }
 
 impl<'a> Header<'a> {
-    /// Reads the header that `bytes` begin with; `None` if it is damaged, has no vertices, or they have
+    /// Reads the header at the start of `bytes`; `None` if it is damaged, has no vertices, or gives them
     /// lists.
     pub fn parse(bytes: &'a [u8]) -> Option<Self> {
         let mut rest = bytes;
@@ -102,7 +102,7 @@ impl Encoding {
         }
     }
 
-    /// A whole number in binary; `None` if it is not one, or negative.
+    /// A whole number in binary; `None` if it is not whole, or negative.
     fn number(self, scalar: Scalar, bytes: &[u8]) -> Option<usize> {
         let width = bytes.len();
         let number = match (self, scalar) {
@@ -121,7 +121,7 @@ impl Encoding {
 }
 
 impl Property {
-    /// By the words between `property` and the name.
+    /// The property by the words between `property` and its name.
     fn of(kind: &[&str]) -> Option<Self> {
         match kind {
             [kind] => Some(Property::Scalar(scalar(kind)?)),
@@ -130,7 +130,7 @@ impl Property {
         }
     }
 
-    /// Bytes that it takes at the front of `bytes`.
+    /// Number of bytes that it takes at the front of `bytes`.
     fn size(self, encoding: Encoding, bytes: &[u8]) -> Option<usize> {
         match self {
             Property::Scalar(scalar) => Some(scalar.size() as usize),
@@ -143,10 +143,10 @@ impl Property {
     }
 }
 
-/// Bytes that all of an element take at the front of `body`; `None` if it ends before.
+/// Number of bytes that all instances of an element take at the front of `body`; `None` if it ends before.
 pub fn skip(element: &Element, encoding: Encoding, body: &[u8]) -> Option<usize> {
     let mut rest = body;
-    // Each takes a byte or more, so there are no more of them than there are bytes.
+    // Each takes a byte or more, so there cannot be more of them than bytes.
     if element.properties.is_empty() || element.count > body.len() as u64 {
         return (element.count == 0).then_some(0);
     }

@@ -1,4 +1,4 @@
-//! Vertices of all encodings, and what stands around them.
+//! Tests of vertices in all encodings, and of what surrounds them.
 
 use crate::files::tests::{comes_back, floats};
 use crate::scan::{NumberRule, Wrapping};
@@ -86,7 +86,7 @@ fn big_endian_values_are_turned_around() {
 #[test]
 fn text_is_values() {
     let header = HEADER.replace("binary_little_endian", "ascii");
-    // As MeshLab ends its lines.
+    // With MeshLab's line ends.
     let body = "1 -0.25 3.5 7 0.5 \n4 5 6.125 8 0.25 \n3 0 1 1 \n";
     let scan = comes_back("a.ply", file(&header, body.as_bytes()));
     assert_eq!(scan.cloud.positions, [[1.0, -0.25, 3.5], [4.0, 5.0, 6.125]]);

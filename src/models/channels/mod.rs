@@ -25,6 +25,9 @@ use crate::scan::{Channel, Field, Scalar};
 /// Fields of more values than this are bytes.
 const MOST_ELEMENTS: u32 = 8;
 
+/// No more columns than this have a model of their own.
+const MOST_COLUMNS: usize = 64;
+
 /// What is known of the records before their channels are: all in the order of the file.
 #[derive(Clone, Debug, Default)]
 pub struct Beside {
@@ -42,7 +45,8 @@ pub struct Beside {
 #[derive(Clone, Default)]
 pub struct ChannelsModel {
     columns: Vec<ColumnModel>,
-    bytes: Vec<ByteModel>,
+    /// One for all channels: it is large.
+    bytes: Option<ByteModel>,
 }
 
 /// How a channel is coded.
@@ -86,13 +90,14 @@ impl ChannelsModel {
     ) -> Result<()> {
         let mut order: Vec<usize> = (0..channels.len()).collect();
         order.sort_by_key(|&channel| channels[channel].field.scalar.size());
-        self.bytes.resize_with(channels.len(), ByteModel::default);
+        let bytes_model = self.bytes.get_or_insert_with(ByteModel::small);
         let mut columns = 0;
         let mut known = Vec::new();
         for channel in order {
             let Channel { field, .. } = &channels[channel];
-            let (scalar, count) =
-                (field.scalar, if field.count > MOST_ELEMENTS { 0 } else { field.count as usize });
+            let scalar = field.scalar;
+            let has_columns = field.count <= MOST_ELEMENTS && columns + field.count as usize <= MOST_COLUMNS;
+            let count = if has_columns { field.count as usize } else { 0 };
             let models = columns..columns + count;
             columns += count;
             if self.columns.len() < columns {
@@ -102,7 +107,7 @@ impl ChannelsModel {
             let sources = Sources { channels: &*channels, known: &known, beside };
             let mut coding = ChannelCoder {
                 columns: &mut self.columns[models],
-                bytes: &mut self.bytes[channel],
+                bytes: bytes_model,
                 width: scalar.size() as usize * (channels[channel].field.count as usize),
                 scalar,
                 level,
@@ -198,7 +203,7 @@ struct ChannelCoder<'m> {
 }
 
 impl ChannelCoder<'_> {
-    fn code<C: BitCoder>(&mut self, coder: &mut C, sources: &Sources, bytes: &mut Vec<u8>) -> Result<()> {
+    fn code<C: BitCoder>(&mut self, coder: &mut C, sources: &Sources, bytes: &mut [u8]) -> Result<()> {
         let (mut shape, mut plans, mut packed) = (Shape::Bytes, Vec::new(), None);
         if C::ENCODES {
             (shape, plans, packed) = self.choose(sources, bytes);
@@ -221,7 +226,7 @@ impl ChannelCoder<'_> {
             Shape::Packed => code_packed(coder, packed, self.scalar, self.width, bytes),
             Shape::Columns => {
                 if self.columns.is_empty() {
-                    return Err(Error::corrupt("channels: a field of too many values"));
+                    return Err(Error::corrupt("channels: too many columns"));
                 }
                 let mut columns = split(bytes, self.scalar, self.columns.len());
                 plans.resize_with(columns.len(), Plan::default);

@@ -108,7 +108,8 @@ impl Scale {
         }
         let number = number(scalar, value);
         let count = libm::rint(number / self.step());
-        if !(count.abs() < 9e15) {
+        // Larger ones are not exact, and some are no numbers.
+        if !count.is_finite() || count.abs() >= 9e15 {
             return None;
         }
         let mut again = [0; 8];

@@ -85,25 +85,30 @@ impl Packed {
         if most < SMALL || most < records * EXPLAINED / 16 {
             return None;
         }
-        let mut best: Option<Packed> = None;
-        for arrangement in Arrangement::ALL {
-            let arranged = arrangement.apply(bytes, scalar, width);
-            let mut consider = |backend: u8, payload: Vec<u8>| {
-                if payload.len() + 8 < best.as_ref().map_or(most, |best| best.payload.len()) {
-                    best = Some(Packed { backend, arrangement, payload });
+        let arranged = Arrangement::ALL.map(|arrangement| arrangement.apply(bytes, scalar, width));
+        let quick = arranged.iter().map(|bytes| backend::compress_quickly(bytes).ok());
+        // What suits one coder mostly suits the other.
+        let quick = quick.enumerate().filter_map(|(at, payload)| Some((at, payload?)));
+        let (best, payload) = quick.min_by_key(|(_, payload)| payload.len())?;
+        let is_worth_it = payload.len() as f64 * LZMA_GAIN < most as f64;
+        let mut packed = Packed { backend: ZSTD, arrangement: Arrangement::ALL[best], payload };
+        if level.number() >= FLOOR_LEVEL && is_worth_it {
+            let tried = (0..arranged.len()).filter(|&at| at == best || level.number() >= THOROUGH_LEVEL);
+            for at in tried {
+                let payload = backend::compress_hardest(&arranged[at]).ok()?;
+                if payload.len() < packed.payload.len() {
+                    packed = Packed { backend: LZMA, arrangement: Arrangement::ALL[at], payload };
                 }
-            };
-            let quick = backend::compress_quickly(&arranged).ok()?;
-            let is_worth_it = quick.len() as f64 * LZMA_GAIN < most as f64;
-            consider(ZSTD, quick);
-            if level.number() >= FLOOR_LEVEL && is_worth_it {
-                consider(LZMA, backend::compress_hardest(&arranged).ok()?);
             }
         }
-        best
+        /// The numbers before the payload.
+        const HEADER: usize = 8;
+        (packed.payload.len() + HEADER < most).then_some(packed)
     }
 }
 
+/// From this level on, LZMA is tried on every arrangement.
+const THOROUGH_LEVEL: u8 = 7;
 /// LZMA makes of what zstd has made no less than this part, but for what lies far apart.
 pub const LZMA_GAIN: f64 = 0.5;
 /// From this level on, the floor is what LZMA makes of the bytes.
@@ -125,7 +130,7 @@ pub fn code_packed<C: BitCoder>(
     let backend = coder.code_plain(packed.backend.into(), 8) as u8;
     let arrangement = coder.code_plain(packed.arrangement as u64, 8) as usize;
     let arrangement = Arrangement::ALL.get(arrangement);
-    let arrangement = arrangement.ok_or_else(|| Error::unsupported("channels: unknown arrangement"))?;
+    let arrangement = arrangement.ok_or_else(|| Error::unsupported("packed bytes: unknown arrangement"))?;
     code_payload(coder, &mut packed.payload)?;
     if !C::ENCODES {
         let arranged = backend::decompress(backend::by_id(backend)?, &packed.payload, bytes.len())?;
@@ -139,7 +144,7 @@ fn code_payload<C: BitCoder>(coder: &mut C, payload: &mut Vec<u8>) -> Result<()>
     let length = IntegerModel::default().code(coder, payload.len() as u64);
     // They are as likely one as the other.
     if length > coder.most_bits() / 8 || length > usize::MAX as u64 / 2 {
-        return Err(Error::corrupt("channels: more bytes than the section can hold"));
+        return Err(Error::corrupt("packed bytes: more than the section can hold"));
     }
     if C::ENCODES {
         payload.iter().for_each(|&byte| {
@@ -149,7 +154,7 @@ fn code_payload<C: BitCoder>(coder: &mut C, payload: &mut Vec<u8>) -> Result<()>
     }
     for _ in 0..length {
         if coder.is_exhausted() {
-            return Err(Error::corrupt("channels: packed bytes are cut short"));
+            return Err(Error::corrupt("packed bytes: cut short"));
         }
         payload.push(coder.code_plain(0, 8) as u8);
     }

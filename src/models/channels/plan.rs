@@ -5,9 +5,10 @@ use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
 
 /// How a column is coded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Plan {
     /// All records have the same value.
+    #[default]
     Constant,
     /// The values are those of another column: 0 to 2 x, y and z, 3 the intensity, then the channels.
     Same(u16),
@@ -71,12 +72,6 @@ impl Geometry {
             6..9 => angle(libm::atan2(x, y)),
             _ => angle(libm::atan2(z, flat.sqrt())),
         }
-    }
-}
-
-impl Default for Plan {
-    fn default() -> Self {
-        Plan::Constant
     }
 }
 

@@ -65,22 +65,23 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
         Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
     });
     let sequence: Vec<(usize, u32)> = sequence.collect();
-    let Order { mut rows_of_slots, shifts, timing } = order(&sequence, elevations.len(), ticks)?;
-    if timing == Timing::VLP_16 && elevations.len() == VLP_16.len() {
-        let row = |degrees: i32| nearest(&elevations, f64::from(degrees).to_radians()) as u32;
-        rows_of_slots = VLP_16.map(row).to_vec();
-    }
-    let offsets: Vec<f64> =
-        phases.iter().zip(&shifts).map(|(phase, shift)| (phase + shift) * 360.0 / f64::from(ticks)).collect();
-    let constants = Constants { elevations, offsets, of_rows };
-    let recipes: Vec<_> =
-        Recipe::ALL.into_par_iter().map(|recipe| constants.rounded(recipe, (ticks, range_step_um))).collect();
-    // The first of equals.
-    let (_, recipe, lasers) = recipes.into_iter().rev().max_by_key(|(exact, _, _)| *exact)?;
-    let scanner = Firings::new(recipe, (ticks, range_step_um), timing, lasers, rows_of_slots);
-    let projection = scanner.project(&scan.cloud, REACH);
-    let share = projection.image.returns() as f64 / points.len().max(1) as f64;
-    (share >= LEAST_SHARE).then_some((scanner, share))
+    let orders = [order(&sequence, elevations.len(), ticks), vlp_16(&elevations)];
+    let constants = Constants { elevations, phases, of_rows };
+    let scanners = orders.into_iter().flatten().filter_map(|Order { rows_of_slots, shifts, timing }| {
+        let recipes: Vec<_> = Recipe::ALL
+            .into_par_iter()
+            .map(|recipe| constants.rounded(recipe, &shifts, (ticks, range_step_um)))
+            .collect();
+        // The first of equals.
+        let (_, recipe, lasers) = recipes.into_iter().rev().max_by_key(|(exact, _, _)| *exact)?;
+        let scanner = Firings::new(recipe, (ticks, range_step_um), timing, lasers, rows_of_slots);
+        let image = scanner.project(&scan.cloud, REACH).image;
+        Some((scanner, image.returns() as f64 / points.len().max(1) as f64, image.columns.len()))
+    });
+    // Of those that explain about as much, that of the fewest columns: there firings are whole.
+    let worth = |share: f64, columns: usize| share / (1.0 + columns as f64 / points.len().max(1) as f64);
+    let best = scanners.max_by(|a, b| worth(a.1, a.2).total_cmp(&worth(b.1, b.2)));
+    best.filter(|(_, share, _)| *share >= LEAST_SHARE).map(|(scanner, share, _)| (scanner, share))
 }
 
 /// The coarsest step on which most ranges lie.
@@ -195,27 +196,35 @@ fn in_ticks(point: &Point, ticks: u32) -> f64 {
 struct Constants {
     /// Radians, falling.
     elevations: Vec<f64>,
-    /// Azimuth offsets in degrees, but for whole ticks that all have in common.
-    offsets: Vec<f64>,
+    /// Azimuth offsets, in ticks, but for whole ones.
+    phases: Vec<f64>,
     /// Some points of each.
     of_rows: Vec<Vec<Point>>,
 }
 
 impl Constants {
     /// The lasers with constants by which a recipe gives the most points to the last bit, and how many.
-    fn rounded(&self, recipe: Recipe, (ticks, range_step_um): (u32, u32)) -> (usize, Recipe, Vec<Laser>) {
+    /// `shifts` are the whole ticks that each is ahead of the others.
+    fn rounded(
+        &self,
+        recipe: Recipe,
+        shifts: &[f64],
+        (ticks, range_step_um): (u32, u32),
+    ) -> (usize, Recipe, Vec<Laser>) {
         /// Whole ticks by which all offsets may be off.
         const COMMON: i32 = 4;
         let any = Firings::new(recipe, (ticks, range_step_um), Timing::default(), Vec::new(), Vec::new());
         let tick = 360.0 / f64::from(ticks);
-        let mean = self.offsets.iter().sum::<f64>() / self.offsets.len().max(1) as f64;
+        let offsets: Vec<f64> =
+            self.phases.iter().zip(shifts).map(|(phase, shift)| (phase + shift) * tick).collect();
+        let mean = offsets.iter().sum::<f64>() / offsets.len().max(1) as f64;
         let middle = round_ties_even(-mean / tick);
         // Only where a tick is no whole number of thousandths of a degree it matters.
         let is_whole = 360_000 % ticks == 0;
         let common = if is_whole { 0..=0 } else { -COMMON..=COMMON };
         let lasers = |common: i32| {
             let offset = (middle + f64::from(common)) * tick;
-            let pairs = self.elevations.iter().zip(&self.offsets).zip(&self.of_rows);
+            let pairs = self.elevations.iter().zip(&offsets).zip(&self.of_rows);
             let found = pairs.map(|((elevation, azimuth), points)| {
                 laser(&any, [elevation.to_degrees(), azimuth + offset], points)
             });
@@ -294,10 +303,10 @@ struct Order {
 /// Finds the order of the lasers from rows and ticks in the order of a file. None if they are not in the order of
 /// firings.
 fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Order> {
-    /// The part of the steps from a slot to the next that are the same if all of a firing have one azimuth.
-    const STEADY: f64 = 0.8;
-    /// Ticks from the first slot to the last from which on azimuths go on inside a firing.
-    const GOING_ON: f64 = 2.0;
+    /// The part of the steps from one laser to another that are the same if all of a firing have one azimuth.
+    const STEADY: f64 = 0.93;
+    /// Fewer steps than these say nothing.
+    const FEWEST: usize = 8;
     let mut order = cycle(sequence, rows)?;
     let mut slots = vec![0; rows];
     order.iter().enumerate().for_each(|(slot, &row)| slots[row] = slot);
@@ -305,47 +314,66 @@ fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Order> {
         let turn = i64::from(ticks);
         (i64::from(to) - i64::from(from) + turn / 2).rem_euclid(turn) - turn / 2
     };
-    // The steps from each slot to the next one, the last followed by the first.
-    let mut steps: Vec<Vec<i64>> = vec![Vec::new(); rows];
+    // The steps from each laser to each that follows it in the file.
+    let mut steps: Vec<Vec<i64>> = vec![Vec::new(); rows * rows];
     for pair in sequence.windows(2) {
         let [(from, before), (to, after)] = [pair[0], pair[1]];
-        if (slots[from] + 1) % rows == slots[to] {
-            steps[slots[from]].push(turned(before, after));
-        }
+        steps[slots[from] * rows + slots[to]].push(turned(before, after));
     }
-    // The most frequent step, and its part of all.
+    // The most frequent step, and how many are the same.
     let mode = |steps: &mut Vec<i64>| {
         steps.sort_unstable();
         let most = steps.chunk_by(|a, b| a == b).max_by_key(|same| same.len());
-        most.map_or((0, 1.0), |same| (same[0], same.len() as f64 / steps.len() as f64))
+        most.map_or((0, 0), |same| (same[0], same.len()))
     };
-    let modes: Vec<(i64, f64)> = steps.iter_mut().map(mode).collect();
-    let mean = |slot: usize| steps[slot].iter().sum::<i64>() as f64 / steps[slot].len().max(1) as f64;
-    let unsteady = modes.iter().filter(|(_, share)| *share < STEADY).count();
-    if unsteady <= 1 + rows / 16 {
+    let modes: Vec<(i64, usize)> = steps.iter_mut().map(mode).collect();
+    // Those from each slot to the next one, the last followed by the first.
+    let next = |slot: usize| slot * rows + (slot + 1) % rows;
+    let share = |slot: usize| modes[next(slot)].1 as f64 / steps[next(slot)].len().max(1) as f64;
+    let mean = |slot: usize| {
+        let steps = &steps[next(slot)];
+        steps.iter().sum::<i64>() as f64 / steps.len().max(1) as f64
+    };
+    let known = (0..rows * rows).filter(|&pair| steps[pair].len() >= FEWEST);
+    let (same, all) = known.fold((0, 0), |(same, all), pair| (same + modes[pair].1, all + steps[pair].len()));
+    // The steps from the last laser of a firing to the first of the next may differ.
+    let ends = sequence.len() / rows.max(1);
+    if same as f64 >= STEADY * all.saturating_sub(ends) as f64 {
         // One azimuth a firing: its end is where the steps differ most, or else, if the scanner turns by the same from
         // firing to firing, where it goes back from one end of the rows to the other.
-        let worst = (0..rows).min_by(|&a, &b| modes[a].1.total_cmp(&modes[b].1)).unwrap_or(0);
+        let seen = (0..rows).filter(|&slot| steps[next(slot)].len() >= FEWEST);
+        let worst = seen.min_by(|&a, &b| share(a).total_cmp(&share(b))).unwrap_or(0);
         let jump = |slot: &usize| order[*slot].abs_diff(order[(*slot + 1) % rows]);
         let longest = (0..rows).rev().max_by_key(jump).unwrap_or(0);
-        let start = (if modes[worst].1 < STEADY { worst } else { longest } + 1) % rows;
+        let start = (if share(worst) < STEADY { worst } else { longest } + 1) % rows;
         let (mut shifts, mut shift) = (vec![0.0; rows], 0);
         for slot in 0..rows {
             let place = (start + slot) % rows;
             shifts[order[place]] = shift as f64;
-            shift += modes[place].0;
+            shift += modes[next(place)].0;
         }
         order.rotate_left(start);
         let rows_of_slots = order.into_iter().map(|row| row as u32).collect();
         return Some(Order { rows_of_slots, shifts, timing: Timing::default() });
     }
-    // Azimuths that go on: the longest step is the one to the next firing.
+    // The longest step is the one to the next firing.
     let last = (0..rows).max_by(|&a, &b| mean(a).abs().total_cmp(&mean(b).abs()))?;
-    let spread: f64 = (0..rows).filter(|slot| *slot != last).map(mean).sum();
     order.rotate_left((last + 1) % rows);
-    let timing = if spread.abs() > GOING_ON { Timing::VLP_16 } else { Timing::default() };
     let rows_of_slots = order.into_iter().map(|row| row as u32).collect();
-    Some(Order { rows_of_slots, shifts: vec![0.0; rows], timing })
+    Some(Order { rows_of_slots, shifts: vec![0.0; rows], timing: Timing::default() })
+}
+
+/// The order of a VLP-16, if these are its elevations.
+fn vlp_16(elevations: &[f64]) -> Option<Order> {
+    let row = |degrees: i32| {
+        let row = nearest(elevations, f64::from(degrees).to_radians());
+        ((elevations[row].to_degrees() - f64::from(degrees)).abs() < 0.1).then_some(row as u32)
+    };
+    let rows_of_slots: Option<Vec<u32>> = VLP_16.map(row).into_iter().collect();
+    let is_all = elevations.len() == VLP_16.len();
+    let order =
+        |rows_of_slots| Order { rows_of_slots, shifts: vec![0.0; VLP_16.len()], timing: Timing::VLP_16 };
+    rows_of_slots.filter(|_| is_all).map(order)
 }
 
 /// The rows in the order in which they follow one another, round and round, beginning anywhere. None if they do not.

@@ -1,38 +1,40 @@
-//! Cells above one another that look the same way.
+//! Aligning the rows of a range image, so that cells above one another look in the same direction.
 
 use crate::ground::grid::Grid;
 use crate::scanner::Hdl64;
 
-/// How far each row of a range image is turned against the others. A column holds what fired
-/// together, but the beams of a real scanner point up to some ten degrees to either side of its
-/// middle: what a column shows at its top may be far from what it shows at its bottom. Rows turned
-/// back by whole columns are a picture of the scene.
+/// How far each row of a range image is rotated against the others. A column holds what fired together, but
+/// the beams of a real scanner point up to about ten degrees to either side of its centre: the top and the
+/// bottom of a column may show very different directions. Rows shifted back by whole columns give a picture
+/// of the scene.
 #[derive(Clone, Debug)]
 pub struct Alignment {
-    /// Columns, for each row.
+    /// In columns, for each row.
     turns: Vec<usize>,
 }
 
 impl Alignment {
-    /// For an image of `columns` columns by this sensor. Nothing is turned if it is the ideal one.
+    /// The alignment of an image with `columns` columns by this sensor. Rows of the ideal sensor stay as they
+    /// are.
     pub fn of(sensor: &Hdl64, columns: usize) -> Self {
         let ticks = u64::from(sensor.ticks);
         let turn = |row| {
             let shift = u64::from(sensor.column_tick(row, 0));
             ((shift * columns as u64 + ticks / 2) / ticks) as usize
         };
-        // A shift of almost a turn may round up to a whole one, which is none.
+        // A shift of almost a turn may be rounded up to a whole turn, which is no shift.
         let turns = (0..sensor.rows()).map(|row| turn(row).checked_rem(columns).unwrap_or(0)).collect();
         Alignment { turns }
     }
 
-    /// How many columns a row is turned by: what its first aligned column is in the image.
+    /// The number of columns by which a row is shifted: the column of the image that is its first aligned
+    /// one.
     pub fn turn(&self, row: usize) -> usize {
         self.turns[row]
     }
 
-    /// Turns the rows of an image so that its columns are lines of sight. It must have the size that this
-    /// is for.
+    /// Shifts the rows of an image so that its columns are lines of sight. It must have the size that this
+    /// alignment was made for.
     pub fn align<T: Clone + Default>(&self, grid: &mut Grid<T>) {
         (0..grid.rows()).for_each(|row| grid.row_mut(row).rotate_left(self.turns[row]));
     }

@@ -1,25 +1,26 @@
-//! Which points of a sample belong to which beam, found without knowing the scanner: files hold
-//! beam after beam, each going once round, and the points of a beam lie on a cone.
+//! Assigns the points of a sample to beams without knowing the scanner: files hold one beam after the other,
+//! each going round once, and the points of a beam lie on a cone.
 //!
-//! Scans of a sequence need not agree: one may lack a beam, be cut short, or be by another scanner.
-//! The scan that most others agree with is the reference; their beams go where they lie on its cones.
+//! The scans of a sequence need not agree: one may lack a beam, be cut short, or come from another scanner.
+//! The scan with which most others agree is the reference; the beams of the others are assigned to the cones
+//! on which they lie.
 
 use std::f64::consts::TAU;
 
 use rayon::prelude::*;
 
-/// A point as the fit needs it, in metres and radians.
+/// A point in the form that the fit needs, in metres and radians.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Point {
     pub position: [f64; 3],
     /// Horizontal distance from the axis.
     pub rho: f64,
-    /// 0 to 2 pi.
+    /// From 0 to 2 pi.
     pub azimuth: f64,
 }
 
 impl Point {
-    /// None for points that have no direction.
+    /// `None` for points without a direction.
     fn new(position: &[f32; 3]) -> Option<Self> {
         let position @ [x, y, _] = position.map(f64::from);
         let (rho, turned) = ((x * x + y * y).sqrt(), y.atan2(x));
@@ -32,14 +33,14 @@ impl Point {
     }
 }
 
-/// Splits the points of a scan into beams, where the azimuth falls back; a short step back over the seam is not a
-/// new beam. Nothing if there are too many: the points are in some other order.
+/// Splits the points of a scan into beams, where the azimuth falls back; a short step back over the seam does
+/// not start a new beam. Empty if there are too many beams: the points are then in some other order.
 pub(crate) fn split_beams(positions: &[[f32; 3]]) -> Vec<Vec<Point>> {
     /// More beams than any scanner has.
     const MOST_BEAMS: usize = 256;
-    /// Radians. Inside a beam the azimuth falls by far less, even where points are out of order.
+    /// In radians. Within a beam the azimuth falls by far less, even where points are out of order.
     const FALL: f64 = 1.0;
-    /// A rise like this is a step back over the seam.
+    /// In radians: a rise as large as this is a step back over the seam.
     const RISE: f64 = 5.0;
     let mut beams: Vec<Vec<Point>> = vec![Vec::new()];
     let mut row = 0usize;
@@ -65,7 +66,7 @@ pub(crate) fn split_beams(positions: &[[f32; 3]]) -> Vec<Vec<Point>> {
 /// A beam's points, scan by scan.
 pub(crate) struct Beam<'a> {
     cone: Cone,
-    /// One entry a scan, its points in one piece or more; none where the scan has no such beam.
+    /// One entry for each scan: its points in one or more pieces; empty if the scan has no such beam.
     pub scans: Vec<Vec<&'a [Point]>>,
 }
 
@@ -75,14 +76,14 @@ impl Beam<'_> {
         self.scans.iter().flatten().copied().flatten().copied().collect()
     }
 
-    /// How many points the beam has in a scan.
+    /// Number of points that the beam has in a scan.
     pub fn points_in(&self, scan: usize) -> usize {
         self.scans[scan].iter().map(|points| points.len()).sum()
     }
 }
 
-/// Brings the beams of several scans together, in the order of the file. Scans that have little in
-/// common with the others are left out.
+/// Matches the beams of several scans, in the order of the file. Scans that have little in common with the
+/// others are left out.
 pub(crate) fn align<'a>(scans: &[&'a [Vec<Point>]]) -> Vec<Beam<'a>> {
     let cones: Vec<Vec<Option<Cone>>> =
         scans.par_iter().map(|beams| beams.iter().map(|points| Cone::of(points)).collect()).collect();
@@ -98,7 +99,7 @@ pub(crate) fn align<'a>(scans: &[&'a [Vec<Point>]]) -> Vec<Beam<'a>> {
         points
     };
     let total = |reference: &usize| (0..scans.len()).map(|scan| matched(*reference, scan)).sum::<usize>();
-    // The first of equals.
+    // The first of several equal ones.
     let Some(reference) = (0..scans.len()).rev().max_by_key(total) else { return Vec::new() };
     let alike = |scan: &usize| {
         *scan != reference && matched(reference, *scan) * 2 > scans[*scan].iter().map(Vec::len).sum()
@@ -122,13 +123,13 @@ pub(crate) fn align<'a>(scans: &[&'a [Vec<Point>]]) -> Vec<Beam<'a>> {
     beams
 }
 
-/// The cone on which the points lie, looking from `place` on first.
+/// The cone on which the points lie; the search starts at `place`.
 fn matching(cones: &[Cone], place: usize, points: &[Point]) -> Option<usize> {
     let after = place.min(cones.len());
     (after..cones.len()).chain(0..after).find(|&i| cones[i].holds(points))
 }
 
-/// Where a beam can see: z = height + slope * rho.
+/// The cone of a beam: z = height + slope * rho.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cone {
     pub height: f64,
@@ -140,16 +141,16 @@ impl Cone {
     fn of(points: &[Point]) -> Option<Self> {
         /// Fewer points lie on many cones.
         const FEWEST: usize = 20;
-        /// Points that are enough.
+        /// Number of points that are enough.
         const SAMPLE: usize = 400;
         let sample: Vec<Point> = thinned(points, SAMPLE).copied().collect();
         let cone = Cone::fit(&sample);
         (points.len() >= FEWEST && cone.holds(points)).then_some(cone)
     }
 
-    /// Whether most of the points lie on it.
+    /// Whether most of the points lie on the cone.
     fn holds(&self, points: &[Point]) -> bool {
-        /// Metres; closer than half the distance of two beams' cones at any range.
+        /// In metres: less than half the distance between the cones of two beams at any range.
         const ON_CONE: f64 = 0.004;
         const SAMPLE: usize = 30;
         let (mut on, mut seen) = (0, 0);
@@ -160,9 +161,9 @@ impl Cone {
         on * 3 > seen * 2
     }
 
-    /// Least squares with weights that fall with the miss.
+    /// Least squares, with weights that decrease with the distance from the cone.
     pub fn fit(points: &[Point]) -> Self {
-        /// Metres by which a round moves the cone at the end.
+        /// In metres: the fit has converged when a round moves the cone by less.
         const SETTLED: f64 = 1e-5;
         let mut cone = Cone { height: 0.0, slope: 0.0 };
         for round in 0..15 {
@@ -181,7 +182,7 @@ impl Cone {
                 rz += weight * p.rho * p.z();
             }
             let determinant = n * rr - r * r;
-            // All at one distance: any cone.
+            // All points are at one distance, so any cone will do.
             if determinant < 1e-9 * n * rr {
                 break;
             }
@@ -197,7 +198,7 @@ impl Cone {
     }
 }
 
-/// At most about `count` of the values, evenly spread.
+/// At most about `count` of the values, evenly spaced.
 pub(crate) fn thinned<T>(values: &[T], count: usize) -> impl Iterator<Item = &T> {
     values.iter().step_by(values.len().div_ceil(count).max(1))
 }

@@ -1,5 +1,5 @@
-//! How the beams' azimuth ticks are moved against each other: all beams fire together, so their
-//! occupancies agree most where their columns are brought together.
+//! The shifts between the azimuth ticks of the beams: all beams fire together, so their occupied ticks agree
+//! best when their columns are aligned.
 
 use std::cmp::Reverse;
 
@@ -9,13 +9,13 @@ use rayon::prelude::*;
 use super::beams::{Beam, Point};
 use crate::scanner::Hdl64;
 
-/// The whole number of ticks by which each beam's columns are moved against those of the fullest
-/// beam. One scan that both are in tells.
+/// For each beam, the whole number of ticks by which its columns are shifted against those of the beam with
+/// the most points, judged from one scan that contains both.
 pub(crate) fn column_shifts(model: &Hdl64, beams: &[&Beam]) -> Vec<i64> {
-    /// The part of the turn that is looked at first, and how many shifts are then left.
+    /// The share of the turn that is used first, and the number of shifts that are then left.
     const SHARE: usize = 2;
     const LIKELY: usize = 100;
-    // The beams of one firing look within 36 degrees of each other.
+    // The beams of a firing look within 36 degrees of each other.
     let widest = i64::from(model.ticks / 10);
     let filled =
         |row: usize| (0..beams[row].scans.len()).map(|scan| beams[row].points_in(scan)).sum::<usize>();
@@ -28,7 +28,7 @@ pub(crate) fn column_shifts(model: &Hdl64, beams: &[&Beam]) -> Vec<i64> {
         let shared = pairs.find_map(|(mine, theirs)| (!mine.is_empty()).then_some((mine, theirs.as_ref()?)));
         let Some((mine, theirs)) = shared else { return 0 };
         let mine = used_ticks(model, row, mine);
-        // The best of some shifts, by a part of the turn.
+        // The best of some shifts, judged by a part of the turn.
         let best = |shifts: &[i64], part: &[u8], count: usize| -> Vec<i64> {
             let agreements = Arch::new().dispatch(Agreements { mine: part, theirs, shifts });
             let mut found: Vec<_> = agreements.into_iter().zip(shifts.iter().copied()).collect();
@@ -38,14 +38,16 @@ pub(crate) fn column_shifts(model: &Hdl64, beams: &[&Beam]) -> Vec<i64> {
             }
             found.into_iter().take(count).map(|(_, shift)| shift).collect()
         };
-        // A part of the turn tells which are worth a look.
+        // A part of the turn tells which shifts deserve a closer look.
         let likely = best(&(-widest..=widest).collect::<Vec<_>>(), &mine[..mine.len() / SHARE], LIKELY);
         best(&likely, &mine, 1).first().copied().unwrap_or(0)
     };
     (0..beams.len()).into_par_iter().map(best).collect()
 }
 
-/// What it takes to find how many ticks two beams both have in use, for each shift: `mine` may be a part of the turn.
+/// The arguments of [`column_shifts`]' search for the number of ticks that two beams both use, for each
+/// shift; `mine` may cover a part of the turn. A struct, so that the function can be compiled for several
+/// vector units.
 struct Agreements<'a> {
     mine: &'a [u8],
     theirs: &'a [u8],
@@ -68,10 +70,10 @@ impl NullaryFnOnce for Agreements<'_> {
     }
 }
 
-/// How many ticks both have in use.
+/// Number of ticks that both use.
 #[inline(always)]
 fn agreement(a: &[u8], b: &[u8]) -> u32 {
-    /// Sums of bytes, in runs short enough not to overflow one, are what vector units do best.
+    /// Sums of bytes, in runs so short that none overflows, are what vector units do best.
     const RUN: usize = 128;
     let mut sum = 0;
     for (a, b) in a.chunks(RUN).zip(b.chunks(RUN)) {
@@ -84,7 +86,7 @@ fn agreement(a: &[u8], b: &[u8]) -> u32 {
     sum
 }
 
-/// 1 for each tick that holds a point of the beam, else 0.
+/// 1 for each tick at which the beam has a point, else 0.
 fn used_ticks(model: &Hdl64, row: usize, pieces: &[&[Point]]) -> Vec<u8> {
     let mut used = vec![0; model.ticks as usize];
     let points = pieces.iter().copied().flatten();

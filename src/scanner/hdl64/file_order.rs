@@ -6,14 +6,14 @@ use crate::scanner::Hdl64;
 use crate::scanner::{RangeImage, Return};
 
 impl RangeImage {
-    /// The returns in the order in which a file holds them: row by row, by the azimuth that the
-    /// formula gives; those of equal azimuth column by column.
+    /// The returns in the order of the file: row by row, by the azimuth that the formula gives; returns with
+    /// equal azimuths column by column.
     pub fn file_order(&self, sensor: &Hdl64) -> Vec<Return> {
         Arch::new().dispatch(FileOrder { image: self, sensor })
     }
 }
 
-/// What it takes to find the order.
+/// The arguments of [`RangeImage::file_order`], for a function compiled for several vector units.
 struct FileOrder<'a> {
     image: &'a RangeImage,
     sensor: &'a Hdl64,
@@ -35,7 +35,8 @@ impl NullaryFnOnce for FileOrder<'_> {
             let mut count = 0;
             for columns in [first..image.columns.len(), 0..first] {
                 let cells = image.steps.row(row)[columns.clone()].iter().zip(&image.columns[columns.clone()]);
-                // No branch: each cell takes the next place, where the one after it follows only if it holds a return.
+                // Without a branch: each cell is written to the next place, and overwritten there unless it
+                // holds a return.
                 for ((&steps, &column_tick), column) in cells.zip(columns.start as u32..) {
                     of_row[count] = Return { row: row as u32, column, tick: tick(column_tick), steps };
                     count += usize::from(steps > 0);
@@ -51,12 +52,12 @@ impl NullaryFnOnce for FileOrder<'_> {
     }
 }
 
-/// Sorts the returns of a row by their azimuths, then columns: they nearly are.
+/// Sorts the returns of a row by azimuth, then column; they are nearly sorted already.
 #[inline(always)]
 fn sort(azimuths: &mut [f64], returns: &mut [Return]) {
-    /// Places, for each return, that are worth moving returns by one by one.
+    /// The most places, for each return, by which it is worth moving returns one by one.
     const MOVES: usize = 4;
-    /// Returns that are looked at together.
+    /// Number of returns that are examined together.
     const BLOCK: usize = 8;
     turn_to_seam(azimuths, returns);
     let mut moves = MOVES * returns.len();
@@ -84,11 +85,12 @@ fn sort(azimuths: &mut [f64], returns: &mut [Return]) {
     }
 }
 
-/// Turns a row so that it begins where azimuths pass 0: it nearly does, and points near there are at either end.
+/// Rotates a row so that it begins where azimuths pass 0. It nearly does, but points near the seam may be at
+/// either end.
 fn turn_to_seam(azimuths: &mut [f64], returns: &mut [Return]) {
-    /// Radians: more than azimuths that are out of order differ by.
+    /// In radians: more than azimuths that are out of order differ by.
     const SEAM: f64 = 3.0;
-    /// Returns that may be at the wrong end.
+    /// The most returns that may be at the wrong end.
     const FEW: usize = 100;
     let falls = |part: &[f64]| part.windows(2).rposition(|pair| pair[1] < pair[0] - SEAM);
     let tail = azimuths.len().saturating_sub(FEW);
@@ -145,7 +147,7 @@ mod tests {
         let (sensor, image) = scanner();
         let mut returns = image.file_order(&sensor);
         returns.retain(|found| found.row == 0);
-        // Azimuths that fall from place to place, but nowhere by more than the seam does.
+        // Azimuths that fall from place to place, but nowhere by as much as the seam.
         let mut azimuths: Vec<f64> = (0..returns.len()).rev().map(|i| i as f64 * 1e-4).collect();
         let reversed: Vec<Return> = returns.iter().rev().copied().collect();
         sort(&mut azimuths, &mut returns);

@@ -1,9 +1,9 @@
-//! Fits the sensor model to the sequence itself, with no prior knowledge of the scanner but its
+//! Fits the scanner's formula to the sequence itself, with no prior knowledge of the scanner except its
 //! grids: 0.09 degree azimuth ticks and 2 mm range steps (Velodyne HDL-64E).
 //!
-//! The steps for each beam: (1) z against rho, a robust line, gives elevation and height; (2) the
-//! sideways offset is the one that makes the azimuth ticks most coherent; (3) the phase of the
-//! range on its grid gives the range offset; (4) all five constants by least squares on x, y, z.
+//! The steps for each beam: (1) z against rho, a robust line, gives elevation and height; (2) the sideways
+//! offset is the one that makes the azimuth ticks most coherent; (3) the phase of the range on its grid gives
+//! the range offset; (4) least squares on x, y and z gives all five constants.
 
 use std::cmp::Reverse;
 use std::f64::consts::TAU;
@@ -21,23 +21,23 @@ use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
 use crate::scanner::{BeamConstants, Coordinates, Hdl64, Refinement};
 
-/// Azimuth ticks a turn of the scanners that the fit knows.
+/// Azimuth ticks in a turn of the scanners that this fit handles.
 const TICKS: u32 = 4000;
 /// Their range step in micrometres.
 pub const RANGE_STEP_UM: u32 = 2000;
 const RANGE_STEP: f64 = RANGE_STEP_UM as f64 * 1e-6;
 const TICK: f64 = TAU / TICKS as f64;
-/// Fewer points than this do not determine a beam.
+/// Fewer points do not determine a beam.
 const FEWEST_POINTS: usize = 40;
-/// Points of a beam used where a sample is enough.
+/// Number of points of a beam that are used where a sample is enough.
 const SAMPLE: usize = 1500;
-/// Constants that put fewer of a beam's points than this within reach of the corrections are wrong.
+/// Constants are wrong if they bring less than this share of a beam's points within reach of the corrections.
 const LEAST_OF_BEAM: f64 = 0.7;
-/// A model that explains fewer of the points than this is dropped.
+/// A scanner that explains a smaller share of the points is dropped.
 const LEAST_SHARE: f64 = 0.5;
 
-/// Fits a model to a sample of the sequence's scans. None if the points are not those of such a
-/// scanner, stored beam by beam.
+/// Fits a scanner to a sample of the sequence's scans. `None` if the points are not those of such a scanner,
+/// stored beam by beam.
 pub fn fit(sample: &[ScanFile]) -> Option<Hdl64> {
     let scans: Vec<(Coordinates, Vec<Vec<Point>>)> = sample
         .par_iter()
@@ -56,7 +56,7 @@ pub fn fit(sample: &[ScanFile]) -> Option<Hdl64> {
     grids.into_iter().find_map(|grid| fit_scans(grid, &on(grid)))
 }
 
-/// Fits a model to scans with coordinates on the same grid.
+/// Fits a scanner to scans whose coordinates are on the same grid.
 fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<Hdl64> {
     let beams = align(scans);
     let constants: Vec<_> = beams.par_iter().map(|beam| fit_beam(&beam.points(), coordinates)).collect();
@@ -78,9 +78,9 @@ fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<Hdl64>
     })
 }
 
-/// The model with single-precision arithmetic, if that gives more of the coordinates to the bit.
+/// The scanner with single-precision arithmetic, if that gives more of the coordinates exactly.
 fn in_single_precision(model: Hdl64, beams: &[&Beam]) -> Hdl64 {
-    /// Points of a beam that are compared.
+    /// Number of points of a beam that are compared.
     const COMPARED: usize = 200;
     let points: Vec<Vec<Point>> = beams.par_iter().map(|beam| beam.points()).collect();
     let refinements: Vec<Option<Refinement>> =
@@ -104,7 +104,7 @@ fn in_single_precision(model: Hdl64, beams: &[&Beam]) -> Hdl64 {
     if exact(&refined) > exact(&model) { refined } else { model }
 }
 
-/// The constants of one beam. None if its points are too few, or not those of such a beam.
+/// The constants of one beam. `None` if it has too few points, or if they are not those of such a beam.
 fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<BeamConstants> {
     if points.len() < FEWEST_POINTS {
         return None;
@@ -118,7 +118,7 @@ fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<BeamConstants>
     (explained_share(&constants, points) >= LEAST_OF_BEAM).then(|| BeamConstants::quantise(constants))
 }
 
-/// Points far enough for their azimuth to be sharp, thinned.
+/// A sample of the points that are so far away that their azimuth is accurate.
 fn far_sample(points: &[Point]) -> Vec<Point> {
     for least in [5.0, 3.2, 0.0] {
         let far: Vec<&Point> = points.iter().filter(|p| p.rho > least).collect();
@@ -129,7 +129,7 @@ fn far_sample(points: &[Point]) -> Vec<Point> {
     Vec::new()
 }
 
-/// Strength and phase (radians) of a set of values on a grid of `period`.
+/// Coherence and phase (radians) of a set of values on a grid of `period`.
 fn coherence(values: impl Iterator<Item = f64>, period: f64) -> (f64, f64) {
     let (mut re, mut im) = (0.0, 0.0);
     let by_period = 1.0 / period;
@@ -141,15 +141,15 @@ fn coherence(values: impl Iterator<Item = f64>, period: f64) -> (f64, f64) {
     (re.hypot(im), im.atan2(re))
 }
 
-/// The sine of so many turns, to within a thousandth.
+/// The sine of an angle in turns, to within a thousandth.
 fn wave(turns: f64) -> f64 {
     let turn = turns - round_ties_even(turns);
     let parabola = 16.0 * turn * (0.5 - turn.abs());
     parabola + 0.225 * (parabola * parabola.abs() - parabola)
 }
 
-/// Step 2: the sideways offset h that makes the azimuths fall on the ticks, and the phase rot.
-/// First roughly by some of the points, then by all of them.
+/// Step 2: the sideways offset h that brings the azimuths onto the ticks, and the phase rot. First roughly,
+/// from some of the points, then from all of them.
 fn side_offset(far: &[Point]) -> (f64, f64) {
     let sample = |count: usize| thinned(far, count).copied().collect::<Vec<Point>>();
     let at =
@@ -166,7 +166,7 @@ fn side_offset(far: &[Point]) -> (f64, f64) {
 /// Step 3: the phase of the range on its grid, as the offset b in metres.
 fn range_phase(points: &[Point], elevation: f64) -> f64 {
     let mut ranges: Vec<f64> = thinned(points, SAMPLE).map(|p| p.rho / elevation.cos()).collect();
-    // Without the nearest and the farthest.
+    // Leaves out the nearest and the farthest.
     let (first, end) = (ranges.len() / 20, ranges.len() * 17 / 20);
     ranges.select_nth_unstable_by(end, f64::total_cmp);
     ranges[..end].select_nth_unstable_by(first, f64::total_cmp);
@@ -174,7 +174,7 @@ fn range_phase(points: &[Point], elevation: f64) -> f64 {
     coherence(middle.iter().copied(), RANGE_STEP).1 / TAU * RANGE_STEP * elevation.cos()
 }
 
-/// Step 4: Gauss-Newton on the misses of x, y and z, the integers held; repeated, as the integers
+/// Step 4: Gauss-Newton on the errors of x, y and z, with the integers fixed; repeated, because the integers
 /// change with the constants.
 fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 5] {
     let mut constants = start;
@@ -189,7 +189,7 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
         }
         system
     };
-    // The first steps are long, and a few points are enough for them.
+    // The first steps are large, and a few points are enough for them.
     for (count, reach) in
         [(SAMPLE / 8, 0.004), (SAMPLE / 8, 0.004), (SAMPLE / 4, 0.0015), (SAMPLE / 2, 0.0015)]
     {
@@ -203,18 +203,18 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
     constants
 }
 
-/// A coordinate rounded to the millimetre misses by up to half of one however right the constants
-/// are: only what misses by more says that they are wrong. Moves the constants until little does,
-/// which makes them far sharper than least squares can.
+/// A coordinate rounded to the millimetre has an error of up to half a millimetre, however accurate the
+/// constants are: only larger errors show that the constants are wrong. Moves the constants until few errors
+/// are larger, which makes them far more accurate than least squares can.
 fn centre_in_roundings(constants: &mut [f64; 5], points: &[Point], whole: &System) {
     const ROUNDS: usize = 12;
-    /// Metres.
+    /// In metres.
     const HALF_UNIT: f64 = 5e-4;
     const REACH: f64 = 0.0015;
-    /// What comes no nearer to a border than this, in metres, will not cross one: least squares is
-    /// right to a few micrometres.
+    /// In metres: coordinates that are farther than this from a rounding border will not cross it, as least
+    /// squares is accurate to a few micrometres.
     const NEAR_BORDER: f64 = 3e-5;
-    /// How much the points that fit hold the constants in place.
+    /// How strongly the points that fit hold the constants in place.
     const INERTIA: f64 = 0.003;
     let largest_misses = Formula::new(constants).largest_misses(points);
     let is_near_border = |largest: f64| largest > HALF_UNIT - NEAR_BORDER && largest < REACH;
@@ -244,17 +244,17 @@ struct System {
 impl System {
     fn add(&mut self, [x, y, z]: [f64; 3], formula: &Formula, site: &Site) {
         let [x_by, y_by, z_by] = formula.slopes(site);
-        // The others are 0.
+        // The other slopes are 0.
         self.add_axis([0, 1, 3, 4], x_by, x);
         self.add_axis([0, 1, 3, 4], y_by, y);
         self.add_axis([0, 2], z_by, z);
     }
 
-    /// Adds what one coordinate is missed by, which has slopes against these of the constants.
+    /// Adds the error of one coordinate, with its slopes against some of the constants.
     #[inline(always)]
     fn add_axis<const N: usize>(&mut self, constants: [usize; N], slope: [f64; 5], miss: f64) {
         if miss != 0.0 {
-            // The lower triangle is all that is looked at.
+            // Only the lower triangle is used.
             for (place, &column) in constants.iter().enumerate() {
                 for &row in &constants[place..] {
                     self.normal[(row, column)] += slope[row] * slope[column];
@@ -264,7 +264,7 @@ impl System {
         }
     }
 
-    /// Moves the constants to the solution; where there is none they stay.
+    /// Moves the constants to the solution; if there is none they stay.
     fn step(&self, constants: &mut [f64; 5]) {
         if let Some(cholesky) = self.normal.cholesky() {
             let step = cholesky.solve(&self.right);
@@ -273,7 +273,7 @@ impl System {
     }
 }
 
-/// The formula with the constants (V, b, c, h, rot) of one beam.
+/// The formula with the constants (V, b, c, h, rot) of a beam.
 struct Formula {
     sin_v: f64,
     cos_v: f64,
@@ -283,19 +283,19 @@ struct Formula {
     rot: f64,
 }
 
-/// The formula at the integers nearest to each of some points.
+/// The formula at the integers nearest to each of `N` points.
 #[derive(Clone, Copy)]
 struct Sites<const N: usize> {
     d: [f64; N],
     rho: [f64; N],
     sin: [f64; N],
     cos: [f64; N],
-    /// How far the formula misses the points along each axis, in metres.
+    /// The error of the formula for each point along each axis, in metres.
     miss: [[f64; N]; 3],
 }
 
 impl<const N: usize> Sites<N> {
-    /// By how much along the axis where most.
+    /// The largest of these over the axes.
     #[inline(always)]
     fn largest_misses(&self) -> [f64; N] {
         let [x, y, z] = &self.miss;
@@ -309,7 +309,7 @@ struct Site {
     rho: f64,
     sin: f64,
     cos: f64,
-    /// How far the formula misses the point, in metres.
+    /// The error of the formula along each axis, in metres.
     miss: [f64; 3],
 }
 
@@ -341,8 +341,8 @@ impl Formula {
         });
         let rho: [f64; N] = lanes(|i| d[i] * self.cos_v + self.b);
         let by_rho: [f64; N] = lanes(|i| 1.0 / rho_in_file[i]);
-        // phi is less than a tick from the point's azimuth: a few terms of the series turn the
-        // point there.
+        // phi is less than a tick away from the point's azimuth, so a few terms of the series are enough to
+        // rotate the point there.
         let turn: [f64; N] = lanes(|i| {
             let (side, side_in_file) = (small_atan(self.h / rho[i]), small_atan(self.h * by_rho[i]));
             let ticks = (azimuth[i] - side_in_file - self.rot) * (1.0 / TICK);
@@ -360,7 +360,7 @@ impl Formula {
         Sites { d, rho, sin, cos, miss }
     }
 
-    /// How far the formula misses each point along the axis where most, in metres.
+    /// For each point, the largest error of the formula over the axes, in metres.
     fn largest_misses(&self, points: &[Point]) -> Vec<f64> {
         Arch::new().dispatch(LargestMisses { formula: self, points })
     }
@@ -378,7 +378,7 @@ impl Formula {
     }
 }
 
-/// What it takes to find how far the formula misses points.
+/// The arguments of [`Formula::largest_misses`], for a function compiled for several vector units.
 struct LargestMisses<'a> {
     formula: &'a Formula,
     points: &'a [Point],
@@ -389,7 +389,7 @@ impl NullaryFnOnce for LargestMisses<'_> {
 
     #[inline(always)]
     fn call(self) -> Vec<f64> {
-        /// Points at a time.
+        /// Number of points computed at a time.
         const LANES: usize = 8;
         let mut misses = vec![0.0; self.points.len()];
         let (blocks, rest) = self.points.as_chunks::<LANES>();
@@ -404,9 +404,9 @@ impl NullaryFnOnce for LargestMisses<'_> {
     }
 }
 
-/// Share of some of the points that the formula gives to within what its corrections reach.
+/// The share of some points whose error is within the reach of the corrections.
 fn explained_share(constants: &[f64; 5], points: &[Point]) -> f64 {
-    /// Metres.
+    /// In metres.
     const REACH: f64 = 0.0016;
     let points: Vec<Point> = thinned(points, SAMPLE).copied().collect();
     let misses = Formula::new(constants).largest_misses(&points);

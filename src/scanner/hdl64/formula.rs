@@ -1,4 +1,4 @@
-//! The formula of one beam ([`Hdl64`](crate::scanner::Hdl64) has it in full).
+//! The formula of one beam; [`Hdl64`](crate::scanner::Hdl64) states it in full.
 
 use std::f64::consts::TAU;
 
@@ -13,13 +13,13 @@ pub(crate) struct Tick {
 }
 
 impl Tick {
-    /// At an angle in radians.
+    /// The tick at an angle in radians.
     pub fn at(radians: f64) -> Self {
         Tick { cos: libm::cos(radians), sin: libm::sin(radians) }
     }
 }
 
-/// One beam's constants as the formula uses them, in metres and radians.
+/// One beam's constants in the form in which the formula uses them, in metres and radians.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Formula {
     pub cos_v: f64,
@@ -35,7 +35,7 @@ pub(crate) struct Formula {
 }
 
 impl Formula {
-    /// Of constants as they stand in the stream.
+    /// Creates the formula from constants in the form of the stream.
     pub fn new(constants: &BeamConstants) -> Self {
         let [v, b, c, h, rot] = constants.values();
         let (cos_v, sin_v) = (libm::cos(v), libm::sin(v));
@@ -68,12 +68,12 @@ impl Formula {
         (rho - self.b) * self.cos_v + (z - self.c) * self.sin_v
     }
 
-    /// x, y and z, in metres, of `N` points at a time, which vector units compute side by side.
+    /// x, y and z, in metres, of `N` points, which vector units compute side by side.
     #[inline(always)]
     pub fn points<const N: usize>(&self, ticks: [Tick; N], metres: [f64; N]) -> [[f64; N]; 3] {
         let headings: [(f64, f64); N] = lanes(|i| self.heading(&ticks[i]));
         let rho: [f64; N] = lanes(|i| self.rho(metres[i]));
-        // Turned by atan(h / rho), whose cosine and sine are rho and h over their hypotenuse.
+        // Rotated by atan(h / rho), whose cosine and sine are rho and h over their hypotenuse.
         let along: [f64; N] = lanes(|i| rho[i] / (rho[i] * rho[i] + self.h * self.h).sqrt());
         [
             lanes(|i| along[i] * (headings[i].0 * rho[i] - headings[i].1 * self.h)),
@@ -82,7 +82,7 @@ impl Formula {
         ]
     }
 
-    /// phi: the azimuths, in radians from 0 to 2 pi, of `N` points at a time, given those of their ticks.
+    /// phi: the azimuths, in radians from 0 to 2 pi, of `N` points, given those of their ticks.
     #[inline(always)]
     pub fn azimuths<const N: usize>(&self, ticks: [f64; N], metres: [f64; N]) -> [f64; N] {
         let side: [f64; N] = lanes(|i| small_atan(self.h / self.rho(metres[i])));
@@ -94,9 +94,9 @@ impl Formula {
     }
 }
 
-/// atan for the small angles of the sideways offset: a fixed polynomial, the same on every
-/// platform. Off by less than 1e-9 rad below 0.05 rad; what is larger only spoils the order
-/// that the file is expected to have, never the result.
+/// atan for the small angles of the sideways offset: a fixed polynomial, the same on every platform. The
+/// error is less than 1e-9 rad below 0.05 rad; larger errors only affect the predicted order of the file,
+/// never the result.
 #[inline(always)]
 pub(crate) fn small_atan(tangent: f64) -> f64 {
     let square = tangent * tangent;

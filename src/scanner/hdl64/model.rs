@@ -1,4 +1,4 @@
-//! The calibrated sensor model: the formula of a Velodyne HDL-64E with constants for each beam.
+//! The calibrated scanner: the formula of a Velodyne HDL-64E with constants for each beam.
 //!
 //! For beam `k` with elevation V, range offset b, height c, sideways offset h and azimuth
 //! offset rot, a range of `n` steps and an azimuth of `t` ticks:
@@ -11,8 +11,8 @@
 //! x, y = rho * cos phi, rho * sin phi
 //! ```
 //!
-//! Encoder and decoder evaluate it with the same operations on the same quantised constants;
-//! the hot path holds only `+ - * / sqrt`, which every platform rounds alike.
+//! Encoder and decoder evaluate it with the same operations on the same quantised constants; the hot path
+//! uses only `+ - * / sqrt`, which every platform rounds alike.
 
 use std::f64::consts::TAU;
 
@@ -24,20 +24,20 @@ use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 use crate::scanner::Coordinates;
 
-/// Radians of one unit of a quantised angle.
+/// The unit of quantised angles, in radians.
 const ANGLE_UNIT: f64 = 1.0 / (1u64 << 32) as f64;
-/// Metres of one unit of a quantised length.
+/// The unit of quantised lengths, in metres.
 const LENGTH_UNIT: f64 = 1.0 / (1u64 << 24) as f64;
-/// Quantised constants are below this: 4 rad, or 1 km.
+/// The limit of quantised constants: 4 rad, or 1 km.
 const LARGEST_CONSTANT: u64 = 1 << 34;
 /// More beams than any scanner has.
 const MOST_BEAMS: u64 = 1024;
-/// The number that stands for float32 coordinates by single-precision arithmetic, beside those of the grids.
+/// The number of float32 coordinates computed in single precision; follows those of the grids.
 const SINGLE_PRECISION: u64 = 2;
 /// The finest azimuth grid allowed: 0.001 degree.
 pub const MOST_TICKS: u64 = 360_000;
 
-/// The constants of one beam, quantised as they stand in the stream.
+/// The constants of one beam, quantised as in the stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BeamConstants {
     /// V, in 2^-32 rad.
@@ -50,7 +50,7 @@ pub struct BeamConstants {
     pub side_offset: i64,
     /// rot, in 2^-32 rad.
     pub azimuth_offset: i64,
-    /// Ticks from this beam's azimuth to the column of its firing: column tick = t + shift.
+    /// Ticks between this beam's azimuth and the column of its firing: column tick = t + shift.
     pub column_shift: i64,
 }
 
@@ -103,7 +103,7 @@ pub struct Sighting {
     pub column_tick: u32,
     /// The range at which that beam passes nearest to it.
     pub metres: f64,
-    /// How far it is from that beam and tick, in radians.
+    /// Its distance from that beam and tick, in radians.
     pub off: f64,
 }
 
@@ -112,7 +112,7 @@ pub struct Sighting {
 pub struct Hdl64 {
     /// The grid of the file's coordinates.
     pub coordinates: Coordinates,
-    /// Azimuth ticks a turn (4000 for 0.09 degrees).
+    /// Azimuth ticks in a turn (4000 for 0.09 degrees).
     pub ticks: u32,
     /// One range step, in micrometres (2000 for 2 mm); [`FLOAT_RANGES`]: steps are the bits of ranges
     /// in metres as float32.
@@ -123,7 +123,7 @@ pub struct Hdl64 {
     pub(crate) ticks_of_turn: Vec<Tick>,
     /// The angle of each tick, in radians.
     angles: Vec<f64>,
-    /// The column shift of each beam, less whole turns: 0 to `ticks`, exclusive.
+    /// The column shift of each beam, without whole turns: 0 to `ticks`, exclusive.
     shifts: Vec<u32>,
     /// Refinements of each beam, if the file's coordinates come from single-precision arithmetic.
     refinements: Option<Vec<Refinement>>,
@@ -141,7 +141,7 @@ impl PartialEq for Hdl64 {
 }
 
 impl Hdl64 {
-    /// A model from quantised constants. `ticks` must not be 0.
+    /// A scanner with these quantised constants. `ticks` must not be 0.
     pub fn new(
         coordinates: Coordinates,
         ticks: u32,
@@ -168,8 +168,8 @@ impl Hdl64 {
         model
     }
 
-    /// The same scanner, whose file was written by single-precision arithmetic with constants that are sharper
-    /// by these, one for each beam.
+    /// The same scanner, with coordinates computed in single precision, and with refinements of the constants
+    /// for each beam.
     pub fn with_refinements(mut self, refinements: Vec<Refinement>) -> Self {
         let of_row = |(row, refinement)| self.single_precision(row).refined(refinement);
         self.single = refinements.iter().take(self.rows()).enumerate().map(of_row).collect();
@@ -177,13 +177,13 @@ impl Hdl64 {
         self
     }
 
-    /// The constants of beam `row` as single-precision arithmetic has them, but not refined.
+    /// The constants of beam `row` as used in single precision, without refinements.
     pub(crate) fn single_precision(&self, row: usize) -> Arithmetic {
         let Formula { sin_v, cos_v, b, c, h, rot, .. } = self.beams[row];
         Arithmetic::new([sin_v, cos_v, b, c, h, rot], self.ticks)
     }
 
-    /// The same scanner, its ranges rounded to other steps, in micrometres.
+    /// The same scanner, with ranges rounded to other steps, in micrometres.
     pub fn with_range_step(self, range_step_um: u32) -> Self {
         Hdl64 { range_step_um, ..self }
     }
@@ -203,7 +203,7 @@ impl Hdl64 {
         self.constants[row].height as f64 * LENGTH_UNIT
     }
 
-    /// The unit vector along which beam `row` looks at azimuth tick `tick`, as if all beams left one
+    /// The unit vector in which beam `row` looks at azimuth tick `tick`, as if all beams started at one
     /// point.
     #[inline]
     pub fn direction(&self, row: usize, tick: u32) -> [f64; 3] {
@@ -231,7 +231,7 @@ impl Hdl64 {
         if self.range_step_um == FLOAT_RANGES { FARTHEST.to_bits() } else { MOST_STEPS }
     }
 
-    /// The steps nearest to a positive range in metres, as far as the range image goes.
+    /// The steps nearest to a positive range in metres, within the limits of the range image.
     pub fn nearest_steps(&self, metres: f64) -> u32 {
         let metres = metres.min(f64::from(FARTHEST));
         match self.range_step_um {
@@ -240,7 +240,7 @@ impl Hdl64 {
         }
     }
 
-    /// The steps nearest to a range in metres, for the encoder. None if there are none.
+    /// The steps nearest to a range in metres, for the encoder. `None` if the range is impossible.
     pub fn steps(&self, metres: f64) -> Option<u32> {
         let steps = match self.range_step_um {
             FLOAT_RANGES => f64::from((metres as f32).to_bits()),
@@ -256,7 +256,7 @@ impl Hdl64 {
         self.within_turn(tick + i64::from(self.shifts[row]))
     }
 
-    /// The azimuth tick (0 to `ticks`, exclusive) of beam `row` at a column tick, which is one too.
+    /// The azimuth tick (0 to `ticks`, exclusive) of beam `row` at a column tick in the same range.
     #[inline]
     pub fn tick_of_column(&self, row: usize, column_tick: u32) -> u32 {
         self.ticks_of_columns(row)(column_tick)
@@ -284,14 +284,14 @@ impl Hdl64 {
         }
     }
 
-    /// The column tick from which on the azimuths of beam `row` rise from 0, but for what its points' ranges do to
-    /// them.
+    /// The first column tick at which the azimuth of beam `row` has passed 0, from where on it rises.
+    /// Sideways offsets, which depend on the range, may still put single points out of order.
     pub fn first_column_tick(&self, row: usize) -> u32 {
         let turned = self.beams[row].rot * (f64::from(self.ticks) / TAU);
         self.column_tick(row, (-turned).ceil() as i64)
     }
 
-    /// A tick brought into one turn: mostly it is at most one away.
+    /// A tick reduced to one turn; usually it is at most one turn away.
     #[inline]
     fn within_turn(&self, tick: i64) -> u32 {
         let turn = i64::from(self.ticks);
@@ -316,8 +316,8 @@ impl Hdl64 {
         }
     }
 
-    /// phi of the formula, in radians from 0 to 2 pi, of points of one row: the order of these in the file.
-    /// `place` tells the tick and the steps of each.
+    /// phi of the formula, in radians from 0 to 2 pi, for points of one row, which are in this order in the
+    /// file. `place` gives the tick and the steps of each.
     #[inline(always)]
     pub fn fill_azimuths<P>(
         &self,
@@ -326,7 +326,7 @@ impl Hdl64 {
         place: impl Fn(&P) -> (u32, u32),
         azimuths: &mut [f64],
     ) {
-        /// Points at a time.
+        /// Number of points computed at a time.
         const LANES: usize = 8;
         let (blocks, rest) = points.as_chunks::<LANES>();
         let (of_blocks, of_rest) = azimuths.as_chunks_mut::<LANES>();
@@ -349,8 +349,8 @@ impl Hdl64 {
         self.beams[row].azimuths(lanes(|i| self.angles[place(&points[i]).0 as usize]), metres)
     }
 
-    /// The formula inverted: the azimuth tick and range steps that come nearest to a point of beam
-    /// `row` (metres), for the encoder. None if the point has no such range.
+    /// The inverse of the formula, for the encoder: the azimuth tick and range steps nearest to a point of
+    /// beam `row` (metres). `None` if no range is possible.
     pub fn invert(&self, row: usize, [x, y, z]: [f64; 3]) -> Option<(u32, u32)> {
         let beam = &self.beams[row];
         let rho = (x * x + y * y).sqrt();
@@ -359,22 +359,22 @@ impl Hdl64 {
         azimuth.is_finite().then(|| (self.nearest_tick(row, azimuth, rho), steps))
     }
 
-    /// The tick of beam `row` that is nearest to an azimuth, in radians, at distance `rho` from the axis, in metres.
+    /// The tick of beam `row` nearest to an azimuth, in radians, at distance `rho` from the axis, in metres.
     pub(crate) fn nearest_tick(&self, row: usize, azimuth: f64, rho: f64) -> u32 {
         let beam = &self.beams[row];
         let turned = azimuth - small_atan(beam.h / rho) - beam.rot;
         self.within_turn(round_ties_even(turned * (f64::from(self.ticks) / TAU)) as i64)
     }
 
-    /// Where a point (metres) near beam `hint`'s cone is seen, for both sides; the same on every platform.
-    /// None if it is on no cone, or too near.
+    /// Where a point (metres) near the cone of beam `hint` is seen; the same on every platform, because both
+    /// sides use it. `None` if it is on no cone, or too near.
     pub fn locate(&self, hint: usize, [x, y, z]: [f64; 3]) -> Option<Sighting> {
-        /// Metres; nearer than this is inside the scanner.
+        /// In metres; anything nearer is inside the scanner.
         const NEAREST: f64 = 0.5;
         let rho = (x * x + y * y).sqrt();
         let miss = |row: usize| self.beams.get(row).map(|beam| (beam.height_at(rho) - z).abs());
         let (mut row, mut least) = (hint, miss(hint)?);
-        // The beams of real scanners are in the order of their elevations.
+        // The beams of real scanners are ordered by elevation.
         for step in [1, -1] {
             while let Some((next, off)) = row.checked_add_signed(step).and_then(|row| Some((row, miss(row)?)))
             {
@@ -404,9 +404,9 @@ impl Hdl64 {
         [x, y, z]
     }
 
-    /// Fills in positions of points of beam `row`, as well as the model gives them
-    /// ([`position_at`](Self::position_at)) and as `stored` makes a coordinate of the file of metres.
-    /// `place` tells the tick and the steps of each; they are `offset_m` metres farther than these say.
+    /// Fills in the positions of points of beam `row`, as accurately as the formula gives them
+    /// ([`position_at`](Self::position_at)) and in the form to which `stored` brings a coordinate in metres.
+    /// `place` gives the tick and the steps of each; the points are `offset_m` metres farther away than that.
     #[inline(always)]
     pub fn fill_positions<P>(
         &self,
@@ -416,7 +416,7 @@ impl Hdl64 {
         stored: impl Fn(f64) -> f32,
         positions: &mut [[f32; 3]],
     ) {
-        /// Points at a time.
+        /// Number of points computed at a time.
         const LANES: usize = 8;
         let (blocks, rest) = points.as_chunks::<LANES>();
         let (of_blocks, of_rest) = positions.as_chunks_mut::<LANES>();
@@ -440,8 +440,8 @@ impl Hdl64 {
         }
     }
 
-    /// The position in the file, as well as the model gives it, in metres; by single-precision arithmetic if the
-    /// file was written so, else by the formula. The range need not be a whole number of steps.
+    /// The position in the file, as accurately as the formula gives it, in metres; in single precision if the
+    /// file was written that way. The range need not be a whole number of steps.
     #[inline]
     pub fn position_at(&self, row: usize, tick: u32, metres: f64) -> [f64; 3] {
         match self.single.get(row) {
@@ -450,13 +450,13 @@ impl Hdl64 {
         }
     }
 
-    /// Whether the model has single-precision arithmetic.
+    /// Whether coordinates are computed in single precision.
     pub fn is_single_precision(&self) -> bool {
         self.refinements.is_some()
     }
 
-    /// The beam whose cone passes nearest to a point at distance `rho` and height `z` (metres),
-    /// looking at `hint` first.
+    /// The beam whose cone passes nearest to a point at distance `rho` and height `z` (metres); the search
+    /// starts at `hint`.
     pub fn nearest_beam(&self, rho: f64, z: f64, hint: usize) -> usize {
         let miss = |row: usize| (self.beams[row].height_at(rho) - z).abs();
         for row in [hint, hint + 1] {
@@ -524,24 +524,24 @@ impl Hdl64 {
         Ok(model.with_refinements(refinements))
     }
 
-    /// The column shifts, for the fit to fill in.
+    /// Sets the column shifts, which the fit finds last.
     pub(crate) fn set_column_shifts(&mut self, shifts: &[i64]) {
         self.constants.iter_mut().zip(shifts).for_each(|(beam, &shift)| beam.column_shift = shift);
         self.shifts = shifts.iter().map(|&shift| self.within_turn(shift)).collect();
     }
 }
 
-/// Metres; closer than half the distance of two beams' cones at any range.
+/// In metres: less than half the distance between the cones of two beams at any range.
 pub(crate) const ON_CONE: f64 = 0.004;
 
-/// The longest range that any range image holds, in steps.
+/// The longest range of any range image, in steps.
 pub const MOST_STEPS: u32 = (1 << 24) - 1;
 
-/// The value of [`Hdl64::range_step_um`] for ranges that are float32.
+/// The value of [`Hdl64::range_step_um`] that stands for float32 ranges.
 pub const FLOAT_RANGES: u32 = 0;
 
 /// The coarsest range step, in micrometres.
 pub const MOST_RANGE_STEP_UM: u64 = 1_000_000;
 
-/// Metres: the longest range of ranges that are float32.
+/// The longest float32 range, in metres.
 const FARTHEST: f32 = 1e6;

@@ -1,5 +1,5 @@
-//! The formula inverted for several points at a time, where they are expected. For the encoder, whose points
-//! nearly always follow one another by a tick.
+//! The inverse of the formula for several points at a time, near where they are expected. For the encoder,
+//! whose points nearly always follow one another by one tick.
 
 use std::f64::consts::TAU;
 
@@ -8,13 +8,13 @@ use crate::ground::lanes::lanes;
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::{FLOAT_RANGES, Hdl64};
 
-/// Ticks over which an angle is as good as its sine.
+/// Within this many ticks an angle can be replaced by its sine.
 const NEAR: f64 = 16.0;
 
 impl Hdl64 {
-    /// The ticks and the range steps of points (metres, as the file has them) of beam `row`, none of them far from
-    /// tick `hint`. None if that is not what they all are, if one is off the file's grid, or if the formula
-    /// misses one by `reach` metres or more along an axis.
+    /// The ticks and range steps of points (metres, as in the file) of beam `row`, none of them far from tick
+    /// `hint`. `None` if any of them is not such a point, is not on the file's grid, or is missed by the
+    /// formula by `reach` metres or more along an axis.
     #[inline(always)]
     pub fn invert_near<const N: usize>(
         &self,
@@ -41,7 +41,7 @@ impl Hdl64 {
                 & (steps[i] >= 1.0)
                 & (steps[i] <= most)
         };
-        // Loops, for calls would not be compiled for the same vector unit.
+        // Loops rather than calls, which would not be compiled for the same vector unit.
         let mut all_expected = true;
         for i in 0..N {
             all_expected &= is_expected(i);

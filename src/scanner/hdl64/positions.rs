@@ -1,17 +1,17 @@
-//! Where the returns of a range image are by the formula.
+//! The positions of the returns of a range image by the formula.
 
 use pulp::{Arch, NullaryFnOnce};
 
 use crate::scanner::Return;
 use crate::scanner::{Coordinates, Hdl64, nearest_millimetre};
 
-/// Positions of returns (metres), which come row by row and are `offset_m` metres farther than their steps say:
-/// as the file's grid has them if they are `on_grid`, else as the formula gives them.
+/// Positions of returns (metres), which are in order of rows and `offset_m` metres farther away than their
+/// steps: rounded to the file's grid if `on_grid`, otherwise as the formula gives them.
 pub fn positions(sensor: &Hdl64, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
     Arch::new().dispatch(Filling { sensor, returns, offset_m, on_grid })
 }
 
-/// What it takes to find positions.
+/// The arguments of [`positions`], for a function compiled for several vector units.
 struct Filling<'a> {
     sensor: &'a Hdl64,
     returns: &'a [Return],
@@ -25,14 +25,14 @@ impl NullaryFnOnce for Filling<'_> {
     #[inline(always)]
     fn call(self) -> Vec<[f32; 3]> {
         let Filling { sensor, returns, offset_m, on_grid } = self;
-        /// Metres: within the reach of `nearest_millimetre`, whatever the beams' offsets.
+        /// In metres: within the reach of `nearest_millimetre`, whatever the beams' offsets.
         const NEAR: f64 = 1.9e6;
         let grid = sensor.coordinates;
         let is_near = sensor.metres(sensor.most_steps()) < NEAR;
         match (on_grid, grid) {
             (true, Coordinates::Millimetre) if is_near => fill(sensor, returns, offset_m, nearest_millimetre),
             (true, Coordinates::Float32) => {
-                // As `nearest` has it, without counting floats.
+                // The same result as `nearest`, without converting to units and back.
                 fill(sensor, returns, offset_m, |formula| if formula.is_nan() { 0.0 } else { formula as f32 })
             }
             (true, _) => fill(sensor, returns, offset_m, |formula| grid.nearest(formula)),

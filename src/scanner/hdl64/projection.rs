@@ -1,4 +1,4 @@
-//! Where the points of a scan lie in a range image.
+//! Projecting the points of a scan into a range image.
 
 use pulp::{Arch, NullaryFnOnce};
 
@@ -8,12 +8,12 @@ use crate::scan::{PointCloud, squared_distance};
 use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
 
-/// Where each point of a scan went.
+/// The place of each point of a scan.
 #[derive(Debug, Default)]
 pub struct Projection {
     /// The range image.
     pub image: RangeImage,
-    /// For each cell, the number of the point in it; only cells with a return count.
+    /// For each cell, the number of the point in it; meaningful only for cells with a return.
     pub point_of_cell: Grid<u32>,
     /// The points outside the image, rising.
     pub strays: Vec<u32>,
@@ -35,19 +35,19 @@ impl Projection {
     }
 }
 
-/// The longest range of an image that loses nothing, in steps: further points are strays.
+/// The longest range in a lossless image, in steps: farther points are strays.
 const LONGEST: u32 = (1 << EXACT_RANGE_BITS) - 1;
-/// Ranges of such an image are below 2 to this power.
+/// Ranges in such an image are below 2 to this power.
 pub const EXACT_RANGE_BITS: u32 = 16;
 
-/// A column that holds fewer points costs more than they do as strays, if there are so many beams.
+/// With many beams, a column that holds fewer points costs more than they do as strays.
 const FEWEST_IN_COLUMN: u32 = 3;
-/// Metres by which the formula may miss a point of a range image that loses nothing, besides half a range
-/// step.
+/// The largest error of the formula, in metres along an axis and besides half a range step, for a point of a
+/// lossless image.
 pub const REACH: f64 = 0.003;
 
-/// Projects a scan into a range image (article, IV-A, with the calibrated sensor for the ideal
-/// one, so that nothing is lost). Points that the formula misses by more than `reach` metres along an axis,
+/// Projects a scan into a range image (article, IV-A, with the calibrated scanner in place of the ideal one,
+/// so that nothing is lost). Points that the formula misses by more than `reach` metres along an axis,
 /// besides half a range step, are strays.
 pub fn project(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Projection {
     let places = places(sensor, cloud, reach + 0.5 * sensor.range_step_m());
@@ -80,9 +80,9 @@ pub fn project(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Projection {
     projection
 }
 
-/// Projects a scan into the image of the ideal sensor (article, IV-A, equation 2): every point goes to
-/// the nearest beam and column, and of two in one cell the nearer stays. Strays are the points that
-/// found no place.
+/// Projects a scan into the image of the ideal sensor (article, IV-A, equation 2): every point goes to the
+/// nearest beam and column, and of two in one cell the nearer one stays. Strays are the points that are in no
+/// cell.
 pub fn project_nearest(sensor: &Hdl64, cloud: &PointCloud) -> Projection {
     let columns = (0..sensor.ticks).collect();
     let mut projection = Projection {
@@ -119,7 +119,7 @@ pub fn project_nearest(sensor: &Hdl64, cloud: &PointCloud) -> Projection {
 struct Place {
     row: u32,
     column_tick: u32,
-    /// 0: nowhere, for the formula does not explain it.
+    /// 0: nowhere, because the formula does not explain it.
     steps: u32,
 }
 
@@ -129,7 +129,7 @@ fn places(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Vec<Place> {
     Arch::new().dispatch(Searching { search, positions: &cloud.positions })
 }
 
-/// What it takes to find places.
+/// The arguments of [`places`], for a function compiled for several vector units.
 struct Searching<'a> {
     search: Search<'a>,
     positions: &'a [[f32; 3]],
@@ -140,7 +140,7 @@ impl NullaryFnOnce for Searching<'_> {
 
     #[inline(always)]
     fn call(self) -> Vec<Place> {
-        /// Points at a time.
+        /// Number of points at a time.
         const BLOCK: usize = 8;
         let Searching { mut search, positions } = self;
         let mut places = Vec::with_capacity(positions.len());
@@ -156,18 +156,18 @@ impl NullaryFnOnce for Searching<'_> {
     }
 }
 
-/// Finds places of points that come row by row, tick after tick.
+/// Finds the places of points that are in order of rows and ticks.
 struct Search<'a> {
     sensor: &'a Hdl64,
-    /// Metres.
+    /// In metres.
     reach: f64,
-    /// Where the last one was found.
+    /// The place of the last point.
     row: usize,
     tick: u32,
 }
 
 impl Search<'_> {
-    /// The places of the next points, if all of them are near the last one's.
+    /// The places of the next points, if all of them are near that of the last one.
     #[inline(always)]
     fn next<const N: usize>(&mut self, points: &[[f32; 3]; N]) -> Option<[Place; N]> {
         let found = self.sensor.invert_near(self.row, points, self.tick, self.reach)?;
@@ -179,7 +179,7 @@ impl Search<'_> {
         Some(lanes(|i| Place { row, column_tick: column_tick(found[i].0), steps: found[i].1 }))
     }
 
-    /// The place of the next point, wherever it is.
+    /// The place of the next point, wherever that is.
     fn next_one(&mut self, position: &[f32; 3]) -> Place {
         if let Some([place]) = self.next(&[*position]) {
             return place;

@@ -1,9 +1,10 @@
 //! Finds the constants of single-precision arithmetic to their last bits, by the share of points that they
 //! give exactly.
 //!
-//! Nothing else can: least squares sees roundings as noise, but each point that comes out to the bit says that all
-//! that went into it is right to the bit. z depends on the range alone, so it gives elevation, range offset and
-//! height; x and y then give the very azimuths, and those what is added to a tick's angle, and where it counts from.
+//! Nothing else can: least squares treats rounding as noise, but each point that comes out exactly proves
+//! that everything that went into it is exact. z depends on the range alone, so it determines elevation,
+//! range offset and height; x and y then determine the exact azimuths, and these the angle that is added to a
+//! tick's, and the tick from which the program counts.
 
 use std::cmp::Reverse;
 use std::ops::Range;
@@ -12,27 +13,27 @@ use super::beams::{Point, thinned};
 use super::single_precision::{Arithmetic, Refinement};
 use crate::scanner::Hdl64;
 
-/// Points of a beam that are looked at.
+/// Number of points of a beam that are used.
 const SAMPLE: usize = 1500;
-/// Fewer tell nothing.
+/// Fewer points are no evidence.
 const FEWEST_POINTS: usize = 100;
-/// Degrees: azimuths whose float32 values are fine enough to tell the constants.
+/// Azimuths, in degrees, whose float32 values are fine enough to determine the constants.
 const SHARP: Range<f64> = 2.0..64.0;
-/// Those that tell most.
+/// Azimuths, in degrees, that tell most.
 const FINEST: Range<f64> = 2.0..32.0;
-/// Arithmetic that gives fewer than this share of the points is not the file's.
+/// Arithmetic that gives a smaller share of the points exactly is not the file's.
 const LEAST_SHARE: f64 = 0.5;
 
-/// A point of a beam, and the integers that it was made from.
+/// A point of a beam, and the integers from which it was computed.
 struct Site {
     tick: u32,
-    /// The range before anything is added.
+    /// The range before any offset is added.
     metres: f64,
     position: [f32; 3],
 }
 
-/// What to add to the constants of beam `row` so that single-precision arithmetic gives its points to the bit.
-/// None if it does not.
+/// The refinements of the constants of beam `row` with which single-precision arithmetic gives its points
+/// exactly. `None` if it does not.
 pub(crate) fn sharpen(model: &Hdl64, row: usize, points: &[Point]) -> Option<Refinement> {
     let sites: Vec<Site> = thinned(points, SAMPLE).filter_map(|point| site(model, row, point)).collect();
     if sites.len() < FEWEST_POINTS {
@@ -48,9 +49,9 @@ pub(crate) fn sharpen(model: &Hdl64, row: usize, points: &[Point]) -> Option<Ref
     Some(Refinement::between(&rough, &beam))
 }
 
-/// The site of a point that the f64 formula gives but for roundings.
+/// The site of a point that the f64 formula gives up to rounding.
 fn site(model: &Hdl64, row: usize, point: &Point) -> Option<Site> {
-    /// Metres along x and y, and along z, which are as much as roundings do.
+    /// The largest effects of rounding, in metres along x, y and z.
     const NEAR: [f64; 3] = [1e-4, 1e-4, 2e-6];
     let (tick, steps) = model.invert(row, point.position)?;
     let formula = model.point(row, tick, steps);
@@ -59,7 +60,7 @@ fn site(model: &Hdl64, row: usize, point: &Point) -> Option<Site> {
     near.then(|| Site { tick, metres: model.metres(steps), position })
 }
 
-/// The middle of the places on a grid of `step` around `centre` that score best, `reach` steps each way.
+/// The centre of the best-scoring places on a grid of `step` around `centre`, `reach` steps to each side.
 fn best_around(centre: f64, step: f64, reach: i32, mut score: impl FnMut(f64) -> usize) -> (usize, f64) {
     let (mut best, mut first, mut last) = (0, 0, 0);
     for place in -reach..=reach {
@@ -73,7 +74,7 @@ fn best_around(centre: f64, step: f64, reach: i32, mut score: impl FnMut(f64) ->
     (best, centre + f64::from(first + last) / 2.0 * step)
 }
 
-/// Sets elevation, range offset and height so that z is right.
+/// Sets elevation, range offset and height so that z is exact.
 fn fit_height(beam: &mut Arithmetic, sites: &[Site]) -> Option<()> {
     let sine = slope(sites) as f32;
     let cosine = (1.0 - f64::from(sine) * f64::from(sine)).sqrt() as f32;
@@ -97,23 +98,23 @@ fn fit_height(beam: &mut Arithmetic, sites: &[Site]) -> Option<()> {
     (reached as f64 >= LEAST_SHARE * sites.len() as f64).then_some(())
 }
 
-/// The float32 value so many after this one, away from zero.
+/// The float32 value `ulps` places after this one, away from zero.
 fn moved(value: f32, ulps: i8) -> f32 {
     f32::from_bits(value.to_bits().wrapping_add_signed(i32::from(ulps)))
 }
 
-/// Slope of z over the range.
+/// The slope of z against the range.
 fn slope(sites: &[Site]) -> f64 {
     let mut line = Line::default();
     sites.iter().for_each(|site| line.add(site.metres, f64::from(site.position[2]), 1.0));
     line.slope_and_offset().0
 }
 
-/// What x and y say, on the average, that is added to a range.
+/// The average offset that x and y imply for the range.
 fn range_offset(sites: &[Site]) -> f64 {
     let mut line = Line::default();
     for Site { metres, position: [x, y, _], .. } in sites {
-        // Roundings grow with the distance.
+        // Rounding errors grow with the distance.
         line.add(*metres, f64::from(*x).hypot(f64::from(*y)), 1.0 / (metres * metres));
     }
     let (cosine, offset) = line.slope_and_offset();
@@ -126,20 +127,20 @@ fn half_ulp(value: f32) -> f64 {
     0.5 * (f64::from(next) - f64::from(value.abs()))
 }
 
-/// What remains for the height at a point, and by how much it may miss that.
+/// The height that remains for a point, and its tolerance.
 fn remaining_height(beam: &Arithmetic, site: &Site) -> (f64, f64) {
     let z = site.position[2];
     (f64::from(z) - f64::from(beam.distance(site.metres) * beam.sine), half_ulp(z))
 }
 
-/// How many z are right at the height that suits most of them, on a grid of heights.
+/// How many z are exact at the height that suits most of them, on a grid of heights.
 fn right_heights(beam: &Arithmetic, sites: &[Site]) -> usize {
-    /// Metres.
+    /// In metres.
     const STEP: f64 = 2.5e-10;
-    /// Heights on each side of the mean.
+    /// Number of heights on each side of the mean.
     const REACH: f64 = 800.0;
     let mean = sites.iter().map(|site| remaining_height(beam, site).0).sum::<f64>() / sites.len() as f64;
-    // What begins to be right at a height, less what ceases to be.
+    // Number of points that become exact at a height, minus those that cease to be.
     let mut changes = [0i32; 2 * REACH as usize + 2];
     for site in sites {
         let (height, tolerance) = remaining_height(beam, site);
@@ -155,7 +156,7 @@ fn right_heights(beam: &Arithmetic, sites: &[Site]) -> usize {
     right_at.max().unwrap_or(0).unsigned_abs() as usize
 }
 
-/// The height with which most z are right, and how many.
+/// The height at which most z are exact, and their number.
 fn height(beam: &Arithmetic, sites: &[Site]) -> (usize, f64) {
     let ends = |site: &Site| {
         let (height, tolerance) = remaining_height(beam, site);
@@ -174,7 +175,7 @@ fn height(beam: &Arithmetic, sites: &[Site]) -> (usize, f64) {
     (most.unsigned_abs() as usize, middle)
 }
 
-/// What x and y say of the azimuth of a point: the float32 values that give them.
+/// What x and y tell of the azimuth of a point: the float32 azimuths that give them.
 #[derive(Clone, Copy)]
 struct Azimuth {
     tick: u32,
@@ -185,7 +186,7 @@ struct Azimuth {
 }
 
 impl Azimuth {
-    /// None if no azimuth does.
+    /// `None` if no azimuth does.
     fn new(beam: &Arithmetic, site: &Site) -> Option<Self> {
         const REACH: i8 = 3;
         let [x, y, _] = site.position;
@@ -202,13 +203,14 @@ impl Azimuth {
         (0.5 * (f64::from(self.lowest) + f64::from(self.highest))).to_degrees()
     }
 
-    /// By how much the beam, turned so many degrees before its sideways offset turns it, misses it, in degrees.
+    /// The error of the beam's azimuth, in degrees, if the beam is rotated by `turned` degrees before its
+    /// sideways offset is applied.
     fn miss(&self, beam: &Arithmetic, turned: f64) -> f64 {
         let miss = self.degrees() - (turned + beam.aside(self.distance));
         miss - (miss / 360.0).round() * 360.0
     }
 
-    /// Degrees by which a metre of sideways offset turns the beam.
+    /// Degrees by which a metre of sideways offset rotates the beam.
     fn slope(&self, beam: &Arithmetic) -> f64 {
         beam.aside(self.distance) / beam.side_offset
     }
@@ -219,10 +221,10 @@ impl Azimuth {
     }
 }
 
-/// Sets the cosine, the sideways offset, what is added to a tick's angle and where it counts from. `sharp` are sites
-/// at [`SHARP`] azimuths.
+/// Sets the cosine, the sideways offset, the angle added to that of a tick, and the tick that counts as 0.
+/// `sharp` are the sites with [`SHARP`] azimuths.
 fn fit_azimuth(beam: &mut Arithmetic, sites: &[Site], sharp: &[Site]) -> Option<()> {
-    /// So many right azimuths only right constants give.
+    /// Only the right constants give such a share of exact azimuths.
     const ENOUGH: f64 = 0.99;
     const ROUNDS: usize = 2;
     const SOME: usize = 600;
@@ -258,11 +260,11 @@ fn fit_azimuth(beam: &mut Arithmetic, sites: &[Site], sharp: &[Site]) -> Option<
     Some(())
 }
 
-/// Least squares for the sideways offset, before it is known how ticks are counted. Within an octave of the azimuth
-/// all roundings may be off to one side, so each has a mean of its own.
+/// Least squares for the sideways offset, before it is known how ticks are counted. Within an octave of the
+/// azimuth all rounding errors may be to one side, so each octave has a mean of its own.
 fn align_sideways(beam: &mut Arithmetic, azimuths: &[Azimuth]) {
     const OCTAVES: usize = 9;
-    /// Degrees. Where the azimuth goes round, roundings are those of 360 degrees, though it be small.
+    /// In degrees. Azimuths that wrap around are rounded like 360 degrees, although they are small.
     const SEAM: f64 = 16.0;
     let mut octaves = [Line::default(); OCTAVES];
     for azimuth in azimuths.iter().filter(|azimuth| azimuth.degrees() > SEAM) {
@@ -281,12 +283,12 @@ fn align_sideways(beam: &mut Arithmetic, azimuths: &[Azimuth]) {
     }
 }
 
-/// How much an azimuth (in degrees, above 0) tells: its roundings grow with the octave.
+/// The weight of an azimuth (in degrees, above 0): its rounding error grows with the octave.
 fn weight(degrees: f64) -> f64 {
     (degrees.max(SHARP.start)).powi(-2)
 }
 
-/// Sums for a line by least squares.
+/// Sums for fitting a line by least squares.
 #[derive(Clone, Copy, Default)]
 struct Line {
     weight: f64,
@@ -318,12 +320,12 @@ impl Line {
     }
 }
 
-/// Scans the sideways offset and what is added to a tick's angle for what gives most azimuths, in steps of so many
-/// metres and degrees; how many that is.
+/// Searches for the sideways offset and the added angle that give most azimuths exactly, in the given steps
+/// in metres and degrees; returns their number.
 fn turn(beam: &mut Arithmetic, azimuths: &[Azimuth], [length, angle]: [f64; 2], reach: i32) -> usize {
-    // Calibrations are written in decimals.
+    // Calibration files give decimals.
     let on_grid = |value: f64, step: f64| (value / step).round() * step;
-    // An offset turns all azimuths, and what is added takes that back.
+    // A sideways offset rotates all azimuths, which the added angle compensates.
     let mut mean = Line::default();
     azimuths.iter().for_each(|azimuth| mean.add(azimuth.slope(beam), 0.0, 1.0));
     let slope = mean.x / mean.weight;
@@ -346,15 +348,15 @@ fn turn(beam: &mut Arithmetic, azimuths: &[Azimuth], [length, angle]: [f64; 2], 
     right
 }
 
-/// How many azimuths come out right, where the beam is turned aside by so much.
+/// How many azimuths are exact if the beam is rotated sideways by these angles.
 fn count_given(beam: &Arithmetic, azimuths: &[Azimuth], sides: &[f64]) -> usize {
     azimuths.iter().zip(sides).filter(|(azimuth, side)| azimuth.is_given(beam, **side)).count()
 }
 
-/// The ticks that may be counted as 0, with what is then added to the others' angles: those that suit best how
-/// angles are rounded, the best first.
+/// The ticks that may count as 0, each with the angle that is then added to the others: those that agree best
+/// with how angles are rounded, the best first.
 fn count_from(beam: &Arithmetic, azimuths: &[Azimuth]) -> Vec<Arithmetic> {
-    /// Azimuths for a first look, and ticks for a closer one.
+    /// Number of azimuths for a first look, and number of ticks for a closer one.
     const SOME: usize = 300;
     const LIKELY: usize = 40;
     const CANDIDATES: usize = 4;
@@ -377,7 +379,7 @@ fn count_from(beam: &Arithmetic, azimuths: &[Azimuth]) -> Vec<Arithmetic> {
     let some: Vec<Azimuth> = thinned(azimuths, SOME).copied().collect();
     let (some_sides, sides) = (sides(&some), sides(azimuths));
     let roughly = |tick: i64| (count_given(&counting_from(tick), &some, &some_sides), tick);
-    // No scanner's beams look farther from the middle than this.
+    // The beams of no scanner look farther sideways than this.
     let widest = i64::from(beam.ticks / 10);
     let mut ticks: Vec<(usize, i64)> = (-widest..=widest).map(roughly).collect();
     ticks.sort_unstable_by_key(|&(right, tick)| (Reverse(right), tick.abs()));

@@ -1,15 +1,15 @@
-//! Sine and cosine computed in single precision, by the operations of the C library of the time (fdlibm).
+//! Sine and cosine in single precision, computed by the operations of the C library of the time (fdlibm).
 //!
-//! Their last bit is wrong for 6 to 10 % of the angles, and files hold that last bit: so it is computed as it was
-//! then. Correctly rounded values give x and y of nine points in ten, these of all.
+//! Their last bit is wrong for 6 to 10 % of the angles, and files contain that last bit, so they are computed
+//! in the same way here. Correctly rounded values give x and y of nine points in ten exactly, these give all.
 
 /// 2 / pi.
 const TWO_OVER_PI: f32 = f32::from_bits(0x3f22_f984);
 /// The first 17 bits of pi / 2, whose products with small integers are exact.
 const HALF_PI_HEAD: f32 = f32::from_bits(0x3fc9_0f80);
-/// pi / 2 less its head.
+/// pi / 2 minus its head.
 const HALF_PI_TAIL: f32 = f32::from_bits(0x3735_4443);
-/// The first bits of that tail, and what they leave.
+/// The first bits of that tail, and the rest of it.
 const HALF_PI_TAIL_HEAD: f32 = f32::from_bits(0x3735_4400);
 const HALF_PI_TAIL_TAIL: f32 = f32::from_bits(0x2e85_a308);
 /// Angles up to this (pi / 4) are not reduced.
@@ -35,9 +35,11 @@ const COSINE: [f32; 6] = [
     f32::from_bits(0xad47_d74e),
 ];
 
-/// Sine and cosine of an angle from 0 to 2 pi, in radians. For other angles: some numbers, the same everywhere.
+/// Sine and cosine of an angle from 0 to 2 pi, in radians. For other angles the results are meaningless, but
+/// the same everywhere.
 ///
-/// Every case is computed, and then one is chosen: so vector units can do several angles at a time.
+/// Every case is computed, and then one is selected, so that vector units can handle several angles at a
+/// time.
 #[inline(always)]
 pub fn sine_and_cosine(angle: f32) -> (f32, f32) {
     let is_small = angle <= QUARTER_PI;
@@ -53,10 +55,10 @@ pub fn sine_and_cosine(angle: f32) -> (f32, f32) {
     (first, second)
 }
 
-/// The nearest number of quarter turns, and what is left of the angle as a sum of two.
+/// The nearest number of quarter turns, and the remainder of the angle as a sum of two values.
 #[inline(always)]
 fn reduce(angle: f32) -> (i32, f32, f32) {
-    /// From so many leading bits lost on, the second part of pi / 2 is taken into account.
+    /// If this many leading bits are lost, the second part of pi / 2 is taken into account.
     const MOST_BITS_LOST: i32 = 8;
     let exponent = |v: f32| (v.to_bits() >> 23 & 0xff) as i32;
     let quarter_turns = (angle * TWO_OVER_PI + 0.5) as i32;
@@ -72,7 +74,7 @@ fn reduce(angle: f32) -> (i32, f32, f32) {
     (quarter_turns, rest, (head - rest) - tail)
 }
 
-/// Sine of x if the angle was that small, else of x + error, for |x| up to pi / 4.
+/// Sine of x if the original angle was that small, otherwise of x + error, for |x| up to pi / 4.
 #[inline(always)]
 fn sine_near_zero(x: f32, error: f32, is_small: bool) -> f32 {
     let [first, second, .., last] = SINE;
@@ -94,7 +96,7 @@ fn cosine_near_zero(x: f32, error: f32) -> f32 {
     let bits = x.abs().to_bits();
     let correction = z * r - x * error;
     let of_small = 1.0 - (0.5 * z - correction);
-    // About x / 4: what is taken from 1 without an error.
+    // About x / 4, chosen so that it can be subtracted from 1 without an error.
     let part = if bits > LARGE { 0.281_25 } else { f32::from_bits(bits.wrapping_sub(0x0100_0000)) };
     let half_square = 0.5 * z - part;
     let of_large = (1.0 - part) - (half_square - correction);

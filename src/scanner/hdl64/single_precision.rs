@@ -1,7 +1,8 @@
-//! The formula as the program computed it that wrote the file: partly in single precision, operation by operation.
+//! The formula as it was computed by the program that wrote the file: partly in single precision, operation
+//! by operation.
 //!
-//! Files whose coordinates were not rounded hold the last bit of every one of those operations. The constants
-//! are those of the f64 formula, only sharper; so a stream holds what has to be added to those.
+//! Unrounded coordinates contain the last bit of every one of those operations. The constants are those of
+//! the f64 formula, only more accurate, so the stream holds the differences to them.
 
 use std::f64::consts::PI;
 use std::ops::{Add, Sub};
@@ -13,34 +14,34 @@ use crate::ground::lanes::lanes;
 use crate::ground::varint::{read_signed, write_signed};
 use crate::scanner::coordinates::{from_ordered, ordered};
 
-/// Metres or degrees of one unit of a refinement.
+/// The unit of a refinement, in metres or degrees.
 const UNIT: f64 = 1.0 / (1u64 << 40) as f64;
-/// Refinements are below this: 1/16 m or degree, or more float32 values than there are.
+/// The limit of refinements: 1/16 m or degree, or more float32 values than there are.
 const LARGEST: u64 = 1 << 36;
 /// Degrees of one radian.
 const DEGREES: f64 = 180.0 / PI;
 
-/// What is added to the constants of one beam, quantised as it stands in the stream.
+/// The refinements of one beam's constants, quantised as in the stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Refinement {
-    /// To the sine of the elevation, in float32 values.
+    /// Added to the sine of the elevation, in float32 values.
     pub sine: i64,
-    /// To the cosine of the elevation, in float32 values.
+    /// Added to the cosine of the elevation, in float32 values.
     pub cosine: i64,
-    /// To the range offset, in 2^-40 m.
+    /// Added to the range offset, in 2^-40 m.
     pub range_offset: i64,
-    /// To the height, in 2^-40 m.
+    /// Added to the height, in 2^-40 m.
     pub height: i64,
-    /// To the sideways offset, in 2^-40 m.
+    /// Added to the sideways offset, in 2^-40 m.
     pub side_offset: i64,
-    /// To the azimuth offset, in 2^-40 degrees.
+    /// Added to the azimuth offset, in 2^-40 degrees.
     pub azimuth_offset: i64,
-    /// The tick that the program counts as 0: what it adds to a tick's angle is more by this one's.
+    /// The tick that the program counts as 0; its angle is added to the azimuth offset.
     pub first_tick: i64,
 }
 
 impl Refinement {
-    /// What has to be added to one beam's constants to get others, given as by [`Arithmetic`].
+    /// The differences between one beam's constants and more accurate ones, both as in [`Arithmetic`].
     pub(crate) fn between(rough: &Arithmetic, sharp: &Arithmetic) -> Self {
         let units = |rough: f64, sharp: f64| ((sharp - rough) / UNIT).round() as i64;
         let turned = sharp.first_tick as f64 * sharp.tick_degrees;
@@ -67,7 +68,7 @@ impl Refinement {
         ]
     }
 
-    /// Writes the refinement's part of the stream.
+    /// Appends the refinement in the form of the stream.
     pub(crate) fn write_to(mut self, out: &mut Vec<u8>) {
         self.fields().into_iter().for_each(|field| write_signed(out, *field));
     }
@@ -88,7 +89,7 @@ impl Refinement {
     }
 }
 
-/// The constants of one beam as this arithmetic uses them.
+/// The constants of one beam in the form in which this arithmetic uses them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Arithmetic {
     /// Sine and cosine of the elevation.
@@ -96,7 +97,7 @@ pub(crate) struct Arithmetic {
     pub cosine: f32,
     /// Added to a range along the beam, in metres.
     pub range_offset: f64,
-    /// Where the beam starts, in metres.
+    /// Height of the beam's origin, in metres.
     pub height: f64,
     /// In metres.
     pub side_offset: f64,
@@ -104,14 +105,15 @@ pub(crate) struct Arithmetic {
     pub azimuth_offset: f64,
     /// The tick whose angle is 0.
     pub first_tick: i64,
-    /// Ticks a turn.
+    /// Ticks in a turn.
     pub ticks: u32,
     /// Degrees of a tick.
     pub tick_degrees: f64,
 }
 
 impl Arithmetic {
-    /// From the constants (V, b, c, h, rot) of the f64 formula, in radians and metres; `ticks` a turn.
+    /// Creates them from the constants (V, b, c, h, rot) of the f64 formula, in radians and metres, with
+    /// `ticks` in a turn.
     pub fn new([sin_v, cos_v, b, c, h, rot]: [f64; 6], ticks: u32) -> Self {
         let range_offset = b / cos_v;
         Arithmetic {
@@ -127,7 +129,7 @@ impl Arithmetic {
         }
     }
 
-    /// The sharper constants.
+    /// The refined constants.
     pub fn refined(self, by: &Refinement) -> Self {
         let turned = by.first_tick as f64 * self.tick_degrees;
         Arithmetic {
@@ -154,13 +156,13 @@ impl Arithmetic {
         (f64::from(distance * self.sine) + self.height) as f32
     }
 
-    /// By how much the sideways offset turns the beam, in degrees.
+    /// The angle by which the sideways offset rotates the beam, in degrees.
     #[inline(always)]
     pub fn aside(&self, distance: f32) -> f64 {
         small_atan(self.side_offset / (f64::from(distance) * f64::from(self.cosine))) * DEGREES
     }
 
-    /// The angle of a tick, with what is added to it, in degrees.
+    /// The angle of a tick plus the azimuth offset, in degrees.
     #[inline(always)]
     pub fn turned(&self, tick: u32) -> f32 {
         let counted = within(i64::from(tick) - self.first_tick, i64::from(self.ticks));
@@ -168,7 +170,7 @@ impl Arithmetic {
         (f64::from(angle) + self.azimuth_offset) as f32
     }
 
-    /// Azimuth at a tick of a beam that is turned `aside` degrees, in radians.
+    /// The azimuth at a tick of a beam that is rotated sideways by `aside` degrees, in radians.
     #[inline(always)]
     pub fn azimuth(&self, tick: u32, aside: f64) -> f32 {
         let degrees = within((f64::from(self.turned(tick)) + aside) as f32, 360.0);
@@ -189,7 +191,7 @@ impl Arithmetic {
         [x, y, z]
     }
 
-    /// As [`position`](Self::position), for `N` points at a time.
+    /// As [`position`](Self::position), for `N` points.
     #[inline(always)]
     pub fn positions<const N: usize>(&self, ticks: [u32; N], metres: [f64; N]) -> [[f32; N]; 3] {
         let distance: [f32; N] = lanes(|i| self.distance(metres[i]));
@@ -200,7 +202,7 @@ impl Arithmetic {
     }
 }
 
-/// A value less than one turn outside 0 to `turn`, brought back there; others come nearer.
+/// A value that is less than one turn outside 0 to `turn`, brought back there; other values come nearer.
 #[inline(always)]
 fn within<T: Copy + Default + PartialOrd + Add<Output = T> + Sub<Output = T>>(value: T, turn: T) -> T {
     if value < T::default() {

@@ -1,10 +1,11 @@
-//! A scanner and an image for the tests of what is compiled for several vector units.
+//! A scanner and an image for tests of functions that are compiled for several vector units.
 
 use crate::ground::random::Rng;
 use crate::scanner::RangeImage;
 use crate::scanner::{BeamConstants, Coordinates, Hdl64};
 
-/// Some beams of an HDL-64E, which look past the axis on both sides, and what they may see: near, far and nothing.
+/// Some beams of an HDL-64E that pass the axis on both sides, and an image with near and far returns and
+/// none.
 pub fn scanner() -> (Hdl64, RangeImage) {
     let constants = |beam: usize| {
         let beam = beam as f64;

@@ -1,9 +1,8 @@
-//! What the cones of the beams tell of the motion: all but the rotation about their axis, which leaves every
-//! point on its cone.
+//! What the cones of the beams tell about the motion: everything except the rotation about their axis, which
+//! leaves every point on its cone.
 //!
-//! Weighted least squares, repeated: the height of each point above its beam's cone is explained by the
-//! cone's own two constants and by the motion that all points share. The constants are eliminated beam by
-//! beam.
+//! Iterated weighted least squares: the height of each point above its beam's cone is explained by the cone's
+//! own two constants and by the motion, which all points share. The constants are eliminated beam by beam.
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
@@ -12,14 +11,15 @@ use crate::scanner::{BeamPoint, thinned};
 
 /// The unknowns: translation, then rotation about x and y.
 const UNKNOWNS: usize = 5;
-/// Points that are enough.
+/// Number of points that are enough.
 const SAMPLE: usize = 5000;
 const ROUNDS: usize = 10;
-/// Fewer do not tell all of a motion, and are no rows: the points are in some other order.
+/// With fewer beams not all of a motion is determined, and they are not beams: the points are in some other
+/// order.
 const FEWEST_BEAMS: usize = 3;
-/// Share of the points that must come to lie on the cones.
+/// The share of the points that must lie on the cones in the end.
 const LEAST_SHARE: f64 = 0.7;
-/// Metres from the cone of a point that lies on it: a few times what millimetres leave.
+/// In metres: points closer to a cone than this lie on it. A few times the effect of rounding to millimetres.
 const ON_CONE: f64 = 0.002;
 
 /// z = height + slope * rho.
@@ -29,8 +29,8 @@ struct Cone {
     slope: f64,
 }
 
-/// The motion that brings the points of each beam onto a cone, with the rotation about z that `motion` has. None
-/// if no motion does.
+/// The motion that brings the points of each beam onto a cone, with the rotation about z taken from `motion`.
+/// `None` if no motion does.
 pub fn improved(mut motion: Motion, beams: &[Vec<BeamPoint>]) -> Option<Motion> {
     let total: usize = beams.iter().map(Vec::len).sum();
     if beams.len() < FEWEST_BEAMS || total == 0 {
@@ -41,7 +41,7 @@ pub fn improved(mut motion: Motion, beams: &[Vec<BeamPoint>]) -> Option<Motion> 
         beams.iter().map(|beam| thinned(beam, share(beam)).map(|point| point.position).collect()).collect();
     let mut cones = vec![Cone::default(); samples.len()];
     for round in 0..ROUNDS {
-        // The first round has no cones to judge by, and the next ones rough ones.
+        // In the first round there are no cones to compare with, in the next ones only rough ones.
         let reach = match round {
             0 => f64::INFINITY,
             1..4 => 0.3,
@@ -58,16 +58,17 @@ pub fn improved(mut motion: Motion, beams: &[Vec<BeamPoint>]) -> Option<Motion> 
     None
 }
 
-/// One round: improves the cones; gives the step of the motion, and how many points are on their cones.
+/// One round: improves the cones, and returns the change of the motion and the number of points on their
+/// cones.
 fn improve(
     samples: &[Vec<[f64; 3]>],
     cones: &mut [Cone],
     motion: &Motion,
     reach: f64,
 ) -> Option<([f64; 6], usize)> {
-    /// Metres; keeps weights finite.
+    /// In metres; keeps weights finite.
     const SOFT: f64 = 1e-3;
-    /// Holds still what the points say nothing of.
+    /// Holds components that the points do not determine.
     const RIDGE: f64 = 1e-6;
     let mover = Mover::new(motion);
     let mut system = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::identity() * RIDGE;
@@ -88,7 +89,7 @@ fn improve(
             }
             let weight = if reach.is_finite() { 1.0 / (miss.abs() + SOFT) } else { 1.0 };
             let part = part_of_turn(&point);
-            // The cone's normal, and how the miss falls as the motion grows.
+            // The cone's normal, and how the distance decreases as the motion grows.
             let [nx, ny] = [-cone.slope * x / rho, -cone.slope * y / rho];
             let by = SVector::from([nx, ny, 1.0, y - z * ny, z * nx - x]) * part;
             let constants = Vector2::new(1.0, rho);

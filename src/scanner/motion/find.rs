@@ -1,4 +1,4 @@
-//! Finds the motion of a scan, and moves its points back.
+//! Estimates the motion of a scan, and moves its points back.
 
 use std::f64::consts::TAU;
 
@@ -6,8 +6,9 @@ use super::motion::{Mover, part_of_turn};
 use super::{Compensation, Motion, cones, grid};
 use crate::scanner::{Coordinates, split_beams, thinned};
 
-/// Points as they were measured, on the millimetre grid, and how they were moved to those of the file; which
-/// points were not is left open. None if these were not measured so, or not moved so.
+/// The points as they were measured, on the millimetre grid, and the motion that moved them to those of the
+/// file; its list of misses is still empty. `None` if the points were not measured on that grid, or not moved
+/// in this way.
 pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Compensation)> {
     if !may_be_moved(positions) {
         return None;
@@ -17,7 +18,7 @@ pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Compensation)> {
     let beams = split_beams(&in_reach);
     let in_reach: Vec<[f64; 3]> = in_reach.into_iter().map(|position| position.map(f64::from)).collect();
     let mut motion = Motion::default();
-    // Cones judge the motion as if there were no rotation about z, until that is known.
+    // Cones treat the motion as if there were no rotation about z, until that rotation is known.
     for _ in 0..2 {
         motion = grid::with_yaw(cones::improved(motion, &beams)?, &in_reach)?;
     }
@@ -30,10 +31,10 @@ pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Compensation)> {
         .then_some((points, Compensation { motion, misses: Vec::new() }))
 }
 
-/// Whether the formula gives nearly all of a sample of the points to the last bit.
+/// Whether the formula gives nearly all points of a sample exactly.
 fn explains(mover: &Mover, points: &[[f32; 3]], positions: &[[f32; 3]]) -> bool {
     const SAMPLE: usize = 2000;
-    /// A scan of which the formula misses more points than one in so many is taken as it is.
+    /// A scan is left as it is if the formula misses more than one point in this many.
     const FEWEST_TO_A_MISS: usize = 20;
     let pairs: Vec<_> = points.iter().zip(positions).collect();
     let is_missed = |(point, position): &&(&[f32; 3], &[f32; 3])| {
@@ -43,14 +44,14 @@ fn explains(mover: &Mover, points: &[[f32; 3]], positions: &[[f32; 3]]) -> bool 
     sample.iter().copied().filter(is_missed).count() * FEWEST_TO_A_MISS <= sample.len()
 }
 
-/// A quick look at a scan: points on no grid, unless right in front of the scanner, where compensation does
-/// not move them.
+/// A quick test of a scan: moved points lie on no grid, except right in front of the scanner, where
+/// compensation does not move them.
 fn may_be_moved(positions: &[[f32; 3]]) -> bool {
     /// y / x of points that even the fastest car moves by less than a third of a millimetre.
     const IN_FRONT: f32 = 5e-4;
-    /// Fewer tell nothing.
+    /// Fewer points are no evidence.
     const FEWEST: u32 = 4;
-    /// Coherence that points on no grid do not have by chance.
+    /// A coherence that points on no grid do not reach by chance.
     const LEAST: f64 = 0.4;
     if Coordinates::of(positions.iter().step_by(7).flatten()) != Coordinates::Float32 {
         return false;
@@ -65,22 +66,22 @@ fn may_be_moved(positions: &[[f32; 3]]) -> bool {
 }
 
 fn is_in_reach(position: &[f32; 3]) -> bool {
-    /// Metres; farther than any scanner sees.
+    /// In metres; farther away than any scanner sees.
     const FARTHEST: f32 = 1000.0;
     // False for NaN, too.
     position.iter().all(|v| v.abs() < FARTHEST)
 }
 
-/// The millimetres that a point in metres was measured as.
+/// The measured millimetres of a point in metres.
 pub(super) fn on_grid(point: [f64; 3]) -> [f32; 3] {
     let grid = Coordinates::Millimetre;
     point.map(|metres| grid.value(grid.unit_of(metres), metres))
 }
 
-/// What a point of the file was measured as. Just behind the scanner it may have been moved from the end of
-/// the turn to beyond its beginning, or the other way.
+/// The measured point from which a point of the file was made. Just behind the scanner it may have been moved
+/// from the end of the turn past its beginning, or the other way round.
 fn measured(mover: &Mover, position: &[f32; 3]) -> [f32; 3] {
-    /// Parts of a turn near that seam.
+    /// Points beyond this fraction of a turn, in either direction, are near that seam.
     const NEAR_SEAM: f64 = 0.45;
     if !is_in_reach(position) {
         return [0.0; 3];

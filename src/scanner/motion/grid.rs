@@ -1,7 +1,7 @@
-//! What the millimetre grid tells of the motion. Each step makes the motion sharp enough for the next: the
-//! rotation about z that brings points in front of the scanner onto the grid, where little of the motion is
-//! made; then with ever more of the turn; then all of the motion at once; last, what roundings to float32
-//! gone the wrong way tell.
+//! What the millimetre grid tells about the motion. Each step makes the motion accurate enough for the next:
+//! first the rotation about z that brings points in front of the scanner, which hardly move, onto the grid;
+//! then the same with more and more of the turn; then the whole motion at once; last, the evidence of float32
+//! values that are rounded the wrong way.
 
 use std::f64::consts::TAU;
 
@@ -11,27 +11,26 @@ use super::find::on_grid;
 use super::motion::{Motion, Mover, part_of_turn};
 use crate::scanner::thinned;
 
-/// Metres of a unit of the grid.
+/// The unit of the grid, in metres.
 const UNIT: f64 = 1e-3;
 
-/// A point as the file has it, with the float32 value it was rounded from known to half a unit in the last
-/// place.
+/// A point of the file; the value that was rounded to each float32 is known to half a unit in the last place.
 #[derive(Clone, Copy)]
 struct Sample {
     moved: [f64; 3],
-    /// How far the rotation about z moves it, in metres a radian.
+    /// How far the rotation about z moves it, in metres per radian.
     lever: f64,
 }
 
-/// Completes a motion by its rotation about z. None if nothing brings the points onto the grid.
+/// Completes a motion by its rotation about z. `None` if no rotation brings the points onto the grid.
 pub fn with_yaw(motion: Motion, positions: &[[f64; 3]]) -> Option<Motion> {
-    /// Points of the first search, of every later step, and the fewest.
+    /// Number of points in the first search and in every later step, and the least number.
     const FIRST: usize = 120;
     const SAMPLE: usize = 1500;
     const FEWEST: usize = 60;
-    /// Metres; the rotation moves no point by a unit that has less of a lever.
+    /// In metres: with a smaller lever the rotation moves no point by a unit.
     const LEAST_REACH: f64 = 1e-3;
-    /// How much more of the turn each step looks at.
+    /// Factor by which each step extends the part of the turn.
     const GROWTH: f64 = 4.0;
     let mut samples: Vec<Sample> = positions
         .iter()
@@ -53,15 +52,15 @@ pub fn with_yaw(motion: Motion, positions: &[[f64; 3]]) -> Option<Motion> {
     Some(motion)
 }
 
-/// The rotation about z for which points in front of the scanner have the y most nearly on the grid.
+/// The rotation about z with which the y of points in front of the scanner are nearest to the grid.
 fn search_yaw(motion: Motion, samples: &[Sample], reach: f64) -> Option<Motion> {
-    /// Radians a turn: a car that drifts.
+    /// In radians a turn: a car that skids.
     const LARGEST: f64 = 0.3;
-    /// Most places to look at.
+    /// The most values that are tried.
     const MOST: f64 = 2000.0;
-    /// Coherence of y that no points on no grid have by chance.
+    /// A coherence of y that points on no grid do not reach by chance.
     const LEAST: f64 = 0.3;
-    // A step moves the farthest point by a tenth of a unit.
+    // One step moves the farthest point by a tenth of a unit.
     let places = (LARGEST * reach / (0.1 * UNIT)).ceil().min(MOST) as i32;
     let coherence = |place: i32| {
         let yaw = f64::from(place) / f64::from(places.max(1)) * LARGEST;
@@ -74,7 +73,7 @@ fn search_yaw(motion: Motion, samples: &[Sample], reach: f64) -> Option<Motion> 
     (best > LEAST).then_some(motion)
 }
 
-/// How much farther the rotation about z brings x and y onto the grid.
+/// The change of the rotation about z that brings x and y closer to the grid.
 fn yaw_step(motion: &Motion, samples: &[Sample]) -> f64 {
     let mover = Mover::new(motion);
     let (mut square, mut right) = (f64::MIN_POSITIVE, 0.0);
@@ -82,7 +81,7 @@ fn yaw_step(motion: &Motion, samples: &[Sample]) -> f64 {
         let point @ [x, y, _] = mover.undone(sample.moved, part_of_turn(&sample.moved));
         let part = part_of_turn(&point);
         for (value, by) in [(x, part * y), (y, -part * x)] {
-            // The nearer a value is to the middle between two units, the less it says.
+            // The nearer a value is to the middle between two units, the less it tells.
             let miss = (value / UNIT * TAU).sin() * UNIT / TAU;
             square += by * by;
             right -= by * miss;
@@ -91,11 +90,11 @@ fn yaw_step(motion: &Motion, samples: &[Sample]) -> f64 {
     right / square
 }
 
-/// Brings all values of the motion to where points rounded to the grid are moved onto those of the file. None if they
-/// do not come that near.
+/// Improves all components of the motion, so that points on the grid are moved onto those of the file. `None`
+/// if they do not come near them.
 pub fn polished(mut motion: Motion, positions: &[[f64; 3]]) -> Option<Motion> {
     const SAMPLE: usize = 6000;
-    /// Metres, in each round.
+    /// In metres, for each round.
     const REACH: [f64; 5] = [3e-4, 1e-4, NEAR, NEAR, NEAR];
     let sample: Vec<[f64; 3]> = thinned(positions, SAMPLE).copied().collect();
     let mut taken = 0;
@@ -117,18 +116,18 @@ pub fn polished(mut motion: Motion, positions: &[[f64; 3]]) -> Option<Motion> {
     (taken * 2 > sample.len()).then_some(motion)
 }
 
-/// Metres: farther than the formula ever misses a point that it explains.
+/// In metres: larger than the error of the formula for any point that it explains.
 pub const NEAR: f64 = 2e-5;
 
-/// Moves the motion until few points are rounded to another float32 than the file's, which makes it far
-/// sharper than least squares can. `points` are as measured, `positions` as in the file.
+/// Changes the motion until few points are rounded to another float32 than the file's, which makes it far
+/// more accurate than least squares can. `points` are as measured, `positions` as in the file.
 pub fn sharpened(mut motion: Motion, points: &[[f32; 3]], positions: &[[f32; 3]]) -> Motion {
     const ROUNDS: usize = 30;
-    /// What is no nearer to the border of its float32 value than this, in metres, will not cross it.
+    /// In metres: values that are farther than this from the border of their float32 will not cross it.
     const NEAR_BORDER: f64 = 2e-8;
-    /// The same in later rounds, in parts of the largest step over a border.
+    /// The same for later rounds, as a multiple of the largest error across a border.
     const NEAR_BORDER_OF_LARGEST: f64 = 100.0;
-    /// How much the points that fit hold the motion in place, at most.
+    /// How strongly the points that fit hold the motion in place, at most.
     const INERTIA: f64 = 0.02;
     let mover = Mover::new(&motion);
     let mut whole = System::default();
@@ -172,17 +171,17 @@ pub fn sharpened(mut motion: Motion, points: &[[f32; 3]], positions: &[[f32; 3]]
     motion
 }
 
-/// One point in so many tells how the motion moves points.
+/// One point in this many is used to tell how the motion moves points.
 const WHOLE_SAMPLE: usize = 8;
 
-/// A point as measured, and what its moved coordinates were before they were rounded to float32.
+/// A measured point, and the limits of its moved coordinates before they were rounded to float32.
 struct Rounded {
     point: [f64; 3],
     values: [[f64; 2]; 3],
 }
 
 impl Rounded {
-    /// How far the formula is outside, in metres.
+    /// How far the formula's coordinates are outside these limits, in metres.
     fn miss(&self, formula: &[f64; 3]) -> [f64; 3] {
         std::array::from_fn(|axis| {
             let [low, high] = self.values[axis];
@@ -190,7 +189,7 @@ impl Rounded {
         })
     }
 
-    /// How far inside it is along the axis where it is least so; below 0 outside.
+    /// The least distance inside the limits over the axes; negative outside.
     fn clearance(&self, formula: &[f64; 3]) -> f64 {
         let clear =
             |axis: usize| (formula[axis] - self.values[axis][0]).min(self.values[axis][1] - formula[axis]);
@@ -198,13 +197,13 @@ impl Rounded {
     }
 }
 
-/// The least and the greatest of the values that are rounded to this one.
+/// The least and the greatest of the values that are rounded to this float32.
 fn values_of(value: f32) -> [f64; 2] {
     let middle = |next: f32| (f64::from(value) + f64::from(next)) * 0.5;
     [middle(value.next_down()), middle(value.next_up())]
 }
 
-/// The normal equations of a step of the motion.
+/// The normal equations of a change of the motion.
 #[derive(Default)]
 struct System {
     normal: SMatrix<f64, 6, 6>,
@@ -212,15 +211,15 @@ struct System {
 }
 
 impl System {
-    /// The point must be moved by so much farther, in metres.
+    /// Adds the condition that a point must be moved farther by `miss`, in metres.
     fn add(&mut self, point: &[f64; 3], miss: [f64; 3]) {
         self.add_axes(point, miss, |_| true);
     }
 
-    /// The same for some axes.
+    /// The same for some of the axes.
     fn add_axes(&mut self, point: &[f64; 3], miss: [f64; 3], counts: impl Fn(usize) -> bool) {
         let [x, y, z] = *point;
-        // Small rotations turn a point by their cross product with it.
+        // A small rotation moves a point by its cross product with it.
         let slopes = [[0.0, z, -y, 1.0, 0.0, 0.0], [-z, 0.0, x, 0.0, 1.0, 0.0], [y, -x, 0.0, 0.0, 0.0, 1.0]];
         let part = part_of_turn(point);
         for axis in (0..3).filter(|&axis| counts(axis)) {
@@ -230,7 +229,7 @@ impl System {
         }
     }
 
-    /// The solution; no step where there is none.
+    /// The solution; no change if there is none.
     fn step(&self) -> [f64; 6] {
         self.normal.cholesky().map_or([0.0; 6], |cholesky| cholesky.solve(&self.right).into())
     }

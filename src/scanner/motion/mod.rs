@@ -18,6 +18,7 @@
 mod cones;
 mod find;
 mod grid;
+#[allow(clippy::module_inception)]
 mod motion;
 mod payload;
 

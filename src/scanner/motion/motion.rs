@@ -1,29 +1,29 @@
-//! The formula of motion compensation: where a point is moved that was seen at some part of a turn.
+//! The formula of motion compensation: where a point goes that was seen at some fraction of a turn.
 
 use std::f64::consts::TAU;
 
 /// How the scanner moved in one turn.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
-    /// Axis of the turn's rotation, its length the angle in radians.
+    /// Axis of the rotation in a turn; its length is the angle in radians.
     pub rotation: [f64; 3],
-    /// Metres.
+    /// In metres.
     pub translation: [f64; 3],
 }
 
-/// The largest rotation that is taken, in radians, and translation, in metres.
+/// The largest rotation that is accepted, in radians, and the largest translation, in metres.
 const LARGEST_ROTATION: f64 = 8.0;
 const LARGEST_TRANSLATION: f64 = 1e6;
 
 impl Motion {
-    /// Whether a stream may hold it.
+    /// Whether a stream may contain this motion.
     pub fn is_possible(&self) -> bool {
         // False for NaN, too.
         self.rotation.iter().all(|r| r.abs() <= LARGEST_ROTATION)
             && self.translation.iter().all(|t| t.abs() <= LARGEST_TRANSLATION)
     }
 
-    /// The motion with each value changed by so much: rotation, then translation.
+    /// The motion with each component changed by `step`: rotation, then translation.
     pub(super) fn changed_by(&self, step: &[f64; 6]) -> Self {
         Motion {
             rotation: std::array::from_fn(|axis| self.rotation[axis] + step[axis]),
@@ -32,18 +32,18 @@ impl Motion {
     }
 }
 
-/// Moves points by parts of a [`Motion`].
+/// Moves points by fractions of a [`Motion`].
 #[derive(Clone, Copy, Debug)]
 pub struct Mover {
-    /// A unit vector, or 0 if nothing turns.
+    /// A unit vector, or 0 if there is no rotation.
     axis: [f64; 3],
-    /// Radians.
+    /// In radians.
     angle: f64,
     translation: [f64; 3],
 }
 
 impl Mover {
-    /// Moves as this motion does.
+    /// Prepares to move points by this motion.
     pub fn new(motion: &Motion) -> Self {
         let [x, y, z] = motion.rotation;
         let angle = (x * x + y * y + z * z).sqrt();
@@ -51,7 +51,7 @@ impl Mover {
         Mover { axis, angle, translation: motion.translation }
     }
 
-    /// Where compensation puts a point (metres).
+    /// The place to which compensation moves a point (metres).
     #[inline]
     pub fn moved(&self, point: [f64; 3]) -> [f64; 3] {
         let part = part_of_turn(&point);
@@ -59,18 +59,18 @@ impl Mover {
         std::array::from_fn(|axis| turned[axis] + part * self.translation[axis])
     }
 
-    /// Where a point was, to a few micrometres, that compensation has put here, if it was seen near `part` of
-    /// the turn.
+    /// The place, to within a few micrometres, from which compensation has moved a point here, if it was seen
+    /// near the fraction `part` of the turn.
     pub(super) fn undone(&self, moved: [f64; 3], mut part: f64) -> [f64; 3] {
-        /// Rounds that the fastest car's nearest points take.
+        /// Number of rounds that the nearest points of the fastest car need.
         const MOST_ROUNDS: usize = 16;
-        /// A part of a turn that moves nothing by more than a few micrometres.
+        /// A fraction of a turn that moves nothing by more than a few micrometres.
         const SAME: f64 = 1e-6;
         let mut point = moved;
         for _ in 0..MOST_ROUNDS {
             let shifted = std::array::from_fn(|axis| moved[axis] - part * self.translation[axis]);
             point = self.turned(shifted, -part * self.angle);
-            // Across the seam behind the scanner, parts go on beyond one half.
+            // Across the seam behind the scanner, fractions continue beyond one half.
             let now = part_of_turn(&point);
             let next = now - (now - part).round();
             let change = (next - part).abs();
@@ -97,7 +97,8 @@ impl Mover {
     }
 }
 
-/// The part of the turn at which a point is seen: from -1/2 behind the scanner over 0 in front of it, to 1/2.
+/// The fraction of the turn at which a point is seen: from -1/2 behind the scanner, through 0 in front of it,
+/// to 1/2.
 #[inline]
 pub fn part_of_turn(point: &[f64; 3]) -> f64 {
     libm::atan2(point[1], point[0]) / TAU

@@ -1,10 +1,10 @@
-//! The section of a frame that says how its points were moved.
+//! The section of a frame that tells how its points were moved.
 
 use super::{Compensation, Miss, Motion};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 
-/// The section, in errors.
+/// The section's name in errors.
 const WHAT: &str = "motion compensation";
 
 impl Compensation {
@@ -20,10 +20,10 @@ impl Compensation {
         }
     }
 
-    /// Reads the payload of the section, for a frame of so many points.
+    /// Reads the payload of the section, for a frame with `points` points.
     ///
     /// # Errors
-    /// If it is cut short, holds a motion that no scanner makes, or points that the frame does not have.
+    /// If it is cut short, or contains a motion that no scanner makes or points that the frame does not have.
     pub fn from_payload(mut bytes: &[u8], points: usize) -> Result<Self> {
         let input = &mut bytes;
         let mut values = [0.0; 6];

@@ -1,4 +1,4 @@
-//! One way of coding, run on a sample: encoded in memory, decoded, measured.
+//! One experiment: a sample, encoded with some settings in memory, decoded and measured.
 
 use crate::stream;
 use std::time::{Duration, Instant};
@@ -13,21 +13,21 @@ use crate::scanner::{REACH, RangeImage, project_nearest};
 use crate::stream::{DecodeOptions, DecodedFrame};
 use crate::study::metrics::{PointErrors, RangeErrors};
 
-/// A sample, coded and decoded.
+/// A sample, encoded and decoded.
 pub struct Coded {
     /// The frames of the sample.
     pub frames: Vec<CodedFrame>,
     /// Bytes of the stream.
     pub stream_bytes: u64,
-    /// How long encoding took: from files in memory to a stream in memory.
+    /// The time of encoding, from files in memory to a stream in memory.
     pub encoding_time: Duration,
-    /// How long decoding took, likewise.
+    /// The time of decoding, likewise.
     pub decoding_time: Duration,
 }
 
-/// A frame, coded and decoded.
+/// A frame, encoded and decoded.
 pub struct CodedFrame {
-    /// What encoding it took; where several predictions were tried, with the one that was taken.
+    /// What encoding it took. If several predictions were tried, the report of the one that was chosen.
     pub encoding: StepReport,
     /// What it decodes to.
     pub decoded: DecodedFrame,
@@ -40,8 +40,8 @@ impl CodedFrame {
     }
 }
 
-/// Codes a sample, each run of frames as a group. `on_frame` is called, from any thread, as each frame is
-/// encoded.
+/// Codes a sample, each run of frames as a group. `on_frame` is called, from any thread, whenever a frame has
+/// been encoded.
 ///
 /// # Errors
 /// If the settings are out of range, or a back-end's library fails.
@@ -66,14 +66,14 @@ pub fn run(sample: &Sample, config: &EncoderConfig, on_frame: &(dyn Fn() + Sync)
 }
 
 impl Coded {
-    /// Bytes of the stream that are in no frame's sections: headers, names, checksums, the index, and the
-    /// sensor model.
+    /// Bytes of the stream outside all sections of frames: headers, names, checksums, the index, and the
+    /// scanner's record.
     pub fn container_bytes(&self) -> u64 {
         let sections: u64 = self.frames.iter().map(|frame| frame.encoding.coded()).sum();
         self.stream_bytes.saturating_sub(sections)
     }
 
-    /// Bytes of some of the frames, with their even share of the container's.
+    /// Bytes of some of the frames, with an equal share of the container's.
     pub fn bytes(&self, frames: impl Iterator<Item = usize>) -> f64 {
         let share = self.container_bytes() as f64 / self.frames.len().max(1) as f64;
         frames.map(|frame| self.frames[frame].encoding.coded() as f64 + share).sum()
@@ -89,7 +89,7 @@ impl Coded {
         (!figures.is_empty()).then(|| figures.iter().sum::<f64>() / figures.len() as f64)
     }
 
-    /// What coding has done to some of the frames.
+    /// The distortion of some of the frames.
     pub fn distortion(
         &self,
         sample: &Sample,
@@ -107,10 +107,10 @@ impl Coded {
 /// How far decoded frames are from the originals.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Distortion {
-    /// Where decoding gives a range image: cell by cell (equation 12).
+    /// Errors cell by cell (equation 12), where decoding gives a range image.
     pub ranges: RangeErrors,
-    /// Where it gives all points, in the order of the file: point by point. Scans that were to be range
-    /// images but have none, because no sensor fits them, are compared in neither way.
+    /// Errors point by point, where decoding gives all points in the order of the file. Scans that should be
+    /// range images but have none, because no scanner fits them, are compared in neither way.
     pub points: PointErrors,
 }
 
@@ -212,7 +212,7 @@ mod tests {
         for step in [10_000, 50_000] {
             let metres = f64::from(step) * 1e-6;
             let coarse = distortion(&paper(step, intra));
-            // Rounding errors are even over a step.
+            // Rounding errors are distributed evenly over a step.
             let expected = metres / 12f64.sqrt();
             assert!((coarse.rmse().unwrap() / expected - 1.0).abs() < 0.05, "{:?}", coarse.rmse());
             assert!(coarse.ranges.max().unwrap() < 1.001 * metres);

@@ -1,4 +1,4 @@
-//! Figure 15 of the article: error against bit rate, of every way to code that there is.
+//! Figure 15 of the article: error against bit rate, for every coder available.
 
 use super::experiment;
 use super::report::{Axis, Figure, Marker, Origin, Point, Scale, Section, Series};
@@ -14,22 +14,22 @@ use crate::study::metrics;
 
 /// Range steps of the curves, in micrometres.
 const STEPS_UM: [u32; 7] = [1000, 2000, 5000, 10_000, 20_000, 50_000, 100_000];
-/// Those of a quick look.
+/// Those with `--quick`.
 const QUICK_STEPS_UM: [u32; 3] = [2000, 10_000, 50_000];
 
 /// Rates of image coders, in bits a return.
 const RATES: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
-/// Those of a quick look.
+/// Those with `--quick`.
 const QUICK_RATES: [f64; 2] = [1.0, 4.0];
 
 const INTRA: PredictionChoice = PredictionChoice::Always(Prediction::Intra);
 const INTER: PredictionChoice = PredictionChoice::EveryReference;
 
-/// A curve, or a point: ways to code that differ in one setting.
+/// A curve, or a point: settings of the encoder that differ in one respect.
 struct Curve {
     name: &'static str,
     marker: Marker,
-    /// The setting in words, and all settings.
+    /// The respect in words, and all settings.
     points: Vec<(String, EncoderConfig)>,
 }
 
@@ -37,18 +37,18 @@ struct Curve {
 pub struct Curves {
     /// The article's back-ends.
     article: Vec<Curve>,
-    /// Other ways to spend bits.
+    /// Other coders.
     others: Vec<Curve>,
 }
 
 impl Curves {
-    /// The curves, with the image's columns, the outlier filter and the regions as `base` has them; fewer
-    /// points on each for a quick look.
+    /// The curves, with the columns of the image, the outlier filter and the regions of `base`; fewer points
+    /// on each if `quick`.
     pub fn new(sample: &Sample, base: &EncoderConfig, quick: bool) -> Self {
         Curves { article: article_curves(sample, base, quick), others: other_curves(sample, base, quick) }
     }
 
-    /// Frames that are coded in all.
+    /// Number of frames to code in all.
     pub fn frames_to_code(&self, sample: &Sample) -> usize {
         let curves = self.article.iter().chain(&self.others);
         curves.map(|curve| curve.points.len()).sum::<usize>() * sample.inputs.len()
@@ -99,8 +99,8 @@ fn one(name: &'static str, marker: Marker, setting: &str, config: EncoderConfig)
     Curve { name, marker, points: vec![(setting.to_owned(), config)] }
 }
 
-/// JPEG and JPEG 2000, of the image itself and of what prediction leaves, at rising rates; and LZMA of
-/// the latter as the article has it, without loss.
+/// JPEG and JPEG 2000 at rising rates, for the image itself and for residuals; and LZMA for residuals,
+/// without loss, as in the article.
 fn article_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Curve> {
     let rates: &[f64] = if quick { &QUICK_RATES } else { &RATES };
     let by_rate = |name, marker, codec, prediction| {
@@ -137,7 +137,7 @@ fn article_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Cur
     curves
 }
 
-/// Coarser steps by lossless coders, and the modes of this program.
+/// Lossless coders with coarser steps, and the modes of this program.
 fn other_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Curve> {
     let steps: &[u32] = if quick { &QUICK_STEPS_UM } else { &STEPS_UM };
     let at = |step: u32, coder, prediction| EncoderConfig {
@@ -158,7 +158,7 @@ fn other_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Curve
         outliers: None,
         ..at(step, Coder::Context, smallest)
     };
-    // So coarse a step leaves nothing of intensities.
+    // So coarse a step removes the intensities.
     let intensity = Intensity::Rounded { step_millionths: u32::MAX };
     let bounded = |max_error_um| EncoderConfig {
         threads: base.threads,
@@ -186,8 +186,8 @@ fn other_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Curve
     curves
 }
 
-/// Measures curves. Those of which nothing can be measured are left out. Also gives the most of the returns
-/// that only one image has, and of the points that are dropped.
+/// Measures curves. Those of which nothing can be measured are left out. Also returns the largest shares of
+/// returns that only one image has, and of points that are dropped.
 fn measure_all(
     curves: &[Curve],
     sample: &Sample,
@@ -221,19 +221,19 @@ fn measure_all(
 
 /// A point of a curve.
 struct Measured {
-    /// Bits for each point that comes back.
+    /// Bits for each point that is decoded.
     bits: Option<f64>,
-    /// Metres.
+    /// In metres.
     rmse: Option<f64>,
     missing: Missing,
 }
 
-/// What an error does not tell of.
+/// What an error does not cover.
 #[derive(Clone, Copy, Default)]
 struct Missing {
-    /// The part of the returns that only one of the range images has.
+    /// The share of the returns that only one of the range images has.
     alone: f64,
-    /// The part of the points that were dropped.
+    /// The share of the points that were dropped.
     dropped: f64,
 }
 

@@ -1,4 +1,5 @@
-//! The article's experiments (section VI) on anyone's frames: its tables and figures, with ours beside them.
+//! The article's experiments (section VI) on any frames: its tables and figures, with this program's values
+//! beside those of the article.
 //!
 //! Scans go in, a [`Report`](report::Report) comes out, which [`report`] turns into text, CSV, JSON or HTML.
 
@@ -26,11 +27,11 @@ use report::Section;
 use runs::Runs;
 use sample::Sample;
 
-/// Frames of the tables.
+/// Frames for the tables.
 const OF_TABLES: Extent = Extent { runs: 2, frames_a_run: 10 };
-/// Frames of the figures, whose every point or bar takes another run.
+/// Frames for the figures, where every point or bar takes another run.
 const OF_FIGURES: Extent = Extent { runs: 2, frames_a_run: 3 };
-/// Frames of a quick look: the first.
+/// Frames with `--quick`: the first ones.
 const QUICK: Extent = Extent { runs: 1, frames_a_run: 3 };
 
 /// All experiments, ready to be run.
@@ -42,12 +43,12 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// Reads the frames that are needed of a drive. `base` has the ideal projection in steps, the outlier
-    /// filter, the regions and the registration of the experiments; coders, predictions and which frames are
-    /// P frames are their own, and there are no intensities but in exact mode.
+    /// Reads the frames of a drive that are needed. `base` gives the experiments their ideal projection in
+    /// steps, outlier filter, regions and registration; coders, predictions and the choice of P frames are
+    /// the experiments' own, and there are no intensities except in exact mode.
     ///
     /// # Errors
-    /// If `base` has another projection, if a frame cannot be read, or if there is no point in any of them.
+    /// If `base` has another projection, if a frame cannot be read, or if none of them has any points.
     pub fn new(frames: &[FrameInput], base: &EncoderConfig, quick: bool) -> Result<Self> {
         figure_13::ideal_sensor(base)?;
         let extents = if quick { [QUICK; 2] } else { [OF_TABLES, OF_FIGURES] };
@@ -61,13 +62,13 @@ impl Bench {
         Ok(Bench { base, of_tables, of_figures, curves })
     }
 
-    /// How often a frame will be coded.
+    /// Number of times that a frame will be coded.
     pub fn frames_to_code(&self) -> usize {
         let figures = self.of_figures.inputs.len() + self.curves.frames_to_code(&self.of_figures);
         runs::frames_to_code(&self.of_tables) + figures
     }
 
-    /// What is run, in words: names and values.
+    /// What is run, for people: names and values.
     pub fn facts(&self) -> Vec<(String, String)> {
         let about = |sample: &Sample| {
             let points = sample.points(0..sample.inputs.len());
@@ -102,7 +103,7 @@ impl Bench {
         ]
     }
 
-    /// Runs them all. `on_frame` is called, from any thread, each time that a frame has been coded.
+    /// Runs them all. `on_frame` is called, from any thread, whenever a frame has been coded.
     ///
     /// # Errors
     /// If a setting is out of range, or a back-end's library fails.

@@ -1,7 +1,7 @@
-//! The figures that the article states, for comparison. They were measured on other scenes, 100 frames each,
-//! and on another machine (Intel i5-6300HQ, 2.3 GHz, 4 GB; section VI-A).
+//! The values that the article states, for comparison. They were measured on other scenes, of 100 frames
+//! each, and on another machine (Intel i5-6300HQ, 2.3 GHz, 4 GB; section VI-A).
 
-/// What goes with them wherever they are shown.
+/// A remark that accompanies them wherever they are shown.
 pub const REMARK: &str = "published, other scenes and another machine";
 
 /// The article's scenes (VI-A).
@@ -22,7 +22,7 @@ pub const ORIGINAL_KB: [f64; 4] = [3208.0, 3149.0, 3331.0, 3222.0];
 /// Table II, by scene: KB after conversion.
 pub const CONVERTED_KB: [f64; 4] = [835.0, 837.0, 822.0, 823.0];
 
-/// A coder of the residuals and what the article states of it.
+/// A coder of the residuals, and what the article states about it.
 pub struct PublishedCoder {
     /// Its name.
     pub name: &'static str,
@@ -54,8 +54,8 @@ pub const INTRA_SECONDS: [f64; 2] = [0.17, 0.07];
 /// Table V: seconds of registration and of inter prediction.
 pub const INTER_SECONDS: [f64; 2] = [26.47, 0.22];
 
-/// Table VI: seconds of encoding and decoding. Tu-MPEG and Tu-SLAM are the article's references 10 and
-/// 12. The first two are by LZMA, as their totals in Tables IV and V say.
+/// Table VI: seconds of encoding and decoding. Tu-MPEG and Tu-SLAM are the article's references 10 and 12.
+/// The first two use LZMA, as their totals in Tables IV and V show.
 pub const CODING_SECONDS: [(&str, [f64; 2]); 5] = [
     ("intra coding, LZMA", [0.57, 0.02]),
     ("inter coding, LZMA", [27.12, 0.04]),
@@ -64,7 +64,8 @@ pub const CODING_SECONDS: [(&str, [f64; 2]); 5] = [
     ("Tu-SLAM", [0.10, 0.03]),
 ];
 
-/// Section VI-B.1, of Figure 13: the best and the worst compression rate in % over all scenes and back-ends,
-/// with the back-end, of intra and of inter coding. The rest of the figure is a plot without values.
+/// Section VI-B.1, about Figure 13: the best and the worst compression rate in % over all scenes and
+/// back-ends, with the back-end, for intra and for inter coding. The rest of the figure is a plot without
+/// values.
 pub const FIGURE_13: [[(&str, f64); 2]; 2] =
     [[("lzma", 3.16), ("lizard", 10.56)], [("ppmd", 2.41), ("lizard", 8.84)]];

@@ -1,4 +1,5 @@
-//! What Tables I to VI are made from: the article's coders, intra and inter, and our own beside them.
+//! The runs from which Tables I to VI are made: the article's coders, intra and inter, and this program's
+//! own.
 
 use super::experiment::{self, Coded};
 use super::sample::Sample;
@@ -15,9 +16,9 @@ pub struct Run {
     pub name: &'static str,
     /// Every frame an I frame.
     pub intra: Coded,
-    /// Every frame with one before it a P frame; `None` if there is none.
+    /// Every frame that has one before it is a P frame; `None` if there is none.
     pub inter: Option<Coded>,
-    /// Each frame as makes it smallest.
+    /// Each frame with the prediction that makes it smallest.
     pub smallest: Coded,
 }
 
@@ -31,7 +32,7 @@ pub struct Runs {
     pub exact: Coded,
 }
 
-/// The coders that are measured.
+/// The article's coders that are available here.
 fn coders() -> [(&'static str, Coder); 2] {
     [("LZMA", Coder::Backend(backend::LZMA)), ("JPEG 2000", Coder::Image(ImageCodec::Jpeg2000))]
 }
@@ -39,14 +40,14 @@ fn coders() -> [(&'static str, Coder); 2] {
 /// Half of the 16 bits that a range takes: the article's ratio of 2.
 const RATE: Rate = Rate::Bits(8.0);
 
-/// Frames that are coded in all.
+/// Number of frames to code in all.
 pub fn frames_to_code(sample: &Sample) -> usize {
     let of_coder = if sample.has_references() { 3 } else { 2 };
     sample.inputs.len() * (of_coder * coders().len() + 2)
 }
 
 impl Runs {
-    /// Codes the sample in every way, on one thread, for the sake of the times.
+    /// Codes the sample with every coder, on one thread, so that times can be compared.
     ///
     /// # Errors
     /// If a back-end's library fails.

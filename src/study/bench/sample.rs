@@ -1,5 +1,5 @@
-//! The frames that experiments run on: a drive may be long, so they are taken in runs of consecutive
-//! frames spread over it.
+//! The frames on which experiments run. A drive may be long, so they are taken in runs of consecutive frames,
+//! spread over the drive.
 
 use crate::files::parse;
 use crate::ground::error::Result;
@@ -9,15 +9,16 @@ use crate::stream::FrameInput;
 /// How much of a drive is taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Extent {
-    /// Runs, at most.
+    /// The most runs.
     pub runs: usize,
-    /// Consecutive frames a run, at most.
+    /// The most consecutive frames in a run.
     pub frames_a_run: usize,
 }
 
 impl Extent {
-    /// The numbers of the frames to take of a drive, and how many make a run: the first run at the start,
-    /// the last at the end, others evenly between; all frames as one run if there are no more than that.
+    /// The numbers of the frames to take from a drive, and the number of frames in a run: the first run is at
+    /// the start, the last at the end, others evenly between; all frames are one run if there are no more
+    /// than that.
     pub fn places(self, frames: usize) -> (Vec<usize>, usize) {
         if frames <= self.runs * self.frames_a_run {
             return ((0..frames).collect(), frames);
@@ -30,18 +31,18 @@ impl Extent {
 
 /// Frames in memory, so that no experiment measures the disk.
 pub struct Sample {
-    /// Numbers of the frames in the drive.
+    /// The numbers of the frames within the drive.
     pub places: Vec<usize>,
     /// The files.
     pub inputs: Vec<FrameInput>,
     /// Their points.
     pub clouds: Vec<PointCloud>,
-    /// Frames a run.
+    /// Number of frames in a run.
     pub run: usize,
 }
 
 impl Sample {
-    /// Reads some of a drive's frames.
+    /// Reads some of the frames of a drive.
     ///
     /// # Errors
     /// If one cannot be read.
@@ -56,7 +57,7 @@ impl Sample {
         Ok(Sample { places, inputs, clouds, run })
     }
 
-    /// Whether there are frames with one before them.
+    /// Whether any frame has one before it.
     pub fn has_references(&self) -> bool {
         self.run > 1
     }
@@ -66,13 +67,13 @@ impl Sample {
         !frame.is_multiple_of(self.run)
     }
 
-    /// The frames on which prediction from the frame before is compared with other things: those that have
-    /// one; all of them if none has.
+    /// The frames on which prediction from the frame before is compared with other predictions: those that
+    /// have one before them; all frames if none has.
     pub fn compared(&self) -> impl Iterator<Item = usize> + Clone {
         (0..self.inputs.len()).filter(|&frame| self.has_reference(frame) || !self.has_references())
     }
 
-    /// Points of some of the frames.
+    /// Number of points in some of the frames.
     pub fn points(&self, frames: impl Iterator<Item = usize>) -> u64 {
         frames.map(|frame| self.clouds[frame].positions.len() as u64).sum()
     }
@@ -82,7 +83,7 @@ impl Sample {
         self.describe_some(self.places.len())
     }
 
-    /// So many of the frames in words: `18 of 20 frames (0 to 9, 40 to 49)`.
+    /// `count` of the frames in words: `18 of 20 frames (0 to 9, 40 to 49)`.
     pub fn describe_some(&self, count: usize) -> String {
         let run = |run: &[usize]| match run {
             [only] => only.to_string(),

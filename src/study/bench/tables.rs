@@ -1,13 +1,13 @@
-//! What the tables have in common.
+//! What the tables share.
 
 use super::experiment::Coded;
 use super::published::SCENES;
 use super::report::{Column, Origin, Row};
 use super::sample::Sample;
 
-/// A coder that is measured, in rows of a table.
+/// A coder that is measured, as a row of a table.
 pub struct Method<'a> {
-    /// As the published figures call it.
+    /// Its name in the published values.
     pub name: String,
     /// The sample coded by it; `None` if it cannot be measured here.
     pub coded: Option<&'a Coded>,
@@ -25,8 +25,8 @@ impl Method<'_> {
     }
 }
 
-/// A row for each method, with what is measured and what is published of it, and a row for each method
-/// of which something is published only.
+/// A row for each method, with its measured and its published values, and a row for each method with
+/// published values only.
 pub fn rows_of_methods<const M: usize, const P: usize>(
     methods: &[Method<'_>],
     measure: impl Fn(&Method<'_>, &Coded) -> [Option<f64>; M],
@@ -46,13 +46,13 @@ pub fn rows_of_methods<const M: usize, const P: usize>(
     measured.chain(others.map(|(name, _)| row(name, [None; M]))).collect()
 }
 
-/// A column for what is measured, and one for each of the article's scenes.
+/// A column for the measured values, and one for each of the article's scenes.
 pub fn columns_by_scene(unit: &str, [measured, published]: [usize; 2]) -> Vec<Column> {
     let scenes = SCENES.iter().map(|scene| column(scene, unit, Some(published), Origin::Published));
     [column("this drive", unit, Some(measured), Origin::Measured)].into_iter().chain(scenes).collect()
 }
 
-/// A column.
+/// Creates a column.
 pub fn column(name: &str, unit: &str, decimals: Option<usize>, origin: Origin) -> Column {
     Column { name: name.into(), unit: unit.into(), origin, decimals }
 }

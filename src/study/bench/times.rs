@@ -8,7 +8,7 @@ use super::sample::Sample;
 use super::tables::{Method, column, rows_of_methods};
 use crate::frame::Step;
 
-/// Tables IV and V: seconds of each step of encoding a frame, of intra and of inter coding.
+/// Tables IV and V: seconds of each step of encoding a frame, for intra and for inter coding.
 pub fn steps(sample: &Sample, runs: &Runs) -> Vec<Section> {
     let all: Vec<_> = (0..sample.inputs.len()).collect();
     let later: Vec<_> = sample.compared().collect();
@@ -37,7 +37,7 @@ pub fn steps(sample: &Sample, runs: &Runs) -> Vec<Section> {
 struct Steps<'a> {
     number: &'a str,
     what: &'a str,
-    /// In the published figures: 0 intra, 1 inter.
+    /// Index into the published values: 0 intra, 1 inter.
     place: usize,
     frames: &'a [usize],
     coded: fn(&'a Runs, &str) -> Option<&'a Coded>,
@@ -81,7 +81,7 @@ impl<'a> Steps<'a> {
         })
     }
 
-    /// The coders that are measured, then those of the article.
+    /// The measured coders, then those of the article.
     fn columns(&self, runs: &'a Runs) -> Vec<(&'static PublishedCoder, Origin)> {
         let coders = || published::CODERS.iter();
         let measured = coders().filter(|coder| (self.coded)(runs, coder.name).is_some());
@@ -89,7 +89,7 @@ impl<'a> Steps<'a> {
         measured.chain(coders().map(|coder| (coder, Origin::Published))).collect()
     }
 
-    /// Seconds of a step, or of all.
+    /// Seconds of a step, or of all steps.
     fn mean(&self, runs: &'a Runs, name: &str, step: Option<Step>) -> Option<f64> {
         let coded = (self.coded)(runs, name)?;
         coded.mean(self.frames.iter().copied(), |frame| {

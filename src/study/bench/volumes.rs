@@ -1,4 +1,4 @@
-//! Tables I to III: how small frames get, and by which steps.
+//! Tables I to III: the sizes of frames, and the steps that reduce them.
 
 use super::experiment::{Coded, CodedFrame};
 use super::published;
@@ -37,7 +37,7 @@ pub fn rates(sample: &Sample, runs: &Runs) -> Section {
     })
 }
 
-/// Tables II and III: bytes of a frame after each step, of intra and of inter coding.
+/// Tables II and III: bytes of a frame after each step, for intra and for inter coding.
 pub fn volumes(sample: &Sample, runs: &Runs) -> Vec<Section> {
     let all: Vec<_> = (0..sample.inputs.len()).collect();
     let later: Vec<_> = sample.compared().collect();
@@ -62,7 +62,7 @@ pub fn volumes(sample: &Sample, runs: &Runs) -> Vec<Section> {
 struct Volumes<'a> {
     number: &'a str,
     what: &'a str,
-    /// In the published figures: 0 intra, 1 inter.
+    /// Index into the published values: 0 intra, 1 inter.
     place: usize,
     frames: &'a [usize],
     coded: fn(&'a Runs, &str) -> Option<&'a Coded>,
@@ -122,7 +122,7 @@ impl<'a> Volumes<'a> {
 /// A part of a frame's bytes.
 type Part = (&'static str, fn(&CodedFrame) -> u64);
 
-/// What coded frames consist of.
+/// The parts of coded frames.
 const PARTS: [Part; 4] = [
     ("ranges", |frame| frame.encoding.ranges),
     ("contour map", |frame| frame.encoding.contour),

@@ -1,4 +1,4 @@
-//! How small, and how true: the figures that reports give, and what exactly they mean.
+//! Measures of size and error, with their exact definitions.
 
 mod nearest;
 mod paired;
@@ -10,8 +10,8 @@ pub use paired::{PointErrors, paired_distances};
 pub use psnr::{GeometryPsnr, PEAK_M};
 pub use ranges::RangeErrors;
 
-/// The article's compression ratio (equation 11): coded size / original size. Smaller is better;
-/// 0.08 means that 8 % is left. `None` if there was nothing to encode.
+/// The article's compression ratio (equation 11): coded size / original size. Smaller is better; 0.08 means
+/// that 8 % remains. `None` if there was nothing to encode.
 pub fn ratio(original_bytes: u64, coded_bytes: u64) -> Option<f64> {
     (original_bytes > 0).then(|| coded_bytes as f64 / original_bytes as f64)
 }

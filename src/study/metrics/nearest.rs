@@ -7,8 +7,8 @@ use rayon::prelude::*;
 
 use crate::scan::PointCloud;
 
-/// The points of a cloud, to be searched: each place once, those with a coordinate that is NaN or infinite
-/// left out. There is at least one.
+/// The points of a cloud, indexed for nearest-neighbour search: each place once, without points that have a
+/// NaN or infinite coordinate. There is at least one.
 pub struct NearestPoints {
     /// In metres, rising by x, then y, then z.
     points: Vec<[f64; 3]>,
@@ -27,11 +27,11 @@ pub struct Nearest {
 }
 
 impl NearestPoints {
-    /// Of a cloud; none if it has no finite point.
+    /// Indexes a cloud; `None` if it has no finite point.
     pub fn of(cloud: &PointCloud) -> Option<Self> {
         let mut all: Vec<[f64; 3]> = cloud.positions.iter().filter_map(finite).collect();
         all.par_sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
-        // Where a file says (0, 0, 0) for beams without a return, there are thousands of one place, among
+        // Files that store (0, 0, 0) for beams without a return have thousands of points in one place, among
         // which a search would take forever.
         let (points, counts): (Vec<_>, Vec<_>) =
             all.chunk_by(|a, b| a == b).map(|same| (same[0], same.len() as u32)).unzip();
@@ -58,15 +58,15 @@ impl NearestPoints {
         others.points.par_iter().map(|point| self.nearest(point)).collect()
     }
 
-    /// The numbers of the places nearest to a point: so many, or all if there are fewer.
+    /// The numbers of the places nearest to a point: `count` of them, or all if there are fewer.
     pub fn nearest_few(&self, point: &[f64; 3], count: NonZero<usize>) -> Vec<usize> {
         let found = self.tree.query(point).nearest_n::<SquaredEuclidean<f64>>(count).execute();
         found.iter().map(|neighbour| neighbour.item as usize).collect()
     }
 }
 
-/// A frame's original and decoded points, each with the nearest of the others: what point-to-point (D1)
-/// and point-to-plane (D2) measures start from.
+/// A frame's original and decoded points, each with the nearest of the others: the basis of point-to-point
+/// (D1) and point-to-plane (D2) measures.
 pub struct NearestPairs {
     /// The original points.
     pub original: NearestPoints,
@@ -79,7 +79,7 @@ pub struct NearestPairs {
 }
 
 impl NearestPairs {
-    /// Finds them; none if a cloud has no finite point.
+    /// Finds them; `None` if a cloud has no finite point.
     pub fn of(original: &PointCloud, decoded: &PointCloud) -> Option<Self> {
         let (original, decoded) = (NearestPoints::of(original)?, NearestPoints::of(decoded)?);
         let of_original = decoded.nearest_to_all(&original);
@@ -88,9 +88,9 @@ impl NearestPairs {
     }
 }
 
-/// How far points are from the nearest ones of another cloud: the point-to-point distance (D1) of
-/// MPEG's common test conditions, in one direction. Distances are 3-D, in f64; points with a
-/// coordinate that is NaN or infinite play no part.
+/// How far points are from the nearest ones of another cloud: the point-to-point distance (D1) of MPEG's
+/// common test conditions, in one direction. Distances are 3-D, in f64; points with a NaN or infinite
+/// coordinate are ignored.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NearestErrors {
     /// Points that have a distance.
@@ -110,7 +110,7 @@ impl NearestErrors {
         }
     }
 
-    /// As [`add`](Self::add), of points whose nearest others are known.
+    /// As [`add`](Self::add), for points whose nearest others are known.
     pub fn add_nearest(&mut self, points: &NearestPoints, nearest: &[Nearest]) {
         for (count, found) in points.counts.iter().zip(nearest) {
             self.measured += u64::from(*count);
@@ -130,8 +130,8 @@ impl NearestErrors {
     }
 }
 
-/// The distance, in metres, of each decoded point from the nearest original one; `None` if there is none
-/// or a coordinate is NaN or infinite.
+/// The distance, in metres, of each decoded point from the nearest original one; `None` if there is none, or
+/// if a coordinate is NaN or infinite.
 pub fn nearest_distances(original: &PointCloud, decoded: &PointCloud) -> Vec<Option<f64>> {
     let original = NearestPoints::of(original);
     let of_point = |point| Some(original.as_ref()?.nearest(&finite(point)?).squared.sqrt());
@@ -151,7 +151,7 @@ mod tests {
         PointCloud { positions: positions.to_vec(), ..PointCloud::default() }
     }
 
-    /// From the first cloud to the second.
+    /// The errors from the first cloud to the second.
     fn errors(points: &[[f32; 3]], others: &[[f32; 3]]) -> NearestErrors {
         let mut errors = NearestErrors::default();
         errors.add(&cloud(points), &cloud(others));

@@ -4,10 +4,10 @@ use crate::scan::{PointCloud, squared_distance};
 
 /// How far decoded points are from the original ones.
 ///
-/// Points are paired by their order in the file: the first decoded with the first original, and so
-/// on. The error of a pair is the 3-D distance between its positions, computed in f64. A pair in
-/// which a coordinate is NaN or infinite has no distance: it is [`PointErrors::non_finite_changed`]
-/// if any bit of its positions differs, and else counts as an error of 0. Intensities are compared apart.
+/// Points are paired by their order in the file: the first decoded with the first original, and so on. The
+/// error of a pair is the 3-D distance between its positions, computed in f64. A pair in which a coordinate
+/// is NaN or infinite has no distance: it is [`PointErrors::non_finite_changed`] if any bit of its positions
+/// differs; otherwise it counts as an error of 0. Intensities are compared separately.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PointErrors {
     /// Pairs compared.
@@ -24,7 +24,7 @@ pub struct PointErrors {
     squared_sum: f64,
     /// Largest error, in metres.
     max: f64,
-    /// Largest difference of two intensities that are numbers, in the file's unit.
+    /// Largest difference between two intensities that are numbers, in the file's unit.
     pub max_intensity: f64,
 }
 
@@ -73,8 +73,8 @@ fn finite_squared_distance(a: &[f32; 3], b: &[f32; 3]) -> Option<f64> {
     finite.then(|| squared_distance(a, b))
 }
 
-/// The distance, in metres, of each decoded point from the original point at its place in the order;
-/// `None` if there is none or a coordinate is NaN or infinite.
+/// The distance, in metres, of each decoded point from the original point at its place in the order; `None`
+/// if there is none, or if a coordinate is NaN or infinite.
 pub fn paired_distances(original: &PointCloud, decoded: &PointCloud) -> Vec<Option<f64>> {
     let of_point = |(place, point): (usize, &[f32; 3])| {
         finite_squared_distance(original.positions.get(place)?, point).map(f64::sqrt)

@@ -10,26 +10,26 @@ use rayon::prelude::*;
 
 use super::nearest::{Nearest, NearestPairs, NearestPoints};
 
-/// The peak, in metres: 59.70, as in the literature on compressing KITTI's scans. The tool leaves it to the
-/// user; a figure means nothing without it.
+/// The peak, in metres: 59.70, as in the literature on compressing KITTI's scans. The tool leaves the choice
+/// to the user; a PSNR means nothing without it.
 pub const PEAK_M: f64 = 59.70;
 
 /// The tool's factor for geometry, whose errors have three coordinates.
 const FACTOR: f64 = 3.0;
 
-/// Nearest points from which a normal is estimated, the point itself being one of them: 16.
+/// Number of nearest points from which a normal is estimated, including the point itself: 16.
 const NORMAL_POINTS: NonZero<usize> = NonZero::<usize>::MIN.saturating_add(15);
 
 /// D1 and D2 of frames, symmetric.
 ///
-/// D1 is the mean of the squared distances from each point to the nearest of the other cloud (point to
-/// point). D2 takes of each such distance the part along the normal of the other point (point to plane). Of
-/// the two directions, original to decoded and back, the larger mean counts. The normals of the original
-/// cloud are those of planes through the nearest points, towards the scanner; a decoded point has the mean of
-/// the normals of those original points that it is nearest to, or, if there are none, that of the
-/// original point nearest to it. Points of one place count once; those with a coordinate that is NaN or
-/// infinite do not count. PSNR is that of the mean of all frames' errors, so that frames without any do not
-/// make it infinite.
+/// D1 is the mean of the squared distances from each point to the nearest one of the other cloud (point to
+/// point). D2 takes only the part of each such distance that is along the normal of the other point (point to
+/// plane). Of the two directions, original to decoded and back, the one with the larger mean counts. The
+/// normals of the original cloud are those of planes through the nearest points, towards the scanner; a
+/// decoded point has the mean normal of those original points to which it is nearest, or, if there are none,
+/// the normal of the original point nearest to it. Points in one place count once; those with a NaN or
+/// infinite coordinate do not count. PSNR is computed from the mean of all frames' errors, so that frames
+/// without any error do not make it infinite.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryPsnr {
     frames: u64,
@@ -56,12 +56,12 @@ impl GeometryPsnr {
         self.frames += 1;
     }
 
-    /// PSNR of point-to-point errors, in decibels; infinite if nothing has changed, `None` of no frame.
+    /// PSNR of point-to-point errors, in decibels; infinite if nothing has changed, `None` without frames.
     pub fn d1(&self) -> Option<f64> {
         self.psnr(self.d1)
     }
 
-    /// PSNR of point-to-plane errors, in decibels; infinite if nothing has changed, `None` of no frame.
+    /// PSNR of point-to-plane errors, in decibels; infinite if nothing has changed, `None` without frames.
     pub fn d2(&self) -> Option<f64> {
         self.psnr(self.d2)
     }
@@ -128,7 +128,8 @@ mod tests {
     use super::*;
     use crate::scan::PointCloud;
 
-    /// A wall of 20 x 20 points 1 m apart, `away` metres in front of the scanner, and moved to the side.
+    /// A wall of 20 x 20 points 1 m apart, `away` metres in front of the scanner, shifted sideways by
+    /// `aside`.
     fn wall(away: f32, aside: f32) -> PointCloud {
         let point = |i: usize| [away, (i / 20) as f32 - 10.0 + aside, (i % 20) as f32 - 10.0];
         PointCloud { positions: (0..400).map(point).collect(), ..PointCloud::default() }

@@ -10,8 +10,8 @@ use crate::scanner::Scanner;
 /// RMSE = sqrt(1 / (m n) * sum over cells of (I(i, j) - K(i, j))^2),
 /// ```
 ///
-/// over the cells that hold a return in both images instead of all m x n: cells without a return have no
-/// range. How many returns only one of the images has is counted apart. Ranges are in metres, in f64.
+/// over the cells that hold a return in both images instead of all m x n, since cells without a return have
+/// no range. Returns that only one of the images has are counted separately. Ranges are in metres, in f64.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RangeErrors {
     /// Returns of both images.
@@ -27,8 +27,8 @@ pub struct RangeErrors {
 }
 
 impl RangeErrors {
-    /// Adds the images of one frame, each with the scanner whose steps it counts. They are of the same rows;
-    /// columns belong together if their ticks are equal.
+    /// Adds the images of one frame, each with the scanner in whose steps it is. They have the same rows;
+    /// columns correspond if their ticks are equal.
     pub fn add(&mut self, original: (&Scanner, &RangeImage), decoded: (&Scanner, &RangeImage)) {
         let (mut left, mut right) = (0, 0);
         let tick = |image: &RangeImage, column: usize| image.columns.get(column).copied();

@@ -5,18 +5,18 @@ use super::legend::with_legend;
 use super::painting::{GAP, Picture, TEXT_HEIGHT};
 use super::scale::Scale;
 
-/// Pixels of a side, at most.
+/// The most pixels of a side.
 const LARGEST: f64 = 4096.0;
-/// Metres of the yardstick.
+/// Length of the scale bar, in metres.
 const YARD: f64 = 10.0;
 
-/// How points are drawn from above: a square around the scanner, x (forward) up and y (left) to the
-/// left, coloured by height; where several points meet, the highest is seen.
+/// A bird's-eye view: a square around the scanner, with x (forward) up and y (left) to the left, coloured by
+/// height. Where several points share a pixel, the highest is shown.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BirdsEye {
     /// Metres from the scanner to each side of the square.
     pub reach_m: f64,
-    /// Metres that a pixel is wide.
+    /// Width of a pixel, in metres.
     pub pixel_m: f64,
 }
 
@@ -28,8 +28,8 @@ impl Default for BirdsEye {
 }
 
 impl BirdsEye {
-    /// Draws points, x, y and z in metres; those that are not finite or out of reach are left out.
-    /// A side has 1 to 4096 pixels, whatever is asked for.
+    /// Draws points, with x, y and z in metres; those that are not finite or out of reach are left out. A
+    /// side has 1 to 4096 pixels, whatever the settings.
     pub fn draw(&self, points: &[[f32; 3]]) -> Picture {
         let heights = self.heights(points);
         let side = self.side();
@@ -45,7 +45,7 @@ impl BirdsEye {
         with_legend(&picture, &map, &scale, "m")
     }
 
-    /// Pixels of a side.
+    /// Number of pixels of a side.
     fn side(&self) -> usize {
         let side = (2.0 * self.reach_m / self.pixel_m).round().clamp(0.0, LARGEST);
         // NaN has become 0.
@@ -65,14 +65,14 @@ impl BirdsEye {
         heights
     }
 
-    /// Pixels from the side that lies in the direction of a coordinate, if it is within reach.
+    /// Distance in pixels from the side in the direction of a coordinate, if it is within reach.
     fn place(&self, coordinate: f32) -> Option<usize> {
         let side = self.side();
         let pixel = (self.reach_m - f64::from(coordinate)) / (2.0 * self.reach_m) * side as f64;
         (pixel >= 0.0 && pixel < side as f64).then_some(pixel as usize)
     }
 
-    /// A cross where the scanner stands, and a yardstick.
+    /// A cross at the scanner's position, and a scale bar.
     fn draw_marks(&self, picture: &mut Picture) {
         const ARM: usize = 4;
         let side = self.side();

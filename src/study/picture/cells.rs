@@ -1,4 +1,4 @@
-//! Pictures of tables: one rectangle a cell, black where no return came.
+//! Pictures of tables: one rectangle for each cell, black where there is no return.
 
 use super::colour::{self, BLACK, ColourMap, GREY, PLAIN, Rgb};
 use super::legend::with_legend;
@@ -6,7 +6,7 @@ use super::painting::Picture;
 use super::scale::Scale;
 use crate::ground::grid::Grid;
 
-/// How large a cell is drawn, in pixels; 0 counts as 1.
+/// The size in which a cell is drawn, in pixels; 0 counts as 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Zoom {
     /// Height of a cell.
@@ -16,9 +16,9 @@ pub struct Zoom {
 }
 
 impl Zoom {
-    /// For a table of `columns`: rows four times as tall as columns are wide, for the beams of a
-    /// scanner are further apart than its firings; and the picture some 1500 pixels wide, if it is not
-    /// wider with columns of one pixel.
+    /// The size for a table with `columns`: rows are four times as tall as columns are wide, since the beams
+    /// of a scanner are farther apart than its firings, and the picture is about 1500 pixels wide, or wider
+    /// if it has more columns.
     pub fn for_columns(columns: usize) -> Self {
         const WIDTH: usize = 1500;
         const WIDEST: usize = 16;
@@ -32,14 +32,14 @@ impl Zoom {
 pub enum LabelStyle {
     /// A region with a colour of its own.
     Object,
-    /// Ground: brown.
+    /// Ground, which is brown.
     Ground,
-    /// Returns of no region: grey.
+    /// Returns that belong to no region, which are grey.
     Unassigned,
 }
 
-/// A range image, or a prediction of one: rows x columns, in steps of `step_m` metres, 0 = no
-/// return; the nearer, the darker.
+/// A range image, or a prediction of one: rows x columns, in steps of `step_m` metres, 0 = no return; the
+/// nearer, the darker.
 pub fn range(steps: &Grid<u32>, step_m: f64, scale: &Scale, zoom: Zoom) -> Picture {
     let map = ColourMap::sequential();
     let picture = paint(steps, zoom, |_, &steps| match steps {
@@ -54,7 +54,7 @@ pub fn occupancy(occupancy: &Grid<bool>, zoom: Zoom) -> Picture {
     paint(occupancy, zoom, |_, &filled| if filled { PLAIN } else { BLACK })
 }
 
-/// The regions of a frame: label 0 is no return, and `style` says what the others are.
+/// The regions of a frame: label 0 means no return, and `style` says what the others are.
 pub fn labels(labels: &Grid<u32>, style: impl Fn(u32) -> LabelStyle, zoom: Zoom) -> Picture {
     paint(labels, zoom, |_, &label| match label {
         0 => BLACK,
@@ -66,8 +66,8 @@ pub fn labels(labels: &Grid<u32>, style: impl Fn(u32) -> LabelStyle, zoom: Zoom)
     })
 }
 
-/// Residuals in steps of `step_m` metres, where `occupancy`, of the same shape, holds a return: red
-/// where the return is further than predicted, blue where it is nearer.
+/// Residuals in steps of `step_m` metres, where `occupancy`, of the same shape, holds a return: red where the
+/// return is farther away than predicted, blue where it is nearer.
 pub fn residual(residuals: &Grid<i32>, occupancy: &Grid<bool>, step_m: f64, zoom: Zoom) -> Picture {
     let metres = |residual: i32| f64::from(residual) * step_m;
     let returns = residuals.cells().iter().zip(occupancy.cells()).filter(|(_, filled)| **filled);
@@ -92,7 +92,7 @@ pub fn error(millimetres: &Grid<f32>, zoom: Zoom) -> Picture {
     with_legend(&picture, &map, &scale, "mm")
 }
 
-/// One rectangle a cell.
+/// Paints one rectangle for each cell.
 fn paint<T: Clone + Default>(
     cells: &Grid<T>,
     zoom: Zoom,

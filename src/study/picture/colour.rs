@@ -1,31 +1,31 @@
-//! Colours that differ to the eye as much as the numbers behind them do.
+//! Colours whose differences look as large as those of the numbers that they stand for.
 //!
-//! All are made in Oklch (lightness, chroma, hue), in which equal distances look alike
-//! (B. Ottosson, "A perceptual color space for image processing", 2020).
+//! All of them are made in Oklch (lightness, chroma, hue), in which equal distances look equal (B. Ottosson,
+//! "A perceptual color space for image processing", 2020).
 
-/// Red, green and blue, as sRGB has them.
+/// Red, green and blue in sRGB.
 pub type Rgb = [u8; 3];
 
 /// No return.
 pub const BLACK: Rgb = [0; 3];
-/// Texts and marks.
+/// Text and marks.
 pub const WHITE: Rgb = [255; 3];
-/// A return that says no more than that it is there.
+/// A return of which nothing more is shown than that it exists.
 pub const PLAIN: Rgb = [200; 3];
 /// A return that belongs to no region.
 pub const GREY: Rgb = [90; 3];
 
-/// Colours of a map.
+/// Number of colours of a map.
 const SHADES: usize = 256;
-/// Degrees from one label's hue to that of the next: the golden angle, which fills the circle
-/// evenly however many there are.
+/// Degrees between the hues of neighbouring labels: the golden angle, which fills the circle evenly however
+/// many there are.
 const GOLDEN_ANGLE: f64 = 137.507_764_05;
 
 /// Colours for the numbers from 0 to 1.
 pub struct ColourMap(Vec<Rgb>);
 
 impl ColourMap {
-    /// From small to large: dark blue over green to light yellow, ever lighter.
+    /// From small to large: dark blue, green, light yellow, with rising lightness.
     pub fn sequential() -> Self {
         Self::new(|part| oklch(0.38 + 0.57 * part, 0.15, 285.0 - 185.0 * part))
     }
@@ -43,24 +43,24 @@ impl ColourMap {
         ColourMap((0..SHADES).map(|shade| colour(shade as f64 / (SHADES - 1) as f64)).collect())
     }
 
-    /// The colour of a number; those outside 0 to 1 have that of the nearer end.
+    /// The colour of a number; numbers outside 0 to 1 have that of the nearer end.
     pub fn at(&self, part: f64) -> Rgb {
         self.0[(part.clamp(0.0, 1.0) * (SHADES - 1) as f64).round() as usize]
     }
 }
 
-/// The colour of a label, always the same one, and unlike that of the labels next to it.
+/// The colour of a label: always the same, and unlike those of neighbouring labels.
 pub fn of_label(label: u32) -> Rgb {
     let lightness = [0.62, 0.80, 0.70][label as usize % 3];
     oklch(lightness, 0.16, f64::from(label) * GOLDEN_ANGLE)
 }
 
-/// A brown for a piece of ground; pieces with neighbouring labels have different ones.
+/// A brown for a piece of ground; pieces with neighbouring labels have different browns.
 pub fn of_ground(label: u32) -> Rgb {
     oklch([0.42, 0.36, 0.48][label as usize % 3], 0.045, 70.0)
 }
 
-/// Lightness 0 to 1, chroma (0 is grey), hue in degrees; less chroma where sRGB has not so much.
+/// Lightness 0 to 1, chroma (0 is grey), hue in degrees; the chroma is reduced where sRGB does not reach it.
 fn oklch(lightness: f64, chroma: f64, hue: f64) -> Rgb {
     let (sin, cos) = hue.to_radians().sin_cos();
     let mut rgb = linear_rgb(lightness, chroma * cos, chroma * sin);
@@ -94,7 +94,7 @@ fn gamma(linear: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Luma of Rec. 709, near enough to lightness.
+    /// Luma of Rec. 709, which is close enough to lightness.
     fn luma([r, g, b]: Rgb) -> f64 {
         0.2126 * f64::from(r) + 0.7152 * f64::from(g) + 0.0722 * f64::from(b)
     }

@@ -2,15 +2,15 @@
 
 /// Dots from one letter to the next.
 pub const ADVANCE: usize = 6;
-/// Dots of a line's height.
+/// Height of a line, in dots.
 pub const HEIGHT: usize = GLYPH_HEIGHT + DESCENT;
-/// Dots of a glyph's height.
+/// Height of a glyph, in dots.
 const GLYPH_HEIGHT: usize = 7;
-/// Dots by which some glyphs are lower than the others.
+/// Number of dots by which some glyphs are lower than the others.
 const DESCENT: usize = 2;
-/// Those with a tail under the line.
+/// Glyphs with a tail below the line.
 const WITH_TAIL: &str = "gpqy,";
-/// Dots of a letter's width.
+/// Width of a letter, in dots.
 const WIDTH: usize = 5;
 
 /// Rows from the top; the leftmost dot is the highest of five bits.
@@ -59,8 +59,8 @@ const GLYPHS: [(char, [u8; GLYPH_HEIGHT]); 42] = [
     ('%', [0b11001, 0b11010, 0b00010, 0b00100, 0b01000, 0b01011, 0b10011]),
 ];
 
-/// The dots of a text, as (column, row) from its upper left corner. Capitals look like small
-/// letters; what has no glyph leaves a gap.
+/// The dots of a text, as (column, row) from its upper left corner. Capitals look like small letters;
+/// characters without a glyph leave a gap.
 pub fn dots(text: &str) -> impl Iterator<Item = (usize, usize)> {
     text.chars().enumerate().flat_map(|(place, letter)| {
         let letter = letter.to_ascii_lowercase();

@@ -4,16 +4,16 @@ use super::colour::{ColourMap, WHITE};
 use super::painting::{GAP, LETTER_WIDTH, Picture, TEXT_HEIGHT};
 use super::scale::Scale;
 
-/// Pixels of the bar's height.
+/// Height of the bar, in pixels.
 const BAR_HEIGHT: usize = 12;
-/// Pixels of the bar's width.
+/// Width of the bar, in pixels.
 const BAR_WIDTH: usize = 640;
-/// Pixels on either side of the bar, where half a number finds room.
+/// Pixels on each side of the bar, enough for half a number.
 const MARGIN: usize = 40;
-/// Pixels of a tick's length.
+/// Length of a tick, in pixels.
 const TICK: usize = 5;
 
-/// The picture with a legend under it, of numbers of this unit.
+/// The picture with a legend below it, for numbers in this unit.
 pub fn with_legend(picture: &Picture, map: &ColourMap, scale: &Scale, unit: &str) -> Picture {
     let unit_width = (1 + unit.len()) * LETTER_WIDTH;
     let width = picture.width().max(MARGIN + BAR_WIDTH + MARGIN + unit_width);

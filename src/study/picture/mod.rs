@@ -1,5 +1,5 @@
-//! Pictures of a frame: range image, occupancy, labels, prediction, residual, error, and the points
-//! from above. Pure functions from plain data; what they draw is for the eye only.
+//! Pictures of a frame: range image, occupancy, labels, prediction, residual, error, and the points from
+//! above. Pure functions of plain data, for the eye only.
 
 mod bird;
 mod cells;

@@ -1,4 +1,4 @@
-//! A picture in memory, and what can be painted on it.
+//! A picture in memory, and operations to paint on it.
 
 use std::io;
 
@@ -9,16 +9,16 @@ use super::colour::{BLACK, Rgb, WHITE};
 use super::font;
 use crate::ground::error::{Error, Result};
 
-/// Pixels of a dot of a letter.
+/// Size of a dot of a letter, in pixels.
 const DOT: usize = 2;
-/// Pixels of a text's height.
+/// Height of a text, in pixels.
 pub const TEXT_HEIGHT: usize = font::HEIGHT * DOT;
-/// Pixels from one letter to the next.
+/// Distance from one letter to the next, in pixels.
 pub const LETTER_WIDTH: usize = font::ADVANCE * DOT;
-/// Pixels between things.
+/// Distance between things, in pixels.
 pub const GAP: usize = 6;
 
-/// A picture of at least one pixel; row 0 is the upper one.
+/// A picture of at least one pixel; row 0 is at the top.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
     width: usize,
@@ -27,13 +27,13 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// A black picture, `width` x `height` pixels, at least one each way.
+    /// A black picture, `width` x `height` pixels, at least one in each direction.
     pub fn new(width: usize, height: usize) -> Self {
         let (width, height) = (width.max(1), height.max(1));
         Picture { width, height, pixels: vec![BLACK; width * height] }
     }
 
-    /// Pixels of a row.
+    /// Number of pixels in a row.
     pub fn width(&self) -> usize {
         self.width
     }
@@ -64,7 +64,7 @@ impl Picture {
         Ok(file)
     }
 
-    /// Paints a rectangle; what is outside is left out.
+    /// Paints a rectangle; the part outside the picture is left out.
     pub(super) fn fill(&mut self, [left, top]: [usize; 2], [width, height]: [usize; 2], colour: Rgb) {
         let (left, right) = (left.min(self.width), left.saturating_add(width).min(self.width));
         for y in top.min(self.height)..top.saturating_add(height).min(self.height) {
@@ -72,14 +72,14 @@ impl Picture {
         }
     }
 
-    /// Writes a line of text, its upper left corner at (`left`, `top`).
+    /// Writes a line of text with its upper left corner at (`left`, `top`).
     pub(super) fn write(&mut self, text: &str, [left, top]: [usize; 2], colour: Rgb) {
         for (column, row) in font::dots(text) {
             self.fill([left + column * DOT, top + row * DOT], [DOT, DOT], colour);
         }
     }
 
-    /// Copies a picture, its upper left corner at row `top` of this one.
+    /// Copies a picture with its upper left corner at row `top` of this one.
     pub(super) fn paste(&mut self, other: &Picture, top: usize) {
         let width = other.width.min(self.width);
         for y in 0..other.height.min(self.height.saturating_sub(top)) {
@@ -89,7 +89,7 @@ impl Picture {
     }
 }
 
-/// Pictures below each other, each under its title.
+/// Pictures one below the other, each under its title.
 pub fn stack(titled: &[(&str, Picture)]) -> Picture {
     const TITLE: usize = GAP + TEXT_HEIGHT + GAP;
     let width = titled.iter().map(|(_, picture)| picture.width).max().unwrap_or(0);

@@ -1,4 +1,4 @@
-//! Which numbers a colour map covers.
+//! The range of numbers that a colour map covers.
 
 /// The numbers from one end of a colour map to the other, in metres or, for errors, millimetres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -8,7 +8,7 @@ pub struct Scale {
     spacing: Spacing,
 }
 
-/// What is equally far apart on a scale.
+/// What is equal between equal distances on a scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Spacing {
     /// Equal differences.
@@ -19,16 +19,16 @@ enum Spacing {
     RatioBeyond(f64),
 }
 
-/// The least width of a scale, in its unit, for data that are all the same.
+/// The least width of a scale, in its unit, for data that are all equal.
 const LEAST_SPAN: f64 = 1e-3;
-/// The least metres of a scale of ratios.
+/// The lower end of a scale of ratios is at least this, in metres.
 const LEAST_RANGE: f64 = 0.1;
-/// Ratio of the ends of a scale of ratios, at least.
+/// The least ratio between the ends of a scale of ratios.
 const LEAST_RATIO: f64 = 2.0;
 
 impl Scale {
-    /// For ranges (metres, any order): by ratio, from the 1st to the 99th percentile. 1 to 100 m if
-    /// there are none. Predictions are best shown on the scale of the ranges they predict.
+    /// For ranges (metres, in any order): by ratio, from the 1st to the 99th percentile, or 1 to 100 m if
+    /// there are none. Predictions are best shown on the scale of the ranges that they predict.
     pub fn of_ranges(metres: impl Iterator<Item = f64>) -> Self {
         let sorted = sorted(metres.filter(|range| *range > 0.0));
         if sorted.is_empty() {
@@ -42,14 +42,14 @@ impl Scale {
     pub fn of_heights(metres: impl Iterator<Item = f64>) -> Self {
         let sorted = sorted(metres);
         let low = percentile(&sorted, 0.02);
-        // In large numbers a small difference is lost.
+        // With large numbers a small difference would be lost.
         let least_span = LEAST_SPAN.max(low.abs() * 1e-6);
         let high = percentile(&sorted, 0.98).max(low + least_span);
         Scale { low, high, spacing: Spacing::Linear }
     }
 
-    /// For errors (metres or millimetres): from 0 to the 98th percentile, by ratio beyond the median. For the small
-    /// ones are noise and the large ones edges, and both are of interest.
+    /// For errors (metres or millimetres): from 0 to the 98th percentile, by ratio beyond the median, since
+    /// the small ones are noise, the large ones are edges, and both are of interest.
     pub fn of_errors(metres: impl Iterator<Item = f64>) -> Self {
         let sorted = sorted(metres);
         let high = percentile(&sorted, 0.98).max(LEAST_SPAN);
@@ -57,13 +57,13 @@ impl Scale {
         Scale { low: 0.0, high, spacing: Spacing::RatioBeyond(knee) }
     }
 
-    /// For residuals (metres): as for errors, as far below 0 as above.
+    /// For residuals (metres): as for errors, extending as far below 0 as above.
     pub fn of_residuals(metres: impl Iterator<Item = f64>) -> Self {
         let errors = Self::of_errors(metres.map(f64::abs));
         Scale { low: -errors.high, ..errors }
     }
 
-    /// Where a number is: 0 at the lower end, 1 at the upper one.
+    /// The place of a number: 0 at the lower end, 1 at the upper one.
     pub fn part(&self, metres: f64) -> f64 {
         let [low, here, high] = [self.low, metres, self.high].map(|metres| match self.spacing {
             Spacing::Linear => metres,
@@ -82,7 +82,7 @@ impl Scale {
         }
     }
 
-    /// From `least` to the upper end: these digits in each decade.
+    /// Numbers from `least` to the upper end with these digits in each decade.
     fn round_numbers(&self, least: f64, digits: &[i32]) -> Vec<(f64, String)> {
         let decades = (least.log10().floor() as i32)..=(self.high.log10().ceil() as i32);
         decades
@@ -93,8 +93,8 @@ impl Scale {
             .collect()
     }
 
-    /// Round numbers from `knee` on, zero, and the same below it if the scale goes there; the fewer a
-    /// decade, the more decades there are.
+    /// Round numbers from `knee` on, zero, and the same below zero if the scale extends there; the more
+    /// decades there are, the fewer numbers each has.
     fn ticks_beyond(&self, knee: f64) -> Vec<(f64, String)> {
         let above = match self.high / knee {
             100.0.. => self.round_numbers(knee, &[1]),
@@ -123,19 +123,19 @@ impl Scale {
     }
 }
 
-/// Digits after the point that numbers of a decade need.
+/// Number of digits after the decimal point that numbers of a decade need.
 fn decimals(decade: i32) -> usize {
     decade.saturating_neg().clamp(0, 9) as usize
 }
 
-/// The finite ones, rising.
+/// The finite numbers, rising.
 fn sorted(metres: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = metres.filter(|value| value.is_finite()).collect();
     values.sort_by(f64::total_cmp);
     values
 }
 
-/// The value that a part of them, 0 to 1, does not exceed; 0 if there are none.
+/// The value that the share `part`, 0 to 1, of them does not exceed; 0 if there are none.
 fn percentile(sorted: &[f64], part: f64) -> f64 {
     let place = (sorted.len() as f64 * part) as usize;
     sorted.get(place.min(sorted.len().saturating_sub(1))).copied().unwrap_or(0.0)

@@ -35,19 +35,19 @@ pub struct Beam {
     pub range_offset: f64,
     /// Height of the beam's origin over that of the sensor, in metres.
     pub height: f64,
-    /// Sideways offset of the beam's origin, in metres; positive turns it towards larger azimuths.
+    /// Sideways offset of the beam's origin, in metres; positive offsets turn it towards larger azimuths.
     pub side: f64,
-    /// Azimuth offset below one tick, in degrees.
+    /// Azimuth offset, less than one tick, in degrees.
     pub turn: f64,
     /// Whole ticks from the beam's azimuth to the column that all beams share.
     pub shift: i32,
-    /// What the beam's intensities are multiplied with.
+    /// Factor of the beam's intensities.
     pub gain: f64,
 }
 
-/// The beams from top to bottom, as the seed makes them. The structure is the published one of the
-/// HDL-64E; the deviations from it differ from scanner to scanner, so here they are random.
-/// With fewer than 64 beams, every (64 / count)-th one.
+/// The beams from top to bottom, generated from the seed. The structure is the published one of the HDL-64E;
+/// the deviations from it differ from scanner to scanner, so they are random here. With fewer than 64 beams,
+/// every (64 / count)-th one.
 pub(super) fn beams(seed: u64, count: usize) -> Vec<Beam> {
     let count = count.clamp(1, BEAMS);
     let all = (0..BEAMS).map(|row| beam(row, &mut Rng::keyed(seed, &[u64::from(b'b'), row as u64])));
@@ -70,8 +70,8 @@ fn beam(row: usize, rng: &mut Rng) -> Beam {
     }
 }
 
-/// The lasers of a block stand in groups of six side by side, so the shift climbs in each group and
-/// falls back with the next one; two kinds of groups take turns.
+/// The lasers of a block stand side by side in groups of six, so the shift rises within each group and falls
+/// back with the next one; two kinds of groups alternate.
 fn shift(row: usize, rng: &mut Rng) -> i32 {
     let upper = row < BEAMS / 2;
     let place = row % (BEAMS / 2) + if upper { 2 } else { 4 };
@@ -90,12 +90,13 @@ pub(super) struct Stored {
 }
 
 impl Beam {
-    /// What the whole steps lack to the distance from the point on the axis the ray passes, in metres.
+    /// The difference between the distance from the point on the axis that the ray passes and the whole
+    /// steps, in metres.
     pub(super) fn distance_offset(&self) -> f64 {
         self.range_offset / cos(self.elevation * RADIANS)
     }
 
-    /// Height where the ray, drawn back to the axis, starts, in metres.
+    /// Height at which the ray, extended back to the axis, starts, in metres.
     pub(super) fn origin_height(&self) -> f64 {
         self.height - self.distance_offset() * sin(self.elevation * RADIANS)
     }
@@ -105,13 +106,13 @@ impl Beam {
         (sin(self.elevation * RADIANS), cos(self.elevation * RADIANS))
     }
 
-    /// Azimuth of the ray, before its sideways offset turns it, in radians.
+    /// Azimuth of the ray before its sideways offset turns it, in radians.
     pub(super) fn azimuth(&self, tick: i32) -> f64 {
         (f64::from(tick) * TICK_DEGREES + self.turn) * RADIANS
     }
 
-    /// The coordinates of a range and a tick, with the roundings to single precision of the
-    /// original software: they put a point in a hundred on the other side of a millimetre boundary.
+    /// The coordinates of a range and a tick, with the roundings to single precision of the original
+    /// software: these move one point in a hundred to the other side of a millimetre boundary.
     pub(super) fn point(&self, tick: i32, steps: u32) -> Stored {
         let (sin_v, cos_v) = self.slope();
         let (sin_v, cos_v) = (sin_v as f32, cos_v as f32);
@@ -127,7 +128,7 @@ impl Beam {
     }
 }
 
-/// The float32 next to a whole number of millimetres. Zero keeps the sign of what was rounded.
+/// The float32 nearest to a whole number of millimetres. Zero keeps the sign of the rounded number.
 fn to_millimetres(metres: f32) -> f32 {
     (rint(f64::from(metres) * 1000.0) / 1000.0) as f32
 }

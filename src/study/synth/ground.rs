@@ -1,4 +1,4 @@
-//! The ground: a road with kerbs and pavements that slopes and undulates.
+//! The ground: a road with kerbs and pavements, sloping and undulating.
 
 use super::ray::{Hit, Ray};
 use crate::ground::random::{hash, unit};
@@ -12,12 +12,12 @@ const VERGE: f64 = 9.0;
 /// Rise along the road and across it, in metres a metre.
 const CLIMB: f64 = 0.015;
 const TILT: f64 = 0.01;
-/// Fall of the road from its middle to the kerbs, in metres a metre.
+/// Fall of the road from its middle to the kerbs, in metres per metre.
 const CAMBER: f64 = 0.015;
-/// The undulation along the road: metres from one support to the next, and from low to high.
+/// The undulation along the road: metres between supports, and from low to high.
 const WAVE_LENGTH: f64 = 25.0;
 const WAVE_HEIGHT: f64 = 0.35;
-/// No slope of all these together is steeper.
+/// All slopes together are never steeper than this.
 const STEEPEST: f64 = 0.08;
 /// Cells of the ground's brightness, in metres.
 const PATCH: f64 = 0.7;
@@ -43,7 +43,7 @@ impl Ground {
         [CLIMB + self.wave(x).1, TILT]
     }
 
-    /// Height without the kerbs: continuous, so that a ray can be followed over it.
+    /// Height without the kerbs, which is continuous, so that a ray can be followed over it.
     fn base(&self, x: f64, y: f64) -> f64 {
         CLIMB * x + TILT * y - CAMBER * y.abs().min(KERB) + self.wave(x).0
     }
@@ -58,7 +58,7 @@ impl Ground {
         (left + (right - left) * blend, (right - left) * 6.0 * at * (1.0 - at) / WAVE_LENGTH)
     }
 
-    /// Where a ray meets the ground, no further than `reach` metres.
+    /// Where a ray meets the ground, if that is at most `reach` metres away.
     pub(super) fn hit(&self, ray: &Ray, reach: f64) -> Option<Hit> {
         let kerb = self.kerb_distance(ray).min(reach);
         if let Some(distance) = self.march(ray, 0.0, kerb, 0.0) {
@@ -74,7 +74,7 @@ impl Ground {
         self.march(ray, kerb, reach, KERB_HEIGHT).map(|distance| self.surface(ray, distance))
     }
 
-    /// Distance to the kerb that the ray crosses, 0 if it starts beyond.
+    /// Distance to the kerb that the ray crosses; 0 if it starts beyond it.
     fn kerb_distance(&self, ray: &Ray) -> f64 {
         let (from, along) = (ray.origin[1], ray.direction[1]);
         if from.abs() >= KERB {
@@ -86,9 +86,9 @@ impl Ground {
         }
     }
 
-    /// First distance between `from` and `to` at which the ray is down at `lift` over the base.
-    /// Strides are as long as the steepest slope allows, or 5 % of the way, whichever is more;
-    /// crests that such a stride misses are lower than the undulation makes any.
+    /// First distance between `from` and `to` at which the ray is down to `lift` above the base. A stride
+    /// is as long as the steepest slope allows, or 5 % of the way, whichever is more; crests that such a
+    /// stride misses are lower than any that the undulation makes.
     fn march(&self, ray: &Ray, from: f64, to: f64, lift: f64) -> Option<f64> {
         let closing = STEEPEST - ray.direction[2];
         let above = |distance: f64| {
@@ -129,13 +129,13 @@ impl Ground {
     }
 }
 
-/// The dashed line in the middle of the road and the solid ones before the parked cars.
+/// The dashed line in the middle of the road, and the solid ones along the parked cars.
 fn is_marking(x: f64, y: f64) -> bool {
     let dashed = y.abs() < 0.06 && x.rem_euclid(9.0) < 3.0;
     dashed || (y.abs() - 3.9).abs() < 0.05
 }
 
-/// The zero between a place above and one below, to well under the noise.
+/// The zero between a place above and one below, accurate to well under the noise.
 fn false_position(above: impl Fn(f64) -> f64, near: (f64, f64), far: (f64, f64)) -> f64 {
     let (mut near, mut far) = (near, far);
     let mut middle = far.0;

@@ -1,10 +1,10 @@
-//! A simulated drive: a Velodyne HDL-64E or VLP-16, a street made up from a seed, and scans as KITTI or the ROS driver
-//! stores them.
+//! A simulated drive: a Velodyne HDL-64E or VLP-16, a street generated from a seed, and scans in the form in
+//! which KITTI or the ROS driver stores them.
 //!
-//! For tests and demonstrations that need scans with the structure of real ones but none of their
-//! data. What is imitated is the sensor: 64 beams with constants of their own, 2 mm range steps,
-//! 0.09 degree azimuth ticks, columns that all beams share, coordinates rounded to the millimetre,
-//! 8.9 mm of range noise. A seed gives the same bytes on every platform.
+//! For tests and demonstrations that need scans with the structure of real ones, but none of their data. What
+//! is imitated is the sensor: 64 beams with constants of their own, 2 mm range steps, 0.09 degree azimuth
+//! ticks, columns that all beams share, coordinates rounded to the millimetre, 8.9 mm of range noise. A seed
+//! gives the same bytes on every platform.
 //!
 //! ```
 //! use lidarpc::study::synth::{SynthConfig, drive};
@@ -51,25 +51,25 @@ pub struct SynthConfig {
     pub scanner: SynthScanner,
     /// Number of frames. Default 10.
     pub frames: usize,
-    /// Makes the scanner, the street and the noise what they are. Default 1.
+    /// Determines the scanner, the street and the noise. Default 1.
     pub seed: u64,
     /// Beams of the HDL-64E, 1 to 64: every (64 / beams)-th one of the full scanner. Default 64.
     pub beams: usize,
-    /// Only every so many-th firing is kept, of the VLP-16 every so many-th block of two; 1 keeps all of a turn.
-    /// Default 1.
+    /// Only every `thinning`-th firing is kept, or block of two firings with the VLP-16; 1 keeps a whole
+    /// turn. Default 1.
     pub thinning: usize,
-    /// Way from one frame to the next, in metres. Default 0.8.
+    /// Distance from one frame to the next, in metres. Default 0.8.
     pub speed: f64,
-    /// The heading swings to and fro; this is its fastest change, in radians a frame. Default 0.004.
+    /// The heading swings from side to side; this is its fastest change, in radians a frame. Default 0.004.
     pub yaw_rate: f64,
-    /// Whether the car moves on while the head turns. If so, the points are those that the sensor
-    /// saw from where it was at each firing, not corrected, as in KITTI raw data. Default true.
+    /// Whether the car moves while the head turns. If so, the points are those that the sensor saw from its
+    /// place at each firing, uncorrected, as in KITTI raw data. Default true.
     pub rolling: bool,
     /// Whether other cars drive too. Default true.
     pub traffic: bool,
     /// Sigma of the range noise, in metres. Default 0.0089.
     pub noise: f64,
-    /// Share of returns lost for no reason, on top of those too weak to be heard. Default 0.002.
+    /// Share of returns lost at random, besides those that are too weak. Default 0.002.
     pub dropout: f64,
     /// Nearest range, in metres. Default 2.
     pub min_range: f64,
@@ -104,8 +104,8 @@ impl SynthConfig {
         SynthConfig { frames: 3, seed: 64, thinning: 4, ..SynthConfig::default() }
     }
 
-    /// Says which setting is out of range, if one is. [`drive`] takes any settings without harm,
-    /// but those make no sense.
+    /// Names the setting that is out of range, if any. [`drive`] accepts any settings without harm, but such
+    /// settings make no sense.
     pub fn check(&self) -> Result<()> {
         let beams = (1..=BEAMS).contains(&self.beams);
         require(beams, || format!("{} beams: the scanner has 1 to {BEAMS}", self.beams))?;
@@ -133,11 +133,11 @@ fn require(holds: bool, message: impl FnOnce() -> String) -> Result<()> {
 pub struct SynthFrame {
     /// File name as in KITTI: "0000000000.bin" is the first.
     pub name: String,
-    /// x, y, z in metres and intensity: of the HDL-64E beam by beam from the top and by azimuth in each beam, the
-    /// intensity from 0 to 0.99; of the VLP-16 firing by firing, the intensity a whole number from 0 to 255.
+    /// x, y, z in metres and intensity. HDL-64E: beam by beam from the top, and by azimuth in each beam, with
+    /// intensities from 0 to 0.99. VLP-16: firing by firing, with whole intensities from 0 to 255.
     pub points: Vec<[f32; 4]>,
-    /// The sensor in the world when it looks ahead, in the middle of its turn: rotation and
-    /// position in metres, the first three rows of the matrix that takes points to the world.
+    /// The pose of the sensor in the world, looking ahead, in the middle of its turn: rotation, and position
+    /// in metres, as the first three rows of the matrix that takes points to the world.
     pub pose: [f64; 12],
 }
 
@@ -148,7 +148,7 @@ impl SynthFrame {
     }
 }
 
-/// Simulates a drive; each frame is made when it is asked for.
+/// Simulates a drive; each frame is computed when it is requested.
 pub fn drive(config: &SynthConfig) -> impl Iterator<Item = SynthFrame> + use<> {
     let (config, ground, beams) = (config.clone(), Ground::new(config.seed), scanner_beams(config));
     (0..config.frames).map(move |frame| SynthFrame {

@@ -1,11 +1,11 @@
-//! A laser ray, and what it may find.
+//! A laser ray, and what it may hit.
 
 /// A ray in the world, in metres.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ray {
-    /// Where it starts.
+    /// Its origin.
     pub origin: [f64; 3],
-    /// Where it goes, of length 1.
+    /// Its direction, of length 1.
     pub direction: [f64; 3],
 }
 
@@ -22,8 +22,8 @@ impl Ray {
         core::array::from_fn(|axis| self.origin[axis] + distance * self.direction[axis])
     }
 
-    /// The ray as seen from a body that stands at `place` and is turned about the vertical by the
-    /// angle of the given cosine and sine.
+    /// The ray as seen from a body at `place` that is turned about the vertical by the angle with the given
+    /// cosine and sine.
     pub(super) fn seen_from(&self, place: [f64; 3], cos: f64, sin: f64) -> Ray {
         let turned = |v: [f64; 3]| [cos * v[0] + sin * v[1], cos * v[1] - sin * v[0], v[2]];
         let offset = core::array::from_fn(|axis| self.origin[axis] - place[axis]);
@@ -31,18 +31,18 @@ impl Ray {
     }
 }
 
-/// A surface that a ray met.
+/// A surface that a ray has met.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
     /// Distance along the ray, in metres.
     pub distance: f64,
     /// Cosine of the angle between the ray and the surface's normal, 0..=1.
     pub incidence: f64,
-    /// Share of the light that comes back, 0..=1; above for reflectors.
+    /// Share of the light that comes back, 0..=1; more for reflectors.
     pub reflectivity: f64,
     /// Roughness along the ray: sigma in metres, on top of the scanner's noise.
     pub scatter: f64,
-    /// Share of the pulses that pass or are mirrored away, as on glass.
+    /// Share of the pulses that pass through or are mirrored away, as on glass.
     pub loss: f64,
 }
 

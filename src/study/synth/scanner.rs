@@ -11,23 +11,23 @@ use super::shape::through_box;
 use super::trajectory::Pose;
 use crate::ground::random::Rng;
 
-/// Firings in a turn at 10 turns a second; the motor is not quite steady.
+/// Firings in a turn at 10 turns a second; the motor is not perfectly steady.
 const FIRINGS: [f64; 2] = [2148.6, 2165.4];
-/// Unsteadiness from one firing to the next, sigma in ticks.
+/// Unsteadiness from one firing to the next: sigma in ticks.
 const JITTER: f64 = 0.01;
 /// Probability that a point's tick is one too high.
 const STRAY: f64 = 1e-5;
 /// The roof that carries the sensor, in the sensor's coordinates (metres).
 const ROOF: ([f64; 3], [f64; 3]) = ([-1.6, -0.75, -2.0], [1.0, 0.75, -0.35]);
-/// How sure a return is: the higher, the farther are dark and slanting surfaces seen.
+/// Sensitivity: the higher, the farther away are dark and slanting surfaces seen.
 const SENSITIVITY: f64 = 90.0;
-/// The distance that `SENSITIVITY` is for, in metres.
+/// The distance to which `SENSITIVITY` applies, in metres.
 const SENSITIVITY_RANGE: f64 = 50.0;
 /// Noise of the intensity, sigma: hundredths, and speckle as a share of the intensity itself.
 const INTENSITY_NOISE: f64 = 2.5;
 const SPECKLE: f64 = 0.1;
 
-/// The ticks of the firings of a turn, as columns that all beams share; each `thinning`-th of them.
+/// The ticks of the firings of a turn, as columns that all beams share; every `thinning`-th of them.
 pub(super) fn columns(rng: &mut Rng, thinning: usize) -> Vec<i32> {
     let spacing = f64::from(TICKS) / rng.between(FIRINGS[0], FIRINGS[1]);
     let mut at = rng.between(0.0, 1.0);
@@ -39,7 +39,7 @@ pub(super) fn columns(rng: &mut Rng, thinning: usize) -> Vec<i32> {
     columns.into_iter().step_by(thinning.max(1)).collect()
 }
 
-/// A frame in the making.
+/// A frame under construction.
 pub(super) struct Scanner<'a> {
     pub config: &'a SynthConfig,
     pub ground: &'a Ground,
@@ -63,14 +63,14 @@ impl Scanner<'_> {
         Rng::keyed(self.config.seed, &[u64::from(b'f'), frame as u64, row as u64])
     }
 
-    /// Where the sensor is when it fires in a column. A turn begins and ends behind the car.
+    /// The sensor's pose when it fires in a column. A turn begins and ends behind the car.
     fn pose(&self, time: f64, column: i32) -> Pose {
         let turned = f64::from((column + TICKS / 2) % TICKS) / f64::from(TICKS) - 0.5;
         pose(self.config, self.ground, time, turned)
     }
 
-    /// One beam's points. They are sorted by azimuth before it was rounded, 0 to 360 degrees, so at
-    /// the seam, and where a near point stands before a far one, the ticks are not in order.
+    /// The points of one beam. They are sorted by azimuth before rounding, 0 to 360 degrees, so the ticks are
+    /// not in order at the seam, and where a near point precedes a far one.
     fn row(&self, scene: &Scene, beam: &Beam, firings: &[(i32, Pose)], rng: &mut Rng) -> Vec<[f32; 4]> {
         let mut row: Vec<(Stored, f32)> = Vec::with_capacity(firings.len());
         for (column, pose) in firings {
@@ -98,8 +98,8 @@ impl Scanner<'_> {
     }
 }
 
-/// What the scanner measures along a ray that meets something: the distance in metres, with its noise. None if not
-/// enough light comes back, or from too near or too far.
+/// What the scanner measures along a ray that meets something: the distance in metres, with its noise. `None`
+/// if not enough light comes back, or if the surface is too near or too far.
 pub(super) fn measured(config: &SynthConfig, hit: &Hit, rng: &mut Rng) -> Option<f64> {
     let noise = sqrt(config.noise * config.noise + hit.scatter * hit.scatter);
     let distance = hit.distance + noise * rng.normal();
@@ -107,14 +107,14 @@ pub(super) fn measured(config: &SynthConfig, hit: &Hit, rng: &mut Rng) -> Option
     (is_heard && distance >= config.min_range && distance <= config.max_range).then_some(distance)
 }
 
-/// Whether a return is strong enough, and not lost by chance.
+/// Whether a return is strong enough and not lost by chance.
 fn is_heard(config: &SynthConfig, hit: &Hit, rng: &mut Rng) -> bool {
     let range = hit.distance / SENSITIVITY_RANGE;
     let strength = SENSITIVITY * hit.reflectivity * hit.incidence / (range * range);
     rng.chance((1.0 - exp(-strength)) * (1.0 - hit.loss) * (1.0 - config.dropout))
 }
 
-/// Where the sensor is in a part of its turn, from -0.5 to 0.5.
+/// The sensor's pose at a fraction of its turn, from -0.5 to 0.5.
 pub(super) fn pose(config: &SynthConfig, ground: &Ground, time: f64, turned: f64) -> Pose {
     Pose::at(config, ground, if config.rolling { time + turned } else { time })
 }
@@ -129,7 +129,7 @@ fn leave(beam: &Beam, tick: i32) -> Ray {
     }
 }
 
-/// What a ray of the sensor sees: the roof under it or the street.
+/// What a ray of the sensor hits: the roof under it, or the street.
 pub(super) fn look(scene: &Scene, ray: &Ray, pose: &Pose, rng: &mut Rng) -> Option<Hit> {
     if let Some(span) = through_box(ray, ROOF.0, ROOF.1).filter(|span| span.enter > 0.0) {
         return Some(Hit::plain(span.enter, span.incidence, 0.4));
@@ -137,8 +137,8 @@ pub(super) fn look(scene: &Scene, ray: &Ray, pose: &Pose, rng: &mut Rng) -> Opti
     scene.trace(&Ray { origin: pose.place(ray.origin), direction: pose.turn(ray.direction) }, rng)
 }
 
-/// Intensity as stored: hundredths, 0.00 to 0.99. The scanner makes up for most of the distance;
-/// slanting surfaces look darker.
+/// Intensity as stored: hundredths, 0.00 to 0.99. The scanner compensates for most of the distance; slanting
+/// surfaces look darker.
 fn intensity(hit: &Hit, gain: f64, rng: &mut Rng) -> f32 {
     (brightness(hit, gain, rng).clamp(0.0, 99.0) / 100.0) as f32
 }

@@ -1,4 +1,4 @@
-//! All that the sensor can see in one frame, sorted by direction so that a ray asks few things.
+//! Everything that the sensor can see in one frame, sorted by direction so that a ray has to test few things.
 
 use libm::{asin, atan2, sqrt};
 
@@ -17,7 +17,8 @@ const SECTORS: usize = 512;
 pub(super) struct Scene<'a> {
     ground: &'a Ground,
     things: Vec<Thing>,
-    /// For every sector the things in it, with the distance before which they cannot be, by that distance.
+    /// For every sector the things in it, sorted by the least distance at which they may be, with that
+    /// distance.
     sectors: Vec<Vec<(f64, usize)>>,
     reach: f64,
 }
@@ -28,7 +29,7 @@ impl<'a> Scene<'a> {
         let reach = config.max_range.clamp(0.0, 1000.0);
         let things = things(config, ground, middle[0] - reach, middle[0] + reach, time);
         let mut sectors = vec![Vec::new(); SECTORS];
-        // The sensor moves on by half a frame's way to either side of the middle.
+        // The sensor moves by half a frame's distance to either side of the middle.
         let margin = 0.5 * config.speed.abs() + 0.2;
         for (index, thing) in things.iter().enumerate() {
             enter(&mut sectors, index, thing, middle, margin);
@@ -58,7 +59,7 @@ fn sector(angle: f64) -> i64 {
     libm::floor(angle / core::f64::consts::TAU * SECTORS as f64) as i64
 }
 
-/// Notes a thing in all the sectors that it may be seen in.
+/// Enters a thing in all sectors in which it may be seen.
 fn enter(sectors: &mut [Vec<(f64, usize)>], index: usize, thing: &Thing, middle: [f64; 2], margin: f64) {
     let (x, y) = (thing.place[0] - middle[0], thing.place[1] - middle[1]);
     let (distance, radius) = (sqrt(x * x + y * y), thing.radius() + margin);
@@ -77,7 +78,7 @@ fn enter(sectors: &mut [Vec<(f64, usize)>], index: usize, thing: &Thing, middle:
 mod tests {
     use super::*;
 
-    /// The slow obvious way: ask every thing.
+    /// The slow, obvious way: test every thing.
     fn ask_all(scene: &Scene, ray: &Ray) -> Option<Hit> {
         let found = scene.things.iter().map(|thing| thing.hit(ray, &mut Rng::keyed(1, &[])));
         found.fold(scene.ground.hit(ray, scene.reach), nearer)
@@ -87,7 +88,7 @@ mod tests {
     fn sectors_hide_nothing() {
         let (config, ground) = (SynthConfig::default(), Ground::new(2));
         let mut scene = Scene::new(&config, &ground, [40.0, -1.8], 50.0);
-        // Leaves are met at random: without them both ways must agree to the bit.
+        // Leaves are met at random. Without them both ways must agree to the bit.
         for thing in &mut scene.things {
             if let super::super::thing::Kind::Foliage { gap, .. } = &mut thing.kind {
                 *gap = 1e9;

@@ -1,8 +1,8 @@
-//! Plain bodies: where a ray enters and leaves them.
+//! Simple bodies: where a ray enters and leaves them.
 
 use super::ray::Ray;
 
-/// The stretch of a ray inside a body.
+/// The part of a ray inside a body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Span {
     /// Where the ray enters, in metres; negative if it starts inside.
@@ -15,11 +15,11 @@ pub(super) struct Span {
     pub incidence: f64,
 }
 
-/// A box of the given corners.
+/// A box with the given corners.
 pub(super) fn through_box(ray: &Ray, low: [f64; 3], high: [f64; 3]) -> Option<Span> {
     let (mut enter, mut leave, mut face) = (f64::NEG_INFINITY, f64::INFINITY, 0);
     for axis in 0..3 {
-        // A ray along the face divides by zero: the infinities say "always" or "never" in.
+        // A ray parallel to the face divides by zero; the infinities then mean "always" or "never" inside.
         let inverse = 1.0 / ray.direction[axis];
         let (a, b) = ((low[axis] - ray.origin[axis]) * inverse, (high[axis] - ray.origin[axis]) * inverse);
         if a.min(b) > enter {
@@ -30,7 +30,7 @@ pub(super) fn through_box(ray: &Ray, low: [f64; 3], high: [f64; 3]) -> Option<Sp
     (enter < leave).then(|| Span { enter, leave, axis: face, incidence: ray.direction[face].abs() })
 }
 
-/// An ellipsoid of the given centre and half axes.
+/// An ellipsoid with the given centre and half axes.
 pub(super) fn through_ellipsoid(ray: &Ray, centre: [f64; 3], half: [f64; 3]) -> Option<Span> {
     let from: [f64; 3] = core::array::from_fn(|axis| (ray.origin[axis] - centre[axis]) / half[axis]);
     let along: [f64; 3] = core::array::from_fn(|axis| ray.direction[axis] / half[axis]);
@@ -40,8 +40,8 @@ pub(super) fn through_ellipsoid(ray: &Ray, centre: [f64; 3], half: [f64; 3]) -> 
     Some(Span { enter, leave, axis: 2, incidence })
 }
 
-/// An upright cylinder about the vertical through the ray's own origin of coordinates;
-/// the ends are open, for nothing here is seen from above.
+/// An upright cylinder about the vertical axis through the origin of the ray's coordinates; its ends are
+/// open, since nothing here is seen from above.
 pub(super) fn through_cylinder(ray: &Ray, radius: f64, height: [f64; 2]) -> Option<Span> {
     let flat = |v: [f64; 3]| [v[0], v[1], 0.0];
     let (from, along) = (flat(ray.origin), flat(ray.direction));

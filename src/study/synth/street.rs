@@ -1,5 +1,5 @@
-//! What stands along the street, made up piece by piece from the seed, so that a drive of any
-//! length needs no more memory than what the sensor can see.
+//! What stands along the street, generated piece by piece from the seed, so that a drive of any length needs
+//! no more memory than what the sensor can see.
 
 use super::SynthConfig;
 use super::ground::{Ground, KERB};
@@ -9,12 +9,12 @@ use crate::ground::random::Rng;
 
 /// Length of a piece of the street, in metres.
 const PIECE: f64 = 20.0;
-/// Distance of the moving cars that follow each other, in metres.
+/// Distance between moving cars, in metres.
 const HEADWAY: f64 = 45.0;
-/// The right side of the street and the left one: signs of y.
+/// The right and the left side of the street, as signs of y.
 const SIDES: [f64; 2] = [-1.0, 1.0];
 
-/// All things between two places along the street, at a time counted in frames.
+/// All things between two places along the street, at a time in frames.
 pub(super) fn things(config: &SynthConfig, ground: &Ground, from: f64, to: f64, time: f64) -> Vec<Thing> {
     let mut street = Street { ground, seed: config.seed, things: Vec::new() };
     for piece in cells(from, to, PIECE) {
@@ -28,7 +28,7 @@ pub(super) fn things(config: &SynthConfig, ground: &Ground, from: f64, to: f64, 
     street.things
 }
 
-/// The numbers of the cells of a length that lie between two places.
+/// The numbers of the cells of a given length that lie between two places.
 fn cells(from: f64, to: f64, length: f64) -> core::ops::Range<i64> {
     libm::floor(from / length) as i64..libm::ceil(to / length) as i64
 }
@@ -40,7 +40,7 @@ struct Street<'a> {
 }
 
 impl Street<'_> {
-    /// Sets a thing on the ground, turned by a small angle against the street.
+    /// Puts a thing on the ground, turned by a small angle against the street.
     fn put(&mut self, kind: Kind, [x, y]: [f64; 2], angle: f64, reflectivity: f64) {
         let heading = [libm::cos(angle), libm::sin(angle)];
         let place = [x, y, self.ground.height(x, y)];
@@ -60,7 +60,7 @@ impl Street<'_> {
         self.kerbside(start, side, &mut rng);
     }
 
-    /// A house, joined to the next one or with a gap, and what is before it.
+    /// A house, with or without a gap to the next one, and what stands in front of it.
     fn houses(&mut self, start: f64, side: f64, rng: &mut Rng) {
         let width = if rng.chance(0.5) { PIECE } else { rng.between(12.0, 17.0) };
         let front = rng.between(9.2, 13.5);
@@ -70,7 +70,7 @@ impl Street<'_> {
             height: rng.between(5.0, 11.0),
             seed: self.seed ^ (start as i64 as u64),
         };
-        // The front looks to the street: on the right side the house is turned by half a turn.
+        // The front faces the street, so on the right side the house is turned by half a turn.
         let angle = if side < 0.0 { core::f64::consts::PI } else { 0.0 };
         self.put(kind, [start + 0.5 * width, side * front], angle, rng.between(0.25, 0.6));
         if front > 10.8 && rng.chance(0.6) {
@@ -97,7 +97,7 @@ impl Street<'_> {
         self.far_building(start, side, 30.0, rng);
     }
 
-    /// A street that leads away: cars stand in it, and it ends somewhere.
+    /// A side street: cars stand in it, and it ends somewhere.
     fn side_street(&mut self, start: f64, side: f64, rng: &mut Rng) {
         for step in 0..3 {
             if rng.chance(0.6) {
@@ -170,7 +170,7 @@ impl Street<'_> {
         self.put(leaves, place, 0.0, rng.between(0.3, 0.5));
     }
 
-    /// Cars that drive: those of the own lane as fast as the sensor, the others towards it.
+    /// Moving cars: those in the own lane as fast as the sensor, the others towards it.
     fn drive(&mut self, config: &SynthConfig, from: f64, to: f64, time: f64) {
         let way = config.speed * time;
         for (lane, travelled) in [(LANE, way), (-LANE, -1.1 * way)] {

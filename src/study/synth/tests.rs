@@ -13,7 +13,7 @@ fn frames(config: &SynthConfig) -> Vec<SynthFrame> {
     drive(config).collect()
 }
 
-/// In degrees; a y of -0.0 was below the seam before it was rounded.
+/// In degrees; a y of -0.0 was below the seam before rounding.
 fn azimuth(point: &[f32; 4]) -> f64 {
     let degrees = f64::from(point[1]).atan2(f64::from(point[0])).to_degrees();
     if degrees.is_sign_negative() { degrees + 360.0 } else { degrees }
@@ -24,12 +24,13 @@ fn rows(points: &[[f32; 4]]) -> Vec<&[[f32; 4]]> {
     points.chunk_by(|a, b| azimuth(b) - azimuth(a) > -180.0).collect()
 }
 
-/// Range in steps and azimuth in ticks, not rounded, of a point of a beam.
+/// Range in steps and azimuth in ticks of a point of a beam, not rounded.
 fn invert(beam: &Beam, point: &[f32; 4]) -> (f64, f64) {
     let [x, y, z] = [0, 1, 2].map(|axis| f64::from(point[axis]));
     let rho = x.hypot(y);
     let (sin, cos) = (beam.elevation * PI / 180.0).sin_cos();
-    // Of the two ways to the distance the nearer to its own axis is the sharper: this is their best mixture.
+    // Of the two ways to compute the distance, the one nearer to its own axis is more accurate; this is their
+    // best mixture.
     let distance = (rho - beam.range_offset) * cos + (z - beam.height) * sin;
     let degrees = azimuth(point) - (beam.side / rho).atan().to_degrees() - beam.turn;
     (distance / STEP, degrees / 0.09)
@@ -57,7 +58,7 @@ fn every_point_is_an_integer_range_and_tick_of_its_beam() {
                 let again =
                     beam.point((ticks.round() as i32).rem_euclid(TICKS), steps.round() as u32).position;
                 assert_eq!(again.map(f32::to_bits), [point[0], point[1], point[2]].map(f32::to_bits));
-                // Half a millimetre of rounding is 0.4 of a step at the worst, and 0.16 ticks at 2 m.
+                // Half a millimetre of rounding is at most 0.4 of a step, and 0.16 ticks at 2 m.
                 assert!((steps - steps.round()).abs() < 0.45, "{steps}");
                 assert!((ticks - ticks.round()).abs() < 0.25, "{ticks}");
             }
@@ -92,7 +93,7 @@ fn order_is_by_beam_and_by_azimuth_with_a_seam() {
     let mut seams = 0;
     for (beam, row) in beams.iter().zip(rows(&frame.points)) {
         for pair in row.windows(2) {
-            // Rounding to the millimetre moves either point by 0.71 mm at most.
+            // Rounding to the millimetre moves each point by at most 0.71 mm.
             let blur =
                 |point: &[f32; 4]| (0.00071 / f64::from(point[0]).hypot(f64::from(point[1]))).to_degrees();
             let slack = blur(&pair[0]) + blur(&pair[1]);
@@ -140,7 +141,7 @@ fn noise_is_as_wide_as_asked() {
     let quiet = SynthConfig { noise: 0.0, dropout: 0.0, frames: 1, ..small() };
     let loud = SynthConfig { noise: 0.0089, ..quiet.clone() };
     let beams = scanner_beams(&quiet);
-    // The lowest beams see little but smooth road: the same ticks return in both.
+    // The lowest beams see little but smooth road, so the same ticks return in both.
     let ranges = |config: &SynthConfig| -> Vec<std::collections::BTreeMap<i32, f64>> {
         let frame = &frames(config)[0];
         let rows = rows(&frame.points).into_iter().zip(&beams).skip(50);
@@ -159,8 +160,7 @@ fn noise_is_as_wide_as_asked() {
     assert!((0.0083..0.0096).contains(&sigma), "{sigma}");
 }
 
-/// The scene of two frames, put together with their true poses, must agree: the ground under the one
-/// is the ground under the other.
+/// Two frames, placed by their true poses, must agree: the ground in one is the ground in the other.
 #[test]
 fn poses_bring_frames_together() {
     let config = SynthConfig { rolling: false, traffic: false, noise: 0.0, speed: 1.5, ..small() };
@@ -211,8 +211,8 @@ fn bytes_are_little_endian_records_of_four() {
     assert_eq!(frame.to_bin(), [0, 0, 128, 63, 0, 0, 0, 128, 0, 0, 32, 64, 0, 0, 128, 62]);
 }
 
-/// The committed drive is what the simulator makes. After a change that is meant to alter it, write it
-/// anew with `cargo test --lib synth -- --ignored write_testdata`.
+/// The committed drive is what the simulator makes. After a change that is meant to alter it, regenerate it
+/// with `cargo test --lib synth -- --ignored write_testdata`.
 #[test]
 fn testdata_is_what_the_simulator_makes() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/drive");

@@ -9,7 +9,7 @@ use crate::ground::random::{Rng, hash, unit};
 pub(super) struct Thing {
     /// What it is.
     pub kind: Kind,
-    /// Where its middle stands on the ground, in metres.
+    /// Where its centre stands on the ground, in metres.
     pub place: [f64; 3],
     /// Cosine and sine of the angle by which it is turned about the vertical.
     pub heading: [f64; 2],
@@ -22,14 +22,14 @@ pub(super) struct Thing {
 pub(super) enum Kind {
     /// A passenger car of this half length and half width, along its x axis.
     Car { half: [f64; 2] },
-    /// A house whose front is the plane y = 0, turned to smaller y.
+    /// A house whose front is the plane y = 0, and which extends towards smaller y.
     House { half_width: f64, depth: f64, height: f64, seed: u64 },
     /// A low wall, a sign, the body of a lorry.
     Block { half: [f64; 2], height: [f64; 2] },
     /// A pole or a trunk.
     Pole { radius: f64, height: f64 },
-    /// A hedge, a bush or the crown of a tree: twigs at random in an ellipsoid,
-    /// `gap` metres apart along a ray on average.
+    /// A hedge, a bush or the crown of a tree: random twigs in an ellipsoid, `gap` metres apart along a ray
+    /// on average.
     Foliage { centre: f64, half: [f64; 3], gap: f64 },
 }
 
@@ -53,7 +53,7 @@ impl Thing {
         hit.filter(|hit| hit.distance > 0.0)
     }
 
-    /// A circle about the thing's place that holds all of it: its radius on the plan, in metres.
+    /// The radius of a circle on the plan, about the thing's place, that contains all of it, in metres.
     pub(super) fn radius(&self) -> f64 {
         match self.kind {
             Kind::Car { half: [x, y] } | Kind::Block { half: [x, y], .. } => libm::sqrt(x * x + y * y),
@@ -75,10 +75,10 @@ pub(super) fn nearer(a: Option<Hit>, b: Option<Hit>) -> Option<Hit> {
 /// Heights of a car's underside and of its belt line, where the windows begin.
 const SILL: f64 = 0.25;
 const BELT: f64 = 0.9;
-/// How far the edges of a car's body are rounded off, in metres.
+/// Radius of the rounded edges of a car's body, in metres.
 const ROUNDING: f64 = 0.12;
 
-/// A rounded body with a dome of glass and roof on it.
+/// A rounded body with a dome of glass and a roof on it.
 fn car(ray: &Ray, half: [f64; 2], paint: f64) -> Option<Hit> {
     let [x, y] = half;
     let body = through_box(ray, [-x, -y, SILL], [x, y, BELT]).map(|span| car_body(ray, span, half, paint));
@@ -100,7 +100,7 @@ fn car_body(ray: &Ray, span: Span, half: [f64; 2], paint: f64) -> Hit {
     let across = if span.axis == 0 { y / half[1] } else { x / half[0] };
     let upright = (z - SILL) / (BELT - SILL) * 2.0 - 1.0;
     let bend = fourth(across) + fourth(upright) * f64::from(u8::from(span.axis != 2));
-    // The number plates and the lamps: reflectors on the front and on the back.
+    // Number plates and lamps: reflectors on the front and the back.
     let reflector =
         span.axis == 0 && (0.45..0.57).contains(&z) && (y.abs() < 0.26 || y.abs() > 0.8 * half[1]);
     let reflectivity = if reflector { 2.5 } else { paint };
@@ -115,7 +115,7 @@ fn fourth(v: f64) -> f64 {
 const BAY: f64 = 2.9;
 const FLOOR: f64 = 2.8;
 
-/// A house: a box whose front has windows and doors set back into it.
+/// A house: a box with windows and doors set back into its front.
 fn house(ray: &Ray, [half_width, depth, height]: [f64; 3], seed: u64, tone: f64) -> Option<Hit> {
     let span = through_box(ray, [-half_width, 0.0, -1.0], [half_width, depth, height])?;
     let wall = Hit::plain(span.enter, span.incidence, tone);
@@ -125,7 +125,7 @@ fn house(ray: &Ray, [half_width, depth, height]: [f64; 3], seed: u64, tone: f64)
     let [x, _, z] = ray.at(span.enter);
     match opening(x, z, half_width, seed) {
         Some(niche) => Some(niche.look(ray, tone)),
-        // Sockets, frames and drainpipes: a front is not one colour.
+        // Plinths, frames and drainpipes: a front is not of one colour.
         None if z < 0.5 => Some(Hit { reflectivity: 0.6 * tone, ..wall }),
         None => Some(wall),
     }
@@ -135,11 +135,11 @@ fn house(ray: &Ray, [half_width, depth, height]: [f64; 3], seed: u64, tone: f64)
 struct Niche {
     low: [f64; 3],
     high: [f64; 3],
-    /// Share of the pulses that the pane does not send back: few if there are curtains.
+    /// Share of the pulses that the pane does not return: small if there are curtains.
     loss: f64,
 }
 
-/// The opening of the front at a place, if there is one.
+/// The opening in the front at a place, if there is one.
 fn opening(x: f64, z: f64, half_width: f64, seed: u64) -> Option<Niche> {
     let (bay, floor) = (libm::floor(x / BAY), libm::floor(z / FLOOR));
     if half_width - (bay + 0.5).abs() * BAY < 0.5 * BAY {
@@ -159,7 +159,7 @@ fn opening(x: f64, z: f64, half_width: f64, seed: u64) -> Option<Niche> {
 }
 
 impl Niche {
-    /// What a ray sees that goes in: the pane at the back or, on the way, a jamb.
+    /// What a ray that goes in hits: the pane at the back or, on the way, a jamb.
     fn look(&self, ray: &Ray, tone: f64) -> Hit {
         let walls: [f64; 3] = core::array::from_fn(|axis| match ray.direction[axis] {
             0.0 => f64::INFINITY,
@@ -176,7 +176,7 @@ impl Niche {
     }
 }
 
-/// A twig on the way through the leaves, or none.
+/// A twig that the ray meets among the leaves, if any.
 fn foliage(span: Span, gap: f64, tone: f64, rng: &mut Rng) -> Option<Hit> {
     let distance = span.enter.max(0.0) + rng.exponential(gap);
     let reflectivity = tone * rng.between(0.3, 1.2);

@@ -1,6 +1,6 @@
-//! A Velodyne VLP-16: sixteen lasers that fire one after the other, blocks of two firings that share one azimuth in the
-//! scanner's packets, and points as the ROS driver `velodyne_pointcloud` computes them, in single precision. Written
-//! apart from the codec's own recipe, so that one may test the other.
+//! A Velodyne VLP-16: sixteen lasers that fire one after the other, blocks of two firings that share one
+//! azimuth in the scanner's packets, and points as the ROS driver `velodyne_pointcloud` computes them, in
+//! single precision. Written independently of the codec's own recipe, so that one can test the other.
 
 use libm::{cos, rint, sin};
 
@@ -18,7 +18,7 @@ pub const VLP_16_ELEVATIONS: [i32; 16] = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, 
 const STEP: f64 = 0.002;
 /// Azimuth ticks in a turn: hundredths of a degree.
 const TICKS: u32 = 36_000;
-/// Ticks from block to block at ten turns a second; the motor is not quite steady.
+/// Ticks from block to block at ten turns a second; the motor is not perfectly steady.
 const BLOCK: f64 = 39.82;
 const JITTER: f64 = 0.3;
 /// Microseconds from laser to laser, from firing to firing, and from block to block.

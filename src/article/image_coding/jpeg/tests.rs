@@ -1,5 +1,5 @@
-//! The format's own words, slow and obvious, against the library: with its vector instructions and without
-//! them it must come to the same samples.
+//! The format as its specification puts it, slow and obvious, against the library, which must give the same
+//! samples with and without its vector instructions.
 
 use super::header::{AC_LENGTHS, AC_VALUES, DC_LENGTHS, DC_VALUES, quantisation, zigzag};
 use super::*;
@@ -18,7 +18,7 @@ impl Bits<'_> {
         i32::from(self.1 >> self.2 & 1)
     }
 
-    /// A number of this size: its first bit is 0 if it is negative.
+    /// A number of this size; its first bit is 0 if it is negative.
     fn number(&mut self, size: u8) -> i32 {
         let value = (0..size).fold(0, |value, _| value << 1 | self.bit());
         if size > 0 && value >> (size - 1) == 0 { value - (1 << size) + 1 } else { value }
@@ -49,7 +49,7 @@ fn inverse(c: [i32; 8], bias: i32, shift: u32) -> [i32; 8] {
     std::array::from_fn(|i| if i < 4 { x[i] + o[i] } else { x[7 - i] - o[7 - i] } >> shift)
 }
 
-/// The samples of an image, as FORMAT.md says it.
+/// The samples of an image, as FORMAT.md describes it.
 fn plainly(image: &[u8], rows: usize, columns: usize) -> Grid<i32> {
     let (quality, scan) = image.split_first().unwrap();
     let (table, zigzag) = (quantisation(*quality), zigzag());
@@ -103,7 +103,7 @@ fn the_library_does_what_the_format_says() {
                         0 => 128,
                         1 => (row * 3 + column * 2 % 180) as u8,
                         2 => random.below(256) as u8,
-                        // The largest coefficients that there are.
+                        // The largest possible coefficients.
                         _ => 255 * u8::from(random.chance(0.5)),
                     };
                 }

@@ -1,34 +1,34 @@
 //! The main header of the codestream (ITU-T T.800, annex A). It follows from what the decoder knows, so it is
-//! not in the stream, and cannot be damaged: one tile of one component, one layer, code-blocks of 64 x 64,
-//! the reversible wavelet.
+//! not in the stream and cannot be damaged: one tile of one component, one layer, code-blocks of 64 x 64, the
+//! reversible wavelet.
 
 use super::MOST_BITS;
 use crate::ground::error::{Error, Result};
 
-/// Ends the codestream.
+/// The end marker of the codestream.
 pub const END: [u8; 2] = [0xff, 0xd9];
 
-/// Bits of head-room in each sub-band, as OpenJPEG has it.
+/// Bits of headroom in each sub-band, as in OpenJPEG.
 const GUARD_BITS: u8 = 2;
 
-/// What a codestream depends on.
+/// The properties that determine the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
     /// Rows of samples.
     pub rows: u32,
-    /// Samples a row.
+    /// Samples in a row.
     pub columns: u32,
-    /// Bits of a sample, its sign included.
+    /// Bits of a sample, including its sign.
     pub precision: u8,
-    /// One more than the times that the wavelet is applied.
+    /// One more than the number of times that the wavelet is applied.
     pub resolutions: u8,
 }
 
 impl Shape {
-    /// Of an image of this size, if there can be such an image.
+    /// The shape of an image of this size, if such an image is possible.
     ///
     /// # Errors
-    /// If there cannot.
+    /// If it is not.
     pub fn new(rows: usize, columns: usize, precision: u8, resolutions: u8) -> Result<Self> {
         let wrong = || Error::corrupt("JPEG 2000: no such image");
         let side = |length: usize| u32::try_from(length).map_err(|_| wrong());
@@ -39,7 +39,7 @@ impl Shape {
         Ok(Shape { rows: side(rows)?, columns: side(columns)?, precision, resolutions })
     }
 
-    /// All bytes before those of the packets, of which there are so many.
+    /// All bytes before those of the packets, of which there are `packet_bytes`.
     pub fn header(self, packet_bytes: usize) -> Vec<u8> {
         let Shape { rows, columns, precision, resolutions } = self;
         let levels = resolutions - 1;
@@ -50,7 +50,7 @@ impl Shape {
             [size, size].as_flattened().iter().for_each(|number| out.extend(number.to_be_bytes()));
             out.extend([0, 1, 0x80 | (precision - 1), 1, 1]);
         });
-        // Progression by layers, one of them; 2^(4 + 2) x 2^(4 + 2) cells a code-block.
+        // Progression by layers, of which there is one; 2^(4 + 2) x 2^(4 + 2) cells in a code-block.
         segment(&mut out, 0x52, |out| out.extend([0, 0, 0, 1, 0, levels, 4, 4, 0, 1]));
         segment(&mut out, 0x5c, |out| {
             out.push(GUARD_BITS << 5);

@@ -1,5 +1,5 @@
-//! Calls into openjp2. It is OpenJPEG in Rust and kept its way to take what it writes: by callbacks and
-//! raw pointers. The only unsafe code of the program is here.
+//! Calls into openjp2, which is OpenJPEG translated to Rust and passes its output on by callbacks and raw
+//! pointers. The only unsafe code of the program is here.
 
 #![allow(unsafe_code)]
 
@@ -15,11 +15,11 @@ use openjp2::{Codec, Stream, opj_image, opj_image_comptparm};
 use super::header::Shape;
 use crate::ground::grid::Grid;
 
-/// Bytes that the library gathers before it hands them over.
+/// Bytes that the library collects before it passes them on.
 const BUFFER: usize = 1 << 16;
 
-/// Encodes one component of signed samples as a codestream, within about `most_bytes`; without loss if there
-/// is no such bound. `None` if the library refuses.
+/// Encodes one component of signed samples as a codestream, within about `most_bytes`, or without loss if
+/// there is no such bound. `None` if the library refuses.
 pub fn encode(samples: &Grid<i32>, shape: Shape, most_bytes: Option<usize>) -> Option<Vec<u8>> {
     let precision = u32::from(shape.precision);
     let component = opj_image_comptparm {
@@ -45,7 +45,7 @@ pub fn encode(samples: &Grid<i32>, shape: Shape, most_bytes: Option<usize>) -> O
     };
     if let Some(bytes) = most_bytes {
         let raw = samples.cells().len() as f64 * f64::from(precision) / 8.0;
-        // 0 and 1 would stand for no loss.
+        // 0 and 1 would mean lossless.
         parameters.tcp_rates[0] = (raw / bytes.max(1) as f64).max(1.001) as f32;
     }
     let mut codec = Codec::new_encoder(OPJ_CODEC_J2K)?;
@@ -68,7 +68,7 @@ pub fn encode(samples: &Grid<i32>, shape: Shape, most_bytes: Option<usize>) -> O
     is_done.then_some(written)
 }
 
-/// Takes what the library writes.
+/// Receives what the library writes.
 extern "C" fn append(bytes: *mut c_void, count: usize, written: *mut c_void) -> usize {
     // SAFETY: the library calls this with `count` readable bytes of its buffer, and with the address that
     // `encode` has set: that of a vector which nothing else uses meanwhile.

@@ -1,5 +1,6 @@
-//! Figure 13 of the article: what prediction is worth to each lossless back-end. Twice: in the article's
-//! terms, range image and residuals as 32-bit floats, and in integers, where plain differences compete.
+//! Figure 13 of the article: what prediction is worth to each lossless back-end. Measured twice: in the
+//! article's terms, with range image and residuals as 32-bit floats, and in integers, where plain differences
+//! compete.
 
 mod sections;
 
@@ -23,7 +24,7 @@ use crate::scan::PointCloud;
 use crate::scanner::{FLOAT_RANGES, Hdl64, ideal};
 use crate::scanner::{RangeImage, project_nearest};
 
-/// What ranges are predicted from.
+/// What the ranges are predicted from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Source {
     Nothing,
@@ -35,10 +36,11 @@ enum Source {
 #[derive(Clone, Copy, Debug)]
 struct Form {
     name: &'static str,
-    /// All cells as 32-bit floats in metres, 0 where there is no return; if not, the returns' integers.
+    /// If true, all cells as 32-bit floats in metres, 0 where there is no return; otherwise the returns'
+    /// integers.
     floats: bool,
     source: Source,
-    /// Differences along the snake's path (V-C).
+    /// Whether differences along the snake's path are taken (V-C).
     snake: bool,
 }
 
@@ -50,7 +52,7 @@ const fn integers(name: &'static str, source: Source, snake: bool) -> Form {
     Form { name, floats: false, source, snake }
 }
 
-/// The forms. In floats they are the article's, who takes differences of inter residuals only.
+/// The forms. Those in floats are the article's, which takes differences of inter residuals only.
 const FORMS: [Form; 9] = [
     floats("float image", Source::Nothing, false),
     floats("float intra", Source::Regions, false),
@@ -63,28 +65,28 @@ const FORMS: [Form; 9] = [
     integers("inter, diff.", Source::FrameBefore, true),
 ];
 
-/// Bytes of one or more frames by one back-end, in each form. Contour map and models of regions are
-/// counted where regions predict; which cells hold a return, and the dozen bytes of a motion, nowhere.
+/// Bytes of one or more frames with one back-end, in each form. Contour map and models of regions are counted
+/// where regions predict; the occupancy, and the dozen bytes of a motion, are not counted anywhere.
 type Sizes = [u64; FORMS.len()];
 
 /// The figure's data.
 #[derive(Clone, Debug)]
 pub struct Figure13 {
-    /// Frames that were measured: those with a frame before them, for which all forms can be compared.
+    /// Number of frames measured: those with a frame before them, for which all forms can be compared.
     frames: u64,
-    /// The same and where they are from, in words.
+    /// The number of frames and their origin, in words.
     sample: String,
-    /// Whether the forms that need a frame before are measured.
+    /// Whether the forms that need a frame before them are measured.
     has_references: bool,
     /// Bytes of the frames' files.
     original: u64,
-    /// Bytes of contour maps and models of regions, part of the sizes.
+    /// Bytes of contour maps and models of regions, which are included in the sizes.
     side: u64,
-    /// For each back-end of the registry, in its order.
+    /// For each back-end of the registry, in the same order.
     sizes: Vec<Sizes>,
 }
 
-/// The sensor of the ideal range image in steps that all experiments use.
+/// The sensor of the ideal range image in steps, which all experiments use.
 ///
 /// # Errors
 /// If the configuration has another range image.
@@ -101,8 +103,8 @@ pub fn ideal_sensor(config: &EncoderConfig) -> Result<Hdl64> {
     }
 }
 
-/// Measures a sample, with the article's projection, outlier filter and regions as `config` has them.
-/// `on_frame` is called as each frame is measured.
+/// Measures a sample, with the article's projection, and with the outlier filter and the regions of `config`.
+/// `on_frame` is called whenever a frame has been measured.
 ///
 /// # Errors
 /// If the configuration has no ideal projection with a step, or a back-end's library fails.
@@ -139,7 +141,7 @@ pub fn measure(sample: &Sample, config: &EncoderConfig, on_frame: &dyn Fn()) -> 
     Ok(figure)
 }
 
-/// The range image of what the outlier filter leaves (III-A, IV-A).
+/// The range image of the points that the outlier filter leaves (III-A, IV-A).
 fn image(cloud: &PointCloud, sensor: &Hdl64, config: &EncoderConfig) -> RangeImage {
     let filtered = config.outliers.map(|filter| filter.filter(cloud));
     project_nearest(sensor, filtered.as_ref().unwrap_or(cloud)).image
@@ -204,7 +206,7 @@ fn as_floats(residuals: &[i32], occupancy: &Grid<bool>, sensor: &Hdl64) -> Vec<u
     occupancy.cells().iter().map(value).flat_map(|steps| metres(steps).to_le_bytes()).collect()
 }
 
-/// The frame before, and how the scanner came from there to it.
+/// The frame before, and the motion of the scanner from there.
 #[derive(Default)]
 struct Before {
     image: Option<RangeImage>,
@@ -212,8 +214,8 @@ struct Before {
 }
 
 impl Before {
-    /// The ranges that it lets expect (V-B and V-C): the scanner is taken to stand still if its motion is
-    /// not found. `None` if there is no frame before.
+    /// The ranges that the frame before predicts (V-B and V-C); if the scanner's motion is not found, it is
+    /// taken to stand still. `None` if there is no frame before.
     fn predict(&mut self, image: &RangeImage, sensor: &Hdl64, config: &EncoderConfig) -> Option<Grid<u32>> {
         let before = self.image.take()?;
         let levels = Grid::new(before.steps.rows(), before.steps.columns());

@@ -5,7 +5,7 @@ use crate::study::bench::published;
 use crate::study::bench::report::{Axis, Figure, Marker, Origin, Point, Row, Scale, Section, Series, Table};
 use crate::study::bench::tables::column;
 
-/// The back-end that leaves everything as it is: in the table, not in the plots.
+/// The back-end that leaves everything as it is: shown in the table, not in the plots.
 const STORE: &str = "store";
 
 impl Figure13 {
@@ -28,7 +28,7 @@ impl Figure13 {
         vec![self.table(), floats, integers]
     }
 
-    /// The mean of a frame in KB.
+    /// Mean KB of a frame.
     fn kilobytes(&self, backend: usize, form: usize) -> Option<f64> {
         let is_measured =
             self.frames > 0 && (FORMS[form].source != Source::FrameBefore || self.has_references);
@@ -98,7 +98,7 @@ impl Figure13 {
     }
 }
 
-/// Alike for the same prediction; different in one plot.
+/// The same marker for the same prediction, but different ones within a plot.
 fn marker(form: &Form) -> Marker {
     match (form.source, form.snake && !form.floats) {
         (Source::Nothing, false) => Marker::Circle,
@@ -110,7 +110,7 @@ fn marker(form: &Form) -> Marker {
     }
 }
 
-/// What the article's text states of the figure.
+/// The values that the article's text states for the figure.
 fn published_series(backends: &[&str]) -> Vec<Series> {
     let kinds = [("intra, extremes", Marker::Square), ("inter, extremes", Marker::Triangle)];
     let series = published::FIGURE_13.iter().zip(kinds).map(|(extremes, (name, marker))| {

@@ -1,37 +1,37 @@
-//! Where values lie on an axis of a plot, and its ticks.
+//! Placing values on an axis of a plot, and its ticks.
 
 use super::number::significant;
 use super::{Axis, Scale};
 
 /// Pixels between 0 and the rest of a logarithmic axis.
 const ZERO_GAP: f64 = 36.0;
-/// Ticks that a linear axis has at most.
+/// The most ticks of a linear axis.
 const MOST_TICKS: f64 = 8.0;
-/// Decades up to which a logarithmic axis has numbers at 2 and 5 too.
+/// A logarithmic axis of at most this many decades also has numbers at 2 and 5.
 const FEW_DECADES: f64 = 3.5;
 
 /// An axis with its place on the picture.
 pub struct Placed {
     scale: Scale,
-    /// Values at its ends; the smaller of a logarithmic one is not 0.
+    /// Values at its ends; the smaller one of a logarithmic axis is not 0.
     ends: [f64; 2],
-    /// Where these are, in pixels.
+    /// The places of these, in pixels.
     pixels: [f64; 2],
-    /// Where 0 is on a logarithmic axis, if it is on it.
+    /// The place of 0 on a logarithmic axis, if 0 is on it.
     pub zero: Option<f64>,
 }
 
-/// A tick: where it is, in pixels, and what is written there.
+/// A tick: its place and its label.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tick {
-    /// Pixels.
+    /// In pixels.
     pub at: f64,
     /// May be empty.
     pub label: String,
 }
 
 impl Placed {
-    /// An axis for these values from one pixel to another.
+    /// An axis for these values, from one pixel to another.
     pub fn new(axis: &Axis, values: impl Iterator<Item = f64> + Clone, mut pixels: [f64; 2]) -> Self {
         let finite = values.filter(|value| value.is_finite());
         let largest = finite.clone().fold(0.0, f64::max);
@@ -54,7 +54,7 @@ impl Placed {
         Placed { scale: axis.scale.clone(), ends, pixels, zero }
     }
 
-    /// Where a value is, in pixels.
+    /// The place of a value, in pixels.
     pub fn place(&self, value: f64) -> f64 {
         let [low, high] = self.ends;
         let part = match (&self.scale, self.zero) {
@@ -110,7 +110,7 @@ fn one_two_fives(low: f64, high: f64) -> impl DoubleEndedIterator<Item = f64> {
     decades.flat_map(|decade| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(decade)))
 }
 
-/// The nearest of the numbers 1, 2 and 5 times powers of ten that have all values between them.
+/// The closest two of the numbers 1, 2 and 5 times powers of ten between which all values lie.
 fn round_outwards(smallest: f64, largest: f64) -> [f64; 2] {
     if !(smallest.is_finite() && largest > 0.0) {
         return [0.1, 1.0];

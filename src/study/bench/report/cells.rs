@@ -5,7 +5,7 @@ use super::{Axis, Figure, Origin, Scale, Section, Series, Table};
 
 /// A grid of text. The first column holds the names of the rows.
 pub struct Cells {
-    /// What is in the first column.
+    /// The heading of the first column.
     pub label: String,
     /// The other columns.
     pub columns: Vec<Heading>,
@@ -24,7 +24,7 @@ pub struct Heading {
 }
 
 impl Cells {
-    /// A table's cells, or the points of a figure.
+    /// The cells of a table, or the points of a figure.
     pub fn of(section: &Section) -> Self {
         match section {
             Section::Table(table) => of_table(table),
@@ -35,7 +35,8 @@ impl Cells {
         }
     }
 
-    /// Neighbouring columns of the same origin: how many, and which. Empty if nothing is published.
+    /// Runs of neighbouring columns with the same origin: the origin and the number of columns. Empty if
+    /// nothing is published.
     pub fn origins(&self) -> Vec<(Origin, usize)> {
         if self.columns.iter().all(|column| column.origin == Origin::Measured) {
             return Vec::new();

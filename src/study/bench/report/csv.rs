@@ -1,11 +1,11 @@
-//! A report as one CSV table (RFC 4180), a line a value:
+//! A report as one CSV table (RFC 4180), with one line for each value:
 //!
 //! ```text
 //! section,series,x,x_unit,y,y_unit,origin
 //! ```
 //!
-//! Of a table, `series` is the row, `x` the column and `y` the value. Of a figure they are what they say; a
-//! category is given by its name.
+//! For a table, `series` is the row, `x` the column and `y` the value. For a figure they mean what they say;
+//! a category is given by its name.
 
 use std::io::{self, Write};
 
@@ -63,7 +63,7 @@ fn write_line(out: &mut dyn Write, fields: &[&str; 7]) -> io::Result<()> {
     writeln!(out, "{}\r", fields.map(quoted).join(","))
 }
 
-/// A field in quotation marks, if it needs them.
+/// A field, in quotation marks if it needs them.
 fn quoted(field: &str) -> String {
     if field.contains([',', '"', '\n', '\r']) {
         format!("\"{}\"", field.replace('"', "\"\""))

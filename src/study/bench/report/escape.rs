@@ -1,7 +1,7 @@
 //! Text inside HTML.
 
-/// The text with what has a meaning in HTML replaced; fit for elements and for attributes in quotation
-/// marks.
+/// The text with characters that have a meaning in HTML replaced; fit for elements and for attributes in
+/// quotation marks.
 pub fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for character in text.chars() {
@@ -11,7 +11,7 @@ pub fn escape(text: &str) -> String {
             '>' => escaped.push_str("&gt;"),
             '"' => escaped.push_str("&quot;"),
             '\'' => escaped.push_str("&#39;"),
-            // HTML takes no other control characters.
+            // HTML accepts no other control characters.
             c if c.is_control() && c != '\n' && c != '\t' => escaped.push('\u{fffd}'),
             c => escaped.push(c),
         }

@@ -1,4 +1,4 @@
-//! A report as one HTML file that needs nothing else: no network, no scripts.
+//! A report as one self-contained HTML file: no network, no scripts.
 
 use std::io::{self, Write};
 

@@ -1,5 +1,5 @@
-//! What experiments have found, as data that every form of output is made from: [`text`], [`csv`],
-//! [`html`], and JSON by `serde`.
+//! The results of experiments as data, from which every form of output is made: [`text`], [`csv`], [`html`],
+//! and JSON by `serde`.
 
 pub mod csv;
 pub mod html;
@@ -16,12 +16,12 @@ mod tests;
 
 use serde::Serialize;
 
-/// All that was found.
+/// All results.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Report {
     /// What the report is about, such as the name of a folder.
     pub title: String,
-    /// What was run and on what: names and values, for people.
+    /// What was run, and on what: names and values, for people.
     pub facts: Vec<(String, String)>,
     /// Tables and figures, in the order of the article.
     pub sections: Vec<Section>,
@@ -54,7 +54,7 @@ impl Section {
         }
     }
 
-    /// How it is to be read; may be empty.
+    /// How to read it; may be empty.
     pub fn note(&self) -> &str {
         match self {
             Section::Table(table) => &table.note,
@@ -91,7 +91,7 @@ pub struct Table {
     pub number: String,
     /// What it shows.
     pub title: String,
-    /// How it is to be read; may be empty.
+    /// How to read it; may be empty.
     pub note: String,
     /// What the rows are.
     pub label: String,
@@ -108,9 +108,9 @@ pub struct Column {
     pub name: String,
     /// The unit of its values.
     pub unit: String,
-    /// Where they come from.
+    /// Where its values come from.
     pub origin: Origin,
-    /// Decimals that are shown; `None`: as many as the value has.
+    /// Number of decimals shown; `None`: as many as the value has.
     pub decimals: Option<usize>,
 }
 
@@ -130,7 +130,7 @@ pub struct Figure {
     pub number: String,
     /// What it shows.
     pub title: String,
-    /// How it is to be read; may be empty.
+    /// How to read it; may be empty.
     pub note: String,
     /// The horizontal axis.
     pub x: Axis,
@@ -166,7 +166,7 @@ pub enum Scale {
     Linear,
     /// By their logarithms; 0 has a place of its own.
     Log,
-    /// Values are numbers of these, from 0, top to bottom; only on the vertical axis.
+    /// Values are indices into these, from 0, top to bottom; only on the vertical axis.
     Categories(Vec<String>),
 }
 
@@ -203,10 +203,10 @@ pub enum Marker {
 /// A point of a plot.
 #[derive(Clone, Debug, Serialize)]
 pub struct Point {
-    /// Horizontally.
+    /// The horizontal value.
     pub x: f64,
-    /// Vertically.
+    /// The vertical value.
     pub y: f64,
-    /// The setting that leads there; may be empty.
+    /// The setting that leads to it; may be empty.
     pub label: String,
 }

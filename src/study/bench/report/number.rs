@@ -1,6 +1,6 @@
-//! Numbers as people read them.
+//! Numbers in the form in which people read them.
 
-/// With so many decimals, or as many as it has; a dash if there is no value.
+/// With this many decimals, or as many as it has; a dash if there is no value.
 pub fn decimals(value: Option<f64>, decimals: Option<usize>) -> String {
     match (value, decimals) {
         (None, _) => "-".to_owned(),

@@ -1,5 +1,5 @@
-//! A figure as a picture: SVG to be put into HTML, whose style sheet gives it its colours. Series are told
-//! apart by markers and dashes too.
+//! A figure as a picture: SVG for use in HTML, whose style sheet defines the colours. Series also differ in
+//! markers and dashes.
 
 use std::fmt::Write;
 
@@ -9,25 +9,25 @@ use super::marker::outline;
 use super::number::significant;
 use super::{Figure, Marker, Origin, Scale, Series};
 
-/// Pixels of the picture's width.
+/// Width of the picture, in pixels.
 const WIDTH: f64 = 1000.0;
-/// Pixels to the left of the plot, and below it.
+/// Pixels to the left of the plot and below it.
 const MARGINS: [f64; 2] = [86.0, 58.0];
 /// Pixels above the plot.
 const TOP: f64 = 14.0;
-/// Where the plot ends, and the legend begins.
+/// Where the plot ends and the legend begins, in pixels.
 const PLOT_END: f64 = 690.0;
-/// Pixels of a line of the legend.
+/// Height of a line of the legend, in pixels.
 const LEGEND_LINE: f64 = 24.0;
-/// Pixels of a plot with numbers on its vertical axis.
+/// Height of a plot with numbers on its vertical axis, in pixels.
 const HEIGHT: f64 = 440.0;
-/// Pixels of a category.
+/// Height of a category, in pixels.
 const CATEGORY_HEIGHT: f64 = 44.0;
-/// Pixels of a category over which its series are spread.
+/// Height within a category over which its series are spread, in pixels.
 const CATEGORY_SPREAD: f64 = 28.0;
-/// Colours that the style sheet has.
+/// Number of colours in the style sheet.
 const COLOURS: usize = 8;
-/// Dashes of the lines, in turn.
+/// Dash patterns of the lines, used in turn.
 const DASHES: [&str; 5] = ["", "8 4", "2 4", "10 3 2 3", "16 5"];
 
 /// Draws a figure.
@@ -70,7 +70,7 @@ pub fn draw(figure: &Figure) -> String {
     svg.close()
 }
 
-/// A picture that is being drawn.
+/// A picture under construction.
 #[derive(Default)]
 struct Svg(String);
 
@@ -200,7 +200,7 @@ impl Svg {
     }
 }
 
-/// Colour, and whether markers are filled.
+/// The class that gives the colour, and whether markers are filled.
 fn class(place: usize, series: &Series) -> String {
     format!("series c{} {}", place % COLOURS, series.origin.name())
 }
@@ -217,7 +217,7 @@ mod tests {
             let Section::Figure(figure) = section else { continue };
             let svg = draw(figure);
             let points: usize = figure.series.iter().map(|series| series.points.len()).sum();
-            // One marker more a series is in the legend.
+            // The legend has one more marker for each series.
             assert_eq!(svg.matches("<path ").count(), points + figure.series.len());
             let lines = figure.series.iter().filter(|series| series.line).count();
             assert_eq!(svg.matches("<polyline ").count(), 2 * lines);

@@ -1,4 +1,4 @@
-//! A small report of all that there can be.
+//! A small report with everything that a report can contain.
 
 use super::*;
 

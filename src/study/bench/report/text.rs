@@ -6,7 +6,7 @@ use super::cells::{Cells, Heading};
 use super::{Report, Section};
 use crate::study::bench::published;
 
-/// Characters that a line of prose has at most.
+/// The most characters of a line of prose.
 const WIDTH: usize = 100;
 /// Characters between columns.
 const GAP: usize = 2;
@@ -66,7 +66,7 @@ fn write_cells(cells: &Cells, out: &mut dyn Write) -> io::Result<()> {
     cells.rows.iter().try_for_each(|(name, values)| line(name, values))
 }
 
-/// Writes words in lines, the first after `start`, the others after so many spaces.
+/// Writes words in lines, the first after `start`, the others indented by `indent` spaces.
 fn write_wrapped(out: &mut dyn Write, start: &str, indent: usize, text: &str) -> io::Result<()> {
     let (mut line, mut is_empty) = (start.to_owned(), true);
     for word in text.split_whitespace() {
