@@ -8,7 +8,7 @@ from models import clamp, f32, to_int
 from scanner import FLOAT32, Grid
 from trigonometry import cos, sin
 
-VELODYNE_ROS, DOUBLE_Y_AHEAD, DOUBLE_X_AHEAD = range(3)
+VELODYNE_ROS, DOUBLE_Y_AHEAD, DOUBLE_X_AHEAD, SINGLE_RANGE_X_AHEAD = range(4)
 
 
 def radians(degrees):
@@ -36,7 +36,7 @@ class Scanner:
 
     def __init__(self, reader):
         self.recipe = reader.varint()
-        if self.recipe > DOUBLE_X_AHEAD:
+        if self.recipe > SINGLE_RANGE_X_AHEAD:
             raise Refused("an unknown recipe")
         self.ticks = reader.varint()
         self.range_step_um = reader.varint()
@@ -91,9 +91,10 @@ class Scanner:
         d = steps * self.range_step
         if between:
             d += -0.5 * self.range_step
+        elif self.recipe in (VELODYNE_ROS, SINGLE_RANGE_X_AHEAD):
+            d = f32(f32(steps) * f32(self.range_step))
         if self.recipe == VELODYNE_ROS:
-            d = f32(d) if between else f32(f32(steps) * f32(self.range_step))
-            return self.single_position(self.lasers[row], tick, d)
+            return self.single_position(self.lasers[row], tick, f32(d))
         position = self.double_position(self.lasers[row], tick, d)
         return position if between else tuple(map(f32, position))
 
@@ -114,7 +115,7 @@ class Scanner:
         along = f32(d * cos_v)
         return f32(along * c), -f32(along * s), f32(d * sin_v)
 
-    # Recipes 1 and 2
+    # Recipes 1 to 3
 
     @staticmethod
     def double(elevation, azimuth):

@@ -1,7 +1,7 @@
 """Section 4 of FORMAT.md: a frame's sections in order, and what they make."""
 
 import struct
-from math import isfinite, isnan, sqrt
+from math import isnan, sqrt
 
 import container as kinds
 import files
@@ -334,7 +334,7 @@ def compensated(reader, positions):
 
 
 def whole_file(reader, point_count):
-    """8.18."""
+    """8.17."""
     backend = reader.unsigned(1)
     layout = reader.take(reader.varint())
     prefix, size = reader.varint(), reader.varint()

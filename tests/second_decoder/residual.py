@@ -3,7 +3,7 @@
 import image as images
 from back_ends import unpacked
 from container import Reader
-from entropy import AdaptiveBit, IntegerModel, adaptive, integers, unzigzag, wrap
+from entropy import IntegerModel, adaptive, integers, unzigzag, wrap
 from errors import Refused
 from models import MixedBits, ilog2
 from reference import nearest

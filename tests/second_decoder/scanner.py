@@ -5,7 +5,7 @@ from math import copysign, inf, isnan, nan, sqrt
 
 from entropy import adaptive
 from errors import Refused
-from models import TAU, clamp, f32, to_int
+from models import TAU, clamp, f32
 from trigonometry import cos, sin, sin_cos_f32
 
 MILLIMETRE, FLOAT32 = 0, 1

@@ -14,8 +14,6 @@ from models import (
     LeastSquares,
     Levels,
     MixedBits,
-    SMALL_RATES,
-    SQUASH,
     clamp,
     f32,
     floats,
@@ -29,7 +27,7 @@ from models import (
     signed_level,
     squash,
 )
-from scanner import FLOAT32, MILLIMETRE, Grid, bits_of_float, float_of_bits
+from scanner import FLOAT32, Grid, bits_of_float, float_of_bits
 
 
 class ByteModel:

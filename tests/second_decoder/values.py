@@ -1,7 +1,7 @@
 """Section 8.9 of FORMAT.md: values of any type as integers, on a scale. A value is its bytes as an unsigned integer."""
 
 import struct
-from math import isfinite, isnan, nan, pi, sqrt
+from math import isfinite, isnan, pi, sqrt
 
 from entropy import M64, wrap
 from errors import Refused
