@@ -1,4 +1,4 @@
-"""Section 8.9 of FORMAT.md: channels and packed bytes."""
+"""Sections 8.9 and 8.17 of FORMAT.md: channels and packed bytes."""
 
 from array import array
 
@@ -258,7 +258,7 @@ class Integers:
 
 
 def packed(bits, kind, width, records):
-    """8.9: records of values of one type by a general-purpose back-end."""
+    """8.17: records of values of one type by a general-purpose back-end."""
     backend, arrangement = bits.plain(8), bits.plain(8)
     if arrangement > 2:
         raise Refused("bytes in an unknown arrangement")

@@ -334,7 +334,7 @@ def compensated(reader, positions):
 
 
 def whole_file(reader, point_count):
-    """8.17."""
+    """8.18."""
     backend = reader.unsigned(1)
     layout = reader.take(reader.varint())
     prefix, size = reader.varint(), reader.varint()
