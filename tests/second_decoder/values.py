@@ -49,11 +49,11 @@ def converted(kind, value, to):
     if kind == F32:
         v = float_of_bits(value)
         if isnan(v) and to == F64:
-            return (value >> 31) << 63 | 0x7FF8 << 48 | (value & 0x3FFFFF) << 29
+            return 0x7FF8 << 48
     elif kind == F64:
         v = double_of_bits(value)
         if isnan(v) and to == F32:
-            return (value >> 63) << 31 | 0x7FC00000 | value >> 29 & 0x3FFFFF
+            return 0x7FC00000
     else:
         v = float(value if kind == U64 else place(kind, value))
     if to == F32:

@@ -74,7 +74,7 @@ impl Models {
         let levels = self.intensities.code(s, reference.as_ref(), frame)?;          // FORMAT 8.5, 8.16
         self.ranges.code(s, scanner, (&levels, reference.as_ref()), frame)?;        // FORMAT 8.6, 8.11 to 8.14, 8.16
         self.past.remember(scanner, levels, frame);
-        frame.arrange(scanner);                                                     // FORMAT 9
+        frame.arrange(scanner);                                                     // FORMAT 4.2
         self.corrections.code(s, scanner, frame)?;                                  // FORMAT 8.7, 8.16
         self.records.code_order(s, frame)?;                                         // FORMAT 8.8
         self.records.code_channels(s, frame)?;                                      // FORMAT 8.9
