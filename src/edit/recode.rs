@@ -6,7 +6,6 @@
 use crate::frame::frame::Frame;
 use crate::frame::parameters::Prediction;
 use crate::frame::sections::{Effort, SectionReader, SectionWriter};
-use crate::frame::steps::StepReport;
 use crate::frame::syntax::Models;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::Scanner;
@@ -52,10 +51,9 @@ impl Recoder<'_> {
     /// depend on them.
     fn recode(&mut self, coded: container::Frame, wanted: bool) -> Result<Option<container::Frame>> {
         let container::Frame { header, sections } = coded;
-        let mut steps = StepReport::default();
         let mut frame = Frame::of_records(header.point_count as usize);
         let mut reader = SectionReader::new(&sections, self.limits);
-        self.old.code_frame(&mut reader, self.scanner, &mut frame, &mut steps)?;
+        self.old.code_frame(&mut reader, self.scanner, &mut frame)?;
         reader.finish()?;
         if !wanted {
             return Ok(None);
@@ -68,8 +66,8 @@ impl Recoder<'_> {
         }
         frame.parameters.range_coder = frame.parameters.range_coder.of_decoded();
         let mut writer = SectionWriter::new(Effort::default());
-        let returns = models.code_frame(&mut writer, self.scanner, &mut frame, &mut steps)?;
-        write_checked(&frame.into_scan(&header.name, &returns)?, &header, |_| Ok(()))?;
+        models.code_frame(&mut writer, self.scanner, &mut frame)?;
+        write_checked(&frame.into_scan(&header.name)?, &header, |_| Ok(()))?;
         // Sections that this program does not know are kept.
         let unknown = sections.into_iter().filter(|section| section.kind.is_skippable());
         Ok(Some(container::Frame { header, sections: writer.sections.into_iter().chain(unknown).collect() }))

@@ -47,6 +47,8 @@ pub struct Frame {
     pub coded_image: Vec<u8>,
     /// Intensity of each return.
     pub intensity: Grid<f32>,
+    /// The returns of the range image, in file order.
+    pub returns: Vec<Return>,
     /// Position of each return, in file order.
     pub positions: Vec<[f32; 3]>,
     pub stray_positions: Vec<[f32; 3]>,
@@ -246,9 +248,11 @@ impl Frame {
 
     /// Brings the encoder's points into the order in which a decoder finds the returns, which depends on the
     /// decoded ranges.
-    pub fn arrange(&mut self, returns: &[Return]) {
+    pub fn arrange(&mut self, scanner: Option<&Scanner>) {
+        self.returns = scanner.map_or_else(Vec::new, |scanner| scanner.file_order(&self.image));
         let Some(origin) = self.origin.take() else { return };
         let Origin { cloud, point_of_cell, strays } = &*origin;
+        let returns = &self.returns;
         let of_returns =
             returns.iter().map(|found| point_of_cell[(found.row as usize, found.column as usize)]);
         let points: Vec<u32> = of_returns.chain(strays.iter().copied()).collect();
@@ -266,10 +270,10 @@ impl Frame {
     ///
     /// # Errors
     /// If the parts do not fit together.
-    pub fn point_of_cell(&self, returns: &[Return]) -> Result<Grid<Option<u32>>> {
+    pub fn point_of_cell(&self) -> Result<Grid<Option<u32>>> {
         let mut points = Grid::new(self.occupancy.rows(), self.occupancy.columns());
-        for (point, element) in (0u32..).zip(self.order.order(returns.len())?) {
-            if let Some(found) = returns.get(element as usize) {
+        for (point, element) in (0u32..).zip(self.order.order(self.returns.len())?) {
+            if let Some(found) = self.returns.get(element as usize) {
                 points[(found.row as usize, found.column as usize)] = Some(point);
             }
         }
@@ -280,18 +284,18 @@ impl Frame {
     ///
     /// # Errors
     /// If the parts do not fit together.
-    pub fn beside(&self, returns: &[Return]) -> Result<Beside> {
+    pub fn beside(&self) -> Result<Beside> {
         let mut beside = Beside::default();
         if self.layout.position.is_some() {
             beside.positions = self.positions_in_order()?;
         }
         if self.layout.intensity.is_some() {
-            beside.intensity = self.intensities_in_order(returns)?;
+            beside.intensity = self.intensities_in_order()?;
         }
-        if !returns.is_empty() {
+        if !self.returns.is_empty() {
             let none = vec![0; self.order.stray_places.len()];
-            let rows: Vec<u32> = returns.iter().map(|found| found.row + 1).collect();
-            let columns: Vec<u32> = returns.iter().map(|found| found.column + 1).collect();
+            let rows: Vec<u32> = self.returns.iter().map(|found| found.row + 1).collect();
+            let columns: Vec<u32> = self.returns.iter().map(|found| found.column + 1).collect();
             beside.rows = self.order.arranged(&rows, &none)?;
             beside.columns = self.order.arranged(&columns, &none)?;
         }
@@ -299,9 +303,9 @@ impl Frame {
     }
 
     /// The intensities in the order of the file.
-    fn intensities_in_order(&self, returns: &[Return]) -> Result<Vec<f32>> {
+    fn intensities_in_order(&self) -> Result<Vec<f32>> {
         let of_return = |found: &Return| self.intensity[(found.row as usize, found.column as usize)];
-        let of_returns: Vec<f32> = returns.iter().map(of_return).collect();
+        let of_returns: Vec<f32> = self.returns.iter().map(of_return).collect();
         self.order.arranged(&of_returns, &self.stray_intensity)
     }
 
@@ -332,11 +336,11 @@ impl Frame {
     ///
     /// # Errors
     /// If the parts do not fit together.
-    pub fn into_scan(self, name: &str, returns: &[Return]) -> Result<ScanFile> {
+    pub fn into_scan(self, name: &str) -> Result<ScanFile> {
         if let Some(whole) = self.whole {
             return whole.into_scan(name, self.records);
         }
-        if returns.len() + self.order.stray_places.len() != self.records {
+        if self.returns.len() + self.order.stray_places.len() != self.records {
             return Err(Error::corrupt("the parts of the frame hold different numbers of points"));
         }
         let mut cloud = PointCloud::default();
@@ -347,7 +351,7 @@ impl Frame {
             compensation.apply(&mut cloud.positions);
         }
         if self.layout.intensity.is_some() {
-            cloud.intensity = self.intensities_in_order(returns)?;
+            cloud.intensity = self.intensities_in_order()?;
         }
         cloud.channels = self.channels;
         Ok(ScanFile {

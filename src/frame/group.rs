@@ -21,8 +21,8 @@ use crate::ground::grid::Grid;
 use crate::inter;
 use crate::inter::registration::{Pose, QuantisedPose, register};
 use crate::scan::ScanFile;
+use crate::scanner::RangeImage;
 use crate::scanner::Scanner;
-use crate::scanner::{RangeImage, Return};
 use crate::stream::container::{FrameHeader, Section};
 
 /// Encodes the frames of one group.
@@ -128,22 +128,18 @@ impl<'s> StreamEncoder<'s> {
                 best = Some(attempt);
             }
         }
-        let Some(Attempt { models, frame, sections, returns, steps, .. }) = best else {
+        let Some(Attempt { models, frame, sections, steps, .. }) = best else {
             return Err(Error::Internal("no prediction to choose from".to_owned()));
         };
         self.frames += 1;
         if let Some((models, mut steps)) = before {
             let own = sections.iter().map(|section| section.payload.len()).sum();
-            let (records, scan) = (frame.records, frame.clone().into_scan(&name, &returns)?);
+            let (records, scan) = (frame.records, frame.clone().into_scan(&name)?);
             if let Some(whole) = WholeFile::shortest(&scan, config.level, own)? {
                 self.models = models;
                 let mut writer = SectionWriter::new(Effort::default());
-                self.models.code_frame(
-                    &mut writer,
-                    None,
-                    &mut Frame::of_whole(whole, records),
-                    &mut steps,
-                )?;
+                self.models.code_frame(&mut writer, None, &mut Frame::of_whole(whole, records))?;
+                steps.add(&writer.report);
                 steps.count_sections(&writer.sections);
                 return Ok((EncodedFrame { header: original, sections: writer.sections, steps }, None));
             }
@@ -152,7 +148,7 @@ impl<'s> StreamEncoder<'s> {
         if frame.parameters.source.is_none() {
             return Ok((EncodedFrame { header: original, sections, steps }, None));
         }
-        let decoded = frame.into_scan(&name, &returns)?;
+        let decoded = frame.into_scan(&name)?;
         let bytes = decoded.to_bytes()?;
         let header =
             FrameHeader { stamp: original.stamp, ..FrameHeader::of(&name, &bytes, decoded.records as u64) };
@@ -200,13 +196,14 @@ impl<'s> StreamEncoder<'s> {
         frame.predict(prediction, self.scanner, self.config, &mut steps);
         let effort = Effort { level: self.config.level, image: self.config.image };
         let mut writer = SectionWriter::new(effort);
-        let returns = models.code_frame(&mut writer, self.scanner, &mut frame, &mut steps)?;
+        models.code_frame(&mut writer, self.scanner, &mut frame)?;
+        steps.add(&writer.report);
         steps.count_sections(&writer.sections);
         let error = match frame.parameters.range_coder {
             RangeCoder::Image(_) => squared_error(&ranges, &frame.image.steps),
             RangeCoder::Context { .. } | RangeCoder::Backend { .. } => 0.0,
         };
-        Ok(Attempt { models, frame, sections: writer.sections, returns, error, steps })
+        Ok(Attempt { models, frame, sections: writer.sections, error, steps })
     }
 }
 
@@ -224,7 +221,6 @@ struct Attempt {
     /// The frame as it decodes.
     frame: Frame,
     sections: Vec<Section>,
-    returns: Vec<Return>,
     /// Squared error of the ranges, in steps, with a coder that has a bit rate; otherwise 0.
     error: f64,
     steps: StepReport,
@@ -306,8 +302,8 @@ impl<'s> GroupDecoder<'s> {
         let (scanner, models) = stream.ok_or_else(unknown)?;
         let mut reader = SectionReader::new(sections, &self.limits);
         let mut frame = Frame::of_records(header.point_count as usize);
-        let returns = models.code_frame(&mut reader, *scanner, &mut frame, steps)?;
-        reader.finish()?;
+        models.code_frame(&mut reader, *scanner, &mut frame)?;
+        steps.add(&reader.finish()?);
         let source = frame.parameters.source;
         steps.frames += 1;
         steps.original += source.map_or(header.file_size, |source| source.file_size);
@@ -315,7 +311,7 @@ impl<'s> GroupDecoder<'s> {
         let image = match scanner.filter(|_| self.keeps_images) {
             Some(scanner) => Some(DecodedImage {
                 scanner: scanner.clone(),
-                point_of_cell: frame.point_of_cell(&returns)?,
+                point_of_cell: frame.point_of_cell()?,
                 image: take(&mut frame.image),
                 intra: take(&mut frame.intra),
                 motion: (frame.parameters.prediction == Prediction::Inter)
@@ -324,6 +320,6 @@ impl<'s> GroupDecoder<'s> {
             None => None,
         };
         let in_order = frame.parameters.positions != Positions::Formula;
-        Ok(DecodedScan { scan: frame.into_scan(&header.name, &returns)?, source, in_order, image })
+        Ok(DecodedScan { scan: frame.into_scan(&header.name)?, source, in_order, image })
     }
 }

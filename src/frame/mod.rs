@@ -9,11 +9,8 @@ pub mod steps;
 pub(crate) mod bound;
 #[allow(clippy::module_inception)]
 pub(crate) mod frame;
-mod images;
 pub(crate) mod levels;
 pub(crate) mod modelling;
-mod quick;
-mod ranges;
 pub(crate) mod sections;
 pub(crate) mod syntax;
 mod whole;

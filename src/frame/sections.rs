@@ -1,6 +1,9 @@
 //! The sections of a frame, opened one after the other in the same order on both sides.
 
 use crate::article::image_coding::ImageConfig;
+use std::time::Instant;
+
+use super::steps::StepReport;
 use crate::backend::Level;
 use crate::entropy::{
     ArithmeticDecoder, ArithmeticEncoder, BitCoder, TokenCoder, TokenReader, TokenTables, TokenWriter,
@@ -58,6 +61,9 @@ pub trait SectionCoder {
     /// The effort; unused by the decoder.
     fn effort(&self) -> Effort;
 
+    /// What each step takes and leaves. Sections add their time to it as they are closed.
+    fn report(&mut self) -> &mut StepReport;
+
     /// Bytes of the sections written so far; unused by the decoder.
     fn bytes_written(&self) -> usize;
 }
@@ -68,12 +74,19 @@ pub struct SectionWriter {
     pub sections: Vec<Section>,
     limits: Limits,
     effort: Effort,
+    /// What each step took and left.
+    pub report: StepReport,
 }
 
 impl SectionWriter {
     /// A writer without any sections yet.
     pub fn new(effort: Effort) -> Self {
-        SectionWriter { sections: Vec::new(), limits: Limits::default(), effort }
+        SectionWriter {
+            sections: Vec::new(),
+            limits: Limits::default(),
+            effort,
+            report: StepReport::default(),
+        }
     }
 }
 
@@ -91,9 +104,11 @@ impl SectionCoder for SectionWriter {
         if !present {
             return Ok(T::default());
         }
+        let start = Instant::now();
         let mut coder = ArithmeticEncoder::default();
         let result = code(&mut coder)?;
         self.sections.push(Section { kind, payload: coder.finish() });
+        self.report.took_section(kind, start);
         Ok(result)
     }
 
@@ -106,9 +121,11 @@ impl SectionCoder for SectionWriter {
         tables: &mut TokenTables,
         code: impl FnOnce(&mut TokenWriter) -> T,
     ) -> Result<T> {
+        let start = Instant::now();
         let mut writer = TokenWriter::new(contexts);
         let result = code(&mut writer);
         self.sections.push(Section { kind, payload: writer.finish(tables)? });
+        self.report.took_section(kind, start);
         Ok(result)
     }
 
@@ -126,6 +143,10 @@ impl SectionCoder for SectionWriter {
         self.effort
     }
 
+    fn report(&mut self) -> &mut StepReport {
+        &mut self.report
+    }
+
     fn bytes_written(&self) -> usize {
         self.sections.iter().map(|section| section.payload.len()).sum()
     }
@@ -136,12 +157,13 @@ pub struct SectionReader<'s> {
     /// The remaining sections.
     sections: &'s [Section],
     limits: &'s Limits,
+    report: StepReport,
 }
 
 impl<'s> SectionReader<'s> {
     /// Starts at the first section.
     pub fn new(sections: &'s [Section], limits: &'s Limits) -> Self {
-        SectionReader { sections, limits }
+        SectionReader { sections, limits, report: StepReport::default() }
     }
 
     /// The next section that is not to be skipped.
@@ -168,11 +190,13 @@ impl<'s> SectionReader<'s> {
         self.next_if(kind).ok_or_else(missing)
     }
 
+    /// What each step took.
+    ///
     /// # Errors
     /// If sections are left over.
-    pub fn finish(mut self) -> Result<()> {
+    pub fn finish(mut self) -> Result<StepReport> {
         match self.peek() {
-            None => Ok(()),
+            None => Ok(self.report),
             Some(Section { kind, .. }) => {
                 Err(Error::corrupt(format!("{kind} section out of place")).within_section(*kind))
             }
@@ -201,11 +225,13 @@ impl SectionCoder for SectionReader<'_> {
         if !present {
             return Ok(T::default());
         }
+        let start = Instant::now();
         let mut decoder = ArithmeticDecoder::new(self.next_payload(kind)?);
         let decoded = code(&mut decoder).map_err(|e| e.within_section(kind))?;
         if decoder.is_exhausted() {
             return Err(ends_too_early(kind));
         }
+        self.report.took_section(kind, start);
         Ok(decoded)
     }
 
@@ -221,6 +247,7 @@ impl SectionCoder for SectionReader<'_> {
         tables: &mut TokenTables,
         code: impl FnOnce(&mut TokenReader<'_>) -> T,
     ) -> Result<T> {
+        let start = Instant::now();
         let reader = TokenReader::new(self.next_payload(kind)?, contexts, tables);
         let mut reader = reader.map_err(|e| e.within_section(kind))?;
         let decoded = code(&mut reader);
@@ -229,6 +256,7 @@ impl SectionCoder for SectionReader<'_> {
         }
         let counts = reader.into_counts();
         tables.learn_decoded(&counts);
+        self.report.took_section(kind, start);
         Ok(decoded)
     }
 
@@ -243,6 +271,10 @@ impl SectionCoder for SectionReader<'_> {
 
     fn effort(&self) -> Effort {
         Effort::default()
+    }
+
+    fn report(&mut self) -> &mut StepReport {
+        &mut self.report
     }
 
     fn bytes_written(&self) -> usize {

@@ -120,6 +120,21 @@ impl StepReport {
         self.times[step as usize] += start.elapsed();
     }
 
+    /// Adds the time since `start` to the step that codes a section of this kind; the time of others is of the rest.
+    pub(crate) fn took_section(&mut self, kind: SectionKind, start: Instant) {
+        match kind {
+            SectionKind::Contour => self.took(Step::Contour, start),
+            SectionKind::Range => self.took(Step::Coding, start),
+            _ => {}
+        }
+    }
+
+    /// Adds the time since `start` to the rest, less what has been added to other steps since all took `before`.
+    pub(crate) fn took_rest(&mut self, start: Instant, before: Duration) {
+        let others = self.total_time().saturating_sub(before);
+        self.times[Step::Rest as usize] += start.elapsed().saturating_sub(others);
+    }
+
     /// Adds a frame's sections.
     pub(crate) fn count_sections(&mut self, sections: &[Section]) {
         for section in sections {

@@ -62,7 +62,11 @@ impl WholeFile {
         input = rest;
         let layout_length = read_length(&mut input)?;
         let mut layout = input.split_off(..layout_length).ok_or_else(damaged)?;
-        let layout = if layout.is_empty() { None } else { Some(Layout::read_from(&mut layout)?) };
+        let records = if layout.is_empty() { None } else { Some(Layout::read_from(&mut layout)?) };
+        if !layout.is_empty() {
+            return Err(Error::corrupt("bytes: bytes left over behind the layout"));
+        }
+        let layout = records;
         if layout.as_ref().is_some_and(|layout| layout.wrapping != Wrapping::Plain) {
             return Err(Error::corrupt("bytes: records that are no bytes"));
         }

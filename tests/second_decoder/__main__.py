@@ -3,7 +3,7 @@
     python3 tests/second_decoder STREAM OUTDIR     writes the files
     python3 tests/second_decoder --list STREAM     prints name, size, CRC-32C and points of each
 
-It needs nothing but Python 3.11. It does not know the back-ends brotli, ppmd, zstd, lz5 and lizard, nor JPEG 2000.
+It needs nothing but Python 3.11. It does not know the back-ends brotli, ppmd, lz5 and lizard, nor JPEG 2000.
 Exit codes: 0 done, 1 the stream breaks a rule, 3 it needs what this decoder does not know.
 """
 

@@ -1,7 +1,8 @@
 """Section 2 of FORMAT.md: varints, checksums, records, groups, frames, sections, the index."""
 
 from errors import Refused
-from scanner import scanner
+from firings import Scanner as Firings
+from scanner import Scanner as Hdl64
 
 MAGIC = b"\x89LPC"
 END_MAGIC = b"LPC."
@@ -10,8 +11,10 @@ VERSION = 1
 SCANNER, GROUP, INDEX, END = 1, 2, 3, 4
 SKIPPABLE = 0x80
 
-FILE, COLUMNS, OCCUPANCY, RANGE, CORRECTION, INTENSITY, ORDER, POINTS, EXTRA, PARAMETERS = range(1, 11)
-CONTOUR, REGIONS, RESIDUAL, COMPENSATION = range(11, 15)
+FILE, COLUMNS, OCCUPANCY, RANGE, CORRECTION, INTENSITY, ORDER, POINTS, CHANNELS, PARAMETERS = range(1, 11)
+CONTOUR, REGIONS, RESIDUAL, COMPENSATION, BYTES = range(11, 16)
+
+FAMILIES = {1: Hdl64, 2: Firings}
 
 
 def _crc_table():
@@ -177,12 +180,19 @@ def groups(data):
     reader.end()
 
 
+class Unknown:
+    """A scanner of a family that this decoder does not know."""
+
+    def __init__(self, family):
+        self.family = family
+
+
 def scanner_of(reader):
-    """2.3."""
+    """2.3 and 3.1."""
     family = reader.varint()
     payload = Reader(reader.take(reader.varint()))
     reader.end()
-    return scanner(family, payload)
+    return FAMILIES[family](payload) if family in FAMILIES else Unknown(family)
 
 
 def group_entry(group):

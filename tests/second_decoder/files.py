@@ -1,92 +1,35 @@
-"""Sections 8.1 (the serialised layout) and 9 of FORMAT.md: from records to a file's bytes."""
+"""Section 9 of FORMAT.md: from records to a file's bytes."""
 
 import struct
 from fractions import Fraction
-from math import inf, isfinite, isnan
+from math import isfinite, isnan
 
-from container import Reader
-from errors import Refused
-from models import f32
-
-PLAIN, PCD_COMPRESSED, TEXT, BIG_ENDIAN = range(4)
-HAS_POSITION, HAS_INTENSITY = 0x10, 0x20
-SCALARS = "bBhHiIqQfd"
-INTEGER, FIXED, SCIENTIFIC, SIGNIFICANT, SHORTEST = range(5)
-# Hash bits, multiplier, inserts of each dialect of LZF.
-DIALECTS = ((13, 1, 1), (16, 1, 1), (16, 5, 2))
+from layout import BIG_ENDIAN, F32, FIXED, INTEGER, PCD_COMPRESSED, SCIENTIFIC, SIGNIFICANT, TEXT, TYPES
+from models import f32, to_int
+from scanner import float_of_bits
 
 
-class Layout:
-    def __init__(self, data):
-        reader = Reader(data)
-        flags = reader.unsigned(1)
-        self.wrapping = flags & 15
-        if self.wrapping > BIG_ENDIAN or flags & 0xC0:
-            raise Refused("unknown flags of a layout")
-        self.stride = reader.varint()
-        if self.stride > 65536:
-            raise Refused("records are too long")
-        self.position = [reader.varint() for _ in range(3)] if flags & HAS_POSITION else None
-        self.intensity = reader.varint() if flags & HAS_INTENSITY else None
-        taken = set()
-        for offset in (self.position or []) + ([self.intensity] if flags & HAS_INTENSITY else []):
-            place = set(range(offset, offset + 4))
-            if offset + 4 > self.stride or taken & place:
-                raise Refused("values lie outside their record, or overlap")
-            taken |= place
-        self.extra_places = [k for k in range(self.stride) if k not in taken]
-        self.widths = []
-        self.columns = []
-        if self.wrapping == PCD_COMPRESSED:
-            dialect = reader.unsigned(1)
-            if dialect >= len(DIALECTS):
-                raise Refused("unknown dialect of LZF")
-            self.dialect = DIALECTS[dialect]
-        if self.wrapping in (PCD_COMPRESSED, BIG_ENDIAN):
-            while sum(self.widths) < self.stride:
-                self.widths.append(reader.varint())
-                if self.widths[-1] == 0:
-                    raise Refused("a field without bytes")
-            whole = sum(self.widths)
-        if self.wrapping == TEXT:
-            self.flags = reader.unsigned(1)
-            if self.flags > 7:
-                raise Refused("unknown flags of a text")
-            whole = 0
-            while whole < self.stride:
-                first, parameter = reader.take(2)
-                scalar, rule = first & 15, first >> 4
-                if scalar > 9 or rule > SHORTEST or (rule == INTEGER) != (scalar < 8):
-                    raise Refused("unknown column of a text")
-                most = (0, 40, 40, 40, 3)[rule]
-                if parameter > most or rule == SIGNIFICANT and parameter == 0:
-                    raise Refused("unknown rule of a text")
-                self.columns.append((SCALARS[scalar], rule, parameter))
-                whole += struct.calcsize("<" + SCALARS[scalar])
-        if self.wrapping != PLAIN and (whole != self.stride or whole == 0):
-            raise Refused("fields do not fill their record")
-        reader.end()
-
-    @property
-    def extra_stride(self):
-        return len(self.extra_places)
-
-
-def records_of(layout, n, positions, intensities, extra):
+def records_of(layout, n, positions, intensities, channels):
     """The records, one after the other."""
     stride = layout.stride
     data = bytearray(n * stride)
+
+    def fill(field, values):
+        width = field.width
+        for k in range(width):
+            data[field.offset + k :: stride] = values[k::width]
+
     if layout.position:
-        for axis, offset in enumerate(layout.position):
-            values = struct.pack(f"<{n}I", *[p[axis] for p in positions])
-            for k in range(4):
-                data[offset + k :: stride] = values[k::4]
-    if layout.intensity is not None:
-        values = struct.pack(f"<{n}I", *intensities)
-        for k in range(4):
-            data[layout.intensity + k :: stride] = values[k::4]
-    for k, place in enumerate(layout.extra_places):
-        data[place::stride] = extra[k :: layout.extra_stride]
+        for axis, field in enumerate(layout.position):
+            fill(field, struct.pack(f"<{n}I", *[p[axis] for p in positions]))
+    if layout.intensity:
+        if layout.intensity.kind != F32:
+            most = (1 << 8 * layout.intensity.size) - 1
+            intensities = [to_int(f32(float_of_bits(v) + 0.5), 0, most) for v in intensities]
+        letter = "I" if layout.intensity.kind == F32 else TYPES[layout.intensity.kind]
+        fill(layout.intensity, struct.pack(f"<{n}{letter}", *intensities))
+    for field, values in zip(layout.channels, channels):
+        fill(field, values)
     return bytes(data)
 
 
@@ -102,23 +45,21 @@ def wrapped(layout, records):
 
 def big_endian(layout, records):
     out = bytearray(len(records))
-    start = 0
-    for width in layout.widths:
-        for k in range(width):
-            out[start + k :: layout.stride] = records[start + width - 1 - k :: layout.stride]
-        start += width
+    for field in layout.fields:
+        size = field.size
+        for start in range(field.offset, field.offset + field.width, size):
+            for k in range(size):
+                out[start + k :: layout.stride] = records[start + size - 1 - k :: layout.stride]
     return bytes(out)
 
 
 def pcd_compressed(layout, records):
     fields = bytearray()
-    start = 0
-    for width in layout.widths:
-        field = bytearray(len(records) // layout.stride * width)
-        for k in range(width):
-            field[k::width] = records[start + k :: layout.stride]
-        fields += field
-        start += width
+    for field in layout.fields:
+        plane = bytearray(len(records) // layout.stride * field.width)
+        for k in range(field.width):
+            plane[k :: field.width] = records[field.offset + k :: layout.stride]
+        fields += plane
     packed = lzf(bytes(fields), *layout.dialect)
     return struct.pack("<II", len(packed), len(fields)) + packed
 

@@ -1,7 +1,7 @@
 """Section 4 of FORMAT.md: a frame's sections in order, and what they make."""
 
 import struct
-from math import isfinite, isnan, sqrt
+from math import isnan, sqrt
 
 import container as kinds
 import files
@@ -10,13 +10,16 @@ import reference as references
 import residual
 import sections
 import tokens
-from container import Reader, crc32c
-from entropy import Bits, IntegerModel, wrap
+from back_ends import NAMES, unpacked
+from channels import Beside, Channels, packed
+from container import Reader, Unknown, crc32c
+from entropy import AdaptiveBit, Bits, IntegerModel, wrap
 from errors import NotHere, Refused
+from layout import F32, PLAIN, Field, Layout
 from models import TAU, f32
 from ranges import Deep, Mixed
 from residual import BACK_ENDS
-from scanner import MILLIMETRE, Grid, Unknown, bits_of_float, float_of_bits, from_ordered, ordered
+from scanner import MILLIMETRE, Grid, bits_of_float, float_of_bits, from_ordered, ordered
 from trigonometry import atan2, cos, sin
 
 OF_FORMULA, AS_FORMULA, ON_GRID = 1, 2, 3
@@ -47,7 +50,7 @@ class Parameters:
             self.range_bits, self.bin, self.between = (reader.varint() for _ in range(3))
             if not 16 <= self.range_bits <= 24 or not 1 <= self.bin <= 1 << 20 or self.between > 1:
                 raise Refused("impossible parameters of ranges")
-        elif BACK_ENDS <= self.coder < BACK_ENDS + len(residual.NAMES):
+        elif BACK_ENDS <= self.coder < BACK_ENDS + len(NAMES):
             self.packing = reader.varint()
         elif self.coder not in (images.JPEG, images.JPEG_2000):
             raise Refused("an unknown coder")
@@ -78,15 +81,17 @@ class Decoder:
         self.scanner = scanner
         self.sizes = IntegerModel()
         self.bytes = sections.ByteModel()
-        self.columns = sections.Columns()
+        self.layout = None
+        self.columns = scanner.new_columns() if scanner else None
         self.occupancy = sections.Occupancy()
         self.points = sections.Points()
+        self.points_are_packed = AdaptiveBit()
         self.off_grid = sections.OffGrid()
         self.intensity = sections.Intensity(self.off_grid)
         self.deep_intensity = None
         self.correction = sections.Correction()
         self.order = sections.Order()
-        self.extra = sections.ByteModel()
+        self.channels = Channels()
         self.contour = residual.Contour()
         self.regions = residual.Regions()
         self.made = {}
@@ -99,8 +104,11 @@ class Decoder:
             self.made[key] = make(*arguments)
         return self.made[key]
 
+    def is_next(self, kind):
+        return bool(self.sections) and self.sections[0][0] == kind
+
     def next_section(self, kind):
-        if not self.sections or self.sections[0][0] != kind:
+        if not self.is_next(kind):
             raise Refused(f"section {kind} is missing, or others stand in its place")
         return self.sections.pop(0)[1]
 
@@ -111,37 +119,48 @@ class Decoder:
         """The file of a frame."""
         self.sections = list(frame.sections)
         parameters = Parameters(self.next_section(kinds.PARAMETERS))
+        if self.is_next(kinds.BYTES):
+            file = whole_file(Reader(self.next_section(kinds.BYTES)), frame.point_count)
+        else:
+            file = self.file(parameters, frame.point_count)
+        if self.sections:
+            raise Refused("a section too many")
+        if len(file) != frame.file_size or crc32c(file) != frame.file_crc:
+            raise Refused("the file is not the one that was encoded")
+        return file
+
+    def file(self, parameters, point_count):
         bits = self.bits(kinds.FILE)
         layout, prefix, suffix = (self.bytes.code(bits, self.sizes.code(bits)) for _ in range(3))
-        layout = files.Layout(layout)
+        if layout:
+            self.layout = Layout(layout)
+        layout = self.layout
+        if layout is None:
+            raise Refused("there is no layout before")
         records, strays = self.sizes.code(bits), self.sizes.code(bits)
-        if records != frame.point_count or strays > records or records and not layout.stride:
+        if records != point_count or strays > records or records and not layout.stride:
             raise Refused("numbers of points that do not agree")
         returns = records - strays
         if returns and not (self.scanner and layout.position):
             raise Refused("returns without a scanner or a position")
 
-        positions, intensities = self.points_of(layout, parameters, records, strays)
-        extra = b""
-        if records * layout.extra_stride:
-            extra = self.extra.code(self.bits(kinds.EXTRA), records * layout.extra_stride, layout.extra_stride)
-        if self.sections and self.sections[0][0] == kinds.COMPENSATION:
+        beside = self.points_of(layout, parameters, records, strays)
+        channels = []
+        if records and layout.channels:
+            channels = self.channels.code(self.bits(kinds.CHANNELS), layout.channels, records, beside)
+        positions = beside.positions
+        if self.is_next(kinds.COMPENSATION):
             positions = compensated(Reader(self.next_section(kinds.COMPENSATION)), positions)
-        if self.sections:
-            raise Refused("a section too many")
-        packed = files.records_of(layout, records, positions, intensities, extra)
-        file = prefix + files.wrapped(layout, packed) + suffix
-        if len(file) != frame.file_size or crc32c(file) != frame.file_crc:
-            raise Refused("the file is not the one that was encoded")
-        return file
+        found = files.records_of(layout, records, positions, beside.intensities, channels)
+        return prefix + files.wrapped(layout, found) + suffix
 
     def points_of(self, layout, parameters, records, strays):
-        """Positions and intensities in the order of the file."""
+        """What there is of rows, columns, positions and intensities, in the order of the file."""
         returns = records - strays
         scanner = self.scanner
         image, columns, seen = [], [], None
         if returns:
-            columns = self.columns.code(self.bits(kinds.COLUMNS), scanner.ticks)
+            columns = self.columns.code(self.bits(kinds.COLUMNS), scanner)
             if parameters.prediction == INTER:
                 if self.past is None:
                     raise Refused("a frame is predicted from none")
@@ -157,11 +176,11 @@ class Decoder:
             grid = None
             if parameters.max_error_um:
                 grid = Grid(MILLIMETRE, float(parameters.max_error_um * 1140) * 1e-9)
-            of_strays = self.points.code(self.bits(kinds.POINTS), strays, grid)
+            of_strays = self.strays(strays, grid)
 
         values, values_of_strays = [[0] * len(columns)] * len(image), [0] * strays
         levels = None
-        if layout.intensity is not None and parameters.intensity:
+        if layout.intensity and parameters.intensity:
             above = [None] * strays
             if layout.position:
                 above = sections.places_of_strays(of_strays)
@@ -170,11 +189,11 @@ class Decoder:
         ranges = []
         if returns:
             ranges = self.ranges(parameters, image, columns, levels, seen)
-            if not parameters.is_tokens and len(image) * len(columns) <= 1 << 22:
+            if scanner.has_references and not parameters.is_tokens and len(image) * len(columns) <= 1 << 22:
                 if levels is None:
                     levels = [[0] * len(columns) for _ in image]
                 self.past = references.Past(columns, ranges, levels)
-        elements = self.in_canonical_order(ranges, columns)
+        elements = scanner.in_canonical_order(ranges, columns) if returns else []
         stray_places, moved, move_places = range(returns, records), [], []
         positions = []
         if returns:
@@ -186,14 +205,29 @@ class Decoder:
             returns, zip(move_places, moved), (e for e in range(returns) if e not in is_moved)
         )
         sequence = sections.placed(records, zip(stray_places, range(returns, records)), sequence)
-        positions = positions + of_strays
-        intensities = [values[row][column] for row, column, _, _ in elements] + values_of_strays
-        if not layout.position:
-            positions = None
-        return (
-            [positions[e] for e in sequence] if positions is not None else None,
-            [intensities[e] for e in sequence],
-        )
+
+        def in_order(of_returns, of_strays):
+            values = of_returns + of_strays
+            return [values[e] for e in sequence]
+
+        beside = Beside()
+        if returns:
+            beside.rows = in_order([row + 1 for row, _, _, _ in elements], [0] * strays)
+            beside.columns = in_order([column + 1 for _, column, _, _ in elements], [0] * strays)
+        if layout.position:
+            beside.positions = in_order(positions, of_strays)
+        if layout.intensity:
+            of_returns = [values[row][column] for row, column, _, _ in elements]
+            beside.intensities = in_order(of_returns, values_of_strays)
+        return beside
+
+    def strays(self, n, grid):
+        """8.4."""
+        bits = self.bits(kinds.POINTS)
+        if not self.points_are_packed.code(bits):
+            return self.points.code(bits, n, grid)
+        values = packed(bits, F32, 12, n)
+        return list(struct.iter_unpack("<3I", values))
 
     def occupied(self, parameters, columns, seen):
         payload = self.next_section(kinds.OCCUPANCY)
@@ -207,17 +241,36 @@ class Decoder:
         if parameters.is_tokens:
             make = tokens.PackedIntensity if parameters.coder == PACKED else tokens.Intensity
             return *self.model(make).code(Reader(payload), image, strays), None
+        bits = Bits(payload)
+        scale = sections.Scale(bits.plain)
+        if not scale.per_unit:
+            return self.rough_intensities(bits, image, len(strays))
         if parameters.coder == DEEP:
             model = self.model(sections.DeepIntensity, self.off_grid)
         else:
             model = self.intensity
-        return model.code(Bits(payload), image, strays, seen)
+        return model.code(bits, scale, image, strays, seen)
+
+    def rough_intensities(self, bits, image, strays):
+        """8.5, without a grid."""
+        cells = [(row, column) for row, own in enumerate(image) for column, filled in enumerate(own) if filled]
+        rows = [row + 1 for row, _ in cells] + [0] * strays
+        columns = [column + 1 for _, column in cells] + [0] * strays
+        model = self.model(Channels)
+        (data,) = model.code(bits, [Field("", F32, 1)], len(rows), Beside(rows, columns))
+        found = struct.unpack(f"<{len(rows)}I", data)
+        values = [[0] * len(own) for own in image]
+        for (row, column), value in zip(cells, found):
+            values[row][column] = value
+        return values, list(found[len(cells) :]), [[1] * len(own) for own in image]
 
     def ranges(self, parameters, image, columns, levels, seen):
         coder = parameters.coder
         if coder >= BACK_ENDS:
             labels = models = None
             if parameters.prediction == REGIONS:
+                if not self.scanner.has_references:
+                    raise Refused("regions of a scanner that has none")
                 labels = self.contour.code(self.bits(kinds.CONTOUR), image)
                 models = self.regions.code(self.bits(kinds.REGIONS), self.contour.regions)
             payload = self.next_section(kinds.RESIDUAL)
@@ -231,19 +284,6 @@ class Decoder:
         else:
             model = self.model(tokens.Range, coder != TOKENS)
         return model.code(Reader(payload), image, parameters, seen)
-
-    def in_canonical_order(self, ranges, columns):
-        scanner = self.scanner
-        found = []
-        for row, cells in enumerate(ranges):
-            of_row = []
-            for column, steps in enumerate(cells):
-                if steps:
-                    tick = scanner.tick_of_column(row, columns[column])
-                    of_row.append((scanner.azimuth(row, tick, steps), row, column, tick, steps))
-            of_row.sort(key=lambda e: e[0])
-            found += [e[1:] for e in of_row]
-        return found
 
     def positions(self, parameters, elements):
         scanner = self.scanner
@@ -291,3 +331,16 @@ def compensated(reader, positions):
             position = tuple(from_ordered(wrap(ordered(v) + u, 64)) for v, u in zip(position, misses[place]))
         moved.append(position)
     return moved
+
+
+def whole_file(reader, point_count):
+    """8.18."""
+    backend = reader.unsigned(1)
+    layout = reader.take(reader.varint())
+    prefix, size = reader.varint(), reader.varint()
+    file = unpacked(backend, reader.rest(), size)
+    if layout:
+        layout = Layout(layout)
+        if layout.wrapping != PLAIN or not layout.stride or prefix + point_count * layout.stride > size:
+            raise Refused("records that are not in the file")
+    return file

@@ -1,13 +1,13 @@
-"""Sections 3.1 to 3.4 of FORMAT.md: scanners of family `hdl64`, coordinate grids, single-precision arithmetic."""
+"""Sections 3.2, 3.4, and 8.2 for its columns, of FORMAT.md: scanners of family `hdl64`, coordinate grids."""
 
 import struct
 from math import copysign, inf, isnan, nan, sqrt
 
+from entropy import adaptive
 from errors import Refused
-from models import TAU, clamp, f32, to_int
+from models import TAU, clamp, f32
 from trigonometry import cos, sin, sin_cos_f32
 
-HDL64 = 1
 MILLIMETRE, FLOAT32 = 0, 1
 SINGLE_PRECISION = 2
 
@@ -71,6 +71,8 @@ class Beam:
 class Scanner:
     """Family `hdl64`."""
 
+    has_references = True
+
     def __init__(self, reader):
         self.coordinates = reader.varint()
         if self.coordinates > SINGLE_PRECISION:
@@ -115,6 +117,22 @@ class Scanner:
         if found is None:
             angle = (tick / self.ticks) * TAU
             found = self.directions[tick] = cos(angle), sin(angle)
+        return found
+
+    def new_columns(self):
+        return Columns()
+
+    def in_canonical_order(self, ranges, columns):
+        """(row, column, tick, steps) of each return (4.2)."""
+        found = []
+        for row, cells in enumerate(ranges):
+            of_row = []
+            for column, steps in enumerate(cells):
+                if steps:
+                    tick = self.tick_of_column(row, columns[column])
+                    of_row.append((self.azimuth(row, tick, steps), row, column, tick, steps))
+            of_row.sort(key=lambda e: e[0])
+            found += [e[1:] for e in of_row]
         return found
 
     def tick_of_column(self, row, column_tick):
@@ -197,13 +215,21 @@ def within(v, turn):
     return v + turn if v < 0 else v - turn if v >= turn else v
 
 
-class Unknown:
-    """A scanner of a family that this decoder does not know."""
+class Columns:
+    """8.2: the ticks of the columns."""
 
-    def __init__(self, family):
-        self.family = family
+    def __init__(self):
+        self.bits = adaptive(4 * 32 * 4)
 
-
-def scanner(family, reader):
-    """3.1: a scanner of any family."""
-    return Scanner(reader) if family == HDL64 else Unknown(family)
+    def code(self, bits, scanner):
+        columns = []
+        gap = run = last_gap = 0
+        for tick in range(scanner.ticks):
+            if self.bits[(min(gap, 3) * 32 + run) * 4 + min(last_gap, 3)].code(bits):
+                columns.append(tick)
+                run = min(run + 1, 31) if gap else 0
+                last_gap = gap
+                gap = 0
+            else:
+                gap += 1
+        return columns

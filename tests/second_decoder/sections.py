@@ -14,8 +14,6 @@ from models import (
     LeastSquares,
     Levels,
     MixedBits,
-    SMALL_RATES,
-    SQUASH,
     clamp,
     f32,
     floats,
@@ -29,19 +27,20 @@ from models import (
     signed_level,
     squash,
 )
-from scanner import FLOAT32, MILLIMETRE, Grid, bits_of_float, float_of_bits
+from scanner import FLOAT32, Grid, bits_of_float, float_of_bits
 
 
 class ByteModel:
     """8.1."""
 
-    def __init__(self):
+    def __init__(self, most_slot_bits=14):
         self.slot_bits = 0
+        self.most_slot_bits = most_slot_bits
 
     def code(self, bits, n, stride=1):
         if n == 0:
             return b""
-        wanted = clamp(ilog2(n) + 2, 6, 14)
+        wanted = clamp(ilog2(n) + 2, 6, self.most_slot_bits)
         if wanted > self.slot_bits:
             self.slot_bits = wanted
             self.mixed = MixedBits([1 << (8 + wanted)] * 5, 256, 0.3, 0.0, 0.004)
@@ -68,26 +67,6 @@ class ByteModel:
                 node = node * 2 + code(bits, node, [s + node for s in slots])
             out.append(node - 256)
         return bytes(out)
-
-
-class Columns:
-    """8.2."""
-
-    def __init__(self):
-        self.bits = adaptive(4 * 32 * 4)
-
-    def code(self, bits, ticks):
-        columns = []
-        gap = run = last_gap = 0
-        for tick in range(ticks):
-            if self.bits[(min(gap, 3) * 32 + run) * 4 + min(last_gap, 3)].code(bits):
-                columns.append(tick)
-                run = min(run + 1, 31) if gap else 0
-                last_gap = gap
-                gap = 0
-            else:
-                gap += 1
-        return columns
 
 
 class Occupancy:
@@ -399,7 +378,7 @@ class OffGrid:
         self.last = 0
 
     def is_next(self, bits, scale):
-        return scale.per_unit == 0 or scale.exceptions and self.exception.code(bits)
+        return scale.exceptions and self.exception.code(bits)
 
     def code(self, bits):
         self.last = self.last + unzigzag(self.model.code(bits)) & 0xFFFFFFFF
@@ -416,11 +395,9 @@ class Intensity:
         self.reference_weights = [floats([0.45] * 3) for _ in range(512)]
         self.rate = f32(f32(0.005) / 65536)
 
-    def code(self, bits, image, strays, reference):
-        scale = Scale(bits.plain)
-        if scale.per_unit:
-            for view in self.views:
-                view.extend(new_counters(max((1 << (13 + scale.bits)) - len(view), 0)))
+    def code(self, bits, scale, image, strays, reference):
+        for view in self.views:
+            view.extend(new_counters(max((1 << (13 + scale.bits)) - len(view), 0)))
 
         def begin(columns, n):
             pass
@@ -478,9 +455,7 @@ class DeepIntensity:
         self.hashed = [HashedCounters(8) for _ in range(14)]
         self.mixer = LayeredMixer([1024, 9216], [0.15] * 16, 0.0045, 0.0005, 18, [512, 144])
 
-    def code(self, bits, image, strays, reference):
-        scale = Scale(bits.plain)
-
+    def code(self, bits, scale, image, strays, reference):
         def begin(columns, n):
             self.above = floats([4.0] * columns)
             b = clamp(ilog2(max(n, 1)), 8, 16)

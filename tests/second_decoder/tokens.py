@@ -1,11 +1,8 @@
 """Section 8.16 of FORMAT.md: sections as tokens."""
 
-from array import array
-
 from entropy import TokenModel, Tokens, frequencies_of, numbers, unzigzag
 from models import LeastSquares, clamp, f32, floats, ilog2
 from ranges import Bins
-from scanner import Grid
 from sections import Scale, corrected, uncorrected
 
 

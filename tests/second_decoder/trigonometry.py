@@ -1,6 +1,8 @@
 """Section 3.5 of FORMAT.md: sine, cosine and arctangent as musl and fdlibm compute them, to the last bit."""
 
+import math
 import struct
+from math import isinf, isnan, nan
 
 from models import f32
 
@@ -160,7 +162,10 @@ PI_LO = _f64(0x3CA1A62633145C07)
 
 
 def atan2(y, x):
-    """Of finite arguments."""
+    if isnan(x) or isnan(y):
+        return nan
+    if isinf(x) or isinf(y):
+        return math.atan2(y, x)  # a multiple of a quarter of pi
     if x == 1.0:
         return -_atan(-y) if struct.pack("<d", y)[7] >> 7 else _atan(y)
     m = struct.pack("<d", y)[7] >> 7 | struct.pack("<d", x)[7] >> 6 & 2

@@ -64,6 +64,9 @@ impl ColumnModel {
         scalar: Scalar,
         values: &mut [u8],
     ) -> Result<()> {
+        if plan.scale != Scale::PLACE && !scalar.is_float() {
+            return Err(Error::corrupt("channels: a scale of integers"));
+        }
         let size = scalar.size() as usize;
         let keys = keys(plan.key, sources)?;
         let columns = &sources.beside.columns;

@@ -137,6 +137,8 @@ impl Scale {
     /// The integer that comes nearest to a number.
     pub fn nearest(self, scalar: Scalar, number: f64) -> i64 {
         match (self.form(), scalar) {
+            // Processors differ in the bits of a NaN that they compute.
+            _ if number.is_nan() => 0,
             (None, Scalar::F32) => ordered32((number as f32).to_bits()),
             (None, Scalar::F64) => ordered64(number.to_bits()),
             _ => libm::rint(number / self.step()) as i64,
@@ -162,6 +164,9 @@ pub fn number(scalar: Scalar, value: &[u8]) -> f64 {
 /// Writes the value of a type that is nearest to a number.
 pub fn write_number(scalar: Scalar, number: f64, value: &mut [u8]) {
     match scalar {
+        // Processors differ in the bits of a NaN of another precision.
+        Scalar::F32 if number.is_nan() => LittleEndian::write_u32(value, 0x7fc0_0000),
+        Scalar::F64 if number.is_nan() => LittleEndian::write_u64(value, 0x7ff8_0000_0000_0000),
         Scalar::F32 => LittleEndian::write_f32(value, number as f32),
         Scalar::F64 => LittleEndian::write_f64(value, number),
         Scalar::U64 => LittleEndian::write_u64(value, number as u64),

@@ -1,0 +1,80 @@
+//! The positions of the returns: those of the formula, corrected as far as necessary.
+
+use crate::entropy::TokenTables;
+use crate::frame::fidelity::Positions;
+use crate::frame::frame::Frame;
+use crate::frame::modelling::CorrectionModelling;
+use crate::frame::sections::SectionCoder;
+use crate::ground::error::Result;
+use crate::models::{CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
+use crate::scanner::{Coordinates, Return, Scanner};
+use crate::stream::container::SectionKind;
+
+/// What a group's corrections have taught so far.
+#[derive(Clone, Default)]
+pub struct CorrectionModels {
+    adaptive: CorrectionModel,
+    tokens: TokenTables,
+}
+
+impl CorrectionModels {
+    /// Codes the positions of the returns, if there is a range image.
+    ///
+    /// # Errors
+    /// If the section is damaged.
+    pub fn code<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        scanner: Option<&Scanner>,
+        frame: &mut Frame,
+    ) -> Result<()> {
+        let Some(scanner) = scanner else { return Ok(()) };
+        let grid = scanner.coordinates();
+        let offset_m = frame.parameters.range_coder.offset_m(scanner);
+        let (max_error, on_grid) = match frame.parameters.positions {
+            Positions::Formula => {
+                frame.positions = scanner.positions(&frame.returns, offset_m, false);
+                return Ok(());
+            }
+            Positions::Exact => (None, true),
+            Positions::Bounded { max_error_um, on_grid } => (Some(f64::from(max_error_um) * 1e-6), on_grid),
+        };
+        let as_tokens = match frame.parameters.modelling().parts().correction {
+            CorrectionModelling::Adaptive => false,
+            CorrectionModelling::Light => grid == Coordinates::Millimetre,
+            CorrectionModelling::Tokens => true,
+        };
+        let (returns, positions) = (&frame.returns, &mut frame.positions);
+        let formula = |found: &Return| scanner.position(found, offset_m);
+        if as_tokens {
+            let near = scanner.positions(returns, offset_m, on_grid);
+            let wanted = std::mem::replace(positions, near);
+            let formula = |point: usize| formula(&returns[point]);
+            return sections.tokens(
+                SectionKind::Correction,
+                CORRECTION_CONTEXTS,
+                &mut self.tokens,
+                |coder| {
+                    correct_positions(coder, grid, formula, (&wanted, max_error), positions);
+                },
+            );
+        }
+        positions.resize(returns.len(), [0.0; 3]);
+        let model = &mut self.adaptive;
+        sections.section(SectionKind::Correction, true, |coder| {
+            let points = returns.iter().zip(positions);
+            match max_error {
+                None => {
+                    points.for_each(|(found, position)| model.code(coder, grid, formula(found), position))
+                }
+                Some(max_error) => {
+                    let near = scanner.positions(returns, offset_m, on_grid);
+                    points.zip(near).for_each(|((found, position), near)| {
+                        model.code_bounded(coder, grid, formula(found), (near, max_error), position);
+                    });
+                }
+            }
+            Ok(())
+        })
+    }
+}

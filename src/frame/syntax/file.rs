@@ -1,0 +1,87 @@
+//! The layout of the file, and the bytes around the records.
+
+use super::within;
+use crate::entropy::{BitCoder, IntegerModel};
+use crate::frame::frame::Frame;
+use crate::frame::sections::SectionCoder;
+use crate::ground::error::{Error, Limits, Result};
+use crate::models::ByteModel;
+use crate::scan::Layout;
+use crate::stream::container::SectionKind;
+
+/// What a group's files have taught so far.
+#[derive(Clone, Default)]
+pub struct FileModels {
+    /// Of the last frame.
+    layout: Option<Layout>,
+    sizes: IntegerModel,
+    bytes: ByteModel,
+}
+
+impl FileModels {
+    /// Codes the section.
+    ///
+    /// # Errors
+    /// If the frame has other points than its header says, or exceeds the limits.
+    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+        let limits = *sections.limits();
+        sections.section(SectionKind::File, true, |coder| self.code_file(coder, frame, &limits))
+    }
+
+    /// The layout of the file, and the bytes around the records.
+    fn code_file<C: BitCoder>(&mut self, coder: &mut C, frame: &mut Frame, limits: &Limits) -> Result<()> {
+        self.code_layout(coder, &mut frame.layout, limits)?;
+        self.code_bytes(coder, &mut frame.prefix, limits)?;
+        self.code_bytes(coder, &mut frame.suffix, limits)?;
+        let records = self.sizes.code(coder, frame.records as u64);
+        if records != frame.records as u64 {
+            return Err(Error::corrupt(format!(
+                "{records} points, not {} as the frame's header says",
+                frame.records
+            )));
+        }
+        frame.strays = self.sizes.code(coder, frame.strays as u64) as usize;
+        within(frame.records, limits.points, "points of the frame")?;
+        if frame.strays > frame.records || (frame.layout.position.is_none() && frame.strays < frame.records) {
+            return Err(Error::corrupt("more strays than points"));
+        }
+        Ok(())
+    }
+
+    /// The layout; empty if it is that of the frame before.
+    fn code_layout<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        layout: &mut Layout,
+        limits: &Limits,
+    ) -> Result<()> {
+        let mut bytes = Vec::new();
+        if C::ENCODES && self.layout.as_ref() != Some(layout) {
+            layout.write_to(&mut bytes);
+        }
+        self.code_bytes(coder, &mut bytes, limits)?;
+        if bytes.is_empty() {
+            let before = self.layout.as_ref();
+            layout.clone_from(before.ok_or_else(|| Error::corrupt("record layout: there is none before"))?);
+            return Ok(());
+        }
+        let mut rest = bytes.as_slice();
+        *layout = Layout::read_from(&mut rest)?;
+        if !rest.is_empty() {
+            return Err(Error::corrupt("record layout: bytes left over"));
+        }
+        self.layout = Some(layout.clone());
+        Ok(())
+    }
+
+    fn code_bytes<C: BitCoder>(&mut self, coder: &mut C, bytes: &mut Vec<u8>, limits: &Limits) -> Result<()> {
+        let length = self.sizes.code(coder, bytes.len() as u64) as usize;
+        within(length, limits.file_bytes, "bytes of the frame")?;
+        if length as u64 > coder.most_bits() / 8 {
+            return Err(Error::corrupt("more bytes than the section can hold"));
+        }
+        bytes.resize(length, 0);
+        self.bytes.code(coder, 1, bytes);
+        Ok(())
+    }
+}

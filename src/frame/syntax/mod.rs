@@ -1,0 +1,135 @@
+//! The syntax of a frame: which section codes what, in which order. Written once: the encoder walks it with a frame that
+//! is full, the decoder with one that is filled. Each file has what one part of a frame is coded by, at every level.
+
+mod corrections;
+mod file;
+mod image;
+mod intensities;
+mod ranges;
+mod records;
+mod reference;
+mod strays;
+
+use std::time::Instant;
+
+use super::frame::Frame;
+use super::parameters::FrameParameters;
+use super::sections::SectionCoder;
+use super::whole::WholeFile;
+use crate::ground::error::{Error, Result};
+use crate::inter::Past;
+use crate::scanner::Scanner;
+use crate::scanner::motion::Compensation;
+use crate::stream::container::SectionKind;
+use corrections::CorrectionModels;
+use file::FileModels;
+use image::ImageModels;
+use intensities::IntensityModels;
+use ranges::RangeModels;
+use records::RecordModels;
+use reference::PastFrame;
+use strays::StrayModels;
+
+/// What a group's frames have taught so far.
+#[derive(Clone, Default)]
+pub struct Models {
+    file: FileModels,
+    image: ImageModels,
+    past: PastFrame,
+    strays: StrayModels,
+    intensities: IntensityModels,
+    ranges: RangeModels,
+    corrections: CorrectionModels,
+    records: RecordModels,
+}
+
+impl Models {
+    /// Codes a frame. The decoder's frame is empty at first, except for the number of records, and is filled;
+    /// it also gets the returns in file order, which both sides derive from the range image.
+    ///
+    /// # Errors
+    /// If the sections do not make a frame, or make one that exceeds the limits.
+    pub fn code_frame<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        scanner: Option<&Scanner>,
+        frame: &mut Frame,
+    ) -> Result<()> {
+        let (start, before) = (Instant::now(), sections.report().total_time());
+        self.code_sections(sections, scanner, frame)?;
+        sections.report().took_rest(start, before);
+        Ok(())
+    }
+
+    #[rustfmt::skip]
+    fn code_sections<S: SectionCoder>(&mut self, s: &mut S, scanner: Option<&Scanner>, frame: &mut Frame) -> Result<()> {
+        code_parameters(s, frame)?;                                                 // FORMAT 8.10
+        if code_whole(s, frame)? { return Ok(()) }                                  // FORMAT 8.18
+        self.file.code(s, frame)?;                                                  // FORMAT 8.1
+        let scanner = frame.scanner_of_image(scanner)?;
+        self.image.code_columns(s, scanner, frame)?;                                // FORMAT 8.2
+        let reference = self.past.reference(scanner, frame)?;                       // FORMAT 4.3, equation 9
+        self.image.code_occupancy(s, reference.as_ref(), frame)?;                   // FORMAT 8.3, 8.16
+        self.strays.code(s, frame)?;                                                // FORMAT 8.4
+        let levels = self.intensities.code(s, reference.as_ref(), frame)?;          // FORMAT 8.5, 8.16
+        self.ranges.code(s, scanner, (&levels, reference.as_ref()), frame)?;        // FORMAT 8.6, 8.11 to 8.14, 8.16
+        self.past.remember(scanner, levels, frame);
+        frame.arrange(scanner);                                                     // FORMAT 4.2
+        self.corrections.code(s, scanner, frame)?;                                  // FORMAT 8.7, 8.16
+        self.records.code_order(s, frame)?;                                         // FORMAT 8.8
+        self.records.code_channels(s, frame)?;                                      // FORMAT 8.9
+        code_compensation(s, frame)                                                 // FORMAT 8.15
+    }
+
+    /// The frame before, if it has a range image.
+    pub(crate) fn past(&self) -> Option<&Past> {
+        self.past.get()
+    }
+}
+
+/// How the frame is coded.
+fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+    let mut payload = frame.parameters.to_payload();
+    sections.payload(SectionKind::Parameters, &mut payload);
+    frame.parameters =
+        FrameParameters::from_payload(&payload).map_err(|e| e.within_section(SectionKind::Parameters))?;
+    Ok(())
+}
+
+/// The frame as the bytes of its file, if it is coded that way; then nothing else follows.
+fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<bool> {
+    let mut payload = frame.whole.as_ref().map_or_else(Vec::new, |whole| whole.payload().to_vec());
+    sections.payload(SectionKind::Bytes, &mut payload);
+    if !S::ENCODES && !payload.is_empty() {
+        let whole = WholeFile::from_payload(&payload, sections.limits());
+        frame.whole = Some(whole.map_err(|e| e.within_section(SectionKind::Bytes))?);
+    }
+    Ok(!payload.is_empty())
+}
+
+/// How the points were moved after they were measured.
+fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+    frame.find_misses()?;
+    let mut payload = Vec::new();
+    frame.compensation.iter().for_each(|compensation| compensation.write_to(&mut payload));
+    sections.payload(SectionKind::Compensation, &mut payload);
+    if !payload.is_empty() {
+        frame.compensation = Some(Compensation::from_payload(&payload, frame.records)?);
+    }
+    Ok(())
+}
+
+impl Frame {
+    /// The scanner, if the frame has a range image.
+    fn scanner_of_image<'s>(&self, scanner: Option<&'s Scanner>) -> Result<Option<&'s Scanner>> {
+        match scanner {
+            _ if self.strays == self.records => Ok(None),
+            Some(scanner) => Ok(Some(scanner)),
+            None => Err(Error::corrupt("a range image without a scanner")),
+        }
+    }
+}
+
+fn within(got: usize, max: u64, what: &'static str) -> Result<()> {
+    if got as u64 > max { Err(Error::over_limit(what, got as u64, max)) } else { Ok(()) }
+}

@@ -1,0 +1,231 @@
+//! The ranges of the returns: coded by context, or as residuals by a general-purpose back-end or an image coder
+//! (article, IV-C, IV-D and VI-C).
+
+use crate::article::contour::ContourModel;
+use crate::article::image_coding::{self, ImageCodec};
+use crate::article::prediction::surface::SurfaceCoder;
+use crate::article::prediction::{Predictor, Rays};
+use crate::article::residual::{self, Packing};
+use crate::backend;
+use crate::entropy::TokenTables;
+use crate::frame::frame::Frame;
+use crate::frame::modelling::{Modelling, RangeModelling};
+use crate::frame::parameters::{Prediction, RangeCoder};
+use crate::frame::sections::SectionCoder;
+use crate::frame::steps::Step;
+use crate::ground::error::{Error, Result};
+use crate::ground::grid::Grid;
+use crate::inter::{self, Reference};
+use crate::models::{
+    PACKED_RANGE_CONTEXTS, RANGE_CONTEXTS, RangeContext, RangeModel, RangeTokens, code_packed_ranges,
+    start_counts,
+};
+use crate::scanner::Scanner;
+use crate::stream::container::SectionKind;
+
+/// What a group's ranges have taught so far.
+#[derive(Clone, Default)]
+pub struct RangeModels {
+    // Made when it is first wanted: it is large.
+    mixed: Option<RangeModel>,
+    tokens: RangeTokens,
+    token_tables: TokenTables,
+    packed: TokenTables,
+    contour: ContourModel,
+    surfaces: SurfaceCoder,
+}
+
+impl RangeModels {
+    /// Codes the ranges, if there is a range image; `known` are the context levels of the intensities and the
+    /// reference.
+    ///
+    /// # Errors
+    /// If a section is damaged, or a range is impossible.
+    pub fn code<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        scanner: Option<&Scanner>,
+        known: (&Grid<u16>, Option<&Reference>),
+        frame: &mut Frame,
+    ) -> Result<()> {
+        let Some(scanner) = scanner else { return Ok(()) };
+        sections.report().converted += 4 * frame.image.steps.cells().len() as u64;
+        match frame.parameters.range_coder {
+            RangeCoder::Context { modelling, range_bits, bin, .. } => {
+                sections.report().predicted += 4 * (frame.records - frame.strays) as u64;
+                self.code_by_context(sections, modelling, (range_bits, bin), known, frame)
+            }
+            RangeCoder::Backend { id, packing } => {
+                let predictor = self.code_predictor(sections, scanner, frame, known.1)?;
+                code_residuals(sections, &predictor, (id, packing), frame)?;
+                check_ranges(frame, scanner)
+            }
+            RangeCoder::Image(codec) => {
+                let before = sections.bytes_written();
+                let predictor = self.code_predictor(sections, scanner, frame, known.1)?;
+                let side = sections.bytes_written() - before;
+                code_image(sections, &predictor, (codec, side), frame, scanner.most_steps())
+            }
+        }
+    }
+
+    /// The ranges, by the context coder; `axis` are the bits of a range and the steps of a bin.
+    fn code_by_context<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        modelling: Modelling,
+        axis: (u32, u32),
+        (levels, reference): (&Grid<u16>, Option<&Reference>),
+        frame: &mut Frame,
+    ) -> Result<()> {
+        let steps = &mut frame.image.steps;
+        match modelling.parts().range {
+            RangeModelling::Packed => {
+                sections.tokens(SectionKind::Range, PACKED_RANGE_CONTEXTS, &mut self.packed, |coder| {
+                    let mut ranges =
+                        if S::ENCODES { steps.at(&frame.cells) } else { vec![0; frame.cells.len()] };
+                    code_packed_ranges(coder, axis, &mut ranges);
+                    steps.fill(&frame.cells, &ranges);
+                })
+            }
+            RangeModelling::Tokens { fitted } => {
+                let expected = reference.filter(|_| modelling.has_p_frames()).map(Reference::ranges);
+                self.token_tables.start_from(start_counts(fitted), S::ENCODES);
+                let model = &mut self.tokens;
+                sections.tokens(SectionKind::Range, RANGE_CONTEXTS, &mut self.token_tables, |coder| {
+                    model.code(coder, &frame.occupancy, (fitted, expected.as_ref()), axis, steps);
+                })
+            }
+            depth => {
+                let model = self.mixed.get_or_insert_default();
+                if depth == RangeModelling::Deep {
+                    model.go_deep();
+                }
+                let (occupancy, intensity, (range_bits, bin)) = (&frame.occupancy, levels, axis);
+                let known = RangeContext { occupancy, intensity, reference, range_bits, bin };
+                sections.section(SectionKind::Range, true, |coder| {
+                    model.code(coder, &known, steps);
+                    Ok(())
+                })
+            }
+        }
+    }
+
+    /// The side data of the prediction: the contour map and the models of regions.
+    fn code_predictor<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        scanner: &Scanner,
+        frame: &mut Frame,
+        reference: Option<&Reference>,
+    ) -> Result<Predictor> {
+        let snake = frame.parameters.snake;
+        match (frame.parameters.prediction, reference) {
+            (Prediction::None, _) => return Ok(Predictor { ranges: None, snake }),
+            (_, Some(reference)) => {
+                let predict = || inter::ranges(reference, &frame.occupancy);
+                let ranges = sections.report().timed(Step::Prediction, predict);
+                return Ok(Predictor { ranges: Some(ranges), snake });
+            }
+            _ => {}
+        }
+        sections.section(SectionKind::Contour, true, |coder| {
+            frame.intra.code_contour(&mut self.contour, coder, &frame.occupancy)
+        })?;
+        sections.section(SectionKind::Regions, true, |coder| {
+            frame.intra.code_models(&mut self.surfaces, coder);
+            Ok(())
+        })?;
+        let scanner = scanner.hdl64().ok_or_else(|| Error::corrupt("regions of a scanner that has none"))?;
+        let rays = Rays::of(scanner, &frame.image.columns);
+        let predict = || frame.intra.ranges(&frame.occupancy, &rays);
+        let ranges = sections.report().timed(Step::Prediction, predict);
+        Ok(Predictor { ranges: Some(ranges), snake })
+    }
+}
+
+/// The residuals, coded by a general-purpose back-end.
+fn code_residuals<S: SectionCoder>(
+    sections: &mut S,
+    predictor: &Predictor,
+    (id, packing): (u8, Packing),
+    frame: &mut Frame,
+) -> Result<()> {
+    let backend = backend::by_id(id)?;
+    let level = sections.effort().level;
+    let mut payload = Vec::new();
+    let mut packed = 0;
+    if S::ENCODES {
+        let report = sections.report();
+        let residuals =
+            report.timed(Step::Prediction, || predictor.residuals(&frame.occupancy, &frame.image.steps));
+        (payload, packed) =
+            report.timed(Step::Coding, || residual::compress(&residuals, backend, level, packing))?;
+    }
+    sections.payload(SectionKind::Residual, &mut payload);
+    let report = sections.report();
+    if !S::ENCODES {
+        let count = frame.records - frame.strays;
+        let residuals;
+        (residuals, packed) = report
+            .timed(Step::Coding, || residual::decompress(&payload, backend, packing, count))
+            .map_err(|e| e.within_section(SectionKind::Residual))?;
+        frame.image.steps =
+            report.timed(Step::Prediction, || predictor.restore(&frame.occupancy, &residuals));
+    }
+    report.predicted += packed as u64;
+    Ok(())
+}
+
+/// Checks that every return has a range that the scanner accepts.
+fn check_ranges(frame: &Frame, scanner: &Scanner) -> Result<()> {
+    let cells = frame.occupancy.cells().iter().zip(frame.image.steps.cells());
+    let most = scanner.most_steps();
+    if cells.into_iter().any(|(filled, steps)| *filled && !(1..=most).contains(steps)) {
+        return Err(Error::corrupt("a range is out of range"));
+    }
+    Ok(())
+}
+/// The residuals, coded by an image coder; `side` bytes of the prediction have been written already, and no range is above
+/// `most` steps. The encoder continues with the ranges that the decoder will have.
+fn code_image<S: SectionCoder>(
+    sections: &mut S,
+    predictor: &Predictor,
+    (codec, side): (ImageCodec, usize),
+    frame: &mut Frame,
+    most: u32,
+) -> Result<()> {
+    let returns = frame.records - frame.strays;
+    sections.report().predicted += 4 * returns as u64;
+    if S::ENCODES && frame.coded_image.is_empty() {
+        let config = sections.effort().image;
+        let report = sections.report();
+        let residuals =
+            report.timed(Step::Prediction, || predictor.differences(&frame.occupancy, &frame.image.steps));
+        let most_bytes = config.rate.bytes(returns).map(|bytes| bytes.saturating_sub(side));
+        frame.coded_image = report.timed(Step::Coding, || {
+            image_coding::encode(codec, residuals, &frame.occupancy, config.passes, most_bytes)
+        })?;
+    }
+    sections.payload(SectionKind::Residual, &mut frame.coded_image);
+    let report = sections.report();
+    let (rows, columns) = (frame.occupancy.rows(), frame.occupancy.columns());
+    let residuals = report
+        .timed(Step::Coding, || image_coding::decode(codec, &frame.coded_image, rows, columns))
+        .map_err(|e| e.within_section(SectionKind::Residual))?;
+    frame.image.steps =
+        report.timed(Step::Prediction, || predictor.restore_within(&frame.occupancy, &residuals, most));
+    Ok(())
+}
+
+impl Frame {
+    /// Codes the ranges, as they were decoded, by context from now on, because their image is useless with
+    /// another prediction.
+    pub fn leave_image(&mut self) {
+        if let RangeCoder::Image(_) = self.parameters.range_coder {
+            self.coded_image.clear();
+            self.parameters.range_coder = RangeCoder::EXACT;
+            self.parameters.range_coder.fit(&self.image.steps);
+        }
+    }
+}

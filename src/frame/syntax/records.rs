@@ -1,0 +1,62 @@
+//! The order of the points in the file, and the channels of their records.
+
+use super::within;
+use crate::frame::fidelity::Positions;
+use crate::frame::frame::Frame;
+use crate::frame::sections::SectionCoder;
+use crate::ground::error::Result;
+use crate::models::{ChannelsModel, OrderModel};
+use crate::scan::{Channel, Field};
+use crate::stream::container::SectionKind;
+
+/// What a group's records have taught so far.
+#[derive(Clone, Default)]
+pub struct RecordModels {
+    order: OrderModel,
+    channels: ChannelsModel,
+}
+
+impl RecordModels {
+    /// Codes where the order of the points is not that of the range image.
+    ///
+    /// # Errors
+    /// If the section is damaged.
+    pub fn code_order<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+        let returns = frame.records - frame.strays;
+        if returns == 0 || frame.parameters.positions == Positions::Formula {
+            frame.order.stray_places = (returns as u64..frame.records as u64).collect();
+            return Ok(());
+        }
+        sections.section(SectionKind::Order, true, |coder| {
+            self.order.code(coder, &mut frame.order, returns, frame.strays)
+        })
+    }
+
+    /// Codes the fields that are neither position nor intensity.
+    ///
+    /// # Errors
+    /// If the section is damaged, or the channels exceed the limits.
+    pub fn code_channels<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+        let bytes = frame.records.saturating_mul(frame.layout.channel_bytes());
+        within(bytes, sections.limits().file_bytes, "bytes of the frame")?;
+        frame.fit_channels();
+        let level = sections.effort().level;
+        sections.section(SectionKind::Channels, bytes > 0, |coder| {
+            let beside = frame.beside()?;
+            self.channels.code(coder, &mut frame.channels, &beside, level)
+        })
+    }
+}
+
+impl Frame {
+    /// Resizes the decoder's channels for their values.
+    fn fit_channels(&mut self) {
+        if self.channels.is_empty() {
+            let sized = |field: &Field| Channel {
+                field: field.clone(),
+                bytes: vec![0; self.records.saturating_mul(field.width())],
+            };
+            self.channels = self.layout.channels().map(|(_, field)| sized(field)).collect();
+        }
+    }
+}

@@ -1,0 +1,54 @@
+//! The frame before, from which a P frame is predicted.
+
+use std::sync::Arc;
+
+use super::within;
+use crate::frame::frame::Frame;
+use crate::frame::parameters::Prediction;
+use crate::ground::error::{Error, Result};
+use crate::ground::grid::Grid;
+use crate::inter::registration::QuantisedPose;
+use crate::inter::{MOST_CELLS, Past, Reference};
+use crate::scanner::Scanner;
+
+/// The last frame of the group with a range image.
+#[derive(Clone, Default)]
+pub struct PastFrame(Option<Arc<Past>>);
+
+impl PastFrame {
+    /// The frame, if there is one.
+    pub fn get(&self) -> Option<&Past> {
+        self.0.as_deref()
+    }
+
+    /// What it lets expect of this frame, if this is predicted from it.
+    ///
+    /// # Errors
+    /// If there is no frame before, or one from which nothing can be predicted.
+    pub fn reference(&self, scanner: Option<&Scanner>, frame: &Frame) -> Result<Option<Reference>> {
+        let Some(scanner) = scanner.filter(|_| frame.parameters.prediction == Prediction::Inter) else {
+            return Ok(None);
+        };
+        let past =
+            self.get().ok_or_else(|| Error::corrupt("there is no frame before to predict this one from"))?;
+        within(frame.occupancy.cells().len(), MOST_CELLS as u64, "cells of a P frame")?;
+        let motion = frame.parameters.motion;
+        if frame.parameters.can_do_without_surfaces() && motion == QuantisedPose::default() {
+            return Ok(Some(past.same_cells_alone(&frame.image.columns)));
+        }
+        let motion = motion.pose().motion();
+        let scanner =
+            scanner.hdl64().ok_or_else(|| Error::corrupt("a P frame of a scanner that has none"))?;
+        Ok(Some(past.reference(scanner, &frame.image.columns, &motion)))
+    }
+
+    /// Takes this frame for the next one's. `levels` are the context levels of its intensities.
+    pub fn remember(&mut self, scanner: Option<&Scanner>, levels: Grid<u16>, frame: &Frame) {
+        let can_be_past = scanner.is_some_and(|scanner| scanner.hdl64().is_some())
+            && frame.image.steps.cells().len() <= MOST_CELLS
+            && frame.parameters.modelling().has_p_frames();
+        if can_be_past {
+            self.0 = Some(Arc::new(Past::new(frame.image.clone(), levels)));
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! Points outside any range image.
+
+use byteorder::{ByteOrder, LittleEndian};
+
+use crate::backend::Level;
+use crate::entropy::{AdaptiveBit, ArithmeticEncoder, BitCoder};
+use crate::frame::frame::Frame;
+use crate::frame::sections::SectionCoder;
+use crate::ground::error::Result;
+use crate::models::PointModel;
+use crate::models::channels::{Packed, code_packed};
+use crate::scan::Scalar;
+use crate::scanner::Coordinates;
+use crate::stream::container::SectionKind;
+
+/// What a group's strays have taught so far.
+#[derive(Clone, Default)]
+pub struct StrayModels {
+    points: PointModel,
+    are_packed: AdaptiveBit,
+}
+
+impl StrayModels {
+    /// Codes the positions of the strays.
+    ///
+    /// # Errors
+    /// If the section is damaged.
+    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+        let has_points = frame.layout.position.is_some();
+        frame.stray_positions.resize(if has_points { frame.strays } else { 0 }, [0.0; 3]);
+        let (lattice, level) = (frame.parameters.positions.lattice(), sections.effort().level);
+        sections.section(SectionKind::Points, !frame.stray_positions.is_empty(), |coder| {
+            self.code_strays(coder, (lattice, level), frame.records, &mut frame.stray_positions)
+        })
+    }
+
+    /// Points outside any range image: by the model of points, or, if most points are such, by a
+    /// general-purpose coder where that is shorter.
+    fn code_strays<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        (lattice, level): (Option<Coordinates>, Level),
+        records: usize,
+        positions: &mut [[f32; 3]],
+    ) -> Result<()> {
+        const WIDTH: usize = 12;
+        let mut packed = None;
+        if C::ENCODES && lattice.is_none() && 2 * positions.len() > records {
+            let mut encoder = ArithmeticEncoder::default();
+            self.points.clone().code(&mut encoder, lattice, &mut positions.to_vec());
+            let bytes: Vec<u8> = positions.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
+            packed = Packed::shortest(&bytes, Scalar::F32, WIDTH, level, encoder.finish().len());
+        }
+        if !self.are_packed.code(coder, packed.is_some()) {
+            self.points.code(coder, lattice, positions);
+            return Ok(());
+        }
+        let mut bytes = vec![0; WIDTH * positions.len()];
+        code_packed(coder, packed, Scalar::F32, WIDTH, &mut bytes)?;
+        if !C::ENCODES {
+            for (position, values) in positions.iter_mut().zip(bytes.chunks_exact(WIDTH)) {
+                *position = std::array::from_fn(|axis| LittleEndian::read_f32(&values[4 * axis..]));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,279 @@
+"""Sections 8.9 and 8.17 of FORMAT.md: channels and packed bytes."""
+
+from array import array
+
+from back_ends import unpacked
+from entropy import M64, AdaptiveBit, IntegerModel, unzigzag, wrap
+from errors import Refused
+from layout import F32, SIZES
+from models import MixedBits, f32, floats
+from scanner import float_of_bits
+from sections import ByteModel
+from values import Scale, at_place, converted, geometry
+
+CONSTANT, COLUMNS, BYTES, PACKED = range(4)
+SAME, INTEGERS = 1, 2
+CANDIDATES, TRIES = 13, 4
+TABLE = 1 << 14
+MASK = TABLE - 1
+
+
+class Beside:
+    """What is known of the records, in the order of the file; each list may be empty. Positions and intensities are
+    bits of float32s."""
+
+    def __init__(self, rows=(), columns=(), positions=(), intensities=()):
+        self.rows = rows
+        self.columns = columns
+        self.positions = positions
+        self.intensities = intensities
+
+
+class Channels:
+    def __init__(self):
+        self.columns = []
+        self.bytes = ByteModel(12)
+
+    def code(self, bits, fields, records, beside):
+        """The bytes of each of these fields."""
+        sources = Sources(beside)
+        first = 0
+        found = [None] * len(fields)
+        for n in sorted(range(len(fields)), key=lambda n: fields[n].size):
+            field = fields[n]
+            count = field.count
+            if count > 8 or first + count > 64:
+                count = 0
+            self.columns += [Column() for _ in range(first + count - len(self.columns))]
+            models = self.columns[first : first + count]
+            first += count
+            found[n] = self.channel(bits, field, records, sources, models)
+            if field.count == 1:
+                sources.channels[n] = field.kind, found[n]
+        return found
+
+    def channel(self, bits, field, records, sources, models):
+        shape = bits.plain(8)
+        if shape == CONSTANT:
+            return bytes(bits.plain(8) for _ in range(field.width)) * records
+        if shape == BYTES:
+            return self.bytes.code(bits, records * field.width, field.width)
+        if shape == PACKED:
+            return packed(bits, field.kind, field.width, records)
+        if shape != COLUMNS or not models:
+            raise Refused("a channel of unknown shape, or of too many columns")
+        size = field.size
+        out = bytearray(records * field.width)
+        for k, model in enumerate(models):
+            values = b"".join(v.to_bytes(size, "little") for v in model.code(bits, field.kind, records, sources))
+            for byte in range(size):
+                out[k * size + byte :: field.width] = values[byte::size]
+        return bytes(out)
+
+
+class Sources:
+    """What a column can be told by: `channels` by number, type and bytes of each."""
+
+    def __init__(self, beside):
+        self.beside = beside
+        self.channels = {}
+
+    def values(self, n):
+        """Type and values."""
+        if n < 3 and self.beside.positions:
+            return F32, [position[n] for position in self.beside.positions]
+        if n == 3 and self.beside.intensities:
+            return F32, self.beside.intensities
+        if n - 4 not in self.channels:
+            raise Refused("a column is told by one that is not there")
+        kind, data = self.channels[n - 4]
+        size = SIZES[kind]
+        return kind, [int.from_bytes(data[at : at + size], "little") for at in range(0, len(data), size)]
+
+    def keys(self, key, records):
+        if key == 0:
+            return self.beside.rows or [0] * records
+        kind, values = self.values(key + 3)
+        if SIZES[kind] > 2:
+            raise Refused("keys that are too large")
+        return values
+
+
+class Column:
+    def __init__(self):
+        self.integers = None
+        self.is_off = AdaptiveBit()
+        self.off = IntegerModel()
+        self.last_off = 0
+
+    def code(self, bits, kind, records, sources):
+        """The values."""
+        method = bits.plain(8)
+        if method == CONSTANT:
+            return [bits.plain(8 * SIZES[kind])] * records
+        if method == SAME:
+            source, values = sources.values(bits.plain(16))
+            return [converted(source, value, kind) for value in values]
+        if method != INTEGERS:
+            raise Refused("a column of unknown method")
+        scale = Scale(bits.plain(8), kind)
+        has_exceptions = bits.plain(1)
+        keys = sources.keys(bits.plain(16), records)
+        lag = bits.plain(24)
+        of_position = bits.plain(8)
+        if of_position > 11:
+            raise Refused("unknown geometry")
+        expected = [None] * records
+        if of_position:
+            for n, position in enumerate(sources.beside.positions):
+                expected[n] = scale.nearest(geometry(of_position, list(map(float_of_bits, position))))
+        columns = sources.beside.columns or [0] * records
+        if self.integers is None:
+            self.integers = Integers()
+        found = []
+        past = []
+        for n in range(records):
+            if has_exceptions and self.is_off.code(bits):
+                found.append(at_place(kind, self.off_scale(bits)))
+                past.append(past[-1] if past else 0)
+                continue
+            lagged = (past[n - lag], past[n - lag - 1]) if 0 < lag < n else None
+            past.append(self.integers.code(bits, keys[n], columns[n], expected[n], lagged))
+            found.append(scale.value(past[-1]))
+        return found
+
+    def off_scale(self, bits):
+        if bits.plain(1):
+            self.last_off = wrap(bits.plain(64), 64)
+        else:
+            self.last_off = wrap(self.last_off + unzigzag(self.off.code(bits)), 64)
+        return self.last_off
+
+
+def slot(a, b):
+    b &= M64
+    m = ((a * 0x9E3779B97F4A7C15 ^ (b << 29 | b >> 35)) & M64) * 0xD6E8FEB86659FD93 & M64
+    return (m ^ m >> 31) * 0x9E3779B97F4A7C15 >> 50 & MASK
+
+
+def level(v):
+    return min(int(v * 32), 31)
+
+
+class Integers:
+    """Integers of a column, each predicted in several ways."""
+
+    def __init__(self):
+        self.last = [0, 0, 0]
+        self.key = 0
+        self.of_key = {}
+        self.of_keys, self.after, self.after_steps = (array("q", bytes(8 * TABLE)) for _ in range(3))
+        self.of_column = {}
+        self.scores = floats([0.5] * CANDIDATES)
+        self.errors = floats([16.0] * CANDIDATES)
+        self.history = 0
+        self.hits = MixedBits([TABLE] * 5, TRIES, 0.3, 0.0, 0.004)
+        self.is_long = AdaptiveBit()
+        self.differences = [None] * 64
+
+    def code(self, bits, key, column, geometry, lagged):
+        a, b, c = self.last
+        at_key = slot(key, 0)
+        at_keys = slot(key, self.key + 1)
+        at_after = slot(a, b)
+        at_steps = slot(wrap(a - b, 64), wrap(b - c, 64))
+        k, k2, off = self.of_key.get(at_key, (0, 0, 0))
+        change = a - self.of_key.get(slot(self.key, 0), (0, 0, 0))[1]
+        g, g2 = lagged or (a, a)
+        p = a if geometry is None else geometry
+        candidates = [
+            a,
+            a + a - b,
+            a + self.of_keys[at_keys],
+            k,
+            k + k - k2,
+            k + change,
+            self.of_column.get(column, 0) if column else a,
+            g,
+            g + a - g2,
+            self.after[at_after],
+            a + self.after_steps[at_steps],
+            p,
+            a if geometry is None else p + off,
+        ]
+        candidates = [v if -(1 << 63) <= v < 1 << 63 else wrap(v, 64) for v in candidates]
+        v = self.coded(bits, candidates, key, at_keys)
+        self.learn(candidates, v)
+        step = wrap(v - a, 64)
+        self.after[at_after] = v
+        self.after_steps[at_steps] = step
+        self.of_keys[at_keys] = step
+        self.of_column[column] = v
+        self.of_key[at_key] = v, k, 0 if geometry is None else wrap(v - p, 64)
+        self.last = [v, a, b]
+        self.key = key
+        return v
+
+    def coded(self, bits, candidates, key, at_keys):
+        scores = self.scores.tolist()
+        left = list(range(CANDIDATES))
+        for t in range(TRIES):
+            if not left:
+                break
+            best = max(left, key=scores.__getitem__)
+            expected = candidates[best]
+            alike = [n for n in range(CANDIDATES) if candidates[n] == expected]
+            left = [n for n in left if candidates[n] != expected]
+            trust = 0.0
+            for n in alike:
+                trust = f32(trust + scores[n])
+            places = (
+                t | (self.history & 255) << 2,
+                t | best << 2 | level(scores[best]) << 6 | (self.history & 7) << 11,
+                (t | sum(1 << n for n in alike) << 2) & MASK,
+                slot(key, t << 32 | 1 << 40),
+                t | level(trust / 4) << 2 | (at_keys & 127) << 7,
+            )
+            if self.hits.code(bits, t, [place & MASK for place in places]):
+                self.history = (self.history << 2 | min(t, 2) + 1) & 255
+                return expected
+        self.history = self.history << 2 & 255
+        errors = self.errors.tolist()
+        nearest = errors.index(min(errors))
+        if self.is_long.code(bits):
+            return wrap(bits.plain(64), 64)
+        n = min(int(errors[nearest]), 63)
+        if self.differences[n] is None:
+            self.differences[n] = IntegerModel()
+        return wrap(candidates[nearest] + unzigzag(self.differences[n].code(bits)), 64)
+
+    def learn(self, candidates, v):
+        scores, errors = self.scores, self.errors
+        for n, c in enumerate(candidates):
+            s = scores[n]
+            scores[n] = s + f32(f32((1.0 if c == v else 0.0) - s) / 32)
+            distance = abs(wrap(c - v, 64)) if c != v else 0
+            e = errors[n]
+            errors[n] = e + f32(2 * distance.bit_length() - e) / 8
+
+
+def packed(bits, kind, width, records):
+    """8.17: records of values of one type by a general-purpose back-end."""
+    backend, arrangement = bits.plain(8), bits.plain(8)
+    if arrangement > 2:
+        raise Refused("bytes in an unknown arrangement")
+    payload = bytes(bits.plain(8) for _ in range(IntegerModel().code(bits)))
+    data = unpacked(backend, payload, records * width)
+    if arrangement == 0:
+        return data
+    out = bytearray(len(data))
+    for k in range(width):
+        out[k::width] = data[k * records : (k + 1) * records]
+    if arrangement == 2:
+        size = SIZES[kind]
+        mask = (1 << 8 * size) - 1
+        for at in range(width, len(out), size):
+            before = int.from_bytes(out[at - width : at - width + size], "little")
+            value = int.from_bytes(out[at : at + size], "little") + before & mask
+            out[at : at + size] = value.to_bytes(size, "little")
+    return bytes(out)
