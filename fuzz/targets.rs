@@ -1,17 +1,25 @@
 //! What is done to the fuzzer's bytes. The fuzzer's programs (`fuzz_targets`) and the test that replays what
 //! they have found (`tests/fuzz.rs`) share it.
 
+use std::fs::{self, File};
+use std::io::Cursor;
+use std::sync::LazyLock;
+
 use lidarpc::internals::backend::{self, BACKENDS, Level};
-use lidarpc::internals::files::parse;
+use lidarpc::internals::edit::{Named, PartialFiles, encode_resuming, recover, repair};
+use lidarpc::internals::files::{ArrivingFrames, FileFormat, convert, parse};
 use lidarpc::internals::frame::Prediction;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
-use lidarpc::internals::ground::error::Limits;
-use lidarpc::internals::scanner::Hdl64;
+use lidarpc::internals::ground::error::{Limits, Result};
+use lidarpc::internals::scan::PointCloud;
+use lidarpc::internals::scanner::{REACH, Return, Scanner};
 use lidarpc::internals::stream::container::{IndexedReader, StreamReader};
+use lidarpc::internals::stream::{DecodeOptions, FrameInput};
+use tempfile::TempDir;
 
 use crate::common::bound::{bounded, keeps_the_bound};
 use crate::common::formats::kitti;
-use crate::common::scans::{scans, small};
+use crate::common::scans::{random_points, scans, small};
 use crate::common::streams::STREAMS;
 use crate::common::{decode_within, put_together, round_trip};
 
@@ -23,12 +31,16 @@ pub type Target = fn(&[u8]);
 
 /// All targets by name.
 #[allow(dead_code)] // The fuzzer's programs call theirs directly.
-pub const TARGETS: [(&str, Target); 6] = [
+pub const TARGETS: [(&str, Target); 10] = [
     ("container", container),
     ("sections", sections),
     ("backends", backends),
     ("readers", readers),
-    ("sensor", sensor),
+    ("conversion", conversion),
+    ("arrival", arrival),
+    ("salvage", salvage),
+    ("journal", journal),
+    ("scanner", scanner),
     ("round_trip", round_trip_of),
 ];
 
@@ -74,18 +86,93 @@ pub fn readers(data: &[u8]) {
     assert!(scan.to_bytes().unwrap() == bytes, "{name}");
 }
 
-/// Any bytes as a sensor model's record; what is one is written as the same bytes.
-pub fn sensor(data: &[u8]) {
-    let mut rest = data;
-    if let Ok(model) = Hdl64::read_from(&mut rest) {
-        let mut written = Vec::new();
-        model.write_to(&mut written);
-        assert_eq!(written, data[..data.len() - rest.len()]);
-        if model.rows() > 0 {
-            let point = model.point(0, 0, 1);
-            let _ = model.invert(0, point);
-        }
+/// Any bytes as a file, converted to each format: what comes out is a file of that format with the same points.
+pub fn conversion(data: &[u8]) {
+    let [kind, bytes @ ..] = data else { return };
+    let name = ["a.bin", "a.pcd.bin", "a.pcd", "a.ply"][usize::from(*kind) % 4];
+    let scan = parse(name, bytes.to_vec());
+    for format in [FileFormat::Bin, FileFormat::Pcd, FileFormat::Ply] {
+        let Ok(converted) = convert(&scan, format) else { continue };
+        let again = parse(&converted.name, converted.to_bytes().unwrap());
+        assert_eq!((again.records, &again.name), (scan.records, &format.file_name(name)), "{format:?}");
+        let bits =
+            |cloud: &PointCloud| cloud.positions.concat().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        assert!(bits(&again.cloud) == bits(&converted.cloud), "{format:?}");
     }
+}
+
+/// Any bytes as what arrives from a pipe: no frame is made of more than arrived, and no two have one name.
+pub fn arrival(data: &[u8]) {
+    let mut frames: Vec<_> = ArrivingFrames::new(data).map_while(Result::ok).collect();
+    assert!(frames.iter().map(|frame| frame.bytes.len()).sum::<usize>() <= data.len());
+    let count = frames.len();
+    frames.sort_by(|a, b| a.name.cmp(&b.name));
+    frames.dedup_by(|a, b| a.name == b.name);
+    assert_eq!(frames.len(), count);
+}
+
+/// Any bytes as a damaged stream: of what is saved, the stream is whole.
+pub fn salvage(data: &[u8]) {
+    let options = DecodeOptions { threads: 1, limits: LIMITS, ..DecodeOptions::default() };
+    let _ = recover(Cursor::new(data), &options, |_| Ok(()));
+    let mut repaired = Vec::new();
+    let input = Named { path: "damaged".into(), stream: Cursor::new(data) };
+    if let Ok(frames) = repair(input, &LIMITS, &mut repaired, |_| ()) {
+        let reader = IndexedReader::open(Cursor::new(&repaired), LIMITS).unwrap();
+        assert_eq!(
+            reader.index().groups.iter().map(|group| group.frames.len()).sum::<usize>() as u64,
+            frames
+        );
+        let mut records = StreamReader::open(&repaired[..], LIMITS).unwrap();
+        while records.next_record().unwrap().is_some() {}
+    }
+}
+
+/// An encode of three frames in as many groups that was interrupted at its end: the stream and its journal.
+pub static INTERRUPTED: LazyLock<(Vec<u8>, Vec<u8>)> = LazyLock::new(|| resume(b"", b"").1);
+
+/// Any bytes as the journal, or as the stream, of an interrupted encode: it goes on to the one stream there can
+/// be, or leaves both as they are.
+pub fn journal(data: &[u8]) {
+    let [which, bytes @ ..] = data else { return };
+    let (stream, journal) = &*INTERRUPTED;
+    let (old_stream, old_journal) = if which % 2 == 0 { (&stream[..], bytes) } else { (bytes, &journal[..]) };
+    let (result, (new_stream, new_journal)) = resume(old_stream, old_journal);
+    match result {
+        Ok(()) => assert!(new_stream == *stream && new_journal == *journal, "another stream"),
+        Err(_) => assert!(new_stream == old_stream && new_journal == old_journal, "something was changed"),
+    }
+}
+
+/// Goes on with an interrupted encode; returns what has become of its stream and journal.
+fn resume(stream: &[u8], journal: &[u8]) -> (Result<()>, (Vec<u8>, Vec<u8>)) {
+    let folder = TempDir::new().unwrap();
+    let [stream_path, journal_path] = ["stream", "journal"].map(|name| folder.path().join(name));
+    fs::write(&stream_path, stream).unwrap();
+    fs::write(&journal_path, journal).unwrap();
+    let input = |n: u64| FrameInput::memory(format!("{n}.bin"), kitti(&random_points(5, n)));
+    let config = EncoderConfig { gop: 1, threads: 1, ..EncoderConfig::default() };
+    let file = File::options().read(true).write(true).open(&stream_path).unwrap();
+    let partial = PartialFiles { path: "partial".into(), stream: file, journal: journal_path.clone() };
+    let result = encode_resuming(&[1, 2, 3].map(input), &config, partial, &|| ()).map(drop);
+    (result, (fs::read(stream_path).unwrap(), fs::read(journal_path).unwrap()))
+}
+
+/// Any bytes as the payload of a scanner's record, of any family; what is one is written as the same bytes, and
+/// finds the points that it makes.
+pub fn scanner(data: &[u8]) {
+    let [family, payload @ ..] = data else { return };
+    let Ok(Some(scanner)) = Scanner::of_record(u64::from(*family), payload) else { return };
+    assert_eq!((scanner.family(), &scanner.to_payload()[..]), (u64::from(*family), payload));
+    let last = scanner.rows().saturating_sub(1) as u32;
+    let returns = [(0, 1), (0, 5000), (last, 1), (last, 5000)];
+    let returns = returns.map(|(row, steps)| Return { row, column: 0, tick: 0, steps });
+    let mut positions = scanner.positions(&returns, 0.0, true);
+    positions.extend([[f32::NAN; 3], [f32::MAX; 3], [0.0; 3]]);
+    let cloud = PointCloud { positions, ..PointCloud::default() };
+    let projection = scanner.project(&cloud, REACH);
+    let found = scanner.file_order(&projection.image);
+    assert_eq!(found.len() + projection.strays.len(), cloud.positions.len());
 }
 
 /// Any bytes as a file behind a good scan, in one mode or another.

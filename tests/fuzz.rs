@@ -7,6 +7,7 @@ mod common;
 #[path = "../fuzz/targets.rs"]
 mod targets;
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
@@ -15,7 +16,11 @@ use common::scans::{scans, small};
 use common::streams::STREAMS;
 use common::{first_files, in_package, put_together};
 use lidarpc::internals::backend::{BACKENDS, Level};
-use targets::TARGETS;
+use lidarpc::internals::files::parse;
+use lidarpc::internals::scanner::Scanner;
+use lidarpc::internals::stream::container::ScannerRecord;
+use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
+use targets::{INTERRUPTED, TARGETS};
 
 /// What the fuzzer starts from, so that it need not find the formats by chance.
 fn seeds(target: &str) -> Vec<Vec<u8>> {
@@ -30,7 +35,9 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         (4, b"text".to_vec()),
     ];
     match target {
-        "container" => STREAMS.iter().map(|(models, groups)| put_together(models, groups)).collect(),
+        "container" | "salvage" => {
+            STREAMS.iter().map(|(models, groups)| put_together(models, groups)).collect()
+        }
         "sections" => {
             let numbered = |(number, parts): (usize, &common::streams::Parts)| {
                 let frames = parts.1.iter().flat_map(|group| &group.frames);
@@ -49,17 +56,52 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
             };
             BACKENDS.iter().enumerate().map(coded).collect()
         }
-        "readers" => files.map(|(kind, bytes)| [vec![kind], bytes].concat()).to_vec(),
-        "sensor" => STREAMS
-            .iter()
-            .flat_map(|(models, _)| models.iter().map(|scanner| scanner.payload.clone()))
-            .collect(),
+        "readers" | "conversion" => files.map(|(kind, bytes)| [vec![kind], bytes].concat()).to_vec(),
+        "arrival" => {
+            let framed = files.iter().map(|(_, bytes)| {
+                let name = format!("a.bin {}\n", bytes.len());
+                [name.as_bytes(), bytes, b"b.bin 0\n"].concat()
+            });
+            framed.chain([tar::Header::new_gnu(), tar::Header::new_ustar()].map(archive)).collect()
+        }
+        "journal" => {
+            let (stream, journal) = &*INTERRUPTED;
+            let cut = |bytes: &[u8]| bytes[..bytes.len() * 2 / 3].to_vec();
+            [(0, journal.clone()), (0, cut(journal)), (1, stream.clone()), (1, cut(stream))]
+                .map(|(which, bytes)| [vec![which], bytes].concat())
+                .to_vec()
+        }
+        "scanner" => {
+            let vlp16 = SynthConfig { scanner: SynthScanner::Vlp16, thinning: 4, ..small(1, 1) };
+            let vlp16 = Scanner::fit(&[parse("0.bin", kitti(&scans(&vlp16)[0]))]).unwrap();
+            let fitted = ScannerRecord { family: vlp16.family(), payload: vlp16.to_payload() };
+            let records = STREAMS.iter().flat_map(|(scanners, _)| scanners).chain([&fitted]);
+            let seed = |record: &ScannerRecord| [&[record.family as u8], &record.payload[..]].concat();
+            records.map(seed).collect::<BTreeSet<_>>().into_iter().collect()
+        }
         _ => {
             let with =
                 |mode: u8| files.iter().map(move |(kind, bytes)| [&[mode, *kind], &bytes[..]].concat());
             [0, 1, 2, 40, 54, 3, 7, 39].into_iter().flat_map(with).collect()
         }
     }
+}
+
+/// An archive with a long name, a folder and a link.
+fn archive(mut header: tar::Header) -> Vec<u8> {
+    let mut archive = tar::Builder::new(Vec::new());
+    for (name, kind) in [
+        ("drive", tar::EntryType::Directory),
+        ("drive/1.bin", tar::EntryType::Regular),
+        (&format!("{}/2.bin", "n".repeat(150)), tar::EntryType::Regular),
+        ("drive/3.bin", tar::EntryType::Symlink),
+    ] {
+        let bytes = if kind.is_file() { vec![7; 600] } else { Vec::new() };
+        header.set_entry_type(kind);
+        header.set_size(bytes.len() as u64);
+        archive.append_data(&mut header, name, &bytes[..]).unwrap();
+    }
+    archive.into_inner().unwrap()
 }
 
 #[test]

@@ -10,7 +10,7 @@ use assert_cmd::cargo::cargo_bin;
 use common::formats::kitti;
 use common::scans::{scans, small};
 use common::{File, decode_files};
-use lidarpc::internals::files::ArrivingFrames;
+use lidarpc::internals::files::{ArrivingFrames, LeftOut, LeftOutPaths};
 use lidarpc::internals::ground::error::Limits;
 use lidarpc::internals::stream::container::{Record, StreamReader};
 use tempfile::TempDir;
@@ -147,6 +147,79 @@ fn damaged_archives_are_refused() {
     }
     let nothing = [entry("readme.txt", b'0', b"no scan"), END.to_vec()].concat();
     assert!(arrive(&nothing).unwrap_err().contains("no .bin"));
+    assert!(arrive(&[0; 10240]).unwrap_err().contains("is empty"));
+}
+
+#[test]
+fn compressed_archives_are_called_so() {
+    for (start, program) in [
+        (&b"\x1f\x8b\x08\0\0\0\0\0\0\x03"[..], "gzip"),
+        (b"\x1f\x8b\x08\x08\n\xa0Yd\x02\x03drive.tar\0", "gzip"),
+        (b"\x28\xb5\x2f\xfd\x04\x58\0", "zstd"),
+        (b"\xfd7zXZ\0\0", "xz"),
+        (b"BZh91AY&SY\x01\0", "bzip2"),
+    ] {
+        assert!(arrive(start).unwrap_err().contains(program), "{program}");
+    }
+}
+
+#[test]
+fn links_are_not_dropped_without_a_word() {
+    let scan = entry("drive/1.bin", b'0', &[7; 16]);
+    let hard = [scan.clone(), entry("drive/2.bin", b'1', b""), END.to_vec()].concat();
+    let error = arrive(&hard).unwrap_err();
+    assert!(error.contains("drive/2.bin") && error.contains("--hard-dereference"), "{error}");
+
+    let links = [entry("drive/2.bin", b'2', b""), entry("drive/3.bin", b'2', b""), END.to_vec()].concat();
+    let error = arrive(&links).unwrap_err();
+    assert!(error.contains("drive/2.bin") && error.contains("--dereference"), "{error}");
+    let readme = entry("readme.txt", b'0', b"no scan");
+    let archive = [scan, readme, links].concat();
+    let mut frames = ArrivingFrames::new(&archive[..]);
+    assert_eq!(frames.by_ref().map(|file| file.unwrap().name).collect::<Vec<_>>(), ["1.bin"]);
+    let paths = |count, first: &str| LeftOutPaths { count, first: Some(first.to_owned()) };
+    let expected = LeftOut { files: paths(1, "readme.txt"), symbolic_links: paths(2, "drive/2.bin") };
+    assert_eq!(*frames.left_out(), expected);
+
+    let mut child = program(&["encode", "-", "-o", "-"]);
+    child.stdin.take().unwrap().write_all(&archive).unwrap();
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        output.status.success() && said.contains("2 symbolic links") && said.contains("1 file "),
+        "{said}"
+    );
+}
+
+#[test]
+fn pax_records_that_the_reader_cannot_use_are_refused() {
+    for (record, complaint) in [("14 path=a\nb.c\n", "odd"), ("22 GNU.sparse.major=1\n", "sparse")] {
+        let archive = [entry("x", b'x', record.as_bytes()), entry("1.bin", b'0', b"abc"), END.to_vec()];
+        let error = arrive(&archive.concat()).unwrap_err();
+        assert!(error.contains(complaint), "{error}");
+    }
+    // More than a header may take: told before all of it is in memory.
+    let name = vec![b'n'; 2 << 20];
+    let error = arrive(&[entry("././@LongLink", b'L', &name), END.to_vec()].concat()).unwrap_err();
+    assert!(error.contains("damaged"), "{error}");
+}
+
+#[test]
+fn nothing_is_read_before_it_is_needed() {
+    // Whoever reads on after the bytes of the first scan fails.
+    struct UpTo<'a>(&'a [u8]);
+    impl Read for UpTo<'_> {
+        fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
+            if self.0.is_empty() {
+                return Err(std::io::Error::new(std::io::ErrorKind::WouldBlock, "not sent yet"));
+            }
+            self.0.read(out)
+        }
+    }
+    let scan = entry("1.bin", b'0', &[7; 700]);
+    let mut frames = ArrivingFrames::new(UpTo(&scan[..512 + 700]));
+    assert_eq!(frames.next().unwrap().unwrap().bytes, [7; 700]);
+    assert!(frames.next().unwrap().unwrap_err().to_string().contains("not sent yet"));
 }
 
 /// What the machine's own tar writes, through the program.

@@ -65,7 +65,7 @@ Examples:
   lidarpc encode a.bin b.bin -o two.lpc --verify
   lidarpc encode drive/ -o drive.lpc --mode paper --step 1cm
   lidarpc encode drive/ -o drive.lpc --resume     if interrupted, the same again goes on
-  ssh host 'tar c drive' | lidarpc encode - -o drive.lpc
+  ssh host 'tar c --sort=name drive' | lidarpc encode - -o drive.lpc
   lidarpc encode drive/ -o - | ssh host 'cat > drive.lpc'";
 
 #[derive(Debug, clap::Args)]

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use crate::files::sequence::find_frames;
-use crate::files::{ArrivedFile, ArrivingFrames, starts_as_scan};
+use crate::files::{ArrivedFile, ArrivingFrames, LeftOut, LeftOutPaths, starts_as_scan};
 use crate::frame::settings::EncoderConfig;
 use crate::stream::{DecodeOptions, DecodedFrame, Encoded, FrameInput};
 use crate::study::metrics;
@@ -100,13 +100,27 @@ fn find_inputs(args: &EncodeArgs, quiet: bool) -> Result<Vec<FrameInput>> {
     if !args.force_bytes {
         args.inputs.iter().filter(|input| input.is_file()).try_for_each(|input| check_scan(input))?;
     }
-    if let Some(first) = found.left_out.first()
-        && !quiet
-    {
-        let count = table::count(found.left_out.len() as u64, "file");
-        eprintln!("lidarpc: left out {count} not known as a scan, such as {}", first.display());
-    }
+    let files = LeftOutPaths {
+        count: found.left_out.len() as u64,
+        first: found.left_out.first().map(|path| path.display().to_string()),
+    };
+    tell_left_out(&LeftOut { files, ..LeftOut::default() }, quiet);
     Ok(found.frames.into_iter().map(FrameInput::file).collect())
+}
+
+fn tell_left_out(left_out: &LeftOut, quiet: bool) {
+    let LeftOut { files, symbolic_links } = left_out;
+    for (LeftOutPaths { count, first }, what, note) in [
+        (files, "file", " not known as a scan"),
+        (symbolic_links, "symbolic link", ", as the archive does not hold what they point to"),
+    ] {
+        if let Some(first) = first
+            && !quiet
+        {
+            let what = table::count(*count, what);
+            eprintln!("lidarpc: left out {what}{note}, such as {first}");
+        }
+    }
 }
 
 /// Refuses a file that is named and holds no scan: it would be packed as bytes, and no better than by others.
@@ -140,9 +154,12 @@ fn write_stream(
     let encoded = match frames {
         Frames::Files(files) => stream::encode(&files, config, &mut writer, &|| bar.inc(1)),
         Frames::Live => {
-            let frames = ArrivingFrames::new(io::stdin())
-                .map(|file| file.map(|ArrivedFile { name, bytes }| FrameInput::memory(name, bytes)));
-            stream::encode_live(frames, config, &mut writer, &|| bar.inc(1))
+            let mut arriving = ArrivingFrames::new(io::stdin());
+            let input = |ArrivedFile { name, bytes }| FrameInput::memory(name, bytes);
+            let frames = arriving.by_ref().map(|file| file.map(input));
+            let encoded = stream::encode_live(frames, config, &mut writer, &|| bar.inc(1));
+            bar.suspend(|| tell_left_out(arriving.left_out(), quiet));
+            encoded
         }
     };
     let encoded = encoded.and_then(|encoded| Ok(writer.flush().map(|()| encoded)?));

@@ -4,12 +4,15 @@ use std::collections::HashSet;
 use std::io::{BufReader, Chain, Cursor, Read};
 use std::path::PathBuf;
 
-use super::Kind;
 use super::tar::TarReader;
 use crate::ground::error::{Error, Limits, Result};
 
 /// The longest line before a frame, in bytes: a name, a space, and a number.
 const MAX_LINE: usize = 300;
+
+/// The first bytes of compressed files, none of which can begin a name, and the programs that decompress them.
+const COMPRESSORS: [(&[u8], &str); 4] =
+    [(b"\x1f\x8b", "gzip"), (b"\x28\xb5\x2f\xfd", "zstd"), (b"\xfd7zXZ", "xz"), (b"BZh91AY&SY", "bzip2")];
 
 /// A file that arrived.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -20,14 +23,38 @@ pub struct ArrivedFile {
     pub bytes: Vec<u8>,
 }
 
+/// The members of an archive that are not encoded.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LeftOut {
+    /// Files that are hidden or not known as scans.
+    pub files: LeftOutPaths,
+    /// Symbolic links named as scans: the archive does not hold what they point to.
+    pub symbolic_links: LeftOutPaths,
+}
+
+/// Paths that were left out. Only one is kept, as an endless archive may hold any number.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LeftOutPaths {
+    /// Their number.
+    pub count: u64,
+    /// The first.
+    pub first: Option<String>,
+}
+
+impl LeftOutPaths {
+    pub(super) fn push(&mut self, path: String) {
+        self.count += 1;
+        self.first.get_or_insert(path);
+    }
+}
+
 /// Reads frames as they arrive, never farther than necessary. The first bytes tell the container: a line ends
 /// with a line feed, and a tar archive has a zero byte before any line feed.
 pub struct ArrivingFrames<R> {
     source: Source<R>,
     /// The names so far, because no decoder could write two files with one name.
     names: HashSet<String>,
-    /// Number of files in the archive that are not scans.
-    left_out: u64,
+    left_out: LeftOut,
 }
 
 /// The input, including what was read from it to recognise the container.
@@ -45,28 +72,32 @@ enum Source<R> {
 impl<R: Read> ArrivingFrames<R> {
     /// Starts at the first byte of the input.
     pub fn new(input: R) -> Self {
-        ArrivingFrames { source: Source::New(BufReader::new(input)), names: HashSet::new(), left_out: 0 }
+        let source = Source::New(BufReader::new(input));
+        ArrivingFrames { source, names: HashSet::new(), left_out: LeftOut::default() }
     }
 
-    /// The next frame; `None` after the last. Files of an archive that are hidden or not known as scans are
-    /// skipped, as in a folder.
+    /// What the archive held besides the frames; complete after the last frame.
+    pub fn left_out(&self) -> &LeftOut {
+        &self.left_out
+    }
+
+    /// The next frame; `None` after the last.
     fn next_file(&mut self) -> Result<Option<ArrivedFile>> {
         if matches!(self.source, Source::New(_)) {
             self.source = detect(std::mem::replace(&mut self.source, Source::Ended))?;
         }
         let file = match &mut self.source {
             Source::Lines(input) => next_of_lines(input)?,
-            Source::Tar(archive) => loop {
-                match archive.next_file()? {
-                    Some(file) if file.name.starts_with('.') || Kind::of(&file.name).is_none() => {
-                        self.left_out += 1;
-                    }
-                    file => break file,
+            Source::Tar(archive) => match archive.next_scan()? {
+                Some(file) => Some(file),
+                None => {
+                    self.left_out = std::mem::take(&mut archive.left_out);
+                    return self.end_of_archive();
                 }
             },
             Source::New(_) | Source::Ended => None,
         };
-        let Some(file) = file else { return self.end() };
+        let Some(file) = file else { return Ok(None) };
         if !self.names.insert(file.name.clone()) {
             return Err(refuse(&file.name, "arrives a second time; give each frame a name of its own"));
         }
@@ -74,12 +105,19 @@ impl<R: Read> ArrivingFrames<R> {
     }
 
     /// An archive without scans is an error, as a folder without scans is.
-    fn end(&mut self) -> Result<Option<ArrivedFile>> {
-        if self.names.is_empty() && self.left_out > 0 {
-            let what = format!("holds {} files, but no .bin, .pcd or .ply", self.left_out);
-            return Err(refuse("the archive", what));
+    fn end_of_archive(&self) -> Result<Option<ArrivedFile>> {
+        if !self.names.is_empty() {
+            return Ok(None);
         }
-        Ok(None)
+        let LeftOut { files, symbolic_links } = &self.left_out;
+        let what = match (&files.first, &symbolic_links.first) {
+            (_, Some(first)) => {
+                format!("holds no scans but symbolic links ({first}); make it with tar's --dereference")
+            }
+            (Some(first), None) => format!("holds no .bin, .pcd or .ply, only files such as {first}"),
+            (None, None) => "is empty: tar found no file to put into it".to_owned(),
+        };
+        Err(refuse("the archive", what))
     }
 }
 
@@ -102,6 +140,11 @@ fn detect<R: Read>(source: Source<R>) -> Result<Source<R>> {
         if let Some(0 | b'\n') = start.last() {
             break;
         }
+    }
+    if let Some((_, program)) = COMPRESSORS.iter().find(|(magic, _)| start.starts_with(magic)) {
+        let what =
+            format!("is compressed by {program}; decompress it first: {program} -dc | lidarpc encode -");
+        return Err(refuse("stdin", what));
     }
     let is_tar = start.last() == Some(&0);
     let whole = Cursor::new(start).chain(input);

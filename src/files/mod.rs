@@ -4,6 +4,7 @@
 //! or one that could not be given back exactly, is kept as it is. [`convert()`] makes a file of another
 //! format of a scan.
 
+#[cfg(feature = "cli")]
 mod arrival;
 mod big_endian;
 mod convert;
@@ -18,10 +19,12 @@ mod ply;
 mod point_count;
 mod records;
 pub mod sequence;
+#[cfg(feature = "cli")]
 mod tar;
 mod text_records;
 
-pub use arrival::{ArrivedFile, ArrivingFrames};
+#[cfg(feature = "cli")]
+pub use arrival::{ArrivedFile, ArrivingFrames, LeftOut, LeftOutPaths};
 pub use convert::{FileFormat, convert};
 pub use headerless::HeaderlessLayout;
 pub use point_count::with_point_count;

@@ -178,7 +178,8 @@ impl<R: Read + Seek> SalvageReader<R> {
     /// What is lost of the bytes before `offset` and the frames before `frame`, if anything is.
     fn lost_before(&mut self, offset: u64, frame: u64) -> Result<Option<Lost>> {
         self.skip_unknown(offset)?;
-        let (bytes, frames) = (self.position..offset, self.next_frame..frame);
+        // In bytes of several streams there may be more frames than the index counts.
+        let (bytes, frames) = (self.position..offset, self.next_frame.min(frame)..frame);
         if bytes.is_empty() && frames.is_empty() {
             return Ok(None);
         }

@@ -5,4 +5,4 @@ mod targets;
 #[path = "../../tests/common/mod.rs"]
 mod common;
 
-libfuzzer_sys::fuzz_target!(|data: &[u8]| targets::sensor(data));
+libfuzzer_sys::fuzz_target!(|data: &[u8]| targets::arrival(data));
