@@ -2,9 +2,8 @@
 
 mod common;
 
-use std::sync::LazyLock;
-
 use std::path::PathBuf;
+use std::sync::LazyLock;
 
 use common::formats::{kitti, pcd_extra, pcd_text, ply};
 use common::scans::{Points, random_points, scans, small};
