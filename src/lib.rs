@@ -29,8 +29,8 @@
 //! All are on by default; a program that only reads and writes streams needs none of them.
 //!
 //! - `cli`: the program `lidarpc`.
-//! - `article`: what only the article's codec needs, [`Settings::paper`] and its image coders. Without it a stream of
-//!   JPEG or JPEG 2000 images is [`Error::Unsupported`]; all others decode.
+//! - `article`: what only the article's codec needs, `Settings::paper` and its image coders. Without it a stream of
+//!   JPEG or JPEG 2000 images is [`Error::NotBuilt`]; all others decode.
 //! - `study`: the instruments of the program's `bench`, `view` and `synth`.
 //!
 //! # Inside

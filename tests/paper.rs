@@ -2,6 +2,7 @@
 
 mod common;
 
+use std::path::PathBuf;
 use std::sync::LazyLock;
 
 use common::formats::{kitti, pcd_extra, pcd_text, ply};
@@ -248,7 +249,14 @@ fn every_back_end_is_exact_in_exact_mode() {
 
 #[test]
 fn real_scans_keep_their_image() {
-    for folder in real_folders().iter().filter(|folder| !folder.ends_with("formats")) {
+    // Text files have no room for all digits of the image's points.
+    let is_binary = |folder: &&PathBuf| {
+        let files = first_files(folder, 1);
+        files.iter().all(|(name, bytes)| {
+            name.ends_with(".bin") && !name.ends_with(".pcd.bin") && bytes.len() % 16 == 0
+        })
+    };
+    for folder in real_folders().iter().filter(is_binary) {
         let config = EncoderConfig { projection: image(2000, 10_000), ..paper() };
         keeps_the_image(&first_files(folder, 1), &config);
         println!("{}: as expected", folder.display());

@@ -267,6 +267,43 @@ fn damage_is_an_error_after_the_scans_before_it() {
     assert!(matches!(last, Err(Error::Corrupt { .. })), "{last:?}");
 }
 
+#[cfg(not(feature = "article"))]
+#[test]
+fn without_the_article_all_streams_decode_but_those_of_image_coders() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/testdata/golden");
+    let paths = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let mut kinds = [0; 2];
+    for path in paths.filter(|path| path.extension().is_some_and(|extension| extension == "lpc")) {
+        let is_image = path.to_string_lossy().contains("jpeg");
+        let scans =
+            Decoder::open(fs::File::open(&path).unwrap()).unwrap().scans(..).collect::<Result<Vec<_>>>();
+        match scans {
+            Ok(_) => assert!(!is_image, "{path:?}"),
+            Err(error) => assert!(is_image && matches!(error, Error::NotBuilt { .. }), "{path:?}: {error}"),
+        }
+        kinds[usize::from(is_image)] += 1;
+    }
+    assert!(kinds.iter().all(|count| *count > 0), "{kinds:?}");
+}
+
+#[test]
+fn errors_say_where_they_are() {
+    let mut stream = encoded(small_scans(12), Settings::exact().group_of_pictures(4));
+    // The last byte of the last frame of the second group: of the checksum of its last section.
+    let decoder = Decoder::open(Cursor::new(&stream)).unwrap();
+    let last: u64 = decoder.frames().skip(8).map(|frame| frame.coded_bytes).sum();
+    drop(decoder);
+    let error = (0..stream.len() - last as usize).rev().find_map(|place| {
+        stream[place] ^= 1;
+        let error = Decoder::open(Cursor::new(&stream)).and_then(|mut decoder| decoder.scan(7)).err();
+        stream[place] ^= 1;
+        error.filter(|error| error.place().is_some_and(|place| place.section.is_some()))
+    });
+    let error = error.unwrap();
+    assert_eq!(error.place().unwrap().frame, Some(7), "{error}");
+    assert!(error.to_string().starts_with("damaged stream: group 1: frame 3 of the group: "), "{error}");
+}
+
 /// An output that takes so many bytes.
 struct Full(usize);
 

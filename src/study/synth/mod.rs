@@ -7,7 +7,7 @@
 //! gives the same bytes on every platform.
 //!
 //! ```
-//! use lidarpc::study::synth::{SynthConfig, drive};
+//! use lidarpc::internals::study::synth::{SynthConfig, drive};
 //!
 //! let config = SynthConfig { frames: 2, beams: 8, thinning: 16, ..SynthConfig::default() };
 //! for frame in drive(&config) {

@@ -1,4 +1,5 @@
-//! The fit of the sensor model: which share of the points it explains, whatever the sample.
+//! The fit of an HDL-64E: its constants against the simulator's, and which share of the points it explains, whatever the
+//! sample.
 
 mod common;
 
@@ -9,7 +10,7 @@ use lidarpc::internals::scan::ScanFile;
 use lidarpc::internals::scanner::hdl64::fit;
 use lidarpc::internals::scanner::{Coordinates, Hdl64};
 use lidarpc::internals::scanner::{REACH, project};
-use lidarpc::internals::study::synth::SynthConfig;
+use lidarpc::internals::study::synth::{SynthConfig, scanner_beams};
 
 /// All beams, every eighth firing: some 230 points a beam.
 fn config(seed: u64) -> SynthConfig {
@@ -241,4 +242,26 @@ fn what_no_scanner_saw_is_fitted_by_none() {
     assert!(fitted(&[vec![[f32::NAN; 4]; 500], vec![[0.0; 4]; 500], vec![]]).is_none());
     assert!(fitted(&[vec![frames[0][0]; 9000]]).is_none());
     assert!(fitted(&[]).is_none());
+}
+
+#[test]
+fn the_constants_are_those_of_the_simulator() {
+    for seed in 1..4 {
+        // All firings: the more points, the sharper the constants.
+        let config = SynthConfig { thinning: 1, frames: 2, ..config(seed) };
+        let scanner = fitted(&scans(&config)).expect("a scanner is found");
+        let beams = scanner_beams(&config);
+        assert_eq!(scanner.rows(), beams.len());
+        let (mut elevation_off, mut height_off) = (0.0f64, 0.0f64);
+        for (row, beam) in beams.iter().enumerate() {
+            elevation_off = elevation_off.max((scanner.elevation(row).to_degrees() - beam.elevation).abs());
+            // Ranges may count from any whole step, so the beam's height is compared where it is 10 m away.
+            let [x, y, z] = scanner.point(row, 0, 5000);
+            let along = x.hypot(y) - beam.range_offset;
+            let expected = along * beam.elevation.to_radians().tan() + beam.height;
+            height_off = height_off.max((z - expected).abs());
+        }
+        assert!(elevation_off < 0.002, "elevations are off by up to {elevation_off} degrees");
+        assert!(height_off < 0.001, "heights are off by up to {height_off} m");
+    }
 }
