@@ -1,8 +1,8 @@
 #![no_main]
 
-#[path = "../targets.rs"]
-mod targets;
 #[path = "../../tests/common/mod.rs"]
 mod common;
+#[path = "../targets.rs"]
+mod targets;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| targets::arrival(data));

@@ -7,6 +7,10 @@
 //! and compared, and the scanners are fitted again. The journal also holds a checksum of the groups
 //! themselves, so that it applies to this stream only, and to nothing that a killed program or a power cut
 //! left half-written.
+//!
+//! Simpler would be to encode the rest apart and join the two. But the scanner is fitted to a sample of all
+//! frames, so the rest would get another and the result be another stream. And the stream alone cannot tell which
+//! files it was made from where something is lost, nor with which settings: that is what the journal is for.
 
 mod fingerprint;
 mod journal;

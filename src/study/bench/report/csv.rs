@@ -9,6 +9,8 @@
 
 use std::io::{self, Write};
 
+use csv::{Terminator, Writer, WriterBuilder};
+
 use super::{Axis, Figure, Report, Scale, Section, Table};
 
 /// The names of the columns.
@@ -19,34 +21,35 @@ const HEADER: [&str; 7] = ["section", "series", "x", "x_unit", "y", "y_unit", "o
 /// # Errors
 /// If `out` fails.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
-    write_line(out, &HEADER)?;
+    let mut csv = WriterBuilder::new().terminator(Terminator::CRLF).from_writer(out);
+    csv.write_record(HEADER)?;
     for section in &report.sections {
         match section {
-            Section::Table(table) => write_table(table, out)?,
-            Section::Figure(figure) => write_figure(figure, out)?,
+            Section::Table(table) => write_table(table, &mut csv)?,
+            Section::Figure(figure) => write_figure(figure, &mut csv)?,
         }
     }
-    Ok(())
+    csv.flush()
 }
 
-fn write_table(table: &Table, out: &mut dyn Write) -> io::Result<()> {
+fn write_table(table: &Table, csv: &mut Writer<impl Write>) -> csv::Result<()> {
     for row in &table.rows {
         for (column, cell) in table.columns.iter().zip(&row.cells) {
             let Some(value) = cell else { continue };
             let (value, origin) = (value.to_string(), column.origin.name());
-            write_line(out, &[&table.number, &row.name, &column.name, "", &value, &column.unit, origin])?;
+            csv.write_record([&table.number, &row.name, &column.name, "", &value, &column.unit, origin])?;
         }
     }
     Ok(())
 }
 
-fn write_figure(figure: &Figure, out: &mut dyn Write) -> io::Result<()> {
+fn write_figure(figure: &Figure, csv: &mut Writer<impl Write>) -> csv::Result<()> {
     for series in &figure.series {
         for point in &series.points {
             let (x, y) = (value_on(&figure.x, point.x), value_on(&figure.y, point.y));
             let (x_unit, y_unit) = (&figure.x.unit, &figure.y.unit);
             let origin = series.origin.name();
-            write_line(out, &[&figure.number, &series.name, &x, x_unit, &y, y_unit, origin])?;
+            csv.write_record([&figure.number, &series.name, &x, x_unit, &y, y_unit, origin])?;
         }
     }
     Ok(())
@@ -59,30 +62,10 @@ fn value_on(axis: &Axis, value: f64) -> String {
     }
 }
 
-fn write_line(out: &mut dyn Write, fields: &[&str; 7]) -> io::Result<()> {
-    writeln!(out, "{}\r", fields.map(quoted).join(","))
-}
-
-/// A field, in quotation marks if it needs them.
-fn quoted(field: &str) -> String {
-    if field.contains([',', '"', '\n', '\r']) {
-        format!("\"{}\"", field.replace('"', "\"\""))
-    } else {
-        field.to_owned()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::tests::report;
     use super::*;
-
-    #[test]
-    fn fields_are_quoted_where_they_must_be() {
-        assert_eq!(quoted("plain 1.5"), "plain 1.5");
-        assert_eq!(quoted("a, b"), "\"a, b\"");
-        assert_eq!(quoted("the \"best\""), "\"the \"\"best\"\"\"");
-    }
 
     #[test]
     fn every_value_has_a_line() {
