@@ -44,9 +44,9 @@
 //! ```
 
 // What nothing uses is found where all features are built: the program uses much that the library alone does not.
-#![cfg_attr(not(feature = "cli"), allow(dead_code, unused_imports))]
+#![cfg_attr(not(feature = "cli"), allow(dead_code))]
 // What is re-exported for tests alone is not used without them.
-#![cfg_attr(not(feature = "internals"), allow(unused_imports))]
+#![cfg_attr(not(all(feature = "cli", feature = "internals")), allow(unused_imports))]
 
 mod ground;
 
