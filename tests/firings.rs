@@ -8,8 +8,8 @@ use common::{File, round_trip, take_apart};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scan::ScanFile;
-use lidarpc::internals::scanner::firings::{Firings, Recipe, Timing, fit};
-use lidarpc::internals::scanner::{REACH, Scanner};
+use lidarpc::internals::scanner::firings::{Firings, Laser, Recipe, Timing, fit};
+use lidarpc::internals::scanner::{REACH, RangeImage, Return, Scanner};
 use lidarpc::internals::stream::container::SectionKind;
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, VLP_16_ELEVATIONS, drive};
 
@@ -140,5 +140,59 @@ fn scans_within_a_bound_stay_there() {
             let off: f64 = (0..3).map(|i| (f64::from(a[i]) - f64::from(b[i])).powi(2)).sum();
             assert!(off.sqrt() <= 0.01, "{a:?} {b:?}");
         }
+    }
+}
+
+/// A scanner of 32 lasers that fire out of order and look to either side, and a scan of it in a room of no shape.
+fn made_up(recipe: Recipe, (ticks, range_step_um): (u32, u32)) -> (Firings, ScanFile) {
+    let mut state = 7 + recipe as u64;
+    let mut below = |end: u64| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) % end
+    };
+    let degrees = |thousandths: i64| thousandths * 1_000_000;
+    let laser = |row: i64| Laser {
+        elevation: degrees(15_000 - 1_237 * row + row % 3),
+        azimuth: degrees([1_400, -4_200, 4_200, -1_400][row as usize % 4]),
+    };
+    let lasers: Vec<Laser> = (0..32).map(laser).collect();
+    let rows_of_slots = (0..32).map(|slot| slot * 5 % 32).collect();
+    let scanner = Firings::new(recipe, (ticks, range_step_um), Timing::default(), lasers, rows_of_slots);
+    let step = (ticks / 1800).max(1);
+    let (mut columns, mut tick) = (Vec::new(), ticks / 3);
+    for _ in 0..ticks / step {
+        columns.push(tick % ticks);
+        tick += if step > 1 { step - 1 + below(3) as u32 } else { 1 };
+    }
+    let mut image = RangeImage::new(32, columns);
+    for (place, steps) in image.steps.cells_mut().iter_mut().enumerate() {
+        let metres = 5.0 + (place % 1009) as f64 * 0.02 + below(1000) as f64 * 1e-4;
+        *steps = if below(10) == 0 { 0 } else { (metres * 1e6 / f64::from(range_step_um)) as u32 };
+    }
+    let point = |found: Return| {
+        let [x, y, z] = scanner.position(&found, 0.0).map(|metres| metres as f32);
+        [x, y, z, (found.steps % 100) as f32]
+    };
+    let points: Points = scanner.file_order(&image).into_iter().map(point).collect();
+    let file = file(&points);
+    (scanner, file)
+}
+
+#[test]
+fn scanners_of_all_recipes_are_found_from_their_points() {
+    for (recipe, grid) in
+        Recipe::ALL.into_iter().zip([(36_000, 4000), (36_000, 2000), (36_000, 4000), (2048, 1000)])
+    {
+        let (truth, scan) = made_up(recipe, grid);
+        let (found, share) =
+            fit(std::slice::from_ref(&scan)).unwrap_or_else(|| panic!("{recipe:?} is not found"));
+        assert!(share > 0.999, "{recipe:?}: {share}");
+        assert_eq!((found.recipe(), found.ticks(), found.range_step_um()), (recipe, grid.0, grid.1));
+        assert_eq!(found.timing(), Timing::default());
+        let elevations =
+            |scanner: &Firings| scanner.lasers().iter().map(|laser| laser.elevation).collect::<Vec<_>>();
+        assert_eq!(elevations(&found), elevations(&truth), "{recipe:?}");
+        let points: Points = scan.cloud.positions.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
+        assert_eq!(counts(&found, &points), (points.len(), 0, 0), "{recipe:?}");
     }
 }
