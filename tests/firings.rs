@@ -133,6 +133,8 @@ fn scans_within_a_bound_stay_there() {
     let scans = scans(&config(4, 2, 4));
     let config = EncoderConfig::preset(lidarpc::internals::frame::Mode::Bounded { max_error_um: 10_000 });
     let stream = common::encode_files(&files(&scans), &config);
+    let exact = common::encode_files(&files(&scans), &EncoderConfig::default());
+    assert!(stream.len() * 5 < exact.len() * 4, "{} bytes, {} if exact", stream.len(), exact.len());
     for ((_, bytes), points) in common::decode_files(&stream).unwrap().iter().zip(&scans) {
         let decoded = parse("0.bin", bytes.clone()).cloud.positions;
         assert_eq!(decoded.len(), points.len());

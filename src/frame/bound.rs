@@ -36,13 +36,15 @@ impl Bound {
         /// The other points are corrected. A correction costs a few bytes, a finer step one bit for every
         /// point.
         const KEPT: f64 = 0.995;
+        /// Metres by which two float32 coordinates of a point may be off, up to a hundred metres away.
+        const ROUNDING: f64 = 2e-5;
         if misses.is_empty() {
             return 1;
         }
         let place = ((misses.len() - 1) as f64 * KEPT) as usize;
         let (_, miss, _) = misses.select_nth_unstable_by(place, f64::total_cmp);
         // The ends of a bin of n steps are (n - 1) / 2 steps from its middle.
-        let steps = 2.0 * (self.max_error - *miss) / step;
+        let steps = 2.0 * (self.max_error - *miss - ROUNDING) / step;
         (steps + 1.0).clamp(1.0, 65_536.0) as u32
     }
 
