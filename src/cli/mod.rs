@@ -46,6 +46,9 @@ pub fn main() -> ExitCode {
 
 /// Lets memory that is freed be used again, rather than go back to the system and be asked for, page by page, for the
 /// next frame: glibc's `malloc` keeps as much as the largest block that was freed before.
+///
+/// Encoding the city drive on two threads takes 0.92 of the CPU time that it takes without at level 1, 0.96 at level 6, and
+/// 5 to 10 MB more memory; decoding as long (medians of nine pairs of runs).
 fn keep_memory() {
     /// Bytes: the largest that it takes notice of is 32 MiB.
     const LARGEST: usize = 31 << 20;
