@@ -2,6 +2,7 @@
 
 use super::recipe::steps_of;
 use super::{Firings, Span};
+use crate::ground::error::Limits;
 use crate::ground::grid::Grid;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::PointCloud;
@@ -35,7 +36,9 @@ impl Firings {
     pub fn project(&self, cloud: &PointCloud, reach: f64) -> Projection {
         let places = self.places(&cloud.positions, reach + 0.5 * self.range_step_m());
         let columns = self.columns(&places);
-        if columns.len().saturating_mul(self.rows()) > MOST_CELLS * cloud.positions.len() {
+        // Nor do decoders take a larger image than their limits allow.
+        let most = (MOST_CELLS * cloud.positions.len()).min(Limits::default().points as usize);
+        if columns.len().saturating_mul(self.rows()) > most {
             let strays = (0..cloud.positions.len() as u32).collect();
             return Projection {
                 image: RangeImage::new(self.rows(), Vec::new()),
