@@ -40,16 +40,18 @@ pub struct Frame {
     pub occupancy: Grid<bool>,
     /// The indices of these cells, row after row.
     pub cells: Vec<u32>,
+    /// The indices of the cells that hold blanks, row after row.
+    pub blanks: Vec<u32>,
     /// The regions of the image and their models, if they predict the ranges.
     pub intra: IntraPrediction,
     /// The output of an image coder for the ranges, kept so that nothing more is lost when they are coded
     /// again.
     pub coded_image: Vec<u8>,
-    /// Intensity of each return.
+    /// Intensity of each return, and of each blank.
     pub intensity: Grid<f32>,
-    /// The returns of the range image, in file order.
+    /// The returns of the range image, and its blanks, in file order.
     pub returns: Vec<Return>,
-    /// Position of each return, in file order.
+    /// Position of each of these.
     pub positions: Vec<[f32; 3]>,
     pub stray_positions: Vec<[f32; 3]>,
     pub stray_intensity: Vec<f32>,
@@ -211,9 +213,12 @@ impl Frame {
                 None => scanner.project(&cloud, REACH),
             },
         };
+        // What is no point of the image.
+        let blanks = projection.image.records() - projection.image.returns();
+        projection.image.is_full = false;
         let lost = match config.projection {
-            ProjectionKind::Calibrated { .. } => 0,
-            ProjectionKind::Ideal { .. } => std::mem::take(&mut projection.strays).len(),
+            ProjectionKind::Calibrated { .. } => blanks,
+            ProjectionKind::Ideal { .. } => blanks + std::mem::take(&mut projection.strays).len(),
         };
         self.parameters.source = Some(Source {
             file_size: steps.original,
@@ -233,7 +238,8 @@ impl Frame {
         self.occupancy = image.occupancy();
         self.intensity = Grid::new(image.steps.rows(), image.columns.len());
         for row in 0..image.steps.rows() {
-            for column in (0..image.columns.len()).filter(|&column| image.steps[(row, column)] > 0) {
+            let is_record = |column: &usize| image.is_full || image.steps[(row, *column)] > 0;
+            for column in (0..image.columns.len()).filter(is_record) {
                 let point = point_of_cell[(row, column)] as usize;
                 self.intensity[(row, column)] = cloud.intensity.get(point).copied().unwrap_or(0.0);
             }

@@ -160,22 +160,24 @@ impl<'s> StreamEncoder<'s> {
     fn estimate_motion(&mut self, frame: &Frame) -> Option<f64> {
         /// The share of the returns that are as far away as before if the scanner stands still.
         const STANDING_STILL: f64 = 0.5;
-        let (scanner, past) = (self.scanner?.hdl64()?, self.models.past()?);
+        let (scanner, past) = (self.scanner?, self.models.past()?);
         let choice = self.config.inter_choice(self.frames);
         let is_too_large = frame.image.steps.cells().len() > inter::MOST_CELLS;
         if frame.strays == frame.records || is_too_large || choice == InterChoice::Never {
             return None;
         }
-        if choice == InterChoice::StandingStill {
-            let agreement = past.agreement(&frame.image.columns, &frame.image.steps);
+        let surfaces = scanner.hdl64();
+        if choice == InterChoice::StandingStill || surfaces.is_none() {
+            let agreement = past.agreement(&frame.image.columns, &frame.image.steps, scanner);
             if agreement < STANDING_STILL {
                 return None;
             }
-            if frame.parameters.can_do_without_surfaces() {
+            if surfaces.is_none() || frame.parameters.can_do_without_surfaces() {
                 self.motion = QuantisedPose::default();
                 return Some(agreement);
             }
         }
+        let scanner = surfaces?;
         let surface = past.surface(scanner);
         let found = register(surface, &frame.image, scanner, &self.motion.pose(), &self.config.registration);
         let motion = found.and_then(|found| found.pose.quantise());

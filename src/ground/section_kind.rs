@@ -38,13 +38,15 @@ pub enum SectionKind {
     Compensation,
     /// The file as it is, through a general-purpose coder: then nothing else is there but parameters.
     Bytes,
+    /// Positions of the records without a return that the range image holds.
+    Blanks,
     /// Something that this program does not know, of this number, but may leave aside.
     Skippable(u8),
 }
 
 impl SectionKind {
     /// All kinds that this program knows, in the order of their numbers, the first of which is 1.
-    pub const ALL: [SectionKind; 15] = [
+    pub const ALL: [SectionKind; 16] = [
         SectionKind::File,
         SectionKind::Columns,
         SectionKind::Occupancy,
@@ -60,6 +62,7 @@ impl SectionKind {
         SectionKind::Residual,
         SectionKind::Compensation,
         SectionKind::Bytes,
+        SectionKind::Blanks,
     ];
 
     /// The kind's name in reports: lower case, one word.
@@ -80,6 +83,7 @@ impl SectionKind {
             SectionKind::Residual => "residual",
             SectionKind::Compensation => "compensation",
             SectionKind::Bytes => "bytes",
+            SectionKind::Blanks => "blanks",
             SectionKind::Skippable(_) => "skippable",
         }
     }

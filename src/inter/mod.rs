@@ -11,8 +11,7 @@ use std::sync::OnceLock;
 
 use crate::ground::grid::Grid;
 use crate::inter::registration::{RigidMotion, Surface};
-use crate::scanner::Hdl64;
-use crate::scanner::RangeImage;
+use crate::scanner::{Hdl64, MOST_STEPS, RangeImage, Scanner};
 use render::render;
 
 /// A column of the frame before may be this many ticks away from the current one.
@@ -68,22 +67,34 @@ impl Past {
         Reference { same: self.same_cells(columns), ..Reference::new(self.image.steps.rows(), columns.len()) }
     }
 
+    /// The same for any scanner: columns may come in any order, and the nearest one may be as far as the next firing.
+    /// `ticks` are those of a turn.
+    pub fn same_directions(&self, columns: &[u32], ticks: u32) -> Reference {
+        let nearest = self.nearest_directions(columns, ticks);
+        let same = self.layer(&nearest);
+        Reference { moved: same.clone(), same }
+    }
+
     /// The share of the returns of an image, judged by a sample, that are as far away as those of the same
     /// cells here.
-    pub fn agreement(&self, columns: &[u32], steps: &Grid<u32>) -> f64 {
-        /// In steps.
-        const AS_FAR: u32 = 10;
+    pub fn agreement(&self, columns: &[u32], steps: &Grid<u32>, scanner: &Scanner) -> f64 {
+        /// In metres.
+        const AS_FAR: f64 = 0.02;
         /// One row in so many is looked at, and one column in so many.
         const ROWS: usize = 3;
         const COLUMNS: usize = 5;
-        let nearest = self.nearest_columns(columns);
+        let as_far = (AS_FAR / scanner.range_step_m()).min(f64::from(MOST_STEPS)) as u32;
+        let nearest = match scanner.firings() {
+            Some(scanner) => self.nearest_directions(columns, scanner.ticks()),
+            None => self.nearest_columns(columns),
+        };
         let (mut agreeing, mut returns) = (0u32, 0u32);
         for row in (0..steps.rows()).step_by(ROWS) {
             let cells = steps.row(row).iter().zip(&nearest).step_by(COLUMNS);
             for (steps, nearest) in cells.filter(|(steps, _)| **steps > 0) {
                 let before = nearest.map_or(0, |nearest| self.image.steps[(row, nearest)]);
                 returns += 1;
-                agreeing += u32::from(before > 0 && steps.abs_diff(before) <= AS_FAR);
+                agreeing += u32::from(before > 0 && steps.abs_diff(before) <= as_far);
             }
         }
         f64::from(agreeing) / f64::from(returns.max(1))
@@ -91,12 +102,15 @@ impl Past {
 
     /// The same cells, each from the nearest column, if that is near enough.
     fn same_cells(&self, columns: &[u32]) -> Layer {
-        let rows = self.image.steps.rows();
-        let mut layer =
-            Layer { steps: Grid::new(rows, columns.len()), levels: Grid::new(rows, columns.len()) };
-        let nearest = self.nearest_columns(columns);
+        self.layer(&self.nearest_columns(columns))
+    }
+
+    /// The cells of these columns of this frame.
+    fn layer(&self, nearest: &[Option<usize>]) -> Layer {
+        let (rows, columns) = (self.image.steps.rows(), nearest.len());
+        let mut layer = Layer { steps: Grid::new(rows, columns), levels: Grid::new(rows, columns) };
         for row in 0..rows {
-            let cells = layer.steps.row_mut(row).iter_mut().zip(layer.levels.row_mut(row)).zip(&nearest);
+            let cells = layer.steps.row_mut(row).iter_mut().zip(layer.levels.row_mut(row)).zip(nearest);
             for ((steps, level), nearest) in cells.filter_map(|(cell, nearest)| Some((cell, (*nearest)?))) {
                 *steps = self.image.steps[(row, nearest)];
                 *level = self.levels[(row, nearest)];
@@ -118,6 +132,28 @@ impl Past {
             off(nearest, tick).is_some_and(|off| off <= COLUMN_REACH).then_some(nearest)
         };
         columns.iter().map(nearest_to).collect()
+    }
+
+    /// For each of some columns, in any order, the column of this frame with the nearest tick on the circle, the first of
+    /// equals; none if that is farther than most columns are from the next one.
+    fn nearest_directions(&self, columns: &[u32], ticks: u32) -> Vec<Option<usize>> {
+        let mut by_tick: Vec<(u32, usize)> =
+            self.image.columns.iter().enumerate().map(|(column, &tick)| (tick, column)).collect();
+        by_tick.sort_unstable();
+        by_tick.dedup_by_key(|(tick, _)| *tick);
+        let apart = |a: u32, b: u32| a.abs_diff(b).min(ticks - a.abs_diff(b).min(ticks));
+        let mut gaps: Vec<u32> = by_tick.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
+        gaps.sort_unstable();
+        let reach = gaps.get(gaps.len() / 2).copied().unwrap_or(0);
+        let nearest = |&tick: &u32| {
+            let after = by_tick.partition_point(|(other, _)| *other < tick);
+            let before = after.checked_sub(1).unwrap_or(by_tick.len().saturating_sub(1));
+            let after = if after < by_tick.len() { after } else { 0 };
+            let candidates = [by_tick.get(before), by_tick.get(after)].into_iter().flatten();
+            let (other, column) = candidates.min_by_key(|(other, _)| apart(*other, tick))?;
+            (apart(*other, tick) <= reach).then_some(*column)
+        };
+        columns.iter().map(nearest).collect()
     }
 }
 

@@ -3,6 +3,7 @@
 //!
 //! The models live as long as a group of pictures, so that what one frame teaches helps the next.
 
+mod blanks;
 mod bytes;
 pub(crate) mod channels;
 mod columns;
@@ -18,6 +19,7 @@ mod quantise;
 mod range;
 mod shape;
 
+pub use blanks::BlankModel;
 pub use bytes::ByteModel;
 pub use channels::{Beside, ChannelsModel};
 pub use columns::ColumnModel;

@@ -15,17 +15,25 @@ pub struct RangeImage {
     pub spans: Vec<u32>,
     /// Rows x columns; range in steps, 0 = no return.
     pub steps: Grid<u32>,
+    /// Whether every cell is a record of the file: those without a return are *blanks*, as scanners and programs keep
+    /// them (zeros, NaN, or the scanner's own place).
+    pub is_full: bool,
 }
 
 impl RangeImage {
     /// An image without returns.
     pub fn new(rows: usize, columns: Vec<u32>) -> Self {
-        RangeImage { steps: Grid::new(rows, columns.len()), columns, spans: Vec::new() }
+        RangeImage { steps: Grid::new(rows, columns.len()), columns, spans: Vec::new(), is_full: false }
     }
 
     /// Number of returns.
     pub fn returns(&self) -> usize {
         self.steps.cells().iter().filter(|&&steps| steps > 0).count()
+    }
+
+    /// Number of records of the file in the image: returns, and blanks if there are any.
+    pub fn records(&self) -> usize {
+        if self.is_full { self.steps.cells().len() } else { self.returns() }
     }
 
     /// Which cells hold a return.
@@ -34,7 +42,7 @@ impl RangeImage {
     }
 }
 
-/// One return of the range image.
+/// One return of the range image, or a blank.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Return {
     /// Row of the image.
@@ -43,6 +51,6 @@ pub struct Return {
     pub column: u32,
     /// Azimuth tick of the laser.
     pub tick: u32,
-    /// Range in steps.
+    /// Range in steps; 0 for a blank.
     pub steps: u32,
 }

@@ -90,6 +90,14 @@ impl Scanner {
         }
     }
 
+    /// The scanner, if it is of this family.
+    pub fn firings(&self) -> Option<&Firings> {
+        match self {
+            Scanner::Firings(scanner) => Some(scanner),
+            Scanner::Hdl64(_) => None,
+        }
+    }
+
     /// Number of rows of the range image.
     pub fn rows(&self) -> usize {
         match self {
@@ -157,7 +165,8 @@ impl Scanner {
                     let formula = scanner.position(found, 0.0).map(|metres| metres as f32);
                     squared_distance(&formula, &cloud.positions[point as usize]).sqrt()
                 };
-                scanner.file_order(&projection.image).iter().map(miss).collect()
+                let records = scanner.file_order(&projection.image);
+                records.iter().filter(|found| found.steps > 0).map(miss).collect()
             }
         }
     }
@@ -178,10 +187,7 @@ impl Scanner {
                 models.hdl64.code(coder, scanner.ticks, &mut image.columns);
                 Ok(())
             }
-            Scanner::Firings(scanner) => {
-                let columns = (&mut image.columns, &mut image.spans);
-                models.firings.code(coder, scanner, columns, most)
-            }
+            Scanner::Firings(scanner) => models.firings.code(coder, scanner, image, most),
         }
     }
 
@@ -214,5 +220,10 @@ impl Scanner {
                 returns.iter().map(|found| scanner.position(found, offset_m).map(single)).collect()
             }
         }
+    }
+
+    /// As [`position`](Self::position), as float32.
+    pub fn single_position(&self, found: &Return) -> [f32; 3] {
+        self.position(found, 0.0).map(|metres| if metres.is_nan() { 0.0 } else { metres as f32 })
     }
 }

@@ -1,4 +1,4 @@
-//! The positions of the returns: those of the formula, corrected as far as necessary.
+//! The positions of the returns: those of the formula, corrected as far as necessary. And those of the blanks.
 
 use crate::entropy::TokenTables;
 use crate::frame::fidelity::Positions;
@@ -6,7 +6,7 @@ use crate::frame::frame::Frame;
 use crate::frame::modelling::CorrectionModelling;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
-use crate::models::{CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
+use crate::models::{BlankModel, CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
 use crate::scanner::{Coordinates, Return, Scanner};
 use crate::stream::container::SectionKind;
 
@@ -15,6 +15,7 @@ use crate::stream::container::SectionKind;
 pub struct CorrectionModels {
     adaptive: CorrectionModel,
     tokens: TokenTables,
+    blanks: BlankModel,
 }
 
 impl CorrectionModels {
@@ -29,6 +30,40 @@ impl CorrectionModels {
         frame: &mut Frame,
     ) -> Result<()> {
         let Some(scanner) = scanner else { return Ok(()) };
+        if !frame.image.is_full {
+            return self.code_returns(sections, scanner, frame);
+        }
+        // The same without the blanks, which come after them.
+        let all = std::mem::take(&mut frame.returns);
+        let is_return = |found: &&Return| found.steps > 0;
+        frame.returns = all.iter().filter(is_return).copied().collect();
+        let mut positions = std::mem::take(&mut frame.positions);
+        positions.resize(all.len(), [0.0; 3]);
+        let returns = all.iter().zip(&positions).filter(|(found, _)| is_return(found));
+        frame.positions = returns.map(|(_, position)| *position).collect();
+        self.code_returns(sections, scanner, frame)?;
+        let in_image = all.iter().zip(&mut positions);
+        in_image
+            .filter(|(found, _)| is_return(found))
+            .zip(&frame.positions)
+            .for_each(|((_, position), coded)| *position = *coded);
+        frame.returns = all;
+        frame.positions = positions;
+        let blanks = frame.returns.iter().zip(&mut frame.positions).filter(|(found, _)| found.steps == 0);
+        let with_formula = blanks.map(|(found, position)| (scanner.single_position(found), position));
+        sections.section(SectionKind::Blanks, !frame.blanks.is_empty(), |coder| {
+            self.blanks.code(coder, with_formula);
+            Ok(())
+        })
+    }
+
+    /// Codes the positions of the returns.
+    fn code_returns<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        scanner: &Scanner,
+        frame: &mut Frame,
+    ) -> Result<()> {
         let grid = scanner.coordinates();
         let offset_m = frame.parameters.range_coder.offset_m(scanner);
         let (max_error, on_grid) = match frame.parameters.positions {

@@ -53,8 +53,8 @@ impl ImageModels {
         reference: Option<&Reference>,
         frame: &mut Frame,
     ) -> Result<()> {
-        let returns = frame.records - frame.strays;
-        if returns == 0 {
+        let records = frame.records - frame.strays;
+        if records == 0 {
             return Ok(());
         }
         let occupancy = &mut frame.occupancy;
@@ -75,8 +75,13 @@ impl ImageModels {
             }
         }
         frame.cells = frame.occupancy.places();
-        if frame.cells.len() != returns {
-            return Err(Error::corrupt("the range image holds another number of returns than the frame"));
+        let is_full = frame.image.is_full;
+        let in_image = if is_full { frame.occupancy.cells().len() } else { frame.cells.len() };
+        if in_image != records {
+            return Err(Error::corrupt("the range image holds another number of records than the frame"));
+        }
+        if is_full {
+            frame.blanks = frame.occupancy.map(|filled| !filled).places();
         }
         Ok(())
     }

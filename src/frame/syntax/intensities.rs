@@ -1,4 +1,4 @@
-//! The intensities of the returns, then of the strays.
+//! The intensities of the returns, then of the strays and blanks.
 
 use byteorder::{ByteOrder, LittleEndian};
 
@@ -48,6 +48,25 @@ impl IntensityModels {
             frame.stray_intensity = vec![0.0; frame.strays];
             return Ok(Grid::new(rows, columns));
         }
+        if S::ENCODES {
+            // The blanks follow the strays.
+            let of_blanks = frame.intensity.at(&frame.blanks);
+            frame.stray_intensity.extend(of_blanks);
+        }
+        let levels = self.code_values(sections, reference, frame)?;
+        frame.stray_intensity.resize(frame.outside(), 0.0);
+        let of_blanks = frame.stray_intensity.split_off(frame.strays);
+        frame.intensity.fill(&frame.blanks, &of_blanks);
+        Ok(levels)
+    }
+
+    /// The same, where the intensities of the blanks stand with those of the strays.
+    fn code_values<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        reference: Option<&Reference>,
+        frame: &mut Frame,
+    ) -> Result<Grid<u16>> {
         let mut scale = if S::ENCODES { frame.intensity_scale() } else { IntensityScale::default() };
         let is_deep = match frame.parameters.modelling().parts().intensity {
             IntensityModelling::Light => false,
@@ -88,7 +107,7 @@ impl IntensityModels {
     ) -> Result<Grid<u16>> {
         let returns = frame.cells.len();
         let width = frame.occupancy.columns() as u32;
-        let strays = || std::iter::repeat_n(0, frame.strays);
+        let strays = || std::iter::repeat_n(0, frame.outside());
         let beside = Beside {
             rows: frame.cells.iter().map(|cell| cell / width + 1).chain(strays()).collect(),
             columns: frame.cells.iter().map(|cell| cell % width + 1).chain(strays()).collect(),
@@ -121,7 +140,7 @@ fn code_adaptive<C: BitCoder>(
 ) -> Grid<u16> {
     let width = frame.occupancy.columns();
     let mut levels = Grid::new(frame.occupancy.rows(), width);
-    model.start_frame(&scale, width, frame.records - frame.strays);
+    model.start_frame(&scale, width, frame.cells.len());
     for row in 0..levels.rows() {
         if coder.is_exhausted() {
             break;
@@ -147,11 +166,11 @@ fn code_strays<C: BitCoder>(
     scale: &IntensityScale,
     frame: &mut Frame,
 ) {
-    frame.stray_intensity.resize(frame.strays, 0.0);
+    frame.stray_intensity.resize(frame.outside(), 0.0);
     let north = neighbours_above(&frame.stray_positions);
-    let mut levels: Vec<u16> = Vec::with_capacity(frame.strays);
-    model.start_frame(scale, 1, frame.strays);
-    for index in 0..frame.strays {
+    let mut levels: Vec<u16> = Vec::with_capacity(frame.outside());
+    model.start_frame(scale, 1, frame.outside());
+    for index in 0..frame.outside() {
         if coder.is_exhausted() {
             return;
         }
@@ -203,7 +222,7 @@ fn code_tokens<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, frame: &
             *north = west;
         }
     }
-    frame.stray_intensity.resize(frame.strays, 0.0);
+    frame.stray_intensity.resize(frame.outside(), 0.0);
     let mut west = 0;
     for value in &mut frame.stray_intensity {
         if coder.is_exhausted() {
@@ -225,6 +244,11 @@ fn pack<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, frame: &mut Fra
 }
 
 impl Frame {
+    /// Number of records that are no returns.
+    fn outside(&self) -> usize {
+        self.strays + self.blanks.len()
+    }
+
     /// The grid on which the intensities of the returns and strays lie.
     pub(crate) fn intensity_scale(&self) -> IntensityScale {
         let mut values = self.intensity.at(&self.cells);

@@ -52,7 +52,7 @@ impl RangeModels {
         sections.report().converted += 4 * frame.image.steps.cells().len() as u64;
         match frame.parameters.range_coder {
             RangeCoder::Context { modelling, range_bits, bin, .. } => {
-                sections.report().predicted += 4 * (frame.records - frame.strays) as u64;
+                sections.report().predicted += 4 * frame.cells.len() as u64;
                 self.code_by_context(sections, modelling, (range_bits, bin), known, frame)
             }
             RangeCoder::Backend { id, packing } => {
@@ -165,7 +165,7 @@ fn code_residuals<S: SectionCoder>(
     sections.payload(SectionKind::Residual, &mut payload);
     let report = sections.report();
     if !S::ENCODES {
-        let count = frame.records - frame.strays;
+        let count = frame.cells.len();
         let residuals;
         (residuals, packed) = report
             .timed(Step::Coding, || residual::decompress(&payload, backend, packing, count))
@@ -195,7 +195,7 @@ fn code_image<S: SectionCoder>(
     frame: &mut Frame,
     most: u32,
 ) -> Result<()> {
-    let returns = frame.records - frame.strays;
+    let returns = frame.cells.len();
     sections.report().predicted += 4 * returns as u64;
     if S::ENCODES && frame.coded_image.is_empty() {
         let config = sections.effort().image;

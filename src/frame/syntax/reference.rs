@@ -33,6 +33,9 @@ impl PastFrame {
             self.get().ok_or_else(|| Error::corrupt("there is no frame before to predict this one from"))?;
         within(frame.occupancy.cells().len(), MOST_CELLS as u64, "cells of a P frame")?;
         let motion = frame.parameters.motion;
+        if let Some(scanner) = scanner.firings() {
+            return Ok(Some(past.same_directions(&frame.image.columns, scanner.ticks())));
+        }
         if frame.parameters.can_do_without_surfaces() && motion == QuantisedPose::default() {
             return Ok(Some(past.same_cells_alone(&frame.image.columns)));
         }
@@ -44,7 +47,7 @@ impl PastFrame {
 
     /// Takes this frame for the next one's. `levels` are the context levels of its intensities.
     pub fn remember(&mut self, scanner: Option<&Scanner>, levels: Grid<u16>, frame: &Frame) {
-        let can_be_past = scanner.is_some_and(|scanner| scanner.hdl64().is_some())
+        let can_be_past = scanner.is_some()
             && frame.image.steps.cells().len() <= MOST_CELLS
             && frame.parameters.modelling().has_p_frames();
         if can_be_past {

@@ -4,6 +4,7 @@ use super::{Firings, Span};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
+use crate::scanner::RangeImage;
 
 /// What the last step differed from the one before it by, up to this, is a context of the next.
 const FAR: i64 = 2;
@@ -13,6 +14,7 @@ const CONTEXTS: usize = 2 * FAR as usize + 1;
 /// What the coder has learned about columns of firings.
 #[derive(Clone)]
 pub struct FiringColumnModel {
+    is_full: AdaptiveBit,
     count: IntegerModel,
     /// Whether a column is of the same block as the one before it, by whether that was.
     same_block: [AdaptiveBit; 2],
@@ -27,6 +29,7 @@ pub struct FiringColumnModel {
 impl Default for FiringColumnModel {
     fn default() -> Self {
         FiringColumnModel {
+            is_full: AdaptiveBit::default(),
             count: IntegerModel::default(),
             same_block: Default::default(),
             steps: vec![IntegerModel::default(); CONTEXTS],
@@ -45,7 +48,7 @@ fn code_signed<C: BitCoder>(model: &mut IntegerModel, coder: &mut C, value: i64)
 }
 
 impl FiringColumnModel {
-    /// Codes the ticks of columns, and their spans if the scanner has any.
+    /// Codes whether all cells are records, the ticks of columns, and their spans if the scanner has any.
     ///
     /// # Errors
     /// If there are more columns than `most`, or a number is none that a column can have.
@@ -53,9 +56,11 @@ impl FiringColumnModel {
         &mut self,
         coder: &mut C,
         scanner: &Firings,
-        (columns, spans): (&mut Vec<u32>, &mut Vec<u32>),
+        image: &mut RangeImage,
         most: u64,
     ) -> Result<()> {
+        image.is_full = self.is_full.code(coder, image.is_full);
+        let (columns, spans) = (&mut image.columns, &mut image.spans);
         let count = self.count.code(coder, columns.len() as u64);
         if count > most {
             return Err(Error::over_limit("columns of the range image", count, most));

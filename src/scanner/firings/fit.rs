@@ -49,13 +49,29 @@ impl Point {
 pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     let scan = sample.iter().max_by_key(|scan| scan.cloud.positions.len())?;
     let range_step_um = range_step(&scan.cloud.positions)?;
-    let points: Vec<Point> = scan.cloud.positions.iter().filter_map(Point::new).collect();
-    let elevations = completed(elevations(&points)?);
+    let records = scan.cloud.positions.len();
+    let (numbers, points): (Vec<usize>, Vec<Point>) = scan
+        .cloud
+        .positions
+        .iter()
+        .enumerate()
+        .filter_map(|(record, position)| Some((record, Point::new(position)?)))
+        .unzip();
+    let mut elevations = completed(elevations(&points)?);
     let row = |point: &Point| {
         let row = nearest(&elevations, point.elevation);
         ((elevations[row] - point.elevation).abs() < ON_CONE).then_some(row)
     };
     let rows: Vec<Option<usize>> = points.iter().map(row).collect();
+    let places: Vec<(usize, usize)> =
+        numbers.into_iter().zip(&rows).filter_map(|(record, row)| Some((record, (*row)?))).collect();
+    let grid = RecordGrid::find(&places, records, elevations.len());
+    if let Some(grid) = &grid {
+        // Lasers that have seen nothing: their records are there all the same.
+        while elevations.len() < grid.lines.len() {
+            elevations.push(elevations[elevations.len() - 1] - UNSEEN);
+        }
+    }
     let of_rows = by_rows(&points, &rows, elevations.len());
     let ticks = ticks(&of_rows)?;
     let phases: Vec<f64> =
@@ -65,7 +81,12 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
         Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
     });
     let sequence: Vec<(usize, u32)> = sequence.collect();
-    let orders = [order(&sequence, elevations.len(), ticks), vlp_16(&elevations)];
+    let own = match &grid {
+        Some(grid) => Some(grid.order(&places, &sequence, ticks)),
+        None => order(&sequence, elevations.len(), ticks),
+    };
+    let orders = [own, vlp_16(&elevations)];
+    let lines = grid.filter(|grid| grid.by_lines).map_or_else(Vec::new, |grid| grid.lines);
     let constants = Constants { elevations, phases, of_rows };
     let scanners = orders.into_iter().flatten().filter_map(|Order { rows_of_slots, shifts, timing }| {
         let recipes: Vec<_> = Recipe::ALL
@@ -74,7 +95,8 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
             .collect();
         // The first of equals.
         let (_, recipe, lasers) = recipes.into_iter().rev().max_by_key(|(exact, _, _)| *exact)?;
-        let scanner = Firings::new(recipe, (ticks, range_step_um), timing, lasers, rows_of_slots);
+        let scanner = Firings::new(recipe, (ticks, range_step_um), timing, lasers, rows_of_slots)
+            .line_by_line(lines.clone());
         let image = scanner.project(&scan.cloud, REACH).image;
         Some((scanner, image.returns() as f64 / points.len().max(1) as f64, image.columns.len()))
     });
@@ -141,6 +163,94 @@ fn elevations(points: &[Point]) -> Option<Vec<f64>> {
     let is_scanner = (FEWEST_LASERS..=MOST_LASERS).contains(&found.len())
         && inside as f64 >= LEAST_SHARE * all.len() as f64;
     is_scanner.then(|| found.iter().map(|heap| heap[heap.len() / 2]).collect())
+}
+
+/// Radians from the lowest laser to one that has seen nothing, wherever it looks.
+const UNSEEN: f64 = 1e-3;
+
+/// A file in which each laser has a record in each firing, whether it saw something or not.
+struct RecordGrid {
+    /// The row of each line: of each slot if the file holds firing after firing.
+    lines: Vec<u32>,
+    /// Whether the file holds row after row.
+    by_lines: bool,
+    /// Firings.
+    width: usize,
+}
+
+impl RecordGrid {
+    /// Finds the grid of a file with so many records, of which these have these rows; none if it has none.
+    fn find(places: &[(usize, usize)], records: usize, rows: usize) -> Option<Self> {
+        /// Lasers that may have seen nothing, for one that has.
+        const MOST_LINES: usize = 2;
+        const FEWEST_COLUMNS: usize = 8;
+        let whole = (rows..=MOST_LINES * rows).filter(|lines| records % lines == 0);
+        let grids = whole.flat_map(|lines| [(lines, false), (lines, true)]);
+        let mut grids = grids.filter(|(lines, _)| records / lines >= FEWEST_COLUMNS);
+        grids.find_map(|(lines, by_lines)| Self::of(places, rows, (lines, records / lines), by_lines))
+    }
+
+    /// The grid of these lines, if each row has one of its own.
+    fn of(
+        places: &[(usize, usize)],
+        rows: usize,
+        (lines, width): (usize, usize),
+        by_lines: bool,
+    ) -> Option<Self> {
+        /// The least part of the returns that is where it belongs.
+        const LEAST: f64 = 0.95;
+        let mut counts = vec![0u32; lines * rows];
+        for (record, row) in places {
+            let line = if by_lines { record / width } else { record % lines };
+            counts[line * rows + row] += 1;
+        }
+        let mut row_of_line = vec![None; lines];
+        let (mut taken, mut inside) = (vec![false; rows], 0);
+        for (line, counts) in counts.chunks_exact(rows).enumerate() {
+            let (row, &most) = counts.iter().enumerate().max_by_key(|(_, count)| **count)?;
+            if most > 0 && !std::mem::replace(&mut taken[row], true) {
+                row_of_line[line] = Some(row as u32);
+                inside += most;
+            }
+        }
+        if f64::from(inside) < LEAST * places.len() as f64 || places.is_empty() {
+            return None;
+        }
+        // The other rows, seen or not, are those of the other lines.
+        let seen = (0u32..).zip(taken).filter(|(_, taken)| !taken).map(|(row, _)| row);
+        let mut rest = seen.chain(rows as u32..);
+        let lines = row_of_line.into_iter().map(|row| row.or_else(|| rest.next())).collect::<Option<_>>()?;
+        Some(RecordGrid { lines, by_lines, width })
+    }
+
+    /// The order of the lasers, and the ticks by which each is ahead of the one with the most returns.
+    fn order(&self, places: &[(usize, usize)], sequence: &[(usize, u32)], ticks: u32) -> Order {
+        let rows = self.lines.len();
+        let mut counts = vec![0u32; rows];
+        places.iter().for_each(|(_, row)| counts[*row] += 1);
+        let first = (0..rows).rev().max_by_key(|&row| counts[row]).unwrap_or(0);
+        let column = |record: usize| if self.by_lines { record % self.width } else { record / rows };
+        let mut tick_of_column = vec![None; self.width];
+        let found =
+            || places.iter().zip(sequence).map(|((record, row), (_, tick))| (column(*record), *row, *tick));
+        found()
+            .filter(|(_, row, _)| *row == first)
+            .for_each(|(column, _, tick)| tick_of_column[column] = Some(tick));
+        let mut ahead: Vec<Vec<i64>> = vec![Vec::new(); rows];
+        for (column, row, tick) in found() {
+            let turn = i64::from(ticks);
+            if let Some(first) = tick_of_column[column] {
+                ahead[row].push((i64::from(tick) - i64::from(first) + turn / 2).rem_euclid(turn) - turn / 2);
+            }
+        }
+        let shift = |mut ahead: Vec<i64>| {
+            ahead.sort_unstable();
+            let most = ahead.chunk_by(|a, b| a == b).max_by_key(|same| same.len());
+            most.map_or(0.0, |same| same[0] as f64)
+        };
+        let shifts = ahead.into_iter().map(shift).collect();
+        Order { rows_of_slots: self.lines.clone(), shifts, timing: Timing::default() }
+    }
 }
 
 /// The elevations of a VLP-16, if those that were found are some of them: which lasers are missing matters, for azimuths

@@ -121,6 +121,8 @@ pub struct Firings {
     lasers: Vec<Laser>,
     /// The row of each slot.
     rows_of_slots: Vec<u32>,
+    /// The row of each line of the file, if it holds row after row; empty if it holds firing after firing.
+    rows_of_lines: Vec<u32>,
     // What follows from these.
     slots_of_rows: Vec<u32>,
     arithmetic: Vec<Arithmetic>,
@@ -154,10 +156,17 @@ impl Firings {
             timing,
             lasers,
             rows_of_slots,
+            rows_of_lines: Vec::new(),
             slots_of_rows,
             arithmetic,
             turn,
         }
+    }
+
+    /// The same scanner with files that hold row after row, in this order: `rows_of_lines` must be a permutation of the
+    /// rows, or empty for files that hold firing after firing.
+    pub fn line_by_line(self, rows_of_lines: Vec<u32>) -> Self {
+        Firings { rows_of_lines, ..self }
     }
 
     /// A scanner of one laser alone, for the fit.
@@ -167,6 +176,7 @@ impl Firings {
             lasers: vec![laser],
             arithmetic,
             rows_of_slots: vec![0],
+            rows_of_lines: Vec::new(),
             slots_of_rows: vec![0],
             turn: self.turn.clone(),
             ..*self
@@ -180,7 +190,6 @@ impl Firings {
     }
 
     /// Azimuth ticks a turn.
-    #[cfg(any(test, feature = "internals"))]
     pub fn ticks(&self) -> u32 {
         self.ticks
     }
@@ -228,18 +237,25 @@ impl Firings {
         (tick + 0.5).floor() as u32 % self.ticks
     }
 
-    /// The returns of an image in the order in which a file holds them: firing by firing, slot by slot.
+    /// The returns of an image, and the blanks of a full one, in the order in which a file holds them: firing by firing,
+    /// slot by slot, or line by line.
     pub fn file_order(&self, image: &RangeImage) -> Vec<Return> {
-        let mut returns = Vec::with_capacity(image.returns());
-        for (column, &column_tick) in (0u32..).zip(&image.columns) {
+        let at = |row: u32, column: u32| {
+            let steps = image.steps[(row as usize, column as usize)];
             let span = Span::of(image.spans.get(column as usize).copied().unwrap_or(0));
-            for &row in &self.rows_of_slots {
-                let steps = image.steps[(row as usize, column as usize)];
-                if steps > 0 {
-                    let tick = self.tick(row as usize, column_tick, span);
-                    returns.push(Return { row, column, tick, steps });
-                }
-            }
+            let tick = self.tick(row as usize, image.columns[column as usize], span);
+            (steps > 0 || image.is_full).then_some(Return { row, column, tick, steps })
+        };
+        let columns = 0..image.columns.len() as u32;
+        let mut returns = Vec::with_capacity(image.records());
+        if self.rows_of_lines.is_empty() {
+            returns.extend(columns.flat_map(|column| {
+                let slots = self.rows_of_slots.iter();
+                slots.filter_map(move |&row| at(row, column))
+            }));
+        } else {
+            let lines = self.rows_of_lines.iter();
+            returns.extend(lines.flat_map(|&row| columns.clone().filter_map(move |column| at(row, column))));
         }
         returns
     }
@@ -273,6 +289,8 @@ impl Firings {
             write_signed(out, laser.azimuth);
         }
         self.rows_of_slots.iter().for_each(|&row| write_unsigned(out, u64::from(row)));
+        out.push(u8::from(!self.rows_of_lines.is_empty()));
+        self.rows_of_lines.iter().for_each(|&row| write_unsigned(out, u64::from(row)));
         record
     }
 
@@ -305,20 +323,32 @@ impl Firings {
         for _ in 0..rows {
             lasers.push(Laser { elevation: angle()?, azimuth: angle()? });
         }
-        let (mut rows_of_slots, mut seen) = (Vec::new(), vec![false; rows as usize]);
-        for _ in 0..rows {
-            let row = read_unsigned(bytes, "scanner")?;
-            let is_new = seen.get_mut(row as usize).map(|seen| !std::mem::replace(seen, true));
-            if is_new != Some(true) {
-                return Err(Error::corrupt("scanner: the slots are no permutation of the rows"));
-            }
-            rows_of_slots.push(row as u32);
-        }
-        Ok(Self::new(recipe, (ticks, range_step_um), timing, lasers, rows_of_slots))
+        let rows_of_slots = read_permutation(bytes, rows)?;
+        let rows_of_lines = match read_unsigned(bytes, "scanner")? {
+            0 => Vec::new(),
+            1 => read_permutation(bytes, rows)?,
+            other => return Err(Error::unsupported(format!("scanner: unknown order {other}"))),
+        };
+        let scanner = Self::new(recipe, (ticks, range_step_um), timing, lasers, rows_of_slots);
+        Ok(scanner.line_by_line(rows_of_lines))
     }
 
     /// Radians of a tick.
     fn radians(&self) -> f64 {
         TAU / f64::from(self.ticks)
     }
+}
+
+/// Reads each of the rows once, in any order.
+fn read_permutation(bytes: &mut &[u8], rows: u32) -> Result<Vec<u32>> {
+    let (mut order, mut seen) = (Vec::new(), vec![false; rows as usize]);
+    for _ in 0..rows {
+        let row = read_unsigned(bytes, "scanner")?;
+        let is_new = seen.get_mut(row as usize).map(|seen| !std::mem::replace(seen, true));
+        if is_new != Some(true) {
+            return Err(Error::corrupt("scanner: an order is no permutation of the rows"));
+        }
+        order.push(row as u32);
+    }
+    Ok(order)
 }

@@ -6,10 +6,10 @@ use crate::ground::error::Limits;
 use crate::ground::grid::Grid;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::PointCloud;
-use crate::scanner::{EXACT_RANGE_BITS, Projection, RangeImage, Return};
+use crate::scanner::{Projection, RangeImage, Return};
 
 /// Ranges of an image that loses nothing are below this, in steps.
-const LONGEST: u32 = 1 << EXACT_RANGE_BITS;
+const LONGEST: u32 = 1 << 20;
 /// Cells for each point from which on the points are in no order that an image is worth.
 const MOST_CELLS: usize = 16;
 
@@ -23,6 +23,9 @@ pub(super) struct Place {
     pub steps: u32,
 }
 
+/// The tick of a column without returns, until one is made up.
+const UNKNOWN: u32 = u32::MAX;
+
 /// Points that were measured together: a column in the making.
 struct Column {
     places: std::ops::Range<usize>,
@@ -35,6 +38,9 @@ impl Firings {
     /// are out of the firings' order, or that have no return are strays.
     pub fn project(&self, cloud: &PointCloud, reach: f64) -> Projection {
         let places = self.places(&cloud.positions, reach + 0.5 * self.range_step_m());
+        if let Some(width) = self.full_width(&places, cloud.positions.len()) {
+            return self.project_full(places, width);
+        }
         let columns = self.columns(&places);
         // Nor do decoders take a larger image than their limits allow.
         let most = (MOST_CELLS * cloud.positions.len()).min(Limits::default().points as usize);
@@ -65,6 +71,88 @@ impl Firings {
         let strays =
             (0u32..).zip(is_stray).filter(|(_, is_stray)| *is_stray).map(|(point, _)| point).collect();
         Projection { image, point_of_cell, strays }
+    }
+
+    /// The row and the column of a record in a file in which each cell of an image of so many columns is one.
+    fn cell_of_record(&self, record: u32, width: usize) -> (u32, usize) {
+        let (record, rows) = (record as usize, self.rows());
+        match self.rows_of_lines.get(record / width) {
+            Some(&row) => (row, record % width),
+            None => (self.rows_of_slots[record % rows], record / rows),
+        }
+    }
+
+    /// The columns of the image if each of its cells is a record: returns are then in every so many-th one.
+    fn full_width(&self, places: &[Place], records: usize) -> Option<usize> {
+        /// The least part of the returns that is where it belongs.
+        const LEAST: f64 = 0.9;
+        let width = records / self.rows();
+        let is_whole = records > 0 && records == width * self.rows();
+        let is_there = |place: &&Place| self.cell_of_record(place.point, width).0 == place.row;
+        let is_full = || places.iter().filter(is_there).count() as f64 > LEAST * places.len() as f64;
+        (is_whole && !places.is_empty() && is_full()).then_some(width)
+    }
+
+    /// Projects a scan of which each cell is a record. What the recipe does not explain is a blank.
+    fn project_full(&self, mut places: Vec<Place>, width: usize) -> Projection {
+        let cell = |place: &Place| self.cell_of_record(place.point, width);
+        places.retain(|place| cell(place).0 == place.row);
+        places.sort_by_key(|place| (cell(place).1, place.slot));
+        let mut columns = Vec::with_capacity(width);
+        let mut rest = 0;
+        for number in 0..width {
+            let count = places[rest..].iter().take_while(|place| cell(place).1 == number).count();
+            let mut ticks: Vec<u32> = places[rest..rest + count].iter().map(|place| place.tick).collect();
+            ticks.sort_unstable();
+            let most = ticks.chunk_by(|a, b| a == b).max_by_key(|same| same.len());
+            let tick = most.map_or(UNKNOWN, |same| same[0]);
+            columns.push(Column { places: rest..rest + count, tick, span: Span::default() });
+            rest += count;
+        }
+        if self.timing.is_interpolated() {
+            self.find_spans(&places, &mut columns, self.ticks_of_slot(&places));
+        }
+        self.fill_in_ticks(&mut columns);
+        let mut image = RangeImage::new(self.rows(), columns.iter().map(|column| column.tick).collect());
+        if self.timing.is_interpolated() {
+            image.spans = columns.iter().map(|column| column.span.kept()).collect();
+        }
+        image.is_full = true;
+        let mut point_of_cell = Grid::new(self.rows(), width);
+        for record in 0..(width * self.rows()) as u32 {
+            let (row, column) = self.cell_of_record(record, width);
+            point_of_cell[(row as usize, column)] = record;
+        }
+        for (number, column) in columns.iter().enumerate() {
+            for place in &places[column.places.clone()] {
+                if self.tick(place.row as usize, column.tick, column.span) == place.tick {
+                    image.steps[(place.row as usize, number)] = place.steps;
+                }
+            }
+        }
+        Projection { image, point_of_cell, strays: Vec::new() }
+    }
+
+    /// The ticks of columns without a return, as if the scanner turned evenly.
+    fn fill_in_ticks(&self, columns: &mut [Column]) {
+        let known = |column: &Column| (column.tick != UNKNOWN).then_some(column.tick);
+        let mut steps: Vec<u32> = columns
+            .windows(2)
+            .filter_map(|pair| Some(self.ticks_from(known(&pair[0])?, known(&pair[1])?)))
+            .collect();
+        steps.sort_unstable();
+        let step = steps.get(steps.len() / 2).copied().unwrap_or(0);
+        let first = columns.iter().position(|column| column.tick != UNKNOWN);
+        let before = first.map_or(0, |first| {
+            let passed = (first as u64 + 1) * u64::from(step) % u64::from(self.ticks);
+            self.ticks_from(passed as u32, columns[first].tick)
+        });
+        columns.iter_mut().fold(before, |last, column| {
+            if column.tick == UNKNOWN {
+                column.tick = (last + step) % self.ticks;
+            }
+            column.tick
+        });
     }
 
     /// The places of the points that the recipe explains, in the order of the file.
