@@ -5,6 +5,7 @@ use std::io::{self, Read, Write};
 
 use crate::frame::FrameParameters;
 use crate::ground::error::Limits;
+use crate::scanner::Scanner;
 use crate::stream::container::{Record, ScannerRecord, Stamp, StreamReader};
 use anyhow::Result;
 use serde::Serialize;
@@ -30,6 +31,8 @@ struct Info {
 #[derive(Serialize)]
 struct ScannerInfo {
     family: u64,
+    /// What was found of it, in words.
+    description: String,
     bytes: u64,
 }
 
@@ -85,7 +88,10 @@ fn read(input: impl Read, limits: Limits) -> crate::ground::error::Result<Info> 
     while let Some(record) = reader.next_record()? {
         match record {
             Record::Scanner(ScannerRecord { family, payload }) => {
-                scanners.push(ScannerInfo { family, bytes: payload.len() as u64 });
+                let known = Scanner::of_record(family, &payload)?;
+                let description =
+                    known.map_or_else(|| format!("of family {family}"), |known| known.to_string());
+                scanners.push(ScannerInfo { family, description, bytes: payload.len() as u64 });
             }
             Record::Group(group) => {
                 let Some(entry) = reader.index().groups.last() else { continue };
@@ -132,6 +138,9 @@ fn print(info: &Info, out: &mut impl Write) -> io::Result<()> {
     let scanners = table::count(info.scanners.len() as u64, "scanner");
     let (frames, groups) = (info.frames.len() as u64, info.groups.len() as u64);
     writeln!(out, "format version {}, {scanners}", info.version)?;
+    for (number, scanner) in (1..).zip(&info.scanners) {
+        writeln!(out, "scanner {number}: {}", scanner.description)?;
+    }
     writeln!(out, "{} in {}", table::count(frames, "frame"), table::count(groups, "group"))?;
     let (points, files) = (info.points, table::bytes(info.file_bytes));
     writeln!(

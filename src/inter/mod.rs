@@ -85,7 +85,7 @@ impl Past {
         const COLUMNS: usize = 5;
         let as_far = (AS_FAR / scanner.range_step_m()).min(f64::from(MOST_STEPS)) as u32;
         let nearest = match scanner.firings() {
-            Some(scanner) => self.nearest_directions(columns, scanner.ticks()),
+            Some(scanner) => self.nearest_directions(columns, scanner.build().ticks),
             None => self.nearest_columns(columns),
         };
         let (mut agreeing, mut returns) = (0u32, 0u32);

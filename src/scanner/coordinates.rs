@@ -15,6 +15,9 @@ pub enum Coordinates {
         /// In nanometres.
         step_nm: u64,
     },
+    /// The float32 values nearest to the numbers of so many significant decimal digits, 1 to 9: text (`%g`). Units count
+    /// those numbers in rising order.
+    Digits(u8),
 }
 
 impl Coordinates {
@@ -26,6 +29,17 @@ impl Coordinates {
             on_grid += usize::from(Coordinates::Millimetre.unit_in_file(*value).is_some());
         }
         if on_grid * 100 > total * 95 { Coordinates::Millimetre } else { Coordinates::Float32 }
+    }
+
+    /// The coarsest grid on which all of some coordinates (metres) lie: decimal places, decimal digits, or any float32.
+    pub fn finest_of(values: &[f32]) -> Self {
+        /// Steps of decimal places, in nanometres.
+        const STEPS_NM: [u64; 4] = [10_000_000, 100_000, 10_000, 1000];
+        let places = STEPS_NM.map(|step_nm| Coordinates::Lattice { step_nm });
+        let digits = (4..=8).map(Coordinates::Digits);
+        let mut grids = places.into_iter().chain([Coordinates::Millimetre]).chain(digits);
+        let holds = |grid: &Coordinates| values.iter().all(|value| grid.unit_in_file(*value).is_some());
+        grids.find(holds).filter(|_| !values.is_empty()).unwrap_or(Coordinates::Float32)
     }
 
     /// The number of a file's grid in a stream.
@@ -47,6 +61,7 @@ impl Coordinates {
             Coordinates::Lattice { step_nm } => {
                 round_ties_even((metres / lattice_step(step_nm)).clamp(-1e12, 1e12)) as i64
             }
+            Coordinates::Digits(digits) => decimal_unit(metres, digits),
         }
     }
 
@@ -58,6 +73,8 @@ impl Coordinates {
             Coordinates::Millimetre => (unit as f64 / 1000.0) as f32,
             Coordinates::Float32 => from_ordered(unit),
             Coordinates::Lattice { step_nm } => (unit as f64 * lattice_step(step_nm)) as f32,
+            Coordinates::Digits(_) if unit == 0 => zero_of(formula),
+            Coordinates::Digits(digits) => decimal_value(unit, digits),
         }
     }
 
@@ -109,7 +126,7 @@ impl Coordinates {
     /// Whether [`value`](Self::value) gives a zero of the file its own sign.
     fn keeps_zero(self, zero: f32, formula: f64) -> bool {
         match self {
-            Coordinates::Millimetre => zero.to_bits() == zero_of(formula).to_bits(),
+            Coordinates::Millimetre | Coordinates::Digits(_) => zero.to_bits() == zero_of(formula).to_bits(),
             Coordinates::Float32 | Coordinates::Lattice { .. } => true,
         }
     }
@@ -128,8 +145,52 @@ impl Coordinates {
                 let unit = self.unit_of(f64::from(value));
                 (self.value(unit, 0.0).to_bits() == value.to_bits()).then_some(unit)
             }
+            Coordinates::Digits(_) => {
+                let unit = self.unit_of(f64::from(value));
+                let near = self.value(unit, f64::from(value));
+                (value.is_finite() && near.to_bits() == value.to_bits()).then_some(unit)
+            }
         }
     }
+}
+
+/// The least decimal exponent of a float32, less one.
+const DECIMAL_EXPONENTS: i64 = 46;
+/// More than the exponents of all float64 values in magnitude.
+const MOST_EXPONENT: i64 = 400;
+
+/// The place of the number with so many significant digits that is nearest to a value, among all such numbers: 0 is that
+/// of 0 and of all that are nearer to it than the least.
+fn decimal_unit(value: f64, digits: u8) -> i64 {
+    use std::io::Write;
+    let value = if value.is_finite() { value } else { 0.0 };
+    let mut text = [0u8; 32];
+    let mut rest = &mut text[..];
+    // Rounds exact decimal expansions half to even, as C does. Never longer than the buffer.
+    let written = write!(rest, "{:.*e}", usize::from(digits).saturating_sub(1), value.abs());
+    let length = 32 - rest.len();
+    let text = std::str::from_utf8(&text[..length]).unwrap_or_default();
+    let Some((mantissa, exponent)) = text.split_once('e').filter(|_| written.is_ok()) else { return 0 };
+    let number =
+        mantissa.bytes().filter(u8::is_ascii_digit).fold(0i64, |n, digit| n * 10 + i64::from(digit - b'0'));
+    let least = 10i64.pow(u32::from(digits.clamp(1, 9)) - 1);
+    let exponent = exponent.parse::<i64>().unwrap_or(0) + DECIMAL_EXPONENTS;
+    if number < least || exponent < 0 {
+        return 0;
+    }
+    let unit = exponent * 9 * least + number - least + 1;
+    if value < 0.0 { -unit } else { unit }
+}
+
+/// The inverse of [`decimal_unit`], as float32, for any integer but 0.
+fn decimal_value(unit: i64, digits: u8) -> f32 {
+    let least = 10u64.pow(u32::from(digits.clamp(1, 9)) - 1);
+    let place = unit.unsigned_abs().saturating_sub(1);
+    let exponent = ((place / (9 * least)).min(2 * MOST_EXPONENT as u64)) as i64 - DECIMAL_EXPONENTS;
+    let number = place % (9 * least) + least;
+    let exponent = exponent - i64::from(digits.clamp(1, 9)) + 1;
+    let value: f32 = format!("{number}e{exponent}").parse().unwrap_or(0.0);
+    if unit < 0 { -value } else { value }
 }
 
 /// The step in metres.
@@ -213,6 +274,43 @@ mod tests {
                     assert_eq!(all, holds, "{value} near {formula} on {grid:?}");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn decimal_grids_hold_what_text_holds() {
+        for digits in 4..=8u8 {
+            let grid = Coordinates::Digits(digits);
+            let mut last = i64::MIN;
+            for value in [
+                -3e38f32,
+                -12.5,
+                -1e-3,
+                -1e-44,
+                0.0,
+                1e-44,
+                0.099_999_99,
+                0.1,
+                9.999_999,
+                10.0,
+                123.456_79,
+                3e38,
+            ] {
+                let text = format!("{:.*e}", usize::from(digits) - 1, value);
+                let near: f32 = text.parse().unwrap();
+                let unit = grid.unit_in_file(near).unwrap_or_else(|| panic!("{text} with {digits} digits"));
+                assert_eq!(grid.value(unit, f64::from(near)).to_bits(), near.to_bits());
+                assert!(unit >= last);
+                last = unit;
+            }
+        }
+        assert_eq!(Coordinates::finest_of(&[1.5, -20.25]), Coordinates::Lattice { step_nm: 10_000_000 });
+        assert_eq!(Coordinates::finest_of(&[1.501, -20.25]), Coordinates::Millimetre);
+        assert_eq!(Coordinates::finest_of(&[1.23456, -0.123_456]), Coordinates::Digits(6));
+        assert_eq!(Coordinates::finest_of(&[10.000_001, 0.1]), Coordinates::Float32);
+        assert_eq!(Coordinates::Digits(6).unit_in_file(f32::INFINITY), None);
+        for unit in [i64::MIN, i64::MAX, -1, 1] {
+            assert!(!Coordinates::Digits(8).value(unit, 0.0).is_nan());
         }
     }
 

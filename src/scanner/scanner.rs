@@ -1,5 +1,7 @@
 //! The scanner of a stream of scans: one of the families.
 
+use std::fmt;
+
 use super::firings::{self, Firings};
 use super::hdl64::{self, Hdl64};
 use super::{Coordinates, MOST_STEPS, Projection, RangeImage, Return};
@@ -29,6 +31,21 @@ const FIRINGS: u64 = 2;
 pub struct ColumnModels {
     hdl64: ColumnModel,
     firings: firings::FiringColumnModel,
+}
+
+impl fmt::Display for Scanner {
+    /// What was found of it, in the words of those who know scanners.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Scanner::Hdl64(scanner) => write!(
+                f,
+                "like Velodyne's HDL-64E, {} lasers, {:.3} degrees a firing, row by row",
+                scanner.rows(),
+                360.0 / f64::from(scanner.ticks),
+            ),
+            Scanner::Firings(scanner) => scanner.fmt(f),
+        }
+    }
 }
 
 impl Scanner {
@@ -110,7 +127,7 @@ impl Scanner {
     pub fn coordinates(&self) -> Coordinates {
         match self {
             Scanner::Hdl64(scanner) => scanner.coordinates,
-            Scanner::Firings(_) => Coordinates::Float32,
+            Scanner::Firings(scanner) => scanner.build().coordinates,
         }
     }
 
@@ -216,7 +233,8 @@ impl Scanner {
         match self {
             Scanner::Hdl64(scanner) => hdl64::positions(scanner, returns, offset_m, on_grid),
             Scanner::Firings(scanner) => {
-                let single = |metres: f64| if metres.is_nan() { 0.0 } else { metres as f32 };
+                let grid = if on_grid { scanner.build().coordinates } else { Coordinates::Float32 };
+                let single = |metres: f64| if metres.is_nan() { 0.0 } else { grid.nearest(metres) };
                 returns.iter().map(|found| scanner.position(found, offset_m).map(single)).collect()
             }
         }

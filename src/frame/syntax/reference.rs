@@ -34,7 +34,7 @@ impl PastFrame {
         within(frame.occupancy.cells().len(), MOST_CELLS as u64, "cells of a P frame")?;
         let motion = frame.parameters.motion;
         if let Some(scanner) = scanner.firings() {
-            return Ok(Some(past.same_directions(&frame.image.columns, scanner.ticks())));
+            return Ok(Some(past.same_directions(&frame.image.columns, scanner.build().ticks)));
         }
         if frame.parameters.can_do_without_surfaces() && motion == QuantisedPose::default() {
             return Ok(Some(past.same_cells_alone(&frame.image.columns)));

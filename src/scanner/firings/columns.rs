@@ -65,8 +65,8 @@ impl FiringColumnModel {
         if count > most {
             return Err(Error::over_limit("columns of the range image", count, most));
         }
-        let interpolated = scanner.timing.is_interpolated();
-        let turn = i64::from(scanner.ticks);
+        let interpolated = scanner.build.timing.is_interpolated();
+        let turn = i64::from(scanner.build.ticks);
         if !C::ENCODES {
             columns.clear();
         }

@@ -6,12 +6,12 @@ use std::f64::consts::TAU;
 
 use rayon::prelude::*;
 
-use super::projection::nearest;
-use super::recipe::steps_of;
-use super::{ANGLE_UNIT, Firings, Laser, Recipe, Timing};
+use super::projection::{Place, nearest};
+use super::recipe::whole_steps;
+use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing, WHOLE};
 use crate::ground::rounding::round_ties_even;
-use crate::scan::ScanFile;
-use crate::scanner::{REACH, Return};
+use crate::scan::{Channel, ScanFile};
+use crate::scanner::{Coordinates, REACH, Return};
 
 /// Range steps that scanners have, in micrometres, coarse ones first: what lies on one lies on its parts too.
 const RANGE_STEPS_UM: [u32; 9] = [12_000, 10_000, 8_000, 5_000, 4_000, 2_500, 2_000, 1_000, 500];
@@ -48,72 +48,133 @@ impl Point {
 /// the points are not those of such a scanner, firing by firing.
 pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     let scan = sample.iter().max_by_key(|scan| scan.cloud.positions.len())?;
-    let range_step_um = range_step(&scan.cloud.positions)?;
-    let records = scan.cloud.positions.len();
-    let (numbers, points): (Vec<usize>, Vec<Point>) = scan
-        .cloud
-        .positions
+    let positions = &scan.cloud.positions;
+    let (numbers, points): (Vec<usize>, Vec<Point>) = positions
         .iter()
         .enumerate()
         .filter_map(|(record, position)| Some((record, Point::new(position)?)))
         .unzip();
-    let mut elevations = completed(elevations(&points)?);
-    let row = |point: &Point| {
-        let row = nearest(&elevations, point.elevation);
-        ((elevations[row] - point.elevation).abs() < ON_CONE).then_some(row)
-    };
-    let rows: Vec<Option<usize>> = points.iter().map(row).collect();
-    let places: Vec<(usize, usize)> =
-        numbers.into_iter().zip(&rows).filter_map(|(record, row)| Some((record, (*row)?))).collect();
-    let grid = RecordGrid::find(&places, records, elevations.len());
-    if let Some(grid) = &grid {
-        // Lasers that have seen nothing: their records are there all the same.
-        while elevations.len() < grid.lines.len() {
-            elevations.push(elevations[elevations.len() - 1] - UNSEEN);
-        }
-    }
-    let of_rows = by_rows(&points, &rows, elevations.len());
-    let ticks = ticks(&of_rows)?;
-    let phases: Vec<f64> =
-        of_rows.iter().map(|points| phase(points.iter().map(|point| in_ticks(point, ticks))).0).collect();
-    let sequence = points.iter().zip(&rows).filter_map(|(point, row)| {
-        let tick = round_ties_even(in_ticks(point, ticks) - phases[(*row)?]) as i64;
-        Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
-    });
-    let sequence: Vec<(usize, u32)> = sequence.collect();
-    let own = match &grid {
-        Some(grid) => Some(grid.order(&places, &sequence, ticks)),
-        None => order(&sequence, elevations.len(), ticks),
-    };
-    let orders = [own, vlp_16(&elevations)];
-    let lines = grid.filter(|grid| grid.by_lines).map_or_else(Vec::new, |grid| grid.lines);
-    let constants = Constants { elevations, phases, of_rows };
-    let scanners = orders.into_iter().flatten().filter_map(|Order { rows_of_slots, shifts, timing }| {
-        let recipes: Vec<_> = Recipe::ALL
-            .into_par_iter()
-            .map(|recipe| constants.rounded(recipe, &shifts, (ticks, range_step_um)))
-            .collect();
-        // The first of equals.
-        let (_, recipe, lasers) = recipes.into_iter().rev().max_by_key(|(exact, _, _)| *exact)?;
-        let scanner = Firings::new(recipe, (ticks, range_step_um), timing, lasers, rows_of_slots)
-            .line_by_line(lines.clone());
+    let step = (points.len() / SAMPLE).max(1);
+    let values: Vec<f32> =
+        points.iter().step_by(step).flat_map(|point| point.position.map(|value| value as f32)).collect();
+    let coordinates = Coordinates::finest_of(&values);
+    let found = Found { scan, numbers, points, coordinates };
+    let scanners = found.on_axis().filter(|scanners| !scanners.is_empty()).or_else(|| found.off_axis())?;
+    let shares = scanners.into_iter().map(|scanner| {
         let image = scanner.project(&scan.cloud, REACH).image;
-        Some((scanner, image.returns() as f64 / points.len().max(1) as f64, image.columns.len()))
+        (scanner, image.returns() as f64 / found.points.len().max(1) as f64, image.columns.len())
     });
     // Of those that explain about as much, that of the fewest columns: there firings are whole.
-    let worth = |share: f64, columns: usize| share / (1.0 + columns as f64 / points.len().max(1) as f64);
-    let best = scanners.max_by(|a, b| worth(a.1, a.2).total_cmp(&worth(b.1, b.2)));
-    best.filter(|(_, share, _)| *share >= LEAST_SHARE).map(|(scanner, share, _)| (scanner, share))
+    let worth =
+        |share: f64, columns: usize| share / (1.0 + columns as f64 / found.points.len().max(1) as f64);
+    let best = shares.max_by(|a, b| worth(a.1, a.2).total_cmp(&worth(b.1, b.2)));
+    let (scanner, share, _) = best.filter(|(_, share, _)| *share >= LEAST_SHARE)?;
+    // Decimal digits are no help to a recipe that is not the right one.
+    let is_digits = matches!(coordinates, Coordinates::Digits(_));
+    let scanner = match is_digits && !found.are_given_by(&scanner) {
+        true => {
+            let build = Build { coordinates: Coordinates::Float32, ..scanner.build };
+            Firings::new(build, scanner.lasers, scanner.rows_of_slots).line_by_line(scanner.rows_of_lines)
+        }
+        false => scanner,
+    };
+    Some((scanner, share))
 }
 
-/// The coarsest step on which most ranges lie.
-fn range_step(positions: &[[f32; 3]]) -> Option<u32> {
+/// What is known of a scan before its scanner is.
+struct Found<'s> {
+    scan: &'s ScanFile,
+    /// The records of the points.
+    numbers: Vec<usize>,
+    points: Vec<Point>,
+    coordinates: Coordinates,
+}
+
+impl Found<'_> {
+    /// Scanners whose beams start in one point that may have made the scan.
+    fn on_axis(&self) -> Option<Vec<Firings>> {
+        let Found { scan, numbers, points, coordinates } = self;
+        let range_step_um = range_step(points.iter().map(|point| point.range))?;
+        let records = scan.cloud.positions.len();
+        let mut elevations = completed(elevations(points)?);
+        let row = |point: &Point| {
+            let row = nearest(&elevations, point.elevation);
+            ((elevations[row] - point.elevation).abs() < ON_CONE).then_some(row)
+        };
+        let rows: Vec<Option<usize>> = points.iter().map(row).collect();
+        let places: Vec<(usize, usize)> =
+            numbers.iter().zip(&rows).filter_map(|(record, row)| Some((*record, (*row)?))).collect();
+        let grid = RecordGrid::find(&places, records, elevations.len());
+        if let Some(grid) = &grid {
+            // Lasers that have seen nothing: their records are there all the same.
+            while elevations.len() < grid.lines.len() {
+                elevations.push(elevations[elevations.len() - 1] - UNSEEN);
+            }
+        }
+        let of_rows = by_rows(points, &rows, elevations.len());
+        let ticks = ticks(&of_rows)?;
+        let phases: Vec<f64> =
+            of_rows.iter().map(|points| phase(points.iter().map(|point| in_ticks(point, ticks))).0).collect();
+        let sequence = points.iter().zip(&rows).filter_map(|(point, row)| {
+            let tick = round_ties_even(in_ticks(point, ticks) - phases[(*row)?]) as i64;
+            Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
+        });
+        let sequence: Vec<(usize, u32)> = sequence.collect();
+        let own = match &grid {
+            Some(grid) => Some(grid.order(&places, &sequence, ticks)),
+            None => order(&sequence, elevations.len(), ticks),
+        };
+        let orders = [own, vlp_16(&elevations)];
+        let lines = grid.filter(|grid| grid.by_lines).map_or_else(Vec::new, |grid| grid.lines);
+        let constants = Constants { elevations, phases, of_rows };
+        let scanners = orders.into_iter().flatten().filter_map(|order| {
+            let build = Build {
+                recipe: Recipe::VelodyneRos,
+                ticks,
+                range_step_um,
+                coordinates: *coordinates,
+                origin: Origin::default(),
+                timing: order.timing,
+            };
+            let (build, lasers) = constants.with_recipe(&build, &order.shifts)?;
+            let scanner = Firings::new(build, lasers, order.rows_of_slots).line_by_line(lines.clone());
+            Some(self.with_timings(scanner, order.is_steady))
+        });
+        Some(scanners.flatten().collect())
+    }
+
+    /// Whether a scanner's recipe gives most of the points to the last bit.
+    fn are_given_by(&self, scanner: &Firings) -> bool {
+        let positions = &self.scan.cloud.positions;
+        let places = scanner.places(positions, REACH + 0.5 * scanner.range_step_m());
+        let is_given = |place: &&Place| {
+            let found = Return { row: place.row, column: 0, tick: place.tick, steps: place.steps };
+            scanner.gives(&found, &positions[place.point as usize].map(f64::from), 0..3)
+        };
+        2 * places.iter().filter(is_given).count() > places.len()
+    }
+
+    /// A scanner, and if its firings have no tick of their own, the same with the timings that fit best.
+    fn with_timings(&self, scanner: Firings, is_steady: bool) -> Vec<Firings> {
+        if is_steady {
+            return vec![scanner];
+        }
+        let places = scanner.places(&self.scan.cloud.positions, REACH + 0.5 * scanner.range_step_m());
+        let timed = [1, 2].into_par_iter().filter_map(|firings| timed(&scanner, &places, firings));
+        let mut all: Vec<Firings> = timed.collect();
+        all.insert(0, scanner);
+        all
+    }
+}
+
+/// The coarsest step on which most ranges (metres) lie.
+fn range_step(ranges: impl Iterator<Item = f64> + Clone) -> Option<u32> {
     /// Metres: float32 coordinates tell nearer ranges no better.
     const NEAREST: f64 = 0.5;
     const FEWEST: usize = 200;
-    let step = (positions.len() / SAMPLE).max(1);
-    let points = positions.iter().step_by(step).filter_map(Point::new);
-    let ranges: Vec<f64> = points.map(|point| point.range).filter(|range| *range > NEAREST).collect();
+    let far = ranges.filter(|range| *range > NEAREST);
+    let step = (far.clone().count() / SAMPLE).max(1);
+    let ranges: Vec<f64> = far.step_by(step).collect();
     let is_on =
         |um: &u32| strength(ranges.iter().map(|range| range / (f64::from(*um) * 1e-6)), 0.0) > COHERENT;
     RANGE_STEPS_UM.into_iter().find(|um| ranges.len() >= FEWEST && is_on(um))
@@ -148,7 +209,7 @@ fn elevations(points: &[Point]) -> Option<Vec<f64>> {
     /// Radians between the heaps of two lasers.
     const GAP: f64 = 6e-5;
     /// Metres: elevations of nearer points are not sharp.
-    const NEAREST: f64 = 1.0;
+    const NEAREST: f64 = 0.3;
     const FEWEST_LASERS: usize = 4;
     const MOST_LASERS: usize = 512;
     let step = (points.len() / (16 * SAMPLE)).max(1);
@@ -243,13 +304,16 @@ impl RecordGrid {
                 ahead[row].push((i64::from(tick) - i64::from(first) + turn / 2).rem_euclid(turn) - turn / 2);
             }
         }
+        let all: usize = ahead.iter().map(Vec::len).sum();
         let shift = |mut ahead: Vec<i64>| {
             ahead.sort_unstable();
             let most = ahead.chunk_by(|a, b| a == b).max_by_key(|same| same.len());
-            most.map_or(0.0, |same| same[0] as f64)
+            most.map_or((0.0, 0), |same| (same[0] as f64, same.len()))
         };
-        let shifts = ahead.into_iter().map(shift).collect();
-        Order { rows_of_slots: self.lines.clone(), shifts, timing: Timing::default() }
+        let (shifts, same): (Vec<f64>, Vec<usize>) = ahead.into_iter().map(shift).unzip();
+        let is_steady = same.into_iter().sum::<usize>() as f64 >= STEADY * all as f64;
+        let shifts = if is_steady { shifts } else { vec![0.0; rows] };
+        Order { rows_of_slots: self.lines.clone(), shifts, timing: Timing::Together, is_steady }
     }
 }
 
@@ -313,94 +377,183 @@ struct Constants {
 }
 
 impl Constants {
-    /// The lasers with constants by which a recipe gives the most points to the last bit, and how many.
-    /// `shifts` are the whole ticks that each is ahead of the others.
-    fn rounded(
-        &self,
-        recipe: Recipe,
-        shifts: &[f64],
-        (ticks, range_step_um): (u32, u32),
-    ) -> (usize, Recipe, Vec<Laser>) {
-        /// Whole ticks by which all offsets may be off.
-        const COMMON: i32 = 4;
-        let any = Firings::new(recipe, (ticks, range_step_um), Timing::default(), Vec::new(), Vec::new());
-        let tick = 360.0 / f64::from(ticks);
-        let offsets: Vec<f64> =
-            self.phases.iter().zip(shifts).map(|(phase, shift)| (phase + shift) * tick).collect();
-        let mean = offsets.iter().sum::<f64>() / offsets.len().max(1) as f64;
-        let middle = round_ties_even(-mean / tick);
-        // Only where a tick is no whole number of thousandths of a degree it matters.
-        let is_whole = 360_000 % ticks == 0;
-        let common = if is_whole { 0..=0 } else { -COMMON..=COMMON };
-        let lasers = |common: i32| {
-            let offset = (middle + f64::from(common)) * tick;
-            let pairs = self.elevations.iter().zip(&offsets).zip(&self.of_rows);
-            let found = pairs.map(|((elevation, azimuth), points)| {
-                laser(&any, [elevation.to_degrees(), azimuth + offset], points)
-            });
-            let (lasers, exact): (Vec<Laser>, Vec<usize>) = found.unzip();
-            (exact.into_iter().sum::<usize>(), recipe, lasers)
-        };
-        let in_thousandths = |lasers: &[Laser]| {
-            let thousandth = (1e-3 / ANGLE_UNIT) as i64;
-            lasers.iter().filter(|laser| laser.azimuth % thousandth == 0).count()
-        };
+    /// Of the recipes, the one that gives the most points to the last bit, the first of equals, with the lasers'
+    /// constants. `shifts` are the whole ticks that each is ahead of the others.
+    fn with_recipe(&self, build: &Build, shifts: &[f64]) -> Option<(Build, Vec<Laser>)> {
+        /// Lasers that tell which recipe it is.
+        const FEW: usize = 6;
+        let tick = 360.0 / f64::from(build.ticks);
+        let ahead = self.phases.iter().zip(shifts).map(|(phase, shift)| (phase + shift) * tick);
+        let ahead: Vec<f64> = ahead.collect();
+        let mean = ahead.iter().sum::<f64>() / ahead.len().max(1) as f64;
+        let middle = round_ties_even(-mean / tick) * tick;
+        let offsets: Vec<f64> = ahead.into_iter().map(|offset| offset + middle).collect();
+        let mut few: Vec<usize> = (0..self.elevations.len()).collect();
+        few.sort_by_key(|&row| std::cmp::Reverse(self.of_rows[row].len()));
+        few.truncate((few.len() / 2).max(FEW));
+        let few: Vec<usize> = few.iter().step_by((few.len() / FEW).max(1)).copied().collect();
+        let tried = Recipe::ALL.into_par_iter().filter(|recipe| !recipe.is_off_axis()).map(|recipe| {
+            let any = Firings::new(Build { recipe, ..build.clone() }, Vec::new(), Vec::new());
+            let (common, exact) = self.common(&any, &offsets, &few);
+            (any, common, exact)
+        });
+        let tried: Vec<_> = tried.collect();
+        let (any, common, _) = tried.into_iter().rev().max_by_key(|(_, _, exact)| *exact)?;
+        let of_row = |row: usize| self.laser(&any, row, offsets[row] + f64::from(common) * tick).0;
+        let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
+        Some((any.build, lasers))
+    }
+
+    /// The whole ticks by which all offsets are off, as far as these rows tell, and how many of their points come out.
+    fn common(&self, any: &Firings, offsets: &[f64], few: &[usize]) -> (i32, usize) {
+        /// Where ticks are thousandths of degrees, whole ones make a difference only in single precision: how far off
+        /// they are looked for.
+        const FARTHEST: i32 = 1200;
+        const NEAR: i32 = 4;
+        /// Of the points one in so many is enough for that.
+        const SPARSE: usize = 4;
+        /// Offsets that are none, in degrees.
+        const NONE: f64 = 1e-5;
+        let tick = 360.0 / f64::from(any.build.ticks);
+        let is_whole = 360_000 % any.build.ticks == 0;
+        let found: Vec<(Laser, usize)> = few.iter().map(|&row| self.laser(any, row, offsets[row])).collect();
+        let exact: usize = found.iter().map(|(_, exact)| exact).sum();
+        let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
+        let has_none = offsets.iter().all(|offset| offset.abs() < NONE);
+        if exact == points || is_whole && (has_none || !any.build.recipe.adds_in_single()) {
+            return (0, exact);
+        }
         // The nearest to the middle of equals.
-        let mut common: Vec<i32> = common.collect();
-        common.sort_by_key(|common| -common.abs());
-        let found = common.into_iter().map(lasers);
-        let best = found.max_by_key(|(exact, _, lasers)| (*exact, in_thousandths(lasers)));
-        best.unwrap_or((0, recipe, Vec::new()))
+        let rising = |most: i32| (1..=most).flat_map(|common| [common, -common]);
+        if !is_whole {
+            let thousandth = (1e-3 / ANGLE_UNIT) as i64;
+            let worth = |lasers: &[(Laser, usize)]| {
+                let exact: usize = lasers.iter().map(|(_, exact)| exact).sum();
+                (exact, lasers.iter().filter(|(laser, _)| laser.azimuth % thousandth == 0).count())
+            };
+            let mut best = (0, worth(&found));
+            for common in rising(NEAR) {
+                let offset = |row: usize| offsets[row] + f64::from(common) * tick;
+                let lasers: Vec<_> = few.iter().map(|&row| self.laser(any, row, offset(row))).collect();
+                let worth = worth(&lasers);
+                if worth > best.1 {
+                    best = (common, worth);
+                }
+            }
+            return (best.0, best.1.0);
+        }
+        // Heights tell whether it is this recipe at all.
+        let heights = few
+            .iter()
+            .zip(&found)
+            .map(|(&row, (laser, _))| exact_points(any, *laser, &self.of_rows[row], 2..3));
+        if 2 * heights.sum::<usize>() < points {
+            return (0, exact);
+        }
+        let fewer: Vec<Vec<Point>> =
+            few.iter().map(|&row| self.of_rows[row].iter().step_by(SPARSE).copied().collect()).collect();
+        let count = |common: i32| {
+            let of_row = |((&row, (laser, _)), points): ((&usize, &(Laser, usize)), &Vec<Point>)| {
+                let azimuth = ((offsets[row] + f64::from(common) * tick) / ANGLE_UNIT).round() as i64;
+                exact_points(any, Laser { azimuth, ..*laser }, points, 0..3)
+            };
+            few.iter().zip(&found).zip(&fewer).map(of_row).sum::<usize>()
+        };
+        let best = std::iter::once(0).chain(rising(FARTHEST)).map(|common| (count(common), common));
+        // The first of equals.
+        let (_, common) = best.fold((0, 0), |best, next| if next.0 > best.0 { next } else { best });
+        let offset = |row: usize| offsets[row] + f64::from(common) * tick;
+        let sum = few.iter().map(|&row| self.laser(any, row, offset(row)).1).sum();
+        if sum > exact { (common, sum) } else { (0, exact) }
+    }
+
+    /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they give to the last
+    /// bit.
+    fn laser(&self, any: &Firings, row: usize, offset: f64) -> (Laser, usize) {
+        let points = &self.of_rows[row];
+        // Ranges are whole steps, so heights tell the elevation better than the positions do.
+        let elevation = |point: &Point| {
+            let steps = whole_steps(point.range, any.range_step_m())?;
+            Some(libm::asin((point.position[2] / (f64::from(steps) * any.range_step_m())).clamp(-1.0, 1.0)))
+        };
+        let mut elevations: Vec<f64> = points.iter().filter_map(elevation).collect();
+        elevations.sort_by(f64::total_cmp);
+        let elevation = elevations.get(elevations.len() / 2).copied().unwrap_or(self.elevations[row]);
+        let [elevation, azimuth] =
+            [elevation.to_degrees(), offset].map(|angle| (angle / ANGLE_UNIT).round() as i64);
+        // The height tells the elevation, but for those that have the same sine.
+        let of_elevation = |elevation: i64| exact_points(any, Laser { elevation, azimuth }, points, 2..3);
+        let elevations = angles(any.build.recipe, elevation, points.len(), of_elevation).0;
+        let laser = |elevation: i64| {
+            let of_azimuth = |azimuth: i64| exact_points(any, Laser { elevation, azimuth }, points, 0..3);
+            let (azimuths, exact) = angles(any.build.recipe, azimuth, points.len(), of_azimuth);
+            (Laser { elevation, azimuth: azimuths.first().copied().unwrap_or(azimuth) }, exact)
+        };
+        let mut best = (Laser { elevation, azimuth }, 0);
+        for elevation in elevations.into_iter().take(SAME) {
+            let found = laser(elevation);
+            if found.1 > best.1 {
+                best = found;
+            }
+            if found.1 == points.len() {
+                break;
+            }
+        }
+        best
     }
 }
 
-/// The constants of a laser, given its elevation and azimuth offset in degrees, and how many of its points they give to
-/// the last bit.
-fn laser(any: &Firings, degrees: [f64; 2], points: &[Point]) -> (Laser, usize) {
-    let exact = |laser: &Laser| {
-        let scanner = any.of_laser(*laser);
-        let is_exact = |point: &&Point| {
-            let Some(steps) = steps_of(point.position, scanner.range_step_m()) else { return false };
-            let [x, y, _] = point.position;
-            let found = Return { row: 0, column: 0, tick: scanner.nearest_tick(0, x, y), steps };
-            scanner.gives(&found, &point.position)
-        };
-        points.iter().filter(is_exact).count()
+/// Elevations of the same sine in single precision, at most.
+const SAME: usize = 12;
+
+/// How many points of a laser come out to the last bit along these axes.
+fn exact_points(any: &Firings, laser: Laser, points: &[Point], axes: std::ops::Range<usize>) -> usize {
+    let scanner = any.of_laser(laser);
+    let is_exact = |point: &&Point| {
+        let Some((steps, tick)) = scanner.locate(0, point.position) else { return false };
+        scanner.gives(&Return { row: 0, column: 0, tick, steps }, &point.position, axes.clone())
     };
-    let mut best: Option<(Laser, usize)> = None;
-    let try_all = |best: &mut Option<(Laser, usize)>, lasers: &mut dyn Iterator<Item = Laser>| {
-        for laser in lasers {
-            let count = exact(&laser);
-            if best.is_none_or(|(_, most)| count > most) {
-                *best = Some((laser, count));
+    points.iter().filter(is_exact).count()
+}
+
+/// The angles near another, in units, by which the most points come out, and how many do: as its maker may have written
+/// it, and its neighbours as the program's numbers go.
+fn angles(recipe: Recipe, near: i64, points: usize, count: impl Fn(i64) -> usize) -> (Vec<i64>, usize) {
+    let mut best: (Vec<i64>, usize) = (Vec::new(), 0);
+    let try_all = |best: &mut (Vec<i64>, usize), angles: &mut dyn Iterator<Item = i64>| {
+        for angle in angles {
+            let count = count(angle);
+            if count > best.1 {
+                *best = (vec![angle], count);
+            } else if count == best.1 && !best.0.contains(&angle) {
+                best.0.push(angle);
             }
         }
     };
-    let azimuths = roundings(degrees[1]);
-    let pairs = roundings(degrees[0])
-        .flat_map(|elevation| azimuths.clone().map(move |azimuth| Laser { elevation, azimuth }));
-    try_all(&mut best, &mut pairs.clone());
-    if best.is_some_and(|(_, count)| count < points.len()) {
-        let (around, _) = best.unwrap_or_default();
-        let step = any.recipe.elevation_step(around.elevation_degrees());
-        let near = (-NEIGHBOURS..=NEIGHBOURS).map(|steps| {
-            let elevation = around.elevation + (f64::from(steps) * step / ANGLE_UNIT).round() as i64;
-            Laser { elevation, ..around }
-        });
-        try_all(&mut best, &mut near.clone());
+    try_all(&mut best, &mut roundings(near as f64 * ANGLE_UNIT));
+    if best.1 == points {
+        return best;
     }
-    best.unwrap_or_default()
+    let around = if best.1 > 0 { best.0[0] } else { near };
+    let step = recipe.angle_step(around as f64 * ANGLE_UNIT) / ANGLE_UNIT;
+    let neighbours = (1..=NEIGHBOURS).flat_map(|steps| [steps, -steps]);
+    try_all(&mut best, &mut neighbours.map(|steps| around + (f64::from(steps) * step).round() as i64));
+    best
 }
 
 /// Steps to either side in which the constant of a program is looked for that wrote it with fewer digits.
-const NEIGHBOURS: i32 = 4;
+const NEIGHBOURS: i32 = 12;
 
-/// An angle in degrees as its maker may have written it, in units: with three digits, with two, and as it is.
+/// An angle in degrees as its maker may have written it, in units: with three digits, with two, with six, with four,
+/// and as it is.
 fn roundings(degrees: f64) -> impl Iterator<Item = i64> + Clone {
     let units = 1.0 / ANGLE_UNIT;
     let rounded = move |digits: f64| (round_ties_even(degrees * digits) * (units / digits)).round() as i64;
-    [rounded(1000.0), rounded(100.0), rounded(units)].into_iter()
+    [rounded(1e3), rounded(1e2), rounded(1e6), rounded(1e4), rounded(units)].into_iter()
 }
+
+/// The part of the steps from one laser to another that are the same if all of a firing have one azimuth.
+const STEADY: f64 = 0.93;
 
 /// The order in which lasers fire.
 struct Order {
@@ -408,13 +561,13 @@ struct Order {
     /// Whole ticks that each row is ahead.
     shifts: Vec<f64>,
     timing: Timing,
+    /// Whether this timing is that of the scanner.
+    is_steady: bool,
 }
 
 /// Finds the order of the lasers from rows and ticks in the order of a file. None if they are not in the order of
 /// firings.
 fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Order> {
-    /// The part of the steps from one laser to another that are the same if all of a firing have one azimuth.
-    const STEADY: f64 = 0.93;
     /// Fewer steps than these say nothing.
     const FEWEST: usize = 8;
     let mut order = cycle(sequence, rows)?;
@@ -464,13 +617,13 @@ fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Order> {
         }
         order.rotate_left(start);
         let rows_of_slots = order.into_iter().map(|row| row as u32).collect();
-        return Some(Order { rows_of_slots, shifts, timing: Timing::default() });
+        return Some(Order { rows_of_slots, shifts, timing: Timing::Together, is_steady: true });
     }
     // The longest step is the one to the next firing.
     let last = (0..rows).max_by(|&a, &b| mean(a).abs().total_cmp(&mean(b).abs()))?;
     order.rotate_left((last + 1) % rows);
     let rows_of_slots = order.into_iter().map(|row| row as u32).collect();
-    Some(Order { rows_of_slots, shifts: vec![0.0; rows], timing: Timing::default() })
+    Some(Order { rows_of_slots, shifts: vec![0.0; rows], timing: Timing::Together, is_steady: false })
 }
 
 /// The order of a VLP-16, if these are its elevations.
@@ -481,8 +634,12 @@ fn vlp_16(elevations: &[f64]) -> Option<Order> {
     };
     let rows_of_slots: Option<Vec<u32>> = VLP_16.map(row).into_iter().collect();
     let is_all = elevations.len() == VLP_16.len();
-    let order =
-        |rows_of_slots| Order { rows_of_slots, shifts: vec![0.0; VLP_16.len()], timing: Timing::VLP_16 };
+    let order = |rows_of_slots| Order {
+        rows_of_slots,
+        shifts: vec![0.0; VLP_16.len()],
+        timing: Timing::Vlp16,
+        is_steady: true,
+    };
     rows_of_slots.filter(|_| is_all).map(order)
 }
 
@@ -516,4 +673,409 @@ fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
         (row != first, rows - (0..rows).filter(|&other| precedes(row, other)).count())
     });
     Some(order)
+}
+
+/// The same scanner with a timing of so many firings a block, whose parts come out of the points; none if they tell none.
+fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Option<Firings> {
+    /// Rounds after which the parts do not change any more.
+    const ROUNDS: usize = 6;
+    let rows = scanner.rows();
+    let mut parts = first_parts(scanner, places, firings)?;
+    for _ in 0..ROUNDS {
+        let of_parts: Vec<u32> = parts.iter().map(|part| (part * f64::from(WHOLE)) as u32).collect();
+        let columns = scanner.clone().with_timing(Timing::Parts(of_parts)).columns(places);
+        // For each slot of each firing: the ticks to the next block, and those from this one.
+        let mut seen: Vec<Vec<(u32, i64)>> = vec![Vec::new(); parts.len()];
+        for column in columns.iter().filter(|column| column.span.ticks > 0) {
+            for place in &places[column.places.clone()] {
+                let slot = column.span.firing as usize * rows + place.slot as usize;
+                seen[slot].push((column.span.ticks, scanner.turned(column.tick, place.tick)));
+            }
+        }
+        let last = parts.clone();
+        for (part, seen) in parts.iter_mut().zip(seen) {
+            *part = part_of(seen).unwrap_or(*part);
+        }
+        if last == parts {
+            break;
+        }
+    }
+    let of_parts = parts.iter().map(|part| (part * f64::from(WHOLE)) as u32).collect();
+    Some(scanner.clone().with_timing(Timing::Parts(of_parts)))
+}
+
+/// The part of a block by which the most ticks come out, each as ticks to the next block and from this one.
+fn part_of(mut seen: Vec<(u32, i64)>) -> Option<f64> {
+    seen.retain(|(span, ticks)| (0..i64::from(*span)).contains(ticks));
+    seen.sort_unstable();
+    // Where intervals of parts begin and end, and how many points are in each.
+    let mut ends: Vec<(f64, i64)> = Vec::new();
+    for same in seen.chunk_by(|a, b| a == b) {
+        let ((span, ticks), count) = (same[0], same.len() as i64);
+        ends.push((ticks as f64 / f64::from(span), count));
+        ends.push(((ticks + 1) as f64 / f64::from(span), -count));
+    }
+    ends.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (mut inside, mut best) = (0, (0, None));
+    for pair in ends.windows(2) {
+        inside += pair[0].1;
+        if inside > best.0 && pair[1].0 > pair[0].0 {
+            best = (inside, Some(0.5 * (pair[0].0 + pair[1].0)));
+        }
+    }
+    best.1
+}
+
+/// About which part of a block has passed at each slot of each of its firings, from what passes on the average.
+fn first_parts(scanner: &Firings, places: &[Place], firings: usize) -> Option<Vec<f64>> {
+    /// The part of a turn that passes in no firing.
+    const FAR: i64 = 300;
+    let rows = scanner.rows();
+    let far = i64::from(scanner.build.ticks) / FAR;
+    // From slot to slot.
+    let (mut sums, mut counts) = (vec![0i64; rows], vec![0i64; rows]);
+    let (mut all, mut slots) = (0, 0);
+    for pair in places.windows(2).filter(|pair| pair[1].slot > pair[0].slot) {
+        let turned = scanner.turned(pair[0].tick, pair[1].tick);
+        if turned.abs() < far {
+            all += turned;
+            slots += i64::from(pair[1].slot - pair[0].slot);
+            if pair[1].slot == pair[0].slot + 1 {
+                sums[pair[1].slot as usize] += turned;
+                counts[pair[1].slot as usize] += 1;
+            }
+        }
+    }
+    let usual = all as f64 / slots.max(1) as f64;
+    let advance = |slot: usize| match counts[slot] {
+        0..4 => usual,
+        count => sums[slot] as f64 / count as f64,
+    };
+    let mut offsets = vec![0.0; rows];
+    (1..rows).for_each(|slot| offsets[slot] = offsets[slot - 1] + advance(slot));
+    // From firing to firing.
+    let firsts = places.iter().zip(places.iter().skip(1)).filter(|(a, b)| b.slot <= a.slot).map(|(_, b)| b);
+    let starts: Vec<f64> = firsts.map(|place| f64::from(place.tick) - offsets[place.slot as usize]).collect();
+    let turn = f64::from(scanner.build.ticks);
+    let mut steps: Vec<f64> = starts
+        .windows(2)
+        .map(|pair| (pair[1] - pair[0]).rem_euclid(turn))
+        .filter(|step| *step > 0.5 && *step < far as f64)
+        .collect();
+    steps.sort_by(f64::total_cmp);
+    let middle = *steps.get(steps.len() / 2)?;
+    let (first, block) = if firings == 1 {
+        (0.0, middle)
+    } else {
+        // The short steps are those inside a block, if they are not all the same.
+        let mean = steps.iter().sum::<f64>() / steps.len() as f64;
+        let short = steps.partition_point(|step| *step < mean);
+        let of = |steps: &[f64]| steps.get(steps.len() / 2).copied().unwrap_or(mean);
+        let (short, long) = (of(&steps[..short]), of(&steps[short..]));
+        if long > 1.5 * short { (short, short + long) } else { (mean, 2.0 * mean) }
+    };
+    let part = |firing: usize, slot: usize| {
+        // Rounded down, ticks are half a tick too few on the average.
+        let half = if firing + slot > 0 { 0.5 } else { 0.0 };
+        ((offsets[slot] + firing as f64 * first + half) / block).clamp(0.0, 1.0)
+    };
+    Some((0..firings).flat_map(|firing| (0..rows).map(move |slot| part(firing, slot))).collect())
+}
+
+/// A maker's scanner whose beams start away from the axis.
+struct Maker {
+    recipe: Recipe,
+    origin: Origin,
+    /// The azimuth offset of all lasers, in hundredths of degrees, if it is the same for all.
+    offset: Option<i32>,
+}
+
+const fn robosense(along_um: i32, up_um: i32) -> Maker {
+    Maker { recipe: Recipe::RoboSense, origin: Origin { along_um, up_um }, offset: None }
+}
+
+const fn lslidar(along_um: i32, offset: i32) -> Maker {
+    Maker { recipe: Recipe::LsLidar, origin: Origin { along_um, up_um: 0 }, offset: Some(offset) }
+}
+
+/// As the drivers of the makers have them.
+const MAKERS: [Maker; 14] = [
+    robosense(34_980, 0),
+    robosense(16_190, 95_710),
+    robosense(14_730, 94_270),
+    robosense(38_250, 0),
+    robosense(39_970, 0),
+    robosense(36_150, 0),
+    robosense(28_920, 0),
+    robosense(7500, 45_320),
+    robosense(19_520, 45_000),
+    lslidar(36_100, 2025),
+    lslidar(35_000, 2180),
+    lslidar(20_900, 2776),
+    lslidar(43_100, 1468),
+    lslidar(49_400, 1298),
+];
+
+/// Ticks a turn where beams start away from the axis, as of all who make such scanners.
+const OFF_AXIS_TICKS: u32 = 36_000;
+
+impl Maker {
+    /// How far from the axis a beam's line crosses the height of its start, if its azimuth offset is small.
+    fn along(&self) -> f64 {
+        let turned = f64::from(self.offset.unwrap_or(0)) * 0.01;
+        self.origin.metres()[0] * libm::cos(turned.to_radians())
+    }
+}
+
+impl Found<'_> {
+    /// Scanners whose beams start away from the axis that may have made the scan: those of the maker that explains most
+    /// of the points.
+    fn off_axis(&self) -> Option<Vec<Firings>> {
+        /// Points that tell whose scanner it is.
+        const SAMPLED: usize = 6000;
+        let step = (self.points.len() / SAMPLED).max(1);
+        let positions = &self.scan.cloud.positions;
+        let sample: Vec<[f32; 3]> = positions.iter().step_by(step).copied().collect();
+        let by_key = self.rows_by_channel();
+        let candidates = MAKERS.par_iter().filter_map(|maker| {
+            let rows = match &by_key {
+                Some(rows) => {
+                    let [along, up] = line_start(rows)?;
+                    let [_, own_up] = maker.origin.metres();
+                    let is_like = (0.85..1.02).contains(&(along / maker.origin.metres()[0]))
+                        && (up - own_up).abs() < 1e-3;
+                    is_like.then(|| rows.clone())?
+                }
+                None => self.rows_by_elevation(maker)?,
+            };
+            let scanner = self.of_maker(maker, rows)?;
+            let reach = 0.5 * scanner.range_step_m() + 1e-5;
+            let places = scanner.places(&sample, reach);
+            let is_exact = |place: &&Place| {
+                let found = Return { row: place.row, column: 0, tick: place.tick, steps: place.steps };
+                scanner.gives(&found, &sample[place.point as usize].map(f64::from), 0..3)
+            };
+            let exact = places.iter().filter(is_exact).count();
+            Some((scanner, exact))
+        });
+        let candidates: Vec<(Firings, usize)> = candidates.collect();
+        let (scanner, _) = candidates.into_iter().max_by_key(|(_, exact)| *exact)?;
+        let places = scanner.places(positions, REACH + 0.5 * scanner.range_step_m());
+        let sequence: Vec<(usize, u32)> =
+            places.iter().map(|place| (place.row as usize, place.tick)).collect();
+        let order = order(&sequence, scanner.rows(), OFF_AXIS_TICKS)?;
+        let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
+        Some(self.with_timings(scanner, order.is_steady))
+    }
+
+    /// The points of each laser, if a channel tells the lasers apart.
+    fn rows_by_channel(&self) -> Option<Vec<Vec<Point>>> {
+        const LASERS: std::ops::RangeInclusive<usize> = 4..=512;
+        /// Radians: points of a laser lie nearer to their median elevation.
+        const SPREAD: f64 = 0.01;
+        let of = |channel: &Channel| {
+            let width = channel.field.width();
+            let mut keyed: Vec<(&[u8], usize)> = self
+                .numbers
+                .iter()
+                .enumerate()
+                .filter_map(|(place, record)| {
+                    Some((channel.bytes.get(record * width..)?.get(..width)?, place))
+                })
+                .collect();
+            keyed.sort_unstable();
+            let groups = keyed.chunk_by(|a, b| a.0 == b.0);
+            if !LASERS.contains(&groups.clone().take(LASERS.end() + 1).count()) {
+                return None;
+            }
+            let rows: Vec<Vec<Point>> =
+                groups.map(|group| group.iter().map(|(_, place)| self.points[*place]).collect()).collect();
+            let (mut near, mut all) = (0, 0);
+            for row in &rows {
+                let mut elevations: Vec<f64> =
+                    row.iter().filter(|point| point.range > 2.0).map(|point| point.elevation).collect();
+                elevations.sort_by(f64::total_cmp);
+                let middle = elevations.get(elevations.len() / 2).copied().unwrap_or(0.0);
+                all += elevations.len();
+                near += elevations.iter().filter(|elevation| (*elevation - middle).abs() < SPREAD).count();
+            }
+            (all > 0 && near * 10 > all * 9).then_some(rows)
+        };
+        let channels = self.scan.cloud.channels.iter();
+        channels.filter(|channel| channel.field.width() <= 4 && !channel.field.name.is_empty()).find_map(of)
+    }
+
+    /// The points of each laser, as narrow heaps of elevations from where a maker's beams start.
+    fn rows_by_elevation(&self, maker: &Maker) -> Option<Vec<Vec<Point>>> {
+        let (along, [_, up]) = (maker.along(), maker.origin.metres());
+        let moved: Vec<Point> = self
+            .points
+            .iter()
+            .map(|point| {
+                let [x, y, z] = point.position;
+                let rho = (x * x + y * y).sqrt() - along;
+                Point { elevation: libm::atan2(z - up, rho), ..*point }
+            })
+            .collect();
+        let elevations = elevations(&moved)?;
+        let mut rows = vec![Vec::new(); elevations.len()];
+        for (point, moved) in self.points.iter().zip(&moved) {
+            let row = nearest(&elevations, moved.elevation);
+            if (elevations[row] - moved.elevation).abs() < 10.0 * ON_CONE {
+                rows[row].push(*point);
+            }
+        }
+        Some(rows)
+    }
+
+    /// The scanner of a maker with constants found from the points of its lasers.
+    fn of_maker(&self, maker: &Maker, rows: Vec<Vec<Point>>) -> Option<Firings> {
+        /// Fewer points of a laser tell nothing.
+        const FEWEST: usize = 4;
+        let hundredth = (0.01 / ANGLE_UNIT) as i64;
+        let mut lasers = Vec::new();
+        let mut ranges = Vec::new();
+        for row in rows.iter().filter(|row| row.len() >= FEWEST) {
+            let (elevation, offset) = laser_off_axis(maker, row);
+            lasers.push(Laser {
+                elevation: i64::from(elevation) * hundredth,
+                azimuth: i64::from(offset) * hundredth,
+            });
+            let step = (row.len() / TRIED).max(1);
+            ranges.extend(row.iter().step_by(step).map(|point| {
+                let (flat, _) = maker.undo(point, offset);
+                let elevation = (f64::from(elevation) * 0.01).to_radians();
+                let [_, up] = maker.origin.metres();
+                flat * libm::cos(elevation) + (point.position[2] - up) * libm::sin(elevation)
+            }));
+        }
+        let range_step_um = range_step(ranges.into_iter())?;
+        let build = Build {
+            recipe: maker.recipe,
+            ticks: OFF_AXIS_TICKS,
+            range_step_um,
+            coordinates: self.coordinates,
+            origin: maker.origin,
+            timing: Timing::Together,
+        };
+        let any = Firings::new(build.clone(), Vec::new(), Vec::new());
+        let pairs = lasers.into_iter().zip(rows.iter().filter(|row| row.len() >= FEWEST));
+        let mut lasers: Vec<Laser> = pairs.map(|(laser, row)| sharpened(&any, laser, row)).collect();
+        lasers.sort_unstable_by_key(|laser| -laser.elevation);
+        lasers.dedup_by_key(|laser| laser.elevation);
+        let rows_of_slots = (0..lasers.len() as u32).collect();
+        Some(Firings::new(build, lasers, rows_of_slots))
+    }
+}
+
+impl Maker {
+    /// How far a point is from where its beam starts, in metres on the ground, and the azimuth of its beam, in radians,
+    /// if the laser is turned by so many hundredths of degrees from where it starts.
+    fn undo(&self, point: &Point, offset: i32) -> (f64, f64) {
+        let [x, y, _] = point.position;
+        let turned = (f64::from(offset) * 0.01).to_radians();
+        let [along, _] = self.origin.metres();
+        let (beside, ahead) = (along * libm::sin(turned), along * libm::cos(turned));
+        let flat = (x * x + y * y - beside * beside).max(0.0).sqrt() - ahead;
+        (flat, self.recipe.azimuth(x, y) + libm::atan2(beside, flat + ahead))
+    }
+}
+
+/// The elevation and the azimuth offset of a laser, in hundredths of degrees: that by which the azimuths of its points
+/// lie on whole ticks.
+fn laser_off_axis(maker: &Maker, points: &[Point]) -> (i32, i32) {
+    /// Hundredths of degrees, and the step in which they are first tried.
+    const FARTHEST: i32 = 6000;
+    const COARSE: i32 = 5;
+    const MOST: usize = 150;
+    let mut sorted: Vec<&Point> = points.iter().collect();
+    sorted.sort_by(|a, b| a.range.total_cmp(&b.range));
+    // Near points tell most.
+    sorted.truncate((2 * sorted.len() / 3).max(MOST.min(points.len())));
+    let few = |most: usize| sorted.iter().step_by((sorted.len() / most).max(1));
+    let in_ticks = f64::from(OFF_AXIS_TICKS) / TAU;
+    let coherence = |offset: i32, most: usize| {
+        strength(few(most).map(|point| maker.undo(point, offset).1 * in_ticks), 0.0)
+    };
+    let best = |offsets: &mut dyn Iterator<Item = i32>, most: usize| {
+        let tried = offsets.map(|offset| (coherence(offset, most), offset));
+        tried.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0, |(_, offset)| offset)
+    };
+    let offset = maker.offset.unwrap_or_else(|| {
+        let coarse = best(&mut (-FARTHEST / COARSE..=FARTHEST / COARSE).map(|step| step * COARSE), MOST / 3);
+        best(&mut (coarse - 2 * COARSE..=coarse + 2 * COARSE), MOST)
+    });
+    let [_, up] = maker.origin.metres();
+    let elevation =
+        |point: &&Point| libm::atan2(point.position[2] - up, maker.undo(point, offset).0).to_degrees();
+    let mut elevations: Vec<f64> = sorted.iter().map(elevation).collect();
+    elevations.sort_by(f64::total_cmp);
+    (round_ties_even(elevations[elevations.len() / 2] * 100.0) as i32, offset)
+}
+
+/// The laser near another by which the most points come out to the last bit.
+fn sharpened(any: &Firings, laser: Laser, points: &[Point]) -> Laser {
+    /// In ticks.
+    const FARTHEST: i64 = 6;
+    let step = (points.len() / TRIED).max(1);
+    let few: Vec<Point> = points.iter().step_by(step).copied().collect();
+    let hundredth = (0.01 / ANGLE_UNIT) as i64;
+    let near = |most: i64| std::iter::once(0).chain((1..=most).flat_map(|off| [off, -off]));
+    let mut best = (0, laser);
+    for (azimuth, elevation) in
+        near(FARTHEST).flat_map(|azimuth| near(1).map(move |elevation| (azimuth, elevation)))
+    {
+        let tried = Laser {
+            elevation: laser.elevation + elevation * hundredth,
+            azimuth: laser.azimuth + azimuth * hundredth,
+        };
+        let exact = exact_points(any, tried, &few, 0..3);
+        if exact > best.0 {
+            best = (exact, tried);
+        }
+        if exact == few.len() {
+            break;
+        }
+    }
+    best.1
+}
+
+/// How far from the axis, and how high, the lines of the lasers cross, in metres; none if too few tell.
+fn line_start(rows: &[Vec<Point>]) -> Option<[f64; 2]> {
+    /// Steeper lines do not tell.
+    const STEEPEST: f64 = 2.0;
+    const FEWEST: usize = 50;
+    let lines = rows.iter().filter(|row| row.len() >= FEWEST).filter_map(|row| {
+        // z = slope * rho + height, by least squares, twice: without what is far off the first.
+        let pairs: Vec<[f64; 2]> =
+            row.iter().map(|point| [point.position[0].hypot(point.position[1]), point.position[2]]).collect();
+        let (slope, height) = line(pairs.iter())?;
+        let off = |pair: &&[f64; 2]| (slope * pair[0] + height - pair[1]).abs();
+        let mut all: Vec<f64> = pairs.iter().map(|pair| off(&pair)).collect();
+        all.sort_by(f64::total_cmp);
+        let limit = 3.0 * all[all.len() / 2] + 1e-7;
+        line(pairs.iter().filter(|pair| off(pair) <= limit)).filter(|(slope, _)| slope.abs() < STEEPEST)
+    });
+    let lines: Vec<[f64; 2]> = lines.map(|(slope, height)| [-slope, height]).collect();
+    // height = up - slope * along.
+    let (along, up) = line(lines.iter())?;
+    let off = |pair: &&[f64; 2]| (along * pair[0] + up - pair[1]).abs();
+    let mut all: Vec<f64> = lines.iter().map(|pair| off(&pair)).collect();
+    all.sort_by(f64::total_cmp);
+    let limit = 3.0 * all[all.len() / 2] + 1e-7;
+    line(lines.iter().filter(|pair| off(pair) <= limit)).map(|(along, up)| [along, up])
+}
+
+/// The line through some pairs, by least squares: its slope, and its height at 0.
+fn line<'p>(pairs: impl Iterator<Item = &'p [f64; 2]> + Clone) -> Option<(f64, f64)> {
+    let count = pairs.clone().count() as f64;
+    let sum = |of: fn(&[f64; 2]) -> f64| pairs.clone().map(of).sum::<f64>() / count.max(1.0);
+    let (x, y) = (sum(|p| p[0]), sum(|p| p[1]));
+    let (mut xx, mut xy) = (0.0, 0.0);
+    for pair in pairs.clone() {
+        xx += (pair[0] - x) * (pair[0] - x);
+        xy += (pair[0] - x) * (pair[1] - y);
+    }
+    let slope = xy / xx;
+    (count >= 3.0 && slope.is_finite()).then_some((slope, y - slope * x))
 }

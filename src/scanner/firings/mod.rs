@@ -10,7 +10,8 @@
 //! x, y, z = d * cos E * cos A, -d * cos E * sin A, d * sin E      or with the axes of another program
 //! ```
 //!
-//! In which precision, and in which order this was computed, is the [`Recipe`] of the program that wrote the file.
+//! In which precision, and in which order this was computed, is the [`Recipe`] of the program that wrote the file. The
+//! beams of some scanners start away from the axis ([`Origin`]), in the direction of the tick, not of the beam.
 
 mod columns;
 mod fit;
@@ -19,15 +20,17 @@ mod recipe;
 
 pub use columns::FiringColumnModel;
 pub use fit::fit;
-pub use recipe::Recipe;
+pub use recipe::{Origin, Recipe};
 
 use std::f64::consts::TAU;
+use std::fmt;
 use std::sync::Arc;
 
 use crate::ground::error::{Error, Result};
+use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
-use crate::scanner::{MOST_RANGE_STEP_UM, MOST_TICKS, RangeImage, Return};
-use recipe::{Arithmetic, Turn};
+use crate::scanner::{Coordinates, MOST_RANGE_STEP_UM, MOST_TICKS, RangeImage, Return};
+use recipe::{Arithmetic, Turn, whole_steps};
 
 /// Degrees of one unit of a laser's constants.
 const ANGLE_UNIT: f64 = 1e-9;
@@ -35,8 +38,8 @@ const ANGLE_UNIT: f64 = 1e-9;
 const LARGEST_ANGLE: u64 = 360_000_000_000;
 /// More lasers than any scanner has.
 const MOST_LASERS: u64 = 1024;
-/// Longer than any time of a firing, in nanoseconds.
-const LONGEST_TIME: u64 = 1 << 31;
+/// Farther than the beams of any scanner start from its origin.
+const MOST_ORIGIN_UM: u64 = 1_000_000;
 
 /// The constants of a laser, as they stand in the stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -59,35 +62,72 @@ impl Laser {
     }
 }
 
-/// How the azimuth goes on inside a block of firings that share one azimuth in the scanner's packets.
-///
-/// The tick of slot `s` in firing `f` of a block is that of the block, and of the ticks to the next block the part
-/// `(s * slot + f * firing) / block`, rounded.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Timing {
-    /// From slot to slot, in nanoseconds.
-    pub slot: u32,
-    /// From firing to firing, in nanoseconds.
-    pub firing: u32,
-    /// From block to block, in nanoseconds; 0: all slots of a firing have the same tick.
-    pub block: u32,
+/// How the azimuth goes on inside a block: the firings that share one azimuth in the scanner's packets.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Timing {
+    /// All slots of a firing have the same tick.
+    #[default]
+    Together,
+    /// Velodyne's VLP-16, with two firings a block, in single precision: of the ticks to the next block, the part
+    /// `(s * slot + f * firing) / block` has passed at slot `s` of firing `f`; rounded.
+    Vlp16,
+    /// Of the ticks to the next block, these parts have passed at each slot, in 2^-24, firing after firing; rounded
+    /// down.
+    Parts(Vec<u32>),
 }
 
-impl Timing {
-    /// Velodyne VLP-16: two firings a block.
-    pub const VLP_16: Timing = Timing { slot: 2304, firing: 55_296, block: 110_592 };
+/// One in the unit of the parts of a block.
+const WHOLE: u32 = 1 << 24;
 
+/// From slot to slot, from firing to firing and from block to block of a VLP-16, in microseconds.
+const VLP_16_TIMES: [f32; 3] = [2.304, 55.296, 110.592];
+
+impl Timing {
     /// Whether ticks differ from slot to slot.
-    pub fn is_interpolated(self) -> bool {
-        self.block > 0
+    pub fn is_interpolated(&self) -> bool {
+        *self != Timing::Together
     }
 
-    /// The ticks from that of the block to that of a slot in a firing of it, before they are rounded, if the next
-    /// block comes `span` ticks later: single precision, as Velodyne's driver computes.
-    fn offset(self, base: u32, span: u32, firing: u32, slot: u32) -> f32 {
-        let microseconds = |nanoseconds: u32| (f64::from(nanoseconds) * 1e-3) as f32;
-        let passed = slot as f32 * microseconds(self.slot) + firing as f32 * microseconds(self.firing);
-        base as f32 + span as f32 * passed / microseconds(self.block)
+    /// The ticks of a slot in a firing of a block at `base`, if the next block comes `span` ticks later; `rows` are the
+    /// slots of a firing.
+    fn tick(&self, base: u32, span: u32, (firing, slot): (u32, u32), rows: usize) -> u32 {
+        match self {
+            Timing::Together => base,
+            Timing::Vlp16 => {
+                let [of_slot, of_firing, of_block] = VLP_16_TIMES;
+                let passed = slot as f32 * of_slot + firing as f32 * of_firing;
+                // Halves away from zero, as the driver's `round`; no tick is negative.
+                (base as f32 + span as f32 * passed / of_block + 0.5).floor() as u32
+            }
+            Timing::Parts(parts) => {
+                let part = parts.get(firing as usize * rows + slot as usize).copied().unwrap_or(0);
+                base + (u64::from(span) * u64::from(part) / u64::from(WHOLE)) as u32
+            }
+        }
+    }
+
+    /// Firings of a block.
+    fn firings(&self, rows: usize) -> u32 {
+        match self {
+            Timing::Together => 1,
+            Timing::Vlp16 => 2,
+            Timing::Parts(parts) => (parts.len() / rows.max(1)) as u32,
+        }
+    }
+
+    /// The part of a block that has passed at a slot of a firing.
+    fn passed(&self, (firing, slot): (u32, u32), rows: usize) -> f64 {
+        match self {
+            Timing::Together => 0.0,
+            Timing::Vlp16 => {
+                let [of_slot, of_firing, of_block] = VLP_16_TIMES.map(f64::from);
+                (f64::from(slot) * of_slot + f64::from(firing) * of_firing) / of_block
+            }
+            Timing::Parts(parts) => {
+                let part = parts.get(firing as usize * rows + slot as usize).copied().unwrap_or(0);
+                f64::from(part) / f64::from(WHOLE)
+            }
+        }
     }
 }
 
@@ -110,13 +150,27 @@ impl Span {
     }
 }
 
+/// What is said of a scanner of firings as a whole.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Build {
+    /// The program that wrote the files.
+    pub recipe: Recipe,
+    /// Azimuth ticks a turn; not 0.
+    pub ticks: u32,
+    /// One range step, in micrometres.
+    pub range_step_um: u32,
+    /// The grid of the file's coordinates.
+    pub coordinates: Coordinates,
+    /// Where beams start.
+    pub origin: Origin,
+    /// How the azimuth goes on inside a block.
+    pub timing: Timing,
+}
+
 /// A scanner of firings.
 #[derive(Clone, Debug)]
 pub struct Firings {
-    recipe: Recipe,
-    ticks: u32,
-    range_step_um: u32,
-    timing: Timing,
+    build: Build,
     /// In the order of the rows: from the highest to the lowest.
     lasers: Vec<Laser>,
     /// The row of each slot.
@@ -137,30 +191,14 @@ impl PartialEq for Firings {
 
 impl Firings {
     /// A scanner with these lasers, from the highest to the lowest, which fire in this order: `rows_of_slots` must be
-    /// a permutation of the rows. `ticks` must not be 0.
-    pub fn new(
-        recipe: Recipe,
-        (ticks, range_step_um): (u32, u32),
-        timing: Timing,
-        lasers: Vec<Laser>,
-        rows_of_slots: Vec<u32>,
-    ) -> Self {
+    /// a permutation of the rows.
+    pub fn new(build: Build, lasers: Vec<Laser>, rows_of_slots: Vec<u32>) -> Self {
         let mut slots_of_rows = vec![0; lasers.len()];
         (0u32..).zip(&rows_of_slots).for_each(|(slot, &row)| slots_of_rows[row as usize] = slot);
-        let arithmetic = lasers.iter().map(|laser| Arithmetic::new(recipe, laser)).collect();
-        let turn = Arc::new(Turn::new(recipe, ticks));
-        Firings {
-            recipe,
-            ticks,
-            range_step_um,
-            timing,
-            lasers,
-            rows_of_slots,
-            rows_of_lines: Vec::new(),
-            slots_of_rows,
-            arithmetic,
-            turn,
-        }
+        let of_laser = |laser: &Laser| Arithmetic::new(build.recipe, laser, build.origin, build.ticks);
+        let arithmetic = lasers.iter().map(of_laser).collect();
+        let turn = Arc::new(Turn::new(build.recipe, build.ticks));
+        Firings { build, lasers, rows_of_slots, rows_of_lines: Vec::new(), slots_of_rows, arithmetic, turn }
     }
 
     /// The same scanner with files that hold row after row, in this order: `rows_of_lines` must be a permutation of the
@@ -169,41 +207,29 @@ impl Firings {
         Firings { rows_of_lines, ..self }
     }
 
+    /// The same scanner with another timing of its firings.
+    fn with_timing(self, timing: Timing) -> Self {
+        Firings { build: Build { timing, ..self.build }, ..self }
+    }
+
     /// A scanner of one laser alone, for the fit.
     fn of_laser(&self, laser: Laser) -> Self {
-        let arithmetic = vec![Arithmetic::new(self.recipe, &laser)];
+        let arithmetic =
+            vec![Arithmetic::new(self.build.recipe, &laser, self.build.origin, self.build.ticks)];
         Firings {
+            build: Build { timing: Timing::Together, ..self.build },
             lasers: vec![laser],
             arithmetic,
             rows_of_slots: vec![0],
             rows_of_lines: Vec::new(),
             slots_of_rows: vec![0],
             turn: self.turn.clone(),
-            ..*self
         }
     }
 
-    /// The program that wrote the files.
-    #[cfg(any(test, feature = "internals"))]
-    pub fn recipe(&self) -> Recipe {
-        self.recipe
-    }
-
-    /// Azimuth ticks a turn.
-    pub fn ticks(&self) -> u32 {
-        self.ticks
-    }
-
-    /// One range step, in micrometres.
-    #[cfg(any(test, feature = "internals"))]
-    pub fn range_step_um(&self) -> u32 {
-        self.range_step_um
-    }
-
-    /// How the azimuth goes on inside a block of firings.
-    #[cfg(any(test, feature = "internals"))]
-    pub fn timing(&self) -> Timing {
-        self.timing
+    /// What is said of it as a whole.
+    pub fn build(&self) -> &Build {
+        &self.build
     }
 
     /// The lasers, row by row.
@@ -219,22 +245,41 @@ impl Firings {
 
     /// One range step, in metres.
     pub fn range_step_m(&self) -> f64 {
-        f64::from(self.range_step_um) * 1e-6
+        f64::from(self.build.range_step_um) * 1e-6
     }
 
     /// The same scanner, its ranges rounded to other steps, in micrometres.
     pub fn with_range_step(self, range_step_um: u32) -> Self {
-        Firings { range_step_um, ..self }
+        Firings { build: Build { range_step_um, ..self.build }, ..self }
     }
 
     /// The azimuth tick of a laser in a column.
     fn tick(&self, row: usize, column_tick: u32, span: Span) -> u32 {
-        if !self.timing.is_interpolated() {
+        if !self.build.timing.is_interpolated() {
             return column_tick;
         }
-        let tick = self.timing.offset(column_tick, span.ticks, span.firing, self.slots_of_rows[row]);
-        // Halves away from zero, as the driver's `round`; no tick is negative.
-        (tick + 0.5).floor() as u32 % self.ticks
+        let place = (span.firing, self.slots_of_rows[row]);
+        self.build.timing.tick(column_tick, span.ticks, place, self.rows()) % self.build.ticks
+    }
+
+    /// The range steps and the tick of a laser that come nearest to a position in metres; none if it has no range.
+    fn locate(&self, row: usize, [x, y, z]: [f64; 3]) -> Option<(u32, u32)> {
+        let laser = &self.lasers[row];
+        let [along, up] = self.build.origin.metres();
+        let (metres, turned) = if self.build.origin == Origin::default() {
+            ((x * x + y * y + z * z).sqrt(), 0.0)
+        } else {
+            let (elevation, offset) =
+                (laser.elevation_degrees().to_radians(), laser.azimuth_degrees().to_radians());
+            let (beside, ahead) = (along * libm::sin(offset), along * libm::cos(offset));
+            let flat = (x * x + y * y - beside * beside).max(0.0).sqrt() - ahead;
+            let metres = flat * libm::cos(elevation) + (z - up) * libm::sin(elevation);
+            (metres, libm::atan2(beside, flat + ahead))
+        };
+        let azimuth = self.build.recipe.azimuth(x, y) + turned - laser.azimuth_degrees().to_radians();
+        let tick = round_ties_even(azimuth / self.radians()) as i64;
+        let steps = whole_steps(metres, self.range_step_m())?;
+        Some((steps, tick.rem_euclid(i64::from(self.build.ticks)) as u32))
     }
 
     /// The returns of an image, and the blanks of a full one, in the order in which a file holds them: firing by firing,
@@ -264,25 +309,37 @@ impl Firings {
     pub fn position(&self, found: &Return, offset_m: f64) -> [f64; 3] {
         let arithmetic = &self.arithmetic[found.row as usize];
         if offset_m == 0.0 {
-            arithmetic.position(&self.turn, found.tick, found.steps, self.range_step_um).map(f64::from)
+            let step = self.build.range_step_um;
+            arithmetic.position(&self.turn, found.tick, found.steps, step).map(f64::from)
         } else {
             let metres = f64::from(found.steps) * self.range_step_m() + offset_m;
             arithmetic.position_at(&self.turn, found.tick, metres)
         }
     }
 
-    /// Whether the recipe gives a position in the file to the last bit.
-    fn gives(&self, found: &Return, position: &[f64; 3]) -> bool {
-        self.position(found, 0.0).iter().zip(position).all(|(formula, value)| formula == value)
+    /// Whether the recipe gives a position in the file to the last bit, along these axes.
+    fn gives(&self, found: &Return, position: &[f64; 3], axes: std::ops::Range<usize>) -> bool {
+        let grid = self.build.coordinates;
+        let formula = self.position(found, 0.0);
+        axes.into_iter().all(|axis| f64::from(grid.nearest(formula[axis])) == position[axis])
     }
 
     /// The payload of the scanner's record.
     pub fn to_payload(&self) -> Vec<u8> {
         let mut record = Vec::new();
         let out = &mut record;
-        let Timing { slot, firing, block } = self.timing;
-        let numbers = [self.recipe as u32, self.ticks, self.range_step_um, slot, firing, block];
-        numbers.into_iter().for_each(|number| write_unsigned(out, u64::from(number)));
+        let Build { recipe, ticks, range_step_um, coordinates, origin, ref timing } = self.build;
+        [recipe as u32, ticks, range_step_um].iter().for_each(|&number| write_unsigned(out, number.into()));
+        let (grid, step) = match coordinates {
+            Coordinates::Float32 => (0, 0),
+            Coordinates::Millimetre => (1, 0),
+            Coordinates::Lattice { step_nm } => (2, step_nm),
+            Coordinates::Digits(digits) => (3, u64::from(digits)),
+        };
+        write_unsigned(out, grid);
+        write_unsigned(out, step);
+        write_signed(out, origin.along_um.into());
+        write_signed(out, origin.up_um.into());
         write_unsigned(out, self.lasers.len() as u64);
         for laser in &self.lasers {
             write_signed(out, laser.elevation);
@@ -291,6 +348,14 @@ impl Firings {
         self.rows_of_slots.iter().for_each(|&row| write_unsigned(out, u64::from(row)));
         out.push(u8::from(!self.rows_of_lines.is_empty()));
         self.rows_of_lines.iter().for_each(|&row| write_unsigned(out, u64::from(row)));
+        match timing {
+            Timing::Together => write_unsigned(out, 0),
+            Timing::Vlp16 => write_unsigned(out, 1),
+            Timing::Parts(parts) => {
+                write_unsigned(out, 1 + u64::from(timing.firings(self.rows())));
+                parts.iter().for_each(|&part| write_unsigned(out, part.into()));
+            }
+        }
         record
     }
 
@@ -308,11 +373,23 @@ impl Firings {
             .ok_or_else(|| Error::unsupported(format!("scanner: unknown recipe {recipe}")))?;
         let ticks = bounded("ticks a turn", 1, MOST_TICKS)?;
         let range_step_um = bounded("range step in micrometres", 1, MOST_RANGE_STEP_UM)?;
-        let mut time = |what| bounded(what, 0, LONGEST_TIME);
-        let timing = Timing {
-            slot: time("time of a slot")?,
-            firing: time("time of a firing")?,
-            block: time("time of a block")?,
+        let grid = bounded("grid of the coordinates", 0, 3)?;
+        let step = bounded("step of the grid", 0, 1_000_000_000)?;
+        let coordinates = match (grid, step) {
+            (0, _) => Coordinates::Float32,
+            (1, _) => Coordinates::Millimetre,
+            (2, 1..) => Coordinates::Lattice { step_nm: step.into() },
+            (3, 1..=9) => Coordinates::Digits(step as u8),
+            _ => return Err(Error::corrupt("scanner: a grid without a step")),
+        };
+        let mut metre = || match read_signed(bytes, "scanner")? {
+            um if um.unsigned_abs() <= MOST_ORIGIN_UM => Ok(um as i32),
+            _ => Err(Error::corrupt("scanner: beams start too far away")),
+        };
+        let origin = Origin { along_um: metre()?, up_um: metre()? };
+        let mut bounded = |what: &str, min: u64, max: u64| match read_unsigned(bytes, "scanner")? {
+            got if (min..=max).contains(&got) => Ok(got as u32),
+            got => Err(Error::over_limit(format!("scanner: {what}"), got, max)),
         };
         let rows = bounded("lasers", 1, MOST_LASERS)?;
         let mut angle = || match read_signed(bytes, "scanner")? {
@@ -329,13 +406,62 @@ impl Firings {
             1 => read_permutation(bytes, rows)?,
             other => return Err(Error::unsupported(format!("scanner: unknown order {other}"))),
         };
-        let scanner = Self::new(recipe, (ticks, range_step_um), timing, lasers, rows_of_slots);
-        Ok(scanner.line_by_line(rows_of_lines))
+        let timing = match read_unsigned(bytes, "scanner")? {
+            0 => Timing::Together,
+            1 => Timing::Vlp16,
+            firings @ 2..=3 => {
+                let count = (firings - 1) * u64::from(rows);
+                let part = |_| match read_unsigned(bytes, "scanner")? {
+                    part if part <= u64::from(WHOLE) => Ok(part as u32),
+                    part => Err(Error::over_limit("scanner: part of a block", part, WHOLE.into())),
+                };
+                Timing::Parts((0..count).map(part).collect::<Result<_>>()?)
+            }
+            other => return Err(Error::unsupported(format!("scanner: unknown timing {other}"))),
+        };
+        let build = Build { recipe, ticks, range_step_um, coordinates, origin, timing };
+        Ok(Self::new(build, lasers, rows_of_slots).line_by_line(rows_of_lines))
     }
 
     /// Radians of a tick.
     fn radians(&self) -> f64 {
-        TAU / f64::from(self.ticks)
+        TAU / f64::from(self.build.ticks)
+    }
+}
+
+impl fmt::Display for Firings {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Build { recipe, ticks, range_step_um, coordinates, origin, timing } = &self.build;
+        let degrees = |laser: Option<&Laser>| laser.map_or(0.0, Laser::elevation_degrees);
+        write!(
+            f,
+            "{} lasers from {:.2} to {:.2} degrees, {} mm, {:.3} degrees a tick, {}",
+            self.lasers.len(),
+            degrees(self.lasers.last()),
+            degrees(self.lasers.first()),
+            f64::from(*range_step_um) * 1e-3,
+            360.0 / f64::from(*ticks),
+            recipe.program(),
+        )?;
+        match coordinates {
+            Coordinates::Float32 => {}
+            Coordinates::Millimetre => write!(f, ", rounded to millimetres")?,
+            Coordinates::Lattice { step_nm } => write!(f, ", rounded to {} mm", *step_nm as f64 * 1e-6)?,
+            Coordinates::Digits(digits) => write!(f, ", rounded to {digits} digits")?,
+        }
+        if *origin != Origin::default() {
+            let [along, up] = origin.metres().map(|metres| metres * 1e3);
+            write!(f, ", beams from {along} mm off the axis and {up} mm above")?;
+        }
+        let order = if self.rows_of_lines.is_empty() { "firing by firing" } else { "row by row" };
+        write!(f, ", {order}")?;
+        match timing {
+            Timing::Together => Ok(()),
+            Timing::Vlp16 => write!(f, " with a VLP-16's timing"),
+            Timing::Parts(_) => {
+                write!(f, ", {} a block, with a timing of their own", timing.firings(self.rows()))
+            }
+        }
     }
 }
 

@@ -1,12 +1,11 @@
 //! Where the points of a scan lie in the range image of a scanner of firings.
 
-use super::recipe::steps_of;
 use super::{Firings, Span};
 use crate::ground::error::Limits;
 use crate::ground::grid::Grid;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::PointCloud;
-use crate::scanner::{Projection, RangeImage, Return};
+use crate::scanner::{Coordinates, Projection, RangeImage, Return};
 
 /// Ranges of an image that loses nothing are below this, in steps.
 const LONGEST: u32 = 1 << 20;
@@ -27,10 +26,10 @@ pub(super) struct Place {
 const UNKNOWN: u32 = u32::MAX;
 
 /// Points that were measured together: a column in the making.
-struct Column {
-    places: std::ops::Range<usize>,
-    tick: u32,
-    span: Span,
+pub(super) struct Column {
+    pub places: std::ops::Range<usize>,
+    pub tick: u32,
+    pub span: Span,
 }
 
 impl Firings {
@@ -53,7 +52,7 @@ impl Firings {
             };
         }
         let spans = columns.iter().map(|column| column.span.kept());
-        let spans: Vec<u32> = if self.timing.is_interpolated() { spans.collect() } else { Vec::new() };
+        let spans: Vec<u32> = if self.build.timing.is_interpolated() { spans.collect() } else { Vec::new() };
         let mut image = RangeImage::new(self.rows(), columns.iter().map(|column| column.tick).collect());
         image.spans = spans;
         let mut point_of_cell = Grid::new(self.rows(), columns.len());
@@ -109,12 +108,12 @@ impl Firings {
             columns.push(Column { places: rest..rest + count, tick, span: Span::default() });
             rest += count;
         }
-        if self.timing.is_interpolated() {
-            self.find_spans(&places, &mut columns, self.ticks_of_slot(&places));
+        if self.build.timing.is_interpolated() {
+            self.find_spans(&places, &mut columns, self.usual_span(&places));
         }
         self.fill_in_ticks(&mut columns);
         let mut image = RangeImage::new(self.rows(), columns.iter().map(|column| column.tick).collect());
-        if self.timing.is_interpolated() {
+        if self.build.timing.is_interpolated() {
             image.spans = columns.iter().map(|column| column.span.kept()).collect();
         }
         image.is_full = true;
@@ -144,12 +143,12 @@ impl Firings {
         let step = steps.get(steps.len() / 2).copied().unwrap_or(0);
         let first = columns.iter().position(|column| column.tick != UNKNOWN);
         let before = first.map_or(0, |first| {
-            let passed = (first as u64 + 1) * u64::from(step) % u64::from(self.ticks);
+            let passed = (first as u64 + 1) * u64::from(step) % u64::from(self.build.ticks);
             self.ticks_from(passed as u32, columns[first].tick)
         });
         columns.iter_mut().fold(before, |last, column| {
             if column.tick == UNKNOWN {
-                column.tick = (last + step) % self.ticks;
+                column.tick = (last + step) % self.build.ticks;
             }
             column.tick
         });
@@ -160,37 +159,33 @@ impl Firings {
         let mut places = Vec::with_capacity(positions.len());
         let elevations: Vec<f64> =
             self.lasers.iter().map(|laser| laser.elevation_degrees().to_radians()).collect();
+        let [along, up] = self.build.origin.metres();
+        let grid = self.build.coordinates;
         for (point, position) in (0u32..).zip(positions) {
             let metres @ [x, y, z] = position.map(f64::from);
-            let Some(steps) = steps_of(metres, self.range_step_m()).filter(|steps| *steps < LONGEST) else {
+            // About where the beam points: its offset is small.
+            let row = nearest(&elevations, libm::atan2(z - up, (x * x + y * y).sqrt() - along));
+            let Some((steps, tick)) = self.locate(row, metres).filter(|(steps, _)| *steps < LONGEST) else {
                 continue;
             };
-            let row = nearest(&elevations, libm::atan2(z, (x * x + y * y).sqrt()));
-            let tick = self.nearest_tick(row, x, y);
             let found = Return { row: row as u32, tick, steps, column: 0 };
             let formula = self.position(&found, 0.0);
             let is_near = formula.iter().zip(metres).all(|(formula, value)| (formula - value).abs() < reach);
-            if is_near {
+            let is_held = || grid == Coordinates::Float32 || grid.holds_all(metres, formula);
+            if is_near && is_held() {
                 places.push(Place { point, row: row as u32, slot: self.slots_of_rows[row], tick, steps });
             }
         }
         places
     }
 
-    /// The tick at which a laser is nearest to looking at a point.
-    pub(super) fn nearest_tick(&self, row: usize, x: f64, y: f64) -> u32 {
-        let turned = self.recipe.azimuth(x, y) - self.lasers[row].azimuth_degrees().to_radians();
-        (round_ties_even(turned / self.radians()) as i64).rem_euclid(i64::from(self.ticks)) as u32
-    }
-
     /// Places by columns: a new one begins where the slots begin anew, or the tick is another.
-    fn columns(&self, places: &[Place]) -> Vec<Column> {
-        let ticks_of_slot = self.ticks_of_slot(places);
+    pub(super) fn columns(&self, places: &[Place]) -> Vec<Column> {
+        let span = self.usual_span(places);
         let mut columns: Vec<Column> = Vec::new();
         let mut last: Option<&Place> = None;
         for (number, place) in places.iter().enumerate() {
-            let goes_on =
-                last.is_some_and(|last| place.slot > last.slot && self.goes_on(last, place, ticks_of_slot));
+            let goes_on = last.is_some_and(|last| place.slot > last.slot && self.goes_on(last, place, span));
             match columns.last_mut().filter(|_| goes_on) {
                 Some(column) => column.places.end = number + 1,
                 None => columns.push(Column {
@@ -201,128 +196,181 @@ impl Firings {
             }
             last = Some(place);
         }
-        if self.timing.is_interpolated() {
-            self.find_spans(places, &mut columns, ticks_of_slot);
+        if self.build.timing.is_interpolated() {
+            self.find_spans(places, &mut columns, span);
         }
         columns
     }
 
-    /// The ticks that pass from slot to slot, on the average.
-    fn ticks_of_slot(&self, places: &[Place]) -> f64 {
+    /// The ticks from one block to the next, on the average.
+    fn usual_span(&self, places: &[Place]) -> f64 {
         /// The part of a turn that passes in no firing.
-        const FAR: u32 = 1000;
-        let (mut ticks, mut slots) = (0, 0);
+        const FAR: i64 = 500;
+        let (mut ticks, mut blocks) = (0, 0.0);
         for pair in places.windows(2).filter(|pair| pair[1].slot > pair[0].slot) {
-            let passed = self.ticks_from(pair[0].tick, pair[1].tick);
-            if passed < self.ticks / FAR {
-                ticks += passed;
-                slots += pair[1].slot - pair[0].slot;
+            let passed = self.passed(0, pair[1].slot) - self.passed(0, pair[0].slot);
+            let turned = self.turned(pair[0].tick, pair[1].tick);
+            if passed > 0.0 && (0..i64::from(self.build.ticks) / FAR).contains(&turned) {
+                ticks += turned;
+                blocks += passed;
             }
         }
-        f64::from(ticks) / f64::from(slots.max(1))
+        if blocks > 0.0 { ticks as f64 / blocks } else { 0.0 }
+    }
+
+    /// The part of a block that has passed at a slot of a firing.
+    fn passed(&self, firing: u32, slot: u32) -> f64 {
+        self.build.timing.passed((firing, slot), self.rows())
+    }
+
+    /// Ticks from one to another, the shortest way.
+    pub(super) fn turned(&self, from: u32, to: u32) -> i64 {
+        let turn = i64::from(self.build.ticks);
+        (i64::from(to) - i64::from(from) + turn / 2).rem_euclid(turn) - turn / 2
     }
 
     /// Ticks from one to another, forwards.
     fn ticks_from(&self, from: u32, to: u32) -> u32 {
-        (to + self.ticks - from) % self.ticks
+        (to + self.build.ticks - from) % self.build.ticks
     }
 
     /// Whether a place of a later slot may be of the same firing.
-    fn goes_on(&self, last: &Place, place: &Place, ticks_of_slot: f64) -> bool {
-        if !self.timing.is_interpolated() {
+    fn goes_on(&self, last: &Place, place: &Place, span: f64) -> bool {
+        if !self.build.timing.is_interpolated() {
             return last.tick == place.tick;
         }
-        // Half of what passes from a firing to the next, in slots, tells the two apart.
-        let between = f64::from(self.timing.firing) / f64::from(self.timing.slot.max(1)) / 2.0;
-        let ticks = f64::from(self.ticks_from(last.tick, place.tick));
-        ticks <= (f64::from(place.slot - last.slot) + between) * ticks_of_slot
+        // Half of what passes from a firing to the next tells the two apart.
+        let firing = span / f64::from(self.build.timing.firings(self.rows()).max(1));
+        let expected = (self.passed(0, place.slot) - self.passed(0, last.slot)) * span;
+        (self.turned(last.tick, place.tick) as f64 - expected).abs() <= 0.5 * firing
     }
 
-    /// Finds the tick of each block, and the ticks to the next one: those by which the ticks of all its places come out.
-    fn find_spans(&self, places: &[Place], columns: &mut [Column], ticks_of_slot: f64) {
+    /// Finds the tick of each block, and the ticks to the next one: those by which the ticks of most of its places come
+    /// out.
+    fn find_spans(&self, places: &[Place], columns: &mut [Column], usual: f64) {
         /// Blocks that no numbers explain, before no more are looked for.
         const MOST_FAILURES: usize = 16;
-        let mut number = 0;
-        let slots_of_block = f64::from(self.timing.block) / f64::from(self.timing.slot.max(1));
-        let mut last = round_ties_even(ticks_of_slot * slots_of_block) as u32;
-        let mut failures = 0;
+        let firings = self.build.timing.firings(self.rows()) as usize;
+        let usual = round_ties_even(usual).max(0.0) as u32;
+        let (mut number, mut last, mut failures) = (0, usual, 0);
         while number < columns.len() {
-            let next = columns.get(number + 2).map(|column| &places[column.places.clone()]);
-            let both = self.block(
-                places,
-                columns,
-                number..(number + 2).min(columns.len()),
-                0,
-                (last, next, ticks_of_slot),
-            );
-            let (count, first) = match both {
-                Some(_) => (2, 0),
-                None => (1, 0),
+            let all = number..(number + firings).min(columns.len());
+            let one = number..number + 1;
+            let size = |block: &std::ops::Range<usize>| {
+                columns[block.clone()].iter().map(|column| column.places.len()).sum::<usize>()
             };
-            let alone = || self.block(places, columns, number..number + 1, 0, (last, None, ticks_of_slot));
-            let second = || self.block(places, columns, number..number + 1, 1, (last, None, ticks_of_slot));
-            let (found, first) = match both.or_else(alone) {
-                Some(found) => (Some(found), first),
-                None => (second(), 1),
-            };
-            let end = (number + count).min(columns.len());
-            for (firing, column) in (first..).zip(&mut columns[number..end]) {
-                if let Some((tick, ticks)) = found {
-                    column.tick = tick;
-                    column.span = Span { ticks, firing };
+            // The firings of a block together, or else one alone, which may be the second one.
+            let mut tried = vec![(all, 0)];
+            if firings > 1 {
+                tried.extend([(one.clone(), 0), (one, 1)]);
+            }
+            let mut best: Option<(Found, std::ops::Range<usize>, u32)> = None;
+            for (block, first) in tried {
+                let Some(found) = self.block(places, columns, block.clone(), first, (last, usual)) else {
+                    continue;
+                };
+                let is_whole = found.fitting == size(&block);
+                let share = |found: &Found, block| found.fitting as f64 / size(block).max(1) as f64;
+                if is_whole
+                    || best.as_ref().is_none_or(|(other, b, _)| share(other, b) < share(&found, &block))
+                {
+                    best = Some((found, block, first));
+                }
+                if is_whole {
+                    break;
                 }
             }
-            last = found.map_or(last, |(_, ticks)| ticks);
-            failures += usize::from(found.is_none());
+            let Some((found, block, first)) = best else {
+                number += 1;
+                continue;
+            };
+            failures += usize::from(2 * found.fitting < size(&block));
+            number = block.end;
+            for (firing, column) in (first..).zip(&mut columns[block]) {
+                column.tick = found.tick;
+                column.span = Span { ticks: found.span, firing };
+            }
+            last = if found.span > 0 { found.span } else { last };
             if failures > MOST_FAILURES && failures > number / 4 {
                 return;
             }
-            number = end;
         }
     }
 
-    /// The tick of a block of these columns, the first of which is this firing of it, and the ticks to the next one:
-    /// those nearest to what was there before, and to what the next block's first place tells.
+    /// The tick of a block of these columns, the first of which is this firing of it, and the ticks to the next one, by
+    /// which the most ticks come out: of equals those nearest to what the next block tells, or what was there before.
     fn block(
         &self,
         places: &[Place],
         columns: &[Column],
         block: std::ops::Range<usize>,
         first_firing: u32,
-        (last, next, ticks_of_slot): (u32, Option<&[Place]>, f64),
-    ) -> Option<(u32, u32)> {
-        /// Ticks between blocks differ by less than this from those before, if the scanner turns evenly.
+        (last, usual): (u32, u32),
+    ) -> Option<Found> {
+        /// Ticks between blocks differ by less than this from the usual, if the scanner turns evenly.
         const UNEVEN: u32 = 12;
         /// Ticks by which a first place may be elsewhere than on the average.
         const OFF: i64 = 3;
-        let first = places.get(columns[block.start].places.start)?;
-        let fits = |tick: u32, ticks: u32| {
-            (first_firing..).zip(&columns[block.clone()]).all(|(firing, column)| {
-                let mut places = places[column.places.clone()].iter();
-                places.all(|place| self.tick(place.row as usize, tick, Span { ticks, firing }) == place.tick)
-            })
+        let of = |column: &Column| &places[column.places.clone()];
+        let size: usize = columns[block.clone()].iter().map(|column| column.places.len()).sum();
+        let first = columns[block.clone()]
+            .iter()
+            .zip(first_firing..)
+            .find_map(|(column, firing)| of(column).first().map(|place| (place, firing)));
+        let (first, firing) = first?;
+        // Whether the block comes out, or else how much of it.
+        let fitting = |tick: u32, span: u32, atleast: usize| {
+            let mut missed = 0;
+            for (firing, column) in (first_firing..).zip(&columns[block.clone()]) {
+                for place in of(column) {
+                    let own = self.tick(place.row as usize, tick, Span { ticks: span, firing });
+                    missed += usize::from(own != place.tick);
+                    if missed + atleast >= size {
+                        return 0;
+                    }
+                }
+            }
+            size - missed
         };
         // Where the azimuth of a block must be, given the place of a firing of it.
-        let turn = i64::from(self.ticks);
-        let slots_of_firing = f64::from(self.timing.firing) / f64::from(self.timing.slot.max(1));
+        let turn = i64::from(self.build.ticks);
         let start = |place: &Place, firing: u32| {
-            let passed = (f64::from(place.slot) + f64::from(firing) * slots_of_firing) * ticks_of_slot;
+            let passed = self.passed(firing, place.slot) * f64::from(last);
             i64::from(place.tick) - round_ties_even(passed) as i64
         };
-        let from = start(first, first_firing);
-        let told = next.and_then(<[Place]>::first).map(|next| start(next, 0));
+        let from = start(first, firing);
+        let next = columns.get(block.end).and_then(|column| of(column).first());
+        let told = next.map(|next| start(next, 0));
+        let mut best: Option<Found> = None;
         for off in (0..=2 * OFF).map(|i| if i % 2 == 0 { i / 2 } else { -(i + 1) / 2 }) {
             let tick = (from + off).rem_euclid(turn) as u32;
             let told = told.map(|told| (told - from - off).rem_euclid(turn) as u32);
             let near_told = told.into_iter().flat_map(|told| [told, told.saturating_sub(1), told + 1]);
+            let near_told = near_told.filter(|told| told.abs_diff(usual) <= UNEVEN);
             let near_last = (0..=UNEVEN).flat_map(|off| [last.saturating_sub(off), last + off]);
-            let mut spans = near_told.filter(|told| told.abs_diff(last) <= 2 * UNEVEN).chain(near_last);
-            if let Some(ticks) = spans.find(|&ticks| fits(tick, ticks)) {
-                return Some((tick, ticks));
+            let near = near_told.chain(near_last).filter(|span| span.abs_diff(usual) <= UNEVEN);
+            for span in near {
+                let fitting = fitting(tick, span, best.map_or(0, |best| best.fitting));
+                if fitting > 0 {
+                    best = Some(Found { tick, span, fitting });
+                }
+                if fitting == size {
+                    return best;
+                }
             }
         }
-        None
+        // Some programs let no azimuth go on in the last block of a packet.
+        let still = fitting(first.tick, 0, best.map_or(0, |best| best.fitting));
+        if still > 0 { Some(Found { tick: first.tick, span: 0, fitting: still }) } else { best }
     }
+}
+
+/// What explains a block: its tick, the ticks to the next one, and the number of places for which they are right.
+#[derive(Clone, Copy)]
+struct Found {
+    tick: u32,
+    span: u32,
+    fitting: usize,
 }
 
 /// The place of the nearest of some falling values.
