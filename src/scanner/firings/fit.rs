@@ -111,7 +111,8 @@ impl Found<'_> {
                 elevations.push(elevations[elevations.len() - 1] - UNSEEN);
             }
         }
-        let of_rows = by_rows(points, &rows, elevations.len());
+        let of_rows = by_rows(points, &rows, elevations.len(), TRIED);
+        let more_of_rows = by_rows(points, &rows, elevations.len(), 10 * TRIED);
         let ticks = ticks(&of_rows)?;
         let phases: Vec<f64> =
             of_rows.iter().map(|points| phase(points.iter().map(|point| in_ticks(point, ticks))).0).collect();
@@ -126,7 +127,7 @@ impl Found<'_> {
         };
         let orders = [own, vlp_16(&elevations)];
         let lines = grid.filter(|grid| grid.by_lines).map_or_else(Vec::new, |grid| grid.lines);
-        let constants = Constants { elevations, phases, of_rows };
+        let constants = Constants { elevations, phases, of_rows, more_of_rows };
         let scanners = orders.into_iter().flatten().filter_map(|order| {
             let build = Build {
                 recipe: Recipe::VelodyneRos,
@@ -330,7 +331,7 @@ fn completed(elevations: Vec<f64>) -> Vec<f64> {
 const VLP_16: [i32; 16] = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15];
 
 /// Some points of each row, the far ones where there are enough.
-fn by_rows(points: &[Point], rows: &[Option<usize>], count: usize) -> Vec<Vec<Point>> {
+fn by_rows(points: &[Point], rows: &[Option<usize>], count: usize, most: usize) -> Vec<Vec<Point>> {
     let mut of_rows = vec![Vec::new(); count];
     for (point, row) in points.iter().zip(rows) {
         if let Some(row) = row {
@@ -339,8 +340,8 @@ fn by_rows(points: &[Point], rows: &[Option<usize>], count: usize) -> Vec<Vec<Po
     }
     for row in &mut of_rows {
         let far: Vec<Point> = row.iter().filter(|point| point.range > 3.0).copied().collect();
-        let of = if far.len() >= TRIED { far } else { std::mem::take(row) };
-        let step = (of.len() / TRIED).max(1);
+        let of = if far.len() >= most { far } else { std::mem::take(row) };
+        let step = (of.len() / most).max(1);
         *row = of.into_iter().step_by(step).collect();
     }
     of_rows
@@ -374,6 +375,8 @@ struct Constants {
     phases: Vec<f64>,
     /// Some points of each.
     of_rows: Vec<Vec<Point>>,
+    /// Ten times as many.
+    more_of_rows: Vec<Vec<Point>>,
 }
 
 impl Constants {
@@ -399,7 +402,12 @@ impl Constants {
         });
         let tried: Vec<_> = tried.collect();
         let (any, common, _) = tried.into_iter().rev().max_by_key(|(_, _, exact)| *exact)?;
-        let of_row = |row: usize| self.laser(&any, row, offsets[row] + f64::from(common) * tick).0;
+        let of_row = |row: usize| {
+            let (laser, _) = self.laser(&any, row, offsets[row] + f64::from(common) * tick);
+            // Sums in single precision tell an offset only by many points.
+            let sums = matches!(any.build.recipe, Recipe::Nebula | Recipe::Nebula2023);
+            if sums { self.polished(&any, row, laser) } else { laser }
+        };
         let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
         Some((any.build, lasers))
     }
@@ -467,6 +475,20 @@ impl Constants {
         if sum > exact { (common, sum) } else { (0, exact) }
     }
 
+    /// The laser with the azimuth offset near its own by which the most of many points come out to the last bit.
+    fn polished(&self, any: &Firings, row: usize, laser: Laser) -> Laser {
+        /// Steps to either side.
+        const FARTHEST: i64 = 12;
+        let points = &self.more_of_rows[row];
+        let steps = std::iter::once(0).chain((1..=FARTHEST).flat_map(|steps| [steps, -steps]));
+        let tried = steps.map(|steps| {
+            let laser = Laser { azimuth: laser.azimuth + steps * AZIMUTH_STEP as i64, ..laser };
+            (exact_points(any, laser, points, 0..3), laser)
+        });
+        // The first of equals.
+        tried.fold((0, laser), |best, next| if next.0 > best.0 { next } else { best }).1
+    }
+
     /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they give to the last
     /// bit.
     fn laser(&self, any: &Firings, row: usize, offset: f64) -> (Laser, usize) {
@@ -483,10 +505,10 @@ impl Constants {
             [elevation.to_degrees(), offset].map(|angle| (angle / ANGLE_UNIT).round() as i64);
         // The height tells the elevation, but for those that have the same sine.
         let of_elevation = |elevation: i64| exact_points(any, Laser { elevation, azimuth }, points, 2..3);
-        let elevations = angles(any.build.recipe, elevation, points.len(), of_elevation).0;
+        let elevations = angles(any.build.recipe, elevation, points.len(), 0.0, of_elevation).0;
         let laser = |elevation: i64| {
             let of_azimuth = |azimuth: i64| exact_points(any, Laser { elevation, azimuth }, points, 0..3);
-            let (azimuths, exact) = angles(any.build.recipe, azimuth, points.len(), of_azimuth);
+            let (azimuths, exact) = angles(any.build.recipe, azimuth, points.len(), AZIMUTH_STEP, of_azimuth);
             (Laser { elevation, azimuth: azimuths.first().copied().unwrap_or(azimuth) }, exact)
         };
         let mut best = (Laser { elevation, azimuth }, 0);
@@ -503,6 +525,8 @@ impl Constants {
     }
 }
 
+/// Azimuth offsets are not told better apart, in units.
+const AZIMUTH_STEP: f64 = 1e-6 / ANGLE_UNIT;
 /// Elevations of the same sine in single precision, at most.
 const SAME: usize = 12;
 
@@ -517,8 +541,14 @@ fn exact_points(any: &Firings, laser: Laser, points: &[Point], axes: std::ops::R
 }
 
 /// The angles near another, in units, by which the most points come out, and how many do: as its maker may have written
-/// it, and its neighbours as the program's numbers go.
-fn angles(recipe: Recipe, near: i64, points: usize, count: impl Fn(i64) -> usize) -> (Vec<i64>, usize) {
+/// it, and its neighbours as the program's numbers go, but not finer than a step.
+fn angles(
+    recipe: Recipe,
+    near: i64,
+    points: usize,
+    least_step: f64,
+    count: impl Fn(i64) -> usize,
+) -> (Vec<i64>, usize) {
     let mut best: (Vec<i64>, usize) = (Vec::new(), 0);
     let try_all = |best: &mut (Vec<i64>, usize), angles: &mut dyn Iterator<Item = i64>| {
         for angle in angles {
@@ -530,26 +560,30 @@ fn angles(recipe: Recipe, near: i64, points: usize, count: impl Fn(i64) -> usize
             }
         }
     };
-    try_all(&mut best, &mut roundings(near as f64 * ANGLE_UNIT));
+    let [thousandths, others @ ..] = roundings(near as f64 * ANGLE_UNIT);
+    try_all(&mut best, &mut std::iter::once(thousandths).chain(others));
     if best.1 == points {
         return best;
     }
-    let around = if best.1 > 0 { best.0[0] } else { near };
-    let step = recipe.angle_step(around as f64 * ANGLE_UNIT) / ANGLE_UNIT;
-    let neighbours = (1..=NEIGHBOURS).flat_map(|steps| [steps, -steps]);
-    try_all(&mut best, &mut neighbours.map(|steps| around + (f64::from(steps) * step).round() as i64));
+    // Programs that keep single precision write seven digits, or more.
+    let step = (recipe.angle_step(near as f64 * ANGLE_UNIT) / ANGLE_UNIT).max(least_step);
+    let around = [thousandths, others[0]].into_iter();
+    let neighbours = around.flat_map(|around| {
+        let steps = (1..=NEIGHBOURS).flat_map(|steps| [steps, -steps]);
+        steps.map(move |steps| around + (f64::from(steps) * step).round() as i64)
+    });
+    try_all(&mut best, &mut neighbours.into_iter());
     best
 }
 
 /// Steps to either side in which the constant of a program is looked for that wrote it with fewer digits.
 const NEIGHBOURS: i32 = 12;
 
-/// An angle in degrees as its maker may have written it, in units: with three digits, with two, with six, with four,
-/// and as it is.
-fn roundings(degrees: f64) -> impl Iterator<Item = i64> + Clone {
+/// An angle in degrees as its maker may have written it, in units: with three digits, with six, two, four and seven, and
+/// as it is.
+fn roundings(degrees: f64) -> [i64; 6] {
     let units = 1.0 / ANGLE_UNIT;
-    let rounded = move |digits: f64| (round_ties_even(degrees * digits) * (units / digits)).round() as i64;
-    [rounded(1e3), rounded(1e2), rounded(1e6), rounded(1e4), rounded(units)].into_iter()
+    [1e3, 1e6, 1e2, 1e4, 1e7, units].map(|digits| (round_ties_even(degrees * digits) * (units / digits)).round() as i64)
 }
 
 /// The part of the steps from one laser to another that are the same if all of a firing have one azimuth.
@@ -820,6 +854,11 @@ const MAKERS: [Maker; 14] = [
 const OFF_AXIS_TICKS: u32 = 36_000;
 
 impl Maker {
+    /// A range step of which all that its scanners have are multiples, in metres.
+    fn least_step_m(&self) -> f64 {
+        if self.recipe == Recipe::RoboSense { 0.0025 } else { 0.002 }
+    }
+
     /// How far from the axis a beam's line crosses the height of its start, if its azimuth offset is small.
     fn along(&self) -> f64 {
         let turned = f64::from(self.offset.unwrap_or(0)) * 0.01;
@@ -932,24 +971,22 @@ impl Found<'_> {
     fn of_maker(&self, maker: &Maker, rows: Vec<Vec<Point>>) -> Option<Firings> {
         /// Fewer points of a laser tell nothing.
         const FEWEST: usize = 4;
-        let hundredth = (0.01 / ANGLE_UNIT) as i64;
-        let mut lasers = Vec::new();
+        let rows: Vec<Vec<Point>> = rows.into_iter().filter(|row| row.len() >= FEWEST).collect();
+        let lasers: Vec<Vec<Laser>> = rows.par_iter().map(|row| lasers_off_axis(maker, row)).collect();
         let mut ranges = Vec::new();
-        for row in rows.iter().filter(|row| row.len() >= FEWEST) {
-            let (elevation, offset) = laser_off_axis(maker, row);
-            lasers.push(Laser {
-                elevation: i64::from(elevation) * hundredth,
-                azimuth: i64::from(offset) * hundredth,
-            });
+        for (row, laser) in rows.iter().zip(&lasers).filter_map(|(row, lasers)| Some((row, lasers.first()?))) {
             let step = (row.len() / TRIED).max(1);
+            let offset = (laser.azimuth_degrees() * 100.0).round() as i32;
+            let elevation = laser.elevation_degrees().to_radians();
+            let [_, up] = maker.origin.metres();
             ranges.extend(row.iter().step_by(step).map(|point| {
                 let (flat, _) = maker.undo(point, offset);
-                let elevation = (f64::from(elevation) * 0.01).to_radians();
-                let [_, up] = maker.origin.metres();
                 flat * libm::cos(elevation) + (point.position[2] - up) * libm::sin(elevation)
             }));
         }
-        let range_step_um = range_step(ranges.into_iter())?;
+        let range_step_um = range_step(ranges.into_iter());
+        if std::env::var("DBG").is_ok() { eprintln!("{:?} rows {} step {range_step_um:?} {:?}", maker.origin, rows.len(), lasers.iter().map(|l| (l.len(), l.first().copied())).collect::<Vec<_>>()); }
+        let range_step_um = range_step_um?;
         let build = Build {
             recipe: maker.recipe,
             ticks: OFF_AXIS_TICKS,
@@ -959,8 +996,8 @@ impl Found<'_> {
             timing: Timing::Together,
         };
         let any = Firings::new(build.clone(), Vec::new(), Vec::new());
-        let pairs = lasers.into_iter().zip(rows.iter().filter(|row| row.len() >= FEWEST));
-        let mut lasers: Vec<Laser> = pairs.map(|(laser, row)| sharpened(&any, laser, row)).collect();
+        let pairs = lasers.par_iter().zip(&rows);
+        let mut lasers: Vec<Laser> = pairs.map(|(lasers, row)| sharpened(&any, lasers, row)).collect();
         lasers.sort_unstable_by_key(|laser| -laser.elevation);
         lasers.dedup_by_key(|laser| laser.elevation);
         let rows_of_slots = (0..lasers.len() as u32).collect();
@@ -981,63 +1018,88 @@ impl Maker {
     }
 }
 
-/// The elevation and the azimuth offset of a laser, in hundredths of degrees: that by which the azimuths of its points
-/// lie on whole ticks.
-fn laser_off_axis(maker: &Maker, points: &[Point]) -> (i32, i32) {
+/// Lasers, best first, by which the azimuths of some points lie on whole ticks, and their ranges on whole steps.
+fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
     /// Hundredths of degrees, and the step in which they are first tried.
     const FARTHEST: i32 = 6000;
-    const COARSE: i32 = 5;
-    const MOST: usize = 150;
+    const COARSE: i32 = 4;
+    const MOST: usize = 120;
+    /// Candidates, and how good they are beside the best.
+    const CANDIDATES: usize = 4;
+    const GOOD: f64 = 0.9;
     let mut sorted: Vec<&Point> = points.iter().collect();
     sorted.sort_by(|a, b| a.range.total_cmp(&b.range));
     // Near points tell most.
     sorted.truncate((2 * sorted.len() / 3).max(MOST.min(points.len())));
     let few = |most: usize| sorted.iter().step_by((sorted.len() / most).max(1));
     let in_ticks = f64::from(OFF_AXIS_TICKS) / TAU;
-    let coherence = |offset: i32, most: usize| {
-        strength(few(most).map(|point| maker.undo(point, offset).1 * in_ticks), 0.0)
-    };
-    let best = |offsets: &mut dyn Iterator<Item = i32>, most: usize| {
-        let tried = offsets.map(|offset| (coherence(offset, most), offset));
-        tried.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0, |(_, offset)| offset)
-    };
-    let offset = maker.offset.unwrap_or_else(|| {
-        let coarse = best(&mut (-FARTHEST / COARSE..=FARTHEST / COARSE).map(|step| step * COARSE), MOST / 3);
-        best(&mut (coarse - 2 * COARSE..=coarse + 2 * COARSE), MOST)
-    });
+    let hundredth = (0.01 / ANGLE_UNIT) as i64;
     let [_, up] = maker.origin.metres();
-    let elevation =
-        |point: &&Point| libm::atan2(point.position[2] - up, maker.undo(point, offset).0).to_degrees();
-    let mut elevations: Vec<f64> = sorted.iter().map(elevation).collect();
-    elevations.sort_by(f64::total_cmp);
-    (round_ties_even(elevations[elevations.len() / 2] * 100.0) as i32, offset)
+    // How coherent the points are with an offset, and the laser that has it.
+    let tried = |offset: i32, most: usize| {
+        let undone: Vec<(f64, f64, f64)> = few(most)
+            .map(|point| {
+                let (flat, azimuth) = maker.undo(point, offset);
+                (azimuth * in_ticks, flat, point.position[2] - up)
+            })
+            .collect();
+        let of_ticks = strength(undone.iter().map(|(ticks, _, _)| *ticks), 0.0);
+        if of_ticks < 0.5 {
+            return (of_ticks, Laser::default());
+        }
+        let mut elevations: Vec<f64> = undone.iter().map(|(_, flat, high)| libm::atan2(*high, *flat)).collect();
+        elevations.sort_by(f64::total_cmp);
+        let elevation = round_ties_even(elevations[elevations.len() / 2].to_degrees() * 100.0);
+        let (sin, cos) = libm::sincos((elevation * 0.01).to_radians());
+        let ranges = undone.iter().map(|(_, flat, high)| (flat * cos + high * sin) / maker.least_step_m());
+        let laser = Laser { elevation: elevation as i64 * hundredth, azimuth: i64::from(offset) * hundredth };
+        (of_ticks + strength(ranges, 0.0), laser)
+    };
+    if let Some(offset) = maker.offset {
+        return vec![tried(offset, MOST).1];
+    }
+    let coarse = (-FARTHEST / COARSE..=FARTHEST / COARSE).map(|step| step * COARSE);
+    let mut found: Vec<(f64, Laser)> = coarse.map(|offset| tried(offset, MOST / 3)).collect();
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let best = found[0].0;
+    found.retain(|(score, _)| *score > GOOD * best);
+    // Of the first ones, those beside them may be better still.
+    let near = found.iter().take(CANDIDATES).flat_map(|(_, laser)| {
+        let coarse = (laser.azimuth / hundredth) as i32;
+        (coarse - COARSE..=coarse + COARSE).map(|offset| tried(offset, MOST))
+    });
+    let best = near.max_by(|a, b| a.0.total_cmp(&b.0));
+    best.into_iter().chain(found).map(|(_, laser)| laser).collect()
 }
 
-/// The laser near another by which the most points come out to the last bit.
-fn sharpened(any: &Firings, laser: Laser, points: &[Point]) -> Laser {
-    /// In ticks.
-    const FARTHEST: i64 = 6;
-    let step = (points.len() / TRIED).max(1);
-    let few: Vec<Point> = points.iter().step_by(step).copied().collect();
+/// Of some lasers and those near them, the one by which the most points come out to the last bit.
+fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
+    /// Points that tell whether it is worth a closer look.
+    const FEW: usize = 12;
+    let some = |most: usize| -> Vec<Point> {
+        points.iter().step_by((points.len() / most).max(1)).copied().collect()
+    };
+    let (few, more) = (some(FEW), some(TRIED));
     let hundredth = (0.01 / ANGLE_UNIT) as i64;
-    let near = |most: i64| std::iter::once(0).chain((1..=most).flat_map(|off| [off, -off]));
-    let mut best = (0, laser);
-    for (azimuth, elevation) in
-        near(FARTHEST).flat_map(|azimuth| near(1).map(move |elevation| (azimuth, elevation)))
-    {
-        let tried = Laser {
-            elevation: laser.elevation + elevation * hundredth,
-            azimuth: laser.azimuth + azimuth * hundredth,
-        };
-        let exact = exact_points(any, tried, &few, 0..3);
+    let moved = |laser: &Laser, azimuth: i64, elevation: i64| Laser {
+        elevation: laser.elevation + elevation * hundredth,
+        azimuth: laser.azimuth + azimuth * hundredth,
+    };
+    let mut best = (0, lasers[0]);
+    for laser in lasers.iter().flat_map(|laser| (-2..=2).map(move |off| moved(laser, off, 0))) {
+        let exact = exact_points(any, laser, &few, 0..3);
         if exact > best.0 {
-            best = (exact, tried);
+            best = (exact, laser);
         }
         if exact == few.len() {
             break;
         }
     }
-    best.1
+    let beside = (-2..=2).flat_map(|azimuth| (-1..=1).map(move |elevation| (azimuth, elevation)));
+    let beside = beside.map(|(azimuth, elevation)| moved(&best.1, azimuth, elevation));
+    let counted = std::iter::once(best.1).chain(beside).map(|laser| (exact_points(any, laser, &more, 0..3), laser));
+    // The first of equals.
+    counted.fold((0, best.1), |best, next| if next.0 > best.0 { next } else { best }).1
 }
 
 /// How far from the axis, and how high, the lines of the lasers cross, in metres; none if too few tell.
