@@ -290,7 +290,7 @@ impl Frame {
     ///
     /// # Errors
     /// If the parts do not fit together.
-    pub fn beside(&self) -> Result<Beside> {
+    pub fn beside(&self, scanner: Option<&Scanner>) -> Result<Beside> {
         let mut beside = Beside::default();
         if self.layout.position.is_some() {
             beside.positions = self.positions_in_order()?;
@@ -304,6 +304,14 @@ impl Frame {
             let columns: Vec<u32> = self.returns.iter().map(|found| found.column + 1).collect();
             beside.rows = self.order.arranged(&rows, &none)?;
             beside.columns = self.order.arranged(&columns, &none)?;
+            if let Some(scanner) = scanner.and_then(Scanner::firings) {
+                let steps: Vec<u32> = self.returns.iter().map(|found| found.steps).collect();
+                let ticks: Vec<u32> = self.returns.iter().map(|found| found.tick).collect();
+                beside.steps = self.order.arranged(&steps, &none)?;
+                beside.ticks = self.order.arranged(&ticks, &none)?;
+                beside.range_step_m = scanner.range_step_m();
+                beside.tick_degrees = 360.0 / f64::from(scanner.ticks());
+            }
         }
         Ok(beside)
     }

@@ -9,10 +9,11 @@ from layout import F32, SIZES
 from models import MixedBits, f32, floats
 from scanner import float_of_bits
 from sections import ByteModel
-from values import Scale, at_place, converted, geometry
+from values import Scale, at_place, converted, geometry, geometry_of_place
 
 CONSTANT, COLUMNS, BYTES, PACKED = range(4)
 SAME, INTEGERS = 1, 2
+BEAM, COLUMN, AFTER = 1, 2, 3
 CANDIDATES, TRIES = 13, 4
 TABLE = 1 << 14
 MASK = TABLE - 1
@@ -20,11 +21,15 @@ MASK = TABLE - 1
 
 class Beside:
     """What is known of the records, in the order of the file; each list may be empty. Positions and intensities are
-    bits of float32s."""
+    bits of float32s. Steps and ticks are those of a scanner of firings, in `range_step_m` and `tick_degrees`."""
 
     def __init__(self, rows=(), columns=(), positions=(), intensities=()):
         self.rows = rows
         self.columns = columns
+        self.steps = ()
+        self.ticks = ()
+        self.range_step_m = 0.0
+        self.tick_degrees = 0.0
         self.positions = positions
         self.intensities = intensities
 
@@ -102,6 +107,7 @@ class Sources:
 class Column:
     def __init__(self):
         self.integers = None
+        self.rules = Rules()
         self.is_off = AdaptiveBit()
         self.off = IntegerModel()
         self.last_off = 0
@@ -120,15 +126,21 @@ class Column:
         has_exceptions = bits.plain(1)
         keys = sources.keys(bits.plain(16), records)
         lag = bits.plain(24)
-        of_position = bits.plain(8)
-        if of_position > 11:
+        told_by = bits.plain(8)
+        if told_by > 18:
             raise Refused("unknown geometry")
+        rule = bits.plain(8)
+        beside = sources.beside
         expected = [None] * records
-        if of_position:
-            for n, position in enumerate(sources.beside.positions):
-                expected[n] = scale.nearest(geometry(of_position, list(map(float_of_bits, position))))
+        if 0 < told_by < 12:
+            for n, position in enumerate(beside.positions):
+                expected[n] = scale.nearest(geometry(told_by, list(map(float_of_bits, position))))
+        elif told_by:
+            for n, (steps, tick) in enumerate(zip(beside.steps, beside.ticks)):
+                told = geometry_of_place(told_by, steps, tick, beside.range_step_m, beside.tick_degrees)
+                expected[n] = scale.nearest(told)
         columns = sources.beside.columns or [0] * records
-        if self.integers is None:
+        if self.integers is None and not rule:
             self.integers = Integers()
         found = []
         past = []
@@ -137,8 +149,11 @@ class Column:
                 found.append(at_place(kind, self.off_scale(bits)))
                 past.append(past[-1] if past else 0)
                 continue
-            lagged = (past[n - lag], past[n - lag - 1]) if 0 < lag < n else None
-            past.append(self.integers.code(bits, keys[n], columns[n], expected[n], lagged))
+            if rule:
+                past.append(self.rules.code(bits, rule, keys[n], columns[n], expected[n] or 0))
+            else:
+                lagged = (past[n - lag], past[n - lag - 1]) if 0 < lag < n else None
+                past.append(self.integers.code(bits, keys[n], columns[n], expected[n], lagged))
             found.append(scale.value(past[-1]))
         return found
 
@@ -154,6 +169,62 @@ def slot(a, b):
     b &= M64
     m = ((a * 0x9E3779B97F4A7C15 ^ (b << 29 | b >> 35)) & M64) * 0xD6E8FEB86659FD93 & M64
     return (m ^ m >> 31) * 0x9E3779B97F4A7C15 >> 50 & MASK
+
+
+class Rules:
+    """Integers of a column that nearly all follow from a rule."""
+
+    def __init__(self):
+        self.offsets, self.after, self.bases = {}, {}, {}
+        self.base = self.last = self.last_column = self.history = 0
+        self.missed = None
+        self.is_right = [AdaptiveBit() for _ in range(256)]
+        self.misses = None
+
+    def code(self, bits, rule, key, column, told):
+        phase = column % (rule - 3) if rule > 3 else 0
+        o = slot(key, phase)
+        a = slot(key, self.last)
+        base = {BEAM: 0, COLUMN: self.bases.get(column, 0)}.get(rule, self.base)
+        expected = wrap(base + self.offsets.get(o, 0), 64)
+        if rule == AFTER:
+            expected = self.after.get(a, expected)
+        context = self.history & 3 | (column != self.last_column) << 2 | phase % 32 << 3
+        is_right = self.is_right[context].code(bits)
+        v = expected
+        if not is_right:
+            if self.misses is None:
+                self.misses = Integers()
+            v = wrap(expected + self.misses.code(bits, key, 0, None, None), 64)
+        self.history = self.history << 1 & 3 | is_right
+        self.last_column = column
+        if rule == BEAM:
+            self.offsets[o] = v
+        elif rule == COLUMN:
+            if column in self.bases and o not in self.offsets:
+                self.offsets[o] = wrap(v - self.bases[column], 64)
+            else:
+                self.bases[column] = wrap(v - self.offsets.setdefault(o, 0), 64)
+        else:
+            self.learn_base(o, v)
+            if rule == AFTER:
+                self.after[a] = v
+                self.last = v
+        return wrap(v + told, 64)
+
+    def learn_base(self, o, v):
+        missed, self.missed = self.missed, None
+        if o not in self.offsets:
+            self.offsets[o] = wrap(v - self.base, 64)
+            return
+        base = wrap(v - self.offsets[o], 64)
+        if base == self.base:
+            return
+        if missed and missed[0] == base:
+            self.offsets[missed[1]] = wrap(missed[2] - base, 64)
+        else:
+            self.missed = self.base, o, v
+        self.base = base
 
 
 def level(v):

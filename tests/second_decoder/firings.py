@@ -33,6 +33,7 @@ class Scanner:
 
     # Nothing is predicted from regions or from a frame before.
     has_references = False
+    is_of_firings = True
 
     def __init__(self, reader):
         self.recipe = reader.varint()

@@ -214,6 +214,10 @@ class Decoder:
         if returns:
             beside.rows = in_order([row + 1 for row, _, _, _ in elements], [0] * strays)
             beside.columns = in_order([column + 1 for _, column, _, _ in elements], [0] * strays)
+            if scanner.is_of_firings:
+                beside.ticks = in_order([tick for _, _, tick, _ in elements], [0] * strays)
+                beside.steps = in_order([steps for _, _, _, steps in elements], [0] * strays)
+                beside.range_step_m, beside.tick_degrees = scanner.range_step, scanner.tick_degrees
         if layout.position:
             beside.positions = in_order(positions, of_strays)
         if layout.intensity:

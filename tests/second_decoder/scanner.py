@@ -72,6 +72,7 @@ class Scanner:
     """Family `hdl64`."""
 
     has_references = True
+    is_of_firings = False
 
     def __init__(self, reader):
         self.coordinates = reader.varint()

@@ -109,8 +109,18 @@ class Scale:
         return to_int(float(round(v)) if isfinite(v) else v)
 
 
+def geometry_of_place(which, steps, tick, range_step_m, tick_degrees):
+    """What a place in the range image tells; `which` is 12 or more."""
+    if which == 12:
+        return steps * range_step_m
+    degrees = tick * tick_degrees
+    unit = (which - 13) % 3
+    angle = degrees * (pi / 180) if unit == 0 else degrees if unit == 1 else degrees * 100.0
+    return angle if which < 16 else -angle
+
+
 def geometry(which, position):
-    """What a position tells; `which` is not 0."""
+    """What a position tells; `which` is 1 to 11."""
     x, y, z = position
     flat = x * x + y * y
     if which == 1:

@@ -77,7 +77,7 @@ impl Models {
         frame.arrange(scanner);                                                     // FORMAT 4.2
         self.corrections.code(s, scanner, frame)?;                                  // FORMAT 8.7, 8.16
         self.records.code_order(s, frame)?;                                         // FORMAT 8.8
-        self.records.code_channels(s, frame)?;                                      // FORMAT 8.9
+        self.records.code_channels(s, scanner, frame)?;                             // FORMAT 8.9
         code_compensation(s, frame)                                                 // FORMAT 8.15
     }
 

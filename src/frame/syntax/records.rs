@@ -7,6 +7,7 @@ use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::models::{ChannelsModel, OrderModel};
 use crate::scan::{Channel, Field};
+use crate::scanner::Scanner;
 use crate::stream::container::SectionKind;
 
 /// What a group's records have taught so far.
@@ -36,13 +37,18 @@ impl RecordModels {
     ///
     /// # Errors
     /// If the section is damaged, or the channels exceed the limits.
-    pub fn code_channels<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+    pub fn code_channels<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        scanner: Option<&Scanner>,
+        frame: &mut Frame,
+    ) -> Result<()> {
         let bytes = frame.records.saturating_mul(frame.layout.channel_bytes());
         within(bytes, sections.limits().file_bytes, "bytes of the frame")?;
         frame.fit_channels();
         let level = sections.effort().level;
         sections.section(SectionKind::Channels, bytes > 0, |coder| {
-            let beside = frame.beside()?;
+            let beside = frame.beside(scanner)?;
             self.channels.code(coder, &mut frame.channels, &beside, level)
         })
     }

@@ -1,12 +1,11 @@
 //! One column: a value of one type for each record.
 
-use std::collections::HashMap;
-
 use super::integers::{IntegersModel, Site};
-use super::numbers::{Scale, number, write_number};
-use super::plan::{Geometry, Integers, Plan};
-use super::{Sources, may_be_key};
-use crate::entropy::{AdaptiveBit, ArithmeticEncoder, BitCoder, IntegerModel};
+use super::numbers::{Grid, Scale, number, write_number};
+use super::plan::{Integers, Plan};
+use super::rules::RuleModel;
+use super::{Beside, Sources, may_be_key};
+use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scan::Scalar;
@@ -16,6 +15,9 @@ use crate::scan::Scalar;
 pub struct ColumnModel {
     /// Made when it is first wanted: it is large.
     integers: Option<IntegersModel>,
+    rules: RuleModel,
+    /// How it was last coded, if as integers.
+    last_plan: Option<Integers>,
     is_off: AdaptiveBit,
     off: IntegerModel,
     last_off: i64,
@@ -67,35 +69,35 @@ impl ColumnModel {
         if plan.scale != Scale::PLACE && !scalar.is_float() {
             return Err(Error::corrupt("channels: a scale of integers"));
         }
+        self.last_plan = Some(plan);
         let size = scalar.size() as usize;
-        let keys = keys(plan.key, sources)?;
-        let columns = &sources.beside.columns;
-        let positions = if plan.geometry == Geometry::NONE { &[][..] } else { &sources.beside.positions[..] };
+        let places = Places::new(&plan, sources, scalar)?;
+        let (grid, by_place) = (&places.grid, Scale::PLACE.grid(scalar));
         let lag = plan.lag as usize;
         let mut past = Vec::new();
-        let model = self.integers.get_or_insert_default();
         for (record, value) in values.chunks_exact_mut(size).enumerate() {
             if coder.is_exhausted() {
                 return Ok(());
             }
-            let mut integer = if C::ENCODES { plan.scale.integer(scalar, value) } else { Some(0) };
+            let mut integer = if C::ENCODES { grid.integer(value) } else { Some(0) };
             if plan.has_exceptions && self.is_off.code(coder, integer.is_none()) {
-                let place = if C::ENCODES { Scale::PLACE.integer(scalar, value).unwrap_or(0) } else { 0 };
+                let place = if C::ENCODES { by_place.integer(value).unwrap_or(0) } else { 0 };
                 let place = code_off(coder, &mut self.off, self.last_off, place);
                 self.last_off = place;
-                Scale::PLACE.write(scalar, place, value);
+                by_place.write(place, value);
                 integer = None;
             } else {
-                let site = Site {
-                    key: keys.get(record).copied().unwrap_or(0),
-                    column: columns.get(record).copied().unwrap_or(0),
-                    geometry: positions
-                        .get(record)
-                        .map(|position| plan.scale.nearest(scalar, plan.geometry.of(position))),
-                    lagged: (lag > 0 && record > lag).then(|| [past[record - lag], past[record - lag - 1]]),
+                let mut site = places.site(record);
+                let known = integer.unwrap_or(0);
+                let coded = match plan.rule {
+                    Some(rule) => self.rules.code(coder, rule, &site, known),
+                    None => {
+                        site.lagged =
+                            (lag > 0 && record > lag).then(|| [past[record - lag], past[record - lag - 1]]);
+                        self.integers.get_or_insert_default().code(coder, &site, known)
+                    }
                 };
-                let coded = model.code(coder, &site, integer.unwrap_or(0));
-                plan.scale.write(scalar, coded, value);
+                grid.write(coded, value);
                 integer = Some(coded);
             }
             if lag > 0 {
@@ -105,60 +107,36 @@ impl ColumnModel {
         Ok(())
     }
 
-    /// How to code a column, and in how many bytes.
-    pub fn choose(&self, sources: &Sources, scalar: Scalar, values: &[u8]) -> (Plan, usize) {
-        /// Records that are coded to choose what predicts them.
-        const SAMPLE: usize = 6000;
-        /// Bytes of such a sample; less is good enough.
-        const SMALL: usize = 40;
-        let size = scalar.size() as usize;
-        if values.chunks_exact(size).all(|value| *value == values[..size]) {
-            return (Plan::Constant, size + 1);
-        }
-        let same = (0..4 + sources.channels.len()).find(|&source| is_same(sources, source, scalar, values));
-        if let Some(source) = same.and_then(|source| u16::try_from(source).ok()) {
-            return (Plan::Same(source), 3);
-        }
-        let scale = Scale::of(scalar, values);
-        let has_exceptions = values.chunks_exact(size).any(|value| scale.integer(scalar, value).is_none());
-        let mut best =
-            Integers { scale, has_exceptions, lag: likely_lag(size, values), ..Integers::default() };
-        // The middle is more like the rest than the start.
-        let records = values.len() / size;
-        let sample = records.saturating_sub(SAMPLE) / 2..records;
-        let sample = sample.start..records.min(sample.start + SAMPLE);
-        let part = sources.part(sample.clone());
-        let sampled = &values[sample.start * size..sample.end * size];
-        let trial = |plan: Integers| self.size_of(plan, &part.sources(), scalar, sampled);
-        let mut least = trial(best);
-        let mut improve = |best: &mut Integers, plan: Integers| {
-            if least > SMALL {
-                let bytes = trial(plan);
-                if bytes < least {
-                    (least, *best) = (bytes, plan);
-                }
-            }
-        };
-        let keys = sources.known.iter().filter(|&&channel| may_be_key(&sources.channels[channel].field));
-        for key in keys.filter_map(|&channel| u16::try_from(channel + 1).ok()) {
-            let plan = Integers { key, ..best };
-            improve(&mut best, plan);
-        }
-        if !sources.beside.positions.is_empty() && size >= 2 {
-            for geometry in Geometry::all() {
-                let plan = Integers { geometry, ..best };
-                improve(&mut best, plan);
-            }
-        }
-        let bytes = self.size_of(best, sources, scalar, values);
-        (Plan::Integers(best), bytes)
+    /// How the column was last coded, if as integers.
+    pub fn last_plan(&self) -> Option<Integers> {
+        self.last_plan
+    }
+}
+
+/// What a plan knows of each record.
+pub struct Places<'a> {
+    keys: Vec<u32>,
+    plan: Integers,
+    beside: &'a Beside,
+    pub grid: Grid,
+}
+
+impl<'a> Places<'a> {
+    /// # Errors
+    /// If there is no channel of the plan's keys.
+    pub fn new(plan: &Integers, sources: &Sources<'a>, scalar: Scalar) -> Result<Self> {
+        let (keys, grid) = (keys(plan.key, sources)?, plan.scale.grid(scalar));
+        Ok(Places { keys, plan: *plan, beside: sources.beside, grid })
     }
 
-    fn size_of(&self, plan: Integers, sources: &Sources, scalar: Scalar, values: &[u8]) -> usize {
-        let mut encoder = ArithmeticEncoder::default();
-        let coded =
-            self.clone().code(&mut encoder, &Plan::Integers(plan), sources, scalar, &mut values.to_vec());
-        if coded.is_ok() { encoder.finish().len() } else { usize::MAX }
+    /// What is known of a record, but for the integers before it.
+    pub fn site(&self, record: usize) -> Site {
+        Site {
+            key: self.keys.get(record).copied().unwrap_or(0),
+            column: self.beside.columns.get(record).copied().unwrap_or(0),
+            geometry: self.plan.geometry.of(record, self.beside).map(|number| self.grid.nearest(number)),
+            lagged: None,
+        }
     }
 }
 
@@ -190,52 +168,8 @@ fn keys(key: u16, sources: &Sources) -> Result<Vec<u32>> {
         .collect())
 }
 
-/// How many records after it a run of values most often comes again; 0 if it seldom does.
-fn likely_lag(size: usize, values: &[u8]) -> u32 {
-    /// Values of a run.
-    const RUN: usize = 4;
-    /// How many runs are looked at.
-    const RUNS: usize = 500;
-    /// One in so many must come again at the same distance.
-    const PART: usize = 4;
-    let records = values.len() / size;
-    if records < 16 * RUN {
-        return 0;
-    }
-    let run = |record: usize| &values[record * size..(record + RUN) * size];
-    let mut seen: HashMap<&[u8], usize> = HashMap::new();
-    let mut distances: HashMap<usize, usize> = HashMap::new();
-    let mut tried = 0;
-    for record in 0..records - RUN {
-        let last = seen.insert(run(record), record);
-        if record % (records / RUNS).max(1) == 0 {
-            tried += 1;
-            if let Some(distance) = last.map(|last| record - last).filter(|&distance| distance > RUN) {
-                *distances.entry(distance).or_default() += 1;
-            }
-        }
-    }
-    let most = distances.into_iter().max_by_key(|&(distance, count)| (count, std::cmp::Reverse(distance)));
-    match most {
-        Some((distance, count)) if count * PART > tried && distance < 1 << 24 => distance as u32,
-        _ => 0,
-    }
-}
-
-/// Whether all values are those of a source.
-fn is_same(sources: &Sources, source: usize, scalar: Scalar, values: &[u8]) -> bool {
-    let Some((type_of, from)) = sources.values(source) else { return false };
-    let size = scalar.size() as usize;
-    let mut again = [0; 8];
-    from.len() / type_of.size() as usize == values.len() / size
-        && values.chunks_exact(size).zip(from.chunks_exact(type_of.size() as usize)).all(|(value, from)| {
-            convert(type_of, from, scalar, &mut again[..size]);
-            again[..size] == *value
-        })
-}
-
 /// A number in another type: the nearest there is.
-fn convert(type_of: Scalar, from: &[u8], scalar: Scalar, to: &mut [u8]) {
+pub fn convert(type_of: Scalar, from: &[u8], scalar: Scalar, to: &mut [u8]) {
     match type_of == scalar {
         true => to.copy_from_slice(from),
         false => write_number(scalar, number(type_of, from), to),

@@ -13,6 +13,8 @@ const VIEWS: usize = 5;
 const OPINIONS: usize = 8;
 /// Bits of the number of entries of a table of what followed what.
 const TABLE_BITS: u32 = 14;
+/// Entries of such a table.
+pub const ENTRIES: usize = 1 << TABLE_BITS;
 /// Levels of the recent error, in half bits.
 const ERROR_LEVELS: usize = 64;
 /// Differences of this many bits and more are coded as they are.
@@ -64,15 +66,14 @@ const PLACES: usize = 1 << 14;
 
 impl Default for IntegersModel {
     fn default() -> Self {
-        let table = 1 << TABLE_BITS;
         IntegersModel {
             last: [0; 3],
             key: 0,
-            of_key: vec![[0; 3]; table],
-            of_keys: vec![0; table],
+            of_key: vec![[0; 3]; ENTRIES],
+            of_keys: vec![0; ENTRIES],
             of_column: Vec::new(),
-            after: vec![0; table],
-            after_steps: vec![0; table],
+            after: vec![0; ENTRIES],
+            after_steps: vec![0; ENTRIES],
             scores: [0.5; CANDIDATES],
             errors: [16.0; CANDIDATES],
             history: 0,
@@ -225,7 +226,8 @@ fn level(part: f32) -> usize {
     ((part * 32.0) as usize).min(31)
 }
 
-fn slot(a: u64, b: u64) -> usize {
+/// The entry of two numbers in a table of [`ENTRIES`].
+pub fn slot(a: u64, b: u64) -> usize {
     let mixed =
         (a.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ b.rotate_left(29)).wrapping_mul(0xd6e8_feb8_6659_fd93);
     ((mixed ^ mixed >> 31).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (u64::BITS - TABLE_BITS)) as usize

@@ -3,22 +3,26 @@
 //!
 //! A column that is coded can tell of those after it, so narrow types come first: rings, then times.
 
+mod choice;
 mod column;
 mod integers;
 mod numbers;
 mod packed;
 mod plan;
+mod rules;
 #[cfg(test)]
 mod tests;
 
 pub use packed::{FLOOR_LEVEL, LZMA_GAIN, Packed, code_packed};
+
+use std::ops::Range;
 
 use column::ColumnModel;
 use plan::Plan;
 
 use super::ByteModel;
 use crate::backend::Level;
-use crate::entropy::BitCoder;
+use crate::entropy::{ArithmeticEncoder, BitCoder};
 use crate::ground::error::{Error, Result};
 use crate::scan::{Channel, Field, Scalar};
 
@@ -35,6 +39,14 @@ pub struct Beside {
     pub rows: Vec<u32>,
     /// The column of each, likewise.
     pub columns: Vec<u32>,
+    /// The range of each in steps, 0 for a stray. Empty without an image of a scanner of firings.
+    pub steps: Vec<u32>,
+    /// The azimuth tick of each, likewise.
+    pub ticks: Vec<u32>,
+    /// What a step is.
+    pub range_step_m: f64,
+    /// What a tick is.
+    pub tick_degrees: f64,
     /// Empty if there are none.
     pub positions: Vec<[f32; 3]>,
     /// Empty if there are none.
@@ -148,27 +160,28 @@ impl Sources<'_> {
     }
 
     /// The same for some of the records alone.
-    fn part(&self, records: std::ops::Range<usize>) -> OwnedSources {
-        let part = |values: &[u32]| values.get(records.clone()).map_or_else(Vec::new, <[u32]>::to_vec);
+    fn part(&self, records: &[Range<usize>]) -> OwnedSources {
+        fn part<T: Copy>(values: &[T], records: &[Range<usize>]) -> Vec<T> {
+            records.iter().flat_map(|part| values.get(part.clone()).unwrap_or_default()).copied().collect()
+        }
         let beside = self.beside;
         let channels = self.channels.iter().enumerate().map(|(number, channel)| {
             let width = channel.field.width();
             let is_known = self.known.contains(&number);
-            let bytes = if is_known {
-                channel.bytes[records.start * width..records.end * width].to_vec()
-            } else {
-                Vec::new()
-            };
+            let bytes = if is_known { choice::gather(&channel.bytes, width, records) } else { Vec::new() };
             Channel { field: channel.field.clone(), bytes }
         });
         OwnedSources {
             channels: channels.collect(),
             known: self.known.to_vec(),
             beside: Beside {
-                rows: part(&beside.rows),
-                columns: part(&beside.columns),
-                positions: beside.positions.get(records.clone()).unwrap_or_default().to_vec(),
-                intensity: beside.intensity.get(records.clone()).unwrap_or_default().to_vec(),
+                rows: part(&beside.rows, records),
+                columns: part(&beside.columns, records),
+                steps: part(&beside.steps, records),
+                ticks: part(&beside.ticks, records),
+                positions: part(&beside.positions, records),
+                intensity: part(&beside.intensity, records),
+                ..*beside
             },
         }
     }
@@ -240,36 +253,57 @@ impl ChannelCoder<'_> {
     }
 
     /// The shortest way to code a channel.
-    fn choose(&self, sources: &Sources, bytes: &[u8]) -> (Shape, Vec<Plan>, Option<packed::Packed>) {
+    fn choose(&self, sources: &Sources, bytes: &[u8]) -> (Shape, Vec<Plan>, Option<Packed>) {
         /// Bytes; what takes less is not worth a further try.
         const SMALL: usize = 64;
+        /// A sample tells sizes to within one part in so many.
+        const UNSURE: usize = 8;
         if bytes.chunks_exact(self.width).all(|value| value == &bytes[..self.width]) {
             return (Shape::Constant, Vec::new(), None);
         }
-        let mut best = (usize::MAX, Shape::Bytes);
         let mut plans = Vec::new();
-        if !self.columns.is_empty() {
-            let mut size = 0;
-            for (model, values) in self.columns.iter().zip(split(bytes, self.scalar, self.columns.len())) {
-                let (plan, column_size) = model.choose(sources, self.scalar, &values);
-                size += column_size;
-                plans.push(plan);
-            }
-            best = (size, Shape::Columns);
+        let (mut size, mut is_sure) = (0usize, !self.columns.is_empty());
+        for (model, values) in self.columns.iter().zip(split(bytes, self.scalar, self.columns.len())) {
+            let choice = model.choose(sources, self.scalar, &values);
+            size = choice.bytes.saturating_add(size);
+            is_sure &= choice.is_sure;
+            plans.push(choice.plan);
         }
-        if best.0 > SMALL {
-            let mut encoder = crate::entropy::ArithmeticEncoder::default();
-            self.bytes.clone().code(&mut encoder, self.width, &mut bytes.to_vec());
-            let size = encoder.finish().len();
-            if size < best.0 {
-                best = (size, Shape::Bytes);
-            }
+        if is_sure || !plans.is_empty() && size <= SMALL {
+            return (Shape::Columns, plans, None);
         }
-        let packed = packed::Packed::shortest(bytes, self.scalar, self.width, self.level, best.0);
-        match packed {
-            Some(packed) => (Shape::Packed, plans, Some(packed)),
-            None => (best.1, plans, None),
+        let sampled = choice::gather(bytes, self.width, &choice::sample(bytes.len() / self.width));
+        let as_bytes = self.size_as_bytes(&sampled).saturating_mul(bytes.len()) / sampled.len().max(1);
+        let (mut best, shape) = match plans.is_empty() || as_bytes < size {
+            true => (as_bytes, Shape::Bytes),
+            false => (size, Shape::Columns),
+        };
+        let most = best.saturating_add(best / UNSURE);
+        let packed = Packed::shortest(bytes, self.scalar, self.width, self.level, most);
+        let Some(packed) = packed else { return (shape, plans, None) };
+        // Models learn more of all records than of a sample.
+        if sampled.len() < bytes.len() {
+            best = match shape {
+                Shape::Columns => self.size_as_columns(&plans, sources, bytes),
+                _ => self.size_as_bytes(bytes),
+            };
         }
+        match packed.is_shorter_than(best) {
+            true => (Shape::Packed, plans, Some(packed)),
+            false => (shape, plans, None),
+        }
+    }
+
+    fn size_as_bytes(&self, bytes: &[u8]) -> usize {
+        let mut encoder = ArithmeticEncoder::default();
+        self.bytes.clone().code(&mut encoder, self.width, &mut bytes.to_vec());
+        encoder.finish().len()
+    }
+
+    fn size_as_columns(&self, plans: &[Plan], sources: &Sources, bytes: &[u8]) -> usize {
+        let columns = split(bytes, self.scalar, plans.len());
+        let sizes = self.columns.iter().zip(plans).zip(&columns);
+        sizes.map(|((model, plan), values)| model.size_of(plan, sources, self.scalar, values)).sum()
     }
 }
 

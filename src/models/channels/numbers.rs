@@ -59,9 +59,10 @@ impl Scale {
         let size = scalar.size() as usize;
         let step = (values.len() / size / SAMPLES).max(1);
         let suits = |scale: Scale, every: usize| {
+            let grid = scale.grid(scalar);
             let tried = values.chunks_exact(size).step_by(every);
             let most = tried.len() / RARE;
-            tried.filter(|value| scale.integer(scalar, value).is_none()).nth(most).is_none()
+            tried.filter(|value| grid.integer(value).is_none()).nth(most).is_none()
         };
         let finite =
             values.chunks_exact(size).map(|value| number(scalar, value).abs()).filter(|v| v.is_finite());
@@ -101,47 +102,71 @@ impl Scale {
         }
     }
 
+    /// The values of a type on this scale.
+    pub fn grid(self, scalar: Scalar) -> Grid {
+        let (form, exponent) = self.form().map_or((None, 0), |(form, exponent)| (Some(form), exponent));
+        Grid { scalar, form, power: power(exponent), step: self.step() }
+    }
+}
+
+/// The values of a type on a [`Scale`].
+#[derive(Clone, Copy, Debug)]
+pub struct Grid {
+    scalar: Scalar,
+    form: Option<Form>,
+    /// 10^k.
+    power: f64,
+    step: f64,
+}
+
+impl Grid {
     /// The integer of a value; `None` if it is off the grid.
-    pub fn integer(self, scalar: Scalar, value: &[u8]) -> Option<i64> {
-        if self.form().is_none() {
-            return Some(place(scalar, value));
+    pub fn integer(&self, value: &[u8]) -> Option<i64> {
+        if self.form.is_none() {
+            return Some(place(self.scalar, value));
         }
-        let number = number(scalar, value);
-        let count = libm::rint(number / self.step());
+        let number = number(self.scalar, value);
+        let count = libm::rint(number / self.step);
         // Larger ones are not exact, and some are no numbers.
         if !count.is_finite() || count.abs() >= 9e15 {
             return None;
         }
         let mut again = [0; 8];
-        self.write(scalar, count as i64, &mut again);
+        self.write(count as i64, &mut again);
         (again[..value.len()] == *value).then_some(count as i64)
     }
 
+    /// Whether some of these values are off the grid.
+    pub fn misses_any(&self, values: &[u8]) -> bool {
+        let size = self.scalar.size() as usize;
+        self.form.is_some() && values.chunks_exact(size).any(|value| self.integer(value).is_none())
+    }
+
     /// The value of an integer.
-    pub fn write(self, scalar: Scalar, integer: i64, value: &mut [u8]) {
-        let Some((form, exponent)) = self.form() else { return write_place(scalar, integer, value) };
+    pub fn write(&self, integer: i64, value: &mut [u8]) {
+        let Some(form) = self.form else { return write_place(self.scalar, integer, value) };
         let count = integer as f64;
         let number = match form {
-            Form::Quotient => count / power(exponent),
-            Form::Product => count * (1.0 / power(exponent)),
+            Form::Quotient => count / self.power,
+            Form::Product => count * (1.0 / self.power),
             Form::Levels(levels) => count / levels,
-            Form::Single(factor) => f64::from(count as f32 * (factor / power(exponent)) as f32),
-            Form::Degrees => count * (1.0 / power(exponent)) * std::f64::consts::PI / 180.0,
+            Form::Single(factor) => f64::from(count as f32 * (factor / self.power) as f32),
+            Form::Degrees => count * (1.0 / self.power) * std::f64::consts::PI / 180.0,
         };
-        match scalar {
+        match self.scalar {
             Scalar::F32 => LittleEndian::write_f32(value, number as f32),
             _ => LittleEndian::write_f64(value, number),
         }
     }
 
     /// The integer that comes nearest to a number.
-    pub fn nearest(self, scalar: Scalar, number: f64) -> i64 {
-        match (self.form(), scalar) {
+    pub fn nearest(&self, number: f64) -> i64 {
+        match (self.form, self.scalar) {
             // Processors differ in the bits of a NaN that they compute.
             _ if number.is_nan() => 0,
             (None, Scalar::F32) => ordered32((number as f32).to_bits()),
             (None, Scalar::F64) => ordered64(number.to_bits()),
-            _ => libm::rint(number / self.step()) as i64,
+            _ => libm::rint(number / self.step) as i64,
         }
     }
 }
@@ -253,18 +278,18 @@ mod tests {
         #[test]
         fn what_is_on_a_grid_comes_back(bits: u64, small in -1000i64..1000, code in 0u8..=64, double: bool) {
             let scalar = if double { Scalar::F64 } else { Scalar::F32 };
-            let scale = Scale::from_code(code).unwrap();
+            let grid = Scale::from_code(code).unwrap().grid(scalar);
             let size = scalar.size() as usize;
             let mut value = bits.to_le_bytes();
             if bits % 3 > 0 {
-                scale.write(scalar, small, &mut value);
+                grid.write(small, &mut value);
             }
-            if let Some(integer) = scale.integer(scalar, &value[..size]) {
+            if let Some(integer) = grid.integer(&value[..size]) {
                 let mut again = [0; 8];
-                scale.write(scalar, integer, &mut again);
+                grid.write(integer, &mut again);
                 prop_assert_eq!(&again[..size], &value[..size]);
             }
-            scale.nearest(scalar, f64::from_bits(bits));
+            grid.nearest(f64::from_bits(bits));
         }
 
         #[test]

@@ -101,9 +101,14 @@ impl Packed {
                 }
             }
         }
+        packed.is_shorter_than(most).then_some(packed)
+    }
+
+    /// Whether it takes fewer bytes.
+    pub fn is_shorter_than(&self, bytes: usize) -> bool {
         /// The numbers before the payload.
         const HEADER: usize = 8;
-        (packed.payload.len() + HEADER < most).then_some(packed)
+        self.payload.len() + HEADER < bytes
     }
 }
 

@@ -1,6 +1,8 @@
 //! How a column is coded: the encoder's choice, as it stands in the stream.
 
+use super::Beside;
 use super::numbers::Scale;
+use super::rules::Rule;
 use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
 
@@ -35,28 +37,51 @@ pub struct Integers {
     pub key: u16,
     /// How many records after it a value is likely to come again; 0: none.
     pub lag: u32,
-    /// What of the position it may follow from.
+    /// What of the position or of the place it may follow from.
     pub geometry: Geometry,
+    /// By what rule nearly all follow, if there is one.
+    pub rule: Option<Rule>,
 }
 
-/// A number that follows from a position.
+/// A number that follows from a position, or from a place in the range image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Geometry(u8);
 
-/// The numbers of distances, and of angles in radians, degrees and hundredths of degrees.
-const GEOMETRIES: u8 = 12;
+/// The numbers of none, of distances, and of angles in radians, degrees and hundredths of degrees.
+const GEOMETRIES: u8 = 19;
+/// The first number of those that follow from a place: the range, and the azimuth either way round.
+const FIRST_OF_PLACE: u8 = 12;
 
 impl Geometry {
-    /// No number.
-    pub const NONE: Geometry = Geometry(0);
-
-    /// All that there are, [`NONE`](Self::NONE) aside.
-    pub fn all() -> impl Iterator<Item = Geometry> {
-        (1..GEOMETRIES).map(Geometry)
+    /// Those of a position.
+    pub fn of_positions() -> impl Iterator<Item = Geometry> {
+        (1..FIRST_OF_PLACE).map(Geometry)
     }
 
-    /// The number of a position; 0 for [`NONE`](Self::NONE).
-    pub fn of(self, position: &[f32; 3]) -> f64 {
+    /// Those of a place in the range image.
+    pub fn of_places() -> impl Iterator<Item = Geometry> {
+        (FIRST_OF_PLACE..GEOMETRIES).map(Geometry)
+    }
+
+    /// The number of a record, if it is known.
+    pub fn of(self, record: usize, beside: &Beside) -> Option<f64> {
+        match self.0 {
+            0 => None,
+            1..FIRST_OF_PLACE => beside.positions.get(record).map(|position| self.of_position(position)),
+            FIRST_OF_PLACE => Some(f64::from(*beside.steps.get(record)?) * beside.range_step_m),
+            _ => {
+                let degrees = f64::from(*beside.ticks.get(record)?) * beside.tick_degrees;
+                let angle = match (self.0 - FIRST_OF_PLACE - 1) % 3 {
+                    0 => degrees * (std::f64::consts::PI / 180.0),
+                    1 => degrees,
+                    _ => degrees * 100.0,
+                };
+                Some(if self.0 < FIRST_OF_PLACE + 4 { angle } else { -angle })
+            }
+        }
+    }
+
+    fn of_position(self, position: &[f32; 3]) -> f64 {
         let [x, y, z] = position.map(f64::from);
         let flat = x * x + y * y;
         let angle = |radians: f64| match (self.0 - 3) % 3 {
@@ -65,7 +90,6 @@ impl Geometry {
             _ => radians * (18_000.0 / std::f64::consts::PI),
         };
         match self.0 {
-            0 => 0.0,
             1 => (flat + z * z).sqrt(),
             2 => flat.sqrt(),
             3..6 => angle(libm::atan2(y, x)),
@@ -91,7 +115,7 @@ impl Plan {
             0 => Ok(Plan::Constant),
             1 => Ok(Plan::Same(coder.code_plain(source.into(), 16) as u16)),
             2 => {
-                let Integers { scale, has_exceptions, key, lag, geometry } = match self {
+                let Integers { scale, has_exceptions, key, lag, geometry, rule } = match self {
                     Plan::Integers(integers) => integers,
                     _ => Integers::default(),
                 };
@@ -102,7 +126,8 @@ impl Plan {
                 let lag = coder.code_plain(lag.into(), 24) as u32;
                 let geometry = coder.code_plain(geometry.0.into(), 8) as u8;
                 let geometry = Some(Geometry(geometry)).filter(|g| g.0 < GEOMETRIES).ok_or_else(unknown)?;
-                Ok(Plan::Integers(Integers { scale, has_exceptions, key, lag, geometry }))
+                let rule = Rule::from_code(coder.code_plain(Rule::to_code(rule).into(), 8) as u8);
+                Ok(Plan::Integers(Integers { scale, has_exceptions, key, lag, geometry, rule }))
             }
             _ => Err(unknown()),
         }

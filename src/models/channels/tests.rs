@@ -2,6 +2,8 @@
 
 use proptest::prelude::*;
 
+use super::integers::Site;
+use super::rules::{Rule, RuleModel};
 use super::*;
 use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
 
@@ -66,6 +68,69 @@ fn times_of_firings_are_explained_by_the_ring() {
     assert!(both - rings < RECORDS as usize / 40, "{both} bytes, {rings} of rings");
 }
 
+/// What is known of returns of a scanner of 16 beams whose ticks are hundredths of degrees.
+fn beside_firings(returns: &[u32]) -> Beside {
+    Beside {
+        rows: returns.iter().map(|n| n % 16 + 1).collect(),
+        columns: returns.iter().map(|n| n / 16 + 1).collect(),
+        steps: returns.iter().map(|&n| 500 + noise(n) % 30_000).collect(),
+        ticks: returns.iter().map(|n| n / 16 * 20 % 36_000).collect(),
+        range_step_m: 0.002,
+        tick_degrees: 0.01,
+        ..Beside::default()
+    }
+}
+
+#[test]
+fn what_follows_from_range_and_tick_costs_next_to_nothing() {
+    let returns = returns();
+    let beside = beside_firings(&returns);
+    let steps = || beside.steps.iter();
+    let turned = |row: u32, tick: u32| tick as i32 + (row * 37 % 11) as i32 - 5;
+    let ticks = || beside.rows.iter().zip(&beside.ticks);
+    let channels = [
+        channel("single", Scalar::F32, steps().map(|&n| (n as f32 * 0.002f32).to_le_bytes())),
+        channel("rounded", Scalar::F32, steps().map(|&n| ((f64::from(n) * 0.002) as f32).to_le_bytes())),
+        channel("turned", Scalar::F32, ticks().map(|(&row, &tick)| (turned(row, tick) as f32).to_le_bytes())),
+        channel(
+            "radians",
+            Scalar::F32,
+            ticks().map(|(_, &tick)| {
+                ((f64::from(tick) * 0.01 * std::f64::consts::PI / 180.0) as f32).to_le_bytes()
+            }),
+        ),
+        channel("backwards", Scalar::U16, ticks().map(|(_, &tick)| (36_000 - tick as u16).to_le_bytes())),
+    ];
+    let size = round_trip(&channels, &beside);
+    assert!(size < 150, "{size} bytes");
+}
+
+#[test]
+fn times_of_packets_are_known_in_all_their_firings() {
+    let returns = returns();
+    let beside = beside_firings(&returns);
+    let time = |n: &u32| {
+        // Six firings to a packet, whose times are rough.
+        let packet = 1.6e9 + f64::from(n / 96 * 330 + noise(n / 96) % 7) * 1e-6;
+        (packet + (f64::from(n / 16 % 6) * 55.296 + f64::from(n % 16) * 2.304) * 1e-6).to_le_bytes()
+    };
+    let size = round_trip(&[channel("time", Scalar::F64, returns.iter().map(time))], &beside);
+    let packets = returns[returns.len() - 1] as usize / 96;
+    assert!(size < 4 * packets, "{size} bytes of {packets} packets");
+}
+
+#[test]
+fn a_column_has_one_time_in_every_line() {
+    let beside = Beside {
+        rows: (0..RECORDS).map(|n| n / 500 + 1).collect(),
+        columns: (0..RECORDS).map(|n| n % 500 + 1).collect(),
+        ..Beside::default()
+    };
+    let time = |n: u32| (n % 500 * 97_656 + noise(n % 500) % 9000).to_le_bytes();
+    let size = round_trip(&[channel("t", Scalar::U32, (0..RECORDS).map(time))], &beside);
+    assert!(size < 3 * 500, "{size} bytes");
+}
+
 #[test]
 fn the_same_in_another_type_and_constants_cost_nothing() {
     let values = || (0..RECORDS).map(|n| noise(n) % 256);
@@ -126,6 +191,26 @@ fn what_repeats_far_away_is_packed() {
     }
 }
 
+/// Codes and decodes integers by a rule, whatever they are.
+fn round_trip_by(rule: Rule, sites: &[(u8, u8, Option<i64>)], integers: &[i64]) {
+    let site = |&(key, column, geometry): &(u8, u8, Option<i64>)| Site {
+        key: key.into(),
+        column: column.into(),
+        geometry,
+        lagged: None,
+    };
+    let mut encoder = ArithmeticEncoder::default();
+    let (mut writer, mut reader) = (RuleModel::default(), RuleModel::default());
+    for (at, &integer) in sites.iter().zip(integers) {
+        assert_eq!(writer.code(&mut encoder, rule, &site(at), integer), integer);
+    }
+    let bytes = encoder.finish();
+    let mut decoder = ArithmeticDecoder::new(&bytes);
+    for (at, &integer) in sites.iter().zip(integers) {
+        assert_eq!(reader.code(&mut decoder, rule, &site(at), 0), integer);
+    }
+}
+
 #[test]
 fn more_columns_than_have_models_come_back() {
     let values = |n: u32| {
@@ -168,8 +253,24 @@ proptest! {
         has_image: bool,
     ) {
         let rows = if has_image { rows } else { Vec::new() };
-        let beside = Beside { columns: rows.clone(), rows, ..Beside::default() };
+        let (columns, steps) = (rows.clone(), rows.clone());
+        let ticks = rows.clone();
+        let beside = Beside { rows, columns, steps, ticks, range_step_m: 0.01, tick_degrees: 0.1, ..Beside::default() };
         round_trip(&channels, &beside);
+    }
+
+    #[test]
+    fn any_integers_come_back_by_any_rule(
+        code in 1u8..,
+        records in prop::collection::vec(((0u8..4, 0u8..9, any::<Option<i64>>()), any::<i64>(), 0i64..3), 0..60),
+    ) {
+        let rule = Rule::from_code(code).unwrap();
+        prop_assert_eq!(Rule::to_code(Some(rule)), code);
+        let (sites, integers): (Vec<_>, Vec<_>) = records
+            .into_iter()
+            .map(|(site, any, small)| (site, if any % 3 == 0 { any } else { small }))
+            .unzip();
+        round_trip_by(rule, &sites, &integers);
     }
 
     #[test]

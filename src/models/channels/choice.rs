@@ -1,0 +1,283 @@
+//! How the encoder chooses what codes a column.
+
+use std::collections::HashMap;
+use std::ops::Range;
+
+use super::column::{ColumnModel, Places, convert};
+use super::integers::Site;
+use super::numbers::Scale;
+use super::plan::{Geometry, Integers, Plan};
+use super::rules::{Rule, RuleModel};
+use super::{Sources, may_be_key};
+use crate::entropy::ArithmeticEncoder;
+use crate::scan::Scalar;
+
+/// Records that are coded to choose what predicts them.
+const SAMPLE: usize = 6000;
+
+/// How to code a column.
+pub struct Choice {
+    pub plan: Plan,
+    /// About how many bytes that takes.
+    pub bytes: usize,
+    /// Whether no other way to code it is worth a try.
+    pub is_sure: bool,
+}
+
+impl Choice {
+    fn sure(plan: Plan, bytes: usize) -> Self {
+        Choice { plan, bytes, is_sure: true }
+    }
+}
+
+/// The records that are coded to choose between ways to code them: some from all over, since lines of the file differ.
+/// All of them if they are few.
+pub fn sample(records: usize) -> Vec<Range<usize>> {
+    /// So many times [`SAMPLE`] is few.
+    const FEW: usize = 2;
+    /// Parts of the sample.
+    const PARTS: usize = 8;
+    /// One record in so many.
+    const SHARE: usize = 8;
+    if records <= FEW * SAMPLE {
+        return vec![0..records];
+    }
+    let (distance, count) = (records / PARTS, records / PARTS / SHARE);
+    (0..PARTS)
+        .map(|part| part * distance + (distance - count) / 2)
+        .map(|start| start..start + count)
+        .collect()
+}
+
+/// The values of some records.
+pub fn gather(values: &[u8], width: usize, records: &[Range<usize>]) -> Vec<u8> {
+    records.iter().flat_map(|part| &values[part.start * width..part.end * width]).copied().collect()
+}
+
+/// So many records of the middle.
+fn middle(records: usize, count: usize) -> Range<usize> {
+    let start = records.saturating_sub(count) / 2;
+    start..records.min(start + count)
+}
+
+impl ColumnModel {
+    /// How to code a column.
+    pub fn choose(&self, sources: &Sources, scalar: Scalar, values: &[u8]) -> Choice {
+        let size = scalar.size() as usize;
+        let records = values.len() / size;
+        if values.chunks_exact(size).all(|value| *value == values[..size]) {
+            return Choice::sure(Plan::Constant, size + 1);
+        }
+        let same = (0..4 + sources.channels.len()).find(|&source| is_same(sources, source, scalar, values));
+        if let Some(source) = same.and_then(|source| u16::try_from(source).ok()) {
+            return Choice::sure(Plan::Same(source), 3);
+        }
+        let scale = Scale::of(scalar, values);
+        let has_exceptions = scale.grid(scalar).misses_any(values);
+        let plain = Integers { scale, has_exceptions, ..Integers::default() };
+        let sampled = [middle(records, SAMPLE)];
+        let part = sources.part(&sampled);
+        let (part, sampled) = (part.sources(), &gather(values, size, &sampled));
+        let ruled = self.best_rule(plain, &part, scalar, sampled);
+        if let Some((plan, true)) = ruled {
+            return Choice::sure(Plan::Integers(plan), 1);
+        }
+        let lag = likely_lag(size, values);
+        let best =
+            self.best_way(Integers { lag, ..plain }, ruled.map(|(plan, _)| plan), &part, scalar, sampled);
+        let sampled = sample(records);
+        let sample = gather(values, size, &sampled);
+        let bytes = self.size_of(&Plan::Integers(best), &sources.part(&sampled).sources(), scalar, &sample);
+        let bytes = bytes.saturating_mul(values.len()) / sample.len().max(1);
+        Choice { plan: Plan::Integers(best), bytes, is_sure: false }
+    }
+
+    /// The rule that most integers of a sample follow, and whether nearly all do; none if few follow any.
+    fn best_rule(
+        &self,
+        plain: Integers,
+        part: &Sources,
+        scalar: Scalar,
+        values: &[u8],
+    ) -> Option<(Integers, bool)> {
+        /// One in so many integers that do not follow is few.
+        const FEW: usize = 512;
+        /// The same of wide ones above a base, which changes now and then.
+        const FEW_BASES: usize = 64;
+        /// One in so many is too many.
+        const MANY: usize = 3;
+        let integers: Vec<Option<i64>> = {
+            let grid = plain.scale.grid(scalar);
+            values.chunks_exact(scalar.size() as usize).map(|value| grid.integer(value)).collect()
+        };
+        let mut best = None;
+        let mut least = integers.len() / 2 / MANY;
+        let has_bases = scalar.size() > 2 && !part.beside.columns.is_empty();
+        let few = |plan: &Integers| match plan.rule {
+            Some(Rule::Turn(_) | Rule::Column) if has_bases => integers.len() / 2 / FEW_BASES,
+            _ => integers.len() / 2 / FEW,
+        };
+        let mut consider = |plan: Integers| {
+            let is_better = best.as_ref().is_none_or(|best| least > few(best));
+            if is_better && let Some(misses) = misses(&plan, part, scalar, &integers, least) {
+                (least, best) = (misses, Some(plan));
+            }
+        };
+        if let Some(plan) = self.last_plan().filter(|plan| plan.rule.is_some()) {
+            consider(Integers { scale: plain.scale, has_exceptions: plain.has_exceptions, ..plan });
+        }
+        let channels = part.known.iter().filter(|&&channel| may_be_key(&part.channels[channel].field));
+        let channels = channels.filter_map(|&channel| u16::try_from(channel + 1).ok());
+        let keys = || std::iter::once(0).chain(channels.clone());
+        for key in keys() {
+            let beam = Integers { rule: Some(Rule::Beam), key, ..plain };
+            consider(beam);
+            if !part.beside.steps.is_empty() {
+                Geometry::of_places().for_each(|geometry| consider(Integers { geometry, ..beam }));
+            }
+        }
+        for key in keys() {
+            let turns = (1..=Rule::MOST_COLUMNS.min(64)).map(Rule::Turn);
+            let rules = turns.take(if part.beside.columns.is_empty() { 1 } else { usize::MAX });
+            for rule in [Rule::Column, Rule::After].into_iter().chain(rules) {
+                consider(Integers { rule: Some(rule), key, ..plain });
+            }
+        }
+        if !part.beside.positions.is_empty() && scalar.size() >= 2 {
+            for geometry in Geometry::of_positions() {
+                keys().for_each(|key| consider(Integers { rule: Some(Rule::Beam), key, geometry, ..plain }));
+            }
+        }
+        let best = best?;
+        let is_sure = least <= few(&best)
+            && (least <= integers.len() / 2 / FEW || self.last_plan() == Some(best) || {
+                let size = |plan| self.size_of(&Plan::Integers(plan), part, scalar, values);
+                size(best) <= size(Integers { rule: None, ..best })
+            });
+        Some((best, is_sure))
+    }
+
+    /// What takes the fewest bytes for a sample, with this rule or without any.
+    fn best_way(
+        &self,
+        plain: Integers,
+        ruled: Option<Integers>,
+        part: &Sources,
+        scalar: Scalar,
+        values: &[u8],
+    ) -> Integers {
+        /// Bytes of such a sample; less is good enough.
+        const SMALL: usize = 40;
+        let mut best = plain;
+        let mut least = self.size_of(&Plan::Integers(best), part, scalar, values);
+        let mut improve = |best: &mut Integers, plan: Integers| {
+            if least > SMALL {
+                let bytes = self.size_of(&Plan::Integers(plan), part, scalar, values);
+                if bytes < least {
+                    (least, *best) = (bytes, plan);
+                }
+            }
+        };
+        let keys = part.known.iter().filter(|&&channel| may_be_key(&part.channels[channel].field));
+        for key in keys.filter_map(|&channel| u16::try_from(channel + 1).ok()) {
+            let plan = Integers { key, ..best };
+            improve(&mut best, plan);
+        }
+        if scalar.size() >= 2 {
+            let places = Geometry::of_places().filter(|_| !part.beside.steps.is_empty());
+            let positions = Geometry::of_positions().filter(|_| !part.beside.positions.is_empty());
+            for geometry in places.chain(positions) {
+                let plan = Integers { geometry, ..best };
+                improve(&mut best, plan);
+            }
+        }
+        if let Some(ruled) = ruled {
+            improve(&mut best, ruled);
+        }
+        best
+    }
+
+    /// Bytes that a column takes.
+    pub fn size_of(&self, plan: &Plan, sources: &Sources, scalar: Scalar, values: &[u8]) -> usize {
+        let mut encoder = ArithmeticEncoder::default();
+        let coded = self.clone().code(&mut encoder, plan, sources, scalar, &mut values.to_vec());
+        if coded.is_ok() { encoder.finish().len() } else { usize::MAX }
+    }
+}
+
+/// How many integers of the second half do not follow a plan's rule; `None` if as many as `most`.
+fn misses(
+    plan: &Integers,
+    sources: &Sources,
+    scalar: Scalar,
+    integers: &[Option<i64>],
+    most: usize,
+) -> Option<usize> {
+    let places = Places::new(plan, sources, scalar).ok()?;
+    let rule = plan.rule?;
+    let mut model = RuleModel::default();
+    let mut misses = 0;
+    for (record, integer) in integers.iter().enumerate() {
+        let Some(integer) = *integer else { continue };
+        let site: Site = places.site(record);
+        let is_right = model.is_right(rule, &site, integer);
+        misses += usize::from(!is_right && record >= integers.len() / 2);
+        if misses >= most {
+            return None;
+        }
+    }
+    Some(misses)
+}
+
+/// How many records after it a run of values most often comes again; 0 if it seldom does.
+fn likely_lag(size: usize, values: &[u8]) -> u32 {
+    /// Values of a run.
+    const RUN: usize = 4;
+    /// How many runs are looked at.
+    const RUNS: usize = 500;
+    /// One in so many must come again at the same distance.
+    const PART: usize = 4;
+    let records = values.len() / size;
+    if records < 16 * RUN {
+        return 0;
+    }
+    let run = |record: usize| &values[record * size..(record + RUN) * size];
+    let mut seen: HashMap<&[u8], usize> = HashMap::new();
+    let mut distances: HashMap<usize, usize> = HashMap::new();
+    let mut tried = 0;
+    for record in 0..records - RUN {
+        let last = seen.insert(run(record), record);
+        if record % (records / RUNS).max(1) == 0 {
+            tried += 1;
+            if let Some(distance) = last.map(|last| record - last).filter(|&distance| distance > RUN) {
+                *distances.entry(distance).or_default() += 1;
+            }
+        }
+    }
+    let most = distances.into_iter().max_by_key(|&(distance, count)| (count, std::cmp::Reverse(distance)));
+    match most {
+        Some((distance, count)) if count * PART > tried && distance < 1 << 24 => distance as u32,
+        _ => 0,
+    }
+}
+
+/// Whether all values are those of a source.
+fn is_same(sources: &Sources, source: usize, scalar: Scalar, values: &[u8]) -> bool {
+    /// What differs mostly differs in as many records.
+    const FIRST: usize = 16;
+    let size = scalar.size() as usize;
+    let records = values.len() / size;
+    let is_same = |values: &[u8], sources: &Sources| {
+        let Some((type_of, from)) = sources.values(source) else { return false };
+        let mut again = [0; 8];
+        from.len() / type_of.size() as usize == values.len() / size
+            && values.chunks_exact(size).zip(from.chunks_exact(type_of.size() as usize)).all(
+                |(value, from)| {
+                    convert(type_of, from, scalar, &mut again[..size]);
+                    again[..size] == *value
+                },
+            )
+    };
+    let first = FIRST.min(records);
+    is_same(&values[..first * size], &sources.part(&[0..first]).sources()) && is_same(values, sources)
+}

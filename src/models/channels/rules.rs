@@ -1,0 +1,214 @@
+//! Integers that nearly all follow from their places by one rule: a bit for each says whether it does. Only those
+//! that do not take the time to ask for what else may tell.
+
+use super::integers::{ENTRIES, IntegersModel, Site, slot};
+use crate::entropy::{AdaptiveBit, BitCoder};
+
+/// What an integer follows from, above what the position or the place tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rule {
+    /// It is a constant of its beam.
+    Beam,
+    /// It is a constant of its beam above one of its column.
+    Column,
+    /// It is what came the last time after the same integer in its beam.
+    After,
+    /// It is a constant of its beam, another in each of so many columns that come in turn, above a base that
+    /// changes seldom: the time of a packet, and that of a firing in it.
+    Turn(u8),
+}
+
+/// The number of no rule, and those of the first rules; `Turn` has all above.
+const NONE: u8 = 0;
+const BEAM: u8 = 1;
+const COLUMN: u8 = 2;
+const AFTER: u8 = 3;
+
+impl Rule {
+    /// The most columns that come in turn.
+    pub const MOST_COLUMNS: u8 = u8::MAX - AFTER;
+
+    /// The number in the stream, that of none being 0.
+    pub fn to_code(rule: Option<Rule>) -> u8 {
+        match rule {
+            None => NONE,
+            Some(Rule::Beam) => BEAM,
+            Some(Rule::Column) => COLUMN,
+            Some(Rule::After) => AFTER,
+            Some(Rule::Turn(columns)) => AFTER + columns,
+        }
+    }
+
+    /// The rule of this number, if any.
+    pub fn from_code(code: u8) -> Option<Self> {
+        match code {
+            NONE => None,
+            BEAM => Some(Rule::Beam),
+            COLUMN => Some(Rule::Column),
+            AFTER => Some(Rule::After),
+            _ => Some(Rule::Turn(code - AFTER)),
+        }
+    }
+}
+
+/// Contexts of whether the rule is right: the last two answers, whether the column is a new one, and its number
+/// among those that come in turn.
+const CONTEXTS: usize = 4 * 2 * TURN_CONTEXTS;
+const TURN_CONTEXTS: usize = 32;
+
+/// What the coder has learned about the integers of a column that follow from a rule. They count from what the
+/// position or the place tells, or from 0.
+#[derive(Clone)]
+pub struct RuleModel {
+    /// By hash of the key, and of the column among those that come in turn: the integer above its base.
+    offsets: Vec<Option<i64>>,
+    /// By hash of the key and the last integer: what came next.
+    after: Vec<Option<i64>>,
+    /// By column: the base.
+    bases: Vec<Option<i64>>,
+    base: i64,
+    /// The base before the last integer, if that was a miss, with its entry among the offsets, and it.
+    missed: Option<(i64, usize, i64)>,
+    last: i64,
+    last_column: u32,
+    /// Whether the last two were right, a bit each.
+    history: usize,
+    is_right: Vec<AdaptiveBit>,
+    /// What misses are more than expected.
+    misses: Option<IntegersModel>,
+}
+
+impl Default for RuleModel {
+    fn default() -> Self {
+        RuleModel {
+            offsets: Vec::new(),
+            after: Vec::new(),
+            bases: Vec::new(),
+            base: 0,
+            missed: None,
+            last: 0,
+            last_column: 0,
+            history: 0,
+            is_right: vec![AdaptiveBit::default(); CONTEXTS],
+            misses: None,
+        }
+    }
+}
+
+/// What is expected at a site, and the entries of the tables that say so.
+struct Expected {
+    integer: i64,
+    offset: usize,
+    after: usize,
+    column: usize,
+    context: usize,
+}
+
+impl RuleModel {
+    /// Codes the next integer.
+    pub fn code<C: BitCoder>(&mut self, coder: &mut C, rule: Rule, site: &Site, value: i64) -> i64 {
+        let told = site.geometry.unwrap_or(0);
+        let value = value.wrapping_sub(told);
+        let expected = self.expected(rule, site);
+        let is_right = self.is_right[expected.context].code(coder, value == expected.integer);
+        let above = if is_right {
+            0
+        } else {
+            let site = Site { key: site.key, ..Site::default() };
+            let misses = self.misses.get_or_insert_default();
+            misses.code(coder, &site, value.wrapping_sub(expected.integer))
+        };
+        let coded = expected.integer.wrapping_add(above);
+        self.learn(rule, site, &expected, coded);
+        coded.wrapping_add(told)
+    }
+
+    /// Learns the next integer as [`code`](Self::code) does. Returns whether it is as expected.
+    pub fn is_right(&mut self, rule: Rule, site: &Site, value: i64) -> bool {
+        let value = value.wrapping_sub(site.geometry.unwrap_or(0));
+        let expected = self.expected(rule, site);
+        self.learn(rule, site, &expected, value);
+        value == expected.integer
+    }
+
+    fn expected(&mut self, rule: Rule, site: &Site) -> Expected {
+        let table = |entries: &mut Vec<Option<i64>>, least: usize| {
+            if entries.len() < least {
+                entries.resize(least, None);
+            }
+        };
+        let phase = match rule {
+            Rule::Turn(columns) => site.column % u32::from(columns.max(1)),
+            _ => 0,
+        };
+        let mut expected = Expected {
+            integer: 0,
+            offset: slot(site.key.into(), phase.into()),
+            after: 0,
+            column: site.column as usize,
+            context: self.history & 3
+                | usize::from(site.column != self.last_column) << 2
+                | (phase as usize % TURN_CONTEXTS) << 3,
+        };
+        table(&mut self.offsets, ENTRIES);
+        let above = |base: i64| base.wrapping_add(self.offsets[expected.offset].unwrap_or(0));
+        expected.integer = match rule {
+            Rule::Beam => above(0),
+            Rule::Turn(_) => above(self.base),
+            Rule::Column => {
+                table(&mut self.bases, expected.column + 1);
+                above(self.bases[expected.column].unwrap_or(0))
+            }
+            Rule::After => {
+                table(&mut self.after, ENTRIES);
+                expected.after = slot(site.key.into(), self.last as u64);
+                self.after[expected.after].unwrap_or_else(|| above(self.base))
+            }
+        };
+        expected
+    }
+
+    fn learn(&mut self, rule: Rule, site: &Site, expected: &Expected, value: i64) {
+        let is_right = value == expected.integer;
+        self.history = self.history << 1 | usize::from(is_right);
+        self.last_column = site.column;
+        let offset = &mut self.offsets[expected.offset];
+        match rule {
+            Rule::Beam => *offset = Some(value),
+            Rule::Column => {
+                let base = &mut self.bases[expected.column];
+                match (&base, &offset) {
+                    (Some(base), None) => *offset = Some(value.wrapping_sub(*base)),
+                    _ => *base = Some(value.wrapping_sub(*offset.get_or_insert(0))),
+                }
+            }
+            Rule::Turn(_) => self.learn_base(expected.offset, value),
+            Rule::After => {
+                self.learn_base(expected.offset, value);
+                self.after[expected.after] = Some(value);
+                self.last = value;
+            }
+        }
+    }
+
+    /// Learns an integer above a base. Where it is another than expected, the base has changed, unless the next one
+    /// is on the base before: then only this one has.
+    fn learn_base(&mut self, entry: usize, value: i64) {
+        let missed = self.missed.take();
+        let Some(offset) = self.offsets[entry] else {
+            self.offsets[entry] = Some(value.wrapping_sub(self.base));
+            return;
+        };
+        let base = value.wrapping_sub(offset);
+        if base == self.base {
+            return;
+        }
+        match missed {
+            Some((before, entry, missed)) if base == before => {
+                self.offsets[entry] = Some(missed.wrapping_sub(before));
+            }
+            _ => self.missed = Some((self.base, entry, value)),
+        }
+        self.base = base;
+    }
+}
