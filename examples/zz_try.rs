@@ -25,8 +25,28 @@ fn main() {
                     rows[f.row as usize].1 += usize::from(q == w);
                     rows[f.row as usize].2 += usize::from(q[2] == w[2]);
                 }
-                println!("{path}: {scanner}; share {share:.4}, exact {:.5}, columns {}, strays {}, full {}, of {} {:?}", exact as f64 / p.image.returns().max(1) as f64, p.image.columns.len(), p.strays.len(), p.image.is_full, scan.records, took);
-                if std::env::var("LASERS").is_ok() { for (r, l) in rows.iter().zip(scanner.lasers()) { println!("{} {} n {} exact {:.3} z {:.3}", l.elevation, l.azimuth, r.0, r.1 as f64 / r.0.max(1) as f64, r.2 as f64 / r.0.max(1) as f64); } println!("{:?}", scanner.build().timing); }
+                println!(
+                    "{path}: {scanner}; share {share:.4}, exact {:.5}, columns {}, strays {}, full {}, of {} {:?}",
+                    exact as f64 / p.image.returns().max(1) as f64,
+                    p.image.columns.len(),
+                    p.strays.len(),
+                    p.image.is_full,
+                    scan.records,
+                    took
+                );
+                if std::env::var("LASERS").is_ok() {
+                    for (r, l) in rows.iter().zip(scanner.lasers()) {
+                        println!(
+                            "{} {} n {} exact {:.3} z {:.3}",
+                            l.elevation,
+                            l.azimuth,
+                            r.0,
+                            r.1 as f64 / r.0.max(1) as f64,
+                            r.2 as f64 / r.0.max(1) as f64
+                        );
+                    }
+                    println!("{:?}", scanner.build().timing);
+                }
             }
         }
     }

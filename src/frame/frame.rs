@@ -310,7 +310,7 @@ impl Frame {
                 beside.steps = self.order.arranged(&steps, &none)?;
                 beside.ticks = self.order.arranged(&ticks, &none)?;
                 beside.range_step_m = scanner.range_step_m();
-                beside.tick_degrees = 360.0 / f64::from(scanner.ticks());
+                beside.tick_degrees = 360.0 / f64::from(scanner.build().ticks);
             }
         }
         Ok(beside)

@@ -65,9 +65,12 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
         (scanner, image.returns() as f64 / found.points.len().max(1) as f64, image.columns.len())
     });
     // Of those that explain about as much, that of the fewest columns: there firings are whole.
-    let worth =
-        |share: f64, columns: usize| share / (1.0 + columns as f64 / found.points.len().max(1) as f64);
-    let best = shares.max_by(|a, b| worth(a.1, a.2).total_cmp(&worth(b.1, b.2)));
+    // A timing of two firings a block must be worth its name.
+    let worth = |(scanner, share, columns): &(Firings, f64, usize)| {
+        let simple = if scanner.build.timing.firings(scanner.rows()) > 1 { 0.999 } else { 1.0 };
+        simple * share / (1.0 + *columns as f64 / found.points.len().max(1) as f64)
+    };
+    let best = shares.max_by(|a, b| worth(a).total_cmp(&worth(b)));
     let (scanner, share, _) = best.filter(|(_, share, _)| *share >= LEAST_SHARE)?;
     // Decimal digits are no help to a recipe that is not the right one.
     let is_digits = matches!(coordinates, Coordinates::Digits(_));
@@ -583,7 +586,8 @@ const NEIGHBOURS: i32 = 12;
 /// as it is.
 fn roundings(degrees: f64) -> [i64; 6] {
     let units = 1.0 / ANGLE_UNIT;
-    [1e3, 1e6, 1e2, 1e4, 1e7, units].map(|digits| (round_ties_even(degrees * digits) * (units / digits)).round() as i64)
+    [1e3, 1e6, 1e2, 1e4, 1e7, units]
+        .map(|digits| (round_ties_even(degrees * digits) * (units / digits)).round() as i64)
 }
 
 /// The part of the steps from one laser to another that are the same if all of a firing have one azimuth.
@@ -854,6 +858,12 @@ const MAKERS: [Maker; 14] = [
 const OFF_AXIS_TICKS: u32 = 36_000;
 
 impl Maker {
+    /// Whether its beams start about this far from the axis, and so high, in metres.
+    fn is_like(&self, [along, up]: [f64; 2]) -> bool {
+        let [_, own_up] = self.origin.metres();
+        (0.96..1.01).contains(&(along / self.along())) && (up - own_up).abs() < 1e-3
+    }
+
     /// A range step of which all that its scanners have are multiples, in metres.
     fn least_step_m(&self) -> f64 {
         if self.recipe == Recipe::RoboSense { 0.0025 } else { 0.002 }
@@ -878,15 +888,12 @@ impl Found<'_> {
         let by_key = self.rows_by_channel();
         let candidates = MAKERS.par_iter().filter_map(|maker| {
             let rows = match &by_key {
-                Some(rows) => {
-                    let [along, up] = line_start(rows)?;
-                    let [_, own_up] = maker.origin.metres();
-                    let is_like = (0.85..1.02).contains(&(along / maker.origin.metres()[0]))
-                        && (up - own_up).abs() < 1e-3;
-                    is_like.then(|| rows.clone())?
-                }
+                Some(rows) => rows.clone(),
                 None => self.rows_by_elevation(maker)?,
             };
+            if !maker.is_like(line_start(&rows)?) {
+                return None;
+            }
             let scanner = self.of_maker(maker, rows)?;
             let reach = 0.5 * scanner.range_step_m() + 1e-5;
             let places = scanner.places(&sample, reach);
@@ -904,14 +911,14 @@ impl Found<'_> {
             places.iter().map(|place| (place.row as usize, place.tick)).collect();
         let order = order(&sequence, scanner.rows(), OFF_AXIS_TICKS)?;
         let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
-        Some(self.with_timings(scanner, order.is_steady))
+        Some(self.with_timings(scanner, false))
     }
 
     /// The points of each laser, if a channel tells the lasers apart.
     fn rows_by_channel(&self) -> Option<Vec<Vec<Point>>> {
         const LASERS: std::ops::RangeInclusive<usize> = 4..=512;
         /// Radians: points of a laser lie nearer to their median elevation.
-        const SPREAD: f64 = 0.01;
+        const SPREAD: f64 = 0.06;
         let of = |channel: &Channel| {
             let width = channel.field.width();
             let mut keyed: Vec<(&[u8], usize)> = self
@@ -974,7 +981,8 @@ impl Found<'_> {
         let rows: Vec<Vec<Point>> = rows.into_iter().filter(|row| row.len() >= FEWEST).collect();
         let lasers: Vec<Vec<Laser>> = rows.par_iter().map(|row| lasers_off_axis(maker, row)).collect();
         let mut ranges = Vec::new();
-        for (row, laser) in rows.iter().zip(&lasers).filter_map(|(row, lasers)| Some((row, lasers.first()?))) {
+        for (row, laser) in rows.iter().zip(&lasers).filter_map(|(row, lasers)| Some((row, lasers.first()?)))
+        {
             let step = (row.len() / TRIED).max(1);
             let offset = (laser.azimuth_degrees() * 100.0).round() as i32;
             let elevation = laser.elevation_degrees().to_radians();
@@ -985,7 +993,6 @@ impl Found<'_> {
             }));
         }
         let range_step_um = range_step(ranges.into_iter());
-        if std::env::var("DBG").is_ok() { eprintln!("{:?} rows {} step {range_step_um:?} {:?}", maker.origin, rows.len(), lasers.iter().map(|l| (l.len(), l.first().copied())).collect::<Vec<_>>()); }
         let range_step_um = range_step_um?;
         let build = Build {
             recipe: maker.recipe,
@@ -1020,13 +1027,15 @@ impl Maker {
 
 /// Lasers, best first, by which the azimuths of some points lie on whole ticks, and their ranges on whole steps.
 fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
-    /// Hundredths of degrees, and the step in which they are first tried.
+    /// Hundredths of degrees.
     const FARTHEST: i32 = 6000;
-    const COARSE: i32 = 4;
     const MOST: usize = 120;
-    /// Candidates, and how good they are beside the best.
-    const CANDIDATES: usize = 4;
-    const GOOD: f64 = 0.9;
+    /// Points that tell which offsets are worth a closer look, how coherent they are then, and how many offsets get it.
+    const FEW: usize = 24;
+    const COHERENT_TICKS: f64 = 0.8;
+    const MOST_OFFSETS: usize = 600;
+    /// Lasers that are given.
+    const CANDIDATES: usize = 60;
     let mut sorted: Vec<&Point> = points.iter().collect();
     sorted.sort_by(|a, b| a.range.total_cmp(&b.range));
     // Near points tell most.
@@ -1045,9 +1054,10 @@ fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
             .collect();
         let of_ticks = strength(undone.iter().map(|(ticks, _, _)| *ticks), 0.0);
         if of_ticks < 0.5 {
-            return (of_ticks, Laser::default());
+            return (-1.0, Laser::default());
         }
-        let mut elevations: Vec<f64> = undone.iter().map(|(_, flat, high)| libm::atan2(*high, *flat)).collect();
+        let mut elevations: Vec<f64> =
+            undone.iter().map(|(_, flat, high)| libm::atan2(*high, *flat)).collect();
         elevations.sort_by(f64::total_cmp);
         let elevation = round_ties_even(elevations[elevations.len() / 2].to_degrees() * 100.0);
         let (sin, cos) = libm::sincos((elevation * 0.01).to_radians());
@@ -1058,18 +1068,36 @@ fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
     if let Some(offset) = maker.offset {
         return vec![tried(offset, MOST).1];
     }
-    let coarse = (-FARTHEST / COARSE..=FARTHEST / COARSE).map(|step| step * COARSE);
-    let mut found: Vec<(f64, Laser)> = coarse.map(|offset| tried(offset, MOST / 3)).collect();
+    // Azimuths tell most of the offsets apart, and quickly.
+    let (flat, azimuths): (Vec<f64>, Vec<f64>) = few(FEW)
+        .map(|point| {
+            let [x, y, _] = point.position;
+            (x.hypot(y), maker.recipe.azimuth(x, y))
+        })
+        .unzip();
+    let [along, _] = maker.origin.metres();
+    let coherent = |offset: &i32| {
+        let beside = along * libm::sin((f64::from(*offset) * 0.01).to_radians());
+        let ticks = flat.iter().zip(&azimuths).map(|(flat, azimuth)| {
+            // The arc sine of what is small.
+            let slope = beside / flat;
+            let square = slope * slope;
+            let turned = if slope.abs() > 0.1 {
+                libm::asin(slope.clamp(-1.0, 1.0))
+            } else {
+                slope * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))
+            };
+            (azimuth + turned) * in_ticks
+        });
+        strength(ticks, 0.0) > COHERENT_TICKS
+    };
+    let offsets: Vec<i32> = (-FARTHEST..=FARTHEST).filter(coherent).collect();
+    let step = (offsets.len() / MOST_OFFSETS).max(1);
+    let mut found: Vec<(f64, Laser)> =
+        offsets.into_iter().step_by(step).map(|offset| tried(offset, MOST / 3)).collect();
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let best = found[0].0;
-    found.retain(|(score, _)| *score > GOOD * best);
-    // Of the first ones, those beside them may be better still.
-    let near = found.iter().take(CANDIDATES).flat_map(|(_, laser)| {
-        let coarse = (laser.azimuth / hundredth) as i32;
-        (coarse - COARSE..=coarse + COARSE).map(|offset| tried(offset, MOST))
-    });
-    let best = near.max_by(|a, b| a.0.total_cmp(&b.0));
-    best.into_iter().chain(found).map(|(_, laser)| laser).collect()
+    found.truncate(CANDIDATES);
+    found.into_iter().map(|(_, laser)| laser).collect()
 }
 
 /// Of some lasers and those near them, the one by which the most points come out to the last bit.
@@ -1086,7 +1114,7 @@ fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
         azimuth: laser.azimuth + azimuth * hundredth,
     };
     let mut best = (0, lasers[0]);
-    for laser in lasers.iter().flat_map(|laser| (-2..=2).map(move |off| moved(laser, off, 0))) {
+    for laser in lasers.iter().flat_map(|laser| (-1..=1).map(move |off| moved(laser, off, 0))) {
         let exact = exact_points(any, laser, &few, 0..3);
         if exact > best.0 {
             best = (exact, laser);
@@ -1097,7 +1125,8 @@ fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
     }
     let beside = (-2..=2).flat_map(|azimuth| (-1..=1).map(move |elevation| (azimuth, elevation)));
     let beside = beside.map(|(azimuth, elevation)| moved(&best.1, azimuth, elevation));
-    let counted = std::iter::once(best.1).chain(beside).map(|laser| (exact_points(any, laser, &more, 0..3), laser));
+    let counted =
+        std::iter::once(best.1).chain(beside).map(|laser| (exact_points(any, laser, &more, 0..3), laser));
     // The first of equals.
     counted.fold((0, best.1), |best, next| if next.0 > best.0 { next } else { best }).1
 }
