@@ -166,7 +166,7 @@ pub fn scanner(data: &[u8]) {
     assert_eq!((scanner.family(), &scanner.to_payload()[..]), (u64::from(*family), payload));
     let last = scanner.rows().saturating_sub(1) as u32;
     let returns = [(0, 1), (0, 5000), (last, 1), (last, 5000)];
-    let returns = returns.map(|(row, steps)| Return { row, column: 0, tick: 0, steps });
+    let returns = returns.map(|(row, steps)| Return { row, column: 0, tick: 0, steps, echo: 0 });
     let mut positions = scanner.positions(&returns, 0.0, true);
     positions.extend([[f32::NAN; 3], [f32::MAX; 3], [0.0; 3]]);
     let cloud = PointCloud { positions, ..PointCloud::default() };

@@ -55,6 +55,8 @@ pub struct Frame {
     pub positions: Vec<[f32; 3]>,
     pub stray_positions: Vec<[f32; 3]>,
     pub stray_intensity: Vec<f32>,
+    /// Intensity of each echo of the image.
+    pub echo_intensity: Vec<f32>,
     pub order: OrderExceptions,
     /// The other fields of the records, in the order of the file.
     pub channels: Vec<Channel>,
@@ -73,6 +75,7 @@ pub struct Frame {
 struct Origin {
     cloud: PointCloud,
     point_of_cell: Grid<u32>,
+    point_of_echo: Vec<u32>,
     strays: Vec<u32>,
 }
 
@@ -189,7 +192,8 @@ impl Frame {
     fn round_values(&mut self, bound: &Bound) {
         bound.round_positions(&mut self.stray_positions);
         let of_cells = self.intensity.cells_mut().iter_mut();
-        bound.round_intensities(of_cells.chain(&mut self.stray_intensity));
+        let outside = self.stray_intensity.iter_mut().chain(&mut self.echo_intensity);
+        bound.round_intensities(of_cells.chain(outside));
     }
 
     /// Codes the points that the outlier filter (equation 1) and the range image (equation 2) leave.
@@ -214,7 +218,7 @@ impl Frame {
             },
         };
         // What is no point of the image.
-        let blanks = projection.image.records() - projection.image.returns();
+        let blanks = projection.image.blanks();
         projection.image.is_full = false;
         let lost = match config.projection {
             ProjectionKind::Calibrated { .. } => blanks,
@@ -234,7 +238,7 @@ impl Frame {
 
     /// Sets the range image and the strays.
     fn take_image(&mut self, cloud: PointCloud, projection: Projection) {
-        let Projection { image, point_of_cell, strays } = projection;
+        let Projection { image, point_of_cell, point_of_echo, strays } = projection;
         self.occupancy = image.occupancy();
         self.intensity = Grid::new(image.steps.rows(), image.columns.len());
         for row in 0..image.steps.rows() {
@@ -244,12 +248,14 @@ impl Frame {
                 self.intensity[(row, column)] = cloud.intensity.get(point).copied().unwrap_or(0.0);
             }
         }
+        let of_echo = |point: &u32| cloud.intensity.get(*point as usize).copied().unwrap_or(0.0);
+        self.echo_intensity = point_of_echo.iter().map(of_echo).collect();
         self.image = image;
         self.strays = strays.len();
         let PointCloud { positions, intensity, .. } = cloud.select(&strays);
         self.stray_positions = positions;
         self.stray_intensity = intensity;
-        self.origin = Some(Arc::new(Origin { cloud, point_of_cell, strays }));
+        self.origin = Some(Arc::new(Origin { cloud, point_of_cell, point_of_echo, strays }));
     }
 
     /// Brings the encoder's points into the order in which a decoder finds the returns, which depends on the
@@ -257,10 +263,12 @@ impl Frame {
     pub fn arrange(&mut self, scanner: Option<&Scanner>) {
         self.returns = scanner.map_or_else(Vec::new, |scanner| scanner.file_order(&self.image));
         let Some(origin) = self.origin.take() else { return };
-        let Origin { cloud, point_of_cell, strays } = &*origin;
+        let Origin { cloud, point_of_cell, point_of_echo, strays } = &*origin;
         let returns = &self.returns;
-        let of_returns =
-            returns.iter().map(|found| point_of_cell[(found.row as usize, found.column as usize)]);
+        let of_returns = returns.iter().map(|found| match found.echo.checked_sub(1) {
+            None => point_of_cell[(found.row as usize, found.column as usize)],
+            Some(echo) => point_of_echo[echo as usize],
+        });
         let points: Vec<u32> = of_returns.chain(strays.iter().copied()).collect();
         self.positions =
             points[..returns.len()].iter().map(|&point| cloud.positions[point as usize]).collect();
@@ -279,7 +287,7 @@ impl Frame {
     pub fn point_of_cell(&self) -> Result<Grid<Option<u32>>> {
         let mut points = Grid::new(self.occupancy.rows(), self.occupancy.columns());
         for (point, element) in (0u32..).zip(self.order.order(self.returns.len())?) {
-            if let Some(found) = self.returns.get(element as usize) {
+            if let Some(found) = self.returns.get(element as usize).filter(|found| found.echo == 0) {
                 points[(found.row as usize, found.column as usize)] = Some(point);
             }
         }
@@ -318,7 +326,10 @@ impl Frame {
 
     /// The intensities in the order of the file.
     fn intensities_in_order(&self) -> Result<Vec<f32>> {
-        let of_return = |found: &Return| self.intensity[(found.row as usize, found.column as usize)];
+        let of_return = |found: &Return| match found.echo.checked_sub(1) {
+            None => self.intensity[(found.row as usize, found.column as usize)],
+            Some(echo) => self.echo_intensity.get(echo as usize).copied().unwrap_or(0.0),
+        };
         let of_returns: Vec<f32> = self.returns.iter().map(of_return).collect();
         self.order.arranged(&of_returns, &self.stray_intensity)
     }

@@ -19,5 +19,5 @@ pub use hdl64::{
 };
 pub(crate) use hdl64::{BeamPoint, split_beams, thinned};
 pub use ideal::ideal;
-pub use range_image::{RangeImage, Return};
+pub use range_image::{Echo, RangeImage, Return};
 pub use scanner::{ColumnModels, Scanner};

@@ -18,12 +18,24 @@ pub struct RangeImage {
     /// Whether every cell is a record of the file: those without a return are *blanks*, as scanners and programs keep
     /// them (zeros, NaN, or the scanner's own place).
     pub is_full: bool,
+    /// Further returns of the cells, in the order of the cells, row after row: a scanner may tell more than one of a
+    /// beam. Full images have none.
+    pub echoes: Vec<Echo>,
+}
+
+/// A further return of a cell.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Echo {
+    /// The number of the cell, row after row.
+    pub cell: u32,
+    /// Range in steps.
+    pub steps: u32,
 }
 
 impl RangeImage {
     /// An image without returns.
     pub fn new(rows: usize, columns: Vec<u32>) -> Self {
-        RangeImage { steps: Grid::new(rows, columns.len()), columns, spans: Vec::new(), is_full: false }
+        RangeImage { steps: Grid::new(rows, columns.len()), columns, spans: Vec::new(), is_full: false, echoes: Vec::new() }
     }
 
     /// Number of returns.
@@ -31,9 +43,14 @@ impl RangeImage {
         self.steps.cells().iter().filter(|&&steps| steps > 0).count()
     }
 
-    /// Number of records of the file in the image: returns, and blanks if there are any.
+    /// Number of records of the file in the image: returns, their echoes, and blanks if there are any.
     pub fn records(&self) -> usize {
-        if self.is_full { self.steps.cells().len() } else { self.returns() }
+        if self.is_full { self.steps.cells().len() } else { self.returns() + self.echoes.len() }
+    }
+
+    /// Number of blanks.
+    pub fn blanks(&self) -> usize {
+        if self.is_full { self.steps.cells().len() - self.returns() } else { 0 }
     }
 
     /// Which cells hold a return.
@@ -53,4 +70,6 @@ pub struct Return {
     pub tick: u32,
     /// Range in steps; 0 for a blank.
     pub steps: u32,
+    /// 0 for the first return of a cell, else the number of the echo, counted from 1.
+    pub echo: u32,
 }

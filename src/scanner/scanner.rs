@@ -183,7 +183,7 @@ impl Scanner {
                     squared_distance(&formula, &cloud.positions[point as usize]).sqrt()
                 };
                 let records = scanner.file_order(&projection.image);
-                records.iter().filter(|found| found.steps > 0).map(miss).collect()
+                records.iter().filter(|found| found.steps > 0 && found.echo == 0).map(miss).collect()
             }
         }
     }

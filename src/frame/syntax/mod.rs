@@ -2,6 +2,7 @@
 //! is full, the decoder with one that is filled. Each file has what one part of a frame is coded by, at every level.
 
 mod corrections;
+mod echoes;
 mod file;
 mod image;
 mod intensities;
@@ -22,6 +23,7 @@ use crate::scanner::Scanner;
 use crate::scanner::motion::Compensation;
 use crate::stream::container::SectionKind;
 use corrections::CorrectionModels;
+use echoes::EchoModels;
 use file::FileModels;
 use image::ImageModels;
 use intensities::IntensityModels;
@@ -39,6 +41,7 @@ pub struct Models {
     strays: StrayModels,
     intensities: IntensityModels,
     ranges: RangeModels,
+    echoes: EchoModels,
     corrections: CorrectionModels,
     records: RecordModels,
 }
@@ -73,6 +76,7 @@ impl Models {
         self.strays.code(s, frame)?;                                                // FORMAT 8.4
         let levels = self.intensities.code(s, reference.as_ref(), frame)?;          // FORMAT 8.5, 8.16
         self.ranges.code(s, scanner, (&levels, reference.as_ref()), frame)?;        // FORMAT 8.6, 8.11 to 8.14, 8.16
+        self.echoes.code(s, frame)?;                                                // FORMAT 8.19
         self.past.remember(scanner, levels, frame);
         frame.arrange(scanner);                                                     // FORMAT 4.2
         self.corrections.code(s, scanner, frame)?;                                  // FORMAT 8.7, 8.16

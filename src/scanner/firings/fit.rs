@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 
 use rayon::prelude::*;
 
-use super::projection::{Place, nearest};
+use super::projection::{Place, nearest, without_echoes};
 use super::recipe::whole_steps;
 use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing, WHOLE};
 use crate::ground::rounding::round_ties_even;
@@ -62,7 +62,7 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     let scanners = found.on_axis().filter(|scanners| !scanners.is_empty()).or_else(|| found.off_axis())?;
     let shares = scanners.into_iter().map(|scanner| {
         let image = scanner.project(&scan.cloud, REACH).image;
-        (scanner, image.returns() as f64 / found.points.len().max(1) as f64, image.columns.len())
+        (scanner, (image.returns() + image.echoes.len()) as f64 / found.points.len().max(1) as f64, image.columns.len())
     });
     // Of those that explain about as much, that of the fewest columns: there firings are whole.
     // A timing of two firings a block must be worth its name.
@@ -124,9 +124,12 @@ impl Found<'_> {
             Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
         });
         let sequence: Vec<(usize, u32)> = sequence.collect();
+        // Echoes tell nothing of the order.
+        let mut firsts = sequence.clone();
+        firsts.dedup();
         let own = match &grid {
             Some(grid) => Some(grid.order(&places, &sequence, ticks)),
-            None => order(&sequence, elevations.len(), ticks),
+            None => order(&firsts, elevations.len(), ticks),
         };
         let orders = [own, vlp_16(&elevations)];
         let lines = grid.filter(|grid| grid.by_lines).map_or_else(Vec::new, |grid| grid.lines);
@@ -152,7 +155,7 @@ impl Found<'_> {
         let positions = &self.scan.cloud.positions;
         let places = scanner.places(positions, REACH + 0.5 * scanner.range_step_m());
         let is_given = |place: &&Place| {
-            let found = Return { row: place.row, column: 0, tick: place.tick, steps: place.steps };
+            let found = Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
             scanner.gives(&found, &positions[place.point as usize].map(f64::from), 0..3)
         };
         2 * places.iter().filter(is_given).count() > places.len()
@@ -164,6 +167,7 @@ impl Found<'_> {
             return vec![scanner];
         }
         let places = scanner.places(&self.scan.cloud.positions, REACH + 0.5 * scanner.range_step_m());
+        let (places, _) = without_echoes(places);
         let timed = [1, 2].into_par_iter().filter_map(|firings| timed(&scanner, &places, firings));
         let mut all: Vec<Firings> = timed.collect();
         all.insert(0, scanner);
@@ -538,7 +542,7 @@ fn exact_points(any: &Firings, laser: Laser, points: &[Point], axes: std::ops::R
     let scanner = any.of_laser(laser);
     let is_exact = |point: &&Point| {
         let Some((steps, tick)) = scanner.locate(0, point.position) else { return false };
-        scanner.gives(&Return { row: 0, column: 0, tick, steps }, &point.position, axes.clone())
+        scanner.gives(&Return { row: 0, column: 0, tick, steps, echo: 0 }, &point.position, axes.clone())
     };
     points.iter().filter(is_exact).count()
 }
@@ -898,7 +902,7 @@ impl Found<'_> {
             let reach = 0.5 * scanner.range_step_m() + 1e-5;
             let places = scanner.places(&sample, reach);
             let is_exact = |place: &&Place| {
-                let found = Return { row: place.row, column: 0, tick: place.tick, steps: place.steps };
+                let found = Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
                 scanner.gives(&found, &sample[place.point as usize].map(f64::from), 0..3)
             };
             let exact = places.iter().filter(is_exact).count();
@@ -909,6 +913,8 @@ impl Found<'_> {
         let places = scanner.places(positions, REACH + 0.5 * scanner.range_step_m());
         let sequence: Vec<(usize, u32)> =
             places.iter().map(|place| (place.row as usize, place.tick)).collect();
+        let mut sequence = sequence;
+        sequence.dedup();
         let order = order(&sequence, scanner.rows(), OFF_AXIS_TICKS)?;
         let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
         Some(self.with_timings(scanner, false))

@@ -282,25 +282,36 @@ impl Firings {
         Some((steps, tick.rem_euclid(i64::from(self.build.ticks)) as u32))
     }
 
-    /// The returns of an image, and the blanks of a full one, in the order in which a file holds them: firing by firing,
-    /// slot by slot, or line by line.
+    /// The returns of an image, each followed by its echoes, and the blanks of a full one, in the order in which a file
+    /// holds them: firing by firing, slot by slot, or line by line.
     pub fn file_order(&self, image: &RangeImage) -> Vec<Return> {
-        let at = |row: u32, column: u32| {
+        let width = image.columns.len() as u32;
+        let mut returns = Vec::with_capacity(image.records());
+        let mut add = |row: u32, column: u32| {
             let steps = image.steps[(row as usize, column as usize)];
+            if steps == 0 && !image.is_full {
+                return;
+            }
             let span = Span::of(image.spans.get(column as usize).copied().unwrap_or(0));
             let tick = self.tick(row as usize, image.columns[column as usize], span);
-            (steps > 0 || image.is_full).then_some(Return { row, column, tick, steps })
+            returns.push(Return { row, column, tick, steps, echo: 0 });
+            if !image.echoes.is_empty() {
+                let cell = row * width + column;
+                let first = image.echoes.partition_point(|echo| echo.cell < cell);
+                let own = image.echoes[first..].iter().take_while(|echo| echo.cell == cell);
+                returns.extend((first as u32 + 1..).zip(own).map(|(number, echo)| {
+                    Return { row, column, tick, steps: echo.steps, echo: number }
+                }));
+            }
         };
-        let columns = 0..image.columns.len() as u32;
-        let mut returns = Vec::with_capacity(image.records());
         if self.rows_of_lines.is_empty() {
-            returns.extend(columns.flat_map(|column| {
-                let slots = self.rows_of_slots.iter();
-                slots.filter_map(move |&row| at(row, column))
-            }));
+            for column in 0..width {
+                self.rows_of_slots.iter().for_each(|&row| add(row, column));
+            }
         } else {
-            let lines = self.rows_of_lines.iter();
-            returns.extend(lines.flat_map(|&row| columns.clone().filter_map(move |column| at(row, column))));
+            for &row in &self.rows_of_lines {
+                (0..width).for_each(|column| add(row, column));
+            }
         }
         returns
     }

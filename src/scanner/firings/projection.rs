@@ -5,7 +5,7 @@ use crate::ground::error::Limits;
 use crate::ground::grid::Grid;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::PointCloud;
-use crate::scanner::{Coordinates, Projection, RangeImage, Return};
+use crate::scanner::{Coordinates, Echo, Projection, RangeImage, Return};
 
 /// Ranges of an image that loses nothing are below this, in steps.
 const LONGEST: u32 = 1 << 20;
@@ -40,6 +40,7 @@ impl Firings {
         if let Some(width) = self.full_width(&places, cloud.positions.len()) {
             return self.project_full(places, width);
         }
+        let (places, echoes) = without_echoes(places);
         let columns = self.columns(&places);
         // Nor do decoders take a larger image than their limits allow.
         let most = (MOST_CELLS * cloud.positions.len()).min(Limits::default().points as usize);
@@ -57,19 +58,31 @@ impl Firings {
         image.spans = spans;
         let mut point_of_cell = Grid::new(self.rows(), columns.len());
         let mut is_stray = vec![true; cloud.positions.len()];
+        let mut cells = vec![None; places.len()];
         for (number, column) in columns.iter().enumerate() {
-            for place in &places[column.places.clone()] {
+            for index in column.places.clone() {
+                let place = &places[index];
                 let row = place.row as usize;
                 if self.tick(row, column.tick, column.span) == place.tick {
+                    cells[index] = Some((row * columns.len() + number) as u32);
                     image.steps[(row, number)] = place.steps;
                     point_of_cell[(row, number)] = place.point;
                     is_stray[place.point as usize] = false;
                 }
             }
         }
+        let mut found: Vec<(Echo, u32)> = echoes
+            .into_iter()
+            .filter_map(|(of, place)| Some((Echo { cell: cells[of]?, steps: place.steps }, place.point)))
+            .collect();
+        // The order of one cell's stays.
+        found.sort_by_key(|(echo, _)| echo.cell);
+        found.iter().for_each(|(_, point)| is_stray[*point as usize] = false);
+        let point_of_echo;
+        (image.echoes, point_of_echo) = found.into_iter().unzip();
         let strays =
             (0u32..).zip(is_stray).filter(|(_, is_stray)| *is_stray).map(|(point, _)| point).collect();
-        Projection { image, point_of_cell, strays }
+        Projection { image, point_of_cell, point_of_echo, strays }
     }
 
     /// The row and the column of a record in a file in which each cell of an image of so many columns is one.
@@ -129,7 +142,7 @@ impl Firings {
                 }
             }
         }
-        Projection { image, point_of_cell, strays: Vec::new() }
+        Projection { image, point_of_cell, ..Projection::default() }
     }
 
     /// The ticks of columns without a return, as if the scanner turned evenly.
@@ -168,7 +181,7 @@ impl Firings {
             let Some((steps, tick)) = self.locate(row, metres).filter(|(steps, _)| *steps < LONGEST) else {
                 continue;
             };
-            let found = Return { row: row as u32, tick, steps, column: 0 };
+            let found = Return { row: row as u32, tick, steps, column: 0, echo: 0 };
             let formula = self.position(&found, 0.0);
             let is_near = formula.iter().zip(metres).all(|(formula, value)| (formula - value).abs() < reach);
             let is_held = || grid == Coordinates::Float32 || grid.holds_all(metres, formula);
@@ -363,6 +376,19 @@ impl Firings {
         let still = fitting(first.tick, 0, best.map_or(0, |best| best.fitting));
         if still > 0 { Some(Found { tick: first.tick, span: 0, fitting: still }) } else { best }
     }
+}
+
+/// Places without those that repeat the row and the tick of the one before them: the echoes of that one, each with its
+/// number among those that are left.
+pub(super) fn without_echoes(places: Vec<Place>) -> (Vec<Place>, Vec<(usize, Place)>) {
+    let (mut first, mut echoes): (Vec<Place>, Vec<(usize, Place)>) = (Vec::with_capacity(places.len()), Vec::new());
+    for place in places {
+        match first.last() {
+            Some(last) if (last.row, last.tick) == (place.row, place.tick) => echoes.push((first.len() - 1, place)),
+            _ => first.push(place),
+        }
+    }
+    (first, echoes)
 }
 
 /// What explains a block: its tick, the ticks to the next one, and the number of places for which they are right.

@@ -15,6 +15,8 @@ pub struct Projection {
     pub image: RangeImage,
     /// For each cell, the number of the point in it; meaningful only for cells with a return.
     pub point_of_cell: Grid<u32>,
+    /// The point of each echo.
+    pub point_of_echo: Vec<u32>,
     /// The points outside the image, rising.
     pub strays: Vec<u32>,
 }
@@ -64,7 +66,7 @@ pub fn project(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Projection {
     let mut projection = Projection {
         point_of_cell: Grid::new(sensor.rows(), columns.len()),
         image: RangeImage::new(sensor.rows(), columns),
-        strays: Vec::new(),
+        ..Projection::default()
     };
     for (point, place) in (0u32..).zip(&places) {
         let column = column_of_tick[place.column_tick as usize].filter(|_| place.steps > 0);
@@ -88,7 +90,7 @@ pub fn project_nearest(sensor: &Hdl64, cloud: &PointCloud) -> Projection {
     let mut projection = Projection {
         point_of_cell: Grid::new(sensor.rows(), sensor.ticks as usize),
         image: RangeImage::new(sensor.rows(), columns),
-        strays: Vec::new(),
+        ..Projection::default()
     };
     let mut row = 0;
     for (point, position) in (0u32..).zip(&cloud.positions) {

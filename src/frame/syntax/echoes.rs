@@ -1,0 +1,128 @@
+//! The echoes: further returns of the cells, with their ranges and intensities.
+
+use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
+use crate::frame::fidelity::Intensity;
+use crate::frame::frame::Frame;
+use crate::frame::sections::SectionCoder;
+use crate::ground::error::{Error, Result};
+use crate::ground::varint::{unzigzag, zigzag};
+use crate::scanner::{Echo, MOST_STEPS};
+use crate::stream::container::SectionKind;
+
+/// What a group's echoes have taught so far.
+#[derive(Clone, Default)]
+pub struct EchoModels {
+    /// Whether there is one, by whether the returns to the left and above have one, and by whether it is the first.
+    exists: [AdaptiveBit; 8],
+    /// Whether its range is that of the first return, by whether that was so to the left.
+    same_range: [AdaptiveBit; 2],
+    /// Whether it is told by the last echo of the row, by whether the last one was.
+    by_last: [AdaptiveBit; 2],
+    /// Differences of ranges, in steps: from the first return, and from the last echo of the row.
+    ranges: [IntegerModel; 2],
+    /// Whether its intensity is that of the first return, by whether the range is.
+    same_intensity: [AdaptiveBit; 2],
+    /// Whether both intensities are whole numbers, and their differences.
+    is_whole: AdaptiveBit,
+    intensities: IntegerModel,
+}
+
+/// Whole numbers that float32 holds.
+const MOST_WHOLE: f32 = 16_777_216.0;
+
+impl EchoModels {
+    /// Codes the echoes, if the image holds fewer returns than the frame has records for it.
+    ///
+    /// # Errors
+    /// If the section is damaged, or holds another number of echoes.
+    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+        let in_image = frame.cells.len() + frame.blanks.len();
+        let missing = (frame.records - frame.strays).saturating_sub(in_image);
+        let has_intensity =
+            frame.layout.intensity.is_some() && frame.parameters.intensity != Intensity::None;
+        frame.echo_intensity.resize(missing, 0.0);
+        sections.section(SectionKind::Echoes, missing > 0, |coder| {
+            self.code_echoes(coder, (missing, has_intensity), frame)
+        })
+    }
+
+    fn code_echoes<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        (missing, has_intensity): (usize, bool),
+        frame: &mut Frame,
+    ) -> Result<()> {
+        let width = frame.occupancy.columns() as u32;
+        let mut known = std::mem::take(&mut frame.image.echoes).into_iter().peekable();
+        let mut echoes: Vec<Echo> = Vec::with_capacity(if C::ENCODES { missing } else { 0 });
+        let mut above = vec![false; width as usize];
+        let (mut row, mut left, mut was_same, mut was_last, mut last) = (u32::MAX, false, false, false, None);
+        for &cell in &frame.cells {
+            if coder.is_exhausted() || echoes.len() > missing {
+                break;
+            }
+            if cell / width != row {
+                (row, left, last) = (cell / width, false, None);
+            }
+            let column = (cell % width) as usize;
+            let first_steps = frame.image.steps.cells()[cell as usize];
+            let first_intensity = frame.intensity.cells()[cell as usize];
+            let mut count = 0usize;
+            loop {
+                let place = usize::from(left) + 2 * usize::from(above[column]) + 4 * usize::from(count > 0);
+                let next = known.next_if(|echo| echo.cell == cell);
+                if echoes.len() >= missing || !self.exists[place].code(coder, next.is_some()) {
+                    break;
+                }
+                let wanted = next.map_or(0, |echo| echo.steps);
+                let is_same = self.same_range[usize::from(was_same)].code(coder, wanted == first_steps);
+                was_same = is_same;
+                let mut steps = first_steps;
+                if !is_same {
+                    if let Some(last) = last {
+                        let nearer = wanted.abs_diff(last) < wanted.abs_diff(first_steps);
+                        was_last = self.by_last[usize::from(was_last)].code(coder, nearer);
+                    }
+                    let by_last = was_last && last.is_some();
+                    let from = if by_last { last.unwrap_or(first_steps) } else { first_steps };
+                    let difference = zigzag(i64::from(wanted) - i64::from(from)) & (u64::MAX >> 1);
+                    let difference = unzigzag(self.ranges[usize::from(by_last)].code(coder, difference));
+                    let found = i64::from(from).wrapping_add(difference);
+                    if !(1..=i64::from(MOST_STEPS)).contains(&found) {
+                        return Err(Error::corrupt("echoes: a range is out of range"));
+                    }
+                    steps = found as u32;
+                }
+                last = Some(steps);
+                if has_intensity {
+                    let index = echoes.len();
+                    let value = self.code_intensity(coder, is_same, first_intensity, frame.echo_intensity[index]);
+                    frame.echo_intensity[index] = value;
+                }
+                echoes.push(Echo { cell, steps });
+                count += 1;
+            }
+            left = count > 0;
+            above[column] = left;
+        }
+        if echoes.len() != missing {
+            return Err(Error::corrupt("the range image holds another number of records than the frame"));
+        }
+        frame.image.echoes = echoes;
+        Ok(())
+    }
+
+    fn code_intensity<C: BitCoder>(&mut self, coder: &mut C, same_range: bool, first: f32, value: f32) -> f32 {
+        let is_same = value.to_bits() == first.to_bits();
+        if self.same_intensity[usize::from(same_range)].code(coder, is_same) {
+            return first;
+        }
+        let whole = |value: f32| value.fract() == 0.0 && value.abs() < MOST_WHOLE && value.to_bits() != 1 << 31;
+        if whole(first) && self.is_whole.code(coder, whole(value)) {
+            let difference = zigzag(value as i64 - first as i64) & (u64::MAX >> 1);
+            let difference = unzigzag(self.intensities.code(coder, difference));
+            return (first as i64).wrapping_add(difference) as f32;
+        }
+        f32::from_bits(coder.code_plain(value.to_bits().into(), 32) as u32)
+    }
+}
