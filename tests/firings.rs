@@ -2,13 +2,17 @@
 
 mod common;
 
+use std::f64::consts::TAU;
+
+use common::firings::{image, made_up, points, timed, with_echoes};
 use common::formats::kitti;
 use common::scans::Points;
+use common::streams::at_level;
 use common::{File, round_trip, take_apart};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scan::ScanFile;
-use lidarpc::internals::scanner::firings::{Firings, Laser, Recipe, Timing, fit};
+use lidarpc::internals::scanner::firings::{Build, Firings, Recipe, Timing, fit};
 use lidarpc::internals::scanner::{REACH, RangeImage, Return, Scanner};
 use lidarpc::internals::stream::container::SectionKind;
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, VLP_16_ELEVATIONS, drive};
@@ -53,9 +57,9 @@ fn the_constants_are_those_of_the_simulator() {
     for seed in 1..4 {
         let scans = scans(&config(seed, 2, 3));
         let scanner = fitted(&scans[0]);
-        assert_eq!(scanner.recipe(), Recipe::VelodyneRos);
-        assert_eq!((scanner.ticks(), scanner.range_step_um()), (36_000, 2000));
-        assert_eq!(scanner.timing(), Timing::VLP_16);
+        let Build { recipe, ticks, range_step_um, ref timing, .. } = *scanner.build();
+        assert_eq!((recipe, ticks, range_step_um), (Recipe::VelodyneRos, 36_000, 2000));
+        assert_eq!(*timing, Timing::Vlp16);
         let mut expected = VLP_16_ELEVATIONS.map(|degrees| i64::from(degrees) * 1_000_000_000);
         expected.sort_unstable_by_key(|&elevation| -elevation);
         let found = scanner.lasers().iter().map(|laser| laser.elevation);
@@ -145,56 +149,108 @@ fn scans_within_a_bound_stay_there() {
     }
 }
 
-/// A scanner of 32 lasers that fire out of order and look to either side, and a scan of it in a room of no shape.
-fn made_up(recipe: Recipe, (ticks, range_step_um): (u32, u32)) -> (Firings, ScanFile) {
-    let mut state = 7 + recipe as u64;
-    let mut below = |end: u64| {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 33) % end
-    };
-    let degrees = |thousandths: i64| thousandths * 1_000_000;
-    let laser = |row: i64| Laser {
-        elevation: degrees(15_000 - 1_237 * row + row % 3),
-        azimuth: degrees([1_400, -4_200, 4_200, -1_400][row as usize % 4]),
-    };
-    let lasers: Vec<Laser> = (0..32).map(laser).collect();
-    let rows_of_slots = (0..32).map(|slot| slot * 5 % 32).collect();
-    let scanner = Firings::new(recipe, (ticks, range_step_um), Timing::default(), lasers, rows_of_slots);
-    let step = (ticks / 1800).max(1);
-    let (mut columns, mut tick) = (Vec::new(), ticks / 3);
-    for _ in 0..ticks / step {
-        columns.push(tick % ticks);
-        tick += if step > 1 { step - 1 + below(3) as u32 } else { 1 };
-    }
-    let mut image = RangeImage::new(32, columns);
-    for (place, steps) in image.steps.cells_mut().iter_mut().enumerate() {
-        let metres = 5.0 + (place % 1009) as f64 * 0.02 + below(1000) as f64 * 1e-4;
-        *steps = if below(10) == 0 { 0 } else { (metres * 1e6 / f64::from(range_step_um)) as u32 };
-    }
-    let point = |found: Return| {
-        let [x, y, z] = scanner.position(&found, 0.0).map(|metres| metres as f32);
-        [x, y, z, (found.steps % 100) as f32]
-    };
-    let points: Points = scanner.file_order(&image).into_iter().map(point).collect();
-    let file = file(&points);
-    (scanner, file)
-}
-
 #[test]
 fn scanners_of_all_recipes_are_found_from_their_points() {
-    for (recipe, grid) in
-        Recipe::ALL.into_iter().zip([(36_000, 4000), (36_000, 2000), (36_000, 4000), (2048, 1000)])
-    {
-        let (truth, scan) = made_up(recipe, grid);
-        let (found, share) =
-            fit(std::slice::from_ref(&scan)).unwrap_or_else(|| panic!("{recipe:?} is not found"));
+    for recipe in Recipe::ALL {
+        let truth = made_up(recipe);
+        let points = points(&truth, &image(&truth, 1));
+        let (found, share) = fit(&[file(&points)]).unwrap_or_else(|| panic!("{recipe:?} is not found"));
         assert!(share > 0.999, "{recipe:?}: {share}");
-        assert_eq!((found.recipe(), found.ticks(), found.range_step_um()), (recipe, grid.0, grid.1));
-        assert_eq!(found.timing(), Timing::default());
+        assert_eq!(found.build(), truth.build());
         let elevations =
             |scanner: &Firings| scanner.lasers().iter().map(|laser| laser.elevation).collect::<Vec<_>>();
         assert_eq!(elevations(&found), elevations(&truth), "{recipe:?}");
-        let points: Points = scan.cloud.positions.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
         assert_eq!(counts(&found, &points), (points.len(), 0, 0), "{recipe:?}");
     }
+}
+
+#[test]
+fn formulas_are_those_of_the_geometry() {
+    for recipe in Recipe::ALL {
+        let scanner = made_up(recipe);
+        let Build { ticks, origin, .. } = *scanner.build();
+        let metre = |um: i32| f64::from(um) * 1e-6;
+        for (row, laser) in (0u32..).zip(scanner.lasers()) {
+            let tick = (row * 997 + 31) % ticks;
+            let found = Return { row, column: 0, tick, steps: 5000 + row, echo: 0 };
+            let start = f64::from(tick) / f64::from(ticks) * TAU;
+            let azimuth = start + (laser.azimuth as f64 * 1e-9).to_radians();
+            let elevation = (laser.elevation as f64 * 1e-9).to_radians();
+            let metres = f64::from(found.steps) * scanner.range_step_m();
+            let ahead = metres * elevation.cos() * azimuth.cos() + metre(origin.along_um) * start.cos();
+            let right = metres * elevation.cos() * azimuth.sin() + metre(origin.along_um) * start.sin();
+            let up = metres * elevation.sin() + metre(origin.up_um);
+            let [x, y, z] = scanner.position(&found, 0.0);
+            // Programs take the one or the other axis for ahead.
+            let is_there = |a: [f64; 3]| [x, y, z].iter().zip(a).all(|(x, a)| (x - a).abs() < 2e-5);
+            assert!(is_there([ahead, -right, up]) || is_there([right, ahead, up]), "{recipe:?}");
+        }
+    }
+}
+
+#[test]
+fn a_file_of_whole_firings_has_no_strays_whatever_its_blanks_and_lines() {
+    let scanner = made_up(Recipe::DoubleYAhead);
+    let full = RangeImage { is_full: true, ..image(&scanner, 1) };
+    let lines = made_up(Recipe::DoubleYAhead).line_by_line((0..32).rev().collect());
+    for scanner in [scanner, lines] {
+        let zeros = points(&scanner, &full);
+        let nan = zeros.iter().map(|point| if point[0] == 0.0 { [f32::NAN; 4] } else { *point }).collect();
+        let mut odd = zeros.clone();
+        odd[100] = [1.0, 2.0, 3.0, 4.0];
+        odd[32 * 500] = [-0.0, f32::INFINITY, 1e-40, 0.5];
+        let all = [zeros, nan, odd];
+        let stream = round_trip(&files(&all), &EncoderConfig::default());
+        let (_, groups) = take_apart(&stream);
+        let kinds = |wanted: SectionKind| {
+            let sections = groups.iter().flat_map(|group| &group.frames).flat_map(|frame| &frame.sections);
+            sections
+                .filter(move |section| section.kind == wanted)
+                .map(|section| section.payload.len())
+                .sum::<usize>()
+        };
+        assert_eq!(kinds(SectionKind::Points), 0);
+        assert!(kinds(SectionKind::Blanks) > 0 && kinds(SectionKind::Blanks) < 400);
+        round_trip(&files(&all), &at_level(1));
+        round_trip(&files(&all), &at_level(9));
+    }
+}
+
+#[test]
+fn echoes_come_back_at_every_level_and_cost_less_than_strays() {
+    let scanner = made_up(Recipe::Nebula);
+    let points = points(&scanner, &with_echoes(image(&scanner, 1)));
+    for level in [1, 3, 6, 9] {
+        let stream = round_trip(&files(std::slice::from_ref(&points)), &at_level(level));
+        let (_, groups) = take_apart(&stream);
+        let sections = &groups[0].frames[0].sections;
+        assert!(sections.iter().all(|section| section.kind != SectionKind::Points), "level {level}");
+        assert!(sections.iter().any(|section| section.kind == SectionKind::Echoes), "level {level}");
+    }
+}
+
+#[test]
+fn the_timing_of_a_block_is_found() {
+    let truth = timed(&made_up(Recipe::RoboSense));
+    let points = points(&truth, &image(&truth, 1));
+    let (found, share) = fit(&[file(&points)]).expect("found");
+    assert!(share > 0.999, "{share}");
+    assert!(matches!(found.build().timing, Timing::Parts(_)));
+    let (exact, inexact, strays) = counts(&found, &points);
+    assert!(exact > 999 * points.len() / 1000 && inexact == 0 && strays < points.len() / 1000);
+}
+
+#[test]
+fn two_scanners_in_one_folder_are_told_apart() {
+    let of = |recipe| {
+        let scanner = made_up(recipe);
+        points(&scanner, &image(&scanner, 1))
+    };
+    let (first, second) = (of(Recipe::VelodyneRos), of(Recipe::SingleRangeXAhead));
+    let stream =
+        round_trip(&files(&[first.clone(), second.clone(), first, second]), &EncoderConfig::default());
+    let (scanners, groups) = take_apart(&stream);
+    assert_eq!(scanners.len(), 2);
+    let streams: Vec<u8> = groups[0].frames.iter().map(|frame| frame.header.stamp.stream).collect();
+    assert!(streams[0] == streams[2] && streams[1] == streams[3] && streams[0] != streams[1]);
 }

@@ -22,6 +22,7 @@ use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::internals::backend::{BACKENDS, LZMA};
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
 use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction};
+use lidarpc::internals::scanner::{RangeImage, firings};
 use lidarpc::internals::stream::container::{Stamp, StreamHeader, Time, TimeSource, Unit};
 use lidarpc::internals::stream::{FrameInput, encode};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
@@ -100,6 +101,39 @@ fn write_golden() {
     }
 }
 
+/// What a file of firings holds.
+#[derive(Clone, Copy, PartialEq)]
+enum Cells {
+    /// Returns alone.
+    Returns,
+    /// Blanks, too, which are zeros.
+    Full,
+    /// The same, row after row.
+    Lines,
+    /// Second returns of some cells.
+    Echoes,
+    /// Returns at ticks that go on within a firing.
+    Timed,
+}
+
+/// Two scans of a made-up scanner of firings that stands still.
+fn firings_files(recipe: firings::Recipe, cells: Cells) -> Vec<File> {
+    let mut scanner = common::firings::made_up(recipe);
+    if cells == Cells::Lines {
+        scanner = scanner.line_by_line((0..32).rev().collect());
+    }
+    if cells == Cells::Timed {
+        scanner = common::firings::timed(&scanner);
+    }
+    let image = common::firings::image(&scanner, 12);
+    let image = match cells {
+        Cells::Echoes => common::firings::with_echoes(image),
+        _ => RangeImage { is_full: matches!(cells, Cells::Full | Cells::Lines), ..image },
+    };
+    let points = common::firings::points(&scanner, &image);
+    named(&[points.clone(), points])
+}
+
 /// A scanner that does not move, seen by few beams.
 fn standing_still_files() -> Vec<File> {
     let still = SynthConfig { speed: 0.0, yaw_rate: 0.0, noise: 0.004, beams: 2, ..small(9, 3) };
@@ -147,6 +181,31 @@ fn recipes() -> Vec<Recipe> {
     exact("float32-deep", float_files, at_level(9));
     exact("single-precision", single_precision_files, EncoderConfig::default());
     exact("compensated", compensated_files, EncoderConfig::default());
+    exact(
+        "firings-blanks",
+        || firings_files(firings::Recipe::DoubleYAhead, Cells::Full),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-lines",
+        || firings_files(firings::Recipe::SingleRangeXAhead, Cells::Lines),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-echoes",
+        || firings_files(firings::Recipe::Nebula, Cells::Echoes),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-off-axis",
+        || firings_files(firings::Recipe::RoboSense, Cells::Timed),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-lslidar",
+        || firings_files(firings::Recipe::LsLidar, Cells::Returns),
+        EncoderConfig::default(),
+    );
     exact("standing-still", standing_still_files, EncoderConfig::default());
     for (level, name) in [(1, "-packed"), (6, ""), (9, "-deep")] {
         exact(&format!("firings{name}"), firing_files, at_level(level));

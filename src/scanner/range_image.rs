@@ -35,7 +35,13 @@ pub struct Echo {
 impl RangeImage {
     /// An image without returns.
     pub fn new(rows: usize, columns: Vec<u32>) -> Self {
-        RangeImage { steps: Grid::new(rows, columns.len()), columns, spans: Vec::new(), is_full: false, echoes: Vec::new() }
+        RangeImage {
+            steps: Grid::new(rows, columns.len()),
+            columns,
+            spans: Vec::new(),
+            is_full: false,
+            echoes: Vec::new(),
+        }
     }
 
     /// Number of returns.

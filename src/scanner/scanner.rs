@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::firings::{self, Firings};
 use super::hdl64::{self, Hdl64};
-use super::{Coordinates, MOST_STEPS, Projection, RangeImage, Return};
+use super::{Coordinates, MOST_STEPS, Projection, REACH, RangeImage, Return};
 use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
 use crate::models::ColumnModel;
@@ -55,6 +55,13 @@ impl Scanner {
         // What the first explains is in the order of firings, which is in no other family's.
         let firings = firings::fit(sample).map(|(scanner, _)| Scanner::Firings(scanner));
         firings.or_else(|| hdl64::fit(sample).map(Scanner::Hdl64))
+    }
+
+    /// The share of the points of a scan that have a place in its range image.
+    pub fn share(&self, cloud: &PointCloud) -> f64 {
+        let image = self.project(cloud, REACH).image;
+        let points = cloud.positions.iter().filter(|[x, y, _]| x.hypot(*y) > 0.0).count();
+        (image.returns() + image.echoes.len()) as f64 / points.max(1) as f64
     }
 
     /// The family's number in the stream.

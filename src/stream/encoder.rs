@@ -140,6 +140,7 @@ pub(crate) struct EncodedGroup {
 
 /// A group that is being encoded.
 struct OpenGroup<'s> {
+    scanners: &'s Scanners,
     coder: GroupEncoder<'s>,
     encoded: EncodedGroup,
 }
@@ -149,6 +150,7 @@ impl<'s> OpenGroup<'s> {
         let group = Group { scanners: sequence.scanners.numbers.clone(), frames: Vec::new() };
         let models: Vec<_> = sequence.scanners.models.iter().map(Option::as_ref).collect();
         OpenGroup {
+            scanners: sequence.scanners,
             coder: GroupEncoder::new(&models, sequence.config),
             encoded: EncodedGroup { group, steps: Vec::new(), originals: Vec::new(), file_bytes: 0 },
         }
@@ -162,6 +164,8 @@ impl<'s> OpenGroup<'s> {
     fn encode_frame(&mut self, frame: ReadFrame) -> Result<()> {
         let ReadFrame { header: original, scan } = frame;
         let scan = within_limits(scan)?;
+        let mut original = original;
+        original.stamp.stream = self.scanners.stream_of(original.stamp.stream, &scan);
         let streams = usize::from(original.stamp.stream) + 1;
         let scanners = &mut self.encoded.group.scanners;
         scanners.resize(scanners.len().max(streams), 0);

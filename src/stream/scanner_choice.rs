@@ -23,6 +23,8 @@ pub(crate) struct Scanners {
     pub numbers: Vec<u64>,
     /// What is written of them: each once.
     pub records: Vec<ScannerRecord>,
+    /// Whether frames of one stream are of several scanners: each is then coded in the stream of its own.
+    pub are_mixed: bool,
 }
 
 impl Scanners {
@@ -37,7 +39,7 @@ impl Scanners {
             place as u64 + 1
         };
         let numbers = models.iter().map(&mut number).collect();
-        Scanners { models, numbers, records }
+        Scanners { models, numbers, records, are_mixed: false }
     }
 }
 
@@ -47,25 +49,71 @@ impl Scanners {
 /// If a file cannot be read.
 pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> Result<Scanners> {
     let last = frames.iter().map(|frame| frame.stamp().stream).max().unwrap_or(0);
-    let model = |stream| {
+    let mut models = Vec::new();
+    for stream in 0..=last {
         let frames: Vec<_> = frames.iter().filter(|frame| frame.stamp().stream == stream).collect();
-        choose_model(&frames, config)
-    };
-    Ok(Scanners::new((0..=last).map(model).collect::<Result<_>>()?))
+        let mut of_stream = choose_models(&frames, config)?.into_iter();
+        models.push(of_stream.next());
+        if last == 0 {
+            models.extend(of_stream.map(Some));
+        }
+    }
+    let are_mixed = last == 0 && models.len() > 1;
+    Ok(Scanners { are_mixed, ..Scanners::new(models) })
 }
 
-/// The model of the scanner of a stream that these frames are of.
-fn choose_model(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Option<Scanner>> {
+impl Scanners {
+    /// The stream in which a frame is coded: its own, or if scanners are mixed, that of the one that explains most of it.
+    pub fn stream_of(&self, own: u8, scan: &ScanFile) -> u8 {
+        if !self.are_mixed {
+            return own;
+        }
+        let share = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, |one| one.share(&scan.cloud));
+        let shares = (0u8..).zip(&self.models).map(|(stream, scanner)| (stream, share(scanner)));
+        // The first of equals.
+        shares.fold((own, 0.0), |best, next| if next.1 > best.1 { next } else { best }).0
+    }
+}
+
+/// The models of the scanners of a stream that these frames are of: more than one if the first does not explain the
+/// whole sample.
+fn choose_models(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
     Ok(match config.projection {
         ProjectionKind::Calibrated { range_step_um } => {
             let pool = pool(resolve_threads(config.threads))?;
-            let fitted = pool.install(|| sample(frames, config).map(|sample| Scanner::fit(&sample)))?;
-            fitted.map(|scanner| range_step_um.into_iter().fold(scanner, Scanner::with_range_step))
+            let fitted = pool.install(|| sample(frames, config).map(fit_all))?.into_iter();
+            fitted.map(|scanner| range_step_um.into_iter().fold(scanner, Scanner::with_range_step)).collect()
         }
         ProjectionKind::Ideal { columns, range_step_um } => {
-            Some(Scanner::Hdl64(scanner::ideal(columns, range_step_um)))
+            vec![Scanner::Hdl64(scanner::ideal(columns, range_step_um))]
         }
     })
+}
+
+/// Scanners that together explain the scans of a sample, as far as they are found.
+fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
+    /// A scan of which less is explained is another scanner's.
+    const LEAST_SHARE: f64 = 0.5;
+    /// Scanners of one folder, and fits that find nothing before no more are tried.
+    const MOST: usize = 4;
+    const MOST_FAILURES: usize = 2;
+    let (mut found, mut failures) = (Vec::new(), 0);
+    sample.retain(|scan| !scan.cloud.positions.is_empty());
+    while !sample.is_empty() && found.len() < MOST && failures < MOST_FAILURES {
+        let before = sample.len();
+        let scanner = Scanner::fit(&sample);
+        if let Some(scanner) = scanner {
+            sample.retain(|scan| scanner.share(&scan.cloud) < LEAST_SHARE);
+            found.push(scanner);
+        }
+        if sample.len() == before {
+            // What explains nothing of its own sample is no scanner; the largest scan may be in the way.
+            failures += 1;
+            let largest = (0..before).max_by_key(|&place| sample[place].cloud.positions.len());
+            largest.map(|place| sample.swap_remove(place));
+        }
+    }
+    found
 }
 
 /// The frames that the scanner model is fitted to, spread over the sequence.

@@ -3,6 +3,7 @@
 #![allow(dead_code, missing_docs)] // Each test file takes the part that it needs.
 
 pub mod bound;
+pub mod firings;
 pub mod formats;
 pub mod odd;
 pub mod scans;

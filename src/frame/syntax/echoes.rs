@@ -38,8 +38,7 @@ impl EchoModels {
     pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
         let in_image = frame.cells.len() + frame.blanks.len();
         let missing = (frame.records - frame.strays).saturating_sub(in_image);
-        let has_intensity =
-            frame.layout.intensity.is_some() && frame.parameters.intensity != Intensity::None;
+        let has_intensity = frame.layout.intensity.is_some() && frame.parameters.intensity != Intensity::None;
         frame.echo_intensity.resize(missing, 0.0);
         sections.section(SectionKind::Echoes, missing > 0, |coder| {
             self.code_echoes(coder, (missing, has_intensity), frame)
@@ -96,7 +95,8 @@ impl EchoModels {
                 last = Some(steps);
                 if has_intensity {
                     let index = echoes.len();
-                    let value = self.code_intensity(coder, is_same, first_intensity, frame.echo_intensity[index]);
+                    let value =
+                        self.code_intensity(coder, is_same, first_intensity, frame.echo_intensity[index]);
                     frame.echo_intensity[index] = value;
                 }
                 echoes.push(Echo { cell, steps });
@@ -112,12 +112,19 @@ impl EchoModels {
         Ok(())
     }
 
-    fn code_intensity<C: BitCoder>(&mut self, coder: &mut C, same_range: bool, first: f32, value: f32) -> f32 {
+    fn code_intensity<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        same_range: bool,
+        first: f32,
+        value: f32,
+    ) -> f32 {
         let is_same = value.to_bits() == first.to_bits();
         if self.same_intensity[usize::from(same_range)].code(coder, is_same) {
             return first;
         }
-        let whole = |value: f32| value.fract() == 0.0 && value.abs() < MOST_WHOLE && value.to_bits() != 1 << 31;
+        let whole =
+            |value: f32| value.fract() == 0.0 && value.abs() < MOST_WHOLE && value.to_bits() != 1 << 31;
         if whole(first) && self.is_whole.code(coder, whole(value)) {
             let difference = zigzag(value as i64 - first as i64) & (u64::MAX >> 1);
             let difference = unzigzag(self.intensities.code(coder, difference));

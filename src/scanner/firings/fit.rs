@@ -62,7 +62,11 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     let scanners = found.on_axis().filter(|scanners| !scanners.is_empty()).or_else(|| found.off_axis())?;
     let shares = scanners.into_iter().map(|scanner| {
         let image = scanner.project(&scan.cloud, REACH).image;
-        (scanner, (image.returns() + image.echoes.len()) as f64 / found.points.len().max(1) as f64, image.columns.len())
+        (
+            scanner,
+            (image.returns() + image.echoes.len()) as f64 / found.points.len().max(1) as f64,
+            image.columns.len(),
+        )
     });
     // Of those that explain about as much, that of the fewest columns: there firings are whole.
     // A timing of two firings a block must be worth its name.
@@ -902,7 +906,8 @@ impl Found<'_> {
             let reach = 0.5 * scanner.range_step_m() + 1e-5;
             let places = scanner.places(&sample, reach);
             let is_exact = |place: &&Place| {
-                let found = Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
+                let found =
+                    Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
                 scanner.gives(&found, &sample[place.point as usize].map(f64::from), 0..3)
             };
             let exact = places.iter().filter(is_exact).count();

@@ -299,8 +299,12 @@ impl Firings {
                 let cell = row * width + column;
                 let first = image.echoes.partition_point(|echo| echo.cell < cell);
                 let own = image.echoes[first..].iter().take_while(|echo| echo.cell == cell);
-                returns.extend((first as u32 + 1..).zip(own).map(|(number, echo)| {
-                    Return { row, column, tick, steps: echo.steps, echo: number }
+                returns.extend((first as u32 + 1..).zip(own).map(|(number, echo)| Return {
+                    row,
+                    column,
+                    tick,
+                    steps: echo.steps,
+                    echo: number,
                 }));
             }
         };

@@ -381,10 +381,13 @@ impl Firings {
 /// Places without those that repeat the row and the tick of the one before them: the echoes of that one, each with its
 /// number among those that are left.
 pub(super) fn without_echoes(places: Vec<Place>) -> (Vec<Place>, Vec<(usize, Place)>) {
-    let (mut first, mut echoes): (Vec<Place>, Vec<(usize, Place)>) = (Vec::with_capacity(places.len()), Vec::new());
+    let (mut first, mut echoes): (Vec<Place>, Vec<(usize, Place)>) =
+        (Vec::with_capacity(places.len()), Vec::new());
     for place in places {
         match first.last() {
-            Some(last) if (last.row, last.tick) == (place.row, place.tick) => echoes.push((first.len() - 1, place)),
+            Some(last) if (last.row, last.tick) == (place.row, place.tick) => {
+                echoes.push((first.len() - 1, place))
+            }
             _ => first.push(place),
         }
     }

@@ -67,9 +67,9 @@ impl Recipe {
         Self::ALL.into_iter().find(|recipe| *recipe as u32 == number)
     }
 
-    /// Whether it is one of scanners whose beams start away from the axis.
+    /// Whether it is only one of scanners whose beams start away from the axis.
     pub(super) fn is_off_axis(self) -> bool {
-        matches!(self, Recipe::RoboSense | Recipe::LsLidar)
+        self == Recipe::LsLidar
     }
 
     /// Whether it rounds sums of angles, or of products of their cosines and sines, to single precision.

@@ -38,7 +38,8 @@ impl NullaryFnOnce for FileOrder<'_> {
                 // Without a branch: each cell is written to the next place, and overwritten there unless it
                 // holds a return.
                 for ((&steps, &column_tick), column) in cells.zip(columns.start as u32..) {
-                    of_row[count] = Return { row: row as u32, column, tick: tick(column_tick), steps, echo: 0 };
+                    of_row[count] =
+                        Return { row: row as u32, column, tick: tick(column_tick), steps, echo: 0 };
                     count += usize::from(steps > 0);
                 }
             }

@@ -1,0 +1,99 @@
+//! Made-up scanners of firings, and scans of them in a room of no shape.
+
+use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Origin, Recipe, Timing};
+use lidarpc::internals::scanner::{Coordinates, Echo, RangeImage, Return};
+
+use super::scans::Points;
+
+/// A scanner of 32 lasers that fire out of order and look to either side, with constants as the recipe's maker has them.
+pub fn made_up(recipe: Recipe) -> Firings {
+    let (ticks, range_step_um) = match recipe {
+        Recipe::SingleRangeXAhead => (2048, 1000),
+        Recipe::RoboSense => (36_000, 2500),
+        Recipe::DoubleYAhead => (36_000, 2000),
+        _ => (36_000, 4000),
+    };
+    let degrees = |thousandths: i64| thousandths * 1_000_000;
+    let laser = |row: i64| match recipe {
+        Recipe::RoboSense => Laser {
+            elevation: degrees(15_000 - 1_230 * row),
+            azimuth: degrees([2_270, -7_900, 2_320, -7_850][row as usize % 4]),
+        },
+        Recipe::LsLidar => Laser { elevation: degrees(15_000 - 1_000 * row), azimuth: degrees(20_250) },
+        _ => Laser {
+            elevation: degrees(15_000 - 1_237 * row + row % 3),
+            azimuth: degrees([1_400, -4_200, 4_200, -1_400][row as usize % 4]),
+        },
+    };
+    let origin = match recipe {
+        Recipe::RoboSense => Origin { along_um: 34_980, up_um: 0 },
+        Recipe::LsLidar => Origin { along_um: 36_100, up_um: 0 },
+        _ => Origin::default(),
+    };
+    let coordinates = Coordinates::Float32;
+    let build = Build { recipe, ticks, range_step_um, coordinates, origin, timing: Timing::Together };
+    Firings::new(build, (0..32).map(laser).collect(), (0..32).map(|slot| slot * 5 % 32).collect())
+}
+
+/// Numbers below an end, one after the other, of no order.
+fn numbers(mut state: u64) -> impl FnMut(u64) -> u64 {
+    move |end| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) % end
+    }
+}
+
+/// A turn of a scanner of firings, of which every so many-th is there; one cell in ten has no return.
+pub fn image(scanner: &Firings, thinning: u32) -> RangeImage {
+    let Build { recipe, ticks, range_step_um, ref timing, .. } = *scanner.build();
+    let mut below = numbers(7 + recipe as u64);
+    let step = (ticks / 1800).max(1) * thinning;
+    let (mut columns, mut spans, mut tick) = (Vec::new(), Vec::new(), ticks / 3);
+    for _ in 0..ticks / step {
+        columns.push(tick % ticks);
+        let next = if step > 1 { step - 1 + below(3) as u32 } else { 1 };
+        spans.push(next << 1);
+        tick += next;
+    }
+    let mut image = RangeImage::new(32, columns);
+    if timing.is_interpolated() {
+        image.spans = spans;
+    }
+    for (place, steps) in image.steps.cells_mut().iter_mut().enumerate() {
+        let metres = 5.0 + (place % 1009) as f64 * 0.02 + below(1000) as f64 * 1e-4;
+        *steps = if below(10) == 0 { 0 } else { (metres * 1e6 / f64::from(range_step_um)) as u32 };
+    }
+    image
+}
+
+/// The same with second returns in some cells.
+pub fn with_echoes(mut image: RangeImage) -> RangeImage {
+    let mut below = numbers(3);
+    let cells = (0u32..).zip(image.steps.cells()).filter(|(_, steps)| **steps > 0);
+    let mut echoes = Vec::new();
+    for (cell, steps) in cells.filter(|(cell, _)| cell % 7 < 3) {
+        let steps = if below(3) == 0 { *steps } else { steps + 100 + below(400) as u32 };
+        echoes.push(Echo { cell, steps });
+    }
+    image.echoes = echoes;
+    image
+}
+
+/// The points of an image in the order of a file: blanks are zeros.
+pub fn points(scanner: &Firings, image: &RangeImage) -> Points {
+    let point = |found: Return| {
+        let [x, y, z] = match found.steps {
+            0 => [0.0; 3],
+            _ => scanner.position(&found, 0.0).map(|metres| metres as f32),
+        };
+        [x, y, z, (found.steps % 100) as f32]
+    };
+    scanner.file_order(image).into_iter().map(point).collect()
+}
+
+/// The same scanner with lasers that fire one after the other, 1.57 of 55.56 microseconds apart, and a pause.
+pub fn timed(scanner: &Firings) -> Firings {
+    let part = |slot: i32| (f64::from(slot) * 1.57 / 55.56 * f64::from(1 << 24)) as u32;
+    let build = Build { timing: Timing::Parts((0..32).map(part).collect()), ..scanner.build().clone() };
+    Firings::new(build, scanner.lasers().to_vec(), (0..32).collect())
+}
