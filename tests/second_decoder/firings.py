@@ -2,21 +2,37 @@
 
 from math import pi
 
-from entropy import IntegerModel, adaptive, integers, unzigzag, wrap
+from entropy import AdaptiveBit, IntegerModel, adaptive, integers, unzigzag, wrap
 from errors import Refused
 from models import clamp, f32, to_int
-from scanner import FLOAT32, Grid
-from trigonometry import cos, sin
+from scanner import DIGITS, FLOAT32, LATTICE, MILLIMETRE, Grid
+from trigonometry import cos, glibc_cosf, glibc_sinf, sin
 
-VELODYNE_ROS, DOUBLE_Y_AHEAD, DOUBLE_X_AHEAD, SINGLE_RANGE_X_AHEAD = range(4)
+TOGETHER, VLP_16, ONE_FIRING, TWO_FIRINGS = range(4)
+WHOLE = 1 << 24
+
+# How the recipes' ranges are rounded, and which of them compute in double precision.
+SINGLE_PRODUCT = 0, 3, 4, 8, 9
+ROUNDED_PRODUCT = 6, 7, 10
+DOUBLE = 1, 2, 3, 5
+GLIBC = 8, 9
+ROBOSENSE, LSLIDAR, PANDAR_64, LAST = 4, 5, 10, 10
+
+SLOT, FIRING, BLOCK = map(f32, (2.304, 55.296, 110.592))
+LS_DEGREE = 0.017453293
+DEGREE = pi / 180
 
 
 def radians(degrees):
     return degrees * pi / 180
 
 
-def microseconds(nanoseconds):
-    return f32(nanoseconds * 1e-3)
+def cos_single(v):
+    return f32(cos(v))
+
+
+def sin_single(v):
+    return f32(sin(v))
 
 
 class Column:
@@ -28,40 +44,71 @@ class Column:
         self.span = self.firing = 0
 
 
+class Laser:
+    pass
+
+
+def permutation(reader, rows):
+    found = [reader.varint() for _ in range(rows)]
+    if sorted(found) != list(range(rows)):
+        raise Refused("an order is no permutation of the rows")
+    return found
+
+
 class Scanner:
     """Family `firings`."""
 
-    # Nothing is predicted from regions or from a frame before.
-    has_references = False
+    # Nothing is predicted from regions, nor from surfaces that moved.
+    has_surfaces = False
     is_of_firings = True
 
     def __init__(self, reader):
         self.recipe = reader.varint()
-        if self.recipe > SINGLE_RANGE_X_AHEAD:
+        if self.recipe > LAST:
             raise Refused("an unknown recipe")
         self.ticks = reader.varint()
         self.range_step_um = reader.varint()
-        times = [reader.varint() for _ in range(3)]
+        grid, step = reader.varint(), reader.varint()
+        origin = reader.svarint(), reader.svarint()
         rows = reader.varint()
         if not 1 <= self.ticks <= 360000 or not 1 <= self.range_step_um <= 1000000 or not 1 <= rows <= 1024:
             raise Refused("a scanner with impossible numbers")
-        if max(times) > 1 << 31:
-            raise Refused("a scanner with impossible times")
-        self.is_interpolated = times[2] > 0
-        self.slot_time, self.firing_time, self.block_time = map(microseconds, times)
+        if grid > 3 or step > 10**9 or grid == 2 and step < 1 or grid == 3 and not 1 <= step <= 9:
+            raise Refused("an impossible grid of coordinates")
+        if max(map(abs, origin)) > 10**6:
+            raise Refused("beams that start too far away")
+        self.grid = Grid((FLOAT32, MILLIMETRE, LATTICE, DIGITS)[grid], (None, None, step * 1e-9, step)[grid])
+        self.along, self.up = (um * 1e-6 for um in origin)
         self.range_step = self.range_step_um * 1e-6
-        lasers = [(reader.svarint(), reader.svarint()) for _ in range(rows)]
-        if max(abs(angle) for laser in lasers for angle in laser) > 360 * 10**9:
-            raise Refused("a laser with impossible angles")
-        self.rows_of_slots = [reader.varint() for _ in range(rows)]
-        reader.end()
-        if sorted(self.rows_of_slots) != list(range(rows)):
-            raise Refused("the slots are no permutation of the rows")
-        self.slots = {row: slot for slot, row in enumerate(self.rows_of_slots)}
-        self.grid = Grid(FLOAT32)
         self.tick_degrees = 360 / self.ticks
-        make = self.single if self.recipe == VELODYNE_ROS else self.double
-        self.lasers = [make(elevation * 1e-9, azimuth * 1e-9) for elevation, azimuth in lasers]
+        angles = [(reader.svarint(), reader.svarint()) for _ in range(rows)]
+        if max(abs(angle) for laser in angles for angle in laser) > 360 * 10**9:
+            raise Refused("a laser with impossible angles")
+        self.rows_of_slots = permutation(reader, rows)
+        by_line = reader.varint()
+        if by_line > 1:
+            raise Refused("an unknown order")
+        self.rows_of_lines = permutation(reader, rows) if by_line else None
+        self.timing = reader.varint()
+        if self.timing > TWO_FIRINGS:
+            raise Refused("an unknown timing")
+        self.parts = [reader.varint() for _ in range(max(self.timing - 1, 0) * rows)]
+        if any(part > WHOLE for part in self.parts):
+            raise Refused("more than a block")
+        reader.end()
+        self.slots = {row: slot for slot, row in enumerate(self.rows_of_slots)}
+        self.cosine, self.sine = (glibc_cosf, glibc_sinf) if self.recipe in GLIBC else (cos_single, sin_single)
+        self.position = {
+            1: self.double,
+            2: self.double,
+            3: self.double,
+            4: self.robosense,
+            5: self.lslidar,
+            6: self.sum,
+            7: self.sum,
+        }.get(self.recipe, self.single)
+        self.lasers = [self.laser(elevation * 1e-9, azimuth * 1e-9) for elevation, azimuth in angles]
+        self.of_ticks = {}
 
     @property
     def rows(self):
@@ -72,19 +119,27 @@ class Scanner:
 
     def tick_of_cell(self, row, column):
         """The tick of a row in a column."""
-        if not self.is_interpolated:
+        if self.timing == TOGETHER:
             return column.tick
-        passed = f32(f32(self.slots[row] * self.slot_time) + f32(column.firing * self.firing_time))
-        after = f32(f32(column.span * passed) / self.block_time)
-        return to_int(f32(f32(column.tick + after) + 0.5), 0, (1 << 32) - 1) % self.ticks
+        slot = self.slots[row]
+        if self.timing == VLP_16:
+            passed = f32(f32(slot * SLOT) + f32(column.firing * FIRING))
+            after = f32(f32(column.span * passed) / BLOCK)
+            return to_int(f32(f32(column.tick + after) + 0.5), 0, (1 << 32) - 1) % self.ticks
+        place = column.firing * self.rows + slot
+        part = self.parts[place] if place < len(self.parts) else 0
+        return (column.tick + column.span * part // WHOLE) % self.ticks
 
-    def in_canonical_order(self, ranges, columns):
-        """(row, column, tick, steps) of each return."""
+    def in_canonical_order(self, ranges, columns, is_full):
+        """(row, column, tick, steps) of each return and blank."""
+        if self.rows_of_lines:
+            cells = ((row, n) for row in self.rows_of_lines for n in range(len(columns)))
+        else:
+            cells = ((row, n) for n in range(len(columns)) for row in self.rows_of_slots)
         return [
-            (row, n, self.tick_of_cell(row, column), ranges[row][n])
-            for n, column in enumerate(columns)
-            for row in self.rows_of_slots
-            if ranges[row][n]
+            (row, n, self.tick_of_cell(row, columns[n]), ranges[row][n])
+            for row, n in cells
+            if is_full or ranges[row][n]
         ]
 
     def expected_position(self, row, tick, steps, between):
@@ -92,44 +147,109 @@ class Scanner:
         d = steps * self.range_step
         if between:
             d += -0.5 * self.range_step
-        elif self.recipe in (VELODYNE_ROS, SINGLE_RANGE_X_AHEAD):
+            if self.recipe not in DOUBLE:
+                d = f32(d)
+        elif self.recipe in SINGLE_PRODUCT:
             d = f32(f32(steps) * f32(self.range_step))
-        if self.recipe == VELODYNE_ROS:
-            return self.single_position(self.lasers[row], tick, f32(d))
-        position = self.double_position(self.lasers[row], tick, d)
+        elif self.recipe in ROUNDED_PRODUCT:
+            d = f32(d)
+        position = self.position(self.lasers[row], tick, d)
         return position if between else tuple(map(f32, position))
 
-    # Recipe 0
+    def laser(self, e, o):
+        laser = Laser()
+        laser.offset = o
+        laser.turned = round(o / 360 * self.ticks) % self.ticks
+        if self.position == self.single:
+            v, offset = f32(radians(e)), f32(radians(-o))
+            laser.cos_v, laser.sin_v = self.cosine(v), self.sine(v)
+            laser.direction = (self.cosine(offset), self.sine(offset)) if o else None
+        elif self.position == self.robosense:
+            laser.cos_v, laser.sin_v = cos_single(radians(e)), sin_single(radians(e))
+        elif self.position == self.lslidar:
+            laser.cos_v, laser.sin_v = cos(e * LS_DEGREE), sin(e * LS_DEGREE)
+        elif self.recipe == 6:
+            v = f32(f32(e) * f32(DEGREE))
+            laser.cos_v, laser.sin_v = glibc_cosf(v), glibc_sinf(v)
+            laser.offset = f32(f32(o) * f32(DEGREE))
+        elif self.recipe == 7:
+            v = f32(radians(f32(e)))
+            laser.cos_v, laser.sin_v = glibc_cosf(v), glibc_sinf(v)
+            laser.offset = f32(o)
+        else:
+            laser.cos_v, laser.sin_v = cos(radians(e)), sin(radians(e))
+        return laser
 
-    @staticmethod
-    def single(elevation, azimuth):
-        v, o = f32(radians(elevation)), f32(radians(-azimuth))
-        return f32(cos(v)), f32(sin(v)), (f32(cos(o)), f32(sin(o))) if azimuth else None
+    def of_tick(self, make, tick):
+        """What a recipe has of a tick, made once."""
+        found = self.of_ticks.get(tick)
+        if found is None:
+            found = self.of_ticks[tick] = make(tick)
+        return found
 
-    def single_position(self, laser, tick, d):
-        cos_v, sin_v, offset = laser
-        angle = f32(radians(f32(f32(self.tick_degrees) * f32(tick))))
-        c, s = f32(cos(angle)), f32(sin(angle))
-        if offset:
-            cos_o, sin_o = offset
+    # Recipes 0, 8, 9 and 10
+
+    def direction_single(self, tick):
+        if self.recipe == PANDAR_64:
+            a = f32(f32((tick + self.ticks // 4) % self.ticks) * f32(self.tick_degrees * pi / 180))
+        elif self.recipe == 9:
+            a = f32(radians(self.tick_degrees * tick))
+        else:
+            a = f32(radians(f32(f32(self.tick_degrees) * f32(tick))))
+        return self.cosine(a), self.sine(a)
+
+    def single(self, laser, tick, d):
+        c, s = self.of_tick(self.direction_single, tick)
+        if laser.direction:
+            cos_o, sin_o = laser.direction
             c, s = f32(f32(c * cos_o) + f32(s * sin_o)), f32(f32(s * cos_o) - f32(c * sin_o))
-        along = f32(d * cos_v)
-        return f32(along * c), -f32(along * s), f32(d * sin_v)
+        flat = f32(d * laser.cos_v)
+        x, y, z = f32(flat * c), f32(flat * s), f32(d * laser.sin_v)
+        return (-x, y, z) if self.recipe == PANDAR_64 else (x, -y, z)
 
     # Recipes 1 to 3
 
-    @staticmethod
-    def double(elevation, azimuth):
-        v = radians(elevation)
-        return cos(v), sin(v), azimuth
+    def double(self, laser, tick, d):
+        a = radians(tick * self.tick_degrees + laser.offset)
+        flat = d * laser.cos_v
+        if self.recipe == 1:
+            return flat * sin(a), flat * cos(a), d * laser.sin_v
+        return flat * cos(a), -(flat * sin(a)), d * laser.sin_v
 
-    def double_position(self, laser, tick, d):
-        cos_v, sin_v, offset = laser
-        angle = radians(tick * self.tick_degrees + offset)
-        along = d * cos_v
-        if self.recipe == DOUBLE_Y_AHEAD:
-            return along * sin(angle), along * cos(angle), d * sin_v
-        return along * cos(angle), -(along * sin(angle)), d * sin_v
+    # Recipe 4
+
+    def direction_of_tick(self, tick):
+        a = radians(tick * self.tick_degrees)
+        return cos_single(a), sin_single(a)
+
+    def robosense(self, laser, tick, d):
+        c, s = self.of_tick(self.direction_of_tick, (tick + laser.turned) % self.ticks)
+        c0, s0 = self.of_tick(self.direction_of_tick, tick)
+        flat = f32(d * laser.cos_v)
+        along = f32(self.along)
+        x = f32(f32(flat * c) + f32(along * c0))
+        y = f32(f32(-flat * s) - f32(along * s0))
+        return x, y, f32(f32(d * laser.sin_v) + f32(self.up))
+
+    # Recipe 5
+
+    def lslidar(self, laser, tick, d):
+        t = (tick + laser.turned) % self.ticks * self.tick_degrees
+        p, q = t * LS_DEGREE, (t - laser.offset) * LS_DEGREE
+        flat = d * laser.cos_v
+        x = flat * sin(p) + self.along * sin(q)
+        y = flat * cos(p) + self.along * cos(q)
+        return x, y, d * laser.sin_v + self.up
+
+    # Recipes 6 and 7
+
+    def sum(self, laser, tick, d):
+        if self.recipe == 6:
+            a = f32(f32(tick / (self.ticks / 360) * DEGREE) + laser.offset)
+        else:
+            a = f32(radians(laser.offset + tick / (1 / self.tick_degrees)))
+        flat = f32(d * laser.cos_v)
+        return f32(flat * glibc_sinf(a)), f32(flat * glibc_cosf(a)), f32(d * laser.sin_v)
 
 
 def context(difference):
@@ -140,6 +260,7 @@ class Columns:
     """8.2."""
 
     def __init__(self):
+        self.full = AdaptiveBit()
         self.count = IntegerModel()
         self.same_block = adaptive(2)
         self.steps = integers(5)
@@ -147,14 +268,16 @@ class Columns:
         self.firing = adaptive(2)
 
     def code(self, bits, scanner):
+        """The columns, and whether the image is full."""
         columns = []
         turn = scanner.ticks
+        is_full = self.full.code(bits)
         n = self.count.code(bits)
         if n * scanner.rows > 1 << 24:
             raise Refused("a range image of too many columns")
         tick = step = difference = same = block = 0
         for _ in range(n):
-            if scanner.is_interpolated:
+            if scanner.timing:
                 same = self.same_block[same].code(bits)
             if not same:
                 difference = unzigzag(self.steps[context(difference)].code(bits))
@@ -163,9 +286,9 @@ class Columns:
                 if columns:
                     block += 1
             columns.append(Column(tick, block))
-        if scanner.is_interpolated:
+        if scanner.timing:
             self.code_spans(bits, columns, turn)
-        return columns
+        return columns, is_full
 
     def code_spans(self, bits, columns, turn):
         first_of_block = {}

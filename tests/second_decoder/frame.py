@@ -19,7 +19,7 @@ from layout import F32, PLAIN, Field, Layout
 from models import TAU, f32
 from ranges import Deep, Mixed
 from residual import BACK_ENDS
-from scanner import MILLIMETRE, Grid, bits_of_float, float_of_bits, from_ordered, ordered
+from scanner import LATTICE, MILLIMETRE, Grid, bits_of_float, float_of_bits, from_ordered, ordered
 from trigonometry import atan2, cos, sin
 
 OF_FORMULA, AS_FORMULA, ON_GRID = 1, 2, 3
@@ -90,6 +90,7 @@ class Decoder:
         self.intensity = sections.Intensity(self.off_grid)
         self.deep_intensity = None
         self.correction = sections.Correction()
+        self.blanks = sections.Blanks()
         self.order = sections.Order()
         self.channels = Channels()
         self.contour = residual.Contour()
@@ -140,8 +141,7 @@ class Decoder:
         records, strays = self.sizes.code(bits), self.sizes.code(bits)
         if records != point_count or strays > records or records and not layout.stride:
             raise Refused("numbers of points that do not agree")
-        returns = records - strays
-        if returns and not (self.scanner and layout.position):
+        if records > strays and not (self.scanner and layout.position):
             raise Refused("returns without a scanner or a position")
 
         beside = self.points_of(layout, parameters, records, strays)
@@ -156,11 +156,12 @@ class Decoder:
 
     def points_of(self, layout, parameters, records, strays):
         """What there is of rows, columns, positions and intensities, in the order of the file."""
-        returns = records - strays
+        inside = records - strays
         scanner = self.scanner
         image, columns, seen = [], [], None
-        if returns:
-            columns = self.columns.code(self.bits(kinds.COLUMNS), scanner)
+        blanks = []
+        if inside:
+            columns, is_full = self.columns.code(self.bits(kinds.COLUMNS), scanner)
             if parameters.prediction == INTER:
                 if self.past is None:
                     raise Refused("a frame is predicted from none")
@@ -168,14 +169,16 @@ class Decoder:
                     scanner, self.past, columns, parameters.motion, parameters.coder == LIGHT
                 )
             image = self.occupied(parameters, columns, seen)
-            if sum(map(sum, image)) != returns:
-                raise Refused("the range image does not hold as many returns as it should")
+            if is_full:
+                blanks = [(row, n) for row, cells in enumerate(image) for n, filled in enumerate(cells) if not filled]
+            if sum(map(sum, image)) + len(blanks) != inside:
+                raise Refused("the range image does not hold as many points as it should")
 
         of_strays = []
         if strays and layout.position:
             grid = None
             if parameters.max_error_um:
-                grid = Grid(MILLIMETRE, float(parameters.max_error_um * 1140) * 1e-9)
+                grid = Grid(LATTICE, float(parameters.max_error_um * 1140) * 1e-9)
             of_strays = self.strays(strays, grid)
 
         values, values_of_strays = [[0] * len(columns)] * len(image), [0] * strays
@@ -184,34 +187,38 @@ class Decoder:
             above = [None] * strays
             if layout.position:
                 above = sections.places_of_strays(of_strays)
+            above += [None] * len(blanks)
             values, values_of_strays, levels = self.intensities(parameters, image, above, seen)
+            for (row, column), value in zip(blanks, values_of_strays[strays:]):
+                values[row][column] = value
+            values_of_strays = values_of_strays[:strays]
 
         ranges = []
-        if returns:
+        if inside:
             ranges = self.ranges(parameters, image, columns, levels, seen)
-            if scanner.has_references and not parameters.is_tokens and len(image) * len(columns) <= 1 << 22:
+            if not parameters.is_tokens and len(image) * len(columns) <= 1 << 22:
                 if levels is None:
                     levels = [[0] * len(columns) for _ in image]
                 self.past = references.Past(columns, ranges, levels)
-        elements = scanner.in_canonical_order(ranges, columns) if returns else []
-        stray_places, moved, move_places = range(returns, records), [], []
+        elements = scanner.in_canonical_order(ranges, columns, is_full) if inside else []
+        stray_places, moved, move_places = range(inside, records), [], []
         positions = []
-        if returns:
+        if inside:
             positions = self.positions(parameters, elements)
             if parameters.positions != OF_FORMULA:
                 stray_places, moved, move_places = self.order.code(self.bits(kinds.ORDER), records, strays)
         is_moved = set(moved)
         sequence = sections.placed(
-            returns, zip(move_places, moved), (e for e in range(returns) if e not in is_moved)
+            inside, zip(move_places, moved), (e for e in range(inside) if e not in is_moved)
         )
-        sequence = sections.placed(records, zip(stray_places, range(returns, records)), sequence)
+        sequence = sections.placed(records, zip(stray_places, range(inside, records)), sequence)
 
-        def in_order(of_returns, of_strays):
-            values = of_returns + of_strays
+        def in_order(of_image, of_strays):
+            values = of_image + of_strays
             return [values[e] for e in sequence]
 
         beside = Beside()
-        if returns:
+        if inside:
             beside.rows = in_order([row + 1 for row, _, _, _ in elements], [0] * strays)
             beside.columns = in_order([column + 1 for _, column, _, _ in elements], [0] * strays)
             if scanner.is_of_firings:
@@ -221,8 +228,8 @@ class Decoder:
         if layout.position:
             beside.positions = in_order(positions, of_strays)
         if layout.intensity:
-            of_returns = [values[row][column] for row, column, _, _ in elements]
-            beside.intensities = in_order(of_returns, values_of_strays)
+            of_image = [values[row][column] for row, column, _, _ in elements]
+            beside.intensities = in_order(of_image, values_of_strays)
         return beside
 
     def strays(self, n, grid):
@@ -273,7 +280,7 @@ class Decoder:
         if coder >= BACK_ENDS:
             labels = models = None
             if parameters.prediction == REGIONS:
-                if not self.scanner.has_references:
+                if not self.scanner.has_surfaces:
                     raise Refused("regions of a scanner that has none")
                 labels = self.contour.code(self.bits(kinds.CONTOUR), image)
                 models = self.regions.code(self.bits(kinds.REGIONS), self.contour.regions)
@@ -290,6 +297,20 @@ class Decoder:
         return model.code(Reader(payload), image, parameters, seen)
 
     def positions(self, parameters, elements):
+        """Those of returns and blanks, in canonical order."""
+        is_blank = [steps == 0 for _, _, _, steps in elements]
+        returns = iter(self.positions_of_returns(parameters, [e for e in elements if e[3]]))
+        blanks = iter(())
+        if any(is_blank):
+            formulas = [
+                sections.rounded(self.scanner.expected_position(row, tick, 0, 0))
+                for row, _, tick, steps in elements
+                if not steps
+            ]
+            blanks = iter(self.blanks.code(self.bits(kinds.BLANKS), formulas))
+        return [next(blanks if blank else returns) for blank in is_blank]
+
+    def positions_of_returns(self, parameters, elements):
         scanner = self.scanner
         formulas = [
             scanner.expected_position(row, tick, steps, parameters.between) for row, _, tick, steps in elements

@@ -1,5 +1,6 @@
 """Section 4.3 of FORMAT.md: what the frame before lets expect of this one."""
 
+from bisect import bisect_left
 from math import sqrt
 
 from models import TAU
@@ -36,11 +37,40 @@ class Layer:
 
 class Reference:
     def __init__(self, scanner, past, columns, motion, is_still_empty):
+        if scanner.is_of_firings:
+            self.same = self.moved = layer_of_nearest(scanner, past, columns)
+            return
         self.same = same_layer(scanner, past, columns)
         if is_still_empty and not any(motion):
             self.moved = Layer(scanner.rows, len(columns))
         else:
             self.moved = moved_layer(scanner, past, columns, motion)
+
+
+def layer_of_nearest(scanner, past, columns):
+    """The layer of family `firings`."""
+    layer = Layer(scanner.rows, len(columns))
+    first = {}
+    for number, column in enumerate(past.columns):
+        first.setdefault(column.tick, number)
+    ticks = sorted(first)
+    gaps = sorted(b - a for a, b in zip(ticks, ticks[1:]))
+    reach = gaps[len(gaps) // 2] if gaps else 0
+
+    def apart(a, b):
+        return min(abs(a - b), scanner.ticks - abs(a - b))
+
+    for number, column in enumerate(columns):
+        if not ticks:
+            break
+        after = bisect_left(ticks, column.tick)
+        near = min(ticks[after - 1], ticks[after % len(ticks)], key=lambda tick: apart(tick, column.tick))
+        if apart(near, column.tick) <= reach:
+            at = first[near]
+            for row in range(scanner.rows):
+                layer.ranges[row][number] = past.ranges[row][at]
+                layer.levels[row][number] = past.levels[row][at]
+    return layer
 
 
 def same_layer(scanner, past, columns):

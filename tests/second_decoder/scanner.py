@@ -1,14 +1,15 @@
 """Sections 3.2, 3.4, and 8.2 for its columns, of FORMAT.md: scanners of family `hdl64`, coordinate grids."""
 
 import struct
-from math import copysign, inf, isnan, nan, sqrt
+from fractions import Fraction
+from math import copysign, inf, isfinite, isnan, nan, nextafter, sqrt
 
 from entropy import adaptive
 from errors import Refused
 from models import TAU, clamp, f32
 from trigonometry import cos, sin, sin_cos_f32
 
-MILLIMETRE, FLOAT32 = 0, 1
+MILLIMETRE, FLOAT32, LATTICE, DIGITS = range(4)
 SINGLE_PRECISION = 2
 
 
@@ -37,8 +38,22 @@ def from_ordered(unit):
     return key - 0x80000000 if key >> 31 else key ^ 0xFFFFFFFF
 
 
+def single_of(number, exponent):
+    """The float32 nearest to number * 10^exponent."""
+    exact = Fraction(number) * Fraction(10) ** exponent
+    if exact >= 1 << 129:
+        return inf
+    # Of the two float64s around it, the odd one: it rounds to float32 as the number itself does.
+    near = float(exact)
+    if near != exact and not struct.pack("<d", near)[0] & 1:
+        near = nextafter(near, inf if near < exact else 0)
+    return f32(near)
+
+
 class Grid:
-    """3.4: a grid of coordinates. Values are the bits of float32s."""
+    """3.4: a grid of coordinates; `step` is that of a lattice, in metres, or the number of digits.
+
+    Values are the bits of float32s."""
 
     def __init__(self, kind, step=None):
         self.kind = kind
@@ -49,18 +64,36 @@ class Grid:
             return 0
         if self.kind == FLOAT32:
             return ordered(bits_of_float(f32(metres)))
-        scaled = metres / self.step if self.step else metres * 1000
+        if self.kind == DIGITS:
+            return self.decimal_unit(metres)
+        scaled = metres / self.step if self.kind == LATTICE else metres * 1000
         return round(clamp(scaled, -1e12, 1e12))
+
+    def decimal_unit(self, metres):
+        if metres == 0 or not isfinite(metres):
+            return 0
+        mantissa, exponent = f"{abs(metres):.{self.step - 1}e}".split("e")
+        number, exponent = int(mantissa.replace(".", "")), int(exponent) + 46
+        if exponent < 0:
+            return 0
+        least = 10 ** (self.step - 1)
+        unit = exponent * 9 * least + number - least + 1
+        return -unit if metres < 0 else unit
 
     def value(self, unit, formula):
         if self.kind == FLOAT32:
             return from_ordered(unit)
-        if self.step:
+        if self.kind == LATTICE:
             return bits_of_float(f32(float(unit) * self.step))
         if unit == 0:
             if isnan(formula):
                 return 0
             return bits_of_float(f32(formula)) & 0x80000000
+        if self.kind == DIGITS:
+            least = 10 ** (self.step - 1)
+            place, number = divmod(abs(unit) - 1, 9 * least)
+            v = single_of(number + least, min(place, 100) - 45 - self.step)
+            return bits_of_float(-v if unit < 0 else v)
         return bits_of_float(f32(float(unit) / 1000))
 
 
@@ -71,7 +104,7 @@ class Beam:
 class Scanner:
     """Family `hdl64`."""
 
-    has_references = True
+    has_surfaces = True
     is_of_firings = False
 
     def __init__(self, reader):
@@ -123,8 +156,8 @@ class Scanner:
     def new_columns(self):
         return Columns()
 
-    def in_canonical_order(self, ranges, columns):
-        """(row, column, tick, steps) of each return (4.2)."""
+    def in_canonical_order(self, ranges, columns, is_full):
+        """(row, column, tick, steps) of each return (4.2). No image of this family is full."""
         found = []
         for row, cells in enumerate(ranges):
             of_row = []
@@ -223,6 +256,7 @@ class Columns:
         self.bits = adaptive(4 * 32 * 4)
 
     def code(self, bits, scanner):
+        """The columns, and whether the image is full."""
         columns = []
         gap = run = last_gap = 0
         for tick in range(scanner.ticks):
@@ -233,4 +267,4 @@ class Columns:
                 gap = 0
             else:
                 gap += 1
-        return columns
+        return columns, False

@@ -27,7 +27,7 @@ from models import (
     signed_level,
     squash,
 )
-from scanner import FLOAT32, Grid, bits_of_float, float_of_bits
+from scanner import MILLIMETRE, Grid, bits_of_float, float_of_bits, from_ordered, ordered
 
 
 class ByteModel:
@@ -603,7 +603,7 @@ class Correction:
         self.rest = integers(72)
 
     def corrections(self, bits, grid, formula):
-        if grid.kind == FLOAT32:
+        if grid.kind != MILLIMETRE:
             exponents = [_exponent(v) for v in formula]
             largest = max(exponents)
             return [
@@ -659,6 +659,34 @@ def _exponent(v):
     return struct.unpack("<Q", struct.pack("<d", v))[0] >> 52 & 0x7FF
 
 
+# 8.19 Blanks
+
+
+class Blanks:
+    def __init__(self):
+        self.same_kind = adaptive(3)
+        self.later_kind = adaptive(3)
+        self.differences = integers(3)
+
+    def code(self, bits, formulas):
+        """Positions, as the bits of float32s, like the formula's."""
+        found = []
+        kind = 0
+        before = 0, 0, 0
+        for formula in formulas:
+            if not self.same_kind[kind].code(bits):
+                others = [other for other in range(3) if other != kind]
+                kind = others[self.later_kind[kind].code(bits)]
+            if kind == 0:
+                before = formula
+            elif kind == 2:
+                before = tuple(
+                    from_ordered(ordered(v) + unzigzag(model.code(bits))) for v, model in zip(before, self.differences)
+                )
+            found.append(before)
+        return found
+
+
 # 8.8 Order
 
 
@@ -667,13 +695,13 @@ class Order:
         self.counts, self.stray_gaps, self.move_gaps = integers(3)
 
     def code(self, bits, records, strays):
-        returns = records - strays
+        inside = records - strays
         stray_places = self.rising(bits, self.stray_gaps, strays, records)
         n = self.counts.code(bits)
-        if n > returns:
-            raise Refused("more moved returns than returns")
-        moved = self.rising(bits, self.move_gaps, n, returns)
-        width = returns.bit_length()
+        if n > inside:
+            raise Refused("more moved elements than the image has")
+        moved = self.rising(bits, self.move_gaps, n, inside)
+        width = inside.bit_length()
         return stray_places, moved, [bits.plain(width) for _ in range(n)]
 
     @staticmethod

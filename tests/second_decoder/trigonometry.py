@@ -256,3 +256,35 @@ def sin_cos_f32(x):
     s = _sin_near(y0, y1)
     c = _cos_near(y0, y1)
     return ((s, c), (c, -s), (-s, -c), (-c, s))[n & 3]
+
+
+# Of glibc
+
+GS = [_f64(b) for b in (0xBFC555545995A603, 0x3F81107605230BC4, 0xBF2994EB3774CF24)]
+GC = [_f64(b) for b in (0xBFDFFFFFFD0C621C, 0x3FA55553E1068F19, 0xBF56C087E89A359D, 0x3EF99343027BF8C3)]
+GQ, GH = _f64(0x41645F306DC9C883), _f64(0x3FF921FB54442D18)
+
+
+def _top(x):
+    return _bits(x) >> 20 & 0x7FF
+
+
+def _glibc(x, k):
+    n = 0 if _top(x) < 0x3F4 else (int(x * GQ) + (1 << 23)) >> 24
+    r = x - n * GH
+    z = r * r
+    if (n + k) % 2 == 0:
+        y = -r if n & 3 in (1, 2) else r
+        w = y * z
+        return f32((y + w * GS[0]) + w * z * (GS[1] + z * GS[2]))
+    g = -1.0 if n & 2 else 1.0
+    w = z * z
+    return f32((g * (1 + z * GC[0]) + w * (g * GC[1])) + w * z * (g * (GC[2] + z * GC[3])))
+
+
+def glibc_sinf(x):
+    return x if _top(x) < 0x398 else _glibc(x, 0)
+
+
+def glibc_cosf(x):
+    return 1.0 if _top(x) < 0x398 else _glibc(x, 1)
