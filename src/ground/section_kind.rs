@@ -40,13 +40,15 @@ pub enum SectionKind {
     Bytes,
     /// Positions of the records without a return that the range image holds.
     Blanks,
+    /// How the points were moved through the coordinates of a map; left out if they were not.
+    World,
     /// Something that this program does not know, of this number, but may leave aside.
     Skippable(u8),
 }
 
 impl SectionKind {
     /// All kinds that this program knows, in the order of their numbers, the first of which is 1.
-    pub const ALL: [SectionKind; 16] = [
+    pub const ALL: [SectionKind; 17] = [
         SectionKind::File,
         SectionKind::Columns,
         SectionKind::Occupancy,
@@ -63,6 +65,7 @@ impl SectionKind {
         SectionKind::Compensation,
         SectionKind::Bytes,
         SectionKind::Blanks,
+        SectionKind::World,
     ];
 
     /// The kind's name in reports: lower case, one word.
@@ -84,6 +87,7 @@ impl SectionKind {
             SectionKind::Compensation => "compensation",
             SectionKind::Bytes => "bytes",
             SectionKind::Blanks => "blanks",
+            SectionKind::World => "world",
             SectionKind::Skippable(_) => "skippable",
         }
     }
