@@ -1,5 +1,5 @@
-//! Motion compensation, undone. There are two kinds: in one go, from the motion of a turn, here; and firing by firing
-//! through the coordinates of a map, in [`world`].
+//! Motion compensation, undone. There are two kinds: in one go, from the motion of a turn, here; and firing
+//! by firing through the coordinates of a map, in [`world`].
 //!
 //! A scanner that moves sees each point of a turn from another place; some
 //! data sets hold points that were moved to where they would have been seen from the place in the middle
@@ -40,8 +40,9 @@ pub enum Compensation {
     World(World),
 }
 
-/// The points as they were measured, and how they were moved to those of the file, except for the points that the formula
-/// misses. `None` if they were not moved in any way that is looked for: through a map only if `through_map`.
+/// The points as they were measured, and how they were moved to those of the file, except for the points that
+/// the formula misses. `None` if they were not moved in any way that is looked for: through a map only if
+/// `through_map`.
 pub fn undo(positions: &[[f32; 3]], through_map: bool) -> Option<(Vec<[f32; 3]>, Compensation)> {
     let of_map = || world::undo(positions).map(|(points, world)| (points, Compensation::World(world)));
     let of_turn = || find::undo(positions).map(|(points, turn)| (points, Compensation::Turn(turn)));

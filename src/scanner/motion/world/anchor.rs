@@ -1,14 +1,15 @@
 //! How the file's axes lie in the map, to the last digits: from pairs of float32 coordinates in both.
 
-use nalgebra::{Matrix6, Rotation3, Vector6};
+use nalgebra::{Matrix6, Vector6};
 
 use super::sweep::{Matrix, Vector};
+use super::undo::rotated;
 
 /// The distance of a float32 from the next.
 #[inline]
 pub fn spacing(value: f64) -> f64 {
-    let exponent = f32::from_bits((value as f32).to_bits() & 0x7f80_0000);
-    f64::from(exponent.max(f32::MIN_POSITIVE)) * 2.0f64.powi(-23)
+    let binade = f32::from_bits((value as f32).to_bits() & 0x7f80_0000);
+    f64::from(binade.max(f32::MIN_POSITIVE) * f32::EPSILON)
 }
 
 pub fn rounded(v: Vector) -> Vector {
@@ -25,8 +26,8 @@ pub struct Pair {
     pub error: f64,
 }
 
-/// The rotation and the origin that bring the map's points to those of the file, with fewer and fewer of the pairs: those
-/// off by less than each of `limits` errors.
+/// The rotation and the origin that bring the map's points to those of the file, with fewer and fewer of the
+/// pairs: those off by less than each of `limits` errors.
 pub fn rigid(pairs: &[Pair], mut axes: Matrix, mut origin: Vector, limits: &[f64]) -> (Matrix, Vector) {
     let middle = pairs.iter().fold(Vector::zeros(), |sum, pair| sum + pair.file) / pairs.len().max(1) as f64;
     for limit in limits {
@@ -47,7 +48,7 @@ pub fn rigid(pairs: &[Pair], mut axes: Matrix, mut origin: Vector, limits: &[f64
         let scaled = Matrix6::from_diagonal(&scale) * normal * Matrix6::from_diagonal(&scale);
         let Some(cholesky) = (scaled + Matrix6::identity() * 1e-13).cholesky() else { break };
         let step = cholesky.solve(&right.component_mul(&scale)).component_mul(&scale);
-        let turn = Rotation3::new(Vector::new(step[0], step[1], step[2])).into_inner();
+        let turn = rotated(&Vector::new(step[0], step[1], step[2]));
         // v = turn (there - middle) + middle + shift
         let shift = Vector::new(step[3], step[4], step[5]) + middle - turn * middle;
         axes *= turn.transpose();

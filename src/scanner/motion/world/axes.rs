@@ -1,5 +1,5 @@
-//! The axes of the map, from nothing but the lattices of float32 on which the points lie along them: the coarsest first,
-//! from near pairs of points to ever farther ones, which tell its direction ever better.
+//! The axes of the map, from nothing but the lattices of float32 on which the points lie along them: the
+//! coarsest first, from near pairs of points to ever farther ones, which tell its direction ever better.
 
 use std::f64::consts::{PI, TAU};
 

@@ -1,15 +1,16 @@
-//! Motion compensation through a world frame, undone: each firing of a turning scanner was moved by its own pose to
-//! coordinates of a map, which were rounded to float32, and from there back to the scanner at one moment, rounded to
-//! float32 again (nuScenes). A point p of a firing with the place T and the turn w of the scanner:
+//! Motion compensation through a world frame, undone: each firing of a turning scanner was moved by its own
+//! pose to coordinates of a map, which were rounded to float32, and from there back to the scanner at one
+//! moment, rounded to float32 again (nuScenes). A point p of a firing with the place T and the turn w of the
+//! scanner:
 //!
 //! ```text
 //! g = f32(Q (R(w) p + T) + o)          the map's coordinates; on coarse axes float32 is a lattice
 //! v = f32(Q^T (g - o))                 the point of the file
 //! ```
 //!
-//! Q and o say how the file's axes lie in the map. The pose runs straight between [`Knot`]s in time; the first firings
-//! have poses of their own. `undo` finds all this from nothing but the points; what the formula misses is listed as
-//! corrections: steps of the lattices first, then float32 values.
+//! Q and o say how the file's axes lie in the map. The pose runs straight between [`Knot`]s in time; the
+//! first firings have poses of their own. `undo` finds all this from nothing but the points; what the formula
+//! misses is listed as corrections: steps of the lattices first, then float32 values.
 
 mod anchor;
 mod axes;
@@ -107,8 +108,8 @@ pub struct World {
     pub rotation: [f64; 3],
     /// o: where the scanner is in the map, in metres.
     pub origin: [f64; 3],
-    /// The exponent of two of the lattice's step in metres, along the first two axes of the map: at most 0. None if the
-    /// lattice is too fine.
+    /// The exponent of two of the lattice's step in metres, along the first two axes of the map: at most 0.
+    /// None if the lattice is too fine.
     pub lattices: [Option<i32>; 2],
     /// When firings are.
     pub times: Times,
@@ -164,8 +165,8 @@ impl Pose {
     }
 }
 
-/// The pose at a time between two knots. A car that goes straight while it turns takes the scanner, `lever` above the
-/// ground, along a curve: it sags from the straight line.
+/// The pose at a time between two knots. A car that goes straight while it turns takes the scanner, `lever`
+/// above the ground, along a curve: it sags from the straight line.
 fn between(knots: [(f64, &Metric); 2], time: f64, lever: [f64; 3]) -> Metric {
     let [(start, a), (end, b)] = knots;
     let part = (time - start) / (end - start);
@@ -282,7 +283,8 @@ impl World {
         self.corrections = corrections;
     }
 
-    /// Moves the points of a scan, in the order of the file. Corrections of records that are not there do nothing.
+    /// Moves the points of a scan, in the order of the file. Corrections of records that are not there do
+    /// nothing.
     pub fn apply(&self, positions: &mut [[f32; 3]]) {
         let formula = Formula::new(self, positions.len());
         let mut corrections = self.corrections.iter().peekable();
@@ -295,8 +297,8 @@ impl World {
     }
 }
 
-/// What is corrected: what the formula gives, or where that is no number, the point itself, for processors differ in the
-/// bits of a NaN that they compute.
+/// What is corrected: what the formula gives, or where that is no number, the point itself, for processors
+/// differ in the bits of a NaN that they compute.
 fn start(measured: &[f32; 3], given: [f32; 3]) -> [f32; 3] {
     if given.iter().any(|metres| metres.is_nan()) { *measured } else { given }
 }

@@ -1,5 +1,5 @@
-//! The path of the scanner through a sweep: straight lines between knots in time that come nearest to what all firings
-//! tell about their poses.
+//! The path of the scanner through a sweep: straight lines between knots in time that come nearest to what
+//! all firings tell about their poses.
 
 use std::collections::HashMap;
 
@@ -11,8 +11,8 @@ use super::{Metric, between};
 /// The place in metres, then the turn in radians.
 pub type Six = Vector6<f64>;
 
-/// What a firing tells about its pose: the sum of squares is `squares - 2 d right + d normal d`, if the pose differs by d
-/// from the one at hand.
+/// What a firing tells about its pose: the sum of squares is `squares - 2 d right + d normal d`, if the pose
+/// differs by d from the one at hand.
 #[derive(Clone, Copy)]
 pub struct Told {
     pub normal: Matrix6<f64>,
@@ -91,7 +91,8 @@ impl Piece {
     }
 }
 
-/// The poses of knots that these pieces make best, and by how much they lessen the sum of squares from where all are 0.
+/// The poses of knots that these pieces make best, and by how much they lessen the sum of squares from where
+/// all are 0.
 fn solved(pieces: &[&Piece]) -> Option<(Vec<Six>, f64)> {
     /// Keeps knots that nothing tells about, as a part of what most do.
     const RIDGE: f64 = 1e-13;
@@ -137,8 +138,8 @@ fn solved(pieces: &[&Piece]) -> Option<(Vec<Six>, f64)> {
 }
 
 impl<'a> Firings<'a> {
-    /// The path with these knots that comes nearest, and with it the firings' poses. A lever lets it sag between knots,
-    /// as the path before told.
+    /// The path with these knots that comes nearest, and with it the firings' poses. A lever lets it sag
+    /// between knots, as the path before told.
     pub fn path(&self, knots: &[f64], sag: Option<(&Vector, &Path)>) -> Option<Path> {
         let mut before = sag.map(|(lever, path)| (*lever, path.clone()));
         let rounds = if sag.is_some() { 2 } else { 1 };

@@ -143,7 +143,8 @@ fn read_bounded(input: &mut &[u8], what: &str, most: u64) -> Result<u64> {
     }
 }
 
-/// Contexts of units: the exponent of the coordinate, below the first of which and above the last it makes no difference.
+/// Contexts of units: the exponent of the coordinate, below the first of which and above the last it makes no
+/// difference.
 const EXPONENTS: usize = 16;
 /// The biased exponent of the first: 2^-11 m.
 const FIRST_EXPONENT: i32 = 127 - 11;

@@ -1,5 +1,5 @@
-//! The last digits of how a sweep was moved: the path's knots, the place of the map's origin among its lattices and
-//! float32 values, the axes.
+//! The last digits of how a sweep was moved: the path's knots, the place of the map's origin among its
+//! lattices and float32 values, the axes.
 
 use std::f64::consts::TAU;
 
@@ -7,7 +7,7 @@ use nalgebra::{Matrix6, Rotation3, UnitQuaternion};
 
 use super::anchor::{Pair, rigid, rounded, spacing};
 use super::path::{Firings, KnotSearch, Path, Six, Told};
-use super::sweep::Vector;
+use super::sweep::{Matrix, Vector};
 use super::undo::{Errors, MEAN_FIRING_US, Search, turn_of};
 use super::{Knot, PACKETS, PLACE_UNIT, Pose, SLOTS, TIME_UNIT, TURN_UNIT, Times, World, axes};
 use crate::ground::rounding::round_ties_even;
@@ -135,7 +135,8 @@ impl Search {
         following.path = path;
     }
 
-    /// Fits the path again, with the same knots: with points inside their roundings at so little weight, if any.
+    /// Fits the path again, with the same knots: with points inside their roundings at so little weight, if
+    /// any.
     fn fit(&mut self, following: &mut Following, inside: Option<f64>) -> Option<()> {
         let first = following.first;
         let errors = inside.map_or(Errors::Rounding(1.0, [0.0; 3]), Errors::Inside);
@@ -173,11 +174,7 @@ impl Search {
             let mut points = Vec::new();
             for firing in (0..self.firings).step_by(SPARSE) {
                 points.extend(self.misses(firing).map(|(record, miss, _)| {
-                    (
-                        miss[axis],
-                        self.file_rounding(record, axis, 2) / 12.0 + 1e-16,
-                        self.mapped[record][axis],
-                    )
+                    (miss[axis], self.file_rounding(record, axis) / 12.0 + 1e-16, self.mapped[record][axis])
                 }));
             }
             let mut sizes: Vec<f64> = points.iter().map(|point| point.0.abs()).collect();
@@ -219,7 +216,8 @@ impl Search {
         all
     }
 
-    /// The points in the map, rounded: as the file has them along axes of a lattice, as the formula has them along others.
+    /// The points in the map, rounded: as the file has them along axes of a lattice, as the formula has them
+    /// along others.
     fn targets(&self, formula: &[Vector], of_file: impl Fn(usize) -> bool) -> Vec<Vector> {
         let of_record = |record: usize| {
             let there = rounded(self.mapped[record] + self.origin);
@@ -257,7 +255,7 @@ impl Search {
             } else if !self.is_none[record] && file.amax() < FARTHEST {
                 for axis in (0..2).filter(|&axis| self.is_coarse(axis)) {
                     let direction = self.axes.row(axis).transpose();
-                    let error = self.file_rounding(record, axis, 2).sqrt();
+                    let error = self.file_rounding(record, axis).sqrt();
                     pairs.push(Pair { file, map, direction, error });
                 }
             }
@@ -280,8 +278,8 @@ impl Search {
         std::array::from_fn(|axis| unit(self.positions[record][axis]) - unit(given[axis] as f32))
     }
 
-    /// The last binary digits of the origin along axes without a lattice, and its place in the binade: those with which
-    /// the most points come out.
+    /// The last binary digits of the origin along axes without a lattice, and its place in the binade: those
+    /// with which the most points come out.
     fn find_digits(&mut self) {
         /// Metres from the scanner along an axis: nearer points tell less.
         const NEAR: f64 = 3.0;
@@ -404,11 +402,10 @@ impl Search {
             time: (time / TIME_UNIT).round_ties_even() as u32,
             pose: pose(of_knot),
         };
-        let axes = Rotation3::from_matrix_unchecked(self.axes);
         let step = |step: f64| (step > 0.0).then(|| libm::ilogb(step));
         let path = &following.path;
         let world = World {
-            rotation: UnitQuaternion::from_rotation_matrix(&axes).scaled_axis().into(),
+            rotation: axis_of(self.axes),
             origin: self.origin.into(),
             lattices: self.steps.map(step),
             times: self.times(short),
@@ -418,4 +415,12 @@ impl Search {
         };
         world.is_possible().then_some(world)
     }
+}
+
+/// The axis of a rotation, as long as its angle.
+fn axis_of(rotation: Matrix) -> [f64; 3] {
+    let quaternion = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+    let sin = quaternion.imag().norm();
+    let angle = 2.0 * libm::atan2(sin, quaternion.w);
+    if sin > 0.0 { (quaternion.imag() * (angle / sin)).into() } else { [0.0; 3] }
 }

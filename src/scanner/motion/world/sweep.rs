@@ -1,4 +1,5 @@
-//! What the scanner measured: the HDL-32E's formula in single precision, its records without a return, its ticks.
+//! What the scanner measured: the HDL-32E's formula in single precision, its records without a return, its
+//! ticks.
 
 use std::f64::consts::PI;
 
@@ -166,8 +167,8 @@ fn passed(span: i64, slot: usize) -> i64 {
     (2 * span * place_in_time(slot) + 40).div_euclid(80)
 }
 
-/// Finds the driver's rule: A + passed(D), where D is the step of A to the next firing, or in the last firing of a packet
-/// the one before. `own` are the points' own ticks where they are sharp.
+/// Finds the driver's rule: A + passed(D), where D is the step of A to the next firing, or in the last firing
+/// of a packet the one before. `own` are the points' own ticks where they are sharp.
 pub fn ticks(own: &[Option<i64>]) -> Ticks {
     const SPANS: std::ops::Range<i64> = 30..38;
     const USUAL: i64 = 33;

@@ -22,7 +22,8 @@ const TURNING: Drive =
 const STRAIGHT: Drive =
     Drive { velocity: [-0.2, 11.3, 0.1], yaw_rate: 0.01, origin: [411.8, -902.25, 1.83], heading: 2.4 };
 
-/// The elevation of a record's beam in degrees: thirds of four degrees as the data sheet rounds them, two of them down.
+/// The elevation of a record's beam in degrees: thirds of four degrees as the data sheet rounds them, two of
+/// them down.
 fn elevation(slot: usize) -> f64 {
     let hundredths = ((slot as f64 * 4.0 - 92.0) * 100.0 / 3.0).round();
     (hundredths + if slot == 3 || slot == 18 { 1.0 } else { 0.0 }) / 100.0
@@ -37,7 +38,11 @@ fn street(seed: u64) -> Vec<[f32; 3]> {
             let place = if slot < 16 { 2 * slot } else { 2 * slot - 31 };
             // As the scanner's driver has them: the blocks' ticks are whole, and so are their differences.
             let at = |firing: usize| (18_100.0 + firing as f64 * FIRING_TICKS).floor();
-            let next = if firing % 12 == 3 && firing > 0 { 2.0 * at(firing) - at(firing - 1) } else { at(firing + 1) };
+            let next = if firing % 12 == 3 && firing > 0 {
+                2.0 * at(firing) - at(firing - 1)
+            } else {
+                at(firing + 1)
+            };
             let tick = at(firing) + ((next - at(firing)) * place as f64 / 40.0 + 0.5).floor();
             let azimuth = (tick % 36_000.0) * std::f64::consts::PI / 18_000.0;
             let up = elevation(slot).to_radians();
@@ -71,7 +76,11 @@ fn moved(points: &[[f32; 3]], drive: &Drive) -> Vec<[f32; 3]> {
     // The map's axes: a heading and a slight tilt.
     let (sin, cos) = drive.heading.sin_cos();
     let (tilt_sin, tilt_cos) = 0.02f64.sin_cos();
-    let axes = [[cos, -sin * tilt_cos, sin * tilt_sin], [sin, cos * tilt_cos, -cos * tilt_sin], [0.0, tilt_sin, tilt_cos]];
+    let axes = [
+        [cos, -sin * tilt_cos, sin * tilt_sin],
+        [sin, cos * tilt_cos, -cos * tilt_sin],
+        [0.0, tilt_sin, tilt_cos],
+    ];
     let to_map = |v: [f64; 3]| -> [f32; 3] {
         std::array::from_fn(|row| {
             let along: f64 = (0..3).map(|column| axes[row][column] * v[column]).sum();

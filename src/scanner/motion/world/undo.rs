@@ -1,31 +1,32 @@
-//! Finds how a sweep was moved through the world frame, each step of it accurate enough for the next: the scanner's
-//! places from records without a return, its turns from ranges and ticks that are whole numbers, the axes of the map from
-//! its lattices, then the path and the origin in the map by turns.
+//! Finds how a sweep was moved through the world frame, each step of it accurate enough for the next: the
+//! scanner's places from records without a return, its turns from ranges and ticks that are whole numbers,
+//! the axes of the map from its lattices, then the path and the origin in the map by turns.
 
-use nalgebra::{Matrix3, Rotation3};
+use nalgebra::Matrix3;
 
 use super::anchor::spacing;
 use super::path::{Firings, Six, Told};
 use super::sweep::{
     FAR_STEPS, Matrix, Reading, Returnless, Sensor, Ticks, Vector, returnless, shared_place, ticks, turned,
 };
-use super::{FIRING_US, SLOTS, World, axes};
+use super::{FIRING_US, SLOTS, World, axes, rotation};
 
-/// The points as they were measured, and how they were moved to those of the file; its list of corrections is still
-/// empty. None if the points were not moved in this way.
+/// The points as they were measured, and how they were moved to those of the file; its list of corrections is
+/// still empty. None if the points were not moved in this way.
 pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, World)> {
     let mut search = Search::begun(positions)?;
     let world = search.world()?;
     Some((search.measured(), world))
 }
 
-/// The points as they were measured, without the last digits of how they were moved: the fit of the scanner needs no
-/// more.
+/// The points as they were measured, without the last digits of how they were moved: the fit of the scanner
+/// needs no more.
 pub fn measured(positions: &[[f32; 3]]) -> Option<Vec<[f32; 3]>> {
     Search::begun(positions).map(|search| search.measured())
 }
 
-/// A quick test: firings of 32 records, and in many of them records without a return, all at the scanner's place.
+/// A quick test: firings of 32 records, and in many of them records without a return, all at the scanner's
+/// place.
 fn may_be_moved(positions: &[[f32; 3]]) -> bool {
     const FEWEST_FIRINGS: usize = 200;
     const MOST_FIRINGS: usize = 4000;
@@ -158,7 +159,8 @@ impl Search {
         self.measure();
     }
 
-    /// Reads all records by the rule of the ticks, and gives the part of the far points whose own ticks these are.
+    /// Reads all records by the rule of the ticks, and gives the part of the far points whose own ticks these
+    /// are.
     pub(super) fn read_ticks(&mut self) -> f64 {
         self.read();
         let is_far = |record: &usize| !self.is_none[*record] && self.readings[*record].steps > FAR_STEPS;
@@ -211,15 +213,19 @@ impl Search {
 
     /// The squared error of a point's rounding along an axis of the map, in the file and in the map.
     pub(super) fn rounding(&self, record: usize, axis: usize) -> f64 {
-        let in_file = self.file_rounding(record, axis, 2);
+        let in_file = self.file_rounding(record, axis);
         let in_map = spacing(self.origin[axis] + self.mapped[record][axis]);
         (in_map * in_map + in_file) / 12.0 + 1e-20
     }
 
-    /// The distances of the float32 values in the file, along an axis of the map: the sum, or that of squares.
-    pub(super) fn file_rounding(&self, record: usize, axis: usize, power: i32) -> f64 {
-        let part = |i: usize| (self.axes[(axis, i)] * spacing(self.points[record][i])).abs().powi(power);
-        part(0) + part(1) + part(2)
+    /// The distances of the float32 values in the file, along an axis of the map.
+    fn file_spacings(&self, record: usize, axis: usize) -> [f64; 3] {
+        std::array::from_fn(|i| (self.axes[(axis, i)] * spacing(self.points[record][i])).abs())
+    }
+
+    /// The sum of their squares.
+    pub(super) fn file_rounding(&self, record: usize, axis: usize) -> f64 {
+        self.file_spacings(record, axis).iter().map(|spacing| spacing * spacing).sum()
     }
 
     /// What is left along the axes of the map, and the turned measured point.
@@ -256,7 +262,7 @@ impl Search {
                 let mut weight = 1.0 / square;
                 if let Errors::Inside(inside) = errors {
                     let half = spacing(self.mapped[record][axis] + self.origin[axis]) / 2.0
-                        + IN_FILE * self.file_rounding(record, axis, 1);
+                        + IN_FILE * self.file_spacings(record, axis).iter().sum::<f64>();
                     let beyond = off - off.clamp(-half, half);
                     weight *= if beyond == 0.0 { inside } else { OUTSIDE };
                     off = if beyond == 0.0 { off } else { beyond };
@@ -296,8 +302,14 @@ fn even(end: f64, count: usize) -> Vec<f64> {
     (0..count).map(|number| end * number as f64 / (count - 1) as f64).collect()
 }
 
+/// The rotation about an axis by its length in radians.
+pub(super) fn rotated(axis: &Vector) -> Matrix {
+    Matrix::from_row_slice(rotation((*axis).into()).as_flattened())
+}
+
+/// The rotation of a pose.
 pub(super) fn turn_of(pose: &Six) -> Matrix {
-    Rotation3::new(Vector::new(pose[3], pose[4], pose[5])).into_inner()
+    rotated(&Vector::new(pose[3], pose[4], pose[5]))
 }
 
 /// The turns of all firings, one by one from the last, which is not turned.
@@ -319,7 +331,7 @@ fn followed(sensor: &Sensor, points: &[Vector], places: &[Vector], is_none: &[bo
             _ => extrapolated(after),
         };
         for _ in 0..2 {
-            let rotation = Rotation3::new(turn).into_inner();
+            let rotation = rotated(&turn);
             let (mut normal, mut right, mut count) = (Matrix3::identity() * RIDGE, Vector::zeros(), 0);
             for slot in (0..SLOTS).filter(|slot| !is_none[firing * SLOTS + slot]) {
                 let off = points[firing * SLOTS + slot] - places[firing];
