@@ -156,7 +156,10 @@ impl Frame {
 
     /// The points as they were measured, if they have been moved since.
     fn undo_compensation(&mut self, cloud: PointCloud, config: &EncoderConfig) -> PointCloud {
-        let undone = config.undoes_compensation().then(|| motion::undo(&cloud.positions)).flatten();
+        let undone = config
+            .undoes_compensation()
+            .then(|| motion::undo(&cloud.positions, config.undoes_map()))
+            .flatten();
         let Some((positions, compensation)) = undone else { return cloud };
         self.compensation = Some(compensation);
         self.moved = Some(Arc::new(cloud.positions));
@@ -335,7 +338,7 @@ impl Frame {
     }
 
     /// The positions, moved or not, in the order of the file.
-    fn positions_in_order(&self) -> Result<Vec<[f32; 3]>> {
+    pub fn positions_in_order(&self) -> Result<Vec<[f32; 3]>> {
         self.order.arranged(&self.positions, &self.stray_positions)
     }
 

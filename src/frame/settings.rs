@@ -279,6 +279,13 @@ impl EncoderConfig {
         self.positions != Positions::Formula
     }
 
+    /// Whether compensation through a map is undone: it gives all floats back or is worth nothing, and it takes time.
+    pub(crate) fn undoes_map(&self) -> bool {
+        let is_quick =
+            matches!(self.modelling(), Modelling::Packed | Modelling::Tokens | Modelling::FittedTokens);
+        self.positions == Positions::Exact && self.coder == Coder::Context && !is_quick
+    }
+
     /// The parameters of a frame, as far as they do not depend on the frame.
     pub(crate) fn frame_parameters(&self) -> Result<FrameParameters> {
         Ok(FrameParameters {

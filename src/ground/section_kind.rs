@@ -40,6 +40,8 @@ pub enum SectionKind {
     Bytes,
     /// Positions of the records without a return that the range image holds.
     Blanks,
+    /// How the points were moved through the coordinates of a map; left out if they were not.
+    World,
     /// Further returns of the cells.
     Echoes,
     /// Something that this program does not know, of this number, but may leave aside.
@@ -48,7 +50,7 @@ pub enum SectionKind {
 
 impl SectionKind {
     /// All kinds that this program knows, in the order of their numbers, the first of which is 1.
-    pub const ALL: [SectionKind; 17] = [
+    pub const ALL: [SectionKind; 18] = [
         SectionKind::File,
         SectionKind::Columns,
         SectionKind::Occupancy,
@@ -65,6 +67,7 @@ impl SectionKind {
         SectionKind::Compensation,
         SectionKind::Bytes,
         SectionKind::Blanks,
+        SectionKind::World,
         SectionKind::Echoes,
     ];
 
@@ -87,6 +90,7 @@ impl SectionKind {
             SectionKind::Compensation => "compensation",
             SectionKind::Bytes => "bytes",
             SectionKind::Blanks => "blanks",
+            SectionKind::World => "world",
             SectionKind::Echoes => "echoes",
             SectionKind::Skippable(_) => "skippable",
         }

@@ -33,11 +33,11 @@ impl Coordinates {
 
     /// The coarsest grid on which all of some coordinates (metres) lie: decimal places, decimal digits, or any float32.
     pub fn finest_of(values: &[f32]) -> Self {
-        /// Steps of decimal places, in nanometres.
-        const STEPS_NM: [u64; 4] = [10_000_000, 100_000, 10_000, 1000];
-        let places = STEPS_NM.map(|step_nm| Coordinates::Lattice { step_nm });
+        let lattice = |step_nm: u64| Coordinates::Lattice { step_nm };
+        let [centimetre, others @ ..] = [10_000_000, 100_000, 10_000, 1000].map(lattice);
+        let places = [centimetre, Coordinates::Millimetre].into_iter().chain(others);
         let digits = (4..=8).map(Coordinates::Digits);
-        let mut grids = places.into_iter().chain([Coordinates::Millimetre]).chain(digits);
+        let mut grids = places.chain(digits);
         let holds = |grid: &Coordinates| values.iter().all(|value| grid.unit_in_file(*value).is_some());
         grids.find(holds).filter(|_| !values.is_empty()).unwrap_or(Coordinates::Float32)
     }

@@ -130,8 +130,9 @@ fn scan_of(frame: &FrameInput, config: &EncoderConfig) -> Result<Option<ScanFile
         return Ok(None);
     }
     let mut scan = frame.clone().into_frame(config.headerless.as_ref())?.scan;
-    let undone = config.undoes_compensation().then(|| motion::undo(&scan.cloud.positions));
-    if let Some((positions, _)) = undone.flatten() {
+    let undone =
+        config.undoes_compensation().then(|| motion::measured(&scan.cloud.positions, config.undoes_map()));
+    if let Some(positions) = undone.flatten() {
         scan.cloud.positions = positions;
     }
     Ok(Some(scan))

@@ -10,6 +10,7 @@ import reference as references
 import residual
 import sections
 import tokens
+import world
 from back_ends import NAMES, unpacked
 from channels import Beside, Channels, packed
 from container import Reader, Unknown, crc32c
@@ -151,6 +152,8 @@ class Decoder:
         positions = beside.positions
         if self.is_next(kinds.COMPENSATION):
             positions = compensated(Reader(self.next_section(kinds.COMPENSATION)), positions)
+        elif self.is_next(kinds.WORLD):
+            positions = world.moved(Reader(self.next_section(kinds.WORLD)), positions)
         found = files.records_of(layout, records, positions, beside.intensities, channels)
         return prefix + files.wrapped(layout, found) + suffix
 

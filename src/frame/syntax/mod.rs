@@ -20,7 +20,7 @@ use super::whole::WholeFile;
 use crate::ground::error::{Error, Result};
 use crate::inter::Past;
 use crate::scanner::Scanner;
-use crate::scanner::motion::Compensation;
+use crate::scanner::motion::{Compensation, Turn, World};
 use crate::stream::container::SectionKind;
 use corrections::CorrectionModels;
 use echoes::EchoModels;
@@ -114,12 +114,23 @@ fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<bo
 /// How the points were moved after they were measured.
 fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
     frame.find_misses()?;
-    let mut payload = Vec::new();
-    frame.compensation.iter().for_each(|compensation| compensation.write_to(&mut payload));
-    sections.payload(SectionKind::Compensation, &mut payload);
-    if !payload.is_empty() {
-        frame.compensation = Some(Compensation::from_payload(&payload, frame.records)?);
+    let (mut of_turn, mut of_world) = (Vec::new(), Vec::new());
+    match &frame.compensation {
+        Some(Compensation::Turn(turn)) => turn.write_to(&mut of_turn),
+        Some(Compensation::World(world)) => of_world = world.to_payload(&frame.positions_in_order()?),
+        None => {}
     }
+    sections.payload(SectionKind::Compensation, &mut of_turn);
+    sections.payload(SectionKind::World, &mut of_world);
+    frame.compensation = match (of_turn.is_empty(), of_world.is_empty()) {
+        (true, true) => None,
+        (false, true) => Some(Compensation::Turn(Turn::from_payload(&of_turn, frame.records)?)),
+        (true, false) => {
+            let world = World::from_payload(&of_world, &frame.positions_in_order()?);
+            Some(Compensation::World(world.map_err(|e| e.within_section(SectionKind::World))?))
+        }
+        (false, false) => return Err(Error::corrupt("points that were moved twice")),
+    };
     Ok(())
 }
 

@@ -461,7 +461,7 @@ impl fmt::Display for Firings {
         match coordinates {
             Coordinates::Float32 => {}
             Coordinates::Millimetre => write!(f, ", rounded to millimetres")?,
-            Coordinates::Lattice { step_nm } => write!(f, ", rounded to {} mm", *step_nm as f64 * 1e-6)?,
+            Coordinates::Lattice { step_nm } => write!(f, ", rounded to {} micrometres", step_nm / 1000)?,
             Coordinates::Digits(digits) => write!(f, ", rounded to {digits} digits")?,
         }
         if *origin != Origin::default() {

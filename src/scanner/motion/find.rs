@@ -3,13 +3,13 @@
 use std::f64::consts::TAU;
 
 use super::motion::{Mover, part_of_turn};
-use super::{Compensation, Motion, cones, grid};
+use super::{Motion, Turn, cones, grid};
 use crate::scanner::{Coordinates, split_beams, thinned};
 
 /// The points as they were measured, on the millimetre grid, and the motion that moved them to those of the
 /// file; its list of misses is still empty. `None` if the points were not measured on that grid, or not moved
 /// in this way.
-pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Compensation)> {
+pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Turn)> {
     if !may_be_moved(positions) {
         return None;
     }
@@ -28,7 +28,7 @@ pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Compensation)> {
     let motion = grid::sharpened(motion, &points, positions);
 
     (motion.is_possible() && explains(&Mover::new(&motion), &points, positions))
-        .then_some((points, Compensation { motion, misses: Vec::new() }))
+        .then_some((points, Turn { motion, misses: Vec::new() }))
 }
 
 /// Whether the formula gives nearly all points of a sample exactly.

@@ -1,4 +1,7 @@
-//! Motion compensation, undone. A scanner that moves sees each point of a turn from another place; some
+//! Motion compensation, undone. There are two kinds: in one go, from the motion of a turn, here; and firing
+//! by firing through the coordinates of a map, in [`world`].
+//!
+//! A scanner that moves sees each point of a turn from another place; some
 //! data sets hold points that were moved to where they would have been seen from the place in the middle
 //! of the turn (KITTI odometry). Such coordinates lie on no grid, and on no beam's cone. With the motion they
 //! are moved back to what the scanner had measured: what is left is rounding.
@@ -21,16 +24,65 @@ mod grid;
 #[allow(clippy::module_inception)]
 mod motion;
 mod payload;
+pub mod world;
 
-pub use find::undo;
 pub use motion::{Motion, Mover};
+pub use world::World;
 
 use crate::scanner::Coordinates;
 
-/// How the points of a scan were moved, and where they are elsewhere.
+/// How the points of a scan were moved.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Compensation {
+    /// By the motion of a turn.
+    Turn(Turn),
+    /// Through the coordinates of a map.
+    World(World),
+}
+
+/// The points as they were measured, and how they were moved to those of the file, except for the points that
+/// the formula misses. `None` if they were not moved in any way that is looked for: through a map only if
+/// `through_map`.
+pub fn undo(positions: &[[f32; 3]], through_map: bool) -> Option<(Vec<[f32; 3]>, Compensation)> {
+    let of_map = || world::undo(positions).map(|(points, world)| (points, Compensation::World(world)));
+    let of_turn = || find::undo(positions).map(|(points, turn)| (points, Compensation::Turn(turn)));
+    through_map.then(of_map).flatten().or_else(of_turn)
+}
+
+/// The points as they were measured; as [`undo`], but sooner.
+pub fn measured(positions: &[[f32; 3]], through_map: bool) -> Option<Vec<[f32; 3]>> {
+    let of_map = through_map.then(|| world::measured(positions)).flatten();
+    of_map.or_else(|| find::undo(positions).map(|(points, _)| points))
+}
+
+impl Compensation {
+    /// Takes down which points of the file `positions` the formula misses, given the decoded measured ones:
+    /// those that are not `near` it. What went through a map is given back to the bit.
+    pub fn find_misses(
+        &mut self,
+        measured: &[[f32; 3]],
+        positions: &[[f32; 3]],
+        near: impl Fn(&[f32; 3], &[f32; 3]) -> bool,
+    ) {
+        match self {
+            Compensation::Turn(turn) => turn.find_misses(measured, positions, near),
+            Compensation::World(world) => world.find_corrections(measured, positions),
+        }
+    }
+
+    /// Moves the points of a scan, in the order of the file. Misses of points that are not there do nothing.
+    pub fn apply(&self, positions: &mut [[f32; 3]]) {
+        match self {
+            Compensation::Turn(turn) => turn.apply(positions),
+            Compensation::World(world) => world.apply(positions),
+        }
+    }
+}
+
+/// How the motion of a turn moved the points of a scan, and where they are elsewhere.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Compensation {
-    /// The motion of the turn.
+pub struct Turn {
+    /// The motion.
     pub motion: Motion,
     /// Points that the formula does not give to the last bit, rising.
     pub misses: Vec<Miss>,
@@ -45,7 +97,7 @@ pub struct Miss {
     pub units: [i64; 3],
 }
 
-impl Compensation {
+impl Turn {
     /// Takes down which points of the file `positions` the formula misses, given the decoded measured ones:
     /// those that are not `near` it.
     pub fn find_misses(

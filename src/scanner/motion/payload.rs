@@ -1,13 +1,13 @@
 //! The section of a frame that tells how its points were moved.
 
-use super::{Compensation, Miss, Motion};
+use super::{Miss, Motion, Turn};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 
 /// The section's name in errors.
 const WHAT: &str = "motion compensation";
 
-impl Compensation {
+impl Turn {
     /// Appends the payload of the section.
     pub fn write_to(&self, out: &mut Vec<u8>) {
         let Motion { rotation, translation } = self.motion;
@@ -37,7 +37,7 @@ impl Compensation {
         if !motion.is_possible() {
             return Err(Error::corrupt(format!("{WHAT}: no scanner moves so far in a turn")));
         }
-        let mut compensation = Compensation { motion, misses: Vec::new() };
+        let mut turn = Turn { motion, misses: Vec::new() };
         let mut next = 0u64;
         while !input.is_empty() {
             let point = next.saturating_add(read_unsigned(input, WHAT)?);
@@ -48,10 +48,10 @@ impl Compensation {
             for unit in &mut units {
                 *unit = read_signed(input, WHAT)?;
             }
-            compensation.misses.push(Miss { point: point as u32, units });
+            turn.misses.push(Miss { point: point as u32, units });
             next = point + 1;
         }
-        Ok(compensation)
+        Ok(turn)
     }
 }
 
@@ -59,23 +59,20 @@ impl Compensation {
 mod tests {
     use super::*;
 
-    fn example() -> Compensation {
+    fn example() -> Turn {
         let motion = Motion { rotation: [0.25, -1e-9, 0.0], translation: [0.8, 0.1, -0.25] };
         let miss = |point, units| Miss { point, units };
-        Compensation {
-            motion,
-            misses: vec![miss(0, [1, 0, 0]), miss(1, [0, -70_000, 1 << 33]), miss(9, [0; 3])],
-        }
+        Turn { motion, misses: vec![miss(0, [1, 0, 0]), miss(1, [0, -70_000, 1 << 33]), miss(9, [0; 3])] }
     }
 
     #[test]
     fn comes_back() {
         let mut bytes = Vec::new();
         example().write_to(&mut bytes);
-        assert_eq!(Compensation::from_payload(&bytes, 10).unwrap(), example());
-        assert!(Compensation::from_payload(&bytes, 9).is_err(), "a point too many");
-        assert!(Compensation::from_payload(&bytes[..bytes.len() - 1], 10).is_err(), "cut short");
-        assert!(Compensation::from_payload(&bytes[..47], 10).is_err(), "cut short");
+        assert_eq!(Turn::from_payload(&bytes, 10).unwrap(), example());
+        assert!(Turn::from_payload(&bytes, 9).is_err(), "a point too many");
+        assert!(Turn::from_payload(&bytes[..bytes.len() - 1], 10).is_err(), "cut short");
+        assert!(Turn::from_payload(&bytes[..47], 10).is_err(), "cut short");
     }
 
     #[test]
@@ -84,7 +81,7 @@ mod tests {
             let mut bytes = Vec::new();
             example().write_to(&mut bytes);
             bytes[..8].copy_from_slice(&value.to_le_bytes());
-            assert!(Compensation::from_payload(&bytes, 10).is_err(), "{value}");
+            assert!(Turn::from_payload(&bytes, 10).is_err(), "{value}");
         }
     }
 }

@@ -1,0 +1,304 @@
+//! The axes of the map, from nothing but the lattices of float32 on which the points lie along them: the
+//! coarsest first, from near pairs of points to ever farther ones, which tell its direction ever better.
+
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::Matrix4;
+
+use super::SLOTS;
+use super::sweep::{Matrix, Vector};
+use crate::ground::random::Rng;
+use crate::ground::rounding::round_ties_even;
+
+/// The axes as rows, and the steps of the lattices along the first two, in metres.
+pub struct Axes {
+    pub rows: Matrix,
+    pub steps: [f64; 2],
+}
+
+/// How far apart points of a sample are, in metres, and the sample.
+type Level = (f64, Vec<Vector>);
+
+/// Cosine and sine of a phase in turns, to a thousandth.
+#[inline]
+fn cos_sin(turns: f64) -> [f64; 2] {
+    let wave = |turns: f64| {
+        let part = turns - round_ties_even(turns);
+        let rough = 8.0 * part - 16.0 * part * part.abs();
+        0.225 * (rough * rough.abs() - rough) + rough
+    };
+    [wave(turns + 0.25), wave(turns)]
+}
+
+/// How well points lie on a lattice of this step along a direction: 1 if all do.
+fn coherence(points: &[Vector], direction: &Vector, step: f64) -> f64 {
+    let along = direction / step;
+    let (mut re, mut im) = (0.0, 0.0);
+    for point in points {
+        let [cos, sin] = cos_sin(point.x * along.x + point.y * along.y + point.z * along.z);
+        re += cos;
+        im += sin;
+    }
+    (re * re + im * im).sqrt() / points.len().max(1) as f64
+}
+
+/// At random, so many of them.
+fn sample(points: &[Vector], most: usize, random: &mut Rng) -> Vec<Vector> {
+    if points.len() <= most {
+        return points.to_vec();
+    }
+    (0..most).map(|_| points[random.below(points.len())]).collect()
+}
+
+/// Two directions at right angles to one and to each other.
+fn beside(direction: &Vector) -> [Vector; 2] {
+    let across = direction.cross(&Vector::z()).normalize();
+    [across, direction.cross(&across)]
+}
+
+/// The samples in which lattices are looked for.
+struct Samples {
+    /// Differences of records of the same slot, with their lengths.
+    pairs: Vec<(f64, Vector)>,
+    points: Vec<(f64, Vector)>,
+    levels: Vec<Level>,
+    near_levels: Vec<Level>,
+    far: Vec<Vector>,
+    random: Rng,
+}
+
+impl Samples {
+    fn new(points: &[Vector], is_none: &[bool]) -> Self {
+        /// A level with fewer points says nothing.
+        const FEWEST: usize = 100;
+        const FEWEST_NEAR: usize = 60;
+        const MANY: usize = 1200;
+        const MANY_NEAR: usize = 1500;
+        let mut random = Rng::keyed(0, &[]);
+        // One record without a return tells as much as all of a firing.
+        let mut is_kept: Vec<bool> = is_none.iter().map(|none| !none).collect();
+        for firing in 0..points.len() / SLOTS {
+            if let Some(first) = (firing * SLOTS..(firing + 1) * SLOTS).find(|&record| is_none[record]) {
+                is_kept[first] = true;
+            }
+        }
+        let with_length = |v: Vector| (v.norm(), v);
+        let pairs = |apart: &[usize], reach: f64| {
+            let mut pairs = Vec::new();
+            for apart in apart {
+                for record in apart * SLOTS..points.len() {
+                    let [a, b] = [record, record - apart * SLOTS];
+                    let is_near = || points[a].norm() < reach && points[b].norm() < reach;
+                    if is_kept[a] && is_kept[b] && is_near() {
+                        pairs.push(with_length(points[a] - points[b]));
+                    }
+                }
+            }
+            pairs
+        };
+        let (all_pairs, near_pairs) =
+            (pairs(&[1, 2, 4, 8, 16, 32], f64::INFINITY), pairs(&[1, 2, 4, 8, 16, 32, 64], 1.0));
+        let kept: Vec<(f64, Vector)> =
+            points.iter().zip(&is_kept).filter(|(_, kept)| **kept).map(|(p, _)| with_length(*p)).collect();
+        let between = |all: &[(f64, Vector)], low: f64, high: f64| -> Vec<Vector> {
+            all.iter().filter(|(length, _)| (low..high).contains(length)).map(|(_, v)| *v).collect()
+        };
+        let mut levels = Vec::new();
+        let mut near_levels = Vec::new();
+        for reach in [0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.0] {
+            levels.push((reach, sample(&between(&all_pairs, reach / 6.0, reach), MANY, &mut random)));
+        }
+        for reach in [6.0, 12.0, 25.0, 50.0] {
+            levels.push((reach, sample(&between(&kept, 0.0, reach), MANY, &mut random)));
+        }
+        levels.retain(|(_, points)| points.len() > FEWEST);
+        for reach in [0.004, 0.01, 0.03, 0.06] {
+            near_levels
+                .push((reach, sample(&between(&near_pairs, reach / 8.0, reach), MANY_NEAR, &mut random)));
+        }
+        for reach in [0.15, 0.3, 0.45] {
+            near_levels.push((reach, sample(&between(&kept, 0.0, reach), MANY_NEAR, &mut random)));
+        }
+        near_levels.retain(|(_, points)| points.len() > FEWEST_NEAR);
+        let far = sample(&between(&kept, 0.0, 30.0), 2000, &mut random);
+        Samples { pairs: all_pairs, points: kept, levels, near_levels, far, random }
+    }
+
+    /// The coarsest step of a direction that has a lattice of `step`.
+    fn coarsest(&self, direction: &Vector, mut step: f64) -> f64 {
+        while step < COARSEST && coherence(&self.far, direction, 2.0 * step) > 0.9 {
+            step *= 2.0;
+        }
+        step
+    }
+
+    /// The direction of the coarsest lattice, nearly level, and its step.
+    fn first(&mut self) -> Option<(Vector, f64)> {
+        /// Metres between the points of the first sample.
+        const START: f64 = 0.006;
+        const FEWEST: usize = 150;
+        const MANY: usize = 600;
+        for exponent in 11..18 {
+            let step = power_of_two(-exponent);
+            let is_near = |(length, v): &&(f64, Vector)| {
+                *length < START && *length > (2.0 * step).max(0.0003) && v.z.abs() < 10.0 * step
+            };
+            let near: Vec<Vector> = self.pairs.iter().filter(is_near).map(|(_, v)| *v).collect();
+            if near.len() < FEWEST {
+                continue;
+            }
+            let near = sample(&near, MANY, &mut self.random);
+            let yaw_step = 0.4 * step / START;
+            let mut found = Vec::new();
+            for tilt in [-0.06, -0.03, 0.0, 0.03, 0.06] {
+                let yaws = (0..(PI / yaw_step) as usize).map(|number| number as f64 * yaw_step);
+                let mut of_tilt: Vec<(f64, Vector)> = yaws
+                    .map(|yaw| {
+                        let direction = Vector::new(libm::cos(yaw), libm::sin(yaw), tilt).normalize();
+                        (coherence(&near, &direction, step), direction)
+                    })
+                    .collect();
+                of_tilt.sort_by(|a, b| b.0.total_cmp(&a.0));
+                found.extend(of_tilt.into_iter().take(4));
+            }
+            found.sort_by(|a, b| b.0.total_cmp(&a.0));
+            for (_, direction) in found.into_iter().take(8) {
+                if let Some(direction) = self.sharpened(direction, step, [yaw_step * 1.5, 0.03]) {
+                    let step = self.coarsest(&direction, step);
+                    return Some((self.polished(direction, step), step));
+                }
+            }
+        }
+        None
+    }
+
+    /// Follows a direction from near to far points. `span`: how far it may be off, in radians across and up.
+    fn sharpened(&self, mut direction: Vector, step: f64, mut span: [f64; 2]) -> Option<Vector> {
+        /// A coherence that is no chance.
+        const LEAST: f64 = 0.55;
+        for (reach, points) in &self.levels {
+            for round in 0..2 {
+                let [across, up] = beside(&direction);
+                let count =
+                    |span: f64| (2.0 * span * reach / step * 2.5).ceil().clamp(7.0, 61.0) as usize | 1;
+                let [wide, high] = span.map(count);
+                let mut best = (0.0, direction);
+                for i in 0..wide {
+                    for j in 0..high {
+                        let part = |i: usize, n: usize| 2.0 * i as f64 / (n - 1) as f64 - 1.0;
+                        let off = across * (part(i, wide) * span[0]) + up * (part(j, high) * span[1]);
+                        let tried = (direction + off).normalize();
+                        let found = coherence(points, &tried, step);
+                        if found > best.0 {
+                            best = (found, tried);
+                        }
+                    }
+                }
+                direction = best.1;
+                if best.0 < LEAST {
+                    return None;
+                }
+                let limits = if round == 0 {
+                    [(span[0], wide), (span[1], high)].map(|(span, n)| 2.0 * span / (n - 1) as f64 * 1.2)
+                } else {
+                    [0.5 * step / reach; 2]
+                };
+                span = std::array::from_fn(|i| span[i].min(limits[i]).max(0.03 * step / reach));
+            }
+            span = [0.5 * step / reach; 2];
+        }
+        Some(direction)
+    }
+
+    /// Least squares of the distances to the planes of the lattice.
+    fn polished(&self, mut direction: Vector, step: f64) -> Vector {
+        const REACH: f64 = 60.0;
+        let points: Vec<Vector> =
+            self.points.iter().filter(|(length, _)| *length < REACH).map(|(_, v)| *v).collect();
+        let (mut re, mut im) = (0.0, 0.0);
+        for point in &points {
+            let (sin, cos) = libm::sincos(point.dot(&direction) / step * TAU);
+            re += cos;
+            im += sin;
+        }
+        let mut phase = libm::atan2(im, re) / TAU * step;
+        for _ in 0..6 {
+            let mut normal = Matrix4::identity() * 1e-12;
+            let mut right = nalgebra::Vector4::zeros();
+            for point in &points {
+                let off = point.dot(&direction) - phase;
+                let off = off - round_ties_even(off / step) * step;
+                if off.abs() < 0.2 * step {
+                    let row = nalgebra::Vector4::new(point.x, point.y, point.z, -1.0);
+                    normal += row * row.transpose();
+                    right -= row * off;
+                }
+            }
+            let Some(cholesky) = normal.cholesky() else { break };
+            let change = cholesky.solve(&right);
+            direction = (direction + change.fixed_rows::<3>(0)).normalize();
+            phase += change[3];
+        }
+        direction
+    }
+
+    /// The direction of a lattice of this step at right angles to another.
+    fn second(&self, first: &Vector, step: f64, levels: &[Level], least: f64) -> Option<Vector> {
+        const MOST_TRIED: usize = 30_001;
+        let [a, b] = beside(first);
+        let (mut angle, mut span) = (0.0, 0.08f64);
+        let direction = |angle: f64| a * libm::cos(angle) + b * libm::sin(angle);
+        for (reach, points) in levels {
+            let count = ((12.0 * span * reach / step) as usize | 1).max(9);
+            if count > MOST_TRIED {
+                return None;
+            }
+            let angles = (0..count).map(|i| angle + (2.0 * i as f64 / (count - 1) as f64 - 1.0) * span);
+            let found = angles.map(|angle| (coherence(points, &direction(angle), step), angle));
+            let best = found.max_by(|a, b| a.0.total_cmp(&b.0))?;
+            if best.0 < least {
+                return None;
+            }
+            angle = best.1;
+            span = span.min(step / reach);
+        }
+        (!levels.is_empty()).then(|| direction(angle))
+    }
+}
+
+fn power_of_two(exponent: i32) -> f64 {
+    libm::ldexp(1.0, exponent)
+}
+
+/// The step of the coarsest lattice that is looked for, in metres: that of float32 at 8 km.
+const COARSEST: f64 = 1.0 / 2048.0;
+/// Below this the scanner's noise hides a lattice of far points.
+pub const FINE: f64 = 1.0 / 65536.0;
+
+/// Finds the axes of the map; none if the points lie on no lattice.
+pub fn find(points: &[Vector], is_none: &[bool]) -> Option<Axes> {
+    let mut samples = Samples::new(points, is_none);
+    let (first, first_step) = samples.first().filter(|(_, step)| *step >= FINE)?;
+    let of_far = (11..18).find_map(|exponent| {
+        let step = power_of_two(-exponent);
+        let direction = samples.second(&first, step, &samples.levels, 0.5)?;
+        Some((direction, samples.coarsest(&direction, step)))
+    });
+    let of_near = || {
+        (15..23).find_map(|exponent| {
+            let step = power_of_two(-exponent);
+            Some((samples.second(&first, step, &samples.near_levels, 0.7)?, step))
+        })
+    };
+    let (mut second, second_step) = of_far.or_else(of_near)?;
+    if second_step >= FINE {
+        second = samples.polished(second, second_step);
+        second = (second - first * first.dot(&second)).normalize();
+    }
+    let mut up = first.cross(&second);
+    if up.z < 0.0 {
+        (second, up) = (-second, -up);
+    }
+    let rows = Matrix::from_rows(&[first.transpose(), second.transpose(), up.transpose()]);
+    Some(Axes { rows, steps: [first_step, second_step] })
+}

@@ -1,0 +1,314 @@
+//! Motion compensation through a world frame, undone: each firing of a turning scanner was moved by its own
+//! pose to coordinates of a map, which were rounded to float32, and from there back to the scanner at one
+//! moment, rounded to float32 again (nuScenes). A point p of a firing with the place T and the turn w of the
+//! scanner:
+//!
+//! ```text
+//! g = f32(Q (R(w) p + T) + o)          the map's coordinates; on coarse axes float32 is a lattice
+//! v = f32(Q^T (g - o))                 the point of the file
+//! ```
+//!
+//! Q and o say how the file's axes lie in the map. The pose runs straight between [`Knot`]s in time; the
+//! first firings have poses of their own. `undo` finds all this from nothing but the points; what the formula
+//! misses is listed as corrections: steps of the lattices first, then float32 values.
+
+mod anchor;
+mod axes;
+mod path;
+mod payload;
+mod refine;
+mod sweep;
+mod undo;
+
+#[cfg(test)]
+mod tests;
+
+pub use undo::{measured, undo};
+
+use crate::scanner::Coordinates;
+
+/// Records of a firing.
+const SLOTS: usize = 32;
+/// Of each firing of a packet, and of the first after most packets, to the next: microseconds.
+const FIRING_US: f64 = 46.0;
+/// Firings of a packet.
+const PACKET: usize = 12;
+/// After every so many packets the next one is not late.
+const PACKETS: usize = 25;
+/// Metres and radians of a unit of poses.
+const PLACE_UNIT: f64 = 1.0 / (1u64 << 30) as f64;
+const TURN_UNIT: f64 = 1.0 / (1u64 << 36) as f64;
+/// Microseconds of a unit of the knots' times.
+const TIME_UNIT: f64 = 0.25;
+
+/// More steps of a lattice than any point is off.
+const MOST_STEPS: f64 = (1u64 << 40) as f64;
+
+/// Where the scanner is: metres along the file's axes and radians of the turn's axis times angle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Pose {
+    /// In 2^-30 m.
+    pub place: [i64; 3],
+    /// In 2^-36 radians.
+    pub turn: [i64; 3],
+}
+
+/// The pose at a time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Knot {
+    /// Since the first firing, in quarters of a microsecond.
+    pub time: u32,
+    /// The pose.
+    pub pose: Pose,
+}
+
+/// A record that the formula misses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Correction {
+    /// Its number in the file.
+    pub record: u32,
+    /// What is added along the first axes of the map, in steps of their lattices.
+    pub steps: [i64; 2],
+    /// What is added to each coordinate of the file, in float32 values.
+    pub units: [i64; 3],
+}
+
+/// When firings are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Times {
+    /// The last firing of the first packet; it and those before have poses of their own.
+    pub border: u32,
+    /// The first packet's end after which the next firing is not late.
+    pub short: u32,
+}
+
+impl Times {
+    /// The firing times in microseconds: one more for the first firing of a packet, except each 25th.
+    fn of_firings(self, firings: usize) -> Vec<f64> {
+        let (border, short) = (self.border as usize, self.short as usize);
+        let is_late = |firing: usize| {
+            let packet = firing.checked_sub(border).filter(|since| since % PACKET == 0).map(|s| s / PACKET);
+            packet.is_some_and(|packet| packet < short || (packet - short) % PACKETS != 0)
+        };
+        let mut time = 0.0;
+        (0..firings)
+            .map(|firing| {
+                let now = time;
+                time += FIRING_US + f64::from(u8::from(is_late(firing)));
+                now
+            })
+            .collect()
+    }
+}
+
+/// How a scan was moved through a world frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct World {
+    /// Q: axis of the rotation to the map's axes; its length is the angle in radians.
+    pub rotation: [f64; 3],
+    /// o: where the scanner is in the map, in metres.
+    pub origin: [f64; 3],
+    /// The exponent of two of the lattice's step in metres, along the first two axes of the map: at most 0.
+    /// None if the lattice is too fine.
+    pub lattices: [Option<i32>; 2],
+    /// When firings are.
+    pub times: Times,
+    /// The poses of the firings up to the first border.
+    pub first: Vec<Pose>,
+    /// The others' poses: at least two knots, rising in time.
+    pub knots: Vec<Knot>,
+    /// What the formula misses, rising.
+    pub corrections: Vec<Correction>,
+}
+
+/// A rotation.
+type Matrix = [[f64; 3]; 3];
+
+/// The rotation about an axis by its length in radians: Rodrigues' formula.
+fn rotation(axis: [f64; 3]) -> Matrix {
+    let [x, y, z] = axis;
+    let angle = (x * x + y * y + z * z).sqrt();
+    let [x, y, z] = if angle > 0.0 { axis.map(|a| a / angle) } else { [0.0; 3] };
+    let (sin, cos) = libm::sincos(angle);
+    let rest = 1.0 - cos;
+    [
+        [cos + x * x * rest, x * y * rest - z * sin, x * z * rest + y * sin],
+        [y * x * rest + z * sin, cos + y * y * rest, y * z * rest - x * sin],
+        [z * x * rest - y * sin, z * y * rest + x * sin, cos + z * z * rest],
+    ]
+}
+
+fn transposed(matrix: &Matrix) -> Matrix {
+    std::array::from_fn(|row| std::array::from_fn(|column| matrix[column][row]))
+}
+
+#[inline]
+fn times_vector(matrix: &Matrix, v: [f64; 3]) -> [f64; 3] {
+    matrix.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
+}
+
+fn times_matrix(a: &Matrix, b: &Matrix) -> Matrix {
+    let columns = transposed(b).map(|column| times_vector(a, column));
+    transposed(&columns)
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// The place and the turn of a pose, in metres and radians.
+type Metric = [[f64; 3]; 2];
+
+impl Pose {
+    fn metric(&self) -> Metric {
+        [self.place.map(|v| v as f64 * PLACE_UNIT), self.turn.map(|v| v as f64 * TURN_UNIT)]
+    }
+}
+
+/// The pose at a time between two knots. A car that goes straight while it turns takes the scanner, `lever`
+/// above the ground, along a curve: it sags from the straight line.
+fn between(knots: [(f64, &Metric); 2], time: f64, lever: [f64; 3]) -> Metric {
+    let [(start, a), (end, b)] = knots;
+    let part = (time - start) / (end - start);
+    let [mut place, turn]: Metric = std::array::from_fn(|half| {
+        std::array::from_fn(|axis| a[half][axis] * (1.0 - part) + b[half][axis] * part)
+    });
+    let rate: [f64; 3] = std::array::from_fn(|axis| (b[1][axis] - a[1][axis]) / (end - start));
+    let bend = cross(rate, cross(rate, lever));
+    let sag = -0.5 * (time - start) * (end - time);
+    place = std::array::from_fn(|axis| place[axis] + bend[axis] * sag);
+    [place, turn]
+}
+
+/// From the scanner to the map: g = f32(turn p + shift).
+struct Mover {
+    turn: Matrix,
+    shift: [f64; 3],
+}
+
+impl Mover {
+    #[inline]
+    fn world(&self, point: [f64; 3]) -> [f64; 3] {
+        let turned = times_vector(&self.turn, point);
+        std::array::from_fn(|axis| f64::from((turned[axis] + self.shift[axis]) as f32))
+    }
+}
+
+/// The formula, ready to use.
+struct Formula<'w> {
+    world: &'w World,
+    /// Q, and back.
+    axes: Matrix,
+    back: Matrix,
+    movers: Vec<Mover>,
+    /// Steps of the lattices in metres; 0 for none.
+    steps: [f64; 2],
+}
+
+impl<'w> Formula<'w> {
+    fn new(world: &'w World, records: usize) -> Self {
+        let axes = rotation(world.rotation);
+        let back = transposed(&axes);
+        let lever = times_vector(&back, [0.0, 0.0, world.origin[2]]);
+        let mover = |[place, turn]: Metric| {
+            let shift = times_vector(&axes, place);
+            Mover {
+                turn: times_matrix(&axes, &rotation(turn)),
+                shift: std::array::from_fn(|axis| shift[axis] + world.origin[axis]),
+            }
+        };
+        let movers = world.poses(records.div_ceil(SLOTS), lever).into_iter().map(mover).collect();
+        let step = |exponent: i32| f64::from_bits(((1023 + exponent) as u64) << 52);
+        let steps = world.lattices.map(|lattice| lattice.map_or(0.0, step));
+        Formula { world, axes, back, movers, steps }
+    }
+
+    /// The map's coordinates of a record, without its correction.
+    fn world(&self, record: usize, measured: &[f32; 3]) -> [f64; 3] {
+        self.movers[record / SLOTS].world(measured.map(f64::from))
+    }
+
+    /// The file's coordinates of those of the map, so many steps of the lattices farther.
+    fn file(&self, mut world: [f64; 3], steps: &[i64; 2]) -> [f32; 3] {
+        for axis in 0..2 {
+            world[axis] += steps[axis] as f64 * self.steps[axis];
+        }
+        let origin = self.world.origin;
+        let moved = times_vector(&self.back, std::array::from_fn(|axis| world[axis] - origin[axis]));
+        moved.map(|metres| metres as f32)
+    }
+
+    /// The steps of the lattices from the map's coordinates to those of a point of the file.
+    fn steps_to(&self, world: &[f64; 3], position: &[f32; 3]) -> [i64; 2] {
+        let there = times_vector(&self.axes, position.map(f64::from));
+        std::array::from_fn(|axis| {
+            let off = there[axis] + self.world.origin[axis] - world[axis];
+            let steps = off / self.steps[axis];
+            if steps.abs() < MOST_STEPS { steps.round_ties_even() as i64 } else { 0 }
+        })
+    }
+}
+
+impl World {
+    /// The poses of the firings.
+    fn poses(&self, firings: usize, lever: [f64; 3]) -> Vec<Metric> {
+        let knots: Vec<(f64, Metric)> =
+            self.knots.iter().map(|knot| (f64::from(knot.time) * TIME_UNIT, knot.pose.metric())).collect();
+        let mut poses: Vec<Metric> = self.first.iter().take(firings).map(Pose::metric).collect();
+        let mut piece = 0;
+        for time in self.times.of_firings(firings).into_iter().skip(poses.len()) {
+            while piece + 2 < knots.len() && knots[piece + 1].0 <= time {
+                piece += 1;
+            }
+            let [a, b] = [&knots[piece], &knots[piece + 1]];
+            poses.push(between([(a.0, &a.1), (b.0, &b.1)], time, lever));
+        }
+        poses
+    }
+
+    /// Takes down which records of the file `positions` the formula misses, given the measured ones.
+    pub fn find_corrections(&mut self, measured: &[[f32; 3]], positions: &[[f32; 3]]) {
+        let formula = Formula::new(self, measured.len());
+        let unit = Coordinates::unit_of_float;
+        let mut corrections = Vec::new();
+        for (record, (measured, position)) in measured.iter().zip(positions).enumerate() {
+            let world = formula.world(record, measured);
+            let steps = formula.steps_to(&world, position);
+            let given = start(measured, formula.file(world, &steps));
+            let units = std::array::from_fn(|axis| unit(position[axis]) - unit(given[axis]));
+            if steps != [0; 2] || units != [0; 3] {
+                corrections.push(Correction { record: record as u32, steps, units });
+            }
+        }
+        self.corrections = corrections;
+    }
+
+    /// Moves the points of a scan, in the order of the file. Corrections of records that are not there do
+    /// nothing.
+    pub fn apply(&self, positions: &mut [[f32; 3]]) {
+        let formula = Formula::new(self, positions.len());
+        let mut corrections = self.corrections.iter().peekable();
+        for (record, position) in positions.iter_mut().enumerate() {
+            let found = corrections.next_if(|correction| correction.record as usize == record);
+            let correction = found.copied().unwrap_or_default();
+            let given = start(position, formula.file(formula.world(record, position), &correction.steps));
+            *position = corrected(given, &correction.units);
+        }
+    }
+}
+
+/// What is corrected: what the formula gives, or where that is no number, the point itself, for processors
+/// differ in the bits of a NaN that they compute.
+fn start(measured: &[f32; 3], given: [f32; 3]) -> [f32; 3] {
+    if given.iter().any(|metres| metres.is_nan()) { *measured } else { given }
+}
+
+fn corrected(position: [f32; 3], units: &[i64; 3]) -> [f32; 3] {
+    if *units == [0; 3] {
+        return position;
+    }
+    std::array::from_fn(|axis| {
+        let unit = Coordinates::unit_of_float(position[axis]);
+        Coordinates::Float32.value(unit.wrapping_add(units[axis]), 0.0)
+    })
+}

@@ -1,0 +1,368 @@
+//! Finds how a sweep was moved through the world frame, each step of it accurate enough for the next: the
+//! scanner's places from records without a return, its turns from ranges and ticks that are whole numbers,
+//! the axes of the map from its lattices, then the path and the origin in the map by turns.
+
+use nalgebra::Matrix3;
+
+use super::anchor::spacing;
+use super::path::{Firings, Six, Told};
+use super::sweep::{
+    FAR_STEPS, Matrix, Reading, Returnless, Sensor, Ticks, Vector, returnless, shared_place, ticks, turned,
+};
+use super::{FIRING_US, SLOTS, World, axes, rotation};
+
+/// The points as they were measured, and how they were moved to those of the file; its list of corrections is
+/// still empty. None if the points were not moved in this way.
+pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, World)> {
+    let mut search = Search::begun(positions)?;
+    let world = search.world()?;
+    Some((search.measured(), world))
+}
+
+/// The points as they were measured, without the last digits of how they were moved: the fit of the scanner
+/// needs no more.
+pub fn measured(positions: &[[f32; 3]]) -> Option<Vec<[f32; 3]>> {
+    Search::begun(positions).map(|search| search.measured())
+}
+
+/// A quick test: firings of 32 records, and in many of them records without a return, all at the scanner's
+/// place.
+fn may_be_moved(positions: &[[f32; 3]]) -> bool {
+    const FEWEST_FIRINGS: usize = 200;
+    const MOST_FIRINGS: usize = 4000;
+    /// Firings that tell enough, and how many of these must have such records.
+    const SAMPLE: usize = 64;
+    const FEWEST: usize = 12;
+    /// Metres; farther away than any scanner sees.
+    const FARTHEST: f32 = 1000.0;
+    let firings = positions.len() / SLOTS;
+    if positions.len() % SLOTS != 0 || !(FEWEST_FIRINGS..=MOST_FIRINGS).contains(&firings) {
+        return false;
+    }
+    let sample = positions.chunks_exact(SLOTS).step_by(firings / SAMPLE);
+    let with_none = sample.filter(|firing| shared_place(firing).is_some()).count();
+    with_none >= FEWEST && positions.iter().flatten().all(|metres| metres.abs() < FARTHEST)
+}
+
+/// Knots of the path before it is known well, and after how many microseconds firings are on the average.
+const EVEN_KNOTS: usize = 46;
+pub(super) const MEAN_FIRING_US: f64 = FIRING_US + 0.08;
+
+/// A sweep, and what is known of how it was moved.
+pub(super) struct Search {
+    pub(super) sensor: Sensor,
+    pub(super) positions: Vec<[f32; 3]>,
+    pub(super) points: Vec<Vector>,
+    pub(super) is_none: Vec<bool>,
+    pub(super) firings: usize,
+    /// The axes of the map as rows, and the lattices along the first two: 0 if too fine.
+    pub(super) axes: Matrix,
+    pub(super) steps: [f64; 2],
+    pub(super) fine_step: f64,
+    /// The points along the axes of the map.
+    pub(super) mapped: Vec<Vector>,
+    pub(super) origin: Vector,
+    pub(super) readings: Vec<Reading>,
+    /// What the readings give.
+    pub(super) measured: Vec<Vector>,
+    pub(super) poses: Vec<Six>,
+    /// The last firing of the first packet.
+    pub(super) border: usize,
+    /// The scanner's places, as records without a return have them.
+    pub(super) places: Vec<Vector>,
+}
+
+/// What weighs a miss.
+#[derive(Clone, Copy)]
+pub(super) enum Errors {
+    /// In metres along each axis of the map.
+    Fixed([f64; 3]),
+    /// Those of float32, so many times, and so many metres besides along each axis of the map.
+    Rounding(f64, [f64; 3]),
+    /// The same, and the points within their roundings count only as much as this.
+    Inside(f64),
+}
+
+impl Search {
+    /// Everything up to the readings; none if it is no such sweep.
+    fn begun(positions: &[[f32; 3]]) -> Option<Self> {
+        /// The part of the points that must have the ticks of the scanner's rule.
+        const LEAST: f64 = 0.9;
+        if !may_be_moved(positions) {
+            return None;
+        }
+        let points: Vec<Vector> =
+            positions.iter().map(|position| Vector::from(position.map(f64::from))).collect();
+        let Returnless { places, is_none } = returnless(positions)?;
+        let firings = places.len();
+        let sensor = Sensor::new();
+        let turns = followed(&sensor, &points, &places, &is_none);
+        let axes::Axes { rows, steps } = axes::find(&points, &is_none)?;
+        let is_coarse = |step: f64| if step >= axes::FINE { step } else { 0.0 };
+        let poses = places
+            .iter()
+            .zip(&turns)
+            .map(|(place, turn)| Six::new(place.x, place.y, place.z, turn.x, turn.y, turn.z))
+            .collect();
+        let mut search = Search {
+            sensor,
+            positions: positions.to_vec(),
+            mapped: points.iter().map(|point| rows * point).collect(),
+            points,
+            is_none,
+            firings,
+            axes: rows,
+            steps: steps.map(is_coarse),
+            fine_step: steps[1],
+            origin: Vector::zeros(),
+            readings: Vec::new(),
+            measured: Vec::new(),
+            poses,
+            border: 0,
+            places,
+        };
+        search.read();
+        let times: Vec<f64> = (0..firings).map(|firing| firing as f64 * MEAN_FIRING_US).collect();
+        let knots = even(times[firings - 1], EVEN_KNOTS);
+        let errors = Errors::Fixed([(steps[0] / 3.46).max(1e-6), (steps[1] / 3.46).max(2e-6), 1e-6]);
+        for clip in [100.0, 30.0, 4.0, 4.0] {
+            search.follow(&times, &knots, errors, clip)?;
+        }
+        search.read();
+        for clip in [4.0, 4.0] {
+            search.follow(&times, &knots, errors, clip)?;
+        }
+        let share = search.read_ticks();
+        search.follow(&times, &knots, errors, 4.0)?;
+        (share > LEAST).then_some(search)
+    }
+
+    pub(super) fn of_firing(&self, firing: usize) -> std::ops::Range<usize> {
+        firing * SLOTS..(firing + 1) * SLOTS
+    }
+
+    /// A point as the scanner saw it.
+    fn seen(&self, record: usize, turn: &Matrix) -> Vector {
+        let pose = &self.poses[record / SLOTS];
+        turn.transpose() * (self.points[record] - pose.fixed_rows::<3>(0))
+    }
+
+    /// Reads every record by itself.
+    fn read(&mut self) {
+        self.readings = Vec::with_capacity(self.points.len());
+        for firing in 0..self.firings {
+            let turn = turn_of(&self.poses[firing]);
+            for record in self.of_firing(firing) {
+                self.readings.push(Sensor::reading(&self.seen(record, &turn)));
+            }
+        }
+        self.measure();
+    }
+
+    /// Reads all records by the rule of the ticks, and gives the part of the far points whose own ticks these
+    /// are.
+    pub(super) fn read_ticks(&mut self) -> f64 {
+        self.read();
+        let is_far = |record: &usize| !self.is_none[*record] && self.readings[*record].steps > FAR_STEPS;
+        let own: Vec<Option<i64>> = (0..self.points.len())
+            .map(|record| Some(record).filter(is_far).map(|record| self.readings[record].tick))
+            .collect();
+        let Ticks { ticks, border, share } = ticks(&own);
+        self.border = border;
+        for (reading, tick) in self.readings.iter_mut().zip(ticks) {
+            reading.tick = self::nearer(*reading, tick);
+        }
+        self.measure();
+        share
+    }
+
+    fn measure(&mut self) {
+        let of_record = |record: usize| match self.is_none[record] {
+            true => Vector::zeros(),
+            false => self.sensor.vector(record % SLOTS, self.readings[record]),
+        };
+        self.measured = (0..self.points.len()).map(of_record).collect();
+    }
+
+    /// The measured points as floats: those of the formula where it comes near, others where the pose says.
+    fn measured(&self) -> Vec<[f32; 3]> {
+        /// In metres, along an axis.
+        const NEAR: f64 = 3e-4;
+        let mut measured = Vec::with_capacity(self.points.len());
+        for firing in 0..self.firings {
+            let turn = turn_of(&self.poses[firing]);
+            for record in self.of_firing(firing) {
+                let seen = self.seen(record, &turn);
+                measured.push(if self.is_none[record] {
+                    [0.0; 3]
+                } else if (seen - self.measured[record]).amax() < NEAR {
+                    self.sensor.position(record % SLOTS, self.readings[record])
+                } else {
+                    seen.map(|metres| metres as f32).into()
+                });
+            }
+        }
+        measured
+    }
+
+    /// Reads the range of a record again.
+    pub(super) fn reread(&mut self, record: usize, range: f64) {
+        self.readings[record].steps = Sensor::steps(range);
+        self.measured[record] = self.sensor.vector(record % SLOTS, self.readings[record]);
+    }
+
+    /// The squared error of a point's rounding along an axis of the map, in the file and in the map.
+    pub(super) fn rounding(&self, record: usize, axis: usize) -> f64 {
+        let in_file = self.file_rounding(record, axis);
+        let in_map = spacing(self.origin[axis] + self.mapped[record][axis]);
+        (in_map * in_map + in_file) / 12.0 + 1e-20
+    }
+
+    /// The distances of the float32 values in the file, along an axis of the map.
+    fn file_spacings(&self, record: usize, axis: usize) -> [f64; 3] {
+        std::array::from_fn(|i| (self.axes[(axis, i)] * spacing(self.points[record][i])).abs())
+    }
+
+    /// The sum of their squares.
+    pub(super) fn file_rounding(&self, record: usize, axis: usize) -> f64 {
+        self.file_spacings(record, axis).iter().map(|spacing| spacing * spacing).sum()
+    }
+
+    /// What is left along the axes of the map, and the turned measured point.
+    pub(super) fn misses(&self, firing: usize) -> impl Iterator<Item = (usize, Vector, Vector)> + '_ {
+        let turn = turn_of(&self.poses[firing]);
+        let place: Vector = self.poses[firing].fixed_rows::<3>(0).into();
+        self.of_firing(firing).map(move |record| {
+            let turned = turn * self.measured[record];
+            (record, self.mapped[record] - self.axes * (turned + place), turned)
+        })
+    }
+
+    /// What a firing tells about its pose. Misses of more than `clip` errors are not heard.
+    pub(super) fn told(&self, firing: usize, errors: Errors, clip: f64) -> Told {
+        /// Points outside their roundings count this much.
+        const OUTSIDE: f64 = 30.0;
+        /// The part of the roundings in the file that are on the way.
+        const IN_FILE: f64 = 0.3;
+        let mut told = Told::default();
+        for (record, miss, turned) in self.misses(firing) {
+            for axis in 0..3 {
+                let direction = self.axes.row(axis).transpose();
+                let square = match errors {
+                    Errors::Fixed(error) => error[axis] * error[axis],
+                    Errors::Rounding(times, more) => {
+                        times * times * (self.rounding(record, axis) + more[axis] * more[axis])
+                    }
+                    Errors::Inside(_) => self.rounding(record, axis),
+                };
+                let mut off = miss[axis];
+                if off * off >= clip * clip * square {
+                    continue;
+                }
+                let mut weight = 1.0 / square;
+                if let Errors::Inside(inside) = errors {
+                    let half = spacing(self.mapped[record][axis] + self.origin[axis]) / 2.0
+                        + IN_FILE * self.file_spacings(record, axis).iter().sum::<f64>();
+                    let beyond = off - off.clamp(-half, half);
+                    weight *= if beyond == 0.0 { inside } else { OUTSIDE };
+                    off = if beyond == 0.0 { off } else { beyond };
+                }
+                let lever = turned.cross(&direction);
+                let slope = Six::new(direction.x, direction.y, direction.z, lever.x, lever.y, lever.z);
+                told.normal += (slope * weight) * slope.transpose();
+                told.right += slope * (weight * off);
+                told.squares += weight * off * off;
+            }
+        }
+        told
+    }
+
+    pub(super) fn all_told(&self, from: usize, errors: Errors, clip: f64) -> Vec<Told> {
+        (from..self.firings).map(|firing| self.told(firing, errors, clip)).collect()
+    }
+
+    /// Fits the poses of all firings to a path with these knots.
+    fn follow(&mut self, times: &[f64], knots: &[f64], errors: Errors, clip: f64) -> Option<()> {
+        let told = self.all_told(0, errors, clip);
+        let path = Firings { times, poses: &self.poses, told: &told }.path(knots, None)?;
+        self.poses = times.iter().map(|time| path.at(*time, &Vector::zeros())).collect();
+        Some(())
+    }
+}
+
+/// The tick of the rule, if a point of the reading is as near to it as its own.
+fn nearer(reading: Reading, tick: i64) -> i64 {
+    /// Ticks by which near points may be off: their floats are not fine enough.
+    const NEAR: i64 = 4;
+    let most = if reading.steps > FAR_STEPS { 1 } else { NEAR };
+    if turned(reading.tick, tick).abs() <= most { tick } else { reading.tick }
+}
+
+fn even(end: f64, count: usize) -> Vec<f64> {
+    (0..count).map(|number| end * number as f64 / (count - 1) as f64).collect()
+}
+
+/// The rotation about an axis by its length in radians.
+pub(super) fn rotated(axis: &Vector) -> Matrix {
+    Matrix::from_row_slice(rotation((*axis).into()).as_flattened())
+}
+
+/// The rotation of a pose.
+pub(super) fn turn_of(pose: &Six) -> Matrix {
+    rotated(&Vector::new(pose[3], pose[4], pose[5]))
+}
+
+/// The turns of all firings, one by one from the last, which is not turned.
+fn followed(sensor: &Sensor, points: &[Vector], places: &[Vector], is_none: &[bool]) -> Vec<Vector> {
+    /// Firings that tell where the next one is, and how many a straight line needs.
+    const LOOK_BACK: usize = 24;
+    const FEWEST_OF_LINE: usize = 12;
+    /// In metres: a reading that is this far off is another.
+    const NEAR: f64 = 3e-4;
+    const FEWEST: usize = 3;
+    /// Square metres: holds turns that the points do not tell.
+    const RIDGE: f64 = 0.25;
+    let mut turns = vec![Vector::zeros(); places.len()];
+    for firing in (0..places.len()).rev() {
+        let after = &turns[firing + 1..(firing + 1 + LOOK_BACK).min(places.len())];
+        let mut turn = match after.len() {
+            0 => Vector::zeros(),
+            count @ 1..FEWEST_OF_LINE => after.iter().sum::<Vector>() / count as f64,
+            _ => extrapolated(after),
+        };
+        for _ in 0..2 {
+            let rotation = rotated(&turn);
+            let (mut normal, mut right, mut count) = (Matrix3::identity() * RIDGE, Vector::zeros(), 0);
+            for slot in (0..SLOTS).filter(|slot| !is_none[firing * SLOTS + slot]) {
+                let off = points[firing * SLOTS + slot] - places[firing];
+                let reading = Sensor::reading(&(rotation.transpose() * off));
+                let turned = rotation * sensor.vector(slot, reading);
+                let miss = off - turned;
+                if reading.steps > FAR_STEPS && miss.amax() < NEAR {
+                    let cross = turned.cross_matrix();
+                    normal += cross.transpose() * cross;
+                    right += turned.cross(&miss);
+                    count += 1;
+                }
+            }
+            let Some(cholesky) = normal.cholesky().filter(|_| count >= FEWEST) else { break };
+            turn += cholesky.solve(&right);
+        }
+        turns[firing] = turn;
+    }
+    turns
+}
+
+/// The value before the first, by a straight line through all.
+fn extrapolated(values: &[Vector]) -> Vector {
+    let count = values.len() as f64;
+    let middle = (count + 1.0) / 2.0;
+    let mean = values.iter().sum::<Vector>() / count;
+    let (mut slope, mut square) = (Vector::zeros(), 0.0);
+    for (number, value) in values.iter().enumerate() {
+        let at = number as f64 + 1.0 - middle;
+        slope += (value - mean) * at;
+        square += at * at;
+    }
+    mean - slope * (middle / square)
+}
