@@ -156,7 +156,12 @@ fn scanners_of_all_recipes_are_found_from_their_points() {
         let points = points(&truth, &image(&truth, 1));
         let (found, share) = fit(&[file(&points)]).unwrap_or_else(|| panic!("{recipe:?} is not found"));
         assert!(share > 0.999, "{recipe:?}: {share}");
-        assert_eq!(found.build(), truth.build());
+        // What is ahead in double precision makes no difference: a quarter of a turn is a whole number of ticks.
+        let ahead = |build: &Build| match build.recipe {
+            Recipe::DoubleXAhead => Build { recipe: Recipe::DoubleYAhead, ..build.clone() },
+            _ => build.clone(),
+        };
+        assert_eq!(ahead(found.build()), ahead(truth.build()));
         let elevations =
             |scanner: &Firings| scanner.lasers().iter().map(|laser| laser.elevation).collect::<Vec<_>>();
         assert_eq!(elevations(&found), elevations(&truth), "{recipe:?}");

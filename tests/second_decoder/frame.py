@@ -92,6 +92,7 @@ class Decoder:
         self.deep_intensity = None
         self.correction = sections.Correction()
         self.blanks = sections.Blanks()
+        self.echoes = sections.Echoes()
         self.order = sections.Order()
         self.channels = Channels()
         self.contour = residual.Contour()
@@ -174,7 +175,8 @@ class Decoder:
             image = self.occupied(parameters, columns, seen)
             if is_full:
                 blanks = [(row, n) for row, cells in enumerate(image) for n, filled in enumerate(cells) if not filled]
-            if sum(map(sum, image)) + len(blanks) != inside:
+            in_image = sum(map(sum, image)) + len(blanks)
+            if in_image > inside or is_full and in_image < inside:
                 raise Refused("the range image does not hold as many points as it should")
 
         of_strays = []
@@ -204,6 +206,16 @@ class Decoder:
                     levels = [[0] * len(columns) for _ in image]
                 self.past = references.Past(columns, ranges, levels)
         elements = scanner.in_canonical_order(ranges, columns, is_full) if inside else []
+        echoes = {}
+        if inside and in_image < inside:
+            known = values if layout.intensity and parameters.intensity else None
+            echoes = self.echoes.code(self.bits(kinds.ECHOES), inside - in_image, image, ranges, known)
+            elements = [
+                element
+                for row, column, tick, steps in elements
+                for element in [(row, column, tick, steps)]
+                + [(row, column, tick, range_) for range_, _ in echoes.get((row, column), [])]
+            ]
         stray_places, moved, move_places = range(inside, records), [], []
         positions = []
         if inside:
@@ -231,7 +243,14 @@ class Decoder:
         if layout.position:
             beside.positions = in_order(positions, of_strays)
         if layout.intensity:
-            of_image = [values[row][column] for row, column, _, _ in elements]
+            of_image, before = [], None
+            for row, column, _, _ in elements:
+                if (row, column) == before:
+                    of_image.append(next(rest))
+                else:
+                    of_image.append(values[row][column])
+                    rest = (value for _, value in echoes.get((row, column), []))
+                before = row, column
             beside.intensities = in_order(of_image, values_of_strays)
         return beside
 

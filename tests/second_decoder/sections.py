@@ -687,6 +687,64 @@ class Blanks:
         return found
 
 
+# 8.20 Echoes
+
+
+class Echoes:
+    def __init__(self):
+        self.exists = adaptive(8)
+        self.same_range, self.by_last, self.same_intensity = adaptive(2), adaptive(2), adaptive(2)
+        self.is_whole = adaptive(1)[0]
+        self.ranges = integers(2)
+        self.intensities = integers(1)[0]
+
+    def code(self, bits, missing, image, steps, values):
+        """For each cell with echoes, its row and column: their ranges and the bits of their intensities.
+
+        `values` are those of the first returns, none if intensities are not coded.
+        """
+        found, known = {}, 0
+        was_same = was_last = 0
+        above = [0] * (len(image[0]) if image else 0)
+        for row, cells in enumerate(image):
+            left, last = 0, None
+            for column in (n for n, filled in enumerate(cells) if filled):
+                own = []
+                first = steps[row][column]
+                while known < missing and self.exists[left + 2 * above[column] + 4 * bool(own)].code(bits):
+                    was_same = self.same_range[was_same].code(bits)
+                    if was_same:
+                        range_ = first
+                    else:
+                        if last is not None:
+                            was_last = self.by_last[was_last].code(bits)
+                        by = int(last is not None and was_last)
+                        range_ = (last if by else first) + unzigzag(self.ranges[by].code(bits))
+                        if not 1 <= range_ < 1 << 24:
+                            raise Refused("an echo out of range")
+                    last = range_
+                    value = 0
+                    if values is not None:
+                        value = self.intensity(bits, was_same, values[row][column])
+                    own.append((range_, value))
+                    known += 1
+                left = above[column] = int(bool(own))
+                if own:
+                    found[row, column] = own
+        if known != missing:
+            raise Refused("the range image does not hold as many points as it should")
+        return found
+
+    def intensity(self, bits, was_same, first):
+        if self.same_intensity[was_same].code(bits):
+            return first
+        number = float_of_bits(first)
+        is_whole = isfinite(number) and abs(number) < 1 << 24 and number == int(number) and first != 1 << 31
+        if is_whole and self.is_whole.code(bits):
+            return bits_of_float(float(int(number) + unzigzag(self.intensities.code(bits))))
+        return bits.plain(32)
+
+
 # 8.8 Order
 
 

@@ -86,7 +86,8 @@ impl FiringColumnModel {
             if !same {
                 // The shortest way round.
                 let step = (tick - last_tick + turn / 2).rem_euclid(turn) - turn / 2;
-                let difference = code_signed(&mut self.steps[context(change)], coder, step.wrapping_sub(last_step));
+                let difference =
+                    code_signed(&mut self.steps[context(change)], coder, step.wrapping_sub(last_step));
                 let step = last_step.wrapping_add(difference);
                 change = difference;
                 last_tick = last_tick.wrapping_add(step).rem_euclid(turn);
