@@ -48,6 +48,9 @@ pub fn rigid(pairs: &[Pair], mut axes: Matrix, mut origin: Vector, limits: &[f64
         let scaled = Matrix6::from_diagonal(&scale) * normal * Matrix6::from_diagonal(&scale);
         let Some(cholesky) = (scaled + Matrix6::identity() * 1e-13).cholesky() else { break };
         let step = cholesky.solve(&right.component_mul(&scale)).component_mul(&scale);
+        if !step.iter().all(|part| part.is_finite()) {
+            break;
+        }
         let turn = rotated(&Vector::new(step[0], step[1], step[2]));
         // v = turn (there - middle) + middle + shift
         let shift = Vector::new(step[3], step[4], step[5]) + middle - turn * middle;

@@ -68,7 +68,7 @@ struct Samples {
 }
 
 impl Samples {
-    fn new(points: &[Vector], is_none: &[bool]) -> Self {
+    fn new(points: &[Vector], is_none: &[bool], pairs_of_none: bool) -> Self {
         /// A level with fewer points says nothing.
         const FEWEST: usize = 100;
         const FEWEST_NEAR: usize = 60;
@@ -89,7 +89,8 @@ impl Samples {
                 for record in apart * SLOTS..points.len() {
                     let [a, b] = [record, record - apart * SLOTS];
                     let is_near = || points[a].norm() < reach && points[b].norm() < reach;
-                    if is_kept[a] && is_kept[b] && is_near() {
+                    let is_pair = pairs_of_none || !is_none[a] && !is_none[b];
+                    if is_kept[a] && is_kept[b] && is_pair && is_near() {
                         pairs.push(with_length(points[a] - points[b]));
                     }
                 }
@@ -134,21 +135,22 @@ impl Samples {
 
     /// The direction of the coarsest lattice, nearly level, and its step.
     fn first(&mut self) -> Option<(Vector, f64)> {
-        /// Metres between the points of the first sample.
-        const START: f64 = 0.006;
+        /// Metres between the points of the first sample: the first of these that is enough.
+        const STARTS: [f64; 3] = [0.006, 0.012, 0.025];
         const FEWEST: usize = 150;
         const MANY: usize = 600;
         for exponent in 11..18 {
             let step = power_of_two(-exponent);
-            let is_near = |(length, v): &&(f64, Vector)| {
-                *length < START && *length > (2.0 * step).max(0.0003) && v.z.abs() < 10.0 * step
+            let near = |start: f64| {
+                let is_near = |(length, v): &&(f64, Vector)| {
+                    *length < start && *length > (2.0 * step).max(0.0003) && v.z.abs() < 10.0 * step
+                };
+                let near: Vec<Vector> = self.pairs.iter().filter(is_near).map(|(_, v)| *v).collect();
+                (near.len() >= FEWEST).then_some((start, near))
             };
-            let near: Vec<Vector> = self.pairs.iter().filter(is_near).map(|(_, v)| *v).collect();
-            if near.len() < FEWEST {
-                continue;
-            }
+            let Some((start, near)) = STARTS.into_iter().find_map(near) else { continue };
             let near = sample(&near, MANY, &mut self.random);
-            let yaw_step = 0.4 * step / START;
+            let yaw_step = 0.4 * step / start;
             let mut found = Vec::new();
             for tilt in [-0.06, -0.03, 0.0, 0.03, 0.06] {
                 let yaws = (0..(PI / yaw_step) as usize).map(|number| number as f64 * yaw_step);
@@ -180,7 +182,7 @@ impl Samples {
             for round in 0..2 {
                 let [across, up] = beside(&direction);
                 let count =
-                    |span: f64| (2.0 * span * reach / step * 2.5).ceil().clamp(7.0, 61.0) as usize | 1;
+                    |span: f64| (2.0 * span * reach / step * 2.5).ceil().clamp(7.0, 241.0) as usize | 1;
                 let [wide, high] = span.map(count);
                 let mut best = (0.0, direction);
                 for i in 0..wide {
@@ -276,29 +278,41 @@ const COARSEST: f64 = 1.0 / 2048.0;
 pub const FINE: f64 = 1.0 / 65536.0;
 
 /// Finds the axes of the map; none if the points lie on no lattice.
+///
+/// The pairs of records without a return all lie along the way of the car, and tell nothing across it: they
+/// are tried only where others are too few.
 pub fn find(points: &[Vector], is_none: &[bool]) -> Option<Axes> {
-    let mut samples = Samples::new(points, is_none);
-    let (first, first_step) = samples.first().filter(|(_, step)| *step >= FINE)?;
-    let of_far = (11..18).find_map(|exponent| {
-        let step = power_of_two(-exponent);
-        let direction = samples.second(&first, step, &samples.levels, 0.5)?;
-        Some((direction, samples.coarsest(&direction, step)))
-    });
-    let of_near = || {
-        (15..23).find_map(|exponent| {
+    [false, true].into_iter().find_map(|pairs_of_none| {
+        let mut samples = Samples::new(points, is_none, pairs_of_none);
+        let (first, step) = samples.first().filter(|(_, step)| *step >= FINE)?;
+        samples.completed(first, step)
+    })
+}
+
+impl Samples {
+    /// All axes, from the first and its step.
+    fn completed(&self, first: Vector, first_step: f64) -> Option<Axes> {
+        let of_far = (11..18).find_map(|exponent| {
             let step = power_of_two(-exponent);
-            Some((samples.second(&first, step, &samples.near_levels, 0.7)?, step))
-        })
-    };
-    let (mut second, second_step) = of_far.or_else(of_near)?;
-    if second_step >= FINE {
-        second = samples.polished(second, second_step);
-        second = (second - first * first.dot(&second)).normalize();
+            let direction = self.second(&first, step, &self.levels, 0.5)?;
+            Some((direction, self.coarsest(&direction, step)))
+        });
+        let of_near = || {
+            (15..23).find_map(|exponent| {
+                let step = power_of_two(-exponent);
+                Some((self.second(&first, step, &self.near_levels, 0.7)?, step))
+            })
+        };
+        let (mut second, second_step) = of_far.or_else(of_near)?;
+        if second_step >= FINE {
+            second = self.polished(second, second_step);
+            second = (second - first * first.dot(&second)).normalize();
+        }
+        let mut up = first.cross(&second);
+        if up.z < 0.0 {
+            (second, up) = (-second, -up);
+        }
+        let rows = Matrix::from_rows(&[first.transpose(), second.transpose(), up.transpose()]);
+        Some(Axes { rows, steps: [first_step, second_step] })
     }
-    let mut up = first.cross(&second);
-    if up.z < 0.0 {
-        (second, up) = (-second, -up);
-    }
-    let rows = Matrix::from_rows(&[first.transpose(), second.transpose(), up.transpose()]);
-    Some(Axes { rows, steps: [first_step, second_step] })
 }
