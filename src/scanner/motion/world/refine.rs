@@ -9,7 +9,7 @@ use super::anchor::{Pair, rigid, rounded, spacing};
 use super::path::{Firings, KnotSearch, Path, Six, Told};
 use super::sweep::{Matrix, Vector};
 use super::undo::{Errors, MEAN_FIRING_US, Search, turn_of};
-use super::{Knot, PACKETS, PLACE_UNIT, Pose, SLOTS, TIME_UNIT, TURN_UNIT, Times, World, axes};
+use super::{Knot, PACKETS, PLACE_UNIT, Pose, SLOTS, TIME_UNIT, TURN_UNIT, Times, World};
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::Coordinates;
 
