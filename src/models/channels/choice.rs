@@ -40,7 +40,7 @@ pub fn sample(records: usize) -> Vec<Range<usize>> {
     /// One record in so many.
     const SHARE: usize = 8;
     if records <= FEW * SAMPLE {
-        return vec![0..records];
+        return std::iter::once(0..records).collect();
     }
     let (distance, count) = (records / PARTS, records / PARTS / SHARE);
     (0..PARTS)
@@ -279,5 +279,6 @@ fn is_same(sources: &Sources, source: usize, scalar: Scalar, values: &[u8]) -> b
             )
     };
     let first = FIRST.min(records);
-    is_same(&values[..first * size], &sources.part(&[0..first]).sources()) && is_same(values, sources)
+    is_same(&values[..first * size], &sources.part(std::slice::from_ref(&(0..first))).sources())
+        && is_same(values, sources)
 }

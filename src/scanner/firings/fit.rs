@@ -257,7 +257,7 @@ impl RecordGrid {
         /// Lasers that may have seen nothing, for one that has.
         const MOST_LINES: usize = 2;
         const FEWEST_COLUMNS: usize = 8;
-        let whole = (rows..=MOST_LINES * rows).filter(|lines| records % lines == 0);
+        let whole = (rows..=MOST_LINES * rows).filter(|lines| records.is_multiple_of(*lines));
         let grids = whole.flat_map(|lines| [(lines, false), (lines, true)]);
         let mut grids = grids.filter(|(lines, _)| records / lines >= FEWEST_COLUMNS);
         grids.find_map(|(lines, by_lines)| Self::of(places, rows, (lines, records / lines), by_lines))

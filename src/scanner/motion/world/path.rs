@@ -274,7 +274,8 @@ impl<'a> KnotSearch<'a> {
             let Some((_, more)) = found.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
             let steps = if more.len() < 6 { &STEPS[..] } else { &STEPS[1..] };
             let (more, now) = self.moved(more, steps);
-            if !(best - now >= gain) {
+            let gained = best - now;
+            if gained.is_nan() || gained < gain {
                 break;
             }
             (knots, best) = (more, now);

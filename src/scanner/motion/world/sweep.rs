@@ -200,8 +200,8 @@ pub fn ticks(own: &[Option<i64>]) -> Ticks {
     let of_border = |border: usize| {
         let mut given = Vec::with_capacity(own.len());
         for firing in 0..firings {
-            let is_last =
-                firing >= border.max(1) && (firing - border) % super::PACKET == 0 || firing + 1 == firings;
+            let is_last = firing >= border.max(1) && (firing - border).is_multiple_of(super::PACKET)
+                || firing + 1 == firings;
             let span = steps.get(if is_last { firing - 1 } else { firing }).copied().unwrap_or(USUAL);
             given.extend((0..SLOTS).map(|slot| (starts[firing] + passed(span, slot)).rem_euclid(TURN)));
         }

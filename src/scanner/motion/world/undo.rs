@@ -36,7 +36,7 @@ fn may_be_moved(positions: &[[f32; 3]]) -> bool {
     /// Metres; farther away than any scanner sees.
     const FARTHEST: f32 = 1000.0;
     let firings = positions.len() / SLOTS;
-    if positions.len() % SLOTS != 0 || !(FEWEST_FIRINGS..=MOST_FIRINGS).contains(&firings) {
+    if !positions.len().is_multiple_of(SLOTS) || !(FEWEST_FIRINGS..=MOST_FIRINGS).contains(&firings) {
         return false;
     }
     let sample = positions.chunks_exact(SLOTS).step_by(firings / SAMPLE);
