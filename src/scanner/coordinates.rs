@@ -307,7 +307,8 @@ mod tests {
         assert_eq!(Coordinates::finest_of(&[1.5, -20.25]), Coordinates::Lattice { step_nm: 10_000_000 });
         assert_eq!(Coordinates::finest_of(&[1.501, -20.25]), Coordinates::Millimetre);
         assert_eq!(Coordinates::finest_of(&[12.3456, -0.012_345_6]), Coordinates::Digits(6));
-        let neighbours: Vec<f32> = (0..64).map(|i| f32::from_bits(120f32.to_bits() + i)).collect();
+        let mut neighbours: Vec<f32> = (0..64).map(|i| f32::from_bits(120f32.to_bits() + i)).collect();
+        neighbours.push(0.123_456_79);
         assert_eq!(Coordinates::finest_of(&neighbours), Coordinates::Float32);
         assert_eq!(Coordinates::Digits(6).unit_in_file(f32::INFINITY), None);
         for unit in [i64::MIN, i64::MAX, -1, 1] {
