@@ -138,7 +138,7 @@ pub enum PredictArg {
 /// Which range image.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum ProjectionArg {
-    /// 64 rows at published elevations by --columns.
+    /// 64 rows at published elevations, or the lasers that are found, by --columns.
     Ideal,
     /// The one that exact mode codes.
     Calibrated,

@@ -40,7 +40,8 @@ pub enum ProjectionKind {
         /// Range step in micrometres; `None`: the scanner's own step, which loses nothing.
         range_step_um: Option<u32>,
     },
-    /// The article's (IV-A): 64 rows at the published elevations, columns equally far apart.
+    /// The article's (IV-A): 64 rows at the published elevations, or those of the scanner of firings that is found;
+    /// columns equally far apart.
     Ideal {
         /// Columns in a turn.
         columns: u32,

@@ -1,9 +1,10 @@
 //! The ideal sensor of the article (IV-A, equation 2): all beams start at one point, at the elevations
-//! published by the manufacturer, and all columns are equally far apart.
+//! published by the manufacturer, and all columns are equally far apart. That of another scanner than the article's has
+//! the elevations that were found.
 
 use std::f64::consts::TAU;
 
-use super::{BeamConstants, Coordinates, Hdl64};
+use super::{BeamConstants, Coordinates, Hdl64, Scanner};
 
 /// Elevation of the highest beam of the HDL-64E's upper block, in degrees (user's manual).
 const UPPER_TOP: f64 = 2.0;
@@ -22,10 +23,21 @@ pub fn ideal(columns: u32, range_step_um: u32) -> Hdl64 {
     let elevations = (0..BLOCK)
         .map(|beam| UPPER_TOP - UPPER_STEP * beam as f64)
         .chain((0..BLOCK).map(|beam| LOWER_TOP - LOWER_STEP * beam as f64));
-    let beams = elevations
-        .map(|degrees| BeamConstants::quantise([degrees / 360.0 * TAU, 0.0, 0.0, 0.0, 0.0]))
-        .collect();
+    ideal_at(elevations.map(|degrees| degrees / 360.0 * TAU), columns, range_step_um)
+}
+
+/// As [`ideal`], with beams at these elevations in radians.
+fn ideal_at(elevations: impl Iterator<Item = f64>, columns: u32, range_step_um: u32) -> Hdl64 {
+    let beams = elevations.map(|radians| BeamConstants::quantise([radians, 0.0, 0.0, 0.0, 0.0])).collect();
     Hdl64::new(Coordinates::Float32, columns, range_step_um, beams)
+}
+
+/// The ideal sensor for scans of a scanner: one of firings has its own elevations, all others the article's.
+pub fn ideal_of(scanner: Option<&Scanner>, columns: u32, range_step_um: u32) -> Hdl64 {
+    match scanner.and_then(Scanner::firings) {
+        Some(scanner) => ideal_at(scanner.elevations(), columns, range_step_um),
+        None => ideal(columns, range_step_um),
+    }
 }
 
 #[cfg(test)]

@@ -18,6 +18,6 @@ pub use hdl64::{
     project_nearest, sine_and_cosine,
 };
 pub(crate) use hdl64::{BeamPoint, split_beams, thinned};
-pub use ideal::ideal;
+pub use ideal::{ideal, ideal_of};
 pub use range_image::{Echo, RangeImage, Return};
 pub use scanner::{ColumnModels, Scanner};

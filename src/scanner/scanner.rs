@@ -1,5 +1,6 @@
 //! The scanner of a stream of scans: one of the families.
 
+use std::borrow::Cow;
 use std::fmt;
 
 use super::firings::{self, Firings};
@@ -111,6 +112,14 @@ impl Scanner {
         match self {
             Scanner::Hdl64(scanner) => Some(scanner),
             Scanner::Firings(_) => None,
+        }
+    }
+
+    /// A scanner of this family that sees a range image as this one does: for pictures and regions.
+    pub fn likeness(&self) -> Cow<'_, Hdl64> {
+        match self {
+            Scanner::Hdl64(scanner) => Cow::Borrowed(scanner),
+            Scanner::Firings(scanner) => Cow::Owned(scanner.likeness()),
         }
     }
 

@@ -78,14 +78,15 @@ impl Scanners {
 /// The models of the scanners of a stream that these frames are of: more than one if the first does not explain the
 /// whole sample.
 fn choose_models(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
+    let pool = pool(resolve_threads(config.threads))?;
+    let fitted = pool.install(|| sample(frames, config).map(fit_all))?;
     Ok(match config.projection {
         ProjectionKind::Calibrated { range_step_um } => {
-            let pool = pool(resolve_threads(config.threads))?;
-            let fitted = pool.install(|| sample(frames, config).map(fit_all))?.into_iter();
-            fitted.map(|scanner| range_step_um.into_iter().fold(scanner, Scanner::with_range_step)).collect()
+            let in_steps = |scanner| range_step_um.into_iter().fold(scanner, Scanner::with_range_step);
+            fitted.into_iter().map(in_steps).collect()
         }
         ProjectionKind::Ideal { columns, range_step_um } => {
-            vec![Scanner::Hdl64(scanner::ideal(columns, range_step_um))]
+            vec![Scanner::Hdl64(scanner::ideal_of(fitted.first(), columns, range_step_um))]
         }
     })
 }

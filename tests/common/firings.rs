@@ -9,6 +9,7 @@ use super::scans::Points;
 pub fn made_up(recipe: Recipe) -> Firings {
     let (ticks, range_step_um) = match recipe {
         Recipe::SingleRangeXAhead => (2048, 1000),
+        Recipe::Ouster | Recipe::OusterRos => (1024, 1000),
         Recipe::RoboSense => (36_000, 2500),
         Recipe::DoubleYAhead => (36_000, 2000),
         _ => (36_000, 4000),
@@ -28,6 +29,7 @@ pub fn made_up(recipe: Recipe) -> Firings {
     let origin = match recipe {
         Recipe::RoboSense => Origin { along_um: 34_980, up_um: 0 },
         Recipe::LsLidar => Origin { along_um: 36_100, up_um: 0 },
+        Recipe::Ouster | Recipe::OusterRos => Origin { along_um: 15_806, up_um: 38_195 },
         _ => Origin::default(),
     };
     let coordinates = Coordinates::Float32;
@@ -43,7 +45,8 @@ fn numbers(mut state: u64) -> impl FnMut(u64) -> u64 {
     }
 }
 
-/// A turn of a scanner of firings, of which every so many-th is there; one cell in ten has no return.
+/// A turn of a scanner of firings, of which every so many-th is there; one cell in ten has no return, which is a record
+/// in an Ouster's files.
 pub fn image(scanner: &Firings, thinning: u32) -> RangeImage {
     let Build { recipe, ticks, range_step_um, ref timing, .. } = *scanner.build();
     let mut below = numbers(7 + recipe as u64);
@@ -56,6 +59,7 @@ pub fn image(scanner: &Firings, thinning: u32) -> RangeImage {
         tick += next;
     }
     let mut image = RangeImage::new(32, columns);
+    image.is_full = matches!(recipe, Recipe::Ouster | Recipe::OusterRos);
     if timing.is_interpolated() {
         image.spans = spans;
     }

@@ -14,9 +14,10 @@ WHOLE = 1 << 24
 # How the recipes' ranges are rounded, and which of them compute in double precision.
 SINGLE_PRODUCT = 0, 3, 4, 8, 9
 ROUNDED_PRODUCT = 6, 7, 10
-DOUBLE = 1, 2, 3, 5
+DOUBLE = 1, 2, 3, 5, 11, 12
 GLIBC = 8, 9
-ROBOSENSE, LSLIDAR, PANDAR_64, LAST = 4, 5, 10, 10
+OUSTER = 11, 12
+ROBOSENSE, LSLIDAR, PANDAR_64, LAST = 4, 5, 10, 12
 
 SLOT, FIRING, BLOCK = map(f32, (2.304, 55.296, 110.592))
 LS_DEGREE = 0.017453293
@@ -78,6 +79,7 @@ class Scanner:
         if max(map(abs, origin)) > 10**6:
             raise Refused("beams that start too far away")
         self.grid = Grid((FLOAT32, MILLIMETRE, LATTICE, DIGITS)[grid], (None, None, step * 1e-9, step)[grid])
+        self.along_um, self.up_um = origin
         self.along, self.up = (um * 1e-6 for um in origin)
         self.range_step = self.range_step_um * 1e-6
         self.tick_degrees = 360 / self.ticks
@@ -89,6 +91,12 @@ class Scanner:
         if by_line > 1:
             raise Refused("an unknown order")
         self.rows_of_lines = permutation(reader, rows) if by_line else None
+        lagging = reader.varint()
+        if lagging > 1:
+            raise Refused("an unknown kind of columns")
+        self.lags = [reader.varint() for _ in range(rows)] if lagging else [0] * rows
+        if max(self.lags) >= self.ticks:
+            raise Refused("a row more than a turn behind")
         self.timing = reader.varint()
         if self.timing > TWO_FIRINGS:
             raise Refused("an unknown timing")
@@ -106,6 +114,8 @@ class Scanner:
             5: self.lslidar,
             6: self.sum,
             7: self.sum,
+            11: self.ouster,
+            12: self.ouster,
         }.get(self.recipe, self.single)
         self.lasers = [self.laser(elevation * 1e-9, azimuth * 1e-9) for elevation, azimuth in angles]
         self.of_ticks = {}
@@ -120,7 +130,7 @@ class Scanner:
     def tick_of_cell(self, row, column):
         """The tick of a row in a column."""
         if self.timing == TOGETHER:
-            return column.tick
+            return (column.tick + self.ticks - self.lags[row]) % self.ticks
         slot = self.slots[row]
         if self.timing == VLP_16:
             passed = f32(f32(slot * SLOT) + f32(column.firing * FIRING))
@@ -144,6 +154,13 @@ class Scanner:
 
     def expected_position(self, row, tick, steps, between):
         """The formula of the correction section (8.7)."""
+        if self.recipe in OUSTER:
+            m = (steps * self.range_step - 0.5 * self.range_step) * 1e3 if between else steps * (self.range_step_um * 1e-3)
+            direction, start = self.ouster(self.lasers[row], tick)
+            if self.recipe == 12 and not between:
+                return tuple(f32(f32(f32(m) * f32(d)) + f32(s)) for d, s in zip(direction, start))
+            position = tuple(m * d + s for d, s in zip(direction, start))
+            return position if between else tuple(map(f32, position))
         d = steps * self.range_step
         if between:
             d += -0.5 * self.range_step
@@ -240,6 +257,19 @@ class Scanner:
         x = flat * sin(p) + self.along * sin(q)
         y = flat * cos(p) + self.along * cos(q)
         return x, y, d * laser.sin_v + self.up
+
+    # Recipes 11 and 12
+
+    def ouster(self, laser, tick):
+        """What a millimetre adds, and where ranges start."""
+        a = tick * self.tick_degrees
+        p, q = radians(a), radians(a + laser.offset)
+        beam = cos(q) * laser.cos_v, -sin(q) * laser.cos_v, laser.sin_v
+        ahead, above = (cos(p), -sin(p), 0.0), (0.0, 0.0, self.up_um * 1e-3)
+        along = self.along_um * 1e-3
+        direction = tuple(b * 1e-3 for b in beam)
+        start = tuple((along * f - along * b + n) * 1e-3 for f, b, n in zip(ahead, beam, above))
+        return direction, start
 
     # Recipes 6 and 7
 

@@ -80,19 +80,14 @@ impl Pictures {
         let errors =
             errors.map(|errors| point_of_cell.map(|point| millimetres_of(errors, point).unwrap_or(f32::NAN)));
         let occupancy = image.occupancy();
-        let (mut labels, mut predicted) = (Grid::new(image.steps.rows(), image.columns.len()), None);
         let mut intra = intra.clone();
-        // Regions are those of an HDL-64E's image, or of one like it.
-        if let Some(scanner) = scanner.hdl64() {
-            let segmentation = segment(&image.steps, &image.columns, scanner, &config.segmentation);
-            let rays = Rays::of(scanner, &image.columns);
-            if intra.models.is_empty() {
-                intra = IntraPrediction::fit(&image.steps, &occupancy, &rays, &segmentation, &config.intra);
-            }
-            predicted = Some(intra.ranges(&occupancy, &rays));
-            labels = segmentation.labels;
+        let likeness = scanner.likeness();
+        let segmentation = segment(&image.steps, &image.columns, &likeness, &config.segmentation);
+        let rays = Rays::of(&likeness, &image.columns);
+        if intra.models.is_empty() {
+            intra = IntraPrediction::fit(&image.steps, &occupancy, &rays, &segmentation, &config.intra);
         }
-        let predicted = predicted.unwrap_or_else(|| image.steps.clone());
+        let predicted = intra.ranges(&occupancy, &rays);
         let millimetres =
             |steps: &Grid<u32>| steps.map(|&steps| (scanner.metres(steps) / MILLIMETRE).round() as u32);
         let zoom = match scale.map(usize::from) {
@@ -103,14 +98,12 @@ impl Pictures {
             ranges: millimetres(&image.steps),
             predicted: millimetres(&predicted),
             occupancy,
-            labels,
+            labels: segmentation.labels,
             intra,
             errors,
             zoom,
         };
-        if let Some(scanner) = scanner.hdl64() {
-            pictures.align(&Alignment::of(scanner, image.columns.len()));
-        }
+        pictures.align(&Alignment::of(&likeness, image.columns.len()));
         pictures
     }
 

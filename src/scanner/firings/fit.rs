@@ -10,7 +10,7 @@ use super::projection::{Place, nearest, without_echoes};
 use super::recipe::whole_steps;
 use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing, WHOLE};
 use crate::ground::rounding::round_ties_even;
-use crate::scan::{Channel, ScanFile};
+use crate::scan::ScanFile;
 use crate::scanner::{Coordinates, REACH, Return};
 
 /// Range steps that scanners have, in micrometres, coarse ones first: what lies on one lies on its parts too.
@@ -24,14 +24,14 @@ const LEAST_SHARE: f64 = 0.5;
 /// Points that tell enough.
 const SAMPLE: usize = 4000;
 /// Points of each laser that recipes are tried on.
-const TRIED: usize = 60;
+pub(super) const TRIED: usize = 60;
 
 /// A return of the sample, in metres and radians.
 #[derive(Clone, Copy)]
-struct Point {
-    position: [f64; 3],
-    range: f64,
-    elevation: f64,
+pub(super) struct Point {
+    pub position: [f64; 3],
+    pub range: f64,
+    pub elevation: f64,
 }
 
 impl Point {
@@ -89,12 +89,12 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
 }
 
 /// What is known of a scan before its scanner is.
-struct Found<'s> {
-    scan: &'s ScanFile,
+pub(super) struct Found<'s> {
+    pub scan: &'s ScanFile,
     /// The records of the points.
-    numbers: Vec<usize>,
-    points: Vec<Point>,
-    coordinates: Coordinates,
+    pub numbers: Vec<usize>,
+    pub points: Vec<Point>,
+    pub coordinates: Coordinates,
 }
 
 impl Found<'_> {
@@ -166,7 +166,7 @@ impl Found<'_> {
     }
 
     /// A scanner, and if its firings have no tick of their own, the same with the timings that fit best.
-    fn with_timings(&self, scanner: Firings, is_steady: bool) -> Vec<Firings> {
+    pub(super) fn with_timings(&self, scanner: Firings, is_steady: bool) -> Vec<Firings> {
         if is_steady {
             return vec![scanner];
         }
@@ -180,7 +180,7 @@ impl Found<'_> {
 }
 
 /// The coarsest step on which most ranges (metres) lie.
-fn range_step(ranges: impl Iterator<Item = f64> + Clone) -> Option<u32> {
+pub(super) fn range_step(ranges: impl Iterator<Item = f64> + Clone) -> Option<u32> {
     /// Metres: float32 coordinates tell nearer ranges no better.
     const NEAREST: f64 = 0.5;
     const FEWEST: usize = 200;
@@ -193,7 +193,7 @@ fn range_step(ranges: impl Iterator<Item = f64> + Clone) -> Option<u32> {
 }
 
 /// How coherent values are with the whole numbers, and with this phase: 1 if all lie on them.
-fn strength(values: impl Iterator<Item = f64>, phase: f64) -> f64 {
+pub(super) fn strength(values: impl Iterator<Item = f64>, phase: f64) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for value in values {
         sum += libm::cos((value - phase) * TAU);
@@ -203,7 +203,7 @@ fn strength(values: impl Iterator<Item = f64>, phase: f64) -> f64 {
 }
 
 /// The phase of values against the whole numbers, in parts of one, and how coherent they are.
-fn phase(values: impl Iterator<Item = f64>) -> (f64, f64) {
+pub(super) fn phase(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let (mut re, mut im, mut count) = (0.0, 0.0, 0);
     for value in values {
         re += libm::cos(value * TAU);
@@ -214,10 +214,10 @@ fn phase(values: impl Iterator<Item = f64>) -> (f64, f64) {
 }
 
 /// Radians: the points of a laser lie this near to its cone.
-const ON_CONE: f64 = 1e-4;
+pub(super) const ON_CONE: f64 = 1e-4;
 
 /// The elevations of the lasers, from the highest to the lowest: the narrow heaps of the points' elevations. None if most points lie in none.
-fn elevations(points: &[Point]) -> Option<Vec<f64>> {
+pub(super) fn elevations(points: &[Point]) -> Option<Vec<f64>> {
     /// Radians between the heaps of two lasers.
     const GAP: f64 = 6e-5;
     /// Metres: elevations of nearer points are not sharp.
@@ -242,13 +242,13 @@ fn elevations(points: &[Point]) -> Option<Vec<f64>> {
 const UNSEEN: f64 = 1e-3;
 
 /// A file in which each laser has a record in each firing, whether it saw something or not.
-struct RecordGrid {
+pub(super) struct RecordGrid {
     /// The row of each line: of each slot if the file holds firing after firing.
-    lines: Vec<u32>,
+    pub lines: Vec<u32>,
     /// Whether the file holds row after row.
-    by_lines: bool,
+    pub by_lines: bool,
     /// Firings.
-    width: usize,
+    pub width: usize,
 }
 
 impl RecordGrid {
@@ -542,7 +542,12 @@ const AZIMUTH_STEP: f64 = 1e-6 / ANGLE_UNIT;
 const SAME: usize = 12;
 
 /// How many points of a laser come out to the last bit along these axes.
-fn exact_points(any: &Firings, laser: Laser, points: &[Point], axes: std::ops::Range<usize>) -> usize {
+pub(super) fn exact_points(
+    any: &Firings,
+    laser: Laser,
+    points: &[Point],
+    axes: std::ops::Range<usize>,
+) -> usize {
     let scanner = any.of_laser(laser);
     let is_exact = |point: &&Point| {
         let Some((steps, tick)) = scanner.locate(0, point.position) else { return false };
@@ -602,8 +607,8 @@ fn roundings(degrees: f64) -> [i64; 6] {
 const STEADY: f64 = 0.93;
 
 /// The order in which lasers fire.
-struct Order {
-    rows_of_slots: Vec<u32>,
+pub(super) struct Order {
+    pub rows_of_slots: Vec<u32>,
     /// Whole ticks that each row is ahead.
     shifts: Vec<f64>,
     timing: Timing,
@@ -613,7 +618,7 @@ struct Order {
 
 /// Finds the order of the lasers from rows and ticks in the order of a file. None if they are not in the order of
 /// firings.
-fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Order> {
+pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Order> {
     /// Fewer steps than these say nothing.
     const FEWEST: usize = 8;
     let mut order = cycle(sequence, rows)?;
@@ -826,358 +831,4 @@ fn first_parts(scanner: &Firings, places: &[Place], firings: usize) -> Option<Ve
         ((offsets[slot] + firing as f64 * first + half) / block).clamp(0.0, 1.0)
     };
     Some((0..firings).flat_map(|firing| (0..rows).map(move |slot| part(firing, slot))).collect())
-}
-
-/// A maker's scanner whose beams start away from the axis.
-struct Maker {
-    recipe: Recipe,
-    origin: Origin,
-    /// The azimuth offset of all lasers, in hundredths of degrees, if it is the same for all.
-    offset: Option<i32>,
-}
-
-const fn robosense(along_um: i32, up_um: i32) -> Maker {
-    Maker { recipe: Recipe::RoboSense, origin: Origin { along_um, up_um }, offset: None }
-}
-
-const fn lslidar(along_um: i32, offset: i32) -> Maker {
-    Maker { recipe: Recipe::LsLidar, origin: Origin { along_um, up_um: 0 }, offset: Some(offset) }
-}
-
-/// As the drivers of the makers have them.
-const MAKERS: [Maker; 14] = [
-    robosense(34_980, 0),
-    robosense(16_190, 95_710),
-    robosense(14_730, 94_270),
-    robosense(38_250, 0),
-    robosense(39_970, 0),
-    robosense(36_150, 0),
-    robosense(28_920, 0),
-    robosense(7500, 45_320),
-    robosense(19_520, 45_000),
-    lslidar(36_100, 2025),
-    lslidar(35_000, 2180),
-    lslidar(20_900, 2776),
-    lslidar(43_100, 1468),
-    lslidar(49_400, 1298),
-];
-
-/// Ticks a turn where beams start away from the axis, as of all who make such scanners.
-const OFF_AXIS_TICKS: u32 = 36_000;
-
-impl Maker {
-    /// Whether its beams start about this far from the axis, and so high, in metres.
-    fn is_like(&self, [along, up]: [f64; 2]) -> bool {
-        let [_, own_up] = self.origin.metres();
-        (0.96..1.01).contains(&(along / self.along())) && (up - own_up).abs() < 1e-3
-    }
-
-    /// A range step of which all that its scanners have are multiples, in metres.
-    fn least_step_m(&self) -> f64 {
-        if self.recipe == Recipe::RoboSense { 0.0025 } else { 0.002 }
-    }
-
-    /// How far from the axis a beam's line crosses the height of its start, if its azimuth offset is small.
-    fn along(&self) -> f64 {
-        let turned = f64::from(self.offset.unwrap_or(0)) * 0.01;
-        self.origin.metres()[0] * libm::cos(turned.to_radians())
-    }
-}
-
-impl Found<'_> {
-    /// Scanners whose beams start away from the axis that may have made the scan: those of the maker that explains most
-    /// of the points.
-    fn off_axis(&self) -> Option<Vec<Firings>> {
-        /// Points that tell whose scanner it is.
-        const SAMPLED: usize = 6000;
-        let step = (self.points.len() / SAMPLED).max(1);
-        let positions = &self.scan.cloud.positions;
-        let sample: Vec<[f32; 3]> = positions.iter().step_by(step).copied().collect();
-        let by_key = self.rows_by_channel();
-        let candidates = MAKERS.par_iter().filter_map(|maker| {
-            let rows = match &by_key {
-                Some(rows) => rows.clone(),
-                None => self.rows_by_elevation(maker)?,
-            };
-            if !maker.is_like(line_start(&rows)?) {
-                return None;
-            }
-            let scanner = self.of_maker(maker, rows)?;
-            let reach = 0.5 * scanner.range_step_m() + 1e-5;
-            let places = scanner.places(&sample, reach);
-            let is_exact = |place: &&Place| {
-                let found =
-                    Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
-                scanner.gives(&found, &sample[place.point as usize].map(f64::from), 0..3)
-            };
-            let exact = places.iter().filter(is_exact).count();
-            Some((scanner, exact))
-        });
-        let candidates: Vec<(Firings, usize)> = candidates.collect();
-        let (scanner, _) = candidates.into_iter().max_by_key(|(_, exact)| *exact)?;
-        let places = scanner.places(positions, REACH + 0.5 * scanner.range_step_m());
-        let sequence: Vec<(usize, u32)> =
-            places.iter().map(|place| (place.row as usize, place.tick)).collect();
-        let mut sequence = sequence;
-        sequence.dedup();
-        let order = order(&sequence, scanner.rows(), OFF_AXIS_TICKS)?;
-        let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
-        Some(self.with_timings(scanner, false))
-    }
-
-    /// The points of each laser, if a channel tells the lasers apart.
-    fn rows_by_channel(&self) -> Option<Vec<Vec<Point>>> {
-        const LASERS: std::ops::RangeInclusive<usize> = 4..=512;
-        /// Radians: points of a laser lie nearer to their median elevation.
-        const SPREAD: f64 = 0.06;
-        let of = |channel: &Channel| {
-            let width = channel.field.width();
-            let mut keyed: Vec<(&[u8], usize)> = self
-                .numbers
-                .iter()
-                .enumerate()
-                .filter_map(|(place, record)| {
-                    Some((channel.bytes.get(record * width..)?.get(..width)?, place))
-                })
-                .collect();
-            keyed.sort_unstable();
-            let groups = keyed.chunk_by(|a, b| a.0 == b.0);
-            if !LASERS.contains(&groups.clone().take(LASERS.end() + 1).count()) {
-                return None;
-            }
-            let rows: Vec<Vec<Point>> =
-                groups.map(|group| group.iter().map(|(_, place)| self.points[*place]).collect()).collect();
-            let (mut near, mut all) = (0, 0);
-            for row in &rows {
-                let mut elevations: Vec<f64> =
-                    row.iter().filter(|point| point.range > 2.0).map(|point| point.elevation).collect();
-                elevations.sort_by(f64::total_cmp);
-                let middle = elevations.get(elevations.len() / 2).copied().unwrap_or(0.0);
-                all += elevations.len();
-                near += elevations.iter().filter(|elevation| (*elevation - middle).abs() < SPREAD).count();
-            }
-            (all > 0 && near * 10 > all * 9).then_some(rows)
-        };
-        let channels = self.scan.cloud.channels.iter();
-        channels.filter(|channel| channel.field.width() <= 4 && !channel.field.name.is_empty()).find_map(of)
-    }
-
-    /// The points of each laser, as narrow heaps of elevations from where a maker's beams start.
-    fn rows_by_elevation(&self, maker: &Maker) -> Option<Vec<Vec<Point>>> {
-        let (along, [_, up]) = (maker.along(), maker.origin.metres());
-        let moved: Vec<Point> = self
-            .points
-            .iter()
-            .map(|point| {
-                let [x, y, z] = point.position;
-                let rho = (x * x + y * y).sqrt() - along;
-                Point { elevation: libm::atan2(z - up, rho), ..*point }
-            })
-            .collect();
-        let elevations = elevations(&moved)?;
-        let mut rows = vec![Vec::new(); elevations.len()];
-        for (point, moved) in self.points.iter().zip(&moved) {
-            let row = nearest(&elevations, moved.elevation);
-            if (elevations[row] - moved.elevation).abs() < 10.0 * ON_CONE {
-                rows[row].push(*point);
-            }
-        }
-        Some(rows)
-    }
-
-    /// The scanner of a maker with constants found from the points of its lasers.
-    fn of_maker(&self, maker: &Maker, rows: Vec<Vec<Point>>) -> Option<Firings> {
-        /// Fewer points of a laser tell nothing.
-        const FEWEST: usize = 4;
-        let rows: Vec<Vec<Point>> = rows.into_iter().filter(|row| row.len() >= FEWEST).collect();
-        let lasers: Vec<Vec<Laser>> = rows.par_iter().map(|row| lasers_off_axis(maker, row)).collect();
-        let mut ranges = Vec::new();
-        for (row, laser) in rows.iter().zip(&lasers).filter_map(|(row, lasers)| Some((row, lasers.first()?)))
-        {
-            let step = (row.len() / TRIED).max(1);
-            let offset = (laser.azimuth_degrees() * 100.0).round() as i32;
-            let elevation = laser.elevation_degrees().to_radians();
-            let [_, up] = maker.origin.metres();
-            ranges.extend(row.iter().step_by(step).map(|point| {
-                let (flat, _) = maker.undo(point, offset);
-                flat * libm::cos(elevation) + (point.position[2] - up) * libm::sin(elevation)
-            }));
-        }
-        let range_step_um = range_step(ranges.into_iter());
-        let range_step_um = range_step_um?;
-        let build = Build {
-            recipe: maker.recipe,
-            ticks: OFF_AXIS_TICKS,
-            range_step_um,
-            coordinates: self.coordinates,
-            origin: maker.origin,
-            timing: Timing::Together,
-        };
-        let any = Firings::new(build.clone(), Vec::new(), Vec::new());
-        let pairs = lasers.par_iter().zip(&rows);
-        let mut lasers: Vec<Laser> = pairs.map(|(lasers, row)| sharpened(&any, lasers, row)).collect();
-        lasers.sort_unstable_by_key(|laser| -laser.elevation);
-        lasers.dedup_by_key(|laser| laser.elevation);
-        let rows_of_slots = (0..lasers.len() as u32).collect();
-        Some(Firings::new(build, lasers, rows_of_slots))
-    }
-}
-
-impl Maker {
-    /// How far a point is from where its beam starts, in metres on the ground, and the azimuth of its beam, in radians,
-    /// if the laser is turned by so many hundredths of degrees from where it starts.
-    fn undo(&self, point: &Point, offset: i32) -> (f64, f64) {
-        let [x, y, _] = point.position;
-        let turned = (f64::from(offset) * 0.01).to_radians();
-        let [along, _] = self.origin.metres();
-        let (beside, ahead) = (along * libm::sin(turned), along * libm::cos(turned));
-        let flat = (x * x + y * y - beside * beside).max(0.0).sqrt() - ahead;
-        (flat, self.recipe.azimuth(x, y) + libm::atan2(beside, flat + ahead))
-    }
-}
-
-/// Lasers, best first, by which the azimuths of some points lie on whole ticks, and their ranges on whole steps.
-fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
-    /// Hundredths of degrees.
-    const FARTHEST: i32 = 6000;
-    const MOST: usize = 120;
-    /// Points that tell which offsets are worth a closer look, how coherent they are then, and how many offsets get it.
-    const FEW: usize = 24;
-    const COHERENT_TICKS: f64 = 0.8;
-    const MOST_OFFSETS: usize = 600;
-    /// Lasers that are given.
-    const CANDIDATES: usize = 60;
-    let mut sorted: Vec<&Point> = points.iter().collect();
-    sorted.sort_by(|a, b| a.range.total_cmp(&b.range));
-    // Near points tell most.
-    sorted.truncate((2 * sorted.len() / 3).max(MOST.min(points.len())));
-    let few = |most: usize| sorted.iter().step_by((sorted.len() / most).max(1));
-    let in_ticks = f64::from(OFF_AXIS_TICKS) / TAU;
-    let hundredth = (0.01 / ANGLE_UNIT) as i64;
-    let [_, up] = maker.origin.metres();
-    // How coherent the points are with an offset, and the laser that has it.
-    let tried = |offset: i32, most: usize| {
-        let undone: Vec<(f64, f64, f64)> = few(most)
-            .map(|point| {
-                let (flat, azimuth) = maker.undo(point, offset);
-                (azimuth * in_ticks, flat, point.position[2] - up)
-            })
-            .collect();
-        let of_ticks = strength(undone.iter().map(|(ticks, _, _)| *ticks), 0.0);
-        if of_ticks < 0.5 {
-            return (-1.0, Laser::default());
-        }
-        let mut elevations: Vec<f64> =
-            undone.iter().map(|(_, flat, high)| libm::atan2(*high, *flat)).collect();
-        elevations.sort_by(f64::total_cmp);
-        let elevation = round_ties_even(elevations[elevations.len() / 2].to_degrees() * 100.0);
-        let (sin, cos) = libm::sincos((elevation * 0.01).to_radians());
-        let ranges = undone.iter().map(|(_, flat, high)| (flat * cos + high * sin) / maker.least_step_m());
-        let laser = Laser { elevation: elevation as i64 * hundredth, azimuth: i64::from(offset) * hundredth };
-        (of_ticks + strength(ranges, 0.0), laser)
-    };
-    if let Some(offset) = maker.offset {
-        return vec![tried(offset, MOST).1];
-    }
-    // Azimuths tell most of the offsets apart, and quickly.
-    let (flat, azimuths): (Vec<f64>, Vec<f64>) = few(FEW)
-        .map(|point| {
-            let [x, y, _] = point.position;
-            (x.hypot(y), maker.recipe.azimuth(x, y))
-        })
-        .unzip();
-    let [along, _] = maker.origin.metres();
-    let coherent = |offset: &i32| {
-        let beside = along * libm::sin((f64::from(*offset) * 0.01).to_radians());
-        let ticks = flat.iter().zip(&azimuths).map(|(flat, azimuth)| {
-            // The arc sine of what is small.
-            let slope = beside / flat;
-            let square = slope * slope;
-            let turned = if slope.abs() > 0.1 {
-                libm::asin(slope.clamp(-1.0, 1.0))
-            } else {
-                slope * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))
-            };
-            (azimuth + turned) * in_ticks
-        });
-        strength(ticks, 0.0) > COHERENT_TICKS
-    };
-    let offsets: Vec<i32> = (-FARTHEST..=FARTHEST).filter(coherent).collect();
-    let step = (offsets.len() / MOST_OFFSETS).max(1);
-    let mut found: Vec<(f64, Laser)> =
-        offsets.into_iter().step_by(step).map(|offset| tried(offset, MOST / 3)).collect();
-    found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    found.truncate(CANDIDATES);
-    found.into_iter().map(|(_, laser)| laser).collect()
-}
-
-/// Of some lasers and those near them, the one by which the most points come out to the last bit.
-fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
-    /// Points that tell whether it is worth a closer look.
-    const FEW: usize = 12;
-    let some = |most: usize| -> Vec<Point> {
-        points.iter().step_by((points.len() / most).max(1)).copied().collect()
-    };
-    let (few, more) = (some(FEW), some(TRIED));
-    let hundredth = (0.01 / ANGLE_UNIT) as i64;
-    let moved = |laser: &Laser, azimuth: i64, elevation: i64| Laser {
-        elevation: laser.elevation + elevation * hundredth,
-        azimuth: laser.azimuth + azimuth * hundredth,
-    };
-    let mut best = (0, lasers[0]);
-    for laser in lasers.iter().flat_map(|laser| (-1..=1).map(move |off| moved(laser, off, 0))) {
-        let exact = exact_points(any, laser, &few, 0..3);
-        if exact > best.0 {
-            best = (exact, laser);
-        }
-        if exact == few.len() {
-            break;
-        }
-    }
-    let beside = (-2..=2).flat_map(|azimuth| (-1..=1).map(move |elevation| (azimuth, elevation)));
-    let beside = beside.map(|(azimuth, elevation)| moved(&best.1, azimuth, elevation));
-    let counted =
-        std::iter::once(best.1).chain(beside).map(|laser| (exact_points(any, laser, &more, 0..3), laser));
-    // The first of equals.
-    counted.fold((0, best.1), |best, next| if next.0 > best.0 { next } else { best }).1
-}
-
-/// How far from the axis, and how high, the lines of the lasers cross, in metres; none if too few tell.
-fn line_start(rows: &[Vec<Point>]) -> Option<[f64; 2]> {
-    /// Steeper lines do not tell.
-    const STEEPEST: f64 = 2.0;
-    const FEWEST: usize = 50;
-    let lines = rows.iter().filter(|row| row.len() >= FEWEST).filter_map(|row| {
-        // z = slope * rho + height, by least squares, twice: without what is far off the first.
-        let pairs: Vec<[f64; 2]> =
-            row.iter().map(|point| [point.position[0].hypot(point.position[1]), point.position[2]]).collect();
-        let (slope, height) = line(pairs.iter())?;
-        let off = |pair: &&[f64; 2]| (slope * pair[0] + height - pair[1]).abs();
-        let mut all: Vec<f64> = pairs.iter().map(|pair| off(&pair)).collect();
-        all.sort_by(f64::total_cmp);
-        let limit = 3.0 * all[all.len() / 2] + 1e-7;
-        line(pairs.iter().filter(|pair| off(pair) <= limit)).filter(|(slope, _)| slope.abs() < STEEPEST)
-    });
-    let lines: Vec<[f64; 2]> = lines.map(|(slope, height)| [-slope, height]).collect();
-    // height = up - slope * along.
-    let (along, up) = line(lines.iter())?;
-    let off = |pair: &&[f64; 2]| (along * pair[0] + up - pair[1]).abs();
-    let mut all: Vec<f64> = lines.iter().map(|pair| off(&pair)).collect();
-    all.sort_by(f64::total_cmp);
-    let limit = 3.0 * all[all.len() / 2] + 1e-7;
-    line(lines.iter().filter(|pair| off(pair) <= limit)).map(|(along, up)| [along, up])
-}
-
-/// The line through some pairs, by least squares: its slope, and its height at 0.
-fn line<'p>(pairs: impl Iterator<Item = &'p [f64; 2]> + Clone) -> Option<(f64, f64)> {
-    let count = pairs.clone().count() as f64;
-    let sum = |of: fn(&[f64; 2]) -> f64| pairs.clone().map(of).sum::<f64>() / count.max(1.0);
-    let (x, y) = (sum(|p| p[0]), sum(|p| p[1]));
-    let (mut xx, mut xy) = (0.0, 0.0);
-    for pair in pairs.clone() {
-        xx += (pair[0] - x) * (pair[0] - x);
-        xy += (pair[0] - x) * (pair[1] - y);
-    }
-    let slope = xy / xx;
-    (count >= 3.0 && slope.is_finite()).then_some((slope, y - slope * x))
 }

@@ -15,6 +15,7 @@
 
 mod columns;
 mod fit;
+mod off_axis;
 mod projection;
 mod recipe;
 
@@ -29,7 +30,7 @@ use std::sync::Arc;
 use crate::ground::error::{Error, Result};
 use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
-use crate::scanner::{Coordinates, MOST_RANGE_STEP_UM, MOST_TICKS, RangeImage, Return};
+use crate::scanner::{BeamConstants, Coordinates, Hdl64, MOST_RANGE_STEP_UM, MOST_TICKS, RangeImage, Return};
 use recipe::{Arithmetic, Turn, whole_steps};
 
 /// Degrees of one unit of a laser's constants.
@@ -177,6 +178,8 @@ pub struct Firings {
     rows_of_slots: Vec<u32>,
     /// The row of each line of the file, if it holds row after row; empty if it holds firing after firing.
     rows_of_lines: Vec<u32>,
+    /// The ticks by which each row is behind its column, less than a turn; empty if none is.
+    lags: Vec<u32>,
     // What follows from these.
     slots_of_rows: Vec<u32>,
     arithmetic: Vec<Arithmetic>,
@@ -198,13 +201,20 @@ impl Firings {
         let of_laser = |laser: &Laser| Arithmetic::new(build.recipe, laser, build.origin, build.ticks);
         let arithmetic = lasers.iter().map(of_laser).collect();
         let turn = Arc::new(Turn::new(build.recipe, build.ticks));
-        Firings { build, lasers, rows_of_slots, rows_of_lines: Vec::new(), slots_of_rows, arithmetic, turn }
+        let (rows_of_lines, lags) = (Vec::new(), Vec::new());
+        Firings { build, lasers, rows_of_slots, rows_of_lines, lags, slots_of_rows, arithmetic, turn }
     }
 
     /// The same scanner with files that hold row after row, in this order: `rows_of_lines` must be a permutation of the
     /// rows, or empty for files that hold firing after firing.
     pub fn line_by_line(self, rows_of_lines: Vec<u32>) -> Self {
         Firings { rows_of_lines, ..self }
+    }
+
+    /// The same scanner with columns that hold what was not fired together: each row so many ticks behind its column, as in
+    /// Ouster's destaggered clouds. There must be as many as rows, all less than a turn, or none.
+    pub fn lagging(self, lags: Vec<u32>) -> Self {
+        Firings { lags, ..self }
     }
 
     /// The same scanner with another timing of its firings.
@@ -222,6 +232,7 @@ impl Firings {
             arithmetic,
             rows_of_slots: vec![0],
             rows_of_lines: Vec::new(),
+            lags: Vec::new(),
             slots_of_rows: vec![0],
             turn: self.turn.clone(),
         }
@@ -236,6 +247,25 @@ impl Firings {
     #[cfg(any(test, feature = "internals"))]
     pub fn lasers(&self) -> &[Laser] {
         &self.lasers
+    }
+
+    /// E of each row, in radians.
+    pub fn elevations(&self) -> impl Iterator<Item = f64> {
+        self.lasers.iter().map(|laser| laser.elevation_degrees().to_radians())
+    }
+
+    /// An HDL-64E-like scanner that sees a range image as this one does, but for the direction in which it turns and
+    /// for the origin of its beams: for pictures and regions, not for positions.
+    pub fn likeness(&self) -> Hdl64 {
+        let beam = |laser: &Laser| {
+            let offset = laser.azimuth_degrees().to_radians();
+            let shift = round_ties_even(offset / self.radians());
+            let turned = offset - shift * self.radians();
+            let constants = [laser.elevation_degrees().to_radians(), 0.0, 0.0, 0.0, turned];
+            BeamConstants { column_shift: -shift as i64, ..BeamConstants::quantise(constants) }
+        };
+        let beams = self.lasers.iter().map(beam).collect();
+        Hdl64::new(Coordinates::Float32, self.build.ticks, self.build.range_step_um, beams)
     }
 
     /// Number of lasers, which is the number of rows of the range image.
@@ -256,10 +286,15 @@ impl Firings {
     /// The azimuth tick of a laser in a column.
     fn tick(&self, row: usize, column_tick: u32, span: Span) -> u32 {
         if !self.build.timing.is_interpolated() {
-            return column_tick;
+            return (column_tick + self.build.ticks - self.lag(row)) % self.build.ticks;
         }
         let place = (span.firing, self.slots_of_rows[row]);
         self.build.timing.tick(column_tick, span.ticks, place, self.rows()) % self.build.ticks
+    }
+
+    /// The ticks by which a row is behind its column.
+    fn lag(&self, row: usize) -> u32 {
+        self.lags.get(row).copied().unwrap_or(0)
     }
 
     /// The range steps and the tick of a laser that come nearest to a position in metres; none if it has no range.
@@ -278,6 +313,7 @@ impl Firings {
         };
         let azimuth = self.build.recipe.azimuth(x, y) + turned - laser.azimuth_degrees().to_radians();
         let tick = round_ties_even(azimuth / self.radians()) as i64;
+        let metres = if self.build.recipe.measures_from_axis() { metres + along } else { metres };
         let steps = whole_steps(metres, self.range_step_m())?;
         Some((steps, tick.rem_euclid(i64::from(self.build.ticks)) as u32))
     }
@@ -363,6 +399,8 @@ impl Firings {
         self.rows_of_slots.iter().for_each(|&row| write_unsigned(out, u64::from(row)));
         out.push(u8::from(!self.rows_of_lines.is_empty()));
         self.rows_of_lines.iter().for_each(|&row| write_unsigned(out, u64::from(row)));
+        out.push(u8::from(!self.lags.is_empty()));
+        self.lags.iter().for_each(|&lag| write_unsigned(out, u64::from(lag)));
         match timing {
             Timing::Together => write_unsigned(out, 0),
             Timing::Vlp16 => write_unsigned(out, 1),
@@ -421,6 +459,18 @@ impl Firings {
             1 => read_permutation(bytes, rows)?,
             other => return Err(Error::unsupported(format!("scanner: unknown order {other}"))),
         };
+        let lags = match read_unsigned(bytes, "scanner")? {
+            0 => Vec::new(),
+            1 => (0..rows)
+                .map(|_| match read_unsigned(bytes, "scanner")? {
+                    lag if lag < u64::from(ticks) => Ok(lag as u32),
+                    lag => {
+                        Err(Error::over_limit("scanner: ticks behind a column", lag, u64::from(ticks) - 1))
+                    }
+                })
+                .collect::<Result<_>>()?,
+            other => return Err(Error::unsupported(format!("scanner: unknown columns {other}"))),
+        };
         let timing = match read_unsigned(bytes, "scanner")? {
             0 => Timing::Together,
             1 => Timing::Vlp16,
@@ -435,7 +485,7 @@ impl Firings {
             other => return Err(Error::unsupported(format!("scanner: unknown timing {other}"))),
         };
         let build = Build { recipe, ticks, range_step_um, coordinates, origin, timing };
-        Ok(Self::new(build, lasers, rows_of_slots).line_by_line(rows_of_lines))
+        Ok(Self::new(build, lasers, rows_of_slots).line_by_line(rows_of_lines).lagging(lags))
     }
 
     /// Radians of a tick.
@@ -465,11 +515,14 @@ impl fmt::Display for Firings {
             Coordinates::Digits(digits) => write!(f, ", rounded to {digits} digits")?,
         }
         if *origin != Origin::default() {
-            let [along, up] = origin.metres().map(|metres| metres * 1e3);
+            let [along, up] = [origin.along_um, origin.up_um].map(|um| f64::from(um) / 1e3);
             write!(f, ", beams from {along} mm off the axis and {up} mm above")?;
         }
         let order = if self.rows_of_lines.is_empty() { "firing by firing" } else { "row by row" };
         write!(f, ", {order}")?;
+        if !self.lags.is_empty() {
+            write!(f, ", destaggered")?;
+        }
         match timing {
             Timing::Together => Ok(()),
             Timing::Vlp16 => write!(f, " with a VLP-16's timing"),

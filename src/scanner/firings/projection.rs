@@ -18,7 +18,9 @@ pub(super) struct Place {
     pub point: u32,
     pub row: u32,
     pub slot: u32,
+    /// That of the laser, and that of its column if all of a firing have one tick.
     pub tick: u32,
+    pub column_tick: u32,
     pub steps: u32,
 }
 
@@ -114,7 +116,8 @@ impl Firings {
         let mut rest = 0;
         for number in 0..width {
             let count = places[rest..].iter().take_while(|place| cell(place).1 == number).count();
-            let mut ticks: Vec<u32> = places[rest..rest + count].iter().map(|place| place.tick).collect();
+            let mut ticks: Vec<u32> =
+                places[rest..rest + count].iter().map(|place| place.column_tick).collect();
             ticks.sort_unstable();
             let most = ticks.chunk_by(|a, b| a == b).max_by_key(|same| same.len());
             let tick = most.map_or(UNKNOWN, |same| same[0]);
@@ -186,7 +189,9 @@ impl Firings {
             let is_near = formula.iter().zip(metres).all(|(formula, value)| (formula - value).abs() < reach);
             let is_held = || grid == Coordinates::Float32 || grid.holds_all(metres, formula);
             if is_near && is_held() {
-                places.push(Place { point, row: row as u32, slot: self.slots_of_rows[row], tick, steps });
+                let column_tick = (tick + self.lag(row)) % self.build.ticks;
+                let slot = self.slots_of_rows[row];
+                places.push(Place { point, row: row as u32, slot, tick, column_tick, steps });
             }
         }
         places
@@ -203,7 +208,7 @@ impl Firings {
                 Some(column) => column.places.end = number + 1,
                 None => columns.push(Column {
                     places: number..number + 1,
-                    tick: place.tick,
+                    tick: place.column_tick,
                     span: Span::default(),
                 }),
             }
@@ -250,7 +255,7 @@ impl Firings {
     /// Whether a place of a later slot may be of the same firing.
     fn goes_on(&self, last: &Place, place: &Place, span: f64) -> bool {
         if !self.build.timing.is_interpolated() {
-            return last.tick == place.tick;
+            return last.column_tick == place.column_tick;
         }
         // Half of what passes from a firing to the next tells the two apart.
         let firing = span / f64::from(self.build.timing.firings(self.rows()).max(1));

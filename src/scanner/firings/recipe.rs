@@ -37,6 +37,11 @@ pub enum Recipe {
     /// As `VelodyneRos`, with ranges in double precision, rounded once, angles of ticks by one product, and a quarter of a
     /// turn to the right: a driver of Hesai's Pandar64.
     Pandar64 = 10,
+    /// Ouster's SDK for beams that start away from the axis: double precision, rounded once, x ahead, azimuth clockwise.
+    /// Ranges are measured from the axis.
+    Ouster = 11,
+    /// The same with direction and start of each beam rounded to single precision: Ouster's ROS driver.
+    OusterRos = 12,
 }
 
 /// Axes of the coordinates.
@@ -48,7 +53,7 @@ pub(super) enum Axes {
 
 impl Recipe {
     /// Every recipe, in the order in which the fit tries them.
-    pub const ALL: [Recipe; 11] = [
+    pub const ALL: [Recipe; 13] = [
         Recipe::VelodyneRos,
         Recipe::DoubleYAhead,
         Recipe::DoubleXAhead,
@@ -60,6 +65,8 @@ impl Recipe {
         Recipe::VelodyneRosGlibc,
         Recipe::NebulaVelodyne,
         Recipe::Pandar64,
+        Recipe::Ouster,
+        Recipe::OusterRos,
     ];
 
     /// The recipe of this number in the stream.
@@ -69,7 +76,12 @@ impl Recipe {
 
     /// Whether it is only one of scanners whose beams start away from the axis.
     pub(super) fn is_off_axis(self) -> bool {
-        self == Recipe::LsLidar
+        matches!(self, Recipe::LsLidar | Recipe::Ouster | Recipe::OusterRos)
+    }
+
+    /// Whether ranges are measured from the axis, not from where a beam starts.
+    pub(super) fn measures_from_axis(self) -> bool {
+        matches!(self, Recipe::Ouster | Recipe::OusterRos)
     }
 
     /// Whether it rounds sums of angles, or of products of their cosines and sines, to single precision.
@@ -91,6 +103,8 @@ impl Recipe {
             Recipe::VelodyneRosGlibc => "arithmetic of ROS velodyne_pointcloud with glibc",
             Recipe::NebulaVelodyne => "arithmetic of Autoware's nebula for Velodyne",
             Recipe::Pandar64 => "arithmetic of a ROS driver of the Pandar64",
+            Recipe::Ouster => "arithmetic of Ouster's SDK",
+            Recipe::OusterRos => "arithmetic of Ouster's ROS driver",
         }
     }
 
@@ -101,7 +115,9 @@ impl Recipe {
             | Recipe::NebulaVelodyne
             | Recipe::DoubleXAhead
             | Recipe::SingleRangeXAhead
-            | Recipe::RoboSense => Axes::XAhead,
+            | Recipe::RoboSense
+            | Recipe::Ouster
+            | Recipe::OusterRos => Axes::XAhead,
             Recipe::DoubleYAhead
             | Recipe::LsLidar
             | Recipe::Nebula
@@ -222,6 +238,9 @@ pub(super) enum Arithmetic {
     Sum { cos_v: f32, sin_v: f32, offset: f32 },
     /// The same; the azimuth offset in degrees.
     Sum2023 { cos_v: f32, sin_v: f32, offset: f64 },
+    /// Of the elevation; the azimuth offset in degrees; millimetres from the axis and up; whether direction and start are
+    /// rounded.
+    Ouster { cos_v: f64, sin_v: f64, offset: f64, along: f64, up: f64, is_single: bool },
 }
 
 impl Arithmetic {
@@ -267,6 +286,14 @@ impl Arithmetic {
                 let [cos_v, sin_v] = recipe.cos_sin(radians(single) as f32);
                 Arithmetic::Sum2023 { cos_v, sin_v, offset: f64::from(laser.azimuth_degrees() as f32) }
             }
+            Recipe::Ouster | Recipe::OusterRos => Arithmetic::Ouster {
+                cos_v: libm::cos(elevation),
+                sin_v: libm::sin(elevation),
+                offset: laser.azimuth_degrees(),
+                along: f64::from(origin.along_um) * 1e-3,
+                up: f64::from(origin.up_um) * 1e-3,
+                is_single: recipe == Recipe::OusterRos,
+            },
         }
     }
 
@@ -287,13 +314,43 @@ impl Arithmetic {
             Arithmetic::Double { .. } | Arithmetic::Ls { .. } => {
                 self.double(turn, tick, double).map(|v| v as f32)
             }
+            Arithmetic::Ouster { is_single, .. } => {
+                let millimetres = f64::from(steps) * (f64::from(range_step_um) * 1e-3);
+                let [direction, start] = self.ray(turn, tick);
+                [0, 1, 2].map(|axis| match is_single {
+                    true => millimetres as f32 * direction[axis] as f32 + start[axis] as f32,
+                    false => (millimetres * direction[axis] + start[axis]) as f32,
+                })
+            }
         }
+    }
+
+    /// What a millimetre of range adds to a position, and where ranges start, in metres.
+    fn ray(&self, turn: &Turn, tick: u32) -> [[f64; 3]; 2] {
+        let (Arithmetic::Ouster { cos_v, sin_v, offset, along, up, .. }, Turn::Degrees(degrees)) =
+            (self, turn)
+        else {
+            return [[0.0; 3]; 2];
+        };
+        let encoder = f64::from(tick) * degrees;
+        let (start, turned) = (radians(encoder), radians(encoder + offset));
+        let ahead = [libm::cos(start), -libm::sin(start), 0.0];
+        let beam = [libm::cos(turned) * cos_v, -libm::sin(turned) * cos_v, *sin_v];
+        let above = [0.0, 0.0, *up];
+        [
+            beam.map(|beam| beam * 1e-3),
+            [0, 1, 2].map(|axis| (along * ahead[axis] - along * beam[axis] + above[axis]) * 1e-3),
+        ]
     }
 
     /// The coordinates of any range in metres.
     pub fn position_at(&self, turn: &Turn, tick: u32, metres: f64) -> [f64; 3] {
         match self {
             Arithmetic::Double { .. } | Arithmetic::Ls { .. } => self.double(turn, tick, metres),
+            Arithmetic::Ouster { .. } => {
+                let [direction, start] = self.ray(turn, tick);
+                [0, 1, 2].map(|axis| metres * 1e3 * direction[axis] + start[axis])
+            }
             _ => self.single(turn, tick, metres as f32).map(f64::from),
         }
     }
