@@ -86,6 +86,37 @@ fn every_format_keeps_the_bound() {
 }
 
 #[test]
+fn numbers_of_a_text_keep_the_bound_too() {
+    let text = |digits: usize| {
+        let points: Vec<_> = random_points(3000, 7).iter().map(|p| p.map(|v| v * 0.3137 % 20.0)).collect();
+        let mut text = String::from_utf8(pcd_text(&[])).unwrap().replace(" 0\nDATA", " 3000\nDATA");
+        text = text.replace("WIDTH 0", "WIDTH 3000");
+        points.iter().for_each(|[x, y, z, _]| text += &format!("{x:.digits$} {y:.digits$} {z:.digits$} 1\n"));
+        text.into_bytes()
+    };
+    // Not as float32, which is how the encoder sees them.
+    let numbers = |bytes: &[u8]| {
+        let lines =
+            str::from_utf8(bytes).unwrap().lines().skip_while(|line| !line.starts_with("DATA")).skip(1);
+        let number = |word: &str| word.parse::<f64>().unwrap();
+        lines.map(|line| line.split(' ').take(3).map(number).collect::<Vec<_>>()).collect::<Vec<_>>()
+    };
+    for digits in [6, 7, 8] {
+        let files = [("a.pcd".to_owned(), text(digits))];
+        for max_error_um in [1, 2, 3, 5, 10, 100] {
+            let decoded = decode_files(&encode_files(&files, &bounded(max_error_um))).unwrap();
+            for (a, b) in numbers(&files[0].1).iter().zip(numbers(&decoded[0].1)) {
+                let error = a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+                assert!(
+                    error <= 1e-6 * f64::from(max_error_um),
+                    "{digits} digits: {error} m, not {max_error_um} um"
+                );
+            }
+        }
+    }
+}
+
+#[test]
 fn values_that_break_things_stay() {
     let mut points = SCANS[0][0].clone();
     let odd = [f32::NAN, f32::INFINITY, -f32::INFINITY, f32::MAX, -1e30, 1e-40, -0.0];

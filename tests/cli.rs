@@ -1,125 +1,17 @@
 //! The program from outside: what it writes, says and returns.
 
-use std::collections::BTreeMap;
+#[path = "common/program.rs"]
+mod program;
+
 use std::fs;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command as Process, Stdio};
 use std::time::{Duration, Instant};
 
-use assert_cmd::Command;
-use assert_cmd::cargo::{cargo_bin, cargo_bin_cmd};
+use assert_cmd::cargo::cargo_bin;
+use program::{Bench, Files, failure, odd_files, scan};
 use serde_json::Value;
-use tempfile::TempDir;
-
-type Files = BTreeMap<String, Vec<u8>>;
-
-/// A folder to work in, with the program run inside it.
-struct Bench(TempDir);
-
-impl Bench {
-    fn new() -> Self {
-        Bench(TempDir::new().unwrap())
-    }
-
-    /// With `seq/` holding [`odd_files`] and `out.lpc` made of it, two frames a group.
-    fn encoded() -> Self {
-        let bench = Bench::new();
-        bench.write_files("seq", &odd_files());
-        bench.ok("encode seq -o out.lpc --gop 2");
-        bench
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn write_files(&self, folder: &str, files: &Files) {
-        fs::create_dir_all(self.path(folder)).unwrap();
-        for (name, bytes) in files {
-            fs::write(self.path(folder).join(name), bytes).unwrap();
-        }
-    }
-
-    /// All files of a folder, hidden ones included.
-    fn files(&self, folder: &str) -> Files {
-        let entries = fs::read_dir(self.path(folder)).unwrap().map(Result::unwrap);
-        let name = |entry: &fs::DirEntry| entry.file_name().into_string().unwrap();
-        entries.map(|entry| (name(&entry), fs::read(entry.path()).unwrap_or_default())).collect()
-    }
-
-    fn names(&self, folder: &str) -> Vec<String> {
-        self.files(folder).into_keys().collect()
-    }
-
-    fn command(&self, args: &str) -> Command {
-        let mut command = cargo_bin_cmd!("lidarpc");
-        command.current_dir(self.0.path()).args(args.split_whitespace());
-        command
-    }
-
-    /// Runs it, which must succeed without a complaint; returns stdout.
-    fn ok(&self, args: &str) -> Vec<u8> {
-        let run = self.command(args).arg("--quiet").assert().success();
-        let output = run.get_output();
-        assert_eq!(String::from_utf8_lossy(&output.stderr), "", "of {args}");
-        output.stdout.clone()
-    }
-
-    fn json(&self, args: &str) -> Value {
-        serde_json::from_slice(&self.ok(args)).unwrap()
-    }
-
-    /// As [`Bench::command`], where a limit on the size of files stands for a full disk.
-    #[cfg(target_os = "linux")]
-    fn on_full_disk(&self, args: &str) -> Command {
-        let mut shell = Command::new("sh");
-        let script = r#"trap "" XFSZ; ulimit -f 64; exec "$0" "$@""#;
-        shell.args(["-c", script]).arg(cargo_bin!("lidarpc")).args(args.split(' '));
-        shell.current_dir(self.0.path());
-        shell
-    }
-
-    /// Runs it, which must fail with exit code 1 and one line that starts with `lidarpc: PATH: `.
-    #[track_caller]
-    fn fails(&self, args: &str, path: &str) -> String {
-        failure(&mut self.command(args), path)
-    }
-}
-
-#[track_caller]
-fn failure(command: &mut Command, path: &str) -> String {
-    let output = command.output().unwrap();
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(1), "{stderr}");
-    assert_eq!(stderr.lines().count(), 1, "{stderr}");
-    assert!(stderr.starts_with(&format!("lidarpc: {path}: ")), "{path} is not named in: {stderr}");
-    stderr
-}
-
-fn scan(points: usize, seed: u32) -> Vec<u8> {
-    let value = |n: usize| ((n as u32).wrapping_mul(2_654_435_761).wrapping_add(seed) >> 18) as f32 / 1000.0;
-    (0..points * 4).flat_map(|n| value(n).to_le_bytes()).collect()
-}
-
-/// Scans, and what else may be called one.
-fn odd_files() -> Files {
-    let special = [f32::NAN, f32::INFINITY, -0.0, 1e-40, f32::NEG_INFINITY, f32::from_bits(0x7fa0_0001)];
-    let special = special.iter().cycle().take(20).flat_map(|value| value.to_le_bytes());
-    let files = [
-        ("1.bin", scan(40, 1)),
-        ("2.bin", scan(3, 2)),
-        ("10.bin", scan(41, 3)),
-        ("empty.bin", Vec::new()),
-        ("seventeen.bin", (0..17).collect()),
-        ("nan.bin", special.collect()),
-        ("random.bin", scan(31, 4).iter().map(|byte| byte.wrapping_mul(31) ^ 0x5a).collect()),
-        ("same.bin", [scan(1, 5), scan(1, 5), scan(1, 5)].concat()),
-        ("damaged.pcd", b"# .PCD v0.7\nFIELDS x y z\nSIZE 4 4".to_vec()),
-        ("other.ply", b"ply\nformat ascii 1.0\nend_header\n".to_vec()),
-    ];
-    files.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect()
-}
 
 #[test]
 fn a_folder_comes_back_byte_for_byte() {
@@ -269,7 +161,9 @@ fn streams_go_through_pipes() {
     through("decode - -o back");
     assert_eq!(bench.files("back"), odd_files());
     assert_eq!(through("stats - --json --against seq"), bench.ok("stats out.lpc --json --against seq"));
-    assert_eq!(through("info - --json"), bench.ok("info out.lpc --json"));
+    let mut info = bench.json("info out.lpc --json");
+    info["file"] = "stdin".into();
+    assert_eq!(serde_json::from_slice::<Value>(&through("info - --json")).unwrap(), info);
     assert!(through("verify - --against seq").starts_with(b"stdin: whole"));
     assert_eq!(through("decode - -o - --frames 2"), odd_files()["10.bin"]);
     let error = bench.fails("decode out.lpc -o -", "out.lpc");
@@ -475,7 +369,9 @@ fn a_full_disk_leaves_nothing_behind() {
 
     bench.write_files("big", &Files::from([("noise.bin".into(), noise(200_000, 1))]));
     bench.ok("encode big -o big.lpc");
-    for (args, path) in [("encode big -o new.lpc", "new.lpc"), ("decode big.lpc -o back", "back/noise.bin")] {
+    for (args, path) in
+        [("encode big -o new.lpc --quiet", "new.lpc"), ("decode big.lpc -o back", "back/noise.bin")]
+    {
         failure(&mut bench.on_full_disk(args), path);
         assert_eq!(bench.names("."), ["big", "big.lpc", "out.lpc", "seq"]);
     }
@@ -500,7 +396,7 @@ fn interrupted() -> Bench {
     let bench = Bench::new();
     bench.write_files("seq", &(0..10).map(|n| (format!("{n}.bin"), noise(10_000, n + 1))).collect());
     bench.ok("encode seq -o whole.lpc --gop 2");
-    failure(&mut bench.on_full_disk("encode seq -o out.lpc --gop 2 --resume"), "out.lpc");
+    failure(&mut bench.on_full_disk("encode seq -o out.lpc --gop 2 --resume --quiet"), "out.lpc");
     bench
 }
 
@@ -510,19 +406,24 @@ fn an_encode_goes_on_when_the_disk_has_room_again() {
     let bench = interrupted();
     let left = ["out.lpc.partial", "out.lpc.partial.journal", "seq", "whole.lpc"];
     assert_eq!(bench.names("."), left);
-    let error = bench.fails("encode seq -o out.lpc --gop 3 --resume", "out.lpc.partial");
+    let error = bench.fails("encode seq -o out.lpc --gop 3 --resume --quiet", "out.lpc.partial");
     assert!(error.contains("gop: 2, now 3") && error.contains("delete it"), "{error}");
 
     let says = bench.says("encode seq -o out.lpc --gop 2 --resume --verify");
-    let taken = says.strip_prefix("10 frames, ").and_then(|says| says.split_once(" of them from the inter"));
+    let taken = says
+        .lines()
+        .last()
+        .unwrap()
+        .strip_prefix("10 frames, ")
+        .and_then(|says| says.split_once(" of them from the inter"));
     let taken: u32 = taken.unwrap_or_else(|| panic!("{says}")).0.parse().unwrap();
     assert!((2..10).contains(&taken), "{says}");
     assert_eq!(bench.names("."), ["out.lpc", "seq", "whole.lpc"]);
     assert!(bench.read("out.lpc") == bench.read("whole.lpc"));
 
-    bench.fails("encode seq -o out.lpc --gop 2 --resume", "out.lpc");
+    bench.fails("encode seq -o out.lpc --gop 2 --resume --quiet", "out.lpc");
     let says = bench.says("encode seq -o out.lpc --gop 2 --resume --force");
-    assert!(says.starts_with("10 frames: "), "{says}");
+    assert!(says.contains("\n10 frames: "), "{says}");
     assert!(bench.read("out.lpc") == bench.read("whole.lpc"));
 }
 
@@ -533,28 +434,28 @@ fn a_partial_file_is_left_to_those_who_ask_for_it() {
     let partial = || (bench.read("out.lpc.partial"), bench.read("out.lpc.partial.journal"));
     let before = partial();
     let says = bench.says("encode seq -o out.lpc --gop 2");
-    assert!(says.starts_with("lidarpc: out.lpc.partial of an interrupted run is left as it is"), "{says}");
+    assert!(says.contains("lidarpc: out.lpc.partial of an interrupted run is left as it is"), "{says}");
     assert!(bench.read("out.lpc") == bench.read("whole.lpc") && partial() == before);
 
     // As long as the output is there.
-    bench.fails("encode seq -o out.lpc --gop 2 --resume", "out.lpc");
+    bench.fails("encode seq -o out.lpc --gop 2 --resume --quiet", "out.lpc");
     assert!(partial() == before);
 
     // A file that is no partial stream.
     fs::write(bench.path("mine.lpc.partial"), b"somebody's").unwrap();
-    bench.fails("encode seq -o mine.lpc --gop 2 --resume", "mine.lpc.partial");
+    bench.fails("encode seq -o mine.lpc --gop 2 --resume --quiet", "mine.lpc.partial");
     assert_eq!(bench.read("mine.lpc.partial"), b"somebody's");
     assert!(!bench.path("mine.lpc.partial.journal").exists());
     fs::create_dir(bench.path("folder.lpc.partial")).unwrap();
-    bench.fails("encode seq -o folder.lpc --gop 2 --resume", "folder.lpc.partial");
+    bench.fails("encode seq -o folder.lpc --gop 2 --resume --quiet", "folder.lpc.partial");
 
     // What can only be written.
-    bench.fails("encode seq -o /dev/null --resume", "/dev/null");
+    bench.fails("encode seq -o /dev/null --resume --quiet", "/dev/null");
 
     // While another run is at it.
     let locked = fs::File::open(bench.path("out.lpc.partial")).unwrap();
     locked.lock().unwrap();
-    let error = bench.fails("encode seq -o out.lpc --gop 2 --resume --force", "out.lpc.partial");
+    let error = bench.fails("encode seq -o out.lpc --gop 2 --resume --force --quiet", "out.lpc.partial");
     assert!(error.contains("another run"), "{error}");
     assert!(partial() == before);
 }
@@ -641,6 +542,12 @@ fn wrong_usage_is_exit_code_2() {
         "encode seq -o new.lpc --mode paper --backend gzip",
         "encode seq -o new.lpc --mode paper --level 10",
         "encode seq -o new.lpc --level 0",
+        "encode seq -o new.lpc --level best",
+        "encode seq -o - --json",
+        "decode out.lpc seq/1.bin -o back --frames 1",
+        "decode out.lpc out.lpc -o -",
+        "verify - -",
+        "cut out.lpc --frames 2 -o - --json",
         "encode seq -o new.lpc --level 2 --predict inter",
         "encode seq -o new.lpc --packing planes",
         "encode seq -o new.lpc --rate 2",
@@ -695,7 +602,8 @@ fn options_do_what_they_say() {
 
     fs::write(bench.path("seq/notes.txt"), b"cloudy").unwrap();
     let told = bench.command("encode seq -o noted.lpc").output().unwrap();
-    assert!(String::from_utf8(told.stderr).unwrap().contains("left out 1 file"));
+    let told = String::from_utf8(told.stderr).unwrap();
+    assert!(told.contains("seq: left out 1 file not known as a scan (seq/notes.txt)"), "{told}");
 }
 
 #[test]
@@ -723,19 +631,6 @@ impl Bench {
         assert_eq!(self.files("got"), self.files("expected"), "frames {range} of {whole}");
         self.ok(&format!("verify {part} --against expected"));
         ["got", "expected"].iter().for_each(|folder| fs::remove_dir_all(self.path(folder)).unwrap());
-    }
-
-    /// Runs it, which must succeed; returns what it says on stderr.
-    #[track_caller]
-    fn says(&self, args: &str) -> String {
-        let output = self.command(args).output().unwrap();
-        let stderr = String::from_utf8(output.stderr).unwrap();
-        assert!(output.status.success(), "{stderr}");
-        stderr
-    }
-
-    fn read(&self, name: &str) -> Vec<u8> {
-        fs::read(self.path(name)).unwrap()
     }
 }
 
@@ -853,8 +748,14 @@ fn what_cannot_be_cut_or_joined_is_named() {
     assert_eq!(bench.names("."), names, "something was left behind");
 
     bench.ok("cut out.lpc --frames 2..4 -o other.lpc --force");
-    bench.ok("cut other.lpc --frames 1 -o other.lpc --force");
-    bench.decodes_to_range("other.lpc", "out.lpc", "3");
+    for args in [
+        "cut other.lpc --frames 1 -o other.lpc",
+        "cat out.lpc other.lpc -o other.lpc",
+        "repair other.lpc -o other.lpc",
+    ] {
+        assert!(bench.fails(&format!("{args} --force"), "other.lpc").contains("is an input as well"));
+    }
+    bench.decodes_to_range("other.lpc", "out.lpc", "2..4");
     bench.ok("cat other.lpc -o bad.lpc --force");
     assert_eq!(bench.read("bad.lpc"), bench.read("other.lpc"));
 }
@@ -1102,6 +1003,8 @@ fn steps_add_up_to_the_sections() {
     assert!((parts - bytes("after_coding")).abs() < 1e-6);
     assert_eq!(bytes("after_conversion"), 4.0 * 64.0 * 500.0);
     assert!(bytes("contour_map") > 0.0 && bytes("after_coding") < bytes("after_prediction"));
+    let of_scans = String::from_utf8(bench.ok("stats drive --steps --mode paper --columns 300")).unwrap();
+    assert!(of_scans.starts_with("mean of 2 frames, ranges in steps of 1 mm (--step)\n"), "{of_scans}");
     let text = String::from_utf8(bench.ok("stats p.lpc --steps")).unwrap();
     assert!(text.contains("contour map") && text.contains("clustering"), "{text}");
 }
@@ -1195,6 +1098,8 @@ fn bench_takes_a_single_scan_and_no_folder_without_points() {
     bench.write_files("none", &[("0.bin".to_owned(), Vec::new())].into());
     assert!(bench.fails("bench none", "none").contains("no points"));
     assert!(bench.fails("bench drive --step float", "drive").contains("steps"));
+    bench.ok("encode drive -o drive.lpc");
+    assert!(bench.fails("bench drive.lpc", "drive.lpc").contains("decode it first"));
     bench.fails("bench missing --html page.html", "missing");
     assert!(!bench.path("page.html").exists());
 }
@@ -1228,8 +1133,16 @@ fn frames_are_drawn() {
 
     fs::write(bench.path("few.bin"), scan(2, 1)).unwrap();
     bench.ok("view few.bin --kind birds-eye -o few.png");
-    assert!(bench.fails("view few.bin -o none.png", "few.bin").contains("no range image"));
-    assert!(!bench.path("new.png").exists() && !bench.path("none.png").exists());
+    bench.ok("view few.bin -o instead.png");
+    assert_eq!(bench.read("instead.png"), bench.read("few.png"), "what there is to see");
+    assert!(bench.fails("view few.bin --kind range -o none.png", "few.bin").contains("no range image"));
+    fs::write(bench.path("none.bin"), b"").unwrap();
+    for kind in ["all", "birds-eye"] {
+        let error = bench.fails(&format!("view none.bin --kind {kind} -o none.png"), "none.bin");
+        assert!(error.contains("no points to draw"), "{error}");
+    }
+    bench.command("view p.lpc -o picture.jpg").assert().code(2);
+    assert!(["new.png", "none.png", "picture.jpg"].iter().all(|name| !bench.path(name).exists()));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Streams that were written once and must decode for ever, to the same bytes; and that the encoder still
+//! Streams that were written once and must stay readable, with the same result; and that the encoder still
 //! writes them.
 //!
 //! Each `testdata/golden/*.lpc` has a list beside it, `*.txt`, of the files that it decodes to: a

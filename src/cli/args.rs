@@ -14,8 +14,8 @@ const EXAMPLES: &str = "\
 Examples:
   lidarpc encode drive/ -o drive.lpc           a folder of scans into one file
   lidarpc decode drive.lpc -o drive/           and back, byte for byte
-  lidarpc stats drive.lpc --against drive/     how small, and how true
-  lidarpc verify drive.lpc                     is the file as it was written?
+  lidarpc stats drive.lpc --against drive/     size by part, and a comparison with the originals
+  lidarpc verify drive.lpc                     check that the file is intact
   lidarpc cut drive.lpc --frames 10..20 -o part.lpc
 
 Exit codes: 0 done, 1 failed, 2 wrong usage.";
@@ -27,7 +27,7 @@ pub struct Args {
     /// What to do.
     #[command(subcommand)]
     pub command: Command,
-    /// Say nothing but errors and what was asked for.
+    /// Print errors and requested reports only.
     #[arg(short, long, global = true)]
     pub quiet: bool,
 }
@@ -38,55 +38,76 @@ pub enum Command {
     /// Encode scans into one file.
     Encode(EncodeArgs),
     /// Decode a file into a folder of scans.
+    #[command(long_flag = "decompress", short_flag = 'd')]
     Decode(DecodeArgs),
     /// Report ratio, bits a point, bytes by section, and with --against the error.
     Stats(StatsArgs),
-    /// Show what a file holds, without decoding points.
+    /// List what a file holds, without decoding points.
+    #[command(long_flag = "list", short_flag = 'l')]
     Info(InfoArgs),
     /// Check a file: every checksum, and that every frame decodes.
+    #[command(long_flag = "test", short_flag = 't')]
     Verify(VerifyArgs),
-    /// Take a range of frames out of a file, without loss and almost without coding.
+    /// Copy a range of frames into a file of its own, without loss.
     Cut(CutArgs),
-    /// Join files into one, without coding anything again.
+    /// Join files into one, without encoding them again.
     Cat(CatArgs),
-    /// Write what is intact of a damaged file as a whole file, without coding anything again.
+    /// Write the intact groups of a damaged file as a new file.
     Repair(RepairArgs),
     /// Draw a frame as a PNG: its range image, regions, prediction, or the points from above.
     View(ViewArgs),
-    /// Run the article's experiments on scans: its tables and figures, as text or as a page with plots.
+    /// Run the experiments of the article behind `--mode paper`: its tables and figures, as text or as a page.
     Bench(BenchArgs),
     /// Write a synthetic drive: KITTI .bin scans of a simulated scanner.
     Synth(SynthArgs),
 }
 
+/// What is called the article everywhere else.
+pub const ARTICLE: &str = "\
+The article is \"A Novel Coding Scheme for Large-Scale Point Cloud Sequences Based on Clustering and \
+Registration\"; sections, equations, tables and figures are its own.";
+
 const ENCODE_EXAMPLES: &str = "\
 Examples:
-  lidarpc encode drive/ -o drive.lpc
-  lidarpc encode a.bin b.bin -o two.lpc --verify
+  lidarpc encode drive/ -o drive.lpc --verify
+  lidarpc encode drive/ -o drive.lpc --max-error 1cm
+  ssh host 'tar c --sort=name drive' | lidarpc encode - -o drive.lpc";
+
+const ENCODE_MORE_EXAMPLES: &str = "\
+Examples:
+  lidarpc encode drive/ -o drive.lpc --verify
+  lidarpc encode a.bin b.bin -o two.lpc -9
+  lidarpc encode drive/ -o drive.lpc --max-error 1cm
+  lidarpc encode drive/ -o drive.lpc --resume     if interrupted, the same command goes on
   lidarpc encode drive/ -o drive.lpc --mode paper --step 1cm
-  lidarpc encode drive/ -o drive.lpc --resume     if interrupted, the same again goes on
   ssh host 'tar c --sort=name drive' | lidarpc encode - -o drive.lpc
-  lidarpc encode drive/ -o - | ssh host 'cat > drive.lpc'";
+  lidarpc encode drive/ -o - | ssh host 'cat > drive.lpc'
+
+Names and bytes of files come back. Their times and permissions, subfolders, hidden files, links and files of other \
+kinds are not stored; whatever of these a folder holds is counted on stderr, or refused by --strict.
+
+";
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = ENCODE_EXAMPLES)]
+#[command(after_help = ENCODE_EXAMPLES, after_long_help = format!("{ENCODE_MORE_EXAMPLES}{ARTICLE}"))]
 pub struct EncodeArgs {
-    /// Folders of scans, or scans; the frames of a folder are taken in the order of the numbers in
-    /// their names. `-`: frames from stdin, coded as they arrive, in a tar archive or each behind a line of
-    /// its name, a space and its size in bytes.
+    /// Folders of scans, or scans; `-`: frames from stdin.
+    ///
+    /// Frames are sorted by the numbers in their names. From stdin they are encoded as they arrive, in a tar
+    /// archive, or each behind a line of its name, a space and its size in bytes.
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
-    /// File to write; `-` for stdout.
+    /// File to write; `-`: stdout.
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
-    #[command(flatten)]
-    pub coding: CodingArgs,
     #[command(flatten)]
     pub threads: Threads,
     /// Decode the written file and compare, before it gets its name.
     #[arg(long)]
     pub verify: bool,
-    /// Write to FILE.partial, which stays if the run is interrupted, however that is; the same command then
+    /// Be able to go on after an interruption.
+    ///
+    /// Writes to FILE.partial, which stays if the run is interrupted, whatever the cause; the same command then
     /// goes on after the last whole group of frames, to the same result. FILE.partial.journal says what it was
     /// made from. Both are gone when the output is complete.
     #[arg(long)]
@@ -94,15 +115,33 @@ pub struct EncodeArgs {
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,
-    /// Take files that are named and hold no scan, as plain bytes.
+    /// Refuse folders of which anything would be left out.
+    ///
+    /// That is: other files, subfolders, hidden files, links and pipes, though not times and permissions; and an empty
+    /// stdin. Without it, what is left out is counted on stderr.
     #[arg(long)]
+    pub strict: bool,
+    /// Take files that are named and hold no scan, as plain bytes.
+    #[arg(long, hide_short_help = true)]
     pub force_bytes: bool,
+    /// Name all that is left out, and each frame with its size.
+    #[arg(short, long)]
+    pub verbose: bool,
+    /// Report as JSON on stdout.
+    ///
+    /// Sizes are in bytes, lengths in metres, times in seconds.
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub coding: CodingArgs,
 }
 
 /// How many threads to use.
 #[derive(Debug, clap::Args)]
 pub struct Threads {
-    /// Threads to use; 0: one for each processor. Memory grows with them, the result is the same.
+    /// Threads to use; 0: one for each processor.
+    ///
+    /// Memory grows with them; the result is the same.
     #[arg(long, value_name = "N", default_value_t = 0,
           value_parser = |text: &str| match text.parse::<usize>() {
               Ok(threads) if threads <= 1024 => Ok(threads),
@@ -115,13 +154,16 @@ pub struct Threads {
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct LimitArgs {
     /// Refuse frames of more points, or range images of more cells.
-    #[arg(long, value_name = "N", default_value_t = Limits::default().points, help_heading = "Limits")]
+    #[arg(long, value_name = "N", default_value_t = Limits::default().points)]
+    #[arg(help_heading = "Limits", hide_short_help = true)]
     pub max_points: u64,
     /// Refuse frames that decode to more bytes, and groups that decode to more together.
-    #[arg(long, value_name = "BYTES", default_value_t = Limits::default().file_bytes, help_heading = "Limits")]
+    #[arg(long, value_name = "BYTES", default_value_t = Limits::default().file_bytes)]
+    #[arg(help_heading = "Limits", hide_short_help = true)]
     pub max_file_bytes: u64,
     /// Refuse parts of the stream of more bytes: groups of frames, above all.
-    #[arg(long, value_name = "BYTES", default_value_t = Limits::default().record_bytes, help_heading = "Limits")]
+    #[arg(long, value_name = "BYTES", default_value_t = Limits::default().record_bytes)]
+    #[arg(help_heading = "Limits", hide_short_help = true)]
     pub max_group_bytes: u64,
 }
 
@@ -157,9 +199,9 @@ pub enum FormatArg {
 #[derive(Debug, clap::Args)]
 #[command(after_help = DECODE_EXAMPLES)]
 pub struct DecodeArgs {
-    /// File to decode; `-` for stdin.
-    #[arg(value_name = "FILE")]
-    pub input: PathBuf,
+    /// Files to decode, all into one folder; `-` for stdin.
+    #[arg(required = true, value_name = "FILE")]
+    pub inputs: Vec<PathBuf>,
     /// Folder to write the scans into, made if missing; `-` for stdout, for a single frame.
     #[arg(short, long, value_name = "FOLDER")]
     pub output: PathBuf,
@@ -179,6 +221,9 @@ pub struct DecodeArgs {
     /// Overwrite scans that exist.
     #[arg(short, long)]
     pub force: bool,
+    /// Report as JSON on stdout.
+    #[arg(long)]
+    pub json: bool,
     #[command(flatten)]
     pub limits: LimitArgs,
 }
@@ -196,7 +241,7 @@ pub struct StatsArgs {
     /// in memory as the options below say.
     #[arg(value_name = "FILE")]
     pub input: PathBuf,
-    /// Report what each step of coding takes and leaves, as the article's Tables II to VI.
+    /// Report what each step of coding takes and leaves, as Tables II to VI of the article behind --mode paper.
     #[arg(long, conflicts_with = "against")]
     pub steps: bool,
     /// Decode, and measure the error against these original scans.
@@ -226,9 +271,9 @@ pub struct StatsArgs {
 
 #[derive(Debug, clap::Args)]
 pub struct InfoArgs {
-    /// File to look into; `-` for stdin.
-    #[arg(value_name = "FILE")]
-    pub input: PathBuf,
+    /// Files to look into; `-` for stdin.
+    #[arg(required = true, value_name = "FILE")]
+    pub inputs: Vec<PathBuf>,
     /// Report as JSON; sizes and offsets in bytes.
     #[arg(long)]
     pub json: bool,
@@ -238,14 +283,17 @@ pub struct InfoArgs {
 
 #[derive(Debug, clap::Args)]
 pub struct VerifyArgs {
-    /// File to check; `-` for stdin.
-    #[arg(value_name = "FILE")]
-    pub input: PathBuf,
+    /// Files to check; `-` for stdin. All are checked, whatever is wrong with one.
+    #[arg(required = true, value_name = "FILE")]
+    pub inputs: Vec<PathBuf>,
     /// Compare with these original scans, byte for byte, and find what is missing.
     #[arg(long, value_name = "FOLDER", num_args = 1)]
     pub against: Vec<PathBuf>,
     #[command(flatten)]
     pub threads: Threads,
+    /// Report as JSON on stdout.
+    #[arg(long)]
+    pub json: bool,
     #[command(flatten)]
     pub limits: LimitArgs,
 }
@@ -274,6 +322,9 @@ pub struct CutArgs {
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,
+    /// Report as JSON on stdout.
+    #[arg(long)]
+    pub json: bool,
     #[command(flatten)]
     pub limits: LimitArgs,
 }
@@ -297,6 +348,9 @@ pub struct CatArgs {
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,
+    /// Report as JSON on stdout.
+    #[arg(long)]
+    pub json: bool,
     #[command(flatten)]
     pub limits: LimitArgs,
 }
@@ -312,6 +366,9 @@ pub struct RepairArgs {
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,
+    /// Report as JSON on stdout.
+    #[arg(long)]
+    pub json: bool,
     #[command(flatten)]
     pub limits: LimitArgs,
 }
@@ -360,11 +417,13 @@ Examples:
   lidarpc bench drive/ --csv > report.csv
 
 Frames are taken in runs spread over the drive: for the tables twice 10, for the figures twice 3.
-Coders, predictions and, for curves, steps are the experiments' own; of the options below --columns,
---step, --level and those of outliers, registration and regions count.";
+Coders, predictions and, for curves, steps are the experiments' own; of the options above --columns,
+--step, --level and those of outliers, registration and regions count.
+
+";
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = BENCH_EXAMPLES)]
+#[command(after_help = format!("{BENCH_EXAMPLES}{ARTICLE}"))]
 pub struct BenchArgs {
     /// Folder of scans, or a scan.
     #[arg(value_name = "INPUT")]

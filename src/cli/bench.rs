@@ -8,23 +8,27 @@ use crate::files::sequence::find_frames;
 use crate::stream::FrameInput;
 use crate::study::bench::Bench;
 use crate::study::bench::report::{Report, csv, html, text};
-use anyhow::Result;
-use clap::CommandFactory;
-use clap::error::ErrorKind;
+use anyhow::{Result, ensure};
 
-use super::args::{Args, BenchArgs};
-use super::errors::about;
-use super::input::is_dash;
-use super::output::{FileOutput, name_of_output};
+use super::args::{ARTICLE, BenchArgs};
+use super::errors::{about, wrong_usage};
+use super::in_memory::is_stream;
+use super::input::{is_dash, name_of};
+use super::output::{FileOutput, name_of_output, print_json};
 use super::{coding, progress};
 
 pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
     let is_page_only = args.html.as_deref().is_some_and(is_dash);
     if is_page_only && (args.json || args.csv) {
         let what = "--html - takes stdout; write the page to a file, or leave --json and --csv out";
-        Args::command().error(ErrorKind::ArgumentConflict, what).exit();
+        wrong_usage("bench", what);
     }
-    let config = coding::paper_config(&args.coding, &args.threads);
+    ensure!(
+        !is_stream(&args.input),
+        "{}: is a lidarpc stream; bench takes scans: decode it first, as by `lidarpc decode FILE -o FOLDER`",
+        name_of(&args.input)
+    );
+    let config = coding::paper_config("bench", &args.coding, &args.threads);
     // Before the work, which would be for nothing.
     let mut page = args.html.as_deref().map(|path| FileOutput::create(path, args.force)).transpose()?;
     let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
@@ -41,6 +45,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
         ("command".to_owned(), command_line(std::env::args_os())),
     ];
     facts.extend(bench.facts());
+    facts.push(("article".to_owned(), ARTICLE.to_owned()));
     let title = format!("The article's tables and figures on {name}");
     let report = Report { title, facts, sections: sections.map_err(in_input)? };
     if let (Some(output), Some(path)) = (page.take(), &args.html) {
@@ -49,11 +54,11 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
     if is_page_only {
         return Ok(());
     }
-    let mut out = io::BufWriter::new(io::stdout().lock());
     if args.json {
-        serde_json::to_writer_pretty(&mut out, &report).map_err(io::Error::from)?;
-        writeln!(out)?;
-    } else if args.csv {
+        return print_json(&report);
+    }
+    let mut out = io::BufWriter::new(io::stdout().lock());
+    if args.csv {
         csv::write(&report, &mut out)?;
     } else {
         text::write(&report, &mut out)?;

@@ -9,27 +9,40 @@ use crate::edit::{Joined, Named};
 use crate::ground::error::{self, Limits};
 use crate::stream::container::StreamReader;
 use anyhow::Result;
-use clap::{CommandFactory, error::ErrorKind};
+use serde::Serialize;
 
-use super::args::{Args, CatArgs};
+use super::args::CatArgs;
 use super::errors::about;
-use super::input::{Input, is_dash, name_of};
-use super::output::{FileOutput, name_of_output};
+use super::input::{Input, check_stdin_once, name_of};
+use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
 use super::table;
 
+/// What was done, for machines.
+#[derive(Serialize)]
+struct Report {
+    file: String,
+    streams: u64,
+    frames: u64,
+    stream_bytes: u64,
+    seconds: f64,
+}
+
 pub fn run(args: &CatArgs, quiet: bool) -> Result<()> {
-    if args.inputs.iter().filter(|path| is_dash(path)).count() > 1 {
-        let what = "stdin can be read only once; give `-` once";
-        Args::command().error(ErrorKind::ArgumentConflict, what).exit();
-    }
+    check_stdin_once("cat", &args.inputs);
+    check_json("cat", args.json, &args.output);
     let start = Instant::now();
-    let mut output = FileOutput::create(&args.output, args.force)?;
+    keep_inputs(&args.output, &args.inputs)?;
+    let mut output = FileOutput::binary(&args.output, args.force)?;
     let name = name_of_output(&args.output);
     let joined =
         write_stream(&args.inputs, args.limits.limits(), &mut output).map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;
-    if !quiet {
-        eprintln!("{} in {:.1} s", summary(&joined), start.elapsed().as_secs_f64());
+    let seconds = start.elapsed().as_secs_f64();
+    if args.json {
+        let Joined { streams, frames, stream_bytes, .. } = joined;
+        print_json(&Report { file: name, streams, frames, stream_bytes, seconds })?;
+    } else if !quiet {
+        eprintln!("{} in {seconds:.1} s", summary(&joined));
     }
     Ok(())
 }

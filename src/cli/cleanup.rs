@@ -1,10 +1,32 @@
 //! Temporary files and folders that a signal must not leave behind.
 
+#[cfg(unix)]
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// What to remove when the program is told to stop.
 static TEMPORARY: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// What to say when the program is told to stop.
+static LAST_WORDS: Mutex<Option<String>> = Mutex::new(None);
+
+/// While this lives, a signal that ends the program has it say something first.
+#[derive(Debug)]
+pub struct SayOnSignal;
+
+impl SayOnSignal {
+    pub fn new(words: String) -> Self {
+        *LAST_WORDS.lock().unwrap_or_else(PoisonError::into_inner) = Some(words);
+        SayOnSignal
+    }
+}
+
+impl Drop for SayOnSignal {
+    fn drop(&mut self) {
+        LAST_WORDS.lock().unwrap_or_else(PoisonError::into_inner).take();
+    }
+}
 
 fn temporary() -> MutexGuard<'static, Vec<PathBuf>> {
     TEMPORARY.lock().unwrap_or_else(PoisonError::into_inner)
@@ -39,6 +61,11 @@ pub fn on_signals() {
             // The lock is kept: nothing new becomes temporary any more.
             let temporary = temporary();
             temporary.iter().for_each(|path| remove(path));
+            if let Some(words) = &*LAST_WORDS.lock().unwrap_or_else(PoisonError::into_inner) {
+                // Off the line of the progress bar.
+                let start = if std::io::stderr().is_terminal() { "\n" } else { "" };
+                eprintln!("{start}lidarpc: {words}");
+            }
             // Ends the program as the signal would have, so that a shell's loop ends as well.
             let _ = signal_hook::low_level::emulate_default_handler(signal);
         }

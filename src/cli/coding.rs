@@ -9,86 +9,107 @@ use crate::frame::{Intensity, Prediction};
 use crate::ground::error::{Error, Result};
 use crate::inter::registration::RegistrationMethod;
 use crate::scanner::FLOAT_RANGES;
-use clap::error::ErrorKind;
-use clap::{Args, CommandFactory, ValueEnum};
+use clap::{Args, ValueEnum};
 
 use super::args::Threads;
+use super::errors::wrong_usage;
 use super::length::Length;
 use super::regions::RegionArgs;
 
 /// How to code. What is not given is as the mode has it.
 #[derive(Clone, Debug, Args)]
 pub struct CodingArgs {
-    /// What decoding promises. Default: exact, or bounded if --max-error is given.
-    #[arg(long, value_enum)]
-    pub mode: Option<ModeArg>,
-    /// Bounded mode: how far a decoded point may be from its original, such as 10mm or 2cm.
+    /// Largest error of a point, such as 10mm or 2cm. Default: exact.
+    ///
+    /// The 3-D distance of a decoded point from its original.
     #[arg(long, value_name = "LENGTH")]
     pub max_error: Option<Length>,
-    /// Bounded mode: round intensities to multiples of this, in the file's unit, such as 0.05.
-    #[arg(long, value_name = "STEP")]
-    pub intensity_step: Option<IntensityStep>,
-    /// What codes the ranges.
-    #[arg(long, value_name = "NAME", value_parser = backend_names())]
-    pub backend: Option<String>,
-    /// Effort, 1 (fast) to 9 (small). Default 6. The context coder has 1, 2, 3, 6, 7, 8 and 9: from 8 on frames are
-    /// predicted from those before, from 6 on where the scanner stands still.
-    #[arg(long, value_name = "1..9")]
-    pub level: Option<u8>,
-    /// What ranges are predicted from.
-    #[arg(long, value_enum, value_name = "FROM")]
-    pub predict: Option<PredictArg>,
-    /// Give a general-purpose back-end what prediction leaves as it is, not as the differences along the
-    /// snake's path.
-    #[arg(long)]
-    pub no_snake: bool,
-    /// How residuals are laid out for a general-purpose back-end.
-    #[arg(long, value_name = "NAME", value_parser = packing_names())]
-    pub packing: Option<String>,
-    /// What jpeg or jpeg2000 may spend on ranges: bits for each return, on average, or `lossless`. Default 2.
-    #[arg(long, value_name = "BITS")]
-    pub rate: Option<RateArg>,
-    /// Passes of jpeg or jpeg2000 at most, each of what those before leave: 1 to 8. Default 2.
-    #[arg(long, value_name = "N")]
-    pub passes: Option<u8>,
-    /// Which frames may be predicted from the one before.
-    #[arg(long, value_enum, value_name = "ORDER", default_value = "ratio")]
-    pub order: OrderArg,
-    /// How the scanner's motion from the frame before is found.
-    #[arg(long, value_enum, value_name = "METHOD")]
-    pub registration: Option<RegistrationArg>,
-    /// Frames a group. Groups are decoded apart: more frames compress better, fewer seek faster. Default 10,
-    /// and 30 at level 9.
-    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    pub gop: Option<u32>,
-    /// What a record of a file without a header (.bin) holds: a letter for each float32, x, y, z,
-    /// i(ntensity), r(ing), t(ime), _ for another; or a list of fields with their types, such as
-    /// x,y,z,intensity:u8,ring:u16,time:f64,_:u8*4. Default: xyzi, and xyzir for .pcd.bin.
+    /// Effort, also as -1 (fast) to -9 (small). Default: 6.
+    ///
+    /// The context coder has the levels 1, 2, 3, 6, 7, 8 and 9: from 8 on frames are predicted from those before,
+    /// from 6 on where the scanner stands still.
+    #[arg(long, value_name = "1..9", value_parser = level)]
+    pub level: Option<Level>,
+    /// Fields of .bin records, such as xyzirt. Default: xyzi.
+    ///
+    /// Of .pcd.bin: xyzir. A letter for each float32: x, y, z, i(ntensity), r(ing), t(ime), _ for another; or a
+    /// list of fields with their types, such as x,y,z,intensity:u8,ring:u16,time:f64,_:u8*4. Without it, `encode`
+    /// looks at the files, and says so if their records are of another length.
     #[arg(long, value_name = "FIELDS")]
     pub layout: Option<HeaderlessLayout>,
-    /// Paper mode: the range image to keep; the calibrated one loses no point.
-    #[arg(long, value_enum, value_name = "KIND", help_heading = "Paper mode")]
+    /// What decoding promises. Default: bounded with --max-error, exact without.
+    #[arg(long, value_enum, hide_short_help = true, help_heading = "Coding")]
+    pub mode: Option<ModeArg>,
+    /// Bounded mode: round intensities to multiples of this, in the file's unit, such as 0.05. Default: exact.
+    #[arg(long, value_name = "STEP", hide_short_help = true, help_heading = "Coding")]
+    pub intensity_step: Option<IntensityStep>,
+    /// Frames in a group. Default: 10, and 30 at level 9.
+    ///
+    /// Each group is decoded independently: longer groups compress better, shorter ones seek faster.
+    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000),
+          hide_short_help = true, help_heading = "Coding")]
+    pub gop: Option<u32>,
+    /// What codes the ranges. Default: context; in paper mode lzma.
+    #[arg(long, value_name = "NAME", value_parser = backend_names(), hide_short_help = true, help_heading = "Coding")]
+    pub backend: Option<String>,
+    /// What ranges are predicted from. Default: auto; in paper mode, with another coder than context, inter.
+    #[arg(long, value_enum, value_name = "FROM", hide_short_help = true, help_heading = "Coding")]
+    pub predict: Option<PredictArg>,
+    /// Which frames may be predicted from the one before.
+    #[arg(
+        long,
+        value_enum,
+        value_name = "ORDER",
+        default_value = "ratio",
+        hide_short_help = true,
+        help_heading = "Coding"
+    )]
+    pub order: OrderArg,
+    /// How the scanner's motion from the frame before is found. Default: projective.
+    #[arg(long, value_enum, value_name = "METHOD", hide_short_help = true, help_heading = "Coding")]
+    pub registration: Option<RegistrationArg>,
+    /// Give a general-purpose back-end what prediction leaves as it is, not as the differences along the
+    /// snake's path.
+    #[arg(long, hide_short_help = true, help_heading = "Coding")]
+    pub no_snake: bool,
+    /// How residuals are laid out for a general-purpose back-end. Default: as suits it best.
+    #[arg(long, value_name = "NAME", value_parser = packing_names(), hide_short_help = true, help_heading = "Coding")]
+    pub packing: Option<String>,
+    /// What jpeg or jpeg2000 may spend on ranges: bits for each return, on average, or `lossless`. Default: 2.
+    #[arg(long, value_name = "BITS", hide_short_help = true, help_heading = "Coding")]
+    pub rate: Option<RateArg>,
+    /// Passes of jpeg or jpeg2000 at most, each of what those before leave: 1 to 8. Default: 2.
+    #[arg(long, value_name = "N", hide_short_help = true, help_heading = "Coding")]
+    pub passes: Option<u8>,
+    /// Paper mode: the range image to keep; the calibrated one loses no point. Default: ideal.
+    #[arg(long, value_enum, value_name = "KIND", hide_short_help = true, help_heading = "Paper mode")]
     pub projection: Option<ProjectionArg>,
-    /// Columns of the ideal range image; 2000 are 0.18 degrees each.
-    #[arg(long, value_name = "N", help_heading = "Paper mode")]
+    /// Columns of the ideal range image. Default: 2000, which are 0.18 degrees each.
+    #[arg(long, value_name = "N", hide_short_help = true, help_heading = "Paper mode")]
     pub columns: Option<u32>,
-    /// Range step of the range image, such as 1mm or 1cm, or, of the ideal one, `float` for float32 ranges.
-    #[arg(long, value_name = "LENGTH", help_heading = "Paper mode")]
+    /// Range step of the range image, such as 1mm or 1cm, or, of the ideal one, `float` for float32 ranges. Default:
+    /// 1mm; of the calibrated one, that of the scanner.
+    #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = "Paper mode")]
     pub step: Option<StepArg>,
-    /// Whether intensities are kept.
-    #[arg(long, value_enum, help_heading = "Paper mode")]
+    /// Whether intensities are kept. Default: none; in other modes exact.
+    #[arg(long, value_enum, hide_short_help = true, help_heading = "Paper mode")]
     pub intensity: Option<IntensityArg>,
     /// Keep outliers.
-    #[arg(long, help_heading = "Paper mode")]
+    #[arg(long, hide_short_help = true, help_heading = "Paper mode")]
     pub keep_outliers: bool,
-    /// Points with fewer neighbours are outliers.
-    #[arg(long, value_name = "N", help_heading = "Paper mode")]
+    /// Points with fewer neighbours are outliers. Default: 2.
+    #[arg(long, value_name = "N", hide_short_help = true, help_heading = "Paper mode")]
     pub outlier_neighbours: Option<usize>,
-    /// How far neighbours are at most.
-    #[arg(long, value_name = "LENGTH", help_heading = "Paper mode")]
+    /// The largest distance of a neighbour. Default: 0.38m.
+    #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = "Paper mode")]
     pub outlier_radius: Option<Length>,
     #[command(flatten)]
     pub regions: RegionArgs,
+}
+
+/// A level on the command line.
+fn level(text: &str) -> std::result::Result<Level, &'static str> {
+    text.parse().ok().and_then(Level::new).ok_or("a level is a number from 1 (fast) to 9 (small)")
 }
 
 /// What decoding promises.
@@ -216,15 +237,13 @@ fn packing_names() -> Vec<&'static str> {
 }
 
 /// The encoder's settings; ends the program, as for all wrong usage, if they do not fit together.
-pub fn config(coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
-    coding
-        .config(threads.threads)
-        .unwrap_or_else(|error| super::args::Args::command().error(ErrorKind::ArgumentConflict, error).exit())
+pub fn config(subcommand: &str, coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
+    coding.config(threads.threads).unwrap_or_else(|error| wrong_usage(subcommand, error))
 }
 
 /// As [`config`], in paper mode whatever the mode.
-pub fn paper_config(coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
-    config(&CodingArgs { mode: Some(ModeArg::Paper), ..coding.clone() }, threads)
+pub fn paper_config(subcommand: &str, coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
+    config(subcommand, &CodingArgs { mode: Some(ModeArg::Paper), ..coding.clone() }, threads)
 }
 
 impl CodingArgs {
@@ -291,10 +310,7 @@ impl CodingArgs {
             config.image.rate = rate;
         }
         config.image.passes = self.passes.unwrap_or(config.image.passes);
-        if let Some(level) = self.level {
-            config.level = Level::new(level)
-                .ok_or_else(|| Error::InvalidSettings(format!("level {level} is not from 1 to 9")))?;
-        }
+        config.level = self.level.unwrap_or(config.level);
         config.gop = self.gop.map_or(config.default_gop(), |gop| gop as usize);
         if let Some(name) = &self.packing {
             config.packing = Packing::ALL.iter().copied().find(|packing| packing.name() == name);

@@ -7,22 +7,41 @@ use std::time::Instant;
 
 use crate::edit::{Cut, Named};
 use anyhow::Result;
+use serde::Serialize;
 
 use super::args::CutArgs;
 use super::errors::about;
 use super::input::{Input, name_of, open};
-use super::output::{FileOutput, name_of_output};
+use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
 use super::table;
 
+/// What was done, for machines.
+#[derive(Serialize)]
+struct Report {
+    file: String,
+    frames: u64,
+    copied: u64,
+    recoded: u64,
+    stream_bytes: u64,
+    seconds: f64,
+}
+
 pub fn run(args: &CutArgs, quiet: bool) -> Result<()> {
+    check_json("cut", args.json, &args.output);
     let start = Instant::now();
     let input = open(&args.input)?;
-    let mut output = FileOutput::create(&args.output, args.force)?;
+    keep_inputs(&args.output, std::slice::from_ref(&args.input))?;
+    let mut output = FileOutput::binary(&args.output, args.force)?;
     let name = name_of_output(&args.output);
     let cut = write_stream(args, input, &mut output).map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;
-    if !quiet {
-        eprintln!("{} in {:.1} s", summary(&cut), start.elapsed().as_secs_f64());
+    let seconds = start.elapsed().as_secs_f64();
+    if args.json {
+        let Cut { copied, recoded, stream_bytes, .. } = cut;
+        let frames = copied + recoded;
+        print_json(&Report { file: name, frames, copied, recoded, stream_bytes, seconds })?;
+    } else if !quiet {
+        eprintln!("{} in {seconds:.1} s", summary(&cut));
     }
     Ok(())
 }

@@ -3,6 +3,7 @@
 use crate::edit;
 use std::collections::HashMap;
 use std::io::{self, BufReader, Write};
+use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
@@ -13,17 +14,34 @@ use crate::scan::ScanFile;
 use crate::stream::container::Unit;
 use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::{Context, Result, bail};
+use serde::Serialize;
 
 use super::args::{DecodeArgs, FormatArg};
-use super::errors::about;
-use super::input::{Input, is_dash, name_of, open};
-use super::losses::Losses;
-use super::output::FolderOutput;
+use super::errors::{about, say, wrong_usage};
+use super::input::{Input, check_stdin_once, is_dash, name_of, open};
+use super::losses::{LossReport, Losses};
+use super::output::{FolderOutput, check_json, print_json};
 use super::{progress, table};
 
+/// What was done, for machines.
+#[derive(Serialize)]
+struct Report {
+    folder: String,
+    frames: u64,
+    file_bytes: u64,
+    /// Of each file.
+    lost: Vec<LossReport>,
+    seconds: f64,
+}
+
 pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
+    check_stdin_once("decode", &args.inputs);
+    check_json("decode", args.json, &args.output);
+    let [first, others @ ..] = &args.inputs[..] else { return Ok(()) };
+    if args.frames.is_some() && !others.is_empty() {
+        wrong_usage("decode", "--frames counts the frames of one file; decode the files one by one");
+    }
     let start = Instant::now();
-    let input = open(&args.input)?;
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),
@@ -32,30 +50,55 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     };
     let converter = Converter::new(args.format);
     if is_dash(&args.output) {
-        return to_stdout(args, input, &options, &converter);
+        if !others.is_empty() {
+            wrong_usage("decode", "stdout takes one frame, and so a single file");
+        }
+        return to_stdout(args, first, &options, &converter);
     }
-    let folder = FolderOutput::create(&args.output, args.force)?;
-    let bar = progress::bar(None, "decoding", quiet);
+    // Before anything is made for them.
+    let inputs: Vec<Input> = args.inputs.iter().map(|path| open(path)).collect::<Result<_>>()?;
+    let folder = FolderOutput::create(&args.output, args.force)?.keeping(&args.inputs);
+    let counts = inputs.iter().map(|input| input.frame_count(options.limits));
+    let total = counts.sum::<Option<u64>>().map(|total| options.frames.count_of(total));
+    let bar = progress::bar(total, "decoding", quiet);
     let mut bytes = 0;
-    let mut losses = Losses::new(&args.input);
-    let write = |frame| {
-        let file = converter.file(frame)?;
-        folder.write(file.name(), |give| file.write(give))
-    };
-    let count = |file_bytes: u64| {
-        bar.inc(1);
-        bytes += file_bytes;
-        Ok(())
-    };
-    let decoded = decode(args, input, &options, &mut losses, write, count);
-    bar.finish_and_clear();
-    decoded.map_err(|error| about(error, &name_of(&args.input)))?;
-    folder.finish()?;
-    if !quiet {
-        let frames = table::count(bar.position(), "frame");
-        eprintln!("{frames}: {} in {:.1} s", table::bytes(bytes), start.elapsed().as_secs_f64());
+    let mut all_losses = Vec::new();
+    for (path, input) in args.inputs.iter().zip(inputs) {
+        let before = bar.position();
+        let mut losses = Losses::new(path);
+        let write = |frame| {
+            let file = converter.file(frame)?;
+            folder.write(file.name(), |give| file.write(give))
+        };
+        let count = |file_bytes: u64| {
+            bar.inc(1);
+            bytes += file_bytes;
+            Ok(())
+        };
+        decode(args, input, &options, &mut losses, write, count).map_err(|error| {
+            bar.finish_and_clear();
+            about(error, &name_of(path))
+        })?;
+        all_losses.push((losses, bar.position() - before));
     }
-    losses.check(bar.position())
+    bar.finish_and_clear();
+    folder.finish()?;
+    let seconds = start.elapsed().as_secs_f64();
+    if args.json {
+        print_json(&Report {
+            folder: args.output.display().to_string(),
+            frames: bar.position(),
+            file_bytes: bytes,
+            lost: all_losses.iter().map(|(losses, _)| losses.report()).collect(),
+            seconds,
+        })?;
+    } else if !quiet {
+        eprintln!("{}: {} in {seconds:.1} s", table::count(bar.position(), "frame"), table::bytes(bytes));
+    }
+    let mut damaged = all_losses.iter().filter_map(|(losses, frames)| losses.check(*frames).err());
+    let Some(error) = damaged.next() else { return Ok(()) };
+    damaged.for_each(|error| say(&error));
+    Err(error)
 }
 
 /// Decodes as the arguments say: all of it or an error, or what is intact. Does `work` on each frame, and
@@ -82,16 +125,17 @@ fn decode<T: Send>(
 }
 
 /// Writes the one frame that was asked for to stdout.
-fn to_stdout(args: &DecodeArgs, input: Input, options: &DecodeOptions, converter: &Converter) -> Result<()> {
+fn to_stdout(args: &DecodeArgs, path: &Path, options: &DecodeOptions, converter: &Converter) -> Result<()> {
+    let input = open(path)?;
     let mut only: Option<DecodedFrame> = None;
-    let mut losses = Losses::new(&args.input);
+    let mut losses = Losses::new(path);
     let decoded =
         decode(args, input, options, &mut losses, DecodedFrame::checked, |frame| match only.replace(frame) {
             None => Ok(()),
             Some(_) => Err(Error::Usage("stdout takes one frame; choose one, as by --frames 5".to_owned())),
         });
-    decoded.map_err(|error| about(error, &name_of(&args.input)))?;
-    let Some(frame) = only else { bail!("{}: holds no frame", name_of(&args.input)) };
+    decoded.map_err(|error| about(error, &name_of(path)))?;
+    let Some(frame) = only else { bail!("{}: holds no frame", name_of(path)) };
     let file = converter.file(frame)?;
     let mut stdout = io::stdout().lock();
     let written = file.write(&mut |piece| Ok(stdout.write_all(piece)?));

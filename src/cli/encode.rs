@@ -3,22 +3,23 @@
 use crate::edit;
 use crate::stream;
 use std::fs::File;
-use std::io::{self, BufReader, Read, Write};
-use std::path::Path;
+use std::io::{self, BufReader, Write};
 use std::time::Instant;
 
-use crate::files::sequence::find_frames;
-use crate::files::{ArrivedFile, ArrivingFrames, LeftOut, LeftOutPaths, starts_as_scan};
-use crate::frame::settings::EncoderConfig;
+use crate::files::sequence::LeftOut;
+use crate::files::{ArrivedFile, ArrivingFrames};
+use crate::frame::{EncoderConfig, Intensity, Positions};
 use crate::stream::{DecodeOptions, DecodedFrame, Encoded, FrameInput};
 use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};
-use clap::{CommandFactory, error::ErrorKind};
+use serde::Serialize;
 
-use super::args::{Args, EncodeArgs};
-use super::errors::about;
+use super::args::EncodeArgs;
+use super::cleanup::SayOnSignal;
+use super::errors::{about, wrong_usage};
+use super::frames::{self, Found};
 use super::input::is_dash;
-use super::output::{FileOutput, name_of_output};
+use super::output::{FileOutput, check_json, name_of_output, print_json};
 use super::partial::{self, PartialOutput};
 use super::{coding, progress, table};
 
@@ -31,26 +32,44 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
         (is_piped && args.inputs.len() > 1, "`-`, for frames from stdin, stands alone"),
     ] {
         if wrong {
-            Args::command().error(ErrorKind::ArgumentConflict, what).exit();
+            wrong_usage("encode", what);
         }
     }
-    let config = coding::config(&args.coding, &args.threads);
+    check_json("encode", args.json, &args.output);
+    let mut config = coding::config("encode", &args.coding, &args.threads);
     let start = Instant::now();
-    let encoded = match args.resume {
-        true => encode_in_runs(args, &config, quiet)?,
-        false => encode_whole(args, &config, quiet)?,
+    let found = match is_piped {
+        true => None,
+        false => Some(frames::find(args, &mut config, quiet)?),
     };
-    if !quiet {
-        eprintln!("{} in {:.1} s", summary(&encoded), start.elapsed().as_secs_f64());
+    let (encoded, left_out) = match (args.resume, found) {
+        (true, Some(found)) => (encode_in_runs(args, &config, &found.frames, quiet)?, found.left_out),
+        (_, found) => encode_whole(args, &config, found, quiet)?,
+    };
+    let seconds = start.elapsed().as_secs_f64();
+    if args.verbose {
+        for (frame, steps) in encoded.frames.iter().zip(&encoded.frame_steps) {
+            let (name, original, coded) = (frame.name.escape_debug(), steps.original, steps.coded());
+            let share = table::percent(metrics::ratio(original, coded));
+            eprintln!("{name}: {} -> {} ({share})", table::bytes(original), table::bytes(coded));
+        }
+    }
+    if args.json {
+        print_json(&Report::of(args, &config, &encoded, &left_out, seconds))?;
+    } else if !quiet {
+        eprintln!("{} in {seconds:.1} s", summary(args, &config, &encoded));
     }
     Ok(())
 }
 
-/// Encodes into a file that is there as a whole or not at all.
-fn encode_whole(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<Encoded> {
-    let is_live = args.inputs.iter().any(|input| is_dash(input));
-    let frames = if is_live { Frames::Live } else { Frames::Files(find_inputs(args, quiet)?) };
-    let mut output = FileOutput::create(&args.output, args.force)?;
+/// Encodes into a file that is there as a whole or not at all. `found`: the frames, unless they come from stdin.
+fn encode_whole(
+    args: &EncodeArgs,
+    config: &EncoderConfig,
+    found: Option<Found>,
+    quiet: bool,
+) -> Result<(Encoded, LeftOut)> {
+    let mut output = FileOutput::binary(&args.output, args.force)?;
     if let Some(left) = partial::left_for(&args.output)
         && !quiet
     {
@@ -60,23 +79,49 @@ fn encode_whole(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Resul
         );
     }
     let name = name_of_output(&args.output);
-    let encoded = write_stream(config, frames, &mut output, quiet).map_err(|error| about(error, &name))?;
+    let (encoded, left_out) = match found {
+        Some(Found { frames, left_out }) => {
+            (write_files(config, &frames, &mut output, quiet).map_err(|error| about(error, &name))?, left_out)
+        }
+        None => {
+            let (encoded, left_out) =
+                write_live(config, &mut output, quiet).map_err(|error| about(error, &name))?;
+            frames::check_left_out(&left_out, "stdin", args.strict, quiet)?;
+            if encoded.frames.is_empty() {
+                ensure!(
+                    !args.strict,
+                    "stdin: held no frame; check what writes to it, or encode without --strict"
+                );
+                if !quiet {
+                    eprintln!("lidarpc: stdin: held no frame, and so does {name}");
+                }
+            }
+            (encoded, left_out)
+        }
+    };
     if args.verify {
         let Some(file) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
         compare(args, &encoded, file, quiet).with_context(|| name.clone())?;
     }
     output.finish().map_err(|error| about(error, &name))?;
-    Ok(encoded)
+    Ok((encoded, left_out))
 }
 
 /// Encodes into a file that stays if this is interrupted, and goes on with what an interrupted run has left.
-fn encode_in_runs(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<Encoded> {
-    let frames = find_inputs(args, quiet)?;
-    let output = PartialOutput::open(&args.output, args.force)?;
+fn encode_in_runs(
+    args: &EncodeArgs,
+    config: &EncoderConfig,
+    frames: &[FrameInput],
+    quiet: bool,
+) -> Result<Encoded> {
     let name = name_of_output(&args.output);
+    let words =
+        format!("interrupted; what is done is kept in {name}.partial, and the same command goes on with it");
+    let _words = (!quiet).then(|| SayOnSignal::new(words));
+    let output = PartialOutput::open(&args.output, args.force)?;
     let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
     let encoded =
-        output.files().and_then(|files| edit::encode_resuming(&frames, config, files, &|| bar.inc(1)));
+        output.files().and_then(|files| edit::encode_resuming(frames, config, files, &|| bar.inc(1)));
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| about(error, &name))?;
     if args.verify {
@@ -86,85 +131,35 @@ fn encode_in_runs(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Res
     Ok(encoded)
 }
 
-/// Where the frames come from.
-enum Frames {
-    /// Files, all of them known.
-    Files(Vec<FrameInput>),
-    /// Stdin, as they arrive.
-    Live,
-}
-
-/// The frames to encode. Says what is left out: whoever archives a folder should know.
-fn find_inputs(args: &EncodeArgs, quiet: bool) -> Result<Vec<FrameInput>> {
-    let found = find_frames(&args.inputs)?;
-    if !args.force_bytes {
-        args.inputs.iter().filter(|input| input.is_file()).try_for_each(|input| check_scan(input))?;
-    }
-    let files = LeftOutPaths {
-        count: found.left_out.len() as u64,
-        first: found.left_out.first().map(|path| path.display().to_string()),
-    };
-    tell_left_out(&LeftOut { files, ..LeftOut::default() }, quiet);
-    Ok(found.frames.into_iter().map(FrameInput::file).collect())
-}
-
-fn tell_left_out(left_out: &LeftOut, quiet: bool) {
-    let LeftOut { files, symbolic_links } = left_out;
-    for (LeftOutPaths { count, first }, what, note) in [
-        (files, "file", " not known as a scan"),
-        (symbolic_links, "symbolic link", ", as the archive does not hold what they point to"),
-    ] {
-        if let Some(first) = first
-            && !quiet
-        {
-            let what = table::count(*count, what);
-            eprintln!("lidarpc: left out {what}{note}, such as {first}");
-        }
-    }
-}
-
-/// Refuses a file that is named and holds no scan: it would be packed as bytes, and no better than by others.
-fn check_scan(path: &Path) -> Result<()> {
-    /// Bytes that a header takes at most.
-    const HEADER: u64 = 1 << 20;
-    let unreadable = |error: io::Error| about(error.into(), &path.display().to_string());
-    let mut start = Vec::new();
-    File::open(path).map_err(unreadable)?.take(HEADER).read_to_end(&mut start).map_err(unreadable)?;
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    ensure!(
-        starts_as_scan(&name, &start),
-        "{}: holds no scan that is known (.bin, .pcd, .ply); --force-bytes takes it as plain bytes",
-        path.display()
-    );
-    Ok(())
-}
-
-fn write_stream(
+fn write_files(
     config: &EncoderConfig,
-    frames: Frames,
+    frames: &[FrameInput],
     output: &mut FileOutput,
     quiet: bool,
 ) -> crate::ground::error::Result<Encoded> {
-    let total = match &frames {
-        Frames::Files(files) => Some(files.len() as u64),
-        Frames::Live => None,
-    };
-    let bar = progress::bar(total, "encoding", quiet);
+    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
     let mut writer = output.writer();
-    let encoded = match frames {
-        Frames::Files(files) => stream::encode(&files, config, &mut writer, &|| bar.inc(1)),
-        Frames::Live => {
-            let mut arriving = ArrivingFrames::new(io::stdin());
-            let input = |ArrivedFile { name, bytes }| FrameInput::memory(name, bytes);
-            let frames = arriving.by_ref().map(|file| file.map(input));
-            let encoded = stream::encode_live(frames, config, &mut writer, &|| bar.inc(1));
-            bar.suspend(|| tell_left_out(arriving.left_out(), quiet));
-            encoded
-        }
-    };
+    let encoded = stream::encode(frames, config, &mut writer, &|| bar.inc(1));
     let encoded = encoded.and_then(|encoded| Ok(writer.flush().map(|()| encoded)?));
     bar.finish_and_clear();
     encoded
+}
+
+/// Encodes the frames from stdin as they arrive.
+fn write_live(
+    config: &EncoderConfig,
+    output: &mut FileOutput,
+    quiet: bool,
+) -> crate::ground::error::Result<(Encoded, LeftOut)> {
+    let bar = progress::bar(None, "encoding", quiet);
+    let mut writer = output.writer();
+    let mut arriving = ArrivingFrames::new(io::stdin());
+    let input = |ArrivedFile { name, bytes }| FrameInput::memory(name, bytes);
+    let frames = arriving.by_ref().map(|file| file.map(input));
+    let encoded = stream::encode_live(frames, config, &mut writer, &|| bar.inc(1));
+    let encoded = encoded.and_then(|encoded| Ok(writer.flush().map(|()| encoded)?));
+    bar.finish_and_clear();
+    Ok((encoded?, arriving.left_out().clone()))
 }
 
 /// Decodes what was written and compares it with what was read.
@@ -197,11 +192,18 @@ fn compare(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> Res
     Ok(())
 }
 
-fn summary(encoded: &Encoded) -> String {
+/// Files of which no points are known, and which are therefore stored as bytes.
+fn plain_bytes(encoded: &Encoded) -> impl Iterator<Item = &str> {
+    let frames = encoded.frames.iter().filter(|frame| frame.point_count == 0 && frame.file_size > 0);
+    frames.map(|frame| &frame.name[..])
+}
+
+/// The result in a line: what was saved, what was lost for it, and what else came of the files.
+fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &Encoded) -> String {
     let ratio = metrics::ratio(encoded.file_bytes(), encoded.stream_bytes);
     let bits = metrics::bits_per_point(encoded.stream_bytes, encoded.points);
-    format!(
-        "{}{}: {} -> {} ({}, {} bits a point)",
+    let mut line = format!(
+        "{}{}: {} -> {} ({}, {} bits a point), {}",
         table::count(encoded.frames.len() as u64, "frame"),
         match encoded.resumed_frames {
             0 => String::new(),
@@ -211,5 +213,113 @@ fn summary(encoded: &Encoded) -> String {
         table::bytes(encoded.stream_bytes),
         table::percent(ratio),
         table::decimals(bits),
-    )
+        fidelity(config, encoded),
+    );
+    let mut plain = plain_bytes(encoded);
+    if let Some(first) = plain.next() {
+        let first = first.replace(char::is_control, "?");
+        line.push_str(&match plain.count() {
+            0 => format!(", 1 file as plain bytes ({first})"),
+            more => format!(", {} files as plain bytes (such as {first})", more + 1),
+        });
+    }
+    if encoded.unmodelled > 0 {
+        line.push_str(&format!(", {} without a model that fits", table::count(encoded.unmodelled, "frame")));
+    }
+    if args.verify {
+        line.push_str(", verified (names and bytes; times and permissions of files are not stored)");
+    }
+    line
+}
+
+/// What comes back of the points.
+fn fidelity(config: &EncoderConfig, encoded: &Encoded) -> String {
+    let mut words = match config.positions {
+        Positions::Exact => "lossless".to_owned(),
+        Positions::Bounded { max_error_um, .. } => format!("within {} mm", f64::from(max_error_um) / 1000.0),
+        Positions::Formula => {
+            let dropped = encoded.outliers + encoded.lost;
+            let share = table::percent(metrics::ratio(encoded.points, dropped));
+            format!("paper mode: {} points dropped ({share})", table::grouped(dropped))
+        }
+    };
+    words.push_str(&match config.intensity {
+        Intensity::Exact => String::new(),
+        Intensity::None => ", intensities dropped".to_owned(),
+        Intensity::Rounded { step_millionths } => {
+            format!(", intensities in steps of {}", f64::from(step_millionths) / 1e6)
+        }
+    });
+    words
+}
+
+/// The same for machines.
+#[derive(Serialize)]
+struct Report {
+    file: String,
+    mode: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max_error_m: Option<f64>,
+    frames: usize,
+    resumed_frames: u64,
+    points: u64,
+    outliers_dropped: u64,
+    points_lost: u64,
+    file_bytes: u64,
+    stream_bytes: u64,
+    ratio: Option<f64>,
+    bits_per_point: Option<f64>,
+    /// Names of files of which no points are known.
+    plain_bytes: Vec<String>,
+    unmodelled_frames: u64,
+    left_out: Vec<LeftOutReport>,
+    verified: bool,
+    seconds: f64,
+}
+
+#[derive(Serialize)]
+struct LeftOutReport {
+    what: &'static str,
+    count: u64,
+    first: String,
+}
+
+impl Report {
+    fn of(
+        args: &EncodeArgs,
+        config: &EncoderConfig,
+        encoded: &Encoded,
+        left_out: &LeftOut,
+        seconds: f64,
+    ) -> Self {
+        let (mode, max_error_m) = match config.positions {
+            Positions::Exact => ("exact", None),
+            Positions::Bounded { max_error_um, .. } => ("bounded", Some(f64::from(max_error_um) * 1e-6)),
+            Positions::Formula => ("paper", None),
+        };
+        let left_out = left_out.0.iter().map(|(kind, paths)| LeftOutReport {
+            what: kind.name(),
+            count: paths.count,
+            first: paths.first.clone(),
+        });
+        Report {
+            file: args.output.display().to_string(),
+            mode,
+            max_error_m,
+            frames: encoded.frames.len(),
+            resumed_frames: encoded.resumed_frames,
+            points: encoded.points,
+            outliers_dropped: encoded.outliers,
+            points_lost: encoded.lost,
+            file_bytes: encoded.file_bytes(),
+            stream_bytes: encoded.stream_bytes,
+            ratio: metrics::ratio(encoded.file_bytes(), encoded.stream_bytes),
+            bits_per_point: metrics::bits_per_point(encoded.stream_bytes, encoded.points),
+            plain_bytes: plain_bytes(encoded).map(str::to_owned).collect(),
+            unmodelled_frames: encoded.unmodelled,
+            left_out: left_out.collect(),
+            verified: args.verify,
+            seconds,
+        }
+    }
 }

@@ -3,7 +3,23 @@
 use std::io::{self, ErrorKind};
 use std::process::ExitCode;
 
+use clap::CommandFactory;
+use clap::error::ErrorKind as ClapKind;
+
+use super::args::Args;
 use crate::ground::error::Error;
+
+/// Ends the program as clap does for wrong usage of this subcommand.
+pub fn wrong_usage(subcommand: &str, what: impl std::fmt::Display) -> ! {
+    let mut program = Args::command();
+    // Until then subcommands do not know what they belong to.
+    program.build();
+    let command = program.find_subcommand_mut(subcommand);
+    match command {
+        Some(command) => command.error(ClapKind::ArgumentConflict, what).exit(),
+        None => program.error(ClapKind::ArgumentConflict, what).exit(),
+    }
+}
 
 /// Says the error on stderr and gives the exit code. A closed pipe is no error: whoever read from us
 /// has had enough.
@@ -11,10 +27,18 @@ pub fn report(error: &anyhow::Error) -> ExitCode {
     if is_closed_pipe(error) {
         return ExitCode::SUCCESS;
     }
-    // A name in a message may hold anything; the message is still one line.
-    let line = message(error).replace(char::is_control, "?");
-    eprintln!("lidarpc: {line}");
+    say(error);
     ExitCode::FAILURE
+}
+
+/// Says the error on stderr.
+pub fn say(error: &anyhow::Error) {
+    eprintln!("lidarpc: {}", line(error));
+}
+
+/// The error in a line: a name in it may hold anything.
+pub fn line(error: &anyhow::Error) -> String {
+    message(error).replace(char::is_control, "?")
 }
 
 /// An error about the file or stream of this name, unless it says itself what file it is about.
@@ -87,7 +111,7 @@ fn describe(error: &io::Error) -> String {
 }
 
 /// Whether whoever reads our output has gone.
-fn is_closed_pipe(error: &anyhow::Error) -> bool {
+pub fn is_closed_pipe(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| match cause.downcast_ref() {
         Some(error) => is_closed_pipe_inside(error),
         None => cause.downcast_ref().is_some_and(|e: &io::Error| e.kind() == ErrorKind::BrokenPipe),

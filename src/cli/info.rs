@@ -4,20 +4,22 @@ use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 
 use crate::frame::FrameParameters;
-use crate::ground::error::Limits;
+use crate::ground::error::{Error, Limits};
 use crate::scanner::Scanner;
-use crate::stream::container::{Record, ScannerRecord, Stamp, StreamReader};
+use crate::stream::container::{Index, Record, ScannerRecord, Stamp, StreamReader};
 use anyhow::Result;
 use serde::Serialize;
 
 use super::args::InfoArgs;
 use super::errors::about;
-use super::input::{name_of, open};
+use super::input::{for_each_file, name_of, open};
+use super::output::print_json;
 use super::table;
 
 /// What a stream holds.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct Info {
+    file: String,
     version: u16,
     flags: u16,
     stream_bytes: u64,
@@ -26,6 +28,9 @@ struct Info {
     scanners: Vec<ScannerInfo>,
     groups: Vec<GroupInfo>,
     frames: Vec<FrameInfo>,
+    /// What is wrong with the stream behind all that is listed here.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    damage: Option<String>,
 }
 
 #[derive(Serialize)]
@@ -69,39 +74,72 @@ struct FrameInfo {
 }
 
 pub fn run(args: &InfoArgs) -> Result<()> {
-    let info = read(open(&args.input)?.reader(), args.limits.limits());
-    let info = info.map_err(|error| about(error, &name_of(&args.input)))?;
+    let mut infos = Vec::new();
     let mut out = io::BufWriter::new(io::stdout().lock());
+    let read = for_each_file("info", &args.inputs, |path| {
+        let info = Info::read(name_of(path), open(path)?.reader(), args.limits.limits());
+        let (info, damage) = info.map_err(|error| about(error, &name_of(path)))?;
+        if !args.json {
+            if args.inputs.len() > 1 {
+                let before = if infos.is_empty() { "" } else { "\n" };
+                writeln!(out, "{before}{}:", info.file.escape_debug())?;
+            }
+            print(&info, &mut out)?;
+            out.flush()?;
+        }
+        infos.push(info);
+        damage.map_or(Ok(()), |error| Err(about(error, &name_of(path))))
+    });
+    drop(out);
     if args.json {
-        serde_json::to_writer_pretty(&mut out, &info).map_err(io::Error::from)?;
-        writeln!(out)?;
-    } else {
-        print(&info, &mut out)?;
+        match &infos[..] {
+            [] => {}
+            [info] if args.inputs.len() == 1 => print_json(info)?,
+            infos => print_json(&infos)?,
+        }
     }
-    out.flush()?;
-    Ok(())
+    read
 }
 
-fn read(input: impl Read, limits: Limits) -> crate::ground::error::Result<Info> {
-    let mut reader = StreamReader::open(input, limits)?;
-    let (mut scanners, mut groups, mut frames) = (Vec::new(), Vec::new(), Vec::new());
-    while let Some(record) = reader.next_record()? {
+impl Info {
+    /// Of a damaged stream, what stands before the damage, and the error.
+    fn read(
+        file: String,
+        input: impl Read,
+        limits: Limits,
+    ) -> crate::ground::error::Result<(Self, Option<Error>)> {
+        let mut reader = StreamReader::open(input, limits)?;
+        let mut info =
+            Info { file, version: reader.header().version, flags: reader.header().flags, ..Info::default() };
+        let damage = loop {
+            match reader.next_record() {
+                Ok(Some(record)) => {
+                    if let Err(error) = info.add(record, reader.index()) {
+                        break Some(error);
+                    }
+                }
+                Ok(None) => break None,
+                Err(error) => break Some(error),
+            }
+        };
+        info.stream_bytes = reader.position();
+        info.file_bytes = info.frames.iter().map(|frame| frame.file_bytes).sum();
+        info.points = info.frames.iter().map(|frame| frame.points).sum();
+        info.damage = damage.as_ref().map(ToString::to_string);
+        Ok((info, damage))
+    }
+
+    fn add(&mut self, record: Record, index: &Index) -> crate::ground::error::Result<()> {
         match record {
             Record::Scanner(ScannerRecord { family, payload }) => {
                 let known = Scanner::of_record(family, &payload)?;
                 let description =
                     known.map_or_else(|| format!("of family {family}"), |known| known.to_string());
-                scanners.push(ScannerInfo { family, description, bytes: payload.len() as u64 });
+                self.scanners.push(ScannerInfo { family, description, bytes: payload.len() as u64 });
             }
             Record::Group(group) => {
-                let Some(entry) = reader.index().groups.last() else { continue };
-                groups.push(GroupInfo {
-                    offset: entry.offset,
-                    bytes: entry.length,
-                    first_frame: entry.first_frame,
-                    frames: group.frames.len() as u64,
-                    scanners: group.scanners,
-                });
+                let Some(entry) = index.groups.last() else { return Ok(()) };
+                let mut frames = Vec::new();
                 for ((number, frame), entry) in (entry.first_frame..).zip(group.frames).zip(&entry.frames) {
                     let Stamp { unit, stream, time } = entry.stamp;
                     frames.push(FrameInfo {
@@ -119,19 +157,18 @@ fn read(input: impl Read, limits: Limits) -> crate::ground::error::Result<Info> 
                         sections: frame.sections.iter().map(|section| section.kind.name()).collect(),
                     });
                 }
+                self.groups.push(GroupInfo {
+                    offset: entry.offset,
+                    bytes: entry.length,
+                    first_frame: entry.first_frame,
+                    frames: frames.len() as u64,
+                    scanners: group.scanners,
+                });
+                self.frames.extend(frames);
             }
         }
+        Ok(())
     }
-    Ok(Info {
-        version: reader.header().version,
-        flags: reader.header().flags,
-        stream_bytes: reader.position(),
-        file_bytes: frames.iter().map(|frame: &FrameInfo| frame.file_bytes).sum(),
-        points: frames.iter().map(|frame| frame.points).sum(),
-        scanners,
-        groups,
-        frames,
-    })
 }
 
 fn print(info: &Info, out: &mut impl Write) -> io::Result<()> {
@@ -140,6 +177,9 @@ fn print(info: &Info, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "format version {}, {scanners}", info.version)?;
     for (number, scanner) in (1..).zip(&info.scanners) {
         writeln!(out, "scanner {number}: {}", scanner.description)?;
+    }
+    if info.damage.is_some() {
+        writeln!(out, "damaged behind byte {}; of what stands before:", info.stream_bytes)?;
     }
     writeln!(out, "{} in {}", table::count(frames, "frame"), table::count(groups, "group"))?;
     let (points, files) = (info.points, table::bytes(info.file_bytes));

@@ -7,10 +7,11 @@ use std::io::{self, BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 
 use crate::files::sequence::find_frames;
-use crate::ground::error::{Error, Result};
+use crate::ground::error::{Error, Limits, Result};
+use crate::stream::container::IndexedReader;
 use crate::stream::{DecodeOptions, DecodedFrame};
 
-use super::errors::about;
+use super::errors::{about, is_closed_pipe, say, wrong_usage};
 
 /// A stream to read.
 pub enum Input {
@@ -35,6 +36,15 @@ impl Input {
         }
         let can_seek = file.stream_position().is_ok();
         Ok(if can_seek { Input::File(file) } else { Input::Pipe(Box::new(file)) })
+    }
+
+    /// How many frames the stream holds, if that can be told beforehand.
+    pub fn frame_count(&self, limits: Limits) -> Option<u64> {
+        let Input::File(file) = self else { return None };
+        let index = IndexedReader::open(BufReader::new(file), limits);
+        let mut file: &File = file;
+        file.rewind().ok()?;
+        Some(index.ok()?.index().frame_count())
     }
 
     /// The stream from the front.
@@ -132,4 +142,39 @@ impl Originals {
 /// As [`Input::open`].
 pub fn open(path: &Path) -> anyhow::Result<Input> {
     Input::open(path).map_err(|error| about(error, &name_of(path)))
+}
+
+/// Does `work` on each file. If there are several, those where it fails are told and the others are done nevertheless.
+///
+/// # Errors
+/// That of the only file; of several, how many failed.
+pub fn for_each_file(
+    subcommand: &str,
+    inputs: &[PathBuf],
+    mut work: impl FnMut(&Path) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    check_stdin_once(subcommand, inputs);
+    if let [input] = inputs {
+        return work(input);
+    }
+    let mut failed = 0;
+    for input in inputs {
+        match work(input) {
+            Ok(()) => {}
+            Err(error) if is_closed_pipe(&error) => return Err(error),
+            Err(error) => {
+                say(&error);
+                failed += 1;
+            }
+        }
+    }
+    anyhow::ensure!(failed == 0, "{failed} of {} files failed", inputs.len());
+    Ok(())
+}
+
+/// Ends the program if stdin is given more than once.
+pub fn check_stdin_once(subcommand: &str, inputs: &[PathBuf]) {
+    if inputs.iter().filter(|path| is_dash(path)).count() > 1 {
+        wrong_usage(subcommand, "stdin can be read only once; give `-` once");
+    }
 }

@@ -18,7 +18,7 @@ impl FromStr for Length {
 
     /// Reads `2mm`, `1.5 cm` or `0.38m`.
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("'{text}' is no length like 2mm, 1.5cm or 0.38m");
+        let wrong = || format!("'{text}' is not a length; give one as 2mm, 1.5cm or 0.38m");
         let (number, unit_um) = [("um", 1.0), ("mm", 1e3), ("cm", 1e4), ("m", 1e6)]
             .into_iter()
             .find_map(|(unit, um)| Some((text.strip_suffix(unit)?, um)))
@@ -29,7 +29,7 @@ impl FromStr for Length {
             return Err(format!("'{text}' is not from 1um to 1000m"));
         }
         if (micrometres - whole).abs() > 1e-6 * whole {
-            return Err(format!("'{text}' is no whole number of micrometres"));
+            return Err(format!("'{text}' is not a whole number of micrometres"));
         }
         Ok(Length(whole as u32))
     }

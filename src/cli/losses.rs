@@ -4,6 +4,7 @@ use std::path::Path;
 
 use crate::stream::container::Lost;
 use anyhow::{Result, bail};
+use serde::Serialize;
 
 use super::input::name_of;
 use super::table;
@@ -18,6 +19,14 @@ pub struct Losses {
     places: u64,
     frames: u64,
     /// Whether nothing tells how many more frames were lost.
+    maybe_more: bool,
+}
+
+/// How much was lost, for machines.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct LossReport {
+    places: u64,
+    frames: u64,
     maybe_more: bool,
 }
 
@@ -53,6 +62,11 @@ impl Losses {
             line.push_str(if lost.names.len() > MOST_NAMES { ", ...)" } else { ")" });
         }
         eprintln!("lidarpc: {}", format!("{line}: {}", lost.why).replace(char::is_control, "?"));
+    }
+
+    /// The same for machines.
+    pub fn report(&self) -> LossReport {
+        LossReport { places: self.places, frames: self.frames, maybe_more: self.maybe_more }
     }
 
     /// An error if anything was lost.

@@ -9,6 +9,7 @@ mod cut;
 mod decode;
 mod encode;
 mod errors;
+mod frames;
 mod in_memory;
 mod info;
 mod input;
@@ -28,6 +29,7 @@ mod temporary;
 mod verify;
 mod view;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use args::{Args, Command};
@@ -37,10 +39,18 @@ use errors::report;
 /// The whole program: arguments in, exit code out.
 pub fn main() -> ExitCode {
     keep_memory();
-    let args = Args::parse();
+    let args = Args::parse_from(std::env::args_os().map(level_in_short));
     match run(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => report(&error),
+    }
+}
+
+/// What users of other compressors type, `-9`, as `--level=9`.
+fn level_in_short(arg: OsString) -> OsString {
+    match arg.as_encoded_bytes() {
+        [b'-', level @ b'1'..=b'9'] => format!("--level={}", level - b'0').into(),
+        _ => arg,
     }
 }
 

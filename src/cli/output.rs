@@ -2,17 +2,18 @@
 //! folder, then renamed.
 
 use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use crate::files::Give;
 use crate::files::sequence::is_safe_name;
 use crate::ground::error::{Error, Result};
+use serde::Serialize;
 use tempfile::{NamedTempFile, TempDir, TempPath};
 
 use super::cleanup::RemoveOnSignal;
-use super::errors::about;
+use super::errors::{about, wrong_usage};
 use super::input::is_dash;
 use super::temporary;
 
@@ -36,11 +37,31 @@ impl FileOutput {
         Self::create_file(path, force).map_err(|error| about(error, &path.display().to_string()))
     }
 
+    /// As [`create`](Self::create), for what is not to be read by people: refuses a terminal.
+    ///
+    /// # Errors
+    /// As [`create`](Self::create).
+    pub fn binary(path: &Path, force: bool) -> anyhow::Result<Self> {
+        if is_dash(path) && io::stdout().is_terminal() {
+            anyhow::bail!(
+                "stdout: is a terminal, which cannot show a file of this kind; redirect it, or give -o FILE"
+            );
+        }
+        Self::create(path, force)
+    }
+
     fn create_file(path: &Path, force: bool) -> Result<Self> {
         let Some(target) = replaceable(path, force)? else {
             return Ok(FileOutput::Direct(Box::new(File::create(path)?)));
         };
-        let file = temporary::file(parent(&target)).map_err(|e| Error::from(e).at(parent(&target)))?;
+        let folder = parent(&target);
+        let file = temporary::file(folder).map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound if folder.is_dir() => {
+                let what = "takes no new files; choose another folder".to_owned();
+                Error::Input { path: folder.to_path_buf(), what }
+            }
+            _ => Error::from(error).at(folder),
+        })?;
         let _remove = RemoveOnSignal::new(file.path());
         Ok(FileOutput::Temporary { file, target, force, _remove })
     }
@@ -73,6 +94,39 @@ impl FileOutput {
         file.as_file().sync_all()?;
         Ok(place(file.into_temp_path(), &target, force)?)
     }
+}
+
+/// Sees to it that no input is overwritten.
+///
+/// # Errors
+/// If the output is one of the inputs.
+pub fn keep_inputs(output: &Path, inputs: &[PathBuf]) -> Result<()> {
+    // What is not there yet, or no file, is no input.
+    let Ok(target) = fs::canonicalize(output) else { return Ok(()) };
+    let is_target = |input: &PathBuf| fs::canonicalize(input).is_ok_and(|input| input == target);
+    if !is_dash(output) && target.is_file() && inputs.iter().any(is_target) {
+        let what = "is an input as well, which would be overwritten; choose another output".to_owned();
+        return Err(Error::Input { path: output.to_path_buf(), what });
+    }
+    Ok(())
+}
+
+/// Ends the program if a report for machines would be mixed with the output.
+pub fn check_json(subcommand: &str, json: bool, output: &Path) {
+    if json && is_dash(output) {
+        wrong_usage(subcommand, "--json writes to stdout, which takes the output");
+    }
+}
+
+/// Writes a report for machines to stdout.
+///
+/// # Errors
+/// If that fails.
+pub fn print_json(report: &impl Serialize) -> anyhow::Result<()> {
+    let mut out = BufWriter::new(io::stdout().lock());
+    serde_json::to_writer_pretty(&mut out, report).map_err(io::Error::from)?;
+    writeln!(out)?;
+    Ok(out.flush()?)
 }
 
 /// The file that the path [leads to](through_link), be it there or not. `None` if it cannot be replaced, being
@@ -120,6 +174,8 @@ pub struct FolderOutput {
     /// The scans' names.
     names: Mutex<Vec<String>>,
     force: bool,
+    /// Files that must not be overwritten.
+    inputs: Vec<PathBuf>,
     _remove: RemoveOnSignal,
     /// Folders that were made for this, removed again unless finished. The last field: dropped last.
     made: MadeFolders,
@@ -144,9 +200,16 @@ impl FolderOutput {
             _lock,
             names: Mutex::default(),
             force,
+            inputs: Vec::new(),
             _remove,
             made,
         })
+    }
+
+    /// The same, where no scan may take the place of one of these files.
+    pub fn keeping(mut self, inputs: &[PathBuf]) -> Self {
+        self.inputs = inputs.to_vec();
+        self
     }
 
     /// Writes one scan, whose bytes `write` gives piece by piece, under a temporary name; from any thread. Returns how
@@ -162,6 +225,7 @@ impl FolderOutput {
         }
         let (temporary, target) = (self.temporary.path().join(name), self.folder.join(name));
         may_write(&target, self.force).map_err(|e| Error::from(e).at(&target))?;
+        keep_inputs(&target, &self.inputs)?;
         let mut file = match File::create_new(&temporary) {
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {
                 return refuse(format!("cannot take two files named {name:?}, as the stream asks"));
@@ -179,6 +243,26 @@ impl FolderOutput {
         Ok(size)
     }
 
+    /// Makes sure that these scans are on the disk. Many at a time, as file systems then write their journals once for
+    /// all: 5,000 small files take half a second, and seven one after the other.
+    fn sync(&self, names: &[String]) -> Result<()> {
+        const AT_A_TIME: usize = 16;
+        let sync = |names: &[String]| {
+            names.iter().try_for_each(|name| {
+                let synced = File::open(self.temporary.path().join(name)).and_then(|file| file.sync_all());
+                synced.map_err(|e| Error::from(e).at(self.folder.join(name)))
+            })
+        };
+        std::thread::scope(|scope| {
+            let chunks = names.chunks(names.len().div_ceil(AT_A_TIME).max(1));
+            let threads: Vec<_> = chunks.map(|names| scope.spawn(move || sync(names))).collect();
+            let join = |thread: std::thread::ScopedJoinHandle<'_, Result<()>>| {
+                thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            };
+            threads.into_iter().try_for_each(join)
+        })
+    }
+
     /// Makes sure that all scans are on the disk, and gives them their names.
     ///
     /// # Errors
@@ -186,10 +270,7 @@ impl FolderOutput {
     pub fn finish(mut self) -> Result<()> {
         let names = std::mem::take(self.names.get_mut().unwrap_or_else(PoisonError::into_inner));
         // Not as each is written: by now the system has written most of them in its own time.
-        for name in &names {
-            let synced = File::open(self.temporary.path().join(name)).and_then(|file| file.sync_all());
-            synced.map_err(|e| Error::from(e).at(self.folder.join(name)))?;
-        }
+        self.sync(&names)?;
         for name in &names {
             let target = self.folder.join(name);
             let temporary = TempPath::try_from_path(self.temporary.path().join(name))?;

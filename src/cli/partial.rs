@@ -89,6 +89,13 @@ pub fn left_for(output: &Path) -> Option<PathBuf> {
     Some(names(&through_link(output)).0).filter(|stream| stream.exists())
 }
 
+/// The output, and what an interrupted run leaves for it.
+pub fn outputs(output: &Path) -> [PathBuf; 3] {
+    let target = through_link(output);
+    let (stream, journal) = names(&target);
+    [target, stream, journal]
+}
+
 /// Removes the journal of an output that is complete: its run was ended when all else was done.
 fn remove_stray_journal(output: &Path) {
     let (stream, journal) = names(&through_link(output));

@@ -12,22 +12,23 @@ use anyhow::Result;
 use super::args::StatsArgs;
 use super::errors::about;
 use super::input::{name_of, open};
-use super::output::{FileOutput, name_of_output};
+use super::output::{FileOutput, keep_inputs, name_of_output};
 use super::progress;
 
 pub fn run(args: &StatsArgs, path: &Path, quiet: bool) -> Result<()> {
+    keep_inputs(path, std::slice::from_ref(&args.input))?;
     let mut output = FileOutput::create(path, args.force)?;
-    let input = open(&args.input)?.reader();
+    let input = open(&args.input)?;
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),
         images: true,
         ..DecodeOptions::default()
     };
-    let bar = progress::bar(None, "decoding", quiet);
+    let bar = progress::bar(input.frame_count(options.limits), "decoding", quiet);
     let mut way = Way::default();
     let mut poses = Vec::new();
-    let decoded = stream::decode(input, &options, DecodedFrame::checked, |frame| {
+    let decoded = stream::decode(input.reader(), &options, DecodedFrame::checked, |frame| {
         bar.inc(1);
         poses.push(way.follow(frame));
         Ok(())

@@ -8,42 +8,44 @@ use super::length::Length;
 
 /// How ground and objects are found and modelled. What is not given is as the mode has it.
 #[derive(Clone, Debug, Args)]
-#[command(next_help_heading = "Regions of intra prediction")]
 pub struct RegionArgs {
-    /// Ground rises by less, in degrees (equation 3).
-    #[arg(long, value_name = "DEGREES")]
+    /// Ground rises at a smaller angle, in degrees (equation 3). Default: 10.
+    #[arg(long, value_name = "DEGREES", hide_short_help = true, help_heading = HEADING)]
     pub ground_angle: Option<f64>,
-    /// Ground rises by less from one return to the next above it.
-    #[arg(long, value_name = "LENGTH")]
+    /// Ground rises by less from one return to the next above it. Default: 0.4m.
+    #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = HEADING)]
     pub ground_rise: Option<Length>,
-    /// Returns of the ground nearer to each other may be up to three apart.
-    #[arg(long, value_name = "LENGTH")]
+    /// Returns of the ground nearer to each other may be up to three returns apart. Default: 2m.
+    #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = HEADING)]
     pub ground_reach: Option<Length>,
-    /// Neighbours at a larger angle are of one object, in degrees (equation 4).
-    #[arg(long, value_name = "DEGREES")]
+    /// Neighbours at a larger angle belong to one object, in degrees (equation 4). Default: 10.
+    #[arg(long, value_name = "DEGREES", hide_short_help = true, help_heading = HEADING)]
     pub cluster_angle: Option<f64>,
-    /// Clusters of fewer returns are no objects.
-    #[arg(long, value_name = "N")]
+    /// The fewest returns of an object. Default: 20.
+    #[arg(long, value_name = "N", hide_short_help = true, help_heading = HEADING)]
     pub smallest_cluster: Option<usize>,
-    /// Which regions there are.
-    #[arg(long, value_enum, value_name = "KIND")]
+    /// Which regions there are. Default: article.
+    #[arg(long, value_enum, value_name = "KIND", hide_short_help = true, help_heading = HEADING)]
     pub regions: Option<RegionsArg>,
-    /// Squared steps that a bit is worth to fitted regions (equation 5).
-    #[arg(long, value_name = "LAMBDA")]
+    /// Lambda of equation 5, for fitted regions: the squared error, in steps, that is worth one bit. Default: 1000.
+    #[arg(long, value_name = "LAMBDA", hide_short_help = true, help_heading = HEADING)]
     pub lambda: Option<f64>,
-    /// Points no further from the ground's plane support it.
-    #[arg(long, value_name = "LENGTH")]
+    /// The largest distance from the ground's plane of points that support it. Default: 0.15m.
+    #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = HEADING)]
     pub plane_tolerance: Option<Length>,
-    /// The share of the ground that is expected to support its plane.
-    #[arg(long, value_name = "SHARE")]
+    /// The share of the ground that is expected to support its plane. Default: 0.5.
+    #[arg(long, value_name = "SHARE", hide_short_help = true, help_heading = HEADING)]
     pub plane_support: Option<f64>,
-    /// How sure to be that a plane of three supporting points was tried.
-    #[arg(long, value_name = "SHARE")]
+    /// The probability with which a plane of three supporting points is to be found. Default: 0.99.
+    #[arg(long, value_name = "SHARE", hide_short_help = true, help_heading = HEADING)]
     pub plane_confidence: Option<f64>,
-    /// Where the random choices of the plane's search start.
-    #[arg(long, value_name = "S")]
+    /// Seed of the random choices of the plane's search. Default: 1.
+    #[arg(long, value_name = "S", hide_short_help = true, help_heading = HEADING)]
     pub plane_seed: Option<u64>,
 }
+
+/// What help calls these options together.
+const HEADING: &str = "Regions of intra prediction";
 
 /// Which regions.
 #[derive(Clone, Copy, Debug, ValueEnum)]

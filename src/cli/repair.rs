@@ -6,18 +6,29 @@ use std::path::PathBuf;
 
 use crate::edit::Named;
 use anyhow::Result;
+use serde::Serialize;
 
 use super::args::RepairArgs;
 use super::errors::about;
 use super::input::{name_of, open};
-use super::losses::Losses;
-use super::output::{FileOutput, name_of_output};
+use super::losses::{LossReport, Losses};
+use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
 use super::table;
 
+/// What was done, for machines.
+#[derive(Serialize)]
+struct Report {
+    file: String,
+    frames: u64,
+    lost: LossReport,
+}
+
 pub fn run(args: &RepairArgs, quiet: bool) -> Result<()> {
+    check_json("repair", args.json, &args.output);
     let input = name_of(&args.input);
     let stream = open(&args.input)?.rewindable().map_err(|error| about(error, &input))?;
-    let mut output = FileOutput::create(&args.output, args.force)?;
+    keep_inputs(&args.output, std::slice::from_ref(&args.input))?;
+    let mut output = FileOutput::binary(&args.output, args.force)?;
     let mut losses = Losses::new(&args.input);
     let mut writer = output.writer();
     let named = Named { path: PathBuf::from(input), stream: BufReader::new(stream) };
@@ -27,7 +38,9 @@ pub fn run(args: &RepairArgs, quiet: bool) -> Result<()> {
     let name = name_of_output(&args.output);
     let frames = frames.map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;
-    if !quiet {
+    if args.json {
+        print_json(&Report { file: name, frames, lost: losses.report() })?;
+    } else if !quiet {
         eprintln!("{} copied", table::count(frames, "frame"));
     }
     losses.check(frames)

@@ -14,6 +14,7 @@ use serde::Serialize;
 use super::args::StatsArgs;
 use super::errors::about;
 use super::input::{Input, Originals, name_of, open};
+use super::output::print_json;
 use super::{poses, steps, table};
 use comparison::{Against, compare};
 
@@ -57,13 +58,11 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
     }
     let input = open(&args.input)?;
     let stats = read(args, input, quiet).map_err(|error| about(error, &name_of(&args.input)))?;
-    let mut out = io::BufWriter::new(io::stdout().lock());
     if args.json {
-        serde_json::to_writer_pretty(&mut out, &stats).map_err(io::Error::from)?;
-        writeln!(out)?;
-    } else {
-        print(&stats, &mut out)?;
+        return print_json(&stats);
     }
+    let mut out = io::BufWriter::new(io::stdout().lock());
+    print(&stats, &mut out)?;
     out.flush()?;
     Ok(())
 }

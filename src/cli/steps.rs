@@ -4,7 +4,8 @@ use crate::stream;
 use std::io::{self, BufReader, Read, Write};
 
 use crate::files::sequence::find_frames;
-use crate::frame::{Step, StepReport};
+use crate::frame::{EncoderConfig, ProjectionKind, Step, StepReport};
+use crate::scanner::FLOAT_RANGES;
 use crate::stream::{DecodeOptions, DecodedFrame, FrameInput};
 use anyhow::Result;
 use serde::Serialize;
@@ -12,12 +13,16 @@ use serde::Serialize;
 use super::args::StatsArgs;
 use super::errors::about;
 use super::input::{name_of, open};
-use super::{coding, in_memory, progress};
+use super::output::print_json;
+use super::{coding, in_memory, progress, table};
 
 /// All that is reported; everything is the mean of a frame.
 #[derive(Serialize)]
 struct Steps {
     frames: u64,
+    /// Of the range image of paper mode, in words; none if the input was coded already.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    range_step: Option<String>,
     bytes: Bytes,
     /// Seconds of one thread; none if the input was coded already.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -47,32 +52,42 @@ struct Times {
 
 /// Reports on a stream, or on scans, which are then coded in memory as the options say.
 pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
-    let (encoding, decoding) = if in_memory::is_stream(&args.input) {
+    let (encoding, decoding, range_step) = if in_memory::is_stream(&args.input) {
         let input = open(&args.input)?.reader();
         let decoded = decode(input, args, quiet).map_err(|error| about(error, &name_of(&args.input)))?;
-        (None, decoded)
+        (None, decoded, None)
     } else {
         let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
         let frames: Vec<_> = frames.into_iter().map(FrameInput::file).collect();
-        let config = coding::config(&args.coding, &args.threads);
+        let config = coding::config("stats", &args.coding, &args.threads);
         let (encoding, stream) = in_memory::encode(&frames, &config, quiet)?;
-        (Some(encoding), decode(&stream[..], args, quiet)?)
+        (Some(encoding), decode(&stream[..], args, quiet)?, range_step(&config))
     };
     let steps = Steps {
         frames: decoding.frames,
+        range_step,
         bytes: Bytes::of(&decoding),
         encoding_seconds: encoding.as_ref().map(Times::of),
         decoding_seconds: Times::of(&decoding),
     };
-    let mut out = io::BufWriter::new(io::stdout().lock());
     if args.json {
-        serde_json::to_writer_pretty(&mut out, &steps).map_err(io::Error::from)?;
-        writeln!(out)?;
-    } else {
-        steps.print(&mut out)?;
+        return print_json(&steps);
     }
+    let mut out = io::BufWriter::new(io::stdout().lock());
+    steps.print(&mut out)?;
     out.flush()?;
     Ok(())
+}
+
+/// The step of ranges, which all sizes depend on.
+fn range_step(config: &EncoderConfig) -> Option<String> {
+    match config.projection {
+        ProjectionKind::Ideal { range_step_um: FLOAT_RANGES, .. } => Some("float32".to_owned()),
+        ProjectionKind::Ideal { range_step_um, .. } => {
+            Some(format!("steps of {} mm (--step)", f64::from(range_step_um) / 1000.0))
+        }
+        ProjectionKind::Calibrated { .. } => None,
+    }
 }
 
 fn decode(
@@ -140,7 +155,8 @@ impl Times {
 
 impl Steps {
     fn print(&self, out: &mut impl Write) -> io::Result<()> {
-        writeln!(out, "mean of {} frames\n", self.frames)?;
+        let ranges = self.range_step.as_ref().map_or(String::new(), |step| format!(", ranges in {step}"));
+        writeln!(out, "mean of {}{ranges}\n", table::count(self.frames, "frame"))?;
         writeln!(out, "{:<20} {:>12}", "bytes", "a frame")?;
         for (name, bytes) in self.bytes.rows() {
             writeln!(out, "{name:<20} {bytes:>12.0}")?;

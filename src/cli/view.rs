@@ -12,21 +12,25 @@ use crate::ground::error::Error;
 use crate::stream::{DecodeOptions, DecodedFrame, FrameInput, FrameRange};
 use crate::study::metrics::{nearest_distances, paired_distances};
 use crate::study::picture::{self, BirdsEye, Picture};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 
 use super::args::{Threads, ViewArgs};
-use super::errors::about;
+use super::errors::{about, wrong_usage};
 use super::input::{Originals, name_of, open};
-use super::output::FileOutput;
+use super::output::{FileOutput, keep_inputs};
 use super::{coding, in_memory};
 
 pub use pictures::Kind;
 use pictures::{PICTURES, Pictures};
 
 pub fn run(args: &ViewArgs) -> Result<()> {
-    let config = coding::config(&args.coding, &Threads { threads: 1 });
+    if args.output.extension().is_some_and(|extension| !extension.eq_ignore_ascii_case("png")) {
+        wrong_usage("view", "pictures are PNG; give -o a name that ends in .png");
+    }
+    keep_inputs(&args.output, std::slice::from_ref(&args.input))?;
+    let config = coding::config("view", &args.coding, &Threads { threads: 1 });
     let picture = draw(args, &decode(args, &config)?, &config)?;
-    let mut output = FileOutput::create(&args.output, args.force)?;
+    let mut output = FileOutput::binary(&args.output, args.force)?;
     let mut writer = output.writer();
     writer.write_all(&picture.to_png()?)?;
     writer.flush()?;
@@ -87,10 +91,13 @@ impl Compared {
 
 fn draw(args: &ViewArgs, compared: &Compared, config: &EncoderConfig) -> Result<Picture> {
     let frame = &compared.frame;
-    if args.kind == Kind::BirdsEye {
-        return Ok(BirdsEye::default().draw(&frame.scan.cloud.positions));
-    }
     let name = &frame.header.name;
+    // Without a range image there is nothing else to show, unless something else was asked for.
+    if args.kind == Kind::BirdsEye || (args.kind == Kind::All && frame.image.is_none()) {
+        let positions = &frame.scan.cloud.positions;
+        ensure!(!positions.is_empty(), "{name}: has no points to draw; choose another frame by --frame");
+        return Ok(BirdsEye::default().draw(positions));
+    }
     let none = || format!("{name}: has no range image; --kind birds-eye shows its points");
     let image = frame.image.as_ref().with_context(none)?;
     let pictures = Pictures::of(image, compared.errors().as_deref(), config, args.scale);

@@ -4,6 +4,7 @@ use std::collections::HashSet;
 use std::io::{BufReader, Chain, Cursor, Read};
 use std::path::PathBuf;
 
+use super::sequence::{LeftOut, LeftOutKind};
 use super::tar::TarReader;
 use crate::ground::error::{Error, Limits, Result};
 
@@ -21,31 +22,6 @@ pub struct ArrivedFile {
     pub name: String,
     /// Its bytes.
     pub bytes: Vec<u8>,
-}
-
-/// The members of an archive that are not encoded.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct LeftOut {
-    /// Files that are hidden or not known as scans.
-    pub files: LeftOutPaths,
-    /// Symbolic links named as scans: the archive does not hold what they point to.
-    pub symbolic_links: LeftOutPaths,
-}
-
-/// Paths that were left out. Only one is kept, as an endless archive may hold any number.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct LeftOutPaths {
-    /// Their number.
-    pub count: u64,
-    /// The first.
-    pub first: Option<String>,
-}
-
-impl LeftOutPaths {
-    pub(super) fn push(&mut self, path: String) {
-        self.count += 1;
-        self.first.get_or_insert(path);
-    }
 }
 
 /// Reads frames as they arrive, never farther than necessary. The first bytes tell the container: a line ends
@@ -109,12 +85,16 @@ impl<R: Read> ArrivingFrames<R> {
         if !self.names.is_empty() {
             return Ok(None);
         }
-        let LeftOut { files, symbolic_links } = &self.left_out;
-        let what = match (&files.first, &symbolic_links.first) {
-            (_, Some(first)) => {
-                format!("holds no scans but symbolic links ({first}); make it with tar's --dereference")
+        let what = match (self.left_out.0.get(&LeftOutKind::Link), self.left_out.0.values().next()) {
+            (Some(links), _) => {
+                format!(
+                    "holds no scans but symbolic links ({}); make it with tar's --dereference",
+                    links.first
+                )
             }
-            (Some(first), None) => format!("holds no .bin, .pcd or .ply, only files such as {first}"),
+            (None, Some(others)) => {
+                format!("holds no .bin, .pcd or .ply, only files such as {}", others.first)
+            }
             (None, None) => "is empty: tar found no file to put into it".to_owned(),
         };
         Err(refuse("the archive", what))

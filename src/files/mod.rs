@@ -9,6 +9,8 @@ mod arrival;
 mod big_endian;
 mod convert;
 mod field;
+#[cfg(feature = "cli")]
+pub mod guess;
 mod headerless;
 mod lzf;
 mod number;
@@ -24,7 +26,7 @@ mod tar;
 mod text_records;
 
 #[cfg(feature = "cli")]
-pub use arrival::{ArrivedFile, ArrivingFrames, LeftOut, LeftOutPaths};
+pub use arrival::{ArrivedFile, ArrivingFrames};
 pub use convert::{FileFormat, convert};
 pub use headerless::HeaderlessLayout;
 pub use point_count::with_point_count;

@@ -1,15 +1,17 @@
 //! The frames of an input: which files, and in which order.
 
 use std::cmp::Ordering;
-use std::collections::HashMap;
-use std::fs;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
+use std::{fmt, fs};
 
 use super::Kind;
 use crate::ground::error::{Error, Result};
 
 /// Where KITTI and KITTI-360 drives keep their scans, relative to the folders above.
 const DRIVE_FOLDERS: [&str; 3] = ["velodyne_points/data", "velodyne", "data"];
+/// What names of streams end in, by custom.
+const STREAM_EXTENSION: &str = "lpc";
 /// The longest file name, in bytes, that common file systems allow.
 const MAX_NAME: usize = 255;
 
@@ -18,13 +20,95 @@ const MAX_NAME: usize = 255;
 pub struct Sequence {
     /// The scans, in the natural order of their names. No two have the same name.
     pub frames: Vec<PathBuf>,
-    /// Files of the given folders that are not scans. Hidden files and folders are not listed.
-    pub left_out: Vec<PathBuf>,
+    /// What the given folders hold besides, by kind and path. What is in subfolders is not listed.
+    pub left_out: Vec<(LeftOutKind, PathBuf)>,
+}
+
+/// What an input holds that decoding does not give back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum LeftOutKind {
+    /// A file that is not known as a scan.
+    File,
+    /// A stream of this program.
+    Stream,
+    /// A file or folder whose name begins with a dot.
+    Hidden,
+    /// A folder below the one that holds the scans, or beside it.
+    Subfolder,
+    /// A symbolic link that is not followed.
+    Link,
+    /// A symbolic link to a scan, which is encoded in its place.
+    FollowedLink,
+    /// A named pipe, a socket or a device.
+    Special,
+}
+
+impl LeftOutKind {
+    /// What one of them is called.
+    pub fn name(self) -> &'static str {
+        self.names()[0]
+    }
+
+    /// What one of them is called, and several.
+    fn names(self) -> [&'static str; 2] {
+        match self {
+            LeftOutKind::File => ["file not known as a scan", "files not known as scans"],
+            LeftOutKind::Stream => ["lidarpc stream", "lidarpc streams"],
+            LeftOutKind::Hidden => ["hidden file or folder", "hidden files or folders"],
+            LeftOutKind::Subfolder => ["subfolder", "subfolders"],
+            LeftOutKind::Link => ["symbolic link", "symbolic links"],
+            LeftOutKind::FollowedLink => [
+                "symbolic link, stored as the scan it leads to",
+                "symbolic links, stored as the scans they lead to",
+            ],
+            LeftOutKind::Special => ["named pipe, socket or device", "named pipes, sockets or devices"],
+        }
+    }
+}
+
+/// How much was left out, by kind. Only the first path of each is kept, as an endless archive may hold any number.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LeftOut(pub BTreeMap<LeftOutKind, LeftOutPaths>);
+
+/// Paths that were left out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LeftOutPaths {
+    /// Their number.
+    pub count: u64,
+    /// The first.
+    pub first: String,
+}
+
+impl LeftOut {
+    /// Counts one more.
+    pub fn add(&mut self, kind: LeftOutKind, path: impl Into<String>) {
+        let paths = self.0.entry(kind).or_insert_with(|| LeftOutPaths { count: 0, first: path.into() });
+        paths.count += 1;
+    }
+
+    /// Whether nothing was left out.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+}
+
+/// In one line, with counts and an example of each kind.
+impl fmt::Display for LeftOut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (place, (kind, LeftOutPaths { count, first })) in self.0.iter().enumerate() {
+            let [one, several] = kind.names();
+            let (separator, name) =
+                (if place == 0 { "" } else { ", " }, if *count == 1 { one } else { several });
+            let such_as = if *count == 1 { "" } else { "such as " };
+            write!(f, "{separator}{count} {name} ({such_as}{first})")?;
+        }
+        Ok(())
+    }
 }
 
 /// Finds the frames of `inputs`: files, folders of scans (`.bin`, `.pcd`, `.ply`; neither subfolders nor
-/// hidden files), or KITTI drives (folders above `velodyne_points/data` or `velodyne`). A file that is named
-/// explicitly is taken whatever its extension. Frames are sorted in the natural order of their names,
+/// hidden files; links are followed), or KITTI drives (folders above `velodyne_points/data` or `velodyne`). A file that
+/// is named explicitly is taken whatever its extension. Frames are sorted in the natural order of their names,
 /// wherever they come from.
 ///
 /// # Errors
@@ -69,7 +153,16 @@ fn scan_folder(folder: &Path) -> Result<Sequence> {
     }
     match &drives[..] {
         [] => Err(input_error(folder, "holds no scans; give a folder of .bin, .pcd or .ply files")),
-        [_] => Ok(drives.swap_remove(0).1),
+        [_] => {
+            let (below, mut found) = drives.swap_remove(0);
+            // What stands beside the way to the scans.
+            for above in below.ancestors().skip(1).take_while(|above| above.starts_with(folder)) {
+                found
+                    .left_out
+                    .extend(list(above)?.left_out.into_iter().filter(|(_, path)| !below.starts_with(path)));
+            }
+            Ok(found)
+        }
         [(one, _), (other, _), ..] => {
             let what = format!("has scans in {} and in {}; give one of them", one.display(), other.display());
             Err(input_error(folder, what))
@@ -77,27 +170,44 @@ fn scan_folder(folder: &Path) -> Result<Sequence> {
     }
 }
 
-/// The files of a folder, without hidden ones.
+/// What a folder holds, without what is in its subfolders.
 fn list(folder: &Path) -> Result<Sequence> {
     let mut found = Sequence::default();
     for entry in fs::read_dir(folder).map_err(|error| unreadable(folder, &error))? {
         let entry = entry.map_err(|error| unreadable(folder, &error))?;
+        let path = entry.path();
         let name = entry.file_name();
         let name = name.to_string_lossy();
-        if name.starts_with('.') {
-            continue;
-        }
-        let path = entry.path();
+        let is_link = entry.file_type().is_ok_and(|kind| kind.is_symlink());
         let is_scan = Kind::of(&name).is_some();
-        // Follows links. A file without a scan's extension need not be readable.
-        match fs::metadata(&path) {
-            Ok(kind) if kind.is_dir() => {}
-            Ok(kind) if is_scan && kind.is_file() => found.frames.push(path),
-            Err(error) if is_scan => return Err(unreadable(&path, &error)),
-            _ => found.left_out.push(path),
-        }
+        let left_out = if name.starts_with('.') {
+            LeftOutKind::Hidden
+        } else if !is_scan && is_link {
+            LeftOutKind::Link
+        } else {
+            // Follows links. A file without a scan's extension need not be readable.
+            match fs::metadata(&path) {
+                Ok(kind) if kind.is_dir() => LeftOutKind::Subfolder,
+                Ok(kind) if is_scan && kind.is_file() => {
+                    found.frames.push(path.clone());
+                    match is_link {
+                        true => LeftOutKind::FollowedLink,
+                        false => continue,
+                    }
+                }
+                Ok(kind) if !kind.is_file() => LeftOutKind::Special,
+                Err(error) if is_scan => return Err(unreadable(&path, &error)),
+                _ if has_extension(&name, STREAM_EXTENSION) => LeftOutKind::Stream,
+                _ => LeftOutKind::File,
+            }
+        };
+        found.left_out.push((left_out, path));
     }
     Ok(found)
+}
+
+fn has_extension(name: &str, extension: &str) -> bool {
+    Path::new(name).extension().is_some_and(|found| found.eq_ignore_ascii_case(extension))
 }
 
 /// Sorts frames by name, and checks that the names can be restored.
@@ -107,7 +217,13 @@ fn in_natural_order(frames: Vec<PathBuf>) -> Result<Vec<PathBuf>> {
     for path in frames {
         let name = frame_name(&path)?.to_owned();
         if let Some(first) = seen.insert(name.clone(), path.clone()) {
-            let what = format!("has the same name as {}; encode them apart", first.display());
+            let is_twice = fs::canonicalize(&first)
+                .ok()
+                .is_some_and(|one| fs::canonicalize(&path).is_ok_and(|p| p == one));
+            let what = match is_twice {
+                true => "is given twice; give it once".to_owned(),
+                false => format!("has the same name as {}; encode them apart", first.display()),
+            };
             return Err(input_error(&path, what));
         }
         named.push((name, path));
@@ -125,9 +241,17 @@ pub fn frame_name(path: &Path) -> Result<&str> {
     let name = name
         .to_str()
         .ok_or_else(|| input_error(path, "has a name that is not UTF-8 text; rename the file"))?;
-    match is_safe_name(name) {
-        true => Ok(name),
-        false => Err(input_error(path, "has a name that not every system can restore; rename the file")),
+    check_name(path, name).map(|()| name)
+}
+
+/// An error about a file whose name not every system can restore.
+pub(crate) fn check_name(path: &Path, name: &str) -> Result<()> {
+    match fault_of_name(name) {
+        None => Ok(()),
+        Some(fault) => {
+            let what = format!("has a name that not every system can restore: it {fault}; rename the file");
+            Err(input_error(path, what))
+        }
     }
 }
 
@@ -160,12 +284,23 @@ fn natural_key(name: &str) -> impl Iterator<Item = (u8, usize, &[u8])> {
 /// Windows' device names (`NUL`, `COM1.bin`) or drives (`C:x`), no dot or space at its end, and 1 to 255
 /// bytes.
 pub fn is_safe_name(name: &str) -> bool {
+    fault_of_name(name).is_none()
+}
+
+/// What keeps a name from being [safe](is_safe_name).
+fn fault_of_name(name: &str) -> Option<&'static str> {
     let has_drive = matches!(name.as_bytes(), [letter, b':', ..] if letter.is_ascii_alphabetic());
-    (1..=MAX_NAME).contains(&name.len())
-        && !name.contains(|c: char| c == '/' || c == '\\' || c.is_control())
-        && !name.ends_with(['.', ' '])
-        && !has_drive
-        && !is_windows_device(name)
+    let faults = [
+        (name.is_empty(), "is empty"),
+        (name.len() > MAX_NAME, "is longer than 255 bytes"),
+        (name.contains(['/', '\\']), "holds a slash or backslash"),
+        (name.contains(char::is_control), "holds a control character"),
+        (name.ends_with('.'), "ends in a dot"),
+        (name.ends_with(' '), "ends in a space"),
+        (has_drive, "begins as a drive of Windows does"),
+        (is_windows_device(name), "is that of a device on Windows"),
+    ];
+    faults.into_iter().find_map(|(is_so, fault)| is_so.then_some(fault))
 }
 
 /// Windows looks at what is before the first dot, ignoring case and trailing spaces.
@@ -233,7 +368,12 @@ mod tests {
         let dir = folder(&["10.bin", "2.bin", "1.PCD", "3.ply", "x.txt", ".4.bin", "below/5.bin"]);
         let found = find(&dir, &[""]).unwrap();
         assert_eq!(names(&found.frames), ["1.PCD", "2.bin", "3.ply", "10.bin"]);
-        assert_eq!(names(&found.left_out), ["x.txt"]);
+        let left_out = [
+            (LeftOutKind::File, "x.txt"),
+            (LeftOutKind::Hidden, ".4.bin"),
+            (LeftOutKind::Subfolder, "below"),
+        ];
+        assert_eq!(found.left_out, left_out.map(|(kind, name)| (kind, dir.path().join(name))));
     }
 
     #[test]
@@ -242,7 +382,9 @@ mod tests {
             let dir = folder(&[&format!("{data}/0.bin"), "oxts/data/0.txt", "timestamps.txt"]);
             let found = find(&dir, &[""]).unwrap();
             assert_eq!(found.frames, [dir.path().join(data).join("0.bin")]);
-            assert!(found.left_out.is_empty());
+            let mut left_out = LeftOut::default();
+            found.left_out.into_iter().for_each(|(kind, _)| left_out.add(kind, ""));
+            assert_eq!(left_out.to_string(), "1 file not known as a scan (), 1 subfolder ()", "{data}");
         }
         let dir = folder(&["velodyne_points/data/0.bin", "velodyne_points/timestamps.txt"]);
         assert_eq!(find(&dir, &["velodyne_points"]).unwrap().frames.len(), 1);
@@ -263,8 +405,8 @@ mod tests {
         assert!(complaint(&dir, &["missing"], "missing").contains("does not exist"));
         assert!(complaint(&dir, &["empty"], "empty").contains("holds no scans"));
         assert!(complaint(&dir, &["a", "b"], "b/1.bin").contains("same name"));
-        assert!(complaint(&dir, &["a/1.bin", "a"], "a/1.bin").contains("same name"));
-        assert!(complaint(&dir, &["evil"], "evil/nul.bin").contains("rename"));
+        assert!(complaint(&dir, &["a/1.bin", "a"], "a/1.bin").contains("given twice"));
+        assert!(complaint(&dir, &["evil"], "evil/nul.bin").contains("that of a device on Windows; rename"));
     }
 
     #[cfg(unix)]

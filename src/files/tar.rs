@@ -5,7 +5,8 @@ use std::io::{ErrorKind, Read, Take, copy, sink};
 use tar::{Archive, EntryType};
 
 use super::Kind;
-use super::arrival::{ArrivedFile, LeftOut, cut_short, read_file, refuse};
+use super::arrival::{ArrivedFile, cut_short, read_file, refuse};
+use super::sequence::{LeftOut, LeftOutKind};
 use crate::ground::error::{Error, Result};
 
 /// Headers and files are padded to blocks of this many bytes.
@@ -59,10 +60,14 @@ impl<R: Read> TarReader<R> {
                     let what = "is a hard link in the archive; make that with tar's --hard-dereference";
                     return Err(refuse(&path, what));
                 }
-                EntryType::Symlink if is_scan => self.left_out.symbolic_links.push(path),
                 EntryType::Directory | EntryType::XGlobalHeader => {}
                 _ if name.is_empty() => {}
-                _ => self.left_out.files.push(path),
+                _ if name.starts_with('.') => self.left_out.add(LeftOutKind::Hidden, path),
+                EntryType::Symlink => self.left_out.add(LeftOutKind::Link, path),
+                EntryType::Fifo | EntryType::Char | EntryType::Block => {
+                    self.left_out.add(LeftOutKind::Special, path);
+                }
+                _ => self.left_out.add(LeftOutKind::File, path),
             }
             self.discard(size)?;
         }

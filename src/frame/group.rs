@@ -20,7 +20,7 @@ use crate::ground::error::{Error, Limits, Result};
 use crate::ground::grid::Grid;
 use crate::inter;
 use crate::inter::registration::{Pose, QuantisedPose, register};
-use crate::scan::ScanFile;
+use crate::scan::{ScanFile, Wrapping};
 use crate::scanner::RangeImage;
 use crate::scanner::Scanner;
 use crate::stream::container::{FrameHeader, Section};
@@ -75,6 +75,18 @@ impl<'s> GroupEncoder<'s> {
     }
 }
 
+/// Micrometres by which two points may be farther apart in a text than their float32 values, between which distances
+/// are measured: each coordinate of each is up to half a unit in its last place off. None in files of other kinds.
+fn text_rounding_um(scan: &ScanFile) -> u32 {
+    if !matches!(scan.layout.wrapping, Wrapping::Text(_)) {
+        return 0;
+    }
+    let coordinates = scan.cloud.positions.as_flattened().iter().map(|v| v.abs()).filter(|v| v.is_finite());
+    let largest = coordinates.fold(0.0, f32::max);
+    let unit = f64::from(largest.next_up()) - f64::from(largest);
+    (1e6 * 3f64.sqrt() * unit).ceil() as u32
+}
+
 impl<'s> StreamEncoder<'s> {
     fn new(scanner: Option<&'s Scanner>, config: &'s EncoderConfig) -> Self {
         StreamEncoder {
@@ -88,16 +100,21 @@ impl<'s> StreamEncoder<'s> {
 
     /// As [`GroupEncoder::encode_frame`].
     fn encode_frame(&mut self, scan: ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
-        let Some(bound) = Bound::of(self.config.positions, self.config.intensity) else {
+        let Positions::Bounded { max_error_um, on_grid } = self.config.positions else {
             return Ok(self.encode_as(self.config, scan, original)?.0);
         };
-        let before = self.models.clone();
-        let (encoded, decoded) = self.encode_as(self.config, scan.clone(), original.clone())?;
-        if decoded.is_some_and(|bytes| bound.holds(&scan, &parse_like(&scan, &scan.name, bytes))) {
-            return Ok(encoded);
+        let max_error_um = max_error_um.saturating_sub(text_rounding_um(&scan));
+        let positions = Positions::Bounded { max_error_um, on_grid };
+        if let Some(bound) = Bound::of(positions, self.config.intensity).filter(|_| max_error_um > 0) {
+            let config = EncoderConfig { positions, ..self.config.clone() };
+            let before = self.models.clone();
+            let (encoded, decoded) = self.encode_as(&config, scan.clone(), original.clone())?;
+            if decoded.is_some_and(|bytes| bound.holds(&scan, &parse_like(&scan, &scan.name, bytes))) {
+                return Ok(encoded);
+            }
+            self.models = before;
+            self.frames -= 1;
         }
-        self.models = before;
-        self.frames -= 1;
         let (positions, intensity) = (Positions::Exact, Intensity::Exact);
         let exact = EncoderConfig { positions, intensity, ..self.config.clone() };
         Ok(self.encode_as(&exact, scan, original)?.0)

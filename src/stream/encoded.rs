@@ -3,9 +3,10 @@
 use std::io::Write;
 
 use super::encoder::EncodedGroup;
+use crate::frame::parameters::Source;
 use crate::frame::steps::StepReport;
 use crate::ground::error::Result;
-use crate::stream::container::{FrameHeader, Index, ScannerRecord, StreamWriter};
+use crate::stream::container::{Frame, FrameHeader, Index, ScannerRecord, SectionKind, StreamWriter};
 
 /// What was encoded.
 #[derive(Clone, Debug, Default)]
@@ -18,6 +19,12 @@ pub struct Encoded {
     pub frame_steps: Vec<StepReport>,
     /// Points of all original files.
     pub points: u64,
+    /// Points that the outlier filter dropped.
+    pub outliers: u64,
+    /// Points lost because the range image had no cell of their own for them.
+    pub lost: u64,
+    /// Frames that no model fits, so that a general-purpose coder took the bytes of their files.
+    pub unmodelled: u64,
     /// Frames that were taken over from an interrupted run. Of these, steps have no times.
     pub resumed_frames: u64,
     /// Bytes of the stream.
@@ -36,8 +43,18 @@ pub(crate) struct FrameOfStream {
     /// What it decodes to.
     pub header: FrameHeader,
     pub steps: StepReport,
-    /// Points of the original file.
-    pub points: u64,
+    /// The original file.
+    pub source: Source,
+    pub is_modelled: bool,
+}
+
+impl FrameOfStream {
+    /// # Errors
+    /// If the frame's parameters are damaged.
+    pub(crate) fn of(frame: &Frame, steps: StepReport) -> Result<Self> {
+        let is_modelled = frame.sections.iter().all(|section| section.kind != SectionKind::Bytes);
+        Ok(FrameOfStream { header: frame.header.clone(), steps, source: Source::of(frame)?, is_modelled })
+    }
 }
 
 impl Encoded {
@@ -45,7 +62,10 @@ impl Encoded {
     pub(crate) fn add(&mut self, frame: FrameOfStream) {
         self.steps.add(&frame.steps);
         self.frame_steps.push(frame.steps);
-        self.points += frame.points;
+        self.points += frame.source.points;
+        self.outliers += frame.source.outliers;
+        self.lost += frame.source.lost;
+        self.unmodelled += u64::from(!frame.is_modelled);
         self.frames.push(frame.header);
     }
 }
@@ -81,11 +101,10 @@ impl<W: Write> OpenStream<W> {
 
     /// Writes the next groups.
     pub fn write(&mut self, groups: &[EncodedGroup]) -> Result<()> {
-        for EncodedGroup { group, steps, originals, .. } in groups {
+        for EncodedGroup { group, steps, .. } in groups {
             self.writer.write_group(group)?;
-            for ((frame, steps), original) in group.frames.iter().zip(steps).zip(originals) {
-                let (header, points) = (frame.header.clone(), original.point_count);
-                self.encoded.add(FrameOfStream { header, steps: *steps, points });
+            for (frame, steps) in group.frames.iter().zip(steps) {
+                self.encoded.add(FrameOfStream::of(frame, *steps)?);
             }
         }
         Ok(())

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use crate::files::sequence::is_safe_name;
+use crate::files::sequence::check_name;
 use crate::files::{self, HeaderlessLayout, parse_with};
 use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
@@ -72,10 +72,14 @@ impl FrameInput {
             Data::Scan(scan) => Some(scan.name.as_str()),
         };
         let can_do_without = self.stamp.unit == Unit::Points;
-        name.filter(|name| is_safe_name(name) || (name.is_empty() && can_do_without)).ok_or_else(|| {
-            let what = "has a name that not every system can restore; rename the file".to_owned();
+        let name = name.ok_or_else(|| {
+            let what = "has a name that is not UTF-8 text; rename the file".to_owned();
             Error::Input { path: self.path(), what }
-        })
+        })?;
+        if !(name.is_empty() && can_do_without) {
+            check_name(&self.path(), name)?;
+        }
+        Ok(name)
     }
 
     /// Where it comes from, for errors.

@@ -48,6 +48,11 @@ impl FrameRange {
         count > 0 && !self.is_past(first) && first.saturating_add(count) > self.start
     }
 
+    /// How many of a sequence of `count` frames these are.
+    pub fn count_of(&self, count: u64) -> u64 {
+        self.end.map_or(count, |end| end.min(count)).saturating_sub(self.start)
+    }
+
     /// Checks that a sequence of `count` frames holds them all.
     ///
     /// # Errors

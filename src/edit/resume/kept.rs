@@ -6,7 +6,6 @@ use std::io::{BufReader, Read, Seek};
 use super::fingerprint::fingerprint;
 use super::journal::{Entry, Journal};
 use super::settings::Settings;
-use crate::frame::parameters::FrameParameters;
 use crate::frame::steps::StepReport;
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::container::{Frame, Index, Record, ScannerRecord, StreamReader};
@@ -92,14 +91,11 @@ impl Part {
 
 impl FrameOfStream {
     fn kept(frame: &Frame) -> Result<Self> {
-        // The file from which it was made, if that differs from the one to which it decodes.
-        let (original, points) = match FrameParameters::of(frame)?.source {
-            Some(source) => (source.file_size, source.points),
-            None => (frame.header.file_size, frame.header.point_count),
-        };
-        let mut steps = StepReport { frames: 1, original, ..StepReport::default() };
-        steps.count_sections(&frame.sections);
-        Ok(FrameOfStream { header: frame.header.clone(), steps, points })
+        let mut kept = FrameOfStream::of(frame, StepReport::default())?;
+        // Of the file from which it was made, if that differs from the one to which it decodes.
+        kept.steps = StepReport { frames: 1, original: kept.source.file_size, ..StepReport::default() };
+        kept.steps.count_sections(&frame.sections);
+        Ok(kept)
     }
 }
 

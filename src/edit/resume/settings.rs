@@ -38,7 +38,7 @@ pub fn list(config: &EncoderConfig, frames: usize) -> Settings {
         ("layout", format!("{headerless:?}")),
         ("outliers", format!("{outliers:?}")),
         ("backend", format!("{coder:?}")),
-        ("level", format!("{level:?}")),
+        ("level", level.number().to_string()),
         ("packing", format!("{packing:?}")),
         ("snake", format!("{snake:?}")),
         ("image", format!("{image:?}")),
@@ -64,6 +64,7 @@ pub fn difference(before: &Settings, now: &Settings) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::backend::Level;
     use crate::frame::settings::Mode;
 
     #[test]
@@ -80,5 +81,7 @@ mod tests {
         let what = difference(&bounded(10_000), &bounded(10_001)).unwrap();
         assert!(what.contains("10000") && what.contains("10001"), "{what}");
         assert!(difference(&before[..5].to_vec(), &before).is_some());
+        let level = |number| EncoderConfig { level: Level::new(number).unwrap(), ..EncoderConfig::default() };
+        assert_eq!(difference(&list(&level(6), 3), &list(&level(9), 3)).unwrap(), "level: 6, now 9");
     }
 }

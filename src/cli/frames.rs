@@ -1,0 +1,183 @@
+//! The frames to encode, and what is to be said of them beforehand: whoever archives a folder should know.
+
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use crate::backend;
+use crate::files::guess::{self, Sample, Verdict};
+use crate::files::sequence::{LeftOut, find_frames};
+use crate::files::{parse_like, starts_as_scan};
+use crate::frame::Prediction;
+use crate::frame::settings::{Coder, EncoderConfig, PredictionChoice, ProjectionKind};
+use crate::stream::{self, DecodeOptions, DecodedFrame, FrameInput};
+use crate::study::metrics::{self, nearest_distances};
+use anyhow::{Result, bail, ensure};
+
+use super::args::EncodeArgs;
+use super::errors::about;
+use super::output::keep_inputs;
+use super::{in_memory, partial, table};
+
+/// The frames to encode, from files.
+pub struct Found {
+    pub frames: Vec<FrameInput>,
+    /// What decoding will not give back of the folders that they are in.
+    pub left_out: LeftOut,
+}
+
+/// Finds the frames, and says what is odd about them. Completes the settings by what the files show.
+///
+/// # Errors
+/// If there are none, or one of them is no scan or would be overwritten; with `--strict`, if anything else is there.
+pub fn find(args: &EncodeArgs, config: &mut EncoderConfig, quiet: bool) -> Result<Found> {
+    let found = find_frames(&args.inputs)?;
+    if !args.force_bytes {
+        args.inputs.iter().filter(|input| input.is_file()).try_for_each(|input| check_scan(input))?;
+    }
+    keep_inputs(&args.output, &found.frames)?;
+    let mut left_out = LeftOut::default();
+    let own = partial::outputs(&args.output).map(|path| fs::canonicalize(path).ok());
+    for (kind, path) in found.left_out {
+        if !own.iter().flatten().any(|own| fs::canonicalize(&path).is_ok_and(|path| path == *own)) {
+            let path = path.display().to_string();
+            if args.verbose {
+                eprintln!("lidarpc: left out {} {}", kind.name(), path.replace(char::is_control, "?"));
+            }
+            left_out.add(kind, path);
+        }
+    }
+    let place = match &args.inputs[..] {
+        [input] => input.display().to_string(),
+        _ => "inputs".to_owned(),
+    };
+    check_left_out(&left_out, &place, args.strict, quiet)?;
+    match guess::examine(&samples(&found.frames)?, config.headerless.as_ref()) {
+        Verdict::Agrees => {}
+        Verdict::Rather(layout) => {
+            let letters = layout.to_string();
+            let bytes = 4 * letters.len();
+            let (says, advice) = match &config.headerless {
+                None => ("taken as", "name the fields by --layout, or take KITTI's by --layout xyzi"),
+                Some(_) => ("which would be", "leave that out, or give the right one"),
+            };
+            let given = config
+                .headerless
+                .as_ref()
+                .map_or(String::new(), |given| format!(", not as --layout {given} has it"));
+            if !quiet {
+                eprintln!(
+                    "lidarpc: {place}: .bin files look like records of {bytes} bytes{given}, {says} --layout \
+                     {letters}; {advice}"
+                );
+            }
+            config.headerless.get_or_insert(layout);
+        }
+        Verdict::NoFloats if quiet => {}
+        Verdict::NoFloats => eprintln!(
+            "lidarpc: {place}: .bin files do not look like float32 x, y, z, intensity; they come back exactly, but if \
+             --layout says what they hold, they may get smaller"
+        ),
+    }
+    let frames: Vec<_> = found.frames.into_iter().map(FrameInput::file).collect();
+    if let Some(warning) = frames.first().and_then(|first| loss_of_paper_mode(first, config))
+        && !quiet
+    {
+        eprintln!("lidarpc: {place}: {warning}");
+    }
+    Ok(Found { frames, left_out })
+}
+
+/// Says what an input holds that will not come back, in a line.
+///
+/// # Errors
+/// If `strict`.
+pub fn check_left_out(left_out: &LeftOut, place: &str, strict: bool, quiet: bool) -> Result<()> {
+    if left_out.is_empty() {
+        return Ok(());
+    }
+    let what = left_out.to_string().replace(char::is_control, "?");
+    if strict {
+        bail!("{place}: holds what would not come back: {what}; move it away, or encode without --strict");
+    }
+    if !quiet {
+        eprintln!("lidarpc: {place}: left out {what}");
+    }
+    Ok(())
+}
+
+/// Refuses a file that is named and holds no scan: it would be packed as bytes, and no better than by others.
+fn check_scan(path: &Path) -> Result<()> {
+    /// Bytes that a header takes at most.
+    const HEADER: u64 = 1 << 20;
+    let start = start_of(path, HEADER)?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let what = match in_memory::is_stream(path) {
+        true => "is a lidarpc stream already",
+        false => "holds no scan that is known (.bin, .pcd, .ply)",
+    };
+    ensure!(
+        starts_as_scan(&name, &start),
+        "{}: {what}; --force-bytes takes it as plain bytes",
+        path.display()
+    );
+    Ok(())
+}
+
+fn start_of(path: &Path, most: u64) -> Result<Vec<u8>> {
+    let mut start = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(most).read_to_end(&mut start));
+    read.map_err(|error: io::Error| about(error.into(), &path.display().to_string()))?;
+    Ok(start)
+}
+
+/// Of a few files, what shows how long their records are.
+fn samples(frames: &[PathBuf]) -> Result<Vec<Sample>> {
+    let mut places = vec![0, frames.len() / 2, frames.len().saturating_sub(1)];
+    places.dedup();
+    let mut samples = Vec::new();
+    for path in places.into_iter().filter_map(|place| frames.get(place)) {
+        let size =
+            fs::metadata(path).map_err(|error| about(error.into(), &path.display().to_string()))?.len();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        samples.push(Sample { name, start: start_of(path, guess::SAMPLE)?, size });
+    }
+    Ok(samples)
+}
+
+/// What the ideal range image of paper mode does to a frame of another scanner than the HDL-64E, if that is much.
+fn loss_of_paper_mode(frame: &FrameInput, config: &EncoderConfig) -> Option<String> {
+    /// An HDL-64E loses one point in six, and moves none by more than 0.25 m.
+    const MOST_DROPPED: f64 = 0.25;
+    const FARTHEST_M: f64 = 0.5;
+    if !matches!(config.projection, ProjectionKind::Ideal { .. }) {
+        return None;
+    }
+    // Neither depends on how the image is coded.
+    let quick = EncoderConfig {
+        prediction: PredictionChoice::Always(Prediction::None),
+        coder: Coder::Backend(backend::ZSTD),
+        ..config.clone()
+    };
+    let mut decoded = None;
+    let keep = |frame: DecodedFrame| {
+        decoded = Some(frame);
+        Ok(())
+    };
+    // An error will be told when the frame is encoded.
+    let (_, coded) = in_memory::encode(std::slice::from_ref(frame), &quick, true).ok()?;
+    stream::decode(&coded[..], &DecodeOptions::default(), DecodedFrame::checked, keep).ok()?;
+    let decoded = decoded?;
+    let original = parse_like(&decoded.scan, &decoded.scan.name, frame.read().ok()?);
+    let source = decoded.source?;
+    let dropped = metrics::ratio(source.points, source.outliers + source.lost)?;
+    let distances = nearest_distances(&original.cloud, &decoded.scan.cloud);
+    let farthest = distances.into_iter().flatten().fold(0.0, f64::max);
+    (dropped > MOST_DROPPED || farthest > FARTHEST_M).then(|| {
+        format!(
+            "paper mode does not suit this scanner: of the first frame it drops {} of the points and moves others by up \
+             to {farthest:.2} m; --max-error keeps every point",
+            table::percent(Some(dropped)),
+        )
+    })
+}

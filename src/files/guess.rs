@@ -1,0 +1,155 @@
+//! How long the records of files without a header are, by their bytes: nothing else says so, and with records of a
+//! wrong length a file takes many times the bytes.
+
+use super::Kind;
+use super::headerless::HeaderlessLayout;
+use crate::backend;
+
+/// Bytes of each file that are looked at, from the front.
+pub const SAMPLE: u64 = 32 << 10;
+/// Bytes of a float32.
+const WORD: usize = 4;
+/// Records of x, y and z only, and of nine values more.
+const WORDS: std::ops::RangeInclusive<usize> = 3..=12;
+/// Records of another length must make the bytes so much smaller, and are the shorter ones unless the longer do.
+const GAIN: f64 = 0.9;
+/// The share of values that must be numbers as coordinates are.
+const PLAUSIBLE: f64 = 0.9;
+
+/// The beginning of a file.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// Its name.
+    pub name: String,
+    /// At most [`SAMPLE`] bytes.
+    pub start: Vec<u8>,
+    /// Bytes of the whole file.
+    pub size: u64,
+}
+
+/// What the bytes say of a layout.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Nothing against it.
+    Agrees,
+    /// They are float32 in records of this layout rather.
+    Rather(HeaderlessLayout),
+    /// They are no float32 coordinates, whatever the length of records.
+    NoFloats,
+}
+
+/// Compares the files that have no header with the layout; `None`: that of their kind.
+pub fn examine(samples: &[Sample], layout: Option<&HeaderlessLayout>) -> Verdict {
+    let of_kind = |kind| samples.iter().filter(move |s| Kind::of(&s.name).is_some_and(|(k, _)| k == kind));
+    let kitti: Vec<_> = of_kind(Kind::Kitti).filter(|sample| sample.start.len() >= 1 << 10).collect();
+    // Of files of two kinds no one layout is asked for; nuScenes' are as their name says.
+    if kitti.is_empty() || of_kind(Kind::NuScenes).next().is_some() {
+        return Verdict::Agrees;
+    }
+    let assumed = match layout.map_or(HeaderlessLayout::kitti().layout(), HeaderlessLayout::layout) {
+        Some(layout) => layout.stride(),
+        None => return Verdict::Agrees,
+    };
+    let fits = |stride: usize| kitti.iter().all(|sample| sample.size.is_multiple_of(stride as u64));
+    let cost = |stride: usize| kitti.iter().map(|sample| cost(&sample.start, stride)).sum::<usize>() as f64;
+    let candidates = WORDS.map(|words| words * WORD).filter(|&stride| fits(stride));
+    let costs: Vec<_> = candidates.map(|stride| (stride, cost(stride))).collect();
+    let least = costs.iter().map(|(_, cost)| *cost).fold(f64::INFINITY, f64::min);
+    // A multiple of the right length is as good.
+    let best = costs.into_iter().find(|(_, cost)| GAIN * cost <= least);
+    match best {
+        Some((stride, least)) if stride != assumed && least < GAIN * cost(assumed) => {
+            match floats(&kitti, stride) {
+                Some(found) => Verdict::Rather(found),
+                None if layout.is_none() => Verdict::NoFloats,
+                None => Verdict::Agrees,
+            }
+        }
+        _ if layout.is_none() && floats(&kitti, assumed).is_none() => Verdict::NoFloats,
+        _ => Verdict::Agrees,
+    }
+}
+
+/// Bytes of a file whose records are so long, when the values of each field stand together.
+fn cost(bytes: &[u8], stride: usize) -> usize {
+    let planes: Vec<u8> =
+        (0..stride).flat_map(|at| bytes.chunks_exact(stride).map(move |record| record[at])).collect();
+    backend::compress_quickly(&planes).map_or(usize::MAX, |coded| coded.len())
+}
+
+/// The layout of records of so many bytes that begin with coordinates; `None` if they do not.
+fn floats(samples: &[&Sample], stride: usize) -> Option<HeaderlessLayout> {
+    let share = |at: usize, is: &dyn Fn(f32) -> bool| {
+        let records = samples.iter().flat_map(|sample| sample.start.chunks_exact(stride));
+        let value = |record: &[u8]| f32::from_le_bytes(std::array::from_fn(|n| record[WORD * at + n]));
+        let (count, found) =
+            records.fold((0, 0), |(count, found), record| (count + 1, found + u32::from(is(value(record)))));
+        f64::from(found) / f64::from(count.max(1))
+    };
+    // Metres, blanks, and what a map's coordinates may be.
+    let is_coordinate = |v: f32| v == 0.0 || v.is_nan() || (1e-5..1e7).contains(&v.abs());
+    let is_intensity = |v: f32| v == 0.0 || (1e-5..=65535.0).contains(&v);
+    if (0..3).any(|at| share(at, &is_coordinate) < PLAUSIBLE) {
+        return None;
+    }
+    let has_intensity = stride > 3 * WORD && share(3, &is_intensity) >= PLAUSIBLE;
+    let mut letters = String::from(if has_intensity { "xyzi" } else { "xyz" });
+    letters.push_str(&"_".repeat(stride / WORD - letters.len()));
+    letters.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::files::tests::floats as bytes_of;
+
+    /// Records of so many values, as of a scanner that turns.
+    fn file(words: usize) -> Sample {
+        let record = |n: u32| {
+            let angle = n as f32 * 0.01;
+            let range = 10.0 + (n.wrapping_mul(2_654_435_761) >> 24) as f32 * 0.004;
+            let rest = [(n % 97) as f32 / 100.0, (n % 16) as f32, n as f32 * 1e-6, 0.0, 1.0];
+            let values = [range * angle.cos(), range * angle.sin(), range * 0.1].into_iter().chain(rest);
+            values.cycle().take(words).collect::<Vec<_>>()
+        };
+        let bytes: Vec<u8> = (0..3001).flat_map(|n| bytes_of(&record(n))).collect();
+        let size = bytes.len() as u64;
+        Sample { name: "0.bin".to_owned(), start: bytes[..bytes.len().min(SAMPLE as usize)].to_vec(), size }
+    }
+
+    #[test]
+    fn records_are_as_long_as_their_fields_repeat() {
+        for (words, letters) in [(3, "xyz"), (5, "xyzi_"), (6, "xyzi__"), (8, "xyzi____")] {
+            let found: HeaderlessLayout = letters.parse().unwrap();
+            assert_eq!(examine(&[file(words)], None), Verdict::Rather(found.clone()), "{words}");
+            assert_eq!(examine(&[file(words)], Some(&found)), Verdict::Agrees);
+            // Two records taken for one take no more bytes, and go unseen.
+            if words % 4 != 0 {
+                assert_eq!(examine(&[file(4)], Some(&found)), Verdict::Rather(HeaderlessLayout::kitti()));
+            }
+        }
+        assert_eq!(examine(&[file(4)], None), Verdict::Agrees);
+        assert_eq!(examine(&[], None), Verdict::Agrees);
+    }
+
+    #[test]
+    fn a_file_that_was_cut_off_is_still_of_its_kind() {
+        let mut cut = file(4);
+        cut.size -= 4;
+        assert!(cut.size.is_multiple_of(12));
+        assert_eq!(examine(&[cut], None), Verdict::Agrees);
+    }
+
+    #[test]
+    fn other_bytes_are_no_floats() {
+        let mut noise = file(4);
+        noise
+            .start
+            .iter_mut()
+            .enumerate()
+            .for_each(|(n, byte)| *byte = (n as u32).wrapping_mul(2_654_435_761).to_le_bytes()[3]);
+        assert_eq!(examine(&[noise.clone()], None), Verdict::NoFloats);
+        // Who says what they are knows better.
+        assert_eq!(examine(&[noise], Some(&"x:u16,y:u16,z:u16,i:u8,r:u8".parse().unwrap())), Verdict::Agrees);
+    }
+}

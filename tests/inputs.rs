@@ -1,0 +1,431 @@
+//! Nothing is lost without a word: what the program takes in and leaves out, what it refuses, and how it says so.
+
+#[path = "common/program.rs"]
+mod program;
+
+use std::fs;
+use std::process::{Command as Process, Stdio};
+
+use assert_cmd::cargo::cargo_bin;
+use program::{Bench, Files, odd_files, scan};
+use serde_json::Value;
+
+/// Records of so many float32, as of a scanner that turns.
+fn turning(values: usize) -> Vec<u8> {
+    let record = |n: u32| {
+        let angle = n as f32 * 0.003;
+        let range = 10.0 + (n.wrapping_mul(2_654_435_761) >> 24) as f32 * 0.004;
+        let rest = [(n % 97) as f32 / 100.0, (n % 16) as f32, n as f32 * 1e-6];
+        let record = [range * angle.cos(), range * angle.sin(), range * 0.1].into_iter().chain(rest);
+        record.take(values).flat_map(f32::to_le_bytes).collect::<Vec<_>>()
+    };
+    (0..4000).flat_map(record).collect()
+}
+
+/// With `drive/`, as KITTI has one: two scans, and what stands beside them.
+fn kitti_drive() -> Bench {
+    let bench = Bench::new();
+    let scans = [("0.bin", turning(4)), ("1.bin", turning(4))];
+    bench
+        .write_files("drive/velodyne_points/data", &scans.map(|(name, scan)| (name.to_owned(), scan)).into());
+    bench.write_files("drive/velodyne_points", &[("timestamps.txt".to_owned(), b"now".to_vec())].into());
+    bench.write_files("drive/oxts/data", &[("0.txt".to_owned(), b"here".to_vec())].into());
+    bench.write_files("drive/image_00", &[("0.png".to_owned(), b"this".to_vec())].into());
+    bench
+}
+
+#[test]
+fn what_is_left_out_is_counted_and_can_be_refused() {
+    let bench = kitti_drive();
+    let left_out = "1 file not known as a scan (drive/velodyne_points/timestamps.txt), \
+                    2 subfolders (such as drive/image_00)";
+    let said = bench.says("encode drive -o out.lpc --verify");
+    assert_eq!(said.lines().next().unwrap(), format!("lidarpc: drive: left out {left_out}"));
+    assert!(said.contains("times and permissions of files are not stored"), "{said}");
+    let error = bench.fails("encode drive -o strict.lpc --strict", "drive");
+    assert!(error.contains(left_out) && error.contains("without --strict"), "{error}");
+    assert!(!bench.path("strict.lpc").exists());
+    bench.ok("encode drive/velodyne_points/data -o strict.lpc --strict");
+
+    let verbose = bench.says("encode drive -o out.lpc --force --verbose");
+    for line in
+        ["left out subfolder drive/image_00\n", "left out subfolder drive/oxts\n", "\n1.bin: 64.00 kB -> "]
+    {
+        assert!(verbose.contains(line), "{verbose}");
+    }
+    let report = bench.json("encode drive -o out.lpc --force --json");
+    assert_eq!(report["left_out"][1]["what"], "subfolder");
+    assert_eq!((&report["left_out"][1]["count"], &report["mode"]), (&2.into(), &"exact".into()));
+}
+
+#[test]
+#[cfg(unix)]
+fn links_pipes_and_hidden_scans_are_counted() {
+    use std::os::unix::fs::symlink;
+
+    let bench = Bench::new();
+    let names = ["1.bin", ".2.bin", "old.lpc"];
+    bench.write_files("seq", &names.map(|name| (name.to_owned(), scan(40, 1))).into());
+    symlink("1.bin", bench.path("seq/3.bin")).unwrap();
+    symlink("nowhere", bench.path("seq/link")).unwrap();
+    for name in ["pipe", "pipe.bin"] {
+        assert!(Process::new("mkfifo").arg(bench.path("seq").join(name)).status().unwrap().success());
+    }
+    let said = bench.says("encode seq -o out.lpc");
+    for what in [
+        "1 lidarpc stream (seq/old.lpc)",
+        "1 hidden file or folder (seq/.2.bin)",
+        "1 symbolic link (seq/link)",
+        "1 symbolic link, stored as the scan it leads to (seq/3.bin)",
+        "2 named pipes, sockets or devices (such as seq/pipe",
+    ] {
+        assert!(said.contains(what), "{what} is missing in: {said}");
+    }
+    assert_eq!(said.lines().count(), 2, "{said}");
+    bench.fails("encode seq -o strict.lpc --strict", "seq");
+}
+
+#[test]
+fn an_output_among_the_scans_is_known_the_next_time() {
+    let bench = Bench::new();
+    bench.write_files("seq", &[("1.bin".to_owned(), turning(4))].into());
+    bench.ok("encode seq -o seq/drive.lpc");
+    let said = bench.says("encode seq -o seq/drive.lpc --force --strict");
+    assert!(said.starts_with("1 frame: "), "{said}");
+    assert!(bench.says("encode seq -o other.lpc").contains("left out 1 lidarpc stream (seq/drive.lpc)"));
+    assert!(
+        bench
+            .fails("encode seq/drive.lpc -o twice.lpc", "seq/drive.lpc")
+            .contains("is a lidarpc stream already")
+    );
+}
+
+#[test]
+fn no_input_is_overwritten() {
+    let bench = Bench::encoded();
+    let original = bench.read("seq/1.bin");
+    for output in ["seq/1.bin", "seq/../seq/1.bin"] {
+        for args in ["encode seq/1.bin", "encode seq", "encode seq --resume"] {
+            let error = bench.fails(&format!("{args} -o {output} --force"), output);
+            assert!(error.contains("is an input as well"), "{error}");
+        }
+    }
+    fs::copy(bench.path("out.lpc"), bench.path("stream")).unwrap();
+    bench.fails("view stream -o stream --force", "stream");
+    bench.fails("stats out.lpc --poses out.lpc --force", "out.lpc");
+    assert_eq!(bench.files("seq"), odd_files());
+    assert_eq!(bench.read("seq/1.bin"), original);
+
+    // A frame that is called as its stream is.
+    bench.ok("encode seq/1.bin -o 1.lpc");
+    fs::rename(bench.path("1.lpc"), bench.path("1.bin")).unwrap();
+    let stream = bench.read("1.bin");
+    bench.fails("decode 1.bin -o . --force", "./1.bin");
+    assert_eq!(bench.read("1.bin"), stream);
+    bench.ok("decode 1.bin -o elsewhere");
+}
+
+#[test]
+fn an_empty_stdin_is_said() {
+    let bench = Bench::new();
+    let run = bench.command("encode - -o out.lpc").write_stdin("").assert().success();
+    let said = String::from_utf8_lossy(&run.get_output().stderr).into_owned();
+    assert!(said.contains("stdin: held no frame, and so does out.lpc"), "{said}");
+    bench.command("encode - -o strict.lpc --strict").write_stdin("").assert().code(1);
+    assert!(!bench.path("strict.lpc").exists());
+}
+
+#[test]
+fn names_that_cannot_be_taken_say_why() {
+    let bench = Bench::new();
+    for (name, why) in [("aux.bin", "that of a device on Windows"), ("c:1.bin", "a drive of Windows")] {
+        bench.write_files("odd", &[(name.to_owned(), scan(4, 1))].into());
+        let error = bench.fails("encode odd -o out.lpc", &format!("odd/{name}"));
+        assert!(error.contains(why) && error.contains("rename"), "{error}");
+        fs::remove_file(bench.path("odd").join(name)).unwrap();
+    }
+    bench.write_files("seq", &[("1.bin".to_owned(), scan(4, 1))].into());
+    for args in ["encode seq/1.bin seq/1.bin -o out.lpc", "encode seq seq/../seq -o out.lpc"] {
+        let run = bench.command(args).assert().code(1);
+        assert!(String::from_utf8_lossy(&run.get_output().stderr).contains("is given twice"), "{args}");
+    }
+}
+
+#[test]
+fn lengths_of_records_are_found_or_doubted() {
+    let bench = Bench::new();
+    let sequence = |folder: &str, values| {
+        let names = ["0.bin", "1.bin", "2.bin"];
+        bench.write_files(folder, &names.map(|name| (name.to_owned(), turning(values))).into());
+    };
+    sequence("kitti", 4);
+    sequence("six", 6);
+    let said = bench.says("encode kitti -o kitti.lpc");
+    assert_eq!(said.lines().count(), 1, "nothing to doubt: {said}");
+    let said = bench.says("encode six -o six.lpc --verify");
+    assert!(
+        said.starts_with("lidarpc: six: .bin files look like records of 24 bytes, taken as --layout xyzi__"),
+        "{said}"
+    );
+    assert_eq!(bench.json("info six.lpc --json")["points"], 3 * 4000);
+    bench.ok("encode six -o wrong.lpc --layout xyzi");
+    assert!(2 * bench.read("six.lpc").len() < bench.read("wrong.lpc").len());
+    let said = bench.says("encode kitti -o wrong.lpc --force --layout xyzirt");
+    assert!(said.contains("records of 16 bytes, not as --layout xyzirt has it"), "{said}");
+
+    let noise = (0..40_000u32).map(|n| n.wrapping_mul(2_654_435_761).to_be_bytes()[1]).collect();
+    bench.write_files("noise", &[("0.bin".to_owned(), noise)].into());
+    let said = bench.says("encode noise -o noise.lpc --verify");
+    assert!(said.contains("do not look like float32 x, y, z, intensity"), "{said}");
+}
+
+#[test]
+fn what_was_lost_is_said_with_what_was_saved() {
+    let bench = Bench::new();
+    bench.ok("synth -o drive --frames 1");
+    for (options, says) in [
+        ("", ", lossless in "),
+        ("--max-error 1cm", ", within 10 mm in "),
+        ("--max-error 1cm --intensity-step 0.1", ", within 10 mm, intensities in steps of 0.1 in "),
+        ("--mode paper", " points dropped ("),
+    ] {
+        let said = bench.says(&format!("encode drive -o out.lpc --force {options}"));
+        assert!(said.contains(says) && said.lines().count() == 1, "{options}: {said}");
+    }
+    let report = bench.json("encode drive -o out.lpc --force --mode paper --json");
+    let stats = bench.json("stats out.lpc --json");
+    for name in ["points", "outliers_dropped", "points_lost", "stream_bytes"] {
+        assert_eq!(report[name], stats[name], "{name}");
+    }
+    let lost = report["points_lost"].as_u64().unwrap() + report["outliers_dropped"].as_u64().unwrap();
+    let said = bench.says("encode drive -o out.lpc --force --mode paper");
+    let grouped = format!("paper mode: {},{:03} points dropped", lost / 1000, lost % 1000);
+    assert!(said.contains(&grouped) && said.contains("intensities dropped"), "{said}");
+}
+
+#[test]
+fn paper_mode_warns_of_other_scanners() {
+    let bench = Bench::new();
+    bench.ok("synth -o vlp16 --scanner vlp16 --frames 2");
+    let said = bench.says("encode vlp16 -o out.lpc --mode paper");
+    assert!(
+        said.starts_with(
+            "lidarpc: vlp16: paper mode does not suit this scanner: of the first frame it drops "
+        ),
+        "{said}"
+    );
+    assert!(bench.says("encode vlp16 -o exact.lpc").starts_with("2 frames: "));
+}
+
+#[test]
+fn what_is_stored_as_bytes_is_called_so() {
+    let bench = Bench::encoded();
+    let said = bench.says("encode seq -o new.lpc");
+    assert!(said.contains(" files as plain bytes (such as damaged.pcd)"), "{said}");
+    let plain = bench.json("encode seq -o new.lpc --force --json")["plain_bytes"].clone();
+    assert!(plain.as_array().unwrap().contains(&"other.ply".into()), "{plain}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_terminal_gets_no_binary() {
+    let bench = Bench::encoded();
+    for args in ["encode seq -o -", "cut out.lpc --frames 1 -o -", "cat out.lpc -o -", "repair out.lpc -o -"]
+    {
+        let terminal = fs::File::options().read(true).write(true).open("/dev/ptmx").unwrap();
+        let mut run = Process::new(cargo_bin!("lidarpc"));
+        run.args(args.split(' ')).current_dir(bench.0.path()).stdout(terminal).stderr(Stdio::piped());
+        let output = run.spawn().unwrap().wait_with_output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{args}: {error}");
+        assert!(error.starts_with("lidarpc: stdout: is a terminal"), "{args}: {error}");
+    }
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_folder_that_takes_no_files_is_not_called_missing() {
+    let bench = Bench::encoded();
+    let error = bench.fails("encode seq -o /proc/out.lpc", "/proc");
+    assert!(error.contains("takes no new files") && !error.contains("does not exist"), "{error}");
+}
+
+// ---- several files ----
+
+#[test]
+fn several_files_are_listed_checked_and_decoded() {
+    let bench = Bench::encoded();
+    bench.ok("cut out.lpc --frames ..4 -o a.lpc");
+    bench.ok("cut out.lpc --frames 4.. -o b.lpc");
+    let text = String::from_utf8(bench.ok("info a.lpc b.lpc")).unwrap();
+    assert!(text.starts_with("a.lpc:\nformat version 1") && text.contains("\n\nb.lpc:\n"), "{text}");
+    let infos = bench.json("info a.lpc b.lpc --json");
+    assert_eq!(infos[1]["frames"].as_array().unwrap().len(), 6);
+    assert_eq!(bench.json("--list a.lpc --json"), infos[0]);
+
+    let said = String::from_utf8(bench.command("verify a.lpc b.lpc --against seq").output().unwrap().stdout)
+        .unwrap();
+    assert!(
+        said.starts_with("a.lpc: whole; 4 frames") && said.contains("\nb.lpc: whole; 6 frames"),
+        "{said}"
+    );
+    bench.ok("decode a.lpc b.lpc -o back");
+    assert_eq!(bench.files("back"), odd_files());
+    bench.fails("decode a.lpc out.lpc -o clash", "clash");
+    assert!(!bench.path("clash").exists());
+}
+
+#[test]
+fn a_damaged_file_does_not_hide_the_others() {
+    let bench = Bench::encoded();
+    let mut bad = bench.read("out.lpc");
+    let second = bench.json("info out.lpc --json")["groups"][1]["offset"].as_u64().unwrap() as usize;
+    bad[second + 9] ^= 1;
+    fs::write(bench.path("bad.lpc"), bad).unwrap();
+    let run = bench.command("verify bad.lpc out.lpc").assert().code(1);
+    let output = run.get_output();
+    let (said, errors) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(said.starts_with("out.lpc: whole; 10 frames"), "{said}");
+    assert!(
+        errors.starts_with("lidarpc: bad.lpc: damaged stream") && errors.ends_with("1 of 2 files failed\n"),
+        "{errors}"
+    );
+    let run = bench.command("verify bad.lpc out.lpc --json").assert().code(1);
+    let reports: Value = serde_json::from_slice(&run.get_output().stdout).unwrap();
+    assert_eq!((&reports[0]["whole"], &reports[1]["whole"]), (&false.into(), &true.into()));
+    assert!(reports[0]["error"].as_str().unwrap().contains("damaged stream"), "{reports}");
+
+    // What stands before the damage is listed.
+    let run = bench.command("info bad.lpc").assert().code(1);
+    let said = String::from_utf8_lossy(&run.get_output().stdout).into_owned();
+    assert!(said.contains("damaged behind byte ") && said.contains("2 frames in 1 group"), "{said}");
+    let run = bench.command("info bad.lpc --json").assert().code(1);
+    let info: Value = serde_json::from_slice(&run.get_output().stdout).unwrap();
+    assert_eq!(info["frames"].as_array().unwrap().len(), 2);
+    assert!(info["damage"].as_str().unwrap().contains("damaged stream"), "{info}");
+}
+
+#[test]
+fn every_command_reports_to_machines() {
+    let bench = Bench::encoded();
+    let original: usize = odd_files().values().map(Vec::len).sum();
+    let encoded = bench.json("encode seq -o new.lpc --verify --json");
+    assert_eq!((&encoded["frames"], &encoded["file_bytes"]), (&10.into(), &original.into()));
+    assert_eq!(
+        (&encoded["verified"], &encoded["stream_bytes"]),
+        (&true.into(), &bench.read("new.lpc").len().into())
+    );
+    let decoded = bench.json("decode out.lpc -o back --json");
+    assert_eq!((&decoded["frames"], &decoded["file_bytes"]), (&10.into(), &original.into()));
+    let verified = bench.json("verify out.lpc --json");
+    assert_eq!((&verified["whole"], &verified["frames"]), (&true.into(), &10.into()));
+    let cut = bench.json("cut out.lpc --frames 1..6 -o cut.lpc --json");
+    assert_eq!((&cut["copied"], &cut["recoded"]), (&4.into(), &1.into()));
+    let joined = bench.json("cat out.lpc -o joined.lpc --json");
+    assert_eq!((&joined["streams"], &joined["frames"]), (&1.into(), &10.into()));
+    let repaired = bench.json("repair out.lpc -o repaired.lpc --json");
+    assert_eq!((&repaired["frames"], &repaired["lost"]["frames"]), (&10.into(), &0.into()));
+}
+
+// ---- help and usage ----
+
+#[test]
+fn the_short_help_of_encode_is_short() {
+    let bench = Bench::new();
+    let help = |args: &str| String::from_utf8(bench.command(args).output().unwrap().stdout).unwrap();
+    let short = help("encode -h");
+    assert!(short.lines().count() <= 30, "{} lines:\n{short}", short.lines().count());
+    for option in
+        ["--max-error", "--level", "--threads", "--verify", "--resume", "--force", "--strict", "--json"]
+    {
+        assert!(short.contains(option), "{option} is missing");
+    }
+    assert!(!short.contains("--plane-seed") && !short.contains("--packing"), "{short}");
+
+    // Each option that takes a value says what it is without it.
+    let long = help("encode --help");
+    assert!(
+        long.contains("A Novel Coding Scheme for Large-Scale Point Cloud Sequences"),
+        "what the article is"
+    );
+    let required = ["-o, --output"];
+    // Not the values that it may take.
+    let is_option = |line: &str| line.trim_start().starts_with('-') && !line.trim_start().starts_with("- ");
+    let options = long.split("\n  ").filter(|text| text.trim_start().starts_with('-') && text.contains('<'));
+    let mut names = options.map(|text| text.trim().split(" <").next().unwrap().to_owned());
+    let lines: Vec<&str> = long.lines().collect();
+    for name in names.by_ref().filter(|name| !required.contains(&&name[..])) {
+        let start = lines.iter().position(|line| line.trim().starts_with(&name)).unwrap();
+        let rest = &lines[start + 1..];
+        let end = rest.iter().position(|line| is_option(line)).unwrap_or(rest.len());
+        let has_default = rest[..end].iter().any(|line| line.to_lowercase().contains("default"));
+        assert!(has_default, "{name} shows no default");
+    }
+}
+
+#[test]
+fn what_other_compressors_call_things_is_understood() {
+    let bench = Bench::encoded();
+    bench.ok("encode seq -o nine.lpc -9");
+    bench.ok("encode seq -o level.lpc --level 9");
+    assert_eq!(bench.read("nine.lpc"), bench.read("level.lpc"));
+    assert_eq!(bench.ok("-l out.lpc"), bench.ok("info out.lpc"));
+    bench.ok("--test out.lpc");
+    bench.ok("-d out.lpc -o back");
+    assert_eq!(bench.files("back"), odd_files());
+}
+
+#[test]
+fn wrong_usage_is_explained() {
+    let bench = Bench::encoded();
+    let said = |args: &str| {
+        let output = bench.command(args).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{args}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert!(said("encode seq -o new.lpc --level best").contains("a number from 1 (fast) to 9 (small)"));
+    assert!(said("encode seq -o new.lpc --max-error 10").contains("is not a length; give one as 2mm"));
+    // Of the command at hand, not of the program.
+    for args in ["encode seq -o new.lpc --mode bounded", "cat - - -o new.lpc", "encode seq -o - --verify"] {
+        let said = said(args);
+        let command = args.split(' ').next().unwrap();
+        assert!(said.contains(&format!("Usage: lidarpc {command} [OPTIONS]")), "{said}");
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_run_says_what_is_kept() {
+    use std::io::{BufRead, BufReader};
+
+    let bench = Bench::new();
+    bench.ok("synth -o drive --frames 6");
+    let mut child = Process::new(cargo_bin!("lidarpc"))
+        .args(["encode", "drive", "-o", "out.lpc", "--resume", "-9", "--threads", "1"])
+        .current_dir(bench.0.path())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    while !bench.path("out.lpc.partial").exists() {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it began");
+        std::thread::yield_now();
+    }
+    assert!(Process::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let said: Vec<String> =
+        BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap).collect();
+    assert!(!child.wait().unwrap().success());
+    let kept =
+        "lidarpc: interrupted; what is done is kept in out.lpc.partial, and the same command goes on with it";
+    assert_eq!(said, [kept]);
+}
+
+#[test]
+fn many_small_files_come_back() {
+    let bench = Bench::new();
+    // More than are brought to the disk at a time, and no multiple of it.
+    let files: Files = (0..67).map(|n| (format!("{n}.bin"), scan(2, n))).collect();
+    bench.write_files("seq", &files);
+    bench.ok("encode seq -o out.lpc");
+    bench.ok("decode out.lpc -o back");
+    assert_eq!(bench.files("back"), files);
+}
