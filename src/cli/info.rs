@@ -1,6 +1,6 @@
 //! `lidarpc info`
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::{self, Read, Write};
 
 use crate::frame::FrameParameters;
@@ -84,10 +84,14 @@ pub fn run(args: &InfoArgs) -> Result<()> {
 
 fn read(input: impl Read, limits: Limits) -> crate::ground::error::Result<Info> {
     let mut reader = StreamReader::open(input, limits)?;
+    // The reader passes no group of a scanner that has not come.
+    let mut numbers = HashMap::new();
     let (mut scanners, mut groups, mut frames) = (Vec::new(), Vec::new(), Vec::new());
     while let Some(record) = reader.next_record()? {
         match record {
-            Record::Scanner(ScannerRecord { family, payload }) => {
+            Record::Scanner(record) => {
+                numbers.insert(record.id(), numbers.len() as u64 + 1);
+                let ScannerRecord { family, payload } = record;
                 let known = Scanner::of_record(family, &payload)?;
                 let description =
                     known.map_or_else(|| format!("of family {family}"), |known| known.to_string());
@@ -100,7 +104,7 @@ fn read(input: impl Read, limits: Limits) -> crate::ground::error::Result<Info> 
                     bytes: entry.length,
                     first_frame: entry.first_frame,
                     frames: group.frames.len() as u64,
-                    scanners: group.scanners,
+                    scanners: group.scanners.iter().map(|id| id.map_or(0, |id| numbers[&id])).collect(),
                 });
                 for ((number, frame), entry) in (entry.first_frame..).zip(group.frames).zip(&entry.frames) {
                     let Stamp { unit, stream, time } = entry.stamp;
