@@ -311,7 +311,7 @@ fn names_in_a_stream_cannot_leave_the_folder() {
             let header = FrameHeader { name: name.to_string(), ..header };
             // A group each, so that no frame depends on another.
             let frames = vec![Frame { header, sections }];
-            writer.write_group(&Group { scanners: vec![0], frames }).unwrap();
+            writer.write_group(&Group { scanners: vec![None], frames }).unwrap();
         }
         fs::write(bench.path("evil.lpc"), writer.finish().unwrap().0).unwrap();
     };

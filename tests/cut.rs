@@ -209,7 +209,7 @@ fn every_stream_keeps_its_own_scanner() {
     assert_eq!(models, [take_apart(&one).0, take_apart(&other).0].concat());
     assert_eq!(
         joined_groups.iter().map(|group| group.scanners.clone()).collect::<Vec<_>>(),
-        [1, 1, 2, 2, 1, 1].map(|number| vec![number])
+        [0, 0, 1, 1, 0, 0].map(|place: usize| vec![Some(models[place].id())])
     );
     let expected = [&one, &other, &again].map(|stream| decode_files(stream).unwrap()).concat();
     assert!(decode_files(&all).unwrap() == expected);
@@ -220,7 +220,7 @@ fn every_stream_keeps_its_own_scanner() {
     assert_eq!(models, [take_apart(&other).0, take_apart(&one).0].concat());
     assert_eq!(
         groups.iter().map(|group| group.scanners.clone()).collect::<Vec<_>>(),
-        [1, 1, 2].map(|number| vec![number])
+        [0, 0, 1].map(|place: usize| vec![Some(models[place].id())])
     );
     assert!(
         take_apart(&cut_both_ways(&all, frames(3, 6)).0).0 == take_apart(&other).0,

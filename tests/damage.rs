@@ -4,16 +4,21 @@ mod common;
 
 use std::collections::BTreeSet;
 use std::io::Cursor;
+use std::ops::Range;
 
 use common::formats::{kitti, pcd_extra};
-use common::scans::{compensated, random_points, scans, small};
+use common::scans::{Random, compensated, random_points, scans, small};
+use common::streams::at_level;
 use common::{File, decode_files, encode_files, put_together, section_bytes, take_apart};
 use lidarpc::internals::edit::{Named, Recovered, recover, repair};
 use lidarpc::internals::frame::Intensity;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::internals::ground::error::{Limits, Result};
-use lidarpc::internals::stream::DecodeOptions;
-use lidarpc::internals::stream::container::{Index, Lost, SectionKind, StreamReader};
+use lidarpc::internals::stream::container::{
+    Group, GroupEntry, Index, Lost, ScannerId, ScannerRecord, SectionKind, StreamReader,
+};
+use lidarpc::internals::stream::{DecodeOptions, FrameInput, encode_live};
+use rayon::prelude::*;
 
 /// Small files without a scanner, two a group.
 fn files() -> Vec<File> {
@@ -155,6 +160,24 @@ fn of_a_cut_stream_all_whole_groups_are_saved() {
 }
 
 #[test]
+fn of_a_live_stream_that_stops_anywhere_all_whole_groups_are_saved() {
+    let scans = scans(&small(5, 9));
+    let files: Vec<File> = (0..).zip(&scans).map(|(n, scan)| (format!("{n}.bin"), kitti(scan))).collect();
+    let config = EncoderConfig { gop: 2, threads: 1, ..at_level(1) };
+    let mut stream = Vec::new();
+    let arriving = files.iter().map(|(name, bytes)| Ok(FrameInput::memory(name.clone(), bytes.clone())));
+    encode_live(arriving, &config, &mut stream, &|| ()).unwrap();
+    let index = check(&stream).unwrap();
+    assert_eq!(index.scanners().len(), 1);
+    let end_of = |group: usize| (index.groups[group].offset + index.groups[group].length) as usize;
+    let near = (0..index.groups.len()).flat_map(|group| end_of(group) - 3..end_of(group) + 3);
+    for length in near.chain((end_of(0)..stream.len()).step_by(97)) {
+        let expected = frames_of(&files, &index, |group| end_of(group) <= length);
+        assert!(saved(&stream[..length]).0 == expected, "{length} bytes");
+    }
+}
+
+#[test]
 fn bytes_that_came_in_or_are_missing_shift_nothing_but_bytes() {
     let files = files();
     let stream = stream_of(&files);
@@ -180,24 +203,149 @@ fn bytes_that_came_in_or_are_missing_shift_nothing_but_bytes() {
     assert!(losses.iter().all(|lost| lost.frames.is_none()), "{losses:?}");
 }
 
-#[test]
-fn groups_without_their_scanner_are_lost_and_no_others() {
+/// Two frames of a scanner in a group, and groups without one.
+fn scanned_and_others() -> (Vec<File>, Vec<u8>) {
     let frames = scans(&small(3, 2));
     let scanned: Vec<File> =
         (0..).zip(&frames).map(|(n, frame)| (format!("{n}.bin"), kitti(frame))).collect();
     let (models, mut groups) = take_apart(&encode_files(&scanned, &EncoderConfig::default()));
     assert_eq!(models.len(), 1);
-    let others = files();
-    groups.extend(take_apart(&stream_of(&others)).1);
-    let mut stream = put_together(&models, &groups);
-    assert_eq!(saved(&stream).0.len(), 9);
-    stream[20] ^= 8;
+    groups.extend(take_apart(&stream_of(&files())).1);
+    ([scanned, files()].concat(), put_together(&models, &groups))
+}
+
+#[test]
+fn one_copy_of_a_scanner_is_enough() {
+    let (files, stream) = scanned_and_others();
+    let index = check(&stream).unwrap();
+    let [scanner] = index.scanners() else { panic!("{} scanners", index.scanners().len()) };
+    let all: Vec<_> = (0..).zip(files).collect();
+    let places = scanner.offsets.iter().map(|offset| *offset as usize + 9);
+    assert_eq!(places.len(), 2);
+    // The stream header as well.
+    for place in places.chain([3]) {
+        let mut damaged = stream.clone();
+        damaged[place] ^= 8;
+        let (frames, losses) = saved(&damaged);
+        assert!(frames == all, "byte {place}");
+        assert_eq!(losses.len(), 1, "byte {place}: {losses:?}");
+    }
+}
+
+#[test]
+fn groups_without_any_copy_of_their_scanner_are_lost_and_no_others() {
+    let (_, mut stream) = scanned_and_others();
+    let index = check(&stream).unwrap();
+    for offset in &index.scanners()[0].offsets {
+        stream[*offset as usize + 9] ^= 8;
+    }
     let (frames, losses) = saved(&stream);
-    assert_eq!(frames, (2..).zip(others).collect::<Vec<_>>());
-    assert_eq!(losses.len(), 2);
+    assert_eq!(frames, (2..).zip(files()).collect::<Vec<_>>());
+    assert_eq!(losses.len(), 3, "{losses:?}");
     assert_eq!((&losses[0].frames, &losses[1].frames), (&Some(0..0), &Some(0..2)));
     assert_eq!(losses[1].names, ["0.bin", "1.bin"]);
-    assert!(losses[1].why.contains("scanner 1 is lost"));
+    assert!(losses[1].why.contains("is lost"), "{}", losses[1].why);
+}
+
+#[test]
+fn of_a_damaged_header_the_end_tells_the_version() {
+    use lidarpc::internals::stream::container::StreamHeader;
+    let stream = stream_of(&files());
+    let fields = [&b"\x89LPC"[..], &[1, 0, 0, 0]].concat();
+    let place = stream.windows(8).rposition(|bytes| bytes == fields).unwrap();
+    assert!(place > 12, "the end does not repeat the header");
+    let mut other = stream[..place - 10].to_vec();
+    let mut end = vec![4, 16];
+    end.extend(&stream[place - 8..place]);
+    let mut header = Vec::new();
+    StreamHeader { version: 2, flags: 0 }.write_to(&mut header).unwrap();
+    end.extend(&header[..8]);
+    end.extend(crc32c::crc32c(&end).to_le_bytes());
+    other.extend(end);
+    other[5] ^= 1;
+    let error = recover(Cursor::new(&other), &DecodeOptions::default(), |_| Ok(())).unwrap_err();
+    assert!(error.to_string().contains("format version 2"), "{error}");
+}
+
+/// What decides about the frames that are saved of a stream: the groups, their numbers and their scanners, all of it as
+/// `repair` copies it, which takes what `--keep-going` decodes.
+fn kept(stream: &[u8]) -> (Vec<Group>, BTreeSet<ScannerId>, Vec<Lost>) {
+    let (mut repaired, mut losses) = (Vec::new(), Vec::new());
+    let input = Named { path: "in".into(), stream: Cursor::new(stream) };
+    repair(input, &Limits::default(), &mut repaired, |lost| losses.push(lost)).unwrap();
+    let (scanners, groups) = take_apart(&repaired);
+    (groups, scanners.iter().map(ScannerRecord::id).collect(), losses)
+}
+
+/// A drive of so many frames, five a group, of a scanner that is found.
+fn drive(frames: usize) -> Vec<u8> {
+    let scans = scans(&small(5, frames));
+    let files: Vec<File> = (0..).zip(&scans).map(|(n, scan)| (format!("{n:06}.bin"), kitti(scan))).collect();
+    let stream = encode_files(&files, &EncoderConfig { gop: 5, ..at_level(1) });
+    assert!(decode_files(&stream).unwrap() == files);
+    stream
+}
+
+/// Holds what is kept of a stream, of which these bytes are damaged, to what should be: all groups but those that were
+/// hit, and at most one more frame number in doubt.
+fn check_kept(stream: &[u8], damaged: &[u8], hit: Range<usize>, parts: &(Index, Vec<Group>, ScannerId)) {
+    let (index, groups, scanner) = parts;
+    let is_hit = |entry: &GroupEntry| {
+        (entry.offset as usize) < hit.end && hit.start < (entry.offset + entry.length) as usize
+    };
+    let (lost, left): (Vec<_>, Vec<_>) =
+        index.groups.iter().zip(groups).partition(|(entry, _)| is_hit(entry));
+    let (kept, scanners, losses) = kept(damaged);
+    assert!(kept.iter().eq(left.iter().map(|(_, group)| *group)), "{hit:?} of {} bytes", stream.len());
+    assert_eq!(scanners, [*scanner].into(), "{hit:?}");
+    let frames: Vec<u64> = losses.iter().flat_map(|lost| lost.frames.clone().unwrap_or_default()).collect();
+    let numbers =
+        lost.iter().flat_map(|(entry, _)| entry.first_frame..entry.first_frame + entry.frames.len() as u64);
+    if losses.iter().all(|lost| lost.frames.is_some()) {
+        assert_eq!(frames, numbers.collect::<Vec<_>>(), "{hit:?}");
+    }
+}
+
+/// Damages a drive byte by byte and in bursts.
+fn damage_drive(frames: usize, each_of_first: usize, others: usize, bursts: usize) {
+    let stream = drive(frames);
+    let index = check(&stream).unwrap();
+    let (scanners, groups) = take_apart(&stream);
+    let [scanner] = &scanners[..] else { panic!("{} scanners", scanners.len()) };
+    let parts = (index, groups, scanner.id());
+    println!("{} bytes, {} groups of {frames} frames", stream.len(), parts.1.len());
+    let mut random = Random(1);
+    let mut place = || random.below(stream.len() as u64) as usize;
+    let places: Vec<usize> =
+        (0..each_of_first.min(stream.len())).chain((0..others).map(|_| place())).collect();
+    places.par_iter().for_each(|&place| {
+        let mut damaged = stream.clone();
+        // Never the byte that it was; now and then a bit only.
+        damaged[place] ^= [1 << (place % 8), 0xff, (place % 255) as u8 + 1][place % 3];
+        check_kept(&stream, &damaged, place..place + 1, &parts);
+    });
+    let starts: Vec<usize> = (0..bursts).map(|_| place()).collect();
+    starts.par_iter().for_each(|&start| {
+        let hit = start..stream.len().min(start + 4096);
+        let mut damaged = stream.clone();
+        let mut noise = Random(start as u64);
+        damaged[hit.clone()].fill_with(|| noise.number() as u8);
+        check_kept(&stream, &damaged, hit, &parts);
+        let kept: usize = kept(&damaged).0.iter().map(|group| group.frames.len()).sum();
+        assert_eq!(saved(&damaged).0.len(), kept);
+    });
+}
+
+#[test]
+fn no_byte_and_no_burst_costs_more_than_the_groups_that_it_hits() {
+    damage_drive(20, 1500, 200, 20);
+}
+
+/// The same at length: `cargo test --release --test damage -- --ignored`, some minutes.
+#[test]
+#[ignore = "takes minutes"]
+fn no_byte_of_a_long_stream_costs_more_than_its_group() {
+    damage_drive(200, 1 << 16, 2000, 100);
 }
 
 #[test]

@@ -86,11 +86,14 @@ impl Damage {
             }
             Damage::Model { place, value } => {
                 if let Some(model) = models.first_mut() {
-                    let length = model.payload.len();
+                    let (length, before) = (model.payload.len(), model.id());
                     model.payload[place % length] = *value;
+                    let after = Some(model.id());
+                    let scanners = groups.iter_mut().flat_map(|group| &mut group.scanners);
+                    scanners.filter(|id| **id == Some(before)).for_each(|id| *id = after);
                 }
             }
-            Damage::NoModel => groups.iter_mut().for_each(|group| group.scanners.fill(0)),
+            Damage::NoModel => groups.iter_mut().for_each(|group| group.scanners.fill(None)),
         }
     }
 }
@@ -243,9 +246,9 @@ fn forged_as(
     group.frames.truncate(1);
     group.frames[0].sections = sections;
     group.frames[0].header.point_count = records;
-    group.scanners = vec![model.is_some().into()];
-    let record = |model: &Hdl64| ScannerRecord { family: 1, payload: model.to_payload() };
-    put_together(&model.map(record).into_iter().collect::<Vec<_>>(), &[group])
+    let record = model.map(|model| ScannerRecord { family: 1, payload: model.to_payload() });
+    group.scanners = vec![record.as_ref().map(ScannerRecord::id)];
+    put_together(record.as_slice(), &[group])
 }
 
 fn kitti_layout() -> Layout {

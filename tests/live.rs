@@ -35,7 +35,7 @@ fn a_group_is_written_before_the_next_frame_arrives() {
     let files = files(5);
     let mut child = program(&["encode", "-", "-o", "-", "--gop", "2", "--quiet"]);
     let mut stdin = child.stdin.take().unwrap();
-    let mut reader = None;
+    let (mut reader, mut scanner) = (None, None);
     // The pipe stays open: were a group held back, this would wait for ever.
     for pair in files.chunks_exact(2) {
         pair.iter().for_each(|file| stdin.write_all(&framed(file)).unwrap());
@@ -46,13 +46,13 @@ fn a_group_is_written_before_the_next_frame_arrives() {
         let group = loop {
             match reader.next_record().unwrap() {
                 Some(Record::Group(group)) => break group,
-                Some(Record::Scanner(_)) => {}
+                Some(Record::Scanner(found)) => scanner = Some(found.id()),
                 None => panic!("the stream ended"),
             }
         };
         let names: Vec<_> = group.frames.iter().map(|frame| &frame.header.name).collect();
         assert_eq!(names, pair.iter().map(|(name, _)| name).collect::<Vec<_>>());
-        assert_eq!(group.scanners, [1], "no model was fitted to the first group");
+        assert_eq!(group.scanners, [scanner], "no model was fitted to the first group");
     }
     stdin.write_all(&framed(&files[4])).unwrap();
     drop(stdin);

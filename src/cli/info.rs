@@ -1,12 +1,12 @@
 //! `lidarpc info`
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::{self, Read, Write};
 
 use crate::frame::FrameParameters;
 use crate::ground::error::{Error, Limits};
 use crate::scanner::Scanner;
-use crate::stream::container::{Index, Record, ScannerRecord, Stamp, StreamReader};
+use crate::stream::container::{Index, Record, ScannerId, ScannerRecord, Stamp, StreamReader};
 use anyhow::Result;
 use serde::Serialize;
 
@@ -31,6 +31,9 @@ struct Info {
     /// What is wrong with the stream behind all that is listed here.
     #[serde(skip_serializing_if = "Option::is_none")]
     damage: Option<String>,
+    /// The numbers of the scanners.
+    #[serde(skip)]
+    numbers: HashMap<ScannerId, u64>,
 }
 
 #[derive(Serialize)]
@@ -131,7 +134,9 @@ impl Info {
 
     fn add(&mut self, record: Record, index: &Index) -> crate::ground::error::Result<()> {
         match record {
-            Record::Scanner(ScannerRecord { family, payload }) => {
+            Record::Scanner(record) => {
+                self.numbers.insert(record.id(), self.numbers.len() as u64 + 1);
+                let ScannerRecord { family, payload } = record;
                 let known = Scanner::of_record(family, &payload)?;
                 let description =
                     known.map_or_else(|| format!("of family {family}"), |known| known.to_string());
@@ -162,7 +167,8 @@ impl Info {
                     bytes: entry.length,
                     first_frame: entry.first_frame,
                     frames: frames.len() as u64,
-                    scanners: group.scanners,
+                    // The reader passes no group of a scanner that has not come.
+                    scanners: group.scanners.iter().map(|id| id.map_or(0, |id| self.numbers[&id])).collect(),
                 });
                 self.frames.extend(frames);
             }

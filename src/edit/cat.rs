@@ -41,7 +41,7 @@ pub fn cat<R: Read>(
         for job in StreamedGroups::new(stream, FrameRange::default()) {
             let job = job.and_then(|job| names.check(&job).map(|()| job)).map_err(|e| e.at(&path))?;
             joined.frames += job.group.frames.len() as u64;
-            copier.write(job)?;
+            copier.write(&job)?;
         }
         joined.streams += 1;
     }

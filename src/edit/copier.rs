@@ -1,13 +1,11 @@
 //! Copies groups from streams into another stream, as they are.
 
-use std::collections::HashMap;
 use std::io::Write;
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use crate::ground::error::Result;
-use crate::stream::container::{Group, ScannerRecord, StreamWriter};
-use crate::stream::source::{GroupJob, StoredScanner};
+use crate::stream::container::StreamWriter;
+use crate::stream::source::GroupJob;
 
 /// A stream to read, and its name in errors.
 #[derive(Clone, Debug)]
@@ -18,11 +16,9 @@ pub struct Named<T> {
     pub stream: T,
 }
 
-/// Writes groups of other streams, preceded by the scanners that they need, each written once.
+/// Writes groups of other streams, preceded by the scanners that they need.
 pub struct GroupCopier<W> {
     writer: StreamWriter<W>,
-    /// The numbers of the scanners written so far.
-    numbers: HashMap<ScannerRecord, u64>,
 }
 
 impl<W: Write> GroupCopier<W> {
@@ -31,29 +27,18 @@ impl<W: Write> GroupCopier<W> {
     /// # Errors
     /// This and all other functions: if `out` fails.
     pub fn create(out: W) -> Result<Self> {
-        Ok(GroupCopier { writer: StreamWriter::create(out)?, numbers: HashMap::new() })
+        Ok(GroupCopier { writer: StreamWriter::create(out)? })
     }
 
     /// Writes the next group.
     ///
     /// # Errors
     /// If the output fails.
-    pub fn write(&mut self, job: GroupJob) -> Result<()> {
-        let number = |scanner: &Option<Arc<StoredScanner>>| match scanner {
-            Some(scanner) => self.number_of(&scanner.record),
-            None => Ok(0),
-        };
-        let scanners = job.scanners.iter().map(number).collect::<Result<_>>()?;
-        self.writer.write_group(&Group { scanners, ..job.group })
-    }
-
-    fn number_of(&mut self, record: &ScannerRecord) -> Result<u64> {
-        if let Some(number) = self.numbers.get(record) {
-            return Ok(*number);
+    pub fn write(&mut self, job: &GroupJob) -> Result<()> {
+        for scanner in job.scanners.iter().flatten() {
+            self.writer.write_scanner(&scanner.record)?;
         }
-        let number = self.writer.write_scanner(record)?;
-        self.numbers.insert(record.clone(), number);
-        Ok(number)
+        self.writer.write_group(&job.group)
     }
 
     /// Ends the stream; returns its size in bytes.

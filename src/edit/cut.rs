@@ -79,7 +79,7 @@ impl<'l, W: Write> Cutter<'l, W> {
     ) -> Result<()> {
         for group in groups {
             let group = group.and_then(|group| self.cut_group(group)).map_err(|e| e.at(path))?;
-            self.copier.write(group)?;
+            self.copier.write(&group)?;
         }
         Ok(())
     }

@@ -1,18 +1,16 @@
 //! Saves what is intact of a damaged stream: its frames, or its groups as a new stream.
 
-use std::collections::HashMap;
 use std::io::{Read, Seek, Write};
 use std::ops::Range;
-use std::sync::Arc;
 
 use super::copier::{GroupCopier, Named};
 use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Limits, Result};
-use crate::stream::container::{Lost, SalvageReader, Salvaged, ScannerRecord};
+use crate::stream::container::{Group, Lost, SalvageReader, Salvaged};
 use crate::stream::decoder::{DecodedFrame, decode_group};
 use crate::stream::options::{DecodeOptions, FrameRange};
 use crate::stream::ordered::run_ordered;
-use crate::stream::source::{GroupJob, StoredScanner};
+use crate::stream::source::{GroupJob, UsedScanners, missing};
 
 /// The fate of a part of a damaged stream.
 #[derive(Clone, Debug)]
@@ -24,7 +22,7 @@ pub enum Recovered {
 }
 
 /// Decodes all intact groups of a damaged stream, and passes frames and losses to `sink`, in order. A group
-/// is lost if its record, or that of a scanner that it needs, is damaged or missing. Frames keep their
+/// is lost if its record is damaged or missing, or every copy of a scanner that it needs is. Frames keep their
 /// numbers as far as an intact index gives them; otherwise the frames that were found are numbered. Nothing
 /// is lost of an undamaged stream.
 ///
@@ -40,7 +38,7 @@ pub fn recover(
         Ok(match part {
             Part::Lost(lost) => vec![Recovered::Lost(lost)],
             Part::Group(bytes, job) => {
-                let lost = lost_group(bytes, &job, String::new());
+                let lost = lost_group(bytes, job.first_frame, &job.group, String::new());
                 match decode_group(job, options, DecodedFrame::checked) {
                     Ok(frames) => frames.into_iter().map(|f| Recovered::Frame(Box::new(f))).collect(),
                     Err(error) => vec![Recovered::Lost(Lost { why: error.to_string(), ..lost })],
@@ -73,7 +71,7 @@ pub fn repair(
             Part::Lost(lost) => on_lost(lost),
             Part::Group(_, job) => {
                 frames += job.group.frames.len() as u64;
-                copier.write(job)?;
+                copier.write(&job)?;
             }
         }
     }
@@ -91,36 +89,25 @@ enum Part {
 /// The parts of a damaged stream, as far as they hold the requested frames.
 struct RecoveredGroups<R> {
     reader: SalvageReader<R>,
-    /// The intact scanners so far, by their numbers.
-    scanners: HashMap<u64, Arc<StoredScanner>>,
+    scanners: UsedScanners,
     range: FrameRange,
 }
 
 impl<R: Read + Seek> RecoveredGroups<R> {
     fn open(input: R, limits: &Limits, range: FrameRange) -> Result<Self> {
-        let is_scanner = |record: &ScannerRecord| StoredScanner::parse(record.clone()).is_ok();
-        let reader = SalvageReader::open(input, *limits, is_scanner)?;
-        Ok(RecoveredGroups { reader, scanners: HashMap::new(), range })
+        let reader = SalvageReader::open(input, *limits)?;
+        Ok(RecoveredGroups { reader, scanners: UsedScanners::default(), range })
     }
 
     fn next_part(&mut self) -> Result<Option<Part>> {
         while let Some(part) = self.reader.next_part()? {
             let part = match part {
-                Salvaged::Scanner(number, record) => {
-                    self.scanners.insert(number, StoredScanner::parse(record)?);
-                    continue;
-                }
                 Salvaged::Lost(lost) => Part::Lost(lost),
                 Salvaged::Group { first_frame, bytes, group } => {
-                    let scanners = group.scanners.iter().map(|number| self.scanners.get(number).cloned());
-                    let scanners: Vec<_> = scanners.collect();
-                    let mut numbered = group.scanners.iter().zip(&scanners);
-                    let missing = numbered.find(|(number, scanner)| **number > 0 && scanner.is_none());
-                    let why = missing.map(|(number, _)| format!("scanner {number} is lost"));
-                    let job = GroupJob { first_frame, scanners, group };
-                    match why {
-                        Some(why) => Part::Lost(lost_group(bytes, &job, why)),
-                        None => Part::Group(bytes, job),
+                    let read = |id| self.reader.scanner(id).cloned().ok_or_else(|| missing(id));
+                    match self.scanners.of_group(&group, read) {
+                        Ok(scanners) => Part::Group(bytes, GroupJob { first_frame, scanners, group }),
+                        Err(why) => Part::Lost(lost_group(bytes, first_frame, &group, why.to_string())),
                     }
                 }
             };
@@ -147,8 +134,8 @@ impl<R: Read + Seek> Iterator for RecoveredGroups<R> {
 }
 
 /// The loss of a whole group.
-fn lost_group(bytes: Range<u64>, job: &GroupJob, why: String) -> Lost {
-    let frames = Some(job.first_frame..job.first_frame + job.group.frames.len() as u64);
-    let names = job.group.frames.iter().map(|frame| frame.header.name.clone()).collect();
+fn lost_group(bytes: Range<u64>, first_frame: u64, group: &Group, why: String) -> Lost {
+    let frames = Some(first_frame..first_frame + group.frames.len() as u64);
+    let names = group.frames.iter().map(|frame| frame.header.name.clone()).collect();
     Lost { bytes, frames, names, why }
 }

@@ -29,6 +29,7 @@ use settings::Settings;
 
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::ground::error::{Error, Result};
+use crate::stream::container::ScannerRecord;
 use crate::stream::encoded::{Encoded, OpenStream};
 use crate::stream::encoder::{SequenceCoder, groups_of};
 use crate::stream::input::FrameInput;
@@ -73,7 +74,8 @@ pub fn encode_resuming(
         compare_inputs(&kept, frames, config, &partial.path, on_frame)?;
     }
     let scanners = choose_scanners(frames, config)?;
-    if !kept.entries.is_empty() && kept.scanners != scanners.records {
+    let kept_scanners = kept.index.scanners().iter().map(|entry| entry.id);
+    if !kept.entries.is_empty() && !kept_scanners.eq(scanners.records.iter().map(ScannerRecord::id)) {
         let what = "was begun with another scanner model, so scans that it was fitted to were changed";
         return Err(refuse(&partial.path, what));
     }
@@ -109,7 +111,7 @@ fn open<'p>(
         (OpenStream::begin(out, &scanners.records)?, journal)
     } else {
         let journal = JournalWriter::resume(&partial.journal, kept.journal_end)?;
-        (OpenStream::resume(out, kept.index, kept.encoded), journal)
+        (OpenStream::resume(out, (kept.index, kept.stream_end), &scanners.records, kept.encoded)?, journal)
     })
 }
 

@@ -89,9 +89,14 @@ impl<W: Write> OpenStream<W> {
         Ok(OpenStream { writer, encoded: Encoded::default() })
     }
 
-    /// Goes on with a stream that holds this already.
-    pub fn resume(out: W, index: Index, encoded: Encoded) -> Self {
-        OpenStream { writer: StreamWriter::resume(out, index), encoded }
+    /// Goes on with a stream that holds this already, in so many bytes, of these scanners.
+    pub fn resume(
+        out: W,
+        (index, position): (Index, u64),
+        scanners: &[ScannerRecord],
+        encoded: Encoded,
+    ) -> Result<Self> {
+        Ok(OpenStream { writer: StreamWriter::resume(out, index, position, scanners)?, encoded })
     }
 
     /// Bytes written so far.

@@ -147,7 +147,7 @@ struct OpenGroup<'s> {
 
 impl<'s> OpenGroup<'s> {
     fn new(sequence: &SequenceCoder<'s>) -> Self {
-        let group = Group { scanners: sequence.scanners.numbers.clone(), frames: Vec::new() };
+        let group = Group { scanners: sequence.scanners.ids.clone(), frames: Vec::new() };
         let models: Vec<_> = sequence.scanners.models.iter().map(Option::as_ref).collect();
         OpenGroup {
             scanners: sequence.scanners,
@@ -168,7 +168,7 @@ impl<'s> OpenGroup<'s> {
         original.stamp.stream = self.scanners.stream_of(original.stamp.stream, &scan);
         let streams = usize::from(original.stamp.stream) + 1;
         let scanners = &mut self.encoded.group.scanners;
-        scanners.resize(scanners.len().max(streams), 0);
+        scanners.resize(scanners.len().max(streams), None);
         let original = FrameHeader { point_count: scan.records as u64, ..original };
         self.encoded.file_bytes += original.file_size;
         self.encoded.originals.push(original.clone());

@@ -10,7 +10,7 @@ use crate::ground::error::Result;
 use crate::scan::ScanFile;
 use crate::scanner::motion;
 use crate::scanner::{self, Scanner};
-use crate::stream::container::ScannerRecord;
+use crate::stream::container::{ScannerId, ScannerRecord};
 
 /// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;
@@ -19,8 +19,8 @@ const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 pub(crate) struct Scanners {
     /// That of each stream, if there is a model that it fits.
     pub models: Vec<Option<Scanner>>,
-    /// The numbers of these among the records; 1 is the first, 0 is none.
-    pub numbers: Vec<u64>,
+    /// What groups call these.
+    pub ids: Vec<Option<ScannerId>>,
     /// What is written of them: each once.
     pub records: Vec<ScannerRecord>,
     /// Whether frames of one stream are of several scanners: each is then coded in the stream of its own.
@@ -30,16 +30,16 @@ pub(crate) struct Scanners {
 impl Scanners {
     fn new(models: Vec<Option<Scanner>>) -> Self {
         let mut records = Vec::new();
-        let mut number = |model: &Option<Scanner>| {
-            let Some(record) = model.as_ref().map(record_of) else { return 0 };
-            let place = records.iter().position(|other| *other == record).unwrap_or(records.len());
-            if place == records.len() {
+        let mut name = |model: &Option<Scanner>| {
+            let record = record_of(model.as_ref()?);
+            let id = record.id();
+            if !records.contains(&record) {
                 records.push(record);
             }
-            place as u64 + 1
+            Some(id)
         };
-        let numbers = models.iter().map(&mut number).collect();
-        Scanners { models, numbers, records, are_mixed: false }
+        let ids = models.iter().map(&mut name).collect();
+        Scanners { models, ids, records, are_mixed: false }
     }
 }
 

@@ -1,6 +1,7 @@
 //! The groups of a stream that hold the frames asked for, each with its scanners: as they arrive,
 //! or by the index.
 
+use std::collections::HashMap;
 use std::io::{Read, Seek};
 use std::sync::Arc;
 
@@ -8,7 +9,7 @@ use super::options::FrameRange;
 use crate::ground::error::{Error, Result};
 use crate::scanner::Scanner;
 use crate::stream::container::{
-    Group, GroupEntry, Index, IndexedReader, Record, ScannerRecord, StreamReader,
+    Group, GroupEntry, Index, IndexedReader, Record, ScannerId, ScannerRecord, StreamReader,
 };
 
 /// A group, with all that it takes to decode or to copy it.
@@ -55,18 +56,44 @@ pub(crate) fn record_of(model: &Scanner) -> ScannerRecord {
     ScannerRecord { family: model.family(), payload: model.to_payload() }
 }
 
+/// The error about a group whose scanner is not there.
+pub(crate) fn missing(scanner: ScannerId) -> Error {
+    Error::corrupt(format!("scanner {scanner} is lost"))
+}
+
+/// The scanners of a stream that groups have used so far.
+#[derive(Default)]
+pub(crate) struct UsedScanners(HashMap<ScannerId, Arc<StoredScanner>>);
+
+impl UsedScanners {
+    /// The scanners of a group's streams; `read` gives those that no group has used before.
+    pub fn of_group(
+        &mut self,
+        group: &Group,
+        mut read: impl FnMut(ScannerId) -> Result<ScannerRecord>,
+    ) -> Result<Vec<Option<Arc<StoredScanner>>>> {
+        let mut scanner = |id: ScannerId| -> Result<_> {
+            if let Some(scanner) = self.0.get(&id) {
+                return Ok(Arc::clone(scanner));
+            }
+            let scanner = StoredScanner::parse(read(id)?)?;
+            Ok(Arc::clone(self.0.entry(id).or_insert(scanner)))
+        };
+        group.scanners.iter().map(|id| id.map(&mut scanner).transpose()).collect()
+    }
+}
+
 /// The groups of a stream as they arrive.
 pub struct StreamedGroups<R> {
     reader: StreamReader<R>,
-    /// The scanners so far, in order.
-    scanners: Vec<Arc<StoredScanner>>,
+    scanners: UsedScanners,
     range: FrameRange,
 }
 
 impl<R: Read> StreamedGroups<R> {
     /// From the first on.
     pub fn new(reader: StreamReader<R>, range: FrameRange) -> Self {
-        StreamedGroups { reader, scanners: Vec::new(), range }
+        StreamedGroups { reader, scanners: UsedScanners::default(), range }
     }
 
     /// Frames in all groups so far, wanted or not; after the last group, those of the stream.
@@ -76,16 +103,12 @@ impl<R: Read> StreamedGroups<R> {
 
     fn next_job(&mut self) -> Result<Option<GroupJob>> {
         while let Some(record) = self.reader.next_record()? {
-            match record {
-                Record::Scanner(record) => self.scanners.push(StoredScanner::parse(record)?),
-                Record::Group(group) => {
-                    let first_frame = self.frame_count() - group.frames.len() as u64;
-                    if self.range.overlaps(first_frame, group.frames.len() as u64) {
-                        let scanner = |number: &u64| self.scanners.get(scanner_place(*number)?).cloned();
-                        let scanners = group.scanners.iter().map(scanner).collect();
-                        return Ok(Some(GroupJob { first_frame, scanners, group }));
-                    }
-                }
+            let Record::Group(group) = record else { continue };
+            let first_frame = self.frame_count() - group.frames.len() as u64;
+            if self.range.overlaps(first_frame, group.frames.len() as u64) {
+                let read = |id| self.reader.scanner(id).cloned().ok_or_else(|| missing(id));
+                let scanners = self.scanners.of_group(&group, read)?;
+                return Ok(Some(GroupJob { first_frame, scanners, group }));
             }
         }
         Ok(None)
@@ -103,8 +126,7 @@ impl<R: Read> Iterator for StreamedGroups<R> {
 /// The groups that hold the frames asked for, read where the index says.
 pub struct IndexedGroups<R> {
     reader: IndexedReader<R>,
-    /// The scanners, once they were read.
-    scanners: Vec<Option<Arc<StoredScanner>>>,
+    scanners: UsedScanners,
     range: FrameRange,
     /// The next group's place in the index.
     place: usize,
@@ -113,8 +135,7 @@ pub struct IndexedGroups<R> {
 impl<R: Read + Seek> IndexedGroups<R> {
     /// From the first on.
     pub fn new(reader: IndexedReader<R>, range: FrameRange) -> Self {
-        let scanners = vec![None; reader.index().scanners.len()];
-        IndexedGroups { reader, scanners, range, place: 0 }
+        IndexedGroups { reader, scanners: UsedScanners::default(), range, place: 0 }
     }
 
     /// Where all records are.
@@ -136,23 +157,11 @@ impl<R: Read + Seek> IndexedGroups<R> {
             self.place += 1;
             if self.range.overlaps(first_frame, count) {
                 let group = self.reader.read_group(place)?;
-                let scanners = group.scanners.iter().map(|number| self.scanner(*number));
-                let scanners = scanners.collect::<Result<_>>()?;
+                let scanners = self.scanners.of_group(&group, |id| self.reader.read_scanner(id))?;
                 return Ok(Some(GroupJob { first_frame, scanners, group }));
             }
         }
         Ok(None)
-    }
-
-    /// The scanner of this number, which is read if it has not been.
-    fn scanner(&mut self, number: u64) -> Result<Option<Arc<StoredScanner>>> {
-        let Some(slot) = scanner_place(number).and_then(|place| self.scanners.get_mut(place)) else {
-            return Ok(None);
-        };
-        if slot.is_none() {
-            *slot = Some(StoredScanner::parse(self.reader.read_scanner(number)?)?);
-        }
-        Ok(slot.clone())
     }
 }
 
@@ -162,10 +171,4 @@ impl<R: Read + Seek> Iterator for IndexedGroups<R> {
     fn next(&mut self) -> Option<Self::Item> {
         self.next_job().transpose()
     }
-}
-
-/// Where the scanner of this number is among the stream's; `None` if the number stands for none. The readers have
-/// checked that there is such a scanner.
-fn scanner_place(number: u64) -> Option<usize> {
-    usize::try_from(number).ok()?.checked_sub(1)
 }

@@ -5,7 +5,6 @@ from firings import Scanner as Firings
 from scanner import Scanner as Hdl64
 
 MAGIC = b"\x89LPC"
-END_MAGIC = b"LPC."
 VERSION = 1
 
 SCANNER, GROUP, INDEX, END = 1, 2, 3, 4
@@ -83,14 +82,14 @@ class Reader:
         return (c >> 1) ^ -(c & 1)
 
     def block(self):
-        """A record (2.2) or a section (2.6): kind, payload."""
+        """A record (2.2) or a section (2.6): kind, payload, checksum."""
         start = self.at
         kind = self.unsigned(1)
         payload = self.take(self.varint())
         crc = crc32c(self.data[start : self.at])
         if self.unsigned(4) != crc:
             raise Refused("a checksum does not match")
-        return kind, payload
+        return kind, payload, crc
 
 
 def stamp(reader):
@@ -119,7 +118,7 @@ class Frame:
         self.point_count = reader.varint()
         self.sections = []
         for _ in range(reader.varint()):
-            kind, payload = reader.block()
+            kind, payload, _ = reader.block()
             if kind < SKIPPABLE:
                 self.sections.append((kind, payload))
         self.size = reader.at - start
@@ -133,10 +132,10 @@ class Group:
         count = reader.varint()
         if not 1 <= count <= 255:
             raise Refused("a group of no streams, or too many")
-        numbers = [reader.varint() for _ in range(count)]
-        if max(numbers) > len(scanners):
+        names = [reader.varint() for _ in range(count)]
+        if any(name and name - 1 not in scanners for name in names):
             raise Refused("a group has a scanner that does not stand before it")
-        self.scanners = [scanners[number - 1] if number else None for number in numbers]
+        self.scanners = [scanners[name - 1] if name else None for name in names]
         self.frames = [Frame(reader, count) for _ in range(reader.varint())]
         reader.end()
 
@@ -151,32 +150,37 @@ def groups(data):
     if version != VERSION or flags:
         raise Refused(f"version {version}, flags {flags:#x}: unknown")
     reader = Reader(data, 12)
-    scanners = []
-    places = {SCANNER: [], GROUP: []}
+    scanners = {}
+    copies = {}
+    places = []
     index = None
     while True:
         start = reader.at
-        kind, payload = reader.block()
+        kind, payload, crc = reader.block()
         if kind & SKIPPABLE:
             continue
         if index is not None and kind != END:
             raise Refused("a record after the index")
         if kind == SCANNER:
-            scanners.append(scanner_of(Reader(payload)))
-            places[kind].append((start, reader.at - start))
+            known, offsets = copies.setdefault(crc, (payload, []))
+            if known != payload:
+                raise Refused("two scanners have the same checksum")
+            if not offsets:
+                scanners[crc] = scanner_of(Reader(payload))
+            offsets.append(start)
         elif kind == GROUP:
             group = Group(payload, scanners)
-            places[kind].append((start, reader.at - start, group_entry(group)))
+            places.append((start, reader.at - start, crc, group_entry(group)))
             yield group
         elif kind == INDEX:
             index = start
-            compare(Reader(payload), places)
+            compare(Reader(payload), copies, places)
         elif kind == END:
             break
         else:
             raise Refused(f"a record of unknown kind {kind}")
-    if index is None or payload != index.to_bytes(8, "little") + END_MAGIC:
-        raise Refused("the end record does not point to the index")
+    if index is None or payload != index.to_bytes(8, "little") + data[:8]:
+        raise Refused("the end record does not point to the index, or does not repeat the header")
     reader.end()
 
 
@@ -204,10 +208,18 @@ def read_entry(reader):
     return [reader.varint() for _ in range(count)], [stamp(reader) for _ in range(count)]
 
 
-def compare(reader, places):
+def compare(reader, copies, places):
     """2.7: the index with what was read."""
-    scanners = [(reader.varint(), reader.varint()) for _ in range(reader.varint())]
-    found = [(reader.varint(), reader.varint(), read_entry(reader)) for _ in range(reader.varint())]
+    scanners = [(reader.unsigned(4), read_offsets(reader)) for _ in range(reader.varint())]
+    found = [read_group(reader) for _ in range(reader.varint())]
     reader.end()
-    if scanners != places[SCANNER] or found != places[GROUP]:
+    if scanners != [(crc, offsets) for crc, (_, offsets) in copies.items()] or found != places:
         raise Refused("the index does not match the records")
+
+
+def read_offsets(reader):
+    return [reader.varint() for _ in range(reader.varint())]
+
+
+def read_group(reader):
+    return reader.varint(), reader.varint(), reader.unsigned(4), read_entry(reader)

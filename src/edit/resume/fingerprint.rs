@@ -7,7 +7,8 @@ use crate::stream::container::{Frame, Group};
 pub fn fingerprint<'g>(groups: impl IntoIterator<Item = &'g Group>) -> u32 {
     let mut parts = Vec::new();
     for group in groups {
-        parts.extend(group.scanners.iter().flat_map(|number| number.to_le_bytes()));
+        let names = group.scanners.iter().map(|scanner| scanner.map_or(0, |id| u64::from(id.0) + 1));
+        parts.extend(names.flat_map(u64::to_le_bytes));
         for Frame { header, sections } in &group.frames {
             Frame { header: header.clone(), sections: Vec::new() }.write_to(&mut parts);
             for section in sections {
@@ -22,10 +23,11 @@ pub fn fingerprint<'g>(groups: impl IntoIterator<Item = &'g Group>) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::container::{FrameHeader, Section, SectionKind};
+    use crate::stream::container::{FrameHeader, ScannerId, Section, SectionKind};
 
     #[test]
     fn groups_of_the_same_length_differ() {
+        let scanner = Some(ScannerId(7));
         let group = |name: &str, byte, kind, scanner| {
             let sections = vec![Section { kind, payload: vec![byte; 9] }];
             Group {
@@ -34,11 +36,11 @@ mod tests {
             }
         };
         let groups = [
-            group("1", 1, SectionKind::Range, 1),
-            group("2", 1, SectionKind::Range, 1),
-            group("1", 2, SectionKind::Range, 1),
-            group("1", 1, SectionKind::Points, 1),
-            group("1", 1, SectionKind::Range, 0),
+            group("1", 1, SectionKind::Range, scanner),
+            group("2", 1, SectionKind::Range, scanner),
+            group("1", 2, SectionKind::Range, scanner),
+            group("1", 1, SectionKind::Points, scanner),
+            group("1", 1, SectionKind::Range, None),
         ];
         for (place, one) in groups.iter().enumerate() {
             let same = groups.iter().filter(|other| fingerprint([*other]) == fingerprint([one])).count();

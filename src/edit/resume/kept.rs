@@ -8,7 +8,7 @@ use super::journal::{Entry, Journal};
 use super::settings::Settings;
 use crate::frame::steps::StepReport;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::container::{Frame, Index, Record, ScannerRecord, StreamReader};
+use crate::stream::container::{Frame, Index, Record, StreamReader};
 use crate::stream::encoded::{Encoded, FrameOfStream};
 
 /// The beginning of a partial stream, as far as it is intact and the journal records what it was made from.
@@ -18,8 +18,6 @@ pub struct Kept {
     pub settings: Settings,
     /// The journal's entries about its groups; empty if nothing is kept.
     pub entries: Vec<Entry>,
-    /// Its scanners.
-    pub scanners: Vec<ScannerRecord>,
     /// The places of its records.
     pub index: Index,
     /// Its contents.
@@ -41,52 +39,41 @@ impl Kept {
         let mut kept = Kept { settings: journal.settings, ..Kept::default() };
         let reader = StreamReader::open(BufReader::new(stream), Limits::default());
         let Some(mut reader) = intact(reader)? else { return Ok(kept) };
-        let mut groups = 0;
         for (entry, journal_end) in journal.entries {
-            let Some(part) = intact(Part::read(&mut reader, &entry))? else { break };
-            groups += part.groups;
-            kept.scanners.extend(part.scanners);
-            part.frames.into_iter().for_each(|frame| kept.encoded.add(frame));
+            let Some(part) = intact(read_part(&mut reader, &entry))? else { break };
+            part.into_iter().for_each(|frame| kept.encoded.add(frame));
             (kept.stream_end, kept.journal_end) = (entry.stream_end, journal_end);
             kept.entries.push(entry);
         }
         kept.encoded.resumed_frames = kept.encoded.frames.len() as u64;
         // What was read after that is not kept.
         kept.index = reader.index().clone();
-        kept.index.groups.truncate(groups);
-        kept.index.scanners.truncate(kept.scanners.len());
+        kept.index.truncate(kept.stream_end);
         Ok(kept)
     }
 }
 
-/// The part of a stream that an entry of the journal describes.
-struct Part {
-    scanners: Vec<ScannerRecord>,
-    groups: usize,
-    frames: Vec<FrameOfStream>,
-}
-
-impl Part {
-    /// Reads the next part of a stream; an error if it is not as the journal says.
-    fn read(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Self> {
-        let (mut scanners, mut groups) = (Vec::new(), Vec::new());
-        while reader.position() < entry.stream_end {
-            match reader.next_record()? {
-                Some(Record::Scanner(record)) => scanners.push(record),
-                Some(Record::Group(group)) => groups.push(group),
-                None => break,
-            }
+/// Reads the next part of a stream, which an entry of the journal describes; gives its frames.
+///
+/// # Errors
+/// If it is not as the journal says.
+fn read_part(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Vec<FrameOfStream>> {
+    let mut groups = Vec::new();
+    while reader.position() < entry.stream_end {
+        match reader.next_record()? {
+            Some(Record::Scanner(_)) => {}
+            Some(Record::Group(group)) => groups.push(group),
+            None => break,
         }
-        let frames = || groups.iter().flat_map(|group| &group.frames);
-        let is_same = reader.position() == entry.stream_end
-            && fingerprint(&groups) == entry.fingerprint
-            && frames().map(|frame| &frame.header.name).eq(entry.files.iter().map(|file| &file.name));
-        if !is_same {
-            return Err(Error::corrupt("it is not what the journal tells"));
-        }
-        let frames = frames().map(FrameOfStream::kept).collect::<Result<_>>()?;
-        Ok(Part { scanners, groups: groups.len(), frames })
     }
+    let frames = || groups.iter().flat_map(|group| &group.frames);
+    let is_same = reader.position() == entry.stream_end
+        && fingerprint(&groups) == entry.fingerprint
+        && frames().map(|frame| &frame.header.name).eq(entry.files.iter().map(|file| &file.name));
+    if !is_same {
+        return Err(Error::corrupt("it is not what the journal tells"));
+    }
+    frames().map(FrameOfStream::kept).collect()
 }
 
 impl FrameOfStream {

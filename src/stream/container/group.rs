@@ -1,6 +1,7 @@
 //! Groups: frames that are coded together, and apart from all others.
 
 use super::index::FrameEntry;
+use super::scanner::ScannerId;
 use super::section::Section;
 use super::stamp::Stamp;
 use super::wire::{take, take_u32};
@@ -92,13 +93,13 @@ impl Frame {
     }
 }
 
-/// Frames that are coded together; those of each stream learn from one another, and from no other's. A group says nothing of its place in the sequence, so that
-/// groups can be cut and joined without coding them anew.
+/// Frames that are coded together; those of each stream learn from one another, and from no other's. A
+/// group says nothing of its place in the sequence, and names its scanners by what they are, so that groups can be cut
+/// and joined without coding them anew.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Group {
-    /// The scanner of each stream, 1 to 255 of them, by its number among those of the whole stream: 1 is the first;
-    /// 0 is none.
-    pub scanners: Vec<u64>,
+    /// The scanner of each stream, 1 to 255 of them, if it has one.
+    pub scanners: Vec<Option<ScannerId>>,
     /// The frames of all streams, in order.
     pub frames: Vec<Frame>,
 }
@@ -107,7 +108,7 @@ impl Group {
     /// Appends the group; returns what the index says of each frame.
     pub fn write_to(&self, out: &mut Vec<u8>) -> Vec<FrameEntry> {
         write_unsigned(out, self.scanners.len() as u64);
-        self.scanners.iter().for_each(|number| write_unsigned(out, *number));
+        self.scanners.iter().for_each(|scanner| ScannerId::write_to(*scanner, out));
         write_unsigned(out, self.frames.len() as u64);
         let mut entries = Vec::with_capacity(self.frames.len());
         for frame in &self.frames {
@@ -164,10 +165,10 @@ impl Group {
     }
 }
 
-/// Takes the numbers of a group's scanners off the front of `input`.
-fn read_scanners(input: &mut &[u8]) -> Result<Vec<u64>> {
+/// Takes the scanners of a group's streams off the front of `input`.
+fn read_scanners(input: &mut &[u8]) -> Result<Vec<Option<ScannerId>>> {
     match read_unsigned(input, "scanner count")? {
-        count @ 1..=STREAMS_MAX => (0..count).map(|_| read_unsigned(input, "scanner's number")).collect(),
+        count @ 1..=STREAMS_MAX => (0..count).map(|_| ScannerId::read_from(input)).collect(),
         count => Err(Error::corrupt(format!("a group of {count} streams"))),
     }
 }

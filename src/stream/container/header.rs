@@ -14,7 +14,10 @@ pub const MAGIC: [u8; 4] = *b"\x89LPC";
 pub const VERSION: u16 = 1;
 
 /// Bytes of the stream header. This layout stays the same in every later version.
-pub const HEADER_LENGTH: usize = 12;
+pub const HEADER_LENGTH: usize = FIELDS_LENGTH + 4;
+
+/// Bytes of the stream header before its checksum.
+pub(super) const FIELDS_LENGTH: usize = 8;
 
 /// Flag bits that this version knows: none so far.
 const KNOWN_FLAGS: u16 = 0;
@@ -40,14 +43,25 @@ impl StreamHeader {
     /// # Errors
     /// If `out` fails.
     pub fn write_to(&self, out: &mut impl Write) -> Result<()> {
-        let mut bytes = [0; HEADER_LENGTH];
+        let fields = self.to_bytes();
+        out.write_all(&fields)?;
+        out.write_all(&crc32c::crc32c(&fields).to_le_bytes())?;
+        Ok(())
+    }
+
+    /// The header without its checksum: what the end record repeats.
+    pub(super) fn to_bytes(self) -> [u8; FIELDS_LENGTH] {
+        let mut bytes = [0; FIELDS_LENGTH];
         bytes[..4].copy_from_slice(&MAGIC);
         LittleEndian::write_u16(&mut bytes[4..6], self.version);
         LittleEndian::write_u16(&mut bytes[6..8], self.flags);
-        let crc = crc32c::crc32c(&bytes[..8]);
-        LittleEndian::write_u32(&mut bytes[8..], crc);
-        out.write_all(&bytes)?;
-        Ok(())
+        bytes
+    }
+
+    /// The header that these bytes are; `None` if they do not begin as one.
+    pub(super) fn of_bytes(bytes: &[u8; FIELDS_LENGTH]) -> Option<Self> {
+        let (version, flags) = (LittleEndian::read_u16(&bytes[4..6]), LittleEndian::read_u16(&bytes[6..8]));
+        bytes.starts_with(&MAGIC).then_some(StreamHeader { version, flags })
     }
 
     /// Reads a header and checks that this program can read what follows.
@@ -55,24 +69,21 @@ impl StreamHeader {
     /// # Errors
     /// If the input is no lidarpc stream, is damaged, or is of another version of the format.
     pub fn read_from(input: &mut impl Read) -> Result<Self> {
-        let mut bytes = [0; HEADER_LENGTH];
-        read_exact(input, &mut bytes[..4], "stream header")?;
-        if bytes[..4] != MAGIC {
-            return Err(Error::BadMagic([bytes[0], bytes[1], bytes[2], bytes[3]]));
+        let (mut fields, mut crc) = ([0; FIELDS_LENGTH], [0; 4]);
+        read_exact(input, &mut fields[..4], "stream header")?;
+        if fields[..4] != MAGIC {
+            return Err(Error::BadMagic([fields[0], fields[1], fields[2], fields[3]]));
         }
-        read_exact(input, &mut bytes[4..], "stream header")?;
-        if crc32c::crc32c(&bytes[..8]) != LittleEndian::read_u32(&bytes[8..]) {
-            return Err(Error::corrupt("stream header: checksum does not match"));
-        }
-        let header = StreamHeader {
-            version: LittleEndian::read_u16(&bytes[4..6]),
-            flags: LittleEndian::read_u16(&bytes[6..8]),
-        };
+        read_exact(input, &mut fields[4..], "stream header")?;
+        read_exact(input, &mut crc, "stream header")?;
+        let header = Self::of_bytes(&fields).filter(|_| crc32c::crc32c(&fields).to_le_bytes() == crc);
+        let header = header.ok_or_else(|| Error::corrupt("stream header: checksum does not match"))?;
         header.check()?;
         Ok(header)
     }
 
-    fn check(&self) -> Result<()> {
+    /// An error if this program cannot read what follows.
+    pub(super) fn check(&self) -> Result<()> {
         if self.version != VERSION {
             return Err(Error::UnsupportedVersion { found: self.version, known: VERSION });
         }

@@ -1,23 +1,21 @@
 //! The index: where the records are. Only seeking needs it; a stream decodes without.
 
+use std::collections::HashMap;
+
+use super::header::{FIELDS_LENGTH, StreamHeader};
+use super::scanner::ScannerId;
 use super::stamp::Stamp;
-use super::wire::take;
+use super::wire::take_u32;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
-/// Bytes of the end record: kind, length, `index_offset`, `end_magic`, checksum.
-pub(super) const END_LENGTH: u64 = 18;
-
-/// The last bytes of the end record's payload.
-const END_MAGIC: [u8; 4] = *b"LPC.";
-
-/// Where a scanner's record is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Where a scanner's records are.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ScannerEntry {
-    /// Offset of the record from the start of the stream, in bytes.
-    pub offset: u64,
-    /// Bytes of the whole record.
-    pub length: u64,
+    /// What groups call it: the checksum of these records.
+    pub id: ScannerId,
+    /// Offsets of all copies of its record from the start of the stream, in bytes: at least one.
+    pub offsets: Vec<u64>,
 }
 
 /// Where a group's record is, and what it holds.
@@ -27,6 +25,8 @@ pub struct GroupEntry {
     pub offset: u64,
     /// Bytes of the whole record.
     pub length: u64,
+    /// Checksum of the record: by it the group is known wherever it is found.
+    pub crc: u32,
     /// Number of its first frame in the sequence. Not stored: it is the sum of the counts before.
     pub first_frame: u64,
     /// Its frames, in order.
@@ -45,8 +45,9 @@ pub struct FrameEntry {
 /// Where all records are.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Index {
-    /// The scanners, in order; groups refer to them by number, 1 being the first.
-    pub scanners: Vec<ScannerEntry>,
+    scanners: Vec<ScannerEntry>,
+    /// The places of the scanners by their names.
+    places: HashMap<ScannerId, usize>,
     /// The groups, in order.
     pub groups: Vec<GroupEntry>,
 }
@@ -57,34 +58,55 @@ impl Index {
         self.groups.last().map_or(0, |group| group.first_frame + group.frames.len() as u64)
     }
 
-    /// Where the last of the records ends, in bytes from the start of the stream; `None` if there are none.
-    pub(super) fn end(&self) -> Option<u64> {
-        let scanners = self.scanners.iter().map(|entry| entry.offset + entry.length);
-        scanners.chain(self.groups.iter().map(|entry| entry.offset + entry.length)).max()
+    /// The scanners, in the order of their first records.
+    pub fn scanners(&self) -> &[ScannerEntry] {
+        &self.scanners
     }
 
-    /// Adds the scanner whose record starts at `offset`.
-    pub(super) fn push_scanner(&mut self, offset: u64, length: u64) {
-        self.scanners.push(ScannerEntry { offset, length });
+    /// The scanner that groups call so, if there is one.
+    pub fn scanner(&self, id: ScannerId) -> Option<&ScannerEntry> {
+        self.places.get(&id).map(|place| &self.scanners[*place])
+    }
+
+    /// Adds a scanner record that starts at `offset`.
+    pub(super) fn push_scanner(&mut self, offset: u64, id: ScannerId) {
+        let next = self.scanners.len();
+        let place = *self.places.entry(id).or_insert(next);
+        if place == next {
+            self.scanners.push(ScannerEntry { id, offsets: Vec::new() });
+        }
+        self.scanners[place].offsets.push(offset);
     }
 
     /// Adds the group whose record starts at `offset`.
-    pub(super) fn push_group(&mut self, offset: u64, length: u64, frames: Vec<FrameEntry>) {
+    pub(super) fn push_group(&mut self, offset: u64, length: u64, crc: u32, frames: Vec<FrameEntry>) {
         let first_frame = self.frame_count();
-        self.groups.push(GroupEntry { offset, length, first_frame, frames });
+        self.groups.push(GroupEntry { offset, length, crc, first_frame, frames });
+    }
+
+    /// Forgets the records from this offset on.
+    pub fn truncate(&mut self, end: u64) {
+        self.groups.retain(|group| group.offset < end);
+        self.scanners.iter_mut().for_each(|entry| entry.offsets.retain(|offset| *offset < end));
+        // First records are in order, so those that are left are the first scanners.
+        self.scanners.retain(|entry| !entry.offsets.is_empty());
+        let scanners = self.scanners.len();
+        self.places.retain(|_, place| *place < scanners);
     }
 
     /// Appends the payload of an index record.
     pub fn write_to(&self, out: &mut Vec<u8>) {
         write_unsigned(out, self.scanners.len() as u64);
-        for entry in &self.scanners {
-            write_unsigned(out, entry.offset);
-            write_unsigned(out, entry.length);
+        for ScannerEntry { id, offsets } in &self.scanners {
+            out.extend_from_slice(&id.0.to_le_bytes());
+            write_unsigned(out, offsets.len() as u64);
+            offsets.iter().for_each(|offset| write_unsigned(out, *offset));
         }
         write_unsigned(out, self.groups.len() as u64);
         for entry in &self.groups {
             write_unsigned(out, entry.offset);
             write_unsigned(out, entry.length);
+            out.extend_from_slice(&entry.crc.to_le_bytes());
             write_unsigned(out, entry.frames.len() as u64);
             entry.frames.iter().for_each(|frame| write_unsigned(out, frame.size));
             entry.frames.iter().for_each(|frame| frame.stamp.write_to(out));
@@ -99,12 +121,19 @@ impl Index {
         let input = &mut input;
         let mut index = Index::default();
         for _ in 0..read_unsigned(input, "scanner count")? {
-            let offset = read_unsigned(input, "scanner's offset")?;
-            index.push_scanner(offset, read_unsigned(input, "scanner's length")?);
+            let id = ScannerId(take_u32(input, "scanner's checksum")?);
+            let copies = read_unsigned(input, "copies of a scanner")?;
+            if copies == 0 || index.scanner(id).is_some() {
+                return Err(Error::corrupt(format!("scanner {id} has no record, or is there twice")));
+            }
+            for _ in 0..copies {
+                index.push_scanner(read_unsigned(input, "scanner's offset")?, id);
+            }
         }
         for _ in 0..read_unsigned(input, "group count")? {
             let offset = read_unsigned(input, "group's offset")?;
             let length = read_unsigned(input, "group's length")?;
+            let crc = take_u32(input, "group's checksum")?;
             let mut frames = Vec::new();
             for _ in 0..read_unsigned(input, "frame count")? {
                 let size = read_unsigned(input, "frame size")?;
@@ -113,7 +142,7 @@ impl Index {
             for frame in &mut frames {
                 frame.stamp = Stamp::read_from(input)?;
             }
-            index.push_group(offset, length, frames);
+            index.push_group(offset, length, crc, frames);
         }
         if !input.is_empty() {
             return Err(Error::corrupt("bytes left over"));
@@ -122,16 +151,36 @@ impl Index {
     }
 }
 
-/// The payload of the end record.
-pub(super) fn end_payload(index_offset: u64) -> Vec<u8> {
-    [&index_offset.to_le_bytes()[..], &END_MAGIC].concat()
+/// The end of a stream: where the index is, and the stream header once more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct End {
+    /// Of the index record, in bytes from the start of the stream.
+    pub index_offset: u64,
+    /// As at the beginning of the stream. Not checked.
+    pub header: StreamHeader,
 }
 
-/// Reads the payload of the end record: where the index record starts.
-pub(super) fn read_end_payload(mut payload: &[u8]) -> Result<u64> {
-    let index_offset = take(&mut payload, 8, "index offset")?;
-    if payload != END_MAGIC {
-        return Err(Error::corrupt("it is not as long as it should be, or does not close with its mark"));
+impl End {
+    /// Bytes of the end record: kind, length, payload, checksum.
+    pub const RECORD_LENGTH: u64 = 1 + 1 + 8 + FIELDS_LENGTH as u64 + 4;
+
+    /// The payload of the end record.
+    pub fn to_payload(self) -> Vec<u8> {
+        [self.index_offset.to_le_bytes(), self.header.to_bytes()].concat()
     }
-    Ok(index_offset.iter().rev().fold(0, |value, byte| value << 8 | u64::from(*byte)))
+
+    /// Reads the payload of the end record.
+    ///
+    /// # Errors
+    /// If it is none.
+    pub fn of_payload(payload: &[u8]) -> Result<Self> {
+        let parts =
+            payload.split_first_chunk().and_then(|(offset, rest)| Some((offset, rest.try_into().ok()?)));
+        let end = parts.and_then(|(offset, header)| {
+            Some(End { index_offset: u64::from_le_bytes(*offset), header: StreamHeader::of_bytes(header)? })
+        });
+        end.ok_or_else(|| {
+            Error::corrupt("it is not as long as it should be, or does not hold the stream header")
+        })
+    }
 }

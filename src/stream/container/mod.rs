@@ -23,7 +23,7 @@ pub use header::{MAGIC, StreamHeader, VERSION};
 pub use index::{FrameEntry, GroupEntry, Index, ScannerEntry};
 pub use reader::{IndexedReader, Record, StreamReader};
 pub use salvage::{Lost, SalvageReader, Salvaged};
-pub use scanner::ScannerRecord;
+pub use scanner::{ScannerId, ScannerRecord};
 pub use section::Section;
 
 pub use crate::ground::SectionKind;

@@ -4,16 +4,16 @@ use std::io::{Read, Seek, SeekFrom};
 
 use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
-use super::index::{END_LENGTH, Index, read_end_payload};
+use super::index::{End, Index};
 use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
-use super::scanner::ScannerRecord;
+use super::scanner::{ScannerId, ScannerRecord, Scanners};
 use crate::ground::SKIPPABLE;
 use crate::ground::error::{Error, Limits, Result};
 
 /// What a stream is made of.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Record {
-    /// A scanner; its number is one more than that of the scanner before, the first being 1.
+    /// A scanner that has not come before.
     Scanner(ScannerRecord),
     /// The sequence's next group.
     Group(Group),
@@ -29,6 +29,7 @@ pub struct StreamReader<R> {
     position: u64,
     /// What was found so far, to compare the stream's own index with.
     seen: Index,
+    scanners: Scanners,
     /// Where the index record was, once it was read.
     index_offset: Option<u64>,
     ended: bool,
@@ -48,6 +49,7 @@ impl<R: Read> StreamReader<R> {
             header,
             position,
             seen: Index::default(),
+            scanners: Scanners::default(),
             index_offset: None,
             ended: false,
         })
@@ -66,6 +68,11 @@ impl<R: Read> StreamReader<R> {
     /// Where the records read so far are.
     pub fn index(&self) -> &Index {
         &self.seen
+    }
+
+    /// The scanner that groups call so, if it has come.
+    pub fn scanner(&self, id: ScannerId) -> Option<&ScannerRecord> {
+        self.scanners.get(id)
     }
 
     /// The next scanner or group, or `None` after the last.
@@ -96,14 +103,16 @@ impl<R: Read> StreamReader<R> {
         match raw.kind {
             SCANNER => {
                 let scanner = ScannerRecord::read_from(&raw.payload)?;
-                self.seen.push_scanner(offset, raw.length);
-                return Ok(Some(Record::Scanner(scanner)));
+                self.seen.push_scanner(offset, ScannerId(raw.crc));
+                if self.scanners.add(scanner.clone())? {
+                    return Ok(Some(Record::Scanner(scanner)));
+                }
             }
             GROUP => {
                 let group = Group::read_from(&raw.payload, &self.limits);
                 let (group, frames) = group.map_err(|e| e.counted_from(first_frame))?;
                 check_reference(&group, &self.seen)?;
-                self.seen.push_group(offset, raw.length, frames);
+                self.seen.push_group(offset, raw.length, raw.crc, frames);
                 return Ok(Some(Record::Group(group)));
             }
             INDEX => {
@@ -120,10 +129,11 @@ impl<R: Read> StreamReader<R> {
     }
 
     fn accept_end(&mut self, raw: &RawRecord) -> Result<()> {
-        let index_offset = read_end_payload(&raw.payload)?;
-        if self.index_offset != Some(index_offset) {
+        let end = End::of_payload(&raw.payload)?;
+        if self.index_offset != Some(end.index_offset) {
             return Err(Error::corrupt("it does not point at the index"));
         }
+        check_header(&end, &self.header)?;
         if self.input.by_ref().take(1).read_to_end(&mut Vec::new())? != 0 {
             return Err(Error::corrupt("there are bytes after it"));
         }
@@ -148,16 +158,18 @@ impl<R: Read + Seek> IndexedReader<R> {
     /// As [`StreamReader::open`]; also if the end or the index is missing or damaged.
     pub fn open(mut input: R, limits: Limits) -> Result<Self> {
         input.seek(SeekFrom::Start(0))?;
-        StreamHeader::read_from(&mut input)?;
+        let header = StreamHeader::read_from(&mut input)?;
         let size = input.seek(SeekFrom::End(0))?;
-        let end_offset = size.checked_sub(END_LENGTH).ok_or_else(|| Error::corrupt("it is cut short"))?;
+        let cut_short = || Error::corrupt("it is cut short");
+        let end_offset = size.checked_sub(End::RECORD_LENGTH).ok_or_else(cut_short)?;
         let mut reader = IndexedReader { input, limits, size, index: Index::default() };
-        let index_offset = reader
+        let end = reader
             .record_at(end_offset, END)
-            .and_then(|raw| read_end_payload(&raw.payload))
+            .and_then(|raw| End::of_payload(&raw.payload))
+            .and_then(|end| check_header(&end, &header).map(|()| end))
             .map_err(|e| e.within("end of the stream"))?;
         reader.index = reader
-            .record_at(index_offset, INDEX)
+            .record_at(end.index_offset, INDEX)
             .and_then(|raw| Index::read_from(&raw.payload))
             .map_err(|e| e.within("index"))?;
         Ok(reader)
@@ -168,17 +180,23 @@ impl<R: Read + Seek> IndexedReader<R> {
         &self.index
     }
 
-    /// The scanner with this number, the first being 1.
+    /// The scanner that groups call so: the last copy of its record that is intact.
     ///
     /// # Errors
-    /// If there is no such scanner, or its record is damaged or not where the index says.
-    pub fn read_scanner(&mut self, number: u64) -> Result<ScannerRecord> {
-        let part = format!("scanner {number}");
-        let place = usize::try_from(number).ok().and_then(|number| number.checked_sub(1));
-        let entry = place.and_then(|place| self.index.scanners.get(place)).copied();
-        let entry = entry.ok_or_else(|| Error::corrupt(format!("{part} is not in the index")))?;
-        let raw = self.indexed_record(entry.offset, entry.length, SCANNER);
-        raw.and_then(|raw| ScannerRecord::read_from(&raw.payload)).map_err(|e| e.within(part))
+    /// If the index does not tell of it, or all copies are damaged.
+    pub fn read_scanner(&mut self, id: ScannerId) -> Result<ScannerRecord> {
+        let offsets = self.index.scanner(id).map_or_else(Vec::new, |entry| entry.offsets.clone());
+        let mut read = Err(Error::corrupt("it is not in the index"));
+        for offset in offsets.into_iter().rev() {
+            read = self.record_at(offset, SCANNER).and_then(|raw| match ScannerId(raw.crc) == id {
+                true => ScannerRecord::read_from(&raw.payload),
+                false => Err(Error::corrupt("it is not what the index says")),
+            });
+            if read.is_ok() {
+                break;
+            }
+        }
+        read.map_err(|e| e.within(format!("scanner {id}")))
     }
 
     /// The group at this place of the index, the first being 0.
@@ -191,26 +209,18 @@ impl<R: Read + Seek> IndexedReader<R> {
 
     fn try_read_group(&mut self, place: usize) -> Result<Group> {
         let entry = self.index.groups.get(place);
-        let (offset, length, first_frame) = entry
-            .map(|entry| (entry.offset, entry.length, entry.first_frame))
+        let (offset, first_frame) = entry
+            .map(|entry| (entry.offset, entry.first_frame))
             .ok_or_else(|| Error::corrupt("it is not in the index"))?;
-        let group = self
-            .indexed_record(offset, length, GROUP)
-            .and_then(|raw| Group::read_from(&raw.payload, &self.limits));
-        let (group, frames) = group.map_err(|e| e.counted_from(first_frame))?;
-        if frames != self.index.groups[place].frames {
+        let counted = |e: Error| e.counted_from(first_frame);
+        let raw = self.record_at(offset, GROUP).map_err(counted)?;
+        let (group, frames) = Group::read_from(&raw.payload, &self.limits).map_err(counted)?;
+        let entry = &self.index.groups[place];
+        if (raw.length, raw.crc, &frames) != (entry.length, entry.crc, &entry.frames) {
             return Err(Error::corrupt("it does not agree with the index"));
         }
         check_reference(&group, &self.index)?;
         Ok(group)
-    }
-
-    fn indexed_record(&mut self, offset: u64, length: u64, kind: u8) -> Result<RawRecord> {
-        let raw = self.record_at(offset, kind)?;
-        if raw.length != length {
-            return Err(Error::corrupt("it is not as long as the index says"));
-        }
-        Ok(raw)
     }
 
     /// Reads the record at `offset`, which must be whole and of this kind.
@@ -243,11 +253,18 @@ fn check_intact(raw: &RawRecord, limits: &Limits) -> Result<()> {
 
 /// An error if the group refers to a scanner that the stream does not hold.
 fn check_reference(group: &Group, index: &Index) -> Result<()> {
-    let scanners = index.scanners.len() as u64;
-    match group.scanners.iter().find(|number| **number > scanners) {
-        Some(number) => Err(Error::corrupt(format!("scanner {number} of {scanners}"))),
+    match group.scanners.iter().flatten().find(|id| index.scanner(**id).is_none()) {
+        Some(id) => Err(Error::corrupt(format!("its scanner {id} is missing"))),
         None => Ok(()),
     }
+}
+
+/// An error if the end record does not repeat the stream header.
+fn check_header(end: &End, header: &StreamHeader) -> Result<()> {
+    if end.header != *header {
+        return Err(Error::corrupt("it does not agree with the stream header"));
+    }
+    Ok(())
 }
 
 fn kind_name(kind: u8) -> &'static str {
@@ -263,7 +280,7 @@ fn kind_name(kind: u8) -> &'static str {
 /// What an error calls the record that follows those in `seen`.
 fn describe(kind: u8, seen: &Index) -> String {
     match kind {
-        SCANNER => format!("scanner {}", seen.scanners.len() + 1),
+        SCANNER => "scanner".to_owned(),
         GROUP => format!("group {}", seen.groups.len()),
         INDEX => "index".to_owned(),
         END => "end record".to_owned(),

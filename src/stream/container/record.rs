@@ -19,18 +19,32 @@ pub(super) struct RawRecord {
     pub payload: Vec<u8>,
     /// Bytes of the whole record.
     pub length: u64,
-    /// Whether the checksum matches.
+    /// The checksum that it carries.
+    pub crc: u32,
+    /// Whether that is the checksum of its bytes.
     pub intact: bool,
 }
 
-/// Writes a record; returns its whole length in bytes.
-pub(super) fn write_record(out: &mut impl Write, kind: u8, payload: &[u8]) -> Result<u64> {
+/// A record as it was written.
+pub(super) struct WrittenRecord {
+    /// Bytes of the whole record.
+    pub length: u64,
+    pub crc: u32,
+}
+
+/// Writes a record.
+pub(super) fn write_record(out: &mut impl Write, kind: u8, payload: &[u8]) -> Result<WrittenRecord> {
     let head = head(kind, payload.len() as u64);
-    let crc = crc32c::crc32c_append(crc32c::crc32c(&head), payload);
+    let crc = checksum(kind, payload);
     out.write_all(&head)?;
     out.write_all(payload)?;
     out.write_all(&crc.to_le_bytes())?;
-    Ok((head.len() + payload.len() + 4) as u64)
+    Ok(WrittenRecord { length: (head.len() + payload.len() + 4) as u64, crc })
+}
+
+/// The checksum of a record.
+pub(super) fn checksum(kind: u8, payload: &[u8]) -> u32 {
+    crc32c::crc32c_append(crc32c::crc32c(&head(kind, payload.len() as u64)), payload)
 }
 
 /// Reads the next record, whatever its kind.
@@ -42,14 +56,9 @@ pub(super) fn read_record(input: &mut impl Read, limits: &Limits) -> Result<RawR
     let payload = read_bytes(input, length, "record")?;
     let mut crc = [0; 4];
     read_exact(input, &mut crc, "record checksum")?;
-    let head = head(kind[0], length);
-    let computed = crc32c::crc32c_append(crc32c::crc32c(&head), &payload);
-    Ok(RawRecord {
-        kind: kind[0],
-        length: head.len() as u64 + length + 4,
-        payload,
-        intact: computed == u32::from_le_bytes(crc),
-    })
+    let (kind, crc) = (kind[0], u32::from_le_bytes(crc));
+    let intact = checksum(kind, &payload) == crc;
+    Ok(RawRecord { kind, length: head(kind, length).len() as u64 + length + 4, payload, crc, intact })
 }
 
 /// Kind and length as they stand before the payload.

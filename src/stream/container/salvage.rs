@@ -1,26 +1,21 @@
 //! Reads what is intact of a damaged stream.
 
+use std::collections::HashMap;
 use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 
 use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
-use super::index::{GroupEntry, Index, read_end_payload};
+use super::index::{End, Index};
 use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
 use super::scan::{FoundRecord, find_records};
-use super::scanner::ScannerRecord;
+use super::scanner::{ScannerId, ScannerRecord, Scanners};
 use crate::ground::SKIPPABLE;
 use crate::ground::error::{Error, Limits, Result};
-
-/// Groups of the index among which one is looked for that is not where the index says. So many lost in a
-/// row, and bytes as well, only cost the numbers of the frames after them.
-const LOOK_AHEAD: usize = 1000;
 
 /// A part of a damaged stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Salvaged {
-    /// An intact scanner and its number, the first being 1.
-    Scanner(u64, ScannerRecord),
     /// An intact group.
     Group {
         /// Number of its first frame in the sequence; of those that were found, if nothing tells how
@@ -48,8 +43,8 @@ pub struct Lost {
     pub why: String,
 }
 
-/// Reads what is intact of a stream: all records whose checksum matches, wherever they are. The index tells
-/// the frames' numbers, if it is intact.
+/// Reads what is intact of a stream: all records whose checksum matches, wherever they are. One intact copy of a
+/// scanner is enough, before or after the groups that use it. The index tells the frames' numbers, if it is intact.
 pub struct SalvageReader<R> {
     input: R,
     limits: Limits,
@@ -57,11 +52,12 @@ pub struct SalvageReader<R> {
     records: Vec<FoundRecord>,
     /// The next of the records.
     next: usize,
+    scanners: Scanners,
     index: Option<Index>,
+    /// The places of groups in the index, in order, by their checksums.
+    entries: HashMap<u32, Vec<usize>>,
     /// The place in the index of the next group; those before were found, or are lost.
     next_entry: usize,
-    /// The number of the last scanner found.
-    last_scanner: u64,
     /// Where the last record ended.
     position: u64,
     next_frame: u64,
@@ -70,26 +66,22 @@ pub struct SalvageReader<R> {
 }
 
 impl<R: Read + Seek> SalvageReader<R> {
-    /// Looks for the records. `is_scanner` tells whether a record is of a scanner.
+    /// Looks for the records, and reads all that the groups need.
     ///
     /// # Errors
     /// If the input fails, is no stream, or is of another version of the format.
-    pub fn open(mut input: R, limits: Limits, is_scanner: impl Fn(&ScannerRecord) -> bool) -> Result<Self> {
+    pub fn open(mut input: R, limits: Limits) -> Result<Self> {
         input.seek(SeekFrom::Start(0))?;
-        let read = StreamHeader::read_from(&mut input);
-        let start = if read.is_ok() { HEADER_LENGTH as u64 } else { 0 };
+        let header = StreamHeader::read_from(&mut input);
+        let start = if header.is_ok() { HEADER_LENGTH as u64 } else { 0 };
         let is_one = |raw: &RawRecord| match raw.kind {
-            SCANNER => ScannerRecord::read_from(&raw.payload).is_ok_and(|record| is_scanner(&record)),
+            SCANNER => ScannerRecord::read_from(&raw.payload).is_ok(),
             GROUP => Group::read_from(&raw.payload, &limits).is_ok(),
             INDEX => Index::read_from(&raw.payload).is_ok(),
-            END => read_end_payload(&raw.payload).is_ok(),
+            END => End::of_payload(&raw.payload).is_ok(),
             _ => false,
         };
         let records = find_records(&mut input, start, &limits, is_one)?;
-        match read {
-            Err(Error::Corrupt { .. } | Error::BadMagic(_)) if !records.is_empty() => {}
-            read => drop(read?),
-        }
         let size = input.seek(SeekFrom::End(0))?;
         let mut reader = SalvageReader {
             input,
@@ -97,17 +89,60 @@ impl<R: Read + Seek> SalvageReader<R> {
             size,
             records,
             next: 0,
+            scanners: Scanners::default(),
             index: None,
+            entries: HashMap::new(),
             next_entry: 0,
-            last_scanner: 0,
             position: start,
             next_frame: 0,
             ended: false,
         };
-        if let Some(found) = reader.records.iter().rfind(|record| record.kind == INDEX).copied() {
-            reader.index = Index::read_from(&reader.read(found)?.payload).ok();
+        match header {
+            Err(Error::Corrupt { .. } | Error::BadMagic(_)) if !reader.records.is_empty() => {
+                reader.check_version()?;
+            }
+            header => drop(header?),
         }
+        reader.read_index()?;
+        reader.read_scanners()?;
         Ok(reader)
+    }
+
+    /// An error if the stream is of another version, as the end record says. If that is lost as well, the records are
+    /// taken for what they seem: nothing passes that does not decode to the files that were encoded.
+    fn check_version(&mut self) -> Result<()> {
+        let Some(end) = self.records.iter().rfind(|record| record.kind == END).copied() else {
+            return Ok(());
+        };
+        End::of_payload(&self.read(end)?.payload)?.header.check()
+    }
+
+    fn read_index(&mut self) -> Result<()> {
+        let Some(found) = self.records.iter().rfind(|record| record.kind == INDEX).copied() else {
+            return Ok(());
+        };
+        let index = Index::read_from(&self.read(found)?.payload)?;
+        for (place, group) in index.groups.iter().enumerate() {
+            self.entries.entry(group.crc).or_default().push(place);
+        }
+        self.index = Some(index);
+        Ok(())
+    }
+
+    fn read_scanners(&mut self) -> Result<()> {
+        for place in 0..self.records.len() {
+            let found = self.records[place];
+            if found.kind == SCANNER && self.scanners.get(ScannerId(found.crc)).is_none() {
+                let scanner = ScannerRecord::read_from(&self.read(found)?.payload)?;
+                self.scanners.add(scanner)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The scanner that groups call so, if a copy of it is intact.
+    pub fn scanner(&self, id: ScannerId) -> Option<&ScannerRecord> {
+        self.scanners.get(id)
     }
 
     /// Whether an intact index tells the numbers of the frames.
@@ -121,14 +156,21 @@ impl<R: Read + Seek> SalvageReader<R> {
     /// If the input fails.
     pub fn next_part(&mut self) -> Result<Option<Salvaged>> {
         while let Some(found) = self.records.get(self.next).copied() {
-            let first_frame = self.first_frame(found);
+            let entry = self.entry_of(found);
+            let first_frame = match (&self.index, entry) {
+                (Some(index), Some(place)) => index.groups[place].first_frame,
+                _ => self.next_frame,
+            };
             if let Some(lost) = self.lost_before(found.offset, first_frame)? {
                 return Ok(Some(Salvaged::Lost(lost)));
             }
             self.next += 1;
             self.position = found.end();
-            if let Some(part) = self.accept(found, first_frame)? {
-                return Ok(Some(part));
+            self.next_entry = entry.map_or(self.next_entry, |place| place + 1);
+            if found.kind == GROUP {
+                let (group, _) = Group::read_from(&self.read(found)?.payload, &self.limits)?;
+                self.next_frame = first_frame + group.frames.len() as u64;
+                return Ok(Some(Salvaged::Group { first_frame, bytes: found.offset..found.end(), group }));
             }
         }
         if self.ended {
@@ -142,7 +184,7 @@ impl<R: Read + Seek> SalvageReader<R> {
         if self.is_whole()? {
             return Ok(None);
         }
-        let why = "the stream is cut short: its end is missing".to_owned();
+        let why = "the stream is cut short: its index or its end is missing".to_owned();
         let frames = self.has_index().then_some(self.next_frame..self.next_frame);
         Ok(Some(Salvaged::Lost(Lost { bytes: self.size..self.size, frames, names: Vec::new(), why })))
     }
@@ -153,26 +195,13 @@ impl<R: Read + Seek> SalvageReader<R> {
         if (index.kind, end.kind) != (INDEX, END) {
             return Ok(false);
         }
-        let raw = self.read(end)?;
-        Ok(read_end_payload(&raw.payload).is_ok_and(|offset| offset == index.offset))
+        Ok(End::of_payload(&self.read(end)?.payload)?.index_offset == index.offset)
     }
 
-    /// The number of the first frame of a record that was found; of the next frame, if it has none.
-    fn first_frame(&self, found: FoundRecord) -> u64 {
-        let entry = self.entry_of(found).and_then(|place| Some(&self.index.as_ref()?.groups[place]));
-        entry.map_or(self.next_frame, |entry: &GroupEntry| entry.first_frame)
-    }
-
-    /// A group's place in the index: where the index says, or, if bytes were lost or came in, the next of the
-    /// same length.
+    /// A group's place in the index, wherever it is: that of the next with its checksum.
     fn entry_of(&self, found: FoundRecord) -> Option<usize> {
-        let groups = &self.index.as_ref().filter(|_| found.kind == GROUP)?.groups;
-        let rest = groups.get(self.next_entry..)?;
-        let at = rest.binary_search_by_key(&found.offset, |entry| entry.offset).ok();
-        let at = at.filter(|at| rest[*at].length == found.length);
-        let mut near = rest.iter().take(LOOK_AHEAD);
-        let place = at.or_else(|| near.position(|entry| entry.length == found.length))?;
-        Some(self.next_entry + place)
+        let places = self.entries.get(&found.crc).filter(|_| found.kind == GROUP)?;
+        places.get(places.partition_point(|place| *place < self.next_entry)).copied()
     }
 
     /// What is lost of the bytes before `offset` and the frames before `frame`, if anything is.
@@ -220,35 +249,6 @@ impl<R: Read + Seek> SalvageReader<R> {
             }
         }
         Ok(names)
-    }
-
-    fn accept(&mut self, found: FoundRecord, first_frame: u64) -> Result<Option<Salvaged>> {
-        match found.kind {
-            SCANNER => {
-                let number = self.number_of_scanner(found);
-                self.last_scanner = number;
-                let record = ScannerRecord::read_from(&self.read(found)?.payload)?;
-                Ok(Some(Salvaged::Scanner(number, record)))
-            }
-            GROUP => Ok(Some(self.accept_group(found, first_frame)?)),
-            _ => Ok(None),
-        }
-    }
-
-    fn accept_group(&mut self, found: FoundRecord, first_frame: u64) -> Result<Salvaged> {
-        if let Some(place) = self.entry_of(found) {
-            self.next_entry = place + 1;
-        }
-        let (group, _) = Group::read_from(&self.read(found)?.payload, &self.limits)?;
-        self.next_frame = first_frame + group.frames.len() as u64;
-        Ok(Salvaged::Group { first_frame, bytes: found.offset..found.end(), group })
-    }
-
-    /// The number of a scanner: its place in the index, or one more than that of the last.
-    fn number_of_scanner(&self, found: FoundRecord) -> u64 {
-        let scanners = self.index.as_ref().map_or(&[][..], |index| &index.scanners);
-        let place = scanners.iter().position(|entry| entry.offset == found.offset);
-        place.map_or(self.last_scanner + 1, |place| place as u64 + 1)
     }
 
     fn read(&mut self, found: FoundRecord) -> Result<RawRecord> {

@@ -38,6 +38,8 @@ pub(super) struct FoundRecord {
     /// Bytes of the whole record.
     pub length: u64,
     pub kind: u8,
+    /// Its checksum.
+    pub crc: u32,
 }
 
 impl FoundRecord {
@@ -122,10 +124,11 @@ impl Sweep {
             if let Some(all) = bytes[place..].get(..record.length as usize).filter(|all| all.len() <= WINDOW)
             {
                 let (covered, stored) = all.split_at(all.len() - 4);
-                if crc32c::crc32c(covered).to_le_bytes() == stored {
-                    self.found.push(record);
+                let crc = crc32c::crc32c(covered);
+                if crc.to_le_bytes() == stored {
+                    self.found.push(FoundRecord { crc, ..record });
                 }
-            } else if self.open.len() < MOST_OPEN && may_be(record.kind, head, &bytes[place..], offset) {
+            } else if self.open.len() < MOST_OPEN && may_be(&record, head, &bytes[place..]) {
                 self.advance(base, bytes, offset);
                 self.open.push(Reverse(OpenRecord { end, record, crc: self.crc }));
             }
@@ -145,9 +148,9 @@ impl Sweep {
         let Some(Reverse(OpenRecord { end, record, crc })) = self.open.pop() else { return };
         self.advance(base, bytes, end);
         // The checksum of the bytes since then: that of all bytes, less what those before do to it.
-        let before = self.shifts.apply(crc, end - record.offset);
-        if rest.get(..4) == Some(&(self.crc ^ before).to_le_bytes()[..]) {
-            self.found.push(record);
+        let crc = self.crc ^ self.shifts.apply(crc, end - record.offset);
+        if rest.starts_with(&crc.to_le_bytes()) {
+            self.found.push(FoundRecord { crc, ..record });
         }
     }
 }
@@ -187,7 +190,7 @@ fn multiply(a: u32, mut b: u32) -> u32 {
     product
 }
 
-/// A record that may begin here, and the length of its kind and length.
+/// A record that may begin here, its checksum yet unknown, and the length of its kind and length.
 fn begin(bytes: &[u8], offset: u64, size: u64, limits: &Limits) -> Option<(FoundRecord, usize)> {
     let (&kind, mut rest) = bytes.split_first()?;
     if !matches!(kind, SCANNER | GROUP | INDEX | END) || bytes.len() < SHORTEST {
@@ -196,18 +199,18 @@ fn begin(bytes: &[u8], offset: u64, size: u64, limits: &Limits) -> Option<(Found
     let before = rest.len();
     let payload = read_unsigned(&mut rest, "length").ok().filter(|length| *length <= limits.record_bytes)?;
     let head = 1 + before - rest.len();
-    let record = FoundRecord { offset, length: head as u64 + payload + 4, kind };
+    let record = FoundRecord { offset, length: head as u64 + payload + 4, kind, crc: 0 };
     (record.end() <= size).then_some((record, head))
 }
 
 /// Whether a long record may be one, by the first numbers of its payload.
-fn may_be(kind: u8, head: usize, bytes: &[u8], offset: u64) -> bool {
+fn may_be(record: &FoundRecord, head: usize, bytes: &[u8]) -> bool {
     let mut payload = &bytes[head..];
     let mut next = || read_unsigned(&mut payload, "number").ok();
-    match kind {
+    match record.kind {
         GROUP => {
             let Some(scanners @ 1..=STREAMS_MAX) = next() else { return false };
-            // Their numbers, and that of the frames.
+            // They, and the number of the frames.
             if (0..=scanners).any(|_| next().is_none()) {
                 return false;
             }
@@ -216,10 +219,15 @@ fn may_be(kind: u8, head: usize, bytes: &[u8], offset: u64) -> bool {
             name_length <= 255 && name.is_some_and(|name| std::str::from_utf8(name).is_ok())
         }
         INDEX => {
-            let (Some(scanners), Some(first)) = (next(), next()) else { return false };
-            scanners < offset && first < offset
+            // How many scanners, then the family of the first or how many groups; all of them stand before it.
+            let (Some(scanners), Some(groups)) = (next(), next()) else { return false };
+            scanners < record.offset && (scanners > 0 || groups < record.offset)
         }
-        SCANNER => true,
+        SCANNER => {
+            let (Some(_), Some(length)) = (next(), next()) else { return false };
+            let before = (bytes.len() - payload.len()) as u64;
+            before.checked_add(length) == Some(record.length - 4)
+        }
         _ => false,
     }
 }

@@ -2,6 +2,7 @@
 
 use std::io::Cursor;
 
+use super::index::End;
 use super::record::write_record;
 use super::*;
 use crate::ground::error::{Error, Limits, Result};
@@ -30,10 +31,11 @@ fn frame(number: u8, sections: usize) -> Frame {
 
 /// Two scanners, three groups of two, one and no frames.
 fn sample_groups() -> [Group; 3] {
+    let [first, second] = [1, 2].map(|number| Some(scanner(number).id()));
     [
-        Group { scanners: vec![1, 0, 1], frames: vec![frame(0, 3), frame(1, 0)] },
-        Group { scanners: vec![2], frames: vec![frame(2, 9)] },
-        Group { scanners: vec![0], frames: vec![] },
+        Group { scanners: vec![first, None, first], frames: vec![frame(0, 3), frame(1, 0)] },
+        Group { scanners: vec![second], frames: vec![frame(2, 9)] },
+        Group { scanners: vec![None], frames: vec![] },
     ]
 }
 
@@ -45,9 +47,10 @@ fn scanner(number: u64) -> ScannerRecord {
 fn sample_stream() -> Vec<u8> {
     let mut writer = StreamWriter::create(Vec::new()).unwrap();
     let groups = sample_groups();
-    assert_eq!(writer.write_scanner(&scanner(1)).unwrap(), 1);
+    assert_eq!(writer.write_scanner(&scanner(1)).unwrap(), scanner(1).id());
     writer.write_group(&groups[0]).unwrap();
-    assert_eq!(writer.write_scanner(&scanner(2)).unwrap(), 2);
+    writer.write_scanner(&scanner(2)).unwrap();
+    writer.write_scanner(&scanner(1)).unwrap();
     writer.write_group(&groups[1]).unwrap();
     writer.write_group(&groups[2]).unwrap();
     let (bytes, length) = writer.finish().unwrap();
@@ -85,9 +88,14 @@ fn a_stream_comes_back_through_its_index() {
     for (place, group) in sample_groups().iter().enumerate().rev() {
         assert_eq!(reader.read_group(place).unwrap(), *group);
     }
-    assert_eq!(reader.read_scanner(2).unwrap(), scanner(2));
-    assert!(reader.read_scanner(0).is_err());
-    assert!(reader.read_scanner(3).is_err());
+    for (place, number) in [1, 2].into_iter().enumerate() {
+        let id = scanner(number).id();
+        assert_eq!(reader.read_scanner(id).unwrap(), scanner(number));
+        let entry = reader.index().scanner(id).unwrap();
+        assert_eq!((entry.id, entry.offsets.len()), (id, 2), "not at the end as well");
+        assert_eq!(*entry, reader.index().scanners()[place]);
+    }
+    assert!(reader.read_scanner(scanner(3).id()).is_err());
     assert!(reader.read_group(3).is_err());
 }
 
@@ -150,7 +158,7 @@ fn a_reference_to_a_missing_scanner_is_an_error() {
     let mut writer = StreamWriter::create(Vec::new()).unwrap();
     writer.write_group(&sample_groups()[0]).unwrap();
     let (bytes, _) = writer.finish().unwrap();
-    assert!(read_all(&bytes).unwrap_err().to_string().contains("scanner 1 of 0"));
+    assert!(read_all(&bytes).unwrap_err().to_string().contains("is missing"));
     let mut reader = IndexedReader::open(Cursor::new(&bytes), Limits::default()).unwrap();
     assert!(reader.read_group(0).is_err());
 }
@@ -204,15 +212,104 @@ fn every_payload_is_an_error_or_is_written_the_same() {
     let mut payload = Vec::new();
     index.write_to(&mut payload);
     check(&payload, Index::read_from, Index::write_to);
+    check(&end_at(5), End::of_payload, |end, out| out.extend(end.to_payload()));
+}
+
+/// Groups of one frame whose only section has so many bytes, all of a scanner of 100 bytes.
+fn long_stream(groups: u8, length: usize) -> (Vec<u8>, Index) {
+    let scanner = ScannerRecord { family: 1, payload: vec![7; 100] };
+    let mut writer = StreamWriter::create(Vec::new()).unwrap();
+    let id = writer.write_scanner(&scanner).unwrap();
+    for number in 0..groups {
+        let mut frame = frame(number, 0);
+        frame.header.stamp = Stamp::default();
+        let noise = (0..length as u32)
+            .map(|place| ((place + u32::from(number)).wrapping_mul(2_654_435_761) >> 24) as u8);
+        frame.sections = vec![Section { kind: SectionKind::Range, payload: noise.collect() }];
+        writer.write_group(&Group { scanners: vec![Some(id)], frames: vec![frame] }).unwrap();
+    }
+    let (stream, _) = writer.finish().unwrap();
+    let index = read_all(&stream).unwrap().1;
+    (stream, index)
+}
+
+/// The numbers of the first frames of the groups that are saved of a damaged stream with their scanners.
+fn saved(stream: &[u8]) -> Vec<u64> {
+    let mut reader = SalvageReader::open(Cursor::new(stream), Limits::default()).unwrap();
+    let mut saved = Vec::new();
+    while let Some(part) = reader.next_part().unwrap() {
+        if let Salvaged::Group { first_frame, group, .. } = part
+            && group.scanners.iter().flatten().all(|id| reader.scanner(*id).is_some())
+        {
+            saved.push(first_frame);
+        }
+    }
+    saved
+}
+
+#[test]
+fn any_copy_of_a_scanner_serves_a_reader_that_seeks() {
+    let mut bytes = sample_stream();
+    let id = scanner(1).id();
+    let offsets = read_all(&bytes).unwrap().1.scanner(id).unwrap().offsets.clone();
+    for offset in offsets.into_iter().rev() {
+        let mut reader = IndexedReader::open(Cursor::new(&bytes), Limits::default()).unwrap();
+        assert_eq!(reader.read_scanner(id).unwrap(), scanner(1));
+        bytes[offset as usize + 3] ^= 1;
+    }
+    let mut reader = IndexedReader::open(Cursor::new(&bytes), Limits::default()).unwrap();
+    assert!(reader.read_scanner(id).unwrap_err().to_string().contains("checksum does not match"));
+}
+
+#[test]
+fn a_stream_of_one_group_holds_its_scanner_once() {
+    let (_, index) = long_stream(1, 1000);
+    assert_eq!(index.scanners()[0].offsets.len(), 1);
+    let (_, index) = long_stream(2, 1000);
+    assert_eq!(index.scanners()[0].offsets.len(), 2);
+}
+
+#[test]
+fn scanners_are_repeated_now_and_then_and_take_little() {
+    let (stream, index) = long_stream(100, 100_000);
+    let [entry] = index.scanners() else { panic!("{} scanners", index.scanners().len()) };
+    assert!(entry.offsets.windows(2).all(|pair| pair[1] - pair[0] < 600_000), "{:?}", entry.offsets);
+    assert!(entry.offsets.len() * 110 < stream.len() / 3000, "{:?}", entry.offsets);
+}
+
+#[test]
+fn a_lost_megabyte_costs_the_groups_that_were_in_it() {
+    let (stream, index) = long_stream(40, 100_000);
+    for start in (0..stream.len()).step_by(97_003) {
+        let lost = start..stream.len().min(start + (1 << 20));
+        let mut zeroed = stream.clone();
+        zeroed[lost.clone()].fill(0);
+        let expected = |is_numbered: bool| -> Vec<u64> {
+            let hit = |group: &&GroupEntry| {
+                let range = group.offset as usize..(group.offset + group.length) as usize;
+                range.end <= lost.start || lost.end <= range.start
+            };
+            let left = index.groups.iter().filter(hit).map(|group| group.first_frame);
+            if is_numbered { left.collect() } else { (0..).zip(left).map(|(number, _)| number).collect() }
+        };
+        assert_eq!(saved(&zeroed), expected(true), "{lost:?} is zero");
+        let cut = [&stream[..lost.start], &stream[lost.end..]].concat();
+        assert_eq!(saved(&cut), expected(true), "{lost:?} is missing");
+    }
+}
+
+/// The payload of an end record.
+fn end_at(index_offset: u64) -> Vec<u8> {
+    End { index_offset, header: StreamHeader::default() }.to_payload()
 }
 
 #[test]
 fn an_index_that_points_beyond_the_end_is_an_error() {
     let mut stream = sample_stream();
-    stream.truncate(stream.len() - index::END_LENGTH as usize);
-    for offset in [stream.len() as u64 + 18, u64::MAX] {
+    stream.truncate(stream.len() - End::RECORD_LENGTH as usize);
+    for offset in [stream.len() as u64 + End::RECORD_LENGTH, u64::MAX] {
         let mut forged = stream.clone();
-        write_record(&mut forged, record::END, &index::end_payload(offset)).unwrap();
+        write_record(&mut forged, record::END, &end_at(offset)).unwrap();
         let error = IndexedReader::open(Cursor::new(&forged), Limits::default()).err().unwrap();
         assert!(error.to_string().contains("beyond the end"), "{error}");
         assert!(read_all(&forged).is_err());
@@ -226,7 +323,7 @@ fn records_that_contradict_each_other_are_an_error() {
     let (_, index) = read_all(&whole).unwrap();
     let mut index_payload = Vec::new();
     index.write_to(&mut index_payload);
-    let end_offset = whole.len() - index::END_LENGTH as usize;
+    let end_offset = whole.len() - End::RECORD_LENGTH as usize;
     let index_offset = end_offset - index_payload.len() - 6;
     assert_eq!(whole[index_offset], record::INDEX);
     let with = |tail: &[(u8, &[u8])]| {
@@ -236,7 +333,7 @@ fn records_that_contradict_each_other_are_an_error() {
         }
         read_all(&stream).map_err(|error| error.to_string())
     };
-    let end = index::end_payload(index_offset as u64);
+    let end = end_at(index_offset as u64);
     let the_index = (record::INDEX, &index_payload[..]);
     let the_end = (record::END, &end[..]);
     assert!(with(&[the_index, the_end]).is_ok());
@@ -246,13 +343,16 @@ fn records_that_contradict_each_other_are_an_error() {
     other.groups[1].frames[0].size += 1;
     let mut other_payload = Vec::new();
     other.write_to(&mut other_payload);
+    let other_header = StreamHeader { version: 2, flags: 0 };
+    let other_header = End { index_offset: index_offset as u64, header: other_header };
     for (tail, complaint) in [
         (&[(record::INDEX, &other_payload[..]), the_end][..], "agree"),
         (&[the_end], "point at the index"),
         (&[the_index, (record::SCANNER, b"late"), the_end], "after the index"),
         (&[the_index, the_index, the_end], "after the index"),
-        (&[the_index, (record::END, &index::end_payload(12))], "point at the index"),
-        (&[the_index, (record::END, b"short")], "cut short"),
+        (&[the_index, (record::END, &end_at(12))], "point at the index"),
+        (&[the_index, (record::END, &other_header.to_payload())], "agree with the stream header"),
+        (&[the_index, (record::END, b"short")], "as long as it should be"),
     ] {
         let error = with(tail).unwrap_err();
         assert!(error.contains(complaint), "{complaint:?} is missing in: {error}");

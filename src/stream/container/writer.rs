@@ -4,10 +4,15 @@ use std::io::Write;
 
 use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
-use super::index::{Index, end_payload};
+use super::index::{End, Index};
 use super::record::{END, GROUP, INDEX, SCANNER, write_record};
-use super::scanner::ScannerRecord;
-use crate::ground::error::Result;
+use super::scanner::{ScannerId, ScannerRecord, Scanners};
+use crate::ground::error::{Error, Result};
+
+/// A scanner's record is repeated in front of a group that uses it when so many times its bytes were written since
+/// the last copy, and once more at the end of a stream of several groups: so no damage costs more than the groups that it
+/// hits, and the copies take a 4,000th of the stream.
+const COPY_DISTANCE: u64 = 4000;
 
 /// Writes a stream, front to back, keeping only the index in memory.
 pub struct StreamWriter<W> {
@@ -15,6 +20,7 @@ pub struct StreamWriter<W> {
     /// Bytes written.
     position: u64,
     index: Index,
+    scanners: Scanners,
 }
 
 impl<W: Write> StreamWriter<W> {
@@ -24,12 +30,23 @@ impl<W: Write> StreamWriter<W> {
     /// This and all other functions: if `out` fails.
     pub fn create(mut out: W) -> Result<Self> {
         StreamHeader::default().write_to(&mut out)?;
-        Ok(StreamWriter { out, position: HEADER_LENGTH as u64, index: Index::default() })
+        Ok(StreamWriter {
+            out,
+            position: HEADER_LENGTH as u64,
+            index: Index::default(),
+            scanners: Scanners::default(),
+        })
     }
 
-    /// Goes on with a stream that `out` has got as far as the records of `index` go, the last of them included.
-    pub fn resume(out: W, index: Index) -> Self {
-        StreamWriter { out, position: index.end().unwrap_or(HEADER_LENGTH as u64), index }
+    /// Goes on with a stream of which `out` has got `position` bytes, with all records of `index`, which are of these
+    /// scanners.
+    ///
+    /// # Errors
+    /// If two scanners have the same checksum.
+    pub fn resume(out: W, index: Index, position: u64, scanners: &[ScannerRecord]) -> Result<Self> {
+        let mut writer = StreamWriter { out, position, index, scanners: Scanners::default() };
+        scanners.iter().try_for_each(|scanner| writer.scanners.add(scanner.clone()).map(drop))?;
+        Ok(writer)
     }
 
     /// Bytes written so far.
@@ -37,43 +54,75 @@ impl<W: Write> StreamWriter<W> {
         self.position
     }
 
-    /// Writes a scanner; returns the number by which groups refer to it (1 is the first).
+    /// Writes a scanner, unless the stream has it; returns what groups call it.
     ///
     /// # Errors
-    /// If the output fails.
-    pub fn write_scanner(&mut self, scanner: &ScannerRecord) -> Result<u64> {
-        let mut payload = Vec::new();
-        scanner.write_to(&mut payload);
-        let length = write_record(&mut self.out, SCANNER, &payload)?;
-        self.index.push_scanner(self.position, length);
-        self.position += length;
-        Ok(self.index.scanners.len() as u64)
+    /// If the output fails, or (once in 2^32 times) if another scanner of the stream has the same checksum.
+    pub fn write_scanner(&mut self, scanner: &ScannerRecord) -> Result<ScannerId> {
+        let id = scanner.id();
+        if self.scanners.add(scanner.clone()).map_err(|_| {
+            let what = "two scanners have the same checksum and cannot be in one stream; keep them apart";
+            Error::Usage(what.to_owned())
+        })? {
+            self.write_copy(id)?;
+        }
+        Ok(id)
     }
 
-    /// Writes the sequence's next group, down to whoever reads the output as it grows.
+    /// Writes the record of a scanner that was written before.
+    fn write_copy(&mut self, id: ScannerId) -> Result<()> {
+        let Some(scanner) = self.scanners.get(id) else { return Ok(()) };
+        let written = write_record(&mut self.out, SCANNER, &scanner.to_payload())?;
+        self.index.push_scanner(self.position, id);
+        self.position += written.length;
+        Ok(())
+    }
+
+    /// Whether it is long ago that this scanner was written.
+    fn is_far_behind(&self, id: ScannerId) -> bool {
+        let (Some(scanner), Some(entry)) = (self.scanners.get(id), self.index.scanner(id)) else {
+            return false;
+        };
+        let last = entry.offsets.last().copied().unwrap_or_default();
+        self.position - last >= COPY_DISTANCE * scanner.to_payload().len() as u64
+    }
+
+    /// Writes the sequence's next group, down to whoever reads the output as it grows. Its scanners were written
+    /// before; those whose last copies are far behind are written again.
     ///
     /// # Errors
     /// If the output fails.
     pub fn write_group(&mut self, group: &Group) -> Result<()> {
+        for id in group.scanners.iter().flatten() {
+            if self.is_far_behind(*id) {
+                self.write_copy(*id)?;
+            }
+        }
         let mut payload = Vec::new();
         let frames = group.write_to(&mut payload);
-        let length = write_record(&mut self.out, GROUP, &payload)?;
+        let written = write_record(&mut self.out, GROUP, &payload)?;
         self.out.flush()?;
-        self.index.push_group(self.position, length, frames);
-        self.position += length;
+        self.index.push_group(self.position, written.length, written.crc, frames);
+        self.position += written.length;
         Ok(())
     }
 
-    /// Writes the index and the end, and flushes; returns the output and how many bytes it got.
+    /// Writes the scanners again, the index and the end, and flushes; returns the output and how many bytes it got.
     ///
     /// # Errors
     /// If the output fails.
     pub fn finish(mut self) -> Result<(W, u64)> {
+        // In a stream of one group they would not save more than they cost.
+        if self.index.groups.len() > 1 {
+            let scanners: Vec<_> = self.index.scanners().iter().map(|entry| entry.id).collect();
+            scanners.into_iter().try_for_each(|id| self.write_copy(id))?;
+        }
         let mut payload = Vec::new();
         self.index.write_to(&mut payload);
-        let index_length = write_record(&mut self.out, INDEX, &payload)?;
-        let end_length = write_record(&mut self.out, END, &end_payload(self.position))?;
+        let index = write_record(&mut self.out, INDEX, &payload)?;
+        let end = End { index_offset: self.position, header: StreamHeader::default() };
+        let end = write_record(&mut self.out, END, &end.to_payload())?;
         self.out.flush()?;
-        Ok((self.out, self.position + index_length + end_length))
+        Ok((self.out, self.position + index.length + end.length))
     }
 }
