@@ -77,6 +77,9 @@ mod study;
 
 mod library;
 
+#[cfg(feature = "recordings")]
+pub mod recordings;
+
 #[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;

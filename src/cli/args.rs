@@ -80,6 +80,7 @@ Examples:
   lidarpc encode drive/ -o drive.lpc --max-error 1cm
   lidarpc encode drive/ -o drive.lpc --resume     if interrupted, the same command goes on
   lidarpc encode drive/ -o drive.lpc --mode paper --step 1cm
+  lidarpc encode drive.mcap -o small.mcap         a ROS recording, its clouds compressed
   ssh host 'tar c --sort=name drive' | lidarpc encode - -o drive.lpc
   lidarpc encode drive/ -o - | ssh host 'cat > drive.lpc'
 
@@ -91,7 +92,9 @@ kinds are not stored; whatever of these a folder holds is counted on stderr, or 
 #[derive(Debug, clap::Args)]
 #[command(after_help = ENCODE_EXAMPLES, after_long_help = format!("{ENCODE_MORE_EXAMPLES}{ARTICLE}"))]
 pub struct EncodeArgs {
-    /// Folders of scans, or scans; `-`: frames from stdin.
+    /// Folders of scans, or scans; `-`: frames from stdin; or a recording (.mcap).
+    ///
+    /// A recording is copied to FILE.mcap with its clouds compressed; to any other FILE, its clouds alone are encoded.
     ///
     /// Frames are sorted by the numbers in their names. From stdin they are encoded as they arrive, in a tar
     /// archive, or each behind a line of its name, a space and its size in bytes.
@@ -124,6 +127,9 @@ pub struct EncodeArgs {
     /// Take files that are named and hold no scan, as plain bytes.
     #[arg(long, hide_short_help = true)]
     pub force_bytes: bool,
+    /// Of a recording, compress only the clouds of this topic; may be given several times.
+    #[arg(long, value_name = "TOPIC", hide_short_help = true)]
+    pub topic: Vec<String>,
     /// Name all that is left out, and each frame with its size.
     #[arg(short, long)]
     pub verbose: bool,
@@ -183,6 +189,7 @@ Examples:
   lidarpc decode drive.lpc -o - --frames 5 > frame5.bin
   lidarpc decode damaged.lpc -o drive/ --keep-going     what is left
   lidarpc decode drive.lpc -o clouds/ --format pcd      as other programs read them
+  lidarpc decode small.mcap -o drive.mcap               a recording as it was
   ssh host 'cat drive.lpc' | lidarpc decode - -o drive/";
 
 /// What scans are converted to.
@@ -199,10 +206,11 @@ pub enum FormatArg {
 #[derive(Debug, clap::Args)]
 #[command(after_help = DECODE_EXAMPLES)]
 pub struct DecodeArgs {
-    /// Files to decode, all into one folder; `-` for stdin.
+    /// Files to decode, all into one folder; `-` for stdin; or a recording (.mcap).
     #[arg(required = true, value_name = "FILE")]
     pub inputs: Vec<PathBuf>,
-    /// Folder to write the scans into, made if missing; `-` for stdout, for a single frame.
+    /// Folder to write the scans into, made if missing; `-` for stdout, for a single frame; of a recording, FILE.mcap for
+    /// one with its clouds as they were.
     #[arg(short, long, value_name = "FOLDER")]
     pub output: PathBuf,
     /// Frames to decode, the first being 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
@@ -216,6 +224,9 @@ pub struct DecodeArgs {
     /// bytes of the files are left out.
     #[arg(long, value_enum)]
     pub format: Option<FormatArg>,
+    /// Of a recording, decode only the clouds of this topic into the folder; may be given several times.
+    #[arg(long, value_name = "TOPIC")]
+    pub topic: Vec<String>,
     #[command(flatten)]
     pub threads: Threads,
     /// Overwrite scans that exist.

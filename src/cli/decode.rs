@@ -21,7 +21,7 @@ use super::errors::{about, say, wrong_usage};
 use super::input::{Input, check_stdin_once, is_dash, name_of, open};
 use super::losses::{LossReport, Losses};
 use super::output::{FolderOutput, check_json, print_json};
-use super::{progress, table};
+use super::{progress, recording, table};
 
 /// What was done, for machines.
 #[derive(Serialize)]
@@ -37,6 +37,12 @@ struct Report {
 pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     check_stdin_once("decode", &args.inputs);
     check_json("decode", args.json, &args.output);
+    if args.inputs.iter().any(|input| recording::is_recording(input)) {
+        return recording::decode(args, quiet);
+    }
+    if !args.topic.is_empty() {
+        wrong_usage("decode", "--topic chooses clouds of a recording; the input is none");
+    }
     let [first, others @ ..] = &args.inputs[..] else { return Ok(()) };
     if args.frames.is_some() && !others.is_empty() {
         wrong_usage("decode", "--frames counts the frames of one file; decode the files one by one");

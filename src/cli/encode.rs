@@ -21,7 +21,7 @@ use super::frames::{self, Found};
 use super::input::is_dash;
 use super::output::{FileOutput, check_json, name_of_output, print_json};
 use super::partial::{self, PartialOutput};
-use super::{coding, progress, table};
+use super::{coding, progress, recording, table};
 
 pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     let is_piped = args.inputs.iter().any(|input| is_dash(input));
@@ -37,6 +37,12 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     }
     check_json("encode", args.json, &args.output);
     let mut config = coding::config("encode", &args.coding, &args.threads);
+    if args.inputs.iter().any(|input| recording::is_recording(input)) {
+        return recording::encode(args, &config, quiet);
+    }
+    if !args.topic.is_empty() {
+        wrong_usage("encode", "--topic chooses clouds of a recording; the input is none");
+    }
     let start = Instant::now();
     let found = match is_piped {
         true => None,

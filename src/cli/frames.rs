@@ -114,6 +114,12 @@ fn check_scan(path: &Path) -> Result<()> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let what = match in_memory::is_stream(path) {
         true => "is a lidarpc stream already",
+        false if is_other_recording(path) => {
+            bail!(
+                "{}: turn it into an .mcap by `rosbags-convert` (PyPI: rosbags), and encode that",
+                path.display()
+            )
+        }
         false => "holds no scan that is known (.bin, .pcd, .ply)",
     };
     ensure!(
@@ -122,6 +128,12 @@ fn check_scan(path: &Path) -> Result<()> {
         path.display()
     );
     Ok(())
+}
+
+/// Whether a file is named as a recording of ROS in another format than MCAP.
+fn is_other_recording(path: &Path) -> bool {
+    let of = |wanted: &str| path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(wanted));
+    of("bag") || of("db3")
 }
 
 fn start_of(path: &Path, most: u64) -> Result<Vec<u8>> {

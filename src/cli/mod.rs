@@ -19,6 +19,7 @@ mod output;
 mod partial;
 mod poses;
 mod progress;
+mod recording;
 mod regions;
 mod repair;
 mod stats;

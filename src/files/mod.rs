@@ -123,6 +123,17 @@ pub(crate) fn plain_records(layout: Layout, bytes: &[u8], start: usize, records:
     records::plain_file(layout, bytes, start, records)
 }
 
+/// As [`plain_records`], of records whose values are big-endian.
+#[cfg(feature = "recordings")]
+pub(crate) fn big_endian_records(
+    layout: Layout,
+    bytes: &[u8],
+    start: usize,
+    records: u64,
+) -> Option<ScanFile> {
+    big_endian::parse(layout, bytes, start, records)
+}
+
 /// Plain records come back by construction: all that is done is to move bytes.
 fn is_plain(file: &ScanFile) -> bool {
     file.layout.wrapping == Wrapping::Plain

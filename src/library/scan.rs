@@ -205,7 +205,7 @@ impl Scan {
     }
 
     /// What was taken apart, or decoded.
-    pub(super) fn of_parts(scan: ScanFile, stamp: Stamp) -> Self {
+    pub(crate) fn of_parts(scan: ScanFile, stamp: Stamp) -> Self {
         let ScanFile { name, layout, prefix, records, cloud, suffix } = scan;
         let mut channels: Vec<_> = cloud
             .channels
@@ -227,7 +227,7 @@ impl Scan {
     }
 
     /// As the encoder takes it.
-    pub(super) fn into_parts(self) -> (ScanFile, Stamp) {
+    pub(crate) fn into_parts(self) -> (ScanFile, Stamp) {
         let stamp = Stamp { unit: self.unit(), stream: self.stream, time: self.time };
         let (layout, prefix, suffix) = match self.file {
             Some(file) => (file.layout, file.prefix, file.suffix),

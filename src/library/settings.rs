@@ -46,6 +46,13 @@ impl Settings {
         Settings::of_mode(Mode::Paper)
     }
 
+    /// These settings of the encoder behind it.
+    #[cfg(feature = "cli")]
+    pub(crate) fn of_config(config: EncoderConfig) -> Self {
+        let group_of_pictures = Some(config.gop);
+        Settings { config, level: None, group_of_pictures, intensity_step: None }
+    }
+
     fn of_mode(mode: Mode) -> Self {
         let config = EncoderConfig::preset(mode);
         Settings { config, level: None, group_of_pictures: None, intensity_step: None }
@@ -79,7 +86,7 @@ impl Settings {
     ///
     /// # Errors
     /// [`Error::InvalidSettings`] if they are out of range or do not fit together.
-    pub(super) fn config(&self) -> Result<EncoderConfig> {
+    pub(crate) fn config(&self) -> Result<EncoderConfig> {
         let mut config = self.config.clone();
         if let Some(level) = self.level {
             let unknown = || Error::InvalidSettings(format!("level {level} is not from 1 to 9"));

@@ -58,6 +58,23 @@ pub fn encode_live<W: Write>(
     encode_groups(scanners, first.map(Ok).into_iter().chain(groups), config, out, on_frame)
 }
 
+/// A stream of one frame, of a scanner that is known.
+///
+/// # Errors
+/// As [`encode`].
+#[cfg(feature = "recordings")]
+pub(crate) fn encode_alone(
+    frame: FrameInput,
+    scanners: &Scanners,
+    config: &EncoderConfig,
+) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let mut stream = OpenStream::begin(&mut bytes, &scanners.records)?;
+    stream.write(&SequenceCoder::new(scanners, config, &|| ()).encode_frames(vec![frame])?)?;
+    stream.finish()?;
+    Ok(bytes)
+}
+
 /// Encodes groups of frames.
 fn encode_groups<'f, W: Write>(
     scanners: Scanners,

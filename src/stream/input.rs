@@ -71,7 +71,7 @@ impl FrameInput {
             Data::Memory { name, .. } => Some(name.as_str()),
             Data::Scan(scan) => Some(scan.name.as_str()),
         };
-        let can_do_without = self.stamp.unit == Unit::Points;
+        let can_do_without = self.stamp.unit != Unit::File;
         let name = name.ok_or_else(|| {
             let what = "has a name that is not UTF-8 text; rename the file".to_owned();
             Error::Input { path: self.path(), what }

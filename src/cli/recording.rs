@@ -1,0 +1,292 @@
+//! Recordings in place of scans: `encode drive.mcap`, `decode small.mcap`.
+
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use crate::files::{FileFormat, convert, write};
+use crate::frame::settings::EncoderConfig;
+use crate::library::Settings;
+use crate::recordings::{self, Clouds, Copied, TopicFilter};
+use crate::stream::{self, FrameInput};
+use crate::study::metrics;
+use anyhow::{Result, bail, ensure};
+use serde::Serialize;
+
+use super::args::{DecodeArgs, EncodeArgs, FormatArg};
+use super::errors::{about, wrong_usage};
+use super::input::is_dash;
+use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
+use super::{progress, table};
+
+/// Whether a file is a recording: by its first bytes, or where there is none yet, by its name.
+pub fn is_recording(path: &Path) -> bool {
+    const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+    let mut start = [0; MAGIC.len()];
+    match File::open(path).and_then(|mut file| file.read_exact(&mut start)) {
+        Ok(()) => start == MAGIC,
+        Err(_) => is_named_so(path),
+    }
+}
+
+/// Whether a recording is to be written, by the name.
+fn is_named_so(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
+}
+
+/// What was done, for machines.
+#[derive(Serialize)]
+struct Report {
+    file: String,
+    messages: u64,
+    clouds: u64,
+    points: u64,
+    /// Messages of topics of clouds that are none as lidarpc knows them, and were copied as they are.
+    kept: u64,
+    attachments: u64,
+    cloud_bytes_before: u64,
+    cloud_bytes_after: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cut_short: Option<String>,
+    verified: bool,
+    seconds: f64,
+}
+
+/// `encode` of a recording: to one with compressed clouds, or to a stream of the clouds alone.
+pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<()> {
+    let [input] = &args.inputs[..] else {
+        wrong_usage("encode", "recordings are encoded one by one");
+    };
+    if args.resume {
+        wrong_usage("encode", "--resume takes scans, not a recording");
+    }
+    keep_inputs(&args.output, &args.inputs)?;
+    if !is_named_so(&args.output) {
+        return encode_clouds(args, input, config, quiet);
+    }
+    let start = Instant::now();
+    let bar = progress::bar(None, "packing", quiet);
+    let filter = TopicFilter { topics: args.topic.clone() };
+    let (copied, output) = copy(&args.output, args.force, |out| {
+        recordings::pack(open(input)?, out, &Settings::of_config(config.clone()), &filter, &|| bar.inc(1))
+    })?;
+    bar.finish_and_clear();
+    if args.verify {
+        verify(input, &output, &copied, args.threads.threads)?;
+    }
+    output.finish().map_err(|error| about(error, &args.output.display().to_string()))?;
+    say(args.json, quiet, &args.output, &copied, args.verify, start)?;
+    check_whole(input, &copied)
+}
+
+/// The clouds alone, as frames of a stream with their times.
+fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet: bool) -> Result<()> {
+    if args.verify {
+        wrong_usage("encode", "--verify compares a recording with a recording; give -o FILE.mcap");
+    }
+    let name = args.output.display().to_string();
+    let start = Instant::now();
+    let bar = progress::bar(None, "encoding", quiet);
+    let mut output = FileOutput::binary(&args.output, args.force)?;
+    let filter = TopicFilter { topics: args.topic.clone() };
+    let mut clouds =
+        Clouds::open(open(input)?, &filter).map_err(|error| about(error, &input.display().to_string()))?;
+    let mut writer = output.writer();
+    let frames = clouds.by_ref().map(|cloud| {
+        let (scan, stamp) = cloud?.into_parts();
+        Ok(FrameInput::scan(scan).stamped(stamp))
+    });
+    let encoded = stream::encode_live(frames, config, &mut writer, &|| bar.inc(1));
+    let encoded = encoded.and_then(|encoded| Ok(writer.flush().map(|()| encoded)?));
+    bar.finish_and_clear();
+    drop(writer);
+    let encoded = encoded.map_err(|error| about(error, &name))?;
+    let cut_short = clouds.cut_short.take();
+    ensure!(
+        !encoded.frames.is_empty(),
+        "{}: holds no cloud that can be encoded alone; --topic chooses",
+        input.display()
+    );
+    output.finish().map_err(|error| about(error, &name))?;
+    if args.json {
+        print_json(&Report {
+            file: name,
+            messages: encoded.frames.len() as u64,
+            clouds: encoded.frames.len() as u64,
+            points: encoded.points,
+            kept: 0,
+            attachments: 0,
+            cloud_bytes_before: encoded.file_bytes(),
+            cloud_bytes_after: encoded.stream_bytes,
+            cut_short: cut_short.clone(),
+            verified: false,
+            seconds: start.elapsed().as_secs_f64(),
+        })?;
+    } else if !quiet {
+        eprintln!(
+            "{}: {} -> {} ({}), the clouds alone, in {:.1} s",
+            table::count(encoded.frames.len() as u64, "cloud"),
+            table::bytes(encoded.file_bytes()),
+            table::bytes(encoded.stream_bytes),
+            table::percent(metrics::ratio(encoded.file_bytes(), encoded.stream_bytes)),
+            start.elapsed().as_secs_f64(),
+        );
+    }
+    check_whole(input, &Copied { cut_short, ..Copied::default() })
+}
+
+/// `decode` of a recording: to one with the clouds as they were, or to a folder of scans.
+pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
+    let [input] = &args.inputs[..] else {
+        wrong_usage("decode", "recordings are decoded one by one");
+    };
+    if args.frames.is_some() || args.keep_going {
+        wrong_usage("decode", "--frames and --keep-going take a stream, not a recording");
+    }
+    let start = Instant::now();
+    let copied = if is_named_so(&args.output) {
+        keep_inputs(&args.output, &args.inputs)?;
+        let bar = progress::bar(None, "unpacking", quiet);
+        let (copied, output) = copy(&args.output, args.force, |out| {
+            recordings::unpack(open(input)?, out, args.threads.threads, &|| bar.inc(1))
+        })?;
+        bar.finish_and_clear();
+        output.finish().map_err(|error| about(error, &args.output.display().to_string()))?;
+        copied
+    } else {
+        decode_clouds(args, input, quiet)?
+    };
+    say(args.json, quiet, &args.output, &copied, false, start)?;
+    check_whole(input, &copied)
+}
+
+/// The clouds as files in a folder.
+fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<Copied> {
+    if is_dash(&args.output) {
+        wrong_usage("decode", "a recording is decoded into a folder, or to FILE.mcap");
+    }
+    let format = match args.format {
+        Some(FormatArg::Bin) => FileFormat::Bin,
+        Some(FormatArg::Pcd) | None => FileFormat::Pcd,
+        Some(FormatArg::Ply) => FileFormat::Ply,
+    };
+    let at = |error| about(error, &input.display().to_string());
+    let filter = TopicFilter { topics: args.topic.clone() };
+    let mut clouds = open(input).and_then(|file| Clouds::open(file, &filter)).map_err(at)?;
+    let folder = FolderOutput::create(&args.output, args.force)?.keeping(&args.inputs);
+    let bar = progress::bar(None, "decoding", quiet);
+    let mut copied = Copied::default();
+    for (number, cloud) in clouds.by_ref().enumerate() {
+        let (mut scan, _) = cloud.map_err(at)?.into_parts();
+        scan.name = format!("{number:06}");
+        let file = convert(&scan, format).map_err(at)?;
+        let bytes = folder.write(&file.name, |give| write(&file, give)).map_err(at)?;
+        copied.messages += 1;
+        copied.clouds += 1;
+        copied.points += scan.records as u64;
+        copied.cloud_bytes[1] += bytes;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    copied.cut_short = clouds.cut_short.take();
+    folder.finish()?;
+    Ok(copied)
+}
+
+fn open(path: &Path) -> crate::ground::error::Result<BufReader<File>> {
+    Ok(BufReader::with_capacity(1 << 20, File::open(path)?))
+}
+
+/// Writes a recording that gets its name when it is whole.
+fn copy(
+    path: &Path,
+    force: bool,
+    write: impl FnOnce(&mut BufWriter<&mut File>) -> crate::ground::error::Result<Copied>,
+) -> Result<(Copied, FileOutput)> {
+    let mut output = FileOutput::create(path, force)?;
+    let FileOutput::Temporary { file, .. } = &mut output else {
+        bail!("{}: a recording needs a file that can be sought in, not a pipe", path.display());
+    };
+    let mut out = BufWriter::with_capacity(1 << 20, file.as_file_mut());
+    let copied = write(&mut out).map_err(|error| about(error, &path.display().to_string()))?;
+    out.flush()?;
+    drop(out);
+    Ok((copied, output))
+}
+
+/// Unpacks what was written and compares it with what was read, message by message.
+fn verify(input: &PathBuf, output: &FileOutput, copied: &Copied, threads: usize) -> Result<()> {
+    let at = |error| about(error, &input.display().to_string());
+    let Some(packed) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
+    let mut restored = tempfile::tempfile()?;
+    recordings::unpack(BufReader::new(packed), &mut restored, threads, &|| ()).map_err(at)?;
+    std::io::Seek::rewind(&mut restored)?;
+    let same = recordings::same_messages(open(input).map_err(at)?, BufReader::new(restored)).map_err(at)?;
+    ensure!(
+        same == copied.messages,
+        "decodes to something else, so it does not get this name; please report this"
+    );
+    Ok(())
+}
+
+/// Says what was done.
+fn say(
+    json: bool,
+    quiet: bool,
+    output: &Path,
+    copied: &Copied,
+    verified: bool,
+    start: Instant,
+) -> Result<()> {
+    let seconds = start.elapsed().as_secs_f64();
+    let [before, after] = copied.cloud_bytes;
+    if json {
+        return print_json(&Report {
+            file: output.display().to_string(),
+            messages: copied.messages,
+            clouds: copied.clouds,
+            points: copied.points,
+            kept: copied.kept,
+            attachments: copied.attachments,
+            cloud_bytes_before: before,
+            cloud_bytes_after: after,
+            cut_short: copied.cut_short.clone(),
+            verified,
+            seconds,
+        });
+    }
+    if !quiet {
+        let kept = match copied.kept {
+            0 => String::new(),
+            kept => format!(", {} of a topic of clouds copied as they are", table::count(kept, "message")),
+        };
+        let sizes = match before {
+            _ if after >= before => table::bytes(after),
+            _ => format!(
+                "{} -> {} ({})",
+                table::bytes(before),
+                table::bytes(after),
+                table::percent(metrics::ratio(before, after))
+            ),
+        };
+        eprintln!(
+            "{}, {}: {sizes}{kept}{} in {seconds:.1} s",
+            table::count(copied.messages, "message"),
+            table::count(copied.clouds, "cloud"),
+            if verified { ", verified" } else { "" },
+        );
+    }
+    Ok(())
+}
+
+/// # Errors
+/// If the recording was cut short or damaged: all before that was taken, and the output is there.
+fn check_whole(input: &Path, copied: &Copied) -> Result<()> {
+    match &copied.cut_short {
+        None => Ok(()),
+        Some(what) => {
+            bail!("{}: is cut short or damaged ({what}); all before that was taken", input.display())
+        }
+    }
+}

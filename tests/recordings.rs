@@ -1,0 +1,276 @@
+//! Recordings: packed and unpacked, every message, channel and attachment is as it was.
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+
+use common::scans::{Points, scans};
+use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
+use lidarpc::recordings::{Clouds, Copied, TopicFilter, pack, unpack};
+use lidarpc::{Decoder, Encoder, Settings};
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{Attachment, Compression, WriteOptions};
+
+/// Writes values as CDR or ROS 1 does.
+struct Message {
+    bytes: Vec<u8>,
+    is_cdr: bool,
+    is_big_endian: bool,
+}
+
+impl Message {
+    fn new(is_cdr: bool, is_big_endian: bool) -> Self {
+        let start: &[u8] = if is_cdr { &[0, u8::from(!is_big_endian), 0, 0] } else { &[] };
+        Message { bytes: start.to_vec(), is_cdr, is_big_endian }
+    }
+
+    fn u32(&mut self, value: u32) {
+        if self.is_cdr {
+            self.bytes.resize(self.bytes.len().next_multiple_of(4), 0xee);
+        }
+        self.bytes.extend(if self.is_big_endian { value.to_be_bytes() } else { value.to_le_bytes() });
+    }
+
+    fn text(&mut self, text: &str) {
+        self.u32((text.len() + usize::from(self.is_cdr)) as u32);
+        self.bytes.extend(text.bytes());
+        if self.is_cdr {
+            self.bytes.push(0);
+        }
+    }
+}
+
+/// A cloud with fields in records of 26 bytes: x, y, z, intensity, ring, and a time of float64 that stands at no multiple of 8.
+fn cloud(points: &Points, is_cdr: bool, is_big_endian: bool) -> Vec<u8> {
+    let mut message = Message::new(is_cdr, is_big_endian);
+    if !is_cdr {
+        message.u32(7);
+    }
+    message.u32(1_700_000_000);
+    message.u32(123_456_789);
+    message.text("lidar");
+    message.u32(1);
+    message.u32(points.len() as u32);
+    let fields =
+        [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("intensity", 12, 7), ("ring", 16, 4), ("timestamp", 18, 8)];
+    message.u32(fields.len() as u32);
+    for (name, offset, kind) in fields {
+        message.text(name);
+        message.u32(offset);
+        message.bytes.push(kind);
+        message.u32(1);
+    }
+    message.bytes.push(u8::from(is_big_endian));
+    message.u32(26);
+    message.u32(26 * points.len() as u32);
+    message.u32(26 * points.len() as u32);
+    for (number, point) in points.iter().enumerate() {
+        let mut put = |bytes: &[u8]| match is_big_endian {
+            true => message.bytes.extend(bytes.iter().rev()),
+            false => message.bytes.extend(bytes),
+        };
+        point.iter().for_each(|value| put(&value.to_le_bytes()));
+        put(&((number % 16) as u16).to_le_bytes());
+        put(&(1.7e9 + (number / 16) as f64 * 55.296e-6).to_le_bytes());
+    }
+    message.bytes.push(1);
+    message.bytes
+}
+
+type Messages = Vec<(u16, String, String, BTreeMap<String, String>, u32, u64, u64, Vec<u8>)>;
+
+/// All that a reader of recordings sees: messages with their channels, attachments, metadata.
+fn contents(recording: &[u8]) -> (Messages, Vec<(String, Vec<u8>)>, Vec<Metadata>) {
+    let messages = mcap::MessageStream::new(recording).unwrap().map(|message| {
+        let message = message.unwrap();
+        let channel = &message.channel;
+        let schema = channel.schema.as_ref().map_or(String::new(), |schema| schema.name.clone());
+        let metadata = channel.metadata.clone();
+        let times = (message.log_time, message.publish_time);
+        (
+            channel.id,
+            channel.topic.clone(),
+            schema,
+            metadata,
+            message.sequence,
+            times.0,
+            times.1,
+            message.data.to_vec(),
+        )
+    });
+    let messages = messages.collect();
+    let summary = mcap::Summary::read(recording).unwrap().expect("a summary");
+    let attachments = summary.attachment_indexes.iter().map(|index| {
+        let attachment = mcap::read::attachment(recording, index).unwrap();
+        (attachment.name, attachment.data.to_vec())
+    });
+    let metadata =
+        summary.metadata_indexes.iter().map(|index| mcap::read::metadata(recording, index).unwrap());
+    (messages, attachments.collect(), metadata.collect())
+}
+
+/// Turns of a VLP-16.
+fn turns(frames: usize) -> Vec<Points> {
+    let synth = SynthConfig { scanner: SynthScanner::Vlp16, frames, thinning: 4, ..SynthConfig::default() };
+    scans(&synth)
+}
+
+/// A recording with two topics of clouds, one of them with a damaged message, and one of text.
+fn recording(compression: Option<Compression>, is_cdr: bool) -> Vec<u8> {
+    let options = WriteOptions::new().compression(compression).profile("ros2").chunk_size(Some(100_000));
+    let mut out = options.create(Cursor::new(Vec::new())).unwrap();
+    let of = |kind| if is_cdr { format!("sensor_msgs/msg/{kind}") } else { format!("sensor_msgs/{kind}") };
+    let (encoding, message_encoding) = if is_cdr { ("ros2msg", "cdr") } else { ("ros1msg", "ros1") };
+    let clouds = out.add_schema_with_id(3, &of("PointCloud2"), encoding, b"the fields of a cloud").unwrap();
+    let text = out.add_schema_with_id(5, "std_msgs/msg/String", encoding, b"string data").unwrap();
+    let metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), "- history: 3".to_owned())]);
+    let front = out.add_channel_with_id(1, clouds, "/front/points", message_encoding, &metadata).unwrap();
+    let rear =
+        out.add_channel_with_id(2, clouds, "/rear/points", message_encoding, &BTreeMap::new()).unwrap();
+    let words = out.add_channel_with_id(9, text, "/words", message_encoding, &BTreeMap::new()).unwrap();
+    let mut sequence = 0;
+    let mut write = |channel_id, data: &[u8]| {
+        sequence += 1;
+        let (log_time, publish_time) = (u64::from(sequence) * 1000, u64::from(sequence) * 1000 - 7);
+        let header = MessageHeader { channel_id, sequence, log_time, publish_time };
+        out.write_to_known_channel(&header, data).unwrap();
+    };
+    for (number, points) in turns(4).iter().enumerate() {
+        let whole = cloud(points, is_cdr, false);
+        write(front, &whole);
+        write(words, b"hello");
+        write(rear, &cloud(points, is_cdr, is_cdr));
+        if number == 1 {
+            write(front, &whole[..whole.len() / 2]);
+            write(front, b"");
+            write(rear, &cloud(&Points::new(), is_cdr, false));
+        }
+    }
+    let (name, media_type) = ("calibration.yaml".to_owned(), "text/yaml".to_owned());
+    let data = b"roll: 0".as_slice().into();
+    out.attach(&Attachment { log_time: 5, create_time: 6, name, media_type, data }).unwrap();
+    let facts = BTreeMap::from([("operator".to_owned(), "me".to_owned())]);
+    out.write_metadata(&Metadata { name: "drive".to_owned(), metadata: facts }).unwrap();
+    out.finish().unwrap();
+    out.into_inner().into_inner()
+}
+
+fn packed(recording: &[u8], settings: &Settings, filter: &TopicFilter) -> (Vec<u8>, Copied) {
+    let mut out = Cursor::new(Vec::new());
+    let copied = pack(recording, &mut out, settings, filter, &|| ()).unwrap();
+    (out.into_inner(), copied)
+}
+
+fn unpacked(recording: &[u8]) -> (Vec<u8>, Copied) {
+    let mut out = Cursor::new(Vec::new());
+    let copied = unpack(recording, &mut out, 2, &|| ()).unwrap();
+    (out.into_inner(), copied)
+}
+
+#[test]
+fn recordings_come_back_message_by_message() {
+    for (compression, is_cdr) in
+        [(None, true), (Some(Compression::Lz4), true), (Some(Compression::Zstd), false)]
+    {
+        let original = recording(compression, is_cdr);
+        let (small, copied) = packed(&original, &Settings::default(), &TopicFilter::default());
+        assert_eq!((copied.messages, copied.clouds, copied.kept), (15, 9, 2));
+        assert_eq!((copied.attachments, copied.cut_short), (2, None));
+        let [before, after] = copied.cloud_bytes;
+        assert!(after * 8 < before, "{before} bytes of clouds to {after}");
+        // Any reader sees the same topics, times and sequence numbers.
+        let (messages, of_packed) = (contents(&original).0, contents(&small).0);
+        assert_eq!(messages.len(), of_packed.len());
+        for (message, packed) in messages.iter().zip(&of_packed) {
+            assert_eq!(
+                (&message.1, message.4, message.5, message.6),
+                (&packed.1, packed.4, packed.5, packed.6)
+            );
+        }
+        let (restored, back) = unpacked(&small);
+        assert_eq!((back.messages, back.clouds), (15, 9));
+        assert_eq!(contents(&restored), contents(&original));
+    }
+}
+
+#[test]
+fn topics_that_are_not_asked_for_are_copied() {
+    let original = recording(None, true);
+    let filter = TopicFilter { topics: vec!["/rear/points".to_owned()] };
+    let (small, copied) = packed(&original, &Settings::default(), &filter);
+    assert_eq!((copied.clouds, copied.kept), (5, 0));
+    assert_eq!(contents(&unpacked(&small).0), contents(&original));
+    let mut out = Cursor::new(Vec::new());
+    let again = pack(&small[..], &mut out, &Settings::default(), &TopicFilter::default(), &|| ());
+    assert!(again.unwrap_err().to_string().contains("packed already"));
+}
+
+#[test]
+fn a_recording_that_is_cut_short_is_taken_as_far_as_it_is_whole() {
+    let original = recording(None, true);
+    let (messages, ..) = contents(&original);
+    let cut = &original[..original.len() / 2];
+    let (small, copied) = packed(cut, &Settings::default(), &TopicFilter::default());
+    assert!(copied.cut_short.is_some() && copied.messages > 2, "{copied:?}");
+    let (restored, ..) = contents(&unpacked(&small).0);
+    assert_eq!(restored, messages[..restored.len()]);
+    assert_eq!(restored.len() as u64, copied.messages);
+    let mut out = Cursor::new(Vec::new());
+    let none =
+        pack(&b"no recording at all"[..], &mut out, &Settings::default(), &TopicFilter::default(), &|| ());
+    assert!(none.is_err());
+}
+
+#[test]
+fn clouds_become_a_stream_with_their_times() {
+    let original = recording(None, true);
+    let small = packed(&original, &Settings::default(), &TopicFilter::default()).0;
+    for recording in [&original, &small] {
+        let filter = TopicFilter { topics: vec!["/front/points".to_owned()] };
+        let mut stream = Vec::new();
+        let mut encoder = Encoder::new(&mut stream, Settings::default()).unwrap();
+        Clouds::open(&recording[..], &filter)
+            .unwrap()
+            .for_each(|cloud| encoder.push(cloud.unwrap()).unwrap());
+        encoder.finish().unwrap();
+        let scans = Decoder::stream(&stream[..], 1).unwrap().map(Result::unwrap);
+        let found: Vec<_> = scans.map(|scan| (scan.len(), scan.time())).collect();
+        let turns = turns(4);
+        let expected = turns.iter().map(|points| (points.len(), Some(1_700_000_000_123_456_789)));
+        assert_eq!(found, expected.collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn the_program_packs_and_unpacks() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let lidarpc = |args: &[&str]| assert_cmd::Command::cargo_bin("lidarpc").unwrap().args(args).assert();
+    let original = recording(Some(Compression::Zstd), true);
+    std::fs::write(path("drive.mcap"), &original).unwrap();
+    lidarpc(&["encode", &path("drive.mcap"), "-o", &path("small.mcap"), "--verify"]).success();
+    lidarpc(&["decode", &path("small.mcap"), "-o", &path("back.mcap"), "--quiet"]).success();
+    assert_eq!(contents(&std::fs::read(path("back.mcap")).unwrap()), contents(&original));
+    // The clouds alone: as a stream, and as files.
+    lidarpc(&["encode", &path("small.mcap"), "-o", &path("front.lpc"), "--topic", "/front/points"]).success();
+    lidarpc(&["decode", &path("front.lpc"), "-o", &path("a")]).success();
+    lidarpc(&["decode", &path("drive.mcap"), "-o", &path("b"), "--topic", "/front/points"]).success();
+    let files = |name: &str| {
+        let read = std::fs::read_dir(path(name)).unwrap().map(|entry| entry.unwrap().path());
+        let mut files: Vec<_> = read.map(|path| std::fs::read(path).unwrap()).collect();
+        files.sort();
+        files
+    };
+    assert_eq!(files("a").len(), 4);
+    assert_eq!(files("a"), files("b"));
+    // What is left of a recording is taken, and it is said.
+    std::fs::write(path("cut.mcap"), &original[..original.len() * 2 / 3]).unwrap();
+    let cut = lidarpc(&["encode", &path("cut.mcap"), "-o", &path("rest.mcap")]).failure();
+    cut.stderr(predicates::str::contains("is cut short or damaged"));
+    assert!(std::path::Path::new(&path("rest.mcap")).is_file());
+    std::fs::write(path("old.bag"), b"#ROSBAG V2.0").unwrap();
+    let bag = lidarpc(&["encode", &path("old.bag"), "-o", &path("old.lpc")]).failure();
+    bag.stderr(predicates::str::contains("rosbags-convert"));
+    lidarpc(&["encode", &path("drive.mcap"), "-o", &path("drive.mcap"), "--force"]).failure();
+}
