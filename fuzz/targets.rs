@@ -13,7 +13,7 @@ use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, Prediction
 use lidarpc::internals::ground::error::{Limits, Result};
 use lidarpc::internals::scan::PointCloud;
 use lidarpc::internals::scanner::{REACH, Return, Scanner};
-use lidarpc::internals::stream::container::{IndexedReader, StreamReader};
+use lidarpc::internals::stream::container::{IndexedReader, Section, StreamReader};
 use lidarpc::internals::stream::{DecodeOptions, FrameInput};
 use tempfile::TempDir;
 
@@ -31,9 +31,10 @@ pub type Target = fn(&[u8]);
 
 /// All targets by name.
 #[allow(dead_code)] // The fuzzer's programs call theirs directly.
-pub const TARGETS: [(&str, Target); 10] = [
+pub const TARGETS: [(&str, Target); 11] = [
     ("container", container),
     ("sections", sections),
+    ("parts", parts),
     ("backends", backends),
     ("readers", readers),
     ("conversion", conversion),
@@ -65,6 +66,54 @@ pub fn sections(data: &[u8]) {
     let mut all: Vec<_> = all.collect();
     let place = usize::from(*section) % all.len();
     all[place].payload = payload.to_vec();
+    let _ = decode_within(&put_together(&models, &groups), LIMITS);
+}
+
+/// Any bytes as changes to the parts of a good stream, five bytes each: frames and sections are cut, joined, exchanged
+/// with those of another stream, left out, repeated and altered, and all checksums made right. So what the fuzzer
+/// changes is what coders see, in places where they see it.
+pub fn parts(data: &[u8]) {
+    let [stream, other, changes @ ..] = data else { return };
+    let pick = |number: &u8| &STREAMS[usize::from(*number) % STREAMS.len()];
+    let (models, mut groups) = pick(stream).clone();
+    let others: Vec<&Section> =
+        pick(other).1.iter().flat_map(|group| &group.frames).flat_map(|frame| &frame.sections).collect();
+    for change in changes.chunks_exact(5).take(16) {
+        let [what, frame, section, place, value] = [0, 1, 2, 3, 4].map(|n| usize::from(change[n]));
+        let Some(group) = groups.first_mut().filter(|group| !group.frames.is_empty()) else { return };
+        let count = group.frames.len();
+        let frame = frame % count;
+        if what % 12 == 0 {
+            group.frames.swap(frame, place % count);
+            continue;
+        }
+        let sections = &mut group.frames[frame].sections;
+        if sections.is_empty() {
+            continue;
+        }
+        let (length, section) = (sections.len(), section % sections.len());
+        let foreign = others[(place * 256 + value) % others.len()];
+        let payload = &mut sections[section].payload;
+        let at = (place * 16 + value / 16).min(payload.len());
+        match what % 12 {
+            1 => sections.swap(section, place % length),
+            2 => drop(sections.remove(section)),
+            3 => sections.insert(section, foreign.clone()),
+            4 => sections[section] = foreign.clone(),
+            5 => payload.clone_from(&foreign.payload),
+            6 => payload.truncate(at),
+            7 => payload.extend_from_slice(&foreign.payload),
+            8 => payload.splice(..at, foreign.payload.iter().copied()).for_each(drop),
+            9 => payload[at..].fill(value as u8),
+            10 => group.frames[frame].header.point_count ^= 1 << (value % 20),
+            _ => {
+                let length = payload.len();
+                if let Some(byte) = payload.get_mut(place % length.max(1)) {
+                    *byte ^= (value as u8).max(1);
+                }
+            }
+        }
+    }
     let _ = decode_within(&put_together(&models, &groups), LIMITS);
 }
 

@@ -10,6 +10,7 @@ mod targets;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply};
 use common::scans::{scans, small};
@@ -48,6 +49,11 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
                 sections.map(seed).collect::<Vec<_>>()
             };
             STREAMS.iter().enumerate().flat_map(numbered).collect()
+        }
+        "parts" => {
+            let streams = 0..STREAMS.len() as u8;
+            let seed = |n: u8| vec![n, n + 1, n % 12, 1, n, 0, 3 * n + 1, (n + 5) % 12, 0, n / 2, 1, 255 - n];
+            streams.map(seed).collect()
         }
         "backends" => {
             let text: Vec<u8> = (0..640u32).map(|n| (n * n / 7) as u8 & 15).collect();
@@ -132,6 +138,29 @@ fn every_target_takes_what_it_starts_from() {
             }
             run(&changed);
         }
+    }
+}
+
+/// Executions a second of each target on what it starts from, a little changed: `cargo test --release --test fuzz --
+/// --ignored rates --nocapture`.
+#[test]
+#[ignore = "measures"]
+fn rates() {
+    for (target, run) in TARGETS {
+        let seeds = seeds(target);
+        // What is made once is made before.
+        run(&seeds[0]);
+        let (start, mut runs) = (Instant::now(), 0);
+        while runs < 20 || start.elapsed() < Duration::from_secs(5) {
+            let mut seed = seeds[runs % seeds.len()].clone();
+            let place = runs * 7919 % seed.len().max(1);
+            if let Some(byte) = seed.get_mut(place) {
+                *byte ^= 1 << (runs % 8);
+            }
+            run(&seed);
+            runs += 1;
+        }
+        println!("{target}: {:.1} executions a second", runs as f64 / start.elapsed().as_secs_f64());
     }
 }
 

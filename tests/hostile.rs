@@ -3,9 +3,10 @@
 
 mod common;
 
+use common::formats::{kitti, pcd_text};
 use common::scans::Random;
-use common::streams::{Parts, STREAMS};
-use common::{cases, decode_files, decode_within, put_together};
+use common::streams::{Parts, STREAMS, at_level};
+use common::{cases, decode_files, decode_within, encode_files, put_together, take_apart};
 use lidarpc::internals::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
 use lidarpc::internals::frame::parameters::RangeCoder;
 use lidarpc::internals::frame::{FrameParameters, Modelling};
@@ -14,7 +15,7 @@ use lidarpc::internals::ground::varint::write_unsigned;
 use lidarpc::internals::models::{ByteModel, ColumnModel};
 use lidarpc::internals::scan::{Field, Layout, Scalar, Wrapping};
 use lidarpc::internals::scanner::{BeamConstants, Coordinates, Hdl64};
-use lidarpc::internals::stream::container::{ScannerRecord, Section, SectionKind};
+use lidarpc::internals::stream::container::{Frame, Group, ScannerRecord, Section, SectionKind};
 use proptest::prelude::*;
 
 /// What is done to a stream's parts. Places are counted modulo what there is.
@@ -363,7 +364,7 @@ fn an_image_larger_than_any_scan_is_an_error() {
 #[test]
 fn strays_of_bytes_that_are_made_up_are_an_error_in_time() {
     for payload in [&[][..], &[0xff; 3], &[0x55; 40]] {
-        let most = Limits::default().points;
+        let most = 60_000 / 16;
         let mut frame = vec![file_section(&kitti_layout(), most, most)];
         frame.extend(sections(&[SectionKind::Points, SectionKind::Intensity], payload));
         let error = decode_files(&forged(None, most, frame)).unwrap_err().to_string();
@@ -390,6 +391,95 @@ fn random_sections_behind_a_good_file_section() {
             let _ = decode_files(&forged_as(modelling, Some(&sensor), 1000, frame.clone()));
         }
     }
+}
+
+// ---- streams that would unfold to far more than their bytes ----
+
+/// Files of one thing repeated: points at the origin as they are and as text, and no points at all.
+fn repeated(points: usize) -> [(String, Vec<u8>); 4] {
+    let origin = vec![[0.0; 4]; points];
+    let header = format!(
+        "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {points}\nHEIGHT 1\n\
+         VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA binary_compressed\n"
+    );
+    // LZF of zeros, as PCL makes it (FORMAT.md 9): two literals, then matches of the byte before.
+    let mut packed = vec![1, 0, 0];
+    let mut left = 12 * points - 2;
+    while left > 2 {
+        let most = (left - 2).min(264);
+        let length = if most <= 16 { most.max(3) } else { most.max(19) };
+        match length - 2 {
+            code @ 7.. => packed.extend([7 << 5, (code - 7) as u8, 0]),
+            code => packed.extend([(code << 5) as u8, 0]),
+        }
+        left -= length;
+    }
+    match left {
+        0 => {}
+        _ => packed.extend([&[left as u8 - 1][..], &vec![0; left]].concat()),
+    }
+    let sizes = [packed.len() as u32, 12 * points as u32].map(u32::to_le_bytes).concat();
+    [
+        ("0.bin".to_owned(), kitti(&origin)),
+        ("1.pcd".to_owned(), pcd_text(&origin)),
+        ("2.pcd".to_owned(), [header.into_bytes(), sizes, packed].concat()),
+        ("3.txt".to_owned(), vec![b'7'; 16 * points]),
+    ]
+}
+
+/// What a frame of so many bytes may unfold to.
+fn unfolds(frame: &Frame) -> u64 {
+    let bytes: usize = frame.sections.iter().map(|section| section.payload.len()).sum();
+    65_536 + 1024 * bytes as u64
+}
+
+#[test]
+fn files_of_one_thing_repeated_come_back_and_are_paid_for() {
+    let mut padded = Vec::new();
+    for file in repeated(100_000) {
+        let name = file.0.clone();
+        let stream = encode_files(std::slice::from_ref(&file), &at_level(1));
+        assert!(decode_files(&stream).unwrap() == [file], "{name}");
+        let (models, mut groups) = take_apart(&stream);
+        let frame = &mut groups[0].frames[0];
+        assert!(frame.header.file_size.max(frame.header.point_count) <= unfolds(frame), "{name}");
+        // Without what only makes it longer, it would be a bomb.
+        let sections = frame.sections.len();
+        frame.sections.retain(|section| !section.kind.is_skippable());
+        if frame.sections.len() < sections {
+            let error = decode_files(&put_together(&models, &groups)).map(drop).unwrap_err().to_string();
+            assert!(error.contains("so short a frame"), "{name}: {error}");
+            padded.push(name);
+        }
+    }
+    assert!(padded.contains(&"0.bin".to_owned()) && padded.contains(&"1.pcd".to_owned()), "{padded:?}");
+}
+
+#[test]
+fn text_of_a_gigabyte_in_a_few_bytes_is_an_error() {
+    let (_, mut groups) = take_apart(&encode_files(&repeated(3)[1..2], &at_level(1)));
+    let header = &mut groups[0].frames[0].header;
+    (header.file_size, header.point_count) = (1 << 30, 1 << 24);
+    let error = decode_files(&put_together(&[], &groups)).unwrap_err().to_string();
+    assert!(error.contains("so short a frame"), "{error}");
+}
+
+/// They are read, and their tables are not made: those of 2,000 scanners would take 17 GB.
+#[test]
+fn scanners_that_no_frame_uses_cost_nothing() {
+    let scanner = |number: usize| {
+        let constants = BeamConstants { elevation: number as i64, ..BeamConstants::default() };
+        let model = Hdl64::new(Coordinates::Millimetre, 360_000, 2000, vec![constants]);
+        ScannerRecord { family: 1, payload: model.to_payload() }
+    };
+    let scanners: Vec<_> = (0..2000).map(scanner).collect();
+    assert_eq!(decode_files(&put_together(&scanners, &[])).unwrap(), []);
+    // A group for each, whose frame has no range image.
+    let files = [("0.txt".to_owned(), b"no scan".to_vec())];
+    let (_, groups) = take_apart(&encode_files(&files, &at_level(1)));
+    let group = |scanner: &ScannerRecord| Group { scanners: vec![Some(scanner.id())], ..groups[0].clone() };
+    let groups: Vec<_> = scanners.iter().map(group).collect();
+    assert_eq!(decode_files(&put_together(&scanners, &groups)).unwrap().len(), scanners.len());
 }
 
 #[test]

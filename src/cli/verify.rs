@@ -2,8 +2,10 @@
 
 use std::io::{self, Write};
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 use crate::ground::error::Error;
+use crate::stream::container::FrameHeader;
 use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::{Result, bail};
 use serde::Serialize;
@@ -83,15 +85,21 @@ fn verify(
         ..DecodeOptions::default()
     };
     let bar = progress::bar(input.frame_count(options.limits), "verifying", quiet);
-    let decoded = input.decode(&options, DecodedFrame::checked, |frame| {
+    // Compared by the thread that has decoded the frame: no frame waits in memory for those before it.
+    let compared = originals.as_mut().map(Mutex::new);
+    let check = |frame: DecodedFrame| {
+        let DecodedFrame { number, header: FrameHeader { name, file_size, .. }, .. } = &frame;
+        let Some(originals) = &compared else { return frame.write(|_| Ok(())).map(|()| *file_size) };
+        let original = originals.lock().unwrap_or_else(PoisonError::into_inner).take(name)?;
+        if original != frame.to_bytes()? {
+            return Err(Error::Usage(format!("frame {number} ({name:?}) is not the original")));
+        }
+        Ok(*file_size)
+    };
+    let decoded = input.decode(&options, check, |file_size| {
         bar.inc(1);
         report.frames += 1;
-        report.file_bytes += frame.header.file_size;
-        let Some(originals) = &mut originals else { return Ok(()) };
-        if originals.take(&frame.header.name)? != frame.to_bytes()? {
-            let what = format!("frame {} ({:?}) is not the original", frame.number, frame.header.name);
-            return Err(Error::Usage(what));
-        }
+        report.file_bytes += file_size;
         Ok(())
     });
     bar.finish_and_clear();

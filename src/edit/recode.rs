@@ -9,7 +9,7 @@ use crate::frame::sections::{Effort, SectionReader, SectionWriter};
 use crate::frame::syntax::Models;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::Scanner;
-use crate::stream::container;
+use crate::stream::container::{self, allowance, pay_for};
 use crate::stream::decoder::write_checked;
 use crate::stream::source::GroupJob;
 
@@ -52,7 +52,8 @@ impl Recoder<'_> {
     fn recode(&mut self, coded: container::Frame, wanted: bool) -> Result<Option<container::Frame>> {
         let container::Frame { header, sections } = coded;
         let mut frame = Frame::of_records(header.point_count as usize);
-        let mut reader = SectionReader::new(&sections, self.limits);
+        let limits = self.limits.within(allowance(&sections));
+        let mut reader = SectionReader::new(&sections, &limits);
         self.old.code_frame(&mut reader, self.scanner, &mut frame)?;
         reader.finish()?;
         if !wanted {
@@ -67,9 +68,12 @@ impl Recoder<'_> {
         frame.parameters.range_coder = frame.parameters.range_coder.of_decoded();
         let mut writer = SectionWriter::new(Effort::default());
         models.code_frame(&mut writer, self.scanner, &mut frame)?;
+        let unfolded = frame.unfolded_bytes().max(header.file_size);
         write_checked(&frame.into_scan(&header.name)?, &header, |_| Ok(()))?;
         // Sections that this program does not know are kept.
         let unknown = sections.into_iter().filter(|section| section.kind.is_skippable());
-        Ok(Some(container::Frame { header, sections: writer.sections.into_iter().chain(unknown).collect() }))
+        let mut sections: Vec<_> = writer.sections.into_iter().chain(unknown).collect();
+        pay_for(&mut sections, unfolded);
+        Ok(Some(container::Frame { header, sections }))
     }
 }

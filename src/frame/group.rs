@@ -23,7 +23,7 @@ use crate::inter::registration::{Pose, QuantisedPose, register};
 use crate::scan::{ScanFile, Wrapping};
 use crate::scanner::RangeImage;
 use crate::scanner::Scanner;
-use crate::stream::container::{FrameHeader, Section};
+use crate::stream::container::{FrameHeader, Section, allowance, pay_for};
 
 /// Encodes the frames of one group.
 pub struct GroupEncoder<'s> {
@@ -145,9 +145,10 @@ impl<'s> StreamEncoder<'s> {
                 best = Some(attempt);
             }
         }
-        let Some(Attempt { models, frame, sections, steps, .. }) = best else {
+        let Some(Attempt { models, frame, mut sections, steps, .. }) = best else {
             return Err(Error::Internal("no prediction to choose from".to_owned()));
         };
+        let unfolded = frame.unfolded_bytes();
         self.frames += 1;
         if let Some((models, mut steps)) = before {
             let own = sections.iter().map(|section| section.payload.len()).sum();
@@ -157,18 +158,21 @@ impl<'s> StreamEncoder<'s> {
                 let mut writer = SectionWriter::new(Effort::default());
                 self.models.code_frame(&mut writer, None, &mut Frame::of_whole(whole, records))?;
                 steps.add(&writer.report);
+                pay_for(&mut writer.sections, original.file_size.max(records as u64));
                 steps.count_sections(&writer.sections);
                 return Ok((EncodedFrame { header: original, sections: writer.sections, steps }, None));
             }
         }
         self.models = models;
         if frame.parameters.source.is_none() {
+            pay_for(&mut sections, unfolded.max(original.file_size));
             return Ok((EncodedFrame { header: original, sections, steps }, None));
         }
         let decoded = frame.into_scan(&name)?;
         let bytes = decoded.to_bytes()?;
         let header =
             FrameHeader { stamp: original.stamp, ..FrameHeader::of(&name, &bytes, decoded.records as u64) };
+        pay_for(&mut sections, unfolded.max(header.file_size));
         Ok((EncodedFrame { header, sections, steps }, Some(bytes)))
     }
 
@@ -287,8 +291,8 @@ pub struct DecodedImage {
 
 /// Decodes the frames of one group.
 pub struct GroupDecoder<'s> {
-    /// The scanner of each stream, and what its frames have taught.
-    streams: Vec<(Option<&'s Scanner>, Models)>,
+    /// The scanner of each stream, and what its frames have taught, once there was one.
+    streams: Vec<(Option<&'s Scanner>, Option<Models>)>,
     limits: Limits,
     keeps_images: bool,
 }
@@ -296,7 +300,7 @@ pub struct GroupDecoder<'s> {
 impl<'s> GroupDecoder<'s> {
     /// A new group whose streams have these scanners.
     pub fn new(scanners: &[Option<&'s Scanner>], limits: &Limits) -> Self {
-        let streams = scanners.iter().map(|scanner| (*scanner, Models::default())).collect();
+        let streams = scanners.iter().map(|scanner| (*scanner, None)).collect();
         GroupDecoder { streams, limits: *limits, keeps_images: false }
     }
 
@@ -319,9 +323,10 @@ impl<'s> GroupDecoder<'s> {
         let stream = self.streams.get_mut(usize::from(header.stamp.stream));
         let unknown = || Error::corrupt("a frame of a stream that the group does not have");
         let (scanner, models) = stream.ok_or_else(unknown)?;
-        let mut reader = SectionReader::new(sections, &self.limits);
+        let limits = self.limits.within(allowance(sections));
+        let mut reader = SectionReader::new(sections, &limits);
         let mut frame = Frame::of_records(header.point_count as usize);
-        models.code_frame(&mut reader, *scanner, &mut frame)?;
+        models.get_or_insert_default().code_frame(&mut reader, *scanner, &mut frame)?;
         steps.add(&reader.finish()?);
         let source = frame.parameters.source;
         steps.frames += 1;

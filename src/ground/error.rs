@@ -216,6 +216,13 @@ pub struct Limits {
     pub record_bytes: u64,
 }
 
+impl Limits {
+    /// These limits, and no more than so many points or bytes of a frame.
+    pub(crate) fn within(&self, most: u64) -> Self {
+        Limits { points: self.points.min(most), file_bytes: self.file_bytes.min(most), ..*self }
+    }
+}
+
 impl Default for Limits {
     /// 16 million points, 1 GiB a file, 2 GiB a group: ten times the frame of any scanner.
     fn default() -> Self {

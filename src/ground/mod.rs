@@ -10,6 +10,7 @@ pub mod varint;
 mod section_kind;
 
 pub(crate) mod lanes;
+pub(crate) mod lazy_table;
 
 pub(crate) use section_kind::SKIPPABLE;
 pub use section_kind::SectionKind;

@@ -1,7 +1,6 @@
 //! The groups of a stream that hold the frames asked for, each with its scanners: as they arrive,
 //! or by the index.
 
-use std::collections::HashMap;
 use std::io::{Read, Seek};
 use std::sync::Arc;
 
@@ -61,23 +60,28 @@ pub(crate) fn missing(scanner: ScannerId) -> Error {
     Error::corrupt(format!("scanner {scanner} is lost"))
 }
 
-/// The scanners of a stream that groups have used so far.
+/// Scanners that are kept between groups. Those of a stream with more of them are read again and again.
+const KEPT_SCANNERS: usize = 16;
+
+/// The scanners of a stream that the last groups have used, the last of them first.
 #[derive(Default)]
-pub(crate) struct UsedScanners(HashMap<ScannerId, Arc<StoredScanner>>);
+pub(crate) struct UsedScanners(Vec<(ScannerId, Arc<StoredScanner>)>);
 
 impl UsedScanners {
-    /// The scanners of a group's streams; `read` gives those that no group has used before.
+    /// The scanners of a group's streams; `read` gives those that are not kept.
     pub fn of_group(
         &mut self,
         group: &Group,
         mut read: impl FnMut(ScannerId) -> Result<ScannerRecord>,
     ) -> Result<Vec<Option<Arc<StoredScanner>>>> {
         let mut scanner = |id: ScannerId| -> Result<_> {
-            if let Some(scanner) = self.0.get(&id) {
-                return Ok(Arc::clone(scanner));
-            }
-            let scanner = StoredScanner::parse(read(id)?)?;
-            Ok(Arc::clone(self.0.entry(id).or_insert(scanner)))
+            let scanner = match self.0.iter().position(|(known, _)| *known == id) {
+                Some(place) => self.0.remove(place).1,
+                None => StoredScanner::parse(read(id)?)?,
+            };
+            self.0.insert(0, (id, Arc::clone(&scanner)));
+            self.0.truncate(KEPT_SCANNERS);
+            Ok(scanner)
         };
         group.scanners.iter().map(|id| id.map(&mut scanner).transpose()).collect()
     }

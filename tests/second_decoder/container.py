@@ -117,10 +117,14 @@ class Frame:
         self.file_crc = reader.unsigned(4)
         self.point_count = reader.varint()
         self.sections = []
+        self.allowance = 65536
         for _ in range(reader.varint()):
             kind, payload, _ = reader.block()
+            self.allowance += 1024 * len(payload)
             if kind < SKIPPABLE:
                 self.sections.append((kind, payload))
+        if max(self.file_size, self.point_count) > self.allowance:
+            raise Refused("a frame too short for its file")
         self.size = reader.at - start
 
 

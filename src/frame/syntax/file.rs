@@ -42,6 +42,8 @@ impl FileModels {
         }
         frame.strays = self.sizes.code(coder, frame.strays as u64) as usize;
         within(frame.records, limits.points, "points of the frame")?;
+        let record_bytes = frame.records.saturating_mul(frame.layout.stride());
+        within(record_bytes, limits.file_bytes, "bytes of the frame's records")?;
         if frame.strays > frame.records || (frame.layout.position.is_none() && frame.strays < frame.records) {
             return Err(Error::corrupt("more strays than points"));
         }

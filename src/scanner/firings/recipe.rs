@@ -3,6 +3,7 @@
 use std::f64::consts::PI;
 
 use super::Laser;
+use crate::ground::lazy_table::LazyTable;
 use crate::ground::rounding::round_ties_even;
 
 /// A program that writes scans. A new one needs a number here, its words, and its arithmetic below; the fit tries them all.
@@ -184,12 +185,12 @@ impl Origin {
 }
 
 /// What a recipe has of every tick.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(super) enum Turn {
     /// Cosine and sine, rounded to float32.
-    Tables(Vec<[f32; 2]>),
+    Tables(LazyTable<[f32; 2]>),
     /// The angle in radians.
-    Angles(Vec<f32>),
+    Angles(LazyTable<f32>),
     /// Degrees of one: the recipe adds a laser's offset before it takes the cosine.
     Degrees(f64),
 }
@@ -198,25 +199,30 @@ impl Turn {
     pub fn new(recipe: Recipe, ticks: u32) -> Self {
         let tick = 360.0 / f64::from(ticks);
         let degrees = move |t: u32| f64::from(t) / (f64::from(ticks) / 360.0);
-        let table =
-            |angle: &dyn Fn(u32) -> f32| Turn::Tables((0..ticks).map(|t| recipe.cos_sin(angle(t))).collect());
         match recipe {
             Recipe::VelodyneRos | Recipe::VelodyneRosGlibc => {
-                table(&|t| radians(f64::from(tick as f32 * t as f32)) as f32)
+                let angle = move |t: u32| radians(f64::from(tick as f32 * t as f32)) as f32;
+                Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
             }
-            Recipe::NebulaVelodyne => table(&|t| radians(tick * f64::from(t)) as f32),
+            Recipe::NebulaVelodyne => {
+                let angle = move |t: u32| radians(tick * f64::from(t)) as f32;
+                Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
+            }
             Recipe::Pandar64 => {
                 let quarter = ticks / 4;
-                table(&|t| ((t + quarter) % ticks) as f32 * (tick * PI / 180.0) as f32)
+                let angle = move |t: u32| ((t + quarter) % ticks) as f32 * (tick * PI / 180.0) as f32;
+                Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
             }
             Recipe::RoboSense => {
-                let entry = |t: u32| {
+                let entry = move |t: u32| {
                     let angle = radians(f64::from(t) * tick);
                     [libm::cos(angle) as f32, libm::sin(angle) as f32]
                 };
-                Turn::Tables((0..ticks).map(entry).collect())
+                Turn::Tables(LazyTable::new(ticks, entry))
             }
-            Recipe::Nebula => Turn::Angles((0..ticks).map(|t| (degrees(t) * (PI / 180.0)) as f32).collect()),
+            Recipe::Nebula => {
+                Turn::Angles(LazyTable::new(ticks, move |t| (degrees(t) * (PI / 180.0)) as f32))
+            }
             _ => Turn::Degrees(tick),
         }
     }
@@ -359,7 +365,7 @@ impl Arithmetic {
     fn single(&self, turn: &Turn, tick: u32, metres: f32) -> [f32; 3] {
         match (self, turn) {
             (Arithmetic::Single { cos_v, sin_v, offset, is_turned }, Turn::Tables(table)) => {
-                let [mut cos, mut sin] = table[tick as usize];
+                let [mut cos, mut sin] = *table.get(tick);
                 if let Some([cos_o, sin_o]) = offset {
                     (cos, sin) = (cos * cos_o + sin * sin_o, sin * cos_o - cos * sin_o);
                 }
@@ -368,13 +374,13 @@ impl Arithmetic {
                 if *is_turned { [-x, y, metres * sin_v] } else { [x, -y, metres * sin_v] }
             }
             (Arithmetic::Tables { cos_v, sin_v, turned, along, up }, Turn::Tables(table)) => {
-                let [cos, sin] = table[((tick + turned) % table.len() as u32) as usize];
-                let [cos_t, sin_t] = table[tick as usize];
+                let [cos, sin] = *table.get((tick + turned) % table.len());
+                let [cos_t, sin_t] = *table.get(tick);
                 let flat = metres * cos_v;
                 [flat * cos + along * cos_t, -flat * sin - along * sin_t, metres * sin_v + up]
             }
             (Arithmetic::Sum { cos_v, sin_v, offset }, Turn::Angles(angles)) => {
-                let angle = angles[tick as usize] + offset;
+                let angle = *angles.get(tick) + offset;
                 let flat = metres * cos_v;
                 [flat * glibc::sinf(angle), flat * glibc::cosf(angle), metres * sin_v]
             }

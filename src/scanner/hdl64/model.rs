@@ -15,11 +15,13 @@
 //! uses only `+ - * / sqrt`, which every platform rounds alike.
 
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use super::formula::{Formula, Tick, small_atan};
 use super::single_precision::{Arithmetic, Refinement};
 use crate::ground::error::{Error, Result};
 use crate::ground::lanes::lanes;
+use crate::ground::lazy_table::LazyTable;
 use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 use crate::scanner::Coordinates;
@@ -120,9 +122,7 @@ pub struct Hdl64 {
     /// Constants of each beam, in the order of the rows of the file.
     constants: Vec<BeamConstants>,
     pub(crate) beams: Vec<Formula>,
-    pub(crate) ticks_of_turn: Vec<Tick>,
-    /// The angle of each tick, in radians.
-    angles: Vec<f64>,
+    pub(crate) ticks_of_turn: Arc<LazyTable<Tick>>,
     /// The column shift of each beam, without whole turns: 0 to `ticks`, exclusive.
     shifts: Vec<u32>,
     /// Refinements of each beam, if the file's coordinates come from single-precision arithmetic.
@@ -140,6 +140,12 @@ impl PartialEq for Hdl64 {
     }
 }
 
+/// The angle of a tick, in radians.
+#[inline(always)]
+fn angle_of(tick: u32, ticks: u32) -> f64 {
+    f64::from(tick) / f64::from(ticks) * TAU
+}
+
 impl Hdl64 {
     /// A scanner with these quantised constants. `ticks` must not be 0.
     pub fn new(
@@ -149,8 +155,7 @@ impl Hdl64 {
         constants: Vec<BeamConstants>,
     ) -> Self {
         let beams = constants.iter().map(Formula::new).collect();
-        let angles: Vec<f64> = (0..ticks).map(|t| f64::from(t) / f64::from(ticks) * TAU).collect();
-        let ticks_of_turn = angles.iter().map(|&angle| Tick::at(angle)).collect();
+        let ticks_of_turn = Arc::new(LazyTable::new(ticks, move |tick| Tick::at(angle_of(tick, ticks))));
         let (refinements, single, shifts) = (None, Vec::new(), Vec::new());
         let mut model = Hdl64 {
             coordinates,
@@ -159,7 +164,6 @@ impl Hdl64 {
             constants,
             beams,
             ticks_of_turn,
-            angles,
             shifts,
             refinements,
             single,
@@ -208,7 +212,7 @@ impl Hdl64 {
     #[inline]
     pub fn direction(&self, row: usize, tick: u32) -> [f64; 3] {
         let beam = &self.beams[row];
-        let (x, y) = beam.heading(&self.ticks_of_turn[tick as usize]);
+        let (x, y) = beam.heading(self.ticks_of_turn.get(tick));
         [x * beam.cos_v, y * beam.cos_v, beam.sin_v]
     }
 
@@ -346,7 +350,7 @@ impl Hdl64 {
         place: impl Fn(&P) -> (u32, u32),
     ) -> [f64; N] {
         let metres = self.metres_of(lanes(|i| place(&points[i]).1));
-        self.beams[row].azimuths(lanes(|i| self.angles[place(&points[i]).0 as usize]), metres)
+        self.beams[row].azimuths(lanes(|i| angle_of(place(&points[i]).0, self.ticks)), metres)
     }
 
     /// The inverse of the formula, for the encoder: the azimuth tick and range steps nearest to a point of
@@ -400,7 +404,7 @@ impl Hdl64 {
     /// The formula for a range in metres that need not be a whole number of steps.
     #[inline]
     pub fn point_at(&self, row: usize, tick: u32, metres: f64) -> [f64; 3] {
-        let [[x], [y], [z]] = self.beams[row].points([self.ticks_of_turn[tick as usize]], [metres]);
+        let [[x], [y], [z]] = self.beams[row].points([*self.ticks_of_turn.get(tick)], [metres]);
         [x, y, z]
     }
 
@@ -430,7 +434,7 @@ impl Hdl64 {
                     let [x, y, z] = single.positions(ticks, metres);
                     [lanes(|i| x[i].into()), lanes(|i| y[i].into()), lanes(|i| z[i].into())]
                 }
-                None => self.beams[row].points(lanes(|i| self.ticks_of_turn[ticks[i] as usize]), metres),
+                None => self.beams[row].points(lanes(|i| *self.ticks_of_turn.get(ticks[i])), metres),
             };
             *positions = lanes(|i| [stored(x[i]), stored(y[i]), stored(z[i])]);
         }

@@ -29,7 +29,7 @@ impl Hdl64 {
         }
         let [x, y, z]: [[f64; N]; 3] = [0, 1, 2].map(|axis| lanes(|i| f64::from(points[i][axis])));
         let rho: [f64; N] = lanes(|i| (x[i] * x[i] + y[i] * y[i]).sqrt());
-        let (cos, sin) = beam.heading(&self.ticks_of_turn[hint as usize]);
+        let (cos, sin) = beam.heading(self.ticks_of_turn.get(hint));
         let turned: [f64; N] = lanes(|i| (y[i] * cos - x[i] * sin - beam.h) / rho[i] * (turn * (1.0 / TAU)));
         let steps: [f64; N] =
             lanes(|i| round_ties_even(beam.range(rho[i], z[i]) * (1e6 / f64::from(self.range_step_um))));
@@ -55,7 +55,7 @@ impl Hdl64 {
             (tick + self.ticks as i32 * (i32::from(first) - i32::from(end))) as u32
         });
         let metres: [f64; N] = lanes(|i| steps[i] * self.range_step_m());
-        let formula = beam.points(lanes(|i| self.ticks_of_turn[ticks[i] as usize]), metres);
+        let formula = beam.points(lanes(|i| *self.ticks_of_turn.get(ticks[i])), metres);
         let mut all_near = true;
         for (axis, values) in [x, y, z].into_iter().enumerate() {
             for i in 0..N {

@@ -7,6 +7,7 @@ use super::stamp::Stamp;
 use super::wire::{take, take_u32};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
+use crate::ground::{SKIPPABLE, SectionKind};
 
 /// The longest name of a frame, in bytes: what file systems allow.
 const NAME_MAX: u64 = 255;
@@ -89,7 +90,40 @@ impl Frame {
         for _ in 0..section_count {
             sections.push(Section::read_from(input).map_err(|e| e.within(format!("{name:?}")))?);
         }
+        let allowed = allowance(&sections);
+        if header.file_size > allowed || header.point_count > allowed {
+            let FrameHeader { name, file_size, point_count, .. } = &header;
+            let what = format!(
+                "{name:?}: {file_size} bytes, {point_count} points of so short a frame, which may have {allowed}"
+            );
+            return Err(Error::corrupt(what));
+        }
         Ok(Frame { header, sections })
+    }
+}
+
+/// What any frame may unfold to, in bytes, however short it is.
+const FREE: u64 = 1 << 16;
+
+/// What it may unfold to for each byte of its sections.
+const UNFOLDED_BYTES: u64 = 1024;
+
+/// The kind of sections that only make a frame long enough for its file.
+const PADDING: SectionKind = SectionKind::Skippable(SKIPPABLE);
+
+/// The most bytes that the file of a frame with these sections may have, and its records, and the cells of its range
+/// image: so a short stream never asks for much time or memory. FORMAT.md 2.5.
+pub fn allowance(sections: &[Section]) -> u64 {
+    let bytes: u64 = sections.iter().map(|section| section.payload.len() as u64).sum();
+    FREE.saturating_add(bytes.saturating_mul(UNFOLDED_BYTES))
+}
+
+/// Makes the sections of a frame that unfolds to so many bytes long enough for it. Only files of one thing repeated
+/// need that.
+pub fn pay_for(sections: &mut Vec<Section>, unfolded: u64) {
+    let missing = unfolded.saturating_sub(allowance(sections)).div_ceil(UNFOLDED_BYTES);
+    if missing > 0 {
+        sections.push(Section { kind: PADDING, payload: vec![0; missing as usize] });
     }
 }
 
@@ -137,8 +171,8 @@ impl Group {
     /// Reads the payload of a group record; also returns what the index must say of each frame.
     ///
     /// # Errors
-    /// As [`Frame::read_from`]; also if a frame is of a stream that the group does not have, if bytes are left over, or if the files of the group are together
-    /// over `limits.file_bytes` (they may all be in memory at once).
+    /// As [`Frame::read_from`]; also if a frame is of a stream that the group does not have, if bytes are left over, or
+    /// if the files of the group are together over `limits.file_bytes` (they may all be in memory at once).
     pub fn read_from(mut input: &[u8], limits: &Limits) -> Result<(Self, Vec<FrameEntry>)> {
         let input = &mut input;
         let scanners = read_scanners(input)?;

@@ -18,7 +18,7 @@ mod record;
 mod scan;
 mod wire;
 
-pub use group::{Frame, FrameHeader, Group, STREAMS_MAX};
+pub use group::{Frame, FrameHeader, Group, STREAMS_MAX, allowance, pay_for};
 pub use header::{MAGIC, StreamHeader, VERSION};
 pub use index::{FrameEntry, GroupEntry, Index, ScannerEntry};
 pub use reader::{IndexedReader, Record, StreamReader};

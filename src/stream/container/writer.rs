@@ -10,8 +10,8 @@ use super::scanner::{ScannerId, ScannerRecord, Scanners};
 use crate::ground::error::{Error, Result};
 
 /// A scanner's record is repeated in front of a group that uses it when so many times its bytes were written since
-/// the last copy, and once more at the end of a stream of several groups: so no damage costs more than the groups that it
-/// hits, and the copies take a 4,000th of the stream.
+/// the last copy, and once more at the end of a stream of several groups: so no damage costs more than the groups that
+/// it hits, and the copies take a 4,000th of the stream.
 const COPY_DISTANCE: u64 = 4000;
 
 /// Writes a stream, front to back, keeping only the index in memory.

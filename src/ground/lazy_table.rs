@@ -1,0 +1,73 @@
+//! A table that is made as far as it is used.
+
+use std::fmt;
+use std::sync::OnceLock;
+
+/// Values that are made together.
+const BLOCK: usize = 256;
+
+/// Values by their places, in blocks that are made when one of their values is asked for. So what a stream says of a
+/// table's length costs neither time nor memory, only what its frames use.
+pub struct LazyTable<T> {
+    blocks: Box<[OnceLock<Box<[T]>>]>,
+    length: u32,
+    make: Box<dyn Fn(u32) -> T + Send + Sync>,
+}
+
+impl<T> LazyTable<T> {
+    /// A table of so many values, made by their places.
+    pub fn new(length: u32, make: impl Fn(u32) -> T + Send + Sync + 'static) -> Self {
+        let blocks = (length as usize).div_ceil(BLOCK);
+        LazyTable { blocks: (0..blocks).map(|_| OnceLock::new()).collect(), length, make: Box::new(make) }
+    }
+
+    /// Number of values.
+    pub fn len(&self) -> u32 {
+        self.length
+    }
+
+    /// The value at a place below [`len`](Self::len).
+    #[inline(always)]
+    pub fn get(&self, place: u32) -> &T {
+        let (block, within) = (place as usize / BLOCK, place as usize % BLOCK);
+        match self.blocks[block].get() {
+            Some(values) => &values[within],
+            None => &self.make_block(block)[within],
+        }
+    }
+
+    #[cold]
+    fn make_block(&self, block: usize) -> &[T] {
+        let first = (block * BLOCK) as u32;
+        let end = self.length.min(first + BLOCK as u32);
+        self.blocks[block].get_or_init(|| (first..end).map(&self.make).collect())
+    }
+
+    /// Values made so far.
+    #[cfg(test)]
+    pub fn made(&self) -> usize {
+        self.blocks.iter().filter_map(OnceLock::get).map(|block| block.len()).sum()
+    }
+}
+
+impl<T> fmt::Debug for LazyTable<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("LazyTable").field("length", &self.length).finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_is_used_is_made() {
+        let table = LazyTable::new(1000, |place| place * place);
+        assert_eq!((table.len(), table.made()), (1000, 0));
+        assert_eq!(*table.get(300), 90_000);
+        assert_eq!(table.made(), BLOCK);
+        assert_eq!(*table.get(999), 998_001);
+        assert_eq!(table.made(), BLOCK + 1000 % BLOCK);
+        assert!((0..1000).all(|place| *table.get(place) == place * place));
+    }
+}
