@@ -80,7 +80,8 @@ struct Origin {
 }
 
 impl Frame {
-    /// Bytes of its records, or cells of its range image if they are more: what a decoder makes room for beside the file.
+    /// Bytes of its records, or cells of its range image if they are more: what a decoder makes room for beside the
+    /// file.
     pub fn unfolded_bytes(&self) -> u64 {
         let records = self.records as u64 * self.layout.stride() as u64;
         records.max(self.image.steps.cells().len() as u64)
