@@ -4,7 +4,7 @@ mod common;
 
 use std::f64::consts::TAU;
 
-use common::firings::{image, made_up, points, timed, with_echoes};
+use common::firings::{image, made_up, ouster, points, timed, with_echoes};
 use common::formats::kitti;
 use common::scans::Points;
 use common::streams::at_level;
@@ -255,46 +255,10 @@ fn the_timing_of_a_block_is_found() {
     assert!(exact > 999 * points.len() / 1000 && inexact == 0 && strays < points.len() / 1000);
 }
 
-/// A scan of an Ouster in a room, as its SDK computes it in the sensor's frame, in single precision or double: an image
-/// row by row of which each is shifted by its own number of columns, and the scan with a point wherever there is none.
-fn ouster(is_single: bool) -> Points {
-    let (rows, width) = (64, 512);
-    let shift = |row: usize| [24, 8, 504, 488][row % 4];
-    let mut points = vec![[0.0; 4]; rows * width];
-    for (row, column) in (0..rows).flat_map(|row| (0..width).map(move |column| (row, column))) {
-        let measured = (column + width - shift(row)) % width;
-        let altitude = (21.17 - 0.69 * row as f64 + 0.01 * (row % 3) as f64).to_radians();
-        let azimuth = -([-8.48, -2.83, 2.81, 8.5][row % 4] as f64).to_radians();
-        let encoder = TAU - measured as f64 * (TAU / width as f64);
-        // A room that grows longer from a corner on.
-        let millimetres =
-            2000.0 + 37.0 * (measured % 97) as f64 + (row * row) as f64 + (measured * 7 % 13) as f64;
-        if (measured * 31 + row * 17) % 9 == 0 {
-            continue;
-        }
-        let (start, aside) = (encoder, encoder + azimuth);
-        let beam = [aside.cos() * altitude.cos(), aside.sin() * altitude.cos(), altitude.sin()];
-        let ahead = [start.cos(), start.sin(), 0.0];
-        let turned = [-1.0, -1.0, 1.0];
-        let mut point = [0.0; 4];
-        for axis in 0..3 {
-            let direction = turned[axis] * beam[axis] * 0.001;
-            let up = if axis == 2 { 36.18 } else { 0.0 };
-            let offset = (turned[axis] * 27.116 * (ahead[axis] - beam[axis]) + up) * 0.001;
-            point[axis] = match is_single {
-                true => millimetres as f32 * direction as f32 + offset as f32,
-                false => (millimetres * direction + offset) as f32,
-            };
-        }
-        points[row * width + column] = point;
-    }
-    points
-}
-
 #[test]
 fn ousters_whose_beams_start_off_the_axis_are_found() {
     for (is_single, recipe) in [(false, Recipe::Ouster), (true, Recipe::OusterRos)] {
-        let points = ouster(is_single);
+        let points = ouster(64, is_single);
         let (found, share) = fit(&[file(&points)]).expect("found");
         assert_eq!((found.build().recipe, found.build().ticks), (recipe, 512));
         assert_eq!((found.build().origin.along_um, found.build().origin.up_um), (27_116, 36_180));

@@ -63,6 +63,8 @@ fn every_golden_stream_decodes_to_what_it_did() {
             .any(|frame| FrameParameters::of(frame).unwrap().prediction == Prediction::Inter);
         let needs_p_frames = ["p-frames.lpc", "still.lpc"].iter().any(|end| shown.to_string().ends_with(end));
         assert!(has_p_frames || !needs_p_frames, "{shown}: it has no P frame");
+        let is_of_firings = shown.to_string().contains("firings");
+        assert!(!is_of_firings || take_apart(&stream).0.len() == 1, "{shown}: no scanner was found in it");
         println!("{shown}: {} files, as expected", files.len());
     }
     let name = |path: &PathBuf| path.file_stem().unwrap().to_string_lossy().into_owned();
@@ -125,12 +127,16 @@ fn firings_files(recipe: firings::Recipe, cells: Cells) -> Vec<File> {
     if cells == Cells::Timed {
         scanner = common::firings::timed(&scanner);
     }
-    let image = common::firings::image(&scanner, 12);
+    // Ticks within a firing are told only by firings that follow one another.
+    let image = common::firings::image(&scanner, if cells == Cells::Timed { 1 } else { 12 });
     let image = match cells {
         Cells::Echoes => common::firings::with_echoes(image),
         _ => RangeImage { is_full: matches!(cells, Cells::Full | Cells::Lines), ..image },
     };
-    let points = common::firings::points(&scanner, &image);
+    let mut points = common::firings::points(&scanner, &image);
+    if cells == Cells::Timed {
+        points.truncate(4320);
+    }
     named(&[points.clone(), points])
 }
 
@@ -206,6 +212,8 @@ fn recipes() -> Vec<Recipe> {
         || firings_files(firings::Recipe::LsLidar, Cells::Returns),
         EncoderConfig::default(),
     );
+    exact("firings-ouster", || named(&[common::firings::ouster(16, false)]), EncoderConfig::default());
+    exact("firings-ouster-ros", || named(&[common::firings::ouster(16, true)]), EncoderConfig::default());
     exact("standing-still", standing_still_files, EncoderConfig::default());
     for (level, name) in [(1, "-packed"), (6, ""), (9, "-deep")] {
         exact(&format!("firings{name}"), firing_files, at_level(level));

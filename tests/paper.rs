@@ -19,7 +19,7 @@ use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, Prediction
 use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction, Source};
 use lidarpc::internals::scan::{Channel, PointCloud};
 use lidarpc::internals::scanner::{FLOAT_RANGES, ideal};
-use lidarpc::internals::scanner::{RangeImage, Return, project_nearest};
+use lidarpc::internals::scanner::{RangeImage, Return, Scanner, project_nearest};
 use lidarpc::internals::stream::container::SectionKind;
 use lidarpc::internals::stream::{DecodeOptions, decode};
 use lidarpc::internals::study::metrics::NearestErrors;
@@ -60,12 +60,17 @@ fn parameters(stream: &[u8]) -> Vec<FrameParameters> {
 /// for bit, and the counts must add up.
 fn keeps_the_image(files: &[File], config: &EncoderConfig) -> Vec<File> {
     let ProjectionKind::Ideal { columns, range_step_um } = config.projection else { panic!("no image") };
-    let sensor = ideal(columns, range_step_um);
     let filtered = |cloud: &PointCloud| match config.outliers {
         Some(filter) => filter.filter(cloud),
         None => cloud.clone(),
     };
     let stream = encode_files(files, config);
+    // That of the article, or with the lasers of a scanner that was found.
+    let record = take_apart(&stream).0.into_iter().next();
+    let scanner = record.and_then(|record| Scanner::of_record(record.family, &record.payload).unwrap());
+    let found = scanner.as_ref().and_then(Scanner::hdl64).cloned();
+    let sensor = found.unwrap_or_else(|| ideal(columns, range_step_um));
+    assert_eq!((sensor.ticks, sensor.range_step_um), (columns, range_step_um));
     let decoded = decode_files(&stream).unwrap();
     assert_eq!(decoded.len(), files.len());
     for (((name, bytes), (_, original)), parameters) in decoded.iter().zip(files).zip(parameters(&stream)) {

@@ -127,7 +127,7 @@ pub struct EncodeArgs {
     /// Take files that are named and hold no scan, as plain bytes.
     #[arg(long, hide_short_help = true)]
     pub force_bytes: bool,
-    /// Of a recording, compress only the clouds of this topic; may be given several times.
+    /// Of a recording, compress only the clouds of this topic; may be given several times. Default: all.
     #[arg(long, value_name = "TOPIC", hide_short_help = true)]
     pub topic: Vec<String>,
     /// Name all that is left out, and each frame with its size.
@@ -224,7 +224,7 @@ pub struct DecodeArgs {
     /// bytes of the files are left out.
     #[arg(long, value_enum)]
     pub format: Option<FormatArg>,
-    /// Of a recording, decode only the clouds of this topic into the folder; may be given several times.
+    /// Of a recording, decode only the clouds of this topic into the folder; may be given several times. Default: all.
     #[arg(long, value_name = "TOPIC")]
     pub topic: Vec<String>,
     #[command(flatten)]

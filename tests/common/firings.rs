@@ -1,5 +1,7 @@
 //! Made-up scanners of firings, and scans of them in a room of no shape.
 
+use std::f64::consts::TAU;
+
 use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Origin, Recipe, Timing};
 use lidarpc::internals::scanner::{Coordinates, Echo, RangeImage, Return};
 
@@ -100,4 +102,40 @@ pub fn timed(scanner: &Firings) -> Firings {
     let part = |slot: i32| (f64::from(slot) * 1.57 / 55.56 * f64::from(1 << 24)) as u32;
     let build = Build { timing: Timing::Parts((0..32).map(part).collect()), ..scanner.build().clone() };
     Firings::new(build, scanner.lasers().to_vec(), (0..32).collect())
+}
+
+/// A scan of an Ouster in a room, as its SDK computes it in the sensor's frame, in single precision or double: an image
+/// row by row of which each is shifted by its own number of columns, and zeros where there is no return.
+pub fn ouster(rows: usize, is_single: bool) -> Points {
+    let width = 512;
+    let shift = |row: usize| [24, 8, 504, 488][row % 4];
+    let mut points = vec![[0.0; 4]; rows * width];
+    for (row, column) in (0..rows).flat_map(|row| (0..width).map(move |column| (row, column))) {
+        let measured = (column + width - shift(row)) % width;
+        let altitude = (21.17 - 44.16 / rows as f64 * row as f64 + 0.01 * (row % 3) as f64).to_radians();
+        let azimuth = -([-8.48, -2.83, 2.81, 8.5][row % 4] as f64).to_radians();
+        let encoder = TAU - measured as f64 * (TAU / width as f64);
+        // A room that grows longer from a corner on.
+        let millimetres =
+            2000.0 + 37.0 * (measured % 97) as f64 + (row * row) as f64 + (measured * 7 % 13) as f64;
+        if (measured * 31 + row * 17) % 9 == 0 {
+            continue;
+        }
+        let (start, aside) = (encoder, encoder + azimuth);
+        let beam = [aside.cos() * altitude.cos(), aside.sin() * altitude.cos(), altitude.sin()];
+        let ahead = [start.cos(), start.sin(), 0.0];
+        let turned = [-1.0, -1.0, 1.0];
+        let mut point = [0.0; 4];
+        for axis in 0..3 {
+            let direction = turned[axis] * beam[axis] * 0.001;
+            let up = if axis == 2 { 36.18 } else { 0.0 };
+            let offset = (turned[axis] * 27.116 * (ahead[axis] - beam[axis]) + up) * 0.001;
+            point[axis] = match is_single {
+                true => millimetres as f32 * direction as f32 + offset as f32,
+                false => (millimetres * direction + offset) as f32,
+            };
+        }
+        points[row * width + column] = point;
+    }
+    points
 }
