@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 use crate::files::{FileFormat, convert, write};
@@ -216,7 +216,7 @@ fn copy(
 }
 
 /// Unpacks what was written and compares it with what was read, message by message.
-fn verify(input: &PathBuf, output: &FileOutput, copied: &Copied, threads: usize) -> Result<()> {
+fn verify(input: &Path, output: &FileOutput, copied: &Copied, threads: usize) -> Result<()> {
     let at = |error| about(error, &input.display().to_string());
     let Some(packed) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
     let mut restored = tempfile::tempfile()?;

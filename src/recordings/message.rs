@@ -202,7 +202,7 @@ impl<'m> Cloud<'m> {
             // A name that no field may have is told by the message all the same.
             let name = if Field::is_name(name) { *name } else { "" };
             fields.push(Field { name: name.to_owned(), scalar, count: *count });
-            end = offset.checked_add(u32::from(scalar.size()).checked_mul(*count)?)?;
+            end = offset.checked_add(scalar.size().checked_mul(*count)?)?;
             if end > MAX_STRIDE {
                 return None;
             }

@@ -113,7 +113,8 @@ pub fn ouster(rows: usize, is_single: bool) -> Points {
     for (row, column) in (0..rows).flat_map(|row| (0..width).map(move |column| (row, column))) {
         let measured = (column + width - shift(row)) % width;
         let altitude = (21.17 - 44.16 / rows as f64 * row as f64 + 0.01 * (row % 3) as f64).to_radians();
-        let azimuth = -([-8.48, -2.83, 2.81, 8.5][row % 4] as f64).to_radians();
+        let offsets: [f64; 4] = [-8.48, -2.83, 2.81, 8.5];
+        let azimuth = -offsets[row % 4].to_radians();
         let encoder = TAU - measured as f64 * (TAU / width as f64);
         // A room that grows longer from a corner on.
         let millimetres =
