@@ -78,10 +78,12 @@ fn cloud(points: &Points, is_cdr: bool, is_big_endian: bool) -> Vec<u8> {
     message.bytes
 }
 
-type Messages = Vec<(u16, String, String, BTreeMap<String, String>, u32, u64, u64, Vec<u8>)>;
+/// A message with its channel's number, topic, schema and metadata, its sequence number, both its times and its bytes.
+type OneMessage = (u16, String, String, BTreeMap<String, String>, u32, u64, u64, Vec<u8>);
+/// All that a reader of recordings sees: messages, attachments with their names, metadata.
+type Contents = (Vec<OneMessage>, Vec<(String, Vec<u8>)>, Vec<Metadata>);
 
-/// All that a reader of recordings sees: messages with their channels, attachments, metadata.
-fn contents(recording: &[u8]) -> (Messages, Vec<(String, Vec<u8>)>, Vec<Metadata>) {
+fn contents(recording: &[u8]) -> Contents {
     let messages = mcap::MessageStream::new(recording).unwrap().map(|message| {
         let message = message.unwrap();
         let channel = &message.channel;
