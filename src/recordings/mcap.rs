@@ -58,8 +58,8 @@ pub struct Copied {
 /// Copies a recording, its clouds compressed. `on_message` is called for each message that is written.
 ///
 /// # Errors
-/// If the input is no recording, or is packed already, or the input or the output fails; those of the settings. A recording that is cut short or
-/// damaged is taken up to there: see [`Copied::cut_short`].
+/// If the input is no recording, or is packed already, or the input or the output fails; those of the settings. A
+/// recording that is cut short or damaged is taken up to there: see [`Copied::cut_short`].
 pub fn pack<W: Write + Seek>(
     input: impl Read + Send,
     out: W,
@@ -238,11 +238,11 @@ impl Packing<'_> {
             self.channels.insert(channel.id, None);
             return Ok(Job::one(Record::Channel(channel)));
         };
-        let mut others = Channel { id: self.unused(), ..channel.clone() };
+        let mut others = Channel { id: self.unused()?, ..channel.clone() };
         others.metadata.insert(CHANNEL_KEY.to_owned(), channel.id.to_string());
-        let schema = compressed_schema(encoding, self.unused());
-        let Record::Schema { header, .. } = &schema else { return Err(Error::corrupt("no schema")) };
-        let mut packed = Channel { schema_id: header.id, ..channel };
+        let schema_id = self.unused()?;
+        let schema = compressed_schema(encoding, schema_id);
+        let mut packed = Channel { schema_id, ..channel };
         packed.metadata.insert(SCHEMA_KEY.to_owned(), others.schema_id.to_string());
         let of_clouds = CloudChannel { encoding, others, topic: None, tries: 0 };
         self.channels.insert(packed.id, Some(of_clouds));
@@ -250,12 +250,14 @@ impl Packing<'_> {
     }
 
     /// A number that no schema or channel has so far.
-    fn unused(&mut self) -> u16 {
-        while self.schemas.contains_key(&self.next) || self.channels.contains_key(&self.next) {
-            self.next -= 1;
-        }
-        self.next -= 1;
-        self.next + 1
+    fn unused(&mut self) -> Result<u16> {
+        let is_used = |number: &u16| self.schemas.contains_key(number) || self.channels.contains_key(number);
+        // The format has no number 0 for schemas.
+        let found = (1..=self.next).rev().find(|number| !is_used(number));
+        let found =
+            found.ok_or_else(|| Error::over_limit("topics of clouds", u16::MAX.into(), u16::MAX.into()))?;
+        self.next = found - 1;
+        Ok(found)
     }
 }
 
@@ -322,10 +324,10 @@ impl Unpacking {
     fn job(&mut self, record: Record<'static>) -> Result<Job> {
         match record {
             Record::Schema { header, data } => {
-                let is_compressed = [Encoding::Cdr, Encoding::Ros1]
-                    .map(|encoding| compressed_schema(encoding, header.id))
-                    .iter()
-                    .any(|schema| matches!(schema, Record::Schema { header: own, data: text } if own.name == header.name && *text == data));
+                let is_compressed = [Encoding::Cdr, Encoding::Ros1].into_iter().any(|encoding| {
+                    let ([_, name], (_, text)) = (encoding.schemas(), encoding.compressed_schema());
+                    header.name == name && *data == *text.as_bytes()
+                });
                 let id = header.id;
                 let schema = Record::Schema { header, data };
                 if is_compressed {

@@ -104,13 +104,18 @@ impl Found<'_> {
         let best = candidates.into_iter().max_by_key(|(_, exact)| *exact);
         let best = best.filter(|(_, exact)| 10 * exact > sample.len());
         let Some((scanner, _)) = best else { return self.ouster().map(|scanner| vec![scanner]) };
-        let places = scanner.places(positions, REACH + 0.5 * scanner.range_step_m());
+        let scanner = self.in_firing_order(scanner)?;
+        Some(self.with_timings(scanner, false))
+    }
+
+    /// A scanner with the order in which its lasers fire. None if the file is not in the order of firings.
+    fn in_firing_order(&self, scanner: Firings) -> Option<Firings> {
+        let places = scanner.places(&self.scan.cloud.positions, REACH + 0.5 * scanner.range_step_m());
         let mut sequence: Vec<(usize, u32)> =
             places.iter().map(|place| (place.row as usize, place.tick)).collect();
         sequence.dedup();
-        let order = order(&sequence, scanner.rows(), OFF_AXIS_TICKS)?;
-        let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
-        Some(self.with_timings(scanner, false))
+        let order = order(&sequence, scanner.rows(), scanner.build.ticks)?;
+        Some(Firings::new(scanner.build, scanner.lasers, order.rows_of_slots))
     }
 
     /// The points of each laser, if a channel tells the lasers apart.
@@ -338,12 +343,7 @@ fn line_start(rows: &[Vec<Point>]) -> Option<[f64; 2]> {
     let lines = lines.filter(|[slope, _]| slope.abs() < STEEPEST);
     let lines: Vec<[f64; 2]> = lines.map(|[slope, height]| [-slope, height]).collect();
     // height = up - slope * along.
-    let (along, up) = line(lines.iter())?;
-    let off = |pair: &&[f64; 2]| (along * pair[0] + up - pair[1]).abs();
-    let mut all: Vec<f64> = lines.iter().map(|pair| off(&pair)).collect();
-    all.sort_by(f64::total_cmp);
-    let limit = 3.0 * all[all.len() / 2] + 1e-7;
-    line(lines.iter().filter(|pair| off(pair) <= limit)).map(|(along, up)| [along, up])
+    steady_line(&lines)
 }
 
 /// Widths of Ouster's images, which are the ticks of a turn.
@@ -413,14 +413,7 @@ impl Found<'_> {
         let scanner = Firings::new(any.build, lasers, (0..lines.len() as u32).collect());
         let scanner = match &rows.grid {
             Some(grid) => rows.in_order_of_image(scanner, grid, &lines),
-            None => {
-                let places = scanner.places(&self.scan.cloud.positions, REACH + 0.5 * scanner.range_step_m());
-                let mut sequence: Vec<(usize, u32)> =
-                    places.iter().map(|place| (place.row as usize, place.tick)).collect();
-                sequence.dedup();
-                let order = order(&sequence, scanner.rows(), scanner.build.ticks)?;
-                Firings::new(scanner.build, scanner.lasers, order.rows_of_slots)
-            }
+            None => self.in_firing_order(scanner)?,
         };
         Some((scanner, exact))
     }
@@ -508,7 +501,11 @@ fn beam_line(points: &[Point]) -> Option<[f64; 2]> {
     }
     let pair = |point: &Point| [point.position[0].hypot(point.position[1]), point.position[2]];
     let pairs: Vec<[f64; 2]> = points.iter().step_by(points.len().div_ceil(MOST)).map(pair).collect();
-    // By least squares, twice: without what is far off the first.
+    steady_line(&pairs)
+}
+
+/// The line through some pairs but those that are far off: its slope, and its height at 0.
+fn steady_line(pairs: &[[f64; 2]]) -> Option<[f64; 2]> {
     let (slope, height) = line(pairs.iter())?;
     let off = |pair: &&[f64; 2]| (slope * pair[0] + height - pair[1]).abs();
     let mut all: Vec<f64> = pairs.iter().map(|pair| off(&pair)).collect();
