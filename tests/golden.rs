@@ -161,6 +161,27 @@ fn turns() -> Vec<u8> {
     stream
 }
 
+/// Two drives with scanners of their own, and what stands beside their scans: text, what no coder shortens, a file that is
+/// named as a scan is, and an empty folder.
+fn tree() -> Vec<u8> {
+    let scan = |seed| kitti(&scans(&small(seed, 1))[0]);
+    let frame = |drive: usize, name: &str, bytes| FrameInput::memory(name.to_owned(), bytes).of_drive(drive);
+    let beside = Stamp { unit: Unit::Beside, ..Stamp::default() };
+    let noise: Vec<u8> =
+        random_points(20, 3).as_flattened().iter().flat_map(|value| value.to_le_bytes()).collect();
+    let frames = [
+        frame(0, "a/data/0.bin", scan(3)),
+        frame(1, "b/data/0.bin", scan(8)),
+        frame(2, "a/poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0\n".repeat(20)).stamped(beside),
+        frame(2, "a/image/0.png", noise.clone()).stamped(beside),
+        frame(2, "b/labels/0.bin", noise).stamped(beside),
+        frame(2, "b/none/", Vec::new()).stamped(beside),
+    ];
+    let mut stream = Vec::new();
+    encode(&frames, &EncoderConfig::default(), &mut stream, &|| ()).unwrap();
+    stream
+}
+
 /// A stream for each feature.
 fn recipes() -> Vec<Recipe> {
     let mut recipes: Vec<Recipe> = Vec::new();
@@ -252,6 +273,7 @@ fn recipes() -> Vec<Recipe> {
         lossy(&format!("paper-{name}-p-frames"), twice_the_same, config);
     }
     recipes.push(("two-scanners".to_owned(), Box::new(turns)));
+    recipes.push(("tree".to_owned(), Box::new(tree)));
     recipes
 }
 

@@ -177,7 +177,7 @@ fn links_are_not_dropped_without_a_word() {
     let archive = [scan, readme, links].concat();
     let mut frames = ArrivingFrames::new(&archive[..]);
     assert_eq!(frames.by_ref().map(|file| file.unwrap().name).collect::<Vec<_>>(), ["1.bin"]);
-    let expected = "1 file not known as a scan (readme.txt), 2 symbolic links (such as drive/2.bin)";
+    let expected = "1 file not known as a scan (7 bytes, readme.txt), 2 symbolic links (such as drive/2.bin)";
     assert_eq!(frames.left_out().to_string(), expected);
 
     let mut child = program(&["encode", "-", "-o", "-"]);

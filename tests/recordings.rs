@@ -254,6 +254,29 @@ fn the_program_packs_and_unpacks() {
     lidarpc(&["encode", &path("drive.mcap"), "-o", &path("small.mcap"), "--verify"]).success();
     lidarpc(&["decode", &path("small.mcap"), "-o", &path("back.mcap"), "--quiet"]).success();
     assert_eq!(contents(&std::fs::read(path("back.mcap")).unwrap()), contents(&original));
+    // What they hold, packed and not.
+    let json = |args: &[&str]| -> serde_json::Value {
+        let run = lidarpc(&[args, &["--json"]].concat()).success();
+        serde_json::from_slice(&run.get_output().stdout).unwrap()
+    };
+    let clouds = |report: &serde_json::Value, what: &str| -> u64 {
+        report["topics"].as_array().unwrap().iter().filter_map(|topic| topic[what].as_u64()).sum()
+    };
+    let (before, after) = (json(&["info", &path("drive.mcap")]), json(&["info", &path("small.mcap")]));
+    assert_eq!(clouds(&before, "messages"), clouds(&after, "messages"));
+    assert_eq!(
+        (clouds(&before, "compressed"), before["attachments"].clone()),
+        (0, after["attachments"].clone())
+    );
+    assert!(clouds(&after, "compressed") >= 4);
+    let stats = json(&["stats", &path("small.mcap")]);
+    assert!(clouds(&stats, "points") > 0 && clouds(&stats, "cloud_bytes") > 0);
+    let verified = json(&["verify", &path("small.mcap")]);
+    assert_eq!(
+        (&verified["whole"], &verified["frames"]),
+        (&true.into(), &clouds(&after, "compressed").into())
+    );
+    lidarpc(&["verify", &path("small.mcap"), "--against", &path(".")]).code(2);
     // The clouds alone: as a stream, and as files.
     lidarpc(&["encode", &path("small.mcap"), "-o", &path("front.lpc"), "--topic", "/front/points"]).success();
     lidarpc(&["decode", &path("front.lpc"), "-o", &path("a")]).success();
@@ -268,9 +291,13 @@ fn the_program_packs_and_unpacks() {
     assert_eq!(files("a"), files("b"));
     // What is left of a recording is taken, and it is said.
     std::fs::write(path("cut.mcap"), &original[..original.len() * 2 / 3]).unwrap();
-    let cut = lidarpc(&["encode", &path("cut.mcap"), "-o", &path("rest.mcap")]).failure();
+    let cut = lidarpc(&["encode", &path("cut.mcap"), "-o", &path("rest.mcap")]).code(3);
     cut.stderr(predicates::str::contains("is cut short or damaged"));
     assert!(std::path::Path::new(&path("rest.mcap")).is_file());
+    for command in ["verify", "stats", "info"] {
+        let code = if command == "info" { 0 } else { 3 };
+        lidarpc(&[command, &path("cut.mcap")]).code(code);
+    }
     std::fs::write(path("old.bag"), b"#ROSBAG V2.0").unwrap();
     let bag = lidarpc(&["encode", &path("old.bag"), "-o", &path("old.lpc")]).failure();
     bag.stderr(predicates::str::contains("rosbags-convert"));

@@ -19,6 +19,9 @@ use std::io::Read;
 use crate::article::residual::Packing;
 use crate::ground::error::{Error, Result};
 
+/// The number of `store`.
+pub const STORE: u8 = 0;
+
 /// The number of `lzma`, which paper mode uses.
 pub const LZMA: u8 = 3;
 

@@ -1,6 +1,6 @@
 //! The arguments, and the help that explains them.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::ground::error::Limits;
 use crate::stream::FrameRange;
@@ -8,6 +8,7 @@ use crate::study::synth::SynthConfig;
 use clap::{Parser, Subcommand, ValueEnum};
 
 use super::coding::CodingArgs;
+use super::time_range::TimeRange;
 use super::view::Kind;
 
 const EXAMPLES: &str = "\
@@ -18,7 +19,7 @@ Examples:
   lidarpc verify drive.lpc                     check that the file is intact
   lidarpc cut drive.lpc --frames 10..20 -o part.lpc
 
-Exit codes: 0 done, 1 failed, 2 wrong usage.";
+Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done as far as the input is whole.";
 
 /// Compresses folders of LiDAR scans, byte for byte by default.
 #[derive(Debug, Parser)]
@@ -60,6 +61,12 @@ pub enum Command {
     Bench(BenchArgs),
     /// Write a synthetic drive: KITTI .bin scans of a simulated scanner.
     Synth(SynthArgs),
+    /// Say what encoding would save and how long it would take, by a sample.
+    Estimate(EstimateArgs),
+    /// Write a script for a shell that completes commands and options.
+    Completions(CompletionsArgs),
+    /// Write the manual pages.
+    Man(ManArgs),
 }
 
 /// What is called the article everywhere else.
@@ -78,18 +85,23 @@ Examples:
   lidarpc encode drive/ -o drive.lpc --verify
   lidarpc encode a.bin b.bin -o two.lpc -9
   lidarpc encode drive/ -o drive.lpc --max-error 1cm
+  lidarpc encode drive/ -o drive.lpc --all        images, poses and times beside the scans too
+  lidarpc encode tree/ -o tree.lpc                all drives below, in one file
+  lidarpc encode tree/ -o out/                    a file for each drive
   lidarpc encode drive/ -o drive.lpc --resume     if interrupted, the same command goes on
   lidarpc encode drive/ -o drive.lpc --mode paper --step 1cm
   lidarpc encode drive.mcap -o small.mcap         a ROS recording, its clouds compressed
   ssh host 'tar c --sort=name drive' | lidarpc encode - -o drive.lpc
   lidarpc encode drive/ -o - | ssh host 'cat > drive.lpc'
 
-Names and bytes of files come back. Their times and permissions, subfolders, hidden files, links and files of other \
-kinds are not stored; whatever of these a folder holds is counted on stderr, or refused by --strict.
+Names and bytes of files come back; of a tree with several folders of scans, paths too. Times and permissions, hidden \
+files, links to folders and files of other kinds are not stored; whatever of these a folder holds is counted on stderr, \
+kept by --all, or refused by --strict. Times of scans are taken from timestamps.txt (or times.txt) beside them, or from \
+names that are nanoseconds or microseconds.
 
 ";
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 #[command(after_help = ENCODE_EXAMPLES, after_long_help = format!("{ENCODE_MORE_EXAMPLES}{ARTICLE}"))]
 pub struct EncodeArgs {
     /// Folders of scans, or scans; `-`: frames from stdin; or a recording (.mcap).
@@ -100,19 +112,36 @@ pub struct EncodeArgs {
     /// archive, or each behind a line of its name, a space and its size in bytes.
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
-    /// File to write; `-`: stdout.
+    /// File to write; `-`: stdout; a folder: a file there for each drive. Default: INPUT.lpc.
+    ///
+    /// A folder is one that exists, or a name that ends in a slash. Each drive of a tree, that is each folder of scans without
+    /// `velodyne_points/data` and the like, becomes a file under its path.
     #[arg(short, long, value_name = "FILE")]
-    pub output: PathBuf,
+    pub output: Option<PathBuf>,
+    /// Keep all other files of the folders too, byte for byte.
+    ///
+    /// Hidden ones and empty folders too; not links, times and permissions. Scans and files then come back under their paths
+    /// below the folder. Files that are compressed already are stored.
+    #[arg(long)]
+    pub all: bool,
     #[command(flatten)]
     pub threads: Threads,
+    /// Drives to encode at the same time into a folder. Default: as many as threads, of as many drives or more.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), hide_short_help = true)]
+    pub jobs: Option<u16>,
     /// Decode the written file and compare, before it gets its name.
     #[arg(long)]
     pub verify: bool,
+    /// Delete the encoded files once the output is verified: implies --verify.
+    ///
+    /// Only in exact mode. What is left out stays.
+    #[arg(long, hide_short_help = true)]
+    pub rm: bool,
     /// Be able to go on after an interruption.
     ///
     /// Writes to FILE.partial, which stays if the run is interrupted, whatever the cause; the same command then
     /// goes on after the last whole group of frames, to the same result. FILE.partial.journal says what it was
-    /// made from. Both are gone when the output is complete.
+    /// made from. Both are gone when the output is complete. Into a folder: leaves out the drives whose files are there.
     #[arg(long)]
     pub resume: bool,
     /// Overwrite the output if it exists.
@@ -120,7 +149,7 @@ pub struct EncodeArgs {
     pub force: bool,
     /// Refuse folders of which anything would be left out.
     ///
-    /// That is: other files, subfolders, hidden files, links and pipes, though not times and permissions; and an empty
+    /// That is: other files, hidden files, links and pipes, though not times and permissions; and an empty
     /// stdin. Without it, what is left out is counted on stderr.
     #[arg(long)]
     pub strict: bool,
@@ -142,8 +171,22 @@ pub struct EncodeArgs {
     pub coding: CodingArgs,
 }
 
+impl DecodeArgs {
+    /// Where to write; stdout until `decode` has settled it.
+    pub fn output(&self) -> &Path {
+        self.output.as_deref().unwrap_or(Path::new("-"))
+    }
+}
+
+impl EncodeArgs {
+    /// Where to write; stdout until `encode` has settled it.
+    pub fn output(&self) -> &Path {
+        self.output.as_deref().unwrap_or(Path::new("-"))
+    }
+}
+
 /// How many threads to use.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct Threads {
     /// Threads to use; 0: one for each processor.
     ///
@@ -188,7 +231,9 @@ Examples:
   lidarpc decode drive.lpc -o part/ --frames 10..20     frames 10 to 19, the first being 0
   lidarpc decode drive.lpc -o - --frames 5 > frame5.bin
   lidarpc decode damaged.lpc -o drive/ --keep-going     what is left
+  lidarpc decode drive.lpc -o part/ --time 12s..15s     from the first time on
   lidarpc decode drive.lpc -o clouds/ --format pcd      as other programs read them
+  lidarpc decode out/ -o tree/                          a tree of streams, each into its folder
   lidarpc decode small.mcap -o drive.mcap               a recording as it was
   ssh host 'cat drive.lpc' | lidarpc decode - -o drive/";
 
@@ -203,21 +248,25 @@ pub enum FormatArg {
     Ply,
 }
 
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 #[command(after_help = DECODE_EXAMPLES)]
 pub struct DecodeArgs {
-    /// Files to decode, all into one folder; `-` for stdin; or a recording (.mcap).
+    /// Files to decode, all into one folder; `-` for stdin; a recording (.mcap); or a folder of files, each of which is decoded
+    /// into a folder of its name.
     #[arg(required = true, value_name = "FILE")]
     pub inputs: Vec<PathBuf>,
     /// Folder to write the scans into, made if missing; `-` for stdout, for a single frame; of a recording, FILE.mcap for
-    /// one with its clouds as they were.
+    /// one with its clouds as they were. Default: FILE without `.lpc`.
     #[arg(short, long, value_name = "FOLDER")]
-    pub output: PathBuf,
+    pub output: Option<PathBuf>,
     /// Frames to decode, the first being 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
     #[arg(long, value_name = "RANGE")]
     pub frames: Option<FrameRange>,
+    /// Frames to decode by their times, after that of the first: `12s..15s` (without 15 s), `1m30s..`, `..0.5`.
+    #[arg(long, value_name = "RANGE", conflicts_with = "frames")]
+    pub time: Option<TimeRange>,
     /// Of a damaged file, decode all groups of frames that are intact, say which frames are lost, and exit
-    /// with 1 if any are.
+    /// with 3 if any are.
     #[arg(long)]
     pub keep_going: bool,
     /// Convert the scans, whatever they were. Coordinates keep every bit; fields without a name and other
@@ -325,8 +374,11 @@ pub struct CutArgs {
     #[arg(value_name = "FILE")]
     pub input: PathBuf,
     /// Frames to take, the first being 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
-    #[arg(long, value_name = "RANGE")]
-    pub frames: FrameRange,
+    #[arg(long, value_name = "RANGE", required_unless_present = "time")]
+    pub frames: Option<FrameRange>,
+    /// Frames to take by their times, after that of the first: `12s..15s` (without 15 s), `1m30s..`, `..0.5`.
+    #[arg(long, value_name = "RANGE", conflicts_with = "frames")]
+    pub time: Option<TimeRange>,
     /// File to write; `-` for stdout.
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
@@ -459,6 +511,35 @@ pub struct BenchArgs {
     pub force: bool,
     #[command(flatten)]
     pub coding: CodingArgs,
+}
+
+#[derive(Debug, clap::Args)]
+pub struct EstimateArgs {
+    /// Folders of scans, or scans.
+    #[arg(required = true, value_name = "INPUT")]
+    pub inputs: Vec<PathBuf>,
+    #[command(flatten)]
+    pub threads: Threads,
+    /// Report as JSON on stdout.
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub coding: CodingArgs,
+}
+
+#[derive(Debug, clap::Args)]
+pub struct CompletionsArgs {
+    /// The shell.
+    #[arg(value_enum, value_name = "SHELL")]
+    pub shell: clap_complete::Shell,
+}
+
+#[derive(Debug, clap::Args)]
+pub struct ManArgs {
+    /// Folder to write `lidarpc.1` and a page for each command into, made if missing. Default: that of the program alone, to
+    /// stdout.
+    #[arg(short, long, value_name = "FOLDER")]
+    pub output: Option<PathBuf>,
 }
 
 #[derive(Debug, clap::Args)]

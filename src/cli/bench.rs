@@ -32,7 +32,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
     // Before the work, which would be for nothing.
     let mut page = args.html.as_deref().map(|path| FileOutput::create(path, args.force)).transpose()?;
     let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
-    let frames: Vec<_> = frames.into_iter().map(FrameInput::file).collect();
+    let frames = FrameInput::found(frames);
     let in_input = |error| about(error, &args.input.display().to_string());
     let bench = Bench::new(&frames, &config, args.quick).map_err(in_input)?;
     let bar = progress::bar(Some(bench.frames_to_code() as u64), "measuring", quiet);

@@ -6,10 +6,12 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use crate::edit::{Cut, Named};
+use crate::stream::FrameRange;
 use anyhow::Result;
 use serde::Serialize;
 
 use super::args::CutArgs;
+use super::decode::chosen_frames;
 use super::errors::about;
 use super::input::{Input, name_of, open};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
@@ -31,9 +33,10 @@ pub fn run(args: &CutArgs, quiet: bool) -> Result<()> {
     let start = Instant::now();
     let input = open(&args.input)?;
     keep_inputs(&args.output, std::slice::from_ref(&args.input))?;
+    let frames = chosen_frames("cut", &args.input, args.frames, args.time, args.limits.limits())?;
     let mut output = FileOutput::binary(&args.output, args.force)?;
     let name = name_of_output(&args.output);
-    let cut = write_stream(args, input, &mut output).map_err(|error| about(error, &name))?;
+    let cut = write_stream(args, input, frames, &mut output).map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;
     let seconds = start.elapsed().as_secs_f64();
     if args.json {
@@ -47,17 +50,22 @@ pub fn run(args: &CutArgs, quiet: bool) -> Result<()> {
 }
 
 /// Reads only the groups that it needs, if the input can be sought in.
-fn write_stream(args: &CutArgs, input: Input, output: &mut FileOutput) -> crate::ground::error::Result<Cut> {
+fn write_stream(
+    args: &CutArgs,
+    input: Input,
+    frames: FrameRange,
+    output: &mut FileOutput,
+) -> crate::ground::error::Result<Cut> {
     let (path, limits) = (PathBuf::from(name_of(&args.input)), args.limits.limits());
     let mut writer = output.writer();
     let cut = match input {
         Input::File(file) => {
             let input = Named { path, stream: BufReader::new(file) };
-            edit::cut_indexed(input, args.frames, &limits, &mut writer)
+            edit::cut_indexed(input, frames, &limits, &mut writer)
         }
         pipe => {
             let input = Named { path, stream: pipe.reader() };
-            edit::cut(input, args.frames, &limits, &mut writer)
+            edit::cut(input, frames, &limits, &mut writer)
         }
     }?;
     writer.flush()?;

@@ -3,16 +3,16 @@
 use crate::edit;
 use std::collections::HashMap;
 use std::io::{self, BufReader, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use crate::edit::Recovered;
 use crate::files::{FileFormat, Give, convert};
-use crate::ground::error::Error;
+use crate::ground::error::{Error, Limits};
 use crate::scan::ScanFile;
-use crate::stream::container::Unit;
-use crate::stream::{DecodeOptions, DecodedFrame};
+use crate::stream::container::{IndexedReader, Unit};
+use crate::stream::{DecodeOptions, DecodedFrame, FrameRange};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 
@@ -21,7 +21,8 @@ use super::errors::{about, say, wrong_usage};
 use super::input::{Input, check_stdin_once, is_dash, name_of, open};
 use super::losses::{LossReport, Losses};
 use super::output::{FolderOutput, check_json, print_json};
-use super::{progress, recording, table};
+use super::time_range::TimeRange;
+use super::{progress, recording, table, tree};
 
 /// What was done, for machines.
 #[derive(Serialize)]
@@ -35,8 +36,12 @@ struct Report {
 }
 
 pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
+    let args = &DecodeArgs { output: Some(output_of(args)), ..args.clone() };
     check_stdin_once("decode", &args.inputs);
-    check_json("decode", args.json, &args.output);
+    check_json("decode", args.json, args.output());
+    if args.inputs.iter().any(|input| input.is_dir()) {
+        return tree::decode_all(args, quiet);
+    }
     if args.inputs.iter().any(|input| recording::is_recording(input)) {
         return recording::decode(args, quiet);
     }
@@ -44,18 +49,18 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
         wrong_usage("decode", "--topic chooses clouds of a recording; the input is none");
     }
     let [first, others @ ..] = &args.inputs[..] else { return Ok(()) };
-    if args.frames.is_some() && !others.is_empty() {
-        wrong_usage("decode", "--frames counts the frames of one file; decode the files one by one");
+    if (args.frames.is_some() || args.time.is_some()) && !others.is_empty() {
+        wrong_usage("decode", "--frames and --time choose frames of one file; decode the files one by one");
     }
     let start = Instant::now();
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),
-        frames: args.frames.unwrap_or_default(),
+        frames: chosen_frames("decode", first, args.frames, args.time, args.limits.limits())?,
         ..DecodeOptions::default()
     };
     let converter = Converter::new(args.format);
-    if is_dash(&args.output) {
+    if is_dash(args.output()) {
         if !others.is_empty() {
             wrong_usage("decode", "stdout takes one frame, and so a single file");
         }
@@ -63,7 +68,7 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     }
     // Before anything is made for them.
     let inputs: Vec<Input> = args.inputs.iter().map(|path| open(path)).collect::<Result<_>>()?;
-    let folder = FolderOutput::create(&args.output, args.force)?.keeping(&args.inputs);
+    let folder = FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs);
     let counts = inputs.iter().map(|input| input.frame_count(options.limits));
     let total = counts.sum::<Option<u64>>().map(|total| options.frames.count_of(total));
     let bar = progress::bar(total, "decoding", quiet);
@@ -92,7 +97,7 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let seconds = start.elapsed().as_secs_f64();
     if args.json {
         print_json(&Report {
-            folder: args.output.display().to_string(),
+            folder: args.output().display().to_string(),
             frames: bar.position(),
             file_bytes: bytes,
             lost: all_losses.iter().map(|(losses, _)| losses.report()).collect(),
@@ -105,6 +110,37 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let Some(error) = damaged.next() else { return Ok(()) };
     damaged.for_each(|error| say(&error));
     Err(error)
+}
+
+/// The output, or where none is given, a folder beside the input with its name.
+fn output_of(args: &DecodeArgs) -> PathBuf {
+    if let Some(output) = &args.output {
+        return output.clone();
+    }
+    match &args.inputs[..] {
+        [input] if input.extension().is_some_and(|ending| ending == "lpc") => input.with_extension(""),
+        _ => wrong_usage("decode", "say where to, by -o FOLDER: the input gives no name for the output"),
+    }
+}
+
+/// The frames that `--frames` or `--time` asks for; all if neither does.
+///
+/// # Errors
+/// If there is no frame of that time, or the times cannot be looked up.
+pub fn chosen_frames(
+    subcommand: &str,
+    path: &Path,
+    frames: Option<FrameRange>,
+    time: Option<TimeRange>,
+    limits: Limits,
+) -> Result<FrameRange> {
+    let Some(time) = time else { return Ok(frames.unwrap_or_default()) };
+    let Input::File(file) = open(path)? else {
+        wrong_usage(subcommand, "--time needs a file that can be sought in; choose by --frames");
+    };
+    let reader = IndexedReader::open(BufReader::new(file), limits);
+    let range = reader.and_then(|reader| time.frames(reader.index()));
+    range.map_err(|error| about(error, &name_of(path)))
 }
 
 /// Decodes as the arguments say: all of it or an error, or what is intact. Does `work` on each frame, and
@@ -196,7 +232,10 @@ impl Converter {
     fn file(&self, frame: DecodedFrame) -> crate::ground::error::Result<File> {
         // Points that never were a file become one that says what their channels are.
         let of_points = (frame.header.stamp.unit == Unit::Points).then_some(FileFormat::Pcd);
-        let Some(format) = self.format.or(of_points) else { return Ok(File::Original(Box::new(frame))) };
+        let is_beside = frame.header.stamp.unit == Unit::Beside;
+        let Some(format) = self.format.filter(|_| !is_beside).or(of_points) else {
+            return Ok(File::Original(Box::new(frame)));
+        };
         let DecodedFrame { number, header, mut scan, .. } = frame.checked()?;
         if scan.name.is_empty() {
             scan.name = format!("{number:06}");

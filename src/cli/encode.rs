@@ -2,13 +2,15 @@
 
 use crate::edit;
 use crate::stream;
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, BufReader, Write};
+use std::path::PathBuf;
 use std::time::Instant;
 
-use crate::files::sequence::LeftOut;
+use crate::files::sequence::{FoundFile, LeftOut};
 use crate::files::{ArrivedFile, ArrivingFrames};
 use crate::frame::{EncoderConfig, Intensity, Positions};
+use crate::stream::container::Unit;
 use crate::stream::{DecodeOptions, DecodedFrame, Encoded, FrameInput};
 use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};
@@ -21,36 +23,58 @@ use super::frames::{self, Found};
 use super::input::is_dash;
 use super::output::{FileOutput, check_json, name_of_output, print_json};
 use super::partial::{self, PartialOutput};
-use super::{coding, progress, recording, table};
+use super::{coding, progress, recording, table, tree};
 
 pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
+    let args = &EncodeArgs { output: Some(output_of(args)), verify: args.verify || args.rm, ..args.clone() };
     let is_piped = args.inputs.iter().any(|input| is_dash(input));
+    let is_stdout = is_dash(args.output());
     for (wrong, what) in [
-        (args.verify && is_dash(&args.output), "--verify needs an output that can be read again, not stdout"),
-        (args.resume && is_dash(&args.output), "--resume needs an output that stays, not stdout"),
+        (args.rm && is_stdout, "--rm needs an output that can be read again, not stdout"),
+        (args.rm && is_piped, "--rm deletes files; stdin is none"),
+        (args.verify && is_stdout, "--verify needs an output that can be read again, not stdout"),
+        (args.resume && is_stdout, "--resume needs an output that stays, not stdout"),
         (args.resume && is_piped, "--resume needs inputs that can be read again, not stdin"),
+        (args.all && is_piped, "--all keeps the files of folders, not of stdin"),
         (is_piped && args.inputs.len() > 1, "`-`, for frames from stdin, stands alone"),
     ] {
         if wrong {
             wrong_usage("encode", what);
         }
     }
-    check_json("encode", args.json, &args.output);
+    check_json("encode", args.json, args.output());
     let mut config = coding::config("encode", &args.coding, &args.threads);
+    if args.rm && !config.is_exact() {
+        wrong_usage(
+            "encode",
+            "--rm deletes only what comes back as it was: leave out what makes the output lossy",
+        );
+    }
     if args.inputs.iter().any(|input| recording::is_recording(input)) {
         return recording::encode(args, &config, quiet);
     }
     if !args.topic.is_empty() {
         wrong_usage("encode", "--topic chooses clouds of a recording; the input is none");
     }
+    if tree::is_folder(args.output()) && !is_piped {
+        return tree::encode(args, &config, quiet);
+    }
+    if args.jobs.is_some() {
+        wrong_usage("encode", "--jobs counts the drives that are encoded into a folder; the output is none");
+    }
     let start = Instant::now();
     let found = match is_piped {
         true => None,
-        false => Some(frames::find(args, &mut config, quiet)?),
+        false => Some(frames::find(args, quiet)?),
     };
-    let (encoded, left_out) = match (args.resume, found) {
-        (true, Some(found)) => (encode_in_runs(args, &config, &found.frames, quiet)?, found.left_out),
-        (_, found) => encode_whole(args, &config, found, quiet)?,
+    if let Some(found) = &found {
+        frames::settle(&found.frames, &mut config, &frames::name_of_inputs(&args.inputs), quiet)?;
+    }
+    let (encoded, left_out) = match (args.resume, &found) {
+        (true, Some(found)) => {
+            (encode_in_runs(args, &config, &found.inputs(), quiet)?, found.left_out.clone())
+        }
+        (_, found) => encode_whole(args, &config, found.as_ref(), quiet)?,
     };
     let seconds = start.elapsed().as_secs_f64();
     if args.verbose {
@@ -65,18 +89,51 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     } else if !quiet {
         eprintln!("{} in {seconds:.1} s", summary(args, &config, &encoded));
     }
+    if let Some(found) = found.filter(|_| args.rm) {
+        remove(&found, &args.inputs)?;
+    }
+    Ok(())
+}
+
+/// The output, or where none is given, a file beside the input with its name and the custom ending.
+fn output_of(args: &EncodeArgs) -> PathBuf {
+    if let Some(output) = &args.output {
+        return output.clone();
+    }
+    let name = match &args.inputs[..] {
+        [input] if !is_dash(input) && !recording::is_recording(input) => input.file_name(),
+        _ => None,
+    };
+    let Some(name) = name else {
+        wrong_usage("encode", "say where to, by -o FILE: the input gives no name for the output");
+    };
+    let mut name = name.to_owned();
+    name.push(".lpc");
+    args.inputs[0].with_file_name(name)
+}
+
+/// Deletes what was encoded, and the folders that are empty then.
+pub fn remove(found: &Found, inputs: &[PathBuf]) -> Result<()> {
+    for FoundFile { path, .. } in found.frames.iter().chain(&found.beside) {
+        let removed = if path.is_dir() { fs::remove_dir(path) } else { fs::remove_file(path) };
+        removed.map_err(|error| about(error.into(), &path.display().to_string()))?;
+        let above =
+            path.ancestors().skip(1).take_while(|above| inputs.iter().any(|input| above.starts_with(input)));
+        // Those that still hold something stay.
+        above.take_while(|above| fs::remove_dir(above).is_ok()).for_each(drop);
+    }
     Ok(())
 }
 
 /// Encodes into a file that is there as a whole or not at all. `found`: the frames, unless they come from stdin.
-fn encode_whole(
+pub fn encode_whole(
     args: &EncodeArgs,
     config: &EncoderConfig,
-    found: Option<Found>,
+    found: Option<&Found>,
     quiet: bool,
 ) -> Result<(Encoded, LeftOut)> {
-    let mut output = FileOutput::binary(&args.output, args.force)?;
-    if let Some(left) = partial::left_for(&args.output)
+    let mut output = FileOutput::binary(args.output(), args.force)?;
+    if let Some(left) = partial::left_for(args.output())
         && !quiet
     {
         eprintln!(
@@ -84,10 +141,11 @@ fn encode_whole(
             left.display()
         );
     }
-    let name = name_of_output(&args.output);
+    let name = name_of_output(args.output());
     let (encoded, left_out) = match found {
-        Some(Found { frames, left_out }) => {
-            (write_files(config, &frames, &mut output, quiet).map_err(|error| about(error, &name))?, left_out)
+        Some(found) => {
+            let encoded = write_files(config, &found.inputs(), &mut output, quiet);
+            (encoded.map_err(|error| about(error, &name))?, found.left_out.clone())
         }
         None => {
             let (encoded, left_out) =
@@ -120,11 +178,11 @@ fn encode_in_runs(
     frames: &[FrameInput],
     quiet: bool,
 ) -> Result<Encoded> {
-    let name = name_of_output(&args.output);
+    let name = name_of_output(args.output());
     let words =
         format!("interrupted; what is done is kept in {name}.partial, and the same command goes on with it");
     let _words = (!quiet).then(|| SayOnSignal::new(words));
-    let output = PartialOutput::open(&args.output, args.force)?;
+    let output = PartialOutput::open(args.output(), args.force)?;
     let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
     let encoded =
         output.files().and_then(|files| edit::encode_resuming(frames, config, files, &|| bar.inc(1)));
@@ -200,17 +258,27 @@ fn compare(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> Res
 
 /// Files of which no points are known, and which are therefore stored as bytes.
 fn plain_bytes(encoded: &Encoded) -> impl Iterator<Item = &str> {
-    let frames = encoded.frames.iter().filter(|frame| frame.point_count == 0 && frame.file_size > 0);
-    frames.map(|frame| &frame.name[..])
+    let frames = encoded.frames.iter().filter(|frame| frame.stamp.unit != Unit::Beside);
+    frames.filter(|frame| frame.point_count == 0 && frame.file_size > 0).map(|frame| &frame.name[..])
 }
 
 /// The result in a line: what was saved, what was lost for it, and what else came of the files.
-fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &Encoded) -> String {
+pub fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &Encoded) -> String {
     let ratio = metrics::ratio(encoded.file_bytes(), encoded.stream_bytes);
-    let bits = metrics::bits_per_point(encoded.stream_bytes, encoded.points);
+    let of_scans = encoded.stream_bytes - encoded.beside_coded;
+    let bits = metrics::bits_per_point(of_scans, encoded.points);
+    let beside = match encoded.beside {
+        0 => String::new(),
+        files => format!(
+            ", of them {} in {} beside the scans, which alone take {}",
+            table::bytes(encoded.beside_bytes),
+            table::count(files, "file"),
+            table::percent(metrics::ratio(encoded.file_bytes() - encoded.beside_bytes, of_scans))
+        ),
+    };
     let mut line = format!(
-        "{}{}: {} -> {} ({}, {} bits a point), {}",
-        table::count(encoded.frames.len() as u64, "frame"),
+        "{}{}: {} -> {} ({}{beside}, {} bits a point), {}",
+        table::count(encoded.frames.len() as u64 - encoded.beside, "frame"),
         match encoded.resumed_frames {
             0 => String::new(),
             resumed => format!(", {resumed} of them from the interrupted run"),
@@ -261,18 +329,21 @@ fn fidelity(config: &EncoderConfig, encoded: &Encoded) -> String {
 
 /// The same for machines.
 #[derive(Serialize)]
-struct Report {
-    file: String,
+pub struct Report {
+    pub file: String,
     mode: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]
     max_error_m: Option<f64>,
-    frames: usize,
+    pub frames: u64,
+    /// Files beside the scans; their bytes are among `file_bytes`.
+    files_beside: u64,
+    bytes_beside: u64,
     resumed_frames: u64,
     points: u64,
     outliers_dropped: u64,
     points_lost: u64,
-    file_bytes: u64,
-    stream_bytes: u64,
+    pub file_bytes: u64,
+    pub stream_bytes: u64,
     ratio: Option<f64>,
     bits_per_point: Option<f64>,
     /// Names of files of which no points are known.
@@ -287,11 +358,13 @@ struct Report {
 struct LeftOutReport {
     what: &'static str,
     count: u64,
+    bytes: u64,
     first: String,
 }
 
 impl Report {
-    fn of(
+    /// What came of a run.
+    pub fn of(
         args: &EncodeArgs,
         config: &EncoderConfig,
         encoded: &Encoded,
@@ -306,13 +379,16 @@ impl Report {
         let left_out = left_out.0.iter().map(|(kind, paths)| LeftOutReport {
             what: kind.name(),
             count: paths.count,
+            bytes: paths.bytes,
             first: paths.first.clone(),
         });
         Report {
-            file: args.output.display().to_string(),
+            file: args.output().display().to_string(),
             mode,
             max_error_m,
-            frames: encoded.frames.len(),
+            frames: encoded.frames.len() as u64 - encoded.beside,
+            files_beside: encoded.beside,
+            bytes_beside: encoded.beside_bytes,
             resumed_frames: encoded.resumed_frames,
             points: encoded.points,
             outliers_dropped: encoded.outliers,
@@ -320,7 +396,10 @@ impl Report {
             file_bytes: encoded.file_bytes(),
             stream_bytes: encoded.stream_bytes,
             ratio: metrics::ratio(encoded.file_bytes(), encoded.stream_bytes),
-            bits_per_point: metrics::bits_per_point(encoded.stream_bytes, encoded.points),
+            bits_per_point: metrics::bits_per_point(
+                encoded.stream_bytes - encoded.beside_coded,
+                encoded.points,
+            ),
             plain_bytes: plain_bytes(encoded).map(str::to_owned).collect(),
             unmodelled_frames: encoded.unmodelled,
             left_out: left_out.collect(),

@@ -28,8 +28,23 @@ pub fn report(error: &anyhow::Error) -> ExitCode {
         return ExitCode::SUCCESS;
     }
     say(error);
-    ExitCode::FAILURE
+    if error.is::<NotWhole>() { ExitCode::from(NOT_WHOLE) } else { ExitCode::FAILURE }
 }
+
+/// All was done that the input allows, and the output is there; but the input is not whole. It has an exit code of its own.
+#[derive(Debug)]
+pub struct NotWhole(pub String);
+
+impl std::fmt::Display for NotWhole {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for NotWhole {}
+
+/// The exit code for [`NotWhole`].
+const NOT_WHOLE: u8 = 3;
 
 /// Says the error on stderr.
 pub fn say(error: &anyhow::Error) {

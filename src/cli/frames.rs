@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::backend;
 use crate::files::guess::{self, Sample, Verdict};
-use crate::files::sequence::{LeftOut, find_frames};
+use crate::files::sequence::{FoundFile, LeftOut, find_all, find_frames};
 use crate::files::{parse_like, starts_as_scan};
 use crate::frame::Prediction;
 use crate::frame::settings::{Coder, EncoderConfig, PredictionChoice, ProjectionKind};
@@ -19,40 +19,95 @@ use super::errors::about;
 use super::output::keep_inputs;
 use super::{in_memory, partial, table};
 
-/// The frames to encode, from files.
+/// The files to encode.
+#[derive(Default)]
 pub struct Found {
-    pub frames: Vec<FrameInput>,
+    /// Drive by drive.
+    pub frames: Vec<FoundFile>,
+    /// What is kept beside them.
+    pub beside: Vec<FoundFile>,
     /// What decoding will not give back of the folders that they are in.
     pub left_out: LeftOut,
 }
 
-/// Finds the frames, and says what is odd about them. Completes the settings by what the files show.
+impl Found {
+    /// What the encoder takes.
+    pub fn inputs(&self) -> Vec<FrameInput> {
+        let mut inputs = FrameInput::found(self.frames.iter().cloned());
+        // Kept apart from the scans, which have scanners.
+        let drive = inputs.last().map_or(0, |last| last.drive() + 1);
+        let beside = self.beside.iter().cloned();
+        inputs.extend(beside.map(|file| FrameInput::beside(file.path, file.name).of_drive(drive)));
+        inputs
+    }
+}
+
+/// Finds the files, and says what is left out.
 ///
 /// # Errors
-/// If there are none, or one of them is no scan or would be overwritten; with `--strict`, if anything else is there.
-pub fn find(args: &EncodeArgs, config: &mut EncoderConfig, quiet: bool) -> Result<Found> {
-    let found = find_frames(&args.inputs)?;
+/// If there is no scan, or a file that is named is none or would be overwritten; with `--strict`, if anything is left out.
+pub fn find(args: &EncodeArgs, quiet: bool) -> Result<Found> {
+    let mut found = if args.all { find_all(&args.inputs)? } else { find_frames(&args.inputs)? };
     if !args.force_bytes {
         args.inputs.iter().filter(|input| input.is_file()).try_for_each(|input| check_scan(input))?;
     }
-    keep_inputs(&args.output, &found.frames)?;
+    keep_inputs(args.output(), &found.paths())?;
+    let own = partial::outputs(args.output()).map(|path| fs::canonicalize(path).ok());
+    let is_own =
+        |path: &Path| own.iter().flatten().any(|own| fs::canonicalize(path).is_ok_and(|path| path == *own));
+    found.beside.retain(|file| !is_own(&file.path));
     let mut left_out = LeftOut::default();
-    let own = partial::outputs(&args.output).map(|path| fs::canonicalize(path).ok());
     for (kind, path) in found.left_out {
-        if !own.iter().flatten().any(|own| fs::canonicalize(&path).is_ok_and(|path| path == *own)) {
+        if !is_own(&path) {
+            // A link, or what is not readable, has no bytes of its own.
+            let bytes =
+                fs::symlink_metadata(&path).ok().filter(fs::Metadata::is_file).map_or(0, |about| about.len());
             let path = path.display().to_string();
             if args.verbose {
                 eprintln!("lidarpc: left out {} {}", kind.name(), path.replace(char::is_control, "?"));
             }
-            left_out.add(kind, path);
+            left_out.add(kind, path, bytes);
         }
     }
-    let place = match &args.inputs[..] {
+    check_left_out(&left_out, &name_of_inputs(&args.inputs), args.strict, quiet)?;
+    Ok(Found { frames: found.frames, beside: found.beside, left_out })
+}
+
+/// What messages call several inputs.
+pub fn name_of_inputs(inputs: &[PathBuf]) -> String {
+    match inputs {
         [input] => input.display().to_string(),
         _ => "inputs".to_owned(),
-    };
-    check_left_out(&left_out, &place, args.strict, quiet)?;
-    match guess::examine(&samples(&found.frames)?, config.headerless.as_ref()) {
+    }
+}
+
+/// Completes the settings by what the scans show, and says what is odd about them. `place`: what messages call these.
+///
+/// # Errors
+/// If a scan cannot be read.
+pub fn settle(frames: &[FoundFile], config: &mut EncoderConfig, place: &str, quiet: bool) -> Result<()> {
+    settle_layout(frames, config, place, quiet)?;
+    let first = frames.first().cloned();
+    if let Some(warning) =
+        FrameInput::found(first).first().and_then(|first| loss_of_paper_mode(first, config))
+        && !quiet
+    {
+        eprintln!("lidarpc: {place}: {warning}");
+    }
+    Ok(())
+}
+
+/// As [`settle`], of the layout of `.bin` records alone.
+///
+/// # Errors
+/// If a scan cannot be read.
+pub fn settle_layout(
+    frames: &[FoundFile],
+    config: &mut EncoderConfig,
+    place: &str,
+    quiet: bool,
+) -> Result<()> {
+    match guess::examine(&samples(frames)?, config.headerless.as_ref()) {
         Verdict::Agrees => {}
         Verdict::Rather(layout) => {
             let letters = layout.to_string();
@@ -79,13 +134,7 @@ pub fn find(args: &EncodeArgs, config: &mut EncoderConfig, quiet: bool) -> Resul
              --layout says what they hold, they may get smaller"
         ),
     }
-    let frames: Vec<_> = found.frames.into_iter().map(FrameInput::file).collect();
-    if let Some(warning) = frames.first().and_then(|first| loss_of_paper_mode(first, config))
-        && !quiet
-    {
-        eprintln!("lidarpc: {place}: {warning}");
-    }
-    Ok(Found { frames, left_out })
+    Ok(())
 }
 
 /// Says what an input holds that will not come back, in a line.
@@ -144,11 +193,11 @@ fn start_of(path: &Path, most: u64) -> Result<Vec<u8>> {
 }
 
 /// Of a few files, what shows how long their records are.
-fn samples(frames: &[PathBuf]) -> Result<Vec<Sample>> {
+fn samples(frames: &[FoundFile]) -> Result<Vec<Sample>> {
     let mut places = vec![0, frames.len() / 2, frames.len().saturating_sub(1)];
     places.dedup();
     let mut samples = Vec::new();
-    for path in places.into_iter().filter_map(|place| frames.get(place)) {
+    for FoundFile { path, .. } in places.into_iter().filter_map(|place| frames.get(place)) {
         let size =
             fs::metadata(path).map_err(|error| about(error.into(), &path.display().to_string()))?.len();
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();

@@ -6,7 +6,7 @@ use std::io::{self, Read, Write};
 use crate::frame::FrameParameters;
 use crate::ground::error::{Error, Limits};
 use crate::scanner::Scanner;
-use crate::stream::container::{Index, Record, ScannerId, ScannerRecord, Stamp, StreamReader};
+use crate::stream::container::{Index, Record, ScannerId, ScannerRecord, Stamp, StreamReader, Unit};
 use anyhow::Result;
 use serde::Serialize;
 
@@ -14,7 +14,7 @@ use super::args::InfoArgs;
 use super::errors::about;
 use super::input::{for_each_file, name_of, open};
 use super::output::print_json;
-use super::table;
+use super::{recording, table};
 
 /// What a stream holds.
 #[derive(Default, Serialize)]
@@ -76,18 +76,35 @@ struct FrameInfo {
     sections: Vec<&'static str>,
 }
 
+/// What a file holds.
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Listed {
+    Stream(Info),
+    Recording(recording::Listing),
+}
+
 pub fn run(args: &InfoArgs) -> Result<()> {
     let mut infos = Vec::new();
     let mut out = io::BufWriter::new(io::stdout().lock());
     let read = for_each_file("info", &args.inputs, |path| {
-        let info = Info::read(name_of(path), open(path)?.reader(), args.limits.limits());
-        let (info, damage) = info.map_err(|error| about(error, &name_of(path)))?;
+        let (info, damage) = match recording::is_recording(path) {
+            true => (Listed::Recording(recording::examine(path, false, 1, true)?), None),
+            false => {
+                let info = Info::read(name_of(path), open(path)?.reader(), args.limits.limits());
+                let (info, damage) = info.map_err(|error| about(error, &name_of(path)))?;
+                (Listed::Stream(info), damage)
+            }
+        };
         if !args.json {
             if args.inputs.len() > 1 {
                 let before = if infos.is_empty() { "" } else { "\n" };
-                writeln!(out, "{before}{}:", info.file.escape_debug())?;
+                writeln!(out, "{before}{}:", name_of(path).escape_debug())?;
             }
-            print(&info, &mut out)?;
+            match &info {
+                Listed::Stream(info) => print(info, &mut out)?,
+                Listed::Recording(contents) => recording::print(contents, &mut out)?,
+            }
             out.flush()?;
         }
         infos.push(info);
@@ -179,7 +196,9 @@ impl Info {
 
 fn print(info: &Info, out: &mut impl Write) -> io::Result<()> {
     let scanners = table::count(info.scanners.len() as u64, "scanner");
-    let (frames, groups) = (info.frames.len() as u64, info.groups.len() as u64);
+    let groups = info.groups.len() as u64;
+    let beside = info.frames.iter().filter(|frame| frame.unit == Unit::Beside.name()).count() as u64;
+    let frames = info.frames.len() as u64 - beside;
     writeln!(out, "format version {}, {scanners}", info.version)?;
     for (number, scanner) in (1..).zip(&info.scanners) {
         writeln!(out, "scanner {number}: {}", scanner.description)?;
@@ -187,7 +206,11 @@ fn print(info: &Info, out: &mut impl Write) -> io::Result<()> {
     if info.damage.is_some() {
         writeln!(out, "damaged behind byte {}; of what stands before:", info.stream_bytes)?;
     }
-    writeln!(out, "{} in {}", table::count(frames, "frame"), table::count(groups, "group"))?;
+    let beside = match beside {
+        0 => String::new(),
+        files => format!(" and {} beside the scans", table::count(files, "file")),
+    };
+    writeln!(out, "{}{beside} in {}", table::count(frames, "frame"), table::count(groups, "group"))?;
     let (points, files) = (info.points, table::bytes(info.file_bytes));
     writeln!(
         out,

@@ -6,6 +6,7 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 
+use crate::files::names::is_safe_path;
 use crate::files::sequence::find_frames;
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::container::IndexedReader;
@@ -102,7 +103,7 @@ pub fn name_of(path: &Path) -> String {
 /// The original scans that a stream is compared with, by name.
 pub struct Originals {
     files: HashMap<String, PathBuf>,
-    /// What messages call where they come from.
+    /// Where they come from.
     folder: PathBuf,
 }
 
@@ -112,22 +113,32 @@ impl Originals {
     /// # Errors
     /// As [`find_frames`].
     pub fn find(inputs: &[PathBuf]) -> Result<Self> {
-        let named =
-            |path: PathBuf| (path.file_name().unwrap_or_default().to_string_lossy().into_owned(), path);
-        let files = find_frames(inputs)?.frames.into_iter().map(named).collect();
+        let files = find_frames(inputs)?.frames.into_iter().map(|file| (file.name, file.path)).collect();
         Ok(Originals { files, folder: inputs.first().cloned().unwrap_or_default() })
     }
 
-    /// Reads the scan of this name, which counts as found from then on.
+    /// Reads the scan of this name, or the file that `encode --all` calls so; it counts as found from then on. An empty folder
+    /// reads as nothing.
     ///
     /// # Errors
     /// If there is no such scan, or it cannot be read.
     pub fn take(&mut self, name: &str) -> Result<Vec<u8>> {
-        let path = self.files.remove(name).ok_or_else(|| {
+        let path = self.files.remove(name).or_else(|| self.below(name)).ok_or_else(|| {
             let what = format!("holds no scan named {name:?}, which the stream does");
             Error::Input { path: self.folder.clone(), what }
         })?;
+        if name.ends_with('/') {
+            return Ok(Vec::new());
+        }
         std::fs::read(&path).map_err(|e| Error::from(e).at(&path))
+    }
+
+    /// The file of this path below the folder, if there is one.
+    fn below(&mut self, name: &str) -> Option<PathBuf> {
+        let is_safe = is_safe_path(name.strip_suffix('/').unwrap_or(name));
+        let path = is_safe.then(|| self.folder.join(name)).filter(|path| path.exists())?;
+        self.files.retain(|_, other| *other != path);
+        Some(path)
     }
 
     /// A scan that was never asked for, if there is one.

@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use crate::stream::container::Lost;
-use anyhow::{Result, bail};
+use anyhow::Result;
 use serde::Serialize;
 
+use super::errors::NotWhole;
 use super::input::name_of;
 use super::table;
 
@@ -79,6 +80,6 @@ impl Losses {
         }
         let more = if self.maybe_more { " and perhaps more" } else { "" };
         let (recovered, lost) = (table::count(recovered, "frame"), table::count(self.frames, "frame"));
-        bail!("{}: damaged; {recovered} saved, {lost}{more} lost", self.input)
+        Err(NotWhole(format!("{}: damaged; {recovered} saved, {lost}{more} lost", self.input)).into())
     }
 }

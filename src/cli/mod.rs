@@ -9,12 +9,14 @@ mod cut;
 mod decode;
 mod encode;
 mod errors;
+mod estimate;
 mod frames;
 mod in_memory;
 mod info;
 mod input;
 mod length;
 mod losses;
+mod manual;
 mod output;
 mod partial;
 mod poses;
@@ -27,6 +29,8 @@ mod steps;
 mod synth;
 mod table;
 mod temporary;
+mod time_range;
+mod tree;
 mod verify;
 mod view;
 
@@ -84,5 +88,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
         Command::View(command) => view::run(command),
         Command::Bench(command) => bench::run(command, args.quiet),
         Command::Synth(command) => synth::run(command, args.quiet),
+        Command::Estimate(command) => estimate::run(command, args.quiet),
+        Command::Completions(command) => manual::completions(command),
+        Command::Man(command) => manual::man(command),
     }
 }

@@ -1,13 +1,14 @@
 //! Output that is there as a whole or not at all: written under a temporary name in the same
 //! folder, then renamed.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use crate::files::Give;
-use crate::files::sequence::is_safe_name;
+use crate::files::names::is_safe_path;
 use crate::ground::error::{Error, Result};
 use serde::Serialize;
 use tempfile::{NamedTempFile, TempDir, TempPath};
@@ -216,16 +217,33 @@ impl FolderOutput {
     /// many they are.
     ///
     /// # Errors
-    /// If the name is no plain file name, is there twice, or belongs to a file that exists and
+    /// If the name is no [safe path](is_safe_path), is there twice, or belongs to a file that exists and
     /// `force` is not set; if writing fails; those of `write`.
     pub fn write(&self, name: &str, write: impl FnOnce(&mut Give<'_>) -> Result<()>) -> Result<u64> {
         let refuse = |what: String| Err(Error::Input { path: self.folder.clone(), what });
-        if !is_safe_name(name) {
+        // An empty folder ends in a slash.
+        let folder = name.strip_suffix('/');
+        if !is_safe_path(folder.unwrap_or(name)) {
             return refuse(format!("cannot safely take a file named {name:?}, as the stream asks"));
         }
         let (temporary, target) = (self.temporary.path().join(name), self.folder.join(name));
+        if folder.is_some() {
+            fs::create_dir_all(&temporary).map_err(|e| Error::from(e).at(&target))?;
+            self.names.lock().unwrap_or_else(PoisonError::into_inner).push(name.to_owned());
+            return write(&mut |piece| match piece {
+                [] => Ok(()),
+                _ => {
+                    refuse(format!("cannot safely take a folder of bytes named {name:?}, as the stream asks"))
+                        .map(drop)
+                }
+            })
+            .map(|()| 0);
+        }
         may_write(&target, self.force).map_err(|e| Error::from(e).at(&target))?;
         keep_inputs(&target, &self.inputs)?;
+        if name.contains('/') {
+            fs::create_dir_all(parent(&temporary)).map_err(|e| Error::from(e).at(&target))?;
+        }
         let mut file = match File::create_new(&temporary) {
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {
                 return refuse(format!("cannot take two files named {name:?}, as the stream asks"));
@@ -249,6 +267,9 @@ impl FolderOutput {
         const AT_A_TIME: usize = 16;
         let sync = |names: &[String]| {
             names.iter().try_for_each(|name| {
+                if name.ends_with('/') {
+                    return Ok(());
+                }
                 let synced = File::open(self.temporary.path().join(name)).and_then(|file| file.sync_all());
                 synced.map_err(|e| Error::from(e).at(self.folder.join(name)))
             })
@@ -271,8 +292,17 @@ impl FolderOutput {
         let names = std::mem::take(self.names.get_mut().unwrap_or_else(PoisonError::into_inner));
         // Not as each is written: by now the system has written most of them in its own time.
         self.sync(&names)?;
+        let mut folders = BTreeSet::from([self.folder.clone()]);
         for name in &names {
             let target = self.folder.join(name);
+            let above = if name.ends_with('/') { target.as_path() } else { parent(&target) };
+            if !folders.contains(above) {
+                self.made.add(above).map_err(|e| Error::from(e).at(above))?;
+                folders.insert(above.to_path_buf());
+            }
+            if name.ends_with('/') {
+                continue;
+            }
             let temporary = TempPath::try_from_path(self.temporary.path().join(name))?;
             let placed = match self.force {
                 true => temporary.persist(&target),
@@ -280,7 +310,7 @@ impl FolderOutput {
             };
             placed.map_err(|e| Error::from(e.error).at(&target))?;
         }
-        sync_folder(&self.folder);
+        folders.iter().for_each(|folder| sync_folder(folder));
         self.made.keep();
         Ok(())
     }
@@ -292,14 +322,21 @@ struct MadeFolders(Vec<PathBuf>);
 impl MadeFolders {
     /// Makes `folder` and what is missing above it.
     fn make(folder: &Path) -> io::Result<Self> {
+        let mut made = MadeFolders(Vec::new());
+        made.add(folder)?;
+        Ok(made)
+    }
+
+    /// Makes `folder` and what is missing above it.
+    fn add(&mut self, folder: &Path) -> io::Result<()> {
         let missing = folder.ancestors().take_while(|folder| !folder.as_os_str().is_empty());
         let missing = missing.take_while(|folder| fs::symlink_metadata(folder).is_err());
-        let made = MadeFolders(missing.map(Path::to_path_buf).collect());
+        // The deepest first, in which order they can be removed.
+        self.0.splice(..0, missing.map(Path::to_path_buf));
         match fs::metadata(folder) {
-            Ok(about) if !about.is_dir() => return Err(io::ErrorKind::NotADirectory.into()),
-            _ => fs::create_dir_all(folder)?,
+            Ok(about) if !about.is_dir() => Err(io::ErrorKind::NotADirectory.into()),
+            _ => fs::create_dir_all(folder),
         }
-        Ok(made)
     }
 
     fn keep(&mut self) {

@@ -8,14 +8,14 @@ use std::time::Instant;
 use crate::files::{FileFormat, convert, write};
 use crate::frame::settings::EncoderConfig;
 use crate::library::Settings;
-use crate::recordings::{self, Clouds, Copied, TopicFilter};
+use crate::recordings::{self, Clouds, Contents, Copied, Topic, TopicFilter};
 use crate::stream::{self, FrameInput};
 use crate::study::metrics;
 use anyhow::{Result, bail, ensure};
 use serde::Serialize;
 
-use super::args::{DecodeArgs, EncodeArgs, FormatArg};
-use super::errors::{about, wrong_usage};
+use super::args::{DecodeArgs, EncodeArgs, FormatArg, StatsArgs};
+use super::errors::{NotWhole, about, wrong_usage};
 use super::input::is_dash;
 use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
 use super::{progress, table};
@@ -58,26 +58,32 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     let [input] = &args.inputs[..] else {
         wrong_usage("encode", "recordings are encoded one by one");
     };
-    if args.resume {
-        wrong_usage("encode", "--resume takes scans, not a recording");
+    for (wrong, what) in [
+        (args.resume, "--resume takes scans, not a recording"),
+        (args.all, "--all keeps the files of folders; all that a recording holds is kept without it"),
+        (args.rm, "--rm deletes scans, not a recording"),
+    ] {
+        if wrong {
+            wrong_usage("encode", what);
+        }
     }
-    keep_inputs(&args.output, &args.inputs)?;
-    if !is_named_so(&args.output) {
+    keep_inputs(args.output(), &args.inputs)?;
+    if !is_named_so(args.output()) {
         return encode_clouds(args, input, config, quiet);
     }
     let start = Instant::now();
     let bar = progress::bar(None, "packing", quiet);
     let filter = TopicFilter { topics: args.topic.clone() };
-    let (copied, output) = copy(&args.output, args.force, |out| {
+    let (copied, output) = copy(args.output(), args.force, |out| {
         recordings::pack(open(input)?, out, &Settings::of_config(config.clone()), &filter, &|| bar.inc(1))
     })?;
     bar.finish_and_clear();
     if args.verify {
         verify(input, &output, &copied, args.threads.threads)?;
     }
-    output.finish().map_err(|error| about(error, &args.output.display().to_string()))?;
-    say(args.json, quiet, &args.output, &copied, args.verify, start)?;
-    check_whole(input, &copied)
+    output.finish().map_err(|error| about(error, &args.output().display().to_string()))?;
+    say(args.json, quiet, args.output(), &copied, args.verify, start)?;
+    check_whole(input, copied.cut_short.as_deref())
 }
 
 /// The clouds alone, as frames of a stream with their times.
@@ -85,10 +91,10 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
     if args.verify {
         wrong_usage("encode", "--verify compares a recording with a recording; give -o FILE.mcap");
     }
-    let name = args.output.display().to_string();
+    let name = args.output().display().to_string();
     let start = Instant::now();
     let bar = progress::bar(None, "encoding", quiet);
-    let mut output = FileOutput::binary(&args.output, args.force)?;
+    let mut output = FileOutput::binary(args.output(), args.force)?;
     let filter = TopicFilter { topics: args.topic.clone() };
     let mut clouds =
         Clouds::open(open(input)?, &filter).map_err(|error| about(error, &input.display().to_string()))?;
@@ -133,7 +139,7 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
             start.elapsed().as_secs_f64(),
         );
     }
-    check_whole(input, &Copied { cut_short, ..Copied::default() })
+    check_whole(input, cut_short.as_deref())
 }
 
 /// `decode` of a recording: to one with the clouds as they were, or to a folder of scans.
@@ -141,29 +147,29 @@ pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("decode", "recordings are decoded one by one");
     };
-    if args.frames.is_some() || args.keep_going {
-        wrong_usage("decode", "--frames and --keep-going take a stream, not a recording");
+    if args.frames.is_some() || args.time.is_some() || args.keep_going {
+        wrong_usage("decode", "--frames, --time and --keep-going take a stream, not a recording");
     }
     let start = Instant::now();
-    let copied = if is_named_so(&args.output) {
-        keep_inputs(&args.output, &args.inputs)?;
+    let copied = if is_named_so(args.output()) {
+        keep_inputs(args.output(), &args.inputs)?;
         let bar = progress::bar(None, "unpacking", quiet);
-        let (copied, output) = copy(&args.output, args.force, |out| {
+        let (copied, output) = copy(args.output(), args.force, |out| {
             recordings::unpack(open(input)?, out, args.threads.threads, &|| bar.inc(1))
         })?;
         bar.finish_and_clear();
-        output.finish().map_err(|error| about(error, &args.output.display().to_string()))?;
+        output.finish().map_err(|error| about(error, &args.output().display().to_string()))?;
         copied
     } else {
         decode_clouds(args, input, quiet)?
     };
-    say(args.json, quiet, &args.output, &copied, false, start)?;
-    check_whole(input, &copied)
+    say(args.json, quiet, args.output(), &copied, false, start)?;
+    check_whole(input, copied.cut_short.as_deref())
 }
 
 /// The clouds as files in a folder.
 fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<Copied> {
-    if is_dash(&args.output) {
+    if is_dash(args.output()) {
         wrong_usage("decode", "a recording is decoded into a folder, or to FILE.mcap");
     }
     let format = match args.format {
@@ -174,7 +180,7 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<Copied>
     let at = |error| about(error, &input.display().to_string());
     let filter = TopicFilter { topics: args.topic.clone() };
     let mut clouds = open(input).and_then(|file| Clouds::open(file, &filter)).map_err(at)?;
-    let folder = FolderOutput::create(&args.output, args.force)?.keeping(&args.inputs);
+    let folder = FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs);
     let bar = progress::bar(None, "decoding", quiet);
     let mut copied = Copied::default();
     for (number, cloud) in clouds.by_ref().enumerate() {
@@ -192,6 +198,121 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<Copied>
     copied.cut_short = clouds.cut_short.take();
     folder.finish()?;
     Ok(copied)
+}
+
+/// What a recording holds, for `info`, `stats` and `verify`.
+#[derive(Serialize)]
+pub struct Listing {
+    file: String,
+    file_bytes: u64,
+    topics: Vec<TopicListing>,
+    attachments: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cut_short: Option<String>,
+}
+
+#[derive(Serialize)]
+struct TopicListing {
+    topic: String,
+    schema: String,
+    messages: u64,
+    bytes: u64,
+    /// Messages that are compressed clouds.
+    compressed: u64,
+    /// Points of these, and bytes before they were compressed, if they were decoded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    points: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cloud_bytes: Option<u64>,
+}
+
+/// Lists what a recording holds; if `decodes`, with every compressed cloud decoded.
+pub fn examine(path: &Path, decodes: bool, threads: usize, quiet: bool) -> Result<Listing> {
+    let at = |error| about(error, &path.display().to_string());
+    let file = open(path).map_err(at)?;
+    let file_bytes = file.get_ref().metadata().map_err(|error| at(error.into()))?.len();
+    let bar = progress::bar(None, "reading", quiet);
+    let contents = recordings::examine(file, decodes, threads, &|| bar.inc(1));
+    bar.finish_and_clear();
+    let Contents { topics, attachments, cut_short } = contents.map_err(at)?;
+    let listing = |topic: Topic| TopicListing {
+        topic: topic.name,
+        schema: topic.schema,
+        messages: topic.messages,
+        bytes: topic.bytes,
+        compressed: topic.clouds,
+        points: decodes.then_some(topic.points),
+        cloud_bytes: decodes.then_some(topic.cloud_bytes),
+    };
+    let topics = topics.into_iter().map(listing).collect();
+    Ok(Listing { file: path.display().to_string(), file_bytes, topics, attachments, cut_short })
+}
+
+impl Listing {
+    /// Compressed clouds.
+    pub fn clouds(&self) -> u64 {
+        self.topics.iter().map(|topic| topic.compressed).sum()
+    }
+
+    /// Their bytes before they were compressed, if they were decoded.
+    pub fn cloud_bytes(&self) -> u64 {
+        self.topics.iter().filter_map(|topic| topic.cloud_bytes).sum()
+    }
+
+    /// # Errors
+    /// If the recording is cut short or damaged.
+    pub fn check(&self) -> Result<()> {
+        check_whole(Path::new(&self.file), self.cut_short.as_deref())
+    }
+}
+
+/// Lists the topics.
+pub fn print(listing: &Listing, out: &mut impl Write) -> std::io::Result<()> {
+    let messages = listing.topics.iter().map(|topic| topic.messages).sum();
+    let channels = table::count(listing.topics.len() as u64, "channel");
+    writeln!(
+        out,
+        "recording (MCAP) of {}: {} in {channels}, {}",
+        table::bytes(listing.file_bytes),
+        table::count(messages, "message"),
+        table::count(listing.attachments, "attachment or record of metadata"),
+    )?;
+    if let Some(what) = &listing.cut_short {
+        writeln!(out, "cut short or damaged ({what}); of what stands before:")?;
+    }
+    writeln!(out)?;
+    writeln!(out, "{:>9} {:>12} {:>10}  topic (schema)", "messages", "bytes", "compressed")?;
+    for TopicListing { topic, schema, messages, bytes, compressed, .. } in &listing.topics {
+        let (topic, schema) = (topic.escape_debug(), schema.escape_debug());
+        writeln!(out, "{messages:>9} {bytes:>12} {compressed:>10}  {topic} ({schema})")?;
+    }
+    Ok(())
+}
+
+/// `stats` of a recording: what its compressed clouds have saved.
+pub fn stats(args: &StatsArgs, quiet: bool) -> Result<()> {
+    let listing = examine(&args.input, true, args.threads.threads, quiet)?;
+    if args.json {
+        print_json(&listing)?;
+        return listing.check();
+    }
+    let mut out = std::io::stdout().lock();
+    print(&listing, &mut out)?;
+    writeln!(out)?;
+    writeln!(out, "{:>14} {:>12} {:>9} {:>12}  topic", "original", "coded", "share", "bits a point")?;
+    for topic in listing.topics.iter().filter(|topic| topic.compressed > 0) {
+        let (before, points) = (topic.cloud_bytes.unwrap_or_default(), topic.points.unwrap_or_default());
+        let share = table::percent(metrics::ratio(before, topic.bytes));
+        let bits = table::decimals(metrics::bits_per_point(topic.bytes, points));
+        writeln!(
+            out,
+            "{before:>14} {:>12} {share:>9} {bits:>12}  {}",
+            topic.bytes,
+            topic.topic.escape_debug()
+        )?;
+    }
+    drop(out);
+    listing.check()
 }
 
 fn open(path: &Path) -> crate::ground::error::Result<BufReader<File>> {
@@ -282,11 +403,13 @@ fn say(
 
 /// # Errors
 /// If the recording was cut short or damaged: all before that was taken, and the output is there.
-fn check_whole(input: &Path, copied: &Copied) -> Result<()> {
-    match &copied.cut_short {
+fn check_whole(input: &Path, cut_short: Option<&str>) -> Result<()> {
+    match cut_short {
         None => Ok(()),
-        Some(what) => {
-            bail!("{}: is cut short or damaged ({what}); all before that was taken", input.display())
-        }
+        Some(what) => Err(NotWhole(format!(
+            "{}: is cut short or damaged ({what}); all before that was taken",
+            input.display()
+        ))
+        .into()),
     }
 }

@@ -6,22 +6,24 @@ use std::io::{self, BufReader, Read, Seek, Write};
 
 use crate::frame::Source;
 use crate::ground::error::Limits;
-use crate::stream::container::{Record, SectionKind, StreamReader};
+use crate::stream::container::{Record, SectionKind, StreamReader, Unit};
 use crate::study::metrics;
 use anyhow::Result;
 use serde::Serialize;
 
 use super::args::StatsArgs;
-use super::errors::about;
+use super::errors::{about, wrong_usage};
 use super::input::{Input, Originals, name_of, open};
 use super::output::print_json;
-use super::{poses, steps, table};
+use super::{poses, recording, steps, table};
 use comparison::{Against, compare};
 
 /// All that is reported.
 #[derive(Serialize)]
 struct Stats {
     frames: u64,
+    /// Files beside the scans; they are in all that follows but `points`.
+    files_beside: u64,
     groups: u64,
     /// Of the original files.
     points: u64,
@@ -56,6 +58,12 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
     if let Some(output) = &args.poses {
         return poses::run(args, output, quiet);
     }
+    if recording::is_recording(&args.input) {
+        if !args.against.is_empty() {
+            wrong_usage("stats", "--against compares scans; a recording is compared by `encode --verify`");
+        }
+        return recording::stats(args, quiet);
+    }
     let input = open(&args.input)?;
     let stats = read(args, input, quiet).map_err(|error| about(error, &name_of(&args.input)))?;
     if args.json {
@@ -83,14 +91,17 @@ fn read(args: &StatsArgs, input: Input, quiet: bool) -> crate::ground::error::Re
 fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Stats> {
     let mut reader = StreamReader::open(input, limits)?;
     let mut by_kind = SectionKind::ALL.map(|_| 0u64);
-    let (mut frames, mut scanner_bytes) = (0, 0);
+    let (mut frames, mut files_beside, mut scanner_bytes) = (0, 0, 0);
     let mut originals = Source::default();
     while let Some(record) = reader.next_record()? {
         match record {
             Record::Scanner(record) => scanner_bytes += record.payload.len() as u64,
             Record::Group(group) => {
                 for frame in &group.frames {
-                    frames += 1;
+                    match frame.header.stamp.unit {
+                        Unit::Beside => files_beside += 1,
+                        _ => frames += 1,
+                    }
                     originals.add(&Source::of(frame)?);
                     for section in &frame.sections {
                         let place = SectionKind::ALL.iter().position(|kind| *kind == section.kind);
@@ -112,6 +123,7 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
     sections.push(part("container", stream_bytes - payloads));
     Ok(Stats {
         frames,
+        files_beside,
         groups: reader.index().groups.len() as u64,
         points,
         outliers_dropped: outliers,
@@ -128,6 +140,13 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
 fn print(stats: &Stats, out: &mut impl Write) -> io::Result<()> {
     let (frames, points) = (table::count(stats.frames, "frame"), table::count(stats.points, "point"));
     writeln!(out, "{frames} in {}, {points}", table::count(stats.groups, "group"))?;
+    if stats.files_beside > 0 {
+        writeln!(
+            out,
+            "and {} beside them, whose bytes are counted too",
+            table::count(stats.files_beside, "file")
+        )?;
+    }
     writeln!(out, "original     {:>14} bytes", stats.file_bytes)?;
     writeln!(out, "coded        {:>14} bytes", stats.stream_bytes)?;
     writeln!(out, "ratio        {:>14}", table::percent(stats.ratio))?;

@@ -58,7 +58,7 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
         (None, decoded, None)
     } else {
         let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
-        let frames: Vec<_> = frames.into_iter().map(FrameInput::file).collect();
+        let frames = FrameInput::found(frames);
         let config = coding::config("stats", &args.coding, &args.threads);
         let (encoding, stream) = in_memory::encode(&frames, &config, quiet)?;
         (Some(encoding), decode(&stream[..], args, quiet)?, range_step(&config))

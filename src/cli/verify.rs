@@ -11,10 +11,10 @@ use anyhow::{Result, bail};
 use serde::Serialize;
 
 use super::args::VerifyArgs;
-use super::errors::{about, line};
+use super::errors::{about, line, wrong_usage};
 use super::input::{Originals, for_each_file, name_of, open};
 use super::output::print_json;
-use super::{progress, table};
+use super::{progress, recording, table};
 
 /// What was found, for machines.
 #[derive(Serialize)]
@@ -31,6 +31,9 @@ struct Report {
 }
 
 pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
+    if !args.against.is_empty() && args.inputs.iter().any(|input| recording::is_recording(input)) {
+        wrong_usage("verify", "--against compares scans; a recording is compared by `encode --verify`");
+    }
     let mut originals = match &args.against[..] {
         [] => None,
         inputs => Some(Originals::find(inputs)?),
@@ -78,6 +81,11 @@ fn verify(
     report: &mut Report,
     quiet: bool,
 ) -> Result<()> {
+    if recording::is_recording(path) {
+        let found = recording::examine(path, true, args.threads.threads, quiet)?;
+        (report.frames, report.file_bytes) = (found.clouds(), found.cloud_bytes());
+        return found.check();
+    }
     let input = open(path)?;
     let options = DecodeOptions {
         threads: args.threads.threads,

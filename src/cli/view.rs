@@ -55,7 +55,8 @@ fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<Compared> {
     } else {
         let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
         only(args.frame).check(frames.len() as u64).map_err(|error| about(error, &name))?;
-        let frame = frames.into_iter().nth(args.frame as usize).map(FrameInput::file);
+        let frame =
+            FrameInput::found(frames).into_iter().nth(args.frame as usize).map(|frame| frame.of_drive(0));
         let (_, stream) = in_memory::encode(frame.as_slice(), config, true)?;
         (decode_one(Cursor::new(stream), only(0)), frame.map(|frame| frame.read()).transpose()?)
     };

@@ -36,7 +36,7 @@ pub fn cut(input: Named<impl Read>, frames: FrameRange, limits: &Limits, out: im
     let mut cutter = Cutter::create(out, frames, limits)?;
     let mut groups = StreamedGroups::new(reader, frames);
     cutter.write_groups(&mut groups, &path)?;
-    frames.check(groups.frame_count()).map_err(|e| e.at(&path))?;
+    frames.check(groups.index().scan_count()).map_err(|e| e.at(&path))?;
     cutter.finish()
 }
 
@@ -52,7 +52,7 @@ pub fn cut_indexed(
 ) -> Result<Cut> {
     let Named { path, stream } = input;
     let reader = IndexedReader::open(stream, *limits).map_err(|e| e.at(&path))?;
-    frames.check(reader.index().frame_count()).map_err(|e| e.at(&path))?;
+    frames.check(reader.index().scan_count()).map_err(|e| e.at(&path))?;
     let mut cutter = Cutter::create(out, frames, limits)?;
     cutter.write_groups(&mut IndexedGroups::new(reader, frames), &path)?;
     cutter.finish()

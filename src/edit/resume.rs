@@ -34,7 +34,7 @@ use crate::stream::encoded::{Encoded, OpenStream};
 use crate::stream::encoder::{SequenceCoder, groups_of};
 use crate::stream::input::FrameInput;
 use crate::stream::ordered::run_ordered;
-use crate::stream::scanner_choice::{Scanners, choose_scanners};
+use crate::stream::scanner_choice::{Scanners, choose_scanners, records_of};
 
 /// Advice for a partial stream with which encoding cannot continue.
 const ADVICE: &str = "delete it to start anew, or encode without --resume";
@@ -75,7 +75,7 @@ pub fn encode_resuming(
     }
     let scanners = choose_scanners(frames, config)?;
     let kept_scanners = kept.index.scanners().iter().map(|entry| entry.id);
-    if !kept.entries.is_empty() && !kept_scanners.eq(scanners.records.iter().map(ScannerRecord::id)) {
+    if !kept.entries.is_empty() && !kept_scanners.eq(records_of(&scanners).iter().map(ScannerRecord::id)) {
         let what = "was begun with another scanner model, so scans that it was fitted to were changed";
         return Err(refuse(&partial.path, what));
     }
@@ -99,8 +99,9 @@ fn open<'p>(
     partial: &'p PartialFiles,
     kept: Kept,
     settings: Settings,
-    scanners: &Scanners,
+    scanners: &[Scanners],
 ) -> Result<(OpenStream<BufWriter<&'p File>>, JournalWriter)> {
+    let scanners = records_of(scanners);
     let mut stream = &partial.stream;
     stream.set_len(kept.stream_end)?;
     stream.seek(SeekFrom::Start(kept.stream_end))?;
@@ -108,10 +109,10 @@ fn open<'p>(
     Ok(if kept.entries.is_empty() {
         // The journal comes first: no stream may be without one.
         let journal = JournalWriter::begin(&partial.journal, settings)?;
-        (OpenStream::begin(out, &scanners.records)?, journal)
+        (OpenStream::begin(out, &scanners)?, journal)
     } else {
         let journal = JournalWriter::resume(&partial.journal, kept.journal_end)?;
-        (OpenStream::resume(out, (kept.index, kept.stream_end), &scanners.records, kept.encoded)?, journal)
+        (OpenStream::resume(out, (kept.index, kept.stream_end), &scanners, kept.encoded)?, journal)
     })
 }
 

@@ -13,6 +13,7 @@ mod field;
 pub mod guess;
 mod headerless;
 mod lzf;
+pub mod names;
 mod number;
 mod pcd;
 mod pcd_compressed;
@@ -20,10 +21,13 @@ mod places;
 mod ply;
 mod point_count;
 mod records;
+#[cfg(feature = "cli")]
 pub mod sequence;
 #[cfg(feature = "cli")]
 mod tar;
 mod text_records;
+#[cfg(feature = "cli")]
+pub mod times;
 
 #[cfg(feature = "cli")]
 pub use arrival::{ArrivedFile, ArrivingFrames};

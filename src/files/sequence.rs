@@ -1,27 +1,57 @@
-//! The frames of an input: which files, and in which order.
+//! The frames of an input: which files, under which names, and in which order.
 
-use std::cmp::Ordering;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::{fmt, fs};
 
 use super::Kind;
+use super::names::{check_name, is_safe_path, natural_cmp};
+use super::times;
 use crate::ground::error::{Error, Result};
 
-/// Where KITTI and KITTI-360 drives keep their scans, relative to the folders above.
+/// Where KITTI and KITTI-360 keep the scans of a drive, relative to its folder.
 const DRIVE_FOLDERS: [&str; 3] = ["velodyne_points/data", "velodyne", "data"];
 /// What names of streams end in, by custom.
 const STREAM_EXTENSION: &str = "lpc";
-/// The longest file name, in bytes, that common file systems allow.
-const MAX_NAME: usize = 255;
 
-/// The frames of an input.
+/// The files of an input.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Sequence {
-    /// The scans, in the natural order of their names. No two have the same name.
-    pub frames: Vec<PathBuf>,
-    /// What the given folders hold besides, by kind and path. What is in subfolders is not listed.
+    /// The scans, drive by drive, each in the natural order of their names. No two have the same name.
+    pub frames: Vec<FoundFile>,
+    /// What else is kept, in natural order; empty unless all is asked for.
+    pub beside: Vec<FoundFile>,
+    /// What the given folders hold besides, by kind and path.
     pub left_out: Vec<(LeftOutKind, PathBuf)>,
+}
+
+/// A file, and what it is called in a stream.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct FoundFile {
+    /// Where it is.
+    pub path: PathBuf,
+    /// Its own name; or, if the input has several folders of scans or all is asked for, its path below the input, with `/`
+    /// on every system. A folder that is kept because it is empty ends in `/`.
+    pub name: String,
+    /// The folder of its drive below the input, as in `name`; empty if that is the input. Of a scan it is the one that
+    /// holds it, without `velodyne_points/data` and the like.
+    pub drive: String,
+    /// When it was taken, in nanoseconds since 1970, if that is known.
+    pub time: Option<times::Found>,
+}
+
+impl Sequence {
+    /// The paths of the scans.
+    pub fn paths(&self) -> Vec<PathBuf> {
+        self.frames.iter().map(|frame| frame.path.clone()).collect()
+    }
+
+    /// Takes the next one in.
+    fn extend(&mut self, other: Sequence) {
+        self.frames.extend(other.frames);
+        self.beside.extend(other.beside);
+        self.left_out.extend(other.left_out);
+    }
 }
 
 /// What an input holds that decoding does not give back.
@@ -33,14 +63,16 @@ pub enum LeftOutKind {
     Stream,
     /// A file or folder whose name begins with a dot.
     Hidden,
-    /// A folder below the one that holds the scans, or beside it.
-    Subfolder,
     /// A symbolic link that is not followed.
     Link,
     /// A symbolic link to a scan, which is encoded in its place.
     FollowedLink,
     /// A named pipe, a socket or a device.
     Special,
+    /// A file that would be kept, but belongs to none of the drives that become files of their own.
+    OutsideDrives,
+    /// A file that would be kept, but whose name not every system can restore.
+    OddName,
 }
 
 impl LeftOutKind {
@@ -55,13 +87,17 @@ impl LeftOutKind {
             LeftOutKind::File => ["file not known as a scan", "files not known as scans"],
             LeftOutKind::Stream => ["lidarpc stream", "lidarpc streams"],
             LeftOutKind::Hidden => ["hidden file or folder", "hidden files or folders"],
-            LeftOutKind::Subfolder => ["subfolder", "subfolders"],
             LeftOutKind::Link => ["symbolic link", "symbolic links"],
             LeftOutKind::FollowedLink => [
                 "symbolic link, stored as the scan it leads to",
                 "symbolic links, stored as the scans they lead to",
             ],
             LeftOutKind::Special => ["named pipe, socket or device", "named pipes, sockets or devices"],
+            LeftOutKind::OutsideDrives => ["file outside the drives", "files outside the drives"],
+            LeftOutKind::OddName => [
+                "file whose name not every system can restore",
+                "files whose names not every system can restore",
+            ],
         }
     }
 }
@@ -75,15 +111,19 @@ pub struct LeftOut(pub BTreeMap<LeftOutKind, LeftOutPaths>);
 pub struct LeftOutPaths {
     /// Their number.
     pub count: u64,
+    /// Bytes of those that are files.
+    pub bytes: u64,
     /// The first.
     pub first: String,
 }
 
 impl LeftOut {
-    /// Counts one more.
-    pub fn add(&mut self, kind: LeftOutKind, path: impl Into<String>) {
-        let paths = self.0.entry(kind).or_insert_with(|| LeftOutPaths { count: 0, first: path.into() });
+    /// Counts one more, of so many bytes.
+    pub fn add(&mut self, kind: LeftOutKind, path: impl Into<String>, bytes: u64) {
+        let paths =
+            self.0.entry(kind).or_insert_with(|| LeftOutPaths { count: 0, bytes: 0, first: path.into() });
         paths.count += 1;
+        paths.bytes += bytes;
     }
 
     /// Whether nothing was left out.
@@ -95,35 +135,51 @@ impl LeftOut {
 /// In one line, with counts and an example of each kind.
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (place, (kind, LeftOutPaths { count, first })) in self.0.iter().enumerate() {
+        for (place, (kind, LeftOutPaths { count, bytes, first })) in self.0.iter().enumerate() {
             let [one, several] = kind.names();
             let (separator, name) =
                 (if place == 0 { "" } else { ", " }, if *count == 1 { one } else { several });
+            let size = if *bytes == 0 { String::new() } else { format!("{bytes} bytes, ") };
             let such_as = if *count == 1 { "" } else { "such as " };
-            write!(f, "{separator}{count} {name} ({such_as}{first})")?;
+            write!(f, "{separator}{count} {name} ({size}{such_as}{first})")?;
         }
         Ok(())
     }
 }
 
-/// Finds the frames of `inputs`: files, folders of scans (`.bin`, `.pcd`, `.ply`; neither subfolders nor
-/// hidden files; links are followed), or KITTI drives (folders above `velodyne_points/data` or `velodyne`). A file that
-/// is named explicitly is taken whatever its extension. Frames are sorted in the natural order of their names,
-/// wherever they come from.
+/// Finds the frames of `inputs`: files, folders of scans (`.bin`, `.pcd`, `.ply`), or trees of them. Hidden files are left
+/// out; links to scans are followed, links to folders are not. A file that is named explicitly is taken whatever its
+/// extension.
+///
+/// A folder that holds the scans of one folder, its own or one below, gives them under their own names, in one order with
+/// those of the other inputs. A tree that holds several gives them drive by drive, under their paths below the input.
 ///
 /// # Errors
 /// [`Error::Input`], with the path and what to do: nothing there, no scan in a folder, unreadable, two frames
-/// with the same name, or a name that could not be restored (see [`is_safe_name`]).
+/// with the same name, or a name that could not be restored (see [`is_safe_path`](super::names::is_safe_path)).
 pub fn find_frames(inputs: &[PathBuf]) -> Result<Sequence> {
+    find(inputs, false)
+}
+
+/// As [`find_frames`], with every other file and empty folder of the folders among `inputs`, hidden ones too; all under their
+/// paths below the input. Links that lead to no scan, and files whose names not every system can restore, are left out.
+///
+/// # Errors
+/// As [`find_frames`].
+pub fn find_all(inputs: &[PathBuf]) -> Result<Sequence> {
+    find(inputs, true)
+}
+
+fn find(inputs: &[PathBuf], all: bool) -> Result<Sequence> {
     let mut found = Sequence::default();
     for input in inputs {
         let kind = fs::metadata(input).map_err(|error| unreadable(input, &error))?;
         if kind.is_dir() {
-            let folder = scan_folder(input)?;
-            found.frames.extend(folder.frames);
-            found.left_out.extend(folder.left_out);
+            found.extend(Tree::walk(input, all)?.into_sequence(input, all)?);
         } else if kind.is_file() {
-            found.frames.push(input.clone());
+            let name = frame_name(input)?.to_owned();
+            let time = times::of_name(&name);
+            found.frames.push(FoundFile { path: input.clone(), name, time, ..FoundFile::default() });
         } else {
             return Err(input_error(
                 input,
@@ -131,112 +187,189 @@ pub fn find_frames(inputs: &[PathBuf]) -> Result<Sequence> {
             ));
         }
     }
-    found.frames = in_natural_order(found.frames)?;
+    let files = found.frames.iter().chain(&found.beside);
+    check_different(files)?;
+    // Stable: drives stay in the order in which they were found.
+    if found.frames.iter().all(|frame| frame.drive.is_empty()) {
+        found.frames.sort_by(|a, b| natural_cmp(&a.name, &b.name));
+    }
     found.left_out.sort();
     Ok(found)
 }
 
-/// Lists `folder`, or, if it is a drive, the folder inside that holds the scans.
-fn scan_folder(folder: &Path) -> Result<Sequence> {
-    let direct = list(folder)?;
-    if !direct.frames.is_empty() {
-        return Ok(direct);
+/// What a folder holds, and those below it.
+#[derive(Default)]
+struct Tree {
+    /// The folders that hold scans, in natural order.
+    folders: Vec<ScanFolder>,
+    /// Files that are kept beside the scans, and empty folders.
+    beside: Vec<PathBuf>,
+    left_out: Vec<(LeftOutKind, PathBuf)>,
+}
+
+/// A folder that holds scans.
+struct ScanFolder {
+    path: PathBuf,
+    /// In natural order.
+    scans: Vec<PathBuf>,
+}
+
+impl Tree {
+    /// Everything below `folder`.
+    fn walk(folder: &Path, all: bool) -> Result<Self> {
+        let mut tree = Tree::default();
+        // Folders that are still to be listed, the next one last.
+        let mut open = vec![folder.to_path_buf()];
+        while let Some(folder) = open.pop() {
+            let mut below = tree.list(&folder, all)?;
+            below.sort_by(|a, b| natural_cmp(&lossy_name(b), &lossy_name(a)));
+            open.extend(below);
+        }
+        Ok(tree)
     }
-    let mut drives = Vec::new();
-    for below in DRIVE_FOLDERS.map(|name| folder.join(name)) {
-        if below.is_dir() {
-            let listed = list(&below)?;
-            if !listed.frames.is_empty() {
-                drives.push((below, listed));
+
+    /// Takes in what a folder holds, but what is in its subfolders, which are returned.
+    fn list(&mut self, folder: &Path, all: bool) -> Result<Vec<PathBuf>> {
+        let (mut scans, mut subfolders, mut is_empty) = (Vec::new(), Vec::new(), true);
+        for entry in fs::read_dir(folder).map_err(|error| unreadable(folder, &error))? {
+            is_empty = false;
+            let entry = entry.map_err(|error| unreadable(folder, &error))?;
+            let path = entry.path();
+            let name = entry.file_name();
+            let name = name.to_string_lossy();
+            let is_link = entry.file_type().is_ok_and(|kind| kind.is_symlink());
+            let is_hidden = name.starts_with('.');
+            let is_scan = Kind::of(&name).is_some() && !is_hidden;
+            let left_out = if is_hidden && !all {
+                LeftOutKind::Hidden
+            } else if !is_scan && is_link {
+                LeftOutKind::Link
+            } else {
+                // Follows links. A file without a scan's extension need not be readable.
+                match fs::metadata(&path) {
+                    Ok(kind) if kind.is_dir() && is_link => LeftOutKind::Link,
+                    Ok(kind) if kind.is_dir() => {
+                        subfolders.push(path);
+                        continue;
+                    }
+                    Ok(kind) if is_scan && kind.is_file() => {
+                        scans.push(path.clone());
+                        match is_link {
+                            true => LeftOutKind::FollowedLink,
+                            false => continue,
+                        }
+                    }
+                    Ok(kind) if !kind.is_file() => LeftOutKind::Special,
+                    Err(error) if is_scan => return Err(unreadable(&path, &error)),
+                    _ if all => {
+                        self.beside.push(path);
+                        continue;
+                    }
+                    _ if has_extension(&name, STREAM_EXTENSION) => LeftOutKind::Stream,
+                    _ => LeftOutKind::File,
+                }
+            };
+            self.left_out.push((left_out, path));
+        }
+        if is_empty && all {
+            self.beside.push(folder.to_path_buf());
+        }
+        if !scans.is_empty() {
+            scans.sort_by(|a, b| natural_cmp(&lossy_name(a), &lossy_name(b)));
+            self.folders.push(ScanFolder { path: folder.to_path_buf(), scans });
+        }
+        Ok(subfolders)
+    }
+
+    /// The files under their names.
+    fn into_sequence(self, input: &Path, all: bool) -> Result<Sequence> {
+        if self.folders.is_empty() {
+            return Err(input_error(input, "holds no scans; give a folder of .bin, .pcd or .ply files"));
+        }
+        let has_paths = all || self.folders.len() > 1;
+        let mut found = Sequence { left_out: self.left_out, ..Sequence::default() };
+        for ScanFolder { path: folder, scans } in self.folders {
+            let mut names = Vec::new();
+            for scan in &scans {
+                frame_name(scan)?;
+                names.push(if has_paths { name_below(input, scan)? } else { frame_name(scan)?.to_owned() });
+            }
+            let drive = if has_paths { drive_of(&name_below(input, &folder)?) } else { String::new() };
+            let times = times::of_folder(&folder, &scans);
+            for ((path, name), time) in scans.into_iter().zip(names).zip(times) {
+                found.frames.push(FoundFile { path, name, drive: drive.clone(), time });
             }
         }
-    }
-    match &drives[..] {
-        [] => Err(input_error(folder, "holds no scans; give a folder of .bin, .pcd or .ply files")),
-        [_] => {
-            let (below, mut found) = drives.swap_remove(0);
-            // What stands beside the way to the scans.
-            for above in below.ancestors().skip(1).take_while(|above| above.starts_with(folder)) {
-                found
-                    .left_out
-                    .extend(list(above)?.left_out.into_iter().filter(|(_, path)| !below.starts_with(path)));
+        for path in self.beside {
+            let is_folder = path.is_dir();
+            match name_below(input, &path) {
+                Ok(name) if name.is_empty() => {}
+                Ok(name) if is_safe_path(&name) => {
+                    let name = if is_folder { format!("{name}/") } else { name };
+                    found.beside.push(FoundFile { path, name, ..FoundFile::default() });
+                }
+                _ => found.left_out.push((LeftOutKind::OddName, path)),
             }
-            Ok(found)
         }
-        [(one, _), (other, _), ..] => {
-            let what = format!("has scans in {} and in {}; give one of them", one.display(), other.display());
-            Err(input_error(folder, what))
+        found.beside.sort_by(|a, b| natural_cmp(&a.name, &b.name));
+        // Each file belongs to the drive that is nearest above it.
+        let drives: std::collections::BTreeSet<_> =
+            found.frames.iter().map(|frame| frame.drive.clone()).collect();
+        for file in &mut found.beside {
+            let above = |drive: &&String| {
+                drive.is_empty()
+                    || file.name.strip_prefix(&drive[..]).is_some_and(|rest| rest.starts_with('/'))
+            };
+            file.drive =
+                drives.iter().filter(above).max_by_key(|drive| drive.len()).cloned().unwrap_or_default();
         }
+        Ok(found)
     }
 }
 
-/// What a folder holds, without what is in its subfolders.
-fn list(folder: &Path) -> Result<Sequence> {
-    let mut found = Sequence::default();
-    for entry in fs::read_dir(folder).map_err(|error| unreadable(folder, &error))? {
-        let entry = entry.map_err(|error| unreadable(folder, &error))?;
-        let path = entry.path();
-        let name = entry.file_name();
-        let name = name.to_string_lossy();
-        let is_link = entry.file_type().is_ok_and(|kind| kind.is_symlink());
-        let is_scan = Kind::of(&name).is_some();
-        let left_out = if name.starts_with('.') {
-            LeftOutKind::Hidden
-        } else if !is_scan && is_link {
-            LeftOutKind::Link
-        } else {
-            // Follows links. A file without a scan's extension need not be readable.
-            match fs::metadata(&path) {
-                Ok(kind) if kind.is_dir() => LeftOutKind::Subfolder,
-                Ok(kind) if is_scan && kind.is_file() => {
-                    found.frames.push(path.clone());
-                    match is_link {
-                        true => LeftOutKind::FollowedLink,
-                        false => continue,
-                    }
-                }
-                Ok(kind) if !kind.is_file() => LeftOutKind::Special,
-                Err(error) if is_scan => return Err(unreadable(&path, &error)),
-                _ if has_extension(&name, STREAM_EXTENSION) => LeftOutKind::Stream,
-                _ => LeftOutKind::File,
-            }
-        };
-        found.left_out.push((left_out, path));
-    }
-    Ok(found)
+/// The folder of the drive whose scans are in this folder.
+fn drive_of(folder: &str) -> String {
+    let inside = DRIVE_FOLDERS.iter().find_map(|inside| match folder.strip_suffix(inside)? {
+        "" => Some(""),
+        drive => drive.strip_suffix('/'),
+    });
+    inside.unwrap_or(folder).to_owned()
+}
+
+fn lossy_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 fn has_extension(name: &str, extension: &str) -> bool {
     Path::new(name).extension().is_some_and(|found| found.eq_ignore_ascii_case(extension))
 }
 
-/// Sorts frames by name, and checks that the names can be restored.
-fn in_natural_order(frames: Vec<PathBuf>) -> Result<Vec<PathBuf>> {
-    let mut named = Vec::with_capacity(frames.len());
-    let mut seen: HashMap<String, PathBuf> = HashMap::with_capacity(frames.len());
-    for path in frames {
-        let name = frame_name(&path)?.to_owned();
-        if let Some(first) = seen.insert(name.clone(), path.clone()) {
-            let is_twice = fs::canonicalize(&first)
+/// An error if two files have one name.
+fn check_different<'f>(files: impl Iterator<Item = &'f FoundFile>) -> Result<()> {
+    let mut seen: HashMap<&str, &Path> = HashMap::new();
+    for FoundFile { path, name, .. } in files {
+        if let Some(first) = seen.insert(name, path) {
+            let is_twice = fs::canonicalize(first)
                 .ok()
-                .is_some_and(|one| fs::canonicalize(&path).is_ok_and(|p| p == one));
+                .is_some_and(|one| fs::canonicalize(path).is_ok_and(|p| p == one));
             let what = match is_twice {
                 true => "is given twice; give it once".to_owned(),
-                false => format!("has the same name as {}; encode them apart", first.display()),
+                false => format!(
+                    "has the same name as {}; encode them apart, or the folder above both",
+                    first.display()
+                ),
             };
-            return Err(input_error(&path, what));
+            return Err(input_error(path, what));
         }
-        named.push((name, path));
     }
-    named.sort_by(|(a, _), (b, _)| natural_cmp(a, b));
-    Ok(named.into_iter().map(|(_, path)| path).collect())
+    Ok(())
 }
 
 /// The name under which a frame is stored and restored.
 ///
 /// # Errors
-/// [`Error::Input`] if it is not UTF-8 or not [safe](is_safe_name).
-pub fn frame_name(path: &Path) -> Result<&str> {
+/// [`Error::Input`] if it is not UTF-8 or not every system can restore it.
+fn frame_name(path: &Path) -> Result<&str> {
     let name = path.file_name().ok_or_else(|| input_error(path, "has no file name; give a file"))?;
     let name = name
         .to_str()
@@ -244,76 +377,14 @@ pub fn frame_name(path: &Path) -> Result<&str> {
     check_name(path, name).map(|()| name)
 }
 
-/// An error about a file whose name not every system can restore.
-pub(crate) fn check_name(path: &Path, name: &str) -> Result<()> {
-    match fault_of_name(name) {
-        None => Ok(()),
-        Some(fault) => {
-            let what = format!("has a name that not every system can restore: it {fault}; rename the file");
-            Err(input_error(path, what))
-        }
-    }
-}
-
-/// Compares names as people sort them: runs of digits by their value, everything else by its bytes (`2.bin`
-/// before `10.bin`). Names that differ are never equal: `1.bin` comes before `01.bin`.
-pub fn natural_cmp(a: &str, b: &str) -> Ordering {
-    natural_key(a).cmp(natural_key(b)).then_with(|| a.len().cmp(&b.len())).then_with(|| a.cmp(b))
-}
-
-/// A name as comparable pieces: a byte, or a number as its rank among the bytes, its number of digits, and
-/// its digits without leading zeros.
-fn natural_key(name: &str) -> impl Iterator<Item = (u8, usize, &[u8])> {
-    let mut rest = name.as_bytes();
-    std::iter::from_fn(move || {
-        let (&first, after) = rest.split_first()?;
-        if !first.is_ascii_digit() {
-            rest = after;
-            return Some((first, 0, &[][..]));
-        }
-        let end = rest.iter().position(|b| !b.is_ascii_digit()).unwrap_or(rest.len());
-        let (number, after) = rest.split_at(end);
-        rest = after;
-        let zeros = number.iter().take_while(|&&b| b == b'0').count();
-        Some((b'0', end - zeros, &number[zeros..]))
-    })
-}
-
-/// True if a name from a stream can be created as a file in any folder, without leaving the folder and
-/// without having a special meaning there: no separators, no control characters, not `.` or `..`, none of
-/// Windows' device names (`NUL`, `COM1.bin`) or drives (`C:x`), no dot or space at its end, and 1 to 255
-/// bytes.
-pub fn is_safe_name(name: &str) -> bool {
-    fault_of_name(name).is_none()
-}
-
-/// What keeps a name from being [safe](is_safe_name).
-fn fault_of_name(name: &str) -> Option<&'static str> {
-    let has_drive = matches!(name.as_bytes(), [letter, b':', ..] if letter.is_ascii_alphabetic());
-    let faults = [
-        (name.is_empty(), "is empty"),
-        (name.len() > MAX_NAME, "is longer than 255 bytes"),
-        (name.contains(['/', '\\']), "holds a slash or backslash"),
-        (name.contains(char::is_control), "holds a control character"),
-        (name.ends_with('.'), "ends in a dot"),
-        (name.ends_with(' '), "ends in a space"),
-        (has_drive, "begins as a drive of Windows does"),
-        (is_windows_device(name), "is that of a device on Windows"),
-    ];
-    faults.into_iter().find_map(|(is_so, fault)| is_so.then_some(fault))
-}
-
-/// Windows looks at what is before the first dot, ignoring case and trailing spaces.
-fn is_windows_device(name: &str) -> bool {
-    let stem = name.split(['.', ':']).next().unwrap_or(name).trim_end_matches(' ').to_ascii_uppercase();
-    let is_port = |port: &str| {
-        let number = stem.strip_prefix(port).map(|n| n.chars().collect::<Vec<_>>());
-        // Windows accepts the superscript digits too.
-        matches!(number.as_deref(), Some(['0'..='9' | '\u{b9}' | '\u{b2}' | '\u{b3}']))
-    };
-    matches!(&stem[..], "CON" | "PRN" | "AUX" | "NUL" | "CONIN$" | "CONOUT$")
-        || is_port("COM")
-        || is_port("LPT")
+/// The path of a file below a folder, with `/` between its parts.
+fn name_below(folder: &Path, path: &Path) -> Result<String> {
+    let below = path.strip_prefix(folder).unwrap_or(path);
+    let parts = below.components().map(|part| part.as_os_str().to_str());
+    let parts: Option<Vec<_>> = parts.collect();
+    parts
+        .map(|parts| parts.join("/"))
+        .ok_or_else(|| input_error(path, "has a name or a folder whose name is not UTF-8 text; rename it"))
 }
 
 fn input_error(path: &Path, what: impl Into<String>) -> Error {
@@ -331,7 +402,6 @@ fn unreadable(path: &Path, error: &std::io::Error) -> Error {
 mod tests {
     use std::fs::{create_dir_all, write};
 
-    use proptest::prelude::*;
     use tempfile::TempDir;
 
     use super::*;
@@ -347,8 +417,8 @@ mod tests {
         dir
     }
 
-    fn names(paths: &[PathBuf]) -> Vec<&str> {
-        paths.iter().map(|p| p.file_name().unwrap().to_str().unwrap()).collect()
+    fn names(files: &[FoundFile]) -> Vec<&str> {
+        files.iter().map(|file| &file.name[..]).collect()
     }
 
     fn find(dir: &TempDir, inputs: &[&str]) -> Result<Sequence> {
@@ -365,31 +435,63 @@ mod tests {
 
     #[test]
     fn a_folder_gives_its_scans_in_natural_order() {
-        let dir = folder(&["10.bin", "2.bin", "1.PCD", "3.ply", "x.txt", ".4.bin", "below/5.bin"]);
+        let dir = folder(&["10.bin", "2.bin", "1.PCD", "3.ply", "x.txt", ".4.bin", "below/5.txt"]);
         let found = find(&dir, &[""]).unwrap();
         assert_eq!(names(&found.frames), ["1.PCD", "2.bin", "3.ply", "10.bin"]);
         let left_out = [
+            (LeftOutKind::File, "below/5.txt"),
             (LeftOutKind::File, "x.txt"),
             (LeftOutKind::Hidden, ".4.bin"),
-            (LeftOutKind::Subfolder, "below"),
         ];
         assert_eq!(found.left_out, left_out.map(|(kind, name)| (kind, dir.path().join(name))));
     }
 
     #[test]
     fn a_drive_gives_the_scans_below_it() {
-        for data in ["velodyne_points/data", "velodyne", "data"] {
+        for data in ["velodyne_points/data", "velodyne", "data", "deep/er"] {
             let dir = folder(&[&format!("{data}/0.bin"), "oxts/data/0.txt", "timestamps.txt"]);
             let found = find(&dir, &[""]).unwrap();
-            assert_eq!(found.frames, [dir.path().join(data).join("0.bin")]);
+            assert_eq!(found.frames[0].path, dir.path().join(data).join("0.bin"));
+            assert_eq!((names(&found.frames), &found.frames[0].drive[..]), (vec!["0.bin"], ""));
             let mut left_out = LeftOut::default();
-            found.left_out.into_iter().for_each(|(kind, _)| left_out.add(kind, ""));
-            assert_eq!(left_out.to_string(), "1 file not known as a scan (), 1 subfolder ()", "{data}");
+            found.left_out.into_iter().for_each(|(kind, _)| left_out.add(kind, "x", 3));
+            assert_eq!(left_out.to_string(), "2 files not known as scans (6 bytes, such as x)", "{data}");
         }
         let dir = folder(&["velodyne_points/data/0.bin", "velodyne_points/timestamps.txt"]);
         assert_eq!(find(&dir, &["velodyne_points"]).unwrap().frames.len(), 1);
-        let two = folder(&["velodyne_points/data/0.bin", "velodyne/0.bin"]);
-        assert!(complaint(&two, &[""], "").contains("give one of them"));
+    }
+
+    #[test]
+    fn a_tree_gives_drive_after_drive_under_their_paths() {
+        let files = [
+            "b/velodyne/10.bin",
+            "b/velodyne/9.bin",
+            "a10/1.bin",
+            "a9/1.bin",
+            "a9/deep/velodyne_points/data/1.bin",
+        ];
+        let dir = folder(&files);
+        let found = find(&dir, &[""]).unwrap();
+        let drives: Vec<_> = found.frames.iter().map(|frame| (&frame.name[..], &frame.drive[..])).collect();
+        let expected = [
+            ("a9/1.bin", "a9"),
+            ("a9/deep/velodyne_points/data/1.bin", "a9/deep"),
+            ("a10/1.bin", "a10"),
+            ("b/velodyne/9.bin", "b"),
+            ("b/velodyne/10.bin", "b"),
+        ];
+        assert_eq!(drives, expected);
+    }
+
+    #[test]
+    fn all_is_what_else_there_is() {
+        let dir = folder(&["velodyne/0.bin", "velodyne/.1.bin", "image/0.png", "times.txt"]);
+        create_dir_all(dir.path().join("image/none")).unwrap();
+        let found = find_all(&[dir.path().to_path_buf()]).unwrap();
+        assert_eq!(names(&found.frames), ["velodyne/0.bin"]);
+        assert_eq!(names(&found.beside), ["image/0.png", "image/none/", "times.txt", "velodyne/.1.bin"]);
+        assert_eq!(found.left_out, []);
+        assert!(found.beside.iter().all(|file| file.drive.is_empty()));
     }
 
     #[test]
@@ -427,94 +529,5 @@ mod tests {
     fn a_control_character_does_not_reach_the_terminal() {
         let message = input_error(Path::new("a\n\u{1b}[2Jb"), "is odd").to_string();
         assert!(!message.contains(char::is_control), "{message:?}");
-    }
-
-    #[test]
-    fn natural_order_of_examples() {
-        let sorted = [
-            "",
-            "-1",
-            "0.bin",
-            "1.bin",
-            "01.bin",
-            "001.bin",
-            "1a.bin",
-            "2.bin",
-            "10.bin",
-            "A.bin",
-            "a.bin",
-            "a1.bin",
-            "a1b1",
-            "a1b02",
-            "a1b2c",
-            "a1b10",
-            "a99999999999999999999999",
-            "b",
-            "\u{e9}",
-        ];
-        for pair in sorted.windows(2) {
-            assert_eq!(natural_cmp(pair[0], pair[1]), Ordering::Less, "{pair:?}");
-            assert_eq!(natural_cmp(pair[1], pair[0]), Ordering::Greater, "{pair:?}");
-        }
-    }
-
-    #[test]
-    fn unsafe_names_are_refused() {
-        let long = "x".repeat(256);
-        for name in [
-            "",
-            ".",
-            "..",
-            "/",
-            "a/b",
-            "a\\b",
-            "../a",
-            "C:",
-            "c:a.bin",
-            "a.bin.",
-            "a.bin ",
-            "a\0",
-            "a\nb",
-            "a\u{7f}",
-            "a\u{85}",
-            "NUL",
-            "nul.bin",
-            "Con.tar.gz",
-            "com1",
-            "LPT9.bin",
-            "COM\u{b9}.bin",
-            "aux .bin",
-            "CONIN$",
-            &long,
-        ] {
-            assert!(!is_safe_name(name), "{name:?}");
-        }
-        for name in [
-            "0000000000.bin",
-            "a b.pcd",
-            ".hidden",
-            "..a",
-            "a..b",
-            "nully.bin",
-            "COM10.bin",
-            "n015__LIDAR_TOP__1.pcd.bin",
-            "2011-09-26 13:02:25.bin",
-            "caf\u{e9}.bin",
-            &long[1..],
-        ] {
-            assert!(is_safe_name(name), "{name:?}");
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn natural_order_is_total(names in prop::collection::vec("[0-2a./é-]{0,6}", 3)) {
-            let [a, b, c] = [&names[0], &names[1], &names[2]];
-            prop_assert_eq!(natural_cmp(a, b), natural_cmp(b, a).reverse());
-            prop_assert_eq!(natural_cmp(a, b) == Ordering::Equal, a == b);
-            if natural_cmp(a, b).is_le() && natural_cmp(b, c).is_le() {
-                prop_assert!(natural_cmp(a, c).is_le());
-            }
-        }
     }
 }

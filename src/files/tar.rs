@@ -62,12 +62,12 @@ impl<R: Read> TarReader<R> {
                 }
                 EntryType::Directory | EntryType::XGlobalHeader => {}
                 _ if name.is_empty() => {}
-                _ if name.starts_with('.') => self.left_out.add(LeftOutKind::Hidden, path),
-                EntryType::Symlink => self.left_out.add(LeftOutKind::Link, path),
+                _ if name.starts_with('.') => self.left_out.add(LeftOutKind::Hidden, path, size),
+                EntryType::Symlink => self.left_out.add(LeftOutKind::Link, path, 0),
                 EntryType::Fifo | EntryType::Char | EntryType::Block => {
-                    self.left_out.add(LeftOutKind::Special, path);
+                    self.left_out.add(LeftOutKind::Special, path, 0);
                 }
-                _ => self.left_out.add(LeftOutKind::File, path),
+                _ => self.left_out.add(LeftOutKind::File, path, size),
             }
             self.discard(size)?;
         }

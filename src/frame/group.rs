@@ -23,7 +23,7 @@ use crate::inter::registration::{Pose, QuantisedPose, register};
 use crate::scan::{ScanFile, Wrapping};
 use crate::scanner::RangeImage;
 use crate::scanner::Scanner;
-use crate::stream::container::{FrameHeader, Section, allowance, pay_for};
+use crate::stream::container::{FrameHeader, Section, Unit, allowance, pay_for};
 
 /// Encodes the frames of one group.
 pub struct GroupEncoder<'s> {
@@ -100,6 +100,9 @@ impl<'s> StreamEncoder<'s> {
 
     /// As [`GroupEncoder::encode_frame`].
     fn encode_frame(&mut self, scan: ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
+        if original.stamp.unit == Unit::Beside {
+            return self.encode_beside(&scan, original);
+        }
         let Positions::Bounded { max_error_um, on_grid } = self.config.positions else {
             return Ok(self.encode_as(self.config, scan, original)?.0);
         };
@@ -118,6 +121,18 @@ impl<'s> StreamEncoder<'s> {
         let (positions, intensity) = (Positions::Exact, Intensity::Exact);
         let exact = EncoderConfig { positions, intensity, ..self.config.clone() };
         Ok(self.encode_as(&exact, scan, original)?.0)
+    }
+
+    /// Encodes a file that is no scan, whatever the mode: as its bytes.
+    fn encode_beside(&mut self, file: &ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
+        let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
+        let whole = WholeFile::of_any_file(file, self.config.level)?;
+        let mut writer = SectionWriter::new(Effort::default());
+        self.models.code_frame(&mut writer, None, &mut Frame::of_whole(whole, 0))?;
+        steps.add(&writer.report);
+        pay_for(&mut writer.sections, original.file_size);
+        steps.count_sections(&writer.sections);
+        Ok(EncodedFrame { header: original, sections: writer.sections, steps })
     }
 
     /// Encodes the next frame with these settings. Returns the decoded file, if that differs.

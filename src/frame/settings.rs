@@ -306,6 +306,11 @@ impl EncoderConfig {
         })
     }
 
+    /// Whether every file comes back byte for byte.
+    pub fn is_exact(&self) -> bool {
+        (self.positions, self.intensity) == (Positions::Exact, Intensity::Exact)
+    }
+
     /// Checks that all settings are in range and fit together.
     ///
     /// # Errors

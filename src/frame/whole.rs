@@ -1,6 +1,6 @@
 //! A frame that is the bytes of its file, through a general-purpose coder: the floor under all models.
 
-use crate::backend::{self, LZMA, Level, ZSTD};
+use crate::backend::{self, LZMA, Level, STORE, ZSTD};
 use crate::files::{parse, plain_records};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -34,7 +34,36 @@ impl WholeFile {
                 best = (LZMA, hardest);
             }
         }
-        let mut payload = vec![best.0];
+        let whole = WholeFile::coded(bytes, records, best);
+        Ok((whole.payload.len() < most).then_some(whole))
+    }
+
+    /// A file that is no scan. What a quick coder cannot shorten, such as a picture, is stored.
+    ///
+    /// # Errors
+    /// If the coder's library fails.
+    pub fn of_any_file(file: &ScanFile, level: Level) -> Result<Self> {
+        /// The part of a file that a quick coder leaves of what no coder shortens much.
+        const COMPRESSED: f64 = 0.98;
+        let bytes = file.to_bytes()?;
+        let quick = backend::compress_quickly(&bytes)?;
+        let is_compressed = quick.len() as f64 >= COMPRESSED * bytes.len() as f64;
+        let mut best = (ZSTD, quick);
+        if !is_compressed && level.number() >= FLOOR_LEVEL {
+            let hardest = backend::compress_hardest(&bytes)?;
+            if hardest.len() < best.1.len() {
+                best = (LZMA, hardest);
+            }
+        }
+        if best.1.len() >= bytes.len() {
+            best = (STORE, bytes.clone());
+        }
+        Ok(WholeFile::coded(bytes, None, best))
+    }
+
+    /// A file, as the back-end of this number has coded it.
+    fn coded(bytes: Vec<u8>, records: Option<(Layout, usize)>, (backend, coded): (u8, Vec<u8>)) -> Self {
+        let mut payload = vec![backend];
         let mut layout = Vec::new();
         records.iter().for_each(|(records, _)| records.write_to(&mut layout));
         write_unsigned(&mut payload, layout.len() as u64);
@@ -42,8 +71,8 @@ impl WholeFile {
         let prefix = records.as_ref().map_or(0, |(_, prefix)| *prefix);
         write_unsigned(&mut payload, prefix as u64);
         write_unsigned(&mut payload, bytes.len() as u64);
-        payload.extend(best.1);
-        Ok((payload.len() < most).then_some(WholeFile { bytes, records, payload }))
+        payload.extend(coded);
+        WholeFile { bytes, records, payload }
     }
 
     /// The payload of the section.

@@ -74,19 +74,19 @@ impl<R: Read + Seek + Send> Decoder<R> {
         Decoder { threads, ..self }
     }
 
-    /// Number of frames.
+    /// Number of scans. Files that were kept beside them are not counted, nor decoded.
     pub fn len(&self) -> u64 {
-        self.groups.index().frame_count()
+        self.groups.index().scan_count()
     }
 
-    /// Whether there are no frames.
+    /// Whether there are no scans.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// What the index says of each frame.
+    /// What the index says of each scan.
     pub fn frames(&self) -> impl Iterator<Item = FrameInfo> {
-        let groups = self.groups.index().groups.iter();
+        let groups = self.groups.index().groups.iter().filter(|group| !group.is_beside());
         let frames = groups.flat_map(|group| (group.first_frame..).zip(&group.frames));
         frames.map(|(number, frame)| {
             let Stamp { unit, stream, time } = frame.stamp;
@@ -238,6 +238,9 @@ fn decode(job: GroupJob, options: &DecodeOptions) -> DecodedGroup {
     let mut scans = Vec::new();
     let error = decode_group(job, options, |frame| {
         let frame = frame.checked()?;
+        if frame.header.stamp.unit == Unit::Beside {
+            return Ok(());
+        }
         scans.push(Scan::of_parts(frame.scan, frame.header.stamp));
         Ok(())
     });

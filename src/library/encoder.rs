@@ -12,7 +12,7 @@ use crate::stream::FrameInput;
 use crate::stream::encoded::OpenStream;
 use crate::stream::encoder::{EncodedGroup, SequenceCoder};
 use crate::stream::ordered::Workers;
-use crate::stream::scanner_choice::{Scanners, choose_scanners};
+use crate::stream::scanner_choice::{Scanners, choose_scanners, records_of};
 
 /// Encodes scans as they come. The scanner is found in the first group of scans; groups are coded by threads of their
 /// own while more scans are pushed, and written as they are done. A few groups are in memory at a time.
@@ -37,7 +37,7 @@ enum State<W> {
 
 /// An encoder that knows its scanners.
 struct Coding<W> {
-    scanners: Arc<Scanners>,
+    scanners: Arc<Vec<Scanners>>,
     workers: Workers<Vec<EncodedGroup>>,
     stream: OpenStream<W>,
 }
@@ -128,7 +128,7 @@ impl<W: Write> Coding<W> {
     /// Finds the scanners, and begins the stream.
     fn begin(out: W, group: &[FrameInput], config: &EncoderConfig) -> Result<Self> {
         let scanners = Arc::new(choose_scanners(group, config)?);
-        let stream = OpenStream::begin(out, &scanners.records)?;
+        let stream = OpenStream::begin(out, &records_of(&scanners))?;
         Ok(Coding { scanners, workers: Workers::new(resolve_threads(config.threads))?, stream })
     }
 

@@ -279,6 +279,7 @@ impl CloudChannel {
         self.tries += 1;
         let frame = message::scan(data, self.encoding).map(|(scan, _)| FrameInput::scan(scan));
         let scanners = choose_scanners(frame.as_slice(), config)?;
+        let scanners = scanners.into_iter().next().ok_or_else(|| Error::Internal("no drive".to_owned()))?;
         if scanners.models.iter().any(Option::is_some) {
             self.tries = MOST_TRIES;
         }
@@ -451,6 +452,104 @@ impl<R: Read> Iterator for Clouds<'_, R> {
             }
         }
     }
+}
+
+/// What a recording holds.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Contents {
+    /// Its channels, in the order in which they first stand in it.
+    pub topics: Vec<Topic>,
+    /// Attachments and records of metadata.
+    pub attachments: u64,
+    /// What is wrong with the recording from there on.
+    pub cut_short: Option<String>,
+}
+
+/// A channel of a recording.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Topic {
+    /// Its topic.
+    pub name: String,
+    /// The name of its schema.
+    pub schema: String,
+    /// Its messages.
+    pub messages: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Of these, compressed clouds.
+    pub clouds: u64,
+    /// Points of these; 0 if they were not decoded.
+    pub points: u64,
+    /// Bytes of these before they were compressed; 0 if they were not decoded.
+    pub cloud_bytes: u64,
+}
+
+/// Lists what a recording holds, as far as it is whole; if `decodes`, every compressed cloud is decoded. `on_message` is
+/// called for each message.
+///
+/// # Errors
+/// If the input is no recording, or fails; if a payload is damaged.
+pub fn examine(
+    input: impl Read + Send,
+    decodes: bool,
+    threads: usize,
+    on_message: &(dyn Fn() + Sync),
+) -> Result<Contents> {
+    let mut records = Records::open(input)?;
+    let (mut schemas, mut places) = (HashMap::new(), HashMap::new());
+    let (topics, rest) = (Mutex::new(Vec::<Topic>::new()), Mutex::new((0, None)));
+    let locked = || topics.lock().unwrap_or_else(PoisonError::into_inner);
+    let jobs = std::iter::from_fn(|| {
+        loop {
+            match records.next()? {
+                Ok(Record::Schema { header, .. }) => drop(schemas.insert(header.id, header.name)),
+                Ok(Record::Channel(Channel { id, schema_id, topic: name, message_encoding, .. })) => {
+                    let schema = schemas.get(&schema_id).cloned().unwrap_or_default();
+                    places.entry(id).or_insert_with(|| {
+                        let mut topics = locked();
+                        topics.push(Topic { name, schema, ..Topic::default() });
+                        (topics.len() - 1, Encoding::of(&message_encoding))
+                    });
+                }
+                Ok(Record::Message { header, data }) => {
+                    let Some(&(place, encoding)) = places.get(&header.channel_id) else { continue };
+                    return Some(Ok((place, encoding, header, data.into_owned())));
+                }
+                Ok(Record::Attachment { .. } | Record::Metadata(_)) => {
+                    rest.lock().unwrap_or_else(PoisonError::into_inner).0 += 1;
+                }
+                Ok(_) => {}
+                Err(error) => {
+                    rest.lock().unwrap_or_else(PoisonError::into_inner).1 = Some(error.to_string());
+                    return None;
+                }
+            }
+        }
+    });
+    let work = |(place, encoding, header, data): (usize, Option<Encoding>, MessageHeader, Vec<u8>)| {
+        let bytes = data.len() as u64;
+        let is_compressed = encoding.is_some_and(|encoding| message::payload(&data, encoding).is_some());
+        let cloud = match encoding.filter(|_| decodes && is_compressed) {
+            Some(encoding) => unpack_message(header, data, encoding)?.cloud,
+            None => None,
+        };
+        Ok((place, bytes, is_compressed, cloud))
+    };
+    run_ordered(resolve_threads(threads), jobs.fuse(), work, |(place, bytes, is_compressed, cloud)| {
+        let topic = &mut locked()[place];
+        topic.messages += 1;
+        topic.bytes += bytes;
+        topic.clouds += u64::from(is_compressed);
+        if let Some((points, [_, before])) = cloud {
+            topic.points += points;
+            topic.cloud_bytes += before;
+        }
+        on_message();
+        Ok(())
+    })?;
+    let topics = topics.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let (attachments, cut_short) = rest.into_inner().unwrap_or_else(PoisonError::into_inner);
+    Ok(Contents { topics, attachments, cut_short })
 }
 
 /// Compares two recordings: how many messages they hold, if these are the same, one after the other: topic, sequence number,

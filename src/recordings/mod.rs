@@ -7,4 +7,4 @@
 mod mcap;
 mod message;
 
-pub use mcap::{Clouds, Copied, TopicFilter, pack, same_messages, unpack};
+pub use mcap::{Clouds, Contents, Copied, Topic, TopicFilter, examine, pack, same_messages, unpack};

@@ -78,9 +78,8 @@ pub fn decode<T: Send>(
     let reader = StreamReader::open(input, options.limits)?;
     let mut jobs = StreamedGroups::new(reader, options.frames);
     decode_jobs(&mut jobs, options, work, sink)?;
-    let frame_count = jobs.frame_count();
-    options.frames.check(frame_count)?;
-    Ok(frame_count)
+    options.frames.check(jobs.index().scan_count())?;
+    Ok(jobs.index().frame_count())
 }
 
 /// As [`decode`], but reads only the groups that hold the frames asked for. Returns how many frames
@@ -96,7 +95,7 @@ pub fn decode_indexed<T: Send>(
 ) -> Result<u64> {
     let reader = IndexedReader::open(input, options.limits)?;
     let frame_count = reader.index().frame_count();
-    options.frames.check(frame_count)?;
+    options.frames.check(reader.index().scan_count())?;
     decode_jobs(&mut IndexedGroups::new(reader, options.frames), options, work, sink)?;
     Ok(frame_count)
 }

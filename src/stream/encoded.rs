@@ -6,7 +6,7 @@ use super::encoder::EncodedGroup;
 use crate::frame::parameters::Source;
 use crate::frame::steps::StepReport;
 use crate::ground::error::Result;
-use crate::stream::container::{Frame, FrameHeader, Index, ScannerRecord, SectionKind, StreamWriter};
+use crate::stream::container::{Frame, FrameHeader, Index, ScannerRecord, SectionKind, StreamWriter, Unit};
 
 /// What was encoded.
 #[derive(Clone, Debug, Default)]
@@ -23,6 +23,12 @@ pub struct Encoded {
     pub outliers: u64,
     /// Points lost because the range image had no cell of their own for them.
     pub lost: u64,
+    /// Files beside the scans. They are among the frames.
+    pub beside: u64,
+    /// Bytes of these.
+    pub beside_bytes: u64,
+    /// Bytes of these as they are coded.
+    pub beside_coded: u64,
     /// Frames that no model fits, so that a general-purpose coder took the bytes of their files.
     pub unmodelled: u64,
     /// Frames that were taken over from an interrupted run. Of these, steps have no times.
@@ -52,7 +58,8 @@ impl FrameOfStream {
     /// # Errors
     /// If the frame's parameters are damaged.
     pub(crate) fn of(frame: &Frame, steps: StepReport) -> Result<Self> {
-        let is_modelled = frame.sections.iter().all(|section| section.kind != SectionKind::Bytes);
+        let is_modelled = frame.header.stamp.unit == Unit::Beside
+            || frame.sections.iter().all(|section| section.kind != SectionKind::Bytes);
         Ok(FrameOfStream { header: frame.header.clone(), steps, source: Source::of(frame)?, is_modelled })
     }
 }
@@ -66,6 +73,11 @@ impl Encoded {
         self.outliers += frame.source.outliers;
         self.lost += frame.source.lost;
         self.unmodelled += u64::from(!frame.is_modelled);
+        if frame.header.stamp.unit == Unit::Beside {
+            self.beside += 1;
+            self.beside_bytes += frame.header.file_size;
+            self.beside_coded += frame.steps.coded();
+        }
         self.frames.push(frame.header);
     }
 }

@@ -7,7 +7,7 @@ use std::mem;
 use super::encoded::{Encoded, OpenStream};
 use super::input::{FrameInput, ReadFrame};
 use super::ordered::run_ordered;
-use super::scanner_choice::{Scanners, choose_scanners};
+use super::scanner_choice::{Scanners, choose_scanners, records_of};
 use crate::frame::group::GroupEncoder;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::frame::steps::StepReport;
@@ -32,7 +32,7 @@ pub fn encode<W: Write>(
     on_frame: &(dyn Fn() + Sync),
 ) -> Result<Encoded> {
     config.check()?;
-    encode_groups(choose_scanners(frames, config)?, groups_of(frames, config), config, out, on_frame)
+    encode_groups(&choose_scanners(frames, config)?, groups_of(frames, config), config, out, on_frame)
 }
 
 /// As [`encode`], of frames that are yet to come: each group is written as soon as it is coded, which does
@@ -55,7 +55,7 @@ pub fn encode_live<W: Write>(
     });
     let first: Option<Cow<'_, [FrameInput]>> = groups.next().transpose()?;
     let scanners = choose_scanners(first.as_deref().unwrap_or_default(), config)?;
-    encode_groups(scanners, first.map(Ok).into_iter().chain(groups), config, out, on_frame)
+    encode_groups(&scanners, first.map(Ok).into_iter().chain(groups), config, out, on_frame)
 }
 
 /// A stream of one frame, of a scanner that is known.
@@ -69,7 +69,8 @@ pub(crate) fn encode_alone(
     config: &EncoderConfig,
 ) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    let mut stream = OpenStream::begin(&mut bytes, &scanners.records)?;
+    let scanners = std::slice::from_ref(scanners);
+    let mut stream = OpenStream::begin(&mut bytes, &records_of(scanners))?;
     stream.write(&SequenceCoder::new(scanners, config, &|| ()).encode_frames(vec![frame])?)?;
     stream.finish()?;
     Ok(bytes)
@@ -77,14 +78,14 @@ pub(crate) fn encode_alone(
 
 /// Encodes groups of frames.
 fn encode_groups<'f, W: Write>(
-    scanners: Scanners,
+    scanners: &[Scanners],
     groups: impl Iterator<Item = Result<Cow<'f, [FrameInput]>>> + Send,
     config: &EncoderConfig,
     out: W,
     on_frame: &(dyn Fn() + Sync),
 ) -> Result<Encoded> {
-    let mut stream = OpenStream::begin(out, &scanners.records)?;
-    let coder = SequenceCoder::new(&scanners, config, on_frame);
+    let mut stream = OpenStream::begin(out, &records_of(scanners))?;
+    let coder = SequenceCoder::new(scanners, config, on_frame);
     coder.run(groups, |groups| stream.write(&groups))?;
     stream.finish()
 }
@@ -94,19 +95,22 @@ pub(crate) fn groups_of<'f>(
     frames: &'f [FrameInput],
     config: &EncoderConfig,
 ) -> impl Iterator<Item = Result<Cow<'f, [FrameInput]>>> + Send + use<'f> {
-    frames.chunks(config.gop).map(|group| Ok(Cow::Borrowed(group)))
+    let gop = config.gop;
+    let drives = frames.chunk_by(|one, next| one.drive() == next.drive());
+    drives.flat_map(move |drive| drive.chunks(gop)).map(|group| Ok(Cow::Borrowed(group)))
 }
 
 /// What all groups of a sequence share.
 pub(crate) struct SequenceCoder<'a> {
-    scanners: &'a Scanners,
+    /// Of each drive.
+    scanners: &'a [Scanners],
     config: &'a EncoderConfig,
     on_frame: &'a (dyn Fn() + Sync),
 }
 
 impl<'a> SequenceCoder<'a> {
-    /// For groups of streams of these scanners.
-    pub fn new(scanners: &'a Scanners, config: &'a EncoderConfig, on_frame: &'a (dyn Fn() + Sync)) -> Self {
+    /// For groups of drives with these scanners.
+    pub fn new(scanners: &'a [Scanners], config: &'a EncoderConfig, on_frame: &'a (dyn Fn() + Sync)) -> Self {
         SequenceCoder { scanners, config, on_frame }
     }
 
@@ -123,18 +127,19 @@ impl<'a> SequenceCoder<'a> {
         run_ordered(resolve_threads(self.config.threads), groups, work, write)
     }
 
-    /// Encodes frames as one group; as more if they are very large.
+    /// Encodes frames of one drive as one group; as more if they are very large.
     ///
     /// # Errors
     /// As [`encode`].
     pub fn encode_frames(&self, inputs: Vec<FrameInput>) -> Result<Vec<EncodedGroup>> {
         let mut groups = Vec::new();
-        let mut open = OpenGroup::new(self);
+        let drive = inputs.first().map_or(0, FrameInput::drive);
+        let mut open = OpenGroup::new(self, drive);
         for input in inputs {
             let path = input.path();
             let frame = input.into_frame(self.config.headerless.as_ref())?;
             if !open.has_room_for(&frame) {
-                groups.push(mem::replace(&mut open, OpenGroup::new(self)).encoded);
+                groups.push(mem::replace(&mut open, OpenGroup::new(self, drive)).encoded);
             }
             open.encode_frame(frame).map_err(|e| e.at(path))?;
             (self.on_frame)();
@@ -163,11 +168,12 @@ struct OpenGroup<'s> {
 }
 
 impl<'s> OpenGroup<'s> {
-    fn new(sequence: &SequenceCoder<'s>) -> Self {
-        let group = Group { scanners: sequence.scanners.ids.clone(), frames: Vec::new() };
-        let models: Vec<_> = sequence.scanners.models.iter().map(Option::as_ref).collect();
+    fn new(sequence: &SequenceCoder<'s>, drive: usize) -> Self {
+        let scanners = &sequence.scanners[drive];
+        let group = Group { scanners: scanners.ids.clone(), frames: Vec::new() };
+        let models: Vec<_> = scanners.models.iter().map(Option::as_ref).collect();
         OpenGroup {
-            scanners: sequence.scanners,
+            scanners,
             coder: GroupEncoder::new(&models, sequence.config),
             encoded: EncodedGroup { group, steps: Vec::new(), originals: Vec::new(), file_bytes: 0 },
         }

@@ -3,23 +3,28 @@
 use std::fs;
 use std::path::PathBuf;
 
-use crate::files::sequence::check_name;
+use crate::files::names::check_name;
+#[cfg(feature = "cli")]
+use crate::files::sequence::FoundFile;
 use crate::files::{self, HeaderlessLayout, parse_with};
 use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
 use crate::stream::container::{FrameHeader, STREAMS_MAX, Stamp, Unit};
+#[cfg(feature = "cli")]
+use crate::stream::container::{Time, TimeSource};
 
 /// One frame to encode.
 #[derive(Clone, Debug)]
 pub struct FrameInput {
     data: Data,
     stamp: Stamp,
+    drive: usize,
 }
 
 /// Where its points are.
 #[derive(Clone, Debug)]
 enum Data {
-    File(PathBuf),
+    File { path: PathBuf, name: String },
     Memory { name: String, bytes: Vec<u8> },
     Scan(Box<ScanFile>),
 }
@@ -33,27 +38,64 @@ pub(crate) struct ReadFrame {
 }
 
 impl FrameInput {
-    /// A file, read when its turn comes. The frame gets the file's name, without the folder.
-    pub fn file(path: PathBuf) -> Self {
-        FrameInput { data: Data::File(path), stamp: Stamp::default() }
+    /// A file, read when its turn comes, and the name to give back on decoding, which may have folders with `/` between
+    /// them.
+    pub fn file(path: PathBuf, name: String) -> Self {
+        FrameInput { data: Data::File { path, name }, stamp: Stamp::default(), drive: 0 }
+    }
+
+    /// A file [beside](Unit::Beside) the scans, which is kept as plain bytes; or, if the name ends in `/`, an empty folder.
+    pub fn beside(path: PathBuf, name: String) -> Self {
+        let stamp = Stamp { unit: Unit::Beside, ..Stamp::default() };
+        FrameInput::file(path, name).stamped(stamp)
     }
 
     /// A file's bytes, and the name to give back on decoding.
     pub fn memory(name: String, bytes: Vec<u8>) -> Self {
-        FrameInput { data: Data::Memory { name, bytes }, stamp: Stamp::default() }
+        FrameInput { data: Data::Memory { name, bytes }, stamp: Stamp::default(), drive: 0 }
     }
 
     /// What is already taken apart: [points](Unit::Points) that never were a file, which need no name, unless
     /// [`stamped`](Self::stamped) says otherwise.
     pub fn scan(scan: ScanFile) -> Self {
         let stamp = Stamp { unit: Unit::Points, ..Stamp::default() };
-        FrameInput { data: Data::Scan(Box::new(scan)), stamp }
+        FrameInput { data: Data::Scan(Box::new(scan)), stamp, drive: 0 }
     }
 
     /// The same, saying what it is, of which stream, and of when; if this is not said, it is a file of the
     /// first stream, of which no time is known.
     pub fn stamped(self, stamp: Stamp) -> Self {
         FrameInput { stamp, ..self }
+    }
+
+    /// What was found below an input; frames of different drives are told apart.
+    #[cfg(feature = "cli")]
+    pub fn found(files: impl IntoIterator<Item = FoundFile>) -> Vec<Self> {
+        let (mut inputs, mut last, mut number) = (Vec::new(), None, 0);
+        for FoundFile { path, name, drive, time } in files {
+            if last.as_ref().is_some_and(|last| *last != drive) {
+                number += 1;
+            }
+            last = Some(drive);
+            let time = time.map(|found| Time {
+                source: if found.is_listed { TimeSource::List } else { TimeSource::FileName },
+                nanoseconds: found.nanoseconds,
+            });
+            let stamp = Stamp { time, ..Stamp::default() };
+            inputs.push(FrameInput::file(path, name).stamped(stamp).of_drive(number));
+        }
+        inputs
+    }
+
+    /// The same, of the drive of this number: frames of different drives share no group, and each drive has its own
+    /// scanners. Frames of one drive follow each other.
+    pub fn of_drive(self, drive: usize) -> Self {
+        FrameInput { drive, ..self }
+    }
+
+    /// The number of its drive.
+    pub(crate) fn drive(&self) -> usize {
+        self.drive
     }
 
     /// What it is, of which stream, and of when.
@@ -67,17 +109,13 @@ impl FrameInput {
     /// If no decoder would write a file of that name.
     pub fn name(&self) -> Result<&str> {
         let name = match &self.data {
-            Data::File(path) => path.file_name().and_then(|name| name.to_str()),
-            Data::Memory { name, .. } => Some(name.as_str()),
-            Data::Scan(scan) => Some(scan.name.as_str()),
+            Data::File { name, .. } | Data::Memory { name, .. } => name,
+            Data::Scan(scan) => &scan.name,
         };
         let can_do_without = self.stamp.unit != Unit::File;
-        let name = name.ok_or_else(|| {
-            let what = "has a name that is not UTF-8 text; rename the file".to_owned();
-            Error::Input { path: self.path(), what }
-        })?;
         if !(name.is_empty() && can_do_without) {
-            check_name(&self.path(), name)?;
+            let folder = name.strip_suffix('/').filter(|_| self.stamp.unit == Unit::Beside);
+            check_name(&self.path(), folder.unwrap_or(name))?;
         }
         Ok(name)
     }
@@ -85,11 +123,16 @@ impl FrameInput {
     /// Where it comes from, for errors.
     pub(crate) fn path(&self) -> PathBuf {
         match &self.data {
-            Data::File(path) => path.clone(),
+            Data::File { path, .. } => path.clone(),
             Data::Memory { name, .. } => PathBuf::from(name),
             Data::Scan(scan) if scan.name.is_empty() => PathBuf::from("scan"),
             Data::Scan(scan) => PathBuf::from(&scan.name),
         }
+    }
+
+    /// Whether it is an empty folder.
+    fn is_folder(&self) -> bool {
+        self.stamp.unit == Unit::Beside && self.name().is_ok_and(|name| name.ends_with('/'))
     }
 
     /// Bytes of the file.
@@ -98,7 +141,8 @@ impl FrameInput {
     /// If the file's size cannot be read.
     pub fn size(&self) -> Result<u64> {
         match &self.data {
-            Data::File(path) => Ok(fs::metadata(path).map_err(|e| Error::from(e).at(path))?.len()),
+            Data::File { .. } if self.is_folder() => Ok(0),
+            Data::File { path, .. } => Ok(fs::metadata(path).map_err(|e| Error::from(e).at(path))?.len()),
             Data::Memory { bytes, .. } => Ok(bytes.len() as u64),
             Data::Scan(scan) => {
                 let records = (scan.records as u64).saturating_mul(scan.layout.stride() as u64);
@@ -118,8 +162,10 @@ impl FrameInput {
     fn into_bytes(self) -> Result<Vec<u8>> {
         check_limit("bytes of a file", self.size()?, Limits::default().file_bytes)
             .map_err(|e| e.at(self.path()))?;
+        let is_folder = self.is_folder();
         match self.data {
-            Data::File(path) => fs::read(&path).map_err(|e| Error::from(e).at(path)),
+            Data::File { .. } if is_folder => Ok(Vec::new()),
+            Data::File { path, .. } => fs::read(&path).map_err(|e| Error::from(e).at(path)),
             Data::Memory { bytes, .. } => Ok(bytes),
             Data::Scan(scan) => scan.to_bytes(),
         }
@@ -147,9 +193,13 @@ impl FrameInput {
                 }
                 (header_of(&scan)?, *scan)
             }
-            Data::File(_) | Data::Memory { .. } => {
+            Data::File { .. } | Data::Memory { .. } => {
                 let bytes = self.into_bytes()?;
-                (FrameHeader::of(&name, &bytes, 0), parse_with(&name, bytes, headerless))
+                let header = FrameHeader::of(&name, &bytes, 0);
+                match stamp.unit {
+                    Unit::Beside => (header, ScanFile::opaque(name, bytes)),
+                    _ => (header, parse_with(&name, bytes, headerless)),
+                }
             }
         };
         check_limit("bytes of a file", header.file_size, Limits::default().file_bytes)?;

@@ -48,6 +48,12 @@ impl FrameRange {
         count > 0 && !self.is_past(first) && first.saturating_add(count) > self.start
     }
 
+    /// Whether a group of `count` frames from `first` on is to be read: files beside the scans are if all frames are, and
+    /// have no numbers of their own otherwise.
+    pub fn wants(&self, first: u64, count: u64, is_beside: bool) -> bool {
+        self.overlaps(first, count) && (!is_beside || self.is_all())
+    }
+
     /// How many of a sequence of `count` frames these are.
     pub fn count_of(&self, count: u64) -> u64 {
         self.end.map_or(count, |end| end.min(count)).saturating_sub(self.start)

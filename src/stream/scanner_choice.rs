@@ -10,12 +10,12 @@ use crate::ground::error::Result;
 use crate::scan::ScanFile;
 use crate::scanner::motion;
 use crate::scanner::{self, Scanner};
-use crate::stream::container::{ScannerId, ScannerRecord};
+use crate::stream::container::{ScannerId, ScannerRecord, Unit};
 
 /// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 
-/// The scanners of a sequence.
+/// The scanners of a drive.
 pub(crate) struct Scanners {
     /// That of each stream, if there is a model that it fits.
     pub models: Vec<Option<Scanner>>,
@@ -43,11 +43,33 @@ impl Scanners {
     }
 }
 
-/// The scanners of a sequence that these frames are of.
+/// The scanners of the drives that these frames are of, by the drives' numbers; at least one.
 ///
 /// # Errors
 /// If a file cannot be read.
-pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> Result<Scanners> {
+pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<Scanners>> {
+    let last = frames.iter().map(FrameInput::drive).max().unwrap_or(0);
+    let mut scanners: Vec<_> = (0..=last).map(|_| Scanners::new(vec![None])).collect();
+    for frames in frames.chunk_by(|one, next| one.drive() == next.drive()) {
+        if frames[0].stamp().unit != Unit::Beside {
+            scanners[frames[0].drive()] = scanners_of_drive(frames, config)?;
+        }
+    }
+    Ok(scanners)
+}
+
+/// The records of the scanners of several drives: each once.
+pub(crate) fn records_of(scanners: &[Scanners]) -> Vec<ScannerRecord> {
+    let mut records: Vec<ScannerRecord> = Vec::new();
+    for record in scanners.iter().flat_map(|scanners| &scanners.records) {
+        if !records.contains(record) {
+            records.push(record.clone());
+        }
+    }
+    records
+}
+
+fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<Scanners> {
     let last = frames.iter().map(|frame| frame.stamp().stream).max().unwrap_or(0);
     let mut models = Vec::new();
     for stream in 0..=last {

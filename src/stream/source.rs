@@ -8,7 +8,7 @@ use super::options::FrameRange;
 use crate::ground::error::{Error, Result};
 use crate::scanner::Scanner;
 use crate::stream::container::{
-    Group, GroupEntry, Index, IndexedReader, Record, ScannerId, ScannerRecord, StreamReader,
+    Group, GroupEntry, Index, IndexedReader, Record, ScannerId, ScannerRecord, StreamReader, Unit,
 };
 
 /// A group, with all that it takes to decode or to copy it.
@@ -100,16 +100,17 @@ impl<R: Read> StreamedGroups<R> {
         StreamedGroups { reader, scanners: UsedScanners::default(), range }
     }
 
-    /// Frames in all groups so far, wanted or not; after the last group, those of the stream.
-    pub fn frame_count(&self) -> u64 {
-        self.reader.index().frame_count()
+    /// Where all records so far are, wanted or not; after the last group, those of the stream.
+    pub fn index(&self) -> &Index {
+        self.reader.index()
     }
 
     fn next_job(&mut self) -> Result<Option<GroupJob>> {
         while let Some(record) = self.reader.next_record()? {
             let Record::Group(group) = record else { continue };
-            let first_frame = self.frame_count() - group.frames.len() as u64;
-            if self.range.overlaps(first_frame, group.frames.len() as u64) {
+            let first_frame = self.index().frame_count() - group.frames.len() as u64;
+            let is_beside = group.frames.first().is_some_and(|frame| frame.header.stamp.unit == Unit::Beside);
+            if self.range.wants(first_frame, group.frames.len() as u64, is_beside) {
                 let read = |id| self.reader.scanner(id).cloned().ok_or_else(|| missing(id));
                 let scanners = self.scanners.of_group(&group, read)?;
                 return Ok(Some(GroupJob { first_frame, scanners, group }));
@@ -159,7 +160,7 @@ impl<R: Read + Seek> IndexedGroups<R> {
             let (first_frame, count) = (entry.first_frame, entry.frames.len() as u64);
             let place = self.place;
             self.place += 1;
-            if self.range.overlaps(first_frame, count) {
+            if self.range.wants(first_frame, count, entry.is_beside()) {
                 let group = self.reader.read_group(place)?;
                 let scanners = self.scanners.of_group(&group, |id| self.reader.read_scanner(id))?;
                 return Ok(Some(GroupJob { first_frame, scanners, group }));

@@ -47,9 +47,15 @@ def main():
             if arguments.list:
                 print(f"{frame.name} {len(file)} {crc32c(file):08x} {frame.point_count}", flush=True)
             else:
-                if os.path.basename(frame.name) != frame.name or frame.name in ("", ".", ".."):
-                    raise Refused("a name that is a path")
-                with open(os.path.join(arguments.folder, frame.name), "wb") as out:
+                parts = frame.name.removesuffix("/").split("/")
+                if any(part in ("", ".", "..") or "\\" in part for part in parts):
+                    raise Refused("a name that leaves the folder")
+                path = os.path.join(arguments.folder, *parts)
+                if frame.name.endswith("/"):
+                    os.makedirs(path, exist_ok=True)
+                    continue
+                os.makedirs(os.path.dirname(path), exist_ok=True)
+                with open(path, "wb") as out:
                     out.write(file)
             if left is not None:
                 left -= 1

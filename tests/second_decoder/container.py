@@ -8,6 +8,8 @@ MAGIC = b"\x89LPC"
 VERSION = 1
 
 SCANNER, GROUP, INDEX, END = 1, 2, 3, 4
+# The unit of a file beside the scans, 2.5.
+BESIDE = 3
 SKIPPABLE = 0x80
 
 FILE, COLUMNS, OCCUPANCY, RANGE, CORRECTION, INTENSITY, ORDER, POINTS, CHANNELS, PARAMETERS = range(1, 11)
@@ -95,7 +97,7 @@ class Reader:
 def stamp(reader):
     """Of a frame, in its header and in the index: unit, stream, time_source, time."""
     unit, stream, time_source = reader.varint(), reader.varint(), reader.varint()
-    if unit > 2 or stream > 254 or time_source > 3:
+    if unit > BESIDE or stream > 254 or time_source > 3:
         raise Refused("an unknown unit, stream or source of time")
     return unit, stream, time_source, reader.svarint() if time_source else None
 
@@ -106,7 +108,7 @@ class Frame:
     def __init__(self, reader, scanner_count):
         start = reader.at
         length = reader.varint()
-        if length > 255:
+        if length > 4095:
             raise Refused("a name is too long")
         self.name = str(reader.take(length), "utf-8")
         self.stamp = stamp(reader)
@@ -141,6 +143,9 @@ class Group:
             raise Refused("a group has a scanner that does not stand before it")
         self.scanners = [scanners[name - 1] if name else None for name in names]
         self.frames = [Frame(reader, count) for _ in range(reader.varint())]
+        self.is_beside = any(frame.stamp[0] == BESIDE for frame in self.frames)
+        if self.is_beside and any(frame.stamp[0] != BESIDE for frame in self.frames):
+            raise Refused("a file beside the scans, in a group with scans")
         reader.end()
 
 
@@ -158,6 +163,7 @@ def groups(data):
     copies = {}
     places = []
     index = None
+    has_beside = False
     while True:
         start = reader.at
         kind, payload, crc = reader.block()
@@ -174,6 +180,9 @@ def groups(data):
             offsets.append(start)
         elif kind == GROUP:
             group = Group(payload, scanners)
+            if has_beside and not group.is_beside:
+                raise Refused("scans after the files beside them")
+            has_beside = group.is_beside
             places.append((start, reader.at - start, crc, group_entry(group)))
             yield group
         elif kind == INDEX:

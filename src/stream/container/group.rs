@@ -3,14 +3,14 @@
 use super::index::FrameEntry;
 use super::scanner::ScannerId;
 use super::section::Section;
-use super::stamp::Stamp;
+use super::stamp::{Stamp, Unit};
 use super::wire::{take, take_u32};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 use crate::ground::{SKIPPABLE, SectionKind};
 
-/// The longest name of a frame, in bytes: what file systems allow.
-const NAME_MAX: u64 = 255;
+/// The longest name of a frame, in bytes: as long as paths may be.
+const NAME_MAX: u64 = 4095;
 
 /// The most streams that take turns in a group.
 pub const STREAMS_MAX: u64 = 255;
@@ -18,7 +18,7 @@ pub const STREAMS_MAX: u64 = 255;
 /// What a frame decodes to, without decoding it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FrameHeader {
-    /// The file's name, without any folder. It comes from the stream: check it before use as a path.
+    /// The file's name, perhaps with folders above it, and `/` between them. It comes from the stream: check it before use as a path.
     pub name: String,
     /// What it is, whose, and of when.
     pub stamp: Stamp,
@@ -185,6 +185,13 @@ impl Group {
             let stamp = frame.header.stamp;
             if usize::from(stamp.stream) >= scanners.len() {
                 let what = format!("stream {} of {}", stamp.stream, scanners.len());
+                return Err(Error::corrupt(what).within_frame_of_group(number));
+            }
+            if entries
+                .first()
+                .is_some_and(|first: &FrameEntry| first.is_beside() != (stamp.unit == Unit::Beside))
+            {
+                let what = "a file beside the scans, in a group with scans".to_owned();
                 return Err(Error::corrupt(what).within_frame_of_group(number));
             }
             file_bytes = file_bytes.saturating_add(frame.header.file_size);

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use super::header::{FIELDS_LENGTH, StreamHeader};
 use super::scanner::ScannerId;
-use super::stamp::Stamp;
+use super::stamp::{Stamp, Unit};
 use super::wire::take_u32;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -42,6 +42,25 @@ pub struct FrameEntry {
     pub stamp: Stamp,
 }
 
+impl FrameEntry {
+    /// Whether it is a file beside the scans.
+    pub fn is_beside(&self) -> bool {
+        self.stamp.unit == Unit::Beside
+    }
+}
+
+impl GroupEntry {
+    /// The number of the frame after its last.
+    pub fn end(&self) -> u64 {
+        self.first_frame + self.frames.len() as u64
+    }
+
+    /// Whether it holds files beside the scans.
+    pub fn is_beside(&self) -> bool {
+        self.frames.first().is_some_and(FrameEntry::is_beside)
+    }
+}
+
 /// Where all records are.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Index {
@@ -53,9 +72,14 @@ pub struct Index {
 }
 
 impl Index {
+    /// Frames that are no files beside the scans. They are the first.
+    pub fn scan_count(&self) -> u64 {
+        self.groups.iter().rfind(|group| !group.is_beside()).map_or(0, GroupEntry::end)
+    }
+
     /// Frames in all groups.
     pub fn frame_count(&self) -> u64 {
-        self.groups.last().map_or(0, |group| group.first_frame + group.frames.len() as u64)
+        self.groups.last().map_or(0, GroupEntry::end)
     }
 
     /// The scanners, in the order of their first records.
@@ -79,9 +103,23 @@ impl Index {
     }
 
     /// Adds the group whose record starts at `offset`.
-    pub(super) fn push_group(&mut self, offset: u64, length: u64, crc: u32, frames: Vec<FrameEntry>) {
+    ///
+    /// # Errors
+    /// If it holds scans, and the group before it files beside them.
+    pub(super) fn push_group(
+        &mut self,
+        offset: u64,
+        length: u64,
+        crc: u32,
+        frames: Vec<FrameEntry>,
+    ) -> Result<()> {
         let first_frame = self.frame_count();
-        self.groups.push(GroupEntry { offset, length, crc, first_frame, frames });
+        let group = GroupEntry { offset, length, crc, first_frame, frames };
+        if self.groups.last().is_some_and(GroupEntry::is_beside) && !group.is_beside() {
+            return Err(Error::corrupt("scans after the files beside them"));
+        }
+        self.groups.push(group);
+        Ok(())
     }
 
     /// Forgets the records from this offset on.
@@ -142,7 +180,7 @@ impl Index {
             for frame in &mut frames {
                 frame.stamp = Stamp::read_from(input)?;
             }
-            index.push_group(offset, length, crc, frames);
+            index.push_group(offset, length, crc, frames)?;
         }
         if !input.is_empty() {
             return Err(Error::corrupt("bytes left over"));

@@ -112,7 +112,7 @@ impl<R: Read> StreamReader<R> {
                 let group = Group::read_from(&raw.payload, &self.limits);
                 let (group, frames) = group.map_err(|e| e.counted_from(first_frame))?;
                 check_reference(&group, &self.seen)?;
-                self.seen.push_group(offset, raw.length, raw.crc, frames);
+                self.seen.push_group(offset, raw.length, raw.crc, frames)?;
                 return Ok(Some(Record::Group(group)));
             }
             INDEX => {

@@ -13,10 +13,12 @@ pub enum Unit {
     Message = 1,
     /// Points that were handed over in memory.
     Points = 2,
+    /// A file that is no scan, but stood beside the scans; or an empty folder, if its name ends in `/`.
+    Beside = 3,
 }
 
 impl Unit {
-    const ALL: [Unit; 3] = [Unit::File, Unit::Message, Unit::Points];
+    const ALL: [Unit; 4] = [Unit::File, Unit::Message, Unit::Points, Unit::Beside];
 
     /// Its name in reports.
     pub fn name(self) -> &'static str {
@@ -24,6 +26,7 @@ impl Unit {
             Unit::File => "file",
             Unit::Message => "message",
             Unit::Points => "points",
+            Unit::Beside => "file beside the scans",
         }
     }
 }
@@ -120,7 +123,7 @@ mod tests {
             .into_iter()
             .flat_map(|nanoseconds| TimeSource::ALL.map(|source| Some(Time { source, nanoseconds })));
         for time in times.chain([None]) {
-            for (unit, stream) in Unit::ALL.into_iter().zip([0, 7, 254]) {
+            for (unit, stream) in Unit::ALL.into_iter().zip([0, 7, 254, 1]) {
                 let stamp = Stamp { unit, stream, time };
                 let mut bytes = Vec::new();
                 stamp.write_to(&mut bytes);
@@ -135,7 +138,7 @@ mod tests {
     #[test]
     fn what_is_unknown_is_named() {
         for (bytes, complaint) in [
-            (&[3u8, 0, 0][..], "unknown unit 3"),
+            (&[4u8, 0, 0][..], "unknown unit 4"),
             (&[0, 0x80, 2, 0], "stream 256"),
             (&[0, 0, 4, 0], "unknown source 4"),
             (&[0, 0, 1], "frame's time"),

@@ -102,7 +102,10 @@ impl<W: Write> StreamWriter<W> {
         let frames = group.write_to(&mut payload);
         let written = write_record(&mut self.out, GROUP, &payload)?;
         self.out.flush()?;
-        self.index.push_group(self.position, written.length, written.crc, frames);
+        let what = "its files beside the scans would come before other scans; give it last, or cut them off";
+        self.index
+            .push_group(self.position, written.length, written.crc, frames)
+            .map_err(|_| Error::Usage(what.to_owned()))?;
         self.position += written.length;
         Ok(())
     }

@@ -1,0 +1,93 @@
+//! `lidarpc estimate`
+
+use std::time::Instant;
+
+use crate::files::sequence::find_frames;
+use crate::frame::settings::resolve_threads;
+use crate::stream::{self, FrameInput};
+use crate::study::metrics;
+use anyhow::Result;
+use serde::Serialize;
+
+use super::args::EstimateArgs;
+use super::errors::about;
+use super::output::print_json;
+use super::{coding, frames, progress, table};
+
+/// Places of the sequence where groups are encoded.
+const GROUPS: usize = 3;
+
+/// What encoding is expected to come to.
+#[derive(Serialize)]
+struct Estimate {
+    frames: usize,
+    /// Frames that were encoded.
+    sample: usize,
+    file_bytes: u64,
+    stream_bytes: u64,
+    ratio: Option<f64>,
+    seconds: f64,
+    threads: usize,
+}
+
+pub fn run(args: &EstimateArgs, quiet: bool) -> Result<()> {
+    let mut config = coding::config("estimate", &args.coding, &args.threads);
+    let found = find_frames(&args.inputs)?.frames;
+    let place = frames::name_of_inputs(&args.inputs);
+    frames::settle_layout(&found, &mut config, &place, quiet)?;
+    let all = FrameInput::found(found);
+    let places = sample_places(all.len(), config.gop);
+    let sample: Vec<_> =
+        places.into_iter().flat_map(|start| all[start..].iter().take(config.gop).cloned()).collect();
+    let bar = progress::bar(Some(sample.len() as u64), "encoding a sample", quiet);
+    let start = Instant::now();
+    let encoded = stream::encode(&sample, &config, std::io::sink(), &|| bar.inc(1));
+    let seconds = start.elapsed().as_secs_f64();
+    bar.finish_and_clear();
+    let encoded = encoded.map_err(|error| about(error, &place))?;
+    let total = all.iter().map(FrameInput::size).sum::<crate::ground::error::Result<u64>>()?;
+    let share = total as f64 / encoded.file_bytes().max(1) as f64;
+    let estimate = Estimate {
+        frames: all.len(),
+        sample: sample.len(),
+        file_bytes: total,
+        stream_bytes: (encoded.stream_bytes as f64 * share).round() as u64,
+        ratio: metrics::ratio(encoded.file_bytes(), encoded.stream_bytes),
+        seconds: seconds * share,
+        threads: resolve_threads(config.threads),
+    };
+    if args.json {
+        return print_json(&estimate);
+    }
+    println!(
+        "{}: {} -> about {} ({}), in about {:.0} s on {}; by {} of them",
+        table::count(estimate.frames as u64, "frame"),
+        table::bytes(estimate.file_bytes),
+        table::bytes(estimate.stream_bytes),
+        table::percent(estimate.ratio),
+        estimate.seconds.ceil(),
+        table::count(estimate.threads as u64, "thread"),
+        estimate.sample,
+    );
+    Ok(())
+}
+
+/// Where groups of the sample begin: at the beginning, the end, and evenly between.
+fn sample_places(frames: usize, group: usize) -> Vec<usize> {
+    if frames <= GROUPS * group {
+        return (0..frames).step_by(group).collect();
+    }
+    (0..GROUPS).map(|place| place * (frames - group) / (GROUPS - 1)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::sample_places;
+
+    #[test]
+    fn the_sample_is_all_or_spread() {
+        assert_eq!(sample_places(0, 10), [0; 0]);
+        assert_eq!(sample_places(25, 10), [0, 10, 20]);
+        assert_eq!(sample_places(1000, 10), [0, 495, 990]);
+    }
+}

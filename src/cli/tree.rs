@@ -1,0 +1,223 @@
+//! Trees of drives: each into a stream of its own below a folder, and back.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+use crate::files::names::natural_cmp;
+use crate::files::sequence::{FoundFile, LeftOut, LeftOutKind};
+use crate::frame::settings::{EncoderConfig, resolve_threads};
+use crate::ground::error::Error;
+use crate::study::metrics;
+use anyhow::{Context, Result, bail, ensure};
+
+use super::args::{DecodeArgs, EncodeArgs};
+use super::encode::{Report, encode_whole, remove, summary};
+use super::errors::{say, wrong_usage};
+use super::frames::{self, Found};
+use super::output::print_json;
+use super::{decode, in_memory, progress, table};
+
+/// What names of streams end in.
+const STREAM: &str = "lpc";
+
+/// Whether an output is a folder: it is one, or its name says so.
+pub fn is_folder(output: &Path) -> bool {
+    output.is_dir() || output.to_string_lossy().ends_with(['/', std::path::MAIN_SEPARATOR])
+}
+
+/// A drive, and where its stream goes.
+struct Drive {
+    output: PathBuf,
+    found: Found,
+}
+
+/// `encode` into a folder: a stream for each drive.
+pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<()> {
+    let start = Instant::now();
+    let found = frames::find(args, quiet)?;
+    let mut drives = drives(args, found, quiet)?;
+    let all = drives.len();
+    if args.resume {
+        drives.retain(|drive| !drive.output.exists());
+    }
+    let skipped = all - drives.len();
+    let threads = resolve_threads(config.threads);
+    let jobs = args.jobs.map_or(if drives.len() >= threads { threads } else { 1 }, usize::from);
+    let each = EncoderConfig { threads: (threads / jobs).max(1), ..config.clone() };
+    let frames = drives.iter().map(|drive| drive.found.frames.len() as u64).sum();
+    let bar = progress::bar(
+        Some(frames),
+        format!("encoding {}", table::count(drives.len() as u64, "drive")),
+        quiet,
+    );
+    let (next, reports) = (AtomicUsize::new(0), Mutex::new(BTreeMap::new()));
+    std::thread::scope(|scope| {
+        for _ in 0..jobs.min(drives.len()) {
+            scope.spawn(|| {
+                while let Some(drive) = drives.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let report = encode_drive(args, &each, drive, quiet);
+                    if let Err(error) = &report {
+                        bar.suspend(|| say(error));
+                    }
+                    bar.inc(drive.found.frames.len() as u64);
+                    let mut reports = reports.lock().unwrap_or_else(PoisonError::into_inner);
+                    reports.insert(&drive.output, report);
+                }
+            });
+        }
+    });
+    bar.finish_and_clear();
+    let reports = reports.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let failed = reports.values().filter(|report| report.is_err()).count();
+    let done: Vec<_> = reports.into_values().flatten().collect();
+    let seconds = start.elapsed().as_secs_f64();
+    let of_all = |count: fn(&Report) -> u64| done.iter().map(|(report, _)| count(report)).sum::<u64>();
+    let (before, after) = (of_all(|report| report.file_bytes), of_all(|report| report.stream_bytes));
+    if args.json {
+        print_json(&done.iter().map(|(report, _)| report).collect::<Vec<_>>())?;
+    } else if !quiet {
+        for (report, line) in done.iter().filter(|_| done.len() <= 20 || args.verbose) {
+            eprintln!("{}: {line}", report.file);
+        }
+        let skipped = match skipped {
+            0 => String::new(),
+            drives => format!(", {} there already", table::count(drives as u64, "drive")),
+        };
+        eprintln!(
+            "{}, {}: {} -> {} ({}){skipped} in {seconds:.1} s",
+            table::count(done.len() as u64, "drive"),
+            table::count(of_all(|report| report.frames), "frame"),
+            table::bytes(before),
+            table::bytes(after),
+            table::percent(metrics::ratio(before, after)),
+        );
+    }
+    ensure!(failed == 0, "{failed} of {} failed", table::count(drives.len() as u64, "drive"));
+    Ok(())
+}
+
+/// The drives of what was found.
+fn drives(args: &EncodeArgs, found: Found, quiet: bool) -> Result<Vec<Drive>> {
+    let mut drives: BTreeMap<PathBuf, Found> = BTreeMap::new();
+    let mut beyond = LeftOut::default();
+    let frames = found.frames.into_iter().map(|file| (true, file));
+    let files = frames.chain(found.beside.into_iter().map(|file| (false, file)));
+    for (is_scan, file) in files {
+        let output = output_of(args, &file)?;
+        let FoundFile { path, name, drive, time } = file;
+        let name = match drive.is_empty() {
+            true => name,
+            false => name.get(drive.len() + 1..).unwrap_or_default().to_owned(),
+        };
+        let file = FoundFile { path, name, drive: String::new(), time };
+        match (is_scan, drives.get_mut(&output)) {
+            (true, _) => drives.entry(output).or_default().frames.push(file),
+            (false, Some(drive)) => drive.beside.push(file),
+            (false, None) => {
+                let bytes = fs::metadata(&file.path).map_or(0, |about| about.len());
+                beyond.add(LeftOutKind::OutsideDrives, file.path.display().to_string(), bytes);
+            }
+        }
+    }
+    frames::check_left_out(&beyond, &frames::name_of_inputs(&args.inputs), args.strict, quiet)?;
+    let mut drives: Vec<_> = drives.into_iter().map(|(output, found)| Drive { output, found }).collect();
+    drives.sort_by(|a, b| natural_cmp(&a.output.to_string_lossy(), &b.output.to_string_lossy()));
+    Ok(drives)
+}
+
+/// Where the stream of a file's drive goes: under the drive's path, or, if that is the input, under the input's name.
+fn output_of(args: &EncodeArgs, file: &FoundFile) -> Result<PathBuf> {
+    let input = args
+        .inputs
+        .iter()
+        .filter(|input| file.path.starts_with(input))
+        .max_by_key(|input| input.as_os_str().len());
+    let input = input.cloned().unwrap_or_default();
+    let own_name = || -> Result<PathBuf> {
+        let whole = fs::canonicalize(&input).with_context(|| input.display().to_string())?;
+        Ok(PathBuf::from(whole.file_name().unwrap_or_default()))
+    };
+    let below = match (file.drive.is_empty(), args.inputs.len()) {
+        (true, _) => own_name()?,
+        (false, 1) => PathBuf::from(&file.drive),
+        (false, _) => own_name()?.join(&file.drive),
+    };
+    let mut name = args.output().join(below).into_os_string();
+    name.push(".");
+    name.push(STREAM);
+    Ok(name.into())
+}
+
+/// Encodes a drive; returns what came of it, for machines and in a line.
+fn encode_drive(
+    args: &EncodeArgs,
+    config: &EncoderConfig,
+    drive: &Drive,
+    quiet: bool,
+) -> Result<(Report, String)> {
+    let start = Instant::now();
+    let args = &EncodeArgs { output: Some(drive.output.clone()), ..args.clone() };
+    let place = drive.output.display().to_string();
+    if let Some(folder) = drive.output.parent() {
+        fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    }
+    let mut config = config.clone();
+    frames::settle(&drive.found.frames, &mut config, &place, quiet)?;
+    let (encoded, left_out) = encode_whole(args, &config, Some(&drive.found), true)?;
+    if args.rm {
+        remove(&drive.found, &args.inputs)?;
+    }
+    let report = Report::of(args, &config, &encoded, &left_out, start.elapsed().as_secs_f64());
+    Ok((report, summary(args, &config, &encoded)))
+}
+
+/// `decode` of a folder of streams: each into a folder of its path and name.
+pub fn decode_all(args: &DecodeArgs, quiet: bool) -> Result<()> {
+    let [input] = &args.inputs[..] else {
+        wrong_usage("decode", "a folder of streams is decoded by itself");
+    };
+    let streams = streams_below(input)?;
+    let mut failed = 0;
+    for stream in &streams {
+        let below = stream.strip_prefix(input).unwrap_or(stream).with_extension("");
+        let args = DecodeArgs {
+            inputs: vec![stream.clone()],
+            output: Some(args.output().join(below)),
+            ..args.clone()
+        };
+        if let Err(error) = decode::run(&args, quiet) {
+            say(&error);
+            failed += 1;
+        }
+    }
+    ensure!(failed == 0, "{failed} of {} failed", table::count(streams.len() as u64, "file"));
+    Ok(())
+}
+
+/// The streams in a folder and those below it, in natural order.
+fn streams_below(folder: &Path) -> Result<Vec<PathBuf>> {
+    let (mut open, mut streams) = (vec![folder.to_path_buf()], Vec::new());
+    while let Some(folder) = open.pop() {
+        let entries = fs::read_dir(&folder).with_context(|| folder.display().to_string())?;
+        for entry in entries {
+            let entry = entry.with_context(|| folder.display().to_string())?;
+            let kind = entry.file_type().with_context(|| entry.path().display().to_string())?;
+            let path = entry.path();
+            if kind.is_dir() {
+                open.push(path);
+            } else if path.extension().is_some_and(|ending| ending == STREAM) && in_memory::is_stream(&path) {
+                streams.push(path);
+            }
+        }
+    }
+    if streams.is_empty() {
+        let what = "holds no stream; give a file that `lidarpc encode` wrote, or a folder of such".to_owned();
+        bail!(Error::Input { path: folder.to_path_buf(), what });
+    }
+    streams.sort_by(|a, b| natural_cmp(&a.to_string_lossy(), &b.to_string_lossy()));
+    Ok(streams)
+}

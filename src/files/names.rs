@@ -1,0 +1,217 @@
+//! Names of files: their order, and which can be restored anywhere.
+
+use std::cmp::Ordering;
+use std::path::Path;
+
+use crate::ground::error::{Error, Result};
+
+/// The longest file name, in bytes, that common file systems allow.
+const MAX_NAME: usize = 255;
+/// The longest path of a file in a stream, in bytes: as much as systems allow.
+pub const MAX_PATH: usize = 4095;
+
+/// Compares names as people sort them: runs of digits by their value, everything else by its bytes (`2.bin`
+/// before `10.bin`). Names that differ are never equal: `1.bin` comes before `01.bin`.
+pub fn natural_cmp(a: &str, b: &str) -> Ordering {
+    natural_key(a).cmp(natural_key(b)).then_with(|| a.len().cmp(&b.len())).then_with(|| a.cmp(b))
+}
+
+/// A name as comparable pieces: a byte, or a number as its rank among the bytes, its number of digits, and
+/// its digits without leading zeros.
+fn natural_key(name: &str) -> impl Iterator<Item = (u8, usize, &[u8])> {
+    let mut rest = name.as_bytes();
+    std::iter::from_fn(move || {
+        let (&first, after) = rest.split_first()?;
+        if !first.is_ascii_digit() {
+            rest = after;
+            return Some((first, 0, &[][..]));
+        }
+        let end = rest.iter().position(|b| !b.is_ascii_digit()).unwrap_or(rest.len());
+        let (number, after) = rest.split_at(end);
+        rest = after;
+        let zeros = number.iter().take_while(|&&b| b == b'0').count();
+        Some((b'0', end - zeros, &number[zeros..]))
+    })
+}
+
+/// True if a path from a stream can be created below any folder, without leaving it and without having a special meaning
+/// there: one or several names with `/` between them, 4,095 bytes at most together. Each has 1 to 255 bytes and is none of
+/// `.`, `..`, Windows' device names (`NUL`, `COM1.bin`) and drives (`C:x`); it has no backslash, no control characters,
+/// and no dot or space at its end.
+pub fn is_safe_path(path: &str) -> bool {
+    fault_of_path(path).is_none()
+}
+
+/// What keeps a path from being [safe](is_safe_path).
+fn fault_of_path(path: &str) -> Option<&'static str> {
+    match path.len() <= MAX_PATH {
+        true => path.split('/').find_map(fault_of_name),
+        false => Some("is longer than 4,095 bytes with its folders"),
+    }
+}
+
+/// What keeps a name from being part of a [safe path](is_safe_path).
+fn fault_of_name(name: &str) -> Option<&'static str> {
+    let has_drive = matches!(name.as_bytes(), [letter, b':', ..] if letter.is_ascii_alphabetic());
+    let faults = [
+        (name.is_empty(), "is empty"),
+        (name.len() > MAX_NAME, "is longer than 255 bytes"),
+        (name.contains(['/', '\\']), "holds a slash or backslash"),
+        (name.contains(char::is_control), "holds a control character"),
+        (name.ends_with('.'), "ends in a dot"),
+        (name.ends_with(' '), "ends in a space"),
+        (has_drive, "begins as a drive of Windows does"),
+        (is_windows_device(name), "is that of a device on Windows"),
+    ];
+    faults.into_iter().find_map(|(is_so, fault)| is_so.then_some(fault))
+}
+
+/// Checks that every system can restore a file of this name, or path in a stream.
+///
+/// # Errors
+/// [`Error::Input`], about the file at `path`, if not.
+pub(crate) fn check_name(path: &Path, name: &str) -> Result<()> {
+    match fault_of_path(name) {
+        None => Ok(()),
+        Some(fault) => {
+            let what = format!("has a name that not every system can restore: it {fault}; rename the file");
+            Err(Error::Input { path: path.to_owned(), what })
+        }
+    }
+}
+
+/// Windows looks at what is before the first dot, ignoring case and trailing spaces.
+fn is_windows_device(name: &str) -> bool {
+    let stem = name.split(['.', ':']).next().unwrap_or(name).trim_end_matches(' ').to_ascii_uppercase();
+    let is_port = |port: &str| {
+        let number = stem.strip_prefix(port).map(|n| n.chars().collect::<Vec<_>>());
+        // Windows accepts the superscript digits too.
+        matches!(number.as_deref(), Some(['0'..='9' | '\u{b9}' | '\u{b2}' | '\u{b3}']))
+    };
+    matches!(&stem[..], "CON" | "PRN" | "AUX" | "NUL" | "CONIN$" | "CONOUT$")
+        || is_port("COM")
+        || is_port("LPT")
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn natural_order_of_examples() {
+        let sorted = [
+            "",
+            "-1",
+            "0.bin",
+            "1.bin",
+            "01.bin",
+            "001.bin",
+            "1a.bin",
+            "2.bin",
+            "10.bin",
+            "A.bin",
+            "a.bin",
+            "a1.bin",
+            "a1b1",
+            "a1b02",
+            "a1b2c",
+            "a1b10",
+            "a99999999999999999999999",
+            "b",
+            "\u{e9}",
+        ];
+        for pair in sorted.windows(2) {
+            assert_eq!(natural_cmp(pair[0], pair[1]), Ordering::Less, "{pair:?}");
+            assert_eq!(natural_cmp(pair[1], pair[0]), Ordering::Greater, "{pair:?}");
+        }
+    }
+
+    #[test]
+    fn unsafe_names_are_refused() {
+        let long = "x".repeat(256);
+        for name in [
+            "",
+            ".",
+            "..",
+            "/",
+            "a/b",
+            "a\\b",
+            "../a",
+            "C:",
+            "c:a.bin",
+            "a.bin.",
+            "a.bin ",
+            "a\0",
+            "a\nb",
+            "a\u{7f}",
+            "a\u{85}",
+            "NUL",
+            "nul.bin",
+            "Con.tar.gz",
+            "com1",
+            "LPT9.bin",
+            "COM\u{b9}.bin",
+            "aux .bin",
+            "CONIN$",
+            &long,
+        ] {
+            assert!(!fault_of_name(name).is_none(), "{name:?}");
+        }
+        for name in [
+            "0000000000.bin",
+            "a b.pcd",
+            ".hidden",
+            "..a",
+            "a..b",
+            "nully.bin",
+            "COM10.bin",
+            "n015__LIDAR_TOP__1.pcd.bin",
+            "2011-09-26 13:02:25.bin",
+            "caf\u{e9}.bin",
+            &long[1..],
+        ] {
+            assert!(fault_of_name(name).is_none(), "{name:?}");
+        }
+    }
+
+    #[test]
+    fn unsafe_paths_are_refused() {
+        let deep = "x/".repeat(2048);
+        for path in [
+            "",
+            "/",
+            "/etc/passwd",
+            "a/",
+            "a//b",
+            "../a",
+            "a/../b",
+            "a/./b",
+            "c:/a",
+            "a/nul/b",
+            "a\\b/c",
+            &deep[1..],
+        ] {
+            assert!(!is_safe_path(path), "{path:?}");
+        }
+        for path in
+            ["a.bin", "2011_09_26/drive_1/velodyne_points/data/0.bin", "a/.hidden/b", &deep[..4095 - 1]]
+        {
+            let path = path.trim_end_matches('/');
+            assert!(is_safe_path(path), "{path:?}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn natural_order_is_total(names in prop::collection::vec("[0-2a./é-]{0,6}", 3)) {
+            let [a, b, c] = [&names[0], &names[1], &names[2]];
+            prop_assert_eq!(natural_cmp(a, b), natural_cmp(b, a).reverse());
+            prop_assert_eq!(natural_cmp(a, b) == Ordering::Equal, a == b);
+            if natural_cmp(a, b).is_le() && natural_cmp(b, c).is_le() {
+                prop_assert!(natural_cmp(a, c).is_le());
+            }
+        }
+    }
+}

@@ -1,0 +1,317 @@
+//! Trees of drives, the files beside the scans, and times: what comes back of a folder as people have it.
+
+#[path = "common/program.rs"]
+mod program;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use program::{Bench, scan};
+
+/// Everything below a folder: files with their bytes, folders with none.
+fn tree(folder: &Path) -> BTreeMap<String, Option<Vec<u8>>> {
+    let (mut found, mut open) = (BTreeMap::new(), vec![folder.to_path_buf()]);
+    while let Some(next) = open.pop() {
+        for entry in fs::read_dir(next).unwrap().map(Result::unwrap) {
+            let path = entry.path();
+            let name = path.strip_prefix(folder).unwrap().to_str().unwrap().to_owned();
+            if path.is_dir() {
+                found.insert(name, None);
+                open.push(path);
+            } else {
+                found.insert(name, Some(fs::read(path).unwrap()));
+            }
+        }
+    }
+    found
+}
+
+/// Bytes that no coder shortens.
+fn noise(bytes: u32, seed: u32) -> Vec<u8> {
+    let mut state = seed | 1;
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 17;
+        state ^= state << 5;
+        (state >> 24) as u8
+    };
+    (0..bytes).map(|_| next()).collect()
+}
+
+/// Two drives as KITTI has them, with equal names, and what stands beside their scans.
+fn drives() -> Bench {
+    let bench = Bench::new();
+    for (drive, seed) in [("a/drive_1", 1), ("b/drive_2", 2)] {
+        let file = |name: &str, bytes: Vec<u8>| (name.to_owned(), bytes);
+        let scans = (0..12).map(|n| file(&format!("{n:010}.bin"), scan(300, seed * 100 + n)));
+        bench.write_files(&format!("tree/{drive}/velodyne_points/data"), &scans.collect());
+        let times =
+            (0..12).map(|n| format!("2011-09-26 13:02:{:02}.{:09}\n", 25 + n / 10, n % 10 * 100_000_000));
+        let times = times.collect::<String>().into_bytes();
+        bench.write_files(&format!("tree/{drive}/velodyne_points"), &[file("timestamps.txt", times)].into());
+        bench.write_files(&format!("tree/{drive}/image_02"), &[file("0.png", noise(5000, seed))].into());
+        let oxts =
+            [file("0.txt", b"49.1 8.4 112.8 ".repeat(40)), file(".hidden", vec![1]), file("empty", vec![])];
+        bench.write_files(&format!("tree/{drive}/oxts"), &oxts.into());
+        fs::create_dir_all(bench.path(&format!("tree/{drive}/labels/none"))).unwrap();
+    }
+    bench
+}
+
+#[test]
+fn a_tree_comes_back_whole() {
+    let bench = drives();
+    bench.write_files("tree/calib", &[("poses.bin".to_owned(), b"no scan".to_vec())].into());
+    fs::remove_file(bench.path("tree/calib/poses.bin")).unwrap();
+    bench.write_files("tree/calib", &[("poses.txt".to_owned(), b"1 0 0 0".to_vec())].into());
+    for args in ["", " --max-error 10mm", " --mode paper", " --level 1"] {
+        bench.ok(&format!("encode tree -o tree.lpc --all --strict --force{args}"));
+        bench.ok("decode tree.lpc -o back --force");
+        let (before, after) = (tree(&bench.path("tree")), tree(&bench.path("back")));
+        let is_scan = |name: &&String| name.ends_with(".bin");
+        let others = |tree: &BTreeMap<String, Option<Vec<u8>>>| {
+            tree.iter()
+                .filter(|(name, _)| !is_scan(name))
+                .map(|(a, b)| (a.clone(), b.clone()))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(others(&before), others(&after), "{args}");
+        assert!(before.keys().filter(is_scan).eq(after.keys().filter(is_scan)), "{args}");
+        if args.is_empty() {
+            assert_eq!(before, after);
+            bench.ok("verify tree.lpc --against tree");
+            let stats = bench.json("stats tree.lpc --against tree --json");
+            assert_eq!((&stats["frames"], &stats["files_beside"]), (&24.into(), &13.into()));
+            assert_eq!(stats["against"]["identical_files"], 37);
+        }
+    }
+    // An interrupted run goes on with files of all kinds.
+    bench.ok("encode tree -o resumed.lpc --all --resume");
+    bench.ok("encode tree -o plain.lpc --all");
+    assert_eq!(bench.read("resumed.lpc"), bench.read("plain.lpc"));
+}
+
+#[test]
+fn without_all_a_tree_gives_its_scans_under_their_paths() {
+    let bench = drives();
+    let said = bench.says("encode tree -o tree.lpc");
+    assert!(said.contains("tree: left out 8 files not known as scans (11920 bytes, such as tree/"), "{said}");
+    assert!(said.contains("2 hidden files or folders (2 bytes, such as tree/"), "{said}");
+    assert!(said.contains("24 frames: "), "{said}");
+    bench.ok("decode tree.lpc -o back");
+    let scans =
+        |folder: &str| tree(&bench.path(folder)).into_iter().filter(|(name, _)| name.ends_with(".bin"));
+    assert!(scans("tree").eq(scans("back")));
+    // One drive alone: its scans under their own names, as ever.
+    bench.ok("encode tree/a/drive_1 -o one.lpc");
+    bench.ok("decode one.lpc -o one");
+    assert_eq!(bench.files("one"), bench.files("tree/a/drive_1/velodyne_points/data"));
+}
+
+#[test]
+fn groups_and_scanners_are_of_one_drive() {
+    let bench = drives();
+    bench.ok("encode tree -o tree.lpc --all --gop 5");
+    let info = bench.json("info tree.lpc --json");
+    let groups: Vec<_> =
+        info["groups"].as_array().unwrap().iter().map(|group| group["frames"].as_u64().unwrap()).collect();
+    assert_eq!(groups, [5, 5, 2, 5, 5, 2, 5, 5, 2]);
+    let frames = info["frames"].as_array().unwrap();
+    assert!(frames[..24].iter().all(|frame| frame["unit"] == "file"));
+    assert!(frames[24..].iter().all(|frame| frame["unit"] == "file beside the scans"));
+    // What is compressed already is stored.
+    let picture = frames.iter().find(|frame| frame["name"] == "a/drive_1/image_02/0.png").unwrap();
+    let coded = picture["coded_bytes"].as_u64().unwrap();
+    assert!((5000..5100).contains(&coded), "{coded}");
+}
+
+#[test]
+fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
+    let bench = drives();
+    for jobs in ["", " --jobs 2", " --jobs 1 --threads 1"] {
+        bench.ok(&format!("encode tree -o out/ --all --strict --force{jobs}"));
+        let files = tree(&bench.path("out"));
+        assert!(files.keys().eq(["a", "a/drive_1.lpc", "b", "b/drive_2.lpc"]), "{:?}", files.keys());
+    }
+    bench.ok("decode out -o back");
+    assert_eq!(tree(&bench.path("tree")), tree(&bench.path("back")));
+    // Drives that are there already are left as they are.
+    fs::remove_file(bench.path("out/a/drive_1.lpc")).unwrap();
+    let said = bench.says("encode tree -o out --all --resume");
+    assert!(said.contains("1 drive, 12 frames: ") && said.contains("1 drive there already"), "{said}");
+    let said = bench.command("encode tree -o out --all").output().unwrap();
+    assert_eq!(said.status.code(), Some(1));
+    let said = String::from_utf8(said.stderr).unwrap();
+    assert!(
+        said.contains("drive_1.lpc: exists") && said.ends_with("lidarpc: 2 of 2 drives failed\n"),
+        "{said}"
+    );
+    // Files that belong to no drive are not lost without a word.
+    bench.write_files("tree", &[("readme.txt".to_owned(), b"read".to_vec())].into());
+    let said = bench.says("encode tree -o more/ --all");
+    assert!(said.contains("1 file outside the drives (4 bytes, tree/readme.txt)"), "{said}");
+    bench.fails("encode tree -o strict/ --all --strict", "tree");
+    let report = bench.json("encode tree -o json/ --all --json");
+    assert_eq!((report.as_array().unwrap().len(), &report[1]["files_beside"]), (2, &6.into()));
+}
+
+#[test]
+fn frames_are_numbered_without_the_files_beside() {
+    let bench = drives();
+    bench.ok("encode tree/a/drive_1 -o one.lpc --all");
+    bench.ok("decode one.lpc -o some --frames 10..");
+    let names: Vec<_> = tree(&bench.path("some")).into_keys().filter(|name| name.ends_with(".bin")).collect();
+    assert_eq!(names, ["velodyne_points/data/0000000010.bin", "velodyne_points/data/0000000011.bin"]);
+    assert_eq!(tree(&bench.path("some")).len(), 4, "the folders above them");
+    bench.fails("decode one.lpc -o none --frames 12", "one.lpc");
+    bench.ok("cut one.lpc --frames 3.. -o rest.lpc");
+    assert_eq!(bench.json("info rest.lpc --json")["frames"].as_array().unwrap().len(), 9);
+    bench.ok("encode tree/b/drive_2 -o two.lpc");
+    bench.ok("decode two.lpc -o two");
+    bench.ok("cat two.lpc one.lpc -o both.lpc");
+    bench.ok("verify both.lpc");
+    let error = bench.fails("cat one.lpc two.lpc -o wrong.lpc", "wrong.lpc");
+    assert!(error.contains("give it last"), "{error}");
+}
+
+#[test]
+fn times_come_from_lists_and_names() {
+    let bench = drives();
+    bench.ok("encode tree/a/drive_1 -o out.lpc");
+    let frame = |n: usize| bench.json("info out.lpc --json")["frames"][n].clone();
+    assert_eq!(frame(11)["time"], 1_317_042_146_100_000_000_i64);
+    assert_eq!(frame(11)["time_source"], "list");
+    bench.ok("decode out.lpc -o part --time 0.2s..500ms");
+    assert_eq!(bench.names("part"), ["0000000002.bin", "0000000003.bin", "0000000004.bin"]);
+    bench.ok("cut out.lpc --time 1s.. -o end.lpc");
+    assert_eq!(bench.json("stats end.lpc --json")["frames"], 2);
+    let error = bench.fails("decode out.lpc -o none --time 5s..6s", "out.lpc");
+    assert!(error.contains("from 0 to 1.100 s"), "{error}");
+    let named =
+        ["1566246592875153456.bin", "1566246592975153456.bin"].map(|name| (name.to_owned(), scan(50, 1)));
+    bench.write_files("named", &named.into());
+    bench.ok("encode named -o named.lpc");
+    let info = bench.json("info named.lpc --json");
+    assert_eq!(info["frames"][1]["time"], 1_566_246_592_975_153_456_i64);
+    assert_eq!(info["frames"][1]["time_source"], "file name");
+    bench.write_files("plain", &[("1.bin".to_owned(), scan(50, 1))].into());
+    bench.ok("encode plain -o plain.lpc");
+    let error = bench.fails("decode plain.lpc -o none --time 0..1", "plain.lpc");
+    assert!(error.contains("no times"), "{error}");
+}
+
+#[test]
+fn outputs_get_names_of_their_own() {
+    let bench = drives();
+    bench.ok("encode tree/a/drive_1/");
+    assert!(bench.path("tree/a/drive_1.lpc").is_file());
+    bench.ok("decode tree/a/drive_1.lpc --force");
+    assert!(bench.path("tree/a/drive_1/0000000011.bin").is_file());
+    for args in ["encode -", "encode tree/a tree/b", "decode -", "encode .."] {
+        bench.command(args).assert().code(2);
+    }
+}
+
+#[test]
+fn originals_are_deleted_only_when_they_are_safe() {
+    let bench = drives();
+    let before = tree(&bench.path("tree"));
+    let said = bench.says("encode tree/a/drive_1 -o one.lpc --rm");
+    assert!(said.contains(", verified"), "{said}");
+    assert!(!bench.path("tree/a/drive_1/velodyne_points/data").exists());
+    assert!(bench.path("tree/a/drive_1/velodyne_points/timestamps.txt").exists(), "it was left out");
+    bench.ok("decode one.lpc -o tree/a/drive_1/velodyne_points/data");
+    assert_eq!(tree(&bench.path("tree")), before);
+    bench.ok("encode tree -o all.lpc --all --rm");
+    assert!(!bench.path("tree").exists());
+    bench.ok("decode all.lpc -o tree");
+    assert_eq!(tree(&bench.path("tree")), before);
+    for lossy in ["--max-error 1cm", "--mode paper", "--rm -o -"] {
+        bench
+            .command(
+                &format!("encode tree -o lossy.lpc --rm {lossy}").replace("-o lossy.lpc --rm --rm", "--rm"),
+            )
+            .assert()
+            .code(2);
+    }
+    assert_eq!(tree(&bench.path("tree")), before);
+}
+
+#[test]
+fn an_estimate_is_near_what_comes_of_it() {
+    let bench = drives();
+    let estimate = bench.json("estimate tree --json");
+    let report = bench.json("encode tree -o tree.lpc --json");
+    assert_eq!(estimate["frames"], report["frames"]);
+    assert_eq!(estimate["file_bytes"], report["file_bytes"]);
+    let bytes = |value: &serde_json::Value| value["stream_bytes"].as_f64().unwrap();
+    assert!((bytes(&estimate) / bytes(&report) - 1.0).abs() < 0.1, "{estimate} {report}");
+    assert!(bench.files(".").contains_key("tree.lpc"));
+}
+
+#[test]
+fn completions_and_manual_pages_name_every_command() {
+    let bench = Bench::new();
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let script = String::from_utf8(bench.ok(&format!("completions {shell}"))).unwrap();
+        assert!(script.contains("encode") && script.contains("estimate"), "{shell}");
+    }
+    bench.ok("man -o man");
+    let pages = bench.names("man");
+    for command in
+        ["encode", "decode", "stats", "info", "verify", "cut", "cat", "repair", "view", "bench", "synth"]
+    {
+        assert!(pages.contains(&format!("lidarpc-{command}.1")), "{pages:?}");
+    }
+}
+
+/// A stream whose names would leave the folder: the decoder trusts nothing.
+#[test]
+fn names_never_leave_the_folder() {
+    use lidarpc::internals::stream::container::{
+        Frame, FrameHeader, Group, Section, SectionKind, Stamp, StreamWriter, Unit,
+    };
+
+    let bench = Bench::new();
+    for name in ["../x", "/tmp/x", "a/../../x", "a//b", "./a", "a\\..\\x", "a/", "NUL/a"] {
+        for unit in [Unit::File, Unit::Beside] {
+            if unit == Unit::Beside && name == "a/" {
+                continue;
+            }
+            let mut stream = StreamWriter::create(Vec::new()).unwrap();
+            let stamp = Stamp { unit, ..Stamp::default() };
+            let header = FrameHeader { stamp, ..FrameHeader::of(name, b"x", 0) };
+            // Stored: no layout, no bytes before the records, one byte.
+            let whole = Section { kind: SectionKind::Bytes, payload: vec![0, 0, 0, 1, b'x'] };
+            let parameters = Section { kind: SectionKind::Parameters, payload: parameters_of_bytes() };
+            let frames = vec![Frame { header, sections: vec![parameters, whole] }];
+            stream.write_group(&Group { scanners: vec![None], frames }).unwrap();
+            fs::write(bench.path("evil.lpc"), stream.finish().unwrap().0).unwrap();
+            let error = bench.fails("decode evil.lpc -o out", "out");
+            assert!(error.contains("safely"), "{name}: {error}");
+            assert!(!bench.path("x").exists() && !bench.path("out").exists());
+        }
+    }
+}
+
+/// The parameters of a frame that is the bytes of its file, as the encoder writes them.
+fn parameters_of_bytes() -> Vec<u8> {
+    use lidarpc::internals::ground::error::Limits;
+    use lidarpc::internals::stream::container::{Record, SectionKind, StreamReader};
+
+    let bench = Bench::new();
+    bench.write_files("seq", &[("1.bin".to_owned(), scan(5, 1))].into());
+    bench.write_files("seq", &[("note".to_owned(), b"x".to_vec())].into());
+    bench.ok("encode seq -o out.lpc --all");
+    let bytes = bench.read("out.lpc");
+    let mut reader = StreamReader::open(&bytes[..], Limits::default()).unwrap();
+    let mut sections = Vec::new();
+    while let Some(record) = reader.next_record().unwrap() {
+        if let Record::Group(group) = record {
+            sections = group.frames.into_iter().flat_map(|frame| frame.sections).collect();
+        }
+    }
+    let found = sections.into_iter().find(|section| section.kind == SectionKind::Parameters);
+    found.map_or_else(Vec::new, |section| section.payload)
+}
