@@ -9,10 +9,11 @@ use super::settings::Settings;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::ground::error::{Error, Result};
 use crate::stream::FrameInput;
+use crate::stream::container::Stamp;
 use crate::stream::encoded::OpenStream;
-use crate::stream::encoder::{EncodedGroup, SequenceCoder};
+use crate::stream::encoder::{EncodedGroup, SequenceCoder, encode_alone};
 use crate::stream::ordered::Workers;
-use crate::stream::scanner_choice::{Scanners, choose_scanners, records_of};
+use crate::stream::scanner_choice::{KeptScanners, Scanners, choose_scanners, records_of};
 
 /// Encodes scans as they come. The scanner is found in the first group of scans; groups are coded by threads of their
 /// own while more scans are pushed, and written as they are done. A few groups are in memory at a time.
@@ -117,6 +118,43 @@ impl<W: Write> Encoder<W> {
         coding.code(group, &self.config)?;
         self.state = State::Coding(coding);
         Ok(())
+    }
+}
+
+/// Encodes scans one by one, each to a stream of its own: for messages, which must decode by themselves. The scanner is looked
+/// for in the first scans, and kept once it is found, so that later ones take only the time of their coding.
+///
+/// All scans are taken to be of one scanner; of others they come back too, but larger. A clone goes on with what was found,
+/// as on another thread.
+#[derive(Clone)]
+pub struct MessageEncoder {
+    config: Arc<EncoderConfig>,
+    scanners: KeptScanners,
+}
+
+impl MessageEncoder {
+    /// # Errors
+    /// [`Error::InvalidSettings`] if they are out of range or do not fit together.
+    pub fn new(settings: Settings) -> Result<Self> {
+        Ok(MessageEncoder { config: Arc::new(settings.config()?), scanners: KeptScanners::default() })
+    }
+
+    /// A stream of this scan alone, which a [`Decoder`](crate::Decoder) gives back.
+    ///
+    /// # Errors
+    /// As [`Encoder::push`].
+    pub fn encode(&mut self, scan: Scan) -> Result<Vec<u8>> {
+        let (scan, stamp) = scan.into_parts();
+        // There are no others to tell it from.
+        let frame = FrameInput::scan(scan).stamped(Stamp { stream: 0, ..stamp });
+        let scanners = self.scanners.for_next(Some(&frame), &self.config)?;
+        encode_alone(frame, &scanners, &self.config)
+    }
+}
+
+impl std::fmt::Debug for MessageEncoder {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("MessageEncoder").field("config", &self.config).finish_non_exhaustive()
     }
 }
 

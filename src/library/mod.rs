@@ -7,7 +7,7 @@ mod scan;
 mod settings;
 
 pub use decoder::{Decoder, FrameDetails, FrameInfo, Scans};
-pub use encoder::{Encoder, Summary};
+pub use encoder::{Encoder, MessageEncoder, Summary};
 pub use scalar::Scalar;
 pub use scan::{ChannelInfo, Scan};
 pub use settings::Settings;

@@ -327,3 +327,37 @@ fn an_encoder_that_failed_stays_failed() {
     assert!(failures[1..].iter().all(|error| matches!(error, Error::Usage(_))));
     assert!(encoder.finish().is_err());
 }
+
+#[test]
+fn messages_stand_by_themselves_and_share_what_was_found() {
+    use crate::ground::error::Limits;
+    use crate::stream::container::{Record, StreamReader};
+
+    let scanner_of = |stream: &[u8]| {
+        let mut reader = StreamReader::open(stream, Limits::default()).unwrap();
+        let mut scanners = Vec::new();
+        while let Some(record) = reader.next_record().unwrap() {
+            if let Record::Scanner(scanner) = record {
+                scanners.push(scanner.id());
+            }
+        }
+        scanners
+    };
+    let mut encoder = MessageEncoder::new(Settings::exact()).unwrap();
+    let noise: Vec<_> = (0..40).map(|n| [n as f32, -1.5, 0.25]).collect();
+    let without = encoder.encode(Scan::from_positions(&noise)).unwrap();
+    assert_eq!(scanner_of(&without), [], "nothing was found");
+    let mut first = None;
+    for (number, (name, bytes)) in (0..).zip(drive()) {
+        let stream = encoder.encode(Scan::from_file(&name, bytes.clone()).stamped(number)).unwrap();
+        let scans = decoded(&stream);
+        assert_eq!((scans.len(), scans[0].time(), scans[0].name()), (1, Some(number), &name[..]));
+        assert_eq!(scans[0].file_bytes().unwrap().unwrap(), bytes);
+        let scanners = scanner_of(&stream);
+        assert_eq!(scanners.len(), 1);
+        assert_eq!(*first.get_or_insert(scanners[0]), scanners[0]);
+    }
+    // Also where it fits less.
+    let other = encoder.encode(Scan::from_positions(&noise)).unwrap();
+    assert_eq!(decoded(&other)[0].positions(), noise);
+}

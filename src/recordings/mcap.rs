@@ -16,7 +16,7 @@ use crate::stream::FrameInput;
 use crate::stream::container::{Stamp, Time, TimeSource, Unit};
 use crate::stream::encoder::encode_alone;
 use crate::stream::ordered::run_ordered;
-use crate::stream::scanner_choice::{Scanners, choose_scanners};
+use crate::stream::scanner_choice::{KeptScanners, Scanners};
 
 /// The channels' metadata in which a packed recording keeps the number of the schema that a channel of clouds had, and the
 /// number of the channel of which a channel holds what is no cloud.
@@ -189,15 +189,15 @@ struct CloudChannel {
     encoding: Encoding,
     /// The channel for messages of the topic that are no clouds.
     others: Channel,
-    /// Known from the first message in which a scanner is found, or else from the last of a few.
+    scanners: KeptScanners,
+    /// That of the last message.
     topic: Option<Arc<PackedTopic>>,
-    tries: usize,
 }
 
 /// How the clouds of a channel are compressed.
 struct PackedTopic {
     config: EncoderConfig,
-    scanners: Scanners,
+    scanners: Arc<Scanners>,
     encoding: Encoding,
     others: Channel,
 }
@@ -244,7 +244,7 @@ impl Packing<'_> {
         let schema = compressed_schema(encoding, schema_id);
         let mut packed = Channel { schema_id, ..channel };
         packed.metadata.insert(SCHEMA_KEY.to_owned(), others.schema_id.to_string());
-        let of_clouds = CloudChannel { encoding, others, topic: None, tries: 0 };
+        let of_clouds = CloudChannel { encoding, others, scanners: KeptScanners::default(), topic: None };
         self.channels.insert(packed.id, Some(of_clouds));
         Ok(Job::Copy(vec![schema, Record::Channel(packed)]))
     }
@@ -271,17 +271,10 @@ fn compressed_schema(encoding: Encoding, id: u16) -> Record<'static> {
 impl CloudChannel {
     /// How its clouds are compressed: by the scanner that is found in the first message that shows one.
     fn topic_of(&mut self, data: &[u8], config: &EncoderConfig) -> Result<Arc<PackedTopic>> {
-        /// Messages in which a scanner is looked for.
-        const MOST_TRIES: usize = 5;
-        if let Some(topic) = self.topic.as_ref().filter(|_| self.tries >= MOST_TRIES) {
-            return Ok(Arc::clone(topic));
-        }
-        self.tries += 1;
         let frame = message::scan(data, self.encoding).map(|(scan, _)| FrameInput::scan(scan));
-        let scanners = choose_scanners(frame.as_slice(), config)?;
-        let scanners = scanners.into_iter().next().ok_or_else(|| Error::Internal("no drive".to_owned()))?;
-        if scanners.models.iter().any(Option::is_some) {
-            self.tries = MOST_TRIES;
+        let scanners = self.scanners.for_next(frame.as_ref(), config)?;
+        if let Some(topic) = self.topic.as_ref().filter(|topic| Arc::ptr_eq(&topic.scanners, &scanners)) {
+            return Ok(Arc::clone(topic));
         }
         let (encoding, others) = (self.encoding, self.others.clone());
         let topic = Arc::new(PackedTopic { config: config.clone(), scanners, encoding, others });

@@ -62,7 +62,6 @@ pub fn encode_live<W: Write>(
 ///
 /// # Errors
 /// As [`encode`].
-#[cfg(feature = "recordings")]
 pub(crate) fn encode_alone(
     frame: FrameInput,
     scanners: &Scanners,

@@ -1,5 +1,7 @@
 //! The scanners of a sequence: fitted to a sample of each stream, or the article's.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use super::input::FrameInput;
@@ -56,6 +58,36 @@ pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> 
         }
     }
     Ok(scanners)
+}
+
+/// The scanners of frames that are coded one by one: known from the first frame in which one is found, or else from the
+/// last of a few.
+#[derive(Clone, Default)]
+pub(crate) struct KeptScanners {
+    kept: Option<Arc<Scanners>>,
+    tries: usize,
+}
+
+impl KeptScanners {
+    /// Those for the next frame, which may be looked at.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub fn for_next(&mut self, frame: Option<&FrameInput>, config: &EncoderConfig) -> Result<Arc<Scanners>> {
+        /// Frames in which a scanner is looked for.
+        const MOST_TRIES: usize = 5;
+        if let Some(kept) = self.kept.as_ref().filter(|_| self.tries >= MOST_TRIES) {
+            return Ok(Arc::clone(kept));
+        }
+        self.tries += 1;
+        let frames = frame.map(std::slice::from_ref).unwrap_or_default();
+        let scanners = Arc::new(scanners_of_drive(frames, config)?);
+        if scanners.models.iter().any(Option::is_some) {
+            self.tries = MOST_TRIES;
+        }
+        self.kept = Some(Arc::clone(&scanners));
+        Ok(scanners)
+    }
 }
 
 /// The records of the scanners of several drives: each once.
