@@ -86,7 +86,8 @@ pub mod cli;
 
 pub use ground::error::{Error, Limits, Result};
 pub use library::{
-    ChannelInfo, Decoder, Encoder, FrameDetails, FrameInfo, Scalar, Scan, Scans, Settings, Summary,
+    ChannelInfo, Decoder, Encoder, FrameDetails, FrameInfo, RangeImage, Scalar, Scan, Scans, Settings,
+    Summary,
 };
 pub use scan::Scalar as ScalarType;
 pub use stream::container::{SectionKind, Unit};
