@@ -33,6 +33,8 @@
 //!   JPEG or JPEG 2000 images is [`Error::NotBuilt`]; all others decode.
 //! - `study`: the instruments of the program's `bench`, `view` and `synth`.
 //!
+//! Not on by default is `python`: the extension module of the Python package, for maturin to build.
+//!
 //! # Inside
 //!
 //! The data's way, in which the modules are listed:
@@ -83,6 +85,9 @@ pub mod recordings;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;
+
+#[cfg(feature = "python")]
+mod python;
 
 pub use ground::error::{Error, Limits, Result};
 pub use library::{
