@@ -49,7 +49,7 @@ fn measure(
     group.bench_function(format!("encode/{kind}"), |b| b.iter(encode));
     group.bench_function(format!("decode/{kind}"), |b| {
         b.iter(|| {
-            let mut decoder = GroupDecoder::new(&[scanner], &Limits::default());
+            let mut decoder = GroupDecoder::new([scanner], &Limits::default());
             let mut steps = StepReport::default();
             for frame in &coded {
                 black_box(decoder.decode_frame(&frame.header, &frame.sections, &mut steps).unwrap());

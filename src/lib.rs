@@ -33,6 +33,8 @@
 //!   JPEG or JPEG 2000 images is [`Error::NotBuilt`]; all others decode.
 //! - `study`: the instruments of the program's `bench`, `view` and `synth`.
 //!
+//! Not on by default is `python`: the extension module of the Python package, for maturin to build.
+//!
 //! # Inside
 //!
 //! The data's way, in which the modules are listed:
@@ -84,10 +86,13 @@ pub mod recordings;
 #[doc(hidden)]
 pub mod cli;
 
+#[cfg(feature = "python")]
+mod python;
+
 pub use ground::error::{Error, Limits, Result};
 pub use library::{
-    ChannelInfo, Decoder, Encoder, FrameDetails, FrameInfo, MessageEncoder, Scalar, Scan, Scans, Settings,
-    Summary,
+    ChannelInfo, Decoder, Encoder, FrameDetails, FrameInfo, MessageEncoder, RangeImage, Scalar, Scan, Scans,
+    Settings, Summary,
 };
 pub use scan::Scalar as ScalarType;
 pub use stream::container::{SectionKind, Unit};

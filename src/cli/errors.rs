@@ -1,7 +1,6 @@
 //! One line for what went wrong: `lidarpc: PATH: what is wrong; what to do`.
 
 use std::io::{self, ErrorKind};
-use std::process::ExitCode;
 
 use clap::CommandFactory;
 use clap::error::ErrorKind as ClapKind;
@@ -23,12 +22,12 @@ pub fn wrong_usage(subcommand: &str, what: impl std::fmt::Display) -> ! {
 
 /// Says the error on stderr and gives the exit code. A closed pipe is no error: whoever read from us
 /// has had enough.
-pub fn report(error: &anyhow::Error) -> ExitCode {
+pub fn report(error: &anyhow::Error) -> u8 {
     if is_closed_pipe(error) {
-        return ExitCode::SUCCESS;
+        return DONE;
     }
     say(error);
-    if error.is::<NotWhole>() { ExitCode::from(NOT_WHOLE) } else { ExitCode::FAILURE }
+    if error.is::<NotWhole>() { NOT_WHOLE } else { FAILED }
 }
 
 /// All was done that the input allows, and the output is there; but the input is not whole. It has an exit code of its own.
@@ -43,7 +42,10 @@ impl std::fmt::Display for NotWhole {
 
 impl std::error::Error for NotWhole {}
 
-/// The exit code for [`NotWhole`].
+/// The exit codes; clap's for wrong usage is 2.
+pub const DONE: u8 = 0;
+const FAILED: u8 = 1;
+/// That for [`NotWhole`].
 const NOT_WHOLE: u8 = 3;
 
 /// Says the error on stderr.

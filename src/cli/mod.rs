@@ -43,10 +43,15 @@ use errors::report;
 
 /// The whole program: arguments in, exit code out.
 pub fn main() -> ExitCode {
+    main_of(std::env::args_os()).into()
+}
+
+/// As [`main`], with these arguments, the first of which is the program's name. Wrong usage ends the process.
+pub fn main_of(args: impl IntoIterator<Item = OsString>) -> u8 {
     keep_memory();
-    let args = Args::parse_from(std::env::args_os().map(level_in_short));
+    let args = Args::parse_from(args.into_iter().map(level_in_short));
     match run(&args) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => errors::DONE,
         Err(error) => report(&error),
     }
 }

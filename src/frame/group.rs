@@ -2,6 +2,7 @@
 //! several scanners may take turns; those of each scanner are a stream of the group, with models of its own.
 //! Groups are independent of each other.
 
+use std::borrow::Borrow;
 use std::mem::take;
 
 use super::bound::Bound;
@@ -305,17 +306,17 @@ pub struct DecodedImage {
 }
 
 /// Decodes the frames of one group.
-pub struct GroupDecoder<'s> {
+pub struct GroupDecoder<S> {
     /// The scanner of each stream, and what its frames have taught, once there was one.
-    streams: Vec<(Option<&'s Scanner>, Option<Models>)>,
+    streams: Vec<(Option<S>, Option<Models>)>,
     limits: Limits,
     keeps_images: bool,
 }
 
-impl<'s> GroupDecoder<'s> {
+impl<S: Borrow<Scanner>> GroupDecoder<S> {
     /// A new group whose streams have these scanners.
-    pub fn new(scanners: &[Option<&'s Scanner>], limits: &Limits) -> Self {
-        let streams = scanners.iter().map(|scanner| (*scanner, None)).collect();
+    pub fn new(scanners: impl IntoIterator<Item = Option<S>>, limits: &Limits) -> Self {
+        let streams = scanners.into_iter().map(|scanner| (scanner, None)).collect();
         GroupDecoder { streams, limits: *limits, keeps_images: false }
     }
 
@@ -338,10 +339,11 @@ impl<'s> GroupDecoder<'s> {
         let stream = self.streams.get_mut(usize::from(header.stamp.stream));
         let unknown = || Error::corrupt("a frame of a stream that the group does not have");
         let (scanner, models) = stream.ok_or_else(unknown)?;
+        let scanner = scanner.as_ref().map(S::borrow);
         let limits = self.limits.within(allowance(sections));
         let mut reader = SectionReader::new(sections, &limits);
         let mut frame = Frame::of_records(header.point_count as usize);
-        models.get_or_insert_default().code_frame(&mut reader, *scanner, &mut frame)?;
+        models.get_or_insert_default().code_frame(&mut reader, scanner, &mut frame)?;
         steps.add(&reader.finish()?);
         let source = frame.parameters.source;
         steps.frames += 1;

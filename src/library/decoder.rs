@@ -2,22 +2,46 @@
 
 use std::collections::VecDeque;
 use std::io::{Read, Seek};
-use std::ops::{Bound, RangeBounds};
+use std::ops::{Bound, Range, RangeBounds};
 
+use super::range_image::RangeImage;
 use super::scan::Scan;
 use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::container::{FrameHeader, IndexedReader, Stamp, StreamReader, Unit};
-use crate::stream::decoder::decode_group;
+use crate::stream::decoder::{DecodedFrame, OpenGroup, decode_group};
 use crate::stream::ordered::Workers;
 use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
 use crate::stream::{DecodeOptions, FrameRange};
 
+/// Bytes of groups that are read at once, where several are wanted that follow one another.
+const AT_ONCE: u64 = 8 << 20;
+
 /// Decodes the scans of a stream that can be sought in, by its index.
+///
+/// It reads little, and in large pieces, so that each read may be a request to a server: the last 64 KiB, with the index, and
+/// then each group at once, or up to 8 MiB of groups that follow one another. The beginning of the stream, which the end
+/// repeats, is not read for its own sake.
 pub struct Decoder<R> {
     groups: IndexedGroups<R>,
     limits: Limits,
     threads: usize,
+    images: bool,
+    /// The group of the scan that was asked for last by its number.
+    kept: Option<KeptGroup>,
+}
+
+/// A group, decoded up to the last scan that was asked for.
+struct KeptGroup {
+    first_frame: u64,
+    scans: Vec<KeptScan>,
+    open: OpenGroup,
+}
+
+enum KeptScan {
+    /// Decoded for the sake of those after it.
+    Unchecked(Box<DecodedFrame>),
+    Checked(Scan),
 }
 
 /// What the index of a stream says of a frame.
@@ -64,8 +88,14 @@ impl<R: Read + Seek + Send> Decoder<R> {
     /// # Errors
     /// As [`open`](Self::open).
     pub fn open_within(input: R, limits: Limits) -> Result<Self> {
-        let reader = IndexedReader::open(input, limits)?;
-        Ok(Decoder { groups: IndexedGroups::new(reader, FrameRange::default()), limits, threads: 1 })
+        let reader = IndexedReader::open_at_end(input, limits)?;
+        let groups = IndexedGroups::new(reader, FrameRange::default()).reading_at_once(AT_ONCE);
+        Ok(Decoder { groups, limits, threads: 1, images: false, kept: None })
+    }
+
+    /// Whether scans come with their [range images](Scan::range_image). Default: no; they take some time and memory.
+    pub fn range_images(self, images: bool) -> Self {
+        Decoder { images, kept: None, ..self }
     }
 
     /// Has [`scans`](Self::scans) decoded ahead by so many threads; 0 stands for one a processor. With 1, the default,
@@ -100,6 +130,16 @@ impl<R: Read + Seek + Send> Decoder<R> {
         })
     }
 
+    /// The numbers of the frames that are coded together with this one, and come cheap once it is decoded; `None` if
+    /// there is no such frame.
+    pub fn group_of(&self, number: u64) -> Option<Range<u64>> {
+        let groups = &self.groups.index().groups;
+        let next = groups.partition_point(|group| group.first_frame <= number);
+        let group = groups.get(next.checked_sub(1)?).filter(|group| !group.is_beside())?;
+        let range = group.first_frame..group.end();
+        range.contains(&number).then_some(range)
+    }
+
     /// What the stream says of these frames: reads their groups, but decodes nothing.
     ///
     /// # Errors
@@ -118,26 +158,58 @@ impl<R: Read + Seek + Send> Decoder<R> {
         Ok(details)
     }
 
-    /// The scan with this number, the first being 0. Only its group is read, and decoded as far as this scan: to get
-    /// several that are near each other, [`scans`](Self::scans) is quicker.
+    /// The scan with this number, the first being 0. Only its group is read, and decoded as far as this scan. The group is
+    /// kept, and goes on where it was when another of its scans is asked for; to get many in order,
+    /// [`scans`](Self::scans) is quicker, as it may use several threads.
     ///
     /// # Errors
     /// [`Error::Usage`] if there is no such scan; if the input fails, is damaged there, or asks for more than the
     /// limits.
     pub fn scan(&mut self, number: u64) -> Result<Scan> {
         let missing = || Error::Usage(format!("there is no frame {number} in a stream of {}", self.len()));
-        let end = number.checked_add(1).filter(|_| number < self.len()).ok_or_else(missing)?;
-        self.scans(number..end).next().unwrap_or_else(|| Err(Error::corrupt("a group without its frames")))
+        let group = self.group_of(number).ok_or_else(missing)?;
+        // An error leaves nothing to go on with.
+        let mut kept = match self.kept.take().filter(|kept| kept.first_frame == group.start) {
+            Some(kept) => kept,
+            None => self.open_group(group.start)?,
+        };
+        let scan = kept.scan(number)?;
+        self.kept = Some(kept);
+        Ok(scan)
+    }
+
+    /// The group that begins with this frame.
+    fn open_group(&mut self, first_frame: u64) -> Result<KeptGroup> {
+        self.groups.seek(FrameRange { start: first_frame, end: first_frame.checked_add(1) });
+        let job = self.groups.next().unwrap_or_else(|| Err(lost_frames()))?;
+        let open = OpenGroup::new(job, &self.limits, self.images)?;
+        Ok(KeptGroup { first_frame, scans: Vec::new(), open })
     }
 
     /// These scans, one after the other. An error, or a range that is not in the stream, is the last item.
     pub fn scans(&mut self, frames: impl RangeBounds<u64>) -> Scans<'_> {
-        let (threads, limits) = (self.threads, self.limits);
-        let options = |frames| DecodeOptions { threads, limits, frames, images: false };
+        let options = self.options();
         match self.seek(&frames) {
-            Ok(range) => Scans::new(Box::new(&mut self.groups), options(range)),
-            Err(error) => Scans::new(Box::new(std::iter::once(Err(error))), options(FrameRange::default())),
+            Ok(frames) => Scans::new(Box::new(&mut self.groups), DecodeOptions { frames, ..options }),
+            Err(error) => Scans::new(Box::new(std::iter::once(Err(error))), options),
         }
+    }
+
+    /// As [`scans`](Self::scans), for iterators that outlive their maker. A clone of the decoder shares the index.
+    pub fn into_scans<'r>(mut self, frames: impl RangeBounds<u64>) -> Scans<'r>
+    where
+        R: 'r,
+    {
+        let options = self.options();
+        match self.seek(&frames) {
+            Ok(frames) => Scans::new(Box::new(self.groups), DecodeOptions { frames, ..options }),
+            Err(error) => Scans::new(Box::new(std::iter::once(Err(error))), options),
+        }
+    }
+
+    fn options(&self) -> DecodeOptions {
+        let Decoder { threads, limits, images, .. } = *self;
+        DecodeOptions { threads, limits, images, frames: FrameRange::default() }
     }
 
     /// Goes to the group of the first of these frames.
@@ -173,6 +245,43 @@ impl Decoder<()> {
         let groups = StreamedGroups::new(StreamReader::open(input, limits)?, FrameRange::default());
         let options = DecodeOptions { threads, limits, ..DecodeOptions::default() };
         Ok(Scans::new(Box::new(groups), options))
+    }
+}
+
+fn lost_frames() -> Error {
+    Error::corrupt("a group without its frames")
+}
+
+impl KeptGroup {
+    /// The scan with this number, which is in the group.
+    fn scan(&mut self, number: u64) -> Result<Scan> {
+        let place = (number - self.first_frame) as usize;
+        while self.scans.len() <= place {
+            let decoded = self.open.decode_next()?.ok_or_else(lost_frames)?;
+            self.scans.push(KeptScan::Unchecked(Box::new(decoded)));
+        }
+        let kept = &mut self.scans[place];
+        let scan = match std::mem::replace(kept, KeptScan::Checked(Scan::default())) {
+            KeptScan::Unchecked(frame) => scan_of(frame.checked()?),
+            KeptScan::Checked(scan) => scan,
+        };
+        *kept = KeptScan::Checked(scan.clone());
+        Ok(scan)
+    }
+}
+
+/// What was decoded and checked, as users get it.
+fn scan_of(frame: DecodedFrame) -> Scan {
+    let image = frame.image.map(|image| RangeImage::new(&image, &frame.scan.cloud.positions));
+    Scan::of_parts(frame.scan, frame.header.stamp).with_range_image(image)
+}
+
+impl<R: Clone> Clone for Decoder<R> {
+    /// One that reads by itself from a clone of the input. It shares the index; the group of the scan that was asked for last
+    /// is not kept.
+    fn clone(&self) -> Self {
+        let groups = self.groups.clone();
+        Decoder { groups, limits: self.limits, threads: self.threads, images: self.images, kept: None }
     }
 }
 
@@ -238,10 +347,9 @@ fn decode(job: GroupJob, options: &DecodeOptions) -> DecodedGroup {
     let mut scans = Vec::new();
     let error = decode_group(job, options, |frame| {
         let frame = frame.checked()?;
-        if frame.header.stamp.unit == Unit::Beside {
-            return Ok(());
+        if frame.header.stamp.unit != Unit::Beside {
+            scans.push(scan_of(frame));
         }
-        scans.push(Scan::of_parts(frame.scan, frame.header.stamp));
         Ok(())
     });
     DecodedGroup { error: error.err(), scans }

@@ -1,5 +1,6 @@
 //! A scan: points with named, typed channels, and what is known of it.
 
+use super::range_image::RangeImage;
 use super::scalar::{Scalar, Values};
 use crate::files;
 use crate::ground::error::{Error, Result};
@@ -38,6 +39,8 @@ pub struct Scan {
     channels: Vec<TypedChannel>,
     /// What it takes to make a file of it again, if it was one.
     file: Option<Box<Envelope>>,
+    /// If it was asked for.
+    image: Option<Box<RangeImage>>,
 }
 
 /// A field other than the position, with a value (or so many) for each point.
@@ -204,6 +207,17 @@ impl Scan {
         self.file.is_some().then(|| self.clone().into_parts().0.to_bytes()).transpose()
     }
 
+    /// Its points as the scanner's rows and columns have them: of a scan from a [`Decoder`](crate::Decoder) that was told
+    /// to give [range images](crate::Decoder::range_images) and knows the scanner, otherwise `None`.
+    pub fn range_image(&self) -> Option<&RangeImage> {
+        self.image.as_deref()
+    }
+
+    /// The same with this range image.
+    pub(super) fn with_range_image(self, image: Option<RangeImage>) -> Self {
+        Scan { image: image.map(Box::new), ..self }
+    }
+
     /// What was taken apart, or decoded.
     pub(crate) fn of_parts(scan: ScanFile, stamp: Stamp) -> Self {
         let ScanFile { name, layout, prefix, records, cloud, suffix } = scan;
@@ -223,7 +237,7 @@ impl Scan {
         }
         let Stamp { unit, stream, time } = stamp;
         let file = (unit != Unit::Points).then(|| Box::new(Envelope { unit, layout, prefix, suffix }));
-        Scan { name, stream, time, points: records, positions: cloud.positions, channels, file }
+        Scan { name, stream, time, points: records, positions: cloud.positions, channels, file, image: None }
     }
 
     /// As the encoder takes it.

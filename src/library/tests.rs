@@ -1,7 +1,9 @@
 //! Scans in and out by the public interface alone, and that streams are those of the command line.
 
 use std::fs;
-use std::io::{self, Cursor, Write};
+use std::io::{self, Cursor, Read, Seek, SeekFrom, Write};
+use std::mem::take;
+use std::sync::{Arc, Mutex};
 
 use super::*;
 use crate::frame::EncoderConfig;
@@ -360,4 +362,151 @@ fn messages_stand_by_themselves_and_share_what_was_found() {
     // Also where it fits less.
     let other = encoder.encode(Scan::from_positions(&noise)).unwrap();
     assert_eq!(decoded(&other)[0].positions(), noise);
+}
+
+/// An input that tells of each read where it began and how long it was.
+#[derive(Clone)]
+struct Watched {
+    input: Cursor<Arc<[u8]>>,
+    reads: Arc<Mutex<Vec<(u64, usize)>>>,
+}
+
+impl Watched {
+    fn new(stream: Vec<u8>) -> Self {
+        Watched { input: Cursor::new(stream.into()), reads: Arc::default() }
+    }
+
+    /// The reads since the last time.
+    fn reads(&self) -> Vec<(u64, usize)> {
+        take(&mut *self.reads.lock().unwrap())
+    }
+}
+
+impl Read for Watched {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let start = self.input.position();
+        let mut stream = &self.input.get_ref()[start as usize..];
+        let count = stream.read(buffer)?;
+        self.input.set_position(start + count as u64);
+        self.reads.lock().unwrap().push((start, count));
+        Ok(count)
+    }
+}
+
+impl Seek for Watched {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.input.seek(to)
+    }
+}
+
+/// Scans whose coordinates follow no rule: 24 KB each, which a stream cannot make much smaller.
+fn noise(count: u64) -> Vec<Scan> {
+    let mut state = 1u64;
+    let mut next = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        f32::from_bits((state >> 40) as u32 | 0x4000_0000)
+    };
+    let mut scan = || Scan::from_positions(&(0..2000).map(|_| [next(), next(), next()]).collect::<Vec<_>>());
+    (0..count).map(|number| scan().stamped(number as i64)).collect()
+}
+
+#[test]
+fn few_and_large_pieces_are_read() {
+    let stream = encoded(noise(40), Settings::exact().group_of_pictures(5).level(1));
+    let length = stream.len();
+    let input = Watched::new(stream);
+    let mut decoder = Decoder::open(input.clone()).unwrap();
+    let tail = (length as u64 - (1 << 16), 1 << 16);
+    assert_eq!(input.reads(), [tail], "the index");
+
+    let group = |number| {
+        let range = decoder.group_of(number).unwrap();
+        let frames = decoder.frames().filter(|frame| range.contains(&frame.number));
+        frames.map(|frame| frame.coded_bytes).sum::<u64>()
+    };
+    let (first, second) = (group(0), group(7));
+    assert_eq!(decoder.scan(7).unwrap().time(), Some(7));
+    let read = input.reads();
+    assert!(read.len() == 1 && (second..second + 1000).contains(&(read[0].1 as u64)), "a group: {read:?}");
+    for number in [5, 9, 6, 8, 7] {
+        assert_eq!(decoder.scan(number).unwrap().time(), Some(number as i64));
+    }
+    assert_eq!(input.reads(), [], "the group is kept");
+
+    let times: Vec<_> = decoder.scans(2..8).map(|scan| scan.unwrap().time().unwrap()).collect();
+    assert_eq!(times, (2..8).collect::<Vec<_>>());
+    let read = input.reads();
+    let both = first + second;
+    assert!(read.len() == 1 && (both..both + 3000).contains(&(read[0].1 as u64)), "two groups: {read:?}");
+}
+
+#[test]
+fn what_is_no_stream_is_named_as_such_however_large_it_is() {
+    for length in [0, 3, 1000, 100_000, 200_000] {
+        let error = Decoder::open(Cursor::new(vec![b'x'; length])).unwrap_err();
+        assert!(length < 4 || matches!(error, Error::BadMagic(_)), "{length}: {error}");
+    }
+    let mut newer = encoded(noise(10), Settings::exact().level(1));
+    newer[4] = 9;
+    let checksum = crc32c::crc32c(&newer[..8]).to_le_bytes();
+    newer[8..12].copy_from_slice(&checksum);
+    let length = newer.len();
+    newer[length - 10..length - 4].fill(0);
+    let error = Decoder::open(Cursor::new(newer)).unwrap_err();
+    assert!(matches!(error, Error::UnsupportedVersion { found: 9, .. }), "{error}");
+}
+
+#[test]
+fn scans_of_a_kept_group_are_those_of_any_other_way() {
+    let scans = drive().into_iter().map(|(name, bytes)| Scan::from_file(&name, bytes));
+    let stream = encoded(scans, Settings::exact().level(8));
+    let expected: Vec<_> = decoded(&stream).iter().map(|scan| scan.file_bytes().unwrap()).collect();
+    let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap();
+    for number in [1, 0, 2, 1] {
+        assert_eq!(decoder.scan(number).unwrap().file_bytes().unwrap(), expected[number as usize]);
+    }
+    assert_eq!(
+        (decoder.group_of(0), decoder.group_of(2), decoder.group_of(3)),
+        (Some(0..3), Some(0..3), None)
+    );
+    let outlives = decoder.clone().into_scans(1..);
+    drop(decoder);
+    let found: Vec<_> = outlives.map(|scan| scan.unwrap().file_bytes().unwrap()).collect();
+    assert_eq!(found, expected[1..]);
+}
+
+#[test]
+fn damage_in_a_group_leaves_the_others_to_be_asked_for() {
+    let mut stream = encoded(noise(12), Settings::exact().group_of_pictures(4).level(1));
+    let middle = stream.len() / 2;
+    stream[middle] ^= 1;
+    let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap();
+    for number in [0, 5, 4, 11, 5, 1] {
+        assert_eq!(decoder.scan(number).is_ok(), !(4..8).contains(&number), "{number}");
+    }
+}
+
+#[test]
+fn range_images_hold_the_points() {
+    let (name, bytes) = drive().swap_remove(0);
+    let stream = encoded([Scan::from_file(&name, bytes)], Settings::exact());
+    assert!(decoded(&stream)[0].range_image().is_none(), "nobody asked for it");
+    let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap().range_images(true);
+    let scan = decoder.scan(0).unwrap();
+    let image = scan.range_image().unwrap();
+    assert_eq!((image.rows(), image.ranges().len()), (64, 64 * image.columns()));
+    assert_eq!(image.points().len(), image.ranges().len());
+    let returns = image.ranges().iter().zip(image.points()).filter(|(range, _)| **range > 0.0);
+    let mut found = 0;
+    for (range, point) in returns {
+        let position = scan.positions()[point.unwrap() as usize].map(f64::from);
+        let distance = position.iter().map(|metres| metres * metres).sum::<f64>().sqrt();
+        // Lasers stand up to a quarter of a metre beside the origin.
+        assert!((distance - f64::from(*range)).abs() < 0.3, "{distance} {range}");
+        found += 1;
+    }
+    assert!(found * 100 > scan.len() * 99, "{found} of {}", scan.len());
+    let untouched =
+        Decoder::open(Cursor::new(encoded(noise(1), Settings::exact()))).unwrap().range_images(true);
+    assert!(untouched.into_scans(..).next().unwrap().unwrap().range_image().is_none());
 }

@@ -1,5 +1,7 @@
 //! A stream to a sequence of files.
 
+use std::borrow::Borrow;
+use std::collections::VecDeque;
 use std::io::{Read, Seek};
 
 use super::options::DecodeOptions;
@@ -10,8 +12,9 @@ use crate::frame::group::{DecodedImage, DecodedScan, GroupDecoder};
 use crate::frame::parameters::Source;
 use crate::frame::settings::resolve_threads;
 use crate::frame::steps::StepReport;
-use crate::ground::error::{Error, Result};
+use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
+use crate::scanner::Scanner;
 use crate::stream::container::{Frame, FrameHeader, IndexedReader, StreamReader};
 
 /// One decoded file. Whether it is the file that was encoded shows when its bytes are asked for, or by
@@ -118,7 +121,7 @@ pub(crate) fn decode_group<T>(
     mut work: impl FnMut(DecodedFrame) -> Result<T>,
 ) -> Result<Vec<T>> {
     let range = &options.frames;
-    let coder = GroupDecoder::new(&job.models()?, &options.limits);
+    let coder = GroupDecoder::new(job.models()?, &options.limits);
     let mut coder = coder.keeping_images(options.images);
     let mut results = Vec::new();
     for (number, frame) in (job.first_frame..).zip(&job.group.frames) {
@@ -134,8 +137,8 @@ pub(crate) fn decode_group<T>(
 }
 
 /// Decodes one frame; returns its file if it is asked for (those before it are needed for its sake).
-fn decode_frame(
-    coder: &mut GroupDecoder<'_>,
+fn decode_frame<S: Borrow<Scanner>>(
+    coder: &mut GroupDecoder<S>,
     number: u64,
     frame: &Frame,
     options: &DecodeOptions,
@@ -148,6 +151,39 @@ fn decode_frame(
         return Ok(None);
     }
     Ok(Some(DecodedFrame { number, header, scan, source, in_order, image, steps }))
+}
+
+/// A group that is decoded as far as it is asked for, and goes on from there.
+pub(crate) struct OpenGroup {
+    /// Number of the next frame.
+    next: u64,
+    coder: GroupDecoder<Scanner>,
+    /// Those that are not decoded yet.
+    coded: VecDeque<Frame>,
+}
+
+impl OpenGroup {
+    /// A group of which nothing is decoded yet.
+    ///
+    /// # Errors
+    /// If a scanner of it is of a family that this program does not know.
+    pub fn new(job: GroupJob, limits: &Limits, images: bool) -> Result<Self> {
+        let scanners = job.models()?.into_iter().map(Option::<&Scanner>::cloned);
+        let coder = GroupDecoder::new(scanners, limits).keeping_images(images);
+        Ok(OpenGroup { next: job.first_frame, coder, coded: job.group.frames.into() })
+    }
+
+    /// The next frame; `None` after the last. It is not [checked](DecodedFrame::checked).
+    ///
+    /// # Errors
+    /// If the frame is damaged, or asks for more than the limits. The group is of no use then.
+    pub fn decode_next(&mut self) -> Result<Option<DecodedFrame>> {
+        let Some(frame) = self.coded.pop_front() else { return Ok(None) };
+        let number = self.next;
+        self.next += 1;
+        let decoded = decode_frame(&mut self.coder, number, &frame, &DecodeOptions::default());
+        decoded.map_err(|e| e.within_frame(number, &frame.header.name))
+    }
 }
 
 /// Gives the bytes of a file, piece by piece; an error if in the end they are not those that the frame's header tells

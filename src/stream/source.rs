@@ -64,7 +64,7 @@ pub(crate) fn missing(scanner: ScannerId) -> Error {
 const KEPT_SCANNERS: usize = 16;
 
 /// The scanners of a stream that the last groups have used, the last of them first.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(crate) struct UsedScanners(Vec<(ScannerId, Arc<StoredScanner>)>);
 
 impl UsedScanners {
@@ -129,10 +129,13 @@ impl<R: Read> Iterator for StreamedGroups<R> {
 }
 
 /// The groups that hold the frames asked for, read where the index says.
+#[derive(Clone)]
 pub struct IndexedGroups<R> {
     reader: IndexedReader<R>,
     scanners: UsedScanners,
     range: FrameRange,
+    /// Bytes of groups that are read at once.
+    at_once: u64,
     /// The next group's place in the index.
     place: usize,
 }
@@ -140,7 +143,12 @@ pub struct IndexedGroups<R> {
 impl<R: Read + Seek> IndexedGroups<R> {
     /// From the first on.
     pub fn new(reader: IndexedReader<R>, range: FrameRange) -> Self {
-        IndexedGroups { reader, scanners: UsedScanners::default(), range, place: 0 }
+        IndexedGroups { reader, scanners: UsedScanners::default(), range, at_once: 0, place: 0 }
+    }
+
+    /// Reads groups that follow one another at once, up to so many bytes.
+    pub fn reading_at_once(self, bytes: u64) -> Self {
+        IndexedGroups { at_once: bytes, ..self }
     }
 
     /// Where all records are.
@@ -161,6 +169,11 @@ impl<R: Read + Seek> IndexedGroups<R> {
             let place = self.place;
             self.place += 1;
             if self.range.wants(first_frame, count, entry.is_beside()) {
+                if self.at_once > 0 {
+                    let is_before_end = |group: &GroupEntry| !self.range.is_past(group.first_frame);
+                    let end = self.index().groups.partition_point(is_before_end);
+                    self.reader.read_ahead(place..end, self.at_once)?;
+                }
                 let group = self.reader.read_group(place)?;
                 let scanners = self.scanners.of_group(&group, |id| self.reader.read_scanner(id))?;
                 return Ok(Some(GroupJob { first_frame, scanners, group }));

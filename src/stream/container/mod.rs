@@ -14,6 +14,7 @@ pub mod section;
 pub mod stamp;
 pub mod writer;
 
+mod pieces;
 mod record;
 mod scan;
 mod wire;

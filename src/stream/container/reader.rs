@@ -1,14 +1,20 @@
 //! Reads a stream: front to back, or group by group through its index.
 
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{Read, Seek};
+use std::ops::Range;
+use std::sync::Arc;
 
 use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
 use super::index::{End, Index};
+use super::pieces::Pieces;
 use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
 use super::scanner::{ScannerId, ScannerRecord, Scanners};
 use crate::ground::SKIPPABLE;
 use crate::ground::error::{Error, Limits, Result};
+
+/// Bytes between groups that are read with them rather than left out: a request costs more.
+const LARGEST_GAP: u64 = 1 << 16;
 
 /// What a stream is made of.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -142,13 +148,13 @@ impl<R: Read> StreamReader<R> {
     }
 }
 
-/// Reads single records of a stream that can be sought in, by way of its index.
+/// Reads single records of a stream that can be sought in, by way of its index: the end of the stream at once, then each
+/// group at once.
+#[derive(Clone)]
 pub struct IndexedReader<R> {
-    input: R,
+    input: Pieces<R>,
     limits: Limits,
-    /// Bytes of the stream.
-    size: u64,
-    index: Index,
+    index: Arc<Index>,
 }
 
 impl<R: Read + Seek> IndexedReader<R> {
@@ -156,23 +162,55 @@ impl<R: Read + Seek> IndexedReader<R> {
     ///
     /// # Errors
     /// As [`StreamReader::open`]; also if the end or the index is missing or damaged.
-    pub fn open(mut input: R, limits: Limits) -> Result<Self> {
-        input.seek(SeekFrom::Start(0))?;
-        let header = StreamHeader::read_from(&mut input)?;
-        let size = input.seek(SeekFrom::End(0))?;
+    pub fn open(input: R, limits: Limits) -> Result<Self> {
+        let mut input = Pieces::open(input)?;
+        let header = StreamHeader::read_from(&mut input.reader_at(0)?)?;
+        IndexedReader::of_header(input, limits, Some(header))
+    }
+
+    /// As [`open`](Self::open), but the stream header is read only where it is in the last 64 KiB, with which this
+    /// begins: the end record repeats it, and a read less may be a request less.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_at_end(input: R, limits: Limits) -> Result<Self> {
+        let mut input = Pieces::open(input)?;
+        if input.size() == 0 || input.is_tail(0) {
+            let header = StreamHeader::read_from(&mut input.reader_at(0)?)?;
+            return IndexedReader::of_header(input, limits, Some(header));
+        }
+        let mut reader = IndexedReader { input, limits, index: Arc::default() };
+        let index = reader.read_index(None);
+        // What does not end as a stream perhaps never was one, or is one of another version.
+        let index = index.or_else(|error| {
+            StreamHeader::read_from(&mut reader.input.reader_at(0)?)?;
+            Err(error)
+        });
+        reader.index = Arc::new(index?);
+        Ok(reader)
+    }
+
+    fn of_header(input: Pieces<R>, limits: Limits, header: Option<StreamHeader>) -> Result<Self> {
+        let mut reader = IndexedReader { input, limits, index: Arc::default() };
+        reader.index = Arc::new(reader.read_index(header)?);
+        Ok(reader)
+    }
+
+    /// Reads the end record and the index.
+    fn read_index(&mut self, header: Option<StreamHeader>) -> Result<Index> {
         let cut_short = || Error::corrupt("it is cut short");
-        let end_offset = size.checked_sub(End::RECORD_LENGTH).ok_or_else(cut_short)?;
-        let mut reader = IndexedReader { input, limits, size, index: Index::default() };
-        let end = reader
+        let end_offset = self.input.size().checked_sub(End::RECORD_LENGTH).ok_or_else(cut_short)?;
+        let end = self
             .record_at(end_offset, END)
             .and_then(|raw| End::of_payload(&raw.payload))
-            .and_then(|end| check_header(&end, &header).map(|()| end))
+            .and_then(|end| match header {
+                Some(header) => check_header(&end, &header).map(|()| end),
+                None => end.header.check().map(|()| end),
+            })
             .map_err(|e| e.within("end of the stream"))?;
-        reader.index = reader
-            .record_at(end.index_offset, INDEX)
+        self.record_at(end.index_offset, INDEX)
             .and_then(|raw| Index::read_from(&raw.payload))
-            .map_err(|e| e.within("index"))?;
-        Ok(reader)
+            .map_err(|e| e.within("index"))
     }
 
     /// Where all records are.
@@ -199,6 +237,31 @@ impl<R: Read + Seek> IndexedReader<R> {
         read.map_err(|e| e.within(format!("scanner {id}")))
     }
 
+    /// Reads as many of the groups at these places as follow one another in the stream and have no more than `most` bytes
+    /// together, at once, unless the first is in memory: [`read_group`](Self::read_group) takes them from there.
+    ///
+    /// # Errors
+    /// If the input fails.
+    pub fn read_ahead(&mut self, places: Range<usize>, most: u64) -> Result<()> {
+        let groups = self.index.groups.get(places).unwrap_or(&[]);
+        let Some(first) = groups.first() else { return Ok(()) };
+        let (start, mut end) = (first.offset, first.offset);
+        for group in groups {
+            let gap = group.offset.checked_sub(end);
+            let reach = group.offset.checked_add(group.length);
+            // Copies of scanners stand between groups.
+            let (Some(0..=LARGEST_GAP), Some(reach)) = (gap, reach) else { break };
+            if reach - start > most {
+                break;
+            }
+            end = reach;
+        }
+        if end > start && !self.input.holds(start, start + first.length) {
+            self.input.read_ahead(start, end)?;
+        }
+        Ok(())
+    }
+
     /// The group at this place of the index, the first being 0.
     ///
     /// # Errors
@@ -208,28 +271,32 @@ impl<R: Read + Seek> IndexedReader<R> {
     }
 
     fn try_read_group(&mut self, place: usize) -> Result<Group> {
-        let entry = self.index.groups.get(place);
-        let (offset, first_frame) = entry
-            .map(|entry| (entry.offset, entry.first_frame))
-            .ok_or_else(|| Error::corrupt("it is not in the index"))?;
-        let counted = |e: Error| e.counted_from(first_frame);
-        let raw = self.record_at(offset, GROUP).map_err(counted)?;
+        let index = Arc::clone(&self.index);
+        let entry = index.groups.get(place).ok_or_else(|| Error::corrupt("it is not in the index"))?;
+        let counted = |e: Error| e.counted_from(entry.first_frame);
+        // A longer one is refused before there is memory for it.
+        if let Some(end) = entry.offset.checked_add(entry.length)
+            && entry.length <= self.limits.record_bytes
+            && !self.input.holds(entry.offset, end)
+        {
+            self.input.read_ahead(entry.offset, end)?;
+        }
+        let raw = self.record_at(entry.offset, GROUP).map_err(counted)?;
         let (group, frames) = Group::read_from(&raw.payload, &self.limits).map_err(counted)?;
-        let entry = &self.index.groups[place];
         if (raw.length, raw.crc, &frames) != (entry.length, entry.crc, &entry.frames) {
             return Err(Error::corrupt("it does not agree with the index"));
         }
         check_reference(&group, &self.index)?;
+        self.input.used_up_to(entry.offset + entry.length);
         Ok(group)
     }
 
     /// Reads the record at `offset`, which must be whole and of this kind.
     fn record_at(&mut self, offset: u64, kind: u8) -> Result<RawRecord> {
-        if offset >= self.size {
+        if offset >= self.input.size() {
             return Err(Error::corrupt(format!("byte {offset} is beyond the end")));
         }
-        self.input.seek(SeekFrom::Start(offset))?;
-        let raw = read_record(&mut self.input, &self.limits)?;
+        let raw = read_record(&mut self.input.reader_at(offset)?, &self.limits)?;
         if raw.kind != kind {
             return Err(Error::corrupt(format!("there is no {} record at byte {offset}", kind_name(kind))));
         }

@@ -1,0 +1,215 @@
+"""Drives and frames."""
+
+from __future__ import annotations
+
+import gc
+import io
+import itertools
+import pickle
+import threading
+
+import numpy as np
+import pytest
+
+import lidarpc
+
+
+def xyzi(data: bytes) -> np.ndarray:
+    return np.frombuffer(data, np.float32).reshape(-1, 4)
+
+
+def test_a_drive_is_a_sequence_of_the_files(drive_file, scans):
+    with lidarpc.open(drive_file) as drive:
+        assert len(drive) == 3 and drive.names == [name for name, _ in scans]
+        for frame, (name, data) in zip(drive, scans, strict=True):
+            expected = xyzi(data)
+            assert (frame.name, len(frame), frame.data) == (name, len(expected), data)
+            assert frame.xyz.dtype == np.float32 and np.array_equal(frame.xyz, expected[:, :3])
+            assert np.array_equal(frame["intensity"], expected[:, 3])
+            assert np.array_equal(frame["z"], expected[:, 2])
+            assert frame.fields == ["x", "y", "z", "intensity"] and "intensity" in frame and "ring" not in frame
+        assert [frame.number for frame in drive] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("source", ["str", "bytes", "bytearray", "file", "buffered"])
+def test_it_is_read_from_anything(drive_file, scans, source):
+    data = drive_file.read_bytes()
+    sources = {
+        "str": str(drive_file),
+        "bytes": data,
+        "bytearray": bytearray(data),
+        "file": io.BytesIO(data),
+        "buffered": drive_file.open("rb"),
+    }
+    with lidarpc.open(sources[source]) as drive:
+        assert [frame.data for frame in drive[1:]] == [data for _, data in scans[1:]]
+        assert drive[0].data == scans[0][1]
+
+
+def test_indexes_and_slices(long_file):
+    with lidarpc.open(long_file) as drive:
+        for number in (0, 17, 999, -1, -1000):
+            frame = drive[number]
+            assert frame.number == number % 1000 == frame.time and len(frame) == 300 + frame.number % 7
+        for number in (1000, -1001, 10**30):
+            with pytest.raises(IndexError):
+                drive[number]
+        with pytest.raises(TypeError):
+            drive["17"]
+        for cut in (slice(95, 115), slice(None, None, 97), slice(30, 5, -3), slice(990, 2000), slice(5, 5)):
+            expected = list(range(1000))[cut]
+            assert [frame.number for frame in drive[cut]] == expected and len(drive[cut]) == len(expected)
+        part = drive[100:200]
+        assert part[5].number == 105 and part[-1].number == 199 and [f.number for f in part[10:12]] == [110, 111]
+        with pytest.raises(IndexError):
+            part[100]
+        assert drive.groups == [range(start, start + 10) for start in range(0, 1000, 10)]
+
+
+def test_times(long_file, drive_file):
+    with lidarpc.open(long_file) as drive:
+        assert drive.times.dtype == np.dtype("datetime64[ns]")
+        assert np.array_equal(drive.times.astype(np.int64), np.arange(1000))
+    with lidarpc.open(drive_file) as drive:
+        assert np.isnat(drive.times).all() and drive[0].time is None
+
+
+def test_range_images(drive_file):
+    with lidarpc.open(drive_file) as drive:
+        frame = drive[1]
+        ranges, cells = frame.range_image, frame.cells
+        assert ranges.dtype == np.float32 and ranges.shape == cells.shape and ranges.shape[0] == 64
+        seen = (ranges > 0) & (cells >= 0)
+        assert seen.sum() > 0.99 * len(frame)
+        distances = np.linalg.norm(frame.xyz[cells[seen]], axis=1)
+        # Lasers stand up to a quarter of a metre beside the origin.
+        assert np.abs(distances - ranges[seen]).max() < 0.3
+    with lidarpc.open(drive_file, range_images=False) as drive:
+        assert drive[1].range_image is None and drive[1].cells is None
+
+
+def test_structured_arrays(drive_file, scans):
+    with lidarpc.open(drive_file) as drive:
+        records = drive[2].to_structured()
+    assert records.dtype.names == ("x", "y", "z", "intensity")
+    assert records.tobytes() == scans[2][1]
+
+
+def test_arrays_are_the_callers_own(drive_file, scans):
+    with lidarpc.open(drive_file) as drive:
+        frame = drive[0]
+        frame.xyz[:] = 0
+        frame["intensity"][:] = 0
+        assert frame.data == scans[0][1] and drive[0].data == scans[0][1]
+        points = frame.xyz
+    assert np.array_equal(points, xyzi(scans[0][1])[:, :3]), "they outlive the drive"
+
+
+def test_errors_name_file_and_frame(long_file, tmp_path):
+    damaged = tmp_path / "damaged.lpc"
+    data = bytearray(long_file.read_bytes())
+    data[len(data) // 2] ^= 1
+    damaged.write_bytes(data)
+    with lidarpc.open(damaged) as drive:
+        with pytest.raises(lidarpc.Error) as raised:
+            list(drive)
+        number = raised.value.frame
+        assert 400 < number < 600 and raised.value.file == str(damaged)
+        with pytest.raises(ValueError, match=f"damaged.lpc: .*frame {number} ?[:(]") as raised:
+            drive[number]
+        assert raised.value.frame is not None
+        assert drive[number - 10].number == number - 10 and drive[number + 10].number == number + 10
+        error = pickle.loads(pickle.dumps(raised.value))
+        assert (str(error), error.frame) == (str(raised.value), raised.value.frame)
+
+
+def test_what_is_no_stream(tmp_path):
+    with pytest.raises(FileNotFoundError, match="missing"):
+        lidarpc.open(tmp_path / "missing.lpc")
+    for data in (b"", b"no stream at all", bytes(100_000)):
+        with pytest.raises(lidarpc.Error):
+            lidarpc.open(data)
+
+
+class Broken(io.BytesIO):
+    """A file whose reads fail after the first."""
+
+    reads = 0
+
+    def read(self, *arguments):
+        self.reads += 1
+        if self.reads > 1:
+            raise ConnectionError("the line is dead")
+        return super().read(*arguments)
+
+
+def test_errors_of_file_objects_are_told(long_file):
+    with lidarpc.open(Broken(long_file.read_bytes())) as drive:
+        with pytest.raises(lidarpc.InputError, match="the line is dead") as raised:
+            drive[5]
+    assert isinstance(raised.value, OSError) and isinstance(raised.value.__cause__, ConnectionError)
+
+
+def test_a_closed_drive_says_so(drive_file):
+    drive = lidarpc.open(drive_file)
+    frames = iter(drive)
+    drive.close()
+    with pytest.raises(ValueError, match="closed"):
+        drive[0]
+    assert len(list(frames)) == 3
+
+
+def test_threads_share_a_drive(long_file):
+    # From a file object, too: its reads need the interpreter, while others wait for the drive.
+    for source in (long_file, io.BytesIO(long_file.read_bytes())):
+        with lidarpc.open(source, threads=2) as drive:
+            found: list[list[int]] = [[] for _ in range(4)]
+
+            def read(place: int, drive=drive, found=found) -> None:
+                if place % 2:
+                    found[place] = [frame.number for frame in drive[place * 100 : place * 100 + 50]]
+                else:
+                    found[place] = [drive[number].number for number in range(place * 100, place * 100 + 50)]
+
+            threads = [threading.Thread(target=read, args=(place,)) for place in range(4)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join(60)
+                assert not thread.is_alive()
+            assert found == [list(range(place * 100, place * 100 + 50)) for place in range(4)]
+
+
+def resident_bytes() -> int:
+    with open("/proc/self/status", encoding="ascii") as status:
+        return next(int(line.split()[1]) * 1024 for line in status if line.startswith("VmRSS"))
+
+
+def test_random_access_does_not_grow_memory(long_file):
+    try:
+        resident_bytes()
+    except OSError:
+        pytest.skip("memory is read from /proc")
+    random = np.random.default_rng(2)
+    with lidarpc.open(long_file) as drive:
+
+        def access(count: int) -> None:
+            for number in random.integers(len(drive), size=count):
+                frame = drive[int(number)]
+                assert len(frame.xyz) == len(frame)
+
+        access(1000)
+        gc.collect()
+        before = resident_bytes()
+        access(10_000)
+        gc.collect()
+        # A frame is 4 KB: were one in a hundred kept, or of each a hundredth, this would show.
+        assert resident_bytes() - before < 4 << 20
+
+
+def test_iterating_does_not_hold_all_frames(long_file):
+    with lidarpc.open(long_file, threads=2) as drive:
+        frames = iter(drive)
+        assert [frame.number for frame in itertools.islice(frames, 3)] == [0, 1, 2]
+        assert drive[500].number == 500, "in between"
+        assert next(frames).number == 3

@@ -1,0 +1,553 @@
+//! The extension module `lidarpc._native`: a thin layer over the library. What users see of it, and its documentation, is in
+//! `python/lidarpc`.
+//!
+//! Points are coded without the interpreter's lock. Arrays are the caller's own: their memory is filled once, and handed over.
+
+use std::ffi::OsString;
+use std::fs::File;
+use std::io::{self, Cursor, Read, Seek, SeekFrom, Write};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use numpy::{Element, IntoPyArray, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::{PyKeyError, PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::pybacked::PyBackedBytes;
+use pyo3::types::PyBytes;
+
+use crate::library::{Decoder, Encoder, Scalar, Scan, Scans, Settings};
+use crate::{Error, ScalarType, cli};
+
+/// The module.
+#[pymodule(name = "_native")]
+mod native {
+    #[pymodule_export]
+    use super::{Frame, FrameIterator, StreamReader, StreamWriter, decode_frame, encode_frame, main};
+}
+
+/// The error as Python has it: of the class that says whether the file or what it holds is to blame, naming both the file
+/// and, where it is known, the frame.
+fn raise(error: Error, file: &str, frame: Option<u64>) -> PyErr {
+    let frame = error.place().and_then(|place| place.frame).or(frame);
+    let what = error.to_string();
+    // Messages about a group count its frames.
+    let frame_named = match frame.filter(|number| !what.contains(&format!("frame {number} ("))) {
+        Some(number) => format!("frame {number}: {what}"),
+        None => what,
+    };
+    let message = if file.is_empty() { frame_named } else { format!("{file}: {frame_named}") };
+    let (class, cause) = match error {
+        Error::Io(error) => ("InputError", Some(PyErr::from(error))),
+        _ => ("Error", None),
+    };
+    Python::attach(|py| {
+        let raised = (|| -> PyResult<PyErr> {
+            let class = py.import("lidarpc._errors")?.getattr(class)?;
+            let file = (!file.is_empty()).then_some(file);
+            Ok(PyErr::from_value(class.call1((message, file, frame))?))
+        })();
+        let raised = raised.unwrap_or_else(|error| error);
+        raised.set_cause(py, cause);
+        raised
+    })
+}
+
+/// The lock of what a panicking thread may have left: its own errors tell.
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Where the bytes of a stream are.
+enum Source {
+    File(File),
+    Bytes(PyBackedBytes),
+    /// With a method `read_at(start, length)`, which gives that many bytes, or fewer at the end.
+    Object(Py<PyAny>),
+}
+
+impl Source {
+    fn read_at(&self, start: u64, buffer: &mut [u8]) -> io::Result<usize> {
+        match self {
+            // Without a place of its own in the file, so that it may be shared by threads and forked processes.
+            #[cfg(unix)]
+            Source::File(file) => std::os::unix::fs::FileExt::read_at(file, buffer, start),
+            #[cfg(windows)]
+            Source::File(file) => std::os::windows::fs::FileExt::seek_read(file, buffer, start),
+            #[cfg(not(any(unix, windows)))]
+            Source::File(mut file) => file.seek(SeekFrom::Start(start)).and_then(|_| file.read(buffer)),
+            Source::Bytes(bytes) => {
+                let place = usize::try_from(start).unwrap_or(usize::MAX).min(bytes.len());
+                (&bytes[place..]).read(buffer)
+            }
+            Source::Object(object) => Ok(Python::attach(|py| -> PyResult<usize> {
+                let piece = object.bind(py).call_method1("read_at", (start, buffer.len()))?;
+                let piece: PyBackedBytes = piece.extract()?;
+                let too_long = || PyValueError::new_err("read_at gave more than was asked for");
+                buffer.get_mut(..piece.len()).ok_or_else(too_long)?.copy_from_slice(&piece);
+                Ok(piece.len())
+            })?),
+        }
+    }
+}
+
+/// A place in a source, which other places share.
+#[derive(Clone)]
+struct Input {
+    source: Arc<Source>,
+    size: u64,
+    place: u64,
+}
+
+impl Read for Input {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.source.read_at(self.place, buffer)?;
+        self.place += count as u64;
+        Ok(count)
+    }
+}
+
+impl Seek for Input {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let place = match to {
+            SeekFrom::Start(place) => Some(place),
+            SeekFrom::End(offset) => self.size.checked_add_signed(offset),
+            SeekFrom::Current(offset) => self.place.checked_add_signed(offset),
+        };
+        self.place = place.ok_or(io::ErrorKind::InvalidInput)?;
+        Ok(self.place)
+    }
+}
+
+/// A stream that is open for reading.
+#[pyclass(frozen, module = "lidarpc._native")]
+struct StreamReader {
+    decoder: Mutex<Decoder<Input>>,
+    /// What errors call it.
+    name: String,
+    len: u64,
+}
+
+#[pymethods]
+impl StreamReader {
+    /// Of a file at a path, of bytes, or of an object with `size` and `read_at(start, length)`.
+    #[new]
+    #[pyo3(signature = (source, name, threads, range_images))]
+    fn new(
+        py: Python<'_>,
+        source: &Bound<'_, PyAny>,
+        name: String,
+        threads: usize,
+        range_images: bool,
+    ) -> PyResult<Self> {
+        let (source, size) = if let Ok(path) = source.extract::<std::path::PathBuf>() {
+            // Python's own error names the path.
+            let file = File::open(&path).map_err(|error| match error.raw_os_error() {
+                Some(number) => pyo3::exceptions::PyOSError::new_err((number, error.to_string(), path)),
+                None => error.into(),
+            })?;
+            let size = file.metadata()?.len();
+            (Source::File(file), size)
+        } else if let Ok(bytes) = source.extract::<PyBackedBytes>() {
+            let size = bytes.len() as u64;
+            (Source::Bytes(bytes), size)
+        } else {
+            (Source::Object(source.clone().unbind()), source.getattr("size")?.extract()?)
+        };
+        let input = Input { source: Arc::new(source), size, place: 0 };
+        let decoder = py.detach(|| Decoder::open(input)).map_err(|error| raise(error, &name, None))?;
+        let decoder = decoder.threads(threads).range_images(range_images);
+        let len = decoder.len();
+        Ok(StreamReader { decoder: Mutex::new(decoder), name, len })
+    }
+
+    fn __len__(&self) -> usize {
+        self.len as usize
+    }
+
+    /// The time of each frame in nanoseconds since 1970, the smallest int64 where there is none.
+    fn times<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
+        let times: Vec<i64> = py
+            .detach(|| locked(&self.decoder).frames().map(|frame| frame.time.unwrap_or(i64::MIN)).collect());
+        times.into_pyarray(py)
+    }
+
+    /// First frame of each group, and the number of frames.
+    fn groups(&self, py: Python<'_>) -> Vec<u64> {
+        py.detach(|| {
+            let decoder = locked(&self.decoder);
+            let next = |start: &u64| Some(decoder.group_of(*start)?.end);
+            std::iter::successors(Some(0), next).collect()
+        })
+    }
+
+    /// The name of each frame. Reads the whole stream, and decodes nothing.
+    fn names(&self, py: Python<'_>) -> PyResult<Vec<String>> {
+        let details = py.detach(|| locked(&self.decoder).details(..));
+        let details = details.map_err(|error| raise(error, &self.name, None))?;
+        Ok(details.into_iter().map(|frame| frame.name).collect())
+    }
+
+    /// The frame with this number.
+    fn frame(&self, py: Python<'_>, number: u64) -> PyResult<Frame> {
+        let scan = py.detach(|| locked(&self.decoder).scan(number));
+        let scan = scan.map_err(|error| raise(error, &self.name, Some(number)))?;
+        Ok(Frame { scan, number })
+    }
+
+    /// These frames in order, decoded ahead.
+    fn frames(&self, py: Python<'_>, start: u64, end: u64) -> FrameIterator {
+        let scans = py.detach(|| locked(&self.decoder).clone().into_scans(start..end));
+        FrameIterator { state: Mutex::new((scans, start)), name: self.name.clone() }
+    }
+}
+
+/// Frames in order.
+#[pyclass(frozen, module = "lidarpc._native")]
+struct FrameIterator {
+    /// The scans, and the number of the next.
+    state: Mutex<(Scans<'static>, u64)>,
+    name: String,
+}
+
+#[pymethods]
+impl FrameIterator {
+    fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        this
+    }
+
+    fn __next__(&self, py: Python<'_>) -> PyResult<Option<Frame>> {
+        let (scan, number) = py.detach(|| {
+            let (scans, next) = &mut *locked(&self.state);
+            let number = *next;
+            *next += 1;
+            (scans.next(), number)
+        });
+        let scan = scan.transpose().map_err(|error| raise(error, &self.name, Some(number)))?;
+        Ok(scan.map(|scan| Frame { scan, number }))
+    }
+}
+
+/// A decoded frame.
+#[pyclass(frozen, module = "lidarpc._native")]
+struct Frame {
+    scan: Scan,
+    number: u64,
+}
+
+/// Calls a function with the Rust type of a channel's values.
+macro_rules! with_type {
+    ($scalar:expr, $call:ident ( $($argument:expr),* )) => {
+        match $scalar {
+            ScalarType::I8 => $call::<i8>($($argument),*),
+            ScalarType::U8 => $call::<u8>($($argument),*),
+            ScalarType::I16 => $call::<i16>($($argument),*),
+            ScalarType::U16 => $call::<u16>($($argument),*),
+            ScalarType::I32 => $call::<i32>($($argument),*),
+            ScalarType::U32 => $call::<u32>($($argument),*),
+            ScalarType::I64 => $call::<i64>($($argument),*),
+            ScalarType::U64 => $call::<u64>($($argument),*),
+            ScalarType::F32 => $call::<f32>($($argument),*),
+            ScalarType::F64 => $call::<f64>($($argument),*),
+        }
+    };
+}
+
+/// The values of a channel: (points,), or (points, count) if there are several for each.
+fn array_of<'py, T: Scalar + Element>(
+    py: Python<'py>,
+    scan: &Scan,
+    name: &str,
+    count: usize,
+) -> PyResult<Bound<'py, PyAny>> {
+    let values = scan.channel::<T>(name).map_err(|error| raise(error, "", None))?;
+    let array = values.to_vec().into_pyarray(py);
+    if count == 1 { Ok(array.into_any()) } else { Ok(array.reshape([scan.len(), count])?.into_any()) }
+}
+
+/// x, y and z of files that do not hold them as float32, side by side.
+fn stacked<'py, T: Scalar + Element>(py: Python<'py>, scan: &Scan) -> PyResult<Bound<'py, PyAny>> {
+    let column = |name| scan.channel::<T>(name).map_err(|error| raise(error, "", None));
+    let (x, y, z) = (column("x")?, column("y")?, column("z")?);
+    let points: Vec<T> = (0..scan.len()).flat_map(|point| [x[point], y[point], z[point]]).collect();
+    Ok(points.into_pyarray(py).reshape([scan.len(), 3])?.into_any())
+}
+
+impl Frame {
+    /// Whether x, y and z are the scan's positions, rather than channels of another type.
+    fn has_positions(&self) -> bool {
+        !self.scan.positions().is_empty()
+            || (self.scan.is_empty() && self.scan.channels().all(|channel| channel.name != "x"))
+    }
+}
+
+#[pymethods]
+impl Frame {
+    #[getter]
+    fn number(&self) -> u64 {
+        self.number
+    }
+
+    #[getter]
+    fn name(&self) -> &str {
+        self.scan.name()
+    }
+
+    #[getter]
+    fn time(&self) -> Option<i64> {
+        self.scan.time()
+    }
+
+    #[getter]
+    fn stream(&self) -> u8 {
+        self.scan.stream()
+    }
+
+    fn __len__(&self) -> usize {
+        self.scan.len()
+    }
+
+    #[getter]
+    fn fields(&self) -> Vec<String> {
+        let position = ["x", "y", "z"].into_iter().filter(|_| self.has_positions());
+        position.chain(self.scan.channels().map(|channel| channel.name)).map(str::to_owned).collect()
+    }
+
+    fn __contains__(&self, name: &str) -> bool {
+        self.fields().iter().any(|field| field == name)
+    }
+
+    #[getter]
+    fn xyz<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        if self.has_positions() {
+            let positions = self.scan.positions().as_flattened().to_vec();
+            return Ok(positions.into_pyarray(py).reshape([self.scan.len(), 3])?.into_any());
+        }
+        let x = self.scan.channels().find(|channel| channel.name == "x");
+        let scalar = x.map(|channel| channel.scalar);
+        let scalar = scalar.ok_or_else(|| PyKeyError::new_err("the frame has no position: see `fields`"))?;
+        with_type!(scalar, stacked(py, &self.scan))
+    }
+
+    fn __getitem__<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+        let axis = ["x", "y", "z"].into_iter().position(|axis| axis == name);
+        if let Some(axis) = axis.filter(|_| self.has_positions()) {
+            let column: Vec<f32> = self.scan.positions().iter().map(|position| position[axis]).collect();
+            return Ok(column.into_pyarray(py).into_any());
+        }
+        let channel = self.scan.channels().find(|channel| channel.name == name).ok_or_else(|| {
+            PyKeyError::new_err(format!("no field {name:?}; there are {}", self.fields().join(", ")))
+        })?;
+        with_type!(channel.scalar, array_of(py, &self.scan, name, channel.count as usize))
+    }
+
+    #[getter]
+    fn data<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyBytes>>> {
+        let bytes =
+            py.detach(|| self.scan.file_bytes()).map_err(|error| raise(error, "", Some(self.number)))?;
+        Ok(bytes.map(|bytes| PyBytes::new(py, &bytes)))
+    }
+
+    /// Ranges in metres, or None.
+    fn ranges<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let image = self.scan.range_image();
+        let array = |image: &crate::RangeImage| {
+            image.ranges().to_vec().into_pyarray(py).reshape([image.rows(), image.columns()])
+        };
+        Ok(image.map(array).transpose()?.map(Bound::into_any))
+    }
+
+    /// Points of the cells, -1 where there is none, or None.
+    fn cells<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let image = self.scan.range_image();
+        let array = |image: &crate::RangeImage| {
+            let points: Vec<i32> =
+                image.points().iter().map(|point| point.map_or(-1, |point| point as i32)).collect();
+            points.into_pyarray(py).reshape([image.rows(), image.columns()])
+        };
+        Ok(image.map(array).transpose()?.map(Bound::into_any))
+    }
+
+    fn __repr__(&self) -> String {
+        let (name, number, points) = (self.scan.name(), self.number, self.scan.len());
+        format!("<lidarpc.Frame {number} {name:?}: {points} points, fields {}>", self.fields().join(" "))
+    }
+}
+
+/// A scan of arrays: positions (n, 3), and fields of n values.
+fn scan_of(
+    positions: &PyReadonlyArray2<'_, f32>,
+    fields: &[(String, Bound<'_, PyAny>)],
+    name: &str,
+    time: Option<i64>,
+    stream: u8,
+) -> PyResult<Scan> {
+    let (positions, rest) = positions.as_slice()?.as_chunks::<3>();
+    if !rest.is_empty() {
+        return Err(PyValueError::new_err("xyz must have 3 columns"));
+    }
+    let mut scan = Scan::from_positions(positions).named(name).on_stream(stream);
+    if let Some(time) = time {
+        scan = scan.stamped(time);
+    }
+    fields.iter().try_fold(scan, |scan, (name, values)| with_field(scan, name, values))
+}
+
+/// The scan with one more channel.
+fn with_field(scan: Scan, name: &str, values: &Bound<'_, PyAny>) -> PyResult<Scan> {
+    macro_rules! first_of {
+        ($($scalar:ident)*) => {
+            $(if let Ok(values) = values.extract::<PyReadonlyArray1<'_, $scalar>>() {
+                return scan.with_channel(name, values.as_slice()?).map_err(|error| raise(error, "", None));
+            })*
+        };
+    }
+    first_of!(f32 u8 u16 f64 i8 i16 i32 u32 i64 u64);
+    let kind = values.getattr("dtype")?;
+    let known = "integers of 8 to 64 bits, float32 and float64";
+    Err(PyTypeError::new_err(format!("field {name:?} is {kind}: fields are {known}")))
+}
+
+/// The settings that these values say.
+fn settings(
+    level: u8,
+    max_error: Option<f64>,
+    intensity_step: Option<f64>,
+    threads: usize,
+    group: Option<usize>,
+) -> Settings {
+    let mut settings =
+        max_error.map_or_else(Settings::exact, Settings::bounded).level(level).threads(threads);
+    if let Some(step) = intensity_step {
+        settings = settings.intensity_step(step);
+    }
+    match group {
+        Some(group) => settings.group_of_pictures(group),
+        None => settings,
+    }
+}
+
+/// An output that is a Python function.
+struct Output(Py<PyAny>);
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        Python::attach(|py| self.0.call1(py, (PyBytes::new(py, bytes),)).map(drop))?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A stream that is being written.
+#[pyclass(frozen, module = "lidarpc._native")]
+struct StreamWriter {
+    /// None once it is finished.
+    encoder: Mutex<Option<Encoder<Output>>>,
+    name: String,
+}
+
+#[pymethods]
+impl StreamWriter {
+    /// Writes by a function that takes bytes.
+    #[new]
+    #[pyo3(signature = (write, name, level, max_error, intensity_step, threads, group))]
+    fn new(
+        write: Py<PyAny>,
+        name: String,
+        level: u8,
+        max_error: Option<f64>,
+        intensity_step: Option<f64>,
+        threads: usize,
+        group: Option<usize>,
+    ) -> PyResult<Self> {
+        let settings = settings(level, max_error, intensity_step, threads, group);
+        let encoder = Encoder::new(Output(write), settings).map_err(|error| raise(error, &name, None))?;
+        Ok(StreamWriter { encoder: Mutex::new(Some(encoder)), name })
+    }
+
+    fn push(
+        &self,
+        py: Python<'_>,
+        positions: PyReadonlyArray2<'_, f32>,
+        fields: Vec<(String, Bound<'_, PyAny>)>,
+        name: &str,
+        time: Option<i64>,
+        stream: u8,
+    ) -> PyResult<()> {
+        self.push_scan(py, scan_of(&positions, &fields, name, time, stream)?)
+    }
+
+    fn push_file(
+        &self,
+        py: Python<'_>,
+        name: &str,
+        data: Vec<u8>,
+        time: Option<i64>,
+        stream: u8,
+    ) -> PyResult<()> {
+        let scan = Scan::from_file(name, data).on_stream(stream);
+        self.push_scan(py, if let Some(time) = time { scan.stamped(time) } else { scan })
+    }
+
+    /// Scans, points, bytes of the scans, bytes of the stream.
+    fn finish(&self, py: Python<'_>) -> PyResult<(u64, u64, u64, u64)> {
+        let summary = py.detach(|| locked(&self.encoder).take().ok_or_else(finished)?.finish());
+        let summary = summary.map_err(|error| raise(error, &self.name, None))?;
+        Ok((summary.scans, summary.points, summary.scan_bytes, summary.stream_bytes))
+    }
+}
+
+impl StreamWriter {
+    fn push_scan(&self, py: Python<'_>, scan: Scan) -> PyResult<()> {
+        let pushed = py.detach(|| locked(&self.encoder).as_mut().ok_or_else(finished)?.push(scan));
+        pushed.map_err(|error| raise(error, &self.name, None))
+    }
+}
+
+fn finished() -> Error {
+    Error::Usage("the encoder is closed".to_owned())
+}
+
+/// A stream of one frame.
+#[pyfunction]
+fn encode_frame<'py>(
+    py: Python<'py>,
+    positions: PyReadonlyArray2<'_, f32>,
+    fields: Vec<(String, Bound<'_, PyAny>)>,
+    time: Option<i64>,
+    level: u8,
+    max_error: Option<f64>,
+    intensity_step: Option<f64>,
+) -> PyResult<Bound<'py, PyBytes>> {
+    let scan = scan_of(&positions, &fields, "", time, 0)?;
+    let settings = settings(level, max_error, intensity_step, 1, Some(1));
+    let encoded = py.detach(|| {
+        let mut stream = Vec::new();
+        let mut encoder = Encoder::new(&mut stream, settings)?;
+        encoder.push(scan)?;
+        encoder.finish()?;
+        Ok(stream)
+    });
+    encoded.map(|stream| PyBytes::new(py, &stream)).map_err(|error| raise(error, "", None))
+}
+
+/// The frame of such a stream.
+#[pyfunction]
+fn decode_frame(py: Python<'_>, payload: PyBackedBytes, range_images: bool) -> PyResult<Frame> {
+    let scan = py.detach(|| {
+        let mut decoder = Decoder::open(Cursor::new(&payload[..]))?.range_images(range_images);
+        match decoder.len() {
+            1 => decoder.scan(0),
+            count => Err(Error::Usage(format!("a message holds one frame, and here are {count}"))),
+        }
+    });
+    let scan = scan.map_err(|error| raise(error, "", None))?;
+    Ok(Frame { scan, number: 0 })
+}
+
+/// The program: arguments, its name the first, to exit code.
+#[pyfunction]
+fn main(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
+    py.detach(|| cli::main_of(arguments))
+}
