@@ -104,7 +104,9 @@ def test_object_storage_to_object_storage(folder, expected, monkeypatch):
         for path in folder.rglob("*.bin"):
             filesystem.put_file(str(path), f"drives-in/{path.relative_to(folder)}")
         lines: list[str] = []
-        failed = cluster.encode("s3://drives-in", "s3://drives-out", split=2, options=["--level=1"], report=lines.append)
+        failed = cluster.encode(
+            "s3://drives-in", "s3://drives-out", split=2, options=["--level=1"], report=lines.append
+        )
         assert failed == [] and len(lines) == DRIVES, lines
         filesystem.invalidate_cache()
         assert sorted(filesystem.find("drives-out")) == sorted(f"drives-out/{name}" for name in expected)
