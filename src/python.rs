@@ -14,14 +14,14 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
 
-use crate::library::{Decoder, Encoder, Scalar, Scan, Scans, Settings};
+use crate::library::{Decoder, Encoder, MessageEncoder, Scalar, Scan, Scans, Settings};
 use crate::{Error, ScalarType, cli};
 
 /// The module.
 #[pymodule(name = "_native")]
 mod native {
     #[pymodule_export]
-    use super::{Frame, FrameIterator, StreamReader, StreamWriter, decode_frame, encode_frame, main};
+    use super::{Frame, FrameEncoder, FrameIterator, StreamReader, StreamWriter, decode_frame, main};
 }
 
 /// The error as Python has it: of the class that says whether the file or what it holds is to blame, naming both the file
@@ -509,27 +509,33 @@ fn finished() -> Error {
     Error::Usage("the encoder is closed".to_owned())
 }
 
-/// A stream of one frame.
-#[pyfunction]
-fn encode_frame<'py>(
-    py: Python<'py>,
-    positions: PyReadonlyArray2<'_, f32>,
-    fields: Vec<(String, Bound<'_, PyAny>)>,
-    time: Option<i64>,
-    level: u8,
-    max_error: Option<f64>,
-    intensity_step: Option<f64>,
-) -> PyResult<Bound<'py, PyBytes>> {
-    let scan = scan_of(&positions, &fields, "", time, 0)?;
-    let settings = settings(level, max_error, intensity_step, 1, Some(1));
-    let encoded = py.detach(|| {
-        let mut stream = Vec::new();
-        let mut encoder = Encoder::new(&mut stream, settings)?;
-        encoder.push(scan)?;
-        encoder.finish()?;
-        Ok(stream)
-    });
-    encoded.map(|stream| PyBytes::new(py, &stream)).map_err(|error| raise(error, "", None))
+/// Makes a stream of each frame.
+#[pyclass(frozen, module = "lidarpc._native")]
+struct FrameEncoder {
+    encoder: Mutex<MessageEncoder>,
+}
+
+#[pymethods]
+impl FrameEncoder {
+    #[new]
+    #[pyo3(signature = (level, max_error, intensity_step))]
+    fn new(level: u8, max_error: Option<f64>, intensity_step: Option<f64>) -> PyResult<Self> {
+        let settings = settings(level, max_error, intensity_step, 1, Some(1));
+        let encoder = MessageEncoder::new(settings).map_err(|error| raise(error, "", None))?;
+        Ok(FrameEncoder { encoder: Mutex::new(encoder) })
+    }
+
+    fn encode<'py>(
+        &self,
+        py: Python<'py>,
+        positions: PyReadonlyArray2<'_, f32>,
+        fields: Vec<(String, Bound<'_, PyAny>)>,
+        time: Option<i64>,
+    ) -> PyResult<Bound<'py, PyBytes>> {
+        let scan = scan_of(&positions, &fields, "", time, 0)?;
+        let encoded = py.detach(|| locked(&self.encoder).encode(scan));
+        encoded.map(|stream| PyBytes::new(py, &stream)).map_err(|error| raise(error, "", None))
+    }
 }
 
 /// The frame of such a stream.

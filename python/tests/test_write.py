@@ -84,6 +84,18 @@ def test_messages(scans):
     assert 0 < error <= 0.01
 
 
+def test_messages_of_one_scanner(scans):
+    encoder = lidarpc.FrameEncoder(level=6)
+    for number, (_, data) in enumerate(scans):
+        cloud = np.frombuffer(data, np.float32).reshape(-1, 4)
+        payload = encoder.encode(cloud[:, :3], intensity=cloud[:, 3], time=number)
+        frame = lidarpc.decode_frame(payload)
+        assert np.array_equal(frame.xyz, cloud[:, :3]) and frame.time == number
+        assert len(payload) < 0.3 * cloud.nbytes
+    with pytest.raises(lidarpc.Error, match="level"):
+        lidarpc.FrameEncoder(level=0)
+
+
 def test_an_encoder_leaves_nothing_half_written(tmp_path):
     path = tmp_path / "live.lpc"
     with pytest.raises(RuntimeError), lidarpc.Encoder(path) as out:
