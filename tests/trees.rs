@@ -147,6 +147,18 @@ fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
         said.contains("drive_1.lpc: exists") && said.ends_with("lidarpc: 2 of 2 drives failed\n"),
         "{said}"
     );
+    // Several inputs, with the same names in each; and files, by their folder.
+    bench.ok("encode tree/a tree/b/drive_2 tree/b/drive_2/velodyne_points/data/0000000001.bin -o several/");
+    let files = tree(&bench.path("several"));
+    assert!(files.keys().eq(["a.lpc", "data.lpc", "drive_2.lpc"]), "{:?}", files.keys());
+    let error = bench.fails("encode tree/a tree/a -o twice/", "tree/a");
+    assert!(error.contains("another input becomes too"), "{error}");
+    // What is there from before is no part of the drive.
+    bench.ok("encode tree -o tree/streams/ --all");
+    bench.ok("encode tree -o tree/streams/ --all --force");
+    bench.ok("decode tree/streams -o again");
+    fs::remove_dir_all(bench.path("tree/streams")).unwrap();
+    assert_eq!(tree(&bench.path("tree")), tree(&bench.path("again")));
     // Files that belong to no drive are not lost without a word.
     bench.write_files("tree", &[("readme.txt".to_owned(), b"read".to_vec())].into());
     let said = bench.says("encode tree -o more/ --all");
@@ -264,6 +276,20 @@ fn completions_and_manual_pages_name_every_command() {
     {
         assert!(pages.contains(&format!("lidarpc-{command}.1")), "{pages:?}");
     }
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_file_that_no_decoder_takes_is_left_out_and_said() {
+    let bench = drives();
+    // Of holes alone: it takes no space.
+    fs::File::create(bench.path("tree/a/drive_1/video.mp4")).unwrap().set_len((1 << 30) + 1).unwrap();
+    let said = bench.says("encode tree/a/drive_1 -o one.lpc --all");
+    assert!(
+        said.contains("1 file of more than 1 GiB (1073741825 bytes, tree/a/drive_1/video.mp4)"),
+        "{said}"
+    );
+    bench.fails("encode tree/a/drive_1 -o strict.lpc --all --strict", "tree/a/drive_1");
 }
 
 /// A stream whose names would leave the folder: the decoder trusts nothing.

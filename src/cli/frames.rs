@@ -53,8 +53,13 @@ pub fn find(args: &EncodeArgs, quiet: bool) -> Result<Found> {
     }
     keep_inputs(args.output(), &found.paths())?;
     let own = partial::outputs(args.output()).map(|path| fs::canonicalize(path).ok());
+    // The output may be a folder of streams in one of the inputs, though not the folder above one.
+    let holds_input = |own: &Path| {
+        args.inputs.iter().any(|input| fs::canonicalize(input).is_ok_and(|input| input.starts_with(own)))
+    };
+    let own: Vec<_> = own.into_iter().flatten().filter(|own| !holds_input(own)).collect();
     let is_own =
-        |path: &Path| own.iter().flatten().any(|own| fs::canonicalize(path).is_ok_and(|path| path == *own));
+        |path: &Path| fs::canonicalize(path).is_ok_and(|path| own.iter().any(|own| path.starts_with(own)));
     found.beside.retain(|file| !is_own(&file.path));
     let mut left_out = LeftOut::default();
     for (kind, path) in found.left_out {

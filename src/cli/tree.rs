@@ -18,7 +18,7 @@ use super::args::{DecodeArgs, EncodeArgs};
 use super::encode::{Report, encode_whole, remove, summary};
 use super::errors::{say, wrong_usage};
 use super::frames::{self, Found};
-use super::output::print_json;
+use super::output::{parent, print_json};
 use super::{decode, in_memory, progress, table};
 
 /// What names of streams end in.
@@ -38,8 +38,7 @@ struct Drive {
 /// `encode` into a folder: a stream for each drive.
 pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<()> {
     let start = Instant::now();
-    let found = frames::find(args, quiet)?;
-    let mut drives = drives(args, found, quiet)?;
+    let mut drives = drives(args, quiet)?;
     let all = drives.len();
     if args.resume {
         drives.retain(|drive| !drive.output.exists());
@@ -100,22 +99,58 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     Ok(())
 }
 
-/// The drives of what was found.
-fn drives(args: &EncodeArgs, found: Found, quiet: bool) -> Result<Vec<Drive>> {
-    let mut drives: BTreeMap<PathBuf, Found> = BTreeMap::new();
+/// The drives of the inputs, each of which may have the same names as others: folders one by one, and files by the folders
+/// that they are in.
+fn drives(args: &EncodeArgs, quiet: bool) -> Result<Vec<Drive>> {
+    let mut inputs: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
+    for input in &args.inputs {
+        let folder = if input.is_dir() { input.as_path() } else { parent(input) };
+        match inputs.iter_mut().find(|(known, _)| !input.is_dir() && known == folder) {
+            Some((_, files)) => files.push(input.clone()),
+            None => inputs.push((folder.to_path_buf(), vec![input.clone()])),
+        }
+    }
+    let several = inputs.len() > 1;
+    let mut drives = BTreeMap::new();
+    for (folder, inputs) in &inputs {
+        let whole = fs::canonicalize(folder).with_context(|| folder.display().to_string())?;
+        let own_name = PathBuf::from(whole.file_name().unwrap_or_default());
+        let args = EncodeArgs { inputs: inputs.clone(), ..args.clone() };
+        let found = frames::find(&args, quiet)?;
+        for (drive, found) in drives_of(&args, found, quiet)? {
+            let below = match (drive.is_empty(), several) {
+                (true, _) => own_name.clone(),
+                (false, false) => PathBuf::from(drive),
+                (false, true) => own_name.join(drive),
+            };
+            let mut output = args.output().join(below).into_os_string();
+            output.push(".");
+            output.push(STREAM);
+            if drives.insert(PathBuf::from(&output), found).is_some() {
+                let what = "would become a file that another input becomes too; encode them apart".to_owned();
+                bail!(Error::Input { path: folder.clone(), what });
+            }
+        }
+    }
+    let mut drives: Vec<_> = drives.into_iter().map(|(output, found)| Drive { output, found }).collect();
+    drives.sort_by(|a, b| natural_cmp(&a.output.to_string_lossy(), &b.output.to_string_lossy()));
+    Ok(drives)
+}
+
+/// What was found, drive by drive, under names below the drive.
+fn drives_of(args: &EncodeArgs, found: Found, quiet: bool) -> Result<BTreeMap<String, Found>> {
+    let mut drives: BTreeMap<String, Found> = BTreeMap::new();
     let mut beyond = LeftOut::default();
     let frames = found.frames.into_iter().map(|file| (true, file));
     let files = frames.chain(found.beside.into_iter().map(|file| (false, file)));
-    for (is_scan, file) in files {
-        let output = output_of(args, &file)?;
-        let FoundFile { path, name, drive, time } = file;
+    for (is_scan, FoundFile { path, name, drive, time }) in files {
         let name = match drive.is_empty() {
             true => name,
             false => name.get(drive.len() + 1..).unwrap_or_default().to_owned(),
         };
         let file = FoundFile { path, name, drive: String::new(), time };
-        match (is_scan, drives.get_mut(&output)) {
-            (true, _) => drives.entry(output).or_default().frames.push(file),
+        match (is_scan, drives.get_mut(&drive)) {
+            (true, _) => drives.entry(drive).or_default().frames.push(file),
             (false, Some(drive)) => drive.beside.push(file),
             (false, None) => {
                 let bytes = fs::metadata(&file.path).map_or(0, |about| about.len());
@@ -124,32 +159,7 @@ fn drives(args: &EncodeArgs, found: Found, quiet: bool) -> Result<Vec<Drive>> {
         }
     }
     frames::check_left_out(&beyond, &frames::name_of_inputs(&args.inputs), args.strict, quiet)?;
-    let mut drives: Vec<_> = drives.into_iter().map(|(output, found)| Drive { output, found }).collect();
-    drives.sort_by(|a, b| natural_cmp(&a.output.to_string_lossy(), &b.output.to_string_lossy()));
     Ok(drives)
-}
-
-/// Where the stream of a file's drive goes: under the drive's path, or, if that is the input, under the input's name.
-fn output_of(args: &EncodeArgs, file: &FoundFile) -> Result<PathBuf> {
-    let input = args
-        .inputs
-        .iter()
-        .filter(|input| file.path.starts_with(input))
-        .max_by_key(|input| input.as_os_str().len());
-    let input = input.cloned().unwrap_or_default();
-    let own_name = || -> Result<PathBuf> {
-        let whole = fs::canonicalize(&input).with_context(|| input.display().to_string())?;
-        Ok(PathBuf::from(whole.file_name().unwrap_or_default()))
-    };
-    let below = match (file.drive.is_empty(), args.inputs.len()) {
-        (true, _) => own_name()?,
-        (false, 1) => PathBuf::from(&file.drive),
-        (false, _) => own_name()?.join(&file.drive),
-    };
-    let mut name = args.output().join(below).into_os_string();
-    name.push(".");
-    name.push(STREAM);
-    Ok(name.into())
 }
 
 /// Encodes a drive; returns what came of it, for machines and in a line.

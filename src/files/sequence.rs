@@ -7,7 +7,7 @@ use std::{fmt, fs};
 use super::Kind;
 use super::names::{check_name, is_safe_path, natural_cmp};
 use super::times;
-use crate::ground::error::{Error, Result};
+use crate::ground::error::{Error, Limits, Result};
 
 /// Where KITTI and KITTI-360 keep the scans of a drive, relative to its folder.
 const DRIVE_FOLDERS: [&str; 3] = ["velodyne_points/data", "velodyne", "data"];
@@ -69,6 +69,8 @@ pub enum LeftOutKind {
     FollowedLink,
     /// A named pipe, a socket or a device.
     Special,
+    /// A file that would be kept, but is larger than decoders take.
+    TooLarge,
     /// A file that would be kept, but belongs to none of the drives that become files of their own.
     OutsideDrives,
     /// A file that would be kept, but whose name not every system can restore.
@@ -93,6 +95,7 @@ impl LeftOutKind {
                 "symbolic links, stored as the scans they lead to",
             ],
             LeftOutKind::Special => ["named pipe, socket or device", "named pipes, sockets or devices"],
+            LeftOutKind::TooLarge => ["file of more than 1 GiB", "files of more than 1 GiB"],
             LeftOutKind::OutsideDrives => ["file outside the drives", "files outside the drives"],
             LeftOutKind::OddName => [
                 "file whose name not every system can restore",
@@ -162,7 +165,8 @@ pub fn find_frames(inputs: &[PathBuf]) -> Result<Sequence> {
 }
 
 /// As [`find_frames`], with every other file and empty folder of the folders among `inputs`, hidden ones too; all under their
-/// paths below the input. Links that lead to no scan, and files whose names not every system can restore, are left out.
+/// paths below the input. Links that lead to no scan, files whose names not every system can restore, and files of more than
+/// 1 GiB, which decoders do not take, are left out.
 ///
 /// # Errors
 /// As [`find_frames`].
@@ -261,6 +265,7 @@ impl Tree {
                     }
                     Ok(kind) if !kind.is_file() => LeftOutKind::Special,
                     Err(error) if is_scan => return Err(unreadable(&path, &error)),
+                    Ok(kind) if all && kind.len() > Limits::default().file_bytes => LeftOutKind::TooLarge,
                     _ if all => {
                         self.beside.push(path);
                         continue;
