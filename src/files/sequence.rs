@@ -1,6 +1,6 @@
 //! The frames of an input: which files, under which names, and in which order.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::{fmt, fs};
 
@@ -318,8 +318,7 @@ impl Tree {
         }
         found.beside.sort_by(|a, b| natural_cmp(&a.name, &b.name));
         // Each file belongs to the drive that is nearest above it.
-        let drives: std::collections::BTreeSet<_> =
-            found.frames.iter().map(|frame| frame.drive.clone()).collect();
+        let drives: BTreeSet<_> = found.frames.iter().map(|frame| frame.drive.clone()).collect();
         for file in &mut found.beside {
             let above = |drive: &&String| {
                 drive.is_empty()
