@@ -14,7 +14,8 @@ use lidarpc::internals::backend;
 use lidarpc::internals::edit::{PartialFiles, encode_resuming};
 use lidarpc::internals::frame::settings::{EncoderConfig, Mode};
 use lidarpc::internals::ground::error::Result;
-use lidarpc::internals::stream::{Encoded, FrameInput};
+use lidarpc::internals::stream::container::{Stamp, Unit};
+use lidarpc::internals::stream::{Encoded, FrameInput, encode};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -41,8 +42,17 @@ fn modes() -> [EncoderConfig; 3] {
     })
 }
 
+/// Files in folders are of a drive for each folder; those below `beside` are no scans.
 fn inputs(files: &[Scan]) -> Vec<FrameInput> {
-    let input = |(name, bytes): &Scan| FrameInput::memory(name.clone(), bytes.clone());
+    let folder = |name: &str| name.rsplit_once('/').map(|(folder, _)| folder.to_owned());
+    let mut folders: Vec<_> = files.iter().map(|(name, _)| folder(name)).collect();
+    folders.dedup();
+    let input = |(name, bytes): &Scan| {
+        let drive = folders.iter().position(|known| *known == folder(name)).unwrap();
+        let unit = if name.starts_with("beside/") { Unit::Beside } else { Unit::File };
+        let stamp = Stamp { unit, ..Stamp::default() };
+        FrameInput::memory(name.clone(), bytes.clone()).stamped(stamp).of_drive(drive)
+    };
     files.iter().map(input).collect()
 }
 
@@ -128,6 +138,31 @@ fn wherever_it_was_cut_the_stream_is_the_same() {
             let taken = Partial::with(&stream[..cut], &journal).becomes(&whole, &FILES, &config);
             assert_eq!(taken, kept.min(FILES.len()) as u64, "of a stream cut at byte {cut}");
         }
+    }
+}
+
+#[test]
+fn drives_of_a_tree_and_files_beside_them_go_on_too() {
+    let mut files: Vec<Scan> = Vec::new();
+    for (drive, seed) in [("a", 3), ("b", 8)] {
+        let scans = scans(&small(seed, 3));
+        files.extend((0..).zip(&scans).map(|(n, scan)| (format!("{drive}/{n}.bin"), kitti(scan))));
+    }
+    files.extend((0..3).map(|n| (format!("beside/{n}.txt"), vec![b'0' + n; 50])));
+    let mut whole = Vec::new();
+    encode(&inputs(&files), &exact(), &mut whole, &|| ()).unwrap();
+    let partial = Partial::with(b"", b"");
+    partial.encode(&files, &exact()).unwrap();
+    let (stream, journal) = partial.contents();
+    assert!(stream == whole);
+    let ends = ends(&journal);
+    // Two groups of each.
+    assert_eq!(ends.len(), 6);
+    for (groups, end) in (1..).zip(&ends) {
+        let resumed = Partial::with(&stream[..*end], &journal);
+        let encoded = resumed.encode(&files, &exact()).unwrap();
+        assert!(resumed.contents().0 == whole, "another stream, after {groups} groups");
+        assert_eq!(encoded.resumed_frames, [2, 3, 5, 6, 8, 9][groups - 1]);
     }
 }
 

@@ -1,10 +1,11 @@
 //! `lidarpc estimate`
 
+use std::io::{self, Write};
 use std::time::Instant;
 
 use crate::files::sequence::find_frames;
 use crate::frame::settings::resolve_threads;
-use crate::stream::{self, FrameInput};
+use crate::stream::{self, FrameInput, scanner_choice};
 use crate::study::metrics;
 use anyhow::Result;
 use serde::Serialize;
@@ -36,12 +37,12 @@ pub fn run(args: &EstimateArgs, quiet: bool) -> Result<()> {
     let place = frames::name_of_inputs(&args.inputs);
     frames::settle_layout(&found, &mut config, &place, quiet)?;
     let all = FrameInput::found(found);
-    let places = sample_places(all.len(), config.gop);
+    let places = group_places(all.len(), config.gop);
     let sample: Vec<_> =
         places.into_iter().flat_map(|start| all[start..].iter().take(config.gop).cloned()).collect();
     let bar = progress::bar(Some(sample.len() as u64), "encoding a sample", quiet);
     let start = Instant::now();
-    let encoded = stream::encode(&sample, &config, std::io::sink(), &|| bar.inc(1));
+    let encoded = stream::encode(&sample, &config, io::sink(), &|| bar.inc(1));
     let seconds = start.elapsed().as_secs_f64();
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| about(error, &place))?;
@@ -59,7 +60,8 @@ pub fn run(args: &EstimateArgs, quiet: bool) -> Result<()> {
     if args.json {
         return print_json(&estimate);
     }
-    println!(
+    Ok(writeln!(
+        io::stdout(),
         "{}: {} -> about {} ({}), in about {:.0} s on {}; by {} of them",
         table::count(estimate.frames as u64, "frame"),
         table::bytes(estimate.file_bytes),
@@ -68,26 +70,25 @@ pub fn run(args: &EstimateArgs, quiet: bool) -> Result<()> {
         estimate.seconds.ceil(),
         table::count(estimate.threads as u64, "thread"),
         estimate.sample,
-    );
-    Ok(())
+    )?)
 }
 
-/// Where groups of the sample begin: at the beginning, the end, and evenly between.
-fn sample_places(frames: usize, group: usize) -> Vec<usize> {
+/// Where groups of the sample begin.
+fn group_places(frames: usize, group: usize) -> Vec<usize> {
     if frames <= GROUPS * group {
         return (0..frames).step_by(group).collect();
     }
-    (0..GROUPS).map(|place| place * (frames - group) / (GROUPS - 1)).collect()
+    scanner_choice::sample_places(frames - group + 1, GROUPS).collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::sample_places;
+    use super::group_places;
 
     #[test]
     fn the_sample_is_all_or_spread() {
-        assert_eq!(sample_places(0, 10), [0; 0]);
-        assert_eq!(sample_places(25, 10), [0, 10, 20]);
-        assert_eq!(sample_places(1000, 10), [0, 495, 990]);
+        assert_eq!(group_places(0, 10), [0; 0]);
+        assert_eq!(group_places(25, 10), [0, 10, 20]);
+        assert_eq!(group_places(1000, 10), [0, 495, 990]);
     }
 }

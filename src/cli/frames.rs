@@ -51,7 +51,12 @@ pub fn find(args: &EncodeArgs, quiet: bool) -> Result<Found> {
     if !args.force_bytes {
         args.inputs.iter().filter(|input| input.is_file()).try_for_each(|input| check_scan(input))?;
     }
-    keep_inputs(args.output(), &found.paths())?;
+    let mut inputs = found.paths();
+    // A stream there is this program's own output from before; any other file is an input.
+    if !in_memory::is_stream(args.output()) {
+        inputs.extend(found.beside.iter().map(|file| file.path.clone()));
+    }
+    keep_inputs(args.output(), &inputs)?;
     let own = partial::outputs(args.output()).map(|path| fs::canonicalize(path).ok());
     // The output may be a folder of streams in one of the inputs, though not the folder above one.
     let holds_input = |own: &Path| {

@@ -16,7 +16,7 @@ use anyhow::{Context, Result, bail, ensure};
 
 use super::args::{DecodeArgs, EncodeArgs};
 use super::encode::{Report, encode_whole, remove, summary};
-use super::errors::{say, wrong_usage};
+use super::errors::{NotWhole, say, wrong_usage};
 use super::frames::{self, Found};
 use super::output::{parent, print_json};
 use super::{decode, in_memory, progress, table};
@@ -191,7 +191,7 @@ pub fn decode_all(args: &DecodeArgs, quiet: bool) -> Result<()> {
         wrong_usage("decode", "a folder of streams is decoded by itself");
     };
     let streams = streams_below(input)?;
-    let mut failed = 0;
+    let (mut failed, mut not_whole) = (0, 0);
     for stream in &streams {
         let below = stream.strip_prefix(input).unwrap_or(stream).with_extension("");
         let args = DecodeArgs {
@@ -201,11 +201,20 @@ pub fn decode_all(args: &DecodeArgs, quiet: bool) -> Result<()> {
         };
         if let Err(error) = decode::run(&args, quiet) {
             say(&error);
-            failed += 1;
+            match error.is::<NotWhole>() {
+                true => not_whole += 1,
+                false => failed += 1,
+            }
         }
     }
-    ensure!(failed == 0, "{failed} of {} failed", table::count(streams.len() as u64, "file"));
-    Ok(())
+    let files = table::count(streams.len() as u64, "file");
+    ensure!(failed == 0, "{failed} of {files} failed");
+    match not_whole {
+        0 => Ok(()),
+        _ => {
+            Err(NotWhole(format!("{not_whole} of {files} damaged; what is intact of them was saved")).into())
+        }
+    }
 }
 
 /// The streams in a folder and those below it, in natural order.

@@ -112,12 +112,15 @@ impl<R: Read + Seek> RecoveredGroups<R> {
                 }
             };
             let frames = match &part {
-                Part::Group(_, job) => Some((job.first_frame, job.group.frames.len() as u64)),
+                Part::Group(_, job) => {
+                    Some((job.first_frame, job.group.frames.len() as u64, job.group.is_beside()))
+                }
                 Part::Lost(lost) => {
-                    lost.frames.as_ref().map(|frames| (frames.start, frames.end - frames.start))
+                    lost.frames.as_ref().map(|frames| (frames.start, frames.end - frames.start, false))
                 }
             };
-            if self.range.is_all() || frames.is_none_or(|(first, count)| self.range.overlaps(first, count)) {
+            let is_wanted = |(first, count, is_beside)| self.range.wants(first, count, is_beside);
+            if self.range.is_all() || frames.is_none_or(is_wanted) {
                 return Ok(Some(part));
             }
         }

@@ -26,18 +26,16 @@ const LIST_BYTES: u64 = 64 << 20;
 pub fn of_folder(folder: &Path, scans: &[PathBuf]) -> Vec<Option<Found>> {
     let names: Vec<_> =
         scans.iter().map(|scan| scan.file_name().unwrap_or_default().to_string_lossy()).collect();
-    let list = LISTS.iter().find_map(|name| {
+    let lists = LISTS.iter().flat_map(|name| {
         let beside = folder.parent().map(|above| above.join(name));
-        beside.into_iter().chain([folder.join(name)]).find_map(|path| read(&path))
+        beside.into_iter().chain([folder.join(name)])
     });
-    let places = list.as_ref().and_then(|list| places(&names, list.len()));
-    match (list, places) {
-        (Some(list), Some(places)) => {
-            let at = |place: usize| Found { nanoseconds: list[place], is_listed: true };
-            places.into_iter().map(|place| Some(at(place))).collect()
-        }
-        _ => names.iter().map(|name| of_name(name)).collect(),
-    }
+    let mut listed = lists.filter_map(|path| {
+        let list = read(&path)?;
+        let at = |place: usize| Found { nanoseconds: list[place], is_listed: true };
+        Some(places(&names, list.len())?.into_iter().map(|place| Some(at(place))).collect())
+    });
+    listed.next().unwrap_or_else(|| names.iter().map(|name| of_name(name)).collect())
 }
 
 /// The line of each scan in a list of so many; none if they do not belong together.

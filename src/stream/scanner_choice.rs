@@ -194,7 +194,7 @@ fn scan_of(frame: &FrameInput, config: &EncoderConfig) -> Result<Option<ScanFile
 }
 
 /// Where a sample of at most so many frames is taken: the first frame, the last, and others evenly between.
-fn sample_places(frames: usize, most: usize) -> impl Iterator<Item = usize> {
+pub(crate) fn sample_places(frames: usize, most: usize) -> impl Iterator<Item = usize> {
     let count = most.min(frames);
     (0..count).map(move |i| i * (frames - 1) / (count - 1).max(1))
 }

@@ -8,7 +8,7 @@ use super::options::FrameRange;
 use crate::ground::error::{Error, Result};
 use crate::scanner::Scanner;
 use crate::stream::container::{
-    Group, GroupEntry, Index, IndexedReader, Record, ScannerId, ScannerRecord, StreamReader, Unit,
+    Group, GroupEntry, Index, IndexedReader, Record, ScannerId, ScannerRecord, StreamReader,
 };
 
 /// A group, with all that it takes to decode or to copy it.
@@ -109,8 +109,7 @@ impl<R: Read> StreamedGroups<R> {
         while let Some(record) = self.reader.next_record()? {
             let Record::Group(group) = record else { continue };
             let first_frame = self.index().frame_count() - group.frames.len() as u64;
-            let is_beside = group.frames.first().is_some_and(|frame| frame.header.stamp.unit == Unit::Beside);
-            if self.range.wants(first_frame, group.frames.len() as u64, is_beside) {
+            if self.range.wants(first_frame, group.frames.len() as u64, group.is_beside()) {
                 let read = |id| self.reader.scanner(id).cloned().ok_or_else(|| missing(id));
                 let scanners = self.scanners.of_group(&group, read)?;
                 return Ok(Some(GroupJob { first_frame, scanners, group }));

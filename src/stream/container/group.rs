@@ -153,6 +153,11 @@ impl Group {
         entries
     }
 
+    /// Whether it holds files beside the scans.
+    pub fn is_beside(&self) -> bool {
+        self.frames.first().is_some_and(|frame| frame.header.stamp.unit == Unit::Beside)
+    }
+
     /// The names of the frames in the payload of a damaged group record, as far as they can be read. They
     /// may be wrong.
     pub fn names_in(mut payload: &[u8]) -> Vec<String> {
