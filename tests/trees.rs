@@ -86,10 +86,18 @@ fn a_tree_comes_back_whole() {
             assert_eq!(stats["against"]["identical_files"], 37);
         }
     }
-    // An interrupted run goes on with files of all kinds.
+    // Written so that it can go on, it is the same; tests/resume.rs interrupts it.
     bench.ok("encode tree -o resumed.lpc --all --resume");
     bench.ok("encode tree -o plain.lpc --all");
     assert_eq!(bench.read("resumed.lpc"), bench.read("plain.lpc"));
+    // A file beside the scans is an input too, which no output replaces; a stream from before is not.
+    let error =
+        bench.fails("encode tree -o tree/calib/poses.txt --all --force --quiet", "tree/calib/poses.txt");
+    assert!(error.contains("is an input as well"), "{error}");
+    assert_eq!(bench.read("tree/calib/poses.txt"), b"1 0 0 0");
+    bench.ok("encode tree -o tree/own.lpc --all");
+    bench.ok("encode tree -o tree/own.lpc --all --force --strict");
+    assert_eq!(bench.read("tree/own.lpc"), bench.read("plain.lpc"));
 }
 
 #[test]
@@ -176,6 +184,8 @@ fn frames_are_numbered_without_the_files_beside() {
     let names: Vec<_> = tree(&bench.path("some")).into_keys().filter(|name| name.ends_with(".bin")).collect();
     assert_eq!(names, ["velodyne_points/data/0000000010.bin", "velodyne_points/data/0000000011.bin"]);
     assert_eq!(tree(&bench.path("some")).len(), 4, "the folders above them");
+    bench.ok("decode one.lpc -o kept --frames 10.. --keep-going");
+    assert_eq!(tree(&bench.path("kept")), tree(&bench.path("some")));
     bench.fails("decode one.lpc -o none --frames 12", "one.lpc");
     bench.ok("cut one.lpc --frames 3.. -o rest.lpc");
     assert_eq!(bench.json("info rest.lpc --json")["frames"].as_array().unwrap().len(), 9);
@@ -200,6 +210,13 @@ fn times_come_from_lists_and_names() {
     assert_eq!(bench.json("stats end.lpc --json")["frames"], 2);
     let error = bench.fails("decode out.lpc -o none --time 5s..6s", "out.lpc");
     assert!(error.contains("from 0 to 1.100 s"), "{error}");
+    // A list that does not belong to the scans is passed over.
+    let scans = [("7.bin", 1), ("8.bin", 2)].map(|(name, seed)| (name.to_owned(), scan(50, seed)));
+    bench.write_files("lists/velodyne", &scans.into());
+    let lists = [("timestamps.txt", "2011-09-26 13:02:25\n"), ("times.txt", "0\n0.5\n")];
+    bench.write_files("lists", &lists.map(|(name, lines)| (name.to_owned(), lines.into())).into());
+    bench.ok("encode lists -o lists.lpc");
+    assert_eq!(bench.json("info lists.lpc --json")["frames"][1]["time"], 500_000_000);
     let named =
         ["1566246592875153456.bin", "1566246592975153456.bin"].map(|name| (name.to_owned(), scan(50, 1)));
     bench.write_files("named", &named.into());
