@@ -443,3 +443,110 @@ fn many_small_files_come_back() {
     bench.ok("decode out.lpc -o back");
     assert_eq!(bench.files("back"), files);
 }
+
+#[test]
+fn a_deep_check_comes_to_the_same() {
+    let bench = Bench::new();
+    bench.ok("synth -o seq --frames 1");
+    for level in ["1", "6", "8"] {
+        bench.ok(&format!("encode seq -o {level}.lpc --level {level}"));
+    }
+    bench.ok("encode seq -o bounded.lpc --max-error 1cm");
+    let report = bench.json("verify --deep 1.lpc 6.lpc 8.lpc --against seq --json");
+    for file in report.as_array().unwrap() {
+        assert_eq!((&file["whole"], &file["deep"], &file["frames"]), (&true.into(), &true.into(), &1.into()));
+    }
+    let said =
+        String::from_utf8(bench.command("verify --deep bounded.lpc").output().unwrap().stdout).unwrap();
+    assert!(
+        said.starts_with("bounded.lpc: whole; 1 frame,") && said.contains("without vector units"),
+        "{said}"
+    );
+}
+
+// ---- scans made to cost most ----
+
+/// Counts that no file can hold.
+const CLAIM: u64 = 1 << 60;
+
+/// What a scan claims, in headers and bodies; and what costs most for its size.
+fn bombs() -> Files {
+    let pcd = |data: &str, points: u64, body: &[u8]| {
+        let header = format!(
+            "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH {points}\n\
+             HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA {data}\n"
+        );
+        [header.as_bytes(), body].concat()
+    };
+    let ply = |format: &str, element: &str, count: u64, body: &[u8]| {
+        let header = format!(
+            "ply\nformat {format} 1.0\nelement vertex {count}\nproperty float x\nproperty float y\nproperty float z\n\
+             {element}end_header\n"
+        );
+        [header.as_bytes(), body].concat()
+    };
+    let points = scan(40, 1);
+    // Runs of zeros as LZF writes them: a zero, then the longest copies of the byte before.
+    let unfolding = |copies: usize| [&[0, 0][..], &[0xe0, 0xff, 0].repeat(copies)].concat();
+    let compressed = |packed: &[u8], size: u32| {
+        let sizes = [packed.len() as u32, size].map(u32::to_le_bytes).concat();
+        [&sizes, packed].concat()
+    };
+    let honest = 1 + 264 * 20_000;
+    let line = b"1.25 ".repeat(800_000);
+    let list = "element face 1152921504606846976\nproperty list uint int vertex_indices\n";
+    let files = [
+        ("claim-binary.pcd", pcd("binary", CLAIM, &points)),
+        ("claim-ascii.pcd", pcd("ascii", CLAIM, b"1 2 3 4\n5 6 7 8\n")),
+        ("claim-largest.pcd", pcd("binary", u64::MAX, &points)),
+        ("claim-packed.pcd", pcd("binary_compressed", CLAIM, &compressed(&unfolding(10), u32::MAX))),
+        ("claim.ply", ply("binary_little_endian", "", CLAIM, &points)),
+        ("claim-ascii.ply", ply("ascii", "", CLAIM, b"1 2 3\n")),
+        ("claim-list.ply", ply("binary_big_endian", list, 1, &[255; 64])),
+        (
+            "unfolds.pcd",
+            pcd("binary_compressed", honest / 16, &compressed(&unfolding(20_000), honest as u32)),
+        ),
+        ("line.pcd", pcd("ascii", 200_000, &line)),
+        ("line.ply", ply("ascii", "", 200_000, &line)),
+        ("header.pcd", line.clone()),
+        ("header.ply", [&b"ply\nformat ascii 1.0\ncomment "[..], &line].concat()),
+    ];
+    files.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect()
+}
+
+/// All scans of a group are bombs: they come back, in memory that their bytes account for.
+#[test]
+#[cfg(target_os = "linux")]
+fn scans_that_claim_or_unfold_to_much_come_back_in_bounded_memory() {
+    let bench = Bench::new();
+    let mut bombs = bombs();
+    for n in 0..10 {
+        bombs.insert(format!("unfolds-{n}.pcd"), bombs["unfolds.pcd"].clone());
+    }
+    bench.write_files("seq", &bombs);
+    bench.within_memory(MEBIBYTES, "encode seq -o out.lpc --gop 60 --threads 2").success();
+    bench.within_memory(MEBIBYTES, "decode out.lpc -o back --threads 2").success();
+    assert!(bench.files("back") == bombs);
+}
+
+/// Of address space, of which threads and the allocator take several hundred without using them.
+#[cfg(target_os = "linux")]
+const MEBIBYTES: u64 = 1200;
+
+#[test]
+#[cfg(target_os = "linux")]
+fn an_archive_of_empty_files_is_read_in_bounded_memory() {
+    let mut archive = tar::Builder::new(Vec::new());
+    for n in 0..20_000 {
+        let mut header = tar::Header::new_ustar();
+        header.set_size(0);
+        archive.append_data(&mut header, format!("drive/{n}.bin"), &[][..]).unwrap();
+    }
+    let bench = Bench::new();
+    fs::write(bench.path("archive.tar"), archive.into_inner().unwrap()).unwrap();
+    let shell = |args: &str| bench.within_memory(MEBIBYTES, args);
+    shell("encode - -o out.lpc <archive.tar").success();
+    shell("verify out.lpc").success();
+    assert_eq!(bench.json("info out.lpc --json")["frames"].as_array().unwrap().len(), 20_000);
+}

@@ -349,6 +349,12 @@ pub struct VerifyArgs {
     /// Compare with these original scans, byte for byte, and find what is missing.
     #[arg(long, value_name = "FOLDER", num_args = 1)]
     pub against: Vec<PathBuf>,
+    /// Decode by other code than `decode`: by that which uses no vector unit.
+    ///
+    /// What this processor computes by its vector units, another may have to compute without them. That both come to the
+    /// same bytes is tested; this shows it of these files.
+    #[arg(long)]
+    pub deep: bool,
     #[command(flatten)]
     pub threads: Threads,
     /// Report as JSON on stdout.

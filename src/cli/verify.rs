@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use crate::ground::error::Error;
+use crate::ground::lanes::keep_to_plain_code;
 use crate::stream::container::FrameHeader;
 use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::{Result, bail};
@@ -28,11 +29,16 @@ struct Report {
     file_bytes: u64,
     /// Whether the frames were held against the originals.
     compared: bool,
+    /// Whether they were decoded without vector units.
+    deep: bool,
 }
 
 pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
     if !args.against.is_empty() && args.inputs.iter().any(|input| recording::is_recording(input)) {
         wrong_usage("verify", "--against compares scans; a recording is compared by `encode --verify`");
+    }
+    if args.deep {
+        keep_to_plain_code();
     }
     let mut originals = match &args.against[..] {
         [] => None,
@@ -47,14 +53,16 @@ pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
             frames: 0,
             file_bytes: 0,
             compared: originals.is_some(),
+            deep: args.deep,
         };
         let verified = verify(args, input, originals.as_mut(), &mut report, quiet);
         report.whole = verified.is_ok();
         report.error = verified.as_ref().err().map(line);
         if !quiet && !args.json && report.whole {
             let same = if report.compared { ", all as the originals" } else { "" };
+            let deep = if report.deep { ", decoded without vector units" } else { "" };
             let (frames, bytes) = (table::count(report.frames, "frame"), table::bytes(report.file_bytes));
-            writeln!(io::stdout(), "{}: whole; {frames}, {bytes}{same}", report.file)?;
+            writeln!(io::stdout(), "{}: whole; {frames}, {bytes}{same}{deep}", report.file)?;
         }
         reports.push(report);
         verified

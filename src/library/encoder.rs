@@ -11,7 +11,7 @@ use crate::ground::error::{Error, Result};
 use crate::stream::FrameInput;
 use crate::stream::container::Stamp;
 use crate::stream::encoded::OpenStream;
-use crate::stream::encoder::{EncodedGroup, SequenceCoder, encode_alone};
+use crate::stream::encoder::{EncodedGroup, SequenceCoder, encode_known};
 use crate::stream::ordered::Workers;
 use crate::stream::scanner_choice::{KeptScanners, Scanners, choose_scanners, records_of};
 
@@ -148,7 +148,7 @@ impl MessageEncoder {
         // There are no others to tell it from.
         let frame = FrameInput::scan(scan).stamped(Stamp { stream: 0, ..stamp });
         let scanners = self.scanners.for_next(Some(&frame), &self.config)?;
-        encode_alone(frame, &scanners, &self.config)
+        encode_known(vec![frame], &scanners, &self.config)
     }
 }
 

@@ -1,9 +1,10 @@
 //! Numbers in blocks, each block in as many bits as its largest number takes: nothing is faster. What is
 //! coded is the difference to the number before.
 
-use pulp::{Arch, NullaryFnOnce};
+use pulp::NullaryFnOnce;
 
 use crate::entropy::TokenCoder;
+use crate::ground::lanes::dispatch;
 use crate::models::{Bins, IntensityScale};
 
 /// Numbers in a block: larger blocks save widths, smaller ones waste less where a single number is large.
@@ -100,11 +101,7 @@ fn code_values<C: TokenCoder>(
     difference: impl Fn(u32, u32) -> u32,
     differing: impl Fn(u32, u32) -> u32,
 ) {
-    Arch::new().dispatch(Packing {
-        coder,
-        values,
-        blocks: Blocks { before, width: 0, difference, differing },
-    });
+    dispatch(Packing { coder, values, blocks: Blocks { before, width: 0, difference, differing } });
 }
 
 /// The arguments of [`code_values`], for a function compiled for several vector units.

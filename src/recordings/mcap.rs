@@ -14,7 +14,7 @@ use crate::ground::error::{Error, Limits, Result};
 use crate::library::{Decoder, Scan, Settings};
 use crate::stream::FrameInput;
 use crate::stream::container::{Stamp, Time, TimeSource, Unit};
-use crate::stream::encoder::encode_alone;
+use crate::stream::encoder::encode_known;
 use crate::stream::ordered::run_ordered;
 use crate::stream::scanner_choice::{KeptScanners, Scanners};
 
@@ -297,7 +297,8 @@ impl PackedTopic {
         let points = scan.records;
         let time = Time { source: TimeSource::Recording, nanoseconds: stamp };
         let stamp = Stamp { unit: Unit::Message, stream: 0, time: Some(time) };
-        let payload = encode_alone(FrameInput::scan(scan).stamped(stamp), &self.scanners, &self.config)?;
+        let payload =
+            encode_known(vec![FrameInput::scan(scan).stamped(stamp)], &self.scanners, &self.config)?;
         let packed = message::compress(&data, self.encoding, &payload)?;
         Ok(Done::cloud(header, packed, points, data.len()))
     }

@@ -58,19 +58,15 @@ pub fn encode_live<W: Write>(
     encode_groups(&scanners, first.map(Ok).into_iter().chain(groups), config, out, on_frame)
 }
 
-/// A stream of one frame, of a scanner that is known.
+/// A stream of one group of frames, of scanners that are known.
 ///
 /// # Errors
 /// As [`encode`].
-pub(crate) fn encode_alone(
-    frame: FrameInput,
-    scanners: &Scanners,
-    config: &EncoderConfig,
-) -> Result<Vec<u8>> {
+pub fn encode_known(frames: Vec<FrameInput>, scanners: &Scanners, config: &EncoderConfig) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let scanners = std::slice::from_ref(scanners);
     let mut stream = OpenStream::begin(&mut bytes, &records_of(scanners))?;
-    stream.write(&SequenceCoder::new(scanners, config, &|| ()).encode_frames(vec![frame])?)?;
+    stream.write(&SequenceCoder::new(scanners, config, &|| ()).encode_frames(frames)?)?;
     stream.finish()?;
     Ok(bytes)
 }

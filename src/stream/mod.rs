@@ -15,9 +15,10 @@ pub(crate) mod source;
 
 pub use decoder::{DecodedFrame, decode, decode_indexed};
 pub use encoded::Encoded;
-pub use encoder::{encode, encode_live};
+pub use encoder::{encode, encode_known, encode_live};
 pub use input::FrameInput;
 pub use options::{DecodeOptions, FrameRange};
+pub use scanner_choice::Scanners;
 
 #[cfg(all(test, feature = "cli"))]
 mod tests;

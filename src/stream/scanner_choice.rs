@@ -18,7 +18,7 @@ use crate::stream::container::{ScannerId, ScannerRecord, Unit};
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 
 /// The scanners of a drive.
-pub(crate) struct Scanners {
+pub struct Scanners {
     /// That of each stream, if there is a model that it fits.
     pub models: Vec<Option<Scanner>>,
     /// What groups call these.
@@ -30,7 +30,8 @@ pub(crate) struct Scanners {
 }
 
 impl Scanners {
-    fn new(models: Vec<Option<Scanner>>) -> Self {
+    /// One for each stream.
+    pub fn new(models: Vec<Option<Scanner>>) -> Self {
         let mut records = Vec::new();
         let mut name = |model: &Option<Scanner>| {
             let record = record_of(model.as_ref()?);

@@ -78,6 +78,14 @@ impl Bench {
         shell
     }
 
+    /// Runs it by a shell, in an address space of so many mebibytes.
+    #[cfg(target_os = "linux")]
+    pub fn within_memory(&self, mebibytes: u64, args: &str) -> assert_cmd::assert::Assert {
+        let script =
+            format!("ulimit -v {}; exec '{}' {args}", mebibytes * 1024, cargo_bin!("lidarpc").display());
+        Command::new("sh").args(["-c", &script]).current_dir(self.0.path()).assert()
+    }
+
     /// Runs it, which must succeed; returns what it says on stderr.
     #[track_caller]
     pub fn says(&self, args: &str) -> String {

@@ -3,10 +3,11 @@
 
 use std::cmp::Reverse;
 
-use pulp::{Arch, NullaryFnOnce};
+use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 
 use super::beams::{Beam, Point};
+use crate::ground::lanes::dispatch;
 use crate::scanner::Hdl64;
 
 /// For each beam, the whole number of ticks by which its columns are shifted against those of the beam with
@@ -30,7 +31,7 @@ pub(crate) fn column_shifts(model: &Hdl64, beams: &[&Beam]) -> Vec<i64> {
         let mine = used_ticks(model, row, mine);
         // The best of some shifts, judged by a part of the turn.
         let best = |shifts: &[i64], part: &[u8], count: usize| -> Vec<i64> {
-            let agreements = Arch::new().dispatch(Agreements { mine: part, theirs, shifts });
+            let agreements = dispatch(Agreements { mine: part, theirs, shifts });
             let mut found: Vec<_> = agreements.into_iter().zip(shifts.iter().copied()).collect();
             let worth = |&(agreement, shift): &(u32, i64)| (Reverse(agreement), shift.abs(), shift);
             if count < found.len() {

@@ -1,7 +1,8 @@
 //! The order in which a file holds the returns of a range image.
 
-use pulp::{Arch, NullaryFnOnce};
+use pulp::NullaryFnOnce;
 
+use crate::ground::lanes::dispatch;
 use crate::scanner::Hdl64;
 use crate::scanner::{RangeImage, Return};
 
@@ -9,7 +10,7 @@ impl RangeImage {
     /// The returns in the order of the file: row by row, by the azimuth that the formula gives; returns with
     /// equal azimuths column by column.
     pub fn file_order(&self, sensor: &Hdl64) -> Vec<Return> {
-        Arch::new().dispatch(FileOrder { image: self, sensor })
+        dispatch(FileOrder { image: self, sensor })
     }
 }
 

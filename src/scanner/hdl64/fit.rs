@@ -9,14 +9,14 @@ use std::cmp::Reverse;
 use std::f64::consts::TAU;
 
 use nalgebra::{SMatrix, SVector};
-use pulp::{Arch, NullaryFnOnce};
+use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 
 use super::beams::{Beam, Cone, Point, align, split_beams, thinned};
 use super::columns::column_shifts;
 use super::formula::small_atan;
 use super::sharpen::sharpen;
-use crate::ground::lanes::lanes;
+use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
 use crate::scanner::{BeamConstants, Coordinates, Hdl64, Refinement};
@@ -362,7 +362,7 @@ impl Formula {
 
     /// For each point, the largest error of the formula over the axes, in metres.
     fn largest_misses(&self, points: &[Point]) -> Vec<f64> {
-        Arch::new().dispatch(LargestMisses { formula: self, points })
+        dispatch(LargestMisses { formula: self, points })
     }
 
     /// The slopes of the formula's x, y and z against (V, b, c, h, rot).

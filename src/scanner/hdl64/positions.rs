@@ -1,14 +1,15 @@
 //! The positions of the returns of a range image by the formula.
 
-use pulp::{Arch, NullaryFnOnce};
+use pulp::NullaryFnOnce;
 
+use crate::ground::lanes::dispatch;
 use crate::scanner::Return;
 use crate::scanner::{Coordinates, Hdl64, nearest_millimetre};
 
 /// Positions of returns (metres), which are in order of rows and `offset_m` metres farther away than their
 /// steps: rounded to the file's grid if `on_grid`, otherwise as the formula gives them.
 pub fn positions(sensor: &Hdl64, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
-    Arch::new().dispatch(Filling { sensor, returns, offset_m, on_grid })
+    dispatch(Filling { sensor, returns, offset_m, on_grid })
 }
 
 /// The arguments of [`positions`], for a function compiled for several vector units.

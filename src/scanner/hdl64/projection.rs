@@ -1,9 +1,9 @@
 //! Projecting the points of a scan into a range image.
 
-use pulp::{Arch, NullaryFnOnce};
+use pulp::NullaryFnOnce;
 
 use crate::ground::grid::Grid;
-use crate::ground::lanes::lanes;
+use crate::ground::lanes::{dispatch, lanes};
 use crate::scan::{PointCloud, squared_distance};
 use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
@@ -128,7 +128,7 @@ struct Place {
 /// The place of each point.
 fn places(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Vec<Place> {
     let search = Search { sensor, reach, row: 0, tick: 0 };
-    Arch::new().dispatch(Searching { search, positions: &cloud.positions })
+    dispatch(Searching { search, positions: &cloud.positions })
 }
 
 /// The arguments of [`places`], for a function compiled for several vector units.
