@@ -5,11 +5,11 @@ use std::fs::{self, File};
 use std::io::Cursor;
 use std::sync::LazyLock;
 
-use lidarpc::internals::backend::{self, BACKENDS, Level};
+use lidarpc::internals::backend::{self, BACKENDS};
 use lidarpc::internals::edit::{Named, PartialFiles, encode_resuming, recover, repair};
 use lidarpc::internals::files::{ArrivingFrames, FileFormat, convert, parse};
-use lidarpc::internals::frame::Prediction;
-use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
+use lidarpc::internals::frame::settings::{Coder, EncoderConfig, PredictionChoice};
+use lidarpc::internals::frame::{Positions, Prediction};
 use lidarpc::internals::ground::error::{Limits, Result};
 use lidarpc::internals::scan::PointCloud;
 use lidarpc::internals::scanner::{REACH, Return, Scanner};
@@ -17,11 +17,12 @@ use lidarpc::internals::stream::container::{IndexedReader, Section, StreamReader
 use lidarpc::internals::stream::{DecodeOptions, FrameInput};
 use tempfile::TempDir;
 
-use crate::common::bound::{bounded, keeps_the_bound};
+use crate::common::bound::{bounded, check_bound, keeps_the_bound};
 use crate::common::formats::kitti;
-use crate::common::scans::{random_points, scans, small};
-use crate::common::streams::STREAMS;
-use crate::common::{decode_within, put_together, round_trip};
+use crate::common::odd::{Change, Format};
+use crate::common::scans::{Points, random_points, scans, small};
+use crate::common::streams::{KNOWN, Known, STREAMS, at_level};
+use crate::common::{File as ScanFile, comes_back, decode_files, decode_within, put_together, round_trip};
 
 /// Far less than the program's, for speed; as tight for what is claimed.
 const LIMITS: Limits = Limits { points: 1 << 16, file_bytes: 1 << 22, record_bytes: 1 << 24 };
@@ -31,7 +32,7 @@ pub type Target = fn(&[u8]);
 
 /// All targets by name.
 #[allow(dead_code)] // The fuzzer's programs call theirs directly.
-pub const TARGETS: [(&str, Target); 11] = [
+pub const TARGETS: [(&str, Target); 13] = [
     ("container", container),
     ("sections", sections),
     ("parts", parts),
@@ -43,6 +44,8 @@ pub const TARGETS: [(&str, Target); 11] = [
     ("journal", journal),
     ("scanner", scanner),
     ("round_trip", round_trip_of),
+    ("differential", differential),
+    ("sequence", sequence),
 ];
 
 /// Any bytes as a stream: read by records, by the index, and decoded.
@@ -224,28 +227,101 @@ pub fn scanner(data: &[u8]) {
     assert_eq!(found.len() + projection.strays.len(), cloud.positions.len());
 }
 
-/// Any bytes as a file behind a good scan, in one mode or another.
+/// Any bytes as a file behind a scan of a scanner that is known, in one mode or another.
 pub fn round_trip_of(data: &[u8]) {
+    let [mode, known, kind, bytes @ ..] = data else { return };
+    let known = &KNOWN[usize::from(*known) % KNOWN.len()];
+    let good = ("0.bin".to_owned(), kitti(&known.frames[0]));
+    let files = [good, (NAMES[usize::from(*kind) % NAMES.len()].to_owned(), bytes.to_vec())];
+    let config = match mode % 4 {
+        0 | 1 => at_level(LEVELS[usize::from(mode / 4) % LEVELS.len()]),
+        2 => bounded(1 << (mode / 4 % 20)),
+        _ => by_back_end(usize::from(mode / 4)),
+    };
+    // Not always behind another.
+    comes_back_from(known, &files[usize::from(mode % 4 == 1)..], &config);
+}
+
+/// Any bytes as changes to a scan of a scanner, which is coded behind another: at every level, within a bound, and by a
+/// back-end. What comes back is the same file each time.
+pub fn differential(data: &[u8]) {
+    let [known, format, changes @ ..] = data else { return };
+    let known = &KNOWN[usize::from(*known) % KNOWN.len()];
+    let [first, .., last] = &known.frames[..] else { panic!("a scanner has scans") };
+    let mut points = last.clone();
+    changes.as_chunks().0.iter().take(12).for_each(|bytes| change(*bytes).apply(&mut points));
+    let format = Format::ALL[usize::from(*format) % Format::ALL.len()];
+    let file = |number, points: &Points| (format!("{number}.{}", format.extension()), format.write(points));
+    let files = [file(0, first), file(1, &points)];
+    LEVELS.into_iter().for_each(|level| comes_back_from(known, &files, &at_level(level)));
+    comes_back_from(known, &files, &bounded(1 << (changes.len() % 20)));
+    comes_back_from(known, &files, &by_back_end(changes.len()));
+}
+
+/// The levels that differ, of the context coder.
+const LEVELS: [u8; 7] = [1, 2, 3, 6, 7, 8, 9];
+
+/// Names of files of each format, and of none.
+const NAMES: [&str; 5] = ["1.bin", "1.pcd.bin", "1.pcd", "1.ply", "1.txt"];
+
+/// Exact mode by one of the back-ends.
+fn by_back_end(number: usize) -> EncoderConfig {
+    EncoderConfig {
+        coder: Coder::Backend(BACKENDS[number % BACKENDS.len()].id()),
+        prediction: PredictionChoice::Always(Prediction::None),
+        ..EncoderConfig::default()
+    }
+}
+
+/// Encodes files of a scanner, decodes them, and holds them to what was promised.
+fn comes_back_from(known: &Known, files: &[ScanFile], config: &EncoderConfig) {
+    let stream = known.encode(files, config);
+    match config.positions {
+        Positions::Bounded { max_error_um, .. } => {
+            check_bound(files, &decode_files(&stream).expect("decodes"), config, max_error_um);
+        }
+        _ => comes_back(&stream, files),
+    }
+}
+
+/// A change to a scan, of six bytes.
+fn change([what, axis, at, at_high, value, value_high]: [u8; 6]) -> Change {
+    let at = usize::from(u16::from_le_bytes([at, at_high]));
+    let value = u16::from_le_bytes([value, value_high]);
+    let (axis, length, small) =
+        (usize::from(axis % 3), usize::from(value % 200), i32::from(value as i16 % 8));
+    match what % 13 {
+        0 => Change::Shuffle(value.into()),
+        1 => Change::Reverse,
+        2 => Change::SwapRows(at, value.into()),
+        3 => Change::Swap(at, value.into()),
+        4 => Change::Keep(at, length),
+        5 => Change::Delete(at, length),
+        6 => Change::Duplicate(at, length),
+        // The upper half of a number: its sign, its exponent, and some of its digits.
+        7 => Change::Coordinate(at, axis, f32::from_bits(u32::from(value) << 16)),
+        8 => Change::Ulps(at, axis, small),
+        9 => Change::Millimetres(at, axis, small),
+        10 => Change::Intensity(at, f32::from_bits(u32::from(value) << 16)),
+        11 => Change::AllIntensities(f32::from(value) / 100.0),
+        _ => Change::OneCell(at),
+    }
+}
+
+/// Any bytes as a file behind a scan of a scanner that must be found first, in one mode or another.
+pub fn sequence(data: &[u8]) {
     let [mode, kind, bytes @ ..] = data else { return };
     let good = ("0.bin".to_owned(), kitti(&scans(&small(1, 1))[0]));
-    let name = ["1.bin", "1.pcd.bin", "1.pcd", "1.ply", "1.txt"][usize::from(*kind) % 5];
-    let files = [good, (name.to_owned(), bytes.to_vec())];
-    let level = Level::new(1 + mode / 4 % 9).unwrap_or_default();
-    let default = EncoderConfig { threads: 1, ..EncoderConfig::preset(Mode::Exact) };
-    let exact = EncoderConfig { level, ..default.clone() };
-    // The context coder does not have all levels.
-    let exact = if exact.check().is_ok() { exact } else { default };
+    let files = [good, (NAMES[usize::from(*kind) % NAMES.len()].to_owned(), bytes.to_vec())];
+    let one = |config: EncoderConfig| EncoderConfig { threads: 1, ..config };
+    let exact = one(at_level(LEVELS[usize::from(mode / 4) % LEVELS.len()]));
     match mode % 4 {
         0 => drop(round_trip(&files, &exact)),
         1 => drop(round_trip(&files[1..], &exact)),
         2 => {
             let max_error_um = 1 << (mode / 4 % 20);
-            keeps_the_bound(&files, &bounded(max_error_um), max_error_um);
+            keeps_the_bound(&files, &one(bounded(max_error_um)), max_error_um);
         }
-        _ => {
-            let coder = Coder::Backend(BACKENDS[usize::from(mode / 4) % BACKENDS.len()].id());
-            let prediction = PredictionChoice::Always(Prediction::None);
-            drop(round_trip(&files, &EncoderConfig { coder, prediction, ..exact }));
-        }
+        _ => drop(round_trip(&files, &one(by_back_end(usize::from(mode / 4))))),
     }
 }

@@ -1130,14 +1130,25 @@ fn frames_are_drawn() {
         assert!(picture.starts_with(png), "{what}");
         picture
     };
-    let kinds = ["range", "occupancy", "labels", "regions", "prediction", "residual", "birds-eye", "error"];
+    let kinds = [
+        "range",
+        "occupancy",
+        "labels",
+        "regions",
+        "prediction",
+        "residual",
+        "birds-eye",
+        "perspective",
+        "overview",
+        "error",
+    ];
     let all = kinds.map(|kind| draw(&format!("p.lpc --kind {kind} --frame 1 --against drive")));
     for (place, picture) in all.iter().enumerate() {
         assert!(!all[..place].contains(picture), "two kinds look alike");
     }
     let together = draw("p.lpc --frame 1 --against drive");
     assert_eq!(draw("drive --mode paper --columns 300 --frame 1"), together);
-    assert_eq!(draw("drive --mode paper --columns 300 --frame 1 --kind error"), all[7]);
+    assert_eq!(draw("drive --mode paper --columns 300 --frame 1 --kind error"), all[9]);
     assert_ne!(draw("p.lpc --frame 1"), together, "the errors are not known");
     assert_ne!(draw("p.lpc --frame 1 --against drive --scale 2"), together);
     assert!(bench.fails("view p.lpc --kind error -o new.png", "0000000000.bin").contains("--against"));

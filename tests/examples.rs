@@ -54,3 +54,49 @@ fn the_example_of_the_readme_is_that_of_the_documentation() {
     assert!(readme.iter().any(|line| line.contains("Encoder::new")));
     assert_eq!(readme, block(&read("src/lib.rs"), "```no_run", "//!"));
 }
+
+/// What a heading is called in links: its letters and digits, lower-case, with a hyphen for each space.
+fn anchor(heading: &str) -> String {
+    let text = heading.trim_start_matches('#').trim();
+    let kept = text.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
+    kept.map(|c| if c == ' ' { '-' } else { c.to_ascii_lowercase() }).collect()
+}
+
+/// The targets of the links of a document, but for those to elsewhere, code, and examples of links.
+fn links(text: &str) -> Vec<&str> {
+    let targets = text.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(target, _)| target);
+    targets.filter(|target| !target.contains("://") && !target.contains(char::is_whitespace)).collect()
+}
+
+#[test]
+fn every_link_of_the_documents_leads_somewhere() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let documents = |folder: &Path| -> Vec<_> {
+        let paths = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        paths.filter(|path| path.extension().is_some_and(|extension| extension == "md")).collect()
+    };
+    let documents: Vec<_> =
+        ["", "docs", "python", "testdata"].iter().flat_map(|name| documents(&root.join(name))).collect();
+    let mut checked = 0;
+    for document in &documents {
+        let text = fs::read_to_string(document).unwrap();
+        for link in links(&text) {
+            let (path, place) = link.split_once('#').unwrap_or((link, ""));
+            let target =
+                if path.is_empty() { document.clone() } else { document.parent().unwrap().join(path) };
+            assert!(target.exists(), "{}: {link} leads nowhere", document.display());
+            checked += 1;
+            if place.is_empty() {
+                continue;
+            }
+            let text = fs::read_to_string(&target).unwrap();
+            let mut headings = text.lines().filter(|line| line.starts_with('#'));
+            assert!(
+                headings.any(|heading| anchor(heading) == place),
+                "{}: {link}: no such heading",
+                document.display()
+            );
+        }
+    }
+    assert!(documents.len() > 8 && checked > 100, "{} documents, {checked} links", documents.len());
+}

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply};
 use common::scans::{scans, small};
-use common::streams::STREAMS;
+use common::streams::{KNOWN, STREAMS};
 use common::{first_files, in_package, put_together};
 use lidarpc::internals::backend::{BACKENDS, Level};
 use lidarpc::internals::files::parse;
@@ -84,6 +84,25 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
             let records = STREAMS.iter().flat_map(|(scanners, _)| scanners).chain([&fitted]);
             let seed = |record: &ScannerRecord| [&[record.family as u8], &record.payload[..]].concat();
             records.map(seed).collect::<BTreeSet<_>>().into_iter().collect()
+        }
+        "differential" => {
+            let known = 0..KNOWN.len() as u8;
+            // Each change once, at places and by values that differ.
+            let seed = |n: u8| {
+                let changes = (0..13).filter(|change| (change + n).is_multiple_of(4));
+                let changes = changes.flat_map(|change| {
+                    [change, n, n.wrapping_mul(37), n % 2, change.wrapping_mul(91), 64 + change]
+                });
+                [n, n].into_iter().chain(changes).collect()
+            };
+            known.map(seed).collect()
+        }
+        "round_trip" => {
+            let with = |(known, mode): (u8, u8)| {
+                files.iter().map(move |(kind, bytes)| [&[mode, known, *kind], &bytes[..]].concat())
+            };
+            let modes = [0, 4, 8, 12, 16, 20, 24, 1, 2, 40, 54, 3, 7, 39];
+            (0..).zip(modes).flat_map(with).collect()
         }
         _ => {
             let with =

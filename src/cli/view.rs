@@ -11,7 +11,7 @@ use crate::frame::settings::EncoderConfig;
 use crate::ground::error::Error;
 use crate::stream::{DecodeOptions, DecodedFrame, FrameInput, FrameRange};
 use crate::study::metrics::{nearest_distances, paired_distances};
-use crate::study::picture::{self, BirdsEye, Picture};
+use crate::study::picture::{self, BirdsEye, Perspective, Picture};
 use anyhow::{Context, Result, ensure};
 
 use super::args::{Threads, ViewArgs};
@@ -93,15 +93,25 @@ impl Compared {
 fn draw(args: &ViewArgs, compared: &Compared, config: &EncoderConfig) -> Result<Picture> {
     let frame = &compared.frame;
     let name = &frame.header.name;
-    // Without a range image there is nothing else to show, unless something else was asked for.
-    if args.kind == Kind::BirdsEye || (args.kind == Kind::All && frame.image.is_none()) {
-        let positions = &frame.scan.cloud.positions;
-        ensure!(!positions.is_empty(), "{name}: has no points to draw; choose another frame by --frame");
-        return Ok(BirdsEye::default().draw(positions));
+    let positions = &frame.scan.cloud.positions;
+    ensure!(!positions.is_empty(), "{name}: has no points to draw; choose another frame by --frame");
+    match args.kind {
+        Kind::BirdsEye => return Ok(BirdsEye::default().draw(positions)),
+        Kind::Perspective => return Ok(Perspective::default().draw(positions)),
+        // Without a range image there is nothing else to show, unless something else was asked for.
+        Kind::All if frame.image.is_none() => return Ok(BirdsEye::default().draw(positions)),
+        _ => {}
     }
     let none = || format!("{name}: has no range image; --kind birds-eye shows its points");
     let image = frame.image.as_ref().with_context(none)?;
     let pictures = Pictures::of(image, compared.errors().as_deref(), config, args.scale);
+    if args.kind == Kind::Overview {
+        let range = pictures.draw(Kind::Range).with_context(none)?;
+        // As wide as the range image.
+        let size = [range.width(), range.width() * 2 / 5];
+        let points = Perspective { size, ..Perspective::default() }.draw(positions);
+        return Ok(picture::stack(&[("range, m", range), ("height, m", points)]));
+    }
     if args.kind != Kind::All {
         let unknown = || format!("{name}: the original is not known; give it by --against FOLDER");
         return pictures.draw(args.kind).with_context(unknown);

@@ -21,7 +21,7 @@ pub fn keeps_the_bound(files: &[File], config: &EncoderConfig, max_error_um: u32
 
 /// Holds decoded files to the originals: same names, points, order and other fields; positions within
 /// the bound or, if they are not finite, bit by bit; intensities bit by bit or within half a step.
-fn check_bound(files: &[File], decoded: &[File], config: &EncoderConfig, max_error_um: u32) -> f64 {
+pub fn check_bound(files: &[File], decoded: &[File], config: &EncoderConfig, max_error_um: u32) -> f64 {
     let bound = f64::from(max_error_um) * 1e-6;
     let mut largest = 0.0f64;
     assert_eq!(files.len(), decoded.len());

@@ -4,29 +4,34 @@ use std::sync::LazyLock;
 
 use lidarpc::internals::article::image_coding::ImageCodec;
 use lidarpc::internals::backend::{self, BACKENDS, Level};
+use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
+use lidarpc::internals::scanner::Scanner;
+use lidarpc::internals::scanner::firings::Recipe;
 use lidarpc::internals::stream::container::{Group, ScannerRecord};
+use lidarpc::internals::stream::{FrameInput, Scanners, encode_known};
 
+use super::firings::{image, made_up, points, timed, with_echoes};
 use super::formats::{kitti, pcd_extra, pcd_text};
-use super::scans::{compensated, random_points, scans, small};
+use super::scans::{Points, compensated, random_points, scans, small};
 use super::{File, encode_files, take_apart};
 
 /// Scanners and groups.
 pub type Parts = (Vec<ScannerRecord>, Vec<Group>);
 
-/// Small streams that use every section between them, taken apart.
+/// Small streams that use every section between them, taken apart: a frame has some two hundred points, so that a fuzzer
+/// makes hundreds of executions a second.
 pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
-    let frames = scans(&small(3, 3));
+    let [beams, firings @ ..] = &KNOWN[..] else { panic!("no scanners") };
+    let frames = &beams.frames;
     let mut odd = frames[1].clone();
-    odd.swap(40, 900);
+    odd.swap(40, 150);
     odd.splice(100..100, random_points(40, 1));
     odd[7][3] = f32::NAN;
     let scanner =
         vec![("0.bin", kitti(&frames[0])), ("1.bin", kitti(&odd)), ("2.pcd", pcd_extra(&frames[2]))];
     let still = vec![("0.bin", kitti(&frames[0])), ("1.bin", kitti(&frames[0]))];
-    let mut moved = compensated(&frames[0], [0.001, 0.0, 0.03], [-0.8, 0.1, 0.02]);
-    moved[3] = [f32::NAN, 1.0, -1.0, 0.5];
-    let random = random_points(300, 2);
+    let random = random_points(100, 2);
     let others = vec![
         ("0.bin", [kitti(&random), vec![1; 9]].concat()),
         ("1.pcd", pcd_extra(&random)),
@@ -34,35 +39,101 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
         ("3.bin", Vec::new()),
         ("4.ply", b"ply, or not".to_vec()),
     ];
-    let coded = |files: &[(&str, Vec<u8>)], config: EncoderConfig| {
+    let coded = |known: &Known, files: &[(&str, Vec<u8>)], config: EncoderConfig| {
         let files: Vec<File> = files.iter().map(|(name, bytes)| (name.to_string(), bytes.clone())).collect();
-        take_apart(&encode_files(&files, &EncoderConfig { gop: 20, threads: 1, ..config }))
+        take_apart(&known.encode(&files, &config))
     };
+    let no_scanner = Known::default();
     let mut streams = vec![
-        coded(&scanner, at_level(1)),
-        coded(&scanner, at_level(2)),
-        coded(&scanner, at_level(3)),
-        coded(&scanner, at_level(8)),
-        coded(&scanner, EncoderConfig::default()),
-        coded(&scanner, at_level(9)),
-        coded(&others, EncoderConfig::default()),
-        coded(&[("0.bin", kitti(&moved))], EncoderConfig::default()),
-        coded(&scanner, with_back_end(backend::LZMA)),
+        coded(beams, &scanner, at_level(1)),
+        coded(beams, &scanner, at_level(2)),
+        coded(beams, &scanner, at_level(3)),
+        coded(beams, &scanner, at_level(8)),
+        coded(beams, &scanner, EncoderConfig::default()),
+        coded(beams, &scanner, at_level(9)),
+        coded(&no_scanner, &others, EncoderConfig::default()),
+        moved(),
+        coded(&Known::ideal(), &scanner, with_back_end(backend::LZMA)),
         // P frames, by context, as tokens and by a back-end.
-        coded(&still, at_level(9)),
-        coded(&still, EncoderConfig::default()),
+        coded(beams, &still, at_level(9)),
+        coded(beams, &still, EncoderConfig::default()),
         coded(
+            &Known::ideal(),
             &still,
             EncoderConfig { prediction: PredictionChoice::Smallest, ..with_back_end(backend::LZMA) },
         ),
     ];
     let by_image = |codec| EncoderConfig { coder: Coder::Image(codec), ..with_back_end(backend::LZMA) };
-    streams.extend(ImageCodec::ALL.map(|codec| coded(&still, by_image(codec))));
+    streams.extend(ImageCodec::ALL.map(|codec| coded(&Known::ideal(), &still, by_image(codec))));
     let bounded = EncoderConfig::preset(Mode::Bounded { max_error_um: 20_000 });
-    streams.extend([coded(&scanner, bounded.clone()), coded(&others, bounded)]);
-    streams.extend(BACKENDS.iter().map(|backend| coded(&scanner[..1], with_back_end(backend.id()))));
+    streams.extend([coded(beams, &scanner, bounded.clone()), coded(&no_scanner, &others, bounded.clone())]);
+    streams.extend(
+        BACKENDS.iter().map(|backend| coded(&Known::ideal(), &scanner[..1], with_back_end(backend.id()))),
+    );
+    for (number, known) in firings.iter().enumerate() {
+        let [one, other] = [0, 1].map(|frame| &known.frames[frame % known.frames.len()]);
+        let files = [("0.bin", kitti(one)), ("1.pcd", pcd_extra(other))];
+        let levels = [1, 3, 6, 9];
+        streams.push(coded(known, &files, at_level(levels[number % levels.len()])));
+        if number % 4 == 0 {
+            streams.push(coded(known, &files, bounded.clone()));
+        }
+    }
     streams
 });
+
+/// A scan that was corrected for the scanner's motion, which takes more points to be found.
+fn moved() -> Parts {
+    let mut moved = compensated(&scans(&small(3, 1))[0], [0.001, 0.0, 0.03], [-0.8, 0.1, 0.02]);
+    moved[3] = [f32::NAN, 1.0, -1.0, 0.5];
+    let config = EncoderConfig { threads: 1, ..EncoderConfig::default() };
+    take_apart(&encode_files(&[("0.bin".to_owned(), kitti(&moved))], &config))
+}
+
+/// A scanner that need not be looked for in scans, and small scans of it.
+#[derive(Default)]
+pub struct Known {
+    pub scanner: Option<Scanner>,
+    pub frames: Vec<Points>,
+}
+
+/// One with beams, then one of firings for each recipe, with second returns and interpolated ticks in turn.
+pub static KNOWN: LazyLock<Vec<Known>> = LazyLock::new(|| {
+    let scans = scans(&small(3, 3));
+    let files: Vec<_> = scans.iter().map(|points| parse("0.bin", kitti(points))).collect();
+    // A part of the turn.
+    let sector = |points: &Points| -> Points {
+        points.iter().filter(|point| point[0] > 0.0 && point[1].abs() < 0.45 * point[0]).copied().collect()
+    };
+    let beams = Known { scanner: Scanner::fit(&files), frames: scans.iter().map(sector).collect() };
+    assert!(beams.scanner.is_some() && beams.frames.iter().all(|points| (160..300).contains(&points.len())));
+    let firings = Recipe::ALL.into_iter().enumerate().map(|(number, recipe)| {
+        let scanner = made_up(recipe);
+        let scanner = if number % 3 == 1 { timed(&scanner) } else { scanner };
+        let mut images = vec![image(&scanner, 200), image(&scanner, 250)];
+        if number % 2 == 1 {
+            images = images.into_iter().map(with_echoes).collect();
+        }
+        let frames = images.iter().map(|image| points(&scanner, image)).collect();
+        Known { scanner: Some(Scanner::Firings(scanner)), frames }
+    });
+    [beams].into_iter().chain(firings).collect()
+});
+
+impl Known {
+    /// The article's scanner, with a small image.
+    fn ideal() -> Self {
+        let scanner = lidarpc::internals::scanner::ideal_of(None, 200, 10_000);
+        Known { scanner: Some(Scanner::Hdl64(scanner)), frames: Vec::new() }
+    }
+
+    /// Encodes files to a stream of one group, of this scanner.
+    pub fn encode(&self, files: &[File], config: &EncoderConfig) -> Vec<u8> {
+        let inputs = files.iter().map(|(name, bytes)| FrameInput::memory(name.clone(), bytes.clone()));
+        let config = EncoderConfig { gop: files.len().max(1), threads: 1, ..config.clone() };
+        encode_known(inputs.collect(), &Scanners::new(vec![self.scanner.clone()]), &config).expect("encodes")
+    }
+}
 
 /// Exact mode, quicker or smaller.
 pub fn at_level(level: u8) -> EncoderConfig {

@@ -74,7 +74,7 @@ class Scanner:
         rows = reader.varint()
         if not 1 <= self.ticks <= 360000 or not 1 <= self.range_step_um <= 1000000 or not 1 <= rows <= 1024:
             raise Refused("a scanner with impossible numbers")
-        if grid > 3 or step > 10**9 or grid == 2 and step < 1 or grid == 3 and not 1 <= step <= 9:
+        if grid > 3 or step > 10**9 or grid < 2 and step != 0 or grid == 2 and step < 1 or grid == 3 and not 1 <= step <= 9:
             raise Refused("an impossible grid of coordinates")
         if max(map(abs, origin)) > 10**6:
             raise Refused("beams that start too far away")

@@ -31,6 +31,10 @@ pub enum Kind {
     Error,
     /// The points from above, coloured by height.
     BirdsEye,
+    /// The points from behind the scanner and above, coloured by height.
+    Perspective,
+    /// The range image, and the points in perspective below it.
+    Overview,
     /// All of the range image's pictures, one below the other.
     All,
 }
@@ -130,7 +134,7 @@ impl Pictures {
             Kind::Prediction => picture::range(&self.predicted, MILLIMETRE, &of_ranges(), self.zoom),
             Kind::Residual => picture::residual(&self.residuals(), &self.occupancy, MILLIMETRE, self.zoom),
             Kind::Error => picture::error(self.errors.as_ref()?, self.zoom),
-            Kind::Range | Kind::BirdsEye | Kind::All => {
+            Kind::Range | Kind::BirdsEye | Kind::Perspective | Kind::Overview | Kind::All => {
                 picture::range(&self.ranges, MILLIMETRE, &of_ranges(), self.zoom)
             }
         })

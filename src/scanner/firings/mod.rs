@@ -429,11 +429,11 @@ impl Firings {
         let grid = bounded("grid of the coordinates", 0, 3)?;
         let step = bounded("step of the grid", 0, 1_000_000_000)?;
         let coordinates = match (grid, step) {
-            (0, _) => Coordinates::Float32,
-            (1, _) => Coordinates::Millimetre,
+            (0, 0) => Coordinates::Float32,
+            (1, 0) => Coordinates::Millimetre,
             (2, 1..) => Coordinates::Lattice { step_nm: step.into() },
             (3, 1..=9) => Coordinates::Digits(step as u8),
-            _ => return Err(Error::corrupt("scanner: a grid without a step")),
+            _ => return Err(Error::corrupt("scanner: a grid and a step that do not fit together")),
         };
         let mut metre = || match read_signed(bytes, "scanner")? {
             um if um.unsigned_abs() <= MOST_ORIGIN_UM => Ok(um as i32),

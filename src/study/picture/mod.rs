@@ -1,5 +1,5 @@
 //! Pictures of a frame: range image, occupancy, labels, prediction, residual, error, and the points from
-//! above. Pure functions of plain data, for the eye only.
+//! above or as a camera sees them. Pure functions of plain data, for the eye only.
 
 mod bird;
 mod cells;
@@ -7,10 +7,12 @@ mod colour;
 mod font;
 mod legend;
 mod painting;
+mod perspective;
 mod scale;
 
 pub use bird::BirdsEye;
 pub use cells::{LabelStyle, Zoom, error, labels, occupancy, range, residual};
 pub use colour::Rgb;
 pub use painting::{Picture, stack};
+pub use perspective::Perspective;
 pub use scale::Scale;
