@@ -7,7 +7,8 @@ use rayon::prelude::*;
 use super::input::FrameInput;
 use super::ordered::pool;
 use super::source::record_of;
-use crate::frame::settings::{EncoderConfig, ProjectionKind, resolve_threads};
+use crate::frame::Positions;
+use crate::frame::settings::{Coder, EncoderConfig, ProjectionKind, resolve_threads};
 use crate::ground::error::Result;
 use crate::scan::ScanFile;
 use crate::scanner::motion;
@@ -133,17 +134,36 @@ impl Scanners {
 /// The models of the scanners of a stream that these frames are of: more than one if the first does not explain the
 /// whole sample.
 fn choose_models(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
-    let pool = pool(resolve_threads(config.threads))?;
-    let fitted = pool.install(|| sample(frames, config).map(fit_all))?;
     Ok(match config.projection {
         ProjectionKind::Calibrated { range_step_um } => {
             let in_steps = |scanner| range_step_um.into_iter().fold(scanner, Scanner::with_range_step);
-            fitted.into_iter().map(in_steps).collect()
+            fitted(frames, config)?.into_iter().map(in_steps).collect()
         }
         ProjectionKind::Ideal { columns, range_step_um } => {
-            vec![Scanner::Hdl64(scanner::ideal_of(fitted.first(), columns, range_step_um))]
+            let seen = scanner_seen(frames, config)?;
+            vec![Scanner::Hdl64(scanner::ideal_of(seen.as_ref(), columns, range_step_um))]
         }
     })
+}
+
+/// The scanner whose beams made these frames, for an image of an ideal one: fitted to the scans as they are, or, if that
+/// finds none, as they were measured.
+///
+/// # Errors
+/// If a file cannot be read.
+pub(crate) fn scanner_seen(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Option<Scanner>> {
+    let found = fitted(frames, config)?.into_iter().next();
+    if found.is_some() || config.undoes_compensation() {
+        return Ok(found);
+    }
+    let measured = EncoderConfig { positions: Positions::Exact, coder: Coder::Context, ..config.clone() };
+    Ok(fitted(frames, &measured)?.into_iter().next())
+}
+
+/// The scanners that are fitted to a sample of these frames.
+fn fitted(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
+    let pool = pool(resolve_threads(config.threads))?;
+    pool.install(|| sample(frames, config).map(fit_all))
 }
 
 /// Scanners that together explain the scans of a sample, as far as they are found.
