@@ -1043,15 +1043,30 @@ fn bench_gives_the_tables_and_figures() {
     let report = bench.json("bench drive --quick --json --columns 300 --step 2cm --html page.html");
     let numbers: Vec<_> =
         report["sections"].as_array().unwrap().iter().map(|s| s["number"].as_str().unwrap()).collect();
-    assert_eq!(numbers[..6], ["Table I", "Table II", "Table III", "Table IV", "Table V", "Table VI"]);
+    let tables = ["Table I", "Table I, octree", "Table II", "Table III", "Table IV", "Table V", "Table VI"];
+    assert_eq!(numbers[..7], tables);
     let figures =
         ["Figure 13, table", "Figure 13, floats", "Figure 13, integers", "Figure 15", "Figure 15, beyond"];
-    assert_eq!(numbers[6..], figures);
+    assert_eq!(numbers[7..], figures);
 
     let rates = section(&report, "Table I");
     assert_eq!(cell(rates, "intra coding, LZMA", 1), 3.35, "published");
     let measured = ["intra coding, LZMA", "inter coding, LZMA", "context coder, same image"];
     assert!(measured.iter().all(|row| (0.1..20.0).contains(&cell(rates, row, 0))), "{rates}");
+    let octree =
+        ["octree, 1 mm\u{b3}", "octree, 5 mm\u{b3}", "octree, 1 cm\u{b3}"].map(|row| cell(rates, row, 0));
+    assert!(octree[0] > octree[1] && octree[1] > octree[2] && octree[2] > 0.1, "{octree:?}");
+    let octrees = section(&report, "Table I, octree");
+    for (row, millimetres) in [("5 mm", 5.0), ("1 cm", 10.0)] {
+        // Errors are distributed evenly over voxels.
+        assert!((cell(octrees, row, 2) / (0.5 * millimetres) - 1.0).abs() < 0.1, "{octrees}");
+        assert!(cell(octrees, row, 3) <= 1.001 * 0.75f64.sqrt() * millimetres, "{octrees}");
+    }
+    let times = section(&report, "Table VI");
+    for (row, published) in [("octree", 0.024), ("Tu-MPEG", 0.5), ("Tu-SLAM", 0.1)] {
+        assert!(cell(times, row, 0) > 0.0 && cell(times, row, 1) > 0.0, "{times}");
+        assert_eq!(cell(times, row, 2), published);
+    }
     for number in ["Table II", "Table III"] {
         let volumes = section(&report, number);
         let parts = ["ranges", "contour map", "parameters, models of regions", "which cells hold a return"];
@@ -1075,10 +1090,25 @@ fn bench_gives_the_tables_and_figures() {
     }
     let curves = section(&report, "Figure 15")["series"].as_array().unwrap();
     let points = |curve: &Value| curve["points"].as_array().unwrap().len();
-    assert_eq!(curves.iter().map(points).collect::<Vec<_>>(), [2, 2, 2, 2, 2, 2, 1, 1]);
+    assert_eq!(curves.iter().map(points).collect::<Vec<_>>(), [2, 2, 2, 2, 2, 2, 1, 1, 2, 2, 3]);
     for curve in &curves[..6] {
         let [few, many] = [&curve["points"][0], &curve["points"][1]];
         assert!(few["x"].as_f64() < many["x"].as_f64() && few["y"].as_f64() > many["y"].as_f64(), "{curve}");
+    }
+    for curve in &curves[8..10] {
+        let [fine, coarse] = [&curve["points"][0], &curve["points"][1]];
+        assert!(
+            fine["x"].as_f64() > coarse["x"].as_f64() && fine["y"].as_f64() < coarse["y"].as_f64(),
+            "{curve}"
+        );
+    }
+    let summary = report["summary"].as_str().unwrap();
+    assert!(
+        summary.starts_with("Fewest bits at an RMSE of ") && summary.ends_with(" % of the files"),
+        "{summary}"
+    );
+    for other in ["lidarpc (", "the article's codec (", "Tu-MPEG", "Tu-SLAM", "the octree"] {
+        assert!(summary.contains(other), "{summary}");
     }
     let curves = section(&report, "Figure 15, beyond")["series"].as_array().unwrap();
     assert_eq!(curves.iter().map(points).collect::<Vec<_>>(), [3, 3, 3, 3, 3, 1]);
@@ -1090,6 +1120,7 @@ fn bench_gives_the_tables_and_figures() {
 
     let page = fs::read_to_string(bench.path("page.html")).unwrap();
     assert!(page.starts_with("<!DOCTYPE html>") && page.ends_with("</html>\n"));
+    assert!(page.contains("<p class=\"summary\">Fewest bits at"));
     assert_eq!(page.matches("<svg ").count(), 4);
     for loads in ["http://", "https://", "<script", "src=", "url("] {
         assert!(!page.contains(loads), "{loads}");

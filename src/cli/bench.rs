@@ -6,8 +6,8 @@ use std::path::Path;
 
 use crate::files::sequence::find_frames;
 use crate::stream::FrameInput;
-use crate::study::bench::Bench;
 use crate::study::bench::report::{Report, csv, html, text};
+use crate::study::bench::{Bench, Findings};
 use anyhow::{Result, ensure};
 
 use super::args::{ARTICLE, BenchArgs};
@@ -36,7 +36,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
     let in_input = |error| about(error, &args.input.display().to_string());
     let bench = Bench::new(&frames, &config, args.quick).map_err(in_input)?;
     let bar = progress::bar(Some(bench.frames_to_code() as u64), "measuring", quiet);
-    let sections = bench.run(&|| bar.inc(1));
+    let findings = bench.run(&|| bar.inc(1));
     bar.finish_and_clear();
 
     let name = name_of_folder(&args.input);
@@ -47,7 +47,8 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
     facts.extend(bench.facts());
     facts.push(("article".to_owned(), ARTICLE.to_owned()));
     let title = format!("The article's tables and figures on {name}");
-    let report = Report { title, facts, sections: sections.map_err(in_input)? };
+    let Findings { summary, sections } = findings.map_err(in_input)?;
+    let report = Report { title, summary, facts, sections };
     if let (Some(output), Some(path)) = (page.take(), &args.html) {
         write_page(output, &report).map_err(|error| error.context(name_of_output(path)))?;
     }

@@ -79,6 +79,12 @@ impl Coded {
         frames.map(|frame| self.frames[frame].encoding.coded() as f64 + share).sum()
     }
 
+    /// Coded bytes of the bytes of the files, in % (equation 11), of some of the frames; `None` if these are empty.
+    pub fn rate(&self, frames: impl Iterator<Item = usize> + Clone) -> Option<f64> {
+        let original: f64 = frames.clone().map(|frame| self.frames[frame].encoding.original as f64).sum();
+        (original > 0.0).then(|| 100.0 * self.bytes(frames) / original)
+    }
+
     /// The mean of a figure over some of the frames; `None` if there are none.
     pub fn mean(
         &self,

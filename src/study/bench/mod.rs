@@ -9,10 +9,13 @@ pub mod report;
 mod experiment;
 mod figure_13;
 mod figure_15;
+mod octree;
+mod rivals;
 mod runs;
 mod sample;
 mod tables;
 mod times;
+mod tu;
 mod volumes;
 
 pub use sample::Extent;
@@ -21,9 +24,12 @@ use crate::article::prediction::intra::RegionModels;
 use crate::frame::Intensity;
 use crate::frame::settings::{EncoderConfig, FrameOrder, ProjectionKind};
 use crate::ground::error::{Error, Result};
+use crate::scanner::{FLOAT_RANGES, Hdl64, Scanner, ideal_of};
 use crate::stream::FrameInput;
+use crate::stream::scanner_choice::scanner_seen;
 use figure_15::Curves;
 use report::Section;
+use rivals::Rivals;
 use runs::Runs;
 use sample::Sample;
 
@@ -40,6 +46,17 @@ pub struct Bench {
     of_tables: Sample,
     of_figures: Sample,
     curves: Curves,
+    /// The scanner that was found, and the ideal sensor for its scans.
+    found: Option<Scanner>,
+    sensor: Hdl64,
+}
+
+/// What the experiments give.
+pub struct Findings {
+    /// Who is ahead on these frames, and by how much, in one sentence; empty if there is nothing to compare.
+    pub summary: String,
+    /// Tables and figures, in the order of the article.
+    pub sections: Vec<Section>,
 }
 
 impl Bench {
@@ -50,7 +67,12 @@ impl Bench {
     /// # Errors
     /// If `base` has another projection, if a frame cannot be read, or if none of them has any points.
     pub fn new(frames: &[FrameInput], base: &EncoderConfig, quick: bool) -> Result<Self> {
-        figure_13::ideal_sensor(base)?;
+        let ProjectionKind::Ideal { columns, range_step_um } = base.projection else {
+            return Err(no_steps());
+        };
+        if range_step_um == FLOAT_RANGES {
+            return Err(no_steps());
+        }
         let extents = if quick { [QUICK; 2] } else { [OF_TABLES, OF_FIGURES] };
         let of_tables = Sample::read(frames, extents[0])?;
         let of_figures = Sample::read(frames, extents[1])?;
@@ -59,13 +81,15 @@ impl Bench {
         }
         let base = EncoderConfig { order: FrameOrder::Ratio, intensity: Intensity::None, ..base.clone() };
         let curves = Curves::new(&of_figures, &base, quick);
-        Ok(Bench { base, of_tables, of_figures, curves })
+        let found = scanner_seen(&of_tables.inputs.iter().collect::<Vec<_>>(), &base)?;
+        let sensor = ideal_of(found.as_ref(), columns, range_step_um);
+        Ok(Bench { base, of_tables, of_figures, curves, found, sensor })
     }
 
     /// Number of times that a frame will be coded.
     pub fn frames_to_code(&self) -> usize {
         let figures = self.of_figures.inputs.len() + self.curves.frames_to_code(&self.of_figures);
-        runs::frames_to_code(&self.of_tables) + figures
+        runs::frames_to_code(&self.of_tables) + rivals::frames_to_code(&self.of_tables) + figures
     }
 
     /// What is run, for people: names and values.
@@ -73,15 +97,6 @@ impl Bench {
         let about = |sample: &Sample| {
             let points = sample.points(0..sample.inputs.len());
             format!("{}, {points} points", sample.describe())
-        };
-        let image = match self.base.projection {
-            ProjectionKind::Ideal { columns, range_step_um } => {
-                let step = f64::from(range_step_um) / 1e3;
-                format!(
-                    "ideal, 64 rows by {columns} columns, steps of {step} mm unless a curve says otherwise"
-                )
-            }
-            ProjectionKind::Calibrated { .. } => "calibrated".to_owned(),
         };
         let outliers = match self.base.outliers {
             Some(filter) => format!("fewer than {} points within {} m", filter.neighbours, filter.radius_m),
@@ -96,27 +111,54 @@ impl Bench {
         vec![
             fact("tables", about(&self.of_tables)),
             fact("figures", about(&self.of_figures)),
-            fact("range image", image),
+            fact("scanner", self.found.as_ref().map_or_else(|| "not found".to_owned(), Scanner::to_string)),
+            fact("range image", self.image()),
             fact("outliers", outliers),
             fact("regions", regions.to_owned()),
             fact("back-ends", format!("level {level} of 9")),
         ]
     }
 
+    /// The range image, in words.
+    fn image(&self) -> String {
+        let degrees = || (0..self.sensor.rows()).map(|row| self.sensor.elevation(row).to_degrees());
+        format!(
+            "ideal, {} rows from {:.2} to {:.2} degrees by {} columns, steps of {} mm unless a curve says otherwise",
+            self.sensor.rows(),
+            degrees().fold(f64::INFINITY, f64::min),
+            degrees().fold(f64::NEG_INFINITY, f64::max),
+            self.sensor.ticks,
+            f64::from(self.sensor.range_step_um) / 1e3,
+        )
+    }
+
     /// Runs them all. `on_frame` is called, from any thread, whenever a frame has been coded.
     ///
     /// # Errors
     /// If a setting is out of range, or a back-end's library fails.
-    pub fn run(&self, on_frame: &(dyn Fn() + Sync)) -> Result<Vec<Section>> {
-        let runs = Runs::run(&self.of_tables, &self.base, on_frame)?;
-        let mut sections = vec![volumes::rates(&self.of_tables, &runs)];
-        sections.extend(volumes::volumes(&self.of_tables, &runs));
-        sections.extend(times::steps(&self.of_tables, &runs));
-        sections.push(times::coding(&self.of_tables, &runs));
-        sections.extend(figure_13::measure(&self.of_figures, &self.base, on_frame)?.sections());
-        sections.extend(self.curves.measure(&self.of_figures, on_frame)?);
-        Ok(sections)
+    pub fn run(&self, on_frame: &(dyn Fn() + Sync)) -> Result<Findings> {
+        let Bench { base, of_tables, of_figures, curves, sensor, .. } = self;
+        let runs = Runs::run(of_tables, base, on_frame)?;
+        let rivals = Rivals::run(of_tables, sensor, base, on_frame)?;
+        let mut sections =
+            vec![volumes::rates(of_tables, &runs, &rivals), volumes::octrees(of_tables, &rivals)];
+        sections.extend(volumes::volumes(of_tables, &runs));
+        sections.extend(times::steps(of_tables, &runs));
+        sections.push(times::coding(of_tables, &runs, &rivals));
+        sections.extend(figure_13::measure(of_figures, sensor, base, on_frame)?.sections());
+        let (figures, ahead) = curves.measure(of_figures, sensor, base, on_frame)?;
+        sections.extend(figures);
+        let exact = runs.exact.rate(0..of_tables.inputs.len());
+        let exact = exact.map(|rate| format!("byte for byte, lidarpc takes {rate:.2} % of the files"));
+        let summary: Vec<_> = ahead.into_iter().chain(exact).collect();
+        Ok(Findings { summary: summary.join("; "), sections })
     }
+}
+
+fn no_steps() -> Error {
+    let what =
+        "the experiments need the ideal range image in steps; leave --projection and a step of float out";
+    Error::InvalidSettings(what.to_owned())
 }
 
 #[cfg(test)]
@@ -125,7 +167,7 @@ mod tests {
 
     use super::*;
     use crate::frame::settings::Mode;
-    use crate::study::synth::{SynthConfig, drive};
+    use crate::study::synth::{SynthConfig, SynthScanner, drive};
 
     #[test]
     fn progress_ends_where_it_was_said_to() {
@@ -142,9 +184,33 @@ mod tests {
             let on_frame = || {
                 done.fetch_add(1, Ordering::Relaxed);
             };
-            let sections = bench.run(&on_frame).unwrap();
+            let findings = bench.run(&on_frame).unwrap();
             assert_eq!(done.into_inner(), bench.frames_to_code());
-            assert_eq!(sections.len(), 11);
+            assert_eq!(findings.sections.len(), 12);
         }
+    }
+
+    #[test]
+    fn rows_are_those_of_the_scanner_that_is_found() {
+        let config = SynthConfig { scanner: SynthScanner::Vlp16, frames: 2, ..SynthConfig::default() };
+        let frame = |(name, bytes)| FrameInput::memory(name, bytes);
+        let frames: Vec<_> = drive(&config).map(|scan| frame((scan.name.clone(), scan.to_bin()))).collect();
+        let base = EncoderConfig {
+            projection: ProjectionKind::Ideal { columns: 900, range_step_um: 10_000 },
+            ..EncoderConfig::preset(Mode::Paper)
+        };
+        let bench = Bench::new(&frames, &base, true).unwrap();
+        let facts = bench.facts();
+        let fact = |name: &str| &facts.iter().find(|(fact, _)| fact == name).unwrap().1;
+        assert!(fact("scanner").starts_with("16 lasers from -15.00 to 15.00 degrees"), "{facts:?}");
+        let image = "ideal, 16 rows from -15.00 to 15.00 degrees by 900 columns, steps of 10 mm";
+        assert!(fact("range image").starts_with(image), "{facts:?}");
+        let findings = bench.run(&|| ()).unwrap();
+        assert!(findings.summary.starts_with("Fewest bits at an RMSE of "), "{}", findings.summary);
+        let number = |section: &Section| section.number() == "Table II";
+        let Some(Section::Table(volumes)) = findings.sections.into_iter().find(number) else {
+            panic!("no Table II")
+        };
+        assert_eq!(volumes.rows[1].cells[0], Some(4.0 * 16.0 * 900.0 / 1e3), "after conversion");
     }
 }

@@ -78,6 +78,11 @@ impl Sample {
         frames.map(|frame| self.clouds[frame].positions.len() as u64).sum()
     }
 
+    /// Number of returns among these points.
+    pub fn returns(&self, frames: impl Iterator<Item = usize>) -> u64 {
+        frames.map(|frame| returns_of(&self.clouds[frame])).sum()
+    }
+
     /// The frames in words: `20 frames (0 to 9, 40 to 49)`.
     pub fn describe(&self) -> String {
         self.describe_some(self.places.len())
@@ -96,6 +101,16 @@ impl Sample {
         let of = if count == all { String::new() } else { format!("{count} of ") };
         format!("{of}{all} frame{plural} ({})", runs.join(", "))
     }
+}
+
+/// Whether a point is a return: some files keep what is none as a point at the scanner, or as NaN.
+pub fn is_return(point: &[f32; 3]) -> bool {
+    point.iter().all(|metres| metres.is_finite()) && point.iter().any(|metres| *metres != 0.0)
+}
+
+/// Number of returns among the points of a scan.
+pub fn returns_of(cloud: &PointCloud) -> u64 {
+    cloud.positions.iter().filter(|point| is_return(point)).count() as u64
 }
 
 #[cfg(test)]

@@ -23,13 +23,20 @@ impl Method<'_> {
             false => (0..sample.inputs.len()).collect(),
         }
     }
+
+    /// Its name, with what is measured of it.
+    pub fn measured<const M: usize>(
+        &self,
+        measure: impl Fn(&Self, &Coded) -> [Option<f64>; M],
+    ) -> (String, [Option<f64>; M]) {
+        (self.name.clone(), self.coded.map_or([None; M], |coded| measure(self, coded)))
+    }
 }
 
-/// A row for each method, with its measured and its published values, and a row for each method with
+/// A row for each measured method, with its measured and its published values, and a row for each method with
 /// published values only.
 pub fn rows_of_methods<const M: usize, const P: usize>(
-    methods: &[Method<'_>],
-    measure: impl Fn(&Method<'_>, &Coded) -> [Option<f64>; M],
+    measured: Vec<(String, [Option<f64>; M])>,
     published: &[(&str, [f64; P])],
 ) -> Vec<Row> {
     let row = |name: &str, measured: [Option<f64>; M]| {
@@ -37,13 +44,11 @@ pub fn rows_of_methods<const M: usize, const P: usize>(
         let published = published.map_or([None; P], |(_, values)| values.map(Some));
         Row { name: name.to_owned(), cells: measured.into_iter().chain(published).collect() }
     };
-    let measured = methods.iter().map(|method| {
-        let values = method.coded.map_or([None; M], |coded| measure(method, coded));
-        row(&method.name, values)
-    });
-    let is_measured = |name: &str| methods.iter().any(|method| method.name == name);
-    let others = published.iter().filter(|(name, _)| !is_measured(name));
-    measured.chain(others.map(|(name, _)| row(name, [None; M]))).collect()
+    let is_measured = |name: &str| measured.iter().any(|(other, _)| other == name);
+    let others =
+        published.iter().filter(|(name, _)| !is_measured(name)).map(|(name, _)| row(name, [None; M]));
+    let others: Vec<_> = others.collect();
+    measured.into_iter().map(|(name, values)| row(&name, values)).chain(others).collect()
 }
 
 /// A column for the measured values, and one for each of the article's scenes.

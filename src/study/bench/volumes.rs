@@ -1,19 +1,22 @@
 //! Tables I to III: the sizes of frames, and the steps that reduce them.
 
 use super::experiment::{Coded, CodedFrame};
+use super::figure_15::length;
 use super::published;
 use super::report::{Origin, Row, Section, Table};
+use super::rivals::{Rival, RivalFrame, Rivals, VOXELS_UM};
 use super::runs::Runs;
 use super::sample::Sample;
 use super::tables::{Method, column, columns_by_scene, rows_of_methods};
+use crate::study::metrics;
 
 /// Table I: compression rates.
-pub fn rates(sample: &Sample, runs: &Runs) -> Section {
-    let rate = |method: &Method<'_>, coded: &Coded| {
-        let frames = method.frames(sample);
-        let original: f64 = frames.iter().map(|&frame| coded.frames[frame].encoding.original as f64).sum();
-        [(original > 0.0).then(|| 100.0 * coded.bytes(frames.into_iter()) / original)]
-    };
+pub fn rates(sample: &Sample, runs: &Runs, rivals: &Rivals) -> Section {
+    let rate = |method: &Method<'_>, coded: &Coded| [coded.rate(method.frames(sample).into_iter())];
+    let mut measured: Vec<_> = runs.methods().iter().map(|method| method.measured(rate)).collect();
+    measured.extend(VOXELS_UM.iter().zip(&rivals.octrees).map(|(&voxel_um, octree)| {
+        (format!("octree, {}\u{b3}", length(voxel_um)), [octree_rate(sample, octree)])
+    }));
     let inter = runs.coders.iter().filter_map(|run| run.inter.as_ref());
     let p_frames = inter.map(|inter| inter.frames.iter().filter(|frame| frame.is_inter()).count()).max();
     let mut columns = columns_by_scene("%", [2, 2]);
@@ -25,15 +28,64 @@ pub fn rates(sample: &Sample, runs: &Runs) -> Section {
             "Coded bytes of the bytes of the files, everything included, the container too. On {}. Inter coding: \
              only the frames that have one before them, as P frames if it is found how the scanner has moved \
              ({} of {}). Any prediction: each frame from nothing, regions or the frame before, whichever is \
-             smallest. All but exact mode drop outliers and the points that have no cell of their own in the range image, \
-             and have no intensities; exact mode gives the files back byte for byte.",
+             smallest. These drop outliers and the points that have no cell of their own in the range image, and have no \
+             intensities; exact mode gives the files back byte for byte. The octree keeps all points, but neither \
+             their order nor intensities.",
             sample.describe(),
             p_frames.unwrap_or_default(),
             sample.compared().filter(|&frame| sample.has_reference(frame)).count(),
         ),
         label: "method".into(),
         columns,
-        rows: rows_of_methods(&runs.methods(), rate, &published::COMPRESSION_RATES),
+        rows: rows_of_methods(measured, &published::COMPRESSION_RATES),
+    })
+}
+
+/// Coded bytes of the bytes of the files, in %; `None` if there are none.
+fn octree_rate(sample: &Sample, octree: &Rival) -> Option<f64> {
+    let original: u64 = sample.inputs.iter().filter_map(|input| input.size().ok()).sum();
+    let coded = octree.sum(0..octree.frames.len(), |frame| frame.bytes);
+    metrics::ratio(original, coded).map(|ratio| 100.0 * ratio)
+}
+
+/// Beside Table I: what the octree coder takes and loses.
+pub fn octrees(sample: &Sample, rivals: &Rivals) -> Section {
+    let row = |(&voxel_um, octree): (&u32, &Rival)| {
+        let all = 0..octree.frames.len();
+        let sum = |of: fn(&RivalFrame) -> u64| octree.sum(all.clone(), of);
+        let points = sum(|frame| frame.points);
+        let millimetres = |metres: f64| 1e3 * metres;
+        let farthest = octree.frames.iter().map(|frame| frame.max_m).reduce(f64::max);
+        let cells = vec![
+            octree_rate(sample, octree),
+            metrics::bits_per_point(sum(|frame| frame.bytes), points),
+            octree.rmse(all.clone()).map(millimetres),
+            farthest.map(millimetres),
+            metrics::ratio(points, points - sum(|frame| frame.voxels)).map(|ratio| 100.0 * ratio),
+        ];
+        Row { name: length(voxel_um), cells }
+    };
+    let columns = [
+        ("rate", "%", 2),
+        ("bit rate", "bits a point", 2),
+        ("RMSE", "mm", 3),
+        ("largest", "mm", 3),
+        ("in one voxel", "%", 2),
+    ];
+    let columns = columns.map(|(name, unit, decimals)| column(name, unit, Some(decimals), Origin::Measured));
+    Section::Table(Table {
+        number: "Table I, octree".into(),
+        title: "what the octree takes and loses".into(),
+        note: format!(
+            "On {}, by the side of a voxel. Errors: from each original point to the nearest decoded one, in three \
+             dimensions. Centres of voxels are multiples of their sides, so that files with coordinates on such a \
+             grid lose nothing. In one voxel: points that share a voxel with one before them; they are counted, and \
+             come back. Points that stand for no return are left out.",
+            sample.describe(),
+        ),
+        label: "voxel".into(),
+        columns: columns.into(),
+        rows: VOXELS_UM.iter().zip(&rivals.octrees).map(row).collect(),
     })
 }
 

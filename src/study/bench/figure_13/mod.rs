@@ -15,14 +15,13 @@ use crate::article::prediction::{Predictor, Rays};
 use crate::article::segmentation::segment;
 use crate::backend::{BACKENDS, Backend};
 use crate::entropy::ArithmeticEncoder;
-use crate::frame::settings::{EncoderConfig, ProjectionKind};
+use crate::frame::settings::EncoderConfig;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::registration::{QuantisedPose, register};
 use crate::inter::{self, Past};
 use crate::scan::PointCloud;
-use crate::scanner::{FLOAT_RANGES, Hdl64, ideal};
-use crate::scanner::{RangeImage, project_nearest};
+use crate::scanner::{Hdl64, RangeImage, project_nearest};
 
 /// What the ranges are predicted from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,30 +85,17 @@ pub struct Figure13 {
     sizes: Vec<Sizes>,
 }
 
-/// The sensor of the ideal range image in steps, which all experiments use.
-///
-/// # Errors
-/// If the configuration has another range image.
-pub fn ideal_sensor(config: &EncoderConfig) -> Result<Hdl64> {
-    match config.projection {
-        ProjectionKind::Ideal { columns, range_step_um } if range_step_um != FLOAT_RANGES => {
-            Ok(ideal(columns, range_step_um))
-        }
-        _ => {
-            let what = "the experiments need the ideal range image in steps; leave --projection and a step of \
-                        float out";
-            Err(Error::InvalidSettings(what.to_owned()))
-        }
-    }
-}
-
-/// Measures a sample, with the article's projection, and with the outlier filter and the regions of `config`.
+/// Measures a sample, in the range images of the ideal sensor, with the outlier filter and the regions of `config`.
 /// `on_frame` is called whenever a frame has been measured.
 ///
 /// # Errors
-/// If the configuration has no ideal projection with a step, or a back-end's library fails.
-pub fn measure(sample: &Sample, config: &EncoderConfig, on_frame: &dyn Fn()) -> Result<Figure13> {
-    let sensor = ideal_sensor(config)?;
+/// If a back-end's library fails.
+pub fn measure(
+    sample: &Sample,
+    sensor: &Hdl64,
+    config: &EncoderConfig,
+    on_frame: &dyn Fn(),
+) -> Result<Figure13> {
     let threads = config.threads;
     let pool = ThreadPoolBuilder::new()
         .num_threads(threads)
@@ -128,12 +114,12 @@ pub fn measure(sample: &Sample, config: &EncoderConfig, on_frame: &dyn Fn()) -> 
         if !sample.has_reference(frame) {
             before = Before::default();
         }
-        let image = image(cloud, &sensor, config);
+        let image = image(cloud, sensor, config);
         if sample.compared().any(|compared| compared == frame) {
             figure.frames += 1;
             figure.original += sample.inputs[frame].size()?;
-            let from_before = before.predict(&image, &sensor, config);
-            pool.install(|| figure.add(&image, from_before, &sensor, config))?;
+            let from_before = before.predict(&image, sensor, config);
+            pool.install(|| figure.add(&image, from_before, sensor, config))?;
         }
         before.image = Some(image);
         on_frame();

@@ -18,6 +18,9 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">")?;
     writeln!(out, "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">")?;
     writeln!(out, "<title>{title}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>")?;
+    if !report.summary.is_empty() {
+        writeln!(out, "<p class=\"summary\">{}</p>", escape(&report.summary))?;
+    }
     writeln!(out, "<dl>")?;
     for (name, value) in &report.facts {
         writeln!(out, "<dt>{}</dt><dd>{}</dd>", escape(name), escape(value))?;
@@ -138,5 +141,6 @@ mod tests {
         assert!(page.contains("<td class=\"published\">3.16</td>"));
         assert!(page.contains("<td class=\"measured\">3.25</td>"));
         assert!(page.contains(published::REMARK));
+        assert!(page.contains("<p class=\"summary\">LZMA &amp; &quot;co&quot; is ahead</p>"));
     }
 }

@@ -21,6 +21,8 @@ use serde::Serialize;
 pub struct Report {
     /// What the report is about, such as the name of a folder.
     pub title: String,
+    /// The most important result, in one sentence; may be empty.
+    pub summary: String,
     /// What was run, and on what: names and values, for people.
     pub facts: Vec<(String, String)>,
     /// Tables and figures, in the order of the article.

@@ -47,12 +47,18 @@ pub fn report() -> Report {
         series: vec![series("image", false, Marker::Square, vec![point(4.98, 1.0, "")])],
     };
     let sections = vec![Section::Table(table), Section::Figure(plot), Section::Figure(bars)];
-    Report { title: "drive".into(), facts: vec![("frames".into(), "2".into())], sections }
+    Report {
+        title: "drive".into(),
+        summary: "LZMA & \"co\" is ahead".into(),
+        facts: vec![("frames".into(), "2".into())],
+        sections,
+    }
 }
 
 #[test]
 fn json_names_kinds_origins_and_values() {
     let json = serde_json::to_value(report()).unwrap();
+    assert_eq!(json["summary"], "LZMA & \"co\" is ahead");
     let sections = json["sections"].as_array().unwrap();
     assert_eq!(sections[0]["kind"], "table");
     assert_eq!(sections[0]["columns"][1]["origin"], "published");

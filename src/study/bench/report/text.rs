@@ -17,6 +17,10 @@ const GAP: usize = 2;
 /// If `out` fails.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "{}\n", report.title)?;
+    if !report.summary.is_empty() {
+        write_wrapped(out, "", 0, &report.summary)?;
+        writeln!(out)?;
+    }
     let widest = report.facts.iter().map(|(name, _)| name.chars().count()).max().unwrap_or_default();
     for (name, value) in &report.facts {
         write_wrapped(out, &format!("{name:<widest$}  "), widest + GAP, value)?;
@@ -114,7 +118,7 @@ LZMA & \"co\"    10 cm             2    0.1
 exact                            9      0
 ";
         assert!(text.contains(expected), "{text}");
-        assert!(text.starts_with("drive\n\nframes  2\n"), "{text}");
+        assert!(text.starts_with("drive\n\nLZMA & \"co\" is ahead\n\nframes  2\n"), "{text}");
     }
 
     #[test]
