@@ -33,7 +33,8 @@
 //!   JPEG or JPEG 2000 images is [`Error::NotBuilt`]; all others decode.
 //! - `study`: the instruments of the program's `bench`, `view` and `synth`.
 //!
-//! Not on by default is `python`: the extension module of the Python package, for maturin to build.
+//! Not on by default are `python`: the extension module of the Python package, for maturin to build; and `wasm`: the
+//! WebAssembly module of the npm package, for `js/build`.
 //!
 //! # Inside
 //!
@@ -88,6 +89,9 @@ pub mod cli;
 
 #[cfg(feature = "python")]
 mod python;
+
+#[cfg(feature = "wasm")]
+mod wasm;
 
 pub use ground::error::{Error, Limits, Result};
 pub use library::{

@@ -23,6 +23,7 @@ impl Backend for Brotli {
         "brotli"
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {
         let mut out = Vec::new();
         let mut writer = brotli::CompressorWriter::new(&mut out, BUFFER, level.of(QUALITY), WINDOW_BITS);

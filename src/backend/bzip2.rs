@@ -23,6 +23,7 @@ impl Backend for Bzip2 {
         Packing::Varint
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {
         let mut out = Vec::new();
         std::io::copy(&mut BzEncoder::new(input, Compression::new(level.number().into())), &mut out)?;

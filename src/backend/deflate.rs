@@ -21,6 +21,7 @@ impl Backend for Deflate {
         "deflate"
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {
         let mut encoder = DeflateEncoder::new(Vec::new(), Compression::new(level.number().into()));
         encoder.write_all(input)?;

@@ -15,6 +15,7 @@ impl Backend for Lz4 {
         "lz4"
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn compress(&self, input: &[u8], _level: Level) -> Result<Vec<u8>> {
         Ok(lz4_flex::block::compress(input))
     }

@@ -25,6 +25,7 @@ impl Backend for Lzma {
         "lzma"
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {
         compress_by(input, LzmaOptions::with_preset(level.number().into()))
     }

@@ -59,7 +59,17 @@ pub trait Backend: Sync {
     ///
     /// # Errors
     /// If the library fails.
+    #[cfg(not(target_family = "wasm"))]
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>>;
+
+    /// Compresses nothing: a WebAssembly module is downloaded, and compressors would make a third of it.
+    ///
+    /// # Errors
+    /// [`Error::Internal`].
+    #[cfg(target_family = "wasm")]
+    fn compress(&self, _: &[u8], _: Level) -> Result<Vec<u8>> {
+        Err(decodes_only())
+    }
 
     /// Decompresses to `length` bytes, or to any other number if `input` is damaged: use [`decompress`].
     ///
@@ -130,6 +140,12 @@ impl Default for Level {
     fn default() -> Self {
         Level(6)
     }
+}
+
+/// The error of what WebAssembly is without.
+#[cfg(target_family = "wasm")]
+fn decodes_only() -> Error {
+    Error::Internal("lidarpc as WebAssembly only decodes".to_owned())
 }
 
 /// Reads up to one byte more than `length`, so that too many bytes are noticed but not kept.

@@ -29,6 +29,7 @@ impl Backend for Ppmd {
         Packing::Varint
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {
         let order = level.number() + 1;
         let failed = |error: ppmd_rust::Error| Error::unsupported(format!("ppmd: {error}"));

@@ -15,6 +15,7 @@ impl Backend for Store {
         "store"
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn compress(&self, input: &[u8], _level: Level) -> Result<Vec<u8>> {
         Ok(input.to_vec())
     }

@@ -8,12 +8,12 @@ use super::settings::{EncoderConfig, ProjectionKind};
 use super::steps::{Step, StepReport};
 use super::whole::WholeFile;
 use std::sync::Arc;
-use std::time::Instant;
 
 use crate::article::prediction::Rays;
 use crate::article::prediction::intra::IntraPrediction;
 use crate::article::segmentation::segment;
 use crate::files::with_point_count;
+use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;

@@ -1,13 +1,12 @@
 //! The sections of a frame, opened one after the other in the same order on both sides.
 
-use crate::article::image_coding::ImageConfig;
-use std::time::Instant;
-
 use super::steps::StepReport;
+use crate::article::image_coding::ImageConfig;
 use crate::backend::Level;
 use crate::entropy::{
     ArithmeticDecoder, ArithmeticEncoder, BitCoder, TokenCoder, TokenReader, TokenTables, TokenWriter,
 };
+use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::container::{Section, SectionKind};
 

@@ -1,7 +1,8 @@
 //! What each step of coding takes and leaves, as in the article's Tables II to VI.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use crate::ground::clock::Instant;
 use crate::stream::container::{Section, SectionKind};
 
 /// The steps whose time is taken.

@@ -158,6 +158,15 @@ impl<R: Read + Seek + Send> Decoder<R> {
         Ok(details)
     }
 
+    /// What was found of each scanner, in a sentence, as `lidarpc info` prints it. Reads the scanners alone.
+    ///
+    /// # Errors
+    /// If the input fails or is damaged there.
+    pub fn scanners(&mut self) -> Result<Vec<String>> {
+        let scanners = self.groups.read_scanners()?;
+        Ok(scanners.iter().map(|scanner| scanner.description()).collect())
+    }
+
     /// The scan with this number, the first being 0. Only its group is read, and decoded as far as this scan. The group is
     /// kept, and goes on where it was when another of its scans is asked for; to get many in order,
     /// [`scans`](Self::scans) is quicker, as it may use several threads.

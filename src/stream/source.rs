@@ -44,6 +44,12 @@ impl StoredScanner {
         Ok(Arc::new(StoredScanner { model, record }))
     }
 
+    /// What was found of it, in words.
+    pub fn description(&self) -> String {
+        let unknown = || format!("of family {}", self.record.family);
+        self.model.as_ref().map_or_else(unknown, ToString::to_string)
+    }
+
     fn model(&self) -> Result<&Scanner> {
         let unknown = || Error::unsupported(format!("a scanner of unknown family {}", self.record.family));
         self.model.as_ref().ok_or_else(unknown)
@@ -153,6 +159,15 @@ impl<R: Read + Seek> IndexedGroups<R> {
     /// Where all records are.
     pub fn index(&self) -> &Index {
         self.reader.index()
+    }
+
+    /// The scanners, in the order of their first records.
+    ///
+    /// # Errors
+    /// If the input fails, or a record is damaged.
+    pub fn read_scanners(&mut self) -> Result<Vec<Arc<StoredScanner>>> {
+        let ids: Vec<_> = self.index().scanners().iter().map(|entry| entry.id).collect();
+        ids.into_iter().map(|id| StoredScanner::parse(self.reader.read_scanner(id)?)).collect()
     }
 
     /// Goes on with the groups that hold these frames, wherever they are.

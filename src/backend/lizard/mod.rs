@@ -31,6 +31,7 @@ impl Backend for Lizard {
         "lizard"
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {
         Ok(frame::encode(input, &FORMAT, |bytes| write::encode(bytes, level.of(DEPTH))))
     }

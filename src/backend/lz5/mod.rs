@@ -26,6 +26,7 @@ impl Backend for Lz5 {
         "lz5"
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {
         Ok(frame::encode(input, &FORMAT, |bytes| block::encode(bytes, level.of(DEPTH))))
     }

@@ -11,12 +11,11 @@ mod records;
 mod reference;
 mod strays;
 
-use std::time::Instant;
-
 use super::frame::Frame;
 use super::parameters::FrameParameters;
 use super::sections::SectionCoder;
 use super::whole::WholeFile;
+use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Result};
 use crate::inter::Past;
 use crate::scanner::Scanner;

@@ -1,0 +1,395 @@
+//! The WebAssembly module of the npm package: the decoder behind functions that JavaScript calls. `js/index.js` is its other
+//! half, and the only one that calls it; what users see of it, and its documentation, is there.
+//!
+//! One instance of the module decodes one stream. It reads nothing itself: a call that lacks bytes of the stream returns
+//! [`WANTS`], and is made again once [`lidarpc_supply`] has brought [those](lidarpc_wanted_start). The answer of a call is
+//! text, JSON, and so is an error; arrays stand in it as addresses in the module's memory, which hold until the next call.
+
+// Functions that are called by name from outside are unsafe to declare, as names may clash. Nothing else here is.
+#![allow(unsafe_code)]
+
+use std::cell::RefCell;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::ops::Range;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use serde::Serialize;
+
+use crate::ground::error::{Error, Result};
+use crate::library::{Decoder, Scalar, Scan};
+use crate::scan::Scalar as ScalarType;
+
+/// The call is done; there is an answer.
+const DONE: u32 = 0;
+/// The call lacks bytes.
+const WANTS: u32 = 1;
+/// The call failed; the answer says why.
+const FAILED: u32 = 2;
+
+/// What the calls share.
+#[derive(Default)]
+struct Module {
+    /// What JavaScript writes to.
+    inbox: Vec<u8>,
+    input: Input,
+    decoder: Option<Decoder<Input>>,
+    /// JSON.
+    answer: String,
+    wanted: Range<u64>,
+    /// Whose arrays the answer tells of.
+    given: Given,
+}
+
+/// Arrays that JavaScript copies.
+#[derive(Default)]
+struct Given {
+    scan: Scan,
+    cells: Vec<i32>,
+    file: Vec<u8>,
+}
+
+thread_local! {
+    static MODULE: RefCell<Module> = RefCell::default();
+}
+
+/// The bytes of a stream that are here.
+#[derive(Default)]
+struct Pieces {
+    size: u64,
+    /// Where each begins, and its bytes.
+    pieces: Vec<(u64, Vec<u8>)>,
+    /// What the first read that failed lacked.
+    wanted: Option<Range<u64>>,
+}
+
+/// A place in the stream.
+#[derive(Clone, Default)]
+struct Input {
+    pieces: Arc<Mutex<Pieces>>,
+    place: u64,
+}
+
+impl Input {
+    fn pieces(&self) -> MutexGuard<'_, Pieces> {
+        self.pieces.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Read for Input {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let mut pieces = self.pieces();
+        let end = self.place.saturating_add(buffer.len() as u64).min(pieces.size);
+        if self.place >= end {
+            return Ok(0);
+        }
+        let here = pieces.pieces.iter().find_map(|(start, bytes)| {
+            let place = usize::try_from(self.place.checked_sub(*start)?).ok()?;
+            bytes.get(place..).filter(|bytes| !bytes.is_empty())
+        });
+        let Some(mut here) = here else {
+            let wanted = self.place..end;
+            pieces.wanted.get_or_insert(wanted);
+            return Err(io::Error::other("bytes of the stream are not here yet"));
+        };
+        let count = here.read(buffer)?;
+        drop(pieces);
+        self.place += count as u64;
+        Ok(count)
+    }
+}
+
+impl Seek for Input {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let place = match to {
+            SeekFrom::Start(place) => Some(place),
+            SeekFrom::End(offset) => self.pieces().size.checked_add_signed(offset),
+            SeekFrom::Current(offset) => self.place.checked_add_signed(offset),
+        };
+        self.place = place.ok_or(io::ErrorKind::InvalidInput)?;
+        Ok(self.place)
+    }
+}
+
+/// What went wrong.
+#[derive(Serialize)]
+struct Failure {
+    message: String,
+    frame: Option<u64>,
+}
+
+impl Failure {
+    /// The message names the frame, where it is known.
+    fn new(error: &Error, frame: Option<u64>) -> Self {
+        let frame = error.place().and_then(|place| place.frame).or(frame);
+        let what = error.to_string();
+        // Messages about a group count its frames.
+        let unnamed = frame.filter(|number| !what.contains(&format!("frame {number} (")));
+        let message = unnamed.map_or_else(|| what.clone(), |number| format!("frame {number}: {what}"));
+        Failure { message, frame }
+    }
+}
+
+/// What the index says.
+#[derive(Serialize)]
+struct Opened {
+    frames: Vec<IndexedFrame>,
+    /// First frame of each group, and the number of frames.
+    groups: Vec<u64>,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct IndexedFrame {
+    number: u64,
+    unit: &'static str,
+    stream: u8,
+    /// Nanoseconds since 1970. As text, for JavaScript's numbers have 53 bits.
+    time: Option<String>,
+    coded_bytes: u64,
+}
+
+#[derive(Serialize)]
+struct Details {
+    number: u64,
+    name: String,
+    points: u64,
+    bytes: u64,
+}
+
+/// An array of the module's memory.
+#[derive(Serialize)]
+struct Array {
+    address: usize,
+    bytes: usize,
+}
+
+impl Array {
+    fn of<T>(values: &[T]) -> Self {
+        Array { address: values.as_ptr().addr(), bytes: size_of_val(values) }
+    }
+
+    fn of_channel<T: Scalar>(scan: &Scan, name: &str) -> Result<Self> {
+        scan.channel::<T>(name).map(Array::of)
+    }
+}
+
+#[derive(Serialize)]
+struct DecodedFrame<'s> {
+    number: u64,
+    name: &'s str,
+    unit: &'static str,
+    stream: u8,
+    /// As in [`IndexedFrame`].
+    time: Option<String>,
+    points: usize,
+    /// x, y and z of each point, float32; empty if they are fields.
+    positions: Array,
+    fields: Vec<DecodedField<'s>>,
+    image: Option<DecodedImage>,
+    file: Option<Array>,
+}
+
+#[derive(Serialize)]
+struct DecodedField<'s> {
+    name: &'s str,
+    scalar: &'static str,
+    count: u32,
+    values: Array,
+}
+
+#[derive(Serialize)]
+struct DecodedImage {
+    rows: usize,
+    columns: usize,
+    /// Metres, float32.
+    ranges: Array,
+    /// int32.
+    points: Array,
+}
+
+impl Module {
+    /// Makes a call: its answer or its error, unless it lacks bytes.
+    fn call(&mut self, frame: Option<u64>, work: impl FnOnce(&mut Self) -> Result<String>) -> u32 {
+        self.given = Given::default();
+        let worked = work(self);
+        // What a call says that lacked bytes is of no interest.
+        if let Some(wanted) = self.input.pieces().wanted.take() {
+            self.wanted = wanted;
+            return WANTS;
+        }
+        self.input.pieces().pieces.clear();
+        let (answer, status) = match worked {
+            Ok(answer) => (answer, DONE),
+            Err(error) => (json(&Failure::new(&error, frame)), FAILED),
+        };
+        self.answer = answer;
+        status
+    }
+
+    fn decoder(&mut self) -> Result<&mut Decoder<Input>> {
+        self.decoder.as_mut().ok_or_else(|| Error::Usage("the stream is not open".to_owned()))
+    }
+
+    fn open(&mut self, size: u64, range_images: bool) -> Result<String> {
+        self.input.pieces().size = size;
+        let decoder = Decoder::open(self.input.clone())?.range_images(range_images);
+        let frames = decoder.frames().map(|frame| IndexedFrame {
+            number: frame.number,
+            unit: frame.unit.name(),
+            stream: frame.stream,
+            time: frame.time.map(|time| time.to_string()),
+            coded_bytes: frame.coded_bytes,
+        });
+        let next = |start: &u64| Some(decoder.group_of(*start)?.end);
+        let groups = std::iter::successors(Some(0), next).collect();
+        let opened = json(&Opened { frames: frames.collect(), groups });
+        self.decoder = Some(decoder);
+        Ok(opened)
+    }
+
+    fn details(&mut self, frames: Range<u64>) -> Result<String> {
+        let details = self.decoder()?.details(frames)?.into_iter();
+        let details: Vec<_> = details
+            .map(|frame| Details {
+                number: frame.number,
+                name: frame.name,
+                points: frame.points,
+                bytes: frame.bytes,
+            })
+            .collect();
+        Ok(json(&details))
+    }
+
+    fn frame(&mut self, number: u64, with_file: bool) -> Result<String> {
+        let scan = self.decoder()?.scan(number)?;
+        let file = if with_file { scan.file_bytes()? } else { None };
+        let has_file = file.is_some();
+        let cells = scan.range_image().map_or_else(Vec::new, |image| {
+            image.points().iter().map(|point| point.map_or(-1, |point| point as i32)).collect()
+        });
+        self.given = Given { scan, cells, file: file.unwrap_or_default() };
+        let Given { scan, cells, file } = &self.given;
+        let fields = scan.channels().map(|channel| {
+            Ok(DecodedField {
+                name: channel.name,
+                scalar: channel.scalar.name(),
+                count: channel.count,
+                values: values_of(scan, channel.name, channel.scalar)?,
+            })
+        });
+        let frame = DecodedFrame {
+            number,
+            name: scan.name(),
+            unit: scan.unit().name(),
+            stream: scan.stream(),
+            time: scan.time().map(|time| time.to_string()),
+            points: scan.len(),
+            positions: Array::of(scan.positions()),
+            fields: fields.collect::<Result<_>>()?,
+            image: scan.range_image().map(|image| DecodedImage {
+                rows: image.rows(),
+                columns: image.columns(),
+                ranges: Array::of(image.ranges()),
+                points: Array::of(cells),
+            }),
+            file: has_file.then(|| Array::of(file)),
+        };
+        Ok(json(&frame))
+    }
+
+    fn scanners(&mut self) -> Result<String> {
+        Ok(json(&self.decoder()?.scanners()?))
+    }
+}
+
+/// The values of a channel.
+fn values_of(scan: &Scan, name: &str, scalar: ScalarType) -> Result<Array> {
+    match scalar {
+        ScalarType::I8 => Array::of_channel::<i8>(scan, name),
+        ScalarType::U8 => Array::of_channel::<u8>(scan, name),
+        ScalarType::I16 => Array::of_channel::<i16>(scan, name),
+        ScalarType::U16 => Array::of_channel::<u16>(scan, name),
+        ScalarType::I32 => Array::of_channel::<i32>(scan, name),
+        ScalarType::U32 => Array::of_channel::<u32>(scan, name),
+        ScalarType::I64 => Array::of_channel::<i64>(scan, name),
+        ScalarType::U64 => Array::of_channel::<u64>(scan, name),
+        ScalarType::F32 => Array::of_channel::<f32>(scan, name),
+        ScalarType::F64 => Array::of_channel::<f64>(scan, name),
+    }
+}
+
+/// What is said in numbers and names has a text.
+fn json(value: &impl Serialize) -> String {
+    serde_json::to_string(value).unwrap_or_default()
+}
+
+fn with_module<T>(work: impl FnOnce(&mut Module) -> T) -> T {
+    MODULE.with_borrow_mut(work)
+}
+
+/// Room for so many bytes, which the next call of [`lidarpc_supply`] takes. Returns its address.
+#[unsafe(no_mangle)]
+pub extern "C" fn lidarpc_room(bytes: usize) -> usize {
+    with_module(|module| {
+        module.inbox = vec![0; bytes];
+        module.inbox.as_mut_ptr().expose_provenance()
+    })
+}
+
+/// The bytes in the room are those of the stream from here on. They are kept until a call has all that it wants.
+#[unsafe(no_mangle)]
+pub extern "C" fn lidarpc_supply(start: f64) {
+    with_module(|module| {
+        let bytes = std::mem::take(&mut module.inbox);
+        module.input.pieces().pieces.push((start as u64, bytes));
+    });
+}
+
+/// Where the bytes begin that the last call lacks.
+#[unsafe(no_mangle)]
+pub extern "C" fn lidarpc_wanted_start() -> f64 {
+    with_module(|module| module.wanted.start as f64)
+}
+
+/// Where they end.
+#[unsafe(no_mangle)]
+pub extern "C" fn lidarpc_wanted_end() -> f64 {
+    with_module(|module| module.wanted.end as f64)
+}
+
+/// Address of the last answer, UTF-8.
+#[unsafe(no_mangle)]
+pub extern "C" fn lidarpc_answer() -> usize {
+    with_module(|module| module.answer.as_ptr().addr())
+}
+
+/// Bytes of the last answer.
+#[unsafe(no_mangle)]
+pub extern "C" fn lidarpc_answer_bytes() -> usize {
+    with_module(|module| module.answer.len())
+}
+
+/// Opens a stream of so many bytes; with range images if those are not 0. The answer is [`Opened`].
+#[unsafe(no_mangle)]
+pub extern "C" fn lidarpc_open(size: f64, range_images: u32) -> u32 {
+    with_module(|module| module.call(None, |module| module.open(size as u64, range_images != 0)))
+}
+
+/// Frames from `start` up to `end` as the stream tells of them, a list of [`Details`].
+#[unsafe(no_mangle)]
+pub extern "C" fn lidarpc_details(start: f64, end: f64) -> u32 {
+    with_module(|module| module.call(None, |module| module.details(start as u64..end as u64)))
+}
+
+/// A sentence on each scanner, a list.
+#[unsafe(no_mangle)]
+pub extern "C" fn lidarpc_scanners() -> u32 {
+    with_module(|module| module.call(None, Module::scanners))
+}
+
+/// Decodes a frame, a [`DecodedFrame`]; with the bytes of its file if those are not 0.
+#[unsafe(no_mangle)]
+pub extern "C" fn lidarpc_frame(number: f64, with_file: u32) -> u32 {
+    let number = number as u64;
+    with_module(|module| module.call(Some(number), |module| module.frame(number, with_file != 0)))
+}
