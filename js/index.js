@@ -1,0 +1,300 @@
+// Decodes lidarpc streams. What users see is documented in index.d.ts; the other half of this file is src/wasm.rs of the
+// crate.
+
+/** What the module's calls return. */
+const DONE = 0;
+const WANTS = 1;
+
+/** The arrays that values of a field are given in. */
+const ARRAYS = {
+  i8: Int8Array,
+  u8: Uint8Array,
+  i16: Int16Array,
+  u16: Uint16Array,
+  i32: Int32Array,
+  u32: Uint32Array,
+  i64: BigInt64Array,
+  u64: BigUint64Array,
+  f32: Float32Array,
+  f64: Float64Array,
+};
+
+/** What positions are made of, where they are fields. */
+const POSITION = ["x", "y", "z"];
+
+export class LidarpcError extends Error {
+  constructor(message, { file = "", frame = null, cause } = {}) {
+    super(file ? `${file}: ${message}` : message, cause === undefined ? undefined : { cause });
+    this.name = "LidarpcError";
+    this.file = file;
+    this.frame = frame;
+  }
+}
+
+/** The module beside this file, compiled when it is first needed. */
+let compiled;
+
+/** Compiles the module, unless it is compiled already. */
+async function moduleOf(wasm) {
+  if (wasm instanceof WebAssembly.Module) return wasm;
+  if (wasm !== undefined) return WebAssembly.compile(await bytesOf(wasm));
+  compiled ??= bytesOf(new URL("lidarpc.wasm", import.meta.url)).then((bytes) => WebAssembly.compile(bytes));
+  try {
+    return await compiled;
+  } catch (error) {
+    compiled = undefined;
+    throw error;
+  }
+}
+
+/** The bytes of the module. */
+async function bytesOf(wasm) {
+  if (!(wasm instanceof URL || typeof wasm === "string")) return wasm;
+  const url = new URL(wasm, import.meta.url);
+  if (url.protocol === "file:" && globalThis.process?.versions?.node) {
+    const { readFile } = await import("node:fs/promises");
+    return readFile(url);
+  }
+  const response = await fetch(url);
+  if (!response.ok) throw new LidarpcError(`HTTP status ${response.status}`, { file: url.href });
+  return response.arrayBuffer();
+}
+
+/**
+ * A source is what `open` reads from: its size, its name, and a function that gives the bytes from `start` up to `end`.
+ */
+async function sourceOf(input, options) {
+  if (input instanceof ArrayBuffer || ArrayBuffer.isView(input)) {
+    const bytes = input instanceof ArrayBuffer ? new Uint8Array(input) : view(input);
+    return { name: "", size: bytes.length, read: async (start, end) => bytes.subarray(start, end) };
+  }
+  if (typeof Blob !== "undefined" && input instanceof Blob) {
+    const read = async (start, end) => new Uint8Array(await input.slice(start, end).arrayBuffer());
+    return { name: input.name ?? "", size: input.size, read };
+  }
+  if (typeof input === "string" || input instanceof URL) return remote(String(input), options);
+  if (typeof input?.size === "number" && typeof input?.read === "function") {
+    const read = async (start, end) => view(await input.read(start, end));
+    return { name: input.name ?? "", size: input.size, read };
+  }
+  throw new TypeError("open takes a Blob, an ArrayBuffer, a Uint8Array, a URL, or an object with size and read");
+}
+
+function view(bytes) {
+  return bytes instanceof ArrayBuffer
+    ? new Uint8Array(bytes)
+    : new Uint8Array(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+}
+
+/** As much of the end as the decoder reads first. */
+const TAIL = 1 << 16;
+
+/** A file on a server, read by range requests; at once, if the server knows none. */
+async function remote(url, { fetch: fetchIt = globalThis.fetch, signal, headers } = {}) {
+  const request = async (range) => {
+    let response;
+    try {
+      response = await fetchIt(url, { signal, headers: { ...headers, Range: `bytes=${range}` } });
+    } catch (error) {
+      if (error?.name === "AbortError") throw error;
+      throw new LidarpcError(`cannot be fetched: ${error?.message ?? error}`, { file: url, cause: error });
+    }
+    if (!response.ok) throw new LidarpcError(`HTTP status ${response.status}`, { file: url });
+    return response;
+  };
+  const whole = (bytes) => ({ name: url, size: bytes.length, read: async (start, end) => bytes.subarray(start, end) });
+
+  // Size and end in one request.
+  const first = await request(`-${TAIL}`);
+  const tail = new Uint8Array(await first.arrayBuffer());
+  if (first.status !== 206) return whole(tail);
+  // Of a server of another origin that does not let it be read, only the end of a short file is all of it.
+  const total = /\/(\d+)$/.exec(first.headers.get("Content-Range") ?? "")?.[1];
+  let size = Number(total);
+  if (total === undefined) {
+    if (tail.length < TAIL) return whole(tail);
+    const head = await fetchIt(url, { method: "HEAD", signal, headers });
+    size = Number(head.headers.get("Content-Length") ?? NaN);
+    if (!head.ok || !(size >= tail.length)) {
+      const message = "the server does not tell its size: it should expose the header Content-Range";
+      throw new LidarpcError(message, { file: url });
+    }
+  }
+  const read = async (start, end) => {
+    if (start >= size - tail.length) return tail.subarray(start - size + tail.length, end - size + tail.length);
+    const response = await request(`${start}-${end - 1}`);
+    const bytes = new Uint8Array(await response.arrayBuffer());
+    return response.status === 206 ? bytes : bytes.subarray(start, end);
+  };
+  return { name: url, size, read };
+}
+
+export async function open(input, options = {}) {
+  const [module, source] = await Promise.all([moduleOf(options.wasm), sourceOf(input, options)]);
+  const instance = await WebAssembly.instantiate(module, {});
+  const decoder = new Decoder(instance.exports, source);
+  const { answer } = await decoder.call((wasm) => wasm.lidarpc_open(source.size, options.rangeImages ? 1 : 0));
+  return new Drive(decoder, source, answer);
+}
+
+/** An instance of the module, with the source of its bytes. */
+class Decoder {
+  #wasm;
+  #source;
+  /** Ends when the last call that was begun has ended. */
+  #last = Promise.resolve();
+
+  constructor(wasm, source) {
+    this.#wasm = wasm;
+    this.#source = source;
+  }
+
+  close() {
+    this.#wasm = null;
+  }
+
+  fail(message, frame = null, cause = undefined) {
+    return new LidarpcError(message, { file: this.#source.name, frame, cause });
+  }
+
+  /**
+   * Calls the module, with the bytes that it wants, and gives its answer by way of `take`, which may copy arrays. Calls wait
+   * for one another.
+   */
+  call(make, take = (answer) => ({ answer })) {
+    const result = this.#last.then(() => this.#call(make, take));
+    this.#last = result.catch(() => {});
+    return result;
+  }
+
+  async #call(make, take) {
+    for (;;) {
+      const wasm = this.#wasm;
+      if (!wasm) throw this.fail("the drive is closed");
+      let status;
+      try {
+        status = make(wasm);
+      } catch (cause) {
+        // A trap: of memory that is not to be had, or a fault. The instance is of no more use.
+        this.close();
+        throw this.fail(`the decoder stopped (${cause.message}): out of memory, or a fault of lidarpc`, null, cause);
+      }
+      if (status === WANTS) {
+        await this.#supply(wasm, wasm.lidarpc_wanted_start(), wasm.lidarpc_wanted_end());
+        continue;
+      }
+      const bytes = new Uint8Array(wasm.memory.buffer, wasm.lidarpc_answer(), wasm.lidarpc_answer_bytes());
+      const answer = JSON.parse(new TextDecoder().decode(bytes));
+      if (status !== DONE) throw this.fail(answer.message, answer.frame);
+      return take(answer, ({ address, bytes }) => wasm.memory.buffer.slice(address, address + bytes));
+    }
+  }
+
+  async #supply(wasm, start, end) {
+    let bytes;
+    try {
+      bytes = await this.#source.read(start, end);
+    } catch (cause) {
+      if (cause instanceof LidarpcError || cause?.name === "AbortError") throw cause;
+      throw this.fail(`cannot be read: ${cause?.message ?? cause}`, null, cause);
+    }
+    if (bytes.length !== end - start) {
+      throw this.fail(`bytes ${start} to ${end} were asked for, and ${bytes.length} came: has the file changed?`);
+    }
+    const room = wasm.lidarpc_room(bytes.length);
+    new Uint8Array(wasm.memory.buffer, room, bytes.length).set(bytes);
+    wasm.lidarpc_supply(start);
+  }
+}
+
+class Drive {
+  #decoder;
+  #groups;
+
+  constructor(decoder, source, { frames, groups }) {
+    this.#decoder = decoder;
+    this.#groups = groups;
+    this.name = source.name;
+    this.byteLength = source.size;
+    this.length = frames.length;
+    this.frames = frames.map((frame) => ({ ...frame, time: timeOf(frame.time) }));
+  }
+
+  groupOf(number) {
+    this.#check(number);
+    const next = this.#groups.findIndex((first) => first > number);
+    return { start: this.#groups[next - 1], end: this.#groups[next] };
+  }
+
+  async details(start = 0, end = this.length) {
+    const { answer } = await this.#decoder.call((wasm) => wasm.lidarpc_details(start, end));
+    return answer;
+  }
+
+  async scanners() {
+    const { answer } = await this.#decoder.call((wasm) => wasm.lidarpc_scanners());
+    return answer;
+  }
+
+  async frame(number, { file = false } = {}) {
+    this.#check(number);
+    return this.#decoder.call((wasm) => wasm.lidarpc_frame(number, file ? 1 : 0), frameOf);
+  }
+
+  async *[Symbol.asyncIterator]() {
+    for (let number = 0; number < this.length; number++) yield await this.frame(number);
+  }
+
+  close() {
+    this.#decoder.close();
+  }
+
+  #check(number) {
+    if (!Number.isInteger(number) || number < 0 || number >= this.length) {
+      throw this.#decoder.fail(`there is no frame ${number} in a stream of ${this.length}`);
+    }
+  }
+}
+
+function timeOf(time) {
+  return time === null ? null : BigInt(time);
+}
+
+/** A frame of what the module says, and copies of its arrays. */
+function frameOf({ number, name, unit, stream, time, points, positions, fields, image, file }, copy) {
+  const named = Object.create(null);
+  const counts = Object.create(null);
+  for (const field of fields) {
+    named[field.name] = new ARRAYS[field.scalar](copy(field.values));
+    counts[field.name] = field.count;
+  }
+  return {
+    number,
+    name,
+    unit,
+    stream,
+    time: timeOf(time),
+    length: points,
+    positions: positions.bytes > 0 ? new Float32Array(copy(positions)) : positionsOf(named, points),
+    fields: named,
+    counts,
+    rangeImage: image && {
+      rows: image.rows,
+      columns: image.columns,
+      ranges: new Float32Array(copy(image.ranges)),
+      points: new Int32Array(copy(image.points)),
+    },
+    file: file && new Uint8Array(copy(file)),
+  };
+}
+
+/** Positions of a file that has them in another type than float32. */
+function positionsOf(fields, points) {
+  if (!POSITION.every((name) => fields[name]?.length === points)) return new Float32Array(0);
+  const positions = new Float32Array(3 * points);
+  POSITION.forEach((name, axis) => {
+    const values = fields[name];
+    for (let point = 0; point < points; point++) positions[3 * point + axis] = Number(values[point]);
+  });
+  return positions;
+}
