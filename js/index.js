@@ -51,10 +51,9 @@ async function moduleOf(wasm) {
 async function bytesOf(wasm) {
   if (!(wasm instanceof URL || typeof wasm === "string")) return wasm;
   const url = new URL(wasm, import.meta.url);
-  if (url.protocol === "file:" && globalThis.process?.versions?.node) {
-    const { readFile } = await import("node:fs/promises");
-    return readFile(url);
-  }
+  // Node.js fetches no files. Bundlers would stumble over an import.
+  const files = url.protocol === "file:" ? globalThis.process?.getBuiltinModule?.("node:fs") : undefined;
+  if (files) return files.promises.readFile(url);
   const response = await fetch(url);
   if (!response.ok) throw new LidarpcError(`HTTP status ${response.status}`, { file: url.href });
   return response.arrayBuffer();
@@ -171,14 +170,7 @@ class Decoder {
     for (;;) {
       const wasm = this.#wasm;
       if (!wasm) throw this.fail("the drive is closed");
-      let status;
-      try {
-        status = make(wasm);
-      } catch (cause) {
-        // A trap: of memory that is not to be had, or a fault. The instance is of no more use.
-        this.close();
-        throw this.fail(`the decoder stopped (${cause.message}): out of memory, or a fault of lidarpc`, null, cause);
-      }
+      const status = this.#run(() => make(wasm));
       if (status === WANTS) {
         await this.#supply(wasm, wasm.lidarpc_wanted_start(), wasm.lidarpc_wanted_end());
         continue;
@@ -187,6 +179,16 @@ class Decoder {
       const answer = JSON.parse(new TextDecoder().decode(bytes));
       if (status !== DONE) throw this.fail(answer.message, answer.frame);
       return take(answer, ({ address, bytes }) => wasm.memory.buffer.slice(address, address + bytes));
+    }
+  }
+
+  /** Runs the module. A trap is of memory that is not to be had, or a fault; the instance is of no more use then. */
+  #run(work) {
+    try {
+      return work();
+    } catch (cause) {
+      this.close();
+      throw this.fail(`the decoder stopped (${cause.message}): out of memory, or a fault of lidarpc`, null, cause);
     }
   }
 
@@ -201,7 +203,7 @@ class Decoder {
     if (bytes.length !== end - start) {
       throw this.fail(`bytes ${start} to ${end} were asked for, and ${bytes.length} came: has the file changed?`);
     }
-    const room = wasm.lidarpc_room(bytes.length);
+    const room = this.#run(() => wasm.lidarpc_room(bytes.length));
     new Uint8Array(wasm.memory.buffer, room, bytes.length).set(bytes);
     wasm.lidarpc_supply(start);
   }

@@ -228,6 +228,16 @@ fn a_stream_without_scans_is_a_stream() {
     let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap();
     assert!(decoder.is_empty() && decoder.scans(..).next().is_none());
     assert!(Decoder::stream(&stream[..], 2).unwrap().next().is_none());
+    assert!(decoder.scanners().unwrap().is_empty());
+}
+
+#[test]
+fn scanners_are_told_in_words() {
+    let scans = drive().into_iter().map(|(name, bytes)| Scan::from_file(&name, bytes));
+    let stream = encoded(scans, Settings::exact().level(1));
+    let scanners = Decoder::open(Cursor::new(&stream)).unwrap().scanners().unwrap();
+    assert_eq!(scanners.len(), 1);
+    assert!(scanners[0].starts_with("like Velodyne's HDL-64E, 64 lasers"), "{scanners:?}");
 }
 
 #[test]
