@@ -1203,6 +1203,51 @@ fn frames_are_drawn() {
 }
 
 #[test]
+fn a_page_holds_a_drive() {
+    let bench = driven();
+    bench.ok("encode drive -o p.lpc");
+    let drive_of = |page: &str| -> serde_json::Value {
+        assert!(page.starts_with("<!doctype html>") && page.trim_end().ends_with("</html>"));
+        let (_, rest) = page.split_once("<script type=\"application/json\" id=\"drive\">").unwrap();
+        serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
+    };
+    let frames = |page: &str| page.matches("<script type=\"text/plain\" class=\"frame\">").count();
+    bench.ok("view p.lpc --html p.html");
+    let page = String::from_utf8(bench.read("p.html")).unwrap();
+    let drive = drive_of(&page);
+    assert_eq!(frames(&page), 2);
+    assert_eq!(drive["name"], "p.lpc");
+    assert_eq!(drive["bytes"], bench.read("p.lpc").len());
+    for (number, frame) in drive["frames"].as_array().unwrap().iter().enumerate() {
+        let name = format!("{number:010}.bin");
+        let bytes = bench.read(&format!("drive/{name}")).len();
+        assert_eq!((&frame["name"], &frame["bytes"]), (&name.into(), &bytes.into()));
+        assert_eq!((&frame["points"], &frame["rows"]), (&(bytes / 16).into(), &64.into()));
+        assert_eq!(frame["fields"][0]["name"], "intensity");
+    }
+    assert!(page.contains(include_str!("../web/view.js")), "the page has its script");
+
+    bench.ok("view drive --html drive.html");
+    let folder = String::from_utf8(bench.read("drive.html")).unwrap();
+    assert_eq!(drive_of(&folder)["frames"], drive["frames"]);
+    let one = String::from_utf8(bench.ok("view p.lpc --frames 1 --html -")).unwrap();
+    assert_eq!(frames(&one), 1);
+    assert_eq!(drive_of(&one)["frames"][0], drive["frames"][1]);
+
+    assert!(bench.fails("view p.lpc --frames 1..3 --html new.html", "p.lpc").contains("only frames 0 to 1"));
+    assert!(bench.fails("view p.lpc --html p.html", "p.html").contains("--force"));
+    let mut damaged = bench.read("p.lpc");
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 1;
+    fs::write(bench.path("damaged.lpc"), damaged).unwrap();
+    bench.fails("view damaged.lpc --html new.html", "damaged.lpc");
+    for wrong in ["-o new.png --html new.html", "--frame 1 --html new.html", "--frames 1 -o new.png"] {
+        bench.command(&format!("view p.lpc {wrong}")).assert().code(2);
+    }
+    assert!(["new.png", "new.html"].iter().all(|name| !bench.path(name).exists()));
+}
+
+#[test]
 fn what_is_intact_of_a_damaged_file_is_saved() {
     let bench = Bench::encoded();
     let mut bytes = fs::read(bench.path("out.lpc")).unwrap();

@@ -55,7 +55,7 @@ pub enum Command {
     Cat(CatArgs),
     /// Write the intact groups of a damaged file as a new file.
     Repair(RepairArgs),
-    /// Draw a frame as a PNG: its range image, regions, prediction, or the points from above.
+    /// Draw a frame as a PNG, or a whole drive as a page: points, range image, regions, prediction.
     View(ViewArgs),
     /// Run the experiments of the article behind `--mode paper`: its tables and figures, as text or as a page.
     Bench(BenchArgs),
@@ -457,8 +457,17 @@ pub struct ViewArgs {
     #[arg(value_name = "INPUT")]
     pub input: PathBuf,
     /// Picture to write; `-` for stdout.
-    #[arg(short, long, value_name = "FILE")]
-    pub output: PathBuf,
+    #[arg(short, long, value_name = "FILE", required_unless_present = "html")]
+    pub output: Option<PathBuf>,
+    /// Page to write instead, with all frames in it, in space and in time, for any browser; `-` for stdout.
+    ///
+    /// A single file, which shows the points even where there is no server and no network. They are rounded: coordinates to 1 cm,
+    /// other fields to 256 values.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "frame", "kind", "against", "scale"])]
+    pub html: Option<PathBuf>,
+    /// Frames of the page, the first being 0: N, or A..B up to but not including B. Default: all.
+    #[arg(long, value_name = "FRAMES", requires = "html", conflicts_with = "output")]
+    pub frames: Option<FrameRange>,
     /// Frame to draw, the first being 0.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub frame: u64,
@@ -472,7 +481,7 @@ pub struct ViewArgs {
     /// as makes the picture about 1500 pixels wide.
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(1..=16))]
     pub scale: Option<u16>,
-    /// Overwrite the picture if it exists.
+    /// Overwrite the picture or the page if it exists.
     #[arg(short, long)]
     pub force: bool,
     #[command(flatten)]

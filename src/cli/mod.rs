@@ -90,7 +90,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         Command::Cut(command) => cut::run(command, args.quiet),
         Command::Cat(command) => cat::run(command, args.quiet),
         Command::Repair(command) => repair::run(command, args.quiet),
-        Command::View(command) => view::run(command),
+        Command::View(command) => view::run(command, args.quiet),
         Command::Bench(command) => bench::run(command, args.quiet),
         Command::Synth(command) => synth::run(command, args.quiet),
         Command::Estimate(command) => estimate::run(command, args.quiet),

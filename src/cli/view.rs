@@ -1,14 +1,17 @@
 //! `lidarpc view`
 
+mod page;
 mod pictures;
 
 use crate::stream;
-use std::io::{Cursor, Read, Seek, Write};
+use std::io::{Cursor, Read, Seek, SeekFrom, Write};
+use std::path::Path;
 
 use crate::files::parse_like;
 use crate::files::sequence::find_frames;
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::Error;
+use crate::library::Decoder;
 use crate::stream::{DecodeOptions, DecodedFrame, FrameInput, FrameRange};
 use crate::study::metrics::{nearest_distances, paired_distances};
 use crate::study::picture::{self, BirdsEye, Perspective, Picture};
@@ -18,21 +21,67 @@ use super::args::{Threads, ViewArgs};
 use super::errors::{about, wrong_usage};
 use super::input::{Originals, name_of, open};
 use super::output::{FileOutput, keep_inputs};
-use super::{coding, in_memory};
+use super::{coding, in_memory, progress};
 
 pub use pictures::Kind;
 use pictures::{PICTURES, Pictures};
 
-pub fn run(args: &ViewArgs) -> Result<()> {
-    if args.output.extension().is_some_and(|extension| !extension.eq_ignore_ascii_case("png")) {
+pub fn run(args: &ViewArgs, quiet: bool) -> Result<()> {
+    match (&args.html, &args.output) {
+        (Some(page), _) => write_page(args, page, quiet),
+        (None, Some(picture)) => write_picture(args, picture),
+        (None, None) => wrong_usage("view", "-o names the picture to write, --html the page"),
+    }
+}
+
+/// Writes a frame as a picture.
+fn write_picture(args: &ViewArgs, path: &Path) -> Result<()> {
+    if path.extension().is_some_and(|extension| !extension.eq_ignore_ascii_case("png")) {
         wrong_usage("view", "pictures are PNG; give -o a name that ends in .png");
     }
-    keep_inputs(&args.output, std::slice::from_ref(&args.input))?;
+    keep_inputs(path, std::slice::from_ref(&args.input))?;
     let config = coding::config("view", &args.coding, &Threads { threads: 1 });
     let picture = draw(args, &decode(args, &config)?, &config)?;
-    let mut output = FileOutput::binary(&args.output, args.force)?;
+    let mut output = FileOutput::binary(path, args.force)?;
     let mut writer = output.writer();
     writer.write_all(&picture.to_png()?)?;
+    writer.flush()?;
+    drop(writer);
+    output.finish()?;
+    Ok(())
+}
+
+/// Writes the frames as a page.
+fn write_page(args: &ViewArgs, path: &Path, quiet: bool) -> Result<()> {
+    keep_inputs(path, std::slice::from_ref(&args.input))?;
+    let name = name_of(&args.input);
+    if in_memory::is_stream(&args.input) {
+        let stream = open(&args.input)?.rewindable().map_err(|error| about(error, &name))?;
+        return page_of(args, path, (stream, &name), quiet);
+    }
+    let config = coding::config("view", &args.coding, &Threads { threads: 0 });
+    let frames = FrameInput::found(find_frames(std::slice::from_ref(&args.input))?.frames);
+    let (_, stream) = in_memory::encode(&frames, &config, quiet)?;
+    page_of(args, path, (Cursor::new(stream), &name), quiet)
+}
+
+fn page_of<R: Read + Seek + Send>(
+    args: &ViewArgs,
+    path: &Path,
+    (mut stream, name): (R, &str),
+    quiet: bool,
+) -> Result<()> {
+    let bytes = stream.seek(SeekFrom::End(0))?;
+    let decoder = Decoder::open(stream).map_err(|error| about(error, name))?;
+    let mut decoder = decoder.range_images(true).threads(0);
+    let frames = args.frames.unwrap_or_default();
+    frames.check(decoder.len()).map_err(|error| about(error, name))?;
+    let numbers = frames.start..frames.end.unwrap_or(decoder.len());
+    let mut output = FileOutput::create(path, args.force)?;
+    let bar = progress::bar(Some(numbers.end - numbers.start), "decoding", quiet);
+    let mut writer = output.writer();
+    page::write(&mut decoder, (name, bytes), numbers, &mut writer, || bar.inc(1))?;
+    bar.finish_and_clear();
     writer.flush()?;
     drop(writer);
     output.finish()?;
