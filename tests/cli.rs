@@ -1104,10 +1104,10 @@ fn bench_gives_the_tables_and_figures() {
     }
     let summary = report["summary"].as_str().unwrap();
     assert!(
-        summary.starts_with("Fewest bits at an RMSE of ") && summary.ends_with(" % of the files"),
+        summary.starts_with("Fewest bits at an RMSE of ") && summary.ends_with(" % of the files."),
         "{summary}"
     );
-    for other in ["lidarpc (", "the article's codec (", "Tu-MPEG", "Tu-SLAM", "the octree"] {
+    for other in ["lidarpc (", "the article's coders (", "Tu-MPEG", "Tu-SLAM", "the octree"] {
         assert!(summary.contains(other), "{summary}");
     }
     let curves = section(&report, "Figure 15, beyond")["series"].as_array().unwrap();

@@ -60,7 +60,7 @@ impl Whose {
     fn describe(self, curve: &str) -> String {
         match self {
             Whose::Ours => format!("lidarpc ({curve})"),
-            Whose::Article => format!("the article's codec ({curve})"),
+            Whose::Article => format!("the article's coders ({curve})"),
             Whose::Other(name) => name.to_owned(),
         }
     }
@@ -464,7 +464,7 @@ mod tests {
         assert_eq!(
             who_is_ahead(curves).unwrap(),
             "Fewest bits at an RMSE of 5 cm: lidarpc (bounded), 2.00 a point; 2.50 times as many for the article's \
-             codec (JPEG), 4.00 times as many for the octree"
+             coders (JPEG), 4.00 times as many for the octree"
         );
         let far = series("JPEG", &[(5.0, 9.0)]);
         assert_eq!(who_is_ahead([(Whose::Article, &far)].into_iter()), None);

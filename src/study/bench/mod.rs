@@ -150,8 +150,9 @@ impl Bench {
         sections.extend(figures);
         let exact = runs.exact.rate(0..of_tables.inputs.len());
         let exact = exact.map(|rate| format!("byte for byte, lidarpc takes {rate:.2} % of the files"));
-        let summary: Vec<_> = ahead.into_iter().chain(exact).collect();
-        Ok(Findings { summary: summary.join("; "), sections })
+        let known: Vec<_> = ahead.into_iter().chain(exact).collect();
+        let summary = if known.is_empty() { String::new() } else { format!("{}.", known.join("; ")) };
+        Ok(Findings { summary, sections })
     }
 }
 
