@@ -3,8 +3,8 @@
 //! that SLAM found, "Tu-SLAM").
 //!
 //! Both get the range image as it is, without the outlier filter, and code what prediction leaves of it by JPEG 2000.
-//! Of the papers, their abstracts and what the article says of them were at hand. What is simpler here, or in their
-//! favour:
+//! Neither paper was at hand: of the first its abstract, of both what the article says of them. What is simpler here, or
+//! in their favour:
 //!
 //! - Range images are those of the article's ideal sensor, not tables of the scanner's packets, which files of
 //!   points do not have. So all coders of an image code the same one.
