@@ -142,6 +142,21 @@ fn everything_that_fuzzing_found_is_mended() {
     }
 }
 
+/// What the fuzzer has gathered, in the folder that LIDARPC_CORPUS names: `fuzz/coverage.sh CORPUS`.
+#[test]
+fn every_target_takes_what_the_fuzzer_has_gathered() {
+    let Some(corpus) = std::env::var_os("LIDARPC_CORPUS").filter(|corpus| !corpus.is_empty()) else {
+        println!("skipped: LIDARPC_CORPUS names no corpus");
+        return;
+    };
+    for (target, run) in TARGETS {
+        let folder = Path::new(&corpus).join(target);
+        let inputs = if folder.is_dir() { first_files(&folder, usize::MAX) } else { Vec::new() };
+        println!("{target}: {} inputs", inputs.len());
+        inputs.iter().for_each(|(_, bytes)| run(bytes));
+    }
+}
+
 #[test]
 fn every_target_takes_what_it_starts_from() {
     for (target, run) in TARGETS {

@@ -90,20 +90,20 @@ mod tests {
     fn ahead_is_the_middle_and_left_is_left() {
         let pixel = |point: [f32; 3]| VIEW.place(&point).map(|placed| placed.pixel);
         assert_eq!(pixel([10.0, 0.0, 0.0]), Some([100, 50]));
-        // 45 degrees reach to the sides; half as high as wide, the picture ends at half that slope.
-        assert_eq!(pixel([10.0, 5.0, 2.0]), Some([50, 30]));
-        assert_eq!(pixel([20.0, 10.0, 4.0]), Some([50, 30]));
+        // 45 degrees reach to the sides; half as high as wide, the picture ends at half that slope. In the middle of a pixel.
+        assert_eq!(pixel([10.0, 4.95, 1.95]), Some([50, 30]));
+        assert_eq!(pixel([20.0, 9.9, 3.9]), Some([50, 30]));
         for out in [[-1.0, 0.0, 0.0], [10.0, 11.0, 0.0], [10.0, 0.0, 6.0], [f32::NAN; 3], [f32::INFINITY; 3]]
         {
             assert_eq!(pixel(out), None, "{out:?}");
         }
         let down = Perspective { down: 45.0, ..VIEW };
-        assert_eq!(down.place(&[10.0, 0.0, -10.0]).unwrap().pixel, [100, 50]);
+        assert_eq!(down.place(&[10.0, 0.0, -10.05]).unwrap().pixel, [100, 50]);
     }
 
     #[test]
     fn the_nearer_point_is_seen() {
-        let (far, near, other) = ([40.0, 0.0, 0.0], [10.0, 0.0, 1.0], [10.0, 8.0, 0.0]);
+        let (far, near, other) = ([40.0, 0.0, 0.0], [10.0, 0.0, 1.05], [10.0, 8.0, 0.0]);
         let [x, y] = VIEW.place(&near).unwrap().pixel;
         let colour = |points: &[[f32; 3]]| VIEW.draw(points).pixel(x, y);
         let behind = [far[0], 0.0, far[0] * near[2] / near[0]];
