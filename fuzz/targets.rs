@@ -280,7 +280,8 @@ fn comes_back_from(known: &Known, files: &[ScanFile], config: &EncoderConfig) {
         Positions::Bounded { max_error_um, .. } => {
             check_bound(files, &decode_files(&stream).expect("decodes"), config, max_error_um);
         }
-        _ => comes_back(&stream, files),
+        // Streams of one group.
+        _ => comes_back(&stream, files, 1),
     }
 }
 

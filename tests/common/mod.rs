@@ -32,16 +32,17 @@ const SMALL: usize = 1 << 20;
 /// what went in, byte for byte. Returns the stream.
 pub fn round_trip(files: &[File], config: &EncoderConfig) -> Vec<u8> {
     let stream = encode_files(files, config);
-    comes_back(&stream, files);
+    comes_back(&stream, files, 0);
     stream
 }
 
-/// Decodes a stream front to back and through the index, and holds what comes back to what went in.
-pub fn comes_back(stream: &[u8], files: &[File]) {
+/// Decodes a stream front to back, and through the index on so many threads (0: one for each processor), and holds what
+/// comes back to what went in.
+pub fn comes_back(stream: &[u8], files: &[File], threads: usize) {
     assert_same(&decode_files(stream).expect("decodes"), files);
     if files.iter().map(|(_, bytes)| bytes.len()).sum::<usize>() < SMALL {
         let mut decoded = Vec::new();
-        let options = DecodeOptions { threads: 1, ..DecodeOptions::default() };
+        let options = DecodeOptions { threads, ..DecodeOptions::default() };
         decode_indexed(Cursor::new(stream), &options, Ok, |frame| keep(&mut decoded, frame))
             .expect("decodes through the index");
         assert_same(&decoded, files);
