@@ -22,4 +22,4 @@ pub use hashed::{HashedCounters, LINE_LEVELS, Line, hash, hash_below};
 pub use layered_bits::{LayeredBits, LayeredContext};
 pub use layered_mixer::{LayeredMixer, MixContexts, MixRates};
 pub use logistic::{Counter, Logistic, MixedBits};
-pub use tokens::{Counts, TokenCoder, TokenReader, TokenTables, TokenWriter, numbers_of_token};
+pub use tokens::{Counts, StartTables, TokenCoder, TokenReader, TokenTables, TokenWriter, numbers_of_token};

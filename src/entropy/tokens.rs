@@ -13,7 +13,7 @@ mod writer;
 
 pub use numbers::numbers_of_token;
 pub use reader::TokenReader;
-pub use tables::{Counts, TokenTables};
+pub use tables::{Counts, StartTables, TokenTables};
 pub use writer::TokenWriter;
 
 use numbers::NumberToken;

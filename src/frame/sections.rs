@@ -254,7 +254,7 @@ impl SectionCoder for SectionReader<'_> {
             return Err(ends_too_early(kind));
         }
         let counts = reader.into_counts();
-        tables.learn_decoded(&counts);
+        tables.learn(&counts);
         self.report.took_section(kind, start);
         Ok(decoded)
     }

@@ -42,7 +42,7 @@ impl IntensityModel {
         if self.is_deep {
             self.deep.get_or_insert_default().start_frame(columns, values);
         } else {
-            self.light.start_frame(scale);
+            self.light.start_frame(scale, values);
         }
     }
 

@@ -28,7 +28,7 @@ fn round_trip<T: Clone>(
         read(&mut reader, &mut decoded);
         assert!(!reader.is_exhausted());
         let counts = reader.into_counts();
-        known.learn_decoded(&counts);
+        known.learn(&counts);
     }
     (encoded, decoded)
 }

@@ -391,16 +391,14 @@ class Intensity:
     def __init__(self, off_grid):
         self.off_grid = off_grid
         self.views = [new_counters(0), new_counters(0), new_counters(0)]
+        self.slot_bits = self.level_bits = 0
         self.weights = [floats([0.55, 0.55]) for _ in range(512)]
         self.reference_weights = [floats([0.45] * 3) for _ in range(512)]
         self.rate = f32(f32(0.005) / 65536)
 
     def code(self, bits, scale, image, strays, reference):
-        for view in self.views:
-            view.extend(new_counters(max((1 << (13 + scale.bits)) - len(view), 0)))
-
         def begin(columns, n):
-            pass
+            self.grow(clamp(ilog2(max(n, 1)), 6, 13), scale.bits)
 
         def value(near, _):
             if self.off_grid.is_next(bits, scale):
@@ -410,6 +408,19 @@ class Intensity:
             return scale.value(level), scale.of_level(level)
 
         return values_of(image, strays, reference, begin, value)
+
+    def grow(self, slot_bits, level_bits):
+        if level_bits > self.level_bits:
+            self.slot_bits, self.level_bits = max(self.slot_bits, slot_bits), level_bits
+            self.views = [new_counters(1 << (self.slot_bits + level_bits)) for _ in range(3)]
+        elif slot_bits > self.slot_bits:
+            copies, stride = 1 << (slot_bits - self.slot_bits), 1 << self.level_bits
+            for k, view in enumerate(self.views):
+                grown = new_counters(0)
+                for start in range(0, len(view), stride):
+                    grown.extend(view[start : start + stride] * copies)
+                self.views[k] = grown
+            self.slot_bits = slot_bits
 
     def level(self, bits, n, near):
         left = near.left
@@ -421,7 +432,7 @@ class Intensity:
         if near.s or near.m:
             contexts.append((near.s or near.m) << 8 | west // 4)
             weights = self.reference_weights
-        places = [((c * 0x9E3779B1 & 0xFFFFFFFF) >> 19) << n for c in contexts]
+        places = [((c * 0x9E3779B1 & 0xFFFFFFFF) >> (32 - self.slot_bits)) << self.level_bits for c in contexts]
         views = self.views
         node = 1
         for _ in range(n):

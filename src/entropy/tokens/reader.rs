@@ -41,15 +41,16 @@ impl<'a> TokenReader<'a> {
         let length = usize::try_from(read_unsigned(input, "tokens")?).map_err(|_| short())?;
         let frequencies = input.split_off(..length).ok_or_else(short)?;
         let (mut coder, mut model) = (ArithmeticDecoder::new(frequencies), FrequencyModel::default());
-        tables.grow(contexts);
+        tables.start_frame(contexts);
         for context in 0..contexts {
             let mut new = None;
             model.code(&mut coder, &mut new)?;
-            new.into_iter().for_each(|new| tables.set(context, new, false));
+            new.into_iter().for_each(|new| tables.set(context, new));
         }
         if coder.is_exhausted() {
             return Err(Error::corrupt("tokens: tables cut short"));
         }
+        tables.make_buckets();
         let length = usize::try_from(read_unsigned(input, "tokens")?).map_err(|_| short())?;
         let escaped = input.split_off(..length).ok_or_else(short)?.iter();
         let length = usize::try_from(read_unsigned(input, "tokens")?).map_err(|_| short())?;

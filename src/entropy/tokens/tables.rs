@@ -1,5 +1,7 @@
 //! The tables of a section, one for each context. They live as long as a group and learn from each frame, so
-//! only the first frame has to send many.
+//! only the first frame has to send many. What is looked up is made of the frequencies when it is first needed.
+
+use std::sync::{Arc, OnceLock};
 
 use super::alias::{Bucket, buckets, for_each_number};
 use super::frequencies::{Frequencies, SCALE, TOKENS};
@@ -7,28 +9,45 @@ use super::frequencies::{Frequencies, SCALE, TOKENS};
 /// The tables of a section's contexts.
 #[derive(Clone, Default)]
 pub struct TokenTables {
-    /// The buckets of each context; all empty where no token has occurred yet.
+    contexts: Vec<Table>,
+    /// What a decoder looks up, by context; all empty where no token has occurred yet.
     pub(super) buckets: Vec<[Bucket; TOKENS]>,
-    /// What only the encoder needs; empty in a decoder.
-    pub(super) encoders: Vec<Option<EncoderTable>>,
-    /// How often each token has occurred, by context.
-    counts: Vec<Counts>,
     /// Frames learned from.
     frames: u32,
+    /// Whether the next frame begins with new tables.
+    is_due: bool,
     /// Whether the tables have been given their starting distribution.
     has_start: bool,
+}
+
+/// The table of a context.
+#[derive(Clone)]
+struct Table {
+    /// How often each token has occurred.
+    counts: Counts,
+    frequencies: Option<Frequencies>,
+    /// What an encoder looks up, once it has been made of the frequencies.
+    encoder: Option<Arc<EncoderTable>>,
+    /// Whether the decoder's buckets are made of these frequencies.
+    has_buckets: bool,
 }
 
 /// How often each token occurs.
 pub type Counts = [u32; TOKENS];
 
+/// Tables with which the first frame of every group starts, made once.
+pub struct StartTables {
+    counts: Vec<Counts>,
+    frequencies: Vec<Frequencies>,
+    buckets: OnceLock<Vec<[Bucket; TOKENS]>>,
+    encoders: OnceLock<Vec<Arc<EncoderTable>>>,
+}
+
 /// The inverse of the buckets.
-#[derive(Clone)]
 pub(super) struct EncoderTable {
-    pub frequencies: Frequencies,
     shares: [Share; TOKENS],
     /// The numbers of all tokens, token after token.
-    numbers: Vec<u16>,
+    numbers: [u16; SCALE as usize],
 }
 
 /// The numbers of a token.
@@ -66,19 +85,19 @@ impl Share {
 }
 
 impl EncoderTable {
-    fn new(frequencies: Frequencies, buckets: &[Bucket; TOKENS]) -> Self {
+    fn new(frequencies: &Frequencies) -> Self {
         let mut shares = [Share::default(); TOKENS];
         let mut start = 0;
         for (share, &frequency) in shares.iter_mut().zip(&frequencies.0) {
             *share = Share::of(frequency, start);
             start += frequency;
         }
-        let mut numbers = vec![0; SCALE as usize];
-        for_each_number(buckets, |token, place, number| {
+        let mut numbers = [0; SCALE as usize];
+        for_each_number(&buckets(frequencies), |token, place, number| {
             let start = usize::from(shares[usize::from(token)].start);
             numbers[start + place as usize] = number as u16;
         });
-        EncoderTable { frequencies, shares, numbers }
+        EncoderTable { shares, numbers }
     }
 
     /// The numbers of a token.
@@ -94,56 +113,115 @@ impl EncoderTable {
     }
 }
 
-impl TokenTables {
-    /// Makes room for `contexts` contexts.
-    pub(super) fn grow(&mut self, contexts: usize) {
-        if self.buckets.len() < contexts {
-            self.buckets.resize(contexts, [Bucket::default(); TOKENS]);
-            self.counts.resize(contexts, [0; TOKENS]);
-        }
+impl StartTables {
+    /// Those of contexts in which tokens typically occur so often.
+    pub fn of(counts: Vec<Counts>) -> Self {
+        let frequencies = counts.iter().map(Frequencies::of).collect();
+        StartTables { counts, frequencies, buckets: OnceLock::new(), encoders: OnceLock::new() }
     }
 
-    /// Initialises each context, once, from the counts that are typical of its tokens, before any has
-    /// occurred. Their influence soon fades.
-    pub fn start_from(&mut self, counts: &[Counts], encodes: bool) {
+    fn buckets(&self) -> &[[Bucket; TOKENS]] {
+        self.buckets.get_or_init(|| self.frequencies.iter().map(buckets).collect())
+    }
+
+    fn encoders(&self) -> &[Arc<EncoderTable>] {
+        let table = |frequencies| Arc::new(EncoderTable::new(frequencies));
+        self.encoders.get_or_init(|| self.frequencies.iter().map(table).collect())
+    }
+}
+
+impl Default for Table {
+    fn default() -> Self {
+        Table { counts: [0; TOKENS], frequencies: None, encoder: None, has_buckets: true }
+    }
+}
+
+impl TokenTables {
+    /// Gives each context its starting distribution, once, before any token has occurred. Its influence soon fades.
+    pub fn start_from(&mut self, start: &StartTables, encodes: bool) {
         /// The share that the initial counts have among those of tokens that have occurred.
         const SHARE: u32 = 32;
-        if !std::mem::replace(&mut self.has_start, true) {
-            self.grow(counts.len());
-            for (context, counts) in counts.iter().enumerate() {
-                self.counts[context] = counts.map(|count| count / SHARE);
-                self.set(context, Frequencies::of(counts), encodes);
-            }
+        if std::mem::replace(&mut self.has_start, true) {
+            return;
+        }
+        self.contexts = (start.counts.iter().zip(&start.frequencies))
+            .map(|(counts, frequencies)| Table {
+                counts: counts.map(|count| count / SHARE),
+                frequencies: Some(frequencies.clone()),
+                ..Table::default()
+            })
+            .collect();
+        if encodes {
+            let tables = self.contexts.iter_mut().zip(start.encoders());
+            tables.for_each(|(table, encoder)| table.encoder = Some(Arc::clone(encoder)));
+        } else {
+            self.buckets = start.buckets().to_vec();
         }
     }
 
-    /// Learns from the tokens of a frame that has been decoded.
-    pub fn learn_decoded(&mut self, counts: &[Counts]) {
-        self.learn(counts, false);
+    /// Starts a frame of `contexts` contexts: by what earlier ones have taught.
+    pub(super) fn start_frame(&mut self, contexts: usize) {
+        if self.contexts.len() < contexts {
+            self.contexts.resize_with(contexts, Table::default);
+        }
+        if std::mem::take(&mut self.is_due) {
+            for table in self.contexts.iter_mut().filter(|table| table.counts.iter().any(|&count| count > 0))
+            {
+                table.set(Frequencies::of(&table.counts));
+            }
+        }
     }
 
     /// Learns from the tokens of a frame. New tables are made after 1, 2, 4, 8 ... frames, as later ones
-    /// would hardly differ.
-    pub(super) fn learn(&mut self, counts: &[Counts], encodes: bool) {
-        for (known, new) in self.counts.iter_mut().zip(counts) {
-            known.iter_mut().zip(new).for_each(|(known, new)| *known = known.saturating_add(*new));
+    /// would hardly differ, and when the next frame needs them.
+    pub fn learn(&mut self, counts: &[Counts]) {
+        for (table, new) in self.contexts.iter_mut().zip(counts) {
+            table.counts.iter_mut().zip(new).for_each(|(known, new)| *known = known.saturating_add(*new));
         }
         self.frames = self.frames.saturating_add(1);
-        if self.frames.is_power_of_two() {
-            for context in 0..self.counts.len() {
-                if self.counts[context].iter().any(|&count| count > 0) {
-                    self.set(context, Frequencies::of(&self.counts[context]), encodes);
-                }
-            }
+        self.is_due |= self.frames.is_power_of_two();
+    }
+
+    /// The frequencies of a context, if it has any.
+    pub(super) fn frequencies(&self, context: usize) -> Option<&Frequencies> {
+        self.contexts[context].frequencies.as_ref()
+    }
+
+    /// Sets the frequencies of a context.
+    pub(super) fn set(&mut self, context: usize, frequencies: Frequencies) {
+        self.contexts[context].set(frequencies);
+    }
+
+    /// Makes what an encoder of this context looks up.
+    pub(super) fn make_encoder(&mut self, context: usize) {
+        let table = &mut self.contexts[context];
+        if let (None, Some(frequencies)) = (&table.encoder, &table.frequencies) {
+            table.encoder = Some(Arc::new(EncoderTable::new(frequencies)));
         }
     }
 
-    /// Installs a new table for a context.
-    pub(super) fn set(&mut self, context: usize, frequencies: Frequencies, encodes: bool) {
-        self.buckets[context] = buckets(&frequencies);
-        if encodes {
-            self.encoders.resize(self.encoders.len().max(context + 1), None);
-            self.encoders[context] = Some(EncoderTable::new(frequencies, &self.buckets[context]));
+    /// What an encoder of this context looks up, if it was made.
+    #[inline]
+    pub(super) fn encoder(&self, context: usize) -> Option<&EncoderTable> {
+        self.contexts.get(context)?.encoder.as_deref()
+    }
+
+    /// Makes what decoders look up, of all contexts.
+    pub(super) fn make_buckets(&mut self) {
+        self.buckets.resize(self.contexts.len().max(self.buckets.len()), [Bucket::default(); TOKENS]);
+        for (made, table) in
+            self.buckets.iter_mut().zip(&mut self.contexts).filter(|(_, table)| !table.has_buckets)
+        {
+            table.frequencies.iter().for_each(|frequencies| *made = buckets(frequencies));
+            table.has_buckets = true;
         }
+    }
+}
+
+impl Table {
+    fn set(&mut self, frequencies: Frequencies) {
+        self.frequencies = Some(frequencies);
+        self.encoder = None;
+        self.has_buckets = false;
     }
 }

@@ -35,7 +35,7 @@ proptest! {
             prop_assert_eq!(code(&mut reader, &frame), coded);
             prop_assert!(!reader.is_exhausted());
             let counts = reader.into_counts();
-            read.learn_decoded(&counts);
+            read.learn(&counts);
         }
     }
 

@@ -51,26 +51,29 @@ impl TokenWriter {
         words.iter().for_each(|word| payload.extend_from_slice(&word.to_le_bytes()));
         self.bits.extend_from_slice(&self.open.to_le_bytes()[..self.open_bits.div_ceil(8) as usize]);
         payload.extend_from_slice(&self.bits);
-        tables.learn(&self.counts, true);
+        tables.learn(&self.counts);
         Ok(payload)
     }
 
     /// Writes new tables where they save more than they cost.
     fn write_tables(&self, tables: &mut TokenTables) -> Result<Vec<u8>> {
         let (mut coder, mut model) = (ArithmeticEncoder::default(), FrequencyModel::default());
-        tables.grow(self.counts.len());
+        tables.start_frame(self.counts.len());
         for (context, counts) in self.counts.iter().enumerate() {
             let mut new = None;
-            if counts.iter().any(|&count| count > 0) {
+            let is_used = counts.iter().any(|&count| count > 0);
+            if is_used {
                 let fresh = Frequencies::of(counts);
-                let old = tables.encoders.get(context).and_then(Option::as_ref);
-                let old_cost = old.map_or(f64::INFINITY, |old| old.frequencies.cost(counts));
+                let old_cost = tables.frequencies(context).map_or(f64::INFINITY, |old| old.cost(counts));
                 if old_cost > fresh.cost(counts) + fresh.table_cost() {
                     new = Some(fresh);
                 }
             }
             model.code(&mut coder, &mut new)?;
-            new.into_iter().for_each(|new| tables.set(context, new, true));
+            new.into_iter().for_each(|new| tables.set(context, new));
+            if is_used {
+                tables.make_encoder(context);
+            }
         }
         Ok(coder.finish())
     }
@@ -85,8 +88,7 @@ impl TokenWriter {
         let mut first = words.len();
         for (index, &tagged) in self.tokens.iter().enumerate().rev() {
             let (context, token) = ((tagged >> 8) as usize, tagged as u8);
-            let table = tables.encoders.get(context).and_then(Option::as_ref);
-            let table = table.ok_or_else(|| Error::corrupt("tokens without a table"))?;
+            let table = tables.encoder(context).ok_or_else(|| Error::corrupt("tokens without a table"))?;
             let mut share = table.share(token);
             if token == ESCAPE || share.frequency() == 0 {
                 escaped.push(token);

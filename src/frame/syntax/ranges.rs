@@ -18,7 +18,7 @@ use crate::ground::grid::Grid;
 use crate::inter::{self, Reference};
 use crate::models::{
     PACKED_RANGE_CONTEXTS, RANGE_CONTEXTS, RangeContext, RangeModel, RangeTokens, code_packed_ranges,
-    start_counts,
+    start_tables,
 };
 use crate::scanner::Scanner;
 use crate::stream::container::SectionKind;
@@ -90,7 +90,7 @@ impl RangeModels {
             }
             RangeModelling::Tokens { fitted } => {
                 let expected = reference.filter(|_| modelling.has_p_frames()).map(Reference::ranges);
-                self.token_tables.start_from(start_counts(fitted), S::ENCODES);
+                self.token_tables.start_from(start_tables(fitted), S::ENCODES);
                 let model = &mut self.tokens;
                 sections.tokens(SectionKind::Range, RANGE_CONTEXTS, &mut self.token_tables, |coder| {
                     model.code(coder, &frame.occupancy, (fitted, expected.as_ref()), axis, steps);

@@ -5,8 +5,9 @@ use super::neighbours::{IntensityNeighbours, TYPICAL_LEVEL};
 use super::scale::{IntensityScale, MOST_BITS};
 use crate::entropy::{BitCoder, Counter, Logistic};
 
-/// Slots of each view, as a power of two: contexts share them by hashing.
-const SLOT_BITS: u32 = 13;
+/// Slots of each view, as a power of two, for small frames and for large ones: contexts share them by hashing. Tables
+/// for more contexts than a frame has values would take longer to make than the frame takes to be coded.
+const SLOT_BITS: (u32, u32) = (6, 13);
 /// Beams from this number on share their contexts.
 const ROWS: usize = 128;
 /// Initial weights of two opinions, and of three: several know more than one, but much of it is the same.
@@ -20,11 +21,10 @@ const NODES: usize = 1 << MOST_BITS;
 /// What the coder has learned about intensity levels.
 #[derive(Clone)]
 pub struct LightLevels {
-    /// For each view and slot, one counter for each node of the tree of a level's bits.
-    views: [Vec<Counter>; 2],
+    views: [View; 2],
     weights: Vec<[f32; 2]>,
-    /// The view of the reference, once there was one, and the weights of all three views.
-    reference: Vec<Counter>,
+    /// The view of the reference, and the weights of all three views.
+    reference: View,
     reference_weights: Vec<[f32; 3]>,
     tables: &'static Logistic,
 }
@@ -34,7 +34,7 @@ impl Default for LightLevels {
         LightLevels {
             views: Default::default(),
             weights: vec![[OF_TWO; 2]; NODES],
-            reference: Vec::new(),
+            reference: View::default(),
             reference_weights: vec![[OF_THREE; 3]; NODES],
             tables: Logistic::tables(),
         }
@@ -42,10 +42,11 @@ impl Default for LightLevels {
 }
 
 impl LightLevels {
-    /// Starts a frame, or its strays.
-    pub fn start_frame(&mut self, scale: &IntensityScale) {
+    /// Starts a frame of so many values, or its strays.
+    pub fn start_frame(&mut self, scale: &IntensityScale, values: usize) {
         if scale.is_on_grid() {
-            self.views.iter_mut().for_each(|view| grow(view, scale));
+            let slot_bits = values.max(1).ilog2().clamp(SLOT_BITS.0, SLOT_BITS.1);
+            self.views.iter_mut().for_each(|view| view.grow(slot_bits, scale.bits()));
         }
     }
 
@@ -63,36 +64,61 @@ impl LightLevels {
         let west = or(near.left[0], or(north, or(north_west, or(north_east, TYPICAL_LEVEL))));
         let west2 = or(near.left[1], west);
         let [w, ww, www] = [west, west2, near.left[2]].map(usize::from);
-        let [first, second] = [(w / 2) << 16 | (ww / 2) << 8 | www / 8, row.min(ROWS - 1) << 8 | w]
-            .map(|view| slot(view) << scale.bits());
-        let [of_before, of_row] = &mut self.views;
+        let bits = scale.bits();
+        let [before, of_row] = &mut self.views;
+        let (slot_bits, level_bits) = (before.slot_bits, before.level_bits);
+        let before = before.slot((w / 2) << 16 | (ww / 2) << 8 | www / 8);
+        let of_row = of_row.slot(row.min(ROWS - 1) << 8 | w);
         if !C::ENCODES {
-            touch(&of_before[first..][..1 << scale.bits()]);
-            touch(&of_row[second..][..1 << scale.bits()]);
+            touch(&before[..1 << bits]);
+            touch(&of_row[..1 << bits]);
         }
         let (tables, weights) = (self.tables, &mut self.weights);
         let Some(back) = near.back else {
-            return code_bits(scale.bits(), level, |bit, node| {
-                let counters = [&mut of_before[first + node], &mut of_row[second + node]];
-                mix(coder, tables, &mut weights[node], counters, bit)
+            return code_bits(bits, level, |bit, node| {
+                mix(coder, tables, &mut weights[node], [&mut before[node], &mut of_row[node]], bit)
             });
         };
-        grow(&mut self.reference, scale);
-        let (of_reference, weights) = (&mut self.reference, &mut self.reference_weights);
-        let third = slot(usize::from(back.level()) << 8 | w / 4) << scale.bits();
-        code_bits(scale.bits(), level, |bit, node| {
-            let counters =
-                [&mut of_before[first + node], &mut of_row[second + node], &mut of_reference[third + node]];
+        self.reference.grow(slot_bits, level_bits);
+        let reference = self.reference.slot(usize::from(back.level()) << 8 | w / 4);
+        let weights = &mut self.reference_weights;
+        code_bits(bits, level, |bit, node| {
+            let counters = [&mut before[node], &mut of_row[node], &mut reference[node]];
             mix(coder, tables, &mut weights[node], counters, bit)
         })
     }
 }
 
-/// Makes room for the levels of a scale.
-fn grow(view: &mut Vec<Counter>, scale: &IntensityScale) {
-    let places = 1 << (SLOT_BITS + scale.bits());
-    if view.len() < places {
-        view.resize(places, Counter::default());
+/// For each slot, a counter for each node of the tree of a level's bits.
+#[derive(Clone, Default)]
+struct View {
+    counters: Vec<Counter>,
+    slot_bits: u32,
+    level_bits: u32,
+}
+
+impl View {
+    /// Makes room for so many slots and levels; never shrinks. What has been learned stays with its contexts, whose
+    /// slots are divided among them, unless levels have more bits than before.
+    fn grow(&mut self, slot_bits: u32, level_bits: u32) {
+        if level_bits > self.level_bits {
+            self.slot_bits = self.slot_bits.max(slot_bits);
+            self.level_bits = level_bits;
+            self.counters.clear();
+            self.counters.resize(1 << (self.slot_bits + level_bits), Counter::default());
+        } else if slot_bits > self.slot_bits {
+            let copies = 1 << (slot_bits - self.slot_bits);
+            let slots = self.counters.chunks_exact(1 << self.level_bits);
+            self.counters = slots.flat_map(|slot| slot.repeat(copies)).collect();
+            self.slot_bits = slot_bits;
+        }
+    }
+
+    /// The counters of a context.
+    #[inline(always)]
+    fn slot(&mut self, context: usize) -> &mut [Counter] {
+        let slot = (context as u32).wrapping_mul(0x9e37_79b1) >> (32 - self.slot_bits);
+        &mut self.counters[(slot as usize) << self.level_bits..][..1 << self.level_bits]
     }
 }
 
@@ -139,9 +165,4 @@ fn mix<C: BitCoder, const N: usize>(
     }
     counters.into_iter().for_each(|counter| counter.learn(bit));
     bit
-}
-
-/// The slot of a context.
-fn slot(view: usize) -> usize {
-    ((view as u32).wrapping_mul(0x9e37_79b1) >> (32 - SLOT_BITS)) as usize
 }

@@ -5,7 +5,7 @@ mod prediction;
 mod start;
 
 pub use prediction::RANGE_CONTEXTS;
-pub use start::start_counts;
+pub use start::start_tables;
 
 use crate::entropy::TokenCoder;
 use crate::ground::grid::Grid;

@@ -4,7 +4,7 @@
 use std::sync::LazyLock;
 
 use super::prediction::{MISS_LEVELS, RANGE_CONTEXTS, miss_level_of};
-use crate::entropy::{Counts, numbers_of_token};
+use crate::entropy::{Counts, StartTables, numbers_of_token};
 use crate::models::magnitude::magnitude_of_level;
 
 /// Larger numbers are escaped until one has occurred.
@@ -14,15 +14,15 @@ const POINTS: u64 = 4;
 /// The approximate sum of the counts of a context.
 const SUM: f64 = 4096.0;
 
-/// Typical counts of tokens, by context, if ranges are predicted from their left neighbours, or are `fitted`.
-pub fn start_counts(fitted: bool) -> &'static [Counts] {
-    static FITTED: LazyLock<Vec<Counts>> = LazyLock::new(|| {
+/// The tables of typical counts of tokens, by context, if ranges are predicted from their left neighbours, or are `fitted`.
+pub fn start_tables(fitted: bool) -> &'static StartTables {
+    static FITTED: LazyLock<StartTables> = LazyLock::new(|| {
         let width = |context| 1.5 + f64::from(magnitude_of_level(miss_level_of(context))) / 12.0;
-        (0..RANGE_CONTEXTS).map(|context| bell(width(context))).collect()
+        StartTables::of((0..RANGE_CONTEXTS).map(|context| bell(width(context))).collect())
     });
-    static WEST: LazyLock<Vec<Counts>> = LazyLock::new(|| {
+    static WEST: LazyLock<StartTables> = LazyLock::new(|| {
         let width = |level| 2.0 + f64::from(magnitude_of_level(level)) / 9.0;
-        (0..MISS_LEVELS).map(|level| bell(width(level))).collect()
+        StartTables::of((0..MISS_LEVELS).map(|level| bell(width(level))).collect())
     });
     if fitted { &FITTED } else { &WEST }
 }
