@@ -8,13 +8,14 @@ use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::internals::scanner::Scanner;
 use lidarpc::internals::scanner::firings::Recipe;
-use lidarpc::internals::stream::container::{Group, ScannerRecord};
+use lidarpc::internals::scanner::motion::world::{Correction, Knot, Pose, Times, World};
+use lidarpc::internals::stream::container::{FrameHeader, Group, ScannerRecord, Section, SectionKind};
 use lidarpc::internals::stream::{FrameInput, Scanners, encode_known};
 
 use super::firings::{image, made_up, points, timed, with_echoes};
 use super::formats::{kitti, pcd_extra, pcd_text};
 use super::scans::{Points, compensated, random_points, scans, small};
-use super::{File, encode_files, take_apart};
+use super::{File, decode_files, encode_files, put_together, take_apart};
 
 /// Scanners and groups.
 pub type Parts = (Vec<ScannerRecord>, Vec<Group>);
@@ -53,6 +54,7 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
         coded(beams, &scanner, at_level(9)),
         coded(&no_scanner, &others, EncoderConfig::default()),
         moved(),
+        moved_through_a_map(&firings[0]),
         coded(&Known::ideal(), &scanner, with_back_end(backend::LZMA)),
         // P frames, by context, as tokens and by a back-end.
         coded(beams, &still, at_level(9)),
@@ -88,6 +90,42 @@ fn moved() -> Parts {
     moved[3] = [f32::NAN, 1.0, -1.0, 0.5];
     let config = EncoderConfig { threads: 1, ..EncoderConfig::default() };
     take_apart(&encode_files(&[("0.bin".to_owned(), kitti(&moved))], &config))
+}
+
+/// A scan that was moved through the coordinates of a map. That is found in whole turns only, so a small stream has it put in:
+/// behind the sections of what was measured the one that says how it was moved.
+fn moved_through_a_map(known: &Known) -> Parts {
+    let points = &known.frames[0];
+    let measured: Vec<[f32; 3]> = points.iter().map(|&[x, y, z, _]| [x, y, z]).collect();
+    let knot = |time, x| Knot { time, pose: Pose { place: [x, -x, 1 << 25], turn: [1 << 28, -x, 7] } };
+    let world = World {
+        rotation: [0.1, -0.2, 3.0],
+        origin: [1500.0, -20.0, 1.5],
+        lattices: [Some(-13), None],
+        times: Times { border: 1, short: 2 },
+        first: vec![Pose { place: [1 << 20, 2, 3], turn: [-4, 5, -6] }; 2],
+        knots: vec![knot(0, -100), knot(400, 1 << 29), knot(401, 9)],
+        corrections: vec![
+            Correction { record: 3, steps: [1, 0], units: [0; 3] },
+            Correction { record: 32, steps: [0, 0], units: [1 << 20, -1, 0] },
+            Correction { record: 99, steps: [0; 2], units: [0, 0, -70_000] },
+        ],
+    };
+    let mut moved = measured.clone();
+    world.apply(&mut moved);
+    let moved: Points = moved.iter().zip(points).map(|(&[x, y, z], point)| [x, y, z, point[3]]).collect();
+    let (name, file) = ("0.bin".to_owned(), kitti(&moved));
+    let (scanners, mut groups) =
+        take_apart(&known.encode(&[(name.clone(), kitti(points))], &EncoderConfig::default()));
+    let frame = &mut groups[0].frames[0];
+    frame.header = FrameHeader {
+        stamp: frame.header.stamp.clone(),
+        ..FrameHeader::of(&name, &file, points.len() as u64)
+    };
+    frame.sections.push(Section { kind: SectionKind::World, payload: world.to_payload(&measured) });
+    let decoded = decode_files(&put_together(&scanners, &groups)).expect("decodes");
+    assert!(decoded == [(name, file)], "the section moves the points");
+    (scanners, groups)
 }
 
 /// A scanner that need not be looked for in scans, and small scans of it.
