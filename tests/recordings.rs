@@ -160,7 +160,7 @@ fn recording(compression: Option<Compression>, is_cdr: bool) -> Vec<u8> {
 
 fn packed(recording: &[u8], settings: &Settings, filter: &TopicFilter) -> (Vec<u8>, Copied) {
     let mut out = Cursor::new(Vec::new());
-    let copied = pack(recording, &mut out, settings, filter, &|| ()).unwrap();
+    let copied = pack(Cursor::new(recording), &mut out, settings, filter, &|| ()).unwrap();
     (out.into_inner(), copied)
 }
 
@@ -204,8 +204,38 @@ fn topics_that_are_not_asked_for_are_copied() {
     assert_eq!((copied.clouds, copied.kept), (5, 0));
     assert_eq!(contents(&unpacked(&small).0), contents(&original));
     let mut out = Cursor::new(Vec::new());
-    let again = pack(&small[..], &mut out, &Settings::default(), &TopicFilter::default(), &|| ());
+    let again = pack(Cursor::new(&small), &mut out, &Settings::default(), &TopicFilter::default(), &|| ());
     assert!(again.unwrap_err().to_string().contains("packed already"));
+}
+
+/// Two topics of clouds by the highest numbers; the second channel and its schema come after messages of the first.
+fn numbered_from_the_top(repeats: bool) -> Vec<u8> {
+    let options = WriteOptions::new().chunk_size(Some(1000)).repeat_channels(repeats).repeat_schemas(repeats);
+    let mut out = options.create(Cursor::new(Vec::new())).unwrap();
+    let points = &turns(1)[0];
+    for (sequence, (schema, channel)) in [(7, 3), (65535, 65534), (65533, 65535)].into_iter().enumerate() {
+        let text = format!("the fields of a cloud, {sequence}");
+        let topic = format!("/lidar_{sequence}");
+        out.add_schema_with_id(schema, "sensor_msgs/msg/PointCloud2", "ros2msg", text.as_bytes()).unwrap();
+        out.add_channel_with_id(channel, schema, &topic, "cdr", &BTreeMap::new()).unwrap();
+        for data in [&cloud(points, true, false)[..], b"no cloud"] {
+            let sequence = sequence as u32;
+            let header = MessageHeader { channel_id: channel, sequence, log_time: 5, publish_time: 4 };
+            out.write_to_known_channel(&header, data).unwrap();
+        }
+    }
+    out.finish().unwrap();
+    out.into_inner().into_inner()
+}
+
+#[test]
+fn what_packing_adds_has_numbers_that_the_recording_uses_nowhere() {
+    for repeats in [true, false] {
+        let original = numbered_from_the_top(repeats);
+        let (small, copied) = packed(&original, &Settings::default(), &TopicFilter::default());
+        assert_eq!((copied.messages, copied.clouds, copied.kept), (6, 3, 3));
+        assert_eq!(contents(&unpacked(&small).0), contents(&original));
+    }
 }
 
 #[test]
@@ -219,9 +249,8 @@ fn a_recording_that_is_cut_short_is_taken_as_far_as_it_is_whole() {
     assert_eq!(restored, messages[..restored.len()]);
     assert_eq!(restored.len() as u64, copied.messages);
     let mut out = Cursor::new(Vec::new());
-    let none =
-        pack(&b"no recording at all"[..], &mut out, &Settings::default(), &TopicFilter::default(), &|| ());
-    assert!(none.is_err());
+    let none = Cursor::new(b"no recording at all");
+    assert!(pack(none, &mut out, &Settings::default(), &TopicFilter::default(), &|| ()).is_err());
 }
 
 #[test]

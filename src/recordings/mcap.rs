@@ -1,12 +1,13 @@
 //! MCAP recordings: read record by record, written with chunks and indexes.
 
-use std::collections::HashMap;
-use std::io::{Cursor, Read, Seek, Write};
+use std::collections::{HashMap, HashSet};
+use std::io::{Cursor, Read, Seek, SeekFrom, Write};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use mcap::records::{Channel, Header, MessageHeader, Record, SchemaHeader, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::{Attachment, McapError, WriteOptions, Writer};
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
+use mcap::{Attachment, McapError, Summary, WriteOptions, Writer};
 
 use super::message::{self, Encoding};
 use crate::frame::settings::{EncoderConfig, resolve_threads};
@@ -55,21 +56,23 @@ pub struct Copied {
     pub cut_short: Option<String>,
 }
 
-/// Copies a recording, its clouds compressed. `on_message` is called for each message that is written.
+/// Copies a recording from its first byte on, its clouds compressed. `on_message` is called for each message that is
+/// written. The input is looked through before: what packing adds gets numbers that the recording uses nowhere.
 ///
 /// # Errors
 /// If the input is no recording, or is packed already, or the input or the output fails; those of the settings. A
 /// recording that is cut short or damaged is taken up to there: see [`Copied::cut_short`].
 pub fn pack<W: Write + Seek>(
-    input: impl Read + Send,
+    mut input: impl Read + Seek + Send,
     out: W,
     settings: &Settings,
     filter: &TopicFilter,
     on_message: &(dyn Fn() + Sync),
 ) -> Result<Copied> {
     let config = &settings.config()?;
+    let used = numbers_in(&mut input)?;
     let (schemas, channels) = (HashMap::new(), HashMap::new());
-    let mut packing = Packing { config, filter, schemas, channels, next: u16::MAX };
+    let mut packing = Packing { config, filter, schemas, channels, used, next: u16::MAX };
     copy(input, out, config.threads, |record| packing.job(record), on_message)
 }
 
@@ -180,7 +183,9 @@ struct Packing<'a> {
     schemas: HashMap<u16, String>,
     /// All channels that were seen; of those of clouds, what is needed to pack them.
     channels: HashMap<u16, Option<CloudChannel>>,
-    /// The number of the next schema or channel that is added, from the highest down.
+    /// The numbers of all schemas and channels of the recording.
+    used: HashSet<u16>,
+    /// The highest number that a schema or channel that is added may get.
     next: u16,
 }
 
@@ -249,16 +254,66 @@ impl Packing<'_> {
         Ok(Job::Copy(vec![schema, Record::Channel(packed)]))
     }
 
-    /// A number that no schema or channel has so far.
+    /// A number that no schema or channel has.
     fn unused(&mut self) -> Result<u16> {
-        let is_used = |number: &u16| self.schemas.contains_key(number) || self.channels.contains_key(number);
         // The format has no number 0 for schemas.
-        let found = (1..=self.next).rev().find(|number| !is_used(number));
+        let found = (1..=self.next).rev().find(|number| !self.used.contains(number));
         let found =
             found.ok_or_else(|| Error::over_limit("topics of clouds", u16::MAX.into(), u16::MAX.into()))?;
         self.next = found - 1;
         Ok(found)
     }
+}
+
+/// The numbers of all schemas and channels of a recording, from wherever the input is; it is at its first byte then.
+/// Of a recording that is damaged, those up to there.
+fn numbers_in(input: &mut (impl Read + Seek)) -> Result<HashSet<u16>> {
+    let summary = summary(input)?;
+    input.seek(SeekFrom::Start(0))?;
+    let listed = summary.filter(|summary| {
+        summary.stats.as_ref().is_some_and(|stats| {
+            usize::from(stats.schema_count) == summary.schemas.len()
+                && stats.channel_count as usize == summary.channels.len()
+        })
+    });
+    if let Some(summary) = listed {
+        return Ok(summary.schemas.into_keys().chain(summary.channels.into_keys()).collect());
+    }
+    let records = Records::open(&mut *input)?;
+    let numbers = records.map_while(Result::ok).filter_map(|record| match record {
+        Record::Schema { header, .. } => Some(header.id),
+        Record::Channel(channel) => Some(channel.id),
+        _ => None,
+    });
+    let numbers = numbers.collect();
+    input.seek(SeekFrom::Start(0))?;
+    Ok(numbers)
+}
+
+/// What a recording lists at its end, if it does.
+///
+/// # Errors
+/// If the input fails.
+fn summary(input: &mut (impl Read + Seek)) -> Result<Option<Summary>> {
+    let options = SummaryReaderOptions::default()
+        .with_file_size(input.seek(SeekFrom::End(0))?)
+        .with_record_length_limit(Limits::default().file_bytes as usize);
+    let mut reader = SummaryReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event {
+            Ok(SummaryReadEvent::ReadRequest(wanted)) => {
+                let read = input.read(reader.insert(wanted))?;
+                reader.notify_read(read);
+            }
+            // No place in a recording is before its first byte.
+            Ok(SummaryReadEvent::SeekRequest(to)) => match input.seek(to) {
+                Ok(place) => reader.notify_seeked(place),
+                Err(_) => return Ok(None),
+            },
+            Err(_) => return Ok(None),
+        }
+    }
+    Ok(reader.finish())
 }
 
 /// The schema of compressed clouds, with this number.
