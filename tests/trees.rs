@@ -173,7 +173,22 @@ fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
     assert!(said.contains("1 file outside the drives (4 bytes, tree/readme.txt)"), "{said}");
     bench.fails("encode tree -o strict/ --all --strict", "tree");
     let report = bench.json("encode tree -o json/ --all --json");
-    assert_eq!((report.as_array().unwrap().len(), &report[1]["files_beside"]), (2, &6.into()));
+    let drives = report["drives"].as_array().unwrap();
+    assert_eq!((drives.len(), &drives[1]["files_beside"]), (2, &6.into()));
+    let left_out = &report["left_out"][0];
+    assert_eq!((&left_out["what"], &left_out["count"]), (&"file outside the drives".into(), &1.into()));
+    assert_eq!(left_out["first"], "tree/readme.txt");
+    // Several inputs count together.
+    let report = bench.json("encode tree/a tree/b -o apart/ --json");
+    let report = report["left_out"].as_array().unwrap();
+    let files = report.iter().find(|one| one["what"] == "file not known as a scan").unwrap();
+    let alone = |tree: &str| bench.json(&format!("encode {tree} -o {tree}_alone/ --json"))["left_out"].clone();
+    let counts = ["tree/a", "tree/b"].map(alone).map(|left_out| {
+        let left_out = left_out.as_array().unwrap().clone();
+        let files = left_out.iter().find(|one| one["what"] == "file not known as a scan");
+        files.map_or(0, |files| files["count"].as_u64().unwrap())
+    });
+    assert_eq!(files["count"], counts[0] + counts[1]);
 }
 
 #[test]

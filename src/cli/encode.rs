@@ -355,11 +355,24 @@ pub struct Report {
 }
 
 #[derive(Serialize)]
-struct LeftOutReport {
+pub struct LeftOutReport {
     what: &'static str,
     count: u64,
     bytes: u64,
     first: String,
+}
+
+impl LeftOutReport {
+    /// Each kind of what was left out.
+    pub fn of(left_out: &LeftOut) -> Vec<Self> {
+        let each = left_out.0.iter().map(|(kind, paths)| LeftOutReport {
+            what: kind.name(),
+            count: paths.count,
+            bytes: paths.bytes,
+            first: paths.first.clone(),
+        });
+        each.collect()
+    }
 }
 
 impl Report {
@@ -376,12 +389,6 @@ impl Report {
             Positions::Bounded { max_error_um, .. } => ("bounded", Some(f64::from(max_error_um) * 1e-6)),
             Positions::Formula => ("paper", None),
         };
-        let left_out = left_out.0.iter().map(|(kind, paths)| LeftOutReport {
-            what: kind.name(),
-            count: paths.count,
-            bytes: paths.bytes,
-            first: paths.first.clone(),
-        });
         Report {
             file: args.output().display().to_string(),
             mode,
@@ -402,7 +409,7 @@ impl Report {
             ),
             plain_bytes: plain_bytes(encoded).map(str::to_owned).collect(),
             unmodelled_frames: encoded.unmodelled,
-            left_out: left_out.collect(),
+            left_out: LeftOutReport::of(left_out),
             verified: args.verify,
             seconds,
         }

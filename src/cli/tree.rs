@@ -13,9 +13,10 @@ use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::ground::error::Error;
 use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};
+use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs};
-use super::encode::{Report, encode_whole, remove, summary};
+use super::encode::{LeftOutReport, Report, encode_whole, remove, summary};
 use super::errors::{NotWhole, say, wrong_usage};
 use super::frames::{self, Found};
 use super::output::{parent, print_json};
@@ -35,10 +36,18 @@ struct Drive {
     found: Found,
 }
 
+/// What was done, for machines.
+#[derive(Serialize)]
+struct TreeReport<'a> {
+    drives: Vec<&'a Report>,
+    /// Of all inputs; the drives list none of their own.
+    left_out: Vec<LeftOutReport>,
+}
+
 /// `encode` into a folder: a stream for each drive.
 pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<()> {
     let start = Instant::now();
-    let mut drives = drives(args, quiet)?;
+    let (mut drives, left_out) = drives(args, quiet)?;
     let all = drives.len();
     if args.resume {
         drives.retain(|drive| !drive.output.exists());
@@ -77,7 +86,10 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     let of_all = |count: fn(&Report) -> u64| done.iter().map(|(report, _)| count(report)).sum::<u64>();
     let (before, after) = (of_all(|report| report.file_bytes), of_all(|report| report.stream_bytes));
     if args.json {
-        print_json(&done.iter().map(|(report, _)| report).collect::<Vec<_>>())?;
+        print_json(&TreeReport {
+            drives: done.iter().map(|(report, _)| report).collect(),
+            left_out: LeftOutReport::of(&left_out),
+        })?;
     } else if !quiet {
         for (report, line) in done.iter().filter(|_| done.len() <= 20 || args.verbose) {
             eprintln!("{}: {line}", report.file);
@@ -100,8 +112,8 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
 }
 
 /// The drives of the inputs, each of which may have the same names as others: folders one by one, and files by the folders
-/// that they are in.
-fn drives(args: &EncodeArgs, quiet: bool) -> Result<Vec<Drive>> {
+/// that they are in. And what is left out of all.
+fn drives(args: &EncodeArgs, quiet: bool) -> Result<(Vec<Drive>, LeftOut)> {
     let mut inputs: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
     for input in &args.inputs {
         let folder = if input.is_dir() { input.as_path() } else { parent(input) };
@@ -111,13 +123,14 @@ fn drives(args: &EncodeArgs, quiet: bool) -> Result<Vec<Drive>> {
         }
     }
     let several = inputs.len() > 1;
-    let mut drives = BTreeMap::new();
+    let (mut drives, mut left_out) = (BTreeMap::new(), LeftOut::default());
     for (folder, inputs) in &inputs {
         let whole = fs::canonicalize(folder).with_context(|| folder.display().to_string())?;
         let own_name = PathBuf::from(whole.file_name().unwrap_or_default());
         let args = EncodeArgs { inputs: inputs.clone(), ..args.clone() };
-        let found = frames::find(&args, quiet)?;
-        for (drive, found) in drives_of(&args, found, quiet)? {
+        let mut found = frames::find(&args, quiet)?;
+        left_out.extend(std::mem::take(&mut found.left_out));
+        for (drive, found) in drives_of(&args, found, &mut left_out, quiet)? {
             let below = match (drive.is_empty(), several) {
                 (true, _) => own_name.clone(),
                 (false, false) => PathBuf::from(drive),
@@ -134,11 +147,16 @@ fn drives(args: &EncodeArgs, quiet: bool) -> Result<Vec<Drive>> {
     }
     let mut drives: Vec<_> = drives.into_iter().map(|(output, found)| Drive { output, found }).collect();
     drives.sort_by(|a, b| natural_cmp(&a.output.to_string_lossy(), &b.output.to_string_lossy()));
-    Ok(drives)
+    Ok((drives, left_out))
 }
 
-/// What was found, drive by drive, under names below the drive.
-fn drives_of(args: &EncodeArgs, found: Found, quiet: bool) -> Result<BTreeMap<String, Found>> {
+/// What was found, drive by drive, under names below the drive; what is in none is left out.
+fn drives_of(
+    args: &EncodeArgs,
+    found: Found,
+    left_out: &mut LeftOut,
+    quiet: bool,
+) -> Result<BTreeMap<String, Found>> {
     let mut drives: BTreeMap<String, Found> = BTreeMap::new();
     let mut beyond = LeftOut::default();
     let frames = found.frames.into_iter().map(|file| (true, file));
@@ -159,6 +177,7 @@ fn drives_of(args: &EncodeArgs, found: Found, quiet: bool) -> Result<BTreeMap<St
         }
     }
     frames::check_left_out(&beyond, &frames::name_of_inputs(&args.inputs), args.strict, quiet)?;
+    left_out.extend(beyond);
     Ok(drives)
 }
 

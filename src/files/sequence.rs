@@ -129,6 +129,15 @@ impl LeftOut {
         paths.bytes += bytes;
     }
 
+    /// Counts what another input leaves out too.
+    pub fn extend(&mut self, other: LeftOut) {
+        for (kind, LeftOutPaths { count, bytes, first }) in other.0 {
+            let paths = self.0.entry(kind).or_insert(LeftOutPaths { count: 0, bytes: 0, first });
+            paths.count += count;
+            paths.bytes += bytes;
+        }
+    }
+
     /// Whether nothing was left out.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
