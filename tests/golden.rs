@@ -13,7 +13,8 @@ use std::fs;
 use std::path::PathBuf;
 
 use common::formats::{
-    kitti, nuscenes, pcd_extra, pcd_text, pcd_velodyne, pcd_xyz, ply, ply_big_endian, ply_text,
+    columns, csv, kitti, las, npy, nuscenes, pcd_extra, pcd_text, pcd_velodyne, pcd_xyz, ply, ply_big_endian,
+    ply_text,
 };
 use common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
 use common::streams::{at_level, with_back_end};
@@ -204,6 +205,7 @@ fn recipes() -> Vec<Recipe> {
         EncoderConfig { coder: Coder::Backend(LZMA), ..EncoderConfig::default() },
     );
     exact("ply", ply_files, EncoderConfig::default());
+    exact("tables", table_files, EncoderConfig::default());
     exact("float32", float_files, EncoderConfig::default());
     exact("float32-deep", float_files, at_level(9));
     exact("single-precision", single_precision_files, EncoderConfig::default());
@@ -253,7 +255,8 @@ fn recipes() -> Vec<Recipe> {
         ..EncoderConfig::preset(Mode::Bounded { max_error_um: 500 })
     };
     lossy("bounded-rounded-odd-files", odd_files, rounded.clone());
-    lossy("bounded-ply", ply_files, rounded);
+    lossy("bounded-ply", ply_files, rounded.clone());
+    lossy("bounded-tables", table_files, rounded);
     lossy("bounded-single-precision", single_precision_files, bounded.clone());
     lossy("bounded-compensated", compensated_files, bounded);
     for backend in BACKENDS {
@@ -338,6 +341,21 @@ fn ply_files() -> Vec<File> {
     vec![
         ("0-big.ply".to_owned(), ply_big_endian(&frames[0])),
         ("1-text.ply".to_owned(), ply_text(&frames[1])),
+    ]
+}
+
+/// Columns of text, with separators and ends of all kinds, an array, and records with integer coordinates.
+fn table_files() -> Vec<File> {
+    let frames = scans(&small(3, 5));
+    vec![
+        ("0.csv".to_owned(), csv(&frames[0])),
+        ("1.txt".to_owned(), columns(&frames[1])),
+        ("2.npy".to_owned(), npy(&frames[2])),
+        ("4.las".to_owned(), las(&frames[4])),
+        (
+            "3.xyz".to_owned(),
+            String::from_utf8(columns(&frames[3])).unwrap().replace("; ", "\t").into_bytes(),
+        ),
     ]
 }
 

@@ -182,7 +182,8 @@ fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
     let report = bench.json("encode tree/a tree/b -o apart/ --json");
     let report = report["left_out"].as_array().unwrap();
     let files = report.iter().find(|one| one["what"] == "file not known as a scan").unwrap();
-    let alone = |tree: &str| bench.json(&format!("encode {tree} -o {tree}_alone/ --json"))["left_out"].clone();
+    let alone =
+        |tree: &str| bench.json(&format!("encode {tree} -o {tree}_alone/ --json"))["left_out"].clone();
     let counts = ["tree/a", "tree/b"].map(alone).map(|left_out| {
         let left_out = left_out.as_array().unwrap().clone();
         let files = left_out.iter().find(|one| one["what"] == "file not known as a scan");

@@ -395,7 +395,8 @@ class Encoder:
         self._open().push(_positions(xyz), values, name, _nanoseconds(time), stream)
 
     def push_file(self, name: str, data: bytes, *, time: Time = None, stream: int = 0) -> None:
-        """Takes a file by its name and its bytes, which come back as they are: .bin, .pcd.bin, .pcd or .ply."""
+        """Takes a file by its name and its bytes, which come back as they are: .bin, .pcd.bin, .pcd, .ply, .las, .csv, .txt,
+        .xyz or .npy."""
         self._open().push_file(name, bytes(data), _nanoseconds(time), stream)
 
     def _open(self) -> _native.StreamWriter:
@@ -534,12 +535,12 @@ def decode(
     target: Path,
     *,
     threads: int = 0,
-    format: Literal["bin", "pcd", "ply"] | None = None,
+    format: Literal["bin", "pcd", "ply", "csv", "npy"] | None = None,
     force: bool = False,
 ) -> None:
     """Decodes a file into a folder of scans, as ``lidarpc decode`` does: byte for byte as they were.
 
-    ``format``: None, or ``"bin"``, ``"pcd"`` or ``"ply"`` to convert them. ``force``: existing files are overwritten.
+    ``format``: None, or ``"bin"``, ``"pcd"``, ``"ply"``, ``"csv"`` or ``"npy"`` to convert them. ``force``: existing files are overwritten.
     Error says what went wrong.
     """
     arguments = [f"--output={os.fspath(target)}", f"--threads={threads}"]

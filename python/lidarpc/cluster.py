@@ -24,8 +24,9 @@ __all__ = ["Drive", "Task", "encode", "find_drives", "main"]
 #: How often a task is begun again that failed or lost its worker.
 RETRIES = 2
 
-#: What files of scans are called. What else a folder holds is left out, as by ``lidarpc encode``.
-SCANS = (".bin", ".pcd", ".ply")
+#: What files of scans are called. What else a folder holds is left out, as by ``lidarpc encode``; so are text and arrays of NumPy, which
+#: it would read to tell whether they are scans.
+SCANS = (".bin", ".pcd", ".ply", ".las", ".xyz")
 
 #: Folders within a drive of KITTI that hold its scans, and are not part of its name.
 INSIDE = ("/velodyne_points/data", "/velodyne")

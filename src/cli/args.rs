@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::files::FileFormat;
 use crate::ground::error::Limits;
 use crate::stream::FrameRange;
 use crate::study::synth::SynthConfig;
@@ -246,6 +247,23 @@ pub enum FormatArg {
     Pcd,
     /// Binary little-endian PLY.
     Ply,
+    /// Text: a line of names, then a line for each point, with commas.
+    Csv,
+    /// NumPy's, an array of structures.
+    Npy,
+}
+
+impl FormatArg {
+    /// The same for the library.
+    pub fn format(self) -> FileFormat {
+        match self {
+            FormatArg::Bin => FileFormat::Bin,
+            FormatArg::Pcd => FileFormat::Pcd,
+            FormatArg::Ply => FileFormat::Ply,
+            FormatArg::Csv => FileFormat::Csv,
+            FormatArg::Npy => FileFormat::Npy,
+        }
+    }
 }
 
 #[derive(Clone, Debug, clap::Args)]
@@ -269,8 +287,8 @@ pub struct DecodeArgs {
     /// with 3 if any are.
     #[arg(long)]
     pub keep_going: bool,
-    /// Convert the scans, whatever they were. Coordinates keep every bit; fields without a name and other
-    /// bytes of the files are left out.
+    /// Convert the scans, whatever they were. Coordinates keep every bit (as text, all but the payload of a NaN); fields
+    /// without a name and other bytes of the files are left out.
     #[arg(long, value_enum)]
     pub format: Option<FormatArg>,
     /// Of a recording, decode only the clouds of this topic into the folder; may be given several times. Default: all.

@@ -219,12 +219,7 @@ struct Converter {
 
 impl Converter {
     fn new(format: Option<FormatArg>) -> Self {
-        let format = format.map(|format| match format {
-            FormatArg::Bin => FileFormat::Bin,
-            FormatArg::Pcd => FileFormat::Pcd,
-            FormatArg::Ply => FileFormat::Ply,
-        });
-        Converter { format, names: Mutex::default() }
+        Converter { format: format.map(FormatArg::format), names: Mutex::default() }
     }
 
     /// # Errors

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use crate::backend;
 use crate::files::guess::{self, Sample, Verdict};
 use crate::files::sequence::{FoundFile, LeftOut, find_all, find_frames};
-use crate::files::{parse_like, starts_as_scan};
+use crate::files::{EXTENSIONS, parse_like, starts_as_scan};
 use crate::frame::Prediction;
 use crate::frame::settings::{Coder, EncoderConfig, PredictionChoice, ProjectionKind};
 use crate::stream::{self, DecodeOptions, DecodedFrame, FrameInput};
@@ -172,14 +172,14 @@ fn check_scan(path: &Path) -> Result<()> {
     let start = start_of(path, HEADER)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let what = match in_memory::is_stream(path) {
-        true => "is a lidarpc stream already",
+        true => "is a lidarpc stream already".to_owned(),
         false if is_other_recording(path) => {
             bail!(
                 "{}: turn it into an .mcap by `rosbags-convert` (PyPI: rosbags), and encode that",
                 path.display()
             )
         }
-        false => "holds no scan that is known (.bin, .pcd, .ply)",
+        false => format!("holds no scan that is known ({EXTENSIONS})"),
     };
     ensure!(
         starts_as_scan(&name, &start),

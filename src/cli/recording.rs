@@ -172,11 +172,7 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<Copied>
     if is_dash(args.output()) {
         wrong_usage("decode", "a recording is decoded into a folder, or to FILE.mcap");
     }
-    let format = match args.format {
-        Some(FormatArg::Bin) => FileFormat::Bin,
-        Some(FormatArg::Pcd) | None => FileFormat::Pcd,
-        Some(FormatArg::Ply) => FileFormat::Ply,
-    };
+    let format = args.format.map_or(FileFormat::Pcd, FormatArg::format);
     let at = |error| about(error, &input.display().to_string());
     let filter = TopicFilter { topics: args.topic.clone() };
     let mut clouds = open(input).and_then(|file| Clouds::open(file, &filter)).map_err(at)?;

@@ -4,6 +4,7 @@ use std::collections::HashSet;
 use std::io::{BufReader, Chain, Cursor, Read};
 use std::path::PathBuf;
 
+use super::EXTENSIONS;
 use super::sequence::{LeftOut, LeftOutKind};
 use super::tar::TarReader;
 use crate::ground::error::{Error, Limits, Result};
@@ -93,7 +94,7 @@ impl<R: Read> ArrivingFrames<R> {
                 )
             }
             (None, Some(others)) => {
-                format!("holds no .bin, .pcd or .ply, only files such as {}", others.first)
+                format!("holds no {EXTENSIONS} with points, only files such as {}", others.first)
             }
             (None, None) => "is empty: tar found no file to put into it".to_owned(),
         };

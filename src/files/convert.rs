@@ -6,9 +6,9 @@ mod headers;
 use self::columns::Column;
 use super::Kind;
 use super::field::layout_of;
-use super::records;
+use super::{numpy, records};
 use crate::ground::error::{Error, Result};
-use crate::scan::{Scalar, ScanFile, Wrapping};
+use crate::scan::{Column as TextColumn, NumberRule, Scalar, ScanFile, Separator, TextFormat, Wrapping};
 
 /// A format that scans can be converted to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +19,10 @@ pub enum FileFormat {
     Pcd,
     /// PLY 1.0, `binary_little_endian`.
     Ply,
+    /// Text with a line of names, values between commas, each with the fewest digits that give it back.
+    Csv,
+    /// NumPy's `.npy`, an array of structures.
+    Npy,
 }
 
 impl FileFormat {
@@ -29,6 +33,8 @@ impl FileFormat {
             FileFormat::Bin => format!("{stem}.bin"),
             FileFormat::Pcd => format!("{stem}.pcd"),
             FileFormat::Ply => format!("{stem}.ply"),
+            FileFormat::Csv => format!("{stem}.csv"),
+            FileFormat::Npy => format!("{stem}.npy"),
         }
     }
 
@@ -36,7 +42,7 @@ impl FileFormat {
     fn columns(self, mut columns: Vec<Column>) -> Option<Vec<Column>> {
         match self {
             FileFormat::Bin => columns::of_kitti(columns),
-            FileFormat::Pcd => Some(columns),
+            FileFormat::Pcd | FileFormat::Csv | FileFormat::Npy => Some(columns),
             FileFormat::Ply => {
                 // PLY has no 64-bit integers.
                 columns.retain(|column| !matches!(column.scalar, Scalar::I64 | Scalar::U64));
@@ -45,17 +51,38 @@ impl FileFormat {
         }
     }
 
-    fn header(self, columns: &[Column], points: usize) -> String {
+    fn header(self, columns: &[Column], points: usize) -> Vec<u8> {
         match self {
-            FileFormat::Bin => String::new(),
-            FileFormat::Pcd => headers::pcd(columns, points),
-            FileFormat::Ply => headers::ply(columns, points),
+            FileFormat::Bin => Vec::new(),
+            FileFormat::Pcd => headers::pcd(columns, points).into_bytes(),
+            FileFormat::Ply => headers::ply(columns, points).into_bytes(),
+            FileFormat::Csv => headers::csv(columns).into_bytes(),
+            FileFormat::Npy => {
+                let fields: Vec<_> = columns.iter().map(|column| (&column.name[..], column.scalar)).collect();
+                numpy::header(&fields, points)
+            }
+        }
+    }
+
+    fn wrapping(self, columns: &[Column]) -> Wrapping {
+        match self {
+            FileFormat::Csv => {
+                let shortest =
+                    |scalar| NumberRule::Shortest { double: scalar == Scalar::F64, point_zero: false };
+                let column = |scalar: Scalar| TextColumn {
+                    scalar,
+                    rule: if scalar.is_float() { shortest(scalar) } else { NumberRule::Integer },
+                };
+                let columns = columns.iter().map(|c| column(c.scalar)).collect();
+                Wrapping::Text(TextFormat { separator: Separator::Comma, columns, ..TextFormat::default() })
+            }
+            _ => Wrapping::Plain,
         }
     }
 }
 
 /// The scan as a file of another format: `to_bytes` of the result is that file. Points keep their order and
-/// every bit of their coordinates. x, y and z come first, then the intensity, then the other named fields,
+/// every bit of their coordinates, but text has no payloads of NaN. x, y and z come first, then the intensity, then the other named fields,
 /// with their types; each value of a field with several becomes a field. Padding and the bytes around the
 /// records are left out. Numbers from text become float32 if that preserves all their digits.
 ///
@@ -76,12 +103,12 @@ pub fn convert(scan: &ScanFile, format: FileFormat) -> Result<ScanFile> {
         columns.iter().for_each(|column| column.write(record, &mut converted));
     }
     let fields = columns.iter().map(Column::field).collect();
-    let layout = layout_of(fields, Wrapping::Plain).unwrap_or_default();
+    let layout = layout_of(fields, format.wrapping(&columns)).unwrap_or_default();
     layout.validate()?;
     let (layout, cloud) = records::split(layout, &converted);
     Ok(ScanFile {
         name: format.file_name(&scan.name),
-        prefix: format.header(&columns, scan.records).into_bytes(),
+        prefix: format.header(&columns, scan.records),
         records: scan.records,
         cloud,
         suffix: Vec::new(),

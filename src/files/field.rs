@@ -1,9 +1,15 @@
-//! Named fields of a record, as the headers of PCD and PLY declare them.
+//! Named fields of a record, as the headers of files declare them.
 
 use crate::scan::{Field, Layout, MAX_NAME, MAX_STRIDE, Scalar, Wrapping};
 
+/// The name of the intensity where a file has none for it.
+pub(super) const INTENSITY: &str = "intensity";
 /// What programs call intensity, the likeliest first; `scalar_intensity` is CloudCompare's.
-const INTENSITY_NAMES: [&str; 5] = ["intensity", "scalar_intensity", "i", "reflectivity", "reflectance"];
+const INTENSITY_NAMES: [&str; 5] = [INTENSITY, "scalar_intensity", "i", "reflectivity", "reflectance"];
+/// Tables of fewer columns are no points.
+pub(super) const FEWEST_COLUMNS: usize = 3;
+/// The names of the coordinates.
+pub(super) const POSITION: [&str; 3] = ["x", "y", "z"];
 /// What PCL calls padding.
 const PADDING: &str = "_";
 
@@ -45,6 +51,22 @@ impl Declared<'_> {
 pub(super) fn name_of(name: &str) -> String {
     let name = (0..=MAX_NAME.min(name.len())).rev().find_map(|end| name.get(..end)).unwrap_or_default();
     if name == PADDING || !Field::is_name(name) { String::new() } else { name.to_owned() }
+}
+
+/// A name with its white space replaced.
+pub(super) fn with_underscores(name: &str) -> String {
+    name.split_whitespace().collect::<Vec<_>>().join("_")
+}
+
+/// The names of columns of which a file says none: those of KITTI, and numbers.
+pub(super) fn usual_names(columns: usize) -> Vec<String> {
+    let known = POSITION.into_iter().chain([INTENSITY]).map(str::to_owned);
+    known.chain((5..).map(|number| format!("column_{number}"))).take(columns).collect()
+}
+
+/// Whether the coordinates are among these names, ignoring case.
+pub(super) fn names_coordinates<'a>(names: impl Iterator<Item = &'a str> + Clone) -> bool {
+    POSITION.iter().all(|axis| names.clone().any(|name| name.eq_ignore_ascii_case(axis)))
 }
 
 /// The field with this name, ignoring case.

@@ -12,17 +12,21 @@ mod field;
 #[cfg(feature = "cli")]
 pub mod guess;
 mod headerless;
+mod las;
 mod lzf;
 pub mod names;
 mod number;
+mod numpy;
 mod pcd;
 mod pcd_compressed;
 mod places;
 mod ply;
 mod point_count;
 mod records;
+mod scaled;
 #[cfg(feature = "cli")]
 pub mod sequence;
+mod table;
 #[cfg(feature = "cli")]
 mod tar;
 mod text_records;
@@ -37,6 +41,7 @@ pub use point_count::with_point_count;
 
 pub use records::MOST_INTENSITY;
 
+use self::table::Table;
 use crate::ground::error::Result;
 use crate::scan::{Field, Layout, ScanFile, Wrapping};
 
@@ -51,12 +56,33 @@ enum Kind {
     Pcd,
     /// `.ply`.
     Ply,
+    /// `.csv` or `.txt`: columns of numbers, if it is a scan.
+    Columns,
+    /// `.xyz`.
+    Xyz,
+    /// `.npy`: an array, if it is a scan.
+    Numpy,
+    /// `.las`.
+    Las,
 }
+
+/// The extensions of scans, for messages.
+#[cfg(feature = "cli")]
+pub const EXTENSIONS: &str = ".bin, .pcd, .ply, .las, .csv, .txt, .xyz or .npy";
 
 impl Kind {
     /// Every kind with its extension; one that ends in another comes first.
-    const ALL: [(Kind, &str); 4] =
-        [(Kind::NuScenes, ".pcd.bin"), (Kind::Kitti, ".bin"), (Kind::Pcd, ".pcd"), (Kind::Ply, ".ply")];
+    const ALL: [(Kind, &str); 9] = [
+        (Kind::NuScenes, ".pcd.bin"),
+        (Kind::Kitti, ".bin"),
+        (Kind::Pcd, ".pcd"),
+        (Kind::Ply, ".ply"),
+        (Kind::Columns, ".csv"),
+        (Kind::Columns, ".txt"),
+        (Kind::Xyz, ".xyz"),
+        (Kind::Numpy, ".npy"),
+        (Kind::Las, ".las"),
+    ];
 
     /// The kind and the name without its extension, in any case of letters; `None` for other names.
     fn of(name: &str) -> Option<(Kind, &str)> {
@@ -74,7 +100,37 @@ pub fn starts_as_scan(name: &str, start: &[u8]) -> bool {
         Some((Kind::Kitti | Kind::NuScenes, _)) => true,
         Some((Kind::Pcd, _)) => pcd::Header::parse(start).is_some(),
         Some((Kind::Ply, _)) => ply::Header::parse(start).is_some(),
+        Some((Kind::Columns | Kind::Xyz, _)) => Table::find(start).is_some(),
+        Some((Kind::Numpy, _)) => numpy::Header::parse(start).is_some(),
+        Some((Kind::Las, _)) => las::Header::parse(start).is_some(),
     }
+}
+
+/// Bytes of a file's beginning that tell whether it is a scan.
+#[cfg(feature = "cli")]
+pub const TELLING: u64 = 64 << 10;
+
+/// Whether a file of this name is taken for a scan where it stands in a folder or an archive among others; `None` if
+/// [`starts_as_scan_of_folder`] tells by its bytes.
+#[cfg(feature = "cli")]
+fn is_scan_by_name(name: &str) -> Option<bool> {
+    match Kind::of(name) {
+        None => Some(false),
+        Some((Kind::Columns | Kind::Numpy, _)) => None,
+        Some(_) => Some(true),
+    }
+}
+
+/// As [`starts_as_scan`], of a file in a folder, which nobody has named: many that hold numbers are no scans.
+#[cfg(feature = "cli")]
+pub fn starts_as_scan_of_folder(name: &str, start: &[u8]) -> bool {
+    is_scan_by_name(name).unwrap_or_else(|| match Kind::of(name) {
+        Some((Kind::Numpy, _)) => {
+            numpy::Header::parse(start).is_some_and(|header| header.looks_like_points())
+        }
+        _ => Table::find(start)
+            .is_some_and(|table| table.names_coordinates() || table.looks_like_points(start)),
+    })
 }
 
 /// Takes a file apart into points and the bytes around them, by the extension of its name.
@@ -93,6 +149,9 @@ pub fn parse_with(name: &str, bytes: Vec<u8>, headerless: Option<&HeaderlessLayo
         (Kind::NuScenes, None) => HeaderlessLayout::nuscenes().parse(&bytes),
         (Kind::Pcd, _) => pcd::parse(&bytes),
         (Kind::Ply, _) => ply::parse(&bytes),
+        (Kind::Columns | Kind::Xyz, _) => table::parse(&bytes),
+        (Kind::Numpy, _) => numpy::parse(&bytes),
+        (Kind::Las, _) => las::parse(&bytes),
     });
     match parsed.filter(|file| is_plain(file) || comes_back_as(file, &bytes)) {
         Some(file) => ScanFile { name: name.to_owned(), ..file },
@@ -162,6 +221,11 @@ pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Resu
             give(&pcd_compressed::write(&records::join(file)?, &file.layout, *lzf)?)?;
         }
         Wrapping::Text(format) => give(&text_records::write(&records::join(file)?, format)?)?,
+        Wrapping::Scaled(axes) => {
+            let mut body = records::join(file)?;
+            scaled::to_steps(&mut body, &file.layout, axes);
+            give(&body)?;
+        }
         Wrapping::BigEndian => {
             let mut body = records::join(file)?;
             big_endian::swap(&mut body, &file.layout);

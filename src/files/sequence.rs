@@ -1,12 +1,12 @@
 //! The frames of an input: which files, under which names, and in which order.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::{fmt, fs};
 
-use super::Kind;
 use super::names::{check_name, is_safe_path, natural_cmp};
-use super::times;
+use super::{EXTENSIONS, TELLING, is_scan_by_name, starts_as_scan_of_folder, times};
 use crate::ground::error::{Error, Limits, Result};
 
 /// Where KITTI and KITTI-360 keep the scans of a drive, relative to its folder.
@@ -159,7 +159,8 @@ impl fmt::Display for LeftOut {
     }
 }
 
-/// Finds the frames of `inputs`: files, folders of scans (`.bin`, `.pcd`, `.ply`), or trees of them. Hidden files are left
+/// Finds the frames of `inputs`: files, folders of scans, or trees of them. Text is a scan of a folder if it names its
+/// coordinates or looks like points. Hidden files are left
 /// out; links to scans are followed, links to folders are not. A file that is named explicitly is taken whatever its
 /// extension.
 ///
@@ -252,7 +253,8 @@ impl Tree {
             let name = name.to_string_lossy();
             let is_link = entry.file_type().is_ok_and(|kind| kind.is_symlink());
             let is_hidden = name.starts_with('.');
-            let is_scan = Kind::of(&name).is_some() && !is_hidden;
+            let is_scan =
+                !is_hidden && is_scan_by_name(&name).unwrap_or_else(|| is_scan_inside(&path, &name));
             let left_out = if is_hidden && !all {
                 LeftOutKind::Hidden
             } else if !is_scan && is_link {
@@ -298,7 +300,7 @@ impl Tree {
     /// The files under their names.
     fn into_sequence(self, input: &Path, all: bool) -> Result<Sequence> {
         if self.folders.is_empty() {
-            return Err(input_error(input, "holds no scans; give a folder of .bin, .pcd or .ply files"));
+            return Err(input_error(input, format!("holds no scans; give a folder of {EXTENSIONS} files")));
         }
         let has_paths = all || self.folders.len() > 1;
         let mut found = Sequence { left_out: self.left_out, ..Sequence::default() };
@@ -338,6 +340,14 @@ impl Tree {
         }
         Ok(found)
     }
+}
+
+/// Whether a file is a scan by its first bytes. What cannot be read is none.
+fn is_scan_inside(path: &Path, name: &str) -> bool {
+    let is_file = fs::metadata(path).is_ok_and(|kind| kind.is_file());
+    let mut start = Vec::new();
+    let read = || fs::File::open(path).and_then(|file| file.take(TELLING).read_to_end(&mut start));
+    is_file && { read }().is_ok() && starts_as_scan_of_folder(name, &start)
 }
 
 /// The folder of the drive whose scans are in this folder.

@@ -4,9 +4,9 @@ use std::io::{ErrorKind, Read, Take, copy, sink};
 
 use tar::{Archive, EntryType};
 
-use super::Kind;
 use super::arrival::{ArrivedFile, cut_short, read_file, refuse};
 use super::sequence::{LeftOut, LeftOutKind};
+use super::{TELLING, is_scan_by_name, starts_as_scan_of_folder};
 use crate::ground::error::{Error, Result};
 
 /// Headers and files are padded to blocks of this many bytes.
@@ -50,10 +50,21 @@ impl<R: Read> TarReader<R> {
             self.padding = size.wrapping_neg() % BLOCK;
             // Before POSIX, a folder was a file whose name ended in a slash.
             let name = path.rsplit('/').next().unwrap_or_default();
-            let is_scan = !name.starts_with('.') && Kind::of(name).is_some();
+            let is_file = matches!(kind, EntryType::Regular | EntryType::Continuous);
+            let is_hidden = name.starts_with('.');
+            let mut start = Vec::new();
+            let is_scan = match is_scan_by_name(name).filter(|_| !is_hidden) {
+                Some(is_scan) => is_scan,
+                None if is_hidden || !is_file => false,
+                None => {
+                    self.input.by_ref().take(size.min(TELLING)).read_to_end(&mut start)?;
+                    starts_as_scan_of_folder(name, &start)
+                }
+            };
             match kind {
                 EntryType::Regular | EntryType::Continuous if is_scan => {
-                    let bytes = read_file(&mut self.input, name, size)?;
+                    let mut whole = start.as_slice().chain(&mut self.input);
+                    let bytes = read_file(&mut whole, name, size)?;
                     return Ok(Some(ArrivedFile { name: name.to_owned(), bytes }));
                 }
                 EntryType::Link if is_scan => {
@@ -69,7 +80,7 @@ impl<R: Read> TarReader<R> {
                 }
                 _ => self.left_out.add(LeftOutKind::File, path, size),
             }
-            self.discard(size)?;
+            self.discard(size - start.len() as u64)?;
         }
         Ok(None)
     }

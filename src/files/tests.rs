@@ -6,7 +6,9 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::ground::error::Error;
-use crate::scan::{Channel, Column, Field, Layout, LzfDialect, NumberRule, PointCloud, Scalar, TextFormat};
+use crate::scan::{
+    Axis, Channel, Column, Field, Layout, LzfDialect, NumberRule, PointCloud, Scalar, Separator, TextFormat,
+};
 
 /// Little-endian bytes of float32 values.
 pub(super) fn floats(values: &[f32]) -> Vec<u8> {
@@ -74,14 +76,15 @@ fn forged(wrapping: Wrapping) -> ScanFile {
     ScanFile { layout, records: 2, cloud, ..ScanFile::default() }
 }
 
-fn wrappings() -> [Wrapping; 4] {
+fn wrappings() -> [Wrapping; 5] {
     let column = Column { scalar: Scalar::F32, rule: NumberRule::Fixed(40) };
-    let format = TextFormat { crlf: false, tab: true, trailing_separator: false, columns: vec![column; 4] };
+    let format = TextFormat { separator: Separator::Tab, columns: vec![column; 4], ..TextFormat::default() };
     [
         Wrapping::Plain,
         Wrapping::PcdCompressed { lzf: LzfDialect::Ultra16 },
         Wrapping::Text(format),
         Wrapping::BigEndian,
+        Wrapping::Scaled([Axis { per_metre: 1000.0, offset: -1.0 }; 3]),
     ]
 }
 
@@ -115,7 +118,12 @@ fn a_file_without_records_may_not_count_any() {
 
 /// Names with extensions of all kinds.
 fn any_name() -> impl Strategy<Value = String> {
-    ("[a-z]{0,3}", prop::sample::select(vec![".bin", ".pcd.bin", ".pcd", ".PCD", ".ply", ".txt", ""]))
+    (
+        "[a-z]{0,3}",
+        prop::sample::select(vec![
+            ".bin", ".pcd.bin", ".pcd", ".PCD", ".ply", ".txt", ".csv", ".npy", ".las", "",
+        ]),
+    )
         .prop_map(|(stem, extension)| stem + extension)
 }
 
@@ -126,7 +134,7 @@ fn any_good_file() -> impl Strategy<Value = (String, Vec<u8>)> {
         (-9999i32..9999).prop_map(|n| n as f32 / 1000.0),
         prop::sample::select(vec![0.0, -0.0, f32::NAN, f32::INFINITY, 1e-5, 1e7, 0.5]),
     ];
-    (prop::collection::vec((value, any::<u16>()), 0..30), 0..9usize).prop_map(|(values, kind)| {
+    (prop::collection::vec((value, any::<u16>()), 0..30), 0..12usize).prop_map(|(values, kind)| {
         let points = values.len() as u64;
         let header = |data| pcd("x y z ring", "4 4 4 2", "F F F U", "1 1 1 1", points, data);
         let x: Vec<f32> = values.iter().map(|v| v.0).collect();
@@ -160,6 +168,19 @@ fn any_good_file() -> impl Strategy<Value = (String, Vec<u8>)> {
                     header("ascii").into_iter().chain(lines.collect::<String>().into_bytes()).collect(),
                 )
             }
+            9 => {
+                let lines = values.iter().map(|(x, r)| format!("{x:.3},{x:.8e},{x},{r}\r\n"));
+                ("a.csv".into(), format!("x,y,z,ring\r\n{}", lines.collect::<String>()).into_bytes())
+            }
+            10 => {
+                let lines = values.iter().map(|(x, r)| format!("{x:.3}; {x:?}; {r}; {r};\n"));
+                ("a.txt".into(), lines.collect::<String>().trim_end().as_bytes().to_vec())
+            }
+            11 => {
+                let fields = ["x", "y", "z"].map(|name| (name, Scalar::F32));
+                let header = numpy::header(&fields, values.len() + 1);
+                ("a.npy".into(), [header, floats(&x)].concat())
+            }
             _ => {
                 let encoding = ["binary_little_endian", "binary_big_endian", "ascii"][kind - 6];
                 let header = format!(
@@ -188,7 +209,7 @@ proptest! {
     fn good_files_come_back((name, bytes) in any_good_file()) {
         let file = comes_back(&name, bytes);
         // Text is opaque if no rule fits; the others never are.
-        let is_text = file.prefix.windows(6).any(|w| w == b" ascii");
+        let is_text = file.prefix.windows(6).any(|w| w == b" ascii") || [".csv", ".txt"].contains(&&file.name[1..]);
         prop_assert!(is_text || !file.is_opaque());
     }
 

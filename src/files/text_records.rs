@@ -1,20 +1,21 @@
-//! Records as text, in an ascii PCD or PLY: one record a line, values between single separators.
+//! Records as text, in an ascii PCD or PLY or in columns alone: one record a line, values between single separators.
 //!
 //! Texts are turned into values only if the values give the texts back. Programs differ in how they print
-//! numbers, so each column's rule is found by trial.
+//! numbers, so each column's rule is found by trial, and its type where nothing declares it.
 
 use super::field::{Declared, layout_of, name_of};
 use super::number::{self, NumberWriter, Survey};
 use super::records;
 use crate::ground::error::Result;
-use crate::scan::{Column, Field, Layout, Scalar, ScanFile, TextFormat, Wrapping};
+use crate::scan::{Column, Field, Layout, Scalar, ScanFile, Separator, TextFormat, Wrapping};
 
 /// Takes a file apart whose body starts at byte `start` and has at most `points` records of these fields,
 /// which must make a valid layout. Lines from the first one that does not look like those before it are
 /// `suffix`. `None` if there is no record, or if no rule gives back the texts of a column.
 pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64) -> Option<ScanFile> {
-    let scalars = scalars(fields)?;
-    let body = bytes.get(start..)?;
+    let scalars: Vec<Option<Scalar>> =
+        fields.iter().flat_map(|field| (0..field.count()).map(|_| field.scalar)).collect();
+    let body = bytes.get(start..).filter(|_| !scalars.is_empty())?;
     let mut format = TextFormat::of_line(first_line(body)?);
     let mut tokens: Vec<&str> = Vec::new(); // of all lines, line by line
     let mut rest = body;
@@ -25,17 +26,20 @@ pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64
     {
         rest = &rest[line.len()..];
         lines += 1;
+        format.open_end = !line.ends_with('\n');
     }
+    let found = find_columns(&scalars, &tokens).or_else(|| {
+        // Where the file was cut short, the last number may be, too.
+        let last = tokens.len().checked_sub(scalars.len()).filter(|_| format.open_end)?;
+        tokens.truncate(last);
+        format.open_end = false;
+        let end = body.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
+        rest = &body[end..];
+        find_columns(&scalars, &tokens)
+    });
+    let (columns, values) = found?;
     let records = tokens.len() / scalars.len();
-    if records == 0 {
-        return None;
-    }
-    let mut values = Vec::with_capacity(scalars.len());
-    for (at, &scalar) in scalars.iter().enumerate() {
-        let (column, bytes) = find_column(scalar, tokens.iter().skip(at).step_by(scalars.len()).copied())?;
-        format.columns.push(column);
-        values.push(bytes);
-    }
+    format.columns = columns;
     let fields = as_stored(fields, &format.columns);
     let body = side_by_side(&values, &format.columns, records);
     let (layout, cloud) = records::split(valid(layout_of(fields, Wrapping::Text(format))?)?, &body);
@@ -49,14 +53,11 @@ pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64
     })
 }
 
-/// The types of all values of a record; `None` if there are no values, or if no type has the size of one.
-fn scalars(fields: &[Declared]) -> Option<Vec<Scalar>> {
-    let mut scalars = Vec::new();
-    for field in fields {
-        let scalar = field.scalar?;
-        scalars.extend((0..field.count()).map(|_| scalar));
-    }
-    (!scalars.is_empty()).then_some(scalars)
+/// The columns, with the values of each. `None` if there are none, or if no rule gives back the texts of one.
+fn find_columns(scalars: &[Option<Scalar>], tokens: &[&str]) -> Option<(Vec<Column>, Vec<Vec<u8>>)> {
+    let texts = |at: usize| tokens.iter().skip(at).step_by(scalars.len()).copied();
+    let columns = scalars.iter().enumerate().map(|(at, &scalar)| find_column(scalar, texts(at)));
+    columns.collect::<Option<_>>().filter(|_| !tokens.is_empty())
 }
 
 /// The fields as these columns store them: a field whose values have different types becomes as many fields.
@@ -66,10 +67,11 @@ fn as_stored(fields: &[Declared], columns: &[Column]) -> Vec<Field> {
     for declared in fields {
         let (own, after) = rest.split_at((declared.count() as usize).min(rest.len()));
         rest = after;
-        let Some(field) = declared.field() else { continue };
         match own {
+            [] => {}
             [first, others @ ..] if others.iter().all(|column| column.scalar == first.scalar) => {
-                stored.push(Field { scalar: first.scalar, ..field });
+                let count = own.len() as u32;
+                stored.push(Field { name: name_of(declared.name), scalar: first.scalar, count });
             }
             _ => stored.extend((0..).zip(own).map(|(value, column): (u32, _)| {
                 Field::new(&name_of(&format!("{}_{value}", declared.name)), column.scalar)
@@ -102,32 +104,49 @@ fn side_by_side(values: &[Vec<u8>], columns: &[Column], records: usize) -> Vec<u
 pub(super) fn write(body: &[u8], format: &TextFormat) -> Result<Vec<u8>> {
     let mut out = Vec::new();
     let mut writer = NumberWriter::default();
+    let separator = format.separator.character() as u8;
     for record in body.chunks_exact(format.stride().max(1)) {
         let mut rest = record;
         for (at, &column) in format.columns.iter().enumerate() {
             if at > 0 {
-                out.push(format.separator());
+                out.push(separator);
+                if format.space_after {
+                    out.push(b' ');
+                }
             }
             let (value, after) = rest.split_at(column.scalar.size() as usize);
             writer.write(value, column, &mut out)?;
             rest = after;
         }
         if format.trailing_separator {
-            out.push(format.separator());
+            out.push(separator);
         }
         out.extend_from_slice(format.line_end().as_bytes());
+    }
+    if format.open_end {
+        out.truncate(out.len().saturating_sub(format.line_end().len()));
     }
     Ok(out)
 }
 
+/// The types that a column without a declared one may have: the shortest that has all its numbers is taken.
+const ANY: [Scalar; 10] = {
+    use Scalar::*;
+    [U8, I8, U16, I16, U32, I32, U64, I64, F32, F64]
+};
+
 /// The type and rule that give all these texts, and the values. Doubles of which single precision preserves
 /// every digit are stored as float32: many programs print float32 values as doubles.
 fn find_column<'a>(
-    scalar: Scalar,
+    declared: Option<Scalar>,
     texts: impl Iterator<Item = &'a str> + Clone,
 ) -> Option<(Column, Vec<u8>)> {
-    let narrow = (scalar == Scalar::F64).then_some(Scalar::F32);
-    narrow.into_iter().chain([scalar]).find_map(|scalar| {
+    let candidates = match &declared {
+        None => &ANY[..],
+        Some(Scalar::F64) => &[Scalar::F32, Scalar::F64],
+        Some(scalar) => std::slice::from_ref(scalar),
+    };
+    candidates.iter().find_map(|&scalar| {
         let mut values = Vec::new();
         texts.clone().try_for_each(|text| number::parse(text, scalar, &mut values))?;
         let pairs = texts.clone().zip(values.chunks_exact(scalar.size() as usize));
@@ -153,43 +172,72 @@ fn find_rule<'t, 'v>(
     })
 }
 
-/// The first line, including its line end; `None` if it is incomplete.
-fn first_line(bytes: &[u8]) -> Option<&str> {
-    let end = bytes.iter().position(|&b| b == b'\n')?;
-    std::str::from_utf8(&bytes[..=end]).ok()
+/// The first line, including its line end if it has one; `None` if there is none, or it is no text.
+pub(super) fn first_line(bytes: &[u8]) -> Option<&str> {
+    let end = bytes.iter().position(|&b| b == b'\n').map_or(bytes.len(), |at| at + 1);
+    std::str::from_utf8(&bytes[..end]).ok().filter(|line| !line.is_empty())
 }
 
 impl TextFormat {
     /// The format of a line, without columns.
-    fn of_line(line: &str) -> Self {
+    pub(super) fn of_line(line: &str) -> Self {
         let text = line.trim_end_matches(['\r', '\n']);
+        let separator = [Separator::Tab, Separator::Semicolon, Separator::Comma]
+            .into_iter()
+            .find(|separator| text.contains(separator.character()))
+            .unwrap_or_default();
+        let character = separator.character();
+        // What is between two numbers is of the first kind that is found.
+        let after = text.split_once(character).map_or("", |(_, after)| after);
         TextFormat {
             crlf: line.ends_with("\r\n"),
-            tab: text.contains('\t'),
-            trailing_separator: text.ends_with([' ', '\t']),
-            columns: Vec::new(),
+            separator,
+            space_after: after.starts_with(' ') && separator != Separator::Space,
+            trailing_separator: text.ends_with(character),
+            ..TextFormat::default()
         }
-    }
-
-    fn separator(&self) -> u8 {
-        if self.tab { b'\t' } else { b' ' }
     }
 
     fn line_end(&self) -> &'static str {
         if self.crlf { "\r\n" } else { "\n" }
     }
 
-    /// Takes the texts out of a line; `None`, with nothing taken, if the line is not of this format.
-    fn read_line<'a>(&self, line: &'a str, scalars: &[Scalar], tokens: &mut Vec<&'a str>) -> Option<()> {
-        let separator = char::from(self.separator());
-        let mut text = line.strip_suffix(self.line_end())?;
+    /// The texts between the separators of a line, which may lack its end; `None` if the line is not of this format.
+    pub(super) fn texts<'a>(&self, line: &'a str) -> Option<impl Iterator<Item = &'a str>> {
+        let separator = self.separator.character();
+        let mut text = line.strip_suffix(self.line_end()).unwrap_or(line);
         if self.trailing_separator {
             text = text.strip_suffix(separator)?;
         }
+        let is_spaced = self.space_after;
+        let texts = text.split(separator).enumerate();
+        // A space that is missing shows as a text that is no number.
+        Some(texts.map(move |(at, text)| match at > 0 && is_spaced {
+            true => text.strip_prefix(' ').unwrap_or(""),
+            false => text,
+        }))
+    }
+
+    /// How many columns the line has, if all of them are numbers.
+    pub(super) fn count_numbers(&self, line: &str) -> Option<usize> {
+        let mut value = Vec::new();
+        self.texts(line)?.try_fold(0, |count, text| {
+            value.clear();
+            number::parse(text, Scalar::F64, &mut value).map(|()| count + 1)
+        })
+    }
+
+    /// Takes the texts out of a line; `None`, with nothing taken, if the line is not of this format.
+    fn read_line<'a>(
+        &self,
+        line: &'a str,
+        scalars: &[Option<Scalar>],
+        tokens: &mut Vec<&'a str>,
+    ) -> Option<()> {
         let (before, mut values) = (tokens.len(), Vec::new());
         let mut scalars_left = scalars.iter();
-        let complete = text.split(separator).try_for_each(|token| {
-            number::parse(token, *scalars_left.next()?, &mut values)?;
+        let complete = self.texts(line)?.try_for_each(|token| {
+            number::parse(token, scalars_left.next()?.unwrap_or(Scalar::F64), &mut values)?;
             tokens.push(token);
             Some(())
         });
@@ -276,7 +324,9 @@ mod tests {
     #[test]
     fn what_is_not_like_the_first_line_is_suffix() {
         for (body, records, suffix) in [
-            ("1 2 3 4 5\n1 2 3 4 5", 1, "1 2 3 4 5"),
+            ("1 2 3 4 5\n1 2 3 4 5", 2, ""),
+            ("1.50 2 3 4 5\n1.5", 1, "1.5"),
+            ("1.50 2 3 4 5\n1.5 2 3 4 5", 1, "1.5 2 3 4 5"),
             ("1 2 3 4 5\n1 2 3 4\n1 2 3 4 5\n", 1, "1 2 3 4\n1 2 3 4 5\n"),
             ("1 2 3 4 5\n1 2 3 4 5 6\n", 1, "1 2 3 4 5 6\n"),
             ("1 2 3 4 5\n1 2 3 4  5\n", 1, "1 2 3 4  5\n"),
@@ -329,7 +379,7 @@ mod tests {
         let size = scalar.size();
         let records = bytes.len() / size as usize;
         let columns = vec![Column { scalar, rule }];
-        let format = TextFormat { crlf: false, tab: false, trailing_separator: false, columns };
+        let format = TextFormat { columns, ..TextFormat::default() };
         let wrapping = Wrapping::Text(format);
         let prefix = pcd("v", &size.to_string(), "F", "1", records as u64, "ascii");
         let field = Field::new("v", scalar);

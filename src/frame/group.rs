@@ -76,16 +76,24 @@ impl<'s> GroupEncoder<'s> {
     }
 }
 
-/// Micrometres by which two points may be farther apart in a text than their float32 values, between which distances
-/// are measured: each coordinate of each is up to half a unit in its last place off. None in files of other kinds.
-fn text_rounding_um(scan: &ScanFile) -> u32 {
-    if !matches!(scan.layout.wrapping, Wrapping::Text(_)) {
+/// Micrometres by which two points may be farther apart in a text or between integers than their float32 values, between
+/// which distances are measured: each coordinate of each is up to half a unit in its last place off. None in files of other
+/// kinds.
+fn file_rounding_um(scan: &ScanFile) -> u32 {
+    if !matches!(scan.layout.wrapping, Wrapping::Text(_) | Wrapping::Scaled(_)) {
         return 0;
     }
     let coordinates = scan.cloud.positions.as_flattened().iter().map(|v| v.abs()).filter(|v| v.is_finite());
     let largest = coordinates.fold(0.0, f32::max);
     let unit = f64::from(largest.next_up()) - f64::from(largest);
     (1e6 * 3f64.sqrt() * unit).ceil() as u32
+}
+
+/// Micrometres by which writing the file moves decoded points: to the nearest integers, half a step each way.
+fn step_rounding_um(scan: &ScanFile) -> u32 {
+    let Wrapping::Scaled(axes) = scan.layout.wrapping else { return 0 };
+    let half_steps = axes.map(|axis| 0.5 / axis.per_metre);
+    (1e6 * half_steps.iter().map(|half| half * half).sum::<f64>().sqrt()).ceil() as u32
 }
 
 impl<'s> StreamEncoder<'s> {
@@ -107,10 +115,11 @@ impl<'s> StreamEncoder<'s> {
         let Positions::Bounded { max_error_um, on_grid } = self.config.positions else {
             return Ok(self.encode_as(self.config, scan, original)?.0);
         };
-        let max_error_um = max_error_um.saturating_sub(text_rounding_um(&scan));
-        let positions = Positions::Bounded { max_error_um, on_grid };
-        if let Some(bound) = Bound::of(positions, self.config.intensity).filter(|_| max_error_um > 0) {
-            let config = EncoderConfig { positions, ..self.config.clone() };
+        let within = |max_error_um| Positions::Bounded { max_error_um, on_grid };
+        let of_file = max_error_um.saturating_sub(file_rounding_um(&scan));
+        let of_points = of_file.saturating_sub(step_rounding_um(&scan));
+        if let Some(bound) = Bound::of(within(of_file), self.config.intensity).filter(|_| of_points > 0) {
+            let config = EncoderConfig { positions: within(of_points), ..self.config.clone() };
             let before = self.models.clone();
             let (encoded, decoded) = self.encode_as(&config, scan.clone(), original.clone())?;
             if decoded.is_some_and(|bytes| bound.holds(&scan, &parse_like(&scan, &scan.name, bytes))) {

@@ -88,7 +88,7 @@ impl Scan {
     }
 
     /// A file, given by its name and its bytes: what it holds is told by the extension (`.bin`, `.pcd.bin`, `.pcd`,
-    /// `.ply`). A file of any other kind is a scan without points.
+    /// `.ply`, `.las`, `.csv`, `.txt`, `.xyz`, `.npy`). A file of any other kind is a scan without points.
     pub fn from_file(name: &str, bytes: Vec<u8>) -> Self {
         Scan::of_parts(files::parse(name, bytes), Stamp::default())
     }

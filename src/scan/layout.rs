@@ -68,11 +68,25 @@ pub enum Wrapping {
         /// Which of the LZF compressors wrote it.
         lzf: LzfDialect,
     },
-    /// As text, one record a line (ascii PCD and PLY).
+    /// As text, one record a line (ascii PCD and PLY, `.csv`, `.txt`, `.xyz`).
     Text(TextFormat),
     /// One after the other, the bytes of each value from the last to the first (binary big-endian PLY).
     BigEndian,
+    /// One after the other, with integers of 32 bits in place of x, y and z (LAS).
+    Scaled([Axis; 3]),
 }
+
+/// How a coordinate follows from an integer: `integer / per_metre + offset`, in double precision, then rounded to float32.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Axis {
+    /// Steps a metre; a positive number.
+    pub per_metre: f64,
+    /// The coordinate of 0, in metres; a finite number.
+    pub offset: f64,
+}
+
+/// Valid ones hold no NaN.
+impl Eq for Axis {}
 
 /// The LZF compressors that write PCD files. Their format is the same, but they find different matches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -95,6 +109,7 @@ const PLAIN: u8 = 0;
 const PCD_COMPRESSED: u8 = 1;
 const TEXT: u8 = 2;
 const BIG_ENDIAN: u8 = 3;
+const SCALED: u8 = 4;
 
 impl Layout {
     /// Number of bytes of a record; 0 if the file holds no records.
@@ -165,6 +180,13 @@ impl Layout {
         match &self.wrapping {
             Wrapping::Plain => Ok(()),
             Wrapping::PcdCompressed { .. } | Wrapping::BigEndian => check(stride > 0, "no fields"),
+            Wrapping::Scaled(axes) => {
+                let is_valid = |axis: &Axis| {
+                    axis.per_metre.is_finite() && axis.per_metre > 0.0 && axis.offset.is_finite()
+                };
+                check(self.position.is_some(), "no coordinates to scale")?;
+                check(axes.iter().all(is_valid), "a scale that is none")
+            }
             Wrapping::Text(format) => {
                 let of_fields = self
                     .fields
@@ -184,6 +206,7 @@ impl Layout {
             Wrapping::PcdCompressed { .. } => PCD_COMPRESSED,
             Wrapping::Text(_) => TEXT,
             Wrapping::BigEndian => BIG_ENDIAN,
+            Wrapping::Scaled(_) => SCALED,
         });
         write_unsigned(out, self.fields.len() as u64);
         for field in &self.fields {
@@ -200,6 +223,12 @@ impl Layout {
             Wrapping::Plain | Wrapping::BigEndian => {}
             Wrapping::PcdCompressed { lzf } => out.push(*lzf as u8),
             Wrapping::Text(format) => format.write_to(out),
+            Wrapping::Scaled(axes) => {
+                for axis in axes {
+                    out.extend(axis.per_metre.to_le_bytes());
+                    out.extend(axis.offset.to_le_bytes());
+                }
+            }
         }
     }
 
@@ -231,6 +260,7 @@ impl Layout {
                 let values = fields.iter().map(|field: &Field| u64::from(field.count)).sum();
                 Wrapping::Text(TextFormat::read_from(input, values)?)
             }
+            SCALED => Wrapping::Scaled([read_axis(input)?, read_axis(input)?, read_axis(input)?]),
             _ => return Err(Error::corrupt("record layout: unknown wrapping")),
         };
         let layout = Layout { wrapping, fields, position, intensity };
@@ -256,6 +286,14 @@ fn read_dialect(input: &mut &[u8]) -> Result<LzfDialect> {
     dialect.copied().ok_or_else(|| Error::corrupt("record layout: unknown LZF dialect"))
 }
 
+fn read_axis(input: &mut &[u8]) -> Result<Axis> {
+    let mut number = || {
+        let bytes = input.split_off(..8).and_then(|bytes| bytes.try_into().ok());
+        bytes.map(f64::from_le_bytes).ok_or_else(|| Error::corrupt("record layout: cut short"))
+    };
+    Ok(Axis { per_metre: number()?, offset: number()? })
+}
+
 fn read_byte(input: &mut &[u8]) -> Result<u8> {
     let (&byte, rest) = input.split_first().ok_or_else(|| Error::corrupt("record layout: cut short"))?;
     *input = rest;
@@ -271,7 +309,7 @@ fn read_number(input: &mut &[u8]) -> Result<u32> {
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::{Column, NumberRule};
+    use super::super::{Column, NumberRule, Separator};
     use super::*;
 
     fn kitti() -> Layout {
@@ -289,7 +327,13 @@ mod tests {
     }
 
     fn text(columns: Vec<Column>) -> Wrapping {
-        Wrapping::Text(TextFormat { crlf: true, tab: false, trailing_separator: true, columns })
+        let separator = Separator::Semicolon;
+        let format = TextFormat { crlf: true, separator, trailing_separator: true, ..TextFormat::default() };
+        Wrapping::Text(TextFormat { space_after: true, open_end: true, columns, ..format })
+    }
+
+    fn scaled(per_metre: f64, offset: f64) -> Wrapping {
+        Wrapping::Scaled([Axis { per_metre, offset }; 3])
     }
 
     fn round_trip(layout: &Layout) -> usize {
@@ -312,6 +356,8 @@ mod tests {
         round_trip(&Layout { wrapping, ..with(&[Field::padding(296)]) });
         let fields = [Field::new("time", Scalar::F64), Field::new("class\u{e9}", Scalar::U8)];
         round_trip(&Layout { wrapping: Wrapping::BigEndian, ..with(&fields) });
+        let axes = [1e3, 1e2, 0.5].map(|per_metre| Axis { per_metre, offset: -per_metre });
+        round_trip(&Layout { wrapping: Wrapping::Scaled(axes), ..kitti() });
         let shortest = NumberRule::Shortest { double: true, point_zero: false };
         let columns = vec![
             Column { scalar: Scalar::F32, rule: NumberRule::Significant(8) },
@@ -372,6 +418,12 @@ mod tests {
             Layout { fields: vec![], ..kitti() },
             Layout { wrapping: text(vec![]), ..Layout::default() },
             Layout { wrapping: Wrapping::BigEndian, ..Layout::default() },
+            Layout { wrapping: scaled(1e3, 0.0), position: None, ..kitti() },
+            Layout { wrapping: scaled(0.0, 0.0), ..kitti() },
+            Layout { wrapping: scaled(-1.0, 0.0), ..kitti() },
+            Layout { wrapping: scaled(f64::NAN, 0.0), ..kitti() },
+            Layout { wrapping: scaled(f64::INFINITY, 0.0), ..kitti() },
+            Layout { wrapping: scaled(1.0, f64::NEG_INFINITY), ..kitti() },
             Layout { wrapping: text(vec![integers; 3]), ..kitti() },
             Layout { wrapping: text(vec![integers; 4]), ..kitti() },
             Layout { wrapping: text(vec![digits; 4]), ..kitti() },

@@ -3,8 +3,8 @@
 mod layout;
 mod text_format;
 
-pub use layout::{Field, Layout, LzfDialect, MAX_NAME, MAX_STRIDE, Wrapping};
-pub use text_format::{Column, MAX_DIGITS, NumberRule, Scalar, TextFormat};
+pub use layout::{Axis, Field, Layout, LzfDialect, MAX_NAME, MAX_STRIDE, Wrapping};
+pub use text_format::{Column, MAX_DIGITS, NumberRule, Scalar, Separator, TextFormat};
 
 /// The points of one scan, in the order of the file. Every bit of every value counts:
 /// NaN payloads and the sign of zero are kept.

@@ -1,4 +1,4 @@
-//! How the numbers of a text body (ascii PCD or PLY) are written.
+//! How the numbers of a text body (ascii PCD or PLY, or columns alone) are written.
 
 use crate::ground::error::{Error, Result};
 
@@ -133,15 +133,69 @@ pub struct Column {
     pub rule: NumberRule,
 }
 
+/// What stands between two columns.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Separator {
+    /// A space.
+    #[default]
+    Space,
+    /// A tab.
+    Tab,
+    /// A comma.
+    Comma,
+    /// A semicolon.
+    Semicolon,
+}
+
+impl Separator {
+    /// Its character.
+    pub fn character(self) -> char {
+        match self {
+            Separator::Space => ' ',
+            Separator::Tab => '\t',
+            Separator::Comma => ',',
+            Separator::Semicolon => ';',
+        }
+    }
+
+    /// Its flag in the serialised form.
+    fn flag(self) -> u8 {
+        match self {
+            Separator::Space => 0,
+            Separator::Tab => TAB,
+            Separator::Comma => COMMA,
+            Separator::Semicolon => SEMICOLON,
+        }
+    }
+
+    fn from_flag(flag: u8) -> Option<Self> {
+        let all = [Separator::Space, Separator::Tab, Separator::Comma, Separator::Semicolon];
+        all.into_iter().find(|separator| separator.flag() == flag)
+    }
+}
+
+// The flags of a serialised format.
+const CRLF: u8 = 1;
+const TAB: u8 = 2;
+const TRAILING_SEPARATOR: u8 = 4;
+const COMMA: u8 = 8;
+const SEMICOLON: u8 = 16;
+const SPACE_AFTER: u8 = 32;
+const OPEN_END: u8 = 64;
+
 /// How the records of a text body are written: one a line, with separators between the columns.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TextFormat {
     /// Lines end in `\r\n` instead of `\n`.
     pub crlf: bool,
-    /// Columns are separated by a tab instead of a space.
-    pub tab: bool,
+    /// What separates columns.
+    pub separator: Separator,
+    /// A space follows each separator but one behind the last column.
+    pub space_after: bool,
     /// A separator follows the last column too.
     pub trailing_separator: bool,
+    /// The last line has no line end.
+    pub open_end: bool,
     /// The columns, in the order of the file and of the record.
     pub columns: Vec<Column>,
 }
@@ -161,8 +215,14 @@ impl TextFormat {
 
     /// One byte of flags, then two bytes for each column; the number of columns follows from the fields.
     pub(super) fn write_to(&self, out: &mut Vec<u8>) {
-        let flags = [self.crlf, self.tab, self.trailing_separator];
-        out.push(flags.iter().enumerate().map(|(bit, &set)| u8::from(set) << bit).sum());
+        let flag = |flag: u8, is_set: bool| if is_set { flag } else { 0 };
+        out.push(
+            flag(CRLF, self.crlf)
+                | self.separator.flag()
+                | flag(SPACE_AFTER, self.space_after)
+                | flag(TRAILING_SEPARATOR, self.trailing_separator)
+                | flag(OPEN_END, self.open_end),
+        );
         for column in &self.columns {
             let (rule, parameter) = column.rule.to_bytes();
             out.extend([column.scalar as u8 | rule << 4, parameter]);
@@ -174,13 +234,13 @@ impl TextFormat {
         let damaged = || Error::corrupt("record layout: text format");
         let (&flags, rest) = input.split_first().ok_or_else(damaged)?;
         *input = rest;
-        if flags > 7 {
-            return Err(damaged());
-        }
+        const OTHERS: u8 = CRLF | SPACE_AFTER | TRAILING_SEPARATOR | OPEN_END;
         let mut format = TextFormat {
-            crlf: flags & 1 != 0,
-            tab: flags & 2 != 0,
-            trailing_separator: flags & 4 != 0,
+            crlf: flags & CRLF != 0,
+            separator: Separator::from_flag(flags & !OTHERS).ok_or_else(damaged)?,
+            space_after: flags & SPACE_AFTER != 0,
+            trailing_separator: flags & TRAILING_SEPARATOR != 0,
+            open_end: flags & OPEN_END != 0,
             columns: Vec::new(),
         };
         // The list grows with the input.

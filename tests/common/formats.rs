@@ -80,6 +80,60 @@ pub fn pcd_text(points: &[[f32; 4]]) -> Vec<u8> {
     text.into_bytes()
 }
 
+/// Columns with their names, x, y, z, intensity and a ring.
+pub fn csv(points: &[[f32; 4]]) -> Vec<u8> {
+    let line = |(n, [x, y, z, i]): (usize, &[f32; 4])| format!("{x},{y},{z},{i},{}\n", n % 32);
+    ["x,y,z,intensity,ring\n".to_owned()]
+        .into_iter()
+        .chain(points.iter().enumerate().map(line))
+        .collect::<String>()
+        .into_bytes()
+}
+
+/// Columns without names, each separator of two characters, and no end of the last line.
+pub fn columns(points: &[[f32; 4]]) -> Vec<u8> {
+    let lines: Vec<_> =
+        points.iter().map(|[x, y, z, i]| format!("{x:.3}; {y:.3}; {z:.3}; {i:.2};")).collect();
+    lines.join("\r\n").into_bytes()
+}
+
+/// NumPy's array of structures, x, y, z, intensity and a ring.
+pub fn npy(points: &[[f32; 4]]) -> Vec<u8> {
+    let header = format!(
+        "{{'descr': [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('intensity', '<f4'), ('ring', '|u1')], \
+         'fortran_order': False, 'shape': ({},), }}\n",
+        points.len()
+    );
+    let mut bytes =
+        [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes()].concat();
+    bytes.extend(
+        points.iter().enumerate().flat_map(|(n, point)| [kitti(&[*point]), vec![n as u8 % 32]].concat()),
+    );
+    bytes
+}
+
+/// LAS 1.2 of point format 1, steps of a millimetre, intensities as percent.
+pub fn las(points: &[[f32; 4]]) -> Vec<u8> {
+    let mut bytes = vec![0; 227];
+    bytes[..4].copy_from_slice(b"LASF");
+    bytes[24..26].copy_from_slice(&[1, 2]);
+    bytes[94..96].copy_from_slice(&227u16.to_le_bytes());
+    bytes[96..100].copy_from_slice(&227u32.to_le_bytes());
+    bytes[104..107].copy_from_slice(&[1, 28, 0]);
+    bytes[107..111].copy_from_slice(&(points.len() as u32).to_le_bytes());
+    for axis in [131, 139, 147] {
+        bytes[axis..axis + 8].copy_from_slice(&0.001f64.to_le_bytes());
+    }
+    for (n, [x, y, z, i]) in points.iter().enumerate() {
+        let steps = [x, y, z].map(|v| (f64::from(*v) * 1000.0).round() as i32);
+        bytes.extend(steps.map(i32::to_le_bytes).concat());
+        bytes.extend(((i * 100.0) as u16).to_le_bytes());
+        bytes.extend([9, 0, 0, 0, 7, 0]);
+        bytes.extend((1.3e9 + n as f64 * 1e-5).to_le_bytes());
+    }
+    bytes
+}
+
 /// Binary PLY, x, y, z and a colour.
 pub fn ply(points: &[[f32; 4]]) -> Vec<u8> {
     let mut bytes = format!(

@@ -6,7 +6,7 @@ use lidarpc::internals::study::synth::SynthConfig;
 use proptest::prelude::*;
 
 use super::File;
-use super::formats::{kitti, nuscenes, pcd_extra, pcd_ros, pcd_text, pcd_xyz, ply};
+use super::formats::{columns, csv, kitti, las, npy, nuscenes, pcd_extra, pcd_ros, pcd_text, pcd_xyz, ply};
 use super::scans::{Points, moved, rows, scans, shuffled, small, unrounded};
 
 /// Scans to start from: two scanners, one off the millimetre grid, one off every grid.
@@ -28,10 +28,14 @@ pub enum Format {
     PcdRos,
     PcdText,
     Ply,
+    Csv,
+    Columns,
+    Npy,
+    Las,
 }
 
 impl Format {
-    pub const ALL: [Format; 7] = [
+    pub const ALL: [Format; 11] = [
         Format::Kitti,
         Format::Nuscenes,
         Format::PcdXyz,
@@ -39,6 +43,10 @@ impl Format {
         Format::PcdRos,
         Format::PcdText,
         Format::Ply,
+        Format::Csv,
+        Format::Columns,
+        Format::Npy,
+        Format::Las,
     ];
 
     pub fn write(self, points: &[[f32; 4]]) -> Vec<u8> {
@@ -50,6 +58,10 @@ impl Format {
             Format::PcdRos => pcd_ros(points),
             Format::PcdText => pcd_text(points),
             Format::Ply => ply(points),
+            Format::Csv => csv(points),
+            Format::Columns => columns(points),
+            Format::Npy => npy(points),
+            Format::Las => las(points),
         }
     }
 
@@ -59,6 +71,10 @@ impl Format {
             Format::Nuscenes => "pcd.bin",
             Format::PcdXyz | Format::PcdExtra | Format::PcdRos | Format::PcdText => "pcd",
             Format::Ply => "ply",
+            Format::Csv => "csv",
+            Format::Columns => "txt",
+            Format::Npy => "npy",
+            Format::Las => "las",
         }
     }
 }

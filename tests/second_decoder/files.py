@@ -4,8 +4,9 @@ import struct
 from fractions import Fraction
 from math import isfinite, isnan
 
-from layout import BIG_ENDIAN, F32, FIXED, INTEGER, PCD_COMPRESSED, SCIENTIFIC, SIGNIFICANT, TEXT, TYPES
-from models import f32, to_int
+from layout import BIG_ENDIAN, CRLF, F32, FIXED, INTEGER, OPEN_END, PCD_COMPRESSED, SCIENTIFIC, SEPARATOR_FLAGS
+from layout import SCALED, SEPARATORS, SIGNIFICANT, SPACE_AFTER, TEXT, TRAILING_SEPARATOR, TYPES
+from models import clamp, f32, to_int
 from scanner import float_of_bits
 
 
@@ -40,6 +41,8 @@ def wrapped(layout, records):
         return big_endian(layout, records)
     if layout.wrapping == TEXT:
         return text(layout, records)
+    if layout.wrapping == SCALED:
+        return scaled(layout, records)
     return records
 
 
@@ -50,6 +53,16 @@ def big_endian(layout, records):
         for start in range(field.offset, field.offset + field.width, size):
             for k in range(size):
                 out[start + k :: layout.stride] = records[start + size - 1 - k :: layout.stride]
+    return bytes(out)
+
+
+def scaled(layout, records):
+    out = bytearray(records)
+    for field, (per_metre, offset) in zip(layout.position, layout.axes):
+        for at in range(field.offset, len(out), layout.stride):
+            steps = (struct.unpack_from("<f", out, at)[0] - offset) * per_metre
+            steps = 0 if isnan(steps) else round(clamp(steps, -(2.0**31), 2.0**31 - 1))
+            struct.pack_into("<i", out, at, steps)
     return bytes(out)
 
 
@@ -115,11 +128,16 @@ def lzf(data, hash_bits, multiplier, inserts):
 
 
 def text(layout, records):
-    separator = "\t" if layout.flags & 2 else " "
-    end = (separator if layout.flags & 4 else "") + ("\r\n" if layout.flags & 1 else "\n")
+    separator = SEPARATORS[layout.flags & SEPARATOR_FLAGS]
+    line_end = "\r\n" if layout.flags & CRLF else "\n"
+    end = (separator if layout.flags & TRAILING_SEPARATOR else "") + line_end
+    if layout.flags & SPACE_AFTER:
+        separator += " "
     lines = []
     for values in struct.iter_unpack("<" + "".join(c[0] for c in layout.columns), records):
         lines.append(separator.join(number(v, *c) for v, c in zip(values, layout.columns)) + end)
+    if layout.flags & OPEN_END and lines:
+        lines[-1] = lines[-1].removesuffix(line_end)
     return "".join(lines).encode()
 
 

@@ -1,17 +1,22 @@
 """Section 8.1 of FORMAT.md: the serialised layout of records."""
 
 import struct
+from math import isfinite
 from unicodedata import category
 
 from container import Reader
 from errors import Refused
 
-PLAIN, PCD_COMPRESSED, TEXT, BIG_ENDIAN = range(4)
+PLAIN, PCD_COMPRESSED, TEXT, BIG_ENDIAN, SCALED = range(5)
 # By the numbers of the types, their letters in the module `struct`.
 TYPES = "bBhHiIqQfd"
 I8, U8, I16, U16, I32, U32, I64, U64, F32, F64 = range(10)
 SIZES = [struct.calcsize("<" + letter) for letter in TYPES]
 INTEGER, FIXED, SCIENTIFIC, SIGNIFICANT, SHORTEST = range(5)
+# Of a text: flags, and separators by theirs.
+CRLF, TRAILING_SEPARATOR, SPACE_AFTER, OPEN_END = 1, 4, 32, 64
+SEPARATORS = {0: " ", 2: "\t", 8: ",", 16: ";"}
+SEPARATOR_FLAGS = 2 | 8 | 16
 # Hash bits, multiplier, inserts of each dialect of LZF.
 DIALECTS = ((13, 1, 1), (16, 1, 1), (16, 5, 2))
 
@@ -74,6 +79,12 @@ class Layout:
             self.dialect = DIALECTS[dialect]
         elif self.wrapping == TEXT:
             self.read_text(reader)
+        elif self.wrapping == SCALED:
+            self.axes = [struct.unpack("<dd", reader.take(16)) for _ in range(3)]
+            if not all(isfinite(per_metre) and per_metre > 0 and isfinite(offset) for per_metre, offset in self.axes):
+                raise Refused("a scale that is none")
+            if not self.position:
+                raise Refused("no coordinates to scale")
         elif self.wrapping not in (PLAIN, BIG_ENDIAN):
             raise Refused("unknown wrapping")
         if self.wrapping != PLAIN and not self.fields:
@@ -92,7 +103,7 @@ class Layout:
     def read_text(self, reader):
         """`columns`: letter, rule and parameter of each."""
         self.flags = reader.unsigned(1)
-        if self.flags > 7:
+        if self.flags & SEPARATOR_FLAGS not in SEPARATORS or self.flags > 127:
             raise Refused("unknown flags of a text")
         self.columns = []
         for kind in (field.kind for field in self.fields for _ in range(field.count)):

@@ -4,13 +4,8 @@ use std::collections::HashSet;
 
 use byteorder::{ByteOrder, LittleEndian};
 
-use crate::files::field;
+use crate::files::field::{self, INTENSITY, POSITION};
 use crate::scan::{Field, Layout, Scalar, ScanFile};
-
-/// The name of the intensity in converted files.
-pub const INTENSITY: &str = "intensity";
-/// The names of the coordinates.
-const POSITION: [&str; 3] = ["x", "y", "z"];
 
 /// One value of a converted record.
 #[derive(Clone, Debug)]

@@ -38,6 +38,12 @@ pub fn ply(columns: &[Column], points: usize) -> String {
     format!("ply\nformat binary_little_endian 1.0\nelement vertex {points}\n{properties}end_header\n")
 }
 
+/// The names of the columns between commas.
+pub fn csv(columns: &[Column]) -> String {
+    let names: Vec<_> = columns.iter().map(|column| column.name.replace([',', ';', '"'], "_")).collect();
+    names.join(",") + "\n"
+}
+
 /// The type names of 1994, which all readers know.
 fn ply_type(scalar: Scalar) -> &'static str {
     match scalar {

@@ -4,7 +4,7 @@ use super::*;
 use crate::files::parse;
 use crate::files::tests::{floats, pcd};
 
-const FORMATS: [FileFormat; 3] = [FileFormat::Bin, FileFormat::Pcd, FileFormat::Ply];
+const FORMATS: [FileFormat; 4] = [FileFormat::Bin, FileFormat::Pcd, FileFormat::Ply, FileFormat::Npy];
 
 /// Converts a file, checks that it can be read back, and returns its text up to the body, and the body.
 fn converted(name: &str, bytes: Vec<u8>, format: FileFormat) -> (String, Vec<u8>, ScanFile) {
@@ -14,7 +14,7 @@ fn converted(name: &str, bytes: Vec<u8>, format: FileFormat) -> (String, Vec<u8>
     assert_eq!((read.records, &read.layout), (file.records, &file.layout));
     assert_eq!((&read.prefix, read.suffix.len()), (&file.prefix, 0));
     let body = bytes[file.prefix.len()..].to_vec();
-    (String::from_utf8(file.prefix.clone()).unwrap(), body, read)
+    (String::from_utf8_lossy(&file.prefix).into_owned(), body, read)
 }
 
 /// Two KITTI points with bits that floating-point arithmetic would not preserve.
@@ -44,6 +44,23 @@ fn kitti_comes_back_through_every_format() {
         let back = convert(&there, FileFormat::Bin).unwrap();
         assert_eq!((back.to_bytes().unwrap(), &back.name[..]), (kitti(), "7.bin"));
     }
+}
+
+#[test]
+fn text_has_the_fewest_digits() {
+    let header = pcd("x y z i ring t,s", "4 4 4 1 2 8", "F F F U U F", "1 1 1 1 1 1", 2, "binary");
+    let record = |x: f32, ring: u16, t: f64| {
+        [floats(&[x, 0.1, -0.0]), vec![200], ring.to_le_bytes().to_vec(), t.to_le_bytes().to_vec()].concat()
+    };
+    let file = [header, record(1e-7, 3, 0.1), record(f32::NAN, 65535, 1.3e9 + 0.25)].concat();
+    let csv = convert(&parse("a.pcd", file), FileFormat::Csv).unwrap();
+    assert_eq!(csv.name, "a.csv");
+    let text = csv.to_bytes().unwrap();
+    let expected = "x,y,z,intensity,ring,t_s\n1e-07,0.1,-0,200,3,0.1\nnan,0.1,-0,200,65535,1300000000.25\n";
+    assert_eq!(String::from_utf8(text.clone()).unwrap(), expected);
+    let read = parse("a.csv", text);
+    assert_eq!((read.records, read.cloud.positions[0]), (2, [1e-7, 0.1, -0.0]));
+    assert_eq!(read.cloud.channels[0].bytes, [3, 0, 255, 255]);
 }
 
 #[test]

@@ -1,0 +1,257 @@
+//! LAS: records of fixed size behind a header that says how long a step of their integer coordinates is.
+//!
+//! Source: ASPRS, "LAS Specification 1.4 - R15". Compressed files (LAZ) are no records.
+
+use byteorder::{ByteOrder, LittleEndian};
+
+use super::field::layout_of;
+use super::records::plain_file;
+use super::scaled;
+use crate::scan::{Axis, Field, Scalar, ScanFile, Wrapping};
+
+const MAGIC: &[u8] = b"LASF";
+/// Bytes of the header up to version 1.2; later ones are longer.
+const LEAST_HEADER: usize = 227;
+/// Version 1.4 has a number of points of 64 bits.
+const HEADER_1_4: usize = 375;
+// Where the parts of a header are.
+const HEADER_SIZE: usize = 94;
+const START: usize = 96;
+const FORMAT: usize = 104;
+const RECORD_SIZE: usize = 105;
+const OLD_COUNT: usize = 107;
+const SCALES: usize = 131;
+const OFFSETS: usize = 155;
+const COUNT: usize = 247;
+
+/// What the header says of the records.
+pub(super) struct Header {
+    /// Without x, y and z, which come first.
+    others: Vec<Field>,
+    /// Metres a step and at 0, of x, y and z.
+    scales: [[f64; 2]; 3],
+    records: u64,
+    /// Where they start.
+    start: usize,
+}
+
+impl Header {
+    /// Reads the header that `bytes` begin with; `None` if it is damaged, of a format that is not known, or if the records
+    /// are compressed.
+    pub(super) fn parse(bytes: &[u8]) -> Option<Self> {
+        let header = bytes.get(..LEAST_HEADER).filter(|header| header.starts_with(MAGIC))?;
+        let mut others = fields(header[FORMAT])?;
+        let known = 12 + others.iter().map(Field::width).sum::<usize>();
+        let size = usize::from(LittleEndian::read_u16(&header[RECORD_SIZE..]));
+        match size.checked_sub(known)? {
+            0 => {}
+            // Defined by the file.
+            more => others.push(Field::padding(more as u32)),
+        }
+        let number = |at: usize| LittleEndian::read_f64(&header[at..]);
+        let scales = [0, 8, 16].map(|axis| [number(SCALES + axis), number(OFFSETS + axis)]);
+        let new_count = match LittleEndian::read_u16(&header[HEADER_SIZE..]) as usize {
+            HEADER_1_4.. => bytes.get(COUNT..COUNT + 8).map(LittleEndian::read_u64),
+            _ => None,
+        };
+        let old_count = LittleEndian::read_u32(&header[OLD_COUNT..]).into();
+        let records = new_count.filter(|count| *count > 0).unwrap_or(old_count);
+        Some(Header { others, scales, records, start: LittleEndian::read_u32(&header[START..]) as usize })
+    }
+
+    /// How coordinates follow from the integers: as the header has it, or where float32 is too coarse for that, such as on a
+    /// map, from 0 on. Only steps of a decimal fraction of a metre: models know such grids.
+    fn axes(&self) -> Option<[[Axis; 3]; 2]> {
+        let per_metre = |scale: f64| (0..=5).map(|digits| 10f64.powi(digits)).find(|n| (1.0 / n) == scale);
+        let [x, y, z] = self.scales.map(|[scale, offset]| {
+            let per_metre = per_metre(scale).filter(|_| offset.is_finite())?;
+            Some([Axis { per_metre, offset }, Axis { per_metre, offset: 0.0 }])
+        });
+        let (x, y, z) = (x?, y?, z?);
+        Some([0, 1].map(|way| [x[way], y[way], z[way]]))
+    }
+}
+
+/// Takes a file apart. `None` if its header is none that is known.
+pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
+    let header = Header::parse(bytes)?;
+    let with = |names: [&str; 3], scalar: Scalar| {
+        let coordinates = names.map(|name| Field::new(name, scalar));
+        layout_of([&coordinates[..], &header.others].concat(), Wrapping::Plain)
+    };
+    let scaled = header.axes().into_iter().flatten().find_map(|axes| {
+        scaled::parse(with(["x", "y", "z"], Scalar::F32)?, axes, bytes, header.start, header.records)
+    });
+    // Integers without a meaning are no coordinates.
+    let plain = || {
+        let layout = with(["x_steps", "y_steps", "z_steps"], Scalar::I32)?;
+        plain_file(layout, bytes, header.start, header.records)
+    };
+    scaled.or_else(plain)
+}
+
+/// A header with another number of points. The numbers of points by return stay.
+pub(super) fn with_point_count(header: &[u8], points: usize) -> Option<Vec<u8>> {
+    Header::parse(header)?;
+    let mut header = header.to_vec();
+    if LittleEndian::read_u32(&header[OLD_COUNT..]) > 0 {
+        LittleEndian::write_u32(&mut header[OLD_COUNT..], u32::try_from(points).unwrap_or(0));
+    }
+    if usize::from(LittleEndian::read_u16(&header[HEADER_SIZE..])) >= HEADER_1_4 && header.len() >= COUNT + 8
+    {
+        LittleEndian::write_u64(&mut header[COUNT..], points as u64);
+    }
+    Some(header)
+}
+
+/// The fields of a record of this format behind its coordinates. A bit of the number says that the records are compressed.
+fn fields(format: u8) -> Option<Vec<Field>> {
+    use Scalar::{F32, F64, I8, I16, U8, U16, U32, U64};
+    let of = |fields: &[(&str, Scalar)]| -> Vec<Field> {
+        fields.iter().map(|(name, scalar)| Field::new(name, *scalar)).collect()
+    };
+    let (old, new) = (
+        [("intensity", U16), ("returns", U8), ("classification", U8), ("scan_angle", I8), ("user_data", U8)],
+        [("intensity", U16), ("returns", U8), ("flags", U8), ("classification", U8), ("user_data", U8)],
+    );
+    let (angle, source, time) = ([("scan_angle", I16)], [("point_source", U16)], [("gps_time", F64)]);
+    let colour = [("red", U16), ("green", U16), ("blue", U16)];
+    let infrared = [("infrared", U16)];
+    let wave = [("wave_descriptor", U8), ("wave_start", U64), ("wave_size", U32)];
+    let wave_of_return = [("wave_return", F32), ("wave_x", F32), ("wave_y", F32), ("wave_z", F32)];
+    let mut parts: Vec<&[(&str, Scalar)]> = match format {
+        0..=5 => vec![&old, &source],
+        6..=10 => vec![&new, &angle, &source, &time],
+        _ => return None,
+    };
+    if matches!(format, 1 | 3 | 4 | 5) {
+        parts.push(&time);
+    }
+    if matches!(format, 2 | 3 | 5 | 7 | 8 | 10) {
+        parts.push(&colour);
+    }
+    if matches!(format, 8 | 10) {
+        parts.push(&infrared);
+    }
+    if matches!(format, 4 | 5 | 9 | 10) {
+        parts.extend([&wave[..], &wave_of_return]);
+    }
+    Some(parts.into_iter().flat_map(of).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::files::tests::comes_back;
+    use crate::files::{starts_as_scan, with_point_count};
+    use crate::scan::Layout;
+
+    /// A file of version 1.2, or of 1.4 from format 6 on.
+    fn file(format: u8, scale: f64, offset: f64, records: &[Vec<u8>]) -> Vec<u8> {
+        let is_new = format >= 6;
+        let size = if is_new { HEADER_1_4 } else { LEAST_HEADER };
+        let mut header = vec![0; size + 9];
+        header[..4].copy_from_slice(MAGIC);
+        header[24..26].copy_from_slice(&[1, if is_new { 4 } else { 2 }]);
+        LittleEndian::write_u16(&mut header[HEADER_SIZE..], size as u16);
+        LittleEndian::write_u32(&mut header[START..], size as u32 + 9);
+        header[FORMAT] = format;
+        LittleEndian::write_u16(&mut header[RECORD_SIZE..], records.first().map_or(20, Vec::len) as u16);
+        match is_new {
+            true => LittleEndian::write_u64(&mut header[COUNT..], records.len() as u64),
+            false => LittleEndian::write_u32(&mut header[OLD_COUNT..], records.len() as u32),
+        }
+        for axis in [0, 8, 16] {
+            LittleEndian::write_f64(&mut header[SCALES + axis..], scale);
+            LittleEndian::write_f64(&mut header[OFFSETS + axis..], offset);
+        }
+        [header, records.concat()].concat()
+    }
+
+    /// A record that begins with these coordinates.
+    fn record(steps: [i32; 3], size: usize) -> Vec<u8> {
+        let mut record: Vec<u8> = steps.iter().flat_map(|steps| steps.to_le_bytes()).collect();
+        record.extend((0..).map(|n: u8| n % 2 * 7).take(size - 12));
+        record
+    }
+
+    #[test]
+    fn records_of_every_format_have_their_size() {
+        let sizes = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
+        for (format, size) in (0..).zip(sizes) {
+            for more in [0, 5] {
+                let records = [record([1500, -2, 0], size + more), record([-1, 7, 9_000_000], size + more)];
+                let scan = comes_back("a.las", file(format, 0.001, 0.0, &records));
+                assert_eq!((scan.records, scan.layout.stride(), scan.suffix.len()), (2, size + more, 0));
+                assert_eq!(scan.cloud.positions, [[1.5, -0.002, 0.0], [-0.001, 0.007, 9000.0]], "{format}");
+                let padding = scan.layout.fields.iter().filter(|field| field.name.is_empty()).count();
+                assert_eq!(padding, usize::from(more > 0));
+            }
+        }
+        for format in [11, 0x80, 0xff] {
+            assert!(comes_back("a.las", file(format, 0.001, 0.0, &[record([1; 3], 80)])).is_opaque());
+        }
+    }
+
+    #[test]
+    fn coordinates_are_metres_where_float32_holds_them() {
+        let axes = |layout: &Layout| match layout.wrapping {
+            Wrapping::Scaled(axes) => axes[0],
+            ref other => panic!("{other:?}"),
+        };
+        let records = [record([123_456, -1, 7], 20)];
+        let scan = comes_back("a.las", file(0, 0.01, -100.0, &records));
+        assert_eq!(
+            (axes(&scan.layout).offset, scan.cloud.positions),
+            (-100.0, vec![[1134.56, -100.01, -99.93]])
+        );
+        // On a map, from the map's corner on.
+        let scan = comes_back("a.las", file(0, 0.001, 500_000.0, &records));
+        assert_eq!((axes(&scan.layout).offset, scan.cloud.positions), (0.0, vec![[123.456, -0.001, 0.007]]));
+        // Too far away, or on another grid: integers.
+        for (steps, scale, offset) in [
+            (i32::MAX - 1, 0.001, 0.0),
+            (1 << 25 | 1, 0.001, 0.0),
+            (5, 0.005, 0.0),
+            (5, 0.0, 0.0),
+            (5, f64::NAN, 0.0),
+            (5, 0.001, f64::INFINITY),
+            (5, -0.001, 0.0),
+            (5, 1e-9, 0.0),
+        ] {
+            let scan = comes_back("a.las", file(0, scale, offset, &[record([steps, 1, 0], 20)]));
+            assert_eq!((scan.records, scan.layout.position), (1, None), "{steps} {scale} {offset}");
+            assert_eq!(scan.cloud.channel("x_steps").unwrap().bytes, steps.to_le_bytes());
+        }
+    }
+
+    #[test]
+    fn odd_files_come_back() {
+        let good = file(6, 0.001, 0.0, &[record([1, 2, 3], 30), record([4, 5, 6], 30)]);
+        assert!(starts_as_scan("a.las", &good));
+        for end in 0..good.len() {
+            let scan = comes_back("a.las", good[..end].to_vec());
+            assert_eq!(scan.records, end.saturating_sub(HEADER_1_4 + 9) / 30);
+        }
+        for (at, value) in [(RECORD_SIZE, 29), (RECORD_SIZE, 0), (START, 0xff), (COUNT + 7, 0xff), (0, b'M')]
+        {
+            let mut bytes = good.clone();
+            bytes[at] = value;
+            comes_back("a.las", bytes);
+        }
+        let mut huge = good.clone();
+        huge[START..START + 4].fill(0xff);
+        assert!(comes_back("a.las", huge).is_opaque());
+        assert_eq!(comes_back("a.las", [good, vec![1; 50]].concat()).suffix, [1; 50]);
+    }
+
+    #[test]
+    fn a_header_gets_another_number_of_points() {
+        for format in [0, 6] {
+            let whole = file(format, 0.001, 0.0, &vec![record([1, 2, 3], 30); 5]);
+            let header = with_point_count(&whole[..whole.len() - 150], 3);
+            let scan = comes_back("a.las", [&header[..], &whole[whole.len() - 150..]].concat());
+            assert_eq!((scan.records, scan.suffix.len()), (3, 60));
+        }
+    }
+}

@@ -1,0 +1,452 @@
+//! Arrays of NumPy, `.npy`: of structures, whose fields are those of the records, or tables of numbers, a row a record.
+//!
+//! Source: NumPy, `numpy.lib.format`, versions 1 to 3.
+
+use super::field::{Declared, FEWEST_COLUMNS, layout_of, names_coordinates, usual_names};
+use super::records::plain_file;
+use super::{big_endian, field};
+use crate::scan::{Field, Scalar, ScanFile, Wrapping};
+
+const MAGIC: &[u8] = b"\x93NUMPY";
+/// Longer headers are of no array of points.
+const MOST_HEADER: usize = 1 << 20;
+
+/// What the header says of the records.
+pub(super) struct Header {
+    fields: Vec<Field>,
+    /// Number of records, which may be wrong: the body decides.
+    records: u64,
+    is_big_endian: bool,
+    /// Whether the fields have names of the file's own.
+    is_named: bool,
+    /// Bytes of the header.
+    length: usize,
+}
+
+impl Header {
+    /// Reads the header that `bytes` begin with; `None` if it is damaged, or of an array that has no records as this program
+    /// knows them: column by column, of objects, of two byte orders, or a table of fewer than three columns.
+    pub(super) fn parse(bytes: &[u8]) -> Option<Self> {
+        let (version, rest) = bytes.strip_prefix(MAGIC)?.split_first_chunk::<2>()?;
+        let (start, size) = match version {
+            [1, _] => (2, usize::from(u16::from_le_bytes(*rest.first_chunk()?))),
+            [2 | 3, _] => (4, usize::try_from(u32::from_le_bytes(*rest.first_chunk()?)).ok()?),
+            _ => return None,
+        };
+        let length = MAGIC.len() + version.len() + start + size;
+        let text = rest.get(start..start + size).filter(|text| text.len() <= MOST_HEADER)?;
+        let mut text = std::str::from_utf8(text).ok()?;
+        let Literal::Dictionary(entries) = Literal::read(&mut text, 0)? else { return None };
+        let entry = |name: &str| entries.iter().find(|(key, _)| *key == name).map(|(_, value)| value);
+        let shape = entry("shape")?.numbers()?;
+        // By rows and by columns is the same for a single one.
+        if shape.len() > 1 && !matches!(entry("fortran_order")?, Literal::Word("False")) {
+            return None;
+        }
+        let mut orders = Orders::default();
+        let (fields, shape, is_named) = match entry("descr")? {
+            Literal::Text(kind) => {
+                let (columns, shape) = shape.split_last().filter(|(_, rows)| !rows.is_empty())?;
+                let columns = usize::try_from(*columns)
+                    .ok()
+                    .filter(|count| (FEWEST_COLUMNS..1 << 16).contains(count))?;
+                let kind = orders.kind(kind)?;
+                let names = usual_names(columns);
+                (names.iter().map(|name| kind.field(name, 1)).collect::<Option<Vec<_>>>()?, shape, false)
+            }
+            Literal::Sequence(parts) => {
+                let fields = parts.iter().map(|part| orders.field(part)).collect::<Option<Vec<_>>>()?;
+                (fields, &shape[..], true)
+            }
+            _ => return None,
+        };
+        let records = shape.iter().try_fold(1u64, |product, count| product.checked_mul(*count))?;
+        let is_big_endian = orders.is_big_endian()?;
+        Some(Header { fields, records, is_big_endian, is_named, length })
+    }
+
+    /// Whether the array looks like points where it stands in a folder and nobody has named it: it names coordinates, or
+    /// has many rows of a few fractions.
+    pub(super) fn looks_like_points(&self) -> bool {
+        const FEWEST_ROWS: u64 = 100;
+        const MOST_COLUMNS: usize = 11;
+        match self.is_named {
+            true => names_coordinates(self.fields.iter().map(|field| &field.name[..])),
+            false => {
+                self.records >= FEWEST_ROWS
+                    && self.fields.len() <= MOST_COLUMNS
+                    && self.fields.iter().all(|field| field.scalar.is_float())
+            }
+        }
+    }
+}
+
+/// Takes a file apart. `None` if the header is none that is known.
+pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
+    let header = Header::parse(bytes)?;
+    let layout = layout_of(header.fields, Wrapping::Plain)?;
+    match header.is_big_endian {
+        false => plain_file(layout, bytes, header.length, header.records),
+        true => big_endian::parse(layout, bytes, header.length, header.records),
+    }
+}
+
+/// A header with another number of points, in as many bytes; `None` if it is none, or has no room.
+pub(super) fn with_point_count(header: &[u8], points: usize) -> Option<Vec<u8>> {
+    let known = Header::parse(header)?;
+    let text = header.get(..known.length)?;
+    let find = |what: &[u8], from: usize| {
+        Some(from + text.get(from..)?.windows(what.len()).position(|part| part == what)?)
+    };
+    let start = find(b"(", find(b"'shape':", 0)?)?;
+    let end = find(b")", start)? + 1;
+    let shape = match known.is_named {
+        true => format!("({points},)"),
+        false => format!("({points}, {})", known.fields.len()),
+    };
+    let padding = (end - start).checked_sub(shape.len())?;
+    let line_end = known.length - 1;
+    let spaces = vec![b' '; padding];
+    Some([&text[..start], shape.as_bytes(), &text[end..line_end], &spaces, &text[line_end..]].concat())
+}
+
+/// The header of a table of structures with these fields, of one value each.
+pub(super) fn header(fields: &[(&str, Scalar)], records: usize) -> Vec<u8> {
+    let kind = |scalar: Scalar| match scalar {
+        Scalar::U8 => "|u1".to_owned(),
+        Scalar::I8 => "|i1".to_owned(),
+        // `u16` becomes `<u2`.
+        other => format!("<{}{}", &other.name()[..1], other.size()),
+    };
+    let fields = fields
+        .iter()
+        .map(|(name, scalar)| format!("('{}', '{}'), ", name.replace(['\'', '\\'], "_"), kind(*scalar)));
+    let text = format!(
+        "{{'descr': [{}], 'fortran_order': False, 'shape': ({records},), }}",
+        fields.collect::<String>().trim_end_matches(", ")
+    );
+    // Data begin at a multiple of 64.
+    let before = |lengths: usize| MAGIC.len() + 2 + lengths;
+    let padded = |lengths: usize| (before(lengths) + text.len() + 1).next_multiple_of(64) - before(lengths);
+    let mut out = MAGIC.to_vec();
+    let size = match u16::try_from(padded(2)) {
+        Ok(size) if text.is_ascii() => {
+            out.extend([1, 0]);
+            out.extend(size.to_le_bytes());
+            usize::from(size)
+        }
+        _ => {
+            // The second version is the first that is longer, the third the first with other letters.
+            out.extend([if text.is_ascii() { 2 } else { 3 }, 0]);
+            out.extend((padded(4) as u32).to_le_bytes());
+            padded(4)
+        }
+    };
+    let end = out.len() + size - 1;
+    out.extend(text.into_bytes());
+    out.resize(end, b' ');
+    out.push(b'\n');
+    out
+}
+
+/// The type of a value.
+#[derive(Clone, Copy)]
+struct Kind {
+    scalar: Option<Scalar>,
+    width: u32,
+}
+
+impl Kind {
+    fn field(self, name: &str, count: u32) -> Option<Field> {
+        Declared { name, scalar: self.scalar, width: self.width.checked_mul(count)? }.field()
+    }
+}
+
+/// The byte orders of the values of several bytes.
+#[derive(Default)]
+struct Orders {
+    little: bool,
+    big: bool,
+}
+
+impl Orders {
+    /// `None` if there are both.
+    fn is_big_endian(&self) -> Option<bool> {
+        (!(self.little && self.big)).then_some(self.big)
+    }
+
+    /// A type such as `<f4`. `None` if its values are elsewhere, or it is unknown.
+    fn kind(&mut self, text: &str) -> Option<Kind> {
+        let mut letters = text.chars();
+        let order = letters.next()?;
+        let letter = letters.next()?;
+        // Dates have a unit behind the size.
+        let digits = letters.as_str().split('[').next()?;
+        let size: u32 = digits.parse().ok()?;
+        let integers = |of_size: [Scalar; 4]| of_size.into_iter().find(|scalar| scalar.size() == size);
+        let scalar = match letter {
+            'f' if size == 4 => Some(Scalar::F32),
+            'f' if size == 8 => Some(Scalar::F64),
+            'i' => Some(integers([Scalar::I8, Scalar::I16, Scalar::I32, Scalar::I64])?),
+            'u' => Some(integers([Scalar::U8, Scalar::U16, Scalar::U32, Scalar::U64])?),
+            'b' if size == 1 => Some(Scalar::U8),
+            'm' | 'M' if size == 8 => Some(Scalar::I64),
+            // Bytes of no known meaning.
+            'f' | 'c' | 'S' | 'a' | 'V' => None,
+            // Characters of four bytes.
+            'U' => return Some(Kind { scalar: None, width: size.checked_mul(4)? }),
+            _ => return None,
+        };
+        match (order, scalar.filter(|scalar| scalar.size() > 1)) {
+            (_, None) => {}
+            ('<', _) => self.little = true,
+            ('>', _) => self.big = true,
+            _ => return None,
+        }
+        Some(Kind { scalar, width: size })
+    }
+
+    /// A field of a structure: its name, its type, and the shape of its values if it has several.
+    fn field(&mut self, part: &Literal) -> Option<Field> {
+        let Literal::Sequence(parts) = part else { return None };
+        let (name, kind, shape) = match &parts[..] {
+            [name, Literal::Text(kind)] => (name, kind, Vec::new()),
+            [name, Literal::Text(kind), shape] => (name, kind, shape.numbers()?),
+            _ => return None,
+        };
+        let name = match name {
+            Literal::Text(name) => *name,
+            // With a title before it.
+            Literal::Sequence(names) => match names[..] {
+                [_, Literal::Text(name)] => name,
+                _ => return None,
+            },
+            _ => return None,
+        };
+        let count = shape.iter().try_fold(1u64, |product, count| product.checked_mul(*count))?;
+        self.kind(kind)?.field(&field::with_underscores(name), u32::try_from(count).ok()?)
+    }
+}
+
+/// A literal of Python, as far as headers have them.
+#[derive(Debug)]
+enum Literal<'a> {
+    /// Without escapes.
+    Text(&'a str),
+    Number(u64),
+    /// `True`, `False` or `None`.
+    Word(&'a str),
+    /// A tuple or a list.
+    Sequence(Vec<Literal<'a>>),
+    Dictionary(Vec<(&'a str, Literal<'a>)>),
+}
+
+impl<'a> Literal<'a> {
+    /// Takes one off the front of `rest`; `depth` others are around it.
+    fn read(rest: &mut &'a str, depth: u8) -> Option<Self> {
+        /// A title of a field is in a tuple, in that of the field, in the list of all, in the dictionary.
+        const MOST_DEPTH: u8 = 4;
+        *rest = rest.trim_start();
+        let first = rest.chars().next().filter(|_| depth <= MOST_DEPTH)?;
+        let close = match first {
+            '(' => ')',
+            '[' => ']',
+            '{' => '}',
+            '\'' | '"' => {
+                let (text, after) = rest[1..].split_once(first)?;
+                *rest = after;
+                return Some(Literal::Text(text)).filter(|_| !text.contains('\\'));
+            }
+            _ => {
+                let end = rest.find(|c: char| !c.is_ascii_alphanumeric()).unwrap_or(rest.len());
+                let (word, after) = rest.split_at(end);
+                *rest = after;
+                return match word {
+                    "True" | "False" | "None" => Some(Literal::Word(word)),
+                    // Python 2 marked long ones.
+                    _ => word.strip_suffix('L').unwrap_or(word).parse().ok().map(Literal::Number),
+                };
+            }
+        };
+        *rest = &rest[1..];
+        let (mut items, mut entries) = (Vec::new(), Vec::new());
+        loop {
+            *rest = rest.trim_start();
+            if let Some(after) = rest.strip_prefix(close) {
+                *rest = after;
+                return Some(if first == '{' {
+                    Literal::Dictionary(entries)
+                } else {
+                    Literal::Sequence(items)
+                });
+            }
+            let item = Literal::read(rest, depth + 1)?;
+            *rest = rest.trim_start();
+            match item {
+                Literal::Text(key) if first == '{' => {
+                    *rest = rest.strip_prefix(':')?;
+                    entries.push((key, Literal::read(rest, depth + 1)?));
+                    *rest = rest.trim_start();
+                }
+                _ if first == '{' => return None,
+                item => items.push(item),
+            }
+            match rest.strip_prefix(',') {
+                Some(after) => *rest = after,
+                None if rest.starts_with(close) => {}
+                None => return None,
+            }
+        }
+    }
+
+    /// The numbers of a sequence, or the number itself.
+    fn numbers(&self) -> Option<Vec<u64>> {
+        match self {
+            Literal::Number(number) => Some(vec![*number]),
+            Literal::Sequence(items) => items.iter().map(|item| Some(*item.numbers()?.first()?)).collect(),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::files::tests::{comes_back, floats};
+    use crate::files::{starts_as_scan, starts_as_scan_of_folder};
+
+    /// An array of version 1.
+    fn array(descr: &str, order: &str, shape: &str, body: &[u8]) -> Vec<u8> {
+        let text = format!("{{'descr': {descr}, 'fortran_order': {order}, 'shape': {shape}, }}\n");
+        [MAGIC, &[1, 0], &(text.len() as u16).to_le_bytes(), text.as_bytes(), body].concat()
+    }
+
+    #[test]
+    fn tables_are_records_of_floats() {
+        let body = floats(&[1.0, 2.0, 3.0, 0.5, 9.0, -1.0, -0.0, f32::NAN, 0.25, 8.0]);
+        let scan = comes_back("a.npy", array("'<f4'", "False", "(2, 5)", &body));
+        assert_eq!(
+            (scan.records, scan.layout.position, scan.layout.intensity),
+            (2, Some([0, 1, 2]), Some(3))
+        );
+        assert_eq!(scan.layout.fields[4].name, "column_5");
+        // An organised one, cut short, and one with bytes behind it.
+        let scan = comes_back("a.npy", array("'<f4'", "False", "(64L, 1024, 5)", &body));
+        assert_eq!((scan.records, scan.suffix.len()), (2, 0));
+        let scan = comes_back("a.npy", array("'<f4'", "False", "(1, 5)", &body));
+        assert_eq!((scan.records, scan.suffix.len()), (1, 20));
+        let big: Vec<u8> = body.chunks(4).flat_map(|value| value.iter().rev()).copied().collect();
+        let scan = comes_back("a.npy", array("'>f4'", "False", "(2, 5)", &big));
+        assert_eq!((scan.layout.wrapping, scan.cloud.positions[0]), (Wrapping::BigEndian, [1.0, 2.0, 3.0]));
+        let scan = comes_back("a.npy", array("'<f8'", "False", "(1, 3)", &[1; 24]));
+        assert_eq!((scan.records, scan.layout.fields[0].scalar), (1, Scalar::F64));
+        let mut second = array("'<f4'", "False", "(2, 5)", &body);
+        second[6] = 2;
+        second.splice(10..10, [0, 0]);
+        assert_eq!(comes_back("a.npy", second).records, 2);
+    }
+
+    #[test]
+    fn structures_have_their_fields() {
+        let descr = "[('x', '<f4'), ('y', '<f4'), (('height', 'z'), '<f4'), ('laser id', '|u1'), ('', '|V3'), ('t', '<M8[ns]'), \
+                     (\"n\", '<i2', (2,)), ('name', '<U2'), ('half', '<f2'), ('ok', '|b1')]";
+        let body = vec![3; 2 * (12 + 1 + 3 + 8 + 4 + 8 + 2 + 1)];
+        let scan = comes_back("a.npy", array(descr, "False", "(2,)", &body));
+        let fields: Vec<_> = scan.layout.fields.iter().map(|f| (&f.name[..], f.scalar, f.count)).collect();
+        let expected = [
+            ("x", Scalar::F32, 1),
+            ("y", Scalar::F32, 1),
+            ("z", Scalar::F32, 1),
+            ("laser_id", Scalar::U8, 1),
+            ("", Scalar::U8, 3),
+            ("t", Scalar::I64, 1),
+            ("n", Scalar::I16, 2),
+            ("", Scalar::U8, 8),
+            ("", Scalar::U8, 2),
+            ("ok", Scalar::U8, 1),
+        ];
+        assert_eq!(fields, expected);
+        assert_eq!((scan.records, scan.layout.position), (2, Some([0, 1, 2])));
+        // One of no records, and a single one.
+        assert_eq!(comes_back("a.npy", array("[('x', '<f4')]", "True", "(0,)", b"")).records, 0);
+        assert_eq!(comes_back("a.npy", array("[('x', '<f4')]", "False", "()", &[0; 8])).records, 1);
+    }
+
+    #[test]
+    fn other_arrays_are_opaque() {
+        let deep = "(".repeat(60_000);
+        for (descr, order, shape) in [
+            ("'<f4'", "True", "(2, 5)"),
+            ("'<f4'", "False", "(10,)"),
+            ("'<f4'", "False", "(5, 2)"),
+            ("'<f4'", "False", "()"),
+            ("'<f4'", "False", "(2, 65536)"),
+            ("'<f4'", "False", "(4294967296, 4294967296, 4294967296, 5)"),
+            ("'|O'", "False", "(2, 5)"),
+            ("'<f3'", "False", "(2, -5)"),
+            ("'=f4'", "False", "(2, 5)"),
+            ("[('x', '<f4'), ('y', '>f4')]", "False", "(2,)"),
+            ("[('x', [('y', '<f4')])]", "False", "(2,)"),
+            ("[('x', '<f4', (4294967296,))]", "False", "(2,)"),
+            ("[('x', '|V70000')]", "False", "(2,)"),
+            ("[]", "False", "(2,)"),
+            ("'<f4", "False", "(2, 5)"),
+            (&deep, "False", "(2, 5)"),
+        ] {
+            let bytes = array(descr, order, shape, &[1; 40]);
+            assert!(comes_back("a.npy", bytes.clone()).is_opaque(), "{descr} {order} {shape}");
+        }
+        let good = array("'<f4'", "False", "(2, 5)", &[1; 40]);
+        for end in 0..good.len() - 40 {
+            assert!(comes_back("a.npy", good[..end].to_vec()).is_opaque(), "cut at {end}");
+        }
+        assert_eq!(comes_back("a.npy", good[..good.len() - 40].to_vec()).records, 0);
+    }
+
+    #[test]
+    fn a_folder_gives_arrays_that_look_like_points() {
+        for (descr, shape, is_taken) in [
+            ("'<f4'", "(100, 4)", true),
+            ("'<f8'", "(32, 1024, 3)", true),
+            ("'<f4'", "(99, 4)", false),
+            ("'<f4'", "(100, 12)", false),
+            ("'<u4'", "(100, 4)", false),
+            ("[('x', '<f4'), ('y', '<f4'), ('z', '<f4')]", "(1,)", true),
+            ("[('x', '<f4'), ('y', '<f4'), ('w', '<f4')]", "(1000,)", false),
+        ] {
+            let bytes = array(descr, "False", shape, b"");
+            assert!(starts_as_scan("a.npy", &bytes));
+            assert_eq!(starts_as_scan_of_folder("a.npy", &bytes), is_taken, "{descr} {shape}");
+        }
+    }
+
+    #[test]
+    fn a_header_gets_another_number_of_points() {
+        for (descr, shape) in
+            [("'<f4'", "(4, 3, 5)"), ("'<f4'", "(12, 5)"), ("[('x', '<f4', (5,))]", "(12L,)")]
+        {
+            let header = crate::files::with_point_count(&array(descr, "False", shape, b""), 7);
+            let scan = comes_back("a.npy", [header, vec![1; 240]].concat());
+            assert_eq!((scan.records, scan.suffix.len()), (7, 100), "{descr} {shape}");
+        }
+    }
+
+    #[test]
+    fn a_header_says_what_it_is_made_of() {
+        let fields = [("x", Scalar::F32), ("ring", Scalar::U8), ("t", Scalar::I64)];
+        let bytes = header(&fields, 3);
+        assert!(
+            bytes.starts_with(
+                b"\x93NUMPY\x01\x00v\x00{'descr': [('x', '<f4'), ('ring', '|u1'), ('t', '<i8')], "
+            )
+        );
+        assert_eq!((bytes.len(), bytes.last()), (128, Some(&b'\n')));
+        let read = Header::parse(&bytes).unwrap();
+        let fields = fields.map(|(name, scalar)| Field::new(name, scalar));
+        assert_eq!((&read.fields[..], read.records, read.length), (&fields[..], 3, 128));
+        let many: Vec<_> = (0..4000).map(|_| ("reflectivity", Scalar::U16)).collect();
+        let bytes = header(&many, 3);
+        assert_eq!((bytes[6], bytes.len() % 64), (2, 0));
+        assert_eq!(Header::parse(&bytes).unwrap().fields.len(), 4000);
+    }
+}

@@ -1,0 +1,67 @@
+//! Records whose coordinates are whole numbers of steps, as in LAS.
+
+use byteorder::{ByteOrder, LittleEndian};
+
+use super::records;
+use crate::ground::rounding::round_ties_even;
+use crate::scan::{Axis, Layout, ScanFile, Wrapping};
+
+/// Takes a file apart whose records stand one after the other from byte `start` on, at most `count` of them. x, y and z of
+/// the layout are float32 fields in the place of the integers. `None` if the layout is not valid, or if float32 values
+/// would not give all integers back.
+pub(super) fn parse(
+    layout: Layout,
+    axes: [Axis; 3],
+    bytes: &[u8],
+    start: usize,
+    count: u64,
+) -> Option<ScanFile> {
+    let layout = Layout { wrapping: Wrapping::Scaled(axes), ..layout };
+    layout.validate().ok()?;
+    let (body, stride) = (bytes.get(start..)?, layout.stride());
+    let present = body.len() / stride;
+    let count = usize::try_from(count).map_or(present, |count| count.min(present));
+    let (body, suffix) = body.split_at(count * stride);
+    let mut metres = body.to_vec();
+    to_metres(&mut metres, &layout, &axes);
+    let mut again = metres.clone();
+    to_steps(&mut again, &layout, &axes);
+    if again != body {
+        return None;
+    }
+    let (layout, cloud) = records::split(layout, &metres);
+    Some(ScanFile {
+        name: String::new(),
+        layout,
+        prefix: bytes[..start].to_vec(),
+        records: count,
+        cloud,
+        suffix: suffix.to_vec(),
+    })
+}
+
+fn to_metres(body: &mut [u8], layout: &Layout, axes: &[Axis; 3]) {
+    each(body, layout, axes, |axis, value| {
+        let metres = f64::from(LittleEndian::read_i32(value)) / axis.per_metre + axis.offset;
+        LittleEndian::write_f32(value, metres as f32);
+    });
+}
+
+/// The coordinates of whole records as the file has them.
+pub(super) fn to_steps(body: &mut [u8], layout: &Layout, axes: &[Axis; 3]) {
+    each(body, layout, axes, |axis, value| {
+        let steps = (f64::from(LittleEndian::read_f32(value)) - axis.offset) * axis.per_metre;
+        // NaN is 0.
+        let steps = round_ties_even(steps.clamp(i32::MIN.into(), i32::MAX.into())) as i32;
+        LittleEndian::write_i32(value, steps);
+    });
+}
+
+fn each(body: &mut [u8], layout: &Layout, axes: &[Axis; 3], change: impl Fn(&Axis, &mut [u8])) {
+    let Some(offsets) = layout.position_offsets() else { return };
+    for record in body.chunks_exact_mut(layout.stride().max(1)) {
+        for (at, axis) in offsets.into_iter().zip(axes) {
+            change(axis, &mut record[at..at + 4]);
+        }
+    }
+}
