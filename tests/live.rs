@@ -62,6 +62,74 @@ fn a_group_is_written_before_the_next_frame_arrives() {
     assert!(child.wait().unwrap().success());
 }
 
+/// The next message of a program, from its line and its size.
+fn message(from: &mut impl Read) -> File {
+    let mut line = Vec::new();
+    while line.last() != Some(&b'\n') {
+        assert_eq!(from.by_ref().take(1).read_to_end(&mut line).unwrap(), 1, "it ended at {line:?}");
+    }
+    let line = String::from_utf8(line).unwrap();
+    let (name, size) = line.trim_end().rsplit_once(' ').unwrap();
+    let mut bytes = vec![0; size.parse().unwrap()];
+    from.read_exact(&mut bytes).unwrap();
+    (name.to_owned(), bytes)
+}
+
+#[test]
+fn messages_come_and_go_one_by_one() {
+    let files = [&files(4)[..], &[("odd name.txt".to_owned(), b"no points".to_vec())]].concat();
+    let mut coders = ["encode", "decode"].map(|command| {
+        let mut child = program(&[command, "-", "-o", "-", "--messages", "--quiet"]);
+        let (stdin, stdout) = (child.stdin.take().unwrap(), child.stdout.take().unwrap());
+        (child, stdin, stdout)
+    });
+    // The pipes stay open: were a message held back, this would wait for ever.
+    let mut payloads = Vec::new();
+    for file in &files {
+        let mut sent = file.clone();
+        for (_, stdin, stdout) in &mut coders {
+            stdin.write_all(&framed(&sent)).unwrap();
+            stdin.flush().unwrap();
+            sent = message(stdout);
+            payloads.push(sent.clone());
+        }
+        assert_eq!(sent, *file);
+    }
+    for (mut child, stdin, _) in coders {
+        drop(stdin);
+        assert!(child.wait().unwrap().success());
+    }
+    // Each decodes by itself, with the scanner that was found in the first.
+    for (payload, file) in payloads.iter().step_by(2).zip(&files) {
+        assert_eq!(decode_files(&payload.1).unwrap(), std::slice::from_ref(file));
+        let mut reader = StreamReader::open(&payload.1[..], Limits::default()).unwrap();
+        assert!(matches!(reader.next_record().unwrap(), Some(Record::Scanner(_))));
+    }
+    // From a file into a folder.
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    fs::write(path("messages"), payloads.iter().step_by(2).map(framed).collect::<Vec<_>>().concat()).unwrap();
+    let child = program(&["decode", &path("messages"), "-o", &path("out"), "--messages"]);
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && said.starts_with("5 messages: "), "{said}");
+    for (name, bytes) in &files {
+        assert_eq!(&fs::read(folder.path().join("out").join(name)).unwrap(), bytes);
+    }
+    // A damaged message is an error that names it.
+    let mut damaged = payloads[2].clone();
+    damaged.1[30] ^= 1;
+    fs::write(path("messages"), framed(&damaged)).unwrap();
+    let child = program(&["decode", &path("messages"), "-o", &path("more"), "--messages"]);
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && said.contains("1.bin"), "{said}");
+    for wrong in [["encode", "--verify"], ["decode", "--keep-going"]] {
+        let child = program(&[wrong[0], "-", "-o", "-", "--messages", wrong[1]]);
+        assert_eq!(child.wait_with_output().unwrap().status.code(), Some(2), "{wrong:?}");
+    }
+}
+
 /// What arrives of these bytes, which come one at a time.
 fn arrive(bytes: &[u8]) -> Result<Vec<File>, String> {
     struct Slow<'a>(&'a [u8]);

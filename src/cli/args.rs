@@ -157,6 +157,12 @@ pub struct EncodeArgs {
     /// Take files that are named and hold no scan, as plain bytes.
     #[arg(long, hide_short_help = true)]
     pub force_bytes: bool,
+    /// Encode each frame from stdin to a stream of its own, and write it before the next frame is read.
+    ///
+    /// Each stream follows a line of its name, a space and its size in bytes, and decodes by itself; `decode --messages` takes
+    /// them back one by one. The scanner is found in the first frame and kept.
+    #[arg(long, hide_short_help = true)]
+    pub messages: bool,
     /// Of a recording, compress only the clouds of this topic; may be given several times. Default: all.
     #[arg(long, value_name = "TOPIC", hide_short_help = true)]
     pub topic: Vec<String>,
@@ -291,6 +297,10 @@ pub struct DecodeArgs {
     /// without a name and other bytes of the files are left out.
     #[arg(long, value_enum)]
     pub format: Option<FormatArg>,
+    /// Decode what `encode --messages` writes, one by one as it comes: into the folder, or to stdout, each frame behind a line
+    /// of its name, a space and its size in bytes.
+    #[arg(long, conflicts_with_all = ["frames", "time"])]
+    pub messages: bool,
     /// Of a recording, decode only the clouds of this topic into the folder; may be given several times. Default: all.
     #[arg(long, value_name = "TOPIC")]
     pub topic: Vec<String>,

@@ -22,7 +22,7 @@ use super::input::{Input, check_stdin_once, is_dash, name_of, open};
 use super::losses::{LossReport, Losses};
 use super::output::{FolderOutput, check_json, print_json};
 use super::time_range::TimeRange;
-use super::{progress, recording, table, tree};
+use super::{messages, progress, recording, table, tree};
 
 /// What was done, for machines.
 #[derive(Serialize)]
@@ -60,6 +60,9 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
         ..DecodeOptions::default()
     };
     let converter = Converter::new(args.format);
+    if args.messages {
+        return messages::decode(args, &options, &converter, quiet);
+    }
     if is_dash(args.output()) {
         if !others.is_empty() {
             wrong_usage("decode", "stdout takes one frame, and so a single file");
@@ -186,7 +189,7 @@ fn to_stdout(args: &DecodeArgs, path: &Path, options: &DecodeOptions, converter:
 }
 
 /// A file to write.
-enum File {
+pub enum File {
     /// As it was.
     Original(Box<DecodedFrame>),
     /// In another format.
@@ -194,7 +197,7 @@ enum File {
 }
 
 impl File {
-    fn name(&self) -> &str {
+    pub fn name(&self) -> &str {
         match self {
             File::Original(frame) => &frame.header.name,
             File::Converted(scan) => &scan.name,
@@ -202,7 +205,7 @@ impl File {
     }
 
     /// Gives its bytes, piece by piece.
-    fn write(&self, give: &mut Give<'_>) -> crate::ground::error::Result<()> {
+    pub fn write(&self, give: &mut Give<'_>) -> crate::ground::error::Result<()> {
         match self {
             File::Original(frame) => frame.write(give),
             File::Converted(scan) => crate::files::write(scan, give),
@@ -211,7 +214,7 @@ impl File {
 }
 
 /// Makes files of frames: as they were, or in another format.
-struct Converter {
+pub struct Converter {
     format: Option<FileFormat>,
     /// The frames' own names, by those of the converted files.
     names: Mutex<HashMap<String, String>>,
@@ -224,7 +227,7 @@ impl Converter {
 
     /// # Errors
     /// If the frame cannot be converted, or another one has got the name that it would get.
-    fn file(&self, frame: DecodedFrame) -> crate::ground::error::Result<File> {
+    pub fn file(&self, frame: DecodedFrame) -> crate::ground::error::Result<File> {
         // Points that never were a file become one that says what their channels are.
         let of_points = (frame.header.stamp.unit == Unit::Points).then_some(FileFormat::Pcd);
         let is_beside = frame.header.stamp.unit == Unit::Beside;

@@ -23,7 +23,7 @@ use super::frames::{self, Found};
 use super::input::is_dash;
 use super::output::{FileOutput, check_json, name_of_output, print_json};
 use super::partial::{self, PartialOutput};
-use super::{coding, progress, recording, table, tree};
+use super::{coding, messages, progress, recording, table, tree};
 
 pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     let args = &EncodeArgs { output: Some(output_of(args)), verify: args.verify || args.rm, ..args.clone() };
@@ -49,6 +49,9 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
             "encode",
             "--rm deletes only what comes back as it was: leave out what makes the output lossy",
         );
+    }
+    if args.messages {
+        return messages::encode(args, &config, quiet);
     }
     if args.inputs.iter().any(|input| recording::is_recording(input)) {
         return recording::encode(args, &config, quiet);

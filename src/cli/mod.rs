@@ -17,6 +17,7 @@ mod input;
 mod length;
 mod losses;
 mod manual;
+mod messages;
 mod output;
 mod partial;
 mod poses;

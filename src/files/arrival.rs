@@ -29,8 +29,10 @@ pub struct ArrivedFile {
 /// with a line feed, and a tar archive has a zero byte before any line feed.
 pub struct ArrivingFrames<R> {
     source: Source<R>,
-    /// The names so far, because no decoder could write two files with one name.
-    names: HashSet<String>,
+    /// The names so far, because no decoder could write two files with one name; none if they may repeat.
+    names: Option<HashSet<String>>,
+    /// Whether there was a frame.
+    has_frames: bool,
     left_out: LeftOut,
 }
 
@@ -50,7 +52,18 @@ impl<R: Read> ArrivingFrames<R> {
     /// Starts at the first byte of the input.
     pub fn new(input: R) -> Self {
         let source = Source::New(BufReader::new(input));
-        ArrivingFrames { source, names: HashSet::new(), left_out: LeftOut::default() }
+        ArrivingFrames {
+            source,
+            names: Some(HashSet::new()),
+            has_frames: false,
+            left_out: LeftOut::default(),
+        }
+    }
+
+    /// The same, whether names repeat or not: for frames that do not become one stream.
+    #[must_use]
+    pub fn with_any_names(self) -> Self {
+        ArrivingFrames { names: None, ..self }
     }
 
     /// What the archive held besides the frames; complete after the last frame.
@@ -75,7 +88,8 @@ impl<R: Read> ArrivingFrames<R> {
             Source::New(_) | Source::Ended => None,
         };
         let Some(file) = file else { return Ok(None) };
-        if !self.names.insert(file.name.clone()) {
+        self.has_frames = true;
+        if self.names.as_mut().is_some_and(|names| !names.insert(file.name.clone())) {
             return Err(refuse(&file.name, "arrives a second time; give each frame a name of its own"));
         }
         Ok(Some(file))
@@ -83,7 +97,7 @@ impl<R: Read> ArrivingFrames<R> {
 
     /// An archive without scans is an error, as a folder without scans is.
     fn end_of_archive(&self) -> Result<Option<ArrivedFile>> {
-        if !self.names.is_empty() {
+        if self.has_frames {
             return Ok(None);
         }
         let what = match (self.left_out.0.get(&LeftOutKind::Link), self.left_out.0.values().next()) {

@@ -1,0 +1,143 @@
+//! Messages: frames that come one by one, each encoded to a stream of its own, and back. Both ways each stands behind a line of
+//! its name, a space and its size in bytes.
+
+use std::io::{self, Write};
+use std::time::Instant;
+
+use crate::files::{ArrivedFile, ArrivingFrames, collected};
+use crate::frame::EncoderConfig;
+use crate::ground::error;
+use crate::stream::encoder::encode_known;
+use crate::stream::scanner_choice::KeptScanners;
+use crate::stream::{self, DecodeOptions, FrameInput};
+use crate::study::metrics;
+use anyhow::Result;
+use serde::Serialize;
+
+use super::args::{DecodeArgs, EncodeArgs};
+use super::decode::{Converter, File};
+use super::errors::{about, wrong_usage};
+use super::frames;
+use super::input::{is_dash, name_of, open};
+use super::output::{FileOutput, FolderOutput, name_of_output, print_json};
+use super::table;
+
+/// What was done, for machines.
+#[derive(Serialize)]
+struct Report {
+    file: String,
+    messages: u64,
+    file_bytes: u64,
+    stream_bytes: u64,
+    seconds: f64,
+}
+
+/// `encode - --messages`: each frame is written before the next is read.
+pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<()> {
+    for (wrong, what) in [
+        (!args.inputs.iter().all(|input| is_dash(input)), "--messages takes frames from stdin: give `-`"),
+        (args.verify, "--verify compares a whole stream, not messages"),
+    ] {
+        if wrong {
+            wrong_usage("encode", what);
+        }
+    }
+    let start = Instant::now();
+    let mut arriving = ArrivingFrames::new(io::stdin()).with_any_names();
+    let mut output = FileOutput::binary(args.output(), args.force)?;
+    let (mut sizes, mut scanners) = (Sizes::default(), KeptScanners::default());
+    let mut writer = output.writer();
+    let encoded = arriving.by_ref().try_for_each(|file| {
+        let ArrivedFile { name, bytes } = file?;
+        sizes.messages += 1;
+        sizes.file_bytes += bytes.len() as u64;
+        let frame = FrameInput::memory(name.clone(), bytes);
+        let scanners = scanners.for_next(Some(&frame), config)?;
+        let payload = encode_known(vec![frame], &scanners, config)?;
+        sizes.stream_bytes += payload.len() as u64;
+        write_message(&mut writer, &name, &payload)
+    });
+    drop(writer);
+    encoded.map_err(|error| about(error, &name_of_output(args.output())))?;
+    frames::check_left_out(arriving.left_out(), "stdin", args.strict, quiet)?;
+    output.finish().map_err(|error| about(error, &name_of_output(args.output())))?;
+    sizes.report(args.json, quiet, name_of_output(args.output()), start)
+}
+
+/// `decode --messages`: into a folder, or to stdout as the frames came.
+pub fn decode(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, quiet: bool) -> Result<()> {
+    let [input] = &args.inputs[..] else {
+        wrong_usage("decode", "--messages takes one input");
+    };
+    if args.keep_going {
+        wrong_usage("decode", "--keep-going saves what is left of a stream, not of messages");
+    }
+    let start = Instant::now();
+    let folder = match is_dash(args.output()) {
+        true => None,
+        false => Some(FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs)),
+    };
+    let mut sizes = Sizes::default();
+    // A message has a single group.
+    let options = DecodeOptions { threads: 1, ..options.clone() };
+    let mut arriving = ArrivingFrames::new(open(input)?.reader()).with_any_names();
+    let decoded = arriving.try_for_each(|message| {
+        let ArrivedFile { name, bytes } = message?;
+        sizes.stream_bytes += bytes.len() as u64;
+        let sink = |file: File| {
+            sizes.messages += 1;
+            sizes.file_bytes += match &folder {
+                Some(folder) => folder.write(file.name(), |give| file.write(give))?,
+                None => {
+                    let whole = collected(|give| file.write(give))?;
+                    write_message(&mut io::stdout().lock(), file.name(), &whole)?;
+                    whole.len() as u64
+                }
+            };
+            Ok(())
+        };
+        stream::decode(&bytes[..], &options, |frame| converter.file(frame), sink)
+            .map_err(|error| error.at(&name))
+            .map(drop)
+    });
+    decoded.map_err(|error| about(error, &name_of(input)))?;
+    if let Some(folder) = folder {
+        folder.finish()?;
+    }
+    sizes.report(args.json, quiet, name_of(args.output()), start)
+}
+
+/// Writes a message behind its line, and sends it off.
+fn write_message(out: &mut dyn Write, name: &str, bytes: &[u8]) -> error::Result<()> {
+    writeln!(out, "{name} {}", bytes.len())?;
+    out.write_all(bytes)?;
+    Ok(out.flush()?)
+}
+
+/// Messages so far.
+#[derive(Default)]
+struct Sizes {
+    messages: u64,
+    file_bytes: u64,
+    stream_bytes: u64,
+}
+
+impl Sizes {
+    fn report(&self, json: bool, quiet: bool, file: String, start: Instant) -> Result<()> {
+        let Sizes { messages, file_bytes, stream_bytes } = *self;
+        let seconds = start.elapsed().as_secs_f64();
+        if json {
+            return print_json(&Report { file, messages, file_bytes, stream_bytes, seconds });
+        }
+        if !quiet {
+            eprintln!(
+                "{}: files of {}, streams of {} ({}) in {seconds:.1} s",
+                table::count(messages, "message"),
+                table::bytes(file_bytes),
+                table::bytes(stream_bytes),
+                table::percent(metrics::ratio(file_bytes, stream_bytes)),
+            );
+        }
+        Ok(())
+    }
+}
