@@ -802,7 +802,7 @@ fn scans_are_converted_as_asked() {
     let files: Files = files.map(|(name, bytes)| (name.to_owned(), bytes)).into();
     bench.write_files("seq", &files);
     bench.ok("encode seq -o out.lpc");
-    for format in ["pcd", "ply"] {
+    for format in ["pcd", "ply", "npy"] {
         bench.ok(&format!("decode out.lpc -o {format} --format {format}"));
         let converted = bench.files(format);
         let names = ["1", "2", "3"].map(|stem| format!("{stem}.{format}"));

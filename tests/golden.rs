@@ -13,8 +13,8 @@ use std::fs;
 use std::path::PathBuf;
 
 use common::formats::{
-    columns, csv, kitti, las, npy, nuscenes, pcd_extra, pcd_text, pcd_velodyne, pcd_xyz, ply, ply_big_endian,
-    ply_text,
+    columns, csv, kitti, las, npy, npy_doubles, nuscenes, pcd_extra, pcd_text, pcd_velodyne, pcd_xyz, ply,
+    ply_big_endian, ply_text,
 };
 use common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
 use common::streams::{at_level, with_back_end};
@@ -346,15 +346,19 @@ fn ply_files() -> Vec<File> {
 
 /// Columns of text, with separators and ends of all kinds, an array, and records with integer coordinates.
 fn table_files() -> Vec<File> {
-    let frames = scans(&small(3, 5));
+    let frames = scans(&small(3, 6));
     vec![
         ("0.csv".to_owned(), csv(&frames[0])),
         ("1.txt".to_owned(), columns(&frames[1])),
         ("2.npy".to_owned(), npy(&frames[2])),
         ("4.las".to_owned(), las(&frames[4])),
         (
+            "5.npy".to_owned(),
+            npy_doubles(&[&frames[5][..], &[[f32::NAN, -f32::NAN, f32::INFINITY, -0.0]]].concat()),
+        ),
+        (
             "3.xyz".to_owned(),
-            String::from_utf8(columns(&frames[3])).unwrap().replace("; ", "\t").into_bytes(),
+            String::from_utf8(columns(&frames[3])).unwrap().replace("; ", "\t").replace(';', "").into_bytes(),
         ),
     ]
 }

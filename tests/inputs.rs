@@ -65,6 +65,40 @@ fn what_is_left_out_is_counted_and_can_be_refused() {
 }
 
 #[test]
+fn text_is_a_scan_of_a_folder_where_it_looks_like_points() {
+    let bench = Bench::new();
+    let point = |n: f64| format!("{:.3},{:.3},{:.3}", 9.0 * (n / 9.0).cos(), 9.0 * (n / 9.0).sin(), n / 99.0);
+    let lines =
+        |line: &dyn Fn(f64) -> String| (0..200).map(|n| line(f64::from(n)) + "\n").collect::<String>();
+    let text = |name: &str, text: String| (name.to_owned(), text.into_bytes());
+    let files: Files = [
+        text("1.csv", lines(&point)),
+        text("2.txt", "X, Y, Z\n1.5, 2.5, 3.5".to_owned()),
+        text("imu.csv", lines(&|n| format!("{n}.25,{}", point(n)))),
+        text("times.txt", lines(&|n| format!("{n}"))),
+    ]
+    .into();
+    bench.write_files("seq", &files);
+    let said = bench.says("encode seq -o out.lpc --verify");
+    assert!(said.contains("2 frames: ") && said.contains("left out 2 files not known as scans"), "{said}");
+    assert!(!said.contains("plain bytes"), "{said}");
+    bench.ok("decode out.lpc -o back");
+    let scans = |files: Files| files.into_iter().filter(|(name, _)| name.starts_with(['1', '2']));
+    assert!(scans(files).eq(bench.files("back")));
+    bench.ok("encode seq -o all.lpc --all --strict");
+    bench.ok("decode all.lpc -o all");
+    assert_eq!(bench.files("all"), bench.files("seq"));
+    // Named, any table is taken, and nothing else.
+    bench.ok("encode seq/imu.csv -o imu.lpc");
+    assert!(bench.fails("encode seq/times.txt -o times.lpc", "seq/times.txt").contains("--force-bytes"));
+    // From text to text, by an array.
+    bench.ok("decode out.lpc -o arrays --format npy");
+    bench.ok("encode arrays -o arrays.lpc");
+    bench.ok("decode arrays.lpc -o texts --format csv");
+    assert_eq!(bench.files("texts")["2.csv"], b"x,y,z\n1.5,2.5,3.5\n");
+}
+
+#[test]
 #[cfg(unix)]
 fn links_pipes_and_hidden_scans_are_counted() {
     use std::os::unix::fs::symlink;

@@ -190,12 +190,17 @@ fn archives_of_all_dialects_are_read() {
         entry("drive/", b'5', b""),
         entry("drive/1.bin", b'0', &[7; 513]),
         entry("drive/readme.txt", b'0', b"no scan"),
+        entry("drive/points.csv", b'0', b"x,y,z\n1,2,3\n"),
         entry("drive/link.bin", b'2', b""),
         entry("././@LongLink", b'L', gnu.as_bytes()),
         entry("cut", b'0', b"abc"),
         END.to_vec(),
     ];
-    let expected = [("1.bin".to_owned(), vec![7; 513]), (long.clone(), b"abc".to_vec())];
+    let expected = [
+        ("1.bin".to_owned(), vec![7; 513]),
+        ("points.csv".to_owned(), b"x,y,z\n1,2,3\n".to_vec()),
+        (long.clone(), b"abc".to_vec()),
+    ];
     assert_eq!(arrive(&archive.concat()).unwrap(), expected);
     let archive = [entry("x", b'x', pax.as_bytes()), entry("cut", b'0', b"abc"), END.to_vec()].concat();
     assert_eq!(arrive(&archive).unwrap(), [(long, b"abc".to_vec())]);

@@ -32,6 +32,7 @@ mod tar;
 mod text_records;
 #[cfg(feature = "cli")]
 pub mod times;
+mod widened;
 
 #[cfg(feature = "cli")]
 pub use arrival::{ArrivedFile, ArrivingFrames};
@@ -221,6 +222,7 @@ pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Resu
             give(&pcd_compressed::write(&records::join(file)?, &file.layout, *lzf)?)?;
         }
         Wrapping::Text(format) => give(&text_records::write(&records::join(file)?, format)?)?,
+        Wrapping::Widened(fields) => give(&widened::write(&records::join(file)?, &file.layout, fields))?,
         Wrapping::Scaled(axes) => {
             let mut body = records::join(file)?;
             scaled::to_steps(&mut body, &file.layout, axes);

@@ -3,8 +3,7 @@
 //! Source: NumPy, `numpy.lib.format`, versions 1 to 3.
 
 use super::field::{Declared, FEWEST_COLUMNS, layout_of, names_coordinates, usual_names};
-use super::records::plain_file;
-use super::{big_endian, field};
+use super::{big_endian, field, widened};
 use crate::scan::{Field, Scalar, ScanFile, Wrapping};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
@@ -86,7 +85,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
     let layout = layout_of(header.fields, Wrapping::Plain)?;
     match header.is_big_endian {
-        false => plain_file(layout, bytes, header.length, header.records),
+        false => widened::parse(layout, bytes, header.length, header.records),
         true => big_endian::parse(layout, bytes, header.length, header.records),
     }
 }

@@ -3,8 +3,7 @@
 //! Source: "The PCD (Point Cloud Data) file format" (PCL documentation) and PCL's `pcd_io.cpp`.
 
 use super::field::{Declared, layout_of, next_line};
-use super::records::plain_file;
-use super::{pcd_compressed, places, text_records};
+use super::{pcd_compressed, places, text_records, widened};
 use crate::scan::{Scalar, ScanFile, Wrapping};
 
 /// The three kinds of data.
@@ -35,7 +34,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     match data {
         Data::Binary => {
             let found = places::find(&fields, bytes.get(length..)?, points).unwrap_or_else(as_declared);
-            plain_file(layout_of(found, Wrapping::Plain)?, bytes, length, points)
+            widened::parse(layout_of(found, Wrapping::Plain)?, bytes, length, points)
         }
         Data::Compressed => pcd_compressed::parse(layout_of(as_declared(), Wrapping::Plain)?, bytes, length),
         Data::Ascii => text_records::parse(&fields, bytes, length, points),

@@ -10,8 +10,7 @@ pub(super) use header::Header;
 
 use self::header::{Encoding, skip};
 use super::field::{Declared, layout_of};
-use super::records::plain_file;
-use super::{big_endian, text_records};
+use super::{big_endian, text_records, widened};
 use crate::scan::{ScanFile, Wrapping};
 
 /// The vertices as records, the header and the elements before them as `prefix`, the elements after them as
@@ -25,7 +24,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
         Some(start + skip(element, header.encoding, bytes.get(start..)?)?)
     })?;
     match header.encoding {
-        Encoding::LittleEndian => plain_file(layout, bytes, start, header.vertices),
+        Encoding::LittleEndian => widened::parse(layout, bytes, start, header.vertices),
         Encoding::BigEndian => big_endian::parse(layout, bytes, start, header.vertices),
         Encoding::Ascii => text_records::parse(&header.fields, bytes, start, header.vertices),
     }

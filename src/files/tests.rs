@@ -76,7 +76,7 @@ fn forged(wrapping: Wrapping) -> ScanFile {
     ScanFile { layout, records: 2, cloud, ..ScanFile::default() }
 }
 
-fn wrappings() -> [Wrapping; 5] {
+fn wrappings() -> [Wrapping; 6] {
     let column = Column { scalar: Scalar::F32, rule: NumberRule::Fixed(40) };
     let format = TextFormat { separator: Separator::Tab, columns: vec![column; 4], ..TextFormat::default() };
     [
@@ -85,6 +85,7 @@ fn wrappings() -> [Wrapping; 5] {
         Wrapping::Text(format),
         Wrapping::BigEndian,
         Wrapping::Scaled([Axis { per_metre: 1000.0, offset: -1.0 }; 3]),
+        Wrapping::Widened(vec![true, false, true, true]),
     ]
 }
 

@@ -74,6 +74,8 @@ pub enum Wrapping {
     BigEndian,
     /// One after the other, with integers of 32 bits in place of x, y and z (LAS).
     Scaled([Axis; 3]),
+    /// One after the other, with a double in place of each value of some float32 fields; of each field, whether it is one.
+    Widened(Vec<bool>),
 }
 
 /// How a coordinate follows from an integer: `integer / per_metre + offset`, in double precision, then rounded to float32.
@@ -110,6 +112,7 @@ const PCD_COMPRESSED: u8 = 1;
 const TEXT: u8 = 2;
 const BIG_ENDIAN: u8 = 3;
 const SCALED: u8 = 4;
+const WIDENED: u8 = 5;
 
 impl Layout {
     /// Number of bytes of a record; 0 if the file holds no records.
@@ -187,6 +190,12 @@ impl Layout {
                 check(self.position.is_some(), "no coordinates to scale")?;
                 check(axes.iter().all(is_valid), "a scale that is none")
             }
+            Wrapping::Widened(widened) => {
+                let suit = |(field, is_widened): (&Field, &bool)| !is_widened || field.scalar == Scalar::F32;
+                check(widened.len() == self.fields.len(), "widened fields that are none")?;
+                check(stride > 0, "no fields")?;
+                check(self.fields.iter().zip(widened).all(suit), "a widened field of another type")
+            }
             Wrapping::Text(format) => {
                 let of_fields = self
                     .fields
@@ -207,6 +216,7 @@ impl Layout {
             Wrapping::Text(_) => TEXT,
             Wrapping::BigEndian => BIG_ENDIAN,
             Wrapping::Scaled(_) => SCALED,
+            Wrapping::Widened(_) => WIDENED,
         });
         write_unsigned(out, self.fields.len() as u64);
         for field in &self.fields {
@@ -223,6 +233,7 @@ impl Layout {
             Wrapping::Plain | Wrapping::BigEndian => {}
             Wrapping::PcdCompressed { lzf } => out.push(*lzf as u8),
             Wrapping::Text(format) => format.write_to(out),
+            Wrapping::Widened(widened) => out.extend(widened.iter().map(|&is_widened| u8::from(is_widened))),
             Wrapping::Scaled(axes) => {
                 for axis in axes {
                     out.extend(axis.per_metre.to_le_bytes());
@@ -261,6 +272,7 @@ impl Layout {
                 Wrapping::Text(TextFormat::read_from(input, values)?)
             }
             SCALED => Wrapping::Scaled([read_axis(input)?, read_axis(input)?, read_axis(input)?]),
+            WIDENED => Wrapping::Widened(fields.iter().map(|_| read_flag(input)).collect::<Result<_>>()?),
             _ => return Err(Error::corrupt("record layout: unknown wrapping")),
         };
         let layout = Layout { wrapping, fields, position, intensity };
@@ -284,6 +296,13 @@ fn read_field(input: &mut &[u8]) -> Result<Field> {
 fn read_dialect(input: &mut &[u8]) -> Result<LzfDialect> {
     let dialect = LzfDialect::ALL.get(usize::from(read_byte(input)?));
     dialect.copied().ok_or_else(|| Error::corrupt("record layout: unknown LZF dialect"))
+}
+
+fn read_flag(input: &mut &[u8]) -> Result<bool> {
+    match read_byte(input)? {
+        flag @ 0..=1 => Ok(flag == 1),
+        _ => Err(Error::corrupt("record layout: unknown flag")),
+    }
 }
 
 fn read_axis(input: &mut &[u8]) -> Result<Axis> {
@@ -358,6 +377,7 @@ mod tests {
         round_trip(&Layout { wrapping: Wrapping::BigEndian, ..with(&fields) });
         let axes = [1e3, 1e2, 0.5].map(|per_metre| Axis { per_metre, offset: -per_metre });
         round_trip(&Layout { wrapping: Wrapping::Scaled(axes), ..kitti() });
+        round_trip(&Layout { wrapping: Wrapping::Widened(vec![true, true, true, false]), ..kitti() });
         let shortest = NumberRule::Shortest { double: true, point_zero: false };
         let columns = vec![
             Column { scalar: Scalar::F32, rule: NumberRule::Significant(8) },
@@ -419,6 +439,9 @@ mod tests {
             Layout { wrapping: text(vec![]), ..Layout::default() },
             Layout { wrapping: Wrapping::BigEndian, ..Layout::default() },
             Layout { wrapping: scaled(1e3, 0.0), position: None, ..kitti() },
+            Layout { wrapping: Wrapping::Widened(vec![true; 3]), ..kitti() },
+            Layout { wrapping: Wrapping::Widened(vec![]), ..Layout::default() },
+            Layout { wrapping: Wrapping::Widened(vec![true; 5]), ..with(&[Field::new("t", Scalar::F64)]) },
             Layout { wrapping: scaled(0.0, 0.0), ..kitti() },
             Layout { wrapping: scaled(-1.0, 0.0), ..kitti() },
             Layout { wrapping: scaled(f64::NAN, 0.0), ..kitti() },

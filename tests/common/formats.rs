@@ -112,6 +112,18 @@ pub fn npy(points: &[[f32; 4]]) -> Vec<u8> {
     bytes
 }
 
+/// NumPy's table of doubles, column_5 being more than float32 holds.
+pub fn npy_doubles(points: &[[f32; 4]]) -> Vec<u8> {
+    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 5), }}\n", points.len());
+    let mut bytes =
+        [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes()].concat();
+    for (n, point) in points.iter().enumerate() {
+        let values = point.iter().map(|value| f64::from(*value)).chain([1.3e9 + n as f64 * 1e-5]);
+        bytes.extend(values.flat_map(f64::to_le_bytes));
+    }
+    bytes
+}
+
 /// LAS 1.2 of point format 1, steps of a millimetre, intensities as percent.
 pub fn las(points: &[[f32; 4]]) -> Vec<u8> {
     let mut bytes = vec![0; 227];

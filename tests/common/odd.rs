@@ -6,7 +6,9 @@ use lidarpc::internals::study::synth::SynthConfig;
 use proptest::prelude::*;
 
 use super::File;
-use super::formats::{columns, csv, kitti, las, npy, nuscenes, pcd_extra, pcd_ros, pcd_text, pcd_xyz, ply};
+use super::formats::{
+    columns, csv, kitti, las, npy, npy_doubles, nuscenes, pcd_extra, pcd_ros, pcd_text, pcd_xyz, ply,
+};
 use super::scans::{Points, moved, rows, scans, shuffled, small, unrounded};
 
 /// Scans to start from: two scanners, one off the millimetre grid, one off every grid.
@@ -31,11 +33,12 @@ pub enum Format {
     Csv,
     Columns,
     Npy,
+    NpyDoubles,
     Las,
 }
 
 impl Format {
-    pub const ALL: [Format; 11] = [
+    pub const ALL: [Format; 12] = [
         Format::Kitti,
         Format::Nuscenes,
         Format::PcdXyz,
@@ -46,6 +49,7 @@ impl Format {
         Format::Csv,
         Format::Columns,
         Format::Npy,
+        Format::NpyDoubles,
         Format::Las,
     ];
 
@@ -61,6 +65,7 @@ impl Format {
             Format::Csv => csv(points),
             Format::Columns => columns(points),
             Format::Npy => npy(points),
+            Format::NpyDoubles => npy_doubles(points),
             Format::Las => las(points),
         }
     }
@@ -73,7 +78,7 @@ impl Format {
             Format::Ply => "ply",
             Format::Csv => "csv",
             Format::Columns => "txt",
-            Format::Npy => "npy",
+            Format::Npy | Format::NpyDoubles => "npy",
             Format::Las => "las",
         }
     }

@@ -5,7 +5,7 @@ from fractions import Fraction
 from math import isfinite, isnan
 
 from layout import BIG_ENDIAN, CRLF, F32, FIXED, INTEGER, OPEN_END, PCD_COMPRESSED, SCIENTIFIC, SEPARATOR_FLAGS
-from layout import SCALED, SEPARATORS, SIGNIFICANT, SPACE_AFTER, TEXT, TRAILING_SEPARATOR, TYPES
+from layout import SCALED, SEPARATORS, SIGNIFICANT, SPACE_AFTER, TEXT, TRAILING_SEPARATOR, TYPES, WIDENED
 from models import clamp, f32, to_int
 from scanner import float_of_bits
 
@@ -43,6 +43,8 @@ def wrapped(layout, records):
         return text(layout, records)
     if layout.wrapping == SCALED:
         return scaled(layout, records)
+    if layout.wrapping == WIDENED:
+        return widened(layout, records)
     return records
 
 
@@ -64,6 +66,26 @@ def scaled(layout, records):
             steps = 0 if isnan(steps) else round(clamp(steps, -(2.0**31), 2.0**31 - 1))
             struct.pack_into("<i", out, at, steps)
     return bytes(out)
+
+
+def widened(layout, records):
+    out = bytearray()
+    for start in range(0, len(records), layout.stride):
+        for field, is_widened in zip(layout.fields, layout.widened):
+            own = records[start + field.offset :][: field.width]
+            if is_widened:
+                own = b"".join(map(double, struct.unpack(f"<{len(own) // 4}I", own)))
+            out += own
+    return bytes(out)
+
+
+def double(bits):
+    """The bytes of the double that this float32 is."""
+    value = float_of_bits(bits)
+    if isnan(value):
+        bits = (bits >> 31) << 63 | 0x7FF << 52 | (bits & 0x7FFFFF) << 29
+        return struct.pack("<Q", bits)
+    return struct.pack("<d", value)
 
 
 def pcd_compressed(layout, records):
