@@ -12,7 +12,9 @@ use std::fs;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply};
+use common::formats::{
+    columns, csv, kitti, las, npy, npy_doubles, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply,
+};
 use common::scans::{scans, small};
 use common::streams::{KNOWN, STREAMS};
 use common::{first_files, in_package, put_together};
@@ -33,7 +35,12 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         (2, pcd_extra(points)),
         (2, pcd_text(points)),
         (3, ply(points)),
-        (4, b"text".to_vec()),
+        (4, csv(points)),
+        (4, columns(points)),
+        (5, npy(points)),
+        (5, npy_doubles(points)),
+        (6, las(points)),
+        (7, b"text".to_vec()),
     ];
     match target {
         "container" | "salvage" => {
