@@ -3,12 +3,14 @@
 mod common;
 
 use common::bound::{bounded, keeps_the_bound};
-use common::formats::{kitti, pcd_xyz};
+use common::firings::{image, made_up, moved_by_stamps, sorted, stamped};
+use common::formats::{kitti, pcd_stamped, pcd_xyz};
 use common::scans::{Points, compensated, moved, random_points, scans, shuffled, small, unrounded};
 use common::{File, decode_files, encode_files, round_trip, section_bytes};
 use lidarpc::internals::edit::{Named, cut};
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::ground::error::Limits;
+use lidarpc::internals::scanner::firings::Recipe;
 use lidarpc::internals::scanner::motion::{Compensation, undo};
 use lidarpc::internals::stream::FrameRange;
 use lidarpc::internals::stream::container::SectionKind;
@@ -134,4 +136,101 @@ fn what_was_not_moved_so_is_left_alone() {
     for (number, points) in others.iter().enumerate() {
         assert!(undo(&positions(points), true).is_none(), "scan {number}");
     }
+}
+
+/// Rotations and translations of a scan in which a scanner as good as stands.
+const STANDING: [([f64; 3], [f64; 3]); 3] = [
+    ([6e-6, -4e-6, -1.5e-5], [-1e-4, 4e-5, 8e-5]),
+    ([0.0; 3], [2e-4, -1e-4, 5e-5]),
+    ([2e-5, 1e-5, 3e-5], [0.0; 3]),
+];
+
+/// Scans by one recipe, measured and moved, in the order of arrival, with their time stamps.
+fn by_stamps(recipe: Recipe, motions: &[([f64; 3], [f64; 3])]) -> (Points, Vec<Points>, Vec<f64>) {
+    let scanner = made_up(recipe);
+    let (points, times) = stamped(&scanner, &image(&scanner, 4), 6);
+    let moved = motions
+        .iter()
+        .map(|(rotation, translation)| moved_by_stamps(&points, &times, *rotation, *translation));
+    let moved = moved.collect();
+    (points, moved, times)
+}
+
+fn stamped_files<'p>(scans: impl IntoIterator<Item = &'p Points>, times: &[f64]) -> Vec<File> {
+    (0..).zip(scans).map(|(n, points)| (format!("{n}.pcd"), pcd_stamped(points, times))).collect()
+}
+
+#[test]
+fn points_moved_by_their_time_stamps_take_little_more_than_what_was_measured() {
+    for recipe in [Recipe::Pandar64, Recipe::DoubleYAhead, Recipe::VelodyneRos] {
+        let (measured, moved, times) = by_stamps(recipe, &STANDING);
+        let before = encode_files(&stamped_files([&measured; 3], &times), &EncoderConfig::default()).len();
+        let stream = round_trip(&stamped_files(&moved, &times), &EncoderConfig::default());
+        let sections = section_bytes(&stream);
+        assert!(sections[&SectionKind::Stamped] < 600 * moved.len(), "{recipe:?}: {sections:?}");
+        assert!(
+            stream.len() < before + 800 * moved.len(),
+            "{recipe:?}: {} bytes, measured {before}",
+            stream.len()
+        );
+    }
+}
+
+#[test]
+fn what_a_sort_by_time_shuffles_takes_no_more() {
+    let (_, moved, times) = by_stamps(Recipe::Pandar64, &STANDING);
+    let before = encode_files(&stamped_files(&moved, &times), &EncoderConfig::default()).len();
+    let shuffled_by_sort: Vec<Points> = moved.iter().map(|points| sorted(points, &times)).collect();
+    let stream = round_trip(&stamped_files(&shuffled_by_sort, &times), &EncoderConfig::default());
+    assert!(section_bytes(&stream).contains_key(&SectionKind::Sorted));
+    assert!(stream.len() <= before + 16 * moved.len(), "{} bytes, unsorted {before}", stream.len());
+    // Shuffled in another way, within the packets.
+    let mut others = moved.clone();
+    for points in &mut others {
+        let mut start = 0;
+        for packet in times.chunk_by(|a, b| a == b) {
+            points[start..start + packet.len()].reverse();
+            start += packet.len();
+        }
+    }
+    let stream = round_trip(&stamped_files(&others, &times), &EncoderConfig::default());
+    assert!(!section_bytes(&stream).contains_key(&SectionKind::Sorted));
+}
+
+#[test]
+fn the_bound_holds_where_time_stamps_say_that_points_are() {
+    let (_, moved, times) = by_stamps(Recipe::Pandar64, &STANDING);
+    let files = stamped_files(&moved.iter().map(|points| sorted(points, &times)).collect::<Vec<_>>(), &times);
+    for max_error_um in [500, 20_000] {
+        let (stream, _) = keeps_the_bound(&files, &bounded(max_error_um), max_error_um);
+        assert!(section_bytes(&stream).contains_key(&SectionKind::Sorted));
+    }
+}
+
+#[test]
+fn odd_points_and_odd_time_stamps_come_back() {
+    let (_, moved, times) = by_stamps(Recipe::Pandar64, &STANDING[..1]);
+    let mut points = moved[0].clone();
+    points[5] = [f32::NAN, f32::INFINITY, f32::from_bits(0xffc0_0001), 0.0];
+    points[6] = [0.0, -0.0, 1e30, 0.5];
+    points[7] = [f32::MIN_POSITIVE / 4.0, f32::MAX, f32::MIN, 0.5];
+    points.iter_mut().skip(100).take(20).for_each(|point| point[1] += 0.25);
+    let odd = |places: &[(usize, f64)]| {
+        let mut times = times.clone();
+        places.iter().for_each(|(place, time)| times[*place] = *time);
+        times
+    };
+    let last = times.len() - 1;
+    let all_times = [
+        times.clone(),
+        odd(&[(50, f64::NAN), (60, f64::INFINITY), (70, f64::NEG_INFINITY)]),
+        odd(&[(0, -1.0)]),
+        odd(&[(last, f64::MAX), (0, f64::MIN)]),
+        vec![times[0]; times.len()],
+        times.iter().rev().copied().collect(),
+    ];
+    let files: Vec<File> =
+        (0..).zip(&all_times).map(|(n, times)| (format!("{n}.pcd"), pcd_stamped(&points, times))).collect();
+    let stream = round_trip(&files, &EncoderConfig::default());
+    assert!(section_bytes(&stream).contains_key(&SectionKind::Stamped));
 }

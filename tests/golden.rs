@@ -141,6 +141,20 @@ fn firings_files(recipe: firings::Recipe, cells: Cells) -> Vec<File> {
     named(&[points.clone(), points])
 }
 
+/// Two scans that were moved by their time stamps, and sorted by them.
+fn stamped_files() -> Vec<File> {
+    let scanner = common::firings::made_up(firings::Recipe::Pandar64);
+    let (points, times) = common::firings::stamped(&scanner, &common::firings::image(&scanner, 6), 3);
+    let file = |(number, motion): (usize, [[f64; 3]; 2])| {
+        let [rotation, translation] = motion;
+        let points = common::firings::moved_by_stamps(&points, &times, rotation, translation);
+        let points = common::firings::sorted(&points, &times);
+        (format!("{number}.pcd"), common::formats::pcd_stamped(&points, &times))
+    };
+    let motions = [[[1e-5, -2e-5, 3e-5], [1e-4, 0.0, -5e-5]], [[0.0, 1e-5, 2e-5], [1e-4, 5e-5, -5e-5]]];
+    motions.into_iter().enumerate().map(file).collect()
+}
+
 /// A scanner that does not move, seen by few beams.
 fn standing_still_files() -> Vec<File> {
     let still = SynthConfig { speed: 0.0, yaw_rate: 0.0, noise: 0.004, beams: 2, ..small(9, 3) };
@@ -237,6 +251,7 @@ fn recipes() -> Vec<Recipe> {
     );
     exact("firings-ouster", || named(&[common::firings::ouster(16, false)]), EncoderConfig::default());
     exact("firings-ouster-ros", || named(&[common::firings::ouster(16, true)]), EncoderConfig::default());
+    exact("firings-stamped", stamped_files, EncoderConfig::default());
     exact("standing-still", standing_still_files, EncoderConfig::default());
     for (level, name) in [(1, "-packed"), (6, ""), (9, "-deep")] {
         exact(&format!("firings{name}"), firing_files, at_level(level));

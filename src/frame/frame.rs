@@ -18,9 +18,9 @@ use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
 use crate::models::{Beside, OrderExceptions};
-use crate::scan::{Channel, Layout, PointCloud, ScanFile};
+use crate::scan::{Channel, Layout, PointCloud, ScanFile, sorted};
 use crate::scanner::Scanner;
-use crate::scanner::motion::{self, Compensation};
+use crate::scanner::motion::{self, Compensation, stamped};
 use crate::scanner::{Projection, REACH, RangeImage, Return, project_nearest};
 
 /// The parts of a frame, as the sections code them.
@@ -64,6 +64,8 @@ pub struct Frame {
     pub whole: Option<WholeFile>,
     /// How the points were moved after they were measured; the positions above are those before.
     pub compensation: Option<Compensation>,
+    /// The channel by which the file's records were sorted: all of the above are in the order of arrival.
+    pub sorted: Option<usize>,
     /// The original points; only while a scan is encoded.
     origin: Option<Arc<Origin>>,
     /// Positions as in the file, if they were moved; only while a scan is encoded.
@@ -113,7 +115,10 @@ impl Frame {
             ..Frame::default()
         };
         let bound = Bound::of(config.positions, config.intensity);
-        let cloud = steps.timed(Step::Conversion, || frame.undo_compensation(scan.cloud, config));
+        let cloud = steps.timed(Step::Conversion, || {
+            let cloud = if scanner.is_some() { frame.undo_sort(scan.cloud) } else { scan.cloud };
+            frame.undo_compensation(cloud, scanner, config)
+        });
         match scanner.filter(|_| !cloud.positions.is_empty()) {
             None => frame.take_strays(cloud),
             Some(scanner) if config.positions == Positions::Formula => {
@@ -161,12 +166,28 @@ impl Frame {
         self.parameters.motion = QuantisedPose::default();
     }
 
+    /// The points in the order of arrival, if they have been sorted since.
+    fn undo_sort(&mut self, cloud: PointCloud) -> PointCloud {
+        let Some((channel, cloud)) = sorted::in_order_of_arrival(&cloud) else { return cloud };
+        // Where points are left out, and those of the formula come in its order, nothing is sorted again.
+        self.sorted = (self.parameters.positions != Positions::Formula).then_some(channel);
+        cloud
+    }
+
     /// The points as they were measured, if they have been moved since.
-    fn undo_compensation(&mut self, cloud: PointCloud, config: &EncoderConfig) -> PointCloud {
-        let undone = config
-            .undoes_compensation()
-            .then(|| motion::undo(&cloud.positions, config.undoes_map()))
-            .flatten();
+    fn undo_compensation(
+        &mut self,
+        cloud: PointCloud,
+        scanner: Option<&Scanner>,
+        config: &EncoderConfig,
+    ) -> PointCloud {
+        if !config.undoes_compensation() {
+            return cloud;
+        }
+        let undone = motion::undo(&cloud.positions, config.undoes_map()).or_else(|| {
+            let (positions, stamped) = stamped::undo(&cloud, scanner?.firings()?)?;
+            Some((positions, Compensation::Stamped(stamped)))
+        });
         let Some((positions, compensation)) = undone else { return cloud };
         self.compensation = Some(compensation);
         self.moved = Some(Arc::new(cloud.positions));
@@ -301,7 +322,16 @@ impl Frame {
                 points[(found.row as usize, found.column as usize)] = Some(point);
             }
         }
-        Ok(points)
+        let Some(order) = self.file_order() else { return Ok(points) };
+        let mut places = vec![0; order.len()];
+        (0u32..).zip(order).for_each(|(place, record)| places[record as usize] = place);
+        Ok(points.map(|point| point.and_then(|record| places.get(record as usize).copied())))
+    }
+
+    /// Of each place of the file the record, if they have been sorted since they arrived.
+    fn file_order(&self) -> Option<Vec<u32>> {
+        let keys = self.channels.get(self.sorted?)?;
+        Some(sorted::file_order(keys))
     }
 
     /// What is known of the records when their channels are coded.
@@ -359,7 +389,7 @@ impl Frame {
         let measured = self.positions_in_order()?;
         let bound = Bound::of(self.parameters.positions, self.parameters.intensity);
         if let Some(compensation) = &mut self.compensation {
-            compensation.find_misses(&measured, &moved, |a, b| match &bound {
+            compensation.find_misses((&measured, &self.channels), &moved, |a, b| match &bound {
                 Some(bound) => bound.is_near(a, b),
                 None => a.map(f32::to_bits) == b.map(f32::to_bits),
             });
@@ -383,12 +413,16 @@ impl Frame {
             cloud.positions = self.positions_in_order()?;
         }
         if let Some(compensation) = &self.compensation {
-            compensation.apply(&mut cloud.positions);
+            compensation.apply(&mut cloud.positions, &self.channels);
         }
         if self.layout.intensity.is_some() {
             cloud.intensity = self.intensities_in_order()?;
         }
+        let order = self.file_order();
         cloud.channels = self.channels;
+        if let Some(order) = order {
+            cloud = cloud.select(&order);
+        }
         Ok(ScanFile {
             name: name.to_owned(),
             layout: self.layout,

@@ -44,13 +44,17 @@ pub enum SectionKind {
     World,
     /// Further returns of the cells.
     Echoes,
+    /// By which channel the records were sorted; left out if they are in the order of arrival.
+    Sorted,
+    /// How the points were moved by their time stamps; left out if they were not.
+    Stamped,
     /// Something that this program does not know, of this number, but may leave aside.
     Skippable(u8),
 }
 
 impl SectionKind {
     /// All kinds that this program knows, in the order of their numbers, the first of which is 1.
-    pub const ALL: [SectionKind; 18] = [
+    pub const ALL: [SectionKind; 20] = [
         SectionKind::File,
         SectionKind::Columns,
         SectionKind::Occupancy,
@@ -69,6 +73,8 @@ impl SectionKind {
         SectionKind::Blanks,
         SectionKind::World,
         SectionKind::Echoes,
+        SectionKind::Sorted,
+        SectionKind::Stamped,
     ];
 
     /// The kind's name in reports: lower case, one word.
@@ -92,6 +98,8 @@ impl SectionKind {
             SectionKind::Blanks => "blanks",
             SectionKind::World => "world",
             SectionKind::Echoes => "echoes",
+            SectionKind::Sorted => "sorted",
+            SectionKind::Stamped => "stamped",
             SectionKind::Skippable(_) => "skippable",
         }
     }

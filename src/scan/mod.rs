@@ -1,6 +1,7 @@
 //! A scan in memory: the points, and what is needed to restore the file byte for byte.
 
 mod layout;
+pub mod sorted;
 mod text_format;
 
 pub use layout::{Axis, Field, Layout, LzfDialect, MAX_NAME, MAX_STRIDE, Wrapping};

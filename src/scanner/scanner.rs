@@ -5,6 +5,7 @@ use std::fmt;
 
 use super::firings::{self, Firings};
 use super::hdl64::{self, Hdl64};
+use super::motion::stamped;
 use super::{Coordinates, MOST_STEPS, Projection, REACH, RangeImage, Return};
 use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
@@ -54,7 +55,8 @@ impl Scanner {
     /// most of the points. None if none explains enough of them.
     pub fn fit(sample: &[ScanFile]) -> Option<Scanner> {
         // What the first explains is in the order of firings, which is in no other family's.
-        let firings = firings::fit(sample).map(|(scanner, _)| Scanner::Firings(scanner));
+        let firings = firings::fit(sample)
+            .map(|(scanner, _)| Scanner::Firings(stamped::fit(sample, &scanner).unwrap_or(scanner)));
         firings.or_else(|| hdl64::fit(sample).map(Scanner::Hdl64))
     }
 

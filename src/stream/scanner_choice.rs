@@ -10,7 +10,7 @@ use super::source::record_of;
 use crate::frame::Positions;
 use crate::frame::settings::{Coder, EncoderConfig, ProjectionKind, resolve_threads};
 use crate::ground::error::Result;
-use crate::scan::ScanFile;
+use crate::scan::{ScanFile, sorted};
 use crate::scanner::motion;
 use crate::scanner::{self, Scanner};
 use crate::stream::container::{ScannerId, ScannerRecord, Unit};
@@ -200,12 +200,15 @@ fn sample(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile
     Ok(scans?.into_iter().flatten().collect())
 }
 
-/// A frame of the sample, as it was measured; none if it is too large.
+/// A frame of the sample, as it was measured and in the order of arrival; none if it is too large.
 fn scan_of(frame: &FrameInput, config: &EncoderConfig) -> Result<Option<ScanFile>> {
     if frame.size()? > SAMPLE_FILE_BYTES {
         return Ok(None);
     }
     let mut scan = frame.clone().into_frame(config.headerless.as_ref())?.scan;
+    if let Some((_, cloud)) = sorted::in_order_of_arrival(&scan.cloud) {
+        scan.cloud = cloud;
+    }
     let undone =
         config.undoes_compensation().then(|| motion::measured(&scan.cloud.positions, config.undoes_map()));
     if let Some(positions) = undone.flatten() {

@@ -2,6 +2,8 @@
 
 use std::f64::consts::TAU;
 
+use lidarpc::internals::scan::sorted::file_order;
+use lidarpc::internals::scan::{Channel, Field, Scalar};
 use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Origin, Recipe, Timing};
 use lidarpc::internals::scanner::{Coordinates, Echo, RangeImage, Return};
 
@@ -95,6 +97,40 @@ pub fn points(scanner: &Firings, image: &RangeImage) -> Points {
         [x, y, z, (found.steps % 100) as f32]
     };
     scanner.file_order(image).into_iter().map(point).collect()
+}
+
+/// Points with the time stamps of their packets, of so many firings each, 111 microseconds a firing.
+pub fn stamped(scanner: &Firings, image: &RangeImage, firings: u32) -> (Points, Vec<f64>) {
+    let time = |found: Return| 1.635e9 + f64::from(found.column / firings * firings) * 111e-6;
+    (points(scanner, image), scanner.file_order(image).into_iter().map(time).collect())
+}
+
+/// Moves points by a part of a motion: each by what is left of it from its time stamp to the last one. The turn is a
+/// quaternion's.
+pub fn moved_by_stamps(points: &Points, times: &[f64], rotation: [f64; 3], translation: [f64; 3]) -> Points {
+    let ends = times.iter().fold([f64::MAX, f64::MIN], |[a, b], time| [a.min(*time), b.max(*time)]);
+    let angle = rotation.iter().map(|r| r * r).sum::<f64>().sqrt();
+    let moved = |(&[x, y, z, i], time): (&[f32; 4], &f64)| {
+        let part = (ends[1] - time) / (ends[1] - ends[0]);
+        let (sin, w) = (0.5 * part * angle).sin_cos();
+        let q = rotation.map(|r| if angle > 0.0 { r / angle * sin } else { 0.0 });
+        let v = [x, y, z].map(f64::from);
+        let cross = |a: [f64; 3], b: [f64; 3]| {
+            [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+        };
+        let once = cross(q, v).map(|v| 2.0 * v);
+        let twice = cross(q, once);
+        let [x, y, z] = [0, 1, 2].map(|k| (v[k] + w * once[k] + twice[k] + part * translation[k]) as f32);
+        [x, y, z, i]
+    };
+    points.iter().zip(times).map(moved).collect()
+}
+
+/// Records as a program leaves them that sorts them by time, though they are in that order.
+pub fn sorted<T: Copy>(records: &[T], times: &[f64]) -> Vec<T> {
+    let bytes = times.iter().flat_map(|time| time.to_le_bytes()).collect();
+    let keys = Channel { field: Field::new("timestamp", Scalar::F64), bytes };
+    file_order(&keys).into_iter().map(|record| records[record as usize]).collect()
 }
 
 /// The same scanner with lasers that fire one after the other, 1.57 of 55.56 microseconds apart, and a pause.

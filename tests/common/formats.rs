@@ -52,6 +52,13 @@ pub fn pcd_ros(points: &[[f32; 4]]) -> Vec<u8> {
     bytes
 }
 
+/// PCD with a time stamp for each point.
+pub fn pcd_stamped(points: &[[f32; 4]], times: &[f64]) -> Vec<u8> {
+    pcd("x y z intensity timestamp", "4 4 4 4 8", "F F F F F", points, |n, point| {
+        [&point.map(f32::to_le_bytes).concat()[..], &times[n].to_le_bytes()].concat()
+    })
+}
+
 fn pcd(
     fields: &str,
     sizes: &str,

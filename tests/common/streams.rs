@@ -12,8 +12,8 @@ use lidarpc::internals::scanner::motion::world::{Correction, Knot, Pose, Times, 
 use lidarpc::internals::stream::container::{FrameHeader, Group, ScannerRecord, Section, SectionKind};
 use lidarpc::internals::stream::{FrameInput, Scanners, encode_known};
 
-use super::firings::{image, made_up, points, timed, with_echoes};
-use super::formats::{kitti, pcd_extra, pcd_text};
+use super::firings::{image, made_up, moved_by_stamps, points, sorted, timed, with_echoes};
+use super::formats::{kitti, pcd_extra, pcd_stamped, pcd_text};
 use super::scans::{Points, compensated, random_points, scans, small};
 use super::{File, decode_files, encode_files, put_together, take_apart};
 
@@ -55,6 +55,7 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
         coded(&no_scanner, &others, EncoderConfig::default()),
         moved(),
         moved_through_a_map(&firings[0]),
+        stamped(),
         coded(&Known::ideal(), &scanner, with_back_end(backend::LZMA)),
         // P frames, by context, as tokens and by a back-end.
         coded(beams, &still, at_level(9)),
@@ -126,6 +127,17 @@ fn moved_through_a_map(known: &Known) -> Parts {
     let decoded = decode_files(&put_together(&scanners, &groups)).expect("decodes");
     assert!(decoded == [(name, file)], "the section moves the points");
     (scanners, groups)
+}
+
+/// A scan that was corrected by time stamps, and sorted by them, which takes more points to be found too.
+fn stamped() -> Parts {
+    let scanner = made_up(Recipe::Pandar64);
+    let (mut points, times) = super::firings::stamped(&scanner, &image(&scanner, 45), 2);
+    points = moved_by_stamps(&points, &times, [2e-5, -3e-5, 4e-5], [1e-4, 2e-4, -3e-5]);
+    points[30][2] += 0.25;
+    let file = pcd_stamped(&sorted(&points, &times), &times);
+    let known = Known { scanner: Some(Scanner::Firings(scanner)), frames: Vec::new() };
+    take_apart(&known.encode(&[("0.pcd".to_owned(), file)], &EncoderConfig::default()))
 }
 
 /// A scanner that need not be looked for in scans, and small scans of it.

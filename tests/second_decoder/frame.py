@@ -1,7 +1,7 @@
 """Section 4 of FORMAT.md: a frame's sections in order, and what they make."""
 
 import struct
-from math import isnan, sqrt
+from math import inf, isfinite, isnan, sqrt
 
 import container as kinds
 import files
@@ -14,9 +14,9 @@ import world
 from back_ends import NAMES, unpacked
 from channels import Beside, Channels, packed
 from container import Reader, Unknown, crc32c
-from entropy import AdaptiveBit, Bits, IntegerModel, wrap
+from entropy import AdaptiveBit, Bits, IntegerModel, adaptive, integers, unzigzag, wrap
 from errors import NotHere, Refused
-from layout import F32, PLAIN, Field, Layout
+from layout import F32, PLAIN, TYPES, Field, Layout
 from models import TAU, f32
 from ranges import Deep, Mixed
 from residual import BACK_ENDS
@@ -155,7 +155,18 @@ class Decoder:
             positions = compensated(Reader(self.next_section(kinds.COMPENSATION)), positions)
         elif self.is_next(kinds.WORLD):
             positions = world.moved(Reader(self.next_section(kinds.WORLD)), positions)
+        elif self.is_next(kinds.STAMPED):
+            fields = list(zip(layout.channels, channels))
+            positions = moved_by_stamps(Reader(self.next_section(kinds.STAMPED)), positions, fields)
         found = files.records_of(layout, records, positions, beside.intensities, channels)
+        if self.is_next(kinds.SORTED):
+            payload = Reader(self.next_section(kinds.SORTED))
+            number = payload.varint()
+            payload.end()
+            if number >= len(channels):
+                raise Refused("no channel of the frame")
+            order, stride = in_sorted_order(channels[number], layout.channels[number].width), layout.stride
+            found = b"".join(found[record * stride : (record + 1) * stride] for record in order)
         return prefix + files.wrapped(layout, found) + suffix
 
     def points_of(self, layout, parameters, records, strays):
@@ -346,11 +357,43 @@ class Decoder:
         return self.correction.code(Bits(payload), grid, parameters.positions, formulas)
 
 
-def compensated(reader, positions):
-    """8.15."""
-    rx, ry, rz, tx, ty, tz = motion = struct.unpack("<6d", reader.take(48))
+def read_motion(reader):
+    motion = struct.unpack("<6d", reader.take(48))
     if not all(abs(v) <= most for v, most in zip(motion, [8.0] * 3 + [1e6] * 3)):
         raise Refused("a motion that is none")
+    return motion
+
+
+def mover(motion):
+    """Where a part of the motion takes a point."""
+    rx, ry, rz, tx, ty, tz = motion
+    angle = sqrt(rx * rx + ry * ry + rz * rz)
+    kx, ky, kz = (rx / angle, ry / angle, rz / angle) if angle else (0.0, 0.0, 0.0)
+
+    def moved(position, part):
+        x, y, z = map(float_of_bits, position)
+        s = part(y, x)
+        sn, cs = sin(s * angle), cos(s * angle)
+        along = (kx * x + ky * y + kz * z) * (1 - cs)
+        now = (
+            (x * cs + (ky * z - kz * y) * sn + kx * along) + s * tx,
+            (y * cs + (kz * x - kx * z) * sn + ky * along) + s * ty,
+            (z * cs + (kx * y - ky * x) * sn + kz * along) + s * tz,
+        )
+        if any(map(isnan, (x, y, z, *now))):
+            return position
+        return tuple(bits_of_float(f32(v)) for v in now)
+
+    return moved
+
+
+def put_right(position, units):
+    return tuple(from_ordered(wrap(ordered(v) + u, 64)) for v, u in zip(position, units))
+
+
+def compensated(reader, positions):
+    """8.15."""
+    moved = mover(read_motion(reader))
     misses = {}
     following = 0
     while not reader.at_end():
@@ -359,25 +402,76 @@ def compensated(reader, positions):
         following = place + 1
     if following > len(positions):
         raise Refused("a miss of a point that is none")
-    angle = sqrt(rx * rx + ry * ry + rz * rz)
-    kx, ky, kz = (rx / angle, ry / angle, rz / angle) if angle else (0.0, 0.0, 0.0)
-    moved = []
-    for place, position in enumerate(positions):
-        x, y, z = map(float_of_bits, position)
-        s = atan2(y, x) / TAU
-        sn, cs = sin(s * angle), cos(s * angle)
-        along = (kx * x + ky * y + kz * z) * (1 - cs)
-        now = (
-            (x * cs + (ky * z - kz * y) * sn + kx * along) + s * tx,
-            (y * cs + (kz * x - kx * z) * sn + ky * along) + s * ty,
-            (z * cs + (kx * y - ky * x) * sn + kz * along) + s * tz,
-        )
-        if not any(map(isnan, (x, y, z, *now))):
-            position = tuple(bits_of_float(f32(v)) for v in now)
-        if place in misses:
-            position = tuple(from_ordered(wrap(ordered(v) + u, 64)) for v, u in zip(position, misses[place]))
-        moved.append(position)
-    return moved
+    now = [moved(position, lambda y, x: atan2(y, x) / TAU) for position in positions]
+    for place, units in misses.items():
+        now[place] = put_right(now[place], units)
+    return now
+
+
+def moved_by_stamps(reader, positions, channels):
+    """8.15, by time stamps: `channels` are their fields and bytes."""
+    number, moment = reader.varint(), reader.varint()
+    if number >= len(channels) or channels[number][0].count != 1 or moment > 2:
+        raise Refused("no channel of time stamps, or an unknown moment")
+    moved = mover(read_motion(reader))
+    field, data = channels[number]
+    times = [time for (time,) in struct.iter_unpack("<" + TYPES[field.kind], data)]
+    first = min((time for time in times if isfinite(time)), default=inf)
+    since = [float(time - first) for time in times]
+    span = max((time for time in since if isfinite(time)), default=0.0)
+    bits = Bits(reader.rest())
+    is_missed, of_units = [adaptive(3), adaptive(3)], [integers(16) for _ in range(3)]
+    missed = 0
+    found = []
+    for position, time in zip(positions, since):
+        s = (time - span, time, time)[moment] / span if span else 0.0
+        if moment == 2 and span:
+            s -= 0.5
+        s = s + 0.0 if isfinite(s) else 0.0
+        position = moved(position, lambda y, x: s)
+        classes = [min(max((v >> 23 & 255) - 116, 0), 15) for v in position]
+        miss = is_missed[0 in classes][missed.bit_count()].code(bits)
+        missed = (missed * 2 + miss) % 4
+        if miss:
+            units = [unzigzag(models[e].code(bits)) for models, e in zip(of_units, classes)]
+            position = put_right(position, units)
+        found.append(position)
+    return found
+
+
+def in_sorted_order(values, width):
+    """8.21: the records by their numbers in the order of arrival."""
+    keys = [0]
+    for at in range(width, len(values), width):
+        keys.append(keys[-1] + (values[at : at + width] != values[at - width : at]))
+    a = list(range(len(keys)))
+
+    def divide(begin, end, depth):
+        while end - begin > 16 and depth > 0:
+            depth -= 1
+            p, q, r = places = begin + 1, begin + (end - begin) // 2, end - 1
+            b, c, d = (keys[a[place]] for place in places)
+            if b < c:
+                median = q if c < d else r if b < d else p
+            else:
+                median = p if b < d else r if c < d else q
+            a[begin], a[median] = a[median], a[begin]
+            key, i, j = keys[a[begin]], begin + 1, end
+            while True:
+                while keys[a[i]] < key:
+                    i += 1
+                j -= 1
+                while key < keys[a[j]]:
+                    j -= 1
+                if i >= j:
+                    break
+                a[i], a[j] = a[j], a[i]
+                i += 1
+            divide(i, end, depth)
+            end = i
+
+    divide(0, len(a), 2 * (len(a).bit_length() - 1))
+    return sorted(a, key=keys.__getitem__)
 
 
 def whole_file(reader, point_count):

@@ -17,9 +17,10 @@ use super::sections::SectionCoder;
 use super::whole::WholeFile;
 use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Result};
+use crate::ground::varint::{read_unsigned, write_unsigned};
 use crate::inter::Past;
 use crate::scanner::Scanner;
-use crate::scanner::motion::{Compensation, Turn, World};
+use crate::scanner::motion::{Compensation, Stamped, Turn, World};
 use crate::stream::container::SectionKind;
 use corrections::CorrectionModels;
 use echoes::EchoModels;
@@ -81,7 +82,8 @@ impl Models {
         self.corrections.code(s, scanner, frame)?;                                  // FORMAT 8.7, 8.16
         self.records.code_order(s, frame)?;                                         // FORMAT 8.8
         self.records.code_channels(s, scanner, frame)?;                             // FORMAT 8.9
-        code_compensation(s, frame)                                                 // FORMAT 8.15
+        code_compensation(s, frame)?;                                               // FORMAT 8.15
+        code_sorted(s, frame)                                                       // FORMAT 8.21
     }
 
     /// The frame before, if it has a range image.
@@ -113,23 +115,49 @@ fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<bo
 /// How the points were moved after they were measured.
 fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
     frame.find_misses()?;
-    let (mut of_turn, mut of_world) = (Vec::new(), Vec::new());
+    let (mut of_turn, mut of_world, mut of_stamps) = (Vec::new(), Vec::new(), Vec::new());
     match &frame.compensation {
         Some(Compensation::Turn(turn)) => turn.write_to(&mut of_turn),
         Some(Compensation::World(world)) => of_world = world.to_payload(&frame.positions_in_order()?),
+        Some(Compensation::Stamped(stamped)) => {
+            of_stamps = stamped.to_payload(&frame.positions_in_order()?, &frame.channels);
+        }
         None => {}
     }
     sections.payload(SectionKind::Compensation, &mut of_turn);
     sections.payload(SectionKind::World, &mut of_world);
-    frame.compensation = match (of_turn.is_empty(), of_world.is_empty()) {
-        (true, true) => None,
-        (false, true) => Some(Compensation::Turn(Turn::from_payload(&of_turn, frame.records)?)),
-        (true, false) => {
+    sections.payload(SectionKind::Stamped, &mut of_stamps);
+    frame.compensation = match (of_turn.is_empty(), of_world.is_empty(), of_stamps.is_empty()) {
+        (true, true, true) => None,
+        (false, true, true) => Some(Compensation::Turn(Turn::from_payload(&of_turn, frame.records)?)),
+        (true, false, true) => {
             let world = World::from_payload(&of_world, &frame.positions_in_order()?);
             Some(Compensation::World(world.map_err(|e| e.within_section(SectionKind::World))?))
         }
-        (false, false) => return Err(Error::corrupt("points that were moved twice")),
+        (true, true, false) => {
+            let measured = frame.positions_in_order()?;
+            let stamped = Stamped::from_payload(&of_stamps, &measured, &frame.channels);
+            Some(Compensation::Stamped(stamped.map_err(|e| e.within_section(SectionKind::Stamped))?))
+        }
+        _ => return Err(Error::corrupt("points that were moved twice")),
     };
+    Ok(())
+}
+
+/// By which channel the records were sorted.
+fn code_sorted<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+    const WHAT: &str = "sorted";
+    let mut payload = Vec::new();
+    frame.sorted.into_iter().for_each(|channel| write_unsigned(&mut payload, channel as u64));
+    sections.payload(SectionKind::Sorted, &mut payload);
+    if !S::ENCODES && !payload.is_empty() {
+        let mut input = &payload[..];
+        let channel = read_unsigned(&mut input, WHAT)?;
+        if channel >= frame.channels.len() as u64 || !input.is_empty() {
+            return Err(Error::corrupt("sorted: no channel of the frame"));
+        }
+        frame.sorted = Some(channel as usize);
+    }
     Ok(())
 }
 

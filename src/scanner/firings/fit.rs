@@ -11,6 +11,7 @@ use super::recipe::whole_steps;
 use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing, WHOLE};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
+use crate::scanner::motion::RigidMotion;
 use crate::scanner::{Coordinates, REACH, Return};
 
 /// Range steps that scanners have, in micrometres, coarse ones first: what lies on one lies on its parts too.
@@ -32,15 +33,45 @@ pub(super) struct Point {
     pub position: [f64; 3],
     pub range: f64,
     pub elevation: f64,
+    /// How it came to where it is in the file, if that is elsewhere.
+    pub moved: Option<Moved>,
+}
+
+/// A point that was moved after it was measured.
+#[derive(Clone, Copy, Debug)]
+pub struct Moved {
+    /// Where it was measured, as well as that is known, in metres.
+    pub measured: [f64; 3],
+    /// What moved it.
+    pub(in crate::scanner) motion: RigidMotion,
+    /// Where it is in the file.
+    pub position: [f32; 3],
 }
 
 impl Point {
     /// None for what has no direction.
-    fn new(position: &[f32; 3]) -> Option<Self> {
-        let position @ [x, y, z] = position.map(f64::from);
+    fn new(position: [f64; 3], moved: Option<Moved>) -> Option<Self> {
+        let [x, y, z] = position;
         let rho = (x * x + y * y).sqrt();
         let range = (rho * rho + z * z).sqrt();
-        (range.is_finite() && rho > 0.0).then(|| Point { position, range, elevation: libm::atan2(z, rho) })
+        (range.is_finite() && rho > 0.0).then(|| Point {
+            position,
+            range,
+            elevation: libm::atan2(z, rho),
+            moved,
+        })
+    }
+
+    /// Whether a scanner's recipe gives its coordinates in the file to the last bit, along these axes.
+    fn is_given_by(&self, scanner: &Firings, found: &Return, axes: std::ops::Range<usize>) -> bool {
+        let Some(Moved { motion, position, .. }) = &self.moved else {
+            return scanner.gives(found, &self.position, axes);
+        };
+        let mut start = self.position;
+        let formula = scanner.position(found, 0.0);
+        axes.clone().for_each(|axis| start[axis] = formula[axis]);
+        let moved = motion.moved(start);
+        axes.into_iter().all(|axis| moved[axis] as f32 == position[axis])
     }
 }
 
@@ -48,12 +79,23 @@ impl Point {
 /// the points are not those of such a scanner, firing by firing.
 pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     let scan = sample.iter().max_by_key(|scan| scan.cloud.positions.len())?;
-    let positions = &scan.cloud.positions;
-    let (numbers, points): (Vec<usize>, Vec<Point>) = positions
-        .iter()
-        .enumerate()
-        .filter_map(|(record, position)| Some((record, Point::new(position)?)))
-        .unzip();
+    let points = scan.cloud.positions.iter().map(|position| Point::new(position.map(f64::from), None));
+    fit_points(scan, points)
+}
+
+/// The same for one scan whose points were moved: these are all of them.
+pub fn fit_moved(scan: &ScanFile, moved: &[Moved]) -> Option<Firings> {
+    let positions = moved.iter().map(|point| point.measured.map(|metres| metres as f32)).collect();
+    let mut measured = scan.clone();
+    measured.cloud.positions = positions;
+    let points = moved.iter().map(|point| Point::new(point.measured, Some(*point)));
+    fit_points(&measured, points).map(|(scanner, _)| scanner)
+}
+
+/// The same, given the points that have a direction among those of the scan.
+fn fit_points(scan: &ScanFile, points: impl Iterator<Item = Option<Point>>) -> Option<(Firings, f64)> {
+    let (numbers, points): (Vec<usize>, Vec<Point>) =
+        points.enumerate().filter_map(|(record, point)| Some((record, point?))).unzip();
     let step = (points.len() / SAMPLE).max(1);
     let values: Vec<f32> =
         points.iter().step_by(step).flat_map(|point| point.position.map(|value| value as f32)).collect();
@@ -431,6 +473,8 @@ impl Constants {
         const NEAR: i32 = 4;
         /// Of the points one in so many is enough for that.
         const SPARSE: usize = 4;
+        /// Of points that were moved it is not: how many are held against more.
+        const LIKELIEST: usize = 32;
         /// Offsets that are none, in degrees.
         const NONE: f64 = 1e-5;
         let tick = 360.0 / f64::from(any.build.ticks);
@@ -471,15 +515,27 @@ impl Constants {
         }
         let fewer: Vec<Vec<Point>> =
             few.iter().map(|&row| self.of_rows[row].iter().step_by(SPARSE).copied().collect()).collect();
-        let count = |common: i32| {
+        let are_moved = fewer.iter().flatten().any(|point| point.moved.is_some());
+        let count = |common: i32, points: &[Vec<Point>]| {
             let of_row = |((&row, (laser, _)), points): ((&usize, &(Laser, usize)), &Vec<Point>)| {
-                let azimuth = ((offsets[row] + f64::from(common) * tick) / ANGLE_UNIT).round() as i64;
+                let degrees = offsets[row] + f64::from(common) * tick;
+                let azimuth =
+                    if are_moved { roundings(degrees)[0] } else { (degrees / ANGLE_UNIT).round() as i64 };
                 exact_points(any, Laser { azimuth, ..*laser }, points, 0..3)
             };
-            few.iter().zip(&found).zip(&fewer).map(of_row).sum::<usize>()
+            few.iter().zip(&found).zip(points).map(of_row).sum::<usize>()
         };
-        let best = std::iter::once(0).chain(rising(FARTHEST)).map(|common| (count(common), common));
+        let all = std::iter::once(0).chain(rising(FARTHEST));
+        let mut counted: Vec<(usize, i32)> = all.map(|common| (count(common, &fewer), common)).collect();
+        if are_moved {
+            // Before the motion is known well, few points come out, so the likeliest are held against more of them.
+            let more: Vec<Vec<Point>> = few.iter().map(|&row| self.more_of_rows[row].clone()).collect();
+            counted.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
+            counted.truncate(LIKELIEST);
+            counted.iter_mut().for_each(|(points, common)| *points = count(*common, &more));
+        }
         // The first of equals.
+        let best = counted.into_iter();
         let (_, common) = best.fold((0, 0), |best, next| if next.0 > best.0 { next } else { best });
         let offset = |row: usize| offsets[row] + f64::from(common) * tick;
         let sum = few.iter().map(|&row| self.laser(any, row, offset(row)).1).sum();
@@ -517,8 +573,11 @@ impl Constants {
         // The height tells the elevation, but for those that have the same sine.
         let of_elevation = |elevation: i64| exact_points(any, Laser { elevation, azimuth }, points, 2..3);
         let elevations = angles(any.build.recipe, elevation, points.len(), 0.0, of_elevation).0;
+        // Heights near 0 come out only by a motion that is known better than it can be.
+        let axes = if points.iter().any(|point| point.moved.is_some()) { 0..2 } else { 0..3 };
         let laser = |elevation: i64| {
-            let of_azimuth = |azimuth: i64| exact_points(any, Laser { elevation, azimuth }, points, 0..3);
+            let of_azimuth =
+                |azimuth: i64| exact_points(any, Laser { elevation, azimuth }, points, axes.clone());
             let (azimuths, exact) = angles(any.build.recipe, azimuth, points.len(), AZIMUTH_STEP, of_azimuth);
             (Laser { elevation, azimuth: azimuths.first().copied().unwrap_or(azimuth) }, exact)
         };
@@ -551,7 +610,7 @@ pub(super) fn exact_points(
     let scanner = any.of_laser(laser);
     let is_exact = |point: &&Point| {
         let Some((steps, tick)) = scanner.locate(0, point.position) else { return false };
-        scanner.gives(&Return { row: 0, column: 0, tick, steps, echo: 0 }, &point.position, axes.clone())
+        point.is_given_by(&scanner, &Return { row: 0, column: 0, tick, steps, echo: 0 }, axes.clone())
     };
     points.iter().filter(is_exact).count()
 }

@@ -20,7 +20,8 @@ mod projection;
 mod recipe;
 
 pub use columns::FiringColumnModel;
-pub use fit::fit;
+pub use fit::{Moved, fit, fit_moved};
+pub use projection::Sight;
 pub use recipe::{Origin, Recipe};
 
 use std::f64::consts::TAU;

@@ -27,6 +27,36 @@ pub(super) struct Place {
 /// The tick of a column without returns, until one is made up.
 const UNKNOWN: u32 = u32::MAX;
 
+/// Finds the returns of points.
+pub struct Sight<'f> {
+    scanner: &'f Firings,
+    elevations: Vec<f64>,
+}
+
+impl<'f> Sight<'f> {
+    /// Of this scanner.
+    pub fn new(scanner: &'f Firings) -> Self {
+        Sight { scanner, elevations: scanner.elevations().collect() }
+    }
+
+    /// Number of lasers.
+    pub fn rows(&self) -> usize {
+        self.elevations.len()
+    }
+
+    /// The return that comes nearest to a position in metres, in no column yet, and where the recipe puts it. None if there
+    /// is no such range.
+    pub fn nearest(&self, metres: [f64; 3]) -> Option<(Return, [f64; 3])> {
+        let [x, y, z] = metres;
+        let [along, up] = self.scanner.build.origin.metres();
+        // About where the beam points: its offset is small.
+        let row = nearest(&self.elevations, libm::atan2(z - up, (x * x + y * y).sqrt() - along));
+        let (steps, tick) = self.scanner.locate(row, metres).filter(|(steps, _)| *steps < LONGEST)?;
+        let found = Return { row: row as u32, tick, steps, column: 0, echo: 0 };
+        Some((found, self.scanner.position(&found, 0.0)))
+    }
+}
+
 /// Points that were measured together: a column in the making.
 pub(super) struct Column {
     pub places: std::ops::Range<usize>,
@@ -173,19 +203,12 @@ impl Firings {
     /// The places of the points that the recipe explains, in the order of the file.
     pub(super) fn places(&self, positions: &[[f32; 3]], reach: f64) -> Vec<Place> {
         let mut places = Vec::with_capacity(positions.len());
-        let elevations: Vec<f64> =
-            self.lasers.iter().map(|laser| laser.elevation_degrees().to_radians()).collect();
-        let [along, up] = self.build.origin.metres();
+        let sight = Sight::new(self);
         let grid = self.build.coordinates;
         for (point, position) in (0u32..).zip(positions) {
-            let metres @ [x, y, z] = position.map(f64::from);
-            // About where the beam points: its offset is small.
-            let row = nearest(&elevations, libm::atan2(z - up, (x * x + y * y).sqrt() - along));
-            let Some((steps, tick)) = self.locate(row, metres).filter(|(steps, _)| *steps < LONGEST) else {
-                continue;
-            };
-            let found = Return { row: row as u32, tick, steps, column: 0, echo: 0 };
-            let formula = self.position(&found, 0.0);
+            let metres = position.map(f64::from);
+            let Some((Return { row, tick, steps, .. }, formula)) = sight.nearest(metres) else { continue };
+            let row = row as usize;
             let is_near = formula.iter().zip(metres).all(|(formula, value)| (formula - value).abs() < reach);
             let is_held = || grid == Coordinates::Float32 || grid.holds_all(metres, formula);
             if is_near && is_held() {

@@ -1,5 +1,5 @@
-//! Motion compensation, undone. There are two kinds: in one go, from the motion of a turn, here; and firing
-//! by firing through the coordinates of a map, in [`world`].
+//! Motion compensation, undone. There are three kinds: in one go, from the motion of a turn, here; firing
+//! by firing through the coordinates of a map, in [`world`]; and by the points' time stamps, in [`stamped`].
 //!
 //! A scanner that moves sees each point of a turn from another place; some
 //! data sets hold points that were moved to where they would have been seen from the place in the middle
@@ -24,11 +24,16 @@ mod grid;
 #[allow(clippy::module_inception)]
 mod motion;
 mod payload;
+pub mod stamped;
+mod units;
 pub mod world;
 
+pub(in crate::scanner) use motion::RigidMotion;
 pub use motion::{Motion, Mover};
+pub use stamped::Stamped;
 pub use world::World;
 
+use crate::scan::Channel;
 use crate::scanner::Coordinates;
 
 /// How the points of a scan were moved.
@@ -38,6 +43,8 @@ pub enum Compensation {
     Turn(Turn),
     /// Through the coordinates of a map.
     World(World),
+    /// By the points' time stamps.
+    Stamped(Stamped),
 }
 
 /// The points as they were measured, and how they were moved to those of the file, except for the points that
@@ -60,21 +67,23 @@ impl Compensation {
     /// those that are not `near` it. What went through a map is given back to the bit.
     pub fn find_misses(
         &mut self,
-        measured: &[[f32; 3]],
+        (measured, channels): (&[[f32; 3]], &[Channel]),
         positions: &[[f32; 3]],
         near: impl Fn(&[f32; 3], &[f32; 3]) -> bool,
     ) {
         match self {
             Compensation::Turn(turn) => turn.find_misses(measured, positions, near),
             Compensation::World(world) => world.find_corrections(measured, positions),
+            Compensation::Stamped(stamped) => stamped.find_misses((measured, channels), positions, near),
         }
     }
 
-    /// Moves the points of a scan, in the order of the file. Misses of points that are not there do nothing.
-    pub fn apply(&self, positions: &mut [[f32; 3]]) {
+    /// Moves the points of a scan with these channels. Misses of points that are not there do nothing.
+    pub fn apply(&self, positions: &mut [[f32; 3]], channels: &[Channel]) {
         match self {
             Compensation::Turn(turn) => turn.apply(positions),
             Compensation::World(world) => world.apply(positions),
+            Compensation::Stamped(stamped) => stamped.apply(positions, channels),
         }
     }
 }
@@ -109,31 +118,47 @@ impl Turn {
         self.misses.clear();
         let mut formula = measured.to_vec();
         self.apply(&mut formula);
-        for ((point, position), formula) in (0u32..).zip(positions).zip(&formula) {
-            if !near(position, formula) {
-                let unit = Coordinates::unit_of_float;
-                let units = std::array::from_fn(|axis| unit(position[axis]) - unit(formula[axis]));
-                self.misses.push(Miss { point, units });
-            }
-        }
+        self.misses = find_misses(&formula, positions, near);
     }
 
     /// Moves the points of a scan, in the order of the file. Misses of points that are not there do nothing.
     pub fn apply(&self, positions: &mut [[f32; 3]]) {
         let mover = Mover::new(&self.motion);
-        let mut misses = self.misses.iter().peekable();
-        for (number, position) in (0u32..).zip(positions) {
+        for position in positions.iter_mut() {
             let moved = mover.moved(position.map(f64::from)).map(|metres| metres as f32);
             // What is no number stays as it is: processors differ in the bits of a NaN that they compute.
             if moved.iter().chain(&*position).all(|metres| !metres.is_nan()) {
                 *position = moved;
             }
-            if let Some(miss) = misses.next_if(|miss| miss.point == number) {
-                *position = std::array::from_fn(|axis| {
-                    let unit = Coordinates::unit_of_float(position[axis]);
-                    Coordinates::Float32.value(unit.wrapping_add(miss.units[axis]), 0.0)
-                });
-            }
+        }
+        put_right(positions, &self.misses);
+    }
+}
+
+/// The points of the file `positions` that a formula misses: those that are not `near` it.
+fn find_misses(
+    formula: &[[f32; 3]],
+    positions: &[[f32; 3]],
+    near: impl Fn(&[f32; 3], &[f32; 3]) -> bool,
+) -> Vec<Miss> {
+    let unit = Coordinates::unit_of_float;
+    let points = (0u32..).zip(positions.iter().zip(formula));
+    let missed = points.filter(|(_, (position, formula))| !near(position, formula));
+    let miss = |(point, (position, formula)): (u32, (&[f32; 3], &[f32; 3]))| Miss {
+        point,
+        units: std::array::from_fn(|axis| unit(position[axis]) - unit(formula[axis])),
+    };
+    missed.map(miss).collect()
+}
+
+/// Brings points that a formula misses to where they are in the file. Those that are not there do nothing.
+fn put_right(positions: &mut [[f32; 3]], misses: &[Miss]) {
+    for miss in misses {
+        if let Some(position) = positions.get_mut(miss.point as usize) {
+            *position = std::array::from_fn(|axis| {
+                let unit = Coordinates::unit_of_float(position[axis]);
+                Coordinates::Float32.value(unit.wrapping_add(miss.units[axis]), 0.0)
+            });
         }
     }
 }

@@ -2,6 +2,8 @@
 
 use std::f64::consts::TAU;
 
+use crate::ground::error::{Error, Result};
+
 /// How the scanner moved in one turn.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
@@ -21,6 +23,31 @@ impl Motion {
         // False for NaN, too.
         self.rotation.iter().all(|r| r.abs() <= LARGEST_ROTATION)
             && self.translation.iter().all(|t| t.abs() <= LARGEST_TRANSLATION)
+    }
+
+    /// Appends its six numbers.
+    pub(super) fn write_to(&self, out: &mut Vec<u8>) {
+        let values = self.rotation.iter().chain(&self.translation);
+        values.for_each(|value| out.extend_from_slice(&value.to_le_bytes()));
+    }
+
+    /// Reads its six numbers, of a section of this name.
+    ///
+    /// # Errors
+    /// If it is cut short, or no scanner moves so far.
+    pub(super) fn read_from(input: &mut &[u8], what: &str) -> Result<Self> {
+        let mut values = [0.0; 6];
+        for value in &mut values {
+            let (first, rest) =
+                input.split_first_chunk().ok_or_else(|| Error::corrupt(format!("{what} is cut short")))?;
+            (*value, *input) = (f64::from_le_bytes(*first), rest);
+        }
+        let [rx, ry, rz, x, y, z] = values;
+        let motion = Motion { rotation: [rx, ry, rz], translation: [x, y, z] };
+        match motion.is_possible() {
+            true => Ok(motion),
+            false => Err(Error::corrupt(format!("{what}: no scanner moves so far in a turn"))),
+        }
     }
 
     /// The motion with each component changed by `step`: rotation, then translation.
@@ -54,9 +81,14 @@ impl Mover {
     /// The place to which compensation moves a point (metres).
     #[inline]
     pub fn moved(&self, point: [f64; 3]) -> [f64; 3] {
-        let part = part_of_turn(&point);
-        let turned = self.turned(point, part * self.angle);
-        std::array::from_fn(|axis| turned[axis] + part * self.translation[axis])
+        self.at(part_of_turn(&point)).moved(point)
+    }
+
+    /// What moves the points of this part of the motion.
+    #[inline]
+    pub(in crate::scanner) fn at(&self, part: f64) -> RigidMotion {
+        let (sin, cos) = libm::sincos(part * self.angle);
+        RigidMotion { axis: self.axis, sin, cos, shift: self.translation.map(|metres| part * metres) }
     }
 
     /// The place, to within a few micrometres, from which compensation has moved a point here, if it was seen
@@ -68,8 +100,7 @@ impl Mover {
         const SAME: f64 = 1e-6;
         let mut point = moved;
         for _ in 0..MOST_ROUNDS {
-            let shifted = std::array::from_fn(|axis| moved[axis] - part * self.translation[axis]);
-            point = self.turned(shifted, -part * self.angle);
+            point = self.at(part).undone(moved);
             // Across the seam behind the scanner, fractions continue beyond one half.
             let now = part_of_turn(&point);
             let next = now - (now - part).round();
@@ -81,12 +112,36 @@ impl Mover {
         }
         point
     }
+}
 
-    /// Rodrigues' rotation formula.
+/// A rotation and a translation.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::scanner) struct RigidMotion {
+    axis: [f64; 3],
+    sin: f64,
+    cos: f64,
+    shift: [f64; 3],
+}
+
+impl RigidMotion {
+    /// Where a point comes to.
     #[inline]
-    fn turned(&self, point: [f64; 3], angle: f64) -> [f64; 3] {
-        let (sin, cos) = libm::sincos(angle);
+    pub fn moved(&self, point: [f64; 3]) -> [f64; 3] {
+        let turned = self.turned(point, self.sin);
+        std::array::from_fn(|axis| turned[axis] + self.shift[axis])
+    }
+
+    /// From where it comes here.
+    #[inline]
+    pub fn undone(&self, moved: [f64; 3]) -> [f64; 3] {
+        self.turned(std::array::from_fn(|axis| moved[axis] - self.shift[axis]), -self.sin)
+    }
+
+    /// Rodrigues' rotation formula, with the sine of the angle.
+    #[inline]
+    fn turned(&self, point: [f64; 3], sin: f64) -> [f64; 3] {
         let [kx, ky, kz] = self.axis;
+        let cos = self.cos;
         let [x, y, z] = point;
         let along = (kx * x + ky * y + kz * z) * (1.0 - cos);
         [

@@ -10,8 +10,7 @@ const WHAT: &str = "motion compensation";
 impl Turn {
     /// Appends the payload of the section.
     pub fn write_to(&self, out: &mut Vec<u8>) {
-        let Motion { rotation, translation } = self.motion;
-        rotation.iter().chain(&translation).for_each(|value| out.extend_from_slice(&value.to_le_bytes()));
+        self.motion.write_to(out);
         let mut next = 0;
         for miss in &self.misses {
             write_unsigned(out, u64::from(miss.point - next));
@@ -26,18 +25,7 @@ impl Turn {
     /// If it is cut short, or contains a motion that no scanner makes or points that the frame does not have.
     pub fn from_payload(mut bytes: &[u8], points: usize) -> Result<Self> {
         let input = &mut bytes;
-        let mut values = [0.0; 6];
-        for value in &mut values {
-            let (first, rest) =
-                input.split_first_chunk().ok_or_else(|| Error::corrupt(format!("{WHAT} is cut short")))?;
-            (*value, *input) = (f64::from_le_bytes(*first), rest);
-        }
-        let [rx, ry, rz, x, y, z] = values;
-        let motion = Motion { rotation: [rx, ry, rz], translation: [x, y, z] };
-        if !motion.is_possible() {
-            return Err(Error::corrupt(format!("{WHAT}: no scanner moves so far in a turn")));
-        }
-        let mut turn = Turn { motion, misses: Vec::new() };
+        let mut turn = Turn { motion: Motion::read_from(input, WHAT)?, misses: Vec::new() };
         let mut next = 0u64;
         while !input.is_empty() {
             let point = next.saturating_add(read_unsigned(input, WHAT)?);

@@ -66,7 +66,7 @@ mod tests {
 
     #[test]
     fn an_unknown_kind_is_named() {
-        assert_eq!([0, 19, 77, 127].map(SectionKind::from_number), [None; 4]);
+        assert_eq!([0, 21, 77, 127].map(SectionKind::from_number), [None; 4]);
         let mut bytes = vec![77, 1, 42];
         let crc = crc32c::crc32c(&bytes);
         bytes.extend_from_slice(&crc.to_le_bytes());

@@ -4,6 +4,7 @@ use super::{Correction, Formula, Knot, Pose, SLOTS, Times, World, start};
 use crate::entropy::{AdaptiveBit, ArithmeticDecoder, ArithmeticEncoder, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_signed, read_unsigned, unzigzag, write_signed, write_unsigned, zigzag};
+use crate::scanner::motion::units::UnitModel;
 
 /// The section's name in errors.
 const WHAT: &str = "world";
@@ -143,12 +144,6 @@ fn read_bounded(input: &mut &[u8], what: &str, most: u64) -> Result<u64> {
     }
 }
 
-/// Contexts of units: the exponent of the coordinate, below the first of which and above the last it makes no
-/// difference.
-const EXPONENTS: usize = 16;
-/// The biased exponent of the first: 2^-11 m.
-const FIRST_EXPONENT: i32 = 127 - 11;
-
 /// The models of the corrections.
 #[derive(Default)]
 struct Models {
@@ -157,13 +152,7 @@ struct Models {
     /// Whether a record is corrected, by whether it has a return, and how many of the last two were.
     is_missed: [[AdaptiveBit; 3]; 2],
     steps: [IntegerModel; 2],
-    /// By axis and exponent.
-    units: [[IntegerModel; EXPONENTS]; 3],
-}
-
-fn exponent_of(value: f32) -> usize {
-    let exponent = (value.to_bits() >> 23 & 0xff) as i32;
-    (exponent - FIRST_EXPONENT).clamp(0, EXPONENTS as i32 - 1) as usize
+    units: UnitModel,
 }
 
 /// Codes the corrections of all records, and gives them.
@@ -225,10 +214,6 @@ impl Models {
         }
         let world = formula.world(correction.record as usize, measured);
         let start = start(measured, formula.file(world, &correction.steps));
-        for axis in 0..3 {
-            let units = &mut correction.units[axis];
-            let model = &mut self.units[axis][exponent_of(start[axis])];
-            *units = unzigzag(model.code(coder, zigzag(*units)));
-        }
+        self.units.code(coder, &start, &mut correction.units);
     }
 }

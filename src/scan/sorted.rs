@@ -1,0 +1,201 @@
+//! Files whose records were sorted by a channel: in order already, but by a sort that does not keep equal records in
+//! theirs.
+//!
+//! Programs that collect the points of a turn sort them by time. A scanner gives all points of a packet one time stamp, so
+//! the sort has nothing to do but that, and still it shuffles each packet's points. How it does depends on nothing but where
+//! one time stamp ends and the next begins, so the *order of arrival* comes back from the file alone.
+
+use super::{Channel, PointCloud, Scalar};
+
+/// Ranges of at most this many records are not divided any further.
+const SHORT: usize = 16;
+
+/// Of each place of the file, the record that is there, in the order of arrival: what C++'s `std::sort` makes of records
+/// whose keys do not fall, as libstdc++ has it. Equal keys are those of the same bytes side by side.
+pub fn file_order(keys: &Channel) -> Vec<u32> {
+    let mut run = 0;
+    let mut last = None;
+    let records = keys.bytes.chunks_exact(keys.field.width()).zip(0u32..).map(|(key, record)| {
+        run += u32::from(last.is_some_and(|last| last != key));
+        last = Some(key);
+        (run, record)
+    });
+    let mut records: Vec<(u32, u32)> = records.collect();
+    let depth = 2 * records.len().checked_ilog2().unwrap_or(0);
+    divide(&mut records, depth);
+    // That sort ends with insertions, which keep the order of equal keys.
+    records.sort_by_key(|(key, _)| *key);
+    records.into_iter().map(|(_, record)| record).collect()
+}
+
+/// Divides a range by a key, and both parts again, until they are short or `depth` is used up, which sorted keys do not do.
+fn divide(mut records: &mut [(u32, u32)], mut depth: u32) {
+    while records.len() > SHORT && depth > 0 {
+        depth -= 1;
+        let last = records.len() - 1;
+        let places = [1, records.len() / 2, last];
+        let [one, middle, end] = places.map(|place| records[place].0);
+        let median = match (one < middle, middle < end, one < end) {
+            (true, true, _) => 1,
+            (true, false, true) => 2,
+            (true, false, false) => 0,
+            (false, _, true) => 0,
+            (false, true, false) => 2,
+            (false, false, false) => 1,
+        };
+        records.swap(0, places[median]);
+        let key = records[0].0;
+        // The median has a key on either side that stops these loops.
+        let (mut from, mut to) = (1, records.len());
+        let cut = loop {
+            while records[from].0 < key {
+                from += 1;
+            }
+            to -= 1;
+            while key < records[to].0 {
+                to -= 1;
+            }
+            if from >= to {
+                break from;
+            }
+            records.swap(from, to);
+            from += 1;
+        };
+        let (low, high) = records.split_at_mut(cut);
+        divide(high, depth);
+        records = low;
+    }
+}
+
+/// The channel by which a file's records were sorted so, and its points in the order of arrival. None if they are in no
+/// better order then.
+pub fn in_order_of_arrival(cloud: &PointCloud) -> Option<(usize, PointCloud)> {
+    /// How much better the elevation of each point must tell that of the next one.
+    const BETTER: f64 = 1.2;
+    let may_be_key = |(_, channel): &(usize, &Channel)| is_rising_in_runs(channel);
+    let candidates = cloud.channels.iter().enumerate().filter(may_be_key);
+    let slopes = Slopes::of(&cloud.positions)?;
+    let as_is = slopes.told((0..cloud.positions.len() as u32).map(|place| place as usize));
+    for (number, channel) in candidates {
+        let order = file_order(channel);
+        let mut arrival = vec![0; order.len()];
+        (0u32..).zip(&order).for_each(|(place, &record)| arrival[record as usize] = place);
+        let told = slopes.told(arrival.iter().map(|&place| place as usize));
+        if told as f64 > BETTER * as_is as f64 {
+            return Some((number, cloud.select(&arrival)));
+        }
+    }
+    None
+}
+
+/// Whether the values of a channel do not fall, and most are equal to the one before.
+fn is_rising_in_runs(channel: &Channel) -> bool {
+    /// Records of a run, on the average, at least: fewer are not shuffled.
+    const FEWEST: usize = 4;
+    let scalar = channel.field.scalar;
+    if channel.field.count != 1 || scalar.size() < 4 {
+        return false;
+    }
+    let values = channel.bytes.chunks_exact(scalar.size() as usize);
+    let (records, mut runs) = (values.len(), 1);
+    let mut pairs = values.clone().zip(values.skip(1));
+    let does_not_fall = pairs.all(|(one, next)| {
+        runs += usize::from(one != next);
+        // Nor is there a run for each few records.
+        one == next || runs * FEWEST <= records && is_less(scalar, one, next)
+    });
+    does_not_fall && runs > 1
+}
+
+/// Whether a value is less than another, both of this type.
+fn is_less(scalar: Scalar, one: &[u8], other: &[u8]) -> bool {
+    fn of<const N: usize, T: PartialOrd>(make: fn([u8; N]) -> T, one: &[u8], other: &[u8]) -> bool {
+        let value = |bytes: &[u8]| bytes.first_chunk().copied().map(make);
+        value(one) < value(other)
+    }
+    match scalar {
+        Scalar::I8 => of(i8::from_le_bytes, one, other),
+        Scalar::U8 => of(u8::from_le_bytes, one, other),
+        Scalar::I16 => of(i16::from_le_bytes, one, other),
+        Scalar::U16 => of(u16::from_le_bytes, one, other),
+        Scalar::I32 => of(i32::from_le_bytes, one, other),
+        Scalar::U32 => of(u32::from_le_bytes, one, other),
+        Scalar::I64 => of(i64::from_le_bytes, one, other),
+        Scalar::U64 => of(u64::from_le_bytes, one, other),
+        Scalar::F32 => of(f32::from_le_bytes, one, other),
+        Scalar::F64 => of(f64::from_le_bytes, one, other),
+    }
+}
+
+/// In which of a few classes the elevation of each point is.
+struct Slopes {
+    classes: Vec<u8>,
+}
+
+/// Classes of elevations, each with as many points.
+const CLASSES: usize = 64;
+
+impl Slopes {
+    /// None if there are too few points to tell.
+    fn of(positions: &[[f32; 3]]) -> Option<Self> {
+        /// Points that tell where the classes end.
+        const SAMPLE: usize = 2048;
+        const FEWEST: usize = 1024;
+        if positions.len() < FEWEST {
+            return None;
+        }
+        let slope = |[x, y, z]: &[f32; 3]| z / (x * x + y * y).sqrt();
+        let sample = positions.iter().step_by(positions.len().div_ceil(SAMPLE)).map(slope);
+        let mut sample: Vec<f32> = sample.collect();
+        sample.sort_unstable_by(f32::total_cmp);
+        let ends: [f32; CLASSES - 1] =
+            std::array::from_fn(|class| sample[(class + 1) * sample.len() / CLASSES]);
+        let class = |position| {
+            let slope = slope(position);
+            ends.partition_point(|end| *end < slope) as u8
+        };
+        Some(Slopes { classes: positions.iter().map(class).collect() })
+    }
+
+    /// How many points are of the class that follows most often on that of the one before them.
+    fn told(&self, order: impl Iterator<Item = usize>) -> u32 {
+        let mut counts = vec![[0u32; CLASSES]; CLASSES];
+        order.fold(None, |last: Option<u8>, place| {
+            let class = self.classes[place];
+            if let Some(last) = last {
+                counts[usize::from(last)][usize::from(class)] += 1;
+            }
+            Some(class)
+        });
+        counts.iter().map(|counts| counts.iter().max().copied().unwrap_or(0)).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scan::Field;
+
+    fn channel(keys: &[u32]) -> Channel {
+        let bytes = keys.iter().flat_map(|key| f64::from(*key).to_le_bytes()).collect();
+        Channel { field: Field::new("time", Scalar::F64), bytes }
+    }
+
+    /// What `std::sort` of GCC 12 makes of 40 records of which each eight have equal keys.
+    const EIGHTS: [u32; 40] = [
+        1, 0, 7, 6, 5, 4, 3, 2, 8, 9, 10, 11, 12, 13, 14, 15, 23, 22, 21, 20, 18, 17, 16, 19, 30, 31, 29, 28,
+        27, 26, 25, 24, 32, 33, 34, 35, 36, 37, 38, 39,
+    ];
+    /// The same of 24 records with equal keys.
+    const EQUAL: [u32; 24] =
+        [12, 23, 22, 21, 20, 19, 18, 17, 16, 15, 14, 13, 0, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1];
+
+    #[test]
+    fn the_order_is_that_of_the_standard_library() {
+        let eights: Vec<u32> = (0..40).map(|record| record / 8).collect();
+        assert_eq!(file_order(&channel(&eights)), EIGHTS);
+        assert_eq!(file_order(&channel(&[7; 24])), EQUAL);
+        assert_eq!(file_order(&channel(&[3; 16])), (0..16).collect::<Vec<_>>(), "too few to be divided");
+        assert_eq!(file_order(&channel(&[])), [0; 0]);
+    }
+}

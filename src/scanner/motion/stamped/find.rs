@@ -1,0 +1,279 @@
+//! Finds how a scan was moved by its time stamps: least squares between the points of the file and those that the scanner's
+//! formula gives, each of which is known as soon as the motion is known to within half a range step.
+
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+
+use super::{Moment, Stamped, parts};
+use crate::scan::{Channel, PointCloud, ScanFile};
+use crate::scanner::firings::{Firings, Moved, Sight, fit_moved};
+use crate::scanner::motion::{Motion, Mover};
+use crate::scanner::{Coordinates, thinned};
+
+/// Points of a first search, and of the last one.
+const SAMPLE: usize = 2000;
+const LARGE_SAMPLE: usize = 20_000;
+
+/// The points as they were measured, and how they were moved to those of the file; the list of misses is still empty. None
+/// if the scanner's formula gives the points as they are, or no motion makes it give most of them.
+pub fn undo(cloud: &PointCloud, scanner: &Firings) -> Option<(Vec<[f32; 3]>, Stamped)> {
+    /// With fewer misses than this, there is nothing to be won.
+    const FEW: f64 = 0.1;
+    let sight = Sight::new(scanner);
+    let points = points_without_parts(cloud, scanner)?;
+    let without = share(&sight, thinned(&points, SAMPLE), &Motion::default());
+    if without > 1.0 - FEW {
+        return None;
+    }
+    let all = Vec::from_iter(thinned(&points, LARGE_SAMPLE).copied());
+    for (channel, moment) in candidates(&cloud.channels) {
+        let parts = parts(&cloud.channels[channel], moment);
+        let points = with_parts(&all, &parts);
+        let few: Vec<Point> = thinned(&points, SAMPLE).copied().collect();
+        let Some(motion) = search(&sight, &few, Motion::default(), &ROUNDS) else { continue };
+        if !is_better(share(&sight, few.iter(), &motion), without) {
+            continue;
+        }
+        let Some(motion) = search(&sight, &points, motion, &LAST_ROUNDS) else { continue };
+        if is_better(share(&sight, points.iter(), &motion), without) {
+            let measured = measured(&sight, &cloud.positions, &parts, &motion);
+            return Some((measured, Stamped { channel, moment, motion, misses: Vec::new() }));
+        }
+    }
+    None
+}
+
+/// A scanner with constants that fit the points of a scan once these are moved back, given one that fits them as they are.
+/// None if no motion makes them fit better.
+pub fn fit(sample: &[ScanFile], near: &Firings) -> Option<Firings> {
+    /// Scans that are tried.
+    const MOST: usize = 3;
+    let has_times = |scan: &&ScanFile| candidates(&scan.cloud.channels).next().is_some();
+    sample.iter().filter(has_times).take(MOST).find_map(|scan| fit_scan(scan, near))
+}
+
+fn fit_scan(scan: &ScanFile, near: &Firings) -> Option<Firings> {
+    /// Each tells the constants better, and by these the motion.
+    const TRIES: usize = 3;
+    let without = share(
+        &Sight::new(near),
+        thinned(&points_without_parts(&scan.cloud, near)?, SAMPLE),
+        &Motion::default(),
+    );
+    if is_better(without, 0.0) {
+        return None;
+    }
+    let all = points_without_parts(&scan.cloud, near)?;
+    for (channel, moment) in candidates(&scan.cloud.channels) {
+        let parts = parts(&scan.cloud.channels[channel], moment);
+        let points = with_parts(&all, &parts);
+        let few: Vec<Point> = thinned(&points, LARGE_SAMPLE).copied().collect();
+        let mut best: Option<(f64, Firings)> = None;
+        for _ in 0..TRIES {
+            let scanner = best.as_ref().map_or(near, |(_, scanner)| scanner);
+            let Some(motion) = search_with_constants(&Sight::new(scanner), &few) else { break };
+            let mover = Mover::new(&motion);
+            let moved = |(position, part): (&[f32; 3], &f64)| {
+                let motion = mover.at(*part);
+                Moved { measured: motion.undone(position.map(f64::from)), motion, position: *position }
+            };
+            let moved: Vec<Moved> = scan.cloud.positions.iter().zip(&parts).map(moved).collect();
+            let Some(fitted) = fit_moved(scan, &moved) else { break };
+            let sight = Sight::new(&fitted);
+            let few: Vec<Point> = thinned(&points, SAMPLE).copied().collect();
+            let motion = search(&sight, &few, motion, &ROUNDS[SURE..]);
+            let share = motion.map_or(0.0, |motion| share(&sight, few.iter(), &motion));
+            drop(sight);
+            if best.as_ref().is_some_and(|(best, _)| share <= *best) {
+                break;
+            }
+            best = Some((share, fitted));
+        }
+        if let Some((_, scanner)) = best.filter(|(share, _)| is_better(*share, without)) {
+            return Some(scanner);
+        }
+    }
+    None
+}
+
+/// Whether a share of points that come out to the last bit is worth a motion, given the share without one.
+fn is_better(share: f64, without: f64) -> bool {
+    share > 0.5 * (1.0 + without)
+}
+
+/// A point of the file, and its part of the motion.
+#[derive(Clone, Copy)]
+struct Point {
+    number: usize,
+    position: [f32; 3],
+    part: f64,
+}
+
+/// The points that a motion may be found from; none if it is not looked for.
+fn points_without_parts(cloud: &PointCloud, scanner: &Firings) -> Option<Vec<Point>> {
+    /// In metres; farther away than any scanner sees.
+    const FARTHEST: f32 = 1000.0;
+    const FEWEST: usize = 200;
+    if scanner.build().coordinates != Coordinates::Float32 || candidates(&cloud.channels).next().is_none() {
+        return None;
+    }
+    // False for NaN, too.
+    let is_in_reach = |position: &[f32; 3]| position.iter().all(|metres| metres.abs() < FARTHEST);
+    let points = cloud.positions.iter().enumerate();
+    let points = points.filter(|(_, position)| is_in_reach(position) && **position != [0.0; 3]);
+    let points: Vec<Point> =
+        points.map(|(number, &position)| Point { number, position, part: 0.0 }).collect();
+    (points.len() >= FEWEST).then_some(points)
+}
+
+fn with_parts(points: &[Point], parts: &[f64]) -> Vec<Point> {
+    points.iter().map(|point| Point { part: parts[point.number], ..*point }).collect()
+}
+
+/// The channels that may hold time stamps, the widest first, and the moments to which points may have been moved.
+fn candidates(channels: &[Channel]) -> impl Iterator<Item = (usize, Moment)> {
+    let times = [8, 4].into_iter().flat_map(move |size| {
+        let of_size = channels.iter().enumerate();
+        of_size.filter(move |(_, channel)| channel.field.scalar.size() == size && may_be_time(channel))
+    });
+    times.flat_map(|(channel, _)| Moment::ALL.map(|moment| (channel, moment)))
+}
+
+/// Whether the values of a channel seldom fall from one record to the next, and are many.
+fn may_be_time(channel: &Channel) -> bool {
+    /// The part of the records from which on time may go back: at the end of each line of a file that holds row after row.
+    const MOST_FALLS: usize = 10;
+    const FEWEST: usize = 16;
+    if channel.field.count != 1 {
+        return false;
+    }
+    let parts = parts(channel, Moment::First);
+    let falls = parts.windows(2).filter(|pair| pair[1] < pair[0]).count();
+    let rises = parts.windows(2).filter(|pair| pair[1] > pair[0]).count();
+    falls * MOST_FALLS <= parts.len() && rises >= FEWEST
+}
+
+/// How many of some points come out to the last bit.
+fn share<'p>(sight: &Sight, points: impl Iterator<Item = &'p Point>, motion: &Motion) -> f64 {
+    let mover = Mover::new(motion);
+    let (mut exact, mut count) = (0, 0);
+    for point in points {
+        let motion = mover.at(point.part);
+        let found = sight.nearest(motion.undone(point.position.map(f64::from)));
+        let formula = found.map(|(_, formula)| motion.moved(formula).map(|metres| metres as f32));
+        exact += usize::from(formula == Some(point.position));
+        count += 1;
+    }
+    f64::from(exact as u32) / f64::from(count.max(1))
+}
+
+/// The points as they were measured: those of the formula where these are moved to the file's, or nearly so.
+fn measured(sight: &Sight, positions: &[[f32; 3]], parts: &[f64], motion: &Motion) -> Vec<[f32; 3]> {
+    /// Metres.
+    const NEAR: f64 = 2e-5;
+    let mover = Mover::new(motion);
+    let measured = |(position, part): (&[f32; 3], &f64)| {
+        let motion = mover.at(*part);
+        let there = position.map(f64::from);
+        let undone = motion.undone(there);
+        let formula = sight.nearest(undone).map(|(_, formula)| formula).filter(|formula| {
+            let moved = motion.moved(*formula);
+            (0..3).all(|axis| (moved[axis] - there[axis]).abs() < NEAR)
+        });
+        let found = formula.unwrap_or(undone).map(|metres| metres as f32);
+        // What is no number stays as it is, and what is at the scanner tells nothing.
+        if *position == [0.0; 3] || found.iter().any(|metres| metres.is_nan()) { *position } else { found }
+    };
+    positions.iter().zip(parts).map(measured).collect()
+}
+
+/// For each round, metres up to which points count alike: those that are farther off count less.
+const ROUNDS: [f64; 8] = [1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7];
+/// Of these, the first by which a motion is improved that is nearly right.
+const SURE: usize = 3;
+/// The same for the last digits, which points of small coordinates tell.
+const LAST_ROUNDS: [f64; 5] = [1e-6, 1e-7, 1e-9, 1e-11, 1e-11];
+
+/// The motion by which the formula's points come nearest to those of the file.
+fn search(sight: &Sight, points: &[Point], mut motion: Motion, rounds: &[f64]) -> Option<Motion> {
+    for &even in rounds {
+        motion = step(sight, points, &motion, even, false)?;
+    }
+    motion.is_possible().then_some(motion)
+}
+
+/// The same for a scanner of which each laser's elevation and azimuth may be a little off.
+fn search_with_constants(sight: &Sight, points: &[Point]) -> Option<Motion> {
+    const ROUNDS: [f64; 4] = [1e-3, 1e-3, 1e-3, 1e-4];
+    let mut motion = Motion::default();
+    for even in ROUNDS {
+        motion = step(sight, points, &motion, even, true)?;
+    }
+    motion.is_possible().then_some(motion)
+}
+
+/// A round of iterated weighted least squares. If constants are free, those of each laser are eliminated.
+fn step(
+    sight: &Sight,
+    points: &[Point],
+    motion: &Motion,
+    even: f64,
+    constants_are_free: bool,
+) -> Option<Motion> {
+    /// Metres: what is farther off is of another return.
+    const FARTHEST: f64 = 0.05;
+    /// Holds components that the points do not determine, by their own scale.
+    const RIDGE: f64 = 1e-12;
+    let mover = Mover::new(motion);
+    let rows = if constants_are_free { sight.rows() } else { 0 };
+    let mut lasers = vec![Laser::default(); rows];
+    let mut system = SMatrix::<f64, 6, 6>::zeros();
+    let mut right = SVector::<f64, 6>::zeros();
+    for point in points {
+        let there = point.position.map(f64::from);
+        let motion = mover.at(point.part);
+        let Some((found, formula)) = sight.nearest(motion.undone(there)) else { continue };
+        let moved = motion.moved(formula);
+        let [x, y, z] = formula;
+        let rho = (x * x + y * y).sqrt();
+        // A small rotation moves a point by its cross product with it.
+        let slopes = [[0.0, z, -y, 1.0, 0.0, 0.0], [-z, 0.0, x, 0.0, 1.0, 0.0], [y, -x, 0.0, 0.0, 0.0, 1.0]];
+        // So does a laser's elevation, and its azimuth.
+        let own = [[-z * x / rho, -y], [-z * y / rho, x], [rho, 0.0]];
+        for axis in 0..3 {
+            let miss = there[axis] - moved[axis];
+            if !(miss.abs() < FARTHEST && rho > 0.0) {
+                continue;
+            }
+            let unit = f64::from(point.position[axis].next_up()) - f64::from(point.position[axis]);
+            let weight = (0.5 * unit).max(even).max(miss.abs()).powi(-2);
+            let slope = SVector::from(slopes[axis]) * point.part;
+            system += slope * slope.transpose() * weight;
+            right += slope * (miss * weight);
+            if let Some(laser) = lasers.get_mut(found.row as usize) {
+                let own = Vector2::from(own[axis]);
+                laser.system += own * own.transpose() * weight;
+                laser.right += own * (miss * weight);
+                laser.shared += own * slope.transpose() * weight;
+            }
+        }
+    }
+    for laser in lasers.iter().filter(|laser| laser.system.trace() > 0.0) {
+        let system_of_laser = laser.system + Matrix2::identity() * (laser.system.trace() * RIDGE);
+        let inverse = system_of_laser.try_inverse()?;
+        system -= laser.shared.transpose() * inverse * laser.shared;
+        right -= laser.shared.transpose() * (inverse * laser.right);
+    }
+    for place in 0..6 {
+        system[(place, place)] *= 1.0 + RIDGE;
+    }
+    let change = system.cholesky()?.solve(&right);
+    Some(motion.changed_by(&change.into()))
+}
+
+/// What the points of a laser say of its two constants.
+#[derive(Clone, Default)]
+struct Laser {
+    system: Matrix2<f64>,
+    right: Vector2<f64>,
+    shared: SMatrix<f64, 2, 6>,
+}

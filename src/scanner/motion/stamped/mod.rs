@@ -1,0 +1,127 @@
+//! Motion compensation by time stamps, undone: each point of a scan was moved as far as the scanner did between its time
+//! stamp and one moment of the scan, as if the scanner had moved evenly (Apollo's compensator, and others like it):
+//!
+//! ```text
+//! s = (time - moment) / (last time - first time)
+//! v = f32(R(s r) p + s t)              R(a): the rotation about the axis a by the angle |a|
+//! ```
+//!
+//! for a point p as the scanner's formula gives it, and a motion of rotation r and translation t during the scan. `find`
+//! finds the motion from the points, their time stamps and the scanner; what the formula misses is listed.
+
+mod find;
+mod payload;
+
+pub use find::{fit, undo};
+
+use super::{Miss, Motion, Mover, find_misses, put_right};
+use crate::scan::{Channel, Scalar};
+
+/// To which moment points were moved.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Moment {
+    /// The last time stamp.
+    #[default]
+    Last,
+    /// The first one.
+    First,
+    /// Half way between the two.
+    Middle,
+}
+
+impl Moment {
+    /// Every moment, at the index of its number in the stream.
+    const ALL: [Moment; 3] = [Moment::Last, Moment::First, Moment::Middle];
+}
+
+/// How the points of a scan were moved by their time stamps, and where they are elsewhere.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Stamped {
+    /// The channel of the time stamps.
+    pub channel: usize,
+    /// To which moment.
+    pub moment: Moment,
+    /// The motion from the first time stamp to the last.
+    pub motion: Motion,
+    /// Points that the formula does not give to the last bit, rising.
+    pub misses: Vec<Miss>,
+}
+
+impl Stamped {
+    /// Where the formula puts points, in the order of arrival.
+    fn formula(&self, measured: &[[f32; 3]], channels: &[Channel]) -> Vec<[f32; 3]> {
+        let parts = channels.get(self.channel).map_or_else(Vec::new, |times| parts(times, self.moment));
+        let mover = Mover::new(&self.motion);
+        // Points of one packet share their time stamp.
+        let mut of_last = (0.0f64, mover.at(0.0));
+        let moved = measured.iter().zip(parts).map(|(&point, part)| {
+            if part.to_bits() != of_last.0.to_bits() {
+                of_last = (part, mover.at(part));
+            }
+            let moved = of_last.1.moved(point.map(f64::from)).map(|metres| metres as f32);
+            // What is no number stays as it is: processors differ in the bits of a NaN that they compute.
+            if moved.iter().chain(&point).all(|metres| !metres.is_nan()) { moved } else { point }
+        });
+        moved.collect()
+    }
+
+    /// Takes down which points of the file `positions` the formula misses, given the decoded measured ones:
+    /// those that are not `near` it.
+    pub fn find_misses(
+        &mut self,
+        (measured, channels): (&[[f32; 3]], &[Channel]),
+        positions: &[[f32; 3]],
+        near: impl Fn(&[f32; 3], &[f32; 3]) -> bool,
+    ) {
+        self.misses = find_misses(&self.formula(measured, channels), positions, near);
+    }
+
+    /// Moves the points of a scan. Misses of points that are not there do nothing.
+    pub fn apply(&self, positions: &mut [[f32; 3]], channels: &[Channel]) {
+        let formula = self.formula(positions, channels);
+        positions.iter_mut().zip(formula).for_each(|(position, moved)| *position = moved);
+        put_right(positions, &self.misses);
+    }
+}
+
+/// The part of the motion of each point: from its time stamp to the moment, in times from the first stamp to the last.
+/// None of it for a time stamp that is no number.
+fn parts(times: &Channel, moment: Moment) -> Vec<f64> {
+    let since = since_first(times);
+    let span = since.iter().copied().filter(|time| time.is_finite()).fold(0.0, f64::max);
+    let part = |time: f64| match moment {
+        Moment::Last => (time - span) / span,
+        Moment::First => time / span,
+        Moment::Middle => time / span - 0.5,
+    };
+    // The sum with 0 has no zero with a sign.
+    since.into_iter().map(part).map(|part| if part.is_finite() { part + 0.0 } else { 0.0 }).collect()
+}
+
+/// The time from the first stamp to each.
+fn since_first(times: &Channel) -> Vec<f64> {
+    fn values<const N: usize, T>(bytes: &[u8], make: fn([u8; N]) -> T) -> impl Iterator<Item = T> {
+        bytes.chunks_exact(N).filter_map(move |value| value.first_chunk().copied().map(make))
+    }
+    fn of_floats(values: Vec<f64>) -> Vec<f64> {
+        let first = values.iter().copied().filter(|time| time.is_finite()).fold(f64::INFINITY, f64::min);
+        values.into_iter().map(|time| time - first).collect()
+    }
+    fn of_integers(values: Vec<i128>) -> Vec<f64> {
+        let first = values.iter().copied().min().unwrap_or(0);
+        values.into_iter().map(|time| (time - first) as f64).collect()
+    }
+    let bytes = &times.bytes[..];
+    match times.field.scalar {
+        Scalar::I8 => of_integers(values(bytes, i8::from_le_bytes).map(i128::from).collect()),
+        Scalar::U8 => of_integers(values(bytes, u8::from_le_bytes).map(i128::from).collect()),
+        Scalar::I16 => of_integers(values(bytes, i16::from_le_bytes).map(i128::from).collect()),
+        Scalar::U16 => of_integers(values(bytes, u16::from_le_bytes).map(i128::from).collect()),
+        Scalar::I32 => of_integers(values(bytes, i32::from_le_bytes).map(i128::from).collect()),
+        Scalar::U32 => of_integers(values(bytes, u32::from_le_bytes).map(i128::from).collect()),
+        Scalar::I64 => of_integers(values(bytes, i64::from_le_bytes).map(i128::from).collect()),
+        Scalar::U64 => of_integers(values(bytes, u64::from_le_bytes).map(i128::from).collect()),
+        Scalar::F32 => of_floats(values(bytes, f32::from_le_bytes).map(f64::from).collect()),
+        Scalar::F64 => of_floats(values(bytes, f64::from_le_bytes).collect()),
+    }
+}
