@@ -144,14 +144,15 @@ fn firings_files(recipe: firings::Recipe, cells: Cells) -> Vec<File> {
 /// Two scans that were moved by their time stamps, and sorted by them.
 fn stamped_files() -> Vec<File> {
     let scanner = common::firings::made_up(firings::Recipe::Pandar64);
-    let (points, times) = common::firings::stamped(&scanner, &common::firings::image(&scanner, 6), 3);
+    let (points, rows, times) = common::firings::stamped(&scanner, &common::firings::image(&scanner, 6), 3);
     let file = |(number, motion): (usize, [[f64; 3]; 2])| {
         let [rotation, translation] = motion;
         let points = common::firings::moved_by_stamps(&points, &times, rotation, translation);
-        let points = common::firings::sorted(&points, &times);
-        (format!("{number}.pcd"), common::formats::pcd_stamped(&points, &times))
+        let (points, rows) =
+            (common::firings::sorted(&points, &times), common::firings::sorted(&rows, &times));
+        (format!("{number}.pcd"), common::formats::pcd_stamped(&points, &rows, &times))
     };
-    let motions = [[[1e-5, -2e-5, 3e-5], [1e-4, 0.0, -5e-5]], [[0.0, 1e-5, 2e-5], [1e-4, 5e-5, -5e-5]]];
+    let motions = [[[1e-5, -2e-5, 3e-5], [1e-4, 0.0, -5e-5]], [[0.001, 1e-4, 0.002], [0.8, 0.1, -0.02]]];
     motions.into_iter().enumerate().map(file).collect()
 }
 

@@ -56,7 +56,9 @@ impl Scanner {
     pub fn fit(sample: &[ScanFile]) -> Option<Scanner> {
         // What the first explains is in the order of firings, which is in no other family's.
         let firings = firings::fit(sample)
-            .map(|(scanner, _)| Scanner::Firings(stamped::fit(sample, &scanner).unwrap_or(scanner)));
+            .map(|(scanner, _)| stamped::fit(sample, Some(&scanner)).unwrap_or(scanner))
+            .or_else(|| stamped::fit(sample, None))
+            .map(Scanner::Firings);
         firings.or_else(|| hdl64::fit(sample).map(Scanner::Hdl64))
     }
 

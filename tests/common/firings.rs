@@ -99,10 +99,12 @@ pub fn points(scanner: &Firings, image: &RangeImage) -> Points {
     scanner.file_order(image).into_iter().map(point).collect()
 }
 
-/// Points with the time stamps of their packets, of so many firings each, 111 microseconds a firing.
-pub fn stamped(scanner: &Firings, image: &RangeImage, firings: u32) -> (Points, Vec<f64>) {
-    let time = |found: Return| 1.635e9 + f64::from(found.column / firings * firings) * 111e-6;
-    (points(scanner, image), scanner.file_order(image).into_iter().map(time).collect())
+/// Points with their rows and the time stamps of their packets, of so many firings each, 111 microseconds a firing.
+pub fn stamped(scanner: &Firings, image: &RangeImage, firings: u32) -> (Points, Vec<u16>, Vec<f64>) {
+    let of =
+        |found: Return| (found.row as u16, 1.635e9 + f64::from(found.column / firings * firings) * 111e-6);
+    let (rows, times) = scanner.file_order(image).into_iter().map(of).unzip();
+    (points(scanner, image), rows, times)
 }
 
 /// Moves points by a part of a motion: each by what is left of it from its time stamp to the last one. The turn is a

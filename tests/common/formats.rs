@@ -52,10 +52,10 @@ pub fn pcd_ros(points: &[[f32; 4]]) -> Vec<u8> {
     bytes
 }
 
-/// PCD with a time stamp for each point.
-pub fn pcd_stamped(points: &[[f32; 4]], times: &[f64]) -> Vec<u8> {
-    pcd("x y z intensity timestamp", "4 4 4 4 8", "F F F F F", points, |n, point| {
-        [&point.map(f32::to_le_bytes).concat()[..], &times[n].to_le_bytes()].concat()
+/// PCD with a row and a time stamp for each point.
+pub fn pcd_stamped(points: &[[f32; 4]], rows: &[u16], times: &[f64]) -> Vec<u8> {
+    pcd("x y z intensity ring timestamp", "4 4 4 4 2 8", "F F F F U F", points, |n, point| {
+        [&point.map(f32::to_le_bytes).concat()[..], &rows[n].to_le_bytes(), &times[n].to_le_bytes()].concat()
     })
 }
 

@@ -132,10 +132,10 @@ fn moved_through_a_map(known: &Known) -> Parts {
 /// A scan that was corrected by time stamps, and sorted by them, which takes more points to be found too.
 fn stamped() -> Parts {
     let scanner = made_up(Recipe::Pandar64);
-    let (mut points, times) = super::firings::stamped(&scanner, &image(&scanner, 45), 2);
+    let (mut points, rows, times) = super::firings::stamped(&scanner, &image(&scanner, 45), 2);
     points = moved_by_stamps(&points, &times, [2e-5, -3e-5, 4e-5], [1e-4, 2e-4, -3e-5]);
     points[30][2] += 0.25;
-    let file = pcd_stamped(&sorted(&points, &times), &times);
+    let file = pcd_stamped(&sorted(&points, &times), &sorted(&rows, &times), &times);
     let known = Known { scanner: Some(Scanner::Firings(scanner)), frames: Vec::new() };
     take_apart(&known.encode(&[("0.pcd".to_owned(), file)], &EncoderConfig::default()))
 }

@@ -31,14 +31,39 @@ struct Cone {
 
 /// The motion that brings the points of each beam onto a cone, with the rotation about z taken from `motion`.
 /// `None` if no motion does.
-pub fn improved(mut motion: Motion, beams: &[Vec<BeamPoint>]) -> Option<Motion> {
+pub fn improved(motion: Motion, beams: &[Vec<BeamPoint>]) -> Option<Motion> {
+    improved_by(motion, beams, |point| Seen { position: point.position, part: None })
+}
+
+/// A point of the file, and which part of the motion moved it: none if that follows from its direction.
+#[derive(Clone, Copy)]
+pub struct Seen {
+    pub position: [f64; 3],
+    pub part: Option<f64>,
+}
+
+impl Seen {
+    /// Where the point was measured, and its part of the motion.
+    fn undone(&self, mover: &Mover) -> ([f64; 3], f64) {
+        match self.part {
+            Some(part) => (mover.at(part).undone(self.position), part),
+            None => {
+                let point = mover.undone(self.position, part_of_turn(&self.position));
+                (point, part_of_turn(&point))
+            }
+        }
+    }
+}
+
+/// The same of points of any kind.
+pub fn improved_by<P>(mut motion: Motion, beams: &[Vec<P>], seen: impl Fn(&P) -> Seen) -> Option<Motion> {
     let total: usize = beams.iter().map(Vec::len).sum();
     if beams.len() < FEWEST_BEAMS || total == 0 {
         return None;
     }
-    let share = |beam: &Vec<BeamPoint>| (SAMPLE * beam.len()).div_ceil(total);
-    let samples: Vec<Vec<[f64; 3]>> =
-        beams.iter().map(|beam| thinned(beam, share(beam)).map(|point| point.position).collect()).collect();
+    let share = |beam: &Vec<P>| (SAMPLE * beam.len()).div_ceil(total);
+    let samples: Vec<Vec<Seen>> =
+        beams.iter().map(|beam| thinned(beam, share(beam)).map(&seen).collect()).collect();
     let mut cones = vec![Cone::default(); samples.len()];
     for round in 0..ROUNDS {
         // In the first round there are no cones to compare with, in the next ones only rough ones.
@@ -61,7 +86,7 @@ pub fn improved(mut motion: Motion, beams: &[Vec<BeamPoint>]) -> Option<Motion> 
 /// One round: improves the cones, and returns the change of the motion and the number of points on their
 /// cones.
 fn improve(
-    samples: &[Vec<[f64; 3]>],
+    samples: &[Vec<Seen>],
     cones: &mut [Cone],
     motion: &Motion,
     reach: f64,
@@ -79,8 +104,8 @@ fn improve(
         let mut own = Matrix2::identity() * RIDGE;
         let mut own_right = Vector2::zeros();
         let mut shared = SMatrix::<f64, 2, UNKNOWNS>::zeros();
-        for &moved in points {
-            let point @ [x, y, z] = mover.undone(moved, part_of_turn(&moved));
+        for seen in points {
+            let ([x, y, z], part) = seen.undone(&mover);
             let rho = (x * x + y * y).sqrt();
             let miss = z - cone.height - cone.slope * rho;
             on_cone += usize::from(miss.abs() < ON_CONE);
@@ -88,7 +113,6 @@ fn improve(
                 continue;
             }
             let weight = if reach.is_finite() { 1.0 / (miss.abs() + SOFT) } else { 1.0 };
-            let part = part_of_turn(&point);
             // The cone's normal, and how the distance decreases as the motion grows.
             let [nx, ny] = [-cone.slope * x / rho, -cone.slope * y / rho];
             let by = SVector::from([nx, ny, 1.0, y - z * ny, z * nx - x]) * part;

@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-use super::{Moment, Stamped, parts};
+use super::{Moment, Stamped, parts, rough};
 use crate::scan::{Channel, PointCloud, ScanFile};
 use crate::scanner::firings::{Firings, Moved, Sight, fit_moved};
 use crate::scanner::motion::{Motion, Mover};
@@ -19,7 +19,10 @@ pub fn undo(cloud: &PointCloud, scanner: &Firings) -> Option<(Vec<[f32; 3]>, Sta
     /// With fewer misses than this, there is nothing to be won.
     const FEW: f64 = 0.1;
     let sight = Sight::new(scanner);
-    let points = points_without_parts(cloud, scanner)?;
+    if scanner.build().coordinates != Coordinates::Float32 {
+        return None;
+    }
+    let points = points_without_parts(cloud)?;
     let without = share(&sight, thinned(&points, SAMPLE), &Motion::default());
     if without > 1.0 - FEW {
         return None;
@@ -29,10 +32,15 @@ pub fn undo(cloud: &PointCloud, scanner: &Firings) -> Option<(Vec<[f32; 3]>, Sta
         let parts = parts(&cloud.channels[channel], moment);
         let points = with_parts(&all, &parts);
         let few: Vec<Point> = thinned(&points, SAMPLE).copied().collect();
-        let Some(motion) = search(&sight, &few, Motion::default(), &ROUNDS) else { continue };
-        if !is_better(share(&sight, few.iter(), &motion), without) {
+        let starts = [Some(Motion::default()), None].into_iter().filter_map(|known| match known {
+            None if is_near(&sight, &few) => None,
+            None => rough::motion(&points, &cloud.channels),
+            known => known,
+        });
+        let mut found = starts.filter_map(|start| search(&sight, &few, start, &ROUNDS));
+        let Some(motion) = found.find(|motion| is_better(share(&sight, few.iter(), motion), without)) else {
             continue;
-        }
+        };
         let Some(motion) = search(&sight, &points, motion, &LAST_ROUNDS) else { continue };
         if is_better(share(&sight, points.iter(), &motion), without) {
             let measured = measured(&sight, &cloud.positions, &parts, &motion);
@@ -42,35 +50,37 @@ pub fn undo(cloud: &PointCloud, scanner: &Firings) -> Option<(Vec<[f32; 3]>, Sta
     None
 }
 
-/// A scanner with constants that fit the points of a scan once these are moved back, given one that fits them as they are.
-/// None if no motion makes them fit better.
-pub fn fit(sample: &[ScanFile], near: &Firings) -> Option<Firings> {
+/// A scanner with constants that fit the points of a scan once these are moved back, given one that nearly fits them as they
+/// are, if there is one. None if no motion makes them fit better.
+pub fn fit(sample: &[ScanFile], near: Option<&Firings>) -> Option<Firings> {
     /// Scans that are tried.
     const MOST: usize = 3;
     let has_times = |scan: &&ScanFile| candidates(&scan.cloud.channels).next().is_some();
     sample.iter().filter(has_times).take(MOST).find_map(|scan| fit_scan(scan, near))
 }
 
-fn fit_scan(scan: &ScanFile, near: &Firings) -> Option<Firings> {
+fn fit_scan(scan: &ScanFile, near: Option<&Firings>) -> Option<Firings> {
     /// Each tells the constants better, and by these the motion.
     const TRIES: usize = 3;
-    let without = share(
-        &Sight::new(near),
-        thinned(&points_without_parts(&scan.cloud, near)?, SAMPLE),
-        &Motion::default(),
-    );
-    if is_better(without, 0.0) {
+    let all = points_without_parts(&scan.cloud)?;
+    let without =
+        near.map_or(0.0, |near| share(&Sight::new(near), thinned(&all, SAMPLE), &Motion::default()));
+    if is_better(without, 0.0) || near.is_some_and(|near| near.build().coordinates != Coordinates::Float32) {
         return None;
     }
-    let all = points_without_parts(&scan.cloud, near)?;
     for (channel, moment) in candidates(&scan.cloud.channels) {
         let parts = parts(&scan.cloud.channels[channel], moment);
         let points = with_parts(&all, &parts);
         let few: Vec<Point> = thinned(&points, LARGE_SAMPLE).copied().collect();
         let mut best: Option<(f64, Firings)> = None;
+        let mut last = Motion::default();
         for _ in 0..TRIES {
-            let scanner = best.as_ref().map_or(near, |(_, scanner)| scanner);
-            let Some(motion) = search_with_constants(&Sight::new(scanner), &few) else { break };
+            let motion = match best.as_ref().map(|(_, scanner)| scanner).or(near) {
+                Some(scanner) => search_with_constants(&Sight::new(scanner), &few, last),
+                None => rough::motion(&points, &scan.cloud.channels),
+            };
+            let Some(motion) = motion else { break };
+            last = motion;
             let mover = Mover::new(&motion);
             let moved = |(position, part): (&[f32; 3], &f64)| {
                 let motion = mover.at(*part);
@@ -102,18 +112,19 @@ fn is_better(share: f64, without: f64) -> bool {
 
 /// A point of the file, and its part of the motion.
 #[derive(Clone, Copy)]
-struct Point {
-    number: usize,
-    position: [f32; 3],
-    part: f64,
+pub(super) struct Point {
+    /// Its number among those of the scan.
+    pub number: usize,
+    pub position: [f32; 3],
+    pub part: f64,
 }
 
 /// The points that a motion may be found from; none if it is not looked for.
-fn points_without_parts(cloud: &PointCloud, scanner: &Firings) -> Option<Vec<Point>> {
+fn points_without_parts(cloud: &PointCloud) -> Option<Vec<Point>> {
     /// In metres; farther away than any scanner sees.
     const FARTHEST: f32 = 1000.0;
     const FEWEST: usize = 200;
-    if scanner.build().coordinates != Coordinates::Float32 || candidates(&cloud.channels).next().is_none() {
+    if candidates(&cloud.channels).next().is_none() {
         return None;
     }
     // False for NaN, too.
@@ -166,6 +177,18 @@ fn share<'p>(sight: &Sight, points: impl Iterator<Item = &'p Point>, motion: &Mo
     f64::from(exact as u32) / f64::from(count.max(1))
 }
 
+/// Whether most points are as near to the formula's as points are that were moved by less than that.
+fn is_near(sight: &Sight, points: &[Point]) -> bool {
+    /// Metres; ranges of no step are farther off on the average.
+    const NEAR: f64 = 3e-4;
+    let is_near = |point: &&Point| {
+        let there = point.position.map(f64::from);
+        let formula = sight.nearest(there).map(|(_, formula)| formula);
+        formula.is_some_and(|formula| (0..3).all(|axis| (formula[axis] - there[axis]).abs() < NEAR))
+    };
+    2 * points.iter().filter(is_near).count() > points.len()
+}
+
 /// The points as they were measured: those of the formula where these are moved to the file's, or nearly so.
 fn measured(sight: &Sight, positions: &[[f32; 3]], parts: &[f64], motion: &Motion) -> Vec<[f32; 3]> {
     /// Metres.
@@ -202,9 +225,8 @@ fn search(sight: &Sight, points: &[Point], mut motion: Motion, rounds: &[f64]) -
 }
 
 /// The same for a scanner of which each laser's elevation and azimuth may be a little off.
-fn search_with_constants(sight: &Sight, points: &[Point]) -> Option<Motion> {
+fn search_with_constants(sight: &Sight, points: &[Point], mut motion: Motion) -> Option<Motion> {
     const ROUNDS: [f64; 4] = [1e-3, 1e-3, 1e-3, 1e-4];
-    let mut motion = Motion::default();
     for even in ROUNDS {
         motion = step(sight, points, &motion, even, true)?;
     }

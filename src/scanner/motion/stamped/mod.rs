@@ -7,10 +7,12 @@
 //! ```
 //!
 //! for a point p as the scanner's formula gives it, and a motion of rotation r and translation t during the scan. `find`
-//! finds the motion from the points, their time stamps and the scanner; what the formula misses is listed.
+//! finds the motion from the points, their time stamps and the scanner; `rough`, where the scanner moved by more than its steps,
+//! from a channel that tells the lasers apart. What the formula misses is listed.
 
 mod find;
 mod payload;
+mod rough;
 
 pub use find::{fit, undo};
 
