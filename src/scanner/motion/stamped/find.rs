@@ -124,9 +124,7 @@ fn points_without_parts(cloud: &PointCloud) -> Option<Vec<Point>> {
     /// In metres; farther away than any scanner sees.
     const FARTHEST: f32 = 1000.0;
     const FEWEST: usize = 200;
-    if candidates(&cloud.channels).next().is_none() {
-        return None;
-    }
+    candidates(&cloud.channels).next()?;
     // False for NaN, too.
     let is_in_reach = |position: &[f32; 3]| position.iter().all(|metres| metres.abs() < FARTHEST);
     let points = cloud.positions.iter().enumerate();
