@@ -11,7 +11,7 @@ use crate::frame::Positions;
 use crate::frame::settings::{Coder, EncoderConfig, ProjectionKind, resolve_threads};
 use crate::ground::error::Result;
 use crate::scan::{ScanFile, sorted};
-use crate::scanner::motion;
+use crate::scanner::motion::{self, stamped};
 use crate::scanner::{self, Scanner};
 use crate::stream::container::{ScannerId, ScannerRecord, Unit};
 
@@ -179,7 +179,12 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
         let before = sample.len();
         let scanner = Scanner::fit(&sample);
         if let Some(scanner) = scanner {
-            sample.retain(|scan| scanner.share(&scan.cloud) < LEAST_SHARE);
+            sample.retain(|scan| {
+                // What was moved by time stamps is known to be this scanner's only when it is moved back.
+                let is_moved =
+                    || scanner.firings().is_some_and(|own| stamped::undo(&scan.cloud, own).is_some());
+                scanner.share(&scan.cloud) < LEAST_SHARE && !is_moved()
+            });
             found.push(scanner);
         }
         if sample.len() == before {
