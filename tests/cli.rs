@@ -74,6 +74,48 @@ fn stats_add_up_to_the_file() {
 }
 
 #[test]
+fn stats_say_how_well_the_scanner_explains_its_points() {
+    let bench = Bench::new();
+    let drive = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/drive");
+    let files: Files = ["0000000000.bin", "0000000001.bin"]
+        .map(|name| (name.to_owned(), fs::read(drive.join(name)).unwrap()))
+        .into();
+    let shares = |files: &Files, folder: &str| -> [f64; 2] {
+        bench.write_files(folder, files);
+        bench.ok(&format!("encode {folder} -o {folder}.lpc"));
+        let stats = bench.json(&format!("stats {folder}.lpc --json"));
+        let [scanner] = &stats["scanners"].as_array().unwrap()[..] else { panic!("one scanner") };
+        assert!(scanner["description"].as_str().unwrap().contains("64 lasers"), "{scanner}");
+        ["share_in_image", "share_exact"].map(|name| scanner[name].as_f64().unwrap())
+    };
+    let [in_image, exact] = shares(&files, "drive");
+    assert!(in_image > 0.999 && exact > 0.98 && exact <= in_image, "{in_image}, {exact}");
+
+    // One point of ten is a millimetre off, one of a thousand where no laser points.
+    let mut moved = files;
+    for (number, point) in
+        moved.get_mut("0000000000.bin").unwrap().as_chunks_mut::<16>().0.iter_mut().enumerate()
+    {
+        let lift = if number % 50 == 0 {
+            7.0
+        } else if number % 10 == 1 {
+            0.001
+        } else {
+            continue;
+        };
+        let z = f32::from_le_bytes(*point[8..12].first_chunk().unwrap()) + lift;
+        point[8..12].copy_from_slice(&((z * 1000.0).round() / 1000.0).to_le_bytes());
+    }
+    let [less_in_image, less_exact] = shares(&moved, "moved");
+    assert!(less_in_image < in_image - 0.0005, "{less_in_image}, {in_image}");
+    // At least those; and the constants, fitted to points a tenth of which is wrong, miss a few more.
+    assert!((0.5..0.91 * exact).contains(&less_exact), "{less_exact} of {exact}");
+
+    let text = String::from_utf8(bench.ok("stats moved.lpc")).unwrap();
+    assert!(text.contains("of its first scan 9") && text.contains("to the last bit"), "{text}");
+}
+
+#[test]
 fn stats_measure_the_error() {
     let bench = Bench::encoded();
     let against = bench.json("stats out.lpc --against seq --json")["against"].clone();

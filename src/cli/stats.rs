@@ -1,6 +1,7 @@
 //! `lidarpc stats`
 
 mod comparison;
+mod scanners;
 
 use std::io::{self, BufReader, Read, Seek, Write};
 
@@ -17,6 +18,7 @@ use super::input::{Input, Originals, name_of, open};
 use super::output::print_json;
 use super::{poses, recording, steps, table};
 use comparison::{Against, compare};
+use scanners::{ScannerStats, Scanners};
 
 /// All that is reported.
 #[derive(Serialize)]
@@ -37,6 +39,7 @@ struct Stats {
     /// Equation 11 of the article: coded / original.
     ratio: Option<f64>,
     bits_per_point: Option<f64>,
+    scanners: Vec<ScannerStats>,
     /// Where the stream's bytes are; they add up to `stream_bytes`.
     sections: Vec<Part>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -87,16 +90,20 @@ fn read(args: &StatsArgs, input: Input, quiet: bool) -> crate::ground::error::Re
     Ok(stats)
 }
 
-/// Adds up the sizes of all parts, without decoding.
+/// Adds up the sizes of all parts; decodes no more than a scan of each scanner.
 fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Stats> {
     let mut reader = StreamReader::open(input, limits)?;
     let mut by_kind = SectionKind::ALL.map(|_| 0u64);
     let (mut frames, mut files_beside, mut scanner_bytes) = (0, 0, 0);
-    let mut originals = Source::default();
+    let (mut originals, mut scanners) = (Source::default(), Scanners::default());
     while let Some(record) = reader.next_record()? {
         match record {
-            Record::Scanner(record) => scanner_bytes += record.payload.len() as u64,
+            Record::Scanner(record) => {
+                scanner_bytes += record.payload.len() as u64;
+                scanners.add(&record)?;
+            }
             Record::Group(group) => {
+                scanners.sample(&group, &limits)?;
                 for frame in &group.frames {
                     match frame.header.stamp.unit {
                         Unit::Beside => files_beside += 1,
@@ -132,6 +139,7 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
         stream_bytes,
         ratio: metrics::ratio(file_bytes, stream_bytes),
         bits_per_point: metrics::bits_per_point(stream_bytes, points),
+        scanners: scanners.report(),
         sections,
         against: None,
     })
@@ -156,6 +164,9 @@ fn print(stats: &Stats, out: &mut impl Write) -> io::Result<()> {
             let share = table::percent(metrics::ratio(stats.points, count));
             writeln!(out, "{name:<12} {count:>14} points dropped ({share})")?;
         }
+    }
+    for (number, scanner) in (1..).zip(&stats.scanners) {
+        scanner.print(number, out)?;
     }
     if let Some(against) = &stats.against {
         against.print(out)?;

@@ -328,6 +328,18 @@ impl Frame {
         Ok(points.map(|point| point.and_then(|record| places.get(record as usize).copied())))
     }
 
+    /// How many returns the formula puts where they were measured, to the last bit.
+    pub fn exact_returns(&self, scanner: &Scanner) -> usize {
+        let offset_m = self.parameters.range_coder.offset_m(scanner);
+        let formula = scanner.positions(&self.returns, offset_m, true);
+        let bits = |position: &[f32; 3]| position.map(f32::to_bits);
+        let points = formula.iter().zip(&self.positions).zip(&self.returns);
+        // Nothing was measured where nothing returned.
+        points
+            .filter(|((formula, position), found)| found.steps == 0 || bits(formula) == bits(position))
+            .count()
+    }
+
     /// Of each place of the file the record, if they have been sorted since they arrived.
     fn file_order(&self) -> Option<Vec<u32>> {
         let keys = self.channels.get(self.sorted?)?;

@@ -308,6 +308,10 @@ pub struct DecodedImage {
     pub image: RangeImage,
     /// The point of the file in each cell, counted from 0.
     pub point_of_cell: Grid<Option<u32>>,
+    /// Number of points in the image, further returns and blanks among them.
+    pub points: u64,
+    /// Of these, how many the formula puts where they were measured, to the last bit.
+    pub exact_points: u64,
     /// The regions that predict the ranges; empty if none do.
     pub intra: IntraPrediction,
     /// How the scanner has moved since the frame before, if that predicts the ranges.
@@ -362,6 +366,8 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
             Some(scanner) => Some(DecodedImage {
                 scanner: scanner.clone(),
                 point_of_cell: frame.point_of_cell()?,
+                points: frame.returns.len() as u64,
+                exact_points: frame.exact_returns(scanner) as u64,
                 image: take(&mut frame.image),
                 intra: take(&mut frame.intra),
                 motion: (frame.parameters.prediction == Prediction::Inter)

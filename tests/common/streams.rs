@@ -119,10 +119,8 @@ fn moved_through_a_map(known: &Known) -> Parts {
     let (scanners, mut groups) =
         take_apart(&known.encode(&[(name.clone(), kitti(points))], &EncoderConfig::default()));
     let frame = &mut groups[0].frames[0];
-    frame.header = FrameHeader {
-        stamp: frame.header.stamp.clone(),
-        ..FrameHeader::of(&name, &file, points.len() as u64)
-    };
+    frame.header =
+        FrameHeader { stamp: frame.header.stamp, ..FrameHeader::of(&name, &file, points.len() as u64) };
     frame.sections.push(Section { kind: SectionKind::World, payload: world.to_payload(&measured) });
     let decoded = decode_files(&put_together(&scanners, &groups)).expect("decodes");
     assert!(decoded == [(name, file)], "the section moves the points");
