@@ -80,7 +80,7 @@ class Decoder:
         if isinstance(scanner, Unknown):
             raise NotHere(f"scanners of family {scanner.family}")
         self.scanner = scanner
-        self.sizes = IntegerModel()
+        self.sizes, self.zeros = IntegerModel(), IntegerModel()
         self.bytes = sections.ByteModel()
         self.layout = None
         self.columns = scanner.new_columns() if scanner else None
@@ -132,9 +132,16 @@ class Decoder:
             raise Refused("the file is not the one that was encoded")
         return file
 
+    def bytes_without_zeros(self, bits):
+        length = self.sizes.code(bits)
+        zeros = self.zeros.code(bits) if length else 0
+        if zeros > length:
+            raise Refused("more zeros than bytes")
+        return self.bytes.code(bits, length - zeros) + bytes(zeros)
+
     def file(self, parameters, point_count):
         bits = self.bits(kinds.FILE)
-        layout, prefix, suffix = (self.bytes.code(bits, self.sizes.code(bits)) for _ in range(3))
+        layout, prefix, suffix = (self.bytes_without_zeros(bits) for _ in range(3))
         if layout:
             self.layout = Layout(layout)
         layout = self.layout

@@ -15,6 +15,7 @@ pub struct FileModels {
     /// Of the last frame.
     layout: Option<Layout>,
     sizes: IntegerModel,
+    zeros: IntegerModel,
     bytes: ByteModel,
 }
 
@@ -76,14 +77,22 @@ impl FileModels {
         Ok(())
     }
 
+    /// Bytes of any number. Zeros at their end, with which some programs fill up a page, are only counted.
     fn code_bytes<C: BitCoder>(&mut self, coder: &mut C, bytes: &mut Vec<u8>, limits: &Limits) -> Result<()> {
         let length = self.sizes.code(coder, bytes.len() as u64) as usize;
         within(length, limits.file_bytes, "bytes of the frame")?;
-        if length as u64 > coder.most_bits() / 8 {
+        bytes.resize(length, 0);
+        if length == 0 {
+            return Ok(());
+        }
+        let zeros = bytes.iter().rev().take_while(|&&byte| byte == 0).count();
+        let zeros = self.zeros.code(coder, zeros as u64);
+        let others = usize::try_from(zeros).ok().and_then(|zeros| length.checked_sub(zeros));
+        let others = others.ok_or_else(|| Error::corrupt("more zeros than bytes"))?;
+        if others as u64 > coder.most_bits() / 8 {
             return Err(Error::corrupt("more bytes than the section can hold"));
         }
-        bytes.resize(length, 0);
-        self.bytes.code(coder, 1, bytes);
+        self.bytes.code(coder, 1, &mut bytes[..others]);
         Ok(())
     }
 }
