@@ -222,7 +222,9 @@ fn file_section(layout: &Layout, records: u64, strays: u64) -> Section {
     let mut bytes = Vec::new();
     layout.write_to(&mut bytes);
     sizes.code(&mut coder, bytes.len() as u64);
-    model.code(&mut coder, 1, &mut bytes);
+    let others = bytes.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+    IntegerModel::default().code(&mut coder, (bytes.len() - others) as u64);
+    model.code(&mut coder, 1, &mut bytes[..others]);
     for number in [0, 0, records, strays] {
         sizes.code(&mut coder, number);
     }
@@ -333,6 +335,24 @@ fn forged_files_are_an_error() {
     let mut frame = whole(&layout, 0, 64, &content);
     frame.push(file_section(&kitti_layout(), 4, 4));
     assert!(decode_files(&forged(None, 4, frame)).is_err());
+}
+
+/// A prefix that claims more zeros at its end than it has bytes, or more bytes than there is room for.
+#[test]
+fn zeros_without_room_are_an_error() {
+    for (length, zeros, known) in [
+        (3, 4, "more zeros than bytes"),
+        (1 << 40, 1 << 40, "bytes of the frame"),
+        (4, 4, "record layout is cut short"),
+    ] {
+        let mut coder = ArithmeticEncoder::default();
+        let (mut sizes, mut of_zeros) = (IntegerModel::default(), IntegerModel::default());
+        sizes.code(&mut coder, length);
+        of_zeros.code(&mut coder, zeros);
+        let section = Section { kind: SectionKind::File, payload: coder.finish() };
+        let error = decode_files(&forged(None, 4, vec![section])).unwrap_err().to_string();
+        assert!(error.contains(known), "{length} {zeros}: {error}");
+    }
 }
 
 /// A record that takes no bytes could be claimed any number of times.
