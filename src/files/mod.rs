@@ -113,7 +113,7 @@ pub const TELLING: u64 = 64 << 10;
 
 /// Whether a file of this name is taken for a scan where it stands in a folder or an archive among others; `None` if
 /// [`starts_as_scan_of_folder`] tells by its bytes.
-#[cfg(feature = "cli")]
+#[cfg(any(test, feature = "cli"))]
 fn is_scan_by_name(name: &str) -> Option<bool> {
     match Kind::of(name) {
         None => Some(false),
@@ -123,7 +123,7 @@ fn is_scan_by_name(name: &str) -> Option<bool> {
 }
 
 /// As [`starts_as_scan`], of a file in a folder, which nobody has named: many that hold numbers are no scans.
-#[cfg(feature = "cli")]
+#[cfg(any(test, feature = "cli"))]
 pub fn starts_as_scan_of_folder(name: &str, start: &[u8]) -> bool {
     is_scan_by_name(name).unwrap_or_else(|| match Kind::of(name) {
         Some((Kind::Numpy, _)) => {
