@@ -5,7 +5,7 @@
 //! the sort has nothing to do but that, and still it shuffles each packet's points. How it does depends on nothing but where
 //! one time stamp ends and the next begins, so the *order of arrival* comes back from the file alone.
 
-use super::{Channel, PointCloud, Scalar};
+use super::{Channel, PointCloud};
 
 /// Ranges of at most this many records are not divided any further.
 const SHORT: usize = 16;
@@ -104,29 +104,9 @@ fn is_rising_in_runs(channel: &Channel) -> bool {
     let does_not_fall = pairs.all(|(one, next)| {
         runs += usize::from(one != next);
         // Nor is there a run for each few records.
-        one == next || runs * FEWEST <= records && is_less(scalar, one, next)
+        one == next || runs * FEWEST <= records && scalar.number(one) < scalar.number(next)
     });
     does_not_fall && runs > 1
-}
-
-/// Whether a value is less than another, both of this type.
-fn is_less(scalar: Scalar, one: &[u8], other: &[u8]) -> bool {
-    fn of<const N: usize, T: PartialOrd>(make: fn([u8; N]) -> T, one: &[u8], other: &[u8]) -> bool {
-        let value = |bytes: &[u8]| bytes.first_chunk().copied().map(make);
-        value(one) < value(other)
-    }
-    match scalar {
-        Scalar::I8 => of(i8::from_le_bytes, one, other),
-        Scalar::U8 => of(u8::from_le_bytes, one, other),
-        Scalar::I16 => of(i16::from_le_bytes, one, other),
-        Scalar::U16 => of(u16::from_le_bytes, one, other),
-        Scalar::I32 => of(i32::from_le_bytes, one, other),
-        Scalar::U32 => of(u32::from_le_bytes, one, other),
-        Scalar::I64 => of(i64::from_le_bytes, one, other),
-        Scalar::U64 => of(u64::from_le_bytes, one, other),
-        Scalar::F32 => of(f32::from_le_bytes, one, other),
-        Scalar::F64 => of(f64::from_le_bytes, one, other),
-    }
 }
 
 /// In which of a few classes the elevation of each point is.
@@ -176,7 +156,7 @@ impl Slopes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scan::Field;
+    use crate::scan::{Field, Scalar};
 
     fn channel(keys: &[u32]) -> Channel {
         let bytes = keys.iter().flat_map(|key| f64::from(*key).to_le_bytes()).collect();

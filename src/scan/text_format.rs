@@ -6,6 +6,15 @@ use crate::ground::error::{Error, Result};
 /// stream can expand one value.
 pub const MAX_DIGITS: u8 = 40;
 
+/// A value of any type, exactly. Those of one type are of one kind.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub enum Number {
+    /// That of an integer type.
+    Integer(i128),
+    /// That of a floating-point type.
+    Float(f64),
+}
+
 /// The type of a value in a record. All types are little-endian in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scalar {
@@ -61,6 +70,32 @@ impl Scalar {
     /// The type of this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|scalar| scalar.name() == name)
+    }
+
+    /// A value of this type, from its bytes; `None` if there are too few.
+    pub fn number(self, bytes: &[u8]) -> Option<Number> {
+        fn of<const N: usize, T, V>(
+            bytes: &[u8],
+            make: fn([u8; N]) -> T,
+            number: fn(V) -> Number,
+        ) -> Option<Number>
+        where
+            V: From<T>,
+        {
+            bytes.first_chunk().map(|bytes| number(make(*bytes).into()))
+        }
+        match self {
+            Scalar::I8 => of(bytes, i8::from_le_bytes, Number::Integer),
+            Scalar::U8 => of(bytes, u8::from_le_bytes, Number::Integer),
+            Scalar::I16 => of(bytes, i16::from_le_bytes, Number::Integer),
+            Scalar::U16 => of(bytes, u16::from_le_bytes, Number::Integer),
+            Scalar::I32 => of(bytes, i32::from_le_bytes, Number::Integer),
+            Scalar::U32 => of(bytes, u32::from_le_bytes, Number::Integer),
+            Scalar::I64 => of(bytes, i64::from_le_bytes, Number::Integer),
+            Scalar::U64 => of(bytes, u64::from_le_bytes, Number::Integer),
+            Scalar::F32 => of(bytes, f32::from_le_bytes, Number::Float),
+            Scalar::F64 => of(bytes, f64::from_le_bytes, Number::Float),
+        }
     }
 
     /// True for the two floating-point types.

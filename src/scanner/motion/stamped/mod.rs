@@ -17,7 +17,7 @@ mod rough;
 pub use find::{fit, undo};
 
 use super::{Miss, Motion, Mover, find_misses, put_right};
-use crate::scan::{Channel, Scalar};
+use crate::scan::{Channel, Number};
 
 /// To which moment points were moved.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -102,28 +102,21 @@ fn parts(times: &Channel, moment: Moment) -> Vec<f64> {
 
 /// The time from the first stamp to each.
 fn since_first(times: &Channel) -> Vec<f64> {
-    fn values<const N: usize, T>(bytes: &[u8], make: fn([u8; N]) -> T) -> impl Iterator<Item = T> {
-        bytes.chunks_exact(N).filter_map(move |value| value.first_chunk().copied().map(make))
+    let scalar = times.field.scalar;
+    let values = times.bytes.chunks_exact(scalar.size() as usize);
+    let stamps: Vec<Number> = values.filter_map(|value| scalar.number(value)).collect();
+    let (mut least, mut least_float) = (i128::MAX, f64::INFINITY);
+    for stamp in &stamps {
+        match *stamp {
+            Number::Integer(time) => least = least.min(time),
+            Number::Float(time) if time.is_finite() => least_float = least_float.min(time),
+            Number::Float(_) => {}
+        }
     }
-    fn of_floats(values: Vec<f64>) -> Vec<f64> {
-        let first = values.iter().copied().filter(|time| time.is_finite()).fold(f64::INFINITY, f64::min);
-        values.into_iter().map(|time| time - first).collect()
-    }
-    fn of_integers(values: Vec<i128>) -> Vec<f64> {
-        let first = values.iter().copied().min().unwrap_or(0);
-        values.into_iter().map(|time| (time - first) as f64).collect()
-    }
-    let bytes = &times.bytes[..];
-    match times.field.scalar {
-        Scalar::I8 => of_integers(values(bytes, i8::from_le_bytes).map(i128::from).collect()),
-        Scalar::U8 => of_integers(values(bytes, u8::from_le_bytes).map(i128::from).collect()),
-        Scalar::I16 => of_integers(values(bytes, i16::from_le_bytes).map(i128::from).collect()),
-        Scalar::U16 => of_integers(values(bytes, u16::from_le_bytes).map(i128::from).collect()),
-        Scalar::I32 => of_integers(values(bytes, i32::from_le_bytes).map(i128::from).collect()),
-        Scalar::U32 => of_integers(values(bytes, u32::from_le_bytes).map(i128::from).collect()),
-        Scalar::I64 => of_integers(values(bytes, i64::from_le_bytes).map(i128::from).collect()),
-        Scalar::U64 => of_integers(values(bytes, u64::from_le_bytes).map(i128::from).collect()),
-        Scalar::F32 => of_floats(values(bytes, f32::from_le_bytes).map(f64::from).collect()),
-        Scalar::F64 => of_floats(values(bytes, f64::from_le_bytes).collect()),
-    }
+    let since = |stamp: Number| match stamp {
+        // Subtracted before it is rounded.
+        Number::Integer(time) => (time - least) as f64,
+        Number::Float(time) => time - least_float,
+    };
+    stamps.into_iter().map(since).collect()
 }
