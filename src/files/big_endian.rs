@@ -1,18 +1,17 @@
 //! Records whose values are big-endian, as in a `binary_big_endian` PLY.
 
-use super::records::plain_file;
+use super::records::Parts;
 use crate::scan::{Layout, ScanFile, Wrapping};
 
 /// Takes a file apart whose records stand one after the other from byte `start` on, at most `records` of
 /// them. `None` if the layout is not valid.
 pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
-    let stride = layout.stride();
-    let present = bytes.len().checked_sub(start)?.checked_div(stride)?;
-    let count = usize::try_from(records).map_or(present, |n| n.min(present));
-    let mut swapped = bytes.to_vec();
-    swap(&mut swapped[start..start + count * stride], &layout);
-    let file = plain_file(layout, &swapped, start, records)?;
-    Some(ScanFile { layout: Layout { wrapping: Wrapping::BigEndian, ..file.layout }, ..file })
+    let layout = Layout { wrapping: Wrapping::BigEndian, ..layout };
+    layout.validate().ok()?;
+    let parts = Parts::of(bytes, start, layout.stride(), records)?;
+    let mut swapped = parts.body.to_vec();
+    swap(&mut swapped, &layout);
+    Some(parts.file(layout, &swapped))
 }
 
 /// Reverses the bytes of each value in whole records.

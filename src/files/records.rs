@@ -12,20 +12,43 @@ use crate::scan::{Channel, Layout, PointCloud, Scalar, ScanFile, Wrapping};
 /// `records` of them, fewer if the file ends before. `None` if the layout is not valid.
 pub(super) fn plain_file(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
     layout.validate().ok()?;
-    let stride = layout.stride();
-    let body = bytes.get(start..)?;
-    let present = body.len().checked_div(stride)?;
-    let records = usize::try_from(records).map_or(present, |n| n.min(present));
-    let (body, suffix) = body.split_at(records * stride);
-    let (layout, cloud) = split(layout, body);
-    Some(ScanFile {
-        prefix: bytes[..start].to_vec(),
-        records,
-        cloud,
-        suffix: suffix.to_vec(),
-        layout,
-        name: String::new(),
-    })
+    let parts = Parts::of(bytes, start, layout.stride(), records)?;
+    Some(parts.file(layout, parts.body))
+}
+
+/// The parts of a file whose records stand one after the other.
+pub(super) struct Parts<'b> {
+    prefix: &'b [u8],
+    /// Whole records.
+    pub body: &'b [u8],
+    suffix: &'b [u8],
+    /// Number of records.
+    pub records: usize,
+}
+
+impl<'b> Parts<'b> {
+    /// Of a file whose records of `stride` bytes begin at byte `start`, at most so many. `None` if there is no
+    /// such byte, or if records have no bytes.
+    pub fn of(bytes: &'b [u8], start: usize, stride: usize, records: u64) -> Option<Self> {
+        let (prefix, rest) = bytes.split_at_checked(start)?;
+        let present = rest.len().checked_div(stride)?;
+        let records = usize::try_from(records).map_or(present, |count| count.min(present));
+        let (body, suffix) = rest.split_at(records * stride);
+        Some(Parts { prefix, body, suffix, records })
+    }
+
+    /// The file, its records being these bytes instead. The layout must be valid.
+    pub fn file(&self, layout: Layout, body: &[u8]) -> ScanFile {
+        let (layout, cloud) = split(layout, body);
+        ScanFile {
+            prefix: self.prefix.to_vec(),
+            records: self.records,
+            cloud,
+            suffix: self.suffix.to_vec(),
+            layout,
+            name: String::new(),
+        }
+    }
 }
 
 /// The largest intensity that the models of intensities know as a whole number.

@@ -2,7 +2,7 @@
 
 use byteorder::{ByteOrder, LittleEndian};
 
-use super::records;
+use super::records::Parts;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::{Axis, Layout, ScanFile, Wrapping};
 
@@ -18,26 +18,12 @@ pub(super) fn parse(
 ) -> Option<ScanFile> {
     let layout = Layout { wrapping: Wrapping::Scaled(axes), ..layout };
     layout.validate().ok()?;
-    let (body, stride) = (bytes.get(start..)?, layout.stride());
-    let present = body.len() / stride;
-    let count = usize::try_from(count).map_or(present, |count| count.min(present));
-    let (body, suffix) = body.split_at(count * stride);
-    let mut metres = body.to_vec();
+    let parts = Parts::of(bytes, start, layout.stride(), count)?;
+    let mut metres = parts.body.to_vec();
     to_metres(&mut metres, &layout, &axes);
     let mut again = metres.clone();
     to_steps(&mut again, &layout, &axes);
-    if again != body {
-        return None;
-    }
-    let (layout, cloud) = records::split(layout, &metres);
-    Some(ScanFile {
-        name: String::new(),
-        layout,
-        prefix: bytes[..start].to_vec(),
-        records: count,
-        cloud,
-        suffix: suffix.to_vec(),
-    })
+    (again == parts.body).then(|| parts.file(layout, &metres))
 }
 
 fn to_metres(body: &mut [u8], layout: &Layout, axes: &[Axis; 3]) {

@@ -1,29 +1,25 @@
 //! Records in which doubles hold no more than float32 does: programs that compute in double precision write scans so.
 
 use super::field::{POSITION, layout_of};
-use super::records::{self, plain_file};
+use super::records::Parts;
 use crate::scan::{Field, Layout, Scalar, ScanFile, Wrapping};
 
-/// Takes a file apart whose records stand one after the other from byte `start` on, at most `count` of them, as
-/// [`plain_file`] does; but doubles of which float32 preserves every bit are float32. x, y and z are so together or not at all.
-/// `None` if the layout is not valid.
+/// Takes a file apart as [`plain_file`](super::records::plain_file) does; but doubles of which float32 preserves
+/// every bit are float32. x, y and z are so together or not at all.
 pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, count: u64) -> Option<ScanFile> {
     layout.validate().ok()?;
-    let (body, stride) = (bytes.get(start..)?, layout.stride());
-    let present = body.len().checked_div(stride)?;
-    let count = usize::try_from(count).map_or(present, |count| count.min(present));
-    let (body, suffix) = body.split_at(count * stride);
-    let widened = narrow_fields(&layout.fields, body);
-    if count == 0 || !widened.contains(&true) {
-        return plain_file(layout, bytes, start, count as u64);
+    let parts = Parts::of(bytes, start, layout.stride(), count)?;
+    let widened = narrow_fields(&layout.fields, parts.body);
+    if parts.records == 0 || !widened.contains(&true) {
+        return Some(parts.file(layout, parts.body));
     }
     let scalar = |(field, is_widened): (&Field, &bool)| match is_widened {
         true => Field { scalar: Scalar::F32, ..field.clone() },
         false => field.clone(),
     };
     let fields: Vec<_> = layout.fields.iter().zip(&widened).map(scalar).collect();
-    let mut narrowed = Vec::with_capacity(body.len());
-    for record in body.chunks_exact(stride) {
+    let mut narrowed = Vec::with_capacity(parts.body.len());
+    for record in parts.body.chunks_exact(layout.stride()) {
         let mut rest = record;
         for (field, is_widened) in layout.fields.iter().zip(&widened) {
             let (own, after) = rest.split_at(field.width());
@@ -36,15 +32,7 @@ pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, count: u64) -> O
     }
     let layout = layout_of(fields, Wrapping::Widened(widened))?;
     layout.validate().ok()?;
-    let (layout, cloud) = records::split(layout, &narrowed);
-    Some(ScanFile {
-        name: String::new(),
-        layout,
-        prefix: bytes[..start].to_vec(),
-        records: count,
-        cloud,
-        suffix: suffix.to_vec(),
-    })
+    Some(parts.file(layout, &narrowed))
 }
 
 /// Which fields are doubles that float32 preserves.
