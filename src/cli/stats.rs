@@ -103,7 +103,7 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
                 scanners.add(&record)?;
             }
             Record::Group(group) => {
-                scanners.sample(&group, &limits)?;
+                scanners.sample(frames + files_beside, &group, &limits)?;
                 for frame in &group.frames {
                     match frame.header.stamp.unit {
                         Unit::Beside => files_beside += 1,

@@ -297,6 +297,19 @@ pub struct DecodedScan {
     pub in_order: bool,
     /// The range image, if there is one and it was requested.
     pub image: Option<DecodedImage>,
+    /// How well the scanner explains it, if it has one and that was requested.
+    pub explained: Option<Explained>,
+}
+
+/// How well its scanner explains a frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Explained {
+    /// Number of points of the file.
+    pub points: u64,
+    /// Of these, how many are in the range image, further returns and blanks among them.
+    pub in_image: u64,
+    /// Of those in the image, how many the formula puts where they were measured, to the last bit.
+    pub exact: u64,
 }
 
 /// The range image of a decoded frame.
@@ -308,10 +321,6 @@ pub struct DecodedImage {
     pub image: RangeImage,
     /// The point of the file in each cell, counted from 0.
     pub point_of_cell: Grid<Option<u32>>,
-    /// Number of points in the image, further returns and blanks among them.
-    pub points: u64,
-    /// Of these, how many the formula puts where they were measured, to the last bit.
-    pub exact_points: u64,
     /// The regions that predict the ranges; empty if none do.
     pub intra: IntraPrediction,
     /// How the scanner has moved since the frame before, if that predicts the ranges.
@@ -324,18 +333,24 @@ pub struct GroupDecoder<S> {
     streams: Vec<(Option<S>, Option<Models>)>,
     limits: Limits,
     keeps_images: bool,
+    judges_scanners: bool,
 }
 
 impl<S: Borrow<Scanner>> GroupDecoder<S> {
     /// A new group whose streams have these scanners.
     pub fn new(scanners: impl IntoIterator<Item = Option<S>>, limits: &Limits) -> Self {
         let streams = scanners.into_iter().map(|scanner| (scanner, None)).collect();
-        GroupDecoder { streams, limits: *limits, keeps_images: false }
+        GroupDecoder { streams, limits: *limits, keeps_images: false, judges_scanners: false }
     }
 
     /// Makes the decoder return range images, too.
     pub fn keeping_images(self, keeps_images: bool) -> Self {
         GroupDecoder { keeps_images, ..self }
+    }
+
+    /// Makes the decoder tell how well the scanners explain their frames, too.
+    pub fn judging_scanners(self) -> Self {
+        GroupDecoder { judges_scanners: true, ..self }
     }
 
     /// Decodes the next frame; adds the times of all steps to `steps`.
@@ -362,12 +377,15 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
         steps.frames += 1;
         steps.original += source.map_or(header.file_size, |source| source.file_size);
         steps.count_sections(sections);
+        let explained = scanner.filter(|_| self.judges_scanners).map(|scanner| Explained {
+            points: frame.records as u64,
+            in_image: frame.returns.len() as u64,
+            exact: frame.exact_returns(scanner) as u64,
+        });
         let image = match scanner.filter(|_| self.keeps_images) {
             Some(scanner) => Some(DecodedImage {
                 scanner: scanner.clone(),
                 point_of_cell: frame.point_of_cell()?,
-                points: frame.returns.len() as u64,
-                exact_points: frame.exact_returns(scanner) as u64,
                 image: take(&mut frame.image),
                 intra: take(&mut frame.intra),
                 motion: (frame.parameters.prediction == Prediction::Inter)
@@ -376,6 +394,6 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
             None => None,
         };
         let in_order = frame.parameters.positions != Positions::Formula;
-        Ok(DecodedScan { scan: frame.into_scan(&header.name)?, source, in_order, image })
+        Ok(DecodedScan { scan: frame.into_scan(&header.name)?, source, in_order, image, explained })
     }
 }

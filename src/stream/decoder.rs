@@ -145,7 +145,7 @@ fn decode_frame<S: Borrow<Scanner>>(
 ) -> Result<Option<DecodedFrame>> {
     let header = frame.header.clone();
     let mut steps = StepReport::default();
-    let DecodedScan { scan, source, in_order, image } =
+    let DecodedScan { scan, source, in_order, image, .. } =
         coder.decode_frame(&header, &frame.sections, &mut steps)?;
     if !options.frames.contains(number) {
         return Ok(None);

@@ -3,9 +3,9 @@
 use std::io::{self, Write};
 
 use crate::cli::table;
-use crate::frame::group::GroupDecoder;
+use crate::frame::group::{Explained, GroupDecoder};
 use crate::frame::{FrameParameters, Positions, StepReport};
-use crate::ground::error::{Limits, Result};
+use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::Scanner;
 use crate::stream::container::{Group, ScannerId, ScannerRecord};
 use crate::study::metrics;
@@ -14,15 +14,14 @@ use serde::Serialize;
 /// The scanners of a stream, in the order of their first records.
 #[derive(Default)]
 pub struct Scanners {
-    known: Vec<(ScannerId, Scanner, Option<Sample>)>,
+    known: Vec<KnownScanner>,
 }
 
-/// The first exact scan of a scanner.
-#[derive(Clone, Copy)]
-struct Sample {
-    points: u64,
-    in_image: u64,
-    exact: u64,
+struct KnownScanner {
+    id: ScannerId,
+    scanner: Scanner,
+    /// How well it explains its first exact scan, once there was one.
+    first: Option<Explained>,
 }
 
 /// What is reported of a scanner.
@@ -43,42 +42,50 @@ impl Scanners {
     /// If the record is damaged.
     pub fn add(&mut self, record: &ScannerRecord) -> Result<()> {
         let id = record.id();
-        if self.known.iter().all(|(known, ..)| *known != id)
+        if self.known.iter().all(|known| known.id != id)
             && let Some(scanner) = Scanner::of_record(record.family, &record.payload)?
         {
-            self.known.push((id, scanner, None));
+            self.known.push(KnownScanner { id, scanner, first: None });
         }
         Ok(())
     }
 
-    /// Decodes the group's first scan of each scanner that has not had one, if it is coded exactly.
+    /// Decodes the group's first scan of each scanner that has not had one, if it is coded exactly. The group's first frame
+    /// has this number.
     ///
     /// # Errors
     /// If it is damaged.
-    pub fn sample(&mut self, group: &Group, limits: &Limits) -> Result<()> {
+    pub fn sample(&mut self, first_frame: u64, group: &Group, limits: &Limits) -> Result<()> {
         for (stream, id) in group.scanners.iter().enumerate() {
-            let known =
-                self.known.iter_mut().find(|(known, _, sample)| Some(*known) == *id && sample.is_none());
-            let first = group.frames.iter().find(|frame| usize::from(frame.header.stamp.stream) == stream);
-            let (Some((_, scanner, sample)), Some(frame)) = (known, first) else { continue };
-            if FrameParameters::of(frame)?.positions != Positions::Exact {
+            let known = self.known.iter_mut().find(|known| Some(known.id) == *id && known.first.is_none());
+            let mut frames = (first_frame..).zip(&group.frames);
+            let first = frames.find(|(_, frame)| usize::from(frame.header.stamp.stream) == stream);
+            let (Some(KnownScanner { scanner, first: explained, .. }), Some((number, frame))) =
+                (known, first)
+            else {
                 continue;
-            }
-            let streams = (0..=stream).map(|place| (place == stream).then_some(&*scanner));
-            let mut decoder = GroupDecoder::new(streams, limits).keeping_images(true);
-            let decoded = decoder.decode_frame(&frame.header, &frame.sections, &mut StepReport::default())?;
-            let (in_image, exact) = decoded.image.map_or((0, 0), |image| (image.points, image.exact_points));
-            *sample = Some(Sample { points: decoded.scan.records as u64, in_image, exact });
+            };
+            let decode = || {
+                if FrameParameters::of(frame)?.positions != Positions::Exact {
+                    return Ok(None);
+                }
+                let streams = (0..=stream).map(|place| (place == stream).then_some(&*scanner));
+                let mut decoder = GroupDecoder::new(streams, limits).judging_scanners();
+                let decoded =
+                    decoder.decode_frame(&frame.header, &frame.sections, &mut StepReport::default())?;
+                Ok(decoded.explained)
+            };
+            *explained = decode().map_err(|error: Error| error.within_frame(number, &frame.header.name))?;
         }
         Ok(())
     }
 
     /// What was found.
     pub fn report(&self) -> Vec<ScannerStats> {
-        let of_scanner = |(_, scanner, sample): &(ScannerId, Scanner, Option<Sample>)| ScannerStats {
-            description: scanner.to_string(),
-            share_in_image: sample.and_then(|sample| metrics::ratio(sample.points, sample.in_image)),
-            share_exact: sample.and_then(|sample| metrics::ratio(sample.points, sample.exact)),
+        let of_scanner = |known: &KnownScanner| ScannerStats {
+            description: known.scanner.to_string(),
+            share_in_image: known.first.and_then(|first| metrics::ratio(first.points, first.in_image)),
+            share_exact: known.first.and_then(|first| metrics::ratio(first.points, first.exact)),
         };
         self.known.iter().map(of_scanner).collect()
     }
