@@ -48,7 +48,10 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     let (mut sizes, mut scanners) = (Sizes::default(), KeptScanners::default());
     let mut writer = output.writer();
     let encoded = arriving.by_ref().try_for_each(|file| {
-        let ArrivedFile { name, bytes } = file?;
+        let ArrivedFile { name, bytes } = file.map_err(|error| match error {
+            error::Error::Io(_) => error.at("stdin"),
+            _ => error,
+        })?;
         sizes.messages += 1;
         sizes.file_bytes += bytes.len() as u64;
         let frame = FrameInput::memory(name.clone(), bytes);
