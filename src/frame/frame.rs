@@ -181,11 +181,13 @@ impl Frame {
         scanner: Option<&Scanner>,
         config: &EncoderConfig,
     ) -> PointCloud {
-        if !config.undoes_compensation() {
+        let firings = scanner.and_then(Scanner::firings);
+        if !config.undoes_compensation() || firings.is_some_and(|firings| firings.explains(&cloud.positions))
+        {
             return cloud;
         }
         let undone = motion::undo(&cloud.positions, config.undoes_map()).or_else(|| {
-            let (positions, stamped) = stamped::undo(&cloud, scanner?.firings()?)?;
+            let (positions, stamped) = stamped::undo(&cloud, firings?)?;
             Some((positions, Compensation::Stamped(stamped)))
         });
         let Some((positions, compensation)) = undone else { return cloud };

@@ -1,5 +1,5 @@
 //! The ground that everything else stands on: errors, limits, tables, variable-length integers, rounding,
-//! random numbers, the clock, and the helper for vector units.
+//! random numbers, fast angles, the clock, and the helper for vector units.
 
 pub mod error;
 pub mod grid;
@@ -9,6 +9,7 @@ pub mod varint;
 
 mod section_kind;
 
+pub(crate) mod angle;
 pub(crate) mod clock;
 pub(crate) mod lanes;
 pub(crate) mod lazy_table;

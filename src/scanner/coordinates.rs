@@ -81,6 +81,10 @@ impl Coordinates {
     /// The coordinate nearest to `formula`, in metres: [`value`](Self::value) of [`unit_of`](Self::unit_of).
     #[inline]
     pub fn nearest(self, formula: f64) -> f32 {
+        if self == Coordinates::Float32 {
+            // The same without a detour.
+            return if formula.is_nan() { 0.0 } else { formula as f32 };
+        }
         self.value(self.unit_of(formula), formula)
     }
 

@@ -3,12 +3,13 @@
 //! and the recipe by trying all of them.
 
 use std::f64::consts::TAU;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
 use super::projection::{Place, nearest, without_echoes};
 use super::recipe::whole_steps;
-use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing, WHOLE};
+use super::{ANGLE_UNIT, Build, Firings, Laser, Located, Origin, Recipe, Timing, WHOLE};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
 use crate::scanner::motion::RigidMotion;
@@ -448,15 +449,18 @@ impl Constants {
         few.sort_by_key(|&row| std::cmp::Reverse(self.of_rows[row].len()));
         few.truncate((few.len() / 2).max(FEW));
         let few: Vec<usize> = few.iter().step_by((few.len() / FEW).max(1)).copied().collect();
+        // Recipes that give fewer than another are of no interest.
+        let most = AtomicUsize::new(0);
         let tried = Recipe::ALL.into_par_iter().filter(|recipe| !recipe.is_off_axis()).map(|recipe| {
             let any = Firings::new(Build { recipe, ..build.clone() }, Vec::new(), Vec::new());
-            let (common, exact) = self.common(&any, &offsets, &few);
+            let (common, exact) = self.common(&any, &offsets, &few, most.load(Ordering::Relaxed));
+            most.fetch_max(exact, Ordering::Relaxed);
             (any, common, exact)
         });
         let tried: Vec<_> = tried.collect();
         let (any, common, _) = tried.into_iter().rev().max_by_key(|(_, _, exact)| *exact)?;
         let of_row = |row: usize| {
-            let (laser, _) = self.laser(&any, row, offsets[row] + f64::from(common) * tick);
+            let (laser, _) = self.laser(&any, row, offsets[row] + f64::from(common) * tick, 0);
             // Sums in single precision tell an offset only by many points.
             let sums = matches!(any.build.recipe, Recipe::Nebula | Recipe::Nebula2023);
             if sums { self.polished(&any, row, laser) } else { laser }
@@ -465,8 +469,9 @@ impl Constants {
         Some((any.build, lasers))
     }
 
-    /// The whole ticks by which all offsets are off, as far as these rows tell, and how many of their points come out.
-    fn common(&self, any: &Firings, offsets: &[f64], few: &[usize]) -> (i32, usize) {
+    /// The whole ticks by which all offsets are off, as far as these rows tell, and how many of their points come out:
+    /// perhaps 0 if they are fewer than `least`.
+    fn common(&self, any: &Firings, offsets: &[f64], few: &[usize], least: usize) -> (i32, usize) {
         /// Where ticks are thousandths of degrees, whole ones make a difference only in single precision: how far off
         /// they are looked for.
         const FARTHEST: i32 = 1200;
@@ -479,11 +484,24 @@ impl Constants {
         const NONE: f64 = 1e-5;
         let tick = 360.0 / f64::from(any.build.ticks);
         let is_whole = 360_000 % any.build.ticks == 0;
-        let found: Vec<(Laser, usize)> = few.iter().map(|&row| self.laser(any, row, offsets[row])).collect();
-        let exact: usize = found.iter().map(|(_, exact)| exact).sum();
         let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
         let has_none = offsets.iter().all(|offset| offset.abs() < NONE);
-        if exact == points || is_whole && (has_none || !any.build.recipe.adds_in_single()) {
+        let is_known = is_whole && (has_none || !any.build.recipe.adds_in_single());
+        // Of the points, as many may be missed.
+        let (mut found, mut left) = (Vec::new(), points - least.min(points));
+        for &row in few {
+            let least = if is_known { self.of_rows[row].len().saturating_sub(left) } else { 0 };
+            let (laser, exact) = self.laser(any, row, offsets[row], least);
+            if exact < least {
+                return (0, 0);
+            }
+            if is_known {
+                left -= self.of_rows[row].len() - exact;
+            }
+            found.push((laser, exact));
+        }
+        let exact: usize = found.iter().map(|(_, exact)| exact).sum();
+        if exact == points || is_known {
             return (0, exact);
         }
         // The nearest to the middle of equals.
@@ -497,7 +515,7 @@ impl Constants {
             let mut best = (0, worth(&found));
             for common in rising(NEAR) {
                 let offset = |row: usize| offsets[row] + f64::from(common) * tick;
-                let lasers: Vec<_> = few.iter().map(|&row| self.laser(any, row, offset(row))).collect();
+                let lasers: Vec<_> = few.iter().map(|&row| self.laser(any, row, offset(row), 0)).collect();
                 let worth = worth(&lasers);
                 if worth > best.1 {
                     best = (common, worth);
@@ -509,36 +527,49 @@ impl Constants {
         let heights = few
             .iter()
             .zip(&found)
-            .map(|(&row, (laser, _))| exact_points(any, *laser, &self.of_rows[row], 2..3));
-        if 2 * heights.sum::<usize>() < points {
+            .map(|(&row, (laser, _))| exact_points(any, *laser, &self.of_rows[row], 2..3, 0));
+        let heights = heights.sum::<usize>();
+        if 2 * heights < points || heights < least {
             return (0, exact);
         }
         let fewer: Vec<Vec<Point>> =
             few.iter().map(|&row| self.of_rows[row].iter().step_by(SPARSE).copied().collect()).collect();
         let are_moved = fewer.iter().flatten().any(|point| point.moved.is_some());
-        let count = |common: i32, points: &[Vec<Point>]| {
-            let of_row = |((&row, (laser, _)), points): ((&usize, &(Laser, usize)), &Vec<Point>)| {
+        // How many of some points come out, or 0 if they are fewer than `least`.
+        let count = |common: i32, points: &[Vec<Point>], least: usize| {
+            let all: usize = points.iter().map(Vec::len).sum();
+            let mut left = all.checked_sub(least)?;
+            for ((&row, (laser, _)), points) in few.iter().zip(&found).zip(points) {
                 let degrees = offsets[row] + f64::from(common) * tick;
                 let azimuth =
                     if are_moved { roundings(degrees)[0] } else { (degrees / ANGLE_UNIT).round() as i64 };
-                exact_points(any, Laser { azimuth, ..*laser }, points, 0..3)
-            };
-            few.iter().zip(&found).zip(points).map(of_row).sum::<usize>()
+                let least = points.len().saturating_sub(left);
+                let exact = exact_points(any, Laser { azimuth, ..*laser }, points, 0..3, least);
+                left = left.checked_sub(points.len() - exact)?;
+            }
+            Some(least + left)
         };
         let all = std::iter::once(0).chain(rising(FARTHEST));
-        let mut counted: Vec<(usize, i32)> = all.map(|common| (count(common, &fewer), common)).collect();
-        if are_moved {
+        let common = if are_moved {
             // Before the motion is known well, few points come out, so the likeliest are held against more of them.
             let more: Vec<Vec<Point>> = few.iter().map(|&row| self.more_of_rows[row].clone()).collect();
+            let mut counted: Vec<_> = all.map(|common| (count(common, &fewer, 0), common)).collect();
             counted.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
             counted.truncate(LIKELIEST);
-            counted.iter_mut().for_each(|(points, common)| *points = count(*common, &more));
-        }
-        // The first of equals.
-        let best = counted.into_iter();
-        let (_, common) = best.fold((0, 0), |best, next| if next.0 > best.0 { next } else { best });
+            // The first of equals.
+            let counted = counted.into_iter().map(|(_, common)| (count(common, &more, 0), common));
+            counted.fold((None, 0), |best, next| if next.0 > best.0 { next } else { best }).1
+        } else {
+            // Of all points as many may be missed, so no more of these; and of the right one most come out.
+            let size: usize = fewer.iter().map(Vec::len).sum();
+            let least = size.saturating_sub(points - least.min(points)).max(size * 3 / 4).max(1);
+            let found = all.fold((least - 1, 0), |best, common| {
+                count(common, &fewer, best.0 + 1).map_or(best, |count| (count, common))
+            });
+            found.1
+        };
         let offset = |row: usize| offsets[row] + f64::from(common) * tick;
-        let sum = few.iter().map(|&row| self.laser(any, row, offset(row)).1).sum();
+        let sum = few.iter().map(|&row| self.laser(any, row, offset(row), 0).1).sum();
         if sum > exact { (common, sum) } else { (0, exact) }
     }
 
@@ -548,17 +579,14 @@ impl Constants {
         const FARTHEST: i64 = 12;
         let points = &self.more_of_rows[row];
         let steps = std::iter::once(0).chain((1..=FARTHEST).flat_map(|steps| [steps, -steps]));
-        let tried = steps.map(|steps| {
-            let laser = Laser { azimuth: laser.azimuth + steps * AZIMUTH_STEP as i64, ..laser };
-            (exact_points(any, laser, points, 0..3), laser)
-        });
-        // The first of equals.
-        tried.fold((0, laser), |best, next| if next.0 > best.0 { next } else { best }).1
+        let tried =
+            steps.map(|steps| Laser { azimuth: laser.azimuth + steps * AZIMUTH_STEP as i64, ..laser });
+        best_of(any, tried, points, laser)
     }
 
     /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they give to the last
-    /// bit.
-    fn laser(&self, any: &Firings, row: usize, offset: f64) -> (Laser, usize) {
+    /// bit: perhaps 0 if they are fewer than `least`.
+    fn laser(&self, any: &Firings, row: usize, offset: f64, least: usize) -> (Laser, usize) {
         let points = &self.of_rows[row];
         // Ranges are whole steps, so heights tell the elevation better than the positions do.
         let elevation = |point: &Point| {
@@ -571,23 +599,25 @@ impl Constants {
         let [elevation, azimuth] =
             [elevation.to_degrees(), offset].map(|angle| (angle / ANGLE_UNIT).round() as i64);
         // The height tells the elevation, but for those that have the same sine.
-        let of_elevation = |elevation: i64| exact_points(any, Laser { elevation, azimuth }, points, 2..3);
-        let elevations = angles(any.build.recipe, elevation, points.len(), 0.0, of_elevation).0;
+        let of_elevation =
+            |elevation: i64, least| exact_points(any, Laser { elevation, azimuth }, points, 2..3, least);
         // Heights near 0 come out only by a motion that is known better than it can be.
-        let axes = if points.iter().any(|point| point.moved.is_some()) { 0..2 } else { 0..3 };
-        let laser = |elevation: i64| {
-            let of_azimuth =
-                |azimuth: i64| exact_points(any, Laser { elevation, azimuth }, points, axes.clone());
-            let (azimuths, exact) = angles(any.build.recipe, azimuth, points.len(), AZIMUTH_STEP, of_azimuth);
-            (Laser { elevation, azimuth: azimuths.first().copied().unwrap_or(azimuth) }, exact)
-        };
+        let are_moved = points.iter().any(|point| point.moved.is_some());
+        let (axes, least_high) = if are_moved { (0..2, 0) } else { (0..3, least) };
+        let wanted = (points.len(), least_high);
+        let elevations = angles(any.build.recipe, elevation, wanted, 0.0, of_elevation).0;
         let mut best = (Laser { elevation, azimuth }, 0);
         for elevation in elevations.into_iter().take(SAME) {
-            let found = laser(elevation);
-            if found.1 > best.1 {
-                best = found;
+            let of_azimuth = |azimuth: i64, least| {
+                exact_points(any, Laser { elevation, azimuth }, points, axes.clone(), least)
+            };
+            // No fewer than the best so far.
+            let wanted = (points.len(), least.max(best.1 + 1));
+            let (azimuths, exact) = angles(any.build.recipe, azimuth, wanted, AZIMUTH_STEP, of_azimuth);
+            if exact > best.1 {
+                best = (Laser { elevation, azimuth: azimuths.first().copied().unwrap_or(azimuth) }, exact);
             }
-            if found.1 == points.len() {
+            if exact == points.len() {
                 break;
             }
         }
@@ -595,39 +625,63 @@ impl Constants {
     }
 }
 
+/// The laser by which the most points come out to the last bit, the first of equals; `none` if none do.
+pub(super) fn best_of(
+    any: &Firings,
+    lasers: impl Iterator<Item = Laser>,
+    points: &[Point],
+    none: Laser,
+) -> Laser {
+    let best = lasers.fold((0, none), |best, laser| {
+        let exact = exact_points(any, laser, points, 0..3, best.0 + 1);
+        if exact > best.0 { (exact, laser) } else { best }
+    });
+    best.1
+}
+
 /// Azimuth offsets are not told better apart, in units.
 const AZIMUTH_STEP: f64 = 1e-6 / ANGLE_UNIT;
 /// Elevations of the same sine in single precision, at most.
 const SAME: usize = 12;
 
-/// How many points of a laser come out to the last bit along these axes.
+/// How many points of a laser come out to the last bit along these axes; 0 as soon as they are sure to be fewer than
+/// `least`.
 pub(super) fn exact_points(
     any: &Firings,
     laser: Laser,
     points: &[Point],
     axes: std::ops::Range<usize>,
+    least: usize,
 ) -> usize {
     let scanner = any.of_laser(laser);
-    let is_exact = |point: &&Point| {
-        let Some((steps, tick)) = scanner.locate(0, point.position) else { return false };
+    let is_exact = |point: &Point| {
+        let Some(Located { steps, tick, .. }) = scanner.locate(0, point.position) else { return false };
         point.is_given_by(&scanner, &Return { row: 0, column: 0, tick, steps, echo: 0 }, axes.clone())
     };
-    points.iter().filter(is_exact).count()
+    let mut missed = 0;
+    for point in points {
+        missed += usize::from(!is_exact(point));
+        if missed + least > points.len() {
+            return 0;
+        }
+    }
+    points.len() - missed
 }
 
 /// The angles near another, in units, by which the most points come out, and how many do: as its maker may have written
-/// it, and its neighbours as the program's numbers go, but not finer than a step.
+/// it, and its neighbours as the program's numbers go, but not finer than a step. None if they are fewer than `least`.
+/// `count` says how many points come out by an angle, or 0 if they are fewer than it is told.
 fn angles(
     recipe: Recipe,
     near: i64,
-    points: usize,
+    (points, least): (usize, usize),
     least_step: f64,
-    count: impl Fn(i64) -> usize,
+    count: impl Fn(i64, usize) -> usize,
 ) -> (Vec<i64>, usize) {
     let mut best: (Vec<i64>, usize) = (Vec::new(), 0);
     let try_all = |best: &mut (Vec<i64>, usize), angles: &mut dyn Iterator<Item = i64>| {
         for angle in angles {
-            let count = count(angle);
+            let count = count(angle, best.1.max(least));
             if count > best.1 {
                 *best = (vec![angle], count);
             } else if count == best.1 && !best.0.contains(&angle) {

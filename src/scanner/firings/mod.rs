@@ -28,6 +28,7 @@ use std::f64::consts::TAU;
 use std::fmt;
 use std::sync::Arc;
 
+use crate::ground::angle;
 use crate::ground::error::{Error, Result};
 use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
@@ -64,6 +65,43 @@ impl Laser {
     }
 }
 
+/// Where a laser looks, for finding what it measured.
+#[derive(Clone, Copy, Debug)]
+struct Bearing {
+    /// Cosine and sine of E.
+    cos: f64,
+    sin: f64,
+    /// O, in radians.
+    offset: f64,
+    /// Where its beam starts: metres beside the axis and ahead of it, seen along the beam.
+    beside: f64,
+    ahead: f64,
+}
+
+impl Bearing {
+    fn new(laser: &Laser, origin: Origin) -> Self {
+        let (elevation, offset) =
+            (laser.elevation_degrees().to_radians(), laser.azimuth_degrees().to_radians());
+        let [along, _] = origin.metres();
+        Bearing {
+            cos: libm::cos(elevation),
+            sin: libm::sin(elevation),
+            offset,
+            beside: along * libm::sin(offset),
+            ahead: along * libm::cos(offset),
+        }
+    }
+}
+
+/// What a laser measured that left a point.
+#[derive(Clone, Copy, Debug)]
+struct Located {
+    steps: u32,
+    tick: u32,
+    /// Radians from the tick to the point.
+    aside: f64,
+}
+
 /// How the azimuth goes on inside a block: the firings that share one azimuth in the scanner's packets.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Timing {
@@ -98,8 +136,8 @@ impl Timing {
             Timing::Vlp16 => {
                 let [of_slot, of_firing, of_block] = VLP_16_TIMES;
                 let passed = slot as f32 * of_slot + firing as f32 * of_firing;
-                // Halves away from zero, as the driver's `round`; no tick is negative.
-                (base as f32 + span as f32 * passed / of_block + 0.5).floor() as u32
+                // Halves away from zero, as the driver's `round`; no tick is negative, so that `as` rounds down.
+                (base as f32 + span as f32 * passed / of_block + 0.5) as u32
             }
             Timing::Parts(parts) => {
                 let part = parts.get(firing as usize * rows + slot as usize).copied().unwrap_or(0);
@@ -184,6 +222,7 @@ pub struct Firings {
     // What follows from these.
     slots_of_rows: Vec<u32>,
     arithmetic: Vec<Arithmetic>,
+    bearings: Vec<Bearing>,
     turn: Arc<Turn>,
 }
 
@@ -201,9 +240,20 @@ impl Firings {
         (0u32..).zip(&rows_of_slots).for_each(|(slot, &row)| slots_of_rows[row as usize] = slot);
         let of_laser = |laser: &Laser| Arithmetic::new(build.recipe, laser, build.origin, build.ticks);
         let arithmetic = lasers.iter().map(of_laser).collect();
+        let bearings = lasers.iter().map(|laser| Bearing::new(laser, build.origin)).collect();
         let turn = Arc::new(Turn::new(build.recipe, build.ticks));
         let (rows_of_lines, lags) = (Vec::new(), Vec::new());
-        Firings { build, lasers, rows_of_slots, rows_of_lines, lags, slots_of_rows, arithmetic, turn }
+        Firings {
+            build,
+            lasers,
+            rows_of_slots,
+            rows_of_lines,
+            lags,
+            slots_of_rows,
+            arithmetic,
+            bearings,
+            turn,
+        }
     }
 
     /// The same scanner with files that hold row after row, in this order: `rows_of_lines` must be a permutation of the
@@ -235,6 +285,7 @@ impl Firings {
             rows_of_lines: Vec::new(),
             lags: Vec::new(),
             slots_of_rows: vec![0],
+            bearings: vec![Bearing::new(&laser, self.build.origin)],
             turn: self.turn.clone(),
         }
     }
@@ -298,25 +349,38 @@ impl Firings {
         self.lags.get(row).copied().unwrap_or(0)
     }
 
-    /// The range steps and the tick of a laser that come nearest to a position in metres; none if it has no range.
-    fn locate(&self, row: usize, [x, y, z]: [f64; 3]) -> Option<(u32, u32)> {
-        let laser = &self.lasers[row];
-        let [along, up] = self.build.origin.metres();
+    /// What comes nearest to a position in metres if this laser measured it; none if there is no such range.
+    #[inline]
+    fn locate(&self, row: usize, [x, y, z]: [f64; 3]) -> Option<Located> {
+        let Bearing { cos, sin, offset, beside, ahead } = self.bearings[row];
         let (metres, turned) = if self.build.origin == Origin::default() {
             ((x * x + y * y + z * z).sqrt(), 0.0)
         } else {
-            let (elevation, offset) =
-                (laser.elevation_degrees().to_radians(), laser.azimuth_degrees().to_radians());
-            let (beside, ahead) = (along * libm::sin(offset), along * libm::cos(offset));
+            let [along, up] = self.build.origin.metres();
             let flat = (x * x + y * y - beside * beside).max(0.0).sqrt() - ahead;
-            let metres = flat * libm::cos(elevation) + (z - up) * libm::sin(elevation);
-            (metres, libm::atan2(beside, flat + ahead))
+            let metres = flat * cos + (z - up) * sin;
+            let metres = if self.build.recipe.measures_from_axis() { metres + along } else { metres };
+            (metres, angle::atan2(beside, flat + ahead))
         };
-        let azimuth = self.build.recipe.azimuth(x, y) + turned - laser.azimuth_degrees().to_radians();
-        let tick = round_ties_even(azimuth / self.radians()) as i64;
-        let metres = if self.build.recipe.measures_from_axis() { metres + along } else { metres };
         let steps = whole_steps(metres, self.range_step_m())?;
-        Some((steps, tick.rem_euclid(i64::from(self.build.ticks)) as u32))
+        let azimuth = self.build.recipe.azimuth(x, y) + turned - offset;
+        let tick = round_ties_even(azimuth / self.radians());
+        let aside = azimuth - tick * self.radians();
+        Some(Located { steps, tick: (tick as i64).rem_euclid(i64::from(self.build.ticks)) as u32, aside })
+    }
+
+    /// About where the formula puts what was located at a position, in metres: to within a small part of a range step.
+    #[inline]
+    fn near(&self, row: usize, [x, y, _]: [f64; 3], located: &Located) -> [f64; 3] {
+        let Bearing { cos, sin, beside, ahead, .. } = self.bearings[row];
+        let [along, up] = self.build.origin.metres();
+        let metres = f64::from(located.steps) * self.range_step_m();
+        let metres = if self.build.recipe.measures_from_axis() { metres - along } else { metres };
+        let flat = metres * cos + ahead;
+        // From the point: turned by what it is aside, and as far away as the steps say.
+        let [cos_a, sin_a] = angle::small_cos_sin(located.aside);
+        let scale = ((flat * flat + beside * beside) / (x * x + y * y)).sqrt();
+        [scale * (x * cos_a - y * sin_a), scale * (x * sin_a + y * cos_a), metres * sin + up]
     }
 
     /// The returns of an image, each followed by its echoes, and the blanks of a full one, in the order in which a file

@@ -6,10 +6,12 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::fit::{
-    Found, ON_CONE, Point, RecordGrid, TRIED, elevations, exact_points, order, phase, range_step, strength,
+    Found, ON_CONE, Point, RecordGrid, TRIED, best_of, elevations, exact_points, order, phase, range_step,
+    strength,
 };
 use super::projection::{Place, nearest};
 use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
+use crate::ground::angle;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::Channel;
 use crate::scanner::{REACH, Return};
@@ -224,7 +226,7 @@ impl Maker {
         let [along, _] = self.origin.metres();
         let (beside, ahead) = (along * libm::sin(turned), along * libm::cos(turned));
         let flat = (x * x + y * y - beside * beside).max(0.0).sqrt() - ahead;
-        (flat, self.recipe.azimuth(x, y) + libm::atan2(beside, flat + ahead))
+        (flat, self.recipe.azimuth(x, y) + angle::atan2(beside, flat + ahead))
     }
 }
 
@@ -318,7 +320,7 @@ fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
     };
     let mut best = (0, lasers[0]);
     for laser in lasers.iter().flat_map(|laser| (-1..=1).map(move |off| moved(laser, off, 0))) {
-        let exact = exact_points(any, laser, &few, 0..3);
+        let exact = exact_points(any, laser, &few, 0..3, best.0 + 1);
         if exact > best.0 {
             best = (exact, laser);
         }
@@ -328,10 +330,7 @@ fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
     }
     let beside = (-2..=2).flat_map(|azimuth| (-1..=1).map(move |elevation| (azimuth, elevation)));
     let beside = beside.map(|(azimuth, elevation)| moved(&best.1, azimuth, elevation));
-    let counted =
-        std::iter::once(best.1).chain(beside).map(|laser| (exact_points(any, laser, &more, 0..3), laser));
-    // The first of equals.
-    counted.fold((0, best.1), |best, next| if next.0 > best.0 { next } else { best }).1
+    best_of(any, std::iter::once(best.1).chain(beside), &more, best.1)
 }
 
 /// How far from the axis, and how high, the lines of the lasers cross, in metres; none if too few tell.
@@ -471,7 +470,7 @@ impl Rows {
             |record: usize| if grid.by_lines { record % grid.width } else { record / grid.lines.len() };
         let lag = |(row, &line): (usize, &usize)| {
             let lags = self.points[line].iter().zip(&self.records[line]).filter_map(|(point, record)| {
-                let (_, tick) = scanner.locate(row, point.position)?;
+                let tick = scanner.locate(row, point.position)?.tick;
                 Some((column(*record) as u32 % ticks + ticks - tick) % ticks)
             });
             let mut lags: Vec<u32> = lags.collect();
@@ -616,7 +615,7 @@ fn sharpened_origin(build: &Build, rows: &[Vec<Point>], lines: &[Option<[f64; 2]
     });
     let counted = origins.map(|origin| {
         let any = Firings::new(Build { origin, ..build.clone() }, Vec::new(), Vec::new());
-        (few.iter().map(|(laser, points)| exact_points(&any, *laser, points, 2..3)).sum::<usize>(), origin)
+        (few.iter().map(|(laser, points)| exact_points(&any, *laser, points, 2..3, 0)).sum::<usize>(), origin)
     });
     // The first of equals.
     counted.fold((0, build.origin), |best, next| if next.0 > best.0 { next } else { best }).1
@@ -668,7 +667,7 @@ fn ouster_laser(any: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
         (0..ROUNDS).for_each(|_| offset += missed(offset));
         let azimuth = round_ties_even(offset * 1e3) as i64 * thousandth;
         let laser = Laser { elevation, azimuth };
-        (exact_points(any, laser, &few, 0..3), laser)
+        (exact_points(any, laser, &few, 0..3, 0), laser)
     });
     let mut candidates: Vec<(usize, Laser)> = candidates.collect();
     candidates.sort_by_key(|(exact, laser)| (std::cmp::Reverse(*exact), laser.azimuth.abs()));
@@ -683,9 +682,11 @@ fn ouster_laser(any: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
         elevations
             .flat_map(move |elevation| around(laser.azimuth).map(|azimuth| Laser { elevation, azimuth }))
     });
-    let counted = near.map(|laser| (laser, exact_points(any, laser, &more, 0..3)));
     // The first of equals.
-    counted.fold((Laser { elevation, azimuth: 0 }, 0), |best, next| if next.1 > best.1 { next } else { best })
+    near.fold((Laser { elevation, azimuth: 0 }, 0), |best, laser| {
+        let exact = exact_points(any, laser, &more, 0..3, best.1 + 1);
+        if exact > best.1 { (laser, exact) } else { best }
+    })
 }
 
 /// The line through some pairs, by least squares: its slope, and its height at 0.

@@ -1,11 +1,12 @@
 //! Where the points of a scan lie in the range image of a scanner of firings.
 
-use super::{Firings, Span};
+use super::{Firings, Located, Span};
+use crate::ground::angle;
 use crate::ground::error::Limits;
 use crate::ground::grid::Grid;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::PointCloud;
-use crate::scanner::{Coordinates, Echo, Projection, RangeImage, Return};
+use crate::scanner::{Coordinates, Echo, Projection, RangeImage, Return, thinned};
 
 /// Ranges of an image that loses nothing are below this, in steps.
 const LONGEST: u32 = 1 << 20;
@@ -31,12 +32,21 @@ const UNKNOWN: u32 = u32::MAX;
 pub struct Sight<'f> {
     scanner: &'f Firings,
     elevations: Vec<f64>,
+    /// Tangents of the elevations in the middle between those of neighbours.
+    borders: Vec<f64>,
+    /// The scanner's origin of elevations, in metres.
+    along: f64,
+    up: f64,
 }
 
 impl<'f> Sight<'f> {
     /// Of this scanner.
     pub fn new(scanner: &'f Firings) -> Self {
-        Sight { scanner, elevations: scanner.elevations().collect() }
+        let elevations: Vec<f64> = scanner.elevations().collect();
+        let border = |pair: &[f64]| libm::tan(0.5 * (pair[0] + pair[1]));
+        let borders = elevations.windows(2).map(border).collect();
+        let [along, up] = scanner.build.origin.metres();
+        Sight { scanner, elevations, borders, along, up }
     }
 
     /// Number of lasers.
@@ -47,13 +57,31 @@ impl<'f> Sight<'f> {
     /// The return that comes nearest to a position in metres, in no column yet, and where the recipe puts it. None if there
     /// is no such range.
     pub fn nearest(&self, metres: [f64; 3]) -> Option<(Return, [f64; 3])> {
-        let [x, y, z] = metres;
-        let [along, up] = self.scanner.build.origin.metres();
-        // About where the beam points: its offset is small.
-        let row = nearest(&self.elevations, libm::atan2(z - up, (x * x + y * y).sqrt() - along));
-        let (steps, tick) = self.scanner.locate(row, metres).filter(|(steps, _)| *steps < LONGEST)?;
-        let found = Return { row: row as u32, tick, steps, column: 0, echo: 0 };
+        let (found, _) = self.find(metres)?;
         Some((found, self.scanner.position(&found, 0.0)))
+    }
+
+    /// The same, and about where the recipe puts it.
+    #[inline]
+    fn nearly(&self, metres: [f64; 3]) -> Option<(Return, [f64; 3])> {
+        let (found, located) = self.find(metres)?;
+        Some((found, self.scanner.near(found.row as usize, metres, &located)))
+    }
+
+    #[inline]
+    fn find(&self, metres: [f64; 3]) -> Option<(Return, Located)> {
+        let [x, y, z] = metres;
+        // About where the beam points: its offset is small.
+        let (ahead, above) = ((x * x + y * y).sqrt() - self.along, z - self.up);
+        let row = if ahead > 0.0 {
+            let slope = above / ahead;
+            self.borders.partition_point(|border| *border >= slope)
+        } else {
+            nearest(&self.elevations, angle::atan2(above, ahead))
+        };
+        let located = self.scanner.locate(row, metres).filter(|located| located.steps < LONGEST)?;
+        let Located { steps, tick, .. } = located;
+        Some((Return { row: row as u32, tick, steps, column: 0, echo: 0 }, located))
     }
 }
 
@@ -65,6 +93,27 @@ pub(super) struct Column {
 }
 
 impl Firings {
+    /// Whether the recipe gives nearly all points of a sample to the last bit: they have not been moved since they were
+    /// measured.
+    pub fn explains(&self, positions: &[[f32; 3]]) -> bool {
+        const SAMPLE: usize = 400;
+        /// One miss in so many points, at most.
+        const FEWEST_TO_A_MISS: usize = 10;
+        let sight = Sight::new(self);
+        let is_exact = |position: &[f32; 3]| {
+            let metres = position.map(f64::from);
+            let formula = sight.nearest(metres).map(|(_, formula)| formula);
+            formula.is_some_and(|formula| formula.map(|v| self.build.coordinates.nearest(v)) == *position)
+        };
+        let returns = thinned(positions, SAMPLE).filter(|position| position.iter().any(|v| *v != 0.0));
+        let (mut missed, mut all) = (0, 0);
+        for position in returns.filter(|position| position.iter().all(|v| v.is_finite())) {
+            missed += usize::from(!is_exact(position));
+            all += 1;
+        }
+        missed * FEWEST_TO_A_MISS < all
+    }
+
     /// Projects a scan into a range image. Points that the recipe misses by more than `reach` metres along an axis, that
     /// are out of the firings' order, or that have no return are strays.
     pub fn project(&self, cloud: &PointCloud, reach: f64) -> Projection {
@@ -207,11 +256,13 @@ impl Firings {
         let grid = self.build.coordinates;
         for (point, position) in (0u32..).zip(positions) {
             let metres = position.map(f64::from);
-            let Some((Return { row, tick, steps, .. }, formula)) = sight.nearest(metres) else { continue };
+            // Every float32 is on its grid; on others the formula tells the sign of a zero.
+            let found =
+                if grid == Coordinates::Float32 { sight.nearly(metres) } else { sight.nearest(metres) };
+            let Some((Return { row, tick, steps, .. }, formula)) = found else { continue };
             let row = row as usize;
             let is_near = formula.iter().zip(metres).all(|(formula, value)| (formula - value).abs() < reach);
-            let is_held = || grid == Coordinates::Float32 || grid.holds_all(metres, formula);
-            if is_near && is_held() {
+            if is_near && (grid == Coordinates::Float32 || grid.holds_all(metres, formula)) {
                 let column_tick = (tick + self.lag(row)) % self.build.ticks;
                 let slot = self.slots_of_rows[row];
                 places.push(Place { point, row: row as u32, slot, tick, column_tick, steps });

@@ -3,6 +3,7 @@
 use std::f64::consts::PI;
 
 use super::Laser;
+use crate::ground::angle;
 use crate::ground::lazy_table::LazyTable;
 use crate::ground::rounding::round_ties_even;
 
@@ -152,11 +153,12 @@ impl Recipe {
         }
     }
 
-    /// The azimuth of a point, in radians from -pi to pi.
+    /// About the azimuth of a point, in radians from -pi to pi.
+    #[inline]
     pub(super) fn azimuth(self, x: f64, y: f64) -> f64 {
         match self.axes() {
-            Axes::XAhead => libm::atan2(-y, x),
-            Axes::YAhead => libm::atan2(x, y),
+            Axes::XAhead => angle::atan2(-y, x),
+            Axes::YAhead => angle::atan2(x, y),
         }
     }
 }
@@ -191,8 +193,8 @@ pub(super) enum Turn {
     Tables(LazyTable<[f32; 2]>),
     /// The angle in radians.
     Angles(LazyTable<f32>),
-    /// Degrees of one: the recipe adds a laser's offset before it takes the cosine.
-    Degrees(f64),
+    /// Degrees of one: the recipe adds a laser's offset before it takes the cosine. Cosine and sine without an offset.
+    Degrees(f64, LazyTable<[f64; 2]>),
 }
 
 impl Turn {
@@ -223,9 +225,19 @@ impl Turn {
             Recipe::Nebula => {
                 Turn::Angles(LazyTable::new(ticks, move |t| (degrees(t) * (PI / 180.0)) as f32))
             }
-            _ => Turn::Degrees(tick),
+            _ => {
+                let radians = move |t: u32| match recipe {
+                    Recipe::LsLidar => f64::from(t) * tick * LS_DEGREE,
+                    _ => radians(f64::from(t) * tick),
+                };
+                Turn::Degrees(tick, LazyTable::new(ticks, move |t| cos_sin(radians(t))))
+            }
         }
     }
+}
+
+fn cos_sin(radians: f64) -> [f64; 2] {
+    [libm::cos(radians), libm::sin(radians)]
 }
 
 /// A laser's constants as the recipe uses them.
@@ -234,19 +246,19 @@ pub(super) enum Arithmetic {
     /// Cosine and sine of the elevation, and of the azimuth offset if there is one; whether ranges are products in double
     /// precision, and x and y are the other way round.
     Single { cos_v: f32, sin_v: f32, offset: Option<[f32; 2]>, is_turned: bool },
-    /// Cosine and sine of the elevation; the azimuth offset in degrees.
-    Double { cos_v: f64, sin_v: f64, offset: f64, axes: Axes, single_range: bool },
+    /// Cosine and sine of the elevation; the azimuth offset in degrees, and its cosine and sine.
+    Double { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], axes: Axes, single_range: bool },
     /// Of the elevation; the azimuth offset in ticks; metres from the axis and up.
     Tables { cos_v: f32, sin_v: f32, turned: u32, along: f32, up: f32 },
-    /// The same in double precision; the azimuth offset in ticks and in degrees.
-    Ls { cos_v: f64, sin_v: f64, turned: u32, offset: f64, along: f64, up: f64 },
+    /// The same in double precision; the azimuth offset in ticks and in degrees, and its cosine and sine.
+    Ls { cos_v: f64, sin_v: f64, turned: u32, offset: f64, offsets: [f64; 2], along: f64, up: f64 },
     /// Of the elevation; the azimuth offset in radians.
     Sum { cos_v: f32, sin_v: f32, offset: f32 },
     /// The same; the azimuth offset in degrees.
     Sum2023 { cos_v: f32, sin_v: f32, offset: f64 },
-    /// Of the elevation; the azimuth offset in degrees; millimetres from the axis and up; whether direction and start are
-    /// rounded.
-    Ouster { cos_v: f64, sin_v: f64, offset: f64, along: f64, up: f64, is_single: bool },
+    /// Of the elevation; the azimuth offset in degrees, and its cosine and sine; millimetres from the axis and up; whether
+    /// direction and start are rounded.
+    Ouster { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], along: f64, up: f64, is_single: bool },
 }
 
 impl Arithmetic {
@@ -269,6 +281,7 @@ impl Arithmetic {
                 cos_v: libm::cos(elevation),
                 sin_v: libm::sin(elevation),
                 offset: laser.azimuth_degrees(),
+                offsets: cos_sin(radians(laser.azimuth_degrees())),
                 axes: recipe.axes(),
             },
             Recipe::RoboSense => Arithmetic::Tables {
@@ -281,7 +294,9 @@ impl Arithmetic {
             Recipe::LsLidar => {
                 let elevation = laser.elevation_degrees() * LS_DEGREE;
                 let (cos_v, sin_v) = (libm::cos(elevation), libm::sin(elevation));
-                Arithmetic::Ls { cos_v, sin_v, turned, offset: laser.azimuth_degrees(), along, up }
+                let offset = laser.azimuth_degrees();
+                let offsets = cos_sin(offset * LS_DEGREE);
+                Arithmetic::Ls { cos_v, sin_v, turned, offset, offsets, along, up }
             }
             Recipe::Nebula => {
                 let [cos_v, sin_v] = recipe.cos_sin(laser.elevation_degrees() as f32 * degree);
@@ -296,6 +311,7 @@ impl Arithmetic {
                 cos_v: libm::cos(elevation),
                 sin_v: libm::sin(elevation),
                 offset: laser.azimuth_degrees(),
+                offsets: cos_sin(radians(laser.azimuth_degrees())),
                 along: f64::from(origin.along_um) * 1e-3,
                 up: f64::from(origin.up_um) * 1e-3,
                 is_single: recipe == Recipe::OusterRos,
@@ -304,6 +320,7 @@ impl Arithmetic {
     }
 
     /// The coordinates in the file of a whole number of steps.
+    #[inline]
     pub fn position(&self, turn: &Turn, tick: u32, steps: u32, range_step_um: u32) -> [f32; 3] {
         let step = f64::from(range_step_um) * 1e-6;
         let (single, double) = (steps as f32 * step as f32, f64::from(steps) * step);
@@ -314,39 +331,102 @@ impl Arithmetic {
             Arithmetic::Single { .. } | Arithmetic::Sum { .. } | Arithmetic::Sum2023 { .. } => {
                 self.single(turn, tick, double as f32)
             }
-            Arithmetic::Double { single_range: true, .. } => {
-                self.double(turn, tick, f64::from(single)).map(|v| v as f32)
-            }
             Arithmetic::Double { .. } | Arithmetic::Ls { .. } => {
-                self.double(turn, tick, double).map(|v| v as f32)
+                let metres = match self {
+                    Arithmetic::Double { single_range: true, .. } => f64::from(single),
+                    _ => double,
+                };
+                self.double_by_table(turn, tick, metres)
+                    .unwrap_or_else(|| self.double(turn, tick, metres).map(|v| v as f32))
             }
-            Arithmetic::Ouster { is_single, .. } => {
+            Arithmetic::Ouster { .. } => {
                 let millimetres = f64::from(steps) * (f64::from(range_step_um) * 1e-3);
-                let [direction, start] = self.ray(turn, tick);
-                [0, 1, 2].map(|axis| match is_single {
-                    true => millimetres as f32 * direction[axis] as f32 + start[axis] as f32,
-                    false => (millimetres * direction[axis] + start[axis]) as f32,
-                })
+                self.ouster_by_table(turn, tick, millimetres)
+                    .unwrap_or_else(|| self.ouster(turn, tick, millimetres))
             }
         }
     }
 
+    /// What [`double`](Self::double) gives, rounded to single precision, from the cosine and the sine of the tick: in a
+    /// fraction of the time. None in the rare cases in which the different errors might show.
+    fn double_by_table(&self, turn: &Turn, tick: u32, metres: f64) -> Option<[f32; 3]> {
+        let Turn::Degrees(_, table) = turn else { return None };
+        match self {
+            Arithmetic::Double { cos_v, sin_v, offsets, axes, .. } => {
+                let [cos, sin] =
+                    Some(turned_by(*table.get(tick), *offsets)).filter(|turned| are_sure(*turned))?;
+                let flat = metres * cos_v;
+                let error = flat.abs() * TURNED_ERROR;
+                let (cos, sin) = (flat * cos, flat * sin);
+                let (x, y) = match axes {
+                    Axes::XAhead => (cos, -sin),
+                    Axes::YAhead => (sin, cos),
+                };
+                Some([sure(x, error)?, sure(y, error)?, (metres * sin_v) as f32])
+            }
+            Arithmetic::Ls { cos_v, sin_v, turned, offsets: [cos_o, sin_o], along, up, .. } => {
+                let [cos, sin] = *table.get((tick + turned) % table.len());
+                let start = turned_by([cos, sin], [*cos_o, -sin_o]);
+                let [cos_s, sin_s] = Some(start).filter(|start| are_sure(*start))?;
+                let (flat, error) = (metres * cos_v, along.abs() * TURNED_ERROR);
+                Some([
+                    sure(flat * sin + along * sin_s, error)?,
+                    sure(flat * cos + along * cos_s, error)?,
+                    (metres * sin_v + up) as f32,
+                ])
+            }
+            _ => None,
+        }
+    }
+
+    /// The same of [`ouster`](Self::ouster).
+    fn ouster_by_table(&self, turn: &Turn, tick: u32, millimetres: f64) -> Option<[f32; 3]> {
+        let (Arithmetic::Ouster { cos_v, sin_v, offsets, along, up, is_single, .. }, Turn::Degrees(_, table)) =
+            (self, turn)
+        else {
+            return None;
+        };
+        let [cos_t, sin_t] = *table.get(tick);
+        let [cos, sin] = Some(turned_by([cos_t, sin_t], *offsets)).filter(|turned| are_sure(*turned))?;
+        let [direction, start] = ray([cos_t, -sin_t], [cos * cos_v, -sin * cos_v, *sin_v], *along, *up);
+        let mut position = [0.0; 3];
+        for axis in 0..3 {
+            // What is above is the same both ways.
+            let error = if axis < 2 { TURNED_ERROR * 1e-3 } else { 0.0 };
+            position[axis] = match is_single {
+                true => {
+                    let direction = sure(direction[axis], error)?;
+                    millimetres as f32 * direction + sure(start[axis], along.abs() * error)?
+                }
+                false => {
+                    let error = (millimetres.abs() + along.abs()) * error;
+                    sure(millimetres * direction[axis] + start[axis], error)?
+                }
+            };
+        }
+        Some(position)
+    }
+
+    /// Ouster's coordinates.
+    fn ouster(&self, turn: &Turn, tick: u32, millimetres: f64) -> [f32; 3] {
+        let is_single = matches!(self, Arithmetic::Ouster { is_single: true, .. });
+        let [direction, start] = self.ray(turn, tick);
+        [0, 1, 2].map(|axis| match is_single {
+            true => millimetres as f32 * direction[axis] as f32 + start[axis] as f32,
+            false => (millimetres * direction[axis] + start[axis]) as f32,
+        })
+    }
+
     /// What a millimetre of range adds to a position, and where ranges start, in metres.
     fn ray(&self, turn: &Turn, tick: u32) -> [[f64; 3]; 2] {
-        let (Arithmetic::Ouster { cos_v, sin_v, offset, along, up, .. }, Turn::Degrees(degrees)) =
+        let (Arithmetic::Ouster { cos_v, sin_v, offset, along, up, .. }, Turn::Degrees(degrees, _)) =
             (self, turn)
         else {
             return [[0.0; 3]; 2];
         };
         let encoder = f64::from(tick) * degrees;
-        let (start, turned) = (radians(encoder), radians(encoder + offset));
-        let ahead = [libm::cos(start), -libm::sin(start), 0.0];
-        let beam = [libm::cos(turned) * cos_v, -libm::sin(turned) * cos_v, *sin_v];
-        let above = [0.0, 0.0, *up];
-        [
-            beam.map(|beam| beam * 1e-3),
-            [0, 1, 2].map(|axis| (along * ahead[axis] - along * beam[axis] + above[axis]) * 1e-3),
-        ]
+        let ([cos_t, sin_t], [cos, sin]) = (cos_sin(radians(encoder)), cos_sin(radians(encoder + offset)));
+        ray([cos_t, -sin_t], [cos * cos_v, -sin * cos_v, *sin_v], *along, *up)
     }
 
     /// The coordinates of any range in metres.
@@ -384,7 +464,7 @@ impl Arithmetic {
                 let flat = metres * cos_v;
                 [flat * glibc::sinf(angle), flat * glibc::cosf(angle), metres * sin_v]
             }
-            (Arithmetic::Sum2023 { cos_v, sin_v, offset }, Turn::Degrees(degrees)) => {
+            (Arithmetic::Sum2023 { cos_v, sin_v, offset }, Turn::Degrees(degrees, _)) => {
                 let angle = radians(offset + f64::from(tick) / (1.0 / degrees)) as f32;
                 let flat = metres * cos_v;
                 [flat * glibc::sinf(angle), flat * glibc::cosf(angle), metres * sin_v]
@@ -395,7 +475,7 @@ impl Arithmetic {
 
     /// In double precision.
     fn double(&self, turn: &Turn, tick: u32, metres: f64) -> [f64; 3] {
-        let Turn::Degrees(degrees) = turn else { return [0.0; 3] };
+        let Turn::Degrees(degrees, table) = turn else { return [0.0; 3] };
         match self {
             Arithmetic::Double { cos_v, sin_v, offset, axes, .. } => {
                 let angle = radians(f64::from(tick) * degrees + offset);
@@ -406,9 +486,8 @@ impl Arithmetic {
                     Axes::YAhead => [flat * sin, flat * cos, metres * sin_v],
                 }
             }
-            Arithmetic::Ls { cos_v, sin_v, turned, offset, along, up } => {
-                let ticks = round_ties_even(360.0 / degrees) as u32;
-                let angle = f64::from((tick + turned) % ticks) * degrees;
+            Arithmetic::Ls { cos_v, sin_v, turned, offset, along, up, .. } => {
+                let angle = f64::from((tick + turned) % table.len()) * degrees;
                 let (turned, start) = (angle * LS_DEGREE, (angle - offset) * LS_DEGREE);
                 let flat = metres * cos_v;
                 [
@@ -420,6 +499,36 @@ impl Arithmetic {
             _ => [0.0; 3],
         }
     }
+}
+
+/// An Ouster's beam in a direction, `ahead` being that of its tick: what a millimetre of range adds to a position, and
+/// where ranges start, in metres.
+fn ray(ahead: [f64; 2], beam: [f64; 3], along: f64, up: f64) -> [[f64; 3]; 2] {
+    let (ahead, above) = ([ahead[0], ahead[1], 0.0], [0.0, 0.0, up]);
+    let start = |axis: usize| (along * ahead[axis] - along * beam[axis] + above[axis]) * 1e-3;
+    [beam.map(|beam| beam * 1e-3), [0, 1, 2].map(start)]
+}
+
+/// Cosine and sine of the sum of two angles.
+fn turned_by([cos, sin]: [f64; 2], [cos_o, sin_o]: [f64; 2]) -> [f64; 2] {
+    [cos * cos_o - sin * sin_o, sin * cos_o + cos * sin_o]
+}
+
+/// More than cosine and sine by [`turned_by`] and those of the rounded sum of the angles differ by: the angles, of up to two
+/// turns in degrees, are rounded to 3e-14 degrees and turned into radians with errors of 3e-15; cosines and sines to 1e-16.
+const TURNED_ERROR: f64 = 2e-14;
+
+/// Whether cosine and sine by [`turned_by`] surely have the right signs.
+fn are_sure([cos, sin]: [f64; 2]) -> bool {
+    cos.abs().min(sin.abs()) > TURNED_ERROR
+}
+
+/// The float32 nearest to all numbers within `error` of a value; none if there are several.
+#[inline]
+fn sure(value: f64, error: f64) -> Option<f32> {
+    let (low, high) = ((value - error) as f32, (value + error) as f32);
+    // Without an error, what is added changes no more than the sign of a zero.
+    (error == 0.0 || low.to_bits() == high.to_bits()).then_some(value as f32)
 }
 
 /// A range in metres, in steps; none if it is too short or too long.
@@ -486,5 +595,73 @@ mod glibc {
             let low = sign * (1.0 + square * COSINE[0]);
             ((low + fourth * (sign * COSINE[1])) + fourth * square * high) as f32
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ground::random::Rng;
+
+    /// The formula as it is written, without tables of what is not rounded.
+    fn written_out(arithmetic: &Arithmetic, turn: &Turn, tick: u32, steps: u32, um: u32) -> [f32; 3] {
+        let step = f64::from(um) * 1e-6;
+        let metres = match arithmetic {
+            Arithmetic::Double { single_range: true, .. } => f64::from(steps as f32 * step as f32),
+            Arithmetic::Ouster { .. } => {
+                return arithmetic.ouster(turn, tick, f64::from(steps) * (f64::from(um) * 1e-3));
+            }
+            _ => f64::from(steps) * step,
+        };
+        arithmetic.double(turn, tick, metres).map(|v| v as f32)
+    }
+
+    #[test]
+    fn tables_change_no_bit() {
+        let mut random = Rng::keyed(1, &[]);
+        let (mut by_table, mut all) = (0, 0);
+        for recipe in Recipe::ALL {
+            for number in 0..40 {
+                let ticks = [36_000, 1024, 4000, 7][number % 4];
+                let turn = Turn::new(recipe, ticks);
+                if !matches!(turn, Turn::Degrees(..)) || recipe == Recipe::Nebula2023 {
+                    continue;
+                }
+                let mut angle = |most: usize| random.below(2 * most) as i64 - most as i64;
+                let laser = Laser {
+                    elevation: angle(90_000_000_000),
+                    azimuth: [0, 1_042_000_000, angle(20_000_000_000), angle(360_000_000_000)]
+                        [number / 4 % 4],
+                };
+                let origin = match number % 5 {
+                    0 => Origin::default(),
+                    _ => Origin { along_um: angle(50_000) as i32, up_um: angle(50_000) as i32 },
+                };
+                let arithmetic = Arithmetic::new(recipe, &laser, origin, ticks);
+                for _ in 0..500 {
+                    let (tick, steps) = (random.below(ticks as usize) as u32, random.below(60_000) as u32);
+                    // Whole quarters of a turn, where a coordinate is nearly zero, and no range.
+                    let tick = if steps % 16 == 0 { tick / (ticks / 4).max(1) * (ticks / 4) } else { tick };
+                    let steps = if steps % 50 == 0 { 0 } else { steps };
+                    let expected = written_out(&arithmetic, &turn, tick % ticks, steps, 2000);
+                    let position = arithmetic.position(&turn, tick % ticks, steps, 2000);
+                    let bits = |position: [f32; 3]| position.map(f32::to_bits);
+                    assert_eq!(
+                        bits(position),
+                        bits(expected),
+                        "{recipe:?} {laser:?} {origin:?} {tick} {steps}"
+                    );
+                    let metres = f64::from(steps) * 2e-3;
+                    by_table += usize::from(match recipe {
+                        Recipe::Ouster | Recipe::OusterRos => {
+                            arithmetic.ouster_by_table(&turn, tick % ticks, f64::from(steps) * 2.0).is_some()
+                        }
+                        _ => arithmetic.double_by_table(&turn, tick % ticks, metres).is_some(),
+                    });
+                    all += 1;
+                }
+            }
+        }
+        assert!(by_table > all * 3 / 4, "{by_table} of {all}");
     }
 }

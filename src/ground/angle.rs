@@ -1,0 +1,81 @@
+//! Angles where the last bits do not matter: several times as fast as the exact functions, and the same on every
+//! processor. For encoders, which look for what the exact formula then has to confirm.
+
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
+
+/// The tangent of an eighth of half a turn.
+const EIGHTH: f64 = 0.414_213_562_373_095_03;
+/// Of atan(r) / r, in powers of r squared, for r up to [`EIGHTH`]: a Chebyshev approximation.
+const ATAN: [f64; 9] = [
+    0.999_999_999_999_974,
+    -0.333_333_333_308_715_7,
+    0.199_999_996_131_619_76,
+    -0.142_856_908_068_122_9,
+    0.111_103_937_699_429_56,
+    -0.090_785_000_473_724_6,
+    0.075_644_443_615_886_2,
+    -0.058_771_535_399_383_64,
+    0.030_700_905_501_758_177,
+];
+
+/// The angle from the x axis to a point, in radians from -pi to pi, to within 2e-14; 0 of the origin.
+#[inline]
+pub fn atan2(y: f64, x: f64) -> f64 {
+    let (ahead, aside) = (x.abs(), y.abs());
+    let is_flat = aside <= ahead;
+    let (small, large) = if is_flat { (aside, ahead) } else { (ahead, aside) };
+    // Within an eighth of half a turn of an axis, or of a diagonal.
+    let is_diagonal = small > EIGHTH * large;
+    let (above, below) = if is_diagonal { (small - large, small + large) } else { (small, large) };
+    let tangent = if below > 0.0 { above / below } else { 0.0 };
+    let square = tangent * tangent;
+    let ratio = ATAN.iter().rev().fold(0.0, |sum, coefficient| sum * square + coefficient);
+    let angle = tangent * ratio + if is_diagonal { FRAC_PI_4 } else { 0.0 };
+    let angle = if is_flat { angle } else { FRAC_PI_2 - angle };
+    let angle = if x < 0.0 { PI - angle } else { angle };
+    if y < 0.0 { -angle } else { angle }
+}
+
+/// Cosine and sine of an angle below a hundredth of a radian, to within 1e-15; of a larger one they are exact.
+#[inline]
+pub fn small_cos_sin(angle: f64) -> [f64; 2] {
+    const SMALL: f64 = 0.01;
+    if angle.abs() >= SMALL {
+        return [libm::cos(angle), libm::sin(angle)];
+    }
+    let square = angle * angle;
+    let cos = 1.0 - square * (0.5 - square * (1.0 / 24.0 - square / 720.0));
+    [cos, angle * (1.0 - square * (1.0 / 6.0 - square / 120.0))]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn angles_are_near_the_exact_ones() {
+        for step in 0..200_000 {
+            let exact = (f64::from(step) / 100_000.0 - 1.0) * PI;
+            let length = 10f64.powi(step % 7 - 3);
+            let (y, x) = (length * libm::sin(exact), length * libm::cos(exact));
+            let off = atan2(y, x) - libm::atan2(y, x);
+            assert!(off.abs() < 2e-14, "{exact}: {off}");
+        }
+        let axes = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (0.0, -1.0), (1.0, 1.0), (-1.0, -1.0)];
+        for (y, x) in axes {
+            assert!((atan2(y, x) - libm::atan2(y, x)).abs() < 2e-14, "{y} {x}");
+        }
+    }
+
+    #[test]
+    fn small_angles_are_exact_to_the_last_bits() {
+        for step in -3000..3000 {
+            let angle = f64::from(step) * 1e-5;
+            let [cos, sin] = small_cos_sin(angle);
+            assert!(
+                (cos - libm::cos(angle)).abs() < 1e-15 && (sin - libm::sin(angle)).abs() < 1e-15,
+                "{angle}"
+            );
+        }
+    }
+}
