@@ -87,17 +87,25 @@ pub(super) fn split(mut layout: Layout, body: &[u8]) -> (Layout, PointCloud) {
 /// The bytes of one field, record after record.
 fn taken(body: &[u8], stride: usize, at: usize, width: usize) -> Vec<u8> {
     /// A width that is known when this is compiled is moved at once.
-    fn values<const WIDTH: usize>(body: &[u8], stride: usize, at: usize) -> Vec<u8> {
-        let value = |record: &[u8]| -> [u8; WIDTH] { std::array::from_fn(|byte| record[at + byte]) };
-        body.chunks_exact(stride).flat_map(value).collect()
+    fn values<const WIDTH: usize>(body: &[u8], stride: usize, at: usize, values: &mut [u8]) {
+        let (values, _) = values.as_chunks_mut::<WIDTH>();
+        for (value, record) in values.iter_mut().zip(body.chunks_exact(stride)) {
+            value.copy_from_slice(&record[at..at + WIDTH]);
+        }
     }
+    let mut bytes = vec![0; body.len() / stride * width];
     match width {
-        1 => values::<1>(body, stride, at),
-        2 => values::<2>(body, stride, at),
-        4 => values::<4>(body, stride, at),
-        8 => values::<8>(body, stride, at),
-        _ => body.chunks_exact(stride).flat_map(|record| &record[at..at + width]).copied().collect(),
+        1 => values::<1>(body, stride, at, &mut bytes),
+        2 => values::<2>(body, stride, at, &mut bytes),
+        4 => values::<4>(body, stride, at, &mut bytes),
+        8 => values::<8>(body, stride, at, &mut bytes),
+        _ => {
+            for (value, record) in bytes.chunks_exact_mut(width).zip(body.chunks_exact(stride)) {
+                value.copy_from_slice(&record[at..at + width]);
+            }
+        }
     }
+    bytes
 }
 
 /// Gives the records of `file`, one after the other and some at a time: the inverse of [`split`].

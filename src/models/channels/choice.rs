@@ -22,11 +22,21 @@ pub struct Choice {
     pub bytes: usize,
     /// Whether no other way to code it is worth a try.
     pub is_sure: bool,
+    /// What to go by in the next frame, if all ways were tried.
+    pub tried: Option<Tried>,
+}
+
+/// The best of all ways to code integers in a frame.
+#[derive(Clone, Copy)]
+pub struct Tried {
+    plan: Integers,
+    /// Bytes for each record of a sample.
+    bytes: f64,
 }
 
 impl Choice {
     fn sure(plan: Plan, bytes: usize) -> Self {
-        Choice { plan, bytes, is_sure: true }
+        Choice { plan, bytes, is_sure: true, tried: None }
     }
 }
 
@@ -82,14 +92,30 @@ impl ColumnModel {
         if let Some((plan, true)) = ruled {
             return Choice::sure(Plan::Integers(plan), 1);
         }
+        if let Some(plan) = self.tried_plan(plain, &part, scalar, sampled) {
+            return Choice { tried: self.tried, ..Choice::sure(Plan::Integers(plan), 1) };
+        }
         let lag = likely_lag(size, values);
-        let best =
+        let (best, tried) =
             self.best_way(Integers { lag, ..plain }, ruled.map(|(plan, _)| plan), &part, scalar, sampled);
+        let tried = Tried { plan: best, bytes: tried as f64 / (sampled.len() / size).max(1) as f64 };
         let sampled = sample(records);
         let sample = gather(values, size, &sampled);
         let bytes = self.size_of(&Plan::Integers(best), &sources.part(&sampled).sources(), scalar, &sample);
         let bytes = bytes.saturating_mul(values.len()) / sample.len().max(1);
-        Choice { plan: Plan::Integers(best), bytes, is_sure: false }
+        Choice { plan: Plan::Integers(best), bytes, is_sure: false, tried: Some(tried) }
+    }
+
+    /// The plan that was the best of all in a frame before, if it does as well now: to try them all takes many times as
+    /// long as to code the column.
+    fn tried_plan(&self, plain: Integers, part: &Sources, scalar: Scalar, values: &[u8]) -> Option<Integers> {
+        /// So much more is as well.
+        const MORE: f64 = 1.02;
+        let Tried { plan, bytes } = self.tried.filter(|tried| tried.plan.scale == plain.scale)?;
+        let plan = Integers { has_exceptions: plain.has_exceptions, ..plan };
+        let most = bytes * MORE * (values.len() / scalar.size() as usize) as f64;
+        let taken = self.size_of(&Plan::Integers(plan), part, scalar, values);
+        (taken as f64 <= most).then_some(plan)
     }
 
     /// The rule that most integers of a sample follow, and whether nearly all do; none if few follow any.
@@ -157,7 +183,7 @@ impl ColumnModel {
         Some((best, is_sure))
     }
 
-    /// What takes the fewest bytes for a sample, with this rule or without any.
+    /// What takes the fewest bytes for a sample, with this rule or without any; and these bytes.
     fn best_way(
         &self,
         plain: Integers,
@@ -165,7 +191,7 @@ impl ColumnModel {
         part: &Sources,
         scalar: Scalar,
         values: &[u8],
-    ) -> Integers {
+    ) -> (Integers, usize) {
         /// Bytes of such a sample; less is good enough.
         const SMALL: usize = 40;
         let mut best = plain;
@@ -194,7 +220,7 @@ impl ColumnModel {
         if let Some(ruled) = ruled {
             improve(&mut best, ruled);
         }
-        best
+        (best, least)
     }
 
     /// Bytes that a column takes.

@@ -1,5 +1,6 @@
 //! One column: a value of one type for each record.
 
+use super::choice::Tried;
 use super::integers::{IntegersModel, Site};
 use super::numbers::{Grid, Scale, number, write_number};
 use super::plan::{Integers, Plan};
@@ -18,6 +19,8 @@ pub struct ColumnModel {
     rules: RuleModel,
     /// How it was last coded, if as integers.
     last_plan: Option<Integers>,
+    /// What an encoder found the best, if it was coded so.
+    pub tried: Option<Tried>,
     is_off: AdaptiveBit,
     off: IntegerModel,
     last_off: i64,

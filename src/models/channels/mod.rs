@@ -253,25 +253,42 @@ impl ChannelCoder<'_> {
     }
 
     /// The shortest way to code a channel.
-    fn choose(&self, sources: &Sources, bytes: &[u8]) -> (Shape, Vec<Plan>, Option<Packed>) {
+    fn choose(&mut self, sources: &Sources, bytes: &[u8]) -> (Shape, Vec<Plan>, Option<Packed>) {
         /// Bytes; what takes less is not worth a further try.
         const SMALL: usize = 64;
-        /// A sample tells sizes to within one part in so many.
-        const UNSURE: usize = 8;
         if bytes.chunks_exact(self.width).all(|value| value == &bytes[..self.width]) {
             return (Shape::Constant, Vec::new(), None);
         }
         let mut plans = Vec::new();
         let (mut size, mut is_sure) = (0usize, !self.columns.is_empty());
-        for (model, values) in self.columns.iter().zip(split(bytes, self.scalar, self.columns.len())) {
+        let columns = split(bytes, self.scalar, self.columns.len());
+        for (model, values) in self.columns.iter_mut().zip(columns) {
             let choice = model.choose(sources, self.scalar, &values);
             size = choice.bytes.saturating_add(size);
             is_sure &= choice.is_sure;
             plans.push(choice.plan);
+            model.tried = choice.tried;
         }
         if is_sure || !plans.is_empty() && size <= SMALL {
             return (Shape::Columns, plans, None);
         }
+        let (shape, packed) = self.choose_shape(sources, bytes, &plans, size);
+        if shape != Shape::Columns {
+            self.columns.iter_mut().for_each(|model| model.tried = None);
+        }
+        (shape, plans, packed)
+    }
+
+    /// The shape that takes the fewest bytes, given those of the columns.
+    fn choose_shape(
+        &self,
+        sources: &Sources,
+        bytes: &[u8],
+        plans: &[Plan],
+        size: usize,
+    ) -> (Shape, Option<Packed>) {
+        /// A sample tells sizes to within one part in so many.
+        const UNSURE: usize = 8;
         let sampled = choice::gather(bytes, self.width, &choice::sample(bytes.len() / self.width));
         let as_bytes = self.size_as_bytes(&sampled).saturating_mul(bytes.len()) / sampled.len().max(1);
         let (mut best, shape) = match plans.is_empty() || as_bytes < size {
@@ -280,17 +297,17 @@ impl ChannelCoder<'_> {
         };
         let most = best.saturating_add(best / UNSURE);
         let packed = Packed::shortest(bytes, self.scalar, self.width, self.level, most);
-        let Some(packed) = packed else { return (shape, plans, None) };
+        let Some(packed) = packed else { return (shape, None) };
         // Models learn more of all records than of a sample.
         if sampled.len() < bytes.len() {
             best = match shape {
-                Shape::Columns => self.size_as_columns(&plans, sources, bytes),
+                Shape::Columns => self.size_as_columns(plans, sources, bytes),
                 _ => self.size_as_bytes(bytes),
             };
         }
         match packed.is_shorter_than(best) {
-            true => (Shape::Packed, plans, Some(packed)),
-            false => (shape, plans, None),
+            true => (Shape::Packed, Some(packed)),
+            false => (shape, None),
         }
     }
 
