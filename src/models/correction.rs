@@ -17,20 +17,23 @@ const BORDER_DISTANCES: [f64; 6] = [0.0005, 0.001, 0.002, 0.004, 0.008, 0.016];
 const CLEAR_DISTANCE: f64 = 0.05;
 /// Contexts of float32 corrections: by how much the coordinate's unit is finer than the range's.
 const FINENESS: usize = 24;
+/// Contexts of whether a point is corrected: which of the last three were.
+const RECENT: usize = 8;
 
 /// What the coder has learned about corrections.
 #[derive(Clone)]
 pub struct CorrectionModel {
-    /// Whether a point that need not be exact is corrected, given that the last one was not, or was.
-    is_corrected: [AdaptiveBit; 2],
-    was_corrected: bool,
+    /// Whether a point is corrected, where that is said first.
+    is_corrected: [AdaptiveBit; RECENT],
+    /// Which of the last three were, a bit each.
+    recent: usize,
     /// Whether a point is corrected although no coordinate is near a border.
     unclear: AdaptiveBit,
     /// Whether there is a correction, for each distance to the border.
     any: Vec<AdaptiveBit>,
     /// Whether the correction crosses the border that is near.
     expected: Vec<AdaptiveBit>,
-    /// The remaining magnitudes, for each axis and fineness.
+    /// The remaining magnitudes, for each axis, fineness, and whether a coordinate before is corrected.
     rest: Vec<IntegerModel>,
 }
 
@@ -38,11 +41,11 @@ impl Default for CorrectionModel {
     fn default() -> Self {
         CorrectionModel {
             is_corrected: Default::default(),
-            was_corrected: false,
+            recent: 0,
             unclear: AdaptiveBit::default(),
             any: vec![AdaptiveBit::default(); 3 * (BORDER_DISTANCES.len() + 1)],
             expected: vec![AdaptiveBit::default(); BORDER_DISTANCES.len() + 1],
-            rest: vec![IntegerModel::default(); 3 * FINENESS],
+            rest: vec![IntegerModel::default(); 3 * FINENESS * 2],
         }
     }
 }
@@ -59,9 +62,8 @@ impl CorrectionModel {
         position: &mut [f32; 3],
     ) {
         let is_far = C::ENCODES && squared_distance(&near, position).sqrt() > max_error;
-        self.was_corrected = self.is_corrected[usize::from(self.was_corrected)].code(coder, is_far);
-        if self.was_corrected {
-            self.code(coder, grid, formula, position);
+        if self.code_whether(coder, is_far) {
+            self.correct(coder, grid, formula, position);
         } else {
             *position = near;
         }
@@ -70,6 +72,34 @@ impl CorrectionModel {
     /// Codes the position of a return, given the formula's position in metres. The encoder's position must
     /// lie on the grid.
     pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        grid: Coordinates,
+        formula: [f64; 3],
+        position: &mut [f32; 3],
+    ) {
+        if grid == Coordinates::Millimetre {
+            // Which point is corrected shows by the distances to the borders.
+            return self.correct(coder, grid, formula, position);
+        }
+        let near = formula.map(|metres| grid.nearest(metres));
+        let is_off = C::ENCODES && position.map(f32::to_bits) != near.map(f32::to_bits);
+        if self.code_whether(coder, is_off) {
+            self.correct(coder, grid, formula, position);
+        } else {
+            *position = near;
+        }
+    }
+
+    /// Codes whether a point is corrected.
+    fn code_whether<C: BitCoder>(&mut self, coder: &mut C, is_corrected: bool) -> bool {
+        let is_corrected = self.is_corrected[self.recent].code(coder, is_corrected);
+        self.recent = (self.recent << 1 | usize::from(is_corrected)) % RECENT;
+        is_corrected
+    }
+
+    /// Codes the corrections of a position.
+    fn correct<C: BitCoder>(
         &mut self,
         coder: &mut C,
         grid: Coordinates,
@@ -112,7 +142,7 @@ impl CorrectionModel {
             } else if self.expected[level].code(coder, *correction == over_border) {
                 *correction = over_border;
             } else {
-                *correction = self.code_rest(coder, axis * FINENESS, *correction);
+                *correction = self.code_rest(coder, 2 * axis * FINENESS, *correction);
             }
         }
     }
@@ -122,9 +152,12 @@ impl CorrectionModel {
     fn code_floats<C: BitCoder>(&mut self, coder: &mut C, formula: [f64; 3], corrections: &mut [i64; 3]) {
         let exponents = formula.map(|v| (v.to_bits() >> 52 & 0x7ff) as usize);
         let largest = exponents.into_iter().max().unwrap_or(0);
+        let mut is_any = false;
         for axis in 0..3 {
             let fineness = (largest - exponents[axis]).min(FINENESS - 1);
-            corrections[axis] = self.code_rest(coder, axis * FINENESS + fineness, corrections[axis]);
+            let context = 2 * (axis * FINENESS + fineness) + usize::from(is_any);
+            corrections[axis] = self.code_rest(coder, context, corrections[axis]);
+            is_any |= corrections[axis] != 0;
         }
     }
 

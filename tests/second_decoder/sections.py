@@ -606,20 +606,22 @@ class DeepIntensity:
 
 class Correction:
     def __init__(self):
-        self.is_corrected = adaptive(2)
-        self.last = 0
+        self.is_corrected = adaptive(8)
+        self.recent = 0
         self.unclear = AdaptiveBit()
         self.any = adaptive(21)
         self.expected = adaptive(7)
-        self.rest = integers(72)
+        self.rest = integers(144)
 
     def corrections(self, bits, grid, formula):
         if grid.kind != MILLIMETRE:
             exponents = [_exponent(v) for v in formula]
             largest = max(exponents)
-            return [
-                unzigzag(self.rest[axis * 24 + min(largest - exponents[axis], 23)].code(bits)) for axis in range(3)
-            ]
+            found = []
+            for axis in range(3):
+                context = 2 * (axis * 24 + min(largest - exponents[axis], 23)) + any(found)
+                found.append(unzigzag(self.rest[context].code(bits)))
+            return found
         offsets = []
         for v in formula:
             units = v * 1000
@@ -635,15 +637,16 @@ class Correction:
             elif self.expected[level].code(bits):
                 found.append(-1 if offsets[axis] < 0 else 1)
             else:
-                found.append(unzigzag(self.rest[axis * 24].code(bits)))
+                found.append(unzigzag(self.rest[axis * 48].code(bits)))
         return found
 
     def code(self, bits, grid, positions, formulas):
         found = []
         for formula in formulas:
-            if positions:
-                self.last = self.is_corrected[self.last].code(bits)
-                if not self.last:
+            if positions or grid.kind != MILLIMETRE:
+                is_corrected = self.is_corrected[self.recent].code(bits)
+                self.recent = (self.recent << 1 | is_corrected) % 8
+                if not is_corrected:
                     found.append(uncorrected(grid, positions, formula))
                     continue
             found.append(corrected(grid, formula, self.corrections(bits, grid, formula)))
