@@ -120,11 +120,11 @@ pub fn parts(data: &[u8]) {
     let _ = decode_within(&put_together(&models, &groups), LIMITS);
 }
 
-/// Any bytes as what a back-end has compressed; and what it compresses comes back.
+/// Any bytes as what a back-end has compressed, of a length in two bytes; and what it compresses comes back.
 pub fn backends(data: &[u8]) {
-    let [id, length, bytes @ ..] = data else { return };
+    let [id, low, high, bytes @ ..] = data else { return };
     let backend = BACKENDS[usize::from(*id) % BACKENDS.len()];
-    let _ = backend::decompress(backend, bytes, usize::from(*length) * 64);
+    let _ = backend::decompress(backend, bytes, u16::from_le_bytes([*low, *high]).into());
     if let Ok(coded) = backend.compress(bytes, backend::Level::default()) {
         assert!(backend::decompress(backend, &coded, bytes.len()).unwrap() == bytes, "{}", backend.name());
     }

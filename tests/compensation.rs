@@ -6,11 +6,13 @@ use common::bound::{bounded, keeps_the_bound};
 use common::firings::{image, made_up, moved_by_stamps, sorted, stamped};
 use common::formats::{kitti, pcd_stamped, pcd_xyz};
 use common::scans::{Points, compensated, moved, random_points, scans, shuffled, small, unrounded};
+use common::sweeps::{SLOTS, STRAIGHT, TURNING, elevation, street, through_a_map};
 use common::{File, decode_files, encode_files, round_trip, section_bytes};
 use lidarpc::internals::edit::{Named, cut};
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::ground::error::Limits;
 use lidarpc::internals::scanner::firings::Recipe;
+use lidarpc::internals::scanner::motion::world::{self, World};
 use lidarpc::internals::scanner::motion::{Compensation, undo};
 use lidarpc::internals::stream::FrameRange;
 use lidarpc::internals::stream::container::SectionKind;
@@ -258,4 +260,50 @@ fn odd_points_and_odd_time_stamps_come_back() {
         .collect();
     let stream = round_trip(&files, &EncoderConfig::default());
     assert!(section_bytes(&stream).contains_key(&SectionKind::Stamped));
+}
+
+#[test]
+fn elevations_are_thirds_of_four_degrees() {
+    let all: Vec<f64> = (0..SLOTS).map(elevation).collect();
+    assert_eq!((all[0], all[1], all[3], all[18], all[31]), (-30.67, -29.33, -26.66, -6.66, 10.67));
+}
+
+fn bits(points: &[[f32; 3]]) -> Vec<[u32; 3]> {
+    points.iter().map(|point| point.map(f32::to_bits)).collect()
+}
+
+#[test]
+fn a_sweep_moved_through_a_map_is_measured_again_and_comes_back() {
+    for (seed, drive) in (1..).zip([TURNING, STRAIGHT]) {
+        let truth = street(seed);
+        let file = through_a_map(&truth, &drive);
+        let (found, mut world) = world::undo(&file).expect("it was moved through a map");
+        let wrong = found.iter().zip(&truth).filter(|(a, b)| a != b).count();
+        assert!(wrong * 200 < truth.len(), "{wrong} points are not as measured");
+        let quickly = world::measured(&file).expect("it was moved through a map");
+        let wrong = quickly.iter().zip(&truth).filter(|(a, b)| a != b).count();
+        assert!(wrong * 100 < truth.len(), "{wrong} points are not as measured at first");
+
+        world.find_corrections(&found, &file);
+        let payload = world.to_payload(&found);
+        assert!(payload.len() < truth.len() / 4, "{} bytes for {}", payload.len(), world.corrections.len());
+        let read = World::from_payload(&payload, &found).unwrap();
+        assert_eq!(read, world);
+        let mut again = found;
+        read.apply(&mut again);
+        assert_eq!(bits(&again), bits(&file));
+    }
+}
+
+#[test]
+fn sweeps_that_went_through_no_map_are_left_alone() {
+    let truth = street(3);
+    let file = through_a_map(&truth, &TURNING);
+    let noise: Vec<[f32; 3]> =
+        file.iter().enumerate().map(|(n, &[x, y, z])| [x + n as f32 * 1e-5, y, z]).collect();
+    let mut odd = file.clone();
+    odd[77] = [f32::NAN, 0.0, 1.0];
+    for points in [&truth[..], &noise, &file[1..], &odd, &[[1.0, 0.5, 0.25]; 32 * 300], &[]] {
+        assert!(world::undo(points).is_none() && world::measured(points).is_none());
+    }
 }

@@ -18,7 +18,7 @@ use common::formats::{
 use common::scans::{scans, small};
 use common::streams::{KNOWN, STREAMS};
 use common::{first_files, in_package, put_together};
-use lidarpc::internals::backend::{BACKENDS, Level};
+use lidarpc::internals::backend::{BACKENDS, Backend, Level};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::scanner::Scanner;
 use lidarpc::internals::stream::container::ScannerRecord;
@@ -64,10 +64,18 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         }
         "backends" => {
             let text: Vec<u8> = (0..640u32).map(|n| (n * n / 7) as u8 & 15).collect();
-            let coded = |(number, backend): (usize, &&dyn lidarpc::internals::backend::Backend)| {
-                [vec![number as u8, 10], backend.compress(&text, Level::default()).unwrap()].concat()
+            let seed = |number: usize, length: usize, coded: Vec<u8>| {
+                [&[number as u8][..], &(length as u16).to_le_bytes(), &coded].concat()
             };
-            BACKENDS.iter().enumerate().map(coded).collect()
+            let coded = |(number, backend): (usize, &&dyn Backend)| {
+                seed(number, text.len(), backend.compress(&text, Level::default()).unwrap())
+            };
+            // With what only the reference programs write, such as Lizard's Huffman coding.
+            let of_others = VECTORS.iter().map(|(name, file)| {
+                let number = BACKENDS.iter().position(|backend| backend.name() == *name).unwrap();
+                seed(number, 12_000, fs::read(in_package("testdata/vectors").join(file)).unwrap())
+            });
+            BACKENDS.iter().enumerate().map(coded).chain(of_others).collect()
         }
         "readers" | "conversion" => files.map(|(kind, bytes)| [vec![kind], bytes].concat()).to_vec(),
         "arrival" => {
@@ -118,6 +126,19 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         }
     }
 }
+
+/// What the reference programs wrote of 12,000 bytes, each way that they have once: `testdata/vectors`.
+const VECTORS: [(&str, &str); 9] = [
+    ("lz5", "residuals.level1.lz5"),
+    ("lz5", "residuals.level9.lz5"),
+    ("lz5", "residuals.level15.lz5"),
+    ("lizard", "residuals.level10.liz"),
+    ("lizard", "residuals.level19.liz"),
+    ("lizard", "residuals.level20.liz"),
+    ("lizard", "residuals.level29.liz"),
+    ("lizard", "residuals.level30.liz"),
+    ("lizard", "residuals.level45.liz"),
+];
 
 /// An archive with a long name, a folder and a link.
 fn archive(mut header: tar::Header) -> Vec<u8> {

@@ -17,8 +17,8 @@ use common::formats::{
     ply_big_endian, ply_text,
 };
 use common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
-use common::streams::{at_level, with_back_end};
-use common::{File, decode_files, encode_files, in_package, round_trip, take_apart};
+use common::streams::{KNOWN, at_level, moved_through_a_map, with_back_end};
+use common::{File, decode_files, encode_files, in_package, put_together, round_trip, take_apart};
 use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::internals::backend::{BACKENDS, LZMA};
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
@@ -291,6 +291,14 @@ fn recipes() -> Vec<Recipe> {
             EncoderConfig { coder, intensity: Intensity::Exact, prediction: every, ..with_back_end(LZMA) };
         lossy(&format!("paper-{name}-p-frames"), twice_the_same, config);
     }
+    // That it was moved so is found in whole sweeps alone, which are many points: the section is put in.
+    recipes.push((
+        "exact-through-a-map".to_owned(),
+        Box::new(|| {
+            let (scanners, groups) = moved_through_a_map(&KNOWN[1]);
+            put_together(&scanners, &groups)
+        }),
+    ));
     recipes.push(("two-scanners".to_owned(), Box::new(turns)));
     recipes.push(("tree".to_owned(), Box::new(tree)));
     recipes

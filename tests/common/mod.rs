@@ -8,6 +8,7 @@ pub mod formats;
 pub mod odd;
 pub mod scans;
 pub mod streams;
+pub mod sweeps;
 
 use std::collections::BTreeMap;
 use std::fs;

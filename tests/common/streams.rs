@@ -95,7 +95,7 @@ fn moved() -> Parts {
 
 /// A scan that was moved through the coordinates of a map. That is found in whole turns only, so a small stream has it put in:
 /// behind the sections of what was measured the one that says how it was moved.
-fn moved_through_a_map(known: &Known) -> Parts {
+pub fn moved_through_a_map(known: &Known) -> Parts {
     let points = &known.frames[0];
     let measured: Vec<[f32; 3]> = points.iter().map(|&[x, y, z, _]| [x, y, z]).collect();
     let knot = |time, x| Knot { time, pose: Pose { place: [x, -x, 1 << 25], turn: [1 << 28, -x, 7] } };
