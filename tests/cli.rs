@@ -1,5 +1,7 @@
 //! The program from outside: what it writes, says and returns.
 
+#![cfg_attr(not(target_os = "linux"), allow(dead_code, unused_imports))] // Some tests take what Linux has.
+
 #[path = "common/program.rs"]
 mod program;
 
@@ -295,6 +297,8 @@ fn a_file_that_cannot_be_opened_is_named() {
     let mut unreadable = readable.clone();
     #[cfg(unix)]
     std::os::unix::fs::PermissionsExt::set_mode(&mut unreadable, 0);
+    #[cfg(not(unix))]
+    unreadable.set_readonly(true);
     fs::set_permissions(&secret, unreadable).unwrap();
     if fs::read(&secret).is_ok() {
         eprintln!("skipped: permissions do not stop this user");

@@ -1,5 +1,7 @@
 //! Nothing is lost without a word: what the program takes in and leaves out, what it refuses, and how it says so.
 
+#![cfg_attr(not(target_os = "linux"), allow(dead_code, unused_imports))] // Some tests take what Linux has.
+
 #[path = "common/program.rs"]
 mod program;
 

@@ -270,8 +270,10 @@ impl FolderOutput {
                 if name.ends_with('/') {
                     return Ok(());
                 }
-                let synced = File::open(self.temporary.path().join(name)).and_then(|file| file.sync_all());
-                synced.map_err(|e| Error::from(e).at(self.folder.join(name)))
+                // Windows lets only those write to the disk who may write to the file.
+                let file =
+                    File::options().read(true).write(cfg!(windows)).open(self.temporary.path().join(name));
+                file.and_then(|file| file.sync_all()).map_err(|e| Error::from(e).at(self.folder.join(name)))
             })
         };
         std::thread::scope(|scope| {

@@ -17,11 +17,7 @@ pub fn file(folder: &Path) -> io::Result<NamedTempFile> {
     remove_leftovers(folder);
     loop {
         let mut builder = builder();
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::PermissionsExt;
-            builder.permissions(fs::Permissions::from_mode(0o666));
-        }
+        as_new_files(&mut builder);
         let file = builder.tempfile_in(folder)?;
         lock(file.as_file());
         // Another run may have taken it for a leftover before it was locked.
@@ -48,6 +44,16 @@ fn builder() -> Builder<'static, 'static> {
     builder.prefix(PREFIX).suffix(SUFFIX);
     builder
 }
+
+/// Gives the rights that a new file usually gets, where a temporary one gets fewer.
+#[cfg(unix)]
+fn as_new_files(builder: &mut Builder) {
+    use std::os::unix::fs::PermissionsExt;
+    builder.permissions(fs::Permissions::from_mode(0o666));
+}
+
+#[cfg(not(unix))]
+fn as_new_files(_: &mut Builder) {}
 
 /// Where there are no locks, nothing is ever taken for a leftover.
 #[cfg(unix)]

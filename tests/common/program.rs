@@ -1,5 +1,6 @@
 //! The program, run in a folder of its own.
 #![allow(dead_code, missing_docs)] // Each test file takes the part that it needs.
+#![cfg_attr(not(target_os = "linux"), allow(unused_imports))]
 
 use std::collections::BTreeMap;
 use std::fs;
