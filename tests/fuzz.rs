@@ -1,7 +1,7 @@
 //! What fuzzing has found, and what it starts from, as plain tests.
 //!
-//! `fuzz/run.sh` runs the fuzzer; what it finds goes to `fuzz/regressions/TARGET/`, from where this replays it
-//! for ever.
+//! `fuzz/run.sh` runs the fuzzer; what it finds goes to `fuzz/regressions/TARGET/`, and a small part of what it
+//! gathers to `fuzz/kept/TARGET.bin` (`fuzz/keep.sh`), from where this replays both for ever.
 
 mod common;
 #[path = "../fuzz/targets.rs"]
@@ -9,7 +9,7 @@ mod targets;
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use common::formats::{
@@ -170,6 +170,70 @@ fn everything_that_fuzzing_found_is_mended() {
     }
 }
 
+/// The file of the inputs that are kept for a target: each behind its length, a u32.
+fn kept_file(target: &str) -> PathBuf {
+    in_package("fuzz/kept").join(target).with_extension("bin")
+}
+
+/// What is kept for a target of what fuzzing has gathered.
+fn kept(target: &str) -> Vec<Vec<u8>> {
+    let bytes = fs::read(kept_file(target)).unwrap_or_default();
+    let (mut rest, mut inputs) = (&bytes[..], Vec::new());
+    while let Some((length, after)) = rest.split_first_chunk() {
+        let (input, after) = after.split_at(u32::from_le_bytes(*length) as usize);
+        inputs.push(input.to_vec());
+        rest = after;
+    }
+    assert!(rest.is_empty(), "{target}: the file of what is kept is cut short");
+    inputs
+}
+
+#[test]
+fn every_target_takes_what_is_kept_of_fuzzing() {
+    for (target, run) in TARGETS {
+        let inputs = kept(target);
+        println!("{target}: {} inputs", inputs.len());
+        assert!(!inputs.is_empty(), "{target}: nothing is kept");
+        inputs.iter().for_each(|input| run(input));
+    }
+}
+
+/// Keeps some of the corpus that LIDARPC_CORPUS names, which `fuzz/keep.sh` has made as small as it can be: of the inputs of all
+/// sizes up to a limit, as many as fit.
+#[test]
+#[ignore = "writes fuzz/kept"]
+fn keep() {
+    /// Bytes of an input, and of all of a target.
+    const MOST: usize = 4096;
+    const MOST_IN_ALL: usize = 24 << 10;
+    let corpus = std::env::var_os("LIDARPC_CORPUS").expect("LIDARPC_CORPUS names a corpus");
+    for (target, _) in TARGETS {
+        // So that all together take seconds, in a build for tests.
+        let most = match target {
+            "differential" => 8,
+            "sequence" => 24,
+            "round_trip" => 100,
+            _ => 400,
+        };
+        let inputs = first_files(&Path::new(&corpus).join(target), usize::MAX);
+        let mut inputs: Vec<Vec<u8>> = inputs.into_iter().map(|(_, bytes)| bytes).collect();
+        let gathered = inputs.len();
+        inputs.retain(|input| !input.is_empty() && input.len() <= MOST);
+        inputs.sort_by(|a, b| (a.len(), a).cmp(&(b.len(), b)));
+        let some = |count: usize| -> Vec<u8> {
+            let places = (0..count).map(|n| n * inputs.len() / count);
+            let framed = places
+                .map(|place| [&(inputs[place].len() as u32).to_le_bytes(), &inputs[place][..]].concat());
+            framed.flatten().collect()
+        };
+        let counts = (0..=inputs.len().min(most)).rev().map(|count| (count, some(count)));
+        let (count, bytes) = counts.into_iter().find(|(_, bytes)| bytes.len() <= MOST_IN_ALL).unwrap();
+        fs::create_dir_all(kept_file(target).parent().unwrap()).unwrap();
+        fs::write(kept_file(target), &bytes).unwrap();
+        println!("{target}: {count} of {gathered} inputs, {} bytes", bytes.len());
+    }
+}
+
 /// What the fuzzer has gathered, in the folder that LIDARPC_CORPUS names: `fuzz/coverage.sh CORPUS`.
 #[test]
 fn every_target_takes_what_the_fuzzer_has_gathered() {
@@ -232,8 +296,10 @@ fn write_seeds() {
     for (target, _) in TARGETS {
         let folder = in_package("fuzz/corpus").join(target);
         fs::create_dir_all(&folder).unwrap();
-        for (number, seed) in seeds(target).iter().enumerate() {
-            fs::write(Path::new(&folder).join(format!("seed-{number:03}")), seed).unwrap();
+        for (name, inputs) in [("seed", seeds(target)), ("kept", kept(target))] {
+            for (number, input) in inputs.iter().enumerate() {
+                fs::write(Path::new(&folder).join(format!("{name}-{number:03}")), input).unwrap();
+            }
         }
     }
 }
