@@ -581,7 +581,7 @@ impl Constants {
         let steps = std::iter::once(0).chain((1..=FARTHEST).flat_map(|steps| [steps, -steps]));
         let tried =
             steps.map(|steps| Laser { azimuth: laser.azimuth + steps * AZIMUTH_STEP as i64, ..laser });
-        best_of(any, tried, points, laser)
+        best_of(any, tried, points, laser).0
     }
 
     /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they give to the last
@@ -625,18 +625,17 @@ impl Constants {
     }
 }
 
-/// The laser by which the most points come out to the last bit, the first of equals; `none` if none do.
+/// The laser by which the most points come out to the last bit, the first of equals, and how many do; `none` if none do.
 pub(super) fn best_of(
     any: &Firings,
     lasers: impl Iterator<Item = Laser>,
     points: &[Point],
     none: Laser,
-) -> Laser {
-    let best = lasers.fold((0, none), |best, laser| {
-        let exact = exact_points(any, laser, points, 0..3, best.0 + 1);
-        if exact > best.0 { (exact, laser) } else { best }
-    });
-    best.1
+) -> (Laser, usize) {
+    lasers.fold((none, 0), |best, laser| {
+        let exact = exact_points(any, laser, points, 0..3, best.1 + 1);
+        if exact > best.1 { (laser, exact) } else { best }
+    })
 }
 
 /// Azimuth offsets are not told better apart, in units.
@@ -669,8 +668,8 @@ pub(super) fn exact_points(
 }
 
 /// The angles near another, in units, by which the most points come out, and how many do: as its maker may have written
-/// it, and its neighbours as the program's numbers go, but not finer than a step. None if they are fewer than `least`.
-/// `count` says how many points come out by an angle, or 0 if they are fewer than it is told.
+/// it, and its neighbours as the program's numbers go, but not finer than a step. Fewer than `least` of the points count as
+/// none. `count` says how many come out by an angle, or 0 if they are fewer than it is told.
 fn angles(
     recipe: Recipe,
     near: i64,

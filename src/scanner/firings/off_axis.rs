@@ -330,7 +330,7 @@ fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
     }
     let beside = (-2..=2).flat_map(|azimuth| (-1..=1).map(move |elevation| (azimuth, elevation)));
     let beside = beside.map(|(azimuth, elevation)| moved(&best.1, azimuth, elevation));
-    best_of(any, std::iter::once(best.1).chain(beside), &more, best.1)
+    best_of(any, std::iter::once(best.1).chain(beside), &more, best.1).0
 }
 
 /// How far from the axis, and how high, the lines of the lasers cross, in metres; none if too few tell.
@@ -682,11 +682,7 @@ fn ouster_laser(any: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
         elevations
             .flat_map(move |elevation| around(laser.azimuth).map(|azimuth| Laser { elevation, azimuth }))
     });
-    // The first of equals.
-    near.fold((Laser { elevation, azimuth: 0 }, 0), |best, laser| {
-        let exact = exact_points(any, laser, &more, 0..3, best.1 + 1);
-        if exact > best.1 { (laser, exact) } else { best }
-    })
+    best_of(any, near, &more, Laser { elevation, azimuth: 0 })
 }
 
 /// The line through some pairs, by least squares: its slope, and its height at 0.

@@ -353,8 +353,7 @@ impl Arithmetic {
         let Turn::Degrees(_, table) = turn else { return None };
         match self {
             Arithmetic::Double { cos_v, sin_v, offsets, axes, .. } => {
-                let [cos, sin] =
-                    Some(turned_by(*table.get(tick), *offsets)).filter(|turned| are_sure(*turned))?;
+                let [cos, sin] = turned_by(*table.get(tick), *offsets)?;
                 let flat = metres * cos_v;
                 let error = flat.abs() * TURNED_ERROR;
                 let (cos, sin) = (flat * cos, flat * sin);
@@ -366,8 +365,7 @@ impl Arithmetic {
             }
             Arithmetic::Ls { cos_v, sin_v, turned, offsets: [cos_o, sin_o], along, up, .. } => {
                 let [cos, sin] = *table.get((tick + turned) % table.len());
-                let start = turned_by([cos, sin], [*cos_o, -sin_o]);
-                let [cos_s, sin_s] = Some(start).filter(|start| are_sure(*start))?;
+                let [cos_s, sin_s] = turned_by([cos, sin], [*cos_o, -sin_o])?;
                 let (flat, error) = (metres * cos_v, along.abs() * TURNED_ERROR);
                 Some([
                     sure(flat * sin + along * sin_s, error)?,
@@ -387,7 +385,7 @@ impl Arithmetic {
             return None;
         };
         let [cos_t, sin_t] = *table.get(tick);
-        let [cos, sin] = Some(turned_by([cos_t, sin_t], *offsets)).filter(|turned| are_sure(*turned))?;
+        let [cos, sin] = turned_by([cos_t, sin_t], *offsets)?;
         let [direction, start] = ray([cos_t, -sin_t], [cos * cos_v, -sin * cos_v, *sin_v], *along, *up);
         let mut position = [0.0; 3];
         for axis in 0..3 {
@@ -509,18 +507,14 @@ fn ray(ahead: [f64; 2], beam: [f64; 3], along: f64, up: f64) -> [[f64; 3]; 2] {
     [beam.map(|beam| beam * 1e-3), [0, 1, 2].map(start)]
 }
 
-/// Cosine and sine of the sum of two angles.
-fn turned_by([cos, sin]: [f64; 2], [cos_o, sin_o]: [f64; 2]) -> [f64; 2] {
-    [cos * cos_o - sin * sin_o, sin * cos_o + cos * sin_o]
-}
-
 /// More than cosine and sine by [`turned_by`] and those of the rounded sum of the angles differ by: the angles, of up to two
 /// turns in degrees, are rounded to 3e-14 degrees and turned into radians with errors of 3e-15; cosines and sines to 1e-16.
 const TURNED_ERROR: f64 = 2e-14;
 
-/// Whether cosine and sine by [`turned_by`] surely have the right signs.
-fn are_sure([cos, sin]: [f64; 2]) -> bool {
-    cos.abs().min(sin.abs()) > TURNED_ERROR
+/// Cosine and sine of the sum of two angles; none if one of them is so small that its sign is not sure.
+fn turned_by([cos, sin]: [f64; 2], [cos_o, sin_o]: [f64; 2]) -> Option<[f64; 2]> {
+    let turned = [cos * cos_o - sin * sin_o, sin * cos_o + cos * sin_o];
+    turned.iter().all(|part| part.abs() > TURNED_ERROR).then_some(turned)
 }
 
 /// The float32 nearest to all numbers within `error` of a value; none if there are several.
