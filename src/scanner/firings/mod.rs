@@ -15,7 +15,9 @@
 
 mod columns;
 mod fit;
+mod glibc;
 mod off_axis;
+mod order;
 mod projection;
 mod recipe;
 
