@@ -53,7 +53,7 @@ impl<const N: usize> LeastSquares<N> {
     }
 
     /// The prediction from these features.
-    #[inline]
+    #[inline(always)]
     pub fn predict(&self, features: &[f32; N]) -> f32 {
         let mut sums = [0.0; LANES];
         for i in 0..N {
@@ -63,7 +63,7 @@ impl<const N: usize> LeastSquares<N> {
     }
 
     /// Learns that `target` came with these features; `weight` is the weight of this sample.
-    #[inline]
+    #[inline(always)]
     pub fn learn(&mut self, features: &[f32; N], target: f32, weight: f32) {
         let forget = self.forget;
         let (blocks, _) = features.as_chunks::<LANES>();

@@ -36,7 +36,7 @@ pub use packed::{
 };
 pub use points::{PointModel, neighbours_above};
 pub(crate) use range::Bins;
-pub use range::{RANGE_CONTEXTS, RangeContext, RangeModel, RangeTokens, start_tables};
+pub use range::{KnownCells, RANGE_CONTEXTS, RangeContext, RangeModel, RangeTokens, start_tables};
 
 #[cfg(test)]
 mod tests;

@@ -29,7 +29,7 @@ use halving::Halving;
 use mixture::{Interval, Mixture, Rates};
 use neighbourhood::Window;
 use site::{Site, pair};
-pub use tokens::{RANGE_CONTEXTS, RangeTokens, start_tables};
+pub use tokens::{KnownCells, RANGE_CONTEXTS, RangeTokens, start_tables};
 
 /// Features of the least-squares predictor, those of the reference, and both.
 const FEATURES: usize = 8;

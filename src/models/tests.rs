@@ -83,13 +83,15 @@ proptest! {
         // Of the frame before, some cells are occupied, and some of these are at the same distance.
         let before = |range: &u32| if range.is_multiple_of(5) { 0 } else { range.saturating_sub(moved * (range % 3)) };
         let same = steps.map(before);
+        let levels = steps.map(|range| (range % 129) as u16);
+        let known = KnownCells { occupancy: &occupancy, fitted, expected: refers.then_some(&same), levels: &levels };
         let axis = (range_bits, bin);
         let (encoded, decoded) = round_trip(
             RANGE_CONTEXTS,
             &steps,
             &Grid::new(steps.rows(), steps.columns()),
-            |coder, steps| RangeTokens::default().code(coder, &occupancy, (fitted, refers.then_some(&same)), axis, steps),
-            |coder, steps| RangeTokens::default().code(coder, &occupancy, (fitted, refers.then_some(&same)), axis, steps),
+            |coder, steps| RangeTokens::default().code(coder, &known, axis, steps),
+            |coder, steps| RangeTokens::default().code(coder, &known, axis, steps),
         );
         prop_assert_eq!(&encoded, &decoded);
         for (range, decoded) in steps.cells().iter().zip(decoded.cells()) {
@@ -111,8 +113,10 @@ proptest! {
         let tokens_len = tokens.len();
         let mut coder = Given(tokens.into_iter());
         let same = grid(&before[..tokens_len]);
+        let levels = same.map(|range| (range % 129) as u16);
+        let known = KnownCells { occupancy: &occupancy, fitted, expected: refers.then_some(&same), levels: &levels };
         let axis = (range_bits, bin);
-        RangeTokens::default().code(&mut coder, &occupancy, (fitted, refers.then_some(&same)), axis, &mut steps);
+        RangeTokens::default().code(&mut coder, &known, axis, &mut steps);
         prop_assert!(steps.cells().iter().all(|range| (1..1 << range_bits).contains(range)));
     }
 

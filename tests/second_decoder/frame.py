@@ -218,10 +218,10 @@ class Decoder:
 
         ranges = []
         if inside:
+            if levels is None:
+                levels = [[0] * len(columns) for _ in image]
             ranges = self.ranges(parameters, image, columns, levels, seen)
             if not parameters.is_tokens and len(image) * len(columns) <= 1 << 22:
-                if levels is None:
-                    levels = [[0] * len(columns) for _ in image]
                 self.past = references.Past(columns, ranges, levels)
         elements = scanner.in_canonical_order(ranges, columns, is_full) if inside else []
         echoes = {}
@@ -291,7 +291,7 @@ class Decoder:
         payload = self.next_section(kinds.INTENSITY)
         if parameters.is_tokens:
             make = tokens.PackedIntensity if parameters.coder == PACKED else tokens.Intensity
-            return *self.model(make).code(Reader(payload), image, strays), None
+            return self.model(make).code(Reader(payload), image, strays)
         bits = Bits(payload)
         scale = sections.Scale(bits.plain)
         if not scale.per_unit:
@@ -334,7 +334,7 @@ class Decoder:
             model = self.model(tokens.PackedRange)
         else:
             model = self.model(tokens.Range, coder != TOKENS)
-        return model.code(Reader(payload), image, parameters, seen)
+        return model.code(Reader(payload), image, levels, parameters, seen)
 
     def positions(self, parameters, elements):
         """Those of returns and blanks, in canonical order."""

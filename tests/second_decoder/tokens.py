@@ -1,8 +1,8 @@
 """Section 8.16 of FORMAT.md: sections as tokens."""
 
 from entropy import TokenModel, Tokens, frequencies_of, numbers, unzigzag
-from models import LeastSquares, clamp, f32, floats, ilog2
-from ranges import Bins
+from models import LeastSquares, clamp, dot, f32, floats, ilog2, signed_level
+from ranges import Bins, change
 from sections import Scale, corrected, uncorrected
 
 
@@ -55,22 +55,23 @@ class Intensity:
 
         columns = len(image[0]) if image else 0
         north = [0] * columns
-        values = []
+        values, levels = [], []
         for cells in image:
-            own = [0] * columns
+            own, of_own = [0] * columns, [0] * columns
             west = 0
             for c in range(columns):
                 if cells[c]:
                     own[c], west = value(west, north[c])
-                    north[c] = west
+                    north[c] = of_own[c] = west
             values.append(own)
+            levels.append(of_own)
         of_strays = []
         west = 0
         for _ in strays:
             v, west = value(west, 0)
             of_strays.append(v)
         tokens.finish()
-        return values, of_strays
+        return values, of_strays, levels
 
 
 def level(m, most):
@@ -111,24 +112,34 @@ class Range:
 
     def __init__(self, is_fitted):
         self.is_fitted = is_fitted
-        self.model = TokenModel(168)
+        self.model = TokenModel(96)
         self.fits = [LeastSquares(8, 0.998) for _ in range(4)]
         self.fits_before = [LeastSquares(16, 0.998) for _ in range(4)]
-        for c in range(168 if is_fitted else 40):
-            l = (c // 12 + 2) * 2 if is_fitted else c
-            m = ((4 + l % 4) << (l // 4)) - 4
-            starts = start_of(1.5 + m / 12 if is_fitted else 2 + m / 9)
+        self.weights = floats([0.0] * 20)
+        self.quartile = 8.0
+        self.offsets = [floats([0.0] * 16) for _ in range(16)]
+        self.noise = floats([1.0] * 64)
+        for c in range(96 if is_fitted else 40):
+            if is_fitted:
+                e = 5.657
+                for _ in range(c // 6):
+                    e *= 1.587401
+                starts = start_of(1.5 + e / 48)
+            else:
+                m = ((4 + c % 4) << (c // 4)) - 4
+                starts = start_of(2 + m / 9)
             self.model.tables[c] = numbers(frequencies_of(starts))
             self.model.counts[c] = [s // 32 for s in starts]
 
-    def code(self, reader, image, parameters, reference):
+    def code(self, reader, image, levels, parameters, reference):
         tokens = Tokens(self.model, reader)
         columns = len(image[0])
         width = parameters.bin
         end = 1 << parameters.range_bits
         ranges = [3000] * (columns + 2)
         ranges2 = [3000] * columns
-        misses = [20] * columns
+        misses = [20] * (columns + 1)
+        here_residuals = [0.0] * (columns + 7)
         found = []
         expected = None
         if reference:
@@ -143,6 +154,8 @@ class Range:
             miss_left = 320
             north_west = ranges[0]
             west = None
+            left = [0.0] * 12
+            above, here_residuals = here_residuals, [0.0] * (columns + 7)
             for c in range(columns):
                 if not cells[c]:
                     continue
@@ -154,6 +167,7 @@ class Range:
                 awaited = miss_left + 8 * misses[c]
                 start = west
                 if is_fitted:
+                    awaited = miss_left + 8 * ((3 * misses[c] + 2 * misses[c + 1]) // 5)
                     deltas = [
                         clamp(v - west, -300, 300)
                         for v in (west2, west3, west4, north, north_west, north_east, north_east2, north2)
@@ -176,12 +190,18 @@ class Range:
                             fits = self.fits_before[edge]
                     features = floats(deltas)
                     fit = clamp(fits.predict(features), -400.0, 400.0)
-                    l = clamp(level((awaited // width) >> 2, 32) >> 1, 2, 15) - 2
-                    context = l * 12 + min(ilog2(1 + activity // width), 11)
+                    inputs = floats(left[-12:] + above[c : c + 8])
+                    i, iw = levels[row][c], levels[row][c - 1] if c > 0 else 0
+                    o, w = signed_level(i) - 16, signed_level(iw) - 16
+                    n = min(ilog2(max(i, 1)), 7) * 8 + change(i, iw)
+                    hint = f32(dot(self.weights, inputs) + self.offsets[o][w])
+                    e = min(int(f32(f32(awaited) * self.noise[n])) // width, 1 << 15)
+                    l = min(ilog2(max(e * e * e * 181 >> 15, 1)) // 2, 15)
+                    context = l * 6 + min(ilog2(1 + activity // width) // 2, 5)
                 else:
-                    fit = 0.0
+                    fit = hint = 0.0
                     context = level(((awaited + 5 * min(activity, 1200)) // width) >> 3, 40)
-                base = clamp(start + int(f32(fit + 1000.5)) - 1000, 1, end - 2)
+                base = clamp(start + int(f32(clamp(f32(fit + hint), -400.0, 400.0) + 1000.5)) - 1000, 1, end - 2)
                 miss = clamp(unzigzag(tokens.number(context)), -(1 << 25), 1 << 25)
                 if width == 1:
                     value = clamp(base + miss, 1, end - 1)
@@ -189,11 +209,26 @@ class Range:
                     bins = Bins(base, width, parameters.range_bits)
                     value = bins.middle(bins.central + miss)
                 if is_fitted:
-                    error = f32(value - start - fit)
+                    residual = f32(value - start - fit)
                     target = float(clamp(value - start, -400, 400))
-                    fits.learn(features, target, f32(1 / f32(25 + f32(error * error))))
+                    fits.learn(features, target, f32(1 / f32(25 + f32(residual * residual))))
                     ranges2[c] = north
                 miss = min(abs(value - base), 300)
+                if is_fitted:
+                    ratio = min(f32(f32(24 * miss) / f32(awaited + 8)), 4.0)
+                    self.noise[n] += f32(f32(ratio - self.noise[n]) * f32(0.01))
+                    quartile = self.quartile
+                    error = f32(residual - hint)
+                    limited = clamp(error, -2 * quartile, 2 * quartile)
+                    by = f32(f32(f32(0.015) * limited) / f32(dot(inputs, inputs) + 20.0))
+                    for k, x in enumerate(inputs):
+                        self.weights[k] += f32(by * x)
+                    self.offsets[o][w] += f32(limited * f32(0.003))
+                    residual = clamp(residual, f32(-5 * quartile), f32(5 * quartile))
+                    left.append(residual)
+                    here_residuals[c + 3] = residual
+                    by = 0.0125 if abs(error) > quartile else -0.0375
+                    self.quartile = max(f32(quartile + f32(by)), 0.5)
                 miss_left = (5 * miss_left + 48 * miss) >> 3
                 misses[c] = (misses[c] + miss) >> 1
                 north_west = north
@@ -239,7 +274,7 @@ class PackedRange:
     def __init__(self):
         self.model = TokenModel(33)
 
-    def code(self, reader, image, parameters, reference):
+    def code(self, reader, image, levels, parameters, reference):
         tokens = Tokens(self.model, reader)
         width, range_bits = parameters.bin, parameters.range_bits
         found = []
@@ -287,4 +322,4 @@ class PackedIntensity:
                     at += 1 + tokens.number(33)
         tokens.finish()
         found = iter(found)
-        return [[next(found) if filled else 0 for filled in cells] for cells in image], list(found)
+        return [[next(found) if filled else 0 for filled in cells] for cells in image], list(found), None

@@ -71,13 +71,14 @@ impl IntensityModels {
         let is_deep = match frame.parameters.modelling().parts().intensity {
             IntensityModelling::Light => false,
             IntensityModelling::Deep => true,
-            // Tokens need no contexts.
             IntensityModelling::Tokens => {
-                let code = |coder: &mut S::Tokens<'_>| code_tokens(coder, scale, frame);
+                let mut levels = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
+                let code = |coder: &mut S::Tokens<'_>| code_tokens(coder, scale, frame, &mut levels);
                 return sections
                     .tokens(SectionKind::Intensity, INTENSITY_CONTEXTS, &mut self.tokens, code)
-                    .map(|()| Grid::default());
+                    .map(|()| levels);
             }
+            // Packed ranges have no contexts.
             IntensityModelling::Packed => {
                 let code = |coder: &mut S::Tokens<'_>| pack(coder, scale, frame);
                 return sections
@@ -205,7 +206,13 @@ fn neighbours(levels: &Grid<u16>, left: [u16; 4], row: usize, column: usize) -> 
     }
 }
 
-fn code_tokens<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, frame: &mut Frame) {
+/// The intensities of the returns, whose context levels are written into `levels`, then of the strays.
+fn code_tokens<C: TokenCoder>(
+    coder: &mut C,
+    mut scale: IntensityScale,
+    frame: &mut Frame,
+    levels: &mut Grid<u16>,
+) {
     scale.code(|value, count| coder.bits(value.into(), count) as u32);
     let mut model = IntensityTokens::default();
     let (rows, width) = (frame.occupancy.rows(), frame.occupancy.columns());
@@ -217,9 +224,11 @@ fn code_tokens<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, frame: &
         }
         let mut west = 0;
         let cells = frame.occupancy.row(row).iter().zip(frame.intensity.row_mut(row)).zip(&mut above);
-        for ((_, value), north) in cells.filter(|((filled, _), _)| **filled) {
+        for (((_, value), north), level) in
+            cells.zip(levels.row_mut(row)).filter(|(((filled, _), _), _)| **filled)
+        {
             west = model.code(coder, &scale, (west, *north), value);
-            *north = west;
+            (*north, *level) = (west, west);
         }
     }
     frame.stray_intensity.resize(frame.outside(), 0.0);

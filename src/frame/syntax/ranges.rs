@@ -17,8 +17,8 @@ use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::{self, Reference};
 use crate::models::{
-    PACKED_RANGE_CONTEXTS, RANGE_CONTEXTS, RangeContext, RangeModel, RangeTokens, code_packed_ranges,
-    start_tables,
+    KnownCells, PACKED_RANGE_CONTEXTS, RANGE_CONTEXTS, RangeContext, RangeModel, RangeTokens,
+    code_packed_ranges, start_tables,
 };
 use crate::scanner::Scanner;
 use crate::stream::container::SectionKind;
@@ -93,7 +93,8 @@ impl RangeModels {
                 self.token_tables.start_from(start_tables(fitted), S::ENCODES);
                 let model = &mut self.tokens;
                 sections.tokens(SectionKind::Range, RANGE_CONTEXTS, &mut self.token_tables, |coder| {
-                    model.code(coder, &frame.occupancy, (fitted, expected.as_ref()), axis, steps);
+                    let (occupancy, expected) = (&frame.occupancy, expected.as_ref());
+                    model.code(coder, &KnownCells { occupancy, fitted, expected, levels }, axis, steps);
                 })
             }
             depth => {

@@ -10,8 +10,8 @@ use crate::models::magnitude::magnitude_level;
 /// Classes of the expected miss, if the left neighbour predicts.
 pub const MISS_LEVELS: usize = 40;
 /// Classes of the expected miss and of the roughness around, if least squares predict.
-const FITTED_MISS_LEVELS: usize = 14;
-const ACTIVITY_LEVELS: usize = 12;
+const FITTED_MISS_LEVELS: usize = 16;
+const ACTIVITY_LEVELS: usize = 6;
 /// Number of contexts of a range.
 pub const RANGE_CONTEXTS: usize = FITTED_MISS_LEVELS * ACTIVITY_LEVELS;
 /// Number of features from the neighbours, and with the frame before.
@@ -23,7 +23,7 @@ const EDGES: usize = 4;
 const EDGE: i32 = 60;
 /// Features and predictions are limited to this many steps from where they start.
 const FEATURE_REACH: i32 = 300;
-const FIT_REACH: f32 = 400.0;
+pub const FIT_REACH: f32 = 400.0;
 
 /// What the coder has learned by least squares.
 #[derive(Clone)]
@@ -41,7 +41,7 @@ impl Default for Fits {
 
 impl Fits {
     /// Learns the range that was predicted by a guess, in steps.
-    #[inline]
+    #[inline(always)]
     pub fn learn(&mut self, guess: &Guess, range: i32) {
         let off = (range - guess.from) as f32;
         let error = off - guess.fit;
@@ -82,7 +82,7 @@ pub struct Before {
 impl Before {
     /// The prediction for a cell whose left neighbour is `west` steps away; `None` if the frame before has
     /// nothing there, or something else to the left of it.
-    #[inline]
+    #[inline(always)]
     pub fn at(expected: &Grid<u32>, cell: (usize, usize), west: i32) -> Option<Self> {
         let at = |down, right| expected.beside(cell, down, right) as i32;
         let (here, west_before) = (at(0, 0), at(0, -1));
@@ -119,7 +119,7 @@ enum By {
 
 impl Guess {
     /// Predicts from the left neighbour. `expected` is the expected miss, in sixteenths of a step.
-    #[inline]
+    #[inline(always)]
     pub fn west(near: &Near, expected: u32, bin: u32) -> Self {
         let expected = expected + 5 * near.activity().min(4 * MOST_MISS as u32);
         let context = magnitude_level(expected / bin >> 3, MISS_LEVELS);
@@ -127,7 +127,7 @@ impl Guess {
     }
 
     /// Predicts by least squares from the neighbours.
-    #[inline]
+    #[inline(always)]
     pub fn fitted(near: &Near, fits: &Fits, expected: u32, bin: u32) -> Self {
         let features = [
             near.west2,
@@ -147,7 +147,7 @@ impl Guess {
     }
 
     /// Predicts by least squares from the frame before and the neighbours.
-    #[inline]
+    #[inline(always)]
     pub fn from_before(before: &Before, near: &Near, fits: &Fits, expected: u32, bin: u32) -> Self {
         let or_here = |range: i32| if range > 0 { range } else { before.here };
         let features = [
@@ -178,14 +178,14 @@ impl Guess {
 
 impl Near {
     /// The roughness around the cell, in steps.
-    #[inline]
+    #[inline(always)]
     fn activity(&self) -> u32 {
         let Near { west, west2, north, north_west, north_east, .. } = self;
         ((west - west2).abs() + (north - north_west).abs() + (north - north_east).abs()) as u32
     }
 
     /// The kind of edge.
-    #[inline]
+    #[inline(always)]
     fn edge(&self) -> usize {
         let from_west = |range| feature(range, self.west);
         usize::from((self.west2 - self.west).abs() > EDGE)
@@ -193,25 +193,31 @@ impl Near {
     }
 
     /// The context if least squares predict.
-    #[inline]
+    #[inline(always)]
     fn context(&self, expected: u32, bin: u32) -> usize {
-        let activity = ((1 + self.activity() / bin).ilog2() as usize).min(ACTIVITY_LEVELS - 1);
+        let activity = ((1 + self.activity() / bin).ilog2() as usize / 2).min(ACTIVITY_LEVELS - 1);
         miss_level(expected / bin) * ACTIVITY_LEVELS + activity
     }
 }
 
+#[inline(always)]
 fn feature(range: i32, from: i32) -> f32 {
     (range - from).clamp(-FEATURE_REACH, FEATURE_REACH) as f32
 }
 
-/// The class, as in [`magnitude_level`], of the miss that a context of least squares expects, in quarters of
-/// a bin.
-pub fn miss_level_of(context: usize) -> usize {
-    2 * (context / ACTIVITY_LEVELS + 2)
+/// The least miss, in sixteenths of a bin, that a context of least squares expects.
+pub fn least_miss_of(context: usize) -> f64 {
+    /// The cube root of 4.
+    const STEP: f64 = 1.587_401;
+    (0..context / ACTIVITY_LEVELS).fold(5.657, |miss, _| miss * STEP)
 }
 
-/// The class of an expected miss, in sixteenths of a bin.
-#[inline]
+/// The class of an expected miss, in sixteenths of a bin: three classes for two octaves, from 2^2.5.
+#[inline(always)]
 fn miss_level(expected: u32) -> usize {
-    (magnitude_level(expected >> 2, 2 * FITTED_MISS_LEVELS + 4) >> 1).clamp(2, FITTED_MISS_LEVELS + 1) - 2
+    /// 2^15 / 2^7.5.
+    const START: u64 = 181;
+    let expected = u64::from(expected.min(1 << 15));
+    let cube = expected * expected * expected * START >> 15;
+    ((cube | 1).ilog2() as usize / 2).min(FITTED_MISS_LEVELS - 1)
 }

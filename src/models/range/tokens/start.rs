@@ -3,7 +3,7 @@
 
 use std::sync::LazyLock;
 
-use super::prediction::{MISS_LEVELS, RANGE_CONTEXTS, miss_level_of};
+use super::prediction::{MISS_LEVELS, RANGE_CONTEXTS, least_miss_of};
 use crate::entropy::{Counts, StartTables, numbers_of_token};
 use crate::models::magnitude::magnitude_of_level;
 
@@ -17,7 +17,7 @@ const SUM: f64 = 4096.0;
 /// The tables of typical counts of tokens, by context, if ranges are predicted from their left neighbours, or are `fitted`.
 pub fn start_tables(fitted: bool) -> &'static StartTables {
     static FITTED: LazyLock<StartTables> = LazyLock::new(|| {
-        let width = |context| 1.5 + f64::from(magnitude_of_level(miss_level_of(context))) / 12.0;
+        let width = |context| 1.5 + least_miss_of(context) / 48.0;
         StartTables::of((0..RANGE_CONTEXTS).map(|context| bell(width(context))).collect())
     });
     static WEST: LazyLock<StartTables> = LazyLock::new(|| {

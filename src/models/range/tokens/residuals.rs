@@ -1,0 +1,192 @@
+//! What the residuals of the least squares still tell: neighbouring ones are alike, and surfaces of some
+//! intensities are measured too near or too far, and with more noise.
+
+use crate::models::quantise::signed_level;
+use crate::models::range::site::intensity_change;
+
+/// Residuals to the left that the filter looks at, and those of the row above: from three columns to the
+/// left to four to the right.
+const LEFT: usize = 12;
+const ABOVE: usize = 8;
+const ABOVE_TO_THE_LEFT: usize = 3;
+/// Numbers that a vector unit of any processor handles at once.
+const LANES: usize = 4;
+/// The rate at which the filter learns, and what is added to the power of its input, in square steps.
+const FILTER_RATE: f32 = 0.015;
+const LEAST_POWER: f32 = 20.0;
+/// Residuals count as at most this many times the size below which a quarter of them are; what the filter
+/// and the offsets learn from, as this many times.
+const MOST_RESIDUAL: f32 = 5.0;
+const MOST_ERROR: f32 = 2.0;
+/// The size below which a quarter of the errors are, in steps: at first, at least, and how far it moves
+/// after an error above and below, so that three are above to one below.
+const FIRST_QUARTILE: f32 = 8.0;
+const LEAST_QUARTILE: f32 = 0.5;
+const QUARTILE_UP: f32 = 0.0125;
+const QUARTILE_DOWN: f32 = 0.0375;
+/// Classes of an intensity for the offsets: half octaves.
+const HALF_OCTAVES: usize = 16;
+const OFFSET_RATE: f32 = 0.003;
+/// Classes of an intensity, and of how it differs from the one to the left, for the noise.
+const OCTAVES: usize = 8;
+const CHANGES: usize = 8;
+const NOISE_RATE: f32 = 0.01;
+/// A miss counts as at most this many times the expected one.
+const MOST_RATIO: f32 = 4.0;
+
+/// What the coder has learned from the residuals.
+#[derive(Clone)]
+pub struct Residuals {
+    /// Of the filter.
+    weights: Inputs,
+    quartile: f32,
+    offsets: [[f32; HALF_OCTAVES]; HALF_OCTAVES],
+    noise: [f32; OCTAVES * CHANGES],
+}
+
+/// One number for each input of the filter: the residuals to the left, the farthest first, then those above.
+type Inputs = [[f32; LANES]; (LEFT + ABOVE) / LANES];
+
+impl Default for Residuals {
+    fn default() -> Self {
+        Residuals {
+            weights: Inputs::default(),
+            quartile: FIRST_QUARTILE,
+            offsets: [[0.0; HALF_OCTAVES]; HALF_OCTAVES],
+            noise: [1.0; OCTAVES * CHANGES],
+        }
+    }
+}
+
+/// The residuals of the row so far and of the row above, in steps.
+pub struct Rows {
+    /// In the order of the returns, after as many zeros as the filter looks at.
+    left: Vec<f32>,
+    /// How many of these there are.
+    end: usize,
+    /// By column, with a margin on both sides: of the row above, and of this one as far as it is coded.
+    above: Vec<f32>,
+    here: Vec<f32>,
+}
+
+impl Rows {
+    pub fn new(columns: usize) -> Self {
+        let row = vec![0.0; columns + ABOVE];
+        Rows { left: vec![0.0; columns + LEFT], end: LEFT, above: row.clone(), here: row }
+    }
+
+    pub fn start_row(&mut self) {
+        self.end = LEFT;
+        std::mem::swap(&mut self.above, &mut self.here);
+        self.here.fill(0.0);
+    }
+
+    #[inline(always)]
+    fn around(&self, column: usize) -> Inputs {
+        let (left, above) = (&self.left[self.end - LEFT..self.end], &self.above[column..column + ABOVE]);
+        let mut inputs = Inputs::default();
+        inputs[..LEFT / LANES].copy_from_slice(left.as_chunks().0);
+        inputs[LEFT / LANES..].copy_from_slice(above.as_chunks().0);
+        inputs
+    }
+
+    #[inline(always)]
+    fn push(&mut self, column: usize, residual: f32) {
+        self.left[self.end] = residual;
+        self.end += 1;
+        self.here[column + ABOVE_TO_THE_LEFT] = residual;
+    }
+}
+
+/// The classes of a cell by its intensity and the one to the left.
+#[derive(Clone, Copy)]
+pub struct Classes {
+    half_octaves: (usize, usize),
+    noise: usize,
+}
+
+impl Classes {
+    /// Of the cell in this column, where `levels` are the context levels of the row's intensities; 0 = none.
+    #[inline(always)]
+    pub fn of(levels: &[u16], column: usize) -> Self {
+        let own = levels[column];
+        let west = if column > 0 { levels[column - 1] } else { 0 };
+        let half_octave = |level: u16| signed_level(i32::from(level)) - signed_level(0);
+        let octave = (own | 1).ilog2() as usize;
+        let noise = octave.min(OCTAVES - 1) * CHANGES + intensity_change(own, west);
+        Classes { half_octaves: (half_octave(own), half_octave(west)), noise }
+    }
+}
+
+/// What the residuals around a cell tell.
+pub struct Hint {
+    /// To be added to the prediction of the least squares, in steps.
+    pub offset: f32,
+    inputs: Inputs,
+    classes: Classes,
+}
+
+impl Residuals {
+    #[inline(always)]
+    pub fn hint(&self, rows: &Rows, column: usize, classes: Classes) -> Hint {
+        let inputs = rows.around(column);
+        let (own, west) = classes.half_octaves;
+        let offset = sum_of_products(&self.weights, &inputs) + self.offsets[own][west];
+        Hint { offset, inputs, classes }
+    }
+
+    /// The miss to be expected at a cell, if `expected` is that of its surroundings: surfaces of some
+    /// intensities are noisier than others.
+    #[inline(always)]
+    pub fn expected_miss(&self, hint: &Hint, expected: i32) -> u32 {
+        (expected as f32 * self.noise[hint.classes.noise]) as i32 as u32
+    }
+
+    /// Learns what a cell's range was beside the prediction of the least squares, `residual`, in steps, and
+    /// that its miss was `miss` steps where `expected` sixteenths of a step were those of its surroundings.
+    #[inline(always)]
+    pub fn learn(
+        &mut self,
+        rows: &mut Rows,
+        column: usize,
+        hint: &Hint,
+        residual: f32,
+        (miss, expected): (i32, i32),
+    ) {
+        let Classes { half_octaves: (own, west), noise } = hint.classes;
+        let noise = &mut self.noise[noise];
+        let ratio = ((24 * miss) as f32 / (expected + 8) as f32).min(MOST_RATIO);
+        *noise += (ratio - *noise) * NOISE_RATE;
+
+        let quartile = self.quartile;
+        let error = residual - hint.offset;
+        let limited = error.clamp(-MOST_ERROR * quartile, MOST_ERROR * quartile);
+        let power = sum_of_products(&hint.inputs, &hint.inputs) + LEAST_POWER;
+        let change = FILTER_RATE * limited / power;
+        for (weights, inputs) in self.weights.iter_mut().zip(&hint.inputs) {
+            for lane in 0..LANES {
+                weights[lane] += change * inputs[lane];
+            }
+        }
+        self.offsets[own][west] += limited * OFFSET_RATE;
+        self.quartile = if error.abs() > quartile {
+            quartile + QUARTILE_UP
+        } else {
+            (quartile - QUARTILE_DOWN).max(LEAST_QUARTILE)
+        };
+
+        rows.push(column, residual.clamp(-MOST_RESIDUAL * quartile, MOST_RESIDUAL * quartile));
+    }
+}
+
+/// The sum of the products, lane by lane.
+#[inline(always)]
+fn sum_of_products(a: &Inputs, b: &Inputs) -> f32 {
+    let mut sums = [0.0; LANES];
+    for (a, b) in a.iter().zip(b) {
+        for lane in 0..LANES {
+            sums[lane] += a[lane] * b[lane];
+        }
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
+}
