@@ -12,6 +12,7 @@ mod errors;
 mod halving;
 mod mixture;
 mod neighbourhood;
+mod residuals;
 mod site;
 mod tokens;
 
@@ -28,6 +29,7 @@ use errors::ErrorTrack;
 use halving::Halving;
 use mixture::{Interval, Mixture, Rates};
 use neighbourhood::Window;
+use residuals::{Classes, Residuals, Rows};
 use site::{Site, pair};
 pub use tokens::{KnownCells, RANGE_CONTEXTS, RangeTokens, start_tables};
 
@@ -79,6 +81,7 @@ pub struct RangeModel {
     error_levels: ErrorLevels,
     bits: RangeBits,
     fits: Vec<LeastSquares<FEATURES>>,
+    residuals: Residuals,
     mixture: Mixture<PREDICTORS>,
     /// The same for cells with a reference, once there was a reference.
     with_reference: Option<Box<WithReference>>,
@@ -104,6 +107,7 @@ impl Default for RangeModel {
             error_levels: Levels::new(1.6, 1.6),
             bits: MixedBits::new(sizes, sets * (1 + REFERENCE_LEVELS), 0.0, 1.0, 0.004),
             fits: vec![LeastSquares::new(0.998); EDGES],
+            residuals: Residuals::default(),
             mixture: Mixture::new(RATES, (0..CONTEXTS).map(first_scale)),
             with_reference: None,
             deep: None,
@@ -130,11 +134,12 @@ pub struct RangeContext<'a> {
     pub bin: u32,
 }
 
-/// A coded range, and the prediction of the least-squares fit, in steps.
+/// A coded range, and its predictions, in steps.
 struct Coded {
     range: i64,
-    /// Relative to the left neighbour.
+    /// By least squares, and with what the residuals around tell added; relative to the left neighbour.
     fit: f64,
+    hinted: f64,
     base: i64,
 }
 
@@ -159,7 +164,7 @@ impl RangeModel {
         }
         let width = known.occupancy.columns();
         let (mut errors, mut window) = (ErrorTrack::new(width), Window::new(width));
-        let mut reference_errors = ReferenceErrors::new(width);
+        let (mut reference_errors, mut rows) = (ReferenceErrors::new(width), Rows::new(width));
         for row in 0..known.occupancy.rows() {
             if coder.is_exhausted() {
                 return;
@@ -167,6 +172,7 @@ impl RangeModel {
             errors.start_row(row > 0);
             window.start_row();
             reference_errors.start_row();
+            rows.start_row();
             for column in 0..width {
                 let cell = (row, column);
                 if !known.occupancy[cell] {
@@ -176,7 +182,8 @@ impl RangeModel {
                 let site = Site::of(known, window.around(column), &errors, &self.error_levels, cell);
                 let back = known.reference.and_then(|reference| Back::at(reference, &reference_errors, cell));
                 let axis = (known.range_bits, i64::from(known.bin));
-                let range = i64::from(steps[cell]);
+                let hint = self.residuals.hint(&rows, column, Classes::of(known.intensity.row(row), column));
+                let (offset, range) = (f64::from(hint.offset), i64::from(steps[cell]));
                 let coded = match (&mut self.deep, &back, &mut self.with_reference) {
                     (Some(deep), ..) => {
                         let referred = known.reference.zip(back.as_ref()).map(|(reference, back)| Referred {
@@ -184,17 +191,19 @@ impl RangeModel {
                             back: back.clone(),
                         });
                         let site = DeepSite { site: &site, cell, referred };
-                        deep.code(coder, (&self.shape, self.tables), axis, &site, range)
+                        deep.code(coder, (&self.shape, self.tables), axis, (&site, offset), range)
                     }
                     (None, Some(back), Some(learned)) => {
                         let parts = (&self.shape, self.tables, &mut self.bits);
-                        learned.code(coder, parts, axis, &site, back, range)
+                        learned.code(coder, parts, axis, (&site, offset), back, range)
                     }
-                    _ => self.code_alone(coder, axis, &site, range),
+                    _ => self.code_alone(coder, axis, (&site, offset), range),
                 };
                 steps[cell] = coded.range as u32;
                 let range = coded.range as f64;
-                errors.record(column, range - site.near.west - coded.fit, range - coded.base as f64);
+                let from_west = range - site.near.west;
+                errors.record(column, from_west - coded.hinted, range - coded.base as f64);
+                self.residuals.learn(&mut rows, column, &hint, (from_west - coded.fit) as f32);
                 if let Some(back) = &back {
                     reference_errors.record(column, range, back);
                 }
@@ -209,13 +218,14 @@ impl RangeModel {
         &mut self,
         coder: &mut C,
         (range_bits, bin): (u32, i64),
-        site: &Site,
+        (site, hint): (&Site, f64),
         range: i64,
     ) -> Coded {
         let fits = &mut self.fits[site.edge];
         let fit = f64::from(fits.predict(&site.features)).clamp(-FIT_REACH, FIT_REACH);
-        let values = site.predictions(fit);
-        let base = site.base(fit, range_bits);
+        let hinted = (fit + hint).clamp(-FIT_REACH, FIT_REACH);
+        let values = site.predictions(hinted);
+        let base = site.base(hinted, range_bits);
         let bins = Bins::around(base, bin);
         let mut halving = Halving {
             coder,
@@ -238,7 +248,7 @@ impl RangeModel {
         let range = bins.middle(interval.low, range_bits);
         self.mixture.learn(&predicted, &interval, range as f64);
         site.learn(fits, &site.features, fit, range as f64);
-        Coded { range, fit, base }
+        Coded { range, fit, hinted, base }
     }
 }
 
@@ -250,7 +260,7 @@ impl WithReference {
         coder: &mut C,
         (shape, tables, bits): (&ErrorShape, &'static Logistic, &mut RangeBits),
         (range_bits, bin): (u32, i64),
-        site: &Site,
+        (site, hint): (&Site, f64),
         back: &Back,
         range: i64,
     ) -> Coded {
@@ -259,10 +269,11 @@ impl WithReference {
         features[FEATURES..].copy_from_slice(&back.features(&site.near));
         let fits = &mut self.fits[site.edge];
         let fit = f64::from(fits.predict(&features)).clamp(-FIT_REACH, FIT_REACH);
+        let hinted = (fit + hint).clamp(-FIT_REACH, FIT_REACH);
         let mut values = [0.0; ALL_PREDICTORS];
-        values[..PREDICTORS].copy_from_slice(&site.predictions(fit));
+        values[..PREDICTORS].copy_from_slice(&site.predictions(hinted));
         values[PREDICTORS..].copy_from_slice(&[back.same, back.moved]);
-        let base = site.base(fit, range_bits);
+        let base = site.base(hinted, range_bits);
         let bins = Bins::around(base, bin);
         let [same, moved] = [back.same, back.moved].map(|range| range - base as f64);
         let context = back.level * CONTEXTS + site.context;
@@ -290,6 +301,6 @@ impl WithReference {
         let range = bins.middle(interval.low, range_bits);
         self.mixture.learn(&predicted, &interval, range as f64);
         site.learn(fits, &features, fit, range as f64);
-        Coded { range, fit, base }
+        Coded { range, fit, hinted, base }
     }
 }

@@ -526,3 +526,41 @@ class ErrorShape:
             at = 0x8000000
         i = at >> 16
         return BELOW[i] + (DIFFERENCE[i] * (at & 65535) >> 16)
+
+
+class Residuals:
+    """7.4."""
+
+    def __init__(self):
+        self.weights = floats([0.0] * 20)
+        self.quartile = 8.0
+        self.offsets = [floats([0.0] * 16) for _ in range(16)]
+
+    def start_frame(self, columns):
+        self.here = [0.0] * (columns + 7)
+
+    def start_row(self):
+        self.above, self.here = self.here, [0.0] * len(self.here)
+        self.left = [0.0] * 12
+
+    def hint(self, column, own, iw):
+        self.inputs = floats(self.left[-12:] + self.above[column : column + 8])
+        self.place = signed_level(own) - 16, signed_level(iw) - 16
+        o, w = self.place
+        self.hinted = f32(dot(self.weights, self.inputs) + self.offsets[o][w])
+        return self.hinted
+
+    def learn(self, column, residual):
+        quartile = self.quartile
+        error = f32(residual - self.hinted)
+        limited = clamp(error, -2 * quartile, 2 * quartile)
+        by = f32(f32(f32(0.015) * limited) / f32(dot(self.inputs, self.inputs) + 20.0))
+        for k, x in enumerate(self.inputs):
+            self.weights[k] += f32(by * x)
+        o, w = self.place
+        self.offsets[o][w] += f32(limited * f32(0.003))
+        residual = clamp(residual, f32(-5 * quartile), f32(5 * quartile))
+        self.left.append(residual)
+        self.here[column + 3] = residual
+        by = 0.0125 if abs(error) > quartile else -0.0375
+        self.quartile = max(f32(quartile + f32(by)), 0.5)

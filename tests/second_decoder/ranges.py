@@ -8,6 +8,7 @@ from models import (
     LeastSquares,
     Levels,
     MixedBits,
+    Residuals,
     clamp,
     f32,
     floats,
@@ -229,6 +230,7 @@ class RangeModel:
 
     def __init__(self):
         self.has_reference = False
+        self.residuals = Residuals()
 
     def code(self, bits, image, levels, parameters, reference):
         """Ranges by cell."""
@@ -245,6 +247,7 @@ class RangeModel:
         self.signed_above = floats([0.0] * (columns + 1))
         self.reference_above = floats([0.0] * columns)
         self.starts_frame(columns)
+        self.residuals.start_frame(columns)
         none = [0] * (columns + 4)
         done = [none, none]
         no_levels = [0] * (columns + 1)
@@ -254,6 +257,7 @@ class RangeModel:
             self.mean = 20.0
             self.error_west = 0.0
             self.reference_mean = 20.0
+            self.residuals.start_row()
             self.row = row
             left = [0] * 5
             own_levels = levels[row] + [0] if levels else no_levels
@@ -375,7 +379,8 @@ class Mixed(RangeModel):
         west, north = self.west, self.north
         features = floats(self.eight + self.four if seen else self.eight)
         fits = (self.reference_fits if seen else self.fits)[self.edge]
-        fit = predicted(fits, features)
+        linear = predicted(fits, features)
+        fit = clamp(linear + self.residuals.hint(self.column, self.own, self.iw), -400.0, 400.0)
         base = self.base_of(fit)
         predictions = [float(west), float(north), float(2 * west - self.west2), west + fit, float(west)]
         mixture, context, sets = self.mixture, self.context, self.error_level
@@ -408,7 +413,8 @@ class Mixed(RangeModel):
         coding = Coding(bits, bins, self.range_bits, [(placed, mixture.shares[context])])
         value = coding.run(code, first_bucket(scales[3] / self.bin), 1)
         mixture.learn(context, value, predictions, coding.at_low[0][0], coding.at_high[0][0], False)
-        self.learn_fit(fits, features, value, fit)
+        self.learn_fit(fits, features, value, linear)
+        self.residuals.learn(self.column, f32(value - self.west - linear))
         self.learnt(value, base, fit)
         return value
 
@@ -500,7 +506,8 @@ class Deep(RangeModel):
         blending += [float(self.error_west), self.signed_above[c], signed_east, 10.0]
         blending = floats([clamp(v, -300.0, 300.0) for v in blending])
         blend = self.blend[self.error_level]
-        b = predicted(blend, blending)
+        linear = predicted(blend, blending)
+        b = clamp(linear + self.residuals.hint(c, own, iw), -400.0, 400.0)
         base = self.base_of(b)
 
         if seen:
@@ -562,6 +569,7 @@ class Deep(RangeModel):
         self.learn_fit(wide, wide_features, value, w)
         self.learn_fit(recent, recent_features, value, r)
         self.learn_fit(local, local_features, value, l)
-        self.learn_fit(blend, blending, value, b)
+        self.learn_fit(blend, blending, value, linear)
+        self.residuals.learn(c, f32(value - west - linear))
         self.learnt(value, base, b)
         return value

@@ -1,7 +1,7 @@
 """Section 8.16 of FORMAT.md: sections as tokens."""
 
 from entropy import TokenModel, Tokens, frequencies_of, numbers, unzigzag
-from models import LeastSquares, clamp, dot, f32, floats, ilog2, signed_level
+from models import LeastSquares, Residuals, clamp, f32, floats, ilog2
 from ranges import Bins, change
 from sections import Scale, corrected, uncorrected
 
@@ -115,9 +115,7 @@ class Range:
         self.model = TokenModel(96)
         self.fits = [LeastSquares(8, 0.998) for _ in range(4)]
         self.fits_before = [LeastSquares(16, 0.998) for _ in range(4)]
-        self.weights = floats([0.0] * 20)
-        self.quartile = 8.0
-        self.offsets = [floats([0.0] * 16) for _ in range(16)]
+        self.residuals = Residuals()
         self.noise = floats([1.0] * 64)
         for c in range(96 if is_fitted else 40):
             if is_fitted:
@@ -139,7 +137,8 @@ class Range:
         ranges = [3000] * (columns + 2)
         ranges2 = [3000] * columns
         misses = [20] * (columns + 1)
-        here_residuals = [0.0] * (columns + 7)
+        residuals = self.residuals
+        residuals.start_frame(columns)
         found = []
         expected = None
         if reference:
@@ -154,8 +153,7 @@ class Range:
             miss_left = 320
             north_west = ranges[0]
             west = None
-            left = [0.0] * 12
-            above, here_residuals = here_residuals, [0.0] * (columns + 7)
+            residuals.start_row()
             for c in range(columns):
                 if not cells[c]:
                     continue
@@ -190,11 +188,9 @@ class Range:
                             fits = self.fits_before[edge]
                     features = floats(deltas)
                     fit = clamp(fits.predict(features), -400.0, 400.0)
-                    inputs = floats(left[-12:] + above[c : c + 8])
                     i, iw = levels[row][c], levels[row][c - 1] if c > 0 else 0
-                    o, w = signed_level(i) - 16, signed_level(iw) - 16
                     n = min(ilog2(max(i, 1)), 7) * 8 + change(i, iw)
-                    hint = f32(dot(self.weights, inputs) + self.offsets[o][w])
+                    hint = residuals.hint(c, i, iw)
                     e = min(int(f32(f32(awaited) * self.noise[n])) // width, 1 << 15)
                     l = min(ilog2(max(e * e * e * 181 >> 15, 1)) // 2, 15)
                     context = l * 6 + min(ilog2(1 + activity // width) // 2, 5)
@@ -217,18 +213,7 @@ class Range:
                 if is_fitted:
                     ratio = min(f32(f32(24 * miss) / f32(awaited + 8)), 4.0)
                     self.noise[n] += f32(f32(ratio - self.noise[n]) * f32(0.01))
-                    quartile = self.quartile
-                    error = f32(residual - hint)
-                    limited = clamp(error, -2 * quartile, 2 * quartile)
-                    by = f32(f32(f32(0.015) * limited) / f32(dot(inputs, inputs) + 20.0))
-                    for k, x in enumerate(inputs):
-                        self.weights[k] += f32(by * x)
-                    self.offsets[o][w] += f32(limited * f32(0.003))
-                    residual = clamp(residual, f32(-5 * quartile), f32(5 * quartile))
-                    left.append(residual)
-                    here_residuals[c + 3] = residual
-                    by = 0.0125 if abs(error) > quartile else -0.0375
-                    self.quartile = max(f32(quartile + f32(by)), 0.5)
+                    residuals.learn(c, residual)
                 miss_left = (5 * miss_left + 48 * miss) >> 3
                 misses[c] = (misses[c] + miss) >> 1
                 north_west = north

@@ -105,12 +105,12 @@ impl DeepModel {
         coder: &mut C,
         (shape, tables): (&ErrorShape, &'static Logistic),
         (range_bits, bin): (u32, i64),
-        deep_site: &DeepSite,
+        (deep_site, hint): (&DeepSite, f64),
         range: i64,
     ) -> Coded {
         let DeepSite { site, cell: (_, column), referred } = deep_site;
-        let fitted = self.fits.predict(site, *column, referred.as_ref());
-        let base = site.base(fitted.blend, range_bits);
+        let fitted = self.fits.predict(site, *column, referred.as_ref(), hint);
+        let base = site.base(fitted.hinted, range_bits);
         let bins = Bins::around(base, bin);
         let contexts = SetContexts::of(deep_site);
         let values = deep_site.predictions(&fitted);
@@ -139,7 +139,7 @@ impl DeepModel {
             mixture.learn(predicted, interval, range as f64);
         }
         self.fits.learn(site, &fitted, range as f64);
-        Coded { range, fit: fitted.blend, base }
+        Coded { range, fit: fitted.blend, hinted: fitted.hinted, base }
     }
 }
 

@@ -2,7 +2,6 @@
 //! how large the misses around were.
 
 mod prediction;
-mod residuals;
 mod start;
 
 pub use prediction::RANGE_CONTEXTS;
@@ -15,8 +14,8 @@ use crate::ground::grid::Grid;
 use crate::ground::lanes::dispatch;
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::models::Bins;
+use crate::models::range::residuals::{Classes, Residuals, Rows};
 use prediction::{Before, FIT_REACH, Fits, Guess, Near};
-use residuals::{Classes, Residuals, Rows};
 
 /// The range assumed where nothing is known, in steps.
 const TYPICAL_RANGE: i32 = 3000;
@@ -149,7 +148,8 @@ impl<C: TokenCoder, const FITTED: bool, const SIMPLE: bool> NullaryFnOnce
                 let off = (coded - base).abs().min(MOST_MISS);
                 if let Some(hint) = &hint {
                     let residual = (coded - guess.from) as f32 - guess.fit;
-                    residuals.learn(&mut rows, column, hint, residual, (off, miss_around));
+                    residuals.learn_noise(hint, off, miss_around);
+                    residuals.learn(&mut rows, column, hint, residual);
                     ranges2[column] = north;
                 }
                 miss_left = (5 * miss_left + 3 * (off << 4)) >> 3;

@@ -44,6 +44,8 @@ pub struct Fitted {
     pub recent: f64,
     pub local: f64,
     pub blend: f64,
+    /// The blend with what the residuals around tell added.
+    pub hinted: f64,
     pub wide: f64,
     wide_fit: usize,
     stretch: usize,
@@ -76,9 +78,9 @@ impl Fits {
         referred.clone_from_slice(alone);
     }
 
-    /// Predicts the range of a cell.
+    /// Predicts the range of a cell; `hint` is what the residuals around tell, in steps.
     #[inline]
-    pub fn predict(&self, site: &Site, column: usize, referred: Option<&Referred>) -> Fitted {
+    pub fn predict(&self, site: &Site, column: usize, referred: Option<&Referred>, hint: f64) -> Fitted {
         let mut wide_features = [0.0; WIDE_FEATURES];
         wide_features[..FARTHER].copy_from_slice(&site.features);
         wide_features[FARTHER..INTENSITIES].copy_from_slice(&site.near.farther_features());
@@ -129,6 +131,7 @@ impl Fits {
             recent,
             local,
             blend,
+            hinted: (blend + hint).clamp(-FIT_REACH, FIT_REACH),
             wide,
             wide_fit,
             stretch,

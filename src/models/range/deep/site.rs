@@ -59,7 +59,7 @@ impl DeepSite<'_> {
     /// neighbour for surprises, and the moved layer here and in the neighbouring cells.
     pub fn predictions(&self, fitted: &Fitted) -> [f64; PREDICTORS] {
         let near = &self.site.near;
-        let [recent, local, blend] = [fitted.recent, fitted.local, fitted.blend].map(|fit| near.west + fit);
+        let [recent, local, blend] = [fitted.recent, fitted.local, fitted.hinted].map(|fit| near.west + fit);
         let [moved, moved_west, moved_east] = match &self.referred {
             None => [near.west + fitted.wide; 3],
             Some(Referred { back, around }) => [back.moved, around.moved_west, around.moved_east],

@@ -142,22 +142,19 @@ impl Residuals {
         (expected as f32 * self.noise[hint.classes.noise]) as i32 as u32
     }
 
-    /// Learns what a cell's range was beside the prediction of the least squares, `residual`, in steps, and
-    /// that its miss was `miss` steps where `expected` sixteenths of a step were those of its surroundings.
+    /// Learns that a cell's miss was `miss` steps where `expected` sixteenths of a step were those of its
+    /// surroundings.
     #[inline(always)]
-    pub fn learn(
-        &mut self,
-        rows: &mut Rows,
-        column: usize,
-        hint: &Hint,
-        residual: f32,
-        (miss, expected): (i32, i32),
-    ) {
-        let Classes { half_octaves: (own, west), noise } = hint.classes;
-        let noise = &mut self.noise[noise];
+    pub fn learn_noise(&mut self, hint: &Hint, miss: i32, expected: i32) {
+        let noise = &mut self.noise[hint.classes.noise];
         let ratio = ((24 * miss) as f32 / (expected + 8) as f32).min(MOST_RATIO);
         *noise += (ratio - *noise) * NOISE_RATE;
+    }
 
+    /// Learns how far a cell's range was from the prediction of the least squares: `residual` steps.
+    #[inline(always)]
+    pub fn learn(&mut self, rows: &mut Rows, column: usize, hint: &Hint, residual: f32) {
+        let (own, west) = hint.classes.half_octaves;
         let quartile = self.quartile;
         let error = residual - hint.offset;
         let limited = error.clamp(-MOST_ERROR * quartile, MOST_ERROR * quartile);
