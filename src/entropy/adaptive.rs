@@ -14,6 +14,17 @@ pub struct AdaptiveBit {
 /// The slowest rate is one in 64.
 const MOST_SEEN: u8 = 62;
 
+/// For each count of bits seen: one part in two more than that, in 2^-32, rounded up. By these a u16 is divided exactly.
+static RATES: [u64; MOST_SEEN as usize + 1] = {
+    let mut rates = [0; MOST_SEEN as usize + 1];
+    let mut seen = 0;
+    while seen < rates.len() {
+        rates[seen] = (1u64 << 32).div_ceil(seen as u64 + 2);
+        seen += 1;
+    }
+    rates
+};
+
 impl Default for AdaptiveBit {
     fn default() -> Self {
         AdaptiveBit { p: 1 << 15, seen: 0 }
@@ -22,10 +33,12 @@ impl Default for AdaptiveBit {
 
 impl AdaptiveBit {
     /// Codes a bit and learns from it.
+    #[inline]
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, bit: bool) -> bool {
         let bit = coder.code(bit, u32::from(self.p).clamp(16, 65520));
-        let target = if bit { 65535 } else { 0 };
-        self.p = (i32::from(self.p) + (target - i32::from(self.p)) / (i32::from(self.seen) + 2)) as u16;
+        let left = if bit { u16::MAX - self.p } else { self.p };
+        let moved = (u64::from(left) * RATES[usize::from(self.seen.min(MOST_SEEN))] >> 32) as u16;
+        self.p = if bit { self.p + moved } else { self.p - moved };
         self.seen = (self.seen + 1).min(MOST_SEEN);
         bit
     }
@@ -83,6 +96,13 @@ impl IntegerModel {
 mod tests {
     use super::super::{ArithmeticDecoder, ArithmeticEncoder};
     use super::*;
+
+    #[test]
+    fn rates_divide_exactly() {
+        for (parts, rate) in (2..).zip(RATES) {
+            assert!((0..=u64::from(u16::MAX)).all(|left| left * rate >> 32 == left / parts), "{parts}");
+        }
+    }
 
     #[test]
     fn integers_of_every_length_come_back() {

@@ -362,15 +362,15 @@ impl Frame {
         }
         if !self.returns.is_empty() {
             let none = vec![0; self.order.stray_places.len()];
-            let rows: Vec<u32> = self.returns.iter().map(|found| found.row + 1).collect();
-            let columns: Vec<u32> = self.returns.iter().map(|found| found.column + 1).collect();
-            beside.rows = self.order.arranged(&rows, &none)?;
-            beside.columns = self.order.arranged(&columns, &none)?;
+            let of_returns = |number: fn(&Return) -> u32| -> Result<Vec<u32>> {
+                let numbers: Vec<u32> = self.returns.iter().map(number).collect();
+                self.order.arranged(numbers, &none)
+            };
+            beside.rows = of_returns(|found| found.row + 1)?;
+            beside.columns = of_returns(|found| found.column + 1)?;
             if let Some(scanner) = scanner.and_then(Scanner::firings) {
-                let steps: Vec<u32> = self.returns.iter().map(|found| found.steps).collect();
-                let ticks: Vec<u32> = self.returns.iter().map(|found| found.tick).collect();
-                beside.steps = self.order.arranged(&steps, &none)?;
-                beside.ticks = self.order.arranged(&ticks, &none)?;
+                beside.steps = of_returns(|found| found.steps)?;
+                beside.ticks = of_returns(|found| found.tick)?;
                 beside.range_step_m = scanner.range_step_m();
                 beside.tick_degrees = 360.0 / f64::from(scanner.build().ticks);
             }
@@ -385,12 +385,12 @@ impl Frame {
             Some(echo) => self.echo_intensity.get(echo as usize).copied().unwrap_or(0.0),
         };
         let of_returns: Vec<f32> = self.returns.iter().map(of_return).collect();
-        self.order.arranged(&of_returns, &self.stray_intensity)
+        self.order.arranged(of_returns, &self.stray_intensity)
     }
 
     /// The positions, moved or not, in the order of the file.
     pub fn positions_in_order(&self) -> Result<Vec<[f32; 3]>> {
-        self.order.arranged(&self.positions, &self.stray_positions)
+        self.order.arranged(self.positions.as_slice(), &self.stray_positions)
     }
 
     /// Lists the points that motion compensation does not move to their places in the file, now that their

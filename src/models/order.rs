@@ -4,6 +4,8 @@
 //! the others in file order. A return elsewhere is *moved*: it is listed with its place, and the rest close
 //! up.
 
+use std::borrow::Cow;
+
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 
@@ -52,7 +54,15 @@ impl OrderExceptions {
     ///
     /// # Errors
     /// As [`order`](Self::order).
-    pub fn arranged<T: Copy>(&self, of_returns: &[T], of_strays: &[T]) -> Result<Vec<T>> {
+    pub fn arranged<'a, T: Copy + 'a>(
+        &self,
+        of_returns: impl Into<Cow<'a, [T]>>,
+        of_strays: &[T],
+    ) -> Result<Vec<T>> {
+        let of_returns = of_returns.into();
+        if self.moved.is_empty() && self.stray_places.is_empty() && of_strays.is_empty() {
+            return Ok(of_returns.into_owned());
+        }
         let is_rising = self.stray_places.is_sorted_by(|a, b| a < b);
         if !self.moved.is_empty() || !is_rising || of_strays.len() != self.stray_places.len() {
             let of = |element: u32| match (element as usize).checked_sub(of_returns.len()) {
@@ -63,7 +73,7 @@ impl OrderExceptions {
             return values.ok_or_else(not_a_permutation);
         }
         let mut values = Vec::with_capacity(of_returns.len() + of_strays.len());
-        let mut rest = of_returns;
+        let mut rest = &*of_returns;
         for (place, stray) in self.stray_places.iter().zip(of_strays) {
             let before = usize::try_from(*place).ok().and_then(|place| place.checked_sub(values.len()));
             values.extend_from_slice(

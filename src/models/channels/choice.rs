@@ -3,12 +3,12 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
-use super::column::{ColumnModel, Places, convert};
+use super::column::{ColumnModel, Places};
 use super::integers::Site;
 use super::numbers::Scale;
 use super::plan::{Geometry, Integers, Plan};
 use super::rules::{Rule, RuleModel};
-use super::{Sources, may_be_key};
+use super::{Sources, is_constant, may_be_key};
 use crate::entropy::ArithmeticEncoder;
 use crate::scan::Scalar;
 
@@ -61,7 +61,7 @@ pub fn sample(records: usize) -> Vec<Range<usize>> {
 
 /// The values of some records.
 pub fn gather(values: &[u8], width: usize, records: &[Range<usize>]) -> Vec<u8> {
-    records.iter().flat_map(|part| &values[part.start * width..part.end * width]).copied().collect()
+    records.iter().map(|part| &values[part.start * width..part.end * width]).collect::<Vec<_>>().concat()
 }
 
 /// So many records of the middle.
@@ -75,7 +75,7 @@ impl ColumnModel {
     pub fn choose(&self, sources: &Sources, scalar: Scalar, values: &[u8]) -> Choice {
         let size = scalar.size() as usize;
         let records = values.len() / size;
-        if values.chunks_exact(size).all(|value| *value == values[..size]) {
+        if is_constant(values, size) {
             return Choice::sure(Plan::Constant, size + 1);
         }
         let same = (0..4 + sources.channels.len()).find(|&source| is_same(sources, source, scalar, values));
@@ -88,12 +88,12 @@ impl ColumnModel {
         let sampled = [middle(records, SAMPLE)];
         let part = sources.part(&sampled);
         let (part, sampled) = (part.sources(), &gather(values, size, &sampled));
+        if let Some(plan) = self.tried_plan(plain, &part, scalar, sampled) {
+            return Choice { tried: self.tried, ..Choice::sure(Plan::Integers(plan), 1) };
+        }
         let ruled = self.best_rule(plain, &part, scalar, sampled);
         if let Some((plan, true)) = ruled {
             return Choice::sure(Plan::Integers(plan), 1);
-        }
-        if let Some(plan) = self.tried_plan(plain, &part, scalar, sampled) {
-            return Choice { tried: self.tried, ..Choice::sure(Plan::Integers(plan), 1) };
         }
         let lag = likely_lag(size, values);
         let (best, tried) =
@@ -242,6 +242,7 @@ fn misses(
     let places = Places::new(plan, sources, scalar).ok()?;
     let rule = plan.rule?;
     let mut model = RuleModel::default();
+    model.prepare(rule);
     let mut misses = 0;
     for (record, integer) in integers.iter().enumerate() {
         let Some(integer) = *integer else { continue };
@@ -289,22 +290,9 @@ fn likely_lag(size: usize, values: &[u8]) -> u32 {
 
 /// Whether all values are those of a source.
 fn is_same(sources: &Sources, source: usize, scalar: Scalar, values: &[u8]) -> bool {
-    /// What differs mostly differs in as many records.
-    const FIRST: usize = 16;
     let size = scalar.size() as usize;
-    let records = values.len() / size;
-    let is_same = |values: &[u8], sources: &Sources| {
-        let Some((type_of, from)) = sources.values(source) else { return false };
-        let mut again = [0; 8];
-        from.len() / type_of.size() as usize == values.len() / size
-            && values.chunks_exact(size).zip(from.chunks_exact(type_of.size() as usize)).all(
-                |(value, from)| {
-                    convert(type_of, from, scalar, &mut again[..size]);
-                    again[..size] == *value
-                },
-            )
-    };
-    let first = FIRST.min(records);
-    is_same(&values[..first * size], &sources.part(std::slice::from_ref(&(0..first))).sources())
-        && is_same(values, sources)
+    sources
+        .values(source)
+        .filter(|from| from.len() == values.len() / size)
+        .is_some_and(|from| from.all_as(scalar, |record, again| *again == values[record * size..][..size]))
 }

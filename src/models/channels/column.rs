@@ -1,5 +1,7 @@
 //! One column: a value of one type for each record.
 
+use std::borrow::Cow;
+
 use super::choice::Tried;
 use super::integers::{IntegersModel, Site};
 use super::numbers::{Grid, Scale, number, write_number};
@@ -21,9 +23,15 @@ pub struct ColumnModel {
     last_plan: Option<Integers>,
     /// What an encoder found the best, if it was coded so.
     pub tried: Option<Tried>,
+    off: OffModel,
+}
+
+/// What the coder has learned about values off the grid.
+#[derive(Clone, Default)]
+struct OffModel {
     is_off: AdaptiveBit,
-    off: IntegerModel,
-    last_off: i64,
+    differences: IntegerModel,
+    last: i64,
 }
 
 impl ColumnModel {
@@ -50,11 +58,15 @@ impl ColumnModel {
                 Ok(())
             }
             Plan::Same(source) => {
-                let (type_of, from) = sources.values(source.into()).ok_or_else(no_source)?;
-                let step = type_of.size() as usize;
-                for (to, from) in values.chunks_exact_mut(size).zip(from.chunks_exact(step)) {
-                    convert(type_of, from, scalar, to);
-                }
+                let from = sources.values(source.into()).ok_or_else(no_source)?;
+                let mut values = values.chunks_exact_mut(size);
+                from.all_as(scalar, |_, value| match values.next() {
+                    Some(to) => {
+                        to.copy_from_slice(value);
+                        true
+                    }
+                    None => false,
+                });
                 Ok(())
             }
             Plan::Integers(plan) => self.code_integers(coder, plan, sources, scalar, values),
@@ -73,40 +85,28 @@ impl ColumnModel {
             return Err(Error::corrupt("channels: a scale of integers"));
         }
         self.last_plan = Some(plan);
-        let size = scalar.size() as usize;
         let places = Places::new(&plan, sources, scalar)?;
-        let (grid, by_place) = (&places.grid, Scale::PLACE.grid(scalar));
+        let ColumnModel { integers, rules, off, .. } = self;
+        if let Some(rule) = plan.rule {
+            rules.prepare(rule);
+            code_each(coder, off, (&plan, &places.grid), scalar, values, |coder, record, integer| {
+                integer.map(|integer| rules.code(coder, rule, &places.site(record), integer))
+            });
+            return Ok(());
+        }
         let lag = plan.lag as usize;
         let mut past = Vec::new();
-        for (record, value) in values.chunks_exact_mut(size).enumerate() {
-            if coder.is_exhausted() {
-                return Ok(());
-            }
-            let mut integer = if C::ENCODES { grid.integer(value) } else { Some(0) };
-            if plan.has_exceptions && self.is_off.code(coder, integer.is_none()) {
-                let place = if C::ENCODES { by_place.integer(value).unwrap_or(0) } else { 0 };
-                let place = code_off(coder, &mut self.off, self.last_off, place);
-                self.last_off = place;
-                by_place.write(place, value);
-                integer = None;
-            } else {
+        code_each(coder, off, (&plan, &places.grid), scalar, values, |coder, record, integer| {
+            let coded = integer.map(|integer| {
                 let mut site = places.site(record);
-                let known = integer.unwrap_or(0);
-                let coded = match plan.rule {
-                    Some(rule) => self.rules.code(coder, rule, &site, known),
-                    None => {
-                        site.lagged =
-                            (lag > 0 && record > lag).then(|| [past[record - lag], past[record - lag - 1]]);
-                        self.integers.get_or_insert_default().code(coder, &site, known)
-                    }
-                };
-                grid.write(coded, value);
-                integer = Some(coded);
-            }
+                site.lagged = (lag > 0 && record > lag).then(|| [past[record - lag], past[record - lag - 1]]);
+                integers.get_or_insert_default().code(coder, &site, integer)
+            });
             if lag > 0 {
-                past.push(integer.or(past.last().copied()).unwrap_or(0));
+                past.push(coded.or(past.last().copied()).unwrap_or(0));
             }
-        }
+            coded
+        });
         Ok(())
     }
 
@@ -116,9 +116,36 @@ impl ColumnModel {
     }
 }
 
+/// Codes values as integers, each by `code`, which is given the record's number and gets none for a value off the grid.
+#[inline(always)]
+fn code_each<C: BitCoder>(
+    coder: &mut C,
+    off: &mut OffModel,
+    (plan, grid): (&Integers, &Grid),
+    scalar: Scalar,
+    values: &mut [u8],
+    mut code: impl FnMut(&mut C, usize, Option<i64>) -> Option<i64>,
+) {
+    for (record, value) in values.chunks_exact_mut(scalar.size() as usize).enumerate() {
+        if coder.is_exhausted() {
+            return;
+        }
+        let integer = if C::ENCODES { grid.integer(value) } else { Some(0) };
+        if plan.has_exceptions && off.code(coder, scalar, integer.is_none(), value) {
+            code(coder, record, None);
+            continue;
+        }
+        let coded = code(coder, record, integer.or(Some(0)));
+        // An encoder has it already.
+        if !C::ENCODES {
+            grid.write(coded.unwrap_or(0), value);
+        }
+    }
+}
+
 /// What a plan knows of each record.
 pub struct Places<'a> {
-    keys: Vec<u32>,
+    keys: Cow<'a, [u32]>,
     plan: Integers,
     beside: &'a Beside,
     pub grid: Grid,
@@ -127,12 +154,13 @@ pub struct Places<'a> {
 impl<'a> Places<'a> {
     /// # Errors
     /// If there is no channel of the plan's keys.
-    pub fn new(plan: &Integers, sources: &Sources<'a>, scalar: Scalar) -> Result<Self> {
+    pub fn new(plan: &Integers, sources: &'a Sources, scalar: Scalar) -> Result<Self> {
         let (keys, grid) = (keys(plan.key, sources)?, plan.scale.grid(scalar));
         Ok(Places { keys, plan: *plan, beside: sources.beside, grid })
     }
 
     /// What is known of a record, but for the integers before it.
+    #[inline(always)]
     pub fn site(&self, record: usize) -> Site {
         Site {
             key: self.keys.get(record).copied().unwrap_or(0),
@@ -143,15 +171,24 @@ impl<'a> Places<'a> {
     }
 }
 
-/// A value off the grid, by its place among all numbers.
-fn code_off<C: BitCoder>(coder: &mut C, model: &mut IntegerModel, last: i64, place: i64) -> i64 {
-    // Those below 2^62 either way differ by less than 2^63.
-    let difference = zigzag(place.wrapping_sub(last));
-    let is_long = coder.code_plain((difference >> 62 > 0).into(), 1) == 1;
-    if is_long {
-        return coder.code_plain(place as u64, 64) as i64;
+impl OffModel {
+    /// Codes whether a value is off the grid; if so, it is coded by its place among all numbers.
+    fn code<C: BitCoder>(&mut self, coder: &mut C, scalar: Scalar, is_off: bool, value: &mut [u8]) -> bool {
+        if !self.is_off.code(coder, is_off) {
+            return false;
+        }
+        let by_place = Scale::PLACE.grid(scalar);
+        let place = if C::ENCODES { by_place.integer(value).unwrap_or(0) } else { 0 };
+        // Those below 2^62 either way differ by less than 2^63.
+        let difference = zigzag(place.wrapping_sub(self.last));
+        let is_long = coder.code_plain((difference >> 62 > 0).into(), 1) == 1;
+        self.last = match is_long {
+            true => coder.code_plain(place as u64, 64) as i64,
+            false => self.last.wrapping_add(unzigzag(self.differences.code(coder, difference))),
+        };
+        by_place.write(self.last, value);
+        true
     }
-    last.wrapping_add(unzigzag(model.code(coder, difference)))
 }
 
 fn no_source() -> Error {
@@ -159,16 +196,14 @@ fn no_source() -> Error {
 }
 
 /// The key of every record.
-fn keys(key: u16, sources: &Sources) -> Result<Vec<u32>> {
-    let Some(channel) = key.checked_sub(1) else { return Ok(sources.beside.rows.clone()) };
+fn keys<'a>(key: u16, sources: &'a Sources) -> Result<Cow<'a, [u32]>> {
+    let Some(channel) = key.checked_sub(1) else { return Ok(Cow::Borrowed(&sources.beside.rows)) };
     let channel = sources.channel(channel.into()).filter(|channel| may_be_key(&channel.field));
     let channel = channel.ok_or_else(no_source)?;
-    let size = channel.field.width();
-    Ok(channel
-        .bytes
-        .chunks_exact(size)
-        .map(|value| value.iter().rev().fold(0, |key, &byte| key << 8 | u32::from(byte)))
-        .collect())
+    Ok(match channel.field.width() {
+        1 => channel.bytes.iter().map(|&byte| byte.into()).collect(),
+        _ => channel.bytes.as_chunks().0.iter().map(|&value| u16::from_le_bytes(value).into()).collect(),
+    })
 }
 
 /// A number in another type: the nearest there is.

@@ -103,6 +103,7 @@ impl IntegersModel {
         coded
     }
 
+    #[inline]
     fn entries(&mut self, site: &Site) -> Entries {
         let column = site.column as usize;
         if self.of_column.len() <= column {
@@ -119,6 +120,7 @@ impl IntegersModel {
     }
 
     /// What each way expects.
+    #[inline]
     fn candidates(&self, site: &Site, entries: &Entries) -> [i64; CANDIDATES] {
         let [last, before, _] = self.last;
         let step = last.wrapping_sub(before);
@@ -144,7 +146,18 @@ impl IntegersModel {
         ]
     }
 
+    /// Of some candidates, a bit each, the first of those that were right most often.
+    #[inline(always)]
+    fn likeliest(&self, left: u32) -> Option<usize> {
+        let of_most = (0..CANDIDATES).fold((CANDIDATES, -1.0), |(best, most), at| {
+            let score = if left >> at & 1 == 1 { self.scores[at] } else { -1.0 };
+            if score > most { (at, score) } else { (best, most) }
+        });
+        Some(of_most.0).filter(|&best| best < CANDIDATES)
+    }
+
     /// Codes an integer, given what is expected.
+    #[inline]
     fn code_by<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -153,21 +166,16 @@ impl IntegersModel {
         candidates: &[i64; CANDIDATES],
         value: i64,
     ) -> i64 {
-        let mut is_out = [false; CANDIDATES];
+        // Those that are not out, a bit each.
+        let mut left = (1u32 << CANDIDATES) - 1;
         for attempt in 0..TRIES {
-            let left = (0..CANDIDATES).filter(|&at| !is_out[at]);
-            let Some(best) = left.reduce(|a, b| if self.scores[b] > self.scores[a] { b } else { a }) else {
-                break;
-            };
+            let Some(best) = self.likeliest(left) else { break };
             let expected = candidates[best];
             // Those that expect the same, and are out if it is wrong.
-            let mut alike = 0;
-            let mut trust = 0.0;
-            for at in (0..CANDIDATES).filter(|&at| candidates[at] == expected) {
-                is_out[at] = true;
-                alike |= 1 << at;
-                trust += self.scores[at];
-            }
+            let alike = alike(candidates, expected);
+            left &= !alike;
+            let trust = ones(alike).fold(0.0, |trust, at| trust + self.scores[at]);
+            let alike = alike as usize;
             let context = attempt | (self.history & 0xff) << 2;
             let places = [
                 context,
@@ -200,13 +208,18 @@ impl IntegersModel {
         expected.wrapping_add(unzigzag(model.code(coder, difference)))
     }
 
+    #[inline]
     fn learn(&mut self, site: &Site, entries: &Entries, candidates: &[i64; CANDIDATES], value: i64) {
+        // In two loops, of which the second is made for vector units.
+        let (mut right, mut half_bits) = ([0.0; CANDIDATES], [0.0; CANDIDATES]);
         for (at, candidate) in candidates.iter().enumerate() {
-            let is_right = if *candidate == value { 1.0 } else { 0.0 };
-            self.scores[at] += (is_right - self.scores[at]) * (1.0 / 32.0);
+            right[at] = if *candidate == value { 1.0 } else { 0.0 };
             let off = candidate.wrapping_sub(value).unsigned_abs();
-            let half_bits = 2.0 * (u64::BITS - off.leading_zeros()) as f32;
-            self.errors[at] += (half_bits - self.errors[at]) * (1.0 / 8.0);
+            half_bits[at] = (2 * (u64::BITS - off.leading_zeros())) as i32 as f32;
+        }
+        for at in 0..CANDIDATES {
+            self.scores[at] += (right[at] - self.scores[at]) * (1.0 / 32.0);
+            self.errors[at] += (half_bits[at] - self.errors[at]) * (1.0 / 8.0);
         }
         let [last, before, _] = self.last;
         self.after[entries.after] = value;
@@ -221,12 +234,31 @@ impl IntegersModel {
     }
 }
 
+/// Which candidates are this integer, a bit each.
+#[inline(always)]
+fn alike(candidates: &[i64; CANDIDATES], integer: i64) -> u32 {
+    (0..CANDIDATES).fold(0, |alike, at| alike | u32::from(candidates[at] == integer) << at)
+}
+
+/// The places of the ones among some bits, rising.
+#[inline(always)]
+fn ones(mut bits: u32) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let place = bits.trailing_zeros() as usize;
+        (bits > 0).then(|| {
+            bits &= bits - 1;
+            place
+        })
+    })
+}
+
 /// A part of 1 in 32 levels.
 fn level(part: f32) -> usize {
     ((part * 32.0) as usize).min(31)
 }
 
 /// The entry of two numbers in a table of [`ENTRIES`].
+#[inline(always)]
 pub fn slot(a: u64, b: u64) -> usize {
     let mixed =
         (a.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ b.rotate_left(29)).wrapping_mul(0xd6e8_feb8_6659_fd93);

@@ -15,9 +15,10 @@ mod tests;
 
 pub use packed::{FLOOR_LEVEL, LZMA_GAIN, Packed, code_packed};
 
+use std::borrow::Cow;
 use std::ops::Range;
 
-use column::ColumnModel;
+use column::{ColumnModel, convert};
 use plan::Plan;
 
 use super::ByteModel;
@@ -141,28 +142,22 @@ struct Sources<'a> {
 }
 
 impl Sources<'_> {
-    /// The values of a source by its number, and their type; `None` if there is no such source.
-    fn values(&self, source: usize) -> Option<(Scalar, Vec<u8>)> {
-        let coordinate =
-            |axis: usize| self.beside.positions.iter().flat_map(|point| point[axis].to_le_bytes()).collect();
-        let values = match source {
-            0..3 if !self.beside.positions.is_empty() => (Scalar::F32, coordinate(source)),
-            3 if !self.beside.intensity.is_empty() => {
-                (Scalar::F32, self.beside.intensity.iter().flat_map(|value| value.to_le_bytes()).collect())
-            }
-            0..4 => return None,
-            _ => {
-                let channel = self.channel(source - 4)?;
-                (channel.field.scalar, channel.bytes.clone())
-            }
-        };
-        Some(values)
+    /// A source by its number; `None` if there is no such source.
+    fn values(&self, source: usize) -> Option<Values<'_>> {
+        let beside = self.beside;
+        match source {
+            0..3 if !beside.positions.is_empty() => Some(Values::Coordinates(&beside.positions, source)),
+            3 if !beside.intensity.is_empty() => Some(Values::Intensities(&beside.intensity)),
+            0..4 => None,
+            _ => self.channel(source - 4).map(Values::Of),
+        }
     }
 
-    /// The same for some of the records alone.
+    /// What tells of some of the records alone.
     fn part(&self, records: &[Range<usize>]) -> OwnedSources {
         fn part<T: Copy>(values: &[T], records: &[Range<usize>]) -> Vec<T> {
-            records.iter().flat_map(|part| values.get(part.clone()).unwrap_or_default()).copied().collect()
+            let parts = records.iter().map(|part| values.get(part.clone()).unwrap_or_default());
+            parts.collect::<Vec<_>>().concat()
         }
         let beside = self.beside;
         let channels = self.channels.iter().enumerate().map(|(number, channel)| {
@@ -190,6 +185,59 @@ impl Sources<'_> {
     fn channel(&self, number: usize) -> Option<&Channel> {
         let channel = self.known.contains(&number).then(|| &self.channels[number])?;
         (channel.field.count == 1).then_some(channel)
+    }
+}
+
+/// The values of a source, one a record.
+enum Values<'a> {
+    /// Those along an axis.
+    Coordinates(&'a [[f32; 3]], usize),
+    Intensities(&'a [f32]),
+    Of(&'a Channel),
+}
+
+impl Values<'_> {
+    /// Their type.
+    fn scalar(&self) -> Scalar {
+        match self {
+            Values::Coordinates(..) | Values::Intensities(_) => Scalar::F32,
+            Values::Of(channel) => channel.field.scalar,
+        }
+    }
+
+    /// How many there are.
+    fn len(&self) -> usize {
+        match self {
+            Values::Coordinates(positions, _) => positions.len(),
+            Values::Intensities(values) => values.len(),
+            Values::Of(channel) => channel.bytes.len() / channel.field.width().max(1),
+        }
+    }
+
+    /// The bytes of one, in the first places of these.
+    fn get(&self, record: usize) -> [u8; 8] {
+        let mut bytes = [0; 8];
+        match self {
+            Values::Coordinates(positions, axis) => {
+                bytes[..4].copy_from_slice(&positions[record][*axis].to_le_bytes());
+            }
+            Values::Intensities(values) => bytes[..4].copy_from_slice(&values[record].to_le_bytes()),
+            Values::Of(channel) => {
+                let width = channel.field.width();
+                bytes[..width].copy_from_slice(&channel.bytes[record * width..][..width]);
+            }
+        }
+        bytes
+    }
+
+    /// Gives each value in another type, until one is refused. Returns whether none was.
+    fn all_as(&self, scalar: Scalar, mut take: impl FnMut(usize, &[u8]) -> bool) -> bool {
+        let (from, size) = (self.scalar(), scalar.size() as usize);
+        let mut value = [0; 8];
+        (0..self.len()).all(|record| {
+            convert(from, &self.get(record)[..from.size() as usize], scalar, &mut value[..size]);
+            take(record, &value[..size])
+        })
     }
 }
 
@@ -227,9 +275,7 @@ impl ChannelCoder<'_> {
                     .iter_mut()
                     .take(self.width)
                     .for_each(|byte| *byte = coder.code_plain((*byte).into(), 8) as u8);
-                for at in self.width..bytes.len() {
-                    bytes[at] = bytes[at - self.width];
-                }
+                repeat(bytes, self.width);
                 Ok(())
             }
             Shape::Bytes => {
@@ -238,16 +284,20 @@ impl ChannelCoder<'_> {
             }
             Shape::Packed => code_packed(coder, packed, self.scalar, self.width, bytes),
             Shape::Columns => {
-                if self.columns.is_empty() {
-                    return Err(Error::corrupt("channels: too many columns"));
+                plans.resize_with(self.columns.len(), Plan::default);
+                match &mut *self.columns {
+                    [] => Err(Error::corrupt("channels: too many columns")),
+                    [model] => model.code(coder, &plans[0], sources, self.scalar, bytes),
+                    models => {
+                        let mut columns: Vec<_> =
+                            split(bytes, self.scalar, models.len()).map(Cow::into_owned).collect();
+                        for ((model, plan), values) in models.iter_mut().zip(&plans).zip(&mut columns) {
+                            model.code(coder, plan, sources, self.scalar, values)?;
+                        }
+                        join(&columns, self.scalar, bytes);
+                        Ok(())
+                    }
                 }
-                let mut columns = split(bytes, self.scalar, self.columns.len());
-                plans.resize_with(columns.len(), Plan::default);
-                for ((model, plan), values) in self.columns.iter_mut().zip(&plans).zip(&mut columns) {
-                    model.code(coder, plan, sources, self.scalar, values)?;
-                }
-                join(&columns, self.scalar, bytes);
-                Ok(())
             }
         }
     }
@@ -256,7 +306,7 @@ impl ChannelCoder<'_> {
     fn choose(&mut self, sources: &Sources, bytes: &[u8]) -> (Shape, Vec<Plan>, Option<Packed>) {
         /// Bytes; what takes less is not worth a further try.
         const SMALL: usize = 64;
-        if bytes.chunks_exact(self.width).all(|value| value == &bytes[..self.width]) {
+        if is_constant(bytes, self.width) {
             return (Shape::Constant, Vec::new(), None);
         }
         let mut plans = Vec::new();
@@ -319,16 +369,33 @@ impl ChannelCoder<'_> {
 
     fn size_as_columns(&self, plans: &[Plan], sources: &Sources, bytes: &[u8]) -> usize {
         let columns = split(bytes, self.scalar, plans.len());
-        let sizes = self.columns.iter().zip(plans).zip(&columns);
-        sizes.map(|((model, plan), values)| model.size_of(plan, sources, self.scalar, values)).sum()
+        let sizes = self.columns.iter().zip(plans).zip(columns);
+        sizes.map(|((model, plan), values)| model.size_of(plan, sources, self.scalar, &values)).sum()
     }
 }
 
 /// The values of each element.
-fn split(bytes: &[u8], scalar: Scalar, count: usize) -> Vec<Vec<u8>> {
+fn split(bytes: &[u8], scalar: Scalar, count: usize) -> impl Iterator<Item = Cow<'_, [u8]>> {
     let size = scalar.size() as usize;
-    let element = |at: usize| bytes.chunks_exact(size).skip(at).step_by(count).flatten().copied().collect();
-    (0..count).map(element).collect()
+    (0..count).map(move |at| match count {
+        1 => Cow::Borrowed(bytes),
+        _ => bytes.chunks_exact(size).skip(at).step_by(count).collect::<Vec<_>>().concat().into(),
+    })
+}
+
+/// Whether all values of `width` bytes are the first one.
+fn is_constant(bytes: &[u8], width: usize) -> bool {
+    bytes.get(width..).is_none_or(|rest| *rest == bytes[..rest.len()])
+}
+
+/// Fills bytes with the first `width` of them, over and over.
+fn repeat(bytes: &mut [u8], width: usize) {
+    let mut filled = width;
+    while filled < bytes.len() {
+        let more = filled.min(bytes.len() - filled);
+        bytes.copy_within(..more, filled);
+        filled += more;
+    }
 }
 
 /// The inverse of [`split`].

@@ -3,6 +3,7 @@
 
 use byteorder::{ByteOrder, LittleEndian};
 
+use crate::ground::rounding::round_ties_even;
 use crate::scan::Scalar;
 
 /// How values become integers.
@@ -121,12 +122,13 @@ pub struct Grid {
 
 impl Grid {
     /// The integer of a value; `None` if it is off the grid.
+    #[inline]
     pub fn integer(&self, value: &[u8]) -> Option<i64> {
         if self.form.is_none() {
             return Some(place(self.scalar, value));
         }
         let number = number(self.scalar, value);
-        let count = libm::rint(number / self.step);
+        let count = rounded(number / self.step);
         // Larger ones are not exact, and some are no numbers.
         if !count.is_finite() || count.abs() >= 9e15 {
             return None;
@@ -143,6 +145,7 @@ impl Grid {
     }
 
     /// The value of an integer.
+    #[inline]
     pub fn write(&self, integer: i64, value: &mut [u8]) {
         let Some(form) = self.form else { return write_place(self.scalar, integer, value) };
         let count = integer as f64;
@@ -166,9 +169,16 @@ impl Grid {
             _ if number.is_nan() => 0,
             (None, Scalar::F32) => ordered32((number as f32).to_bits()),
             (None, Scalar::F64) => ordered64(number.to_bits()),
-            _ => libm::rint(number / self.step) as i64,
+            _ => rounded(number / self.step) as i64,
         }
     }
+}
+
+/// The nearest whole number, halves to even.
+#[inline]
+fn rounded(value: f64) -> f64 {
+    const MOST: f64 = (1u64 << 51) as f64;
+    if value.abs() < MOST { round_ties_even(value) } else { libm::rint(value) }
 }
 
 /// 10^k; exact.
@@ -200,25 +210,36 @@ pub fn write_number(scalar: Scalar, number: f64, value: &mut [u8]) {
 }
 
 /// An integer as it is; floating point as its place among all numbers, 0 being that of 0.
+#[inline]
 fn place(scalar: Scalar, value: &[u8]) -> i64 {
-    let size = value.len();
     match scalar {
         Scalar::F32 => ordered32(LittleEndian::read_u32(value)),
         Scalar::F64 => ordered64(LittleEndian::read_u64(value)),
-        Scalar::U8 | Scalar::U16 | Scalar::U32 | Scalar::U64 => LittleEndian::read_uint(value, size) as i64,
-        Scalar::I8 | Scalar::I16 | Scalar::I32 | Scalar::I64 => LittleEndian::read_int(value, size),
+        Scalar::U8 => value[0].into(),
+        Scalar::I8 => (value[0] as i8).into(),
+        Scalar::U16 => LittleEndian::read_u16(value).into(),
+        Scalar::I16 => LittleEndian::read_i16(value).into(),
+        Scalar::U32 => LittleEndian::read_u32(value).into(),
+        Scalar::I32 => LittleEndian::read_i32(value).into(),
+        Scalar::U64 | Scalar::I64 => LittleEndian::read_i64(value),
     }
 }
 
 /// The inverse of [`place`].
+#[inline]
 fn write_place(scalar: Scalar, place: i64, value: &mut [u8]) {
     let bits = match scalar {
         Scalar::F32 => u64::from(bits32(place)),
         Scalar::F64 => bits64(place),
         _ => place as u64,
     };
-    let size = scalar.size() as usize;
-    value[..size].copy_from_slice(&bits.to_le_bytes()[..size]);
+    // Sizes that are known when this is compiled are moved at once.
+    match scalar.size() {
+        1 => value[0] = bits as u8,
+        2 => LittleEndian::write_u16(value, bits as u16),
+        4 => LittleEndian::write_u32(value, bits as u32),
+        _ => LittleEndian::write_u64(value, bits),
+    }
 }
 
 /// -0 has a place of its own, below 0.

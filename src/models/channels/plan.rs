@@ -64,10 +64,14 @@ impl Geometry {
     }
 
     /// The number of a record, if it is known.
+    #[inline(always)]
     pub fn of(self, record: usize, beside: &Beside) -> Option<f64> {
+        if self.0 == 0 { None } else { self.of_record(record, beside) }
+    }
+
+    fn of_record(self, record: usize, beside: &Beside) -> Option<f64> {
         match self.0 {
-            0 => None,
-            1..FIRST_OF_PLACE => beside.positions.get(record).map(|position| self.of_position(position)),
+            0..FIRST_OF_PLACE => beside.positions.get(record).map(|position| self.of_position(position)),
             FIRST_OF_PLACE => Some(f64::from(*beside.steps.get(record)?) * beside.range_step_m),
             _ => {
                 let degrees = f64::from(*beside.ticks.get(record)?) * beside.tick_degrees;

@@ -105,25 +105,37 @@ struct Expected {
 }
 
 impl RuleModel {
+    /// Makes room for what is learned by a rule, before its first integer.
+    pub fn prepare(&mut self, rule: Rule) {
+        self.offsets.resize(ENTRIES, None);
+        if rule == Rule::After {
+            self.after.resize(ENTRIES, None);
+        }
+    }
+
     /// Codes the next integer.
+    #[inline(always)]
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, rule: Rule, site: &Site, value: i64) -> i64 {
         let told = site.geometry.unwrap_or(0);
         let value = value.wrapping_sub(told);
         let expected = self.expected(rule, site);
         let is_right = self.is_right[expected.context].code(coder, value == expected.integer);
-        let above = if is_right {
-            0
-        } else {
-            let site = Site { key: site.key, ..Site::default() };
-            let misses = self.misses.get_or_insert_default();
-            misses.code(coder, &site, value.wrapping_sub(expected.integer))
-        };
+        let above =
+            if is_right { 0 } else { self.code_miss(coder, site.key, value.wrapping_sub(expected.integer)) };
         let coded = expected.integer.wrapping_add(above);
         self.learn(rule, site, &expected, coded);
         coded.wrapping_add(told)
     }
 
+    /// Codes what an integer is more than expected.
+    #[cold]
+    fn code_miss<C: BitCoder>(&mut self, coder: &mut C, key: u32, above: i64) -> i64 {
+        let site = Site { key, ..Site::default() };
+        self.misses.get_or_insert_default().code(coder, &site, above)
+    }
+
     /// Learns the next integer as [`code`](Self::code) does. Returns whether it is as expected.
+    #[inline(always)]
     pub fn is_right(&mut self, rule: Rule, site: &Site, value: i64) -> bool {
         let value = value.wrapping_sub(site.geometry.unwrap_or(0));
         let expected = self.expected(rule, site);
@@ -131,36 +143,33 @@ impl RuleModel {
         value == expected.integer
     }
 
+    #[inline(always)]
     fn expected(&mut self, rule: Rule, site: &Site) -> Expected {
-        let table = |entries: &mut Vec<Option<i64>>, least: usize| {
-            if entries.len() < least {
-                entries.resize(least, None);
-            }
-        };
         let phase = match rule {
             Rule::Turn(columns) => site.column % u32::from(columns.max(1)),
             _ => 0,
         };
+        let offset = slot(site.key.into(), phase.into());
         let mut expected = Expected {
             integer: 0,
-            offset: slot(site.key.into(), phase.into()),
+            offset,
             after: 0,
             column: site.column as usize,
             context: self.history & 3
                 | usize::from(site.column != self.last_column) << 2
                 | (phase as usize % TURN_CONTEXTS) << 3,
         };
-        table(&mut self.offsets, ENTRIES);
-        let above = |base: i64| base.wrapping_add(self.offsets[expected.offset].unwrap_or(0));
+        let above = |base: i64| base.wrapping_add(self.offsets[offset].unwrap_or(0));
         expected.integer = match rule {
             Rule::Beam => above(0),
             Rule::Turn(_) => above(self.base),
             Rule::Column => {
-                table(&mut self.bases, expected.column + 1);
+                if self.bases.len() <= expected.column {
+                    self.bases.resize(expected.column + 1, None);
+                }
                 above(self.bases[expected.column].unwrap_or(0))
             }
             Rule::After => {
-                table(&mut self.after, ENTRIES);
                 expected.after = slot(site.key.into(), self.last as u64);
                 self.after[expected.after].unwrap_or_else(|| above(self.base))
             }
@@ -168,11 +177,18 @@ impl RuleModel {
         expected
     }
 
+    #[inline(always)]
     fn learn(&mut self, rule: Rule, site: &Site, expected: &Expected, value: i64) {
         let is_right = value == expected.integer;
         self.history = self.history << 1 | usize::from(is_right);
         self.last_column = site.column;
         let offset = &mut self.offsets[expected.offset];
+        // Most are right, and tell these rules nothing new.
+        match rule {
+            Rule::Beam if is_right && offset.is_some() => return,
+            Rule::Turn(_) if is_right && offset.is_some() => return self.missed = None,
+            _ => {}
+        }
         match rule {
             Rule::Beam => *offset = Some(value),
             Rule::Column => {

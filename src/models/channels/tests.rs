@@ -201,6 +201,8 @@ fn round_trip_by(rule: Rule, sites: &[(u8, u8, Option<i64>)], integers: &[i64]) 
     };
     let mut encoder = ArithmeticEncoder::default();
     let (mut writer, mut reader) = (RuleModel::default(), RuleModel::default());
+    writer.prepare(rule);
+    reader.prepare(rule);
     for (at, &integer) in sites.iter().zip(integers) {
         assert_eq!(writer.code(&mut encoder, rule, &site(at), integer), integer);
     }
