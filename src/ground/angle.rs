@@ -3,6 +3,8 @@
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
+use super::lanes::lanes;
+
 /// The tangent of an eighth of half a turn.
 const EIGHTH: f64 = 0.414_213_562_373_095_03;
 /// Of atan(r) / r, in powers of r squared, for r up to [`EIGHTH`]: a Chebyshev approximation.
@@ -19,7 +21,7 @@ const ATAN: [f64; 9] = [
 ];
 
 /// The angle from the x axis to a point, in radians from -pi to pi, to within 2e-14; 0 of the origin.
-#[inline]
+#[inline(always)]
 pub fn atan2(y: f64, x: f64) -> f64 {
     let (ahead, aside) = (x.abs(), y.abs());
     let is_flat = aside <= ahead;
@@ -36,16 +38,17 @@ pub fn atan2(y: f64, x: f64) -> f64 {
     if y < 0.0 { -angle } else { angle }
 }
 
-/// Cosine and sine of an angle below a hundredth of a radian, to within 1e-15; of a larger one they are exact.
-#[inline]
-pub fn small_cos_sin(angle: f64) -> [f64; 2] {
+/// Cosines and sines of angles below a hundredth of a radian, to within 1e-15; if one is larger, all are exact.
+#[inline(always)]
+pub fn small_cos_sin<const N: usize>(angles: [f64; N]) -> [[f64; N]; 2] {
     const SMALL: f64 = 0.01;
-    if angle.abs() >= SMALL {
-        return [libm::cos(angle), libm::sin(angle)];
+    if angles.iter().any(|angle| angle.abs() >= SMALL) {
+        return [lanes(|i| libm::cos(angles[i])), lanes(|i| libm::sin(angles[i]))];
     }
-    let square = angle * angle;
-    let cos = 1.0 - square * (0.5 - square * (1.0 / 24.0 - square / 720.0));
-    [cos, angle * (1.0 - square * (1.0 / 6.0 - square / 120.0))]
+    let squares: [f64; N] = lanes(|i| angles[i] * angles[i]);
+    let cos = |square: f64| 1.0 - square * (0.5 - square * (1.0 / 24.0 - square / 720.0));
+    let sin = |angle: f64, square: f64| angle * (1.0 - square * (1.0 / 6.0 - square / 120.0));
+    [lanes(|i| cos(squares[i])), lanes(|i| sin(angles[i], squares[i]))]
 }
 
 #[cfg(test)]
@@ -71,7 +74,7 @@ mod tests {
     fn small_angles_are_exact_to_the_last_bits() {
         for step in -3000..3000 {
             let angle = f64::from(step) * 1e-5;
-            let [cos, sin] = small_cos_sin(angle);
+            let [[cos], [sin]] = small_cos_sin([angle]);
             assert!(
                 (cos - libm::cos(angle)).abs() < 1e-15 && (sin - libm::sin(angle)).abs() < 1e-15,
                 "{angle}"

@@ -254,8 +254,7 @@ impl Scanner {
             Scanner::Hdl64(scanner) => hdl64::positions(scanner, returns, offset_m, on_grid),
             Scanner::Firings(scanner) => {
                 let grid = if on_grid { scanner.build().coordinates } else { Coordinates::Float32 };
-                let single = |metres: f64| if metres.is_nan() { 0.0 } else { grid.nearest(metres) };
-                returns.iter().map(|found| scanner.position(found, offset_m).map(single)).collect()
+                scanner.positions(returns, offset_m, grid)
             }
         }
     }

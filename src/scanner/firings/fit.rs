@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::order::{Order, STEADY, VLP_16, order, timed, vlp_16};
 use super::projection::{Place, nearest, without_echoes};
 use super::recipe::whole_steps;
-use super::{ANGLE_UNIT, Build, Firings, Laser, Located, Origin, Recipe, Timing};
+use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
 use crate::scanner::motion::RigidMotion;
@@ -652,7 +652,7 @@ pub(super) fn exact_points(
 ) -> usize {
     let scanner = any.of_laser(laser);
     let is_exact = |point: &Point| {
-        let Some(Located { steps, tick, .. }) = scanner.locate(0, point.position) else { return false };
+        let Some((steps, tick)) = scanner.locate(0, point.position) else { return false };
         point.is_given_by(&scanner, &Return { row: 0, column: 0, tick, steps, echo: 0 }, axes.clone())
     };
     let mut missed = 0;

@@ -32,10 +32,11 @@ use std::sync::Arc;
 
 use crate::ground::angle;
 use crate::ground::error::{Error, Result};
+use crate::ground::lanes::lanes;
 use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 use crate::scanner::{BeamConstants, Coordinates, Hdl64, MOST_RANGE_STEP_UM, MOST_TICKS, RangeImage, Return};
-use recipe::{Arithmetic, Turn, whole_steps};
+use recipe::{Arithmetic, MOST_LOCATED, Turn};
 
 /// Degrees of one unit of a laser's constants.
 const ANGLE_UNIT: f64 = 1e-9;
@@ -68,7 +69,7 @@ impl Laser {
 }
 
 /// Where a laser looks, for finding what it measured.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Bearing {
     /// Cosine and sine of E.
     cos: f64,
@@ -95,13 +96,14 @@ impl Bearing {
     }
 }
 
-/// What a laser measured that left a point.
+/// What lasers measured that left some points.
 #[derive(Clone, Copy, Debug)]
-struct Located {
-    steps: u32,
-    tick: u32,
+struct Located<const N: usize> {
+    /// Whole; none if they are below 1.
+    steps: [f64; N],
+    tick: [u32; N],
     /// Radians from the tick to the point.
-    aside: f64,
+    aside: [f64; N],
 }
 
 /// How the azimuth goes on inside a block: the firings that share one azimuth in the scanner's packets.
@@ -121,6 +123,12 @@ pub enum Timing {
 /// One in the unit of the parts of a block.
 const WHOLE: u32 = 1 << 24;
 
+/// The ticks that have passed, if this part of so many has.
+#[inline(always)]
+fn passed_ticks(span: u32, part: u32) -> u32 {
+    (u64::from(span) * u64::from(part) / u64::from(WHOLE)) as u32
+}
+
 /// From slot to slot, from firing to firing and from block to block of a VLP-16, in microseconds.
 const VLP_16_TIMES: [f32; 3] = [2.304, 55.296, 110.592];
 
@@ -128,24 +136,6 @@ impl Timing {
     /// Whether ticks differ from slot to slot.
     pub fn is_interpolated(&self) -> bool {
         *self != Timing::Together
-    }
-
-    /// The ticks of a slot in a firing of a block at `base`, if the next block comes `span` ticks later; `rows` are the
-    /// slots of a firing.
-    fn tick(&self, base: u32, span: u32, (firing, slot): (u32, u32), rows: usize) -> u32 {
-        match self {
-            Timing::Together => base,
-            Timing::Vlp16 => {
-                let [of_slot, of_firing, of_block] = VLP_16_TIMES;
-                let passed = slot as f32 * of_slot + firing as f32 * of_firing;
-                // Halves away from zero, as the driver's `round`; no tick is negative, so that `as` rounds down.
-                (base as f32 + span as f32 * passed / of_block + 0.5) as u32
-            }
-            Timing::Parts(parts) => {
-                let part = parts.get(firing as usize * rows + slot as usize).copied().unwrap_or(0);
-                base + (u64::from(span) * u64::from(part) / u64::from(WHOLE)) as u32
-            }
-        }
     }
 
     /// Firings of a block.
@@ -156,18 +146,35 @@ impl Timing {
             Timing::Parts(parts) => (parts.len() / rows.max(1)) as u32,
         }
     }
+}
 
-    /// The part of a block that has passed at a slot of a firing.
-    fn passed(&self, (firing, slot): (u32, u32), rows: usize) -> f64 {
-        match self {
-            Timing::Together => 0.0,
+/// How much of a block has passed at each slot of its firings, one after the other.
+#[derive(Clone, Debug, Default)]
+struct Passed {
+    /// The part.
+    parts: Vec<f64>,
+    /// Microseconds, of a VLP-16.
+    times: Vec<f32>,
+}
+
+impl Passed {
+    /// By the timing of a scanner with so many lasers.
+    fn new(timing: &Timing, rows: usize) -> Self {
+        match timing {
+            Timing::Together => Passed::default(),
             Timing::Vlp16 => {
+                let [of_slot, of_firing, _] = VLP_16_TIMES;
+                let places = || (0..2 * rows).map(|place| ((place % rows) as f32, (place / rows) as f32));
+                let time = |(slot, firing)| slot * of_slot + firing * of_firing;
                 let [of_slot, of_firing, of_block] = VLP_16_TIMES.map(f64::from);
-                (f64::from(slot) * of_slot + f64::from(firing) * of_firing) / of_block
+                let part = |(slot, firing): (f32, f32)| {
+                    (f64::from(slot) * of_slot + f64::from(firing) * of_firing) / of_block
+                };
+                Passed { parts: places().map(part).collect(), times: places().map(time).collect() }
             }
             Timing::Parts(parts) => {
-                let part = parts.get(firing as usize * rows + slot as usize).copied().unwrap_or(0);
-                f64::from(part) / f64::from(WHOLE)
+                let parts = parts.iter().map(|&part| f64::from(part) / f64::from(WHOLE));
+                Passed { parts: parts.collect(), times: Vec::new() }
             }
         }
     }
@@ -226,6 +233,7 @@ pub struct Firings {
     arithmetic: Vec<Arithmetic>,
     bearings: Vec<Bearing>,
     turn: Arc<Turn>,
+    passed: Passed,
 }
 
 impl PartialEq for Firings {
@@ -245,6 +253,7 @@ impl Firings {
         let bearings = lasers.iter().map(|laser| Bearing::new(laser, build.origin)).collect();
         let turn = Arc::new(Turn::new(build.recipe, build.ticks));
         let (rows_of_lines, lags) = (Vec::new(), Vec::new());
+        let passed = Passed::new(&build.timing, lasers.len());
         Firings {
             build,
             lasers,
@@ -255,6 +264,7 @@ impl Firings {
             arithmetic,
             bearings,
             turn,
+            passed,
         }
     }
 
@@ -272,7 +282,8 @@ impl Firings {
 
     /// The same scanner with another timing of its firings.
     fn with_timing(self, timing: Timing) -> Self {
-        Firings { build: Build { timing, ..self.build }, ..self }
+        let passed = Passed::new(&timing, self.rows());
+        Firings { build: Build { timing, ..self.build }, passed, ..self }
     }
 
     /// A scanner of one laser alone, for the fit.
@@ -289,6 +300,7 @@ impl Firings {
             slots_of_rows: vec![0],
             bearings: vec![Bearing::new(&laser, self.build.origin)],
             turn: self.turn.clone(),
+            passed: Passed::default(),
         }
     }
 
@@ -338,12 +350,41 @@ impl Firings {
     }
 
     /// The azimuth tick of a laser in a column.
-    fn tick(&self, row: usize, column_tick: u32, span: Span) -> u32 {
-        if !self.build.timing.is_interpolated() {
-            return (column_tick + self.build.ticks - self.lag(row)) % self.build.ticks;
+    #[inline(always)]
+    fn tick(&self, row: usize, base: u32, span: Span) -> u32 {
+        self.tick_of_slot(self.slots_of_rows[row] as usize, row, base, span)
+    }
+
+    /// The same, given its slot too.
+    #[inline(always)]
+    fn tick_of_slot(&self, slot: usize, row: usize, base: u32, Span { ticks: span, firing }: Span) -> u32 {
+        let place = firing as usize * self.rows() + slot;
+        let tick = match &self.build.timing {
+            Timing::Together => base + self.build.ticks - self.lag(row),
+            Timing::Vlp16 => {
+                let [.., of_block] = VLP_16_TIMES;
+                let passed = self.passed.times[place];
+                // Halves away from zero, as the driver's `round`; no tick is negative, so that `as` rounds down.
+                (base as f32 + span as f32 * passed / of_block + 0.5) as u32
+            }
+            Timing::Parts(parts) => {
+                let part = parts.get(place).copied().unwrap_or(0);
+                base + passed_ticks(span, part)
+            }
+        };
+        self.within_turn(tick)
+    }
+
+    /// A tick of a few turns in the first.
+    #[inline]
+    fn within_turn(&self, tick: u32) -> u32 {
+        let ticks = self.build.ticks;
+        // Divisions take long, and one turn is mostly enough.
+        match tick.checked_sub(ticks) {
+            None => tick,
+            Some(tick) if tick < ticks => tick,
+            Some(tick) => tick % ticks,
         }
-        let place = (span.firing, self.slots_of_rows[row]);
-        self.build.timing.tick(column_tick, span.ticks, place, self.rows()) % self.build.ticks
     }
 
     /// The ticks by which a row is behind its column.
@@ -351,76 +392,122 @@ impl Firings {
         self.lags.get(row).copied().unwrap_or(0)
     }
 
-    /// What comes nearest to a position in metres if this laser measured it; none if there is no such range.
-    #[inline]
-    fn locate(&self, row: usize, [x, y, z]: [f64; 3]) -> Option<Located> {
-        let Bearing { cos, sin, offset, beside, ahead } = self.bearings[row];
-        let (metres, turned) = if self.build.origin == Origin::default() {
-            ((x * x + y * y + z * z).sqrt(), 0.0)
-        } else {
-            let [along, up] = self.build.origin.metres();
-            let flat = (x * x + y * y - beside * beside).max(0.0).sqrt() - ahead;
-            let metres = flat * cos + (z - up) * sin;
-            let metres = if self.build.recipe.measures_from_axis() { metres + along } else { metres };
-            (metres, angle::atan2(beside, flat + ahead))
-        };
-        let steps = whole_steps(metres, self.range_step_m())?;
-        let azimuth = self.build.recipe.azimuth(x, y) + turned - offset;
-        let tick = round_ties_even(azimuth / self.radians());
-        let aside = azimuth - tick * self.radians();
-        Some(Located { steps, tick: (tick as i64).rem_euclid(i64::from(self.build.ticks)) as u32, aside })
+    /// What comes nearest to a position in metres if this laser measured it, in steps and ticks; none if there is no such
+    /// range.
+    fn locate(&self, row: usize, position: [f64; 3]) -> Option<(u32, u32)> {
+        let Located { steps: [steps], tick: [tick], .. } = self.locate_all(&[row], &position.map(|v| [v]));
+        (steps >= 1.0 && steps < f64::from(MOST_LOCATED)).then_some((steps as u32, tick))
     }
 
-    /// About where the formula puts what was located at a position, in metres: to within a small part of a range step.
-    #[inline]
-    fn near(&self, row: usize, [x, y, _]: [f64; 3], located: &Located) -> [f64; 3] {
-        let Bearing { cos, sin, beside, ahead, .. } = self.bearings[row];
+    /// The same of several positions, each measured by a laser of its own.
+    #[inline(always)]
+    fn locate_all<const N: usize>(&self, rows: &[usize; N], [x, y, z]: &[[f64; N]; 3]) -> Located<N> {
+        let bearing: [Bearing; N] = lanes(|i| self.bearings[rows[i]]);
+        let flat: [f64; N] = lanes(|i| x[i] * x[i] + y[i] * y[i]);
+        let azimuth = self.build.recipe.azimuths(x, y);
+        let (metres, azimuth): ([f64; N], [f64; N]) = if self.build.origin == Origin::default() {
+            (lanes(|i| (flat[i] + z[i] * z[i]).sqrt()), azimuth)
+        } else {
+            let [along, up] = self.build.origin.metres();
+            let beside: [f64; N] = lanes(|i| bearing[i].beside);
+            let past: [f64; N] = lanes(|i| (flat[i] - beside[i] * beside[i]).max(0.0).sqrt());
+            let metres: [f64; N] =
+                lanes(|i| (past[i] - bearing[i].ahead) * bearing[i].cos + (z[i] - up) * bearing[i].sin);
+            let farther = if self.build.recipe.measures_from_axis() { along } else { 0.0 };
+            let ahead: [f64; N] = lanes(|i| past[i] - bearing[i].ahead + bearing[i].ahead);
+            (lanes(|i| metres[i] + farther), lanes(|i| azimuth[i] + angle::atan2(beside[i], ahead[i])))
+        };
+        let (step, radians) = (self.range_step_m(), self.radians());
+        let azimuth: [f64; N] = lanes(|i| azimuth[i] - bearing[i].offset);
+        let ticks: [f64; N] = lanes(|i| round_ties_even(azimuth[i] / radians));
+        let turn = f64::from(self.build.ticks);
+        let within: [f64; N] = lanes(|i| {
+            let less = if ticks[i] >= turn { ticks[i] - turn } else { ticks[i] };
+            if less < 0.0 { less + turn } else { less }
+        });
+        let mut tick: [u32; N] = lanes(|i| within[i] as u32);
+        if within.iter().any(|tick| !(0.0..turn).contains(tick)) {
+            // Farther round, or no number.
+            tick = lanes(|i| (ticks[i] as i64).rem_euclid(i64::from(self.build.ticks)) as u32);
+        }
+        Located {
+            steps: lanes(|i| round_ties_even(metres[i] / step)),
+            tick,
+            aside: lanes(|i| azimuth[i] - ticks[i] * radians),
+        }
+    }
+
+    /// About where the formula puts what was located at some positions, in metres: to within a small part of a range step.
+    #[inline(always)]
+    fn near_all<const N: usize>(
+        &self,
+        rows: &[usize; N],
+        [x, y, _]: &[[f64; N]; 3],
+        located: &Located<N>,
+    ) -> [[f64; N]; 3] {
+        let bearing: [Bearing; N] = lanes(|i| self.bearings[rows[i]]);
         let [along, up] = self.build.origin.metres();
-        let metres = f64::from(located.steps) * self.range_step_m();
-        let metres = if self.build.recipe.measures_from_axis() { metres - along } else { metres };
-        let flat = metres * cos + ahead;
+        let nearer = if self.build.recipe.measures_from_axis() { along } else { 0.0 };
+        let step = self.range_step_m();
+        let metres: [f64; N] = lanes(|i| located.steps[i] * step - nearer);
+        let flat: [f64; N] = lanes(|i| metres[i] * bearing[i].cos + bearing[i].ahead);
         // From the point: turned by what it is aside, and as far away as the steps say.
-        let [cos_a, sin_a] = angle::small_cos_sin(located.aside);
-        let scale = ((flat * flat + beside * beside) / (x * x + y * y)).sqrt();
-        [scale * (x * cos_a - y * sin_a), scale * (x * sin_a + y * cos_a), metres * sin + up]
+        let [cos, sin] = angle::small_cos_sin(located.aside);
+        let scale: [f64; N] = lanes(|i| {
+            let beside = bearing[i].beside;
+            ((flat[i] * flat[i] + beside * beside) / (x[i] * x[i] + y[i] * y[i])).sqrt()
+        });
+        [
+            lanes(|i| scale[i] * (x[i] * cos[i] - y[i] * sin[i])),
+            lanes(|i| scale[i] * (x[i] * sin[i] + y[i] * cos[i])),
+            lanes(|i| metres[i] * bearing[i].sin + up),
+        ]
     }
 
     /// The returns of an image, each followed by its echoes, and the blanks of a full one, in the order in which a file
     /// holds them: firing by firing, slot by slot, or line by line.
     pub fn file_order(&self, image: &RangeImage) -> Vec<Return> {
-        let width = image.columns.len() as u32;
+        let width = image.columns.len();
         let mut returns = Vec::with_capacity(image.records());
-        let mut add = |row: u32, column: u32| {
-            let steps = image.steps[(row as usize, column as usize)];
-            if steps == 0 && !image.is_full {
-                return;
-            }
-            let span = Span::of(image.spans.get(column as usize).copied().unwrap_or(0));
-            let tick = self.tick(row as usize, image.columns[column as usize], span);
-            returns.push(Return { row, column, tick, steps, echo: 0 });
-            if !image.echoes.is_empty() {
-                let cell = row * width + column;
-                let first = image.echoes.partition_point(|echo| echo.cell < cell);
-                let own = image.echoes[first..].iter().take_while(|echo| echo.cell == cell);
-                returns.extend((first as u32 + 1..).zip(own).map(|(number, echo)| Return {
-                    row,
-                    column,
-                    tick,
-                    steps: echo.steps,
-                    echo: number,
-                }));
-            }
-        };
+        let cells = image.steps.cells();
+        let span = |column: usize| Span::of(image.spans.get(column).copied().unwrap_or(0));
         if self.rows_of_lines.is_empty() {
-            for column in 0..width {
-                self.rows_of_slots.iter().for_each(|&row| add(row, column));
+            for (column, &base) in image.columns.iter().enumerate() {
+                let span = span(column);
+                for (slot, &row) in self.rows_of_slots.iter().enumerate() {
+                    let steps = cells[row as usize * width + column];
+                    if steps > 0 || image.is_full {
+                        let tick = self.tick_of_slot(slot, row as usize, base, span);
+                        returns.push(Return { row, column: column as u32, tick, steps, echo: 0 });
+                    }
+                }
             }
         } else {
             for &row in &self.rows_of_lines {
-                (0..width).for_each(|column| add(row, column));
+                let line = image.steps.row(row as usize).iter().zip(&image.columns).enumerate();
+                for (column, (&steps, &base)) in line.filter(|(_, (steps, _))| **steps > 0 || image.is_full) {
+                    let tick = self.tick(row as usize, base, span(column));
+                    returns.push(Return { row, column: column as u32, tick, steps, echo: 0 });
+                }
             }
         }
-        returns
+        if image.echoes.is_empty() { returns } else { with_echoes(&returns, image) }
+    }
+
+    /// Where returns are, as a grid has them: [`position`](Self::position) of each.
+    pub fn positions(&self, returns: &[Return], offset_m: f64, grid: Coordinates) -> Vec<[f32; 3]> {
+        if offset_m != 0.0 || grid != Coordinates::Float32 {
+            let single = |metres: f64| if metres.is_nan() { 0.0 } else { grid.nearest(metres) };
+            return returns.iter().map(|found| self.position(found, offset_m).map(single)).collect();
+        }
+        let step = self.build.range_step_um;
+        let single = |metres: f32| if metres.is_nan() { 0.0 } else { metres };
+        let position = |found: &Return| {
+            let arithmetic = &self.arithmetic[found.row as usize];
+            let [x, y, z] = arithmetic.position(&self.turn, found.tick, found.steps, step);
+            [single(x), single(y), single(z)]
+        };
+        returns.iter().map(position).collect()
     }
 
     /// Where a return is, in metres, as well as the recipe gives it, `offset_m` metres farther than its steps say.
@@ -598,6 +685,23 @@ impl fmt::Display for Firings {
             }
         }
     }
+}
+
+/// Returns, each followed by its echoes.
+fn with_echoes(returns: &[Return], image: &RangeImage) -> Vec<Return> {
+    let mut all = Vec::with_capacity(returns.len() + image.echoes.len());
+    for found in returns {
+        all.push(*found);
+        let cell = found.row * image.columns.len() as u32 + found.column;
+        let first = image.echoes.partition_point(|echo| echo.cell < cell);
+        let own = image.echoes[first..].iter().take_while(|echo| echo.cell == cell);
+        all.extend((first as u32 + 1..).zip(own).map(|(echo, own)| Return {
+            steps: own.steps,
+            echo,
+            ..*found
+        }));
+    }
+    all
 }
 
 /// Reads each of the rows once, in any order.

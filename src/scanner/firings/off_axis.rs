@@ -470,7 +470,7 @@ impl Rows {
             |record: usize| if grid.by_lines { record % grid.width } else { record / grid.lines.len() };
         let lag = |(row, &line): (usize, &usize)| {
             let lags = self.points[line].iter().zip(&self.records[line]).filter_map(|(point, record)| {
-                let tick = scanner.locate(row, point.position)?.tick;
+                let (_, tick) = scanner.locate(row, point.position)?;
                 Some((column(*record) as u32 % ticks + ticks - tick) % ticks)
             });
             let mut lags: Vec<u32> = lags.collect();

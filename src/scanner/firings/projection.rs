@@ -1,9 +1,12 @@
 //! Where the points of a scan lie in the range image of a scanner of firings.
 
-use super::{Firings, Located, Span};
+use pulp::NullaryFnOnce;
+
+use super::{Firings, Located, Span, Timing, passed_ticks};
 use crate::ground::angle;
 use crate::ground::error::Limits;
 use crate::ground::grid::Grid;
+use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::PointCloud;
 use crate::scanner::{Coordinates, Echo, Projection, RangeImage, Return, thinned};
@@ -57,31 +60,77 @@ impl<'f> Sight<'f> {
     /// The return that comes nearest to a position in metres, in no column yet, and where the recipe puts it. None if there
     /// is no such range.
     pub fn nearest(&self, metres: [f64; 3]) -> Option<(Return, [f64; 3])> {
-        let (found, _) = self.find(metres)?;
+        let ([row], located) = self.find(&metres.map(|value| [value]));
+        let found = located.found(row, 0)?;
         Some((found, self.scanner.position(&found, 0.0)))
     }
 
-    /// The same, and about where the recipe puts it.
-    #[inline]
-    fn nearly(&self, metres: [f64; 3]) -> Option<(Return, [f64; 3])> {
-        let (found, located) = self.find(metres)?;
-        Some((found, self.scanner.near(found.row as usize, metres, &located)))
-    }
-
-    #[inline]
-    fn find(&self, metres: [f64; 3]) -> Option<(Return, Located)> {
+    /// The rows of the lasers that come nearest to some positions, and what these measured.
+    #[inline(always)]
+    fn find<const N: usize>(&self, metres: &[[f64; N]; 3]) -> ([usize; N], Located<N>) {
         let [x, y, z] = metres;
         // About where the beam points: its offset is small.
-        let (ahead, above) = ((x * x + y * y).sqrt() - self.along, z - self.up);
-        let row = if ahead > 0.0 {
-            let slope = above / ahead;
-            self.borders.partition_point(|border| *border >= slope)
-        } else {
-            nearest(&self.elevations, angle::atan2(above, ahead))
-        };
-        let located = self.scanner.locate(row, metres).filter(|located| located.steps < LONGEST)?;
-        let Located { steps, tick, .. } = located;
-        Some((Return { row: row as u32, tick, steps, column: 0, echo: 0 }, located))
+        let ahead: [f64; N] = lanes(|i| (x[i] * x[i] + y[i] * y[i]).sqrt() - self.along);
+        let above: [f64; N] = lanes(|i| z[i] - self.up);
+        let slope: [f64; N] = lanes(|i| above[i] / ahead[i]);
+        let rows = lanes(|i| match ahead[i] > 0.0 {
+            true => self.borders.partition_point(|border| *border >= slope[i]),
+            false => nearest(&self.elevations, angle::atan2(above[i], ahead[i])),
+        });
+        (rows, self.scanner.locate_all(&rows, metres))
+    }
+}
+
+impl<const N: usize> Located<N> {
+    /// What one of the points is by, if there is such a range: in no column yet.
+    #[inline(always)]
+    fn found(&self, row: usize, point: usize) -> Option<Return> {
+        let (steps, tick) = (self.steps[point], self.tick[point]);
+        let is_one = steps >= 1.0 && steps < f64::from(LONGEST);
+        is_one.then_some(Return { row: row as u32, tick, steps: steps as u32, column: 0, echo: 0 })
+    }
+}
+
+/// The search for the places of points: for a function compiled for several vector units.
+struct Search<'a> {
+    scanner: &'a Firings,
+    positions: &'a [[f32; 3]],
+    reach: f64,
+}
+
+impl NullaryFnOnce for Search<'_> {
+    type Output = Vec<Place>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<Place> {
+        /// Points at a time.
+        const BLOCK: usize = 8;
+        let Search { scanner, positions, reach } = self;
+        let sight = Sight::new(scanner);
+        let grid = scanner.build.coordinates;
+        let mut places = Vec::with_capacity(positions.len());
+        for (first, points) in (0u32..).step_by(BLOCK).zip(positions.chunks(BLOCK)) {
+            // There is no range where none is left.
+            let mut block = [[0.0; 3]; BLOCK];
+            block[..points.len()].copy_from_slice(points);
+            let metres: [[f64; BLOCK]; 3] = lanes(|axis| lanes(|i| f64::from(block[i][axis])));
+            let (rows, located) = sight.find(&metres);
+            let near = scanner.near_all(&rows, &metres, &located);
+            for i in 0..BLOCK {
+                let Some(found) = located.found(rows[i], i) else { continue };
+                let metres = [metres[0][i], metres[1][i], metres[2][i]];
+                // Every float32 is on its grid; on others the formula tells the sign of a zero.
+                let formula = match grid {
+                    Coordinates::Float32 => [near[0][i], near[1][i], near[2][i]],
+                    _ => scanner.position(&found, 0.0),
+                };
+                let is_near = (0..3).all(|axis| (formula[axis] - metres[axis]).abs() < reach);
+                if is_near && (grid == Coordinates::Float32 || grid.holds_all(metres, formula)) {
+                    places.push(scanner.place(first + i as u32, &found));
+                }
+            }
+        }
+        places
     }
 }
 
@@ -251,24 +300,14 @@ impl Firings {
 
     /// The places of the points that the recipe explains, in the order of the file.
     pub(super) fn places(&self, positions: &[[f32; 3]], reach: f64) -> Vec<Place> {
-        let mut places = Vec::with_capacity(positions.len());
-        let sight = Sight::new(self);
-        let grid = self.build.coordinates;
-        for (point, position) in (0u32..).zip(positions) {
-            let metres = position.map(f64::from);
-            // Every float32 is on its grid; on others the formula tells the sign of a zero.
-            let found =
-                if grid == Coordinates::Float32 { sight.nearly(metres) } else { sight.nearest(metres) };
-            let Some((Return { row, tick, steps, .. }, formula)) = found else { continue };
-            let row = row as usize;
-            let is_near = formula.iter().zip(metres).all(|(formula, value)| (formula - value).abs() < reach);
-            if is_near && (grid == Coordinates::Float32 || grid.holds_all(metres, formula)) {
-                let column_tick = (tick + self.lag(row)) % self.build.ticks;
-                let slot = self.slots_of_rows[row];
-                places.push(Place { point, row: row as u32, slot, tick, column_tick, steps });
-            }
-        }
-        places
+        dispatch(Search { scanner: self, positions, reach })
+    }
+
+    /// The place of a point, given its return.
+    #[inline(always)]
+    fn place(&self, point: u32, &Return { row, tick, steps, .. }: &Return) -> Place {
+        let column_tick = self.within_turn(tick + self.lag(row as usize));
+        Place { point, row, slot: self.slots_of_rows[row as usize], tick, column_tick, steps }
     }
 
     /// Places by columns: a new one begins where the slots begin anew, or the tick is another.
@@ -298,6 +337,9 @@ impl Firings {
     fn usual_span(&self, places: &[Place]) -> f64 {
         /// The part of a turn that passes in no firing.
         const FAR: i64 = 500;
+        if !self.build.timing.is_interpolated() {
+            return 0.0;
+        }
         let (mut ticks, mut blocks) = (0, 0.0);
         for pair in places.windows(2).filter(|pair| pair[1].slot > pair[0].slot) {
             let passed = self.passed(0, pair[1].slot) - self.passed(0, pair[0].slot);
@@ -311,14 +353,22 @@ impl Firings {
     }
 
     /// The part of a block that has passed at a slot of a firing.
+    #[inline]
     fn passed(&self, firing: u32, slot: u32) -> f64 {
-        self.build.timing.passed((firing, slot), self.rows())
+        let place = firing as usize * self.rows() + slot as usize;
+        self.passed.parts.get(place).copied().unwrap_or(0.0)
     }
 
-    /// Ticks from one to another, the shortest way.
+    /// Ticks from one to another, both within a turn, the shortest way.
+    #[inline]
     pub(super) fn turned(&self, from: u32, to: u32) -> i64 {
         let turn = i64::from(self.build.ticks);
-        (i64::from(to) - i64::from(from) + turn / 2).rem_euclid(turn) - turn / 2
+        let ahead = i64::from(to) - i64::from(from);
+        match ahead + turn / 2 {
+            ..0 => ahead + turn,
+            far if far >= turn => ahead - turn,
+            _ => ahead,
+        }
     }
 
     /// Ticks from one to another, forwards.
@@ -433,6 +483,33 @@ impl Firings {
         let from = start(first, firing);
         let next = columns.get(block.end).and_then(|column| of(column).first());
         let told = next.map(|next| start(next, 0));
+        // By a table of parts, ticks go on from any base alike: how many places come out by a span is then counted for all
+        // bases at once.
+        let mut counts: [Option<[u32; 2 * OFF as usize + 1]>; 2 * UNEVEN as usize + 1] =
+            [None; 2 * UNEVEN as usize + 1];
+        let count = |parts: &[u32], span: u32| {
+            let mut counts = [0; 2 * OFF as usize + 1];
+            for (firing, column) in (first_firing..).zip(&columns[block.clone()]) {
+                for place in of(column) {
+                    let slot = firing as usize * self.rows() + place.slot as usize;
+                    let passed = passed_ticks(span, parts.get(slot).copied().unwrap_or(0));
+                    let off = i64::from(place.tick) - i64::from(passed) - from + OFF;
+                    // Divisions take long, and one turn is mostly enough.
+                    let less = if off < 0 { off + turn } else { off };
+                    let off = if (0..turn).contains(&less) { less } else { off.rem_euclid(turn) } as usize;
+                    counts.get_mut(off).into_iter().for_each(|count| *count += 1);
+                }
+            }
+            counts
+        };
+        let mut fitting_near = |off: i64, tick: u32, span: u32, atleast: usize| match &self.build.timing {
+            Timing::Parts(parts) if turn > 2 * OFF => {
+                let counts =
+                    counts[(span + UNEVEN - usual) as usize].get_or_insert_with(|| count(parts, span));
+                Some(counts[(off + OFF) as usize] as usize).filter(|&fitting| fitting > atleast).unwrap_or(0)
+            }
+            _ => fitting(tick, span, atleast),
+        };
         let mut best: Option<Found> = None;
         for off in (0..=2 * OFF).map(|i| if i % 2 == 0 { i / 2 } else { -(i + 1) / 2 }) {
             let tick = (from + off).rem_euclid(turn) as u32;
@@ -442,7 +519,7 @@ impl Firings {
             let near_last = (0..=UNEVEN).flat_map(|off| [last.saturating_sub(off), last + off]);
             let near = near_told.chain(near_last).filter(|span| span.abs_diff(usual) <= UNEVEN);
             for span in near {
-                let fitting = fitting(tick, span, best.map_or(0, |best| best.fitting));
+                let fitting = fitting_near(off, tick, span, best.map_or(0, |best| best.fitting));
                 if fitting > 0 {
                     best = Some(Found { tick, span, fitting });
                 }
@@ -460,6 +537,10 @@ impl Firings {
 /// Places without those that repeat the row and the tick of the one before them: the echoes of that one, each with its
 /// number among those that are left.
 pub(super) fn without_echoes(places: Vec<Place>) -> (Vec<Place>, Vec<(usize, Place)>) {
+    // Most scans have none.
+    if places.windows(2).all(|pair| (pair[0].row, pair[0].tick) != (pair[1].row, pair[1].tick)) {
+        return (places, Vec::new());
+    }
     let (mut first, mut echoes): (Vec<Place>, Vec<(usize, Place)>) =
         (Vec::with_capacity(places.len()), Vec::new());
     for place in places {

@@ -4,6 +4,7 @@ use std::f64::consts::PI;
 
 use super::{Laser, glibc};
 use crate::ground::angle;
+use crate::ground::lanes::lanes;
 use crate::ground::lazy_table::LazyTable;
 use crate::ground::rounding::round_ties_even;
 
@@ -154,11 +155,17 @@ impl Recipe {
     }
 
     /// About the azimuth of a point, in radians from -pi to pi.
-    #[inline]
     pub(super) fn azimuth(self, x: f64, y: f64) -> f64 {
+        let [azimuth] = self.azimuths(&[x], &[y]);
+        azimuth
+    }
+
+    /// The same of several points.
+    #[inline(always)]
+    pub(super) fn azimuths<const N: usize>(self, x: &[f64; N], y: &[f64; N]) -> [f64; N] {
         match self.axes() {
-            Axes::XAhead => angle::atan2(-y, x),
-            Axes::YAhead => angle::atan2(x, y),
+            Axes::XAhead => lanes(|i| angle::atan2(-y[i], x[i])),
+            Axes::YAhead => lanes(|i| angle::atan2(x[i], y[i])),
         }
     }
 }
@@ -320,7 +327,7 @@ impl Arithmetic {
     }
 
     /// The coordinates in the file of a whole number of steps.
-    #[inline]
+    #[inline(always)]
     pub fn position(&self, turn: &Turn, tick: u32, steps: u32, range_step_um: u32) -> [f32; 3] {
         let step = f64::from(range_step_um) * 1e-6;
         let (single, double) = (steps as f32 * step as f32, f64::from(steps) * step);
@@ -349,6 +356,7 @@ impl Arithmetic {
 
     /// What [`double`](Self::double) gives, rounded to single precision, from the cosine and the sine of the tick: in a
     /// fraction of the time. None in the rare cases in which the different errors might show.
+    #[inline(always)]
     fn double_by_table(&self, turn: &Turn, tick: u32, metres: f64) -> Option<[f32; 3]> {
         let Turn::Degrees(_, table) = turn else { return None };
         match self {
@@ -378,6 +386,7 @@ impl Arithmetic {
     }
 
     /// The same of [`ouster`](Self::ouster).
+    #[inline]
     fn ouster_by_table(&self, turn: &Turn, tick: u32, millimetres: f64) -> Option<[f32; 3]> {
         let (Arithmetic::Ouster { cos_v, sin_v, offsets, along, up, is_single, .. }, Turn::Degrees(_, table)) =
             (self, turn)
@@ -440,6 +449,7 @@ impl Arithmetic {
     }
 
     /// In single precision.
+    #[inline(always)]
     fn single(&self, turn: &Turn, tick: u32, metres: f32) -> [f32; 3] {
         match (self, turn) {
             (Arithmetic::Single { cos_v, sin_v, offset, is_turned }, Turn::Tables(table)) => {
@@ -512,6 +522,7 @@ fn ray(ahead: [f64; 2], beam: [f64; 3], along: f64, up: f64) -> [[f64; 3]; 2] {
 const TURNED_ERROR: f64 = 2e-14;
 
 /// Cosine and sine of the sum of two angles; none if one of them is so small that its sign is not sure.
+#[inline]
 fn turned_by([cos, sin]: [f64; 2], [cos_o, sin_o]: [f64; 2]) -> Option<[f64; 2]> {
     let turned = [cos * cos_o - sin * sin_o, sin * cos_o + cos * sin_o];
     turned.iter().all(|part| part.abs() > TURNED_ERROR).then_some(turned)
@@ -525,10 +536,13 @@ fn sure(value: f64, error: f64) -> Option<f32> {
     (error == 0.0 || low.to_bits() == high.to_bits()).then_some(value as f32)
 }
 
+/// Ranges are below this, in steps.
+pub(super) const MOST_LOCATED: u32 = 1 << 24;
+
 /// A range in metres, in steps; none if it is too short or too long.
 pub(super) fn whole_steps(metres: f64, range_step_m: f64) -> Option<u32> {
     let steps = round_ties_even(metres / range_step_m);
-    (steps >= 1.0 && steps < f64::from(1u32 << 24)).then_some(steps as u32)
+    (steps >= 1.0 && steps < f64::from(MOST_LOCATED)).then_some(steps as u32)
 }
 
 #[cfg(test)]
