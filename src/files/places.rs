@@ -83,10 +83,13 @@ fn ends_within(placed: &[Placed], stride: usize) -> bool {
 /// point to point, while their lower bytes change at random. Values that never change are no evidence, since
 /// padding does not change either.
 fn steadiness(placed: &[Placed], body: &[u8], stride: usize) -> f64 {
-    let step = (body.len() / stride / MOST_SAMPLES).max(1);
+    let records = body.len() / stride;
+    let step = (records / MOST_SAMPLES).max(1);
     let of_field = |field: &Placed| {
         let size = field.declared.scalar.map_or(1, |scalar| scalar.size() as usize);
-        let pairs = body.chunks_exact(stride).zip(body.chunks_exact(stride).skip(1)).step_by(step);
+        let sampled = (1..records).step_by(step);
+        let pairs =
+            sampled.map(|next| (&body[(next - 1) * stride..][..stride], &body[next * stride..][..stride]));
         let (mut same, mut changed, mut count) = (0u32, false, 0u32);
         for (a, b) in pairs {
             let (a, b) = (&a[field.at..field.at + size], &b[field.at..field.at + size]);

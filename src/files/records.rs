@@ -86,26 +86,57 @@ pub(super) fn split(mut layout: Layout, body: &[u8]) -> (Layout, PointCloud) {
 
 /// The bytes of one field, record after record.
 fn taken(body: &[u8], stride: usize, at: usize, width: usize) -> Vec<u8> {
-    /// A width that is known when this is compiled is moved at once.
-    fn values<const WIDTH: usize>(body: &[u8], stride: usize, at: usize, values: &mut [u8]) {
-        let (values, _) = values.as_chunks_mut::<WIDTH>();
-        for (value, record) in values.iter_mut().zip(body.chunks_exact(stride)) {
-            value.copy_from_slice(&record[at..at + WIDTH]);
-        }
-    }
     let mut bytes = vec![0; body.len() / stride * width];
-    match width {
-        1 => values::<1>(body, stride, at, &mut bytes),
-        2 => values::<2>(body, stride, at, &mut bytes),
-        4 => values::<4>(body, stride, at, &mut bytes),
-        8 => values::<8>(body, stride, at, &mut bytes),
-        _ => {
-            for (value, record) in bytes.chunks_exact_mut(width).zip(body.chunks_exact(stride)) {
-                value.copy_from_slice(&record[at..at + width]);
-            }
+    copy_values(width, (body, stride, at), (&mut bytes, width, 0));
+    bytes
+}
+
+/// Copies values of this width: each has a place in a record of its own, in bytes of so many a record.
+fn copy_values(
+    width: usize,
+    (from, from_stride, from_at): (&[u8], usize, usize),
+    (to, to_stride, to_at): (&mut [u8], usize, usize),
+) {
+    /// Wider values are moved one by one.
+    const WIDE: usize = 32;
+    /// A part of each value whose width is known when this is compiled is moved at once.
+    fn copy_parts<const WIDTH: usize>(
+        (from, from_stride, from_at): (&[u8], usize, usize),
+        (to, to_stride, to_at): (&mut [u8], usize, usize),
+    ) {
+        for (to, from) in to.chunks_exact_mut(to_stride).zip(from.chunks_exact(from_stride)) {
+            to[to_at..to_at + WIDTH].copy_from_slice(&from[from_at..from_at + WIDTH]);
         }
     }
-    bytes
+    if width > WIDE {
+        for (to, from) in to.chunks_exact_mut(to_stride).zip(from.chunks_exact(from_stride)) {
+            to[to_at..to_at + width].copy_from_slice(&from[from_at..from_at + width]);
+        }
+        return;
+    }
+    let mut copied = 0;
+    while copied < width {
+        let from = (from, from_stride, from_at + copied);
+        let to = (&mut *to, to_stride, to_at + copied);
+        copied += match width - copied {
+            8.. => {
+                copy_parts::<8>(from, to);
+                8
+            }
+            4.. => {
+                copy_parts::<4>(from, to);
+                4
+            }
+            2.. => {
+                copy_parts::<2>(from, to);
+                2
+            }
+            _ => {
+                copy_parts::<1>(from, to);
+                1
+            }
+        };
+    }
 }
 
 /// Gives the records of `file`, one after the other and some at a time: the inverse of [`split`].
@@ -156,10 +187,8 @@ fn fill(layout: &Layout, cloud: &PointCloud, records: Range<usize>, body: &mut [
     }
     for ((at, field), channel) in layout.channels().zip(&cloud.channels) {
         let width = field.width();
-        let values = channel.bytes[records.start * width..].chunks_exact(width);
-        for (record, value) in body.chunks_exact_mut(stride).zip(values) {
-            record[at..at + width].copy_from_slice(value);
-        }
+        let values = &channel.bytes[records.start * width..records.end * width];
+        copy_values(width, (values, width, 0), (&mut *body, stride, at));
     }
 }
 
