@@ -18,7 +18,7 @@ use lidarpc::internals::models::{
 };
 use lidarpc::internals::scanner::Hdl64;
 use lidarpc::internals::scanner::hdl64::fit;
-use lidarpc::internals::scanner::{EXACT_RANGE_BITS, Projection, REACH, project};
+use lidarpc::internals::scanner::{Coordinates, EXACT_RANGE_BITS, Projection, REACH, project};
 
 fn stages(c: &mut Criterion) {
     for (name, scans) in drives() {
@@ -78,7 +78,13 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &Hdl64) {
             let (mut coder, mut model) = (encoder(), CorrectionModel::default());
             for (found, position) in returns.iter().zip(&positions) {
                 let formula = sensor.point(found.row as usize, found.tick, found.steps);
-                model.code(&mut coder, sensor.coordinates, formula, &mut position.clone());
+                let (grid, mut position) = (sensor.coordinates, *position);
+                if grid == Coordinates::Millimetre {
+                    model.correct(&mut coder, grid, formula, &mut position);
+                    continue;
+                }
+                let near = formula.map(|metres| grid.nearest(metres));
+                model.code(&mut coder, grid, || formula, (near, None), &mut position);
             }
         });
     });

@@ -51,41 +51,25 @@ impl Default for CorrectionModel {
 }
 
 impl CorrectionModel {
-    /// Codes the position of a return, which is `near` or else corrected as by [`code`](Self::code). The
-    /// encoder corrects it if it is farther than `max_error` metres from `near`.
-    pub fn code_bounded<C: BitCoder>(
-        &mut self,
-        coder: &mut C,
-        grid: Coordinates,
-        formula: [f64; 3],
-        (near, max_error): ([f32; 3], f64),
-        position: &mut [f32; 3],
-    ) {
-        let is_far = C::ENCODES && squared_distance(&near, position).sqrt() > max_error;
-        if self.code_whether(coder, is_far) {
-            self.correct(coder, grid, formula, position);
-        } else {
-            *position = near;
-        }
-    }
-
-    /// Codes the position of a return, given the formula's position in metres. The encoder's position must
-    /// lie on the grid.
+    /// Codes the position of a return, which is `near`, where the grid has the formula's, or else corrected as by
+    /// [`correct`](Self::correct). The encoder corrects it if it is farther than `max_error` metres from `near`, or if they
+    /// differ where no error is allowed.
+    #[inline]
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
         grid: Coordinates,
-        formula: [f64; 3],
+        formula: impl FnOnce() -> [f64; 3],
+        (near, max_error): ([f32; 3], Option<f64>),
         position: &mut [f32; 3],
     ) {
-        if grid == Coordinates::Millimetre {
-            // Which point is corrected shows by the distances to the borders.
-            return self.correct(coder, grid, formula, position);
-        }
-        let near = formula.map(|metres| grid.nearest(metres));
-        let is_off = C::ENCODES && position.map(f32::to_bits) != near.map(f32::to_bits);
-        if self.code_whether(coder, is_off) {
-            self.correct(coder, grid, formula, position);
+        let is_far = C::ENCODES
+            && match max_error {
+                None => (0..3).any(|axis| near[axis].to_bits() != position[axis].to_bits()),
+                Some(max_error) => squared_distance(&near, position).sqrt() > max_error,
+            };
+        if self.code_whether(coder, is_far) {
+            self.correct(coder, grid, formula(), position);
         } else {
             *position = near;
         }
@@ -98,8 +82,8 @@ impl CorrectionModel {
         is_corrected
     }
 
-    /// Codes the corrections of a position.
-    fn correct<C: BitCoder>(
+    /// Codes the corrections of a position, given the formula's in metres. The encoder's position must lie on the grid.
+    pub fn correct<C: BitCoder>(
         &mut self,
         coder: &mut C,
         grid: Coordinates,

@@ -97,17 +97,15 @@ impl CorrectionModels {
         positions.resize(returns.len(), [0.0; 3]);
         let model = &mut self.adaptive;
         sections.section(SectionKind::Correction, true, |coder| {
-            let points = returns.iter().zip(positions);
-            match max_error {
-                None => {
-                    points.for_each(|(found, position)| model.code(coder, grid, formula(found), position))
-                }
-                Some(max_error) => {
-                    let near = scanner.positions(returns, offset_m, on_grid);
-                    points.zip(near).for_each(|((found, position), near)| {
-                        model.code_bounded(coder, grid, formula(found), (near, max_error), position);
-                    });
-                }
+            if grid == Coordinates::Millimetre && max_error.is_none() {
+                // Which point is corrected shows by the distances to the borders of its units.
+                let points = returns.iter().zip(positions);
+                points.for_each(|(found, position)| model.correct(coder, grid, formula(found), position));
+                return Ok(());
+            }
+            let near = scanner.positions(returns, offset_m, on_grid);
+            for ((found, position), near) in returns.iter().zip(positions).zip(near) {
+                model.code(coder, grid, || formula(found), (near, max_error), position);
             }
             Ok(())
         })
