@@ -4,6 +4,7 @@ use std::io::Write;
 
 use byteorder::{ByteOrder, LittleEndian};
 
+use crate::ground::decimal;
 use crate::ground::error::Result;
 use crate::scan::{Column, MAX_DIGITS, NumberRule, Scalar};
 
@@ -113,6 +114,11 @@ impl NumberWriter {
     fn take_digits(&mut self, value: f64, after_first: Option<usize>, single: bool) -> Result<i32> {
         let text = &mut self.digits;
         text.clear();
+        let digits = after_first.and_then(|count| u32::try_from(count + 1).ok());
+        if let Some((number, exponent)) = digits.and_then(|digits| decimal::significant(value, digits)) {
+            write!(text, "{number}")?;
+            return Ok(exponent);
+        }
         match after_first {
             Some(count) => write!(text, "{value:.count$e}")?,
             None if single => write!(text, "{:e}", value as f32)?,

@@ -1,5 +1,5 @@
 //! The ground that everything else stands on: errors, limits, tables, variable-length integers, rounding,
-//! random numbers, fast angles, the clock, and the helper for vector units.
+//! random numbers, fast angles, short decimals, the clock, and the helper for vector units.
 
 pub mod error;
 pub mod grid;
@@ -11,6 +11,7 @@ mod section_kind;
 
 pub(crate) mod angle;
 pub(crate) mod clock;
+pub(crate) mod decimal;
 pub(crate) mod lanes;
 pub(crate) mod lazy_table;
 

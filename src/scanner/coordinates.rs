@@ -1,6 +1,7 @@
 //! The grid of coordinates: whole millimetres, float32 values as they are, or, where an error is allowed, any
 //! coarser grid.
 
+use crate::ground::decimal;
 use crate::ground::rounding::round_ties_even;
 
 /// The grid of the coordinates. A *unit* is the distance between neighbouring values of that grid.
@@ -166,24 +167,34 @@ const MOST_EXPONENT: i64 = 400;
 /// The place of the number with so many significant digits that is nearest to a value, among all such numbers: 0 is that
 /// of 0 and of all that are nearer to it than the least.
 fn decimal_unit(value: f64, digits: u8) -> i64 {
-    use std::io::Write;
     let value = if value.is_finite() { value } else { 0.0 };
-    let mut text = [0u8; 32];
-    let mut rest = &mut text[..];
-    // Rounds exact decimal expansions half to even, as C does. Never longer than the buffer.
-    let written = write!(rest, "{:.*e}", usize::from(digits).saturating_sub(1), value.abs());
-    let length = 32 - rest.len();
-    let text = std::str::from_utf8(&text[..length]).unwrap_or_default();
-    let Some((mantissa, exponent)) = text.split_once('e').filter(|_| written.is_ok()) else { return 0 };
-    let number =
-        mantissa.bytes().filter(u8::is_ascii_digit).fold(0i64, |n, digit| n * 10 + i64::from(digit - b'0'));
-    let least = 10i64.pow(u32::from(digits.clamp(1, 9)) - 1);
-    let exponent = exponent.parse::<i64>().unwrap_or(0) + DECIMAL_EXPONENTS;
+    let digits = digits.clamp(1, 9);
+    let quick = decimal::significant(value.abs(), digits.into());
+    let Some((number, exponent)) = quick.or_else(|| written_out(value.abs(), digits)) else { return 0 };
+    let least = 10i64.pow(u32::from(digits) - 1);
+    let exponent = i64::from(exponent) + DECIMAL_EXPONENTS;
+    let number = number as i64;
     if number < least || exponent < 0 {
         return 0;
     }
     let unit = exponent * 9 * least + number - least + 1;
     if value < 0.0 { -unit } else { unit }
+}
+
+/// The integer of so many digits that is nearest to a number but for a power of ten, and the decimal exponent of its first
+/// digit.
+#[cold]
+fn written_out(value: f64, digits: u8) -> Option<(u64, i32)> {
+    use std::io::Write;
+    let mut text = [0u8; 32];
+    let mut rest = &mut text[..];
+    // Rounds exact decimal expansions half to even, as C does. Never longer than the buffer.
+    write!(rest, "{:.*e}", usize::from(digits) - 1, value).ok()?;
+    let length = 32 - rest.len();
+    let (mantissa, exponent) = std::str::from_utf8(&text[..length]).ok()?.split_once('e')?;
+    let digits = mantissa.bytes().filter(u8::is_ascii_digit);
+    let number = digits.fold(0, |number, digit| number * 10 + u64::from(digit - b'0'));
+    Some((number, exponent.parse().unwrap_or(0)))
 }
 
 /// The inverse of [`decimal_unit`], as float32, for any integer but 0.
@@ -193,7 +204,8 @@ fn decimal_value(unit: i64, digits: u8) -> f32 {
     let exponent = ((place / (9 * least)).min(2 * MOST_EXPONENT as u64)) as i64 - DECIMAL_EXPONENTS;
     let number = place % (9 * least) + least;
     let exponent = exponent - i64::from(digits.clamp(1, 9)) + 1;
-    let value: f32 = format!("{number}e{exponent}").parse().unwrap_or(0.0);
+    let quick = i32::try_from(exponent).ok().and_then(|exponent| decimal::single(number, exponent));
+    let value: f32 = quick.unwrap_or_else(|| format!("{number}e{exponent}").parse().unwrap_or(0.0));
     if unit < 0 { -value } else { value }
 }
 

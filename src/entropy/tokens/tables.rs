@@ -67,8 +67,12 @@ const RECIPROCAL_BITS: u32 = 44;
 
 impl Share {
     pub fn of(frequency: u16, start: u16) -> Self {
-        let divisor = u64::from(frequency.max(1));
-        Share { reciprocal: (1u64 << RECIPROCAL_BITS).div_ceil(divisor), frequency, start }
+        // Most tokens have none, and divisions take long.
+        let reciprocal = match frequency {
+            0 => 0,
+            _ => (1u64 << RECIPROCAL_BITS).div_ceil(frequency.into()),
+        };
+        Share { reciprocal, frequency, start }
     }
 
     #[inline]

@@ -1,0 +1,111 @@
+//! Decimal numbers of a few digits, rounded as exact arithmetic would: where float64 is sure of it, which is nearly always,
+//! and many times as fast as by way of text.
+
+/// Powers of ten that float64 holds exactly.
+const POWERS: [f64; 23] = [
+    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18,
+    1e19, 1e20, 1e21, 1e22,
+];
+/// The most significant digits of a number.
+pub const MOST_DIGITS: u32 = 9;
+
+/// A number times a power of ten, rounded once.
+#[inline]
+fn scaled(value: f64, exponent: i32) -> Option<f64> {
+    let power = *POWERS.get(exponent.unsigned_abs() as usize)?;
+    Some(if exponent < 0 { value / power } else { value * power })
+}
+
+/// The integer of so many digits, 1 to [`MOST_DIGITS`], that is nearest to a positive number but for a power of ten, and the
+/// decimal exponent of its first digit. None if that is not sure.
+pub fn significant(value: f64, digits: u32) -> Option<(u64, i32)> {
+    /// More than what a product of less than 10^9 is off by.
+    const ERROR: f64 = 1e-6;
+    if !(1e-12..1e15).contains(&value) || !(1..=MOST_DIGITS).contains(&digits) {
+        return None;
+    }
+    let (least, last) = (POWERS[digits as usize - 1], digits as i32 - 1);
+    // Of two, the least or one less.
+    let octave = (value.to_bits() >> 52) as i32 - 1023;
+    let mut exponent = (f64::from(octave) * std::f64::consts::LOG10_2).floor() as i32;
+    let mut number = scaled(value, last - exponent)?;
+    if number >= 10.0 * least {
+        exponent += 1;
+        number = scaled(value, last - exponent)?;
+    }
+    let whole = number.floor();
+    let rest = number - whole;
+    if (rest - 0.5).abs() < ERROR {
+        return None;
+    }
+    let nearest = whole as u64 + u64::from(rest > 0.5);
+    let least = least as u64;
+    Some(if nearest == 10 * least { (least, exponent + 1) } else { (nearest, exponent) })
+        .filter(|(number, _)| *number >= least)
+}
+
+/// The float32 nearest to an integer times a power of ten. None if that is not sure.
+pub fn single(number: u64, exponent: i32) -> Option<f32> {
+    /// Of the bits of a float64, those that a float32 has not; and half of its last bit.
+    const BELOW: u64 = (1 << 29) - 1;
+    const HALF: u64 = 1 << 28;
+    let value = scaled(number as f64, exponent).filter(|value| (1e-30..1e30).contains(value))?;
+    // Rounded to float64, a number stays on its side of the middle between two float32, or comes to lie on it.
+    (number < 1 << 53 && value.to_bits() & BELOW != HALF).then_some(value as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ground::random::Rng;
+
+    /// Values of all sizes, and those next to short decimals, where rounding is close.
+    fn values() -> impl Iterator<Item = f32> {
+        let mut random = Rng::keyed(3, &[]);
+        (0..200_000).map(move |number| {
+            let mut below = |most: usize| random.below(most) as u32;
+            match number % 4 {
+                0 => f32::from_bits(below(0x7f80_0000)),
+                1 => below(200_000) as f32 / 1000.0,
+                2 => below(2_000_000) as f32 / 2f32.powi(number % 23),
+                _ => f32::from_bits((10f32.powi(number % 9 - 4).to_bits() + below(9)).wrapping_sub(4)),
+            }
+        })
+    }
+
+    #[test]
+    fn digits_are_those_of_the_standard_library() {
+        let mut sure = 0;
+        for value in values().map(f64::from) {
+            for digits in [1, 4, 6, 8, 9] {
+                let Some((number, exponent)) = significant(value, digits) else { continue };
+                sure += 1;
+                let text = format!("{:.*e}", digits as usize - 1, value);
+                let (mantissa, expected) = text.split_once('e').unwrap();
+                assert_eq!(
+                    (number.to_string(), exponent),
+                    (mantissa.replace('.', ""), expected.parse().unwrap())
+                );
+            }
+        }
+        assert!(sure > 600_000, "{sure}");
+    }
+
+    #[test]
+    fn numbers_are_those_of_the_standard_library() {
+        let mut random = Rng::keyed(4, &[]);
+        let mut sure = 0;
+        for _ in 0..200_000 {
+            let (number, exponent) = (random.below(1_000_000_000) as u64, random.below(40) as i32 - 25);
+            let Some(value) = single(number, exponent) else { continue };
+            sure += 1;
+            let expected: f32 = format!("{number}e{exponent}").parse().unwrap();
+            assert_eq!(value.to_bits(), expected.to_bits(), "{number}e{exponent}");
+        }
+        assert!(sure > 150_000, "{sure}");
+        // The middle between two float32, and next to it.
+        assert_eq!(single(16_777_217, 0), None);
+        assert_eq!(single(167_772_171, -1), Some(16_777_218.0));
+        assert_eq!(single(0, 0), None);
+    }
+}
