@@ -7,10 +7,14 @@
 
 use std::f64::consts::TAU;
 
+use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 
+use crate::ground::angle;
+use crate::ground::lanes::{dispatch, lanes};
+
 /// A point in the form that the fit needs, in metres and radians.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Point {
     pub position: [f64; 3],
     /// Horizontal distance from the axis.
@@ -20,47 +24,101 @@ pub(crate) struct Point {
 }
 
 impl Point {
-    /// `None` for points without a direction.
-    fn new(position: &[f32; 3]) -> Option<Self> {
-        let position @ [x, y, _] = position.map(f64::from);
-        let (rho, turned) = ((x * x + y * y).sqrt(), y.atan2(x));
-        let azimuth = if turned < 0.0 { turned + TAU } else { turned };
-        (rho > 0.0 && position.iter().all(|v| v.is_finite())).then_some(Point { position, rho, azimuth })
-    }
-
     pub fn z(&self) -> f64 {
         self.position[2]
     }
 }
 
 /// Splits the points of a scan into beams, where the azimuth falls back; a short step back over the seam does
-/// not start a new beam. Empty if there are too many beams: the points are then in some other order.
+/// not start a new beam. Points without a direction are left out. Empty if there are too many beams: the points are then in
+/// some other order.
 pub(crate) fn split_beams(positions: &[[f32; 3]]) -> Vec<Vec<Point>> {
-    /// More beams than any scanner has.
-    const MOST_BEAMS: usize = 256;
-    /// In radians. Within a beam the azimuth falls by far less, even where points are out of order.
-    const FALL: f64 = 1.0;
-    /// In radians: a rise as large as this is a step back over the seam.
-    const RISE: f64 = 5.0;
-    let mut beams: Vec<Vec<Point>> = vec![Vec::new()];
-    let mut row = 0usize;
-    let mut last = None;
-    for point in positions.iter().filter_map(Point::new) {
-        let step = point.azimuth - last.replace(point.azimuth).unwrap_or(point.azimuth);
-        if step < -FALL {
-            row += 1;
-        } else if step > RISE {
-            row = row.saturating_sub(1);
+    dispatch(Splitting(positions))
+}
+
+/// The argument of [`split_beams`], for a function compiled for several vector units.
+struct Splitting<'a>(&'a [[f32; 3]]);
+
+impl NullaryFnOnce for Splitting<'_> {
+    type Output = Vec<Vec<Point>>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<Vec<Point>> {
+        /// Number of points computed at a time.
+        const LANES: usize = 8;
+        let mut beams = Beams { beams: vec![Vec::new()], row: 0, last: None };
+        let (blocks, rest) = self.0.as_chunks::<LANES>();
+        for block in blocks {
+            if !beams.take(&points(block)) {
+                return Vec::new();
+            }
         }
-        if row >= MOST_BEAMS {
-            return Vec::new();
+        for position in rest {
+            if !beams.take(&points(std::array::from_ref(position))) {
+                return Vec::new();
+            }
         }
-        if row == beams.len() {
-            beams.push(Vec::new());
-        }
-        beams[row].push(point);
+        beams.beams
     }
-    beams
+}
+
+/// Points in the form that the fit needs; a distance that is not above 0, or a coordinate that is not finite, shows that
+/// one has no direction.
+#[inline(always)]
+fn points<const N: usize>(positions: &[[f32; 3]; N]) -> [Point; N] {
+    let [x, y, z]: [[f64; N]; 3] = [
+        lanes(|i| f64::from(positions[i][0])),
+        lanes(|i| f64::from(positions[i][1])),
+        lanes(|i| f64::from(positions[i][2])),
+    ];
+    let rho: [f64; N] = lanes(|i| (x[i] * x[i] + y[i] * y[i]).sqrt());
+    let azimuth: [f64; N] = lanes(|i| {
+        let turned = angle::atan2(y[i], x[i]);
+        turned + if turned < 0.0 { TAU } else { 0.0 }
+    });
+    lanes(|i| Point { position: [x[i], y[i], z[i]], rho: rho[i], azimuth: azimuth[i] })
+}
+
+/// Beams to which points are added in the order of the file.
+struct Beams {
+    beams: Vec<Vec<Point>>,
+    row: usize,
+    /// The azimuth of the last point.
+    last: Option<f64>,
+}
+
+impl Beams {
+    /// Adds points; false if there are too many beams.
+    #[inline(always)]
+    fn take(&mut self, points: &[Point]) -> bool {
+        /// More beams than any scanner has.
+        const MOST_BEAMS: usize = 256;
+        /// In radians. Within a beam the azimuth falls by far less, even where points are out of order.
+        const FALL: f64 = 1.0;
+        /// In radians: a rise as large as this is a step back over the seam.
+        const RISE: f64 = 5.0;
+        for point in points {
+            let [x, y, z] = point.position;
+            if !(point.rho > 0.0 && x.is_finite() && y.is_finite() && z.is_finite()) {
+                continue;
+            }
+            let step = point.azimuth - self.last.replace(point.azimuth).unwrap_or(point.azimuth);
+            if step < -FALL {
+                self.row += 1;
+            } else if step > RISE {
+                self.row = self.row.saturating_sub(1);
+            }
+            if self.row >= MOST_BEAMS {
+                return false;
+            }
+            if self.row == self.beams.len() {
+                let length = self.beams.last().map_or(0, Vec::len);
+                self.beams.push(Vec::with_capacity(length));
+            }
+            self.beams[self.row].push(*point);
+        }
+        true
+    }
 }
 
 /// A beam's points, scan by scan.

@@ -16,6 +16,7 @@ use super::beams::{Beam, Cone, Point, align, split_beams, thinned};
 use super::columns::column_shifts;
 use super::formula::small_atan;
 use super::sharpen::sharpen;
+use crate::ground::angle::rough_sine;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
@@ -135,17 +136,10 @@ fn coherence(values: impl Iterator<Item = f64>, period: f64) -> (f64, f64) {
     let by_period = 1.0 / period;
     for value in values {
         let turns = value * by_period;
-        re += wave(turns + 0.25);
-        im += wave(turns);
+        re += rough_sine(turns + 0.25);
+        im += rough_sine(turns);
     }
     (re.hypot(im), im.atan2(re))
-}
-
-/// The sine of an angle in turns, to within a thousandth.
-fn wave(turns: f64) -> f64 {
-    let turn = turns - round_ties_even(turns);
-    let parabola = 16.0 * turn * (0.5 - turn.abs());
-    parabola + 0.225 * (parabola * parabola.abs() - parabola)
 }
 
 /// Step 2: the sideways offset h that brings the azimuths onto the ticks, and the phase rot. First roughly,

@@ -6,14 +6,19 @@
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-use super::motion::{Motion, Mover, part_of_turn};
-use crate::scanner::{BeamPoint, thinned};
+use super::many::Seen;
+use super::motion::{Motion, Mover};
+use crate::scanner::thinned;
 
 /// The unknowns: translation, then rotation about x and y.
 const UNKNOWNS: usize = 5;
 /// Number of points that are enough.
 const SAMPLE: usize = 5000;
-const ROUNDS: usize = 10;
+/// How near to its cone, in metres, a point must be to count, in each round. In the first there are no cones to compare
+/// with, in the next ones only rough ones.
+const FIRST_REACH: [f64; 10] = [f64::INFINITY, 0.3, 0.3, 0.3, 0.03, 0.03, 0.03, 0.01, 0.01, 0.01];
+/// The same once there are cones.
+const REACH: [f64; 6] = [0.3, 0.03, 0.03, 0.01, 0.01, 0.01];
 /// With fewer beams not all of a motion is determined, and they are not beams: the points are in some other
 /// order.
 const FEWEST_BEAMS: usize = 3;
@@ -29,110 +34,116 @@ struct Cone {
     slope: f64,
 }
 
-/// The motion that brings the points of each beam onto a cone, with the rotation about z taken from `motion`.
-/// `None` if no motion does.
-pub fn improved(motion: Motion, beams: &[Vec<BeamPoint>]) -> Option<Motion> {
-    improved_by(motion, beams, |point| Seen { position: point.position, part: None })
+/// A sample of the points of each beam, and the cones on which they lie.
+pub struct Cones {
+    /// The points, beam by beam.
+    seen: Vec<Seen>,
+    /// The end of each beam there, and its cone.
+    beams: Vec<(usize, Cone)>,
+    are_known: bool,
 }
 
-/// A point of the file, and which part of the motion moved it: none if that follows from its direction.
-#[derive(Clone, Copy)]
-pub struct Seen {
-    pub position: [f64; 3],
-    pub part: Option<f64>,
-}
+impl Cones {
+    /// Of points of any kind. `None` if there are too few beams.
+    pub fn new<P>(beams: &[Vec<P>], seen: impl Fn(&P) -> Seen) -> Option<Self> {
+        let total: usize = beams.iter().map(Vec::len).sum();
+        if beams.len() < FEWEST_BEAMS || total == 0 {
+            return None;
+        }
+        let mut all = Vec::new();
+        let mut sampled = Vec::new();
+        for beam in beams {
+            all.extend(thinned(beam, (SAMPLE * beam.len()).div_ceil(total)).map(&seen));
+            sampled.push((all.len(), Cone::default()));
+        }
+        Some(Cones { seen: all, beams: sampled, are_known: false })
+    }
 
-impl Seen {
-    /// Where the point was measured, and its part of the motion.
-    fn undone(&self, mover: &Mover) -> ([f64; 3], f64) {
-        match self.part {
-            Some(part) => (mover.at(part).undone(self.position), part),
-            None => {
-                let point = mover.undone(self.position, part_of_turn(&self.position));
-                (point, part_of_turn(&point))
+    /// The motion that brings the points of each beam onto a cone, with the rotation about z taken from `motion`.
+    /// `None` if no motion does. `undone` says where points were measured, and may improve their parts.
+    pub fn improved(
+        &mut self,
+        mut motion: Motion,
+        undone: impl Fn(&Mover, &mut [Seen]) -> Vec<[f64; 3]>,
+    ) -> Option<Motion> {
+        let rounds = if self.are_known { &REACH[..] } else { &FIRST_REACH };
+        let mut on_cone = 0;
+        for &reach in rounds {
+            let points = undone(&Mover::new(&motion), &mut self.seen);
+            let (step, on) = self.improve(&points, reach)?;
+            motion = motion.changed_by(&step);
+            on_cone = on;
+        }
+        self.are_known = true;
+        (on_cone as f64 >= LEAST_SHARE * self.seen.len() as f64).then_some(motion)
+    }
+
+    /// One round, given where the points were measured by the motion: improves the cones, and returns the change of the
+    /// motion and the number of points on their cones.
+    fn improve(&mut self, points: &[[f64; 3]], reach: f64) -> Option<([f64; 6], usize)> {
+        /// In metres; keeps weights finite.
+        const SOFT: f64 = 1e-3;
+        /// Holds components that the points do not determine.
+        const RIDGE: f64 = 1e-6;
+        // Only the lower triangle is used.
+        let mut system = [[0.0; UNKNOWNS]; UNKNOWNS];
+        (0..UNKNOWNS).for_each(|i| system[i][i] = RIDGE);
+        let mut right = [0.0; UNKNOWNS];
+        let mut eliminated = Vec::with_capacity(self.beams.len());
+        let (mut on_cone, mut start) = (0, 0);
+        for (end, cone) in &self.beams {
+            // Sums for the cone's two constants, and their products with the unknowns.
+            let [mut weights, mut rhos, mut squares] = [RIDGE, 0.0, RIDGE];
+            let mut own_right = [0.0; 2];
+            let mut shared = [[0.0; UNKNOWNS]; 2];
+            for (&[x, y, z], Seen { part, .. }) in points[start..*end].iter().zip(&self.seen[start..*end]) {
+                let rho = (x * x + y * y).sqrt();
+                let miss = z - cone.height - cone.slope * rho;
+                on_cone += usize::from(miss.abs() < ON_CONE);
+                if !(miss.abs() < reach && rho > 0.0) {
+                    continue;
+                }
+                let weight = if reach.is_finite() { 1.0 / (miss.abs() + SOFT) } else { 1.0 };
+                // The cone's normal, and how the distance decreases as the motion grows.
+                let slope = -cone.slope / rho;
+                let [nx, ny] = [slope * x, slope * y];
+                let by = [nx, ny, 1.0, y - z * ny, z * nx - x].map(|slope| slope * part);
+                weights += weight;
+                rhos += weight * rho;
+                squares += weight * rho * rho;
+                own_right[0] += weight * miss;
+                own_right[1] += weight * miss * rho;
+                for i in 0..UNKNOWNS {
+                    let weighted = by[i] * weight;
+                    shared[0][i] += weighted;
+                    shared[1][i] += weighted * rho;
+                    right[i] += weighted * miss;
+                    for j in 0..=i {
+                        system[i][j] += weighted * by[j];
+                    }
+                }
             }
-        }
-    }
-}
-
-/// The same of points of any kind.
-pub fn improved_by<P>(mut motion: Motion, beams: &[Vec<P>], seen: impl Fn(&P) -> Seen) -> Option<Motion> {
-    let total: usize = beams.iter().map(Vec::len).sum();
-    if beams.len() < FEWEST_BEAMS || total == 0 {
-        return None;
-    }
-    let share = |beam: &Vec<P>| (SAMPLE * beam.len()).div_ceil(total);
-    let samples: Vec<Vec<Seen>> =
-        beams.iter().map(|beam| thinned(beam, share(beam)).map(&seen).collect()).collect();
-    let mut cones = vec![Cone::default(); samples.len()];
-    for round in 0..ROUNDS {
-        // In the first round there are no cones to compare with, in the next ones only rough ones.
-        let reach = match round {
-            0 => f64::INFINITY,
-            1..4 => 0.3,
-            4..7 => 0.03,
-            _ => 0.01,
-        };
-        let (step, on_cone) = improve(&samples, &mut cones, &motion, reach)?;
-        if round == ROUNDS - 1 {
-            let sampled: usize = samples.iter().map(Vec::len).sum();
-            return (on_cone as f64 >= LEAST_SHARE * sampled as f64).then_some(motion);
-        }
-        motion = motion.changed_by(&step);
-    }
-    None
-}
-
-/// One round: improves the cones, and returns the change of the motion and the number of points on their
-/// cones.
-fn improve(
-    samples: &[Vec<Seen>],
-    cones: &mut [Cone],
-    motion: &Motion,
-    reach: f64,
-) -> Option<([f64; 6], usize)> {
-    /// In metres; keeps weights finite.
-    const SOFT: f64 = 1e-3;
-    /// Holds components that the points do not determine.
-    const RIDGE: f64 = 1e-6;
-    let mover = Mover::new(motion);
-    let mut system = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::identity() * RIDGE;
-    let mut right = SVector::<f64, UNKNOWNS>::zeros();
-    let mut eliminated = Vec::with_capacity(cones.len());
-    let mut on_cone = 0;
-    for (points, cone) in samples.iter().zip(&*cones) {
-        let mut own = Matrix2::identity() * RIDGE;
-        let mut own_right = Vector2::zeros();
-        let mut shared = SMatrix::<f64, 2, UNKNOWNS>::zeros();
-        for seen in points {
-            let ([x, y, z], part) = seen.undone(&mover);
-            let rho = (x * x + y * y).sqrt();
-            let miss = z - cone.height - cone.slope * rho;
-            on_cone += usize::from(miss.abs() < ON_CONE);
-            if !(miss.abs() < reach && rho > 0.0) {
-                continue;
+            start = *end;
+            let inverse = Matrix2::new(weights, rhos, rhos, squares).try_inverse()?;
+            let own_right = Vector2::from(own_right);
+            let shared = SMatrix::<f64, 2, UNKNOWNS>::from_fn(|row, column| shared[row][column]);
+            let (of_system, of_right) =
+                (shared.transpose() * inverse * shared, shared.transpose() * (inverse * own_right));
+            for i in 0..UNKNOWNS {
+                right[i] -= of_right[i];
+                (0..=i).for_each(|j| system[i][j] -= of_system[(i, j)]);
             }
-            let weight = if reach.is_finite() { 1.0 / (miss.abs() + SOFT) } else { 1.0 };
-            // The cone's normal, and how the distance decreases as the motion grows.
-            let [nx, ny] = [-cone.slope * x / rho, -cone.slope * y / rho];
-            let by = SVector::from([nx, ny, 1.0, y - z * ny, z * nx - x]) * part;
-            let constants = Vector2::new(1.0, rho);
-            own += constants * constants.transpose() * weight;
-            own_right += constants * (weight * miss);
-            shared += constants * by.transpose() * weight;
-            system += by * by.transpose() * weight;
-            right += by * (weight * miss);
+            eliminated.push((inverse, own_right, shared));
         }
-        let inverse = own.try_inverse()?;
-        system -= shared.transpose() * inverse * shared;
-        right -= shared.transpose() * (inverse * own_right);
-        eliminated.push((inverse, own_right, shared));
+        let system = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::from_fn(|row, column| {
+            system[row.max(column)][row.min(column)]
+        });
+        let step = system.cholesky()?.solve(&SVector::from(right));
+        for ((_, cone), (inverse, own_right, shared)) in self.beams.iter_mut().zip(eliminated) {
+            let change = inverse * (own_right - shared * step);
+            cone.height += change[0];
+            cone.slope += change[1];
+        }
+        Some(([step[3], step[4], 0.0, step[0], step[1], step[2]], on_cone))
     }
-    let step = system.cholesky()?.solve(&right);
-    for (cone, (inverse, own_right, shared)) in cones.iter_mut().zip(eliminated) {
-        let change = inverse * (own_right - shared * step);
-        cone.height += change[0];
-        cone.slope += change[1];
-    }
-    Some(([step[3], step[4], 0.0, step[0], step[1], step[2]], on_cone))
 }

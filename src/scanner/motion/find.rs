@@ -2,9 +2,12 @@
 
 use std::f64::consts::TAU;
 
-use super::motion::{Mover, part_of_turn};
-use super::{Motion, Turn, cones, grid};
-use crate::scanner::{Coordinates, split_beams, thinned};
+use super::cones::Cones;
+use super::grid::Yaw;
+use super::many::{self, Seen, is_in_reach};
+use super::motion::Mover;
+use super::{Motion, Turn, grid};
+use crate::scanner::{BeamPoint, Coordinates, split_beams, thinned};
 
 /// The points as they were measured, on the millimetre grid, and the motion that moved them to those of the
 /// file; its list of misses is still empty. `None` if the points were not measured on that grid, or not moved
@@ -16,21 +19,24 @@ pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Turn)> {
     let in_reach: Vec<[f32; 3]> =
         positions.iter().filter(|position| is_in_reach(position)).copied().collect();
     let beams = split_beams(&in_reach);
-    let in_reach: Vec<[f64; 3]> = in_reach.into_iter().map(|position| position.map(f64::from)).collect();
+    let seen = |point: &BeamPoint| {
+        let turn = point.azimuth / TAU;
+        Seen { position: point.position, part: if turn > 0.5 { turn - 1.0 } else { turn } }
+    };
+    let all: Vec<Seen> = beams.iter().flatten().map(seen).collect();
+    let (mut cones, mut yaw) = (Cones::new(&beams, seen)?, Yaw::new(&all)?);
     let mut motion = Motion::default();
     // Cones treat the motion as if there were no rotation about z, until that rotation is known.
     for _ in 0..2 {
-        motion = grid::with_yaw(cones::improved(motion, &beams)?, &in_reach)?;
+        motion = yaw.found(cones.improved(motion, many::undone)?)?;
     }
-    let motion = grid::polished(motion, &in_reach)?;
-    let mover = Mover::new(&motion);
-    let points: Vec<[f32; 3]> = positions.iter().map(|position| measured(&mover, position)).collect();
+    let motion = grid::polished(motion, &all)?;
+    let points = many::measured(&Mover::new(&motion), positions);
     let motion = grid::sharpened(motion, &points, positions);
 
     (motion.is_possible() && explains(&Mover::new(&motion), &points, positions))
         .then_some((points, Turn { motion, misses: Vec::new() }))
 }
-
 /// Whether the formula gives nearly all points of a sample exactly.
 fn explains(mover: &Mover, points: &[[f32; 3]], positions: &[[f32; 3]]) -> bool {
     const SAMPLE: usize = 2000;
@@ -63,39 +69,4 @@ fn may_be_moved(positions: &[[f32; 3]]) -> bool {
         count += 2;
     }
     count < 2 * FEWEST || sum > LEAST * f64::from(count)
-}
-
-fn is_in_reach(position: &[f32; 3]) -> bool {
-    /// In metres; farther away than any scanner sees.
-    const FARTHEST: f32 = 1000.0;
-    // False for NaN, too.
-    position.iter().all(|v| v.abs() < FARTHEST)
-}
-
-/// The measured millimetres of a point in metres.
-pub(super) fn on_grid(point: [f64; 3]) -> [f32; 3] {
-    let grid = Coordinates::Millimetre;
-    point.map(|metres| grid.value(grid.unit_of(metres), metres))
-}
-
-/// The measured point from which a point of the file was made. Just behind the scanner it may have been moved
-/// from the end of the turn past its beginning, or the other way round.
-fn measured(mover: &Mover, position: &[f32; 3]) -> [f32; 3] {
-    /// Points beyond this fraction of a turn, in either direction, are near that seam.
-    const NEAR_SEAM: f64 = 0.45;
-    if !is_in_reach(position) {
-        return [0.0; 3];
-    }
-    let moved = position.map(f64::from);
-    let part = part_of_turn(&moved);
-    let point = on_grid(mover.undone(moved, part));
-    if part.abs() < NEAR_SEAM {
-        return point;
-    }
-    let other = on_grid(mover.undone(moved, part - part.signum()));
-    let miss = |point: &[f32; 3]| {
-        let formula = mover.moved(point.map(f64::from));
-        (0..3).map(|axis| (formula[axis] - moved[axis]).abs()).fold(0.0, f64::max)
-    };
-    if miss(&other) < miss(&point) { other } else { point }
 }

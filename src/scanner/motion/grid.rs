@@ -7,82 +7,112 @@ use std::f64::consts::TAU;
 
 use nalgebra::{SMatrix, SVector};
 
-use super::find::on_grid;
+use super::many::{self, Seen};
 use super::motion::{Motion, Mover, part_of_turn};
-use crate::scanner::thinned;
+use crate::ground::angle::rough_sine;
+use crate::scanner::{nearest_millimetre, thinned};
 
 /// The unit of the grid, in metres.
 const UNIT: f64 = 1e-3;
 
-/// A point of the file; the value that was rounded to each float32 is known to half a unit in the last place.
-#[derive(Clone, Copy)]
-struct Sample {
-    moved: [f64; 3],
-    /// How far the rotation about z moves it, in metres per radian.
-    lever: f64,
+/// Points that tell the rotation about z. How far it moves a point, in metres per radian, is its lever.
+pub struct Yaw {
+    /// Those of the least levers, and the greatest of these levers.
+    first: Vec<Seen>,
+    reach: f64,
+    /// Samples of ever greater levers.
+    farther: Vec<Vec<Seen>>,
 }
 
-/// Completes a motion by its rotation about z. `None` if no rotation brings the points onto the grid.
-pub fn with_yaw(motion: Motion, positions: &[[f64; 3]]) -> Option<Motion> {
-    /// Number of points in the first search and in every later step, and the least number.
-    const FIRST: usize = 120;
-    const SAMPLE: usize = 1500;
-    const FEWEST: usize = 60;
-    /// In metres: with a smaller lever the rotation moves no point by a unit.
-    const LEAST_REACH: f64 = 1e-3;
-    /// Factor by which each step extends the part of the turn.
-    const GROWTH: f64 = 4.0;
-    let mut samples: Vec<Sample> = positions
-        .iter()
-        .map(|&moved| Sample { moved, lever: part_of_turn(&moved).abs() * moved[0].hypot(moved[1]) })
-        .collect();
-    samples.sort_by(|a, b| a.lever.total_cmp(&b.lever));
-    let first = &samples[..FIRST.min(samples.len())];
-    let mut reach = first.last()?.lever.max(LEAST_REACH);
-    let mut motion = search_yaw(motion, first, reach).filter(|_| first.len() >= FEWEST)?;
-    let farthest = samples.last()?.lever;
-    while reach < farthest {
-        reach *= GROWTH;
-        let within = samples.partition_point(|sample| sample.lever <= reach);
-        let near: Vec<Sample> = thinned(&samples[..within], SAMPLE).copied().collect();
-        for _ in 0..2 {
-            motion.rotation[2] += yaw_step(&motion, &near);
+impl Yaw {
+    /// `None` if there are too few points.
+    pub fn new(points: &[Seen]) -> Option<Self> {
+        /// Number of points in the first search and in every later step, and the least number.
+        const FIRST: usize = 120;
+        const SAMPLE: usize = 1500;
+        const FEWEST: usize = 60;
+        /// In metres: with a smaller lever the rotation moves no point by a unit.
+        const LEAST_REACH: f64 = 1e-3;
+        /// Factor by which each step extends the part of the turn.
+        const GROWTH: f64 = 4.0;
+        if points.len() < FEWEST {
+            return None;
         }
+        let lever = |Seen { position: [x, y, _], part }: &Seen| part.abs() * (x * x + y * y).sqrt();
+        let levers: Vec<f64> = points.iter().map(lever).collect();
+        let farthest = levers.iter().copied().fold(0.0, f64::max);
+        let mut sorted = levers.clone();
+        let (_, &mut nearest, _) = sorted.select_nth_unstable_by(FIRST.min(levers.len()) - 1, f64::total_cmp);
+        let within = |reach: f64, most: usize| -> Vec<Seen> {
+            let count = levers.iter().filter(|lever| **lever <= reach).count();
+            let near = levers.iter().zip(points).filter(|(lever, _)| **lever <= reach);
+            near.step_by(count.div_ceil(most).max(1)).map(|(_, seen)| *seen).collect()
+        };
+        let reach = nearest.max(LEAST_REACH);
+        let wider = |reach: &f64| (*reach < farthest).then_some(reach * GROWTH);
+        let reaches = std::iter::successors(Some(reach), wider).skip(1);
+        Some(Yaw {
+            first: within(nearest, FIRST),
+            reach,
+            farther: reaches.map(|reach| within(reach, SAMPLE)).collect(),
+        })
     }
-    Some(motion)
+
+    /// Completes a motion by its rotation about z. `None` if no rotation brings the points onto the grid.
+    pub fn found(&mut self, motion: Motion) -> Option<Motion> {
+        let mut motion = search_yaw(motion, &mut self.first, self.reach)?;
+        for near in &mut self.farther {
+            for _ in 0..2 {
+                motion.rotation[2] += yaw_step(&motion, near);
+            }
+        }
+        Some(motion)
+    }
 }
 
 /// The rotation about z with which the y of points in front of the scanner are nearest to the grid.
-fn search_yaw(motion: Motion, samples: &[Sample], reach: f64) -> Option<Motion> {
+fn search_yaw(motion: Motion, samples: &mut [Seen], reach: f64) -> Option<Motion> {
     /// In radians a turn: a car that skids.
     const LARGEST: f64 = 0.3;
     /// The most values that are tried.
     const MOST: f64 = 2000.0;
+    /// Of the places that look best, one is found in a second look this far around.
+    const AROUND: i32 = 2;
     /// A coherence of y that points on no grid do not reach by chance.
     const LEAST: f64 = 0.3;
     // One step moves the farthest point by a tenth of a unit.
     let places = (LARGEST * reach / (0.1 * UNIT)).ceil().min(MOST) as i32;
-    let coherence = |place: i32| {
-        let yaw = f64::from(place) / f64::from(places.max(1)) * LARGEST;
-        let motion = Motion { rotation: [motion.rotation[0], motion.rotation[1], yaw], ..motion };
-        let mover = Mover::new(&motion);
-        let phase = |s: &Sample| mover.undone(s.moved, part_of_turn(&s.moved))[1] / UNIT * TAU;
-        (samples.iter().map(|s| phase(s).cos()).sum::<f64>() / samples.len() as f64, motion)
+    let step = LARGEST / f64::from(places.max(1));
+    let with_yaw = |yaw: f64| Motion { rotation: [motion.rotation[0], motion.rotation[1], yaw], ..motion };
+    // A rotation turns points back by the parts at which they were seen, which are less than those at which they would
+    // be without it by one turn more of it: so y falls evenly with this.
+    let even = |yaw: f64| yaw / (1.0 + yaw / TAU);
+    let points = many::undone(&Mover::new(&with_yaw(0.0)), samples);
+    let slopes: Vec<f64> = points.iter().zip(&*samples).map(|([x, ..], seen)| -seen.part * x).collect();
+    let roughly = |yaw: f64| {
+        let even = even(yaw);
+        let turns = points.iter().zip(&slopes).map(|([_, y, _], slope)| (y + slope * even) / UNIT);
+        turns.map(|turns| rough_sine(turns + 0.25)).sum::<f64>()
     };
-    let (best, motion) = (-places..=places).map(coherence).max_by(|a, b| a.0.total_cmp(&b.0))?;
-    (best > LEAST).then_some(motion)
+    let yaws = (-places..=places).map(|place| f64::from(place) * step);
+    let (_, rough) = yaws.map(|yaw| (roughly(yaw), yaw)).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let coherence = |yaw: f64| {
+        let points = many::undone(&Mover::new(&with_yaw(yaw)), &mut samples.to_vec());
+        points.iter().map(|[_, y, _]| (y / UNIT * TAU).cos()).sum::<f64>() / points.len() as f64
+    };
+    let near = (-AROUND..=AROUND).map(|place| rough + f64::from(place) * step);
+    let (best, yaw) = near.map(|yaw| (coherence(yaw), yaw)).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (best > LEAST).then_some(with_yaw(yaw))
 }
 
 /// The change of the rotation about z that brings x and y closer to the grid.
-fn yaw_step(motion: &Motion, samples: &[Sample]) -> f64 {
-    let mover = Mover::new(motion);
+fn yaw_step(motion: &Motion, samples: &mut [Seen]) -> f64 {
+    let points = many::undone(&Mover::new(motion), samples);
     let (mut square, mut right) = (f64::MIN_POSITIVE, 0.0);
-    for sample in samples {
-        let point @ [x, y, _] = mover.undone(sample.moved, part_of_turn(&sample.moved));
-        let part = part_of_turn(&point);
+    for ([x, y, _], Seen { part, .. }) in points.into_iter().zip(&*samples) {
         for (value, by) in [(x, part * y), (y, -part * x)] {
             // The nearer a value is to the middle between two units, the less it tells.
-            let miss = (value / UNIT * TAU).sin() * UNIT / TAU;
+            let miss = rough_sine(value / UNIT) * UNIT / TAU;
             square += by * by;
             right -= by * miss;
         }
@@ -92,22 +122,27 @@ fn yaw_step(motion: &Motion, samples: &[Sample]) -> f64 {
 
 /// Improves all components of the motion, so that points on the grid are moved onto those of the file. `None`
 /// if they do not come near them.
-pub fn polished(mut motion: Motion, positions: &[[f64; 3]]) -> Option<Motion> {
+pub fn polished(mut motion: Motion, points: &[Seen]) -> Option<Motion> {
     const SAMPLE: usize = 6000;
     /// In metres, for each round.
     const REACH: [f64; 5] = [3e-4, 1e-4, NEAR, NEAR, NEAR];
-    let sample: Vec<[f64; 3]> = thinned(positions, SAMPLE).copied().collect();
+    let mut sample: Vec<Seen> = thinned(points, SAMPLE).copied().collect();
     let mut taken = 0;
     for reach in REACH {
         let mover = Mover::new(&motion);
         let mut system = System::default();
         taken = 0;
-        for &moved in &sample {
-            let point = on_grid(mover.undone(moved, part_of_turn(&moved))).map(f64::from);
-            let formula = mover.moved(point);
-            let miss: [f64; 3] = std::array::from_fn(|axis| moved[axis] - formula[axis]);
+        let points = many::undone(&mover, &mut sample);
+        let points: Vec<[f64; 3]> = points
+            .into_iter()
+            .map(|point| point.map(|metres| f64::from(nearest_millimetre(metres))))
+            .collect();
+        for ((point, formula), seen) in
+            points.iter().zip(many::moved(&mover, &points, |point| *point)).zip(&sample)
+        {
+            let miss: [f64; 3] = std::array::from_fn(|axis| seen.position[axis] - formula[axis]);
             if miss.iter().all(|m| m.abs() < reach) {
-                system.add(&point, miss);
+                system.add(point, seen.part, miss, |_| true);
                 taken += 1;
             }
         }
@@ -121,58 +156,66 @@ pub const NEAR: f64 = 2e-5;
 
 /// Changes the motion until few points are rounded to another float32 than the file's, which makes it far
 /// more accurate than least squares can. `points` are as measured, `positions` as in the file.
-pub fn sharpened(mut motion: Motion, points: &[[f32; 3]], positions: &[[f32; 3]]) -> Motion {
-    const ROUNDS: usize = 30;
+pub fn sharpened(motion: Motion, points: &[[f32; 3]], positions: &[[f32; 3]]) -> Motion {
+    /// One point in this many is used first, and to tell how the motion moves points.
+    const SAMPLE: usize = 8;
     /// In metres: values that are farther than this from the border of their float32 will not cross it.
     const NEAR_BORDER: f64 = 2e-8;
-    /// The same for later rounds, as a multiple of the largest error across a border.
-    const NEAR_BORDER_OF_LARGEST: f64 = 100.0;
-    /// How strongly the points that fit hold the motion in place, at most.
-    const INERTIA: f64 = 0.02;
-    let mover = Mover::new(&motion);
-    let mut whole = System::default();
-    let mut near_border = Vec::new();
-    for (number, (point, position)) in points.iter().zip(positions).enumerate() {
-        let point = point.map(f64::from);
-        let formula = mover.moved(point);
-        if !(0..3).all(|axis| (formula[axis] - f64::from(position[axis])).abs() <= NEAR) {
-            continue;
-        }
-        if number % WHOLE_SAMPLE == 0 {
-            whole.add(&point, [0.0; 3]);
-        }
-        let rounded = Rounded { point, values: position.map(values_of) };
-        if rounded.clearance(&formula) < NEAR_BORDER {
-            near_border.push(rounded);
-        }
+    /// The same once the sample has made the motion more accurate, for so many points; for fewer it is as much more.
+    const NEARER_BORDER: f64 = 2.5e-4;
+    let some = |all: &[[f32; 3]]| all.iter().step_by(SAMPLE).copied().collect::<Vec<_>>();
+    let (few, few_positions) = (some(points), some(positions));
+    let mut mean = System::default();
+    for number in many::near_border(&Mover::new(&motion), &few, &few_positions, [NEAR, f64::INFINITY]) {
+        let point = few[number].map(f64::from);
+        mean.add(&point, part_of_turn(&point), [0.0; 3], |_| true);
     }
+    mean = System::default().and(&mean, 1.0 / few.len() as f64);
+    let nearer = NEAR_BORDER.min(NEARER_BORDER / points.len() as f64);
+    let stages = [(&few[..], &few_positions[..], NEAR_BORDER), (points, positions, nearer)];
+    stages.into_iter().fold(motion, |motion, (points, positions, border)| {
+        let near = many::near_border(&Mover::new(&motion), points, positions, [NEAR, border]);
+        let rounded = |number: usize| Rounded::new(points[number].map(f64::from), &positions[number]);
+        rounded_right(motion, near.into_iter().map(rounded).collect(), &mean)
+    })
+}
+
+/// Changes the motion until few of these points are rounded to another float32 than the file's. `mean` is how it moves a
+/// point.
+fn rounded_right(mut motion: Motion, mut points: Vec<Rounded>, mean: &System) -> Motion {
+    const ROUNDS: usize = 30;
+    /// Values that are farther from the border of their float32 than so many times the largest error across a border
+    /// will not cross it.
+    const NEAR_BORDER: f64 = 100.0;
+    /// How strongly the points that fit hold the motion in place.
+    const INERTIA: f64 = 0.02;
+    let mut best = (u32::MAX, motion);
     for _ in 0..ROUNDS {
-        let mover = Mover::new(&motion);
+        let formulas = many::moved(&Mover::new(&motion), &points, |rounded| rounded.point);
         let mut system = System::default();
         let (mut beyond, mut largest) = (0, 0.0);
-        for rounded in &near_border {
-            let miss = rounded.miss(&mover.moved(rounded.point));
+        for (rounded, formula) in points.iter().zip(&formulas) {
+            let miss = rounded.miss(formula);
             if miss != [0.0; 3] {
-                system.add_axes(&rounded.point, miss, |axis| miss[axis] != 0.0);
+                system.add(&rounded.point, part_of_turn(&rounded.point), miss, |axis| miss[axis] != 0.0);
                 beyond += 1;
                 largest = miss.iter().fold(largest, |largest: f64, m| largest.max(m.abs()));
             }
         }
+        if beyond < best.0 {
+            best = (beyond, motion);
+        }
         if beyond == 0 {
             break;
         }
-        let share = f64::from(beyond) / points.len() as f64;
-        system.normal += whole.normal * (WHOLE_SAMPLE as f64 * INERTIA * share.min(1.0));
-        motion = motion.changed_by(&system.step());
-        near_border.retain(|rounded| {
-            rounded.clearance(&mover.moved(rounded.point)) < NEAR_BORDER_OF_LARGEST * largest
+        motion = motion.changed_by(&system.and(mean, INERTIA * f64::from(beyond)).step());
+        let mut formulas = formulas.iter();
+        points.retain(|rounded| {
+            formulas.next().is_none_or(|formula| rounded.clearance(formula) < NEAR_BORDER * largest)
         });
     }
-    motion
+    best.1
 }
-
-/// One point in this many is used to tell how the motion moves points.
-const WHOLE_SAMPLE: usize = 8;
 
 /// A measured point, and the limits of its moved coordinates before they were rounded to float32.
 struct Rounded {
@@ -181,6 +224,19 @@ struct Rounded {
 }
 
 impl Rounded {
+    fn new(point: [f64; 3], position: &[f32; 3]) -> Self {
+        /// Formulas that are exact to within what f64 rounds differ by less than this part of the coordinates, and points
+        /// are brought just across a border.
+        const ROUNDED: f64 = 4e-16;
+        let rounded = point.iter().map(|metres| metres.abs()).sum::<f64>() * ROUNDED;
+        let values = position.map(|value| {
+            let [low, high] = values_of(value);
+            let inside = rounded.min(0.25 * (high - low));
+            [low + inside, high - inside]
+        });
+        Rounded { point, values }
+    }
+
     /// How far the formula's coordinates are outside these limits, in metres.
     fn miss(&self, formula: &[f64; 3]) -> [f64; 3] {
         std::array::from_fn(|axis| {
@@ -204,33 +260,42 @@ fn values_of(value: f32) -> [f64; 2] {
 }
 
 /// The normal equations of a change of the motion.
-#[derive(Default)]
+#[derive(Clone, Copy, Default)]
 struct System {
-    normal: SMatrix<f64, 6, 6>,
-    right: SVector<f64, 6>,
+    /// The lower triangle.
+    normal: [[f64; 6]; 6],
+    right: [f64; 6],
 }
 
 impl System {
-    /// Adds the condition that a point must be moved farther by `miss`, in metres.
-    fn add(&mut self, point: &[f64; 3], miss: [f64; 3]) {
-        self.add_axes(point, miss, |_| true);
+    /// Adds the condition that a point that is seen at this part of the turn must be moved farther by `miss`, in metres,
+    /// along those axes that count.
+    #[inline(always)]
+    fn add(&mut self, [x, y, z]: &[f64; 3], part: f64, miss: [f64; 3], counts: impl Fn(usize) -> bool) {
+        let [x, y, z] = [x, y, z].map(|metres| metres * part);
+        // A small rotation moves a point by its cross product with it; the other slopes are 0.
+        let slopes = [([1, 2, 3], [z, -y, part]), ([0, 2, 4], [-z, x, part]), ([0, 1, 5], [y, -x, part])];
+        for (axis, (unknowns, slopes)) in slopes.into_iter().enumerate().filter(|(axis, _)| counts(*axis)) {
+            for i in 0..3 {
+                let row = unknowns[i];
+                self.right[row] += slopes[i] * miss[axis];
+                (0..=i).for_each(|j| self.normal[row][unknowns[j]] += slopes[i] * slopes[j]);
+            }
+        }
     }
 
-    /// The same for some of the axes.
-    fn add_axes(&mut self, point: &[f64; 3], miss: [f64; 3], counts: impl Fn(usize) -> bool) {
-        let [x, y, z] = *point;
-        // A small rotation moves a point by its cross product with it.
-        let slopes = [[0.0, z, -y, 1.0, 0.0, 0.0], [-z, 0.0, x, 0.0, 1.0, 0.0], [y, -x, 0.0, 0.0, 0.0, 1.0]];
-        let part = part_of_turn(point);
-        for axis in (0..3).filter(|&axis| counts(axis)) {
-            let slope = SVector::from(slopes[axis]) * part;
-            self.normal += slope * slope.transpose();
-            self.right += slope * miss[axis];
+    /// With so many times the slopes of another system: its points hold the motion in place.
+    fn and(mut self, other: &System, times: f64) -> Self {
+        for (row, of_other) in self.normal.iter_mut().zip(&other.normal) {
+            row.iter_mut().zip(of_other).for_each(|(sum, value)| *sum += value * times);
         }
+        self
     }
 
     /// The solution; no change if there is none.
     fn step(&self) -> [f64; 6] {
-        self.normal.cholesky().map_or([0.0; 6], |cholesky| cholesky.solve(&self.right).into())
+        let normal =
+            SMatrix::<f64, 6, 6>::from_fn(|row, column| self.normal[row.max(column)][row.min(column)]);
+        normal.cholesky().map_or([0.0; 6], |cholesky| cholesky.solve(&SVector::from(self.right)).into())
     }
 }

@@ -21,6 +21,7 @@
 mod cones;
 mod find;
 mod grid;
+mod many;
 #[allow(clippy::module_inception)]
 mod motion;
 mod payload;

@@ -2,7 +2,10 @@
 
 use std::f64::consts::TAU;
 
+use crate::ground::angle;
 use crate::ground::error::{Error, Result};
+use crate::ground::lanes::lanes;
+use crate::ground::rounding::round_ties_even;
 
 /// How the scanner moved in one turn.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -91,26 +94,67 @@ impl Mover {
         RigidMotion { axis: self.axis, sin, cos, shift: self.translation.map(|metres| part * metres) }
     }
 
-    /// The place, to within a few micrometres, from which compensation has moved a point here, if it was seen
-    /// near the fraction `part` of the turn.
-    pub(super) fn undone(&self, moved: [f64; 3], mut part: f64) -> [f64; 3] {
+    /// [`moved`](Self::moved) of `N` points, of which vector units compute several side by side: to within what f64
+    /// rounds, if the motion turns by less than a radian.
+    #[inline(always)]
+    pub(super) fn nearly_moved<const N: usize>(&self, points: &[[f64; N]; 3]) -> [[f64; N]; 3] {
+        let [x, y, z] = points;
+        let part: [f64; N] = lanes(|i| angle::atan2(y[i], x[i]) * (1.0 / TAU));
+        let [x, y, z] = self.turned([*x, *y, *z], &part, 1.0);
+        let [tx, ty, tz] = self.translation;
+        [lanes(|i| x[i] + part[i] * tx), lanes(|i| y[i] + part[i] * ty), lanes(|i| z[i] + part[i] * tz)]
+    }
+
+    /// The places, to within a few micrometres, from which compensation has moved `N` points here, if they were seen
+    /// near these parts of the turn; and which parts that were. The same restriction applies.
+    #[inline(always)]
+    pub(super) fn nearly_undone<const N: usize>(
+        &self,
+        moved: &[[f64; N]; 3],
+        mut part: [f64; N],
+    ) -> ([[f64; N]; 3], [f64; N]) {
         /// Number of rounds that the nearest points of the fastest car need.
         const MOST_ROUNDS: usize = 16;
-        /// A fraction of a turn that moves nothing by more than a few micrometres.
+        /// A part of the turn that moves nothing by more than a few micrometres.
         const SAME: f64 = 1e-6;
-        let mut point = moved;
+        let [x, y, z] = moved;
+        let [tx, ty, tz] = self.translation;
+        let mut point = *moved;
         for _ in 0..MOST_ROUNDS {
-            point = self.at(part).undone(moved);
-            // Across the seam behind the scanner, fractions continue beyond one half.
-            let now = part_of_turn(&point);
-            let next = now - (now - part).round();
-            let change = (next - part).abs();
+            let back = [
+                lanes(|i| x[i] - part[i] * tx),
+                lanes(|i| y[i] - part[i] * ty),
+                lanes(|i| z[i] - part[i] * tz),
+            ];
+            point = self.turned(back, &part, -1.0);
+            // Across the seam behind the scanner, parts continue beyond one half.
+            let next: [f64; N] = lanes(|i| {
+                let now = angle::atan2(point[1][i], point[0][i]) * (1.0 / TAU);
+                now - round_ties_even(now - part[i])
+            });
+            let changes: [f64; N] = lanes(|i| (next[i] - part[i]).abs());
             part = next;
-            if change < SAME {
+            if changes.iter().fold(0.0, |most: f64, change| most.max(*change)) < SAME {
                 break;
             }
         }
-        point
+        (point, part)
+    }
+
+    /// `N` points turned by these parts of the rotation, or back by them if `sign` is -1: Rodrigues' rotation formula.
+    #[inline(always)]
+    fn turned<const N: usize>(&self, [x, y, z]: [[f64; N]; 3], part: &[f64; N], sign: f64) -> [[f64; N]; 3] {
+        let [kx, ky, kz] = self.axis;
+        let angle = sign * self.angle;
+        let cos_sin: [[f64; 2]; N] = lanes(|i| angle::cos_sin_below_half(part[i] * angle));
+        let along: [f64; N] = lanes(|i| (kx * x[i] + ky * y[i] + kz * z[i]) * (1.0 - cos_sin[i][0]));
+        let turn =
+            |value: f64, across: f64, along: f64, [cos, sin]: [f64; 2]| value * cos + across * sin + along;
+        [
+            lanes(|i| turn(x[i], ky * z[i] - kz * y[i], kx * along[i], cos_sin[i])),
+            lanes(|i| turn(y[i], kz * x[i] - kx * z[i], ky * along[i], cos_sin[i])),
+            lanes(|i| turn(z[i], kx * y[i] - ky * x[i], kz * along[i], cos_sin[i])),
+        ]
     }
 }
 
@@ -170,8 +214,11 @@ mod tests {
         for i in 0..1000 {
             let azimuth = f64::from(i) * 0.0062 - 3.1;
             let point = [9.0 * azimuth.cos(), 9.0 * azimuth.sin(), f64::from(i) * 0.001];
-            let again = mover.undone(mover.moved(point), part_of_turn(&point));
-            assert!(point.iter().zip(again).all(|(a, b)| (a - b).abs() < 1e-5), "{point:?} {again:?}");
+            let moved = mover.moved(point);
+            let again = mover.nearly_undone(&moved.map(|metres| [metres]), [part_of_turn(&point)]).0;
+            assert!(point.iter().zip(again).all(|(a, [b])| (a - b).abs() < 1e-5), "{point:?} {again:?}");
+            let nearly = mover.nearly_moved(&point.map(|metres| [metres]));
+            assert!(moved.iter().zip(nearly).all(|(a, [b])| (a - b).abs() < 1e-13), "{moved:?} {nearly:?}");
         }
     }
 

@@ -5,7 +5,8 @@ use std::f64::consts::TAU;
 
 use super::find::Point;
 use crate::scan::Channel;
-use crate::scanner::motion::cones::{Seen, improved_by};
+use crate::scanner::motion::cones::Cones;
+use crate::scanner::motion::many::Seen;
 use crate::scanner::motion::{Motion, Mover};
 use crate::scanner::thinned;
 
@@ -13,12 +14,16 @@ use crate::scanner::thinned;
 /// points onto cones.
 pub fn motion(points: &[Point], channels: &[Channel]) -> Option<Motion> {
     let beams = beams(points, channels)?;
-    let seen = |point: &Point| Seen { position: point.position.map(f64::from), part: Some(point.part) };
-    let mut motion = improved_by(Motion::default(), &beams, seen)?;
+    let seen = |point: &Point| Seen { position: point.position.map(f64::from), part: point.part };
+    let undone = |mover: &Mover, seen: &mut [Seen]| {
+        seen.iter().map(|seen| mover.at(seen.part).undone(seen.position)).collect()
+    };
+    let mut cones = Cones::new(&beams, seen)?;
+    let mut motion = cones.improved(Motion::default(), undone)?;
     // Cones treat the motion as if there were no rotation about z, until that rotation is known.
     for _ in 0..2 {
         motion = with_yaw(motion, &beams)?;
-        motion = improved_by(motion, &beams, seen)?;
+        motion = cones.improved(motion, undone)?;
     }
     with_yaw(motion, &beams)
 }
