@@ -54,12 +54,19 @@ impl Scanner {
     /// Fits a scanner to a sample of a stream's scans, as they were measured: of the families, that which explains
     /// most of the points. None if none explains enough of them.
     pub fn fit(sample: &[ScanFile]) -> Option<Scanner> {
+        let beams = || hdl64::fit(sample).map(Scanner::Hdl64);
+        let largest = sample.iter().max_by_key(|scan| scan.cloud.positions.len());
+        // Seen at once, where it takes long to see that nothing else made the scans.
+        let evident = largest.filter(|scan| hdl64::is_evident(&scan.cloud.positions)).and_then(|_| beams());
+        if evident.is_some() {
+            return evident;
+        }
         // What the first explains is in the order of firings, which is in no other family's.
         let firings = firings::fit(sample)
             .map(|(scanner, _)| stamped::fit(sample, Some(&scanner)).unwrap_or(scanner))
             .or_else(|| stamped::fit(sample, None))
             .map(Scanner::Firings);
-        firings.or_else(|| hdl64::fit(sample).map(Scanner::Hdl64))
+        firings.or_else(beams)
     }
 
     /// The share of the points of a scan that have a place in its range image.

@@ -13,46 +13,33 @@ use crate::scanner::Hdl64;
 /// For each beam, the whole number of ticks by which its columns are shifted against those of the beam with
 /// the most points, judged from one scan that contains both.
 pub(crate) fn column_shifts(model: &Hdl64, beams: &[&Beam]) -> Vec<i64> {
-    /// The share of the turn that is used first, and the number of shifts that are then left.
-    const SHARE: usize = 2;
-    const LIKELY: usize = 100;
     // The beams of a firing look within 36 degrees of each other.
     let widest = i64::from(model.ticks / 10);
     let filled =
         |row: usize| (0..beams[row].scans.len()).map(|scan| beams[row].points_in(scan)).sum::<usize>();
     let reference = (0..beams.len()).max_by_key(|&row| filled(row)).unwrap_or(0);
     let in_scan = |pieces: &Vec<&[Point]>| (!pieces.is_empty()).then(|| used_ticks(model, reference, pieces));
-    let of_reference: Vec<Option<Vec<u8>>> =
+    let of_reference: Vec<Option<Vec<u64>>> =
         beams.get(reference).map_or_else(Vec::new, |beam| beam.scans.iter().map(in_scan).collect());
     let best = |row: usize| {
         let mut pairs = beams[row].scans.iter().zip(&of_reference);
         let shared = pairs.find_map(|(mine, theirs)| (!mine.is_empty()).then_some((mine, theirs.as_ref()?)));
         let Some((mine, theirs)) = shared else { return 0 };
         let mine = used_ticks(model, row, mine);
-        // The best of some shifts, judged by a part of the turn.
-        let best = |shifts: &[i64], part: &[u8], count: usize| -> Vec<i64> {
-            let agreements = dispatch(Agreements { mine: part, theirs, shifts });
-            let mut found: Vec<_> = agreements.into_iter().zip(shifts.iter().copied()).collect();
-            let worth = |&(agreement, shift): &(u32, i64)| (Reverse(agreement), shift.abs(), shift);
-            if count < found.len() {
-                found.select_nth_unstable_by_key(count, worth);
-            }
-            found.into_iter().take(count).map(|(_, shift)| shift).collect()
-        };
-        // A part of the turn tells which shifts deserve a closer look.
-        let likely = best(&(-widest..=widest).collect::<Vec<_>>(), &mine[..mine.len() / SHARE], LIKELY);
-        best(&likely, &mine, 1).first().copied().unwrap_or(0)
+        let agreements = dispatch(Agreements { mine: &mine, theirs, ticks: model.ticks as usize, widest });
+        let worth = |&(agreement, shift): &(u32, i64)| (Reverse(agreement), shift.abs(), shift);
+        agreements.into_iter().zip(-widest..).min_by_key(worth).map_or(0, |(_, shift)| shift)
     };
     (0..beams.len()).into_par_iter().map(best).collect()
 }
 
-/// The arguments of [`column_shifts`]' search for the number of ticks that two beams both use, for each
-/// shift; `mine` may cover a part of the turn. A struct, so that the function can be compiled for several
-/// vector units.
+/// The arguments of [`column_shifts`]' search for the number of ticks that two beams both use, for each shift of up to
+/// `widest` ticks either way. A struct, so that the function can be compiled for several vector units.
 struct Agreements<'a> {
-    mine: &'a [u8],
-    theirs: &'a [u8],
-    shifts: &'a [i64],
+    mine: &'a [u64],
+    theirs: &'a [u64],
+    ticks: usize,
+    widest: i64,
 }
 
 impl NullaryFnOnce for Agreements<'_> {
@@ -60,37 +47,36 @@ impl NullaryFnOnce for Agreements<'_> {
 
     #[inline(always)]
     fn call(self) -> Vec<u32> {
-        let Agreements { mine, theirs, shifts } = self;
-        let mut agreements = vec![0; shifts.len()];
-        for (found, shift) in agreements.iter_mut().zip(shifts) {
-            let start = shift.rem_euclid(theirs.len() as i64) as usize;
-            let (head, tail) = mine.split_at(mine.len().min(theirs.len() - start));
-            *found = agreement(head, &theirs[start..]) + agreement(tail, &theirs[..start]);
+        let Agreements { mine, theirs, ticks, widest } = self;
+        // The turn goes on from its start.
+        let mut round = vec![0u64; (2 * ticks).div_ceil(BITS) + 1];
+        for tick in (0..ticks).filter(|tick| theirs[tick / BITS] >> (tick % BITS) & 1 == 1) {
+            [tick, tick + ticks].into_iter().for_each(|tick| round[tick / BITS] |= 1 << (tick % BITS));
+        }
+        let mut agreements = Vec::with_capacity(2 * widest as usize + 1);
+        for shift in -widest..=widest {
+            let start = shift.rem_euclid(ticks as i64) as usize;
+            let (bits, theirs) = (start % BITS, &round[start / BITS..]);
+            let mut both = 0;
+            for ((mine, low), high) in mine.iter().zip(theirs).zip(&theirs[1..]) {
+                // In two steps, as no shift is by as many bits as there are.
+                both += (mine & (low >> bits | high << 1 << (BITS - 1 - bits))).count_ones();
+            }
+            agreements.push(both);
         }
         agreements
     }
 }
 
-/// Number of ticks that both use.
-#[inline(always)]
-fn agreement(a: &[u8], b: &[u8]) -> u32 {
-    /// Sums of bytes, in runs so short that none overflows, are what vector units do best.
-    const RUN: usize = 128;
-    let mut sum = 0;
-    for (a, b) in a.chunks(RUN).zip(b.chunks(RUN)) {
-        let mut run = 0u8;
-        for (a, b) in a.iter().zip(b) {
-            run += a & b;
-        }
-        sum += u32::from(run);
-    }
-    sum
-}
+/// Ticks in a word.
+const BITS: usize = u64::BITS as usize;
 
-/// 1 for each tick at which the beam has a point, else 0.
-fn used_ticks(model: &Hdl64, row: usize, pieces: &[&[Point]]) -> Vec<u8> {
-    let mut used = vec![0; model.ticks as usize];
-    let points = pieces.iter().copied().flatten();
-    points.for_each(|p| used[model.nearest_tick(row, p.azimuth, p.rho) as usize] = 1);
+/// A bit for each tick: 1 if the beam has a point there.
+fn used_ticks(model: &Hdl64, row: usize, pieces: &[&[Point]]) -> Vec<u64> {
+    let mut used = vec![0; (model.ticks as usize).div_ceil(BITS)];
+    for point in pieces.iter().copied().flatten() {
+        let tick = model.nearest_tick(row, point.azimuth, point.rho) as usize;
+        used[tick / BITS] |= 1 << (tick % BITS);
+    }
     used
 }

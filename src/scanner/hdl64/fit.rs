@@ -57,10 +57,45 @@ pub fn fit(sample: &[ScanFile]) -> Option<Hdl64> {
     grids.into_iter().find_map(|grid| fit_scans(grid, &on(grid)))
 }
 
+/// Whether a scan is beyond doubt one of such a scanner, by a few beams in the middle of it. No proof that it is of another
+/// if not.
+pub fn is_evident(positions: &[[f32; 3]]) -> bool {
+    /// Beams that are looked at, and fewer of which a scan is not worth it.
+    const BEAMS: usize = 5;
+    /// In metres: farther away points of another scanner do not lie on the ticks by chance.
+    const FAR: f64 = 4.0;
+    /// Far points of a beam that are evidence, and the share of them that the formula must explain.
+    const FEWEST: usize = 100;
+    const LEAST: f64 = 0.9;
+    let is_left = |position: &[f32; 3]| position[1] >= 0.0;
+    let ahead = positions
+        .iter()
+        .zip(&positions[1.min(positions.len())..])
+        .filter(|(last, next)| last[0] > 0.0 && next[0] > 0.0);
+    let turns: i64 = ahead.map(|(last, next)| i64::from(is_left(next)) - i64::from(is_left(last))).sum();
+    let turns = usize::try_from(turns).unwrap_or(0);
+    if turns < BEAMS {
+        return false;
+    }
+    let (middle, half) = (positions.len() / 2, positions.len() * BEAMS / turns / 2);
+    let positions = &positions[middle - half..middle + half];
+    let (beams, coordinates) =
+        (split_beams(positions), Coordinates::of(positions.iter().step_by(7).flatten()));
+    // The first and the last beam are cut off.
+    let beams = beams.get(1..beams.len().saturating_sub(1)).unwrap_or_default();
+    let is_evident = |beam: &&Vec<Point>| {
+        let far: Vec<Point> = beam.iter().filter(|point| point.rho > FAR).copied().collect();
+        far.len() >= FEWEST
+            && fit_beam(beam, coordinates).is_some_and(|constants| explained_share(&constants, &far) >= LEAST)
+    };
+    2 * beams.iter().filter(is_evident).count() > BEAMS
+}
+
 /// Fits a scanner to scans whose coordinates are on the same grid.
 fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<Hdl64> {
     let beams = align(scans);
-    let constants: Vec<_> = beams.par_iter().map(|beam| fit_beam(&beam.points(), coordinates)).collect();
+    let fit = |beam: &Beam| fit_beam(&beam.points(), coordinates).map(BeamConstants::quantise);
+    let constants: Vec<_> = beams.par_iter().map(fit).collect();
     let (beams, constants): (Vec<&Beam>, Vec<BeamConstants>) =
         beams.iter().zip(constants).filter_map(|(beam, constants)| Some((beam, constants?))).unzip();
     let taken = |scan: usize| beams.iter().map(|beam| beam.points_in(scan)).sum::<usize>();
@@ -106,7 +141,7 @@ fn in_single_precision(model: Hdl64, beams: &[&Beam]) -> Hdl64 {
 }
 
 /// The constants of one beam. `None` if it has too few points, or if they are not those of such a beam.
-fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<BeamConstants> {
+fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<[f64; 5]> {
     if points.len() < FEWEST_POINTS {
         return None;
     }
@@ -116,7 +151,7 @@ fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<BeamConstants>
     let offset = range_phase(points, elevation);
     let start = [elevation, offset, cone.height + cone.slope * offset, side, rot];
     let constants = refine(start, points, coordinates);
-    (explained_share(&constants, points) >= LEAST_OF_BEAM).then(|| BeamConstants::quantise(constants))
+    (explained_share(&constants, points) >= LEAST_OF_BEAM).then_some(constants)
 }
 
 /// A sample of the points that are so far away that their azimuth is accurate.

@@ -18,7 +18,7 @@ mod testing;
 
 pub use alignment::Alignment;
 pub(crate) use beams::{Point as BeamPoint, split_beams, thinned};
-pub use fit::{RANGE_STEP_UM, fit};
+pub use fit::{RANGE_STEP_UM, fit, is_evident};
 pub use model::{BeamConstants, FLOAT_RANGES, Hdl64, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, Sighting};
 pub use positions::positions;
 pub use projection::{EXACT_RANGE_BITS, Projection, REACH, project, project_nearest};
