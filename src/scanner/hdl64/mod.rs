@@ -6,6 +6,7 @@ mod columns;
 mod file_order;
 mod fit;
 mod formula;
+mod heights;
 mod model;
 mod near;
 mod positions;

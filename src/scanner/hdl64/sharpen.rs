@@ -7,12 +7,20 @@
 //! tick's, and the tick from which the program counts.
 
 use std::cmp::Reverse;
+use std::f64::consts::TAU;
 use std::ops::Range;
 
+use pulp::NullaryFnOnce;
+
 use super::beams::{Point, thinned};
+use super::heights::Heights;
 use super::single_precision::{Arithmetic, Refinement};
+use crate::ground::angle;
+use crate::ground::lanes::{dispatch, lanes};
 use crate::scanner::Hdl64;
 
+/// Number of points computed at a time.
+const LANES: usize = 8;
 /// Number of points of a beam that are used.
 const SAMPLE: usize = 1500;
 /// Fewer points are no evidence.
@@ -25,6 +33,7 @@ const FINEST: Range<f64> = 2.0..32.0;
 const LEAST_SHARE: f64 = 0.5;
 
 /// A point of a beam, and the integers from which it was computed.
+#[derive(Clone, Copy)]
 struct Site {
     tick: u32,
     /// The range before any offset is added.
@@ -79,8 +88,10 @@ fn fit_height(beam: &mut Arithmetic, sites: &[Site]) -> Option<()> {
     let sine = slope(sites) as f32;
     let cosine = (1.0 - f64::from(sine) * f64::from(sine)).sqrt() as f32;
     *beam = Arithmetic { cosine, range_offset: range_offset(sites), ..*beam };
+    let heights = Heights::new(&sites.iter().map(|site| (site.metres, site.position[2])).collect::<Vec<_>>());
     let right = |beam: Arithmetic| {
-        move |range_offset: f64| right_heights(&Arithmetic { range_offset, ..beam }, sites)
+        let heights = &heights;
+        move |range_offset: f64| heights.right(&Arithmetic { range_offset, ..beam })
     };
     let of_sine = |ulps: i8| {
         let beam = Arithmetic { sine: moved(sine, ulps), ..*beam };
@@ -91,14 +102,15 @@ fn fit_height(beam: &mut Arithmetic, sites: &[Site]) -> Option<()> {
     for (step, reach) in [(1e-8, 16), (2e-9, 10)] {
         beam.range_offset = best_around(beam.range_offset, step, reach, right(*beam)).1;
     }
-    let exactly = |range_offset: f64| height(&Arithmetic { range_offset, ..*beam }, sites).0;
-    let (reached, range_offset) = best_around(beam.range_offset, 2.5e-10, 10, exactly);
+    let best = |range_offset: f64| heights.best(&Arithmetic { range_offset, ..*beam });
+    let (reached, range_offset) = best_around(beam.range_offset, 2.5e-10, 10, |offset| best(offset).0);
+    beam.height = best(range_offset).1;
     beam.range_offset = range_offset;
-    beam.height = height(beam, sites).1;
     (reached as f64 >= LEAST_SHARE * sites.len() as f64).then_some(())
 }
 
 /// The float32 value `ulps` places after this one, away from zero.
+#[inline(always)]
 fn moved(value: f32, ulps: i8) -> f32 {
     f32::from_bits(value.to_bits().wrapping_add_signed(i32::from(ulps)))
 }
@@ -121,103 +133,170 @@ fn range_offset(sites: &[Site]) -> f64 {
     offset / cosine
 }
 
-/// Half the distance to the next float32.
-fn half_ulp(value: f32) -> f64 {
-    let next = f32::from_bits(value.abs().to_bits() + 1);
-    0.5 * (f64::from(next) - f64::from(value.abs()))
+/// What x and y tell of the azimuths of some points: the float32 azimuths that give them.
+#[derive(Clone, Default)]
+struct Azimuths {
+    ticks: Vec<u32>,
+    /// The distances along the beam.
+    distances: Vec<f32>,
+    lowest: Vec<f32>,
+    highest: Vec<f32>,
 }
 
-/// The height that remains for a point, and its tolerance.
-fn remaining_height(beam: &Arithmetic, site: &Site) -> (f64, f64) {
-    let z = site.position[2];
-    (f64::from(z) - f64::from(beam.distance(site.metres) * beam.sine), half_ulp(z))
-}
-
-/// How many z are exact at the height that suits most of them, on a grid of heights.
-fn right_heights(beam: &Arithmetic, sites: &[Site]) -> usize {
-    /// In metres.
-    const STEP: f64 = 2.5e-10;
-    /// Number of heights on each side of the mean.
-    const REACH: f64 = 800.0;
-    let mean = sites.iter().map(|site| remaining_height(beam, site).0).sum::<f64>() / sites.len() as f64;
-    // Number of points that become exact at a height, minus those that cease to be.
-    let mut changes = [0i32; 2 * REACH as usize + 2];
-    for site in sites {
-        let (height, tolerance) = remaining_height(beam, site);
-        let place = |height: f64| ((height - mean) / STEP + REACH).clamp(0.0, 2.0 * REACH + 1.0) as usize;
-        changes[place(height - tolerance)] += 1;
-        changes[place(height + tolerance)] -= 1;
+impl Azimuths {
+    /// Those of the points that some azimuth gives.
+    fn of(beam: &Arithmetic, sites: &[Site]) -> Self {
+        let mut azimuths = Azimuths::default();
+        for (site, [lowest, highest]) in sites.iter().zip(dispatch(Giving { beam, sites })) {
+            if lowest <= highest {
+                azimuths.ticks.push(site.tick);
+                azimuths.distances.push(beam.distance(site.metres));
+                azimuths.lowest.push(lowest);
+                azimuths.highest.push(highest);
+            }
+        }
+        azimuths
     }
-    let mut right = 0;
-    let right_at = changes.iter().map(|change| {
-        right += change;
-        right
-    });
-    right_at.max().unwrap_or(0).unsigned_abs() as usize
-}
 
-/// The height at which most z are exact, and their number.
-fn height(beam: &Arithmetic, sites: &[Site]) -> (usize, f64) {
-    let ends = |site: &Site| {
-        let (height, tolerance) = remaining_height(beam, site);
-        [(height - tolerance, 1i32), (height + tolerance, -1)]
-    };
-    let mut ends: Vec<(f64, i32)> = sites.iter().flat_map(ends).collect();
-    ends.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-    let (mut open, mut most, mut middle) = (0, 0, beam.height);
-    for (place, (end, change)) in ends.iter().enumerate() {
-        open += change;
-        if open > most {
-            let next = ends.get(place + 1).map_or(*end, |next| next.0);
-            (most, middle) = (open, 0.5 * (end + next));
+    fn len(&self) -> usize {
+        self.ticks.len()
+    }
+
+    /// These and others.
+    fn and(mut self, others: &Azimuths) -> Self {
+        self.ticks.extend_from_slice(&others.ticks);
+        self.distances.extend_from_slice(&others.distances);
+        self.lowest.extend_from_slice(&others.lowest);
+        self.highest.extend_from_slice(&others.highest);
+        self
+    }
+
+    /// About `count` of them.
+    fn some(&self, count: usize) -> Self {
+        Azimuths {
+            ticks: thinned(&self.ticks, count).copied().collect(),
+            distances: thinned(&self.distances, count).copied().collect(),
+            lowest: thinned(&self.lowest, count).copied().collect(),
+            highest: thinned(&self.highest, count).copied().collect(),
         }
     }
-    (most.unsigned_abs() as usize, middle)
-}
 
-/// What x and y tell of the azimuth of a point: the float32 azimuths that give them.
-#[derive(Clone, Copy)]
-struct Azimuth {
-    tick: u32,
-    /// The distance along the beam.
-    distance: f32,
-    lowest: f32,
-    highest: f32,
-}
-
-impl Azimuth {
-    /// `None` if no azimuth does.
-    fn new(beam: &Arithmetic, site: &Site) -> Option<Self> {
-        const REACH: i8 = 3;
-        let [x, y, _] = site.position;
-        let distance = beam.distance(site.metres);
-        let near = f64::from(y).atan2(f64::from(x)).rem_euclid(std::f64::consts::TAU) as f32;
-        let mut right = (-REACH..=REACH)
-            .map(|ulps| moved(near, ulps))
-            .filter(|&azimuth| azimuth < 7.0 && beam.x_y(distance, azimuth) == [x, y]);
-        let lowest = right.next()?;
-        Some(Azimuth { tick: site.tick, distance, lowest, highest: right.next_back().unwrap_or(lowest) })
-    }
-
-    fn degrees(&self) -> f64 {
-        (0.5 * (f64::from(self.lowest) + f64::from(self.highest))).to_degrees()
+    fn degrees(&self, number: usize) -> f64 {
+        (0.5 * (f64::from(self.lowest[number]) + f64::from(self.highest[number]))).to_degrees()
     }
 
     /// The error of the beam's azimuth, in degrees, if the beam is rotated by `turned` degrees before its
     /// sideways offset is applied.
-    fn miss(&self, beam: &Arithmetic, turned: f64) -> f64 {
-        let miss = self.degrees() - (turned + beam.aside(self.distance));
+    fn miss(&self, number: usize, beam: &Arithmetic, turned: f64) -> f64 {
+        let miss = self.degrees(number) - (turned + beam.aside(self.distances[number]));
         miss - (miss / 360.0).round() * 360.0
     }
 
     /// Degrees by which a metre of sideways offset rotates the beam.
-    fn slope(&self, beam: &Arithmetic) -> f64 {
-        beam.aside(self.distance) / beam.side_offset
+    fn slope(&self, number: usize, beam: &Arithmetic) -> f64 {
+        beam.aside(self.distances[number]) / beam.side_offset
     }
 
-    fn is_given(&self, beam: &Arithmetic, aside: f64) -> bool {
-        let azimuth = beam.azimuth(self.tick, aside);
-        self.lowest <= azimuth && azimuth <= self.highest
+    /// The angles by which the sideways offset rotates the beam, in degrees.
+    fn sides(&self, beam: &Arithmetic) -> Vec<f64> {
+        dispatch(Sides { beam, distances: &self.distances })
+    }
+
+    /// How many are exact if the beam is rotated sideways by these angles.
+    fn given(&self, beam: &Arithmetic, sides: &[f64]) -> usize {
+        dispatch(Given { beam, azimuths: self, sides })
+    }
+}
+
+/// The arguments of [`Azimuths::of`], for a function compiled for several vector units.
+struct Giving<'a> {
+    beam: &'a Arithmetic,
+    sites: &'a [Site],
+}
+
+impl NullaryFnOnce for Giving<'_> {
+    /// The lowest and the highest azimuth that give each point; these the other way round if none does.
+    type Output = Vec<[f32; 2]>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<[f32; 2]> {
+        let Giving { beam, sites } = self;
+        let mut limits = vec![[0.0; 2]; sites.len()];
+        let (blocks, rest) = sites.as_chunks::<LANES>();
+        let (of_blocks, of_rest) = limits.as_chunks_mut::<LANES>();
+        for (sites, limits) in blocks.iter().zip(of_blocks) {
+            *limits = giving(beam, sites);
+        }
+        for (site, limits) in rest.iter().zip(of_rest) {
+            [*limits] = giving(beam, std::array::from_ref(site));
+        }
+        limits
+    }
+}
+
+#[inline(always)]
+fn giving<const N: usize>(beam: &Arithmetic, sites: &[Site; N]) -> [[f32; 2]; N] {
+    const REACH: i8 = 3;
+    /// In radians: a little more than a turn.
+    const LARGEST: f32 = 7.0;
+    let [x, y]: [[f32; N]; 2] = [lanes(|i| sites[i].position[0]), lanes(|i| sites[i].position[1])];
+    let distance: [f32; N] = lanes(|i| beam.distance(sites[i].metres));
+    let near: [f32; N] = lanes(|i| {
+        let turned = angle::atan2(f64::from(y[i]), f64::from(x[i]));
+        (turned + if turned < 0.0 { TAU } else { 0.0 }) as f32
+    });
+    let (mut lowest, mut highest) = ([f32::INFINITY; N], [f32::NEG_INFINITY; N]);
+    for ulps in -REACH..=REACH {
+        let azimuth: [f32; N] = lanes(|i| moved(near[i], ulps));
+        let formula: [[f32; 2]; N] = lanes(|i| beam.x_y(distance[i], azimuth[i]));
+        let is_right: [bool; N] =
+            lanes(|i| (azimuth[i] < LARGEST) & (formula[i][0] == x[i]) & (formula[i][1] == y[i]));
+        lowest = lanes(|i| if is_right[i] & (azimuth[i] < lowest[i]) { azimuth[i] } else { lowest[i] });
+        highest = lanes(|i| if is_right[i] & (azimuth[i] > highest[i]) { azimuth[i] } else { highest[i] });
+    }
+    lanes(|i| [lowest[i], highest[i]])
+}
+
+/// The arguments of [`Azimuths::sides`], for a function compiled for several vector units.
+struct Sides<'a> {
+    beam: &'a Arithmetic,
+    distances: &'a [f32],
+}
+
+impl NullaryFnOnce for Sides<'_> {
+    type Output = Vec<f64>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<f64> {
+        let beam = *self.beam;
+        let mut sides = vec![0.0; self.distances.len()];
+        for (side, distance) in sides.iter_mut().zip(self.distances) {
+            *side = beam.aside(*distance);
+        }
+        sides
+    }
+}
+
+/// The arguments of [`Azimuths::given`], for a function compiled for several vector units.
+struct Given<'a> {
+    beam: &'a Arithmetic,
+    azimuths: &'a Azimuths,
+    sides: &'a [f64],
+}
+
+impl NullaryFnOnce for Given<'_> {
+    type Output = usize;
+
+    #[inline(always)]
+    fn call(self) -> usize {
+        let Given { beam, azimuths: Azimuths { ticks, lowest, highest, .. }, sides } = self;
+        let beam = *beam;
+        let mut count = 0;
+        for (((tick, side), lowest), highest) in ticks.iter().zip(sides).zip(lowest).zip(highest) {
+            let azimuth = beam.azimuth(*tick, *side);
+            count += u32::from((*lowest <= azimuth) & (azimuth <= *highest));
+        }
+        count as usize
     }
 }
 
@@ -228,21 +307,16 @@ fn fit_azimuth(beam: &mut Arithmetic, sites: &[Site], sharp: &[Site]) -> Option<
     const ENOUGH: f64 = 0.99;
     const ROUNDS: usize = 2;
     const SOME: usize = 600;
-    let few: Vec<&Site> = thinned(sites, 100).collect();
-    let right = |cosine: &f32| {
-        let beam = Arithmetic { cosine: *cosine, ..*beam };
-        few.iter().filter(|site| Azimuth::new(&beam, site).is_some()).count()
-    };
+    let few: Vec<Site> = thinned(sites, 100).copied().collect();
+    let right = |cosine: &f32| Azimuths::of(&Arithmetic { cosine: *cosine, ..*beam }, &few).len();
     beam.cosine = [1, -1, 0].map(|ulps| moved(beam.cosine, ulps)).into_iter().max_by_key(right)?;
-    let azimuths =
-        |sites: &[Site]| sites.iter().filter_map(|site| Azimuth::new(beam, site)).collect::<Vec<Azimuth>>();
-    let (mut all, sharp) = (azimuths(sites), azimuths(sharp));
+    let (all, sharp) = (Azimuths::of(beam, sites), Azimuths::of(beam, sharp));
     if (all.len() as f64) < LEAST_SHARE * sites.len() as f64 || sharp.len() < FEWEST_POINTS {
         return None;
     }
-    all.extend_from_slice(&sharp);
+    let all = all.and(&sharp);
     align_sideways(beam, &all);
-    let some: Vec<Azimuth> = thinned(&all, SOME).copied().collect();
+    let some = all.some(SOME);
     let mut most = 0;
     for _ in 0..ROUNDS {
         for mut candidate in count_from(beam, &sharp) {
@@ -262,15 +336,15 @@ fn fit_azimuth(beam: &mut Arithmetic, sites: &[Site], sharp: &[Site]) -> Option<
 
 /// Least squares for the sideways offset, before it is known how ticks are counted. Within an octave of the
 /// azimuth all rounding errors may be to one side, so each octave has a mean of its own.
-fn align_sideways(beam: &mut Arithmetic, azimuths: &[Azimuth]) {
+fn align_sideways(beam: &mut Arithmetic, azimuths: &Azimuths) {
     const OCTAVES: usize = 9;
     /// In degrees. Azimuths that wrap around are rounded like 360 degrees, although they are small.
     const SEAM: f64 = 16.0;
     let mut octaves = [Line::default(); OCTAVES];
-    for azimuth in azimuths.iter().filter(|azimuth| azimuth.degrees() > SEAM) {
-        let octave = (azimuth.degrees().log2() as usize).min(OCTAVES - 1);
-        let formula = f64::from(azimuth.tick) * beam.tick_degrees + beam.azimuth_offset;
-        octaves[octave].add(azimuth.slope(beam), azimuth.miss(beam, formula), 1.0);
+    for number in (0..azimuths.len()).filter(|number| azimuths.degrees(*number) > SEAM) {
+        let octave = (azimuths.degrees(number).log2() as usize).min(OCTAVES - 1);
+        let formula = f64::from(azimuths.ticks[number]) * beam.tick_degrees + beam.azimuth_offset;
+        octaves[octave].add(azimuths.slope(number, beam), azimuths.miss(number, beam, formula), 1.0);
     }
     let (mut product, mut square) = (0.0, 0.0);
     for (octave, line) in octaves.iter().enumerate().filter(|(_, line)| line.weight > 0.0) {
@@ -322,13 +396,11 @@ impl Line {
 
 /// Searches for the sideways offset and the added angle that give most azimuths exactly, in the given steps
 /// in metres and degrees; returns their number.
-fn turn(beam: &mut Arithmetic, azimuths: &[Azimuth], [length, angle]: [f64; 2], reach: i32) -> usize {
+fn turn(beam: &mut Arithmetic, azimuths: &Azimuths, [length, angle]: [f64; 2], reach: i32) -> usize {
     // Calibration files give decimals.
     let on_grid = |value: f64, step: f64| (value / step).round() * step;
     // A sideways offset rotates all azimuths, which the added angle compensates.
-    let mut mean = Line::default();
-    azimuths.iter().for_each(|azimuth| mean.add(azimuth.slope(beam), 0.0, 1.0));
-    let slope = mean.x / mean.weight;
+    let slope = azimuths.sides(beam).iter().sum::<f64>() / (beam.side_offset * azimuths.len() as f64);
     let pivoted = |side_offset: f64| Arithmetic {
         side_offset,
         azimuth_offset: beam.azimuth_offset - (side_offset - beam.side_offset) * slope,
@@ -336,57 +408,47 @@ fn turn(beam: &mut Arithmetic, azimuths: &[Azimuth], [length, angle]: [f64; 2], 
     };
     let right = |side_offset: f64| {
         let beam = pivoted(side_offset);
-        azimuths.iter().filter(|azimuth| azimuth.is_given(&beam, beam.aside(azimuth.distance))).count()
+        azimuths.given(&beam, &azimuths.sides(&beam))
     };
     let (_, side_offset) = best_around(on_grid(beam.side_offset, length), length, reach, right);
     let sideways = pivoted(side_offset);
-    let sides: Vec<f64> = azimuths.iter().map(|azimuth| sideways.aside(azimuth.distance)).collect();
-    let right =
-        |azimuth_offset: f64| count_given(&Arithmetic { azimuth_offset, ..sideways }, azimuths, &sides);
+    let sides = azimuths.sides(&sideways);
+    let right = |azimuth_offset: f64| azimuths.given(&Arithmetic { azimuth_offset, ..sideways }, &sides);
     let (right, azimuth_offset) = best_around(on_grid(sideways.azimuth_offset, angle), angle, reach, right);
     *beam = Arithmetic { azimuth_offset, ..sideways };
     right
 }
 
-/// How many azimuths are exact if the beam is rotated sideways by these angles.
-fn count_given(beam: &Arithmetic, azimuths: &[Azimuth], sides: &[f64]) -> usize {
-    azimuths.iter().zip(sides).filter(|(azimuth, side)| azimuth.is_given(beam, **side)).count()
-}
-
 /// The ticks that may count as 0, each with the angle that is then added to the others: those that agree best
 /// with how angles are rounded, the best first.
-fn count_from(beam: &Arithmetic, azimuths: &[Azimuth]) -> Vec<Arithmetic> {
+fn count_from(beam: &Arithmetic, azimuths: &Azimuths) -> Vec<Arithmetic> {
     /// Number of azimuths for a first look, and number of ticks for a closer one.
     const SOME: usize = 300;
     const LIKELY: usize = 40;
     const CANDIDATES: usize = 4;
     const ANGLE_STEP: f64 = 1e-7;
     const REACH: i32 = 6;
-    let formula = |azimuth: &Azimuth| {
-        (f64::from(azimuth.tick) - beam.first_tick as f64) * beam.tick_degrees + beam.azimuth_offset
+    let formula = |number: usize| {
+        (f64::from(azimuths.ticks[number]) - beam.first_tick as f64) * beam.tick_degrees + beam.azimuth_offset
     };
-    let finest = azimuths.iter().filter(|azimuth| FINEST.contains(&azimuth.degrees()));
-    let mut misses: Vec<f64> = finest.map(|azimuth| azimuth.miss(beam, formula(azimuth))).collect();
+    let finest = (0..azimuths.len()).filter(|number| FINEST.contains(&azimuths.degrees(*number)));
+    let mut misses: Vec<f64> = finest.map(|number| azimuths.miss(number, beam, formula(number))).collect();
     misses.sort_unstable_by(f64::total_cmp);
     let median = misses.get(misses.len() / 2).copied().unwrap_or(0.0);
     let counting_from = |first_tick: i64| {
         let turned = (first_tick - beam.first_tick) as f64 * beam.tick_degrees;
         Arithmetic { azimuth_offset: beam.azimuth_offset + median + turned, first_tick, ..*beam }
     };
-    let sides = |azimuths: &[Azimuth]| -> Vec<f64> {
-        azimuths.iter().map(|azimuth| beam.aside(azimuth.distance)).collect()
-    };
-    let some: Vec<Azimuth> = thinned(azimuths, SOME).copied().collect();
-    let (some_sides, sides) = (sides(&some), sides(azimuths));
-    let roughly = |tick: i64| (count_given(&counting_from(tick), &some, &some_sides), tick);
+    let some = azimuths.some(SOME);
+    let (some_sides, sides) = (some.sides(beam), azimuths.sides(beam));
+    let roughly = |tick: i64| (some.given(&counting_from(tick), &some_sides), tick);
     // The beams of no scanner look farther sideways than this.
     let widest = i64::from(beam.ticks / 10);
     let mut ticks: Vec<(usize, i64)> = (-widest..=widest).map(roughly).collect();
     ticks.sort_unstable_by_key(|&(right, tick)| (Reverse(right), tick.abs()));
     let closely = |&(_, tick): &(usize, i64)| {
         let beam = counting_from(tick);
-        let right =
-            |azimuth_offset: f64| count_given(&Arithmetic { azimuth_offset, ..beam }, azimuths, &sides);
+        let right = |azimuth_offset: f64| azimuths.given(&Arithmetic { azimuth_offset, ..beam }, &sides);
         let (right, azimuth_offset) = best_around(beam.azimuth_offset, ANGLE_STEP, REACH, right);
         (right, Arithmetic { azimuth_offset, ..beam })
     };

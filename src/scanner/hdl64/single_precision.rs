@@ -165,8 +165,9 @@ impl Arithmetic {
     /// The angle of a tick plus the azimuth offset, in degrees.
     #[inline(always)]
     pub fn turned(&self, tick: u32) -> f32 {
-        let counted = within(i64::from(tick) - self.first_tick, i64::from(self.ticks));
-        let angle = (counted as f64 * self.tick_degrees) as f32;
+        // Whole numbers, as f64, which vector units turn into no other so quickly.
+        let counted = within(f64::from(tick) - self.first_tick as f64, f64::from(self.ticks));
+        let angle = (counted * self.tick_degrees) as f32;
         (f64::from(angle) + self.azimuth_offset) as f32
     }
 
