@@ -110,13 +110,13 @@ impl NullaryFnOnce for Search<'_> {
         let grid = scanner.build.coordinates;
         let mut places = Vec::with_capacity(positions.len());
         for (first, points) in (0u32..).step_by(BLOCK).zip(positions.chunks(BLOCK)) {
-            // There is no range where none is left.
+            // What is missing of the last block is computed, too, but not looked at.
             let mut block = [[0.0; 3]; BLOCK];
             block[..points.len()].copy_from_slice(points);
             let metres: [[f64; BLOCK]; 3] = lanes(|axis| lanes(|i| f64::from(block[i][axis])));
             let (rows, located) = sight.find(&metres);
             let near = scanner.near_all(&rows, &metres, &located);
-            for i in 0..BLOCK {
+            for i in 0..points.len() {
                 let Some(found) = located.found(rows[i], i) else { continue };
                 let metres = [metres[0][i], metres[1][i], metres[2][i]];
                 // Every float32 is on its grid; on others the formula tells the sign of a zero.
