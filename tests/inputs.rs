@@ -535,11 +535,14 @@ fn bombs() -> Files {
     unfolds.prefix = pcd("binary_compressed", zeros, b"");
     let unfolds = unfolds.to_bytes().unwrap();
     assert!(unfolds.len() < 100_000);
+    let fields = String::from_utf8(pcd("ascii", 2, b"1 2 3 4\n5 6 7 8\n")).unwrap();
+    let fields = fields.replace("COUNT 1 1 1 1", "COUNT 1 1 1 400000000").into_bytes();
     let line = b"1.25 ".repeat(800_000);
     let list = "element face 1152921504606846976\nproperty list uint int vertex_indices\n";
     let files = [
         ("claim-binary.pcd", pcd("binary", CLAIM, &points)),
         ("claim-ascii.pcd", pcd("ascii", CLAIM, b"1 2 3 4\n5 6 7 8\n")),
+        ("claim-fields.pcd", fields),
         ("claim-largest.pcd", pcd("binary", u64::MAX, &points)),
         ("claim-packed.pcd", pcd("binary_compressed", CLAIM, &compressed(&[0, 0, 0xe0, 0xff, 0], u32::MAX))),
         ("claim.ply", ply("binary_little_endian", "", CLAIM, &points)),

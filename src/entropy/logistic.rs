@@ -113,6 +113,20 @@ impl Counter {
         self.0
     }
 
+    /// Whether it has seen no bit.
+    #[inline]
+    pub fn is_new(self) -> bool {
+        self.0 & COUNT_MASK == 0
+    }
+
+    /// The same probability, as if based on `most` bits at most (4 or more), and no surer than 1/1024: a rate as high as
+    /// that of few bits would carry one of nearly 0 below it.
+    #[inline]
+    pub fn based_on(self, most: u32) -> Self {
+        const SUREST: u32 = u32::MAX / 1024 + 1;
+        Counter((self.0 & !COUNT_MASK).clamp(SUREST, SUREST.wrapping_neg()) | (self.0 & COUNT_MASK).min(most))
+    }
+
     /// Learns from a bit.
     #[inline]
     pub fn learn(&mut self, bit: bool) {
@@ -293,5 +307,19 @@ mod tests {
         assert!(tables.opinion(counter) > 5.0);
         (0..3000).for_each(|_| counter.learn(false));
         assert!(tables.opinion(counter) < -5.0);
+    }
+
+    #[test]
+    fn what_is_based_on_few_bits_stays_a_probability() {
+        for bit in [false, true] {
+            let mut sure = Counter::default();
+            (0..3000).for_each(|_| sure.learn(bit));
+            let mut counter = sure.based_on(4);
+            for _ in 0..3000 {
+                let before = counter.0 >> COUNT_BITS;
+                counter.learn(bit);
+                assert!(if bit { counter.0 >> COUNT_BITS >= before } else { counter.0 >> COUNT_BITS <= before });
+            }
+        }
     }
 }

@@ -13,9 +13,14 @@ use crate::scan::{Column, Field, Layout, Scalar, ScanFile, Separator, TextFormat
 /// which must make a valid layout. Lines from the first one that does not look like those before it are
 /// `suffix`. `None` if there is no record, or if no rule gives back the texts of a column.
 pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64) -> Option<ScanFile> {
+    let body = bytes.get(start..)?;
+    // A header can claim any number of values, but each takes a byte of the line at least.
+    let values: u64 = fields.iter().map(|field| u64::from(field.count())).sum();
+    if !(1..=first_line(body)?.len() as u64).contains(&values) {
+        return None;
+    }
     let scalars: Vec<Option<Scalar>> =
         fields.iter().flat_map(|field| (0..field.count()).map(|_| field.scalar)).collect();
-    let body = bytes.get(start..).filter(|_| !scalars.is_empty())?;
     let mut format = TextFormat::of_line(first_line(body)?);
     let mut tokens: Vec<&str> = Vec::new(); // of all lines, line by line
     let mut rest = body;

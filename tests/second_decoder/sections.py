@@ -394,7 +394,7 @@ class Intensity:
         self.slot_bits = self.level_bits = 0
         self.weights = [floats([0.55, 0.55]) for _ in range(512)]
         self.reference_weights = [floats([0.45] * 3) for _ in range(512)]
-        self.rate = f32(f32(0.005) / 65536)
+        self.rate = f32(f32(0.02) / 65536)
 
     def code(self, bits, scale, image, strays, reference):
         def begin(columns, n):
@@ -434,6 +434,11 @@ class Intensity:
             weights = self.reference_weights
         places = [((c * 0x9E3779B1 & 0xFFFFFFFF) >> (32 - self.slot_bits)) << self.level_bits for c in contexts]
         views = self.views
+        if r and views[1][places[1] + 1] & 1023 == 0:
+            above = (((r - 1) << 8 | west) * 0x9E3779B1 & 0xFFFFFFFF) >> (32 - self.slot_bits) << self.level_bits
+            for node in range(1 << self.level_bits):
+                c = views[1][above + node]
+                views[1][places[1] + node] = clamp(c >> 10, 4096, 4190208) << 10 | min(c & 1023, 4)
         node = 1
         for _ in range(n):
             cells = [views[k][p + node] for k, p in enumerate(places)]

@@ -14,7 +14,9 @@ const ROWS: usize = 128;
 const OF_TWO: f32 = 0.55;
 const OF_THREE: f32 = 0.45;
 /// The learning rate of the weights.
-const RATE: f32 = 0.005;
+const RATE: f32 = 0.02;
+/// What a beam has learned counts for its neighbour as so many values at most.
+const INHERITED: u32 = 4;
 /// Nodes of the tree of a level's bits.
 const NODES: usize = 1 << MOST_BITS;
 
@@ -68,7 +70,7 @@ impl LightLevels {
         let [before, of_row] = &mut self.views;
         let (slot_bits, level_bits) = (before.slot_bits, before.level_bits);
         let before = before.slot((w / 2) << 16 | (ww / 2) << 8 | www / 8);
-        let of_row = of_row.slot(row.min(ROWS - 1) << 8 | w);
+        let of_row = of_row.slot_of_row(row.min(ROWS - 1), w);
         if !C::ENCODES {
             touch(&before[..1 << bits]);
             touch(&of_row[..1 << bits]);
@@ -114,11 +116,32 @@ impl View {
         }
     }
 
+    /// The place of a context's first counter.
+    #[inline(always)]
+    fn place(&self, context: usize) -> usize {
+        let slot = (context as u32).wrapping_mul(0x9e37_79b1) >> (32 - self.slot_bits);
+        (slot as usize) << self.level_bits
+    }
+
     /// The counters of a context.
     #[inline(always)]
     fn slot(&mut self, context: usize) -> &mut [Counter] {
-        let slot = (context as u32).wrapping_mul(0x9e37_79b1) >> (32 - self.slot_bits);
-        &mut self.counters[(slot as usize) << self.level_bits..][..1 << self.level_bits]
+        let place = self.place(context);
+        &mut self.counters[place..][..1 << self.level_bits]
+    }
+
+    /// The counters of a level to the west in a row. At first they are those of the row above.
+    #[inline(always)]
+    fn slot_of_row(&mut self, row: usize, west: usize) -> &mut [Counter] {
+        let place = self.place(row << 8 | west);
+        // The first node has seen every value of its slot.
+        if self.counters[place + 1].is_new() && row > 0 {
+            let above = self.place((row - 1) << 8 | west);
+            for node in 0..1 << self.level_bits {
+                self.counters[place + node] = self.counters[above + node].based_on(INHERITED);
+            }
+        }
+        &mut self.counters[place..][..1 << self.level_bits]
     }
 }
 
