@@ -318,7 +318,11 @@ mod tests {
             for _ in 0..3000 {
                 let before = counter.0 >> COUNT_BITS;
                 counter.learn(bit);
-                assert!(if bit { counter.0 >> COUNT_BITS >= before } else { counter.0 >> COUNT_BITS <= before });
+                assert!(if bit {
+                    counter.0 >> COUNT_BITS >= before
+                } else {
+                    counter.0 >> COUNT_BITS <= before
+                });
             }
         }
     }
