@@ -43,9 +43,11 @@ pub trait TokenCoder {
     fn number(&mut self, context: usize, value: u64) -> u64 {
         let known = NumberToken::of(value);
         let found = NumberToken::from_token(self.token(context, known.token));
-        let low = found.low_bits.min(32);
-        let high = self.bits(known.rest >> low, found.low_bits - low);
-        found.base + (high << low | self.bits(known.rest, low))
+        if found.low_bits <= 32 {
+            return found.base + self.bits(known.rest, found.low_bits);
+        }
+        let high = self.bits(known.rest >> 32, found.low_bits - 32);
+        found.base + (high << 32 | self.bits(known.rest, 32))
     }
 }
 

@@ -1,10 +1,11 @@
-//! Numbers in blocks, each block in as many bits as its largest number takes: nothing is faster. What is
-//! coded is the difference to the number before.
+//! Numbers in blocks, each block in as many bits as its largest number takes: nothing is faster. What is coded of a
+//! range is the difference to the one before, and of a level of intensity that to the least of its block.
 
 use pulp::NullaryFnOnce;
 
 use crate::entropy::TokenCoder;
 use crate::ground::lanes::dispatch;
+use crate::ground::varint::{unzigzag, zigzag};
 use crate::models::{Bins, IntensityScale};
 
 /// Numbers in a block: larger blocks save widths, smaller ones waste less where a single number is large.
@@ -15,11 +16,15 @@ const MOST_WIDTH: u8 = 32;
 const WIDTH_CONTEXTS: usize = MOST_WIDTH as usize + 1;
 /// The context of the number of values before one that is not on the grid.
 const GAP: usize = WIDTH_CONTEXTS;
+/// The most bits of a level above the least of its block.
+const MOST_LEVEL_WIDTH: u8 = 9;
+/// The context of the least level of a block of width 0 or 1; further ones follow for each two widths.
+const LEAST: usize = GAP + 1;
 
 /// Number of contexts of a section of ranges.
 pub const PACKED_RANGE_CONTEXTS: usize = WIDTH_CONTEXTS;
 /// Number of contexts of a section of intensities.
-pub const PACKED_INTENSITY_CONTEXTS: usize = WIDTH_CONTEXTS + 1;
+pub const PACKED_INTENSITY_CONTEXTS: usize = LEAST + MOST_LEVEL_WIDTH as usize / 2 + 1;
 
 /// Codes ranges, in steps, in the order of the cells: their bins of `bin` steps around the range before. As
 /// in [`RangeTokens`](super::RangeTokens), ranges are from 1 to 2^`range_bits` - 1 and are decoded as the
@@ -68,7 +73,7 @@ pub fn code_packed_intensities<C: TokenCoder>(coder: &mut C, scale: &IntensitySc
             *level = before;
         }
     }
-    code_values(coder, 0, &mut levels, difference, differing);
+    dispatch(Packing { coder, values: &mut levels, blocks: Levels::default() });
     if !C::ENCODES {
         values.iter_mut().zip(&levels).for_each(|(value, level)| *value = scale.value_of(*level));
     }
@@ -101,17 +106,23 @@ fn code_values<C: TokenCoder>(
     difference: impl Fn(u32, u32) -> u32,
     differing: impl Fn(u32, u32) -> u32,
 ) {
-    dispatch(Packing { coder, values, blocks: Blocks { before, width: 0, difference, differing } });
+    dispatch(Packing { coder, values, blocks: Differences { before, width: 0, difference, differing } });
 }
 
-/// The arguments of [`code_values`], for a function compiled for several vector units.
-struct Packing<'a, C, D, V> {
+/// Codes one block of values after the other.
+trait Blocks {
+    /// Codes a block.
+    fn code<C: TokenCoder>(&mut self, coder: &mut C, block: &mut [u32]);
+}
+
+/// A coder and values in blocks, for a function compiled for several vector units.
+struct Packing<'a, C, B> {
     coder: &'a mut C,
     values: &'a mut [u32],
-    blocks: Blocks<D, V>,
+    blocks: B,
 }
 
-impl<C: TokenCoder, D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> NullaryFnOnce for Packing<'_, C, D, V> {
+impl<C: TokenCoder, B: Blocks> NullaryFnOnce for Packing<'_, C, B> {
     type Output = ();
 
     #[inline(always)]
@@ -120,7 +131,8 @@ impl<C: TokenCoder, D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> NullaryFnOnc
         let (whole, rest) = values.as_chunks_mut::<BLOCK>();
         // The block length is a constant here, so this loop is compiled for it.
         for block in whole {
-            if !blocks.code(coder, block) {
+            blocks.code(coder, block);
+            if coder.is_exhausted() {
                 return;
             }
         }
@@ -130,8 +142,8 @@ impl<C: TokenCoder, D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> NullaryFnOnc
     }
 }
 
-/// Codes one block of values after the other.
-struct Blocks<D, V> {
+/// Blocks of differences.
+struct Differences<D, V> {
     /// The last value of the preceding block.
     before: u32,
     /// The width of the preceding block.
@@ -140,10 +152,9 @@ struct Blocks<D, V> {
     differing: V,
 }
 
-impl<D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> Blocks<D, V> {
-    /// Codes a block; returns false if a decoder has read past the end of its bytes.
+impl<D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> Blocks for Differences<D, V> {
     #[inline(always)]
-    fn code<C: TokenCoder>(&mut self, coder: &mut C, block: &mut [u32]) -> bool {
+    fn code<C: TokenCoder>(&mut self, coder: &mut C, block: &mut [u32]) {
         let mut differences = [0; BLOCK];
         if C::ENCODES {
             let mut before = self.before;
@@ -152,16 +163,46 @@ impl<D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> Blocks<D, V> {
                 before = (self.differing)(before, *coded);
             }
         }
-        let largest = differences.iter().fold(0, |all, difference| all | difference);
-        let bits = (u32::BITS - largest.leading_zeros()) as u8;
-        self.width = coder.token(usize::from(self.width), bits).min(MOST_WIDTH);
+        self.width = coder.token(usize::from(self.width), width_of(&differences)).min(MOST_WIDTH);
         code_block(coder, u32::from(self.width), &mut differences[..block.len()]);
         for (difference, value) in differences.iter().zip(block) {
             self.before = (self.differing)(self.before, *difference);
             *value = self.before;
         }
-        !coder.is_exhausted()
     }
+}
+
+/// Blocks of levels. Their noise is so large that they lie closer to the least of their block than to each other.
+#[derive(Default)]
+struct Levels {
+    /// The least level of the preceding block.
+    least: u32,
+    /// The width of the preceding block.
+    width: u8,
+}
+
+impl Blocks for Levels {
+    #[inline(always)]
+    fn code<C: TokenCoder>(&mut self, coder: &mut C, block: &mut [u32]) {
+        let (mut least, mut above) = (0, [0; BLOCK]);
+        if C::ENCODES {
+            least = block.iter().fold(u32::MAX, |least, level| least.min(*level));
+            above.iter_mut().zip(&*block).for_each(|(above, level)| *above = level.wrapping_sub(least));
+        }
+        self.width = coder.token(usize::from(self.width), width_of(&above)).min(MOST_LEVEL_WIDTH);
+        let change = zigzag(i64::from(least) - i64::from(self.least));
+        let change = unzigzag(coder.number(LEAST + usize::from(self.width / 2), change));
+        self.least = i64::from(self.least).wrapping_add(change) as u32;
+        code_block(coder, u32::from(self.width), &mut above[..block.len()]);
+        above.iter().zip(block).for_each(|(above, level)| *level = self.least.wrapping_add(*above));
+    }
+}
+
+/// The bits of the largest of these numbers.
+#[inline(always)]
+fn width_of(numbers: &[u32; BLOCK]) -> u8 {
+    let largest = numbers.iter().fold(0, |all, number| all | number);
+    (u32::BITS - largest.leading_zeros()) as u8
 }
 
 /// Codes numbers of `width` bits, as many at a time as the coder takes.

@@ -285,20 +285,27 @@ class PackedRange:
 
 class PackedIntensity:
     def __init__(self):
-        self.model = TokenModel(34)
+        self.model = TokenModel(39)
 
     def code(self, reader, image, strays):
         tokens = Tokens(self.model, reader)
         scale = Scale(tokens.bits)
         n = sum(map(sum, image)) + len(strays)
-        values = packed(tokens, n, 0)
-        value = None
         found = []
-        for _ in range(n):
-            d, before = values.send(value)
-            value = before + d & 0xFFFFFFFF
-            found.append(value)
-        if scale.per_unit:
+        if not scale.per_unit:
+            values = packed(tokens, n, 0)
+            value = None
+            for _ in range(n):
+                d, before = values.send(value)
+                value = before + d & 0xFFFFFFFF
+                found.append(value)
+        else:
+            width = least = 0
+            while len(found) < n:
+                width = min(tokens.token(width), 9)
+                least = least + unzigzag(tokens.number(34 + width // 2)) & 0xFFFFFFFF
+                block = range(min(n - len(found), 8))
+                found.extend([least + tokens.bits(width) & 0xFFFFFFFF for _ in block])
             found = [scale.value(v) if v < 1 << scale.bits else 0 for v in found]
             if scale.exceptions:
                 at = tokens.number(33)
