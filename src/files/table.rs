@@ -75,13 +75,18 @@ impl Table {
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let table = Table::find(bytes)?;
     let is_coordinate = |name: &str| POSITION.iter().any(|axis| name.eq_ignore_ascii_case(axis));
-    let declared = |name| match is_coordinate(name) {
-        // Not as integers, even if all of them are whole.
-        true => Declared { name, scalar: Some(Scalar::F64), width: Scalar::F64.size() },
-        false => Declared { name, scalar: None, width: 1 },
+    let parse = |of_coordinates: Option<Scalar>| {
+        let fields = table.names.iter().map(|name| match of_coordinates {
+            Some(scalar) if is_coordinate(name) => {
+                Declared { name, scalar: Some(scalar), width: scalar.size() }
+            }
+            _ => Declared { name, scalar: None, width: 1 },
+        });
+        let fields: Vec<_> = fields.collect();
+        text_records::parse(&fields, bytes, table.start, u64::MAX)
     };
-    let fields: Vec<_> = table.names.iter().map(|name| declared(name)).collect();
-    text_records::parse(&fields, bytes, table.start, u64::MAX)
+    // Coordinates are not integers, even if all of them are whole, unless they are more than doubles hold.
+    parse(Some(Scalar::F64)).or_else(|| parse(None))
 }
 
 /// The names of columns that a line gives, in the way of the lines below it.
@@ -160,6 +165,9 @@ mod tests {
         ];
         assert_eq!(names(&scan), expected);
         assert_eq!((scan.records, scan.layout.position), (2, Some([0, 1, 2])));
+        // More than doubles hold, as fields of 64 bits can be.
+        let scan = comes_back("a.xyz", b"10035219362488647680 2 3\n8751164152776630337 2 3\n".to_vec());
+        assert_eq!(names(&scan), [("x", "u64"), ("y", "u8"), ("z", "u8")]);
         // A number of points before them, as some `.xyz` have it.
         let scan = comes_back("a.xyz", b"2\n1 2 3\n4 5 6\n".to_vec());
         assert_eq!((scan.records, &scan.prefix[..]), (2, &b"2\n"[..]));
