@@ -5,7 +5,7 @@ mod headers;
 
 use self::columns::Column;
 use super::Kind;
-use super::field::layout_of;
+use super::field::{POSITION, layout_of};
 use super::{numpy, records};
 use crate::ground::error::{Error, Result};
 use crate::scan::{Column as TextColumn, NumberRule, Scalar, ScanFile, Separator, TextFormat, Wrapping};
@@ -38,15 +38,21 @@ impl FileFormat {
         }
     }
 
-    /// The columns of a scan in a file of this format; `None` if it cannot hold them.
-    fn columns(self, mut columns: Vec<Column>) -> Option<Vec<Column>> {
+    /// The columns of a scan in a file of this format. The error says why it cannot hold their coordinates.
+    fn columns(self, mut columns: Vec<Column>) -> std::result::Result<Vec<Column>, &'static str> {
         match self {
-            FileFormat::Bin => columns::of_kitti(columns),
-            FileFormat::Pcd | FileFormat::Csv | FileFormat::Npy => Some(columns),
+            FileFormat::Bin => columns::of_kitti(columns)
+                .ok_or("has coordinates that are not float32; convert it to pcd or ply"),
+            FileFormat::Pcd | FileFormat::Csv | FileFormat::Npy => Ok(columns),
             FileFormat::Ply => {
-                // PLY has no 64-bit integers.
-                columns.retain(|column| !matches!(column.scalar, Scalar::I64 | Scalar::U64));
-                Some(columns)
+                let has_type = |column: &Column| !matches!(column.scalar, Scalar::I64 | Scalar::U64);
+                if !columns.iter().take(POSITION.len()).all(has_type) {
+                    return Err(
+                        "has coordinates that are integers of 64 bits, which PLY does not know; convert it to pcd or csv",
+                    );
+                }
+                columns.retain(has_type);
+                Ok(columns)
             }
         }
     }
@@ -93,9 +99,7 @@ pub fn convert(scan: &ScanFile, format: FileFormat) -> Result<ScanFile> {
     let refuse = |what: &str| Error::Input { path: scan.name.clone().into(), what: what.to_owned() };
     let columns = columns::of_scan(scan)
         .ok_or_else(|| refuse("holds no points that can be converted; decode it without --format"))?;
-    let columns = format
-        .columns(columns)
-        .ok_or_else(|| refuse("has coordinates that are not float32; convert it to pcd or ply"))?;
+    let columns = format.columns(columns).map_err(refuse)?;
     records::check(scan)?;
     let body = records::join(scan)?;
     let mut converted = Vec::new();

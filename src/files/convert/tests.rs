@@ -120,6 +120,15 @@ fn what_has_no_intensity_gets_zero_or_no_field() {
 }
 
 #[test]
+fn coordinates_are_not_left_out() {
+    let file = [pcd("x y z", "8 4 4", "I F F", "1 1 1", 1, "binary"), vec![1; 16]].concat();
+    let (header, ..) = converted("a.pcd", file.clone(), FileFormat::Pcd);
+    assert!(header.contains("SIZE 8 4 4\nTYPE I F F\n"), "{header}");
+    let error = convert(&parse("a.pcd", file), FileFormat::Ply).unwrap_err().to_string();
+    assert!(error.starts_with("a.pcd ") && error.contains("64 bits"), "{error}");
+}
+
+#[test]
 fn doubles_stay_doubles_and_are_not_kitti() {
     let values = [1.0f64, 2.5, 1e300].map(f64::to_le_bytes).concat();
     let file = [pcd("x y z", "8 8 8", "F F F", "1 1 1", 1, "binary"), values.clone()].concat();
