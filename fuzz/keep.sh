@@ -10,8 +10,8 @@ export RUSTC_BOOTSTRAP=1
 for folder in "$corpus"/*/; do
     target=$(basename "$folder")
     mkdir "$work/$target"
-    cargo fuzz run --sanitizer none --no-trace-compares "$target" "$work/$target" -- \
-        -set_cover_merge=1 -timeout=100 -artifact_prefix="$work/" -max_len=4096 "$folder"
+    cargo fuzz run --sanitizer none --no-trace-compares "$target" "$work/$target" "$folder" -- \
+        -set_cover_merge=1 -timeout=100 -artifact_prefix="$work/" -max_len=4096
 done
 unset RUSTC_BOOTSTRAP
 LIDARPC_CORPUS=$work cargo test --locked --test fuzz -- --ignored --exact keep --nocapture
