@@ -119,8 +119,8 @@ impl Counter {
         self.0 & COUNT_MASK == 0
     }
 
-    /// The same probability, as if based on `most` bits at most (4 or more), and no surer than 1/1024: a rate as high as
-    /// that of few bits would carry one of nearly 0 below it.
+    /// The same probability, as if based on at most `most` bits, which is at least 4. It is kept between 1/1024 and
+    /// 1023/1024: few bits have a high rate, whose rounding would take a probability of nearly 0 below 0.
     #[inline]
     pub fn based_on(self, most: u32) -> Self {
         const SUREST: u32 = u32::MAX / 1024 + 1;
@@ -318,11 +318,8 @@ mod tests {
             for _ in 0..3000 {
                 let before = counter.0 >> COUNT_BITS;
                 counter.learn(bit);
-                assert!(if bit {
-                    counter.0 >> COUNT_BITS >= before
-                } else {
-                    counter.0 >> COUNT_BITS <= before
-                });
+                let after = counter.0 >> COUNT_BITS;
+                assert!(if bit { after >= before } else { after <= before });
             }
         }
     }
