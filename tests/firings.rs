@@ -4,7 +4,7 @@ mod common;
 
 use std::f64::consts::TAU;
 
-use common::firings::{image, made_up, ouster, points, timed, with_echoes};
+use common::firings::{image, made_up, ouster, points, taking_turns, timed, vlp_32c, with_echoes};
 use common::formats::kitti;
 use common::scans::Points;
 use common::streams::at_level;
@@ -12,7 +12,7 @@ use common::{File, round_trip, take_apart};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scan::ScanFile;
-use lidarpc::internals::scanner::firings::{Build, Firings, Recipe, Timing, fit};
+use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Recipe, Timing, fit};
 use lidarpc::internals::scanner::{REACH, RangeImage, Return, Scanner};
 use lidarpc::internals::stream::container::SectionKind;
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, VLP_16_ELEVATIONS, drive};
@@ -253,6 +253,57 @@ fn the_timing_of_a_block_is_found() {
     assert!(matches!(found.build().timing, Timing::Parts(_)));
     let (exact, inexact, strays) = counts(&found, &points);
     assert!(exact > 999 * points.len() / 1000 && inexact == 0 && strays < points.len() / 1000);
+}
+
+#[test]
+fn lasers_that_look_back_and_forth_while_the_azimuth_goes_on_are_found() {
+    let scan = vlp_32c(150);
+    let (found, share) = fit(&[file(&scan)]).expect("found");
+    assert!(share > 0.999, "{share}");
+    assert!(matches!(found.build().timing, Timing::Parts(_)));
+    assert!(found.lasers().iter().all(|laser| laser.azimuth == 0));
+    let (exact, inexact, strays) = counts(&found, &scan);
+    assert!(exact > 999 * scan.len() / 1000 && inexact == 0, "{exact}, {inexact}, {strays}");
+    round_trip(&files(&[scan]), &EncoderConfig::default());
+    // Likewise where a program adds angles, not ticks.
+    let truth = made_up(Recipe::VelodyneRos);
+    let truth = timed(&truth);
+    let scan = points(&truth, &image(&truth, 1));
+    let (found, share) = fit(&[file(&scan)]).expect("found");
+    assert!(share > 0.95, "{share}");
+    let (exact, inexact, strays) = counts(&found, &scan);
+    assert!(exact > 95 * scan.len() / 100 && inexact == 0, "{exact}, {inexact}, {strays}");
+}
+
+#[test]
+fn lasers_that_take_turns_are_found() {
+    let truth = made_up(Recipe::Nebula);
+    let scan = points(&truth, &taking_turns(image(&truth, 1)));
+    let (found, share) = fit(&[file(&scan)]).expect("found");
+    assert_eq!((found.build().recipe, share), (Recipe::Nebula, 1.0));
+    let columns = found.project(&file(&scan).cloud, REACH).image.columns.len();
+    assert_eq!(columns, image(&truth, 1).columns.len());
+    let (_, inexact, _) = counts(&found, &scan);
+    assert!(inexact <= scan.len() / 1000, "{inexact} of {}", scan.len());
+}
+
+#[test]
+fn constants_of_any_digits_are_found_to_the_last_bit() {
+    let nominal = made_up(Recipe::Nebula);
+    let lasers = nominal.lasers().iter().zip(0i64..).map(|(laser, row)| {
+        // As float32 has them: Hesai's files of angles hold more digits than thousandths.
+        let single = |units: i64| (f64::from((units as f64 * 1e-9) as f32) * 1e9).round() as i64;
+        Laser {
+            elevation: single(laser.elevation + 37 * row * row * 1009 % 1_000_000),
+            azimuth: single(laser.azimuth - 3_141_592_653 + 41 * row * 7919 % 1_000_000),
+        }
+    });
+    let truth = Firings::new(nominal.build().clone(), lasers.collect(), (0..32).collect());
+    let scan = points(&truth, &image(&truth, 1));
+    let (found, share) = fit(&[file(&scan)]).expect("found");
+    assert_eq!((found.build().recipe, share), (Recipe::Nebula, 1.0));
+    let (_, inexact, _) = counts(&found, &scan);
+    assert!(inexact <= scan.len() / 200, "{inexact} of {}", scan.len());
 }
 
 #[test]

@@ -252,6 +252,7 @@ fn recipes() -> Vec<Recipe> {
     );
     exact("firings-ouster", || named(&[common::firings::ouster(16, false)]), EncoderConfig::default());
     exact("firings-ouster-ros", || named(&[common::firings::ouster(16, true)]), EncoderConfig::default());
+    exact("firings-turned", || named(&[common::firings::vlp_32c(12)]), EncoderConfig::default());
     exact("firings-stamped", stamped_files, EncoderConfig::default());
     exact("standing-still", standing_still_files, EncoderConfig::default());
     for (level, name) in [(1, "-packed"), (6, ""), (9, "-deep")] {

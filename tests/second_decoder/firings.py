@@ -101,8 +101,8 @@ class Scanner:
         if self.timing > TWO_FIRINGS:
             raise Refused("an unknown timing")
         self.parts = [reader.varint() for _ in range(max(self.timing - 1, 0) * rows)]
-        if any(part > WHOLE for part in self.parts):
-            raise Refused("more than a block")
+        if any(part > 2 * WHOLE for part in self.parts):
+            raise Refused("more than two blocks")
         reader.end()
         self.slots = {row: slot for slot, row in enumerate(self.rows_of_slots)}
         self.cosine, self.sine = (glibc_cosf, glibc_sinf) if self.recipe in GLIBC else (cos_single, sin_single)
@@ -129,16 +129,20 @@ class Scanner:
 
     def tick_of_cell(self, row, column):
         """The tick of a row in a column."""
+        return (self.passed(row, column) + self.ticks - self.lags[row]) % self.ticks
+
+    def passed(self, row, column):
+        """The tick of a row in a column, were it not behind."""
         if self.timing == TOGETHER:
-            return (column.tick + self.ticks - self.lags[row]) % self.ticks
+            return column.tick
         slot = self.slots[row]
         if self.timing == VLP_16:
-            passed = f32(f32(slot * SLOT) + f32(column.firing * FIRING))
-            after = f32(f32(column.span * passed) / BLOCK)
-            return to_int(f32(f32(column.tick + after) + 0.5), 0, (1 << 32) - 1) % self.ticks
+            time = f32(f32(slot * SLOT) + f32(column.firing * FIRING))
+            after = f32(f32(column.span * time) / BLOCK)
+            return to_int(f32(f32(column.tick + after) + 0.5), 0, (1 << 32) - 1)
         place = column.firing * self.rows + slot
         part = self.parts[place] if place < len(self.parts) else 0
-        return (column.tick + column.span * part // WHOLE) % self.ticks
+        return column.tick + column.span * part // WHOLE
 
     def in_canonical_order(self, ranges, columns, is_full):
         """(row, column, tick, steps) of each return and blank."""

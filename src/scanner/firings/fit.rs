@@ -24,6 +24,8 @@ const TICKS: [u32; 5] = [512, 1024, 2048, 4096, 36_000];
 const COHERENT: f64 = 0.9;
 /// A scanner that explains fewer of the points than this is none.
 const LEAST_SHARE: f64 = 0.5;
+/// Parts of a tick by which the azimuths of a laser are off whole ticks, at most, if a program knows no others.
+const WHOLE_PHASE: f64 = 0.02;
 /// Points that tell enough.
 const SAMPLE: usize = 4000;
 /// Points of each laser that recipes are tried on.
@@ -122,12 +124,14 @@ fn fit_points(scan: &ScanFile, points: impl Iterator<Item = Option<Point>>) -> O
     let (scanner, share, _) = best.filter(|(_, share, _)| *share >= LEAST_SHARE)?;
     // Decimal digits are no help to a recipe that is not the right one.
     let is_digits = matches!(coordinates, Coordinates::Digits(_));
-    let scanner = match is_digits && !found.are_given_by(&scanner) {
-        true => {
+    let scanner = match is_digits.then(|| found.given(&scanner)) {
+        Some((given, all)) if 2 * given <= all => {
             let build = Build { coordinates: Coordinates::Float32, ..scanner.build };
-            Firings::new(build, scanner.lasers, scanner.rows_of_slots).line_by_line(scanner.rows_of_lines)
+            Firings::new(build, scanner.lasers, scanner.rows_of_slots)
+                .line_by_line(scanner.rows_of_lines)
+                .lagging(scanner.lags)
         }
-        false => scanner,
+        _ => scanner,
     };
     Some((scanner, share))
 }
@@ -181,32 +185,57 @@ impl Found<'_> {
         };
         let orders = [own, vlp_16(&elevations)];
         let lines = grid.filter(|grid| grid.by_lines).map_or_else(Vec::new, |grid| grid.lines);
-        let constants = Constants { elevations, phases, of_rows, more_of_rows };
-        let scanners = orders.into_iter().flatten().filter_map(|order| {
+        let near_axes = near_axes(points, &rows, elevations.len());
+        let constants = Constants { elevations, phases, of_rows, more_of_rows, near_axes };
+        let none = vec![0.0; constants.elevations.len()];
+        let are_whole = constants.phases.iter().all(|phase| phase.abs() < WHOLE_PHASE);
+        let scanner = |order: &Order, offsets: &[f64], ahead: &[f64]| {
             let build = Build {
                 recipe: Recipe::VelodyneRos,
                 ticks,
                 range_step_um,
                 coordinates: *coordinates,
                 origin: Origin::default(),
-                timing: order.timing,
+                timing: order.timing.clone(),
             };
-            let (build, lasers) = constants.with_recipe(&build, &order.shifts)?;
-            let scanner = Firings::new(build, lasers, order.rows_of_slots).line_by_line(lines.clone());
-            Some(self.with_timings(scanner, order.is_steady))
-        });
-        Some(scanners.flatten().collect())
+            let (build, lasers, are_own) = constants.with_recipe(&build, offsets)?;
+            let scanner =
+                Firings::new(build, lasers, order.rows_of_slots.clone()).line_by_line(lines.clone());
+            let behind =
+                ahead.iter().map(|ahead| (-*ahead as i64).rem_euclid(i64::from(ticks)) as u32).collect();
+            let lags = ahead.iter().any(|ahead| *ahead != 0.0);
+            Some((if lags { scanner.lagging(behind) } else { scanner }, are_own))
+        };
+        let candidates = |order: Order| {
+            let of_offsets = scanner(&order, &order.shifts, &none);
+            // Programs that know whole ticks alone add a laser's to the firing's.
+            let are_ticks = are_whole && order.shifts.iter().any(|shift| *shift != 0.0);
+            let of_lags = are_ticks.then(|| scanner(&order, &none, &order.shifts)).flatten();
+            let given = |(scanner, _): &(Firings, bool)| self.given(scanner).0;
+            let of_lags =
+                of_lags.filter(|lags| of_offsets.as_ref().is_none_or(|other| given(lags) > given(other)));
+            match (of_lags, of_offsets) {
+                (Some((scanner, _)), _) => {
+                    let starts = std::iter::once(&0).chain(&order.other_starts);
+                    let begun = starts.map(|&start| scanner.clone().begun_at(start));
+                    begun.flat_map(|scanner| self.with_timings(scanner, false)).collect()
+                }
+                (None, Some((scanner, are_own))) => self.with_timings(scanner, order.is_steady && !are_own),
+                (None, None) => Vec::new(),
+            }
+        };
+        Some(orders.into_iter().flatten().flat_map(candidates).collect())
     }
 
-    /// Whether a scanner's recipe gives most of the points to the last bit.
-    fn are_given_by(&self, scanner: &Firings) -> bool {
+    /// How many points a scanner's recipe gives to the last bit, and how many it explains.
+    fn given(&self, scanner: &Firings) -> (usize, usize) {
         let positions = &self.scan.cloud.positions;
         let places = scanner.places(positions, REACH + 0.5 * scanner.range_step_m());
         let is_given = |place: &&Place| {
             let found = Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
             scanner.gives(&found, &positions[place.point as usize].map(f64::from), 0..3)
         };
-        2 * places.iter().filter(is_given).count() > places.len()
+        (places.iter().filter(is_given).count(), places.len())
     }
 
     /// A scanner, and if its firings have no tick of their own, the same with the timings that fit best.
@@ -260,26 +289,39 @@ pub(super) fn phase(values: impl Iterator<Item = f64>) -> (f64, f64) {
 /// Radians: the points of a laser lie this near to its cone.
 pub(super) const ON_CONE: f64 = 1e-4;
 
-/// The elevations of the lasers, from the highest to the lowest: the narrow heaps of the points' elevations. None if most points lie in none.
+/// The elevations of the lasers, from the highest to the lowest: the narrow heaps of the points' elevations. None if most points
+/// lie in none.
 pub(super) fn elevations(points: &[Point]) -> Option<Vec<f64>> {
-    /// Radians between the heaps of two lasers.
-    const GAP: f64 = 6e-5;
-    /// Metres: elevations of nearer points are not sharp.
-    const NEAREST: f64 = 0.3;
     const FEWEST_LASERS: usize = 4;
     const MOST_LASERS: usize = 512;
+    /// Metres: elevations of nearer points are not sharp, or only if their coordinates are.
+    const NEAREST: [f64; 2] = [0.3, 0.05];
     let step = (points.len() / (16 * SAMPLE)).max(1);
-    let far = points.iter().step_by(step).filter(|point| point.range > NEAREST);
-    let mut all: Vec<f64> = far.map(|point| point.elevation).collect();
-    all.sort_unstable_by(|a, b| b.total_cmp(a));
-    let fewest = (all.len() / 2000).max(8);
-    let heaps = all.chunk_by(|a, b| a - b < GAP);
+    let sample = points.iter().step_by(step);
+    let heaps = |nearest: f64| {
+        let far = sample.clone().filter(|point| point.range > nearest);
+        let mut all: Vec<f64> = far.map(|point| point.elevation).collect();
+        all.sort_unstable_by(|a, b| b.total_cmp(a));
+        (narrow_heaps(&all), all.len())
+    };
+    let [far, near] = NEAREST.map(heaps);
+    let ((inside, found), all) = if near.0.0 > far.0.0 { near } else { far };
+    let is_scanner =
+        (FEWEST_LASERS..=MOST_LASERS).contains(&found.len()) && inside as f64 >= LEAST_SHARE * all as f64;
+    is_scanner.then_some(found)
+}
+
+/// The middles of the narrow heaps of some falling elevations, and how many of these are in one.
+fn narrow_heaps(elevations: &[f64]) -> (usize, Vec<f64>) {
+    /// Radians between the heaps of two lasers.
+    const GAP: f64 = 6e-5;
+    let fewest = (elevations.len() / 2000).max(8);
+    let heaps = elevations.chunk_by(|a, b| a - b < GAP);
     let narrow = heaps.filter(|heap| heap.len() >= fewest && heap[0] - heap[heap.len() - 1] < 2.0 * ON_CONE);
-    let found: Vec<&[f64]> = narrow.collect();
-    let inside: usize = found.iter().map(|heap| heap.len()).sum();
-    let is_scanner = (FEWEST_LASERS..=MOST_LASERS).contains(&found.len())
-        && inside as f64 >= LEAST_SHARE * all.len() as f64;
-    is_scanner.then(|| found.iter().map(|heap| heap[heap.len() / 2]).collect())
+    narrow.fold((0, Vec::new()), |(inside, mut middles), heap| {
+        middles.push(heap[heap.len() / 2]);
+        (inside + heap.len(), middles)
+    })
 }
 
 /// Radians from the lowest laser to one that has seen nothing, wherever it looks.
@@ -369,7 +411,8 @@ impl RecordGrid {
         let (shifts, same): (Vec<f64>, Vec<usize>) = ahead.into_iter().map(shift).unzip();
         let is_steady = same.into_iter().sum::<usize>() as f64 >= STEADY * all as f64;
         let shifts = if is_steady { shifts } else { vec![0.0; rows] };
-        Order { rows_of_slots: self.lines.clone(), shifts, timing: Timing::Together, is_steady }
+        let other_starts = Vec::new();
+        Order { rows_of_slots: self.lines.clone(), other_starts, shifts, timing: Timing::Together, is_steady }
     }
 }
 
@@ -397,6 +440,29 @@ fn by_rows(points: &[Point], rows: &[Option<usize>], count: usize, most: usize) 
         *row = of.into_iter().step_by(step).collect();
     }
     of_rows
+}
+
+/// The points of each row that are nearest to an axis of the file.
+fn near_axes(points: &[Point], rows: &[Option<usize>], count: usize) -> Vec<Vec<Point>> {
+    /// Of a row.
+    const MOST: usize = 40;
+    /// As parts of the distance.
+    const NEAR: f64 = 0.1;
+    let aside = |point: &Point| {
+        let [x, y, _] = point.position.map(f64::abs);
+        x.min(y) / x.max(y)
+    };
+    let mut near = vec![Vec::new(); count];
+    for (point, row) in points.iter().zip(rows) {
+        if let Some(row) = row.filter(|_| aside(point) < NEAR) {
+            near[row].push(*point);
+        }
+    }
+    for row in &mut near {
+        row.sort_by(|a, b| aside(a).total_cmp(&aside(b)));
+        row.truncate(MOST);
+    }
+    near
 }
 
 /// The ticks a turn on which the azimuths of most rows lie, each with a phase of its own.
@@ -429,12 +495,14 @@ struct Constants {
     of_rows: Vec<Vec<Point>>,
     /// Ten times as many.
     more_of_rows: Vec<Vec<Point>>,
+    /// Some that are nearest to an axis.
+    near_axes: Vec<Vec<Point>>,
 }
 
 impl Constants {
     /// Of the recipes, the one that gives the most points to the last bit, the first of equals, with the lasers'
-    /// constants. `shifts` are the whole ticks that each is ahead of the others.
-    fn with_recipe(&self, build: &Build, shifts: &[f64]) -> Option<(Build, Vec<Laser>)> {
+    /// constants. `shifts` are the whole ticks that each is ahead of the others; if it is not, the third is true.
+    fn with_recipe(&self, build: &Build, shifts: &[f64]) -> Option<(Build, Vec<Laser>, bool)> {
         /// Lasers that tell which recipe it is.
         const FEW: usize = 6;
         let tick = 360.0 / f64::from(build.ticks);
@@ -451,20 +519,76 @@ impl Constants {
         let most = AtomicUsize::new(0);
         let tried = Recipe::ALL.into_par_iter().filter(|recipe| !recipe.is_off_axis()).map(|recipe| {
             let any = Firings::new(Build { recipe, ..build.clone() }, Vec::new(), Vec::new());
-            let (common, exact) = self.common(&any, &offsets, &few, most.load(Ordering::Relaxed));
+            let least = most.load(Ordering::Relaxed);
+            let (common, exact) = self.common(&any, &offsets, &few, least);
+            let own = self.own(&any, &offsets, &few, exact.max(least));
+            let exact = own.unwrap_or(exact);
             most.fetch_max(exact, Ordering::Relaxed);
-            (any, common, exact)
+            (any, common, own.is_some(), exact)
         });
         let tried: Vec<_> = tried.collect();
-        let (any, common, _) = tried.into_iter().rev().max_by_key(|(_, _, exact)| *exact)?;
+        let (any, common, are_own, _) = tried.into_iter().rev().max_by_key(|(.., exact)| *exact)?;
         let of_row = |row: usize| {
-            let (laser, _) = self.laser(&any, row, offsets[row] + f64::from(common) * tick, 0);
-            // Sums in single precision tell an offset only by many points.
+            let offset = offsets[row] + f64::from(common) * tick;
+            let (mut laser, exact) = self.laser(&any, row, offset, 0);
+            // It may be off by whole ticks of its own, for want of points, or because as many pass until it fires.
+            if any.build.recipe.adds_in_single() && 4 * exact < 3 * self.of_rows[row].len() {
+                laser = self.turned(&any, row, offset).0;
+            }
             let sums = matches!(any.build.recipe, Recipe::Nebula | Recipe::Nebula2023);
-            if sums { self.polished(&any, row, laser) } else { laser }
+            if sums { self.of_sums(&any, row, laser) } else { laser }
         };
         let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
-        Some((any.build, lasers))
+        Some((any.build, lasers, are_own))
+    }
+
+    /// How many points of these rows come out if each is off by whole ticks of its own, if that is at least three quarters
+    /// and twice as many as come out anyway: lasers of which ticks pass until they fire.
+    fn own(&self, any: &Firings, offsets: &[f64], few: &[usize], exact: usize) -> Option<usize> {
+        let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
+        let are_moved = few.iter().any(|&row| self.of_rows[row].iter().any(|point| point.moved.is_some()));
+        if 2 * exact > points || are_moved || !any.build.recipe.adds_in_single() {
+            return None;
+        }
+        let own = few.iter().map(|&row| self.turned(any, row, offsets[row]).1).sum::<usize>();
+        (own >= 2 * exact && 4 * own >= 3 * points).then_some(own)
+    }
+
+    /// The laser near another by which the most of many points come out to the last bit, where sums in single precision tell an
+    /// offset only by many points, and an elevation by its cosine only then.
+    fn of_sums(&self, any: &Firings, row: usize, laser: Laser) -> Laser {
+        let points = &self.more_of_rows[row];
+        let sharpest = |laser: Laser| sharpest(any, laser, points, &self.near_axes[row]);
+        let first = sharpest(laser);
+        if first.1 == points.len() {
+            return first.0;
+        }
+        let step = any.build.recipe.angle_step(laser.elevation_degrees()) / ANGLE_UNIT;
+        let steps = (1..=SAME as i32).flat_map(|steps| [steps, -steps]);
+        let others = steps.map(|steps| laser.elevation + (f64::from(steps) * step).round() as i64);
+        let others = others.map(|elevation| Laser { elevation, ..laser });
+        let high = exact_points(any, laser, points, 2..3, 0);
+        let same_sine = others.filter(|other| exact_points(any, *other, points, 2..3, high) >= high);
+        same_sine.map(sharpest).fold(first, |best, next| if next.1 > best.1 { next } else { best }).0
+    }
+
+    /// The constants of a laser whose azimuth offset, in degrees, is off by some whole ticks, and how many of its points
+    /// they give to the last bit.
+    fn turned(&self, any: &Firings, row: usize, offset: f64) -> (Laser, usize) {
+        /// Ticks that pass while the lasers fire, at most.
+        const MOST: i32 = 40;
+        let tick = 360.0 / f64::from(any.build.ticks);
+        let (laser, exact) = self.laser(any, row, offset, 0);
+        let points = &self.of_rows[row];
+        if exact == points.len() {
+            return (laser, exact);
+        }
+        let off = (1..=MOST).flat_map(|ticks| [ticks, -ticks]).map(|ticks| offset + f64::from(ticks) * tick);
+        let lasers = off.clone().map(|degrees| Laser { azimuth: roundings(degrees)[0], ..laser });
+        let (best, _) = best_of(any, lasers, points, laser);
+        let (other, others) = self.laser(any, row, best.azimuth_degrees(), exact);
+        // By chance, or by another recipe, none gives most.
+        if others > exact && 4 * others >= 3 * points.len() { (other, others) } else { (laser, exact) }
     }
 
     /// The whole ticks by which all offsets are off, as far as these rows tell, and how many of their points come out:
@@ -480,6 +604,8 @@ impl Constants {
         const LIKELIEST: usize = 32;
         /// Offsets that are none, in degrees.
         const NONE: f64 = 1e-5;
+        /// Degrees: by chance, an offset is not as near to a thousandth.
+        const NEAR_THOUSANDTH: f64 = 1e-4;
         let tick = 360.0 / f64::from(any.build.ticks);
         let is_whole = 360_000 % any.build.ticks == 0;
         let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
@@ -533,14 +659,23 @@ impl Constants {
         let fewer: Vec<Vec<Point>> =
             few.iter().map(|&row| self.of_rows[row].iter().step_by(SPARSE).copied().collect()).collect();
         let are_moved = fewer.iter().flatten().any(|point| point.moved.is_some());
+        // Sums in single precision tell the last digits, so these had better be right.
+        let is_thousandth = |&row: &usize| {
+            let off = offsets[row] - roundings(offsets[row])[0] as f64 * ANGLE_UNIT;
+            off.abs() < NEAR_THOUSANDTH
+        };
+        let are_thousandths = are_moved || few.iter().all(is_thousandth);
         // How many of some points come out, or 0 if they are fewer than `least`.
         let count = |common: i32, points: &[Vec<Point>], least: usize| {
             let all: usize = points.iter().map(Vec::len).sum();
             let mut left = all.checked_sub(least)?;
             for ((&row, (laser, _)), points) in few.iter().zip(&found).zip(points) {
                 let degrees = offsets[row] + f64::from(common) * tick;
-                let azimuth =
-                    if are_moved { roundings(degrees)[0] } else { (degrees / ANGLE_UNIT).round() as i64 };
+                let azimuth = if are_thousandths {
+                    roundings(degrees)[0]
+                } else {
+                    (degrees / ANGLE_UNIT).round() as i64
+                };
                 let least = points.len().saturating_sub(left);
                 let exact = exact_points(any, Laser { azimuth, ..*laser }, points, 0..3, least);
                 left = left.checked_sub(points.len() - exact)?;
@@ -548,16 +683,7 @@ impl Constants {
             Some(least + left)
         };
         let all = std::iter::once(0).chain(rising(FARTHEST));
-        let common = if are_moved {
-            // Before the motion is known well, few points come out, so the likeliest are held against more of them.
-            let more: Vec<Vec<Point>> = few.iter().map(|&row| self.more_of_rows[row].clone()).collect();
-            let mut counted: Vec<_> = all.map(|common| (count(common, &fewer, 0), common)).collect();
-            counted.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
-            counted.truncate(LIKELIEST);
-            // The first of equals.
-            let counted = counted.into_iter().map(|(_, common)| (count(common, &more, 0), common));
-            counted.fold((None, 0), |best, next| if next.0 > best.0 { next } else { best }).1
-        } else {
+        let common = if are_thousandths && !are_moved {
             // Of all points as many may be missed, so no more of these; and of the right one most come out.
             let size: usize = fewer.iter().map(Vec::len).sum();
             let least = size.saturating_sub(points - least.min(points)).max(size * 3 / 4).max(1);
@@ -565,21 +691,31 @@ impl Constants {
                 count(common, &fewer, best.0 + 1).map_or(best, |count| (count, common))
             });
             found.1
+        } else {
+            // Before the motion is known well, or the last digits are, few points come out, so the likeliest are held
+            // against more of them.
+            let more: Vec<Vec<Point>> = few.iter().map(|&row| self.more_of_rows[row].clone()).collect();
+            let mut counted: Vec<_> = all.map(|common| (count(common, &fewer, 0), common)).collect();
+            counted.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
+            counted.truncate(LIKELIEST);
+            let count = |common: i32| match are_moved {
+                true => count(common, &more, 0).unwrap_or(0),
+                false => few
+                    .iter()
+                    .zip(&found)
+                    .map(|(&row, (laser, _))| {
+                        let azimuth = ((offsets[row] + f64::from(common) * tick) / ANGLE_UNIT).round() as i64;
+                        polished(any, Laser { azimuth, ..*laser }, &self.of_rows[row]).1
+                    })
+                    .sum(),
+            };
+            // The first of equals.
+            let counted = counted.into_iter().map(|(_, common)| (count(common), common));
+            counted.fold((0, 0), |best, next| if next.0 > best.0 { next } else { best }).1
         };
         let offset = |row: usize| offsets[row] + f64::from(common) * tick;
         let sum = few.iter().map(|&row| self.laser(any, row, offset(row), 0).1).sum();
         if sum > exact { (common, sum) } else { (0, exact) }
-    }
-
-    /// The laser with the azimuth offset near its own by which the most of many points come out to the last bit.
-    fn polished(&self, any: &Firings, row: usize, laser: Laser) -> Laser {
-        /// Steps to either side.
-        const FARTHEST: i64 = 12;
-        let points = &self.more_of_rows[row];
-        let steps = std::iter::once(0).chain((1..=FARTHEST).flat_map(|steps| [steps, -steps]));
-        let tried =
-            steps.map(|steps| Laser { azimuth: laser.azimuth + steps * AZIMUTH_STEP as i64, ..laser });
-        best_of(any, tried, points, laser).0
     }
 
     /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they give to the last
@@ -621,6 +757,29 @@ impl Constants {
         }
         best
     }
+}
+
+/// The laser with the azimuth offset near its own by which the most of some points come out to the last bit, and how many do.
+fn polished(any: &Firings, laser: Laser, points: &[Point]) -> (Laser, usize) {
+    /// Steps to either side.
+    const FARTHEST: i64 = 12;
+    let steps = std::iter::once(0).chain((1..=FARTHEST).flat_map(|steps| [steps, -steps]));
+    let tried = steps.map(|steps| Laser { azimuth: laser.azimuth + steps * AZIMUTH_STEP as i64, ..laser });
+    best_of(any, tried, points, laser)
+}
+
+/// The same to the last bit of the offset in degrees, which points near the axes tell: there sums of angles are small.
+fn sharpest(any: &Firings, laser: Laser, points: &[Point], near_axes: &[Point]) -> (Laser, usize) {
+    /// Units to either side.
+    const FARTHEST: f64 = 4.0 * AZIMUTH_STEP;
+    let (laser, exact) = polished(any, laser, points);
+    let step = (any.build.recipe.angle_step(laser.azimuth_degrees()) / ANGLE_UNIT).max(1.0);
+    let steps = (1..=(FARTHEST / step) as i32).flat_map(|steps| [steps, -steps]);
+    let azimuths =
+        std::iter::once(0).chain(steps).map(|steps| laser.azimuth + (f64::from(steps) * step) as i64);
+    let best = best_of(any, azimuths.map(|azimuth| Laser { azimuth, ..laser }), near_axes, laser).0;
+    let exact_so = exact_points(any, best, points, 0..3, exact);
+    if exact_so >= exact { (best, exact_so) } else { (laser, exact) }
 }
 
 /// The laser by which the most points come out to the last bit, the first of equals, and how many do; `none` if none do.

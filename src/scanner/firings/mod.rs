@@ -122,6 +122,8 @@ pub enum Timing {
 
 /// One in the unit of the parts of a block.
 const WHOLE: u32 = 1 << 24;
+/// Blocks that pass while the lasers of one fire, at most: the next one may begin before all have.
+const MOST_BLOCKS: i64 = 2;
 
 /// The ticks that have passed, if this part of so many has.
 #[inline(always)]
@@ -274,10 +276,20 @@ impl Firings {
         Firings { rows_of_lines, ..self }
     }
 
-    /// The same scanner with columns that hold what was not fired together: each row so many ticks behind its column, as in
-    /// Ouster's destaggered clouds. There must be as many as rows, all less than a turn, or none.
+    /// The same scanner with each row so many ticks behind its column: with columns that hold what was not fired together, as
+    /// in Ouster's destaggered clouds, or with lasers that look that far back, by a program that adds it to the tick. There
+    /// must be as many as rows, all less than a turn, or none.
     pub fn lagging(self, lags: Vec<u32>) -> Self {
         Firings { lags, ..self }
+    }
+
+    /// The same scanner with firings that begin at another slot.
+    fn begun_at(self, slot: usize) -> Self {
+        let mut rows_of_slots = self.rows_of_slots;
+        rows_of_slots.rotate_left(slot);
+        Firings::new(self.build, self.lasers, rows_of_slots)
+            .line_by_line(self.rows_of_lines)
+            .lagging(self.lags)
     }
 
     /// The same scanner with another timing of its firings.
@@ -359,8 +371,9 @@ impl Firings {
     #[inline(always)]
     fn tick_of_slot(&self, slot: usize, row: usize, base: u32, Span { ticks: span, firing }: Span) -> u32 {
         let place = firing as usize * self.rows() + slot;
+        let behind = self.build.ticks - self.lag(row);
         let tick = match &self.build.timing {
-            Timing::Together => base + self.build.ticks - self.lag(row),
+            Timing::Together => base,
             Timing::Vlp16 => {
                 let [.., of_block] = VLP_16_TIMES;
                 let passed = self.passed.times[place];
@@ -372,7 +385,7 @@ impl Firings {
                 base + passed_ticks(span, part)
             }
         };
-        self.within_turn(tick)
+        self.within_turn(tick + behind)
     }
 
     /// A tick of a few turns in the first.
@@ -631,8 +644,12 @@ impl Firings {
             firings @ 2..=3 => {
                 let count = (firings - 1) * u64::from(rows);
                 let part = |_| match read_unsigned(bytes, "scanner")? {
-                    part if part <= u64::from(WHOLE) => Ok(part as u32),
-                    part => Err(Error::over_limit("scanner: part of a block", part, WHOLE.into())),
+                    part if part <= MOST_BLOCKS as u64 * u64::from(WHOLE) => Ok(part as u32),
+                    part => Err(Error::over_limit(
+                        "scanner: part of a block",
+                        part,
+                        u64::from(WHOLE) * MOST_BLOCKS as u64,
+                    )),
                 };
                 Timing::Parts((0..count).map(part).collect::<Result<_>>()?)
             }
@@ -674,8 +691,10 @@ impl fmt::Display for Firings {
         }
         let order = if self.rows_of_lines.is_empty() { "firing by firing" } else { "row by row" };
         write!(f, ", {order}")?;
-        if !self.lags.is_empty() {
-            write!(f, ", destaggered")?;
+        match recipe {
+            _ if self.lags.is_empty() => {}
+            Recipe::SingleRangeXAhead | Recipe::Ouster | Recipe::OusterRos => write!(f, ", destaggered")?,
+            _ => write!(f, ", lasers turned by whole ticks")?,
         }
         match timing {
             Timing::Together => Ok(()),

@@ -1,7 +1,7 @@
 //! The order in which lasers fire, and how the azimuth goes on while they do, from points in the order of a file.
 
-use super::projection::{Place, nearest};
-use super::{Firings, Timing, WHOLE};
+use super::projection::{Column, Place, nearest};
+use super::{Firings, MOST_BLOCKS, Timing, WHOLE};
 
 /// The elevations of Velodyne's VLP-16 in degrees, in the order in which its lasers fire.
 pub(super) const VLP_16: [i32; 16] = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15];
@@ -12,7 +12,10 @@ pub(super) const STEADY: f64 = 0.93;
 /// The order in which lasers fire.
 pub(super) struct Order {
     pub rows_of_slots: Vec<u32>,
-    /// Whole ticks that each row is ahead.
+    /// Slots of this order at which a firing may as well begin, if the azimuth goes on while its lasers fire.
+    pub other_starts: Vec<usize>,
+    /// Whole ticks that each row is ahead. If this timing is not that of the scanner, those that pass while its lasers fire
+    /// are among them, or there are none.
     pub shifts: Vec<f64>,
     pub timing: Timing,
     /// Whether this timing is that of the scanner.
@@ -24,6 +27,7 @@ pub(super) struct Order {
 pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Order> {
     /// Fewer steps than these say nothing.
     const FEWEST: usize = 8;
+    const OTHER_STARTS: usize = 2;
     let mut order = cycle(sequence, rows)?;
     let mut slots = vec![0; rows];
     order.iter().enumerate().for_each(|(slot, &row)| slots[row] = slot);
@@ -47,37 +51,89 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Optio
     // Those from each slot to the next one, the last followed by the first.
     let next = |slot: usize| slot * rows + (slot + 1) % rows;
     let share = |slot: usize| modes[next(slot)].1 as f64 / steps[next(slot)].len().max(1) as f64;
-    let mean = |slot: usize| {
-        let steps = &steps[next(slot)];
-        steps.iter().sum::<i64>() as f64 / steps.len().max(1) as f64
-    };
     let known = (0..rows * rows).filter(|&pair| steps[pair].len() >= FEWEST);
     let (same, all) = known.fold((0, 0), |(same, all), pair| (same + modes[pair].1, all + steps[pair].len()));
     // The steps from the last laser of a firing to the first of the next may differ.
     let ends = sequence.len() / rows.max(1);
-    if same as f64 >= STEADY * all.saturating_sub(ends) as f64 {
+    let is_steady = same as f64 >= STEADY * all.saturating_sub(ends) as f64;
+    let of_next: Vec<&[i64]> = (0..rows).map(|slot| &steps[next(slot)][..]).collect();
+    let (last, has_shifts) = if is_steady {
         // One azimuth a firing: its end is where the steps differ most, or else, if the scanner turns by the same from
         // firing to firing, where it goes back from one end of the rows to the other.
-        let seen = (0..rows).filter(|&slot| steps[next(slot)].len() >= FEWEST);
+        let seen = (0..rows).filter(|&slot| of_next[slot].len() >= FEWEST);
         let worst = seen.min_by(|&a, &b| share(a).total_cmp(&share(b))).unwrap_or(0);
         let jump = |slot: &usize| order[*slot].abs_diff(order[(*slot + 1) % rows]);
         let longest = (0..rows).rev().max_by_key(jump).unwrap_or(0);
-        let start = (if share(worst) < STEADY { worst } else { longest } + 1) % rows;
-        let (mut shifts, mut shift) = (vec![0.0; rows], 0);
-        for slot in 0..rows {
-            let place = (start + slot) % rows;
-            shifts[order[place]] = shift as f64;
-            shift += modes[next(place)].0;
-        }
-        order.rotate_left(start);
-        let rows_of_slots = order.into_iter().map(|row| row as u32).collect();
-        return Some(Order { rows_of_slots, shifts, timing: Timing::Together, is_steady: true });
+        (if share(worst) < STEADY { worst } else { longest }, true)
+    } else {
+        last_of_firing(&of_next)?
+    };
+    let first = (last + 1) % rows;
+    let mut others: Vec<usize> =
+        (0..rows).filter(|&slot| slot != last && alike(of_next[slot]) < STEADY).collect();
+    others.sort_by(|&a, &b| alike(of_next[a]).total_cmp(&alike(of_next[b])));
+    others.truncate(OTHER_STARTS);
+    let other_starts = others.into_iter().map(|last| (last + 1 + rows - first) % rows).collect();
+    order.rotate_left(first);
+    let mut shifts = vec![0.0; rows];
+    if has_shifts {
+        let of_slots = shifts_of_slots(rows, |a, b| modes[(first + a) % rows * rows + (first + b) % rows]);
+        order.iter().zip(of_slots).for_each(|(&row, shift)| shifts[row] = shift as f64);
     }
-    // The longest step is the one to the next firing.
-    let last = (0..rows).max_by(|&a, &b| mean(a).abs().total_cmp(&mean(b).abs()))?;
-    order.rotate_left((last + 1) % rows);
     let rows_of_slots = order.into_iter().map(|row| row as u32).collect();
-    Some(Order { rows_of_slots, shifts: vec![0.0; rows], timing: Timing::Together, is_steady: false })
+    Some(Order { rows_of_slots, other_starts, shifts, timing: Timing::Together, is_steady })
+}
+
+/// The part of some steps, in rising order, that are the same but for how ticks are rounded.
+fn alike(steps: &[i64]) -> f64 {
+    let mut counts: Vec<(i64, usize)> =
+        steps.chunk_by(|a, b| a == b).map(|same| (same[0], same.len())).collect();
+    counts.push((i64::MAX, 0));
+    let pairs = counts.windows(2).map(|pair| match pair[0].0 + 1 == pair[1].0 {
+        true => pair[0].1 + pair[1].1,
+        false => pair[0].1,
+    });
+    pairs.max().unwrap_or(0) as f64 / steps.len().max(1) as f64
+}
+
+/// The last slot of a firing whose azimuth goes on while its lasers fire, given the steps, in rising order, from each slot
+/// to the next; and whether its lasers look into directions farther apart than that.
+fn last_of_firing(steps: &[&[i64]]) -> Option<(usize, bool)> {
+    let mean = |slot: &usize| steps[*slot].iter().sum::<i64>() as f64 / steps[*slot].len().max(1) as f64;
+    let by_length = |a: &usize, b: &usize| mean(a).abs().total_cmp(&mean(b).abs());
+    let longest = (0..steps.len()).max_by(by_length)?;
+    // The longest step is the one to the next firing, unless lasers look back and forth: then that one differs most.
+    let (there, back): (Vec<f64>, Vec<f64>) =
+        (0..steps.len()).map(|slot| mean(&slot)).partition(|mean| *mean > 0.0);
+    let [there, back] = [there, back].map(|means| means.iter().sum::<f64>().abs());
+    if there.min(back) < (there - back).abs() {
+        return Some((longest, false));
+    }
+    let by_likeness = |a: &usize, b: &usize| alike(steps[*a]).total_cmp(&alike(steps[*b]));
+    let last = (0..steps.len()).min_by(|a, b| by_likeness(a, b).then(by_length(b, a)));
+    last.map(|last| (last, true))
+}
+
+/// The whole ticks by which each slot of a firing is ahead of the first, from the most frequent step from each slot to each
+/// later one, and how often that occurs: along the steps that occur most often.
+fn shifts_of_slots(rows: usize, step: impl Fn(usize, usize) -> (i64, usize)) -> Vec<i64> {
+    let mut shifts = vec![0; rows];
+    // For each slot: how often the step from a slot that is known occurs, and where it leads.
+    let mut best: Vec<Option<(usize, i64)>> = vec![Some((0, 0)); rows];
+    let mut slot = 0;
+    for _ in 0..rows {
+        shifts[slot] = best[slot].take().map_or(0, |(_, shift)| shift);
+        for (other, best) in best.iter_mut().enumerate() {
+            let Some(known) = best else { continue };
+            let (ahead, count) = if slot < other { step(slot, other) } else { step(other, slot) };
+            if count > known.0 {
+                *known = (count, shifts[slot] + if slot < other { ahead } else { -ahead });
+            }
+        }
+        let open = (0..rows).rev().filter_map(|other| Some((best[other]?.0, other)));
+        slot = open.max_by_key(|(count, _)| *count).map_or(slot, |(_, other)| other);
+    }
+    shifts
 }
 
 /// The order of a VLP-16, if these are its elevations.
@@ -90,6 +146,7 @@ pub(super) fn vlp_16(elevations: &[f64]) -> Option<Order> {
     let is_all = elevations.len() == VLP_16.len();
     let order = |rows_of_slots| Order {
         rows_of_slots,
+        other_starts: Vec::new(),
         shifts: vec![0.0; VLP_16.len()],
         timing: Timing::Vlp16,
         is_steady: true,
@@ -122,45 +179,119 @@ fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
         }
     }
     let precedes = |a: usize, b: usize| before[a * rows + b] > before[b * rows + a];
-    let mut order: Vec<usize> = (0..rows).collect();
-    order.sort_by_cached_key(|&row| {
-        (row != first, rows - (0..rows).filter(|&other| precedes(row, other)).count())
-    });
+    let count = |is: &dyn Fn(usize) -> bool| (0..rows).filter(|&other| is(other)).count();
+    let later: Vec<usize> = (0..rows).map(|row| count(&|other| precedes(row, other))).collect();
+    let mut earlier: Vec<usize> = (0..rows).map(|row| count(&|other| precedes(other, row))).collect();
+    // The next one is that with the fewest that are left before it, and the most after it: lasers that take turns are never
+    // seen together.
+    let mut order = Vec::with_capacity(rows);
+    let mut rest: Vec<usize> = (0..rows).collect();
+    let mut next = first;
+    while !rest.is_empty() {
+        order.push(next);
+        rest.retain(|&row| row != next);
+        rest.iter().for_each(|&row| earlier[row] -= usize::from(precedes(next, row)));
+        next = rest.iter().copied().min_by_key(|&row| (earlier[row], rows - later[row])).unwrap_or(next);
+    }
     Some(order)
 }
 
-/// The same scanner with a timing of so many firings a block, whose parts come out of the points; none if they tell none.
+/// The same scanner with a timing of so many firings a block, whose parts come out of the points, and lags that go with it if
+/// it has any; none if they tell none.
 pub(super) fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Option<Firings> {
-    /// Rounds after which the parts do not change any more.
-    const ROUNDS: usize = 6;
+    /// Rounds after which neither parts nor lags change any more.
+    const ROUNDS: usize = 8;
     let rows = scanner.rows();
-    let mut parts = first_parts(scanner, places, firings)?;
+    let mut scanner = scanner.clone();
+    let mut places = places.to_vec();
+    let mut parts = first_parts(&scanner, &places, firings)?;
+    let with_parts = |scanner: Firings, parts: &[f64]| {
+        let of_parts = parts.iter().map(|part| (part * f64::from(WHOLE)) as u32);
+        scanner.with_timing(Timing::Parts(of_parts.collect()))
+    };
     for _ in 0..ROUNDS {
-        let of_parts: Vec<u32> = parts.iter().map(|part| (part * f64::from(WHOLE)) as u32).collect();
-        let columns = scanner.clone().with_timing(Timing::Parts(of_parts)).columns(places);
+        scanner = with_parts(scanner, &parts);
+        let columns = scanner.columns(&places);
         // For each slot of each firing: the ticks to the next block, and those from this one.
         let mut seen: Vec<Vec<(u32, i64)>> = vec![Vec::new(); parts.len()];
         for column in columns.iter().filter(|column| column.span.ticks > 0) {
             for place in &places[column.places.clone()] {
                 let slot = column.span.firing as usize * rows + place.slot as usize;
-                seen[slot].push((column.span.ticks, scanner.turned(column.tick, place.tick)));
+                seen[slot].push((column.span.ticks, scanner.turned(column.tick, place.column_tick)));
             }
         }
-        let last = parts.clone();
-        for (part, seen) in parts.iter_mut().zip(seen) {
-            *part = part_of(seen).unwrap_or(*part);
+        let last = (parts.clone(), scanner.lags.clone());
+        if firings == 1 && !scanner.lags.is_empty() {
+            let still = without_span(&scanner, &columns, &places);
+            scanner = relagged(scanner, &mut parts, seen, still);
+            places.iter_mut().for_each(|place| {
+                place.column_tick = scanner.within_turn(place.tick + scanner.lag(place.row as usize));
+            });
+        } else {
+            for (part, seen) in parts.iter_mut().zip(seen) {
+                *part = part_of(seen, 1).map_or(*part, |(part, _)| part);
+            }
         }
-        if last == parts {
+        if last.0 == parts && last.1 == scanner.lags {
             break;
         }
     }
-    let of_parts = parts.iter().map(|part| (part * f64::from(WHOLE)) as u32).collect();
-    Some(scanner.clone().with_timing(Timing::Parts(of_parts)))
+    Some(with_parts(scanner, &parts))
 }
 
-/// The part of a block by which the most ticks come out, each as ticks to the next block and from this one.
-fn part_of(mut seen: Vec<(u32, i64)>) -> Option<f64> {
-    seen.retain(|(span, ticks)| (0..i64::from(*span)).contains(ticks));
+/// For each slot, the ticks from the first slot in columns that no ticks to the next block explain: perhaps their programs let
+/// no azimuth go on there.
+fn without_span(scanner: &Firings, columns: &[Column], places: &[Place]) -> Vec<Vec<i64>> {
+    let mut still = vec![Vec::new(); scanner.rows()];
+    for column in columns {
+        let places = &places[column.places.clone()];
+        let is_right =
+            |place: &&Place| scanner.tick(place.row as usize, column.tick, column.span) == place.tick;
+        let Some(first) = places.first().filter(|first| first.slot == 0) else { continue };
+        if 4 * places.iter().filter(is_right).count() < 3 * places.len() {
+            for place in places {
+                still[place.slot as usize].push(scanner.turned(first.column_tick, place.column_tick));
+            }
+        }
+    }
+    still
+}
+
+/// A scanner with the lag of each row, near its own, and the part of a block that make the most ticks come out: a laser that
+/// looks so many ticks back, and one that fires later, differ where blocks do. `seen` are, for each slot, ticks to the next
+/// block and from this one, `still` those from this one if none are to the next.
+fn relagged(
+    scanner: Firings,
+    parts: &mut [f64],
+    seen: Vec<Vec<(u32, i64)>>,
+    still: Vec<Vec<i64>>,
+) -> Firings {
+    let ticks = i64::from(scanner.build.ticks);
+    let mut lags = scanner.lags.clone();
+    for (slot, (seen, still)) in seen.into_iter().zip(still).enumerate() {
+        let span = seen.iter().map(|(span, _)| i64::from(*span)).max().unwrap_or(0);
+        let mut best: Option<(usize, f64, i64)> = None;
+        let rising = (0..MOST_BLOCKS * span).flat_map(|later| [later, -later]);
+        for later in rising {
+            let moved = seen.iter().map(|(span, passed)| (*span, passed + later)).collect();
+            let Some((part, count)) = part_of(moved, MOST_BLOCKS) else { continue };
+            let count = count + still.iter().filter(|passed| **passed + later == 0).count();
+            if best.is_none_or(|(most, ..)| count > most) {
+                best = Some((count, part, later));
+            }
+        }
+        if let Some((_, part, later)) = best {
+            let lag = &mut lags[scanner.rows_of_slots[slot] as usize];
+            (parts[slot], *lag) = (part, (i64::from(*lag) + later).rem_euclid(ticks) as u32);
+        }
+    }
+    scanner.lagging(lags)
+}
+
+/// The part of a block by which the most ticks come out, each as ticks to the next block and from this one, and how many do; it is not
+/// more than `most` blocks.
+fn part_of(mut seen: Vec<(u32, i64)>, most: i64) -> Option<(f64, usize)> {
+    seen.retain(|(span, ticks)| (0..most * i64::from(*span)).contains(ticks));
     seen.sort_unstable();
     // Where intervals of parts begin and end, and how many points are in each.
     let mut ends: Vec<(f64, i64)> = Vec::new();
@@ -170,14 +301,14 @@ fn part_of(mut seen: Vec<(u32, i64)>) -> Option<f64> {
         ends.push(((ticks + 1) as f64 / f64::from(span), -count));
     }
     ends.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (mut inside, mut best) = (0, (0, None));
+    let (mut inside, mut best) = (0, None);
     for pair in ends.windows(2) {
         inside += pair[0].1;
-        if inside > best.0 && pair[1].0 > pair[0].0 {
-            best = (inside, Some(0.5 * (pair[0].0 + pair[1].0)));
+        if best.is_none_or(|(_, most)| inside > most) && pair[1].0 > pair[0].0 {
+            best = Some((0.5 * (pair[0].0 + pair[1].0), inside));
         }
     }
-    best.1
+    best.map(|(part, inside)| (part, inside as usize))
 }
 
 /// About which part of a block has passed at each slot of each of its firings, from what passes on the average.
@@ -190,7 +321,7 @@ fn first_parts(scanner: &Firings, places: &[Place], firings: usize) -> Option<Ve
     let (mut sums, mut counts) = (vec![0i64; rows], vec![0i64; rows]);
     let (mut all, mut slots) = (0, 0);
     for pair in places.windows(2).filter(|pair| pair[1].slot > pair[0].slot) {
-        let turned = scanner.turned(pair[0].tick, pair[1].tick);
+        let turned = scanner.turned(pair[0].column_tick, pair[1].column_tick);
         if turned.abs() < far {
             all += turned;
             slots += i64::from(pair[1].slot - pair[0].slot);
@@ -209,7 +340,8 @@ fn first_parts(scanner: &Firings, places: &[Place], firings: usize) -> Option<Ve
     (1..rows).for_each(|slot| offsets[slot] = offsets[slot - 1] + advance(slot));
     // From firing to firing.
     let firsts = places.iter().zip(places.iter().skip(1)).filter(|(a, b)| b.slot <= a.slot).map(|(_, b)| b);
-    let starts: Vec<f64> = firsts.map(|place| f64::from(place.tick) - offsets[place.slot as usize]).collect();
+    let starts: Vec<f64> =
+        firsts.map(|place| f64::from(place.column_tick) - offsets[place.slot as usize]).collect();
     let turn = f64::from(scanner.build.ticks);
     let mut steps: Vec<f64> = starts
         .windows(2)

@@ -343,7 +343,7 @@ impl Firings {
         let (mut ticks, mut blocks) = (0, 0.0);
         for pair in places.windows(2).filter(|pair| pair[1].slot > pair[0].slot) {
             let passed = self.passed(0, pair[1].slot) - self.passed(0, pair[0].slot);
-            let turned = self.turned(pair[0].tick, pair[1].tick);
+            let turned = self.turned(pair[0].column_tick, pair[1].column_tick);
             if passed > 0.0 && (0..i64::from(self.build.ticks) / FAR).contains(&turned) {
                 ticks += turned;
                 blocks += passed;
@@ -381,10 +381,11 @@ impl Firings {
         if !self.build.timing.is_interpolated() {
             return last.column_tick == place.column_tick;
         }
-        // Half of what passes from a firing to the next tells the two apart.
+        // Half of what passes from a firing to the next tells the two apart. In some blocks nothing passes.
         let firing = span / f64::from(self.build.timing.firings(self.rows()).max(1));
         let expected = (self.passed(0, place.slot) - self.passed(0, last.slot)) * span;
-        (self.turned(last.tick, place.tick) as f64 - expected).abs() <= 0.5 * firing
+        let turned = self.turned(last.column_tick, place.column_tick);
+        (turned == 0 && !self.lags.is_empty()) || (turned as f64 - expected).abs() <= 0.5 * firing
     }
 
     /// Finds the tick of each block, and the ticks to the next one: those by which the ticks of most of its places come
@@ -478,7 +479,7 @@ impl Firings {
         let turn = i64::from(self.build.ticks);
         let start = |place: &Place, firing: u32| {
             let passed = self.passed(firing, place.slot) * f64::from(last);
-            i64::from(place.tick) - round_ties_even(passed) as i64
+            i64::from(place.column_tick) - round_ties_even(passed) as i64
         };
         let from = start(first, firing);
         let next = columns.get(block.end).and_then(|column| of(column).first());
@@ -493,7 +494,7 @@ impl Firings {
                 for place in of(column) {
                     let slot = firing as usize * self.rows() + place.slot as usize;
                     let passed = passed_ticks(span, parts.get(slot).copied().unwrap_or(0));
-                    let off = i64::from(place.tick) - i64::from(passed) - from + OFF;
+                    let off = i64::from(place.column_tick) - i64::from(passed) - from + OFF;
                     // Divisions take long, and one turn is mostly enough.
                     let less = if off < 0 { off + turn } else { off };
                     let off = if (0..turn).contains(&less) { less } else { off.rem_euclid(turn) } as usize;
@@ -529,8 +530,8 @@ impl Firings {
             }
         }
         // Some programs let no azimuth go on in the last block of a packet.
-        let still = fitting(first.tick, 0, best.map_or(0, |best| best.fitting));
-        if still > 0 { Some(Found { tick: first.tick, span: 0, fitting: still }) } else { best }
+        let still = fitting(first.column_tick, 0, best.map_or(0, |best| best.fitting));
+        if still > 0 { Some(Found { tick: first.column_tick, span: 0, fitting: still }) } else { best }
     }
 }
 
