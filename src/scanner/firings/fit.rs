@@ -527,12 +527,14 @@ impl Constants {
             (any, common, own.is_some(), exact)
         });
         let tried: Vec<_> = tried.collect();
-        let (any, common, are_own, _) = tried.into_iter().rev().max_by_key(|(.., exact)| *exact)?;
+        let (any, common, are_own, exact) = tried.into_iter().rev().max_by_key(|(.., exact)| *exact)?;
+        let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
+        let may_turn = any.build.recipe.adds_in_single() && 2 * exact > points;
         let of_row = |row: usize| {
             let offset = offsets[row] + f64::from(common) * tick;
             let (mut laser, exact) = self.laser(&any, row, offset, 0);
             // It may be off by whole ticks of its own, for want of points, or because as many pass until it fires.
-            if any.build.recipe.adds_in_single() && 4 * exact < 3 * self.of_rows[row].len() {
+            if may_turn && 4 * exact < 3 * self.of_rows[row].len() {
                 laser = self.turned(&any, row, offset).0;
             }
             let sums = matches!(any.build.recipe, Recipe::Nebula | Recipe::Nebula2023);
