@@ -75,19 +75,13 @@ impl LightLevels {
             touch(&before[..1 << bits]);
             touch(&of_row[..1 << bits]);
         }
-        let (tables, weights) = (self.tables, &mut self.weights);
+        let tables = self.tables;
         let Some(back) = near.back else {
-            return code_bits(bits, level, |bit, node| {
-                mix(coder, tables, &mut weights[node], [&mut before[node], &mut of_row[node]], bit)
-            });
+            return code_bits(coder, tables, (bits, level), &mut self.weights, [before, of_row]);
         };
         self.reference.grow(slot_bits, level_bits);
         let reference = self.reference.slot(usize::from(back.level()) << 8 | w / 4);
-        let weights = &mut self.reference_weights;
-        code_bits(bits, level, |bit, node| {
-            let counters = [&mut before[node], &mut of_row[node], &mut reference[node]];
-            mix(coder, tables, &mut weights[node], counters, bit)
-        })
+        code_bits(coder, tables, (bits, level), &mut self.reference_weights, [before, of_row, reference])
     }
 }
 
@@ -155,37 +149,54 @@ fn touch(slot: &[Counter]) {
     std::hint::black_box(lines.fold(0, |all, counter| all ^ counter.bits()));
 }
 
-/// Codes the bits of a level, from the highest down; `code` codes the bit at a node of their tree.
-#[inline(always)]
-fn code_bits(bits: u32, level: u32, mut code: impl FnMut(bool, usize) -> bool) -> u32 {
-    let mut node = 1;
-    for i in (0..bits).rev() {
-        node = node << 1 | usize::from(code(level >> i & 1 == 1, node));
-    }
-    node as u32 - (1 << bits)
+/// What views say of the next bit.
+#[derive(Clone, Copy)]
+struct Odds<const N: usize> {
+    /// Their opinions.
+    opinions: [f32; N],
+    /// The probability of a 1, in 1/65536.
+    p: u32,
 }
 
-/// Codes a bit by the weighted sum of some opinions; counters and weights learn from it.
+/// Codes the bits of a level, from the highest down: each by the weighted sum of the views' opinions; counters and weights
+/// learn from it. The decoder looks at what may come next before it knows the bit, so that it need not wait for it.
 #[inline(always)]
-fn mix<C: BitCoder, const N: usize>(
+fn code_bits<C: BitCoder, const N: usize>(
     coder: &mut C,
     tables: &Logistic,
-    weights: &mut [f32; N],
-    counters: [&mut Counter; N],
-    bit: bool,
-) -> bool {
-    let mut opinions = [0.0; N];
-    let mut odds = 0.0;
-    for i in 0..N {
-        opinions[i] = tables.opinion(*counters[i]);
-        odds += weights[i] * opinions[i];
+    (bits, level): (u32, u32),
+    weights: &mut [[f32; N]],
+    mut views: [&mut [Counter]; N],
+) -> u32 {
+    let nodes = 1 << bits;
+    let weights = &mut weights[..nodes];
+    views.iter().for_each(|view| assert!(view.len() >= nodes));
+    let at = |weights: &[[f32; N]], views: &[&mut [Counter]; N], node: usize| {
+        let mut opinions = [0.0; N];
+        let mut odds = 0.0;
+        for i in 0..N {
+            opinions[i] = tables.opinion(views[i][node]);
+            odds += weights[node][i] * opinions[i];
+        }
+        Odds { opinions, p: tables.squash(odds) }
+    };
+    let mut node = 1;
+    let mut odds = at(weights, &views, node);
+    for i in (0..bits).rev() {
+        let bit = level >> i & 1 == 1;
+        let ahead = match (i > 0, C::ENCODES) {
+            (false, _) => [odds; 2],
+            (true, true) => [at(weights, &views, node << 1 | usize::from(bit)); 2],
+            (true, false) => [at(weights, &views, node << 1), at(weights, &views, node << 1 | 1)],
+        };
+        let bit = coder.code(bit, odds.p);
+        let pull = ((i32::from(bit) << 16) - odds.p as i32) as f32 * (RATE / 65536.0);
+        for i in 0..N {
+            weights[node][i] += pull * odds.opinions[i];
+            views[i][node].learn(bit);
+        }
+        node = node << 1 | usize::from(bit);
+        odds = ahead[usize::from(bit)];
     }
-    let p = tables.squash(odds);
-    let bit = coder.code(bit, p);
-    let pull = ((i32::from(bit) << 16) - p as i32) as f32 * (RATE / 65536.0);
-    for i in 0..N {
-        weights[i] += pull * opinions[i];
-    }
-    counters.into_iter().for_each(|counter| counter.learn(bit));
-    bit
+    (node - nodes) as u32
 }
