@@ -6,8 +6,10 @@ use std::time::Instant;
 
 use crate::files::{ArrivedFile, ArrivingFrames, collected};
 use crate::frame::EncoderConfig;
+use crate::frame::settings::resolve_threads;
 use crate::ground::error;
 use crate::stream::encoder::encode_known;
+use crate::stream::ordered::{on, pool_for_frames};
 use crate::stream::scanner_choice::KeptScanners;
 use crate::stream::{self, DecodeOptions, FrameInput};
 use crate::study::metrics;
@@ -46,6 +48,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     let mut arriving = ArrivingFrames::new(io::stdin()).with_any_names();
     let mut output = FileOutput::binary(args.output(), args.force)?;
     let (mut sizes, mut scanners) = (Sizes::default(), KeptScanners::default());
+    let pool = pool_for_frames(config.threads)?;
     let mut writer = output.writer();
     let encoded = arriving.by_ref().try_for_each(|file| {
         let ArrivedFile { name, bytes } = file.map_err(|error| match error {
@@ -56,7 +59,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
         sizes.file_bytes += bytes.len() as u64;
         let frame = FrameInput::memory(name.clone(), bytes);
         let scanners = scanners.for_next(Some(&frame), config)?;
-        let payload = encode_known(vec![frame], &scanners, config)?;
+        let payload = on(pool.as_ref(), || encode_known(vec![frame], &scanners, config))?;
         sizes.stream_bytes += payload.len() as u64;
         write_message(&mut writer, &name, &payload)
     });
@@ -81,8 +84,8 @@ pub fn decode(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter,
         false => Some(FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs)),
     };
     let mut sizes = Sizes::default();
-    // A message has a single group.
-    let options = DecodeOptions { threads: 1, ..options.clone() };
+    // A message has a single group, and its frame two parts.
+    let options = DecodeOptions { threads: resolve_threads(options.threads).min(2), ..options.clone() };
     let mut arriving = ArrivingFrames::new(open(input)?.reader()).with_any_names();
     let decoded = arriving.try_for_each(|message| {
         let ArrivedFile { name, bytes } = message?;

@@ -51,6 +51,19 @@ pub trait SectionCoder {
         code: impl FnOnce(&mut Self::Tokens<'_>) -> T,
     ) -> Result<T>;
 
+    /// Codes two parts of a frame that follow each other; `at_once` if a thread is free. Of the sections, the first part has
+    /// at most one, of this kind. The second may wait for what the first finds, but not the other way round.
+    ///
+    /// # Errors
+    /// That of the first part, or else of the second.
+    fn both<A: Send, B: Send>(
+        &mut self,
+        at_once: bool,
+        kind: SectionKind,
+        first: impl FnOnce(&mut Self) -> Result<A> + Send,
+        second: impl FnOnce(&mut Self) -> Result<B> + Send,
+    ) -> Result<(A, B)>;
+
     /// Codes a section whose payload is made elsewhere. A section that is left out has an empty payload.
     fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>);
 
@@ -128,6 +141,20 @@ impl SectionCoder for SectionWriter {
         Ok(result)
     }
 
+    fn both<A: Send, B: Send>(
+        &mut self,
+        at_once: bool,
+        _kind: SectionKind,
+        first: impl FnOnce(&mut Self) -> Result<A> + Send,
+        second: impl FnOnce(&mut Self) -> Result<B> + Send,
+    ) -> Result<(A, B)> {
+        let mut other = SectionWriter { limits: self.limits, ..SectionWriter::new(self.effort) };
+        let (a, b) = run_both(at_once, || first(self), || second(&mut other));
+        self.sections.append(&mut other.sections);
+        self.report.add(&other.report);
+        Ok((a?, b?))
+    }
+
     fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>) {
         if !payload.is_empty() {
             self.sections.push(Section { kind, payload: payload.clone() });
@@ -203,6 +230,20 @@ impl<'s> SectionReader<'s> {
     }
 }
 
+/// Does two things, the first of them on this thread; both at once if they should be, this is a thread of a pool, and another
+/// one is free. The second may wait for the first.
+fn run_both<A: Send, B: Send>(
+    at_once: bool,
+    first: impl FnOnce() -> A + Send,
+    second: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    if at_once && rayon::current_thread_index().is_some() {
+        rayon::join(first, second)
+    } else {
+        (first(), second())
+    }
+}
+
 fn ends_too_early(kind: SectionKind) -> Error {
     Error::corrupt(format!("{kind} section ends too early")).within_section(kind)
 }
@@ -257,6 +298,25 @@ impl SectionCoder for SectionReader<'_> {
         tables.learn(&counts);
         self.report.took_section(kind, start);
         Ok(decoded)
+    }
+
+    fn both<A: Send, B: Send>(
+        &mut self,
+        at_once: bool,
+        kind: SectionKind,
+        first: impl FnOnce(&mut Self) -> Result<A> + Send,
+        second: impl FnOnce(&mut Self) -> Result<B> + Send,
+    ) -> Result<(A, B)> {
+        let own = usize::from(self.peek().is_some_and(|section| section.kind == kind));
+        let (own, rest) = self.sections.split_at(own);
+        let mut reader = SectionReader::new(own, self.limits);
+        let mut other = SectionReader::new(rest, self.limits);
+        let (a, b) = run_both(at_once, || first(&mut reader), || second(&mut other));
+        let a = a?;
+        self.report.add(&reader.finish()?);
+        self.report.add(&other.report);
+        self.sections = other.sections;
+        Ok((a, b?))
     }
 
     fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>) {

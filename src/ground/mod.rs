@@ -1,8 +1,9 @@
-//! The ground that everything else stands on: errors, limits, tables, variable-length integers, rounding,
+//! The ground that everything else stands on: errors, limits, tables, tables that are read while they are written, variable-length integers, rounding,
 //! random numbers, fast angles, short decimals, the clock, and the helper for vector units.
 
 pub mod error;
 pub mod grid;
+pub mod growing;
 pub mod random;
 pub mod rounding;
 pub mod varint;

@@ -3,6 +3,9 @@
 use std::collections::VecDeque;
 use std::io::{Read, Seek};
 use std::ops::{Bound, Range, RangeBounds};
+use std::sync::Arc;
+
+use rayon::ThreadPool;
 
 use super::range_image::RangeImage;
 use super::scan::Scan;
@@ -10,7 +13,7 @@ use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::container::{FrameHeader, IndexedReader, Stamp, StreamReader, Unit};
 use crate::stream::decoder::{DecodedFrame, OpenGroup, decode_group};
-use crate::stream::ordered::Workers;
+use crate::stream::ordered::{Workers, on, pool_for_frames};
 use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
 use crate::stream::{DecodeOptions, FrameRange};
 
@@ -29,6 +32,8 @@ pub struct Decoder<R> {
     images: bool,
     /// The group of the scan that was asked for last by its number.
     kept: Option<KeptGroup>,
+    /// For such scans; made when it is first needed.
+    pool: Option<Arc<ThreadPool>>,
 }
 
 /// A group, decoded up to the last scan that was asked for.
@@ -90,7 +95,7 @@ impl<R: Read + Seek + Send> Decoder<R> {
     pub fn open_within(input: R, limits: Limits) -> Result<Self> {
         let reader = IndexedReader::open_at_end(input, limits)?;
         let groups = IndexedGroups::new(reader, FrameRange::default()).reading_at_once(AT_ONCE);
-        Ok(Decoder { groups, limits, threads: 1, images: false, kept: None })
+        Ok(Decoder { groups, limits, threads: 1, images: false, kept: None, pool: None })
     }
 
     /// Whether scans come with their [range images](Scan::range_image). Default: no; they take some time and memory.
@@ -98,10 +103,11 @@ impl<R: Read + Seek + Send> Decoder<R> {
         Decoder { images, kept: None, ..self }
     }
 
-    /// Has [`scans`](Self::scans) decoded ahead by so many threads; 0 stands for one a processor. With 1, the default,
-    /// there are none: the caller's thread decodes a group when its first scan is asked for.
+    /// Has [`scans`](Self::scans) decoded ahead by so many threads, and [`scan`](Self::scan) by two if there are to be more
+    /// than one; 0 stands for one a processor. With 1, the default, there are none: the caller's thread decodes a group
+    /// when its first scan is asked for.
     pub fn threads(self, threads: usize) -> Self {
-        Decoder { threads, ..self }
+        Decoder { threads, pool: None, ..self }
     }
 
     /// Number of scans. Files that were kept beside them are not counted, nor decoded.
@@ -182,7 +188,10 @@ impl<R: Read + Seek + Send> Decoder<R> {
             Some(kept) => kept,
             None => self.open_group(group.start)?,
         };
-        let scan = kept.scan(number)?;
+        if self.pool.is_none() {
+            self.pool = pool_for_frames(self.threads)?.map(Arc::new);
+        }
+        let scan = on(self.pool.as_deref(), || kept.scan(number))?;
         self.kept = Some(kept);
         Ok(scan)
     }
@@ -290,7 +299,8 @@ impl<R: Clone> Clone for Decoder<R> {
     /// is not kept.
     fn clone(&self) -> Self {
         let groups = self.groups.clone();
-        Decoder { groups, limits: self.limits, threads: self.threads, images: self.images, kept: None }
+        let Decoder { limits, threads, images, ref pool, .. } = *self;
+        Decoder { groups, limits, threads, images, kept: None, pool: pool.clone() }
     }
 }
 

@@ -4,6 +4,8 @@ use std::io::Write;
 use std::mem::take;
 use std::sync::Arc;
 
+use rayon::ThreadPool;
+
 use super::scan::Scan;
 use super::settings::Settings;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
@@ -12,7 +14,7 @@ use crate::stream::FrameInput;
 use crate::stream::container::Stamp;
 use crate::stream::encoded::OpenStream;
 use crate::stream::encoder::{EncodedGroup, SequenceCoder, encode_known};
-use crate::stream::ordered::Workers;
+use crate::stream::ordered::{Workers, on, pool_for_frames};
 use crate::stream::scanner_choice::{KeptScanners, Scanners, choose_scanners, records_of};
 
 /// Encodes scans as they come. The scanner is found in the first group of scans; groups are coded by threads of their
@@ -130,13 +132,16 @@ impl<W: Write> Encoder<W> {
 pub struct MessageEncoder {
     config: Arc<EncoderConfig>,
     scanners: KeptScanners,
+    pool: Option<Arc<ThreadPool>>,
 }
 
 impl MessageEncoder {
     /// # Errors
     /// [`Error::InvalidSettings`] if they are out of range or do not fit together.
     pub fn new(settings: Settings) -> Result<Self> {
-        Ok(MessageEncoder { config: Arc::new(settings.config()?), scanners: KeptScanners::default() })
+        let config = Arc::new(settings.config()?);
+        let pool = pool_for_frames(config.threads)?.map(Arc::new);
+        Ok(MessageEncoder { config, scanners: KeptScanners::default(), pool })
     }
 
     /// A stream of this scan alone, which a [`Decoder`](crate::Decoder) gives back.
@@ -148,7 +153,7 @@ impl MessageEncoder {
         // There are no others to tell it from.
         let frame = FrameInput::scan(scan).stamped(Stamp { stream: 0, ..stamp });
         let scanners = self.scanners.for_next(Some(&frame), &self.config)?;
-        encode_known(vec![frame], &scanners, &self.config)
+        on(self.pool.as_deref(), || encode_known(vec![frame], &scanners, &self.config))
     }
 }
 

@@ -21,6 +21,7 @@ use super::quantise::{Levels, signed_level};
 use super::shape::ErrorShape;
 use crate::entropy::{BitCoder, Counter, Logistic, MixedBits};
 use crate::ground::grid::Grid;
+use crate::ground::growing::GrowingGrid;
 use crate::inter::Reference;
 use back::{Back, ReferenceErrors, Surroundings};
 pub(crate) use bins::Bins;
@@ -124,8 +125,8 @@ fn first_scale(context: usize) -> f64 {
 pub struct RangeContext<'a> {
     /// Which cells hold a return.
     pub occupancy: &'a Grid<bool>,
-    /// The intensities, which are coded before, limited to 1 to 128; 0 = no return.
-    pub intensity: &'a Grid<u16>,
+    /// The intensities, each row of which is coded before that of the ranges, limited to 1 to 128; 0 = no return.
+    pub intensity: &'a GrowingGrid<u16>,
     /// What an earlier frame has there.
     pub reference: Option<&'a Reference>,
     /// Ranges are from 1 to 2^`range_bits` - 1 steps.
@@ -173,16 +174,19 @@ impl RangeModel {
             window.start_row();
             reference_errors.start_row();
             rows.start_row();
+            let levels = known.intensity.row(row);
+            let levels_above = row.checked_sub(1).map_or(&[][..], |above| known.intensity.row(above));
             for column in 0..width {
                 let cell = (row, column);
                 if !known.occupancy[cell] {
                     errors.skip(column);
                     continue;
                 }
-                let site = Site::of(known, window.around(column), &errors, &self.error_levels, cell);
+                let levels_near = (levels, levels_above);
+                let site = Site::of(levels_near, window.around(column), &errors, &self.error_levels, column);
                 let back = known.reference.and_then(|reference| Back::at(reference, &reference_errors, cell));
                 let axis = (known.range_bits, i64::from(known.bin));
-                let hint = self.residuals.hint(&rows, column, Classes::of(known.intensity.row(row), column));
+                let hint = self.residuals.hint(&rows, column, Classes::of(levels, column));
                 let (offset, range) = (f64::from(hint.offset), i64::from(steps[cell]));
                 let coded = match (&mut self.deep, &back, &mut self.with_reference) {
                     (Some(deep), ..) => {

@@ -8,6 +8,7 @@ use std::thread;
 
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
+use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Error, Result};
 
 /// What the calling thread waits for.
@@ -26,6 +27,25 @@ enum Event<J, T> {
 /// If they cannot be started.
 pub(crate) fn pool(threads: usize) -> Result<ThreadPool> {
     ThreadPoolBuilder::new().num_threads(threads).build().map_err(|e| no_threads(threads, &e))
+}
+
+/// Threads for what is done at once within a frame; none if there is to be one.
+///
+/// # Errors
+/// If they cannot be started.
+pub(crate) fn pool_for_frames(threads: usize) -> Result<Option<ThreadPool>> {
+    /// What is done at once: intensities and ranges.
+    const MOST: usize = 2;
+    let threads = resolve_threads(threads).min(MOST);
+    (threads > 1).then(|| pool(threads)).transpose()
+}
+
+/// Does some work by a thread of a pool, or by this one if there is none.
+pub(crate) fn on<T: Send>(pool: Option<&ThreadPool>, work: impl FnOnce() -> T + Send) -> T {
+    match pool {
+        Some(pool) => pool.install(work),
+        None => work(),
+    }
 }
 
 fn no_threads(threads: usize, error: &ThreadPoolBuildError) -> Error {

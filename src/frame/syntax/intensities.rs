@@ -1,5 +1,7 @@
 //! The intensities of the returns, then of the strays and blanks.
 
+use std::mem::take;
+
 use byteorder::{ByteOrder, LittleEndian};
 
 use crate::backend::Level;
@@ -10,6 +12,7 @@ use crate::frame::modelling::IntensityModelling;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::ground::grid::Grid;
+use crate::ground::growing::RowWriter;
 use crate::inter::Reference;
 use crate::models::{
     Beside, ChannelsModel, INTENSITY_CONTEXTS, IntensityModel, IntensityNeighbours, IntensityReference,
@@ -31,7 +34,7 @@ pub struct IntensityModels {
 
 impl IntensityModels {
     /// Codes the intensities, if the frame has any and keeps them. Returns those of the returns as contexts for the
-    /// ranges.
+    /// ranges, whose rows are also given out as they come.
     ///
     /// # Errors
     /// If the section is damaged.
@@ -39,24 +42,26 @@ impl IntensityModels {
         &mut self,
         sections: &mut S,
         reference: Option<&Reference>,
-        frame: &mut Frame,
+        frame: &Frame,
+        values: &mut Intensities,
+        rows: RowWriter<'_, u16>,
     ) -> Result<Grid<u16>> {
         let coded = frame.layout.intensity.is_some() && frame.parameters.intensity != Intensity::None;
         if !coded {
             let (rows, columns) = (frame.occupancy.rows(), frame.occupancy.columns());
-            frame.intensity = Grid::new(rows, columns);
-            frame.stray_intensity = vec![0.0; frame.strays];
+            values.of_cells = Grid::new(rows, columns);
+            values.outside = vec![0.0; frame.strays];
             return Ok(Grid::new(rows, columns));
         }
         if S::ENCODES {
             // The blanks follow the strays.
-            let of_blanks = frame.intensity.at(&frame.blanks);
-            frame.stray_intensity.extend(of_blanks);
+            let of_blanks = values.of_cells.at(&frame.blanks);
+            values.outside.extend(of_blanks);
         }
-        let levels = self.code_values(sections, reference, frame)?;
-        frame.stray_intensity.resize(frame.outside(), 0.0);
-        let of_blanks = frame.stray_intensity.split_off(frame.strays);
-        frame.intensity.fill(&frame.blanks, &of_blanks);
+        let levels = self.code_values(sections, reference, frame, values, rows)?;
+        values.outside.resize(frame.outside(), 0.0);
+        let of_blanks = values.outside.split_off(frame.strays);
+        values.of_cells.fill(&frame.blanks, &of_blanks);
         Ok(levels)
     }
 
@@ -65,22 +70,26 @@ impl IntensityModels {
         &mut self,
         sections: &mut S,
         reference: Option<&Reference>,
-        frame: &mut Frame,
+        frame: &Frame,
+        values: &mut Intensities,
+        mut rows: RowWriter<'_, u16>,
     ) -> Result<Grid<u16>> {
-        let mut scale = if S::ENCODES { frame.intensity_scale() } else { IntensityScale::default() };
+        let mut scale = if S::ENCODES { values.scale(frame) } else { IntensityScale::default() };
         let is_deep = match frame.parameters.modelling().parts().intensity {
             IntensityModelling::Light => false,
             IntensityModelling::Deep => true,
             IntensityModelling::Tokens => {
                 let mut levels = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
-                let code = |coder: &mut S::Tokens<'_>| code_tokens(coder, scale, frame, &mut levels);
+                let code = |coder: &mut S::Tokens<'_>| {
+                    code_tokens(coder, scale, frame, values, &mut levels, &mut rows)
+                };
                 return sections
                     .tokens(SectionKind::Intensity, INTENSITY_CONTEXTS, &mut self.tokens, code)
                     .map(|()| levels);
             }
             // Packed ranges have no contexts.
             IntensityModelling::Packed => {
-                let code = |coder: &mut S::Tokens<'_>| pack(coder, scale, frame);
+                let code = |coder: &mut S::Tokens<'_>| pack(coder, scale, frame, values);
                 return sections
                     .tokens(SectionKind::Intensity, PACKED_INTENSITY_CONTEXTS, &mut self.packed, code)
                     .map(|()| Grid::default());
@@ -90,11 +99,13 @@ impl IntensityModels {
         sections.section(SectionKind::Intensity, true, |coder| {
             scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
             if !scale.is_on_grid() {
-                return self.code_rough(coder, frame, level);
+                let levels = self.code_rough(coder, frame, values, level)?;
+                (0..levels.rows()).for_each(|row| rows.push(levels.row(row)));
+                return Ok(levels);
             }
             let model = self.adaptive.get_or_insert_default();
             model.set_deep(is_deep);
-            Ok(code_adaptive(model, coder, frame, scale, reference))
+            Ok(code_adaptive(model, coder, frame, values, (scale, reference), &mut rows))
         })
     }
 
@@ -103,7 +114,8 @@ impl IntensityModels {
     fn code_rough<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        frame: &mut Frame,
+        frame: &Frame,
+        known: &mut Intensities,
         level: Level,
     ) -> Result<Grid<u16>> {
         let returns = frame.cells.len();
@@ -114,16 +126,16 @@ impl IntensityModels {
             columns: frame.cells.iter().map(|cell| cell % width + 1).chain(strays()).collect(),
             ..Beside::default()
         };
-        let mut values = if C::ENCODES { frame.intensity.at(&frame.cells) } else { vec![0.0; returns] };
-        values.append(&mut frame.stray_intensity);
+        let mut values = if C::ENCODES { known.of_cells.at(&frame.cells) } else { vec![0.0; returns] };
+        values.append(&mut known.outside);
         values.resize(frame.records, 0.0);
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         let mut channels = [Channel { field: Field::new("intensity", Scalar::F32), bytes }];
         self.rough.code(coder, &mut channels, &beside, level)?;
         let [Channel { bytes, .. }] = channels;
         let mut values: Vec<f32> = bytes.chunks_exact(4).map(LittleEndian::read_f32).collect();
-        frame.stray_intensity = values.split_off(returns);
-        frame.intensity.fill(&frame.cells, &values);
+        known.outside = values.split_off(returns);
+        known.of_cells.fill(&frame.cells, &values);
         let mut levels = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
         levels.cells_mut().fill(1);
         Ok(levels)
@@ -135,9 +147,10 @@ impl IntensityModels {
 fn code_adaptive<C: BitCoder>(
     model: &mut IntensityModel,
     coder: &mut C,
-    frame: &mut Frame,
-    scale: IntensityScale,
-    reference: Option<&Reference>,
+    frame: &Frame,
+    values: &mut Intensities,
+    (scale, reference): (IntensityScale, Option<&Reference>),
+    rows: &mut RowWriter<'_, u16>,
 ) -> Grid<u16> {
     let width = frame.occupancy.columns();
     let mut levels = Grid::new(frame.occupancy.rows(), width);
@@ -151,13 +164,14 @@ fn code_adaptive<C: BitCoder>(
         for column in (0..width).filter(|&column| frame.occupancy[(row, column)]) {
             let mut near = neighbours(&levels, left, row, column);
             near.back = reference.and_then(|reference| IntensityReference::at(reference, (row, column)));
-            let value = &mut frame.intensity[(row, column)];
+            let value = &mut values.of_cells[(row, column)];
             *value = model.code(coder, &scale, &near, (row, column), *value);
             levels[(row, column)] = scale.context_level(*value);
             left = [levels[(row, column)], left[0], left[1], left[2]];
         }
+        rows.push(levels.row(row));
     }
-    code_strays(model, coder, &scale, frame);
+    code_strays(model, coder, &scale, frame, values);
     levels
 }
 
@@ -165,9 +179,10 @@ fn code_strays<C: BitCoder>(
     model: &mut IntensityModel,
     coder: &mut C,
     scale: &IntensityScale,
-    frame: &mut Frame,
+    frame: &Frame,
+    values: &mut Intensities,
 ) {
-    frame.stray_intensity.resize(frame.outside(), 0.0);
+    values.outside.resize(frame.outside(), 0.0);
     let north = neighbours_above(&frame.stray_positions);
     let mut levels: Vec<u16> = Vec::with_capacity(frame.outside());
     model.start_frame(scale, 1, frame.outside());
@@ -185,7 +200,7 @@ fn code_strays<C: BitCoder>(
             above2: [0; 3],
             back: None,
         };
-        let value = &mut frame.stray_intensity[index];
+        let value = &mut values.outside[index];
         *value = model.code(coder, scale, &near, (0, 0), *value);
         levels.push(scale.context_level(*value));
     }
@@ -210,8 +225,10 @@ fn neighbours(levels: &Grid<u16>, left: [u16; 4], row: usize, column: usize) -> 
 fn code_tokens<C: TokenCoder>(
     coder: &mut C,
     mut scale: IntensityScale,
-    frame: &mut Frame,
+    frame: &Frame,
+    values: &mut Intensities,
     levels: &mut Grid<u16>,
+    out: &mut RowWriter<'_, u16>,
 ) {
     scale.code(|value, count| coder.bits(value.into(), count) as u32);
     let mut model = IntensityTokens::default();
@@ -223,17 +240,18 @@ fn code_tokens<C: TokenCoder>(
             return;
         }
         let mut west = 0;
-        let cells = frame.occupancy.row(row).iter().zip(frame.intensity.row_mut(row)).zip(&mut above);
+        let cells = frame.occupancy.row(row).iter().zip(values.of_cells.row_mut(row)).zip(&mut above);
         for (((_, value), north), level) in
             cells.zip(levels.row_mut(row)).filter(|(((filled, _), _), _)| **filled)
         {
             west = model.code(coder, &scale, (west, *north), value);
             (*north, *level) = (west, west);
         }
+        out.push(levels.row(row));
     }
-    frame.stray_intensity.resize(frame.outside(), 0.0);
+    values.outside.resize(frame.outside(), 0.0);
     let mut west = 0;
-    for value in &mut frame.stray_intensity {
+    for value in &mut values.outside {
         if coder.is_exhausted() {
             return;
         }
@@ -241,15 +259,15 @@ fn code_tokens<C: TokenCoder>(
     }
 }
 
-fn pack<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, frame: &mut Frame) {
+fn pack<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, frame: &Frame, known: &mut Intensities) {
     scale.code(|value, count| coder.bits(value.into(), count) as u32);
     let returns = frame.cells.len();
-    let mut values = if C::ENCODES { frame.intensity.at(&frame.cells) } else { vec![0.0; returns] };
-    values.append(&mut frame.stray_intensity);
+    let mut values = if C::ENCODES { known.of_cells.at(&frame.cells) } else { vec![0.0; returns] };
+    values.append(&mut known.outside);
     values.resize(frame.records, 0.0);
     code_packed_intensities(coder, &scale, &mut values);
-    frame.stray_intensity = values.split_off(returns);
-    frame.intensity.fill(&frame.cells, &values);
+    known.outside = values.split_off(returns);
+    known.of_cells.fill(&frame.cells, &values);
 }
 
 impl Frame {
@@ -258,10 +276,30 @@ impl Frame {
         self.strays + self.blanks.len()
     }
 
-    /// The grid on which the intensities of the returns and strays lie.
-    pub(crate) fn intensity_scale(&self) -> IntensityScale {
-        let mut values = self.intensity.at(&self.cells);
-        values.extend(&self.stray_intensity);
-        IntensityScale::of(&values, self.parameters.intensity.levels_per_unit())
+    /// Takes the intensities out of the frame.
+    pub fn take_intensities(&mut self) -> Intensities {
+        Intensities { of_cells: take(&mut self.intensity), outside: take(&mut self.stray_intensity) }
+    }
+
+    /// Puts them back.
+    pub fn put_intensities(&mut self, Intensities { of_cells, outside }: Intensities) {
+        (self.intensity, self.stray_intensity) = (of_cells, outside);
+    }
+}
+
+/// The intensities of a frame while they are coded.
+pub struct Intensities {
+    /// Of the returns, and of the blanks.
+    of_cells: Grid<f32>,
+    /// Of the strays, and while they are coded of the blanks.
+    outside: Vec<f32>,
+}
+
+impl Intensities {
+    /// The grid on which those of the returns and strays lie.
+    fn scale(&self, frame: &Frame) -> IntensityScale {
+        let mut values = self.of_cells.at(&frame.cells);
+        values.extend(&self.outside);
+        IntensityScale::of(&values, frame.parameters.intensity.levels_per_unit())
     }
 }

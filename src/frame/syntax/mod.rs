@@ -11,14 +11,18 @@ mod records;
 mod reference;
 mod strays;
 
+use std::mem::take;
+
 use super::frame::Frame;
 use super::parameters::FrameParameters;
 use super::sections::SectionCoder;
 use super::whole::WholeFile;
 use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Result};
+use crate::ground::grid::Grid;
+use crate::ground::growing::GrowingGrid;
 use crate::ground::varint::{read_unsigned, write_unsigned};
-use crate::inter::Past;
+use crate::inter::{Past, Reference};
 use crate::scanner::Scanner;
 use crate::scanner::motion::{Compensation, Stamped, Turn, World};
 use crate::stream::container::SectionKind;
@@ -74,8 +78,8 @@ impl Models {
         let reference = self.past.reference(scanner, frame)?;                       // FORMAT 4.3, equation 9
         self.image.code_occupancy(s, reference.as_ref(), frame)?;                   // FORMAT 8.3, 8.16
         self.strays.code(s, frame)?;                                                // FORMAT 8.4
-        let levels = self.intensities.code(s, reference.as_ref(), frame)?;          // FORMAT 8.5, 8.16
-        self.ranges.code(s, scanner, (&levels, reference.as_ref()), frame)?;        // FORMAT 8.6, 8.11 to 8.14, 8.16
+        let levels = self.code_returns(s, scanner, reference.as_ref(), frame)?;     // FORMAT 8.5, 8.6, 8.16
+        self.ranges.code_residuals(s, scanner, reference.as_ref(), frame)?;         // FORMAT 8.11 to 8.14
         self.echoes.code(s, frame)?;                                                // FORMAT 8.19
         self.past.remember(scanner, levels, frame);
         frame.arrange(scanner);                                                     // FORMAT 4.2
@@ -84,6 +88,37 @@ impl Models {
         self.records.code_channels(s, scanner, frame)?;                             // FORMAT 8.9
         code_compensation(s, frame)?;                                               // FORMAT 8.15
         code_sorted(s, frame)                                                       // FORMAT 8.21
+    }
+
+    /// The intensities, and the ranges by context: of each row the intensities before the ranges, which another thread codes
+    /// if one is free. Returns the context levels of the intensities.
+    fn code_returns<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        scanner: Option<&Scanner>,
+        reference: Option<&Reference>,
+        frame: &mut Frame,
+    ) -> Result<Grid<u16>> {
+        /// Fewer returns are not worth another thread.
+        const FEWEST: usize = 4096;
+        let rows = GrowingGrid::new(frame.occupancy.rows(), frame.occupancy.columns());
+        let (mut values, mut steps) = (frame.take_intensities(), take(&mut frame.image.steps));
+        if scanner.is_some() {
+            sections.report().converted += 4 * steps.cells().len() as u64;
+        }
+        let (coded, models) = (&*frame, (&mut self.intensities, &mut self.ranges));
+        let (levels, ()) = sections.both(
+            coded.cells.len() >= FEWEST,
+            SectionKind::Intensity,
+            |sections| models.0.code(sections, reference, coded, &mut values, rows.writer()),
+            |sections| match scanner {
+                Some(_) => models.1.code_by_context(sections, (&rows, reference), coded, &mut steps),
+                None => Ok(()),
+            },
+        )?;
+        frame.put_intensities(values);
+        frame.image.steps = steps;
+        Ok(levels)
     }
 
     /// The frame before, if it has a range image.

@@ -9,12 +9,13 @@ use crate::article::residual::{self, Packing};
 use crate::backend;
 use crate::entropy::TokenTables;
 use crate::frame::frame::Frame;
-use crate::frame::modelling::{Modelling, RangeModelling};
+use crate::frame::modelling::RangeModelling;
 use crate::frame::parameters::{Prediction, RangeCoder};
 use crate::frame::sections::SectionCoder;
 use crate::frame::steps::Step;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
+use crate::ground::growing::GrowingGrid;
 use crate::inter::{self, Reference};
 use crate::models::{
     KnownCells, PACKED_RANGE_CONTEXTS, RANGE_CONTEXTS, RangeContext, RangeModel, RangeTokens,
@@ -36,49 +37,52 @@ pub struct RangeModels {
 }
 
 impl RangeModels {
-    /// Codes the ranges, if there is a range image; `known` are the context levels of the intensities and the
-    /// reference.
+    /// Codes the ranges by a general-purpose back-end or an image coder, if there is a range image and they are not coded
+    /// [by context](Self::code_by_context).
     ///
     /// # Errors
     /// If a section is damaged, or a range is impossible.
-    pub fn code<S: SectionCoder>(
+    pub fn code_residuals<S: SectionCoder>(
         &mut self,
         sections: &mut S,
         scanner: Option<&Scanner>,
-        known: (&Grid<u16>, Option<&Reference>),
+        reference: Option<&Reference>,
         frame: &mut Frame,
     ) -> Result<()> {
         let Some(scanner) = scanner else { return Ok(()) };
-        sections.report().converted += 4 * frame.image.steps.cells().len() as u64;
         match frame.parameters.range_coder {
-            RangeCoder::Context { modelling, range_bits, bin, .. } => {
-                sections.report().predicted += 4 * frame.cells.len() as u64;
-                self.code_by_context(sections, modelling, (range_bits, bin), known, frame)
-            }
+            RangeCoder::Context { .. } => Ok(()),
             RangeCoder::Backend { id, packing } => {
-                let predictor = self.code_predictor(sections, scanner, frame, known.1)?;
+                let predictor = self.code_predictor(sections, scanner, frame, reference)?;
                 code_residuals(sections, &predictor, (id, packing), frame)?;
                 check_ranges(frame, scanner)
             }
             RangeCoder::Image(codec) => {
                 let before = sections.bytes_written();
-                let predictor = self.code_predictor(sections, scanner, frame, known.1)?;
+                let predictor = self.code_predictor(sections, scanner, frame, reference)?;
                 let side = sections.bytes_written() - before;
                 code_image(sections, &predictor, (codec, side), frame, scanner.most_steps())
             }
         }
     }
 
-    /// The ranges, by the context coder; `axis` are the bits of a range and the steps of a bin.
-    fn code_by_context<S: SectionCoder>(
+    /// Codes the ranges by context, if there is a range image and they are coded so, given the context levels of the
+    /// intensities, row by row, and the reference.
+    ///
+    /// # Errors
+    /// If the section is damaged.
+    pub fn code_by_context<S: SectionCoder>(
         &mut self,
         sections: &mut S,
-        modelling: Modelling,
-        axis: (u32, u32),
-        (levels, reference): (&Grid<u16>, Option<&Reference>),
-        frame: &mut Frame,
+        (levels, reference): (&GrowingGrid<u16>, Option<&Reference>),
+        frame: &Frame,
+        steps: &mut Grid<u32>,
     ) -> Result<()> {
-        let steps = &mut frame.image.steps;
+        let RangeCoder::Context { modelling, range_bits, bin, .. } = frame.parameters.range_coder else {
+            return Ok(());
+        };
+        let axis = (range_bits, bin);
+        sections.report().predicted += 4 * frame.cells.len() as u64;
         match modelling.parts().range {
             RangeModelling::Packed => {
                 sections.tokens(SectionKind::Range, PACKED_RANGE_CONTEXTS, &mut self.packed, |coder| {

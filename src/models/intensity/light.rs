@@ -166,7 +166,7 @@ fn code_bits<C: BitCoder, const N: usize>(
     tables: &Logistic,
     (bits, level): (u32, u32),
     weights: &mut [[f32; N]],
-    mut views: [&mut [Counter]; N],
+    views: [&mut [Counter]; N],
 ) -> u32 {
     let nodes = 1 << bits;
     let weights = &mut weights[..nodes];

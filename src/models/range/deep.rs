@@ -148,6 +148,7 @@ mod tests {
     use super::super::{RangeContext, RangeModel};
     use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
     use crate::ground::grid::Grid;
+    use crate::ground::growing::GrowingGrid;
     use crate::ground::random::Rng;
     use crate::inter::Reference;
 
@@ -185,7 +186,7 @@ mod tests {
             });
             let known = RangeContext {
                 occupancy: &frame.map(|&steps| steps > 0),
-                intensity: &frame.map(|&steps| (steps / 30 % 100) as u16),
+                intensity: &GrowingGrid::of(&frame.map(|&steps| (steps / 30 % 100) as u16)),
                 reference: reference.as_ref(),
                 range_bits: 16,
                 bin,

@@ -2,7 +2,7 @@
 
 use super::errors::ErrorTrack;
 use super::neighbourhood::Neighbourhood;
-use super::{EDGE, ERROR_LEVELS, ErrorLevels, FEATURES, FIT_REACH, PREDICTORS, RangeContext, VIEWS};
+use super::{EDGE, ERROR_LEVELS, ErrorLevels, FEATURES, FIT_REACH, PREDICTORS, VIEWS};
 use crate::models::least_squares::LeastSquares;
 use crate::models::quantise::signed_level;
 
@@ -24,14 +24,15 @@ pub struct Site {
 }
 
 impl Site {
-    /// The site of a cell with these neighbours.
+    /// The site of the cell in a column with these neighbours, given the intensities of its row and of the row above, which is
+    /// empty in the first.
     #[inline]
     pub fn of(
-        known: &RangeContext,
+        (levels, levels_above): (&[u16], &[u16]),
         near: Neighbourhood,
         errors: &ErrorTrack,
         error_levels: &ErrorLevels,
-        (row, column): (usize, usize),
+        column: usize,
     ) -> Site {
         let features = near.features();
         let edge =
@@ -39,9 +40,9 @@ impl Site {
         let error_level = error_levels.of(errors.expected(column));
         let context = near.activity_level() * ERROR_LEVELS + error_level;
         let coarse_error = error_level * 8 / ERROR_LEVELS;
-        let own = known.intensity[(row, column)];
-        let west = if column > 0 { known.intensity[(row, column - 1)] } else { 0 };
-        let north = if row > 0 { known.intensity[(row - 1, column)] } else { 0 };
+        let own = levels[column];
+        let west = if column > 0 { levels[column - 1] } else { 0 };
+        let north = levels_above.get(column).copied().unwrap_or(0);
         let change = intensity_change(own, west) * 8 + intensity_change(own, north);
         let views = [
             0,
