@@ -340,3 +340,69 @@ impl SectionCoder for SectionReader<'_> {
         0
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ground::growing::GrowingGrid;
+    use crate::stream::ordered::pool;
+
+    #[test]
+    fn two_parts_at_once_are_written_and_read_in_their_order() {
+        fn code<S: SectionCoder>(sections: &mut S, kind: SectionKind, value: u64) -> Result<u64> {
+            sections.section(kind, true, |coder| Ok(coder.code_plain(value, 32)))
+        }
+        let mut writer = SectionWriter::new(Effort::default());
+        let both = |writer: &mut SectionWriter| {
+            writer.both(
+                true,
+                SectionKind::Intensity,
+                |sections| code(sections, SectionKind::Intensity, 1 << 31),
+                |sections| code(sections, SectionKind::Range, 3 << 30),
+            )
+        };
+        pool(2).unwrap().install(|| both(&mut writer)).unwrap();
+        let kinds: Vec<_> = writer.sections.iter().map(|section| section.kind).collect();
+        assert_eq!(kinds, [SectionKind::Intensity, SectionKind::Range]);
+        let limits = Limits::default();
+        for at_once in [false, true] {
+            let mut reader = SectionReader::new(&writer.sections, &limits);
+            let mut both = || {
+                reader.both(
+                    at_once,
+                    SectionKind::Intensity,
+                    |sections| code(sections, SectionKind::Intensity, 0),
+                    |sections| code(sections, SectionKind::Range, 0),
+                )
+            };
+            assert_eq!(pool(2).unwrap().install(&mut both).unwrap(), (1 << 31, 3 << 30));
+            reader.finish().unwrap();
+            // A first part that leaves its section is an error, and so is one that is not there.
+            let mut reader = SectionReader::new(&writer.sections, &limits);
+            let left = reader.both(at_once, SectionKind::Intensity, |_| Ok(()), |_| Ok(()));
+            assert!(left.unwrap_err().to_string().contains("intensity"));
+            let mut reader = SectionReader::new(&writer.sections[1..], &limits);
+            let missing = reader.both(
+                at_once,
+                SectionKind::Intensity,
+                |sections| code(sections, SectionKind::Intensity, 0),
+                |_| Ok(()),
+            );
+            assert!(missing.is_err());
+        }
+    }
+
+    #[test]
+    fn what_waits_for_the_first_part_goes_on_if_that_fails() {
+        let rows = GrowingGrid::<u16>::new(3, 2);
+        let mut writer = SectionWriter::new(Effort::default());
+        let first = |_: &mut SectionWriter| -> Result<()> {
+            rows.writer().push(&[1, 2]);
+            Err(Error::corrupt("the first part"))
+        };
+        let second = |_: &mut SectionWriter| Ok((0..3).map(|row| rows.row(row).len()).sum::<usize>());
+        let both = || writer.both(true, SectionKind::Intensity, first, second);
+        let error = pool(2).unwrap().install(both).unwrap_err();
+        assert!(error.to_string().contains("the first part"));
+    }
+}

@@ -45,6 +45,24 @@ fn decoded(stream: &[u8]) -> Vec<Scan> {
     Decoder::open(Cursor::new(stream)).unwrap().scans(..).collect::<Result<_>>().unwrap()
 }
 
+#[test]
+fn two_threads_code_a_scan_as_one_does() {
+    let scans = || drive().into_iter().map(|(name, bytes)| Scan::from_file(&name, bytes));
+    for level in [1, 3, 6, 8, 9] {
+        let [one, two] = [1, 2].map(|threads| {
+            let mut encoder = MessageEncoder::new(Settings::exact().level(level).threads(threads)).unwrap();
+            scans().map(|scan| encoder.encode(scan).unwrap()).collect::<Vec<_>>()
+        });
+        assert!(one == two, "level {level}");
+        let stream = encoded(scans(), Settings::exact().level(level).group_of_pictures(3));
+        for threads in [1, 2] {
+            let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap().threads(threads);
+            let last = decoder.scan(2).unwrap();
+            assert!(last.file_bytes().unwrap().unwrap() == drive()[2].1, "level {level}, {threads} threads");
+        }
+    }
+}
+
 /// Scans of a few points each.
 fn small_scans(count: u16) -> Vec<Scan> {
     let scan = |number: u16| {

@@ -14,6 +14,7 @@
 //! beams of some scanners start away from the axis ([`Origin`]), in the direction of the tick, not of the beam.
 
 mod columns;
+mod constants;
 mod fit;
 mod glibc;
 mod off_axis;
@@ -22,7 +23,8 @@ mod projection;
 mod recipe;
 
 pub use columns::FiringColumnModel;
-pub use fit::{Moved, fit, fit_moved};
+pub use constants::Moved;
+pub use fit::{fit, fit_moved};
 pub use projection::Sight;
 pub use recipe::{Origin, Recipe};
 

@@ -5,9 +5,8 @@ use std::f64::consts::TAU;
 
 use rayon::prelude::*;
 
-use super::fit::{
-    Found, ON_CONE, Point, RecordGrid, TRIED, best_of, elevations, exact_points, phase, range_step, strength,
-};
+use super::constants::{Point, TRIED, best_of, exact_points};
+use super::fit::{Found, ON_CONE, RecordGrid, elevations, phase, range_step, strength};
 use super::order::order;
 use super::projection::{Place, nearest};
 use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
