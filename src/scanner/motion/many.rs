@@ -174,7 +174,9 @@ fn are_near_border<const N: usize>(
     lanes(|i| {
         let farthest = misses[0][i].max(misses[1][i]).max(misses[2][i]);
         let least = clear(0, i).min(clear(1, i)).min(clear(2, i));
-        (farthest <= reach) & (least < border)
+        // The largest is not NaN where only one of them is.
+        let is_number = !(misses[0][i] + misses[1][i] + misses[2][i]).is_nan();
+        is_number & (farthest <= reach) & (least < border)
     })
 }
 
