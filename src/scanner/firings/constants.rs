@@ -123,7 +123,7 @@ pub(super) struct Constants {
 
 impl Constants {
     /// Of the recipes, the one that gives the most points to the last bit, the first of equals, with the lasers'
-    /// constants. `shifts` are the whole ticks that each is ahead of the others; if it is not, the third is true.
+    /// constants, and whether each is off by whole ticks of its own. `shifts` are those that each is ahead of the others.
     pub fn with_recipe(&self, build: &Build, shifts: &[f64]) -> Option<(Build, Vec<Laser>, bool)> {
         /// Lasers that tell which recipe it is.
         const FEW: usize = 6;
@@ -137,20 +137,28 @@ impl Constants {
         few.sort_by_key(|&row| std::cmp::Reverse(self.of_rows[row].len()));
         few.truncate((few.len() / 2).max(FEW));
         let few: Vec<usize> = few.iter().step_by((few.len() / FEW).max(1)).copied().collect();
+        let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
+        let recipes = Recipe::ALL.into_par_iter().filter(|recipe| !recipe.is_off_axis());
+        let known =
+            recipes.map(|recipe| Firings::new(Build { recipe, ..build.clone() }, Vec::new(), Vec::new()));
         // Recipes that give fewer than another are of no interest.
         let most = AtomicUsize::new(0);
-        let tried = Recipe::ALL.into_par_iter().filter(|recipe| !recipe.is_off_axis()).map(|recipe| {
-            let any = Firings::new(Build { recipe, ..build.clone() }, Vec::new(), Vec::new());
-            let least = most.load(Ordering::Relaxed);
-            let (common, exact) = self.common(&any, &offsets, &few, least);
-            let turned = self.exact_turned(&any, &offsets, &few, exact.max(least));
-            let exact = turned.unwrap_or(exact);
+        let tried = known.clone().map(|any| {
+            let (common, exact) = self.common(&any, &offsets, &few, most.load(Ordering::Relaxed));
             most.fetch_max(exact, Ordering::Relaxed);
-            (any, common, turned.is_some(), exact)
+            (any, common, exact)
         });
-        let tried: Vec<_> = tried.collect();
-        let (any, common, are_turned, exact) = tried.into_iter().rev().max_by_key(|(.., exact)| *exact)?;
-        let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
+        let best = first_of_equals(tried.collect(), |(.., exact)| *exact)?;
+        let turned = (4 * best.2 < 3 * points).then(|| {
+            let tried = known.map(|any| {
+                let exact = self.exact_turned(&any, &offsets, &few);
+                (any, 0, exact)
+            });
+            first_of_equals(tried.collect(), |(.., exact)| *exact)
+        });
+        let turned = turned.flatten().filter(|(.., exact)| 4 * exact >= 3 * points);
+        let are_turned = turned.is_some();
+        let (any, common, exact) = turned.unwrap_or(best);
         let may_turn = any.build.recipe.adds_in_single() && 2 * exact > points;
         let of_row = |row: usize| {
             let offset = offsets[row] + f64::from(common) * tick;
@@ -166,16 +174,14 @@ impl Constants {
         Some((any.build, lasers, are_turned))
     }
 
-    /// How many points of these rows come out if each is off by whole ticks of its own, if that is at least three quarters
-    /// and twice as many as come out anyway: lasers of which ticks pass until they fire.
-    fn exact_turned(&self, any: &Firings, offsets: &[f64], few: &[usize], exact: usize) -> Option<usize> {
-        let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
+    /// How many points of these rows come out if each is off by whole ticks of its own, as lasers are of which ticks pass until
+    /// they fire; 0 if nothing tells so.
+    fn exact_turned(&self, any: &Firings, offsets: &[f64], few: &[usize]) -> usize {
         let are_moved = few.iter().any(|&row| self.of_rows[row].iter().any(|point| point.moved.is_some()));
-        if 2 * exact > points || are_moved || !any.build.recipe.adds_in_single() {
-            return None;
+        if are_moved || !any.build.recipe.adds_in_single() {
+            return 0;
         }
-        let turned = few.iter().map(|&row| self.turned(any, row, offsets[row]).1).sum::<usize>();
-        (turned >= 2 * exact && 4 * turned >= 3 * points).then_some(turned)
+        few.iter().map(|&row| self.turned(any, row, offsets[row]).1).sum()
     }
 
     /// The laser near another by which the most of many points come out to the last bit, where sums in single precision tell an
@@ -381,6 +387,11 @@ impl Constants {
         }
         best
     }
+}
+
+/// Of some things the one worth the most, the first of equals.
+fn first_of_equals<T>(all: Vec<T>, worth: impl Fn(&T) -> usize) -> Option<T> {
+    all.into_iter().rev().max_by_key(worth)
 }
 
 /// The laser with the azimuth offset near its own by which the most of some points come out to the last bit, and how many do.

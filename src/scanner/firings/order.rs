@@ -288,8 +288,8 @@ fn relagged(
     scanner.lagging(lags)
 }
 
-/// The part of a block by which the most ticks come out, each as ticks to the next block and from this one, and how many do; it is not
-/// more than `most` blocks.
+/// The part of a block, or of up to `most`, by which the most ticks come out, each as ticks to the next block and from this one;
+/// and how many do.
 fn part_of(mut seen: Vec<(u32, i64)>, most: i64) -> Option<(f64, usize)> {
     seen.retain(|(span, ticks)| (0..most * i64::from(*span)).contains(ticks));
     seen.sort_unstable();
