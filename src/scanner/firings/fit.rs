@@ -193,7 +193,9 @@ impl Found<'_> {
         }
         let places = scanner.places(&self.scan.cloud.positions, REACH + 0.5 * scanner.range_step_m());
         let (places, _) = without_echoes(places);
-        let timed = [1, 2].into_par_iter().filter_map(|firings| timed(&scanner, &places, firings));
+        // Where rows lag behind, blocks of two firings are not looked for.
+        let most = if scanner.lags.is_empty() { 2 } else { 1 };
+        let timed = (1..=most).into_par_iter().filter_map(|firings| timed(&scanner, &places, firings));
         let mut all: Vec<Firings> = timed.collect();
         all.insert(0, scanner);
         all

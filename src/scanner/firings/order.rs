@@ -196,8 +196,8 @@ fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
     Some(order)
 }
 
-/// The same scanner with a timing of so many firings a block, whose parts come out of the points, and lags that go with it if
-/// it has any; none if they tell none.
+/// The same scanner with a timing of so many firings a block, whose parts come out of the points; none if they tell none. If rows
+/// lag behind, a block is to have one firing, and the lags that go with the timing come out, too.
 pub(super) fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Option<Firings> {
     /// Rounds after which neither parts nor lags change any more.
     const ROUNDS: usize = 8;
@@ -221,7 +221,7 @@ pub(super) fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Opti
             }
         }
         let last = (parts.clone(), scanner.lags.clone());
-        if firings == 1 && !scanner.lags.is_empty() {
+        if !scanner.lags.is_empty() {
             let still = without_span(&scanner, &columns, &places);
             scanner = relagged(scanner, &mut parts, seen, still);
             places.iter_mut().for_each(|place| {
@@ -266,10 +266,16 @@ fn relagged(
     seen: Vec<Vec<(u32, i64)>>,
     still: Vec<Vec<i64>>,
 ) -> Firings {
+    /// Scanners turn by less from block to block, in ticks, and so many columns tell enough.
+    const WIDEST: i64 = 100;
+    const COLUMNS: usize = 2000;
     let ticks = i64::from(scanner.build.ticks);
     let mut lags = scanner.lags.clone();
     for (slot, (seen, still)) in seen.into_iter().zip(still).enumerate() {
-        let span = seen.iter().map(|(span, _)| i64::from(*span)).max().unwrap_or(0);
+        let step = (seen.len() / COLUMNS).max(1);
+        let seen: Vec<(u32, i64)> = seen.into_iter().step_by(step).collect();
+        let still: Vec<i64> = still.into_iter().step_by(step).collect();
+        let span = seen.iter().map(|(span, _)| i64::from(*span)).max().unwrap_or(0).min(WIDEST);
         let mut best: Option<(usize, f64, i64)> = None;
         let rising = (0..MOST_BLOCKS * span).flat_map(|later| [later, -later]);
         for later in rising {
