@@ -52,7 +52,8 @@ pub trait SectionCoder {
     ) -> Result<T>;
 
     /// Codes two parts of a frame that follow each other; `at_once` if a thread is free. Of the sections, the first part has
-    /// at most one, of this kind. The second may wait for what the first finds, but not the other way round.
+    /// at most one, of this kind. The second may wait for what the first finds, but not the other way round, nor may the first
+    /// use the pool of threads.
     ///
     /// # Errors
     /// That of the first part, or else of the second.
@@ -231,7 +232,8 @@ impl<'s> SectionReader<'s> {
 }
 
 /// Does two things, the first of them on this thread; both at once if they should be, this is a thread of a pool, and another
-/// one is free. The second may wait for the first.
+/// one is free. The second may wait for the first, which so must leave the pool alone: a thread that waits for parts of its work
+/// may take up the second part of another frame, whose first part is waiting in turn.
 fn run_both<A: Send, B: Send>(
     at_once: bool,
     first: impl FnOnce() -> A + Send,
