@@ -151,6 +151,12 @@ mod tests {
     }
 
     #[test]
+    fn records_without_bytes_are_opaque() {
+        let header = pcd("x y z", "4 4 4", "F F F", "0 0 0", 161, "binary");
+        assert!(comes_back("a.pcd", [header, vec![1; 200]].concat()).is_opaque());
+    }
+
+    #[test]
     fn damaged_headers_are_opaque() {
         let good = pcd("x y z", "4 4 4", "F F F", "1 1 1", 2, "binary");
         let good = String::from_utf8(good).unwrap();

@@ -28,7 +28,7 @@ pub(super) fn find(fields: &[Declared], body: &[u8], points: u64) -> Option<Vec<
     }
     let is_whole = (body.len() as u64).is_multiple_of(points);
     let stride = if fits { declared } else { usize::try_from(body.len() as u64 / points).ok()? };
-    if !(fits || is_whole) || stride > MAX_STRIDE as usize {
+    if !(fits || is_whole) || !(1..=MAX_STRIDE as usize).contains(&stride) {
         return None;
     }
     // As declared; as a structure without the padding after the first field that takes no bytes; without any
