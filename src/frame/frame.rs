@@ -7,6 +7,7 @@ use super::parameters::{FrameParameters, Prediction, Source};
 use super::settings::{EncoderConfig, ProjectionKind};
 use super::steps::{Step, StepReport};
 use super::whole::WholeFile;
+use std::mem::take;
 use std::sync::Arc;
 
 use crate::article::prediction::Rays;
@@ -415,7 +416,7 @@ impl Frame {
     ///
     /// # Errors
     /// If the parts do not fit together.
-    pub fn into_scan(self, name: &str) -> Result<ScanFile> {
+    pub fn into_scan(mut self, name: &str) -> Result<ScanFile> {
         if let Some(whole) = self.whole {
             return whole.into_scan(name, self.records);
         }
@@ -424,7 +425,7 @@ impl Frame {
         }
         let mut cloud = PointCloud::default();
         if self.layout.position.is_some() {
-            cloud.positions = self.positions_in_order()?;
+            cloud.positions = self.order.arranged(take(&mut self.positions), &self.stray_positions)?;
         }
         if let Some(compensation) = &self.compensation {
             compensation.apply(&mut cloud.positions, &self.channels);

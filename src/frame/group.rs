@@ -239,7 +239,8 @@ impl<'s> StreamEncoder<'s> {
         mut models: Models,
         mut steps: StepReport,
     ) -> Result<Attempt> {
-        let ranges = frame.image.steps.clone();
+        let is_image = matches!(frame.parameters.range_coder, RangeCoder::Image(_));
+        let original = is_image.then(|| frame.image.steps.clone());
         frame.parameters.motion = self.motion;
         frame.predict(prediction, self.scanner, self.config, &mut steps);
         let effort = Effort { level: self.config.level, image: self.config.image };
@@ -247,10 +248,7 @@ impl<'s> StreamEncoder<'s> {
         models.code_frame(&mut writer, self.scanner, &mut frame)?;
         steps.add(&writer.report);
         steps.count_sections(&writer.sections);
-        let error = match frame.parameters.range_coder {
-            RangeCoder::Image(_) => squared_error(&ranges, &frame.image.steps),
-            RangeCoder::Context { .. } | RangeCoder::Backend { .. } => 0.0,
-        };
+        let error = original.map_or(0.0, |ranges| squared_error(&ranges, &frame.image.steps));
         Ok(Attempt { models, frame, sections: writer.sections, error, steps })
     }
 }

@@ -3,6 +3,8 @@
 use std::fmt;
 use std::sync::OnceLock;
 
+use super::lanes::lanes;
+
 /// Values that are made together.
 const BLOCK: usize = 256;
 
@@ -33,6 +35,22 @@ impl<T> LazyTable<T> {
         match self.blocks[block].get() {
             Some(values) => &values[within],
             None => &self.make_block(block)[within],
+        }
+    }
+
+    /// The values at these places, all of which are below [`len`](Self::len). Places near each other are looked up at once.
+    #[inline(always)]
+    pub fn at<const N: usize>(&self, places: [u32; N]) -> [T; N]
+    where
+        T: Copy + Default,
+    {
+        let block = |place: u32| place as usize / BLOCK;
+        let first = places.first().map_or(0, |place| block(*place));
+        let is_one_block = places.iter().fold(true, |all, place| all & (block(*place) == first));
+        let values = self.blocks.get(first).and_then(OnceLock::get);
+        match values.and_then(|values| values.first_chunk::<BLOCK>()).filter(|_| is_one_block) {
+            Some(values) => lanes(|i| values[places[i] as usize % BLOCK]),
+            None => lanes(|i| *self.get(places[i])),
         }
     }
 
@@ -69,5 +87,8 @@ mod tests {
         assert_eq!(*table.get(999), 998_001);
         assert_eq!(table.made(), BLOCK + 1000 % BLOCK);
         assert!((0..1000).all(|place| *table.get(place) == place * place));
+        for places in [[4, 3, 7], [255, 256, 0], [600, 598, 599], [999, 998, 997]] {
+            assert_eq!(table.at(places), places.map(|place| place * place));
+        }
     }
 }

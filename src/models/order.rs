@@ -201,7 +201,10 @@ fn moved_elements(sequence: &[u32]) -> Vec<u32> {
     let mut last: Vec<usize> = Vec::new();
     let mut before: Vec<Option<usize>> = Vec::with_capacity(sequence.len());
     for (index, &element) in sequence.iter().enumerate() {
-        let length = last.partition_point(|&l| sequence[l] < element);
+        // Most elements follow the greatest so far.
+        let is_greatest = last.last().is_none_or(|&l| sequence[l] < element);
+        let length =
+            if is_greatest { last.len() } else { last.partition_point(|&l| sequence[l] < element) };
         before.push(length.checked_sub(1).map(|l| last[l]));
         if length == last.len() {
             last.push(index);

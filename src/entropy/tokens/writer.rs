@@ -86,9 +86,10 @@ impl TokenWriter {
         // Filled from the end, because a decoder reads them in reverse.
         let mut words = vec![0; self.tokens.len() + 2 * STATES];
         let mut first = words.len();
+        let encoders: Vec<_> = (0..self.counts.len()).map(|context| tables.encoder(context)).collect();
         for (index, &tagged) in self.tokens.iter().enumerate().rev() {
             let (context, token) = ((tagged >> 8) as usize, tagged as u8);
-            let table = tables.encoder(context).ok_or_else(|| Error::corrupt("tokens without a table"))?;
+            let table = encoders[context].ok_or_else(|| Error::corrupt("tokens without a table"))?;
             let mut share = table.share(token);
             if token == ESCAPE || share.frequency() == 0 {
                 escaped.push(token);

@@ -74,7 +74,11 @@ impl IntensityModels {
         values: &mut Intensities,
         mut rows: RowWriter<'_, u16>,
     ) -> Result<Grid<u16>> {
-        let mut scale = if S::ENCODES { values.scale(frame) } else { IntensityScale::default() };
+        let all = if S::ENCODES { values.all(frame) } else { Vec::new() };
+        let mut scale = match S::ENCODES {
+            true => IntensityScale::of(&all, frame.parameters.intensity.levels_per_unit()),
+            false => IntensityScale::default(),
+        };
         let is_deep = match frame.parameters.modelling().parts().intensity {
             IntensityModelling::Light => false,
             IntensityModelling::Deep => true,
@@ -89,7 +93,7 @@ impl IntensityModels {
             }
             // Packed ranges have no contexts.
             IntensityModelling::Packed => {
-                let code = |coder: &mut S::Tokens<'_>| pack(coder, scale, frame, values);
+                let code = |coder: &mut S::Tokens<'_>| pack(coder, scale, frame, (all, values));
                 return sections
                     .tokens(SectionKind::Intensity, PACKED_INTENSITY_CONTEXTS, &mut self.packed, code)
                     .map(|()| Grid::default());
@@ -259,11 +263,15 @@ fn code_tokens<C: TokenCoder>(
     }
 }
 
-fn pack<C: TokenCoder>(coder: &mut C, mut scale: IntensityScale, frame: &Frame, known: &mut Intensities) {
+/// The encoder knows the values of all returns and strays.
+fn pack<C: TokenCoder>(
+    coder: &mut C,
+    mut scale: IntensityScale,
+    frame: &Frame,
+    (mut values, known): (Vec<f32>, &mut Intensities),
+) {
     scale.code(|value, count| coder.bits(value.into(), count) as u32);
     let returns = frame.cells.len();
-    let mut values = if C::ENCODES { known.of_cells.at(&frame.cells) } else { vec![0.0; returns] };
-    values.append(&mut known.outside);
     values.resize(frame.records, 0.0);
     code_packed_intensities(coder, &scale, &mut values);
     known.outside = values.split_off(returns);
@@ -296,10 +304,11 @@ pub struct Intensities {
 }
 
 impl Intensities {
-    /// The grid on which those of the returns and strays lie.
-    fn scale(&self, frame: &Frame) -> IntensityScale {
-        let mut values = self.of_cells.at(&frame.cells);
+    /// Those of the returns, then of the strays.
+    fn all(&self, frame: &Frame) -> Vec<f32> {
+        let mut values = Vec::with_capacity(frame.cells.len() + self.outside.len());
+        values.extend(frame.cells.iter().map(|&cell| self.of_cells.cells()[cell as usize]));
         values.extend(&self.outside);
-        IntensityScale::of(&values, frame.parameters.intensity.levels_per_unit())
+        values
     }
 }

@@ -434,7 +434,7 @@ impl Hdl64 {
                     let [x, y, z] = single.positions(ticks, metres);
                     [lanes(|i| x[i].into()), lanes(|i| y[i].into()), lanes(|i| z[i].into())]
                 }
-                None => self.beams[row].points(lanes(|i| *self.ticks_of_turn.get(ticks[i])), metres),
+                None => self.beams[row].points(self.ticks_of_turn.at(ticks), metres),
             };
             *positions = lanes(|i| [stored(x[i]), stored(y[i]), stored(z[i])]);
         }

@@ -9,7 +9,7 @@ use crate::ground::rounding::round_ties_even;
 use crate::scanner::{FLOAT_RANGES, Hdl64};
 
 /// Within this many ticks an angle can be replaced by its sine.
-const NEAR: f64 = 16.0;
+const NEAR: f64 = 32.0;
 
 impl Hdl64 {
     /// The ticks and range steps of points (metres, as in the file) of beam `row`, none of them far from tick
@@ -55,7 +55,7 @@ impl Hdl64 {
             (tick + self.ticks as i32 * (i32::from(first) - i32::from(end))) as u32
         });
         let metres: [f64; N] = lanes(|i| steps[i] * self.range_step_m());
-        let formula = beam.points(lanes(|i| *self.ticks_of_turn.get(ticks[i])), metres);
+        let formula = beam.points(self.ticks_of_turn.at(ticks), metres);
         let mut all_near = true;
         for (axis, values) in [x, y, z].into_iter().enumerate() {
             for i in 0..N {

@@ -127,7 +127,7 @@ struct Place {
 
 /// The place of each point.
 fn places(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Vec<Place> {
-    let search = Search { sensor, reach, row: 0, tick: 0 };
+    let search = Search { sensor, reach, row: 0, tick: 0, hint: 0 };
     dispatch(Searching { search, positions: &cloud.positions })
 }
 
@@ -166,17 +166,20 @@ struct Search<'a> {
     /// The place of the last point.
     row: usize,
     tick: u32,
+    /// The tick from which the next search starts: that of the last point before the last points that were found together, so
+    /// that the next search need not wait for the end of this one.
+    hint: u32,
 }
 
 impl Search<'_> {
     /// The places of the next points, if all of them are near that of the last one.
     #[inline(always)]
     fn next<const N: usize>(&mut self, points: &[[f32; 3]; N]) -> Option<[Place; N]> {
-        let found = self.sensor.invert_near(self.row, points, self.tick, self.reach)?;
+        let found = self.sensor.invert_near(self.row, points, self.hint, self.reach)?;
         if found.iter().any(|(_, steps)| *steps > LONGEST) {
             return None;
         }
-        self.tick = found.last()?.0;
+        (self.hint, self.tick) = (self.tick, found.last()?.0);
         let (row, column_tick) = (self.row as u32, self.sensor.columns_of_ticks(self.row));
         Some(lanes(|i| Place { row, column_tick: column_tick(found[i].0), steps: found[i].1 }))
     }
@@ -190,7 +193,7 @@ impl Search<'_> {
         self.row = self.sensor.nearest_beam((x * x + y * y).sqrt(), z, self.row);
         match self.sensor.invert(self.row, point).filter(|(_, steps)| *steps <= LONGEST) {
             Some((tick, steps)) => {
-                self.tick = tick;
+                (self.hint, self.tick) = (tick, tick);
                 let formula = self.sensor.point(self.row, tick, steps);
                 let mut axes = formula.into_iter().zip(position);
                 let is_near = |(formula, value): (f64, &f32)| {
@@ -219,7 +222,7 @@ mod tests {
         let (sensor, image) = scanner();
         let positions = positions(&sensor, &image.file_order(&sensor), 0.0, true);
         let reach = REACH + 0.5 * sensor.range_step_m();
-        let search = Search { sensor: &sensor, reach, row: 0, tick: 0 };
+        let search = Search { sensor: &sensor, reach, row: 0, tick: 0, hint: 0 };
         let cloud = PointCloud { positions, ..PointCloud::default() };
         let anywhere = Searching { search, positions: &cloud.positions }.call();
         assert!(places(&sensor, &cloud, reach) == anywhere);

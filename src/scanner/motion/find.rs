@@ -59,7 +59,9 @@ fn may_be_moved(positions: &[[f32; 3]]) -> bool {
     const FEWEST: u32 = 4;
     /// A coherence that points on no grid do not reach by chance.
     const LEAST: f64 = 0.4;
-    if Coordinates::of(positions.iter().step_by(7).flatten()) != Coordinates::Float32 {
+    /// Points that show whether all are on the grid.
+    const SAMPLE: usize = 2000;
+    if Coordinates::of(thinned(positions, SAMPLE).flatten()) != Coordinates::Float32 {
         return false;
     }
     let in_front = positions.iter().filter(|[x, y, _]| *x > 0.5 && y.abs() < IN_FRONT * x && x.is_finite());
