@@ -240,8 +240,7 @@ class Tokens:
         self.at = 0
         self.buffer = 0
         self.filled = 0
-        self.state = self.first_state()
-        self.other = self.first_state()
+        self.states = [self.first_state() for _ in range(4)]
 
     def new_tables(self, bits):
         is_new = AdaptiveBit()
@@ -276,7 +275,7 @@ class Tokens:
         return low | self.word() << 16
 
     def token(self, context):
-        state = self.state
+        state = self.states.pop(0)
         table = self.model.tables[context]
         if table is None:
             raise Refused("a token of a context without a table")
@@ -284,8 +283,7 @@ class Tokens:
         state = frequency * (state >> 12) + place & M32
         if state < 0x10000:
             state = state << 16 | self.word()
-        self.state = self.other
-        self.other = state
+        self.states.append(state)
         if token == ESCAPE:
             at = self.next_escaped
             self.next_escaped = at + 1

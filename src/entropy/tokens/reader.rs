@@ -28,7 +28,7 @@ pub struct TokenReader<'a> {
 /// The likeliest token takes 1.44 / 4096 bits, so a byte holds fewer tokens than this.
 const TOKENS_A_BYTE: u64 = 1 << 15;
 /// The states hold as many tokens as this many bytes.
-const BYTES_OF_STATES: u64 = 16;
+const BYTES_OF_STATES: u64 = 4 * STATES as u64;
 
 impl<'a> TokenReader<'a> {
     /// Starts at the first byte of a payload. Its tables, for `contexts` contexts, are added to `tables`.
@@ -113,10 +113,10 @@ impl TokenCoder for TokenReader<'_> {
 
     #[inline(always)]
     fn token(&mut self, context: usize, _token: u8) -> u8 {
-        let [state, other] = self.states;
+        let [state, second, third, fourth] = self.states;
         let slot = look_up(&self.buckets[context], state % SCALE);
         let state = slot.frequency.wrapping_mul(state >> SCALE_BITS).wrapping_add(slot.place);
-        self.states = [other, self.take_word(state, state < LEAST_STATE)];
+        self.states = [second, third, fourth, self.take_word(state, state < LEAST_STATE)];
         let token = if slot.token == ESCAPE { self.next_escaped() } else { slot.token };
         self.counts[context][usize::from(token)] += 1;
         self.left = self.left.saturating_sub(1);

@@ -9,8 +9,8 @@ use crate::ground::varint::write_unsigned;
 
 /// The least value of a state: smaller ones read 16 more bits.
 pub(super) const LEAST_STATE: u32 = 1 << 16;
-/// Number of states. They take turns, token by token, so that one can work while the other waits.
-pub(super) const STATES: usize = 2;
+/// Number of states. They take turns, token by token, so that one can work while the others wait.
+pub(super) const STATES: usize = 4;
 
 /// Collects tokens and plain bits.
 pub struct TokenWriter {
