@@ -67,6 +67,8 @@ pub struct Frame {
     pub compensation: Option<Compensation>,
     /// The channel by which the file's records were sorted: all of the above are in the order of arrival.
     pub sorted: Option<usize>,
+    /// The positions and intensities in the order of the file, once a decoder has them for the channels' sake.
+    pub in_order: Option<(Vec<[f32; 3]>, Vec<f32>)>,
     /// The original points; only while a scan is encoded.
     origin: Option<Arc<Origin>>,
     /// Positions as in the file, if they were moved; only while a scan is encoded.
@@ -358,20 +360,13 @@ impl Frame {
         if self.layout.position.is_some() {
             beside.positions = self.positions_in_order()?;
         }
-        if self.layout.intensity.is_some() {
-            beside.intensity = self.intensities_in_order()?;
-        }
+        beside.intensity = self.intensities_of_file()?;
         if !self.returns.is_empty() {
-            let none = vec![0; self.order.stray_places.len()];
-            let of_returns = |number: fn(&Return) -> u32| -> Result<Vec<u32>> {
-                let numbers: Vec<u32> = self.returns.iter().map(number).collect();
-                self.order.arranged(numbers, &none)
-            };
-            beside.rows = of_returns(|found| found.row + 1)?;
-            beside.columns = of_returns(|found| found.column + 1)?;
+            beside.rows = self.numbers_in_order(|found| found.row + 1)?;
+            beside.columns = self.numbers_in_order(|found| found.column + 1)?;
             if let Some(scanner) = scanner.and_then(Scanner::firings) {
-                beside.steps = of_returns(|found| found.steps)?;
-                beside.ticks = of_returns(|found| found.tick)?;
+                beside.steps = self.numbers_in_order(|found| found.steps)?;
+                beside.ticks = self.numbers_in_order(|found| found.tick)?;
                 beside.range_step_m = scanner.range_step_m();
                 beside.tick_degrees = 360.0 / f64::from(scanner.build().ticks);
             }
@@ -379,8 +374,17 @@ impl Frame {
         Ok(beside)
     }
 
-    /// The intensities in the order of the file.
-    fn intensities_in_order(&self) -> Result<Vec<f32>> {
+    /// A number of each return, in the order of the file; 0 for strays.
+    fn numbers_in_order(&self, number: impl Fn(&Return) -> u32) -> Result<Vec<u32>> {
+        let of_returns: Vec<u32> = self.returns.iter().map(number).collect();
+        self.order.arranged(of_returns, &vec![0; self.order.stray_places.len()])
+    }
+
+    /// The intensities in the order of the file, if it has any.
+    fn intensities_of_file(&self) -> Result<Vec<f32>> {
+        if self.layout.intensity.is_none() {
+            return Ok(Vec::new());
+        }
         let of_return = |found: &Return| match found.echo.checked_sub(1) {
             None => self.intensity[(found.row as usize, found.column as usize)],
             Some(echo) => self.echo_intensity.get(echo as usize).copied().unwrap_or(0.0),
@@ -392,6 +396,14 @@ impl Frame {
     /// The positions, moved or not, in the order of the file.
     pub fn positions_in_order(&self) -> Result<Vec<[f32; 3]>> {
         self.order.arranged(self.positions.as_slice(), &self.stray_positions)
+    }
+
+    /// The same, if the file has any, taken out of the frame.
+    fn positions_of_file(&mut self) -> Result<Vec<[f32; 3]>> {
+        if self.layout.position.is_none() {
+            return Ok(Vec::new());
+        }
+        self.order.arranged(take(&mut self.positions), &self.stray_positions)
     }
 
     /// Lists the points that motion compensation does not move to their places in the file, now that their
@@ -424,14 +436,12 @@ impl Frame {
             return Err(Error::corrupt("the parts of the frame hold different numbers of points"));
         }
         let mut cloud = PointCloud::default();
-        if self.layout.position.is_some() {
-            cloud.positions = self.order.arranged(take(&mut self.positions), &self.stray_positions)?;
-        }
+        (cloud.positions, cloud.intensity) = match self.in_order.take() {
+            Some(in_order) => in_order,
+            None => (self.positions_of_file()?, self.intensities_of_file()?),
+        };
         if let Some(compensation) = &self.compensation {
             compensation.apply(&mut cloud.positions, &self.channels);
-        }
-        if self.layout.intensity.is_some() {
-            cloud.intensity = self.intensities_in_order()?;
         }
         let order = self.file_order();
         cloud.channels = self.channels;

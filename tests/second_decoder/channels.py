@@ -142,6 +142,7 @@ class Column:
         columns = sources.beside.columns or [0] * records
         if self.integers is None and not rule:
             self.integers = Integers()
+        doubts = self.rules.doubts(bits) if rule else None
         found = []
         past = []
         for n in range(records):
@@ -150,7 +151,7 @@ class Column:
                 past.append(past[-1] if past else 0)
                 continue
             if rule:
-                past.append(self.rules.code(bits, rule, keys[n], columns[n], expected[n] or 0))
+                past.append(self.rules.code(bits, (rule, doubts), n, keys[n], columns[n], expected[n] or 0))
             else:
                 lagged = (past[n - lag], past[n - lag - 1]) if 0 < lag < n else None
                 past.append(self.integers.code(bits, keys[n], columns[n], expected[n], lagged))
@@ -180,8 +181,14 @@ class Rules:
         self.missed = None
         self.is_right = [AdaptiveBit() for _ in range(256)]
         self.misses = None
+        self.doubted = IntegerModel()
+        self.doubts_new_columns = AdaptiveBit()
 
-    def code(self, bits, rule, key, column, told):
+    def doubts(self, bits):
+        return self.doubted.code(bits), self.doubts_new_columns.code(bits)
+
+    def code(self, bits, rule_and_doubts, record, key, column, told):
+        rule, (doubted, of_new_columns) = rule_and_doubts
         phase = column % (rule - 3) if rule > 3 else 0
         o = slot(key, phase)
         a = slot(key, self.last)
@@ -190,7 +197,8 @@ class Rules:
         if rule == AFTER:
             expected = self.after.get(a, expected)
         context = self.history & 3 | (column != self.last_column) << 2 | phase % 32 << 3
-        is_right = self.is_right[context].code(bits)
+        is_doubted = record < doubted or of_new_columns and column != self.last_column
+        is_right = self.is_right[context].code(bits) if is_doubted else 1
         v = expected
         if not is_right:
             if self.misses is None:

@@ -1,5 +1,7 @@
 //! The order of the points in the file, and the channels of their records.
 
+use std::mem::take;
+
 use super::within;
 use crate::frame::fidelity::Positions;
 use crate::frame::frame::Frame;
@@ -48,8 +50,12 @@ impl RecordModels {
         frame.fit_channels();
         let level = sections.effort().level;
         sections.section(SectionKind::Channels, bytes > 0, |coder| {
-            let beside = frame.beside(scanner)?;
-            self.channels.code(coder, &mut frame.channels, &beside, level)
+            let mut beside = frame.beside(scanner)?;
+            self.channels.code(coder, &mut frame.channels, &beside, level)?;
+            if !S::ENCODES {
+                frame.in_order = Some((take(&mut beside.positions), take(&mut beside.intensity)));
+            }
+            Ok(())
         })
     }
 }

@@ -7,7 +7,7 @@ use super::column::{ColumnModel, Places};
 use super::integers::Site;
 use super::numbers::Scale;
 use super::plan::{Geometry, Integers, Plan};
-use super::rules::{Rule, RuleModel};
+use super::rules::{Rule, RuleState};
 use super::{Sources, is_constant, may_be_key};
 use crate::entropy::ArithmeticEncoder;
 use crate::scan::Scalar;
@@ -241,13 +241,13 @@ fn misses(
 ) -> Option<usize> {
     let places = Places::new(plan, sources, scalar).ok()?;
     let rule = plan.rule?;
-    let mut model = RuleModel::default();
-    model.prepare(rule);
+    let mut state = RuleState::default();
+    state.prepare(rule);
     let mut misses = 0;
     for (record, integer) in integers.iter().enumerate() {
         let Some(integer) = *integer else { continue };
         let site: Site = places.site(record);
-        let is_right = model.is_right(rule, &site, integer);
+        let is_right = state.is_right(rule, &site, integer);
         misses += usize::from(!is_right && record >= integers.len() / 2);
         if misses >= most {
             return None;

@@ -1,8 +1,8 @@
-//! Integers that nearly all follow from their places by one rule: a bit for each says whether it does. Only those
-//! that do not take the time to ask for what else may tell.
+//! Integers that nearly all follow from their places by one rule: a bit says whether one does, where the encoder does not
+//! vouch for it. Only those that do not take the time to ask for what else may tell.
 
 use super::integers::{ENTRIES, IntegersModel, Site, slot};
-use crate::entropy::{AdaptiveBit, BitCoder};
+use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 
 /// What an integer follows from, above what the position or the place tells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,10 +56,29 @@ impl Rule {
 const CONTEXTS: usize = 4 * 2 * TURN_CONTEXTS;
 const TURN_CONTEXTS: usize = 32;
 
-/// What the coder has learned about the integers of a column that follow from a rule. They count from what the
-/// position or the place tells, or from 0.
+/// What the coder has learned about the integers of a column that follow from a rule.
 #[derive(Clone)]
 pub struct RuleModel {
+    state: RuleState,
+    is_right: Vec<AdaptiveBit>,
+    /// What misses are more than expected.
+    misses: Option<IntegersModel>,
+    doubted: IntegerModel,
+    doubts_new_columns: AdaptiveBit,
+}
+
+/// The records of a column in which the rule may be wrong.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Doubts {
+    /// So many, the first ones.
+    first: u64,
+    /// And each that is in another column than the one before it.
+    new_columns: bool,
+}
+
+/// What the integers so far tell of the next by a rule. They count from what the position or the place tells, or from 0.
+#[derive(Clone, Default)]
+pub struct RuleState {
     /// By hash of the key, and of the column among those that come in turn: the integer above its base.
     offsets: Vec<Option<i64>>,
     /// By hash of the key and the last integer: what came next.
@@ -73,24 +92,16 @@ pub struct RuleModel {
     last_column: u32,
     /// Whether the last two were right, a bit each.
     history: usize,
-    is_right: Vec<AdaptiveBit>,
-    /// What misses are more than expected.
-    misses: Option<IntegersModel>,
 }
 
 impl Default for RuleModel {
     fn default() -> Self {
         RuleModel {
-            offsets: Vec::new(),
-            after: Vec::new(),
-            bases: Vec::new(),
-            base: 0,
-            missed: None,
-            last: 0,
-            last_column: 0,
-            history: 0,
+            state: RuleState::default(),
             is_right: vec![AdaptiveBit::default(); CONTEXTS],
             misses: None,
+            doubted: IntegerModel::default(),
+            doubts_new_columns: AdaptiveBit::default(),
         }
     }
 }
@@ -107,23 +118,60 @@ struct Expected {
 impl RuleModel {
     /// Makes room for what is learned by a rule, before its first integer.
     pub fn prepare(&mut self, rule: Rule) {
-        self.offsets.resize(ENTRIES, None);
-        if rule == Rule::After {
-            self.after.resize(ENTRIES, None);
-        }
+        self.state.prepare(rule);
     }
 
-    /// Codes the next integer.
+    /// Codes where the next integers may not follow from the rule. The encoder is given them, each with its record's site
+    /// if it is on the scale. If there is no doubt of any, an encoder has learned them, and there is no need to
+    /// [code](Self::code) them.
+    pub fn code_doubts<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        rule: Rule,
+        known: impl Iterator<Item = Option<(Site, i64)>>,
+    ) -> Doubts {
+        let (mut doubts, mut learned) = (Doubts::default(), None);
+        if C::ENCODES {
+            let mut state = self.state.clone();
+            // The end of the last record that misses, and of the last that does so in no new column.
+            let (mut of_any, mut of_others) = (0, 0);
+            for (record, known) in (1..).zip(known) {
+                let Some((site, integer)) = known else { continue };
+                let is_new = site.column != state.last_column;
+                if !state.is_right(rule, &site, integer) {
+                    of_any = record;
+                    of_others = if is_new { of_others } else { record };
+                }
+            }
+            doubts = Doubts { first: of_others, new_columns: of_any > of_others };
+            learned = Some(state).filter(|_| of_any == 0);
+        }
+        doubts.first = self.doubted.code(coder, doubts.first);
+        doubts.new_columns = self.doubts_new_columns.code(coder, doubts.new_columns);
+        learned.into_iter().for_each(|state| self.state = state);
+        doubts
+    }
+
+    /// Codes the integer of a record.
     #[inline(always)]
-    pub fn code<C: BitCoder>(&mut self, coder: &mut C, rule: Rule, site: &Site, value: i64) -> i64 {
+    pub fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        (rule, doubts): (Rule, Doubts),
+        (record, site): (usize, &Site),
+        value: i64,
+    ) -> i64 {
         let told = site.geometry.unwrap_or(0);
         let value = value.wrapping_sub(told);
-        let expected = self.expected(rule, site);
-        let is_right = self.is_right[expected.context].code(coder, value == expected.integer);
+        let expected = self.state.expected(rule, site);
+        let is_new = site.column != self.state.last_column;
+        let is_doubted = (record as u64) < doubts.first || doubts.new_columns && is_new;
+        let is_right =
+            !is_doubted || self.is_right[expected.context].code(coder, value == expected.integer);
         let above =
             if is_right { 0 } else { self.code_miss(coder, site.key, value.wrapping_sub(expected.integer)) };
         let coded = expected.integer.wrapping_add(above);
-        self.learn(rule, site, &expected, coded);
+        self.state.learn(rule, site, &expected, coded);
         coded.wrapping_add(told)
     }
 
@@ -133,8 +181,25 @@ impl RuleModel {
         let site = Site { key, ..Site::default() };
         self.misses.get_or_insert_default().code(coder, &site, above)
     }
+}
 
-    /// Learns the next integer as [`code`](Self::code) does. Returns whether it is as expected.
+impl Doubts {
+    /// Whether there are none.
+    pub fn are_none(self) -> bool {
+        self == Doubts::default()
+    }
+}
+
+impl RuleState {
+    /// As [`RuleModel::prepare`].
+    pub fn prepare(&mut self, rule: Rule) {
+        self.offsets.resize(ENTRIES, None);
+        if rule == Rule::After {
+            self.after.resize(ENTRIES, None);
+        }
+    }
+
+    /// Learns the next integer. Returns whether it is as expected.
     #[inline(always)]
     pub fn is_right(&mut self, rule: Rule, site: &Site, value: i64) -> bool {
         let value = value.wrapping_sub(site.geometry.unwrap_or(0));

@@ -203,13 +203,16 @@ fn round_trip_by(rule: Rule, sites: &[(u8, u8, Option<i64>)], integers: &[i64]) 
     let (mut writer, mut reader) = (RuleModel::default(), RuleModel::default());
     writer.prepare(rule);
     reader.prepare(rule);
-    for (at, &integer) in sites.iter().zip(integers) {
-        assert_eq!(writer.code(&mut encoder, rule, &site(at), integer), integer);
+    let known = || sites.iter().map(site).zip(integers.iter().copied()).map(Some);
+    let doubts = writer.code_doubts(&mut encoder, rule, known());
+    for (record, (at, &integer)) in sites.iter().zip(integers).enumerate().filter(|_| !doubts.are_none()) {
+        assert_eq!(writer.code(&mut encoder, (rule, doubts), (record, &site(at)), integer), integer);
     }
     let bytes = encoder.finish();
     let mut decoder = ArithmeticDecoder::new(&bytes);
-    for (at, &integer) in sites.iter().zip(integers) {
-        assert_eq!(reader.code(&mut decoder, rule, &site(at), 0), integer);
+    assert_eq!(reader.code_doubts(&mut decoder, rule, known()), doubts);
+    for (record, (at, &integer)) in sites.iter().zip(integers).enumerate() {
+        assert_eq!(reader.code(&mut decoder, (rule, doubts), (record, &site(at)), 0), integer);
     }
 }
 
