@@ -280,11 +280,11 @@ impl EncoderConfig {
         self.positions != Positions::Formula
     }
 
-    /// Whether compensation through a map is undone: it gives all floats back or is worth nothing, and it takes time.
+    /// Whether compensation through a map is undone: it gives all floats back or is worth nothing, and it takes several times
+    /// as long as all that the lowest level does.
     pub(crate) fn undoes_map(&self) -> bool {
-        let is_quick =
-            matches!(self.modelling(), Modelling::Packed | Modelling::Tokens | Modelling::FittedTokens);
-        self.positions == Positions::Exact && self.coder == Coder::Context && !is_quick
+        let is_quickest = self.modelling() == Modelling::Packed;
+        self.positions == Positions::Exact && self.coder == Coder::Context && !is_quickest
     }
 
     /// The parameters of a frame, as far as they do not depend on the frame.
