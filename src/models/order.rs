@@ -203,8 +203,7 @@ fn moved_elements(sequence: &[u32]) -> Vec<u32> {
     for (index, &element) in sequence.iter().enumerate() {
         // Most elements follow the greatest so far.
         let is_greatest = last.last().is_none_or(|&l| sequence[l] < element);
-        let length =
-            if is_greatest { last.len() } else { last.partition_point(|&l| sequence[l] < element) };
+        let length = if is_greatest { last.len() } else { last.partition_point(|&l| sequence[l] < element) };
         before.push(length.checked_sub(1).map(|l| last[l]));
         if length == last.len() {
             last.push(index);

@@ -63,7 +63,9 @@ pub fn code_packed_intensities<C: TokenCoder>(coder: &mut C, scale: &IntensitySc
     }
     let mut levels = vec![0; values.len()];
     let mut off_grid = Vec::new();
-    if C::ENCODES {
+    if C::ENCODES && !scale.has_exceptions() {
+        levels.iter_mut().zip(&*values).for_each(|(level, value)| *level = scale.level_on_grid(*value));
+    } else if C::ENCODES {
         let mut before = 0;
         for (place, (level, value)) in levels.iter_mut().zip(&*values).enumerate() {
             before = scale.level_of(*value).unwrap_or_else(|| {

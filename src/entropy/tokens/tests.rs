@@ -88,8 +88,8 @@ fn frequent_tokens_take_little() {
     let mut writer = TokenWriter::new(1);
     (0..100_000u32).for_each(|i| assert_eq!(writer.token(0, u8::from(i % 100 == 0)), u8::from(i % 100 == 0)));
     let payload = writer.finish(&mut TokenTables::default()).unwrap();
-    // 0.081 bits each.
-    assert!(payload.len() < 1030, "{}", payload.len());
+    // 0.081 bits each, and the states.
+    assert!(payload.len() < 1038, "{}", payload.len());
 }
 
 #[test]

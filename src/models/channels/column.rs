@@ -90,16 +90,16 @@ impl ColumnModel {
         if let Some(rule) = plan.rule {
             rules.prepare(rule);
             let values_of = values.chunks_exact(scalar.size() as usize).enumerate();
-            let known = values_of
-                .map(|(record, value)| places.grid.integer(value).map(|integer| (places.site(record), integer)));
+            let known = values_of.map(|(record, value)| {
+                places.grid.integer(value).map(|integer| (places.site(record), integer))
+            });
             let doubts = rules.code_doubts(coder, rule, known);
             if C::ENCODES && doubts.are_none() && !plan.has_exceptions {
                 return Ok(());
             }
             code_each(coder, off, (&plan, &places.grid), scalar, values, |coder, record, integer| {
-                integer.map(|integer| {
-                    rules.code(coder, (rule, doubts), (record, &places.site(record)), integer)
-                })
+                integer
+                    .map(|integer| rules.code(coder, (rule, doubts), (record, &places.site(record)), integer))
             });
             return Ok(());
         }

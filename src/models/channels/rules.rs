@@ -166,8 +166,7 @@ impl RuleModel {
         let expected = self.state.expected(rule, site);
         let is_new = site.column != self.state.last_column;
         let is_doubted = (record as u64) < doubts.first || doubts.new_columns && is_new;
-        let is_right =
-            !is_doubted || self.is_right[expected.context].code(coder, value == expected.integer);
+        let is_right = !is_doubted || self.is_right[expected.context].code(coder, value == expected.integer);
         let above =
             if is_right { 0 } else { self.code_miss(coder, site.key, value.wrapping_sub(expected.integer)) };
         let coded = expected.integer.wrapping_add(above);

@@ -34,10 +34,16 @@ impl LevelGrid {
         LevelGrid { per_unit, values: (0..levels).map(value).collect() }
     }
 
+    /// The level nearest to a value.
+    #[inline]
+    fn nearest(&self, value: f32) -> u32 {
+        (f64::from(value) * f64::from(self.per_unit) + 0.5) as u32
+    }
+
     /// The level of a value, if it is exactly that of a level.
     #[inline]
     fn level_of(&self, value: f32) -> Option<u32> {
-        let level = (f64::from(value) * f64::from(self.per_unit) + 0.5) as u32;
+        let level = self.nearest(value);
         let found = self.values.get(level as usize)?;
         (found.to_bits() == value.to_bits()).then_some(level)
     }
@@ -106,6 +112,12 @@ impl IntensityScale {
     #[inline]
     pub fn level_of(&self, value: f32) -> Option<u32> {
         self.grid.level_of(value)
+    }
+
+    /// The level of a value that is exactly that of a level.
+    #[inline]
+    pub fn level_on_grid(&self, value: f32) -> u32 {
+        self.grid.nearest(value)
     }
 
     /// The value of a level; 0 if there is no grid.
