@@ -94,9 +94,6 @@ impl ColumnModel {
                 places.grid.integer(value).map(|integer| (places.site(record), integer))
             });
             let doubts = rules.code_doubts(coder, rule, known);
-            if C::ENCODES && doubts.are_none() && !plan.has_exceptions {
-                return Ok(());
-            }
             code_each(coder, off, (&plan, &places.grid), scalar, values, |coder, record, integer| {
                 integer
                     .map(|integer| rules.code(coder, (rule, doubts), (record, &places.site(record)), integer))

@@ -122,15 +122,14 @@ impl RuleModel {
     }
 
     /// Codes where the next integers may not follow from the rule. The encoder is given them, each with its record's site
-    /// if it is on the scale. If there is no doubt of any, an encoder has learned them, and there is no need to
-    /// [code](Self::code) them.
+    /// if it is on the scale.
     pub fn code_doubts<C: BitCoder>(
         &mut self,
         coder: &mut C,
         rule: Rule,
         known: impl Iterator<Item = Option<(Site, i64)>>,
     ) -> Doubts {
-        let (mut doubts, mut learned) = (Doubts::default(), None);
+        let mut doubts = Doubts::default();
         if C::ENCODES {
             let mut state = self.state.clone();
             // The end of the last record that misses, and of the last that does so in no new column.
@@ -144,11 +143,9 @@ impl RuleModel {
                 }
             }
             doubts = Doubts { first: of_others, new_columns: of_any > of_others };
-            learned = Some(state).filter(|_| of_any == 0);
         }
         doubts.first = self.doubted.code(coder, doubts.first);
         doubts.new_columns = self.doubts_new_columns.code(coder, doubts.new_columns);
-        learned.into_iter().for_each(|state| self.state = state);
         doubts
     }
 
@@ -166,6 +163,7 @@ impl RuleModel {
         let expected = self.state.expected(rule, site);
         let is_new = site.column != self.state.last_column;
         let is_doubted = (record as u64) < doubts.first || doubts.new_columns && is_new;
+        debug_assert!(!C::ENCODES || is_doubted || value == expected.integer);
         let is_right = !is_doubted || self.is_right[expected.context].code(coder, value == expected.integer);
         let above =
             if is_right { 0 } else { self.code_miss(coder, site.key, value.wrapping_sub(expected.integer)) };
@@ -179,13 +177,6 @@ impl RuleModel {
     fn code_miss<C: BitCoder>(&mut self, coder: &mut C, key: u32, above: i64) -> i64 {
         let site = Site { key, ..Site::default() };
         self.misses.get_or_insert_default().code(coder, &site, above)
-    }
-}
-
-impl Doubts {
-    /// Whether there are none.
-    pub fn are_none(self) -> bool {
-        self == Doubts::default()
     }
 }
 
