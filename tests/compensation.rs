@@ -6,6 +6,7 @@ use common::bound::{bounded, keeps_the_bound};
 use common::firings::{image, made_up, moved_by_stamps, sorted, stamped};
 use common::formats::{kitti, pcd_stamped, pcd_xyz};
 use common::scans::{Points, compensated, moved, random_points, scans, shuffled, small, unrounded};
+use common::streams::at_level;
 use common::sweeps::{SLOTS, STRAIGHT, TURNING, elevation, street, through_a_map};
 use common::{File, decode_files, encode_files, round_trip, section_bytes};
 use lidarpc::internals::edit::{Named, cut};
@@ -305,5 +306,16 @@ fn sweeps_that_went_through_no_map_are_left_alone() {
     odd[77] = [f32::NAN, 0.0, 1.0];
     for points in [&truth[..], &noise, &file[1..], &odd, &[[1.0, 0.5, 0.25]; 32 * 300], &[]] {
         assert!(world::undo(points).is_none() && world::measured(points).is_none());
+    }
+}
+
+#[test]
+fn all_levels_but_the_first_undo_a_map() {
+    let sweep = through_a_map(&street(1), &TURNING);
+    let points: Points = sweep.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
+    for level in [1, 2, 3, 6] {
+        let stream = encode_files(&named(std::slice::from_ref(&points)), &at_level(level));
+        let is_undone = section_bytes(&stream).get(&SectionKind::World).is_some_and(|&bytes| bytes > 0);
+        assert_eq!(is_undone, level > 1, "level {level}");
     }
 }
