@@ -10,6 +10,8 @@
 #
 #     aarch64-unknown-linux-gnu qemu-aarch64-static    gcc-aarch64-linux-gnu qemu-user-static    /usr/aarch64-linux-gnu
 #     s390x-unknown-linux-gnu qemu-s390x-static        gcc-s390x-linux-gnu qemu-user-static      /usr/s390x-linux-gnu    big-endian
+#
+# The same processor with fewer vector units: x86_64-unknown-linux-gnu "qemu-x86_64-static -cpu Haswell" (AVX2, no AVX-512) or Nehalem.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 target=$1
