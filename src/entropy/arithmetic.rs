@@ -1,8 +1,11 @@
-//! The binary arithmetic coder: 32-bit interval, 16-bit probabilities, bytes shifted out at the top (the
-//! carry-free form of Mahoney's lpaq).
+//! The binary arithmetic coder: a 64-bit interval, 16-bit probabilities, bytes shifted out four at a time. The decoder
+//! keeps the place of its number within the interval (Martin's range coder), so that a bit takes one product and one
+//! comparison; the encoder carries into the bytes that it has written.
+
+use std::hint::select_unpredictable;
 
 /// Codes binary decisions in one direction or the other.
-pub trait BitCoder {
+pub trait BitCoder: Default {
     /// True if this side knows the bits. A decoder's models must not read the data that they are filling.
     const ENCODES: bool;
 
@@ -10,21 +13,14 @@ pub trait BitCoder {
     /// `bit`; the decoder does not look at it. Both return the bit.
     fn code(&mut self, bit: bool, p: u32) -> bool;
 
-    /// Codes the lowest `bits` bits of `value`, each equally likely to be 0 or 1: `PLAIN_BITS` at a time
-    /// where the interval is wide enough, otherwise one by one.
+    /// Codes the lowest `bits` bits of `value`, each equally likely to be 0 or 1: `PLAIN_BITS` at a time.
     fn code_plain(&mut self, value: u64, bits: u32) -> u64 {
         let mut read = 0;
         let mut left = bits;
         while left > 0 {
             let count = left.min(PLAIN_BITS);
             left -= count;
-            let part = (value >> left) as u32 & ((1 << count) - 1);
-            let part = self.code_even(part, count).unwrap_or_else(|| {
-                (0..count)
-                    .rev()
-                    .fold(0, |read, i| read << 1 | u32::from(self.code(part >> i & 1 == 1, 1 << 15)))
-            });
-            read = read << count | u64::from(part);
+            read = read << count | self.code_part(value >> left & ((1 << count) - 1), count);
         }
         read
     }
@@ -42,13 +38,12 @@ pub trait BitCoder {
         u64::MAX
     }
 
-    /// Codes one of 2^`bits` equally likely parts of the interval. `None`, with nothing coded, if the
-    /// interval is too narrow.
-    fn code_even(&mut self, part: u32, bits: u32) -> Option<u32>;
+    /// Codes one of 2^`bits` equally likely parts of the interval; `bits` is at most `PLAIN_BITS`.
+    fn code_part(&mut self, part: u64, bits: u32) -> u64;
 }
 
 /// The most plain bits that are coded at once.
-const PLAIN_BITS: u32 = 12;
+const PLAIN_BITS: u32 = 16;
 
 /// At most this many zeros are dropped from the end of the bytes.
 const MOST_ZEROS: usize = 64;
@@ -56,56 +51,67 @@ const MOST_ZEROS: usize = 64;
 /// The likeliest bit takes 1.44 / 65536 bits, so a byte holds fewer bits than this.
 const BITS_A_BYTE: u64 = 1 << 19;
 
-/// The width of each of 2^`bits` equal parts of an interval; `None` if it would be 0.
-fn part_width(low: u32, high: u32, bits: u32) -> Option<u32> {
-    Some((high - low) >> bits).filter(|&width| width > 0)
-}
+/// An interval narrower than this is widened by four bytes. No bit and no part makes it narrower than 2^16.
+const NARROWEST: u64 = 1 << 32;
 
-/// Where the interval is split: below is a 1, above a 0.
-fn split(low: u32, high: u32, p: u32) -> u32 {
-    low + ((u64::from(high - low) * u64::from(p)) >> 16) as u32
+/// The width of the part of the interval that a 1 has: the lower one.
+#[inline(always)]
+fn width_of_one(width: u64, p: u32) -> u64 {
+    (width >> 16) * u64::from(p)
 }
 
 /// Writes bits.
 pub struct ArithmeticEncoder {
-    low: u32,
-    high: u32,
+    /// Where the interval begins, behind the bytes that are out.
+    low: u64,
+    width: u64,
     out: Vec<u8>,
 }
 
 impl Default for ArithmeticEncoder {
     fn default() -> Self {
-        ArithmeticEncoder { low: 0, high: u32::MAX, out: Vec::new() }
+        ArithmeticEncoder { low: 0, width: u64::MAX, out: Vec::new() }
     }
 }
 
 impl ArithmeticEncoder {
     /// The coded bytes. Up to 64 trailing zeros are dropped, as the decoder reads zeros past the end.
     pub fn finish(mut self) -> Vec<u8> {
-        // The shortest number inside the interval, with as many bytes as it needs.
-        let shortest =
-            (0..4).map(|bytes| ceiling(self.low, 8 * (4 - bytes))).find(|&v| v <= u64::from(self.high));
-        let value = shortest.unwrap_or(u64::from(self.low)) as u32;
-        self.out.extend_from_slice(&value.to_be_bytes());
+        // The number inside the interval that ends in most zeros; 2^64 is a carry and zeros.
+        let (low, end) = (u128::from(self.low), u128::from(self.low) + u128::from(self.width));
+        let rounded = |bits: u32| low.next_multiple_of(1 << bits);
+        let number = (0..u64::BITS).rev().map(rounded).find(|&number| number < end).unwrap_or(low);
+        if number >> u64::BITS > 0 {
+            self.carry();
+        }
+        self.out.extend_from_slice(&(number as u64).to_be_bytes());
         let zeros = self.out.iter().rev().take(MOST_ZEROS).take_while(|&&byte| byte == 0).count();
         self.out.truncate(self.out.len() - zeros);
         self.out
     }
-}
 
-/// `value` rounded up to a multiple of 2^`bits`.
-fn ceiling(value: u32, bits: u32) -> u64 {
-    u64::from(value).next_multiple_of(1 << bits)
-}
+    /// Keeps `width` of the interval, from `from` on.
+    #[inline(always)]
+    fn narrow(&mut self, from: u64, width: u64) {
+        let (low, is_over) = self.low.overflowing_add(from);
+        (self.low, self.width) = (low, width);
+        if is_over {
+            self.carry();
+        }
+        if width < NARROWEST {
+            self.out.extend_from_slice(&((low >> 32) as u32).to_be_bytes());
+            (self.low, self.width) = (low << 32, width << 32);
+        }
+    }
 
-impl ArithmeticEncoder {
-    /// Writes the leading bytes that both ends of the interval share.
-    #[inline]
-    fn shift_out(&mut self) {
-        while (self.low ^ self.high) >> 24 == 0 {
-            self.out.push((self.high >> 24) as u8);
-            self.low <<= 8;
-            self.high = self.high << 8 | 0xff;
+    /// Adds 1 to the bytes that are out, which are less than 1 as a fraction.
+    #[cold]
+    fn carry(&mut self) {
+        for byte in self.out.iter_mut().rev() {
+            *byte = byte.wrapping_add(1);
+            if *byte > 0 {
+                return;
+            }
         }
     }
 }
@@ -113,65 +119,83 @@ impl ArithmeticEncoder {
 impl BitCoder for ArithmeticEncoder {
     const ENCODES: bool = true;
 
-    #[inline]
+    #[inline(always)]
     fn code(&mut self, bit: bool, p: u32) -> bool {
-        let middle = split(self.low, self.high, p);
+        let one = width_of_one(self.width, p);
         if bit {
-            self.high = middle;
+            self.narrow(0, one);
         } else {
-            self.low = middle + 1;
+            self.narrow(one, self.width - one);
         }
-        self.shift_out();
         bit
     }
 
-    fn code_even(&mut self, part: u32, bits: u32) -> Option<u32> {
-        let width = part_width(self.low, self.high, bits)?;
-        self.low += part * width;
-        self.high = self.low + (width - 1);
-        self.shift_out();
-        Some(part)
+    fn code_part(&mut self, part: u64, bits: u32) -> u64 {
+        let width = self.width >> bits;
+        self.narrow(part * width, width);
+        part
     }
 }
 
 /// Reads bits. Past the end of the bytes it reads zeros, so any bytes decode to something.
 pub struct ArithmeticDecoder<'a> {
-    low: u32,
-    high: u32,
-    code: u32,
+    /// How far the coded number is from where the interval begins. In damaged data it may be beyond its end.
+    place: u64,
+    width: u64,
+    // Apart, so that a compiler can keep the numbers above in registers.
+    words: Words<'a>,
+}
+
+/// What is left of the bytes.
+#[derive(Default)]
+struct Words<'a> {
+    bytes: &'a [u8],
     /// Zeros read past the end.
     behind: usize,
-    bytes: std::slice::Iter<'a, u8>,
+}
+
+impl Words<'_> {
+    /// The next four bytes.
+    #[inline(always)]
+    fn next(&mut self) -> u64 {
+        let Some((word, rest)) = self.bytes.split_first_chunk() else { return self.last() };
+        self.bytes = rest;
+        u32::from_be_bytes(*word).into()
+    }
+
+    /// Those in which the bytes end, or zeros.
+    #[cold]
+    fn last(&mut self) -> u64 {
+        let mut word = [0; 4];
+        let left = self.bytes.len();
+        word[..left].copy_from_slice(self.bytes);
+        self.bytes = &[];
+        self.behind = self.behind.saturating_add(word.len() - left);
+        u32::from_be_bytes(word).into()
+    }
+}
+
+/// At the end of no bytes.
+impl Default for ArithmeticDecoder<'_> {
+    fn default() -> Self {
+        ArithmeticDecoder { place: 0, width: u64::MAX, words: Words::default() }
+    }
 }
 
 impl<'a> ArithmeticDecoder<'a> {
     /// Starts at the first of `bytes`.
     pub fn new(bytes: &'a [u8]) -> Self {
-        let mut decoder =
-            ArithmeticDecoder { low: 0, high: u32::MAX, code: 0, behind: 0, bytes: bytes.iter() };
-        for _ in 0..4 {
-            decoder.code = decoder.code << 8 | decoder.next_byte();
-        }
-        decoder
+        let mut words = Words { bytes, behind: 0 };
+        let place = words.next() << 32 | words.next();
+        ArithmeticDecoder { place, words, ..ArithmeticDecoder::default() }
     }
 
-    /// Reads one byte for each leading byte that both ends of the interval share.
-    #[inline]
-    fn shift_in(&mut self) {
-        while (self.low ^ self.high) >> 24 == 0 {
-            self.low <<= 8;
-            self.high = self.high << 8 | 0xff;
-            self.code = self.code << 8 | self.next_byte();
-        }
-    }
-
-    fn next_byte(&mut self) -> u32 {
-        match self.bytes.next() {
-            Some(&byte) => u32::from(byte),
-            None => {
-                self.behind = self.behind.saturating_add(1);
-                0
-            }
+    /// Keeps `width` of the interval, from `from` on.
+    #[inline(always)]
+    fn narrow(&mut self, from: u64, width: u64) {
+        (self.place, self.width) = (self.place - from, width);
+        if width < NARROWEST {
+            (self.place, self.width) = (self.place << 32 | self.words.next(), width << 32);
         }
     }
 }
@@ -179,39 +203,32 @@ impl<'a> ArithmeticDecoder<'a> {
 impl BitCoder for ArithmeticDecoder<'_> {
     const ENCODES: bool = false;
 
-    /// Four bytes are read ahead.
     fn is_exhausted(&self) -> bool {
-        self.behind > MOST_ZEROS + 4
+        self.words.behind > MOST_ZEROS
     }
 
     fn most_bits(&self) -> u64 {
-        let bytes = self.bytes.len() + (MOST_ZEROS + 5).saturating_sub(self.behind);
+        // Those that it still reads, a word at a time, and those of the interval.
+        let bytes = self.words.bytes.len() + (MOST_ZEROS + 4 + 8).saturating_sub(self.words.behind);
         (bytes as u64).saturating_mul(BITS_A_BYTE)
     }
 
-    #[inline]
+    #[inline(always)]
     fn code(&mut self, _bit: bool, p: u32) -> bool {
-        let middle = split(self.low, self.high, p);
-        let bit = self.code <= middle;
-        if bit {
-            self.high = middle;
-        } else {
-            self.low = middle + 1;
-        }
-        self.shift_in();
+        let one = width_of_one(self.width, p);
+        let bit = self.place < one;
+        let from = select_unpredictable(bit, 0, one);
+        self.narrow(from, select_unpredictable(bit, one, self.width - one));
         bit
     }
 
-    fn code_even(&mut self, _part: u32, bits: u32) -> Option<u32> {
-        let width = part_width(self.low, self.high, bits)?;
+    fn code_part(&mut self, _part: u64, bits: u32) -> u64 {
+        let width = self.width >> bits;
         // No encoder's number lies in the remainder of the division; in damaged data it counts as the last
         // part.
-        let part = ((self.code - self.low) / width).min((1 << bits) - 1);
-        self.low += part * width;
-        self.high = self.low + (width - 1);
-        self.code = self.code.min(self.high);
-        self.shift_in();
-        Some(part)
+        let part = (self.place / width).min((1 << bits) - 1);
+        self.narrow(part * width, width);
+        part
     }
 }
 
@@ -244,7 +261,7 @@ mod tests {
             let mut bits = 0u64;
             // Always the likeliest bit, which takes the least.
             while !decoder.is_exhausted() {
-                let likely = decoder.code <= split(decoder.low, decoder.high, 65535);
+                let likely = decoder.place < width_of_one(decoder.width, 65535);
                 decoder.code(false, if likely { 65535 } else { 1 });
                 bits += 1;
             }

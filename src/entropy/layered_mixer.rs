@@ -2,14 +2,9 @@
 //! own, mix the same opinions; their results are mixed again and refined.
 
 use super::refinement::Refinement;
+use super::weights::WeightSets;
 use super::{BitCoder, Logistic};
 
-/// Numbers that a vector unit of any processor handles at once.
-const LANES: usize = 4;
-/// The learning rate starts this many times as high as it ends.
-const EARLY_RATE: f32 = 4.0;
-/// After this many bits, the learning rate of a weight set has halved.
-const EARLY_BITS: f32 = 200.0;
 /// The results of the first layer are limited to these log odds.
 const MOST_ODDS: f32 = 12.0;
 /// Number of maps that refine the result, and the share of each in it.
@@ -22,7 +17,7 @@ pub struct LayeredMixer<const N: usize, const S: usize> {
     sets: [WeightSets<N>; S],
     last: Vec<[f32; S]>,
     refinements: [Refinement; REFINEMENTS],
-    rates: MixRates,
+    last_rate: f32,
     tables: &'static Logistic,
 }
 
@@ -46,48 +41,15 @@ pub struct MixRates {
     pub last: f32,
 }
 
-#[derive(Clone)]
-struct WeightSets<const N: usize> {
-    weights: Vec<[f32; N]>,
-    /// How many bits each weight set has learned from.
-    seen: Vec<u16>,
-}
-
-impl<const N: usize> WeightSets<N> {
-    #[inline]
-    fn mix(&self, set: usize, opinions: &[f32; N]) -> f32 {
-        let weights = &self.weights[set];
-        let mut sums = [0.0f32; LANES];
-        for block in (0..N).step_by(LANES) {
-            for lane in 0..LANES {
-                sums[lane] += weights[block + lane] * opinions[block + lane];
-            }
-        }
-        ((sums[0] + sums[1]) + (sums[2] + sums[3])).clamp(-MOST_ODDS, MOST_ODDS)
-    }
-
-    #[inline]
-    fn learn(&mut self, set: usize, opinions: &[f32; N], error: f32, rate: f32) {
-        let seen = &mut self.seen[set];
-        let early = EARLY_RATE * EARLY_BITS / (EARLY_BITS + f32::from(*seen));
-        *seen += u16::from(early > 1.0);
-        let pull = error * (rate * early);
-        for (weight, opinion) in self.weights[set].iter_mut().zip(opinions) {
-            *weight += pull * opinion;
-        }
-    }
-}
-
 impl<const N: usize, const S: usize> LayeredMixer<N, S> {
     /// Creates the numbers of weight sets and maps that `counts` gives. The first layer's weights start as
     /// `weights`.
     pub fn new(counts: MixContexts<S>, weights: [f32; N], rates: MixRates) -> Self {
-        const { assert!(N.is_multiple_of(LANES)) };
         LayeredMixer {
-            sets: counts.sets.map(|sets| WeightSets { weights: vec![weights; sets], seen: vec![0; sets] }),
+            sets: counts.sets.map(|sets| WeightSets::new(sets, weights, rates.first)),
             last: vec![[1.0 / S as f32; S]; counts.last],
             refinements: counts.refinements.map(Refinement::new),
-            rates,
+            last_rate: rates.last,
             tables: Logistic::tables(),
         }
     }
@@ -95,10 +57,7 @@ impl<const N: usize, const S: usize> LayeredMixer<N, S> {
     /// Copies what the first `sets` weight sets of a mixer of the first layer have learned to those that
     /// follow, `sets` at a time.
     pub fn spread_sets(&mut self, mixer: usize, sets: usize) {
-        let WeightSets { weights, seen } = &mut self.sets[mixer];
-        for set in sets..weights.len() {
-            (weights[set], seen[set]) = (weights[set % sets], seen[set % sets]);
-        }
+        self.sets[mixer].spread(sets);
     }
 
     /// Codes a bit.
@@ -112,7 +71,7 @@ impl<const N: usize, const S: usize> LayeredMixer<N, S> {
     ) -> bool {
         let mut firsts = [0.0; S];
         for (first, (sets, set)) in firsts.iter_mut().zip(self.sets.iter().zip(contexts.sets)) {
-            *first = sets.mix(set, opinions);
+            *first = sets.mix(set, opinions).clamp(-MOST_ODDS, MOST_ODDS);
         }
         let last = &mut self.last[contexts.last];
         let mixed = firsts.iter().zip(last.iter()).fold(0.0, |sum, (first, weight)| sum + first * weight);
@@ -123,12 +82,11 @@ impl<const N: usize, const S: usize> LayeredMixer<N, S> {
             place
         });
         let bit = coder.code(bit, self.tables.squash(refined));
-        let target = i32::from(bit) << 16;
-        let error = |odds: f32| (target - self.tables.squash(odds) as i32) as f32 / 65536.0;
-        let last_error = error(mixed) * self.rates.last;
+        let error = ((i32::from(bit) << 16) - self.tables.squash(mixed) as i32) as f32 / 65536.0;
+        let pull = error * self.last_rate;
         for i in 0..S {
-            last[i] += last_error * firsts[i];
-            self.sets[i].learn(contexts.sets[i], opinions, error(firsts[i]), self.rates.first);
+            last[i] += pull * firsts[i];
+            self.sets[i].learn(contexts.sets[i], opinions, bit, self.tables.squash(firsts[i]));
         }
         for (refinement, place) in self.refinements.iter_mut().zip(places) {
             refinement.learn(place, bit);

@@ -4,10 +4,13 @@
 use std::sync::LazyLock;
 
 use super::BitCoder;
+use super::weights::WeightSets;
 
 /// Table steps per unit of log odds: so fine that no step makes a difference of a thousandth of a bit.
 const SQUASH_FINENESS: f32 = 256.0;
 const SQUASH_STEPS: usize = 8192;
+/// The log odds of the table's last step.
+const MOST_ODDS: f32 = 16.0 - 1.0 / SQUASH_FINENESS;
 const STRETCH_STEPS: usize = 4096;
 const LN_STEPS: usize = 1024;
 
@@ -34,7 +37,7 @@ impl Logistic {
 
     fn new() -> Self {
         let squash = |i: usize| {
-            let odds = (i as f64 + 0.5 - SQUASH_STEPS as f64 / 2.0) / f64::from(SQUASH_FINENESS);
+            let odds = (i as f64 - SQUASH_STEPS as f64 / 2.0) / f64::from(SQUASH_FINENESS);
             (65536.0 / (1.0 + libm::exp(-odds))).clamp(1.0, 65535.0) as u16
         };
         let stretch = |i: usize| {
@@ -50,10 +53,12 @@ impl Logistic {
     }
 
     /// The probability, in 1/65536 (1 to 65535), of log odds.
-    #[inline]
+    #[inline(always)]
     pub fn squash(&self, odds: f32) -> u32 {
-        let place = ((odds * SQUASH_FINENESS) as i32).saturating_add(SQUASH_STEPS as i32 / 2);
-        u32::from(self.squash[place.clamp(0, SQUASH_STEPS as i32 - 1) as usize])
+        // To the sum of 2^23 and something less, the lowest bit is a unit.
+        const MIDDLE: f32 = (1 << 23) as f32 + (SQUASH_STEPS / 2) as f32;
+        let place = odds.clamp(-MOST_ODDS, MOST_ODDS) * SQUASH_FINENESS + MIDDLE;
+        u32::from(self.squash[place.to_bits() as usize % SQUASH_STEPS])
     }
 
     /// ln of a positive integer, to within about a thousandth.
@@ -147,11 +152,7 @@ pub struct MixedBits<const V: usize, const N: usize> {
     counters: Vec<Counter>,
     /// Where each view begins.
     views: [usize; V],
-    weights: Vec<[f32; N]>,
-    /// How many bits each weight set has learned from.
-    seen: Vec<u16>,
-    /// The learning rate after that many bits.
-    rates: Vec<f32>,
+    weights: WeightSets<N>,
     tables: &'static Logistic,
 }
 
@@ -159,18 +160,12 @@ pub struct MixedBits<const V: usize, const N: usize> {
 pub(super) const LANES: usize = 4;
 /// The constant opinion.
 pub(super) const CONSTANT: f32 = 0.25;
-/// The learning rate starts this many times as high as it ends.
-const EARLY_RATE: f32 = 4.0;
-/// After this many bits, the learning rate of a weight set has halved.
-const EARLY_BITS: f32 = 200.0;
 
 impl<const V: usize, const N: usize> MixedBits<V, N> {
     /// Creates `places` counters for each view and `sets` weight sets. Weights start at `view_weight` for
     /// each view and at `other_weight` for the opinion from outside; the learning rate ends at `rate`.
     pub fn new(places: [usize; V], sets: usize, view_weight: f32, other_weight: f32, rate: f32) -> Self {
-        const { assert!(N.is_multiple_of(LANES) && V + 2 <= N) };
-        let early = |seen: u16| EARLY_RATE * EARLY_BITS / (EARLY_BITS + f32::from(seen));
-        let last = (EARLY_BITS * (EARLY_RATE - 1.0)) as u16;
+        const { assert!(V + 2 <= N) };
         let mut start = [0.0; N];
         start[..V].fill(view_weight);
         start[V] = other_weight;
@@ -182,19 +177,14 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         MixedBits {
             counters: vec![Counter::default(); end],
             views,
-            weights: vec![start; sets],
-            seen: vec![0; sets],
-            rates: (0..=last).map(|seen| rate * early(seen) / 65536.0).collect(),
+            weights: WeightSets::new(sets, start, rate),
             tables: Logistic::tables(),
         }
     }
 
     /// Copies what the first `sets` weight sets have learned to those that follow, `sets` at a time.
     pub fn spread_sets(&mut self, sets: usize) {
-        for set in sets..self.weights.len() {
-            self.weights[set] = self.weights[set % sets];
-            self.seen[set] = self.seen[set % sets];
-        }
+        self.weights.spread(sets);
     }
 
     /// Codes a bit as [`code_with`](Self::code_with) does, but from the first two views alone if the log odds
@@ -255,21 +245,9 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         for view in 0..V {
             opinions[view] = self.tables.opinion(counters[self.views[view] + places[view]]);
         }
-        let weights = &mut self.weights[set];
-        let mut sums = [0.0f32; LANES];
-        for block in (0..N).step_by(LANES) {
-            for lane in 0..LANES {
-                sums[lane] += weights[block + lane] * opinions[block + lane];
-            }
-        }
-        let p = self.tables.squash((sums[0] + sums[1]) + (sums[2] + sums[3]));
+        let p = self.tables.squash(self.weights.mix(set, &opinions));
         let bit = coder.code(bit, p);
-        let seen = &mut self.seen[set];
-        let pull = ((i32::from(bit) << 16) - p as i32) as f32 * self.rates[usize::from(*seen)];
-        *seen += u16::from(usize::from(*seen) + 1 < self.rates.len());
-        for (weight, opinion) in weights.iter_mut().zip(&opinions) {
-            *weight += pull * opinion;
-        }
+        self.weights.learn(set, &opinions, bit, p);
         for view in 0..V {
             counters[self.views[view] + places[view]].learn(bit);
         }

@@ -15,6 +15,7 @@ mod layered_mixer;
 mod logistic;
 mod refinement;
 mod tokens;
+mod weights;
 
 pub use adaptive::{AdaptiveBit, IntegerModel};
 pub use arithmetic::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};

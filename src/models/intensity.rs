@@ -41,8 +41,8 @@ impl IntensityModel {
     pub fn start_frame(&mut self, scale: &IntensityScale, columns: usize, values: usize) {
         if self.is_deep {
             self.deep.get_or_insert_default().start_frame(columns, values);
-        } else {
-            self.light.start_frame(scale, values);
+        } else if scale.is_on_grid() {
+            self.light.start_frame(scale.bits(), values);
         }
     }
 
@@ -72,7 +72,7 @@ impl IntensityModel {
         let level = level.unwrap_or(0);
         let level = match self.deep.as_mut().filter(|_| self.is_deep) {
             Some(deep) => deep.code(coder, scale, near, (row, column), level),
-            None => self.light.code(coder, scale, near, row, level),
+            None => self.light.code(coder, scale.bits(), near, row, level),
         };
         if C::ENCODES { value } else { scale.value_of(level) }
     }

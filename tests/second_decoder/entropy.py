@@ -19,67 +19,52 @@ def wrap(v, bits):
 class Bits:
     """5.1: the arithmetic decoder."""
 
-    __slots__ = ("data", "at", "low", "high", "value")
+    __slots__ = ("data", "at", "width", "place")
 
     def __init__(self, data):
         self.data = data
-        self.at = 4
-        self.low = 0
-        self.high = M32
-        self.value = int.from_bytes((data[:4] + bytes(4))[:4], "big")
+        self.at = 8
+        self.width = M64
+        self.place = int.from_bytes((data[:8] + bytes(8))[:8], "big")
 
     def decode(self, p):
-        low = self.low
-        high = self.high
-        middle = low + (((high - low) * p) >> 16)
-        if self.value <= middle:
+        width = self.width
+        one = (width >> 16) * p
+        if self.place < one:
             bit = 1
-            high = middle
+            width = one
         else:
             bit = 0
-            low = middle + 1
-        if not (low ^ high) >> 24:
-            low, high = self.shift(low, high)
-        self.low = low
-        self.high = high
+            width -= one
+            self.place -= one
+        self.width = width
+        if width <= M32:
+            self.widen()
         return bit
 
-    def shift(self, low, high):
-        value = self.value
-        data = self.data
-        while not (low ^ high) >> 24:
-            low = low << 8 & M32
-            high = high << 8 & M32 | 0xFF
-            at = self.at
-            value = value << 8 & M32 | (data[at] if at < len(data) else 0)
-            self.at = at + 1
-        self.value = value
-        if self.at > len(data) + 68:
+    def widen(self):
+        at = self.at
+        self.at = at + 4
+        word = self.data[at : at + 4]
+        if self.at > len(self.data) + 64:
             raise Refused("a section wants more bytes than it has")
-        return low, high
+        self.width <<= 32
+        self.place = (self.place << 32 | int.from_bytes((word + bytes(4))[:4], "big")) & M64
 
     def part(self, k):
-        width = (self.high - self.low) >> k
-        if width == 0:
-            part = 0
-            for _ in range(k):
-                part = part * 2 + self.decode(32768)
-            return part
-        part = min((self.value - self.low) // width, (1 << k) - 1)
-        low = self.low + part * width
-        high = low + width - 1
-        self.value = min(self.value, high)
-        if not (low ^ high) >> 24:
-            low, high = self.shift(low, high)
-        self.low = low
-        self.high = high
+        width = self.width >> k
+        part = min(self.place // width, (1 << k) - 1)
+        self.place -= part * width
+        self.width = width
+        if width <= M32:
+            self.widen()
         return part
 
     def plain(self, n):
         """`code_plain(n)`."""
         value = 0
         while n > 0:
-            k = min(n, 12)
+            k = min(n, 16)
             value = value << k | self.part(k)
             n -= k
         return value

@@ -41,7 +41,7 @@ def clamp(v, a, b):
 
 
 def _squash(i):
-    return int(clamp(65536 / (1 + exp(-((i + 0.5 - 4096) / 256))), 1, 65535))
+    return int(clamp(65536 / (1 + exp(-((i - 4096) / 256))), 1, 65535))
 
 
 def _stretch(i):
@@ -59,7 +59,8 @@ LN2_TIMES = floats(i * LN2 for i in range(64)).tolist()
 
 
 def squash(odds):
-    i = int(odds * 256) + 4096
+    # Python rounds as the sum with 2^23 does: half to even.
+    i = round(odds * 256) + 4096
     return SQUASH[0 if i < 0 else 8191 if i > 8191 else i]
 
 
@@ -107,14 +108,18 @@ def dot(a, b):
     return _CELL[0]
 
 
+def rates_of(rate):
+    """6.3: the learning rate after so many bits."""
+    rate = f32(rate)
+    return floats(f32(f32(800 / (200 + s)) * rate) / 65536 for s in range(601)).tolist()
+
+
 class MixedBits:
     """6.3."""
 
     def __init__(self, views, sets, view_weight, other_weight, rate):
         self.views = [new_counters(n) for n in views]
-        rate = f32(rate)
-        rates = floats(f32(f32(800 / (200 + s)) * rate) / 65536 for s in range(601))
-        self.rates = rates.tolist()
+        self.rates = rates_of(rate)
         self.first = floats([view_weight] * len(views) + [other_weight, 0.0, 0.0, 0.0])
         self.weights = [None] * sets
         self.seen = [0] * sets
@@ -244,10 +249,8 @@ class LayeredMixer:
         self.first = floats(first_weights)
         self.weights = [[None] * sets for sets in mixers]
         self.seen = [[0] * sets for sets in mixers]
-        rate = f32(rate)
+        self.rates = rates_of(rate)
         self.last_rate = f32(last_rate)
-        self.early = [floats([800 / (200 + s)])[0] for s in range(602)]
-        self.rates = [f32(rate * e) for e in self.early]
         s = len(mixers)
         self.last = [floats([1 / s] * s) for _ in range(last_sets)]
         self.maps = [[None] * n for n in maps]
@@ -300,10 +303,9 @@ class LayeredMixer:
             cell[0] = pull * f
             last_weights[k] += cell[0]
             seen = self.seen[k][s]
-            rate = self.rates[seen]
-            if self.early[seen] > 1:
+            if seen < 600:
                 self.seen[k][s] = seen + 1
-            cell[0] = (whole - squash(f)) / 65536 * rate
+            cell[0] = (whole - squash(f)) * self.rates[seen]
             step = cell[0]
             weights[s] = array("f", map(add, own[k], array("f", [step * o for o in opinions])))
         t = array("f", (0.08,))[0]

@@ -385,20 +385,44 @@ class OffGrid:
         return self.last
 
 
+class LevelViews:
+    """8.5: what levels of up to so many bits have taught."""
+
+    def __init__(self, bits):
+        self.bits = bits
+        self.views = [new_counters(0), new_counters(0), new_counters(0)]
+        self.slot_bits = 0
+        self.weights = [floats([0.55, 0.55]) for _ in range(1 << bits)]
+        self.reference_weights = [floats([0.45] * 3) for _ in range(1 << bits)]
+
+    def grow(self, slot_bits):
+        stride = 1 << self.bits
+        if not self.views[0]:
+            self.slot_bits = slot_bits
+            self.views = [new_counters(stride << slot_bits) for _ in range(3)]
+        elif slot_bits > self.slot_bits:
+            copies = 1 << (slot_bits - self.slot_bits)
+            for k, view in enumerate(self.views):
+                grown = new_counters(0)
+                for start in range(0, len(view), stride):
+                    grown.extend(view[start : start + stride] * copies)
+                self.views[k] = grown
+            self.slot_bits = slot_bits
+
+
 class Intensity:
     """8.5 as `mixed` and `light` have it."""
 
     def __init__(self, off_grid):
         self.off_grid = off_grid
-        self.views = [new_counters(0), new_counters(0), new_counters(0)]
-        self.slot_bits = self.level_bits = 0
-        self.weights = [floats([0.55, 0.55]) for _ in range(512)]
-        self.reference_weights = [floats([0.45] * 3) for _ in range(512)]
+        self.levels = LevelViews(7)
         self.rate = f32(f32(0.02) / 65536)
 
     def code(self, bits, scale, image, strays, reference):
         def begin(columns, n):
-            self.grow(clamp(ilog2(max(n, 1)), 6, 13), scale.bits)
+            if scale.bits > self.levels.bits:
+                self.levels = LevelViews(scale.bits)
+            self.levels.grow(clamp(ilog2(max(n, 1)), 6, 13))
 
         def value(near, _):
             if self.off_grid.is_next(bits, scale):
@@ -409,37 +433,26 @@ class Intensity:
 
         return values_of(image, strays, reference, begin, value)
 
-    def grow(self, slot_bits, level_bits):
-        if level_bits > self.level_bits:
-            self.slot_bits, self.level_bits = max(self.slot_bits, slot_bits), level_bits
-            self.views = [new_counters(1 << (self.slot_bits + level_bits)) for _ in range(3)]
-        elif slot_bits > self.slot_bits:
-            copies, stride = 1 << (slot_bits - self.slot_bits), 1 << self.level_bits
-            for k, view in enumerate(self.views):
-                grown = new_counters(0)
-                for start in range(0, len(view), stride):
-                    grown.extend(view[start : start + stride] * copies)
-                self.views[k] = grown
-            self.slot_bits = slot_bits
-
     def level(self, bits, n, near):
+        levels = self.levels
         left = near.left
         west = first_of(left[0], near.n, near.nw, near.ne, 20)
         west2 = first_of(left[1], west)
         r = min(near.row, 127)
         contexts = [(west // 2) << 16 | (west2 // 2) << 8 | left[2] // 8, r << 8 | west]
-        weights = self.weights
+        weights = levels.weights
         if near.s or near.m:
             contexts.append((near.s or near.m) << 8 | west // 4)
-            weights = self.reference_weights
-        places = [((c * 0x9E3779B1 & 0xFFFFFFFF) >> (32 - self.slot_bits)) << self.level_bits for c in contexts]
-        views = self.views
-        if r and views[1][places[1] + 1] & 1023 == 0:
-            above = (((r - 1) << 8 | west) * 0x9E3779B1 & 0xFFFFFFFF) >> (32 - self.slot_bits) << self.level_bits
-            for node in range(1 << self.level_bits):
+            weights = levels.reference_weights
+        shift, root = 32 - levels.slot_bits, 1 << (levels.bits - n)
+        places = [((c * 0x9E3779B1 & 0xFFFFFFFF) >> shift) << levels.bits for c in contexts]
+        views = levels.views
+        if r and views[1][places[1] + root] & 1023 == 0:
+            above = (((r - 1) << 8 | west) * 0x9E3779B1 & 0xFFFFFFFF) >> shift << levels.bits
+            for node in range(1 << levels.bits):
                 c = views[1][above + node]
                 views[1][places[1] + node] = clamp(c >> 10, 4096, 4190208) << 10 | min(c & 1023, 4)
-        node = 1
+        node = root
         for _ in range(n):
             cells = [views[k][p + node] for k, p in enumerate(places)]
             o = array("f", [STRETCH[c >> 20] * BELIEF[c & 255] for c in cells])
@@ -454,7 +467,7 @@ class Intensity:
                 w[k] += x
                 views[k][places[k] + node] = learnt(cells[k], bit)
             node = node * 2 + bit
-        return node - (1 << n)
+        return node - (1 << levels.bits)
 
 
 class DeepIntensity:
