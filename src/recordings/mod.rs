@@ -4,7 +4,10 @@
 //! stream of one frame that decodes to the message, byte for byte. [`unpack`] undoes it. [`Clouds`] gives the clouds alone,
 //! as scans. A recording is read front to back; a few messages are in memory at a time.
 
-mod mcap;
+mod contents;
 mod message;
+mod pack;
+mod records;
 
-pub use mcap::{Clouds, Contents, Copied, Topic, TopicFilter, examine, pack, same_messages, unpack};
+pub use contents::{Clouds, Contents, Topic, TopicFilter, examine, same_messages};
+pub use pack::{Copied, pack, unpack};

@@ -1,0 +1,375 @@
+//! Recordings whose clouds are compressed messages: copied record by record, and back.
+
+use std::collections::{HashMap, HashSet};
+use std::io::{Cursor, Read, Seek, Write};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use mcap::records::{Channel, MessageHeader, Record, SchemaHeader};
+
+use super::contents::TopicFilter;
+use super::message::{self, Encoding};
+use super::records::{Output, Records, numbers_in};
+use crate::frame::settings::{EncoderConfig, resolve_threads};
+use crate::ground::error::{Error, Result};
+use crate::library::{Decoder, Settings};
+use crate::stream::FrameInput;
+use crate::stream::container::{Stamp, Time, TimeSource, Unit};
+use crate::stream::encoder::encode_known;
+use crate::stream::ordered::run_ordered;
+use crate::stream::scanner_choice::{KeptScanners, Scanners};
+
+/// The channels' metadata in which a packed recording keeps the number of the schema that a channel of clouds had, and the
+/// number of the channel of which a channel holds what is no cloud.
+const SCHEMA_KEY: &str = "lidarpc.schema";
+const CHANNEL_KEY: &str = "lidarpc.channel";
+
+/// What was copied.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Copied {
+    /// Messages in all.
+    pub messages: u64,
+    /// Of these, clouds that were compressed, or compressed ones that were decoded.
+    pub clouds: u64,
+    /// Messages of clouds' topics that are no cloud as lidarpc knows them, and were copied as they are.
+    pub kept: u64,
+    /// Bytes of these clouds' messages before and after.
+    pub cloud_bytes: [u64; 2],
+    /// Points of the clouds.
+    pub points: u64,
+    /// Attachments and records of metadata.
+    pub attachments: u64,
+    /// What is wrong with the recording from there on; it was taken as far as it is whole.
+    pub cut_short: Option<String>,
+}
+
+/// Copies a recording from its first byte on, its clouds compressed. `on_message` is called for each message that is
+/// written. The input is looked through before: what packing adds gets numbers that the recording uses nowhere.
+///
+/// # Errors
+/// If the input is no recording, or is packed already, or the input or the output fails; those of the settings. A
+/// recording that is cut short or damaged is taken up to there: see [`Copied::cut_short`].
+pub fn pack<W: Write + Seek>(
+    mut input: impl Read + Seek + Send,
+    out: W,
+    settings: &Settings,
+    filter: &TopicFilter,
+    on_message: &(dyn Fn() + Sync),
+) -> Result<Copied> {
+    let config = &settings.config()?;
+    let used = numbers_in(&mut input)?;
+    let (schemas, channels) = (HashMap::new(), HashMap::new());
+    let mut packing = Packing { config, filter, schemas, channels, used, next: u16::MAX };
+    copy(input, out, config.threads, |record| packing.job(record), on_message)
+}
+
+/// Copies a packed recording, its clouds as they were.
+///
+/// # Errors
+/// As [`pack`]; also if a payload is damaged.
+pub fn unpack<W: Write + Seek>(
+    input: impl Read + Send,
+    out: W,
+    threads: usize,
+    on_message: &(dyn Fn() + Sync),
+) -> Result<Copied> {
+    let mut unpacking = Unpacking::default();
+    copy(input, out, threads, |record| unpacking.job(record), on_message)
+}
+
+/// What is done for a record.
+enum Job {
+    /// These are written as they are.
+    Copy(Vec<Record<'static>>),
+    /// A cloud is compressed.
+    Pack { header: MessageHeader, data: Vec<u8>, topic: Arc<PackedTopic> },
+    /// A compressed cloud is decoded.
+    Unpack { header: MessageHeader, data: Vec<u8>, encoding: Encoding },
+}
+
+impl Job {
+    fn one(record: Record<'static>) -> Self {
+        Job::Copy(vec![record])
+    }
+
+    /// Does it, on any thread.
+    fn done(self) -> Result<Done> {
+        match self {
+            Job::Copy(records) => Ok(Done { records, cloud: None, is_kept: false }),
+            Job::Pack { header, data, topic } => topic.pack(header, data),
+            Job::Unpack { header, data, encoding } => unpack_message(header, data, encoding),
+        }
+    }
+}
+
+/// What becomes of a record.
+struct Done {
+    records: Vec<Record<'static>>,
+    /// Of a cloud: its points, and its bytes before and after.
+    cloud: Option<(u64, [u64; 2])>,
+    /// Whether it is a message of a topic of clouds that is none.
+    is_kept: bool,
+}
+
+impl Done {
+    fn cloud(header: MessageHeader, data: Vec<u8>, points: usize, before: usize) -> Self {
+        let bytes = [before, data.len()].map(|bytes| bytes as u64);
+        let record = Record::Message { header, data: data.into() };
+        Done { records: vec![record], cloud: Some((points as u64, bytes)), is_kept: false }
+    }
+}
+
+/// Copies a recording, record by record, in parallel.
+fn copy<W: Write + Seek>(
+    input: impl Read + Send,
+    out: W,
+    threads: usize,
+    mut job: impl FnMut(Record<'static>) -> Result<Job> + Send,
+    on_message: &(dyn Fn() + Sync),
+) -> Result<Copied> {
+    let mut records = Records::open(input)?;
+    let mut out = Output::create(out, records.header.clone())?;
+    let mut copied = Copied::default();
+    let cut_short = Mutex::new(None);
+    let jobs = std::iter::from_fn(|| match records.next()? {
+        Ok(record) => Some(job(record)),
+        Err(error) => {
+            *cut_short.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.to_string());
+            None
+        }
+    });
+    run_ordered(resolve_threads(threads), jobs.fuse(), Job::done, |done| {
+        if let Some((points, [before, after])) = done.cloud {
+            copied.clouds += 1;
+            copied.points += points;
+            copied.cloud_bytes[0] += before;
+            copied.cloud_bytes[1] += after;
+        }
+        copied.kept += u64::from(done.is_kept);
+        for record in done.records {
+            if matches!(record, Record::Message { .. }) {
+                copied.messages += 1;
+                on_message();
+            }
+            copied.attachments +=
+                u64::from(matches!(record, Record::Attachment { .. } | Record::Metadata(_)));
+            out.write(record)?;
+        }
+        Ok(())
+    })?;
+    out.finish()?;
+    copied.cut_short = cut_short.into_inner().unwrap_or_else(PoisonError::into_inner);
+    Ok(copied)
+}
+
+/// What packing knows of a recording.
+struct Packing<'a> {
+    config: &'a EncoderConfig,
+    filter: &'a TopicFilter,
+    /// The names of the schemas.
+    schemas: HashMap<u16, String>,
+    /// All channels that were seen; of those of clouds, what is needed to pack them.
+    channels: HashMap<u16, Option<CloudChannel>>,
+    /// The numbers of all schemas and channels of the recording.
+    used: HashSet<u16>,
+    /// The highest number that a schema or channel that is added may get.
+    next: u16,
+}
+
+/// A channel of clouds.
+struct CloudChannel {
+    encoding: Encoding,
+    /// The channel for messages of the topic that are no clouds.
+    others: Channel,
+    scanners: KeptScanners,
+    /// That of the last message.
+    topic: Option<Arc<PackedTopic>>,
+}
+
+/// How the clouds of a channel are compressed.
+struct PackedTopic {
+    config: EncoderConfig,
+    scanners: Arc<Scanners>,
+    encoding: Encoding,
+    others: Channel,
+}
+
+impl Packing<'_> {
+    fn job(&mut self, record: Record<'static>) -> Result<Job> {
+        match record {
+            Record::Schema { header, data } => {
+                self.schemas.insert(header.id, header.name.clone());
+                Ok(Job::one(Record::Schema { header, data }))
+            }
+            Record::Channel(channel) => self.channel(channel),
+            Record::Message { header, data } => match self.channels.get_mut(&header.channel_id) {
+                Some(Some(channel)) => {
+                    let topic = channel.topic_of(&data, self.config)?;
+                    Ok(Job::Pack { header, data: data.into_owned(), topic })
+                }
+                _ => Ok(Job::one(Record::Message { header, data })),
+            },
+            other => Ok(Job::one(other)),
+        }
+    }
+
+    /// A channel, with the schema of compressed clouds if its messages are clouds.
+    fn channel(&mut self, channel: Channel) -> Result<Job> {
+        if channel.metadata.contains_key(SCHEMA_KEY) {
+            return Err(Error::Usage("the recording is packed already".to_owned()));
+        }
+        if self.channels.contains_key(&channel.id) {
+            return Ok(Job::Copy(Vec::new()));
+        }
+        let encoding = Encoding::of(&channel.message_encoding).filter(|encoding| {
+            let [of_clouds, _] = encoding.schemas();
+            let is_of_clouds = self.schemas.get(&channel.schema_id).is_some_and(|name| name == of_clouds);
+            is_of_clouds && self.filter.takes(&channel.topic)
+        });
+        let Some(encoding) = encoding else {
+            self.channels.insert(channel.id, None);
+            return Ok(Job::one(Record::Channel(channel)));
+        };
+        let mut others = Channel { id: self.unused()?, ..channel.clone() };
+        others.metadata.insert(CHANNEL_KEY.to_owned(), channel.id.to_string());
+        let schema_id = self.unused()?;
+        let schema = compressed_schema(encoding, schema_id);
+        let mut packed = Channel { schema_id, ..channel };
+        packed.metadata.insert(SCHEMA_KEY.to_owned(), others.schema_id.to_string());
+        let of_clouds = CloudChannel { encoding, others, scanners: KeptScanners::default(), topic: None };
+        self.channels.insert(packed.id, Some(of_clouds));
+        Ok(Job::Copy(vec![schema, Record::Channel(packed)]))
+    }
+
+    /// A number that no schema or channel has.
+    fn unused(&mut self) -> Result<u16> {
+        // The format has no number 0 for schemas.
+        let found = (1..=self.next).rev().find(|number| !self.used.contains(number));
+        let found =
+            found.ok_or_else(|| Error::over_limit("topics of clouds", u16::MAX.into(), u16::MAX.into()))?;
+        self.next = found - 1;
+        Ok(found)
+    }
+}
+
+/// The schema of compressed clouds, with this number.
+fn compressed_schema(encoding: Encoding, id: u16) -> Record<'static> {
+    let ([_, name], (kind, text)) = (encoding.schemas(), encoding.compressed_schema());
+    let header = SchemaHeader { id, name: name.to_owned(), encoding: kind.to_owned() };
+    Record::Schema { header, data: text.into_bytes().into() }
+}
+
+impl CloudChannel {
+    /// How its clouds are compressed: by the scanner that is found in the first message that shows one.
+    fn topic_of(&mut self, data: &[u8], config: &EncoderConfig) -> Result<Arc<PackedTopic>> {
+        let frame = message::scan(data, self.encoding).map(|(scan, _)| FrameInput::scan(scan));
+        let scanners = self.scanners.for_next(frame.as_ref(), config)?;
+        if let Some(topic) = self.topic.as_ref().filter(|topic| Arc::ptr_eq(&topic.scanners, &scanners)) {
+            return Ok(Arc::clone(topic));
+        }
+        let (encoding, others) = (self.encoding, self.others.clone());
+        let topic = Arc::new(PackedTopic { config: config.clone(), scanners, encoding, others });
+        self.topic = Some(Arc::clone(&topic));
+        Ok(topic)
+    }
+}
+
+impl PackedTopic {
+    fn pack(&self, header: MessageHeader, data: Vec<u8>) -> Result<Done> {
+        let Some((scan, stamp)) = message::scan(&data, self.encoding) else {
+            let header = MessageHeader { channel_id: self.others.id, ..header };
+            let message = Record::Message { header, data: data.into() };
+            return Ok(Done {
+                records: vec![Record::Channel(self.others.clone()), message],
+                cloud: None,
+                is_kept: true,
+            });
+        };
+        let points = scan.records;
+        let time = Time { source: TimeSource::Recording, nanoseconds: stamp };
+        let stamp = Stamp { unit: Unit::Message, stream: 0, time: Some(time) };
+        let payload =
+            encode_known(vec![FrameInput::scan(scan).stamped(stamp)], &self.scanners, &self.config)?;
+        let packed = message::compress(&data, self.encoding, &payload)?;
+        Ok(Done::cloud(header, packed, points, data.len()))
+    }
+}
+
+/// What unpacking knows of a recording.
+#[derive(Default)]
+struct Unpacking {
+    /// Schemas of compressed clouds, which are written only if a channel that was not packed refers to them.
+    compressed: HashMap<u16, Record<'static>>,
+    /// The channels of compressed clouds.
+    packed: HashMap<u16, Encoding>,
+    /// Channels for what is no cloud, and those whose topic it is.
+    others: HashMap<u16, u16>,
+}
+
+impl Unpacking {
+    fn job(&mut self, record: Record<'static>) -> Result<Job> {
+        match record {
+            Record::Schema { header, data } => {
+                let is_compressed = [Encoding::Cdr, Encoding::Ros1].into_iter().any(|encoding| {
+                    let ([_, name], (_, text)) = (encoding.schemas(), encoding.compressed_schema());
+                    header.name == name && *data == *text.as_bytes()
+                });
+                let id = header.id;
+                let schema = Record::Schema { header, data };
+                if is_compressed {
+                    self.compressed.insert(id, schema);
+                    return Ok(Job::Copy(Vec::new()));
+                }
+                Ok(Job::one(schema))
+            }
+            Record::Channel(channel) => self.channel(channel),
+            Record::Message { header, data } => {
+                if let Some(&encoding) = self.packed.get(&header.channel_id) {
+                    return Ok(Job::Unpack { header, data: data.into_owned(), encoding });
+                }
+                let channel_id = self.others.get(&header.channel_id).copied().unwrap_or(header.channel_id);
+                Ok(Job::one(Record::Message { header: MessageHeader { channel_id, ..header }, data }))
+            }
+            other => Ok(Job::one(other)),
+        }
+    }
+
+    /// A channel as it was before it was packed.
+    fn channel(&mut self, mut channel: Channel) -> Result<Job> {
+        let number = |text: String| {
+            text.parse::<u16>().map_err(|_| Error::corrupt("a channel that was packed by another program"))
+        };
+        if let Some(of) = channel.metadata.remove(CHANNEL_KEY) {
+            self.others.insert(channel.id, number(of)?);
+            return Ok(Job::Copy(Vec::new()));
+        }
+        if let Some(schema) = channel.metadata.remove(SCHEMA_KEY) {
+            channel.schema_id = number(schema)?;
+            let encoding = Encoding::of(&channel.message_encoding);
+            let encoding =
+                encoding.ok_or_else(|| Error::unsupported("a packed channel of another encoding"))?;
+            self.packed.insert(channel.id, encoding);
+        }
+        let schema = self.compressed.remove(&channel.schema_id);
+        Ok(Job::Copy(schema.into_iter().chain([Record::Channel(channel)]).collect()))
+    }
+}
+
+fn unpack_message(header: MessageHeader, data: Vec<u8>, encoding: Encoding) -> Result<Done> {
+    Ok(match unpacked(&data, encoding)? {
+        Some((message, points)) => Done::cloud(header, message, points, data.len()),
+        None => {
+            Done { records: vec![Record::Message { header, data: data.into() }], cloud: None, is_kept: true }
+        }
+    })
+}
+
+/// The message that a compressed one decodes to, and its points; none if it is not compressed.
+///
+/// # Errors
+/// If the payload is damaged, or is that of no message.
+pub fn unpacked(message: &[u8], encoding: Encoding) -> Result<Option<(Vec<u8>, usize)>> {
+    let Some(payload) = message::payload(message, encoding) else { return Ok(None) };
+    let scan = Decoder::open(Cursor::new(payload))?.scan(0)?;
+    let bytes = scan.file_bytes()?.ok_or_else(|| Error::corrupt("a payload that is no message"))?;
+    Ok(Some((bytes, scan.len())))
+}
