@@ -197,7 +197,7 @@ impl std::str::FromStr for IntensityStep {
     type Err = String;
 
     fn from_str(text: &str) -> std::result::Result<Self, String> {
-        let wrong = |_| format!("'{text}' is no number");
+        let wrong = |_| format!("'{text}' is not a number");
         let millionths = (text.parse::<f64>().map_err(wrong)? * 1e6).round();
         if !(1.0..=1e9).contains(&millionths) {
             return Err(format!("'{text}' is not from 0.000001 to 1000"));

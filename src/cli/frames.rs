@@ -218,7 +218,7 @@ fn samples(frames: &[FoundFile]) -> Result<Vec<Sample>> {
 
 /// What the ideal range image of paper mode does to a frame of another scanner than the HDL-64E, if that is much.
 fn loss_of_paper_mode(frame: &FrameInput, config: &EncoderConfig) -> Option<String> {
-    /// An HDL-64E loses one point in six, and moves none by more than 0.25 m.
+    /// An HDL-64E loses one point in six, and the others move by at most 0.25 m.
     const MOST_DROPPED: f64 = 0.25;
     const FARTHEST_M: f64 = 0.5;
     if !matches!(config.projection, ProjectionKind::Ideal { .. }) {

@@ -67,7 +67,9 @@ impl SegmentationConfig {
         }
         let lengths = [("the ground rise", self.ground_rise_m), ("the ground reach", self.ground_reach_m)];
         match lengths.iter().find(|(_, metres)| !(*metres >= 0.0 && metres.is_finite())) {
-            Some((name, _)) => Err(Error::InvalidSettings(format!("{name} is no length"))),
+            Some((name, _)) => {
+                Err(Error::InvalidSettings(format!("{name} is a length in metres, 0 or more")))
+            }
             None => Ok(()),
         }
     }

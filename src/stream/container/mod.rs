@@ -2,7 +2,7 @@
 //! them an index and the end. It moves bytes about and knows no algorithms.
 //!
 //! FORMAT.md describes the same fields under the same names. Every length is checked against
-//! [`Limits`](crate::ground::error::Limits) and against what is really there before memory is asked for.
+//! [`Limits`](crate::ground::error::Limits) and against the bytes that are there before memory is allocated.
 
 pub mod group;
 pub mod header;
