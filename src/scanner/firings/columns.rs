@@ -1,6 +1,7 @@
 //! The azimuths of the firings: which tick each has, and how its slots go on from there.
 
-use super::{Firings, Span};
+use super::Firings;
+use super::timing::Span;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};

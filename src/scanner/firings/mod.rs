@@ -19,35 +19,31 @@ mod fit;
 mod glibc;
 mod off_axis;
 mod order;
+mod payload;
 mod projection;
 mod recipe;
+mod timing;
 
 pub use columns::FiringColumnModel;
 pub use constants::Moved;
 pub use fit::{fit, fit_moved};
 pub use projection::Sight;
 pub use recipe::{Origin, Recipe};
+pub use timing::Timing;
 
 use std::f64::consts::TAU;
 use std::fmt;
 use std::sync::Arc;
 
 use crate::ground::angle;
-use crate::ground::error::{Error, Result};
 use crate::ground::lanes::lanes;
 use crate::ground::rounding::round_ties_even;
-use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
-use crate::scanner::{BeamConstants, Coordinates, Hdl64, MOST_RANGE_STEP_UM, MOST_TICKS, RangeImage, Return};
+use crate::scanner::{BeamConstants, Coordinates, Hdl64, RangeImage, Return};
 use recipe::{Arithmetic, MOST_LOCATED, Turn};
+use timing::{Passed, Span};
 
 /// Degrees of one unit of a laser's constants.
 const ANGLE_UNIT: f64 = 1e-9;
-/// Constants are within a turn.
-const LARGEST_ANGLE: u64 = 360_000_000_000;
-/// More lasers than any scanner has.
-const MOST_LASERS: u64 = 1024;
-/// Farther than the beams of any scanner start from its origin.
-const MOST_ORIGIN_UM: u64 = 1_000_000;
 
 /// The constants of a laser, as they stand in the stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -106,101 +102,6 @@ struct Located<const N: usize> {
     tick: [u32; N],
     /// Radians from the tick to the point.
     aside: [f64; N],
-}
-
-/// How the azimuth goes on inside a block: the firings that share one azimuth in the scanner's packets.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Timing {
-    /// All slots of a firing have the same tick.
-    #[default]
-    Together,
-    /// Velodyne's VLP-16, with two firings a block, in single precision: of the ticks to the next block, the part
-    /// `(s * slot + f * firing) / block` has passed at slot `s` of firing `f`; rounded.
-    Vlp16,
-    /// Of the ticks to the next block, these parts have passed at each slot, in 2^-24, firing after firing; rounded
-    /// down.
-    Parts(Vec<u32>),
-}
-
-/// One in the unit of the parts of a block.
-const WHOLE: u32 = 1 << 24;
-/// Blocks that pass while the lasers of one fire, at most: the next one may begin before all have.
-const MOST_BLOCKS: i64 = 2;
-
-/// The ticks that have passed, if this part of so many has.
-#[inline(always)]
-fn passed_ticks(span: u32, part: u32) -> u32 {
-    (u64::from(span) * u64::from(part) / u64::from(WHOLE)) as u32
-}
-
-/// From slot to slot, from firing to firing and from block to block of a VLP-16, in microseconds.
-const VLP_16_TIMES: [f32; 3] = [2.304, 55.296, 110.592];
-
-impl Timing {
-    /// Whether ticks differ from slot to slot.
-    pub fn is_interpolated(&self) -> bool {
-        *self != Timing::Together
-    }
-
-    /// Firings of a block.
-    fn firings(&self, rows: usize) -> u32 {
-        match self {
-            Timing::Together => 1,
-            Timing::Vlp16 => 2,
-            Timing::Parts(parts) => (parts.len() / rows.max(1)) as u32,
-        }
-    }
-}
-
-/// How much of a block has passed at each slot of its firings, one after the other.
-#[derive(Clone, Debug, Default)]
-struct Passed {
-    /// The part.
-    parts: Vec<f64>,
-    /// Microseconds, of a VLP-16.
-    times: Vec<f32>,
-}
-
-impl Passed {
-    /// By the timing of a scanner with so many lasers.
-    fn new(timing: &Timing, rows: usize) -> Self {
-        match timing {
-            Timing::Together => Passed::default(),
-            Timing::Vlp16 => {
-                let [of_slot, of_firing, _] = VLP_16_TIMES;
-                let places = || (0..2 * rows).map(|place| ((place % rows) as f32, (place / rows) as f32));
-                let time = |(slot, firing)| slot * of_slot + firing * of_firing;
-                let [of_slot, of_firing, of_block] = VLP_16_TIMES.map(f64::from);
-                let part = |(slot, firing): (f32, f32)| {
-                    (f64::from(slot) * of_slot + f64::from(firing) * of_firing) / of_block
-                };
-                Passed { parts: places().map(part).collect(), times: places().map(time).collect() }
-            }
-            Timing::Parts(parts) => {
-                let parts = parts.iter().map(|&part| f64::from(part) / f64::from(WHOLE));
-                Passed { parts: parts.collect(), times: Vec::new() }
-            }
-        }
-    }
-}
-
-/// A column's place in its block and the ticks to the next block, as the range image keeps them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Span {
-    /// Ticks from this block to the next.
-    ticks: u32,
-    /// Which firing of the block this is.
-    firing: u32,
-}
-
-impl Span {
-    fn of(kept: u32) -> Self {
-        Span { ticks: kept >> 1, firing: kept & 1 }
-    }
-
-    fn kept(self) -> u32 {
-        self.ticks << 1 | self.firing
-    }
 }
 
 /// What is said of a scanner of firings as a whole.
@@ -374,20 +275,7 @@ impl Firings {
     fn tick_of_slot(&self, slot: usize, row: usize, base: u32, Span { ticks: span, firing }: Span) -> u32 {
         let place = firing as usize * self.rows() + slot;
         let behind = self.build.ticks - self.lag(row);
-        let tick = match &self.build.timing {
-            Timing::Together => base,
-            Timing::Vlp16 => {
-                let [.., of_block] = VLP_16_TIMES;
-                let passed = self.passed.times[place];
-                // Halves away from zero, as the driver's `round`; no tick is negative, so that `as` rounds down.
-                (base as f32 + span as f32 * passed / of_block + 0.5) as u32
-            }
-            Timing::Parts(parts) => {
-                let part = parts.get(place).copied().unwrap_or(0);
-                base + passed_ticks(span, part)
-            }
-        };
-        self.within_turn(tick + behind)
+        self.within_turn(self.build.timing.tick(&self.passed, place, base, span) + behind)
     }
 
     /// A tick of a few turns in the first.
@@ -544,123 +432,6 @@ impl Firings {
         axes.into_iter().all(|axis| f64::from(grid.nearest(formula[axis])) == position[axis])
     }
 
-    /// The payload of the scanner's record.
-    pub fn to_payload(&self) -> Vec<u8> {
-        let mut record = Vec::new();
-        let out = &mut record;
-        let Build { recipe, ticks, range_step_um, coordinates, origin, ref timing } = self.build;
-        [recipe as u32, ticks, range_step_um].iter().for_each(|&number| write_unsigned(out, number.into()));
-        let (grid, step) = match coordinates {
-            Coordinates::Float32 => (0, 0),
-            Coordinates::Millimetre => (1, 0),
-            Coordinates::Lattice { step_nm } => (2, step_nm),
-            Coordinates::Digits(digits) => (3, u64::from(digits)),
-        };
-        write_unsigned(out, grid);
-        write_unsigned(out, step);
-        write_signed(out, origin.along_um.into());
-        write_signed(out, origin.up_um.into());
-        write_unsigned(out, self.lasers.len() as u64);
-        for laser in &self.lasers {
-            write_signed(out, laser.elevation);
-            write_signed(out, laser.azimuth);
-        }
-        self.rows_of_slots.iter().for_each(|&row| write_unsigned(out, u64::from(row)));
-        out.push(u8::from(!self.rows_of_lines.is_empty()));
-        self.rows_of_lines.iter().for_each(|&row| write_unsigned(out, u64::from(row)));
-        out.push(u8::from(!self.lags.is_empty()));
-        self.lags.iter().for_each(|&lag| write_unsigned(out, u64::from(lag)));
-        match timing {
-            Timing::Together => write_unsigned(out, 0),
-            Timing::Vlp16 => write_unsigned(out, 1),
-            Timing::Parts(parts) => {
-                write_unsigned(out, 1 + u64::from(timing.firings(self.rows())));
-                parts.iter().for_each(|&part| write_unsigned(out, part.into()));
-            }
-        }
-        record
-    }
-
-    /// Reads the payload of the scanner's record.
-    ///
-    /// # Errors
-    /// If it is cut short or holds values that no scanner has.
-    pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
-        let mut bounded = |what: &str, min: u64, max: u64| match read_unsigned(bytes, "scanner")? {
-            got if (min..=max).contains(&got) => Ok(got as u32),
-            got => Err(Error::over_limit(format!("scanner: {what}"), got, max)),
-        };
-        let recipe = bounded("recipe", 0, u64::from(u32::MAX))?;
-        let recipe = Recipe::of_number(recipe)
-            .ok_or_else(|| Error::unsupported(format!("scanner: unknown recipe {recipe}")))?;
-        let ticks = bounded("ticks a turn", 1, MOST_TICKS)?;
-        let range_step_um = bounded("range step in micrometres", 1, MOST_RANGE_STEP_UM)?;
-        let grid = bounded("grid of the coordinates", 0, 3)?;
-        let step = bounded("step of the grid", 0, 1_000_000_000)?;
-        let coordinates = match (grid, step) {
-            (0, 0) => Coordinates::Float32,
-            (1, 0) => Coordinates::Millimetre,
-            (2, 1..) => Coordinates::Lattice { step_nm: step.into() },
-            (3, 1..=9) => Coordinates::Digits(step as u8),
-            _ => return Err(Error::corrupt("scanner: a grid and a step that do not fit together")),
-        };
-        let mut metre = || match read_signed(bytes, "scanner")? {
-            um if um.unsigned_abs() <= MOST_ORIGIN_UM => Ok(um as i32),
-            _ => Err(Error::corrupt("scanner: beams start too far away")),
-        };
-        let origin = Origin { along_um: metre()?, up_um: metre()? };
-        let mut bounded = |what: &str, min: u64, max: u64| match read_unsigned(bytes, "scanner")? {
-            got if (min..=max).contains(&got) => Ok(got as u32),
-            got => Err(Error::over_limit(format!("scanner: {what}"), got, max)),
-        };
-        let rows = bounded("lasers", 1, MOST_LASERS)?;
-        let mut angle = || match read_signed(bytes, "scanner")? {
-            angle if angle.unsigned_abs() <= LARGEST_ANGLE => Ok(angle),
-            _ => Err(Error::corrupt("scanner: an angle is out of range")),
-        };
-        let mut lasers = Vec::new();
-        for _ in 0..rows {
-            lasers.push(Laser { elevation: angle()?, azimuth: angle()? });
-        }
-        let rows_of_slots = read_permutation(bytes, rows)?;
-        let rows_of_lines = match read_unsigned(bytes, "scanner")? {
-            0 => Vec::new(),
-            1 => read_permutation(bytes, rows)?,
-            other => return Err(Error::unsupported(format!("scanner: unknown order {other}"))),
-        };
-        let lags = match read_unsigned(bytes, "scanner")? {
-            0 => Vec::new(),
-            1 => (0..rows)
-                .map(|_| match read_unsigned(bytes, "scanner")? {
-                    lag if lag < u64::from(ticks) => Ok(lag as u32),
-                    lag => {
-                        Err(Error::over_limit("scanner: ticks behind a column", lag, u64::from(ticks) - 1))
-                    }
-                })
-                .collect::<Result<_>>()?,
-            other => return Err(Error::unsupported(format!("scanner: unknown columns {other}"))),
-        };
-        let timing = match read_unsigned(bytes, "scanner")? {
-            0 => Timing::Together,
-            1 => Timing::Vlp16,
-            firings @ 2..=3 => {
-                let count = (firings - 1) * u64::from(rows);
-                let part = |_| match read_unsigned(bytes, "scanner")? {
-                    part if part <= MOST_BLOCKS as u64 * u64::from(WHOLE) => Ok(part as u32),
-                    part => Err(Error::over_limit(
-                        "scanner: part of a block",
-                        part,
-                        u64::from(WHOLE) * MOST_BLOCKS as u64,
-                    )),
-                };
-                Timing::Parts((0..count).map(part).collect::<Result<_>>()?)
-            }
-            other => return Err(Error::unsupported(format!("scanner: unknown timing {other}"))),
-        };
-        let build = Build { recipe, ticks, range_step_um, coordinates, origin, timing };
-        Ok(Self::new(build, lasers, rows_of_slots).line_by_line(rows_of_lines).lagging(lags))
-    }
-
     /// Radians of a tick.
     fn radians(&self) -> f64 {
         TAU / f64::from(self.build.ticks)
@@ -723,18 +494,4 @@ fn with_echoes(returns: &[Return], image: &RangeImage) -> Vec<Return> {
         }));
     }
     all
-}
-
-/// Reads each of the rows once, in any order.
-fn read_permutation(bytes: &mut &[u8], rows: u32) -> Result<Vec<u32>> {
-    let (mut order, mut seen) = (Vec::new(), vec![false; rows as usize]);
-    for _ in 0..rows {
-        let row = read_unsigned(bytes, "scanner")?;
-        let is_new = seen.get_mut(row as usize).map(|seen| !std::mem::replace(seen, true));
-        if is_new != Some(true) {
-            return Err(Error::corrupt("scanner: an order is no permutation of the rows"));
-        }
-        order.push(row as u32);
-    }
-    Ok(order)
 }

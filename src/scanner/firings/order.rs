@@ -1,7 +1,8 @@
 //! The order in which lasers fire, and how the azimuth goes on while they do, from points in the order of a file.
 
 use super::projection::{Column, Place, nearest};
-use super::{Firings, MOST_BLOCKS, Timing, WHOLE};
+use super::timing::{MOST_BLOCKS, WHOLE};
+use super::{Firings, Timing};
 
 /// The elevations of Velodyne's VLP-16 in degrees, in the order in which its lasers fire.
 pub(super) const VLP_16: [i32; 16] = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15];

@@ -2,7 +2,8 @@
 
 use pulp::NullaryFnOnce;
 
-use super::{Firings, Located, Span, Timing, passed_ticks};
+use super::timing::{Span, passed_ticks};
+use super::{Firings, Located, Timing};
 use crate::ground::angle;
 use crate::ground::error::Limits;
 use crate::ground::grid::Grid;

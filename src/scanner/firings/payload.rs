@@ -1,0 +1,147 @@
+//! A scanner of firings as its record in the stream.
+
+use super::timing::{MOST_BLOCKS, WHOLE};
+use super::{Build, Firings, Laser, Origin, Recipe, Timing};
+use crate::ground::error::{Error, Result};
+use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
+use crate::scanner::{Coordinates, MOST_RANGE_STEP_UM, MOST_TICKS};
+
+/// Constants are within a turn.
+const LARGEST_ANGLE: u64 = 360_000_000_000;
+/// More lasers than any scanner has.
+const MOST_LASERS: u64 = 1024;
+/// Farther than the beams of any scanner start from its origin.
+const MOST_ORIGIN_UM: u64 = 1_000_000;
+
+impl Firings {
+    /// The payload of the scanner's record.
+    pub fn to_payload(&self) -> Vec<u8> {
+        let mut record = Vec::new();
+        let out = &mut record;
+        let Build { recipe, ticks, range_step_um, coordinates, origin, ref timing } = self.build;
+        [recipe as u32, ticks, range_step_um].iter().for_each(|&number| write_unsigned(out, number.into()));
+        let (grid, step) = match coordinates {
+            Coordinates::Float32 => (0, 0),
+            Coordinates::Millimetre => (1, 0),
+            Coordinates::Lattice { step_nm } => (2, step_nm),
+            Coordinates::Digits(digits) => (3, u64::from(digits)),
+        };
+        write_unsigned(out, grid);
+        write_unsigned(out, step);
+        write_signed(out, origin.along_um.into());
+        write_signed(out, origin.up_um.into());
+        write_unsigned(out, self.lasers.len() as u64);
+        for laser in &self.lasers {
+            write_signed(out, laser.elevation);
+            write_signed(out, laser.azimuth);
+        }
+        self.rows_of_slots.iter().for_each(|&row| write_unsigned(out, u64::from(row)));
+        out.push(u8::from(!self.rows_of_lines.is_empty()));
+        self.rows_of_lines.iter().for_each(|&row| write_unsigned(out, u64::from(row)));
+        out.push(u8::from(!self.lags.is_empty()));
+        self.lags.iter().for_each(|&lag| write_unsigned(out, u64::from(lag)));
+        match timing {
+            Timing::Together => write_unsigned(out, 0),
+            Timing::Vlp16 => write_unsigned(out, 1),
+            Timing::Parts(parts) => {
+                write_unsigned(out, 1 + u64::from(timing.firings(self.rows())));
+                parts.iter().for_each(|&part| write_unsigned(out, part.into()));
+            }
+        }
+        record
+    }
+
+    /// Reads the payload of the scanner's record.
+    ///
+    /// # Errors
+    /// If it is cut short or holds values that no scanner has.
+    pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
+        let mut bounded = |what: &str, min: u64, max: u64| match read_unsigned(bytes, "scanner")? {
+            got if (min..=max).contains(&got) => Ok(got as u32),
+            got => Err(Error::over_limit(format!("scanner: {what}"), got, max)),
+        };
+        let recipe = bounded("recipe", 0, u64::from(u32::MAX))?;
+        let recipe = Recipe::of_number(recipe)
+            .ok_or_else(|| Error::unsupported(format!("scanner: unknown recipe {recipe}")))?;
+        let ticks = bounded("ticks a turn", 1, MOST_TICKS)?;
+        let range_step_um = bounded("range step in micrometres", 1, MOST_RANGE_STEP_UM)?;
+        let grid = bounded("grid of the coordinates", 0, 3)?;
+        let step = bounded("step of the grid", 0, 1_000_000_000)?;
+        let coordinates = match (grid, step) {
+            (0, 0) => Coordinates::Float32,
+            (1, 0) => Coordinates::Millimetre,
+            (2, 1..) => Coordinates::Lattice { step_nm: step.into() },
+            (3, 1..=9) => Coordinates::Digits(step as u8),
+            _ => return Err(Error::corrupt("scanner: a grid and a step that do not fit together")),
+        };
+        let mut metre = || match read_signed(bytes, "scanner")? {
+            um if um.unsigned_abs() <= MOST_ORIGIN_UM => Ok(um as i32),
+            _ => Err(Error::corrupt("scanner: beams start too far away")),
+        };
+        let origin = Origin { along_um: metre()?, up_um: metre()? };
+        let mut bounded = |what: &str, min: u64, max: u64| match read_unsigned(bytes, "scanner")? {
+            got if (min..=max).contains(&got) => Ok(got as u32),
+            got => Err(Error::over_limit(format!("scanner: {what}"), got, max)),
+        };
+        let rows = bounded("lasers", 1, MOST_LASERS)?;
+        let mut angle = || match read_signed(bytes, "scanner")? {
+            angle if angle.unsigned_abs() <= LARGEST_ANGLE => Ok(angle),
+            _ => Err(Error::corrupt("scanner: an angle is out of range")),
+        };
+        let mut lasers = Vec::new();
+        for _ in 0..rows {
+            lasers.push(Laser { elevation: angle()?, azimuth: angle()? });
+        }
+        let rows_of_slots = read_permutation(bytes, rows)?;
+        let rows_of_lines = match read_unsigned(bytes, "scanner")? {
+            0 => Vec::new(),
+            1 => read_permutation(bytes, rows)?,
+            other => return Err(Error::unsupported(format!("scanner: unknown order {other}"))),
+        };
+        let lags = match read_unsigned(bytes, "scanner")? {
+            0 => Vec::new(),
+            1 => (0..rows)
+                .map(|_| match read_unsigned(bytes, "scanner")? {
+                    lag if lag < u64::from(ticks) => Ok(lag as u32),
+                    lag => {
+                        Err(Error::over_limit("scanner: ticks behind a column", lag, u64::from(ticks) - 1))
+                    }
+                })
+                .collect::<Result<_>>()?,
+            other => return Err(Error::unsupported(format!("scanner: unknown columns {other}"))),
+        };
+        let timing = match read_unsigned(bytes, "scanner")? {
+            0 => Timing::Together,
+            1 => Timing::Vlp16,
+            firings @ 2..=3 => {
+                let count = (firings - 1) * u64::from(rows);
+                let part = |_| match read_unsigned(bytes, "scanner")? {
+                    part if part <= MOST_BLOCKS as u64 * u64::from(WHOLE) => Ok(part as u32),
+                    part => Err(Error::over_limit(
+                        "scanner: part of a block",
+                        part,
+                        u64::from(WHOLE) * MOST_BLOCKS as u64,
+                    )),
+                };
+                Timing::Parts((0..count).map(part).collect::<Result<_>>()?)
+            }
+            other => return Err(Error::unsupported(format!("scanner: unknown timing {other}"))),
+        };
+        let build = Build { recipe, ticks, range_step_um, coordinates, origin, timing };
+        Ok(Self::new(build, lasers, rows_of_slots).line_by_line(rows_of_lines).lagging(lags))
+    }
+}
+
+/// Reads each of the rows once, in any order.
+fn read_permutation(bytes: &mut &[u8], rows: u32) -> Result<Vec<u32>> {
+    let (mut order, mut seen) = (Vec::new(), vec![false; rows as usize]);
+    for _ in 0..rows {
+        let row = read_unsigned(bytes, "scanner")?;
+        let is_new = seen.get_mut(row as usize).map(|seen| !std::mem::replace(seen, true));
+        if is_new != Some(true) {
+            return Err(Error::corrupt("scanner: an order is no permutation of the rows"));
+        }
+        order.push(row as u32);
+    }
+    Ok(order)
+}
