@@ -12,7 +12,6 @@ use common::{Drive, drives, points};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidarpc::internals::entropy::ArithmeticEncoder;
 use lidarpc::internals::ground::grid::Grid;
-use lidarpc::internals::ground::growing::GrowingGrid;
 use lidarpc::internals::models::{
     ColumnModel, CorrectionModel, OccupancyModel, OrderExceptions, OrderModel, PointModel, RangeContext,
     RangeModel,
@@ -38,7 +37,7 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &Hdl64) {
     let cloud = &scans[0].cloud;
     let Projection { image, point_of_cell, .. } = project(sensor, cloud, REACH);
     let occupancy = filled(&image.steps);
-    let no_intensity = GrowingGrid::of(&Grid::<u16>::new(occupancy.rows(), occupancy.columns()));
+    let no_intensity = Grid::<u16>::new(occupancy.rows(), occupancy.columns());
     let returns = image.file_order(sensor);
     let order: Vec<u32> = (0..returns.len() as u32).collect();
     let exceptions = OrderExceptions::of_places(&order, returns.len());

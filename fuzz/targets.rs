@@ -21,7 +21,7 @@ use crate::common::bound::{bounded, check_bound, keeps_the_bound};
 use crate::common::formats::kitti;
 use crate::common::odd::{Change, Format};
 use crate::common::scans::{Points, random_points, scans, small};
-use crate::common::streams::{KNOWN, Known, STREAMS, at_level};
+use crate::common::streams::{KNOWN, Known, STREAMS, at_level, halved};
 use crate::common::{File as ScanFile, comes_back, decode_files, decode_within, put_together, round_trip};
 
 /// Far less than the program's, for speed; as tight for what is claimed.
@@ -256,8 +256,10 @@ pub fn round_trip_of(data: &[u8]) {
     let known = &KNOWN[usize::from(*known) % KNOWN.len()];
     let good = ("0.bin".to_owned(), kitti(&known.frames[0]));
     let files = [good, (NAMES[usize::from(*kind) % NAMES.len()].to_owned(), bytes.to_vec())];
+    let by_level = at_level(LEVELS[usize::from(mode / 4) % LEVELS.len()]);
     let config = match mode % 4 {
-        0 | 1 => at_level(LEVELS[usize::from(mode / 4) % LEVELS.len()]),
+        0 | 1 if usize::from(*kind) / NAMES.len() % 2 == 1 => halved(by_level),
+        0 | 1 => by_level,
         2 => bounded(1 << (mode / 4 % 20)),
         _ => by_back_end(usize::from(mode / 4)),
     };
@@ -277,6 +279,7 @@ pub fn differential(data: &[u8]) {
     let file = |number, points: &Points| (format!("{number}.{}", format.extension()), format.write(points));
     let files = [file(0, first), file(1, &points)];
     LEVELS.into_iter().for_each(|level| comes_back_from(known, &files, &at_level(level)));
+    [6, 8, 9].into_iter().for_each(|level| comes_back_from(known, &files, &halved(at_level(level))));
     comes_back_from(known, &files, &bounded(1 << (changes.len() % 20)));
     comes_back_from(known, &files, &by_back_end(changes.len()));
 }

@@ -5,11 +5,12 @@ mod common;
 use common::formats::{kitti, pcd_extra, pcd_xyz};
 use common::odd::{Change, Format, SCANS, changed_scan, noise};
 use common::scans::{Points, random_points, rows, shuffled};
-use common::{File, cases, first_files, real_folders, round_trip, section_bytes};
+use common::streams::{at_level, halved};
+use common::{File, cases, first_files, real_folders, round_trip, section_bytes, take_apart};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scanner::hdl64::fit;
-use lidarpc::internals::stream::container::SectionKind;
+use lidarpc::internals::stream::container::{Section, SectionKind};
 use proptest::prelude::*;
 
 /// Settings with this many frames a group.
@@ -25,10 +26,12 @@ proptest! {
     #[test]
     fn any_folder_comes_back(
         files in prop::collection::vec(prop_oneof![3 => changed_scan(), 1 => noise()], 0..=4),
-        gop_length in 1usize..5
+        gop_length in 1usize..5,
+        are_halved: bool
     ) {
         let files: Vec<File> = files.into_iter().enumerate().map(|(n, file)| file.named(n)).collect();
-        round_trip(&files, &gop(gop_length));
+        let config = gop(gop_length);
+        round_trip(&files, &if are_halved { halved(config) } else { config });
     }
 
     #[test]
@@ -65,6 +68,26 @@ fn each_coordinate_in_turn(value: f32) {
     comes_back("bin", good_but(|points| (0..90).for_each(|n| points[n * 15][n % 4] = value)));
     comes_back("bin", kitti(&[[value; 4]]));
     comes_back("bin", kitti(&[[value; 4]; 40]));
+}
+
+#[test]
+fn images_with_many_returns_are_halved_whatever_the_threads() {
+    let ranges = |stream: &[u8]| -> Vec<usize> {
+        let frames = take_apart(stream).1.into_iter().flat_map(|group| group.frames);
+        let is_range = |section: &&Section| section.kind == SectionKind::Range;
+        frames.map(|frame| frame.sections.iter().filter(is_range).count()).collect()
+    };
+    let returns = SCANS[0].iter().take(2).map(Vec::len);
+    // Strays are no returns.
+    let [fewer, more] = [returns.clone().min().unwrap() / 2, returns.max().unwrap() + 1];
+    for level in [6, 8, 9] {
+        let with = |halved_from, threads| {
+            round_trip(&good_files(), &EncoderConfig { halved_from, threads, ..at_level(level) })
+        };
+        assert_eq!([fewer, more].map(|from| ranges(&with(from, 1))), [[2, 2], [1, 1]], "level {level}");
+        assert!(with(fewer, 1) == with(fewer, 2), "level {level}");
+    }
+    assert_eq!(ranges(&round_trip(&good_files(), &halved(at_level(3)))), [1, 1]);
 }
 
 #[test]

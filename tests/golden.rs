@@ -17,7 +17,7 @@ use common::formats::{
     ply_big_endian, ply_text,
 };
 use common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
-use common::streams::{KNOWN, at_level, moved_through_a_map, with_back_end};
+use common::streams::{KNOWN, at_level, halved, moved_through_a_map, with_back_end};
 use common::{File, decode_files, encode_files, in_package, put_together, round_trip, take_apart};
 use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::internals::backend::{BACKENDS, LZMA};
@@ -211,6 +211,7 @@ fn recipes() -> Vec<Recipe> {
         exact(name, altered_files, EncoderConfig { gop: 2, ..at_level(level) });
         if level > 3 {
             exact(&format!("{name}-p-frames"), moving_files, p_frames(level));
+            exact(&format!("{name}-halved"), halved_files, halved(p_frames(level)));
         }
     }
     exact("odd-files", odd_files, EncoderConfig::default());
@@ -316,6 +317,13 @@ fn altered_files() -> Vec<File> {
     changed.swap(40, 900);
     changed.splice(100..100, random_points(30, 1));
     changed[7] = [f32::NAN, f32::INFINITY, -0.0, f32::from_bits(1)];
+    named(&frames)
+}
+
+/// A scanner that moves, and points that it does not fit.
+fn halved_files() -> Vec<File> {
+    let mut frames = scans(&SynthConfig { beams: 7, thinning: 8, ..small(1, 2) });
+    frames[1].splice(100..100, random_points(30, 1));
     named(&frames)
 }
 

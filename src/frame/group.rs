@@ -41,6 +41,8 @@ struct StreamEncoder<'s> {
     motion: QuantisedPose,
     /// Frames coded so far.
     frames: usize,
+    /// Whether images are halved, once the first one has decided.
+    halves: Option<bool>,
 }
 
 /// A frame as [`GroupEncoder`] codes it.
@@ -104,6 +106,7 @@ impl<'s> StreamEncoder<'s> {
             models: Models::default(),
             motion: QuantisedPose::default(),
             frames: 0,
+            halves: None,
         }
     }
 
@@ -155,6 +158,7 @@ impl<'s> StreamEncoder<'s> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let name = scan.name.clone();
         let mut frame = Frame::from_scan(scan, self.scanner, config, &mut steps)?;
+        frame.parameters.halved = self.halves(&frame);
         let before = is_unexplained(&frame, config).then(|| (self.models.clone(), steps));
         let mut best: Option<Attempt> = None;
         let fit = steps.timed(Step::Registration, || self.estimate_motion(&frame));
@@ -199,6 +203,16 @@ impl<'s> StreamEncoder<'s> {
             FrameHeader { stamp: original.stamp, ..FrameHeader::of(&name, &bytes, decoded.records as u64) };
         pay_for(&mut sections, unfolded.max(header.file_size));
         Ok((EncodedFrame { header, sections, steps }, Some(bytes)))
+    }
+
+    /// Whether the halves of a frame's image are coded apart: those of all if those of the first one are large, and coded by
+    /// models that learn from each value.
+    fn halves(&mut self, frame: &Frame) -> bool {
+        let RangeCoder::Context { modelling, .. } = frame.parameters.range_coder else { return false };
+        let returns = frame.occupancy.cells().iter().filter(|filled| **filled).count();
+        modelling.parts().is_adaptive()
+            && returns > 0
+            && *self.halves.get_or_insert(returns >= self.config.halved_from)
     }
 
     /// Estimates how the scanner has moved since the frame before, if the frame may be predicted from that

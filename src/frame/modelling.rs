@@ -76,6 +76,13 @@ pub(crate) struct Parts {
     pub correction: CorrectionModelling,
 }
 
+impl Parts {
+    /// Whether models of intensities and ranges learn from each value.
+    pub(crate) fn is_adaptive(&self) -> bool {
+        matches!(self.intensity, IntensityModelling::Light | IntensityModelling::Deep)
+    }
+}
+
 impl Modelling {
     /// All modellings, in the order of their numbers.
     const ALL: [Modelling; 6] = [

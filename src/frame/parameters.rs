@@ -32,6 +32,8 @@ pub struct FrameParameters {
     pub snake: bool,
     /// What codes the ranges.
     pub range_coder: RangeCoder,
+    /// Whether the halves of the range image are coded apart; only with the context coder.
+    pub halved: bool,
     /// The original file, if the decoded one differs from it.
     pub source: Option<Source>,
 }
@@ -96,6 +98,7 @@ impl Default for FrameParameters {
             motion: QuantisedPose::default(),
             snake: false,
             range_coder: RangeCoder::EXACT,
+            halved: false,
             source: None,
         }
     }
@@ -133,6 +136,7 @@ impl FrameParameters {
                 write_unsigned(out, u64::from(range_bits));
                 write_unsigned(out, u64::from(bin));
                 write_unsigned(out, u64::from(between));
+                write_unsigned(out, u64::from(self.halved));
             }
             RangeCoder::Backend { id, packing } => {
                 write_unsigned(out, BACKENDS + u64::from(id));
@@ -162,19 +166,14 @@ impl FrameParameters {
         if prediction == Prediction::Inter {
             motion = read_pose(input)?;
         }
-        let parameters = FrameParameters {
-            positions,
-            intensity,
-            prediction,
-            motion,
-            snake: flag(input)?,
-            range_coder: RangeCoder::read_from(input)?,
-            source: if flag(input)? { Some(Source::read_from(input)?) } else { None },
-        };
+        let snake = flag(input)?;
+        let range_coder = RangeCoder::read_from(input)?;
+        let halved = matches!(range_coder, RangeCoder::Context { .. }) && flag(input)?;
+        let source = if flag(input)? { Some(Source::read_from(input)?) } else { None };
         if !input.is_empty() {
             return Err(Error::corrupt("frame parameters: bytes left over"));
         }
-        Ok(parameters)
+        Ok(FrameParameters { positions, intensity, prediction, motion, snake, range_coder, halved, source })
     }
 
     /// How ranges, and the parts that are coded beside them, are modelled.

@@ -51,16 +51,14 @@ pub trait SectionCoder {
         code: impl FnOnce(&mut Self::Tokens<'_>) -> T,
     ) -> Result<T>;
 
-    /// Codes two parts of a frame that follow each other; `at_once` if a thread is free. Of the sections, the first part has
-    /// at most one, of this kind. The second may wait for what the first finds, but not the other way round, nor may the first
-    /// use the pool of threads.
+    /// Codes two parts of a frame that follow each other, at once if a thread is free. A section of kind `last` is the last
+    /// of the first part.
     ///
     /// # Errors
     /// That of the first part, or else of the second.
     fn both<A: Send, B: Send>(
         &mut self,
-        at_once: bool,
-        kind: SectionKind,
+        last: SectionKind,
         first: impl FnOnce(&mut Self) -> Result<A> + Send,
         second: impl FnOnce(&mut Self) -> Result<B> + Send,
     ) -> Result<(A, B)>;
@@ -144,13 +142,12 @@ impl SectionCoder for SectionWriter {
 
     fn both<A: Send, B: Send>(
         &mut self,
-        at_once: bool,
-        _kind: SectionKind,
+        _last: SectionKind,
         first: impl FnOnce(&mut Self) -> Result<A> + Send,
         second: impl FnOnce(&mut Self) -> Result<B> + Send,
     ) -> Result<(A, B)> {
         let mut other = SectionWriter { limits: self.limits, ..SectionWriter::new(self.effort) };
-        let (a, b) = run_both(at_once, || first(self), || second(&mut other));
+        let (a, b) = run_both(|| first(self), || second(&mut other));
         self.sections.append(&mut other.sections);
         self.report.add(&other.report);
         Ok((a?, b?))
@@ -231,19 +228,9 @@ impl<'s> SectionReader<'s> {
     }
 }
 
-/// Does two things, the first of them on this thread; both at once if they should be, this is a thread of a pool, and another
-/// one is free. The second may wait for the first, which so must leave the pool alone: a thread that waits for parts of its work
-/// may take up the second part of another frame, whose first part is waiting in turn.
-fn run_both<A: Send, B: Send>(
-    at_once: bool,
-    first: impl FnOnce() -> A + Send,
-    second: impl FnOnce() -> B + Send,
-) -> (A, B) {
-    if at_once && rayon::current_thread_index().is_some() {
-        rayon::join(first, second)
-    } else {
-        (first(), second())
-    }
+/// Does two things, at once if this is a thread of a pool and another one is free.
+fn run_both<A: Send, B: Send>(first: impl FnOnce() -> A + Send, second: impl FnOnce() -> B + Send) -> (A, B) {
+    if rayon::current_thread_index().is_some() { rayon::join(first, second) } else { (first(), second()) }
 }
 
 fn ends_too_early(kind: SectionKind) -> Error {
@@ -304,16 +291,15 @@ impl SectionCoder for SectionReader<'_> {
 
     fn both<A: Send, B: Send>(
         &mut self,
-        at_once: bool,
-        kind: SectionKind,
+        last: SectionKind,
         first: impl FnOnce(&mut Self) -> Result<A> + Send,
         second: impl FnOnce(&mut Self) -> Result<B> + Send,
     ) -> Result<(A, B)> {
-        let own = usize::from(self.peek().is_some_and(|section| section.kind == kind));
-        let (own, rest) = self.sections.split_at(own);
+        let own = self.sections.iter().take_while(|section| section.kind != last).count();
+        let (own, rest) = self.sections.split_at((own + 1).min(self.sections.len()));
         let mut reader = SectionReader::new(own, self.limits);
         let mut other = SectionReader::new(rest, self.limits);
-        let (a, b) = run_both(at_once, || first(&mut reader), || second(&mut other));
+        let (a, b) = run_both(|| first(&mut reader), || second(&mut other));
         let a = a?;
         self.report.add(&reader.finish()?);
         self.report.add(&other.report);
@@ -346,65 +332,45 @@ impl SectionCoder for SectionReader<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ground::growing::GrowingGrid;
     use crate::stream::ordered::pool;
 
     #[test]
     fn two_parts_at_once_are_written_and_read_in_their_order() {
-        fn code<S: SectionCoder>(sections: &mut S, kind: SectionKind, value: u64) -> Result<u64> {
-            sections.section(kind, true, |coder| Ok(coder.code_plain(value, 32)))
+        const LAST: SectionKind = SectionKind::Range;
+        fn code<S: SectionCoder>(sections: &mut S, kinds: &[SectionKind], value: u64) -> Result<u64> {
+            let values = kinds
+                .iter()
+                .map(|kind| sections.section(*kind, true, |coder| Ok(coder.code_plain(value, 32))));
+            values.sum()
         }
+        let [first, second] = [[SectionKind::Intensity, LAST], [LAST, SectionKind::Order]];
         let mut writer = SectionWriter::new(Effort::default());
         let both = |writer: &mut SectionWriter| {
             writer.both(
-                true,
-                SectionKind::Intensity,
-                |sections| code(sections, SectionKind::Intensity, 1 << 31),
-                |sections| code(sections, SectionKind::Range, 3 << 30),
+                LAST,
+                |sections| code(sections, &first, 1 << 30),
+                |sections| code(sections, &second, 3 << 30),
             )
         };
         pool(2).unwrap().install(|| both(&mut writer)).unwrap();
         let kinds: Vec<_> = writer.sections.iter().map(|section| section.kind).collect();
-        assert_eq!(kinds, [SectionKind::Intensity, SectionKind::Range]);
+        assert_eq!(kinds, [first, second].concat());
         let limits = Limits::default();
-        for at_once in [false, true] {
+        for threads in [1, 2] {
+            let pool = pool(threads).unwrap();
             let mut reader = SectionReader::new(&writer.sections, &limits);
-            let mut both = || {
-                reader.both(
-                    at_once,
-                    SectionKind::Intensity,
-                    |sections| code(sections, SectionKind::Intensity, 0),
-                    |sections| code(sections, SectionKind::Range, 0),
-                )
+            let both = || {
+                reader.both(LAST, |sections| code(sections, &first, 0), |sections| code(sections, &second, 0))
             };
-            assert_eq!(pool(2).unwrap().install(&mut both).unwrap(), (1 << 31, 3 << 30));
+            assert_eq!(pool.install(both).unwrap(), (2 << 30, 6 << 30));
             reader.finish().unwrap();
-            // A first part that leaves its section is an error, and so is one that is not there.
+            // A first part that leaves a section is an error, and so is one whose section is not there.
             let mut reader = SectionReader::new(&writer.sections, &limits);
-            let left = reader.both(at_once, SectionKind::Intensity, |_| Ok(()), |_| Ok(()));
-            assert!(left.unwrap_err().to_string().contains("intensity"));
+            let left = reader.both(LAST, |sections| code(sections, &first[..1], 0), |_| Ok(()));
+            assert!(left.unwrap_err().to_string().contains("range"));
             let mut reader = SectionReader::new(&writer.sections[1..], &limits);
-            let missing = reader.both(
-                at_once,
-                SectionKind::Intensity,
-                |sections| code(sections, SectionKind::Intensity, 0),
-                |_| Ok(()),
-            );
-            assert!(missing.is_err());
+            let missing = reader.both(LAST, |sections| code(sections, &first, 0), |_| Ok(()));
+            assert!(missing.unwrap_err().to_string().contains("intensity"));
         }
-    }
-
-    #[test]
-    fn what_waits_for_the_first_part_goes_on_if_that_fails() {
-        let rows = GrowingGrid::<u16>::new(3, 2);
-        let mut writer = SectionWriter::new(Effort::default());
-        let first = |_: &mut SectionWriter| -> Result<()> {
-            rows.writer().push(&[1, 2]);
-            Err(Error::corrupt("the first part"))
-        };
-        let second = |_: &mut SectionWriter| Ok((0..3).map(|row| rows.row(row).len()).sum::<usize>());
-        let both = || writer.both(true, SectionKind::Intensity, first, second);
-        let error = pool(2).unwrap().install(both).unwrap_err();
-        assert!(error.to_string().contains("the first part"));
     }
 }

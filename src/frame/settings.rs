@@ -127,6 +127,9 @@ pub struct EncoderConfig {
     /// since this makes residuals smaller whatever the prediction. Image coders never get them, as their
     /// errors would add up along the path.
     pub snake: bool,
+    /// Images with at least this many returns are coded in two halves, which two threads can do. Default 90,000: what each
+    /// half of a smaller image would have to learn by itself costs more than that is worth.
+    pub halved_from: usize,
     /// How ground and objects are distinguished (equations 3 and 4).
     pub segmentation: SegmentationConfig,
     /// How regions are modelled (equations 5 to 7).
@@ -166,6 +169,7 @@ impl EncoderConfig {
             order: FrameOrder::default(),
             registration: RegistrationConfig::default(),
             snake: true,
+            halved_from: 90_000,
             segmentation: SegmentationConfig::default(),
             intra: IntraConfig::default(),
             coder: Coder::Context,
@@ -295,6 +299,7 @@ impl EncoderConfig {
             prediction: Prediction::None,
             motion: QuantisedPose::default(),
             snake: self.snake && matches!(self.coder, Coder::Backend(_)),
+            halved: false,
             range_coder: match self.coder {
                 Coder::Context => RangeCoder::of_modelling(self.modelling()),
                 Coder::Backend(id) => {

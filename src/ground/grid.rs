@@ -44,6 +44,22 @@ impl<T: Clone + Default> Grid<T> {
         &mut self.cells
     }
 
+    /// The rows above `row`, and the others. An empty table has two empty halves.
+    pub fn split(mut self, row: usize) -> [Self; 2] {
+        let row = row.min(self.rows);
+        let below = self.cells.split_off(row * self.columns);
+        let lower = Grid { rows: self.rows - row, columns: self.columns, cells: below };
+        self.rows = row;
+        [self, lower]
+    }
+
+    /// The rows of two tables with the same columns, one table below the other.
+    pub fn joined([mut upper, mut lower]: [Self; 2]) -> Self {
+        upper.rows += lower.rows;
+        upper.cells.append(&mut lower.cells);
+        upper
+    }
+
     /// A table of the same shape, with each value computed from the one here.
     pub fn map<U>(&self, of: impl FnMut(&T) -> U) -> Grid<U> {
         Grid { rows: self.rows, columns: self.columns, cells: self.cells.iter().map(of).collect() }

@@ -3,7 +3,6 @@
 
 pub mod error;
 pub mod grid;
-pub mod growing;
 pub mod random;
 pub mod rounding;
 pub mod varint;

@@ -35,4 +35,15 @@ impl Reference {
         let layer = Layer { steps: Grid::new(rows, columns), levels: Grid::new(rows, columns) };
         Reference { same: layer.clone(), moved: layer }
     }
+
+    /// The rows above `row`, and the others.
+    pub fn split(self, row: usize) -> [Self; 2] {
+        let [same, moved] = [self.same, self.moved].map(|layer| {
+            let ([steps, steps_below], [levels, levels_below]) =
+                (layer.steps.split(row), layer.levels.split(row));
+            [Layer { steps, levels }, Layer { steps: steps_below, levels: levels_below }]
+        });
+        let ([same, same_below], [moved, moved_below]) = (same, moved);
+        [Reference { same, moved }, Reference { same: same_below, moved: moved_below }]
+    }
 }

@@ -21,7 +21,6 @@ use super::quantise::{Levels, signed_level};
 use super::shape::ErrorShape;
 use crate::entropy::{BitCoder, Counter, Logistic, MixedBits};
 use crate::ground::grid::Grid;
-use crate::ground::growing::GrowingGrid;
 use crate::inter::Reference;
 use back::{Back, ReferenceErrors, Surroundings};
 pub(crate) use bins::Bins;
@@ -125,8 +124,8 @@ fn first_scale(context: usize) -> f64 {
 pub struct RangeContext<'a> {
     /// Which cells hold a return.
     pub occupancy: &'a Grid<bool>,
-    /// The intensities, each row of which is coded before that of the ranges, limited to 1 to 128; 0 = no return.
-    pub intensity: &'a GrowingGrid<u16>,
+    /// The intensities, limited to 1 to 128; 0 = no return.
+    pub intensity: &'a Grid<u16>,
     /// What an earlier frame has there.
     pub reference: Option<&'a Reference>,
     /// Ranges are from 1 to 2^`range_bits` - 1 steps.

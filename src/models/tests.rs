@@ -2,7 +2,6 @@ use super::magnitude::{magnitude_level, magnitude_of_level};
 use super::*;
 use crate::entropy::{TokenCoder, TokenReader, TokenTables, TokenWriter};
 use crate::ground::grid::Grid;
-use crate::ground::growing::GrowingGrid;
 use crate::models::IntensityScale;
 use crate::scan::squared_distance;
 use crate::scanner::Coordinates;
@@ -84,7 +83,7 @@ proptest! {
         // Of the frame before, some cells are occupied, and some of these are at the same distance.
         let before = |range: &u32| if range.is_multiple_of(5) { 0 } else { range.saturating_sub(moved * (range % 3)) };
         let same = steps.map(before);
-        let levels = GrowingGrid::of(&steps.map(|range| (range % 129) as u16));
+        let levels = steps.map(|range| (range % 129) as u16);
         let known = KnownCells { occupancy: &occupancy, fitted, expected: refers.then_some(&same), levels: &levels };
         let axis = (range_bits, bin);
         let (encoded, decoded) = round_trip(
@@ -114,7 +113,7 @@ proptest! {
         let tokens_len = tokens.len();
         let mut coder = Given(tokens.into_iter());
         let same = grid(&before[..tokens_len]);
-        let levels = GrowingGrid::of(&same.map(|range| (range % 129) as u16));
+        let levels = same.map(|range| (range % 129) as u16);
         let known = KnownCells { occupancy: &occupancy, fitted, expected: refers.then_some(&same), levels: &levels };
         let axis = (range_bits, bin);
         RangeTokens::default().code(&mut coder, &known, axis, &mut steps);

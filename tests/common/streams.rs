@@ -60,6 +60,9 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
         // P frames, by context, as tokens and by a back-end.
         coded(beams, &still, at_level(9)),
         coded(beams, &still, EncoderConfig::default()),
+        coded(beams, &scanner, halved(EncoderConfig::default())),
+        coded(beams, &still, halved(at_level(8))),
+        coded(beams, &still, halved(at_level(9))),
         coded(
             &Known::ideal(),
             &still,
@@ -186,6 +189,11 @@ impl Known {
 /// Exact mode, quicker or smaller.
 pub fn at_level(level: u8) -> EncoderConfig {
     EncoderConfig { level: Level::new(level).unwrap(), ..EncoderConfig::default() }
+}
+
+/// The same settings, but images are halved, however small.
+pub fn halved(config: EncoderConfig) -> EncoderConfig {
+    EncoderConfig { halved_from: 1, ..config }
 }
 
 /// Paper mode with a small image.

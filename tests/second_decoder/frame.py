@@ -46,9 +46,12 @@ class Parameters:
         self.motion = [reader.svarint() for _ in range(6)] if self.prediction == INTER else None
         self.snake = reader.varint()
         self.coder = reader.varint()
-        self.range_bits, self.bin, self.between = 16, 1, 0
+        self.range_bits, self.bin, self.between, self.halved = 16, 1, 0, 0
         if self.coder <= PACKED:
             self.range_bits, self.bin, self.between = (reader.varint() for _ in range(3))
+            self.halved = reader.varint()
+            if self.halved > 1:
+                raise Refused("neither halved nor whole")
             if not 16 <= self.range_bits <= 24 or not 1 <= self.bin <= 1 << 20 or self.between > 1:
                 raise Refused("impossible parameters of ranges")
         elif BACK_ENDS <= self.coder < BACK_ENDS + len(NAMES):
@@ -73,6 +76,63 @@ class Parameters:
         return self.coder == LIGHT or self.coder >= BACK_ENDS
 
 
+class Returns:
+    """What the images of a stream, or one half of them, have taught: 8.3, 8.5 and 8.6."""
+
+    def __init__(self):
+        self.occupancy = sections.Occupancy()
+        self.token_occupancy = tokens.Occupancy()
+        self.off_grid = sections.OffGrid()
+        self.intensity = sections.Intensity(self.off_grid)
+        self.made = {}
+
+    def model(self, make, *arguments):
+        """A model that few frames need, made when the first does."""
+        key = make, arguments
+        if key not in self.made:
+            self.made[key] = make(*arguments)
+        return self.made[key]
+
+    def intensities(self, payload, parameters, image, strays, seen):
+        """Of the cells and of the strays, and context levels."""
+        if parameters.is_tokens:
+            make = tokens.PackedIntensity if parameters.coder == PACKED else tokens.Intensity
+            return self.model(make).code(Reader(payload), image, strays)
+        bits = Bits(payload)
+        scale = sections.Scale(bits.plain)
+        if not scale.per_unit:
+            return self.rough_intensities(bits, image, len(strays))
+        if parameters.coder == DEEP:
+            model = self.model(sections.DeepIntensity, self.off_grid)
+        else:
+            model = self.intensity
+        return model.code(bits, scale, image, strays, seen)
+
+    def rough_intensities(self, bits, image, strays):
+        """8.5, without a grid."""
+        cells = [(row, column) for row, own in enumerate(image) for column, filled in enumerate(own) if filled]
+        rows = [row + 1 for row, _ in cells] + [0] * strays
+        columns = [column + 1 for _, column in cells] + [0] * strays
+        model = self.model(Channels)
+        (data,) = model.code(bits, [Field("", F32, 1)], len(rows), Beside(rows, columns))
+        found = struct.unpack(f"<{len(rows)}I", data)
+        values = [[0] * len(own) for own in image]
+        for (row, column), value in zip(cells, found):
+            values[row][column] = value
+        return values, list(found[len(cells) :]), [[1] * len(own) for own in image]
+
+    def ranges(self, payload, parameters, image, levels, seen):
+        coder = parameters.coder
+        if coder in (MIXED, DEEP):
+            model = self.model(Mixed if coder == MIXED else Deep)
+            return model.code(Bits(payload), image, levels, parameters, seen)
+        if coder == PACKED:
+            model = self.model(tokens.PackedRange)
+        else:
+            model = self.model(tokens.Range, coder != TOKENS)
+        return model.code(Reader(payload), image, levels, parameters, seen)
+
+
 class Decoder:
     """The frames of one stream of a group, in order."""
 
@@ -84,28 +144,18 @@ class Decoder:
         self.bytes = sections.ByteModel()
         self.layout = None
         self.columns = scanner.new_columns() if scanner else None
-        self.occupancy = sections.Occupancy()
         self.points = sections.Points()
         self.points_are_packed = AdaptiveBit()
-        self.off_grid = sections.OffGrid()
-        self.intensity = sections.Intensity(self.off_grid)
-        self.deep_intensity = None
+        self.returns = [Returns(), Returns()]
         self.correction = sections.Correction()
+        self.token_correction = tokens.Correction()
         self.blanks = sections.Blanks()
         self.echoes = sections.Echoes()
         self.order = sections.Order()
         self.channels = Channels()
         self.contour = residual.Contour()
         self.regions = residual.Regions()
-        self.made = {}
         self.past = None
-
-    def model(self, make, *arguments):
-        """A model that few frames need, made when the first does."""
-        key = make, arguments
-        if key not in self.made:
-            self.made[key] = make(*arguments)
-        return self.made[key]
 
     def is_next(self, kind):
         return bool(self.sections) and self.sections[0][0] == kind
@@ -204,23 +254,18 @@ class Decoder:
                 grid = Grid(LATTICE, float(parameters.max_error_um * 1140) * 1e-9)
             of_strays = self.strays(strays, grid)
 
-        values, values_of_strays = [[0] * len(columns)] * len(image), [0] * strays
-        levels = None
-        if layout.intensity and parameters.intensity:
-            above = [None] * strays
-            if layout.position:
-                above = sections.places_of_strays(of_strays)
-            above += [None] * len(blanks)
-            values, values_of_strays, levels = self.intensities(parameters, image, above, seen)
-            for (row, column), value in zip(blanks, values_of_strays[strays:]):
-                values[row][column] = value
-            values_of_strays = values_of_strays[:strays]
-
-        ranges = []
+        above = [None] * strays
+        if layout.intensity and parameters.intensity and layout.position:
+            above = sections.places_of_strays(of_strays)
+        above += [None] * len(blanks)
+        found = self.values(parameters, layout, image, columns, above, seen)
+        values, values_of_strays, levels, ranges = found
+        for (row, column), value in zip(blanks, values_of_strays[strays:]):
+            values[row][column] = value
+        values_of_strays = values_of_strays[:strays]
         if inside:
-            if levels is None:
-                levels = [[0] * len(columns) for _ in image]
-            ranges = self.ranges(parameters, image, columns, levels, seen)
+            if parameters.coder >= BACK_ENDS:
+                ranges = self.residuals(parameters, image, columns, seen)
             if not parameters.is_tokens and len(image) * len(columns) <= 1 << 22:
                 self.past = references.Past(columns, ranges, levels)
         elements = scanner.in_canonical_order(ranges, columns, is_full) if inside else []
@@ -280,61 +325,53 @@ class Decoder:
         values = packed(bits, F32, 12, n)
         return list(struct.iter_unpack("<3I", values))
 
+    def halves(self, parameters):
+        """4.4: the rows that are coded apart."""
+        middle = (self.scanner.rows + 1) // 2
+        return [range(middle), range(middle, self.scanner.rows)] if parameters.halved else [range(self.scanner.rows)]
+
     def occupied(self, parameters, columns, seen):
-        payload = self.next_section(kinds.OCCUPANCY)
-        rows = self.scanner.rows
-        if parameters.is_tokens:
-            return self.model(tokens.Occupancy).code(Reader(payload), rows, len(columns))
-        return self.occupancy.code(Bits(payload), rows, len(columns), parameters.is_light, seen)
+        image = []
+        for model, rows in zip(self.returns, self.halves(parameters)):
+            payload = self.next_section(kinds.OCCUPANCY)
+            if parameters.is_tokens:
+                image += model.token_occupancy.code(Reader(payload), len(rows), len(columns))
+            else:
+                of_rows = seen and seen.part(slice(rows.start, rows.stop))
+                image += model.occupancy.code(Bits(payload), len(rows), len(columns), parameters.is_light, of_rows)
+        return image
 
-    def intensities(self, parameters, image, strays, seen):
-        payload = self.next_section(kinds.INTENSITY)
-        if parameters.is_tokens:
-            make = tokens.PackedIntensity if parameters.coder == PACKED else tokens.Intensity
-            return self.model(make).code(Reader(payload), image, strays)
-        bits = Bits(payload)
-        scale = sections.Scale(bits.plain)
-        if not scale.per_unit:
-            return self.rough_intensities(bits, image, len(strays))
-        if parameters.coder == DEEP:
-            model = self.model(sections.DeepIntensity, self.off_grid)
-        else:
-            model = self.intensity
-        return model.code(bits, scale, image, strays, seen)
+    def values(self, parameters, layout, image, columns, strays, seen):
+        """4.4: intensities of the cells, of strays and blanks, context levels and ranges."""
+        parts = [(rows, []) for rows in self.halves(parameters)] if image else [(range(0), [])]
+        parts[-1] = parts[-1][0], strays
+        found = []
+        for model, (rows, strays) in zip(self.returns, parts):
+            rows = slice(rows.start, rows.stop)
+            known = image[rows], columns, seen and seen.part(rows)
+            found.append(self.values_of_part(model, parameters, layout, known, strays))
+        return tuple(sum(of_parts, []) for of_parts in zip(*found))
 
-    def rough_intensities(self, bits, image, strays):
-        """8.5, without a grid."""
-        cells = [(row, column) for row, own in enumerate(image) for column, filled in enumerate(own) if filled]
-        rows = [row + 1 for row, _ in cells] + [0] * strays
-        columns = [column + 1 for _, column in cells] + [0] * strays
-        model = self.model(Channels)
-        (data,) = model.code(bits, [Field("", F32, 1)], len(rows), Beside(rows, columns))
-        found = struct.unpack(f"<{len(rows)}I", data)
-        values = [[0] * len(own) for own in image]
-        for (row, column), value in zip(cells, found):
-            values[row][column] = value
-        return values, list(found[len(cells) :]), [[1] * len(own) for own in image]
+    def values_of_part(self, model, parameters, layout, known, strays):
+        image, columns, seen = known
+        values, levels = ([[0] * len(columns) for _ in image] for _ in range(2))
+        of_strays, ranges = [0] * len(strays), []
+        if layout.intensity and parameters.intensity:
+            payload = self.next_section(kinds.INTENSITY)
+            values, of_strays, levels = model.intensities(payload, parameters, image, strays, seen)
+        if image and parameters.coder < BACK_ENDS:
+            ranges = model.ranges(self.next_section(kinds.RANGE), parameters, image, levels, seen)
+        return values, of_strays, levels, ranges
 
-    def ranges(self, parameters, image, columns, levels, seen):
-        coder = parameters.coder
-        if coder >= BACK_ENDS:
-            labels = models = None
-            if parameters.prediction == REGIONS:
-                if not self.scanner.has_surfaces:
-                    raise Refused("regions of a scanner that has none")
-                labels = self.contour.code(self.bits(kinds.CONTOUR), image)
-                models = self.regions.code(self.bits(kinds.REGIONS), self.contour.regions)
-            payload = self.next_section(kinds.RESIDUAL)
-            return residual.ranges(self.scanner, parameters, payload, image, columns, labels, models, seen)
-        payload = self.next_section(kinds.RANGE)
-        if coder in (MIXED, DEEP):
-            model = self.model(Mixed if coder == MIXED else Deep)
-            return model.code(Bits(payload), image, levels, parameters, seen)
-        if coder == PACKED:
-            model = self.model(tokens.PackedRange)
-        else:
-            model = self.model(tokens.Range, coder != TOKENS)
-        return model.code(Reader(payload), image, levels, parameters, seen)
+    def residuals(self, parameters, image, columns, seen):
+        labels = models = None
+        if parameters.prediction == REGIONS:
+            if not self.scanner.has_surfaces:
+                raise Refused("regions of a scanner that has none")
+            labels = self.contour.code(self.bits(kinds.CONTOUR), image)
+            models = self.regions.code(self.bits(kinds.REGIONS), self.contour.regions)
+        payload = self.next_section(kinds.RESIDUAL)
+        return residual.ranges(self.scanner, parameters, payload, image, columns, labels, models, seen)
 
     def positions(self, parameters, elements):
         """Those of returns and blanks, in canonical order."""
@@ -360,7 +397,7 @@ class Decoder:
         payload = self.next_section(kinds.CORRECTION)
         grid = scanner.grid
         if parameters.is_tokens or parameters.is_light and grid.kind == MILLIMETRE:
-            return self.model(tokens.Correction).code(Reader(payload), grid, parameters.positions, formulas)
+            return self.token_correction.code(Reader(payload), grid, parameters.positions, formulas)
         return self.correction.code(Bits(payload), grid, parameters.positions, formulas)
 
 

@@ -1,6 +1,7 @@
 """Section 4.3 of FORMAT.md: what the frame before lets expect of this one."""
 
 from bisect import bisect_left
+from copy import copy
 from math import sqrt
 
 from models import TAU
@@ -35,6 +36,12 @@ class Layer:
         self.levels = [[0] * columns for _ in range(rows)]
 
 
+    def part(self, rows):
+        layer = Layer(0, 0)
+        layer.ranges, layer.levels = self.ranges[rows], self.levels[rows]
+        return layer
+
+
 class Reference:
     def __init__(self, scanner, past, columns, motion, is_still_empty):
         if scanner.is_of_firings:
@@ -45,6 +52,12 @@ class Reference:
             self.moved = Layer(scanner.rows, len(columns))
         else:
             self.moved = moved_layer(scanner, past, columns, motion)
+
+    def part(self, rows):
+        """Some rows of both layers."""
+        part = copy(self)
+        part.same, part.moved = self.same.part(rows), self.moved.part(rows)
+        return part
 
 
 def layer_of_nearest(scanner, past, columns):

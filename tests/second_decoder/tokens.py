@@ -314,4 +314,4 @@ class PackedIntensity:
                     at += 1 + tokens.number(33)
         tokens.finish()
         found = iter(found)
-        return [[next(found) if filled else 0 for filled in cells] for cells in image], list(found), None
+        return [[next(found) if filled else 0 for filled in cells] for cells in image], list(found), []

@@ -1,5 +1,7 @@
 //! The columns of the range image, and which of its cells hold a return.
 
+use std::mem::take;
+
 use super::within;
 use crate::entropy::TokenTables;
 use crate::frame::frame::Frame;
@@ -16,9 +18,15 @@ use crate::stream::container::SectionKind;
 #[derive(Clone, Default)]
 pub struct ImageModels {
     columns: ColumnModels,
+    /// Of the whole image or of its upper half, and of the lower half.
+    occupancy: [OccupancyModels; 2],
+}
+
+#[derive(Clone, Default)]
+struct OccupancyModels {
     // Made when it is first wanted: it is large.
-    occupancy: Option<OccupancyModel>,
-    occupancy_tokens: TokenTables,
+    adaptive: Option<OccupancyModel>,
+    tokens: TokenTables,
 }
 
 impl ImageModels {
@@ -57,21 +65,20 @@ impl ImageModels {
         if records == 0 {
             return Ok(());
         }
-        let occupancy = &mut frame.occupancy;
-        match frame.parameters.modelling().parts().occupancy {
-            OccupancyModelling::Tokens => {
-                let tables = &mut self.occupancy_tokens;
-                sections.tokens(SectionKind::Occupancy, OCCUPANCY_CONTEXTS, tables, |coder| {
-                    code_occupancy(coder, occupancy);
-                })?;
-            }
-            depth => {
-                let model = self.occupancy.get_or_insert_default();
-                model.set_quick(depth == OccupancyModelling::Light);
-                sections.section(SectionKind::Occupancy, true, |coder| {
-                    model.code(coder, reference, occupancy);
-                    Ok(())
-                })?;
+        let depth = frame.parameters.modelling().parts().occupancy;
+        let [models, lower_models] = &mut self.occupancy;
+        match frame.middle() {
+            None => models.code(sections, depth, reference, &mut frame.occupancy)?,
+            Some(middle) => {
+                let [mut upper, mut lower] = take(&mut frame.occupancy).split(middle);
+                let references = reference.map(|reference| reference.clone().split(middle));
+                let [above, below] = [0, 1].map(|half| references.as_ref().map(|halves| &halves[half]));
+                sections.both(
+                    SectionKind::Occupancy,
+                    |sections| models.code(sections, depth, above, &mut upper),
+                    |sections| lower_models.code(sections, depth, below, &mut lower),
+                )?;
+                frame.occupancy = Grid::joined([upper, lower]);
             }
         }
         frame.cells = frame.occupancy.places();
@@ -88,7 +95,34 @@ impl ImageModels {
     }
 }
 
+impl OccupancyModels {
+    /// Codes an image or one half.
+    fn code<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        depth: OccupancyModelling,
+        reference: Option<&Reference>,
+        occupancy: &mut Grid<bool>,
+    ) -> Result<()> {
+        if depth == OccupancyModelling::Tokens {
+            let code = |coder: &mut S::Tokens<'_>| code_occupancy(coder, occupancy);
+            return sections.tokens(SectionKind::Occupancy, OCCUPANCY_CONTEXTS, &mut self.tokens, code);
+        }
+        let model = self.adaptive.get_or_insert_default();
+        model.set_quick(depth == OccupancyModelling::Light);
+        sections.section(SectionKind::Occupancy, true, |coder| {
+            model.code(coder, reference, occupancy);
+            Ok(())
+        })
+    }
+}
+
 impl Frame {
+    /// The first row of the lower half, if the halves of the image are coded apart.
+    pub fn middle(&self) -> Option<usize> {
+        (self.parameters.halved && self.records > self.strays).then(|| self.occupancy.rows().div_ceil(2))
+    }
+
     /// Resizes the decoder's grids to the size of the image.
     fn fit_image(&mut self, rows: usize) {
         let columns = self.image.columns.len();

@@ -4,6 +4,7 @@ use std::mem::take;
 
 use byteorder::{ByteOrder, LittleEndian};
 
+use super::returns::Part;
 use crate::backend::Level;
 use crate::entropy::{BitCoder, TokenCoder, TokenTables};
 use crate::frame::fidelity::Intensity;
@@ -12,8 +13,6 @@ use crate::frame::modelling::IntensityModelling;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::ground::grid::Grid;
-use crate::ground::growing::RowWriter;
-use crate::inter::Reference;
 use crate::models::{
     Beside, ChannelsModel, INTENSITY_CONTEXTS, IntensityModel, IntensityNeighbours, IntensityReference,
     IntensityScale, IntensityTokens, PACKED_INTENSITY_CONTEXTS, code_packed_intensities, neighbours_above,
@@ -34,66 +33,41 @@ pub struct IntensityModels {
 
 impl IntensityModels {
     /// Codes the intensities, if the frame has any and keeps them. Returns those of the returns as contexts for the
-    /// ranges, whose rows are also given out as they come.
+    /// ranges.
     ///
     /// # Errors
     /// If the section is damaged.
     pub fn code<S: SectionCoder>(
         &mut self,
         sections: &mut S,
-        reference: Option<&Reference>,
-        frame: &Frame,
+        part: &Part,
         values: &mut Intensities,
-        rows: RowWriter<'_, u16>,
     ) -> Result<Grid<u16>> {
-        let coded = frame.layout.intensity.is_some() && frame.parameters.intensity != Intensity::None;
-        if !coded {
-            let (rows, columns) = (frame.occupancy.rows(), frame.occupancy.columns());
+        let parameters = &part.frame.parameters;
+        if part.frame.layout.intensity.is_none() || parameters.intensity == Intensity::None {
+            let (rows, columns) = (part.occupancy.rows(), part.occupancy.columns());
             values.of_cells = Grid::new(rows, columns);
-            values.outside = vec![0.0; frame.strays];
+            values.outside = vec![0.0; part.outside];
             return Ok(Grid::new(rows, columns));
         }
-        if S::ENCODES {
-            // The blanks follow the strays.
-            let of_blanks = values.of_cells.at(&frame.blanks);
-            values.outside.extend(of_blanks);
-        }
-        let levels = self.code_values(sections, reference, frame, values, rows)?;
-        values.outside.resize(frame.outside(), 0.0);
-        let of_blanks = values.outside.split_off(frame.strays);
-        values.of_cells.fill(&frame.blanks, &of_blanks);
-        Ok(levels)
-    }
-
-    /// The same, where the intensities of the blanks stand with those of the strays.
-    fn code_values<S: SectionCoder>(
-        &mut self,
-        sections: &mut S,
-        reference: Option<&Reference>,
-        frame: &Frame,
-        values: &mut Intensities,
-        mut rows: RowWriter<'_, u16>,
-    ) -> Result<Grid<u16>> {
-        let all = if S::ENCODES { values.all(frame) } else { Vec::new() };
+        let all = if S::ENCODES { values.all(part) } else { Vec::new() };
         let mut scale = match S::ENCODES {
-            true => IntensityScale::of(&all, frame.parameters.intensity.levels_per_unit()),
+            true => IntensityScale::of(&all, parameters.intensity.levels_per_unit()),
             false => IntensityScale::default(),
         };
-        let is_deep = match frame.parameters.modelling().parts().intensity {
+        let is_deep = match parameters.modelling().parts().intensity {
             IntensityModelling::Light => false,
             IntensityModelling::Deep => true,
             IntensityModelling::Tokens => {
-                let mut levels = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
-                let code = |coder: &mut S::Tokens<'_>| {
-                    code_tokens(coder, scale, frame, values, &mut levels, &mut rows)
-                };
+                let mut levels = Grid::new(part.occupancy.rows(), part.occupancy.columns());
+                let code = |coder: &mut S::Tokens<'_>| code_tokens(coder, scale, part, values, &mut levels);
                 return sections
                     .tokens(SectionKind::Intensity, INTENSITY_CONTEXTS, &mut self.tokens, code)
                     .map(|()| levels);
             }
             // Packed ranges have no contexts.
             IntensityModelling::Packed => {
-                let code = |coder: &mut S::Tokens<'_>| pack(coder, scale, frame, (all, values));
+                let code = |coder: &mut S::Tokens<'_>| pack(coder, scale, part, (all, values));
                 return sections
                     .tokens(SectionKind::Intensity, PACKED_INTENSITY_CONTEXTS, &mut self.packed, code)
                     .map(|()| Grid::default());
@@ -103,13 +77,11 @@ impl IntensityModels {
         sections.section(SectionKind::Intensity, true, |coder| {
             scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
             if !scale.is_on_grid() {
-                let levels = self.code_rough(coder, frame, values, level)?;
-                (0..levels.rows()).for_each(|row| rows.push(levels.row(row)));
-                return Ok(levels);
+                return self.code_rough(coder, part, values, level);
             }
             let model = self.adaptive.get_or_insert_default();
             model.set_deep(is_deep);
-            Ok(code_adaptive(model, coder, frame, values, (scale, reference), &mut rows))
+            Ok(code_adaptive(model, coder, part, values, scale))
         })
     }
 
@@ -118,29 +90,29 @@ impl IntensityModels {
     fn code_rough<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        frame: &Frame,
+        part: &Part,
         known: &mut Intensities,
         level: Level,
     ) -> Result<Grid<u16>> {
-        let returns = frame.cells.len();
-        let width = frame.occupancy.columns() as u32;
-        let strays = || std::iter::repeat_n(0, frame.outside());
+        let returns = part.cells.len();
+        let width = part.occupancy.columns() as u32;
+        let strays = || std::iter::repeat_n(0, part.outside);
         let beside = Beside {
-            rows: frame.cells.iter().map(|cell| cell / width + 1).chain(strays()).collect(),
-            columns: frame.cells.iter().map(|cell| cell % width + 1).chain(strays()).collect(),
+            rows: part.cells.iter().map(|cell| cell / width + 1).chain(strays()).collect(),
+            columns: part.cells.iter().map(|cell| cell % width + 1).chain(strays()).collect(),
             ..Beside::default()
         };
-        let mut values = if C::ENCODES { known.of_cells.at(&frame.cells) } else { vec![0.0; returns] };
+        let mut values = if C::ENCODES { known.of_cells.at(part.cells) } else { vec![0.0; returns] };
         values.append(&mut known.outside);
-        values.resize(frame.records, 0.0);
+        values.resize(returns + part.outside, 0.0);
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         let mut channels = [Channel { field: Field::new("intensity", Scalar::F32), bytes }];
         self.rough.code(coder, &mut channels, &beside, level)?;
         let [Channel { bytes, .. }] = channels;
         let mut values: Vec<f32> = bytes.chunks_exact(4).map(LittleEndian::read_f32).collect();
         known.outside = values.split_off(returns);
-        known.of_cells.fill(&frame.cells, &values);
-        let mut levels = Grid::new(frame.occupancy.rows(), frame.occupancy.columns());
+        known.of_cells.fill(part.cells, &values);
+        let mut levels = Grid::new(part.occupancy.rows(), part.occupancy.columns());
         levels.cells_mut().fill(1);
         Ok(levels)
     }
@@ -151,31 +123,29 @@ impl IntensityModels {
 fn code_adaptive<C: BitCoder>(
     model: &mut IntensityModel,
     coder: &mut C,
-    frame: &Frame,
+    part: &Part,
     values: &mut Intensities,
-    (scale, reference): (IntensityScale, Option<&Reference>),
-    rows: &mut RowWriter<'_, u16>,
+    scale: IntensityScale,
 ) -> Grid<u16> {
-    let width = frame.occupancy.columns();
-    let mut levels = Grid::new(frame.occupancy.rows(), width);
-    model.start_frame(&scale, width, frame.cells.len());
+    let width = part.occupancy.columns();
+    let mut levels = Grid::new(part.occupancy.rows(), width);
+    model.start_frame(&scale, width, part.cells.len());
     for row in 0..levels.rows() {
         if coder.is_exhausted() {
             break;
         }
         model.start_row();
         let mut left = [0; 4];
-        for column in (0..width).filter(|&column| frame.occupancy[(row, column)]) {
+        for column in (0..width).filter(|&column| part.occupancy[(row, column)]) {
             let mut near = neighbours(&levels, left, row, column);
-            near.back = reference.and_then(|reference| IntensityReference::at(reference, (row, column)));
+            near.back = part.reference.and_then(|reference| IntensityReference::at(reference, (row, column)));
             let value = &mut values.of_cells[(row, column)];
             *value = model.code(coder, &scale, &near, (row, column), *value);
             levels[(row, column)] = scale.context_level(*value);
             left = [levels[(row, column)], left[0], left[1], left[2]];
         }
-        rows.push(levels.row(row));
     }
-    code_strays(model, coder, &scale, frame, values);
+    code_strays(model, coder, &scale, part, values);
     levels
 }
 
@@ -183,14 +153,14 @@ fn code_strays<C: BitCoder>(
     model: &mut IntensityModel,
     coder: &mut C,
     scale: &IntensityScale,
-    frame: &Frame,
+    part: &Part,
     values: &mut Intensities,
 ) {
-    values.outside.resize(frame.outside(), 0.0);
-    let north = neighbours_above(&frame.stray_positions);
-    let mut levels: Vec<u16> = Vec::with_capacity(frame.outside());
-    model.start_frame(scale, 1, frame.outside());
-    for index in 0..frame.outside() {
+    values.outside.resize(part.outside, 0.0);
+    let north = neighbours_above(&part.frame.stray_positions);
+    let mut levels: Vec<u16> = Vec::with_capacity(part.outside);
+    model.start_frame(scale, 1, part.outside);
+    for index in 0..part.outside {
         if coder.is_exhausted() {
             return;
         }
@@ -229,14 +199,13 @@ fn neighbours(levels: &Grid<u16>, left: [u16; 4], row: usize, column: usize) -> 
 fn code_tokens<C: TokenCoder>(
     coder: &mut C,
     mut scale: IntensityScale,
-    frame: &Frame,
+    part: &Part,
     values: &mut Intensities,
     levels: &mut Grid<u16>,
-    out: &mut RowWriter<'_, u16>,
 ) {
     scale.code(|value, count| coder.bits(value.into(), count) as u32);
     let mut model = IntensityTokens::default();
-    let (rows, width) = (frame.occupancy.rows(), frame.occupancy.columns());
+    let (rows, width) = (part.occupancy.rows(), part.occupancy.columns());
     // The last intensity level in each column.
     let mut above = vec![0; width];
     for row in 0..rows {
@@ -244,16 +213,15 @@ fn code_tokens<C: TokenCoder>(
             return;
         }
         let mut west = 0;
-        let cells = frame.occupancy.row(row).iter().zip(values.of_cells.row_mut(row)).zip(&mut above);
+        let cells = part.occupancy.row(row).iter().zip(values.of_cells.row_mut(row)).zip(&mut above);
         for (((_, value), north), level) in
             cells.zip(levels.row_mut(row)).filter(|(((filled, _), _), _)| **filled)
         {
             west = model.code(coder, &scale, (west, *north), value);
             (*north, *level) = (west, west);
         }
-        out.push(levels.row(row));
     }
-    values.outside.resize(frame.outside(), 0.0);
+    values.outside.resize(part.outside, 0.0);
     let mut west = 0;
     for value in &mut values.outside {
         if coder.is_exhausted() {
@@ -267,48 +235,69 @@ fn code_tokens<C: TokenCoder>(
 fn pack<C: TokenCoder>(
     coder: &mut C,
     mut scale: IntensityScale,
-    frame: &Frame,
+    part: &Part,
     (mut values, known): (Vec<f32>, &mut Intensities),
 ) {
     scale.code(|value, count| coder.bits(value.into(), count) as u32);
-    let returns = frame.cells.len();
-    values.resize(frame.records, 0.0);
+    let returns = part.cells.len();
+    values.resize(returns + part.outside, 0.0);
     code_packed_intensities(coder, &scale, &mut values);
     known.outside = values.split_off(returns);
-    known.of_cells.fill(&frame.cells, &values);
+    known.of_cells.fill(part.cells, &values);
 }
 
 impl Frame {
     /// Number of records that are no returns.
-    fn outside(&self) -> usize {
+    pub fn outside(&self) -> usize {
         self.strays + self.blanks.len()
     }
 
-    /// Takes the intensities out of the frame.
+    /// Takes the intensities out of the frame; those of the blanks are put behind those of the strays.
     pub fn take_intensities(&mut self) -> Intensities {
-        Intensities { of_cells: take(&mut self.intensity), outside: take(&mut self.stray_intensity) }
+        let (of_cells, mut outside) = (take(&mut self.intensity), take(&mut self.stray_intensity));
+        if !of_cells.cells().is_empty() {
+            outside.extend(of_cells.at(&self.blanks));
+        }
+        Intensities { of_cells, outside }
     }
 
     /// Puts them back.
-    pub fn put_intensities(&mut self, Intensities { of_cells, outside }: Intensities) {
+    pub fn put_intensities(&mut self, Intensities { of_cells, mut outside }: Intensities) {
+        outside.resize(self.outside(), 0.0);
+        let of_blanks = outside.split_off(self.strays);
         (self.intensity, self.stray_intensity) = (of_cells, outside);
+        self.intensity.fill(&self.blanks, &of_blanks);
     }
 }
 
-/// The intensities of a frame while they are coded.
+/// The intensities of a range image, or of half of one, while they are coded.
+#[derive(Default)]
 pub struct Intensities {
-    /// Of the returns, and of the blanks.
+    /// Of the returns.
     of_cells: Grid<f32>,
-    /// Of the strays, and while they are coded of the blanks.
+    /// Of the strays, then of the blanks.
     outside: Vec<f32>,
 }
 
 impl Intensities {
-    /// Those of the returns, then of the strays.
-    fn all(&self, frame: &Frame) -> Vec<f32> {
-        let mut values = Vec::with_capacity(frame.cells.len() + self.outside.len());
-        values.extend(frame.cells.iter().map(|&cell| self.of_cells.cells()[cell as usize]));
+    /// Those of the returns, then of the records that are none.
+    fn all(&self, part: &Part) -> Vec<f32> {
+        let mut values = self.of_cells.at(part.cells);
         values.extend(&self.outside);
         values
+    }
+
+    /// Those of the rows above `row`, and those of the others.
+    pub fn split(self, row: usize) -> [Self; 2] {
+        let [upper, lower] = self.of_cells.split(row);
+        [
+            Intensities { of_cells: upper, outside: Vec::new() },
+            Intensities { of_cells: lower, outside: self.outside },
+        ]
+    }
+
+    /// Both again.
+    pub fn joined([upper, lower]: [Self; 2]) -> Self {
+        Intensities { of_cells: Grid::joined([upper.of_cells, lower.of_cells]), outside: lower.outside }
     }
 }

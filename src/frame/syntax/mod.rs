@@ -9,9 +9,8 @@ mod intensities;
 mod ranges;
 mod records;
 mod reference;
+mod returns;
 mod strays;
-
-use std::mem::take;
 
 use super::frame::Frame;
 use super::parameters::FrameParameters;
@@ -19,10 +18,8 @@ use super::sections::SectionCoder;
 use super::whole::WholeFile;
 use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Result};
-use crate::ground::grid::Grid;
-use crate::ground::growing::GrowingGrid;
 use crate::ground::varint::{read_unsigned, write_unsigned};
-use crate::inter::{Past, Reference};
+use crate::inter::Past;
 use crate::scanner::Scanner;
 use crate::scanner::motion::{Compensation, Stamped, Turn, World};
 use crate::stream::container::SectionKind;
@@ -30,10 +27,10 @@ use corrections::CorrectionModels;
 use echoes::EchoModels;
 use file::FileModels;
 use image::ImageModels;
-use intensities::IntensityModels;
-use ranges::RangeModels;
+use ranges::ResidualModels;
 use records::RecordModels;
 use reference::PastFrame;
+use returns::ReturnModels;
 use strays::StrayModels;
 
 /// What a group's frames have taught so far.
@@ -43,8 +40,8 @@ pub struct Models {
     image: ImageModels,
     past: PastFrame,
     strays: StrayModels,
-    intensities: IntensityModels,
-    ranges: RangeModels,
+    returns: ReturnModels,
+    residuals: ResidualModels,
     echoes: EchoModels,
     corrections: CorrectionModels,
     records: RecordModels,
@@ -78,8 +75,8 @@ impl Models {
         let reference = self.past.reference(scanner, frame)?;                       // FORMAT 4.3, equation 9
         self.image.code_occupancy(s, reference.as_ref(), frame)?;                   // FORMAT 8.3, 8.16
         self.strays.code(s, frame)?;                                                // FORMAT 8.4
-        let levels = self.code_returns(s, scanner, reference.as_ref(), frame)?;     // FORMAT 8.5, 8.6, 8.16
-        self.ranges.code_residuals(s, scanner, reference.as_ref(), frame)?;         // FORMAT 8.11 to 8.14
+        let levels = self.returns.code(s, scanner, reference.as_ref(), frame)?;     // FORMAT 8.5, 8.6, 8.16
+        self.residuals.code(s, scanner, reference.as_ref(), frame)?;                // FORMAT 8.11 to 8.14
         self.echoes.code(s, frame)?;                                                // FORMAT 8.19
         self.past.remember(scanner, levels, frame);
         frame.arrange(scanner);                                                     // FORMAT 4.2
@@ -88,37 +85,6 @@ impl Models {
         self.records.code_channels(s, scanner, frame)?;                             // FORMAT 8.9
         code_compensation(s, frame)?;                                               // FORMAT 8.15
         code_sorted(s, frame)                                                       // FORMAT 8.21
-    }
-
-    /// The intensities, and the ranges by context: of each row the intensities before the ranges, which another thread codes
-    /// if one is free. Returns the context levels of the intensities.
-    fn code_returns<S: SectionCoder>(
-        &mut self,
-        sections: &mut S,
-        scanner: Option<&Scanner>,
-        reference: Option<&Reference>,
-        frame: &mut Frame,
-    ) -> Result<Grid<u16>> {
-        /// Fewer returns are not worth another thread.
-        const FEWEST: usize = 4096;
-        let rows = GrowingGrid::new(frame.occupancy.rows(), frame.occupancy.columns());
-        let (mut values, mut steps) = (frame.take_intensities(), take(&mut frame.image.steps));
-        if scanner.is_some() {
-            sections.report().converted += 4 * steps.cells().len() as u64;
-        }
-        let (coded, models) = (&*frame, (&mut self.intensities, &mut self.ranges));
-        let (levels, ()) = sections.both(
-            coded.cells.len() >= FEWEST,
-            SectionKind::Intensity,
-            |sections| models.0.code(sections, reference, coded, &mut values, rows.writer()),
-            |sections| match scanner {
-                Some(_) => models.1.code_by_context(sections, (&rows, reference), coded, &mut steps),
-                None => Ok(()),
-            },
-        )?;
-        frame.put_intensities(values);
-        frame.image.steps = steps;
-        Ok(levels)
     }
 
     /// The frame before, if it has a range image.

@@ -1,6 +1,7 @@
 //! The ranges of the returns: coded by context, or as residuals by a general-purpose back-end or an image coder
 //! (article, IV-C, IV-D and VI-C).
 
+use super::returns::Part;
 use crate::article::contour::ContourModel;
 use crate::article::image_coding::{self, ImageCodec};
 use crate::article::prediction::surface::SurfaceCoder;
@@ -15,7 +16,6 @@ use crate::frame::sections::SectionCoder;
 use crate::frame::steps::Step;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
-use crate::ground::growing::GrowingGrid;
 use crate::inter::{self, Reference};
 use crate::models::{
     KnownCells, PACKED_RANGE_CONTEXTS, RANGE_CONTEXTS, RangeContext, RangeModel, RangeTokens,
@@ -32,17 +32,72 @@ pub struct RangeModels {
     tokens: RangeTokens,
     token_tables: TokenTables,
     packed: TokenTables,
+}
+
+impl RangeModels {
+    /// Codes the ranges by context, if they are coded so, given the context levels of the intensities.
+    ///
+    /// # Errors
+    /// If the section is damaged.
+    pub fn code<S: SectionCoder>(
+        &mut self,
+        sections: &mut S,
+        levels: &Grid<u16>,
+        part: &Part,
+        steps: &mut Grid<u32>,
+    ) -> Result<()> {
+        let RangeCoder::Context { modelling, range_bits, bin, .. } = part.frame.parameters.range_coder else {
+            return Ok(());
+        };
+        let Part { occupancy, cells, reference, .. } = *part;
+        let axis = (range_bits, bin);
+        sections.report().predicted += 4 * cells.len() as u64;
+        match modelling.parts().range {
+            RangeModelling::Packed => {
+                sections.tokens(SectionKind::Range, PACKED_RANGE_CONTEXTS, &mut self.packed, |coder| {
+                    let mut ranges = if S::ENCODES { steps.at(cells) } else { vec![0; cells.len()] };
+                    code_packed_ranges(coder, axis, &mut ranges);
+                    steps.fill(cells, &ranges);
+                })
+            }
+            RangeModelling::Tokens { fitted } => {
+                let expected = reference.filter(|_| modelling.has_p_frames()).map(Reference::ranges);
+                self.token_tables.start_from(start_tables(fitted), S::ENCODES);
+                let model = &mut self.tokens;
+                sections.tokens(SectionKind::Range, RANGE_CONTEXTS, &mut self.token_tables, |coder| {
+                    let expected = expected.as_ref();
+                    model.code(coder, &KnownCells { occupancy, fitted, expected, levels }, axis, steps);
+                })
+            }
+            depth => {
+                let model = self.mixed.get_or_insert_default();
+                if depth == RangeModelling::Deep {
+                    model.go_deep();
+                }
+                let known = RangeContext { occupancy, intensity: levels, reference, range_bits, bin };
+                sections.section(SectionKind::Range, true, |coder| {
+                    model.code(coder, &known, steps);
+                    Ok(())
+                })
+            }
+        }
+    }
+}
+
+/// What a group's regions have taught so far.
+#[derive(Clone, Default)]
+pub struct ResidualModels {
     contour: ContourModel,
     surfaces: SurfaceCoder,
 }
 
-impl RangeModels {
+impl ResidualModels {
     /// Codes the ranges by a general-purpose back-end or an image coder, if there is a range image and they are not coded
-    /// [by context](Self::code_by_context).
+    /// [by context](RangeModels::code).
     ///
     /// # Errors
     /// If a section is damaged, or a range is impossible.
-    pub fn code_residuals<S: SectionCoder>(
+    pub fn code<S: SectionCoder>(
         &mut self,
         sections: &mut S,
         scanner: Option<&Scanner>,
@@ -62,56 +117,6 @@ impl RangeModels {
                 let predictor = self.code_predictor(sections, scanner, frame, reference)?;
                 let side = sections.bytes_written() - before;
                 code_image(sections, &predictor, (codec, side), frame, scanner.most_steps())
-            }
-        }
-    }
-
-    /// Codes the ranges by context, if there is a range image and they are coded so, given the context levels of the
-    /// intensities, row by row, and the reference.
-    ///
-    /// # Errors
-    /// If the section is damaged.
-    pub fn code_by_context<S: SectionCoder>(
-        &mut self,
-        sections: &mut S,
-        (levels, reference): (&GrowingGrid<u16>, Option<&Reference>),
-        frame: &Frame,
-        steps: &mut Grid<u32>,
-    ) -> Result<()> {
-        let RangeCoder::Context { modelling, range_bits, bin, .. } = frame.parameters.range_coder else {
-            return Ok(());
-        };
-        let axis = (range_bits, bin);
-        sections.report().predicted += 4 * frame.cells.len() as u64;
-        match modelling.parts().range {
-            RangeModelling::Packed => {
-                sections.tokens(SectionKind::Range, PACKED_RANGE_CONTEXTS, &mut self.packed, |coder| {
-                    let mut ranges =
-                        if S::ENCODES { steps.at(&frame.cells) } else { vec![0; frame.cells.len()] };
-                    code_packed_ranges(coder, axis, &mut ranges);
-                    steps.fill(&frame.cells, &ranges);
-                })
-            }
-            RangeModelling::Tokens { fitted } => {
-                let expected = reference.filter(|_| modelling.has_p_frames()).map(Reference::ranges);
-                self.token_tables.start_from(start_tables(fitted), S::ENCODES);
-                let model = &mut self.tokens;
-                sections.tokens(SectionKind::Range, RANGE_CONTEXTS, &mut self.token_tables, |coder| {
-                    let (occupancy, expected) = (&frame.occupancy, expected.as_ref());
-                    model.code(coder, &KnownCells { occupancy, fitted, expected, levels }, axis, steps);
-                })
-            }
-            depth => {
-                let model = self.mixed.get_or_insert_default();
-                if depth == RangeModelling::Deep {
-                    model.go_deep();
-                }
-                let (occupancy, intensity, (range_bits, bin)) = (&frame.occupancy, levels, axis);
-                let known = RangeContext { occupancy, intensity, reference, range_bits, bin };
-                sections.section(SectionKind::Range, true, |coder| {
-                    model.code(coder, &known, steps);
-                    Ok(())
-                })
             }
         }
     }

@@ -148,7 +148,6 @@ mod tests {
     use super::super::{RangeContext, RangeModel};
     use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
     use crate::ground::grid::Grid;
-    use crate::ground::growing::GrowingGrid;
     use crate::ground::random::Rng;
     use crate::inter::Reference;
 
@@ -186,7 +185,7 @@ mod tests {
             });
             let known = RangeContext {
                 occupancy: &frame.map(|&steps| steps > 0),
-                intensity: &GrowingGrid::of(&frame.map(|&steps| (steps / 30 % 100) as u16)),
+                intensity: &frame.map(|&steps| (steps / 30 % 100) as u16),
                 reference: reference.as_ref(),
                 range_bits: 16,
                 bin,

@@ -11,7 +11,6 @@ use pulp::NullaryFnOnce;
 
 use crate::entropy::TokenCoder;
 use crate::ground::grid::Grid;
-use crate::ground::growing::GrowingGrid;
 use crate::ground::lanes::dispatch;
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::models::Bins;
@@ -64,8 +63,8 @@ pub struct KnownCells<'a> {
     pub fitted: bool,
     /// The ranges of the frame before, in steps; 0 = nothing.
     pub expected: Option<&'a Grid<u32>>,
-    /// The context levels of the intensities, each row of which is coded before that of the ranges, 1 to 128; 0 = none.
-    pub levels: &'a GrowingGrid<u16>,
+    /// The context levels of the intensities, 1 to 128; 0 = none.
+    pub levels: &'a Grid<u16>,
 }
 
 /// The ranges of a frame. `SIMPLE`: bins are of one step, so need no division, and there is no frame before.
