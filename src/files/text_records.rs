@@ -320,6 +320,15 @@ mod tests {
     }
 
     #[test]
+    fn fields_with_a_count_of_0_are_in_no_line() {
+        let header = pcd("x y z _ intensity _", "4 4 4 1 4 1", "F F F U F U", "1 1 1 0 1 0", 2, "ascii");
+        let scan = comes_back("a.pcd", [&header, &b"1.5 2 3 7\n4 5.25 6 8\n"[..]].concat());
+        assert_eq!((scan.records, scan.suffix.len()), (2, 0));
+        assert_eq!(scan.cloud.positions, [[1.5, 2.0, 3.0], [4.0, 5.25, 6.0]]);
+        assert_eq!(scan.cloud.intensity, [7.0, 8.0]);
+    }
+
+    #[test]
     fn lines_may_end_and_be_parted_otherwise() {
         for body in ["1 2 3 4 5 \n1 2 3 4 5 \n", "1\t2\t3\t4\t5\r\n", "1 2 3 4 5 \r\n1 2 3 4 5 \r\n"] {
             assert!(comes_back("a.pcd", file(body)).records > 0, "{body:?}");

@@ -8,6 +8,7 @@ use crate::entropy::{
 };
 use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Limits, Result};
+use crate::ground::team;
 use crate::stream::container::{Section, SectionKind};
 
 /// The effort of the coders of ranges, and their bit rate; unused by the decoder.
@@ -147,7 +148,7 @@ impl SectionCoder for SectionWriter {
         second: impl FnOnce(&mut Self) -> Result<B> + Send,
     ) -> Result<(A, B)> {
         let mut other = SectionWriter { limits: self.limits, ..SectionWriter::new(self.effort) };
-        let (a, b) = run_both(|| first(self), || second(&mut other));
+        let (a, b) = team::both(|| first(self), || second(&mut other));
         self.sections.append(&mut other.sections);
         self.report.add(&other.report);
         Ok((a?, b?))
@@ -228,11 +229,6 @@ impl<'s> SectionReader<'s> {
     }
 }
 
-/// Does two things, at once if this is a thread of a pool and another one is free.
-fn run_both<A: Send, B: Send>(first: impl FnOnce() -> A + Send, second: impl FnOnce() -> B + Send) -> (A, B) {
-    if rayon::current_thread_index().is_some() { rayon::join(first, second) } else { (first(), second()) }
-}
-
 fn ends_too_early(kind: SectionKind) -> Error {
     Error::corrupt(format!("{kind} section ends too early")).within_section(kind)
 }
@@ -299,7 +295,7 @@ impl SectionCoder for SectionReader<'_> {
         let (own, rest) = self.sections.split_at((own + 1).min(self.sections.len()));
         let mut reader = SectionReader::new(own, self.limits);
         let mut other = SectionReader::new(rest, self.limits);
-        let (a, b) = run_both(|| first(&mut reader), || second(&mut other));
+        let (a, b) = team::both(|| first(&mut reader), || second(&mut other));
         let a = a?;
         self.report.add(&reader.finish()?);
         self.report.add(&other.report);

@@ -1,5 +1,5 @@
-//! The ground that everything else stands on: errors, limits, tables, tables that are read while they are written, variable-length integers, rounding,
-//! random numbers, fast angles, short decimals, the clock, and the helper for vector units.
+//! The ground that everything else stands on: errors, limits, tables, variable-length integers, rounding, random numbers, fast angles,
+//! short decimals, the clock, pools of threads, and the helper for vector units.
 
 pub mod error;
 pub mod grid;
@@ -14,6 +14,7 @@ pub(crate) mod clock;
 pub(crate) mod decimal;
 pub(crate) mod lanes;
 pub(crate) mod lazy_table;
+pub(crate) mod team;
 
 pub(crate) use section_kind::SKIPPABLE;
 pub use section_kind::SectionKind;

@@ -6,10 +6,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread;
 
-use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+use rayon::{ThreadPool, ThreadPoolBuildError};
 
 use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Error, Result};
+use crate::ground::team;
 
 /// What the calling thread waits for.
 enum Event<J, T> {
@@ -26,7 +27,7 @@ enum Event<J, T> {
 /// # Errors
 /// If they cannot be started.
 pub(crate) fn pool(threads: usize) -> Result<ThreadPool> {
-    ThreadPoolBuilder::new().num_threads(threads).build().map_err(|e| no_threads(threads, &e))
+    team::pool(threads).build().map_err(|e| no_threads(threads, &e))
 }
 
 /// Threads for what is done at once within a frame; none if there is to be one.
@@ -34,7 +35,7 @@ pub(crate) fn pool(threads: usize) -> Result<ThreadPool> {
 /// # Errors
 /// If they cannot be started.
 pub(crate) fn pool_for_frames(threads: usize) -> Result<Option<ThreadPool>> {
-    /// What is done at once: intensities and ranges.
+    /// What is done at once: two halves.
     const MOST: usize = 2;
     let threads = resolve_threads(threads).min(MOST);
     (threads > 1).then(|| pool(threads)).transpose()
@@ -79,7 +80,7 @@ pub(crate) fn run_ordered<J: Send, T: Send>(
                 let ticket = Ticket { events: events.clone(), place, is_done: false };
                 scope.spawn_fifo(move |_| {
                     if !stop.load(Ordering::Relaxed) {
-                        ticket.done(work(job));
+                        ticket.done(team::job(|| work(job)));
                     }
                 });
             };
@@ -205,8 +206,7 @@ impl<T: Send + 'static> Workers<T> {
     /// If they cannot be started.
     pub fn new(threads: usize) -> Result<Self> {
         // A worker that panics says so by its ticket.
-        let builder = || ThreadPoolBuilder::new().num_threads(threads).panic_handler(drop);
-        let pool = (threads > 1).then(|| builder().build()).transpose();
+        let pool = (threads > 1).then(|| team::pool(threads).panic_handler(drop).build()).transpose();
         let pool = pool.map_err(|e| no_threads(threads, &e))?;
         let (events, inbox) = mpsc::channel();
         let (results, stop) = (VecDeque::new(), Arc::default());
@@ -230,7 +230,7 @@ impl<T: Send + 'static> Workers<T> {
         self.results.push_back(None);
         pool.spawn_fifo(move || {
             if !stop.load(Ordering::Relaxed) {
-                ticket.done(job());
+                ticket.done(team::job(job));
             }
         });
     }

@@ -1,0 +1,90 @@
+//! A pool of threads that counts its jobs, so that one is split between threads only while others have none: a thread that
+//! waits for a part of its job would otherwise take up another job, and hold the memory of both.
+
+use std::cell::OnceCell;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::ThreadPoolBuilder;
+
+thread_local! {
+    /// The jobs under way in the pool that this thread belongs to.
+    static JOBS: OnceCell<Arc<AtomicUsize>> = const { OnceCell::new() };
+}
+
+/// A pool of so many threads, to be built.
+pub(crate) fn pool(threads: usize) -> ThreadPoolBuilder {
+    let jobs = Arc::new(AtomicUsize::new(0));
+    let join_pool = move |_| drop(JOBS.with(|of_thread| of_thread.set(Arc::clone(&jobs))));
+    ThreadPoolBuilder::new().num_threads(threads).start_handler(join_pool)
+}
+
+/// Does a job, which counts as long as it takes.
+pub(crate) fn job<T>(work: impl FnOnce() -> T) -> T {
+    let _count = JOBS.with(|jobs| jobs.get().map(Count::new));
+    work()
+}
+
+/// Does two things, at once if this is a thread of a [`pool`] with fewer jobs than threads.
+pub(crate) fn both<A: Send, B: Send>(
+    first: impl FnOnce() -> A + Send,
+    second: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    let jobs = JOBS.with(|jobs| jobs.get().map(|jobs| jobs.load(Ordering::Relaxed)));
+    match jobs {
+        Some(jobs) if jobs < rayon::current_num_threads() => rayon::join(first, second),
+        _ => (first(), second()),
+    }
+}
+
+/// A job that is under way.
+struct Count(Arc<AtomicUsize>);
+
+impl Count {
+    fn new(jobs: &Arc<AtomicUsize>) -> Self {
+        jobs.fetch_add(1, Ordering::Relaxed);
+        Count(Arc::clone(jobs))
+    }
+}
+
+impl Drop for Count {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Barrier;
+    use std::thread::current;
+
+    use super::*;
+
+    #[test]
+    fn a_job_is_split_only_while_a_thread_has_none() {
+        let pool = pool(2).build().unwrap();
+        // Each half waits for the other, which only another thread can be.
+        let barrier = Barrier::new(2);
+        let half = || (barrier.wait(), current().id()).1;
+        let (first, second) = pool.install(|| job(|| both(half, half)));
+        assert_ne!(first, second);
+        // Two jobs, the threads of which meet before and after: neither is split.
+        let own = || {
+            let own = current().id();
+            job(|| {
+                barrier.wait();
+                let (first, second) = both(|| current().id(), || current().id());
+                assert_eq!([first, second], [own; 2]);
+                barrier.wait();
+            });
+        };
+        pool.install(|| rayon::join(own, own));
+        // The count goes down again, also if a job panics.
+        let panics = || pool.install(|| job(|| panic!("on purpose")));
+        assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(panics)).is_err());
+        let (first, second) = pool.install(|| job(|| both(half, half)));
+        assert_ne!(first, second);
+        // Without a pool there is nobody else.
+        assert_eq!(both(|| current().id(), || current().id()), (current().id(), current().id()));
+    }
+}
