@@ -10,8 +10,9 @@ target=target/coverage
 export CARGO_INCREMENTAL=0 CARGO_PROFILE_DEV_DEBUG=line-tables-only
 export RUSTFLAGS="-C instrument-coverage" LLVM_PROFILE_FILE="$PWD/$target/profiles/%m-%p.profraw"
 rm -rf "$target/profiles"
-tests=(--test fuzz --test hostile --test damage --test golden)
-cargo test --locked --target-dir "$target" "${tests[@]}"
+tests=(--test fuzz --test all)
+cargo test --locked --target-dir "$target" --test fuzz
+cargo test --locked --target-dir "$target" --test all -- hostile:: damage:: golden::
 "${tools}llvm-profdata" merge -sparse "$target"/profiles/*.profraw -o "$target/all.profdata"
 mapfile -t programs < <(cargo test --locked --target-dir "$target" "${tests[@]}" --no-run --message-format=json |
     sed -n 's/.*"executable":"\([^"]*\)".*"test":true.*/\1/p; s/.*"test":true.*"executable":"\([^"]*\)".*/\1/p' | sort -u)

@@ -1,12 +1,10 @@
 //! Bounded mode: every point comes back in its place, none farther off than promised.
 
-mod common;
-
-use common::bound::{bounded, keeps_the_bound};
-use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, ply};
-use common::odd::{SCANS, changed_scan, noise};
-use common::scans::{Points, random_points, scans, shuffled, small};
-use common::{File, cases, decode_files, encode_files, first_files, real_folders, section_bytes};
+use crate::common::bound::{bounded, keeps_the_bound};
+use crate::common::formats::{kitti, nuscenes, pcd_extra, pcd_text, ply};
+use crate::common::odd::{SCANS, changed_scan, noise};
+use crate::common::scans::{Points, random_points, scans, shuffled, small};
+use crate::common::{File, cases, decode_files, encode_files, first_files, real_folders, section_bytes};
 use lidarpc::internals::edit::{Named, cut};
 use lidarpc::internals::frame::Intensity;
 use lidarpc::internals::frame::settings::EncoderConfig;

@@ -2,17 +2,14 @@
 
 #![cfg_attr(not(target_os = "linux"), allow(dead_code, unused_imports))] // Some tests take what Linux has.
 
-#[path = "common/program.rs"]
-mod program;
-
 use std::fs;
 use std::io::Write;
 use std::path::Path;
 use std::process::{Command as Process, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::program::{Bench, Files, failure, odd_files, scan};
 use assert_cmd::cargo::cargo_bin;
-use program::{Bench, Files, failure, odd_files, scan};
 use serde_json::Value;
 
 #[test]

@@ -1,14 +1,12 @@
 //! Scans that were corrected for the scanner's motion: found out, coded as they were measured, and given back.
 
-mod common;
-
-use common::bound::{bounded, keeps_the_bound};
-use common::firings::{image, made_up, moved_by_stamps, sorted, stamped};
-use common::formats::{kitti, pcd_stamped, pcd_xyz};
-use common::scans::{Points, compensated, moved, random_points, scans, shuffled, small, unrounded};
-use common::streams::at_level;
-use common::sweeps::{SLOTS, STRAIGHT, TURNING, elevation, street, through_a_map};
-use common::{File, decode_files, encode_files, round_trip, section_bytes};
+use crate::common::bound::{bounded, keeps_the_bound};
+use crate::common::firings::{image, made_up, moved_by_stamps, sorted, stamped};
+use crate::common::formats::{kitti, pcd_stamped, pcd_xyz};
+use crate::common::scans::{Points, compensated, moved, random_points, scans, shuffled, small, unrounded};
+use crate::common::streams::at_level;
+use crate::common::sweeps::{SLOTS, STRAIGHT, TURNING, elevation, street, through_a_map};
+use crate::common::{File, decode_files, encode_files, round_trip, section_bytes};
 use lidarpc::internals::edit::{Named, cut};
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::ground::error::Limits;

@@ -1,13 +1,11 @@
 //! Streams cut and joined: any range of frames, groups of any length, every kind of frame.
 
-mod common;
-
 use std::io::Cursor;
 use std::sync::LazyLock;
 
-use common::formats::{kitti, nuscenes, pcd_extra, pcd_text, ply};
-use common::scans::{moved, random_points, scans, shuffled, small};
-use common::{File, cases, decode_files, encode_files, put_together, take_apart};
+use crate::common::formats::{kitti, nuscenes, pcd_extra, pcd_text, ply};
+use crate::common::scans::{moved, random_points, scans, shuffled, small};
+use crate::common::{File, cases, decode_files, encode_files, put_together, take_apart};
 use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::internals::backend;
 use lidarpc::internals::edit::{Cut, Joined, Named, cat, cut, cut_indexed};

@@ -1,15 +1,13 @@
 //! Damaged streams: no damage goes unseen, and what is intact can be had.
 
-mod common;
-
 use std::collections::BTreeSet;
 use std::io::Cursor;
 use std::ops::Range;
 
-use common::formats::{kitti, pcd_extra};
-use common::scans::{Random, compensated, random_points, scans, small};
-use common::streams::at_level;
-use common::{File, decode_files, encode_files, put_together, section_bytes, take_apart};
+use crate::common::formats::{kitti, pcd_extra};
+use crate::common::scans::{Random, compensated, random_points, scans, small};
+use crate::common::streams::at_level;
+use crate::common::{File, decode_files, encode_files, put_together, section_bytes, take_apart};
 use lidarpc::internals::edit::{Named, Recovered, recover, repair};
 use lidarpc::internals::frame::Intensity;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
@@ -347,7 +345,7 @@ fn no_byte_and_no_burst_costs_more_than_the_groups_that_it_hits() {
     damage_drive(20, 1500, 200, 20);
 }
 
-/// The same at length: `cargo test --release --test damage -- --ignored`, some minutes.
+/// The same at length: `cargo test --release --test all damage:: -- --ignored`, some minutes.
 #[test]
 #[ignore = "takes minutes"]
 fn no_byte_of_a_long_stream_costs_more_than_its_group() {

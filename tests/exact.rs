@@ -1,12 +1,10 @@
 //! Exact mode: whatever the files hold, they come back byte for byte.
 
-mod common;
-
-use common::formats::{kitti, pcd_extra, pcd_xyz};
-use common::odd::{Change, Format, SCANS, changed_scan, noise};
-use common::scans::{Points, random_points, rows, shuffled};
-use common::streams::{at_level, halved};
-use common::{File, cases, first_files, real_folders, round_trip, section_bytes, take_apart};
+use crate::common::formats::{kitti, pcd_extra, pcd_xyz};
+use crate::common::odd::{Change, Format, SCANS, changed_scan, noise};
+use crate::common::scans::{Points, random_points, rows, shuffled};
+use crate::common::streams::{at_level, halved};
+use crate::common::{File, cases, first_files, real_folders, round_trip, section_bytes, take_apart};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scanner::hdl64::fit;

@@ -1,14 +1,12 @@
 //! Scanners of firings: what the fit finds against what the simulator has, and files in firing order on the full path.
 
-mod common;
-
 use std::f64::consts::TAU;
 
-use common::firings::{image, made_up, ouster, points, taking_turns, timed, vlp_32c, with_echoes};
-use common::formats::kitti;
-use common::scans::Points;
-use common::streams::at_level;
-use common::{File, round_trip, take_apart};
+use crate::common::firings::{image, made_up, ouster, points, taking_turns, timed, vlp_32c, with_echoes};
+use crate::common::formats::kitti;
+use crate::common::scans::Points;
+use crate::common::streams::at_level;
+use crate::common::{self, File, round_trip, take_apart};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scan::ScanFile;

@@ -3,22 +3,22 @@
 //!
 //! Each `testdata/golden/*.lpc` has a list beside it, `*.txt`, of the files that it decodes to: a
 //! line `name size crc32c` each. After a change of what the encoder makes of them, they are written anew by
-//! `cargo test --test golden -- --ignored write_golden`. Until the format is released they may be; after that,
+//! `cargo test --test all -- --ignored write_golden`. Until the format is released they may be; after that,
 //! the old ones stay, under other names.
-
-mod common;
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 
-use common::formats::{
+use crate::common::formats::{
     columns, csv, kitti, las, npy, npy_doubles, nuscenes, pcd_extra, pcd_text, pcd_velodyne, pcd_xyz, ply,
     ply_big_endian, ply_text,
 };
-use common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
-use common::streams::{KNOWN, at_level, halved, moved_through_a_map, with_back_end};
-use common::{File, decode_files, encode_files, in_package, put_together, round_trip, take_apart};
+use crate::common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
+use crate::common::streams::{KNOWN, at_level, halved, moved_through_a_map, with_back_end};
+use crate::common::{
+    self, File, decode_files, encode_files, in_package, put_together, round_trip, take_apart,
+};
 use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::internals::backend::{BACKENDS, LZMA};
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};

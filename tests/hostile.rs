@@ -1,12 +1,10 @@
 //! Streams whose checksums are right and whose contents are not: an error or a result, never a
 //! panic, an endless loop, or more memory than the limits allow.
 
-mod common;
-
-use common::formats::{kitti, pcd_text};
-use common::scans::Random;
-use common::streams::{Parts, STREAMS, at_level};
-use common::{cases, decode_files, decode_within, encode_files, put_together, take_apart};
+use crate::common::formats::{kitti, pcd_text};
+use crate::common::scans::Random;
+use crate::common::streams::{Parts, STREAMS, at_level};
+use crate::common::{cases, decode_files, decode_within, encode_files, put_together, take_apart};
 use lidarpc::internals::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
 use lidarpc::internals::frame::parameters::RangeCoder;
 use lidarpc::internals::frame::{FrameParameters, Modelling};

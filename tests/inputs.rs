@@ -2,16 +2,13 @@
 
 #![cfg_attr(not(target_os = "linux"), allow(dead_code, unused_imports))] // Some tests take what Linux has.
 
-#[path = "common/program.rs"]
-mod program;
-
 use std::fs;
 use std::process::{Command as Process, Stdio};
 
+use crate::program::{Bench, Files, odd_files, scan};
 use assert_cmd::cargo::cargo_bin;
 use lidarpc::internals::files::parse;
 use lidarpc::internals::scan::{LzfDialect, Wrapping};
-use program::{Bench, Files, odd_files, scan};
 use serde_json::Value;
 
 /// Records of so many float32, as of a scanner that turns.

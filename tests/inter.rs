@@ -1,13 +1,11 @@
 //! P frames: frames predicted from the one before.
 
-mod common;
-
 use std::sync::LazyLock;
 
-use common::formats::kitti;
-use common::scans::{random_points, scans};
-use common::streams::at_level;
-use common::{File, decode_files, encode_files, put_together, round_trip, take_apart};
+use crate::common::formats::kitti;
+use crate::common::scans::{random_points, scans};
+use crate::common::streams::at_level;
+use crate::common::{File, decode_files, encode_files, put_together, round_trip, take_apart};
 use lidarpc::internals::backend::BACKENDS;
 use lidarpc::internals::frame::settings::{
     Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind,

@@ -2,8 +2,6 @@
 //! leaves besides is gone after the next run.
 #![cfg(unix)]
 
-mod common;
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -11,8 +9,8 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use crate::common::in_package;
 use assert_cmd::cargo::cargo_bin;
-use common::in_package;
 use tempfile::TempDir;
 
 /// Runs the program in `folder`, and ends it after a while by a signal, if any.

@@ -1,15 +1,13 @@
 //! Frames from a pipe: coded and written as they come, from any tar archive or behind lines.
 
-mod common;
-
 use std::fs;
 use std::io::{Read, Write};
 use std::process::{Child, Command, Stdio};
 
+use crate::common::formats::kitti;
+use crate::common::scans::{scans, small};
+use crate::common::{File, decode_files};
 use assert_cmd::cargo::cargo_bin;
-use common::formats::kitti;
-use common::scans::{scans, small};
-use common::{File, decode_files};
 use lidarpc::internals::files::ArrivingFrames;
 use lidarpc::internals::ground::error::Limits;
 use lidarpc::internals::stream::container::{Record, StreamReader};

@@ -1,13 +1,11 @@
 //! The article's codec, and its parts in exact mode.
 
-mod common;
-
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
-use common::formats::{kitti, pcd_extra, pcd_text, ply};
-use common::scans::{Points, random_points, scans, small};
-use common::{
+use crate::common::formats::{kitti, pcd_extra, pcd_text, ply};
+use crate::common::scans::{Points, random_points, scans, small};
+use crate::common::{
     File, cases, decode_files, encode_files, first_files, real_folders, round_trip, section_bytes, take_apart,
 };
 use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};

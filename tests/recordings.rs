@@ -1,11 +1,9 @@
 //! Recordings: packed and unpacked, every message, channel and attachment is as it was.
 
-mod common;
-
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
-use common::scans::{Points, scans};
+use crate::common::scans::{Points, scans};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 use lidarpc::recordings::{Clouds, Copied, TopicFilter, pack, unpack};
 use lidarpc::{Decoder, Encoder, Settings};

@@ -1,8 +1,6 @@
 //! The scanner's motion, where it is known.
 
-mod common;
-
-use common::scans::small;
+use crate::common::scans::small;
 use lidarpc::internals::files::parse;
 use lidarpc::internals::inter::registration::{
     Pose, Registration, RegistrationConfig, RegistrationMethod, RigidMotion, Surface, register,

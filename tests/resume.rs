@@ -1,15 +1,13 @@
 //! An encode that was interrupted goes on to the same stream, or says why it cannot; it never makes another.
 
-mod common;
-
 use std::fs::{self, File};
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use common::formats::kitti;
-use common::scans::{random_points, scans, small};
-use common::streams::with_back_end;
-use common::{File as Scan, encode_files, put_together, take_apart};
+use crate::common::formats::kitti;
+use crate::common::scans::{random_points, scans, small};
+use crate::common::streams::with_back_end;
+use crate::common::{File as Scan, encode_files, put_together, take_apart};
 use lidarpc::internals::backend;
 use lidarpc::internals::edit::{PartialFiles, encode_resuming};
 use lidarpc::internals::frame::settings::{EncoderConfig, Mode};

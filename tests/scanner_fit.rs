@@ -1,10 +1,11 @@
 //! The fit of an HDL-64E: its constants against the simulator's, and which share of the points it explains, whatever the
 //! sample.
 
-mod common;
-
-use common::formats::kitti;
-use common::scans::{Points, moved, random_points, rows, scans, shuffled, single_precision, unrounded};
+use crate::common;
+use crate::common::formats::kitti;
+use crate::common::scans::{
+    Points, moved, random_points, rows, scans, shuffled, single_precision, unrounded,
+};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::scan::ScanFile;
 use lidarpc::internals::scanner::hdl64::fit;

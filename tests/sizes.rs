@@ -1,17 +1,15 @@
 //! What streams take, and which family of scanners explains the scans: held by a table, `testdata/sizes.txt`, which is
-//! changed on purpose by `cargo test --test sizes -- --ignored write_sizes`.
+//! changed on purpose by `cargo test --test all -- --ignored write_sizes`.
 //!
 //! A line is: name, level, family of the scanner or `-`, bytes of the stream. Names that begin with `real/` are the first
 //! file of a folder of real scans, which are not part of the package; without them their lines are not looked at.
 
-mod common;
-
 use std::collections::BTreeMap;
 use std::fs;
 
-use common::formats::{kitti, pcd_velodyne};
-use common::streams::at_level;
-use common::{File, encode_files, first_files, in_package, real_folders, take_apart};
+use crate::common::formats::{kitti, pcd_velodyne};
+use crate::common::streams::at_level;
+use crate::common::{File, encode_files, first_files, in_package, real_folders, take_apart};
 use lidarpc::internals::scanner::Scanner;
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, drive};
 

@@ -1,13 +1,10 @@
 //! Trees of drives, the files beside the scans, and times: what comes back of a folder as people have it.
 
-#[path = "common/program.rs"]
-mod program;
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use program::{Bench, scan};
+use crate::program::{Bench, scan};
 
 /// Everything below a folder: files with their bytes, folders with none.
 fn tree(folder: &Path) -> BTreeMap<String, Option<Vec<u8>>> {
