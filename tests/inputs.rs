@@ -569,9 +569,26 @@ fn scans_that_claim_or_unfold_to_much_come_back_in_bounded_memory() {
     assert!(bench.files("back") == bombs);
 }
 
-/// Of address space, of which threads and the allocator take several hundred without using them.
+/// Of address space, part of which threads and the allocator take without using it.
 #[cfg(target_os = "linux")]
 const MEBIBYTES: u64 = 1200;
+
+#[test]
+#[cfg(target_os = "linux")]
+fn to_verify_takes_no_more_memory_than_to_decode() {
+    let bench = Bench::new();
+    bench.ok("synth -o seq --scanner vlp16 --frames 8");
+    bench.ok("encode seq -o out.lpc --level 9 --gop 1");
+    for threads in [1, 2, 16] {
+        let succeeds = |mebibytes, command: &str| {
+            let run = bench.within_memory(mebibytes, &format!("{command} --quiet --threads {threads}"));
+            run.get_output().status.success()
+        };
+        let mebibytes =
+            (32..MEBIBYTES).step_by(16).find(|&most| succeeds(most, "decode out.lpc -o back --force"));
+        assert!(succeeds(mebibytes.unwrap(), "verify out.lpc"), "{threads} threads, {mebibytes:?} MiB");
+    }
+}
 
 #[test]
 #[cfg(target_os = "linux")]

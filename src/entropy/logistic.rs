@@ -12,7 +12,7 @@ const SQUASH_STEPS: usize = 8192;
 /// The log odds of the table's last step.
 const MOST_ODDS: f32 = 16.0 - 1.0 / SQUASH_FINENESS;
 const STRETCH_STEPS: usize = 4096;
-const LN_STEPS: usize = 1024;
+const BEND_STEPS: usize = 1024;
 
 /// The functions of logistic mixing, as tables.
 #[derive(Clone)]
@@ -21,8 +21,9 @@ pub struct Logistic {
     squash: [u16; SQUASH_STEPS],
     /// Log odds at the centres of equal steps of probability.
     stretch: [f32; STRETCH_STEPS],
-    /// ln of values from 1 to 2.
-    ln: [f32; LN_STEPS],
+    /// By how much ln is above its chord between powers of two, in equal steps from one to the next. A number's bits,
+    /// exponent and mantissa as one integer, are on that chord.
+    bend: [f32; BEND_STEPS],
     /// For each count of a [`Counter`], how far its probability can be trusted.
     belief: [f32; COUNT_LIMIT as usize + 1],
 }
@@ -44,10 +45,14 @@ impl Logistic {
             let p = (i as f64 + 0.5) / STRETCH_STEPS as f64;
             libm::log(p / (1.0 - p)) as f32
         };
+        let bend = |i: usize| {
+            let part = (i as f64 + 0.5) / BEND_STEPS as f64;
+            (libm::log(1.0 + part) - part * std::f64::consts::LN_2) as f32
+        };
         Logistic {
             squash: std::array::from_fn(squash),
             stretch: std::array::from_fn(stretch),
-            ln: std::array::from_fn(|i| libm::log(1.0 + (i as f64 + 0.5) / LN_STEPS as f64) as f32),
+            bend: std::array::from_fn(bend),
             belief: std::array::from_fn(|n| (n as f64 / (n as f64 + 1.5)) as f32),
         }
     }
@@ -61,13 +66,16 @@ impl Logistic {
         u32::from(self.squash[place.to_bits() as usize % SQUASH_STEPS])
     }
 
-    /// ln of a positive integer, to within about a thousandth.
-    #[inline]
-    pub fn ln(&self, value: u64) -> f32 {
-        let octave = value.leading_zeros();
-        // The bits below the highest.
-        let index = (value << octave << 1) >> (64 - LN_STEPS.ilog2());
-        (63 - octave as i32) as f32 * std::f32::consts::LN_2 + self.ln[index as usize & (LN_STEPS - 1)]
+    /// The log odds of a 1, to within a thousandth, where the probabilities of a 1 and of a 0 are in the ratio of
+    /// these two, which are positive.
+    #[inline(always)]
+    pub fn odds(&self, one: f32, zero: f32) -> f32 {
+        const MANTISSA_BITS: u32 = f32::MANTISSA_DIGITS - 1;
+        const UNIT: f32 = std::f32::consts::LN_2 / (1u32 << MANTISSA_BITS) as f32;
+        let [one, zero] = [one, zero].map(f32::to_bits);
+        let bend =
+            |bits: u32| self.bend[(bits >> (MANTISSA_BITS - BEND_STEPS.ilog2())) as usize % BEND_STEPS];
+        (one as i32).wrapping_sub(zero as i32) as f32 * UNIT + (bend(one) - bend(zero))
     }
 
     /// The log odds of a 1 by this counter, closer to 0 the fewer bits it has seen.
@@ -270,9 +278,12 @@ mod tests {
     }
 
     #[test]
-    fn ln_is_right() {
-        for value in [1, 2, 3, 1000, 123_456_789, u64::MAX] {
-            assert!((Logistic::tables().ln(value) - (value as f32).ln()).abs() < 1e-3, "{value}");
+    fn odds_are_those_of_the_ratio() {
+        for one in [1e-9f32, 0.3, 1.0, 1.5, 2.0, 123_456_789.0] {
+            for zero in [1e-7f32, 0.7, 2.0, 1e4] {
+                let odds = Logistic::tables().odds(one, zero);
+                assert!((odds - (one / zero).ln()).abs() < 1e-3, "{one} to {zero}");
+            }
         }
     }
 

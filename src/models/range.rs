@@ -82,7 +82,7 @@ pub struct RangeModel {
     bits: RangeBits,
     fits: Vec<LeastSquares<FEATURES>>,
     residuals: Residuals,
-    mixture: Mixture<PREDICTORS>,
+    mixture: Mixture<PREDICTORS, 1>,
     /// The same for cells with a reference, once there was a reference.
     with_reference: Option<Box<WithReference>>,
     /// The deep model, which replaces all this [once it is chosen](Self::go_deep).
@@ -94,7 +94,7 @@ pub struct RangeModel {
 #[derive(Clone)]
 struct WithReference {
     fits: Vec<LeastSquares<ALL_FEATURES>>,
-    mixture: Mixture<ALL_PREDICTORS>,
+    mixture: Mixture<ALL_PREDICTORS, 1>,
     counters: [Vec<Counter>; REFERENCE_VIEWS],
 }
 
@@ -108,7 +108,7 @@ impl Default for RangeModel {
             bits: MixedBits::new(sizes, sets * (1 + REFERENCE_LEVELS), 0.0, 1.0, 0.004),
             fits: vec![LeastSquares::new(0.998); EDGES],
             residuals: Residuals::default(),
-            mixture: Mixture::new(RATES, (0..CONTEXTS).map(first_scale)),
+            mixture: Mixture::new(RATES, [CONTEXTS], first_scale),
             with_reference: None,
             deep: None,
         }
@@ -116,7 +116,7 @@ impl Default for RangeModel {
 }
 
 /// The initial scale, in steps, of a context, which is a class of errors.
-fn first_scale(context: usize) -> f64 {
+fn first_scale(context: usize) -> f32 {
     (2..context % ERROR_LEVELS).fold(3.0, |scale, _| scale * 1.6)
 }
 
@@ -237,7 +237,7 @@ impl RangeModel {
             range_bits,
             bins,
             mixture: &self.mixture,
-            predicted: self.mixture.place(&self.shape, values, site.context),
+            predicted: self.mixture.place(&self.shape, values, [site.context]),
             bits: &mut self.bits,
             first_set: site.error_level,
             views: site.views_from(base),
@@ -245,11 +245,12 @@ impl RangeModel {
             reference_views: [],
             bin: bins.of(range),
             interval: Interval::whole(bins.all(range_bits)),
+            odds: 0.0,
         };
         halving.code();
         let Halving { predicted, interval, .. } = halving;
         let range = bins.middle(interval.low, range_bits);
-        self.mixture.learn(&predicted, &interval, range as f64);
+        self.mixture.learn(&predicted, &interval, range as f32);
         site.learn(fits, &site.features, fit, range as f64);
         Coded { range, fit, hinted, base }
     }
@@ -275,7 +276,7 @@ impl WithReference {
         let hinted = (fit + hint).clamp(-FIT_REACH, FIT_REACH);
         let mut values = [0.0; ALL_PREDICTORS];
         values[..PREDICTORS].copy_from_slice(&site.predictions(hinted));
-        values[PREDICTORS..].copy_from_slice(&[back.same, back.moved]);
+        values[PREDICTORS..].copy_from_slice(&[back.same as f32, back.moved as f32]);
         let base = site.base(hinted, range_bits);
         let bins = Bins::around(base, bin);
         let [same, moved] = [back.same, back.moved].map(|range| range - base as f64);
@@ -287,7 +288,7 @@ impl WithReference {
             range_bits,
             bins,
             mixture: &self.mixture,
-            predicted: self.mixture.place(shape, values, context),
+            predicted: self.mixture.place(shape, values, [context]),
             bits,
             first_set: (1 + back.level) * NODES * ERROR_LEVELS + site.error_level,
             views: site.views_from(base),
@@ -298,11 +299,12 @@ impl WithReference {
             ],
             bin: bins.of(range),
             interval: Interval::whole(bins.all(range_bits)),
+            odds: 0.0,
         };
         halving.code();
         let Halving { predicted, interval, .. } = halving;
         let range = bins.middle(interval.low, range_bits);
-        self.mixture.learn(&predicted, &interval, range as f64);
+        self.mixture.learn(&predicted, &interval, range as f32);
         site.learn(fits, &features, fit, range as f64);
         Coded { range, fit, hinted, base }
     }

@@ -79,12 +79,14 @@ impl Bench {
         shell
     }
 
-    /// Runs it by a shell, in an address space of so many mebibytes.
+    /// Runs it by a shell, in an address space of so many mebibytes. All threads allocate from one arena, for each takes
+    /// 64 MiB of addresses, used or not.
     #[cfg(target_os = "linux")]
     pub fn within_memory(&self, mebibytes: u64, args: &str) -> assert_cmd::assert::Assert {
         let script =
             format!("ulimit -v {}; exec '{}' {args}", mebibytes * 1024, cargo_bin!("lidarpc").display());
-        Command::new("sh").args(["-c", &script]).current_dir(self.0.path()).assert()
+        let mut shell = Command::new("sh");
+        shell.args(["-c", &script]).env("MALLOC_ARENA_MAX", "1").current_dir(self.0.path()).assert()
     }
 
     /// Runs it, which must succeed; returns what it says on stderr.

@@ -3,6 +3,7 @@
 from array import array
 from math import exp, log, sqrt
 from operator import add, itemgetter, mul
+from struct import pack, unpack
 
 M32 = 0xFFFFFFFF
 
@@ -51,11 +52,10 @@ def _stretch(i):
 
 SQUASH = [_squash(i) for i in range(8192)]
 STRETCH = floats(_stretch(i) for i in range(4096)).tolist()
-LN = floats(log(1 + (i + 0.5) / 1024) for i in range(1024)).tolist()
+BEND = floats(log(1 + (i + 0.5) / 1024) - (i + 0.5) / 1024 * log(2) for i in range(1024)).tolist()
 BELIEF = floats(i / (i + 1.5) for i in range(256)).tolist()
 RATES = [16384 // (2 * i + 3) for i in range(256)]
-LN2 = f32(0.6931471805599453)
-LN2_TIMES = floats(i * LN2 for i in range(64)).tolist()
+CHORD = f32(0.6931471805599453) / (1 << 23)
 
 
 def squash(odds):
@@ -64,11 +64,10 @@ def squash(odds):
     return SQUASH[0 if i < 0 else 8191 if i > 8191 else i]
 
 
-def ln(v):
-    top = v.bit_length() - 1
-    ten = v >> (top - 10) if top >= 10 else v << (10 - top)
-    _CELL[0] = LN2_TIMES[top] + LN[ten & 1023]
-    return _CELL[0]
+def odds_of(one, zero):
+    """The log odds of two f32 in this ratio."""
+    a, b = unpack("<2i", pack("<2f", one, zero))
+    return f32(f32(f32(a - b) * CHORD) + f32(BEND[a >> 13 & 1023] - BEND[b >> 13 & 1023]))
 
 
 # 6.2 Counter
@@ -106,6 +105,15 @@ def dot(a, b):
     _CELL[0] = p[2] + p[3]
     _CELL[0] = x + _CELL[0]
     return _CELL[0]
+
+
+def dot_from(start, a, b):
+    """`start` and the products, summed in four lanes."""
+    p = array("f", map(mul, a, b))
+    lanes = array("f", [start, 0.0, 0.0, 0.0])
+    for k, x in enumerate(p):
+        lanes[k % 4] += x
+    return f32(f32(lanes[0] + lanes[1]) + f32(lanes[2] + lanes[3]))
 
 
 def rates_of(rate):
@@ -486,12 +494,14 @@ def signed_level(d):
 # 8.6 ErrorShape
 
 TAU = float.fromhex("0x1.921fb54442d18p+2")
-PLACES = float.fromhex("0x1.5c264affd84dep+21")
 
 
 def _shape():
+    def deviations(i):
+        return ((i + 0.5) / 2048 * 2 - 1) * 40
+
     def density(i):
-        z = ((i + 0.5) / 2048 * 2 - 1) * 40
+        z = deviations(i)
         core = exp(-z * z / 2) / sqrt(TAU)
         t = z / 3
         tail = 1 / ((2 + t * t) * sqrt(2 + t * t)) / 3
@@ -501,33 +511,41 @@ def _shape():
     total = 0.0
     for d in densities:
         total += d
-    below = []
+    magnitude = 0.0
+    for i, d in enumerate(densities):
+        magnitude += d / total * abs(deviations(i))
+    below = floats([])
     run = 0.0
     for d in densities:
-        below.append(int(run / total * (1 << 30)))
+        below.append(run / total)
         run += d
-    return below + [1 << 30, 1 << 30]
+    return below.tolist(), floats(d / total for d in densities).tolist(), f32(2048 / 80 * magnitude)
 
 
-BELOW = _shape()
-DIFFERENCE = [b - a for a, b in zip(BELOW, BELOW[1:])] + [0]
+BELOW, STEP, FINENESS = _shape()
 
 
 class ErrorShape:
     @staticmethod
     def place(prediction, scale):
-        slope = int(PLACES / scale)
-        return (1 << 26) - to_int(prediction * float(slope)), slope
+        """Both f32."""
+        return prediction, f32(FINENESS / scale)
 
     @staticmethod
     def below(placed, value):
-        at = placed[0] + value * placed[1]
-        if at < 0:
-            at = 0
-        elif at > 0x8000000:
-            at = 0x8000000
-        i = at >> 16
-        return BELOW[i] + (DIFFERENCE[i] * (at & 65535) >> 16)
+        cell = _CELL
+        cell[0] = value - placed[0]
+        cell[0] *= placed[1]
+        cell[0] += 1024
+        at = cell[0]
+        at = 1.0 if at < 1 else 2047.0 if at > 2047 else at
+        cell[0] = at + 8388607.5
+        floor = cell[0] - 8388608
+        i = int(floor)
+        cell[0] = at - floor
+        cell[0] *= STEP[i]
+        cell[0] += BELOW[i]
+        return cell[0]
 
 
 class Residuals:

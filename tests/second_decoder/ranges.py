@@ -1,8 +1,6 @@
 """Section 8.6 of FORMAT.md: ranges by the arithmetic coder, as `mixed` and `deep` have them."""
 
 from models import (
-    BELOW,
-    DIFFERENCE,
     ErrorShape,
     LayeredBits,
     LeastSquares,
@@ -10,25 +8,32 @@ from models import (
     MixedBits,
     Residuals,
     clamp,
+    dot_from,
     f32,
     floats,
     ilog2,
-    ln,
     new_counters,
+    odds_of,
     signed_level,
     squash,
 )
 from sections import first_of
 
-ONE = 1 << 30
+EVEN = 1 / 256
+LEAST = 1 / (1 << 26)
+TINY = f32(1e-9)
+RATES = f32(0.02), f32(0.03)
+ALWAYS = f32(0.1)
+LEAST_WEIGHT = f32(0.001)
+EARLY = f32(0.3)
 
 
-def start_scales(surprise_at, n, e):
+def start_scales(n, e):
     s = 3.0
     for _ in range(e - 2):
-        s *= 1.6
-    scales = [s] * n
-    scales[surprise_at] = 500.0
+        s = f32(s * f32(1.6))
+    scales = floats([s] * n)
+    scales[4] = 500.0
     return scales
 
 
@@ -51,70 +56,66 @@ class Bins:
         return clamp(self.origin + i * self.width + self.width // 2, 1, self.end - 1)
 
 
-class Mixture:
-    """Weights and scales of contexts of predictors; 4 is the one for surprises."""
+class Scales:
+    """The scales of predictors in contexts; 4 is the one for surprises."""
+
+    def __init__(self, contexts, n):
+        self.n = n
+        self.scales = [None] * contexts
+
+    def of(self, context):
+        if self.scales[context] is None:
+            self.scales[context] = start_scales(self.n, context % 12)
+        return self.scales[context]
+
+    def learn(self, context, rate, range_, predictions, resp):
+        scales = self.of(context)
+        for k, (prediction, r) in enumerate(zip(predictions, resp)):
+            error = abs(f32(range_ - prediction))
+            most, least, always = (4000.0, 100.0, 0.0) if k == 4 else (400.0, 1.5, ALWAYS)
+            by = f32(f32(rate * f32(r + always)) * f32(min(error, most) - scales[k]))
+            scales[k] = max(f32(scales[k] + by), least)
+
+
+class Weights:
+    """A set of weights of predictors in contexts."""
 
     def __init__(self, contexts, n):
         self.n = n
         self.weights = [None] * contexts
-        self.shares = [None] * contexts
-        self.scales = [None] * contexts
         self.counts = [0] * contexts
 
-    def start(self, context):
+    def of(self, context):
         if self.weights[context] is None:
-            self.weights[context] = [1 / self.n] * self.n
-            self.shares[context] = [int(1 / self.n * 65536)] * self.n
-            self.scales[context] = start_scales(4, self.n, context % 12)
+            self.weights[context] = floats([f32(1 / self.n)] * self.n)
+        return self.weights[context]
 
-    def copy(self, to, source):
-        for part in (self.weights, self.shares, self.scales):
-            part[to] = None if part[source] is None else part[source][:]
-        self.counts[to] = self.counts[source]
+    def early(self, context):
+        return f32(EARLY / f32(self.counts[context] + 1.5))
 
-    def learn(self, context, range_, predictions, low, high, is_deep):
-        """`low`, `high`: the probabilities of the predictors at the ends."""
-        likelihood = [max(h - l, 0) / 1073741824.0 for l, h in zip(low, high)]
-        w = self.weights[context]
-        scales = self.scales[context]
-        total = 0.0
-        for a, b in zip(w, likelihood):
-            total += a * b
-        total += 1e-9
-        rate = scale_rate = 0.02
-        if is_deep:
-            n = self.counts[context]
-            self.counts[context] = min(n + 1, 1000)
-            early = 0.3 / (n + 1.5)
-            rate = max(0.03, early)
-            scale_rate = max(0.02, early)
-            kept = 1 - rate
-        else:
-            kept = 0.98
-        sum_ = 0.0
-        new = []
-        for k, weight in enumerate(w):
-            merit = (likelihood[k] + 1e-9) / total
-            v = max(weight * (kept + rate * merit), 0.001)
-            sum_ += v
-            error = abs(range_ - predictions[k])
-            s = scales[k]
-            resp = min(v * merit, 1.0)
-            if k == 4:
-                s += scale_rate * resp * (min(error, 4000.0) - s)
-                scales[k] = s if s > 100.0 else 100.0
-            else:
-                s += scale_rate * (resp + 0.1) * (min(error, 400.0) - s)
-                scales[k] = s if s > 1.5 else 1.5
-            new.append(v)
-        share = 1 / sum_
-        new = [v * share for v in new]
-        self.weights[context] = new
-        self.shares[context] = [int(v * 65536) for v in new]
+    def learn(self, context, rate, likelihood):
+        """Returns how responsible each predictor is."""
+        self.counts[context] = min(self.counts[context] + 1, 1000)
+        w = self.of(context)
+        most = f32(1 / dot_from(TINY, w, likelihood))
+        kept = f32(1 - rate)
+        resp = []
+        for k, p in enumerate(likelihood):
+            merit = f32(f32(p + TINY) * most)
+            w[k] = max(f32(w[k] * f32(kept + f32(rate * merit))), LEAST_WEIGHT)
+            resp.append(min(f32(w[k] * merit), 1.0))
+        even_out = f32(1 / dot_from(0.0, w, [1.0] * self.n))
+        for k, x in enumerate(w):
+            w[k] = x * even_out
+        return resp
+
+
+def likelihood_of(low, high):
+    return floats([max(f32(h - l), 0.0) for l, h in zip(low, high)])
 
 
 def first_bucket(scale):
-    n = int(scale * 0.84853)
+    n = int(f32(scale * f32(0.84853)))
     return 1 << ilog2(n) if n else 1
 
 
@@ -137,45 +138,29 @@ def pair(a, b):
 class Coding:
     """The halvings of one range."""
 
-    def __init__(self, bits, bins, range_bits, mixtures):
-        """`mixtures`: pairs of placed predictors and their shares."""
+    def __init__(self, bits, bins, range_bits, placed, sets):
+        """`placed`: the predictors; `sets`: the sets of their weights."""
         self.bits = bits
         self.bins = bins
-        self.shift = 38 - range_bits
-        self.mixtures = mixtures
+        self.even = EVEN / (1 << range_bits)
+        self.placed = placed
+        self.sets = sets
         self.low = bins.bin(1)
         self.high = bins.bin((1 << range_bits) - 1) + 1
-        self.at_low = [([0] * len(shares), 0) for _, shares in mixtures]
-        self.at_high = [([ONE] * len(shares), (1 << 46) + (1 << 38)) for _, shares in mixtures]
+        self.at_low = [0.0] * len(placed), [0.0] * len(sets)
+        self.at_high = [1.0] * len(placed), [1 + EVEN] * len(sets)
 
     def below(self, i):
         bins = self.bins
         value = bins.origin + i * bins.width
         value = 1 if value < 1 else bins.end if value > bins.end else value
-        plain = value << self.shift
-        found = []
-        for placed, shares in self.mixtures:
-            mixed = plain
-            each = []
-            for (origin, slope), share in zip(placed, shares):
-                at = origin + value * slope
-                if at <= 0:
-                    each.append(0)
-                elif at >= 0x8000000:
-                    each.append(ONE)
-                    mixed += share << 30
-                else:
-                    k = at >> 16
-                    b = BELOW[k] + (DIFFERENCE[k] * (at & 65535) >> 16)
-                    each.append(b)
-                    mixed += share * b
-            found.append((each, mixed))
-        return found
+        each = floats([ErrorShape.below(placed, value) for placed in self.placed])
+        return each, [dot_from(self.even * value, weights, each) for weights in self.sets]
 
     def odds(self, at):
         return [
-            f32(ln(max(h[1] - a[1], 0) | 1) - ln(max(a[1] - l[1], 0) | 1))
-            for l, a, h in zip(self.at_low, at, self.at_high)
+            odds_of(max(f32(h - a), LEAST), max(f32(a - l), LEAST))
+            for l, a, h in zip(self.at_low[1], at[1], self.at_high[1])
         ]
 
     def run(self, code, fine, corrected):
@@ -353,7 +338,7 @@ class Mixed(RangeModel):
     def __init__(self):
         super().__init__()
         self.fits = [LeastSquares(8, 0.998) for _ in range(4)]
-        self.mixture = Mixture(144, 5)
+        self.scales, self.weights = Scales(144, 5), Weights(144, 5)
         self.mixed = MixedBits([65536, 65536, 65536, 131072], 6144, 0.0, 1.0, 0.004)
 
     def starts_frame(self, columns):
@@ -361,15 +346,12 @@ class Mixed(RangeModel):
 
     def first_reference(self):
         self.reference_fits = [fits.widened(12) for fits in self.fits]
-        self.with_reference = with_reference = Mixture(1008, 7)
+        self.reference_scales, self.reference_weights = Scales(1008, 7), Weights(1008, 7)
+        share, new = f32(5 / 7), f32(1 / 7)
         for c in range(1008):
-            source = c % 144
-            self.mixture.start(source)
-            weights = [w * (5 / 7) for w in self.mixture.weights[source]] + [1 / 7] * 2
-            with_reference.weights[c] = weights
-            with_reference.shares[c] = [int(w * 65536) for w in weights]
-            scales = self.mixture.scales[source]
-            with_reference.scales[c] = scales + [scales[3]] * 2
+            self.reference_weights.weights[c] = floats([f32(w * share) for w in self.weights.of(c % 144)] + [new] * 2)
+            scales = self.scales.of(c % 144)
+            self.reference_scales.scales[c] = floats(scales.tolist() + [scales[3]] * 2)
         self.first, self.second = new_counters(65536), new_counters(65536)
         self.mixed.spread(768)
 
@@ -382,21 +364,19 @@ class Mixed(RangeModel):
         linear = predicted(fits, features)
         fit = clamp(linear + self.residuals.hint(self.column, self.own, self.iw), -400.0, 400.0)
         base = self.base_of(fit)
-        predictions = [float(west), float(north), float(2 * west - self.west2), west + fit, float(west)]
-        mixture, context, sets = self.mixture, self.context, self.error_level
+        predictions = [float(west), float(north), float(2 * west - self.west2), f32(west + fit), float(west)]
+        scales, weights, context, sets = self.scales, self.weights, self.context, self.error_level
         extra_places = ()
         if seen:
             predictions += [float(self.same), float(self.moved)]
-            mixture = self.with_reference
+            scales, weights = self.reference_scales, self.reference_weights
             context += self.level * 144
             sets += (1 + self.level) * 768
             extra_places = (
                 (signed_level(self.same - base) * 32 + self.level * 4 + self.error_level // 3) * 64,
                 pair(self.same - base, self.moved - base) * 64,
             )
-        mixture.start(context)
-        scales = mixture.scales[context]
-        placed = [ErrorShape.place(p + 0.5, s) for p, s in zip(predictions, scales)]
+        placed = [ErrorShape.place(f32(p + 0.5), s) for p, s in zip(predictions, scales.of(context))]
         views = [v * 64 for v in self.views(base)]
         bits = self.bits
         mixed = self.mixed
@@ -410,9 +390,10 @@ class Mixed(RangeModel):
             return mixed.code(bits, sets + node * 12, [v + node for v in views], odds, extra), odds
 
         bins = Bins(base, self.bin, self.range_bits)
-        coding = Coding(bits, bins, self.range_bits, [(placed, mixture.shares[context])])
-        value = coding.run(code, first_bucket(scales[3] / self.bin), 1)
-        mixture.learn(context, value, predictions, coding.at_low[0][0], coding.at_high[0][0], False)
+        coding = Coding(bits, bins, self.range_bits, placed, [weights.of(context)])
+        value = coding.run(code, first_bucket(f32(scales.of(context)[3] / self.bin)), 1)
+        resp = weights.learn(context, RATES[0], likelihood_of(coding.at_low[0], coding.at_high[0]))
+        scales.learn(context, RATES[0], value, predictions, resp)
         self.learn_fit(fits, features, value, linear)
         self.residuals.learn(self.column, f32(value - self.west - linear))
         self.learnt(value, base, fit)
@@ -426,7 +407,8 @@ class Deep(RangeModel):
         self.recent = [LeastSquares(8, 0.97, 8) for _ in range(4)]
         self.local = []
         self.blend = [LeastSquares(12, 0.998, 8) for _ in range(12)]
-        self.mixtures = [Mixture(n, 8) for n in (1152, 3072, 6240)]
+        self.scales = Scales(6240, 8)
+        self.sets = [Weights(n, 8) for n in (1152, 3072, 6240)]
         self.layered = LayeredBits(
             3, [64 * n for n in (1024, 1024, 1024, 2048, 1024, 1024, 768, 780)], [6144, 4096, 4160], 64, [768, 4096]
         )
@@ -438,9 +420,12 @@ class Deep(RangeModel):
 
     def first_reference(self):
         self.wide[4:] = [fits.copy() for fits in self.wide[:4]]
-        for mixture, n in ((self.mixtures[0], 144), (self.mixtures[2], 12)):
-            for c in range(n, len(mixture.weights)):
-                mixture.copy(c, c % n)
+        for weights, n in ((self.sets[0], 144), (self.sets[2], 12)):
+            for c in range(n, len(weights.weights)):
+                weights.weights[c] = weights.of(c % n)[:]
+                weights.counts[c] = weights.counts[c % n]
+        for c in range(12, 6240):
+            self.scales.scales[c] = self.scales.of(c % 12)[:]
         self.layered.mixer.spread(0, 768)
         self.layered.mixer.spread(2, 64)
 
@@ -525,6 +510,7 @@ class Deep(RangeModel):
         line = min(row, 63)
         both = change(own, iw) * 8 + change(own, in_)
         predictions = [float(2 * west - west2), west + r, west + l, west + b, float(west)] + last_three
+        predictions = floats(predictions).tolist()
         contexts = (
             kind * 144 + self.context,
             (both * 4 + min(own // 8, 3)) * 12 + error_level,
@@ -537,11 +523,9 @@ class Deep(RangeModel):
             known * 12 + error_level,
         ]
         views = [v * 64 for v in views]
-        placed = []
-        for mixture, context in zip(self.mixtures, contexts):
-            mixture.start(context)
-            places = [ErrorShape.place(p + 0.5, s) for p, s in zip(predictions, mixture.scales[context])]
-            placed.append((places, mixture.shares[context]))
+        scales = self.scales.of(contexts[2])
+        placed = [ErrorShape.place(f32(p + 0.5), s) for p, s in zip(predictions, scales)]
+        weights = [weights.of(context) for weights, context in zip(self.sets, contexts)]
         third = f32(1 / 3)
         bits = self.bits
         layered = self.layered
@@ -561,11 +545,13 @@ class Deep(RangeModel):
             return bit, mean
 
         bins = Bins(base, self.bin, self.range_bits)
-        coding = Coding(bits, bins, self.range_bits, placed)
-        fine = first_bucket(self.mixtures[0].scales[contexts[0]][3] / self.bin)
-        value = coding.run(code, fine, 2)
-        for k, (mixture, context) in enumerate(zip(self.mixtures, contexts)):
-            mixture.learn(context, value, predictions, coding.at_low[k][0], coding.at_high[k][0], True)
+        coding = Coding(bits, bins, self.range_bits, placed, weights)
+        value = coding.run(code, first_bucket(f32(scales[3] / self.bin)), 2)
+        likelihood = likelihood_of(coding.at_low[0], coding.at_high[0])
+        scale_rate = max(RATES[0], self.sets[2].early(contexts[2]))
+        for weights, context in zip(self.sets, contexts):
+            resp = weights.learn(context, max(RATES[1], weights.early(context)), likelihood)
+        self.scales.learn(contexts[2], scale_rate, value, predictions, resp)
         self.learn_fit(wide, wide_features, value, w)
         self.learn_fit(recent, recent_features, value, r)
         self.learn_fit(local, local_features, value, l)

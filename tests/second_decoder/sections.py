@@ -22,7 +22,7 @@ from models import (
     ilog2,
     learnt,
     learnt_small,
-    ln,
+    odds_of,
     new_counters,
     signed_level,
     squash,
@@ -470,6 +470,9 @@ class Intensity:
         return node - (1 << levels.bits)
 
 
+LEAST = 1 / (1 << 24)
+
+
 class DeepIntensity:
     """8.5 as `deep` has it."""
 
@@ -481,16 +484,16 @@ class DeepIntensity:
         self.errors = floats([4.0] * 144)
         self.zero = MixedBits([1 << 16] * 8, 128, 0.25, 0.0, 0.002)
         self.b = 8
-        self.hashed = [HashedCounters(8) for _ in range(14)]
-        self.mixer = LayeredMixer([1024, 9216], [0.15] * 16, 0.0045, 0.0005, 18, [512, 144])
+        self.hashed = [HashedCounters(8) for _ in range(10)]
+        self.mixer = LayeredMixer([1024, 9216], [0.15] * 12, 0.0045, 0.0005, 18, [512, 144])
 
     def code(self, bits, scale, image, strays, reference):
         def begin(columns, n):
             self.above = floats([4.0] * columns)
-            b = clamp(ilog2(max(n, 1)), 8, 16)
+            b = clamp(1 + ilog2(max(n, 1)), 8, 17)
             if b > self.b:
                 self.b = b
-                self.hashed = [HashedCounters(b) for _ in range(14)]
+                self.hashed = [HashedCounters(b) for _ in range(10)]
 
         def value(near, begins_row):
             if begins_row:
@@ -558,28 +561,24 @@ class DeepIntensity:
         away = signed_level(int(f32(prediction - base)))
         contexts = (
             west // 2 | (west2 // 2) << 8,
-            r | west << 7,
             west // 2 | (north // 2) << 8,
             m | coarse << 8 | (s // 4) << 16,
-            r | m << 7 | (west // 4) << 15,
             r | (west // 4) << 7 | (west2 // 4) << 15 | (west3 // 4) << 23,
             r | west << 7 | away << 15,
             west | west3 << 8,
-            r | west << 7 | (column // 64) << 15,
             r // 32 | west << 2 | west2 << 10,
             r | (s // 2) << 7 | (m // 2) << 15,
-            r | zeros << 7,
             r // 2 | (west // 2) << 6 | (column // 64) << 14,
             r | (west // 4) << 7 | (column // 32) << 15,
         )
         hashes = [hash_of(v, x) for v, x in enumerate(contexts)]
         n_bits = scale.bits
-        unit = 16 << max(n_bits - 7, 0)
+        unit = 1 << max(n_bits - 7, 0)
         level_of = self.LEVELS.of
         uncertainty = 12 * level_of(f32(self.mean + f32(0.5 * self.above[column]))) + level_of(gradient)
         place_at = f32(f32(prediction - 0.5) * unit)
         placed = ErrorShape.place(place_at, f32(max(self.errors[uncertainty], f32(0.3)) * unit))
-        low, high, low_p, high_p = 0, 1 << n_bits, 0, 1 << 30
+        low, high, low_p, high_p = 0, 1 << n_bits, 0.0, 1.0
         pair = min(max(west - 1, 0) // 4, 31) * 32 + min(max(north - 1, 0) // 4, 31)
         node = 1
         for i in range(n_bits - 1, -1, -1):
@@ -587,10 +586,11 @@ class DeepIntensity:
                 lines = [v.line(hash_below(h, node)) for v, h in zip(self.hashed, hashes)]
                 place = 1
             middle = (low + high) // 2
-            middle_p = ErrorShape.below(placed, middle * 16)
+            middle_p = ErrorShape.below(placed, middle)
             cells = [line[place] for line in lines]
             opinions = [STRETCH[x >> 4] * BELIEF[x & 15] for x in cells]
-            opinions.append(ln(max(high_p - middle_p, 0) + 64) - ln(max(middle_p - low_p, 0) + 64))
+            upper, lower = [f32(max(f32(p), 0.0) + LEAST) for p in (high_p - middle_p, middle_p - low_p)]
+            opinions.append(odds_of(upper, lower))
             opinions.append(0.25)
             bit = self.mixer.code(
                 bits,

@@ -25,10 +25,10 @@ use views::VIEWS;
 use zero::ZeroModel;
 
 /// The opinions of the views, that of the fit, and a constant one.
-const OPINIONS: usize = 16;
+const OPINIONS: usize = 12;
 const CONSTANT: f32 = 0.25;
-/// The lines of 32 bytes for each view, as a power of two: about as many as a frame has values.
-const INDEX_BITS: RangeInclusive<u32> = 8..=16;
+/// The lines of 32 bytes for each view, as a power of two: about twice as many as a frame has values.
+const INDEX_BITS: RangeInclusive<u32> = 8..=17;
 const RATES: MixRates = MixRates { first: 0.0045, last: 0.0005 };
 /// Nodes of the tree of a level's bits.
 const NODES: usize = 1 << MOST_BITS;
@@ -74,7 +74,7 @@ impl DeepLevels {
     /// the present tables, larger ones, which are empty, replace them.
     pub fn start_frame(&mut self, columns: usize, values: usize) {
         self.errors.start_frame(columns);
-        let wanted = values.max(1).ilog2().clamp(*INDEX_BITS.start(), *INDEX_BITS.end());
+        let wanted = (1 + values.max(1).ilog2()).clamp(*INDEX_BITS.start(), *INDEX_BITS.end());
         if wanted > self.counters[0].index_bits() {
             self.counters = std::array::from_fn(|_| HashedCounters::new(wanted));
         }

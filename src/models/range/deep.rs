@@ -1,5 +1,5 @@
 //! The deep model of ranges: more least-squares fits, among them one for each stretch of columns; several
-//! mixtures of the same predictors, each in contexts of its own; and mixing in two layers.
+//! sets of weights for the same predictors, each in contexts of its own; and mixing in two layers.
 //!
 //! Cells with and without a reference are treated alike: what there is of the reference makes contexts.
 
@@ -18,10 +18,10 @@ use halving::DeepHalving;
 use site::SetContexts;
 pub use site::{DeepSite, Referred};
 
-/// Predictors in the mixtures.
+/// Predictors in the mixture.
 const PREDICTORS: usize = 8;
-/// Numbers of mixtures, views, opinions and mixers.
-const MIXTURES: usize = 3;
+/// Numbers of sets of weights of the mixture, of views, opinions and mixers.
+const SETS: usize = 3;
 const VIEWS: usize = 8;
 const OPINIONS: usize = 12;
 const MIXERS: usize = 3;
@@ -55,13 +55,13 @@ const SIZES: LayeredContext<VIEWS, MIXERS> = LayeredContext {
     },
 };
 
-type DeepBits = LayeredBits<MIXTURES, VIEWS, OPINIONS, MIXERS>;
+type DeepBits = LayeredBits<SETS, VIEWS, OPINIONS, MIXERS>;
 
 /// What the coder has learned about ranges.
 #[derive(Clone)]
 pub struct DeepModel {
     fits: Fits,
-    mixtures: [Mixture<PREDICTORS>; MIXTURES],
+    mixture: Mixture<PREDICTORS, SETS>,
     bits: DeepBits,
     /// Whether any frame so far has had a reference.
     had_reference: bool,
@@ -69,14 +69,14 @@ pub struct DeepModel {
 
 impl Default for DeepModel {
     fn default() -> Self {
-        let mixture = |contexts: usize| Mixture::new(RATES, (0..contexts).map(first_scale));
+        let contexts = [
+            KINDS * ACTIVITY_LEVELS * ERROR_LEVELS,
+            CHANGES * OWN_LEVELS * ERROR_LEVELS,
+            RECOGNITIONS * KINDS * ERROR_LEVELS,
+        ];
         DeepModel {
             fits: Fits::default(),
-            mixtures: [
-                mixture(KINDS * ACTIVITY_LEVELS * ERROR_LEVELS),
-                mixture(CHANGES * OWN_LEVELS * ERROR_LEVELS),
-                mixture(RECOGNITIONS * KINDS * ERROR_LEVELS),
-            ],
+            mixture: Mixture::new(RATES, contexts, first_scale),
             bits: LayeredBits::new(&SIZES),
             had_reference: false,
         }
@@ -91,8 +91,8 @@ impl DeepModel {
         if has_reference && !self.had_reference {
             self.had_reference = true;
             self.fits.spread();
-            self.mixtures[0].spread(CONTEXTS);
-            self.mixtures[2].spread(ERROR_LEVELS);
+            self.mixture.spread(0, CONTEXTS);
+            self.mixture.spread(2, ERROR_LEVELS);
             self.bits.spread_sets(0, NODES * ERROR_LEVELS);
             self.bits.spread_sets(2, NODES);
         }
@@ -114,30 +114,27 @@ impl DeepModel {
         let bins = Bins::around(base, bin);
         let contexts = SetContexts::of(deep_site);
         let values = deep_site.predictions(&fitted);
-        let mixture_contexts = deep_site.mixture_contexts(&contexts);
-        let predicted = std::array::from_fn(|m| self.mixtures[m].place(shape, values, mixture_contexts[m]));
-        let mut intervals = std::array::from_fn(|_| Interval::whole(bins.all(range_bits)));
+        let predicted = self.mixture.place(shape, values, deep_site.mixture_contexts(&contexts));
         let mut halving = DeepHalving {
             coder,
             shape,
             tables,
             range_bits,
             bins,
-            mixtures: &self.mixtures,
+            mixture: &self.mixture,
             predicted: &predicted,
-            intervals: &mut intervals,
+            interval: Interval::whole(bins.all(range_bits)),
             bits: &mut self.bits,
             views: deep_site.views(&contexts, &fitted, base as f64),
             contexts,
             bin: bins.of(range),
             odds: 0.0,
         };
-        let scale = self.mixtures[0].scale_of_fit(mixture_contexts[0]);
-        code_bin(&mut halving, bins.central, first_bucket(scale / bins.width as f64));
-        let range = bins.middle(intervals[0].low, range_bits);
-        for ((mixture, predicted), interval) in self.mixtures.iter_mut().zip(&predicted).zip(&intervals) {
-            mixture.learn(predicted, interval, range as f64);
-        }
+        let scale = self.mixture.scale_of_fit(&predicted);
+        code_bin(&mut halving, bins.central, first_bucket(scale / bins.width as f32));
+        let DeepHalving { interval, .. } = halving;
+        let range = bins.middle(interval.low, range_bits);
+        self.mixture.learn(&predicted, &interval, range as f32);
         self.fits.learn(site, &fitted, range as f64);
         Coded { range, fit: fitted.blend, hinted: fitted.hinted, base }
     }

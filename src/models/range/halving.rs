@@ -66,7 +66,7 @@ pub fn code_bin<H: Halves>(halves: &mut H, base: i64, fine: i64) {
 }
 
 /// Width of the first bucket beside the base, in bins: a power of two near 0.6 scales.
-pub fn first_bucket(scale: f64) -> i64 {
+pub fn first_bucket(scale: f32) -> i64 {
     // 0.6 * sqrt(2): this selects the nearest power, on a logarithmic scale.
     ((scale * 0.84853) as u32).checked_ilog2().map_or(1, |octave| 1 << octave)
 }
@@ -79,8 +79,8 @@ pub struct Halving<'a, C, const P: usize, const X: usize> {
     /// The last bin that the range may be in ends below 2^`range_bits`.
     pub range_bits: u32,
     pub bins: Bins,
-    pub mixture: &'a Mixture<P>,
-    pub predicted: Predicted<P>,
+    pub mixture: &'a Mixture<P, 1>,
+    pub predicted: Predicted<P, 1>,
     pub bits: &'a mut RangeBits,
     /// The weight set of the first node.
     pub first_set: usize,
@@ -91,15 +91,17 @@ pub struct Halving<'a, C, const P: usize, const X: usize> {
     /// The encoder's bin.
     pub bin: i64,
     /// What is left of the bins.
-    pub interval: Interval<P>,
+    pub interval: Interval<P, 1>,
+    /// The mixture's log odds for the last halves, upper against lower.
+    pub odds: f32,
 }
 
 impl<C: BitCoder, const P: usize, const X: usize> Halving<'_, C, P, X> {
     /// Codes the bin of the range.
     #[inline]
     pub fn code(&mut self) {
-        let scale = self.mixture.scale_of_fit(self.predicted.context);
-        code_bin(self, self.bins.central, first_bucket(scale / self.bins.width as f64));
+        let scale = self.mixture.scale_of_fit(&self.predicted);
+        code_bin(self, self.bins.central, first_bucket(scale / self.bins.width as f32));
     }
 
     /// Codes a bit from the log odds of the mixture and of the counters.
@@ -126,9 +128,9 @@ impl<C: BitCoder, const P: usize, const X: usize> Halves for Halving<'_, C, P, X
 
     #[inline]
     fn halve_evenly(&mut self, middle: i64) {
+        self.odds *= 0.5;
         let interval = &mut self.interval;
-        interval.odds *= 0.5;
-        if self.coder.code(self.bin >= middle, self.tables.squash(interval.odds)) {
+        if self.coder.code(self.bin >= middle, self.tables.squash(self.odds)) {
             interval.low = middle;
         } else {
             interval.high = middle;
@@ -139,7 +141,8 @@ impl<C: BitCoder, const P: usize, const X: usize> Halves for Halving<'_, C, P, X
     fn halve(&mut self, middle: i64, node: Option<usize>) -> bool {
         let start = self.bins.start(middle, self.range_bits);
         let below_middle = self.mixture.below(self.shape, &self.predicted, start, self.range_bits);
-        let odds = self.interval.split(&below_middle, self.tables);
+        let [odds] = self.interval.split(&below_middle, self.tables);
+        self.odds = odds;
         let bit = self.bin >= middle;
         let bit = match node {
             None => self.coder.code(bit, self.tables.squash(odds)),

@@ -1,81 +1,89 @@
-//! A mixture of predictors, each with a weight and a scale in each context.
+//! A mixture of predictors, each with a weight and a scale in each context. What the predictors say is mixed by one or
+//! more sets of weights.
 
 use super::{FIT, FIT_REACH, SURPRISE};
 use crate::entropy::Logistic;
-use crate::models::shape::{CERTAIN, ErrorShape, Placed};
+use crate::models::shape::{ErrorShape, Placed};
 
-/// The probability 1 in the unit of [`Below::mixed`], as weights are in 2^-16.
-const MIXED_CERTAIN: u64 = (CERTAIN as u64) << 16;
-/// The part of it that is distributed evenly over all ranges.
-const EVEN: u64 = MIXED_CERTAIN / 256;
+/// The part of the probability that is distributed evenly over all ranges.
+const EVEN: f32 = 1.0 / 256.0;
+/// The least probability that a half is taken to have.
+const LEAST: f32 = 1.0 / (1 << 26) as f32;
 
 /// The learning rates of a context's weights and scales.
 #[derive(Clone, Copy)]
 pub struct Rates {
-    pub weights: f64,
-    pub scales: f64,
+    pub weights: f32,
+    pub scales: f32,
     /// Both rates are at least this divided by the number of returns that the context has seen plus 1.5.
-    pub early: f64,
+    pub early: f32,
 }
 
 /// Returns are counted up to this number.
 const MOST_SEEN: u16 = 1000;
 
-/// What the coder has learned about `P` predictors.
+/// What the coder has learned about `P` predictors, mixed by `M` sets of weights.
 #[derive(Clone)]
-pub struct Mixture<const P: usize> {
-    weights: Vec<[f64; P]>,
-    /// The weights in 2^-16.
-    shares: Vec<[u32; P]>,
-    scales: Vec<[f64; P]>,
-    /// Number of returns that each context has seen.
-    seen: Vec<u16>,
+pub struct Mixture<const P: usize, const M: usize> {
+    /// The mean magnitude of each predictor's error, in steps, in the contexts of the last set of weights.
+    scales: Vec<[f32; P]>,
+    weights: [Vec<Weights<P>>; M],
     rates: Rates,
 }
 
-/// The predictions for a cell, in steps, in a context, as places in the table of the error shape.
-pub struct Predicted<const P: usize> {
-    pub values: [f64; P],
-    pub context: usize,
-    placed: [Placed; P],
+/// The weights of the predictors in a context.
+#[derive(Clone, Copy)]
+struct Weights<const P: usize> {
+    weights: [f32; P],
+    /// Number of returns that the context has seen.
+    seen: u16,
+}
+
+/// The predictions for a cell, in steps, placed in the table of the error shape, and the context for each set of
+/// weights.
+pub struct Predicted<const P: usize, const M: usize> {
+    values: [f32; P],
+    contexts: [usize; M],
+    placed: Placed<P>,
 }
 
 /// The remaining bins, and the probability below each end.
-pub struct Interval<const P: usize> {
+pub struct Interval<const P: usize, const M: usize> {
     pub low: i64,
     pub high: i64,
-    pub below_low: Below<P>,
-    pub below_high: Below<P>,
-    /// The mixture's log odds for the last halves, upper against lower.
-    pub odds: f32,
+    below_low: Below<P, M>,
+    below_high: Below<P, M>,
 }
 
-/// Probability that a range is below some value: by each predictor, and by the mixture.
+/// Probability that a range is below some value: by each predictor, and by each set of weights.
 #[derive(Clone, Copy)]
-pub struct Below<const P: usize> {
-    each: [u32; P],
-    pub mixed: u64,
+pub struct Below<const P: usize, const M: usize> {
+    each: [f32; P],
+    mixed: [f32; M],
 }
 
-impl<const P: usize> Default for Below<P> {
-    fn default() -> Self {
-        Below { each: [0; P], mixed: 0 }
+impl<const P: usize, const M: usize> Interval<P, M> {
+    /// The interval of all bins.
+    pub fn whole((low, high): (i64, i64)) -> Self {
+        let below = |each, mixed| Below { each: [each; P], mixed: [mixed; M] };
+        Interval { low, high, below_low: below(0.0, 0.0), below_high: below(1.0, 1.0 + EVEN) }
     }
-}
 
-impl<const P: usize> Interval<P> {
-    /// The mixture's log odds for the halves above and below a place between the ends, upper against lower.
+    /// The log odds of each set of weights for the halves above and below a place between the ends, upper against
+    /// lower.
     #[inline]
-    pub fn split(&mut self, below_middle: &Below<P>, tables: &Logistic) -> f32 {
-        let above = self.below_high.mixed.saturating_sub(below_middle.mixed) | 1;
-        let below = below_middle.mixed.saturating_sub(self.below_low.mixed) | 1;
-        self.odds = tables.ln(above) - tables.ln(below);
-        self.odds
+    pub fn split(&self, below_middle: &Below<P, M>, tables: &Logistic) -> [f32; M] {
+        std::array::from_fn(|m| {
+            let above = self.below_high.mixed[m] - below_middle.mixed[m];
+            let below = below_middle.mixed[m] - self.below_low.mixed[m];
+            let [above, below] = [above, below].map(|half| if half > LEAST { half } else { LEAST });
+            tables.odds(above, below)
+        })
     }
 
     /// Keeps the half from `middle` on, or else the one below.
     #[inline]
-    pub fn cut(&mut self, upper: bool, middle: i64, below_middle: &Below<P>) {
+    pub fn cut(&mut self, upper: bool, middle: i64, below_middle: &Below<P, M>) {
         if upper {
             self.low = middle;
             self.below_low = *below_middle;
@@ -84,85 +92,69 @@ impl<const P: usize> Interval<P> {
             self.below_high = *below_middle;
         }
     }
-
-    /// The interval of all bins.
-    pub fn whole((low, high): (i64, i64)) -> Self {
-        let below = |each, mixed| Below { each: [each; P], mixed };
-        let certain = below(CERTAIN, MIXED_CERTAIN + EVEN);
-        Interval { low, high, below_low: below(0, 0), below_high: certain, odds: 0.0 }
-    }
 }
 
-impl<const P: usize> Mixture<P> {
-    /// Creates a mixture whose contexts start with these scales.
-    pub fn new(rates: Rates, scales: impl Iterator<Item = f64>) -> Self {
-        let scales: Vec<_> = scales
-            .map(|scale| {
-                let mut scales = [scale; P];
-                scales[SURPRISE] = 500.0;
-                scales
-            })
-            .collect();
-        Mixture {
-            weights: vec![[1.0 / P as f64; P]; scales.len()],
-            shares: vec![[65536 / P as u32; P]; scales.len()],
-            seen: vec![0; scales.len()],
-            rates,
-            scales,
-        }
+impl<const P: usize, const M: usize> Mixture<P, M> {
+    /// The set of weights whose contexts are those of the scales.
+    const LAST: usize = M - 1;
+
+    /// Creates a mixture of so many contexts for each set of weights. `first_scale` gives the scale that a context starts
+    /// with.
+    pub fn new(rates: Rates, contexts: [usize; M], first_scale: impl Fn(usize) -> f32) -> Self {
+        let scales = (0..contexts[Self::LAST]).map(|context| {
+            let mut scales = [first_scale(context); P];
+            scales[SURPRISE] = 500.0;
+            scales
+        });
+        let equal = Weights { weights: [1.0 / P as f32; P], seen: 0 };
+        Mixture { scales: scales.collect(), weights: contexts.map(|contexts| vec![equal; contexts]), rates }
     }
 
     /// The same with additional predictors, about which nothing is known yet, and with all contexts repeated
     /// `copies` times.
-    pub fn widened<const Q: usize>(&self, copies: usize) -> Mixture<Q> {
-        let share = P as f64 / Q as f64;
-        let weights = self.weights.iter().map(|old| {
-            let mut weights = [1.0 / Q as f64; Q];
-            weights.iter_mut().zip(old).for_each(|(weight, old)| *weight = old * share);
-            weights
-        });
+    pub fn widened<const Q: usize>(&self, copies: usize) -> Mixture<Q, M> {
+        let share = P as f32 / Q as f32;
+        let widened = |old: &Weights<P>| {
+            let mut weights = [1.0 / Q as f32; Q];
+            weights.iter_mut().zip(old.weights).for_each(|(weight, old)| *weight = old * share);
+            Weights { weights, seen: old.seen }
+        };
         let scales = self.scales.iter().map(|old| {
             let mut scales = [old[FIT]; Q];
             scales[..P].copy_from_slice(old);
             scales
         });
-        let (weights, scales): (Vec<_>, Vec<_>) = (weights.collect(), scales.collect());
-        let shares: Vec<_> =
-            weights.iter().map(|weights| weights.map(|weight| (weight * 65536.0) as u32)).collect();
         Mixture {
-            weights: weights.repeat(copies),
-            shares: shares.repeat(copies),
-            scales: scales.repeat(copies),
-            seen: self.seen.repeat(copies),
+            scales: scales.collect::<Vec<_>>().repeat(copies),
+            weights: self
+                .weights
+                .each_ref()
+                .map(|set| set.iter().map(widened).collect::<Vec<_>>().repeat(copies)),
             rates: self.rates,
         }
     }
 
-    /// Copies what the first `contexts` contexts have learned to those that follow, `contexts` at a time.
-    pub fn spread(&mut self, contexts: usize) {
-        for context in contexts..self.scales.len() {
-            let from = context % contexts;
-            self.weights[context] = self.weights[from];
-            self.shares[context] = self.shares[from];
-            self.scales[context] = self.scales[from];
-            self.seen[context] = self.seen[from];
+    /// Copies what the first `contexts` contexts of a set of weights have learned to those that follow, `contexts` at a
+    /// time.
+    pub fn spread(&mut self, set: usize, contexts: usize) {
+        for context in contexts..self.weights[set].len() {
+            self.weights[set][context] = self.weights[set][context % contexts];
+            if set == Self::LAST {
+                self.scales[context] = self.scales[context % contexts];
+            }
         }
     }
 
-    /// Places the error distributions around the predictions.
+    /// Places the error distributions around the predictions, in steps.
     #[inline]
-    pub fn place(&self, shape: &ErrorShape, values: [f64; P], context: usize) -> Predicted<P> {
-        let scales = &self.scales[context];
-        let mut placed = [Placed::default(); P];
-        for k in 0..P {
-            placed[k] = shape.place(values[k] + 0.5, scales[k]);
-        }
-        Predicted { values, context, placed }
+    pub fn place(&self, shape: &ErrorShape, values: [f32; P], contexts: [usize; M]) -> Predicted<P, M> {
+        let placed = shape.place(values.map(|value| value + 0.5), &self.scales[contexts[Self::LAST]]);
+        Predicted { values, contexts, placed }
     }
 
     /// The scale of the least-squares prediction.
-    pub fn scale_of_fit(&self, context: usize) -> f64 {
-        self.scales[context][FIT]
+    pub fn scale_of_fit(&self, predicted: &Predicted<P, M>) -> f32 {
+        self.scales[predicted.contexts[Self::LAST]][FIT]
     }
 
     /// The probability that the range is below `range`.
@@ -170,49 +162,78 @@ impl<const P: usize> Mixture<P> {
     pub fn below(
         &self,
         shape: &ErrorShape,
-        predicted: &Predicted<P>,
+        predicted: &Predicted<P, M>,
         range: i64,
         range_bits: u32,
-    ) -> Below<P> {
-        let shares = &self.shares[predicted.context];
-        let mut each = [0; P];
-        let mut mixed = (EVEN >> range_bits) * range as u64;
-        for k in 0..P {
-            each[k] = shape.below(&predicted.placed[k], range);
-            mixed += u64::from(shares[k]) * u64::from(each[k]);
-        }
+    ) -> Below<P, M> {
+        let each = shape.below(&predicted.placed, range as f32);
+        let even = EVEN / (1u32 << range_bits) as f32 * range as f32;
+        let mixed = std::array::from_fn(|m| {
+            sum_of_products(even, &self.weights[m][predicted.contexts[m]].weights, &each)
+        });
         Below { each, mixed }
     }
 
     /// Adapts weights and scales to the range that has been coded, to whose bin the interval has shrunk.
-    pub fn learn(&mut self, predicted: &Predicted<P>, interval: &Interval<P>, range: f64) {
-        let weights = &mut self.weights[predicted.context];
-        let scales = &mut self.scales[predicted.context];
-        let seen = &mut self.seen[predicted.context];
-        let early = self.rates.early / (f64::from(*seen) + 1.5);
-        *seen = (*seen + 1).min(MOST_SEEN);
-        let weight_rate = self.rates.weights.max(early);
-        let scale_rate = self.rates.scales.max(early);
-        let likelihood: [f64; P] = std::array::from_fn(|k| {
-            let likely = interval.below_high.each[k].saturating_sub(interval.below_low.each[k]);
-            f64::from(likely) / f64::from(CERTAIN)
-        });
-        let total: f64 = weights.iter().zip(&likelihood).map(|(weight, p)| weight * p).sum();
-        let mut sum = 0.0;
+    pub fn learn(&mut self, predicted: &Predicted<P, M>, interval: &Interval<P, M>, range: f32) {
+        let mut likelihood = [0.0; P];
+        for k in 0..P {
+            likelihood[k] = (interval.below_high.each[k] - interval.below_low.each[k]).max(0.0);
+        }
+        let Rates { weights: weight_rate, scales: scale_rate, early } = self.rates;
+        let last = predicted.contexts[Self::LAST];
+        let scale_rate = scale_rate.max(self.weights[Self::LAST][last].early(early));
+        let mut responsible = [0.0; P];
+        for (set, context) in self.weights.iter_mut().zip(predicted.contexts) {
+            let weights = &mut set[context];
+            // Those of the last set remain.
+            responsible = weights.learn(&likelihood, weight_rate.max(weights.early(early)));
+        }
+        let scales = &mut self.scales[last];
         for k in 0..P {
             let surprise = k == SURPRISE;
-            let merit = (likelihood[k] + 1e-9) / (total + 1e-9);
-            weights[k] = (weights[k] * (1.0 - weight_rate + weight_rate * merit)).max(0.001);
-            sum += weights[k];
-            let error = (range - predicted.values[k]).abs().min(if surprise { 4000.0 } else { FIT_REACH });
-            let responsibility = (weights[k] * merit).min(1.0) + if surprise { 0.0 } else { 0.1 };
-            scales[k] += scale_rate * responsibility * (error - scales[k]);
-            scales[k] = scales[k].max(if surprise { 100.0 } else { 1.5 });
-        }
-        let even_out = 1.0 / sum;
-        for (weight, share) in weights.iter_mut().zip(&mut self.shares[predicted.context]) {
-            *weight *= even_out;
-            *share = (*weight * 65536.0) as u32;
+            let (farthest, least, always) =
+                if surprise { (4000.0, 100.0, 0.0) } else { (FIT_REACH as f32, 1.5, 0.1) };
+            let error = (range - predicted.values[k]).abs().min(farthest);
+            scales[k] += scale_rate * (responsible[k] + always) * (error - scales[k]);
+            scales[k] = scales[k].max(least);
         }
     }
+}
+
+impl<const P: usize> Weights<P> {
+    /// The least learning rate of a context that has seen few returns.
+    #[inline]
+    fn early(&self, early: f32) -> f32 {
+        early / (f32::from(self.seen) + 1.5)
+    }
+
+    /// Learns how likely each predictor held the range. Returns how responsible each is for it.
+    #[inline]
+    fn learn(&mut self, likelihood: &[f32; P], rate: f32) -> [f32; P] {
+        /// So that nothing is divided by 0.
+        const TINY: f32 = 1e-9;
+        self.seen = (self.seen + 1).min(MOST_SEEN);
+        let weights = &mut self.weights;
+        let most = 1.0 / sum_of_products(TINY, weights, likelihood);
+        let mut responsible = [0.0; P];
+        for k in 0..P {
+            let merit = (likelihood[k] + TINY) * most;
+            weights[k] = (weights[k] * (1.0 - rate + rate * merit)).max(0.001);
+            responsible[k] = (weights[k] * merit).min(1.0);
+        }
+        let even_out = 1.0 / sum_of_products(0.0, weights, &[1.0; P]);
+        weights.iter_mut().for_each(|weight| *weight *= even_out);
+        responsible
+    }
+}
+
+/// `more` and the products, summed in an order that suits vector units.
+#[inline(always)]
+fn sum_of_products<const P: usize>(more: f32, a: &[f32; P], b: &[f32; P]) -> f32 {
+    let mut sums = [more, 0.0, 0.0, 0.0];
+    for k in 0..P {
+        sums[k % 4] += a[k] * b[k];
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
 }

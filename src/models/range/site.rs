@@ -56,9 +56,9 @@ impl Site {
     }
 
     /// The predictions from the neighbours; the last one is for surprises.
-    pub fn predictions(&self, fit: f64) -> [f64; PREDICTORS] {
+    pub fn predictions(&self, fit: f64) -> [f32; PREDICTORS] {
         let Neighbourhood { west, west2, north, .. } = self.near;
-        [west, north, 2.0 * west - west2, west + fit, west]
+        [west, north, 2.0 * west - west2, west + fit, west].map(|value| value as f32)
     }
 
     /// Where coding starts: a whole number of steps.

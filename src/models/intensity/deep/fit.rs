@@ -4,19 +4,17 @@ use super::surroundings::{FEATURES, Surroundings};
 use crate::entropy::Logistic;
 use crate::models::intensity::scale::IntensityScale;
 use crate::models::least_squares::LeastSquares;
-use crate::models::shape::{CERTAIN, ErrorShape, Placed};
+use crate::models::shape::{ErrorShape, Placed};
 
 /// Fits: one for each combination of whether there is a neighbour to the left, one above, and one in an
 /// earlier frame.
 const FITS: usize = 8;
-/// Distributions are placed at this fraction of a level.
-const FINENESS: i64 = 16;
 /// The least mean error that is considered possible, in context levels.
 const LEAST_SCALE: f32 = 0.3;
 /// The rate at which mean errors are learned.
 const SCALE_RATE: f32 = 0.01;
-/// Added to probabilities, in units of 2^-30, before their logarithm is taken.
-const LEAST: u64 = 64;
+/// Added to probabilities before their logarithm is taken.
+const LEAST: f32 = 1.0 / (1 << 24) as f32;
 
 /// The fits, and their mean errors.
 #[derive(Clone)]
@@ -44,12 +42,10 @@ impl Fit {
 
     /// The distribution of the level around a prediction.
     pub fn opinion(&self, prediction: f32, context: usize, scale: &IntensityScale) -> FitOpinion {
-        let unit = scale.context_step() as f32 * FINENESS as f32;
-        let placed = self.shape.place(
-            f64::from((prediction - 0.5) * unit),
-            f64::from(self.scales[context].max(LEAST_SCALE) * unit),
-        );
-        FitOpinion { placed, low: 0, high: 1 << scale.bits(), below: [0, 0, CERTAIN] }
+        let unit = scale.context_step() as f32;
+        let mean_error = self.scales[context].max(LEAST_SCALE) * unit;
+        let placed = self.shape.place([(prediction - 0.5) * unit], &[mean_error]);
+        FitOpinion { placed, low: 0, high: 1 << scale.bits(), below: [0.0, 0.0, 1.0] }
     }
 
     /// The shape of the error distribution.
@@ -70,12 +66,12 @@ impl Fit {
 /// The opinion of a fit on each bit of a level, from the distribution around its prediction.
 #[derive(Clone, Copy, Debug)]
 pub struct FitOpinion {
-    placed: Placed,
+    placed: Placed<1>,
     /// The levels still possible after the bits so far: `low` to below `high`.
-    low: i64,
-    high: i64,
-    /// The probability of a level below `low`, below the middle, and below `high`, in 2^-30.
-    below: [u32; 3],
+    low: u32,
+    high: u32,
+    /// The probability of a level below `low`, below the middle, and below `high`.
+    below: [f32; 3],
 }
 
 impl FitOpinion {
@@ -83,10 +79,11 @@ impl FitOpinion {
     #[inline]
     pub fn of_upper_half(&mut self, shape: &ErrorShape, tables: &Logistic) -> f32 {
         let [low, _, high] = self.below;
-        let middle = shape.below(&self.placed, (self.low + self.high) / 2 * FINENESS);
+        let [middle] = shape.below(&self.placed, ((self.low + self.high) / 2) as f32);
         self.below[1] = middle;
-        let [lower, upper] = [middle.saturating_sub(low), high.saturating_sub(middle)].map(u64::from);
-        tables.ln(upper + LEAST) - tables.ln(lower + LEAST)
+        let [lower, upper] =
+            [middle - low, high - middle].map(|part| if part > 0.0 { part + LEAST } else { LEAST });
+        tables.odds(upper, lower)
     }
 
     /// Continues with the upper half, or with the lower one.

@@ -4,7 +4,7 @@ use super::surroundings::Surroundings;
 use crate::entropy::hash;
 use crate::models::quantise::signed_level;
 
-pub const VIEWS: usize = 14;
+pub const VIEWS: usize = 10;
 /// Beams from this number on share their contexts.
 const ROW_CONTEXTS: usize = 128;
 /// Columns of a sector: what is learned there in one frame serves the next.
@@ -14,7 +14,7 @@ pub const NARROW_SECTOR: usize = 32;
 /// The hash of each view's context.
 pub fn hashes(around: &Surroundings, (row, column): (usize, usize), prediction: f32) -> [u32; VIEWS] {
     let row = row.min(ROW_CONTEXTS - 1) as u32;
-    let Surroundings { west, west2, west3, north, same, moved, zeros, .. } = *around;
+    let Surroundings { west, west2, west3, north, same, moved, .. } = *around;
     let [w, w2, w3, n, same, moved] = [west, west2, west3, north, same, moved].map(u32::from);
     let (wide, narrow) = ((column / WIDE_SECTOR) as u32, (column / NARROW_SECTOR) as u32);
     let change = signed_level((prediction - around.base()) as i32) as u32;
@@ -23,17 +23,13 @@ pub fn hashes(around: &Surroundings, (row, column): (usize, usize), prediction: 
     // Fields of eight bits, the beam in seven.
     let contexts = [
         w / 2 | (w2 / 2) << 8,
-        row | w << 7,
         w / 2 | (n / 2) << 8,
         moved | coarse << 8 | (same / 4) << 16,
-        row | moved << 7 | (w / 4) << 15,
         row | (w / 4) << 7 | (w2 / 4) << 15 | (w3 / 4) << 23,
         row | w << 7 | change << 15,
         w | w3 << 8,
-        row | w << 7 | wide << 15,
         row / 32 | w << 2 | w2 << 10,
         row | (same / 2) << 7 | (moved / 2) << 15,
-        row | (zeros as u32) << 7,
         row / 2 | (w / 2) << 6 | wide << 14,
         row | (w / 4) << 7 | narrow << 15,
     ];

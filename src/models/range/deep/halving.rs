@@ -1,11 +1,11 @@
-//! Halving one range under several mixtures.
+//! Halving one range under a mixture with several sets of weights.
 
 use super::site::SetContexts;
-use super::{DeepBits, MIXTURES, PREDICTORS, VIEWS};
+use super::{DeepBits, PREDICTORS, SETS, VIEWS};
 use crate::entropy::{BitCoder, LayeredContext, Logistic, MixContexts};
 use crate::models::range::bins::Bins;
 use crate::models::range::halving::Halves;
-use crate::models::range::mixture::{Below, Interval, Mixture, Predicted};
+use crate::models::range::mixture::{Interval, Mixture, Predicted};
 use crate::models::range::{ERROR_LEVELS, NODES};
 use crate::models::shape::ErrorShape;
 
@@ -16,16 +16,16 @@ pub struct DeepHalving<'a, C> {
     pub tables: &'static Logistic,
     pub range_bits: u32,
     pub bins: Bins,
-    pub mixtures: &'a [Mixture<PREDICTORS>; MIXTURES],
-    pub predicted: &'a [Predicted<PREDICTORS>; MIXTURES],
-    /// What is left of the bins, under each mixture.
-    pub intervals: &'a mut [Interval<PREDICTORS>; MIXTURES],
+    pub mixture: &'a Mixture<PREDICTORS, SETS>,
+    pub predicted: &'a Predicted<PREDICTORS, SETS>,
+    /// What is left of the bins.
+    pub interval: Interval<PREDICTORS, SETS>,
     pub bits: &'a mut DeepBits,
     pub views: [usize; VIEWS],
     pub contexts: SetContexts,
     /// The encoder's bin.
     pub bin: i64,
-    /// The mean of the mixtures' log odds for the last halves.
+    /// The mean of the log odds of the mixture's sets of weights for the last halves.
     pub odds: f32,
 }
 
@@ -34,19 +34,14 @@ impl<C: BitCoder> Halves for DeepHalving<'_, C> {
 
     #[inline]
     fn ends(&self) -> (i64, i64) {
-        (self.intervals[0].low, self.intervals[0].high)
+        (self.interval.low, self.interval.high)
     }
 
     #[inline]
     fn halve(&mut self, middle: i64, node: Option<usize>) -> bool {
         let start = self.bins.start(middle, self.range_bits);
-        let mut odds = [0.0; MIXTURES];
-        let mut below_middle = [Below::default(); MIXTURES];
-        for m in 0..MIXTURES {
-            let predicted = &self.predicted[m];
-            below_middle[m] = self.mixtures[m].below(self.shape, predicted, start, self.range_bits);
-            odds[m] = self.intervals[m].split(&below_middle[m], self.tables);
-        }
+        let below_middle = self.mixture.below(self.shape, self.predicted, start, self.range_bits);
+        let odds = self.interval.split(&below_middle, self.tables);
         self.odds = (odds[0] + odds[1] + odds[2]) * (1.0 / 3.0);
         let bit = self.bin >= middle;
         let bit = match node {
@@ -64,9 +59,7 @@ impl<C: BitCoder> Halves for DeepHalving<'_, C> {
                 self.bits.code(self.coder, &context, &odds, bit)
             }
         };
-        for (interval, below) in self.intervals.iter_mut().zip(&below_middle) {
-            interval.cut(bit, middle, below);
-        }
+        self.interval.cut(bit, middle, &below_middle);
         bit
     }
 
@@ -74,8 +67,6 @@ impl<C: BitCoder> Halves for DeepHalving<'_, C> {
     fn halve_evenly(&mut self, middle: i64) {
         self.odds *= 0.5;
         let upper = self.coder.code(self.bin >= middle, self.tables.squash(self.odds));
-        for interval in self.intervals.iter_mut() {
-            *(if upper { &mut interval.low } else { &mut interval.high }) = middle;
-        }
+        *(if upper { &mut self.interval.low } else { &mut self.interval.high }) = middle;
     }
 }

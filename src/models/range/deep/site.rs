@@ -1,7 +1,7 @@
 //! A cell as the deep model sees it: predictions and contexts.
 
 use super::fits::Fitted;
-use super::{KINDS, MIXERS, MIXTURES, OWN_LEVELS, PREDICTORS, ROWS, VIEWS};
+use super::{KINDS, MIXERS, OWN_LEVELS, PREDICTORS, ROWS, SETS, VIEWS};
 use crate::models::quantise::signed_level;
 use crate::models::range::back::{Back, Surroundings};
 use crate::models::range::site::{Site, intensity_change, pair};
@@ -57,7 +57,7 @@ impl SetContexts {
 impl DeepSite<'_> {
     /// The predictions that are mixed: the line through the two returns to the left, three fits, the left
     /// neighbour for surprises, and the moved layer here and in the neighbouring cells.
-    pub fn predictions(&self, fitted: &Fitted) -> [f64; PREDICTORS] {
+    pub fn predictions(&self, fitted: &Fitted) -> [f32; PREDICTORS] {
         let near = &self.site.near;
         let [recent, local, blend] = [fitted.recent, fitted.local, fitted.hinted].map(|fit| near.west + fit);
         let [moved, moved_west, moved_east] = match &self.referred {
@@ -65,10 +65,11 @@ impl DeepSite<'_> {
             Some(Referred { back, around }) => [back.moved, around.moved_west, around.moved_east],
         };
         [2.0 * near.west - near.west2, recent, local, blend, near.west, moved, moved_west, moved_east]
+            .map(|value| value as f32)
     }
 
-    /// The context of each mixture.
-    pub fn mixture_contexts(&self, contexts: &SetContexts) -> [usize; MIXTURES] {
+    /// The context of each of the mixture's sets of weights.
+    pub fn mixture_contexts(&self, contexts: &SetContexts) -> [usize; SETS] {
         let SetContexts { kind, error_level, recognition, .. } = *contexts;
         [
             kind * CONTEXTS + self.site.context,
