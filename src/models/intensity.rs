@@ -37,12 +37,12 @@ impl IntensityModel {
         self.is_deep = is_deep;
     }
 
-    /// Starts a frame, or its strays, with `columns` columns and `values` values.
-    pub fn start_frame(&mut self, scale: &IntensityScale, columns: usize, values: usize) {
+    /// Starts an image of so many rows and columns, or its strays, with `values` values.
+    pub fn start_frame(&mut self, scale: &IntensityScale, (rows, columns): (usize, usize), values: usize) {
         if self.is_deep {
             self.deep.get_or_insert_default().start_frame(columns, values);
         } else if scale.is_on_grid() {
-            self.light.start_frame(scale.bits(), values);
+            self.light.start_frame(scale.bits(), rows, values);
         }
     }
 

@@ -35,6 +35,7 @@ class ByteModel:
 
     def __init__(self, most_slot_bits=14):
         self.slot_bits = 0
+        self.row_slot_bits = 0
         self.most_slot_bits = most_slot_bits
 
     def code(self, bits, n, stride=1):
@@ -320,7 +321,7 @@ def values_of(image, strays, reference, begin, code):
     none = [0] * (columns + 4)
     levels = [none, none]
     near = Near()
-    begin(columns, sum(map(sum, image)))
+    begin(rows, columns, sum(map(sum, image)))
     for row in range(rows):
         own = none[:]
         n2, n = levels[-2:]
@@ -351,7 +352,7 @@ def values_of(image, strays, reference, begin, code):
         levels.append(own)
     of_strays = []
     stray_levels = []
-    begin(1, len(strays))
+    begin(1, 1, len(strays))
     near.row = near.column = 0
     near.s = near.m = near.sl = near.sr = near.nnw = near.nn = near.nne = 0
     left = [0, 0, 0, 0]
@@ -392,17 +393,24 @@ class LevelViews:
         self.bits = bits
         self.views = [new_counters(0), new_counters(0), new_counters(0)]
         self.slot_bits = 0
+        self.row_slot_bits = 0
         self.weights = [floats([0.55, 0.55]) for _ in range(1 << bits)]
         self.reference_weights = [floats([0.45] * 3) for _ in range(1 << bits)]
 
-    def grow(self, slot_bits):
+    def grow(self, slot_bits, rows):
         stride = 1 << self.bits
+        row_slot_bits = min(slot_bits, 7 + (max(rows, 1) - 1).bit_length())
         if not self.views[0]:
-            self.slot_bits = slot_bits
-            self.views = [new_counters(stride << slot_bits) for _ in range(3)]
-        elif slot_bits > self.slot_bits:
+            self.slot_bits, self.row_slot_bits = slot_bits, row_slot_bits
+            self.views = [new_counters(stride << n) for n in (slot_bits, row_slot_bits, slot_bits)]
+            return
+        if row_slot_bits > self.row_slot_bits:
+            self.views[1] *= 1 << (row_slot_bits - self.row_slot_bits)
+            self.row_slot_bits = row_slot_bits
+        if slot_bits > self.slot_bits:
             copies = 1 << (slot_bits - self.slot_bits)
-            for k, view in enumerate(self.views):
+            for k in (0, 2):
+                view = self.views[k]
                 grown = new_counters(0)
                 for start in range(0, len(view), stride):
                     grown.extend(view[start : start + stride] * copies)
@@ -419,10 +427,10 @@ class Intensity:
         self.rate = f32(f32(0.02) / 65536)
 
     def code(self, bits, scale, image, strays, reference):
-        def begin(columns, n):
+        def begin(rows, columns, n):
             if scale.bits > self.levels.bits:
                 self.levels = LevelViews(scale.bits)
-            self.levels.grow(clamp(ilog2(max(n, 1)), 6, 13))
+            self.levels.grow(clamp(ilog2(max(n, 1)), 6, 13), rows)
 
         def value(near, _):
             if self.off_grid.is_next(bits, scale):
@@ -438,17 +446,19 @@ class Intensity:
         left = near.left
         west = first_of(left[0], near.n, near.nw, near.ne, 20)
         west2 = first_of(left[1], west)
-        r = min(near.row, 127)
-        contexts = [(west // 2) << 16 | (west2 // 2) << 8 | left[2] // 8, r << 8 | west]
+        row = near.row
+        contexts = [(west // 2) << 16 | (west2 // 2) << 8 | left[2] // 8]
         weights = levels.weights
         if near.s or near.m:
             contexts.append((near.s or near.m) << 8 | west // 4)
             weights = levels.reference_weights
         shift, root = 32 - levels.slot_bits, 1 << (levels.bits - n)
         places = [((c * 0x9E3779B1 & 0xFFFFFFFF) >> shift) << levels.bits for c in contexts]
+        last = (1 << levels.row_slot_bits) - 1
+        places.insert(1, (row * 128 + west - 1 & last) << levels.bits)
         views = levels.views
-        if r and views[1][places[1] + root] & 1023 == 0:
-            above = (((r - 1) << 8 | west) * 0x9E3779B1 & 0xFFFFFFFF) >> shift << levels.bits
+        if row and views[1][places[1] + root] & 1023 == 0:
+            above = ((row - 1) * 128 + west - 1 & last) << levels.bits
             for node in range(1 << levels.bits):
                 c = views[1][above + node]
                 views[1][places[1] + node] = clamp(c >> 10, 4096, 4190208) << 10 | min(c & 1023, 4)
@@ -488,7 +498,7 @@ class DeepIntensity:
         self.mixer = LayeredMixer([1024, 9216], [0.15] * 12, 0.0045, 0.0005, 18, [512, 144])
 
     def code(self, bits, scale, image, strays, reference):
-        def begin(columns, n):
+        def begin(rows, columns, n):
             self.above = floats([4.0] * columns)
             b = clamp(1 + ilog2(max(n, 1)), 8, 17)
             if b > self.b:

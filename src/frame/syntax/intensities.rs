@@ -129,7 +129,7 @@ fn code_adaptive<C: BitCoder>(
 ) -> Grid<u16> {
     let width = part.occupancy.columns();
     let mut levels = Grid::new(part.occupancy.rows(), width);
-    model.start_frame(&scale, width, part.cells.len());
+    model.start_frame(&scale, (levels.rows(), width), part.cells.len());
     for row in 0..levels.rows() {
         if coder.is_exhausted() {
             break;
@@ -159,7 +159,7 @@ fn code_strays<C: BitCoder>(
     values.outside.resize(part.outside, 0.0);
     let north = neighbours_above(&part.frame.stray_positions);
     let mut levels: Vec<u16> = Vec::with_capacity(part.outside);
-    model.start_frame(scale, 1, part.outside);
+    model.start_frame(scale, (1, 1), part.outside);
     for index in 0..part.outside {
         if coder.is_exhausted() {
             return;

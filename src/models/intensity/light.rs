@@ -7,11 +7,11 @@ use std::mem::take;
 use super::neighbours::{IntensityNeighbours, TYPICAL_LEVEL};
 use crate::entropy::{BitCoder, Counter, Logistic};
 
-/// Slots of each view, as a power of two, for small frames and for large ones: contexts share them by hashing. Tables
-/// for more contexts than a frame has values would take longer to make than the frame takes to be coded.
+/// Slots of each view, as a power of two, for small frames and for large ones: contexts share them. Tables for more
+/// contexts than a frame has values would take longer to make than the frame takes to be coded.
 const SLOT_BITS: (u32, u32) = (6, 13);
-/// Beams from this number on share their contexts.
-const ROWS: usize = 128;
+/// Context levels of a return.
+const CONTEXT_LEVELS: usize = 128;
 /// Initial weights of two opinions, and of three: several know more than one, but much of it is the same.
 const OF_TWO: f32 = 0.55;
 const OF_THREE: f32 = 0.45;
@@ -35,17 +35,17 @@ impl Default for LightLevels {
 }
 
 impl LightLevels {
-    /// Starts a frame of so many values, or its strays. If its levels have more bits than any before, it starts anew.
-    pub fn start_frame(&mut self, bits: u32, values: usize) {
+    /// Starts an image of so many rows and values, or its strays. If its levels have more bits than any before, it starts anew.
+    pub fn start_frame(&mut self, bits: u32, rows: usize, values: usize) {
         match self {
             Self::Seven(_) if bits == 8 => *self = Self::Eight(LevelViews::default()),
             Self::Seven(_) | Self::Eight(_) if bits > 8 => *self = Self::Nine(LevelViews::default()),
             _ => {}
         }
         match self {
-            Self::Seven(views) => views.start_frame(values),
-            Self::Eight(views) => views.start_frame(values),
-            Self::Nine(views) => views.start_frame(values),
+            Self::Seven(views) => views.start_frame(rows, values),
+            Self::Eight(views) => views.start_frame(rows, values),
+            Self::Nine(views) => views.start_frame(rows, values),
         }
     }
 
@@ -70,7 +70,8 @@ impl LightLevels {
 /// has.
 #[derive(Clone)]
 pub struct LevelViews<const NODES: usize> {
-    views: [View<NODES>; 2],
+    before: View<NODES>,
+    of_row: RowView<NODES>,
     weights: Vec<[f32; 2]>,
     /// The view of the reference, and the weights of all three views.
     reference: View<NODES>,
@@ -81,7 +82,8 @@ pub struct LevelViews<const NODES: usize> {
 impl<const NODES: usize> Default for LevelViews<NODES> {
     fn default() -> Self {
         LevelViews {
-            views: Default::default(),
+            before: View::default(),
+            of_row: RowView::default(),
             weights: vec![[OF_TWO; 2]; NODES],
             reference: View::default(),
             reference_weights: vec![[OF_THREE; 3]; NODES],
@@ -91,9 +93,10 @@ impl<const NODES: usize> Default for LevelViews<NODES> {
 }
 
 impl<const NODES: usize> LevelViews<NODES> {
-    fn start_frame(&mut self, values: usize) {
+    fn start_frame(&mut self, rows: usize, values: usize) {
         let slot_bits = values.max(1).ilog2().clamp(SLOT_BITS.0, SLOT_BITS.1);
-        self.views.iter_mut().for_each(|view| view.grow(slot_bits));
+        self.before.grow(slot_bits);
+        self.of_row.grow(slot_bits.min((CONTEXT_LEVELS * rows.max(1)).next_power_of_two().ilog2()));
     }
 
     fn code<C: BitCoder>(
@@ -111,10 +114,9 @@ impl<const NODES: usize> LevelViews<NODES> {
         let [w, ww, www] = [west, west2, near.left[2]].map(usize::from);
         // The root of the subtree of all levels of so many bits.
         let root = NODES >> bits;
-        let [before, of_row] = &mut self.views;
-        let slot_bits = before.slot_bits;
-        let before = before.slot((w / 2) << 16 | (ww / 2) << 8 | www / 8);
-        let of_row = of_row.slot_of_row(row.min(ROWS - 1), w, root);
+        let slot_bits = self.before.slot_bits;
+        let before = self.before.slot((w / 2) << 16 | (ww / 2) << 8 | www / 8);
+        let of_row = self.of_row.slot(row, w, root);
         if !C::ENCODES {
             touch(before);
             touch(of_row);
@@ -150,26 +152,40 @@ impl<const NODES: usize> View<NODES> {
         }
     }
 
-    /// The place of a context's slot.
-    #[inline(always)]
-    fn place(&self, context: usize) -> usize {
-        ((context as u32).wrapping_mul(0x9e37_79b1) >> (32 - self.slot_bits)) as usize
-    }
-
     /// The counters of a context.
     #[inline(always)]
     fn slot(&mut self, context: usize) -> &mut [Counter; NODES] {
-        let place = self.place(context);
-        &mut self.slots[place]
+        &mut self.slots[((context as u32).wrapping_mul(0x9e37_79b1) >> (32 - self.slot_bits)) as usize]
+    }
+}
+
+/// Slots of counters for each row and context level to the west, row after row. If there are too few, rows share them that
+/// are a power of two apart.
+#[derive(Clone, Default)]
+struct RowView<const NODES: usize> {
+    slots: Vec<[Counter; NODES]>,
+}
+
+impl<const NODES: usize> RowView<NODES> {
+    /// Makes room for so many slots, as a power of two; never shrinks. What rows that shared slots have learned stays with
+    /// each.
+    fn grow(&mut self, slot_bits: u32) {
+        let slots = 1 << slot_bits;
+        if self.slots.is_empty() {
+            self.slots = vec![[Counter::default(); NODES]; slots];
+        } else if slots > self.slots.len() {
+            self.slots = self.slots.repeat(slots / self.slots.len());
+        }
     }
 
-    /// The counters of a level to the west in a row. At first they are those of the row above.
+    /// The counters of a row and a context level, from 1 on, to the west. At first they are those of the row above.
     #[inline(always)]
-    fn slot_of_row(&mut self, row: usize, west: usize, root: usize) -> &mut [Counter; NODES] {
-        let place = self.place(row << 8 | west);
+    fn slot(&mut self, row: usize, west: usize, root: usize) -> &mut [Counter; NODES] {
+        let last = self.slots.len() - 1;
+        let place = (row * CONTEXT_LEVELS + west - 1) & last;
         // The root has seen every value of its slot.
         if self.slots[place][root % NODES].is_new() && row > 0 {
-            let above = self.place((row - 1) << 8 | west);
+            let above = place.wrapping_sub(CONTEXT_LEVELS) & last;
             self.slots[place] = self.slots[above].map(|counter| counter.based_on(INHERITED));
         }
         &mut self.slots[place]

@@ -28,7 +28,7 @@ fn code<C: BitCoder>(coder: &mut C, is_deep: bool, scale: &IntensityScale, frame
     let mut reference: Option<Reference> = None;
     for values in frames {
         model.set_deep(is_deep);
-        model.start_frame(scale, COLUMNS, values.cells().len());
+        model.start_frame(scale, (ROWS, COLUMNS), values.cells().len());
         let mut levels: Grid<u16> = Grid::new(ROWS, COLUMNS);
         for row in 0..ROWS {
             model.start_row();
