@@ -22,7 +22,7 @@ Examples:
 
 Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done as far as the input is whole.";
 
-/// Compresses folders of LiDAR scans, byte for byte by default.
+/// Compresses folders of LiDAR scans, losslessly by default.
 #[derive(Debug, Parser)]
 #[command(name = "lidarpc", version, about, after_help = EXAMPLES, max_term_width = 100)]
 pub struct Args {
@@ -42,9 +42,9 @@ pub enum Command {
     /// Decode a file into a folder of scans.
     #[command(long_flag = "decompress", short_flag = 'd')]
     Decode(DecodeArgs),
-    /// Report ratio, bits a point, bytes by section, and with --against the error.
+    /// Report ratio, bits a point and bytes by section; with --against also the error.
     Stats(StatsArgs),
-    /// List what a file holds, without decoding points.
+    /// List the contents of a file, without decoding points.
     #[command(long_flag = "list", short_flag = 'l')]
     Info(InfoArgs),
     /// Check a file: every checksum, and that every frame decodes.
@@ -56,21 +56,21 @@ pub enum Command {
     Cat(CatArgs),
     /// Write the intact groups of a damaged file as a new file.
     Repair(RepairArgs),
-    /// Draw a frame as a PNG, or a whole drive as a page: points, range image, regions, prediction.
+    /// Draw a frame as a PNG, or a whole drive as an HTML page: points, range image, regions, prediction.
     View(ViewArgs),
-    /// Run the experiments of the article behind `--mode paper`: its tables and figures, as text or as a page.
+    /// Run the experiments of the article behind `--mode paper`: its tables and figures, as text or as an HTML page.
     Bench(BenchArgs),
     /// Write a synthetic drive: KITTI .bin scans of a simulated scanner.
     Synth(SynthArgs),
-    /// Say what encoding would save and how long it would take, by a sample.
+    /// Estimate from a sample how much encoding would save and how long it would take.
     Estimate(EstimateArgs),
-    /// Write a script for a shell that completes commands and options.
+    /// Write a shell completion script for commands and options.
     Completions(CompletionsArgs),
     /// Write the manual pages.
     Man(ManArgs),
 }
 
-/// What is called the article everywhere else.
+/// Full name of what other help texts call the article.
 pub const ARTICLE: &str = "\
 The article is \"A Novel Coding Scheme for Large-Scale Point Cloud Sequences Based on Clustering and \
 Registration\"; sections, equations, tables and figures are its own.";
@@ -105,71 +105,72 @@ names that are nanoseconds or microseconds.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = ENCODE_EXAMPLES, after_long_help = format!("{ENCODE_MORE_EXAMPLES}{ARTICLE}"))]
 pub struct EncodeArgs {
-    /// Folders of scans, or scans; `-`: frames from stdin; or a recording (.mcap).
+    /// Folders of scans, single scans, a recording (.mcap), or `-` for frames from stdin.
     ///
-    /// A recording is copied to FILE.mcap with its clouds compressed; to any other FILE, its clouds alone are encoded.
+    /// With FILE.mcap as output, a recording is copied and its clouds are compressed; with any other FILE, only the
+    /// clouds are encoded.
     ///
-    /// Frames are sorted by the numbers in their names. From stdin they are encoded as they arrive, in a tar
-    /// archive, or each behind a line of its name, a space and its size in bytes.
+    /// Frames are sorted by the numbers in their names. Frames from stdin are encoded as they arrive: stdin is a tar
+    /// archive or, for each frame, a line with its name, a space and its size in bytes, followed by its bytes.
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
-    /// File to write; `-`: stdout; a folder: a file there for each drive. Default: INPUT.lpc.
+    /// File to write; `-` for stdout; or a folder, to write a file for each drive. Default: INPUT.lpc.
     ///
-    /// A folder is one that exists, or a name that ends in a slash. Each drive of a tree, that is each folder of scans without
-    /// `velodyne_points/data` and the like, becomes a file under its path.
+    /// FILE is taken as a folder if it is one, or if it ends in a slash. Each drive of a tree becomes a file under its
+    /// path. A drive is a folder of scans, without a trailing `velodyne_points/data`, `velodyne` or `data`.
     #[arg(short, long, value_name = "FILE")]
     pub output: Option<PathBuf>,
     /// Keep all other files of the folders too, byte for byte.
     ///
-    /// Hidden ones and empty folders too; not links, times and permissions. Scans and files then come back under their paths
-    /// below the folder. Files that are compressed already are stored.
+    /// This includes hidden files and empty folders, but not links, times and permissions. Scans and files are then
+    /// restored under their paths relative to the folder. Files that are already compressed are stored as they are.
     #[arg(long)]
     pub all: bool,
     #[command(flatten)]
     pub threads: Threads,
-    /// Drives to encode at the same time into a folder. Default: as many as threads, of as many drives or more.
+    /// Drives to encode in parallel into a folder. Default: one per thread if there are at least as many drives, else 1.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), hide_short_help = true)]
     pub jobs: Option<u16>,
-    /// Decode the written file and compare, before it gets its name.
+    /// Decode the written file and compare it with the input, before it gets its final name.
     #[arg(long)]
     pub verify: bool,
-    /// Delete the encoded files once the output is verified: implies --verify.
+    /// Delete the encoded files once the output is verified; implies --verify.
     ///
-    /// Only in exact mode. What is left out stays.
+    /// Only in exact mode. Files that are not stored are kept.
     #[arg(long, hide_short_help = true)]
     pub rm: bool,
-    /// Be able to go on after an interruption.
+    /// Make the run resumable.
     ///
-    /// Writes to FILE.partial, which stays if the run is interrupted, whatever the cause; the same command then
-    /// goes on after the last whole group of frames, to the same result. FILE.partial.journal says what it was
-    /// made from. Both are gone when the output is complete. Into a folder: leaves out the drives whose files are there.
+    /// Writes to FILE.partial, which remains after any interruption; the same command then continues after the last
+    /// complete group of frames, with the same result. FILE.partial.journal records the inputs and settings. Both are
+    /// removed when the output is complete. If the output is a folder: skips the drives whose files exist.
     #[arg(long)]
     pub resume: bool,
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,
-    /// Refuse folders of which anything would be left out.
+    /// Fail if anything in the input would be left out.
     ///
-    /// That is: other files, hidden files, links and pipes, though not times and permissions; and an empty
-    /// stdin. Without it, what is left out is counted on stderr.
+    /// This means other files, hidden files, links and pipes, but not times and permissions; also an empty stdin.
+    /// Without --strict, a line on stderr counts what is left out.
     #[arg(long)]
     pub strict: bool,
-    /// Take files that are named and hold no scan, as plain bytes.
+    /// Store explicitly named files that are not scans as plain bytes.
     #[arg(long, hide_short_help = true)]
     pub force_bytes: bool,
     /// Encode each frame from stdin to a stream of its own, and write it before the next frame is read.
     ///
-    /// Each stream follows a line of its name, a space and its size in bytes, and decodes by itself; `decode --messages` takes
-    /// them back one by one. The scanner is found in the first frame and kept.
+    /// Each stream follows a line with its name, a space and its size in bytes, and can be decoded independently;
+    /// `decode --messages` decodes them one by one. The scanner is fitted to the first frame and kept.
     #[arg(long, hide_short_help = true)]
     pub messages: bool,
-    /// Of a recording, compress only the clouds of this topic; may be given several times. Default: all.
+    /// Recordings: compress only the clouds of this topic; may be given several times. Default: all.
     #[arg(long, value_name = "TOPIC", hide_short_help = true)]
     pub topic: Vec<String>,
-    /// Name all that is left out, and each frame with its size.
+    /// List everything that is left out, and each frame with its size.
     #[arg(short, long)]
     pub verbose: bool,
-    /// Report as JSON on stdout.
+    /// Print the report as JSON on stdout.
     ///
     /// Sizes are in bytes, lengths in metres, times in seconds.
     #[arg(long)]
@@ -179,14 +180,14 @@ pub struct EncodeArgs {
 }
 
 impl DecodeArgs {
-    /// Where to write; stdout until `decode` has settled it.
+    /// Where to write; stdout until `decode` has chosen the default.
     pub fn output(&self) -> &Path {
         self.output.as_deref().unwrap_or(Path::new("-"))
     }
 }
 
 impl EncodeArgs {
-    /// Where to write; stdout until `encode` has settled it.
+    /// Where to write; stdout until `encode` has chosen the default.
     pub fn output(&self) -> &Path {
         self.output.as_deref().unwrap_or(Path::new("-"))
     }
@@ -197,7 +198,7 @@ impl EncodeArgs {
 pub struct Threads {
     /// Threads to use; 0: one for each processor.
     ///
-    /// Memory grows with them; the result is the same.
+    /// More threads need more memory; the result is the same.
     #[arg(long, value_name = "N", default_value_t = 0,
           value_parser = |text: &str| match text.parse::<usize>() {
               Ok(threads) if threads <= 1024 => Ok(threads),
@@ -206,18 +207,18 @@ pub struct Threads {
     pub threads: usize,
 }
 
-/// What reading a stream may take.
+/// Limits on the resources that reading a stream may use.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct LimitArgs {
     /// Refuse frames of more points, or range images of more cells.
     #[arg(long, value_name = "N", default_value_t = Limits::default().points)]
     #[arg(help_heading = "Limits", hide_short_help = true)]
     pub max_points: u64,
-    /// Refuse frames that decode to more bytes, and groups that decode to more together.
+    /// Refuse frames, and groups of frames, that decode to more bytes.
     #[arg(long, value_name = "BYTES", default_value_t = Limits::default().file_bytes)]
     #[arg(help_heading = "Limits", hide_short_help = true)]
     pub max_file_bytes: u64,
-    /// Refuse parts of the stream of more bytes: groups of frames, above all.
+    /// Refuse records of more bytes (in practice: groups of frames).
     #[arg(long, value_name = "BYTES", default_value_t = Limits::default().record_bytes)]
     #[arg(help_heading = "Limits", hide_short_help = true)]
     pub max_group_bytes: u64,
@@ -244,23 +245,23 @@ Examples:
   lidarpc decode small.mcap -o drive.mcap               a recording as it was
   ssh host 'cat drive.lpc' | lidarpc decode - -o drive/";
 
-/// What scans are converted to.
+/// File formats that scans can be converted to.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum FormatArg {
-    /// KITTI's: float32 x, y, z, intensity; intensity is 0 if there is none.
+    /// KITTI .bin: float32 x, y, z, intensity; intensity is 0 if there is none.
     Bin,
     /// Binary PCD, for PCL.
     Pcd,
     /// Binary little-endian PLY.
     Ply,
-    /// Text: a line of names, then a line for each point, with commas.
+    /// Text: a header line, then a line for each point, separated by commas.
     Csv,
-    /// NumPy's, an array of structures.
+    /// NumPy: a structured array.
     Npy,
 }
 
 impl FormatArg {
-    /// The same for the library.
+    /// The library's value for this format.
     pub fn format(self) -> FileFormat {
         match self {
             FormatArg::Bin => FileFormat::Bin,
@@ -275,33 +276,33 @@ impl FormatArg {
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = DECODE_EXAMPLES)]
 pub struct DecodeArgs {
-    /// Files to decode, all into one folder; `-` for stdin; a recording (.mcap); or a folder of files, each of which is decoded
-    /// into a folder of its name.
+    /// Files to decode, all into one folder; `-` for stdin; a recording (.mcap); or a folder of files, each of which is
+    /// decoded into a folder named after it.
     #[arg(required = true, value_name = "FILE")]
     pub inputs: Vec<PathBuf>,
-    /// Folder to write the scans into, made if missing; `-` for stdout, for a single frame; of a recording, FILE.mcap for
-    /// one with its clouds as they were. Default: FILE without `.lpc`.
+    /// Folder to write the scans into, created if missing; `-` for stdout (a single frame only); FILE.mcap, to restore a
+    /// recording with its original clouds. Default: FILE without `.lpc`.
     #[arg(short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
-    /// Frames to decode, the first being 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
+    /// Frames to decode, counted from 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
     #[arg(long, value_name = "RANGE")]
     pub frames: Option<FrameRange>,
-    /// Frames to decode by their times, after that of the first: `12s..15s` (without 15 s), `1m30s..`, `..0.5`.
+    /// Frames to decode, by time since the first frame: `12s..15s` (without 15 s), `1m30s..`, `..0.5`.
     #[arg(long, value_name = "RANGE", conflicts_with = "frames")]
     pub time: Option<TimeRange>,
-    /// Of a damaged file, decode all groups of frames that are intact, say which frames are lost, and exit
-    /// with 3 if any are.
+    /// Decode the intact groups of frames of a damaged file, report which frames are lost, and exit with 3 if any
+    /// are.
     #[arg(long)]
     pub keep_going: bool,
-    /// Convert the scans, whatever they were. Coordinates keep every bit (as text, all but the payload of a NaN); fields
-    /// without a name and other bytes of the files are left out.
+    /// Convert the scans from any format. Coordinates keep every bit (in text, except for the payload of a NaN); unnamed
+    /// fields and all other bytes of the files are left out.
     #[arg(long, value_enum)]
     pub format: Option<FormatArg>,
-    /// Decode what `encode --messages` writes, one by one as it comes: into the folder, or to stdout, each frame behind a line
-    /// of its name, a space and its size in bytes.
+    /// Decode the output of `encode --messages`, frame by frame as it arrives: into the folder, or to stdout, where each
+    /// frame follows a line with its name, a space and its size in bytes.
     #[arg(long, conflicts_with_all = ["frames", "time"])]
     pub messages: bool,
-    /// Of a recording, decode only the clouds of this topic into the folder; may be given several times. Default: all.
+    /// Recordings: decode only the clouds of this topic into the folder; may be given several times. Default: all.
     #[arg(long, value_name = "TOPIC")]
     pub topic: Vec<String>,
     #[command(flatten)]
@@ -309,7 +310,7 @@ pub struct DecodeArgs {
     /// Overwrite scans that exist.
     #[arg(short, long)]
     pub force: bool,
-    /// Report as JSON on stdout.
+    /// Print the report as JSON on stdout.
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
@@ -325,11 +326,11 @@ headers, names, lengths, checksums and the index. The bytes add up to the file's
 #[derive(Debug, clap::Args)]
 #[command(after_help = STATS_NOTES)]
 pub struct StatsArgs {
-    /// File to report on; `-` for stdin. With --steps also a folder of scans, or a scan, which is coded
-    /// in memory as the options below say.
+    /// File to report on; `-` for stdin. With --steps also a folder of scans or a single scan, which is encoded in
+    /// memory with the options below.
     #[arg(value_name = "FILE")]
     pub input: PathBuf,
-    /// Report what each step of coding takes and leaves, as Tables II to VI of the article behind --mode paper.
+    /// Report the time of each coding step and the bytes it produces, like Tables II to VI of the article behind --mode paper.
     #[arg(long, conflicts_with = "against")]
     pub steps: bool,
     /// Decode, and measure the error against these original scans.
@@ -338,9 +339,9 @@ pub struct StatsArgs {
     /// Measure PSNR too, point to point (D1) and point to plane (D2), as MPEG does.
     #[arg(long, requires = "against")]
     pub psnr: bool,
-    /// Decode, and write the scanner's way to this file: a line a frame, 12 numbers, the rows of the 3 x 4
-    /// matrix that takes its points (metres, axes of the scanner) to where the first frame has them,
-    /// as KITTI's poses. It is what registration of one frame with the next adds up to, not ground truth.
+    /// Decode, and write the trajectory of the scanner to this file in KITTI's pose format: a line of 12 numbers for
+    /// each frame, the rows of the 3 x 4 matrix that maps its points (metres, axes of the scanner) to the coordinates
+    /// of the first frame. The poses are accumulated from frame-to-frame registration; they are not ground truth.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["steps", "against"])]
     pub poses: Option<PathBuf>,
     /// Overwrite the poses if they exist.
@@ -348,7 +349,7 @@ pub struct StatsArgs {
     pub force: bool,
     #[command(flatten)]
     pub threads: Threads,
-    /// Report as JSON; sizes in bytes, errors in metres, times in seconds.
+    /// Print the report as JSON; sizes in bytes, errors in metres, times in seconds.
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
@@ -359,10 +360,10 @@ pub struct StatsArgs {
 
 #[derive(Debug, clap::Args)]
 pub struct InfoArgs {
-    /// Files to look into; `-` for stdin.
+    /// Files to list; `-` for stdin.
     #[arg(required = true, value_name = "FILE")]
     pub inputs: Vec<PathBuf>,
-    /// Report as JSON; sizes and offsets in bytes.
+    /// Print the report as JSON; sizes and offsets in bytes.
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
@@ -371,21 +372,21 @@ pub struct InfoArgs {
 
 #[derive(Debug, clap::Args)]
 pub struct VerifyArgs {
-    /// Files to check; `-` for stdin. All are checked, whatever is wrong with one.
+    /// Files to check; `-` for stdin. All are checked, even if one is damaged.
     #[arg(required = true, value_name = "FILE")]
     pub inputs: Vec<PathBuf>,
-    /// Compare with these original scans, byte for byte, and find what is missing.
+    /// Compare with these original scans, byte for byte, and report missing ones.
     #[arg(long, value_name = "FOLDER", num_args = 1)]
     pub against: Vec<PathBuf>,
-    /// Decode by other code than `decode`: by that which uses no vector unit.
+    /// Decode with the scalar code path instead of SIMD.
     ///
-    /// What this processor computes by its vector units, another may have to compute without them. That both come to the
-    /// same bytes is tested; this shows it of these files.
+    /// Processors without these vector units use the scalar code path. The tests check that both give the same bytes;
+    /// this option checks it for these files.
     #[arg(long)]
     pub deep: bool,
     #[command(flatten)]
     pub threads: Threads,
-    /// Report as JSON on stdout.
+    /// Print the report as JSON on stdout.
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
@@ -404,13 +405,13 @@ group's end are coded again; they decode to the same bytes as before, be they lo
 #[derive(Debug, clap::Args)]
 #[command(after_help = CUT_EXAMPLES)]
 pub struct CutArgs {
-    /// File to take frames from; `-` for stdin.
+    /// File to copy frames from; `-` for stdin.
     #[arg(value_name = "FILE")]
     pub input: PathBuf,
-    /// Frames to take, the first being 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
+    /// Frames to copy, counted from 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
     #[arg(long, value_name = "RANGE", required_unless_present = "time")]
     pub frames: Option<FrameRange>,
-    /// Frames to take by their times, after that of the first: `12s..15s` (without 15 s), `1m30s..`, `..0.5`.
+    /// Frames to copy, by time since the first frame: `12s..15s` (without 15 s), `1m30s..`, `..0.5`.
     #[arg(long, value_name = "RANGE", conflicts_with = "frames")]
     pub time: Option<TimeRange>,
     /// File to write; `-` for stdout.
@@ -419,7 +420,7 @@ pub struct CutArgs {
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,
-    /// Report as JSON on stdout.
+    /// Print the report as JSON on stdout.
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
@@ -445,7 +446,7 @@ pub struct CatArgs {
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,
-    /// Report as JSON on stdout.
+    /// Print the report as JSON on stdout.
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
@@ -463,7 +464,7 @@ pub struct RepairArgs {
     /// Overwrite the output if it exists.
     #[arg(short, long)]
     pub force: bool,
-    /// Report as JSON on stdout.
+    /// Print the report as JSON on stdout.
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
@@ -480,36 +481,36 @@ Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_help = VIEW_EXAMPLES)]
 pub struct ViewArgs {
-    /// Stream, or folder of scans, or scan, which is coded in memory as the options below say; `-` for a
+    /// Stream, or a folder of scans or a single scan, which is encoded in memory with the options below; `-` for a
     /// stream from stdin.
     #[arg(value_name = "INPUT")]
     pub input: PathBuf,
     /// Picture to write; `-` for stdout.
     #[arg(short, long, value_name = "FILE", required_unless_present = "html")]
     pub output: Option<PathBuf>,
-    /// Page to write instead, with all frames in it, in space and in time, for any browser; `-` for stdout.
+    /// HTML page to write instead, which shows all frames in 3-D and plays them in any browser; `-` for stdout.
     ///
-    /// A single file, which shows the points even where there is no server and no network. They are rounded: coordinates to 1 cm,
-    /// other fields to 256 values.
+    /// The page is a single file that needs no server and no network. Its points are rounded: coordinates to 1 cm, other
+    /// fields to 256 values.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "frame", "kind", "against", "scale"])]
     pub html: Option<PathBuf>,
-    /// Frames of the page, the first being 0: N, or A..B up to but not including B. Default: all.
+    /// Frames of the page, counted from 0: N, or A..B (without B). Default: all.
     #[arg(long, value_name = "FRAMES", requires = "html", conflicts_with = "output")]
     pub frames: Option<FrameRange>,
-    /// Frame to draw, the first being 0.
+    /// Frame to draw, counted from 0.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub frame: u64,
     /// What to draw.
     #[arg(long, value_enum, default_value = "all")]
     pub kind: Kind,
-    /// The original scans, for the error; needed for a stream only.
+    /// The original scans, to compute the error; needed for streams only.
     #[arg(long, value_name = "FOLDER", num_args = 1)]
     pub against: Vec<PathBuf>,
-    /// Pixels that a column of the range image is wide, and a quarter of what a row is high. Default:
-    /// as makes the picture about 1500 pixels wide.
+    /// Width of a range image column in pixels; a row is four times as high. Default: chosen so that the picture is
+    /// about 1500 pixels wide.
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(1..=16))]
     pub scale: Option<u16>,
-    /// Overwrite the picture or the page if it exists.
+    /// Overwrite the picture or page if it exists.
     #[arg(short, long)]
     pub force: bool,
     #[command(flatten)]
@@ -534,19 +535,19 @@ pub struct BenchArgs {
     /// Folder of scans, or a scan.
     #[arg(value_name = "INPUT")]
     pub input: PathBuf,
-    /// Measure the first three frames only, with fewer points on curves.
+    /// Measure only the first three frames, with fewer points on the curves.
     #[arg(long)]
     pub quick: bool,
     #[command(flatten)]
     pub threads: Threads,
-    /// Report as JSON.
+    /// Print the report as JSON.
     #[arg(long, conflicts_with = "csv")]
     pub json: bool,
-    /// Report as one CSV table, a line a value: section, series (row), x (column), its unit, y (value), its
-    /// unit, and whether it is measured or published.
+    /// Print the report as one CSV table with a line for each value: section, series (row), x (column), its unit, y
+    /// (value), its unit, and whether it is measured or published.
     #[arg(long)]
     pub csv: bool,
-    /// Also write a page with plots to this file, which needs nothing else; `-` for stdout, instead of text.
+    /// Also write a self-contained HTML page with plots to this file; `-` for stdout, instead of text.
     #[arg(long, value_name = "FILE")]
     pub html: Option<PathBuf>,
     /// Overwrite the page if it exists.
@@ -563,7 +564,7 @@ pub struct EstimateArgs {
     pub inputs: Vec<PathBuf>,
     #[command(flatten)]
     pub threads: Threads,
-    /// Report as JSON on stdout.
+    /// Print the report as JSON on stdout.
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
@@ -579,21 +580,21 @@ pub struct CompletionsArgs {
 
 #[derive(Debug, clap::Args)]
 pub struct ManArgs {
-    /// Folder to write `lidarpc.1` and a page for each command into, made if missing. Default: that of the program alone, to
-    /// stdout.
+    /// Folder to write `lidarpc.1` and a page for each command into, created if missing. Default: write only the page of
+    /// the program, to stdout.
     #[arg(short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
 }
 
 #[derive(Debug, clap::Args)]
 pub struct SynthArgs {
-    /// Folder to write the scans into, made if missing.
+    /// Folder to write the scans into, created if missing.
     #[arg(short, long, value_name = "FOLDER")]
     pub output: PathBuf,
-    /// Scans to write, ten a second of driving.
+    /// Number of scans; ten of them are one second of driving.
     #[arg(long, value_name = "N", default_value_t = SynthConfig::default().frames)]
     pub frames: usize,
-    /// Seed of everything random: the same seed gives the same drive.
+    /// Seed of the random numbers: the same seed gives the same drive.
     #[arg(long, value_name = "S", default_value_t = SynthConfig::default().seed)]
     pub seed: u64,
     /// The scanner to simulate.

@@ -16,46 +16,46 @@ use super::errors::wrong_usage;
 use super::length::Length;
 use super::regions::RegionArgs;
 
-/// How to code. What is not given is as the mode has it.
+/// How to code. Options that are not given take the mode's defaults.
 #[derive(Clone, Debug, Args)]
 pub struct CodingArgs {
     /// Largest error of a point, such as 10mm or 2cm. Default: exact.
     ///
-    /// The 3-D distance of a decoded point from its original.
+    /// The error is the 3-D distance of a decoded point from its original.
     #[arg(long, value_name = "LENGTH")]
     pub max_error: Option<Length>,
     /// Effort, also as -1 (fast) to -9 (small). Default: 6.
     ///
-    /// The context coder has the levels 1, 2, 3, 6, 7, 8 and 9: from 8 on frames are predicted from those before,
-    /// from 6 on where the scanner stands still.
+    /// The context coder has the levels 1, 2, 3, 6, 7, 8 and 9. From level 8 on, frames are predicted from the frame
+    /// before; where the scanner stands still, from level 6 on.
     #[arg(long, value_name = "1..9", value_parser = level)]
     pub level: Option<Level>,
     /// Fields of .bin records, such as xyzirt. Default: xyzi.
     ///
-    /// Of .pcd.bin: xyzir. A letter for each float32: x, y, z, i(ntensity), r(ing), t(ime), _ for another; or a
-    /// list of fields with their types, such as x,y,z,intensity:u8,ring:u16,time:f64,_:u8*4. Without it, `encode`
-    /// looks at the files, and says so if their records are of another length.
+    /// Default for .pcd.bin: xyzir. A letter for each float32: x, y, z, i(ntensity), r(ing), t(ime), _ for another; or
+    /// a list of fields with their types, such as x,y,z,intensity:u8,ring:u16,time:f64,_:u8*4. Without --layout,
+    /// `encode` examines the files and reports if their records have another length.
     #[arg(long, value_name = "FIELDS")]
     pub layout: Option<HeaderlessLayout>,
-    /// What decoding promises. Default: bounded with --max-error, exact without.
+    /// What decoding guarantees. Default: bounded with --max-error, else exact.
     #[arg(long, value_enum, hide_short_help = true, help_heading = "Coding")]
     pub mode: Option<ModeArg>,
-    /// Bounded mode: round intensities to multiples of this, in the file's unit, such as 0.05. Default: exact.
+    /// Bounded mode: round intensities to multiples of this step, in the file's unit, such as 0.05. Default: exact.
     #[arg(long, value_name = "STEP", hide_short_help = true, help_heading = "Coding")]
     pub intensity_step: Option<IntensityStep>,
-    /// Frames in a group. Default: 10, and 30 at level 9.
+    /// Frames in a group. Default: 10, or 30 at level 9.
     ///
-    /// Each group is decoded independently: longer groups compress better, shorter ones seek faster.
+    /// Groups are decoded independently: longer groups compress better, shorter ones allow faster random access.
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000),
           hide_short_help = true, help_heading = "Coding")]
     pub gop: Option<u32>,
-    /// What codes the ranges. Default: context; in paper mode lzma.
+    /// Coder of the ranges. Default: context; in paper mode lzma.
     #[arg(long, value_name = "NAME", value_parser = backend_names(), hide_short_help = true, help_heading = "Coding")]
     pub backend: Option<String>,
-    /// What ranges are predicted from. Default: auto; in paper mode, with another coder than context, inter.
+    /// Prediction of ranges. Default: auto; in paper mode, with a coder other than context, inter.
     #[arg(long, value_enum, value_name = "FROM", hide_short_help = true, help_heading = "Coding")]
     pub predict: Option<PredictArg>,
-    /// Which frames may be predicted from the one before.
+    /// Which frames of a group may be P frames, predicted from the frame before.
     #[arg(
         long,
         value_enum,
@@ -65,42 +65,41 @@ pub struct CodingArgs {
         help_heading = "Coding"
     )]
     pub order: OrderArg,
-    /// How the scanner's motion from the frame before is found. Default: projective.
+    /// Registration method, which estimates the motion of the scanner since the frame before. Default: projective.
     #[arg(long, value_enum, value_name = "METHOD", hide_short_help = true, help_heading = "Coding")]
     pub registration: Option<RegistrationArg>,
-    /// Give a general-purpose back-end what prediction leaves as it is, not as the differences along the
-    /// snake's path.
+    /// Pass prediction residuals to a general-purpose back-end as they are, not as differences along the snake's path.
     #[arg(long, hide_short_help = true, help_heading = "Coding")]
     pub no_snake: bool,
-    /// How residuals are laid out for a general-purpose back-end. Default: as suits it best.
+    /// Byte layout of residuals for a general-purpose back-end. Default: the best one for the back-end.
     #[arg(long, value_name = "NAME", value_parser = packing_names(), hide_short_help = true, help_heading = "Coding")]
     pub packing: Option<String>,
-    /// What jpeg or jpeg2000 may spend on ranges: bits for each return, on average, or `lossless`. Default: 2.
+    /// Rate of jpeg or jpeg2000: average bits for the range of a return, or `lossless`. Default: 2.
     #[arg(long, value_name = "BITS", hide_short_help = true, help_heading = "Coding")]
     pub rate: Option<RateArg>,
-    /// Passes of jpeg or jpeg2000 at most, each of what those before leave: 1 to 8. Default: 2.
+    /// Maximum number of jpeg or jpeg2000 passes, 1 to 8; each codes the residual of the passes before. Default: 2.
     #[arg(long, value_name = "N", hide_short_help = true, help_heading = "Coding")]
     pub passes: Option<u8>,
-    /// Paper mode: the range image to keep; the calibrated one loses no point. Default: ideal.
+    /// Range image of paper mode; the calibrated one loses no point. Default: ideal.
     #[arg(long, value_enum, value_name = "KIND", hide_short_help = true, help_heading = "Paper mode")]
     pub projection: Option<ProjectionArg>,
-    /// Columns of the ideal range image. Default: 2000, which are 0.18 degrees each.
+    /// Columns of the ideal range image. Default: 2000, of 0.18 degrees each.
     #[arg(long, value_name = "N", hide_short_help = true, help_heading = "Paper mode")]
     pub columns: Option<u32>,
-    /// Range step of the range image, such as 1mm or 1cm, or, of the ideal one, `float` for float32 ranges. Default:
-    /// 1mm; of the calibrated one, that of the scanner.
+    /// Range step of the range image, such as 1mm or 1cm; the ideal image also allows `float` for float32 ranges.
+    /// Default: 1mm for the ideal image, the step of the scanner for the calibrated one.
     #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = "Paper mode")]
     pub step: Option<StepArg>,
-    /// Whether intensities are kept. Default: none; in other modes exact.
+    /// Whether intensities are kept. Default: none; in the other modes exact.
     #[arg(long, value_enum, hide_short_help = true, help_heading = "Paper mode")]
     pub intensity: Option<IntensityArg>,
     /// Keep outliers.
     #[arg(long, hide_short_help = true, help_heading = "Paper mode")]
     pub keep_outliers: bool,
-    /// Points with fewer neighbours are outliers. Default: 2.
+    /// Points with fewer neighbours than this are outliers. Default: 2.
     #[arg(long, value_name = "N", hide_short_help = true, help_heading = "Paper mode")]
     pub outlier_neighbours: Option<usize>,
-    /// The largest distance of a neighbour. Default: 0.38m.
+    /// Radius within which points count as neighbours. Default: 0.38m.
     #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = "Paper mode")]
     pub outlier_radius: Option<Length>,
     #[command(flatten)]
@@ -112,65 +111,65 @@ fn level(text: &str) -> std::result::Result<Level, &'static str> {
     text.parse().ok().and_then(Level::new).ok_or("a level is a number from 1 (fast) to 9 (small)")
 }
 
-/// What decoding promises.
+/// What decoding guarantees.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum ModeArg {
-    /// Every file comes back byte for byte, whatever it holds.
+    /// Every file is restored byte for byte, whatever it holds.
     Exact,
-    /// Every point comes back in its place, no farther than --max-error from where it was.
+    /// Every point is restored, in the same order and no farther than --max-error from its original position.
     Bounded,
-    /// The article's codec: drops outliers, keeps the range image of an ideal sensor.
+    /// The article's codec: drops outliers, keeps the range image of an ideal scanner.
     Paper,
 }
 
-/// How a motion is found.
+/// Registration methods.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum RegistrationArg {
-    /// Surfaces are compared with what is seen in their place.
+    /// Projects the surfaces of the frame before into the range image and compares them with it.
     Projective,
-    /// Points are compared with the nearest points: the article's ICP.
+    /// Matches points to their nearest neighbours: the article's ICP.
     Icp,
 }
 
 /// Which frames of a group are P frames.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum OrderArg {
-    /// All but the first: smallest.
+    /// All but the first: smallest output.
     Ratio,
-    /// Every other one: less to compute.
+    /// Every other one: faster.
     Time,
 }
 
-/// What ranges are predicted from.
+/// Predictions of ranges.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum PredictArg {
-    /// Nothing.
+    /// No prediction.
     None,
-    /// Ground and objects.
+    /// From ground and objects.
     Intra,
-    /// The frame before, moved as the scanner has.
+    /// From the frame before, moved as the scanner moved.
     Inter,
-    /// Of these, what makes each frame smallest.
+    /// Whichever of these makes the frame smallest, frame by frame.
     Auto,
-    /// The frame before in every P frame, also where ground and objects make it smaller.
+    /// From the frame before in every P frame, even where ground and objects would make it smaller.
     Forced,
 }
 
-/// Which range image.
+/// Kinds of range images.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum ProjectionArg {
-    /// 64 rows at published elevations, or the lasers that are found, by --columns.
+    /// 64 rows at published elevations, or a row for each fitted laser; --columns columns.
     Ideal,
-    /// The one that exact mode codes.
+    /// The range image that exact mode codes.
     Calibrated,
 }
 
-/// What becomes of intensities.
+/// Whether intensities are kept.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum IntensityArg {
-    /// They are kept exactly.
+    /// Intensities are kept exactly.
     Exact,
-    /// They decode to 0.
+    /// Intensities decode to 0.
     None,
 }
 
@@ -206,7 +205,7 @@ impl std::str::FromStr for IntensityStep {
     }
 }
 
-/// What image coders may spend.
+/// Rate of the image coders.
 #[derive(Clone, Copy, Debug)]
 pub struct RateArg(Rate);
 
@@ -241,7 +240,7 @@ pub fn config(subcommand: &str, coding: &CodingArgs, threads: &Threads) -> Encod
     coding.config(threads.threads).unwrap_or_else(|error| wrong_usage(subcommand, error))
 }
 
-/// As [`config`], in paper mode whatever the mode.
+/// Like [`config`], but always in paper mode.
 pub fn paper_config(subcommand: &str, coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
     config(subcommand, &CodingArgs { mode: Some(ModeArg::Paper), ..coding.clone() }, threads)
 }
@@ -318,7 +317,7 @@ impl CodingArgs {
         Ok(())
     }
 
-    /// Refuses options that are for other coders.
+    /// Refuses options that belong to other coders.
     fn check_options_of(&self, coder: Coder) -> Result<()> {
         let for_backends = [("--packing", self.packing.is_some())];
         let for_images = [("--rate", self.rate.is_some()), ("--passes", self.passes.is_some())];

@@ -6,53 +6,53 @@ use clap::{Args, ValueEnum};
 
 use super::length::Length;
 
-/// How ground and objects are found and modelled. What is not given is as the mode has it.
+/// How ground and objects are found and modelled. Options that are not given take the mode's defaults.
 #[derive(Clone, Debug, Args)]
 pub struct RegionArgs {
-    /// Ground rises at a smaller angle, in degrees (equation 3). Default: 10.
+    /// Largest angle at which ground rises, in degrees (equation 3). Default: 10.
     #[arg(long, value_name = "DEGREES", hide_short_help = true, help_heading = HEADING)]
     pub ground_angle: Option<f64>,
-    /// Ground rises by less from one return to the next above it. Default: 0.4m.
+    /// Largest rise of the ground from one return to the next above it. Default: 0.4m.
     #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = HEADING)]
     pub ground_rise: Option<Length>,
-    /// Returns of the ground nearer to each other may be up to three returns apart. Default: 2m.
+    /// Ground returns closer together than this may be up to three returns apart. Default: 2m.
     #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = HEADING)]
     pub ground_reach: Option<Length>,
-    /// Neighbours at a larger angle belong to one object, in degrees (equation 4). Default: 10.
+    /// Angle above which neighbours belong to the same object, in degrees (equation 4). Default: 10.
     #[arg(long, value_name = "DEGREES", hide_short_help = true, help_heading = HEADING)]
     pub cluster_angle: Option<f64>,
-    /// The fewest returns of an object. Default: 20.
+    /// Minimum number of returns of an object. Default: 20.
     #[arg(long, value_name = "N", hide_short_help = true, help_heading = HEADING)]
     pub smallest_cluster: Option<usize>,
-    /// Which regions there are. Default: article.
+    /// How regions are formed. Default: article.
     #[arg(long, value_enum, value_name = "KIND", hide_short_help = true, help_heading = HEADING)]
     pub regions: Option<RegionsArg>,
-    /// Lambda of equation 5, for fitted regions: the squared error, in steps, that is worth one bit. Default: 1000.
+    /// Lambda of equation 5, for fitted regions: the squared error, in steps, that one bit is worth. Default: 1000.
     #[arg(long, value_name = "LAMBDA", hide_short_help = true, help_heading = HEADING)]
     pub lambda: Option<f64>,
-    /// The largest distance from the ground's plane of points that support it. Default: 0.15m.
+    /// Largest distance from the ground plane at which points support it. Default: 0.15m.
     #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = HEADING)]
     pub plane_tolerance: Option<Length>,
-    /// The share of the ground that is expected to support its plane. Default: 0.5.
+    /// Expected share of ground points that support the ground plane. Default: 0.5.
     #[arg(long, value_name = "SHARE", hide_short_help = true, help_heading = HEADING)]
     pub plane_support: Option<f64>,
-    /// The probability with which a plane of three supporting points is to be found. Default: 0.99.
+    /// Required probability of finding a plane through three supporting points. Default: 0.99.
     #[arg(long, value_name = "SHARE", hide_short_help = true, help_heading = HEADING)]
     pub plane_confidence: Option<f64>,
-    /// Seed of the random choices of the plane's search. Default: 1.
+    /// Seed of the random choices in the plane search. Default: 1.
     #[arg(long, value_name = "S", hide_short_help = true, help_heading = HEADING)]
     pub plane_seed: Option<u64>,
 }
 
-/// What help calls these options together.
+/// Heading of these options in the help.
 const HEADING: &str = "Regions of intra prediction";
 
-/// Which regions.
+/// Kinds of regions.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum RegionsArg {
     /// The article's: the mean of each object, a plane for the ground.
     Article,
-    /// Split and merged, each with its mean or a plane, as costs least.
+    /// Split and merged at the lowest cost, each with its mean or a plane.
     Fitted,
 }
 

@@ -11,7 +11,7 @@ use crate::scanner::Alignment;
 use crate::study::picture::{self, LabelStyle, Picture, Scale, Zoom};
 use clap::ValueEnum;
 
-/// What is drawn.
+/// Kinds of pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Kind {
     /// The range image, in metres.
@@ -20,14 +20,14 @@ pub enum Kind {
     Occupancy,
     /// Ground brown, each object in a colour of its own, other returns grey.
     Labels,
-    /// The regions that ranges are predicted from, in colours of their own; those with a plane brown.
+    /// The regions that ranges are predicted from, each in a colour of its own; regions with a plane brown.
     Regions,
-    /// What the regions' models predict, in metres.
+    /// The ranges predicted by the models of the regions, in metres.
     Prediction,
-    /// What prediction leaves, in metres.
+    /// The prediction residuals, in metres.
     Residual,
-    /// How far points are from the originals, in millimetres: from those in their place of the order, or,
-    /// where the order has changed, from the nearest ones.
+    /// The distances of points from the originals, in millimetres: from the points at the same place in the order or, if
+    /// the order has changed, from the nearest points.
     Error,
     /// The points from above, coloured by height.
     BirdsEye,
@@ -35,7 +35,7 @@ pub enum Kind {
     Perspective,
     /// The range image, and the points in perspective below it.
     Overview,
-    /// All of the range image's pictures, one below the other.
+    /// All pictures of the range image, one below the other.
     All,
 }
 
