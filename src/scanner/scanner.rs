@@ -9,7 +9,6 @@ use super::motion::stamped;
 use super::{Coordinates, MOST_STEPS, Projection, REACH, RangeImage, Return};
 use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
-use crate::models::ColumnModel;
 use crate::scan::{PointCloud, ScanFile, squared_distance};
 
 /// A scanner: what turns integers (beam or laser, azimuth tick, range steps) into the coordinates of a file.
@@ -31,7 +30,7 @@ const FIRINGS: u64 = 2;
 /// What the coder has learned about columns, whatever the family.
 #[derive(Clone, Default)]
 pub struct ColumnModels {
-    hdl64: ColumnModel,
+    hdl64: hdl64::ColumnModel,
     firings: firings::FiringColumnModel,
 }
 
