@@ -10,8 +10,8 @@ use crate::common::{
 };
 use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::internals::article::prediction::intra::{IntraConfig, RegionModels};
-use lidarpc::internals::article::residual::Packing;
 use lidarpc::internals::backend::BACKENDS;
+use lidarpc::internals::backend::Packing;
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction, Source};
