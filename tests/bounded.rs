@@ -5,11 +5,11 @@ use crate::common::formats::{kitti, nuscenes, pcd_extra, pcd_text, ply};
 use crate::common::odd::{SCANS, changed_scan, noise};
 use crate::common::scans::{Points, random_points, scans, shuffled, small};
 use crate::common::{File, cases, decode_files, encode_files, first_files, real_folders, section_bytes};
+use lidarpc::internals::container::SectionKind;
 use lidarpc::internals::edit::{Named, cut};
 use lidarpc::internals::frame::Intensity;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::ground::error::Limits;
-use lidarpc::internals::stream::container::SectionKind;
 use lidarpc::internals::stream::{DecodeOptions, FrameInput, FrameRange, decode, encode};
 use proptest::prelude::*;
 

@@ -7,12 +7,12 @@ use crate::common::formats::kitti;
 use crate::common::scans::Points;
 use crate::common::streams::at_level;
 use crate::common::{self, File, round_trip, take_apart};
+use lidarpc::internals::container::SectionKind;
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scan::ScanFile;
 use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Recipe, Timing, fit};
 use lidarpc::internals::scanner::{REACH, RangeImage, Return, Scanner};
-use lidarpc::internals::stream::container::SectionKind;
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, VLP_16_ELEVATIONS, drive};
 
 /// A VLP-16, every so many-th block of its firings.

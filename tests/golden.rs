@@ -21,10 +21,10 @@ use crate::common::{
 };
 use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::internals::backend::{BACKENDS, LZMA};
+use lidarpc::internals::container::{Stamp, StreamHeader, Time, TimeSource, Unit};
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
 use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction};
 use lidarpc::internals::scanner::{RangeImage, firings};
-use lidarpc::internals::stream::container::{Stamp, StreamHeader, Time, TimeSource, Unit};
 use lidarpc::internals::stream::{FrameInput, encode};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 

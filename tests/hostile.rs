@@ -5,6 +5,7 @@ use crate::common::formats::{kitti, pcd_text};
 use crate::common::scans::Random;
 use crate::common::streams::{Parts, STREAMS, at_level};
 use crate::common::{cases, decode_files, decode_within, encode_files, put_together, take_apart};
+use lidarpc::internals::container::{Frame, Group, ScannerRecord, Section, SectionKind};
 use lidarpc::internals::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
 use lidarpc::internals::frame::parameters::RangeCoder;
 use lidarpc::internals::frame::{FrameParameters, Modelling};
@@ -14,7 +15,6 @@ use lidarpc::internals::models::ByteModel;
 use lidarpc::internals::scan::{Field, Layout, Scalar, Wrapping};
 use lidarpc::internals::scanner::hdl64::ColumnModel;
 use lidarpc::internals::scanner::{BeamConstants, Coordinates, Hdl64};
-use lidarpc::internals::stream::container::{Frame, Group, ScannerRecord, Section, SectionKind};
 use proptest::prelude::*;
 
 /// What is done to a stream's parts. Places are counted modulo what there is.

@@ -7,11 +7,11 @@ use crate::common::scans::{random_points, scans};
 use crate::common::streams::at_level;
 use crate::common::{File, decode_files, encode_files, put_together, round_trip, take_apart};
 use lidarpc::internals::backend::BACKENDS;
+use lidarpc::internals::container::{Frame, Section, SectionKind};
 use lidarpc::internals::frame::settings::{
     Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind,
 };
 use lidarpc::internals::frame::{FrameParameters, Prediction};
-use lidarpc::internals::stream::container::{Frame, Section, SectionKind};
 use lidarpc::internals::study::synth::SynthConfig;
 
 /// A drive of five frames.

@@ -325,7 +325,7 @@ fn a_file_that_no_decoder_takes_is_left_out_and_said() {
 /// A stream whose names would leave the folder: the decoder trusts nothing.
 #[test]
 fn names_never_leave_the_folder() {
-    use lidarpc::internals::stream::container::{
+    use lidarpc::internals::container::{
         Frame, FrameHeader, Group, Section, SectionKind, Stamp, StreamWriter, Unit,
     };
 
@@ -353,8 +353,8 @@ fn names_never_leave_the_folder() {
 
 /// The parameters of a frame that is the bytes of its file, as the encoder writes them.
 fn parameters_of_bytes() -> Vec<u8> {
+    use lidarpc::internals::container::{Record, SectionKind, StreamReader};
     use lidarpc::internals::ground::error::Limits;
-    use lidarpc::internals::stream::container::{Record, SectionKind, StreamReader};
 
     let bench = Bench::new();
     bench.write_files("seq", &[("1.bin".to_owned(), scan(5, 1))].into());

@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
+use crate::container::{IndexedReader, Unit};
 use crate::edit::Recovered;
 use crate::files::{FileFormat, Give, convert};
 use crate::ground::error::{Error, Limits};
 use crate::scan::ScanFile;
-use crate::stream::container::{IndexedReader, Unit};
 use crate::stream::{DecodeOptions, DecodedFrame, FrameRange};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;

@@ -7,10 +7,10 @@ use std::io::{self, BufReader, Write};
 use std::path::PathBuf;
 use std::time::Instant;
 
+use crate::container::Unit;
 use crate::files::sequence::{FoundFile, LeftOut};
 use crate::files::{ArrivedFile, ArrivingFrames};
 use crate::frame::{EncoderConfig, Intensity, Positions};
-use crate::stream::container::Unit;
 use crate::stream::{DecodeOptions, DecodedFrame, Encoded, FrameInput};
 use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};

@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, HashMap};
 use std::io::{self, Read, Write};
 
+use crate::container::{Index, Record, ScannerId, ScannerRecord, Stamp, StreamReader, Unit};
 use crate::frame::FrameParameters;
 use crate::ground::error::{Error, Limits};
 use crate::scanner::Scanner;
-use crate::stream::container::{Index, Record, ScannerId, ScannerRecord, Stamp, StreamReader, Unit};
 use anyhow::Result;
 use serde::Serialize;
 

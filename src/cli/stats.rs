@@ -5,9 +5,9 @@ mod scanners;
 
 use std::io::{self, BufReader, Read, Seek, Write};
 
+use crate::container::{Record, SectionKind, StreamReader, Unit};
 use crate::frame::Source;
 use crate::ground::error::Limits;
-use crate::stream::container::{Record, SectionKind, StreamReader, Unit};
 use crate::study::metrics;
 use anyhow::Result;
 use serde::Serialize;

@@ -3,13 +3,13 @@
 //! its sections and not from the points that they stand for, so lossy frames lose nothing further. The output
 //! of an image coder is written again as it is.
 
+use crate::container::{self, allowance, pay_for};
 use crate::frame::frame::Frame;
 use crate::frame::parameters::Prediction;
 use crate::frame::sections::{Effort, SectionReader, SectionWriter};
 use crate::frame::syntax::Models;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::Scanner;
-use crate::stream::container::{self, allowance, pay_for};
 use crate::stream::decoder::write_checked;
 use crate::stream::source::GroupJob;
 

@@ -27,9 +27,9 @@ use journal::{Entry, InputFile, Journal, JournalWriter};
 use kept::Kept;
 use settings::Settings;
 
+use crate::container::ScannerRecord;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::ground::error::{Error, Result};
-use crate::stream::container::ScannerRecord;
 use crate::stream::encoded::{Encoded, OpenStream};
 use crate::stream::encoder::{SequenceCoder, groups_of};
 use crate::stream::input::FrameInput;

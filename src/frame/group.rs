@@ -16,6 +16,7 @@ use super::steps::{Step, StepReport};
 use super::syntax::Models;
 use super::whole::WholeFile;
 use crate::article::prediction::intra::IntraPrediction;
+use crate::container::{FrameHeader, Section, Unit, allowance, pay_for};
 use crate::files::parse_like;
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::grid::Grid;
@@ -24,7 +25,6 @@ use crate::inter::registration::{Pose, QuantisedPose, register};
 use crate::scan::{ScanFile, Wrapping};
 use crate::scanner::RangeImage;
 use crate::scanner::Scanner;
-use crate::stream::container::{FrameHeader, Section, Unit, allowance, pay_for};
 
 /// Encodes the frames of one group.
 pub struct GroupEncoder<'s> {

@@ -8,13 +8,13 @@ use super::fidelity::{Intensity, Positions};
 use super::modelling::Modelling;
 use crate::article::image_coding::ImageCodec;
 use crate::backend::{self, Packing};
+use crate::container::{Frame, FrameHeader, SectionKind};
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 use crate::inter::registration::QuantisedPose;
 use crate::scanner::EXACT_RANGE_BITS;
 use crate::scanner::Scanner;
-use crate::stream::container::{Frame, FrameHeader, SectionKind};
 
 /// The parameters of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]

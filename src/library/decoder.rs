@@ -9,9 +9,9 @@ use rayon::ThreadPool;
 
 use super::range_image::RangeImage;
 use super::scan::Scan;
+use crate::container::{FrameHeader, IndexedReader, Stamp, StreamReader, Unit};
 use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::container::{FrameHeader, IndexedReader, Stamp, StreamReader, Unit};
 use crate::stream::decoder::{DecodedFrame, OpenGroup, decode_group};
 use crate::stream::ordered::{Workers, on, pool_for_frames};
 use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};

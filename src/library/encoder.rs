@@ -8,10 +8,10 @@ use rayon::ThreadPool;
 
 use super::scan::Scan;
 use super::settings::Settings;
+use crate::container::Stamp;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::ground::error::{Error, Result};
 use crate::stream::FrameInput;
-use crate::stream::container::Stamp;
 use crate::stream::encoded::OpenStream;
 use crate::stream::encoder::{EncodedGroup, SequenceCoder, encode_known};
 use crate::stream::ordered::{Workers, on, pool_for_frames};

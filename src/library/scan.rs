@@ -2,10 +2,10 @@
 
 use super::range_image::RangeImage;
 use super::scalar::{Scalar, Values};
+use crate::container::{Stamp, Time, TimeSource, Unit};
 use crate::files;
 use crate::ground::error::{Error, Result};
 use crate::scan::{self, Channel, Field, Layout, MAX_STRIDE, PointCloud, ScanFile};
-use crate::stream::container::{Stamp, Time, TimeSource, Unit};
 
 /// What the channel of intensities is called.
 const INTENSITY: &str = "intensity";

@@ -6,10 +6,10 @@ use std::mem::take;
 use std::sync::{Arc, Mutex};
 
 use super::*;
+use crate::container::Unit;
 use crate::frame::EncoderConfig;
 use crate::ground::error::{Error, Result};
 use crate::scan::Scalar as ScalarType;
-use crate::stream::container::Unit;
 use crate::stream::{FrameInput, encode_live};
 
 /// Three scans of a simulated drive: file names and points.
@@ -360,8 +360,8 @@ fn an_encoder_that_failed_stays_failed() {
 
 #[test]
 fn messages_stand_by_themselves_and_share_what_was_found() {
+    use crate::container::{Record, StreamReader};
     use crate::ground::error::Limits;
-    use crate::stream::container::{Record, StreamReader};
 
     let scanner_of = |stream: &[u8]| {
         let mut reader = StreamReader::open(stream, Limits::default()).unwrap();

@@ -9,10 +9,10 @@ use mcap::records::{Channel, MessageHeader, Record};
 use super::message::{self, Encoding};
 use super::pack::unpacked;
 use super::records::Records;
+use crate::container::{Stamp, Time, TimeSource, Unit};
 use crate::frame::settings::resolve_threads;
 use crate::ground::error::Result;
 use crate::library::Scan;
-use crate::stream::container::{Stamp, Time, TimeSource, Unit};
 use crate::stream::ordered::run_ordered;
 
 /// Which topics of clouds are meant.

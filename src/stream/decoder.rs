@@ -7,6 +7,7 @@ use std::io::{Read, Seek};
 use super::options::DecodeOptions;
 use super::ordered::run_ordered;
 use super::source::{GroupJob, IndexedGroups, StreamedGroups};
+use crate::container::{Frame, FrameHeader, IndexedReader, StreamReader};
 use crate::files;
 use crate::frame::group::{DecodedImage, DecodedScan, GroupDecoder};
 use crate::frame::parameters::Source;
@@ -15,7 +16,6 @@ use crate::frame::steps::StepReport;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
 use crate::scanner::Scanner;
-use crate::stream::container::{Frame, FrameHeader, IndexedReader, StreamReader};
 
 /// One decoded file. Whether it is the file that was encoded shows when its bytes are asked for, or by
 /// [`checked`](Self::checked).

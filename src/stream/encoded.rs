@@ -3,10 +3,10 @@
 use std::io::Write;
 
 use super::encoder::EncodedGroup;
+use crate::container::{Frame, FrameHeader, Index, ScannerRecord, SectionKind, StreamWriter, Unit};
 use crate::frame::parameters::Source;
 use crate::frame::steps::StepReport;
 use crate::ground::error::Result;
-use crate::stream::container::{Frame, FrameHeader, Index, ScannerRecord, SectionKind, StreamWriter, Unit};
 
 /// What was encoded.
 #[derive(Clone, Debug, Default)]

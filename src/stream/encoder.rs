@@ -8,12 +8,12 @@ use super::encoded::{Encoded, OpenStream};
 use super::input::{FrameInput, ReadFrame};
 use super::ordered::run_ordered;
 use super::scanner_choice::{Scanners, choose_scanners, records_of};
+use crate::container::{Frame, FrameHeader, Group};
 use crate::frame::group::GroupEncoder;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::frame::steps::StepReport;
 use crate::ground::error::{Limits, Result};
 use crate::scan::ScanFile;
-use crate::stream::container::{Frame, FrameHeader, Group};
 
 /// A group is closed early when its files reach this many bytes together: decoders hold a whole
 /// group in memory.

@@ -3,15 +3,15 @@
 use std::fs;
 use std::path::PathBuf;
 
+use crate::container::{FrameHeader, STREAMS_MAX, Stamp, Unit};
+#[cfg(feature = "cli")]
+use crate::container::{Time, TimeSource};
 use crate::files::names::check_name;
 #[cfg(feature = "cli")]
 use crate::files::sequence::FoundFile;
 use crate::files::{self, HeaderlessLayout, parse_with};
 use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
-use crate::stream::container::{FrameHeader, STREAMS_MAX, Stamp, Unit};
-#[cfg(feature = "cli")]
-use crate::stream::container::{Time, TimeSource};
 
 /// One frame to encode.
 #[derive(Clone, Debug)]

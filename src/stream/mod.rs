@@ -2,7 +2,6 @@
 //!
 //! Groups are independent, so they are coded in parallel, and delivered in order.
 
-pub mod container;
 pub mod decoder;
 pub mod encoded;
 pub mod encoder;

@@ -7,13 +7,13 @@ use rayon::prelude::*;
 use super::input::FrameInput;
 use super::ordered::pool;
 use super::source::record_of;
+use crate::container::{ScannerId, ScannerRecord, Unit};
 use crate::frame::Positions;
 use crate::frame::settings::{Coder, EncoderConfig, ProjectionKind, resolve_threads};
 use crate::ground::error::Result;
 use crate::scan::{ScanFile, sorted};
 use crate::scanner::motion::{self, stamped};
 use crate::scanner::{self, Scanner};
-use crate::stream::container::{ScannerId, ScannerRecord, Unit};
 
 /// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;

@@ -5,11 +5,11 @@ use std::io::{Read, Seek};
 use std::sync::Arc;
 
 use super::options::FrameRange;
-use crate::ground::error::{Error, Result};
-use crate::scanner::Scanner;
-use crate::stream::container::{
+use crate::container::{
     Group, GroupEntry, Index, IndexedReader, Record, ScannerId, ScannerRecord, StreamReader,
 };
+use crate::ground::error::{Error, Result};
+use crate::scanner::Scanner;
 
 /// A group, with all that it takes to decode or to copy it.
 pub struct GroupJob {

@@ -3,13 +3,13 @@
 use std::io::Cursor;
 
 use super::*;
-use crate::edit::{Named, cat, cut};
-use crate::frame::*;
-use crate::ground::error::{Error, Limits, Result};
-use crate::stream::container::{
+use crate::container::{
     Group, Record, ScannerId, ScannerRecord, Section, SectionKind, Stamp, StreamReader, StreamWriter, Time,
     TimeSource, Unit,
 };
+use crate::edit::{Named, cat, cut};
+use crate::frame::*;
+use crate::ground::error::{Error, Limits, Result};
 use crate::study::synth::{SynthConfig, drive};
 
 /// Seven files: scans, an empty one, an odd one, and one that is no scan.
@@ -156,7 +156,7 @@ fn a_frame_that_decodes_to_something_else_is_an_error() {
     let stream = encode_files(&sample_files()[..1], 1, 1);
     let mut reader = StreamReader::open(&stream[..], Limits::default()).unwrap();
     let Some(Record::Group(group)) = reader.next_record().unwrap() else { panic!("no group") };
-    let recoded = |change: &dyn Fn(&mut crate::stream::container::FrameHeader)| {
+    let recoded = |change: &dyn Fn(&mut crate::container::FrameHeader)| {
         let mut group = group.clone();
         change(&mut group.frames[0].header);
         let mut writer = StreamWriter::create(Vec::new()).unwrap();

@@ -4,12 +4,12 @@ use std::sync::LazyLock;
 
 use lidarpc::internals::article::image_coding::ImageCodec;
 use lidarpc::internals::backend::{self, BACKENDS, Level};
+use lidarpc::internals::container::{FrameHeader, Group, ScannerRecord, Section, SectionKind};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::internals::scanner::Scanner;
 use lidarpc::internals::scanner::firings::Recipe;
 use lidarpc::internals::scanner::motion::world::{Correction, Knot, Pose, Times, World};
-use lidarpc::internals::stream::container::{FrameHeader, Group, ScannerRecord, Section, SectionKind};
 use lidarpc::internals::stream::{FrameInput, Scanners, encode_known};
 
 use super::firings::{image, made_up, moved_by_stamps, points, sorted, timed, with_echoes};

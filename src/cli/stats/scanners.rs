@@ -3,11 +3,11 @@
 use std::io::{self, Write};
 
 use crate::cli::table;
+use crate::container::{Group, ScannerId, ScannerRecord};
 use crate::frame::group::{Explained, GroupDecoder};
 use crate::frame::{FrameParameters, Positions, StepReport};
 use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::Scanner;
-use crate::stream::container::{Group, ScannerId, ScannerRecord};
 use crate::study::metrics;
 use serde::Serialize;
 

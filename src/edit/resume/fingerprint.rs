@@ -1,6 +1,6 @@
 //! Distinguishes the groups of a stream from others of the same length.
 
-use crate::stream::container::{Frame, Group};
+use crate::container::{Frame, Group};
 
 /// A checksum over the checksums of everything in the groups. A CRC over the bytes of the stream would not
 /// do: each section ends in its own CRC-32C, and a CRC over such bytes depends on their length alone.
@@ -23,7 +23,7 @@ pub fn fingerprint<'g>(groups: impl IntoIterator<Item = &'g Group>) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::container::{FrameHeader, ScannerId, Section, SectionKind};
+    use crate::container::{FrameHeader, ScannerId, Section, SectionKind};
 
     #[test]
     fn groups_of_the_same_length_differ() {

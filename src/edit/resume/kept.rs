@@ -6,9 +6,9 @@ use std::io::{BufReader, Read, Seek};
 use super::fingerprint::fingerprint;
 use super::journal::{Entry, Journal};
 use super::settings::Settings;
+use crate::container::{Frame, Index, Record, StreamReader};
 use crate::frame::steps::StepReport;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::container::{Frame, Index, Record, StreamReader};
 use crate::stream::encoded::{Encoded, FrameOfStream};
 
 /// The beginning of a partial stream, as far as it is intact and the journal records what it was made from.

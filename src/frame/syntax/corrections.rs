@@ -1,5 +1,6 @@
 //! The positions of the returns: those of the formula, corrected as far as necessary. And those of the blanks.
 
+use crate::container::SectionKind;
 use crate::entropy::TokenTables;
 use crate::frame::fidelity::Positions;
 use crate::frame::frame::Frame;
@@ -8,7 +9,6 @@ use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::models::{BlankModel, CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
 use crate::scanner::{Coordinates, Return, Scanner};
-use crate::stream::container::SectionKind;
 
 /// What a group's corrections have taught so far.
 #[derive(Clone, Default)]

@@ -1,5 +1,6 @@
 //! The echoes: further returns of the cells, with their ranges and intensities.
 
+use crate::container::SectionKind;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::frame::fidelity::Intensity;
 use crate::frame::frame::Frame;
@@ -7,7 +8,6 @@ use crate::frame::sections::SectionCoder;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::{Echo, MOST_STEPS};
-use crate::stream::container::SectionKind;
 
 /// What a group's echoes have taught so far.
 #[derive(Clone, Default)]

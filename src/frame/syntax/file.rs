@@ -1,13 +1,13 @@
 //! The layout of the file, and the bytes around the records.
 
 use super::within;
+use crate::container::SectionKind;
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::frame::frame::Frame;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::{Error, Limits, Result};
 use crate::models::ByteModel;
 use crate::scan::Layout;
-use crate::stream::container::SectionKind;
 
 /// What a group's files have taught so far.
 #[derive(Clone, Default)]

@@ -3,6 +3,7 @@
 use std::mem::take;
 
 use super::within;
+use crate::container::SectionKind;
 use crate::entropy::TokenTables;
 use crate::frame::frame::Frame;
 use crate::frame::modelling::OccupancyModelling;
@@ -12,7 +13,6 @@ use crate::ground::grid::Grid;
 use crate::inter::Reference;
 use crate::models::{OCCUPANCY_CONTEXTS, OccupancyModel, code_occupancy};
 use crate::scanner::{ColumnModels, Scanner};
-use crate::stream::container::SectionKind;
 
 /// What a group's range images have taught so far.
 #[derive(Clone, Default)]

@@ -6,6 +6,7 @@ use byteorder::{ByteOrder, LittleEndian};
 
 use super::returns::Part;
 use crate::backend::Level;
+use crate::container::SectionKind;
 use crate::entropy::{BitCoder, TokenCoder, TokenTables};
 use crate::frame::fidelity::Intensity;
 use crate::frame::frame::Frame;
@@ -18,7 +19,6 @@ use crate::models::{
     IntensityScale, IntensityTokens, PACKED_INTENSITY_CONTEXTS, code_packed_intensities, neighbours_above,
 };
 use crate::scan::{Channel, Field, Scalar};
-use crate::stream::container::SectionKind;
 
 /// What a group's intensities have taught so far.
 #[derive(Clone, Default)]

@@ -8,6 +8,7 @@ use crate::article::prediction::surface::SurfaceCoder;
 use crate::article::prediction::{Predictor, Rays};
 use crate::article::residual;
 use crate::backend::{self, Packing};
+use crate::container::SectionKind;
 use crate::entropy::TokenTables;
 use crate::frame::frame::Frame;
 use crate::frame::modelling::RangeModelling;
@@ -22,7 +23,6 @@ use crate::models::{
     code_packed_ranges, start_tables,
 };
 use crate::scanner::Scanner;
-use crate::stream::container::SectionKind;
 
 /// What a group's ranges have taught so far.
 #[derive(Clone, Default)]

@@ -3,6 +3,7 @@
 use std::mem::take;
 
 use super::within;
+use crate::container::SectionKind;
 use crate::frame::fidelity::Positions;
 use crate::frame::frame::Frame;
 use crate::frame::sections::SectionCoder;
@@ -10,7 +11,6 @@ use crate::ground::error::Result;
 use crate::models::{ChannelsModel, OrderModel};
 use crate::scan::{Channel, Field};
 use crate::scanner::Scanner;
-use crate::stream::container::SectionKind;
 
 /// What a group's records have taught so far.
 #[derive(Clone, Default)]

@@ -5,13 +5,13 @@ use std::mem::take;
 
 use super::intensities::{Intensities, IntensityModels};
 use super::ranges::RangeModels;
+use crate::container::SectionKind;
 use crate::frame::frame::Frame;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::ground::grid::Grid;
 use crate::inter::Reference;
 use crate::scanner::Scanner;
-use crate::stream::container::SectionKind;
 
 /// What the returns of a group have taught so far.
 #[derive(Clone, Default)]

@@ -3,6 +3,7 @@
 use byteorder::{ByteOrder, LittleEndian};
 
 use crate::backend::Level;
+use crate::container::SectionKind;
 use crate::entropy::{AdaptiveBit, ArithmeticEncoder, BitCoder};
 use crate::frame::frame::Frame;
 use crate::frame::sections::SectionCoder;
@@ -11,7 +12,6 @@ use crate::models::PointModel;
 use crate::models::channels::{Packed, code_packed};
 use crate::scan::Scalar;
 use crate::scanner::Coordinates;
-use crate::stream::container::SectionKind;
 
 /// What a group's strays have taught so far.
 #[derive(Clone, Default)]
