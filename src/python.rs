@@ -297,8 +297,8 @@ impl Frame {
     }
 
     #[getter]
-    fn stream(&self) -> u8 {
-        self.scan.stream()
+    fn track(&self) -> u8 {
+        self.scan.track()
     }
 
     fn __len__(&self) -> usize {
@@ -378,13 +378,13 @@ fn scan_of(
     fields: &[(String, Bound<'_, PyAny>)],
     name: &str,
     time: Option<i64>,
-    stream: u8,
+    track: u8,
 ) -> PyResult<Scan> {
     let (positions, rest) = positions.as_slice()?.as_chunks::<3>();
     if !rest.is_empty() {
         return Err(PyValueError::new_err("xyz must have 3 columns"));
     }
-    let mut scan = Scan::from_positions(positions).named(name).on_stream(stream);
+    let mut scan = Scan::from_positions(positions).named(name).on_track(track);
     if let Some(time) = time {
         scan = scan.stamped(time);
     }
@@ -473,9 +473,9 @@ impl StreamWriter {
         fields: Vec<(String, Bound<'_, PyAny>)>,
         name: &str,
         time: Option<i64>,
-        stream: u8,
+        track: u8,
     ) -> PyResult<()> {
-        self.push_scan(py, scan_of(&positions, &fields, name, time, stream)?)
+        self.push_scan(py, scan_of(&positions, &fields, name, time, track)?)
     }
 
     fn push_file(
@@ -484,9 +484,9 @@ impl StreamWriter {
         name: &str,
         data: Vec<u8>,
         time: Option<i64>,
-        stream: u8,
+        track: u8,
     ) -> PyResult<()> {
-        let scan = Scan::from_file(name, data).on_stream(stream);
+        let scan = Scan::from_file(name, data).on_track(track);
         self.push_scan(py, if let Some(time) = time { scan.stamped(time) } else { scan })
     }
 

@@ -142,7 +142,7 @@ struct Opened {
 struct IndexedFrame {
     number: u64,
     unit: &'static str,
-    stream: u8,
+    track: u8,
     /// Nanoseconds since 1970. As text, for JavaScript's numbers have 53 bits.
     time: Option<String>,
     coded_bytes: u64,
@@ -178,7 +178,7 @@ struct DecodedFrame<'s> {
     number: u64,
     name: &'s str,
     unit: &'static str,
-    stream: u8,
+    track: u8,
     /// As in [`IndexedFrame`].
     time: Option<String>,
     points: usize,
@@ -236,7 +236,7 @@ impl Module {
         let frames = decoder.frames().map(|frame| IndexedFrame {
             number: frame.number,
             unit: frame.unit.name(),
-            stream: frame.stream,
+            track: frame.track,
             time: frame.time.map(|time| time.to_string()),
             coded_bytes: frame.coded_bytes,
         });
@@ -281,7 +281,7 @@ impl Module {
             number,
             name: scan.name(),
             unit: scan.unit().name(),
-            stream: scan.stream(),
+            track: scan.track(),
             time: scan.time().map(|time| time.to_string()),
             points: scan.len(),
             positions: Array::of(scan.positions()),

@@ -330,6 +330,6 @@ fn two_scanners_in_one_folder_are_told_apart() {
         round_trip(&files(&[first.clone(), second.clone(), first, second]), &EncoderConfig::default());
     let (scanners, groups) = take_apart(&stream);
     assert_eq!(scanners.len(), 2);
-    let streams: Vec<u8> = groups[0].frames.iter().map(|frame| frame.header.stamp.stream).collect();
-    assert!(streams[0] == streams[2] && streams[1] == streams[3] && streams[0] != streams[1]);
+    let tracks: Vec<u8> = groups[0].frames.iter().map(|frame| frame.header.stamp.track).collect();
+    assert!(tracks[0] == tracks[2] && tracks[1] == tracks[3] && tracks[0] != tracks[1]);
 }

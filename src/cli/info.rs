@@ -50,7 +50,7 @@ struct GroupInfo {
     bytes: u64,
     first_frame: u64,
     frames: u64,
-    /// Of each stream, its number among the scanners, from 1 on; 0: none.
+    /// Of each track, its number among the scanners, from 1 on; 0: none.
     scanners: Vec<u64>,
 }
 
@@ -59,8 +59,8 @@ struct FrameInfo {
     number: u64,
     name: String,
     unit: &'static str,
-    /// Its place among the streams of the group.
-    stream: u8,
+    /// Its place among the tracks of the group.
+    track: u8,
     /// Nanoseconds since 1970.
     #[serde(skip_serializing_if = "Option::is_none")]
     time: Option<i64>,
@@ -163,12 +163,12 @@ impl Info {
                 let Some(entry) = index.groups.last() else { return Ok(()) };
                 let mut frames = Vec::new();
                 for ((number, frame), entry) in (entry.first_frame..).zip(group.frames).zip(&entry.frames) {
-                    let Stamp { unit, stream, time } = entry.stamp;
+                    let Stamp { unit, track, time } = entry.stamp;
                     frames.push(FrameInfo {
                         coding: FrameParameters::of(&frame)?.to_string(),
                         number,
                         unit: unit.name(),
-                        stream,
+                        track,
                         time: time.map(|time| time.nanoseconds),
                         time_source: time.map(|time| time.source.name()),
                         points: frame.header.point_count,

@@ -12,8 +12,8 @@ use crate::ground::{SKIPPABLE, SectionKind};
 /// The longest name of a frame, in bytes: as long as paths may be.
 const NAME_MAX: u64 = 4095;
 
-/// The most streams that take turns in a group.
-pub const STREAMS_MAX: u64 = 255;
+/// The most tracks of a group.
+pub const TRACKS_MAX: u64 = 255;
 
 /// What a frame decodes to, without decoding it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -127,14 +127,14 @@ pub fn pay_for(sections: &mut Vec<Section>, unfolded: u64) {
     }
 }
 
-/// Frames that are coded together; those of each stream learn from one another, and from no other's. A
+/// Frames that are coded together; those of each track learn from one another, and from no other's. A
 /// group says nothing of its place in the sequence, and names its scanners by what they are, so that groups can be cut
 /// and joined without coding them anew.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Group {
-    /// The scanner of each stream, 1 to 255 of them, if it has one.
+    /// The scanner of each track, 1 to 255 of them, if it has one.
     pub scanners: Vec<Option<ScannerId>>,
-    /// The frames of all streams, in order.
+    /// The frames of all tracks, in order.
     pub frames: Vec<Frame>,
 }
 
@@ -176,7 +176,7 @@ impl Group {
     /// Reads the payload of a group record; also returns what the index must say of each frame.
     ///
     /// # Errors
-    /// As [`Frame::read_from`]; also if a frame is of a stream that the group does not have, if bytes are left over, or
+    /// As [`Frame::read_from`]; also if a frame is of a track that the group does not have, if bytes are left over, or
     /// if the files of the group are together over `limits.file_bytes` (they may all be in memory at once).
     pub fn read_from(mut input: &[u8], limits: &Limits) -> Result<(Self, Vec<FrameEntry>)> {
         let input = &mut input;
@@ -188,8 +188,8 @@ impl Group {
             let before = input.len();
             let frame = Frame::read_from(input, limits).map_err(|e| e.within_frame_of_group(number))?;
             let stamp = frame.header.stamp;
-            if usize::from(stamp.stream) >= scanners.len() {
-                let what = format!("stream {} of {}", stamp.stream, scanners.len());
+            if usize::from(stamp.track) >= scanners.len() {
+                let what = format!("track {} of {}", stamp.track, scanners.len());
                 return Err(Error::corrupt(what).within_frame_of_group(number));
             }
             if entries
@@ -211,11 +211,11 @@ impl Group {
     }
 }
 
-/// Takes the scanners of a group's streams off the front of `input`.
+/// Takes the scanners of a group's tracks off the front of `input`.
 fn read_scanners(input: &mut &[u8]) -> Result<Vec<Option<ScannerId>>> {
     match read_unsigned(input, "scanner count")? {
-        count @ 1..=STREAMS_MAX => (0..count).map(|_| ScannerId::read_from(input)).collect(),
-        count => Err(Error::corrupt(format!("a group of {count} streams"))),
+        count @ 1..=TRACKS_MAX => (0..count).map(|_| ScannerId::read_from(input)).collect(),
+        count => Err(Error::corrupt(format!("a group of {count} tracks"))),
     }
 }
 

@@ -23,20 +23,20 @@ use crate::stream::source::GroupJob;
 pub(crate) fn recode_from(start: u64, job: &mut GroupJob, limits: &Limits) -> Result<()> {
     let frames = std::mem::take(&mut job.group.frames);
     let recoder = |scanner| Recoder { scanner, limits, old: Models::default(), new: Models::default() };
-    let mut streams: Vec<_> = job.models()?.into_iter().map(recoder).collect();
+    let mut tracks: Vec<_> = job.models()?.into_iter().map(recoder).collect();
     let mut recoded = Vec::new();
     for (number, frame) in (job.first_frame..).zip(frames) {
         let name = frame.header.name.clone();
-        let stream = streams.get_mut(usize::from(frame.header.stamp.stream));
+        let track = tracks.get_mut(usize::from(frame.header.stamp.track));
         let recoder =
-            stream.ok_or_else(|| Error::corrupt("a frame of a stream that the group does not have"))?;
+            track.ok_or_else(|| Error::corrupt("a frame of a track that the group does not have"))?;
         recoded.extend(recoder.recode(frame, number >= start).map_err(|e| e.within_frame(number, &name))?);
     }
     (job.group.frames, job.first_frame) = (recoded, start);
     Ok(())
 }
 
-/// Decodes the frames of a stream of a group with one set of models, and codes them with another.
+/// Decodes the frames of a track of a group with one set of models, and codes them with another.
 struct Recoder<'a> {
     scanner: Option<&'a Scanner>,
     limits: &'a Limits,

@@ -1,5 +1,5 @@
 //! A group of pictures: frames coded one after the other with models that learn from each. The frames of
-//! several scanners may take turns; those of each scanner are a stream of the group, with models of its own.
+//! several scanners may take turns; those of each scanner are a track of the group, with models of its own.
 //! Groups are independent of each other.
 
 use std::borrow::Borrow;
@@ -28,12 +28,12 @@ use crate::scanner::Scanner;
 
 /// Encodes the frames of one group.
 pub struct GroupEncoder<'s> {
-    streams: Vec<StreamEncoder<'s>>,
+    tracks: Vec<TrackEncoder<'s>>,
     config: &'s EncoderConfig,
 }
 
-/// Encodes the frames of one stream of a group.
-struct StreamEncoder<'s> {
+/// Encodes the frames of one track of a group.
+struct TrackEncoder<'s> {
     scanner: Option<&'s Scanner>,
     config: &'s EncoderConfig,
     models: Models,
@@ -57,24 +57,24 @@ pub struct EncodedFrame {
 }
 
 impl<'s> GroupEncoder<'s> {
-    /// A new group whose streams have these scanners.
+    /// A new group whose tracks have these scanners.
     pub fn new(scanners: &[Option<&'s Scanner>], config: &'s EncoderConfig) -> Self {
-        let streams = scanners.iter().map(|scanner| StreamEncoder::new(*scanner, config)).collect();
-        GroupEncoder { streams, config }
+        let tracks = scanners.iter().map(|scanner| TrackEncoder::new(*scanner, config)).collect();
+        GroupEncoder { tracks, config }
     }
 
     /// Encodes the next frame so that decoders accept it under [`Limits::default`]. `original` describes its
-    /// file and names its stream; a stream that the group does not have yet has no scanner. A frame that
+    /// file and names its track; a track that the group does not have yet has no scanner. A frame that
     /// would break the bound of bounded mode, such as text without enough digits for the decoded values, is
     /// coded exactly.
     ///
     /// # Errors
     /// If the scan exceeds those limits, or if a back-end's library fails.
     pub fn encode_frame(&mut self, scan: ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
-        let stream = usize::from(original.stamp.stream);
-        let streams = self.streams.len().max(stream + 1);
-        self.streams.resize_with(streams, || StreamEncoder::new(None, self.config));
-        self.streams[stream].encode_frame(scan, original)
+        let track = usize::from(original.stamp.track);
+        let tracks = self.tracks.len().max(track + 1);
+        self.tracks.resize_with(tracks, || TrackEncoder::new(None, self.config));
+        self.tracks[track].encode_frame(scan, original)
     }
 }
 
@@ -98,9 +98,9 @@ fn step_rounding_um(scan: &ScanFile) -> u32 {
     (1e6 * half_steps.iter().map(|half| half * half).sum::<f64>().sqrt()).ceil() as u32
 }
 
-impl<'s> StreamEncoder<'s> {
+impl<'s> TrackEncoder<'s> {
     fn new(scanner: Option<&'s Scanner>, config: &'s EncoderConfig) -> Self {
-        StreamEncoder {
+        TrackEncoder {
             scanner,
             config,
             models: Models::default(),
@@ -341,18 +341,18 @@ pub struct DecodedImage {
 
 /// Decodes the frames of one group.
 pub struct GroupDecoder<S> {
-    /// The scanner of each stream, and what its frames have taught, once there was one.
-    streams: Vec<(Option<S>, Option<Models>)>,
+    /// The scanner of each track, and what its frames have taught, once there was one.
+    tracks: Vec<(Option<S>, Option<Models>)>,
     limits: Limits,
     keeps_images: bool,
     judges_scanners: bool,
 }
 
 impl<S: Borrow<Scanner>> GroupDecoder<S> {
-    /// A new group whose streams have these scanners.
+    /// A new group whose tracks have these scanners.
     pub fn new(scanners: impl IntoIterator<Item = Option<S>>, limits: &Limits) -> Self {
-        let streams = scanners.into_iter().map(|scanner| (scanner, None)).collect();
-        GroupDecoder { streams, limits: *limits, keeps_images: false, judges_scanners: false }
+        let tracks = scanners.into_iter().map(|scanner| (scanner, None)).collect();
+        GroupDecoder { tracks, limits: *limits, keeps_images: false, judges_scanners: false }
     }
 
     /// Makes the decoder return range images, too.
@@ -369,16 +369,16 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
     ///
     /// # Errors
     /// If the sections do not make a frame, or make one that exceeds the limits; if the group does not have
-    /// the frame's stream.
+    /// the frame's track.
     pub fn decode_frame(
         &mut self,
         header: &FrameHeader,
         sections: &[Section],
         steps: &mut StepReport,
     ) -> Result<DecodedScan> {
-        let stream = self.streams.get_mut(usize::from(header.stamp.stream));
-        let unknown = || Error::corrupt("a frame of a stream that the group does not have");
-        let (scanner, models) = stream.ok_or_else(unknown)?;
+        let track = self.tracks.get_mut(usize::from(header.stamp.track));
+        let unknown = || Error::corrupt("a frame of a track that the group does not have");
+        let (scanner, models) = track.ok_or_else(unknown)?;
         let scanner = scanner.as_ref().map(S::borrow);
         let limits = self.limits.within(allowance(sections));
         let mut reader = SectionReader::new(sections, &limits);

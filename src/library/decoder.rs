@@ -58,7 +58,7 @@ pub struct FrameInfo {
     /// What it was.
     pub unit: Unit,
     /// Which of several scanners it is of; the first is 0.
-    pub stream: u8,
+    pub track: u8,
     /// When it was taken, in nanoseconds since 1970, if that is known.
     pub time: Option<i64>,
     /// Bytes that it takes in the stream.
@@ -125,11 +125,11 @@ impl<R: Read + Seek + Send> Decoder<R> {
         let groups = self.groups.index().groups.iter().filter(|group| !group.is_beside());
         let frames = groups.flat_map(|group| (group.first_frame..).zip(&group.frames));
         frames.map(|(number, frame)| {
-            let Stamp { unit, stream, time } = frame.stamp;
+            let Stamp { unit, track, time } = frame.stamp;
             FrameInfo {
                 number,
                 unit,
-                stream,
+                track,
                 time: time.map(|time| time.nanoseconds),
                 coded_bytes: frame.size,
             }

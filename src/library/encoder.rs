@@ -151,7 +151,7 @@ impl MessageEncoder {
     pub fn encode(&mut self, scan: Scan) -> Result<Vec<u8>> {
         let (scan, stamp) = scan.into_parts();
         // There are no others to tell it from.
-        let frame = FrameInput::scan(scan).stamped(Stamp { stream: 0, ..stamp });
+        let frame = FrameInput::scan(scan).stamped(Stamp { track: 0, ..stamp });
         let scanners = self.scanners.for_next(Some(&frame), &self.config)?;
         on(self.pool.as_deref(), || encode_known(vec![frame], &scanners, &self.config))
     }

@@ -31,7 +31,7 @@ const POSITION: [&str; 3] = ["x", "y", "z"];
 #[derive(Clone, Debug, Default)]
 pub struct Scan {
     name: String,
-    stream: u8,
+    track: u8,
     time: Option<Time>,
     points: usize,
     positions: Vec<[f32; 3]>,
@@ -134,10 +134,10 @@ impl Scan {
         Scan { time: Some(Time { source: TimeSource::Recording, nanoseconds }), ..self }
     }
 
-    /// The same as a scan of another scanner than that of stream 0. The scans of several scanners may take turns; those
+    /// The same as a scan of another scanner than that of track 0. The scans of several scanners may take turns; those
     /// of each are modelled by themselves.
-    pub fn on_stream(self, stream: u8) -> Self {
-        Scan { stream, ..self }
+    pub fn on_track(self, track: u8) -> Self {
+        Scan { track, ..self }
     }
 
     /// Number of points.
@@ -190,8 +190,8 @@ impl Scan {
     }
 
     /// Which of several scanners that take turns it is of; the first is 0.
-    pub fn stream(&self) -> u8 {
-        self.stream
+    pub fn track(&self) -> u8 {
+        self.track
     }
 
     /// What it was: a file, a message, or points in memory.
@@ -235,14 +235,14 @@ impl Scan {
             let channel = TypedChannel { name: field.name.clone(), count: 1, values };
             channels.insert(place.min(channels.len()), channel);
         }
-        let Stamp { unit, stream, time } = stamp;
+        let Stamp { unit, track, time } = stamp;
         let file = (unit != Unit::Points).then(|| Box::new(Envelope { unit, layout, prefix, suffix }));
-        Scan { name, stream, time, points: records, positions: cloud.positions, channels, file, image: None }
+        Scan { name, track, time, points: records, positions: cloud.positions, channels, file, image: None }
     }
 
     /// As the encoder takes it.
     pub(crate) fn into_parts(self) -> (ScanFile, Stamp) {
-        let stamp = Stamp { unit: self.unit(), stream: self.stream, time: self.time };
+        let stamp = Stamp { unit: self.unit(), track: self.track, time: self.time };
         let (layout, prefix, suffix) = match self.file {
             Some(file) => (file.layout, file.prefix, file.suffix),
             None => (layout_in_memory(&self.channels), Vec::new(), Vec::new()),

@@ -153,9 +153,9 @@ fn channels_of_every_type_come_back() {
         .unwrap()
         .named("000001")
         .stamped(-5)
-        .on_stream(3);
+        .on_track(3);
     let found = &decoded(&encoded([scan.clone()], Settings::exact()))[0];
-    assert_eq!((found.name(), found.time(), found.stream(), found.len()), ("000001", Some(-5), 3, 2));
+    assert_eq!((found.name(), found.time(), found.track(), found.len()), ("000001", Some(-5), 3, 2));
     assert_eq!(found.channels().collect::<Vec<_>>(), scan.channels().collect::<Vec<_>>());
     assert_eq!(found.channel::<i8>("i8").unwrap(), [i8::MIN, 1]);
     assert_eq!(found.channel::<u16>("intensity").unwrap(), [u16::MAX, 1]);

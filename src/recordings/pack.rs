@@ -286,7 +286,7 @@ impl PackedTopic {
         };
         let points = scan.records;
         let time = Time { source: TimeSource::Recording, nanoseconds: stamp };
-        let stamp = Stamp { unit: Unit::Message, stream: 0, time: Some(time) };
+        let stamp = Stamp { unit: Unit::Message, track: 0, time: Some(time) };
         let payload =
             encode_known(vec![FrameInput::scan(scan).stamped(stamp)], &self.scanners, &self.config)?;
         let packed = message::compress(&data, self.encoding, &payload)?;

@@ -36,7 +36,7 @@ pub fn encode<W: Write>(
 }
 
 /// As [`encode`], of frames that are yet to come: each group is written as soon as it is coded, which does
-/// not wait for the frame after it. Scanners are fitted to the first group; streams that begin later are coded
+/// not wait for the frame after it. Scanners are fitted to the first group; tracks that begin later are coded
 /// without. A few groups are in memory at a time.
 ///
 /// # Errors
@@ -183,10 +183,10 @@ impl<'s> OpenGroup<'s> {
         let ReadFrame { header: original, scan } = frame;
         let scan = within_limits(scan)?;
         let mut original = original;
-        original.stamp.stream = self.scanners.stream_of(original.stamp.stream, &scan);
-        let streams = usize::from(original.stamp.stream) + 1;
+        original.stamp.track = self.scanners.track_of(original.stamp.track, &scan);
+        let tracks = usize::from(original.stamp.track) + 1;
         let scanners = &mut self.encoded.group.scanners;
-        scanners.resize(scanners.len().max(streams), None);
+        scanners.resize(scanners.len().max(tracks), None);
         let original = FrameHeader { point_count: scan.records as u64, ..original };
         self.encoded.file_bytes += original.file_size;
         self.encoded.originals.push(original.clone());

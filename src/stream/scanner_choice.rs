@@ -1,4 +1,4 @@
-//! The scanners of a sequence: fitted to a sample of each stream, or the article's.
+//! The scanners of a sequence: fitted to a sample of each track, or the article's.
 
 use std::sync::Arc;
 
@@ -20,18 +20,18 @@ const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 
 /// The scanners of a drive.
 pub struct Scanners {
-    /// That of each stream, if there is a model that it fits.
+    /// That of each track, if there is a model that it fits.
     pub models: Vec<Option<Scanner>>,
     /// What groups call these.
     pub ids: Vec<Option<ScannerId>>,
     /// What is written of them: each once.
     pub records: Vec<ScannerRecord>,
-    /// Whether frames of one stream are of several scanners: each is then coded in the stream of its own.
+    /// Whether frames of one track are of several scanners: each is then coded in the track of its own.
     pub are_mixed: bool,
 }
 
 impl Scanners {
-    /// One for each stream.
+    /// One for each track.
     pub fn new(models: Vec<Option<Scanner>>) -> Self {
         let mut records = Vec::new();
         let mut name = |model: &Option<Scanner>| {
@@ -104,14 +104,14 @@ pub(crate) fn records_of(scanners: &[Scanners]) -> Vec<ScannerRecord> {
 }
 
 fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<Scanners> {
-    let last = frames.iter().map(|frame| frame.stamp().stream).max().unwrap_or(0);
+    let last = frames.iter().map(|frame| frame.stamp().track).max().unwrap_or(0);
     let mut models = Vec::new();
-    for stream in 0..=last {
-        let frames: Vec<_> = frames.iter().filter(|frame| frame.stamp().stream == stream).collect();
-        let mut of_stream = choose_models(&frames, config)?.into_iter();
-        models.push(of_stream.next());
+    for track in 0..=last {
+        let frames: Vec<_> = frames.iter().filter(|frame| frame.stamp().track == track).collect();
+        let mut of_track = choose_models(&frames, config)?.into_iter();
+        models.push(of_track.next());
         if last == 0 {
-            models.extend(of_stream.map(Some));
+            models.extend(of_track.map(Some));
         }
     }
     let are_mixed = last == 0 && models.len() > 1;
@@ -119,19 +119,19 @@ fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<Sc
 }
 
 impl Scanners {
-    /// The stream in which a frame is coded: its own, or if scanners are mixed, that of the one that explains most of it.
-    pub fn stream_of(&self, own: u8, scan: &ScanFile) -> u8 {
+    /// The track in which a frame is coded: its own, or if scanners are mixed, that of the one that explains most of it.
+    pub fn track_of(&self, own: u8, scan: &ScanFile) -> u8 {
         if !self.are_mixed {
             return own;
         }
         let share = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, |one| one.share(&scan.cloud));
-        let shares = (0u8..).zip(&self.models).map(|(stream, scanner)| (stream, share(scanner)));
+        let shares = (0u8..).zip(&self.models).map(|(track, scanner)| (track, share(scanner)));
         // The first of equals.
         shares.fold((own, 0.0), |best, next| if next.1 > best.1 { next } else { best }).0
     }
 }
 
-/// The models of the scanners of a stream that these frames are of: more than one if the first does not explain the
+/// The models of the scanners of a track that these frames are of: more than one if the first does not explain the
 /// whole sample.
 fn choose_models(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
     Ok(match config.projection {

@@ -15,7 +15,7 @@ use crate::scanner::Scanner;
 pub struct GroupJob {
     /// Number of its first frame in the sequence.
     pub first_frame: u64,
-    /// The scanner of each stream of the group, if it has one.
+    /// The scanner of each track of the group, if it has one.
     pub scanners: Vec<Option<Arc<StoredScanner>>>,
     pub group: Group,
 }
@@ -74,7 +74,7 @@ const KEPT_SCANNERS: usize = 16;
 pub(crate) struct UsedScanners(Vec<(ScannerId, Arc<StoredScanner>)>);
 
 impl UsedScanners {
-    /// The scanners of a group's streams; `read` gives those that are not kept.
+    /// The scanners of a group's tracks; `read` gives those that are not kept.
     pub fn of_group(
         &mut self,
         group: &Group,
