@@ -16,7 +16,7 @@ pub mod writer;
 
 mod pieces;
 mod record;
-mod scan;
+mod search;
 mod wire;
 
 pub use group::{Frame, FrameHeader, Group, TRACKS_MAX, allowance, pay_for};

@@ -8,8 +8,8 @@ use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
 use super::index::{End, Index};
 use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
-use super::scan::{FoundRecord, find_records};
 use super::scanner::{ScannerId, ScannerRecord, Scanners};
+use super::search::{FoundRecord, find_records};
 use crate::ground::SKIPPABLE;
 use crate::ground::error::{Error, Limits, Result};
 
