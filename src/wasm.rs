@@ -54,7 +54,7 @@ thread_local! {
 
 /// The bytes of a stream that are here.
 #[derive(Default)]
-struct Pieces {
+struct SuppliedBytes {
     size: u64,
     /// Where each begins, and its bytes.
     pieces: Vec<(u64, Vec<u8>)>,
@@ -65,12 +65,12 @@ struct Pieces {
 /// A place in the stream.
 #[derive(Clone, Default)]
 struct Input {
-    pieces: Arc<Mutex<Pieces>>,
+    pieces: Arc<Mutex<SuppliedBytes>>,
     place: u64,
 }
 
 impl Input {
-    fn pieces(&self) -> MutexGuard<'_, Pieces> {
+    fn pieces(&self) -> MutexGuard<'_, SuppliedBytes> {
         self.pieces.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

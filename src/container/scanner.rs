@@ -84,9 +84,9 @@ impl ScannerRecord {
 
 /// The scanners of a stream, by what groups call them.
 #[derive(Default)]
-pub(super) struct Scanners(HashMap<ScannerId, ScannerRecord>);
+pub(super) struct ScannerRecords(HashMap<ScannerId, ScannerRecord>);
 
-impl Scanners {
+impl ScannerRecords {
     /// Adds a scanner; returns whether it is new.
     ///
     /// # Errors

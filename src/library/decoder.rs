@@ -12,7 +12,7 @@ use super::scan::Scan;
 use crate::container::{FrameHeader, IndexedReader, Stamp, StreamReader, Unit};
 use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::decoder::{DecodedFrame, OpenGroup, decode_group};
+use crate::stream::decoder::{DecodedFrame, PartlyDecodedGroup, decode_group};
 use crate::stream::ordered::{Workers, on, pool_for_frames};
 use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
 use crate::stream::{DecodeOptions, FrameRange};
@@ -40,7 +40,7 @@ pub struct Decoder<R> {
 struct KeptGroup {
     first_frame: u64,
     scans: Vec<KeptScan>,
-    open: OpenGroup,
+    open: PartlyDecodedGroup,
 }
 
 enum KeptScan {
@@ -200,7 +200,7 @@ impl<R: Read + Seek + Send> Decoder<R> {
     fn open_group(&mut self, first_frame: u64) -> Result<KeptGroup> {
         self.groups.seek(FrameRange { start: first_frame, end: first_frame.checked_add(1) });
         let job = self.groups.next().unwrap_or_else(|| Err(lost_frames()))?;
-        let open = OpenGroup::new(job, &self.limits, self.images)?;
+        let open = PartlyDecodedGroup::new(job, &self.limits, self.images)?;
         Ok(KeptGroup { first_frame, scans: Vec::new(), open })
     }
 

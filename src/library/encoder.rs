@@ -15,7 +15,7 @@ use crate::stream::FrameInput;
 use crate::stream::encoded::OpenStream;
 use crate::stream::encoder::{EncodedGroup, SequenceCoder, encode_known};
 use crate::stream::ordered::{Workers, on, pool_for_frames};
-use crate::stream::scanner_choice::{KeptScanners, Scanners, choose_scanners, records_of};
+use crate::stream::scanner_choice::{DriveScanners, KeptScanners, choose_scanners, records_of};
 
 /// Encodes scans as they come. The scanner is found in the first group of scans; groups are coded by threads of their
 /// own while more scans are pushed, and written as they are done. A few groups are in memory at a time.
@@ -40,7 +40,7 @@ enum State<W> {
 
 /// An encoder that knows its scanners.
 struct Coding<W> {
-    scanners: Arc<Vec<Scanners>>,
+    scanners: Arc<Vec<DriveScanners>>,
     workers: Workers<Vec<EncodedGroup>>,
     stream: OpenStream<W>,
 }

@@ -16,7 +16,7 @@ use crate::library::{Decoder, Settings};
 use crate::stream::FrameInput;
 use crate::stream::encoder::encode_known;
 use crate::stream::ordered::run_ordered;
-use crate::stream::scanner_choice::{KeptScanners, Scanners};
+use crate::stream::scanner_choice::{DriveScanners, KeptScanners};
 
 /// The channels' metadata in which a packed recording keeps the number of the schema that a channel of clouds had, and the
 /// number of the channel of which a channel holds what is no cloud.
@@ -188,7 +188,7 @@ struct CloudChannel {
 /// How the clouds of a channel are compressed.
 struct PackedTopic {
     config: EncoderConfig,
-    scanners: Arc<Scanners>,
+    scanners: Arc<DriveScanners>,
     encoding: Encoding,
     others: Channel,
 }

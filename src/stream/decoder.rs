@@ -154,7 +154,7 @@ fn decode_frame<S: Borrow<Scanner>>(
 }
 
 /// A group that is decoded as far as it is asked for, and goes on from there.
-pub(crate) struct OpenGroup {
+pub(crate) struct PartlyDecodedGroup {
     /// Number of the next frame.
     next: u64,
     coder: GroupDecoder<Scanner>,
@@ -162,7 +162,7 @@ pub(crate) struct OpenGroup {
     coded: VecDeque<Frame>,
 }
 
-impl OpenGroup {
+impl PartlyDecodedGroup {
     /// A group of which nothing is decoded yet.
     ///
     /// # Errors
@@ -170,7 +170,7 @@ impl OpenGroup {
     pub fn new(job: GroupJob, limits: &Limits, images: bool) -> Result<Self> {
         let scanners = job.models()?.into_iter().map(Option::<&Scanner>::cloned);
         let coder = GroupDecoder::new(scanners, limits).keeping_images(images);
-        Ok(OpenGroup { next: job.first_frame, coder, coded: job.group.frames.into() })
+        Ok(PartlyDecodedGroup { next: job.first_frame, coder, coded: job.group.frames.into() })
     }
 
     /// The next frame; `None` after the last. It is not [checked](DecodedFrame::checked).

@@ -7,7 +7,7 @@ use std::mem;
 use super::encoded::{Encoded, OpenStream};
 use super::input::{FrameInput, ReadFrame};
 use super::ordered::run_ordered;
-use super::scanner_choice::{Scanners, choose_scanners, records_of};
+use super::scanner_choice::{DriveScanners, choose_scanners, records_of};
 use crate::container::{Frame, FrameHeader, Group};
 use crate::frame::group::GroupEncoder;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
@@ -62,7 +62,11 @@ pub fn encode_live<W: Write>(
 ///
 /// # Errors
 /// As [`encode`].
-pub fn encode_known(frames: Vec<FrameInput>, scanners: &Scanners, config: &EncoderConfig) -> Result<Vec<u8>> {
+pub fn encode_known(
+    frames: Vec<FrameInput>,
+    scanners: &DriveScanners,
+    config: &EncoderConfig,
+) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let scanners = std::slice::from_ref(scanners);
     let mut stream = OpenStream::begin(&mut bytes, &records_of(scanners))?;
@@ -73,7 +77,7 @@ pub fn encode_known(frames: Vec<FrameInput>, scanners: &Scanners, config: &Encod
 
 /// Encodes groups of frames.
 fn encode_groups<'f, W: Write>(
-    scanners: &[Scanners],
+    scanners: &[DriveScanners],
     groups: impl Iterator<Item = Result<Cow<'f, [FrameInput]>>> + Send,
     config: &EncoderConfig,
     out: W,
@@ -98,14 +102,18 @@ pub(crate) fn groups_of<'f>(
 /// What all groups of a sequence share.
 pub(crate) struct SequenceCoder<'a> {
     /// Of each drive.
-    scanners: &'a [Scanners],
+    scanners: &'a [DriveScanners],
     config: &'a EncoderConfig,
     on_frame: &'a (dyn Fn() + Sync),
 }
 
 impl<'a> SequenceCoder<'a> {
     /// For groups of drives with these scanners.
-    pub fn new(scanners: &'a [Scanners], config: &'a EncoderConfig, on_frame: &'a (dyn Fn() + Sync)) -> Self {
+    pub fn new(
+        scanners: &'a [DriveScanners],
+        config: &'a EncoderConfig,
+        on_frame: &'a (dyn Fn() + Sync),
+    ) -> Self {
         SequenceCoder { scanners, config, on_frame }
     }
 
@@ -129,12 +137,12 @@ impl<'a> SequenceCoder<'a> {
     pub fn encode_frames(&self, inputs: Vec<FrameInput>) -> Result<Vec<EncodedGroup>> {
         let mut groups = Vec::new();
         let drive = inputs.first().map_or(0, FrameInput::drive);
-        let mut open = OpenGroup::new(self, drive);
+        let mut open = GroupInProgress::new(self, drive);
         for input in inputs {
             let path = input.path();
             let frame = input.into_frame(self.config.headerless.as_ref())?;
             if !open.has_room_for(&frame) {
-                groups.push(mem::replace(&mut open, OpenGroup::new(self, drive)).encoded);
+                groups.push(mem::replace(&mut open, GroupInProgress::new(self, drive)).encoded);
             }
             open.encode_frame(frame).map_err(|e| e.at(path))?;
             (self.on_frame)();
@@ -156,18 +164,18 @@ pub(crate) struct EncodedGroup {
 }
 
 /// A group that is being encoded.
-struct OpenGroup<'s> {
-    scanners: &'s Scanners,
+struct GroupInProgress<'s> {
+    scanners: &'s DriveScanners,
     coder: GroupEncoder<'s>,
     encoded: EncodedGroup,
 }
 
-impl<'s> OpenGroup<'s> {
+impl<'s> GroupInProgress<'s> {
     fn new(sequence: &SequenceCoder<'s>, drive: usize) -> Self {
         let scanners = &sequence.scanners[drive];
         let group = Group { scanners: scanners.ids.clone(), frames: Vec::new() };
         let models: Vec<_> = scanners.models.iter().map(Option::as_ref).collect();
-        OpenGroup {
+        GroupInProgress {
             scanners,
             coder: GroupEncoder::new(&models, sequence.config),
             encoded: EncodedGroup { group, steps: Vec::new(), originals: Vec::new(), file_bytes: 0 },

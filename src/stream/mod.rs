@@ -17,7 +17,7 @@ pub use encoded::Encoded;
 pub use encoder::{encode, encode_known, encode_live};
 pub use input::FrameInput;
 pub use options::{DecodeOptions, FrameRange};
-pub use scanner_choice::Scanners;
+pub use scanner_choice::DriveScanners;
 
 #[cfg(all(test, feature = "cli"))]
 mod tests;

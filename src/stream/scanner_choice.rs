@@ -19,7 +19,7 @@ use crate::scanner::{self, Scanner};
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 
 /// The scanners of a drive.
-pub struct Scanners {
+pub struct DriveScanners {
     /// That of each track, if there is a model that it fits.
     pub models: Vec<Option<Scanner>>,
     /// What groups call these.
@@ -30,7 +30,7 @@ pub struct Scanners {
     pub are_mixed: bool,
 }
 
-impl Scanners {
+impl DriveScanners {
     /// One for each track.
     pub fn new(models: Vec<Option<Scanner>>) -> Self {
         let mut records = Vec::new();
@@ -43,7 +43,7 @@ impl Scanners {
             Some(id)
         };
         let ids = models.iter().map(&mut name).collect();
-        Scanners { models, ids, records, are_mixed: false }
+        DriveScanners { models, ids, records, are_mixed: false }
     }
 }
 
@@ -51,9 +51,9 @@ impl Scanners {
 ///
 /// # Errors
 /// If a file cannot be read.
-pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<Scanners>> {
+pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<DriveScanners>> {
     let last = frames.iter().map(FrameInput::drive).max().unwrap_or(0);
-    let mut scanners: Vec<_> = (0..=last).map(|_| Scanners::new(vec![None])).collect();
+    let mut scanners: Vec<_> = (0..=last).map(|_| DriveScanners::new(vec![None])).collect();
     for frames in frames.chunk_by(|one, next| one.drive() == next.drive()) {
         if frames[0].stamp().unit != Unit::Beside {
             scanners[frames[0].drive()] = scanners_of_drive(frames, config)?;
@@ -66,7 +66,7 @@ pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> 
 /// last of a few.
 #[derive(Clone, Default)]
 pub(crate) struct KeptScanners {
-    kept: Option<Arc<Scanners>>,
+    kept: Option<Arc<DriveScanners>>,
     tries: usize,
 }
 
@@ -75,7 +75,11 @@ impl KeptScanners {
     ///
     /// # Errors
     /// If it cannot be read.
-    pub fn for_next(&mut self, frame: Option<&FrameInput>, config: &EncoderConfig) -> Result<Arc<Scanners>> {
+    pub fn for_next(
+        &mut self,
+        frame: Option<&FrameInput>,
+        config: &EncoderConfig,
+    ) -> Result<Arc<DriveScanners>> {
         /// Frames in which a scanner is looked for.
         const MOST_TRIES: usize = 5;
         if let Some(kept) = self.kept.as_ref().filter(|_| self.tries >= MOST_TRIES) {
@@ -93,7 +97,7 @@ impl KeptScanners {
 }
 
 /// The records of the scanners of several drives: each once.
-pub(crate) fn records_of(scanners: &[Scanners]) -> Vec<ScannerRecord> {
+pub(crate) fn records_of(scanners: &[DriveScanners]) -> Vec<ScannerRecord> {
     let mut records: Vec<ScannerRecord> = Vec::new();
     for record in scanners.iter().flat_map(|scanners| &scanners.records) {
         if !records.contains(record) {
@@ -103,7 +107,7 @@ pub(crate) fn records_of(scanners: &[Scanners]) -> Vec<ScannerRecord> {
     records
 }
 
-fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<Scanners> {
+fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<DriveScanners> {
     let last = frames.iter().map(|frame| frame.stamp().track).max().unwrap_or(0);
     let mut models = Vec::new();
     for track in 0..=last {
@@ -115,10 +119,10 @@ fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<Sc
         }
     }
     let are_mixed = last == 0 && models.len() > 1;
-    Ok(Scanners { are_mixed, ..Scanners::new(models) })
+    Ok(DriveScanners { are_mixed, ..DriveScanners::new(models) })
 }
 
-impl Scanners {
+impl DriveScanners {
     /// The track in which a frame is coded: its own, or if scanners are mixed, that of the one that explains most of it.
     pub fn track_of(&self, own: u8, scan: &ScanFile) -> u8 {
         if !self.are_mixed {

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 /// The scanners of a stream, in the order of their first records.
 #[derive(Default)]
-pub struct Scanners {
+pub struct KnownScanners {
     known: Vec<KnownScanner>,
 }
 
@@ -35,7 +35,7 @@ pub struct ScannerStats {
     share_exact: Option<f64>,
 }
 
-impl Scanners {
+impl KnownScanners {
     /// Adds a record, unless it is one more copy, or of a family that this program does not know.
     ///
     /// # Errors
