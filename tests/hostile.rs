@@ -5,7 +5,7 @@ use crate::common::formats::{kitti, pcd_text};
 use crate::common::scans::Random;
 use crate::common::streams::{Parts, STREAMS, at_level};
 use crate::common::{cases, decode_files, decode_within, encode_files, put_together, take_apart};
-use lidarpc::internals::container::{Frame, Group, ScannerRecord, Section, SectionKind};
+use lidarpc::internals::container::{CodedFrame, Group, ScannerRecord, Section, SectionKind};
 use lidarpc::internals::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
 use lidarpc::internals::frame::parameters::RangeCoder;
 use lidarpc::internals::frame::{FrameParameters, Modelling};
@@ -447,7 +447,7 @@ fn repeated(points: usize) -> [(String, Vec<u8>); 4] {
 }
 
 /// What a frame of so many bytes may unfold to.
-fn unfolds(frame: &Frame) -> u64 {
+fn unfolds(frame: &CodedFrame) -> u64 {
     let bytes: usize = frame.sections.iter().map(|section| section.payload.len()).sum();
     65_536 + 1024 * bytes as u64
 }

@@ -326,7 +326,7 @@ fn a_file_that_no_decoder_takes_is_left_out_and_said() {
 #[test]
 fn names_never_leave_the_folder() {
     use lidarpc::internals::container::{
-        Frame, FrameHeader, Group, Section, SectionKind, Stamp, StreamWriter, Unit,
+        CodedFrame, FrameHeader, Group, Section, SectionKind, Stamp, StreamWriter, Unit,
     };
 
     let bench = Bench::new();
@@ -341,7 +341,7 @@ fn names_never_leave_the_folder() {
             // Stored: no layout, no bytes before the records, one byte.
             let whole = Section { kind: SectionKind::Bytes, payload: vec![0, 0, 0, 1, b'x'] };
             let parameters = Section { kind: SectionKind::Parameters, payload: parameters_of_bytes() };
-            let frames = vec![Frame { header, sections: vec![parameters, whole] }];
+            let frames = vec![CodedFrame { header, sections: vec![parameters, whole] }];
             stream.write_group(&Group { scanners: vec![None], frames }).unwrap();
             fs::write(bench.path("evil.lpc"), stream.finish().unwrap().0).unwrap();
             let error = bench.fails("decode evil.lpc -o out", "out");

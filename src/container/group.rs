@@ -45,14 +45,14 @@ impl FrameHeader {
 
 /// One coded frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Frame {
+pub struct CodedFrame {
     /// What it decodes to.
     pub header: FrameHeader,
     /// The coded parts.
     pub sections: Vec<Section>,
 }
 
-impl Frame {
+impl CodedFrame {
     /// Appends the frame header and the sections.
     pub fn write_to(&self, out: &mut Vec<u8>) {
         write_unsigned(out, self.header.name.len() as u64);
@@ -98,7 +98,7 @@ impl Frame {
             );
             return Err(Error::corrupt(what));
         }
-        Ok(Frame { header, sections })
+        Ok(CodedFrame { header, sections })
     }
 }
 
@@ -135,7 +135,7 @@ pub struct Group {
     /// The scanner of each track, 1 to 255 of them, if it has one.
     pub scanners: Vec<Option<ScannerId>>,
     /// The frames of all tracks, in order.
-    pub frames: Vec<Frame>,
+    pub frames: Vec<CodedFrame>,
 }
 
 impl Group {
@@ -176,7 +176,7 @@ impl Group {
     /// Reads the payload of a group record; also returns what the index must say of each frame.
     ///
     /// # Errors
-    /// As [`Frame::read_from`]; also if a frame is of a track that the group does not have, if bytes are left over, or
+    /// As [`CodedFrame::read_from`]; also if a frame is of a track that the group does not have, if bytes are left over, or
     /// if the files of the group are together over `limits.file_bytes` (they may all be in memory at once).
     pub fn read_from(mut input: &[u8], limits: &Limits) -> Result<(Self, Vec<FrameEntry>)> {
         let input = &mut input;
@@ -186,7 +186,7 @@ impl Group {
         let mut file_bytes = 0u64;
         for number in 0..frame_count {
             let before = input.len();
-            let frame = Frame::read_from(input, limits).map_err(|e| e.within_frame_of_group(number))?;
+            let frame = CodedFrame::read_from(input, limits).map_err(|e| e.within_frame_of_group(number))?;
             let stamp = frame.header.stamp;
             if usize::from(stamp.track) >= scanners.len() {
                 let what = format!("track {} of {}", stamp.track, scanners.len());

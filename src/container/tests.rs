@@ -17,7 +17,7 @@ fn stamp(number: u8) -> Stamp {
     }
 }
 
-fn frame(number: u8, sections: usize) -> Frame {
+fn frame(number: u8, sections: usize) -> CodedFrame {
     let header = FrameHeader {
         name: format!("{number:010}.bin"),
         stamp: stamp(number),
@@ -26,7 +26,7 @@ fn frame(number: u8, sections: usize) -> Frame {
         point_count: 62,
     };
     let kinds = SectionKind::ALL.into_iter().take(sections);
-    Frame { header, sections: kinds.map(|kind| Section { kind, payload: vec![number; 5] }).collect() }
+    CodedFrame { header, sections: kinds.map(|kind| Section { kind, payload: vec![number; 5] }).collect() }
 }
 
 /// Two scanners, three groups of two, one and no frames.

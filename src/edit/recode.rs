@@ -1,11 +1,11 @@
 //! Codes the end of a group as a group of its own. Frames of a group depend on those before them, so what
-//! comes after a cut is coded again. This starts from the decoded [`Frame`], that is, from the integers of
+//! comes after a cut is coded again. This starts from the decoded [`FrameParts`], that is, from the integers of
 //! its sections and not from the points that they stand for, so lossy frames lose nothing further. The output
 //! of an image coder is written again as it is.
 
-use crate::container::{self, allowance, pay_for};
-use crate::frame::frame::Frame;
+use crate::container::{CodedFrame, allowance, pay_for};
 use crate::frame::parameters::Prediction;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::{Effort, SectionReader, SectionWriter};
 use crate::frame::syntax::Models;
 use crate::ground::error::{Error, Limits, Result};
@@ -49,9 +49,9 @@ struct Recoder<'a> {
 impl Recoder<'_> {
     /// Decodes the next frame, and codes it if `wanted`; earlier frames are decoded only because others
     /// depend on them.
-    fn recode(&mut self, coded: container::Frame, wanted: bool) -> Result<Option<container::Frame>> {
-        let container::Frame { header, sections } = coded;
-        let mut frame = Frame::of_records(header.point_count as usize);
+    fn recode(&mut self, coded: CodedFrame, wanted: bool) -> Result<Option<CodedFrame>> {
+        let CodedFrame { header, sections } = coded;
+        let mut frame = FrameParts::of_records(header.point_count as usize);
         let limits = self.limits.within(allowance(&sections));
         let mut reader = SectionReader::new(&sections, &limits);
         self.old.code_frame(&mut reader, self.scanner, &mut frame)?;
@@ -74,6 +74,6 @@ impl Recoder<'_> {
         let unknown = sections.into_iter().filter(|section| section.kind.is_skippable());
         let mut sections: Vec<_> = writer.sections.into_iter().chain(unknown).collect();
         pay_for(&mut sections, unfolded);
-        Ok(Some(container::Frame { header, sections }))
+        Ok(Some(CodedFrame { header, sections }))
     }
 }

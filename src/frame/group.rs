@@ -7,9 +7,9 @@ use std::mem::take;
 
 use super::bound::Bound;
 use super::fidelity::{Intensity, Positions};
-use super::frame::Frame;
 use super::levels::InterChoice;
 use super::parameters::{Prediction, RangeCoder, Source};
+use super::parts::FrameParts;
 use super::sections::{Effort, SectionReader, SectionWriter};
 use super::settings::EncoderConfig;
 use super::steps::{Step, StepReport};
@@ -141,7 +141,7 @@ impl<'s> TrackEncoder<'s> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let whole = WholeFile::of_any_file(file, self.config.level)?;
         let mut writer = SectionWriter::new(Effort::default());
-        self.models.code_frame(&mut writer, None, &mut Frame::of_whole(whole, 0))?;
+        self.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, 0))?;
         steps.add(&writer.report);
         pay_for(&mut writer.sections, original.file_size);
         steps.count_sections(&writer.sections);
@@ -157,7 +157,7 @@ impl<'s> TrackEncoder<'s> {
     ) -> Result<(EncodedFrame, Option<Vec<u8>>)> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let name = scan.name.clone();
-        let mut frame = Frame::from_scan(scan, self.scanner, config, &mut steps)?;
+        let mut frame = FrameParts::from_scan(scan, self.scanner, config, &mut steps)?;
         frame.parameters.halved = self.halves(&frame);
         let before = is_unexplained(&frame, config).then(|| (self.models.clone(), steps));
         let mut best: Option<Attempt> = None;
@@ -185,7 +185,7 @@ impl<'s> TrackEncoder<'s> {
             if let Some(whole) = WholeFile::shortest(&scan, config.level, own)? {
                 self.models = models;
                 let mut writer = SectionWriter::new(Effort::default());
-                self.models.code_frame(&mut writer, None, &mut Frame::of_whole(whole, records))?;
+                self.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, records))?;
                 steps.add(&writer.report);
                 pay_for(&mut writer.sections, original.file_size.max(records as u64));
                 steps.count_sections(&writer.sections);
@@ -207,7 +207,7 @@ impl<'s> TrackEncoder<'s> {
 
     /// Whether the halves of a frame's image are coded apart: those of all if those of the first one are large, and coded by
     /// models that learn from each value.
-    fn halves(&mut self, frame: &Frame) -> bool {
+    fn halves(&mut self, frame: &FrameParts) -> bool {
         let RangeCoder::Context { modelling, .. } = frame.parameters.range_coder else { return false };
         let returns = frame.occupancy.cells().iter().filter(|filled| **filled).count();
         modelling.parts().is_adaptive()
@@ -217,7 +217,7 @@ impl<'s> TrackEncoder<'s> {
 
     /// Estimates how the scanner has moved since the frame before, if the frame may be predicted from that
     /// (equation 8). Returns how much of that frame fits this one, from 0 to 1; `None` if it does not.
-    fn estimate_motion(&mut self, frame: &Frame) -> Option<f64> {
+    fn estimate_motion(&mut self, frame: &FrameParts) -> Option<f64> {
         /// The share of the returns that are as far away as before if the scanner stands still.
         const STANDING_STILL: f64 = 0.5;
         let (scanner, past) = (self.scanner?, self.models.past()?);
@@ -248,7 +248,7 @@ impl<'s> TrackEncoder<'s> {
     /// Codes a frame with this prediction, with models that continue from those of the group.
     fn attempt(
         &self,
-        mut frame: Frame,
+        mut frame: FrameParts,
         prediction: Prediction,
         mut models: Models,
         mut steps: StepReport,
@@ -269,7 +269,7 @@ impl<'s> TrackEncoder<'s> {
 
 /// Whether most points are outside any range image and all must come back exactly: the models may then do
 /// worse than a coder that knows nothing about points.
-fn is_unexplained(frame: &Frame, config: &EncoderConfig) -> bool {
+fn is_unexplained(frame: &FrameParts, config: &EncoderConfig) -> bool {
     let is_exact = config.positions == Positions::Exact && config.intensity == Intensity::Exact;
     is_exact && frame.parameters.source.is_none() && 2 * frame.strays >= frame.records
 }
@@ -279,7 +279,7 @@ struct Attempt {
     /// The models after coding it.
     models: Models,
     /// The frame as it decodes.
-    frame: Frame,
+    frame: FrameParts,
     sections: Vec<Section>,
     /// Squared error of the ranges, in steps, with a coder that has a bit rate; otherwise 0.
     error: f64,
@@ -382,7 +382,7 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
         let scanner = scanner.as_ref().map(S::borrow);
         let limits = self.limits.within(allowance(sections));
         let mut reader = SectionReader::new(sections, &limits);
-        let mut frame = Frame::of_records(header.point_count as usize);
+        let mut frame = FrameParts::of_records(header.point_count as usize);
         models.get_or_insert_default().code_frame(&mut reader, scanner, &mut frame)?;
         steps.add(&reader.finish()?);
         let source = frame.parameters.source;

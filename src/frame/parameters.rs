@@ -8,7 +8,7 @@ use super::fidelity::{Intensity, Positions};
 use super::modelling::Modelling;
 use crate::article::image_coding::ImageCodec;
 use crate::backend::{self, Packing};
-use crate::container::{Frame, FrameHeader, SectionKind};
+use crate::container::{CodedFrame, FrameHeader, SectionKind};
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
@@ -193,7 +193,7 @@ impl FrameParameters {
     ///
     /// # Errors
     /// If they are damaged, unknown to this program, or not before all other sections.
-    pub fn of(frame: &Frame) -> Result<Self> {
+    pub fn of(frame: &CodedFrame) -> Result<Self> {
         let first = frame.sections.iter().find(|section| !section.kind.is_skippable());
         let first = first.filter(|section| section.kind == SectionKind::Parameters);
         Self::from_payload(first.map_or(&[], |section| &section.payload))
@@ -331,7 +331,7 @@ impl Source {
     ///
     /// # Errors
     /// If the frame's parameters are damaged, or unknown to this program.
-    pub fn of(frame: &Frame) -> Result<Self> {
+    pub fn of(frame: &CodedFrame) -> Result<Self> {
         let FrameHeader { file_size, point_count: points, .. } = frame.header;
         Ok(FrameParameters::of(frame)?.source.unwrap_or(Source::all_points(file_size, points)))
     }

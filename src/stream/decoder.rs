@@ -7,7 +7,7 @@ use std::io::{Read, Seek};
 use super::options::DecodeOptions;
 use super::ordered::run_ordered;
 use super::source::{GroupJob, IndexedGroups, StreamedGroups};
-use crate::container::{Frame, FrameHeader, IndexedReader, StreamReader};
+use crate::container::{CodedFrame, FrameHeader, IndexedReader, StreamReader};
 use crate::files;
 use crate::frame::group::{DecodedImage, DecodedScan, GroupDecoder};
 use crate::frame::parameters::Source;
@@ -140,7 +140,7 @@ pub(crate) fn decode_group<T>(
 fn decode_frame<S: Borrow<Scanner>>(
     coder: &mut GroupDecoder<S>,
     number: u64,
-    frame: &Frame,
+    frame: &CodedFrame,
     options: &DecodeOptions,
 ) -> Result<Option<DecodedFrame>> {
     let header = frame.header.clone();
@@ -159,7 +159,7 @@ pub(crate) struct PartlyDecodedGroup {
     next: u64,
     coder: GroupDecoder<Scanner>,
     /// Those that are not decoded yet.
-    coded: VecDeque<Frame>,
+    coded: VecDeque<CodedFrame>,
 }
 
 impl PartlyDecodedGroup {

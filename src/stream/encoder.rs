@@ -8,7 +8,7 @@ use super::encoded::{Encoded, OpenStream};
 use super::input::{FrameInput, ReadFrame};
 use super::ordered::run_ordered;
 use super::scanner_choice::{DriveScanners, choose_scanners, records_of};
-use crate::container::{Frame, FrameHeader, Group};
+use crate::container::{CodedFrame, FrameHeader, Group};
 use crate::frame::group::GroupEncoder;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::frame::steps::StepReport;
@@ -200,7 +200,7 @@ impl<'s> GroupInProgress<'s> {
         self.encoded.originals.push(original.clone());
         let frame = self.coder.encode_frame(scan, original)?;
         self.encoded.steps.push(frame.steps);
-        self.encoded.group.frames.push(Frame { header: frame.header, sections: frame.sections });
+        self.encoded.group.frames.push(CodedFrame { header: frame.header, sections: frame.sections });
         Ok(())
     }
 }

@@ -3,8 +3,8 @@
 use crate::container::SectionKind;
 use crate::entropy::TokenTables;
 use crate::frame::fidelity::Positions;
-use crate::frame::frame::Frame;
 use crate::frame::modelling::CorrectionModelling;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::models::{BlankModel, CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
@@ -27,7 +27,7 @@ impl CorrectionModels {
         &mut self,
         sections: &mut S,
         scanner: Option<&Scanner>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let Some(scanner) = scanner else { return Ok(()) };
         if !frame.image.is_full {
@@ -62,7 +62,7 @@ impl CorrectionModels {
         &mut self,
         sections: &mut S,
         scanner: &Scanner,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let grid = scanner.coordinates();
         let offset_m = frame.parameters.range_coder.offset_m(scanner);

@@ -3,7 +3,7 @@
 use crate::container::SectionKind;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::frame::fidelity::Intensity;
-use crate::frame::frame::Frame;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
@@ -35,7 +35,7 @@ impl EchoModels {
     ///
     /// # Errors
     /// If the section is damaged, or holds another number of echoes.
-    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let in_image = frame.cells.len() + frame.blanks.len();
         let missing = (frame.records - frame.strays).saturating_sub(in_image);
         let has_intensity = frame.layout.intensity.is_some() && frame.parameters.intensity != Intensity::None;
@@ -49,7 +49,7 @@ impl EchoModels {
         &mut self,
         coder: &mut C,
         (missing, has_intensity): (usize, bool),
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let width = frame.occupancy.columns() as u32;
         let mut known = std::mem::take(&mut frame.image.echoes).into_iter().peekable();

@@ -3,7 +3,7 @@
 use super::within;
 use crate::container::SectionKind;
 use crate::entropy::{BitCoder, IntegerModel};
-use crate::frame::frame::Frame;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::{Error, Limits, Result};
 use crate::models::ByteModel;
@@ -24,13 +24,18 @@ impl FileModels {
     ///
     /// # Errors
     /// If the frame has other points than its header says, or exceeds the limits.
-    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let limits = *sections.limits();
         sections.section(SectionKind::File, true, |coder| self.code_file(coder, frame, &limits))
     }
 
     /// The layout of the file, and the bytes around the records.
-    fn code_file<C: BitCoder>(&mut self, coder: &mut C, frame: &mut Frame, limits: &Limits) -> Result<()> {
+    fn code_file<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        frame: &mut FrameParts,
+        limits: &Limits,
+    ) -> Result<()> {
         self.code_layout(coder, &mut frame.layout, limits)?;
         self.code_bytes(coder, &mut frame.prefix, limits)?;
         self.code_bytes(coder, &mut frame.suffix, limits)?;

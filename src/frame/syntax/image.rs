@@ -5,8 +5,8 @@ use std::mem::take;
 use super::within;
 use crate::container::SectionKind;
 use crate::entropy::TokenTables;
-use crate::frame::frame::Frame;
 use crate::frame::modelling::OccupancyModelling;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
@@ -38,7 +38,7 @@ impl ImageModels {
         &mut self,
         sections: &mut S,
         scanner: Option<&Scanner>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let Some(scanner) = scanner else { return Ok(()) };
         let most = sections.limits().points;
@@ -59,7 +59,7 @@ impl ImageModels {
         &mut self,
         sections: &mut S,
         reference: Option<&Reference>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let records = frame.records - frame.strays;
         if records == 0 {
@@ -117,7 +117,7 @@ impl OccupancyModels {
     }
 }
 
-impl Frame {
+impl FrameParts {
     /// The first row of the lower half, if the halves of the image are coded apart.
     pub fn middle(&self) -> Option<usize> {
         (self.parameters.halved && self.records > self.strays).then(|| self.occupancy.rows().div_ceil(2))

@@ -9,8 +9,8 @@ use crate::backend::Level;
 use crate::container::SectionKind;
 use crate::entropy::{BitCoder, TokenCoder, TokenTables};
 use crate::frame::fidelity::Intensity;
-use crate::frame::frame::Frame;
 use crate::frame::modelling::IntensityModelling;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::ground::grid::Grid;
@@ -246,7 +246,7 @@ fn pack<C: TokenCoder>(
     known.of_cells.fill(part.cells, &values);
 }
 
-impl Frame {
+impl FrameParts {
     /// Number of records that are no returns.
     pub fn outside(&self) -> usize {
         self.strays + self.blanks.len()

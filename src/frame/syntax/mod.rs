@@ -12,8 +12,8 @@ mod reference;
 mod returns;
 mod strays;
 
-use super::frame::Frame;
 use super::parameters::FrameParameters;
+use super::parts::FrameParts;
 use super::sections::SectionCoder;
 use super::whole::WholeFile;
 use crate::container::SectionKind;
@@ -57,7 +57,7 @@ impl Models {
         &mut self,
         sections: &mut S,
         scanner: Option<&Scanner>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let (start, before) = (Instant::now(), sections.report().total_time());
         self.code_sections(sections, scanner, frame)?;
@@ -66,7 +66,7 @@ impl Models {
     }
 
     #[rustfmt::skip]
-    fn code_sections<S: SectionCoder>(&mut self, s: &mut S, scanner: Option<&Scanner>, frame: &mut Frame) -> Result<()> {
+    fn code_sections<S: SectionCoder>(&mut self, s: &mut S, scanner: Option<&Scanner>, frame: &mut FrameParts) -> Result<()> {
         code_parameters(s, frame)?;                                                 // FORMAT 8.10
         if code_whole(s, frame)? { return Ok(()) }                                  // FORMAT 8.18
         self.file.code(s, frame)?;                                                  // FORMAT 8.1
@@ -94,7 +94,7 @@ impl Models {
 }
 
 /// How the frame is coded.
-fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) -> Result<()> {
     let mut payload = frame.parameters.to_payload();
     sections.payload(SectionKind::Parameters, &mut payload);
     frame.parameters =
@@ -103,7 +103,7 @@ fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Resu
 }
 
 /// The frame as the bytes of its file, if it is coded that way; then nothing else follows.
-fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<bool> {
+fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) -> Result<bool> {
     let mut payload = frame.whole.as_ref().map_or_else(Vec::new, |whole| whole.payload().to_vec());
     sections.payload(SectionKind::Bytes, &mut payload);
     if !S::ENCODES && !payload.is_empty() {
@@ -114,7 +114,7 @@ fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<bo
 }
 
 /// How the points were moved after they were measured.
-fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) -> Result<()> {
     frame.find_misses()?;
     let (mut of_turn, mut of_world, mut of_stamps) = (Vec::new(), Vec::new(), Vec::new());
     match &frame.compensation {
@@ -146,7 +146,7 @@ fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Re
 }
 
 /// By which channel the records were sorted.
-fn code_sorted<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+fn code_sorted<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) -> Result<()> {
     const WHAT: &str = "sorted";
     let mut payload = Vec::new();
     frame.sorted.into_iter().for_each(|channel| write_unsigned(&mut payload, channel as u64));
@@ -162,7 +162,7 @@ fn code_sorted<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<(
     Ok(())
 }
 
-impl Frame {
+impl FrameParts {
     /// The scanner, if the frame has a range image.
     fn scanner_of_image<'s>(&self, scanner: Option<&'s Scanner>) -> Result<Option<&'s Scanner>> {
         match scanner {

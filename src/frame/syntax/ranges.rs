@@ -10,9 +10,9 @@ use crate::article::residual;
 use crate::backend::{self, Packing};
 use crate::container::SectionKind;
 use crate::entropy::TokenTables;
-use crate::frame::frame::Frame;
 use crate::frame::modelling::RangeModelling;
 use crate::frame::parameters::{Prediction, RangeCoder};
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::frame::steps::Step;
 use crate::ground::error::{Error, Result};
@@ -102,7 +102,7 @@ impl ResidualModels {
         sections: &mut S,
         scanner: Option<&Scanner>,
         reference: Option<&Reference>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let Some(scanner) = scanner else { return Ok(()) };
         match frame.parameters.range_coder {
@@ -126,7 +126,7 @@ impl ResidualModels {
         &mut self,
         sections: &mut S,
         scanner: &Scanner,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
         reference: Option<&Reference>,
     ) -> Result<Predictor> {
         let snake = frame.parameters.snake;
@@ -159,7 +159,7 @@ fn code_residuals<S: SectionCoder>(
     sections: &mut S,
     predictor: &Predictor,
     (id, packing): (u8, Packing),
-    frame: &mut Frame,
+    frame: &mut FrameParts,
 ) -> Result<()> {
     let backend = backend::by_id(id)?;
     let level = sections.effort().level;
@@ -188,7 +188,7 @@ fn code_residuals<S: SectionCoder>(
 }
 
 /// Checks that every return has a range that the scanner accepts.
-fn check_ranges(frame: &Frame, scanner: &Scanner) -> Result<()> {
+fn check_ranges(frame: &FrameParts, scanner: &Scanner) -> Result<()> {
     let cells = frame.occupancy.cells().iter().zip(frame.image.steps.cells());
     let most = scanner.most_steps();
     if cells.into_iter().any(|(filled, steps)| *filled && !(1..=most).contains(steps)) {
@@ -202,7 +202,7 @@ fn code_image<S: SectionCoder>(
     sections: &mut S,
     predictor: &Predictor,
     (codec, side): (ImageCodec, usize),
-    frame: &mut Frame,
+    frame: &mut FrameParts,
     most: u32,
 ) -> Result<()> {
     let returns = frame.cells.len();
@@ -228,7 +228,7 @@ fn code_image<S: SectionCoder>(
     Ok(())
 }
 
-impl Frame {
+impl FrameParts {
     /// Codes the ranges, as they were decoded, by context from now on, because their image is useless with
     /// another prediction.
     pub fn leave_image(&mut self) {

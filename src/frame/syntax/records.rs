@@ -5,7 +5,7 @@ use std::mem::take;
 use super::within;
 use crate::container::SectionKind;
 use crate::frame::fidelity::Positions;
-use crate::frame::frame::Frame;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::models::{ChannelsModel, OrderModel};
@@ -24,7 +24,7 @@ impl RecordModels {
     ///
     /// # Errors
     /// If the section is damaged.
-    pub fn code_order<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+    pub fn code_order<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let returns = frame.records - frame.strays;
         if returns == 0 || frame.parameters.positions == Positions::Formula {
             frame.order.stray_places = (returns as u64..frame.records as u64).collect();
@@ -43,7 +43,7 @@ impl RecordModels {
         &mut self,
         sections: &mut S,
         scanner: Option<&Scanner>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let bytes = frame.records.saturating_mul(frame.layout.channel_bytes());
         within(bytes, sections.limits().file_bytes, "bytes of the frame")?;
@@ -60,7 +60,7 @@ impl RecordModels {
     }
 }
 
-impl Frame {
+impl FrameParts {
     /// Resizes the decoder's channels for their values.
     fn fit_channels(&mut self) {
         if self.channels.is_empty() {

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use super::within;
-use crate::frame::frame::Frame;
 use crate::frame::parameters::Prediction;
+use crate::frame::parts::FrameParts;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
@@ -25,7 +25,7 @@ impl PastFrame {
     ///
     /// # Errors
     /// If there is no frame before, or one from which nothing can be predicted.
-    pub fn reference(&self, scanner: Option<&Scanner>, frame: &Frame) -> Result<Option<Reference>> {
+    pub fn reference(&self, scanner: Option<&Scanner>, frame: &FrameParts) -> Result<Option<Reference>> {
         let Some(scanner) = scanner.filter(|_| frame.parameters.prediction == Prediction::Inter) else {
             return Ok(None);
         };
@@ -46,7 +46,7 @@ impl PastFrame {
     }
 
     /// Takes this frame for the next one's. `levels` are the context levels of its intensities.
-    pub fn remember(&mut self, scanner: Option<&Scanner>, levels: Grid<u16>, frame: &Frame) {
+    pub fn remember(&mut self, scanner: Option<&Scanner>, levels: Grid<u16>, frame: &FrameParts) {
         let can_be_past = scanner.is_some()
             && frame.image.steps.cells().len() <= MOST_CELLS
             && frame.parameters.modelling().has_p_frames();

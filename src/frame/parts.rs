@@ -26,7 +26,7 @@ use crate::scanner::{Projection, REACH, RangeImage, Return, project_nearest};
 
 /// The parts of a frame, as the sections code them.
 #[derive(Clone, Debug, Default)]
-pub struct Frame {
+pub struct FrameParts {
     pub parameters: FrameParameters,
     pub layout: Layout,
     pub prefix: Vec<u8>,
@@ -84,7 +84,7 @@ struct Origin {
     strays: Vec<u32>,
 }
 
-impl Frame {
+impl FrameParts {
     /// Bytes of its records, or cells of its range image if they are more: what a decoder makes room for beside the
     /// file.
     pub fn unfolded_bytes(&self) -> u64 {
@@ -94,12 +94,12 @@ impl Frame {
 
     /// A frame with `records` records, to be decoded.
     pub fn of_records(records: usize) -> Self {
-        Frame { records, ..Frame::default() }
+        FrameParts { records, ..FrameParts::default() }
     }
 
     /// A frame that is the bytes of its file.
     pub fn of_whole(whole: WholeFile, records: usize) -> Self {
-        Frame { whole: Some(whole), records, ..Frame::default() }
+        FrameParts { whole: Some(whole), records, ..FrameParts::default() }
     }
 
     /// Takes a scan apart (article, III-A and IV-A: the outlier filter and the range image).
@@ -109,13 +109,13 @@ impl Frame {
         config: &EncoderConfig,
         steps: &mut StepReport,
     ) -> Result<Self> {
-        let mut frame = Frame {
+        let mut frame = FrameParts {
             parameters: config.frame_parameters()?,
             layout: scan.layout,
             prefix: scan.prefix,
             suffix: scan.suffix,
             records: scan.records,
-            ..Frame::default()
+            ..FrameParts::default()
         };
         let bound = Bound::of(config.positions, config.intensity);
         let cloud = steps.timed(Step::Conversion, || {
