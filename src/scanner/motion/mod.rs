@@ -22,16 +22,15 @@ mod cones;
 mod find;
 mod grid;
 mod many;
-#[allow(clippy::module_inception)]
-mod motion;
 mod payload;
 pub mod stamped;
+mod turn;
 mod units;
 pub mod world;
 
-pub(in crate::scanner) use motion::RigidMotion;
-pub use motion::{Motion, Mover};
 pub use stamped::Stamped;
+pub(in crate::scanner) use turn::RigidMotion;
+pub use turn::{Motion, Mover};
 pub use world::World;
 
 use crate::scan::Channel;
