@@ -153,7 +153,7 @@ fn threads_and_ways_to_decode_make_no_difference() {
     });
     assert!(streams[0] == streams[1]);
     decode(&streams[0][..], &DecodeOptions::default(), Ok, |frame| {
-        assert!(frame.in_order && frame.source.is_some_and(|source| source.outliers + source.lost == 0));
+        assert!(frame.keeps_order && frame.source.is_some_and(|source| source.outliers + source.lost == 0));
         Ok(())
     })
     .unwrap();

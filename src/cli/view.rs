@@ -134,7 +134,7 @@ impl Compared {
     fn errors(&self) -> Option<Vec<Option<f64>>> {
         let decoded = &self.frame.scan;
         let original = parse_like(decoded, &decoded.name, self.original.clone()?);
-        let measure = if self.frame.in_order { paired_distances } else { nearest_distances };
+        let measure = if self.frame.keeps_order { paired_distances } else { nearest_distances };
         Some(measure(&original.cloud, &decoded.cloud))
     }
 }

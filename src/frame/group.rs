@@ -306,7 +306,7 @@ pub struct DecodedScan {
     /// The original file, if it is not restored exactly.
     pub source: Option<Source>,
     /// Whether it holds the points of the original file, in the same order.
-    pub in_order: bool,
+    pub keeps_order: bool,
     /// The range image, if there is one and it was requested.
     pub image: Option<DecodedImage>,
     /// How well the scanner explains it, if it has one and that was requested.
@@ -405,7 +405,7 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
             }),
             None => None,
         };
-        let in_order = frame.parameters.positions != Positions::Formula;
-        Ok(DecodedScan { scan: frame.into_scan(&header.name)?, source, in_order, image, explained })
+        let keeps_order = frame.parameters.positions != Positions::Formula;
+        Ok(DecodedScan { scan: frame.into_scan(&header.name)?, source, keeps_order, image, explained })
     }
 }

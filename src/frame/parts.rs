@@ -68,7 +68,7 @@ pub struct FrameParts {
     /// The channel by which the file's records were sorted: all of the above are in the order of arrival.
     pub sorted: Option<usize>,
     /// The positions and intensities in the order of the file, once a decoder has them for the channels' sake.
-    pub in_order: Option<(Vec<[f32; 3]>, Vec<f32>)>,
+    pub decoded_in_file_order: Option<(Vec<[f32; 3]>, Vec<f32>)>,
     /// The original points; only while a scan is encoded.
     origin: Option<Arc<Origin>>,
     /// Positions as in the file, if they were moved; only while a scan is encoded.
@@ -436,8 +436,8 @@ impl FrameParts {
             return Err(Error::corrupt("the parts of the frame hold different numbers of points"));
         }
         let mut cloud = PointCloud::default();
-        (cloud.positions, cloud.intensity) = match self.in_order.take() {
-            Some(in_order) => in_order,
+        (cloud.positions, cloud.intensity) = match self.decoded_in_file_order.take() {
+            Some(decoded) => decoded,
             None => (self.positions_of_file()?, self.intensities_of_file()?),
         };
         if let Some(compensation) = &self.compensation {

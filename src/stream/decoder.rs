@@ -30,7 +30,7 @@ pub struct DecodedFrame {
     /// What the file was before, if it is not given back exactly.
     pub source: Option<Source>,
     /// Whether it holds the points of the file before, and in their order.
-    pub in_order: bool,
+    pub keeps_order: bool,
     /// The range image, if there is one and it was asked for.
     pub image: Option<DecodedImage>,
     /// What each step of decoding took.
@@ -145,12 +145,12 @@ fn decode_frame<S: Borrow<Scanner>>(
 ) -> Result<Option<DecodedFrame>> {
     let header = frame.header.clone();
     let mut steps = StepReport::default();
-    let DecodedScan { scan, source, in_order, image, .. } =
+    let DecodedScan { scan, source, keeps_order, image, .. } =
         coder.decode_frame(&header, &frame.sections, &mut steps)?;
     if !options.frames.contains(number) {
         return Ok(None);
     }
-    Ok(Some(DecodedFrame { number, header, scan, source, in_order, image, steps }))
+    Ok(Some(DecodedFrame { number, header, scan, source, keeps_order, image, steps }))
 }
 
 /// A group that is decoded as far as it is asked for, and goes on from there.

@@ -53,7 +53,8 @@ impl RecordModels {
             let mut beside = frame.beside(scanner)?;
             self.channels.code(coder, &mut frame.channels, &beside, level)?;
             if !S::ENCODES {
-                frame.in_order = Some((take(&mut beside.positions), take(&mut beside.intensity)));
+                frame.decoded_in_file_order =
+                    Some((take(&mut beside.positions), take(&mut beside.intensity)));
             }
             Ok(())
         })
