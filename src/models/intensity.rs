@@ -33,7 +33,7 @@ pub struct IntensityModel {
 
 impl IntensityModel {
     /// Sets whether the deep model is used from now on.
-    pub fn set_deep(&mut self, is_deep: bool) {
+    pub fn use_deep(&mut self, is_deep: bool) {
         self.is_deep = is_deep;
     }
 

@@ -65,18 +65,18 @@ impl ImageModels {
         if records == 0 {
             return Ok(());
         }
-        let depth = frame.parameters.modelling().parts().occupancy;
+        let modelling = frame.parameters.modelling().parts().occupancy;
         let [models, lower_models] = &mut self.occupancy;
         match frame.middle() {
-            None => models.code(sections, depth, reference, &mut frame.occupancy)?,
+            None => models.code(sections, modelling, reference, &mut frame.occupancy)?,
             Some(middle) => {
                 let [mut upper, mut lower] = take(&mut frame.occupancy).split(middle);
                 let references = reference.map(|reference| reference.clone().split(middle));
                 let [above, below] = [0, 1].map(|half| references.as_ref().map(|halves| &halves[half]));
                 sections.both(
                     SectionKind::Occupancy,
-                    |sections| models.code(sections, depth, above, &mut upper),
-                    |sections| lower_models.code(sections, depth, below, &mut lower),
+                    |sections| models.code(sections, modelling, above, &mut upper),
+                    |sections| lower_models.code(sections, modelling, below, &mut lower),
                 )?;
                 frame.occupancy = Grid::joined([upper, lower]);
             }
@@ -100,16 +100,16 @@ impl OccupancyModels {
     fn code<S: SectionCoder>(
         &mut self,
         sections: &mut S,
-        depth: OccupancyModelling,
+        modelling: OccupancyModelling,
         reference: Option<&Reference>,
         occupancy: &mut Grid<bool>,
     ) -> Result<()> {
-        if depth == OccupancyModelling::Tokens {
+        if modelling == OccupancyModelling::Tokens {
             let code = |coder: &mut S::Tokens<'_>| code_occupancy(coder, occupancy);
             return sections.tokens(SectionKind::Occupancy, OCCUPANCY_CONTEXTS, &mut self.tokens, code);
         }
         let model = self.adaptive.get_or_insert_default();
-        model.set_quick(depth == OccupancyModelling::Light);
+        model.use_light(modelling == OccupancyModelling::Light);
         sections.section(SectionKind::Occupancy, true, |coder| {
             model.code(coder, reference, occupancy);
             Ok(())

@@ -80,7 +80,7 @@ impl IntensityModels {
                 return self.code_rough(coder, part, values, level);
             }
             let model = self.adaptive.get_or_insert_default();
-            model.set_deep(is_deep);
+            model.use_deep(is_deep);
             Ok(code_adaptive(model, coder, part, values, scale))
         })
     }

@@ -69,10 +69,10 @@ impl RangeModels {
                     model.code(coder, &KnownCells { occupancy, fitted, expected, levels }, axis, steps);
                 })
             }
-            depth => {
+            mixed_or_deep => {
                 let model = self.mixed.get_or_insert_default();
-                if depth == RangeModelling::Deep {
-                    model.go_deep();
+                if mixed_or_deep == RangeModelling::Deep {
+                    model.use_deep();
                 }
                 let known = RangeContext { occupancy, intensity: levels, reference, range_bits, bin };
                 sections.section(SectionKind::Range, true, |coder| {
