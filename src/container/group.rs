@@ -81,9 +81,17 @@ impl CodedFrame {
         let header = FrameHeader {
             name: name.to_owned(),
             stamp: Stamp::read_from(input)?,
-            file_size: limited(read_unsigned(input, "file size")?, "file size in bytes", limits.file_bytes)?,
+            file_size: Error::check_limit(
+                "file size in bytes",
+                read_unsigned(input, "file size")?,
+                limits.file_bytes,
+            )?,
             file_crc: take_u32(input, "file checksum")?,
-            point_count: limited(read_unsigned(input, "point count")?, "points in a frame", limits.points)?,
+            point_count: Error::check_limit(
+                "points in a frame",
+                read_unsigned(input, "point count")?,
+                limits.points,
+            )?,
         };
         let section_count = read_unsigned(input, "section count")?;
         let mut sections = Vec::new();
@@ -200,7 +208,7 @@ impl Group {
                 return Err(Error::corrupt(what).within_frame_of_group(number));
             }
             file_bytes = file_bytes.saturating_add(frame.header.file_size);
-            limited(file_bytes, "bytes of a group's files", limits.file_bytes)?;
+            Error::check_limit("bytes of a group's files", file_bytes, limits.file_bytes)?;
             frames.push(frame);
             entries.push(FrameEntry { size: (before - input.len()) as u64, stamp });
         }
@@ -235,9 +243,4 @@ fn skim_frame(input: &mut &[u8]) -> Result<String> {
         take_u32(input, "section checksum")?;
     }
     Ok(name.to_owned())
-}
-
-/// `got`, if it is within the limit.
-pub(super) fn limited(got: u64, what: &'static str, max: u64) -> Result<u64> {
-    if got > max { Err(Error::over_limit(what, got, max)) } else { Ok(got) }
 }

@@ -52,7 +52,7 @@ impl Recoder<'_> {
     fn recode(&mut self, coded: CodedFrame, wanted: bool) -> Result<Option<CodedFrame>> {
         let CodedFrame { header, sections } = coded;
         let mut frame = FrameParts::of_records(header.point_count as usize);
-        let limits = self.limits.within(allowance(&sections));
+        let limits = self.limits.at_most(allowance(&sections));
         let mut reader = SectionReader::new(&sections, &limits);
         self.old.code_frame(&mut reader, self.scanner, &mut frame)?;
         reader.finish()?;

@@ -380,7 +380,7 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
         let unknown = || Error::corrupt("a frame of a track that the group does not have");
         let (scanner, models) = track.ok_or_else(unknown)?;
         let scanner = scanner.as_ref().map(S::borrow);
-        let limits = self.limits.within(allowance(sections));
+        let limits = self.limits.at_most(allowance(sections));
         let mut reader = SectionReader::new(sections, &limits);
         let mut frame = FrameParts::of_records(header.point_count as usize);
         models.get_or_insert_default().code_frame(&mut reader, scanner, &mut frame)?;

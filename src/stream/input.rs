@@ -160,7 +160,7 @@ impl FrameInput {
     }
 
     fn into_bytes(self) -> Result<Vec<u8>> {
-        check_limit("bytes of a file", self.size()?, Limits::default().file_bytes)
+        Error::check_limit("bytes of a file", self.size()?, Limits::default().file_bytes)
             .map_err(|e| e.at(self.path()))?;
         let is_folder = self.is_folder();
         match self.data {
@@ -184,12 +184,12 @@ impl FrameInput {
     }
 
     fn try_into_frame(self, headerless: Option<&HeaderlessLayout>) -> Result<ReadFrame> {
-        check_limit("number of a frame's track", self.stamp.track.into(), TRACKS_MAX - 1)?;
+        Error::check_limit("number of a frame's track", self.stamp.track.into(), TRACKS_MAX - 1)?;
         let (name, stamp) = (self.name()?.to_owned(), self.stamp);
         let (header, scan) = match self.data {
             Data::Scan(scan) => {
                 if stamp.unit == Unit::Points {
-                    check_limit("points of a scan", scan.records as u64, Limits::default().points)?;
+                    Error::check_limit("points of a scan", scan.records as u64, Limits::default().points)?;
                 }
                 (header_of(&scan)?, *scan)
             }
@@ -202,7 +202,7 @@ impl FrameInput {
                 }
             }
         };
-        check_limit("bytes of a file", header.file_size, Limits::default().file_bytes)?;
+        Error::check_limit("bytes of a file", header.file_size, Limits::default().file_bytes)?;
         let point_count = scan.records as u64;
         Ok(ReadFrame { header: FrameHeader { stamp, point_count, ..header }, scan })
     }
@@ -212,7 +212,7 @@ impl FrameInput {
     /// # Errors
     /// As [`name`](Self::name); also if no group has so many tracks.
     pub(crate) fn header(&self, bytes: &[u8]) -> Result<FrameHeader> {
-        check_limit("number of a frame's track", self.stamp.track.into(), TRACKS_MAX - 1)?;
+        Error::check_limit("number of a frame's track", self.stamp.track.into(), TRACKS_MAX - 1)?;
         Ok(FrameHeader { stamp: self.stamp, ..FrameHeader::of(self.name()?, bytes, 0) })
     }
 }
@@ -226,9 +226,4 @@ fn header_of(scan: &ScanFile) -> Result<FrameHeader> {
         Ok(())
     })?;
     Ok(header)
-}
-
-/// An error if decoders would refuse what is encoded.
-fn check_limit(what: &'static str, got: u64, max: u64) -> Result<()> {
-    if got > max { Err(Error::over_limit(what, got, max)) } else { Ok(()) }
 }

@@ -1,6 +1,5 @@
 //! The layout of the file, and the bytes around the records.
 
-use super::within;
 use crate::container::SectionKind;
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::frame::parts::FrameParts;
@@ -47,9 +46,9 @@ impl FileModels {
             )));
         }
         frame.strays = self.sizes.code(coder, frame.strays as u64) as usize;
-        within(frame.records, limits.points, "points of the frame")?;
+        Error::check_limit("points of the frame", frame.records as u64, limits.points)?;
         let record_bytes = frame.records.saturating_mul(frame.layout.stride());
-        within(record_bytes, limits.file_bytes, "bytes of the frame's records")?;
+        Error::check_limit("bytes of the frame's records", record_bytes as u64, limits.file_bytes)?;
         if frame.strays > frame.records || (frame.layout.position.is_none() && frame.strays < frame.records) {
             return Err(Error::corrupt("more strays than points"));
         }
@@ -85,7 +84,7 @@ impl FileModels {
     /// Bytes of any number. Zeros at their end, with which some programs fill up a page, are only counted.
     fn code_bytes<C: BitCoder>(&mut self, coder: &mut C, bytes: &mut Vec<u8>, limits: &Limits) -> Result<()> {
         let length = self.sizes.code(coder, bytes.len() as u64) as usize;
-        within(length, limits.file_bytes, "bytes of the frame")?;
+        Error::check_limit("bytes of the frame", length as u64, limits.file_bytes)?;
         bytes.resize(length, 0);
         if length == 0 {
             return Ok(());

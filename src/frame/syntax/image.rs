@@ -2,7 +2,6 @@
 
 use std::mem::take;
 
-use super::within;
 use crate::container::SectionKind;
 use crate::entropy::TokenTables;
 use crate::frame::modelling::OccupancyModelling;
@@ -46,7 +45,7 @@ impl ImageModels {
             scanner.code_columns(&mut self.columns, coder, &mut frame.image, most)
         })?;
         let cells = scanner.rows().saturating_mul(frame.image.columns.len());
-        within(cells, most, "cells of the range image")?;
+        Error::check_limit("cells of the range image", cells as u64, most)?;
         frame.fit_image(scanner.rows());
         Ok(())
     }

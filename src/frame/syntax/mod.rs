@@ -172,7 +172,3 @@ impl FrameParts {
         }
     }
 }
-
-fn within(got: usize, max: u64, what: &'static str) -> Result<()> {
-    if got as u64 > max { Err(Error::over_limit(what, got as u64, max)) } else { Ok(()) }
-}

@@ -2,12 +2,11 @@
 
 use std::mem::take;
 
-use super::within;
 use crate::container::SectionKind;
 use crate::frame::fidelity::Positions;
 use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
-use crate::ground::error::Result;
+use crate::ground::error::{Error, Result};
 use crate::models::{ChannelsModel, OrderModel};
 use crate::scan::{Channel, Field};
 use crate::scanner::Scanner;
@@ -46,7 +45,7 @@ impl RecordModels {
         frame: &mut FrameParts,
     ) -> Result<()> {
         let bytes = frame.records.saturating_mul(frame.layout.channel_bytes());
-        within(bytes, sections.limits().file_bytes, "bytes of the frame")?;
+        Error::check_limit("bytes of the frame", bytes as u64, sections.limits().file_bytes)?;
         frame.fit_channels();
         let level = sections.effort().level;
         sections.section(SectionKind::Channels, bytes > 0, |coder| {

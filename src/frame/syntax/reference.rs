@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use super::within;
 use crate::frame::parameters::Prediction;
 use crate::frame::parts::FrameParts;
 use crate::ground::error::{Error, Result};
@@ -31,7 +30,7 @@ impl PastFrame {
         };
         let past =
             self.get().ok_or_else(|| Error::corrupt("there is no frame before to predict this one from"))?;
-        within(frame.occupancy.cells().len(), MOST_CELLS as u64, "cells of a P frame")?;
+        Error::check_limit("cells of a P frame", frame.occupancy.cells().len() as u64, MOST_CELLS as u64)?;
         let motion = frame.parameters.motion;
         if let Some(scanner) = scanner.firings() {
             return Ok(Some(past.same_directions(&frame.image.columns, scanner.build().ticks)));
