@@ -18,7 +18,7 @@ use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
-use crate::models::{Beside, OrderExceptions};
+use crate::models::{OrderExceptions, RecordContext};
 use crate::scan::{Channel, Layout, PointCloud, ScanFile, sorted};
 use crate::scanner::Scanner;
 use crate::scanner::motion::{self, Compensation, stamped};
@@ -355,23 +355,23 @@ impl FrameParts {
     ///
     /// # Errors
     /// If the parts do not fit together.
-    pub fn beside(&self, scanner: Option<&Scanner>) -> Result<Beside> {
-        let mut beside = Beside::default();
+    pub fn record_context(&self, scanner: Option<&Scanner>) -> Result<RecordContext> {
+        let mut context = RecordContext::default();
         if self.layout.position.is_some() {
-            beside.positions = self.positions_in_order()?;
+            context.positions = self.positions_in_order()?;
         }
-        beside.intensity = self.intensities_of_file()?;
+        context.intensity = self.intensities_of_file()?;
         if !self.returns.is_empty() {
-            beside.rows = self.numbers_in_order(|found| found.row + 1)?;
-            beside.columns = self.numbers_in_order(|found| found.column + 1)?;
+            context.rows = self.numbers_in_order(|found| found.row + 1)?;
+            context.columns = self.numbers_in_order(|found| found.column + 1)?;
             if let Some(scanner) = scanner.and_then(Scanner::firings) {
-                beside.steps = self.numbers_in_order(|found| found.steps)?;
-                beside.ticks = self.numbers_in_order(|found| found.tick)?;
-                beside.range_step_m = scanner.range_step_m();
-                beside.tick_degrees = 360.0 / f64::from(scanner.build().ticks);
+                context.steps = self.numbers_in_order(|found| found.steps)?;
+                context.ticks = self.numbers_in_order(|found| found.tick)?;
+                context.range_step_m = scanner.range_step_m();
+                context.tick_degrees = 360.0 / f64::from(scanner.build().ticks);
             }
         }
-        Ok(beside)
+        Ok(context)
     }
 
     /// A number of each return, in the order of the file; 0 for strays.

@@ -20,7 +20,7 @@ mod shape;
 
 pub use blanks::BlankModel;
 pub use bytes::ByteModel;
-pub use channels::{Beside, ChannelsModel};
+pub use channels::{ChannelsModel, RecordContext};
 pub use correction::{CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
 pub use intensity::{
     INTENSITY_CONTEXTS, IntensityModel, IntensityNeighbours, IntensityReference, IntensityScale,

@@ -49,11 +49,11 @@ impl RecordModels {
         frame.fit_channels();
         let level = sections.effort().level;
         sections.section(SectionKind::Channels, bytes > 0, |coder| {
-            let mut beside = frame.beside(scanner)?;
-            self.channels.code(coder, &mut frame.channels, &beside, level)?;
+            let mut context = frame.record_context(scanner)?;
+            self.channels.code(coder, &mut frame.channels, &context, level)?;
             if !S::ENCODES {
                 frame.decoded_in_file_order =
-                    Some((take(&mut beside.positions), take(&mut beside.intensity)));
+                    Some((take(&mut context.positions), take(&mut context.intensity)));
             }
             Ok(())
         })
