@@ -41,6 +41,33 @@ impl FrameHeader {
             point_count,
         }
     }
+
+    /// Appends the header.
+    fn write_to(&self, out: &mut Vec<u8>) {
+        write_unsigned(out, self.name.len() as u64);
+        out.extend_from_slice(self.name.as_bytes());
+        self.stamp.write_to(out);
+        write_unsigned(out, self.file_size);
+        out.extend_from_slice(&self.file_crc.to_le_bytes());
+        write_unsigned(out, self.point_count);
+    }
+
+    /// Takes a header off the front of `input`. What it claims is not checked against any limits.
+    fn read_from(input: &mut &[u8]) -> Result<Self> {
+        let name_length = read_unsigned(input, "frame name's length")?;
+        if name_length > NAME_MAX {
+            return Err(Error::corrupt(format!("frame name of {name_length} bytes")));
+        }
+        let name = take(input, name_length, "frame name")?;
+        let name = str::from_utf8(name).map_err(|_| Error::corrupt("frame name is not UTF-8"))?;
+        Ok(FrameHeader {
+            name: name.to_owned(),
+            stamp: Stamp::read_from(input)?,
+            file_size: read_unsigned(input, "file size")?,
+            file_crc: take_u32(input, "file checksum")?,
+            point_count: read_unsigned(input, "point count")?,
+        })
+    }
 }
 
 /// One coded frame.
@@ -55,12 +82,7 @@ pub struct CodedFrame {
 impl CodedFrame {
     /// Appends the frame header and the sections.
     pub fn write_to(&self, out: &mut Vec<u8>) {
-        write_unsigned(out, self.header.name.len() as u64);
-        out.extend_from_slice(self.header.name.as_bytes());
-        self.header.stamp.write_to(out);
-        write_unsigned(out, self.header.file_size);
-        out.extend_from_slice(&self.header.file_crc.to_le_bytes());
-        write_unsigned(out, self.header.point_count);
+        self.header.write_to(out);
         write_unsigned(out, self.sections.len() as u64);
         for section in &self.sections {
             section.write_to(out);
@@ -72,31 +94,14 @@ impl CodedFrame {
     /// # Errors
     /// If it is damaged, asks for more than `limits` allow, or holds an unknown section.
     pub fn read_from(input: &mut &[u8], limits: &Limits) -> Result<Self> {
-        let name_length = read_unsigned(input, "frame name's length")?;
-        if name_length > NAME_MAX {
-            return Err(Error::corrupt(format!("frame name of {name_length} bytes")));
-        }
-        let name = take(input, name_length, "frame name")?;
-        let name = str::from_utf8(name).map_err(|_| Error::corrupt("frame name is not UTF-8"))?;
-        let header = FrameHeader {
-            name: name.to_owned(),
-            stamp: Stamp::read_from(input)?,
-            file_size: Error::check_limit(
-                "file size in bytes",
-                read_unsigned(input, "file size")?,
-                limits.file_bytes,
-            )?,
-            file_crc: take_u32(input, "file checksum")?,
-            point_count: Error::check_limit(
-                "points in a frame",
-                read_unsigned(input, "point count")?,
-                limits.points,
-            )?,
-        };
+        let header = FrameHeader::read_from(input)?;
+        Error::check_limit("file size in bytes", header.file_size, limits.file_bytes)?;
+        Error::check_limit("points in a frame", header.point_count, limits.points)?;
         let section_count = read_unsigned(input, "section count")?;
         let mut sections = Vec::new();
         for _ in 0..section_count {
-            sections.push(Section::read_from(input).map_err(|e| e.within(format!("{name:?}")))?);
+            let section = Section::read_from(input);
+            sections.push(section.map_err(|e| e.within(format!("{:?}", header.name)))?);
         }
         let allowed = allowance(&sections);
         if header.file_size > allowed || header.point_count > allowed {
@@ -229,18 +234,12 @@ fn read_scanners(input: &mut &[u8]) -> Result<Vec<Option<ScannerId>>> {
 
 /// Takes a frame off the front of `input` without a look at its checksums; gives its name.
 fn skim_frame(input: &mut &[u8]) -> Result<String> {
-    let name_length = read_unsigned(input, "frame name's length")?;
-    let name = take(input, name_length, "frame name")?;
-    let name = str::from_utf8(name).map_err(|_| Error::corrupt("frame name is not UTF-8"))?;
-    Stamp::read_from(input)?;
-    read_unsigned(input, "file size")?;
-    take_u32(input, "file checksum")?;
-    read_unsigned(input, "point count")?;
+    let header = FrameHeader::read_from(input)?;
     for _ in 0..read_unsigned(input, "section count")? {
         take(input, 1, "section kind")?;
         let length = read_unsigned(input, "section length")?;
         take(input, length, "section")?;
         take_u32(input, "section checksum")?;
     }
-    Ok(name.to_owned())
+    Ok(header.name)
 }
