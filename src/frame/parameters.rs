@@ -11,10 +11,13 @@ use crate::backend::{self, Packing};
 use crate::container::{CodedFrame, FrameHeader, SectionKind};
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
-use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
+use crate::ground::varint::{read_signed, read_unsigned, read_within, write_signed, write_unsigned};
 use crate::inter::registration::QuantisedPose;
 use crate::scanner::EXACT_RANGE_BITS;
 use crate::scanner::Scanner;
+
+/// What is read, in errors.
+const PART: &str = "frame parameters";
 
 /// The parameters of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -308,8 +311,8 @@ impl RangeCoder {
         match read(input)? {
             coder @ ..BACKENDS => Ok(RangeCoder::Context {
                 modelling: Modelling::from_code(coder)?,
-                range_bits: within(input, RANGE_BITS, "bits of a range")?,
-                bin: within(input, 1..=WIDEST_BIN.into(), "steps a bin")?,
+                range_bits: read_within(input, PART, RANGE_BITS, "bits of a range")?,
+                bin: read_within(input, PART, 1..=WIDEST_BIN.into(), "steps a bin")?,
                 between: flag(input)?,
             }),
             coder @ BACKENDS..JPEG => {
@@ -362,22 +365,14 @@ impl Source {
 fn read_pose(input: &mut &[u8]) -> Result<QuantisedPose> {
     let mut pose = QuantisedPose::default();
     for value in &mut pose.values {
-        let read = read_signed(input, "frame parameters")?;
+        let read = read_signed(input, PART)?;
         *value = i32::try_from(read).map_err(|_| Error::corrupt("frame parameters: no such motion"))?;
     }
     Ok(pose)
 }
 
-pub(crate) fn read(input: &mut &[u8]) -> Result<u64> {
-    read_unsigned(input, "frame parameters")
-}
-
-/// A number in a range that fits into 32 bits.
-pub(crate) fn within(input: &mut &[u8], range: RangeInclusive<u64>, what: &'static str) -> Result<u32> {
-    match read(input)? {
-        value if range.contains(&value) => Ok(value as u32),
-        value => Err(Error::corrupt(format!("frame parameters: {value} is out of range for {what}"))),
-    }
+fn read(input: &mut &[u8]) -> Result<u64> {
+    read_unsigned(input, PART)
 }
 
 fn flag(input: &mut &[u8]) -> Result<bool> {
