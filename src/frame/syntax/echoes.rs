@@ -57,7 +57,7 @@ impl EchoModels {
         let mut above = vec![false; width as usize];
         let (mut row, mut left, mut was_same, mut was_last, mut last) = (u32::MAX, false, false, false, None);
         for &cell in &frame.cells {
-            if coder.is_exhausted() || echoes.len() > missing {
+            if coder.is_exhausted() {
                 break;
             }
             if cell / width != row {
