@@ -206,11 +206,8 @@ impl<R: Read + Seek + Send> Decoder<R> {
 
     /// These scans, one after the other. An error, or a range that is not in the stream, is the last item.
     pub fn scans(&mut self, frames: impl RangeBounds<u64>) -> Scans<'_> {
-        let options = self.options();
-        match self.seek(&frames) {
-            Ok(frames) => Scans::new(Box::new(&mut self.groups), DecodeOptions { frames, ..options }),
-            Err(error) => Scans::new(Box::new(std::iter::once(Err(error))), options),
-        }
+        let (range, options) = (self.seek(&frames), self.options());
+        scans_of(range, &mut self.groups, options)
     }
 
     /// As [`scans`](Self::scans), for iterators that outlive their maker. A clone of the decoder shares the index.
@@ -218,11 +215,8 @@ impl<R: Read + Seek + Send> Decoder<R> {
     where
         R: 'r,
     {
-        let options = self.options();
-        match self.seek(&frames) {
-            Ok(frames) => Scans::new(Box::new(self.groups), DecodeOptions { frames, ..options }),
-            Err(error) => Scans::new(Box::new(std::iter::once(Err(error))), options),
-        }
+        let (range, options) = (self.seek(&frames), self.options());
+        scans_of(range, self.groups, options)
     }
 
     fn options(&self) -> DecodeOptions {
@@ -263,6 +257,18 @@ impl Decoder<()> {
         let groups = StreamedGroups::new(StreamReader::open(input, limits)?, FrameRange::default());
         let options = DecodeOptions { threads, limits, ..DecodeOptions::default() };
         Ok(Scans::new(Box::new(groups), options))
+    }
+}
+
+/// The scans of this range of the groups, or the error that there is none.
+fn scans_of<'r>(
+    range: Result<FrameRange>,
+    groups: impl Iterator<Item = Result<GroupJob>> + Send + 'r,
+    options: DecodeOptions,
+) -> Scans<'r> {
+    match range {
+        Ok(frames) => Scans::new(Box::new(groups), DecodeOptions { frames, ..options }),
+        Err(error) => Scans::new(Box::new(std::iter::once(Err(error))), options),
     }
 }
 
