@@ -9,6 +9,7 @@ use std::time::Instant;
 
 use crate::container::{IndexedReader, Unit};
 use crate::edit::Recovered;
+use crate::files::sequence::STREAM_EXTENSION;
 use crate::files::{FileFormat, Give, convert};
 use crate::ground::error::{Error, Limits};
 use crate::scan::ScanFile;
@@ -121,7 +122,9 @@ fn output_of(args: &DecodeArgs) -> PathBuf {
         return output.clone();
     }
     match &args.inputs[..] {
-        [input] if input.extension().is_some_and(|ending| ending == "lpc") => input.with_extension(""),
+        [input] if input.extension().is_some_and(|ending| ending == STREAM_EXTENSION) => {
+            input.with_extension("")
+        }
         _ => wrong_usage("decode", "say where to, by -o FOLDER: the input gives no name for the output"),
     }
 }
