@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, HashMap};
 use std::io::{self, Read, Write};
 
-use crate::container::{Index, Record, ScannerId, ScannerRecord, Stamp, StreamReader, Unit};
+use crate::container::{Index, Record, ScannerId, Stamp, StreamReader, Unit};
 use crate::frame::FrameParameters;
 use crate::ground::error::{Error, Limits};
-use crate::scanner::Scanner;
+use crate::stream::source::StoredScanner;
 use anyhow::Result;
 use serde::Serialize;
 
@@ -153,11 +153,9 @@ impl Info {
         match record {
             Record::Scanner(record) => {
                 self.numbers.insert(record.id(), self.numbers.len() as u64 + 1);
-                let ScannerRecord { family, payload } = record;
-                let known = Scanner::of_record(family, &payload)?;
-                let description =
-                    known.map_or_else(|| format!("of family {family}"), |known| known.to_string());
-                self.scanners.push(ScannerInfo { family, description, bytes: payload.len() as u64 });
+                let (family, bytes) = (record.family, record.payload.len() as u64);
+                let description = StoredScanner::parse(record)?.description();
+                self.scanners.push(ScannerInfo { family, description, bytes });
             }
             Record::Group(group) => {
                 let Some(entry) = index.groups.last() else { return Ok(()) };
