@@ -73,7 +73,8 @@ fn every_flipped_bit_and_every_cut_of_any_stream_is_seen() {
         SectionKind::Sorted,
         SectionKind::Stamped,
     ];
-    let expected: BTreeSet<_> = SectionKind::ALL.into_iter().filter(|kind| !others.contains(kind)).collect();
+    let expected: BTreeSet<_> =
+        SectionKind::all().iter().copied().filter(|kind| !others.contains(kind)).collect();
     assert_eq!(kinds, expected, "not all sections are tried");
     for stream in &streams {
         check(stream).unwrap();

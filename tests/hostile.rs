@@ -114,7 +114,7 @@ fn damage() -> impl Strategy<Value = Damage> {
         3 => (section(), bytes()).prop_map(|(section, bytes)| Damage::Payload { section, bytes }),
         1 => section().prop_map(|section| Damage::Remove { section }),
         1 => (section(), section()).prop_map(|(section, other)| Damage::Exchange { section, other }),
-        1 => (section(), prop::sample::select(&SectionKind::ALL[..]))
+        1 => (section(), prop::sample::select(SectionKind::all()))
             .prop_map(|(section, kind)| Damage::Kind { section, kind }),
         3 => (place(), byte()).prop_map(|(place, value)| Damage::Model { place, value }),
         1 => Just(Damage::NoModel),

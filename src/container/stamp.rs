@@ -5,6 +5,7 @@ use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsi
 
 /// What the bytes are that a frame decodes to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Unit {
     /// A file.
     #[default]

@@ -17,6 +17,7 @@ pub enum Number {
 
 /// The type of a value in a record. All types are little-endian in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Scalar {
     /// Signed 8-bit integer.
     I8,
