@@ -12,7 +12,7 @@
 //! fn copy(drive: &[(i64, Vec<[f32; 4]>)]) -> lidarpc::Result<()> {
 //!     let mut encoder = Encoder::new(File::create("drive.lpc")?, Settings::exact())?;
 //!     for (time, xyzi) in drive {
-//!         encoder.push(Scan::from_xyzi(xyzi).stamped(*time))?;
+//!         encoder.push(Scan::from_xyzi(xyzi).at_time(*time))?;
 //!     }
 //!     encoder.finish()?;
 //!     for scan in Decoder::open(File::open("drive.lpc")?)?.scans(10..20) {

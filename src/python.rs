@@ -154,7 +154,7 @@ impl StreamReader {
         };
         let input = Input { source: Arc::new(source), size, place: 0 };
         let decoder = py.detach(|| Decoder::open(input)).map_err(|error| raise(error, &name, None))?;
-        let decoder = decoder.threads(threads).range_images(range_images);
+        let decoder = decoder.with_threads(threads).with_range_images(range_images);
         let len = decoder.len();
         Ok(StreamReader { decoder: Mutex::new(decoder), name, len })
     }
@@ -384,9 +384,9 @@ fn scan_of(
     if !rest.is_empty() {
         return Err(PyValueError::new_err("xyz must have 3 columns"));
     }
-    let mut scan = Scan::from_positions(positions).named(name).on_track(track);
+    let mut scan = Scan::from_positions(positions).with_name(name).on_track(track);
     if let Some(time) = time {
-        scan = scan.stamped(time);
+        scan = scan.at_time(time);
     }
     fields.iter().try_fold(scan, |scan, (name, values)| with_field(scan, name, values))
 }
@@ -415,12 +415,12 @@ fn settings(
     group: Option<usize>,
 ) -> Settings {
     let mut settings =
-        max_error.map_or_else(Settings::exact, Settings::bounded).level(level).threads(threads);
+        max_error.map_or_else(Settings::exact, Settings::bounded).with_level(level).with_threads(threads);
     if let Some(step) = intensity_step {
-        settings = settings.intensity_step(step);
+        settings = settings.with_intensity_step(step);
     }
     match group {
-        Some(group) => settings.group_of_pictures(group),
+        Some(group) => settings.with_group_of_pictures(group),
         None => settings,
     }
 }
@@ -487,7 +487,7 @@ impl StreamWriter {
         track: u8,
     ) -> PyResult<()> {
         let scan = Scan::from_file(name, data).on_track(track);
-        self.push_scan(py, if let Some(time) = time { scan.stamped(time) } else { scan })
+        self.push_scan(py, if let Some(time) = time { scan.at_time(time) } else { scan })
     }
 
     /// Scans, points, bytes of the scans, bytes of the stream.
@@ -542,7 +542,7 @@ impl FrameEncoder {
 #[pyfunction]
 fn decode_frame(py: Python<'_>, payload: PyBackedBytes, range_images: bool) -> PyResult<Frame> {
     let scan = py.detach(|| {
-        let mut decoder = Decoder::open(Cursor::new(&payload[..]))?.range_images(range_images);
+        let mut decoder = Decoder::open(Cursor::new(&payload[..]))?.with_range_images(range_images);
         match decoder.len() {
             1 => decoder.scan(0),
             count => Err(Error::Usage(format!("a message holds one frame, and here are {count}"))),

@@ -232,7 +232,7 @@ impl Module {
 
     fn open(&mut self, size: u64, range_images: bool) -> Result<String> {
         self.input.pieces().size = size;
-        let decoder = Decoder::open(self.input.clone())?.range_images(range_images);
+        let decoder = Decoder::open(self.input.clone())?.with_range_images(range_images);
         let frames = decoder.frames().map(|frame| IndexedFrame {
             number: frame.number,
             unit: frame.unit.name(),

@@ -85,28 +85,30 @@ impl<R: Read + Seek + Send> Decoder<R> {
     /// # Errors
     /// If the input fails, is no stream, is damaged at its beginning or end, or is of another version of the format.
     pub fn open(input: R) -> Result<Self> {
-        Self::open_within(input, Limits::default())
+        Self::open_with_limits(input, Limits::default())
     }
 
     /// As [`open`](Self::open), with limits on what may be allocated.
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub fn open_within(input: R, limits: Limits) -> Result<Self> {
+    pub fn open_with_limits(input: R, limits: Limits) -> Result<Self> {
         let reader = IndexedReader::open_at_end(input, limits)?;
         let groups = IndexedGroups::new(reader, FrameRange::default()).reading_at_once(AT_ONCE);
         Ok(Decoder { groups, limits, threads: 1, images: false, kept: None, pool: None })
     }
 
     /// Whether scans come with their [range images](Scan::range_image). Default: no; they take some time and memory.
-    pub fn range_images(self, images: bool) -> Self {
+    #[must_use]
+    pub fn with_range_images(self, images: bool) -> Self {
         Decoder { images, kept: None, ..self }
     }
 
     /// Has [`scans`](Self::scans) decoded ahead by so many threads, and [`scan`](Self::scan) by two if there are to be more
     /// than one; 0 stands for one a processor. With 1, the default, there are none: the caller's thread decodes a group
     /// when its first scan is asked for.
-    pub fn threads(self, threads: usize) -> Self {
+    #[must_use]
+    pub fn with_threads(self, threads: usize) -> Self {
         Decoder { threads, pool: None, ..self }
     }
 

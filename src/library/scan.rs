@@ -23,7 +23,7 @@ const POSITION: [&str; 3] = ["x", "y", "z"];
 /// let scan = lidarpc::Scan::from_positions(&[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
 ///     .with_channel("intensity", &[0.25f32, 0.5])?
 ///     .with_channel("ring", &[7u16, 8])?
-///     .stamped(1_316_998_000_123_456_789);
+///     .at_time(1_316_998_000_123_456_789);
 /// assert_eq!(scan.channel::<u16>("ring")?, [7, 8]);
 /// # Ok(())
 /// # }
@@ -125,17 +125,20 @@ impl Scan {
     }
 
     /// The same with a name, which a frame of the stream gets, such as `000001`. A file has one already.
-    pub fn named(self, name: &str) -> Self {
+    #[must_use]
+    pub fn with_name(self, name: &str) -> Self {
         Scan { name: name.to_owned(), ..self }
     }
 
     /// The same with the time at which it was taken: nanoseconds since 1970.
-    pub fn stamped(self, nanoseconds: i64) -> Self {
+    #[must_use]
+    pub fn at_time(self, nanoseconds: i64) -> Self {
         Scan { time: Some(Time { source: TimeSource::Recording, nanoseconds }), ..self }
     }
 
     /// The same as a scan of another scanner than that of track 0. The scans of several scanners may take turns; those
     /// of each are modelled by themselves.
+    #[must_use]
     pub fn on_track(self, track: u8) -> Self {
         Scan { track, ..self }
     }
@@ -208,7 +211,7 @@ impl Scan {
     }
 
     /// Its points as the scanner's rows and columns have them: of a scan from a [`Decoder`](crate::Decoder) that was told
-    /// to give [range images](crate::Decoder::range_images) and knows the scanner, otherwise `None`.
+    /// to give [range images](crate::Decoder::with_range_images) and knows the scanner, otherwise `None`.
     pub fn range_image(&self) -> Option<&RangeImage> {
         self.image.as_deref()
     }
