@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::io::{Read, Seek};
+use std::iter::FusedIterator;
 use std::ops::{Bound, Range, RangeBounds};
 use std::sync::Arc;
 
@@ -269,8 +270,11 @@ fn scans_of<'r>(
     options: DecodeOptions,
 ) -> Scans<'r> {
     match range {
-        Ok(frames) => Scans::new(Box::new(groups), DecodeOptions { frames, ..options }),
-        Err(error) => Scans::new(Box::new(std::iter::once(Err(error))), options),
+        Ok(frames) => {
+            let most = frames.end.map(|end| (end - frames.start) as usize);
+            Scans { most, ..Scans::new(Box::new(groups), DecodeOptions { frames, ..options }) }
+        }
+        Err(error) => Scans { most: Some(1), ..Scans::new(Box::new(std::iter::once(Err(error))), options) },
     }
 }
 
@@ -331,6 +335,8 @@ pub struct Scans<'d> {
     error: Option<Error>,
     /// Whether all groups are read.
     ended: bool,
+    /// How many are yet to come at most, the error included, if that is known.
+    most: Option<usize>,
 }
 
 /// The scans of a group, up to an error.
@@ -341,7 +347,15 @@ struct DecodedGroup {
 
 impl<'d> Scans<'d> {
     fn new(groups: Box<dyn Iterator<Item = Result<GroupJob>> + Send + 'd>, options: DecodeOptions) -> Self {
-        Scans { groups, options, workers: None, ready: VecDeque::new(), error: None, ended: false }
+        Scans {
+            groups,
+            options,
+            workers: None,
+            ready: VecDeque::new(),
+            error: None,
+            ended: false,
+            most: None,
+        }
     }
 
     /// Reads groups for all threads, and takes the scans of the next one that is decoded; false if there is none.
@@ -385,9 +399,16 @@ fn decode(job: GroupJob, options: &DecodeOptions) -> DecodedGroup {
 impl Iterator for Scans<'_> {
     type Item = Result<Scan>;
 
+    /// As many scans as are asked for are the most; an error ends them sooner. Of a pipe they are not known.
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        let least = self.ready.len() + usize::from(self.error.is_some());
+        (least, self.most.map(|most| most.max(least)))
+    }
+
     fn next(&mut self) -> Option<Self::Item> {
         loop {
             if let Some(scan) = self.ready.pop_front() {
+                self.most = self.most.map(|most| most.saturating_sub(1));
                 return Some(Ok(scan));
             }
             if self.workers.is_none() && self.ended {
@@ -396,6 +417,7 @@ impl Iterator for Scans<'_> {
             if let Some(error) = self.error.take() {
                 self.workers = None;
                 self.ended = true;
+                self.most = Some(0);
                 return Some(Err(error));
             }
             match self.advance() {
@@ -406,6 +428,8 @@ impl Iterator for Scans<'_> {
         }
     }
 }
+
+impl FusedIterator for Scans<'_> {}
 
 impl std::fmt::Debug for Scans<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {

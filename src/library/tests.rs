@@ -228,8 +228,9 @@ fn scans_come_by_number_and_in_order() {
     for threads in [0, 1, 3] {
         let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap().with_threads(threads);
         for range in [0..25, 3..4, 7..21, 5..5, 25..25] {
-            let times: Vec<_> =
-                decoder.scans(range.clone()).map(|scan| scan.unwrap().time().unwrap() as u64).collect();
+            let scans = decoder.scans(range.clone());
+            assert_eq!(scans.size_hint(), (0, Some((range.end - range.start) as usize)));
+            let times: Vec<_> = scans.map(|scan| scan.unwrap().time().unwrap() as u64).collect();
             assert_eq!(times, range.collect::<Vec<_>>(), "{threads} threads");
         }
         let piped = Decoder::stream(&stream[..], threads).unwrap();
