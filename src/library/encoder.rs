@@ -22,6 +22,7 @@ use crate::stream::scanner_choice::{DriveScanners, KeptScanners, choose_scanners
 ///
 /// A stream whose encoder is dropped before [`finish`](Self::finish) has no index and no end.
 #[derive(Debug)]
+#[must_use = "a stream without finish() has no index and no end"]
 pub struct Encoder<W> {
     config: Arc<EncoderConfig>,
     /// Scans of the next group.
