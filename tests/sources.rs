@@ -1,6 +1,6 @@
-//! What the documents say of the sources: that folders use only those above them.
+//! What documents and sources say of one another: that folders use only those above them, and that cited sections exist.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -104,4 +104,56 @@ fn folders_are_listed_in_their_order() {
         Some(name.trim_end_matches(".rs").to_owned())
     };
     assert_eq!(text.lines().filter_map(named).collect::<Vec<_>>(), FOLDERS);
+}
+
+/// A number such as `8` or `8.16` at the beginning of a text, and what follows it.
+fn number_of_section(text: &str) -> Option<(&str, &str)> {
+    let digits = |text: &str| text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let mut end = digits(text);
+    if end == 0 {
+        return None;
+    }
+    if let Some(rest) = text[end..].strip_prefix('.') {
+        let more = digits(rest);
+        end += if more > 0 { 1 + more } else { 0 };
+    }
+    Some(text.split_at(end))
+}
+
+/// The sections of FORMAT.md that a text cites, as `FORMAT 8.5, 8.6` or `FORMAT.md 6.1 to 6.3`.
+fn cited(text: &str) -> Vec<&str> {
+    let mut found = Vec::new();
+    for behind in text.split("FORMAT").skip(1) {
+        let behind = behind.strip_prefix(".md").unwrap_or(behind);
+        let mut next = behind.strip_prefix(' ');
+        while let Some((number, rest)) = next.and_then(number_of_section) {
+            found.push(number);
+            next = [", ", " and ", " to "].iter().find_map(|between| rest.strip_prefix(between));
+        }
+    }
+    found
+}
+
+#[test]
+fn sections_of_the_format_that_are_cited_exist() {
+    let format = fs::read_to_string(in_package("FORMAT.md")).unwrap();
+    let number = |line: &str| Some(line.strip_prefix("##")?.trim_start_matches('#').trim_start().to_owned());
+    let headings: Vec<_> = format.lines().filter_map(number).collect();
+    let known: BTreeSet<_> =
+        headings.iter().filter_map(|heading| Some(number_of_section(heading)?.0)).collect();
+    let (mut count, mut wrong) = (0, Vec::new());
+    for (name, text) in sources() {
+        for number in cited(&text) {
+            count += 1;
+            if !known.contains(number) {
+                wrong.push(format!("src/{name}: FORMAT.md {number}"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "no such section of FORMAT.md:\n{}", wrong.join("\n"));
+    assert!(count > 90, "only {count} citations are found");
+    assert_eq!(
+        cited("// FORMAT 8.5, 8.16, equation 9, and FORMAT.md 6.1 to 6.3."),
+        ["8.5", "8.16", "6.1", "6.3"]
+    );
 }

@@ -1,4 +1,4 @@
-//! Groups: frames that are coded together, and apart from all others.
+//! Groups: frames that are coded together, and apart from all others. FORMAT.md 2.4 and 2.5.
 
 use super::index::FrameEntry;
 use super::scanner::ScannerId;

@@ -1,4 +1,5 @@
 //! Records: what the stream is made of after its header. Kind, length, payload, checksum.
+//! FORMAT.md 2.2.
 
 use std::io::{Read, Write};
 

@@ -1,4 +1,4 @@
-//! Scanner records: what groups refer to for the scanners of their tracks.
+//! Scanner records: what groups refer to for the scanners of their tracks. FORMAT.md 2.3.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;

@@ -1,4 +1,4 @@
-//! What a frame was, whose it is, and of when.
+//! What a frame was, whose it is, and of when. FORMAT.md 2.5.
 
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};

@@ -1,5 +1,5 @@
 //! How a frame is coded: what a decoder must know before the frame's other sections, and what reports say
-//! about the file from which it was made.
+//! about the file from which it was made. FORMAT.md 8.10.
 
 use std::fmt;
 use std::ops::RangeInclusive;

@@ -1,4 +1,5 @@
 //! A frame that is the bytes of its file, through a general-purpose coder: the floor under all models.
+//! FORMAT.md 8.18.
 
 use crate::backend::{self, LZMA, Level, STORE, ZSTD};
 use crate::files::{parse, plain_records};

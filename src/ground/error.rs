@@ -1,4 +1,4 @@
-//! What can go wrong, and the limits that a decoder keeps.
+//! What can go wrong, and the limits that a decoder keeps. FORMAT.md 10.
 
 use std::path::{Path, PathBuf};
 use std::{fmt, io};

@@ -1,5 +1,6 @@
 //! Floating-point values as integers in rising order, their *places*: neighbours differ by one, and so do -0.0 and 0.0, whose
 //! place is 0. The bits of a value stand for it where none of them may change, as a processor changes those of some NaNs.
+//! FORMAT.md 3.4.
 
 /// The place of a float32 value.
 pub fn ordered(value: f32) -> i64 {

@@ -1,4 +1,4 @@
-//! The kinds of sections, which errors name too.
+//! The kinds of sections, which errors name too. FORMAT.md 2.6.
 
 use std::fmt;
 

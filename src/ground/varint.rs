@@ -1,5 +1,5 @@
 //! Variable-length integers: seven bits a byte, least significant first, the top bit set on all but the last
-//! byte (LEB128). Signed ones are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3.
+//! byte (LEB128). Signed ones are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3. FORMAT.md 1.
 
 use std::io::{ErrorKind, Read};
 use std::ops::RangeInclusive;

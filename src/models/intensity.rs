@@ -1,5 +1,5 @@
 //! The intensities: levels of a grid such as hundredths, coded bit by bit from counters in contexts of the
-//! neighbours' levels, which are few (light) or many (deep).
+//! neighbours' levels, which are few (light) or many (deep). FORMAT.md 8.5.
 
 mod deep;
 mod errors;

@@ -1,4 +1,4 @@
-//! Which cells of the range image hold a return.
+//! Which cells of the range image hold a return. FORMAT.md 8.3.
 
 mod tokens;
 

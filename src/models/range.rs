@@ -1,5 +1,5 @@
 //! The ranges: a mixture of predictors gives each range a distribution. Interval after interval is halved
-//! under it, and counters in several contexts correct the probability of each half.
+//! under it, and counters in several contexts correct the probability of each half. FORMAT.md 8.6.
 //!
 //! The predictors of a return are its neighbours, the line through two of them, and an online least-squares
 //! fit. Where an earlier frame has a return in a cell, this adds two predictors, features of a least-squares

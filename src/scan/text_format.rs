@@ -1,4 +1,4 @@
-//! How the numbers of a text body (ascii PCD or PLY, or columns alone) are written.
+//! How the numbers of a text body (ascii PCD or PLY, or columns alone) are written. FORMAT.md 8.1 and 9.
 
 use crate::ground::error::{Error, Result};
 

@@ -1,5 +1,5 @@
 //! The grid of coordinates: whole millimetres, float32 values as they are, or, where an error is allowed, any
-//! coarser grid.
+//! coarser grid. FORMAT.md 3.4.
 
 use crate::ground::decimal;
 use crate::ground::float_order::{from_ordered, ordered};

@@ -1,4 +1,4 @@
-//! The scanner of a stream of scans: one of the families.
+//! The scanner of a stream of scans: one of the families. FORMAT.md 3.1.
 
 use std::borrow::Cow;
 use std::fmt;

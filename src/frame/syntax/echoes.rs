@@ -1,4 +1,4 @@
-//! The echoes: further returns of the cells, with their ranges and intensities.
+//! The echoes: further returns of the cells, with their ranges and intensities. FORMAT.md 8.20.
 
 use crate::container::SectionKind;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};

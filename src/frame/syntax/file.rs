@@ -1,4 +1,4 @@
-//! The layout of the file, and the bytes around the records.
+//! The layout of the file, and the bytes around the records. FORMAT.md 8.1.
 
 use crate::container::SectionKind;
 use crate::entropy::{BitCoder, IntegerModel};

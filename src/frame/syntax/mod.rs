@@ -1,5 +1,6 @@
 //! The syntax of a frame: which section codes what, in which order. Written once: the encoder walks it with a frame that
 //! is full, the decoder with one that is filled. Each file has what one part of a frame is coded by, at every level.
+//! FORMAT.md 4.2.
 
 mod corrections;
 mod echoes;
@@ -77,10 +78,10 @@ impl Models {
         self.strays.code(s, frame)?;                                                // FORMAT 8.4
         let levels = self.returns.code(s, scanner, reference.as_ref(), frame)?;     // FORMAT 8.5, 8.6, 8.16
         self.residuals.code(s, scanner, reference.as_ref(), frame)?;                // FORMAT 8.11 to 8.14
-        self.echoes.code(s, frame)?;                                                // FORMAT 8.19
-        self.past.remember(scanner, levels, frame);
+        self.echoes.code(s, frame)?;                                                // FORMAT 8.20
+        self.past.remember(scanner, levels, frame);                                 // FORMAT 4.3
         frame.arrange(scanner);                                                     // FORMAT 4.2
-        self.corrections.code(s, scanner, frame)?;                                  // FORMAT 8.7, 8.16
+        self.corrections.code(s, scanner, frame)?;                                  // FORMAT 8.7, 8.16, 8.19
         self.records.code_order(s, frame)?;                                         // FORMAT 8.8
         self.records.code_channels(s, scanner, frame)?;                             // FORMAT 8.9
         code_compensation(s, frame)?;                                               // FORMAT 8.15

@@ -1,4 +1,4 @@
-//! The frame before, from which a P frame is predicted.
+//! The frame before, from which a P frame is predicted. FORMAT.md 4.3.
 
 use std::sync::Arc;
 

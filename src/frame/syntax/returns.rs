@@ -1,5 +1,5 @@
 //! The returns of the range image: their intensities, then their ranges. The upper and the lower half of a large image are
-//! coded as two images, each with models of its own, so that two threads can do it.
+//! coded as two images, each with models of its own, so that two threads can do it. FORMAT.md 4.4.
 
 use std::mem::take;
 

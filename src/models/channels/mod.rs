@@ -1,5 +1,5 @@
 //! The fields of a record beside position and intensity, column by column: each by the method that the
-//! encoder found to be the shortest for it.
+//! encoder found to be the shortest for it. FORMAT.md 8.9.
 //!
 //! A column that is coded can tell of those after it, so narrow types come first: rings, then times.
 

@@ -1,5 +1,5 @@
 //! Which azimuth ticks are columns: the gaps between them, which alternate in a slow beat of the firing rate
-//! against the ticks.
+//! against the ticks. FORMAT.md 8.2.
 
 use crate::entropy::{AdaptiveBit, BitCoder};
 

@@ -1,5 +1,5 @@
 //! The formula as it was computed by the program that wrote the file: partly in single precision, operation
-//! by operation.
+//! by operation. FORMAT.md 3.2.
 //!
 //! Unrounded coordinates contain the last bit of every one of those operations. The constants are those of
 //! the f64 formula, only more accurate, so the stream holds the differences to them.
