@@ -21,7 +21,7 @@ use crate::inter::registration::QuantisedPose;
 use crate::models::{OrderExceptions, RecordContext};
 use crate::scan::{Channel, Layout, PointCloud, ScanFile, sorted};
 use crate::scanner::Scanner;
-use crate::scanner::motion::{self, Compensation, stamped};
+use crate::scanner::motion::{self, Compensation, by_time};
 use crate::scanner::{Projection, REACH, RangeImage, Return, project_nearest};
 
 /// The parts of a frame, as the sections code them.
@@ -190,7 +190,7 @@ impl FrameParts {
             return cloud;
         }
         let undone = motion::undo(&cloud.positions, config.undoes_map()).or_else(|| {
-            let (positions, stamped) = stamped::undo(&cloud, firings?)?;
+            let (positions, stamped) = by_time::undo(&cloud, firings?)?;
             Some((positions, Compensation::Stamped(stamped)))
         });
         let Some((positions, compensation)) = undone else { return cloud };

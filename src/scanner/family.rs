@@ -5,7 +5,7 @@ use std::fmt;
 
 use super::firings::{self, Firings};
 use super::hdl64::{self, Hdl64};
-use super::motion::stamped;
+use super::motion::by_time;
 use super::{Coordinates, MOST_STEPS, Projection, REACH, RangeImage, Return};
 use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
@@ -62,8 +62,8 @@ impl Scanner {
         }
         // What the first explains is in the order of firings, which is in no other family's.
         let firings = firings::fit(sample)
-            .map(|(scanner, _)| stamped::fit(sample, Some(&scanner)).unwrap_or(scanner))
-            .or_else(|| stamped::fit(sample, None))
+            .map(|(scanner, _)| by_time::fit(sample, Some(&scanner)).unwrap_or(scanner))
+            .or_else(|| by_time::fit(sample, None))
             .map(Scanner::Firings);
         firings.or_else(beams)
     }

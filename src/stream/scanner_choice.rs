@@ -12,7 +12,7 @@ use crate::frame::Positions;
 use crate::frame::settings::{Coder, EncoderConfig, ProjectionKind, resolve_threads};
 use crate::ground::error::Result;
 use crate::scan::{ScanFile, sorted};
-use crate::scanner::motion::{self, stamped};
+use crate::scanner::motion::{self, by_time};
 use crate::scanner::{self, Scanner};
 
 /// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
@@ -186,7 +186,7 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
             sample.retain(|scan| {
                 // What was moved by time stamps is known to be this scanner's only when it is moved back.
                 let is_moved =
-                    || scanner.firings().is_some_and(|own| stamped::undo(&scan.cloud, own).is_some());
+                    || scanner.firings().is_some_and(|own| by_time::undo(&scan.cloud, own).is_some());
                 scanner.share(&scan.cloud) < LEAST_SHARE && !is_moved()
             });
             found.push(scanner);
