@@ -49,7 +49,7 @@ pub fn read_unsigned(input: &mut impl Read, what: &str) -> Result<u64> {
 ///
 /// # Errors
 /// As [`read_unsigned`]; also if it is out of range.
-pub(crate) fn read_within(
+pub(crate) fn read_u32_within(
     input: &mut impl Read,
     part: &str,
     range: RangeInclusive<u64>,
