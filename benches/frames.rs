@@ -10,13 +10,13 @@ use std::time::Duration;
 
 use common::{drives, points};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use lidarpc::internals::container::FrameHeader;
 use lidarpc::internals::frame::StepReport;
 use lidarpc::internals::frame::group::{GroupDecoder, GroupEncoder};
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::ground::error::Limits;
 use lidarpc::internals::scan::ScanFile;
 use lidarpc::internals::scanner::Scanner;
-use lidarpc::internals::stream::container::FrameHeader;
 
 fn frames(c: &mut Criterion) {
     for (name, scans) in drives() {

@@ -13,11 +13,10 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidarpc::internals::entropy::ArithmeticEncoder;
 use lidarpc::internals::ground::grid::Grid;
 use lidarpc::internals::models::{
-    ColumnModel, CorrectionModel, OccupancyModel, OrderExceptions, OrderModel, PointModel, RangeContext,
-    RangeModel,
+    CorrectionModel, OccupancyModel, OrderExceptions, OrderModel, PointModel, RangeContext, RangeModel,
 };
 use lidarpc::internals::scanner::Hdl64;
-use lidarpc::internals::scanner::hdl64::fit;
+use lidarpc::internals::scanner::hdl64::{ColumnModel, fit};
 use lidarpc::internals::scanner::{Coordinates, EXACT_RANGE_BITS, Projection, REACH, project};
 
 fn stages(c: &mut Criterion) {

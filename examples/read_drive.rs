@@ -14,7 +14,7 @@ fn highest(scan: &Scan) -> Option<f32> {
 
 /// Prints what a stream holds.
 pub fn read(path: &Path, out: &mut impl Write) -> lidarpc::Result<()> {
-    let mut decoder = Decoder::open(File::open(path)?)?.threads(2);
+    let mut decoder = Decoder::open(File::open(path)?)?.with_threads(2);
     writeln!(out, "{} frames", decoder.len())?;
     for frame in decoder.frames().take(3) {
         writeln!(out, "frame {}: {} bytes, at {:?} ns", frame.number, frame.coded_bytes, frame.time)?;

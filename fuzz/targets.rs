@@ -6,6 +6,7 @@ use std::io::Cursor;
 use std::sync::LazyLock;
 
 use lidarpc::internals::backend::{self, BACKENDS};
+use lidarpc::internals::container::{IndexedReader, Section, StreamReader};
 use lidarpc::internals::edit::{Named, PartialFiles, encode_resuming, recover, repair};
 use lidarpc::internals::files::{ArrivingFrames, FileFormat, convert, parse};
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, PredictionChoice};
@@ -13,7 +14,6 @@ use lidarpc::internals::frame::{Positions, Prediction};
 use lidarpc::internals::ground::error::{Limits, Result};
 use lidarpc::internals::scan::{Channel, Number, PointCloud, Scalar};
 use lidarpc::internals::scanner::{REACH, Return, Scanner};
-use lidarpc::internals::stream::container::{IndexedReader, Section, StreamReader};
 use lidarpc::internals::stream::{DecodeOptions, FrameInput};
 use tempfile::TempDir;
 

@@ -91,7 +91,7 @@ export interface FrameInfo {
   /** What it was. */
   readonly unit: "file" | "message" | "points";
   /** Which of several scanners that take turns it is of; the first is 0. */
-  readonly stream: number;
+  readonly track: number;
   /** When it was taken: nanoseconds since 1970. */
   readonly time: bigint | null;
   /** Bytes that it takes in the stream. */
@@ -114,7 +114,7 @@ export interface Frame {
   /** Empty if it has none. It may be any: check it before use as a path. */
   readonly name: string;
   readonly unit: "file" | "message" | "points";
-  readonly stream: number;
+  readonly track: number;
   /** When it was taken: nanoseconds since 1970. */
   readonly time: bigint | null;
   /** Number of points. */

@@ -263,7 +263,7 @@ function timeOf(time) {
 }
 
 /** A frame of what the module says, and copies of its arrays. */
-function frameOf({ number, name, unit, stream, time, points, positions, fields, image, file }, copy) {
+function frameOf({ number, name, unit, track, time, points, positions, fields, image, file }, copy) {
   const named = Object.create(null);
   const counts = Object.create(null);
   for (const field of fields) {
@@ -274,7 +274,7 @@ function frameOf({ number, name, unit, stream, time, points, positions, fields, 
     number,
     name,
     unit,
-    stream,
+    track,
     time: timeOf(time),
     length: points,
     positions: positions.bytes > 0 ? new Float32Array(copy(positions)) : positionsOf(named, points),

@@ -12,7 +12,7 @@
 //! fn copy(drive: &[(i64, Vec<[f32; 4]>)]) -> lidarpc::Result<()> {
 //!     let mut encoder = Encoder::new(File::create("drive.lpc")?, Settings::exact())?;
 //!     for (time, xyzi) in drive {
-//!         encoder.push(Scan::from_xyzi(xyzi).stamped(*time))?;
+//!         encoder.push(Scan::from_xyzi(xyzi).at_time(*time))?;
 //!     }
 //!     encoder.finish()?;
 //!     for scan in Decoder::open(File::open("drive.lpc")?)?.scans(10..20) {
@@ -53,18 +53,21 @@
 
 mod ground;
 
+mod container;
+
 mod scan;
 
 mod files;
 
-mod scanner;
-
 mod entropy;
 
+mod scanner;
+
 mod backend;
-mod models;
 
 mod inter;
+
+mod models;
 
 mod article;
 
@@ -93,13 +96,13 @@ mod python;
 #[cfg(feature = "wasm")]
 mod wasm;
 
+pub use container::{SectionKind, Unit};
 pub use ground::error::{Error, Limits, Result};
 pub use library::{
     ChannelInfo, Decoder, Encoder, FrameDetails, FrameInfo, MessageEncoder, RangeImage, Scalar, Scan, Scans,
     Settings, Summary,
 };
 pub use scan::Scalar as ScalarType;
-pub use stream::container::{SectionKind, Unit};
 
 /// What is inside, for this crate's own tests, benchmarks and fuzz targets. It may change at any time.
 #[cfg(feature = "internals")]
@@ -107,13 +110,14 @@ pub use stream::container::{SectionKind, Unit};
 #[rustfmt::skip]
 pub mod internals {
     pub mod ground { pub use crate::ground::*; }
+    pub mod container { pub use crate::container::*; }
     pub mod scan { pub use crate::scan::*; }
     pub mod files { pub use crate::files::*; }
-    pub mod scanner { pub use crate::scanner::*; }
     pub mod entropy { pub use crate::entropy::*; }
+    pub mod scanner { pub use crate::scanner::*; }
     pub mod backend { pub use crate::backend::*; }
-    pub mod models { pub use crate::models::*; }
     pub mod inter { pub use crate::inter::*; }
+    pub mod models { pub use crate::models::*; }
     pub mod article { pub use crate::article::*; }
     pub mod frame { pub use crate::frame::*; }
     pub mod stream { pub use crate::stream::*; }

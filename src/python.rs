@@ -154,7 +154,7 @@ impl StreamReader {
         };
         let input = Input { source: Arc::new(source), size, place: 0 };
         let decoder = py.detach(|| Decoder::open(input)).map_err(|error| raise(error, &name, None))?;
-        let decoder = decoder.threads(threads).range_images(range_images);
+        let decoder = decoder.with_threads(threads).with_range_images(range_images);
         let len = decoder.len();
         Ok(StreamReader { decoder: Mutex::new(decoder), name, len })
     }
@@ -297,8 +297,8 @@ impl Frame {
     }
 
     #[getter]
-    fn stream(&self) -> u8 {
-        self.scan.stream()
+    fn track(&self) -> u8 {
+        self.scan.track()
     }
 
     fn __len__(&self) -> usize {
@@ -378,15 +378,15 @@ fn scan_of(
     fields: &[(String, Bound<'_, PyAny>)],
     name: &str,
     time: Option<i64>,
-    stream: u8,
+    track: u8,
 ) -> PyResult<Scan> {
     let (positions, rest) = positions.as_slice()?.as_chunks::<3>();
     if !rest.is_empty() {
         return Err(PyValueError::new_err("xyz must have 3 columns"));
     }
-    let mut scan = Scan::from_positions(positions).named(name).on_stream(stream);
+    let mut scan = Scan::from_positions(positions).with_name(name).on_track(track);
     if let Some(time) = time {
-        scan = scan.stamped(time);
+        scan = scan.at_time(time);
     }
     fields.iter().try_fold(scan, |scan, (name, values)| with_field(scan, name, values))
 }
@@ -415,12 +415,12 @@ fn settings(
     group: Option<usize>,
 ) -> Settings {
     let mut settings =
-        max_error.map_or_else(Settings::exact, Settings::bounded).level(level).threads(threads);
+        max_error.map_or_else(Settings::exact, Settings::bounded).with_level(level).with_threads(threads);
     if let Some(step) = intensity_step {
-        settings = settings.intensity_step(step);
+        settings = settings.with_intensity_step(step);
     }
     match group {
-        Some(group) => settings.group_of_pictures(group),
+        Some(group) => settings.with_group_of_pictures(group),
         None => settings,
     }
 }
@@ -473,9 +473,9 @@ impl StreamWriter {
         fields: Vec<(String, Bound<'_, PyAny>)>,
         name: &str,
         time: Option<i64>,
-        stream: u8,
+        track: u8,
     ) -> PyResult<()> {
-        self.push_scan(py, scan_of(&positions, &fields, name, time, stream)?)
+        self.push_scan(py, scan_of(&positions, &fields, name, time, track)?)
     }
 
     fn push_file(
@@ -484,10 +484,10 @@ impl StreamWriter {
         name: &str,
         data: Vec<u8>,
         time: Option<i64>,
-        stream: u8,
+        track: u8,
     ) -> PyResult<()> {
-        let scan = Scan::from_file(name, data).on_stream(stream);
-        self.push_scan(py, if let Some(time) = time { scan.stamped(time) } else { scan })
+        let scan = Scan::from_file(name, data).on_track(track);
+        self.push_scan(py, if let Some(time) = time { scan.at_time(time) } else { scan })
     }
 
     /// Scans, points, bytes of the scans, bytes of the stream.
@@ -542,7 +542,7 @@ impl FrameEncoder {
 #[pyfunction]
 fn decode_frame(py: Python<'_>, payload: PyBackedBytes, range_images: bool) -> PyResult<Frame> {
     let scan = py.detach(|| {
-        let mut decoder = Decoder::open(Cursor::new(&payload[..]))?.range_images(range_images);
+        let mut decoder = Decoder::open(Cursor::new(&payload[..]))?.with_range_images(range_images);
         match decoder.len() {
             1 => decoder.scan(0),
             count => Err(Error::Usage(format!("a message holds one frame, and here are {count}"))),

@@ -54,7 +54,7 @@ thread_local! {
 
 /// The bytes of a stream that are here.
 #[derive(Default)]
-struct Pieces {
+struct SuppliedBytes {
     size: u64,
     /// Where each begins, and its bytes.
     pieces: Vec<(u64, Vec<u8>)>,
@@ -65,12 +65,12 @@ struct Pieces {
 /// A place in the stream.
 #[derive(Clone, Default)]
 struct Input {
-    pieces: Arc<Mutex<Pieces>>,
+    pieces: Arc<Mutex<SuppliedBytes>>,
     place: u64,
 }
 
 impl Input {
-    fn pieces(&self) -> MutexGuard<'_, Pieces> {
+    fn pieces(&self) -> MutexGuard<'_, SuppliedBytes> {
         self.pieces.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -142,7 +142,7 @@ struct Opened {
 struct IndexedFrame {
     number: u64,
     unit: &'static str,
-    stream: u8,
+    track: u8,
     /// Nanoseconds since 1970. As text, for JavaScript's numbers have 53 bits.
     time: Option<String>,
     coded_bytes: u64,
@@ -178,7 +178,7 @@ struct DecodedFrame<'s> {
     number: u64,
     name: &'s str,
     unit: &'static str,
-    stream: u8,
+    track: u8,
     /// As in [`IndexedFrame`].
     time: Option<String>,
     points: usize,
@@ -232,11 +232,11 @@ impl Module {
 
     fn open(&mut self, size: u64, range_images: bool) -> Result<String> {
         self.input.pieces().size = size;
-        let decoder = Decoder::open(self.input.clone())?.range_images(range_images);
+        let decoder = Decoder::open(self.input.clone())?.with_range_images(range_images);
         let frames = decoder.frames().map(|frame| IndexedFrame {
             number: frame.number,
             unit: frame.unit.name(),
-            stream: frame.stream,
+            track: frame.track,
             time: frame.time.map(|time| time.to_string()),
             coded_bytes: frame.coded_bytes,
         });
@@ -281,7 +281,7 @@ impl Module {
             number,
             name: scan.name(),
             unit: scan.unit().name(),
-            stream: scan.stream(),
+            track: scan.track(),
             time: scan.time().map(|time| time.to_string()),
             points: scan.len(),
             positions: Array::of(scan.positions()),

@@ -26,6 +26,7 @@ mod resume;
 mod scanner_fit;
 mod second_decoder;
 mod sizes;
+mod sources;
 mod trees;
 mod vectors;
 

@@ -5,11 +5,11 @@ use crate::common::formats::{kitti, nuscenes, pcd_extra, pcd_text, ply};
 use crate::common::odd::{SCANS, changed_scan, noise};
 use crate::common::scans::{Points, random_points, scans, shuffled, small};
 use crate::common::{File, cases, decode_files, encode_files, first_files, real_folders, section_bytes};
+use lidarpc::internals::container::SectionKind;
 use lidarpc::internals::edit::{Named, cut};
 use lidarpc::internals::frame::Intensity;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::ground::error::Limits;
-use lidarpc::internals::stream::container::SectionKind;
 use lidarpc::internals::stream::{DecodeOptions, FrameInput, FrameRange, decode, encode};
 use proptest::prelude::*;
 
@@ -153,7 +153,7 @@ fn threads_and_ways_to_decode_make_no_difference() {
     });
     assert!(streams[0] == streams[1]);
     decode(&streams[0][..], &DecodeOptions::default(), Ok, |frame| {
-        assert!(frame.in_order && frame.source.is_some_and(|source| source.outliers + source.lost == 0));
+        assert!(frame.keeps_order && frame.source.is_some_and(|source| source.outliers + source.lost == 0));
         Ok(())
     })
     .unwrap();

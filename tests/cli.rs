@@ -341,7 +341,7 @@ fn a_newer_stream_is_named_as_such() {
 
 #[test]
 fn names_in_a_stream_cannot_leave_the_folder() {
-    use lidarpc::internals::stream::container::{Frame, FrameHeader, Group, StreamWriter};
+    use lidarpc::internals::container::{CodedFrame, FrameHeader, Group, StreamWriter};
     let bench = Bench::encoded();
     // An empty file is the same under any name.
     bench.ok("encode seq/empty.bin -o empty.lpc");
@@ -349,10 +349,10 @@ fn names_in_a_stream_cannot_leave_the_folder() {
     let write = |names: &[&str]| {
         let mut writer = StreamWriter::create(Vec::new()).unwrap();
         for name in names {
-            let Frame { header, sections } = group.frames[0].clone();
+            let CodedFrame { header, sections } = group.frames[0].clone();
             let header = FrameHeader { name: name.to_string(), ..header };
             // A group each, so that no frame depends on another.
-            let frames = vec![Frame { header, sections }];
+            let frames = vec![CodedFrame { header, sections }];
             writer.write_group(&Group { scanners: vec![None], frames }).unwrap();
         }
         fs::write(bench.path("evil.lpc"), writer.finish().unwrap().0).unwrap();
@@ -375,8 +375,8 @@ fn names_in_a_stream_cannot_leave_the_folder() {
 }
 
 /// The first group of a stream.
-fn first_group(stream: &[u8]) -> lidarpc::internals::stream::container::Group {
-    use lidarpc::internals::stream::container::{Record, StreamReader};
+fn first_group(stream: &[u8]) -> lidarpc::internals::container::Group {
+    use lidarpc::internals::container::{Record, StreamReader};
     let mut reader =
         StreamReader::open(stream, lidarpc::internals::ground::error::Limits::default()).unwrap();
     loop {

@@ -7,6 +7,7 @@ use crate::common::scans::{Points, compensated, moved, random_points, scans, shu
 use crate::common::streams::at_level;
 use crate::common::sweeps::{SLOTS, STRAIGHT, TURNING, elevation, street, through_a_map};
 use crate::common::{File, decode_files, encode_files, round_trip, section_bytes};
+use lidarpc::internals::container::SectionKind;
 use lidarpc::internals::edit::{Named, cut};
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::ground::error::Limits;
@@ -14,7 +15,6 @@ use lidarpc::internals::scanner::firings::Recipe;
 use lidarpc::internals::scanner::motion::world::{self, World};
 use lidarpc::internals::scanner::motion::{Compensation, undo};
 use lidarpc::internals::stream::FrameRange;
-use lidarpc::internals::stream::container::SectionKind;
 
 fn positions(points: &Points) -> Vec<[f32; 3]> {
     points.iter().map(|&[x, y, z, _]| [x, y, z]).collect()

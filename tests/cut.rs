@@ -8,12 +8,12 @@ use crate::common::scans::{moved, random_points, scans, shuffled, small};
 use crate::common::{File, cases, decode_files, encode_files, put_together, take_apart};
 use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::internals::backend;
+use lidarpc::internals::container::{CodedFrame, Group, SectionKind, StreamReader};
 use lidarpc::internals::edit::{Cut, Joined, Named, cat, cut, cut_indexed};
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction};
 use lidarpc::internals::ground::error::{Error, Limits, Result};
 use lidarpc::internals::stream::FrameRange;
-use lidarpc::internals::stream::container::{Frame, Group, SectionKind, StreamReader};
 use lidarpc::internals::study::synth::SynthConfig;
 use proptest::prelude::*;
 
@@ -170,7 +170,7 @@ fn images_are_written_again_as_they_are() {
         let stream = encode_files(&files, &config);
         let whole = decode_files(&stream).unwrap();
         let coded = |stream: &[u8]| groups(stream).swap_remove(0).frames;
-        let payload = |frame: &Frame| {
+        let payload = |frame: &CodedFrame| {
             let residual = frame.sections.iter().find(|section| section.kind == SectionKind::Residual);
             residual.map(|section| section.payload.clone())
         };

@@ -8,13 +8,13 @@ use crate::common::formats::{kitti, pcd_extra};
 use crate::common::scans::{Random, compensated, random_points, scans, small};
 use crate::common::streams::at_level;
 use crate::common::{File, decode_files, encode_files, put_together, section_bytes, take_apart};
+use lidarpc::internals::container::{
+    Group, GroupEntry, Index, Lost, ScannerId, ScannerRecord, SectionKind, StreamReader,
+};
 use lidarpc::internals::edit::{Named, Recovered, recover, repair};
 use lidarpc::internals::frame::Intensity;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::internals::ground::error::{Limits, Result};
-use lidarpc::internals::stream::container::{
-    Group, GroupEntry, Index, Lost, ScannerId, ScannerRecord, SectionKind, StreamReader,
-};
 use lidarpc::internals::stream::{DecodeOptions, FrameInput, encode_live};
 use rayon::prelude::*;
 
@@ -73,7 +73,8 @@ fn every_flipped_bit_and_every_cut_of_any_stream_is_seen() {
         SectionKind::Sorted,
         SectionKind::Stamped,
     ];
-    let expected: BTreeSet<_> = SectionKind::ALL.into_iter().filter(|kind| !others.contains(kind)).collect();
+    let expected: BTreeSet<_> =
+        SectionKind::all().iter().copied().filter(|kind| !others.contains(kind)).collect();
     assert_eq!(kinds, expected, "not all sections are tried");
     for stream in &streams {
         check(stream).unwrap();
@@ -253,7 +254,7 @@ fn groups_without_any_copy_of_their_scanner_are_lost_and_no_others() {
 
 #[test]
 fn of_a_damaged_header_the_end_tells_the_version() {
-    use lidarpc::internals::stream::container::StreamHeader;
+    use lidarpc::internals::container::StreamHeader;
     let stream = stream_of(&files());
     let fields = [&b"\x89LPC"[..], &[1, 0, 0, 0]].concat();
     let place = stream.windows(8).rposition(|bytes| bytes == fields).unwrap();

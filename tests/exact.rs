@@ -5,10 +5,10 @@ use crate::common::odd::{Change, Format, SCANS, changed_scan, noise};
 use crate::common::scans::{Points, random_points, rows, shuffled};
 use crate::common::streams::{at_level, halved};
 use crate::common::{File, cases, first_files, real_folders, round_trip, section_bytes, take_apart};
+use lidarpc::internals::container::{Section, SectionKind};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scanner::hdl64::fit;
-use lidarpc::internals::stream::container::{Section, SectionKind};
 use proptest::prelude::*;
 
 /// Settings with this many frames a group.

@@ -7,12 +7,12 @@ use crate::common::formats::kitti;
 use crate::common::scans::Points;
 use crate::common::streams::at_level;
 use crate::common::{self, File, round_trip, take_apart};
+use lidarpc::internals::container::SectionKind;
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scan::ScanFile;
 use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Recipe, Timing, fit};
 use lidarpc::internals::scanner::{REACH, RangeImage, Return, Scanner};
-use lidarpc::internals::stream::container::SectionKind;
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, VLP_16_ELEVATIONS, drive};
 
 /// A VLP-16, every so many-th block of its firings.
@@ -330,6 +330,6 @@ fn two_scanners_in_one_folder_are_told_apart() {
         round_trip(&files(&[first.clone(), second.clone(), first, second]), &EncoderConfig::default());
     let (scanners, groups) = take_apart(&stream);
     assert_eq!(scanners.len(), 2);
-    let streams: Vec<u8> = groups[0].frames.iter().map(|frame| frame.header.stamp.stream).collect();
-    assert!(streams[0] == streams[2] && streams[1] == streams[3] && streams[0] != streams[1]);
+    let tracks: Vec<u8> = groups[0].frames.iter().map(|frame| frame.header.stamp.track).collect();
+    assert!(tracks[0] == tracks[2] && tracks[1] == tracks[3] && tracks[0] != tracks[1]);
 }

@@ -19,9 +19,9 @@ use common::scans::{scans, small};
 use common::streams::{KNOWN, STREAMS};
 use common::{first_files, in_package, put_together};
 use lidarpc::internals::backend::{BACKENDS, Backend, Level};
+use lidarpc::internals::container::ScannerRecord;
 use lidarpc::internals::files::parse;
 use lidarpc::internals::scanner::Scanner;
-use lidarpc::internals::stream::container::ScannerRecord;
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 use targets::{INTERRUPTED, TARGETS};
 
@@ -50,7 +50,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
             let numbered = |(number, parts): (usize, &common::streams::Parts)| {
                 let frames = parts.1.iter().flat_map(|group| &group.frames);
                 let sections = frames.flat_map(|frame| &frame.sections).enumerate();
-                let seed = |(place, section): (usize, &lidarpc::internals::stream::container::Section)| {
+                let seed = |(place, section): (usize, &lidarpc::internals::container::Section)| {
                     [&[number as u8, place as u8], &section.payload[..]].concat()
                 };
                 sections.map(seed).collect::<Vec<_>>()

@@ -21,10 +21,10 @@ use crate::common::{
 };
 use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::internals::backend::{BACKENDS, LZMA};
+use lidarpc::internals::container::{Stamp, StreamHeader, Time, TimeSource, Unit};
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
 use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction};
 use lidarpc::internals::scanner::{RangeImage, firings};
-use lidarpc::internals::stream::container::{Stamp, StreamHeader, Time, TimeSource, Unit};
 use lidarpc::internals::stream::{FrameInput, encode};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 
@@ -166,11 +166,11 @@ fn standing_still_files() -> Vec<File> {
 fn turns() -> Vec<u8> {
     let scans = [small(3, 2), SynthConfig { beams: 4, ..small(7, 2) }].map(|config| scans(&config));
     let message = |number: usize| {
-        let (stream, turn) = (number % 2, number / 2);
+        let (track, turn) = (number % 2, number / 2);
         let time =
             Time { source: TimeSource::Recording, nanoseconds: 1_316_998_000_000_000_000 + number as i64 };
-        let stamp = Stamp { unit: Unit::Message, stream: stream as u8, time: Some(time) };
-        FrameInput::memory(format!("{stream}-{turn}.bin"), kitti(&scans[stream][turn])).stamped(stamp)
+        let stamp = Stamp { unit: Unit::Message, track: track as u8, time: Some(time) };
+        FrameInput::memory(format!("{track}-{turn}.bin"), kitti(&scans[track][turn])).stamped(stamp)
     };
     let mut stream = Vec::new();
     encode(&(0..4).map(message).collect::<Vec<_>>(), &EncoderConfig::default(), &mut stream, &|| ()).unwrap();

@@ -5,15 +5,16 @@ use crate::common::formats::{kitti, pcd_text};
 use crate::common::scans::Random;
 use crate::common::streams::{Parts, STREAMS, at_level};
 use crate::common::{cases, decode_files, decode_within, encode_files, put_together, take_apart};
+use lidarpc::internals::container::{CodedFrame, Group, ScannerRecord, Section, SectionKind};
 use lidarpc::internals::entropy::{ArithmeticEncoder, BitCoder, IntegerModel};
 use lidarpc::internals::frame::parameters::RangeCoder;
 use lidarpc::internals::frame::{FrameParameters, Modelling};
 use lidarpc::internals::ground::error::Limits;
 use lidarpc::internals::ground::varint::write_unsigned;
-use lidarpc::internals::models::{ByteModel, ColumnModel};
+use lidarpc::internals::models::ByteModel;
 use lidarpc::internals::scan::{Field, Layout, Scalar, Wrapping};
+use lidarpc::internals::scanner::hdl64::ColumnModel;
 use lidarpc::internals::scanner::{BeamConstants, Coordinates, Hdl64};
-use lidarpc::internals::stream::container::{Frame, Group, ScannerRecord, Section, SectionKind};
 use proptest::prelude::*;
 
 /// What is done to a stream's parts. Places are counted modulo what there is.
@@ -113,7 +114,7 @@ fn damage() -> impl Strategy<Value = Damage> {
         3 => (section(), bytes()).prop_map(|(section, bytes)| Damage::Payload { section, bytes }),
         1 => section().prop_map(|section| Damage::Remove { section }),
         1 => (section(), section()).prop_map(|(section, other)| Damage::Exchange { section, other }),
-        1 => (section(), prop::sample::select(&SectionKind::ALL[..]))
+        1 => (section(), prop::sample::select(SectionKind::all()))
             .prop_map(|(section, kind)| Damage::Kind { section, kind }),
         3 => (place(), byte()).prop_map(|(place, value)| Damage::Model { place, value }),
         1 => Just(Damage::NoModel),
@@ -446,7 +447,7 @@ fn repeated(points: usize) -> [(String, Vec<u8>); 4] {
 }
 
 /// What a frame of so many bytes may unfold to.
-fn unfolds(frame: &Frame) -> u64 {
+fn unfolds(frame: &CodedFrame) -> u64 {
     let bytes: usize = frame.sections.iter().map(|section| section.payload.len()).sum();
     65_536 + 1024 * bytes as u64
 }

@@ -7,11 +7,11 @@ use crate::common::scans::{random_points, scans};
 use crate::common::streams::at_level;
 use crate::common::{File, decode_files, encode_files, put_together, round_trip, take_apart};
 use lidarpc::internals::backend::BACKENDS;
+use lidarpc::internals::container::{CodedFrame, Section, SectionKind};
 use lidarpc::internals::frame::settings::{
     Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind,
 };
 use lidarpc::internals::frame::{FrameParameters, Prediction};
-use lidarpc::internals::stream::container::{Frame, Section, SectionKind};
 use lidarpc::internals::study::synth::SynthConfig;
 
 /// A drive of five frames.
@@ -20,7 +20,7 @@ static DRIVE: LazyLock<Vec<File>> = LazyLock::new(|| {
     (0..).zip(&frames).map(|(number, points)| (format!("{number}.bin"), kitti(points))).collect()
 });
 
-fn frames(stream: &[u8]) -> Vec<Frame> {
+fn frames(stream: &[u8]) -> Vec<CodedFrame> {
     take_apart(stream).1.into_iter().flat_map(|group| group.frames).collect()
 }
 
@@ -29,7 +29,7 @@ fn predictions(stream: &[u8]) -> Vec<Prediction> {
 }
 
 fn sizes(stream: &[u8]) -> Vec<usize> {
-    let size = |frame: &Frame| frame.sections.iter().map(|section| section.payload.len()).sum();
+    let size = |frame: &CodedFrame| frame.sections.iter().map(|section| section.payload.len()).sum();
     frames(stream).iter().map(size).collect()
 }
 

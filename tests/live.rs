@@ -8,9 +8,9 @@ use crate::common::formats::kitti;
 use crate::common::scans::{scans, small};
 use crate::common::{File, decode_files};
 use assert_cmd::cargo::cargo_bin;
+use lidarpc::internals::container::{Record, StreamReader};
 use lidarpc::internals::files::ArrivingFrames;
 use lidarpc::internals::ground::error::Limits;
-use lidarpc::internals::stream::container::{Record, StreamReader};
 use tempfile::TempDir;
 
 /// Scans of a scanner, so that there is a sensor model to fit.

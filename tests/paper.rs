@@ -10,15 +10,15 @@ use crate::common::{
 };
 use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::internals::article::prediction::intra::{IntraConfig, RegionModels};
-use lidarpc::internals::article::residual::Packing;
 use lidarpc::internals::backend::BACKENDS;
+use lidarpc::internals::backend::Packing;
+use lidarpc::internals::container::SectionKind;
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction, Source};
 use lidarpc::internals::scan::{Channel, PointCloud};
 use lidarpc::internals::scanner::{FLOAT_RANGES, ideal};
 use lidarpc::internals::scanner::{RangeImage, Return, Scanner, project_nearest};
-use lidarpc::internals::stream::container::SectionKind;
 use lidarpc::internals::stream::{DecodeOptions, decode};
 use lidarpc::internals::study::metrics::NearestErrors;
 use proptest::prelude::*;

@@ -325,8 +325,8 @@ fn a_file_that_no_decoder_takes_is_left_out_and_said() {
 /// A stream whose names would leave the folder: the decoder trusts nothing.
 #[test]
 fn names_never_leave_the_folder() {
-    use lidarpc::internals::stream::container::{
-        Frame, FrameHeader, Group, Section, SectionKind, Stamp, StreamWriter, Unit,
+    use lidarpc::internals::container::{
+        CodedFrame, FrameHeader, Group, Section, SectionKind, Stamp, StreamWriter, Unit,
     };
 
     let bench = Bench::new();
@@ -341,7 +341,7 @@ fn names_never_leave_the_folder() {
             // Stored: no layout, no bytes before the records, one byte.
             let whole = Section { kind: SectionKind::Bytes, payload: vec![0, 0, 0, 1, b'x'] };
             let parameters = Section { kind: SectionKind::Parameters, payload: parameters_of_bytes() };
-            let frames = vec![Frame { header, sections: vec![parameters, whole] }];
+            let frames = vec![CodedFrame { header, sections: vec![parameters, whole] }];
             stream.write_group(&Group { scanners: vec![None], frames }).unwrap();
             fs::write(bench.path("evil.lpc"), stream.finish().unwrap().0).unwrap();
             let error = bench.fails("decode evil.lpc -o out", "out");
@@ -353,8 +353,8 @@ fn names_never_leave_the_folder() {
 
 /// The parameters of a frame that is the bytes of its file, as the encoder writes them.
 fn parameters_of_bytes() -> Vec<u8> {
+    use lidarpc::internals::container::{Record, SectionKind, StreamReader};
     use lidarpc::internals::ground::error::Limits;
-    use lidarpc::internals::stream::container::{Record, SectionKind, StreamReader};
 
     let bench = Bench::new();
     bench.write_files("seq", &[("1.bin".to_owned(), scan(5, 1))].into());

@@ -74,9 +74,9 @@ class Frame:
         return self._scan.time
 
     @property
-    def stream(self) -> int:
+    def track(self) -> int:
         """Which of several scanners that take turns it is of; the first is 0."""
-        return self._scan.stream
+        return self._scan.track
 
     @property
     def fields(self) -> list[str]:
@@ -379,7 +379,7 @@ class Encoder:
         ring: ArrayLike | None = None,
         time: Time = None,
         name: str = "",
-        stream: int = 0,
+        track: int = 0,
         fields: Mapping[str, ArrayLike] | None = None,
     ) -> None:
         """Takes the next scan.
@@ -387,17 +387,17 @@ class Encoder:
         ``xyz``: (points, 3), metres, float32, or what float32 holds exactly. ``intensity``, ``ring``: (points,).
         ``fields``: further fields, name to (points,), such as ``{"time": seconds}``. Types are int8 to int64, uint8 to
         uint64, float32 and float64; each comes back as it is. ``time``: when the scan was taken, in nanoseconds since
-        1970, or a datetime64. ``name``: of the frame. ``stream``: which of several scanners it is of.
+        1970, or a datetime64. ``name``: of the frame. ``track``: which of several scanners it is of.
 
         Error if the arrays do not fit together.
         """
         values = _fields(intensity, ring, fields)
-        self._open().push(_positions(xyz), values, name, _nanoseconds(time), stream)
+        self._open().push(_positions(xyz), values, name, _nanoseconds(time), track)
 
-    def push_file(self, name: str, data: bytes, *, time: Time = None, stream: int = 0) -> None:
+    def push_file(self, name: str, data: bytes, *, time: Time = None, track: int = 0) -> None:
         """Takes a file by its name and its bytes, which come back as they are: .bin, .pcd.bin, .pcd, .ply, .las, .csv, .txt,
         .xyz or .npy."""
-        self._open().push_file(name, bytes(data), _nanoseconds(time), stream)
+        self._open().push_file(name, bytes(data), _nanoseconds(time), track)
 
     def _open(self) -> _native.StreamWriter:
         if self._writer is None:

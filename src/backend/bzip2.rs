@@ -3,8 +3,7 @@
 use bzip2::Compression;
 use bzip2::read::{BzDecoder, BzEncoder};
 
-use super::{Backend, Level, read_up_to};
-use crate::article::residual::Packing;
+use super::{Backend, Level, Packing, read_up_to};
 use crate::ground::error::Result;
 
 /// Levels are bzip2's own: blocks of 100 to 900 kB.

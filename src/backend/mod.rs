@@ -10,13 +10,13 @@ mod lz;
 mod lz4;
 mod lz5;
 mod lzma;
+mod packing;
 mod ppmd;
 mod store;
 mod zstd;
 
 use std::io::Read;
 
-use crate::article::residual::Packing;
 use crate::ground::error::{Error, Result};
 
 /// The number of `store`.
@@ -106,6 +106,7 @@ pub fn decompress(backend: &dyn Backend, input: &[u8], length: usize) -> Result<
 }
 
 pub use lzma::compress_hardest;
+pub use packing::Packing;
 pub use zstd::compress_quickly;
 
 /// Effort: 1 is fast, 9 is small. Each coder maps it to a scale of its own.

@@ -4,8 +4,7 @@ use std::io::Write;
 
 use ppmd_rust::{Ppmd7Decoder, Ppmd7Encoder};
 
-use super::{Backend, Level, read_up_to};
-use crate::article::residual::Packing;
+use super::{Backend, Level, Packing, read_up_to};
 use crate::ground::error::{Error, Result};
 
 /// Levels 1 to 9 are orders 2 to 10. The payload is the order, then the stream.

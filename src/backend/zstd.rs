@@ -1,7 +1,6 @@
 //! Zstandard: LZ77, tabled asymmetric numeral systems and Huffman codes.
 
-use super::{Backend, Level};
-use crate::article::residual::Packing;
+use super::{Backend, Level, Packing};
 use crate::ground::error::Result;
 
 /// Levels 1 to 9 are Zstandard's 1, 3, 6, 9, 12, 15, 17, 19 and 22.

@@ -5,9 +5,9 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use crate::container::StreamReader;
 use crate::edit::{Joined, Named};
 use crate::ground::error::{self, Limits};
-use crate::stream::container::StreamReader;
 use anyhow::Result;
 use serde::Serialize;
 

@@ -1,8 +1,7 @@
 //! The options of the coder controller: a mode, and each choice by itself.
 
 use crate::article::image_coding::{ImageCodec, Rate};
-use crate::article::residual::Packing;
-use crate::backend::{self, Level};
+use crate::backend::{self, Level, Packing};
 use crate::files::HeaderlessLayout;
 use crate::frame::settings::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind};
 use crate::frame::{Intensity, Prediction};

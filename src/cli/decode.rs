@@ -7,11 +7,12 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
+use crate::container::{IndexedReader, Unit};
 use crate::edit::Recovered;
+use crate::files::sequence::STREAM_EXTENSION;
 use crate::files::{FileFormat, Give, convert};
 use crate::ground::error::{Error, Limits};
 use crate::scan::ScanFile;
-use crate::stream::container::{IndexedReader, Unit};
 use crate::stream::{DecodeOptions, DecodedFrame, FrameRange};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
@@ -121,7 +122,9 @@ fn output_of(args: &DecodeArgs) -> PathBuf {
         return output.clone();
     }
     match &args.inputs[..] {
-        [input] if input.extension().is_some_and(|ending| ending == "lpc") => input.with_extension(""),
+        [input] if input.extension().is_some_and(|ending| ending == STREAM_EXTENSION) => {
+            input.with_extension("")
+        }
         _ => wrong_usage("decode", "say where to, by -o FOLDER: the input gives no name for the output"),
     }
 }

@@ -7,10 +7,10 @@ use std::io::{self, BufReader, Write};
 use std::path::PathBuf;
 use std::time::Instant;
 
-use crate::files::sequence::{FoundFile, LeftOut};
+use crate::container::Unit;
+use crate::files::sequence::{FoundFile, LeftOut, STREAM_EXTENSION};
 use crate::files::{ArrivedFile, ArrivingFrames};
 use crate::frame::{EncoderConfig, Intensity, Positions};
-use crate::stream::container::Unit;
 use crate::stream::{DecodeOptions, DecodedFrame, Encoded, FrameInput};
 use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};
@@ -111,7 +111,8 @@ fn output_of(args: &EncodeArgs) -> PathBuf {
         wrong_usage("encode", "say where to, by -o FILE: the input gives no name for the output");
     };
     let mut name = name.to_owned();
-    name.push(".lpc");
+    name.push(".");
+    name.push(STREAM_EXTENSION);
     args.inputs[0].with_file_name(name)
 }
 

@@ -5,7 +5,6 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use crate::backend;
-use crate::files::guess::{self, Sample, Verdict};
 use crate::files::sequence::{FoundFile, LeftOut, find_all, find_frames};
 use crate::files::{EXTENSIONS, parse_like, starts_as_scan};
 use crate::frame::Prediction;
@@ -17,6 +16,7 @@ use anyhow::{Result, bail, ensure};
 use super::args::EncodeArgs;
 use super::errors::about;
 use super::output::keep_inputs;
+use super::record_length::{self, Sample, Verdict};
 use super::{in_memory, partial, table};
 
 /// The files to encode.
@@ -117,7 +117,7 @@ pub fn settle_layout(
     place: &str,
     quiet: bool,
 ) -> Result<()> {
-    match guess::examine(&samples(frames)?, config.headerless.as_ref()) {
+    match record_length::examine(&samples(frames)?, config.headerless.as_ref()) {
         Verdict::Agrees => {}
         Verdict::Rather(layout) => {
             let letters = layout.to_string();
@@ -211,7 +211,7 @@ fn samples(frames: &[FoundFile]) -> Result<Vec<Sample>> {
         let size =
             fs::metadata(path).map_err(|error| about(error.into(), &path.display().to_string()))?.len();
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        samples.push(Sample { name, start: start_of(path, guess::SAMPLE)?, size });
+        samples.push(Sample { name, start: start_of(path, record_length::SAMPLE)?, size });
     }
     Ok(samples)
 }

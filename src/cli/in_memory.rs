@@ -5,11 +5,11 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+use crate::container::MAGIC;
 use crate::frame::StepReport;
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::Result;
 use crate::stream::FrameInput;
-use crate::stream::container::MAGIC;
 
 use super::input::is_dash;
 use super::progress;

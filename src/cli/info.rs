@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, HashMap};
 use std::io::{self, Read, Write};
 
+use crate::container::{Index, Record, ScannerId, Stamp, StreamReader, Unit};
 use crate::frame::FrameParameters;
 use crate::ground::error::{Error, Limits};
-use crate::scanner::Scanner;
-use crate::stream::container::{Index, Record, ScannerId, ScannerRecord, Stamp, StreamReader, Unit};
+use crate::stream::source::StoredScanner;
 use anyhow::Result;
 use serde::Serialize;
 
@@ -50,7 +50,7 @@ struct GroupInfo {
     bytes: u64,
     first_frame: u64,
     frames: u64,
-    /// Of each stream, its number among the scanners, from 1 on; 0: none.
+    /// Of each track, its number among the scanners, from 1 on; 0: none.
     scanners: Vec<u64>,
 }
 
@@ -59,8 +59,8 @@ struct FrameInfo {
     number: u64,
     name: String,
     unit: &'static str,
-    /// Its place among the streams of the group.
-    stream: u8,
+    /// Its place among the tracks of the group.
+    track: u8,
     /// Nanoseconds since 1970.
     #[serde(skip_serializing_if = "Option::is_none")]
     time: Option<i64>,
@@ -153,22 +153,20 @@ impl Info {
         match record {
             Record::Scanner(record) => {
                 self.numbers.insert(record.id(), self.numbers.len() as u64 + 1);
-                let ScannerRecord { family, payload } = record;
-                let known = Scanner::of_record(family, &payload)?;
-                let description =
-                    known.map_or_else(|| format!("of family {family}"), |known| known.to_string());
-                self.scanners.push(ScannerInfo { family, description, bytes: payload.len() as u64 });
+                let (family, bytes) = (record.family, record.payload.len() as u64);
+                let description = StoredScanner::parse(record)?.description();
+                self.scanners.push(ScannerInfo { family, description, bytes });
             }
             Record::Group(group) => {
                 let Some(entry) = index.groups.last() else { return Ok(()) };
                 let mut frames = Vec::new();
                 for ((number, frame), entry) in (entry.first_frame..).zip(group.frames).zip(&entry.frames) {
-                    let Stamp { unit, stream, time } = entry.stamp;
+                    let Stamp { unit, track, time } = entry.stamp;
                     frames.push(FrameInfo {
                         coding: FrameParameters::of(&frame)?.to_string(),
                         number,
                         unit: unit.name(),
-                        stream,
+                        track,
                         time: time.map(|time| time.nanoseconds),
                         time_source: time.map(|time| time.source.name()),
                         points: frame.header.point_count,

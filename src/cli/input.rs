@@ -6,10 +6,10 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 
+use crate::container::IndexedReader;
 use crate::files::names::is_safe_path;
 use crate::files::sequence::find_frames;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::container::IndexedReader;
 use crate::stream::{DecodeOptions, DecodedFrame};
 
 use super::errors::{about, is_closed_pipe, say, wrong_usage};

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::stream::container::Lost;
+use crate::container::Lost;
 use anyhow::Result;
 use serde::Serialize;
 

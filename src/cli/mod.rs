@@ -22,6 +22,7 @@ mod output;
 mod partial;
 mod poses;
 mod progress;
+mod record_length;
 mod recording;
 mod regions;
 mod repair;

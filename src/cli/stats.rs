@@ -5,9 +5,9 @@ mod scanners;
 
 use std::io::{self, BufReader, Read, Seek, Write};
 
+use crate::container::{Record, SectionKind, StreamReader, Unit};
 use crate::frame::Source;
 use crate::ground::error::Limits;
-use crate::stream::container::{Record, SectionKind, StreamReader, Unit};
 use crate::study::metrics;
 use anyhow::Result;
 use serde::Serialize;
@@ -18,7 +18,7 @@ use super::input::{Input, Originals, name_of, open};
 use super::output::print_json;
 use super::{poses, recording, steps, table};
 use comparison::{Against, compare};
-use scanners::{ScannerStats, Scanners};
+use scanners::{KnownScanners, ScannerStats};
 
 /// All that is reported.
 #[derive(Serialize)]
@@ -95,7 +95,7 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
     let mut reader = StreamReader::open(input, limits)?;
     let mut by_kind = SectionKind::ALL.map(|_| 0u64);
     let (mut frames, mut files_beside, mut scanner_bytes) = (0, 0, 0);
-    let (mut originals, mut scanners) = (Source::default(), Scanners::default());
+    let (mut originals, mut scanners) = (Source::default(), KnownScanners::default());
     while let Some(record) = reader.next_record()? {
         match record {
             Record::Scanner(record) => {

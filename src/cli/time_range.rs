@@ -2,9 +2,9 @@
 
 use std::str::FromStr;
 
+use crate::container::{FrameEntry, Index};
 use crate::ground::error::{Error, Result};
 use crate::stream::FrameRange;
-use crate::stream::container::{FrameEntry, Index};
 
 /// A range of times after that of the first frame that has one, without its end, in nanoseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,7 +76,7 @@ fn nanoseconds(text: &str) -> Option<i64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::container::{GroupEntry, Stamp, Time, TimeSource};
+    use crate::container::{GroupEntry, Stamp, Time, TimeSource};
 
     #[test]
     fn ranges_are_read() {

@@ -8,7 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use crate::files::names::natural_cmp;
-use crate::files::sequence::{FoundFile, LeftOut, LeftOutKind};
+use crate::files::sequence::{FoundFile, LeftOut, LeftOutKind, STREAM_EXTENSION};
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::ground::error::Error;
 use crate::study::metrics;
@@ -21,9 +21,6 @@ use super::errors::{NotWhole, say, wrong_usage};
 use super::frames::{self, Found};
 use super::output::{parent, print_json};
 use super::{decode, in_memory, progress, table};
-
-/// What names of streams end in.
-const STREAM: &str = "lpc";
 
 /// Whether an output is a folder: it is one, or its name says so.
 pub fn is_folder(output: &Path) -> bool {
@@ -138,7 +135,7 @@ fn drives(args: &EncodeArgs, quiet: bool) -> Result<(Vec<Drive>, LeftOut)> {
             };
             let mut output = args.output().join(below).into_os_string();
             output.push(".");
-            output.push(STREAM);
+            output.push(STREAM_EXTENSION);
             if drives.insert(PathBuf::from(&output), found).is_some() {
                 let what = "would become a file that another input becomes too; encode them apart".to_owned();
                 bail!(Error::Input { path: folder.clone(), what });
@@ -247,7 +244,9 @@ fn streams_below(folder: &Path) -> Result<Vec<PathBuf>> {
             let path = entry.path();
             if kind.is_dir() {
                 open.push(path);
-            } else if path.extension().is_some_and(|ending| ending == STREAM) && in_memory::is_stream(&path) {
+            } else if path.extension().is_some_and(|ending| ending == STREAM_EXTENSION)
+                && in_memory::is_stream(&path)
+            {
                 streams.push(path);
             }
         }

@@ -4,9 +4,9 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
+use crate::container::FrameHeader;
 use crate::ground::error::Error;
 use crate::ground::lanes::keep_to_plain_code;
-use crate::stream::container::FrameHeader;
 use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::{Result, bail};
 use serde::Serialize;

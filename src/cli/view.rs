@@ -73,7 +73,7 @@ fn page_of<R: Read + Seek + Send>(
 ) -> Result<()> {
     let bytes = stream.seek(SeekFrom::End(0))?;
     let decoder = Decoder::open(stream).map_err(|error| about(error, name))?;
-    let mut decoder = decoder.range_images(true).threads(0);
+    let mut decoder = decoder.with_range_images(true).with_threads(0);
     let frames = args.frames.unwrap_or_default();
     frames.check(decoder.len()).map_err(|error| about(error, name))?;
     let numbers = frames.start..frames.end.unwrap_or(decoder.len());
@@ -134,7 +134,7 @@ impl Compared {
     fn errors(&self) -> Option<Vec<Option<f64>>> {
         let decoded = &self.frame.scan;
         let original = parse_like(decoded, &decoded.name, self.original.clone()?);
-        let measure = if self.frame.in_order { paired_distances } else { nearest_distances };
+        let measure = if self.frame.keeps_order { paired_distances } else { nearest_distances };
         Some(measure(&original.cloud, &decoded.cloud))
     }
 }

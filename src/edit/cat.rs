@@ -6,8 +6,8 @@ use std::io::{Read, Write};
 use std::path::PathBuf;
 
 use super::copier::{GroupCopier, Named};
+use crate::container::StreamReader;
 use crate::ground::error::{Error, Result};
-use crate::stream::container::StreamReader;
 use crate::stream::options::FrameRange;
 use crate::stream::source::{GroupJob, StreamedGroups};
 

@@ -3,8 +3,8 @@
 use std::io::Write;
 use std::path::PathBuf;
 
+use crate::container::StreamWriter;
 use crate::ground::error::Result;
-use crate::stream::container::StreamWriter;
 use crate::stream::source::GroupJob;
 
 /// A stream to read, and its name in errors.

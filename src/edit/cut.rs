@@ -6,8 +6,8 @@ use std::path::Path;
 
 use super::copier::{GroupCopier, Named};
 use super::recode::recode_from;
+use crate::container::{IndexedReader, StreamReader};
 use crate::ground::error::{Limits, Result};
-use crate::stream::container::{IndexedReader, StreamReader};
 use crate::stream::options::FrameRange;
 use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
 

@@ -1,15 +1,15 @@
 //! Codes the end of a group as a group of its own. Frames of a group depend on those before them, so what
-//! comes after a cut is coded again. This starts from the decoded [`Frame`], that is, from the integers of
+//! comes after a cut is coded again. This starts from the decoded [`FrameParts`], that is, from the integers of
 //! its sections and not from the points that they stand for, so lossy frames lose nothing further. The output
 //! of an image coder is written again as it is.
 
-use crate::frame::frame::Frame;
+use crate::container::{CodedFrame, allowance, pay_for};
 use crate::frame::parameters::Prediction;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::{Effort, SectionReader, SectionWriter};
 use crate::frame::syntax::Models;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::Scanner;
-use crate::stream::container::{self, allowance, pay_for};
 use crate::stream::decoder::write_checked;
 use crate::stream::source::GroupJob;
 
@@ -23,20 +23,20 @@ use crate::stream::source::GroupJob;
 pub(crate) fn recode_from(start: u64, job: &mut GroupJob, limits: &Limits) -> Result<()> {
     let frames = std::mem::take(&mut job.group.frames);
     let recoder = |scanner| Recoder { scanner, limits, old: Models::default(), new: Models::default() };
-    let mut streams: Vec<_> = job.models()?.into_iter().map(recoder).collect();
+    let mut tracks: Vec<_> = job.models()?.into_iter().map(recoder).collect();
     let mut recoded = Vec::new();
     for (number, frame) in (job.first_frame..).zip(frames) {
         let name = frame.header.name.clone();
-        let stream = streams.get_mut(usize::from(frame.header.stamp.stream));
+        let track = tracks.get_mut(usize::from(frame.header.stamp.track));
         let recoder =
-            stream.ok_or_else(|| Error::corrupt("a frame of a stream that the group does not have"))?;
+            track.ok_or_else(|| Error::corrupt("a frame of a track that the group does not have"))?;
         recoded.extend(recoder.recode(frame, number >= start).map_err(|e| e.within_frame(number, &name))?);
     }
     (job.group.frames, job.first_frame) = (recoded, start);
     Ok(())
 }
 
-/// Decodes the frames of a stream of a group with one set of models, and codes them with another.
+/// Decodes the frames of a track of a group with one set of models, and codes them with another.
 struct Recoder<'a> {
     scanner: Option<&'a Scanner>,
     limits: &'a Limits,
@@ -49,10 +49,10 @@ struct Recoder<'a> {
 impl Recoder<'_> {
     /// Decodes the next frame, and codes it if `wanted`; earlier frames are decoded only because others
     /// depend on them.
-    fn recode(&mut self, coded: container::Frame, wanted: bool) -> Result<Option<container::Frame>> {
-        let container::Frame { header, sections } = coded;
-        let mut frame = Frame::of_records(header.point_count as usize);
-        let limits = self.limits.within(allowance(&sections));
+    fn recode(&mut self, coded: CodedFrame, wanted: bool) -> Result<Option<CodedFrame>> {
+        let CodedFrame { header, sections } = coded;
+        let mut frame = FrameParts::of_records(header.point_count as usize);
+        let limits = self.limits.at_most(allowance(&sections));
         let mut reader = SectionReader::new(&sections, &limits);
         self.old.code_frame(&mut reader, self.scanner, &mut frame)?;
         reader.finish()?;
@@ -74,6 +74,6 @@ impl Recoder<'_> {
         let unknown = sections.into_iter().filter(|section| section.kind.is_skippable());
         let mut sections: Vec<_> = writer.sections.into_iter().chain(unknown).collect();
         pay_for(&mut sections, unfolded);
-        Ok(Some(container::Frame { header, sections }))
+        Ok(Some(CodedFrame { header, sections }))
     }
 }

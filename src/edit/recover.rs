@@ -4,9 +4,9 @@ use std::io::{Read, Seek, Write};
 use std::ops::Range;
 
 use super::copier::{GroupCopier, Named};
+use crate::container::{Group, Lost, SalvageReader, Salvaged};
 use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Limits, Result};
-use crate::stream::container::{Group, Lost, SalvageReader, Salvaged};
 use crate::stream::decoder::{DecodedFrame, decode_group};
 use crate::stream::options::{DecodeOptions, FrameRange};
 use crate::stream::ordered::run_ordered;

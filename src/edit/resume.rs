@@ -27,14 +27,14 @@ use journal::{Entry, InputFile, Journal, JournalWriter};
 use kept::Kept;
 use settings::Settings;
 
+use crate::container::ScannerRecord;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::ground::error::{Error, Result};
-use crate::stream::container::ScannerRecord;
 use crate::stream::encoded::{Encoded, OpenStream};
 use crate::stream::encoder::{SequenceCoder, groups_of};
 use crate::stream::input::FrameInput;
 use crate::stream::ordered::run_ordered;
-use crate::stream::scanner_choice::{Scanners, choose_scanners, records_of};
+use crate::stream::scanner_choice::{DriveScanners, choose_scanners, records_of};
 
 /// Advice for a partial stream with which encoding cannot continue.
 const ADVICE: &str = "delete it to start anew, or encode without --resume";
@@ -99,7 +99,7 @@ fn open<'p>(
     partial: &'p PartialFiles,
     kept: Kept,
     settings: Settings,
-    scanners: &[Scanners],
+    scanners: &[DriveScanners],
 ) -> Result<(OpenStream<BufWriter<&'p File>>, JournalWriter)> {
     let scanners = records_of(scanners);
     let mut stream = &partial.stream;

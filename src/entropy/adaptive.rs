@@ -1,4 +1,4 @@
-//! Adaptive models: of a single bit, and of integers of any size.
+//! Adaptive models: of a single bit, and of integers of any size. FORMAT.md 5.2 to 5.4.
 
 use super::BitCoder;
 

@@ -1,6 +1,6 @@
 //! The binary arithmetic coder: a 64-bit interval, 16-bit probabilities, bytes shifted out four at a time. The decoder
 //! keeps the place of its number within the interval (Martin's range coder), so that a bit takes one product and one
-//! comparison; the encoder carries into the bytes that it has written.
+//! comparison; the encoder carries into the bytes that it has written. FORMAT.md 5.1.
 
 use std::hint::select_unpredictable;
 

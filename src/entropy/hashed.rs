@@ -1,5 +1,5 @@
 //! Counters for more contexts than there is room for. They are found by a hash, and those of little use are
-//! replaced by those of new contexts.
+//! replaced by those of new contexts. FORMAT.md 6.4.
 
 use super::Logistic;
 

@@ -1,4 +1,5 @@
 //! Bits coded from counters in several views and opinions from outside, mixed in two layers.
+//! FORMAT.md 6.6.
 
 use super::logistic::{CONSTANT, LANES};
 use super::{BitCoder, Counter, LayeredMixer, Logistic, MixContexts, MixRates};

@@ -1,5 +1,5 @@
 //! Logistic mixing in two layers (Mahoney's PAQ8): several weight sets, each selected by a context of its
-//! own, mix the same opinions; their results are mixed again and refined.
+//! own, mix the same opinions; their results are mixed again and refined. FORMAT.md 6.5.
 
 use super::refinement::Refinement;
 use super::weights::WeightSets;

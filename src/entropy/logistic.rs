@@ -1,5 +1,5 @@
 //! Logistic mixing: the opinions of several models about the next bit, weighted by how much each has helped
-//! so far (Mahoney's PAQ). Opinions are log odds, ln(p / (1 - p)).
+//! so far (Mahoney's PAQ). Opinions are log odds, ln(p / (1 - p)). FORMAT.md 6.1 to 6.3.
 
 use std::sync::LazyLock;
 

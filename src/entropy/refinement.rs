@@ -1,6 +1,6 @@
 //! Maps that refine an estimate by how such estimates have turned out before: from log odds to log odds, one
 //! map for each of some contexts, piecewise linear between learned points (Mahoney's adaptive probability
-//! maps).
+//! maps). FORMAT.md 6.5.
 
 use super::Logistic;
 

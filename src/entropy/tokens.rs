@@ -1,6 +1,6 @@
 //! Static coding of tokens by an asymmetric numeral system (range ANS): a section's tokens are counted first,
 //! then each is coded by its share. Faster than adaptive coding, and nearly as small where many tokens share
-//! few contexts.
+//! few contexts. FORMAT.md 5.5.
 //!
 //! As with bits, every syntax element is written once, as a function over a [`TokenCoder`].
 

@@ -1,4 +1,5 @@
 //! The weights of logistic mixing: how much each of several opinions has helped so far, in each of some contexts.
+//! FORMAT.md 6.3 and 6.5.
 
 use super::logistic::LANES;
 

@@ -169,9 +169,7 @@ fn next_of_lines(input: &mut impl Read) -> Result<Option<ArrivedFile>> {
 /// Reads the bytes of a file. Memory grows only with what arrives.
 pub(super) fn read_file(input: &mut impl Read, name: &str, size: u64) -> Result<Vec<u8>> {
     let max = Limits::default().file_bytes;
-    if size > max {
-        return Err(Error::over_limit("bytes of a file", size, max).at(name));
-    }
+    Error::check_limit("bytes of a file", size, max).map_err(|e| e.at(name))?;
     let mut bytes = Vec::new();
     if input.by_ref().take(size).read_to_end(&mut bytes)? as u64 != size {
         return Err(cut_short(name));

@@ -1,4 +1,4 @@
-//! Records whose values are big-endian, as in a `binary_big_endian` PLY.
+//! Records whose values are big-endian, as in a `binary_big_endian` PLY. FORMAT.md 9.
 
 use super::records::Parts;
 use crate::scan::{Layout, ScanFile, Wrapping};

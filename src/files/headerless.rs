@@ -55,7 +55,7 @@ impl HeaderlessLayout {
     }
 
     /// The layout of the records; never `None` for a layout that was read from text.
-    pub(super) fn layout(&self) -> Option<Layout> {
+    pub(crate) fn layout(&self) -> Option<Layout> {
         layout_of(self.fields.clone(), Wrapping::Plain)
     }
 }

@@ -1,4 +1,5 @@
 //! LZF, the compression inside PCD `binary_compressed` (format of liblzf by M. Lehmann).
+//! FORMAT.md 9.
 //!
 //! ```text
 //! 000LLLLL                    L + 1 literal bytes follow (1..=32)

@@ -9,8 +9,6 @@ mod arrival;
 mod big_endian;
 mod convert;
 mod field;
-#[cfg(feature = "cli")]
-pub mod guess;
 mod headerless;
 mod las;
 mod lzf;
@@ -48,7 +46,7 @@ use crate::scan::{Field, Layout, ScanFile, Wrapping};
 
 /// What the extension of a name says of its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
+pub(crate) enum Kind {
     /// `.bin`.
     Kitti,
     /// `.pcd.bin`.
@@ -86,7 +84,7 @@ impl Kind {
     ];
 
     /// The kind and the name without its extension, in any case of letters; `None` for other names.
-    fn of(name: &str) -> Option<(Kind, &str)> {
+    pub(crate) fn of(name: &str) -> Option<(Kind, &str)> {
         Kind::ALL.into_iter().find_map(|(kind, extension)| {
             let (stem, end) = name.split_at_checked(name.len().checked_sub(extension.len())?)?;
             end.eq_ignore_ascii_case(extension).then_some((kind, stem))

@@ -1,5 +1,5 @@
 //! The body of a `binary_compressed` PCD: u32 compressed size, u32 uncompressed size, and the
-//! records field by field (all x, then all y, ...), compressed with LZF.
+//! records field by field (all x, then all y, ...), compressed with LZF. FORMAT.md 9.
 
 use byteorder::{ByteOrder, LittleEndian};
 

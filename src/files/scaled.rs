@@ -1,4 +1,4 @@
-//! Records whose coordinates are whole numbers of steps, as in LAS.
+//! Records whose coordinates are whole numbers of steps, as in LAS. FORMAT.md 9.
 
 use byteorder::{ByteOrder, LittleEndian};
 

@@ -12,7 +12,7 @@ use crate::ground::error::{Error, Limits, Result};
 /// Where KITTI and KITTI-360 keep the scans of a drive, relative to its folder.
 const DRIVE_FOLDERS: [&str; 3] = ["velodyne_points/data", "velodyne", "data"];
 /// What names of streams end in, by custom.
-const STREAM_EXTENSION: &str = "lpc";
+pub const STREAM_EXTENSION: &str = "lpc";
 
 /// The files of an input.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

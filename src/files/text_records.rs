@@ -1,4 +1,5 @@
 //! Records as text, in an ascii PCD or PLY or in columns alone: one record a line, values between single separators.
+//! FORMAT.md 9.
 //!
 //! Texts are turned into values only if the values give the texts back. Programs differ in how they print
 //! numbers, so each column's rule is found by trial, and its type where nothing declares it.

@@ -1,4 +1,5 @@
 //! Records in which doubles hold no more than float32 does: programs that compute in double precision write scans so.
+//! FORMAT.md 9.
 
 use super::field::{POSITION, layout_of};
 use super::records::Parts;

@@ -1,9 +1,11 @@
 //! The fidelity of decoded points: what is promised of their positions and intensities.
 
-use super::parameters::{read, within};
 use crate::ground::error::{Error, Result};
-use crate::ground::varint::write_unsigned;
+use crate::ground::varint::{read_u32_within, read_unsigned, write_unsigned};
 use crate::scanner::Coordinates;
+
+/// What holds these, in errors.
+const PART: &str = "frame parameters";
 
 /// Where the positions of decoded points come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -68,11 +70,12 @@ impl Positions {
     }
 
     pub(crate) fn read_from(input: &mut &[u8]) -> Result<Self> {
-        match read(input)? {
+        match read_unsigned(input, PART)? {
             0 => Ok(Positions::Exact),
             1 => Ok(Positions::Formula),
             code @ 2..4 => {
-                let max_error_um = within(input, 1..=MOST_MAX_ERROR_UM.into(), "a largest error")?;
+                let max_error_um =
+                    read_u32_within(input, PART, 1..=MOST_MAX_ERROR_UM.into(), "a largest error")?;
                 Ok(Positions::Bounded { max_error_um, on_grid: code == 3 })
             }
             other => Err(Error::unsupported(format!("frame parameters: unknown positions {other}"))),
@@ -101,12 +104,14 @@ impl Intensity {
     }
 
     pub(crate) fn read_from(input: &mut &[u8]) -> Result<Self> {
-        match read(input)? {
+        match read_unsigned(input, PART)? {
             0 => Ok(Intensity::None),
             1 => Ok(Intensity::Exact),
             2 => {
                 let steps = 1..=u32::MAX.into();
-                Ok(Intensity::Rounded { step_millionths: within(input, steps, "a step of intensities")? })
+                Ok(Intensity::Rounded {
+                    step_millionths: read_u32_within(input, PART, steps, "a step of intensities")?,
+                })
             }
             other => Err(Error::unsupported(format!("frame parameters: unknown intensities {other}"))),
         }

@@ -1,5 +1,5 @@
 //! A group of pictures: frames coded one after the other with models that learn from each. The frames of
-//! several scanners may take turns; those of each scanner are a stream of the group, with models of its own.
+//! several scanners may take turns; those of each scanner are a track of the group, with models of its own.
 //! Groups are independent of each other.
 
 use std::borrow::Borrow;
@@ -7,15 +7,16 @@ use std::mem::take;
 
 use super::bound::Bound;
 use super::fidelity::{Intensity, Positions};
-use super::frame::Frame;
 use super::levels::InterChoice;
 use super::parameters::{Prediction, RangeCoder, Source};
+use super::parts::FrameParts;
 use super::sections::{Effort, SectionReader, SectionWriter};
 use super::settings::EncoderConfig;
 use super::steps::{Step, StepReport};
 use super::syntax::Models;
 use super::whole::WholeFile;
 use crate::article::prediction::intra::IntraPrediction;
+use crate::container::{FrameHeader, Section, Unit, allowance, pay_for};
 use crate::files::parse_like;
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::grid::Grid;
@@ -24,16 +25,15 @@ use crate::inter::registration::{Pose, QuantisedPose, register};
 use crate::scan::{ScanFile, Wrapping};
 use crate::scanner::RangeImage;
 use crate::scanner::Scanner;
-use crate::stream::container::{FrameHeader, Section, Unit, allowance, pay_for};
 
 /// Encodes the frames of one group.
 pub struct GroupEncoder<'s> {
-    streams: Vec<StreamEncoder<'s>>,
+    tracks: Vec<TrackEncoder<'s>>,
     config: &'s EncoderConfig,
 }
 
-/// Encodes the frames of one stream of a group.
-struct StreamEncoder<'s> {
+/// Encodes the frames of one track of a group.
+struct TrackEncoder<'s> {
     scanner: Option<&'s Scanner>,
     config: &'s EncoderConfig,
     models: Models,
@@ -57,24 +57,24 @@ pub struct EncodedFrame {
 }
 
 impl<'s> GroupEncoder<'s> {
-    /// A new group whose streams have these scanners.
+    /// A new group whose tracks have these scanners.
     pub fn new(scanners: &[Option<&'s Scanner>], config: &'s EncoderConfig) -> Self {
-        let streams = scanners.iter().map(|scanner| StreamEncoder::new(*scanner, config)).collect();
-        GroupEncoder { streams, config }
+        let tracks = scanners.iter().map(|scanner| TrackEncoder::new(*scanner, config)).collect();
+        GroupEncoder { tracks, config }
     }
 
     /// Encodes the next frame so that decoders accept it under [`Limits::default`]. `original` describes its
-    /// file and names its stream; a stream that the group does not have yet has no scanner. A frame that
+    /// file and names its track; a track that the group does not have yet has no scanner. A frame that
     /// would break the bound of bounded mode, such as text without enough digits for the decoded values, is
     /// coded exactly.
     ///
     /// # Errors
     /// If the scan exceeds those limits, or if a back-end's library fails.
     pub fn encode_frame(&mut self, scan: ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
-        let stream = usize::from(original.stamp.stream);
-        let streams = self.streams.len().max(stream + 1);
-        self.streams.resize_with(streams, || StreamEncoder::new(None, self.config));
-        self.streams[stream].encode_frame(scan, original)
+        let track = usize::from(original.stamp.track);
+        let tracks = self.tracks.len().max(track + 1);
+        self.tracks.resize_with(tracks, || TrackEncoder::new(None, self.config));
+        self.tracks[track].encode_frame(scan, original)
     }
 }
 
@@ -98,9 +98,9 @@ fn step_rounding_um(scan: &ScanFile) -> u32 {
     (1e6 * half_steps.iter().map(|half| half * half).sum::<f64>().sqrt()).ceil() as u32
 }
 
-impl<'s> StreamEncoder<'s> {
+impl<'s> TrackEncoder<'s> {
     fn new(scanner: Option<&'s Scanner>, config: &'s EncoderConfig) -> Self {
-        StreamEncoder {
+        TrackEncoder {
             scanner,
             config,
             models: Models::default(),
@@ -141,7 +141,7 @@ impl<'s> StreamEncoder<'s> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let whole = WholeFile::of_any_file(file, self.config.level)?;
         let mut writer = SectionWriter::new(Effort::default());
-        self.models.code_frame(&mut writer, None, &mut Frame::of_whole(whole, 0))?;
+        self.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, 0))?;
         steps.add(&writer.report);
         pay_for(&mut writer.sections, original.file_size);
         steps.count_sections(&writer.sections);
@@ -157,7 +157,7 @@ impl<'s> StreamEncoder<'s> {
     ) -> Result<(EncodedFrame, Option<Vec<u8>>)> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let name = scan.name.clone();
-        let mut frame = Frame::from_scan(scan, self.scanner, config, &mut steps)?;
+        let mut frame = FrameParts::from_scan(scan, self.scanner, config, &mut steps)?;
         frame.parameters.halved = self.halves(&frame);
         let before = is_unexplained(&frame, config).then(|| (self.models.clone(), steps));
         let mut best: Option<Attempt> = None;
@@ -185,7 +185,7 @@ impl<'s> StreamEncoder<'s> {
             if let Some(whole) = WholeFile::shortest(&scan, config.level, own)? {
                 self.models = models;
                 let mut writer = SectionWriter::new(Effort::default());
-                self.models.code_frame(&mut writer, None, &mut Frame::of_whole(whole, records))?;
+                self.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, records))?;
                 steps.add(&writer.report);
                 pay_for(&mut writer.sections, original.file_size.max(records as u64));
                 steps.count_sections(&writer.sections);
@@ -207,7 +207,7 @@ impl<'s> StreamEncoder<'s> {
 
     /// Whether the halves of a frame's image are coded apart: those of all if those of the first one are large, and coded by
     /// models that learn from each value.
-    fn halves(&mut self, frame: &Frame) -> bool {
+    fn halves(&mut self, frame: &FrameParts) -> bool {
         let RangeCoder::Context { modelling, .. } = frame.parameters.range_coder else { return false };
         let returns = frame.occupancy.cells().iter().filter(|filled| **filled).count();
         modelling.parts().is_adaptive()
@@ -217,7 +217,7 @@ impl<'s> StreamEncoder<'s> {
 
     /// Estimates how the scanner has moved since the frame before, if the frame may be predicted from that
     /// (equation 8). Returns how much of that frame fits this one, from 0 to 1; `None` if it does not.
-    fn estimate_motion(&mut self, frame: &Frame) -> Option<f64> {
+    fn estimate_motion(&mut self, frame: &FrameParts) -> Option<f64> {
         /// The share of the returns that are as far away as before if the scanner stands still.
         const STANDING_STILL: f64 = 0.5;
         let (scanner, past) = (self.scanner?, self.models.past()?);
@@ -248,7 +248,7 @@ impl<'s> StreamEncoder<'s> {
     /// Codes a frame with this prediction, with models that continue from those of the group.
     fn attempt(
         &self,
-        mut frame: Frame,
+        mut frame: FrameParts,
         prediction: Prediction,
         mut models: Models,
         mut steps: StepReport,
@@ -269,7 +269,7 @@ impl<'s> StreamEncoder<'s> {
 
 /// Whether most points are outside any range image and all must come back exactly: the models may then do
 /// worse than a coder that knows nothing about points.
-fn is_unexplained(frame: &Frame, config: &EncoderConfig) -> bool {
+fn is_unexplained(frame: &FrameParts, config: &EncoderConfig) -> bool {
     let is_exact = config.positions == Positions::Exact && config.intensity == Intensity::Exact;
     is_exact && frame.parameters.source.is_none() && 2 * frame.strays >= frame.records
 }
@@ -279,7 +279,7 @@ struct Attempt {
     /// The models after coding it.
     models: Models,
     /// The frame as it decodes.
-    frame: Frame,
+    frame: FrameParts,
     sections: Vec<Section>,
     /// Squared error of the ranges, in steps, with a coder that has a bit rate; otherwise 0.
     error: f64,
@@ -306,7 +306,7 @@ pub struct DecodedScan {
     /// The original file, if it is not restored exactly.
     pub source: Option<Source>,
     /// Whether it holds the points of the original file, in the same order.
-    pub in_order: bool,
+    pub keeps_order: bool,
     /// The range image, if there is one and it was requested.
     pub image: Option<DecodedImage>,
     /// How well the scanner explains it, if it has one and that was requested.
@@ -341,18 +341,18 @@ pub struct DecodedImage {
 
 /// Decodes the frames of one group.
 pub struct GroupDecoder<S> {
-    /// The scanner of each stream, and what its frames have taught, once there was one.
-    streams: Vec<(Option<S>, Option<Models>)>,
+    /// The scanner of each track, and what its frames have taught, once there was one.
+    tracks: Vec<(Option<S>, Option<Models>)>,
     limits: Limits,
     keeps_images: bool,
     judges_scanners: bool,
 }
 
 impl<S: Borrow<Scanner>> GroupDecoder<S> {
-    /// A new group whose streams have these scanners.
+    /// A new group whose tracks have these scanners.
     pub fn new(scanners: impl IntoIterator<Item = Option<S>>, limits: &Limits) -> Self {
-        let streams = scanners.into_iter().map(|scanner| (scanner, None)).collect();
-        GroupDecoder { streams, limits: *limits, keeps_images: false, judges_scanners: false }
+        let tracks = scanners.into_iter().map(|scanner| (scanner, None)).collect();
+        GroupDecoder { tracks, limits: *limits, keeps_images: false, judges_scanners: false }
     }
 
     /// Makes the decoder return range images, too.
@@ -369,20 +369,20 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
     ///
     /// # Errors
     /// If the sections do not make a frame, or make one that exceeds the limits; if the group does not have
-    /// the frame's stream.
+    /// the frame's track.
     pub fn decode_frame(
         &mut self,
         header: &FrameHeader,
         sections: &[Section],
         steps: &mut StepReport,
     ) -> Result<DecodedScan> {
-        let stream = self.streams.get_mut(usize::from(header.stamp.stream));
-        let unknown = || Error::corrupt("a frame of a stream that the group does not have");
-        let (scanner, models) = stream.ok_or_else(unknown)?;
+        let track = self.tracks.get_mut(usize::from(header.stamp.track));
+        let unknown = || Error::corrupt("a frame of a track that the group does not have");
+        let (scanner, models) = track.ok_or_else(unknown)?;
         let scanner = scanner.as_ref().map(S::borrow);
-        let limits = self.limits.within(allowance(sections));
+        let limits = self.limits.at_most(allowance(sections));
         let mut reader = SectionReader::new(sections, &limits);
-        let mut frame = Frame::of_records(header.point_count as usize);
+        let mut frame = FrameParts::of_records(header.point_count as usize);
         models.get_or_insert_default().code_frame(&mut reader, scanner, &mut frame)?;
         steps.add(&reader.finish()?);
         let source = frame.parameters.source;
@@ -405,7 +405,7 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
             }),
             None => None,
         };
-        let in_order = frame.parameters.positions != Positions::Formula;
-        Ok(DecodedScan { scan: frame.into_scan(&header.name)?, source, in_order, image, explained })
+        let keeps_order = frame.parameters.positions != Positions::Formula;
+        Ok(DecodedScan { scan: frame.into_scan(&header.name)?, source, keeps_order, image, explained })
     }
 }

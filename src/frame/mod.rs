@@ -7,10 +7,9 @@ pub mod settings;
 pub mod steps;
 
 pub(crate) mod bound;
-#[allow(clippy::module_inception)]
-pub(crate) mod frame;
 pub(crate) mod levels;
 pub(crate) mod modelling;
+pub(crate) mod parts;
 pub(crate) mod sections;
 pub(crate) mod syntax;
 mod whole;

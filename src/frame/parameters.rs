@@ -1,5 +1,5 @@
 //! How a frame is coded: what a decoder must know before the frame's other sections, and what reports say
-//! about the file from which it was made.
+//! about the file from which it was made. FORMAT.md 8.10.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -7,15 +7,17 @@ use std::ops::RangeInclusive;
 use super::fidelity::{Intensity, Positions};
 use super::modelling::Modelling;
 use crate::article::image_coding::ImageCodec;
-use crate::article::residual::Packing;
-use crate::backend;
+use crate::backend::{self, Packing};
+use crate::container::{CodedFrame, FrameHeader, SectionKind};
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
-use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
+use crate::ground::varint::{read_signed, read_u32_within, read_unsigned, write_signed, write_unsigned};
 use crate::inter::registration::QuantisedPose;
 use crate::scanner::EXACT_RANGE_BITS;
 use crate::scanner::Scanner;
-use crate::stream::container::{Frame, FrameHeader, SectionKind};
+
+/// What is read, in errors.
+const PART: &str = "frame parameters";
 
 /// The parameters of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -194,7 +196,7 @@ impl FrameParameters {
     ///
     /// # Errors
     /// If they are damaged, unknown to this program, or not before all other sections.
-    pub fn of(frame: &Frame) -> Result<Self> {
+    pub fn of(frame: &CodedFrame) -> Result<Self> {
         let first = frame.sections.iter().find(|section| !section.kind.is_skippable());
         let first = first.filter(|section| section.kind == SectionKind::Parameters);
         Self::from_payload(first.map_or(&[], |section| &section.payload))
@@ -309,8 +311,8 @@ impl RangeCoder {
         match read(input)? {
             coder @ ..BACKENDS => Ok(RangeCoder::Context {
                 modelling: Modelling::from_code(coder)?,
-                range_bits: within(input, RANGE_BITS, "bits of a range")?,
-                bin: within(input, 1..=WIDEST_BIN.into(), "steps a bin")?,
+                range_bits: read_u32_within(input, PART, RANGE_BITS, "bits of a range")?,
+                bin: read_u32_within(input, PART, 1..=WIDEST_BIN.into(), "steps a bin")?,
                 between: flag(input)?,
             }),
             coder @ BACKENDS..JPEG => {
@@ -332,7 +334,7 @@ impl Source {
     ///
     /// # Errors
     /// If the frame's parameters are damaged, or unknown to this program.
-    pub fn of(frame: &Frame) -> Result<Self> {
+    pub fn of(frame: &CodedFrame) -> Result<Self> {
         let FrameHeader { file_size, point_count: points, .. } = frame.header;
         Ok(FrameParameters::of(frame)?.source.unwrap_or(Source::all_points(file_size, points)))
     }
@@ -363,22 +365,14 @@ impl Source {
 fn read_pose(input: &mut &[u8]) -> Result<QuantisedPose> {
     let mut pose = QuantisedPose::default();
     for value in &mut pose.values {
-        let read = read_signed(input, "frame parameters")?;
+        let read = read_signed(input, PART)?;
         *value = i32::try_from(read).map_err(|_| Error::corrupt("frame parameters: no such motion"))?;
     }
     Ok(pose)
 }
 
-pub(crate) fn read(input: &mut &[u8]) -> Result<u64> {
-    read_unsigned(input, "frame parameters")
-}
-
-/// A number in a range that fits into 32 bits.
-pub(crate) fn within(input: &mut &[u8], range: RangeInclusive<u64>, what: &'static str) -> Result<u32> {
-    match read(input)? {
-        value if range.contains(&value) => Ok(value as u32),
-        value => Err(Error::corrupt(format!("frame parameters: {value} is out of range for {what}"))),
-    }
+fn read(input: &mut &[u8]) -> Result<u64> {
+    read_unsigned(input, PART)
 }
 
 fn flag(input: &mut &[u8]) -> Result<bool> {

@@ -3,13 +3,13 @@
 use super::steps::StepReport;
 use crate::article::image_coding::ImageConfig;
 use crate::backend::Level;
+use crate::container::{Section, SectionKind};
 use crate::entropy::{
     ArithmeticDecoder, ArithmeticEncoder, BitCoder, TokenCoder, TokenReader, TokenTables, TokenWriter,
 };
 use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::team;
-use crate::stream::container::{Section, SectionKind};
 
 /// The effort of the coders of ranges, and their bit rate; unused by the decoder.
 #[derive(Clone, Copy, Debug, Default)]

@@ -9,9 +9,8 @@ use super::parameters::{FrameParameters, Prediction, RangeCoder};
 use crate::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use crate::article::outlier::RadiusOutlier;
 use crate::article::prediction::intra::{IntraConfig, RegionModels};
-use crate::article::residual::Packing;
 use crate::article::segmentation::SegmentationConfig;
-use crate::backend::{self, Backend, Level};
+use crate::backend::{self, Level, Packing};
 use crate::files::HeaderlessLayout;
 use crate::ground::error::{Error, Result};
 use crate::inter::registration::{QuantisedPose, RegistrationConfig};
@@ -272,11 +271,6 @@ impl EncoderConfig {
             tried.push(Prediction::None);
         }
         tried
-    }
-
-    /// How residuals are packed for a back-end. Ranges that are not differences are large numbers.
-    pub(crate) fn packing_for(&self, backend: &dyn Backend, snake: bool) -> Packing {
-        self.packing.unwrap_or(if snake { backend.packing() } else { Packing::Planes })
     }
 
     /// Whether motion compensation is undone. Paper mode takes scans as they are, as the article does.

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
+use crate::container::{Section, SectionKind};
 use crate::ground::clock::Instant;
-use crate::stream::container::{Section, SectionKind};
 
 /// The steps whose time is taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,4 +1,5 @@
 //! A frame that is the bytes of its file, through a general-purpose coder: the floor under all models.
+//! FORMAT.md 8.18.
 
 use crate::backend::{self, LZMA, Level, STORE, ZSTD};
 use crate::files::{parse, plain_records};
@@ -101,9 +102,7 @@ impl WholeFile {
         }
         let prefix = read_length(&mut input)?;
         let length = read_length(&mut input)?;
-        if length as u64 > limits.file_bytes {
-            return Err(Error::over_limit("bytes of the frame", length as u64, limits.file_bytes));
-        }
+        Error::check_limit("bytes of the frame", length as u64, limits.file_bytes)?;
         let bytes = backend::decompress(backend::by_id(id)?, input, length)?;
         Ok(WholeFile { bytes, records: layout.map(|layout| (layout, prefix)), payload })
     }

@@ -1,4 +1,4 @@
-//! What can go wrong, and the limits that a decoder keeps.
+//! What can go wrong, and the limits that a decoder keeps. FORMAT.md 10.
 
 use std::path::{Path, PathBuf};
 use std::{fmt, io};
@@ -113,6 +113,14 @@ impl Error {
         Error::LimitExceeded { what: what.into(), got, max, place: Place::default() }
     }
 
+    /// `got`, unless it is over the limit.
+    ///
+    /// # Errors
+    /// If it is: about `what`, of which there is too much.
+    pub(crate) fn check_limit(what: impl Into<String>, got: u64, max: u64) -> Result<u64> {
+        if got > max { Err(Error::over_limit(what, got, max)) } else { Ok(got) }
+    }
+
     /// The same error, naming the file that it is about.
     pub(crate) fn at(self, path: impl AsRef<Path>) -> Self {
         Error::At { path: path.as_ref().to_path_buf(), source: Box::new(self) }
@@ -218,7 +226,7 @@ pub struct Limits {
 
 impl Limits {
     /// These limits, and no more than so many points or bytes of a frame.
-    pub(crate) fn within(&self, most: u64) -> Self {
+    pub(crate) fn at_most(&self, most: u64) -> Self {
         Limits { points: self.points.min(most), file_bytes: self.file_bytes.min(most), ..*self }
     }
 }

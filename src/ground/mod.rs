@@ -1,5 +1,5 @@
 //! The ground that everything else stands on: errors, limits, tables, variable-length integers, rounding, random numbers, fast angles,
-//! short decimals, the clock, pools of threads, and the helper for vector units.
+//! the order of floats, short decimals, the clock, pools of threads, and the helper for vector units.
 
 pub mod error;
 pub mod grid;
@@ -12,6 +12,7 @@ mod section_kind;
 pub(crate) mod angle;
 pub(crate) mod clock;
 pub(crate) mod decimal;
+pub(crate) mod float_order;
 pub(crate) mod lanes;
 pub(crate) mod lazy_table;
 pub(crate) mod team;

@@ -1,4 +1,4 @@
-//! The kinds of sections, which errors name too.
+//! The kinds of sections, which errors name too. FORMAT.md 2.6.
 
 use std::fmt;
 
@@ -7,6 +7,7 @@ pub(crate) const SKIPPABLE: u8 = 0x80;
 
 /// What a section holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[non_exhaustive]
 pub enum SectionKind {
     /// Layout of the file, and the bytes before and after the records.
     File,
@@ -54,7 +55,7 @@ pub enum SectionKind {
 
 impl SectionKind {
     /// All kinds that this program knows, in the order of their numbers, the first of which is 1.
-    pub const ALL: [SectionKind; 20] = [
+    pub(crate) const ALL: [SectionKind; 20] = [
         SectionKind::File,
         SectionKind::Columns,
         SectionKind::Occupancy,
@@ -76,6 +77,13 @@ impl SectionKind {
         SectionKind::Sorted,
         SectionKind::Stamped,
     ];
+
+    /// For tests: all kinds that this program knows.
+    #[cfg(feature = "internals")]
+    #[doc(hidden)]
+    pub fn all() -> &'static [SectionKind] {
+        &Self::ALL
+    }
 
     /// The kind's name in reports: lower case, one word.
     pub fn name(self) -> &'static str {

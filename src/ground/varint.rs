@@ -1,7 +1,8 @@
 //! Variable-length integers: seven bits a byte, least significant first, the top bit set on all but the last
-//! byte (LEB128). Signed ones are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3.
+//! byte (LEB128). Signed ones are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3. FORMAT.md 1.
 
 use std::io::{ErrorKind, Read};
+use std::ops::RangeInclusive;
 
 use crate::ground::error::{Error, Result};
 
@@ -42,6 +43,22 @@ pub fn read_unsigned(input: &mut impl Read, what: &str) -> Result<u64> {
         }
     }
     Err(Error::corrupt(format!("{what} does not fit 64 bits")))
+}
+
+/// Reads an unsigned integer of this range, which fits into 32 bits. `part` and `field` name it in errors.
+///
+/// # Errors
+/// As [`read_unsigned`]; also if it is out of range.
+pub(crate) fn read_u32_within(
+    input: &mut impl Read,
+    part: &str,
+    range: RangeInclusive<u64>,
+    field: &str,
+) -> Result<u32> {
+    match read_unsigned(input, part)? {
+        value if range.contains(&value) => Ok(value as u32),
+        value => Err(Error::corrupt(format!("{part}: {value} is out of range for {field}"))),
+    }
 }
 
 /// Appends a signed integer.

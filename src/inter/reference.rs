@@ -1,4 +1,4 @@
-//! What an earlier frame predicts for each cell of the current one.
+//! What an earlier frame predicts for each cell of the current one. FORMAT.md 4.3.
 
 use crate::ground::grid::Grid;
 

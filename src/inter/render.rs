@@ -1,4 +1,4 @@
-//! The surfaces of the frame before, as seen from where the scanner is now.
+//! The surfaces of the frame before, as seen from where the scanner is now. FORMAT.md 4.3.
 
 use crate::ground::grid::Grid;
 use crate::inter::Layer;

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::io::{Read, Seek};
+use std::iter::FusedIterator;
 use std::ops::{Bound, Range, RangeBounds};
 use std::sync::Arc;
 
@@ -9,10 +10,10 @@ use rayon::ThreadPool;
 
 use super::range_image::RangeImage;
 use super::scan::Scan;
+use crate::container::{FrameHeader, IndexedReader, Stamp, StreamReader, Unit};
 use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::container::{FrameHeader, IndexedReader, Stamp, StreamReader, Unit};
-use crate::stream::decoder::{DecodedFrame, OpenGroup, decode_group};
+use crate::stream::decoder::{DecodedFrame, PartlyDecodedGroup, decode_group};
 use crate::stream::ordered::{Workers, on, pool_for_frames};
 use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
 use crate::stream::{DecodeOptions, FrameRange};
@@ -40,7 +41,7 @@ pub struct Decoder<R> {
 struct KeptGroup {
     first_frame: u64,
     scans: Vec<KeptScan>,
-    open: OpenGroup,
+    open: PartlyDecodedGroup,
 }
 
 enum KeptScan {
@@ -58,7 +59,7 @@ pub struct FrameInfo {
     /// What it was.
     pub unit: Unit,
     /// Which of several scanners it is of; the first is 0.
-    pub stream: u8,
+    pub track: u8,
     /// When it was taken, in nanoseconds since 1970, if that is known.
     pub time: Option<i64>,
     /// Bytes that it takes in the stream.
@@ -85,28 +86,30 @@ impl<R: Read + Seek + Send> Decoder<R> {
     /// # Errors
     /// If the input fails, is no stream, is damaged at its beginning or end, or is of another version of the format.
     pub fn open(input: R) -> Result<Self> {
-        Self::open_within(input, Limits::default())
+        Self::open_with_limits(input, Limits::default())
     }
 
     /// As [`open`](Self::open), with limits on what may be allocated.
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub fn open_within(input: R, limits: Limits) -> Result<Self> {
+    pub fn open_with_limits(input: R, limits: Limits) -> Result<Self> {
         let reader = IndexedReader::open_at_end(input, limits)?;
         let groups = IndexedGroups::new(reader, FrameRange::default()).reading_at_once(AT_ONCE);
         Ok(Decoder { groups, limits, threads: 1, images: false, kept: None, pool: None })
     }
 
     /// Whether scans come with their [range images](Scan::range_image). Default: no; they take some time and memory.
-    pub fn range_images(self, images: bool) -> Self {
+    #[must_use]
+    pub fn with_range_images(self, images: bool) -> Self {
         Decoder { images, kept: None, ..self }
     }
 
     /// Has [`scans`](Self::scans) decoded ahead by so many threads, and [`scan`](Self::scan) by two if there are to be more
     /// than one; 0 stands for one a processor. With 1, the default, there are none: the caller's thread decodes a group
     /// when its first scan is asked for.
-    pub fn threads(self, threads: usize) -> Self {
+    #[must_use]
+    pub fn with_threads(self, threads: usize) -> Self {
         Decoder { threads, pool: None, ..self }
     }
 
@@ -125,11 +128,11 @@ impl<R: Read + Seek + Send> Decoder<R> {
         let groups = self.groups.index().groups.iter().filter(|group| !group.is_beside());
         let frames = groups.flat_map(|group| (group.first_frame..).zip(&group.frames));
         frames.map(|(number, frame)| {
-            let Stamp { unit, stream, time } = frame.stamp;
+            let Stamp { unit, track, time } = frame.stamp;
             FrameInfo {
                 number,
                 unit,
-                stream,
+                track,
                 time: time.map(|time| time.nanoseconds),
                 coded_bytes: frame.size,
             }
@@ -200,17 +203,14 @@ impl<R: Read + Seek + Send> Decoder<R> {
     fn open_group(&mut self, first_frame: u64) -> Result<KeptGroup> {
         self.groups.seek(FrameRange { start: first_frame, end: first_frame.checked_add(1) });
         let job = self.groups.next().unwrap_or_else(|| Err(lost_frames()))?;
-        let open = OpenGroup::new(job, &self.limits, self.images)?;
+        let open = PartlyDecodedGroup::new(job, &self.limits, self.images)?;
         Ok(KeptGroup { first_frame, scans: Vec::new(), open })
     }
 
     /// These scans, one after the other. An error, or a range that is not in the stream, is the last item.
     pub fn scans(&mut self, frames: impl RangeBounds<u64>) -> Scans<'_> {
-        let options = self.options();
-        match self.seek(&frames) {
-            Ok(frames) => Scans::new(Box::new(&mut self.groups), DecodeOptions { frames, ..options }),
-            Err(error) => Scans::new(Box::new(std::iter::once(Err(error))), options),
-        }
+        let (range, options) = (self.seek(&frames), self.options());
+        scans_of(range, &mut self.groups, options)
     }
 
     /// As [`scans`](Self::scans), for iterators that outlive their maker. A clone of the decoder shares the index.
@@ -218,11 +218,8 @@ impl<R: Read + Seek + Send> Decoder<R> {
     where
         R: 'r,
     {
-        let options = self.options();
-        match self.seek(&frames) {
-            Ok(frames) => Scans::new(Box::new(self.groups), DecodeOptions { frames, ..options }),
-            Err(error) => Scans::new(Box::new(std::iter::once(Err(error))), options),
-        }
+        let (range, options) = (self.seek(&frames), self.options());
+        scans_of(range, self.groups, options)
     }
 
     fn options(&self) -> DecodeOptions {
@@ -263,6 +260,21 @@ impl Decoder<()> {
         let groups = StreamedGroups::new(StreamReader::open(input, limits)?, FrameRange::default());
         let options = DecodeOptions { threads, limits, ..DecodeOptions::default() };
         Ok(Scans::new(Box::new(groups), options))
+    }
+}
+
+/// The scans of this range of the groups, or the error that there is none.
+fn scans_of<'r>(
+    range: Result<FrameRange>,
+    groups: impl Iterator<Item = Result<GroupJob>> + Send + 'r,
+    options: DecodeOptions,
+) -> Scans<'r> {
+    match range {
+        Ok(frames) => {
+            let most = frames.end.map(|end| (end - frames.start) as usize);
+            Scans { most, ..Scans::new(Box::new(groups), DecodeOptions { frames, ..options }) }
+        }
+        Err(error) => Scans { most: Some(1), ..Scans::new(Box::new(std::iter::once(Err(error))), options) },
     }
 }
 
@@ -323,6 +335,8 @@ pub struct Scans<'d> {
     error: Option<Error>,
     /// Whether all groups are read.
     ended: bool,
+    /// How many are yet to come at most, the error included, if that is known.
+    most: Option<usize>,
 }
 
 /// The scans of a group, up to an error.
@@ -333,7 +347,15 @@ struct DecodedGroup {
 
 impl<'d> Scans<'d> {
     fn new(groups: Box<dyn Iterator<Item = Result<GroupJob>> + Send + 'd>, options: DecodeOptions) -> Self {
-        Scans { groups, options, workers: None, ready: VecDeque::new(), error: None, ended: false }
+        Scans {
+            groups,
+            options,
+            workers: None,
+            ready: VecDeque::new(),
+            error: None,
+            ended: false,
+            most: None,
+        }
     }
 
     /// Reads groups for all threads, and takes the scans of the next one that is decoded; false if there is none.
@@ -377,9 +399,16 @@ fn decode(job: GroupJob, options: &DecodeOptions) -> DecodedGroup {
 impl Iterator for Scans<'_> {
     type Item = Result<Scan>;
 
+    /// As many scans as are asked for are the most; an error ends them sooner. Of a pipe they are not known.
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        let least = self.ready.len() + usize::from(self.error.is_some());
+        (least, self.most.map(|most| most.max(least)))
+    }
+
     fn next(&mut self) -> Option<Self::Item> {
         loop {
             if let Some(scan) = self.ready.pop_front() {
+                self.most = self.most.map(|most| most.saturating_sub(1));
                 return Some(Ok(scan));
             }
             if self.workers.is_none() && self.ended {
@@ -388,6 +417,7 @@ impl Iterator for Scans<'_> {
             if let Some(error) = self.error.take() {
                 self.workers = None;
                 self.ended = true;
+                self.most = Some(0);
                 return Some(Err(error));
             }
             match self.advance() {
@@ -398,6 +428,8 @@ impl Iterator for Scans<'_> {
         }
     }
 }
+
+impl FusedIterator for Scans<'_> {}
 
 impl std::fmt::Debug for Scans<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {

@@ -8,20 +8,21 @@ use rayon::ThreadPool;
 
 use super::scan::Scan;
 use super::settings::Settings;
+use crate::container::Stamp;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::ground::error::{Error, Result};
 use crate::stream::FrameInput;
-use crate::stream::container::Stamp;
 use crate::stream::encoded::OpenStream;
 use crate::stream::encoder::{EncodedGroup, SequenceCoder, encode_known};
 use crate::stream::ordered::{Workers, on, pool_for_frames};
-use crate::stream::scanner_choice::{KeptScanners, Scanners, choose_scanners, records_of};
+use crate::stream::scanner_choice::{DriveScanners, KeptScanners, choose_scanners, records_of};
 
 /// Encodes scans as they come. The scanner is found in the first group of scans; groups are coded by threads of their
 /// own while more scans are pushed, and written as they are done. A few groups are in memory at a time.
 ///
 /// A stream whose encoder is dropped before [`finish`](Self::finish) has no index and no end.
 #[derive(Debug)]
+#[must_use = "a stream without finish() has no index and no end"]
 pub struct Encoder<W> {
     config: Arc<EncoderConfig>,
     /// Scans of the next group.
@@ -40,7 +41,7 @@ enum State<W> {
 
 /// An encoder that knows its scanners.
 struct Coding<W> {
-    scanners: Arc<Vec<Scanners>>,
+    scanners: Arc<Vec<DriveScanners>>,
     workers: Workers<Vec<EncodedGroup>>,
     stream: OpenStream<W>,
 }
@@ -151,7 +152,7 @@ impl MessageEncoder {
     pub fn encode(&mut self, scan: Scan) -> Result<Vec<u8>> {
         let (scan, stamp) = scan.into_parts();
         // There are no others to tell it from.
-        let frame = FrameInput::scan(scan).stamped(Stamp { stream: 0, ..stamp });
+        let frame = FrameInput::scan(scan).stamped(Stamp { track: 0, ..stamp });
         let scanners = self.scanners.for_next(Some(&frame), &self.config)?;
         on(self.pool.as_deref(), || encode_known(vec![frame], &scanners, &self.config))
     }

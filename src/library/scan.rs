@@ -2,10 +2,10 @@
 
 use super::range_image::RangeImage;
 use super::scalar::{Scalar, Values};
+use crate::container::{Stamp, Time, TimeSource, Unit};
 use crate::files;
 use crate::ground::error::{Error, Result};
 use crate::scan::{self, Channel, Field, Layout, MAX_STRIDE, PointCloud, ScanFile};
-use crate::stream::container::{Stamp, Time, TimeSource, Unit};
 
 /// What the channel of intensities is called.
 const INTENSITY: &str = "intensity";
@@ -23,7 +23,7 @@ const POSITION: [&str; 3] = ["x", "y", "z"];
 /// let scan = lidarpc::Scan::from_positions(&[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
 ///     .with_channel("intensity", &[0.25f32, 0.5])?
 ///     .with_channel("ring", &[7u16, 8])?
-///     .stamped(1_316_998_000_123_456_789);
+///     .at_time(1_316_998_000_123_456_789);
 /// assert_eq!(scan.channel::<u16>("ring")?, [7, 8]);
 /// # Ok(())
 /// # }
@@ -31,7 +31,7 @@ const POSITION: [&str; 3] = ["x", "y", "z"];
 #[derive(Clone, Debug, Default)]
 pub struct Scan {
     name: String,
-    stream: u8,
+    track: u8,
     time: Option<Time>,
     points: usize,
     positions: Vec<[f32; 3]>,
@@ -125,19 +125,22 @@ impl Scan {
     }
 
     /// The same with a name, which a frame of the stream gets, such as `000001`. A file has one already.
-    pub fn named(self, name: &str) -> Self {
+    #[must_use]
+    pub fn with_name(self, name: &str) -> Self {
         Scan { name: name.to_owned(), ..self }
     }
 
     /// The same with the time at which it was taken: nanoseconds since 1970.
-    pub fn stamped(self, nanoseconds: i64) -> Self {
+    #[must_use]
+    pub fn at_time(self, nanoseconds: i64) -> Self {
         Scan { time: Some(Time { source: TimeSource::Recording, nanoseconds }), ..self }
     }
 
-    /// The same as a scan of another scanner than that of stream 0. The scans of several scanners may take turns; those
+    /// The same as a scan of another scanner than that of track 0. The scans of several scanners may take turns; those
     /// of each are modelled by themselves.
-    pub fn on_stream(self, stream: u8) -> Self {
-        Scan { stream, ..self }
+    #[must_use]
+    pub fn on_track(self, track: u8) -> Self {
+        Scan { track, ..self }
     }
 
     /// Number of points.
@@ -190,8 +193,8 @@ impl Scan {
     }
 
     /// Which of several scanners that take turns it is of; the first is 0.
-    pub fn stream(&self) -> u8 {
-        self.stream
+    pub fn track(&self) -> u8 {
+        self.track
     }
 
     /// What it was: a file, a message, or points in memory.
@@ -208,7 +211,7 @@ impl Scan {
     }
 
     /// Its points as the scanner's rows and columns have them: of a scan from a [`Decoder`](crate::Decoder) that was told
-    /// to give [range images](crate::Decoder::range_images) and knows the scanner, otherwise `None`.
+    /// to give [range images](crate::Decoder::with_range_images) and knows the scanner, otherwise `None`.
     pub fn range_image(&self) -> Option<&RangeImage> {
         self.image.as_deref()
     }
@@ -235,14 +238,14 @@ impl Scan {
             let channel = TypedChannel { name: field.name.clone(), count: 1, values };
             channels.insert(place.min(channels.len()), channel);
         }
-        let Stamp { unit, stream, time } = stamp;
+        let Stamp { unit, track, time } = stamp;
         let file = (unit != Unit::Points).then(|| Box::new(Envelope { unit, layout, prefix, suffix }));
-        Scan { name, stream, time, points: records, positions: cloud.positions, channels, file, image: None }
+        Scan { name, track, time, points: records, positions: cloud.positions, channels, file, image: None }
     }
 
     /// As the encoder takes it.
     pub(crate) fn into_parts(self) -> (ScanFile, Stamp) {
-        let stamp = Stamp { unit: self.unit(), stream: self.stream, time: self.time };
+        let stamp = Stamp { unit: self.unit(), track: self.track, time: self.time };
         let (layout, prefix, suffix) = match self.file {
             Some(file) => (file.layout, file.prefix, file.suffix),
             None => (layout_in_memory(&self.channels), Vec::new(), Vec::new()),

@@ -8,7 +8,7 @@ use crate::ground::error::{Error, Result};
 /// Settings of an [`Encoder`](crate::Encoder): a mode, and what may be chosen beside it.
 ///
 /// ```
-/// let settings = lidarpc::Settings::bounded(0.01).level(9).threads(2);
+/// let settings = lidarpc::Settings::bounded(0.01).with_level(9).with_threads(2);
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
@@ -59,26 +59,30 @@ impl Settings {
     }
 
     /// The effort, from 1 (quick) to 9 (small). Default: 6.
-    pub fn level(self, level: u8) -> Self {
+    #[must_use]
+    pub fn with_level(self, level: u8) -> Self {
         Settings { level: Some(level), ..self }
     }
 
     /// Threads that code groups beside the caller's; 0, the default, stands for one a processor. With 1 there are none:
     /// groups are coded as they fill up, by the thread that pushes scans. The stream is the same whatever the number.
-    pub fn threads(mut self, threads: usize) -> Self {
+    #[must_use]
+    pub fn with_threads(mut self, threads: usize) -> Self {
         self.config.threads = threads;
         self
     }
 
     /// Scans a group: more compress better, fewer make seeking and recovery finer, and an encoder wait less before it
     /// writes. Default: 10; 30 at level 9.
-    pub fn group_of_pictures(self, scans: usize) -> Self {
+    #[must_use]
+    pub fn with_group_of_pictures(self, scans: usize) -> Self {
         Settings { group_of_pictures: Some(scans), ..self }
     }
 
     /// Lets intensities be rounded to multiples of this, from 0.000001 to 1000, in bounded mode. Default: they are
     /// exact.
-    pub fn intensity_step(self, step: f64) -> Self {
+    #[must_use]
+    pub fn with_intensity_step(self, step: f64) -> Self {
         Settings { intensity_step: Some(step), ..self }
     }
 

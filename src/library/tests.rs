@@ -6,10 +6,10 @@ use std::mem::take;
 use std::sync::{Arc, Mutex};
 
 use super::*;
+use crate::container::Unit;
 use crate::frame::EncoderConfig;
 use crate::ground::error::{Error, Result};
 use crate::scan::Scalar as ScalarType;
-use crate::stream::container::Unit;
 use crate::stream::{FrameInput, encode_live};
 
 /// Three scans of a simulated drive: file names and points.
@@ -50,13 +50,14 @@ fn two_threads_code_a_scan_as_one_does() {
     let scans = || drive().into_iter().map(|(name, bytes)| Scan::from_file(&name, bytes));
     for level in [1, 3, 6, 8, 9] {
         let [one, two] = [1, 2].map(|threads| {
-            let mut encoder = MessageEncoder::new(Settings::exact().level(level).threads(threads)).unwrap();
+            let mut encoder =
+                MessageEncoder::new(Settings::exact().with_level(level).with_threads(threads)).unwrap();
             scans().map(|scan| encoder.encode(scan).unwrap()).collect::<Vec<_>>()
         });
         assert!(one == two, "level {level}");
-        let stream = encoded(scans(), Settings::exact().level(level).group_of_pictures(3));
+        let stream = encoded(scans(), Settings::exact().with_level(level).with_group_of_pictures(3));
         for threads in [1, 2] {
-            let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap().threads(threads);
+            let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap().with_threads(threads);
             let last = decoder.scan(2).unwrap();
             assert!(last.file_bytes().unwrap().unwrap() == drive()[2].1, "level {level}, {threads} threads");
         }
@@ -68,7 +69,7 @@ fn small_scans(count: u16) -> Vec<Scan> {
     let scan = |number: u16| {
         let positions: Vec<[f32; 3]> = (0..number).map(|point| [f32::from(point), -0.0, f32::NAN]).collect();
         let rings: Vec<u16> = (0..number).collect();
-        Scan::from_positions(&positions).with_channel("ring", &rings).unwrap().stamped(i64::from(number))
+        Scan::from_positions(&positions).with_channel("ring", &rings).unwrap().at_time(i64::from(number))
     };
     (0..count).map(scan).collect()
 }
@@ -96,7 +97,7 @@ fn files_make_the_same_stream_as_by_the_command_line() {
         let inputs = files.iter().map(|(name, bytes)| Ok(FrameInput::memory(name.clone(), bytes.clone())));
         encode_live(inputs, &config, &mut expected, &|| ()).unwrap();
         let scans = files.iter().map(|(name, bytes)| Scan::from_file(name, bytes.clone()));
-        let stream = encoded(scans, Settings::exact().group_of_pictures(2).threads(threads));
+        let stream = encoded(scans, Settings::exact().with_group_of_pictures(2).with_threads(threads));
         assert!(stream == expected, "{threads} threads");
         for (scan, (name, bytes)) in decoded(&stream).into_iter().zip(&files) {
             assert_eq!((scan.name(), scan.unit()), (&name[..], Unit::File));
@@ -151,11 +152,11 @@ fn channels_of_every_type_come_back() {
         .unwrap()
         .with_channel("f64", &[f64::NAN, 1e300])
         .unwrap()
-        .named("000001")
-        .stamped(-5)
-        .on_stream(3);
+        .with_name("000001")
+        .at_time(-5)
+        .on_track(3);
     let found = &decoded(&encoded([scan.clone()], Settings::exact()))[0];
-    assert_eq!((found.name(), found.time(), found.stream(), found.len()), ("000001", Some(-5), 3, 2));
+    assert_eq!((found.name(), found.time(), found.track(), found.len()), ("000001", Some(-5), 3, 2));
     assert_eq!(found.channels().collect::<Vec<_>>(), scan.channels().collect::<Vec<_>>());
     assert_eq!(found.channel::<i8>("i8").unwrap(), [i8::MIN, 1]);
     assert_eq!(found.channel::<u16>("intensity").unwrap(), [u16::MAX, 1]);
@@ -210,7 +211,7 @@ fn channels_that_do_not_fit_are_refused() {
 
 #[test]
 fn scans_come_by_number_and_in_order() {
-    let stream = encoded(small_scans(25), Settings::exact().group_of_pictures(4).threads(2));
+    let stream = encoded(small_scans(25), Settings::exact().with_group_of_pictures(4).with_threads(2));
     let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap();
     assert_eq!(decoder.len(), 25);
     let times: Vec<_> = decoder.frames().map(|frame| frame.time).collect();
@@ -225,10 +226,11 @@ fn scans_come_by_number_and_in_order() {
         assert_eq!((scan.time(), scan.len() as u64), (Some(number as i64), number));
     }
     for threads in [0, 1, 3] {
-        let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap().threads(threads);
+        let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap().with_threads(threads);
         for range in [0..25, 3..4, 7..21, 5..5, 25..25] {
-            let times: Vec<_> =
-                decoder.scans(range.clone()).map(|scan| scan.unwrap().time().unwrap() as u64).collect();
+            let scans = decoder.scans(range.clone());
+            assert_eq!(scans.size_hint(), (0, Some((range.end - range.start) as usize)));
+            let times: Vec<_> = scans.map(|scan| scan.unwrap().time().unwrap() as u64).collect();
             assert_eq!(times, range.collect::<Vec<_>>(), "{threads} threads");
         }
         let piped = Decoder::stream(&stream[..], threads).unwrap();
@@ -252,7 +254,7 @@ fn a_stream_without_scans_is_a_stream() {
 #[test]
 fn scanners_are_told_in_words() {
     let scans = drive().into_iter().map(|(name, bytes)| Scan::from_file(&name, bytes));
-    let stream = encoded(scans, Settings::exact().level(1));
+    let stream = encoded(scans, Settings::exact().with_level(1));
     let scanners = Decoder::open(Cursor::new(&stream)).unwrap().scanners().unwrap();
     assert_eq!(scanners.len(), 1);
     assert!(scanners[0].starts_with("like Velodyne's HDL-64E, 64 lasers"), "{scanners:?}");
@@ -261,7 +263,7 @@ fn scanners_are_told_in_words() {
 #[test]
 fn a_bound_holds() {
     let points = xyzi(&drive()[0].1);
-    let stream = encoded([Scan::from_xyzi(&points)], Settings::bounded(0.01).level(1));
+    let stream = encoded([Scan::from_xyzi(&points)], Settings::bounded(0.01).with_level(1));
     for (found, point) in decoded(&stream)[0].positions().iter().zip(&points) {
         let squares: f64 =
             found.iter().zip(point).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
@@ -272,11 +274,11 @@ fn a_bound_holds() {
 #[test]
 fn settings_out_of_range_are_refused() {
     for wrong in [
-        Settings::exact().level(0),
-        Settings::exact().level(10),
-        Settings::exact().group_of_pictures(0),
-        Settings::exact().intensity_step(0.5),
-        Settings::bounded(0.01).intensity_step(f64::NAN),
+        Settings::exact().with_level(0),
+        Settings::exact().with_level(10),
+        Settings::exact().with_group_of_pictures(0),
+        Settings::exact().with_intensity_step(0.5),
+        Settings::bounded(0.01).with_intensity_step(f64::NAN),
         Settings::bounded(f64::NAN),
         Settings::bounded(-1.0),
         Settings::bounded(10.1),
@@ -287,7 +289,7 @@ fn settings_out_of_range_are_refused() {
 
 #[test]
 fn damage_is_an_error_after_the_scans_before_it() {
-    let mut stream = encoded(small_scans(12), Settings::exact().group_of_pictures(4));
+    let mut stream = encoded(small_scans(12), Settings::exact().with_group_of_pictures(4));
     let middle = stream.len() / 2;
     stream[middle] ^= 1;
     let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap();
@@ -318,7 +320,7 @@ fn without_the_article_all_streams_decode_but_those_of_image_coders() {
 
 #[test]
 fn errors_say_where_they_are() {
-    let mut stream = encoded(small_scans(12), Settings::exact().group_of_pictures(4));
+    let mut stream = encoded(small_scans(12), Settings::exact().with_group_of_pictures(4));
     // The last byte of the last frame of the second group: of the checksum of its last section.
     let decoder = Decoder::open(Cursor::new(&stream)).unwrap();
     let last: u64 = decoder.frames().skip(8).map(|frame| frame.coded_bytes).sum();
@@ -350,7 +352,8 @@ impl Write for Full {
 
 #[test]
 fn an_encoder_that_failed_stays_failed() {
-    let mut encoder = Encoder::new(Full(60), Settings::exact().group_of_pictures(1).threads(1)).unwrap();
+    let mut encoder =
+        Encoder::new(Full(60), Settings::exact().with_group_of_pictures(1).with_threads(1)).unwrap();
     let failures = small_scans(20).into_iter().filter_map(|scan| encoder.push(scan).err());
     let failures: Vec<Error> = failures.collect();
     assert!(matches!(failures[0], Error::Io(_)) && failures.len() > 1);
@@ -360,8 +363,8 @@ fn an_encoder_that_failed_stays_failed() {
 
 #[test]
 fn messages_stand_by_themselves_and_share_what_was_found() {
+    use crate::container::{Record, StreamReader};
     use crate::ground::error::Limits;
-    use crate::stream::container::{Record, StreamReader};
 
     let scanner_of = |stream: &[u8]| {
         let mut reader = StreamReader::open(stream, Limits::default()).unwrap();
@@ -379,7 +382,7 @@ fn messages_stand_by_themselves_and_share_what_was_found() {
     assert_eq!(scanner_of(&without), [], "nothing was found");
     let mut first = None;
     for (number, (name, bytes)) in (0..).zip(drive()) {
-        let stream = encoder.encode(Scan::from_file(&name, bytes.clone()).stamped(number)).unwrap();
+        let stream = encoder.encode(Scan::from_file(&name, bytes.clone()).at_time(number)).unwrap();
         let scans = decoded(&stream);
         assert_eq!((scans.len(), scans[0].time(), scans[0].name()), (1, Some(number), &name[..]));
         assert_eq!(scans[0].file_bytes().unwrap().unwrap(), bytes);
@@ -435,12 +438,12 @@ fn noise(count: u64) -> Vec<Scan> {
         f32::from_bits((state >> 40) as u32 | 0x4000_0000)
     };
     let mut scan = || Scan::from_positions(&(0..2000).map(|_| [next(), next(), next()]).collect::<Vec<_>>());
-    (0..count).map(|number| scan().stamped(number as i64)).collect()
+    (0..count).map(|number| scan().at_time(number as i64)).collect()
 }
 
 #[test]
 fn few_and_large_pieces_are_read() {
-    let stream = encoded(noise(40), Settings::exact().group_of_pictures(5).level(1));
+    let stream = encoded(noise(40), Settings::exact().with_group_of_pictures(5).with_level(1));
     let length = stream.len();
     let input = Watched::new(stream);
     let mut decoder = Decoder::open(input.clone()).unwrap();
@@ -474,7 +477,7 @@ fn what_is_no_stream_is_named_as_such_however_large_it_is() {
         let error = Decoder::open(Cursor::new(vec![b'x'; length])).unwrap_err();
         assert!(length < 4 || matches!(error, Error::BadMagic(_)), "{length}: {error}");
     }
-    let mut newer = encoded(noise(10), Settings::exact().level(1));
+    let mut newer = encoded(noise(10), Settings::exact().with_level(1));
     newer[4] = 9;
     let checksum = crc32c::crc32c(&newer[..8]).to_le_bytes();
     newer[8..12].copy_from_slice(&checksum);
@@ -487,7 +490,7 @@ fn what_is_no_stream_is_named_as_such_however_large_it_is() {
 #[test]
 fn scans_of_a_kept_group_are_those_of_any_other_way() {
     let scans = drive().into_iter().map(|(name, bytes)| Scan::from_file(&name, bytes));
-    let stream = encoded(scans, Settings::exact().level(8));
+    let stream = encoded(scans, Settings::exact().with_level(8));
     let expected: Vec<_> = decoded(&stream).iter().map(|scan| scan.file_bytes().unwrap()).collect();
     let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap();
     for number in [1, 0, 2, 1] {
@@ -505,7 +508,7 @@ fn scans_of_a_kept_group_are_those_of_any_other_way() {
 
 #[test]
 fn damage_in_a_group_leaves_the_others_to_be_asked_for() {
-    let mut stream = encoded(noise(12), Settings::exact().group_of_pictures(4).level(1));
+    let mut stream = encoded(noise(12), Settings::exact().with_group_of_pictures(4).with_level(1));
     let middle = stream.len() / 2;
     stream[middle] ^= 1;
     let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap();
@@ -519,7 +522,7 @@ fn range_images_hold_the_points() {
     let (name, bytes) = drive().swap_remove(0);
     let stream = encoded([Scan::from_file(&name, bytes)], Settings::exact());
     assert!(decoded(&stream)[0].range_image().is_none(), "nobody asked for it");
-    let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap().range_images(true);
+    let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap().with_range_images(true);
     let scan = decoder.scan(0).unwrap();
     let image = scan.range_image().unwrap();
     assert_eq!((image.rows(), image.ranges().len()), (64, 64 * image.columns()));
@@ -535,6 +538,6 @@ fn range_images_hold_the_points() {
     }
     assert!(found * 100 > scan.len() * 99, "{found} of {}", scan.len());
     let untouched =
-        Decoder::open(Cursor::new(encoded(noise(1), Settings::exact()))).unwrap().range_images(true);
+        Decoder::open(Cursor::new(encoded(noise(1), Settings::exact()))).unwrap().with_range_images(true);
     assert!(untouched.into_scans(..).next().unwrap().unwrap().range_image().is_none());
 }

@@ -1,5 +1,6 @@
 //! The positions of blanks, the records without a return: what the formula makes of a range of 0 (which has the signs of
 //! the direction), the same as the blank before (zeros, NaN, the place of the scanner), or anything else.
+//! FORMAT.md 8.19.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::varint::{unzigzag, zigzag};

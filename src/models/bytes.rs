@@ -1,6 +1,6 @@
 //! Bytes of no known meaning: file headers, fields of a record beside position and intensity,
 //! files that are no scans. Each bit mixed from counters in the contexts of the bytes before it
-//! and of the same place in the record before.
+//! and of the same place in the record before. FORMAT.md 8.1.
 
 use crate::entropy::{BitCoder, MixedBits};
 

@@ -1,4 +1,5 @@
 //! The corrections: what is added to the formula's coordinates, in units of the file's grid.
+//! FORMAT.md 8.7.
 
 mod tokens;
 

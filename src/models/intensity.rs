@@ -1,5 +1,5 @@
 //! The intensities: levels of a grid such as hundredths, coded bit by bit from counters in contexts of the
-//! neighbours' levels, which are few (light) or many (deep).
+//! neighbours' levels, which are few (light) or many (deep). FORMAT.md 8.5.
 
 mod deep;
 mod errors;
@@ -33,7 +33,7 @@ pub struct IntensityModel {
 
 impl IntensityModel {
     /// Sets whether the deep model is used from now on.
-    pub fn set_deep(&mut self, is_deep: bool) {
+    pub fn use_deep(&mut self, is_deep: bool) {
         self.is_deep = is_deep;
     }
 

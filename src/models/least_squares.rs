@@ -1,5 +1,5 @@
 //! Online least squares: the linear prediction that would have been best for what has been coded so far, with
-//! old errors forgotten exponentially.
+//! old errors forgotten exponentially. FORMAT.md 7.1.
 
 /// `N` weights, solved again every few samples from the running normal equations. `N` is a multiple of
 /// [`LANES`].

@@ -6,7 +6,6 @@
 mod blanks;
 mod bytes;
 pub(crate) mod channels;
-mod columns;
 mod correction;
 mod intensity;
 mod least_squares;
@@ -21,8 +20,7 @@ mod shape;
 
 pub use blanks::BlankModel;
 pub use bytes::ByteModel;
-pub use channels::{Beside, ChannelsModel};
-pub use columns::ColumnModel;
+pub use channels::{ChannelsModel, RecordContext};
 pub use correction::{CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
 pub use intensity::{
     INTENSITY_CONTEXTS, IntensityModel, IntensityNeighbours, IntensityReference, IntensityScale,

@@ -1,4 +1,4 @@
-//! Which cells of the range image hold a return.
+//! Which cells of the range image hold a return. FORMAT.md 8.3.
 
 mod tokens;
 
@@ -32,7 +32,7 @@ pub struct OccupancyModel {
 }
 
 /// The log odds that make coding fast, 1 to 12: most cells are this certain.
-const QUICKLY_SURE: f32 = 2.5;
+const SURE_IN_LIGHT: f32 = 2.5;
 
 impl Default for OccupancyModel {
     fn default() -> Self {
@@ -46,8 +46,8 @@ impl Default for OccupancyModel {
 
 impl OccupancyModel {
     /// Sets whether a few views decide alone, from now on, where they are certain.
-    pub fn set_quick(&mut self, is_quick: bool) {
-        self.sure = if is_quick { QUICKLY_SURE } else { f32::INFINITY };
+    pub fn use_light(&mut self, is_light: bool) {
+        self.sure = if is_light { SURE_IN_LIGHT } else { f32::INFINITY };
     }
 
     /// Codes every cell. `reference` is what an earlier frame has there.

@@ -1,4 +1,5 @@
 //! The order of the points in the file, where it differs from the one that the range image implies.
+//! FORMAT.md 8.8.
 //!
 //! In the implied order, strays take the places that are listed for them, and the returns of the image fill
 //! the others in file order. A return elsewhere is *moved*: it is listed with its place, and the rest close

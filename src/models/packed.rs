@@ -1,5 +1,6 @@
 //! Numbers in blocks, each block in as many bits as its largest number takes: nothing is faster. What is coded of a
 //! range is the difference to the one before, and of a level of intensity that to the least of its block.
+//! FORMAT.md 8.16.
 
 use pulp::NullaryFnOnce;
 

@@ -1,4 +1,5 @@
 //! Points one by one, for scans without a scanner model and for the strays of those with one.
+//! FORMAT.md 8.4.
 //!
 //! A point is predicted from those before it and from the nearest one of the preceding turn, if the points go
 //! round in turns: first its larger horizontal coordinate, then the other one along the expected direction,

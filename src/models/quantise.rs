@@ -1,4 +1,4 @@
-//! Numbers quantised to a few classes, to serve as contexts.
+//! Numbers quantised to a few classes, to serve as contexts. FORMAT.md 7.2 and 7.3.
 
 /// The sign and half-octave of a difference: 0 to 31, with 16 for no difference.
 #[inline]

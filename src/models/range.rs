@@ -1,5 +1,5 @@
 //! The ranges: a mixture of predictors gives each range a distribution. Interval after interval is halved
-//! under it, and counters in several contexts correct the probability of each half.
+//! under it, and counters in several contexts correct the probability of each half. FORMAT.md 8.6.
 //!
 //! The predictors of a return are its neighbours, the line through two of them, and an online least-squares
 //! fit. Where an earlier frame has a return in a cell, this adds two predictors, features of a least-squares
@@ -85,7 +85,7 @@ pub struct RangeModel {
     mixture: Mixture<PREDICTORS, 1>,
     /// The same for cells with a reference, once there was a reference.
     with_reference: Option<Box<WithReference>>,
-    /// The deep model, which replaces all this [once it is chosen](Self::go_deep).
+    /// The deep model, which replaces all this [once it is chosen](Self::use_deep).
     deep: Option<Box<DeepModel>>,
 }
 
@@ -145,7 +145,7 @@ struct Coded {
 
 impl RangeModel {
     /// Switches to the deep model, for all further frames of the group.
-    pub fn go_deep(&mut self) {
+    pub fn use_deep(&mut self) {
         self.deep.get_or_insert_default();
     }
 

@@ -1,5 +1,6 @@
 //! The shape of a prediction's error: a Gaussian core, from the sensor's noise, and a wide tail, from the
 //! edges of objects. Found on real scans: ranges on smooth surfaces have Gaussian noise.
+//! FORMAT.md 8.6.
 
 /// The table reaches this many standard deviations of the core to each side.
 const REACH: f64 = 40.0;

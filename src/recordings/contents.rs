@@ -9,10 +9,10 @@ use mcap::records::{Channel, MessageHeader, Record};
 use super::message::{self, Encoding};
 use super::pack::unpacked;
 use super::records::Records;
+use crate::container::{Stamp, Time, TimeSource, Unit};
 use crate::frame::settings::resolve_threads;
 use crate::ground::error::Result;
 use crate::library::Scan;
-use crate::stream::container::{Stamp, Time, TimeSource, Unit};
 use crate::stream::ordered::run_ordered;
 
 /// Which topics of clouds are meant.
@@ -29,12 +29,12 @@ impl TopicFilter {
 }
 
 /// The clouds of a recording, packed or not, one after the other, each with its time and, if there are several topics, as a
-/// stream of its own.
+/// track of its own.
 pub struct Clouds<'f, R> {
     records: Records<R>,
     filter: &'f TopicFilter,
     schemas: HashMap<u16, String>,
-    /// Channels of clouds, and the number of the stream of each.
+    /// Channels of clouds, and the number of the track of each.
     channels: HashMap<u16, (Encoding, u8)>,
     /// What is wrong with the recording; it was taken up to there.
     pub cut_short: Option<String>,
@@ -56,14 +56,14 @@ impl<'f, R: Read> Clouds<'f, R> {
         let schema = self.schemas.get(&channel.schema_id);
         let is_of_clouds = schema.is_some_and(|name| encoding.schemas().contains(&name.as_str()));
         if is_of_clouds && self.filter.takes(&channel.topic) && !self.channels.contains_key(&channel.id) {
-            let stream = self.channels.len().min(usize::from(u8::MAX)) as u8;
-            self.channels.insert(channel.id, (encoding, stream));
+            let track = self.channels.len().min(usize::from(u8::MAX)) as u8;
+            self.channels.insert(channel.id, (encoding, track));
         }
     }
 
     /// A cloud of a message; none if it is none.
     fn cloud(&self, header: &MessageHeader, data: &[u8]) -> Result<Option<Scan>> {
-        let Some(&(encoding, stream)) = self.channels.get(&header.channel_id) else { return Ok(None) };
+        let Some(&(encoding, track)) = self.channels.get(&header.channel_id) else { return Ok(None) };
         let unpacked = unpacked(data, encoding)?;
         let message = unpacked.as_ref().map_or(data, |(message, _)| message);
         let taken = message::scan(message, encoding);
@@ -72,7 +72,7 @@ impl<'f, R: Read> Clouds<'f, R> {
             return Ok(None);
         };
         let time = Time { source: TimeSource::Recording, nanoseconds: stamp };
-        Ok(Some(Scan::of_parts(scan, Stamp { unit: Unit::Points, stream, time: Some(time) })))
+        Ok(Some(Scan::of_parts(scan, Stamp { unit: Unit::Points, track, time: Some(time) })))
     }
 }
 

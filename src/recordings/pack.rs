@@ -9,14 +9,14 @@ use mcap::records::{Channel, MessageHeader, Record, SchemaHeader};
 use super::contents::TopicFilter;
 use super::message::{self, Encoding};
 use super::records::{Output, Records, numbers_in};
+use crate::container::{Stamp, Time, TimeSource, Unit};
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::ground::error::{Error, Result};
 use crate::library::{Decoder, Settings};
 use crate::stream::FrameInput;
-use crate::stream::container::{Stamp, Time, TimeSource, Unit};
 use crate::stream::encoder::encode_known;
 use crate::stream::ordered::run_ordered;
-use crate::stream::scanner_choice::{KeptScanners, Scanners};
+use crate::stream::scanner_choice::{DriveScanners, KeptScanners};
 
 /// The channels' metadata in which a packed recording keeps the number of the schema that a channel of clouds had, and the
 /// number of the channel of which a channel holds what is no cloud.
@@ -188,7 +188,7 @@ struct CloudChannel {
 /// How the clouds of a channel are compressed.
 struct PackedTopic {
     config: EncoderConfig,
-    scanners: Arc<Scanners>,
+    scanners: Arc<DriveScanners>,
     encoding: Encoding,
     others: Channel,
 }
@@ -286,7 +286,7 @@ impl PackedTopic {
         };
         let points = scan.records;
         let time = Time { source: TimeSource::Recording, nanoseconds: stamp };
-        let stamp = Stamp { unit: Unit::Message, stream: 0, time: Some(time) };
+        let stamp = Stamp { unit: Unit::Message, track: 0, time: Some(time) };
         let payload =
             encode_known(vec![FrameInput::scan(scan).stamped(stamp)], &self.scanners, &self.config)?;
         let packed = message::compress(&data, self.encoding, &payload)?;

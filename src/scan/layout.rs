@@ -1,4 +1,5 @@
 //! The fields of a file's records and how they are wrapped, and the serialised form of both.
+//! FORMAT.md 8.1.
 
 use super::text_format::{Scalar, TextFormat};
 use crate::ground::error::{Error, Result};

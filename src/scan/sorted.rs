@@ -1,5 +1,5 @@
 //! Files whose records were sorted by a channel: in order already, but by a sort that does not keep equal records in
-//! theirs.
+//! theirs. FORMAT.md 8.21.
 //!
 //! Programs that collect the points of a turn sort them by time. A scanner gives all points of a packet one time stamp, so
 //! the sort has nothing to do but that, and still it shuffles each packet's points. How it does depends on nothing but where

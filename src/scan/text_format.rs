@@ -1,4 +1,4 @@
-//! How the numbers of a text body (ascii PCD or PLY, or columns alone) are written.
+//! How the numbers of a text body (ascii PCD or PLY, or columns alone) are written. FORMAT.md 8.1 and 9.
 
 use crate::ground::error::{Error, Result};
 
@@ -17,6 +17,7 @@ pub enum Number {
 
 /// The type of a value in a record. All types are little-endian in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Scalar {
     /// Signed 8-bit integer.
     I8,

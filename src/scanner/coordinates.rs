@@ -1,7 +1,8 @@
 //! The grid of coordinates: whole millimetres, float32 values as they are, or, where an error is allowed, any
-//! coarser grid.
+//! coarser grid. FORMAT.md 3.4.
 
 use crate::ground::decimal;
+use crate::ground::float_order::{from_ordered, ordered};
 use crate::ground::rounding::round_ties_even;
 
 /// The grid of the coordinates. A *unit* is the distance between neighbouring values of that grid.
@@ -228,19 +229,6 @@ pub fn nearest_millimetre(formula: f64) -> f32 {
 /// The zero with the sign of `formula`. NaN counts as positive, because its sign differs between processors.
 fn zero_of(formula: f64) -> f32 {
     if !formula.is_nan() && formula.is_sign_negative() { -0.0 } else { 0.0 }
-}
-
-/// float32 values as integers in rising order; neighbours differ by one, and so do -0.0 and 0.0.
-pub(super) fn ordered(value: f32) -> i64 {
-    let bits = value.to_bits();
-    let key = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
-    i64::from(key) - (1 << 31)
-}
-
-/// The inverse of [`ordered`], for any integer: those that stand for no float32 are truncated to 32 bits.
-pub(super) fn from_ordered(unit: i64) -> f32 {
-    let key = unit.wrapping_add(1 << 31) as u32;
-    f32::from_bits(if key >> 31 == 1 { key & !(1 << 31) } else { !key })
 }
 
 #[cfg(test)]

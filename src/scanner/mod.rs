@@ -6,12 +6,12 @@ pub mod hdl64;
 pub mod motion;
 
 mod coordinates;
+mod family;
 mod ideal;
 mod range_image;
-#[allow(clippy::module_inception)]
-mod scanner;
 
 pub use coordinates::{Coordinates, nearest_millimetre};
+pub use family::{ColumnModels, Scanner};
 pub use hdl64::{
     Alignment, BeamConstants, EXACT_RANGE_BITS, FLOAT_RANGES, Hdl64, MOST_RANGE_STEP_UM, MOST_STEPS,
     MOST_TICKS, Projection, RANGE_STEP_UM, REACH, Refinement, Sighting, fit, positions, project,
@@ -20,4 +20,3 @@ pub use hdl64::{
 pub(crate) use hdl64::{BeamPoint, split_beams, thinned};
 pub use ideal::{ideal, ideal_of};
 pub use range_image::{Echo, RangeImage, Return};
-pub use scanner::{ColumnModels, Scanner};

@@ -7,6 +7,7 @@ use std::io::{Read, Seek};
 use super::options::DecodeOptions;
 use super::ordered::run_ordered;
 use super::source::{GroupJob, IndexedGroups, StreamedGroups};
+use crate::container::{CodedFrame, FrameHeader, IndexedReader, StreamReader};
 use crate::files;
 use crate::frame::group::{DecodedImage, DecodedScan, GroupDecoder};
 use crate::frame::parameters::Source;
@@ -15,7 +16,6 @@ use crate::frame::steps::StepReport;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
 use crate::scanner::Scanner;
-use crate::stream::container::{Frame, FrameHeader, IndexedReader, StreamReader};
 
 /// One decoded file. Whether it is the file that was encoded shows when its bytes are asked for, or by
 /// [`checked`](Self::checked).
@@ -30,7 +30,7 @@ pub struct DecodedFrame {
     /// What the file was before, if it is not given back exactly.
     pub source: Option<Source>,
     /// Whether it holds the points of the file before, and in their order.
-    pub in_order: bool,
+    pub keeps_order: bool,
     /// The range image, if there is one and it was asked for.
     pub image: Option<DecodedImage>,
     /// What each step of decoding took.
@@ -140,29 +140,29 @@ pub(crate) fn decode_group<T>(
 fn decode_frame<S: Borrow<Scanner>>(
     coder: &mut GroupDecoder<S>,
     number: u64,
-    frame: &Frame,
+    frame: &CodedFrame,
     options: &DecodeOptions,
 ) -> Result<Option<DecodedFrame>> {
     let header = frame.header.clone();
     let mut steps = StepReport::default();
-    let DecodedScan { scan, source, in_order, image, .. } =
+    let DecodedScan { scan, source, keeps_order, image, .. } =
         coder.decode_frame(&header, &frame.sections, &mut steps)?;
     if !options.frames.contains(number) {
         return Ok(None);
     }
-    Ok(Some(DecodedFrame { number, header, scan, source, in_order, image, steps }))
+    Ok(Some(DecodedFrame { number, header, scan, source, keeps_order, image, steps }))
 }
 
 /// A group that is decoded as far as it is asked for, and goes on from there.
-pub(crate) struct OpenGroup {
+pub(crate) struct PartlyDecodedGroup {
     /// Number of the next frame.
     next: u64,
     coder: GroupDecoder<Scanner>,
     /// Those that are not decoded yet.
-    coded: VecDeque<Frame>,
+    coded: VecDeque<CodedFrame>,
 }
 
-impl OpenGroup {
+impl PartlyDecodedGroup {
     /// A group of which nothing is decoded yet.
     ///
     /// # Errors
@@ -170,7 +170,7 @@ impl OpenGroup {
     pub fn new(job: GroupJob, limits: &Limits, images: bool) -> Result<Self> {
         let scanners = job.models()?.into_iter().map(Option::<&Scanner>::cloned);
         let coder = GroupDecoder::new(scanners, limits).keeping_images(images);
-        Ok(OpenGroup { next: job.first_frame, coder, coded: job.group.frames.into() })
+        Ok(PartlyDecodedGroup { next: job.first_frame, coder, coded: job.group.frames.into() })
     }
 
     /// The next frame; `None` after the last. It is not [checked](DecodedFrame::checked).

@@ -3,10 +3,10 @@
 use std::io::Write;
 
 use super::encoder::EncodedGroup;
+use crate::container::{CodedFrame, FrameHeader, Index, ScannerRecord, SectionKind, StreamWriter, Unit};
 use crate::frame::parameters::Source;
 use crate::frame::steps::StepReport;
 use crate::ground::error::Result;
-use crate::stream::container::{Frame, FrameHeader, Index, ScannerRecord, SectionKind, StreamWriter, Unit};
 
 /// What was encoded.
 #[derive(Clone, Debug, Default)]
@@ -57,7 +57,7 @@ pub(crate) struct FrameOfStream {
 impl FrameOfStream {
     /// # Errors
     /// If the frame's parameters are damaged.
-    pub(crate) fn of(frame: &Frame, steps: StepReport) -> Result<Self> {
+    pub(crate) fn of(frame: &CodedFrame, steps: StepReport) -> Result<Self> {
         let is_modelled = frame.header.stamp.unit == Unit::Beside
             || frame.sections.iter().all(|section| section.kind != SectionKind::Bytes);
         Ok(FrameOfStream { header: frame.header.clone(), steps, source: Source::of(frame)?, is_modelled })

@@ -7,13 +7,13 @@ use std::mem;
 use super::encoded::{Encoded, OpenStream};
 use super::input::{FrameInput, ReadFrame};
 use super::ordered::run_ordered;
-use super::scanner_choice::{Scanners, choose_scanners, records_of};
+use super::scanner_choice::{DriveScanners, choose_scanners, records_of};
+use crate::container::{CodedFrame, FrameHeader, Group};
 use crate::frame::group::GroupEncoder;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::frame::steps::StepReport;
 use crate::ground::error::{Limits, Result};
 use crate::scan::ScanFile;
-use crate::stream::container::{Frame, FrameHeader, Group};
 
 /// A group is closed early when its files reach this many bytes together: decoders hold a whole
 /// group in memory.
@@ -36,7 +36,7 @@ pub fn encode<W: Write>(
 }
 
 /// As [`encode`], of frames that are yet to come: each group is written as soon as it is coded, which does
-/// not wait for the frame after it. Scanners are fitted to the first group; streams that begin later are coded
+/// not wait for the frame after it. Scanners are fitted to the first group; tracks that begin later are coded
 /// without. A few groups are in memory at a time.
 ///
 /// # Errors
@@ -62,7 +62,11 @@ pub fn encode_live<W: Write>(
 ///
 /// # Errors
 /// As [`encode`].
-pub fn encode_known(frames: Vec<FrameInput>, scanners: &Scanners, config: &EncoderConfig) -> Result<Vec<u8>> {
+pub fn encode_known(
+    frames: Vec<FrameInput>,
+    scanners: &DriveScanners,
+    config: &EncoderConfig,
+) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let scanners = std::slice::from_ref(scanners);
     let mut stream = OpenStream::begin(&mut bytes, &records_of(scanners))?;
@@ -73,7 +77,7 @@ pub fn encode_known(frames: Vec<FrameInput>, scanners: &Scanners, config: &Encod
 
 /// Encodes groups of frames.
 fn encode_groups<'f, W: Write>(
-    scanners: &[Scanners],
+    scanners: &[DriveScanners],
     groups: impl Iterator<Item = Result<Cow<'f, [FrameInput]>>> + Send,
     config: &EncoderConfig,
     out: W,
@@ -98,14 +102,18 @@ pub(crate) fn groups_of<'f>(
 /// What all groups of a sequence share.
 pub(crate) struct SequenceCoder<'a> {
     /// Of each drive.
-    scanners: &'a [Scanners],
+    scanners: &'a [DriveScanners],
     config: &'a EncoderConfig,
     on_frame: &'a (dyn Fn() + Sync),
 }
 
 impl<'a> SequenceCoder<'a> {
     /// For groups of drives with these scanners.
-    pub fn new(scanners: &'a [Scanners], config: &'a EncoderConfig, on_frame: &'a (dyn Fn() + Sync)) -> Self {
+    pub fn new(
+        scanners: &'a [DriveScanners],
+        config: &'a EncoderConfig,
+        on_frame: &'a (dyn Fn() + Sync),
+    ) -> Self {
         SequenceCoder { scanners, config, on_frame }
     }
 
@@ -129,12 +137,12 @@ impl<'a> SequenceCoder<'a> {
     pub fn encode_frames(&self, inputs: Vec<FrameInput>) -> Result<Vec<EncodedGroup>> {
         let mut groups = Vec::new();
         let drive = inputs.first().map_or(0, FrameInput::drive);
-        let mut open = OpenGroup::new(self, drive);
+        let mut open = GroupInProgress::new(self, drive);
         for input in inputs {
             let path = input.path();
             let frame = input.into_frame(self.config.headerless.as_ref())?;
             if !open.has_room_for(&frame) {
-                groups.push(mem::replace(&mut open, OpenGroup::new(self, drive)).encoded);
+                groups.push(mem::replace(&mut open, GroupInProgress::new(self, drive)).encoded);
             }
             open.encode_frame(frame).map_err(|e| e.at(path))?;
             (self.on_frame)();
@@ -156,18 +164,18 @@ pub(crate) struct EncodedGroup {
 }
 
 /// A group that is being encoded.
-struct OpenGroup<'s> {
-    scanners: &'s Scanners,
+struct GroupInProgress<'s> {
+    scanners: &'s DriveScanners,
     coder: GroupEncoder<'s>,
     encoded: EncodedGroup,
 }
 
-impl<'s> OpenGroup<'s> {
+impl<'s> GroupInProgress<'s> {
     fn new(sequence: &SequenceCoder<'s>, drive: usize) -> Self {
         let scanners = &sequence.scanners[drive];
         let group = Group { scanners: scanners.ids.clone(), frames: Vec::new() };
         let models: Vec<_> = scanners.models.iter().map(Option::as_ref).collect();
-        OpenGroup {
+        GroupInProgress {
             scanners,
             coder: GroupEncoder::new(&models, sequence.config),
             encoded: EncodedGroup { group, steps: Vec::new(), originals: Vec::new(), file_bytes: 0 },
@@ -183,16 +191,16 @@ impl<'s> OpenGroup<'s> {
         let ReadFrame { header: original, scan } = frame;
         let scan = within_limits(scan)?;
         let mut original = original;
-        original.stamp.stream = self.scanners.stream_of(original.stamp.stream, &scan);
-        let streams = usize::from(original.stamp.stream) + 1;
+        original.stamp.track = self.scanners.track_of(original.stamp.track, &scan);
+        let tracks = usize::from(original.stamp.track) + 1;
         let scanners = &mut self.encoded.group.scanners;
-        scanners.resize(scanners.len().max(streams), None);
+        scanners.resize(scanners.len().max(tracks), None);
         let original = FrameHeader { point_count: scan.records as u64, ..original };
         self.encoded.file_bytes += original.file_size;
         self.encoded.originals.push(original.clone());
         let frame = self.coder.encode_frame(scan, original)?;
         self.encoded.steps.push(frame.steps);
-        self.encoded.group.frames.push(Frame { header: frame.header, sections: frame.sections });
+        self.encoded.group.frames.push(CodedFrame { header: frame.header, sections: frame.sections });
         Ok(())
     }
 }

@@ -3,15 +3,15 @@
 use std::fs;
 use std::path::PathBuf;
 
+use crate::container::{FrameHeader, Stamp, TRACKS_MAX, Unit};
+#[cfg(feature = "cli")]
+use crate::container::{Time, TimeSource};
 use crate::files::names::check_name;
 #[cfg(feature = "cli")]
 use crate::files::sequence::FoundFile;
 use crate::files::{self, HeaderlessLayout, parse_with};
 use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
-use crate::stream::container::{FrameHeader, STREAMS_MAX, Stamp, Unit};
-#[cfg(feature = "cli")]
-use crate::stream::container::{Time, TimeSource};
 
 /// One frame to encode.
 #[derive(Clone, Debug)]
@@ -62,8 +62,8 @@ impl FrameInput {
         FrameInput { data: Data::Scan(Box::new(scan)), stamp, drive: 0 }
     }
 
-    /// The same, saying what it is, of which stream, and of when; if this is not said, it is a file of the
-    /// first stream, of which no time is known.
+    /// The same, saying what it is, of which track, and of when; if this is not said, it is a file of the
+    /// first track, of which no time is known.
     pub fn stamped(self, stamp: Stamp) -> Self {
         FrameInput { stamp, ..self }
     }
@@ -98,7 +98,7 @@ impl FrameInput {
         self.drive
     }
 
-    /// What it is, of which stream, and of when.
+    /// What it is, of which track, and of when.
     pub fn stamp(&self) -> Stamp {
         self.stamp
     }
@@ -160,7 +160,7 @@ impl FrameInput {
     }
 
     fn into_bytes(self) -> Result<Vec<u8>> {
-        check_limit("bytes of a file", self.size()?, Limits::default().file_bytes)
+        Error::check_limit("bytes of a file", self.size()?, Limits::default().file_bytes)
             .map_err(|e| e.at(self.path()))?;
         let is_folder = self.is_folder();
         match self.data {
@@ -174,7 +174,7 @@ impl FrameInput {
     /// The frame, taken apart. `headerless` says what the records of files without a header hold.
     ///
     /// # Errors
-    /// As [`read`](Self::read) and [`name`](Self::name); also if no group has so many streams.
+    /// As [`read`](Self::read) and [`name`](Self::name); also if no group has so many tracks.
     pub(crate) fn into_frame(self, headerless: Option<&HeaderlessLayout>) -> Result<ReadFrame> {
         let path = self.path();
         self.try_into_frame(headerless).map_err(|error| match error {
@@ -184,12 +184,12 @@ impl FrameInput {
     }
 
     fn try_into_frame(self, headerless: Option<&HeaderlessLayout>) -> Result<ReadFrame> {
-        check_limit("number of a frame's stream", self.stamp.stream.into(), STREAMS_MAX - 1)?;
+        Error::check_limit("number of a frame's track", self.stamp.track.into(), TRACKS_MAX - 1)?;
         let (name, stamp) = (self.name()?.to_owned(), self.stamp);
         let (header, scan) = match self.data {
             Data::Scan(scan) => {
                 if stamp.unit == Unit::Points {
-                    check_limit("points of a scan", scan.records as u64, Limits::default().points)?;
+                    Error::check_limit("points of a scan", scan.records as u64, Limits::default().points)?;
                 }
                 (header_of(&scan)?, *scan)
             }
@@ -202,7 +202,7 @@ impl FrameInput {
                 }
             }
         };
-        check_limit("bytes of a file", header.file_size, Limits::default().file_bytes)?;
+        Error::check_limit("bytes of a file", header.file_size, Limits::default().file_bytes)?;
         let point_count = scan.records as u64;
         Ok(ReadFrame { header: FrameHeader { stamp, point_count, ..header }, scan })
     }
@@ -210,9 +210,9 @@ impl FrameInput {
     /// The header of a frame that decodes to these bytes; its points are not counted yet.
     ///
     /// # Errors
-    /// As [`name`](Self::name); also if no group has so many streams.
+    /// As [`name`](Self::name); also if no group has so many tracks.
     pub(crate) fn header(&self, bytes: &[u8]) -> Result<FrameHeader> {
-        check_limit("number of a frame's stream", self.stamp.stream.into(), STREAMS_MAX - 1)?;
+        Error::check_limit("number of a frame's track", self.stamp.track.into(), TRACKS_MAX - 1)?;
         Ok(FrameHeader { stamp: self.stamp, ..FrameHeader::of(self.name()?, bytes, 0) })
     }
 }
@@ -226,9 +226,4 @@ fn header_of(scan: &ScanFile) -> Result<FrameHeader> {
         Ok(())
     })?;
     Ok(header)
-}
-
-/// An error if decoders would refuse what is encoded.
-fn check_limit(what: &'static str, got: u64, max: u64) -> Result<()> {
-    if got > max { Err(Error::over_limit(what, got, max)) } else { Ok(()) }
 }

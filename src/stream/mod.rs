@@ -2,7 +2,6 @@
 //!
 //! Groups are independent, so they are coded in parallel, and delivered in order.
 
-pub mod container;
 pub mod decoder;
 pub mod encoded;
 pub mod encoder;
@@ -18,7 +17,7 @@ pub use encoded::Encoded;
 pub use encoder::{encode, encode_known, encode_live};
 pub use input::FrameInput;
 pub use options::{DecodeOptions, FrameRange};
-pub use scanner_choice::Scanners;
+pub use scanner_choice::DriveScanners;
 
 #[cfg(all(test, feature = "cli"))]
 mod tests;

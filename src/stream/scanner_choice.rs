@@ -1,4 +1,4 @@
-//! The scanners of a sequence: fitted to a sample of each stream, or the article's.
+//! The scanners of a sequence: fitted to a sample of each track, or the article's.
 
 use std::sync::Arc;
 
@@ -7,31 +7,31 @@ use rayon::prelude::*;
 use super::input::FrameInput;
 use super::ordered::pool;
 use super::source::record_of;
+use crate::container::{ScannerId, ScannerRecord, Unit};
 use crate::frame::Positions;
 use crate::frame::settings::{Coder, EncoderConfig, ProjectionKind, resolve_threads};
 use crate::ground::error::Result;
 use crate::scan::{ScanFile, sorted};
-use crate::scanner::motion::{self, stamped};
+use crate::scanner::motion::{self, by_time};
 use crate::scanner::{self, Scanner};
-use crate::stream::container::{ScannerId, ScannerRecord, Unit};
 
 /// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 
 /// The scanners of a drive.
-pub struct Scanners {
-    /// That of each stream, if there is a model that it fits.
+pub struct DriveScanners {
+    /// That of each track, if there is a model that it fits.
     pub models: Vec<Option<Scanner>>,
     /// What groups call these.
     pub ids: Vec<Option<ScannerId>>,
     /// What is written of them: each once.
     pub records: Vec<ScannerRecord>,
-    /// Whether frames of one stream are of several scanners: each is then coded in the stream of its own.
+    /// Whether frames of one track are of several scanners: each is then coded in the track of its own.
     pub are_mixed: bool,
 }
 
-impl Scanners {
-    /// One for each stream.
+impl DriveScanners {
+    /// One for each track.
     pub fn new(models: Vec<Option<Scanner>>) -> Self {
         let mut records = Vec::new();
         let mut name = |model: &Option<Scanner>| {
@@ -43,7 +43,7 @@ impl Scanners {
             Some(id)
         };
         let ids = models.iter().map(&mut name).collect();
-        Scanners { models, ids, records, are_mixed: false }
+        DriveScanners { models, ids, records, are_mixed: false }
     }
 }
 
@@ -51,9 +51,9 @@ impl Scanners {
 ///
 /// # Errors
 /// If a file cannot be read.
-pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<Scanners>> {
+pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> Result<Vec<DriveScanners>> {
     let last = frames.iter().map(FrameInput::drive).max().unwrap_or(0);
-    let mut scanners: Vec<_> = (0..=last).map(|_| Scanners::new(vec![None])).collect();
+    let mut scanners: Vec<_> = (0..=last).map(|_| DriveScanners::new(vec![None])).collect();
     for frames in frames.chunk_by(|one, next| one.drive() == next.drive()) {
         if frames[0].stamp().unit != Unit::Beside {
             scanners[frames[0].drive()] = scanners_of_drive(frames, config)?;
@@ -66,7 +66,7 @@ pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> 
 /// last of a few.
 #[derive(Clone, Default)]
 pub(crate) struct KeptScanners {
-    kept: Option<Arc<Scanners>>,
+    kept: Option<Arc<DriveScanners>>,
     tries: usize,
 }
 
@@ -75,7 +75,11 @@ impl KeptScanners {
     ///
     /// # Errors
     /// If it cannot be read.
-    pub fn for_next(&mut self, frame: Option<&FrameInput>, config: &EncoderConfig) -> Result<Arc<Scanners>> {
+    pub fn for_next(
+        &mut self,
+        frame: Option<&FrameInput>,
+        config: &EncoderConfig,
+    ) -> Result<Arc<DriveScanners>> {
         /// Frames in which a scanner is looked for.
         const MOST_TRIES: usize = 5;
         if let Some(kept) = self.kept.as_ref().filter(|_| self.tries >= MOST_TRIES) {
@@ -93,7 +97,7 @@ impl KeptScanners {
 }
 
 /// The records of the scanners of several drives: each once.
-pub(crate) fn records_of(scanners: &[Scanners]) -> Vec<ScannerRecord> {
+pub(crate) fn records_of(scanners: &[DriveScanners]) -> Vec<ScannerRecord> {
     let mut records: Vec<ScannerRecord> = Vec::new();
     for record in scanners.iter().flat_map(|scanners| &scanners.records) {
         if !records.contains(record) {
@@ -103,35 +107,35 @@ pub(crate) fn records_of(scanners: &[Scanners]) -> Vec<ScannerRecord> {
     records
 }
 
-fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<Scanners> {
-    let last = frames.iter().map(|frame| frame.stamp().stream).max().unwrap_or(0);
+fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<DriveScanners> {
+    let last = frames.iter().map(|frame| frame.stamp().track).max().unwrap_or(0);
     let mut models = Vec::new();
-    for stream in 0..=last {
-        let frames: Vec<_> = frames.iter().filter(|frame| frame.stamp().stream == stream).collect();
-        let mut of_stream = choose_models(&frames, config)?.into_iter();
-        models.push(of_stream.next());
+    for track in 0..=last {
+        let frames: Vec<_> = frames.iter().filter(|frame| frame.stamp().track == track).collect();
+        let mut of_track = choose_models(&frames, config)?.into_iter();
+        models.push(of_track.next());
         if last == 0 {
-            models.extend(of_stream.map(Some));
+            models.extend(of_track.map(Some));
         }
     }
     let are_mixed = last == 0 && models.len() > 1;
-    Ok(Scanners { are_mixed, ..Scanners::new(models) })
+    Ok(DriveScanners { are_mixed, ..DriveScanners::new(models) })
 }
 
-impl Scanners {
-    /// The stream in which a frame is coded: its own, or if scanners are mixed, that of the one that explains most of it.
-    pub fn stream_of(&self, own: u8, scan: &ScanFile) -> u8 {
+impl DriveScanners {
+    /// The track in which a frame is coded: its own, or if scanners are mixed, that of the one that explains most of it.
+    pub fn track_of(&self, own: u8, scan: &ScanFile) -> u8 {
         if !self.are_mixed {
             return own;
         }
         let share = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, |one| one.share(&scan.cloud));
-        let shares = (0u8..).zip(&self.models).map(|(stream, scanner)| (stream, share(scanner)));
+        let shares = (0u8..).zip(&self.models).map(|(track, scanner)| (track, share(scanner)));
         // The first of equals.
         shares.fold((own, 0.0), |best, next| if next.1 > best.1 { next } else { best }).0
     }
 }
 
-/// The models of the scanners of a stream that these frames are of: more than one if the first does not explain the
+/// The models of the scanners of a track that these frames are of: more than one if the first does not explain the
 /// whole sample.
 fn choose_models(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
     Ok(match config.projection {
@@ -182,7 +186,7 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
             sample.retain(|scan| {
                 // What was moved by time stamps is known to be this scanner's only when it is moved back.
                 let is_moved =
-                    || scanner.firings().is_some_and(|own| stamped::undo(&scan.cloud, own).is_some());
+                    || scanner.firings().is_some_and(|own| by_time::undo(&scan.cloud, own).is_some());
                 scanner.share(&scan.cloud) < LEAST_SHARE && !is_moved()
             });
             found.push(scanner);

@@ -5,17 +5,17 @@ use std::io::{Read, Seek};
 use std::sync::Arc;
 
 use super::options::FrameRange;
-use crate::ground::error::{Error, Result};
-use crate::scanner::Scanner;
-use crate::stream::container::{
+use crate::container::{
     Group, GroupEntry, Index, IndexedReader, Record, ScannerId, ScannerRecord, StreamReader,
 };
+use crate::ground::error::{Error, Result};
+use crate::scanner::Scanner;
 
 /// A group, with all that it takes to decode or to copy it.
 pub struct GroupJob {
     /// Number of its first frame in the sequence.
     pub first_frame: u64,
-    /// The scanner of each stream of the group, if it has one.
+    /// The scanner of each track of the group, if it has one.
     pub scanners: Vec<Option<Arc<StoredScanner>>>,
     pub group: Group,
 }
@@ -74,7 +74,7 @@ const KEPT_SCANNERS: usize = 16;
 pub(crate) struct UsedScanners(Vec<(ScannerId, Arc<StoredScanner>)>);
 
 impl UsedScanners {
-    /// The scanners of a group's streams; `read` gives those that are not kept.
+    /// The scanners of a group's tracks; `read` gives those that are not kept.
     pub fn of_group(
         &mut self,
         group: &Group,

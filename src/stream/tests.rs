@@ -3,13 +3,13 @@
 use std::io::Cursor;
 
 use super::*;
-use crate::edit::{Named, cat, cut};
-use crate::frame::*;
-use crate::ground::error::{Error, Limits, Result};
-use crate::stream::container::{
+use crate::container::{
     Group, Record, ScannerId, ScannerRecord, Section, SectionKind, Stamp, StreamReader, StreamWriter, Time,
     TimeSource, Unit,
 };
+use crate::edit::{Named, cat, cut};
+use crate::frame::*;
+use crate::ground::error::{Error, Limits, Result};
 use crate::study::synth::{SynthConfig, drive};
 
 /// Seven files: scans, an empty one, an odd one, and one that is no scan.
@@ -156,7 +156,7 @@ fn a_frame_that_decodes_to_something_else_is_an_error() {
     let stream = encode_files(&sample_files()[..1], 1, 1);
     let mut reader = StreamReader::open(&stream[..], Limits::default()).unwrap();
     let Some(Record::Group(group)) = reader.next_record().unwrap() else { panic!("no group") };
-    let recoded = |change: &dyn Fn(&mut crate::stream::container::FrameHeader)| {
+    let recoded = |change: &dyn Fn(&mut crate::container::FrameHeader)| {
         let mut group = group.clone();
         change(&mut group.frames[0].header);
         let mut writer = StreamWriter::create(Vec::new()).unwrap();
@@ -178,14 +178,14 @@ fn names_that_no_decoder_would_write_are_refused() {
     }
 }
 
-/// The frames of a scanner that stands still, as messages of a stream of a recording.
-fn messages(stream: u8, config: SynthConfig) -> Vec<FrameInput> {
+/// The frames of a scanner that stands still, as messages of a track of a recording.
+fn messages(track: u8, config: SynthConfig) -> Vec<FrameInput> {
     let still = SynthConfig { frames: 4, speed: 0.0, yaw_rate: 0.0, noise: 0.004, ..config };
     let message = |(number, frame): (i64, crate::study::synth::SynthFrame)| {
-        let nanoseconds = -100_000_000 * number - i64::from(stream);
+        let nanoseconds = -100_000_000 * number - i64::from(track);
         let time = Some(Time { source: TimeSource::Recording, nanoseconds });
-        let name = format!("{stream}-{number}.bin");
-        FrameInput::memory(name, frame.to_bin()).stamped(Stamp { unit: Unit::Message, stream, time })
+        let name = format!("{track}-{number}.bin");
+        FrameInput::memory(name, frame.to_bin()).stamped(Stamp { unit: Unit::Message, track, time })
     };
     (0..).zip(drive(&still)).map(message).collect()
 }
@@ -244,18 +244,18 @@ fn two_scanners_that_take_turns_cost_what_they_cost_alone() {
     let both = encoded(&turns);
     assert_decodes_to(&both, &turns);
     let other_alone: Vec<_> =
-        other.iter().map(|input| input.clone().stamped(Stamp { stream: 0, ..input.stamp() })).collect();
+        other.iter().map(|input| input.clone().stamped(Stamp { track: 0, ..input.stamp() })).collect();
     let alone = [encoded(&one), encoded(&other_alone)];
     let [first, second] = [records(&alone[0]), records(&alone[1])];
 
-    // The same scanners, and the very sections that each frame has alone: P frames of its own stream's past.
+    // The same scanners, and the very sections that each frame has alone: P frames of its own track's past.
     let (scanners, groups) = records(&both);
     assert_eq!(scanners, [first.0, second.0].concat());
     assert_eq!(groups.len(), 1);
     assert_eq!(groups[0].scanners, ids(&scanners));
-    let sections = |groups: &[Group], stream: u8| -> Vec<_> {
+    let sections = |groups: &[Group], track: u8| -> Vec<_> {
         let frames = groups.iter().flat_map(|group| &group.frames);
-        let frames = frames.filter(|frame| frame.header.stamp.stream == stream);
+        let frames = frames.filter(|frame| frame.header.stamp.track == track);
         frames.map(|frame| frame.sections.clone()).collect()
     };
     assert!(sections(&groups, 0) == sections(&first.1, 0) && sections(&groups, 1) == sections(&second.1, 0));
@@ -267,7 +267,7 @@ fn two_scanners_that_take_turns_cost_what_they_cost_alone() {
 }
 
 #[test]
-fn streams_that_take_turns_are_cut_inside_a_group() {
+fn tracks_that_take_turns_are_cut_inside_a_group() {
     let one = messages(0, SynthConfig { beams: 8, seed: 1, ..SynthConfig::default() });
     let other = messages(1, SynthConfig { beams: 4, seed: 2, ..SynthConfig::default() });
     let turns: Vec<_> = one.iter().zip(&other).flat_map(|(a, b)| [a.clone(), b.clone()]).collect();
@@ -282,7 +282,7 @@ fn streams_that_take_turns_are_cut_inside_a_group() {
 }
 
 #[test]
-fn streams_that_begin_late_in_a_live_sequence_have_no_scanner() {
+fn tracks_that_begin_late_in_a_live_sequence_have_no_scanner() {
     let one = messages(0, SynthConfig { beams: 8, seed: 1, ..SynthConfig::default() });
     let late = messages(2, SynthConfig { beams: 8, seed: 2, ..SynthConfig::default() });
     let inputs = [&one[..], &late[..2]].concat();
@@ -294,9 +294,9 @@ fn streams_that_begin_late_in_a_live_sequence_have_no_scanner() {
     let used = groups.iter().map(|group| &group.scanners[..]).collect::<Vec<_>>();
     assert_eq!(used, [&[Some(first)][..], &[Some(first), None, None]]);
 
-    let last = Stamp { stream: 255, ..Stamp::default() };
+    let last = Stamp { track: 255, ..Stamp::default() };
     let result = encode(&[one[0].clone().stamped(last)], &config, Vec::new(), &|| ());
-    assert!(result.is_err(), "no group has 256 streams");
+    assert!(result.is_err(), "no group has 256 tracks");
 }
 
 #[test]

@@ -15,11 +15,9 @@ use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
+use lidarpc::internals::container::{Group, Record, ScannerRecord, SectionKind, StreamReader, StreamWriter};
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::ground::error::{Limits, Result};
-use lidarpc::internals::stream::container::{
-    Group, Record, ScannerRecord, SectionKind, StreamReader, StreamWriter,
-};
 use lidarpc::internals::stream::{DecodeOptions, DecodedFrame, FrameInput, decode, decode_indexed, encode};
 use proptest::test_runner::{Config, FileFailurePersistence};
 

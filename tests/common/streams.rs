@@ -4,13 +4,13 @@ use std::sync::LazyLock;
 
 use lidarpc::internals::article::image_coding::ImageCodec;
 use lidarpc::internals::backend::{self, BACKENDS, Level};
+use lidarpc::internals::container::{FrameHeader, Group, ScannerRecord, Section, SectionKind};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::internals::scanner::Scanner;
 use lidarpc::internals::scanner::firings::Recipe;
 use lidarpc::internals::scanner::motion::world::{Correction, Knot, Pose, Times, World};
-use lidarpc::internals::stream::container::{FrameHeader, Group, ScannerRecord, Section, SectionKind};
-use lidarpc::internals::stream::{FrameInput, Scanners, encode_known};
+use lidarpc::internals::stream::{DriveScanners, FrameInput, encode_known};
 
 use super::firings::{image, made_up, moved_by_stamps, points, sorted, timed, with_echoes};
 use super::formats::{kitti, pcd_extra, pcd_stamped, pcd_text};
@@ -182,7 +182,8 @@ impl Known {
     pub fn encode(&self, files: &[File], config: &EncoderConfig) -> Vec<u8> {
         let inputs = files.iter().map(|(name, bytes)| FrameInput::memory(name.clone(), bytes.clone()));
         let config = EncoderConfig { gop: files.len().max(1), threads: 1, ..config.clone() };
-        encode_known(inputs.collect(), &Scanners::new(vec![self.scanner.clone()]), &config).expect("encodes")
+        encode_known(inputs.collect(), &DriveScanners::new(vec![self.scanner.clone()]), &config)
+            .expect("encodes")
     }
 }
 

@@ -25,7 +25,7 @@ def frames(data):
     for group in groups(data):
         decoders = [Decoder(scanner) for scanner in group.scanners]
         for frame in group.frames:
-            yield frame, decoders[frame.stream].frame(frame)
+            yield frame, decoders[frame.track].frame(frame)
 
 
 def main():

@@ -95,11 +95,11 @@ class Reader:
 
 
 def stamp(reader):
-    """Of a frame, in its header and in the index: unit, stream, time_source, time."""
-    unit, stream, time_source = reader.varint(), reader.varint(), reader.varint()
-    if unit > BESIDE or stream > 254 or time_source > 3:
-        raise Refused("an unknown unit, stream or source of time")
-    return unit, stream, time_source, reader.svarint() if time_source else None
+    """Of a frame, in its header and in the index: unit, track, time_source, time."""
+    unit, track, time_source = reader.varint(), reader.varint(), reader.varint()
+    if unit > BESIDE or track > 254 or time_source > 3:
+        raise Refused("an unknown unit, track or source of time")
+    return unit, track, time_source, reader.svarint() if time_source else None
 
 
 class Frame:
@@ -112,9 +112,9 @@ class Frame:
             raise Refused("a name is too long")
         self.name = str(reader.take(length), "utf-8")
         self.stamp = stamp(reader)
-        self.stream = self.stamp[1]
-        if self.stream >= scanner_count:
-            raise Refused("a frame of a stream that its group does not have")
+        self.track = self.stamp[1]
+        if self.track >= scanner_count:
+            raise Refused("a frame of a track that its group does not have")
         self.file_size = reader.varint()
         self.file_crc = reader.unsigned(4)
         self.point_count = reader.varint()
@@ -137,7 +137,7 @@ class Group:
         reader = Reader(payload)
         count = reader.varint()
         if not 1 <= count <= 255:
-            raise Refused("a group of no streams, or too many")
+            raise Refused("a group of no tracks, or too many")
         names = [reader.varint() for _ in range(count)]
         if any(name and name - 1 not in scanners for name in names):
             raise Refused("a group has a scanner that does not stand before it")

@@ -77,7 +77,7 @@ class Parameters:
 
 
 class Returns:
-    """What the images of a stream, or one half of them, have taught: 8.3, 8.5 and 8.6."""
+    """What the images of a track, or one half of them, have taught: 8.3, 8.5 and 8.6."""
 
     def __init__(self):
         self.occupancy = sections.Occupancy()
@@ -134,7 +134,7 @@ class Returns:
 
 
 class Decoder:
-    """The frames of one stream of a group, in order."""
+    """The frames of one track of a group, in order."""
 
     def __init__(self, scanner):
         if isinstance(scanner, Unknown):

@@ -1,5 +1,5 @@
 //! The contour map (article, IV-D.1): the region that each return belongs to, as borders and what lies
-//! between them. The same functions code it in both directions.
+//! between them. The same functions code it in both directions. FORMAT.md 8.11.
 //!
 //! A return is on a border if the next return to its right or below it, however far away, belongs to another
 //! region. The bitmap of borders is coded in blocks of 4 x 4 cells. A return that is not on a border is

@@ -1,5 +1,5 @@
 //! Lossy image coding of the residuals of ranges (article, IV-D.2 and VI-C): JPEG and JPEG 2000, in passes,
-//! each of which codes the error left by those before.
+//! each of which codes the error left by those before. FORMAT.md 8.14.
 //!
 //! Neither format knows empty cells: the encoder fills them so that they cost little, and the decoder ignores
 //! them. The images' headers follow from the settings and are not in the stream, so that the libraries see

@@ -1,6 +1,6 @@
 //! Snake prediction (article, V-C): each pixel is predicted from the one before it on a path that runs
 //! through the rows in alternating directions, so that the first pixel of a row has its reference right
-//! above.
+//! above. FORMAT.md 8.13.
 
 use crate::ground::grid::Grid;
 use crate::inter::snake_path as path;

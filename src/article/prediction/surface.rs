@@ -1,5 +1,5 @@
 //! Models of a region's surface (article, IV-C) in the form that they have in the stream, and the ranges that
-//! they predict.
+//! they predict. FORMAT.md 8.12.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::varint::{unzigzag, zigzag};

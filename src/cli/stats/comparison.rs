@@ -89,11 +89,11 @@ impl Comparison {
             true => self.identical_files += 1,
             false => self.differing_files += 1,
         }
-        let in_order = frame.in_order;
+        let keeps_order = frame.keeps_order;
         let decoded = frame.scan;
         let original = parse_like(&decoded, &frame.header.name, original);
         let (original, decoded) = (&original.cloud, &decoded.cloud);
-        if in_order {
+        if keeps_order {
             self.paired.add(original, decoded);
             match &mut self.psnr {
                 None => return Ok(()),
@@ -105,7 +105,7 @@ impl Comparison {
             }
         }
         let Some(pairs) = NearestPairs::of(original, decoded) else { return Ok(()) };
-        if !in_order {
+        if !keeps_order {
             self.to_original.add_nearest(&pairs.decoded, &pairs.of_decoded);
             self.to_decoded.add_nearest(&pairs.original, &pairs.of_original);
         }

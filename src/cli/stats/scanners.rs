@@ -3,17 +3,17 @@
 use std::io::{self, Write};
 
 use crate::cli::table;
+use crate::container::{Group, ScannerId, ScannerRecord};
 use crate::frame::group::{Explained, GroupDecoder};
 use crate::frame::{FrameParameters, Positions, StepReport};
 use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::Scanner;
-use crate::stream::container::{Group, ScannerId, ScannerRecord};
 use crate::study::metrics;
 use serde::Serialize;
 
 /// The scanners of a stream, in the order of their first records.
 #[derive(Default)]
-pub struct Scanners {
+pub struct KnownScanners {
     known: Vec<KnownScanner>,
 }
 
@@ -35,7 +35,7 @@ pub struct ScannerStats {
     share_exact: Option<f64>,
 }
 
-impl Scanners {
+impl KnownScanners {
     /// Adds a record, unless it is one more copy, or of a family that this program does not know.
     ///
     /// # Errors
@@ -56,10 +56,10 @@ impl Scanners {
     /// # Errors
     /// If it is damaged.
     pub fn sample(&mut self, first_frame: u64, group: &Group, limits: &Limits) -> Result<()> {
-        for (stream, id) in group.scanners.iter().enumerate() {
+        for (track, id) in group.scanners.iter().enumerate() {
             let known = self.known.iter_mut().find(|known| Some(known.id) == *id && known.first.is_none());
             let mut frames = (first_frame..).zip(&group.frames);
-            let first = frames.find(|(_, frame)| usize::from(frame.header.stamp.stream) == stream);
+            let first = frames.find(|(_, frame)| usize::from(frame.header.stamp.track) == track);
             let (Some(KnownScanner { scanner, first: explained, .. }), Some((number, frame))) =
                 (known, first)
             else {
@@ -69,8 +69,8 @@ impl Scanners {
                 if FrameParameters::of(frame)?.positions != Positions::Exact {
                     return Ok(None);
                 }
-                let streams = (0..=stream).map(|place| (place == stream).then_some(&*scanner));
-                let mut decoder = GroupDecoder::new(streams, limits).judging_scanners();
+                let tracks = (0..=track).map(|place| (place == track).then_some(&*scanner));
+                let mut decoder = GroupDecoder::new(tracks, limits).judging_scanners();
                 let decoded =
                     decoder.decode_frame(&frame.header, &frame.sections, &mut StepReport::default())?;
                 Ok(decoded.explained)

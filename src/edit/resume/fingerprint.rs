@@ -1,6 +1,6 @@
 //! Distinguishes the groups of a stream from others of the same length.
 
-use crate::stream::container::{Frame, Group};
+use crate::container::{CodedFrame, Group};
 
 /// A checksum over the checksums of everything in the groups. A CRC over the bytes of the stream would not
 /// do: each section ends in its own CRC-32C, and a CRC over such bytes depends on their length alone.
@@ -9,8 +9,8 @@ pub fn fingerprint<'g>(groups: impl IntoIterator<Item = &'g Group>) -> u32 {
     for group in groups {
         let names = group.scanners.iter().map(|scanner| scanner.map_or(0, |id| u64::from(id.0) + 1));
         parts.extend(names.flat_map(u64::to_le_bytes));
-        for Frame { header, sections } in &group.frames {
-            Frame { header: header.clone(), sections: Vec::new() }.write_to(&mut parts);
+        for CodedFrame { header, sections } in &group.frames {
+            CodedFrame { header: header.clone(), sections: Vec::new() }.write_to(&mut parts);
             for section in sections {
                 parts.push(section.kind.number());
                 parts.extend(crc32c::crc32c(&section.payload).to_le_bytes());
@@ -23,7 +23,7 @@ pub fn fingerprint<'g>(groups: impl IntoIterator<Item = &'g Group>) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::container::{FrameHeader, ScannerId, Section, SectionKind};
+    use crate::container::{FrameHeader, ScannerId, Section, SectionKind};
 
     #[test]
     fn groups_of_the_same_length_differ() {
@@ -32,7 +32,7 @@ mod tests {
             let sections = vec![Section { kind, payload: vec![byte; 9] }];
             Group {
                 scanners: vec![scanner],
-                frames: vec![Frame { header: FrameHeader::of(name, b"", 0), sections }],
+                frames: vec![CodedFrame { header: FrameHeader::of(name, b"", 0), sections }],
             }
         };
         let groups = [

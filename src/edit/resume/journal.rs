@@ -9,8 +9,8 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::settings::Settings;
+use crate::container::FrameHeader;
 use crate::ground::error::{Error, Result};
-use crate::stream::container::FrameHeader;
 
 /// The first line.
 #[derive(Debug, Deserialize, Serialize)]

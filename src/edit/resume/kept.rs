@@ -6,9 +6,9 @@ use std::io::{BufReader, Read, Seek};
 use super::fingerprint::fingerprint;
 use super::journal::{Entry, Journal};
 use super::settings::Settings;
+use crate::container::{CodedFrame, Index, Record, StreamReader};
 use crate::frame::steps::StepReport;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::container::{Frame, Index, Record, StreamReader};
 use crate::stream::encoded::{Encoded, FrameOfStream};
 
 /// The beginning of a partial stream, as far as it is intact and the journal records what it was made from.
@@ -77,7 +77,7 @@ fn read_part(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Vec<
 }
 
 impl FrameOfStream {
-    fn kept(frame: &Frame) -> Result<Self> {
+    fn kept(frame: &CodedFrame) -> Result<Self> {
         let mut kept = FrameOfStream::of(frame, StepReport::default())?;
         // Of the file from which it was made, if that differs from the one to which it decodes.
         kept.steps = StepReport { frames: 1, original: kept.source.file_size, ..StepReport::default() };

@@ -1,14 +1,14 @@
 //! The positions of the returns: those of the formula, corrected as far as necessary. And those of the blanks.
 
+use crate::container::SectionKind;
 use crate::entropy::TokenTables;
 use crate::frame::fidelity::Positions;
-use crate::frame::frame::Frame;
 use crate::frame::modelling::CorrectionModelling;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::models::{BlankModel, CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
 use crate::scanner::{Coordinates, Return, Scanner};
-use crate::stream::container::SectionKind;
 
 /// What a group's corrections have taught so far.
 #[derive(Clone, Default)]
@@ -27,7 +27,7 @@ impl CorrectionModels {
         &mut self,
         sections: &mut S,
         scanner: Option<&Scanner>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let Some(scanner) = scanner else { return Ok(()) };
         if !frame.image.is_full {
@@ -62,7 +62,7 @@ impl CorrectionModels {
         &mut self,
         sections: &mut S,
         scanner: &Scanner,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let grid = scanner.coordinates();
         let offset_m = frame.parameters.range_coder.offset_m(scanner);

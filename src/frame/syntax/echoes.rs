@@ -1,13 +1,13 @@
-//! The echoes: further returns of the cells, with their ranges and intensities.
+//! The echoes: further returns of the cells, with their ranges and intensities. FORMAT.md 8.20.
 
+use crate::container::SectionKind;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::frame::fidelity::Intensity;
-use crate::frame::frame::Frame;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::{Echo, MOST_STEPS};
-use crate::stream::container::SectionKind;
 
 /// What a group's echoes have taught so far.
 #[derive(Clone, Default)]
@@ -35,7 +35,7 @@ impl EchoModels {
     ///
     /// # Errors
     /// If the section is damaged, or holds another number of echoes.
-    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let in_image = frame.cells.len() + frame.blanks.len();
         let missing = (frame.records - frame.strays).saturating_sub(in_image);
         let has_intensity = frame.layout.intensity.is_some() && frame.parameters.intensity != Intensity::None;
@@ -49,7 +49,7 @@ impl EchoModels {
         &mut self,
         coder: &mut C,
         (missing, has_intensity): (usize, bool),
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let width = frame.occupancy.columns() as u32;
         let mut known = std::mem::take(&mut frame.image.echoes).into_iter().peekable();
@@ -57,7 +57,7 @@ impl EchoModels {
         let mut above = vec![false; width as usize];
         let (mut row, mut left, mut was_same, mut was_last, mut last) = (u32::MAX, false, false, false, None);
         for &cell in &frame.cells {
-            if coder.is_exhausted() || echoes.len() > missing {
+            if coder.is_exhausted() {
                 break;
             }
             if cell / width != row {

@@ -1,13 +1,12 @@
-//! The layout of the file, and the bytes around the records.
+//! The layout of the file, and the bytes around the records. FORMAT.md 8.1.
 
-use super::within;
+use crate::container::SectionKind;
 use crate::entropy::{BitCoder, IntegerModel};
-use crate::frame::frame::Frame;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::{Error, Limits, Result};
 use crate::models::ByteModel;
 use crate::scan::Layout;
-use crate::stream::container::SectionKind;
 
 /// What a group's files have taught so far.
 #[derive(Clone, Default)]
@@ -24,13 +23,18 @@ impl FileModels {
     ///
     /// # Errors
     /// If the frame has other points than its header says, or exceeds the limits.
-    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let limits = *sections.limits();
         sections.section(SectionKind::File, true, |coder| self.code_file(coder, frame, &limits))
     }
 
     /// The layout of the file, and the bytes around the records.
-    fn code_file<C: BitCoder>(&mut self, coder: &mut C, frame: &mut Frame, limits: &Limits) -> Result<()> {
+    fn code_file<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        frame: &mut FrameParts,
+        limits: &Limits,
+    ) -> Result<()> {
         self.code_layout(coder, &mut frame.layout, limits)?;
         self.code_bytes(coder, &mut frame.prefix, limits)?;
         self.code_bytes(coder, &mut frame.suffix, limits)?;
@@ -42,9 +46,9 @@ impl FileModels {
             )));
         }
         frame.strays = self.sizes.code(coder, frame.strays as u64) as usize;
-        within(frame.records, limits.points, "points of the frame")?;
+        Error::check_limit("points of the frame", frame.records as u64, limits.points)?;
         let record_bytes = frame.records.saturating_mul(frame.layout.stride());
-        within(record_bytes, limits.file_bytes, "bytes of the frame's records")?;
+        Error::check_limit("bytes of the frame's records", record_bytes as u64, limits.file_bytes)?;
         if frame.strays > frame.records || (frame.layout.position.is_none() && frame.strays < frame.records) {
             return Err(Error::corrupt("more strays than points"));
         }
@@ -80,7 +84,7 @@ impl FileModels {
     /// Bytes of any number. Zeros at their end, with which some programs fill up a page, are only counted.
     fn code_bytes<C: BitCoder>(&mut self, coder: &mut C, bytes: &mut Vec<u8>, limits: &Limits) -> Result<()> {
         let length = self.sizes.code(coder, bytes.len() as u64) as usize;
-        within(length, limits.file_bytes, "bytes of the frame")?;
+        Error::check_limit("bytes of the frame", length as u64, limits.file_bytes)?;
         bytes.resize(length, 0);
         if length == 0 {
             return Ok(());

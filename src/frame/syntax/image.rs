@@ -2,17 +2,16 @@
 
 use std::mem::take;
 
-use super::within;
+use crate::container::SectionKind;
 use crate::entropy::TokenTables;
-use crate::frame::frame::Frame;
 use crate::frame::modelling::OccupancyModelling;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::Reference;
 use crate::models::{OCCUPANCY_CONTEXTS, OccupancyModel, code_occupancy};
 use crate::scanner::{ColumnModels, Scanner};
-use crate::stream::container::SectionKind;
 
 /// What a group's range images have taught so far.
 #[derive(Clone, Default)]
@@ -38,7 +37,7 @@ impl ImageModels {
         &mut self,
         sections: &mut S,
         scanner: Option<&Scanner>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let Some(scanner) = scanner else { return Ok(()) };
         let most = sections.limits().points;
@@ -46,7 +45,7 @@ impl ImageModels {
             scanner.code_columns(&mut self.columns, coder, &mut frame.image, most)
         })?;
         let cells = scanner.rows().saturating_mul(frame.image.columns.len());
-        within(cells, most, "cells of the range image")?;
+        Error::check_limit("cells of the range image", cells as u64, most)?;
         frame.fit_image(scanner.rows());
         Ok(())
     }
@@ -59,24 +58,24 @@ impl ImageModels {
         &mut self,
         sections: &mut S,
         reference: Option<&Reference>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let records = frame.records - frame.strays;
         if records == 0 {
             return Ok(());
         }
-        let depth = frame.parameters.modelling().parts().occupancy;
+        let modelling = frame.parameters.modelling().parts().occupancy;
         let [models, lower_models] = &mut self.occupancy;
         match frame.middle() {
-            None => models.code(sections, depth, reference, &mut frame.occupancy)?,
+            None => models.code(sections, modelling, reference, &mut frame.occupancy)?,
             Some(middle) => {
                 let [mut upper, mut lower] = take(&mut frame.occupancy).split(middle);
                 let references = reference.map(|reference| reference.clone().split(middle));
                 let [above, below] = [0, 1].map(|half| references.as_ref().map(|halves| &halves[half]));
                 sections.both(
                     SectionKind::Occupancy,
-                    |sections| models.code(sections, depth, above, &mut upper),
-                    |sections| lower_models.code(sections, depth, below, &mut lower),
+                    |sections| models.code(sections, modelling, above, &mut upper),
+                    |sections| lower_models.code(sections, modelling, below, &mut lower),
                 )?;
                 frame.occupancy = Grid::joined([upper, lower]);
             }
@@ -100,16 +99,16 @@ impl OccupancyModels {
     fn code<S: SectionCoder>(
         &mut self,
         sections: &mut S,
-        depth: OccupancyModelling,
+        modelling: OccupancyModelling,
         reference: Option<&Reference>,
         occupancy: &mut Grid<bool>,
     ) -> Result<()> {
-        if depth == OccupancyModelling::Tokens {
+        if modelling == OccupancyModelling::Tokens {
             let code = |coder: &mut S::Tokens<'_>| code_occupancy(coder, occupancy);
             return sections.tokens(SectionKind::Occupancy, OCCUPANCY_CONTEXTS, &mut self.tokens, code);
         }
         let model = self.adaptive.get_or_insert_default();
-        model.set_quick(depth == OccupancyModelling::Light);
+        model.use_light(modelling == OccupancyModelling::Light);
         sections.section(SectionKind::Occupancy, true, |coder| {
             model.code(coder, reference, occupancy);
             Ok(())
@@ -117,7 +116,7 @@ impl OccupancyModels {
     }
 }
 
-impl Frame {
+impl FrameParts {
     /// The first row of the lower half, if the halves of the image are coded apart.
     pub fn middle(&self) -> Option<usize> {
         (self.parameters.halved && self.records > self.strays).then(|| self.occupancy.rows().div_ceil(2))

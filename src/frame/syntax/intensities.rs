@@ -6,19 +6,20 @@ use byteorder::{ByteOrder, LittleEndian};
 
 use super::returns::Part;
 use crate::backend::Level;
+use crate::container::SectionKind;
 use crate::entropy::{BitCoder, TokenCoder, TokenTables};
 use crate::frame::fidelity::Intensity;
-use crate::frame::frame::Frame;
 use crate::frame::modelling::IntensityModelling;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::ground::grid::Grid;
 use crate::models::{
-    Beside, ChannelsModel, INTENSITY_CONTEXTS, IntensityModel, IntensityNeighbours, IntensityReference,
-    IntensityScale, IntensityTokens, PACKED_INTENSITY_CONTEXTS, code_packed_intensities, neighbours_above,
+    ChannelsModel, INTENSITY_CONTEXTS, IntensityModel, IntensityNeighbours, IntensityReference,
+    IntensityScale, IntensityTokens, PACKED_INTENSITY_CONTEXTS, RecordContext, code_packed_intensities,
+    neighbours_above,
 };
 use crate::scan::{Channel, Field, Scalar};
-use crate::stream::container::SectionKind;
 
 /// What a group's intensities have taught so far.
 #[derive(Clone, Default)]
@@ -80,7 +81,7 @@ impl IntensityModels {
                 return self.code_rough(coder, part, values, level);
             }
             let model = self.adaptive.get_or_insert_default();
-            model.set_deep(is_deep);
+            model.use_deep(is_deep);
             Ok(code_adaptive(model, coder, part, values, scale))
         })
     }
@@ -97,17 +98,17 @@ impl IntensityModels {
         let returns = part.cells.len();
         let width = part.occupancy.columns() as u32;
         let strays = || std::iter::repeat_n(0, part.outside);
-        let beside = Beside {
+        let context = RecordContext {
             rows: part.cells.iter().map(|cell| cell / width + 1).chain(strays()).collect(),
             columns: part.cells.iter().map(|cell| cell % width + 1).chain(strays()).collect(),
-            ..Beside::default()
+            ..RecordContext::default()
         };
         let mut values = if C::ENCODES { known.of_cells.at(part.cells) } else { vec![0.0; returns] };
         values.append(&mut known.outside);
         values.resize(returns + part.outside, 0.0);
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         let mut channels = [Channel { field: Field::new("intensity", Scalar::F32), bytes }];
-        self.rough.code(coder, &mut channels, &beside, level)?;
+        self.rough.code(coder, &mut channels, &context, level)?;
         let [Channel { bytes, .. }] = channels;
         let mut values: Vec<f32> = bytes.chunks_exact(4).map(LittleEndian::read_f32).collect();
         known.outside = values.split_off(returns);
@@ -246,7 +247,7 @@ fn pack<C: TokenCoder>(
     known.of_cells.fill(part.cells, &values);
 }
 
-impl Frame {
+impl FrameParts {
     /// Number of records that are no returns.
     pub fn outside(&self) -> usize {
         self.strays + self.blanks.len()

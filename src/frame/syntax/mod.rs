@@ -1,5 +1,6 @@
 //! The syntax of a frame: which section codes what, in which order. Written once: the encoder walks it with a frame that
 //! is full, the decoder with one that is filled. Each file has what one part of a frame is coded by, at every level.
+//! FORMAT.md 4.2.
 
 mod corrections;
 mod echoes;
@@ -12,17 +13,17 @@ mod reference;
 mod returns;
 mod strays;
 
-use super::frame::Frame;
 use super::parameters::FrameParameters;
+use super::parts::FrameParts;
 use super::sections::SectionCoder;
 use super::whole::WholeFile;
+use crate::container::SectionKind;
 use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 use crate::inter::Past;
 use crate::scanner::Scanner;
 use crate::scanner::motion::{Compensation, Stamped, Turn, World};
-use crate::stream::container::SectionKind;
 use corrections::CorrectionModels;
 use echoes::EchoModels;
 use file::FileModels;
@@ -57,7 +58,7 @@ impl Models {
         &mut self,
         sections: &mut S,
         scanner: Option<&Scanner>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let (start, before) = (Instant::now(), sections.report().total_time());
         self.code_sections(sections, scanner, frame)?;
@@ -66,7 +67,7 @@ impl Models {
     }
 
     #[rustfmt::skip]
-    fn code_sections<S: SectionCoder>(&mut self, s: &mut S, scanner: Option<&Scanner>, frame: &mut Frame) -> Result<()> {
+    fn code_sections<S: SectionCoder>(&mut self, s: &mut S, scanner: Option<&Scanner>, frame: &mut FrameParts) -> Result<()> {
         code_parameters(s, frame)?;                                                 // FORMAT 8.10
         if code_whole(s, frame)? { return Ok(()) }                                  // FORMAT 8.18
         self.file.code(s, frame)?;                                                  // FORMAT 8.1
@@ -77,10 +78,10 @@ impl Models {
         self.strays.code(s, frame)?;                                                // FORMAT 8.4
         let levels = self.returns.code(s, scanner, reference.as_ref(), frame)?;     // FORMAT 8.5, 8.6, 8.16
         self.residuals.code(s, scanner, reference.as_ref(), frame)?;                // FORMAT 8.11 to 8.14
-        self.echoes.code(s, frame)?;                                                // FORMAT 8.19
-        self.past.remember(scanner, levels, frame);
+        self.echoes.code(s, frame)?;                                                // FORMAT 8.20
+        self.past.remember(scanner, levels, frame);                                 // FORMAT 4.3
         frame.arrange(scanner);                                                     // FORMAT 4.2
-        self.corrections.code(s, scanner, frame)?;                                  // FORMAT 8.7, 8.16
+        self.corrections.code(s, scanner, frame)?;                                  // FORMAT 8.7, 8.16, 8.19
         self.records.code_order(s, frame)?;                                         // FORMAT 8.8
         self.records.code_channels(s, scanner, frame)?;                             // FORMAT 8.9
         code_compensation(s, frame)?;                                               // FORMAT 8.15
@@ -94,7 +95,7 @@ impl Models {
 }
 
 /// How the frame is coded.
-fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) -> Result<()> {
     let mut payload = frame.parameters.to_payload();
     sections.payload(SectionKind::Parameters, &mut payload);
     frame.parameters =
@@ -103,7 +104,7 @@ fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Resu
 }
 
 /// The frame as the bytes of its file, if it is coded that way; then nothing else follows.
-fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<bool> {
+fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) -> Result<bool> {
     let mut payload = frame.whole.as_ref().map_or_else(Vec::new, |whole| whole.payload().to_vec());
     sections.payload(SectionKind::Bytes, &mut payload);
     if !S::ENCODES && !payload.is_empty() {
@@ -114,7 +115,7 @@ fn code_whole<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<bo
 }
 
 /// How the points were moved after they were measured.
-fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) -> Result<()> {
     frame.find_misses()?;
     let (mut of_turn, mut of_world, mut of_stamps) = (Vec::new(), Vec::new(), Vec::new());
     match &frame.compensation {
@@ -146,7 +147,7 @@ fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Re
 }
 
 /// By which channel the records were sorted.
-fn code_sorted<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<()> {
+fn code_sorted<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) -> Result<()> {
     const WHAT: &str = "sorted";
     let mut payload = Vec::new();
     frame.sorted.into_iter().for_each(|channel| write_unsigned(&mut payload, channel as u64));
@@ -162,7 +163,7 @@ fn code_sorted<S: SectionCoder>(sections: &mut S, frame: &mut Frame) -> Result<(
     Ok(())
 }
 
-impl Frame {
+impl FrameParts {
     /// The scanner, if the frame has a range image.
     fn scanner_of_image<'s>(&self, scanner: Option<&'s Scanner>) -> Result<Option<&'s Scanner>> {
         match scanner {
@@ -171,8 +172,4 @@ impl Frame {
             None => Err(Error::corrupt("a range image without a scanner")),
         }
     }
-}
-
-fn within(got: usize, max: u64, what: &'static str) -> Result<()> {
-    if got as u64 > max { Err(Error::over_limit(what, got as u64, max)) } else { Ok(()) }
 }

@@ -6,12 +6,13 @@ use crate::article::contour::ContourModel;
 use crate::article::image_coding::{self, ImageCodec};
 use crate::article::prediction::surface::SurfaceCoder;
 use crate::article::prediction::{Predictor, Rays};
-use crate::article::residual::{self, Packing};
-use crate::backend;
+use crate::article::residual;
+use crate::backend::{self, Packing};
+use crate::container::SectionKind;
 use crate::entropy::TokenTables;
-use crate::frame::frame::Frame;
 use crate::frame::modelling::RangeModelling;
 use crate::frame::parameters::{Prediction, RangeCoder};
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::frame::steps::Step;
 use crate::ground::error::{Error, Result};
@@ -22,7 +23,6 @@ use crate::models::{
     code_packed_ranges, start_tables,
 };
 use crate::scanner::Scanner;
-use crate::stream::container::SectionKind;
 
 /// What a group's ranges have taught so far.
 #[derive(Clone, Default)]
@@ -69,10 +69,10 @@ impl RangeModels {
                     model.code(coder, &KnownCells { occupancy, fitted, expected, levels }, axis, steps);
                 })
             }
-            depth => {
+            mixed_or_deep => {
                 let model = self.mixed.get_or_insert_default();
-                if depth == RangeModelling::Deep {
-                    model.go_deep();
+                if mixed_or_deep == RangeModelling::Deep {
+                    model.use_deep();
                 }
                 let known = RangeContext { occupancy, intensity: levels, reference, range_bits, bin };
                 sections.section(SectionKind::Range, true, |coder| {
@@ -102,7 +102,7 @@ impl ResidualModels {
         sections: &mut S,
         scanner: Option<&Scanner>,
         reference: Option<&Reference>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let Some(scanner) = scanner else { return Ok(()) };
         match frame.parameters.range_coder {
@@ -126,7 +126,7 @@ impl ResidualModels {
         &mut self,
         sections: &mut S,
         scanner: &Scanner,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
         reference: Option<&Reference>,
     ) -> Result<Predictor> {
         let snake = frame.parameters.snake;
@@ -159,7 +159,7 @@ fn code_residuals<S: SectionCoder>(
     sections: &mut S,
     predictor: &Predictor,
     (id, packing): (u8, Packing),
-    frame: &mut Frame,
+    frame: &mut FrameParts,
 ) -> Result<()> {
     let backend = backend::by_id(id)?;
     let level = sections.effort().level;
@@ -188,7 +188,7 @@ fn code_residuals<S: SectionCoder>(
 }
 
 /// Checks that every return has a range that the scanner accepts.
-fn check_ranges(frame: &Frame, scanner: &Scanner) -> Result<()> {
+fn check_ranges(frame: &FrameParts, scanner: &Scanner) -> Result<()> {
     let cells = frame.occupancy.cells().iter().zip(frame.image.steps.cells());
     let most = scanner.most_steps();
     if cells.into_iter().any(|(filled, steps)| *filled && !(1..=most).contains(steps)) {
@@ -202,7 +202,7 @@ fn code_image<S: SectionCoder>(
     sections: &mut S,
     predictor: &Predictor,
     (codec, side): (ImageCodec, usize),
-    frame: &mut Frame,
+    frame: &mut FrameParts,
     most: u32,
 ) -> Result<()> {
     let returns = frame.cells.len();
@@ -228,7 +228,7 @@ fn code_image<S: SectionCoder>(
     Ok(())
 }
 
-impl Frame {
+impl FrameParts {
     /// Codes the ranges, as they were decoded, by context from now on, because their image is useless with
     /// another prediction.
     pub fn leave_image(&mut self) {

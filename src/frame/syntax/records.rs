@@ -2,15 +2,14 @@
 
 use std::mem::take;
 
-use super::within;
+use crate::container::SectionKind;
 use crate::frame::fidelity::Positions;
-use crate::frame::frame::Frame;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
-use crate::ground::error::Result;
+use crate::ground::error::{Error, Result};
 use crate::models::{ChannelsModel, OrderModel};
 use crate::scan::{Channel, Field};
 use crate::scanner::Scanner;
-use crate::stream::container::SectionKind;
 
 /// What a group's records have taught so far.
 #[derive(Clone, Default)]
@@ -24,7 +23,7 @@ impl RecordModels {
     ///
     /// # Errors
     /// If the section is damaged.
-    pub fn code_order<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+    pub fn code_order<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let returns = frame.records - frame.strays;
         if returns == 0 || frame.parameters.positions == Positions::Formula {
             frame.order.stray_places = (returns as u64..frame.records as u64).collect();
@@ -43,24 +42,25 @@ impl RecordModels {
         &mut self,
         sections: &mut S,
         scanner: Option<&Scanner>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<()> {
         let bytes = frame.records.saturating_mul(frame.layout.channel_bytes());
-        within(bytes, sections.limits().file_bytes, "bytes of the frame")?;
+        Error::check_limit("bytes of the frame", bytes as u64, sections.limits().file_bytes)?;
         frame.fit_channels();
         let level = sections.effort().level;
         sections.section(SectionKind::Channels, bytes > 0, |coder| {
-            let mut beside = frame.beside(scanner)?;
-            self.channels.code(coder, &mut frame.channels, &beside, level)?;
+            let mut context = frame.record_context(scanner)?;
+            self.channels.code(coder, &mut frame.channels, &context, level)?;
             if !S::ENCODES {
-                frame.in_order = Some((take(&mut beside.positions), take(&mut beside.intensity)));
+                frame.decoded_in_file_order =
+                    Some((take(&mut context.positions), take(&mut context.intensity)));
             }
             Ok(())
         })
     }
 }
 
-impl Frame {
+impl FrameParts {
     /// Resizes the decoder's channels for their values.
     fn fit_channels(&mut self) {
         if self.channels.is_empty() {

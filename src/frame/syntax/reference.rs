@@ -1,10 +1,9 @@
-//! The frame before, from which a P frame is predicted.
+//! The frame before, from which a P frame is predicted. FORMAT.md 4.3.
 
 use std::sync::Arc;
 
-use super::within;
-use crate::frame::frame::Frame;
 use crate::frame::parameters::Prediction;
+use crate::frame::parts::FrameParts;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
@@ -25,13 +24,13 @@ impl PastFrame {
     ///
     /// # Errors
     /// If there is no frame before, or one from which nothing can be predicted.
-    pub fn reference(&self, scanner: Option<&Scanner>, frame: &Frame) -> Result<Option<Reference>> {
+    pub fn reference(&self, scanner: Option<&Scanner>, frame: &FrameParts) -> Result<Option<Reference>> {
         let Some(scanner) = scanner.filter(|_| frame.parameters.prediction == Prediction::Inter) else {
             return Ok(None);
         };
         let past =
             self.get().ok_or_else(|| Error::corrupt("there is no frame before to predict this one from"))?;
-        within(frame.occupancy.cells().len(), MOST_CELLS as u64, "cells of a P frame")?;
+        Error::check_limit("cells of a P frame", frame.occupancy.cells().len() as u64, MOST_CELLS as u64)?;
         let motion = frame.parameters.motion;
         if let Some(scanner) = scanner.firings() {
             return Ok(Some(past.same_directions(&frame.image.columns, scanner.build().ticks)));
@@ -46,7 +45,7 @@ impl PastFrame {
     }
 
     /// Takes this frame for the next one's. `levels` are the context levels of its intensities.
-    pub fn remember(&mut self, scanner: Option<&Scanner>, levels: Grid<u16>, frame: &Frame) {
+    pub fn remember(&mut self, scanner: Option<&Scanner>, levels: Grid<u16>, frame: &FrameParts) {
         let can_be_past = scanner.is_some()
             && frame.image.steps.cells().len() <= MOST_CELLS
             && frame.parameters.modelling().has_p_frames();

@@ -1,17 +1,17 @@
 //! The returns of the range image: their intensities, then their ranges. The upper and the lower half of a large image are
-//! coded as two images, each with models of its own, so that two threads can do it.
+//! coded as two images, each with models of its own, so that two threads can do it. FORMAT.md 4.4.
 
 use std::mem::take;
 
 use super::intensities::{Intensities, IntensityModels};
 use super::ranges::RangeModels;
-use crate::frame::frame::Frame;
+use crate::container::SectionKind;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::ground::grid::Grid;
 use crate::inter::Reference;
 use crate::scanner::Scanner;
-use crate::stream::container::SectionKind;
 
 /// What the returns of a group have taught so far.
 #[derive(Clone, Default)]
@@ -31,7 +31,7 @@ struct PartModels {
 #[derive(Clone, Copy)]
 pub struct Part<'f> {
     /// The frame, for how it is coded.
-    pub frame: &'f Frame,
+    pub frame: &'f FrameParts,
     /// Which cells hold a return.
     pub occupancy: &'f Grid<bool>,
     /// The indices of these cells, row after row.
@@ -52,7 +52,7 @@ impl ReturnModels {
         sections: &mut S,
         scanner: Option<&Scanner>,
         reference: Option<&Reference>,
-        frame: &mut Frame,
+        frame: &mut FrameParts,
     ) -> Result<Grid<u16>> {
         let (mut values, mut steps) = (frame.take_intensities(), take(&mut frame.image.steps));
         if scanner.is_some() {

@@ -3,15 +3,15 @@
 use byteorder::{ByteOrder, LittleEndian};
 
 use crate::backend::Level;
+use crate::container::SectionKind;
 use crate::entropy::{AdaptiveBit, ArithmeticEncoder, BitCoder};
-use crate::frame::frame::Frame;
+use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::models::PointModel;
 use crate::models::channels::{Packed, code_packed};
 use crate::scan::Scalar;
 use crate::scanner::Coordinates;
-use crate::stream::container::SectionKind;
 
 /// What a group's strays have taught so far.
 #[derive(Clone, Default)]
@@ -25,7 +25,7 @@ impl StrayModels {
     ///
     /// # Errors
     /// If the section is damaged.
-    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut Frame) -> Result<()> {
+    pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let has_points = frame.layout.position.is_some();
         frame.stray_positions.resize(if has_points { frame.strays } else { 0 }, [0.0; 3]);
         let (lattice, level) = (frame.parameters.positions.lattice(), sections.effort().level);

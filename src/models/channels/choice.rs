@@ -138,7 +138,7 @@ impl ColumnModel {
         };
         let mut best = None;
         let mut least = integers.len() / 2 / MANY;
-        let has_bases = scalar.size() > 2 && !part.beside.columns.is_empty();
+        let has_bases = scalar.size() > 2 && !part.context.columns.is_empty();
         let few = |plan: &Integers| match plan.rule {
             Some(Rule::Turn(_) | Rule::Column) if has_bases => integers.len() / 2 / FEW_BASES,
             _ => integers.len() / 2 / FEW,
@@ -158,18 +158,18 @@ impl ColumnModel {
         for key in keys() {
             let beam = Integers { rule: Some(Rule::Beam), key, ..plain };
             consider(beam);
-            if !part.beside.steps.is_empty() {
+            if !part.context.steps.is_empty() {
                 Geometry::of_places().for_each(|geometry| consider(Integers { geometry, ..beam }));
             }
         }
         for key in keys() {
             let turns = (1..=Rule::MOST_COLUMNS.min(64)).map(Rule::Turn);
-            let rules = turns.take(if part.beside.columns.is_empty() { 1 } else { usize::MAX });
+            let rules = turns.take(if part.context.columns.is_empty() { 1 } else { usize::MAX });
             for rule in [Rule::Column, Rule::After].into_iter().chain(rules) {
                 consider(Integers { rule: Some(rule), key, ..plain });
             }
         }
-        if !part.beside.positions.is_empty() && scalar.size() >= 2 {
+        if !part.context.positions.is_empty() && scalar.size() >= 2 {
             for geometry in Geometry::of_positions() {
                 keys().for_each(|key| consider(Integers { rule: Some(Rule::Beam), key, geometry, ..plain }));
             }
@@ -210,8 +210,8 @@ impl ColumnModel {
             improve(&mut best, plan);
         }
         if scalar.size() >= 2 {
-            let places = Geometry::of_places().filter(|_| !part.beside.steps.is_empty());
-            let positions = Geometry::of_positions().filter(|_| !part.beside.positions.is_empty());
+            let places = Geometry::of_places().filter(|_| !part.context.steps.is_empty());
+            let positions = Geometry::of_positions().filter(|_| !part.context.positions.is_empty());
             for geometry in places.chain(positions) {
                 let plan = Integers { geometry, ..best };
                 improve(&mut best, plan);

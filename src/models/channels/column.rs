@@ -7,7 +7,7 @@ use super::integers::{IntegersModel, Site};
 use super::numbers::{Grid, Scale, number, write_number};
 use super::plan::{Integers, Plan};
 use super::rules::RuleModel;
-use super::{Beside, Sources, may_be_key};
+use super::{RecordContext, Sources, may_be_key};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
@@ -153,7 +153,7 @@ fn code_each<C: BitCoder>(
 pub struct Places<'a> {
     keys: Cow<'a, [u32]>,
     plan: Integers,
-    beside: &'a Beside,
+    context: &'a RecordContext,
     pub grid: Grid,
 }
 
@@ -162,7 +162,7 @@ impl<'a> Places<'a> {
     /// If there is no channel of the plan's keys.
     pub fn new(plan: &Integers, sources: &'a Sources, scalar: Scalar) -> Result<Self> {
         let (keys, grid) = (keys(plan.key, sources)?, plan.scale.grid(scalar));
-        Ok(Places { keys, plan: *plan, beside: sources.beside, grid })
+        Ok(Places { keys, plan: *plan, context: sources.context, grid })
     }
 
     /// What is known of a record, but for the integers before it.
@@ -170,8 +170,8 @@ impl<'a> Places<'a> {
     pub fn site(&self, record: usize) -> Site {
         Site {
             key: self.keys.get(record).copied().unwrap_or(0),
-            column: self.beside.columns.get(record).copied().unwrap_or(0),
-            geometry: self.plan.geometry.of(record, self.beside).map(|number| self.grid.nearest(number)),
+            column: self.context.columns.get(record).copied().unwrap_or(0),
+            geometry: self.plan.geometry.of(record, self.context).map(|number| self.grid.nearest(number)),
             lagged: None,
         }
     }
@@ -203,7 +203,7 @@ fn no_source() -> Error {
 
 /// The key of every record.
 fn keys<'a>(key: u16, sources: &'a Sources) -> Result<Cow<'a, [u32]>> {
-    let Some(channel) = key.checked_sub(1) else { return Ok(Cow::Borrowed(&sources.beside.rows)) };
+    let Some(channel) = key.checked_sub(1) else { return Ok(Cow::Borrowed(&sources.context.rows)) };
     let channel = sources.channel(channel.into()).filter(|channel| may_be_key(&channel.field));
     let channel = channel.ok_or_else(no_source)?;
     Ok(match channel.field.width() {

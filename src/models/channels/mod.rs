@@ -1,5 +1,5 @@
 //! The fields of a record beside position and intensity, column by column: each by the method that the
-//! encoder found to be the shortest for it.
+//! encoder found to be the shortest for it. FORMAT.md 8.9.
 //!
 //! A column that is coded can tell of those after it, so narrow types come first: rings, then times.
 
@@ -35,7 +35,7 @@ const MOST_COLUMNS: usize = 64;
 
 /// What is known of the records before their channels are: all in the order of the file.
 #[derive(Clone, Debug, Default)]
-pub struct Beside {
+pub struct RecordContext {
     /// The row of each record in the range image, the first being 1; 0 for a stray. Empty without an image.
     pub rows: Vec<u32>,
     /// The column of each, likewise.
@@ -98,7 +98,7 @@ impl ChannelsModel {
         &mut self,
         coder: &mut C,
         channels: &mut [Channel],
-        beside: &Beside,
+        context: &RecordContext,
         level: Level,
     ) -> Result<()> {
         let mut order: Vec<usize> = (0..channels.len()).collect();
@@ -117,7 +117,7 @@ impl ChannelsModel {
                 self.columns.resize_with(columns, ColumnModel::default);
             }
             let mut bytes = std::mem::take(&mut channels[channel].bytes);
-            let sources = Sources { channels: &*channels, known: &known, beside };
+            let sources = Sources { channels: &*channels, known: &known, context };
             let mut coding = ChannelCoder {
                 columns: &mut self.columns[models],
                 bytes: bytes_model,
@@ -138,16 +138,16 @@ struct Sources<'a> {
     channels: &'a [Channel],
     /// The channels that are coded.
     known: &'a [usize],
-    beside: &'a Beside,
+    context: &'a RecordContext,
 }
 
 impl Sources<'_> {
     /// A source by its number; `None` if there is no such source.
     fn values(&self, source: usize) -> Option<Values<'_>> {
-        let beside = self.beside;
+        let context = self.context;
         match source {
-            0..3 if !beside.positions.is_empty() => Some(Values::Coordinates(&beside.positions, source)),
-            3 if !beside.intensity.is_empty() => Some(Values::Intensities(&beside.intensity)),
+            0..3 if !context.positions.is_empty() => Some(Values::Coordinates(&context.positions, source)),
+            3 if !context.intensity.is_empty() => Some(Values::Intensities(&context.intensity)),
             0..4 => None,
             _ => self.channel(source - 4).map(Values::Of),
         }
@@ -159,7 +159,7 @@ impl Sources<'_> {
             let parts = records.iter().map(|part| values.get(part.clone()).unwrap_or_default());
             parts.collect::<Vec<_>>().concat()
         }
-        let beside = self.beside;
+        let context = self.context;
         let channels = self.channels.iter().enumerate().map(|(number, channel)| {
             let width = channel.field.width();
             let is_known = self.known.contains(&number);
@@ -169,14 +169,14 @@ impl Sources<'_> {
         OwnedSources {
             channels: channels.collect(),
             known: self.known.to_vec(),
-            beside: Beside {
-                rows: part(&beside.rows, records),
-                columns: part(&beside.columns, records),
-                steps: part(&beside.steps, records),
-                ticks: part(&beside.ticks, records),
-                positions: part(&beside.positions, records),
-                intensity: part(&beside.intensity, records),
-                ..*beside
+            context: RecordContext {
+                rows: part(&context.rows, records),
+                columns: part(&context.columns, records),
+                steps: part(&context.steps, records),
+                ticks: part(&context.ticks, records),
+                positions: part(&context.positions, records),
+                intensity: part(&context.intensity, records),
+                ..*context
             },
         }
     }
@@ -245,12 +245,12 @@ impl Values<'_> {
 struct OwnedSources {
     channels: Vec<Channel>,
     known: Vec<usize>,
-    beside: Beside,
+    context: RecordContext,
 }
 
 impl OwnedSources {
     fn sources(&self) -> Sources<'_> {
-        Sources { channels: &self.channels, known: &self.known, beside: &self.beside }
+        Sources { channels: &self.channels, known: &self.known, context: &self.context }
     }
 }
 

@@ -3,6 +3,7 @@
 
 use byteorder::{ByteOrder, LittleEndian};
 
+use crate::ground::float_order::{bits32, bits64, ordered32, ordered64};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::Scalar;
 
@@ -240,26 +241,6 @@ fn write_place(scalar: Scalar, place: i64, value: &mut [u8]) {
         4 => LittleEndian::write_u32(value, bits as u32),
         _ => LittleEndian::write_u64(value, bits),
     }
-}
-
-/// -0 has a place of its own, below 0.
-fn ordered32(bits: u32) -> i64 {
-    let signed = bits as i32;
-    i64::from(if signed < 0 { !(signed & i32::MAX) } else { signed })
-}
-
-fn bits32(place: i64) -> u32 {
-    let signed = place as i32;
-    (if signed < 0 { !signed | i32::MIN } else { signed }) as u32
-}
-
-fn ordered64(bits: u64) -> i64 {
-    let signed = bits as i64;
-    if signed < 0 { !(signed & i64::MAX) } else { signed }
-}
-
-fn bits64(place: i64) -> u64 {
-    (if place < 0 { !place | i64::MIN } else { place }) as u64
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Columns by a general-purpose coder, once their bytes are arranged for it.
+//! Columns by a general-purpose coder, once their bytes are arranged for it. FORMAT.md 8.17.
 
 use crate::backend::{self, LZMA, Level, ZSTD};
 use crate::entropy::{BitCoder, IntegerModel};

@@ -1,6 +1,6 @@
 //! How a column is coded: the encoder's choice, as it stands in the stream.
 
-use super::Beside;
+use super::RecordContext;
 use super::numbers::Scale;
 use super::rules::Rule;
 use crate::entropy::BitCoder;
@@ -65,16 +65,16 @@ impl Geometry {
 
     /// The number of a record, if it is known.
     #[inline(always)]
-    pub fn of(self, record: usize, beside: &Beside) -> Option<f64> {
-        if self.0 == 0 { None } else { self.of_record(record, beside) }
+    pub fn of(self, record: usize, context: &RecordContext) -> Option<f64> {
+        if self.0 == 0 { None } else { self.of_record(record, context) }
     }
 
-    fn of_record(self, record: usize, beside: &Beside) -> Option<f64> {
+    fn of_record(self, record: usize, context: &RecordContext) -> Option<f64> {
         match self.0 {
-            0..FIRST_OF_PLACE => beside.positions.get(record).map(|position| self.of_position(position)),
-            FIRST_OF_PLACE => Some(f64::from(*beside.steps.get(record)?) * beside.range_step_m),
+            0..FIRST_OF_PLACE => context.positions.get(record).map(|position| self.of_position(position)),
+            FIRST_OF_PLACE => Some(f64::from(*context.steps.get(record)?) * context.range_step_m),
             _ => {
-                let degrees = f64::from(*beside.ticks.get(record)?) * beside.tick_degrees;
+                let degrees = f64::from(*context.ticks.get(record)?) * context.tick_degrees;
                 let angle = match (self.0 - FIRST_OF_PLACE - 1) % 3 {
                     0 => degrees * (std::f64::consts::PI / 180.0),
                     1 => degrees,

@@ -11,16 +11,16 @@ use super::*;
 use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
 
 /// Codes channels in two frames, checks that they come back, and gives the bytes of the second.
-fn round_trip(channels: &[Channel], beside: &Beside) -> usize {
+fn round_trip(channels: &[Channel], context: &RecordContext) -> usize {
     let (mut writer, mut reader) = (ChannelsModel::default(), ChannelsModel::default());
     let mut size = 0;
     for _ in 0..2 {
         let mut encoder = ArithmeticEncoder::default();
-        writer.code(&mut encoder, &mut channels.to_vec(), beside, Level::default()).unwrap();
+        writer.code(&mut encoder, &mut channels.to_vec(), context, Level::default()).unwrap();
         let bytes = encoder.finish();
         size = bytes.len();
         let mut decoded = empty(channels);
-        reader.code(&mut ArithmeticDecoder::new(&bytes), &mut decoded, beside, Level::default()).unwrap();
+        reader.code(&mut ArithmeticDecoder::new(&bytes), &mut decoded, context, Level::default()).unwrap();
         assert_eq!(decoded, channels);
     }
     size
@@ -52,9 +52,9 @@ fn returns() -> Vec<u32> {
 fn what_follows_from_the_beam_costs_next_to_nothing() {
     let returns = returns();
     let rows = returns.iter().map(|n| n % 16 + 1).collect();
-    let beside = Beside { rows, ..Beside::default() };
+    let context = RecordContext { rows, ..RecordContext::default() };
     let ring = channel("ring", Scalar::U16, returns.iter().map(|n| ((n % 16 * 7 % 16) as u16).to_le_bytes()));
-    let size = round_trip(&[ring], &beside);
+    let size = round_trip(&[ring], &context);
     assert!(size < 60, "{size} bytes");
 }
 
@@ -66,31 +66,31 @@ fn times_of_firings_are_explained_by_the_ring() {
         ((1_600_000_000_000_000u64 + u64::from(n / 16 * 55 + n % 16 * 2)) as f64 / 1e6).to_le_bytes()
     };
     let time = channel("time", Scalar::F64, returns.iter().map(time));
-    let rings = round_trip(std::slice::from_ref(&ring), &Beside::default());
-    let both = round_trip(&[time, ring], &Beside::default());
+    let rings = round_trip(std::slice::from_ref(&ring), &RecordContext::default());
+    let both = round_trip(&[time, ring], &RecordContext::default());
     assert!(both - rings < RECORDS as usize / 40, "{both} bytes, {rings} of rings");
 }
 
 /// What is known of returns of a scanner of 16 beams whose ticks are hundredths of degrees.
-fn beside_firings(returns: &[u32]) -> Beside {
-    Beside {
+fn context_of_firings(returns: &[u32]) -> RecordContext {
+    RecordContext {
         rows: returns.iter().map(|n| n % 16 + 1).collect(),
         columns: returns.iter().map(|n| n / 16 + 1).collect(),
         steps: returns.iter().map(|&n| 500 + noise(n) % 30_000).collect(),
         ticks: returns.iter().map(|n| n / 16 * 20 % 36_000).collect(),
         range_step_m: 0.002,
         tick_degrees: 0.01,
-        ..Beside::default()
+        ..RecordContext::default()
     }
 }
 
 #[test]
 fn what_follows_from_range_and_tick_costs_next_to_nothing() {
     let returns = returns();
-    let beside = beside_firings(&returns);
-    let steps = || beside.steps.iter();
+    let context = context_of_firings(&returns);
+    let steps = || context.steps.iter();
     let turned = |row: u32, tick: u32| tick as i32 + (row * 37 % 11) as i32 - 5;
-    let ticks = || beside.rows.iter().zip(&beside.ticks);
+    let ticks = || context.rows.iter().zip(&context.ticks);
     let channels = [
         channel("single", Scalar::F32, steps().map(|&n| (n as f32 * 0.002f32).to_le_bytes())),
         channel("rounded", Scalar::F32, steps().map(|&n| ((f64::from(n) * 0.002) as f32).to_le_bytes())),
@@ -104,33 +104,33 @@ fn what_follows_from_range_and_tick_costs_next_to_nothing() {
         ),
         channel("backwards", Scalar::U16, ticks().map(|(_, &tick)| (36_000 - tick as u16).to_le_bytes())),
     ];
-    let size = round_trip(&channels, &beside);
+    let size = round_trip(&channels, &context);
     assert!(size < 150, "{size} bytes");
 }
 
 #[test]
 fn times_of_packets_are_known_in_all_their_firings() {
     let returns = returns();
-    let beside = beside_firings(&returns);
+    let context = context_of_firings(&returns);
     let time = |n: &u32| {
         // Six firings to a packet, whose times are rough.
         let packet = 1.6e9 + f64::from(n / 96 * 330 + noise(n / 96) % 7) * 1e-6;
         (packet + (f64::from(n / 16 % 6) * 55.296 + f64::from(n % 16) * 2.304) * 1e-6).to_le_bytes()
     };
-    let size = round_trip(&[channel("time", Scalar::F64, returns.iter().map(time))], &beside);
+    let size = round_trip(&[channel("time", Scalar::F64, returns.iter().map(time))], &context);
     let packets = returns[returns.len() - 1] as usize / 96;
     assert!(size < 4 * packets, "{size} bytes of {packets} packets");
 }
 
 #[test]
 fn a_column_has_one_time_in_every_line() {
-    let beside = Beside {
+    let context = RecordContext {
         rows: (0..RECORDS).map(|n| n / 500 + 1).collect(),
         columns: (0..RECORDS).map(|n| n % 500 + 1).collect(),
-        ..Beside::default()
+        ..RecordContext::default()
     };
     let time = |n: u32| (n % 500 * 97_656 + noise(n % 500) % 9000).to_le_bytes();
-    let size = round_trip(&[channel("t", Scalar::U32, (0..RECORDS).map(time))], &beside);
+    let size = round_trip(&[channel("t", Scalar::U32, (0..RECORDS).map(time))], &context);
     assert!(size < 3 * 500, "{size} bytes");
 }
 
@@ -138,7 +138,7 @@ fn a_column_has_one_time_in_every_line() {
 fn the_same_in_another_type_and_constants_cost_nothing() {
     let values = || (0..RECORDS).map(|n| noise(n) % 256);
     let intensity: Vec<f32> = values().map(|n| n as f32).collect();
-    let beside = Beside { intensity, ..Beside::default() };
+    let context = RecordContext { intensity, ..RecordContext::default() };
     let channels = [
         channel("reflectivity", Scalar::U16, values().map(|n| (n as u16).to_le_bytes())),
         channel("again", Scalar::F64, values().map(|n| f64::from(n).to_le_bytes())),
@@ -148,7 +148,7 @@ fn the_same_in_another_type_and_constants_cost_nothing() {
         },
         channel("return_type", Scalar::U8, (0..RECORDS).map(|_| [3])),
     ];
-    let size = round_trip(&channels, &beside);
+    let size = round_trip(&channels, &context);
     assert!(size < 40, "{size} bytes");
 }
 
@@ -162,13 +162,13 @@ fn what_follows_from_the_position_costs_little() {
             [(metres * libm::sin(angle)) as f32, (metres * libm::cos(angle)) as f32, 0.25]
         })
         .collect();
-    let beside = Beside { positions, ..Beside::default() };
+    let context = RecordContext { positions, ..RecordContext::default() };
     let distance = |n: u32| {
         let metres = metres(n);
         ((metres * metres + 0.0625).sqrt() as f32).to_le_bytes()
     };
     let channels = [channel("distance", Scalar::F32, (0..RECORDS).map(distance))];
-    let size = round_trip(&channels, &beside);
+    let size = round_trip(&channels, &context);
     assert!(size < RECORDS as usize / 2, "{size} bytes");
 }
 
@@ -182,13 +182,13 @@ fn what_repeats_far_away_is_packed() {
         let channels = [Channel { field: field.clone(), bytes: bytes.clone() }];
         let mut encoder = ArithmeticEncoder::default();
         ChannelsModel::default()
-            .code(&mut encoder, &mut channels.clone(), &Beside::default(), level)
+            .code(&mut encoder, &mut channels.clone(), &RecordContext::default(), level)
             .unwrap();
         let coded = encoder.finish();
         assert!(coded.len() < 21_000, "{} bytes", coded.len());
         let mut decoded = empty(&channels);
         ChannelsModel::default()
-            .code(&mut ArithmeticDecoder::new(&coded), &mut decoded, &Beside::default(), level)
+            .code(&mut ArithmeticDecoder::new(&coded), &mut decoded, &RecordContext::default(), level)
             .unwrap();
         assert_eq!(decoded, channels);
     }
@@ -225,12 +225,12 @@ fn frames_round_trip_by(rule: Rule, places: &[(u8, u8)], frames: &[Vec<f32>]) {
     let scale = Scale::from_code(1).unwrap();
     let plan =
         Plan::Integers(Integers { scale, has_exceptions: true, rule: Some(rule), ..Integers::default() });
-    let beside = Beside {
+    let context = RecordContext {
         rows: places.iter().map(|place| place.0.into()).collect(),
         columns: places.iter().map(|place| place.1.into()).collect(),
-        ..Beside::default()
+        ..RecordContext::default()
     };
-    let sources = Sources { channels: &[], known: &[], beside: &beside };
+    let sources = Sources { channels: &[], known: &[], context: &context };
     let (mut writer, mut reader) = (ColumnModel::default(), ColumnModel::default());
     for frame in frames {
         let mut bytes: Vec<u8> = frame.iter().flat_map(|value| value.to_le_bytes()).collect();
@@ -250,7 +250,7 @@ fn more_columns_than_have_models_come_back() {
         channel(&format!("c{n}"), Scalar::U8, (0..300).map(move |at| [noise(at * 100 + n) as u8 & 3]))
     };
     let channels: Vec<Channel> = (0..70).map(values).collect();
-    round_trip(&channels, &Beside::default());
+    round_trip(&channels, &RecordContext::default());
 }
 
 /// Values of any type that are sometimes like those before them.
@@ -288,8 +288,8 @@ proptest! {
         let rows = if has_image { rows } else { Vec::new() };
         let (columns, steps) = (rows.clone(), rows.clone());
         let ticks = rows.clone();
-        let beside = Beside { rows, columns, steps, ticks, range_step_m: 0.01, tick_degrees: 0.1, ..Beside::default() };
-        round_trip(&channels, &beside);
+        let context = RecordContext { rows, columns, steps, ticks, range_step_m: 0.01, tick_degrees: 0.1, ..RecordContext::default() };
+        round_trip(&channels, &context);
     }
 
     #[test]
@@ -325,6 +325,6 @@ proptest! {
     fn any_bytes_decode_to_channels_or_an_error(bytes: Vec<u8>, channels in prop::collection::vec(any_channel(20), 1..4)) {
         let mut decoded = empty(&channels);
         let mut decoder = ArithmeticDecoder::new(&bytes);
-        drop(ChannelsModel::default().code(&mut decoder, &mut decoded, &Beside::default(), Level::default()));
+        drop(ChannelsModel::default().code(&mut decoder, &mut decoded, &RecordContext::default(), Level::default()));
     }
 }

@@ -1,5 +1,5 @@
 //! The corrections as tokens: the number of points that need none, then the correction of the one that does,
-//! in units of the grid.
+//! in units of the grid. FORMAT.md 8.16.
 
 use crate::entropy::TokenCoder;
 use crate::ground::varint::{unzigzag, zigzag};

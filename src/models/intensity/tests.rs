@@ -27,7 +27,7 @@ fn code<C: BitCoder>(coder: &mut C, is_deep: bool, scale: &IntensityScale, frame
     let mut model = IntensityModel::default();
     let mut reference: Option<Reference> = None;
     for values in frames {
-        model.set_deep(is_deep);
+        model.use_deep(is_deep);
         model.start_frame(scale, (ROWS, COLUMNS), values.cells().len());
         let mut levels: Grid<u16> = Grid::new(ROWS, COLUMNS);
         for row in 0..ROWS {

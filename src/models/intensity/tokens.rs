@@ -1,5 +1,5 @@
 //! The intensities as tokens: each level is a token, whose context is the level before and whether that
-//! agrees with the one above.
+//! agrees with the one above. FORMAT.md 8.16.
 
 use crate::entropy::TokenCoder;
 use crate::ground::varint::{unzigzag, zigzag};

@@ -1,5 +1,5 @@
 //! Which cells of the range image hold a return, as tokens: eight cells each, as their difference to the row
-//! above.
+//! above. FORMAT.md 8.16.
 
 use crate::entropy::TokenCoder;
 use crate::ground::grid::Grid;

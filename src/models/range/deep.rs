@@ -169,7 +169,7 @@ mod tests {
         let mut random = Rng::keyed(7, &[]);
         let frames: Vec<_> = (0..3).map(|_| frame(&mut random)).collect();
         let mut models = [RangeModel::default(), RangeModel::default()];
-        models.iter_mut().for_each(|model| model.go_deep());
+        models.iter_mut().for_each(|model| model.use_deep());
         let [encoding, decoding] = &mut models;
         let mut before: Option<Grid<u32>> = None;
         let mut bytes = 0;

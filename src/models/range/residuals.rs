@@ -1,5 +1,5 @@
 //! What the residuals of the least squares still tell: neighbouring ones are alike, and surfaces of some
-//! intensities are measured too near or too far, and with more noise.
+//! intensities are measured too near or too far, and with more noise. FORMAT.md 7.4.
 
 use crate::models::quantise::signed_level;
 use crate::models::range::site::intensity_change;

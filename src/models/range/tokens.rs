@@ -1,5 +1,5 @@
 //! The ranges as tokens: prediction errors (misses), whose contexts are how rough the surroundings are and
-//! how large the misses around were.
+//! how large the misses around were. FORMAT.md 8.16.
 
 mod prediction;
 mod start;

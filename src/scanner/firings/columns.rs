@@ -1,4 +1,5 @@
 //! The azimuths of the firings: which tick each has, and how its slots go on from there.
+//! FORMAT.md 8.2.
 
 use super::Firings;
 use super::timing::Span;

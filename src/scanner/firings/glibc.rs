@@ -1,5 +1,6 @@
 //! Cosine and sine in single precision as glibc has had them since 2.28: of about 1 % of all angles not the nearest
 //! float32. The polynomials and the reduction are those of its `sincosf`, for angles below 120 radians.
+//! FORMAT.md 3.5.
 
 /// Of sine, from x^3 on, and of cosine, from 1 on.
 const SINE: [f64; 3] = [

@@ -1,4 +1,4 @@
-//! A scanner of firings as its record in the stream.
+//! A scanner of firings as its record in the stream. FORMAT.md 3.3.
 
 use super::timing::{MOST_BLOCKS, WHOLE};
 use super::{Build, Firings, Laser, Origin, Recipe, Timing};

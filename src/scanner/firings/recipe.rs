@@ -1,4 +1,5 @@
 //! How the programs that write scans turn integers into coordinates: which precision, which order, which axes.
+//! FORMAT.md 3.3.
 
 use std::f64::consts::PI;
 

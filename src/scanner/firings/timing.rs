@@ -1,4 +1,4 @@
-//! How the azimuth goes on while the lasers fire one after the other.
+//! How the azimuth goes on while the lasers fire one after the other. FORMAT.md 3.3.
 
 /// How the azimuth goes on inside a block: the firings that share one azimuth in the scanner's packets.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

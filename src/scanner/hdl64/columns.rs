@@ -1,82 +1,41 @@
-//! The shifts between the azimuth ticks of the beams: all beams fire together, so their occupied ticks agree
-//! best when their columns are aligned.
+//! Which azimuth ticks are columns: the gaps between them, which alternate in a slow beat of the firing rate
+//! against the ticks. FORMAT.md 8.2.
 
-use std::cmp::Reverse;
+use crate::entropy::{AdaptiveBit, BitCoder};
 
-use pulp::NullaryFnOnce;
-use rayon::prelude::*;
+/// The distance from the last odd gap is counted up to this.
+const LONGEST_RUN: usize = 31;
 
-use super::beams::{Beam, Point};
-use crate::ground::lanes::dispatch;
-use crate::scanner::Hdl64;
-
-/// For each beam, the whole number of ticks by which its columns are shifted against those of the beam with
-/// the most points, judged from one scan that contains both.
-pub(crate) fn column_shifts(model: &Hdl64, beams: &[&Beam]) -> Vec<i64> {
-    // The beams of a firing look within 36 degrees of each other.
-    let widest = i64::from(model.ticks / 10);
-    let filled =
-        |row: usize| (0..beams[row].scans.len()).map(|scan| beams[row].points_in(scan)).sum::<usize>();
-    let reference = (0..beams.len()).max_by_key(|&row| filled(row)).unwrap_or(0);
-    let in_scan = |pieces: &Vec<&[Point]>| (!pieces.is_empty()).then(|| used_ticks(model, reference, pieces));
-    let of_reference: Vec<Option<Vec<u64>>> =
-        beams.get(reference).map_or_else(Vec::new, |beam| beam.scans.iter().map(in_scan).collect());
-    let best = |row: usize| {
-        let mut pairs = beams[row].scans.iter().zip(&of_reference);
-        let shared = pairs.find_map(|(mine, theirs)| (!mine.is_empty()).then_some((mine, theirs.as_ref()?)));
-        let Some((mine, theirs)) = shared else { return 0 };
-        let mine = used_ticks(model, row, mine);
-        let agreements = dispatch(Agreements { mine: &mine, theirs, ticks: model.ticks as usize, widest });
-        let worth = |&(agreement, shift): &(u32, i64)| (Reverse(agreement), shift.abs(), shift);
-        agreements.into_iter().zip(-widest..).min_by_key(worth).map_or(0, |(_, shift)| shift)
-    };
-    (0..beams.len()).into_par_iter().map(best).collect()
+/// What the coder has learned about columns.
+#[derive(Clone)]
+pub struct ColumnModel {
+    used: Vec<AdaptiveBit>,
 }
 
-/// The arguments of [`column_shifts`]' search for the number of ticks that two beams both use, for each shift of up to
-/// `widest` ticks either way. A struct, so that the function can be compiled for several vector units.
-struct Agreements<'a> {
-    mine: &'a [u64],
-    theirs: &'a [u64],
-    ticks: usize,
-    widest: i64,
+impl Default for ColumnModel {
+    fn default() -> Self {
+        ColumnModel { used: vec![AdaptiveBit::default(); 4 * (LONGEST_RUN + 1) * 4] }
+    }
 }
 
-impl NullaryFnOnce for Agreements<'_> {
-    type Output = Vec<u32>;
-
-    #[inline(always)]
-    fn call(self) -> Vec<u32> {
-        let Agreements { mine, theirs, ticks, widest } = self;
-        // The turn goes on from its start.
-        let mut round = vec![0u64; (2 * ticks).div_ceil(BITS) + 1];
-        for tick in (0..ticks).filter(|tick| theirs[tick / BITS] >> (tick % BITS) & 1 == 1) {
-            [tick, tick + ticks].into_iter().for_each(|tick| round[tick / BITS] |= 1 << (tick % BITS));
-        }
-        let mut agreements = Vec::with_capacity(2 * widest as usize + 1);
-        for shift in -widest..=widest {
-            let start = shift.rem_euclid(ticks as i64) as usize;
-            let (bits, theirs) = (start % BITS, &round[start / BITS..]);
-            let mut both = 0;
-            for ((mine, low), high) in mine.iter().zip(theirs).zip(&theirs[1..]) {
-                // In two steps, as no shift is by as many bits as there are.
-                both += (mine & (low >> bits | high << 1 << (BITS - 1 - bits))).count_ones();
+impl ColumnModel {
+    /// Codes a set of ticks below `ticks`, as rising numbers.
+    pub fn code<C: BitCoder>(&mut self, coder: &mut C, ticks: u32, columns: &mut Vec<u32>) {
+        let known = std::mem::take(columns);
+        let mut known = known.iter().peekable();
+        let (mut gap, mut run, mut last_gap) = (0usize, 0, 0);
+        for tick in 0..ticks {
+            let used = known.next_if_eq(&&tick).is_some();
+            let context = (gap.min(3) * (LONGEST_RUN + 1) + run) * 4 + last_gap.min(3);
+            if self.used[context].code(coder, used) {
+                columns.push(tick);
+                // The short gap is the rare one; when it comes again depends on how long ago it last came.
+                run = if gap == 0 { 0 } else { (run + 1).min(LONGEST_RUN) };
+                last_gap = gap;
+                gap = 0;
+            } else {
+                gap += 1;
             }
-            agreements.push(both);
         }
-        agreements
     }
-}
-
-/// Ticks in a word.
-const BITS: usize = u64::BITS as usize;
-
-/// A bit for each tick: 1 if the beam has a point there.
-fn used_ticks(model: &Hdl64, row: usize, pieces: &[&[Point]]) -> Vec<u64> {
-    let mut used = vec![0; (model.ticks as usize).div_ceil(BITS)];
-    for point in pieces.iter().copied().flatten() {
-        let tick = model.nearest_tick(row, point.azimuth, point.rho) as usize;
-        used[tick / BITS] |= 1 << (tick % BITS);
-    }
-    used
 }

@@ -13,7 +13,7 @@ use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 
 use super::beams::{Beam, Cone, Point, align, split_beams, thinned};
-use super::columns::column_shifts;
+use super::column_shifts::column_shifts;
 use super::formula::small_atan;
 use super::sharpen::sharpen;
 use crate::ground::angle::rough_sine;

@@ -2,6 +2,7 @@
 
 mod alignment;
 mod beams;
+mod column_shifts;
 mod columns;
 mod file_order;
 mod fit;
@@ -19,6 +20,7 @@ mod testing;
 
 pub use alignment::Alignment;
 pub(crate) use beams::{Point as BeamPoint, split_beams, thinned};
+pub use columns::ColumnModel;
 pub use fit::{RANGE_STEP_UM, fit, is_evident};
 pub use model::{BeamConstants, FLOAT_RANGES, Hdl64, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, Sighting};
 pub use positions::positions;

@@ -1,4 +1,5 @@
 //! The calibrated scanner: the formula of a Velodyne HDL-64E with constants for each beam.
+//! FORMAT.md 3.2.
 //!
 //! For beam `k` with elevation V, range offset b, height c, sideways offset h and azimuth
 //! offset rot, a range of `n` steps and an azimuth of `t` ticks:

@@ -1,4 +1,5 @@
 //! Sine and cosine in single precision, computed by the operations of the C library of the time (fdlibm).
+//! FORMAT.md 3.5.
 //!
 //! Their last bit is wrong for 6 to 10 % of the angles, and files contain that last bit, so they are computed
 //! in the same way here. Correctly rounded values give x and y of nine points in ten exactly, these give all.

@@ -1,5 +1,5 @@
 //! The formula as it was computed by the program that wrote the file: partly in single precision, operation
-//! by operation.
+//! by operation. FORMAT.md 3.2.
 //!
 //! Unrounded coordinates contain the last bit of every one of those operations. The constants are those of
 //! the f64 formula, only more accurate, so the stream holds the differences to them.
@@ -10,9 +10,9 @@ use std::ops::{Add, Sub};
 use super::formula::small_atan;
 use super::sine::sine_and_cosine;
 use crate::ground::error::{Error, Result};
+use crate::ground::float_order::{from_ordered, ordered};
 use crate::ground::lanes::lanes;
 use crate::ground::varint::{read_signed, write_signed};
-use crate::scanner::coordinates::{from_ordered, ordered};
 
 /// The unit of a refinement, in metres or degrees.
 const UNIT: f64 = 1.0 / (1u64 << 40) as f64;

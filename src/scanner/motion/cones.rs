@@ -7,7 +7,7 @@
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 use super::many::Seen;
-use super::motion::{Motion, Mover};
+use super::turn::{Motion, Mover};
 use crate::scanner::thinned;
 
 /// The unknowns: translation, then rotation about x and y.

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use super::cones::Cones;
 use super::grid::Yaw;
 use super::many::{self, Seen, is_in_reach};
-use super::motion::Mover;
+use super::turn::Mover;
 use super::{Motion, Turn, grid};
 use crate::scanner::{BeamPoint, Coordinates, split_beams, thinned};
 

@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 use nalgebra::{SMatrix, SVector};
 
 use super::many::{self, Seen};
-use super::motion::{Motion, Mover, part_of_turn};
+use super::turn::{Motion, Mover, part_of_turn};
 use crate::ground::angle::rough_sine;
 use crate::scanner::{nearest_millimetre, thinned};
 

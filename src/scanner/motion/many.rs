@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use pulp::NullaryFnOnce;
 
-use super::motion::Mover;
+use super::turn::Mover;
 use crate::ground::angle;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::scanner::nearest_millimetre;

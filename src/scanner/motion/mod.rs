@@ -1,5 +1,5 @@
 //! Motion compensation, undone. There are three kinds: in one go, from the motion of a turn, here; firing
-//! by firing through the coordinates of a map, in [`world`]; and by the points' time stamps, in [`stamped`].
+//! by firing through the coordinates of a map, in [`world`]; and by the points' time stamps, in [`by_time`].
 //!
 //! A scanner that moves sees each point of a turn from another place; some
 //! data sets hold points that were moved to where they would have been seen from the place in the middle
@@ -18,20 +18,19 @@
 //! a cone, which tells all of the motion but the rotation about the cones' axis; [`grid`] brings them onto
 //! the millimetre grid.
 
+pub mod by_time;
 mod cones;
 mod find;
 mod grid;
 mod many;
-#[allow(clippy::module_inception)]
-mod motion;
 mod payload;
-pub mod stamped;
+mod turn;
 mod units;
 pub mod world;
 
-pub(in crate::scanner) use motion::RigidMotion;
-pub use motion::{Motion, Mover};
-pub use stamped::Stamped;
+pub use by_time::Stamped;
+pub(in crate::scanner) use turn::RigidMotion;
+pub use turn::{Motion, Mover};
 pub use world::World;
 
 use crate::scan::Channel;

@@ -1,4 +1,5 @@
 //! The section of a frame that tells how its points were moved through a world frame.
+//! FORMAT.md 8.15.
 
 use super::{Correction, Formula, Knot, Pose, SLOTS, Times, World, start};
 use crate::entropy::{AdaptiveBit, ArithmeticDecoder, ArithmeticEncoder, BitCoder, IntegerModel};

@@ -13,7 +13,7 @@ use crate::article::prediction::intra::IntraPrediction;
 use crate::article::prediction::surface::SurfaceCoder;
 use crate::article::prediction::{Predictor, Rays};
 use crate::article::segmentation::segment;
-use crate::backend::{BACKENDS, Backend};
+use crate::backend::{BACKENDS, Backend, Packing};
 use crate::entropy::ArithmeticEncoder;
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::{Error, Result};
@@ -160,7 +160,11 @@ impl Figure13 {
         let size = |backend: &dyn Backend, form: Form, residuals: &[i32]| -> Result<u64> {
             let bytes = match form.floats {
                 true => as_floats(residuals, &occupancy, sensor),
-                false => config.packing_for(backend, form.snake).pack(residuals),
+                // Ranges that are not differences are large numbers.
+                false => {
+                    let best = if form.snake { backend.packing() } else { Packing::Planes };
+                    config.packing.unwrap_or(best).pack(residuals)
+                }
             };
             let side = if form.source == Source::Regions { side } else { 0 };
             Ok(backend.compress(&bytes, config.level)?.len() as u64 + side)

@@ -1,4 +1,4 @@
-//! Scanner records: what groups refer to for the scanners of their streams.
+//! Scanner records: what groups refer to for the scanners of their tracks. FORMAT.md 2.3.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -21,12 +21,12 @@ impl fmt::Display for ScannerId {
 }
 
 impl ScannerId {
-    /// Appends the scanner of a stream, if it has one.
+    /// Appends the scanner of a track, if it has one.
     pub(super) fn write_to(scanner: Option<ScannerId>, out: &mut Vec<u8>) {
         write_unsigned(out, scanner.map_or(0, |id| u64::from(id.0) + 1));
     }
 
-    /// Takes the scanner of a stream, if it has one, off the front of `input`.
+    /// Takes the scanner of a track, if it has one, off the front of `input`.
     ///
     /// # Errors
     /// If it is cut short, or over 2^32.
@@ -84,9 +84,9 @@ impl ScannerRecord {
 
 /// The scanners of a stream, by what groups call them.
 #[derive(Default)]
-pub(super) struct Scanners(HashMap<ScannerId, ScannerRecord>);
+pub(super) struct ScannerRecords(HashMap<ScannerId, ScannerRecord>);
 
-impl Scanners {
+impl ScannerRecords {
     /// Adds a scanner; returns whether it is new.
     ///
     /// # Errors

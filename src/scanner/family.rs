@@ -1,15 +1,14 @@
-//! The scanner of a stream of scans: one of the families.
+//! The scanner of a stream of scans: one of the families. FORMAT.md 3.1.
 
 use std::borrow::Cow;
 use std::fmt;
 
 use super::firings::{self, Firings};
 use super::hdl64::{self, Hdl64};
-use super::motion::stamped;
+use super::motion::by_time;
 use super::{Coordinates, MOST_STEPS, Projection, REACH, RangeImage, Return};
 use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
-use crate::models::ColumnModel;
 use crate::scan::{PointCloud, ScanFile, squared_distance};
 
 /// A scanner: what turns integers (beam or laser, azimuth tick, range steps) into the coordinates of a file.
@@ -31,7 +30,7 @@ const FIRINGS: u64 = 2;
 /// What the coder has learned about columns, whatever the family.
 #[derive(Clone, Default)]
 pub struct ColumnModels {
-    hdl64: ColumnModel,
+    hdl64: hdl64::ColumnModel,
     firings: firings::FiringColumnModel,
 }
 
@@ -63,8 +62,8 @@ impl Scanner {
         }
         // What the first explains is in the order of firings, which is in no other family's.
         let firings = firings::fit(sample)
-            .map(|(scanner, _)| stamped::fit(sample, Some(&scanner)).unwrap_or(scanner))
-            .or_else(|| stamped::fit(sample, None))
+            .map(|(scanner, _)| by_time::fit(sample, Some(&scanner)).unwrap_or(scanner))
+            .or_else(|| by_time::fit(sample, None))
             .map(Scanner::Firings);
         firings.or_else(beams)
     }

@@ -1,4 +1,4 @@
-//! Groups: frames that are coded together, and apart from all others.
+//! Groups: frames that are coded together, and apart from all others. FORMAT.md 2.4 and 2.5.
 
 use super::index::FrameEntry;
 use super::scanner::ScannerId;
@@ -12,8 +12,8 @@ use crate::ground::{SKIPPABLE, SectionKind};
 /// The longest name of a frame, in bytes: as long as paths may be.
 const NAME_MAX: u64 = 4095;
 
-/// The most streams that take turns in a group.
-pub const STREAMS_MAX: u64 = 255;
+/// The most tracks of a group.
+pub const TRACKS_MAX: u64 = 255;
 
 /// What a frame decodes to, without decoding it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -41,26 +41,48 @@ impl FrameHeader {
             point_count,
         }
     }
+
+    /// Appends the header.
+    fn write_to(&self, out: &mut Vec<u8>) {
+        write_unsigned(out, self.name.len() as u64);
+        out.extend_from_slice(self.name.as_bytes());
+        self.stamp.write_to(out);
+        write_unsigned(out, self.file_size);
+        out.extend_from_slice(&self.file_crc.to_le_bytes());
+        write_unsigned(out, self.point_count);
+    }
+
+    /// Takes a header off the front of `input`. What it claims is not checked against any limits.
+    fn read_from(input: &mut &[u8]) -> Result<Self> {
+        let name_length = read_unsigned(input, "frame name's length")?;
+        if name_length > NAME_MAX {
+            return Err(Error::corrupt(format!("frame name of {name_length} bytes")));
+        }
+        let name = take(input, name_length, "frame name")?;
+        let name = str::from_utf8(name).map_err(|_| Error::corrupt("frame name is not UTF-8"))?;
+        Ok(FrameHeader {
+            name: name.to_owned(),
+            stamp: Stamp::read_from(input)?,
+            file_size: read_unsigned(input, "file size")?,
+            file_crc: take_u32(input, "file checksum")?,
+            point_count: read_unsigned(input, "point count")?,
+        })
+    }
 }
 
 /// One coded frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Frame {
+pub struct CodedFrame {
     /// What it decodes to.
     pub header: FrameHeader,
     /// The coded parts.
     pub sections: Vec<Section>,
 }
 
-impl Frame {
+impl CodedFrame {
     /// Appends the frame header and the sections.
     pub fn write_to(&self, out: &mut Vec<u8>) {
-        write_unsigned(out, self.header.name.len() as u64);
-        out.extend_from_slice(self.header.name.as_bytes());
-        self.header.stamp.write_to(out);
-        write_unsigned(out, self.header.file_size);
-        out.extend_from_slice(&self.header.file_crc.to_le_bytes());
-        write_unsigned(out, self.header.point_count);
+        self.header.write_to(out);
         write_unsigned(out, self.sections.len() as u64);
         for section in &self.sections {
             section.write_to(out);
@@ -72,23 +94,14 @@ impl Frame {
     /// # Errors
     /// If it is damaged, asks for more than `limits` allow, or holds an unknown section.
     pub fn read_from(input: &mut &[u8], limits: &Limits) -> Result<Self> {
-        let name_length = read_unsigned(input, "frame name's length")?;
-        if name_length > NAME_MAX {
-            return Err(Error::corrupt(format!("frame name of {name_length} bytes")));
-        }
-        let name = take(input, name_length, "frame name")?;
-        let name = str::from_utf8(name).map_err(|_| Error::corrupt("frame name is not UTF-8"))?;
-        let header = FrameHeader {
-            name: name.to_owned(),
-            stamp: Stamp::read_from(input)?,
-            file_size: limited(read_unsigned(input, "file size")?, "file size in bytes", limits.file_bytes)?,
-            file_crc: take_u32(input, "file checksum")?,
-            point_count: limited(read_unsigned(input, "point count")?, "points in a frame", limits.points)?,
-        };
+        let header = FrameHeader::read_from(input)?;
+        Error::check_limit("file size in bytes", header.file_size, limits.file_bytes)?;
+        Error::check_limit("points in a frame", header.point_count, limits.points)?;
         let section_count = read_unsigned(input, "section count")?;
         let mut sections = Vec::new();
         for _ in 0..section_count {
-            sections.push(Section::read_from(input).map_err(|e| e.within(format!("{name:?}")))?);
+            let section = Section::read_from(input);
+            sections.push(section.map_err(|e| e.within(format!("{:?}", header.name)))?);
         }
         let allowed = allowance(&sections);
         if header.file_size > allowed || header.point_count > allowed {
@@ -98,7 +111,7 @@ impl Frame {
             );
             return Err(Error::corrupt(what));
         }
-        Ok(Frame { header, sections })
+        Ok(CodedFrame { header, sections })
     }
 }
 
@@ -127,15 +140,15 @@ pub fn pay_for(sections: &mut Vec<Section>, unfolded: u64) {
     }
 }
 
-/// Frames that are coded together; those of each stream learn from one another, and from no other's. A
+/// Frames that are coded together; those of each track learn from one another, and from no other's. A
 /// group says nothing of its place in the sequence, and names its scanners by what they are, so that groups can be cut
 /// and joined without coding them anew.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Group {
-    /// The scanner of each stream, 1 to 255 of them, if it has one.
+    /// The scanner of each track, 1 to 255 of them, if it has one.
     pub scanners: Vec<Option<ScannerId>>,
-    /// The frames of all streams, in order.
-    pub frames: Vec<Frame>,
+    /// The frames of all tracks, in order.
+    pub frames: Vec<CodedFrame>,
 }
 
 impl Group {
@@ -176,7 +189,7 @@ impl Group {
     /// Reads the payload of a group record; also returns what the index must say of each frame.
     ///
     /// # Errors
-    /// As [`Frame::read_from`]; also if a frame is of a stream that the group does not have, if bytes are left over, or
+    /// As [`CodedFrame::read_from`]; also if a frame is of a track that the group does not have, if bytes are left over, or
     /// if the files of the group are together over `limits.file_bytes` (they may all be in memory at once).
     pub fn read_from(mut input: &[u8], limits: &Limits) -> Result<(Self, Vec<FrameEntry>)> {
         let input = &mut input;
@@ -186,10 +199,10 @@ impl Group {
         let mut file_bytes = 0u64;
         for number in 0..frame_count {
             let before = input.len();
-            let frame = Frame::read_from(input, limits).map_err(|e| e.within_frame_of_group(number))?;
+            let frame = CodedFrame::read_from(input, limits).map_err(|e| e.within_frame_of_group(number))?;
             let stamp = frame.header.stamp;
-            if usize::from(stamp.stream) >= scanners.len() {
-                let what = format!("stream {} of {}", stamp.stream, scanners.len());
+            if usize::from(stamp.track) >= scanners.len() {
+                let what = format!("track {} of {}", stamp.track, scanners.len());
                 return Err(Error::corrupt(what).within_frame_of_group(number));
             }
             if entries
@@ -200,7 +213,7 @@ impl Group {
                 return Err(Error::corrupt(what).within_frame_of_group(number));
             }
             file_bytes = file_bytes.saturating_add(frame.header.file_size);
-            limited(file_bytes, "bytes of a group's files", limits.file_bytes)?;
+            Error::check_limit("bytes of a group's files", file_bytes, limits.file_bytes)?;
             frames.push(frame);
             entries.push(FrameEntry { size: (before - input.len()) as u64, stamp });
         }
@@ -211,33 +224,22 @@ impl Group {
     }
 }
 
-/// Takes the scanners of a group's streams off the front of `input`.
+/// Takes the scanners of a group's tracks off the front of `input`.
 fn read_scanners(input: &mut &[u8]) -> Result<Vec<Option<ScannerId>>> {
     match read_unsigned(input, "scanner count")? {
-        count @ 1..=STREAMS_MAX => (0..count).map(|_| ScannerId::read_from(input)).collect(),
-        count => Err(Error::corrupt(format!("a group of {count} streams"))),
+        count @ 1..=TRACKS_MAX => (0..count).map(|_| ScannerId::read_from(input)).collect(),
+        count => Err(Error::corrupt(format!("a group of {count} tracks"))),
     }
 }
 
 /// Takes a frame off the front of `input` without a look at its checksums; gives its name.
 fn skim_frame(input: &mut &[u8]) -> Result<String> {
-    let name_length = read_unsigned(input, "frame name's length")?;
-    let name = take(input, name_length, "frame name")?;
-    let name = str::from_utf8(name).map_err(|_| Error::corrupt("frame name is not UTF-8"))?;
-    Stamp::read_from(input)?;
-    read_unsigned(input, "file size")?;
-    take_u32(input, "file checksum")?;
-    read_unsigned(input, "point count")?;
+    let header = FrameHeader::read_from(input)?;
     for _ in 0..read_unsigned(input, "section count")? {
         take(input, 1, "section kind")?;
         let length = read_unsigned(input, "section length")?;
         take(input, length, "section")?;
         take_u32(input, "section checksum")?;
     }
-    Ok(name.to_owned())
-}
-
-/// `got`, if it is within the limit.
-pub(super) fn limited(got: u64, what: &'static str, max: u64) -> Result<u64> {
-    if got > max { Err(Error::over_limit(what, got, max)) } else { Ok(got) }
+    Ok(header.name)
 }

@@ -1,4 +1,4 @@
-//! Sections: the typed, separately checked parts that a frame is coded in.
+//! Sections: the typed, separately checked parts that a frame is coded in. FORMAT.md 2.6.
 
 use super::wire::{take, take_u32};
 use crate::ground::SectionKind;

@@ -1,4 +1,5 @@
 //! The formula of motion compensation: where a point goes that was seen at some fraction of a turn.
+//! FORMAT.md 8.15.
 
 use std::f64::consts::TAU;
 

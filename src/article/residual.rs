@@ -1,10 +1,7 @@
 //! Residuals of a range image, compressed by a general-purpose back-end (article, IV-D.2).
+//! FORMAT.md 8.13.
 
-mod packing;
-
-pub use packing::Packing;
-
-use crate::backend::{self, Backend, Level};
+use crate::backend::{self, Backend, Level, Packing};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 

@@ -1,10 +1,11 @@
-//! What a frame was, whose it is, and of when.
+//! What a frame was, whose it is, and of when. FORMAT.md 2.5.
 
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 
 /// What the bytes are that a frame decodes to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Unit {
     /// A file.
     #[default]
@@ -69,17 +70,17 @@ pub struct Time {
 pub struct Stamp {
     /// What its bytes are.
     pub unit: Unit,
-    /// Its place among the streams of the group, the first being 0: each is of a scanner of its own.
-    pub stream: u8,
+    /// Its place among the tracks of the group, the first being 0: each is of a scanner of its own.
+    pub track: u8,
     /// When it was taken, if anybody told.
     pub time: Option<Time>,
 }
 
 impl Stamp {
-    /// Appends unit, stream and time.
+    /// Appends unit, track and time.
     pub(super) fn write_to(&self, out: &mut Vec<u8>) {
         write_unsigned(out, self.unit as u64);
-        write_unsigned(out, u64::from(self.stream));
+        write_unsigned(out, u64::from(self.track));
         write_unsigned(out, self.time.map_or(0, |time| time.source as u64));
         if let Some(time) = self.time {
             write_signed(out, time.nanoseconds);
@@ -96,9 +97,9 @@ impl Stamp {
             .into_iter()
             .find(|known| *known as u64 == unit)
             .ok_or_else(|| Error::unsupported(format!("unknown unit {unit} of a frame")))?;
-        let stream = read_unsigned(input, "frame's stream")?;
-        let stream = u8::try_from(stream)
-            .map_err(|_| Error::corrupt(format!("a frame of stream {stream}, which no group has")))?;
+        let track = read_unsigned(input, "frame's track")?;
+        let track = u8::try_from(track)
+            .map_err(|_| Error::corrupt(format!("a frame of track {track}, which no group has")))?;
         let time = match read_unsigned(input, "source of a frame's time")? {
             0 => None,
             number => {
@@ -109,7 +110,7 @@ impl Stamp {
                 Some(Time { source, nanoseconds: read_signed(input, "frame's time")? })
             }
         };
-        Ok(Stamp { unit, stream, time })
+        Ok(Stamp { unit, track, time })
     }
 }
 
@@ -123,8 +124,8 @@ mod tests {
             .into_iter()
             .flat_map(|nanoseconds| TimeSource::ALL.map(|source| Some(Time { source, nanoseconds })));
         for time in times.chain([None]) {
-            for (unit, stream) in Unit::ALL.into_iter().zip([0, 7, 254, 1]) {
-                let stamp = Stamp { unit, stream, time };
+            for (unit, track) in Unit::ALL.into_iter().zip([0, 7, 254, 1]) {
+                let stamp = Stamp { unit, track, time };
                 let mut bytes = Vec::new();
                 stamp.write_to(&mut bytes);
                 bytes.push(42);
@@ -139,7 +140,7 @@ mod tests {
     fn what_is_unknown_is_named() {
         for (bytes, complaint) in [
             (&[4u8, 0, 0][..], "unknown unit 4"),
-            (&[0, 0x80, 2, 0], "stream 256"),
+            (&[0, 0x80, 2, 0], "track 256"),
             (&[0, 0, 4, 0], "unknown source 4"),
             (&[0, 0, 1], "frame's time"),
         ] {

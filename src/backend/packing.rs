@@ -1,4 +1,5 @@
 //! Residuals as bytes, laid out so that general-purpose back-ends find what they have in common.
+//! FORMAT.md 8.13.
 
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};

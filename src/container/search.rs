@@ -8,7 +8,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::io::{Read, Seek, SeekFrom};
 
-use super::group::STREAMS_MAX;
+use super::group::TRACKS_MAX;
 use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
 use crate::ground::error::{Limits, Result};
 use crate::ground::varint::read_unsigned;
@@ -209,7 +209,7 @@ fn may_be(record: &FoundRecord, head: usize, bytes: &[u8]) -> bool {
     let mut next = || read_unsigned(&mut payload, "number").ok();
     match record.kind {
         GROUP => {
-            let Some(scanners @ 1..=STREAMS_MAX) = next() else { return false };
+            let Some(scanners @ 1..=TRACKS_MAX) = next() else { return false };
             // They, and the number of the frames.
             if (0..=scanners).any(|_| next().is_none()) {
                 return false;

@@ -12,12 +12,12 @@ fn stamp(number: u8) -> Stamp {
     let time = |source| Some(Time { source, nanoseconds: -1_000_000_007 * i64::from(number) });
     match number {
         0 => Stamp::default(),
-        1 => Stamp { unit: Unit::Message, stream: 2, time: time(TimeSource::Recording) },
-        _ => Stamp { unit: Unit::Points, stream: 0, time: time(TimeSource::List) },
+        1 => Stamp { unit: Unit::Message, track: 2, time: time(TimeSource::Recording) },
+        _ => Stamp { unit: Unit::Points, track: 0, time: time(TimeSource::List) },
     }
 }
 
-fn frame(number: u8, sections: usize) -> Frame {
+fn frame(number: u8, sections: usize) -> CodedFrame {
     let header = FrameHeader {
         name: format!("{number:010}.bin"),
         stamp: stamp(number),
@@ -26,7 +26,7 @@ fn frame(number: u8, sections: usize) -> Frame {
         point_count: 62,
     };
     let kinds = SectionKind::ALL.into_iter().take(sections);
-    Frame { header, sections: kinds.map(|kind| Section { kind, payload: vec![number; 5] }).collect() }
+    CodedFrame { header, sections: kinds.map(|kind| Section { kind, payload: vec![number; 5] }).collect() }
 }
 
 /// Two scanners, three groups of two, one and no frames.

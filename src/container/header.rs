@@ -1,4 +1,4 @@
-//! The stream header: the first bytes of every stream.
+//! The stream header: the first bytes of every stream. FORMAT.md 2.1.
 
 use std::io::{Read, Write};
 

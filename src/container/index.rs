@@ -1,4 +1,5 @@
 //! The index: where the records are. Only seeking needs it; a stream decodes without.
+//! FORMAT.md 2.7 and 2.8.
 
 use std::collections::HashMap;
 

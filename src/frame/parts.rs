@@ -18,15 +18,15 @@ use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
-use crate::models::{Beside, OrderExceptions};
+use crate::models::{OrderExceptions, RecordContext};
 use crate::scan::{Channel, Layout, PointCloud, ScanFile, sorted};
 use crate::scanner::Scanner;
-use crate::scanner::motion::{self, Compensation, stamped};
+use crate::scanner::motion::{self, Compensation, by_time};
 use crate::scanner::{Projection, REACH, RangeImage, Return, project_nearest};
 
 /// The parts of a frame, as the sections code them.
 #[derive(Clone, Debug, Default)]
-pub struct Frame {
+pub struct FrameParts {
     pub parameters: FrameParameters,
     pub layout: Layout,
     pub prefix: Vec<u8>,
@@ -68,7 +68,7 @@ pub struct Frame {
     /// The channel by which the file's records were sorted: all of the above are in the order of arrival.
     pub sorted: Option<usize>,
     /// The positions and intensities in the order of the file, once a decoder has them for the channels' sake.
-    pub in_order: Option<(Vec<[f32; 3]>, Vec<f32>)>,
+    pub decoded_in_file_order: Option<(Vec<[f32; 3]>, Vec<f32>)>,
     /// The original points; only while a scan is encoded.
     origin: Option<Arc<Origin>>,
     /// Positions as in the file, if they were moved; only while a scan is encoded.
@@ -84,7 +84,7 @@ struct Origin {
     strays: Vec<u32>,
 }
 
-impl Frame {
+impl FrameParts {
     /// Bytes of its records, or cells of its range image if they are more: what a decoder makes room for beside the
     /// file.
     pub fn unfolded_bytes(&self) -> u64 {
@@ -94,12 +94,12 @@ impl Frame {
 
     /// A frame with `records` records, to be decoded.
     pub fn of_records(records: usize) -> Self {
-        Frame { records, ..Frame::default() }
+        FrameParts { records, ..FrameParts::default() }
     }
 
     /// A frame that is the bytes of its file.
     pub fn of_whole(whole: WholeFile, records: usize) -> Self {
-        Frame { whole: Some(whole), records, ..Frame::default() }
+        FrameParts { whole: Some(whole), records, ..FrameParts::default() }
     }
 
     /// Takes a scan apart (article, III-A and IV-A: the outlier filter and the range image).
@@ -109,13 +109,13 @@ impl Frame {
         config: &EncoderConfig,
         steps: &mut StepReport,
     ) -> Result<Self> {
-        let mut frame = Frame {
+        let mut frame = FrameParts {
             parameters: config.frame_parameters()?,
             layout: scan.layout,
             prefix: scan.prefix,
             suffix: scan.suffix,
             records: scan.records,
-            ..Frame::default()
+            ..FrameParts::default()
         };
         let bound = Bound::of(config.positions, config.intensity);
         let cloud = steps.timed(Step::Conversion, || {
@@ -190,7 +190,7 @@ impl Frame {
             return cloud;
         }
         let undone = motion::undo(&cloud.positions, config.undoes_map()).or_else(|| {
-            let (positions, stamped) = stamped::undo(&cloud, firings?)?;
+            let (positions, stamped) = by_time::undo(&cloud, firings?)?;
             Some((positions, Compensation::Stamped(stamped)))
         });
         let Some((positions, compensation)) = undone else { return cloud };
@@ -355,23 +355,23 @@ impl Frame {
     ///
     /// # Errors
     /// If the parts do not fit together.
-    pub fn beside(&self, scanner: Option<&Scanner>) -> Result<Beside> {
-        let mut beside = Beside::default();
+    pub fn record_context(&self, scanner: Option<&Scanner>) -> Result<RecordContext> {
+        let mut context = RecordContext::default();
         if self.layout.position.is_some() {
-            beside.positions = self.positions_in_order()?;
+            context.positions = self.positions_in_order()?;
         }
-        beside.intensity = self.intensities_of_file()?;
+        context.intensity = self.intensities_of_file()?;
         if !self.returns.is_empty() {
-            beside.rows = self.numbers_in_order(|found| found.row + 1)?;
-            beside.columns = self.numbers_in_order(|found| found.column + 1)?;
+            context.rows = self.numbers_in_order(|found| found.row + 1)?;
+            context.columns = self.numbers_in_order(|found| found.column + 1)?;
             if let Some(scanner) = scanner.and_then(Scanner::firings) {
-                beside.steps = self.numbers_in_order(|found| found.steps)?;
-                beside.ticks = self.numbers_in_order(|found| found.tick)?;
-                beside.range_step_m = scanner.range_step_m();
-                beside.tick_degrees = 360.0 / f64::from(scanner.build().ticks);
+                context.steps = self.numbers_in_order(|found| found.steps)?;
+                context.ticks = self.numbers_in_order(|found| found.tick)?;
+                context.range_step_m = scanner.range_step_m();
+                context.tick_degrees = 360.0 / f64::from(scanner.build().ticks);
             }
         }
-        Ok(beside)
+        Ok(context)
     }
 
     /// A number of each return, in the order of the file; 0 for strays.
@@ -436,8 +436,8 @@ impl Frame {
             return Err(Error::corrupt("the parts of the frame hold different numbers of points"));
         }
         let mut cloud = PointCloud::default();
-        (cloud.positions, cloud.intensity) = match self.in_order.take() {
-            Some(in_order) => in_order,
+        (cloud.positions, cloud.intensity) = match self.decoded_in_file_order.take() {
+            Some(decoded) => decoded,
             None => (self.positions_of_file()?, self.intensities_of_file()?),
         };
         if let Some(compensation) = &self.compensation {

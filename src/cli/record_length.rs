@@ -1,9 +1,8 @@
 //! How long the records of files without a header are, by their bytes: nothing else says so, and with records of a
 //! wrong length a file takes many times the bytes.
 
-use super::Kind;
-use super::headerless::HeaderlessLayout;
 use crate::backend;
+use crate::files::{HeaderlessLayout, Kind};
 
 /// Bytes of each file that are looked at, from the front.
 pub const SAMPLE: u64 = 32 << 10;
@@ -101,7 +100,6 @@ fn floats(samples: &[&Sample], stride: usize) -> Option<HeaderlessLayout> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::files::tests::floats as bytes_of;
 
     /// Records of so many values, as of a scanner that turns.
     fn file(words: usize) -> Sample {
@@ -112,7 +110,7 @@ mod tests {
             let values = [range * angle.cos(), range * angle.sin(), range * 0.1].into_iter().chain(rest);
             values.cycle().take(words).collect::<Vec<_>>()
         };
-        let bytes: Vec<u8> = (0..3001).flat_map(|n| bytes_of(&record(n))).collect();
+        let bytes: Vec<u8> = (0..3001).flat_map(record).flat_map(f32::to_le_bytes).collect();
         let size = bytes.len() as u64;
         Sample { name: "0.bin".to_owned(), start: bytes[..bytes.len().min(SAMPLE as usize)].to_vec(), size }
     }

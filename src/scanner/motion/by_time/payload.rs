@@ -1,4 +1,5 @@
 //! The section of a frame that tells how its points were moved by their time stamps.
+//! FORMAT.md 8.15.
 
 use super::{Moment, Stamped};
 use crate::entropy::{AdaptiveBit, ArithmeticDecoder, ArithmeticEncoder, BitCoder};

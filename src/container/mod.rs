@@ -16,10 +16,10 @@ pub mod writer;
 
 mod pieces;
 mod record;
-mod scan;
+mod search;
 mod wire;
 
-pub use group::{Frame, FrameHeader, Group, STREAMS_MAX, allowance, pay_for};
+pub use group::{CodedFrame, FrameHeader, Group, TRACKS_MAX, allowance, pay_for};
 pub use header::{MAGIC, StreamHeader, VERSION};
 pub use index::{FrameEntry, GroupEntry, Index, ScannerEntry};
 pub use reader::{IndexedReader, Record, StreamReader};

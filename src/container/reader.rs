@@ -9,7 +9,7 @@ use super::header::{HEADER_LENGTH, StreamHeader};
 use super::index::{End, Index};
 use super::pieces::Pieces;
 use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
-use super::scanner::{ScannerId, ScannerRecord, Scanners};
+use super::scanner::{ScannerId, ScannerRecord, ScannerRecords};
 use crate::ground::SKIPPABLE;
 use crate::ground::error::{Error, Limits, Result};
 
@@ -35,7 +35,7 @@ pub struct StreamReader<R> {
     position: u64,
     /// What was found so far, to compare the stream's own index with.
     seen: Index,
-    scanners: Scanners,
+    scanners: ScannerRecords,
     /// Where the index record was, once it was read.
     index_offset: Option<u64>,
     ended: bool,
@@ -55,7 +55,7 @@ impl<R: Read> StreamReader<R> {
             header,
             position,
             seen: Index::default(),
-            scanners: Scanners::default(),
+            scanners: ScannerRecords::default(),
             index_offset: None,
             ended: false,
         })

@@ -6,7 +6,7 @@ use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
 use super::index::{End, Index};
 use super::record::{END, GROUP, INDEX, SCANNER, write_record};
-use super::scanner::{ScannerId, ScannerRecord, Scanners};
+use super::scanner::{ScannerId, ScannerRecord, ScannerRecords};
 use crate::ground::error::{Error, Result};
 
 /// A scanner's record is repeated in front of a group that uses it when so many times its bytes were written since
@@ -20,7 +20,7 @@ pub struct StreamWriter<W> {
     /// Bytes written.
     position: u64,
     index: Index,
-    scanners: Scanners,
+    scanners: ScannerRecords,
 }
 
 impl<W: Write> StreamWriter<W> {
@@ -34,7 +34,7 @@ impl<W: Write> StreamWriter<W> {
             out,
             position: HEADER_LENGTH as u64,
             index: Index::default(),
-            scanners: Scanners::default(),
+            scanners: ScannerRecords::default(),
         })
     }
 
@@ -44,7 +44,7 @@ impl<W: Write> StreamWriter<W> {
     /// # Errors
     /// If two scanners have the same checksum.
     pub fn resume(out: W, index: Index, position: u64, scanners: &[ScannerRecord]) -> Result<Self> {
-        let mut writer = StreamWriter { out, position, index, scanners: Scanners::default() };
+        let mut writer = StreamWriter { out, position, index, scanners: ScannerRecords::default() };
         scanners.iter().try_for_each(|scanner| writer.scanners.add(scanner.clone()).map(drop))?;
         Ok(writer)
     }

@@ -8,8 +8,8 @@ use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
 use super::index::{End, Index};
 use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
-use super::scan::{FoundRecord, find_records};
-use super::scanner::{ScannerId, ScannerRecord, Scanners};
+use super::scanner::{ScannerId, ScannerRecord, ScannerRecords};
+use super::search::{FoundRecord, find_records};
 use crate::ground::SKIPPABLE;
 use crate::ground::error::{Error, Limits, Result};
 
@@ -52,7 +52,7 @@ pub struct SalvageReader<R> {
     records: Vec<FoundRecord>,
     /// The next of the records.
     next: usize,
-    scanners: Scanners,
+    scanners: ScannerRecords,
     index: Option<Index>,
     /// The places of groups in the index, in order, by their checksums.
     entries: HashMap<u32, Vec<usize>>,
@@ -89,7 +89,7 @@ impl<R: Read + Seek> SalvageReader<R> {
             size,
             records,
             next: 0,
-            scanners: Scanners::default(),
+            scanners: ScannerRecords::default(),
             index: None,
             entries: HashMap::new(),
             next_entry: 0,

@@ -1,10 +1,10 @@
 //! Records: what the stream is made of after its header. Kind, length, payload, checksum.
+//! FORMAT.md 2.2.
 
 use std::io::{Read, Write};
 
-use super::group::limited;
 use super::wire::{read_bytes, read_exact};
-use crate::ground::error::{Limits, Result};
+use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
 /// Kinds of records.
@@ -52,7 +52,7 @@ pub(super) fn read_record(input: &mut impl Read, limits: &Limits) -> Result<RawR
     let mut kind = [0];
     read_exact(input, &mut kind, "the stream")?;
     let length = read_unsigned(input, "record length")?;
-    let length = limited(length, "bytes of a record", limits.record_bytes)?;
+    let length = Error::check_limit("bytes of a record", length, limits.record_bytes)?;
     let payload = read_bytes(input, length, "record")?;
     let mut crc = [0; 4];
     read_exact(input, &mut crc, "record checksum")?;

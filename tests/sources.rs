@@ -1,0 +1,159 @@
+//! What documents and sources say of one another: that folders use only those above them, and that cited sections exist.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::common::in_package;
+
+/// The folders and files of `src`, as ARCHITECTURE.md lists them: each may use those above it. `lib.rs` and `main.rs` use all.
+const FOLDERS: [&str; 19] = [
+    "ground",
+    "container",
+    "scan",
+    "files",
+    "entropy",
+    "scanner",
+    "backend",
+    "inter",
+    "models",
+    "article",
+    "frame",
+    "stream",
+    "edit",
+    "study",
+    "library",
+    "recordings",
+    "cli",
+    "python",
+    "wasm",
+];
+
+/// All files below a folder whose names end so.
+fn files_below(folder: &Path, extension: &str, files: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            files_below(&path, extension, files);
+        } else if path.extension().is_some_and(|found| found == extension) {
+            files.push(path);
+        }
+    }
+}
+
+/// The source files with their paths below `src`, with `/` on every system.
+fn sources() -> BTreeMap<String, String> {
+    let src = in_package("src");
+    let mut files = Vec::new();
+    files_below(&src, "rs", &mut files);
+    let named = |path: &PathBuf| {
+        let name = path.strip_prefix(&src).unwrap().to_string_lossy().replace('\\', "/");
+        (name, fs::read_to_string(path).unwrap())
+    };
+    files.iter().map(named).collect()
+}
+
+/// Lines of code without the unit tests, which may use anything: they stand last in a file, or are a file of their own.
+fn code(name: &str, text: &str) -> Vec<String> {
+    if name.ends_with("/tests.rs") || name.ends_with("/testing.rs") {
+        return Vec::new();
+    }
+    let lines: Vec<&str> = text.lines().collect();
+    let is_tests = |pair: &[&str]| {
+        pair[0].starts_with("#[cfg(") && pair[0].contains("test") && pair[1].starts_with("mod tests {")
+    };
+    let end = lines.windows(2).position(is_tests).unwrap_or(lines.len());
+    let is_code = |line: &&&str| !line.trim_start().starts_with("//");
+    lines[..end].iter().filter(is_code).map(|line| (*line).to_owned()).collect()
+}
+
+/// The names that follow `crate::` in a line.
+fn used(line: &str) -> impl Iterator<Item = &str> {
+    line.split("crate::").skip(1).map(|rest| {
+        let end = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
+        &rest[..end]
+    })
+}
+
+#[test]
+fn folders_use_those_above_them() {
+    let place = |folder: &str| FOLDERS.iter().position(|known| *known == folder);
+    let mut wrong = Vec::new();
+    for (name, text) in sources() {
+        let folder = name.split(['/', '.']).next().unwrap();
+        if ["lib", "main"].contains(&folder) {
+            continue;
+        }
+        let own = place(folder).unwrap_or_else(|| panic!("src/{name} is in no folder of the list"));
+        for line in code(&name, &text) {
+            // What is no folder is what lib.rs makes public.
+            let below = used(&line).any(|found| place(found).is_some_and(|other| other > own));
+            if below {
+                wrong.push(format!("src/{name}: {}", line.trim()));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "folders use others that stand below them:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn folders_are_listed_in_their_order() {
+    let text = fs::read_to_string(in_package("ARCHITECTURE.md")).unwrap();
+    let named = |line: &str| {
+        let (name, _) = line.strip_prefix("- **`")?.split_once("`**")?;
+        Some(name.trim_end_matches(".rs").to_owned())
+    };
+    assert_eq!(text.lines().filter_map(named).collect::<Vec<_>>(), FOLDERS);
+}
+
+/// A number such as `8` or `8.16` at the beginning of a text, and what follows it.
+fn number_of_section(text: &str) -> Option<(&str, &str)> {
+    let digits = |text: &str| text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let mut end = digits(text);
+    if end == 0 {
+        return None;
+    }
+    if let Some(rest) = text[end..].strip_prefix('.') {
+        let more = digits(rest);
+        end += if more > 0 { 1 + more } else { 0 };
+    }
+    Some(text.split_at(end))
+}
+
+/// The sections of FORMAT.md that a text cites, as `FORMAT 8.5, 8.6` or `FORMAT.md 6.1 to 6.3`.
+fn cited(text: &str) -> Vec<&str> {
+    let mut found = Vec::new();
+    for behind in text.split("FORMAT").skip(1) {
+        let behind = behind.strip_prefix(".md").unwrap_or(behind);
+        let mut next = behind.strip_prefix(' ');
+        while let Some((number, rest)) = next.and_then(number_of_section) {
+            found.push(number);
+            next = [", ", " and ", " to "].iter().find_map(|between| rest.strip_prefix(between));
+        }
+    }
+    found
+}
+
+#[test]
+fn sections_of_the_format_that_are_cited_exist() {
+    let format = fs::read_to_string(in_package("FORMAT.md")).unwrap();
+    let number = |line: &str| Some(line.strip_prefix("##")?.trim_start_matches('#').trim_start().to_owned());
+    let headings: Vec<_> = format.lines().filter_map(number).collect();
+    let known: BTreeSet<_> =
+        headings.iter().filter_map(|heading| Some(number_of_section(heading)?.0)).collect();
+    let (mut count, mut wrong) = (0, Vec::new());
+    for (name, text) in sources() {
+        for number in cited(&text) {
+            count += 1;
+            if !known.contains(number) {
+                wrong.push(format!("src/{name}: FORMAT.md {number}"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "no such section of FORMAT.md:\n{}", wrong.join("\n"));
+    assert!(count > 90, "only {count} citations are found");
+    assert_eq!(
+        cited("// FORMAT 8.5, 8.16, equation 9, and FORMAT.md 6.1 to 6.3."),
+        ["8.5", "8.16", "6.1", "6.3"]
+    );
+}
