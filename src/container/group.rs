@@ -10,7 +10,7 @@ use crate::ground::varint::{read_unsigned, write_unsigned};
 use crate::ground::{SKIPPABLE, SectionKind};
 
 /// The longest name of a frame, in bytes: as long as paths may be.
-const NAME_MAX: u64 = 4095;
+pub(super) const NAME_MAX: u64 = 4095;
 
 /// The most tracks of a group.
 pub const TRACKS_MAX: u64 = 255;

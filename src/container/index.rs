@@ -174,7 +174,12 @@ impl Index {
             let length = read_unsigned(input, "group's length")?;
             let crc = take_u32(input, "group's checksum")?;
             let mut frames = Vec::new();
-            for _ in 0..read_unsigned(input, "frame count")? {
+            let count = read_unsigned(input, "frame count")?;
+            // A size is at least a byte, a stamp three. Checked before there is memory for all of them.
+            if count > input.len() as u64 / 4 {
+                return Err(Error::corrupt("index: more frames than it has bytes for"));
+            }
+            for _ in 0..count {
                 let size = read_unsigned(input, "frame size")?;
                 frames.push(FrameEntry { size, stamp: Stamp::default() });
             }

@@ -8,7 +8,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::io::{Read, Seek, SeekFrom};
 
-use super::group::TRACKS_MAX;
+use super::group::{NAME_MAX, TRACKS_MAX};
 use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
 use crate::ground::error::{Limits, Result};
 use crate::ground::varint::read_unsigned;
@@ -216,7 +216,7 @@ fn may_be(record: &FoundRecord, head: usize, bytes: &[u8]) -> bool {
             }
             let Some(name_length) = next() else { return false };
             let name = usize::try_from(name_length).ok().and_then(|length| payload.get(..length));
-            name_length <= 255 && name.is_some_and(|name| std::str::from_utf8(name).is_ok())
+            name_length <= NAME_MAX && name.is_some_and(|name| std::str::from_utf8(name).is_ok())
         }
         INDEX => {
             // How many scanners, then the family of the first or how many groups; all of them stand before it.
@@ -238,6 +238,7 @@ mod tests {
 
     use super::super::record::write_record;
     use super::*;
+    use crate::ground::varint::write_unsigned;
 
     fn find(bytes: &[u8]) -> Vec<(u64, u8)> {
         let found = find_records(&mut Cursor::new(bytes), 0, &Limits::default(), |_| true).unwrap();
@@ -263,6 +264,20 @@ mod tests {
                 write_record(&mut bytes, SCANNER, &group(50)).unwrap();
                 assert_eq!(find(&bytes), [(u64::from(before), GROUP), (second, SCANNER)]);
             }
+        }
+    }
+
+    #[test]
+    fn groups_are_found_whatever_their_first_name() {
+        for name in ["ü".repeat(NAME_MAX as usize / 2), "n".repeat(256)] {
+            // One scanner, none in particular, one frame, the length of its name.
+            let mut payload = vec![1, 0, 1];
+            write_unsigned(&mut payload, name.len() as u64);
+            payload.extend(name.as_bytes());
+            payload.extend([7; CHUNK]);
+            let mut bytes = vec![9; 40];
+            write_record(&mut bytes, GROUP, &payload).unwrap();
+            assert_eq!(find(&bytes), [(40, GROUP)]);
         }
     }
 

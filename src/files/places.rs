@@ -20,17 +20,18 @@ struct Placed<'f, 'a> {
 /// The fields of the records that `body` begins with, according to its bytes; `None` if there is no reason to
 /// doubt the declaration.
 pub(super) fn find(fields: &[Declared], body: &[u8], points: u64) -> Option<Vec<Field>> {
-    let declared: usize = fields.iter().map(|field| field.width as usize).sum();
+    let declared: u64 = fields.iter().map(|field| u64::from(field.width)).sum();
     let first_empty = fields.iter().position(|field| field.width == 0);
-    let fits = points.checked_mul(declared as u64).is_some_and(|bytes| bytes <= body.len() as u64);
+    let fits = points.checked_mul(declared).is_some_and(|bytes| bytes <= body.len() as u64);
     if (fits && first_empty.is_none()) || points < FEWEST_POINTS || points > body.len() as u64 {
         return None;
     }
     let is_whole = (body.len() as u64).is_multiple_of(points);
-    let stride = if fits { declared } else { usize::try_from(body.len() as u64 / points).ok()? };
-    if !(fits || is_whole) || !(1..=MAX_STRIDE as usize).contains(&stride) {
+    let stride = if fits { declared } else { body.len() as u64 / points };
+    if !(fits || is_whole) || !(1..=u64::from(MAX_STRIDE)).contains(&stride) {
         return None;
     }
+    let stride = stride as usize;
     // As declared; as a structure without the padding after the first field that takes no bytes; without any
     // padding.
     let candidates = [
@@ -38,28 +39,29 @@ pub(super) fn find(fields: &[Declared], body: &[u8], points: u64) -> Option<Vec<
         aligned_places(fields, first_empty.unwrap_or(0)),
         aligned_places(fields, 0),
     ];
-    let placed = candidates.into_iter().filter(|placed| ends_within(placed, stride));
+    let placed = candidates.into_iter().flatten().filter(|placed| ends_within(placed, stride));
     // The first of several equal ones.
     let best =
         placed.rev().max_by(|a, b| steadiness(a, body, stride).total_cmp(&steadiness(b, body, stride)))?;
     Some(with_padding(&best, stride))
 }
 
-fn declared_places<'f, 'a>(fields: &'f [Declared<'a>]) -> Vec<Placed<'f, 'a>> {
+/// Places each field where the declaration says; `None` beyond the longest records.
+fn declared_places<'f, 'a>(fields: &'f [Declared<'a>]) -> Option<Vec<Placed<'f, 'a>>> {
     let mut at = 0;
     let mut placed = Vec::new();
     for declared in fields {
         if declared.width > 0 && !declared.is_padding() {
             placed.push(Placed { declared, at });
         }
-        at += declared.width as usize;
+        at = end(at, declared)?;
     }
-    placed
+    Some(placed)
 }
 
 /// Places each value at a multiple of its size, as compilers do; declared padding counts only before the
-/// field with the number `until`.
-fn aligned_places<'f, 'a>(fields: &'f [Declared<'a>], until: usize) -> Vec<Placed<'f, 'a>> {
+/// field with the number `until`. `None` beyond the longest records.
+fn aligned_places<'f, 'a>(fields: &'f [Declared<'a>], until: usize) -> Option<Vec<Placed<'f, 'a>>> {
     let mut at = 0;
     let mut placed = Vec::new();
     for (number, declared) in fields.iter().enumerate() {
@@ -69,10 +71,16 @@ fn aligned_places<'f, 'a>(fields: &'f [Declared<'a>], until: usize) -> Vec<Place
             placed.push(Placed { declared, at });
         }
         if !declared.is_padding() || number < until {
-            at += declared.width as usize;
+            at = end(at, declared)?;
         }
     }
-    placed
+    Some(placed)
+}
+
+/// Where a field ends that is at this place; `None` beyond the longest records.
+fn end(at: usize, declared: &Declared) -> Option<usize> {
+    let end = at as u64 + u64::from(declared.width);
+    (end <= MAX_STRIDE.into()).then_some(end as usize)
 }
 
 fn ends_within(placed: &[Placed], stride: usize) -> bool {
@@ -166,6 +174,13 @@ mod tests {
         let scan = file("1 1 1 4 1 0 1 9 1 16", 500);
         assert_eq!((scan.records, scan.suffix.len()), (500, 0));
         is_understood(&scan);
+    }
+
+    #[test]
+    fn fields_beyond_the_longest_records_are_not_looked_for() {
+        // On systems of 32 bits the sum of these widths is small.
+        let header = pcd("_ a x y z t", "1 4 4 4 4 8", "U F F F F F", "4294967280 4 1 1 1 0", 500, "binary");
+        comes_back("a.pcd", [header, body(500)].concat());
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The fidelity of decoded points: what is promised of their positions and intensities.
 
 use crate::ground::error::{Error, Result};
-use crate::ground::varint::{read_u32_within, read_unsigned, write_unsigned};
+use crate::ground::varint::{read_unsigned, read_within, write_unsigned};
 use crate::scanner::Coordinates;
 
 /// What holds these, in errors.
@@ -75,7 +75,8 @@ impl Positions {
             1 => Ok(Positions::Formula),
             code @ 2..4 => {
                 let max_error_um =
-                    read_u32_within(input, PART, 1..=MOST_MAX_ERROR_UM.into(), "a largest error")?;
+                    read_within(input, "frame parameters: a largest error", 1..=MOST_MAX_ERROR_UM.into())?
+                        as u32;
                 Ok(Positions::Bounded { max_error_um, on_grid: code == 3 })
             }
             other => Err(Error::unsupported(format!("frame parameters: unknown positions {other}"))),
@@ -110,7 +111,8 @@ impl Intensity {
             2 => {
                 let steps = 1..=u32::MAX.into();
                 Ok(Intensity::Rounded {
-                    step_millionths: read_u32_within(input, PART, steps, "a step of intensities")?,
+                    step_millionths: read_within(input, "frame parameters: a step of intensities", steps)?
+                        as u32,
                 })
             }
             other => Err(Error::unsupported(format!("frame parameters: unknown intensities {other}"))),

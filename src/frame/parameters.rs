@@ -11,7 +11,7 @@ use crate::backend::{self, Packing};
 use crate::container::{CodedFrame, FrameHeader, SectionKind};
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
-use crate::ground::varint::{read_signed, read_u32_within, read_unsigned, write_signed, write_unsigned};
+use crate::ground::varint::{read_signed, read_unsigned, read_within, write_signed, write_unsigned};
 use crate::inter::registration::QuantisedPose;
 use crate::scanner::EXACT_RANGE_BITS;
 use crate::scanner::Scanner;
@@ -311,8 +311,8 @@ impl RangeCoder {
         match read(input)? {
             coder @ ..BACKENDS => Ok(RangeCoder::Context {
                 modelling: Modelling::from_code(coder)?,
-                range_bits: read_u32_within(input, PART, RANGE_BITS, "bits of a range")?,
-                bin: read_u32_within(input, PART, 1..=WIDEST_BIN.into(), "steps a bin")?,
+                range_bits: read_within(input, "frame parameters: bits of a range", RANGE_BITS)? as u32,
+                bin: read_within(input, "frame parameters: steps a bin", 1..=WIDEST_BIN.into())? as u32,
                 between: flag(input)?,
             }),
             coder @ BACKENDS..JPEG => {

@@ -45,20 +45,22 @@ pub fn read_unsigned(input: &mut impl Read, what: &str) -> Result<u64> {
     Err(Error::corrupt(format!("{what} does not fit 64 bits")))
 }
 
-/// Reads an unsigned integer of this range, which fits into 32 bits. `part` and `field` name it in errors.
+/// Reads an unsigned integer in a range. `what` names the field in errors.
 ///
 /// # Errors
-/// As [`read_unsigned`]; also if it is out of range.
-pub(crate) fn read_u32_within(
-    input: &mut impl Read,
-    part: &str,
-    range: RangeInclusive<u64>,
-    field: &str,
-) -> Result<u32> {
-    match read_unsigned(input, part)? {
-        value if range.contains(&value) => Ok(value as u32),
-        value => Err(Error::corrupt(format!("{part}: {value} is out of range for {field}"))),
+/// As [`read_unsigned`], and if it is out of range.
+pub fn read_within(input: &mut impl Read, what: &str, range: RangeInclusive<u64>) -> Result<u64> {
+    match read_unsigned(input, what)? {
+        got if range.contains(&got) => Ok(got),
+        got if got > *range.end() => Err(Error::over_limit(what, got, *range.end())),
+        got => Err(Error::corrupt(format!("{what}: {got}, but at least {}", range.start()))),
     }
+}
+
+/// A number of a stream as a length or an index. One that is too large for this machine becomes the largest there is,
+/// which no check lets pass.
+pub fn saturated(number: u64) -> usize {
+    usize::try_from(number).unwrap_or(usize::MAX)
 }
 
 /// Appends a signed integer.

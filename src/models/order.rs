@@ -9,6 +9,7 @@ use std::borrow::Cow;
 
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
+use crate::ground::varint::saturated;
 
 /// Where the order of the file differs from the implied one. Elements 0 to `returns` (exclusive) are the
 /// returns in file order, those from there on the strays in theirs.
@@ -124,7 +125,7 @@ impl OrderModel {
     ) -> Result<()> {
         exceptions.stray_places.resize(strays, 0);
         code_rising(coder, &mut self.stray_gaps, &mut exceptions.stray_places, returns + strays);
-        let moves = self.counts.code(coder, exceptions.moved.len() as u64) as usize;
+        let moves = saturated(self.counts.code(coder, exceptions.moved.len() as u64));
         if moves > returns {
             return Err(Error::corrupt("order: more moved returns than there are"));
         }
@@ -163,7 +164,7 @@ fn code_rising<C: BitCoder>(coder: &mut C, gaps: &mut IntegerModel, numbers: &mu
 fn merge(moved: &[u64], places: &[u64], returns: usize) -> Option<Vec<u64>> {
     let mut is_moved = vec![false; returns];
     for &element in moved {
-        *is_moved.get_mut(element as usize)? = true;
+        *is_moved.get_mut(saturated(element))? = true;
     }
     let staying = (0..returns as u64).filter(|&e| !is_moved[e as usize]);
     let sequence = interleave(moved.iter().copied().zip(places.iter().copied()), staying, returns)?;

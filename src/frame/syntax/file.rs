@@ -5,6 +5,7 @@ use crate::entropy::{BitCoder, IntegerModel};
 use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::{Error, Limits, Result};
+use crate::ground::varint::saturated;
 use crate::models::ByteModel;
 use crate::scan::Layout;
 
@@ -45,7 +46,7 @@ impl FileModels {
                 frame.records
             )));
         }
-        frame.strays = self.sizes.code(coder, frame.strays as u64) as usize;
+        frame.strays = saturated(self.sizes.code(coder, frame.strays as u64));
         Error::check_limit("points of the frame", frame.records as u64, limits.points)?;
         let record_bytes = frame.records.saturating_mul(frame.layout.stride());
         Error::check_limit("bytes of the frame's records", record_bytes as u64, limits.file_bytes)?;
@@ -83,7 +84,7 @@ impl FileModels {
 
     /// Bytes of any number. Zeros at their end, with which some programs fill up a page, are only counted.
     fn code_bytes<C: BitCoder>(&mut self, coder: &mut C, bytes: &mut Vec<u8>, limits: &Limits) -> Result<()> {
-        let length = self.sizes.code(coder, bytes.len() as u64) as usize;
+        let length = saturated(self.sizes.code(coder, bytes.len() as u64));
         Error::check_limit("bytes of the frame", length as u64, limits.file_bytes)?;
         bytes.resize(length, 0);
         if length == 0 {

@@ -3,7 +3,9 @@
 use super::timing::{MOST_BLOCKS, WHOLE};
 use super::{Build, Firings, Laser, Origin, Recipe, Timing};
 use crate::ground::error::{Error, Result};
-use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
+use crate::ground::varint::{
+    read_signed, read_unsigned, read_within, saturated, write_signed, write_unsigned,
+};
 use crate::scanner::{Coordinates, MOST_RANGE_STEP_UM, MOST_TICKS};
 
 /// Constants are within a turn.
@@ -56,17 +58,14 @@ impl Firings {
     /// # Errors
     /// If it is cut short or holds values that no scanner has.
     pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
-        let mut bounded = |what: &str, min: u64, max: u64| match read_unsigned(bytes, "scanner")? {
-            got if (min..=max).contains(&got) => Ok(got as u32),
-            got => Err(Error::over_limit(format!("scanner: {what}"), got, max)),
-        };
-        let recipe = bounded("recipe", 0, u64::from(u32::MAX))?;
+        let recipe = read_within(bytes, "scanner: recipe", 0..=u64::from(u32::MAX))? as u32;
         let recipe = Recipe::of_number(recipe)
             .ok_or_else(|| Error::unsupported(format!("scanner: unknown recipe {recipe}")))?;
-        let ticks = bounded("ticks a turn", 1, MOST_TICKS)?;
-        let range_step_um = bounded("range step in micrometres", 1, MOST_RANGE_STEP_UM)?;
-        let grid = bounded("grid of the coordinates", 0, 3)?;
-        let step = bounded("step of the grid", 0, 1_000_000_000)?;
+        let ticks = read_within(bytes, "scanner: ticks a turn", 1..=MOST_TICKS)? as u32;
+        let range_step_um =
+            read_within(bytes, "scanner: range step in micrometres", 1..=MOST_RANGE_STEP_UM)? as u32;
+        let grid = read_within(bytes, "scanner: grid of the coordinates", 0..=3)? as u32;
+        let step = read_within(bytes, "scanner: step of the grid", 0..=1_000_000_000)? as u32;
         let coordinates = match (grid, step) {
             (0, 0) => Coordinates::Float32,
             (1, 0) => Coordinates::Millimetre,
@@ -79,11 +78,7 @@ impl Firings {
             _ => Err(Error::corrupt("scanner: beams start too far away")),
         };
         let origin = Origin { along_um: metre()?, up_um: metre()? };
-        let mut bounded = |what: &str, min: u64, max: u64| match read_unsigned(bytes, "scanner")? {
-            got if (min..=max).contains(&got) => Ok(got as u32),
-            got => Err(Error::over_limit(format!("scanner: {what}"), got, max)),
-        };
-        let rows = bounded("lasers", 1, MOST_LASERS)?;
+        let rows = read_within(bytes, "scanner: lasers", 1..=MOST_LASERS)? as u32;
         let mut angle = || match read_signed(bytes, "scanner")? {
             angle if angle.unsigned_abs() <= LARGEST_ANGLE => Ok(angle),
             _ => Err(Error::corrupt("scanner: an angle is out of range")),
@@ -101,11 +96,8 @@ impl Firings {
         let lags = match read_unsigned(bytes, "scanner")? {
             0 => Vec::new(),
             1 => (0..rows)
-                .map(|_| match read_unsigned(bytes, "scanner")? {
-                    lag if lag < u64::from(ticks) => Ok(lag as u32),
-                    lag => {
-                        Err(Error::over_limit("scanner: ticks behind a column", lag, u64::from(ticks) - 1))
-                    }
+                .map(|_| {
+                    Ok(read_within(bytes, "scanner: ticks behind a column", 0..=u64::from(ticks) - 1)? as u32)
                 })
                 .collect::<Result<_>>()?,
             other => return Err(Error::unsupported(format!("scanner: unknown columns {other}"))),
@@ -115,14 +107,8 @@ impl Firings {
             1 => Timing::Vlp16,
             firings @ 2..=3 => {
                 let count = (firings - 1) * u64::from(rows);
-                let part = |_| match read_unsigned(bytes, "scanner")? {
-                    part if part <= MOST_BLOCKS as u64 * u64::from(WHOLE) => Ok(part as u32),
-                    part => Err(Error::over_limit(
-                        "scanner: part of a block",
-                        part,
-                        u64::from(WHOLE) * MOST_BLOCKS as u64,
-                    )),
-                };
+                let most = u64::from(WHOLE) * MOST_BLOCKS as u64;
+                let part = |_| Ok(read_within(bytes, "scanner: part of a block", 0..=most)? as u32);
                 Timing::Parts((0..count).map(part).collect::<Result<_>>()?)
             }
             other => return Err(Error::unsupported(format!("scanner: unknown timing {other}"))),
@@ -137,7 +123,7 @@ fn read_permutation(bytes: &mut &[u8], rows: u32) -> Result<Vec<u32>> {
     let (mut order, mut seen) = (Vec::new(), vec![false; rows as usize]);
     for _ in 0..rows {
         let row = read_unsigned(bytes, "scanner")?;
-        let is_new = seen.get_mut(row as usize).map(|seen| !std::mem::replace(seen, true));
+        let is_new = seen.get_mut(saturated(row)).map(|seen| !std::mem::replace(seen, true));
         if is_new != Some(true) {
             return Err(Error::corrupt("scanner: an order is no permutation of the rows"));
         }

@@ -1,5 +1,5 @@
 //! Calls into openjp2, which is OpenJPEG translated to Rust and passes its output on by callbacks and raw
-//! pointers. The only unsafe code of the program is here.
+//! pointers, which takes unsafe code.
 
 #![allow(unsafe_code)]
 
