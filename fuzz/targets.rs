@@ -5,6 +5,7 @@ use std::fs::{self, File};
 use std::io::Cursor;
 use std::sync::LazyLock;
 
+use lidarpc::Settings;
 use lidarpc::internals::backend::{self, BACKENDS};
 use lidarpc::internals::container::{IndexedReader, Section, StreamReader};
 use lidarpc::internals::edit::{Named, PartialFiles, encode_resuming, recover, repair};
@@ -15,6 +16,8 @@ use lidarpc::internals::ground::error::{Limits, Result};
 use lidarpc::internals::scan::{Channel, Number, PointCloud, Scalar};
 use lidarpc::internals::scanner::{REACH, Return, Scanner};
 use lidarpc::internals::stream::{DecodeOptions, FrameInput};
+use lidarpc::recordings::internals::{Encoding, compress, payload, scan, unpacked};
+use lidarpc::recordings::{Clouds, TopicFilter, examine, pack, same_messages, unpack};
 use tempfile::TempDir;
 
 use crate::common::bound::{bounded, check_bound, keeps_the_bound};
@@ -32,7 +35,7 @@ pub type Target = fn(&[u8]);
 
 /// All targets by name.
 #[allow(dead_code)] // The fuzzer's programs call theirs directly.
-pub const TARGETS: [(&str, Target); 13] = [
+pub const TARGETS: [(&str, Target); 14] = [
     ("container", container),
     ("sections", sections),
     ("parts", parts),
@@ -46,6 +49,7 @@ pub const TARGETS: [(&str, Target); 13] = [
     ("round_trip", round_trip_of),
     ("differential", differential),
     ("sequence", sequence),
+    ("recordings", recordings),
 ];
 
 /// Any bytes as a stream: read by records, by the index, and decoded.
@@ -351,4 +355,34 @@ pub fn sequence(data: &[u8]) {
         }
         _ => drop(round_trip(&files, &one(by_back_end(usize::from(mode / 4))))),
     }
+}
+
+/// Any bytes as a message with a cloud, in each encoding: taken apart and put together, it is the same, and so is the payload
+/// of its compressed one. Or as a recording: read in each way, and packed and unpacked, it has the same messages.
+pub fn recordings(data: &[u8]) {
+    let [kind, bytes @ ..] = data else { return };
+    let encoding = match kind % 3 {
+        0 => Encoding::Cdr,
+        1 => Encoding::Ros1,
+        _ => return recording(bytes),
+    };
+    if let Some((cloud, _)) = scan(bytes, encoding) {
+        assert!(cloud.to_bytes().unwrap() == bytes);
+        let compressed = compress(bytes, encoding, b"compressed").unwrap();
+        assert!(payload(&compressed, encoding) == Some(b"compressed"));
+    }
+    let _ = unpacked(bytes, encoding);
+}
+
+fn recording(bytes: &[u8]) {
+    let filter = TopicFilter::default();
+    if let Ok(clouds) = Clouds::open(bytes, &filter) {
+        clouds.take(100).for_each(drop);
+    }
+    let _ = examine(bytes, true, 1, &|| ());
+    let (mut packed, mut again) = (Cursor::new(Vec::new()), Cursor::new(Vec::new()));
+    let settings = Settings::exact().with_level(1).with_threads(1);
+    let Ok(copied) = pack(Cursor::new(bytes), &mut packed, &settings, &filter, &|| ()) else { return };
+    unpack(&packed.get_ref()[..], &mut again, 1, &|| ()).unwrap();
+    assert!(same_messages(bytes, &again.get_ref()[..]).unwrap() == copied.messages);
 }

@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 use common::formats::{
     columns, csv, kitti, las, npy, npy_doubles, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply,
 };
+use common::messages::cloud;
 use common::scans::{scans, small};
 use common::streams::{KNOWN, STREAMS};
 use common::{first_files, in_package, put_together};
@@ -23,6 +24,7 @@ use lidarpc::internals::container::ScannerRecord;
 use lidarpc::internals::files::parse;
 use lidarpc::internals::scanner::Scanner;
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
+use mcap::records::MessageHeader;
 use targets::{INTERRUPTED, TARGETS};
 
 /// What the fuzzer starts from, so that it need not find the formats by chance.
@@ -84,6 +86,21 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
                 [name.as_bytes(), bytes, b"b.bin 0\n"].concat()
             });
             framed.chain([tar::Header::new_gnu(), tar::Header::new_ustar()].map(archive)).collect()
+        }
+        "recordings" => {
+            let message = |kind: u8| cloud(&points.to_vec(), kind == 0, false);
+            let messages = [0, 1].map(|kind| [vec![kind], message(kind)].concat());
+            let whole = [None, Some(mcap::Compression::Lz4)].map(|compression| {
+                let options = mcap::WriteOptions::new().compression(compression);
+                let mut out = options.create(std::io::Cursor::new(Vec::new())).unwrap();
+                let schema = out.add_schema("sensor_msgs/msg/PointCloud2", "ros2msg", b"").unwrap();
+                let channel = out.add_channel(schema, "/points", "cdr", &Default::default()).unwrap();
+                let header = MessageHeader { channel_id: channel, sequence: 0, log_time: 0, publish_time: 0 };
+                out.write_to_known_channel(&header, &message(0)).unwrap();
+                out.finish().unwrap();
+                [vec![2], out.into_inner().into_inner()].concat()
+            });
+            messages.into_iter().chain(whole).collect()
         }
         "journal" => {
             let (stream, journal) = &*INTERRUPTED;

@@ -58,7 +58,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
         sizes.messages += 1;
         sizes.file_bytes += bytes.len() as u64;
         let frame = FrameInput::memory(name.clone(), bytes);
-        let scanners = scanners.for_next(Some(&frame), config)?;
+        let scanners = scanners.for_next(|| Some(frame.clone()), config)?;
         let payload = on(pool.as_ref(), || encode_known(vec![frame], &scanners, config))?;
         sizes.stream_bytes += payload.len() as u64;
         write_message(&mut writer, &name, &payload)

@@ -153,7 +153,7 @@ impl MessageEncoder {
         let (scan, stamp) = scan.into_parts();
         // There are no others to tell it from.
         let frame = FrameInput::scan(scan).stamped(Stamp { track: 0, ..stamp });
-        let scanners = self.scanners.for_next(Some(&frame), &self.config)?;
+        let scanners = self.scanners.for_next(|| Some(frame.clone()), &self.config)?;
         on(self.pool.as_deref(), || encode_known(vec![frame], &scanners, &self.config))
     }
 }

@@ -223,9 +223,9 @@ fn scalar(datatype: u8) -> Option<Scalar> {
 pub fn scan(message: &[u8], encoding: Encoding) -> Option<(ScanFile, i64)> {
     let cloud = Cloud::read(&mut Values::new(message, encoding)?)?;
     let layout = cloud.layout()?;
-    let is_contiguous = cloud.rows <= 1
-        || u64::from(cloud.row_bytes) * u64::from(cloud.rows) == cloud.points * u64::from(cloud.record_bytes);
-    let is_whole = cloud.points * u64::from(cloud.record_bytes) == cloud.data.len() as u64;
+    let bytes = cloud.points.checked_mul(cloud.record_bytes.into())?;
+    let is_contiguous = cloud.rows <= 1 || u64::from(cloud.row_bytes) * u64::from(cloud.rows) == bytes;
+    let is_whole = bytes == cloud.data.len() as u64;
     if !is_contiguous || !is_whole {
         return None;
     }

@@ -11,3 +11,11 @@ mod records;
 
 pub use contents::{Clouds, Contents, Topic, TopicFilter, examine, same_messages};
 pub use pack::{Copied, pack, unpack};
+
+/// For this crate's own tests and fuzz targets.
+#[cfg(feature = "internals")]
+#[doc(hidden)]
+pub mod internals {
+    pub use super::message::{Encoding, compress, payload, scan};
+    pub use super::pack::unpacked;
+}

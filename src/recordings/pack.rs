@@ -244,8 +244,11 @@ impl Packing<'_> {
     fn unused(&mut self) -> Result<u16> {
         // The format has no number 0 for schemas.
         let found = (1..=self.next).rev().find(|number| !self.used.contains(number));
-        let found =
-            found.ok_or_else(|| Error::over_limit("topics of clouds", u16::MAX.into(), u16::MAX.into()))?;
+        let found = found.ok_or_else(|| {
+            Error::Usage(
+                "the recording has no number left for the schemas and channels of packed clouds".to_owned(),
+            )
+        })?;
         self.next = found - 1;
         Ok(found)
     }
@@ -261,8 +264,8 @@ fn compressed_schema(encoding: Encoding, id: u16) -> Record<'static> {
 impl CloudChannel {
     /// How its clouds are compressed: by the scanner that is found in the first message that shows one.
     fn topic_of(&mut self, data: &[u8], config: &EncoderConfig) -> Result<Arc<PackedTopic>> {
-        let frame = message::scan(data, self.encoding).map(|(scan, _)| FrameInput::scan(scan));
-        let scanners = self.scanners.for_next(frame.as_ref(), config)?;
+        let frame = || message::scan(data, self.encoding).map(|(scan, _)| FrameInput::scan(scan));
+        let scanners = self.scanners.for_next(frame, config)?;
         if let Some(topic) = self.topic.as_ref().filter(|topic| Arc::ptr_eq(&topic.scanners, &scanners)) {
             return Ok(Arc::clone(topic));
         }

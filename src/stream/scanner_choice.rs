@@ -71,13 +71,13 @@ pub(crate) struct KeptScanners {
 }
 
 impl KeptScanners {
-    /// Those for the next frame, which may be looked at.
+    /// Those for the next frame, which is asked for only if it is to be looked at; `None` is no scan.
     ///
     /// # Errors
     /// If it cannot be read.
     pub fn for_next(
         &mut self,
-        frame: Option<&FrameInput>,
+        frame: impl FnOnce() -> Option<FrameInput>,
         config: &EncoderConfig,
     ) -> Result<Arc<DriveScanners>> {
         /// Frames in which a scanner is looked for.
@@ -86,8 +86,8 @@ impl KeptScanners {
             return Ok(Arc::clone(kept));
         }
         self.tries += 1;
-        let frames = frame.map(std::slice::from_ref).unwrap_or_default();
-        let scanners = Arc::new(scanners_of_drive(frames, config)?);
+        let frame = frame();
+        let scanners = Arc::new(scanners_of_drive(frame.as_slice(), config)?);
         if scanners.models.iter().any(Option::is_some) {
             self.tries = MOST_TRIES;
         }

@@ -5,6 +5,7 @@
 pub mod bound;
 pub mod firings;
 pub mod formats;
+pub mod messages;
 pub mod odd;
 pub mod scans;
 pub mod streams;
