@@ -99,11 +99,13 @@ fn names_in(line: &str, format: &TextFormat) -> Vec<String> {
 }
 
 /// A name without its quotation marks and its unit. ParaView and VeloView call the coordinates Points:0, Points:1 and
-/// Points:2.
+/// Points:2, Ouster's program those of the first return X1, Y1 and Z1.
 fn name_in(text: &str) -> String {
     let name = text.trim().trim_matches('"').split(['(', '[']).next().unwrap_or_default().trim();
-    let axis = name.strip_prefix("Points").and_then(|rest| rest.rsplit_once(':')?.1.parse::<usize>().ok());
-    match axis.and_then(|axis| POSITION.get(axis)) {
+    let number = name.strip_prefix("Points").and_then(|rest| rest.rsplit_once(':')?.1.parse::<usize>().ok());
+    let first_return = name.strip_suffix('1').unwrap_or_default();
+    let numbered = number.and_then(|number| POSITION.get(number));
+    match numbered.or_else(|| POSITION.iter().find(|axis| first_return.eq_ignore_ascii_case(axis))) {
         Some(axis) => (*axis).to_owned(),
         None => with_underscores(name),
     }
@@ -130,6 +132,10 @@ mod tests {
             (
                 "# made by\n\n# X Y Z Intensity laser_id t\n",
                 "1.5 2 3 0 17 1.25\n-1 2 3 255 18 1300000000.5\n",
+            ),
+            (
+                "# frame num: 0\n# X1 (m), Y1 (m), Z1 (m), Intensity (photons), laser id, t\n",
+                "1.5,2,3,0,17,1.25\n-1,2,3,255,18,1300000000.5\n",
             ),
             (
                 "Points_m_XYZ:0,Points_m_XYZ:1,Points_m_XYZ:2,Intensity,laser_id,t\n",
