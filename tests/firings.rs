@@ -320,6 +320,51 @@ fn ousters_whose_beams_start_off_the_axis_are_found() {
 }
 
 #[test]
+fn files_of_returns_alone_row_by_row_are_understood() {
+    for recipe in Recipe::ALL {
+        let truth = made_up(recipe).line_by_line((0..32).rev().collect());
+        let image = RangeImage { is_full: false, ..image(&truth, 1) };
+        let points = points(&truth, &image);
+        let (found, share) = fit(&[file(&points)]).unwrap_or_else(|| panic!("{recipe:?} is not found"));
+        assert!(share > 0.999, "{recipe:?}: {share}");
+        let (exact, inexact, strays) = counts(&found, &points);
+        assert!(inexact <= points.len() / 1000 && strays == 0, "{recipe:?}: {exact}, {inexact}, {strays}");
+        let projection = found.project(&file(&points).cloud, REACH);
+        let again = found.file_order(&projection.image).into_iter();
+        let again: Vec<u32> = again
+            .map(|found| projection.point_of_cell[(found.row as usize, found.column as usize)])
+            .collect();
+        assert!(again.is_sorted(), "{recipe:?}: the order of the file");
+        // One column for each that the scanner saw.
+        assert!(projection.image.columns.len() < 2 * image.columns.len(), "{recipe:?}");
+    }
+}
+
+#[test]
+fn ousters_without_blanks_are_found_in_every_order() {
+    let (rows, width) = (64, 512);
+    let points = ouster(rows, false);
+    let cells = |order: &dyn Fn(usize, usize) -> usize| -> Points {
+        let cells = (0..width).flat_map(|column| (0..rows).map(move |row| (row, column)));
+        let points = cells.map(|(row, column)| points[row * width + order(row, column)]);
+        points.filter(|point| point[..3] != [0.0; 3]).collect()
+    };
+    let lines: Points = points.iter().copied().filter(|point| point[..3] != [0.0; 3]).collect();
+    let columns = cells(&|_, column| column);
+    let firings = cells(&|row, column| (column + [24, 8, 504, 488][row % 4]) % width);
+    for (name, points) in [("lines", lines), ("columns", columns), ("firings", firings)] {
+        let (found, share) = fit(&[file(&points)]).unwrap_or_else(|| panic!("{name}: none is found"));
+        assert_eq!((found.build().recipe, found.build().ticks), (Recipe::Ouster, 512), "{name}");
+        assert_eq!((found.build().origin.along_um, found.build().origin.up_um), (27_116, 36_180), "{name}");
+        assert_eq!(share, 1.0, "{name}");
+        let (_, inexact, strays) = counts(&found, &points);
+        assert_eq!((inexact, strays), (0, 0), "{name}");
+        let stream = round_trip(&files(std::slice::from_ref(&points)), &EncoderConfig::default());
+        assert!(stream.len() < 5 * points.len() / 4, "{name}: {} bytes", stream.len());
+    }
+}
+
+#[test]
 fn two_scanners_in_one_folder_are_told_apart() {
     let of = |recipe| {
         let scanner = made_up(recipe);

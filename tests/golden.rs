@@ -251,6 +251,12 @@ fn recipes() -> Vec<Recipe> {
         || firings_files(firings::Recipe::LsLidar, Cells::Returns),
         EncoderConfig::default(),
     );
+    exact(
+        "firings-apollo",
+        || firings_files(firings::Recipe::Apollo, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact("firings-once", || firings_files(firings::Recipe::Once, Cells::Returns), EncoderConfig::default());
     exact("firings-ouster", || named(&[common::firings::ouster(16, false)]), EncoderConfig::default());
     exact("firings-ouster-ros", || named(&[common::firings::ouster(16, true)]), EncoderConfig::default());
     exact("firings-turned", || named(&[common::firings::vlp_32c(12)]), EncoderConfig::default());

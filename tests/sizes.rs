@@ -39,7 +39,9 @@ fn inputs() -> Vec<(String, Vec<File>)> {
 fn measured() -> BTreeMap<(String, u8), (String, usize)> {
     let mut measured = BTreeMap::new();
     for (name, files) in inputs() {
-        for level in [1, 6] {
+        // All levels of what is at hand everywhere.
+        let levels = if name == "drive" { &[1, 2, 3, 6, 7, 8, 9][..] } else { &[1, 6] };
+        for &level in levels {
             let stream = encode_files(&files, &at_level(level));
             let family = take_apart(&stream).0.first().map_or_else(
                 || "-".to_owned(),
@@ -71,7 +73,14 @@ fn streams_are_as_small_as_the_table_says() {
     let measured = measured();
     for ((name, level), (family, bytes)) in &measured {
         let Some((expected_family, expected)) = table.get(&(name.clone(), *level)) else {
-            println!("{name} at level {level}: {family}, {bytes} bytes, of which the table says nothing");
+            let what =
+                format!("{name} at level {level}: {family}, {bytes} bytes, of which the table says nothing");
+            // Folders of real scans may be others than those of the table.
+            if name.starts_with("real/") {
+                println!("{what}")
+            } else {
+                wrong.push(what)
+            }
             continue;
         };
         // The fit is not the same to the last bit everywhere.

@@ -13,7 +13,7 @@ from values import Scale, at_place, converted, geometry, geometry_of_place
 
 CONSTANT, COLUMNS, BYTES, PACKED = range(4)
 SAME, INTEGERS = 1, 2
-BEAM, COLUMN, AFTER = 1, 2, 3
+BEAM, COLUMN, AFTER, TICK = 1, 2, 3, 4
 CANDIDATES, TRIES = 13, 4
 TABLE = 1 << 14
 MASK = TABLE - 1
@@ -131,6 +131,7 @@ class Column:
             raise Refused("unknown geometry")
         rule = bits.plain(8)
         beside = sources.beside
+        columns = (beside.ticks if rule == TICK else beside.columns) or [0] * records
         expected = [None] * records
         if 0 < told_by < 12:
             for n, position in enumerate(beside.positions):
@@ -139,7 +140,6 @@ class Column:
             for n, (steps, tick) in enumerate(zip(beside.steps, beside.ticks)):
                 told = geometry_of_place(told_by, steps, tick, beside.range_step_m, beside.tick_degrees)
                 expected[n] = scale.nearest(told)
-        columns = sources.beside.columns or [0] * records
         if self.integers is None and not rule:
             self.integers = Integers()
         doubts = self.rules.doubts(bits) if rule else None
@@ -189,10 +189,10 @@ class Rules:
 
     def code(self, bits, rule_and_doubts, record, key, column, told):
         rule, (doubted, of_new_columns) = rule_and_doubts
-        phase = column % (rule - 3) if rule > 3 else 0
+        phase = column % (rule - 4) if rule > 4 else 0
         o = slot(key, phase)
         a = slot(key, self.last)
-        base = {BEAM: 0, COLUMN: self.bases.get(column, 0)}.get(rule, self.base)
+        base = {BEAM: 0, COLUMN: self.bases.get(column, 0), TICK: self.bases.get(column, 0)}.get(rule, self.base)
         expected = wrap(base + self.offsets.get(o, 0), 64)
         if rule == AFTER:
             expected = self.after.get(a, expected)
@@ -208,7 +208,7 @@ class Rules:
         self.last_column = column
         if rule == BEAM:
             self.offsets[o] = v
-        elif rule == COLUMN:
+        elif rule in (COLUMN, TICK):
             if column in self.bases and o not in self.offsets:
                 self.offsets[o] = wrap(v - self.bases[column], 64)
             else:

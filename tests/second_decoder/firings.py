@@ -6,18 +6,18 @@ from entropy import AdaptiveBit, IntegerModel, adaptive, integers, unzigzag, wra
 from errors import Refused
 from models import clamp, f32, to_int
 from scanner import DIGITS, FLOAT32, LATTICE, MILLIMETRE, Grid
-from trigonometry import cos, glibc_cosf, glibc_sinf, sin
+from trigonometry import cos, glibc_cosf, glibc_sinf, old_cosf, old_sinf, sin
 
 TOGETHER, VLP_16, ONE_FIRING, TWO_FIRINGS = range(4)
 WHOLE = 1 << 24
 
 # How the recipes' ranges are rounded, and which of them compute in double precision.
-SINGLE_PRODUCT = 0, 3, 4, 8, 9
+SINGLE_PRODUCT = 0, 3, 4, 8, 9, 13
 ROUNDED_PRODUCT = 6, 7, 10
-DOUBLE = 1, 2, 3, 5, 11, 12
+DOUBLE = 1, 2, 3, 5, 11, 12, 14
 GLIBC = 8, 9
 OUSTER = 11, 12
-ROBOSENSE, LSLIDAR, PANDAR_64, LAST = 4, 5, 10, 12
+ROBOSENSE, LSLIDAR, PANDAR_64, APOLLO, ONCE, LAST = 4, 5, 10, 13, 14, 14
 
 SLOT, FIRING, BLOCK = map(f32, (2.304, 55.296, 110.592))
 LS_DEGREE = 0.017453293
@@ -106,6 +106,8 @@ class Scanner:
         reader.end()
         self.slots = {row: slot for slot, row in enumerate(self.rows_of_slots)}
         self.cosine, self.sine = (glibc_cosf, glibc_sinf) if self.recipe in GLIBC else (cos_single, sin_single)
+        if self.recipe in (APOLLO, ONCE):
+            self.cosine, self.sine = old_cosf, old_sinf
         self.position = {
             1: self.double,
             2: self.double,
@@ -116,6 +118,7 @@ class Scanner:
             7: self.sum,
             11: self.ouster,
             12: self.ouster,
+            ONCE: self.once,
         }.get(self.recipe, self.single)
         self.lasers = [self.laser(elevation * 1e-9, azimuth * 1e-9) for elevation, azimuth in angles]
         self.of_ticks = {}
@@ -197,6 +200,10 @@ class Scanner:
             v = f32(radians(f32(e)))
             laser.cos_v, laser.sin_v = glibc_cosf(v), glibc_sinf(v)
             laser.offset = f32(o)
+        elif self.recipe == ONCE:
+            v = f32(radians(f32(e)))
+            laser.cos_v, laser.sin_v = old_cosf(v), old_sinf(v)
+            laser.offset = f32(o)
         else:
             laser.cos_v, laser.sin_v = cos(radians(e)), sin(radians(e))
         return laser
@@ -208,13 +215,15 @@ class Scanner:
             found = self.of_ticks[tick] = make(tick)
         return found
 
-    # Recipes 0, 8, 9 and 10
+    # Recipes 0, 8, 9, 10 and 13
 
     def direction_single(self, tick):
         if self.recipe == PANDAR_64:
             a = f32(f32((tick + self.ticks // 4) % self.ticks) * f32(self.tick_degrees * pi / 180))
         elif self.recipe == 9:
             a = f32(radians(self.tick_degrees * tick))
+        elif self.recipe == APOLLO:
+            a = f32(f32(f32(self.tick_degrees) * f32(tick * pi)) / 180)
         else:
             a = f32(radians(f32(f32(self.tick_degrees) * f32(tick))))
         return self.cosine(a), self.sine(a)
@@ -224,7 +233,7 @@ class Scanner:
         if laser.direction:
             cos_o, sin_o = laser.direction
             c, s = f32(f32(c * cos_o) + f32(s * sin_o)), f32(f32(s * cos_o) - f32(c * sin_o))
-        flat = f32(d * laser.cos_v)
+        flat = d * laser.cos_v if self.recipe == APOLLO else f32(d * laser.cos_v)
         x, y, z = f32(flat * c), f32(flat * s), f32(d * laser.sin_v)
         return (-x, y, z) if self.recipe == PANDAR_64 else (x, -y, z)
 
@@ -236,6 +245,13 @@ class Scanner:
         if self.recipe == 1:
             return flat * sin(a), flat * cos(a), d * laser.sin_v
         return flat * cos(a), -(flat * sin(a)), d * laser.sin_v
+
+    # Recipe 14
+
+    def once(self, laser, tick, d):
+        a = f32(radians(laser.offset + tick / (1 / self.tick_degrees)))
+        flat = d * laser.cos_v
+        return f32(flat * old_sinf(a)), f32(flat * old_cosf(a)), f32(d * laser.sin_v)
 
     # Recipe 4
 

@@ -288,3 +288,11 @@ def glibc_sinf(x):
 
 def glibc_cosf(x):
     return 1.0 if _top(x) < 0x398 else _glibc(x, 1)
+
+
+def old_sinf(x):
+    return f32(x - x * x * x / 6) if abs(x) < 1 / 32 else f32(sin(x))
+
+
+def old_cosf(x):
+    return f32(1 - x * x / 2) if abs(x) < 1 / 32 else f32(cos(x))

@@ -14,6 +14,17 @@ use crate::scan::Scalar;
 
 /// Records that are coded to choose what predicts them.
 const SAMPLE: usize = 6000;
+/// One in so many integers that do not follow a rule is few, if they are wide and above a base, which changes now and then.
+const FEW_BASES: usize = 64;
+
+/// A plan with a rule that seems to be worth a try.
+enum Ruled {
+    None,
+    /// Not all integers of a sample follow from it.
+    OfSample(Integers),
+    /// Those of the sample do, but not all others.
+    OfSome(Integers),
+}
 
 /// How to code a column.
 pub struct Choice {
@@ -91,14 +102,27 @@ impl ColumnModel {
         if let Some(plan) = self.tried_plan(plain, &part, scalar, sampled) {
             return Choice { tried: self.tried, ..Choice::sure(Plan::Integers(plan), 1) };
         }
-        let ruled = self.best_rule(plain, &part, scalar, sampled);
-        if let Some((plan, true)) = ruled {
-            return Choice::sure(Plan::Integers(plan), 1);
-        }
+        let ruled = match self.best_rule(plain, &part, scalar, sampled) {
+            Some((plan, true)) => match self.settled(plan, sources, scalar, values) {
+                Ok(plan) => return Choice::sure(Plan::Integers(plan), 1),
+                // What the sample says of it is no help.
+                Err(plan) => Ruled::OfSome(plan),
+            },
+            Some((plan, false)) => Ruled::OfSample(plan),
+            None => Ruled::None,
+        };
         let lag = likely_lag(size, values);
-        let (best, tried) =
-            self.best_way(Integers { lag, ..plain }, ruled.map(|(plan, _)| plan), &part, scalar, sampled);
+        let of_sample = if let Ruled::OfSample(plan) = ruled { Some(plan) } else { None };
+        let (mut best, tried) = self.best_way(Integers { lag, ..plain }, of_sample, &part, scalar, sampled);
         let tried = Tried { plan: best, bytes: tried as f64 / (sampled.len() / size).max(1) as f64 };
+        if let Ruled::OfSome(ruled) = ruled {
+            let [of_best, of_ruled] =
+                [best, ruled].map(|plan| self.size_of(&Plan::Integers(plan), sources, scalar, values));
+            best = if of_ruled < of_best { ruled } else { best };
+            let tried = Some(tried).filter(|tried| tried.plan == best);
+            let bytes = of_best.min(of_ruled);
+            return Choice { plan: Plan::Integers(best), bytes, is_sure: false, tried };
+        }
         let sampled = sample(records);
         let sample = gather(values, size, &sampled);
         let bytes = self.size_of(&Plan::Integers(best), &sources.part(&sampled).sources(), scalar, &sample);
@@ -118,6 +142,32 @@ impl ColumnModel {
         (taken as f64 <= most).then_some(plan)
     }
 
+    /// Of a plan that goes by the columns of an image or by its ticks, what all integers say: a few rows do not tell the two
+    /// apart, nor what holds in rows without returns. The plan with the rule that more of them follow; as an error if too many
+    /// follow neither.
+    fn settled(
+        &self,
+        plan: Integers,
+        sources: &Sources,
+        scalar: Scalar,
+        values: &[u8],
+    ) -> std::result::Result<Integers, Integers> {
+        let is_of_image = matches!(plan.rule, Some(Rule::Column | Rule::Tick));
+        if !is_of_image || sources.context.ticks.is_empty() || self.last_plan() == Some(plan) {
+            return Ok(plan);
+        }
+        let grid = plan.scale.grid(scalar);
+        let size = scalar.size() as usize;
+        let integers: Vec<Option<i64>> = values.chunks_exact(size).map(|value| grid.integer(value)).collect();
+        let missed = |rule: Rule| {
+            let plan = Integers { rule: Some(rule), ..plan };
+            (plan, misses(&plan, sources, scalar, &integers, usize::MAX).unwrap_or(usize::MAX))
+        };
+        let (by_column, by_tick) = (missed(Rule::Column), missed(Rule::Tick));
+        let (plan, missed) = if by_tick.1 < by_column.1 { by_tick } else { by_column };
+        if missed <= integers.len() / 2 / FEW_BASES { Ok(plan) } else { Err(plan) }
+    }
+
     /// The rule that most integers of a sample follow, and whether nearly all do; none if few follow any.
     fn best_rule(
         &self,
@@ -128,8 +178,6 @@ impl ColumnModel {
     ) -> Option<(Integers, bool)> {
         /// One in so many integers that do not follow is few.
         const FEW: usize = 512;
-        /// The same of wide ones above a base, which changes now and then.
-        const FEW_BASES: usize = 64;
         /// One in so many is too many.
         const MANY: usize = 3;
         let integers: Vec<Option<i64>> = {
@@ -140,7 +188,7 @@ impl ColumnModel {
         let mut least = integers.len() / 2 / MANY;
         let has_bases = scalar.size() > 2 && !part.context.columns.is_empty();
         let few = |plan: &Integers| match plan.rule {
-            Some(Rule::Turn(_) | Rule::Column) if has_bases => integers.len() / 2 / FEW_BASES,
+            Some(Rule::Turn(_) | Rule::Column | Rule::Tick) if has_bases => integers.len() / 2 / FEW_BASES,
             _ => integers.len() / 2 / FEW,
         };
         let mut consider = |plan: Integers| {
@@ -165,7 +213,8 @@ impl ColumnModel {
         for key in keys() {
             let turns = (1..=Rule::MOST_COLUMNS.min(64)).map(Rule::Turn);
             let rules = turns.take(if part.context.columns.is_empty() { 1 } else { usize::MAX });
-            for rule in [Rule::Column, Rule::After].into_iter().chain(rules) {
+            let by_tick = (!part.context.ticks.is_empty()).then_some(Rule::Tick);
+            for rule in [Rule::Column, Rule::After].into_iter().chain(by_tick).chain(rules) {
                 consider(Integers { rule: Some(rule), key, ..plain });
             }
         }

@@ -6,7 +6,7 @@ use super::choice::Tried;
 use super::integers::{IntegersModel, Site};
 use super::numbers::{Grid, Scale, number, write_number};
 use super::plan::{Integers, Plan};
-use super::rules::RuleModel;
+use super::rules::{Rule, RuleModel};
 use super::{RecordContext, Sources, may_be_key};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
@@ -89,15 +89,7 @@ impl ColumnModel {
         let ColumnModel { integers, rules, off, .. } = self;
         if let Some(rule) = plan.rule {
             rules.prepare(rule);
-            let values_of = values.chunks_exact(scalar.size() as usize).enumerate();
-            let known = values_of.map(|(record, value)| {
-                places.grid.integer(value).map(|integer| (places.site(record), integer))
-            });
-            let doubts = rules.code_doubts(coder, rule, known);
-            code_each(coder, off, (&plan, &places.grid), scalar, values, |coder, record, integer| {
-                integer
-                    .map(|integer| rules.code(coder, (rule, doubts), (record, &places.site(record)), integer))
-            });
+            code_by_rule(coder, (rules, rule), off, (&plan, &places), scalar, values);
             return Ok(());
         }
         let lag = plan.lag as usize;
@@ -120,6 +112,30 @@ impl ColumnModel {
     pub fn last_plan(&self) -> Option<Integers> {
         self.last_plan
     }
+}
+
+/// Codes values as integers that follow from a rule, or nearly all do.
+#[inline(always)]
+fn code_by_rule<C: BitCoder>(
+    coder: &mut C,
+    (model, rule): (&mut RuleModel, Rule),
+    off: &mut OffModel,
+    (plan, places): (&Integers, &Places),
+    scalar: Scalar,
+    values: &mut [u8],
+) {
+    let known = values
+        .chunks_exact(scalar.size() as usize)
+        .enumerate()
+        .map(|(record, value)| places.grid.integer(value).map(|integer| (places.site(record), integer)));
+    let (doubts, learned) = model.code_doubts(coder, rule, known);
+    // Then an encoder has nothing more to say.
+    if let Some(learned) = learned.filter(|_| doubts.is_empty() && !plan.has_exceptions) {
+        return model.know(learned);
+    }
+    code_each(coder, off, (plan, &places.grid), scalar, values, |coder, record, integer| {
+        integer.map(|integer| model.code(coder, (rule, doubts), (record, &places.site(record)), integer))
+    });
 }
 
 /// Codes values as integers, each by `code`, which is given the record's number and gets none for a value off the grid.
@@ -170,7 +186,10 @@ impl<'a> Places<'a> {
     pub fn site(&self, record: usize) -> Site {
         Site {
             key: self.keys.get(record).copied().unwrap_or(0),
-            column: self.context.columns.get(record).copied().unwrap_or(0),
+            column: match self.plan.rule {
+                Some(Rule::Tick) => self.context.ticks.get(record).copied().unwrap_or(0),
+                _ => self.context.columns.get(record).copied().unwrap_or(0),
+            },
             geometry: self.plan.geometry.of(record, self.context).map(|number| self.grid.nearest(number)),
             lagged: None,
         }

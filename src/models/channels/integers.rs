@@ -25,7 +25,7 @@ const LONGEST: u32 = 62;
 pub struct Site {
     /// Its beam.
     pub key: u32,
-    /// Its column in the range image, the first being 1; 0 for none.
+    /// Its column in the range image, the first being 1; 0 for none. Or, for a rule by ticks, its tick.
     pub column: u32,
     /// What it is by its position, if that tells.
     pub geometry: Option<i64>,

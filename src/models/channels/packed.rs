@@ -78,7 +78,7 @@ impl Packed {
     /// The shortest; `None` if none is shorter than `most` bytes, or that is little anyway.
     pub fn shortest(bytes: &[u8], scalar: Scalar, width: usize, level: Level, most: usize) -> Option<Self> {
         /// Bytes a record in 16ths: what is coded in less is explained.
-        const EXPLAINED: usize = 2;
+        const EXPLAINED: usize = 1;
         /// Bytes.
         const SMALL: usize = 1000;
         let records = bytes.len() / width.max(1);

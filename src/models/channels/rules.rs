@@ -13,6 +13,9 @@ pub enum Rule {
     Column,
     /// It is what came the last time after the same integer in its beam.
     After,
+    /// It is a constant of its beam above one of its azimuth tick: the time of a firing, where the columns of an image are not
+    /// firings but directions.
+    Tick,
     /// It is a constant of its beam, another in each of so many columns that come in turn, above a base that
     /// changes seldom: the time of a packet, and that of a firing in it.
     Turn(u8),
@@ -23,10 +26,11 @@ const NONE: u8 = 0;
 const BEAM: u8 = 1;
 const COLUMN: u8 = 2;
 const AFTER: u8 = 3;
+const TICK: u8 = 4;
 
 impl Rule {
     /// The most columns that come in turn.
-    pub const MOST_COLUMNS: u8 = u8::MAX - AFTER;
+    pub const MOST_COLUMNS: u8 = u8::MAX - TICK;
 
     /// The number in the stream, that of none being 0.
     pub fn to_code(rule: Option<Rule>) -> u8 {
@@ -35,7 +39,8 @@ impl Rule {
             Some(Rule::Beam) => BEAM,
             Some(Rule::Column) => COLUMN,
             Some(Rule::After) => AFTER,
-            Some(Rule::Turn(columns)) => AFTER + columns,
+            Some(Rule::Tick) => TICK,
+            Some(Rule::Turn(columns)) => TICK + columns,
         }
     }
 
@@ -46,7 +51,8 @@ impl Rule {
             BEAM => Some(Rule::Beam),
             COLUMN => Some(Rule::Column),
             AFTER => Some(Rule::After),
-            _ => Some(Rule::Turn(code - AFTER)),
+            TICK => Some(Rule::Tick),
+            _ => Some(Rule::Turn(code - TICK)),
         }
     }
 }
@@ -76,6 +82,13 @@ pub struct Doubts {
     new_columns: bool,
 }
 
+impl Doubts {
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        *self == Doubts::default()
+    }
+}
+
 /// What the integers so far tell of the next by a rule. They count from what the position or the place tells, or from 0.
 #[derive(Clone, Default)]
 pub struct RuleState {
@@ -83,7 +96,7 @@ pub struct RuleState {
     offsets: Vec<Option<i64>>,
     /// By hash of the key and the last integer: what came next.
     after: Vec<Option<i64>>,
-    /// By column: the base.
+    /// By column, or by tick: the base.
     bases: Vec<Option<i64>>,
     base: i64,
     /// The base before the last integer, if that was a miss, with its entry among the offsets, and it.
@@ -122,16 +135,18 @@ impl RuleModel {
     }
 
     /// Codes where the next integers may not follow from the rule. The encoder is given them, each with its record's site
-    /// if it is on the scale.
+    /// if it is on the scale; it also gets what all of them teach.
+    #[inline(always)]
     pub fn code_doubts<C: BitCoder>(
         &mut self,
         coder: &mut C,
         rule: Rule,
         known: impl Iterator<Item = Option<(Site, i64)>>,
-    ) -> Doubts {
+    ) -> (Doubts, Option<RuleState>) {
         let mut doubts = Doubts::default();
+        let mut learned = None;
         if C::ENCODES {
-            let mut state = self.state.clone();
+            let state = learned.insert(self.state.clone());
             // The end of the last record that misses, and of the last that does so in no new column.
             let (mut of_any, mut of_others) = (0, 0);
             for (record, known) in (1..).zip(known) {
@@ -146,7 +161,12 @@ impl RuleModel {
         }
         doubts.first = self.doubted.code(coder, doubts.first);
         doubts.new_columns = self.doubts_new_columns.code(coder, doubts.new_columns);
-        doubts
+        (doubts, learned)
+    }
+
+    /// Takes over what integers teach that all follow from the rule, as if they had been coded.
+    pub fn know(&mut self, learned: RuleState) {
+        self.state = learned;
     }
 
     /// Codes the integer of a record.
@@ -218,7 +238,7 @@ impl RuleState {
         expected.integer = match rule {
             Rule::Beam => above(0),
             Rule::Turn(_) => above(self.base),
-            Rule::Column => {
+            Rule::Column | Rule::Tick => {
                 if self.bases.len() <= expected.column {
                     self.bases.resize(expected.column + 1, None);
                 }
@@ -246,7 +266,7 @@ impl RuleState {
         }
         match rule {
             Rule::Beam => *offset = Some(value),
-            Rule::Column => {
+            Rule::Column | Rule::Tick => {
                 let base = &mut self.bases[expected.column];
                 match (&base, &offset) {
                     (Some(base), None) => *offset = Some(value.wrapping_sub(*base)),

@@ -167,7 +167,7 @@ impl Constants {
             if may_turn && 4 * exact < 3 * self.of_rows[row].len() {
                 laser = self.turned(&any, row, offset).0;
             }
-            let sums = matches!(any.build.recipe, Recipe::Nebula | Recipe::Nebula2023);
+            let sums = matches!(any.build.recipe, Recipe::Nebula | Recipe::Nebula2023 | Recipe::Once);
             if sums { self.of_sums(&any, row, laser) } else { laser }
         };
         let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
@@ -485,6 +485,10 @@ fn angles(
     if best.1 == points {
         return best;
     }
+    if recipe == Recipe::Pandar64 {
+        let short = round_ties_even(near as f64 * ANGLE_UNIT * 1e3 / SHORT_PI) * 1e-3 * SHORT_PI;
+        try_all(&mut best, &mut std::iter::once((short / ANGLE_UNIT).round() as i64));
+    }
     // Programs that keep single precision write seven digits, or more.
     let step = (recipe.angle_step(near as f64 * ANGLE_UNIT) / ANGLE_UNIT).max(least_step);
     let around = [thousandths, others[0]].into_iter();
@@ -495,6 +499,9 @@ fn angles(
     try_all(&mut best, &mut neighbours.into_iter());
     best
 }
+
+/// Some programs turn degrees into radians by 3.1415926: their angles are thousandths of degrees times this.
+const SHORT_PI: f64 = 3.141_592_6 / std::f64::consts::PI;
 
 /// Steps to either side in which the constant of a program is looked for that wrote it with fewer digits.
 const NEIGHBOURS: i32 = 12;

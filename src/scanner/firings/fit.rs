@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::constants::{Constants, Moved, Point, TRIED, by_rows, near_axes};
-use super::order::{Order, STEADY, VLP_16, order, timed, vlp_16};
+use super::order::{Order, STEADY, VLP_16, lines, order, timed, vlp_16};
 use super::projection::{Place, nearest, without_echoes};
 use super::{Build, Firings, Origin, Recipe, Timing};
 use crate::ground::rounding::round_ties_even;
@@ -105,7 +105,8 @@ impl Found<'_> {
         let rows: Vec<Option<usize>> = points.iter().map(row).collect();
         let places: Vec<(usize, usize)> =
             numbers.iter().zip(&rows).filter_map(|(record, row)| Some((*record, (*row)?))).collect();
-        let grid = RecordGrid::find(&places, records, elevations.len());
+        let has_blanks = numbers.len() < records;
+        let grid = RecordGrid::find(&places, records, elevations.len(), has_blanks);
         if let Some(grid) = &grid {
             // Lasers that have seen nothing: their records are there all the same.
             while elevations.len() < grid.lines.len() {
@@ -125,12 +126,20 @@ impl Found<'_> {
         // Echoes tell nothing of the order.
         let mut firsts = sequence.clone();
         firsts.dedup();
-        let own = match &grid {
-            Some(grid) => Some(grid.order(&places, &sequence, ticks)),
-            None => order(&firsts, elevations.len(), ticks),
+        let (own, lines) = match grid {
+            Some(grid) => {
+                let order = grid.order(&places, &sequence, ticks);
+                (Some(order), if grid.by_lines { grid.lines } else { Vec::new() })
+            }
+            None => match order(&firsts, elevations.len(), ticks) {
+                Some(order) => (Some(order), Vec::new()),
+                None => match lines(&firsts, elevations.len(), ticks) {
+                    Some(lines) => (Some(Order::of_lines(&firsts, elevations.len(), ticks)), lines),
+                    None => (None, Vec::new()),
+                },
+            },
         };
         let orders = [own, vlp_16(&elevations)];
-        let lines = grid.filter(|grid| grid.by_lines).map_or_else(Vec::new, |grid| grid.lines);
         let near_axes = near_axes(points, &rows, elevations.len());
         let constants = Constants { elevations, phases, of_rows, more_of_rows, near_axes };
         let none = vec![0.0; constants.elevations.len()];
@@ -262,7 +271,7 @@ pub(super) fn elevations(points: &[Point]) -> Option<Vec<f64>> {
 }
 
 /// The middles of the narrow heaps of some falling elevations, and how many of these are in one.
-fn narrow_heaps(elevations: &[f64]) -> (usize, Vec<f64>) {
+pub(super) fn narrow_heaps(elevations: &[f64]) -> (usize, Vec<f64>) {
     /// Radians between the heaps of two lasers.
     const GAP: f64 = 6e-5;
     let fewest = (elevations.len() / 2000).max(8);
@@ -289,25 +298,26 @@ pub(super) struct RecordGrid {
 
 impl RecordGrid {
     /// Finds the grid of a file with so many records, of which these have these rows; none if it has none.
-    fn find(places: &[(usize, usize)], records: usize, rows: usize) -> Option<Self> {
+    /// Without blanks, numbers that go into one another by chance are no evidence: then all returns must be where they belong.
+    fn find(places: &[(usize, usize)], records: usize, rows: usize, has_blanks: bool) -> Option<Self> {
         /// Lasers that may have seen nothing, for one that has.
         const MOST_LINES: usize = 2;
         const FEWEST_COLUMNS: usize = 8;
         let whole = (rows..=MOST_LINES * rows).filter(|lines| records.is_multiple_of(*lines));
         let grids = whole.flat_map(|lines| [(lines, false), (lines, true)]);
         let mut grids = grids.filter(|(lines, _)| records / lines >= FEWEST_COLUMNS);
-        grids.find_map(|(lines, by_lines)| Self::of(places, rows, (lines, records / lines), by_lines))
+        let least = if has_blanks { 0.95 } else { 0.999 };
+        grids.find_map(|(lines, by_lines)| Self::of(places, rows, (lines, records / lines), by_lines, least))
     }
 
-    /// The grid of these lines, if each row has one of its own.
+    /// The grid of these lines, if each row has one of its own, and at least this part of the returns is there.
     fn of(
         places: &[(usize, usize)],
         rows: usize,
         (lines, width): (usize, usize),
         by_lines: bool,
+        least: f64,
     ) -> Option<Self> {
-        /// The least part of the returns that is where it belongs.
-        const LEAST: f64 = 0.95;
         let mut counts = vec![0u32; lines * rows];
         for (record, row) in places {
             let line = if by_lines { record / width } else { record % lines };
@@ -322,7 +332,7 @@ impl RecordGrid {
                 inside += most;
             }
         }
-        if f64::from(inside) < LEAST * places.len() as f64 || places.is_empty() {
+        if f64::from(inside) < least * places.len() as f64 || places.is_empty() {
             return None;
         }
         // The other rows, seen or not, are those of the other lines.

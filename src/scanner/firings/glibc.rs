@@ -21,6 +21,18 @@ const QUARTER: f64 = f64::from_bits(0x3ff9_21fb_5444_2d18);
 const EIGHTH: f32 = f32::from_bits(0x3f49_0fdb);
 const TINY: f32 = f32::from_bits(0x3980_0000);
 
+/// Cosine and sine as glibc had them before: the nearest float32, but of small angles two terms of the series.
+pub fn old_cos_sin(angle: f32) -> [f32; 2] {
+    /// In radians.
+    const SMALL: f64 = 1.0 / 32.0;
+    let wide = f64::from(angle);
+    if wide.abs() < SMALL {
+        [(1.0 - wide * wide / 2.0) as f32, (wide - wide * wide * wide / 6.0) as f32]
+    } else {
+        [libm::cos(wide) as f32, libm::sin(wide) as f32]
+    }
+}
+
 pub fn sinf(angle: f32) -> f32 {
     if exponent(angle) < exponent(TINY) { angle } else { of(angle, 0) }
 }

@@ -6,8 +6,8 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::constants::{Point, TRIED, best_of, exact_points};
-use super::fit::{Found, ON_CONE, RecordGrid, elevations, phase, range_step, strength};
-use super::order::order;
+use super::fit::{Found, ON_CONE, RecordGrid, elevations, narrow_heaps, phase, range_step, strength};
+use super::order::{lines, order};
 use super::projection::{Place, nearest};
 use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
 use crate::ground::angle;
@@ -105,18 +105,41 @@ impl Found<'_> {
         let best = candidates.into_iter().max_by_key(|(_, exact)| *exact);
         let best = best.filter(|(_, exact)| 10 * exact > sample.len());
         let Some((scanner, _)) = best else { return self.ouster().map(|scanner| vec![scanner]) };
-        let scanner = self.in_firing_order(scanner)?;
-        Some(self.with_timings(scanner, false))
+        let (sequence, rows, ticks) = (self.sequence(&scanner), scanner.rows(), scanner.build.ticks);
+        if let Some(order) = order(&sequence, rows, ticks) {
+            let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
+            return Some(self.with_timings(scanner, false));
+        }
+        lines(&sequence, rows, ticks).map(|lines| vec![scanner.line_by_line(lines)])
     }
 
-    /// A scanner with the order in which its lasers fire. None if the file is not in the order of firings.
-    fn in_firing_order(&self, scanner: Firings) -> Option<Firings> {
+    /// Rows and ticks of the points in the order of the file, without echoes.
+    fn sequence(&self, scanner: &Firings) -> Vec<(usize, u32)> {
         let places = scanner.places(&self.scan.cloud.positions, REACH + 0.5 * scanner.range_step_m());
         let mut sequence: Vec<(usize, u32)> =
             places.iter().map(|place| (place.row as usize, place.tick)).collect();
         sequence.dedup();
-        let order = order(&sequence, scanner.rows(), scanner.build.ticks)?;
-        Some(Firings::new(scanner.build, scanner.lasers, order.rows_of_slots))
+        sequence
+    }
+
+    /// An Ouster with the order of a file that holds returns alone: column by column, staggered or not, or row by row. None
+    /// if it is in neither.
+    fn in_order_of_returns(&self, scanner: Firings) -> Option<Firings> {
+        let (sequence, ticks) = (self.sequence(&scanner), scanner.build.ticks);
+        let within_turn = |ahead: f64| (-ahead as i64).rem_euclid(i64::from(ticks)) as u32;
+        if let Some(order) = order(&sequence, scanner.rows(), ticks) {
+            let is_staggered = order.shifts.iter().all(|shift| *shift == 0.0);
+            let lags = order.shifts.iter().map(|shift| within_turn(*shift));
+            let lags = if is_staggered { Vec::new() } else { lags.collect() };
+            return Some(Firings::new(scanner.build, scanner.lasers, order.rows_of_slots).lagging(lags));
+        }
+        let lines = lines(&sequence, scanner.rows(), ticks)?;
+        // A column is what lies in one direction.
+        let in_ticks = |laser: &Laser| round_ties_even(laser.azimuth_degrees() / 360.0 * f64::from(ticks));
+        let lags = scanner.lasers.iter().map(|laser| within_turn(-in_ticks(laser))).collect();
+        let rows_of_slots = (0..scanner.rows() as u32).collect();
+        let scanner = Firings::new(scanner.build, scanner.lasers, rows_of_slots);
+        Some(scanner.line_by_line(lines).lagging(lags))
     }
 
     /// The points of each laser, if a channel tells the lasers apart.
@@ -411,14 +434,14 @@ impl Found<'_> {
         let scanner = Firings::new(any.build, lasers, (0..lines.len() as u32).collect());
         let scanner = match &rows.grid {
             Some(grid) => rows.in_order_of_image(scanner, grid, &lines),
-            None => self.in_firing_order(scanner)?,
+            None => self.in_order_of_returns(scanner)?,
         };
         Some((scanner, exact))
     }
 
     /// The points of each laser, as the file has a record for each cell of an image, or a channel tells them apart.
     fn ouster_rows(&self) -> Option<Rows> {
-        const LASERS: [usize; 4] = [16, 32, 64, 128];
+        const LASERS: [usize; 5] = [8, 16, 32, 64, 128];
         /// Metres: the points of a laser lie so near to a line.
         const NEAR: f64 = 1e-3;
         /// The least part of the points that does.
@@ -454,9 +477,52 @@ impl Found<'_> {
             })
         });
         found.next().or_else(|| {
-            let points = self.rows_by_channel()?;
+            let points = self.rows_by_channel().or_else(|| self.rows_by_start())?;
             Some(Rows { records: vec![Vec::new(); points.len()], points, grid: None })
         })
+    }
+}
+
+/// How far from the axis the beams of Ouster's scanners start, in metres, and how high in the frame of the scanner's case or
+/// in that of its lens. Units differ by some hundredths of a millimetre.
+const OUSTER_ALONG: [f64; 6] = [0.027_67, 0.027_116, 0.015_806, 0.016_721, 0.012_163, 0.013_762];
+const OUSTER_UP: [f64; 5] = [0.036_18, 0.038_195, 0.074_296, 0.078_296, 0.0];
+
+impl Found<'_> {
+    /// The points of each laser of an Ouster, as narrow heaps of elevations from where its beams start. None if they are in
+    /// none from anywhere.
+    fn rows_by_start(&self) -> Option<Vec<Vec<Point>>> {
+        /// Metres: of nearer points, elevations depend on where the laser looks, too.
+        const NEAREST: f64 = 4.0;
+        const SAMPLED: usize = 10_000;
+        /// The least part of the points that is in the heaps.
+        const LEAST: f64 = 0.9;
+        let elevation = |point: &Point, [along, up]: [f64; 2]| {
+            let [x, y, z] = point.position;
+            libm::atan2(z - up, x.hypot(y) - along)
+        };
+        let far: Vec<&Point> = self.points.iter().filter(|point| point.range > NEAREST).collect();
+        let step = (far.len() / SAMPLED).max(1);
+        let starts = OUSTER_ALONG.iter().flat_map(|&along| OUSTER_UP.map(|up| [along, up]));
+        let tried = starts.collect::<Vec<_>>().into_par_iter().map(|start| {
+            let mut sample: Vec<f64> =
+                far.iter().step_by(step).map(|point| elevation(point, start)).collect();
+            sample.sort_unstable_by(|a, b| b.total_cmp(a));
+            let (inside, heaps) = narrow_heaps(&sample);
+            (inside as f64 / sample.len().max(1) as f64, heaps, start)
+        });
+        let tried: Vec<_> = tried.collect();
+        let best = tried.into_iter().rev().max_by(|a, b| a.0.total_cmp(&b.0));
+        let (_, heaps, start) = best.filter(|(share, ..)| *share > LEAST)?;
+        let mut rows = vec![Vec::new(); heaps.len()];
+        for point in &self.points {
+            let elevation = elevation(point, start);
+            let row = nearest(&heaps, elevation);
+            if (heaps[row] - elevation).abs() < 10.0 * ON_CONE {
+                rows[row].push(*point);
+            }
+        }
+        Some(rows)
     }
 }
 

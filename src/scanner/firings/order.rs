@@ -23,6 +23,59 @@ pub(super) struct Order {
     pub is_steady: bool,
 }
 
+impl Order {
+    /// That of lasers of which it is not known how they fire, as a file with row after row does not tell: only how far they look
+    /// ahead of one another.
+    pub fn of_lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Self {
+        Order {
+            rows_of_slots: (0..rows as u32).collect(),
+            other_starts: Vec::new(),
+            shifts: shifts_of_lines(sequence, rows, ticks),
+            timing: Timing::Together,
+            is_steady: true,
+        }
+    }
+}
+
+/// The whole ticks by which each row is ahead of the one with the most returns: those by which most of its ticks are ticks of
+/// that one, as a scanner does not turn evenly. 0 if no other number is clearly better.
+fn shifts_of_lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Vec<f64> {
+    /// Degrees that lasers look apart.
+    const FARTHEST: f64 = 15.0;
+    /// Ticks of a row that tell enough, and so many times as many must agree as without a shift.
+    const SAMPLE: usize = 400;
+    const CLEARLY: f64 = 1.3;
+    let mut of_rows: Vec<Vec<u32>> = vec![Vec::new(); rows];
+    sequence.iter().for_each(|(row, tick)| of_rows[*row].push(*tick));
+    for row in &mut of_rows {
+        row.sort_unstable();
+        row.dedup();
+    }
+    let Some(most) = of_rows.iter().max_by_key(|row| row.len()) else { return Vec::new() };
+    let (turn, farthest) = (i64::from(ticks), (FARTHEST / 360.0 * f64::from(ticks)) as i64);
+    let shift = |row: &Vec<u32>| {
+        let mut counts = vec![0u32; 2 * farthest as usize + 1];
+        for &tick in row.iter().step_by((row.len() / SAMPLE).max(1)) {
+            // Its neighbours among the others, round the turn.
+            let first = most.partition_point(|&other| i64::from(other) < i64::from(tick) - farthest);
+            let before = most.iter().rev().map(|&other| i64::from(other) - turn);
+            let before = before.take_while(|&other| other >= i64::from(tick) - farthest);
+            let after = most.iter().map(|&other| i64::from(other) + turn);
+            let others = most[first..].iter().map(|&other| i64::from(other));
+            let near = others.chain(after).take_while(|&other| other <= i64::from(tick) + farthest);
+            for other in before.chain(near) {
+                counts[(i64::from(tick) - other + farthest) as usize] += 1;
+            }
+        }
+        let without = f64::from(counts[farthest as usize]);
+        let distance = |at: &usize| (*at as i64 - farthest).abs();
+        let best = (0..counts.len()).min_by_key(|at| (std::cmp::Reverse(counts[*at]), distance(at)));
+        let best = best.filter(|&at| f64::from(counts[at]) > CLEARLY * without);
+        best.map_or(0.0, |at| (at as i64 - farthest) as f64)
+    };
+    of_rows.iter().map(shift).collect()
+}
+
 /// Finds the order of the lasers from rows and ticks in the order of a file. None if they are not in the order of
 /// firings.
 pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Order> {
@@ -83,6 +136,32 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Optio
     }
     let rows_of_slots = order.into_iter().map(|row| row as u32).collect();
     Some(Order { rows_of_slots, other_starts, shifts, timing: Timing::Together, is_steady })
+}
+
+/// The rows in the order in which a file holds them, if it holds one after the other, each from one end to the other. None
+/// if it does not.
+pub(super) fn lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Vec<u32>> {
+    /// One place in so many may be out of this order.
+    const RARE: usize = 50;
+    let turn = i64::from(ticks);
+    let steps = sequence.windows(2).filter(|pair| pair[0].0 == pair[1].0);
+    let steps = steps
+        .map(|pair| (i64::from(pair[1].1) - i64::from(pair[0].1) + turn / 2).rem_euclid(turn) - turn / 2);
+    let (mut on, mut back) = (0, 0);
+    steps.for_each(|step| *(if step < 0 { &mut back } else { &mut on }) += 1);
+    let out_of_order = sequence.len().saturating_sub(rows + usize::max(on, back));
+    if out_of_order * RARE > sequence.len() {
+        return None;
+    }
+    // Each row where most of it is: by the middle one of its places.
+    let mut of_rows: Vec<Vec<usize>> = vec![Vec::new(); rows];
+    sequence.iter().enumerate().for_each(|(place, (row, _))| of_rows[*row].push(place));
+    let mut lines: Vec<u32> = (0..rows as u32).collect();
+    lines.sort_by_key(|&row| {
+        let places = &of_rows[row as usize];
+        places.get(places.len() / 2).copied().unwrap_or(usize::MAX)
+    });
+    Some(lines)
 }
 
 /// The part of some steps, in rising order, that are the same but for how ticks are rounded.

@@ -168,11 +168,16 @@ impl Firings {
     /// are out of the firings' order, or that have no return are strays.
     pub fn project(&self, cloud: &PointCloud, reach: f64) -> Projection {
         let places = self.places(&cloud.positions, reach + 0.5 * self.range_step_m());
-        if let Some(width) = self.full_width(&places, cloud.positions.len()) {
+        if let Some(width) = self.full_width(&places, &cloud.positions) {
             return self.project_full(places, width);
         }
         let (places, echoes) = without_echoes(places);
-        let columns = self.columns(&places);
+        let (places, echoes, columns) = if self.rows_of_lines.is_empty() {
+            let columns = self.columns(&places);
+            (places, echoes, columns)
+        } else {
+            self.columns_of_lines(places, echoes)
+        };
         // Nor do decoders take a larger image than their limits allow.
         let most = (MOST_CELLS * cloud.positions.len()).min(Limits::default().points as usize);
         if columns.len().saturating_mul(self.rows()) > most {
@@ -225,14 +230,20 @@ impl Firings {
         }
     }
 
-    /// The columns of the image if each of its cells is a record: returns are then in every so many-th one.
-    fn full_width(&self, places: &[Place], records: usize) -> Option<usize> {
+    /// The columns of the image if each of its cells is a record: returns are then in every so many-th one. Without a blank,
+    /// numbers that go into one another by chance are no evidence, so then all must be there.
+    fn full_width(&self, places: &[Place], positions: &[[f32; 3]]) -> Option<usize> {
         /// The least part of the returns that is where it belongs.
         const LEAST: f64 = 0.9;
+        let records = positions.len();
         let width = records / self.rows();
         let is_whole = records > 0 && records == width * self.rows();
         let is_there = |place: &&Place| self.cell_of_record(place.point, width).0 == place.row;
-        let is_full = || places.iter().filter(is_there).count() as f64 > LEAST * places.len() as f64;
+        let is_blank = |p: &[f32; 3]| *p == [0.0; 3] || p.iter().any(|v| !v.is_finite());
+        let is_full = || {
+            let least = if positions.iter().any(is_blank) { LEAST } else { 1.0 };
+            places.iter().filter(is_there).count() as f64 >= least * places.len() as f64
+        };
         (is_whole && !places.is_empty() && is_full()).then_some(width)
     }
 
@@ -332,6 +343,82 @@ impl Firings {
             self.find_spans(places, &mut columns, span);
         }
         columns
+    }
+
+    /// Places by columns if the file holds row after row: those of a tick are one, or if ticks go on while lasers fire, those
+    /// that began at about the same one. The places come back column by column.
+    fn columns_of_lines(
+        &self,
+        places: Vec<Place>,
+        echoes: Vec<(usize, Place)>,
+    ) -> (Vec<Place>, Vec<(usize, Place)>, Vec<Column>) {
+        /// A step of more than this part of a turn is one back.
+        const BACK: f64 = 0.98;
+        let turn = self.build.ticks;
+        let firings = self.build.timing.firings(self.rows()).max(1);
+        let of_rows = || places.chunk_by(|a, b| a.row == b.row);
+        let steps = of_rows().flat_map(|row| row.windows(2));
+        let steps = steps.map(|pair| self.turned(pair[0].column_tick, pair[1].column_tick));
+        let (mut ahead, back): (Vec<i64>, Vec<i64>) = steps.partition(|step| *step > 0);
+        let is_falling = ahead.len() < back.len();
+        let along = |tick: u32| if is_falling { (turn - tick) % turn } else { tick };
+        // Rows begin about where the scanner did: behind the widest gap between the ticks at which they do.
+        let mut firsts: Vec<u32> = of_rows().map(|row| along(row[0].column_tick)).collect();
+        firsts.sort_unstable();
+        let before = firsts.iter().rev().take(1).chain(&firsts);
+        let gaps = before.zip(&firsts).map(|(before, first)| (self.ticks_from(*before, *first), *first));
+        let (_, start) = gaps.max_by_key(|(gap, _)| *gap).unwrap_or_default();
+        // Ticks from there, beyond a turn if the scanner went on.
+        let mut ticks = Vec::with_capacity(places.len());
+        for row in of_rows() {
+            let (mut last, mut passed) = (start, 0i64);
+            for place in row {
+                let tick = along(place.column_tick);
+                let step = i64::from(self.ticks_from(last, tick));
+                let is_back = ticks.len() > 0 && last != start && step as f64 > BACK * f64::from(turn);
+                passed += if is_back { step - i64::from(turn) } else { step };
+                ticks.push(passed);
+                last = tick;
+            }
+        }
+        // From firing to firing, and from block to block.
+        let middle = ahead.len() / 2;
+        let firing = if ahead.is_empty() { 0 } else { *ahead.select_nth_unstable(middle).1 };
+        let span =
+            if self.build.timing.is_interpolated() { (firing * i64::from(firings)) as f64 } else { 0.0 };
+        let begun = |at: usize| ticks[at] as f64 - self.passed(0, places[at].slot) * span;
+        let mut order: Vec<usize> = (0..places.len()).collect();
+        order.sort_by(|&a, &b| begun(a).total_cmp(&begun(b)).then(places[a].slot.cmp(&places[b].slot)));
+        let mut columns: Vec<std::ops::Range<usize>> = Vec::new();
+        let mut taken = vec![usize::MAX; self.rows()];
+        for (number, &at) in order.iter().enumerate() {
+            let slot = &mut taken[places[at].slot as usize];
+            let near = if span > 0.0 { 0.5 * firing as f64 } else { 0.0 };
+            let goes_on = columns.last().is_some_and(|column| {
+                begun(at) - begun(order[column.start]) <= near && *slot != columns.len() - 1
+            });
+            match columns.last_mut().filter(|_| goes_on) {
+                Some(column) => column.end = number + 1,
+                None => columns.push(number..number + 1),
+            }
+            *slot = columns.len() - 1;
+        }
+        for column in &columns {
+            order[column.clone()].sort_by_key(|&at| places[at].slot);
+        }
+        let mut new_places = vec![0; places.len()];
+        order.iter().enumerate().for_each(|(new, &at)| new_places[at] = new);
+        let echoes = echoes.into_iter().map(|(of, place)| (new_places[of], place)).collect();
+        let places: Vec<Place> = order.into_iter().map(|at| places[at]).collect();
+        let tick = |column: &std::ops::Range<usize>| places[column.start].column_tick;
+        let columns = columns.into_iter();
+        let mut columns: Vec<Column> = columns
+            .map(|column| Column { tick: tick(&column), places: column, span: Span::default() })
+            .collect();
+        if self.build.timing.is_interpolated() {
+            self.find_spans(&places, &mut columns, span);
+        }
+        (places, echoes, columns)
     }
 
     /// The ticks from one block to the next, on the average.

@@ -46,6 +46,11 @@ pub enum Recipe {
     Ouster = 11,
     /// The same with direction and start of each beam rounded to single precision: Ouster's ROS driver.
     OusterRos = 12,
+    /// Apollo's driver for Velodyne's scanners: as `VelodyneRos`, with angles of ticks by a product with pi, products of x
+    /// and y in double precision, and cosine and sine of glibc before 2.28.
+    Apollo = 13,
+    /// The ONCE data set: as `Nebula2023`, with products in double precision and cosine and sine of glibc before 2.28.
+    Once = 14,
 }
 
 /// Axes of the coordinates.
@@ -57,7 +62,7 @@ pub(super) enum Axes {
 
 impl Recipe {
     /// Every recipe, in the order in which the fit tries them.
-    pub const ALL: [Recipe; 13] = [
+    pub const ALL: [Recipe; 15] = [
         Recipe::VelodyneRos,
         Recipe::DoubleYAhead,
         Recipe::DoubleXAhead,
@@ -71,6 +76,8 @@ impl Recipe {
         Recipe::Pandar64,
         Recipe::Ouster,
         Recipe::OusterRos,
+        Recipe::Apollo,
+        Recipe::Once,
     ];
 
     /// The recipe of this number in the stream.
@@ -109,6 +116,8 @@ impl Recipe {
             Recipe::Pandar64 => "arithmetic of a ROS driver of the Pandar64",
             Recipe::Ouster => "arithmetic of Ouster's SDK",
             Recipe::OusterRos => "arithmetic of Ouster's ROS driver",
+            Recipe::Apollo => "arithmetic of Apollo's driver for Velodyne",
+            Recipe::Once => "arithmetic of the ONCE data set",
         }
     }
 
@@ -121,12 +130,14 @@ impl Recipe {
             | Recipe::SingleRangeXAhead
             | Recipe::RoboSense
             | Recipe::Ouster
-            | Recipe::OusterRos => Axes::XAhead,
+            | Recipe::OusterRos
+            | Recipe::Apollo => Axes::XAhead,
             Recipe::DoubleYAhead
             | Recipe::LsLidar
             | Recipe::Nebula
             | Recipe::Nebula2023
-            | Recipe::Pandar64 => Axes::YAhead,
+            | Recipe::Pandar64
+            | Recipe::Once => Axes::YAhead,
         }
     }
 
@@ -136,6 +147,7 @@ impl Recipe {
             Recipe::Nebula | Recipe::Nebula2023 | Recipe::VelodyneRosGlibc | Recipe::NebulaVelodyne => {
                 [glibc::cosf(radians), glibc::sinf(radians)]
             }
+            Recipe::Apollo | Recipe::Once => glibc::old_cos_sin(radians),
             _ => [libm::cos(f64::from(radians)) as f32, libm::sin(f64::from(radians)) as f32],
         }
     }
@@ -147,10 +159,12 @@ impl Recipe {
             f64::from(single.next_up() - single)
         };
         match self {
-            Recipe::VelodyneRos | Recipe::VelodyneRosGlibc | Recipe::NebulaVelodyne | Recipe::Pandar64 => {
-                ulp(radians(degrees)).to_degrees()
-            }
-            Recipe::Nebula | Recipe::Nebula2023 => ulp(degrees),
+            Recipe::VelodyneRos
+            | Recipe::VelodyneRosGlibc
+            | Recipe::NebulaVelodyne
+            | Recipe::Pandar64
+            | Recipe::Apollo => ulp(radians(degrees)).to_degrees(),
+            Recipe::Nebula | Recipe::Nebula2023 | Recipe::Once => ulp(degrees),
             _ => 1e-7,
         }
     }
@@ -218,6 +232,10 @@ impl Turn {
                 let angle = move |t: u32| radians(tick * f64::from(t)) as f32;
                 Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
             }
+            Recipe::Apollo => {
+                let angle = move |t: u32| tick as f32 * (f64::from(t) * PI) as f32 / 180.0;
+                Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
+            }
             Recipe::Pandar64 => {
                 let quarter = ticks / 4;
                 let angle = move |t: u32| ((t + quarter) % ticks) as f32 * (tick * PI / 180.0) as f32;
@@ -252,8 +270,8 @@ fn cos_sin(radians: f64) -> [f64; 2] {
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Arithmetic {
     /// Cosine and sine of the elevation, and of the azimuth offset if there is one; whether ranges are products in double
-    /// precision, and x and y are the other way round.
-    Single { cos_v: f32, sin_v: f32, offset: Option<[f32; 2]>, is_turned: bool },
+    /// precision, and x and y are the other way round; whether x and y are products in double precision.
+    Single { cos_v: f32, sin_v: f32, offset: Option<[f32; 2]>, is_turned: bool, in_double: bool },
     /// Cosine and sine of the elevation; the azimuth offset in degrees, and its cosine and sine.
     Double { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], axes: Axes, single_range: bool },
     /// Of the elevation; the azimuth offset in ticks; metres from the axis and up.
@@ -264,6 +282,8 @@ pub(super) enum Arithmetic {
     Sum { cos_v: f32, sin_v: f32, offset: f32 },
     /// The same; the azimuth offset in degrees.
     Sum2023 { cos_v: f32, sin_v: f32, offset: f64 },
+    /// The same, with products in double precision.
+    Once { cos_v: f32, sin_v: f32, offset: f64 },
     /// Of the elevation; the azimuth offset in degrees, and its cosine and sine; millimetres from the axis and up; whether
     /// direction and start are rounded.
     Ouster { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], along: f64, up: f64, is_single: bool },
@@ -277,12 +297,17 @@ impl Arithmetic {
         let turned = turned.rem_euclid(i64::from(ticks)) as u32;
         let degree = (PI / 180.0) as f32;
         match recipe {
-            Recipe::VelodyneRos | Recipe::VelodyneRosGlibc | Recipe::NebulaVelodyne | Recipe::Pandar64 => {
+            Recipe::VelodyneRos
+            | Recipe::VelodyneRosGlibc
+            | Recipe::NebulaVelodyne
+            | Recipe::Pandar64
+            | Recipe::Apollo => {
                 let [cos_v, sin_v] = recipe.cos_sin(elevation as f32);
                 // These drivers turn back by their constants, where the formula here adds them.
                 let offset = radians(-laser.azimuth_degrees()) as f32;
                 let offset = (laser.azimuth != 0).then(|| recipe.cos_sin(offset));
-                Arithmetic::Single { cos_v, sin_v, offset, is_turned: recipe == Recipe::Pandar64 }
+                let (is_turned, in_double) = (recipe == Recipe::Pandar64, recipe == Recipe::Apollo);
+                Arithmetic::Single { cos_v, sin_v, offset, is_turned, in_double }
             }
             Recipe::DoubleYAhead | Recipe::DoubleXAhead | Recipe::SingleRangeXAhead => Arithmetic::Double {
                 single_range: recipe == Recipe::SingleRangeXAhead,
@@ -310,10 +335,14 @@ impl Arithmetic {
                 let [cos_v, sin_v] = recipe.cos_sin(laser.elevation_degrees() as f32 * degree);
                 Arithmetic::Sum { cos_v, sin_v, offset: laser.azimuth_degrees() as f32 * degree }
             }
-            Recipe::Nebula2023 => {
+            Recipe::Nebula2023 | Recipe::Once => {
                 let single = f64::from(laser.elevation_degrees() as f32);
                 let [cos_v, sin_v] = recipe.cos_sin(radians(single) as f32);
-                Arithmetic::Sum2023 { cos_v, sin_v, offset: f64::from(laser.azimuth_degrees() as f32) }
+                let offset = f64::from(laser.azimuth_degrees() as f32);
+                match recipe {
+                    Recipe::Once => Arithmetic::Once { cos_v, sin_v, offset },
+                    _ => Arithmetic::Sum2023 { cos_v, sin_v, offset },
+                }
             }
             Recipe::Ouster | Recipe::OusterRos => Arithmetic::Ouster {
                 cos_v: libm::cos(elevation),
@@ -339,6 +368,7 @@ impl Arithmetic {
             Arithmetic::Single { .. } | Arithmetic::Sum { .. } | Arithmetic::Sum2023 { .. } => {
                 self.single(turn, tick, double as f32)
             }
+            Arithmetic::Once { .. } => self.once(turn, tick, double),
             Arithmetic::Double { .. } | Arithmetic::Ls { .. } => {
                 let metres = match self {
                     Arithmetic::Double { single_range: true, .. } => f64::from(single),
@@ -445,21 +475,38 @@ impl Arithmetic {
                 let [direction, start] = self.ray(turn, tick);
                 [0, 1, 2].map(|axis| metres * 1e3 * direction[axis] + start[axis])
             }
+            Arithmetic::Once { .. } => self.once(turn, tick, metres).map(f64::from),
             _ => self.single(turn, tick, metres as f32).map(f64::from),
         }
+    }
+
+    /// The coordinates of the ONCE data set.
+    fn once(&self, turn: &Turn, tick: u32, metres: f64) -> [f32; 3] {
+        let (Arithmetic::Once { cos_v, sin_v, offset }, Turn::Degrees(degrees, _)) = (self, turn) else {
+            return [0.0; 3];
+        };
+        let angle = radians(offset + f64::from(tick) / (1.0 / degrees)) as f32;
+        let [cos, sin] = glibc::old_cos_sin(angle).map(f64::from);
+        let flat = metres * f64::from(*cos_v);
+        [(flat * sin) as f32, (flat * cos) as f32, (metres * f64::from(*sin_v)) as f32]
     }
 
     /// In single precision.
     #[inline(always)]
     fn single(&self, turn: &Turn, tick: u32, metres: f32) -> [f32; 3] {
         match (self, turn) {
-            (Arithmetic::Single { cos_v, sin_v, offset, is_turned }, Turn::Tables(table)) => {
+            (Arithmetic::Single { cos_v, sin_v, offset, is_turned, in_double }, Turn::Tables(table)) => {
                 let [mut cos, mut sin] = *table.get(tick);
                 if let Some([cos_o, sin_o]) = offset {
                     (cos, sin) = (cos * cos_o + sin * sin_o, sin * cos_o - cos * sin_o);
                 }
-                let flat = metres * cos_v;
-                let (x, y) = (flat * cos, flat * sin);
+                let (x, y) = if *in_double {
+                    let flat = f64::from(metres) * f64::from(*cos_v);
+                    ((flat * f64::from(cos)) as f32, (flat * f64::from(sin)) as f32)
+                } else {
+                    let flat = metres * cos_v;
+                    (flat * cos, flat * sin)
+                };
                 if *is_turned { [-x, y, metres * sin_v] } else { [x, -y, metres * sin_v] }
             }
             (Arithmetic::Tables { cos_v, sin_v, turned, along, up }, Turn::Tables(table)) => {
@@ -572,7 +619,7 @@ mod tests {
             for number in 0..40 {
                 let ticks = [36_000, 1024, 4000, 7][number % 4];
                 let turn = Turn::new(recipe, ticks);
-                if !matches!(turn, Turn::Degrees(..)) || recipe == Recipe::Nebula2023 {
+                if !matches!(turn, Turn::Degrees(..)) || matches!(recipe, Recipe::Nebula2023 | Recipe::Once) {
                     continue;
                 }
                 let mut angle = |most: usize| random.below(2 * most) as i64 - most as i64;
