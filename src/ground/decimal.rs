@@ -26,7 +26,7 @@ pub fn significant(value: f64, digits: u32) -> Option<(u64, i32)> {
         return None;
     }
     let (least, last) = (POWERS[digits as usize - 1], digits as i32 - 1);
-    // Of two, the least or one less.
+    // The exponent of two. The exponent of ten estimated from it is right or one too small.
     let octave = (value.to_bits() >> 52) as i32 - 1023;
     let mut exponent = (f64::from(octave) * std::f64::consts::LOG10_2).floor() as i32;
     let mut number = scaled(value, last - exponent)?;
