@@ -42,7 +42,7 @@ impl Heights {
         }
     }
 
-    /// How many z are exact at the height that suits most of them, on a grid of heights.
+    /// The number of exact z at the best height on the grid.
     pub fn right(&self, beam: &Arithmetic) -> usize {
         dispatch(Counting { beam, heights: self }).most
     }
