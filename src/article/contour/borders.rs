@@ -55,7 +55,7 @@ impl Stripe {
     }
 }
 
-/// What is known of the bitmap.
+/// The known part of the bitmap.
 struct Known<'a> {
     returns: &'a Returns,
     /// The bit of each return; false if it is not yet coded.

@@ -40,7 +40,7 @@ impl LevelGrid {
         (f64::from(value) * f64::from(self.per_unit) + 0.5) as u32
     }
 
-    /// The level of a value, if it is exactly that of a level.
+    /// The level with exactly this value, if there is one.
     #[inline]
     fn level_of(&self, value: f32) -> Option<u32> {
         let level = self.nearest(value);
