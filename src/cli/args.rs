@@ -20,7 +20,7 @@ Examples:
   lidarpc verify drive.lpc                     check that the file is intact
   lidarpc cut drive.lpc --frames 10..20 -o part.lpc
 
-Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done as far as the input is whole.";
+Exit codes: 0 done, 1 failed, 2 wrong usage, 3 input damaged, intact parts processed.";
 
 /// Compresses folders of LiDAR scans, losslessly by default.
 #[derive(Debug, Parser)]
@@ -89,16 +89,16 @@ Examples:
   lidarpc encode drive/ -o drive.lpc --all        images, poses and times beside the scans too
   lidarpc encode tree/ -o tree.lpc                all drives below, in one file
   lidarpc encode tree/ -o out/                    a file for each drive
-  lidarpc encode drive/ -o drive.lpc --resume     if interrupted, the same command goes on
+  lidarpc encode drive/ -o drive.lpc --resume     if interrupted, the same command continues
   lidarpc encode drive/ -o drive.lpc --mode paper --step 1cm
   lidarpc encode drive.mcap -o small.mcap         a ROS recording, its clouds compressed
   ssh host 'tar c --sort=name drive' | lidarpc encode - -o drive.lpc
   lidarpc encode drive/ -o - | ssh host 'cat > drive.lpc'
 
-Names and bytes of files come back; of a tree with several folders of scans, paths too. Times and permissions, hidden \
-files, links to folders and files of other kinds are not stored; whatever of these a folder holds is counted on stderr, \
-kept by --all, or refused by --strict. Times of scans are taken from timestamps.txt (or times.txt) beside them, or from \
-names that are nanoseconds or microseconds.
+Names and bytes of files are restored; for a tree with several folders of scans, paths too. Times and permissions, \
+hidden files, links to folders and files of other kinds are not stored. What is left out of a folder is counted on \
+stderr; --all stores other files too, --strict makes it an error. Times of scans are taken from timestamps.txt (or times.txt) \
+beside them, or from names that are nanoseconds or microseconds.
 
 ";
 
@@ -180,14 +180,14 @@ pub struct EncodeArgs {
 }
 
 impl DecodeArgs {
-    /// Where to write; stdout until `decode` has chosen the default.
+    /// The output path; stdout until `decode` has chosen the default.
     pub fn output(&self) -> &Path {
         self.output.as_deref().unwrap_or(Path::new("-"))
     }
 }
 
 impl EncodeArgs {
-    /// Where to write; stdout until `encode` has chosen the default.
+    /// The output path; stdout until `encode` has chosen the default.
     pub fn output(&self) -> &Path {
         self.output.as_deref().unwrap_or(Path::new("-"))
     }
@@ -238,9 +238,9 @@ Examples:
   lidarpc decode drive.lpc -o drive/
   lidarpc decode drive.lpc -o part/ --frames 10..20     frames 10 to 19, the first being 0
   lidarpc decode drive.lpc -o - --frames 5 > frame5.bin
-  lidarpc decode damaged.lpc -o drive/ --keep-going     what is left
-  lidarpc decode drive.lpc -o part/ --time 12s..15s     from the first time on
-  lidarpc decode drive.lpc -o clouds/ --format pcd      as other programs read them
+  lidarpc decode damaged.lpc -o drive/ --keep-going     the intact frames
+  lidarpc decode drive.lpc -o part/ --time 12s..15s     since the first frame
+  lidarpc decode drive.lpc -o clouds/ --format pcd      in another format
   lidarpc decode out/ -o tree/                          a tree of streams, each into its folder
   lidarpc decode small.mcap -o drive.mcap               a recording as it was
   ssh host 'cat drive.lpc' | lidarpc decode - -o drive/";
@@ -319,9 +319,9 @@ pub struct DecodeArgs {
 
 const STATS_NOTES: &str = "\
 Ratio is coded size / original size. RMSE and max error are 3-D distances in metres between points
-paired by their order. 'container' is all that is not the payload of a section or scanner:
-headers, names, lengths, checksums and the index. The bytes add up to the file's size. D1 and D2 PSNR are
-10 log10(3 p^2 / MSE) with p = 59.70 m, MSE that of the worse direction, as mpeg-pcc-dmetric computes them.";
+paired by their order. 'container' is everything except the payloads of sections and scanners:
+headers, names, lengths, checksums and the index. The sum of all bytes is the file's size. D1 and D2 PSNR are
+10 log10(3 p^2 / MSE) with p = 59.70 m and the MSE of the worse direction, as mpeg-pcc-dmetric computes them.";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = STATS_NOTES)]
@@ -399,8 +399,8 @@ Examples:
   lidarpc cut drive.lpc --frames 600.. -o rest.lpc
   ssh host 'cat drive.lpc' | lidarpc cut - --frames ..5 -o start.lpc
 
-Groups of frames are copied. Only if the range begins inside a group, the frames from there to that
-group's end are coded again; they decode to the same bytes as before, be they lossy or not.";
+Groups of frames are copied. Only if the range begins inside a group, the frames from there to the
+group's end are coded again; they decode to the same bytes as before, even if they are lossy.";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = CUT_EXAMPLES)]
@@ -432,7 +432,7 @@ Examples:
   lidarpc cat morning.lpc evening.lpc -o day.lpc
   lidarpc cut drive.lpc --frames 10..20 -o - | lidarpc cat first.lpc - -o both.lpc
 
-Frames keep their names, so no two may have the same; their order is that of the files.";
+Frames keep their names, which must be unique, and are in the order of the files.";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = CAT_EXAMPLES)]
@@ -523,9 +523,9 @@ Examples:
   lidarpc bench drive/ --step 1cm --html report.html
   lidarpc bench drive/ --csv > report.csv
 
-Frames are taken in runs spread over the drive: for the tables twice 10, for the figures twice 3.
-Coders, predictions and, for curves, steps are the experiments' own; of the options above --columns,
---step, --level and those of outliers, registration and regions count.
+Frames are taken in runs spread over the drive: two runs of 10 for the tables, two of 3 for the figures.
+The experiments choose coders, predictions and, for curves, steps themselves; of the options above only
+--columns, --step, --level and those of outliers, registration and regions have an effect.
 
 ";
 
