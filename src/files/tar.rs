@@ -43,7 +43,7 @@ impl<R: Read> TarReader<R> {
     /// recognised as scans, and symbolic links are left out, like those of a folder.
     ///
     /// # Errors
-    /// If the input fails, is cut short, or is no tar archive; also if a scan is a hard link, since the bytes
+    /// If the input fails, is cut short, or is not a tar archive; also if a scan is a hard link, since the bytes
     /// that it shares with an earlier file have gone by.
     pub fn next_scan(&mut self) -> Result<Option<ArrivedFile>> {
         while let Some(Header { path, kind, size }) = self.next_header()? {

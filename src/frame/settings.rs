@@ -115,8 +115,8 @@ pub struct EncoderConfig {
     pub positions: Positions,
     /// How intensities are restored. Default: exactly; in paper mode they are left out, as in the article.
     pub intensity: Intensity,
-    /// How the ranges are predicted. Default: as makes each frame smallest; in paper mode, as in the article,
-    /// from regions (IV-C) in I frames and from the frame before (V) in P frames.
+    /// How the ranges are predicted. Default: whichever makes each frame smallest; in paper mode, as in the
+    /// article, from regions (IV-C) in I frames and from the frame before (V) in P frames.
     pub prediction: PredictionChoice,
     /// Which frames are P frames. Default: all except the first of a group.
     pub order: FrameOrder,
@@ -194,7 +194,7 @@ impl EncoderConfig {
         }
     }
 
-    /// The default prediction with this coder: as makes a frame smallest, or, with a back-end or an image
+    /// The default prediction with this coder: whichever makes a frame smallest, or, with a back-end or an image
     /// coder in paper mode, as in the article.
     pub fn default_prediction(&self) -> PredictionChoice {
         match (self.coder, self.positions) {
@@ -305,7 +305,7 @@ impl EncoderConfig {
         })
     }
 
-    /// Whether every file comes back byte for byte.
+    /// Whether every file is restored byte for byte.
     pub fn is_exact(&self) -> bool {
         (self.positions, self.intensity) == (Positions::Exact, Intensity::Exact)
     }

@@ -146,9 +146,9 @@ pub fn timed(scanner: &Firings) -> Firings {
 }
 
 /// A scan of a VLP-32C as computed by Autoware's nebula from packets of twelve blocks, but with tables of
-/// cosine and sine that are rounded once. A laser has an azimuth offset of 1.4 or 4.2 degrees and is ahead in
-/// the table by that many hundredths of a degree, as is the rotation until it fires; in the last block of a
-/// packet this rotation is 0.
+/// cosine and sine that are rounded once. A laser's azimuth offset, 1.4 or 4.2 degrees to either side, is
+/// subtracted in hundredths of a degree before the lookup; the rotation until it fires is added, and is 0 in the
+/// last block of a packet.
 pub fn vlp_32c(packets: usize) -> Points {
     const BLOCKS: usize = 12;
     let mut below = numbers(11);

@@ -98,7 +98,7 @@ pub fn csv(points: &[[f32; 4]]) -> Vec<u8> {
         .into_bytes()
 }
 
-/// Columns without names, each separator of two characters, and no end of the last line.
+/// Columns without names, with separators of two characters, and no end of the last line.
 pub fn columns(points: &[[f32; 4]]) -> Vec<u8> {
     let lines: Vec<_> =
         points.iter().map(|[x, y, z, i]| format!("{x:.3}; {y:.3}; {z:.3}; {i:.2};")).collect();
@@ -120,7 +120,7 @@ pub fn npy(points: &[[f32; 4]]) -> Vec<u8> {
     bytes
 }
 
-/// NumPy's table of doubles, of which column_5 exceeds float32 precision.
+/// NumPy's table of doubles, of which column_5 does not fit float32.
 pub fn npy_doubles(points: &[[f32; 4]]) -> Vec<u8> {
     let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 5), }}\n", points.len());
     let mut bytes =

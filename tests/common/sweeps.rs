@@ -25,7 +25,7 @@ pub const STRAIGHT: Drive =
     Drive { velocity: [-0.2, 11.3, 0.1], yaw_rate: 0.01, origin: [411.8, -902.25, 1.83], heading: 2.4 };
 
 /// The elevation of a record's beam in degrees: multiples of four thirds of a degree, rounded as in the data
-/// sheet, two of them down.
+/// sheet, two of them towards zero.
 pub fn elevation(slot: usize) -> f64 {
     let hundredths = ((slot as f64 * 4.0 - 92.0) * 100.0 / 3.0).round();
     (hundredths + if slot == 3 || slot == 18 { 1.0 } else { 0.0 }) / 100.0
