@@ -128,7 +128,8 @@ pub struct EncodeArgs {
     pub all: bool,
     #[command(flatten)]
     pub threads: Threads,
-    /// Drives to encode in parallel into a folder. Default: one per thread if there are at least as many drives, else 1.
+    /// Drives to encode in parallel into a folder. Default: one per thread if there are at least as many
+    /// drives, else 1.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), hide_short_help = true)]
     pub jobs: Option<u16>,
     /// Decode the written file and compare it with the input, before it gets its final name.
@@ -280,8 +281,8 @@ pub struct DecodeArgs {
     /// decoded into a folder named after it.
     #[arg(required = true, value_name = "FILE")]
     pub inputs: Vec<PathBuf>,
-    /// Folder to write the scans into, created if missing; `-` for stdout (a single frame only); FILE.mcap, to restore a
-    /// recording with its original clouds. Default: FILE without `.lpc`.
+    /// Folder to write the scans into, created if missing; `-` for stdout (a single frame only); FILE.mcap,
+    /// to restore a recording with its original clouds. Default: FILE without `.lpc`.
     #[arg(short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
     /// Frames to decode, counted from 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
@@ -294,12 +295,12 @@ pub struct DecodeArgs {
     /// are.
     #[arg(long)]
     pub keep_going: bool,
-    /// Convert the scans from any format. Coordinates keep every bit (in text, except for the payload of a NaN); unnamed
-    /// fields and all other bytes of the files are left out.
+    /// Convert the scans from any format. Coordinates keep every bit (in text, except for the payload of a
+    /// NaN); unnamed fields and all other bytes of the files are left out.
     #[arg(long, value_enum)]
     pub format: Option<FormatArg>,
-    /// Decode the output of `encode --messages`, frame by frame as it arrives: into the folder, or to stdout, where each
-    /// frame follows a line with its name, a space and its size in bytes.
+    /// Decode the output of `encode --messages`, frame by frame as it arrives: into the folder, or to stdout,
+    /// where each frame follows a line with its name, a space and its size in bytes.
     #[arg(long, conflicts_with_all = ["frames", "time"])]
     pub messages: bool,
     /// Recordings: decode only the clouds of this topic into the folder; may be given several times. Default: all.
@@ -330,7 +331,8 @@ pub struct StatsArgs {
     /// memory with the options below.
     #[arg(value_name = "FILE")]
     pub input: PathBuf,
-    /// Report the time of each coding step and the bytes it produces, like Tables II to VI of the article behind --mode paper.
+    /// Report the time of each coding step and the bytes it produces, like Tables II to VI of the article
+    /// behind --mode paper.
     #[arg(long, conflicts_with = "against")]
     pub steps: bool,
     /// Decode, and measure the error against these original scans.
@@ -490,8 +492,8 @@ pub struct ViewArgs {
     pub output: Option<PathBuf>,
     /// HTML page to write instead, which shows all frames in 3-D and plays them in any browser; `-` for stdout.
     ///
-    /// The page is a single file that needs no server and no network. Its points are rounded: coordinates to 1 cm, other
-    /// fields to 256 values.
+    /// The page is a single file that needs no server and no network. Its points are rounded: coordinates to
+    /// 1 cm, other fields to 256 values.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "frame", "kind", "against", "scale"])]
     pub html: Option<PathBuf>,
     /// Frames of the page, counted from 0: N, or A..B (without B). Default: all.
@@ -580,8 +582,8 @@ pub struct CompletionsArgs {
 
 #[derive(Debug, clap::Args)]
 pub struct ManArgs {
-    /// Folder to write `lidarpc.1` and a page for each command into, created if missing. Default: write only the page of
-    /// the program, to stdout.
+    /// Folder to write `lidarpc.1` and a page for each command into, created if missing. Default: write only
+    /// the page of the program, to stdout.
     #[arg(short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
 }

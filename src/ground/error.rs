@@ -37,7 +37,7 @@ pub enum Error {
     /// The stream exceeds a limit of the reader, or a scan one that readers have.
     #[error("{place}{what}: {got} is over the limit of {max}")]
     LimitExceeded {
-        /// What was asked for.
+        /// What was requested.
         what: String,
         /// The amount.
         got: u64,

@@ -8,7 +8,7 @@ pub trait Scalar: Copy + sealed::Value {
     const TYPE: scan::Scalar;
 }
 
-/// Keeps other crates from implementing [`Scalar`](super::Scalar).
+/// Keeps other crates from implementing [`Scalar`].
 mod sealed {
     use super::Values;
 

@@ -26,8 +26,8 @@ pub enum Kind {
     Prediction,
     /// The prediction residuals, in metres.
     Residual,
-    /// The distances of points from the originals, in millimetres: from the points at the same place in the order or, if
-    /// the order has changed, from the nearest points.
+    /// The distances of points from the originals, in millimetres: from the points at the same place in the
+    /// order or, if the order has changed, from the nearest points.
     Error,
     /// The points from above, coloured by height.
     BirdsEye,

@@ -5,8 +5,8 @@ use super::legend::with_legend;
 use super::painting::Picture;
 use super::scale::Scale;
 
-/// A view from behind the scanner and above it, with x (forward) into the picture, coloured by height. Nearer points cover
-/// farther ones.
+/// A view from behind the scanner and above it, with x (forward) into the picture, coloured by height. Nearer
+/// points cover farther ones.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Perspective {
     /// Width and height of the picture, in pixels.
