@@ -1,5 +1,5 @@
-//! Bits coded from the counters of several views and from external opinions, mixed in two layers. FORMAT.md
-//! 6.6.
+//! Bits coded from the counters of several views and from external opinions, mixed in two layers.
+//! FORMAT.md 6.6.
 
 use super::logistic::{CONSTANT, LANES};
 use super::{BitCoder, Counter, LayeredMixer, Logistic, MixContexts, MixRates};

@@ -1,6 +1,6 @@
 //! The distribution of a prediction's error: a Gaussian core, from the scanner's noise, and a wide tail, from
-//! the edges of objects. Observed on real scans: ranges on smooth surfaces have Gaussian noise. FORMAT.md
-//! 8.6.
+//! the edges of objects. Observed on real scans: ranges on smooth surfaces have Gaussian noise.
+//! FORMAT.md 8.6.
 
 /// The table extends this many standard deviations of the core to each side.
 const REACH: f64 = 40.0;

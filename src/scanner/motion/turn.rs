@@ -1,5 +1,5 @@
-//! The formula of motion compensation: where it moves a point that was seen at some part of a turn. FORMAT.md
-//! 8.15.
+//! The formula of motion compensation: where it moves a point that was seen at some part of a turn.
+//! FORMAT.md 8.15.
 
 use std::f64::consts::TAU;
 
