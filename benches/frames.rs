@@ -1,5 +1,5 @@
-//! Whole frames, on one thread: the scanner model is fitted already, and each frame is coded as the
-//! next of a group. Points a second.
+//! Whole frames, on one thread: the scanner is already fitted, and each frame is coded as the next of a
+//! group. In points a second.
 
 #![allow(missing_docs)]
 

@@ -1,5 +1,5 @@
-//! The stages by themselves: sensor fit, projection, and the coding of each part of a frame that
-//! has a coder of its own.
+//! Single stages: scanner fit, projection, and the coding of each part of a frame that has a coder of its
+//! own.
 
 #![allow(missing_docs)]
 
@@ -31,7 +31,7 @@ fn stages(c: &mut Criterion) {
     }
 }
 
-/// What is done with one frame, in the order of its coding. Models start afresh each time.
+/// The stages of coding one frame, in order. Models start afresh each time.
 fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &Hdl64) {
     let cloud = &scans[0].cloud;
     let Projection { image, point_of_cell, .. } = project(sensor, cloud, REACH);

@@ -1,4 +1,4 @@
-//! Points in memory to a stream: `cargo run --example encode_points -- drive.lpc`
+//! Encodes points in memory: `cargo run --example encode_points -- drive.lpc`
 
 use std::env;
 use std::fs::File;
@@ -6,7 +6,7 @@ use std::path::Path;
 
 use lidarpc::{Encoder, Scan, Settings, Summary};
 
-/// Laser of each point, and the time since the first, in seconds.
+/// The laser of each point, and the time since the first point, in seconds.
 struct Turn {
     points: Vec<[f32; 4]>,
     lasers: Vec<u8>,

@@ -1,4 +1,4 @@
-//! A stream to scans: `cargo run --example read_drive -- drive.lpc`
+//! Decodes a stream: `cargo run --example read_drive -- drive.lpc`
 
 use std::env;
 use std::fs::File;
@@ -12,7 +12,7 @@ fn highest(scan: &Scan) -> Option<f32> {
     scan.positions().iter().map(|[_, _, z]| *z).max_by(f32::total_cmp)
 }
 
-/// Prints what a stream holds.
+/// Prints the contents of a stream.
 pub fn read(path: &Path, out: &mut impl Write) -> lidarpc::Result<()> {
     let mut decoder = Decoder::open(File::open(path)?)?.with_threads(2);
     writeln!(out, "{} frames", decoder.len())?;

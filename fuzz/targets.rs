@@ -1,5 +1,5 @@
-//! What is done to the fuzzer's bytes. The fuzzer's programs (`fuzz_targets`) and the test that replays what
-//! they have found (`tests/fuzz.rs`) share it.
+//! The fuzz targets. They are shared by the fuzzer's programs (`fuzz_targets`) and the test that replays
+//! their findings (`tests/fuzz.rs`).
 
 use std::fs::{self, File};
 use std::io::Cursor;
@@ -27,10 +27,10 @@ use crate::common::scans::{Points, random_points, scans, small};
 use crate::common::streams::{KNOWN, Known, STREAMS, at_level, halved};
 use crate::common::{File as ScanFile, comes_back, decode_files, decode_within, put_together, round_trip};
 
-/// Far less than the program's, for speed; as tight for what is claimed.
+/// Far below the program's limits, for speed; the claims in streams are checked as strictly.
 const LIMITS: Limits = Limits { points: 1 << 16, file_bytes: 1 << 22, record_bytes: 1 << 24 };
 
-/// Takes any bytes, and panics if they show a fault.
+/// Takes any bytes, and panics if they reveal a fault.
 pub type Target = fn(&[u8]);
 
 /// All targets by name.
@@ -65,7 +65,7 @@ pub fn container(data: &[u8]) {
     let _ = decode_within(data, LIMITS);
 }
 
-/// Any bytes as the payload of one section of a good stream, with its checksums made right.
+/// Any bytes as the payload of one section of a valid stream, with corrected checksums.
 pub fn sections(data: &[u8]) {
     let [stream, section, payload @ ..] = data else { return };
     let (models, mut groups) = STREAMS[usize::from(*stream) % STREAMS.len()].clone();
@@ -76,9 +76,9 @@ pub fn sections(data: &[u8]) {
     let _ = decode_within(&put_together(&models, &groups), LIMITS);
 }
 
-/// Any bytes as changes to the parts of a good stream, five bytes each: frames and sections are cut, joined, exchanged
-/// with those of another stream, left out, repeated and altered, and all checksums made right. So what the fuzzer
-/// changes is what coders see, in places where they see it.
+/// Any bytes as changes to the parts of a valid stream, five bytes each: frames and sections are cut, joined,
+/// exchanged with those of another stream, removed, repeated and changed, and all checksums corrected. Thus
+/// the fuzzer's changes reach the coders where they read them.
 pub fn parts(data: &[u8]) {
     let [stream, other, changes @ ..] = data else { return };
     let pick = |number: &u8| &STREAMS[usize::from(*number) % STREAMS.len()];
@@ -124,7 +124,8 @@ pub fn parts(data: &[u8]) {
     let _ = decode_within(&put_together(&models, &groups), LIMITS);
 }
 
-/// Any bytes as what a back-end has compressed, of a length in two bytes; and what it compresses comes back.
+/// Any bytes as the output of a back-end, for a length in two bytes; also, what it compresses must be
+/// restored.
 pub fn backends(data: &[u8]) {
     let [id, low, high, bytes @ ..] = data else { return };
     let backend = BACKENDS[usize::from(*id) % BACKENDS.len()];
@@ -134,7 +135,7 @@ pub fn backends(data: &[u8]) {
     }
 }
 
-/// Any bytes as a file of each format: taken apart and put together, they are the same.
+/// Any bytes as a file of each format: parsed and written, they are the same.
 pub fn readers(data: &[u8]) {
     let [kind, bytes @ ..] = data else { return };
     let name = NAMES[usize::from(*kind) % NAMES.len()];
@@ -142,7 +143,7 @@ pub fn readers(data: &[u8]) {
     assert!(scan.to_bytes().unwrap() == bytes, "{name}");
 }
 
-/// Any bytes as a file, converted to each format: what comes out is a file of that format with the same points.
+/// Any bytes as a file, converted to each format: the result is a file of that format with the same points.
 pub fn conversion(data: &[u8]) {
     let [kind, bytes @ ..] = data else { return };
     let name = NAMES[usize::from(*kind) % NAMES.len()];
@@ -159,8 +160,9 @@ pub fn conversion(data: &[u8]) {
     }
 }
 
-/// The bits of x, y and z: a reader takes them as float32 where that holds all of each double, which an original of
-/// the other byte order had as doubles. So all are compared as doubles, but NaN, of which float32 has bits of its own.
+/// The bits of x, y and z. A reader takes doubles as float32 if these preserve every bit, which an original
+/// of the other byte order stored as doubles. So all are compared as doubles, except NaN, which has different
+/// bits in float32.
 fn coordinates(cloud: &PointCloud) -> Vec<u64> {
     let bits = |number| match number {
         Number::Integer(value) => value as u64,
@@ -180,7 +182,7 @@ fn coordinates(cloud: &PointCloud) -> Vec<u64> {
     values.map(|(scalar, value)| bits(scalar.number(&value).unwrap())).collect()
 }
 
-/// Any bytes as what arrives from a pipe: no frame is made of more than arrived, and no two have one name.
+/// Any bytes as the input from a pipe: no frame has more bytes than arrived, and no two have the same name.
 pub fn arrival(data: &[u8]) {
     let mut frames: Vec<_> = ArrivingFrames::new(data).map_while(Result::ok).collect();
     assert!(frames.iter().map(|frame| frame.bytes.len()).sum::<usize>() <= data.len());
@@ -190,7 +192,7 @@ pub fn arrival(data: &[u8]) {
     assert_eq!(frames.len(), count);
 }
 
-/// Any bytes as a damaged stream: of what is saved, the stream is whole.
+/// Any bytes as a damaged stream: the salvaged parts make an intact stream.
 pub fn salvage(data: &[u8]) {
     let options = DecodeOptions { threads: 1, limits: LIMITS, ..DecodeOptions::default() };
     let _ = recover(Cursor::new(data), &options, |_| Ok(()));
@@ -207,11 +209,11 @@ pub fn salvage(data: &[u8]) {
     }
 }
 
-/// An encode of three frames in as many groups that was interrupted at its end: the stream and its journal.
+/// An encode of three frames in three groups that was interrupted at its end: the stream and its journal.
 pub static INTERRUPTED: LazyLock<(Vec<u8>, Vec<u8>)> = LazyLock::new(|| resume(b"", b"").1);
 
-/// Any bytes as the journal, or as the stream, of an interrupted encode: it goes on to the one stream there can
-/// be, or leaves both as they are.
+/// Any bytes as the journal, or as the stream, of an interrupted encode: it continues to the only possible
+/// stream, or leaves both files unchanged.
 pub fn journal(data: &[u8]) {
     let [which, bytes @ ..] = data else { return };
     let (stream, journal) = &*INTERRUPTED;
@@ -223,7 +225,7 @@ pub fn journal(data: &[u8]) {
     }
 }
 
-/// Goes on with an interrupted encode; returns what has become of its stream and journal.
+/// Continues an interrupted encode; returns the resulting stream and journal.
 fn resume(stream: &[u8], journal: &[u8]) -> (Result<()>, (Vec<u8>, Vec<u8>)) {
     let folder = TempDir::new().unwrap();
     let [stream_path, journal_path] = ["stream", "journal"].map(|name| folder.path().join(name));
@@ -237,8 +239,8 @@ fn resume(stream: &[u8], journal: &[u8]) -> (Result<()>, (Vec<u8>, Vec<u8>)) {
     (result, (fs::read(stream_path).unwrap(), fs::read(journal_path).unwrap()))
 }
 
-/// Any bytes as the payload of a scanner's record, of any family; what is one is written as the same bytes, and
-/// finds the points that it makes.
+/// Any bytes as the payload of a scanner's record, of any family. A valid one is written as the same bytes,
+/// and the scanner inverts the points that it computes.
 pub fn scanner(data: &[u8]) {
     let [family, payload @ ..] = data else { return };
     let Ok(Some(scanner)) = Scanner::of_record(u64::from(*family), payload) else { return };
@@ -254,7 +256,7 @@ pub fn scanner(data: &[u8]) {
     assert_eq!(found.len() + projection.strays.len(), cloud.positions.len());
 }
 
-/// Any bytes as a file behind a scan of a scanner that is known, in one mode or another.
+/// Any bytes as a file after a scan of a known scanner, in one mode or another.
 pub fn round_trip_of(data: &[u8]) {
     let [mode, known, kind, bytes @ ..] = data else { return };
     let known = &KNOWN[usize::from(*known) % KNOWN.len()];
@@ -267,12 +269,12 @@ pub fn round_trip_of(data: &[u8]) {
         2 => bounded(1 << (mode / 4 % 20)),
         _ => by_back_end(usize::from(mode / 4)),
     };
-    // Not always behind another.
+    // Not always after another file.
     comes_back_from(known, &files[usize::from(mode % 4 == 1)..], &config);
 }
 
-/// Any bytes as changes to a scan of a scanner, which is coded behind another: at every level, within a bound, and by a
-/// back-end. What comes back is the same file each time.
+/// Any bytes as changes to a scan, which is coded after another: at every level, within a bound, and by a
+/// back-end. The restored file is the same each time.
 pub fn differential(data: &[u8]) {
     let [known, format, changes @ ..] = data else { return };
     let known = &KNOWN[usize::from(*known) % KNOWN.len()];
@@ -288,13 +290,13 @@ pub fn differential(data: &[u8]) {
     comes_back_from(known, &files, &by_back_end(changes.len()));
 }
 
-/// The levels that differ, of the context coder.
+/// The context coder's levels that differ.
 const LEVELS: [u8; 7] = [1, 2, 3, 6, 7, 8, 9];
 
 /// Names of files of each format, and of none.
 const NAMES: [&str; 8] = ["1.bin", "1.pcd.bin", "1.pcd", "1.ply", "1.csv", "1.npy", "1.las", "1.jpg"];
 
-/// Exact mode by one of the back-ends.
+/// Exact mode with one of the back-ends.
 fn by_back_end(number: usize) -> EncoderConfig {
     EncoderConfig {
         coder: Coder::Backend(BACKENDS[number % BACKENDS.len()].id()),
@@ -303,7 +305,7 @@ fn by_back_end(number: usize) -> EncoderConfig {
     }
 }
 
-/// Encodes files of a scanner, decodes them, and holds them to what was promised.
+/// Encodes files of a scanner, decodes them, and checks that the mode's guarantee is kept.
 fn comes_back_from(known: &Known, files: &[ScanFile], config: &EncoderConfig) {
     let stream = known.encode(files, config);
     match config.positions {
@@ -315,7 +317,7 @@ fn comes_back_from(known: &Known, files: &[ScanFile], config: &EncoderConfig) {
     }
 }
 
-/// A change to a scan, of six bytes.
+/// A change to a scan, from six bytes.
 fn change([what, axis, at, at_high, value, value_high]: [u8; 6]) -> Change {
     let at = usize::from(u16::from_le_bytes([at, at_high]));
     let value = u16::from_le_bytes([value, value_high]);
@@ -339,7 +341,7 @@ fn change([what, axis, at, at_high, value, value_high]: [u8; 6]) -> Change {
     }
 }
 
-/// Any bytes as a file behind a scan of a scanner that must be found first, in one mode or another.
+/// Any bytes as a file after a scan whose scanner must be fitted first, in one mode or another.
 pub fn sequence(data: &[u8]) {
     let [mode, kind, bytes @ ..] = data else { return };
     let good = ("0.bin".to_owned(), kitti(&scans(&small(1, 1))[0]));

@@ -1,8 +1,8 @@
-//! lidarpc compresses sequences of spinning-LiDAR scans, losslessly unless told otherwise.
+//! lidarpc compresses sequences of spinning-LiDAR scans, losslessly unless configured otherwise.
 //!
-//! [`Encoder`] makes a stream of scans, [`Decoder`] gives them back: by number, in order, or from a pipe. A [`Scan`]
-//! has positions and named, typed channels; it comes from a file, which comes back byte for byte, or from memory.
-//! [`Settings`] say what may be lost, if anything, and how hard the encoder tries.
+//! [`Encoder`] writes scans to a stream; [`Decoder`] reads them back by number, in order, or from a pipe. A
+//! [`Scan`] has positions and named, typed channels. It comes from memory or from a file, which is restored
+//! byte for byte. [`Settings`] define how much accuracy may be lost, if any, and how hard the encoder tries.
 //!
 //! ```no_run
 //! use std::fs::File;
@@ -26,19 +26,20 @@
 //!
 //! # Features
 //!
-//! All are on by default; a program that only reads and writes streams needs none of them.
+//! On by default; a program that only reads and writes streams needs none of them:
 //!
 //! - `cli`: the program `lidarpc`.
-//! - `article`: what only the article's codec needs, `Settings::paper` and its image coders. Without it a stream of
-//!   JPEG or JPEG 2000 images is [`Error::NotBuilt`]; all others decode.
+//! - `article`: what only the article's codec needs, `Settings::paper` and its image coders. Without it a
+//!   stream of JPEG or JPEG 2000 images is [`Error::NotBuilt`]; all others decode.
 //! - `study`: the instruments of the program's `bench`, `view` and `synth`.
+//! - `recordings`: MCAP recordings, read and written by the module `recordings`.
 //!
-//! Not on by default are `python`: the extension module of the Python package, for maturin to build; and `wasm`: the
-//! WebAssembly module of the npm package, for `js/build`.
+//! Not on by default are `python`, the extension module of the Python package, built by maturin; and `wasm`,
+//! the WebAssembly module of the npm package, built by `js/build`.
 //!
-//! # Inside
+//! # Modules
 //!
-//! The data's way, in which the modules are listed:
+//! The modules are listed in data-flow order:
 //!
 //! ```text
 //! files -> Scan -> scanner -> range image -> models -> frame -> stream -> .lpc
@@ -46,9 +47,9 @@
 //!                                            entropy
 //! ```
 
-// What nothing uses is found where all features are built: the program uses much that the library alone does not.
+// Unused code is detected in builds with all features: the program uses much that the library alone does not.
 #![cfg_attr(not(feature = "cli"), allow(dead_code))]
-// What is re-exported for tests alone is not used without them.
+// Some re-exports are used by tests only.
 #![cfg_attr(not(all(feature = "cli", feature = "internals")), allow(unused_imports))]
 
 mod ground;
@@ -104,7 +105,7 @@ pub use library::{
 };
 pub use scan::Scalar as ScalarType;
 
-/// What is inside, for this crate's own tests, benchmarks and fuzz targets. It may change at any time.
+/// The internals, for this crate's own tests, benchmarks and fuzz targets. They may change at any time.
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 #[rustfmt::skip]

@@ -1,7 +1,8 @@
-//! The extension module `lidarpc._native`: a thin layer over the library. What users see of it, and its documentation, is in
-//! `python/lidarpc`.
+//! The extension module `lidarpc._native`: a thin layer over the library. Its public interface and
+//! documentation are in `python/lidarpc`.
 //!
-//! Points are coded without the interpreter's lock. Arrays are the caller's own: their memory is filled once, and handed over.
+//! Points are coded without the interpreter's lock. Returned arrays are owned by the caller: their memory is
+//! filled once, and handed over.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -24,12 +25,12 @@ mod native {
     use super::{Frame, FrameEncoder, FrameIterator, StreamReader, StreamWriter, decode_frame, main};
 }
 
-/// The error as Python has it: of the class that says whether the file or what it holds is to blame, naming both the file
-/// and, where it is known, the frame.
+/// The error as a Python exception: its class tells whether the file or its contents are to blame, and its
+/// message names the file and, if known, the frame.
 fn raise(error: Error, file: &str, frame: Option<u64>) -> PyErr {
     let frame = error.place().and_then(|place| place.frame).or(frame);
     let what = error.to_string();
-    // Messages about a group count its frames.
+    // Messages about a group number the frames within it.
     let frame_named = match frame.filter(|number| !what.contains(&format!("frame {number} ("))) {
         Some(number) => format!("frame {number}: {what}"),
         None => what,
@@ -51,23 +52,24 @@ fn raise(error: Error, file: &str, frame: Option<u64>) -> PyErr {
     })
 }
 
-/// The lock of what a panicking thread may have left: its own errors tell.
+/// Locks a mutex even if a thread panicked while holding it: the panic itself is reported elsewhere.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Where the bytes of a stream are.
+/// The source of a stream's bytes.
 enum Source {
     File(File),
     Bytes(PyBackedBytes),
-    /// With a method `read_at(start, length)`, which gives that many bytes, or fewer at the end.
+    /// An object with a method `read_at(start, length)`, which returns that many bytes, or fewer at the end.
     Object(Py<PyAny>),
 }
 
 impl Source {
     fn read_at(&self, start: u64, buffer: &mut [u8]) -> io::Result<usize> {
         match self {
-            // Without a place of its own in the file, so that it may be shared by threads and forked processes.
+            // Read at an explicit offset, not at the file's position, so that threads and forked processes
+            // may share the file.
             #[cfg(unix)]
             Source::File(file) => std::os::unix::fs::FileExt::read_at(file, buffer, start),
             #[cfg(windows)]
@@ -89,7 +91,7 @@ impl Source {
     }
 }
 
-/// A place in a source, which other places share.
+/// A position in a source, which other positions share.
 #[derive(Clone)]
 struct Input {
     source: Arc<Source>,
@@ -121,14 +123,14 @@ impl Seek for Input {
 #[pyclass(frozen, module = "lidarpc._native")]
 struct StreamReader {
     decoder: Mutex<Decoder<Input>>,
-    /// What errors call it.
+    /// Its name in errors.
     name: String,
     len: u64,
 }
 
 #[pymethods]
 impl StreamReader {
-    /// Of a file at a path, of bytes, or of an object with `size` and `read_at(start, length)`.
+    /// Opens a file at a path, bytes, or an object with `size` and `read_at(start, length)`.
     #[new]
     #[pyo3(signature = (source, name, threads, range_images))]
     fn new(
@@ -139,7 +141,7 @@ impl StreamReader {
         range_images: bool,
     ) -> PyResult<Self> {
         let (source, size) = if let Ok(path) = source.extract::<std::path::PathBuf>() {
-            // Python's own error names the path.
+            // Python's own exception names the path.
             let file = File::open(&path).map_err(|error| match error.raw_os_error() {
                 Some(number) => pyo3::exceptions::PyOSError::new_err((number, error.to_string(), path)),
                 None => error.into(),
@@ -163,14 +165,14 @@ impl StreamReader {
         self.len as usize
     }
 
-    /// The time of each frame in nanoseconds since 1970, the smallest int64 where there is none.
+    /// The time of each frame in nanoseconds since 1970; the smallest int64 if it has none.
     fn times<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
         let times: Vec<i64> = py
             .detach(|| locked(&self.decoder).frames().map(|frame| frame.time.unwrap_or(i64::MIN)).collect());
         times.into_pyarray(py)
     }
 
-    /// First frame of each group, and the number of frames.
+    /// The first frame of each group, and the number of frames.
     fn groups(&self, py: Python<'_>) -> Vec<u64> {
         py.detach(|| {
             let decoder = locked(&self.decoder);
@@ -179,7 +181,7 @@ impl StreamReader {
         })
     }
 
-    /// The name of each frame. Reads the whole stream, and decodes nothing.
+    /// The name of each frame. Reads the whole stream, but decodes nothing.
     fn names(&self, py: Python<'_>) -> PyResult<Vec<String>> {
         let details = py.detach(|| locked(&self.decoder).details(..));
         let details = details.map_err(|error| raise(error, &self.name, None))?;
@@ -263,7 +265,7 @@ fn array_of<'py, T: Scalar + Element>(
     if count == 1 { Ok(array.into_any()) } else { Ok(array.reshape([scan.len(), count])?.into_any()) }
 }
 
-/// x, y and z of files that do not hold them as float32, side by side.
+/// x, y and z of files that do not store them as float32, side by side.
 fn stacked<'py, T: Scalar + Element>(py: Python<'py>, scan: &Scan) -> PyResult<Bound<'py, PyAny>> {
     let column = |name| scan.channel::<T>(name).map_err(|error| raise(error, "", None));
     let (x, y, z) = (column("x")?, column("y")?, column("z")?);
@@ -355,7 +357,7 @@ impl Frame {
         Ok(image.map(array).transpose()?.map(Bound::into_any))
     }
 
-    /// Points of the cells, -1 where there is none, or None.
+    /// The point of each cell, -1 for cells without one; or None.
     fn cells<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         let image = self.scan.range_image();
         let array = |image: &crate::RangeImage| {
@@ -372,7 +374,7 @@ impl Frame {
     }
 }
 
-/// A scan of arrays: positions (n, 3), and fields of n values.
+/// A scan from arrays: positions (n, 3), and fields of n values.
 fn scan_of(
     positions: &PyReadonlyArray2<'_, f32>,
     fields: &[(String, Bound<'_, PyAny>)],
@@ -391,7 +393,7 @@ fn scan_of(
     fields.iter().try_fold(scan, |scan, (name, values)| with_field(scan, name, values))
 }
 
-/// The scan with one more channel.
+/// The scan with an additional channel.
 fn with_field(scan: Scan, name: &str, values: &Bound<'_, PyAny>) -> PyResult<Scan> {
     macro_rules! first_of {
         ($($scalar:ident)*) => {
@@ -406,7 +408,7 @@ fn with_field(scan: Scan, name: &str, values: &Bound<'_, PyAny>) -> PyResult<Sca
     Err(PyTypeError::new_err(format!("field {name:?} is {kind}: fields are {known}")))
 }
 
-/// The settings that these values say.
+/// The settings with these values.
 fn settings(
     level: u8,
     max_error: Option<f64>,
@@ -425,7 +427,7 @@ fn settings(
     }
 }
 
-/// An output that is a Python function.
+/// An output that calls a Python function.
 struct Output(Py<PyAny>);
 
 impl Write for Output {
@@ -449,7 +451,7 @@ struct StreamWriter {
 
 #[pymethods]
 impl StreamWriter {
-    /// Writes by a function that takes bytes.
+    /// Writes to a function that takes bytes.
     #[new]
     #[pyo3(signature = (write, name, level, max_error, intensity_step, threads, group))]
     fn new(
@@ -490,7 +492,7 @@ impl StreamWriter {
         self.push_scan(py, if let Some(time) = time { scan.at_time(time) } else { scan })
     }
 
-    /// Scans, points, bytes of the scans, bytes of the stream.
+    /// Number of scans and of points, bytes of the scans, bytes of the stream.
     fn finish(&self, py: Python<'_>) -> PyResult<(u64, u64, u64, u64)> {
         let summary = py.detach(|| locked(&self.encoder).take().ok_or_else(finished)?.finish());
         let summary = summary.map_err(|error| raise(error, &self.name, None))?;
@@ -509,7 +511,7 @@ fn finished() -> Error {
     Error::Usage("the encoder is closed".to_owned())
 }
 
-/// Makes a stream of each frame.
+/// Encodes each frame as a stream of its own.
 #[pyclass(frozen, module = "lidarpc._native")]
 struct FrameEncoder {
     encoder: Mutex<MessageEncoder>,
@@ -538,7 +540,7 @@ impl FrameEncoder {
     }
 }
 
-/// The frame of such a stream.
+/// The frame in such a stream.
 #[pyfunction]
 fn decode_frame(py: Python<'_>, payload: PyBackedBytes, range_images: bool) -> PyResult<Frame> {
     let scan = py.detach(|| {
@@ -552,7 +554,7 @@ fn decode_frame(py: Python<'_>, payload: PyBackedBytes, range_images: bool) -> P
     Ok(Frame { scan, number: 0 })
 }
 
-/// The program: arguments, its name the first, to exit code.
+/// The program: takes the arguments, starting with its name, and returns the exit code.
 #[pyfunction]
 fn main(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
     py.detach(|| cli::main_of(arguments))

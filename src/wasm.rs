@@ -1,11 +1,12 @@
-//! The WebAssembly module of the npm package: the decoder behind functions that JavaScript calls. `js/index.js` is its other
-//! half, and the only one that calls it; what users see of it, and its documentation, is there.
+//! The WebAssembly module of the npm package: the decoder behind functions called from JavaScript.
+//! `js/index.js` is the other half and its only caller; the public interface and its documentation are there.
 //!
-//! One instance of the module decodes one stream. It reads nothing itself: a call that lacks bytes of the stream returns
-//! [`WANTS`], and is made again once [`lidarpc_supply`] has brought [those](lidarpc_wanted_start). The answer of a call is
-//! text, JSON, and so is an error; arrays stand in it as addresses in the module's memory, which hold until the next call.
+//! One instance of the module decodes one stream. It does not read any input: a call that lacks bytes of the
+//! stream returns [`WANTS`], and is repeated after [`lidarpc_supply`] has supplied
+//! [them](lidarpc_wanted_start). The answer of a call is JSON text, and so is an error; arrays are given in
+//! it as addresses in the module's memory, which are valid until the next call.
 
-// Functions that are called by name from outside are unsafe to declare, as names may clash. Nothing else here is.
+// Exported functions are unsafe to declare, as their names may clash. Nothing else here is unsafe.
 #![allow(unsafe_code)]
 
 use std::cell::RefCell;
@@ -19,24 +20,24 @@ use crate::ground::error::{Error, Result};
 use crate::library::{Decoder, Scalar, Scan};
 use crate::scan::Scalar as ScalarType;
 
-/// The call is done; there is an answer.
+/// The call succeeded; there is an answer.
 const DONE: u32 = 0;
 /// The call lacks bytes.
 const WANTS: u32 = 1;
 /// The call failed; the answer says why.
 const FAILED: u32 = 2;
 
-/// What the calls share.
+/// The state shared by the calls.
 #[derive(Default)]
 struct Module {
-    /// What JavaScript writes to.
+    /// The buffer to which JavaScript writes.
     inbox: Vec<u8>,
     input: Input,
     decoder: Option<Decoder<Input>>,
-    /// JSON.
+    /// The answer in JSON.
     answer: String,
     wanted: Range<u64>,
-    /// Whose arrays the answer tells of.
+    /// The arrays to which the answer refers.
     given: Given,
 }
 
@@ -52,17 +53,17 @@ thread_local! {
     static MODULE: RefCell<Module> = RefCell::default();
 }
 
-/// The bytes of a stream that are here.
+/// The bytes of a stream that were supplied.
 #[derive(Default)]
 struct SuppliedBytes {
     size: u64,
-    /// Where each begins, and its bytes.
+    /// The offset and the bytes of each piece.
     pieces: Vec<(u64, Vec<u8>)>,
-    /// What the first read that failed lacked.
+    /// The range that the first failed read lacked.
     wanted: Option<Range<u64>>,
 }
 
-/// A place in the stream.
+/// A position in the stream.
 #[derive(Clone, Default)]
 struct Input {
     pieces: Arc<Mutex<SuppliedBytes>>,
@@ -110,7 +111,7 @@ impl Seek for Input {
     }
 }
 
-/// What went wrong.
+/// A failed call.
 #[derive(Serialize)]
 struct Failure {
     message: String,
@@ -118,22 +119,22 @@ struct Failure {
 }
 
 impl Failure {
-    /// The message names the frame, where it is known.
+    /// An error message, which names the frame if it is known.
     fn new(error: &Error, frame: Option<u64>) -> Self {
         let frame = error.place().and_then(|place| place.frame).or(frame);
         let what = error.to_string();
-        // Messages about a group count its frames.
+        // Messages about a group number the frames within it.
         let unnamed = frame.filter(|number| !what.contains(&format!("frame {number} (")));
         let message = unnamed.map_or_else(|| what.clone(), |number| format!("frame {number}: {what}"));
         Failure { message, frame }
     }
 }
 
-/// What the index says.
+/// The contents of the index.
 #[derive(Serialize)]
 struct Opened {
     frames: Vec<IndexedFrame>,
-    /// First frame of each group, and the number of frames.
+    /// The first frame of each group, and the number of frames.
     groups: Vec<u64>,
 }
 
@@ -143,7 +144,7 @@ struct IndexedFrame {
     number: u64,
     unit: &'static str,
     track: u8,
-    /// Nanoseconds since 1970. As text, for JavaScript's numbers have 53 bits.
+    /// Nanoseconds since 1970. As text, because JavaScript's numbers have 53 bits.
     time: Option<String>,
     coded_bytes: u64,
 }
@@ -156,7 +157,7 @@ struct Details {
     bytes: u64,
 }
 
-/// An array of the module's memory.
+/// An array in the module's memory.
 #[derive(Serialize)]
 struct Array {
     address: usize,
@@ -182,7 +183,7 @@ struct DecodedFrame<'s> {
     /// As in [`IndexedFrame`].
     time: Option<String>,
     points: usize,
-    /// x, y and z of each point, float32; empty if they are fields.
+    /// x, y and z of each point, float32; empty if they are channels.
     positions: Array,
     fields: Vec<DecodedField<'s>>,
     image: Option<DecodedImage>,
@@ -201,18 +202,18 @@ struct DecodedField<'s> {
 struct DecodedImage {
     rows: usize,
     columns: usize,
-    /// Metres, float32.
+    /// Ranges in metres, float32.
     ranges: Array,
-    /// int32.
+    /// Points of the cells, int32.
     points: Array,
 }
 
 impl Module {
-    /// Makes a call: its answer or its error, unless it lacks bytes.
+    /// Runs a call: returns its answer or its error, unless it lacks bytes.
     fn call(&mut self, frame: Option<u64>, work: impl FnOnce(&mut Self) -> Result<String>) -> u32 {
         self.given = Given::default();
         let worked = work(self);
-        // What a call says that lacked bytes is of no interest.
+        // The result of a call that lacked bytes is discarded.
         if let Some(wanted) = self.input.pieces().wanted.take() {
             self.wanted = wanted;
             return WANTS;
@@ -318,7 +319,7 @@ fn values_of(scan: &Scan, name: &str, scalar: ScalarType) -> Result<Array> {
     }
 }
 
-/// What is said in numbers and names has a text.
+/// Serialising numbers and names cannot fail.
 fn json(value: &impl Serialize) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }
@@ -327,7 +328,8 @@ fn with_module<T>(work: impl FnOnce(&mut Module) -> T) -> T {
     MODULE.with_borrow_mut(work)
 }
 
-/// Room for so many bytes, which the next call of [`lidarpc_supply`] takes. Returns its address.
+/// A buffer of `bytes` bytes, from which the next call of [`lidarpc_supply`] takes its bytes. Returns its
+/// address.
 #[unsafe(no_mangle)]
 pub extern "C" fn lidarpc_room(bytes: usize) -> usize {
     with_module(|module| {
@@ -336,7 +338,8 @@ pub extern "C" fn lidarpc_room(bytes: usize) -> usize {
     })
 }
 
-/// The bytes in the room are those of the stream from here on. They are kept until a call has all that it wants.
+/// The bytes in the buffer are those of the stream from `start` on. They are kept until a call has all the
+/// bytes that it wants.
 #[unsafe(no_mangle)]
 pub extern "C" fn lidarpc_supply(start: f64) {
     with_module(|module| {
@@ -345,13 +348,13 @@ pub extern "C" fn lidarpc_supply(start: f64) {
     });
 }
 
-/// Where the bytes begin that the last call lacks.
+/// Offset of the first byte that the last call lacks.
 #[unsafe(no_mangle)]
 pub extern "C" fn lidarpc_wanted_start() -> f64 {
     with_module(|module| module.wanted.start as f64)
 }
 
-/// Where they end.
+/// Offset after the last byte that it lacks.
 #[unsafe(no_mangle)]
 pub extern "C" fn lidarpc_wanted_end() -> f64 {
     with_module(|module| module.wanted.end as f64)
@@ -363,31 +366,31 @@ pub extern "C" fn lidarpc_answer() -> usize {
     with_module(|module| module.answer.as_ptr().addr())
 }
 
-/// Bytes of the last answer.
+/// Length of the last answer in bytes.
 #[unsafe(no_mangle)]
 pub extern "C" fn lidarpc_answer_bytes() -> usize {
     with_module(|module| module.answer.len())
 }
 
-/// Opens a stream of so many bytes; with range images if those are not 0. The answer is [`Opened`].
+/// Opens a stream of `size` bytes; with range images if `range_images` is not 0. The answer is [`Opened`].
 #[unsafe(no_mangle)]
 pub extern "C" fn lidarpc_open(size: f64, range_images: u32) -> u32 {
     with_module(|module| module.call(None, |module| module.open(size as u64, range_images != 0)))
 }
 
-/// Frames from `start` up to `end` as the stream tells of them, a list of [`Details`].
+/// The properties of the frames from `start` up to `end`; the answer is a list of [`Details`].
 #[unsafe(no_mangle)]
 pub extern "C" fn lidarpc_details(start: f64, end: f64) -> u32 {
     with_module(|module| module.call(None, |module| module.details(start as u64..end as u64)))
 }
 
-/// A sentence on each scanner, a list.
+/// A description of each scanner; the answer is a list.
 #[unsafe(no_mangle)]
 pub extern "C" fn lidarpc_scanners() -> u32 {
     with_module(|module| module.call(None, Module::scanners))
 }
 
-/// Decodes a frame, a [`DecodedFrame`]; with the bytes of its file if those are not 0.
+/// Decodes a frame; the answer is a [`DecodedFrame`], with the bytes of its file if `with_file` is not 0.
 #[unsafe(no_mangle)]
 pub extern "C" fn lidarpc_frame(number: f64, with_file: u32) -> u32 {
     let number = number as u64;

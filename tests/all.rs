@@ -1,5 +1,5 @@
-//! All tests of the library and the program but for those that need the fuzz targets (`fuzz.rs`): one program, which is
-//! compiled and linked once. `cargo test --test all exact::` runs those of `exact.rs`.
+//! All tests of the library and the program, except those that need the fuzz targets (`fuzz.rs`): one
+//! program, which is compiled and linked once. `cargo test --test all exact::` runs those of `exact.rs`.
 
 mod common;
 #[path = "common/program.rs"]
@@ -30,7 +30,7 @@ mod sources;
 mod trees;
 mod vectors;
 
-/// A file that is not named above would be left out without a word.
+/// A file that is not listed above would silently not be run.
 #[test]
 fn every_file_of_tests_is_run() {
     let files = std::fs::read_dir(common::in_package("tests")).unwrap();

@@ -1,4 +1,4 @@
-//! Bounded mode: every point comes back in its place, none farther off than promised.
+//! Bounded mode: every point is restored at its index, within the bound.
 
 use crate::common::bound::{bounded, keeps_the_bound};
 use crate::common::formats::{kitti, nuscenes, pcd_extra, pcd_text, ply};
@@ -25,10 +25,10 @@ fn the_bound_is_kept_and_used() {
         for max_error_um in [1, 500, 2_000, 5_000, 10_000, 50_000, 1_000_000] {
             let (stream, largest) = keeps_the_bound(&files, &bounded(max_error_um), max_error_um);
             let bound = f64::from(max_error_um) * 1e-6;
-            // Coarser errors are spread over the whole of what is allowed.
+            // Larger errors are spread over the whole allowed range.
             assert!(max_error_um < 5_000 || largest > 0.7 * bound, "scanner {n}: {largest} m of {bound} m");
             let size = stream.len();
-            // The bound itself takes a byte more or less.
+            // The bound itself is coded in a byte more or less.
             assert!(
                 size <= smaller + 8 * frames.len(),
                 "scanner {n}: {size} bytes for {max_error_um} um, {smaller} for less"
@@ -92,7 +92,7 @@ fn numbers_of_a_text_keep_the_bound_too() {
         points.iter().for_each(|[x, y, z, _]| text += &format!("{x:.digits$} {y:.digits$} {z:.digits$} 1\n"));
         text.into_bytes()
     };
-    // Not as float32, which is how the encoder sees them.
+    // Not as float32, which is what the encoder sees.
     let numbers = |bytes: &[u8]| {
         let lines =
             str::from_utf8(bytes).unwrap().lines().skip_while(|line| !line.starts_with("DATA")).skip(1);

@@ -1,4 +1,4 @@
-//! The program from outside: what it writes, says and returns.
+//! The program from outside: its output, messages and exit codes.
 
 #![cfg_attr(not(target_os = "linux"), allow(dead_code, unused_imports))] // Some tests take what Linux has.
 
@@ -107,7 +107,7 @@ fn stats_say_how_well_the_scanner_explains_its_points() {
     }
     let [less_in_image, less_exact] = shares(&moved, "moved");
     assert!(less_in_image < in_image - 0.0005, "{less_in_image}, {in_image}");
-    // At least those; and the constants, fitted to points a tenth of which is wrong, miss a few more.
+    // At least those; the constants, fitted to points of which a tenth is wrong, miss a few more.
     assert!((0.5..0.91 * exact).contains(&less_exact), "{less_exact} of {exact}");
 
     let text = String::from_utf8(bench.ok("stats moved.lpc")).unwrap();
@@ -121,7 +121,7 @@ fn stats_measure_the_error() {
     assert_eq!(against["identical_files"], odd_files().len());
     assert_eq!((&against["rmse_m"], &against["max_error_m"]), (&Value::from(0.0), &Value::from(0.0)));
 
-    // An original whose first point is 3 m further, and that has a point more.
+    // An original whose first point is 3 m farther away, and that has one more point.
     let mut moved = scan(40, 1);
     let x = f32::from_le_bytes(moved[..4].try_into().unwrap()) + 3.0;
     moved[..4].copy_from_slice(&x.to_le_bytes());
@@ -279,7 +279,7 @@ fn an_input_that_cannot_be_read_is_named() {
 
 #[test]
 fn a_file_that_cannot_be_opened_is_named() {
-    // Permissions do not stop root, so a folder stands where a file is expected.
+    // Root ignores permissions, so a folder takes the place of a file.
     let bench = Bench::encoded();
     fs::create_dir(bench.path("folder.bin")).unwrap();
     bench.fails("encode folder.bin -o new.lpc", "folder.bin");
@@ -351,7 +351,7 @@ fn names_in_a_stream_cannot_leave_the_folder() {
         for name in names {
             let CodedFrame { header, sections } = group.frames[0].clone();
             let header = FrameHeader { name: name.to_string(), ..header };
-            // A group each, so that no frame depends on another.
+            // One group each, so that no frame depends on another.
             let frames = vec![CodedFrame { header, sections }];
             writer.write_group(&Group { scanners: vec![None], frames }).unwrap();
         }
@@ -419,7 +419,7 @@ fn a_full_disk_leaves_nothing_behind() {
     }
 }
 
-/// Bytes that no coder makes smaller.
+/// Bytes that cannot be compressed.
 fn noise(count: usize, seed: u64) -> Vec<u8> {
     let mut state = seed;
     let next = || {
@@ -431,8 +431,8 @@ fn noise(count: usize, seed: u64) -> Vec<u8> {
     std::iter::repeat_with(next).take(count).collect()
 }
 
-/// With `seq/` holding ten scans, and `whole.lpc` made of them, two frames a group. On a disk that was full,
-/// there are `out.lpc.partial` and its journal as well.
+/// A folder with ten scans in `seq/`, and `whole.lpc` encoded from them with two frames a group. As on a full
+/// disk, there are also `out.lpc.partial` and its journal.
 #[cfg(target_os = "linux")]
 fn interrupted() -> Bench {
     let bench = Bench::new();
@@ -479,11 +479,11 @@ fn a_partial_file_is_left_to_those_who_ask_for_it() {
     assert!(says.contains("lidarpc: out.lpc.partial of an interrupted run is left as it is"), "{says}");
     assert!(bench.read("out.lpc") == bench.read("whole.lpc") && partial() == before);
 
-    // As long as the output is there.
+    // While the output exists.
     bench.fails("encode seq -o out.lpc --gop 2 --resume --quiet", "out.lpc");
     assert!(partial() == before);
 
-    // A file that is no partial stream.
+    // A file that is not a partial stream.
     fs::write(bench.path("mine.lpc.partial"), b"somebody's").unwrap();
     bench.fails("encode seq -o mine.lpc --gop 2 --resume --quiet", "mine.lpc.partial");
     assert_eq!(bench.read("mine.lpc.partial"), b"somebody's");
@@ -491,10 +491,10 @@ fn a_partial_file_is_left_to_those_who_ask_for_it() {
     fs::create_dir(bench.path("folder.lpc.partial")).unwrap();
     bench.fails("encode seq -o folder.lpc --gop 2 --resume --quiet", "folder.lpc.partial");
 
-    // What can only be written.
+    // A device, which can only be written.
     bench.fails("encode seq -o /dev/null --resume --quiet", "/dev/null");
 
-    // While another run is at it.
+    // While another run is using it.
     let locked = fs::File::open(bench.path("out.lpc.partial")).unwrap();
     locked.lock().unwrap();
     let error = bench.fails("encode seq -o out.lpc --gop 2 --resume --force --quiet", "out.lpc.partial");
@@ -681,7 +681,7 @@ fn a_synthetic_drive_is_repeatable() {
 // ---- cut and cat ----
 
 impl Bench {
-    /// Holds the decoded frames of one stream to a range of those of another.
+    /// Compares the decoded frames of one stream with a range of those of another.
     #[track_caller]
     fn decodes_to_range(&self, part: &str, whole: &str, range: &str) {
         self.ok(&format!("decode {whole} -o expected --frames {range}"));
@@ -761,7 +761,7 @@ fn streams_of_all_modes_and_sensors_are_cut_and_joined() {
         bench.ok(&format!("cut all.lpc --frames {range} -o part.lpc --force"));
         bench.decodes_to_range("part.lpc", stream, "..");
     }
-    // From the middle of a lossy group into that of an exact one, and on to the same sensor models.
+    // From the middle of a lossy group into that of an exact one, and on to the same scanners.
     assert!(
         bench.says("cut all.lpc --frames 11..14 -o a.lpc").starts_with("3 frames: 1 copied, 2 coded again")
     );
@@ -855,7 +855,7 @@ fn scans_are_converted_as_asked() {
             bench.ok(&format!("decode out.lpc -o - --frames 0 --format {format}")),
             converted[&names[0]]
         );
-        // And back, by way of another stream.
+        // And converted back, by way of another stream.
         bench.ok(&format!("encode {format} -o {format}.lpc"));
         bench.ok(&format!("decode {format}.lpc -o from-{format} --format bin"));
         let back = bench.files(&format!("from-{format}"));
@@ -917,7 +917,7 @@ fn files_that_are_named_must_hold_scans() {
         bench.ok(&format!("decode {name}.lpc -o back"));
         assert_eq!(bench.files("back")[name], bytes);
     }
-    // A folder's are told by their names alone.
+    // Those in a folder are recognised by their names alone.
     bench.ok("encode odd -o folder.lpc");
     assert_eq!(bench.json("info folder.lpc --json")["frames"].as_array().map(Vec::len), Some(2));
 }
@@ -939,7 +939,8 @@ fn records_are_what_the_layout_says() {
     });
     assert_eq!(bench.files("back")["1.bin"], expected.collect::<Vec<u8>>());
 
-    // The originals are measured as they were coded: this x would be an intensity in KITTI's layout.
+    // The originals are read with the layout with which they were coded: this x would be an intensity in
+    // KITTI's layout.
     let mut moved = bytes;
     moved[12..16].copy_from_slice(&2f32.to_le_bytes());
     fs::write(bench.path("seq/1.bin"), moved).unwrap();
@@ -1002,7 +1003,8 @@ fn paper_mode_says_what_it_lost() {
 
     let psnr = bench.json("stats p.lpc --against drive --psnr --json")["against"]["psnr"].clone();
     let [d1, d2] = ["d1_db", "d2_db"].map(|name| psnr[name].as_f64().unwrap());
-    // 3 p^2 / d^2 is 40 dB for errors of 1 m, 100 dB for 1 mm; planes forgive errors along them.
+    // 3 p^2 / d^2 is 40 dB for errors of 1 m, 100 dB for 1 mm; point-to-plane measures ignore errors along
+    // planes.
     assert!(40.0 < d1 && d1 < d2 && d2 < 100.0, "{psnr}");
     assert_eq!((&psnr["peak_m"], &psnr["lossless"]), (&59.7.into(), &false.into()));
     let text = String::from_utf8(bench.ok("stats p.lpc --against drive --psnr")).unwrap();
@@ -1101,7 +1103,7 @@ fn bench_gives_the_tables_and_figures() {
     assert!(octree[0] > octree[1] && octree[1] > octree[2] && octree[2] > 0.1, "{octree:?}");
     let octrees = section(&report, "Table I, octree");
     for (row, millimetres) in [("5 mm", 5.0), ("1 cm", 10.0)] {
-        // Errors are distributed evenly over voxels.
+        // Errors are uniformly distributed over voxels.
         assert!((cell(octrees, row, 2) / (0.5 * millimetres) - 1.0).abs() < 0.1, "{octrees}");
         assert!(cell(octrees, row, 3) <= 1.001 * 0.75f64.sqrt() * millimetres, "{octrees}");
     }
@@ -1319,7 +1321,7 @@ fn what_is_intact_of_a_damaged_file_is_saved() {
     assert_eq!(bench.files("again"), left);
     bench.ok("decode out.lpc -o whole --keep-going");
     assert_eq!(bench.files("whole"), odd_files());
-    // A pipe can be saved from too.
+    // Frames can also be recovered from a pipe.
     let run = bench.command("decode - -o piped --keep-going").write_stdin(bytes).assert().code(3);
     drop(run);
     assert_eq!(bench.files("piped"), left);

@@ -1,4 +1,4 @@
-//! Scans that were corrected for the scanner's motion: found out, coded as they were measured, and given back.
+//! Motion-compensated scans: the compensation is detected, the scans are coded as measured, and restored.
 
 use crate::common::bound::{bounded, keeps_the_bound};
 use crate::common::firings::{image, made_up, moved_by_stamps, sorted, stamped};
@@ -41,7 +41,8 @@ fn the_measured_millimetres_are_found_again() {
         let Compensation::Turn(compensation) = compensation else { panic!("through no map") };
         let wrong = found.iter().zip(positions(&measured)).filter(|(a, b)| **a != *b).count();
         assert_eq!(wrong, 0);
-        // A motion that few points tell leaves some coordinates on the wrong side of a rounding.
+        // A motion that few points determine leaves some coordinates on the wrong side of a rounding
+        // boundary.
         let missed = compensation.misses.len();
         assert!(missed * 200 < measured.len(), "{missed} of {} points missed", measured.len());
         let motion = compensation.motion;
@@ -139,7 +140,7 @@ fn what_was_not_moved_so_is_left_alone() {
     }
 }
 
-/// Rotations and translations of a scan in which a scanner as good as stands, and of drives.
+/// Rotations and translations during a scan: of a scanner that nearly stands still, and of drives.
 const STANDING: [([f64; 3], [f64; 3]); 3] = [
     ([6e-6, -4e-6, -1.5e-5], [-1e-4, 4e-5, 8e-5]),
     ([0.0; 3], [2e-4, -1e-4, 5e-5]),

@@ -49,7 +49,7 @@ static STREAMS: LazyLock<Vec<Vec<Vec<u8>>>> = LazyLock::new(|| {
     [&[EncoderConfig::default(), paper, smallest, context], &images[..]].concat().iter().map(of).collect()
 });
 
-/// Scans of a sensor, in order and not, in several formats, and what is no scan.
+/// Scans of one scanner, in order and not, in several formats, and a file that is not a scan.
 fn odd_drive() -> Vec<File> {
     let scans = scans(&small(1, 3));
     let files = [
@@ -136,11 +136,11 @@ proptest! {
     }
 }
 
-/// What is coded again as the first frames of a group is what the encoder made of them.
+/// A recoded first frame of a group equals the encoder's.
 #[test]
 fn frames_are_coded_again_as_they_were() {
-    // By the context coder: a general-purpose back-end predicts the first frame of a group from regions,
-    // which a P frame does not have.
+    // With the context coder: back-ends predict the first frame of a group from regions, which a P frame does
+    // not have.
     for kind in [0, 3] {
         for number in 1..7 {
             let [copied, .., recoded] = &STREAMS[kind][..] else { panic!("no streams") };
@@ -153,11 +153,11 @@ fn frames_are_coded_again_as_they_were() {
     }
 }
 
-/// A frame whose prediction is still there after a cut keeps its image, byte for byte; one that has lost
-/// what it was predicted from is coded by context. Neither loses anything again.
+/// A frame whose reference is kept after a cut keeps its coded image, byte for byte; one that has lost its
+/// reference is recoded by the context coder. Neither loses anything further.
 #[test]
 fn images_are_written_again_as_they_are() {
-    // Standing still, so that there are P frames.
+    // The scanner stands still, so that there are P frames.
     let scan = kitti(&scans(&small(1, 1))[0]);
     let files: Vec<File> = (0..4).map(|n| (format!("{n}.bin"), scan.clone())).collect();
     for codec in ImageCodec::ALL {

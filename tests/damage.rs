@@ -1,4 +1,4 @@
-//! Damaged streams: no damage goes unseen, and what is intact can be had.
+//! Damaged streams: all damage is detected, and intact parts can be recovered.
 
 use std::collections::BTreeSet;
 use std::io::Cursor;
@@ -28,7 +28,7 @@ fn stream_of(files: &[File]) -> Vec<u8> {
     encode_files(files, &EncoderConfig { gop: 2, threads: 1, ..EncoderConfig::default() })
 }
 
-/// Streams that hold every kind of section between them.
+/// Streams that together contain every kind of section.
 fn streams_of_all_sections() -> Vec<Vec<u8>> {
     let frames = scans(&small(3, 2));
     let mut odd = frames[1].clone();
@@ -54,7 +54,7 @@ fn streams_of_all_sections() -> Vec<Vec<u8>> {
     [EncoderConfig::default(), bounded, paper].map(|config| encode_files(&files, &config)).to_vec()
 }
 
-/// Reads a stream front to back, as all decoding does.
+/// Reads a stream from front to back, as every decoder does.
 fn check(stream: &[u8]) -> Result<Index> {
     let mut reader = StreamReader::open(stream, Limits::default())?;
     while reader.next_record()?.is_some() {}
@@ -65,7 +65,7 @@ fn check(stream: &[u8]) -> Result<Index> {
 fn every_flipped_bit_and_every_cut_of_any_stream_is_seen() {
     let streams = streams_of_all_sections();
     let kinds: BTreeSet<SectionKind> = streams.iter().flat_map(|s| section_bytes(s).into_keys()).collect();
-    // Those that these small scans do not have are checked by the same sums.
+    // The sections that these small scans do not have are covered by the same checksums.
     let others = [
         SectionKind::Blanks,
         SectionKind::World,
@@ -90,7 +90,7 @@ fn every_flipped_bit_and_every_cut_of_any_stream_is_seen() {
     }
 }
 
-/// What is saved of a stream, by the frames' numbers, and what is lost.
+/// The recovered frames of a stream, by number, and the losses.
 fn saved(stream: &[u8]) -> (Vec<(u64, File)>, Vec<Lost>) {
     let (mut frames, mut losses) = (Vec::new(), Vec::new());
     let options = DecodeOptions { threads: 1, ..DecodeOptions::default() };
@@ -108,7 +108,7 @@ fn saved(stream: &[u8]) -> (Vec<(u64, File)>, Vec<Lost>) {
     (frames, losses)
 }
 
-/// The frames of the groups that `keep` takes, by the number of the group.
+/// The frames of the groups whose numbers `keep` accepts.
 fn frames_of(files: &[File], index: &Index, keep: impl Fn(usize) -> bool) -> Vec<(u64, File)> {
     let kept = (0..files.len() as u64).filter(|&number| {
         let place = index.groups.iter().rposition(|group| group.first_frame <= number);
@@ -197,7 +197,7 @@ fn bytes_that_came_in_or_are_missing_shift_nothing_but_bytes() {
         assert_eq!(frames, rest);
         assert_eq!(losses[0].frames, Some(2..4));
     }
-    // A whole group and the index with it: the frames behind it get the numbers of those that are left.
+    // A whole group, and the index: the frames after it are numbered by counting those that remain.
     let entry = &index.groups[1];
     let cut = [&stream[..entry.offset as usize], &stream[(entry.offset + entry.length) as usize..]].concat();
     assert_eq!(saved(&cut).0, rest, "the index tells of the missing group");
@@ -208,7 +208,7 @@ fn bytes_that_came_in_or_are_missing_shift_nothing_but_bytes() {
     assert!(losses.iter().all(|lost| lost.frames.is_none()), "{losses:?}");
 }
 
-/// Two frames of a scanner in a group, and groups without one.
+/// Two frames of a scanner in one group, and groups without a scanner.
 fn scanned_and_others() -> (Vec<File>, Vec<u8>) {
     let frames = scans(&small(3, 2));
     let scanned: Vec<File> =
@@ -227,7 +227,7 @@ fn one_copy_of_a_scanner_is_enough() {
     let all: Vec<_> = (0..).zip(files).collect();
     let places = scanner.offsets.iter().map(|offset| *offset as usize + 9);
     assert_eq!(places.len(), 2);
-    // The stream header as well.
+    // And the stream header.
     for place in places.chain([3]) {
         let mut damaged = stream.clone();
         damaged[place] ^= 8;
@@ -272,8 +272,8 @@ fn of_a_damaged_header_the_end_tells_the_version() {
     assert!(error.to_string().contains("format version 2"), "{error}");
 }
 
-/// What decides about the frames that are saved of a stream: the groups, their numbers and their scanners, all of it as
-/// `repair` copies it, which takes what `--keep-going` decodes.
+/// Everything that determines the recovered frames of a stream: the groups, their numbers and their scanners,
+/// as copied by `repair`, which accepts the same groups as `--keep-going`.
 fn kept(stream: &[u8]) -> (Vec<Group>, BTreeSet<ScannerId>, Vec<Lost>) {
     let (mut repaired, mut losses) = (Vec::new(), Vec::new());
     let input = Named { path: "in".into(), stream: Cursor::new(stream) };
@@ -282,7 +282,7 @@ fn kept(stream: &[u8]) -> (Vec<Group>, BTreeSet<ScannerId>, Vec<Lost>) {
     (groups, scanners.iter().map(ScannerRecord::id).collect(), losses)
 }
 
-/// A drive of so many frames, five a group, of a scanner that is found.
+/// A drive of `frames` frames, five a group, whose scanner can be fitted.
 fn drive(frames: usize) -> Vec<u8> {
     let scans = scans(&small(5, frames));
     let files: Vec<File> = (0..).zip(&scans).map(|(n, scan)| (format!("{n:06}.bin"), kitti(scan))).collect();
@@ -291,8 +291,8 @@ fn drive(frames: usize) -> Vec<u8> {
     stream
 }
 
-/// Holds what is kept of a stream, of which these bytes are damaged, to what should be: all groups but those that were
-/// hit, and at most one more frame number in doubt.
+/// Compares the recovered parts of a damaged stream with the expected ones: all groups except those that were
+/// hit, and at most one further frame number in doubt.
 fn check_kept(stream: &[u8], damaged: &[u8], hit: Range<usize>, parts: &(Index, Vec<Group>, ScannerId)) {
     let (index, groups, scanner) = parts;
     let is_hit = |entry: &GroupEntry| {
@@ -325,7 +325,7 @@ fn damage_drive(frames: usize, each_of_first: usize, others: usize, bursts: usiz
         (0..each_of_first.min(stream.len())).chain((0..others).map(|_| place())).collect();
     places.par_iter().for_each(|&place| {
         let mut damaged = stream.clone();
-        // Never the byte that it was; now and then a bit only.
+        // Always another byte; sometimes only one bit differs.
         damaged[place] ^= [1 << (place % 8), 0xff, (place % 255) as u8 + 1][place % 3];
         check_kept(&stream, &damaged, place..place + 1, &parts);
     });
@@ -346,7 +346,7 @@ fn no_byte_and_no_burst_costs_more_than_the_groups_that_it_hits() {
     damage_drive(20, 1500, 200, 20);
 }
 
-/// The same at length: `cargo test --release --test all damage:: -- --ignored`, some minutes.
+/// The same on long streams: `cargo test --release --test all damage:: -- --ignored`, some minutes.
 #[test]
 #[ignore = "takes minutes"]
 fn no_byte_of_a_long_stream_costs_more_than_its_group() {

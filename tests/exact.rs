@@ -1,4 +1,4 @@
-//! Exact mode: whatever the files hold, they come back byte for byte.
+//! Exact mode: files are restored byte for byte, whatever they contain.
 
 use crate::common::formats::{kitti, pcd_extra, pcd_xyz};
 use crate::common::odd::{Change, Format, SCANS, changed_scan, noise};
@@ -42,13 +42,13 @@ proptest! {
 
 // ---- what the promise names, one by one ----
 
-/// Two frames by one scanner.
+/// Two frames of one scanner.
 fn good_files() -> Vec<File> {
     let file = |(n, points): (usize, &Points)| (format!("{n:010}.bin"), kitti(points));
     SCANS[0].iter().take(2).enumerate().map(file).collect()
 }
 
-/// A file must come back alone and after good frames, which a sensor model was fitted to.
+/// A file must be restored, both alone and after good frames, to which a scanner was fitted.
 fn comes_back(extension: &str, bytes: Vec<u8>) {
     let odd = (format!("odd.{extension}"), bytes);
     round_trip(std::slice::from_ref(&odd), &gop(20));
@@ -76,7 +76,7 @@ fn images_with_many_returns_are_halved_whatever_the_threads() {
         frames.map(|frame| frame.sections.iter().filter(is_range).count()).collect()
     };
     let returns = SCANS[0].iter().take(2).map(Vec::len);
-    // Strays are no returns.
+    // Strays are not returns.
     let [fewer, more] = [returns.clone().min().unwrap() / 2, returns.max().unwrap() + 1];
     for level in [6, 8, 9] {
         let with = |halved_from, threads| {
@@ -143,7 +143,7 @@ fn zeros_of_both_signs() {
     comes_back("bin", kitti(&zeros));
 }
 
-/// A coordinate that rounds to zero keeps the formula's sign in real files; here also the other one.
+/// In real files a coordinate that rounds to zero has the formula's sign; here it also has the other one.
 #[test]
 fn zeros_of_either_sign_where_the_formula_gives_zero() {
     let sample: Vec<_> = good_files().into_iter().map(|(name, bytes)| parse(&name, bytes)).collect();

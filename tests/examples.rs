@@ -1,4 +1,4 @@
-//! The examples run, and those in the README and in the documentation are one.
+//! The examples run, and are the same in the README and in the documentation.
 
 use std::fs;
 use std::path::Path;
@@ -55,14 +55,14 @@ fn the_example_of_the_readme_is_that_of_the_documentation() {
     assert_eq!(readme, block(&read("src/lib.rs"), "```no_run", "//!"));
 }
 
-/// What a heading is called in links: its letters and digits, lower-case, with a hyphen for each space.
+/// The name of a heading in links: its letters and digits in lower case, with a hyphen for each space.
 fn anchor(heading: &str) -> String {
     let text = heading.trim_start_matches('#').trim();
     let kept = text.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
     kept.map(|c| if c == ' ' { '-' } else { c.to_ascii_lowercase() }).collect()
 }
 
-/// The targets of the links of a document, but for those to elsewhere, code, and examples of links.
+/// The targets of the links of a document, except external ones, code, and examples of links.
 fn links(text: &str) -> Vec<&str> {
     let targets = text.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(target, _)| target);
     targets.filter(|target| !target.contains("://") && !target.contains(char::is_whitespace)).collect()

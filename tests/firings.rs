@@ -1,4 +1,5 @@
-//! Scanners of firings: what the fit finds against what the simulator has, and files in firing order on the full path.
+//! Scanners of the `firings` family: the fit's constants against the simulator's, and whole streams of files
+//! in firing order.
 
 use std::f64::consts::TAU;
 
@@ -15,7 +16,7 @@ use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Recipe, Timing
 use lidarpc::internals::scanner::{REACH, RangeImage, Return, Scanner};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, VLP_16_ELEVATIONS, drive};
 
-/// A VLP-16, every so many-th block of its firings.
+/// A VLP-16, with every `thinning`-th block of its firings.
 fn config(seed: u64, frames: usize, thinning: usize) -> SynthConfig {
     SynthConfig { scanner: SynthScanner::Vlp16, seed, frames, thinning, ..SynthConfig::default() }
 }
@@ -36,7 +37,8 @@ fn files(scans: &[Points]) -> Vec<File> {
     scans.iter().enumerate().map(|(number, points)| (format!("{number}.bin"), kitti(points))).collect()
 }
 
-/// Returns of a scan that the recipe gives to the last bit, and those that it does not; the strays.
+/// The number of returns that the recipe reproduces to the last bit, of those that it does not, and of
+/// strays.
 fn counts(scanner: &Firings, points: &Points) -> (usize, usize, usize) {
     let cloud = file(points).cloud;
     let projection = scanner.project(&cloud, REACH);
@@ -154,8 +156,8 @@ fn scanners_of_all_recipes_are_found_from_their_points() {
         let points = points(&truth, &image(&truth, 1));
         let (found, share) = fit(&[file(&points)]).unwrap_or_else(|| panic!("{recipe:?} is not found"));
         assert!(share > 0.999, "{recipe:?}: {share}");
-        // What is ahead in double precision makes no difference: a quarter of a turn is a whole number of ticks. Nor does a
-        // timing in which no slot comes a tick later.
+        // In double precision, the axis that counts as ahead makes no difference: a quarter of a turn is a
+        // whole number of ticks. Nor does a timing in which no slot is a tick later.
         let ahead = |build: &Build| {
             let recipe = match build.recipe {
                 Recipe::DoubleXAhead => Recipe::DoubleYAhead,
@@ -187,14 +189,14 @@ fn formulas_are_those_of_the_geometry() {
             let elevation = (laser.elevation as f64 * 1e-9).to_radians();
             let mut metres = f64::from(found.steps) * scanner.range_step_m();
             if matches!(scanner.build().recipe, Recipe::Ouster | Recipe::OusterRos) {
-                // They measure from the axis.
+                // These are measured from the axis.
                 metres -= metre(origin.along_um);
             }
             let ahead = metres * elevation.cos() * azimuth.cos() + metre(origin.along_um) * start.cos();
             let right = metres * elevation.cos() * azimuth.sin() + metre(origin.along_um) * start.sin();
             let up = metres * elevation.sin() + metre(origin.up_um);
             let [x, y, z] = scanner.position(&found, 0.0);
-            // Programs take the one or the other axis for ahead.
+            // Programs differ in which axis is ahead.
             let is_there = |a: [f64; 3]| [x, y, z].iter().zip(a).all(|(x, a)| (x - a).abs() < 2e-5);
             assert!(is_there([ahead, -right, up]) || is_there([right, ahead, up]), "{recipe:?}");
         }
@@ -263,7 +265,7 @@ fn lasers_that_look_back_and_forth_while_the_azimuth_goes_on_are_found() {
     let (exact, inexact, strays) = counts(&found, &scan);
     assert!(exact > 999 * scan.len() / 1000 && inexact == 0, "{exact}, {inexact}, {strays}");
     round_trip(&files(&[scan]), &EncoderConfig::default());
-    // Likewise where a program adds angles, not ticks.
+    // Likewise for a program that adds angles instead of ticks.
     let truth = made_up(Recipe::VelodyneRos);
     let truth = timed(&truth);
     let scan = points(&truth, &image(&truth, 1));
@@ -289,7 +291,7 @@ fn lasers_that_take_turns_are_found() {
 fn constants_of_any_digits_are_found_to_the_last_bit() {
     let nominal = made_up(Recipe::Nebula);
     let lasers = nominal.lasers().iter().zip(0i64..).map(|(laser, row)| {
-        // As float32 has them: Hesai's files of angles hold more digits than thousandths.
+        // As float32 values: Hesai's files of angles have more digits than thousandths.
         let single = |units: i64| (f64::from((units as f64 * 1e-9) as f32) * 1e9).round() as i64;
         Laser {
             elevation: single(laser.elevation + 37 * row * row * 1009 % 1_000_000),

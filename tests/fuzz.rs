@@ -1,7 +1,7 @@
-//! What fuzzing has found, and what it starts from, as plain tests.
+//! The findings of fuzzing, and its seeds, as ordinary tests.
 //!
-//! `fuzz/run.sh` runs the fuzzer; what it finds goes to `fuzz/regressions/TARGET/`, and a small part of what it
-//! gathers to `fuzz/kept/TARGET.bin` (`fuzz/keep.sh`), from where this replays both for ever.
+//! `fuzz/run.sh` runs the fuzzer; its findings go to `fuzz/regressions/TARGET/`, and a small part of its
+//! corpus to `fuzz/kept/TARGET.bin` (`fuzz/keep.sh`). This replays both.
 
 mod common;
 #[path = "../fuzz/targets.rs"]
@@ -27,7 +27,7 @@ use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 use mcap::records::MessageHeader;
 use targets::{INTERRUPTED, TARGETS};
 
-/// What the fuzzer starts from, so that it need not find the formats by chance.
+/// The fuzzer's seeds, so that it need not find the formats by chance.
 fn seeds(target: &str) -> Vec<Vec<u8>> {
     let points = &scans(&small(6, 1))[0][..60];
     let files = [
@@ -72,7 +72,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
             let coded = |(number, backend): (usize, &&dyn Backend)| {
                 seed(number, text.len(), backend.compress(&text, Level::default()).unwrap())
             };
-            // With what only the reference programs write, such as Lizard's Huffman coding.
+            // Including features that only the reference programs write, such as Lizard's Huffman coding.
             let of_others = VECTORS.iter().map(|(name, file)| {
                 let number = BACKENDS.iter().position(|backend| backend.name() == *name).unwrap();
                 seed(number, 12_000, fs::read(in_package("testdata/vectors").join(file)).unwrap())
@@ -119,7 +119,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         }
         "differential" => {
             let known = 0..KNOWN.len() as u8;
-            // Each change once, at places and by values that differ.
+            // Each change once, at different positions and with different values.
             let seed = |n: u8| {
                 let changes = (0..13).filter(|change| (change + n).is_multiple_of(4));
                 let changes = changes.flat_map(|change| {
@@ -144,7 +144,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
     }
 }
 
-/// What the reference programs wrote of 12,000 bytes, each way that they have once: `testdata/vectors`.
+/// The reference programs' output for 12,000 bytes, in each of their variants: `testdata/vectors`.
 const VECTORS: [(&str, &str); 9] = [
     ("lz5", "residuals.level1.lz5"),
     ("lz5", "residuals.level9.lz5"),
@@ -187,12 +187,12 @@ fn everything_that_fuzzing_found_is_mended() {
     }
 }
 
-/// The file of the inputs that are kept for a target: each behind its length, a u32.
+/// The file of the inputs kept for a target: each after its length, a u32.
 fn kept_file(target: &str) -> PathBuf {
     in_package("fuzz/kept").join(target).with_extension("bin")
 }
 
-/// What is kept for a target of what fuzzing has gathered.
+/// The inputs of the fuzzing corpus that are kept for a target.
 fn kept(target: &str) -> Vec<Vec<u8>> {
     let bytes = fs::read(kept_file(target)).unwrap_or_default();
     let (mut rest, mut inputs) = (&bytes[..], Vec::new());
@@ -215,17 +215,17 @@ fn every_target_takes_what_is_kept_of_fuzzing() {
     }
 }
 
-/// Keeps some of the corpus that LIDARPC_CORPUS names, which `fuzz/keep.sh` has made as small as it can be: of the inputs of all
-/// sizes up to a limit, as many as fit.
+/// Keeps a part of the corpus named by LIDARPC_CORPUS, which `fuzz/keep.sh` has minimised: as many inputs as
+/// fit, of all sizes up to a limit.
 #[test]
 #[ignore = "writes fuzz/kept"]
 fn keep() {
-    /// Bytes of an input, and of all of a target.
+    /// Largest size in bytes of an input, and of all inputs of a target.
     const MOST: usize = 4096;
     const MOST_IN_ALL: usize = 24 << 10;
     let corpus = std::env::var_os("LIDARPC_CORPUS").expect("LIDARPC_CORPUS names a corpus");
     for (target, _) in TARGETS {
-        // So that all together take seconds, in a build for tests.
+        // Such that all targets together take seconds, in a test build.
         let most = match target {
             "differential" => 8,
             "sequence" => 24,
@@ -251,7 +251,7 @@ fn keep() {
     }
 }
 
-/// What the fuzzer has gathered, in the folder that LIDARPC_CORPUS names: `fuzz/coverage.sh CORPUS`.
+/// The fuzzer's corpus, in the folder named by LIDARPC_CORPUS: `fuzz/coverage.sh CORPUS`.
 #[test]
 fn every_target_takes_what_the_fuzzer_has_gathered() {
     let Some(corpus) = std::env::var_os("LIDARPC_CORPUS").filter(|corpus| !corpus.is_empty()) else {
@@ -272,7 +272,7 @@ fn every_target_takes_what_it_starts_from() {
         let seeds = seeds(target);
         assert!(seeds.len() > 1, "{target}");
         seeds.iter().take(40).for_each(|seed| run(seed));
-        // Changed a little, as the fuzzer does.
+        // Slightly changed, as by the fuzzer.
         for (n, seed) in seeds.iter().enumerate().take(20) {
             let mut changed = seed.clone();
             let place = n * 37 % changed.len().max(1);
@@ -284,14 +284,14 @@ fn every_target_takes_what_it_starts_from() {
     }
 }
 
-/// Executions a second of each target on what it starts from, a little changed: `cargo test --release --test fuzz --
+/// Executions a second of each target with its seeds, slightly changed: `cargo test --release --test fuzz --
 /// --ignored rates --nocapture`.
 #[test]
 #[ignore = "measures"]
 fn rates() {
     for (target, run) in TARGETS {
         let seeds = seeds(target);
-        // What is made once is made before.
+        // One-time initialisations are done before.
         run(&seeds[0]);
         let (start, mut runs) = (Instant::now(), 0);
         while runs < 20 || start.elapsed() < Duration::from_secs(5) {

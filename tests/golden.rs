@@ -1,10 +1,10 @@
-//! Streams that were written once and must stay readable, with the same result; and that the encoder still
-//! writes them.
+//! Streams that were written once and must stay readable, with the same result; and a check that the encoder
+//! still writes them.
 //!
-//! Each `testdata/golden/*.lpc` has a list beside it, `*.txt`, of the files that it decodes to: a
-//! line `name size crc32c` each. After a change of what the encoder makes of them, they are written anew by
-//! `cargo test --test all -- --ignored write_golden`. Until the format is released they may be; after that,
-//! the old ones stay, under other names.
+//! Each `testdata/golden/*.lpc` has a list beside it, `*.txt`, of the files that it decodes to: a line `name
+//! size crc32c` each. After a change of the encoder's output, they are written again by `cargo test --test
+//! all -- --ignored write_golden`. This is allowed until the format is released; after that, the old ones are
+//! kept under other names.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -28,17 +28,17 @@ use lidarpc::internals::scanner::{RangeImage, firings};
 use lidarpc::internals::stream::{FrameInput, encode};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 
-/// The version of the format that the streams are of.
+/// The version of the format of the streams.
 const VERSION: u16 = 1;
 
-/// A stream's name, and what encodes it.
+/// A stream's name, and a function that encodes it.
 type Recipe = (String, Box<dyn Fn() -> Vec<u8>>);
 
 fn folder() -> PathBuf {
     in_package("testdata/golden")
 }
 
-/// The list of files, as it stands beside a stream.
+/// The list of files beside a stream.
 fn list(files: &[File]) -> String {
     let line = |(name, bytes): &File| format!("{name} {} {:08x}\n", bytes.len(), crc32c::crc32c(bytes));
     files.iter().map(line).collect()
@@ -73,7 +73,8 @@ fn every_golden_stream_decodes_to_what_it_did() {
     assert_eq!(names, recipes().into_iter().map(|(name, _)| name).collect());
 }
 
-/// On one platform only: others round sines and arc tangents otherwise, and the fit of the scanner takes these.
+/// On one platform only: others round sines and arc tangents differently, and the fit of the scanner uses
+/// these.
 #[test]
 #[cfg(all(target_os = "linux", target_env = "gnu", target_arch = "x86_64"))]
 fn the_encoder_writes_every_golden_stream() {
@@ -104,22 +105,22 @@ fn write_golden() {
     }
 }
 
-/// What a file of firings holds.
+/// The contents of a file in firing order.
 #[derive(Clone, Copy, PartialEq)]
 enum Cells {
-    /// Returns alone.
+    /// Returns only.
     Returns,
-    /// Blanks, too, which are zeros.
+    /// Also blanks, which are zeros.
     Full,
-    /// The same, row after row.
+    /// Also blanks, row after row.
     Lines,
     /// Second returns of some cells.
     Echoes,
-    /// Returns at ticks that go on within a firing.
+    /// Returns at ticks that increase within a firing.
     Timed,
 }
 
-/// Two scans of a made-up scanner of firings that stands still.
+/// Two scans of a made-up scanner of the `firings` family that stands still.
 fn firings_files(recipe: firings::Recipe, cells: Cells) -> Vec<File> {
     let mut scanner = common::firings::made_up(recipe);
     if cells == Cells::Lines {
@@ -128,7 +129,7 @@ fn firings_files(recipe: firings::Recipe, cells: Cells) -> Vec<File> {
     if cells == Cells::Timed {
         scanner = common::firings::timed(&scanner);
     }
-    // Ticks within a firing are told only by firings that follow one another.
+    // Ticks within a firing can be determined only from consecutive firings.
     let image = common::firings::image(&scanner, if cells == Cells::Timed { 1 } else { 12 });
     let image = match cells {
         Cells::Echoes => common::firings::with_echoes(image),
@@ -162,7 +163,7 @@ fn standing_still_files() -> Vec<File> {
     named(&scans(&SynthConfig { thinning: 1, ..still }))
 }
 
-/// Two scanners that take turns, as messages of a recording.
+/// Two alternating scanners, as messages of a recording.
 fn turns() -> Vec<u8> {
     let scans = [small(3, 2), SynthConfig { beams: 4, ..small(7, 2) }].map(|config| scans(&config));
     let message = |number: usize| {
@@ -177,8 +178,8 @@ fn turns() -> Vec<u8> {
     stream
 }
 
-/// Two drives with scanners of their own, and what stands beside their scans: text, what no coder shortens, a file that is
-/// named as a scan is, and an empty folder.
+/// Two drives with their own scanners, and the files beside their scans: text, an incompressible file, a file
+/// with the same name as a scan, and an empty folder.
 fn tree() -> Vec<u8> {
     let scan = |seed| kitti(&scans(&small(seed, 1))[0]);
     let frame = |drive: usize, name: &str, bytes| FrameInput::memory(name.to_owned(), bytes).of_drive(drive);
@@ -204,7 +205,7 @@ fn recipes() -> Vec<Recipe> {
     let mut exact = |name: &str, files: fn() -> Vec<File>, config: EncoderConfig| {
         recipes.push((format!("exact-{name}"), Box::new(move || round_trip(&files(), &config))));
     };
-    // Two frames a group, so that there is more than one group; then P frames wherever they can be.
+    // Two frames a group, so that there is more than one group; then P frames wherever possible.
     let every = PredictionChoice::EveryReference;
     let p_frames = |level| EncoderConfig { prediction: every, ..at_level(level) };
     for (level, name) in MODELLINGS {
@@ -299,7 +300,7 @@ fn recipes() -> Vec<Recipe> {
             EncoderConfig { coder, intensity: Intensity::Exact, prediction: every, ..with_back_end(LZMA) };
         lossy(&format!("paper-{name}-p-frames"), twice_the_same, config);
     }
-    // That it was moved so is found in whole sweeps alone, which are many points: the section is put in.
+    // This is detected in whole sweeps only, which have many points, so the section is inserted.
     recipes.push((
         "exact-through-a-map".to_owned(),
         Box::new(|| {
@@ -312,11 +313,11 @@ fn recipes() -> Vec<Recipe> {
     recipes
 }
 
-/// The modelling of each level; levels 7 and 8 differ in nothing else than P frames.
+/// The modelling of each level; levels 7 and 8 differ only in P frames.
 const MODELLINGS: [(u8, &str); 6] =
     [(1, "packed"), (2, "tokens"), (3, "fitted-tokens"), (6, "light"), (8, "mixed"), (9, "deep")];
 
-/// Scans that a scanner fits, one of them with points that it does not.
+/// Scans that a scanner explains, one of them with points that it does not.
 fn altered_files() -> Vec<File> {
     let mut frames = scans(&small(3, 3));
     let changed = &mut frames[1];
@@ -326,14 +327,14 @@ fn altered_files() -> Vec<File> {
     named(&frames)
 }
 
-/// A scanner that moves, and points that it does not fit.
+/// A moving scanner, and points that it does not explain.
 fn halved_files() -> Vec<File> {
     let mut frames = scans(&SynthConfig { beams: 7, thinning: 8, ..small(1, 2) });
     frames[1].splice(100..100, random_points(30, 1));
     named(&frames)
 }
 
-/// A scanner that moves, seen by enough beams to find out how.
+/// A moving scanner, with enough beams for its motion to be estimated.
 fn moving_files() -> Vec<File> {
     named(&scans(&SynthConfig { beams: 16, thinning: 4, ..small(1, 2) }))
 }
@@ -342,7 +343,7 @@ fn two_scans() -> Vec<File> {
     named(&scans(&small(6, 2)))
 }
 
-/// A scan twice, so that all coders have a use for the frame before.
+/// A scan twice, so that the frame before is useful to all coders.
 fn twice_the_same() -> Vec<File> {
     named(&vec![scans(&small(6, 1)).swap_remove(0); 2])
 }
@@ -374,7 +375,7 @@ fn odd_files() -> Vec<File> {
     .to_vec()
 }
 
-/// PLY of the encodings that need more than a copy.
+/// PLY in the encodings that need more than a copy.
 fn ply_files() -> Vec<File> {
     let frames = scans(&small(3, 2));
     vec![
@@ -426,7 +427,7 @@ fn single_precision_files() -> Vec<File> {
     frames.map(|(n, points)| (format!("{n}.bin"), kitti(&single_precision(&config, &points)))).collect()
 }
 
-/// Scans that were corrected for the motion within the turn, but for a few points.
+/// Scans that were compensated for the motion within the turn, except for a few points.
 fn compensated_files() -> Vec<File> {
     let frames = scans(&small(8, 3));
     let file = |(n, points): (u8, &common::scans::Points)| {

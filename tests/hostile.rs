@@ -1,5 +1,5 @@
-//! Streams whose checksums are right and whose contents are not: an error or a result, never a
-//! panic, an endless loop, or more memory than the limits allow.
+//! Streams with correct checksums and wrong contents: the result is an error or a scan, never a panic, an
+//! endless loop, or more memory than the limits allow.
 
 use crate::common::formats::{kitti, pcd_text};
 use crate::common::scans::Random;
@@ -17,7 +17,7 @@ use lidarpc::internals::scanner::hdl64::ColumnModel;
 use lidarpc::internals::scanner::{BeamConstants, Coordinates, Hdl64};
 use proptest::prelude::*;
 
-/// What is done to a stream's parts. Places are counted modulo what there is.
+/// Damage to a stream's parts. Indices are taken modulo the number of items.
 #[derive(Clone, Debug)]
 enum Damage {
     Bit { section: usize, bit: usize },
@@ -99,7 +99,7 @@ impl Damage {
 }
 
 fn damage() -> impl Strategy<Value = Damage> {
-    // The first places matter most: what goes wrong there goes wrong everywhere behind.
+    // The first positions matter most, as everything after them depends on them.
     let place = || prop_oneof![0usize..12, any::<usize>()];
     let section = any::<usize>;
     let byte = || prop_oneof![Just(0u8), Just(255), any::<u8>()];
@@ -121,7 +121,7 @@ fn damage() -> impl Strategy<Value = Damage> {
     ]
 }
 
-/// Small, so that forged counts do not make the tests slow.
+/// Small limits, so that forged counts do not make the tests slow.
 fn tight() -> Limits {
     Limits { points: 20_000, file_bytes: 1 << 20, record_bytes: 1 << 20 }
 }
@@ -169,7 +169,7 @@ fn wild() -> impl Strategy<Value = u64> {
     ]
 }
 
-/// The formula of whatever model was accepted gives something everywhere.
+/// An accepted model's formula returns a value everywhere.
 fn check_model(model: &Hdl64) {
     let mut written = Vec::new();
     model.write_to(&mut written);
@@ -230,7 +230,7 @@ fn file_section(layout: &Layout, records: u64, strays: u64) -> Section {
     Section { kind: SectionKind::File, payload: coder.finish() }
 }
 
-/// A stream of one frame with these sections behind its parameters, whose header claims so many records.
+/// A stream of one frame with these sections after its parameters, whose header claims `records` records.
 fn forged(model: Option<&Hdl64>, records: u64, sections: Vec<Section>) -> Vec<u8> {
     forged_as(Modelling::Mixed, model, records, sections)
 }
@@ -330,13 +330,13 @@ fn forged_files_are_an_error() {
         let forged = forged(None, records, whole(layout, prefix, length, payload));
         assert!(decode_files(&forged).is_err(), "{prefix} {length} {records}");
     }
-    // What stands behind it is out of place.
+    // The sections after it are out of place.
     let mut frame = whole(&layout, 0, 64, &content);
     frame.push(file_section(&kitti_layout(), 4, 4));
     assert!(decode_files(&forged(None, 4, frame)).is_err());
 }
 
-/// A prefix that claims more zeros at its end than it has bytes, or more bytes than there is room for.
+/// A prefix that claims more zeros at its end than it has bytes, or more bytes than are allowed.
 #[test]
 fn zeros_without_room_are_an_error() {
     for (length, zeros, known) in [
@@ -365,8 +365,8 @@ fn records_without_bytes_are_an_error() {
     }
 }
 
-/// Every tick of the finest scanner as a column, of the most beams that it can have, would be an
-/// image of 370 million cells.
+/// Every tick of the finest scanner as a column, with the largest number of beams, would be an image of 370
+/// million cells.
 #[test]
 fn an_image_larger_than_any_scan_is_an_error() {
     let sensor = model(1024, 360_000);
@@ -379,7 +379,7 @@ fn an_image_larger_than_any_scan_is_an_error() {
     assert!(error.contains("cells of the range image"), "{error}");
 }
 
-/// A few bytes never make for much work, however many points they are said to hold.
+/// A few bytes never cause much work, however many points they claim to hold.
 #[test]
 fn strays_of_bytes_that_are_made_up_are_an_error_in_time() {
     for payload in [&[][..], &[0xff; 3], &[0x55; 40]] {
@@ -392,7 +392,7 @@ fn strays_of_bytes_that_are_made_up_are_an_error_in_time() {
     }
 }
 
-/// The sections one after the other through random bytes, so that each is reached.
+/// Random bytes through one section after the other, so that each is reached.
 #[test]
 fn random_sections_behind_a_good_file_section() {
     let mut random = Random(9);
@@ -400,7 +400,7 @@ fn random_sections_behind_a_good_file_section() {
     let sensor = model(5, 40);
     for round in 0..40 {
         let mut payload: Vec<u8> = (0..30).map(|_| random.number() as u8).collect();
-        // The coder reads low bytes as ones: all columns and cells at first, then ever fewer.
+        // The coder reads low bytes as ones: all columns and cells at first, then fewer and fewer.
         payload[0] = (round * 6) as u8;
         let mut frame = vec![good.clone()];
         for &kind in &[&IMAGE[..2], &[SectionKind::Points], &IMAGE[2..]].concat() {
@@ -412,16 +412,16 @@ fn random_sections_behind_a_good_file_section() {
     }
 }
 
-// ---- streams that would unfold to far more than their bytes ----
+// ---- streams that would decode to far more than their bytes ----
 
-/// Files of one thing repeated: points at the origin as they are and as text, and no points at all.
+/// Extremely repetitive files: points at the origin as they are and as text, and no points at all.
 fn repeated(points: usize) -> [(String, Vec<u8>); 4] {
     let origin = vec![[0.0; 4]; points];
     let header = format!(
         "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {points}\nHEIGHT 1\n\
          VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA binary_compressed\n"
     );
-    // LZF of zeros, as PCL makes it (FORMAT.md 9): two literals, then matches of the byte before.
+    // LZF of zeros, as compressed by PCL (FORMAT.md 9): two literals, then matches of the byte before.
     let mut packed = vec![1, 0, 0];
     let mut left = 12 * points - 2;
     while left > 2 {
@@ -446,7 +446,7 @@ fn repeated(points: usize) -> [(String, Vec<u8>); 4] {
     ]
 }
 
-/// What a frame of so many bytes may unfold to.
+/// The number of bytes that a frame may decode to.
 fn unfolds(frame: &CodedFrame) -> u64 {
     let bytes: usize = frame.sections.iter().map(|section| section.payload.len()).sum();
     65_536 + 1024 * bytes as u64
@@ -462,7 +462,7 @@ fn files_of_one_thing_repeated_come_back_and_are_paid_for() {
         let (models, mut groups) = take_apart(&stream);
         let frame = &mut groups[0].frames[0];
         assert!(frame.header.file_size.max(frame.header.point_count) <= unfolds(frame), "{name}");
-        // Without what only makes it longer, it would be a bomb.
+        // Without its padding it would exceed the limit.
         let sections = frame.sections.len();
         frame.sections.retain(|section| !section.kind.is_skippable());
         if frame.sections.len() < sections {
@@ -483,7 +483,7 @@ fn text_of_a_gigabyte_in_a_few_bytes_is_an_error() {
     assert!(error.contains("so short a frame"), "{error}");
 }
 
-/// They are read, and their tables are not made: those of 2,000 scanners would take 17 GB.
+/// They are read, but their tables are not computed: those of 2,000 scanners would take 17 GB.
 #[test]
 fn scanners_that_no_frame_uses_cost_nothing() {
     let scanner = |number: usize| {
@@ -503,7 +503,7 @@ fn scanners_that_no_frame_uses_cost_nothing() {
 
 #[test]
 fn plain_bits_are_as_many_as_the_format_allows() {
-    // The largest number that the length prefix can name.
+    // The largest number that the length prefix can express.
     let mut coder = ArithmeticEncoder::default();
     coder.code_plain(u64::MAX, 64);
     let payload = coder.finish();

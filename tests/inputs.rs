@@ -1,4 +1,5 @@
-//! Nothing is lost without a word: what the program takes in and leaves out, what it refuses, and how it says so.
+//! Nothing is lost silently: which inputs the program accepts, leaves out and rejects, and its messages about
+//! them.
 
 #![cfg_attr(not(target_os = "linux"), allow(dead_code, unused_imports))] // Some tests take what Linux has.
 
@@ -11,7 +12,7 @@ use lidarpc::internals::files::parse;
 use lidarpc::internals::scan::{LzfDialect, Wrapping};
 use serde_json::Value;
 
-/// Records of so many float32, as of a scanner that turns.
+/// Records of `values` float32 values, as from a rotating scanner.
 fn turning(values: usize) -> Vec<u8> {
     let record = |n: u32| {
         let angle = n as f32 * 0.003;
@@ -23,7 +24,7 @@ fn turning(values: usize) -> Vec<u8> {
     (0..4000).flat_map(record).collect()
 }
 
-/// With `drive/`, as KITTI has one: two scans, and what stands beside them.
+/// A folder with `drive/` in KITTI's form: two scans, and the files beside them.
 fn kitti_drive() -> Bench {
     let bench = Bench::new();
     let scans = [("0.bin", turning(4)), ("1.bin", turning(4))];
@@ -87,10 +88,10 @@ fn text_is_a_scan_of_a_folder_where_it_looks_like_points() {
     bench.ok("encode seq -o all.lpc --all --strict");
     bench.ok("decode all.lpc -o all");
     assert_eq!(bench.files("all"), bench.files("seq"));
-    // Named, any table is taken, and nothing else.
+    // Named explicitly, any table is accepted, but nothing else.
     bench.ok("encode seq/imu.csv -o imu.lpc");
     assert!(bench.fails("encode seq/times.txt -o times.lpc", "seq/times.txt").contains("--force-bytes"));
-    // From text to text, by an array.
+    // From text to text, by way of an array.
     bench.ok("decode out.lpc -o arrays --format npy");
     bench.ok("encode arrays -o arrays.lpc");
     bench.ok("decode arrays.lpc -o texts --format csv");
@@ -155,7 +156,7 @@ fn no_input_is_overwritten() {
     assert_eq!(bench.files("seq"), odd_files());
     assert_eq!(bench.read("seq/1.bin"), original);
 
-    // A frame that is called as its stream is.
+    // A frame with the same name as its stream.
     bench.ok("encode seq/1.bin -o 1.lpc");
     fs::rename(bench.path("1.lpc"), bench.path("1.bin")).unwrap();
     let stream = bench.read("1.bin");
@@ -246,7 +247,7 @@ fn what_was_lost_is_said_with_what_was_saved() {
 fn paper_mode_warns_of_other_scanners() {
     let bench = Bench::new();
     bench.ok("synth -o vlp16 --scanner vlp16 --frames 2");
-    // Its lasers are found, and become the rows of the image, unless it lies on its side.
+    // Its lasers are found and become the rows of the image, unless the scanner is mounted sideways.
     assert!(bench.says("encode vlp16 -o out.lpc --mode paper").starts_with("2 frames: "));
     for entry in fs::read_dir(bench.path("vlp16")).unwrap() {
         let path = entry.unwrap().path();
@@ -344,7 +345,7 @@ fn a_damaged_file_does_not_hide_the_others() {
     assert_eq!((&reports[0]["whole"], &reports[1]["whole"]), (&false.into(), &true.into()));
     assert!(reports[0]["error"].as_str().unwrap().contains("damaged stream"), "{reports}");
 
-    // What stands before the damage is listed.
+    // The contents before the damage are listed.
     let run = bench.command("info bad.lpc").assert().code(1);
     let said = String::from_utf8_lossy(&run.get_output().stdout).into_owned();
     assert!(said.contains("damaged behind byte ") && said.contains("2 frames in 1 group"), "{said}");
@@ -391,14 +392,14 @@ fn the_short_help_of_encode_is_short() {
     }
     assert!(!short.contains("--plane-seed") && !short.contains("--packing"), "{short}");
 
-    // Each option that takes a value says what it is without it.
+    // The description of each option with a value says what holds without it.
     let long = help("encode --help");
     assert!(
         long.contains("A Novel Coding Scheme for Large-Scale Point Cloud Sequences"),
         "what the article is"
     );
     let required = ["-o, --output"];
-    // Not the values that it may take.
+    // Not the possible values.
     let is_option = |line: &str| line.trim_start().starts_with('-') && !line.trim_start().starts_with("- ");
     let options = long.split("\n  ").filter(|text| text.trim_start().starts_with('-') && text.contains('<'));
     let mut names = options.map(|text| text.trim().split(" <").next().unwrap().to_owned());
@@ -434,7 +435,7 @@ fn wrong_usage_is_explained() {
     };
     assert!(said("encode seq -o new.lpc --level best").contains("a number from 1 (fast) to 9 (small)"));
     assert!(said("encode seq -o new.lpc --max-error 10").contains("is not a length; give one as 2mm"));
-    // Of the command at hand, not of the program.
+    // The usage of the current command, not of the program.
     for args in ["encode seq -o new.lpc --mode bounded", "cat - - -o new.lpc", "encode seq -o - --verify"] {
         let said = said(args);
         let command = args.split(' ').next().unwrap();
@@ -471,7 +472,7 @@ fn an_interrupted_run_says_what_is_kept() {
 #[test]
 fn many_small_files_come_back() {
     let bench = Bench::new();
-    // More than are brought to the disk at a time, and no multiple of it.
+    // More than are flushed to disk at a time, and not a multiple of that.
     let files: Files = (0..67).map(|n| (format!("{n}.bin"), scan(2, n))).collect();
     bench.write_files("seq", &files);
     bench.ok("encode seq -o out.lpc");
@@ -501,10 +502,10 @@ fn a_deep_check_comes_to_the_same() {
 
 // ---- scans made to cost most ----
 
-/// Counts that no file can hold.
+/// A count that no file can hold.
 const CLAIM: u64 = 1 << 60;
 
-/// What a scan claims, in headers and bodies; and what costs most for its size.
+/// Scans with false claims in headers and bodies, and those that cost most for their size.
 fn bombs() -> Files {
     let pcd = |data: &str, points: u64, body: &[u8]| {
         let header = format!(
@@ -525,7 +526,7 @@ fn bombs() -> Files {
         let sizes = [packed.len() as u32, size].map(u32::to_le_bytes).concat();
         [&sizes, packed].concat()
     };
-    // As a program would compress zeros, to a ninetieth: it comes back as points, not as bytes.
+    // Zeros as a program would compress them, to a ninetieth: restored as points, not as bytes.
     let zeros = 330_000;
     let mut unfolds = parse("0.pcd", pcd("binary", zeros, &vec![0; 16 * zeros as usize]));
     unfolds.layout.wrapping = Wrapping::PcdCompressed { lzf: LzfDialect::ALL[0] };
@@ -554,7 +555,7 @@ fn bombs() -> Files {
     files.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect()
 }
 
-/// All scans of a group are bombs: they come back, in memory that their bytes account for.
+/// All scans of a group are bombs: they are restored, in memory proportional to their bytes.
 #[test]
 #[cfg(target_os = "linux")]
 fn scans_that_claim_or_unfold_to_much_come_back_in_bounded_memory() {
@@ -569,7 +570,7 @@ fn scans_that_claim_or_unfold_to_much_come_back_in_bounded_memory() {
     assert!(bench.files("back") == bombs);
 }
 
-/// Of address space, part of which threads and the allocator take without using it.
+/// Address space in MiB, part of which threads and the allocator reserve without using it.
 #[cfg(target_os = "linux")]
 const MEBIBYTES: u64 = 1200;
 

@@ -97,8 +97,9 @@ fn a_frame_that_shows_something_else_costs_hardly_more_than_alone() {
     files.insert(5, ("2c.bin".to_owned(), kitti(&[[5.0, 0.0, 0.0, 0.5]])));
     let [inter, intra] = [at_level(8), intra()].map(|config| sizes(&round_trip(&files, &config)));
     for (inter, intra) in inter.iter().zip(&intra) {
-        // What P frames teach is not quite what I frames do, which random points are the first to suffer from. These frames
-        // are small, the smallest of one point: a byte is what the end of an arithmetic code may differ by.
+        // P frames adapt the models somewhat differently from I frames, which shows first with random points.
+        // These frames are small, the smallest with one point: the ends of arithmetic codes may differ by a
+        // byte.
         assert!(*inter <= intra + intra / 30 + 1, "{inter} bytes, {intra} without the frame before");
     }
 }
@@ -118,7 +119,8 @@ fn every_back_end_decodes_its_p_frames() {
             let stream = encode_files(&still, &config);
             assert_eq!(predictions(&stream)[1], P, "{coder:?}: a scan twice");
             let decoded = decode_files(&stream).unwrap();
-            // The header of each frame has the checksum of what the encoder had: decoding compares it.
+            // The header of each frame has the checksum of the encoder's result, with which decoding
+            // compares.
             assert_eq!(decoded.len(), still.len());
         }
     }
@@ -133,7 +135,7 @@ fn images_of_very_many_cells_are_coded_alone() {
         ..EncoderConfig::preset(Mode::Paper)
     };
     assert_eq!(predictions(&encode_files(&DRIVE[..2], &with_columns(1000)))[1], P);
-    // 64 rows of these are more than 2^22 cells.
+    // 64 rows of so many columns are more than 2^22 cells.
     let stream = encode_files(&DRIVE[..2], &with_columns(66_000));
     assert!(!predictions(&stream).contains(&P));
     assert_eq!(decode_files(&stream).unwrap().len(), 2);

@@ -1,5 +1,5 @@
-//! A program that is ended at any moment leaves nothing half-written under a final name, and what it
-//! leaves besides is gone after the next run.
+//! A program that is killed at any moment leaves nothing incomplete under a final name, and its leftovers are
+//! removed by the next run.
 #![cfg(unix)]
 
 use std::collections::BTreeMap;
@@ -13,7 +13,7 @@ use crate::common::in_package;
 use assert_cmd::cargo::cargo_bin;
 use tempfile::TempDir;
 
-/// Runs the program in `folder`, and ends it after a while by a signal, if any.
+/// Runs the program in `folder`, and ends it after a while by a signal, if one is given.
 fn run(folder: &Path, args: &[&str], end: Option<(Duration, &str)>) -> bool {
     let mut command = Command::new(cargo_bin!("lidarpc"));
     command.args(args).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::null());
@@ -21,7 +21,7 @@ fn run(folder: &Path, args: &[&str], end: Option<(Duration, &str)>) -> bool {
     if let Some((after, signal)) = end {
         sleep(after);
         let id = child.id().to_string();
-        // It may be done by now, which is fine too.
+        // It may have ended by now, which is fine too.
         let _ = Command::new("kill").args([signal, &id]).stderr(Stdio::null()).status().unwrap();
     }
     child.wait().unwrap().success()
@@ -42,7 +42,7 @@ fn hidden(folder: &Path) -> usize {
     entries.filter(|entry| entry.file_name().to_string_lossy().starts_with('.')).count()
 }
 
-/// Kills encoding and decoding at this many moments each, evenly over the time that they take.
+/// Kills encoding and decoding at this many moments each, evenly spaced over their duration.
 fn kill_at(moments: u32) {
     let bench = TempDir::new().unwrap();
     let folder = bench.path();
@@ -84,7 +84,7 @@ fn kill_at(moments: u32) {
 }
 
 /// Ends an encode with --resume by each signal, again and again as soon as another group is written, until it
-/// is done.
+/// is complete.
 #[test]
 fn what_is_interrupted_goes_on() {
     let bench = TempDir::new().unwrap();
@@ -120,7 +120,7 @@ fn what_is_interrupted_goes_on() {
                 assert!(groups() > before, "nothing new after {signal}");
             }
         }
-        // It may have been ended after the stream got its name.
+        // It may have been ended after the stream was renamed.
         assert!(!run(folder, &[&encode[..], &["--resume"]].concat(), None), "overwrites what is done");
         assert_eq!(files(folder).into_keys().collect::<Vec<_>>(), ["out.lpc"]);
         assert!(fs::read(folder.join("out.lpc")).unwrap() == whole, "another stream after {signal}");

@@ -1,4 +1,5 @@
-//! Frames from a pipe: coded and written as they come, from any tar archive or behind lines.
+//! Frames from a pipe: coded and written as they arrive, from any tar archive or after lines with name and
+//! size.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -13,7 +14,7 @@ use lidarpc::internals::files::ArrivingFrames;
 use lidarpc::internals::ground::error::Limits;
 use tempfile::TempDir;
 
-/// Scans of a scanner, so that there is a sensor model to fit.
+/// Scans of one scanner, so that it can be fitted.
 fn files(count: usize) -> Vec<File> {
     let frames = scans(&small(3, count));
     (0..).zip(&frames).map(|(n, frame)| (format!("{n}.bin"), kitti(frame))).collect()
@@ -34,7 +35,7 @@ fn a_group_is_written_before_the_next_frame_arrives() {
     let mut child = program(&["encode", "-", "-o", "-", "--gop", "2", "--quiet"]);
     let mut stdin = child.stdin.take().unwrap();
     let (mut reader, mut scanner) = (None, None);
-    // The pipe stays open: were a group held back, this would wait for ever.
+    // The pipe stays open: if a group were held back, this would wait forever.
     for pair in files.chunks_exact(2) {
         pair.iter().for_each(|file| stdin.write_all(&framed(file)).unwrap());
         stdin.flush().unwrap();
@@ -60,7 +61,7 @@ fn a_group_is_written_before_the_next_frame_arrives() {
     assert!(child.wait().unwrap().success());
 }
 
-/// The next message of a program, from its line and its size.
+/// The next message of a program, according to its line.
 fn message(from: &mut impl Read) -> File {
     let mut line = Vec::new();
     while line.last() != Some(&b'\n') {
@@ -81,7 +82,7 @@ fn messages_come_and_go_one_by_one() {
         let (stdin, stdout) = (child.stdin.take().unwrap(), child.stdout.take().unwrap());
         (child, stdin, stdout)
     });
-    // The pipes stay open: were a message held back, this would wait for ever.
+    // The pipes stay open: if a message were held back, this would wait forever.
     let mut payloads = Vec::new();
     for file in &files {
         let mut sent = file.clone();
@@ -97,7 +98,7 @@ fn messages_come_and_go_one_by_one() {
         drop(stdin);
         assert!(child.wait().unwrap().success());
     }
-    // Each decodes by itself, with the scanner that was found in the first.
+    // Each can be decoded separately, with the scanner that was fitted to the first.
     for (payload, file) in payloads.iter().step_by(2).zip(&files) {
         assert_eq!(decode_files(&payload.1).unwrap(), std::slice::from_ref(file));
         let mut reader = StreamReader::open(&payload.1[..], Limits::default()).unwrap();
@@ -128,7 +129,7 @@ fn messages_come_and_go_one_by_one() {
     }
 }
 
-/// What arrives of these bytes, which come one at a time.
+/// The frames that arrive from these bytes, which are read one at a time.
 fn arrive(bytes: &[u8]) -> Result<Vec<File>, String> {
     struct Slow<'a>(&'a [u8]);
     impl Read for Slow<'_> {
@@ -161,7 +162,7 @@ fn lines_and_sizes_are_checked() {
     }
 }
 
-/// An entry of a tar archive, as POSIX has it.
+/// An entry of a tar archive according to POSIX.
 fn entry(name: &str, kind: u8, bytes: &[u8]) -> Vec<u8> {
     let mut header = [0; 512];
     header[..name.len()].copy_from_slice(name.as_bytes());
@@ -268,7 +269,7 @@ fn pax_records_that_the_reader_cannot_use_are_refused() {
         let error = arrive(&archive.concat()).unwrap_err();
         assert!(error.contains(complaint), "{error}");
     }
-    // More than a header may take: told before all of it is in memory.
+    // More than a header may have: reported before all of it is in memory.
     let name = vec![b'n'; 2 << 20];
     let error = arrive(&[entry("././@LongLink", b'L', &name), END.to_vec()].concat()).unwrap_err();
     assert!(error.contains("damaged"), "{error}");
@@ -276,7 +277,7 @@ fn pax_records_that_the_reader_cannot_use_are_refused() {
 
 #[test]
 fn nothing_is_read_before_it_is_needed() {
-    // Whoever reads on after the bytes of the first scan fails.
+    // Reading beyond the bytes of the first scan fails.
     struct UpTo<'a>(&'a [u8]);
     impl Read for UpTo<'_> {
         fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
@@ -292,7 +293,7 @@ fn nothing_is_read_before_it_is_needed() {
     assert!(frames.next().unwrap().unwrap_err().to_string().contains("not sent yet"));
 }
 
-/// What the machine's own tar writes, through the program.
+/// The output of the system's own tar, through the program.
 #[test]
 #[cfg(target_os = "linux")]
 fn a_tar_pipe_comes_back() {

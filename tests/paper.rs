@@ -42,7 +42,7 @@ fn named(points: &[Points]) -> Vec<File> {
     (0..).zip(points).map(|(n, points)| (format!("{n}.bin"), kitti(points))).collect()
 }
 
-/// What the first section of a frame says.
+/// The parameters in the first section of a frame.
 fn parameters(stream: &[u8]) -> Vec<FrameParameters> {
     let (_, groups) = take_apart(stream);
     let frames = groups.iter().flat_map(|group| &group.frames);
@@ -54,8 +54,8 @@ fn parameters(stream: &[u8]) -> Vec<FrameParameters> {
         .collect()
 }
 
-/// Encodes in paper mode and decodes; the decoded points must be those of the encoder's range image, bit
-/// for bit, and the counts must add up.
+/// Encodes in paper mode and decodes; the decoded points must be those of the encoder's range image, bit for
+/// bit, and the counts must be consistent.
 fn keeps_the_image(files: &[File], config: &EncoderConfig) -> Vec<File> {
     let ProjectionKind::Ideal { columns, range_step_um } = config.projection else { panic!("no image") };
     let filtered = |cloud: &PointCloud| match config.outliers {
@@ -63,7 +63,7 @@ fn keeps_the_image(files: &[File], config: &EncoderConfig) -> Vec<File> {
         None => cloud.clone(),
     };
     let stream = encode_files(files, config);
-    // That of the article, or with the lasers of a scanner that was found.
+    // The article's scanner, or one with the lasers of the fitted scanner.
     let record = take_apart(&stream).0.into_iter().next();
     let scanner = record.and_then(|record| Scanner::of_record(record.family, &record.payload).unwrap());
     let found = scanner.as_ref().and_then(Scanner::hdl64).cloned();
@@ -89,7 +89,7 @@ fn keeps_the_image(files: &[File], config: &EncoderConfig) -> Vec<File> {
     decoded
 }
 
-/// What ranges can be predicted from before this coder.
+/// The predictions of ranges that this coder supports.
 fn predictions(coder: Coder) -> Vec<PredictionChoice> {
     let all = [
         PredictionChoice::Always(Prediction::None),
@@ -157,7 +157,8 @@ fn intensities_and_other_fields_stay_with_their_points() {
 #[test]
 fn headers_tell_the_number_of_points_that_are_left() {
     let points = &SCANS[0][..1000];
-    // Text rounds coordinates as the file did before: its points are not those of the image to the bit.
+    // Text rounds coordinates as the original file did, so its points differ from those of the image in the
+    // last bits.
     for (name, bytes) in [("a.pcd", pcd_text(points)), ("a.ply", ply(points)), ("a.pcd", pcd_extra(points))] {
         let decoded = decode_files(&encode_files(&[(name.to_owned(), bytes)], &paper())).unwrap();
         let left = parse(name, decoded[0].1.clone());
@@ -252,7 +253,7 @@ fn every_back_end_is_exact_in_exact_mode() {
 
 #[test]
 fn real_scans_keep_their_image() {
-    // Text files have no room for all digits of the image's points.
+    // Text files have too few digits for the image's points.
     let is_binary = |folder: &&PathBuf| {
         let files = first_files(folder, 1);
         files.iter().all(|(name, bytes)| {
@@ -279,7 +280,7 @@ const SOURCES: [PredictionChoice; 4] = [
     PredictionChoice::Smallest,
 ];
 
-/// The decoded images of a stream, and the original ones of its files in the same projection.
+/// The decoded images of a stream, and the original images of its files in the same projection.
 fn images(files: &[File], config: &EncoderConfig) -> (Vec<u8>, Vec<[RangeImage; 2]>) {
     let ProjectionKind::Ideal { columns, range_step_um } = config.projection else { panic!("no image") };
     let stream = encode_files(files, config);
@@ -334,7 +335,7 @@ fn image_coders_spend_what_they_may_and_err_less_for_more() {
     }
 }
 
-/// The points of the file are at the decoded ranges, and the encoder knows it: a frame's checksum is that of
+/// The points of the file are at the decoded ranges, as the encoder expects: a frame's checksum is that of
 /// the decoded file.
 #[test]
 fn lossy_points_are_at_the_decoded_ranges() {
@@ -365,8 +366,8 @@ fn lossless_jpeg_2000_keeps_the_image() {
     }
 }
 
-/// Ranges that are a little off change the order in which the formula puts points of neighbouring columns:
-/// what belongs to a point must go with it.
+/// Slightly different ranges change the order of the formula's points in neighbouring columns: the data of a
+/// point must follow it.
 #[test]
 fn lossy_points_of_the_calibrated_image_keep_their_intensities_and_fields() {
     let files: Vec<File> = (0..).zip(SCANS.iter()).map(|(n, p)| (format!("{n}.pcd"), pcd_extra(p))).collect();
@@ -381,7 +382,7 @@ fn lossy_points_of_the_calibrated_image_keep_their_intensities_and_fields() {
             decode_files(&encode_files(&files, &config)).unwrap().into_iter().zip(&files)
         {
             let [before, after] = [original.clone(), bytes].map(|bytes| parse(&name, bytes).cloud);
-            // An intensity and the fields beside it, of every point.
+            // The intensity and the other fields of every point.
             let all = |cloud: &PointCloud| {
                 let fields = |point: usize| -> Vec<u8> {
                     let value = |channel: &Channel| {

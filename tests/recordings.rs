@@ -1,4 +1,4 @@
-//! Recordings: packed and unpacked, every message, channel and attachment is as it was.
+//! Recordings: after packing and unpacking, every message, channel and attachment is unchanged.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -14,7 +14,7 @@ use mcap::{Attachment, Compression, WriteOptions};
 
 /// A message with its channel's number, topic, schema and metadata, its sequence number, both its times and its bytes.
 type OneMessage = (u16, String, String, BTreeMap<String, String>, u32, u64, u64, Vec<u8>);
-/// All that a reader of recordings sees: messages, attachments with their names, metadata.
+/// Everything that a reader of recordings can see: messages, attachments with their names, metadata.
 type Contents = (Vec<OneMessage>, Vec<(String, Vec<u8>)>, Vec<Metadata>);
 
 fn contents(recording: &[u8]) -> Contents {
@@ -142,7 +142,8 @@ fn topics_that_are_not_asked_for_are_copied() {
     assert!(again.unwrap_err().to_string().contains("packed already"));
 }
 
-/// Two topics of clouds by the highest numbers; the second channel and its schema come after messages of the first.
+/// Two topics of clouds with the highest channel numbers; the second channel and its schema come after
+/// messages of the first.
 fn numbered_from_the_top(repeats: bool) -> Vec<u8> {
     let options = WriteOptions::new().chunk_size(Some(1000)).repeat_channels(repeats).repeat_schemas(repeats);
     let mut out = options.create(Cursor::new(Vec::new())).unwrap();
@@ -217,7 +218,7 @@ fn the_program_packs_and_unpacks() {
     lidarpc(&["encode", &path("drive.mcap"), "-o", &path("small.mcap"), "--verify"]).success();
     lidarpc(&["decode", &path("small.mcap"), "-o", &path("back.mcap"), "--quiet"]).success();
     assert_eq!(contents(&std::fs::read(path("back.mcap")).unwrap()), contents(&original));
-    // What they hold, packed and not.
+    // Their contents, packed and not.
     let json = |args: &[&str]| -> serde_json::Value {
         let run = lidarpc(&[args, &["--json"]].concat()).success();
         serde_json::from_slice(&run.get_output().stdout).unwrap()
@@ -252,7 +253,7 @@ fn the_program_packs_and_unpacks() {
     };
     assert_eq!(files("a").len(), 4);
     assert_eq!(files("a"), files("b"));
-    // What is left of a recording is taken, and it is said.
+    // The remaining part of a recording is processed, and this is reported.
     std::fs::write(path("cut.mcap"), &original[..original.len() * 2 / 3]).unwrap();
     let cut = lidarpc(&["encode", &path("cut.mcap"), "-o", &path("rest.mcap")]).code(3);
     cut.stderr(predicates::str::contains("is cut short or damaged"));

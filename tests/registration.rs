@@ -1,4 +1,4 @@
-//! The scanner's motion, where it is known.
+//! The estimated motion of the scanner, compared with the true one.
 
 use crate::common::scans::small;
 use lidarpc::internals::files::parse;
@@ -10,7 +10,7 @@ use lidarpc::internals::scanner::hdl64::fit;
 use lidarpc::internals::scanner::{REACH, RangeImage, project};
 use lidarpc::internals::study::synth::{SynthConfig, SynthFrame, drive};
 
-/// Images of a drive, and the motion that led to each but the first.
+/// Images of a drive, and the motion that led to each of them except the first.
 struct Drive {
     sensor: Hdl64,
     images: Vec<RangeImage>,
@@ -44,7 +44,7 @@ impl Drive {
     }
 }
 
-/// Metres, and degrees, between two motions.
+/// The difference of two motions in metres, and in degrees.
 fn apart(a: &RigidMotion, b: &RigidMotion) -> (f64, f64) {
     let rest = a.then(&b.inverse()).pose();
     let [x, y, z] = rest.translation;
@@ -67,7 +67,7 @@ fn a_known_motion_is_found() {
     }
 }
 
-/// Rings on the ground and walls along the street look the same wherever one is.
+/// Rings on the ground and walls along the street look the same from everywhere.
 #[test]
 fn a_fast_car_is_followed_from_the_first_frame_on() {
     for speed in [1.5, 2.5, -0.8] {
@@ -79,8 +79,8 @@ fn a_fast_car_is_followed_from_the_first_frame_on() {
     }
 }
 
-/// Points alone do not tell how far one has come along a street: rings on the ground come along. They do tell
-/// how far one has turned.
+/// Points alone do not reveal the distance travelled along a street, as rings on the ground move along. They
+/// do reveal the rotation.
 #[test]
 fn the_articles_method_finds_a_turn() {
     let config = SynthConfig { frames: 2, speed: 0.0, yaw_rate: 0.02, ..SynthConfig::default() };
@@ -117,7 +117,7 @@ fn what_cannot_be_registered_is_noticed() {
         {
             assert!(register(reference, current).is_none(), "{method:?}");
         }
-        // A wall right in front of everything.
+        // A wall close in front of everything else.
         let mut wall = here.images[0].clone();
         for row in 0..wall.steps.rows() {
             wall.steps.row_mut(row).iter_mut().for_each(|steps| *steps = (*steps).min(900));

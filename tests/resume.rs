@@ -1,4 +1,5 @@
-//! An encode that was interrupted goes on to the same stream, or says why it cannot; it never makes another.
+//! An interrupted encode continues to the same stream, or reports why it cannot; it never produces a
+//! different one.
 
 use std::fs::{self, File};
 use std::sync::LazyLock;
@@ -17,7 +18,7 @@ use lidarpc::internals::stream::{Encoded, FrameInput, encode};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// Seven frames, one of which is no scan.
+/// Seven frames, one of which is not a scan.
 static FILES: LazyLock<Vec<Scan>> = LazyLock::new(|| {
     let frames = scans(&small(3, 7));
     let mut files: Vec<Scan> =
@@ -30,7 +31,7 @@ fn exact() -> EncoderConfig {
     EncoderConfig { gop: 2, threads: 2, ..EncoderConfig::default() }
 }
 
-/// A mode of each kind: what frame headers tell is of the input in the first only.
+/// One mode of each kind: frame headers describe the input in the first only.
 fn modes() -> [EncoderConfig; 3] {
     let bounded = EncoderConfig::preset(Mode::Bounded { max_error_um: 20_000 });
     [exact(), bounded, with_back_end(backend::LZMA)].map(|config| EncoderConfig {
@@ -40,7 +41,7 @@ fn modes() -> [EncoderConfig; 3] {
     })
 }
 
-/// Files in folders are of a drive for each folder; those below `beside` are no scans.
+/// Each folder is a drive; files below `beside` are not scans.
 fn inputs(files: &[Scan]) -> Vec<FrameInput> {
     let folder = |name: &str| name.rsplit_once('/').map(|(folder, _)| folder.to_owned());
     let mut folders: Vec<_> = files.iter().map(|(name, _)| folder(name)).collect();
@@ -65,7 +66,7 @@ impl Partial {
         partial
     }
 
-    /// As an encode leaves it that is interrupted at the very end.
+    /// The files of an encode that was interrupted at the very end.
     fn complete(files: &[Scan], config: &EncoderConfig) -> Self {
         let partial = Partial::with(b"", b"");
         let encoded = partial.encode(files, config).unwrap();
@@ -89,7 +90,7 @@ impl Partial {
         (read("stream"), read("journal"))
     }
 
-    /// Goes on, which must end in `whole`; returns how many frames were taken over.
+    /// Continues, which must end in `whole`; returns the number of frames that were kept.
     #[track_caller]
     fn becomes(&self, whole: &[u8], files: &[Scan], config: &EncoderConfig) -> u64 {
         let encoded = self.encode(files, config).unwrap();
@@ -101,7 +102,7 @@ impl Partial {
         encoded.resumed_frames
     }
 
-    /// Goes on, which must fail and leave everything as it was; returns the error's line.
+    /// Continues, which must fail and leave everything unchanged; returns the error's line.
     #[track_caller]
     fn refuses(&self, files: &[Scan], config: &EncoderConfig) -> String {
         let before = self.contents();
@@ -113,7 +114,7 @@ impl Partial {
     }
 }
 
-/// Where the groups end in the stream, as a journal tells.
+/// The ends of the groups in the stream, according to a journal.
 fn ends(journal: &[u8]) -> Vec<usize> {
     let lines = journal.split_inclusive(|byte| *byte == b'\n').skip(1);
     let end = |line| serde_json::from_slice::<Value>(line).unwrap()["stream_end"].as_u64().unwrap() as usize;
@@ -154,7 +155,7 @@ fn drives_of_a_tree_and_files_beside_them_go_on_too() {
     let (stream, journal) = partial.contents();
     assert!(stream == whole);
     let ends = ends(&journal);
-    // Two groups of each.
+    // Two groups of each drive.
     assert_eq!(ends.len(), 6);
     for (groups, end) in (1..).zip(&ends) {
         let resumed = Partial::with(&stream[..*end], &journal);
@@ -235,7 +236,7 @@ fn other_settings_are_refused() {
         assert!(error.starts_with("out.partial was begun with other settings"), "{error}");
         assert!(error.contains(what), "{error}");
     }
-    // Where nothing is kept, nothing differs.
+    // If nothing is kept, there is no difference.
     let gop_3 = EncoderConfig { gop: 3, ..exact() };
     let (stream, journal) = partial.contents();
     let begun = Partial::with(&stream[..100], &journal);
@@ -248,7 +249,7 @@ fn other_settings_are_refused() {
     let journal = String::from_utf8(journal).unwrap().replacen(env!("CARGO_PKG_VERSION"), "0.0.9", 1);
     let error = Partial::with(&stream, journal.as_bytes()).refuses(&FILES, &exact());
     assert!(error.contains("lidarpc: 0.0.9, now"), "{error}");
-    // A journal that claims to be of fewer frames.
+    // A journal that claims fewer frames.
     let journal = journal.replacen("0.0.9", env!("CARGO_PKG_VERSION"), 1).replacen("\"7\"", "\"4\"", 1);
     let error = Partial::with(&stream, journal.as_bytes()).refuses(&FILES[..4], &exact());
     assert!(error.contains("more frames"), "{error}");
@@ -318,17 +319,17 @@ fn files_that_are_no_partial_stream_stay() {
         let error = Partial::with(garbage, journal).refuses(&FILES, &exact());
         assert!(error.starts_with("out.partial has no journal"), "{error}");
     }
-    // A journal of ours, but another stream, be it one of the same names and settings.
+    // A valid journal with another stream, even one of the same names and settings.
     let whole = encode_files(&FILES, &exact());
     let mut others = FILES.clone();
     others[0].1 = kitti(&random_points(200, 1));
     let other = encode_files(&others, &exact());
-    // One that is whole, and differs in a byte of its first frame.
+    // A complete one that differs in a byte of its first frame.
     let (models, mut groups) = take_apart(&whole);
     groups[0].frames[0].sections[0].payload[3] ^= 1;
     let forged = put_together(&models, &groups);
     assert_eq!(forged.len(), whole.len());
-    // One that has other names than its journal.
+    // One with other names than its journal.
     let renamed: Vec<Scan> = FILES.iter().map(|(name, bytes)| (format!("a{name}"), bytes.clone())).collect();
     let (stream_of_renamed, journal_of_renamed) = Partial::complete(&renamed, &exact()).contents();
     let misnamed = String::from_utf8(journal_of_renamed).unwrap().replace("\"a", "\"");
@@ -341,7 +342,7 @@ fn files_that_are_no_partial_stream_stay() {
     ] {
         assert_eq!(Partial::with(stream, journal).becomes(&whole, &FILES, &exact()), 0);
     }
-    // What comes after the end is not ours.
+    // Bytes after the end are not part of the stream.
     let longer = [&whole[..], &[7; 1000]].concat();
     assert_eq!(Partial::with(&longer, &journal).becomes(&whole, &FILES, &exact()), 7);
 }

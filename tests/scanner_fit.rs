@@ -1,5 +1,5 @@
-//! The fit of an HDL-64E: its constants against the simulator's, and which share of the points it explains, whatever the
-//! sample.
+//! The fit of an HDL-64E: its constants against the simulator's, and the share of points that it explains,
+//! for any sample.
 
 use crate::common;
 use crate::common::formats::kitti;
@@ -26,12 +26,12 @@ fn fitted(sample: &[Points]) -> Option<Hdl64> {
     fit(&sample.iter().map(file).collect::<Vec<_>>())
 }
 
-/// Share of a scan's points that are returns of the range image.
+/// The share of a scan's points that are returns of the range image.
 fn explained(sensor: &Hdl64, points: &Points) -> f64 {
     1.0 - project(sensor, &file(points).cloud, REACH).strays.len() as f64 / points.len() as f64
 }
 
-/// Share of a scan's points that the formula gives to the millimetre.
+/// The share of a scan's points that the formula reproduces to the millimetre.
 fn exact(sensor: &Hdl64, points: &Points) -> f64 {
     let mut exact = 0;
     let mut row = 0;
@@ -46,7 +46,7 @@ fn exact(sensor: &Hdl64, points: &Points) -> f64 {
     exact as f64 / points.len() as f64
 }
 
-/// The sample is fitted, and explains `good` but for a few points.
+/// A scanner is fitted to the sample, and explains all except a few points of `good`.
 fn explains(sample: &[Points], good: &Points, least: f64) -> Hdl64 {
     let sensor = fitted(sample).expect("a scanner is found");
     let share = explained(&sensor, good);
@@ -55,7 +55,7 @@ fn explains(sample: &[Points], good: &Points, least: f64) -> Hdl64 {
     sensor
 }
 
-/// The model's record gives a model that projects the same, point for point.
+/// A model read from the record gives the same projection, point for point.
 fn comes_back(sensor: &Hdl64, points: &Points) {
     let mut bytes = Vec::new();
     sensor.write_to(&mut bytes);
@@ -118,7 +118,7 @@ fn odd_frames_among_good_ones() {
     }
 }
 
-/// The first frames are all odd, each in its way, and only two are good.
+/// The first frames are all unusual, each in its own way, and only two are good.
 #[test]
 fn a_sequence_that_begins_with_odd_frames() {
     let frames = scans(&config(2));
@@ -139,7 +139,7 @@ fn a_sequence_that_begins_with_odd_frames() {
     explains(&sample, &frames[2], 0.998);
 }
 
-/// In each frame another beam is blind, so that the rows are never the same beams.
+/// In each frame another beam is missing, so that the rows are never the same beams.
 #[test]
 fn beams_that_are_missing_now_and_then() {
     let frames = scans(&config(3));
@@ -156,7 +156,7 @@ fn beams_that_are_missing_now_and_then() {
     explains(&sample, &sample[1], 0.998);
 }
 
-/// Upper beams that see little but sky: a row ends long before the azimuth is round, or is empty.
+/// Upper beams that see little except sky: a row ends long before the turn is complete, or is empty.
 #[test]
 fn beams_with_few_points() {
     let frames = scans(&config(4));
@@ -196,7 +196,7 @@ fn coordinates_that_were_not_rounded() {
     assert!(!sensor.is_single_precision());
 }
 
-/// Constants are found to their last bits: what the formula gives is the very file.
+/// Constants are found to their last bits: the formula reproduces the file exactly.
 #[test]
 fn coordinates_computed_in_single_precision() {
     let config = SynthConfig { beams: 8, thinning: 2, ..config(8) };
@@ -215,7 +215,7 @@ fn coordinates_computed_in_single_precision() {
     assert!(share > 0.97, "{share} of the points to the bit");
 }
 
-/// What other drives hold: points in no shared column, order broken at the seam, a y of -0.0.
+/// Properties of other drives: points in no shared column, order broken at the seam, a y of -0.0.
 #[test]
 fn frames_with_points_off_the_columns_and_out_of_order() {
     let mut frames = scans(&config(1));
@@ -223,7 +223,7 @@ fn frames_with_points_off_the_columns_and_out_of_order() {
     for (points, others) in frames.iter_mut().zip(&other_columns) {
         let mut rows = rows(points);
         for (row, others) in rows.iter_mut().zip(common::scans::rows(others)) {
-            // The end of the row comes first, as where a row starts before the seam.
+            // The end of the row comes first, as if the row started before the seam.
             row.rotate_right(2);
             row.splice(50..50, others[130..133].to_vec());
         }
@@ -248,7 +248,7 @@ fn what_no_scanner_saw_is_fitted_by_none() {
 #[test]
 fn the_constants_are_those_of_the_simulator() {
     for seed in 1..4 {
-        // All firings: the more points, the sharper the constants.
+        // All firings: with more points, the constants are more accurate.
         let config = SynthConfig { thinning: 1, frames: 2, ..config(seed) };
         let scanner = fitted(&scans(&config)).expect("a scanner is found");
         let beams = scanner_beams(&config);
@@ -256,7 +256,8 @@ fn the_constants_are_those_of_the_simulator() {
         let (mut elevation_off, mut height_off) = (0.0f64, 0.0f64);
         for (row, beam) in beams.iter().enumerate() {
             elevation_off = elevation_off.max((scanner.elevation(row).to_degrees() - beam.elevation).abs());
-            // Ranges may count from any whole step, so the beam's height is compared where it is 10 m away.
+            // Ranges may be counted from any whole step, so the beam's height is compared at a distance of 10
+            // m.
             let [x, y, z] = scanner.point(row, 0, 5000);
             let along = x.hypot(y) - beam.range_offset;
             let expected = along * beam.elevation.to_radians().tan() + beam.height;

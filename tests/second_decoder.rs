@@ -1,4 +1,4 @@
-//! The second decoder, written in Python from FORMAT.md, gives the same files for the golden streams.
+//! The second decoder, written in Python from FORMAT.md, decodes the golden streams to the same files.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,11 +6,11 @@ use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-/// Streams whose frames take it more than a few seconds, of which the first two are decoded.
+/// Streams whose frames take it more than a few seconds; only the first two are decoded.
 const SLOW: [&str; 1] = ["exact-deep-p-frames"];
-/// The status with which it says that a stream needs what it does not know.
+/// The exit status by which it reports that a stream needs an unsupported feature.
 const NOT_HERE: i32 = 3;
-/// Such streams, by a part of their names.
+/// Parts of the names of such streams.
 const BACK_ENDS: [&str; 5] = ["brotli", "ppmd", "lz5", "lizard", "jpeg2000"];
 
 #[test]
@@ -54,7 +54,8 @@ fn check(root: &Path, stream: &Path) {
         return;
     }
     assert!(output.status.success(), "{name}: {error}");
-    // Each line: name, size, checksum; then the number of points, which the lists of the golden streams do not have.
+    // Each line: name, size, checksum; then the number of points, which the lists of the golden streams do
+    // not have.
     let decoded = String::from_utf8(output.stdout).unwrap();
     let decoded: Vec<&str> = decoded.lines().map(|line| line.rsplit_once(' ').unwrap().0).collect();
     let list = fs::read_to_string(stream.with_extension("txt")).unwrap();

@@ -1,8 +1,10 @@
-//! What streams take, and which family of scanners explains the scans: held by a table, `testdata/sizes.txt`, which is
-//! changed on purpose by `cargo test --test all -- --ignored write_sizes`.
+//! The sizes of streams, and the family of scanners that explains the scans, compared with a table,
+//! `testdata/sizes.txt`. Intended changes are written to it by `cargo test --test all -- --ignored
+//! write_sizes`.
 //!
-//! A line is: name, level, family of the scanner or `-`, bytes of the stream. Names that begin with `real/` are the first
-//! file of a folder of real scans, which are not part of the package; without them their lines are not looked at.
+//! A line consists of name, level, family of the scanner or `-`, and bytes of the stream. Names that begin
+//! with `real/` are the first file of a folder of real scans, which are not part of the package; without them
+//! their lines are ignored.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -13,7 +15,7 @@ use crate::common::{File, encode_files, first_files, in_package, real_folders, t
 use lidarpc::internals::scanner::Scanner;
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, drive};
 
-/// Names and files: the test data, simulated scans, and one of each folder of real ones.
+/// Names and files: the test data, simulated scans, and one file of each folder of real ones.
 fn inputs() -> Vec<(String, Vec<File>)> {
     let vlp16 =
         SynthConfig { scanner: SynthScanner::Vlp16, frames: 2, thinning: 4, ..SynthConfig::default() };
@@ -83,7 +85,7 @@ fn streams_are_as_small_as_the_table_says() {
             }
             continue;
         };
-        // The fit is not the same to the last bit everywhere.
+        // The fit is not the same to the last bit on all platforms.
         let is_same = match cfg!(all(target_arch = "x86_64", target_os = "linux")) {
             true => bytes == expected,
             false => bytes.abs_diff(*expected) * 1000 <= *expected,

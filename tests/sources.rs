@@ -1,4 +1,4 @@
-//! What documents and sources say of one another: that folders use only those above them, and that cited sections exist.
+//! Consistency of documents and sources: folders use only those listed before them, and cited sections exist.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use crate::common::in_package;
 
-/// The folders and files of `src`, as ARCHITECTURE.md lists them: each may use those above it. `lib.rs` and `main.rs` use all.
+/// The folders and files of `src` in the order of ARCHITECTURE.md: each may use those before it. `lib.rs` and
+/// `main.rs` use all.
 const FOLDERS: [&str; 19] = [
     "ground",
     "container",
@@ -29,7 +30,7 @@ const FOLDERS: [&str; 19] = [
     "wasm",
 ];
 
-/// All files below a folder whose names end so.
+/// All files below a folder with this extension.
 fn files_below(folder: &Path, extension: &str, files: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -53,7 +54,8 @@ fn sources() -> BTreeMap<String, String> {
     files.iter().map(named).collect()
 }
 
-/// Lines of code without the unit tests, which may use anything: they stand last in a file, or are a file of their own.
+/// Lines of code without the unit tests, which may use anything: they are at the end of a file, or in a file
+/// of their own.
 fn code(name: &str, text: &str) -> Vec<String> {
     if name.ends_with("/tests.rs") || name.ends_with("/testing.rs") {
         return Vec::new();
@@ -86,7 +88,7 @@ fn folders_use_those_above_them() {
         }
         let own = place(folder).unwrap_or_else(|| panic!("src/{name} is in no folder of the list"));
         for line in code(&name, &text) {
-            // What is no folder is what lib.rs makes public.
+            // Names other than those of folders are re-exports of lib.rs.
             let below = used(&line).any(|found| place(found).is_some_and(|other| other > own));
             if below {
                 wrong.push(format!("src/{name}: {}", line.trim()));

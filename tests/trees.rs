@@ -1,4 +1,4 @@
-//! Trees of drives, the files beside the scans, and times: what comes back of a folder as people have it.
+//! Trees of drives, the files beside the scans, and times: how typical folders are restored.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -24,7 +24,7 @@ fn tree(folder: &Path) -> BTreeMap<String, Option<Vec<u8>>> {
     found
 }
 
-/// Bytes that no coder shortens.
+/// Bytes that cannot be compressed.
 fn noise(bytes: u32, seed: u32) -> Vec<u8> {
     let mut state = seed | 1;
     let mut next = || {
@@ -36,7 +36,7 @@ fn noise(bytes: u32, seed: u32) -> Vec<u8> {
     (0..bytes).map(|_| next()).collect()
 }
 
-/// Two drives as KITTI has them, with equal names, and what stands beside their scans.
+/// Two drives in KITTI's form, with equal names, and the files beside their scans.
 fn drives() -> Bench {
     let bench = Bench::new();
     for (drive, seed) in [("a/drive_1", 1), ("b/drive_2", 2)] {
@@ -83,11 +83,11 @@ fn a_tree_comes_back_whole() {
             assert_eq!(stats["against"]["identical_files"], 37);
         }
     }
-    // Written so that it can go on, it is the same; tests/resume.rs interrupts it.
+    // Written with --resume, it is the same; tests/resume.rs interrupts it.
     bench.ok("encode tree -o resumed.lpc --all --resume");
     bench.ok("encode tree -o plain.lpc --all");
     assert_eq!(bench.read("resumed.lpc"), bench.read("plain.lpc"));
-    // A file beside the scans is an input too, which no output replaces; a stream from before is not.
+    // A file beside the scans is an input too, which no output may replace; an earlier stream is not.
     let error =
         bench.fails("encode tree -o tree/calib/poses.txt --all --force --quiet", "tree/calib/poses.txt");
     assert!(error.contains("is an input as well"), "{error}");
@@ -108,7 +108,7 @@ fn without_all_a_tree_gives_its_scans_under_their_paths() {
     let scans =
         |folder: &str| tree(&bench.path(folder)).into_iter().filter(|(name, _)| name.ends_with(".bin"));
     assert!(scans("tree").eq(scans("back")));
-    // One drive alone: its scans under their own names, as ever.
+    // A single drive: its scans keep their own names, as always.
     bench.ok("encode tree/a/drive_1 -o one.lpc");
     bench.ok("decode one.lpc -o one");
     assert_eq!(bench.files("one"), bench.files("tree/a/drive_1/velodyne_points/data"));
@@ -125,7 +125,7 @@ fn groups_and_scanners_are_of_one_drive() {
     let frames = info["frames"].as_array().unwrap();
     assert!(frames[..24].iter().all(|frame| frame["unit"] == "file"));
     assert!(frames[24..].iter().all(|frame| frame["unit"] == "file beside the scans"));
-    // What is compressed already is stored.
+    // Compressed files are stored.
     let picture = frames.iter().find(|frame| frame["name"] == "a/drive_1/image_02/0.png").unwrap();
     let coded = picture["coded_bytes"].as_u64().unwrap();
     assert!((5000..5100).contains(&coded), "{coded}");
@@ -141,7 +141,7 @@ fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
     }
     bench.ok("decode out -o back");
     assert_eq!(tree(&bench.path("tree")), tree(&bench.path("back")));
-    // Drives that are there already are left as they are.
+    // Existing drives are left as they are.
     fs::remove_file(bench.path("out/a/drive_1.lpc")).unwrap();
     let said = bench.says("encode tree -o out --all --resume");
     assert!(said.contains("1 drive, 12 frames: ") && said.contains("1 drive there already"), "{said}");
@@ -152,19 +152,19 @@ fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
         said.contains("drive_1.lpc: exists") && said.ends_with("lidarpc: 2 of 2 drives failed\n"),
         "{said}"
     );
-    // Several inputs, with the same names in each; and files, by their folder.
+    // Several inputs with the same names in each; and files, by their folder.
     bench.ok("encode tree/a tree/b/drive_2 tree/b/drive_2/velodyne_points/data/0000000001.bin -o several/");
     let files = tree(&bench.path("several"));
     assert!(files.keys().eq(["a.lpc", "data.lpc", "drive_2.lpc"]), "{:?}", files.keys());
     let error = bench.fails("encode tree/a tree/a -o twice/ --quiet", "tree/a");
     assert!(error.contains("another input becomes too"), "{error}");
-    // What is there from before is no part of the drive.
+    // Earlier output is not part of the drive.
     bench.ok("encode tree -o tree/streams/ --all");
     bench.ok("encode tree -o tree/streams/ --all --force");
     bench.ok("decode tree/streams -o again");
     fs::remove_dir_all(bench.path("tree/streams")).unwrap();
     assert_eq!(tree(&bench.path("tree")), tree(&bench.path("again")));
-    // Files that belong to no drive are not lost without a word.
+    // Files that belong to no drive are reported.
     bench.write_files("tree", &[("readme.txt".to_owned(), b"read".to_vec())].into());
     let said = bench.says("encode tree -o more/ --all");
     assert!(said.contains("1 file outside the drives (4 bytes, tree/readme.txt)"), "{said}");
@@ -175,7 +175,7 @@ fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
     let left_out = &report["left_out"][0];
     assert_eq!((&left_out["what"], &left_out["count"]), (&"file outside the drives".into(), &1.into()));
     assert_eq!(left_out["first"], "tree/readme.txt");
-    // Several inputs count together.
+    // Several inputs are counted together.
     let report = bench.json("encode tree/a tree/b -o apart/ --json");
     let report = report["left_out"].as_array().unwrap();
     let files = report.iter().find(|one| one["what"] == "file not known as a scan").unwrap();
@@ -223,7 +223,7 @@ fn times_come_from_lists_and_names() {
     assert_eq!(bench.json("stats end.lpc --json")["frames"], 2);
     let error = bench.fails("decode out.lpc -o none --time 5s..6s", "out.lpc");
     assert!(error.contains("from 0 to 1.100 s"), "{error}");
-    // A list that does not belong to the scans is passed over.
+    // A list that does not match the scans is ignored.
     let scans = [("7.bin", 1), ("8.bin", 2)].map(|(name, seed)| (name.to_owned(), scan(50, seed)));
     bench.write_files("lists/velodyne", &scans.into());
     let lists = [("timestamps.txt", "2011-09-26 13:02:25\n"), ("times.txt", "0\n0.5\n")];
@@ -312,7 +312,7 @@ fn completions_and_manual_pages_name_every_command() {
 #[cfg(target_os = "linux")]
 fn a_file_that_no_decoder_takes_is_left_out_and_said() {
     let bench = drives();
-    // Of holes alone: it takes no space.
+    // A sparse file, which takes no space.
     fs::File::create(bench.path("tree/a/drive_1/video.mp4")).unwrap().set_len((1 << 30) + 1).unwrap();
     let said = bench.says("encode tree/a/drive_1 -o one.lpc --all");
     assert!(
@@ -322,7 +322,7 @@ fn a_file_that_no_decoder_takes_is_left_out_and_said() {
     bench.fails("encode tree/a/drive_1 -o strict.lpc --all --strict", "tree/a/drive_1");
 }
 
-/// A stream whose names would leave the folder: the decoder trusts nothing.
+/// A stream with names that would leave the folder: the decoder trusts nothing.
 #[test]
 fn names_never_leave_the_folder() {
     use lidarpc::internals::container::{
@@ -351,7 +351,7 @@ fn names_never_leave_the_folder() {
     }
 }
 
-/// The parameters of a frame that is the bytes of its file, as the encoder writes them.
+/// The parameters of a frame coded as the bytes of its file, as the encoder writes them.
 fn parameters_of_bytes() -> Vec<u8> {
     use lidarpc::internals::container::{Record, SectionKind, StreamReader};
     use lidarpc::internals::ground::error::Limits;

@@ -1,11 +1,11 @@
-//! LZ5 and Lizard read what the reference programs wrote.
+//! LZ5 and Lizard decode the output of the reference programs.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use lidarpc::internals::backend::{by_name, decompress};
 
-/// Deltas as of a range image: mostly small, some large, zigzag, 16 bits little-endian.
+/// Residuals as of a range image: mostly small, some large, zigzag, 16 bits little-endian.
 fn residuals() -> Vec<u8> {
     let mut state = 2026u32;
     let mut next = |below: u32| {

@@ -1,4 +1,4 @@
-//! The scans that are measured.
+//! The scans used in the benchmarks.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::scan::ScanFile;
 
-/// Frames of each drive.
+/// Number of frames of each drive.
 const FRAMES: usize = 4;
 
 /// A drive's name and first scans.
@@ -27,7 +27,7 @@ pub fn drives() -> Vec<Drive> {
     folders.iter().filter_map(drive).collect()
 }
 
-/// Points of some scans.
+/// Number of points in some scans.
 pub fn points(scans: &[ScanFile]) -> u64 {
     scans.iter().map(|scan| scan.records as u64).sum()
 }

@@ -1,4 +1,4 @@
-//! The article's codec: outliers, segmentation, prediction from regions, the contour map, residuals, image coders.
+//! The article's codec: outliers, segmentation, region prediction, contour map, residuals, image coders.
 
 pub mod contour;
 pub mod image_coding;

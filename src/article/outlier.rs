@@ -3,10 +3,10 @@
 #[cfg(feature = "article")]
 mod search;
 
-/// Drops points with few other points near them.
+/// Removes points with few other points near them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RadiusOutlier {
-    /// n: a point with fewer neighbours is an outlier.
+    /// n: a point with fewer neighbours than this is an outlier.
     pub neighbours: usize,
     /// d: the greatest distance of a neighbour, in metres.
     pub radius_m: f64,

@@ -1,5 +1,4 @@
-//! Residuals of a range image, compressed by a general-purpose back-end (article, IV-D.2).
-//! FORMAT.md 8.13.
+//! Residuals of a range image, compressed by a back-end (article, IV-D.2). FORMAT.md 8.13.
 
 use crate::backend::{self, Backend, Level, Packing};
 use crate::ground::error::{Error, Result};

@@ -1,7 +1,7 @@
 //! LZMA: LZ77 with a large window, and adaptive binary range coding.
 //!
 //! The payload is the byte of LZMA's properties, then the raw stream without an end marker. The size of the
-//! window is not sent, because it is that of the data.
+//! window is not stored, because it is that of the data.
 
 use std::io::Write;
 
@@ -13,7 +13,7 @@ use crate::ground::error::{Error, Result};
 /// Levels 1 to 9 are liblzma's presets.
 pub struct Lzma;
 
-/// The smallest window that LZMA knows, in bytes.
+/// The smallest window that LZMA supports, in bytes.
 const SMALLEST_WINDOW: u32 = 4096;
 
 impl Backend for Lzma {
@@ -37,15 +37,16 @@ impl Backend for Lzma {
     }
 }
 
-/// Compresses as `xz -9e` does, with the contexts that suit a part of the bytes best; [`Lzma`] reads the result.
+/// Compresses like `xz -9e`, with the literal and position contexts that suit a sample best; [`Lzma`]
+/// decompresses the result.
 ///
 /// # Errors
 /// If the library fails.
 pub fn compress_hardest(input: &[u8]) -> Result<Vec<u8>> {
-    /// Bytes that show which contexts suit.
+    /// Number of bytes on which the contexts are compared.
     const SAMPLE: usize = 64 << 10;
-    /// How many bits of the byte before and of the position are contexts of a byte, and how many of the position are
-    /// those of a match: as for text, for values of four bytes, and for values or records of eight.
+    /// LZMA's lc, lp and pb (context bits from the byte before, of a literal's position, of a match's
+    /// position): for text, for values of four bytes, and for values or records of eight.
     const CONTEXTS: [(u32, u32, u32); 3] = [(3, 0, 2), (0, 2, 2), (0, 3, 3)];
     let from = input.len().saturating_sub(SAMPLE) / 2 / 8 * 8;
     let sample = &input[from..input.len().min(from + SAMPLE)];
@@ -63,9 +64,9 @@ pub fn compress_hardest(input: &[u8]) -> Result<Vec<u8>> {
     }
 }
 
-/// The options of `xz -9e` with these contexts: bits of the byte before, of the position, of the position of a match.
+/// The options of `xz -9e` with these values of lc, lp and pb.
 fn hardest((lc, lp, pb): (u32, u32, u32)) -> LzmaOptions {
-    /// The longest match that LZMA knows is taken without looking further.
+    /// LZMA's longest match: matches of this length are taken without further search.
     const NICE_LENGTH: u32 = 273;
     const DEPTH: i32 = 512;
     LzmaOptions { nice_len: NICE_LENGTH, depth_limit: DEPTH, lc, lp, pb, ..LzmaOptions::with_preset(9) }

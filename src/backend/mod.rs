@@ -44,13 +44,13 @@ pub static BACKENDS: &[&dyn Backend] = &[
 
 /// A lossless compressor of bytes.
 pub trait Backend: Sync {
-    /// Its number in the stream, which is never given to another back-end.
+    /// Its number in the stream, which is never reused for another back-end.
     fn id(&self) -> u8;
 
     /// Its name on the command line and in reports: lower case.
     fn name(&self) -> &'static str;
 
-    /// The packing of residuals that suits it best, as measured on real ones.
+    /// The packing of residuals that suits it best, according to measurements on real ones.
     fn packing(&self) -> Packing {
         Packing::Escape
     }
@@ -62,7 +62,8 @@ pub trait Backend: Sync {
     #[cfg(not(target_family = "wasm"))]
     fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>>;
 
-    /// Compresses nothing: a WebAssembly module is downloaded, and compressors would make a third of it.
+    /// Always fails: the compressors are left out of the WebAssembly module, which is downloaded; they would
+    /// take a third of its size.
     ///
     /// # Errors
     /// [`Error::Internal`].
@@ -71,14 +72,14 @@ pub trait Backend: Sync {
         Err(decodes_only())
     }
 
-    /// Decompresses to `length` bytes, or to any other number if `input` is damaged: use [`decompress`].
+    /// Decompresses to `length` bytes, or to another number if `input` is damaged: use [`decompress`].
     ///
     /// # Errors
-    /// If `input` is damaged in a way that the library notices.
+    /// If `input` is damaged in a way that the library detects.
     fn decompress_unchecked(&self, input: &[u8], length: usize) -> Result<Vec<u8>>;
 }
 
-/// The back-end of this number.
+/// The back-end with this number.
 ///
 /// # Errors
 /// If this program knows no such back-end.
@@ -87,13 +88,13 @@ pub fn by_id(id: u8) -> Result<&'static dyn Backend> {
     found.copied().ok_or_else(|| Error::unsupported(format!("unknown back-end {id}")))
 }
 
-/// The back-end of this name.
+/// The back-end with this name.
 pub fn by_name(name: &str) -> Option<&'static dyn Backend> {
     BACKENDS.iter().find(|backend| backend.name() == name).copied()
 }
 
 /// Decompresses to exactly `length` bytes. Memory stays within a small multiple of `length`, whatever `input`
-/// is.
+/// contains.
 ///
 /// # Errors
 /// If `input` does not hold exactly that many: some libraries silently return wrong data.
@@ -109,7 +110,7 @@ pub use lzma::compress_hardest;
 pub use packing::Packing;
 pub use zstd::compress_quickly;
 
-/// Effort: 1 is fast, 9 is small. Each coder maps it to a scale of its own.
+/// Effort: 1 is fastest, 9 gives the smallest result. Each coder maps it to a scale of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Level(u8);
 
@@ -119,7 +120,7 @@ impl Level {
         (1..=9).contains(&level).then_some(Level(level))
     }
 
-    /// All levels, rising.
+    /// All levels in ascending order.
     #[cfg(test)]
     pub fn all() -> impl Iterator<Item = Level> {
         (1..=9).map(Level)
@@ -137,19 +138,19 @@ impl Level {
 }
 
 impl Default for Level {
-    /// 6.
+    /// Level 6.
     fn default() -> Self {
         Level(6)
     }
 }
 
-/// The error of what WebAssembly is without.
+/// The error of functions that the WebAssembly module lacks.
 #[cfg(target_family = "wasm")]
 fn decodes_only() -> Error {
     Error::Internal("lidarpc as WebAssembly only decodes".to_owned())
 }
 
-/// Reads up to one byte more than `length`, so that too many bytes are noticed but not kept.
+/// Reads up to one byte more than `length`, so that excess bytes are detected but not kept.
 fn read_up_to(reader: impl Read, length: usize) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let read = reader.take(length as u64 + 1).read_to_end(&mut bytes);

@@ -1,5 +1,4 @@
-//! Residuals as bytes, laid out so that general-purpose back-ends find what they have in common.
-//! FORMAT.md 8.13.
+//! Residuals as bytes, arranged so that general-purpose back-ends find their similarities. FORMAT.md 8.13.
 
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -11,7 +10,7 @@ pub enum Packing {
     Words,
     /// Zigzag (0, -1, 1, -2, ...), each in as many bytes as the largest needs, little-endian.
     Zigzag,
-    /// The same, but first the low bytes of all, then the next bytes, and so on.
+    /// As `Zigzag`, but first the lowest bytes of all, then the next bytes, and so on.
     Planes,
     /// Zigzag, one byte each; 255 stands for 255 and more, with the excess of each as a varint at the end.
     Escape,
@@ -43,7 +42,7 @@ impl Packing {
         self as u8
     }
 
-    /// The packing of this number, if there is one.
+    /// The packing with this number, if there is one.
     pub fn from_code(code: u8) -> Option<Self> {
         Self::ALL.get(usize::from(code)).copied()
     }
@@ -132,8 +131,7 @@ fn start_width(residuals: &[i32], out: &mut Vec<u8>) -> usize {
     width as usize
 }
 
-/// The width that [`start_width`] wrote, and the bytes that follow it, if there are as many as there should
-/// be.
+/// The width that [`start_width`] wrote, and the bytes that follow it, if their number is right.
 fn take_width(bytes: &[u8], count: usize) -> Option<(usize, &[u8])> {
     let (&width, body) = bytes.split_first()?;
     let width = usize::from(width);

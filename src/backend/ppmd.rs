@@ -10,7 +10,7 @@ use crate::ground::error::{Error, Result};
 /// Levels 1 to 9 are orders 2 to 10. The payload is the order, then the stream.
 pub struct Ppmd;
 
-/// The model's memory in bytes for data of this length: more than the contexts of residuals take.
+/// The model's memory in bytes for data of this length: more than the contexts of residuals need.
 fn memory(length: usize) -> u32 {
     length.saturating_mul(64).clamp(1 << 16, 16 << 20) as u32
 }
@@ -45,7 +45,7 @@ impl Backend for Ppmd {
         }
         let decoder = Ppmd7Decoder::new(stream, order.into(), memory(length));
         let decoder = decoder.map_err(|error| Error::corrupt(error.to_string()))?;
-        // Without an end marker the stream yields bytes without end.
+        // Without an end marker the stream never ends.
         read_up_to(decoder, length - 1)
     }
 }

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// Bytes like those of residuals: mostly small numbers, some larger ones.
+/// Bytes like those of residuals: mostly small numbers, a few larger ones.
 fn residual_like(length: usize) -> Vec<u8> {
     let mut state = 12345u32;
     let mut next = || {

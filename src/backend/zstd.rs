@@ -8,7 +8,7 @@ pub struct Zstd;
 
 const LEVELS: [i32; 9] = [1, 3, 6, 9, 12, 15, 17, 19, 22];
 
-/// Compresses as `zstd -3` does; [`Zstd`] reads the result.
+/// Compresses like `zstd -3`; [`Zstd`] decompresses the result.
 ///
 /// # Errors
 /// If the library fails.
@@ -53,7 +53,8 @@ mod library {
     }
 }
 
-/// A decoder in Rust: Zstandard's own library is in C, for which WebAssembly has no standard library.
+/// A decoder in Rust: Zstandard's own library is in C and needs a C standard library, which WebAssembly
+/// lacks.
 #[cfg(target_family = "wasm")]
 mod library {
     use super::super::{decodes_only, read_up_to};

@@ -20,7 +20,7 @@ Examples:
   lidarpc verify drive.lpc                     check that the file is intact
   lidarpc cut drive.lpc --frames 10..20 -o part.lpc
 
-Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done as far as the input is whole.";
+Exit codes: 0 done, 1 failed, 2 wrong usage, 3 input damaged, intact parts processed.";
 
 /// Compresses folders of LiDAR scans, losslessly by default.
 #[derive(Debug, Parser)]
@@ -89,16 +89,16 @@ Examples:
   lidarpc encode drive/ -o drive.lpc --all        images, poses and times beside the scans too
   lidarpc encode tree/ -o tree.lpc                all drives below, in one file
   lidarpc encode tree/ -o out/                    a file for each drive
-  lidarpc encode drive/ -o drive.lpc --resume     if interrupted, the same command goes on
+  lidarpc encode drive/ -o drive.lpc --resume     if interrupted, the same command continues
   lidarpc encode drive/ -o drive.lpc --mode paper --step 1cm
   lidarpc encode drive.mcap -o small.mcap         a ROS recording, its clouds compressed
   ssh host 'tar c --sort=name drive' | lidarpc encode - -o drive.lpc
   lidarpc encode drive/ -o - | ssh host 'cat > drive.lpc'
 
-Names and bytes of files come back; of a tree with several folders of scans, paths too. Times and permissions, hidden \
-files, links to folders and files of other kinds are not stored; whatever of these a folder holds is counted on stderr, \
-kept by --all, or refused by --strict. Times of scans are taken from timestamps.txt (or times.txt) beside them, or from \
-names that are nanoseconds or microseconds.
+Names and bytes of files are restored; for a tree with several folders of scans, paths too. Times and permissions, \
+hidden files, links to folders and files of other kinds are not stored. What is left out of a folder is counted on \
+stderr; --all stores other files too, --strict makes it an error. Times of scans are taken from timestamps.txt (or times.txt) \
+beside them, or from names that are nanoseconds or microseconds.
 
 ";
 
@@ -128,7 +128,8 @@ pub struct EncodeArgs {
     pub all: bool,
     #[command(flatten)]
     pub threads: Threads,
-    /// Drives to encode in parallel into a folder. Default: one per thread if there are at least as many drives, else 1.
+    /// Drives to encode in parallel into a folder. Default: one per thread if there are at least as many
+    /// drives, else 1.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), hide_short_help = true)]
     pub jobs: Option<u16>,
     /// Decode the written file and compare it with the input, before it gets its final name.
@@ -180,14 +181,14 @@ pub struct EncodeArgs {
 }
 
 impl DecodeArgs {
-    /// Where to write; stdout until `decode` has chosen the default.
+    /// The output path; stdout until `decode` has chosen the default.
     pub fn output(&self) -> &Path {
         self.output.as_deref().unwrap_or(Path::new("-"))
     }
 }
 
 impl EncodeArgs {
-    /// Where to write; stdout until `encode` has chosen the default.
+    /// The output path; stdout until `encode` has chosen the default.
     pub fn output(&self) -> &Path {
         self.output.as_deref().unwrap_or(Path::new("-"))
     }
@@ -238,9 +239,9 @@ Examples:
   lidarpc decode drive.lpc -o drive/
   lidarpc decode drive.lpc -o part/ --frames 10..20     frames 10 to 19, the first being 0
   lidarpc decode drive.lpc -o - --frames 5 > frame5.bin
-  lidarpc decode damaged.lpc -o drive/ --keep-going     what is left
-  lidarpc decode drive.lpc -o part/ --time 12s..15s     from the first time on
-  lidarpc decode drive.lpc -o clouds/ --format pcd      as other programs read them
+  lidarpc decode damaged.lpc -o drive/ --keep-going     the intact frames
+  lidarpc decode drive.lpc -o part/ --time 12s..15s     since the first frame
+  lidarpc decode drive.lpc -o clouds/ --format pcd      in another format
   lidarpc decode out/ -o tree/                          a tree of streams, each into its folder
   lidarpc decode small.mcap -o drive.mcap               a recording as it was
   ssh host 'cat drive.lpc' | lidarpc decode - -o drive/";
@@ -280,8 +281,8 @@ pub struct DecodeArgs {
     /// decoded into a folder named after it.
     #[arg(required = true, value_name = "FILE")]
     pub inputs: Vec<PathBuf>,
-    /// Folder to write the scans into, created if missing; `-` for stdout (a single frame only); FILE.mcap, to restore a
-    /// recording with its original clouds. Default: FILE without `.lpc`.
+    /// Folder to write the scans into, created if missing; `-` for stdout (a single frame only); FILE.mcap,
+    /// to restore a recording with its original clouds. Default: FILE without `.lpc`.
     #[arg(short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
     /// Frames to decode, counted from 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
@@ -294,12 +295,12 @@ pub struct DecodeArgs {
     /// are.
     #[arg(long)]
     pub keep_going: bool,
-    /// Convert the scans from any format. Coordinates keep every bit (in text, except for the payload of a NaN); unnamed
-    /// fields and all other bytes of the files are left out.
+    /// Convert the scans from any format. Coordinates keep every bit (in text, except for the payload of a
+    /// NaN); unnamed fields and all other bytes of the files are left out.
     #[arg(long, value_enum)]
     pub format: Option<FormatArg>,
-    /// Decode the output of `encode --messages`, frame by frame as it arrives: into the folder, or to stdout, where each
-    /// frame follows a line with its name, a space and its size in bytes.
+    /// Decode the output of `encode --messages`, frame by frame as it arrives: into the folder, or to stdout,
+    /// where each frame follows a line with its name, a space and its size in bytes.
     #[arg(long, conflicts_with_all = ["frames", "time"])]
     pub messages: bool,
     /// Recordings: decode only the clouds of this topic into the folder; may be given several times. Default: all.
@@ -319,9 +320,9 @@ pub struct DecodeArgs {
 
 const STATS_NOTES: &str = "\
 Ratio is coded size / original size. RMSE and max error are 3-D distances in metres between points
-paired by their order. 'container' is all that is not the payload of a section or scanner:
-headers, names, lengths, checksums and the index. The bytes add up to the file's size. D1 and D2 PSNR are
-10 log10(3 p^2 / MSE) with p = 59.70 m, MSE that of the worse direction, as mpeg-pcc-dmetric computes them.";
+paired by their order. 'container' is everything except the payloads of sections and scanners:
+headers, names, lengths, checksums and the index. The sum of all bytes is the file's size. D1 and D2 PSNR are
+10 log10(3 p^2 / MSE) with p = 59.70 m and the MSE of the worse direction, as mpeg-pcc-dmetric computes them.";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = STATS_NOTES)]
@@ -330,7 +331,8 @@ pub struct StatsArgs {
     /// memory with the options below.
     #[arg(value_name = "FILE")]
     pub input: PathBuf,
-    /// Report the time of each coding step and the bytes it produces, like Tables II to VI of the article behind --mode paper.
+    /// Report the time of each coding step and the bytes it produces, like Tables II to VI of the article
+    /// behind --mode paper.
     #[arg(long, conflicts_with = "against")]
     pub steps: bool,
     /// Decode, and measure the error against these original scans.
@@ -399,8 +401,8 @@ Examples:
   lidarpc cut drive.lpc --frames 600.. -o rest.lpc
   ssh host 'cat drive.lpc' | lidarpc cut - --frames ..5 -o start.lpc
 
-Groups of frames are copied. Only if the range begins inside a group, the frames from there to that
-group's end are coded again; they decode to the same bytes as before, be they lossy or not.";
+Groups of frames are copied. Only if the range begins inside a group, the frames from there to the
+group's end are coded again; they decode to the same bytes as before, even if they are lossy.";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = CUT_EXAMPLES)]
@@ -432,7 +434,7 @@ Examples:
   lidarpc cat morning.lpc evening.lpc -o day.lpc
   lidarpc cut drive.lpc --frames 10..20 -o - | lidarpc cat first.lpc - -o both.lpc
 
-Frames keep their names, so no two may have the same; their order is that of the files.";
+Frames keep their names, which must be unique, and are in the order of the files.";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = CAT_EXAMPLES)]
@@ -490,8 +492,8 @@ pub struct ViewArgs {
     pub output: Option<PathBuf>,
     /// HTML page to write instead, which shows all frames in 3-D and plays them in any browser; `-` for stdout.
     ///
-    /// The page is a single file that needs no server and no network. Its points are rounded: coordinates to 1 cm, other
-    /// fields to 256 values.
+    /// The page is a single file that needs no server and no network. Its points are rounded: coordinates to
+    /// 1 cm, other fields to 256 values.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "frame", "kind", "against", "scale"])]
     pub html: Option<PathBuf>,
     /// Frames of the page, counted from 0: N, or A..B (without B). Default: all.
@@ -523,9 +525,9 @@ Examples:
   lidarpc bench drive/ --step 1cm --html report.html
   lidarpc bench drive/ --csv > report.csv
 
-Frames are taken in runs spread over the drive: for the tables twice 10, for the figures twice 3.
-Coders, predictions and, for curves, steps are the experiments' own; of the options above --columns,
---step, --level and those of outliers, registration and regions count.
+Frames are taken in runs spread over the drive: two runs of 10 for the tables, two of 3 for the figures.
+The experiments choose coders, predictions and, for curves, steps themselves; of the options above only
+--columns, --step, --level and those of outliers, registration and regions have an effect.
 
 ";
 
@@ -580,8 +582,8 @@ pub struct CompletionsArgs {
 
 #[derive(Debug, clap::Args)]
 pub struct ManArgs {
-    /// Folder to write `lidarpc.1` and a page for each command into, created if missing. Default: write only the page of
-    /// the program, to stdout.
+    /// Folder to write `lidarpc.1` and a page for each command into, created if missing. Default: write only
+    /// the page of the program, to stdout.
     #[arg(short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
 }

@@ -29,7 +29,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
         name_of(&args.input)
     );
     let config = coding::paper_config("bench", &args.coding, &args.threads);
-    // Before the work, which would be for nothing.
+    // Created first, so that an error does not waste the work.
     let mut page = args.html.as_deref().map(|path| FileOutput::create(path, args.force)).transpose()?;
     let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
     let frames = FrameInput::found(frames);
@@ -77,12 +77,12 @@ fn write_page(mut output: FileOutput, report: &Report) -> Result<()> {
     Ok(())
 }
 
-/// The last part of a path; `scans` if it has none, as `..`.
+/// The last part of a path; `scans` if it has none, like `..`.
 fn name_of_folder(path: &Path) -> String {
     path.file_name().map_or_else(|| "scans".to_owned(), |name| name.to_string_lossy().into_owned())
 }
 
-/// The command line as it may be shown to others: of absolute paths only the last part.
+/// The command line for publication: absolute paths are reduced to their last part.
 fn command_line(args: impl Iterator<Item = OsString>) -> String {
     let shown = |text: &str| {
         let path = Path::new(text);

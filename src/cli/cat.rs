@@ -17,7 +17,7 @@ use super::input::{Input, check_stdin_once, name_of};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
 use super::table;
 
-/// What was done, for machines.
+/// The machine-readable report.
 #[derive(Serialize)]
 struct Report {
     file: String,
@@ -62,8 +62,8 @@ fn summary(joined: &Joined) -> String {
 
 type Reader = StreamReader<Box<dyn Read + Send>>;
 
-/// Opens a stream and reads its header. Files are opened as their turn comes: there may be more of them than the
-/// system allows to be open.
+/// Opens a stream and reads its header. Files are opened only when needed, as there may be more of them than
+/// the system allows to be open.
 fn open(path: &Path, limits: Limits) -> error::Result<Named<Reader>> {
     let open = || StreamReader::open(Input::open(path)?.reader(), limits);
     let stream = open().map_err(|error: error::Error| error.at(name_of(path)))?;

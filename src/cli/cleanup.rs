@@ -1,17 +1,17 @@
-//! Temporary files and folders that a signal must not leave behind.
+//! Temporary files and folders that must not remain after a signal.
 
 #[cfg(unix)]
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// What to remove when the program is told to stop.
+/// The paths to remove when a signal ends the program.
 static TEMPORARY: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// What to say when the program is told to stop.
+/// The message to print when a signal ends the program.
 static LAST_WORDS: Mutex<Option<String>> = Mutex::new(None);
 
-/// While this lives, a signal that ends the program has it say something first.
+/// While this exists, a signal that ends the program prints a message first.
 #[derive(Debug)]
 pub struct SayOnSignal;
 
@@ -32,7 +32,7 @@ fn temporary() -> MutexGuard<'static, Vec<PathBuf>> {
     TEMPORARY.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// While this lives, its path is removed if a signal ends the program.
+/// While this exists, its path is removed if a signal ends the program.
 #[derive(Debug)]
 pub struct RemoveOnSignal(PathBuf);
 
@@ -49,34 +49,34 @@ impl Drop for RemoveOnSignal {
     }
 }
 
-/// From now on, SIGINT, SIGTERM and SIGHUP remove what is temporary before they end the program.
+/// From now on, SIGINT, SIGTERM and SIGHUP remove temporary paths before they end the program.
 #[cfg(unix)]
 pub fn on_signals() {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
-    // Without the handler the signals still end the program, only less tidily.
+    // Without the handler the signals still end the program, only without cleaning up.
     let Ok(mut signals) = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP]) else { return };
     std::thread::spawn(move || {
         for signal in signals.forever() {
-            // The lock is kept: nothing new becomes temporary any more.
+            // The lock is kept, so that no further temporary paths are added.
             let temporary = temporary();
             temporary.iter().for_each(|path| remove(path));
             if let Some(words) = &*LAST_WORDS.lock().unwrap_or_else(PoisonError::into_inner) {
-                // Off the line of the progress bar.
+                // On a new line after the progress bar.
                 let start = if std::io::stderr().is_terminal() { "\n" } else { "" };
                 eprintln!("{start}lidarpc: {words}");
             }
-            // Ends the program as the signal would have, so that a shell's loop ends as well.
+            // Ends the program as the signal would have, so that a shell's loop ends too.
             let _ = signal_hook::low_level::emulate_default_handler(signal);
         }
     });
 }
 
-/// Elsewhere signals end the program as they always do.
+/// On other systems signals end the program as usual.
 #[cfg(not(unix))]
 pub fn on_signals() {}
 
-/// Removes a file, or a folder with all files in it, of which more may be appearing meanwhile.
+/// Removes a file, or a folder with all its files, to which more may be added in the meantime.
 #[cfg(unix)]
 fn remove(path: &Path) {
     for _ in 0..100 {

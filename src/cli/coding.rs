@@ -1,4 +1,4 @@
-//! The options of the coder controller: a mode, and each choice by itself.
+//! The options of the coder controller: a mode, and individual settings.
 
 use crate::article::image_coding::{ImageCodec, Rate};
 use crate::backend::{self, Level, Packing};
@@ -234,7 +234,7 @@ fn packing_names() -> Vec<&'static str> {
     Packing::ALL.iter().map(|packing| packing.name()).collect()
 }
 
-/// The encoder's settings; ends the program, as for all wrong usage, if they do not fit together.
+/// The encoder's settings; if they do not fit together, ends the program as for any wrong usage.
 pub fn config(subcommand: &str, coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
     coding.config(threads.threads).unwrap_or_else(|error| wrong_usage(subcommand, error))
 }
@@ -248,7 +248,7 @@ impl CodingArgs {
     /// The encoder's settings.
     ///
     /// # Errors
-    /// If the choices do not fit together.
+    /// If the options do not fit together.
     fn config(&self, threads: usize) -> Result<EncoderConfig> {
         let mut config = EncoderConfig::preset(self.preset()?);
         if let Some(IntensityStep(step_millionths)) = self.intensity_step {
@@ -264,7 +264,7 @@ impl CodingArgs {
         Ok(config)
     }
 
-    /// The mode, by its name or by the options that belong to it.
+    /// The mode, from its name or from the options that imply it.
     fn preset(&self) -> Result<Mode> {
         let wrong = |what: &str| Err(Error::InvalidSettings(what.to_owned()));
         match (self.mode, self.max_error) {
@@ -316,7 +316,7 @@ impl CodingArgs {
         Ok(())
     }
 
-    /// Refuses options that belong to other coders.
+    /// Rejects options that belong to other coders.
     fn check_options_of(&self, coder: Coder) -> Result<()> {
         let for_backends = [("--packing", self.packing.is_some())];
         let for_images = [("--rate", self.rate.is_some()), ("--passes", self.passes.is_some())];
@@ -351,7 +351,7 @@ impl CodingArgs {
                 *range_step_um = self.step.map_or(*range_step_um, |step| step.0);
             }
             ProjectionKind::Calibrated { .. } if self.columns.is_some() => {
-                let what = "the calibrated range image has the sensor's own columns; \
+                let what = "the calibrated range image has the scanner's own columns; \
                             --columns needs --mode paper";
                 return Err(Error::InvalidSettings(what.to_owned()));
             }

@@ -17,7 +17,7 @@ use super::input::{Input, name_of, open};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
 use super::table;
 
-/// What was done, for machines.
+/// The machine-readable report.
 #[derive(Serialize)]
 struct Report {
     file: String,
@@ -49,7 +49,7 @@ pub fn run(args: &CutArgs, quiet: bool) -> Result<()> {
     Ok(())
 }
 
-/// Reads only the groups that it needs, if the input can be sought in.
+/// Reads only the necessary groups, if the input is seekable.
 fn write_stream(
     args: &CutArgs,
     input: Input,

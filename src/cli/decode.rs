@@ -25,13 +25,13 @@ use super::output::{FolderOutput, check_json, print_json};
 use super::time_range::TimeRange;
 use super::{messages, progress, recording, table, tree};
 
-/// What was done, for machines.
+/// The machine-readable report.
 #[derive(Serialize)]
 struct Report {
     folder: String,
     frames: u64,
     file_bytes: u64,
-    /// Of each file.
+    /// Losses, by file.
     lost: Vec<LossReport>,
     seconds: f64,
 }
@@ -70,7 +70,7 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
         }
         return to_stdout(args, first, &options, &converter);
     }
-    // Before anything is made for them.
+    // Opened before any output is created.
     let inputs: Vec<Input> = args.inputs.iter().map(|path| open(path)).collect::<Result<_>>()?;
     let folder = FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs);
     let counts = inputs.iter().map(|input| input.frame_count(options.limits));
@@ -116,7 +116,7 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     Err(error)
 }
 
-/// The output, or where none is given, a folder beside the input with its name.
+/// The output, or by default a folder beside the input, with its name.
 fn output_of(args: &DecodeArgs) -> PathBuf {
     if let Some(output) = &args.output {
         return output.clone();
@@ -129,10 +129,10 @@ fn output_of(args: &DecodeArgs) -> PathBuf {
     }
 }
 
-/// The frames that `--frames` or `--time` asks for; all if neither does.
+/// The frames selected by `--frames` or `--time`; all without these.
 ///
 /// # Errors
-/// If there is no frame of that time, or the times cannot be looked up.
+/// If there is no frame at that time, or if the times cannot be read.
 pub fn chosen_frames(
     subcommand: &str,
     path: &Path,
@@ -149,8 +149,8 @@ pub fn chosen_frames(
     range.map_err(|error| about(error, &name_of(path)))
 }
 
-/// Decodes as the arguments say: all of it or an error, or what is intact. Does `work` on each frame, and
-/// hands what comes of it to `sink`, in order.
+/// Decodes as the arguments say: all frames or an error, or the intact ones. Calls `work` on each frame, and
+/// passes the results to `sink`, in order.
 fn decode<T: Send>(
     args: &DecodeArgs,
     input: Input,
@@ -163,7 +163,7 @@ fn decode<T: Send>(
         return input.decode(options, work, sink).map(drop);
     }
     edit::recover(BufReader::new(input.rewindable()?), options, |part| match part {
-        // Only now: whether a frame is lost with its group is known when the whole group is decoded.
+        // Only now: whether a frame is lost with its group is known after the whole group is decoded.
         Recovered::Frame(frame) => sink(work(*frame)?),
         Recovered::Lost(lost) => {
             losses.tell(&lost);
@@ -172,7 +172,7 @@ fn decode<T: Send>(
     })
 }
 
-/// Writes the one frame that was asked for to stdout.
+/// Writes the single selected frame to stdout.
 fn to_stdout(args: &DecodeArgs, path: &Path, options: &DecodeOptions, converter: &Converter) -> Result<()> {
     let input = open(path)?;
     let mut only: Option<DecodedFrame> = None;
@@ -193,9 +193,9 @@ fn to_stdout(args: &DecodeArgs, path: &Path, options: &DecodeOptions, converter:
 
 /// A file to write.
 pub enum File {
-    /// As it was.
+    /// The original file.
     Original(Box<DecodedFrame>),
-    /// In another format.
+    /// A file in another format.
     Converted(Box<ScanFile>),
 }
 
@@ -207,7 +207,7 @@ impl File {
         }
     }
 
-    /// Gives its bytes, piece by piece.
+    /// Passes its bytes to `give`, piece by piece.
     pub fn write(&self, give: &mut Give<'_>) -> crate::ground::error::Result<()> {
         match self {
             File::Original(frame) => frame.write(give),
@@ -216,10 +216,10 @@ impl File {
     }
 }
 
-/// Makes files of frames: as they were, or in another format.
+/// Converts frames to files: the original ones, or in another format.
 pub struct Converter {
     format: Option<FileFormat>,
-    /// The frames' own names, by those of the converted files.
+    /// The frames' own names, by the names of the converted files.
     names: Mutex<HashMap<String, String>>,
 }
 
@@ -228,10 +228,12 @@ impl Converter {
         Converter { format: format.map(FormatArg::format), names: Mutex::default() }
     }
 
+    /// The file of a frame.
+    ///
     /// # Errors
-    /// If the frame cannot be converted, or another one has got the name that it would get.
+    /// If the frame cannot be converted, or if another frame already has its file name.
     pub fn file(&self, frame: DecodedFrame) -> crate::ground::error::Result<File> {
-        // Points that never were a file become one that says what their channels are.
+        // Points in memory are converted to a format that names their channels.
         let of_points = (frame.header.stamp.unit == Unit::Points).then_some(FileFormat::Pcd);
         let is_beside = frame.header.stamp.unit == Unit::Beside;
         let Some(format) = self.format.filter(|_| !is_beside).or(of_points) else {

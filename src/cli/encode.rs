@@ -98,7 +98,7 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     Ok(())
 }
 
-/// The output, or where none is given, a file beside the input with its name and the custom ending.
+/// The output, or by default a file beside the input, with its name and the extension of streams.
 fn output_of(args: &EncodeArgs) -> PathBuf {
     if let Some(output) = &args.output {
         return output.clone();
@@ -116,20 +116,20 @@ fn output_of(args: &EncodeArgs) -> PathBuf {
     args.inputs[0].with_file_name(name)
 }
 
-/// Deletes what was encoded, and the folders that are empty then.
+/// Deletes the encoded files, and the folders that this leaves empty.
 pub fn remove(found: &Found, inputs: &[PathBuf]) -> Result<()> {
     for FoundFile { path, .. } in found.frames.iter().chain(&found.beside) {
         let removed = if path.is_dir() { fs::remove_dir(path) } else { fs::remove_file(path) };
         removed.map_err(|error| about(error.into(), &path.display().to_string()))?;
         let above =
             path.ancestors().skip(1).take_while(|above| inputs.iter().any(|input| above.starts_with(input)));
-        // Those that still hold something stay.
+        // Folders that are not empty remain.
         above.take_while(|above| fs::remove_dir(above).is_ok()).for_each(drop);
     }
     Ok(())
 }
 
-/// Encodes into a file that is there as a whole or not at all. `found`: the frames, unless they come from stdin.
+/// Encodes to a file that exists only when complete. `found`: the frames, unless they come from stdin.
 pub fn encode_whole(
     args: &EncodeArgs,
     config: &EncoderConfig,
@@ -175,7 +175,7 @@ pub fn encode_whole(
     Ok((encoded, left_out))
 }
 
-/// Encodes into a file that stays if this is interrupted, and goes on with what an interrupted run has left.
+/// Encodes to a file that is kept if this is interrupted, and continues what an interrupted run left.
 fn encode_in_runs(
     args: &EncodeArgs,
     config: &EncoderConfig,
@@ -213,7 +213,7 @@ fn write_files(
     encoded
 }
 
-/// Encodes the frames from stdin as they arrive.
+/// Encodes frames from stdin as they arrive.
 fn write_live(
     config: &EncoderConfig,
     output: &mut FileOutput,
@@ -230,12 +230,12 @@ fn write_live(
     Ok((encoded?, arriving.left_out().clone()))
 }
 
-/// Decodes what was written and compares it with what was read.
+/// Decodes the output and compares it with the input.
 fn compare(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> Result<()> {
     let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
     let bar = progress::bar(Some(encoded.frames.len() as u64), "verifying", quiet);
     let mut decoded = Vec::new();
-    // Not the header's checksum, which the encoder wrote: that of the bytes that came out.
+    // Not the header's checksum, which the encoder wrote, but that of the decoded bytes.
     let identify = |frame: DecodedFrame| {
         let (mut crc, mut size) = (0, 0);
         frame.write(|piece| {
@@ -260,13 +260,13 @@ fn compare(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> Res
     Ok(())
 }
 
-/// Files of which no points are known, and which are therefore stored as bytes.
+/// Files in which no points were recognised, and which are therefore stored as bytes.
 fn plain_bytes(encoded: &Encoded) -> impl Iterator<Item = &str> {
     let frames = encoded.frames.iter().filter(|frame| frame.stamp.unit != Unit::Beside);
     frames.filter(|frame| frame.point_count == 0 && frame.file_size > 0).map(|frame| &frame.name[..])
 }
 
-/// The result in a line: what was saved, what was lost for it, and what else came of the files.
+/// The result in one line: what was saved, what was lost, and other remarks on the files.
 pub fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &Encoded) -> String {
     let ratio = metrics::ratio(encoded.file_bytes(), encoded.stream_bytes);
     let of_scans = encoded.stream_bytes - encoded.beside_coded;
@@ -310,7 +310,7 @@ pub fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &Encoded) -> 
     line
 }
 
-/// What comes back of the points.
+/// How accurately the points are restored.
 fn fidelity(config: &EncoderConfig, encoded: &Encoded) -> String {
     let mut words = match config.positions {
         Positions::Exact => "lossless".to_owned(),
@@ -331,7 +331,7 @@ fn fidelity(config: &EncoderConfig, encoded: &Encoded) -> String {
     words
 }
 
-/// The same for machines.
+/// The machine-readable report.
 #[derive(Serialize)]
 pub struct Report {
     pub file: String,
@@ -339,7 +339,7 @@ pub struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     max_error_m: Option<f64>,
     pub frames: u64,
-    /// Files beside the scans; their bytes are among `file_bytes`.
+    /// Files beside the scans; their bytes are included in `file_bytes`.
     files_beside: u64,
     bytes_beside: u64,
     resumed_frames: u64,
@@ -350,7 +350,7 @@ pub struct Report {
     pub stream_bytes: u64,
     ratio: Option<f64>,
     bits_per_point: Option<f64>,
-    /// Names of files of which no points are known.
+    /// Names of files in which no points were recognised.
     plain_bytes: Vec<String>,
     unmodelled_frames: u64,
     left_out: Vec<LeftOutReport>,
@@ -367,7 +367,7 @@ pub struct LeftOutReport {
 }
 
 impl LeftOutReport {
-    /// Each kind of what was left out.
+    /// An entry for each kind of item that was left out.
     pub fn of(left_out: &LeftOut) -> Vec<Self> {
         let each = left_out.0.iter().map(|(kind, paths)| LeftOutReport {
             what: kind.name(),
@@ -380,7 +380,7 @@ impl LeftOutReport {
 }
 
 impl Report {
-    /// What came of a run.
+    /// The report of a run.
     pub fn of(
         args: &EncodeArgs,
         config: &EncoderConfig,

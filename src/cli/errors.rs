@@ -1,4 +1,4 @@
-//! One line for what went wrong: `lidarpc: PATH: what is wrong; what to do`.
+//! Errors in one line: `lidarpc: PATH: what is wrong; what to do`.
 
 use std::io::{self, ErrorKind};
 
@@ -11,7 +11,7 @@ use crate::ground::error::Error;
 /// Ends the program as clap does for wrong usage of this subcommand.
 pub fn wrong_usage(subcommand: &str, what: impl std::fmt::Display) -> ! {
     let mut program = Args::command();
-    // Until then subcommands do not know what they belong to.
+    // Before this, subcommands do not know the name of the program.
     program.build();
     let command = program.find_subcommand_mut(subcommand);
     match command {
@@ -20,8 +20,8 @@ pub fn wrong_usage(subcommand: &str, what: impl std::fmt::Display) -> ! {
     }
 }
 
-/// Says the error on stderr and gives the exit code. A closed pipe is no error: whoever read from us
-/// has had enough.
+/// Prints the error on stderr and returns the exit code. A closed pipe is not an error: the reader needs no
+/// more.
 pub fn report(error: &anyhow::Error) -> u8 {
     if is_closed_pipe(error) {
         return DONE;
@@ -30,7 +30,8 @@ pub fn report(error: &anyhow::Error) -> u8 {
     if error.is::<NotWhole>() { NOT_WHOLE } else { FAILED }
 }
 
-/// All was done that the input allows, and the output is there; but the input is not whole. It has an exit code of its own.
+/// The input is damaged or incomplete, but its intact parts were processed and the output exists. This has
+/// its own exit code.
 #[derive(Debug)]
 pub struct NotWhole(pub String);
 
@@ -45,20 +46,20 @@ impl std::error::Error for NotWhole {}
 /// The exit codes; clap's for wrong usage is 2.
 pub const DONE: u8 = 0;
 const FAILED: u8 = 1;
-/// That for [`NotWhole`].
+/// The exit code of [`NotWhole`].
 const NOT_WHOLE: u8 = 3;
 
-/// Says the error on stderr.
+/// Prints the error on stderr.
 pub fn say(error: &anyhow::Error) {
     eprintln!("lidarpc: {}", line(error));
 }
 
-/// The error in a line: a name in it may hold anything.
+/// The error in one line: names in it may contain line breaks and control characters.
 pub fn line(error: &anyhow::Error) -> String {
     message(error).replace(char::is_control, "?")
 }
 
-/// An error about the file or stream of this name, unless it says itself what file it is about.
+/// An error about the file or stream with this name, unless the error itself names a file.
 pub fn about(error: Error, name: &str) -> anyhow::Error {
     match error {
         Error::At { .. } | Error::Input { .. } => error.into(),
@@ -66,7 +67,7 @@ pub fn about(error: Error, name: &str) -> anyhow::Error {
     }
 }
 
-/// The contexts, which name the file, then what is wrong, then what to do about it.
+/// The contexts, which name the file, then what is wrong and what to do about it.
 fn message(error: &anyhow::Error) -> String {
     let mut parts = Vec::new();
     for cause in error.chain() {
@@ -111,7 +112,7 @@ fn advice(error: &Error) -> Option<&'static str> {
     }
 }
 
-/// What the system says, in words that say what to do.
+/// The system's error, in words that say what to do.
 fn describe(error: &io::Error) -> String {
     let known = match error.kind() {
         ErrorKind::NotFound => "does not exist; check the path",
@@ -127,7 +128,7 @@ fn describe(error: &io::Error) -> String {
     known.to_owned()
 }
 
-/// Whether whoever reads our output has gone.
+/// Whether the error is that the reader of the output has closed the pipe.
 pub fn is_closed_pipe(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| match cause.downcast_ref() {
         Some(error) => is_closed_pipe_inside(error),

@@ -15,14 +15,14 @@ use super::errors::about;
 use super::output::print_json;
 use super::{coding, frames, progress, table};
 
-/// Places of the sequence where groups are encoded.
+/// Number of groups that are encoded, spread over the sequence.
 const GROUPS: usize = 3;
 
-/// What encoding is expected to come to.
+/// The expected result of encoding.
 #[derive(Serialize)]
 struct Estimate {
     frames: usize,
-    /// Frames that were encoded.
+    /// Number of encoded frames.
     sample: usize,
     file_bytes: u64,
     stream_bytes: u64,
@@ -73,7 +73,7 @@ pub fn run(args: &EstimateArgs, quiet: bool) -> Result<()> {
     )?)
 }
 
-/// Where groups of the sample begin.
+/// The first frames of the groups in the sample.
 fn group_places(frames: usize, group: usize) -> Vec<usize> {
     if frames <= GROUPS * group {
         return (0..frames).step_by(group).collect();

@@ -1,4 +1,5 @@
-//! The frames to encode, and what is to be said of them beforehand: whoever archives a folder should know.
+//! The frames to encode, and warnings about unusual ones before they are encoded: users who archive a folder
+//! should know.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -22,19 +23,19 @@ use super::{in_memory, partial, table};
 /// The files to encode.
 #[derive(Default)]
 pub struct Found {
-    /// Drive by drive.
+    /// The scans, drive by drive.
     pub frames: Vec<FoundFile>,
-    /// What is kept beside them.
+    /// The files beside them that are stored.
     pub beside: Vec<FoundFile>,
-    /// What decoding will not give back of the folders that they are in.
+    /// The contents of their folders that are not stored.
     pub left_out: LeftOut,
 }
 
 impl Found {
-    /// What the encoder takes.
+    /// The inputs of the encoder.
     pub fn inputs(&self) -> Vec<FrameInput> {
         let mut inputs = FrameInput::found(self.frames.iter().cloned());
-        // Kept apart from the scans, which have scanners.
+        // Separate from the scans, which have scanners.
         let drive = inputs.last().map_or(0, |last| last.drive() + 1);
         let beside = self.beside.iter().cloned();
         inputs.extend(beside.map(|file| FrameInput::beside(file.path, file.name).of_drive(drive)));
@@ -42,23 +43,24 @@ impl Found {
     }
 }
 
-/// Finds the files, and says what is left out.
+/// Finds the files, and reports what is left out.
 ///
 /// # Errors
-/// If there is no scan, or a file that is named is none or would be overwritten; with `--strict`, if anything is left out.
+/// If there is no scan, or if an explicitly named file is not a scan or would be overwritten; with
+/// `--strict`, if anything is left out.
 pub fn find(args: &EncodeArgs, quiet: bool) -> Result<Found> {
     let mut found = if args.all { find_all(&args.inputs)? } else { find_frames(&args.inputs)? };
     if !args.force_bytes {
         args.inputs.iter().filter(|input| input.is_file()).try_for_each(|input| check_scan(input))?;
     }
     let mut inputs = found.paths();
-    // A stream there is this program's own output from before; any other file is an input.
+    // A stream at the output path is an earlier output of this program; any other file is an input.
     if !in_memory::is_stream(args.output()) {
         inputs.extend(found.beside.iter().map(|file| file.path.clone()));
     }
     keep_inputs(args.output(), &inputs)?;
     let own = partial::outputs(args.output()).map(|path| fs::canonicalize(path).ok());
-    // The output may be a folder of streams in one of the inputs, though not the folder above one.
+    // The output may be a folder of streams in one of the inputs, but not a parent folder of one.
     let holds_input = |own: &Path| {
         args.inputs.iter().any(|input| fs::canonicalize(input).is_ok_and(|input| input.starts_with(own)))
     };
@@ -69,7 +71,7 @@ pub fn find(args: &EncodeArgs, quiet: bool) -> Result<Found> {
     let mut left_out = LeftOut::default();
     for (kind, path) in found.left_out {
         if !is_own(&path) {
-            // A link, or what is not readable, has no bytes of its own.
+            // Links and unreadable files have no size of their own.
             let bytes =
                 fs::symlink_metadata(&path).ok().filter(fs::Metadata::is_file).map_or(0, |about| about.len());
             let path = path.display().to_string();
@@ -83,7 +85,7 @@ pub fn find(args: &EncodeArgs, quiet: bool) -> Result<Found> {
     Ok(Found { frames: found.frames, beside: found.beside, left_out })
 }
 
-/// What messages call several inputs.
+/// The name of several inputs in messages.
 pub fn name_of_inputs(inputs: &[PathBuf]) -> String {
     match inputs {
         [input] => input.display().to_string(),
@@ -91,7 +93,8 @@ pub fn name_of_inputs(inputs: &[PathBuf]) -> String {
     }
 }
 
-/// Completes the settings by what the scans show, and says what is odd about them. `place`: what messages call these.
+/// Completes the settings according to the scans, and warns about anything unusual in them. `place`: their
+/// name in messages.
 ///
 /// # Errors
 /// If a scan cannot be read.
@@ -107,7 +110,7 @@ pub fn settle(frames: &[FoundFile], config: &mut EncoderConfig, place: &str, qui
     Ok(())
 }
 
-/// As [`settle`], of the layout of `.bin` records alone.
+/// As [`settle`], for the layout of `.bin` records only.
 ///
 /// # Errors
 /// If a scan cannot be read.
@@ -147,7 +150,7 @@ pub fn settle_layout(
     Ok(())
 }
 
-/// Says what an input holds that will not come back, in a line.
+/// Reports in one line what will not be restored.
 ///
 /// # Errors
 /// If `strict`.
@@ -165,9 +168,10 @@ pub fn check_left_out(left_out: &LeftOut, place: &str, strict: bool, quiet: bool
     Ok(())
 }
 
-/// Refuses a file that is named and holds no scan: it would be packed as bytes, and no better than by others.
+/// Rejects an explicitly named file that is not a scan: it would be stored as bytes, and compressed no better
+/// than by other programs.
 fn check_scan(path: &Path) -> Result<()> {
-    /// Bytes that a header takes at most.
+    /// Upper limit of the size of a header, in bytes.
     const HEADER: u64 = 1 << 20;
     let start = start_of(path, HEADER)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -189,7 +193,7 @@ fn check_scan(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Whether a file is named as a recording of ROS in another format than MCAP.
+/// Whether a file name is that of a ROS recording in another format than MCAP.
 fn is_other_recording(path: &Path) -> bool {
     let of = |wanted: &str| path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(wanted));
     of("bag") || of("db3")
@@ -202,7 +206,7 @@ fn start_of(path: &Path, most: u64) -> Result<Vec<u8>> {
     Ok(start)
 }
 
-/// Of a few files, what shows how long their records are.
+/// The parts of a few files from which the record length can be estimated.
 fn samples(frames: &[FoundFile]) -> Result<Vec<Sample>> {
     let mut places = vec![0, frames.len() / 2, frames.len().saturating_sub(1)];
     places.dedup();
@@ -216,9 +220,10 @@ fn samples(frames: &[FoundFile]) -> Result<Vec<Sample>> {
     Ok(samples)
 }
 
-/// What the ideal range image of paper mode does to a frame of another scanner than the HDL-64E, if that is much.
+/// A warning about the effect of paper mode's ideal range image on a frame of another scanner than the
+/// HDL-64E, if the effect is large.
 fn loss_of_paper_mode(frame: &FrameInput, config: &EncoderConfig) -> Option<String> {
-    /// An HDL-64E loses one point in six, and the others move by at most 0.25 m.
+    /// For an HDL-64E, one point in six is lost, and the others move by at most 0.25 m.
     const MOST_DROPPED: f64 = 0.25;
     const FARTHEST_M: f64 = 0.5;
     if !matches!(config.projection, ProjectionKind::Ideal { .. }) {
@@ -235,7 +240,7 @@ fn loss_of_paper_mode(frame: &FrameInput, config: &EncoderConfig) -> Option<Stri
         decoded = Some(frame);
         Ok(())
     };
-    // An error will be told when the frame is encoded.
+    // Errors will be reported when the frame is encoded.
     let (_, coded) = in_memory::encode(std::slice::from_ref(frame), &quick, true).ok()?;
     stream::decode(&coded[..], &DecodeOptions::default(), DecodedFrame::checked, keep).ok()?;
     let decoded = decoded?;

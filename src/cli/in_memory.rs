@@ -1,4 +1,4 @@
-//! Scans given to a command that works on streams: they are coded in memory.
+//! Encodes scans in memory for commands that work on streams.
 
 use crate::stream;
 use std::fs::File;
@@ -14,14 +14,14 @@ use crate::stream::FrameInput;
 use super::input::is_dash;
 use super::progress;
 
-/// Whether an input is a stream: begins as one does, or is stdin.
+/// Whether an input is a stream: it begins like one, or is stdin.
 pub fn is_stream(path: &Path) -> bool {
     let mut magic = [0; MAGIC.len()];
     is_dash(path)
         || File::open(path).and_then(|mut file| file.read_exact(&mut magic)).is_ok() && magic == MAGIC
 }
 
-/// Codes scans. Gives what each step took, and the stream.
+/// Encodes scans. Returns the time and size of each step, and the stream.
 pub fn encode(frames: &[FrameInput], config: &EncoderConfig, quiet: bool) -> Result<(StepReport, Vec<u8>)> {
     let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
     let mut stream = Vec::new();

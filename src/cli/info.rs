@@ -16,7 +16,7 @@ use super::input::{for_each_file, name_of, open};
 use super::output::print_json;
 use super::{recording, table};
 
-/// What a stream holds.
+/// The contents of a stream.
 #[derive(Default, Serialize)]
 struct Info {
     file: String,
@@ -28,7 +28,7 @@ struct Info {
     scanners: Vec<ScannerInfo>,
     groups: Vec<GroupInfo>,
     frames: Vec<FrameInfo>,
-    /// What is wrong with the stream behind all that is listed here.
+    /// The damage after everything listed here, if there is any.
     #[serde(skip_serializing_if = "Option::is_none")]
     damage: Option<String>,
     /// The numbers of the scanners.
@@ -39,7 +39,7 @@ struct Info {
 #[derive(Serialize)]
 struct ScannerInfo {
     family: u64,
-    /// What was found of it, in words.
+    /// The description of the scanner in words.
     description: String,
     bytes: u64,
 }
@@ -50,7 +50,7 @@ struct GroupInfo {
     bytes: u64,
     first_frame: u64,
     frames: u64,
-    /// Of each track, its number among the scanners, from 1 on; 0: none.
+    /// The number of each track's scanner, from 1 on; 0: none.
     scanners: Vec<u64>,
 }
 
@@ -59,7 +59,7 @@ struct FrameInfo {
     number: u64,
     name: String,
     unit: &'static str,
-    /// Its place among the tracks of the group.
+    /// Index of its track in the group.
     track: u8,
     /// Nanoseconds since 1970.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -70,13 +70,13 @@ struct FrameInfo {
     file_bytes: u64,
     file_crc32c: String,
     coded_bytes: u64,
-    /// How it is coded, in short.
+    /// A short form of how it is coded.
     coding: String,
     /// Names of the sections.
     sections: Vec<&'static str>,
 }
 
-/// What a file holds.
+/// The contents of a file.
 #[derive(Serialize)]
 #[serde(untagged)]
 enum Listed {
@@ -122,7 +122,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
 }
 
 impl Info {
-    /// Of a damaged stream, what stands before the damage, and the error.
+    /// Reads a stream. Of a damaged one, returns the contents before the damage, and the error.
     fn read(
         file: String,
         input: impl Read,
@@ -182,7 +182,7 @@ impl Info {
                     bytes: entry.length,
                     first_frame: entry.first_frame,
                     frames: frames.len() as u64,
-                    // The reader passes no group of a scanner that has not come.
+                    // The reader returns no group before its scanners.
                     scanners: group.scanners.iter().map(|id| id.map_or(0, |id| self.numbers[&id])).collect(),
                 });
                 self.frames.extend(frames);

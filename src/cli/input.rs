@@ -16,7 +16,7 @@ use super::errors::{about, is_closed_pipe, say, wrong_usage};
 
 /// A stream to read.
 pub enum Input {
-    /// A file that can be sought in.
+    /// A seekable file.
     File(File),
     /// Anything else: stdin, a named pipe.
     Pipe(Box<dyn Read + Send>),
@@ -39,7 +39,7 @@ impl Input {
         Ok(if can_seek { Input::File(file) } else { Input::Pipe(Box::new(file)) })
     }
 
-    /// How many frames the stream holds, if that can be told beforehand.
+    /// The number of frames in the stream, if it can be determined beforehand.
     pub fn frame_count(&self, limits: Limits) -> Option<u64> {
         let Input::File(file) = self else { return None };
         let index = IndexedReader::open(BufReader::new(file), limits);
@@ -48,7 +48,7 @@ impl Input {
         Some(index.ok()?.index().frame_count())
     }
 
-    /// The stream from the front.
+    /// The stream, to be read from the front.
     pub fn reader(self) -> Box<dyn Read + Send> {
         match self {
             Input::File(file) => Box::new(BufReader::new(file)),
@@ -56,8 +56,7 @@ impl Input {
         }
     }
 
-    /// The stream as something that can be read twice: a pipe is copied into a nameless temporary
-    /// file first.
+    /// The stream as a file that can be read twice: a pipe is first copied to an unnamed temporary file.
     pub fn rewindable(self) -> Result<File> {
         match self {
             Input::File(file) => Ok(file),
@@ -70,8 +69,8 @@ impl Input {
         }
     }
 
-    /// Decodes; if only some frames are asked for and the input can be sought in, only their groups
-    /// are read. Returns how many frames the stream holds.
+    /// Decodes the stream; if only some frames are requested and the input is seekable, only their groups are
+    /// read. Returns the number of frames in the stream.
     ///
     /// # Errors
     /// As [`stream::decode`].
@@ -90,12 +89,12 @@ impl Input {
     }
 }
 
-/// Whether the path stands for stdin or stdout.
+/// Whether the path means stdin or stdout.
 pub fn is_dash(path: &Path) -> bool {
     path.as_os_str() == "-"
 }
 
-/// What messages call an input.
+/// The name of an input in messages.
 pub fn name_of(path: &Path) -> String {
     if is_dash(path) { "stdin".to_owned() } else { path.display().to_string() }
 }
@@ -103,12 +102,12 @@ pub fn name_of(path: &Path) -> String {
 /// The original scans that a stream is compared with, by name.
 pub struct Originals {
     files: HashMap<String, PathBuf>,
-    /// Where they come from.
+    /// The folder that contains them.
     folder: PathBuf,
 }
 
 impl Originals {
-    /// Finds them as `encode` would.
+    /// Finds the scans as `encode` does.
     ///
     /// # Errors
     /// As [`find_frames`].
@@ -117,11 +116,11 @@ impl Originals {
         Ok(Originals { files, folder: inputs.first().cloned().unwrap_or_default() })
     }
 
-    /// Reads the scan of this name, or the file that `encode --all` calls so; it counts as found from then on. An empty folder
-    /// reads as nothing.
+    /// Reads the scan with this name, or the file with this name according to `encode --all`, and marks it as
+    /// found. An empty folder reads as no bytes.
     ///
     /// # Errors
-    /// If there is no such scan, or it cannot be read.
+    /// If there is no such scan, or if it cannot be read.
     pub fn take(&mut self, name: &str) -> Result<Vec<u8>> {
         let path = self.files.remove(name).or_else(|| self.below(name)).ok_or_else(|| {
             let what = format!("holds no scan named {name:?}, which the stream does");
@@ -133,7 +132,7 @@ impl Originals {
         std::fs::read(&path).map_err(|e| Error::from(e).at(&path))
     }
 
-    /// The file of this path below the folder, if there is one.
+    /// The file with this path below the folder, if there is one.
     fn below(&mut self, name: &str) -> Option<PathBuf> {
         let is_safe = is_safe_path(name.strip_suffix('/').unwrap_or(name));
         let path = is_safe.then(|| self.folder.join(name)).filter(|path| path.exists())?;
@@ -141,13 +140,13 @@ impl Originals {
         Some(path)
     }
 
-    /// A scan that was never asked for, if there is one.
+    /// A scan that was never read, if there is one.
     pub fn left_over(&self) -> Option<&Path> {
         self.files.values().min().map(PathBuf::as_path)
     }
 }
 
-/// Opens a stream, with its name in errors.
+/// Opens a stream; errors contain its name.
 ///
 /// # Errors
 /// As [`Input::open`].
@@ -155,7 +154,8 @@ pub fn open(path: &Path) -> anyhow::Result<Input> {
     Input::open(path).map_err(|error| about(error, &name_of(path)))
 }
 
-/// Does `work` on each file. If there are several, those where it fails are told and the others are done nevertheless.
+/// Calls `work` on each file. If there are several, failures are reported and the other files are still
+/// processed.
 ///
 /// # Errors
 /// That of the only file; of several, how many failed.
@@ -183,7 +183,7 @@ pub fn for_each_file(
     Ok(())
 }
 
-/// Ends the program if stdin is given more than once.
+/// Ends the program if stdin is named more than once.
 pub fn check_stdin_once(subcommand: &str, inputs: &[PathBuf]) {
     if inputs.iter().filter(|path| is_dash(path)).count() > 1 {
         wrong_usage(subcommand, "stdin can be read only once; give `-` once");

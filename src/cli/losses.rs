@@ -1,4 +1,4 @@
-//! What is lost of a damaged stream, told on stderr.
+//! Reports on stderr what is lost of a damaged stream.
 
 use std::path::Path;
 
@@ -10,20 +10,20 @@ use super::errors::NotWhole;
 use super::input::name_of;
 use super::table;
 
-/// Names that are told of one loss.
+/// Largest number of names that are listed for one loss.
 const MOST_NAMES: usize = 10;
 
-/// Tells losses as they come, and counts them.
+/// Reports losses as they are found, and counts them.
 pub struct Losses {
-    /// What messages call the input.
+    /// The name of the input in messages.
     input: String,
     places: u64,
     frames: u64,
-    /// Whether nothing tells how many more frames were lost.
+    /// Whether an unknown number of further frames was lost.
     maybe_more: bool,
 }
 
-/// How much was lost, for machines.
+/// The machine-readable numbers of losses.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct LossReport {
     places: u64,
@@ -36,7 +36,7 @@ impl Losses {
         Losses { input: name_of(input), places: 0, frames: 0, maybe_more: false }
     }
 
-    /// Says one loss, in a line.
+    /// Reports one loss in a line.
     pub fn tell(&mut self, lost: &Lost) {
         self.places += 1;
         let frames = match &lost.frames {
@@ -65,7 +65,7 @@ impl Losses {
         eprintln!("lidarpc: {}", format!("{line}: {}", lost.why).replace(char::is_control, "?"));
     }
 
-    /// The same for machines.
+    /// The machine-readable report.
     pub fn report(&self) -> LossReport {
         LossReport { places: self.places, frames: self.frames, maybe_more: self.maybe_more }
     }
@@ -73,7 +73,7 @@ impl Losses {
     /// An error if anything was lost.
     ///
     /// # Errors
-    /// Says what was, in all.
+    /// With the total losses.
     pub fn check(&self, recovered: u64) -> Result<()> {
         if self.places == 0 {
             return Ok(());

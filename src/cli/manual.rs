@@ -1,4 +1,4 @@
-//! `lidarpc completions` and `lidarpc man`: what package makers install.
+//! `lidarpc completions` and `lidarpc man`: files for package maintainers to install.
 
 use std::io::{self, Write};
 
@@ -7,7 +7,7 @@ use clap::CommandFactory;
 
 use super::args::{Args, CompletionsArgs, ManArgs};
 
-/// What the program is called by shells.
+/// The name of the program in shells.
 const PROGRAM: &str = "lidarpc";
 
 pub fn completions(args: &CompletionsArgs) -> Result<()> {

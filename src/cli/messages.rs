@@ -1,5 +1,5 @@
-//! Messages: frames that come one by one, each encoded to a stream of its own, and back. Both ways each stands behind a line of
-//! its name, a space and its size in bytes.
+//! Messages: frames that arrive one by one, each encoded to a stream of its own, and decoded. In both
+//! directions each follows a line with its name, a space and its size in bytes.
 
 use std::io::{self, Write};
 use std::time::Instant;
@@ -24,7 +24,7 @@ use super::input::{is_dash, name_of, open};
 use super::output::{FileOutput, FolderOutput, name_of_output, print_json};
 use super::table;
 
-/// What was done, for machines.
+/// The machine-readable report.
 #[derive(Serialize)]
 struct Report {
     file: String,
@@ -70,7 +70,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     sizes.report(args.json, quiet, name_of_output(args.output()), start)
 }
 
-/// `decode --messages`: into a folder, or to stdout as the frames came.
+/// `decode --messages`: into a folder, or to stdout in the format of the input.
 pub fn decode(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, quiet: bool) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("decode", "--messages takes one input");
@@ -84,7 +84,7 @@ pub fn decode(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter,
         false => Some(FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs)),
     };
     let mut sizes = Sizes::default();
-    // A message has a single group, and its frame two parts.
+    // A message has a single group, whose frame has two halves.
     let options = DecodeOptions { threads: resolve_threads(options.threads).min(2), ..options.clone() };
     let mut arriving = ArrivingFrames::new(open(input)?.reader()).with_any_names();
     let decoded = arriving.try_for_each(|message| {
@@ -113,14 +113,14 @@ pub fn decode(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter,
     sizes.report(args.json, quiet, name_of(args.output()), start)
 }
 
-/// Writes a message behind its line, and sends it off.
+/// Writes a message after its line, and flushes it.
 fn write_message(out: &mut dyn Write, name: &str, bytes: &[u8]) -> error::Result<()> {
     writeln!(out, "{name} {}", bytes.len())?;
     out.write_all(bytes)?;
     Ok(out.flush()?)
 }
 
-/// Messages so far.
+/// Total sizes of the messages so far.
 #[derive(Default)]
 struct Sizes {
     messages: u64,

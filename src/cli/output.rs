@@ -1,5 +1,5 @@
-//! Output that is there as a whole or not at all: written under a temporary name in the same
-//! folder, then renamed.
+//! Output that exists only when complete: it is written under a temporary name in the same folder, then
+//! renamed.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -20,9 +20,9 @@ use super::temporary;
 
 /// One file to write.
 pub enum FileOutput {
-    /// Under a temporary name, until it is whole.
+    /// Under a temporary name until it is complete.
     Temporary { file: NamedTempFile, target: PathBuf, force: bool, _remove: RemoveOnSignal },
-    /// Stdout, or what cannot be replaced, such as a device or a named pipe.
+    /// Stdout, or a path that cannot be replaced, such as a device or a named pipe.
     Direct(Box<dyn Write>),
 }
 
@@ -30,7 +30,7 @@ impl FileOutput {
     /// Opens the output; `-` is stdout.
     ///
     /// # Errors
-    /// If it exists and `force` is not set, or if nothing can be written there.
+    /// If it exists and `force` is not set, or if it cannot be written.
     pub fn create(path: &Path, force: bool) -> anyhow::Result<Self> {
         if is_dash(path) {
             return Ok(FileOutput::Direct(Box::new(io::stdout().lock())));
@@ -38,7 +38,7 @@ impl FileOutput {
         Self::create_file(path, force).map_err(|error| about(error, &path.display().to_string()))
     }
 
-    /// As [`create`](Self::create), for what is not to be read by people: refuses a terminal.
+    /// As [`create`](Self::create), for binary data: rejects a terminal.
     ///
     /// # Errors
     /// As [`create`](Self::create).
@@ -67,7 +67,7 @@ impl FileOutput {
         Ok(FileOutput::Temporary { file, target, force, _remove })
     }
 
-    /// Where to write. Buffered; flush it before [`FileOutput::finish`].
+    /// The writer. It is buffered; flush it before [`FileOutput::finish`].
     pub fn writer(&mut self) -> BufWriter<&mut dyn Write> {
         match self {
             FileOutput::Temporary { file, .. } => BufWriter::new(file.as_file_mut()),
@@ -75,7 +75,7 @@ impl FileOutput {
         }
     }
 
-    /// What was written so far, to be read again; `None` if it is gone down a pipe.
+    /// The output so far, to be read back; `None` if it went to a pipe.
     ///
     /// # Errors
     /// If it cannot be opened.
@@ -86,10 +86,10 @@ impl FileOutput {
         }
     }
 
-    /// Makes sure that everything is on the disk, and gives the file its name.
+    /// Flushes everything to disk, and renames the file.
     ///
     /// # Errors
-    /// If that fails, or if meanwhile there is a file of that name and `force` is not set.
+    /// If this fails, or if there is now a file with that name and `force` is not set.
     pub fn finish(self) -> Result<()> {
         let FileOutput::Temporary { file, target, force, _remove } = self else { return Ok(()) };
         file.as_file().sync_all()?;
@@ -97,12 +97,12 @@ impl FileOutput {
     }
 }
 
-/// Sees to it that no input is overwritten.
+/// Ensures that no input is overwritten.
 ///
 /// # Errors
 /// If the output is one of the inputs.
 pub fn keep_inputs(output: &Path, inputs: &[PathBuf]) -> Result<()> {
-    // What is not there yet, or no file, is no input.
+    // A path that does not exist, or is not a file, is not an input.
     let Ok(target) = fs::canonicalize(output) else { return Ok(()) };
     let is_target = |input: &PathBuf| fs::canonicalize(input).is_ok_and(|input| input == target);
     if !is_dash(output) && target.is_file() && inputs.iter().any(is_target) {
@@ -112,17 +112,17 @@ pub fn keep_inputs(output: &Path, inputs: &[PathBuf]) -> Result<()> {
     Ok(())
 }
 
-/// Ends the program if a report for machines would be mixed with the output.
+/// Ends the program if a machine-readable report would be mixed with the output.
 pub fn check_json(subcommand: &str, json: bool, output: &Path) {
     if json && is_dash(output) {
         wrong_usage(subcommand, "--json writes to stdout, which takes the output");
     }
 }
 
-/// Writes a report for machines to stdout.
+/// Writes a machine-readable report to stdout.
 ///
 /// # Errors
-/// If that fails.
+/// If this fails.
 pub fn print_json(report: &impl Serialize) -> anyhow::Result<()> {
     let mut out = BufWriter::new(io::stdout().lock());
     serde_json::to_writer_pretty(&mut out, report).map_err(io::Error::from)?;
@@ -130,8 +130,8 @@ pub fn print_json(report: &impl Serialize) -> anyhow::Result<()> {
     Ok(out.flush()?)
 }
 
-/// The file that the path [leads to](through_link), be it there or not. `None` if it cannot be replaced, being
-/// a device or a named pipe.
+/// The file to which the path [leads](through_link), whether it exists or not. `None` if it cannot be
+/// replaced because it is a device or a named pipe.
 ///
 /// # Errors
 /// If it is a folder, or exists and `force` is not set.
@@ -145,16 +145,16 @@ pub fn replaceable(path: &Path, force: bool) -> io::Result<Option<PathBuf>> {
     Ok(Some(through_link(path)))
 }
 
-/// The path, or where it leads to if it is a link, so that the link stays and its target is replaced.
+/// The path, or its target if it is a link, so that the link is kept and its target replaced.
 pub fn through_link(path: &Path) -> PathBuf {
     let target = path.is_symlink().then(|| fs::canonicalize(path).ok()).flatten();
     target.unwrap_or_else(|| path.to_path_buf())
 }
 
-/// Gives a file its name, and makes that last.
+/// Renames a file, and ensures that this is on disk.
 ///
 /// # Errors
-/// If that fails, or if there is a file of that name and `force` is not set.
+/// If this fails, or if there is a file with that name and `force` is not set.
 pub fn place(file: TempPath, target: &Path, force: bool) -> io::Result<()> {
     let placed = if force { file.persist(target) } else { file.persist_noclobber(target) };
     placed.map_err(|e| e.error)?;
@@ -162,14 +162,14 @@ pub fn place(file: TempPath, target: &Path, force: bool) -> io::Result<()> {
     Ok(())
 }
 
-/// Bytes written at a time. For larger pieces Linux takes larger pages, which are seldom at hand: ten times its time
-/// for the copy.
+/// Bytes per write. For larger writes Linux uses larger pages, which are seldom available: copying then takes
+/// it ten times as long.
 const WRITE_BYTES: usize = 64 << 10;
 
-/// A folder to write scans into. They all get their names at the end, or none does.
+/// A folder to write scans into. Either all of them are renamed at the end, or none.
 pub struct FolderOutput {
     folder: PathBuf,
-    /// Inside `folder`, so that renaming stays on one file system.
+    /// Inside `folder`, so that renaming stays within one file system.
     temporary: TempDir,
     _lock: Option<File>,
     /// The scans' names.
@@ -178,15 +178,16 @@ pub struct FolderOutput {
     /// Files that must not be overwritten.
     inputs: Vec<PathBuf>,
     _remove: RemoveOnSignal,
-    /// Folders that were made for this, removed again unless finished. The last field: dropped last.
+    /// Folders created for this, which are removed again unless it is finished. The last field, so as to be
+    /// dropped last.
     made: MadeFolders,
 }
 
 impl FolderOutput {
-    /// Makes the folder if it is missing.
+    /// Creates the folder if it is missing.
     ///
     /// # Errors
-    /// If it cannot be made, or nothing can be written there.
+    /// If it cannot be created, or nothing can be written there.
     pub fn create(folder: &Path, force: bool) -> anyhow::Result<Self> {
         Self::try_create(folder, force).map_err(|error| about(error, &folder.display().to_string()))
     }
@@ -207,21 +208,21 @@ impl FolderOutput {
         })
     }
 
-    /// The same, where no scan may take the place of one of these files.
+    /// The same output, in which no scan may overwrite one of these files.
     pub fn keeping(mut self, inputs: &[PathBuf]) -> Self {
         self.inputs = inputs.to_vec();
         self
     }
 
-    /// Writes one scan, whose bytes `write` gives piece by piece, under a temporary name; from any thread. Returns how
-    /// many they are.
+    /// Writes one scan, whose bytes `write` passes on piece by piece, under a temporary name; from any thread.
+    /// Returns the number of bytes.
     ///
     /// # Errors
-    /// If the name is no [safe path](is_safe_path), is there twice, or belongs to a file that exists and
-    /// `force` is not set; if writing fails; those of `write`.
+    /// If the name is not a [safe path](is_safe_path), occurs twice, or is that of an existing file and `force`
+    /// is not set; if writing fails; and the errors of `write`.
     pub fn write(&self, name: &str, write: impl FnOnce(&mut Give<'_>) -> Result<()>) -> Result<u64> {
         let refuse = |what: String| Err(Error::Input { path: self.folder.clone(), what });
-        // An empty folder ends in a slash.
+        // The name of an empty folder ends in a slash.
         let folder = name.strip_suffix('/');
         if !is_safe_path(folder.unwrap_or(name)) {
             return refuse(format!("cannot safely take a file named {name:?}, as the stream asks"));
@@ -261,8 +262,8 @@ impl FolderOutput {
         Ok(size)
     }
 
-    /// Makes sure that these scans are on the disk. Many at a time, as file systems then write their journals once for
-    /// all: 5,000 small files take half a second, and seven one after the other.
+    /// Ensures that these scans are on disk. Many in parallel, as file systems then write their journals once
+    /// for all: 5,000 small files take half a second, instead of seven one after the other.
     fn sync(&self, names: &[String]) -> Result<()> {
         const AT_A_TIME: usize = 16;
         let sync = |names: &[String]| {
@@ -270,7 +271,7 @@ impl FolderOutput {
                 if name.ends_with('/') {
                     return Ok(());
                 }
-                // Windows lets only those write to the disk who may write to the file.
+                // On Windows, flushing a file needs write access.
                 let file =
                     File::options().read(true).write(cfg!(windows)).open(self.temporary.path().join(name));
                 file.and_then(|file| file.sync_all()).map_err(|e| Error::from(e).at(self.folder.join(name)))
@@ -286,13 +287,13 @@ impl FolderOutput {
         })
     }
 
-    /// Makes sure that all scans are on the disk, and gives them their names.
+    /// Ensures that all scans are on disk, and renames them.
     ///
     /// # Errors
-    /// If that fails, or if meanwhile there is a file of a scan's name and `force` is not set.
+    /// If this fails, or if there is now a file with a scan's name and `force` is not set.
     pub fn finish(mut self) -> Result<()> {
         let names = std::mem::take(self.names.get_mut().unwrap_or_else(PoisonError::into_inner));
-        // Not as each is written: by now the system has written most of them in its own time.
+        // Not after each write: by now the system has already written most of them in the background.
         self.sync(&names)?;
         let mut folders = BTreeSet::from([self.folder.clone()]);
         for name in &names {
@@ -318,22 +319,22 @@ impl FolderOutput {
     }
 }
 
-/// Folders that were made, and are removed again, as far as they are empty, unless kept.
+/// Created folders, which are removed again if they are empty, unless kept.
 struct MadeFolders(Vec<PathBuf>);
 
 impl MadeFolders {
-    /// Makes `folder` and what is missing above it.
+    /// Creates `folder` and missing parent folders.
     fn make(folder: &Path) -> io::Result<Self> {
         let mut made = MadeFolders(Vec::new());
         made.add(folder)?;
         Ok(made)
     }
 
-    /// Makes `folder` and what is missing above it.
+    /// Creates `folder` and missing parent folders.
     fn add(&mut self, folder: &Path) -> io::Result<()> {
         let missing = folder.ancestors().take_while(|folder| !folder.as_os_str().is_empty());
         let missing = missing.take_while(|folder| fs::symlink_metadata(folder).is_err());
-        // The deepest first, in which order they can be removed.
+        // The deepest first, which is the order in which they can be removed.
         self.0.splice(..0, missing.map(Path::to_path_buf));
         match fs::metadata(folder) {
             Ok(about) if !about.is_dir() => Err(io::ErrorKind::NotADirectory.into()),
@@ -349,18 +350,18 @@ impl MadeFolders {
 impl Drop for MadeFolders {
     fn drop(&mut self) {
         for folder in &self.0 {
-            // It may hold something by now; then it stays.
+            // If it is no longer empty, it stays.
             let _ = fs::remove_dir(folder);
         }
     }
 }
 
-/// What messages call an output.
+/// The name of an output in messages.
 pub fn name_of_output(path: &Path) -> String {
     if is_dash(path) { "stdout".to_owned() } else { path.display().to_string() }
 }
 
-/// An error if a scan must not be written here: over a folder, or over anything without `force`.
+/// An error if a scan must not be written here: over a folder, or over an existing path without `force`.
 fn may_write(target: &Path, force: bool) -> io::Result<()> {
     if target.is_dir() {
         return Err(io::ErrorKind::IsADirectory.into());
@@ -371,12 +372,12 @@ fn may_write(target: &Path, force: bool) -> io::Result<()> {
     Ok(())
 }
 
-/// Whether anything has this name, be it a link that leads nowhere.
+/// Whether this path exists, even as a dangling link.
 fn exists(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok()
 }
 
-/// The folder that a file is in.
+/// The folder that contains a file.
 pub fn parent(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -384,7 +385,8 @@ pub fn parent(path: &Path) -> &Path {
     }
 }
 
-/// Makes renames in the folder last. Not every file system can; the data itself is safe by then.
+/// Ensures that renames in the folder are on disk. Not every file system supports this; the data itself is
+/// safe by then.
 fn sync_folder(folder: &Path) {
     if let Ok(folder) = File::open(folder) {
         let _ = folder.sync_all();

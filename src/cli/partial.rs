@@ -1,5 +1,5 @@
-//! Output that outlives an interruption: under a name of its own beside its target, with a journal, until it
-//! is whole.
+//! Output that survives an interruption: it is written beside its target under another name, with a journal,
+//! until it is complete.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -12,26 +12,26 @@ use super::errors::about;
 use super::output::{parent, place, replaceable, through_link};
 use super::temporary;
 
-/// What the name of the partial stream ends in, after that of the output.
+/// The suffix that is added to the output's name for the partial stream.
 const PARTIAL: &str = ".partial";
 
-/// What the name of its journal ends in, after that of the stream.
+/// The suffix that is added to the partial stream's name for its journal.
 const JOURNAL: &str = ".journal";
 
-/// A stream that is written in as many runs as it takes.
+/// A stream that is written in one or more runs.
 pub struct PartialOutput {
     target: PathBuf,
     force: bool,
-    /// Open, and locked against other runs, as long as this lives.
+    /// Open, and locked against other runs, while this exists.
     stream: LockedFile,
     journal: PathBuf,
 }
 
 impl PartialOutput {
-    /// Opens what an interrupted run has left, or makes it.
+    /// Opens the files that an interrupted run left, or creates them.
     ///
     /// # Errors
-    /// If the output exists and `force` is not set, is no file, or cannot be written; if another run is
+    /// If the output exists and `force` is not set, is not a file, or cannot be written; if another run is
     /// writing it.
     pub fn open(path: &Path, force: bool) -> anyhow::Result<Self> {
         let target = match replaceable(path, force) {
@@ -51,7 +51,7 @@ impl PartialOutput {
         Ok(PartialOutput { target, force, stream, journal })
     }
 
-    /// The files to encode into.
+    /// The files for the encoder.
     ///
     /// # Errors
     /// If they cannot be opened.
@@ -60,7 +60,7 @@ impl PartialOutput {
         Ok(PartialFiles { path: self.stream.path.clone(), stream, journal: self.journal.clone() })
     }
 
-    /// The stream, to be read again.
+    /// The stream, to be read back.
     ///
     /// # Errors
     /// If it cannot be opened.
@@ -68,35 +68,35 @@ impl PartialOutput {
         Ok(File::open(&self.stream.path)?)
     }
 
-    /// Makes sure that everything is on the disk, gives the stream its name, and removes the journal.
+    /// Flushes everything to disk, renames the stream, and removes the journal.
     ///
     /// # Errors
-    /// If that fails, or if meanwhile there is a file of that name and `force` is not set. Then all stays as
-    /// it is, for another try.
+    /// If this fails, or if there is now a file with that name and `force` is not set. All files are then
+    /// kept for another attempt.
     pub fn finish(self) -> Result<()> {
         self.stream.file.sync_all()?;
         let mut stream = TempPath::try_from_path(&self.stream.path)?;
         stream.disable_cleanup(true);
         place(stream, &self.target, self.force)?;
-        // The stream is complete. A journal without a partial stream means nothing to the next run.
+        // The stream is complete. A journal without a partial stream is ignored by the next run.
         let _ = fs::remove_file(&self.journal);
         Ok(())
     }
 }
 
-/// What an interrupted run has left for this output, if there is anything.
+/// The partial stream that an interrupted run left for this output, if there is one.
 pub fn left_for(output: &Path) -> Option<PathBuf> {
     Some(names(&through_link(output)).0).filter(|stream| stream.exists())
 }
 
-/// The output, and what an interrupted run leaves for it.
+/// The output, and the files that an interrupted run leaves for it.
 pub fn outputs(output: &Path) -> [PathBuf; 3] {
     let target = through_link(output);
     let (stream, journal) = names(&target);
     [target, stream, journal]
 }
 
-/// Removes the journal of an output that is complete: its run was ended when all else was done.
+/// Removes the journal of a complete output, left by a run that ended just before removing it.
 fn remove_stray_journal(output: &Path) {
     let (stream, journal) = names(&through_link(output));
     if output.is_file() && !stream.exists() {
@@ -136,12 +136,12 @@ impl LockedFile {
             if locked.has_its_name() {
                 return Ok(locked);
             }
-            // Another run has finished it before it was locked.
+            // Another run finished it before it was locked.
             path = locked.path;
         }
     }
 
-    /// Whether the file of this name is still the one that is open.
+    /// Whether the file with this name is still the one that is open.
     #[cfg(unix)]
     fn has_its_name(&self) -> bool {
         use std::os::unix::fs::MetadataExt;
@@ -156,13 +156,13 @@ impl LockedFile {
     }
 }
 
-/// Locks a file; false if another run has. Where there are no locks, nobody has.
+/// Locks a file; false if another run has locked it. True on systems without locks.
 #[cfg(unix)]
 fn lock(file: &File) -> bool {
     !matches!(file.try_lock(), Err(fs::TryLockError::WouldBlock))
 }
 
-/// Elsewhere a lock would keep the program itself from reading the file again.
+/// On other systems a lock would keep the program itself from reading the file again.
 #[cfg(not(unix))]
 fn lock(_: &File) -> bool {
     true

@@ -1,4 +1,4 @@
-//! `lidarpc stats --poses`: the scanner's way.
+//! `lidarpc stats --poses`: the trajectory of the scanner.
 
 use crate::stream;
 use std::io::Write;
@@ -49,19 +49,19 @@ pub fn run(args: &StatsArgs, path: &Path, quiet: bool) -> Result<()> {
     Ok(())
 }
 
-/// Where the scanner is, frame after frame.
+/// The position of the scanner, frame after frame.
 #[derive(Default)]
 struct Way {
-    /// From the frame to the first.
+    /// The motion from the frame to the first one.
     to_first: RigidMotion,
-    /// From the frame before to the frame.
+    /// The motion from the frame before to the frame.
     last: Pose,
     before: Option<DecodedImage>,
     lost: u64,
 }
 
 impl Way {
-    /// The motion is the stream's, or found anew where it has none.
+    /// Uses the motion in the stream, or estimates it if there is none.
     fn follow(&mut self, frame: DecodedFrame) -> RigidMotion {
         let in_stream = frame.image.as_ref().and_then(|image| image.motion);
         if self.before.is_some() {
@@ -84,7 +84,7 @@ impl Way {
     }
 }
 
-/// The rows of rotation and translation.
+/// The rows of the matrix of rotation and translation.
 fn line(motion: &RigidMotion) -> String {
     let rows = motion.rotation.iter().zip(motion.translation);
     let numbers = rows.flat_map(|(row, along)| row.iter().copied().chain([along]).collect::<Vec<_>>());

@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 
-/// A bar over frames; invisible if `quiet`, or if stderr is not a terminal. Without a `total` it
+/// A progress bar over frames; invisible if `quiet`, or if stderr is not a terminal. Without a `total` it
 /// only counts.
 pub fn bar(total: Option<u64>, what: impl Into<Cow<'static, str>>, quiet: bool) -> ProgressBar {
     if quiet {
@@ -16,7 +16,7 @@ pub fn bar(total: Option<u64>, what: impl Into<Cow<'static, str>>, quiet: bool) 
         Some(total) => (ProgressBar::new(total), "{msg} {wide_bar} {pos}/{len} frames, {speed}, {eta} left"),
         None => (ProgressBar::new_spinner(), "{msg} {pos} frames, {speed}"),
     };
-    // A template that does not parse would cost the looks, not the work.
+    // If a template does not parse, only the appearance suffers.
     let bar = match ProgressStyle::with_template(template) {
         Ok(style) => bar.with_style(style.with_key("speed", |state: &ProgressState, out: &mut dyn Write| {
             let _ = out.write_str(&speed(state.per_sec()));
@@ -26,7 +26,7 @@ pub fn bar(total: Option<u64>, what: impl Into<Cow<'static, str>>, quiet: bool) 
     bar.with_message(what)
 }
 
-/// Frames a second, with as many digits as mean something.
+/// Frames a second, with as many digits as are meaningful.
 fn speed(per_second: f64) -> String {
     let decimals = match per_second {
         100.0.. => 0,

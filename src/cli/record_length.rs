@@ -1,18 +1,19 @@
-//! How long the records of files without a header are, by their bytes: nothing else says so, and with records of a
-//! wrong length a file takes many times the bytes.
+//! Estimates the record length of headerless files from their bytes: nothing else gives it, and with a wrong
+//! record length a file takes many times the bytes.
 
 use crate::backend;
 use crate::files::{HeaderlessLayout, Kind};
 
-/// Bytes of each file that are looked at, from the front.
+/// Number of bytes of each file that are examined, from the front.
 pub const SAMPLE: u64 = 32 << 10;
 /// Bytes of a float32.
 const WORD: usize = 4;
-/// Records of x, y and z only, and of nine values more.
+/// Number of values in a record: from x, y and z alone to these and nine more.
 const WORDS: std::ops::RangeInclusive<usize> = 3..=12;
-/// Records of another length must make the bytes so much smaller, and are the shorter ones unless the longer do.
+/// Another record length is suggested only if it shrinks the sample to 90 %; of several, the shortest within
+/// 10 % of the best.
 const GAIN: f64 = 0.9;
-/// The share of values that must be numbers as coordinates are.
+/// Minimum share of values that are plausible coordinates.
 const PLAUSIBLE: f64 = 0.9;
 
 /// The beginning of a file.
@@ -26,22 +27,22 @@ pub struct Sample {
     pub size: u64,
 }
 
-/// What the bytes say of a layout.
+/// Whether the bytes are consistent with a layout.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Nothing against it.
+    /// The bytes are consistent with the layout.
     Agrees,
-    /// They are float32 in records of this layout rather.
+    /// The bytes look like float32 values in records of this layout instead.
     Rather(HeaderlessLayout),
-    /// They are no float32 coordinates, whatever the length of records.
+    /// The bytes are not float32 coordinates, whatever the record length.
     NoFloats,
 }
 
-/// Compares the files that have no header with the layout; `None`: that of their kind.
+/// Compares headerless files with the layout; `None`: the default for their kind.
 pub fn examine(samples: &[Sample], layout: Option<&HeaderlessLayout>) -> Verdict {
     let of_kind = |kind| samples.iter().filter(move |s| Kind::of(&s.name).is_some_and(|(k, _)| k == kind));
     let kitti: Vec<_> = of_kind(Kind::Kitti).filter(|sample| sample.start.len() >= 1 << 10).collect();
-    // Of files of two kinds no one layout is asked for; nuScenes' are as their name says.
+    // A single layout cannot be suggested for files of two kinds; those of nuScenes are as their name says.
     if kitti.is_empty() || of_kind(Kind::NuScenes).next().is_some() {
         return Verdict::Agrees;
     }
@@ -54,7 +55,7 @@ pub fn examine(samples: &[Sample], layout: Option<&HeaderlessLayout>) -> Verdict
     let candidates = WORDS.map(|words| words * WORD).filter(|&stride| fits(stride));
     let costs: Vec<_> = candidates.map(|stride| (stride, cost(stride))).collect();
     let least = costs.iter().map(|(_, cost)| *cost).fold(f64::INFINITY, f64::min);
-    // A multiple of the right length is as good.
+    // Multiples of the right length are about as good.
     let best = costs.into_iter().find(|(_, cost)| GAIN * cost <= least);
     match best {
         Some((stride, least)) if stride != assumed && least < GAIN * cost(assumed) => {
@@ -69,14 +70,14 @@ pub fn examine(samples: &[Sample], layout: Option<&HeaderlessLayout>) -> Verdict
     }
 }
 
-/// Bytes of a file whose records are so long, when the values of each field stand together.
+/// The size of a sample when the values of each field are grouped and compressed, given the record length.
 fn cost(bytes: &[u8], stride: usize) -> usize {
     let planes: Vec<u8> =
         (0..stride).flat_map(|at| bytes.chunks_exact(stride).map(move |record| record[at])).collect();
     backend::compress_quickly(&planes).map_or(usize::MAX, |coded| coded.len())
 }
 
-/// The layout of records of so many bytes that begin with coordinates; `None` if they do not.
+/// The layout of records of `stride` bytes that begin with coordinates; `None` if they do not.
 fn floats(samples: &[&Sample], stride: usize) -> Option<HeaderlessLayout> {
     let share = |at: usize, is: &dyn Fn(f32) -> bool| {
         let records = samples.iter().flat_map(|sample| sample.start.chunks_exact(stride));
@@ -85,7 +86,7 @@ fn floats(samples: &[&Sample], stride: usize) -> Option<HeaderlessLayout> {
             records.fold((0, 0), |(count, found), record| (count + 1, found + u32::from(is(value(record)))));
         f64::from(found) / f64::from(count.max(1))
     };
-    // Metres, blanks, and what a map's coordinates may be.
+    // Metres, blanks, and possible coordinates of a map.
     let is_coordinate = |v: f32| v == 0.0 || v.is_nan() || (1e-5..1e7).contains(&v.abs());
     let is_intensity = |v: f32| v == 0.0 || (1e-5..=65535.0).contains(&v);
     if (0..3).any(|at| share(at, &is_coordinate) < PLAUSIBLE) {
@@ -101,7 +102,7 @@ fn floats(samples: &[&Sample], stride: usize) -> Option<HeaderlessLayout> {
 mod tests {
     use super::*;
 
-    /// Records of so many values, as of a scanner that turns.
+    /// Records of `words` values, as from a rotating scanner.
     fn file(words: usize) -> Sample {
         let record = |n: u32| {
             let angle = n as f32 * 0.01;
@@ -121,7 +122,7 @@ mod tests {
             let found: HeaderlessLayout = letters.parse().unwrap();
             assert_eq!(examine(&[file(words)], None), Verdict::Rather(found.clone()), "{words}");
             assert_eq!(examine(&[file(words)], Some(&found)), Verdict::Agrees);
-            // Two records taken for one take no more bytes, and go unseen.
+            // Two records taken for one take no more bytes, which is not detected.
             if words % 4 != 0 {
                 assert_eq!(examine(&[file(4)], Some(&found)), Verdict::Rather(HeaderlessLayout::kitti()));
             }
@@ -147,7 +148,7 @@ mod tests {
             .enumerate()
             .for_each(|(n, byte)| *byte = (n as u32).wrapping_mul(2_654_435_761).to_le_bytes()[3]);
         assert_eq!(examine(&[noise.clone()], None), Verdict::NoFloats);
-        // Who says what they are knows better.
+        // A layout given by the user is trusted.
         assert_eq!(examine(&[noise], Some(&"x:u16,y:u16,z:u16,i:u8,r:u8".parse().unwrap())), Verdict::Agrees);
     }
 }

@@ -1,4 +1,4 @@
-//! Recordings in place of scans: `encode drive.mcap`, `decode small.mcap`.
+//! Recordings as inputs and outputs: `encode drive.mcap`, `decode small.mcap`.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
@@ -20,7 +20,7 @@ use super::input::is_dash;
 use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
 use super::{progress, table};
 
-/// Whether a file is a recording: by its first bytes, or where there is none yet, by its name.
+/// Whether a file is a recording: by its first bytes, or, if it does not exist yet, by its name.
 pub fn is_recording(path: &Path) -> bool {
     const MAGIC: &[u8] = b"\x89MCAP0\r\n";
     let mut start = [0; MAGIC.len()];
@@ -30,19 +30,19 @@ pub fn is_recording(path: &Path) -> bool {
     }
 }
 
-/// Whether a recording is to be written, by the name.
+/// Whether the name is that of a recording.
 fn is_named_so(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
-/// What was done, for machines.
+/// The machine-readable report.
 #[derive(Serialize)]
 struct Report {
     file: String,
     messages: u64,
     clouds: u64,
     points: u64,
-    /// Messages of topics of clouds that are none as lidarpc knows them, and were copied as they are.
+    /// Messages on topics of clouds that lidarpc does not support, which were copied unchanged.
     kept: u64,
     attachments: u64,
     cloud_bytes_before: u64,
@@ -53,7 +53,7 @@ struct Report {
     seconds: f64,
 }
 
-/// `encode` of a recording: to one with compressed clouds, or to a stream of the clouds alone.
+/// `encode` for a recording: to one with compressed clouds, or to a stream of the clouds alone.
 pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("encode", "recordings are encoded one by one");
@@ -86,7 +86,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     check_whole(input, copied.cut_short.as_deref())
 }
 
-/// The clouds alone, as frames of a stream with their times.
+/// Encodes the clouds alone, as frames of a stream with their times.
 fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet: bool) -> Result<()> {
     if args.verify {
         wrong_usage("encode", "--verify compares a recording with a recording; give -o FILE.mcap");
@@ -142,7 +142,7 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
     check_whole(input, cut_short.as_deref())
 }
 
-/// `decode` of a recording: to one with the clouds as they were, or to a folder of scans.
+/// `decode` for a recording: to one with the original clouds, or to a folder of scans.
 pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("decode", "recordings are decoded one by one");
@@ -167,7 +167,7 @@ pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
     check_whole(input, copied.cut_short.as_deref())
 }
 
-/// The clouds as files in a folder.
+/// Decodes the clouds to files in a folder.
 fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<Copied> {
     if is_dash(args.output()) {
         wrong_usage("decode", "a recording is decoded into a folder, or to FILE.mcap");
@@ -196,7 +196,7 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<Copied>
     Ok(copied)
 }
 
-/// What a recording holds, for `info`, `stats` and `verify`.
+/// The contents of a recording, for `info`, `stats` and `verify`.
 #[derive(Serialize)]
 pub struct Listing {
     file: String,
@@ -215,14 +215,14 @@ struct TopicListing {
     bytes: u64,
     /// Messages that are compressed clouds.
     compressed: u64,
-    /// Points of these, and bytes before they were compressed, if they were decoded.
+    /// Number of points in these, and their size before compression, if they were decoded.
     #[serde(skip_serializing_if = "Option::is_none")]
     points: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     cloud_bytes: Option<u64>,
 }
 
-/// Lists what a recording holds; if `decodes`, with every compressed cloud decoded.
+/// Lists the contents of a recording; if `decodes`, every compressed cloud is decoded.
 pub fn examine(path: &Path, decodes: bool, threads: usize, quiet: bool) -> Result<Listing> {
     let at = |error| about(error, &path.display().to_string());
     let file = open(path).map_err(at)?;
@@ -245,24 +245,26 @@ pub fn examine(path: &Path, decodes: bool, threads: usize, quiet: bool) -> Resul
 }
 
 impl Listing {
-    /// Compressed clouds.
+    /// Number of compressed clouds.
     pub fn clouds(&self) -> u64 {
         self.topics.iter().map(|topic| topic.compressed).sum()
     }
 
-    /// Their bytes before they were compressed, if they were decoded.
+    /// Their size before compression, if they were decoded.
     pub fn cloud_bytes(&self) -> u64 {
         self.topics.iter().filter_map(|topic| topic.cloud_bytes).sum()
     }
 
+    /// Checks that the recording is complete.
+    ///
     /// # Errors
-    /// If the recording is cut short or damaged.
+    /// If it is cut short or damaged.
     pub fn check(&self) -> Result<()> {
         check_whole(Path::new(&self.file), self.cut_short.as_deref())
     }
 }
 
-/// Lists the topics.
+/// Prints the list of topics.
 pub fn print(listing: &Listing, out: &mut impl Write) -> std::io::Result<()> {
     let messages = listing.topics.iter().map(|topic| topic.messages).sum();
     let channels = table::count(listing.topics.len() as u64, "channel");
@@ -285,7 +287,7 @@ pub fn print(listing: &Listing, out: &mut impl Write) -> std::io::Result<()> {
     Ok(())
 }
 
-/// `stats` of a recording: what its compressed clouds have saved.
+/// `stats` for a recording: the savings by its compressed clouds.
 pub fn stats(args: &StatsArgs, quiet: bool) -> Result<()> {
     let listing = examine(&args.input, true, args.threads.threads, quiet)?;
     if args.json {
@@ -315,7 +317,7 @@ fn open(path: &Path) -> crate::ground::error::Result<BufReader<File>> {
     Ok(BufReader::with_capacity(1 << 20, File::open(path)?))
 }
 
-/// Writes a recording that gets its name when it is whole.
+/// Writes a recording that is renamed when complete.
 fn copy(
     path: &Path,
     force: bool,
@@ -332,7 +334,7 @@ fn copy(
     Ok((copied, output))
 }
 
-/// Unpacks what was written and compares it with what was read, message by message.
+/// Unpacks the output and compares it with the input, message by message.
 fn verify(input: &Path, output: &FileOutput, copied: &Copied, threads: usize) -> Result<()> {
     let at = |error| about(error, &input.display().to_string());
     let Some(packed) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
@@ -347,7 +349,7 @@ fn verify(input: &Path, output: &FileOutput, copied: &Copied, threads: usize) ->
     Ok(())
 }
 
-/// Says what was done.
+/// Prints the result.
 fn say(
     json: bool,
     quiet: bool,
@@ -397,8 +399,10 @@ fn say(
     Ok(())
 }
 
+/// Checks that the whole recording was processed.
+///
 /// # Errors
-/// If the recording was cut short or damaged: all before that was taken, and the output is there.
+/// If it was cut short or damaged: everything before that was processed, and the output exists.
 fn check_whole(input: &Path, cut_short: Option<&str>) -> Result<()> {
     match cut_short {
         None => Ok(()),

@@ -57,7 +57,7 @@ pub enum RegionsArg {
 }
 
 impl RegionArgs {
-    /// Puts what is given into the settings.
+    /// Applies the given options to the settings.
     pub fn choose(&self, config: &mut EncoderConfig) {
         let segmentation = &mut config.segmentation;
         set(&mut segmentation.ground_angle, self.ground_angle);

@@ -15,7 +15,7 @@ use super::losses::{LossReport, Losses};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
 use super::table;
 
-/// What was done, for machines.
+/// The machine-readable report.
 #[derive(Serialize)]
 struct Report {
     file: String,

@@ -20,27 +20,27 @@ use super::{poses, recording, steps, table};
 use comparison::{Against, compare};
 use scanners::{KnownScanners, ScannerStats};
 
-/// All that is reported.
+/// The complete report.
 #[derive(Serialize)]
 struct Stats {
     frames: u64,
-    /// Files beside the scans; they are in all that follows but `points`.
+    /// Files beside the scans; they are included in all following values except `points`.
     files_beside: u64,
     groups: u64,
-    /// Of the original files.
+    /// Number of points in the original files.
     points: u64,
-    /// Points that the outlier filter dropped.
+    /// Points removed by the outlier filter.
     outliers_dropped: u64,
-    /// Points lost because the range image had no cell of their own for them.
+    /// Points lost because the range image had no separate cell for them.
     points_lost: u64,
-    /// Of the original files.
+    /// Total size of the original files.
     file_bytes: u64,
     stream_bytes: u64,
     /// Equation 11 of the article: coded / original.
     ratio: Option<f64>,
     bits_per_point: Option<f64>,
     scanners: Vec<ScannerStats>,
-    /// Where the stream's bytes are; they add up to `stream_bytes`.
+    /// The stream's bytes by section; the sum is `stream_bytes`.
     sections: Vec<Part>,
     #[serde(skip_serializing_if = "Option::is_none")]
     against: Option<Against>,
@@ -90,7 +90,7 @@ fn read(args: &StatsArgs, input: Input, quiet: bool) -> crate::ground::error::Re
     Ok(stats)
 }
 
-/// Adds up the sizes of all parts; decodes no more than a scan of each scanner.
+/// Adds up the sizes of all parts; decodes only one scan of each scanner.
 fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Stats> {
     let mut reader = StreamReader::open(input, limits)?;
     let mut by_kind = SectionKind::ALL.map(|_| 0u64);
@@ -112,7 +112,7 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
                     originals.add(&Source::of(frame)?);
                     for section in &frame.sections {
                         let place = SectionKind::ALL.iter().position(|kind| *kind == section.kind);
-                        // What this program does not know counts as the container's.
+                        // Sections that this program does not know count as the container's.
                         if let Some(place) = place {
                             by_kind[place] += section.payload.len() as u64;
                         }

@@ -1,4 +1,4 @@
-//! `lidarpc stats --steps`: what each step of coding takes and leaves.
+//! `lidarpc stats --steps`: time and size of each coding step.
 
 use crate::stream;
 use std::io::{self, BufReader, Read, Write};
@@ -16,15 +16,15 @@ use super::input::{name_of, open};
 use super::output::print_json;
 use super::{coding, in_memory, progress, table};
 
-/// All that is reported; everything is the mean of a frame.
+/// The complete report; all values are means over frames.
 #[derive(Serialize)]
 struct Steps {
     frames: u64,
-    /// Of the range image of paper mode, in words; none if the input was coded already.
+    /// The range step of paper mode's range image, in words; none if the input is a stream.
     #[serde(skip_serializing_if = "Option::is_none")]
     range_step: Option<String>,
     bytes: Bytes,
-    /// Seconds of one thread; none if the input was coded already.
+    /// Seconds in one thread; none if the input is a stream.
     #[serde(skip_serializing_if = "Option::is_none")]
     encoding_seconds: Option<Times>,
     decoding_seconds: Times,
@@ -50,7 +50,7 @@ struct Times {
     total: f64,
 }
 
-/// Reports on a stream, or on scans, which are then coded in memory as the options say.
+/// Reports on a stream, or on scans, which are then encoded in memory with the given options.
 pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
     let (encoding, decoding, range_step) = if in_memory::is_stream(&args.input) {
         let input = open(&args.input)?.reader();
@@ -79,7 +79,7 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
     Ok(())
 }
 
-/// The step of ranges, which all sizes depend on.
+/// The range step, on which all sizes depend.
 fn range_step(config: &EncoderConfig) -> Option<String> {
     match config.projection {
         ProjectionKind::Ideal { range_step_um: FLOAT_RANGES, .. } => Some("float32".to_owned()),

@@ -1,4 +1,4 @@
-//! Figures as people read them.
+//! Numbers in human-readable form.
 
 /// Bytes with a unit: 1 kB is 1000 bytes.
 pub fn bytes(count: u64) -> String {
@@ -23,7 +23,7 @@ pub fn count(count: u64, what: &str) -> String {
     format!("{count} {what}{plural}")
 }
 
-/// A number with its thousands apart: `338,112`.
+/// A number with thousands separators: `338,112`.
 pub fn grouped(number: u64) -> String {
     let digits = number.to_string();
     let groups = digits.as_bytes().rchunks(3).rev().map(String::from_utf8_lossy);

@@ -1,6 +1,6 @@
-//! Temporary files and folders: in the folder of what they become, locked while their program runs. What a
-//! killed program left behind is thus told from what another one is writing, and removed by the next run
-//! that writes into the same folder.
+//! Temporary files and folders, in the folder of their target, locked while their program runs. The lock
+//! distinguishes leftovers of a killed program from files in use; leftovers are removed by the next run that
+//! writes into the same folder.
 
 use std::fs::{self, File};
 use std::io;
@@ -8,11 +8,11 @@ use std::path::Path;
 
 use tempfile::{Builder, NamedTempFile, TempDir};
 
-/// What their names begin and end with; between is something random.
+/// The beginning and the end of their names; the part in between is random.
 const PREFIX: &str = ".lidarpc-";
 const SUFFIX: &str = ".tmp";
 
-/// A temporary file with the rights that a new file usually gets.
+/// A temporary file with the usual permissions of a new file.
 pub fn file(folder: &Path) -> io::Result<NamedTempFile> {
     remove_leftovers(folder);
     loop {
@@ -20,14 +20,14 @@ pub fn file(folder: &Path) -> io::Result<NamedTempFile> {
         as_new_files(&mut builder);
         let file = builder.tempfile_in(folder)?;
         lock(file.as_file());
-        // Another run may have taken it for a leftover before it was locked.
+        // Another run may have removed it as a leftover before it was locked.
         if file.path().exists() {
             return Ok(file);
         }
     }
 }
 
-/// A temporary folder, and what keeps it locked.
+/// A temporary folder, and the file that keeps it locked.
 pub fn folder(folder: &Path) -> io::Result<(TempDir, Option<File>)> {
     remove_leftovers(folder);
     loop {
@@ -45,7 +45,7 @@ fn builder() -> Builder<'static, 'static> {
     builder
 }
 
-/// Gives the rights that a new file usually gets, where a temporary one gets fewer.
+/// Sets the usual permissions of a new file, where temporary ones get fewer.
 #[cfg(unix)]
 fn as_new_files(builder: &mut Builder) {
     use std::os::unix::fs::PermissionsExt;
@@ -55,17 +55,17 @@ fn as_new_files(builder: &mut Builder) {
 #[cfg(not(unix))]
 fn as_new_files(_: &mut Builder) {}
 
-/// Where there are no locks, nothing is ever taken for a leftover.
+/// On systems without locks, nothing is ever treated as a leftover.
 #[cfg(unix)]
 fn lock(file: &File) {
     let _ = file.lock();
 }
 
-/// Elsewhere a lock would keep the program itself from reading the file again.
+/// On other systems a lock would keep the program itself from reading the file again.
 #[cfg(not(unix))]
 fn lock(_: &File) {}
 
-/// Removes what killed programs left. That it cannot be removed is no reason to do nothing else.
+/// Removes leftovers of killed programs. A failure to do so is ignored.
 pub fn remove_leftovers(folder: &Path) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let name = entry.file_name();
@@ -83,7 +83,7 @@ fn remove_if_left(path: &Path) {
         Ok(about) if about.is_file() => false,
         _ => return,
     };
-    // The lock is kept until it is removed.
+    // The lock is kept until the path is removed.
     let Ok(handle) = File::open(path) else { return };
     if handle.try_lock().is_ok() {
         let _ = if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };

@@ -1,4 +1,4 @@
-//! Frames by their times.
+//! Selection of frames by their times.
 
 use std::str::FromStr;
 
@@ -6,7 +6,7 @@ use crate::container::{FrameEntry, Index};
 use crate::ground::error::{Error, Result};
 use crate::stream::FrameRange;
 
-/// A range of times after that of the first frame that has one, without its end, in nanoseconds.
+/// A half-open range of times since the first frame that has a time, in nanoseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimeRange {
     start: i64,
@@ -15,7 +15,7 @@ pub struct TimeRange {
 }
 
 impl TimeRange {
-    /// The frames from the first of these times to the last.
+    /// The frames in this range of times, from the first to the last.
     ///
     /// # Errors
     /// If no frame has a time, or none is in the range.
@@ -64,7 +64,7 @@ impl FromStr for TimeRange {
     }
 }
 
-/// A length of time in nanoseconds.
+/// A duration in nanoseconds.
 fn nanoseconds(text: &str) -> Option<i64> {
     let seconds = text.strip_suffix('s').unwrap_or(text).parse::<f64>();
     match seconds {

@@ -1,4 +1,4 @@
-//! Trees of drives: each into a stream of its own below a folder, and back.
+//! Trees of drives: each drive is encoded to a stream of its own below a folder, and decoded.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -22,22 +22,22 @@ use super::frames::{self, Found};
 use super::output::{parent, print_json};
 use super::{decode, in_memory, progress, table};
 
-/// Whether an output is a folder: it is one, or its name says so.
+/// Whether an output is a folder: it is one, or its name ends in a slash.
 pub fn is_folder(output: &Path) -> bool {
     output.is_dir() || output.to_string_lossy().ends_with(['/', std::path::MAIN_SEPARATOR])
 }
 
-/// A drive, and where its stream goes.
+/// A drive, and the path of its stream.
 struct Drive {
     output: PathBuf,
     found: Found,
 }
 
-/// What was done, for machines.
+/// The machine-readable report.
 #[derive(Serialize)]
 struct TreeReport<'a> {
     drives: Vec<&'a Report>,
-    /// Of all inputs; the drives list none of their own.
+    /// Items left out of all inputs; the drives do not list their own.
     left_out: Vec<LeftOutReport>,
 }
 
@@ -108,8 +108,8 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     Ok(())
 }
 
-/// The drives of the inputs, each of which may have the same names as others: folders one by one, and files by the folders
-/// that they are in. And what is left out of all.
+/// The drives of the inputs. Each may have the same names as others: inputs that are folders are searched one
+/// by one, files are grouped by their folders. Also what is left out of all inputs.
 fn drives(args: &EncodeArgs, quiet: bool) -> Result<(Vec<Drive>, LeftOut)> {
     let mut inputs: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
     for input in &args.inputs {
@@ -147,7 +147,7 @@ fn drives(args: &EncodeArgs, quiet: bool) -> Result<(Vec<Drive>, LeftOut)> {
     Ok((drives, left_out))
 }
 
-/// What was found, drive by drive, under names below the drive; what is in none is left out.
+/// The files found, drive by drive, with names below the drive; files in no drive are left out.
 fn drives_of(
     args: &EncodeArgs,
     found: Found,
@@ -178,7 +178,7 @@ fn drives_of(
     Ok(drives)
 }
 
-/// Encodes a drive; returns what came of it, for machines and in a line.
+/// Encodes a drive; returns the report, machine-readable and as a line of text.
 fn encode_drive(
     args: &EncodeArgs,
     config: &EncoderConfig,
@@ -201,7 +201,7 @@ fn encode_drive(
     Ok((report, summary(args, &config, &encoded)))
 }
 
-/// `decode` of a folder of streams: each into a folder of its path and name.
+/// `decode` for a folder of streams: each into a folder with its path and name.
 pub fn decode_all(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("decode", "a folder of streams is decoded by itself");
@@ -233,7 +233,7 @@ pub fn decode_all(args: &DecodeArgs, quiet: bool) -> Result<()> {
     }
 }
 
-/// The streams in a folder and those below it, in natural order.
+/// The streams in a folder and below it, in natural order.
 fn streams_below(folder: &Path) -> Result<Vec<PathBuf>> {
     let (mut open, mut streams) = (vec![folder.to_path_buf()], Vec::new());
     while let Some(folder) = open.pop() {

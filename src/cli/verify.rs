@@ -17,17 +17,17 @@ use super::input::{Originals, for_each_file, name_of, open};
 use super::output::print_json;
 use super::{progress, recording, table};
 
-/// What was found, for machines.
+/// The machine-readable report.
 #[derive(Serialize)]
 struct Report {
     file: String,
     whole: bool,
-    /// What is wrong, if it is not.
+    /// What is wrong, if the file is damaged.
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
     frames: u64,
     file_bytes: u64,
-    /// Whether the frames were held against the originals.
+    /// Whether the frames were compared with the originals.
     compared: bool,
     /// Whether they were decoded without vector units.
     deep: bool,
@@ -81,7 +81,7 @@ pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
     Ok(())
 }
 
-/// Decodes a file, and counts what it holds.
+/// Decodes a file, and counts its contents.
 fn verify(
     args: &VerifyArgs,
     path: &Path,
@@ -101,7 +101,7 @@ fn verify(
         ..DecodeOptions::default()
     };
     let bar = progress::bar(input.frame_count(options.limits), "verifying", quiet);
-    // Compared by the thread that has decoded the frame: no frame waits in memory for those before it.
+    // Compared on the thread that decoded the frame, so that no frame waits in memory for those before it.
     let compared = originals.as_mut().map(Mutex::new);
     let check = |frame: DecodedFrame| {
         let DecodedFrame { number, header: FrameHeader { name, file_size, .. }, .. } = &frame;

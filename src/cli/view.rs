@@ -88,13 +88,13 @@ fn page_of<R: Read + Seek + Send>(
     Ok(())
 }
 
-/// A frame, and the file that it was made from, if that is known.
+/// A frame, and its original file, if known.
 struct Compared {
     frame: DecodedFrame,
     original: Option<Vec<u8>>,
 }
 
-/// The frame that is asked for.
+/// The selected frame.
 fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<Compared> {
     let name = name_of(&args.input);
     let only = |number: u64| FrameRange { start: number, end: number.checked_add(1) };
@@ -130,7 +130,7 @@ fn decode_one(
 }
 
 impl Compared {
-    /// The distance of each point of the file from the original, in metres, if that is known.
+    /// The distance of each point of the file from the original, in metres, if known.
     fn errors(&self) -> Option<Vec<Option<f64>>> {
         let decoded = &self.frame.scan;
         let original = parse_like(decoded, &decoded.name, self.original.clone()?);
@@ -147,7 +147,7 @@ fn draw(args: &ViewArgs, compared: &Compared, config: &EncoderConfig) -> Result<
     match args.kind {
         Kind::BirdsEye => return Ok(BirdsEye::default().draw(positions)),
         Kind::Perspective => return Ok(Perspective::default().draw(positions)),
-        // Without a range image there is nothing else to show, unless something else was asked for.
+        // Without a range image this is the only possible picture, unless another one was requested.
         Kind::All if frame.image.is_none() => return Ok(BirdsEye::default().draw(positions)),
         _ => {}
     }

@@ -1,4 +1,4 @@
-//! Groups: frames that are coded together, and apart from all others. FORMAT.md 2.4 and 2.5.
+//! Groups: frames that are coded together, independently of all others. FORMAT.md 2.4 and 2.5.
 
 use super::index::FrameEntry;
 use super::scanner::ScannerId;
@@ -9,18 +9,19 @@ use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 use crate::ground::{SKIPPABLE, SectionKind};
 
-/// The longest name of a frame, in bytes: as long as paths may be.
+/// The longest name of a frame, in bytes: the usual limit of paths.
 pub(super) const NAME_MAX: u64 = 4095;
 
-/// The most tracks of a group.
+/// The largest number of tracks in a group.
 pub const TRACKS_MAX: u64 = 255;
 
-/// What a frame decodes to, without decoding it.
+/// Properties of the decoded file, readable without decoding the frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FrameHeader {
-    /// The file's name, perhaps with folders above it, and `/` between them. It comes from the stream: check it before use as a path.
+    /// The file's name, possibly a path with `/` as separator. It comes from the stream: check it before use
+    /// as a path.
     pub name: String,
-    /// What it is, whose, and of when.
+    /// Unit, track and time.
     pub stamp: Stamp,
     /// Bytes of the decoded file.
     pub file_size: u64,
@@ -31,7 +32,7 @@ pub struct FrameHeader {
 }
 
 impl FrameHeader {
-    /// The header of a file with these bytes.
+    /// The header for a file with these bytes.
     pub fn of(name: &str, bytes: &[u8], point_count: u64) -> Self {
         FrameHeader {
             name: name.to_owned(),
@@ -52,7 +53,7 @@ impl FrameHeader {
         write_unsigned(out, self.point_count);
     }
 
-    /// Takes a header off the front of `input`. What it claims is not checked against any limits.
+    /// Takes a header off the front of `input`. Its values are not checked against any limits.
     fn read_from(input: &mut &[u8]) -> Result<Self> {
         let name_length = read_unsigned(input, "frame name's length")?;
         if name_length > NAME_MAX {
@@ -73,9 +74,9 @@ impl FrameHeader {
 /// One coded frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CodedFrame {
-    /// What it decodes to.
+    /// The frame header.
     pub header: FrameHeader,
-    /// The coded parts.
+    /// The coded sections.
     pub sections: Vec<Section>,
 }
 
@@ -115,24 +116,24 @@ impl CodedFrame {
     }
 }
 
-/// What any frame may unfold to, in bytes, however short it is.
+/// Decoded bytes that every frame is allowed, however short it is.
 const FREE: u64 = 1 << 16;
 
-/// What it may unfold to for each byte of its sections.
+/// Decoded bytes that are allowed for each byte of the sections.
 const UNFOLDED_BYTES: u64 = 1024;
 
-/// The kind of sections that only make a frame long enough for its file.
+/// The kind of sections whose only purpose is to make a frame long enough for its file.
 const PADDING: SectionKind = SectionKind::Skippable(SKIPPABLE);
 
-/// The most bytes that the file of a frame with these sections may have, and its records, and the cells of its range
-/// image: so a short stream never asks for much time or memory. FORMAT.md 2.5.
+/// The largest decoded size, in bytes, of a frame with these sections; also the limit for its records and for
+/// the cells of its range image. It bounds the time and memory that a short stream can demand. FORMAT.md 2.5.
 pub fn allowance(sections: &[Section]) -> u64 {
     let bytes: u64 = sections.iter().map(|section| section.payload.len() as u64).sum();
     FREE.saturating_add(bytes.saturating_mul(UNFOLDED_BYTES))
 }
 
-/// Makes the sections of a frame that unfolds to so many bytes long enough for it. Only files of one thing repeated
-/// need that.
+/// Pads the sections of a frame until they are allowed to decode to `unfolded` bytes. Only extremely
+/// repetitive files need it.
 pub fn pay_for(sections: &mut Vec<Section>, unfolded: u64) {
     let missing = unfolded.saturating_sub(allowance(sections)).div_ceil(UNFOLDED_BYTES);
     if missing > 0 {
@@ -140,19 +141,19 @@ pub fn pay_for(sections: &mut Vec<Section>, unfolded: u64) {
     }
 }
 
-/// Frames that are coded together; those of each track learn from one another, and from no other's. A
-/// group says nothing of its place in the sequence, and names its scanners by what they are, so that groups can be cut
-/// and joined without coding them anew.
+/// Frames that are coded together. State is shared among the frames of a track only. A group does not store
+/// its position in the sequence, and refers to scanners by checksum, so that groups can be cut and joined
+/// without being re-encoded.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Group {
-    /// The scanner of each track, 1 to 255 of them, if it has one.
+    /// The scanner of each of the 1 to 255 tracks, if the track has one.
     pub scanners: Vec<Option<ScannerId>>,
     /// The frames of all tracks, in order.
     pub frames: Vec<CodedFrame>,
 }
 
 impl Group {
-    /// Appends the group; returns what the index says of each frame.
+    /// Appends the group; returns the index entries of its frames.
     pub fn write_to(&self, out: &mut Vec<u8>) -> Vec<FrameEntry> {
         write_unsigned(out, self.scanners.len() as u64);
         self.scanners.iter().for_each(|scanner| ScannerId::write_to(*scanner, out));
@@ -166,7 +167,7 @@ impl Group {
         entries
     }
 
-    /// Whether it holds files beside the scans.
+    /// Whether the group holds files beside the scans.
     pub fn is_beside(&self) -> bool {
         self.frames.first().is_some_and(|frame| frame.header.stamp.unit == Unit::Beside)
     }
@@ -186,11 +187,12 @@ impl Group {
         names
     }
 
-    /// Reads the payload of a group record; also returns what the index must say of each frame.
+    /// Reads the payload of a group record; also returns the entries that the index must have for its frames.
     ///
     /// # Errors
-    /// As [`CodedFrame::read_from`]; also if a frame is of a track that the group does not have, if bytes are left over, or
-    /// if the files of the group are together over `limits.file_bytes` (they may all be in memory at once).
+    /// As [`CodedFrame::read_from`]; also if a frame names a track that the group does not have, if bytes are
+    /// left over, or if the files of the group together exceed `limits.file_bytes` (all may be in memory at
+    /// once).
     pub fn read_from(mut input: &[u8], limits: &Limits) -> Result<(Self, Vec<FrameEntry>)> {
         let input = &mut input;
         let scanners = read_scanners(input)?;
@@ -232,7 +234,7 @@ fn read_scanners(input: &mut &[u8]) -> Result<Vec<Option<ScannerId>>> {
     }
 }
 
-/// Takes a frame off the front of `input` without a look at its checksums; gives its name.
+/// Takes a frame off the front of `input` without verifying its checksums; returns its name.
 fn skim_frame(input: &mut &[u8]) -> Result<String> {
     let header = FrameHeader::read_from(input)?;
     for _ in 0..read_unsigned(input, "section count")? {

@@ -7,13 +7,13 @@ use byteorder::{ByteOrder, LittleEndian};
 use super::wire::read_exact;
 use crate::ground::error::{Error, Result};
 
-/// The first four bytes of every stream; the first is no ASCII, so that nobody takes it for text.
+/// The first four bytes of every stream. The first is not ASCII, so that streams are not taken for text.
 pub const MAGIC: [u8; 4] = *b"\x89LPC";
 
-/// The version of the format: the only one that this program reads, and the one that it writes.
+/// The version of the format that this program reads and writes; it reads no other.
 pub const VERSION: u16 = 1;
 
-/// Bytes of the stream header. This layout stays the same in every later version.
+/// Bytes of the stream header. Its layout stays the same in all later versions.
 pub const HEADER_LENGTH: usize = FIELDS_LENGTH + 4;
 
 /// Bytes of the stream header before its checksum.
@@ -22,12 +22,12 @@ pub(super) const FIELDS_LENGTH: usize = 8;
 /// Flag bits that this version knows: none so far.
 const KNOWN_FLAGS: u16 = 0;
 
-/// What a reader must know before the first record.
+/// The contents of the stream header: what a reader must know before the first record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StreamHeader {
     /// Version of the format.
     pub version: u16,
-    /// Features that a reader must know in order to read the stream; a bit each.
+    /// Features that a reader must support in order to read the stream, one bit each.
     pub flags: u16,
 }
 
@@ -49,7 +49,7 @@ impl StreamHeader {
         Ok(())
     }
 
-    /// The header without its checksum: what the end record repeats.
+    /// The header without its checksum, as repeated in the end record.
     pub(super) fn to_bytes(self) -> [u8; FIELDS_LENGTH] {
         let mut bytes = [0; FIELDS_LENGTH];
         bytes[..4].copy_from_slice(&MAGIC);
@@ -58,16 +58,16 @@ impl StreamHeader {
         bytes
     }
 
-    /// The header that these bytes are; `None` if they do not begin as one.
+    /// The header in these bytes; `None` if the magic number is wrong.
     pub(super) fn of_bytes(bytes: &[u8; FIELDS_LENGTH]) -> Option<Self> {
         let (version, flags) = (LittleEndian::read_u16(&bytes[4..6]), LittleEndian::read_u16(&bytes[6..8]));
         bytes.starts_with(&MAGIC).then_some(StreamHeader { version, flags })
     }
 
-    /// Reads a header and checks that this program can read what follows.
+    /// Reads a header and checks that this program can read the stream.
     ///
     /// # Errors
-    /// If the input is no lidarpc stream, is damaged, or is of another version of the format.
+    /// If the input is not a lidarpc stream, is damaged, or has another version of the format.
     pub fn read_from(input: &mut impl Read) -> Result<Self> {
         let (mut fields, mut crc) = ([0; FIELDS_LENGTH], [0; 4]);
         read_exact(input, &mut fields[..4], "stream header")?;
@@ -82,7 +82,7 @@ impl StreamHeader {
         Ok(header)
     }
 
-    /// An error if this program cannot read what follows.
+    /// An error if this program cannot read a stream with this header.
     pub(super) fn check(&self) -> Result<()> {
         if self.version != VERSION {
             return Err(Error::UnsupportedVersion { found: self.version, known: VERSION });

@@ -1,4 +1,4 @@
-//! The index: where the records are. Only seeking needs it; a stream decodes without.
+//! The index: the offsets of the records. Only seeking needs it; a stream can be decoded without it.
 //! FORMAT.md 2.7 and 2.8.
 
 use std::collections::HashMap;
@@ -10,25 +10,26 @@ use super::wire::take_u32;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
-/// Where a scanner's records are.
+/// The locations of a scanner's records.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ScannerEntry {
-    /// What groups call it: the checksum of these records.
+    /// The checksum of these records, by which groups refer to the scanner.
     pub id: ScannerId,
-    /// Offsets of all copies of its record from the start of the stream, in bytes: at least one.
+    /// Offsets of all copies of its record, at least one, in bytes from the start of the stream.
     pub offsets: Vec<u64>,
 }
 
-/// Where a group's record is, and what it holds.
+/// The location and contents of a group's record.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GroupEntry {
-    /// Offset of the record from the start of the stream, in bytes.
+    /// Offset of the record in bytes from the start of the stream.
     pub offset: u64,
     /// Bytes of the whole record.
     pub length: u64,
-    /// Checksum of the record: by it the group is known wherever it is found.
+    /// Checksum of the record, which identifies the group wherever it is found.
     pub crc: u32,
-    /// Number of its first frame in the sequence. Not stored: it is the sum of the counts before.
+    /// Number of its first frame in the sequence. Not stored: it is the number of frames in the groups
+    /// before.
     pub first_frame: u64,
     /// Its frames, in order.
     pub frames: Vec<FrameEntry>,
@@ -39,7 +40,7 @@ pub struct GroupEntry {
 pub struct FrameEntry {
     /// Coded bytes, frame header and checksums included.
     pub size: u64,
-    /// What it is, whose, and of when: as in the frame's header.
+    /// Unit, track and time, as in the frame's header.
     pub stamp: Stamp,
 }
 
@@ -62,23 +63,23 @@ impl GroupEntry {
     }
 }
 
-/// Where all records are.
+/// The locations of all records.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Index {
     scanners: Vec<ScannerEntry>,
-    /// The places of the scanners by their names.
+    /// Index into `scanners` for each checksum.
     places: HashMap<ScannerId, usize>,
     /// The groups, in order.
     pub groups: Vec<GroupEntry>,
 }
 
 impl Index {
-    /// Frames that are no files beside the scans. They are the first.
+    /// Number of frames that are scans. They come before all files beside the scans.
     pub fn scan_count(&self) -> u64 {
         self.groups.iter().rfind(|group| !group.is_beside()).map_or(0, GroupEntry::end)
     }
 
-    /// Frames in all groups.
+    /// Number of frames in all groups.
     pub fn frame_count(&self) -> u64 {
         self.groups.last().map_or(0, GroupEntry::end)
     }
@@ -88,7 +89,7 @@ impl Index {
         &self.scanners
     }
 
-    /// The scanner that groups call so, if there is one.
+    /// The scanner with this checksum, if there is one.
     pub fn scanner(&self, id: ScannerId) -> Option<&ScannerEntry> {
         self.places.get(&id).map(|place| &self.scanners[*place])
     }
@@ -106,7 +107,7 @@ impl Index {
     /// Adds the group whose record starts at `offset`.
     ///
     /// # Errors
-    /// If it holds scans, and the group before it files beside them.
+    /// If it holds scans although the group before it holds files beside the scans.
     pub(super) fn push_group(
         &mut self,
         offset: u64,
@@ -123,11 +124,11 @@ impl Index {
         Ok(())
     }
 
-    /// Forgets the records from this offset on.
+    /// Removes the records from this offset on.
     pub fn truncate(&mut self, end: u64) {
         self.groups.retain(|group| group.offset < end);
         self.scanners.iter_mut().for_each(|entry| entry.offsets.retain(|offset| *offset < end));
-        // First records are in order, so those that are left are the first scanners.
+        // Scanners are in the order of their first records, so those that remain are the first ones.
         self.scanners.retain(|entry| !entry.offsets.is_empty());
         let scanners = self.scanners.len();
         self.places.retain(|_, place| *place < scanners);
@@ -195,12 +196,12 @@ impl Index {
     }
 }
 
-/// The end of a stream: where the index is, and the stream header once more.
+/// The end of a stream: the offset of the index, and a copy of the stream header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct End {
-    /// Of the index record, in bytes from the start of the stream.
+    /// Offset of the index record in bytes from the start of the stream.
     pub index_offset: u64,
-    /// As at the beginning of the stream. Not checked.
+    /// Copy of the stream header. Not checked.
     pub header: StreamHeader,
 }
 
@@ -216,7 +217,7 @@ impl End {
     /// Reads the payload of the end record.
     ///
     /// # Errors
-    /// If it is none.
+    /// If it is not one.
     pub fn of_payload(payload: &[u8]) -> Result<Self> {
         let parts =
             payload.split_first_chunk().and_then(|(offset, rest)| Some((offset, rest.try_into().ok()?)));

@@ -1,8 +1,8 @@
-//! The container: a stream header, then records with a length and a checksum each, the last of
-//! them an index and the end. It moves bytes about and knows no algorithms.
+//! The container: a stream header, then records, each with a length and a checksum; the last two are the
+//! index and the end. It only arranges bytes and knows no algorithm.
 //!
 //! FORMAT.md describes the same fields under the same names. Every length is checked against
-//! [`Limits`](crate::ground::error::Limits) and against the bytes that are there before memory is allocated.
+//! [`Limits`](crate::ground::error::Limits) and against the available bytes before memory is allocated.
 
 pub mod group;
 pub mod header;

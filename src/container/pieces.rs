@@ -1,4 +1,4 @@
-//! Few and large reads of an input where each may be a request to a server.
+//! Reads an input in few large pieces, since each read may be a request to a server.
 
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::sync::Arc;
@@ -6,18 +6,18 @@ use std::sync::Arc;
 use super::wire::read_exact;
 use crate::ground::error::Result;
 
-/// Bytes that are read at once at the end of the input: the end record, the index and the last copies of the scanners of
-/// a stream of some thousand frames.
+/// Bytes that are read in one go at the end of the input: enough for the end record, the index and the last
+/// copies of the scanners in a stream of some thousand frames.
 const TAIL: u64 = 1 << 16;
 
-/// An input that can be sought in, of which pieces are in memory.
+/// A seekable input with some pieces in memory.
 #[derive(Clone)]
 pub(super) struct Pieces<R> {
     input: R,
     size: u64,
-    /// What it ends in. It stays.
+    /// The end of the input, kept in memory throughout.
     tail: Arc<Vec<u8>>,
-    /// What was read ahead last, and where it begins.
+    /// The piece last read ahead, with its offset.
     ahead: (u64, Vec<u8>),
 }
 
@@ -32,7 +32,7 @@ impl<R: Read + Seek> Pieces<R> {
         Ok(Pieces { input, size, tail: Arc::new(tail), ahead: (0, Vec::new()) })
     }
 
-    /// Bytes of the input.
+    /// Size of the input in bytes.
     pub fn size(&self) -> u64 {
         self.size
     }
@@ -48,7 +48,7 @@ impl<R: Read + Seek> Pieces<R> {
         self.is_tail(start) || (*first <= start && end <= first + bytes.len() as u64)
     }
 
-    /// Reads these bytes, at once. Nothing is read if the input ends before.
+    /// Reads these bytes in one go. Nothing is read if the input is shorter.
     ///
     /// # Errors
     /// If the input fails.
@@ -56,20 +56,21 @@ impl<R: Read + Seek> Pieces<R> {
         if end > self.size || start >= end {
             return Ok(());
         }
-        // Not more than one piece at a time.
+        // Free the old buffer before the new one is allocated.
         self.ahead = (0, Vec::new());
         self.ahead = (start, read_piece(&mut self.input, start, end)?);
         Ok(())
     }
 
-    /// Lets go of what was read ahead, if it ends here.
+    /// Frees the piece that was read ahead, if it ends at `end`.
     pub fn used_up_to(&mut self, end: u64) {
         if end >= self.ahead.0 + self.ahead.1.len() as u64 {
             self.ahead = (0, Vec::new());
         }
     }
 
-    /// Reads from here on. What is read ahead must hold all that is wanted, if it holds the first byte.
+    /// A reader from `offset` on. If a piece in memory contains the first byte, it must contain all bytes
+    /// that will be read.
     ///
     /// # Errors
     /// If the input cannot be sought in.
@@ -89,7 +90,7 @@ impl<R: Read + Seek> Pieces<R> {
     }
 }
 
-/// These bytes, which the input has.
+/// Reads these bytes, which must be within the input.
 fn read_piece(input: &mut (impl Read + Seek), start: u64, end: u64) -> Result<Vec<u8>> {
     input.seek(SeekFrom::Start(start))?;
     let mut bytes = vec![0; (end - start) as usize];

@@ -1,4 +1,4 @@
-//! Reads a stream: front to back, or group by group through its index.
+//! Reads a stream: from front to back, or group by group through its index.
 
 use std::io::{Read, Seek};
 use std::ops::Range;
@@ -13,30 +13,30 @@ use super::scanner::{ScannerId, ScannerRecord, ScannerRecords};
 use crate::ground::SKIPPABLE;
 use crate::ground::error::{Error, Limits, Result};
 
-/// Bytes between groups that are read with them rather than left out: a request costs more.
+/// Largest gap between groups that are read in one go: another request would cost more than the gap's bytes.
 const LARGEST_GAP: u64 = 1 << 16;
 
-/// What a stream is made of.
+/// A record of the stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Record {
-    /// A scanner that has not come before.
+    /// A scanner that did not occur before.
     Scanner(ScannerRecord),
     /// The sequence's next group.
     Group(Group),
 }
 
-/// Reads a stream front to back, as from a pipe. A stream that is read until `None` is whole: every
-/// byte of it was covered by a checksum, and the index agrees with the records.
+/// Reads a stream from front to back, as from a pipe. If reading reaches `None`, the stream is complete:
+/// every byte was covered by a checksum, and the index agrees with the records.
 pub struct StreamReader<R> {
     input: R,
     limits: Limits,
     header: StreamHeader,
-    /// Bytes read.
+    /// Number of bytes read.
     position: u64,
-    /// What was found so far, to compare the stream's own index with.
+    /// The records read so far, to be compared with the stream's own index.
     seen: Index,
     scanners: ScannerRecords,
-    /// Where the index record was, once it was read.
+    /// Offset of the index record, once it was read.
     index_offset: Option<u64>,
     ended: bool,
 }
@@ -71,12 +71,12 @@ impl<R: Read> StreamReader<R> {
         self.position
     }
 
-    /// Where the records read so far are.
+    /// The locations of the records read so far.
     pub fn index(&self) -> &Index {
         &self.seen
     }
 
-    /// The scanner that groups call so, if it has come.
+    /// The scanner with this checksum, if it was read.
     pub fn scanner(&self, id: ScannerId) -> Option<&ScannerRecord> {
         self.scanners.get(id)
     }
@@ -84,8 +84,8 @@ impl<R: Read> StreamReader<R> {
     /// The next scanner or group, or `None` after the last.
     ///
     /// # Errors
-    /// If the input fails, is damaged or cut short, goes over the limits, or holds what only a newer
-    /// program knows. After an error there is nothing more to read.
+    /// If the input fails, is damaged or cut short, exceeds the limits, or holds something that only a newer
+    /// program knows. After an error nothing more can be read.
     pub fn next_record(&mut self) -> Result<Option<Record>> {
         while !self.ended {
             let offset = self.position;
@@ -148,8 +148,8 @@ impl<R: Read> StreamReader<R> {
     }
 }
 
-/// Reads single records of a stream that can be sought in, by way of its index: the end of the stream at once, then each
-/// group at once.
+/// Reads single records of a seekable stream through its index: the end of the stream in one request, then
+/// each group in one request.
 #[derive(Clone)]
 pub struct IndexedReader<R> {
     input: Pieces<R>,
@@ -168,8 +168,8 @@ impl<R: Read + Seek> IndexedReader<R> {
         IndexedReader::of_header(input, limits, Some(header))
     }
 
-    /// As [`open`](Self::open), but the stream header is read only where it is in the last 64 KiB, with which this
-    /// begins: the end record repeats it, and a read less may be a request less.
+    /// As [`open`](Self::open), but starts with the last 64 KiB, and reads the stream header only if it is
+    /// among them: the end record repeats it, and this saves a request.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -181,7 +181,8 @@ impl<R: Read + Seek> IndexedReader<R> {
         }
         let mut reader = IndexedReader { input, limits, index: Arc::default() };
         let index = reader.read_index(None);
-        // What does not end as a stream perhaps never was one, or is one of another version.
+        // An input without an end record may be no stream at all, or one of another version: report that
+        // instead.
         let index = index.or_else(|error| {
             StreamHeader::read_from(&mut reader.input.reader_at(0)?)?;
             Err(error)
@@ -213,15 +214,15 @@ impl<R: Read + Seek> IndexedReader<R> {
             .map_err(|e| e.within("index"))
     }
 
-    /// Where all records are.
+    /// The locations of all records.
     pub fn index(&self) -> &Index {
         &self.index
     }
 
-    /// The scanner that groups call so: the last copy of its record that is intact.
+    /// The scanner with this checksum, from the last intact copy of its record.
     ///
     /// # Errors
-    /// If the index does not tell of it, or all copies are damaged.
+    /// If it is not in the index, or all copies are damaged.
     pub fn read_scanner(&mut self, id: ScannerId) -> Result<ScannerRecord> {
         let offsets = self.index.scanner(id).map_or_else(Vec::new, |entry| entry.offsets.clone());
         let mut read = Err(Error::corrupt("it is not in the index"));
@@ -237,8 +238,8 @@ impl<R: Read + Seek> IndexedReader<R> {
         read.map_err(|e| e.within(format!("scanner {id}")))
     }
 
-    /// Reads as many of the groups at these places as follow one another in the stream and have no more than `most` bytes
-    /// together, at once, unless the first is in memory: [`read_group`](Self::read_group) takes them from there.
+    /// Reads consecutive groups of those with these indices in one go, up to `most` bytes in all, unless the
+    /// first is already in memory. [`read_group`](Self::read_group) then takes them from memory.
     ///
     /// # Errors
     /// If the input fails.
@@ -249,7 +250,7 @@ impl<R: Read + Seek> IndexedReader<R> {
         for group in groups {
             let gap = group.offset.checked_sub(end);
             let reach = group.offset.checked_add(group.length);
-            // Copies of scanners stand between groups.
+            // Small gaps are allowed because copies of scanner records lie between groups.
             let (Some(0..=LARGEST_GAP), Some(reach)) = (gap, reach) else { break };
             if reach - start > most {
                 break;
@@ -262,10 +263,10 @@ impl<R: Read + Seek> IndexedReader<R> {
         Ok(())
     }
 
-    /// The group at this place of the index, the first being 0.
+    /// The group with this index, the first being 0.
     ///
     /// # Errors
-    /// If there is no such group, or its record is damaged or not what the index says.
+    /// If there is no such group, or if its record is damaged or contradicts the index.
     pub fn read_group(&mut self, place: usize) -> Result<Group> {
         self.try_read_group(place).map_err(|e| e.within(format!("group {place}")))
     }
@@ -274,7 +275,7 @@ impl<R: Read + Seek> IndexedReader<R> {
         let index = Arc::clone(&self.index);
         let entry = index.groups.get(place).ok_or_else(|| Error::corrupt("it is not in the index"))?;
         let counted = |e: Error| e.counted_from(entry.first_frame);
-        // A longer one is refused before there is memory for it.
+        // A longer one is rejected before memory is allocated for it.
         if let Some(end) = entry.offset.checked_add(entry.length)
             && entry.length <= self.limits.record_bytes
             && !self.input.holds(entry.offset, end)
@@ -291,7 +292,7 @@ impl<R: Read + Seek> IndexedReader<R> {
         Ok(group)
     }
 
-    /// Reads the record at `offset`, which must be whole and of this kind.
+    /// Reads the record at `offset`, which must be intact and of this kind.
     fn record_at(&mut self, offset: u64, kind: u8) -> Result<RawRecord> {
         if offset >= self.input.size() {
             return Err(Error::corrupt(format!("byte {offset} is beyond the end")));
@@ -318,7 +319,7 @@ fn check_intact(raw: &RawRecord, limits: &Limits) -> Result<()> {
     Err(Error::corrupt("checksum does not match"))
 }
 
-/// An error if the group refers to a scanner that the stream does not hold.
+/// An error if the group refers to a scanner that is not in the stream.
 fn check_reference(group: &Group, index: &Index) -> Result<()> {
     match group.scanners.iter().flatten().find(|id| index.scanner(**id).is_none()) {
         Some(id) => Err(Error::corrupt(format!("its scanner {id} is missing"))),
@@ -344,7 +345,7 @@ fn kind_name(kind: u8) -> &'static str {
     }
 }
 
-/// What an error calls the record that follows those in `seen`.
+/// The name, in errors, of the record that follows those in `seen`.
 fn describe(kind: u8, seen: &Index) -> String {
     match kind {
         SCANNER => "scanner".to_owned(),

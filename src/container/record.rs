@@ -1,5 +1,4 @@
-//! Records: what the stream is made of after its header. Kind, length, payload, checksum.
-//! FORMAT.md 2.2.
+//! Records, which follow the stream header: kind, length, payload, checksum. FORMAT.md 2.2.
 
 use std::io::{Read, Write};
 
@@ -13,19 +12,19 @@ pub(super) const GROUP: u8 = 2;
 pub(super) const INDEX: u8 = 3;
 pub(super) const END: u8 = 4;
 
-/// A record as read, its checksum computed but not yet judged: the reader knows best what to say.
+/// A record as read. A wrong checksum is left to the caller, which can report it best.
 pub(super) struct RawRecord {
     pub kind: u8,
     pub payload: Vec<u8>,
     /// Bytes of the whole record.
     pub length: u64,
-    /// The checksum that it carries.
+    /// The checksum stored in the record.
     pub crc: u32,
-    /// Whether that is the checksum of its bytes.
+    /// Whether that is correct for the record's bytes.
     pub intact: bool,
 }
 
-/// A record as it was written.
+/// A record that was written.
 pub(super) struct WrittenRecord {
     /// Bytes of the whole record.
     pub length: u64,
@@ -61,7 +60,7 @@ pub(super) fn read_record(input: &mut impl Read, limits: &Limits) -> Result<RawR
     Ok(RawRecord { kind, length: head(kind, length).len() as u64 + length + 4, payload, crc, intact })
 }
 
-/// Kind and length as they stand before the payload.
+/// Kind and length, which precede the payload.
 fn head(kind: u8, length: u64) -> Vec<u8> {
     let mut head = vec![kind];
     write_unsigned(&mut head, length);

@@ -1,4 +1,4 @@
-//! Reads what is intact of a damaged stream.
+//! Reads the intact parts of a damaged stream.
 
 use std::collections::HashMap;
 use std::io::{Read, Seek, SeekFrom};
@@ -18,58 +18,59 @@ use crate::ground::error::{Error, Limits, Result};
 pub enum Salvaged {
     /// An intact group.
     Group {
-        /// Number of its first frame in the sequence; of those that were found, if nothing tells how
-        /// many were lost.
+        /// Number of its first frame in the sequence; counted among the frames found, if the number of lost
+        /// frames is unknown.
         first_frame: u64,
-        /// Where its record is, in bytes from the start of the stream.
+        /// The bytes of its record, counted from the start of the stream.
         bytes: Range<u64>,
         /// The frames.
         group: Group,
     },
-    /// Bytes that are damaged, and what was lost with them.
+    /// Damaged bytes, and what was lost with them.
     Lost(Lost),
 }
 
-/// What was lost.
+/// A damaged part of the stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Lost {
-    /// Where, in bytes from the start of the stream.
+    /// The damaged bytes, counted from the start of the stream.
     pub bytes: Range<u64>,
-    /// The numbers of the frames; `None` if nothing tells how many there were.
+    /// The numbers of the lost frames; `None` if it is unknown how many there were.
     pub frames: Option<Range<u64>>,
-    /// Names of frames that were lost, as far as they can be read.
+    /// Names of lost frames, as far as they can be read.
     pub names: Vec<String>,
     /// What is wrong.
     pub why: String,
 }
 
-/// Reads what is intact of a stream: all records whose checksum matches, wherever they are. One intact copy of a
-/// scanner is enough, before or after the groups that use it. The index tells the frames' numbers, if it is intact.
+/// Reads the intact parts of a stream: all records whose checksum matches, wherever they are. One intact copy
+/// of a scanner is enough, before or after the groups that use it. The numbers of the frames come from the
+/// index, if it is intact.
 pub struct SalvageReader<R> {
     input: R,
     limits: Limits,
     size: u64,
     records: Vec<FoundRecord>,
-    /// The next of the records.
+    /// Index of the next record in the list.
     next: usize,
     scanners: ScannerRecords,
     index: Option<Index>,
-    /// The places of groups in the index, in order, by their checksums.
+    /// The indices of groups in the stream's index, in order, by checksum.
     entries: HashMap<u32, Vec<usize>>,
-    /// The place in the index of the next group; those before were found, or are lost.
+    /// Index of the next group in the stream's index; those before it were found or reported as lost.
     next_entry: usize,
-    /// Where the last record ended.
+    /// Offset at which the last record ended.
     position: u64,
     next_frame: u64,
-    /// Whether it is over.
+    /// Whether the last part was returned.
     ended: bool,
 }
 
 impl<R: Read + Seek> SalvageReader<R> {
-    /// Looks for the records, and reads all that the groups need.
+    /// Searches the stream for records, and reads those that the groups need.
     ///
     /// # Errors
-    /// If the input fails, is no stream, or is of another version of the format.
+    /// If the input fails, is not a stream, or has another version of the format.
     pub fn open(mut input: R, limits: Limits) -> Result<Self> {
         input.seek(SeekFrom::Start(0))?;
         let header = StreamHeader::read_from(&mut input);
@@ -108,8 +109,9 @@ impl<R: Read + Seek> SalvageReader<R> {
         Ok(reader)
     }
 
-    /// An error if the stream is of another version, as the end record says. If that is lost as well, the records are
-    /// taken for what they seem: nothing passes that does not decode to the files that were encoded.
+    /// An error if the end record says that the stream has another version. If that is lost as well, the
+    /// records are read as if they were of this version: frames that do not decode to the encoded files are
+    /// rejected anyway.
     fn check_version(&mut self) -> Result<()> {
         let Some(end) = self.records.iter().rfind(|record| record.kind == END).copied() else {
             return Ok(());
@@ -140,12 +142,12 @@ impl<R: Read + Seek> SalvageReader<R> {
         Ok(())
     }
 
-    /// The scanner that groups call so, if a copy of it is intact.
+    /// The scanner with this checksum, if a copy of it is intact.
     pub fn scanner(&self, id: ScannerId) -> Option<&ScannerRecord> {
         self.scanners.get(id)
     }
 
-    /// Whether an intact index tells the numbers of the frames.
+    /// Whether an intact index gives the numbers of the frames.
     pub fn has_index(&self) -> bool {
         self.index.is_some()
     }
@@ -198,16 +200,16 @@ impl<R: Read + Seek> SalvageReader<R> {
         Ok(End::of_payload(&self.read(end)?.payload)?.index_offset == index.offset)
     }
 
-    /// A group's place in the index, wherever it is: that of the next with its checksum.
+    /// A found group's index in the stream's index: the next group with its checksum.
     fn entry_of(&self, found: FoundRecord) -> Option<usize> {
         let places = self.entries.get(&found.crc).filter(|_| found.kind == GROUP)?;
         places.get(places.partition_point(|place| *place < self.next_entry)).copied()
     }
 
-    /// What is lost of the bytes before `offset` and the frames before `frame`, if anything is.
+    /// The loss in the bytes before `offset` and the frames before `frame`, if there is any.
     fn lost_before(&mut self, offset: u64, frame: u64) -> Result<Option<Lost>> {
         self.skip_unknown(offset)?;
-        // In bytes of several streams there may be more frames than the index counts.
+        // If the bytes come from several streams, there may be more frames than the index counts.
         let (bytes, frames) = (self.position..offset, self.next_frame.min(frame)..frame);
         if bytes.is_empty() && frames.is_empty() {
             return Ok(None);
@@ -219,7 +221,7 @@ impl<R: Read + Seek> SalvageReader<R> {
         Ok(Some(Lost { bytes, frames, names, why }))
     }
 
-    /// Passes records that older programs may skip.
+    /// Skips records that older programs may skip.
     fn skip_unknown(&mut self, offset: u64) -> Result<()> {
         while self.position < offset {
             self.input.seek(SeekFrom::Start(self.position))?;
@@ -232,7 +234,7 @@ impl<R: Read + Seek> SalvageReader<R> {
         Ok(())
     }
 
-    /// The names of frames in damaged bytes, as far as their groups can be told.
+    /// The names of frames in damaged bytes, as far as groups can be recognised in them.
     fn names_in(&mut self, bytes: Range<u64>) -> Result<Vec<String>> {
         let (mut names, mut position) = (Vec::new(), bytes.start);
         while position < bytes.end {

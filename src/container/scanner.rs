@@ -1,4 +1,4 @@
-//! Scanner records: what groups refer to for the scanners of their tracks. FORMAT.md 2.3.
+//! Scanner records, to which groups refer for the scanners of their tracks. FORMAT.md 2.3.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -9,8 +9,8 @@ use super::wire::take;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
-/// What groups call a scanner: the checksum of its record. So a group names its scanners alike in every stream,
-/// and any copy of the record will do. FORMAT.md 2.3.
+/// The reference of groups to a scanner: the checksum of its record. It is the same in every stream, and any
+/// copy of the record serves. FORMAT.md 2.3.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ScannerId(pub u32);
 
@@ -21,15 +21,15 @@ impl fmt::Display for ScannerId {
 }
 
 impl ScannerId {
-    /// Appends the scanner of a track, if it has one.
+    /// Appends the reference to a track's scanner, or 0 if it has none.
     pub(super) fn write_to(scanner: Option<ScannerId>, out: &mut Vec<u8>) {
         write_unsigned(out, scanner.map_or(0, |id| u64::from(id.0) + 1));
     }
 
-    /// Takes the scanner of a track, if it has one, off the front of `input`.
+    /// Takes the reference to a track's scanner off the front of `input`; `None` if it has none.
     ///
     /// # Errors
-    /// If it is cut short, or over 2^32.
+    /// If it is cut short or above 2^32.
     pub(super) fn read_from(input: &mut &[u8]) -> Result<Option<ScannerId>> {
         let Some(id) = read_unsigned(input, "scanner of a group")?.checked_sub(1) else { return Ok(None) };
         let id = u32::try_from(id).map_err(|_| Error::corrupt("a group of a scanner that none can be"))?;
@@ -37,17 +37,17 @@ impl ScannerId {
     }
 }
 
-/// A scanner, as far as the container knows it: its family says how to read the rest.
+/// A scanner as the container sees it; only its family can read the payload.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ScannerRecord {
     /// The number of the family.
     pub family: u64,
-    /// What the family has to say of the scanner.
+    /// The constants of the scanner, in the family's own syntax.
     pub payload: Vec<u8>,
 }
 
 impl ScannerRecord {
-    /// What groups call it.
+    /// The reference that groups use.
     pub fn id(&self) -> ScannerId {
         ScannerId(checksum(SCANNER, &self.to_payload()))
     }
@@ -69,7 +69,7 @@ impl ScannerRecord {
     /// Reads the payload of a scanner record of the stream.
     ///
     /// # Errors
-    /// If it is not as long as it says.
+    /// If its length field is wrong.
     pub fn read_from(mut input: &[u8]) -> Result<Self> {
         let input = &mut input;
         let family = read_unsigned(input, "scanner's family")?;
@@ -82,7 +82,7 @@ impl ScannerRecord {
     }
 }
 
-/// The scanners of a stream, by what groups call them.
+/// The scanners of a stream by their checksums.
 #[derive(Default)]
 pub(super) struct ScannerRecords(HashMap<ScannerId, ScannerRecord>);
 
@@ -102,7 +102,7 @@ impl ScannerRecords {
         Ok(true)
     }
 
-    /// The scanner that groups call so.
+    /// The scanner with this checksum.
     pub fn get(&self, id: ScannerId) -> Option<&ScannerRecord> {
         self.0.get(&id)
     }

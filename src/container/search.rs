@@ -1,8 +1,8 @@
 //! Finds the intact records of a damaged stream, wherever they are.
 //!
-//! Any place may be the start of a record, and telling takes a checksum over as many bytes as its length
-//! says. So that this does not take the square of the stream's size, one checksum runs over the whole
-//! stream, and that of a long record is the difference of its values at the record's two ends.
+//! A record may start at any byte, and checking a candidate takes a checksum over its whole length. To avoid
+//! time quadratic in the stream's size, one checksum runs over the whole stream, and that of a long record is
+//! computed from its values at the record's two ends.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -13,27 +13,26 @@ use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
 use crate::ground::error::{Limits, Result};
 use crate::ground::varint::read_unsigned;
 
-/// Bytes that are looked at around each place. Shorter records are checked by themselves.
+/// Bytes that are examined around each offset. Records that fit are checked on their own.
 const WINDOW: usize = 1 << 13;
 
 /// Bytes that are read at a time.
 const CHUNK: usize = 1 << 16;
 
-/// Long records that may be under way at the same place. More are only in streams that were made to
-/// take memory.
+/// The largest number of long candidates that may overlap. Only streams made to use up memory have more.
 const MOST_OPEN: usize = 1 << 16;
 
-/// How often as many bytes as the stream has may be read in vain for records that only look like one. More
-/// are only in streams that were made to take time.
+/// Limit of the bytes read in vain for candidates that turn out not to be records, as a multiple of the
+/// stream's size. Only streams made to use up time exceed it.
 const PATIENCE: u64 = 8;
 
-/// Bytes of the shortest record that means anything: kind, length, two numbers, checksum.
+/// Bytes of the shortest meaningful record: kind, length, two numbers, checksum.
 const SHORTEST: usize = 2 + 2 + 4;
 
 /// An intact record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct FoundRecord {
-    /// From the start of the stream, in bytes.
+    /// Offset from the start of the stream, in bytes.
     pub offset: u64,
     /// Bytes of the whole record.
     pub length: u64,
@@ -48,9 +47,9 @@ impl FoundRecord {
     }
 }
 
-/// Finds all records of the kinds 1 to 4 whose checksum matches and whose payload `is_one` of the kind (for
-/// sections are built as records are), in order. Of two that overlap, the one that starts first counts: what
-/// is inside a record is not looked for.
+/// Finds all records of the kinds 1 to 4 whose checksum matches and whose payload passes `is_one` for the
+/// kind (sections have the same structure as records), in order. Of two overlapping records the one that
+/// starts first counts: records inside a record are not searched for.
 pub(super) fn find_records<R: Read + Seek>(
     input: &mut R,
     start: u64,
@@ -68,7 +67,7 @@ pub(super) fn find_records<R: Read + Seek>(
             at_end = input.by_ref().take(CHUNK as u64).read_to_end(&mut buffer)? < CHUNK;
             continue;
         }
-        // The last window stays, to be looked at again with what follows.
+        // The last window is kept and examined again with the bytes that follow.
         let done = if at_end { buffer.len() } else { buffer.len() - WINDOW + 1 };
         sweep.pass(&buffer, done, size, limits);
         buffer.drain(..done);
@@ -90,20 +89,20 @@ pub(super) fn find_records<R: Read + Seek>(
     Ok(records)
 }
 
-/// A long record that began where the checksum so far was `crc`. Ordered by its end.
+/// A long candidate, and the running checksum `crc` at its start. Ordered by its end.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
 struct OpenRecord {
-    /// Where its checksum stands.
+    /// Offset of its checksum.
     end: u64,
     record: FoundRecord,
     crc: u32,
 }
 
-/// One way through the stream.
+/// One pass over the stream.
 struct Sweep {
-    /// Up to where the checksum goes.
+    /// The offset that the running checksum has reached.
     position: u64,
-    /// Checksum of all bytes from the start of the sweep.
+    /// Checksum of all bytes from the start of the pass.
     crc: u32,
     shifts: Shifts,
     open: BinaryHeap<Reverse<OpenRecord>>,
@@ -111,7 +110,7 @@ struct Sweep {
 }
 
 impl Sweep {
-    /// Looks at the first `done` places of `bytes`, which begin at the sweep's position.
+    /// Examines the first `done` offsets of `bytes`, which begin at the pass's position.
     fn pass(&mut self, bytes: &[u8], done: usize, size: u64, limits: &Limits) {
         let base = self.position;
         for place in 0..done {
@@ -136,18 +135,19 @@ impl Sweep {
         self.advance(base, bytes, base + done as u64);
     }
 
-    /// Runs the checksum up to `offset`.
+    /// Continues the running checksum up to `offset`.
     fn advance(&mut self, base: u64, bytes: &[u8], offset: u64) {
         let (from, to) = ((self.position - base) as usize, (offset - base) as usize);
         self.crc = crc32c::crc32c_append(self.crc, &bytes[from..to]);
         self.position = offset;
     }
 
-    /// Judges the open record whose checksum stands at the front of `rest`.
+    /// Checks the open candidate whose checksum is at the front of `rest`.
     fn close(&mut self, rest: &[u8], base: u64, bytes: &[u8]) {
         let Some(Reverse(OpenRecord { end, record, crc })) = self.open.pop() else { return };
         self.advance(base, bytes, end);
-        // The checksum of the bytes since then: that of all bytes, less what those before do to it.
+        // The checksum of the bytes since then: that of all bytes, minus the contribution of the bytes
+        // before.
         let crc = self.crc ^ self.shifts.apply(crc, end - record.offset);
         if rest.starts_with(&crc.to_le_bytes()) {
             self.found.push(FoundRecord { crc, ..record });
@@ -155,8 +155,8 @@ impl Sweep {
     }
 }
 
-/// What bytes that follow do to the part of a checksum that comes from before them: each multiplies it by
-/// x^8, modulo the polynomial of the CRC.
+/// The effect of following bytes on the part of a checksum that comes from the bytes before them: each
+/// multiplies it by x^8, modulo the polynomial of the CRC.
 struct Shifts {
     /// x^(2^n).
     powers: [u32; 64],
@@ -171,7 +171,7 @@ impl Shifts {
         Shifts { powers }
     }
 
-    /// `crc` after this many bytes of zeros, less the checksum of those.
+    /// `crc` after this many zero bytes, minus the checksum of the zeros alone.
     fn apply(&self, mut crc: u32, bytes: u64) -> u32 {
         for n in (0..61).filter(|n| bytes >> n & 1 == 1) {
             crc = multiply(self.powers[n + 3], crc);
@@ -180,7 +180,7 @@ impl Shifts {
     }
 }
 
-/// The product of polynomials of bits, modulo that of CRC-32C; the top bit is that of x^0.
+/// The product of two polynomials over bits, modulo that of CRC-32C; the top bit is the coefficient of x^0.
 fn multiply(a: u32, mut b: u32) -> u32 {
     let mut product = 0;
     for bit in (0..32).rev() {
@@ -190,7 +190,8 @@ fn multiply(a: u32, mut b: u32) -> u32 {
     product
 }
 
-/// A record that may begin here, its checksum yet unknown, and the length of its kind and length.
+/// A candidate that begins here, with its checksum still unchecked, and the number of bytes before its
+/// payload.
 fn begin(bytes: &[u8], offset: u64, size: u64, limits: &Limits) -> Option<(FoundRecord, usize)> {
     let (&kind, mut rest) = bytes.split_first()?;
     if !matches!(kind, SCANNER | GROUP | INDEX | END) || bytes.len() < SHORTEST {
@@ -203,14 +204,14 @@ fn begin(bytes: &[u8], offset: u64, size: u64, limits: &Limits) -> Option<(Found
     (record.end() <= size).then_some((record, head))
 }
 
-/// Whether a long record may be one, by the first numbers of its payload.
+/// Whether a long candidate may be a record, judging by the first numbers of its payload.
 fn may_be(record: &FoundRecord, head: usize, bytes: &[u8]) -> bool {
     let mut payload = &bytes[head..];
     let mut next = || read_unsigned(&mut payload, "number").ok();
     match record.kind {
         GROUP => {
             let Some(scanners @ 1..=TRACKS_MAX) = next() else { return false };
-            // They, and the number of the frames.
+            // The references to the scanners, and the number of frames.
             if (0..=scanners).any(|_| next().is_none()) {
                 return false;
             }
@@ -219,7 +220,8 @@ fn may_be(record: &FoundRecord, head: usize, bytes: &[u8]) -> bool {
             name_length <= NAME_MAX && name.is_some_and(|name| std::str::from_utf8(name).is_ok())
         }
         INDEX => {
-            // How many scanners, then the family of the first or how many groups; all of them stand before it.
+            // The number of scanners, then the family of the first or the number of groups; both are limited
+            // by the offset of the record.
             let (Some(scanners), Some(groups)) = (next(), next()) else { return false };
             scanners < record.offset && (scanners > 0 || groups < record.offset)
         }
@@ -245,7 +247,7 @@ mod tests {
         found.iter().map(|record| (record.offset, record.kind)).collect()
     }
 
-    /// The payload of a group whose only frame is called `name`, as far as the scan looks at it.
+    /// A payload of `length` bytes that the search accepts as a group's.
     fn group(length: usize) -> Vec<u8> {
         let mut payload = vec![1, 0, 1, 1, b'a'];
         payload.extend((5..length).map(|place| (place * 7 % 251) as u8));
@@ -288,7 +290,7 @@ mod tests {
         let mut bytes = vec![9; 40];
         write_record(&mut bytes, GROUP, &[&inner[..], &[1; 20_000]].concat()).unwrap();
         assert_eq!(find(&bytes), [(40, GROUP)]);
-        // Unless the outer one is damaged: then nothing tells.
+        // If the outer record is damaged, the inner one is found.
         bytes[45] ^= 1;
         assert_eq!(find(&bytes).len(), 1);
         assert_ne!(find(&bytes), [(40, GROUP)]);
@@ -296,7 +298,8 @@ mod tests {
 
     #[test]
     fn a_stream_that_looks_like_records_everywhere_takes_no_long_time() {
-        // A long record may begin at every fourth byte: 1.5 * 10^11 bytes of checksums, one by one.
+        // A long candidate at every fourth byte: 1.5 * 10^11 bytes of checksums if each were computed
+        // separately.
         let bytes: Vec<u8> = [SCANNER, 0x80, 0x80, 0x10].into_iter().cycle().take(1 << 20).collect();
         assert_eq!(find(&bytes), []);
     }

@@ -1,4 +1,4 @@
-//! Sections: the typed, separately checked parts that a frame is coded in. FORMAT.md 2.6.
+//! Sections: the parts of a frame, each with a kind and a checksum. FORMAT.md 2.6.
 
 use super::wire::{take, take_u32};
 use crate::ground::SectionKind;
@@ -8,7 +8,7 @@ use crate::ground::varint::{read_unsigned, write_unsigned};
 /// One section of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Section {
-    /// What the payload holds.
+    /// The kind: what the payload holds.
     pub kind: SectionKind,
     /// The coded bytes.
     pub payload: Vec<u8>,

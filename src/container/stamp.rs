@@ -1,9 +1,9 @@
-//! What a frame was, whose it is, and of when. FORMAT.md 2.5.
+//! Origin of a frame: kind of input, track, time. FORMAT.md 2.5.
 
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 
-/// What the bytes are that a frame decodes to.
+/// The kind of input that a frame decodes to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Unit {
@@ -12,9 +12,9 @@ pub enum Unit {
     File = 0,
     /// A message of a recording.
     Message = 1,
-    /// Points that were handed over in memory.
+    /// Points passed in memory.
     Points = 2,
-    /// A file that is no scan, but stood beside the scans; or an empty folder, if its name ends in `/`.
+    /// A file beside the scans; or an empty folder, if its name ends in `/`.
     Beside = 3,
 }
 
@@ -32,7 +32,7 @@ impl Unit {
     }
 }
 
-/// Who told the time of a frame.
+/// The source of a frame's time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeSource {
     /// The recording that it is from, or the caller.
@@ -59,20 +59,20 @@ impl TimeSource {
 /// A point in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Time {
-    /// Who told it.
+    /// The source.
     pub source: TimeSource,
     /// Nanoseconds since the beginning of 1970, UTC.
     pub nanoseconds: i64,
 }
 
-/// What a frame was, whose it is, and of when. The same in the frame's header and in the index.
+/// Origin of a frame: kind of input, track, time. The same in the frame's header and in the index.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamp {
-    /// What its bytes are.
+    /// The kind of input.
     pub unit: Unit,
-    /// Its place among the tracks of the group, the first being 0: each is of a scanner of its own.
+    /// Index of its track in the group, the first being 0. Each track has a scanner of its own.
     pub track: u8,
-    /// When it was taken, if anybody told.
+    /// The time of the scan, if known.
     pub time: Option<Time>,
 }
 
@@ -90,7 +90,7 @@ impl Stamp {
     /// Takes a stamp off the front of `input`.
     ///
     /// # Errors
-    /// If it is cut short, or holds what this program does not know.
+    /// If it is cut short or holds a value that this program does not know.
     pub(super) fn read_from(input: &mut &[u8]) -> Result<Self> {
         let unit = read_unsigned(input, "frame's unit")?;
         let unit = Unit::ALL

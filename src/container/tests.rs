@@ -1,4 +1,4 @@
-//! Whole streams: what comes back, and that no damage goes unseen.
+//! Tests of whole streams: what is written is read back, and all damage is detected.
 
 use std::io::Cursor;
 
@@ -7,7 +7,7 @@ use super::record::write_record;
 use super::*;
 use crate::ground::error::{Error, Limits, Result};
 
-/// What is said of frames: this and that.
+/// A stamp for a frame: the kind of input and the time vary with `number`.
 fn stamp(number: u8) -> Stamp {
     let time = |source| Some(Time { source, nanoseconds: -1_000_000_007 * i64::from(number) });
     match number {
@@ -39,7 +39,7 @@ fn sample_groups() -> [Group; 3] {
     ]
 }
 
-/// Of two families, one of which has nothing more to say.
+/// A scanner of one of two families, one of which has an empty payload.
 fn scanner(number: u64) -> ScannerRecord {
     ScannerRecord { family: number * 100, payload: [&b""[..], b"first"][number as usize % 2].to_vec() }
 }
@@ -184,7 +184,7 @@ fn limits_hold() {
     }
 }
 
-/// Forged payloads, whose checksums would be right: each is an error, or has this one meaning only.
+/// Forged payloads with correct checksums: each is an error, or the encoding of exactly one value.
 #[test]
 fn every_payload_is_an_error_or_is_written_the_same() {
     fn check<T>(payload: &[u8], read: impl Fn(&[u8]) -> Result<T>, write: impl Fn(&T, &mut Vec<u8>)) {
@@ -215,7 +215,7 @@ fn every_payload_is_an_error_or_is_written_the_same() {
     check(&end_at(5), End::of_payload, |end, out| out.extend(end.to_payload()));
 }
 
-/// Groups of one frame whose only section has so many bytes, all of a scanner of 100 bytes.
+/// `groups` groups of one frame, whose only section has `length` bytes, all with a scanner of 100 bytes.
 fn long_stream(groups: u8, length: usize) -> (Vec<u8>, Index) {
     let scanner = ScannerRecord { family: 1, payload: vec![7; 100] };
     let mut writer = StreamWriter::create(Vec::new()).unwrap();
@@ -233,7 +233,8 @@ fn long_stream(groups: u8, length: usize) -> (Vec<u8>, Index) {
     (stream, index)
 }
 
-/// The numbers of the first frames of the groups that are saved of a damaged stream with their scanners.
+/// The numbers of the first frames of the groups that are salvaged from a damaged stream along with their
+/// scanners.
 fn saved(stream: &[u8]) -> Vec<u64> {
     let mut reader = SalvageReader::open(Cursor::new(stream), Limits::default()).unwrap();
     let mut saved = Vec::new();
@@ -316,7 +317,7 @@ fn an_index_that_points_beyond_the_end_is_an_error() {
     }
 }
 
-/// Streams whose checksums are right and whose records contradict each other.
+/// Streams with correct checksums whose records contradict each other.
 #[test]
 fn records_that_contradict_each_other_are_an_error() {
     let whole = sample_stream();

@@ -1,10 +1,10 @@
-//! The few shapes that fields have beside numbers: bytes after their length, checksums.
+//! The few kinds of fields that are not numbers: bytes preceded by their length, and checksums.
 
 use std::io::{self, Read};
 
 use crate::ground::error::{Error, Result};
 
-/// Reads exactly as many bytes as `bytes` holds; an early end is damage, named by `what`.
+/// Fills `bytes`; if the input ends early, it is damaged, which the error says of `what`.
 pub(super) fn read_exact(input: &mut impl Read, bytes: &mut [u8], what: &str) -> Result<()> {
     input.read_exact(bytes).map_err(|error| match error.kind() {
         io::ErrorKind::UnexpectedEof => Error::corrupt(format!("{what} is cut short")),
@@ -12,9 +12,10 @@ pub(super) fn read_exact(input: &mut impl Read, bytes: &mut [u8], what: &str) ->
     })
 }
 
-/// Reads `length` bytes. Memory grows with what arrives, so that a lying length costs little.
+/// Reads `length` bytes. Memory grows with the bytes received, so that a wrong length costs little.
 pub(super) fn read_bytes(input: &mut impl Read, length: u64, what: &str) -> Result<Vec<u8>> {
-    /// Bytes that room is made for at once: what most records take, so that growing does not copy them.
+    /// Bytes that are allocated at once. Most records fit, so that their bytes are not copied as the buffer
+    /// grows.
     const AT_ONCE: u64 = 16 << 20;
     let mut bytes = Vec::with_capacity(length.min(AT_ONCE) as usize);
     let got = input.by_ref().take(length).read_to_end(&mut bytes)?;

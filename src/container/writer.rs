@@ -1,4 +1,4 @@
-//! Writes a stream, front to back.
+//! Writes a stream from front to back.
 
 use std::io::Write;
 
@@ -9,22 +9,23 @@ use super::record::{END, GROUP, INDEX, SCANNER, write_record};
 use super::scanner::{ScannerId, ScannerRecord, ScannerRecords};
 use crate::ground::error::{Error, Result};
 
-/// A scanner's record is repeated in front of a group that uses it when so many times its bytes were written since
-/// the last copy, and once more at the end of a stream of several groups: so no damage costs more than the groups that
-/// it hits, and the copies take a 4,000th of the stream.
+/// Distance between copies of a scanner's record, as a multiple of its size: before a group that uses it, the
+/// record is repeated if this many times its bytes were written since the last copy. It is repeated once more
+/// at the end of a stream of several groups. So damage costs only the groups that it hits, and the copies
+/// take a 4,000th of the stream.
 const COPY_DISTANCE: u64 = 4000;
 
-/// Writes a stream, front to back, keeping only the index in memory.
+/// Writes a stream from front to back, keeping only the index in memory.
 pub struct StreamWriter<W> {
     out: W,
-    /// Bytes written.
+    /// Number of bytes written.
     position: u64,
     index: Index,
     scanners: ScannerRecords,
 }
 
 impl<W: Write> StreamWriter<W> {
-    /// Writes the stream header.
+    /// Creates a stream and writes its header.
     ///
     /// # Errors
     /// This and all other functions: if `out` fails.
@@ -38,7 +39,7 @@ impl<W: Write> StreamWriter<W> {
         })
     }
 
-    /// Goes on with a stream of which `out` has got `position` bytes, with all records of `index`, which are of these
+    /// Continues a stream of which `out` has `position` bytes, with the records in `index` and these
     /// scanners.
     ///
     /// # Errors
@@ -54,7 +55,7 @@ impl<W: Write> StreamWriter<W> {
         self.position
     }
 
-    /// Writes a scanner, unless the stream has it; returns what groups call it.
+    /// Writes a scanner unless the stream already has it; returns the reference for groups.
     ///
     /// # Errors
     /// If the output fails, or (once in 2^32 times) if another scanner of the stream has the same checksum.
@@ -78,7 +79,7 @@ impl<W: Write> StreamWriter<W> {
         Ok(())
     }
 
-    /// Whether it is long ago that this scanner was written.
+    /// Whether the last copy of this scanner is far back.
     fn is_far_behind(&self, id: ScannerId) -> bool {
         let (Some(scanner), Some(entry)) = (self.scanners.get(id), self.index.scanner(id)) else {
             return false;
@@ -87,8 +88,8 @@ impl<W: Write> StreamWriter<W> {
         self.position - last >= COPY_DISTANCE * scanner.to_payload().len() as u64
     }
 
-    /// Writes the sequence's next group, down to whoever reads the output as it grows. Its scanners were written
-    /// before; those whose last copies are far behind are written again.
+    /// Writes the sequence's next group and flushes it, for readers that follow the growing output. Its
+    /// scanners must have been written before; those whose last copies are far back are written again.
     ///
     /// # Errors
     /// If the output fails.
@@ -110,12 +111,13 @@ impl<W: Write> StreamWriter<W> {
         Ok(())
     }
 
-    /// Writes the scanners again, the index and the end, and flushes; returns the output and how many bytes it got.
+    /// Writes the scanners again, the index and the end, and flushes; returns the output and the number of
+    /// bytes written.
     ///
     /// # Errors
     /// If the output fails.
     pub fn finish(mut self) -> Result<(W, u64)> {
-        // In a stream of one group they would not save more than they cost.
+        // In a stream of one group, copies would save no more than they cost.
         if self.index.groups.len() > 1 {
             let scanners: Vec<_> = self.index.scanners().iter().map(|entry| entry.id).collect();
             scanners.into_iter().try_for_each(|id| self.write_copy(id))?;

@@ -16,19 +16,19 @@ use crate::stream::source::{GroupJob, StreamedGroups};
 pub struct Joined {
     /// Streams that were read.
     pub streams: u64,
-    /// Frames of all of them.
+    /// Total number of their frames.
     pub frames: u64,
     /// Bytes of the new stream.
     pub stream_bytes: u64,
 }
 
-/// Joins streams. They are read front to back and checked, one after the other; only one group at a time, and
-/// the names of all frames, are in memory.
+/// Joins streams. They are read from front to back and checked, one after the other; only one group, and the
+/// names of all frames, are in memory.
 ///
 /// # Errors
 /// Naming the stream: if it cannot be read or is damaged, or if it holds a frame with the same name as an
-/// earlier one, which no decoder could write into the same folder. Without a name: if the output fails. What
-/// has been written by then is not a whole stream.
+/// earlier one, which no decoder could write into the same folder. Without a name: if the output fails. The
+/// output is not a complete stream then.
 pub fn cat<R: Read>(
     inputs: impl IntoIterator<Item = Result<Named<StreamReader<R>>>>,
     out: impl Write,
@@ -62,7 +62,7 @@ impl Names {
     /// Adds the names of a group of the last stream, if they are new.
     fn check(&mut self, job: &GroupJob) -> Result<()> {
         let stream = self.paths.len() - 1;
-        // Points in memory need no name, and then there is none to be the same.
+        // Points in memory need no name, and empty names do not conflict.
         let frames = (job.first_frame..).zip(&job.group.frames);
         for (number, frame) in frames.filter(|(_, frame)| !frame.header.name.is_empty()) {
             match self.places.entry(frame.header.name.clone()) {

@@ -10,7 +10,7 @@ use crate::stream::source::GroupJob;
 /// A stream to read, and its name in errors.
 #[derive(Clone, Debug)]
 pub struct Named<T> {
-    /// Its file, or a word for a stream without one.
+    /// Its path, or a word for a stream without one.
     pub path: PathBuf,
     /// The stream.
     pub stream: T,

@@ -1,5 +1,5 @@
-//! Cuts a range of a stream's frames out as a stream of its own. Whole groups are copied as they are, and so
-//! is the beginning of a group; frames after a cut inside their group are coded again.
+//! Extracts a range of a stream's frames as a new stream. Whole groups, and beginnings of groups, are copied
+//! unchanged; frames after a cut inside their group are recoded.
 
 use std::io::{Read, Seek, Write};
 use std::path::Path;
@@ -14,22 +14,22 @@ use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
 /// The result of a cut.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cut {
-    /// Frames that were copied as they are.
+    /// Frames that were copied unchanged.
     pub copied: u64,
-    /// Frames that were coded again.
+    /// Frames that were recoded.
     pub recoded: u64,
     /// Bytes of the new stream.
     pub stream_bytes: u64,
 }
 
-/// Cuts a range of frames out of a stream that is read front to back, as from a pipe; all of it is read and
-/// checked. The frames decode to the same files as before. Frames that must be coded again use
-/// general-purpose back-ends at their default effort.
+/// Extracts a range of frames from a stream that is read from front to back, as from a pipe; all of it is
+/// read and checked. The frames decode to the same files as before. Frames that must be recoded use back-ends
+/// at their default effort.
 ///
 /// # Errors
-/// Naming the input: if it fails or is damaged anywhere, exceeds the limits, or does not hold these frames,
-/// or if a frame that must be coded again does not decode to what was encoded. Without a name: if the output
-/// fails. What has been written by then is not a whole stream.
+/// Naming the input: if it fails or is damaged anywhere, exceeds the limits, or does not contain these
+/// frames, or if a frame that must be recoded does not decode to the encoded file. Without a name: if the
+/// output fails. The output is not a complete stream then.
 pub fn cut(input: Named<impl Read>, frames: FrameRange, limits: &Limits, out: impl Write) -> Result<Cut> {
     let Named { path, stream } = input;
     let reader = StreamReader::open(stream, *limits).map_err(|e| e.at(&path))?;
@@ -40,10 +40,10 @@ pub fn cut(input: Named<impl Read>, frames: FrameRange, limits: &Limits, out: im
     cutter.finish()
 }
 
-/// As [`cut`], but reads only the groups that hold the frames asked for.
+/// As [`cut`], but reads only the groups that hold the requested frames.
 ///
 /// # Errors
-/// As [`cut`]; damage elsewhere in the stream goes unnoticed.
+/// As [`cut`]; damage elsewhere in the stream is not detected.
 pub fn cut_indexed(
     input: Named<impl Read + Seek>,
     frames: FrameRange,

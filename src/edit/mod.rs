@@ -1,5 +1,5 @@
-//! Operations on finished streams: groups are copied from one to another, and coded again only where they
-//! must be.
+//! Operations on finished streams: groups are copied from one stream to another, and recoded only where
+//! necessary.
 
 pub mod cat;
 pub mod cut;

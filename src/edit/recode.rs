@@ -1,7 +1,7 @@
-//! Codes the end of a group as a group of its own. Frames of a group depend on those before them, so what
-//! comes after a cut is coded again. This starts from the decoded [`FrameParts`], that is, from the integers of
-//! its sections and not from the points that they stand for, so lossy frames lose nothing further. The output
-//! of an image coder is written again as it is.
+//! Recodes the end of a group as a new group. Frames of a group depend on those before them, so those after a
+//! cut must be recoded. This starts from the decoded [`FrameParts`], that is, from the integers of its
+//! sections rather than from points, so that lossy frames lose nothing further. The output of an image coder
+//! is copied unchanged.
 
 use crate::container::{CodedFrame, allowance, pay_for};
 use crate::frame::parameters::Prediction;
@@ -13,13 +13,13 @@ use crate::scanner::Scanner;
 use crate::stream::decoder::write_checked;
 use crate::stream::source::GroupJob;
 
-/// Decodes a group, and codes its frames from number `start` of the sequence on as a new group with the same
-/// scanners. The headers of the frames stay as they are, and so do their parameters, except for those of a
+/// Decodes a group, and recodes its frames from number `start` of the sequence on as a new group with the
+/// same scanners. The headers of the frames are not changed, nor are their parameters, except for those of a
 /// frame that has lost its reference, and for bins: decoded ranges are coded as they are.
 ///
 /// # Errors
-/// If a scanner is of a family that this program does not know; if a frame does not decode, exceeds the
-/// limits, or is not the file of which its header tells; or if a back-end's library fails.
+/// If a scanner is of a family that this program does not know; if a frame cannot be decoded, exceeds the
+/// limits, or contradicts its header; or if a back-end's library fails.
 pub(crate) fn recode_from(start: u64, job: &mut GroupJob, limits: &Limits) -> Result<()> {
     let frames = std::mem::take(&mut job.group.frames);
     let recoder = |scanner| Recoder { scanner, limits, old: Models::default(), new: Models::default() };
@@ -36,18 +36,18 @@ pub(crate) fn recode_from(start: u64, job: &mut GroupJob, limits: &Limits) -> Re
     Ok(())
 }
 
-/// Decodes the frames of a track of a group with one set of models, and codes them with another.
+/// Decodes the frames of a track with one set of models, and codes them with another.
 struct Recoder<'a> {
     scanner: Option<&'a Scanner>,
     limits: &'a Limits,
-    /// What the frames of the old group have taught.
+    /// The models of the old group.
     old: Models,
-    /// What the frames of the new group have taught.
+    /// The models of the new group.
     new: Models,
 }
 
 impl Recoder<'_> {
-    /// Decodes the next frame, and codes it if `wanted`; earlier frames are decoded only because others
+    /// Decodes the next frame, and recodes it if `wanted`; earlier frames are decoded only because others
     /// depend on them.
     fn recode(&mut self, coded: CodedFrame, wanted: bool) -> Result<Option<CodedFrame>> {
         let CodedFrame { header, sections } = coded;
@@ -61,7 +61,7 @@ impl Recoder<'_> {
         }
         let models = &mut self.new;
         if models.past().is_none() && frame.parameters.prediction == Prediction::Inter {
-            // The frame that it was predicted from is not in the new group.
+            // Its reference is not in the new group.
             frame.predict_from_nothing();
             frame.leave_image();
         }

@@ -1,4 +1,4 @@
-//! Saves what is intact of a damaged stream: its frames, or its groups as a new stream.
+//! Recovers the intact parts of a damaged stream: as frames, or as groups of a new stream.
 
 use std::io::{Read, Seek, Write};
 use std::ops::Range;
@@ -15,19 +15,19 @@ use crate::stream::source::{GroupJob, UsedScanners, missing};
 /// The fate of a part of a damaged stream.
 #[derive(Clone, Debug)]
 pub enum Recovered {
-    /// A frame that was decoded and is the file that was encoded.
+    /// A frame that was decoded and equals the encoded file.
     Frame(Box<DecodedFrame>),
     /// A part that is lost.
     Lost(Lost),
 }
 
 /// Decodes all intact groups of a damaged stream, and passes frames and losses to `sink`, in order. A group
-/// is lost if its record is damaged or missing, or every copy of a scanner that it needs is. Frames keep their
-/// numbers as far as an intact index gives them; otherwise the frames that were found are numbered. Nothing
-/// is lost of an undamaged stream.
+/// is lost if its record is damaged or missing, or if every copy of a scanner that it needs is. Frames keep
+/// their numbers if the index is intact; otherwise the recovered frames are numbered consecutively. An
+/// undamaged stream is recovered completely.
 ///
 /// # Errors
-/// If the input fails, holds no record at all or is of another version of the format, or if the sink fails.
+/// If the input fails, contains no record at all or has another version of the format, or if the sink fails.
 pub fn recover(
     input: impl Read + Seek + Send,
     options: &DecodeOptions,
@@ -50,12 +50,12 @@ pub fn recover(
     run_ordered(resolve_threads(options.threads), groups, work, deliver)
 }
 
-/// Copies all intact groups of a damaged stream into a new one without decoding them; returns the number of
-/// frames. `on_lost` is told what is lost.
+/// Copies all intact groups of a damaged stream to a new one without decoding them; returns the number of
+/// frames. Losses are passed to `on_lost`.
 ///
 /// # Errors
-/// Naming the input: if it fails, holds no record at all or is of another version of the format. Without a name:
-/// if the output fails.
+/// Naming the input: if it fails, contains no record at all or has another version of the format. Without a
+/// name: if the output fails.
 pub fn repair(
     input: Named<impl Read + Seek>,
     limits: &Limits,
@@ -81,12 +81,12 @@ pub fn repair(
 
 /// A part of a damaged stream.
 enum Part {
-    /// A group, its place in the stream, and all that is needed to decode it.
+    /// A group, its location in the stream, and everything needed to decode it.
     Group(Range<u64>, GroupJob),
     Lost(Lost),
 }
 
-/// The parts of a damaged stream, as far as they hold the requested frames.
+/// The parts of a damaged stream that hold the requested frames.
 struct RecoveredGroups<R> {
     reader: SalvageReader<R>,
     scanners: UsedScanners,

@@ -1,16 +1,17 @@
-//! Resumes an encode that was interrupted, with the same stream as the result.
+//! Resumes an interrupted encode; the resulting stream is the same as without the interruption.
 //!
-//! A group depends on nothing but the program, its settings, the scanners and the group's files. So the
-//! groups of a partial stream are kept if all of these are unchanged. A *journal* beside the stream records
-//! the program, the settings, and the names, sizes and checksums of all files in the stream. (The checksums
-//! in frame headers are those of the decoded files, which differ in lossy modes.) The files are read again
-//! and compared, and the scanners are fitted again. The journal also holds a checksum of the groups
-//! themselves, so that it applies to this stream only, and to nothing that a killed program or a power cut
-//! left half-written.
+//! A group depends only on the program, its settings, the scanners and the group's files, so the groups of a
+//! partial stream are kept if all of these are unchanged. A *journal* beside the stream records the program,
+//! the settings, and the names, sizes and checksums of all files in the stream. (The checksums in frame
+//! headers are those of the decoded files, which differ in lossy modes.) The files are read again and
+//! compared, and the scanners are fitted again. The journal also holds a checksum of the groups themselves,
+//! so that it applies to this stream only, and not to data that a killed program or a power failure left
+//! half-written.
 //!
-//! Simpler would be to encode the rest apart and join the two. But the scanner is fitted to a sample of all
-//! frames, so the rest would get another and the result be another stream. And the stream alone cannot tell which
-//! files it was made from where something is lost, nor with which settings: that is what the journal is for.
+//! It would be simpler to encode the rest separately and join the two. But scanners are fitted to a sample of
+//! all frames, so the rest would get another scanner, and the resulting stream would differ. Nor can a stream
+//! alone identify the files and settings from which it was encoded if the encoding was lossy: this is what
+//! the journal is for.
 
 mod fingerprint;
 mod journal;
@@ -36,7 +37,7 @@ use crate::stream::input::FrameInput;
 use crate::stream::ordered::run_ordered;
 use crate::stream::scanner_choice::{DriveScanners, choose_scanners, records_of};
 
-/// Advice for a partial stream with which encoding cannot continue.
+/// Advice for a partial stream that cannot be continued.
 const ADVICE: &str = "delete it to start anew, or encode without --resume";
 
 /// The files of an encode that may be interrupted.
@@ -44,20 +45,19 @@ const ADVICE: &str = "delete it to start anew, or encode without --resume";
 pub struct PartialFiles {
     /// The name of the partial stream in errors.
     pub path: PathBuf,
-    /// The stream as far as it is written; open for reading and writing, empty at first.
+    /// The stream as far as it was written; open for reading and writing, initially empty.
     pub stream: File,
-    /// The journal; it does not exist at first.
+    /// The journal; initially missing.
     pub journal: PathBuf,
 }
 
-/// As [`encode`](crate::stream::encode()), into files from which it continues if it was interrupted before:
-/// groups that are already in them are kept. The result is the same stream, byte for byte, as that of an
-/// encode without interruption. For frames that are kept, `on_frame` is called when their files have been
-/// compared.
+/// As [`encode`](crate::stream::encode()), into files that are continued if an earlier encode was
+/// interrupted: groups that are already in them are kept. The result is the same stream, byte for byte, as
+/// that of an uninterrupted encode. For kept frames, `on_frame` is called after their files were compared.
 ///
 /// # Errors
-/// As [`encode`](crate::stream::encode()); also if the files are not those of an encode, or if they are those
-/// of an encode with other settings or other frames. They are then left unchanged.
+/// As [`encode`](crate::stream::encode()); also if the files are not those of an encode, or those of an
+/// encode with other settings or frames. They are then left unchanged.
 pub fn encode_resuming(
     frames: &[FrameInput],
     config: &EncoderConfig,
@@ -94,7 +94,7 @@ pub fn encode_resuming(
     stream.finish()
 }
 
-/// Opens the files for writing after the part that is kept, or from the start if nothing is.
+/// Opens the files for writing after the kept part, or from the start if nothing is kept.
 fn open<'p>(
     partial: &'p PartialFiles,
     kept: Kept,
@@ -107,7 +107,7 @@ fn open<'p>(
     stream.seek(SeekFrom::Start(kept.stream_end))?;
     let out = BufWriter::new(stream);
     Ok(if kept.entries.is_empty() {
-        // The journal comes first: no stream may be without one.
+        // The journal is created first: a stream must never exist without one.
         let journal = JournalWriter::begin(&partial.journal, settings)?;
         (OpenStream::begin(out, &scanners)?, journal)
     } else {
@@ -116,7 +116,7 @@ fn open<'p>(
     })
 }
 
-/// What is intact of the files; nothing if they are new.
+/// The intact part of the files; nothing if they are new.
 fn find_kept(partial: &PartialFiles) -> Result<Kept> {
     match Journal::read(&partial.journal)? {
         Some(journal) => Kept::find(&partial.stream, journal),
@@ -125,7 +125,7 @@ fn find_kept(partial: &PartialFiles) -> Result<Kept> {
     }
 }
 
-/// An error if these are not the files from which the kept groups were made.
+/// An error if these are not the files from which the kept groups were encoded.
 fn compare_inputs(
     kept: &Kept,
     frames: &[FrameInput],

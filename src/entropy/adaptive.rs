@@ -7,14 +7,14 @@ use super::BitCoder;
 pub struct AdaptiveBit {
     /// Probability of a 1, in 1/65536.
     p: u16,
-    /// Bits seen, up to where the rate stops falling.
+    /// Number of bits seen, up to the value at which the rate stops decreasing.
     seen: u8,
 }
 
-/// The slowest rate is one in 64.
+/// The lowest rate is one in 64.
 const MOST_SEEN: u8 = 62;
 
-/// For each count of bits seen: one part in two more than that, in 2^-32, rounded up. By these a u16 is divided exactly.
+/// For each count of bits seen: 2^32 / (count + 2), rounded up. Multiplication by it divides a u16 exactly.
 static RATES: [u64; MOST_SEEN as usize + 1] = {
     let mut rates = [0; MOST_SEEN as usize + 1];
     let mut seen = 0;
@@ -54,16 +54,16 @@ fn code_symbol<C: BitCoder>(nodes: &mut [AdaptiveBit], coder: &mut C, bits: u32,
     node as u32 - (1 << bits)
 }
 
-/// An integer of up to 63 bits: its length in bits as a symbol, the two bits below the highest in the context
-/// of the length, and the others, which are nearly random, as plain bits.
+/// A model of integers of up to 63 bits: the length in bits as a symbol, the two bits below the highest in
+/// the context of the length, and the other bits, which are nearly random, as plain bits.
 #[derive(Clone, Debug)]
 pub struct IntegerModel {
-    /// The contexts of the length, then for each length those of the two bits below the highest, in one
-    /// allocation.
+    /// The contexts of the length, followed for each length by those of the two bits below the highest, in
+    /// one allocation.
     nodes: Vec<AdaptiveBit>,
 }
 
-/// Contexts of the length, in bits, of an integer.
+/// Number of contexts of the length, in bits, of an integer.
 const LENGTHS: usize = 64;
 
 impl Default for IntegerModel {

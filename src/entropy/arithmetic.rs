@@ -1,16 +1,17 @@
-//! The binary arithmetic coder: a 64-bit interval, 16-bit probabilities, bytes shifted out four at a time. The decoder
-//! keeps the place of its number within the interval (Martin's range coder), so that a bit takes one product and one
-//! comparison; the encoder carries into the bytes that it has written. FORMAT.md 5.1.
+//! The binary arithmetic coder: a 64-bit interval, 16-bit probabilities, four bytes shifted out at a time.
+//! The decoder keeps the position of its number within the interval (Martin's range coder), so that a bit
+//! takes one multiplication and one comparison; the encoder propagates carries into the bytes that it has
+//! written. FORMAT.md 5.1.
 
 use std::hint::select_unpredictable;
 
 /// Codes binary decisions in one direction or the other.
 pub trait BitCoder: Default {
-    /// True if this side knows the bits. A decoder's models must not read the data that they are filling.
+    /// True if this side knows the bits. A decoder's models must not read the data that is being decoded.
     const ENCODES: bool;
 
-    /// Codes one bit that is 1 with probability `p` / 65536, 1 <= `p` <= 65535. The encoder writes
-    /// `bit`; the decoder does not look at it. Both return the bit.
+    /// Codes one bit, which is 1 with probability `p` / 65536, 1 <= `p` <= 65535. The encoder writes `bit`;
+    /// the decoder ignores it. Both return the bit.
     fn code(&mut self, bit: bool, p: u32) -> bool;
 
     /// Codes the lowest `bits` bits of `value`, each equally likely to be 0 or 1: `PLAIN_BITS` at a time.
@@ -25,15 +26,15 @@ pub trait BitCoder: Default {
         read
     }
 
-    /// Whether a decoder has read farther past the end of its bytes than any encoder's output allows, so that
-    /// what it returns is meaningless. Loops over decoded data check this from time to time, so that a few
-    /// bytes cannot cause much work.
+    /// Whether a decoder has read further past the end of its bytes than any encoder's output allows, so that
+    /// the bits it returns are meaningless. Loops over decoded data check this from time to time, so that a
+    /// few bytes cannot cause much work.
     fn is_exhausted(&self) -> bool {
         false
     }
 
-    /// An upper limit of the bits that a decoder can still return before it is exhausted, however likely they
-    /// are.
+    /// An upper limit of the number of bits that a decoder can still return before it is exhausted, however
+    /// likely they are.
     fn most_bits(&self) -> u64 {
         u64::MAX
     }
@@ -42,19 +43,19 @@ pub trait BitCoder: Default {
     fn code_part(&mut self, part: u64, bits: u32) -> u64;
 }
 
-/// The most plain bits that are coded at once.
+/// The largest number of plain bits that are coded in one step.
 const PLAIN_BITS: u32 = 16;
 
-/// At most this many zeros are dropped from the end of the bytes.
+/// The largest number of zero bytes that are dropped from the end.
 const MOST_ZEROS: usize = 64;
 
 /// The likeliest bit takes 1.44 / 65536 bits, so a byte holds fewer bits than this.
 const BITS_A_BYTE: u64 = 1 << 19;
 
-/// An interval narrower than this is widened by four bytes. No bit and no part makes it narrower than 2^16.
+/// A narrower interval is widened by four bytes. No bit and no part makes it narrower than 2^16.
 const NARROWEST: u64 = 1 << 32;
 
-/// The width of the part of the interval that a 1 has: the lower one.
+/// The width of the part of the interval that codes a 1: the lower one.
 #[inline(always)]
 fn width_of_one(width: u64, p: u32) -> u64 {
     (width >> 16) * u64::from(p)
@@ -62,7 +63,7 @@ fn width_of_one(width: u64, p: u32) -> u64 {
 
 /// Writes bits.
 pub struct ArithmeticEncoder {
-    /// Where the interval begins, behind the bytes that are out.
+    /// The lower end of the interval, relative to the bytes already written.
     low: u64,
     width: u64,
     out: Vec<u8>,
@@ -77,7 +78,7 @@ impl Default for ArithmeticEncoder {
 impl ArithmeticEncoder {
     /// The coded bytes. Up to 64 trailing zeros are dropped, as the decoder reads zeros past the end.
     pub fn finish(mut self) -> Vec<u8> {
-        // The number inside the interval that ends in most zeros; 2^64 is a carry and zeros.
+        // The number inside the interval that ends in the most zeros; 2^64 is a carry followed by zeros.
         let (low, end) = (u128::from(self.low), u128::from(self.low) + u128::from(self.width));
         let rounded = |bits: u32| low.next_multiple_of(1 << bits);
         let number = (0..u64::BITS).rev().map(rounded).find(|&number| number < end).unwrap_or(low);
@@ -104,7 +105,7 @@ impl ArithmeticEncoder {
         }
     }
 
-    /// Adds 1 to the bytes that are out, which are less than 1 as a fraction.
+    /// Adds 1 to the bytes already written, which form a fraction less than 1.
     #[cold]
     fn carry(&mut self) {
         for byte in self.out.iter_mut().rev() {
@@ -139,18 +140,19 @@ impl BitCoder for ArithmeticEncoder {
 
 /// Reads bits. Past the end of the bytes it reads zeros, so any bytes decode to something.
 pub struct ArithmeticDecoder<'a> {
-    /// How far the coded number is from where the interval begins. In damaged data it may be beyond its end.
+    /// The position of the coded number relative to the lower end of the interval. In damaged data it may be
+    /// beyond the upper end.
     place: u64,
     width: u64,
-    // Apart, so that a compiler can keep the numbers above in registers.
+    // A struct of its own, so that a compiler can keep the numbers above in registers.
     words: Words<'a>,
 }
 
-/// What is left of the bytes.
+/// The bytes that are left.
 #[derive(Default)]
 struct Words<'a> {
     bytes: &'a [u8],
-    /// Zeros read past the end.
+    /// Number of zeros read past the end.
     behind: usize,
 }
 
@@ -163,7 +165,7 @@ impl Words<'_> {
         u32::from_be_bytes(*word).into()
     }
 
-    /// Those in which the bytes end, or zeros.
+    /// The next word at the end of the bytes, padded with zeros.
     #[cold]
     fn last(&mut self) -> u64 {
         let mut word = [0; 4];
@@ -175,7 +177,7 @@ impl Words<'_> {
     }
 }
 
-/// At the end of no bytes.
+/// A decoder at the end of an empty input.
 impl Default for ArithmeticDecoder<'_> {
     fn default() -> Self {
         ArithmeticDecoder { place: 0, width: u64::MAX, words: Words::default() }
@@ -208,7 +210,7 @@ impl BitCoder for ArithmeticDecoder<'_> {
     }
 
     fn most_bits(&self) -> u64 {
-        // Those that it still reads, a word at a time, and those of the interval.
+        // The bytes that are still read, a word at a time, and those in the interval.
         let bytes = self.words.bytes.len() + (MOST_ZEROS + 4 + 8).saturating_sub(self.words.behind);
         (bytes as u64).saturating_mul(BITS_A_BYTE)
     }
@@ -224,7 +226,7 @@ impl BitCoder for ArithmeticDecoder<'_> {
 
     fn code_part(&mut self, _part: u64, bits: u32) -> u64 {
         let width = self.width >> bits;
-        // No encoder's number lies in the remainder of the division; in damaged data it counts as the last
+        // No encoder's number is in the remainder of the division; in damaged data it counts as the last
         // part.
         let part = (self.place / width).min((1 << bits) - 1);
         self.narrow(part * width, width);
@@ -259,7 +261,7 @@ mod tests {
             let mut decoder = ArithmeticDecoder::new(&bytes);
             let most = decoder.most_bits();
             let mut bits = 0u64;
-            // Always the likeliest bit, which takes the least.
+            // Always the likeliest bit, which is the cheapest.
             while !decoder.is_exhausted() {
                 let likely = decoder.place < width_of_one(decoder.width, 65535);
                 decoder.code(false, if likely { 65535 } else { 1 });

@@ -1,26 +1,26 @@
-//! Counters for more contexts than there is room for. They are found by a hash, and those of little use are
-//! replaced by those of new contexts. FORMAT.md 6.4.
+//! Counters for more contexts than fit into memory. They are found by a hash, and those that are rarely used
+//! are replaced by counters of new contexts. FORMAT.md 6.4.
 
 use super::Logistic;
 
-/// Levels of a tree that one lookup serves.
+/// Levels of the tree that one lookup covers.
 pub const LINE_LEVELS: u32 = 4;
-/// Bits of the hash that a line keeps to recognise its context.
+/// Bits of the hash that a line stores to recognise its context.
 const TAG_BITS: u32 = 12;
 const TAG_MASK: u16 = (1 << TAG_BITS) - 1;
-/// One more use of a line.
+/// The increment of a line's use count.
 const USE: u16 = 1 << TAG_BITS;
 
-/// A probability of 12 bits above the number of bits that it is based on, of 4 bits.
+/// A probability of 12 bits, followed by the number of bits that it is based on, of 4 bits.
 #[derive(Clone, Copy, Debug)]
 struct SmallCounter(u16);
 
 const COUNT_BITS: u32 = 4;
 const COUNT_MASK: u16 = (1 << COUNT_BITS) - 1;
-/// Counts from this one on stand for more and more bits.
+/// From this value on, counts stand for increasing numbers of bits.
 const EXACT_COUNTS: i32 = 8;
 
-/// For each count: the rate, in 1/65536, at which the next bit moves the probability.
+/// For each count: the rate, in 1/65536, at which the next bit changes the probability.
 static RATES: [i32; 1 << COUNT_BITS] = {
     let mut rates = [0; 1 << COUNT_BITS];
     let mut count = 0;
@@ -55,8 +55,8 @@ impl SmallCounter {
 #[derive(Clone, Copy, Debug)]
 #[repr(align(32))]
 pub struct Line {
-    /// First the tag: how often the line was looked up, up to 15, above the lowest bits of the hash. Then one
-    /// counter for each node of the tree.
+    /// First the tag: the number of lookups, up to 15, above the lowest bits of the hash. Then one counter
+    /// for each node of the tree.
     cells: [u16; 1 << LINE_LEVELS],
 }
 
@@ -124,8 +124,8 @@ impl HashedCounters {
         (hash >> (33 - self.index_bits)) as usize
     }
 
-    /// The line of a context. If the context has none, it takes over the one of its two candidates that was
-    /// looked up less often, or, if they are equal, the one that its hash points to.
+    /// The line of a context. If the context has none, it takes over the candidate that was looked up less
+    /// often, or, if both are equal, the one that its hash selects.
     #[inline]
     pub fn line(&mut self, candidates: Candidates) -> &mut Line {
         let Candidates { hash, tags } = candidates;
@@ -152,14 +152,14 @@ impl HashedCounters {
     }
 }
 
-/// A hash of a context and the number of its view.
+/// A hash of a view's number and a context.
 #[inline]
 pub fn hash(view: usize, context: u32) -> u32 {
     let mixed = context.wrapping_add((view as u32).wrapping_mul(0x3c6e_f372)).wrapping_mul(0x9e37_79b1);
     (mixed ^ mixed >> 15).wrapping_mul(0x85eb_ca6b)
 }
 
-/// A hash of the same context further down the tree.
+/// The hash for the next levels of the tree, below `node`, in the same context.
 #[inline]
 pub fn hash_below(hash: u32, node: usize) -> u32 {
     (hash ^ (node as u32).wrapping_mul(0x2545_f491)).wrapping_mul(0x9e37_79b1)
@@ -196,7 +196,7 @@ mod tests {
         assert!((2..8).all(|other| opinion(&mut counters, other) < -1.0));
         let candidates = counters.candidates(1);
         assert_eq!(counters.line(candidates).opinion(tables, 3), often);
-        // Each of the others lowers its count, until one replaces it.
+        // Each of the others lowers the line's use count, until one replaces it.
         for hash in (8..40).chain([1]) {
             let candidates = counters.candidates(hash);
             counters.line(candidates);

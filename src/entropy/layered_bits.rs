@@ -1,10 +1,10 @@
-//! Bits coded from counters in several views and opinions from outside, mixed in two layers.
+//! Bits coded from the counters of several views and from external opinions, mixed in two layers.
 //! FORMAT.md 6.6.
 
 use super::logistic::{CONSTANT, LANES};
 use super::{BitCoder, Counter, LayeredMixer, Logistic, MixContexts, MixRates};
 
-/// Codes bits by mixing `O` opinions from outside, those of counters in `V` views, and a constant one, in `S`
+/// Codes bits by mixing `O` external opinions, those of counters in `V` views, and a constant one, in `S`
 /// mixers. `N` is the number of opinions, rounded up to a multiple of four.
 #[derive(Clone)]
 pub struct LayeredBits<const O: usize, const V: usize, const N: usize, const S: usize> {
@@ -22,8 +22,8 @@ pub struct LayeredContext<const V: usize, const S: usize> {
 }
 
 impl<const O: usize, const V: usize, const N: usize, const S: usize> LayeredBits<O, V, N, S> {
-    /// Creates the given numbers of contexts. At first, all opinions from outside have the same weight, and
-    /// all others have none.
+    /// Creates as many contexts as `sizes` says. At first, all external opinions have the same weight, and
+    /// all others have weight 0.
     pub fn new(sizes: &LayeredContext<V, S>) -> Self {
         const { assert!(N.is_multiple_of(LANES) && O + V < N) };
         const RATES: MixRates = MixRates { first: 0.012, last: 0.001 };
@@ -36,13 +36,13 @@ impl<const O: usize, const V: usize, const N: usize, const S: usize> LayeredBits
         }
     }
 
-    /// Copies what the first `sets` weight sets of a mixer have learned to those that follow, `sets` at a
+    /// Copies the learned state of a mixer's first `sets` weight sets to the sets that follow, `sets` at a
     /// time.
     pub fn spread_sets(&mut self, mixer: usize, sets: usize) {
         self.mixer.spread_sets(mixer, sets);
     }
 
-    /// Codes a bit; `others` are the opinions from outside, as log odds.
+    /// Codes a bit; `others` are the external opinions, as log odds.
     #[inline]
     pub fn code<C: BitCoder>(
         &mut self,
@@ -73,7 +73,7 @@ mod tests {
     const SIZES: LayeredContext<2, 2> =
         LayeredContext { views: [4, 4], mixer: MixContexts { sets: [2, 2], last: 1, refinements: [2, 1] } };
 
-    /// Bit `i`, which its contexts mostly determine, with an opinion that is mostly wrong.
+    /// Bits that are mostly determined by their contexts, with an external opinion that is mostly wrong.
     fn bits() -> impl Iterator<Item = (bool, LayeredContext<2, 2>, [f32; 1])> {
         (0..4000usize).map(|i| {
             let bit = (i % 4 == 1) != (i % 61 == 0);

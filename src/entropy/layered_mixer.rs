@@ -32,7 +32,7 @@ pub struct MixContexts<const S: usize> {
     pub refinements: [usize; REFINEMENTS],
 }
 
-/// The learning rates that the layers' weights arrive at.
+/// The final learning rates of the layers' weights.
 #[derive(Clone, Copy, Debug)]
 pub struct MixRates {
     /// The rate of the first layer.
@@ -42,8 +42,7 @@ pub struct MixRates {
 }
 
 impl<const N: usize, const S: usize> LayeredMixer<N, S> {
-    /// Creates the numbers of weight sets and maps that `counts` gives. The first layer's weights start as
-    /// `weights`.
+    /// Creates as many weight sets and maps as `counts` says. The first layer's weights start as `weights`.
     pub fn new(counts: MixContexts<S>, weights: [f32; N], rates: MixRates) -> Self {
         LayeredMixer {
             sets: counts.sets.map(|sets| WeightSets::new(sets, weights, rates.first)),
@@ -54,7 +53,7 @@ impl<const N: usize, const S: usize> LayeredMixer<N, S> {
         }
     }
 
-    /// Copies what the first `sets` weight sets of a mixer of the first layer have learned to those that
+    /// Copies the learned state of the first `sets` weight sets of a first-layer mixer to the sets that
     /// follow, `sets` at a time.
     pub fn spread_sets(&mut self, mixer: usize, sets: usize) {
         self.sets[mixer].spread(sets);

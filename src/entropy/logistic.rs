@@ -6,7 +6,8 @@ use std::sync::LazyLock;
 use super::BitCoder;
 use super::weights::WeightSets;
 
-/// Table steps per unit of log odds: so fine that no step makes a difference of a thousandth of a bit.
+/// Table steps per unit of log odds: fine enough that a finer table would save less than a thousandth of a
+/// bit.
 const SQUASH_FINENESS: f32 = 256.0;
 const SQUASH_STEPS: usize = 8192;
 /// The log odds of the table's last step.
@@ -17,14 +18,14 @@ const BEND_STEPS: usize = 1024;
 /// The functions of logistic mixing, as tables.
 #[derive(Clone)]
 pub struct Logistic {
-    /// Probabilities of log odds from -16 to 16, in 1/65536.
+    /// The probability, in 1/65536, for log odds from -16 to 16.
     squash: [u16; SQUASH_STEPS],
     /// Log odds at the centres of equal steps of probability.
     stretch: [f32; STRETCH_STEPS],
-    /// By how much ln is above its chord between powers of two, in equal steps from one to the next. A number's bits,
-    /// exponent and mantissa as one integer, are on that chord.
+    /// The height of the logarithm above its chord between powers of two, in equal steps from one power to
+    /// the next. A float's bits, exponent and mantissa as one integer, lie on that chord.
     bend: [f32; BEND_STEPS],
-    /// For each count of a [`Counter`], how far its probability can be trusted.
+    /// For each count of a [`Counter`], how much its probability is trusted.
     belief: [f32; COUNT_LIMIT as usize + 1],
 }
 
@@ -60,14 +61,14 @@ impl Logistic {
     /// The probability, in 1/65536 (1 to 65535), of log odds.
     #[inline(always)]
     pub fn squash(&self, odds: f32) -> u32 {
-        // To the sum of 2^23 and something less, the lowest bit is a unit.
+        // For a sum near 2^23 the lowest bit of a float is 1, so the addition rounds.
         const MIDDLE: f32 = (1 << 23) as f32 + (SQUASH_STEPS / 2) as f32;
         let place = odds.clamp(-MOST_ODDS, MOST_ODDS) * SQUASH_FINENESS + MIDDLE;
         u32::from(self.squash[place.to_bits() as usize % SQUASH_STEPS])
     }
 
-    /// The log odds of a 1, to within a thousandth, where the probabilities of a 1 and of a 0 are in the ratio of
-    /// these two, which are positive.
+    /// The log odds of a 1, to within a thousandth, given the ratio of the probabilities of 1 and 0 as two
+    /// positive numbers.
     #[inline(always)]
     pub fn odds(&self, one: f32, zero: f32) -> f32 {
         const MANTISSA_BITS: u32 = f32::MANTISSA_DIGITS - 1;
@@ -92,16 +93,16 @@ impl Logistic {
     }
 }
 
-/// A probability of 22 bits above the number of bits that it is based on, of 10 bits.
+/// A probability of 22 bits, followed by the number of bits that it is based on, of 10 bits.
 #[derive(Clone, Copy, Debug)]
 pub struct Counter(u32);
 
 const COUNT_BITS: u32 = 10;
 const COUNT_MASK: u32 = (1 << COUNT_BITS) - 1;
-/// Counters never adapt more slowly than by one part in this many.
+/// The lowest adaptation rate of counters is one in this number.
 const COUNT_LIMIT: u32 = 255;
 
-/// For each count: the rate, in 1/8192, at which the next bit moves the probability.
+/// For each count: the rate, in 1/8192, at which the next bit changes the probability.
 static RATES: [i32; COUNT_LIMIT as usize + 1] = {
     let mut rates = [0; COUNT_LIMIT as usize + 1];
     let mut n = 0;
@@ -132,8 +133,9 @@ impl Counter {
         self.0 & COUNT_MASK == 0
     }
 
-    /// The same probability, as if based on at most `most` bits, which is at least 4. It is kept between 1/1024 and
-    /// 1023/1024: few bits have a high rate, whose rounding would take a probability of nearly 0 below 0.
+    /// The same probability, as if based on at most `most` bits, which is at least 4. It is kept between
+    /// 1/1024 and 1023/1024: a low count means a high rate, whose rounding would take a probability of nearly
+    /// 0 below 0.
     #[inline]
     pub fn based_on(self, most: u32) -> Self {
         const SUREST: u32 = u32::MAX / 1024 + 1;
@@ -145,33 +147,34 @@ impl Counter {
     pub fn learn(&mut self, bit: bool) {
         let count = self.0 & COUNT_MASK & COUNT_LIMIT;
         let target = if bit { (1 << 22) - 1 } else { 0 };
-        // An eighth of the way to the target times 8192ths is in 2^-32, as the whole number is. It
-        // fits 31 bits: early rates are high, but then the probability is still near one half.
+        // An eighth of the distance to the target times 8192ths is in units of 2^-32, as is the counter
+        // itself. The product fits 31 bits: early rates are high, but then the probability is still near one
+        // half.
         let moved = ((target - (self.0 >> COUNT_BITS) as i32) >> 3) * RATES[count as usize];
         self.0 = self.0.wrapping_add_signed(moved & !(COUNT_MASK as i32)) + u32::from(count < COUNT_LIMIT);
     }
 }
 
-/// Codes bits by mixing opinions: those of counters in `V` views, one from outside, and a constant one. Each
-/// of some contexts has its own weight set. `N` is the number of opinions, rounded up to a multiple of four.
+/// Codes bits by mixing opinions: those of counters in `V` views, an external one, and a constant one. Each
+/// mixing context has its own weight set. `N` is the number of opinions, rounded up to a multiple of four.
 #[derive(Clone)]
 pub struct MixedBits<const V: usize, const N: usize> {
     /// The counters of all views, one view after the other.
     counters: Vec<Counter>,
-    /// Where each view begins.
+    /// Index of each view's first counter.
     views: [usize; V],
     weights: WeightSets<N>,
     tables: &'static Logistic,
 }
 
-/// Numbers that a vector unit of any processor handles at once.
+/// Number of values that a vector unit of any processor computes with at once.
 pub(super) const LANES: usize = 4;
 /// The constant opinion.
 pub(super) const CONSTANT: f32 = 0.25;
 
 impl<const V: usize, const N: usize> MixedBits<V, N> {
-    /// Creates `places` counters for each view and `sets` weight sets. Weights start at `view_weight` for
-    /// each view and at `other_weight` for the opinion from outside; the learning rate ends at `rate`.
+    /// Creates `places` counters for each view, and `sets` weight sets. Weights start at `view_weight` for
+    /// each view and at `other_weight` for the external opinion; the learning rate ends at `rate`.
     pub fn new(places: [usize; V], sets: usize, view_weight: f32, other_weight: f32, rate: f32) -> Self {
         const { assert!(V + 2 <= N) };
         let mut start = [0.0; N];
@@ -190,13 +193,13 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         }
     }
 
-    /// Copies what the first `sets` weight sets have learned to those that follow, `sets` at a time.
+    /// Copies the learned state of the first `sets` weight sets to the sets that follow, `sets` at a time.
     pub fn spread_sets(&mut self, sets: usize) {
         self.weights.spread(sets);
     }
 
     /// Codes a bit as [`code_with`](Self::code_with) does, but from the first two views alone if the log odds
-    /// of both are at least `sure` in magnitude: what the others would add is not worth the time.
+    /// of both are at least `sure` in magnitude: the gain from the others would not be worth the time.
     #[inline]
     pub fn code_or_sure<C: BitCoder, const X: usize>(
         &mut self,
@@ -217,8 +220,7 @@ impl<const V: usize, const N: usize> MixedBits<V, N> {
         bit
     }
 
-    /// Codes a bit. `places` selects the counter of each view; `other` is the opinion from outside, as log
-    /// odds.
+    /// Codes a bit. `places` selects the counter of each view; `other` is the external opinion, as log odds.
     #[inline]
     pub fn code<C: BitCoder>(
         &mut self,

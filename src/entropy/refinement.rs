@@ -1,6 +1,5 @@
-//! Maps that refine an estimate by how such estimates have turned out before: from log odds to log odds, one
-//! map for each of some contexts, piecewise linear between learned points (Mahoney's adaptive probability
-//! maps). FORMAT.md 6.5.
+//! Maps that refine an estimate by the outcomes of similar estimates: from log odds to log odds, one map per
+//! context, piecewise linear between learned points (Mahoney's adaptive probability maps). FORMAT.md 6.5.
 
 use super::Logistic;
 
@@ -18,12 +17,12 @@ pub struct Refinement {
     tables: &'static Logistic,
 }
 
-/// Where between two points of a map an estimate lies.
+/// The position of an estimate between two points of a map.
 #[derive(Clone, Copy, Debug)]
 pub struct Refined {
     context: usize,
     point: usize,
-    /// How far it lies between that point and the next, from 0 to 1.
+    /// Its distance from that point as a fraction of the distance to the next, from 0 to 1.
     part: f32,
 }
 
@@ -67,7 +66,7 @@ mod tests {
             let (refined, _) = maps.refine(1, 3.2);
             maps.learn(refined, i % 4 > 0);
         }
-        // 3 to 1.
+        // Log odds of 3 to 1.
         assert!((maps.refine(1, 3.2).1 - 1.1).abs() < 0.2, "{}", maps.refine(1, 3.2).1);
         assert!((maps.refine(0, 3.2).1 - 3.2).abs() < 1e-5);
         assert!(maps.refine(0, f32::NAN).1.is_nan() && maps.refine(0, 1e9).1 == REACH);

@@ -1,6 +1,6 @@
 //! Static coding of tokens by an asymmetric numeral system (range ANS): a section's tokens are counted first,
-//! then each is coded by its share. Faster than adaptive coding, and nearly as small where many tokens share
-//! few contexts. FORMAT.md 5.5.
+//! then each is coded with the resulting frequency. Faster than adaptive coding, and nearly as small where
+//! many tokens share few contexts. FORMAT.md 5.5.
 //!
 //! As with bits, every syntax element is written once, as a function over a [`TokenCoder`].
 
@@ -18,7 +18,7 @@ pub use writer::TokenWriter;
 
 use numbers::NumberToken;
 
-/// The most plain bits that are coded at once: they fit into eight bytes wherever in a byte they begin.
+/// The largest number of plain bits coded in one step: they fit into eight bytes at any bit offset.
 pub const MOST_BITS: u32 = 56;
 
 /// Codes tokens and plain bits in one direction or the other.
@@ -26,13 +26,13 @@ pub trait TokenCoder {
     /// True if this side knows the tokens.
     const ENCODES: bool;
 
-    /// Codes one token in a context. The decoder does not look at `token`. Both return it.
+    /// Codes one token in a context. The decoder ignores `token`. Both return the token.
     fn token(&mut self, context: usize, token: u8) -> u8;
 
     /// Codes the lowest `count` bits of `value`, at most [`MOST_BITS`], each as likely to be 0 as 1.
     fn bits(&mut self, value: u64, count: u32) -> u64;
 
-    /// Whether a decoder has read past the end of its bytes, so that what it returns is meaningless.
+    /// Whether a decoder has read past the end of its bytes, so that the values it returns are meaningless.
     fn is_exhausted(&self) -> bool {
         false
     }

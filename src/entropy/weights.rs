@@ -1,9 +1,9 @@
-//! The weights of logistic mixing: how much each of several opinions has helped so far, in each of some contexts.
+//! The weights of logistic mixing: how much each of several opinions has helped so far, in each context.
 //! FORMAT.md 6.3 and 6.5.
 
 use super::logistic::LANES;
 
-/// The learning rate starts this many times as high as it ends.
+/// The ratio of the initial to the final learning rate.
 const EARLY_RATE: f32 = 4.0;
 /// After this many bits, the learning rate of a weight set has halved.
 const EARLY_BITS: f32 = 200.0;
@@ -14,12 +14,12 @@ pub struct WeightSets<const N: usize> {
     weights: Vec<[f32; N]>,
     /// How many bits each weight set has learned from.
     seen: Vec<u16>,
-    /// The learning rate after that many bits, by units of 1/65536 of a probability.
+    /// The learning rate after that many bits, per 1/65536 of a probability.
     rates: Vec<f32>,
 }
 
 impl<const N: usize> WeightSets<N> {
-    /// Creates as many sets, which start as `weights`. The learning rate ends at `rate`.
+    /// Creates `sets` weight sets, which start as `weights`. The learning rate ends at `rate`.
     pub fn new(sets: usize, weights: [f32; N], rate: f32) -> Self {
         const { assert!(N.is_multiple_of(LANES)) };
         let early = |seen: u16| EARLY_RATE * EARLY_BITS / (EARLY_BITS + f32::from(seen));
@@ -31,7 +31,7 @@ impl<const N: usize> WeightSets<N> {
         }
     }
 
-    /// Copies what the first `sets` sets have learned to those that follow, `sets` at a time.
+    /// Copies the learned state of the first `sets` sets to the sets that follow, `sets` at a time.
     pub fn spread(&mut self, sets: usize) {
         for set in sets..self.weights.len() {
             (self.weights[set], self.seen[set]) = (self.weights[set % sets], self.seen[set % sets]);
@@ -51,7 +51,7 @@ impl<const N: usize> WeightSets<N> {
         (sums[0] + sums[1]) + (sums[2] + sums[3])
     }
 
-    /// Learns from a bit that the set's sum gave the probability `p` / 65536.
+    /// Learns from a bit to which the set's sum gave the probability `p` / 65536.
     #[inline(always)]
     pub fn learn(&mut self, set: usize, opinions: &[f32; N], bit: bool, p: u32) {
         let seen = &mut self.seen[set];

@@ -1,4 +1,4 @@
-//! Frames as they arrive: in a tar archive, or each after a line that gives its name and size.
+//! Frames as they arrive: from a tar archive, or each after a line with its name and size.
 
 use std::collections::HashSet;
 use std::io::{BufReader, Chain, Cursor, Read};
@@ -12,7 +12,7 @@ use crate::ground::error::{Error, Limits, Result};
 /// The longest line before a frame, in bytes: a name, a space, and a number.
 const MAX_LINE: usize = 300;
 
-/// The first bytes of compressed files, none of which can begin a name, and the programs that decompress them.
+/// The first bytes of compressed files, which no name can begin with, and the programs that decompress them.
 const COMPRESSORS: [(&[u8], &str); 4] =
     [(b"\x1f\x8b", "gzip"), (b"\x28\xb5\x2f\xfd", "zstd"), (b"\xfd7zXZ", "xz"), (b"BZh91AY&SY", "bzip2")];
 
@@ -25,18 +25,18 @@ pub struct ArrivedFile {
     pub bytes: Vec<u8>,
 }
 
-/// Reads frames as they arrive, never farther than necessary. The first bytes tell the container: a line ends
-/// with a line feed, and a tar archive has a zero byte before any line feed.
+/// Reads frames as they arrive, never further than necessary. The first bytes tell the two kinds of input
+/// apart: a line ends with a line feed, and a tar archive has a zero byte before any line feed.
 pub struct ArrivingFrames<R> {
     source: Source<R>,
-    /// The names so far, because no decoder could write two files with one name; none if they may repeat.
+    /// The names so far, since no decoder could write two files with one name; none if names may repeat.
     names: Option<HashSet<String>>,
-    /// Whether there was a frame.
+    /// Whether there was a frame so far.
     has_frames: bool,
     left_out: LeftOut,
 }
 
-/// The input, including what was read from it to recognise the container.
+/// The input, including the bytes read to recognise its kind.
 type Whole<R> = Chain<Cursor<Vec<u8>>, BufReader<R>>;
 
 enum Source<R> {
@@ -44,7 +44,7 @@ enum Source<R> {
     New(BufReader<R>),
     Lines(Whole<R>),
     Tar(TarReader<Whole<R>>),
-    /// After the last frame, or an error.
+    /// After the last frame, or after an error.
     Ended,
 }
 
@@ -60,13 +60,13 @@ impl<R: Read> ArrivingFrames<R> {
         }
     }
 
-    /// The same, whether names repeat or not: for frames that do not become one stream.
+    /// The same reader, but names may repeat: for frames that do not become one stream.
     #[must_use]
     pub fn with_any_names(self) -> Self {
         ArrivingFrames { names: None, ..self }
     }
 
-    /// What the archive held besides the frames; complete after the last frame.
+    /// The contents of the archive other than frames; complete after the last frame.
     pub fn left_out(&self) -> &LeftOut {
         &self.left_out
     }
@@ -95,7 +95,7 @@ impl<R: Read> ArrivingFrames<R> {
         Ok(Some(file))
     }
 
-    /// An archive without scans is an error, as a folder without scans is.
+    /// An archive without scans is an error, like a folder without scans.
     fn end_of_archive(&self) -> Result<Option<ArrivedFile>> {
         if self.has_frames {
             return Ok(None);
@@ -166,7 +166,7 @@ fn next_of_lines(input: &mut impl Read) -> Result<Option<ArrivedFile>> {
     Ok(Some(ArrivedFile { bytes: read_file(input, &name, size)?, name }))
 }
 
-/// Reads the bytes of a file. Memory grows only with what arrives.
+/// Reads the bytes of a file. Memory grows with the bytes that arrive.
 pub(super) fn read_file(input: &mut impl Read, name: &str, size: u64) -> Result<Vec<u8>> {
     let max = Limits::default().file_bytes;
     Error::check_limit("bytes of a file", size, max).map_err(|e| e.at(name))?;
@@ -177,7 +177,7 @@ pub(super) fn read_file(input: &mut impl Read, name: &str, size: u64) -> Result<
     Ok(bytes)
 }
 
-/// An error about a file, or about its container.
+/// An error about a file, or about the input that contains it.
 pub(super) fn refuse(name: &str, what: impl Into<String>) -> Error {
     Error::Input { path: PathBuf::from(name), what: what.into() }
 }

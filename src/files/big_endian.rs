@@ -3,8 +3,8 @@
 use super::records::Parts;
 use crate::scan::{Layout, ScanFile, Wrapping};
 
-/// Takes a file apart whose records stand one after the other from byte `start` on, at most `records` of
-/// them. `None` if the layout is not valid.
+/// Splits a file whose records follow one another from byte `start` on, at most `records` of them. `None` if
+/// the layout is not valid.
 pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
     let layout = Layout { wrapping: Wrapping::BigEndian, ..layout };
     layout.validate().ok()?;

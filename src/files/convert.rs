@@ -87,10 +87,11 @@ impl FileFormat {
     }
 }
 
-/// The scan as a file of another format: `to_bytes` of the result is that file. Points keep their order and
-/// every bit of their coordinates, but text has no payloads of NaN. x, y and z come first, then the intensity, then the other named fields,
-/// with their types; each value of a field with several becomes a field. Padding and the bytes around the
-/// records are left out. Numbers from text become float32 if that preserves all their digits.
+/// The scan as a file of another format: `to_bytes` of the result gives its bytes. Points keep their order
+/// and every bit of their coordinates, except for the payloads of NaN in text. x, y and z come first, then
+/// the intensity, then the other named fields with their types; each value of a field with several values
+/// becomes a field. Padding and the bytes around the records are left out. Numbers from text become float32
+/// if that preserves all their digits.
 ///
 /// # Errors
 /// [`Error::Input`], with the scan's name, if it holds no points, or if they are not float32, for

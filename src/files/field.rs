@@ -2,15 +2,15 @@
 
 use crate::scan::{Field, Layout, MAX_NAME, MAX_STRIDE, Scalar, Wrapping};
 
-/// The name of the intensity where a file has none for it.
+/// The name given to an intensity without a name.
 pub(super) const INTENSITY: &str = "intensity";
-/// What programs call intensity, the likeliest first; `scalar_intensity` is CloudCompare's.
+/// The usual names of the intensity, the likeliest first; `scalar_intensity` is CloudCompare's.
 const INTENSITY_NAMES: [&str; 5] = [INTENSITY, "scalar_intensity", "i", "reflectivity", "reflectance"];
-/// Tables of fewer columns are no points.
+/// Tables with fewer columns are not points.
 pub(super) const FEWEST_COLUMNS: usize = 3;
 /// The names of the coordinates.
 pub(super) const POSITION: [&str; 3] = ["x", "y", "z"];
-/// What PCL calls padding.
+/// PCL's name for padding.
 const PADDING: &str = "_";
 
 /// One field of a record, as a header declares it.
@@ -20,7 +20,7 @@ pub(super) struct Declared<'a> {
     pub name: &'a str,
     /// The type of its values, if it is a type that this program knows.
     pub scalar: Option<Scalar>,
-    /// Number of bytes that it takes in a record.
+    /// Number of bytes that a record has for it.
     pub width: u32,
 }
 
@@ -47,7 +47,7 @@ impl Declared<'_> {
     }
 }
 
-/// The name that a field gets: shortened if it is too long, and none for padding.
+/// The name of the field in a layout: shortened if it is too long, empty for padding.
 pub(super) fn name_of(name: &str) -> String {
     let name = (0..=MAX_NAME.min(name.len())).rev().find_map(|end| name.get(..end)).unwrap_or_default();
     if name == PADDING || !Field::is_name(name) { String::new() } else { name.to_owned() }
@@ -58,7 +58,7 @@ pub(super) fn with_underscores(name: &str) -> String {
     name.split_whitespace().collect::<Vec<_>>().join("_")
 }
 
-/// The names of columns of which a file says none: those of KITTI, and numbers.
+/// The names of columns in files without names: those of KITTI, then numbers.
 pub(super) fn usual_names(columns: usize) -> Vec<String> {
     let known = POSITION.into_iter().chain([INTENSITY]).map(str::to_owned);
     known.chain((5..).map(|number| format!("column_{number}"))).take(columns).collect()
@@ -80,7 +80,7 @@ pub(super) fn find_intensity(fields: &[Field], suits: impl Fn(&Field) -> bool) -
 }
 
 /// The layout of records with these fields side by side. They have a position if x, y and z are single
-/// float32 values, and an intensity if a single float32, u8 or u16 value has a name for it. `None` if the
+/// float32 values, and an intensity if a single float32, u8 or u16 value has one of its names. `None` if the
 /// records are empty or too long.
 pub(super) fn layout_of(fields: Vec<Field>, wrapping: Wrapping) -> Option<Layout> {
     let stride: u64 = fields.iter().map(|field| field.width() as u64).sum();
@@ -103,7 +103,7 @@ pub(super) fn layout_of(fields: Vec<Field>, wrapping: Wrapping) -> Option<Layout
 }
 
 /// Takes one line off the front of `rest`, without its `\n` or `\r\n`; `None` at the end, for an incomplete
-/// line, and for one that is not text.
+/// line, and for a line that is not text.
 pub(super) fn next_line<'a>(rest: &mut &'a [u8]) -> Option<&'a str> {
     let end = rest.iter().position(|&b| b == b'\n')?;
     let line = &rest[..end];

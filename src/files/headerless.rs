@@ -1,5 +1,5 @@
-//! Records without a header: KITTI's `.bin`, nuScenes' `.pcd.bin`, and whatever the user says that a record
-//! contains.
+//! Records without a header: KITTI's `.bin`, nuScenes' `.pcd.bin`, and records whose fields the user
+//! specifies.
 //!
 //! Sources: A. Geiger et al., "Vision meets Robotics: The KITTI Dataset" (raw data development
 //! kit); nuScenes devkit, `LidarPointCloud.from_file`.
@@ -12,9 +12,9 @@ use super::records::plain_file;
 use crate::ground::error::{Error, Result};
 use crate::scan::{Field, Layout, MAX_NAME, MAX_STRIDE, Scalar, ScanFile, Wrapping};
 
-/// The most fields of a record; those of scanners have 3 to about 20.
+/// The largest number of fields in a record; scanners' records have 3 to about 20.
 const MOST_FIELDS: usize = 64;
-/// The fields that have a letter.
+/// The fields with a one-letter name.
 const LETTERS: [(char, &str); 7] =
     [('x', "x"), ('y', "y"), ('z', "z"), ('i', "intensity"), ('r', "ring"), ('t', "time"), ('_', "")];
 
@@ -26,7 +26,7 @@ const LETTERS: [(char, &str); 7] =
 /// only `_` may appear more than once.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HeaderlessLayout {
-    /// As the user gave it.
+    /// The text that the user gave.
     text: String,
     fields: Vec<Field>,
 }
@@ -42,14 +42,14 @@ impl HeaderlessLayout {
         Self::of_letters("xyzir")
     }
 
-    /// Letters without a meaning are left out.
+    /// The layout of these letters; unknown letters are ignored.
     fn of_letters(letters: &str) -> Self {
         let name = |letter: char| LETTERS.iter().find(|(known, _)| *known == letter).map(|(_, name)| name);
         let fields = letters.chars().filter_map(name).map(|name| Field::new(name, Scalar::F32)).collect();
         HeaderlessLayout { text: letters.to_owned(), fields }
     }
 
-    /// Takes a file apart; what follows the last whole record is `suffix`.
+    /// Splits a file; incomplete records at the end are `suffix`.
     pub(super) fn parse(&self, bytes: &[u8]) -> Option<ScanFile> {
         plain_file(self.layout()?, bytes, 0, u64::MAX)
     }

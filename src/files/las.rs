@@ -1,6 +1,6 @@
-//! LAS: records of fixed size behind a header that says how long a step of their integer coordinates is.
+//! LAS: records of fixed size after a header that gives the step size of their integer coordinates.
 //!
-//! Source: ASPRS, "LAS Specification 1.4 - R15". Compressed files (LAZ) are no records.
+//! Source: ASPRS, "LAS Specification 1.4 - R15". Compressed files (LAZ) are not read as records.
 
 use byteorder::{ByteOrder, LittleEndian};
 
@@ -10,11 +10,11 @@ use super::scaled;
 use crate::scan::{Axis, Field, Scalar, ScanFile, Wrapping};
 
 const MAGIC: &[u8] = b"LASF";
-/// Bytes of the header up to version 1.2; later ones are longer.
+/// Bytes of the header up to version 1.2; later headers are longer.
 const LEAST_HEADER: usize = 227;
-/// Version 1.4 has a number of points of 64 bits.
+/// Bytes of the header of version 1.4, which has a 64-bit number of points.
 const HEADER_1_4: usize = 375;
-// Where the parts of a header are.
+// Offsets of the header's fields.
 const HEADER_SIZE: usize = 94;
 const START: usize = 96;
 const FORMAT: usize = 104;
@@ -24,20 +24,20 @@ const SCALES: usize = 131;
 const OFFSETS: usize = 155;
 const COUNT: usize = 247;
 
-/// What the header says of the records.
+/// The properties of the records according to the header.
 pub(super) struct Header {
-    /// Without x, y and z, which come first.
+    /// The fields other than x, y and z, which come first.
     others: Vec<Field>,
-    /// Metres a step and at 0, of x, y and z.
+    /// Metres per step, and the coordinate of step 0 in metres, for x, y and z.
     scales: [[f64; 2]; 3],
     records: u64,
-    /// Where they start.
+    /// Offset of the first record.
     start: usize,
 }
 
 impl Header {
-    /// Reads the header that `bytes` begin with; `None` if it is damaged, of a format that is not known, or if the records
-    /// are compressed.
+    /// Reads the header that `bytes` begin with; `None` if it is damaged or has an unknown format, or if the
+    /// records are compressed.
     pub(super) fn parse(bytes: &[u8]) -> Option<Self> {
         let header = bytes.get(..LEAST_HEADER).filter(|header| header.starts_with(MAGIC))?;
         let mut others = fields(header[FORMAT])?;
@@ -45,7 +45,7 @@ impl Header {
         let size = usize::from(LittleEndian::read_u16(&header[RECORD_SIZE..]));
         match size.checked_sub(known)? {
             0 => {}
-            // Defined by the file.
+            // Fields defined by the file.
             more => others.push(Field::padding(more as u32)),
         }
         let number = |at: usize| LittleEndian::read_f64(&header[at..]);
@@ -59,8 +59,9 @@ impl Header {
         Some(Header { others, scales, records, start: LittleEndian::read_u32(&header[START..]) as usize })
     }
 
-    /// How coordinates follow from the integers: as the header has it, or where float32 is too coarse for that, such as on a
-    /// map, from 0 on. Only steps of a decimal fraction of a metre: models know such grids.
+    /// How coordinates follow from the integers: with the header's offset; or with offset 0, in case float32
+    /// is too coarse for the former, as on a map. Only for steps that are decimal fractions of a metre, since
+    /// the models know such grids.
     fn axes(&self) -> Option<[[Axis; 3]; 2]> {
         let per_metre = |scale: f64| (0..=5).map(|digits| 10f64.powi(digits)).find(|n| (1.0 / n) == scale);
         let [x, y, z] = self.scales.map(|[scale, offset]| {
@@ -72,7 +73,7 @@ impl Header {
     }
 }
 
-/// Takes a file apart. `None` if its header is none that is known.
+/// Splits a file. `None` if its header is not supported.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
     let with = |names: [&str; 3], scalar: Scalar| {
@@ -82,7 +83,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let scaled = header.axes().into_iter().flatten().find_map(|axes| {
         scaled::parse(with(["x", "y", "z"], Scalar::F32)?, axes, bytes, header.start, header.records)
     });
-    // Integers without a meaning are no coordinates.
+    // The fallback: integers, which are not known as coordinates.
     let plain = || {
         let layout = with(["x_steps", "y_steps", "z_steps"], Scalar::I32)?;
         plain_file(layout, bytes, header.start, header.records)
@@ -90,7 +91,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     scaled.or_else(plain)
 }
 
-/// A header with another number of points. The numbers of points by return stay.
+/// The header with another number of points. The numbers of points by return are not changed.
 pub(super) fn with_point_count(header: &[u8], points: usize) -> Option<Vec<u8>> {
     Header::parse(header)?;
     let mut header = header.to_vec();
@@ -104,7 +105,8 @@ pub(super) fn with_point_count(header: &[u8], points: usize) -> Option<Vec<u8>> 
     Some(header)
 }
 
-/// The fields of a record of this format behind its coordinates. A bit of the number says that the records are compressed.
+/// The fields after the coordinates in a record of this format; `None` if it is unknown, as for compressed
+/// records, which are marked by a bit of `format`.
 fn fields(format: u8) -> Option<Vec<Field>> {
     use Scalar::{F32, F64, I8, I16, U8, U16, U32, U64};
     let of = |fields: &[(&str, Scalar)]| -> Vec<Field> {
@@ -146,7 +148,7 @@ mod tests {
     use crate::files::{starts_as_scan, with_point_count};
     use crate::scan::Layout;
 
-    /// A file of version 1.2, or of 1.4 from format 6 on.
+    /// A file of version 1.2, or of version 1.4 for formats from 6 on.
     fn file(format: u8, scale: f64, offset: f64, records: &[Vec<u8>]) -> Vec<u8> {
         let is_new = format >= 6;
         let size = if is_new { HEADER_1_4 } else { LEAST_HEADER };
@@ -205,10 +207,10 @@ mod tests {
             (axes(&scan.layout).offset, scan.cloud.positions),
             (-100.0, vec![[1134.56, -100.01, -99.93]])
         );
-        // On a map, from the map's corner on.
+        // On a map, coordinates are relative to the map's corner.
         let scan = comes_back("a.las", file(0, 0.001, 500_000.0, &records));
         assert_eq!((axes(&scan.layout).offset, scan.cloud.positions), (0.0, vec![[123.456, -0.001, 0.007]]));
-        // Too far away, or on another grid: integers.
+        // Coordinates too far away, or on another grid: integers.
         for (steps, scale, offset) in [
             (i32::MAX - 1, 0.001, 0.0),
             (1 << 25 | 1, 0.001, 0.0),

@@ -75,7 +75,7 @@ pub fn compress(input: &[u8], dialect: LzfDialect) -> Vec<u8> {
     let mut at = 0;
     while at + 2 < input.len() {
         let candidate = table.replace(input, at);
-        // Slot value 0 means empty too: the C programs never match the first byte.
+        // Slot value 0 also means empty: the C programs never match the first byte.
         let near = candidate > 0 && candidate < at && at - candidate <= MAX_OFFSET;
         if !near || input[candidate..candidate + 3] != input[at..at + 3] {
             at += 1;
@@ -123,12 +123,12 @@ fn write_match(offset: usize, length: usize, out: &mut Vec<u8>) {
     }
 }
 
-/// The last position of each three bytes.
+/// The last position of each sequence of three bytes, by hash.
 struct HashTable {
     slots: Vec<u32>,
     bits: u32,
     multiplier: u32,
-    /// How many of the last positions of a match are entered.
+    /// How many of the last positions inside a match are entered.
     inserts_after_match: usize,
 }
 

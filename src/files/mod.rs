@@ -1,8 +1,8 @@
 //! Files: scans in memory and back, and the frames of an input.
 //!
-//! [`parse`] takes any file, and [`write`](fn@write) gives the same bytes back. A file of an unknown kind,
-//! or one that could not be given back exactly, is kept as it is. [`convert()`] makes a file of another
-//! format of a scan.
+//! [`parse`] takes any file, and [`write`](fn@write) returns the same bytes. A file of an unknown kind, or
+//! one that could not be restored exactly, is kept as plain bytes. [`convert()`] converts a scan to another
+//! file format.
 
 #[cfg(feature = "cli")]
 mod arrival;
@@ -44,7 +44,7 @@ use self::table::Table;
 use crate::ground::error::Result;
 use crate::scan::{Field, Layout, ScanFile, Wrapping};
 
-/// What the extension of a name says of its file.
+/// The kind of a file according to the extension of its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     /// `.bin`.
@@ -55,11 +55,11 @@ pub(crate) enum Kind {
     Pcd,
     /// `.ply`.
     Ply,
-    /// `.csv` or `.txt`: columns of numbers, if it is a scan.
+    /// `.csv` or `.txt`: columns of numbers, if the file is a scan.
     Columns,
     /// `.xyz`.
     Xyz,
-    /// `.npy`: an array, if it is a scan.
+    /// `.npy`: an array, if the file is a scan.
     Numpy,
     /// `.las`.
     Las,
@@ -70,7 +70,7 @@ pub(crate) enum Kind {
 pub const EXTENSIONS: &str = ".bin, .pcd, .ply, .las, .csv, .txt, .xyz or .npy";
 
 impl Kind {
-    /// Every kind with its extension; one that ends in another comes first.
+    /// Every kind with its extension; an extension that ends in another one comes first.
     const ALL: [(Kind, &str); 9] = [
         (Kind::NuScenes, ".pcd.bin"),
         (Kind::Kitti, ".bin"),
@@ -83,7 +83,7 @@ impl Kind {
         (Kind::Las, ".las"),
     ];
 
-    /// The kind and the name without its extension, in any case of letters; `None` for other names.
+    /// The kind, and the name without its extension, ignoring case; `None` for other names.
     pub(crate) fn of(name: &str) -> Option<(Kind, &str)> {
         Kind::ALL.into_iter().find_map(|(kind, extension)| {
             let (stem, end) = name.split_at_checked(name.len().checked_sub(extension.len())?)?;
@@ -92,7 +92,8 @@ impl Kind {
     }
 }
 
-/// Whether a file of this name, that begins with these bytes, is taken for a scan: any without a header is.
+/// Whether a file with this name and these first bytes is taken for a scan: files without a header always
+/// are.
 pub fn starts_as_scan(name: &str, start: &[u8]) -> bool {
     match Kind::of(name) {
         None => false,
@@ -105,12 +106,12 @@ pub fn starts_as_scan(name: &str, start: &[u8]) -> bool {
     }
 }
 
-/// Bytes of a file's beginning that tell whether it is a scan.
+/// Number of bytes at the beginning of a file that are examined to decide whether it is a scan.
 #[cfg(feature = "cli")]
 pub const TELLING: u64 = 64 << 10;
 
-/// Whether a file of this name is taken for a scan where it stands in a folder or an archive among others; `None` if
-/// [`starts_as_scan_of_folder`] tells by its bytes.
+/// Whether a file with this name is taken for a scan among the others of a folder or archive; `None` if its
+/// bytes decide, see [`starts_as_scan_of_folder`].
 #[cfg(any(test, feature = "cli"))]
 fn is_scan_by_name(name: &str) -> Option<bool> {
     match Kind::of(name) {
@@ -120,7 +121,8 @@ fn is_scan_by_name(name: &str) -> Option<bool> {
     }
 }
 
-/// As [`starts_as_scan`], of a file in a folder, which nobody has named: many that hold numbers are no scans.
+/// As [`starts_as_scan`], for a file in a folder, which was not named explicitly: many files of numbers are
+/// not scans.
 #[cfg(any(test, feature = "cli"))]
 pub fn starts_as_scan_of_folder(name: &str, start: &[u8]) -> bool {
     is_scan_by_name(name).unwrap_or_else(|| match Kind::of(name) {
@@ -132,15 +134,14 @@ pub fn starts_as_scan_of_folder(name: &str, start: &[u8]) -> bool {
     })
 }
 
-/// Takes a file apart into points and the bytes around them, by the extension of its name.
-/// Never fails: what it does not understand is [opaque](ScanFile::opaque).
-/// `write(parse(name, bytes))` is `bytes`, whatever they are.
+/// Splits a file into points and the bytes around them, by the extension of its name. Never fails: a file
+/// that is not understood is [opaque](ScanFile::opaque). `write(parse(name, bytes))` is `bytes`, whatever
+/// they are.
 pub fn parse(name: &str, bytes: Vec<u8>) -> ScanFile {
     parse_with(name, bytes, None)
 }
 
-/// As [`parse`], with what the records of files without a header hold; `None`: as KITTI's and nuScenes'
-/// do.
+/// As [`parse`], given the fields of records in files without a header; `None`: those of KITTI and nuScenes.
 pub fn parse_with(name: &str, bytes: Vec<u8>, headerless: Option<&HeaderlessLayout>) -> ScanFile {
     let parsed = Kind::of(name).and_then(|(kind, _)| match (kind, headerless) {
         (Kind::Kitti | Kind::NuScenes, Some(layout)) => layout.parse(&bytes),
@@ -158,8 +159,8 @@ pub fn parse_with(name: &str, bytes: Vec<u8>, headerless: Option<&HeaderlessLayo
     }
 }
 
-/// As [`parse`], for a file to be compared with another one, `like`: if that has no header, their records
-/// are the same.
+/// As [`parse`], for a file that is to be compared with `like`: if `like` has no header, its record layout is
+/// used.
 pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
     if like.is_opaque() {
         return ScanFile::opaque(name, bytes);
@@ -173,19 +174,19 @@ pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
     }
 }
 
-/// The layout of records that hold these fields, side by side, one record after the other: which field is what, is
-/// told by their names and types. `None` if the records are empty or too long.
+/// The layout of records with these fields side by side, one record after the other. The names and types of
+/// the fields determine their roles. `None` if the records are empty or too long.
 pub fn plain_layout(fields: Vec<Field>) -> Option<Layout> {
     field::layout_of(fields, Wrapping::Plain)
 }
 
-/// A file whose records stand one after the other behind `start` bytes, at most so many. `None` if the layout is
+/// Splits a file whose records follow `start` other bytes, at most `records` of them. `None` if the layout is
 /// not valid.
 pub(crate) fn plain_records(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
     records::plain_file(layout, bytes, start, records)
 }
 
-/// As [`plain_records`], of records whose values are big-endian.
+/// As [`plain_records`], for records with big-endian values.
 #[cfg(feature = "recordings")]
 pub(crate) fn big_endian_records(
     layout: Layout,
@@ -196,21 +197,21 @@ pub(crate) fn big_endian_records(
     big_endian::parse(layout, bytes, start, records)
 }
 
-/// Plain records come back by construction: all that is done is to move bytes.
+/// Plain records are restored by construction, since bytes are only moved.
 fn is_plain(file: &ScanFile) -> bool {
     file.layout.wrapping == Wrapping::Plain
 }
 
-/// Compression and text are written anew, so the promise is checked on the file itself.
+/// Compression and text are produced anew, so the result is compared with the file itself.
 fn comes_back_as(file: &ScanFile, bytes: &[u8]) -> bool {
     file.to_bytes().is_ok_and(|written| written == bytes)
 }
 
-/// Gives the bytes of a file, piece by piece.
+/// Passes the bytes of a file to `give`, piece by piece.
 ///
 /// # Errors
-/// [`Error::Corrupt`](crate::ground::error::Error::Corrupt) if the points do not match the layout, as a damaged
-/// stream can have it; those of `give`. Some pieces may have been given then.
+/// [`Error::Corrupt`](crate::ground::error::Error::Corrupt) if the points do not match the layout, which a
+/// damaged stream can cause; and the errors of `give`. Some pieces may have been passed on by then.
 pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
     records::check(file)?;
     give(&file.prefix)?;
@@ -235,10 +236,10 @@ pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Resu
     give(&file.suffix)
 }
 
-/// Takes the next bytes of a file.
+/// A function that receives the next bytes of a file.
 pub type Give<'a> = dyn FnMut(&[u8]) -> Result<()> + 'a;
 
-/// All that `write` gives, piece by piece.
+/// All pieces that `write` produces, concatenated.
 ///
 /// # Errors
 /// Those of `write`.

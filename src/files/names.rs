@@ -1,4 +1,4 @@
-//! Names of files: their order, and which can be restored anywhere.
+//! Names of files: their order, and which names can be restored on every system.
 
 use std::cmp::Ordering;
 use std::path::Path;
@@ -7,7 +7,7 @@ use crate::ground::error::{Error, Result};
 
 /// The longest file name, in bytes, that common file systems allow.
 const MAX_NAME: usize = 255;
-/// The longest path of a file in a stream, in bytes: as much as systems allow.
+/// The longest path of a file in a stream, in bytes: the usual limit of systems.
 const MAX_PATH: usize = 4095;
 
 /// Compares names as people sort them: runs of digits by their value, everything else by its bytes (`2.bin`
@@ -34,15 +34,15 @@ fn natural_key(name: &str) -> impl Iterator<Item = (u8, usize, &[u8])> {
     })
 }
 
-/// True if a path from a stream can be created below any folder, without leaving it and without having a special meaning
-/// there: one or several names with `/` between them, 4,095 bytes at most together. Each has 1 to 255 bytes and is none of
-/// `.`, `..`, Windows' device names (`NUL`, `COM1.bin`) and drives (`C:x`); it has no backslash, no control characters,
-/// and no dot or space at its end.
+/// True if a path from a stream can be created below any folder without leaving it and without a special
+/// meaning on any system. It is one or several names with `/` between them, of 4,095 bytes at most together.
+/// Each name has 1 to 255 bytes; it is not `.` or `..`, nor one of Windows' device names (`NUL`, `COM1.bin`)
+/// or drives (`C:x`); and it has no backslash, no control characters, and no dot or space at its end.
 pub fn is_safe_path(path: &str) -> bool {
     fault_of_path(path).is_none()
 }
 
-/// What keeps a path from being [safe](is_safe_path).
+/// The reason why a path is not [safe](is_safe_path).
 fn fault_of_path(path: &str) -> Option<&'static str> {
     match path.len() <= MAX_PATH {
         true => path.split('/').find_map(fault_of_name),
@@ -50,7 +50,7 @@ fn fault_of_path(path: &str) -> Option<&'static str> {
     }
 }
 
-/// What keeps a name from being part of a [safe path](is_safe_path).
+/// The reason why a name must not be part of a [safe path](is_safe_path).
 fn fault_of_name(name: &str) -> Option<&'static str> {
     let has_drive = matches!(name.as_bytes(), [letter, b':', ..] if letter.is_ascii_alphabetic());
     let faults = [
@@ -66,7 +66,7 @@ fn fault_of_name(name: &str) -> Option<&'static str> {
     faults.into_iter().find_map(|(is_so, fault)| is_so.then_some(fault))
 }
 
-/// Checks that every system can restore a file of this name, or path in a stream.
+/// Checks that every system can restore a file with this name or path in a stream.
 ///
 /// # Errors
 /// [`Error::Input`], about the file at `path`, if not.
@@ -80,7 +80,7 @@ pub(crate) fn check_name(path: &Path, name: &str) -> Result<()> {
     }
 }
 
-/// Windows looks at what is before the first dot, ignoring case and trailing spaces.
+/// Windows considers the part before the first dot, ignoring case and trailing spaces.
 fn is_windows_device(name: &str) -> bool {
     let stem = name.split(['.', ':']).next().unwrap_or(name).trim_end_matches(' ').to_ascii_uppercase();
     let is_port = |port: &str| {

@@ -13,8 +13,8 @@ const LEAST_PLAIN_EXPONENT: i32 = -4;
 /// `repr` writes numbers from 1e16 on in scientific notation.
 const REPR_EXPONENT: i32 = 16;
 
-/// Parses `token` and appends the little-endian bytes of the value. `None` if it is no number of this type.
-/// More is accepted than is ever written: whether the text comes back is for the caller to check.
+/// Parses `token` and appends the little-endian bytes of the value. `None` if it is not a number of this
+/// type. Accepts more than is ever written: the caller must check that the text is restored.
 pub(super) fn parse(token: &str, scalar: Scalar, out: &mut Vec<u8>) -> Option<()> {
     match scalar {
         Scalar::I8 => out.extend(token.parse::<i8>().ok()?.to_le_bytes()),
@@ -102,15 +102,15 @@ impl NumberWriter {
                     write_plain(&self.digits, exponent, point_zero, out);
                 }
             }
-            // Refused for floating point where layouts are validated.
+            // Layout validation rejects this rule for floating-point types.
             NumberRule::Integer => write!(out, "{value}")?,
         }
         Ok(())
     }
 
     /// Stores the significant digits of `value` in `self.digits`: `after_first` digits after the first, or
-    /// the fewest that give the value back (in single precision if `single`). Returns the decimal exponent of
-    /// the first digit. `value` is finite and not negative.
+    /// the fewest digits from which the value can be restored (in single precision if `single`). Returns the
+    /// decimal exponent of the first digit. `value` is finite and not negative.
     fn take_digits(&mut self, value: f64, after_first: Option<usize>, single: bool) -> Result<i32> {
         let text = &mut self.digits;
         text.clear();
@@ -134,8 +134,8 @@ impl NumberWriter {
     }
 
     /// If two shortest texts are equally near to the value, the standard library takes the upper one, but
-    /// `repr` and most others the one with an even last digit, as correct rounding gives it. (A correctly
-    /// rounded text need not give a power of two back; the text then stays.)
+    /// `repr` and most other implementations the one with an even last digit, as correct rounding gives it.
+    /// (A power of two need not be restored from its correctly rounded text; then the text is not changed.)
     fn settle_tie(&mut self, value: f64, single: bool) -> Result<()> {
         let (mantissa, _) = split_exponent(&self.digits);
         let after_first = mantissa.saturating_sub(2);
@@ -175,7 +175,7 @@ fn write_scientific(digits: &[u8], exponent: i32, out: &mut Vec<u8>) -> Result<(
     Ok(())
 }
 
-/// Digits with a decimal point in its place, and zeros up to it.
+/// Digits with a decimal point, and zeros up to it if necessary.
 fn write_plain(digits: &[u8], exponent: i32, point_zero: bool, out: &mut Vec<u8>) {
     let Ok(exponent) = usize::try_from(exponent) else {
         out.extend_from_slice(b"0.");
@@ -194,14 +194,14 @@ fn write_plain(digits: &[u8], exponent: i32, point_zero: bool, out: &mut Vec<u8>
     }
 }
 
-/// What the texts of a column have in common, from which its rule is guessed.
+/// Properties of the texts in a column, from which its rule is guessed.
 #[derive(Debug)]
 pub(super) struct Survey {
     /// The most digits of a number, not counting leading zeros.
     significant: usize,
     /// The fewest and the most digits after the decimal point.
     decimals: (usize, usize),
-    /// Whether there are numbers with an exponent, and without.
+    /// Whether there are numbers with an exponent, and numbers without.
     with_exponent: bool,
     without_exponent: bool,
 }
@@ -212,7 +212,7 @@ impl Survey {
         Survey { significant: 1, decimals: (usize::MAX, 0), with_exponent: false, without_exponent: false }
     }
 
-    /// Takes one more text into account. NaN and infinity tell nothing.
+    /// Takes one more text into account. NaN and infinity carry no information.
     pub(super) fn add(&mut self, token: &str) {
         let (mantissa, exponent) = match token.split_once('e') {
             Some((mantissa, _)) => (mantissa, true),
@@ -234,8 +234,8 @@ impl Survey {
     }
 
     /// The rules by which these texts may have been written, the likeliest first. A rule of N significant
-    /// digits looks the same with any larger N as long as no number has more digits (those before the decimal
-    /// point count, because they determine where exponents begin), so the least N will do.
+    /// digits gives the same texts with any larger N as long as no number has more digits (those before the
+    /// decimal point count, because they determine where exponents begin), so the least N suffices.
     pub(super) fn candidates(&self, scalar: Scalar) -> Vec<NumberRule> {
         if !scalar.is_float() {
             return vec![NumberRule::Integer];

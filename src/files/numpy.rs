@@ -1,4 +1,5 @@
-//! Arrays of NumPy, `.npy`: of structures, whose fields are those of the records, or tables of numbers, a row a record.
+//! NumPy arrays, `.npy`: structured arrays, whose fields are those of the records, or tables of numbers, one
+//! row per record.
 //!
 //! Source: NumPy, `numpy.lib.format`, versions 1 to 3.
 
@@ -7,24 +8,25 @@ use super::{big_endian, field, widened};
 use crate::scan::{Field, Scalar, ScanFile, Wrapping};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
-/// Longer headers are of no array of points.
+/// Arrays of points do not have longer headers.
 const MOST_HEADER: usize = 1 << 20;
 
-/// What the header says of the records.
+/// The properties of the records according to the header.
 pub(super) struct Header {
     fields: Vec<Field>,
     /// Number of records, which may be wrong: the body decides.
     records: u64,
     is_big_endian: bool,
-    /// Whether the fields have names of the file's own.
+    /// Whether the file itself names the fields.
     is_named: bool,
     /// Bytes of the header.
     length: usize,
 }
 
 impl Header {
-    /// Reads the header that `bytes` begin with; `None` if it is damaged, or of an array that has no records as this program
-    /// knows them: column by column, of objects, of two byte orders, or a table of fewer than three columns.
+    /// Reads the header that `bytes` begin with; `None` if it is damaged, or if the array has no records that
+    /// this program supports: column by column, of objects, of two byte orders, or a table of fewer than
+    /// three columns.
     pub(super) fn parse(bytes: &[u8]) -> Option<Self> {
         let (version, rest) = bytes.strip_prefix(MAGIC)?.split_first_chunk::<2>()?;
         let (start, size) = match version {
@@ -38,7 +40,7 @@ impl Header {
         let Literal::Dictionary(entries) = Literal::read(&mut text, 0)? else { return None };
         let entry = |name: &str| entries.iter().find(|(key, _)| *key == name).map(|(_, value)| value);
         let shape = entry("shape")?.numbers()?;
-        // By rows and by columns is the same for a single one.
+        // For a single row or column the two orders are the same.
         if shape.len() > 1 && !matches!(entry("fortran_order")?, Literal::Word("False")) {
             return None;
         }
@@ -64,8 +66,8 @@ impl Header {
         Some(Header { fields, records, is_big_endian, is_named, length })
     }
 
-    /// Whether the array looks like points where it stands in a folder and nobody has named it: it names coordinates, or
-    /// has many rows of a few fractions.
+    /// Whether an array in a folder, which was not named explicitly, looks like points: it names coordinates,
+    /// or has many rows of a few floating-point numbers.
     pub(super) fn looks_like_points(&self) -> bool {
         const FEWEST_ROWS: u64 = 100;
         const MOST_COLUMNS: usize = 11;
@@ -80,7 +82,7 @@ impl Header {
     }
 }
 
-/// Takes a file apart. `None` if the header is none that is known.
+/// Splits a file. `None` if its header is not supported.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
     let layout = layout_of(header.fields, Wrapping::Plain)?;
@@ -90,7 +92,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     }
 }
 
-/// A header with another number of points, in as many bytes; `None` if it is none, or has no room.
+/// The header with another number of points, of the same length; `None` if it is not valid or has no room.
 pub(super) fn with_point_count(header: &[u8], points: usize) -> Option<Vec<u8>> {
     let known = Header::parse(header)?;
     let text = header.get(..known.length)?;
@@ -109,7 +111,7 @@ pub(super) fn with_point_count(header: &[u8], points: usize) -> Option<Vec<u8>> 
     Some([&text[..start], shape.as_bytes(), &text[end..line_end], &spaces, &text[line_end..]].concat())
 }
 
-/// The header of a table of structures with these fields, of one value each.
+/// The header of a structured array with these fields, of one value each.
 pub(super) fn header(fields: &[(&str, Scalar)], records: usize) -> Vec<u8> {
     let kind = |scalar: Scalar| match scalar {
         Scalar::U8 => "|u1".to_owned(),
@@ -124,7 +126,7 @@ pub(super) fn header(fields: &[(&str, Scalar)], records: usize) -> Vec<u8> {
         "{{'descr': [{}], 'fortran_order': False, 'shape': ({records},), }}",
         fields.collect::<String>().trim_end_matches(", ")
     );
-    // Data begin at a multiple of 64.
+    // The data begin at a multiple of 64.
     let before = |lengths: usize| MAGIC.len() + 2 + lengths;
     let padded = |lengths: usize| (before(lengths) + text.len() + 1).next_multiple_of(64) - before(lengths);
     let mut out = MAGIC.to_vec();
@@ -135,7 +137,8 @@ pub(super) fn header(fields: &[(&str, Scalar)], records: usize) -> Vec<u8> {
             usize::from(size)
         }
         _ => {
-            // The second version is the first that is longer, the third the first with other letters.
+            // Version 2 is the first that allows longer headers, version 3 the first that allows other
+            // characters.
             out.extend([if text.is_ascii() { 2 } else { 3 }, 0]);
             out.extend((padded(4) as u32).to_le_bytes());
             padded(4)
@@ -169,17 +172,17 @@ struct Orders {
 }
 
 impl Orders {
-    /// `None` if there are both.
+    /// `None` if both byte orders occur.
     fn is_big_endian(&self) -> Option<bool> {
         (!(self.little && self.big)).then_some(self.big)
     }
 
-    /// A type such as `<f4`. `None` if its values are elsewhere, or it is unknown.
+    /// A type such as `<f4`. `None` if its values are stored elsewhere, or if it is unknown.
     fn kind(&mut self, text: &str) -> Option<Kind> {
         let mut letters = text.chars();
         let order = letters.next()?;
         let letter = letters.next()?;
-        // Dates have a unit behind the size.
+        // Dates have a unit after the size.
         let digits = letters.as_str().split('[').next()?;
         let size: u32 = digits.parse().ok()?;
         let integers = |of_size: [Scalar; 4]| of_size.into_iter().find(|scalar| scalar.size() == size);
@@ -190,9 +193,9 @@ impl Orders {
             'u' => Some(integers([Scalar::U8, Scalar::U16, Scalar::U32, Scalar::U64])?),
             'b' if size == 1 => Some(Scalar::U8),
             'm' | 'M' if size == 8 => Some(Scalar::I64),
-            // Bytes of no known meaning.
+            // Bytes without a known meaning.
             'f' | 'c' | 'S' | 'a' | 'V' => None,
-            // Characters of four bytes.
+            // Characters of four bytes each.
             'U' => return Some(Kind { scalar: None, width: size.checked_mul(4)? }),
             _ => return None,
         };
@@ -215,7 +218,7 @@ impl Orders {
         };
         let name = match name {
             Literal::Text(name) => *name,
-            // With a title before it.
+            // A name with a title before it.
             Literal::Sequence(names) => match names[..] {
                 [_, Literal::Text(name)] => name,
                 _ => return None,
@@ -227,10 +230,10 @@ impl Orders {
     }
 }
 
-/// A literal of Python, as far as headers have them.
+/// A Python literal, as far as headers contain them.
 #[derive(Debug)]
 enum Literal<'a> {
-    /// Without escapes.
+    /// A string without escapes.
     Text(&'a str),
     Number(u64),
     /// `True`, `False` or `None`.
@@ -241,9 +244,10 @@ enum Literal<'a> {
 }
 
 impl<'a> Literal<'a> {
-    /// Takes one off the front of `rest`; `depth` others are around it.
+    /// Takes a literal off the front of `rest`; `depth` is the number of literals around it.
     fn read(rest: &mut &'a str, depth: u8) -> Option<Self> {
-        /// A title of a field is in a tuple, in that of the field, in the list of all, in the dictionary.
+        /// A field's title is in a tuple, which is in the field's tuple, which is in the list of fields,
+        /// which is in the dictionary.
         const MOST_DEPTH: u8 = 4;
         *rest = rest.trim_start();
         let first = rest.chars().next().filter(|_| depth <= MOST_DEPTH)?;
@@ -262,7 +266,7 @@ impl<'a> Literal<'a> {
                 *rest = after;
                 return match word {
                     "True" | "False" | "None" => Some(Literal::Word(word)),
-                    // Python 2 marked long ones.
+                    // Python 2 marked long integers.
                     _ => word.strip_suffix('L').unwrap_or(word).parse().ok().map(Literal::Number),
                 };
             }
@@ -329,7 +333,7 @@ mod tests {
             (2, Some([0, 1, 2]), Some(3))
         );
         assert_eq!(scan.layout.fields[4].name, "column_5");
-        // An organised one, cut short, and one with bytes behind it.
+        // An organised array, cut short; and one followed by further bytes.
         let scan = comes_back("a.npy", array("'<f4'", "False", "(64L, 1024, 5)", &body));
         assert_eq!((scan.records, scan.suffix.len()), (2, 0));
         let scan = comes_back("a.npy", array("'<f4'", "False", "(1, 5)", &body));
@@ -366,7 +370,7 @@ mod tests {
         ];
         assert_eq!(fields, expected);
         assert_eq!((scan.records, scan.layout.position), (2, Some([0, 1, 2])));
-        // One of no records, and a single one.
+        // An array without records, and one with a single record.
         assert_eq!(comes_back("a.npy", array("[('x', '<f4')]", "True", "(0,)", b"")).records, 0);
         assert_eq!(comes_back("a.npy", array("[('x', '<f4')]", "False", "()", &[0; 8])).records, 1);
     }

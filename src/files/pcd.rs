@@ -1,4 +1,4 @@
-//! PCD, the point cloud files of the Point Cloud Library: the header, and dispatch by kind of data.
+//! PCD, the point cloud files of the Point Cloud Library: the header, and dispatch by encoding of the data.
 //!
 //! Source: "The PCD (Point Cloud Data) file format" (PCL documentation) and PCL's `pcd_io.cpp`.
 
@@ -6,7 +6,7 @@ use super::field::{Declared, layout_of, next_line};
 use super::{pcd_compressed, places, text_records, widened};
 use crate::scan::{Scalar, ScanFile, Wrapping};
 
-/// The three kinds of data.
+/// The encodings of the data.
 #[derive(Clone, Copy)]
 enum Data {
     Ascii,
@@ -25,8 +25,8 @@ pub(super) struct Header<'a> {
     length: usize,
 }
 
-/// The points as records, the header as `prefix`, what follows as `suffix`. `None` if the header is damaged
-/// or the body cannot be restored exactly.
+/// The points as records, the header as `prefix`, the remaining bytes as `suffix`. `None` if the header is
+/// damaged or the body cannot be restored exactly.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
     let Header { fields, points, data, length } = header;
@@ -100,7 +100,7 @@ fn field<'a>(name: &'a str, size: &str, kind: &str, count: &str) -> Option<Decla
         ("U", 8) => Some(Scalar::U64),
         ("F", 4) => Some(Scalar::F32),
         ("F", 8) => Some(Scalar::F64),
-        // Half precision: in a binary body it is two bytes like any other.
+        // Half precision; in a binary body it is treated as two bytes without a known meaning.
         ("F", _) => None,
         _ => return None,
     };

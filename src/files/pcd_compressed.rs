@@ -7,11 +7,11 @@ use super::{lzf, records};
 use crate::ground::error::{Error, Result};
 use crate::scan::{Field, Layout, LzfDialect, ScanFile, Wrapping};
 
-/// Bytes before the compressed ones.
+/// Bytes before the compressed data: the two sizes.
 const SIZES: usize = 8;
 
-/// Takes a file apart whose body starts at byte `start`. `None` if the body is damaged, or if none of the
-/// known compressors would write it.
+/// Splits a file whose body starts at byte `start`. `None` if the body is damaged, or if none of the known
+/// compressors would write it.
 pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize) -> Option<ScanFile> {
     let (sizes, rest) = bytes.get(start..)?.split_at_checked(SIZES)?;
     let packed_size = LittleEndian::read_u32(sizes) as usize;
@@ -54,7 +54,7 @@ pub(super) fn write(body: &[u8], layout: &Layout, dialect: LzfDialect) -> Result
     Ok([&packed_size.to_le_bytes()[..], &size.to_le_bytes(), &packed].concat())
 }
 
-/// Calls `visit` with the place of each value in field order and its place in record order.
+/// Calls `visit` with the range of each value's bytes in field order and in record order.
 fn for_each_value(
     layout: &Layout,
     records: usize,

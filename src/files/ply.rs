@@ -14,7 +14,7 @@ use super::{big_endian, text_records, widened};
 use crate::scan::{ScanFile, Wrapping};
 
 /// The vertices as records, the header and the elements before them as `prefix`, the elements after them as
-/// `suffix`. `None` if the header is damaged, if a vertex has a list, or if text would not be restored
+/// `suffix`. `None` if the header is damaged, if vertices have lists, or if text would not be restored
 /// exactly.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;

@@ -2,14 +2,14 @@
 
 use super::{las, numpy};
 
-/// The header of a file, with everything before its points, changed to `points` points. Bytes that are no header, or one
-/// that counts none, are returned as they are.
+/// The header of a file, with everything before its points, changed to `points` points. Bytes that are not a
+/// header, or a header without a number of points, are returned unchanged.
 pub fn with_point_count(header: &[u8], points: usize) -> Vec<u8> {
     let in_place = las::with_point_count(header, points).or_else(|| numpy::with_point_count(header, points));
     in_place.unwrap_or_else(|| with_count_in_lines(header, points))
 }
 
-/// As [`with_point_count`], of PCD and PLY.
+/// As [`with_point_count`], for PCD and PLY.
 fn with_count_in_lines(header: &[u8], points: usize) -> Vec<u8> {
     let is_ply = header.starts_with(b"ply");
     let mut out = Vec::with_capacity(header.len());

@@ -8,18 +8,18 @@ use super::collected;
 use crate::ground::error::{Error, Result};
 use crate::scan::{Channel, Layout, PointCloud, Scalar, ScanFile, Wrapping};
 
-/// Takes a file apart whose records stand one after the other from byte `start` on: at most
-/// `records` of them, fewer if the file ends before. `None` if the layout is not valid.
+/// Splits a file whose records follow one another from byte `start` on: at most `records` of them, fewer if
+/// the file is shorter. `None` if the layout is not valid.
 pub(super) fn plain_file(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
     layout.validate().ok()?;
     let parts = Parts::of(bytes, start, layout.stride(), records)?;
     Some(parts.file(layout, parts.body))
 }
 
-/// The parts of a file whose records stand one after the other.
+/// The parts of a file whose records follow one another.
 pub(super) struct Parts<'b> {
     prefix: &'b [u8],
-    /// Whole records.
+    /// The complete records.
     pub body: &'b [u8],
     suffix: &'b [u8],
     /// Number of records.
@@ -27,8 +27,8 @@ pub(super) struct Parts<'b> {
 }
 
 impl<'b> Parts<'b> {
-    /// Of a file whose records of `stride` bytes begin at byte `start`, at most so many. `None` if there is no
-    /// such byte, or if records have no bytes.
+    /// The parts of a file whose records of `stride` bytes begin at byte `start`, at most `records` of them.
+    /// `None` if the file is shorter than `start`, or if `stride` is 0.
     pub fn of(bytes: &'b [u8], start: usize, stride: usize, records: u64) -> Option<Self> {
         let (prefix, rest) = bytes.split_at_checked(start)?;
         let present = rest.len().checked_div(stride)?;
@@ -37,7 +37,7 @@ impl<'b> Parts<'b> {
         Some(Parts { prefix, body, suffix, records })
     }
 
-    /// The file, its records being these bytes instead. The layout must be valid.
+    /// The file with its records replaced by these bytes. The layout must be valid.
     pub fn file(&self, layout: Layout, body: &[u8]) -> ScanFile {
         let (layout, cloud) = split(layout, body);
         ScanFile {
@@ -51,16 +51,18 @@ impl<'b> Parts<'b> {
     }
 }
 
-/// The largest intensity that the models of intensities know as a whole number.
+/// The largest whole-number intensity that the intensity models support.
 pub const MOST_INTENSITY: f32 = 511.0;
 
-/// Turns whole records, one after the other, into points. The layout must be valid. Integers beyond what
-/// intensities may be are a channel like others: then the layout that is given back knows of no intensity.
+/// Converts complete records, one after the other, to points. The layout must be valid. If integer
+/// intensities exceed the supported maximum, they become a channel: the returned layout then has no
+/// intensity.
 pub(super) fn split(mut layout: Layout, body: &[u8]) -> (Layout, PointCloud) {
     let stride = layout.stride().max(1);
     let records = body.chunks_exact(stride);
     let value = |record: &[u8], at: usize| LittleEndian::read_f32(&record[at..]);
-    // Field by field: a vector that is collected at once does not ask for each value whether it has room.
+    // Field by field, because a vector that is collected in one go does not check its capacity for each
+    // value.
     let positions = layout.position_offsets().map_or_else(Vec::new, |offsets| {
         records.clone().map(|record| offsets.map(|at| value(record, at))).collect()
     });
@@ -91,15 +93,15 @@ fn taken(body: &[u8], stride: usize, at: usize, width: usize) -> Vec<u8> {
     bytes
 }
 
-/// Copies values of this width: each has a place in a record of its own, in bytes of so many a record.
+/// Copies values of `width` bytes between records, given the bytes, the stride and the offset on either side.
 fn copy_values(
     width: usize,
     (from, from_stride, from_at): (&[u8], usize, usize),
     (to, to_stride, to_at): (&mut [u8], usize, usize),
 ) {
-    /// Wider values are moved one by one.
+    /// Wider values are copied one by one.
     const WIDE: usize = 32;
-    /// A part of each value whose width is known when this is compiled is moved at once.
+    /// Copies `WIDTH` bytes of each value; with a width known at compile time, each copy is one move.
     fn copy_parts<const WIDTH: usize>(
         (from, from_stride, from_at): (&[u8], usize, usize),
         (to, to_stride, to_at): (&mut [u8], usize, usize),
@@ -139,14 +141,14 @@ fn copy_values(
     }
 }
 
-/// Gives the records of `file`, one after the other and some at a time: the inverse of [`split`].
-/// The file must have passed [`check`].
+/// Passes the records of `file` to `give`, a block of records at a time: the inverse of [`split`]. The file
+/// must have passed [`check`].
 ///
 /// # Errors
 /// Those of `give`.
 pub(super) fn give(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
-    /// Bytes at a time: as many as a processor keeps near while fields are filled in one after the other, and then
-    /// they are read again.
+    /// Bytes per block. A block should stay in the cache while its fields are filled in one after the other
+    /// and then read again.
     const AT_ONCE: usize = 64 << 10;
     let stride = file.layout.stride().max(1);
     let count = (AT_ONCE / stride).max(1);
@@ -160,12 +162,12 @@ pub(super) fn give(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -
     Ok(())
 }
 
-/// As [`give`], all at once.
+/// As [`give`], in one piece.
 pub(super) fn join(file: &ScanFile) -> Result<Vec<u8>> {
     collected(|out| give(file, out))
 }
 
-/// Fills in the fields of some records: between them they are every byte of these.
+/// Fills in all fields of some records, and with them every byte.
 fn fill(layout: &Layout, cloud: &PointCloud, records: Range<usize>, body: &mut [u8]) {
     let stride = layout.stride().max(1);
     if let Some(offsets) = layout.position_offsets() {
@@ -177,7 +179,7 @@ fn fill(layout: &Layout, cloud: &PointCloud, records: Range<usize>, body: &mut [
     }
     if let Some((at, scalar)) = layout.intensity_place() {
         for (record, value) in body.chunks_exact_mut(stride).zip(&cloud.intensity[records.clone()]) {
-            // Rounded ones need not be whole.
+            // Rounded intensities need not be whole numbers.
             match scalar {
                 Scalar::F32 => LittleEndian::write_f32(&mut record[at..], *value),
                 Scalar::U16 => LittleEndian::write_u16(&mut record[at..], (value + 0.5) as u16),
@@ -192,11 +194,11 @@ fn fill(layout: &Layout, cloud: &PointCloud, records: Range<usize>, body: &mut [
     }
 }
 
-/// Checks that the cloud has exactly what `records` records of this layout hold. After that the
-/// records' bytes are no more than the cloud already takes in memory.
+/// Checks that the cloud contains exactly the values of `records` records of this layout. If so, the records
+/// take no more bytes than the cloud already takes in memory.
 ///
 /// # Errors
-/// [`Error::Corrupt`] if not, as a damaged stream can have it.
+/// [`Error::Corrupt`] if not, which a damaged stream can cause.
 pub(super) fn check(file: &ScanFile) -> Result<()> {
     let (layout, cloud) = (&file.layout, &file.cloud);
     layout.validate()?;

@@ -1,4 +1,4 @@
-//! Records whose coordinates are whole numbers of steps, as in LAS. FORMAT.md 9.
+//! Records whose coordinates are integers in units of a step, as in LAS. FORMAT.md 9.
 
 use byteorder::{ByteOrder, LittleEndian};
 
@@ -6,9 +6,9 @@ use super::records::Parts;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::{Axis, Layout, ScanFile, Wrapping};
 
-/// Takes a file apart whose records stand one after the other from byte `start` on, at most `count` of them. x, y and z of
-/// the layout are float32 fields in the place of the integers. `None` if the layout is not valid, or if float32 values
-/// would not give all integers back.
+/// Splits a file whose records follow one another from byte `start` on, at most `count` of them. The layout
+/// has float32 fields x, y and z in place of the integers. `None` if the layout is not valid, or if some
+/// integer could not be restored from its float32 value.
 pub(super) fn parse(
     layout: Layout,
     axes: [Axis; 3],
@@ -33,11 +33,11 @@ fn to_metres(body: &mut [u8], layout: &Layout, axes: &[Axis; 3]) {
     });
 }
 
-/// The coordinates of whole records as the file has them.
+/// Converts the coordinates in whole records to the integers of the file.
 pub(super) fn to_steps(body: &mut [u8], layout: &Layout, axes: &[Axis; 3]) {
     each(body, layout, axes, |axis, value| {
         let steps = (f64::from(LittleEndian::read_f32(value)) - axis.offset) * axis.per_metre;
-        // NaN is 0.
+        // The conversion of NaN gives 0.
         let steps = round_ties_even(steps.clamp(i32::MIN.into(), i32::MAX.into())) as i32;
         LittleEndian::write_i32(value, steps);
     });

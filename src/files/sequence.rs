@@ -9,9 +9,9 @@ use super::names::{check_name, is_safe_path, natural_cmp};
 use super::{EXTENSIONS, TELLING, is_scan_by_name, starts_as_scan_of_folder, times};
 use crate::ground::error::{Error, Limits, Result};
 
-/// Where KITTI and KITTI-360 keep the scans of a drive, relative to its folder.
+/// Where KITTI and KITTI-360 store the scans of a drive, relative to its folder.
 const DRIVE_FOLDERS: [&str; 3] = ["velodyne_points/data", "velodyne", "data"];
-/// What names of streams end in, by custom.
+/// The customary extension of streams.
 pub const STREAM_EXTENSION: &str = "lpc";
 
 /// The files of an input.
@@ -19,24 +19,24 @@ pub const STREAM_EXTENSION: &str = "lpc";
 pub struct Sequence {
     /// The scans, drive by drive, each in the natural order of their names. No two have the same name.
     pub frames: Vec<FoundFile>,
-    /// What else is kept, in natural order; empty unless all is asked for.
+    /// The other files to be stored, in natural order; empty unless all files were requested.
     pub beside: Vec<FoundFile>,
-    /// What the given folders hold besides, by kind and path.
+    /// The contents of the given folders that are not stored, by kind and path.
     pub left_out: Vec<(LeftOutKind, PathBuf)>,
 }
 
-/// A file, and what it is called in a stream.
+/// A file, and its name in a stream.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FoundFile {
-    /// Where it is.
+    /// Its path on disk.
     pub path: PathBuf,
-    /// Its own name; or, if the input has several folders of scans or all is asked for, its path below the input, with `/`
-    /// on every system. A folder that is kept because it is empty ends in `/`.
+    /// Its own name; or, if the input has several folders of scans or all files were requested, its path
+    /// below the input, with `/` on every system. The name of an empty folder that is stored ends in `/`.
     pub name: String,
-    /// The folder of its drive below the input, as in `name`; empty if that is the input. Of a scan it is the one that
-    /// holds it, without `velodyne_points/data` and the like.
+    /// The folder of its drive below the input, as in `name`; empty if that is the input. For a scan this is
+    /// the folder that contains it, without `velodyne_points/data` and the like.
     pub drive: String,
-    /// When it was taken, in nanoseconds since 1970, if that is known.
+    /// The time at which it was taken, in nanoseconds since 1970, if known.
     pub time: Option<times::Found>,
 }
 
@@ -46,7 +46,7 @@ impl Sequence {
         self.frames.iter().map(|frame| frame.path.clone()).collect()
     }
 
-    /// Takes the next one in.
+    /// Appends the files of the next input.
     fn extend(&mut self, other: Sequence) {
         self.frames.extend(other.frames);
         self.beside.extend(other.beside);
@@ -54,10 +54,10 @@ impl Sequence {
     }
 }
 
-/// What an input holds that decoding does not give back.
+/// Contents of an input that are not stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum LeftOutKind {
-    /// A file that is not known as a scan.
+    /// A file that is not recognised as a scan.
     File,
     /// A stream of this program.
     Stream,
@@ -65,25 +65,25 @@ pub enum LeftOutKind {
     Hidden,
     /// A symbolic link that is not followed.
     Link,
-    /// A symbolic link to a scan, which is encoded in its place.
+    /// A symbolic link to a scan. The scan is encoded in its place.
     FollowedLink,
     /// A named pipe, a socket or a device.
     Special,
-    /// A file that would be kept, but is larger than decoders take.
+    /// A file that would be stored, but is larger than decoders accept.
     TooLarge,
-    /// A file that would be kept, but belongs to none of the drives that become files of their own.
+    /// A file that would be stored, but belongs to none of the drives, each of which becomes a stream.
     OutsideDrives,
-    /// A file that would be kept, but whose name not every system can restore.
+    /// A file that would be stored, but whose name not every system can restore.
     OddName,
 }
 
 impl LeftOutKind {
-    /// What one of them is called.
+    /// The name of one item of this kind.
     pub fn name(self) -> &'static str {
         self.names()[0]
     }
 
-    /// What one of them is called, and several.
+    /// The names of one item and of several.
     fn names(self) -> [&'static str; 2] {
         match self {
             LeftOutKind::File => ["file not known as a scan", "files not known as scans"],
@@ -105,7 +105,8 @@ impl LeftOutKind {
     }
 }
 
-/// How much was left out, by kind. Only the first path of each is kept, as an endless archive may hold any number.
+/// Counts of what was left out, by kind. Only the first path of each kind is kept, as an archive may be
+/// endless.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LeftOut(pub BTreeMap<LeftOutKind, LeftOutPaths>);
 
@@ -116,12 +117,12 @@ pub struct LeftOutPaths {
     pub count: u64,
     /// Bytes of those that are files.
     pub bytes: u64,
-    /// The first.
+    /// The first path.
     pub first: String,
 }
 
 impl LeftOut {
-    /// Counts one more, of so many bytes.
+    /// Counts one more item, of `bytes` bytes.
     pub fn add(&mut self, kind: LeftOutKind, path: impl Into<String>, bytes: u64) {
         let paths =
             self.0.entry(kind).or_insert_with(|| LeftOutPaths { count: 0, bytes: 0, first: path.into() });
@@ -129,7 +130,7 @@ impl LeftOut {
         paths.bytes += bytes;
     }
 
-    /// Counts what another input leaves out too.
+    /// Adds the counts of another input.
     pub fn extend(&mut self, other: LeftOut) {
         for (kind, LeftOutPaths { count, bytes, first }) in other.0 {
             let paths = self.0.entry(kind).or_insert(LeftOutPaths { count: 0, bytes: 0, first });
@@ -144,7 +145,7 @@ impl LeftOut {
     }
 }
 
-/// In one line, with counts and an example of each kind.
+/// One line, with counts and an example of each kind.
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (place, (kind, LeftOutPaths { count, bytes, first })) in self.0.iter().enumerate() {
@@ -159,24 +160,25 @@ impl fmt::Display for LeftOut {
     }
 }
 
-/// Finds the frames of `inputs`: files, folders of scans, or trees of them. Text is a scan of a folder if it names its
-/// coordinates or looks like points. Hidden files are left
-/// out; links to scans are followed, links to folders are not. A file that is named explicitly is taken whatever its
-/// extension.
+/// Finds the frames of `inputs`: files, folders of scans, or trees of them. A text file in a folder counts as
+/// a scan if it names its coordinates or looks like points. Hidden files are left out; links to scans are
+/// followed, links to folders are not. A file that is named explicitly is accepted whatever its extension.
 ///
-/// A folder that holds the scans of one folder, its own or one below, gives them under their own names, in one order with
-/// those of the other inputs. A tree that holds several gives them drive by drive, under their paths below the input.
+/// If a folder contains the scans of one folder only, itself or one below, these keep their own names, and
+/// are put in one order with the scans of the other inputs. The scans of a tree with several such folders are
+/// listed drive by drive, with their paths below the input as names.
 ///
 /// # Errors
 /// [`Error::Input`], with the path and what to do: nothing there, no scan in a folder, unreadable, two frames
-/// with the same name, or a name that could not be restored (see [`is_safe_path`](super::names::is_safe_path)).
+/// with the same name, or a name that could not be restored (see
+/// [`is_safe_path`](super::names::is_safe_path)).
 pub fn find_frames(inputs: &[PathBuf]) -> Result<Sequence> {
     find(inputs, false)
 }
 
-/// As [`find_frames`], with every other file and empty folder of the folders among `inputs`, hidden ones too; all under their
-/// paths below the input. Links that lead to no scan, files whose names not every system can restore, and files of more than
-/// 1 GiB, which decoders do not take, are left out.
+/// As [`find_frames`], with every other file and empty folder in the folders among `inputs`, including hidden
+/// ones; all names are paths below the input. Left out are links that do not lead to a scan, files whose
+/// names not every system can restore, and files of more than 1 GiB, which decoders do not accept.
 ///
 /// # Errors
 /// As [`find_frames`].
@@ -203,7 +205,7 @@ fn find(inputs: &[PathBuf], all: bool) -> Result<Sequence> {
     }
     let files = found.frames.iter().chain(&found.beside);
     check_different(files)?;
-    // Stable: drives stay in the order in which they were found.
+    // A stable sort: drives stay in the order in which they were found.
     if found.frames.iter().all(|frame| frame.drive.is_empty()) {
         found.frames.sort_by(|a, b| natural_cmp(&a.name, &b.name));
     }
@@ -211,12 +213,12 @@ fn find(inputs: &[PathBuf], all: bool) -> Result<Sequence> {
     Ok(found)
 }
 
-/// What a folder holds, and those below it.
+/// The contents of a folder and of those below it.
 #[derive(Default)]
 struct Tree {
     /// The folders that hold scans, in natural order.
     folders: Vec<ScanFolder>,
-    /// Files that are kept beside the scans, and empty folders.
+    /// Files that are stored beside the scans, and empty folders.
     beside: Vec<PathBuf>,
     left_out: Vec<(LeftOutKind, PathBuf)>,
 }
@@ -224,7 +226,7 @@ struct Tree {
 /// A folder that holds scans.
 struct ScanFolder {
     path: PathBuf,
-    /// In natural order.
+    /// The scans, in natural order.
     scans: Vec<PathBuf>,
 }
 
@@ -232,7 +234,7 @@ impl Tree {
     /// Everything below `folder`.
     fn walk(folder: &Path, all: bool) -> Result<Self> {
         let mut tree = Tree::default();
-        // Folders that are still to be listed, the next one last.
+        // Folders still to be listed, the next one last.
         let mut open = vec![folder.to_path_buf()];
         while let Some(folder) = open.pop() {
             let mut below = tree.list(&folder, all)?;
@@ -242,7 +244,7 @@ impl Tree {
         Ok(tree)
     }
 
-    /// Takes in what a folder holds, but what is in its subfolders, which are returned.
+    /// Adds the contents of a folder except its subfolders, which are returned.
     fn list(&mut self, folder: &Path, all: bool) -> Result<Vec<PathBuf>> {
         let (mut scans, mut subfolders, mut is_empty) = (Vec::new(), Vec::new(), true);
         for entry in fs::read_dir(folder).map_err(|error| unreadable(folder, &error))? {
@@ -260,7 +262,7 @@ impl Tree {
             } else if !is_scan && is_link {
                 LeftOutKind::Link
             } else {
-                // Follows links. A file without a scan's extension need not be readable.
+                // This follows links. Files without a scan's extension need not be readable.
                 match fs::metadata(&path) {
                     Ok(kind) if kind.is_dir() && is_link => LeftOutKind::Link,
                     Ok(kind) if kind.is_dir() => {
@@ -297,7 +299,7 @@ impl Tree {
         Ok(subfolders)
     }
 
-    /// The files under their names.
+    /// Converts the tree to files with their names in a stream.
     fn into_sequence(self, input: &Path, all: bool) -> Result<Sequence> {
         if self.folders.is_empty() {
             return Err(input_error(input, format!("holds no scans; give a folder of {EXTENSIONS} files")));
@@ -342,7 +344,7 @@ impl Tree {
     }
 }
 
-/// Whether a file is a scan by its first bytes. What cannot be read is none.
+/// Whether a file is a scan according to its first bytes. Unreadable files are not.
 fn is_scan_inside(path: &Path, name: &str) -> bool {
     let is_file = fs::metadata(path).is_ok_and(|kind| kind.is_file());
     let mut start = Vec::new();
@@ -350,7 +352,7 @@ fn is_scan_inside(path: &Path, name: &str) -> bool {
     is_file && { read }().is_ok() && starts_as_scan_of_folder(name, &start)
 }
 
-/// The folder of the drive whose scans are in this folder.
+/// The folder of the drive whose scans are in `folder`.
 fn drive_of(folder: &str) -> String {
     let inside = DRIVE_FOLDERS.iter().find_map(|inside| match folder.strip_suffix(inside)? {
         "" => Some(""),
@@ -367,7 +369,7 @@ fn has_extension(name: &str, extension: &str) -> bool {
     Path::new(name).extension().is_some_and(|found| found.eq_ignore_ascii_case(extension))
 }
 
-/// An error if two files have one name.
+/// An error if two files have the same name.
 fn check_different<'f>(files: impl Iterator<Item = &'f FoundFile>) -> Result<()> {
     let mut seen: HashMap<&str, &Path> = HashMap::new();
     for FoundFile { path, name, .. } in files {
@@ -448,7 +450,7 @@ mod tests {
         find_frames(&inputs.iter().map(|i| dir.path().join(i)).collect::<Vec<_>>())
     }
 
-    /// The one-line error, which must name the path.
+    /// The one-line error message, which must name the path.
     fn complaint(dir: &TempDir, inputs: &[&str], names: &str) -> String {
         let message = find(dir, inputs).unwrap_err().to_string();
         assert!(message.starts_with(dir.path().join(names).to_str().unwrap()), "{message}");

@@ -9,10 +9,10 @@ use super::sequence::{LeftOut, LeftOutKind};
 use super::{TELLING, is_scan_by_name, starts_as_scan_of_folder};
 use crate::ground::error::{Error, Result};
 
-/// Headers and files are padded to blocks of this many bytes.
+/// Headers and files are padded to multiples of this many bytes.
 const BLOCK: u64 = 512;
 
-/// The most bytes of a file's header together with its long name and pax records.
+/// The largest size of a file's header together with its long name and pax records, in bytes.
 const MAX_HEADER: u64 = 1 << 20;
 
 /// The name of the archive in errors.
@@ -21,13 +21,13 @@ const ARCHIVE: &str = "the archive";
 /// Returns the scans of an archive, one after the other.
 pub(super) struct TarReader<R> {
     input: R,
-    /// Bytes before the next header: the rest of the last block of the file before. They are read together
-    /// with that header, as they may arrive only then.
+    /// Bytes before the next header: the rest of the previous file's last block. They are read together with
+    /// that header, as they may not arrive earlier.
     padding: u64,
     pub left_out: LeftOut,
 }
 
-/// What an archive says about a file before its bytes.
+/// The properties of a file that the archive gives before its bytes.
 struct Header {
     path: String,
     kind: EntryType,
@@ -39,16 +39,16 @@ impl<R: Read> TarReader<R> {
         TarReader { input, padding: 0, left_out: LeftOut::default() }
     }
 
-    /// The next scan, under its name without folders; `None` after the last. Hidden files and files not known
-    /// as scans are left out, as those of a folder are; and symbolic links.
+    /// The next scan, under its name without folders; `None` after the last. Hidden files, files not
+    /// recognised as scans, and symbolic links are left out, like those of a folder.
     ///
     /// # Errors
-    /// If the input fails, is cut short, or is no tar archive; also if a scan is a hard link, since the bytes
+    /// If the input fails, is cut short, or is not a tar archive; also if a scan is a hard link, since the bytes
     /// that it shares with an earlier file have gone by.
     pub fn next_scan(&mut self) -> Result<Option<ArrivedFile>> {
         while let Some(Header { path, kind, size }) = self.next_header()? {
             self.padding = size.wrapping_neg() % BLOCK;
-            // Before POSIX, a folder was a file whose name ended in a slash.
+            // Before POSIX, a folder was stored as a file whose name ended in a slash.
             let name = path.rsplit('/').next().unwrap_or_default();
             let is_file = matches!(kind, EntryType::Regular | EntryType::Continuous);
             let is_hidden = name.starts_with('.');
@@ -85,13 +85,13 @@ impl<R: Read> TarReader<R> {
         Ok(None)
     }
 
-    /// The next header; `None` at the end, after which the rest is read, so that the writing program does not
-    /// fail.
+    /// The next header; `None` at the end of the archive. Then the rest of the input is read too, so that the
+    /// program that writes it does not fail.
     fn next_header(&mut self) -> Result<Option<Header>> {
         self.discard(self.padding)?;
         self.padding = 0;
-        // An archive of the crate's reads a header and what belongs to it, and no byte more. A new one for
-        // each file leaves the input in our hands, so that this reader owns it and bounds each header.
+        // The crate's archive reads a header with its extensions, and no byte more. A new one for each file
+        // keeps the input under the control of this reader, which can limit the size of each header.
         let mut input = HeaderInput { input: self.input.by_ref().take(MAX_HEADER), is_cut_short: false };
         let header = read_header(&mut input);
         match header {
@@ -124,7 +124,7 @@ fn read_header(input: impl Read) -> Result<Option<Header>> {
         && let Some(records) = entry.pax_extensions().map_err(damaged)?
     {
         for record in records {
-            // The crate would take the header's own name or size instead.
+            // Otherwise the crate would use the header's own name or size.
             let record =
                 record.map_err(|_| refuse(ARCHIVE, format!("holds odd pax records for {path:?}")))?;
             is_sparse |= record.key_bytes().starts_with(b"GNU.sparse.");
@@ -136,7 +136,7 @@ fn read_header(input: impl Read) -> Result<Option<Header>> {
     Ok(Some(Header { path, kind, size }))
 }
 
-/// The input of one header, which notes whether it ends too early: the crate has no error for that.
+/// The input of one header. It records whether it ends too early, for which the crate has no error.
 struct HeaderInput<R> {
     input: Take<R>,
     is_cut_short: bool,

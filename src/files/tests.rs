@@ -1,4 +1,4 @@
-//! Tests that files of all kinds, and of none, come back.
+//! Tests that files of all kinds, supported or not, are restored.
 
 use std::path::Path;
 
@@ -25,8 +25,8 @@ pub(super) fn pcd(fields: &str, sizes: &str, types: &str, counts: &str, points: 
     .into_bytes()
 }
 
-/// Parses a file and checks the promise: the same bytes and the same name come back, and so does
-/// the layout, serialised.
+/// Parses a file and checks that the same bytes and the same name are restored, and the layout from its
+/// serialised form.
 pub(super) fn comes_back(name: &str, bytes: Vec<u8>) -> ScanFile {
     let file = parse(name, bytes.clone());
     assert_eq!(file.name, name);
@@ -214,8 +214,8 @@ proptest! {
         prop_assert!(is_text || !file.is_opaque());
     }
 
-    /// Changes, inserts and removes bytes anywhere, mostly in the header; replaces words by nasty ones; cuts
-    /// off the end.
+    /// Changes, inserts and removes bytes anywhere, mostly in the header; replaces words by awkward ones;
+    /// cuts off the end.
     #[test]
     fn damaged_files_come_back(
         (name, mut bytes) in any_good_file(),
@@ -243,7 +243,7 @@ proptest! {
         comes_back(&name, bytes);
     }
 
-    /// Whatever layout and sizes a stream gives, writing ends in bytes or in an error.
+    /// Whatever layout and sizes a stream has, writing returns bytes or an error.
     #[test]
     fn any_layout_is_written_or_refused(
         layout in prop::collection::vec(0u8..10, 2..40),

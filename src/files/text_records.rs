@@ -1,8 +1,8 @@
-//! Records as text, in an ascii PCD or PLY or in columns alone: one record a line, values between single separators.
-//! FORMAT.md 9.
+//! Records as text, in an ascii PCD or PLY or in columns without a header: one record per line, values
+//! between single separators. FORMAT.md 9.
 //!
-//! Texts are turned into values only if the values give the texts back. Programs differ in how they print
-//! numbers, so each column's rule is found by trial, and its type where nothing declares it.
+//! Texts are converted to values only if the values restore the texts. Programs print numbers in different
+//! ways, so the rule of each column is found by trial, and its type too unless it is declared.
 
 use super::field::{Declared, layout_of, name_of};
 use super::number::{self, NumberWriter, Survey};
@@ -10,12 +10,12 @@ use super::records;
 use crate::ground::error::Result;
 use crate::scan::{Column, Field, Layout, Scalar, ScanFile, Separator, TextFormat, Wrapping};
 
-/// Takes a file apart whose body starts at byte `start` and has at most `points` records of these fields,
-/// which must make a valid layout. Lines from the first one that does not look like those before it are
-/// `suffix`. `None` if there is no record, or if no rule gives back the texts of a column.
+/// Splits a file whose body starts at byte `start` and has at most `points` records of these fields, which
+/// must make a valid layout. The first line that does not look like those before it begins the `suffix`.
+/// `None` if there is no record, or if no rule restores the texts of a column.
 pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64) -> Option<ScanFile> {
     let body = bytes.get(start..)?;
-    // A header can claim any number of values, but each takes a byte of the line at least.
+    // A header can claim any number of values, but each takes at least one byte of the line.
     let values: u64 = fields.iter().map(|field| u64::from(field.count())).sum();
     if !(1..=first_line(body)?.len() as u64).contains(&values) {
         return None;
@@ -35,7 +35,7 @@ pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64
         format.open_end = !line.ends_with('\n');
     }
     let found = find_columns(&scalars, &tokens).or_else(|| {
-        // Where the file was cut short, the last number may be, too.
+        // If the file was cut short, the last number may be incomplete too.
         let last = tokens.len().checked_sub(scalars.len()).filter(|_| format.open_end)?;
         tokens.truncate(last);
         format.open_end = false;
@@ -59,14 +59,15 @@ pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64
     })
 }
 
-/// The columns, with the values of each. `None` if there are none, or if no rule gives back the texts of one.
+/// The columns, with the values of each. `None` if there are no columns, or if no rule restores the texts of
+/// one.
 fn find_columns(scalars: &[Option<Scalar>], tokens: &[&str]) -> Option<(Vec<Column>, Vec<Vec<u8>>)> {
     let texts = |at: usize| tokens.iter().skip(at).step_by(scalars.len()).copied();
     let columns = scalars.iter().enumerate().map(|(at, &scalar)| find_column(scalar, texts(at)));
     columns.collect::<Option<_>>().filter(|_| !tokens.is_empty())
 }
 
-/// The fields as these columns store them: a field whose values have different types becomes as many fields.
+/// The fields as these columns store them: a field whose values have different types becomes several fields.
 fn as_stored(fields: &[Declared], columns: &[Column]) -> Vec<Field> {
     let mut rest = columns;
     let mut stored = Vec::with_capacity(fields.len());
@@ -135,14 +136,14 @@ pub(super) fn write(body: &[u8], format: &TextFormat) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// The types that a column without a declared one may have: the shortest that has all its numbers is taken.
+/// The types that an undeclared column may have: the shortest that represents all its numbers is used.
 const ANY: [Scalar; 10] = {
     use Scalar::*;
     [U8, I8, U16, I16, U32, I32, U64, I64, F32, F64]
 };
 
-/// The type and rule that give all these texts, and the values. Doubles of which single precision preserves
-/// every digit are stored as float32: many programs print float32 values as doubles.
+/// The type and rule that restore all these texts, and the values. Doubles of which single precision
+/// preserves every digit are stored as float32: many programs print float32 values as doubles.
 fn find_column<'a>(
     declared: Option<Scalar>,
     texts: impl Iterator<Item = &'a str> + Clone,
@@ -161,7 +162,7 @@ fn find_column<'a>(
     })
 }
 
-/// The first rule that gives all these texts for these values.
+/// The first rule that restores all these texts from these values.
 fn find_rule<'t, 'v>(
     scalar: Scalar,
     pairs: impl Iterator<Item = (&'t str, &'v [u8])> + Clone,
@@ -178,7 +179,7 @@ fn find_rule<'t, 'v>(
     })
 }
 
-/// The first line, including its line end if it has one; `None` if there is none, or it is no text.
+/// The first line, including its line end if it has one; `None` if there is none, or if it is not text.
 pub(super) fn first_line(bytes: &[u8]) -> Option<&str> {
     let end = bytes.iter().position(|&b| b == b'\n').map_or(bytes.len(), |at| at + 1);
     std::str::from_utf8(&bytes[..end]).ok().filter(|line| !line.is_empty())
@@ -193,7 +194,7 @@ impl TextFormat {
             .find(|separator| text.contains(separator.character()))
             .unwrap_or_default();
         let character = separator.character();
-        // What is between two numbers is of the first kind that is found.
+        // The first kind of separator that occurs in the line separates the numbers.
         let after = text.split_once(character).map_or("", |(_, after)| after);
         TextFormat {
             crlf: line.ends_with("\r\n"),
@@ -208,7 +209,8 @@ impl TextFormat {
         if self.crlf { "\r\n" } else { "\n" }
     }
 
-    /// The texts between the separators of a line, which may lack its end; `None` if the line is not of this format.
+    /// The texts between the separators of a line, whose line end may be missing; `None` if the line does not
+    /// have this format.
     pub(super) fn texts<'a>(&self, line: &'a str) -> Option<impl Iterator<Item = &'a str>> {
         let separator = self.separator.character();
         let mut text = line.strip_suffix(self.line_end()).unwrap_or(line);
@@ -217,14 +219,14 @@ impl TextFormat {
         }
         let is_spaced = self.space_after;
         let texts = text.split(separator).enumerate();
-        // A space that is missing shows as a text that is no number.
+        // A missing space shows as a text that is not a number.
         Some(texts.map(move |(at, text)| match at > 0 && is_spaced {
             true => text.strip_prefix(' ').unwrap_or(""),
             false => text,
         }))
     }
 
-    /// How many columns the line has, if all of them are numbers.
+    /// The number of columns of the line, if all of them are numbers.
     pub(super) fn count_numbers(&self, line: &str) -> Option<usize> {
         let mut value = Vec::new();
         self.texts(line)?.try_fold(0, |count, text| {
@@ -233,7 +235,7 @@ impl TextFormat {
         })
     }
 
-    /// Takes the texts out of a line; `None`, with nothing taken, if the line is not of this format.
+    /// Takes the texts out of a line; `None`, with nothing taken, if the line does not have this format.
     fn read_line<'a>(
         &self,
         line: &'a str,
@@ -304,7 +306,7 @@ mod tests {
                 NumberRule::Integer,
             ]
         );
-        // Few digits, but so large that it would have an exponent if the rule allowed no more than two.
+        // Few digits, but so large a number that `%g` with two significant digits would write an exponent.
         let scan = comes_back("a.pcd", file("120000 1 1 1 1\n2.5 1 1 1 1\n"));
         assert_eq!(rules(&scan)[0], NumberRule::Significant(6));
         let scan = comes_back("a.pcd", file("1.50e+00 1 1 1 1\n2.25e-07 1 1 1 1\n"));
@@ -383,7 +385,7 @@ mod tests {
         ]
     }
 
-    /// Any number but the largest: with few digits these round to more than the maximum, which reads as
+    /// Any number except the largest, which few digits round to more than the maximum: this reads as
     /// infinity.
     fn any_number() -> impl Strategy<Value = f64> {
         any::<f64>().prop_filter("too large", |number| !number.is_finite() || number.abs() < 9e307)

@@ -1,28 +1,30 @@
-//! When scans were taken: from lists beside them, and from their names.
+//! The times at which scans were taken: from lists beside them, and from their names.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-/// A time, and where it stood.
+/// A time, and its source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Found {
     /// Nanoseconds since 1970.
     pub nanoseconds: i64,
-    /// Whether it stood in a list beside the scans, not in the scan's name.
+    /// Whether it is from a list beside the scans rather than from the scan's name.
     pub is_listed: bool,
 }
 
-/// The lists of KITTI (dates) and of its odometry (seconds since the first scan), beside the folder of the scans or in it.
+/// Names of the lists of KITTI (dates) and of its odometry data set (seconds since the first scan), in the
+/// folder of the scans or beside it.
 const LISTS: [&str; 2] = ["timestamps.txt", "times.txt"];
 
 /// The largest list that is read, in bytes: a million lines and more.
 const LIST_BYTES: u64 = 64 << 20;
 
-/// When the scans of a folder were taken: by a list, which has a line for each; otherwise by their names.
+/// The times of the scans of a folder: from a list, which has a line for each; otherwise from their names.
 ///
-/// If the names are numbers and there are as many lines, a scan's line is the one of its number, the first being 0, as
-/// KITTI's drives lack scans that their lists have. Otherwise there must be a line for each scan, in order.
+/// If the names are numbers below the number of lines, each scan has the line with its number, the first
+/// being 0: KITTI's drives lack scans that their lists have. Otherwise there must be exactly one line for
+/// each scan, in order.
 pub fn of_folder(folder: &Path, scans: &[PathBuf]) -> Vec<Option<Found>> {
     let names: Vec<_> =
         scans.iter().map(|scan| scan.file_name().unwrap_or_default().to_string_lossy()).collect();
@@ -38,7 +40,7 @@ pub fn of_folder(folder: &Path, scans: &[PathBuf]) -> Vec<Option<Found>> {
     listed.next().unwrap_or_else(|| names.iter().map(|name| of_name(name)).collect())
 }
 
-/// The line of each scan in a list of so many; none if they do not belong together.
+/// The line number of each scan in a list of `lines` lines; none if the list does not match the scans.
 fn places(names: &[impl AsRef<str>], lines: usize) -> Option<Vec<usize>> {
     let number = |name: &str| name.split('.').next().and_then(|stem| stem.parse::<usize>().ok());
     let numbers: Option<Vec<_>> = names.iter().map(|name| number(name.as_ref())).collect();
@@ -48,14 +50,14 @@ fn places(names: &[impl AsRef<str>], lines: usize) -> Option<Vec<usize>> {
     }
 }
 
-/// The times of a list, in nanoseconds since 1970; none if it is not there, or any line is something else.
+/// The times of a list, in nanoseconds since 1970; none if the list is missing, or if any line is not a time.
 fn read(path: &Path) -> Option<Vec<i64>> {
     let size = fs::metadata(path).ok().filter(fs::Metadata::is_file)?.len();
     let text = (size <= LIST_BYTES).then(|| fs::read_to_string(path).ok())??;
     text.lines().map(|line| of_line(line.trim())).collect()
 }
 
-/// A date, taken as UTC, or a number of seconds since the first scan.
+/// The time in a line: a date, taken as UTC, or a number of seconds since the first scan.
 fn of_line(line: &str) -> Option<i64> {
     match line.parse::<f64>() {
         Ok(seconds) => (seconds.abs() < 9e9).then_some((seconds * 1e9).round() as i64),
@@ -66,8 +68,8 @@ fn of_line(line: &str) -> Option<i64> {
     }
 }
 
-/// When a scan was taken, if its name holds one number that is nanoseconds (19 digits) or microseconds (16 digits) of a
-/// year from 2001 to 2099.
+/// The time of a scan, if its name contains exactly one number that is nanoseconds (19 digits) or
+/// microseconds (16 digits) in a year from 2001 to 2099.
 pub fn of_name(name: &str) -> Option<Found> {
     let runs = name.split(|letter: char| !letter.is_ascii_digit());
     let times = runs.filter_map(|digits| {

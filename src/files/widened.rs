@@ -1,12 +1,13 @@
-//! Records in which doubles hold no more than float32 does: programs that compute in double precision write scans so.
+//! Records whose doubles all have float32 precision, as written by programs that compute in double precision.
+//! FORMAT.md 9.
 //! FORMAT.md 9.
 
 use super::field::{POSITION, layout_of};
 use super::records::Parts;
 use crate::scan::{Field, Layout, Scalar, ScanFile, Wrapping};
 
-/// Takes a file apart as [`plain_file`](super::records::plain_file) does; but doubles of which float32 preserves
-/// every bit are float32. x, y and z are so together or not at all.
+/// Splits a file as [`plain_file`](super::records::plain_file) does, but doubles of which float32 preserves
+/// every bit become float32: x, y and z only all three.
 pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, count: u64) -> Option<ScanFile> {
     layout.validate().ok()?;
     let parts = Parts::of(bytes, start, layout.stride(), count)?;
@@ -60,7 +61,8 @@ fn narrow_fields(fields: &[Field], body: &[u8]) -> Vec<bool> {
     are_narrow
 }
 
-/// The float32 that is nearest to a double. Not all processors keep the payload of a NaN that they convert.
+/// The float32 nearest to a double. Done on the bits, as not all processors keep the payload of a NaN when
+/// they convert it.
 fn narrow(value: &[u8; 8]) -> [u8; 4] {
     let bits = u64::from_le_bytes(*value);
     let narrow = match f64::from_bits(bits) {
@@ -72,7 +74,7 @@ fn narrow(value: &[u8; 8]) -> [u8; 4] {
     narrow.to_le_bytes()
 }
 
-/// The double that is equal to a float32, and has the same payload if that is NaN.
+/// The double equal to a float32, with the same payload if it is NaN.
 fn widen(value: &[u8; 4]) -> [u8; 8] {
     let bits = u32::from_le_bytes(*value);
     let wide = match f32::from_bits(bits) {
@@ -84,7 +86,7 @@ fn widen(value: &[u8; 4]) -> [u8; 8] {
     wide.to_le_bytes()
 }
 
-/// Whole records of a layout with these fields as the file has them.
+/// Complete records as the file has them, from records with float32 fields.
 pub(super) fn write(body: &[u8], layout: &Layout, widened: &[bool]) -> Vec<u8> {
     let mut out = Vec::with_capacity(2 * body.len());
     for record in body.chunks_exact(layout.stride().max(1)) {
@@ -131,7 +133,7 @@ mod tests {
         let scan = file(&[[1.0, 2.0, 0.1, 0.5, 0.5, 0.1], [1.0; 6]], b"");
         assert_eq!(scan.layout.wrapping, Wrapping::Widened(vec![false, false, false, true, false]));
         assert_eq!(scan.layout.position, None);
-        // A NaN that float32 has not, and a number too large for it.
+        // A NaN that float32 does not have, and a number too large for it.
         for odd in [f64::from_bits(0x7ff0_0000_0000_0001), 1e300] {
             let scan = file(&[[odd; 6], [1.0; 6]], b"");
             assert_eq!(scan.layout.wrapping, Wrapping::Plain);

@@ -1,4 +1,4 @@
-//! The promise of bounded mode, and how the encoder keeps it.
+//! The error bound of bounded mode, and how the encoder keeps it.
 
 use super::fidelity::{Intensity, Positions};
 use crate::scan::{PointCloud, ScanFile, squared_distance};
@@ -7,15 +7,15 @@ use crate::scanner::Coordinates;
 /// The largest errors allowed for decoded values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bound {
-    /// In metres (3-D distance).
+    /// Largest 3-D distance, in metres.
     max_error: f64,
-    /// The grid of points outside the range image.
+    /// The grid for points outside the range image.
     lattice: Coordinates,
     intensity: Intensity,
 }
 
 impl Bound {
-    /// The promise of these settings; `None` if they promise more than a bound.
+    /// The bound in these settings; `None` if they require more than a bound.
     pub fn of(positions: Positions, intensity: Intensity) -> Option<Self> {
         match (positions, positions.lattice()) {
             (Positions::Bounded { max_error_um, .. }, Some(lattice)) => {
@@ -33,10 +33,11 @@ impl Bound {
     /// The widest bins of ranges, in steps of `step` metres, that keep nearly all points within the bound.
     /// `misses` are the errors of the formula without bins, in metres.
     pub fn bin(&self, step: f64, mut misses: Vec<f64>) -> u32 {
-        /// The other points are corrected. A correction costs a few bytes, a finer step one bit for every
-        /// point.
+        /// The minimum share of points within the bound; the others are corrected. A correction costs a few
+        /// bytes, a finer step one bit for every point.
         const KEPT: f64 = 0.995;
-        /// Metres by which two float32 coordinates of a point may be off, up to a hundred metres away.
+        /// The largest rounding error of two float32 coordinates of a point, in metres, up to a hundred
+        /// metres away.
         const ROUNDING: f64 = 2e-5;
         if misses.is_empty() {
             return 1;
@@ -70,8 +71,7 @@ impl Bound {
         }
     }
 
-    /// Whether a decoded scan has the points of the original, in the same order, with none farther away than
-    /// promised.
+    /// Whether a decoded scan has the points of the original, in the same order, and all within the bound.
     pub fn holds(&self, original: &ScanFile, decoded: &ScanFile) -> bool {
         let (PointCloud { positions, intensity, channels }, after) = (&original.cloud, &decoded.cloud);
         let half_step = match self.intensity {
@@ -93,7 +93,7 @@ impl Bound {
             && *channels == after.channels
     }
 
-    /// Whether a decoded position is no farther from the original than promised.
+    /// Whether a decoded position is within the bound of the original.
     pub fn is_near(&self, a: &[f32; 3], b: &[f32; 3]) -> bool {
         squared_distance(a, b).sqrt() <= self.max_error || a.map(f32::to_bits) == b.map(f32::to_bits)
     }

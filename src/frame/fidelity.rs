@@ -1,13 +1,13 @@
-//! The fidelity of decoded points: what is promised of their positions and intensities.
+//! The fidelity of decoded points: how accurately positions and intensities are restored.
 
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, read_within, write_unsigned};
 use crate::scanner::Coordinates;
 
-/// What holds these, in errors.
+/// The section of these values, in errors.
 const PART: &str = "frame parameters";
 
-/// Where the positions of decoded points come from.
+/// How the positions of decoded points are obtained.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Positions {
     /// The formula's positions, corrected to those of the file, in the order of the file.
@@ -15,8 +15,8 @@ pub enum Positions {
     Exact,
     /// The formula's positions as they are, in the order of the range image.
     Formula,
-    /// No position is farther than the bound from that of the file (3-D distance), in the order of the file:
-    /// the formula's positions, replaced by those of the file where they are farther away.
+    /// No position differs from that of the file by more than the bound (3-D distance), in the order of the
+    /// file: the formula's positions, replaced by those of the file where they are farther away.
     Bounded {
         /// The bound, in micrometres; not 0.
         max_error_um: u32,
@@ -26,32 +26,32 @@ pub enum Positions {
     },
 }
 
-/// What happens to intensities.
+/// How intensities are restored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Intensity {
-    /// They are kept as they are.
+    /// Exactly.
     #[default]
     Exact,
-    /// They are left out, and decode to 0.
+    /// Not at all: they are left out, and decode to 0.
     None,
-    /// They are rounded to whole multiples of a step.
+    /// Rounded to integer multiples of a step.
     Rounded {
-        /// Millionths of the file's unit; not 0.
+        /// The step, in millionths of the file's unit; not 0.
         step_millionths: u32,
     },
 }
 
-/// The longest bound, in micrometres: 10 m.
+/// The largest bound, in micrometres: 10 m.
 pub const MOST_MAX_ERROR_UM: u32 = 10_000_000;
 
 impl Positions {
-    /// The grid of points outside the range image, or `None` if it is that of the file: no point is farther
+    /// The grid for points outside the range image, or `None` if it is that of the file. No point is farther
     /// than the bound from the nearest point of this cubic grid.
     pub fn lattice(self) -> Option<Coordinates> {
         match self {
             Positions::Bounded { max_error_um, .. } => {
-                // A cube with edges of 2 / sqrt(3) bounds has its corners at the bound; the rest is room for
-                // rounding to float32.
+                // A cube with edges of 2 / sqrt(3) bounds has its corners at the bound; slightly shorter
+                // edges leave room for rounding to float32.
                 Some(Coordinates::Lattice { step_nm: u64::from(max_error_um) * 1140 })
             }
             Positions::Exact | Positions::Formula => None,

@@ -1,6 +1,6 @@
-//! A group of pictures: frames coded one after the other with models that learn from each. The frames of
-//! several scanners may take turns; those of each scanner are a track of the group, with models of its own.
-//! Groups are independent of each other.
+//! A group of pictures: frames coded one after the other with models that learn from each. Frames of several
+//! scanners may alternate; those of each scanner are a track of the group, with its own models. Groups are
+//! independent of each other.
 
 use std::borrow::Borrow;
 use std::mem::take;
@@ -39,20 +39,19 @@ struct TrackEncoder<'s> {
     models: Models,
     /// The last motion of the scanner, from frame to frame.
     motion: QuantisedPose,
-    /// Frames coded so far.
+    /// Number of frames coded so far.
     frames: usize,
-    /// Whether images are halved, once the first one has decided.
+    /// Whether images are split into halves, once the first one has decided this.
     halves: Option<bool>,
 }
 
-/// A frame as [`GroupEncoder`] codes it.
+/// A frame coded by [`GroupEncoder`].
 pub struct EncodedFrame {
-    /// What it decodes to.
+    /// The frame header.
     pub header: FrameHeader,
-    /// The coded parts.
+    /// The coded sections.
     pub sections: Vec<Section>,
-    /// What each step took and produced. If several predictions were tried, the report of the one that was
-    /// chosen.
+    /// Time and size of each step. If several predictions were tried, those of the chosen one.
     pub steps: StepReport,
 }
 
@@ -64,9 +63,9 @@ impl<'s> GroupEncoder<'s> {
     }
 
     /// Encodes the next frame so that decoders accept it under [`Limits::default`]. `original` describes its
-    /// file and names its track; a track that the group does not have yet has no scanner. A frame that
-    /// would break the bound of bounded mode, such as text without enough digits for the decoded values, is
-    /// coded exactly.
+    /// file and names its track; a track that the group does not have yet has no scanner. A frame that would
+    /// exceed the bound of bounded mode, such as text with too few digits for the decoded values, is coded
+    /// exactly.
     ///
     /// # Errors
     /// If the scan exceeds those limits, or if a back-end's library fails.
@@ -78,9 +77,9 @@ impl<'s> GroupEncoder<'s> {
     }
 }
 
-/// Micrometres by which two points may be farther apart in a text or between integers than their float32 values, between
-/// which distances are measured: each coordinate of each is up to half a unit in its last place off. None in files of other
-/// kinds.
+/// The maximum increase, in micrometres, of the distance between two points when their coordinates are
+/// written as text or integers instead of float32, in which distances are measured: each coordinate of each
+/// point is off by up to half a unit in its last place. 0 for other kinds of files.
 fn file_rounding_um(scan: &ScanFile) -> u32 {
     if !matches!(scan.layout.wrapping, Wrapping::Text(_) | Wrapping::Scaled(_)) {
         return 0;
@@ -91,7 +90,8 @@ fn file_rounding_um(scan: &ScanFile) -> u32 {
     (1e6 * 3f64.sqrt() * unit).ceil() as u32
 }
 
-/// Micrometres by which writing the file moves decoded points: to the nearest integers, half a step each way.
+/// The maximum displacement, in micrometres, of decoded points when the file is written with integer
+/// coordinates: half a step along each axis.
 fn step_rounding_um(scan: &ScanFile) -> u32 {
     let Wrapping::Scaled(axes) = scan.layout.wrapping else { return 0 };
     let half_steps = axes.map(|axis| 0.5 / axis.per_metre);
@@ -136,7 +136,7 @@ impl<'s> TrackEncoder<'s> {
         Ok(self.encode_as(&exact, scan, original)?.0)
     }
 
-    /// Encodes a file that is no scan, whatever the mode: as its bytes.
+    /// Encodes a file that is not a scan, in every mode, as its bytes.
     fn encode_beside(&mut self, file: &ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let whole = WholeFile::of_any_file(file, self.config.level)?;
@@ -148,7 +148,7 @@ impl<'s> TrackEncoder<'s> {
         Ok(EncodedFrame { header: original, sections: writer.sections, steps })
     }
 
-    /// Encodes the next frame with these settings. Returns the decoded file, if that differs.
+    /// Encodes the next frame with these settings. Returns the decoded file, if it differs.
     fn encode_as(
         &mut self,
         config: &EncoderConfig,
@@ -205,8 +205,8 @@ impl<'s> TrackEncoder<'s> {
         Ok((EncodedFrame { header, sections, steps }, Some(bytes)))
     }
 
-    /// Whether the halves of a frame's image are coded apart: those of all if those of the first one are large, and coded by
-    /// models that learn from each value.
+    /// Whether the halves of a frame's image are coded separately. The first frame decides for all: they are
+    /// if its image is large and the models adapt to each value.
     fn halves(&mut self, frame: &FrameParts) -> bool {
         let RangeCoder::Context { modelling, .. } = frame.parameters.range_coder else { return false };
         let returns = frame.occupancy.cells().iter().filter(|filled| **filled).count();
@@ -215,10 +215,10 @@ impl<'s> TrackEncoder<'s> {
             && *self.halves.get_or_insert(returns >= self.config.halved_from)
     }
 
-    /// Estimates how the scanner has moved since the frame before, if the frame may be predicted from that
-    /// (equation 8). Returns how much of that frame fits this one, from 0 to 1; `None` if it does not.
+    /// Estimates the motion of the scanner since the frame before, if the frame may be predicted from that
+    /// (equation 8). Returns how much of that frame fits this one, from 0 to 1; `None` if it does not fit.
     fn estimate_motion(&mut self, frame: &FrameParts) -> Option<f64> {
-        /// The share of the returns that are as far away as before if the scanner stands still.
+        /// The minimum share of returns with the same range as before if the scanner stands still.
         const STANDING_STILL: f64 = 0.5;
         let (scanner, past) = (self.scanner?, self.models.past()?);
         let choice = self.config.inter_choice(self.frames);
@@ -267,8 +267,8 @@ impl<'s> TrackEncoder<'s> {
     }
 }
 
-/// Whether most points are outside any range image and all must come back exactly: the models may then do
-/// worse than a coder that knows nothing about points.
+/// Whether most points are outside any range image and all must be restored exactly: then the models may do
+/// worse than a general-purpose compressor.
 fn is_unexplained(frame: &FrameParts, config: &EncoderConfig) -> bool {
     let is_exact = config.positions == Positions::Exact && config.intensity == Intensity::Exact;
     is_exact && frame.parameters.source.is_none() && 2 * frame.strays >= frame.records
@@ -278,16 +278,16 @@ fn is_unexplained(frame: &FrameParts, config: &EncoderConfig) -> bool {
 struct Attempt {
     /// The models after coding it.
     models: Models,
-    /// The frame as it decodes.
+    /// The frame as decoded.
     frame: FrameParts,
     sections: Vec<Section>,
-    /// Squared error of the ranges, in steps, with a coder that has a bit rate; otherwise 0.
+    /// Squared error of the ranges, in steps, if the coder has a bit rate; otherwise 0.
     error: f64,
     steps: StepReport,
 }
 
 impl Attempt {
-    /// The error of coders that have a bit rate, then the bytes of the sections.
+    /// The squared error, then the bytes of the sections.
     fn cost(&self) -> (f64, usize) {
         (self.error, self.sections.iter().map(|section| section.payload.len()).sum())
     }
@@ -299,35 +299,35 @@ fn squared_error(a: &Grid<u32>, b: &Grid<u32>) -> f64 {
     differences.map(|difference| difference * difference).sum()
 }
 
-/// A frame as [`GroupDecoder`] decodes it.
+/// A frame decoded by [`GroupDecoder`].
 pub struct DecodedScan {
     /// The file.
     pub scan: ScanFile,
-    /// The original file, if it is not restored exactly.
+    /// Properties of the original file, if it is not restored exactly.
     pub source: Option<Source>,
-    /// Whether it holds the points of the original file, in the same order.
+    /// Whether it has the points of the original file in the same order.
     pub keeps_order: bool,
     /// The range image, if there is one and it was requested.
     pub image: Option<DecodedImage>,
-    /// How well the scanner explains it, if it has one and that was requested.
+    /// How well the scanner explains it, if it has one and this was requested.
     pub explained: Option<Explained>,
 }
 
-/// How well its scanner explains a frame.
+/// How well a frame's scanner explains it.
 #[derive(Clone, Copy, Debug)]
 pub struct Explained {
     /// Number of points of the file.
     pub points: u64,
-    /// Of these, how many are in the range image, further returns and blanks among them.
+    /// The number of these in the range image, including echoes and blanks.
     pub in_image: u64,
-    /// Of those in the image, how many the formula puts where they were measured, to the last bit.
+    /// The number of points in the image that the formula reproduces as measured, to the last bit.
     pub exact: u64,
 }
 
 /// The range image of a decoded frame.
 #[derive(Clone, Debug)]
 pub struct DecodedImage {
-    /// The scanner whose rows, ticks and steps these are.
+    /// The scanner that defines the rows, ticks and steps.
     pub scanner: Scanner,
     /// The ranges.
     pub image: RangeImage,
@@ -335,13 +335,13 @@ pub struct DecodedImage {
     pub point_of_cell: Grid<Option<u32>>,
     /// The regions that predict the ranges; empty if none do.
     pub intra: IntraPrediction,
-    /// How the scanner has moved since the frame before, if that predicts the ranges.
+    /// The motion of the scanner since the frame before, if it is used to predict the ranges.
     pub motion: Option<Pose>,
 }
 
 /// Decodes the frames of one group.
 pub struct GroupDecoder<S> {
-    /// The scanner of each track, and what its frames have taught, once there was one.
+    /// The scanner of each track, and the models of its frames, once there was one.
     tracks: Vec<(Option<S>, Option<Models>)>,
     limits: Limits,
     keeps_images: bool,
@@ -355,12 +355,12 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
         GroupDecoder { tracks, limits: *limits, keeps_images: false, judges_scanners: false }
     }
 
-    /// Makes the decoder return range images, too.
+    /// Makes the decoder also return range images.
     pub fn keeping_images(self, keeps_images: bool) -> Self {
         GroupDecoder { keeps_images, ..self }
     }
 
-    /// Makes the decoder tell how well the scanners explain their frames, too.
+    /// Makes the decoder also determine how well the scanners explain their frames.
     pub fn judging_scanners(self) -> Self {
         GroupDecoder { judges_scanners: true, ..self }
     }

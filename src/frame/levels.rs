@@ -3,24 +3,24 @@
 use super::modelling::Modelling;
 use crate::backend::Level;
 
-/// When the encoder predicts a frame from the one before it.
+/// When the encoder tries to predict a frame from the one before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum InterChoice {
     Never,
     /// If the scanner has not moved, which is quickly determined.
     StandingStill,
-    /// If the motion of the scanner is found, which takes time.
+    /// If the motion of the scanner can be estimated, which takes time.
     IfItFits,
 }
 
-/// The settings of the context coder at a level. [`Modelling::parts`] says what the modelling means for each
-/// part of a frame.
+/// The settings of the context coder at a level. [`Modelling::parts`] defines the modelling of each part of a
+/// frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LevelSettings {
     pub modelling: Modelling,
     /// When P frames are tried.
     pub inter: InterChoice,
-    /// Number of frames to which the scanner is fitted: more frames make the constants more accurate.
+    /// Number of frames to which the scanner is fitted: with more frames the constants are more accurate.
     pub sample_frames: usize,
     /// Frames in a group, by default.
     pub gop: usize,
@@ -29,10 +29,10 @@ pub(crate) struct LevelSettings {
 /// Frames in a group: few enough for seeking, at a cost of a few thousandths of the size.
 pub(crate) const GOP: usize = 10;
 
-/// Frames in a group where only size counts.
+/// Frames in a group if only size counts.
 const LONG_GOP: usize = 30;
 
-/// The levels, by number. Each is smaller than the one before, and slower; numbers that would add nothing
+/// The levels, by number. Each is smaller and slower than the one before; numbers without a useful setting
 /// between their neighbours are left out.
 #[rustfmt::skip]
 const LEVELS: [(u8, LevelSettings); 7] = {
@@ -49,8 +49,8 @@ const LEVELS: [(u8, LevelSettings); 7] = {
     ]
 };
 
-/// The settings with all other coders than the context coder, at every level, since these have scales of
-/// their own.
+/// The settings of all coders other than the context coder, at every level: these have their own scales of
+/// effort.
 pub(crate) const OTHER_CODERS: LevelSettings =
     LevelSettings { modelling: Modelling::Light, inter: InterChoice::IfItFits, sample_frames: 6, gop: GOP };
 

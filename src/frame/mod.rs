@@ -1,4 +1,4 @@
-//! How a frame, and a group of frames, is coded: syntax, parameters, and promises.
+//! The coding of a frame and of a group of frames: syntax, parameters, and fidelity.
 
 pub mod fidelity;
 pub mod group;

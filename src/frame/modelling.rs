@@ -3,7 +3,7 @@
 use crate::ground::error::{Error, Result};
 
 /// The models of a frame's occupancy, intensities, ranges and corrections; the numbers are those of the
-/// format. With general-purpose back-ends and image coders, all that they leave is coded as by
+/// format. With back-ends and image coders, everything except the ranges is coded as by
 /// [`Light`](Modelling::Light).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Modelling {
@@ -51,7 +51,8 @@ pub(crate) enum RangeModelling {
     Mixed,
     /// Bits, mixed from even more views.
     Deep,
-    /// Prediction errors; the prediction is by least squares if `fitted`, otherwise the left neighbour.
+    /// Prediction errors; ranges are predicted by least squares if `fitted`, otherwise from the left
+    /// neighbour.
     Tokens { fitted: bool },
     /// Differences in packed bits.
     Packed,
@@ -77,7 +78,7 @@ pub(crate) struct Parts {
 }
 
 impl Parts {
-    /// Whether models of intensities and ranges learn from each value.
+    /// Whether the models of intensities and ranges adapt to each value.
     pub(crate) fn is_adaptive(&self) -> bool {
         matches!(self.intensity, IntensityModelling::Light | IntensityModelling::Deep)
     }
@@ -139,8 +140,10 @@ impl Modelling {
         }
     }
 
+    /// The modelling with this number.
+    ///
     /// # Errors
-    /// If there is no modelling with this number.
+    /// If there is none.
     pub(crate) fn from_code(code: u64) -> Result<Self> {
         let known = Self::ALL.into_iter().find(|modelling| modelling.to_code() == code);
         known.ok_or_else(|| Error::unsupported(format!("frame parameters: unknown coder {code}")))

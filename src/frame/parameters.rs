@@ -1,5 +1,5 @@
-//! How a frame is coded: what a decoder must know before the frame's other sections, and what reports say
-//! about the file from which it was made. FORMAT.md 8.10.
+//! How a frame is coded: what a decoder must know before the frame's other sections, and the properties of
+//! the original file for reports. FORMAT.md 8.10.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -16,58 +16,59 @@ use crate::inter::registration::QuantisedPose;
 use crate::scanner::EXACT_RANGE_BITS;
 use crate::scanner::Scanner;
 
-/// What is read, in errors.
+/// The section's name in errors.
 const PART: &str = "frame parameters";
 
 /// The parameters of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FrameParameters {
-    /// Whether the points' positions are those of the file, or those of the range image.
+    /// How positions are restored.
     pub positions: Positions,
-    /// What happens to intensities.
+    /// How intensities are restored.
     pub intensity: Intensity,
-    /// What the ranges are predicted from.
+    /// How the ranges are predicted.
     pub prediction: Prediction,
-    /// How the scanner has moved since the frame before; only if that predicts the ranges.
+    /// The motion of the scanner since the frame before; only if it is used to predict the ranges.
     pub motion: QuantisedPose,
-    /// Whether a general-purpose back-end gets the differences along the snake's path (article, V-C).
+    /// Whether a back-end gets the differences along the snake's path (article, V-C).
     pub snake: bool,
-    /// What codes the ranges.
+    /// The coder of the ranges.
     pub range_coder: RangeCoder,
-    /// Whether the halves of the range image are coded apart; only with the context coder.
+    /// Whether the halves of the range image are coded separately; only with the context coder.
     pub halved: bool,
-    /// The original file, if the decoded one differs from it.
+    /// Properties of the original file, if the decoded one differs from it.
     pub source: Option<Source>,
 }
 
-/// What the ranges of a range image are predicted from before they are coded.
+/// The prediction of the ranges of a range image before they are coded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Prediction {
-    /// No prediction: the coder gets the ranges as they are.
+    /// No prediction: the coder gets the ranges themselves.
     #[default]
     None,
     /// Regions of ground and objects, and their models (article, IV-C).
     Intra,
-    /// An earlier frame of the group, moved as the scanner has (article, V).
+    /// An earlier frame of the group, moved like the scanner (article, V).
     Inter,
 }
 
-/// What codes the ranges, or their residuals.
+/// The coder of the ranges or their residuals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RangeCoder {
     /// The context coder, for ranges below 2 to the power of `range_bits`.
     Context {
-        /// How ranges, and the parts of the frame that are coded beside them, are modelled.
+        /// The modelling of the ranges, and of the parts of the frame that are coded along with them.
         modelling: Modelling,
-        /// 16 to 24.
+        /// From 16 to 24.
         range_bits: u32,
-        /// Steps in a bin, whose ranges decode to its middle; 1: every range decodes to itself.
+        /// Bin width in steps: ranges decode to the middle of their bin; with 1, every range decodes to
+        /// itself.
         bin: u32,
-        /// Whether a decoded range stands for half a step less, because the middle of an even number of steps
-        /// is between two steps.
+        /// Whether decoded ranges are half a step too long, because the middle of an even number of steps is
+        /// between two steps.
         between: bool,
     },
-    /// A general-purpose back-end.
+    /// A back-end.
     Backend {
         /// Its number in the registry.
         id: u8,
@@ -78,14 +79,14 @@ pub enum RangeCoder {
     Image(ImageCodec),
 }
 
-/// The file from which a frame was made, and what happened to its points.
+/// The file from which a frame was encoded, and what happened to its points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Source {
     /// Bytes of the file.
     pub file_size: u64,
     /// Points in the file.
     pub points: u64,
-    /// Points that the outlier filter dropped (equation 1).
+    /// Points removed by the outlier filter (equation 1).
     pub outliers: u64,
     /// Points lost because a nearer one took their cell, or because the image has no cell for them.
     pub lost: u64,
@@ -106,9 +107,9 @@ impl Default for FrameParameters {
     }
 }
 
-/// The numbers of coders: below this, the context coder with the modelling of that number.
+/// Coder numbers below this are the context coder with the modelling of that number.
 const BACKENDS: u64 = 32;
-/// From [`BACKENDS`] on, general-purpose back-ends, plus their own numbers; from here on, image coders.
+/// Coder numbers from [`BACKENDS`] on are back-ends, offset by that; from here on, image coders.
 const JPEG: u64 = 64;
 const JPEG_2000: u64 = 65;
 /// The widest bin, in steps.
@@ -178,7 +179,7 @@ impl FrameParameters {
         Ok(FrameParameters { positions, intensity, prediction, motion, snake, range_coder, halved, source })
     }
 
-    /// How ranges, and the parts that are coded beside them, are modelled.
+    /// The modelling of the ranges, and of the parts that are coded along with them.
     pub(crate) fn modelling(&self) -> Modelling {
         match self.range_coder {
             RangeCoder::Context { modelling, .. } => modelling,
@@ -187,7 +188,7 @@ impl FrameParameters {
     }
 
     /// Whether a P frame uses only the same cells of the frame before if the scanner has not moved, because
-    /// computing surfaces would take time.
+    /// computing surfaces takes time.
     pub(crate) fn can_do_without_surfaces(&self) -> bool {
         matches!(self.range_coder, RangeCoder::Context { modelling: Modelling::Light, .. })
     }
@@ -271,7 +272,7 @@ impl RangeCoder {
         RangeCoder::Context { modelling, range_bits: EXACT_RANGE_BITS, bin: 1, between: false }
     }
 
-    /// The same with ranges to within half a bin of `bin` steps, if it is the context coder.
+    /// The same coder with ranges to within half a bin of `bin` steps, if it is the context coder.
     pub(crate) fn in_bins(self, bin: u32) -> Self {
         match self {
             RangeCoder::Context { modelling, range_bits, .. } => {
@@ -281,7 +282,7 @@ impl RangeCoder {
         }
     }
 
-    /// The same for ranges that have been decoded, which are then coded exactly.
+    /// The coder for ranges that were decoded with this one: they are coded exactly.
     pub(crate) fn of_decoded(self) -> Self {
         match self {
             RangeCoder::Context { modelling, range_bits, between, .. } => {
@@ -291,7 +292,7 @@ impl RangeCoder {
         }
     }
 
-    /// Makes room for these ranges, in steps.
+    /// Increases the number of range bits for these ranges, in steps, if necessary.
     pub(crate) fn fit(&mut self, steps: &Grid<u32>) {
         if let RangeCoder::Context { range_bits, .. } = self {
             let most = steps.cells().iter().copied().max().unwrap_or(0);
@@ -299,7 +300,7 @@ impl RangeCoder {
         }
     }
 
-    /// The difference between the range that decoded steps stand for and these steps, in metres.
+    /// The difference between the range represented by decoded steps and the steps themselves, in metres.
     pub(crate) fn offset_m(self, scanner: &Scanner) -> f64 {
         match self {
             RangeCoder::Context { between: true, .. } => -0.5 * scanner.range_step_m(),
@@ -330,7 +331,7 @@ impl RangeCoder {
 }
 
 impl Source {
-    /// The file from which a coded frame was made.
+    /// The source of a coded frame.
     ///
     /// # Errors
     /// If the frame's parameters are damaged, or unknown to this program.

@@ -1,4 +1,4 @@
-//! A scan in the form in which it is coded: the range image, and what is needed to get from it to the file's
+//! A scan in the form in which it is coded: the range image, and the data that turn it into the file's
 //! points.
 
 use super::bound::Bound;
@@ -39,35 +39,35 @@ pub struct FrameParts {
     pub image: RangeImage,
     /// Which cells hold a return.
     pub occupancy: Grid<bool>,
-    /// The indices of these cells, row after row.
+    /// The indices of the cells with a return, row after row.
     pub cells: Vec<u32>,
     /// The indices of the cells that hold blanks, row after row.
     pub blanks: Vec<u32>,
     /// The regions of the image and their models, if they predict the ranges.
     pub intra: IntraPrediction,
-    /// The output of an image coder for the ranges, kept so that nothing more is lost when they are coded
-    /// again.
+    /// The output of an image coder for the ranges, kept so that recoding does not add losses.
     pub coded_image: Vec<u8>,
-    /// Intensity of each return, and of each blank.
+    /// Intensities of the returns and blanks.
     pub intensity: Grid<f32>,
     /// The returns of the range image, and its blanks, in file order.
     pub returns: Vec<Return>,
-    /// Position of each of these.
+    /// Positions of these.
     pub positions: Vec<[f32; 3]>,
     pub stray_positions: Vec<[f32; 3]>,
     pub stray_intensity: Vec<f32>,
-    /// Intensity of each echo of the image.
+    /// Intensities of the echoes.
     pub echo_intensity: Vec<f32>,
     pub order: OrderExceptions,
-    /// The other fields of the records, in the order of the file.
+    /// The channels of the records, in the order of the file.
     pub channels: Vec<Channel>,
     /// The file's bytes, if the whole frame is coded as bytes.
     pub whole: Option<WholeFile>,
-    /// How the points were moved after they were measured; the positions above are those before.
+    /// How the points were moved after they were measured; all positions here are those before.
     pub compensation: Option<Compensation>,
-    /// The channel by which the file's records were sorted: all of the above are in the order of arrival.
+    /// The channel by which the file's records were sorted; everything else here is in the order of arrival.
     pub sorted: Option<usize>,
-    /// The positions and intensities in the order of the file, once a decoder has them for the channels' sake.
+    /// The positions and intensities in the order of the file, once a decoder has restored them for the
+    /// channels.
     pub decoded_in_file_order: Option<(Vec<[f32; 3]>, Vec<f32>)>,
     /// The original points; only while a scan is encoded.
     origin: Option<Arc<Origin>>,
@@ -75,7 +75,7 @@ pub struct FrameParts {
     moved: Option<Arc<Vec<[f32; 3]>>>,
 }
 
-/// The points of a scan that is being encoded, and their places in the range image.
+/// The points of a scan that is being encoded, and their cells in the range image.
 #[derive(Debug)]
 struct Origin {
     cloud: PointCloud,
@@ -85,8 +85,8 @@ struct Origin {
 }
 
 impl FrameParts {
-    /// Bytes of its records, or cells of its range image if they are more: what a decoder makes room for beside the
-    /// file.
+    /// Bytes of the records, or cells of the range image if these are more: what a decoder allocates in
+    /// addition to the file.
     pub fn unfolded_bytes(&self) -> u64 {
         let records = self.records as u64 * self.layout.stride() as u64;
         records.max(self.image.steps.cells().len() as u64)
@@ -97,12 +97,12 @@ impl FrameParts {
         FrameParts { records, ..FrameParts::default() }
     }
 
-    /// A frame that is the bytes of its file.
+    /// A frame that is coded as the bytes of its file.
     pub fn of_whole(whole: WholeFile, records: usize) -> Self {
         FrameParts { whole: Some(whole), records, ..FrameParts::default() }
     }
 
-    /// Takes a scan apart (article, III-A and IV-A: the outlier filter and the range image).
+    /// Splits a scan into parts (article, III-A and IV-A: the outlier filter and the range image).
     pub fn from_scan(
         scan: ScanFile,
         scanner: Option<&Scanner>,
@@ -139,7 +139,7 @@ impl FrameParts {
         Ok(frame)
     }
 
-    /// Applies a prediction: for intra, finds the regions of the image (equations 3 and 4) and models them
+    /// Applies a prediction: for intra, segments the image into regions (equations 3 and 4) and models them
     /// (equations 5 to 7).
     pub fn predict(
         &mut self,
@@ -169,15 +169,15 @@ impl FrameParts {
         self.parameters.motion = QuantisedPose::default();
     }
 
-    /// The points in the order of arrival, if they have been sorted since.
+    /// The points in the order of arrival, if they were sorted after it.
     fn undo_sort(&mut self, cloud: PointCloud) -> PointCloud {
         let Some((channel, cloud)) = sorted::in_order_of_arrival(&cloud) else { return cloud };
-        // Where points are left out, and those of the formula come in its order, nothing is sorted again.
+        // If points are left out, and the formula's come in the order of the image, nothing is sorted again.
         self.sorted = (self.parameters.positions != Positions::Formula).then_some(channel);
         cloud
     }
 
-    /// The points as they were measured, if they have been moved since.
+    /// The points as they were measured, if they were moved after it.
     fn undo_compensation(
         &mut self,
         cloud: PointCloud,
@@ -199,7 +199,7 @@ impl FrameParts {
         PointCloud { positions, ..cloud }
     }
 
-    /// Codes all points one by one, without a range image. None of them is lost.
+    /// Codes all points one by one, without a range image. No point is lost.
     fn take_strays(&mut self, cloud: PointCloud) {
         if self.parameters.positions == Positions::Formula {
             self.parameters.positions = Positions::Exact;
@@ -232,7 +232,8 @@ impl FrameParts {
         bound.round_intensities(of_cells.chain(outside));
     }
 
-    /// Codes the points that the outlier filter (equation 1) and the range image (equation 2) leave.
+    /// Codes the points that remain after the outlier filter (equation 1) and the conversion to the range
+    /// image (equation 2).
     fn convert_points(
         &mut self,
         cloud: &PointCloud,
@@ -253,7 +254,7 @@ impl FrameParts {
                 None => scanner.project(&cloud, REACH),
             },
         };
-        // What is no point of the image.
+        // Points that are not in the image.
         let blanks = projection.image.blanks();
         projection.image.is_full = false;
         let lost = match config.projection {
@@ -316,7 +317,7 @@ impl FrameParts {
         self.channels.clone_from(&cloud.channels);
     }
 
-    /// The point of the file in each cell.
+    /// The index of the file's point in each cell.
     ///
     /// # Errors
     /// If the parts do not fit together.
@@ -333,25 +334,25 @@ impl FrameParts {
         Ok(points.map(|point| point.and_then(|record| places.get(record as usize).copied())))
     }
 
-    /// How many returns the formula puts where they were measured, to the last bit.
+    /// The number of returns that the formula reproduces as measured, to the last bit.
     pub fn exact_returns(&self, scanner: &Scanner) -> usize {
         let offset_m = self.parameters.range_coder.offset_m(scanner);
         let formula = scanner.positions(&self.returns, offset_m, true);
         let bits = |position: &[f32; 3]| position.map(f32::to_bits);
         let points = formula.iter().zip(&self.positions).zip(&self.returns);
-        // Nothing was measured where nothing returned.
+        // Blanks were not measured.
         points
             .filter(|((formula, position), found)| found.steps == 0 || bits(formula) == bits(position))
             .count()
     }
 
-    /// Of each place of the file the record, if they have been sorted since they arrived.
+    /// For each position in the file, the index of its record, if records were sorted after they arrived.
     fn file_order(&self) -> Option<Vec<u32>> {
         let keys = self.channels.get(self.sorted?)?;
         Some(sorted::file_order(keys))
     }
 
-    /// What is known of the records when their channels are coded.
+    /// The data about the records that are known when their channels are coded.
     ///
     /// # Errors
     /// If the parts do not fit together.
@@ -374,7 +375,7 @@ impl FrameParts {
         Ok(context)
     }
 
-    /// A number of each return, in the order of the file; 0 for strays.
+    /// A number for each return, in the order of the file; 0 for strays.
     fn numbers_in_order(&self, number: impl Fn(&Return) -> u32) -> Result<Vec<u32>> {
         let of_returns: Vec<u32> = self.returns.iter().map(number).collect();
         self.order.arranged(of_returns, &vec![0; self.order.stray_places.len()])
@@ -393,12 +394,12 @@ impl FrameParts {
         self.order.arranged(of_returns, &self.stray_intensity)
     }
 
-    /// The positions, moved or not, in the order of the file.
+    /// The positions, as coded, in the order of the file.
     pub fn positions_in_order(&self) -> Result<Vec<[f32; 3]>> {
         self.order.arranged(self.positions.as_slice(), &self.stray_positions)
     }
 
-    /// The same, if the file has any, taken out of the frame.
+    /// Moves the positions, in file order, out of the frame; empty if the layout has none.
     fn positions_of_file(&mut self) -> Result<Vec<[f32; 3]>> {
         if self.layout.position.is_none() {
             return Ok(Vec::new());
@@ -406,7 +407,7 @@ impl FrameParts {
         self.order.arranged(take(&mut self.positions), &self.stray_positions)
     }
 
-    /// Lists the points that motion compensation does not move to their places in the file, now that their
+    /// Lists the points that motion compensation does not move to their positions in the file, now that their
     /// decoded positions are known.
     ///
     /// # Errors

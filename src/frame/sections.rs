@@ -1,4 +1,4 @@
-//! The sections of a frame, opened one after the other in the same order on both sides.
+//! The sections of a frame, processed one after the other in the same order on both sides.
 
 use super::steps::StepReport;
 use crate::article::image_coding::ImageConfig;
@@ -20,9 +20,9 @@ pub struct Effort {
     pub image: ImageConfig,
 }
 
-/// Opens the sections of a frame one after the other, for writing or for reading.
+/// Processes the sections of a frame one after the other, for writing or for reading.
 pub trait SectionCoder {
-    /// True if the frame is there and sections are written; false if sections are read and fill the frame.
+    /// True if the frame is complete and sections are written; false if sections are read and fill the frame.
     const ENCODES: bool;
 
     /// Codes the bits of a section.
@@ -52,8 +52,8 @@ pub trait SectionCoder {
         code: impl FnOnce(&mut Self::Tokens<'_>) -> T,
     ) -> Result<T>;
 
-    /// Codes two parts of a frame that follow each other, at once if a thread is free. A section of kind `last` is the last
-    /// of the first part.
+    /// Codes two consecutive parts of a frame, in parallel if a thread is free. The last section of the first
+    /// part is of kind `last`.
     ///
     /// # Errors
     /// That of the first part, or else of the second.
@@ -64,16 +64,16 @@ pub trait SectionCoder {
         second: impl FnOnce(&mut Self) -> Result<B> + Send,
     ) -> Result<(A, B)>;
 
-    /// Codes a section whose payload is made elsewhere. A section that is left out has an empty payload.
+    /// Codes a section whose payload is produced elsewhere. An absent section has an empty payload.
     fn payload(&mut self, kind: SectionKind, payload: &mut Vec<u8>);
 
-    /// What this side is willing to allocate.
+    /// The largest sizes that this side allocates.
     fn limits(&self) -> &Limits;
 
     /// The effort; unused by the decoder.
     fn effort(&self) -> Effort;
 
-    /// What each step takes and leaves. Sections add their time to it as they are closed.
+    /// Time and size of each step. The time of a section is added when it ends.
     fn report(&mut self) -> &mut StepReport;
 
     /// Bytes of the sections written so far; unused by the decoder.
@@ -86,7 +86,7 @@ pub struct SectionWriter {
     pub sections: Vec<Section>,
     limits: Limits,
     effort: Effort,
-    /// What each step took and left.
+    /// Time and size of each step.
     pub report: StepReport,
 }
 
@@ -186,12 +186,12 @@ pub struct SectionReader<'s> {
 }
 
 impl<'s> SectionReader<'s> {
-    /// Starts at the first section.
+    /// Starts with the first section.
     pub fn new(sections: &'s [Section], limits: &'s Limits) -> Self {
         SectionReader { sections, limits, report: StepReport::default() }
     }
 
-    /// The next section that is not to be skipped.
+    /// The next section, after skipping skippable ones.
     fn peek(&mut self) -> Option<&'s Section> {
         while let [first, rest @ ..] = self.sections {
             if !first.kind.is_skippable() {
@@ -202,7 +202,7 @@ impl<'s> SectionReader<'s> {
         None
     }
 
-    /// The payload of the next section, if it is of this kind.
+    /// The payload of the next section, if that is of this kind.
     fn next_if(&mut self, kind: SectionKind) -> Option<&'s [u8]> {
         let section = self.peek().filter(|section| section.kind == kind)?;
         self.sections = &self.sections[1..];
@@ -215,7 +215,7 @@ impl<'s> SectionReader<'s> {
         self.next_if(kind).ok_or_else(missing)
     }
 
-    /// What each step took.
+    /// The time of each step.
     ///
     /// # Errors
     /// If sections are left over.
@@ -360,7 +360,7 @@ mod tests {
             };
             assert_eq!(pool.install(both).unwrap(), (2 << 30, 6 << 30));
             reader.finish().unwrap();
-            // A first part that leaves a section is an error, and so is one whose section is not there.
+            // It is an error if the first part leaves a section over, or lacks one.
             let mut reader = SectionReader::new(&writer.sections, &limits);
             let left = reader.both(LAST, |sections| code(sections, &first[..1], 0), |_| Ok(()));
             assert!(left.unwrap_err().to_string().contains("range"));

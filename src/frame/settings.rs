@@ -19,28 +19,28 @@ use crate::scanner::{FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_TICKS};
 /// Presets of the coder controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
-    /// Every file comes back byte for byte, whatever it holds.
+    /// Every file is restored byte for byte, whatever it contains.
     #[default]
     Exact,
-    /// Every point comes back, in its place in the file, no farther than a bound from where it was.
+    /// Every point is restored, at its index in the file, within a bound of its original position.
     Bounded {
         /// The bound on the 3-D distance, in micrometres: 1 to [`MOST_MAX_ERROR_UM`].
         max_error_um: u32,
     },
-    /// The article's codec: outliers are dropped, the ideal scanner's range image is kept.
+    /// The article's codec: outliers are removed, and the ideal scanner's range image is coded.
     Paper,
 }
 
-/// Which range image is coded.
+/// The range image to be coded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProjectionKind {
     /// That of the scanner fitted to the sequence: no point is lost.
     Calibrated {
-        /// Range step in micrometres; `None`: the scanner's own step, which loses nothing.
+        /// Range step in micrometres; `None`: the scanner's own step, which is lossless.
         range_step_um: Option<u32>,
     },
-    /// The article's (IV-A): 64 rows at the published elevations, or those of the scanner of firings that is found;
-    /// columns equally far apart.
+    /// The article's (IV-A): 64 rows at the published elevations, or those of the fitted scanner if it is of
+    /// the `firings` family; equally spaced columns.
     Ideal {
         /// Columns in a turn.
         columns: u32,
@@ -68,77 +68,77 @@ pub enum FrameOrder {
     Time,
 }
 
-/// How the prediction of the ranges is chosen.
+/// How the prediction of ranges is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PredictionChoice {
-    /// As the user says for every frame. [`Prediction::Inter`]: each P frame from the frame before or, if
-    /// that is smaller, as an I frame; that is, from regions or by context.
+    /// The same for every frame, as chosen by the user. [`Prediction::Inter`]: each P frame from the frame
+    /// before or, if that is smaller, as an I frame; that is, from regions or by context.
     Always(Prediction),
-    /// For each frame the one that makes it smallest.
+    /// For each frame, the prediction that makes it smallest.
     Smallest,
-    /// Each P frame from the frame before, if the motion of the scanner is found, even if an I frame would be
-    /// smaller, as in the article's experiments; I frames as with `Always(Inter)`.
+    /// Each P frame from the frame before, if the motion of the scanner can be estimated, even if an I frame
+    /// would be smaller, as in the article's experiments; I frames as with `Always(Inter)`.
     EveryReference,
 }
 
-/// What codes the ranges.
+/// The coder of the ranges.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Coder {
     /// The context coder.
     #[default]
     Context,
-    /// A general-purpose back-end, by its number in the registry.
+    /// A back-end, by its number in the registry.
     Backend(u8),
-    /// An image coder, with loss.
+    /// An image coder, which is lossy.
     Image(ImageCodec),
 }
 
 /// Settings of the encoder.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EncoderConfig {
-    /// Frames in a group: more compress better, fewer make seeking and recovery finer. Default 10.
+    /// Frames in a group: more compress better, fewer make seeking and recovery finer. Default 10; 30 at
+    /// level 9.
     pub gop: usize,
     /// Number of groups coded at the same time; 0, the default, means one for each processor. The stream does
     /// not depend on it.
     pub threads: usize,
     /// The filter of points with few neighbours (equation 1). Default: none; in paper mode, points with fewer
-    /// than 2 neighbours within 0.38 m are dropped.
+    /// than 2 neighbours within 0.38 m are removed.
     pub outliers: Option<RadiusOutlier>,
     /// The fields of files without a header. Default: KITTI's and nuScenes', depending on the extension.
     pub headerless: Option<HeaderlessLayout>,
-    /// Which range image is coded (equation 2). Default: calibrated; in paper mode ideal, 2000
-    /// columns and steps of 1 mm.
+    /// The range image to be coded (equation 2). Default: calibrated; in paper mode ideal, with 2000 columns
+    /// and steps of 1 mm.
     pub projection: ProjectionKind,
-    /// Whether points come back exactly. Default: they do; in paper mode they are those of the formula, in
-    /// bounded mode within the bound.
+    /// How positions are restored. Default: exactly; in paper mode they are those of the formula, in bounded
+    /// mode within the bound.
     pub positions: Positions,
-    /// What happens to intensities. Default: they are exact; in paper mode they are left out, as in the
-    /// article.
+    /// How intensities are restored. Default: exactly; in paper mode they are left out, as in the article.
     pub intensity: Intensity,
-    /// What the ranges are predicted from. Default: whatever makes each frame smallest; in paper mode, as in
-    /// the article, regions (IV-C) in I frames and the frame before (V) in P frames.
+    /// How the ranges are predicted. Default: whichever makes each frame smallest; in paper mode, as in the
+    /// article, from regions (IV-C) in I frames and from the frame before (V) in P frames.
     pub prediction: PredictionChoice,
-    /// Which frames are P frames. Default: all but the first of a group.
+    /// Which frames are P frames. Default: all except the first of a group.
     pub order: FrameOrder,
     /// How the motion of the scanner is estimated (V-B).
     pub registration: RegistrationConfig,
-    /// Whether a general-purpose back-end gets the differences along the snake's path (V-C). Default: yes,
-    /// since this makes residuals smaller whatever the prediction. Image coders never get them, as their
-    /// errors would add up along the path.
+    /// Whether a back-end gets the differences along the snake's path (V-C). Default: yes, since this makes
+    /// residuals smaller whatever the prediction. Image coders never get them, as their errors would add up
+    /// along the path.
     pub snake: bool,
-    /// Images with at least this many returns are coded in two halves, which two threads can do. Default 90,000: what each
-    /// half of a smaller image would have to learn by itself costs more than that is worth.
+    /// Images with at least this many returns are coded in two halves, which two threads can do in parallel.
+    /// Default 90,000: for smaller images the gain is not worth the cost of separate models that learn from
+    /// half the returns each.
     pub halved_from: usize,
     /// How ground and objects are distinguished (equations 3 and 4).
     pub segmentation: SegmentationConfig,
     /// How regions are modelled (equations 5 to 7).
     pub intra: IntraConfig,
-    /// What codes the ranges. Default: the context coder; in paper mode LZMA.
+    /// The coder of the ranges. Default: the context coder; in paper mode LZMA.
     pub coder: Coder,
-    /// Effort of the context coder, which does not have every level, or of a general-purpose back-end.
-    /// Default 6.
+    /// Effort of the context coder, which does not have every level, or of a back-end. Default 6.
     pub level: Level,
-    /// How residuals are packed for a back-end; `None`, the default: as suits it best.
+    /// How residuals are packed for a back-end. `None`, the default: the packing that suits it best.
     pub packing: Option<Packing>,
     /// The bit rate of an image coder, and the number of its passes.
     pub image: ImageConfig,
@@ -194,8 +194,8 @@ impl EncoderConfig {
         }
     }
 
-    /// The default prediction with this coder: whatever makes a frame smallest, or, with a general-purpose
-    /// back-end or an image coder in paper mode, as in the article.
+    /// The default prediction with this coder: whichever makes a frame smallest, or, with a back-end or an image
+    /// coder in paper mode, as in the article.
     pub fn default_prediction(&self) -> PredictionChoice {
         match (self.coder, self.positions) {
             (Coder::Backend(_) | Coder::Image(_), Positions::Formula) => {
@@ -205,7 +205,7 @@ impl EncoderConfig {
         }
     }
 
-    /// The meaning of the level for the coder. [`check`](Self::check) refuses levels without a meaning.
+    /// The meaning of the level for the coder. [`check`](Self::check) rejects levels without one.
     fn level_settings(&self) -> LevelSettings {
         match self.coder {
             Coder::Context => levels::settings_of(self.level).unwrap_or(levels::OTHER_CODERS),
@@ -244,12 +244,12 @@ impl EncoderConfig {
         }
     }
 
-    /// The predictions that are tried for a frame, the smallest of which is taken. `fit` says how much of the
-    /// frame before fits it, from 0 to 1, if it may be predicted from that; without regions, intra is not
-    /// tried.
+    /// The predictions that are tried for a frame, of which the smallest result is used. `fit` is how much of
+    /// the frame before fits it, from 0 to 1, if it may be predicted from that. Intra is tried only if
+    /// `has_regions`.
     pub(crate) fn predictions(&self, fit: Option<f64>, has_regions: bool) -> Vec<Prediction> {
-        /// From this fit on, trying without the reference is not worth the time, as the models ignore a
-        /// reference that is useless.
+        /// From this fit on, a trial without the reference is not worth the time, as the models ignore a
+        /// useless reference.
         const SURE: f64 = 0.5;
         let mut tried = match (self.prediction, self.coder) {
             (PredictionChoice::EveryReference, _) if fit.is_some() => vec![],
@@ -273,19 +273,19 @@ impl EncoderConfig {
         tried
     }
 
-    /// Whether motion compensation is undone. Paper mode takes scans as they are, as the article does.
+    /// Whether motion compensation is undone. Paper mode codes scans as they are, like the article.
     pub(crate) fn undoes_compensation(&self) -> bool {
         self.positions != Positions::Formula
     }
 
-    /// Whether compensation through a map is undone: it gives all floats back or is worth nothing, and it takes several times
-    /// as long as all that the lowest level does.
+    /// Whether compensation through a map is undone. This is of use only if all floats are restored exactly,
+    /// and takes several times as long as everything else at the lowest level.
     pub(crate) fn undoes_map(&self) -> bool {
         let is_quickest = self.modelling() == Modelling::Packed;
         self.positions == Positions::Exact && self.coder == Coder::Context && !is_quickest
     }
 
-    /// The parameters of a frame, as far as they do not depend on the frame.
+    /// The parameters of a frame, as far as they do not depend on it.
     pub(crate) fn frame_parameters(&self) -> Result<FrameParameters> {
         Ok(FrameParameters {
             positions: self.positions,
@@ -305,7 +305,7 @@ impl EncoderConfig {
         })
     }
 
-    /// Whether every file comes back byte for byte.
+    /// Whether every file is restored byte for byte.
     pub fn is_exact(&self) -> bool {
         (self.positions, self.intensity) == (Positions::Exact, Intensity::Exact)
     }
@@ -334,7 +334,7 @@ impl EncoderConfig {
         self.frame_parameters().map(|_| ())
     }
 
-    /// What must come back, and that nothing else drops it.
+    /// Checks the required fidelity, and that no other setting contradicts it.
     fn check_fidelity(&self) -> Result<()> {
         let drops = self.outliers.is_some()
             || self.projection != ProjectionKind::CALIBRATED

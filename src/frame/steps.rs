@@ -1,11 +1,11 @@
-//! What each step of coding takes and leaves, as in the article's Tables II to VI.
+//! Time and size of each coding step, as in the article's Tables II to VI.
 
 use std::time::Duration;
 
 use crate::container::{Section, SectionKind};
 use crate::ground::clock::Instant;
 
-/// The steps whose time is taken.
+/// The steps whose time is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
     /// The outlier filter (III-A).
@@ -57,22 +57,21 @@ impl Step {
 /// Bytes and times, summed over frames.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StepReport {
-    /// Frames.
+    /// Number of frames.
     pub frames: u64,
     /// Bytes of the files.
     pub original: u64,
     /// Bytes of the range images, at four bytes a cell, as the article stores them.
     pub converted: u64,
-    /// Bytes of the residuals as they go into a general-purpose back-end; the bytes of the ranges if there is
-    /// none.
+    /// Bytes of the residuals before compression by a back-end; without a back-end, bytes of the ranges.
     pub predicted: u64,
-    /// Bytes of the contour maps, coded.
+    /// Coded bytes of the contour maps.
     pub contour: u64,
-    /// Bytes of other side data, coded: parameters and models of regions.
+    /// Coded bytes of other side data: parameters and models of regions.
     pub side: u64,
-    /// Bytes of the ranges or residuals, coded.
+    /// Coded bytes of the ranges or residuals.
     pub ranges: u64,
-    /// Bytes of everything else, coded.
+    /// Coded bytes of everything else.
     pub rest: u64,
     pub(crate) times: [Duration; Step::ALL.len()],
 }
@@ -93,17 +92,17 @@ impl StepReport {
         }
     }
 
-    /// All coded bytes of the frames, without the container's.
+    /// Total coded bytes of the frames, without the container's.
     pub fn coded(&self) -> u64 {
         self.contour + self.side + self.ranges + self.rest
     }
 
-    /// The time that a step took.
+    /// The time of a step.
     pub fn time(&self, step: Step) -> Duration {
         self.times[step as usize]
     }
 
-    /// The time that all steps took together.
+    /// The total time of all steps.
     pub fn total_time(&self) -> Duration {
         self.times.iter().sum()
     }
@@ -121,7 +120,8 @@ impl StepReport {
         self.times[step as usize] += start.elapsed();
     }
 
-    /// Adds the time since `start` to the step that codes a section of this kind; the time of others is of the rest.
+    /// Adds the time since `start` to the step of sections of this kind, if it has one; otherwise the time
+    /// counts as the rest.
     pub(crate) fn took_section(&mut self, kind: SectionKind, start: Instant) {
         match kind {
             SectionKind::Contour => self.took(Step::Contour, start),
@@ -130,7 +130,8 @@ impl StepReport {
         }
     }
 
-    /// Adds the time since `start` to the rest, less what has been added to other steps since all took `before`.
+    /// Adds the time since `start` to the rest, minus the time added to any step since the total was
+    /// `before`.
     pub(crate) fn took_rest(&mut self, start: Instant, before: Duration) {
         let others = self.total_time().saturating_sub(before);
         self.times[Step::Rest as usize] += start.elapsed().saturating_sub(others);

@@ -1,4 +1,4 @@
-//! A frame that is the bytes of its file, through a general-purpose coder: the floor under all models.
+//! A frame coded as the bytes of its file by a general-purpose compressor: the fallback if no model pays.
 //! FORMAT.md 8.18.
 
 use crate::backend::{self, LZMA, Level, STORE, ZSTD};
@@ -8,21 +8,21 @@ use crate::ground::varint::{read_unsigned, write_unsigned};
 use crate::models::channels::{FLOOR_LEVEL, LZMA_GAIN};
 use crate::scan::{Layout, ScanFile, Wrapping};
 
-/// The bytes of a file, and what they hold.
+/// The bytes of a file, and their structure.
 #[derive(Clone, Debug, Default)]
 pub struct WholeFile {
     bytes: Vec<u8>,
-    /// How records stand in it, and after how many bytes, if its name does not tell.
+    /// The layout of its records and the number of bytes before them, if they do not follow from its name.
     records: Option<(Layout, usize)>,
-    /// The bytes as they are coded.
+    /// The coded bytes.
     payload: Vec<u8>,
 }
 
 impl WholeFile {
-    /// A file as a general-purpose coder has it; none if that is not shorter than `most` bytes.
+    /// A file coded by a general-purpose compressor; none if the result is not shorter than `most` bytes.
     ///
     /// # Errors
-    /// If the coder's library fails.
+    /// If the compressor's library fails.
     pub fn shortest(scan: &ScanFile, level: Level, most: usize) -> Result<Option<Self>> {
         let bytes = scan.to_bytes()?;
         let records = (scan.layout.wrapping == Wrapping::Plain && !scan.is_opaque())
@@ -39,12 +39,12 @@ impl WholeFile {
         Ok((whole.payload.len() < most).then_some(whole))
     }
 
-    /// A file that is no scan. What a quick coder cannot shorten, such as a picture, is stored.
+    /// A file that is not a scan. If a fast compressor cannot shorten it, as with pictures, it is stored.
     ///
     /// # Errors
-    /// If the coder's library fails.
+    /// If the compressor's library fails.
     pub fn of_any_file(file: &ScanFile, level: Level) -> Result<Self> {
-        /// The part of a file that a quick coder leaves of what no coder shortens much.
+        /// The compression ratio of the fast compressor from which on no compressor is expected to help much.
         const COMPRESSED: f64 = 0.98;
         let bytes = file.to_bytes()?;
         let quick = backend::compress_quickly(&bytes)?;
@@ -62,7 +62,7 @@ impl WholeFile {
         Ok(WholeFile::coded(bytes, None, best))
     }
 
-    /// A file, as the back-end of this number has coded it.
+    /// A file coded by the back-end with this number.
     fn coded(bytes: Vec<u8>, records: Option<(Layout, usize)>, (backend, coded): (u8, Vec<u8>)) -> Self {
         let mut payload = vec![backend];
         let mut layout = Vec::new();
@@ -84,7 +84,7 @@ impl WholeFile {
     /// Reads the payload of the section.
     ///
     /// # Errors
-    /// If it is damaged, or the file is over the limits.
+    /// If it is damaged, or the file exceeds the limits.
     pub fn from_payload(mut input: &[u8], limits: &Limits) -> Result<Self> {
         let damaged = || Error::corrupt("bytes: cut short");
         let payload = input.to_vec();
@@ -107,11 +107,11 @@ impl WholeFile {
         Ok(WholeFile { bytes, records: layout.map(|layout| (layout, prefix)), payload })
     }
 
-    /// The scan that it holds, of so many records. A file that is no longer understood as it was is the bytes that
-    /// it is.
+    /// The scan in these bytes, with `records` records. If the file does not parse to that many, it is
+    /// restored as plain bytes.
     ///
     /// # Errors
-    /// If it does not hold as many.
+    /// If records with a stored layout are fewer.
     pub fn into_scan(self, name: &str, records: usize) -> Result<ScanFile> {
         let scan = match self.records {
             None => {

@@ -1,14 +1,15 @@
-//! Angles where the last bits do not matter: several times as fast as the exact functions, and the same on every
-//! processor. For encoders, which look for what the exact formula then has to confirm.
+//! Fast angle functions for computations where the last bits do not matter: several times as fast as the
+//! exact functions, with the same results on every processor. Only encoders use them, to find candidates that
+//! the exact formula then confirms.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
 use super::lanes::lanes;
 use super::rounding::round_ties_even;
 
-/// The tangent of an eighth of half a turn.
+/// The tangent of pi / 8.
 const EIGHTH: f64 = 0.414_213_562_373_095_03;
-/// Of atan(r) / r, in powers of r squared, for r up to [`EIGHTH`]: a Chebyshev approximation.
+/// Coefficients of atan(r) / r in powers of r squared, for r up to [`EIGHTH`]: a Chebyshev approximation.
 const ATAN: [f64; 9] = [
     0.999_999_999_999_974,
     -0.333_333_333_308_715_7,
@@ -21,13 +22,13 @@ const ATAN: [f64; 9] = [
     0.030_700_905_501_758_177,
 ];
 
-/// The angle from the x axis to a point, in radians from -pi to pi, to within 2e-14; 0 of the origin.
+/// The angle from the x axis to a point, in radians from -pi to pi, to within 2e-14; 0 for the origin.
 #[inline(always)]
 pub fn atan2(y: f64, x: f64) -> f64 {
     let (ahead, aside) = (x.abs(), y.abs());
     let is_flat = aside <= ahead;
     let (small, large) = if is_flat { (aside, ahead) } else { (ahead, aside) };
-    // Within an eighth of half a turn of an axis, or of a diagonal.
+    // The angle from the nearest axis or diagonal is at most pi / 8.
     let is_diagonal = small > EIGHTH * large;
     let (above, below) = if is_diagonal { (small - large, small + large) } else { (small, large) };
     let tangent = if below > 0.0 { above / below } else { 0.0 };
@@ -36,11 +37,12 @@ pub fn atan2(y: f64, x: f64) -> f64 {
     let angle = tangent * ratio + if is_diagonal { FRAC_PI_4 } else { 0.0 };
     let angle = if is_flat { angle } else { FRAC_PI_2 - angle };
     let angle = if x < 0.0 { PI - angle } else { angle };
-    // The sign of zero tells the two sides of the half turn apart.
+    // The sign of a zero decides between pi and -pi.
     angle.copysign(y)
 }
 
-/// Cosines and sines of angles below a hundredth of a radian, to within 1e-15; if one is larger, all are exact.
+/// Cosines and sines of angles below a hundredth of a radian, to within 1e-15; if any angle is larger, all
+/// are computed exactly.
 #[inline(always)]
 pub fn small_cos_sin<const N: usize>(angles: [f64; N]) -> [[f64; N]; 2] {
     const SMALL: f64 = 0.01;
@@ -53,11 +55,11 @@ pub fn small_cos_sin<const N: usize>(angles: [f64; N]) -> [[f64; N]; 2] {
     [lanes(|i| cos(squares[i])), lanes(|i| sin(angles[i], squares[i]))]
 }
 
-/// Cosine and sine of an angle of up to half a radian, to within 2e-16: without a branch, for vector units. Of a larger
-/// one they are wrong.
+/// Cosine and sine of an angle of up to half a radian, to within 2e-16; free of branches, so that it can be
+/// vectorised. The results for larger angles are wrong.
 #[inline(always)]
 pub fn cos_sin_below_half(angle: f64) -> [f64; 2] {
-    /// The factors by which each term of the series is less than the one before.
+    /// The ratio of each term of the series to the one before.
     const COS: [f64; 7] =
         [1.0 / 182.0, 1.0 / 132.0, 1.0 / 90.0, 1.0 / 56.0, 1.0 / 30.0, 1.0 / 12.0, 1.0 / 2.0];
     const SIN: [f64; 6] = [1.0 / 156.0, 1.0 / 110.0, 1.0 / 72.0, 1.0 / 42.0, 1.0 / 20.0, 1.0 / 6.0];

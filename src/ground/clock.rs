@@ -1,9 +1,10 @@
-//! The clock that steps are timed by.
+//! The clock used to time processing steps.
 
 #[cfg(not(all(target_family = "wasm", target_os = "unknown")))]
 pub(crate) use std::time::Instant;
 
-/// Stands still: a WebAssembly module has no clock unless its host lends it one, and `std`'s panics.
+/// A clock that stands still: a WebAssembly module has no clock unless its host provides one, and `std`'s
+/// panics.
 #[cfg(all(target_family = "wasm", target_os = "unknown"))]
 #[derive(Clone, Copy)]
 pub(crate) struct Instant;

@@ -1,12 +1,12 @@
-//! Decimal numbers of a few digits, rounded as exact arithmetic would: where float64 is sure of it, which is nearly always,
-//! and many times as fast as by way of text.
+//! Decimal numbers of a few digits, rounded as exact arithmetic would round them. Float64 arithmetic can
+//! nearly always guarantee this, and is many times as fast as converting through text.
 
-/// Powers of ten that float64 holds exactly.
+/// Powers of ten that float64 represents exactly.
 const POWERS: [f64; 23] = [
     1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18,
     1e19, 1e20, 1e21, 1e22,
 ];
-/// The most significant digits of a number.
+/// The largest number of significant digits supported.
 pub const MOST_DIGITS: u32 = 9;
 
 /// A number times a power of ten, rounded once.
@@ -16,16 +16,17 @@ fn scaled(value: f64, exponent: i32) -> Option<f64> {
     Some(if exponent < 0 { value / power } else { value * power })
 }
 
-/// The integer of so many digits, 1 to [`MOST_DIGITS`], that is nearest to a positive number but for a power of ten, and the
-/// decimal exponent of its first digit. None if that is not sure.
+/// The integer of `digits` digits, 1 to [`MOST_DIGITS`], nearest to a positive number scaled by a power of
+/// ten, and the decimal exponent of the number's first digit. None if float64 arithmetic cannot guarantee the
+/// rounding.
 pub fn significant(value: f64, digits: u32) -> Option<(u64, i32)> {
-    /// More than what a product of less than 10^9 is off by.
+    /// More than the error of a product below 10^9.
     const ERROR: f64 = 1e-6;
     if !(1e-12..1e15).contains(&value) || !(1..=MOST_DIGITS).contains(&digits) {
         return None;
     }
     let (least, last) = (POWERS[digits as usize - 1], digits as i32 - 1);
-    // Of two, the least or one less.
+    // The exponent of two. The exponent of ten estimated from it is right or one too small.
     let octave = (value.to_bits() >> 52) as i32 - 1023;
     let mut exponent = (f64::from(octave) * std::f64::consts::LOG10_2).floor() as i32;
     let mut number = scaled(value, last - exponent)?;
@@ -44,13 +45,15 @@ pub fn significant(value: f64, digits: u32) -> Option<(u64, i32)> {
         .filter(|(number, _)| *number >= least)
 }
 
-/// The float32 nearest to an integer times a power of ten. None if that is not sure.
+/// The float32 nearest to an integer times a power of ten. None if float64 arithmetic cannot guarantee the
+/// rounding.
 pub fn single(number: u64, exponent: i32) -> Option<f32> {
-    /// Of the bits of a float64, those that a float32 has not; and half of its last bit.
+    /// The bits of a float64 mantissa that a float32 lacks; and half of the float32's last bit.
     const BELOW: u64 = (1 << 29) - 1;
     const HALF: u64 = 1 << 28;
     let value = scaled(number as f64, exponent).filter(|value| (1e-30..1e30).contains(value))?;
-    // Rounded to float64, a number stays on its side of the middle between two float32, or comes to lie on it.
+    // Rounding to float64 either leaves a number on its side of the midpoint between two float32 values or
+    // puts it on the midpoint.
     (number < 1 << 53 && value.to_bits() & BELOW != HALF).then_some(value as f32)
 }
 
@@ -59,7 +62,7 @@ mod tests {
     use super::*;
     use crate::ground::random::Rng;
 
-    /// Values of all sizes, and those next to short decimals, where rounding is close.
+    /// Values of all magnitudes, and the neighbours of short decimals, where rounding is close.
     fn values() -> impl Iterator<Item = f32> {
         let mut random = Rng::keyed(3, &[]);
         (0..200_000).map(move |number| {
@@ -103,7 +106,7 @@ mod tests {
             assert_eq!(value.to_bits(), expected.to_bits(), "{number}e{exponent}");
         }
         assert!(sure > 150_000, "{sure}");
-        // The middle between two float32, and next to it.
+        // The midpoint between two float32 values, and its neighbours.
         assert_eq!(single(16_777_217, 0), None);
         assert_eq!(single(167_772_171, -1), Some(16_777_218.0));
         assert_eq!(single(0, 0), None);

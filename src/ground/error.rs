@@ -5,7 +5,7 @@ use std::{fmt, io};
 
 use super::section_kind::SectionKind;
 
-/// The result of every fallible function of the library.
+/// The result of the library's fallible functions.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// What can go wrong. Messages are one line; the command line adds the file's name.
@@ -18,7 +18,7 @@ pub enum Error {
     /// The first bytes are not those of a lidarpc stream.
     #[error("not a lidarpc stream (it starts with {0:02x?})")]
     BadMagic([u8; 4]),
-    /// The stream is of another version of the format.
+    /// The stream has another version of the format.
     #[error("format version {found} is not one that this program reads ({known})")]
     UnsupportedVersion {
         /// The version that the stream names.
@@ -34,10 +34,10 @@ pub enum Error {
         /// Where.
         place: Place,
     },
-    /// The stream asks for more than the reader allows, or a scan for more than readers do.
+    /// The stream exceeds a limit of the reader, or a scan one that readers have.
     #[error("{place}{what}: {got} is over the limit of {max}")]
     LimitExceeded {
-        /// What was asked for.
+        /// What was requested.
         what: String,
         /// The amount.
         got: u64,
@@ -54,7 +54,7 @@ pub enum Error {
         /// Where.
         place: Place,
     },
-    /// The stream holds something that this program knows, but was built without.
+    /// The stream holds something that this program knows, but was built without support for.
     #[error("{place}{what}: this program was built without the feature `{feature}`")]
     NotBuilt {
         /// What it holds.
@@ -67,13 +67,13 @@ pub enum Error {
     /// The settings contradict each other or are out of range.
     #[error("{0}")]
     InvalidSettings(String),
-    /// What was asked for is not there, or cannot be done.
+    /// What was requested does not exist or cannot be done.
     #[error("{0}")]
     Usage(String),
-    /// A fault of this library, or something that the system refuses, such as threads.
+    /// A fault of this library, or a request that the system refused, such as for threads.
     #[error("{0}")]
     Internal(String),
-    /// A file or folder that was given cannot be used.
+    /// A file or folder of the input cannot be used.
     #[error("{} {what}", one_line(path))]
     Input {
         /// The file or folder.
@@ -81,7 +81,7 @@ pub enum Error {
         /// What is wrong with it and what to do about it, as a sentence that continues after the path.
         what: String,
     },
-    /// Something went wrong with this file or folder.
+    /// An operation on this file or folder failed.
     #[error("{}: {source}", one_line(path))]
     At {
         /// The file or folder.
@@ -102,21 +102,21 @@ impl Error {
         Error::Unsupported { what: what.into(), place: Place::default() }
     }
 
-    /// An error about something that only a program with this feature knows.
+    /// An error about something that needs a program built with this feature.
     #[cfg(not(feature = "article"))]
     pub(crate) fn not_built(what: impl Into<String>, feature: &'static str) -> Self {
         Error::NotBuilt { what: what.into(), feature, place: Place::default() }
     }
 
-    /// An error about `what`, of which there is too much.
+    /// An error about `what`, whose amount exceeds the limit.
     pub(crate) fn over_limit(what: impl Into<String>, got: u64, max: u64) -> Self {
         Error::LimitExceeded { what: what.into(), got, max, place: Place::default() }
     }
 
-    /// `got`, unless it is over the limit.
+    /// `got`, unless it exceeds the limit.
     ///
     /// # Errors
-    /// If it is: about `what`, of which there is too much.
+    /// [`Error::LimitExceeded`] about `what`, if it does.
     pub(crate) fn check_limit(what: impl Into<String>, got: u64, max: u64) -> Result<u64> {
         if got > max { Err(Error::over_limit(what, got, max)) } else { Ok(got) }
     }
@@ -166,7 +166,7 @@ impl Error {
         self
     }
 
-    /// Where in a stream it is, if that is known.
+    /// The location in the stream, if known.
     pub fn place(&self) -> Option<&Place> {
         match self {
             Error::Corrupt { place, .. }
@@ -189,14 +189,14 @@ impl Error {
     }
 }
 
-/// Where in a stream something is wrong, as far as that is known. Its text names the parts from the outermost inwards,
-/// each followed by a colon.
+/// The location of an error in a stream, as far as known. Its text names the parts from the outermost
+/// inwards, each followed by a colon.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Place {
     /// Number of the frame, the first being 0.
     pub frame: Option<u64>,
-    /// Which of its sections.
+    /// The section of the frame.
     pub section: Option<SectionKind>,
     /// The parts in words, the innermost first.
     parts: Vec<String>,
@@ -213,7 +213,7 @@ fn one_line(path: &Path) -> String {
     path.display().to_string().replace(char::is_control, "?")
 }
 
-/// What a decoder is willing to allocate; checked before any memory is allocated.
+/// The largest sizes that a decoder accepts; checked before any memory is allocated.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Points (records) in one frame, and cells of its range image.
@@ -225,14 +225,14 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// These limits, and no more than so many points or bytes of a frame.
+    /// These limits, with no more than `most` points and `most` bytes in a frame.
     pub(crate) fn at_most(&self, most: u64) -> Self {
         Limits { points: self.points.min(most), file_bytes: self.file_bytes.min(most), ..*self }
     }
 }
 
 impl Default for Limits {
-    /// 16 million points, 1 GiB a file, 2 GiB a group: ten times the frame of any scanner.
+    /// 16 million points, 1 GiB a file, 2 GiB a group: ten times the largest frame of any scanner.
     fn default() -> Self {
         Limits { points: 1 << 24, file_bytes: 1 << 30, record_bytes: 1 << 31 }
     }

@@ -1,18 +1,18 @@
-//! Floating-point values as integers in rising order, their *places*: neighbours differ by one, and so do -0.0 and 0.0, whose
-//! place is 0. The bits of a value stand for it where none of them may change, as a processor changes those of some NaNs.
-//! FORMAT.md 3.4.
+//! Floating-point values as integers in ascending order, their *ordinals* (the parameter `place`): adjacent
+//! values differ by one, and -0.0 and 0.0 count as adjacent, 0.0 being 0. Values are passed as bits where
+//! every bit must be preserved, since processors change the bits of some NaNs. FORMAT.md 3.4.
 
-/// The place of a float32 value.
+/// The ordinal of a float32 value.
 pub fn ordered(value: f32) -> i64 {
     ordered32(value.to_bits())
 }
 
-/// The inverse of [`ordered`], for any integer: those that stand for no float32 are truncated to 32 bits.
+/// The inverse of [`ordered`], for any integer; ordinals of no float32 are truncated to 32 bits.
 pub fn from_ordered(place: i64) -> f32 {
     f32::from_bits(bits32(place))
 }
 
-/// The place of the float32 value of these bits.
+/// The ordinal of the float32 value with these bits.
 pub fn ordered32(bits: u32) -> i64 {
     let signed = bits as i32;
     i64::from(if signed < 0 { !(signed & i32::MAX) } else { signed })
@@ -24,7 +24,7 @@ pub fn bits32(place: i64) -> u32 {
     (if signed < 0 { !signed | i32::MIN } else { signed }) as u32
 }
 
-/// The place of the float64 value of these bits.
+/// The ordinal of the float64 value with these bits.
 pub fn ordered64(bits: u64) -> i64 {
     let signed = bits as i64;
     if signed < 0 { !(signed & i64::MAX) } else { signed }

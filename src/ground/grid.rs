@@ -44,7 +44,7 @@ impl<T: Clone + Default> Grid<T> {
         &mut self.cells
     }
 
-    /// The rows above `row`, and the others. An empty table has two empty halves.
+    /// The rows above `row`, and the remaining rows. Both halves of an empty table are empty.
     pub fn split(mut self, row: usize) -> [Self; 2] {
         let row = row.min(self.rows);
         let below = self.cells.split_off(row * self.columns);
@@ -53,26 +53,26 @@ impl<T: Clone + Default> Grid<T> {
         [self, lower]
     }
 
-    /// The rows of two tables with the same columns, one table below the other.
+    /// The rows of two tables with equal numbers of columns, one table below the other.
     pub fn joined([mut upper, mut lower]: [Self; 2]) -> Self {
         upper.rows += lower.rows;
         upper.cells.append(&mut lower.cells);
         upper
     }
 
-    /// A table of the same shape, with each value computed from the one here.
+    /// A table of the same shape, with each value computed from the corresponding one.
     pub fn map<U>(&self, of: impl FnMut(&T) -> U) -> Grid<U> {
         Grid { rows: self.rows, columns: self.columns, cells: self.cells.iter().map(of).collect() }
     }
 }
 
 impl Grid<bool> {
-    /// The numbers of the cells that are `true`, row after row.
+    /// The indices of the cells that are `true`, row after row.
     pub fn places(&self) -> Vec<u32> {
         let mut places = vec![0; self.cells.len() + 1];
         let mut count = 0;
-        // Without a branch: every number is written to the next place, and overwritten there unless it
-        // counts.
+        // Without branches: every index is written to the next entry, which the following one overwrites
+        // unless the cell is true.
         for (place, filled) in (0u32..).zip(&self.cells) {
             places[count] = place;
             count += usize::from(*filled);
@@ -83,12 +83,12 @@ impl Grid<bool> {
 }
 
 impl<T: Copy + Default> Grid<T> {
-    /// The values of the cells with these numbers.
+    /// The values of the cells with these indices.
     pub fn at(&self, places: &[u32]) -> Vec<T> {
         places.iter().map(|&place| self.cells[place as usize]).collect()
     }
 
-    /// Sets the cells with these numbers to these values.
+    /// Sets the cells with these indices to these values.
     pub fn fill(&mut self, places: &[u32], values: &[T]) {
         places.iter().zip(values).for_each(|(&place, &value)| self.cells[place as usize] = value);
     }

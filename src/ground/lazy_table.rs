@@ -1,15 +1,15 @@
-//! A table that is made as far as it is used.
+//! A table whose values are computed when they are first needed.
 
 use std::fmt;
 use std::sync::OnceLock;
 
 use super::lanes::lanes;
 
-/// Values that are made together.
+/// Number of values that are computed together.
 const BLOCK: usize = 256;
 
-/// Values by their places, in blocks that are made when one of their values is asked for. So what a stream says of a
-/// table's length costs neither time nor memory, only what its frames use.
+/// Values by index, computed in blocks when one of the block's values is requested. Thus a long table
+/// announced by a stream costs neither time nor memory beyond what the frames use.
 pub struct LazyTable<T> {
     blocks: Box<[OnceLock<Box<[T]>>]>,
     length: u32,
@@ -17,7 +17,7 @@ pub struct LazyTable<T> {
 }
 
 impl<T> LazyTable<T> {
-    /// A table of so many values, made by their places.
+    /// A table of `length` values, computed from their indices.
     pub fn new(length: u32, make: impl Fn(u32) -> T + Send + Sync + 'static) -> Self {
         let blocks = (length as usize).div_ceil(BLOCK);
         LazyTable { blocks: (0..blocks).map(|_| OnceLock::new()).collect(), length, make: Box::new(make) }
@@ -28,7 +28,7 @@ impl<T> LazyTable<T> {
         self.length
     }
 
-    /// The value at a place below [`len`](Self::len).
+    /// The value at an index below [`len`](Self::len).
     #[inline(always)]
     pub fn get(&self, place: u32) -> &T {
         let (block, within) = (place as usize / BLOCK, place as usize % BLOCK);
@@ -38,7 +38,8 @@ impl<T> LazyTable<T> {
         }
     }
 
-    /// The values at these places, all of which are below [`len`](Self::len). Places near each other are looked up at once.
+    /// The values at these indices, all of which are below [`len`](Self::len). Indices in the same block are
+    /// looked up together.
     #[inline(always)]
     pub fn at<const N: usize>(&self, places: [u32; N]) -> [T; N]
     where
@@ -61,7 +62,7 @@ impl<T> LazyTable<T> {
         self.blocks[block].get_or_init(|| (first..end).map(&self.make).collect())
     }
 
-    /// Values made so far.
+    /// Number of values computed so far.
     #[cfg(test)]
     pub fn made(&self) -> usize {
         self.blocks.iter().filter_map(OnceLock::get).map(|block| block.len()).sum()

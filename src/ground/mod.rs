@@ -1,5 +1,6 @@
-//! The ground that everything else stands on: errors, limits, tables, variable-length integers, rounding, random numbers, fast angles,
-//! the order of floats, short decimals, the clock, pools of threads, and the helper for vector units.
+//! Basics that all other modules use: errors, limits, tables, variable-length integers, rounding, random
+//! numbers, fast angles, the order of floats, short decimals, the clock, thread pools, and the helper for
+//! vector units.
 
 pub mod error;
 pub mod grid;

@@ -1,5 +1,5 @@
-//! Rounding without a call: the standard functions are slow on processors that have no instruction for it, or
-//! where that must not be assumed.
+//! Rounding without a function call: the standard functions are slow where the processor has no instruction
+//! for rounding or the compiler must not assume one.
 
 /// Rounds to the nearest whole number, halves to even; for magnitudes below 2^51.
 #[inline]

@@ -1,11 +1,11 @@
-//! The kinds of sections, which errors name too. FORMAT.md 2.6.
+//! The kinds of sections; here because errors name them. FORMAT.md 2.6.
 
 use std::fmt;
 
-/// A kind of a record or section that readers who do not know it may skip: this one and all above.
+/// The first of the kinds of records and sections that readers who do not know them may skip.
 pub(crate) const SKIPPABLE: u8 = 0x80;
 
-/// What a section holds.
+/// The kind of a section: what it holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum SectionKind {
@@ -13,43 +13,43 @@ pub enum SectionKind {
     File,
     /// Which columns of the range image are used.
     Columns,
-    /// Which cells of the range image hold a point.
+    /// Which cells of the range image hold a return.
     Occupancy,
     /// Ranges.
     Range,
-    /// What rounding leaves between the model's coordinates and the file's.
+    /// The differences between the model's coordinates and the file's.
     Correction,
     /// Intensities.
     Intensity,
-    /// Where the points' order differs from the canonical one.
+    /// How the order of the points differs from the canonical one.
     Order,
-    /// Points that no model explains, as they come.
+    /// Points that no model explains, in the order of the file.
     Points,
     /// Fields other than position and intensity.
     Channels,
-    /// How the frame is coded; the first of all.
+    /// How the frame is coded; always the first section.
     Parameters,
     /// The contour map: which region each return belongs to.
     Contour,
     /// The models of the regions.
     Regions,
-    /// What prediction leaves of the ranges, coded by a general-purpose back-end.
+    /// The residuals of the ranges, coded by a back-end.
     Residual,
-    /// How the points were moved after they were measured; left out if they were not.
+    /// How the points were moved after they were measured; absent if they were not.
     Compensation,
-    /// The file as it is, through a general-purpose coder: then nothing else is there but parameters.
+    /// The whole file through a general-purpose compressor; the only other section is then the parameters.
     Bytes,
-    /// Positions of the records without a return that the range image holds.
+    /// Positions of the records without a measured point that the range image holds.
     Blanks,
-    /// How the points were moved through the coordinates of a map; left out if they were not.
+    /// How the points were moved through map coordinates; absent if they were not.
     World,
-    /// Further returns of the cells.
+    /// Echoes: further points of the cells.
     Echoes,
-    /// By which channel the records were sorted; left out if they are in the order of arrival.
+    /// The channel by which the records were sorted; absent if they are in the order of arrival.
     Sorted,
-    /// How the points were moved by their time stamps; left out if they were not.
+    /// How the points were moved by their time stamps; absent if they were not.
     Stamped,
-    /// Something that this program does not know, of this number, but may leave aside.
+    /// A section of an unknown kind, with this number, that decoders may skip.
     Skippable(u8),
 }
 
@@ -78,7 +78,7 @@ impl SectionKind {
         SectionKind::Stamped,
     ];
 
-    /// For tests: all kinds that this program knows.
+    /// All kinds that this program knows, for tests.
     #[cfg(feature = "internals")]
     #[doc(hidden)]
     pub fn all() -> &'static [SectionKind] {
@@ -112,7 +112,7 @@ impl SectionKind {
         }
     }
 
-    /// The number in the stream.
+    /// The kind's number in the stream.
     pub fn number(self) -> u8 {
         match self {
             SectionKind::Skippable(number) => number,
@@ -128,7 +128,7 @@ impl SectionKind {
         }
     }
 
-    /// Whether a decoder leaves the section aside.
+    /// Whether a decoder that does not know the section may skip it.
     pub fn is_skippable(self) -> bool {
         matches!(self, SectionKind::Skippable(_))
     }

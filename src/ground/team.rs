@@ -1,5 +1,6 @@
-//! A pool of threads that counts its jobs, so that one is split between threads only while others have none: a thread that
-//! waits for a part of its job would otherwise take up another job, and hold the memory of both.
+//! A pool of threads that counts its jobs. A job is split between threads only while some threads have no
+//! job: a thread that waits for a part of its job would otherwise start another job, and hold the memory of
+//! both.
 
 use std::cell::OnceCell;
 use std::sync::Arc;
@@ -8,24 +9,24 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::ThreadPoolBuilder;
 
 thread_local! {
-    /// The jobs under way in the pool that this thread belongs to.
+    /// The number of running jobs in the pool that this thread belongs to.
     static JOBS: OnceCell<Arc<AtomicUsize>> = const { OnceCell::new() };
 }
 
-/// A pool of so many threads, to be built.
+/// A builder for a pool of `threads` threads.
 pub(crate) fn pool(threads: usize) -> ThreadPoolBuilder {
     let jobs = Arc::new(AtomicUsize::new(0));
     let join_pool = move |_| drop(JOBS.with(|of_thread| of_thread.set(Arc::clone(&jobs))));
     ThreadPoolBuilder::new().num_threads(threads).start_handler(join_pool)
 }
 
-/// Does a job, which counts as long as it takes.
+/// Runs a job, which is counted until it ends.
 pub(crate) fn job<T>(work: impl FnOnce() -> T) -> T {
     let _count = JOBS.with(|jobs| jobs.get().map(Count::new));
     work()
 }
 
-/// Does two things, at once if this is a thread of a [`pool`] with fewer jobs than threads.
+/// Runs two functions, in parallel if this is a thread of a [`pool`] with fewer jobs than threads.
 pub(crate) fn both<A: Send, B: Send>(
     first: impl FnOnce() -> A + Send,
     second: impl FnOnce() -> B + Send,
@@ -37,7 +38,7 @@ pub(crate) fn both<A: Send, B: Send>(
     }
 }
 
-/// A job that is under way.
+/// A running job; the count is decremented when this is dropped.
 struct Count(Arc<AtomicUsize>);
 
 impl Count {
@@ -63,12 +64,12 @@ mod tests {
     #[test]
     fn a_job_is_split_only_while_a_thread_has_none() {
         let pool = pool(2).build().unwrap();
-        // Each half waits for the other, which only another thread can be.
+        // Each half waits for the other, so they must run on two threads.
         let barrier = Barrier::new(2);
         let half = || (barrier.wait(), current().id()).1;
         let (first, second) = pool.install(|| job(|| both(half, half)));
         assert_ne!(first, second);
-        // Two jobs, the threads of which meet before and after: neither is split.
+        // Two jobs, whose threads meet before and after: neither is split.
         let own = || {
             let own = current().id();
             job(|| {
@@ -79,12 +80,12 @@ mod tests {
             });
         };
         pool.install(|| rayon::join(own, own));
-        // The count goes down again, also if a job panics.
+        // The count is decremented even if a job panics.
         let panics = || pool.install(|| job(|| panic!("on purpose")));
         assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(panics)).is_err());
         let (first, second) = pool.install(|| job(|| both(half, half)));
         assert_ne!(first, second);
-        // Without a pool there is nobody else.
+        // Outside a pool both run on the same thread.
         assert_eq!(both(|| current().id(), || current().id()), (current().id(), current().id()));
     }
 }

@@ -1,4 +1,4 @@
-//! Inter prediction (article, V): what the frame before predicts of the current one.
+//! Inter prediction (article, V): prediction of the current frame from the frame before.
 
 pub mod registration;
 
@@ -17,13 +17,13 @@ use render::render;
 /// A column of the frame before may be this many ticks away from the current one.
 const COLUMN_REACH: u32 = 2;
 
-/// The most cells that an image used for inter prediction may have, as the reference or as the predicted
+/// The largest number of cells in an image used for inter prediction, as the reference or as the predicted
 /// image: prediction takes about a hundred bytes a cell. No scanner has more than a few hundred thousand
 /// cells.
 pub const MOST_CELLS: usize = 1 << 22;
 
-/// The returns along the snake's path (article, V-C), which runs through the rows to and fro: the reference of a row's
-/// first return is right above it.
+/// The returns along the snake's path (article, V-C), which runs through the rows alternately forwards and
+/// backwards: the reference of a row's first return is right above it.
 pub fn snake_path(occupancy: &Grid<bool>) -> impl Iterator<Item = (usize, usize)> {
     let columns = occupancy.columns();
     let cells = (0..occupancy.rows()).flat_map(move |row| {
@@ -32,13 +32,13 @@ pub fn snake_path(occupancy: &Grid<bool>) -> impl Iterator<Item = (usize, usize)
     cells.filter(|&cell| occupancy[cell])
 }
 
-/// The frame before, as both encoder and decoder know it.
+/// The frame before, as known to both encoder and decoder.
 #[derive(Debug, Default)]
 pub struct Past {
     image: RangeImage,
     /// Intensity levels as contexts (1 to 128), of the same shape.
     levels: Grid<u16>,
-    /// Computed when it is first needed.
+    /// The surfaces, computed when they are first needed.
     surface: OnceLock<Surface>,
 }
 
@@ -53,7 +53,7 @@ impl Past {
         self.surface.get_or_init(|| Surface::of(sensor, &self.image.columns, &self.image.steps))
     }
 
-    /// What the frame predicts of an image with these columns, after the scanner has moved.
+    /// The reference of an image with these columns, after this motion of the scanner.
     pub fn reference(&self, sensor: &Hdl64, columns: &[u32], motion: &RigidMotion) -> Reference {
         Reference {
             same: self.same_cells(columns),
@@ -61,26 +61,26 @@ impl Past {
         }
     }
 
-    /// As [`reference`](Self::reference), without the moved surfaces: fast, and useful where the scanner
+    /// As [`reference`](Self::reference), without the moved surfaces: fast, and useful while the scanner
     /// stands still.
     pub fn same_cells_alone(&self, columns: &[u32]) -> Reference {
         Reference { same: self.same_cells(columns), ..Reference::new(self.image.steps.rows(), columns.len()) }
     }
 
-    /// The same for any scanner: columns may come in any order, and the nearest one may be as far as the next firing.
-    /// `ticks` are those of a turn.
+    /// As [`same_cells_alone`](Self::same_cells_alone), for any scanner: columns may be in any order, and the
+    /// nearest one may be up to one firing away. `ticks` is the number of ticks in a turn.
     pub fn same_directions(&self, columns: &[u32], ticks: u32) -> Reference {
         let nearest = self.nearest_directions(columns, ticks);
         let same = self.layer(&nearest);
         Reference { moved: same.clone(), same }
     }
 
-    /// The share of the returns of an image, judged by a sample, that are as far away as those of the same
+    /// The share of an image's returns, estimated from a sample, whose ranges agree with those of the same
     /// cells here.
     pub fn agreement(&self, columns: &[u32], steps: &Grid<u32>, scanner: &Scanner) -> f64 {
-        /// In metres.
+        /// Largest difference of ranges that agree, in metres.
         const AS_FAR: f64 = 0.02;
-        /// One row in so many is looked at, and one column in so many.
+        /// Every `ROWS`-th row and every `COLUMNS`-th column are sampled.
         const ROWS: usize = 3;
         const COLUMNS: usize = 5;
         let as_far = (AS_FAR / scanner.range_step_m()).min(f64::from(MOST_STEPS)) as u32;
@@ -100,12 +100,12 @@ impl Past {
         f64::from(agreeing) / f64::from(returns.max(1))
     }
 
-    /// The same cells, each from the nearest column, if that is near enough.
+    /// The same cells, each from the nearest column within reach.
     fn same_cells(&self, columns: &[u32]) -> Layer {
         self.layer(&self.nearest_columns(columns))
     }
 
-    /// The cells of these columns of this frame.
+    /// The layer with these columns of this frame.
     fn layer(&self, nearest: &[Option<usize>]) -> Layer {
         let (rows, columns) = (self.image.steps.rows(), nearest.len());
         let mut layer = Layer { steps: Grid::new(rows, columns), levels: Grid::new(rows, columns) };
@@ -119,7 +119,7 @@ impl Past {
         layer
     }
 
-    /// For each of some columns (ticks, rising), the nearest column of this frame, if it is near enough.
+    /// For each of some columns (ticks, ascending), the nearest column of this frame within reach.
     fn nearest_columns(&self, columns: &[u32]) -> Vec<Option<usize>> {
         let off = |column: usize, tick: u32| self.image.columns.get(column).map(|other| other.abs_diff(tick));
         let mut nearest = 0;
@@ -134,8 +134,8 @@ impl Past {
         columns.iter().map(nearest_to).collect()
     }
 
-    /// For each of some columns, in any order, the column of this frame with the nearest tick on the circle, the first of
-    /// equals; none if that is farther than most columns are from the next one.
+    /// For each of some columns, in any order, the column of this frame with the nearest tick on the circle,
+    /// the first of equally near ones; none if it is farther than the usual distance between columns.
     fn nearest_directions(&self, columns: &[u32], ticks: u32) -> Vec<Option<usize>> {
         let mut by_tick: Vec<(u32, usize)> =
             self.image.columns.iter().enumerate().map(|(column, &tick)| (tick, column)).collect();
@@ -157,9 +157,9 @@ impl Past {
     }
 }
 
-/// The predicted range of each return, in steps, for a general-purpose back-end: that of the moved surface,
-/// or else of the same cell. Where neither has one, it is the prediction of the preceding return on the
-/// snake's path, so that the differences along the path are those of the ranges themselves.
+/// The predicted range of each return, in steps, for a back-end: that of the moved surface, or else of the
+/// same cell. If there is neither, the prediction of the preceding return on the snake's path is repeated, so
+/// that the differences along the path are differences of the ranges themselves.
 pub fn ranges(reference: &Reference, occupancy: &Grid<bool>) -> Grid<u32> {
     let mut ranges = Grid::new(occupancy.rows(), occupancy.columns());
     let mut last = 0;

@@ -1,9 +1,9 @@
-//! What an earlier frame predicts for each cell of the current one. FORMAT.md 4.3.
+//! The prediction of each cell of the current frame from an earlier frame. FORMAT.md 4.3.
 
 use crate::ground::grid::Grid;
 
-/// What an earlier frame holds for each cell of the image to be coded: of the same size as that image, 0
-/// where it holds nothing.
+/// The values of an earlier frame for each cell of the image to be coded: tables of the same size as that
+/// image, 0 where there is no value.
 #[derive(Clone, Debug, Default)]
 pub struct Layer {
     /// Ranges, in steps.
@@ -17,7 +17,7 @@ pub struct Layer {
 pub struct Reference {
     /// The same cell of the frame before.
     pub same: Layer,
-    /// The surfaces of the frame before, as seen from where the scanner is now.
+    /// The surfaces of the frame before, as seen from the scanner's current position.
     pub moved: Layer,
 }
 
@@ -36,7 +36,7 @@ impl Reference {
         Reference { same: layer.clone(), moved: layer }
     }
 
-    /// The rows above `row`, and the others.
+    /// The rows above `row`, and the remaining rows.
     pub fn split(self, row: usize) -> [Self; 2] {
         let [same, moved] = [self.same, self.moved].map(|layer| {
             let ([steps, steps_below], [levels, levels_below]) =

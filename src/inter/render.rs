@@ -1,4 +1,4 @@
-//! The surfaces of the frame before, as seen from where the scanner is now. FORMAT.md 4.3.
+//! The surfaces of the frame before, as seen from the scanner's current position. FORMAT.md 4.3.
 
 use crate::ground::grid::Grid;
 use crate::inter::Layer;
@@ -6,16 +6,16 @@ use crate::inter::registration::{RigidMotion, Surface, Surfel, columns_by_tick, 
 use crate::scanner::Alignment;
 use crate::scanner::{Hdl64, Sighting};
 
-/// Of two surfels in a cell, the nearer one is seen if it is nearer by more than this share of the range;
+/// Of two surfels in a cell, the nearer one is visible if it is nearer by more than this share of the range;
 /// otherwise the one closer to the centre of the cell.
 const IN_FRONT: f64 = 0.05;
-/// A surfel is not extended to a ray that is farther from it than this share of its range.
+/// A surfel is not extended to a ray whose distance from it exceeds this share of its range.
 const EXTENT: f64 = 0.2;
 
-/// A surfel that is seen in a cell.
+/// A surfel that is visible in a cell.
 #[derive(Clone, Copy)]
 struct Seen {
-    /// The range at which the cell's ray meets it, in metres.
+    /// The range at which the cell's ray intersects it, in metres.
     metres: f64,
     /// The distance of the surfel from the ray, in radians.
     off: f64,
@@ -69,7 +69,7 @@ struct Canvas<'a> {
 }
 
 impl Canvas<'_> {
-    /// The cell in which a surfel is seen after a motion.
+    /// The cell in which a surfel is visible after a motion.
     fn see(&self, surfel: &Surfel, level: u16, motion: &RigidMotion) -> Option<((usize, usize), Seen)> {
         let position = motion.apply(surfel.position);
         let Sighting { row, column_tick, metres, off } =
@@ -80,7 +80,7 @@ impl Canvas<'_> {
         Some(((row, column), self.extend(&seen, (row, column)).unwrap_or(seen)))
     }
 
-    /// The surfel's plane where a cell's ray meets it, if that is near the surfel.
+    /// The intersection of the surfel's plane with a cell's ray, if it is near the surfel.
     fn extend(&self, seen: &Seen, (row, column): (usize, usize)) -> Option<Seen> {
         let tick = self.sensor.tick_of_column(row, self.columns[column]);
         let on_ray = self.sensor.point_at(row, tick, seen.metres);
@@ -91,7 +91,7 @@ impl Canvas<'_> {
         is_near.then_some(Seen { metres: seen.metres + further, ..*seen })
     }
 
-    /// For a cell in which nothing is seen: what is seen in a neighbouring cell, extended.
+    /// For a cell without a visible surfel: that of a neighbouring cell, extended.
     fn beside(
         &self,
         seen: &Grid<Option<Seen>>,

@@ -1,4 +1,4 @@
-//! A stream to scans: by number, or one after the other.
+//! Decodes scans from a stream: by number, or in order.
 
 use std::collections::VecDeque;
 use std::io::{Read, Seek};
@@ -18,26 +18,26 @@ use crate::stream::ordered::{Workers, on, pool_for_frames};
 use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
 use crate::stream::{DecodeOptions, FrameRange};
 
-/// Bytes of groups that are read at once, where several are wanted that follow one another.
+/// Number of bytes of groups that are read in one request, if consecutive groups are wanted.
 const AT_ONCE: u64 = 8 << 20;
 
-/// Decodes the scans of a stream that can be sought in, by its index.
+/// Decodes the scans of a seekable stream, by means of its index.
 ///
-/// It reads little, and in large pieces, so that each read may be a request to a server: the last 64 KiB, with the index, and
-/// then each group at once, or up to 8 MiB of groups that follow one another. The beginning of the stream, which the end
-/// repeats, is not read for its own sake.
+/// It reads little, and in large pieces, so that each read may be a request to a server: the last 64 KiB,
+/// with the index, and then each group in one request, or up to 8 MiB of consecutive groups. The beginning of
+/// the stream is not read by itself, as the end repeats its contents.
 pub struct Decoder<R> {
     groups: IndexedGroups<R>,
     limits: Limits,
     threads: usize,
     images: bool,
-    /// The group of the scan that was asked for last by its number.
+    /// The group of the scan last requested by number.
     kept: Option<KeptGroup>,
-    /// For such scans; made when it is first needed.
+    /// Threads for such scans; created when first needed.
     pool: Option<Arc<ThreadPool>>,
 }
 
-/// A group, decoded up to the last scan that was asked for.
+/// A group, decoded up to the last requested scan.
 struct KeptGroup {
     first_frame: u64,
     scans: Vec<KeptScan>,
@@ -45,38 +45,38 @@ struct KeptGroup {
 }
 
 enum KeptScan {
-    /// Decoded for the sake of those after it.
+    /// A frame decoded only because later ones depend on it.
     Unchecked(Box<DecodedFrame>),
     Checked(Scan),
 }
 
-/// What the index of a stream says of a frame.
+/// The properties of a frame according to the index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct FrameInfo {
     /// Its number, the first being 0.
     pub number: u64,
-    /// What it was.
+    /// The kind of input.
     pub unit: Unit,
-    /// Which of several scanners it is of; the first is 0.
+    /// The track: which of several scanners it is from; the first is 0.
     pub track: u8,
-    /// When it was taken, in nanoseconds since 1970, if that is known.
+    /// The time at which it was taken, in nanoseconds since 1970, if known.
     pub time: Option<i64>,
-    /// Bytes that it takes in the stream.
+    /// Its coded size in bytes.
     pub coded_bytes: u64,
 }
 
-/// What a stream says of a frame, short of decoding it.
+/// The properties of a frame that can be read without decoding it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct FrameDetails {
     /// Its number, the first being 0.
     pub number: u64,
-    /// Its name; empty if it has none. It may be any: check it before use as a path.
+    /// Its name; empty if it has none. It may be any string: check it before use as a path.
     pub name: String,
     /// Number of points.
     pub points: u64,
-    /// Bytes of the file, or of the points as records.
+    /// Size in bytes of the file, or of the points as records.
     pub bytes: u64,
 }
 
@@ -84,12 +84,13 @@ impl<R: Read + Seek + Send> Decoder<R> {
     /// Reads the index of a stream.
     ///
     /// # Errors
-    /// If the input fails, is no stream, is damaged at its beginning or end, or is of another version of the format.
+    /// If the input fails, is not a stream, is damaged at its beginning or end, or has another version of the
+    /// format.
     pub fn open(input: R) -> Result<Self> {
         Self::open_with_limits(input, Limits::default())
     }
 
-    /// As [`open`](Self::open), with limits on what may be allocated.
+    /// As [`open`](Self::open), with limits on allocations.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -99,21 +100,22 @@ impl<R: Read + Seek + Send> Decoder<R> {
         Ok(Decoder { groups, limits, threads: 1, images: false, kept: None, pool: None })
     }
 
-    /// Whether scans come with their [range images](Scan::range_image). Default: no; they take some time and memory.
+    /// Whether scans come with their [range images](Scan::range_image). Default: no, as they take some time
+    /// and memory.
     #[must_use]
     pub fn with_range_images(self, images: bool) -> Self {
         Decoder { images, kept: None, ..self }
     }
 
-    /// Has [`scans`](Self::scans) decoded ahead by so many threads, and [`scan`](Self::scan) by two if there are to be more
-    /// than one; 0 stands for one a processor. With 1, the default, there are none: the caller's thread decodes a group
-    /// when its first scan is asked for.
+    /// Makes [`scans`](Self::scans) decode ahead on `threads` threads, and [`scan`](Self::scan) use two
+    /// threads if this is more than one; 0 means one per processor. With 1, the default, the caller's thread
+    /// decodes a group when its first scan is requested.
     #[must_use]
     pub fn with_threads(self, threads: usize) -> Self {
         Decoder { threads, pool: None, ..self }
     }
 
-    /// Number of scans. Files that were kept beside them are not counted, nor decoded.
+    /// Number of scans. Files beside the scans are not counted, and not decoded.
     pub fn len(&self) -> u64 {
         self.groups.index().scan_count()
     }
@@ -123,7 +125,7 @@ impl<R: Read + Seek + Send> Decoder<R> {
         self.len() == 0
     }
 
-    /// What the index says of each scan.
+    /// The properties of each scan according to the index.
     pub fn frames(&self) -> impl Iterator<Item = FrameInfo> {
         let groups = self.groups.index().groups.iter().filter(|group| !group.is_beside());
         let frames = groups.flat_map(|group| (group.first_frame..).zip(&group.frames));
@@ -139,7 +141,7 @@ impl<R: Read + Seek + Send> Decoder<R> {
         })
     }
 
-    /// The numbers of the frames that are coded together with this one, and come cheap once it is decoded; `None` if
+    /// The numbers of the frames in the same group as this one, which are cheap to decode after it; `None` if
     /// there is no such frame.
     pub fn group_of(&self, number: u64) -> Option<Range<u64>> {
         let groups = &self.groups.index().groups;
@@ -149,7 +151,7 @@ impl<R: Read + Seek + Send> Decoder<R> {
         range.contains(&number).then_some(range)
     }
 
-    /// What the stream says of these frames: reads their groups, but decodes nothing.
+    /// The properties of these frames. Reads their groups, but decodes nothing.
     ///
     /// # Errors
     /// [`Error::Usage`] if there are no such frames; if the input fails or is damaged there.
@@ -167,7 +169,7 @@ impl<R: Read + Seek + Send> Decoder<R> {
         Ok(details)
     }
 
-    /// What was found of each scanner, in a sentence, as `lidarpc info` prints it. Reads the scanners alone.
+    /// A description of each scanner, as printed by `lidarpc info`. Reads only the scanners.
     ///
     /// # Errors
     /// If the input fails or is damaged there.
@@ -176,17 +178,17 @@ impl<R: Read + Seek + Send> Decoder<R> {
         Ok(scanners.iter().map(|scanner| scanner.description()).collect())
     }
 
-    /// The scan with this number, the first being 0. Only its group is read, and decoded as far as this scan. The group is
-    /// kept, and goes on where it was when another of its scans is asked for; to get many in order,
-    /// [`scans`](Self::scans) is quicker, as it may use several threads.
+    /// The scan with this number, the first being 0. Only its group is read, and decoded up to this scan. The
+    /// group is kept, and continued when another of its scans is requested. To get many scans in order,
+    /// [`scans`](Self::scans) is faster, as it may use several threads.
     ///
     /// # Errors
-    /// [`Error::Usage`] if there is no such scan; if the input fails, is damaged there, or asks for more than the
+    /// [`Error::Usage`] if there is no such scan; if the input fails, is damaged there, or exceeds the
     /// limits.
     pub fn scan(&mut self, number: u64) -> Result<Scan> {
         let missing = || Error::Usage(format!("there is no frame {number} in a stream of {}", self.len()));
         let group = self.group_of(number).ok_or_else(missing)?;
-        // An error leaves nothing to go on with.
+        // After an error the group cannot be continued.
         let mut kept = match self.kept.take().filter(|kept| kept.first_frame == group.start) {
             Some(kept) => kept,
             None => self.open_group(group.start)?,
@@ -207,13 +209,14 @@ impl<R: Read + Seek + Send> Decoder<R> {
         Ok(KeptGroup { first_frame, scans: Vec::new(), open })
     }
 
-    /// These scans, one after the other. An error, or a range that is not in the stream, is the last item.
+    /// These scans in order. An error, or a range that is not in the stream, is the last item.
     pub fn scans(&mut self, frames: impl RangeBounds<u64>) -> Scans<'_> {
         let (range, options) = (self.seek(&frames), self.options());
         scans_of(range, &mut self.groups, options)
     }
 
-    /// As [`scans`](Self::scans), for iterators that outlive their maker. A clone of the decoder shares the index.
+    /// As [`scans`](Self::scans), for iterators that outlive the decoder. A clone of the decoder shares the
+    /// index.
     pub fn into_scans<'r>(mut self, frames: impl RangeBounds<u64>) -> Scans<'r>
     where
         R: 'r,
@@ -227,7 +230,7 @@ impl<R: Read + Seek + Send> Decoder<R> {
         DecodeOptions { threads, limits, images, frames: FrameRange::default() }
     }
 
-    /// Goes to the group of the first of these frames.
+    /// Seeks to the group of the first of these frames.
     fn seek(&mut self, frames: &impl RangeBounds<u64>) -> Result<FrameRange> {
         let start = match frames.start_bound() {
             Bound::Included(start) => *start,
@@ -250,11 +253,12 @@ impl<R: Read + Seek + Send> Decoder<R> {
 }
 
 impl Decoder<()> {
-    /// The scans of a stream front to back, as from a pipe, decoded ahead by so many threads; 0 stands for one a
-    /// processor, 1 for none but the caller's. The stream is whole if the last item is not an error.
+    /// The scans of a stream from front to back, as from a pipe, decoded ahead on `threads` threads; 0 means
+    /// one per processor, 1 the caller's thread only. The stream is complete if the last item is not an
+    /// error.
     ///
     /// # Errors
-    /// If the input fails, is no stream, or is of another version of the format.
+    /// If the input fails, is not a stream, or has another version of the format.
     pub fn stream<'r>(input: impl Read + Send + 'r, threads: usize) -> Result<Scans<'r>> {
         let limits = Limits::default();
         let groups = StreamedGroups::new(StreamReader::open(input, limits)?, FrameRange::default());
@@ -263,7 +267,7 @@ impl Decoder<()> {
     }
 }
 
-/// The scans of this range of the groups, or the error that there is none.
+/// The scans in this range of the groups, or an error if the range is not in the stream.
 fn scans_of<'r>(
     range: Result<FrameRange>,
     groups: impl Iterator<Item = Result<GroupJob>> + Send + 'r,
@@ -300,15 +304,15 @@ impl KeptGroup {
     }
 }
 
-/// What was decoded and checked, as users get it.
+/// A decoded and checked frame as a scan of the public interface.
 fn scan_of(frame: DecodedFrame) -> Scan {
     let image = frame.image.map(|image| RangeImage::new(&image, &frame.scan.cloud.positions));
     Scan::of_parts(frame.scan, frame.header.stamp).with_range_image(image)
 }
 
 impl<R: Clone> Clone for Decoder<R> {
-    /// One that reads by itself from a clone of the input. It shares the index; the group of the scan that was asked for last
-    /// is not kept.
+    /// A decoder that reads independently from a clone of the input. It shares the index, but not the group
+    /// of the scan last requested.
     fn clone(&self) -> Self {
         let groups = self.groups.clone();
         let Decoder { limits, threads, images, ref pool, .. } = *self;
@@ -322,20 +326,20 @@ impl<R> std::fmt::Debug for Decoder<R> {
     }
 }
 
-/// Scans of a stream, one after the other: by [`Decoder::scans`] or [`Decoder::stream`]. After an error there are no
+/// Scans of a stream in order, from [`Decoder::scans`] or [`Decoder::stream`]. After an error there are no
 /// more.
 pub struct Scans<'d> {
     groups: Box<dyn Iterator<Item = Result<GroupJob>> + Send + 'd>,
     options: DecodeOptions,
-    /// None until the first scan is asked for, and after an error.
+    /// None until the first scan is requested, and after an error.
     workers: Option<Workers<DecodedGroup>>,
-    /// Decoded and not yet asked for.
+    /// Decoded scans that were not requested yet.
     ready: VecDeque<Scan>,
-    /// What comes after these.
+    /// The error that follows these scans.
     error: Option<Error>,
     /// Whether all groups are read.
     ended: bool,
-    /// How many are yet to come at most, the error included, if that is known.
+    /// The largest number of remaining items, including an error, if known.
     most: Option<usize>,
 }
 
@@ -358,13 +362,13 @@ impl<'d> Scans<'d> {
         }
     }
 
-    /// Reads groups for all threads, and takes the scans of the next one that is decoded; false if there is none.
+    /// Reads groups for all threads, and takes the scans of the next decoded one; false if there is none.
     fn advance(&mut self) -> Result<bool> {
         let workers = match &mut self.workers {
             Some(workers) => workers,
             empty => empty.insert(Workers::new(resolve_threads(self.options.threads))?),
         };
-        // One thread decodes while it is asked for scans; no group waits then.
+        // A single thread decodes only when scans are requested, so that no group has to wait.
         while !self.ended && !workers.is_full() {
             let Some(job) = self.groups.next() else {
                 self.ended = true;
@@ -383,7 +387,7 @@ impl<'d> Scans<'d> {
     }
 }
 
-/// Decodes the scans of a group that are asked for.
+/// Decodes the requested scans of a group.
 fn decode(job: GroupJob, options: &DecodeOptions) -> DecodedGroup {
     let mut scans = Vec::new();
     let error = decode_group(job, options, |frame| {
@@ -399,7 +403,7 @@ fn decode(job: GroupJob, options: &DecodeOptions) -> DecodedGroup {
 impl Iterator for Scans<'_> {
     type Item = Result<Scan>;
 
-    /// As many scans as are asked for are the most; an error ends them sooner. Of a pipe they are not known.
+    /// The upper limit is the number of requested scans; an error ends them sooner. For a pipe it is unknown.
     fn size_hint(&self) -> (usize, Option<usize>) {
         let least = self.ready.len() + usize::from(self.error.is_some());
         (least, self.most.map(|most| most.max(least)))

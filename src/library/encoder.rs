@@ -1,4 +1,4 @@
-//! Scans that are pushed, one by one, to a stream.
+//! Encodes scans that are pushed one by one.
 
 use std::io::Write;
 use std::mem::take;
@@ -17,29 +17,29 @@ use crate::stream::encoder::{EncodedGroup, SequenceCoder, encode_known};
 use crate::stream::ordered::{Workers, on, pool_for_frames};
 use crate::stream::scanner_choice::{DriveScanners, KeptScanners, choose_scanners, records_of};
 
-/// Encodes scans as they come. The scanner is found in the first group of scans; groups are coded by threads of their
-/// own while more scans are pushed, and written as they are done. A few groups are in memory at a time.
+/// Encodes scans as they arrive. The scanner is fitted to the first group of scans; groups are coded on other
+/// threads while more scans are pushed, and written as they are done. A few groups are in memory at a time.
 ///
 /// A stream whose encoder is dropped before [`finish`](Self::finish) has no index and no end.
 #[derive(Debug)]
 #[must_use = "a stream without finish() has no index and no end"]
 pub struct Encoder<W> {
     config: Arc<EncoderConfig>,
-    /// Scans of the next group.
+    /// The scans of the next group.
     open: Vec<FrameInput>,
     state: State<W>,
 }
 
 #[derive(Debug)]
 enum State<W> {
-    /// No group was full yet.
+    /// Until the first group is full.
     Waiting(W),
     Coding(Box<Coding<W>>),
-    /// Something went wrong, and was reported.
+    /// After an error, which was reported.
     Failed,
 }
 
-/// An encoder that knows its scanners.
+/// An encoder with known scanners.
 struct Coding<W> {
     scanners: Arc<Vec<DriveScanners>>,
     workers: Workers<Vec<EncodedGroup>>,
@@ -52,22 +52,22 @@ impl<W> std::fmt::Debug for Coding<W> {
     }
 }
 
-/// What was encoded.
+/// Statistics of an encoded stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Summary {
-    /// Scans.
+    /// Number of scans.
     pub scans: u64,
-    /// Points of all scans.
+    /// Number of points in all scans.
     pub points: u64,
-    /// Bytes of all scans: those of files as they are, those of points in memory as records.
+    /// Total size in bytes of all scans: of files as they are, of points in memory as records.
     pub scan_bytes: u64,
-    /// Bytes of the stream.
+    /// Size of the stream in bytes.
     pub stream_bytes: u64,
 }
 
 impl<W: Write> Encoder<W> {
-    /// An encoder that writes a stream to `out`. It writes large pieces, so buffering brings nothing.
+    /// An encoder that writes a stream to `out`. It writes large pieces, so there is no need to buffer `out`.
     ///
     /// # Errors
     /// [`Error::InvalidSettings`] if the settings are out of range or do not fit together.
@@ -76,10 +76,10 @@ impl<W: Write> Encoder<W> {
         Ok(Encoder { config, open: Vec::new(), state: State::Waiting(out) })
     }
 
-    /// Takes the next scan. Waits only if all threads have work already.
+    /// Adds the next scan. Blocks only if all threads are busy.
     ///
     /// # Errors
-    /// If this scan, or one of those before it, is over the limits that every decoder keeps, or has a name that not
+    /// If this scan, or an earlier one, exceeds the limits that every decoder has, or has a name that not
     /// every system can restore; if the output fails. The stream cannot be finished then.
     pub fn push(&mut self, scan: Scan) -> Result<()> {
         let (scan, stamp) = scan.into_parts();
@@ -87,12 +87,12 @@ impl<W: Write> Encoder<W> {
         if self.open.len() < self.config.gop { Ok(()) } else { self.close_group() }
     }
 
-    /// Codes and writes what is left, and the index.
+    /// Codes and writes the remaining scans, and the index.
     ///
     /// # Errors
     /// As [`push`](Self::push).
     pub fn finish(mut self) -> Result<Summary> {
-        // Without a scan there is a stream all the same.
+        // Even without scans a valid stream is written.
         if !self.open.is_empty() || matches!(self.state, State::Waiting(_)) {
             self.close_group()?;
         }
@@ -109,7 +109,7 @@ impl<W: Write> Encoder<W> {
         })
     }
 
-    /// Has the open group coded.
+    /// Starts the coding of the open group.
     fn close_group(&mut self) -> Result<()> {
         let group = take(&mut self.open);
         let state = std::mem::replace(&mut self.state, State::Failed);
@@ -124,11 +124,12 @@ impl<W: Write> Encoder<W> {
     }
 }
 
-/// Encodes scans one by one, each to a stream of its own: for messages, which must decode by themselves. The scanner is looked
-/// for in the first scans, and kept once it is found, so that later ones take only the time of their coding.
+/// Encodes scans one by one, each to a stream of its own: for messages, which must be decodable individually.
+/// The scanner is fitted to the first scans, and kept once the fit succeeds, so that later scans only take
+/// the time to code them.
 ///
-/// All scans are taken to be of one scanner; of others they come back too, but larger. A clone goes on with what was found,
-/// as on another thread.
+/// All scans are assumed to be from one scanner; those from others are restored too, but are larger when
+/// coded. A clone continues with the fitted scanner, for example on another thread.
 #[derive(Clone)]
 pub struct MessageEncoder {
     config: Arc<EncoderConfig>,
@@ -137,6 +138,8 @@ pub struct MessageEncoder {
 }
 
 impl MessageEncoder {
+    /// An encoder with these settings.
+    ///
     /// # Errors
     /// [`Error::InvalidSettings`] if they are out of range or do not fit together.
     pub fn new(settings: Settings) -> Result<Self> {
@@ -145,13 +148,13 @@ impl MessageEncoder {
         Ok(MessageEncoder { config, scanners: KeptScanners::default(), pool })
     }
 
-    /// A stream of this scan alone, which a [`Decoder`](crate::Decoder) gives back.
+    /// A stream with this scan alone, which a [`Decoder`](crate::Decoder) reads.
     ///
     /// # Errors
     /// As [`Encoder::push`].
     pub fn encode(&mut self, scan: Scan) -> Result<Vec<u8>> {
         let (scan, stamp) = scan.into_parts();
-        // There are no others to tell it from.
+        // Tracks are only needed to distinguish several scanners.
         let frame = FrameInput::scan(scan).stamped(Stamp { track: 0, ..stamp });
         let scanners = self.scanners.for_next(|| Some(frame.clone()), &self.config)?;
         on(self.pool.as_deref(), || encode_known(vec![frame], &scanners, &self.config))
@@ -169,14 +172,14 @@ fn failed() -> Error {
 }
 
 impl<W: Write> Coding<W> {
-    /// Finds the scanners, and begins the stream.
+    /// Fits the scanners, and begins the stream.
     fn begin(out: W, group: &[FrameInput], config: &EncoderConfig) -> Result<Self> {
         let scanners = Arc::new(choose_scanners(group, config)?);
         let stream = OpenStream::begin(out, &records_of(&scanners))?;
         Ok(Coding { scanners, workers: Workers::new(resolve_threads(config.threads))?, stream })
     }
 
-    /// Has a group coded, and writes those that are done.
+    /// Starts the coding of a group, and writes those that are done.
     fn code(&mut self, group: Vec<FrameInput>, config: &Arc<EncoderConfig>) -> Result<()> {
         while self.workers.is_full() {
             if let Some(groups) = self.workers.wait() {

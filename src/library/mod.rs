@@ -1,4 +1,4 @@
-//! What other programs build on: scans in, scans out.
+//! The interface for other programs: scans in, scans out.
 
 mod decoder;
 mod encoder;

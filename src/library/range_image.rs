@@ -2,8 +2,9 @@
 
 use crate::frame::group::DecodedImage;
 
-/// The points of a scan in the rows and columns of the scanner: a row for each laser, a column for each azimuth at which the
-/// lasers fired. Second returns, and points that the scanner's formula does not explain, have no cell.
+/// The points of a scan in the rows and columns of the scanner: a row for each laser, a column for each
+/// azimuth at which the lasers fired. Second returns, and points that the scanner's formula does not explain,
+/// have no cell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RangeImage {
     rows: usize,
@@ -13,13 +14,13 @@ pub struct RangeImage {
 }
 
 impl RangeImage {
-    /// What was decoded, for users.
+    /// The decoded image for the public interface.
     pub(super) fn new(decoded: &DecodedImage, positions: &[[f32; 3]]) -> Self {
         let (steps, scanner) = (&decoded.image.steps, &decoded.scanner);
         let points = decoded.point_of_cell.cells().to_vec();
         let range = |(&steps, point): (&u32, &Option<u32>)| match (steps, point) {
             (0, _) => 0.0,
-            // Of a scanner whose ranges are no multiples of a step.
+            // The scanner's ranges are not multiples of a step.
             (_, Some(point)) if scanner.range_step_m() == 0.0 => {
                 let position = positions.get(*point as usize).copied().unwrap_or_default();
                 position.iter().map(|metres| f64::from(*metres).powi(2)).sum::<f64>().sqrt() as f32
@@ -40,13 +41,14 @@ impl RangeImage {
         self.columns
     }
 
-    /// How far the first return of each cell is from the laser, in metres, row after row; 0 where there is none.
+    /// The range of the first return of each cell from the laser, in metres, row after row; 0 for cells
+    /// without one.
     pub fn ranges(&self) -> &[f32] {
         &self.ranges
     }
 
-    /// Which point of the scan each cell is, counted from 0, row after row. A point that was kept although nothing
-    /// returned has a cell, too.
+    /// The index of the scan's point in each cell, counted from 0, row after row. Records without a measured
+    /// point that were kept have a cell, too.
     pub fn points(&self) -> &[Option<u32>] {
         &self.points
     }

@@ -4,15 +4,15 @@ use crate::scan;
 
 /// The types that the values of a channel may have: integers of 8 to 64 bits, `f32` and `f64`.
 pub trait Scalar: Copy + sealed::Value {
-    /// The type, as a value.
+    /// The type as a value.
     const TYPE: scan::Scalar;
 }
 
-/// What only this crate may do.
+/// Keeps other crates from implementing [`Scalar`].
 mod sealed {
     use super::Values;
 
-    /// A type that [`Values`] holds.
+    /// A type of value in [`Values`].
     pub trait Value: Sized {
         fn into_values(values: Vec<Self>) -> Values;
         fn of_values(values: &Values) -> Option<&[Self]>;
@@ -30,7 +30,7 @@ macro_rules! scalars {
         }
 
         impl Values {
-            /// From their little-endian bytes, of which those left over after the last whole value are left aside.
+            /// Values from their little-endian bytes; an incomplete value at the end is ignored.
             pub fn from_bytes(scalar: scan::Scalar, bytes: &[u8]) -> Self {
                 match scalar {
                     $(scan::Scalar::$variant => Values::$variant(
@@ -39,7 +39,7 @@ macro_rules! scalars {
                 }
             }
 
-            /// Their little-endian bytes.
+            /// The little-endian bytes of the values.
             pub fn to_bytes(&self) -> Vec<u8> {
                 match self {
                     $(Values::$variant(values) => {
@@ -48,14 +48,14 @@ macro_rules! scalars {
                 }
             }
 
-            /// Their type.
+            /// The type of the values.
             pub fn scalar(&self) -> scan::Scalar {
                 match self {
                     $(Values::$variant(_) => scan::Scalar::$variant,)*
                 }
             }
 
-            /// How many they are.
+            /// Number of values.
             pub fn len(&self) -> usize {
                 match self {
                     $(Values::$variant(values) => values.len(),)*

@@ -1,4 +1,4 @@
-//! A scan: points with named, typed channels, and what is known of it.
+//! A scan: points with named, typed channels, and metadata.
 
 use super::range_image::RangeImage;
 use super::scalar::{Scalar, Values};
@@ -7,16 +7,16 @@ use crate::files;
 use crate::ground::error::{Error, Result};
 use crate::scan::{self, Channel, Field, Layout, MAX_STRIDE, PointCloud, ScanFile};
 
-/// What the channel of intensities is called.
+/// The name of the intensity channel.
 const INTENSITY: &str = "intensity";
-/// The fields that positions are made of.
+/// The fields of positions.
 const POSITION: [&str; 3] = ["x", "y", "z"];
 
-/// A scan: points with named, typed channels. Every bit of every value counts: NaN payloads and the sign of zero are
-/// kept.
+/// A scan: points with named, typed channels. Every bit of every value counts: NaN payloads and the sign of
+/// zero are kept.
 ///
-/// It is either what was [a file](Self::from_file), which then comes back byte for byte, or points handed over in
-/// memory, of which positions and channels come back.
+/// It is either [a file](Self::from_file), which is restored byte for byte, or points in memory, of which
+/// positions and channels are restored.
 ///
 /// ```
 /// # fn main() -> lidarpc::Result<()> {
@@ -35,24 +35,24 @@ pub struct Scan {
     time: Option<Time>,
     points: usize,
     positions: Vec<[f32; 3]>,
-    /// All other fields, in the order of the records.
+    /// All channels, in the order of the records.
     channels: Vec<TypedChannel>,
-    /// What it takes to make a file of it again, if it was one.
+    /// The data needed to restore the file, if it was one.
     file: Option<Box<Envelope>>,
-    /// If it was asked for.
+    /// The range image, if it was requested.
     image: Option<Box<RangeImage>>,
 }
 
-/// A field other than the position, with a value (or so many) for each point.
+/// A field other than the position, with `count` values for each point.
 #[derive(Clone, Debug)]
 struct TypedChannel {
     name: String,
-    /// Values a point.
+    /// Number of values per point.
     count: u32,
     values: Values,
 }
 
-/// A file but for its points.
+/// A file without its points.
 #[derive(Clone, Debug)]
 struct Envelope {
     unit: Unit,
@@ -61,7 +61,7 @@ struct Envelope {
     suffix: Vec<u8>,
 }
 
-/// What a scan says of one of its channels.
+/// The properties of a channel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ChannelInfo<'s> {
@@ -69,17 +69,17 @@ pub struct ChannelInfo<'s> {
     pub name: &'s str,
     /// The type of its values.
     pub scalar: scan::Scalar,
-    /// How many values it has for each point, one after the other: 1 but for fields of files that have more.
+    /// Number of values for each point, one after the other: 1, except for fields of files that have more.
     pub count: u32,
 }
 
 impl Scan {
-    /// Points with a position alone: x, y and z in metres.
+    /// Points with positions only: x, y and z in metres.
     pub fn from_positions(positions: &[[f32; 3]]) -> Self {
         Scan { points: positions.len(), positions: positions.to_vec(), ..Scan::default() }
     }
 
-    /// Points as KITTI has them: x, y and z in metres, and the intensity, which becomes a channel of that name.
+    /// Points in KITTI's form: x, y and z in metres, and the intensity, which becomes a channel of that name.
     pub fn from_xyzi(points: &[[f32; 4]]) -> Self {
         let positions = points.iter().map(|&[x, y, z, _]| [x, y, z]).collect();
         let values = Values::F32(points.iter().map(|point| point[3]).collect());
@@ -87,19 +87,20 @@ impl Scan {
         Scan { points: points.len(), positions, channels: vec![intensity], ..Scan::default() }
     }
 
-    /// A file, given by its name and its bytes: what it holds is told by the extension (`.bin`, `.pcd.bin`, `.pcd`,
+    /// A file, given its name and bytes. The extension determines its format (`.bin`, `.pcd.bin`, `.pcd`,
     /// `.ply`, `.las`, `.csv`, `.txt`, `.xyz`, `.npy`). A file of any other kind is a scan without points.
     pub fn from_file(name: &str, bytes: Vec<u8>) -> Self {
         Scan::of_parts(files::parse(name, bytes), Stamp::default())
     }
 
-    /// The same with one more channel: a value for each point. Values of a channel named `intensity` (also `i`,
-    /// `reflectivity` or `reflectance`) of type `f32`, `u8` or `u16` are coded as intensities are.
-    /// A scan that was a file is one no longer.
+    /// The scan with an additional channel, one value for each point. A channel named `intensity` (or `i`,
+    /// `reflectivity` or `reflectance`) of type `f32`, `u8` or `u16` is coded as intensities. A scan that was
+    /// a file becomes points in memory.
     ///
     /// # Errors
-    /// [`Error::Usage`] if there are more or fewer values than points, if the scan has a channel of this name (x, y
-    /// and z are such), or if it is no name: empty, longer than 64 bytes, or with white space.
+    /// [`Error::Usage`] if the number of values differs from the number of points, if the scan already has a
+    /// channel of this name (x, y and z included), or if the name is invalid: empty, longer than 64 bytes, or
+    /// with white space.
     pub fn with_channel<T: Scalar>(mut self, name: &str, values: &[T]) -> Result<Self> {
         let refuse = |what: String| Err(Error::Usage(format!("channel {name:?}: {what}")));
         if name.is_empty() || !Field::is_name(name) {
@@ -124,20 +125,20 @@ impl Scan {
         Ok(self)
     }
 
-    /// The same with a name, which a frame of the stream gets, such as `000001`. A file has one already.
+    /// The scan with a name for its frame in the stream, such as `000001`. A file already has one.
     #[must_use]
     pub fn with_name(self, name: &str) -> Self {
         Scan { name: name.to_owned(), ..self }
     }
 
-    /// The same with the time at which it was taken: nanoseconds since 1970.
+    /// The scan with the time at which it was taken: nanoseconds since 1970.
     #[must_use]
     pub fn at_time(self, nanoseconds: i64) -> Self {
         Scan { time: Some(Time { source: TimeSource::Recording, nanoseconds }), ..self }
     }
 
-    /// The same as a scan of another scanner than that of track 0. The scans of several scanners may take turns; those
-    /// of each are modelled by themselves.
+    /// The scan as one from another scanner than that of track 0. Scans from several scanners may alternate;
+    /// those of each are modelled separately.
     #[must_use]
     pub fn on_track(self, track: u8) -> Self {
         Scan { track, ..self }
@@ -153,8 +154,8 @@ impl Scan {
         self.points == 0
     }
 
-    /// x, y and z of each point, in metres. Empty if the scan was a file whose coordinates are not float32: they are
-    /// channels then.
+    /// x, y and z of each point, in metres. Empty if the scan is a file whose coordinates are not float32:
+    /// they are channels then.
     pub fn positions(&self) -> &[[f32; 3]] {
         &self.positions
     }
@@ -162,7 +163,8 @@ impl Scan {
     /// The values of a channel, point after point.
     ///
     /// # Errors
-    /// [`Error::Usage`] if the scan has no channel of this name, or one of another type; it says which.
+    /// [`Error::Usage`] if the scan has no channel of this name, or if its type is another; the message says
+    /// which.
     pub fn channel<T: Scalar>(&self, name: &str) -> Result<&[T]> {
         let channel = self.channels.iter().find(|channel| channel.name == name);
         let channel = channel.ok_or_else(|| Error::Usage(format!("the scan has no channel {name:?}")))?;
@@ -172,7 +174,7 @@ impl Scan {
         })
     }
 
-    /// The channels that have a name, in the order of the records: all fields but the position.
+    /// The named channels, in the order of the records: all fields except the position.
     pub fn channels(&self) -> impl Iterator<Item = ChannelInfo<'_>> {
         self.channels.iter().filter(|channel| !channel.name.is_empty()).map(|channel| ChannelInfo {
             name: &channel.name,
@@ -181,28 +183,28 @@ impl Scan {
         })
     }
 
-    /// When it was taken, in nanoseconds since 1970, if that is known.
+    /// The time at which it was taken, in nanoseconds since 1970, if known.
     pub fn time(&self) -> Option<i64> {
         self.time.map(|time| time.nanoseconds)
     }
 
-    /// Its name, such as `000001.bin`; empty if it has none. A name from a stream may be any: check it before use as
-    /// a path.
+    /// Its name, such as `000001.bin`; empty if it has none. A name from a stream may be any string: check it
+    /// before use as a path.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Which of several scanners that take turns it is of; the first is 0.
+    /// Which of several alternating scanners it is from; the first is 0.
     pub fn track(&self) -> u8 {
         self.track
     }
 
-    /// What it was: a file, a message, or points in memory.
+    /// The kind of input: a file, a message, or points in memory.
     pub fn unit(&self) -> Unit {
         self.file.as_ref().map_or(Unit::Points, |file| file.unit)
     }
 
-    /// The bytes of the file that it was; `None` if it was none.
+    /// The bytes of the file; `None` if it was none.
     ///
     /// # Errors
     /// Never for a scan from [`from_file`](Self::from_file) or a [`Decoder`](crate::Decoder).
@@ -210,18 +212,18 @@ impl Scan {
         self.file.is_some().then(|| self.clone().into_parts().0.to_bytes()).transpose()
     }
 
-    /// Its points as the scanner's rows and columns have them: of a scan from a [`Decoder`](crate::Decoder) that was told
-    /// to give [range images](crate::Decoder::with_range_images) and knows the scanner, otherwise `None`.
+    /// Its points in the scanner's rows and columns, if the scan is from a [`Decoder`](crate::Decoder) that
+    /// returns [range images](crate::Decoder::with_range_images) and the scanner is known; otherwise `None`.
     pub fn range_image(&self) -> Option<&RangeImage> {
         self.image.as_deref()
     }
 
-    /// The same with this range image.
+    /// The scan with this range image.
     pub(super) fn with_range_image(self, image: Option<RangeImage>) -> Self {
         Scan { image: image.map(Box::new), ..self }
     }
 
-    /// What was taken apart, or decoded.
+    /// A scan from a parsed or decoded file.
     pub(crate) fn of_parts(scan: ScanFile, stamp: Stamp) -> Self {
         let ScanFile { name, layout, prefix, records, cloud, suffix } = scan;
         let mut channels: Vec<_> = cloud
@@ -243,7 +245,7 @@ impl Scan {
         Scan { name, track, time, points: records, positions: cloud.positions, channels, file, image: None }
     }
 
-    /// As the encoder takes it.
+    /// The scan as parts for the encoder.
     pub(crate) fn into_parts(self) -> (ScanFile, Stamp) {
         let stamp = Stamp { unit: self.unit(), track: self.track, time: self.time };
         let (layout, prefix, suffix) = match self.file {
@@ -265,14 +267,14 @@ impl Scan {
     }
 }
 
-/// Where the intensity stands among the channels, and its field.
+/// The index of the intensity among the channels, and its field.
 fn intensity_place(layout: &Layout) -> Option<(usize, &Field)> {
     let number = layout.intensity?;
     let positions_before = layout.position.iter().flatten().filter(|field| **field < number).count();
     Some((number as usize - positions_before, layout.fields.get(number as usize)?))
 }
 
-/// Intensities, which are float32 wherever they are coded, as the type of their field has them.
+/// Intensities, which are coded as float32, converted to the type of their field.
 fn intensity_values(scalar: scan::Scalar, values: Vec<f32>) -> Values {
     match scalar {
         scan::Scalar::U8 => Values::U8(values.into_iter().map(|value| (value + 0.5) as u8).collect()),
@@ -281,7 +283,7 @@ fn intensity_values(scalar: scan::Scalar, values: Vec<f32>) -> Values {
     }
 }
 
-/// The inverse of [`intensity_values`]; nothing for values of types that intensities do not have.
+/// The inverse of [`intensity_values`]; empty for types that intensities cannot have.
 fn intensities(values: Values) -> Vec<f32> {
     match values {
         Values::F32(values) => values,
@@ -291,7 +293,7 @@ fn intensities(values: Values) -> Vec<f32> {
     }
 }
 
-/// The layout of points in memory: that of a file without a header whose records hold the same fields.
+/// The layout of points in memory: that of a file without a header whose records have the same fields.
 fn layout_in_memory(channels: &[TypedChannel]) -> Layout {
     let positions = POSITION.map(|name| Field::new(name, scan::Scalar::F32));
     let others = channels.iter().map(|TypedChannel { name, count, values }| Field {

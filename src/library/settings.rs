@@ -1,11 +1,11 @@
-//! What users choose of encoding.
+//! The user's settings for encoding.
 
 use crate::backend::Level;
 use crate::frame::Intensity;
 use crate::frame::settings::{EncoderConfig, Mode};
 use crate::ground::error::{Error, Result};
 
-/// Settings of an [`Encoder`](crate::Encoder): a mode, and what may be chosen beside it.
+/// Settings of an [`Encoder`](crate::Encoder): a mode, and further options.
 ///
 /// ```
 /// let settings = lidarpc::Settings::bounded(0.01).with_level(9).with_threads(2);
@@ -15,7 +15,7 @@ pub struct Settings {
     config: EncoderConfig,
     level: Option<u8>,
     group_of_pictures: Option<usize>,
-    /// In the unit of the file.
+    /// The intensity step, in the unit of the file.
     intensity_step: Option<f64>,
 }
 
@@ -27,26 +27,27 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Everything comes back: files byte for byte, points in memory with every bit.
+    /// Everything is restored: files byte for byte, points in memory with every bit.
     pub fn exact() -> Self {
         Settings::of_mode(Mode::Exact)
     }
 
-    /// Every point comes back, in its place, no farther than `max_error_m` from where it was (the distance in space,
-    /// in metres, from a micrometre to 10 m); all else with every bit.
+    /// Every point is restored, at its index, within `max_error_m` of its original position (3-D distance in
+    /// metres, from a micrometre to 10 m); everything else with every bit.
     pub fn bounded(max_error_m: f64) -> Self {
-        // Never more than was asked for; a number that is a whole count of micrometres but for its last bit is that.
+        // Rounded down, so as not to exceed the request; the small addition preserves whole numbers of
+        // micrometres, which may be off by a rounding error.
         let max_error_um = (max_error_m * 1e6 + 1e-6).floor() as u32;
         Settings::of_mode(Mode::Bounded { max_error_um })
     }
 
-    /// The article's codec: outliers are dropped, the ideal scanner's range image is kept.
+    /// The article's codec: outliers are removed, and the ideal scanner's range image is coded.
     #[cfg(feature = "article")]
     pub fn paper() -> Self {
         Settings::of_mode(Mode::Paper)
     }
 
-    /// These settings of the encoder behind it.
+    /// Settings with this configuration of the encoder.
     #[cfg(feature = "cli")]
     pub(crate) fn of_config(config: EncoderConfig) -> Self {
         let group_of_pictures = Some(config.gop);
@@ -58,38 +59,39 @@ impl Settings {
         Settings { config, level: None, group_of_pictures: None, intensity_step: None }
     }
 
-    /// The effort, from 1 (quick) to 9 (small). Default: 6.
+    /// The effort, from 1 (fastest) to 9 (smallest). Default: 6.
     #[must_use]
     pub fn with_level(self, level: u8) -> Self {
         Settings { level: Some(level), ..self }
     }
 
-    /// Threads that code groups beside the caller's; 0, the default, stands for one a processor. With 1 there are none:
-    /// groups are coded as they fill up, by the thread that pushes scans. The stream is the same whatever the number.
+    /// Number of threads that code groups in addition to the caller's; 0, the default, means one per
+    /// processor. With 1 there are none: groups are coded as they fill up, by the thread that pushes scans.
+    /// The stream does not depend on the number.
     #[must_use]
     pub fn with_threads(mut self, threads: usize) -> Self {
         self.config.threads = threads;
         self
     }
 
-    /// Scans a group: more compress better, fewer make seeking and recovery finer, and an encoder wait less before it
-    /// writes. Default: 10; 30 at level 9.
+    /// Scans per group: with more, compression is better; with fewer, seeking and recovery are finer, and an
+    /// encoder writes sooner. Default: 10; 30 at level 9.
     #[must_use]
     pub fn with_group_of_pictures(self, scans: usize) -> Self {
         Settings { group_of_pictures: Some(scans), ..self }
     }
 
-    /// Lets intensities be rounded to multiples of this, from 0.000001 to 1000, in bounded mode. Default: they are
-    /// exact.
+    /// Allows intensities to be rounded to multiples of this, from 0.000001 to 1000, in bounded mode.
+    /// Default: they are exact.
     #[must_use]
     pub fn with_intensity_step(self, step: f64) -> Self {
         Settings { intensity_step: Some(step), ..self }
     }
 
-    /// The settings of the encoder behind it.
+    /// The configuration of the encoder.
     ///
     /// # Errors
-    /// [`Error::InvalidSettings`] if they are out of range or do not fit together.
+    /// [`Error::InvalidSettings`] if the settings are out of range or do not fit together.
     pub(crate) fn config(&self) -> Result<EncoderConfig> {
         let mut config = self.config.clone();
         if let Some(level) = self.level {
@@ -98,7 +100,7 @@ impl Settings {
         }
         config.gop = self.group_of_pictures.unwrap_or(config.default_gop());
         if let Some(step) = self.intensity_step {
-            // Steps that are no number become 0, which is refused.
+            // NaN becomes 0, which is rejected.
             config.intensity = Intensity::Rounded { step_millionths: (step * 1e6).round() as u32 };
         }
         config.check()?;

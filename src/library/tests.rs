@@ -1,4 +1,4 @@
-//! Scans in and out by the public interface alone, and that streams are those of the command line.
+//! Tests of the public interface alone, and that its streams are those of the command line.
 
 use std::fs;
 use std::io::{self, Cursor, Read, Seek, SeekFrom, Write};
@@ -321,7 +321,7 @@ fn without_the_article_all_streams_decode_but_those_of_image_coders() {
 #[test]
 fn errors_say_where_they_are() {
     let mut stream = encoded(small_scans(12), Settings::exact().with_group_of_pictures(4));
-    // The last byte of the last frame of the second group: of the checksum of its last section.
+    // The last byte of the last frame in the second group: part of the checksum of its last section.
     let decoder = Decoder::open(Cursor::new(&stream)).unwrap();
     let last: u64 = decoder.frames().skip(8).map(|frame| frame.coded_bytes).sum();
     drop(decoder);
@@ -336,7 +336,7 @@ fn errors_say_where_they_are() {
     assert!(error.to_string().starts_with("damaged stream: group 1: frame 3 of the group: "), "{error}");
 }
 
-/// An output that takes so many bytes.
+/// An output that accepts a limited number of bytes.
 struct Full(usize);
 
 impl Write for Full {
@@ -390,12 +390,12 @@ fn messages_stand_by_themselves_and_share_what_was_found() {
         assert_eq!(scanners.len(), 1);
         assert_eq!(*first.get_or_insert(scanners[0]), scanners[0]);
     }
-    // Also where it fits less.
+    // Also for a scan that it fits less well.
     let other = encoder.encode(Scan::from_positions(&noise)).unwrap();
     assert_eq!(decoded(&other)[0].positions(), noise);
 }
 
-/// An input that tells of each read where it began and how long it was.
+/// An input that records the offset and length of each read.
 #[derive(Clone)]
 struct Watched {
     input: Cursor<Arc<[u8]>>,
@@ -407,7 +407,7 @@ impl Watched {
         Watched { input: Cursor::new(stream.into()), reads: Arc::default() }
     }
 
-    /// The reads since the last time.
+    /// The reads since the last call.
     fn reads(&self) -> Vec<(u64, usize)> {
         take(&mut *self.reads.lock().unwrap())
     }
@@ -430,7 +430,7 @@ impl Seek for Watched {
     }
 }
 
-/// Scans whose coordinates follow no rule: 24 KB each, which a stream cannot make much smaller.
+/// Scans whose coordinates are random: 24 KB each, which a stream cannot make much smaller.
 fn noise(count: u64) -> Vec<Scan> {
     let mut state = 1u64;
     let mut next = || {
@@ -532,7 +532,7 @@ fn range_images_hold_the_points() {
     for (range, point) in returns {
         let position = scan.positions()[point.unwrap() as usize].map(f64::from);
         let distance = position.iter().map(|metres| metres * metres).sum::<f64>().sqrt();
-        // Lasers stand up to a quarter of a metre beside the origin.
+        // Lasers are up to a quarter of a metre away from the origin.
         assert!((distance - f64::from(*range)).abs() < 0.3, "{distance} {range}");
         found += 1;
     }

@@ -1,12 +1,12 @@
-//! The positions of blanks, the records without a return: what the formula makes of a range of 0 (which has the signs of
-//! the direction), the same as the blank before (zeros, NaN, the place of the scanner), or anything else.
-//! FORMAT.md 8.19.
+//! The positions of blanks, the records without a measured point: the formula's position at a range of 0
+//! (whose zeros have the signs of the direction), the same as for the blank before (zeros, NaN, the position
+//! of the scanner), or anything else. FORMAT.md 8.19.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::Coordinates;
 
-/// What the position of a blank is.
+/// The kinds of positions of blanks.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Formula,
@@ -16,20 +16,20 @@ enum Kind {
 
 const KINDS: usize = 3;
 
-/// What the coder has learned about blanks.
+/// The adaptive models of blanks.
 #[derive(Clone, Default)]
 pub struct BlankModel {
-    /// Whether a blank is of the same kind as the one before, by that.
+    /// Whether a blank is of the same kind as the one before, in the context of that kind.
     same_kind: [AdaptiveBit; KINDS],
     /// Which of the two other kinds it is.
     later_kind: [AdaptiveBit; KINDS],
-    /// Differences from the blank before, in units of float32.
+    /// Differences from the blank before, in float32 units.
     differences: [IntegerModel; 3],
 }
 
 impl BlankModel {
-    /// Codes the positions of a frame's blanks, in the order of the file. `formula` is what the scanner's formula gives
-    /// for a range of 0.
+    /// Codes the positions of a frame's blanks, in the order of the file. `formula` gives the positions by
+    /// the scanner's formula at a range of 0.
     pub fn code<'p, C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -51,7 +51,8 @@ impl BlankModel {
             let mut others = others.into_iter().filter(|(_, differs)| *differs).map(|(other, _)| other);
             let (Some(first), Some(second)) = (others.next(), others.next()) else { return };
             let context = kind as usize;
-            // Another kind than the last is worth its bits only if it is no mere difference.
+            // The encoder changes to another kind only if the current one cannot express the position, or
+            // would express it as a difference although another can exactly.
             let stays = C::ENCODES && is(kind) && (kind != Kind::Other || !is(first) && !is(second));
             if !self.same_kind[context].code(coder, stays) {
                 let is_later = self.later_kind[context].code(coder, C::ENCODES && !is(first));

@@ -1,16 +1,17 @@
-//! Bytes of no known meaning: file headers, fields of a record beside position and intensity,
-//! files that are no scans. Each bit mixed from counters in the contexts of the bytes before it
-//! and of the same place in the record before. FORMAT.md 8.1.
+//! Bytes of no known meaning: file headers, fields of a record beside position and intensity, files that are
+//! not scans. Each bit is mixed from counters in the contexts of the preceding bytes and of the same position
+//! in the record before. FORMAT.md 8.1.
 
 use crate::entropy::{BitCoder, MixedBits};
 
 const VIEWS: usize = 5;
 const OPINIONS: usize = 8;
-/// Bits of the number of slots of each view, from few bytes to many. Contexts share them by hashing.
+/// Binary logarithm of the number of slots of each view, for few bytes and for many. Contexts share slots by
+/// hashing.
 const FEWEST_SLOTS: u32 = 6;
 const MOST_SLOTS: u32 = 14;
 
-/// What the coder has learned about bytes.
+/// The adaptive models of bytes.
 #[derive(Clone)]
 pub struct ByteModel {
     learned: Option<Learned>,
@@ -23,7 +24,7 @@ impl Default for ByteModel {
     }
 }
 
-/// Counters for as many slots as the most bytes so far make worth it.
+/// Counters for as many slots as are worthwhile for the largest number of bytes so far.
 #[derive(Clone)]
 struct Learned {
     slot_bits: u32,
@@ -37,13 +38,14 @@ impl Learned {
 }
 
 impl ByteModel {
-    /// One that takes a quarter of the memory.
+    /// A model that takes a quarter of the memory.
     pub fn small() -> Self {
         ByteModel { most_slot_bits: MOST_SLOTS - 2, ..ByteModel::default() }
     }
 
-    /// Codes bytes that stand in records of `stride` (1 if in none); a decoder gets a buffer of
-    /// the right length to fill. More bytes than ever before make the model start anew, larger.
+    /// Codes bytes of records of `stride` bytes (1 if there are no records); a decoder passes a buffer of the
+    /// right length to fill. If there are more bytes than ever before, the model may start anew with more
+    /// slots.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, stride: usize, bytes: &mut [u8]) {
         let Some(octave) = bytes.len().checked_ilog2() else { return };
         let slot_bits = (octave + 2).clamp(FEWEST_SLOTS, self.most_slot_bits);
@@ -55,7 +57,8 @@ impl ByteModel {
                 return;
             }
             let back = |distance: usize| index.checked_sub(distance).map_or(0, |i| u64::from(bytes[i]));
-            // One context for each place of a short record; long ones and plain bytes share.
+            // One context for each byte position in a short record; those of long records share, and so do
+            // bytes outside records.
             let place = if stride > 1 { (index % stride + 1) as u64 } else { 0 };
             let views = [
                 place,
@@ -82,7 +85,7 @@ impl Learned {
         node as u8
     }
 
-    /// The place of a context among the slots.
+    /// The slot of a context.
     fn slot(&self, view: u64) -> usize {
         (view.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (u64::BITS - self.slot_bits)) as usize
     }

@@ -1,5 +1,4 @@
-//! The corrections: what is added to the formula's coordinates, in units of the file's grid.
-//! FORMAT.md 8.7.
+//! The corrections: values added to the formula's coordinates, in units of the file's grid. FORMAT.md 8.7.
 
 mod tokens;
 
@@ -11,30 +10,30 @@ use crate::ground::varint::{unzigzag, zigzag};
 use crate::scan::squared_distance;
 use crate::scanner::Coordinates;
 
-/// Distances to the border of a unit (in units) that make a difference: the formula is accurate to a few
-/// micrometres, so only coordinates closer to a border are ever rounded the other way.
+/// Classes of the distance (in units) to the rounding boundary: the formula is accurate to a few micrometres,
+/// so only coordinates closer to a boundary are ever rounded to the other side.
 const BORDER_DISTANCES: [f64; 6] = [0.0005, 0.001, 0.002, 0.004, 0.008, 0.016];
-/// Farther from a border than this, hardly any coordinate is corrected.
+/// Farther from a boundary than this, hardly any coordinate is corrected.
 const CLEAR_DISTANCE: f64 = 0.05;
-/// Contexts of float32 corrections: by how much the coordinate's unit is finer than the range's.
+/// Contexts of float32 corrections: how much finer the coordinate's unit is than the range's.
 const FINENESS: usize = 24;
 /// Contexts of whether a point is corrected: which of the last three were.
 const RECENT: usize = 8;
 
-/// What the coder has learned about corrections.
+/// The adaptive models of corrections.
 #[derive(Clone)]
 pub struct CorrectionModel {
-    /// Whether a point is corrected, where that is said first.
+    /// Whether a point is corrected, if this is coded first.
     is_corrected: [AdaptiveBit; RECENT],
-    /// Which of the last three were, a bit each.
+    /// Which of the last three points were corrected, one bit each.
     recent: usize,
-    /// Whether a point is corrected although no coordinate is near a border.
+    /// Whether a point is corrected although no coordinate is near a boundary.
     unclear: AdaptiveBit,
-    /// Whether there is a correction, for each distance to the border.
+    /// Whether there is a correction, for each distance to the boundary.
     any: Vec<AdaptiveBit>,
-    /// Whether the correction crosses the border that is near.
+    /// Whether the correction crosses the boundary that is near.
     expected: Vec<AdaptiveBit>,
-    /// The remaining magnitudes, for each axis, fineness, and whether a coordinate before is corrected.
+    /// The remaining magnitudes, for each axis, fineness, and whether a preceding coordinate is corrected.
     rest: Vec<IntegerModel>,
 }
 
@@ -52,9 +51,9 @@ impl Default for CorrectionModel {
 }
 
 impl CorrectionModel {
-    /// Codes the position of a return, which is `near`, where the grid has the formula's, or else corrected as by
-    /// [`correct`](Self::correct). The encoder corrects it if it is farther than `max_error` metres from `near`, or if they
-    /// differ where no error is allowed.
+    /// Codes the position of a return. It is `near`, the formula's position on the grid, unless it is
+    /// corrected as by [`correct`](Self::correct). The encoder corrects it if it is farther than `max_error`
+    /// metres from `near`, or, if no error is allowed, if the two differ.
     #[inline]
     pub fn code<C: BitCoder>(
         &mut self,
@@ -83,7 +82,8 @@ impl CorrectionModel {
         is_corrected
     }
 
-    /// Codes the corrections of a position, given the formula's in metres. The encoder's position must lie on the grid.
+    /// Codes the corrections of a position, given the formula's position in metres. The encoder's position
+    /// must be on the grid.
     pub fn correct<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -110,7 +110,7 @@ impl CorrectionModel {
         }
     }
 
-    /// Corrections on a grid far coarser than the formula's errors: 0 except near a border.
+    /// Corrections on a grid far coarser than the formula's errors: 0 except near a boundary.
     fn code_roundings<C: BitCoder>(&mut self, coder: &mut C, units: [f64; 3], corrections: &mut [i64; 3]) {
         let offsets = units.map(|u| u - round_ties_even(u));
         let distances = offsets.map(|offset| 0.5 - offset.abs());
@@ -132,8 +132,8 @@ impl CorrectionModel {
         }
     }
 
-    /// Corrections on a grid finer than the formula's errors, which have about the same length along every
-    /// axis, however fine its unit is.
+    /// Corrections on a grid finer than the formula's errors, which are about equally large along every axis,
+    /// however fine its unit is.
     fn code_floats<C: BitCoder>(&mut self, coder: &mut C, formula: [f64; 3], corrections: &mut [i64; 3]) {
         let exponents = formula.map(|v| (v.to_bits() >> 52 & 0x7ff) as usize);
         let largest = exponents.into_iter().max().unwrap_or(0);

@@ -1,5 +1,5 @@
-//! The intensities: levels of a grid such as hundredths, coded bit by bit from counters in contexts of the
-//! neighbours' levels, which are few (light) or many (deep). FORMAT.md 8.5.
+//! The intensities: levels on a grid such as hundredths, coded bit by bit from counters in contexts of the
+//! neighbours' levels, with few contexts (light) or many (deep). FORMAT.md 8.5.
 
 mod deep;
 mod errors;
@@ -19,7 +19,7 @@ use crate::ground::varint::{unzigzag, zigzag};
 use deep::DeepLevels;
 use light::LightLevels;
 
-/// What the coder has learned about intensities.
+/// The adaptive models of intensities.
 #[derive(Clone, Default)]
 pub struct IntensityModel {
     light: LightLevels,
@@ -37,7 +37,7 @@ impl IntensityModel {
         self.is_deep = is_deep;
     }
 
-    /// Starts an image of so many rows and columns, or its strays, with `values` values.
+    /// Starts an image with these numbers of rows and columns, or its strays, with `values` values.
     pub fn start_frame(&mut self, scale: &IntensityScale, (rows, columns): (usize, usize), values: usize) {
         if self.is_deep {
             self.deep.get_or_insert_default().start_frame(columns, values);
@@ -77,7 +77,8 @@ impl IntensityModel {
         if C::ENCODES { value } else { scale.value_of(level) }
     }
 
-    /// A value that is not on the grid: the difference between its bits and those of the last one.
+    /// Codes a value that is not on the grid as the difference between its bits and those of the last such
+    /// value.
     fn code_off_grid<C: BitCoder>(&mut self, coder: &mut C, value: f32) -> f32 {
         let difference = i64::from(value.to_bits()) - i64::from(self.last_off_grid);
         let difference = unzigzag(self.off_grid.code(coder, zigzag(difference)));

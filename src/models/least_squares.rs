@@ -1,5 +1,5 @@
-//! Online least squares: the linear prediction that would have been best for what has been coded so far, with
-//! old errors forgotten exponentially. FORMAT.md 7.1.
+//! Online least squares: the linear prediction that would have been best for the samples so far, with old
+//! errors forgotten exponentially. FORMAT.md 7.1.
 
 /// `N` weights, solved again every few samples from the running normal equations. `N` is a multiple of
 /// [`LANES`].
@@ -14,7 +14,7 @@ pub struct LeastSquares<const N: usize> {
     solve_every: u32,
 }
 
-/// Numbers that a vector unit of any processor handles at once.
+/// Number of values that a vector unit of any processor computes with at once.
 pub const LANES: usize = 4;
 /// Samples between two solutions, by default.
 const SOLVE_EVERY: u32 = 32;
@@ -22,7 +22,7 @@ const SOLVE_EVERY: u32 = 32;
 const RIDGE: f32 = 0.05;
 
 impl<const N: usize> LeastSquares<N> {
-    /// Starts with all weights 0. With each sample, the weight of all earlier ones is multiplied by `forget`.
+    /// Starts with all weights 0. Each sample multiplies the weight of all earlier ones by `forget`.
     pub fn new(forget: f32) -> Self {
         const { assert!(N.is_multiple_of(LANES)) };
         LeastSquares {
@@ -35,12 +35,12 @@ impl<const N: usize> LeastSquares<N> {
         }
     }
 
-    /// The same, but solved after every `samples` samples.
+    /// The same predictor, but solved after every `samples` samples.
     pub fn solved_every(self, samples: u32) -> Self {
         LeastSquares { solve_every: samples, ..self }
     }
 
-    /// The same with additional features, about which nothing is known yet.
+    /// The same predictor with additional features, which have no samples yet.
     pub fn widened<const M: usize>(&self) -> LeastSquares<M> {
         let mut wide = LeastSquares::new(self.forget).solved_every(self.solve_every);
         for (to, from) in wide.normal.iter_mut().zip(&self.normal) {
@@ -88,7 +88,7 @@ impl<const N: usize> LeastSquares<N> {
         }
     }
 
-    /// Solves by Cholesky; if the matrix is not positive definite, the old weights stay.
+    /// Solves by Cholesky decomposition; if the matrix is not positive definite, the weights are not changed.
     fn solve(&mut self) {
         let mut lower = [[0.0; N]; N];
         let mut inverse = [0.0; N];

@@ -1,6 +1,6 @@
 //! Magnitudes in logarithmic classes, as contexts of tokens.
 
-/// The class of a magnitude, four an octave; the last class holds all that are higher.
+/// The class of a magnitude: four classes an octave; the last class includes all higher magnitudes.
 pub fn magnitude_level(magnitude: u32, levels: usize) -> usize {
     let magnitude = magnitude + 4;
     let octave = magnitude.ilog2();

@@ -1,7 +1,7 @@
 //! The models of the parts of a frame, for adaptive binary arithmetic coding, tokens or packed bits; each is
-//! one function that serves both directions.
+//! one function for both directions.
 //!
-//! The models live as long as a group of pictures, so that what one frame teaches helps the next.
+//! The models persist for a group of pictures, so that each frame benefits from those before.
 
 mod blanks;
 mod bytes;

@@ -8,30 +8,30 @@ use crate::entropy::{BitCoder, Counter, MixedBits};
 use crate::ground::grid::Grid;
 use crate::inter::Reference;
 
-/// Cells beyond each side that the contexts look at.
+/// Cells beyond each side that contexts include.
 const MARGIN: usize = 4;
 const VIEWS: usize = 4;
 const OPINIONS: usize = 8;
 const VIEW_SIZES: [usize; VIEWS] = [1 << 10, 128 * 16, 1 << 12, 1 << 10];
 const REFERENCE_VIEWS: usize = 2;
 const REFERENCE_VIEW_SIZES: [usize; REFERENCE_VIEWS] = [1 << 12, 1 << 9];
-/// Weight sets for the cells around, and how many times as many there are with a reference.
+/// Number of weight sets for the surrounding cells, and the factor for those with a reference.
 const SETS: usize = 64;
 const REFERENCE_SETS: usize = 4;
-/// Beams from this number on share their contexts.
+/// Rows from this number on share their contexts.
 const ROW_CONTEXTS: usize = 128;
 
-/// What the coder has learned about occupancy.
+/// The adaptive models of occupancy.
 #[derive(Clone)]
 pub struct OccupancyModel {
     filled: MixedBits<VIEWS, OPINIONS>,
     /// The counters of the reference's views, once there was a reference.
     reference: Option<[Vec<Counter>; REFERENCE_VIEWS]>,
-    /// Log odds from which two views alone decide a cell.
+    /// Magnitude of the log odds from which two views alone decide a cell.
     sure: f32,
 }
 
-/// The log odds that make coding fast, 1 to 12: most cells are this certain.
+/// The value for fast coding: most cells are this certain.
 const SURE_IN_LIGHT: f32 = 2.5;
 
 impl Default for OccupancyModel {
@@ -45,12 +45,12 @@ impl Default for OccupancyModel {
 }
 
 impl OccupancyModel {
-    /// Sets whether a few views decide alone, from now on, where they are certain.
+    /// Sets whether two views alone decide a cell from now on, where they are certain.
     pub fn use_light(&mut self, is_light: bool) {
         self.sure = if is_light { SURE_IN_LIGHT } else { f32::INFINITY };
     }
 
-    /// Codes every cell. `reference` is what an earlier frame has there.
+    /// Codes every cell. `reference` is the prediction from an earlier frame.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -62,9 +62,10 @@ impl OccupancyModel {
             self.reference = Some(REFERENCE_VIEW_SIZES.map(|size| vec![Counter::default(); size]));
         }
         let width = occupancy.columns();
-        // How many cells were empty in each column, and how long ago: the bits move down with every row.
+        // A history of each column: for each row above, whether its cell was empty. The bits move down with
+        // every row.
         let mut empty_above = vec![0u32; width];
-        // The current row and the three above. Outside counts as occupied, because most cells are.
+        // The current row and the three above. Cells outside count as occupied, because most cells are.
         let mut window = std::array::from_fn::<_, 4, _>(|_| vec![1u8; width + 2 * MARGIN]);
         for row in 0..occupancy.rows() {
             if coder.is_exhausted() {
@@ -74,7 +75,7 @@ impl OccupancyModel {
             let [current, above, above2, above3] = &mut window;
             let mut run = 0usize;
             // The cells to the left and, in the rows above, those up to the margin to the right of a column;
-            // the last cell is in the lowest bit.
+            // the latest cell is in the lowest bit.
             let (mut left, mut n_cells, mut n2_cells) = (usize::MAX, usize::MAX, usize::MAX);
             for cell in &above[MARGIN..2 * MARGIN] {
                 n_cells = n_cells << 1 | usize::from(*cell);
@@ -120,7 +121,7 @@ impl OccupancyModel {
     }
 }
 
-/// Where an earlier frame has returns around a cell.
+/// The cells around a cell in which an earlier frame has returns.
 struct Back {
     /// The cell itself, then left, right, above and below.
     around: usize,

@@ -1,9 +1,9 @@
 //! The order of the points in the file, where it differs from the one that the range image implies.
 //! FORMAT.md 8.8.
 //!
-//! In the implied order, strays take the places that are listed for them, and the returns of the image fill
-//! the others in file order. A return elsewhere is *moved*: it is listed with its place, and the rest close
-//! up.
+//! In the implied order, strays take the positions that are listed for them, and the returns of the image
+//! fill the others in file order. A return elsewhere is *moved*: it is listed with its position, and the
+//! others close the gap.
 
 use std::borrow::Cow;
 
@@ -11,20 +11,21 @@ use crate::entropy::{BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::saturated;
 
-/// Where the order of the file differs from the implied one. Elements 0 to `returns` (exclusive) are the
-/// returns in file order, those from there on the strays in theirs.
+/// The differences between the order of the file and the implied one. Elements 0 to `returns` (exclusive) are
+/// the returns in file order; the following ones are the strays in their order.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct OrderExceptions {
-    /// The places of the strays in the file, rising.
+    /// The positions of the strays in the file, ascending.
     pub stray_places: Vec<u64>,
-    /// The returns that are moved, rising.
+    /// The moved returns, ascending.
     pub moved: Vec<u64>,
-    /// The place of each moved return among the returns.
+    /// The position of each moved return among the returns.
     pub move_places: Vec<u64>,
 }
 
 impl OrderExceptions {
-    /// The exceptions of an order, given each element's place in the file; the places of the strays rise.
+    /// The exceptions of an order, given each element's position in the file; the positions of the strays
+    /// must be ascending.
     pub fn of_places(places: &[u32], returns: usize) -> Self {
         let (of_returns, of_strays) = places.split_at(returns);
         if of_returns.is_sorted() {
@@ -36,7 +37,7 @@ impl OrderExceptions {
         Self::of(&order, returns)
     }
 
-    /// The exceptions of an order: `order[i]` is the element at place i of the file.
+    /// The exceptions of an order: `order[i]` is the element at position i of the file.
     fn of(order: &[u32], returns: usize) -> Self {
         let sequence: Vec<u32> = order.iter().copied().filter(|&e| (e as usize) < returns).collect();
         let moved = moved_elements(&sequence);
@@ -87,7 +88,7 @@ impl OrderExceptions {
         Ok(values)
     }
 
-    /// The order of `returns` returns and the strays: for each place of the file, its element.
+    /// The order of `returns` returns and the strays: for each position in the file, its element.
     ///
     /// # Errors
     /// If it is not a permutation.
@@ -103,7 +104,7 @@ fn not_a_permutation() -> Error {
     Error::corrupt("order: not a permutation")
 }
 
-/// What the coder has learned about order.
+/// The adaptive models of order.
 #[derive(Clone, Default)]
 pub struct OrderModel {
     counts: IntegerModel,
@@ -138,15 +139,15 @@ impl OrderModel {
     }
 }
 
-/// The places that hold an element of a kind.
+/// The positions of elements of one kind.
 fn places(order: &[u32], kind: impl Fn(u32) -> bool) -> Vec<u64> {
     (0u64..).zip(order).filter(|(_, e)| kind(**e)).map(|(place, _)| place).collect()
 }
 
-/// Codes rising numbers below `end` as the gaps between them. Those of a decoder may reach beyond.
+/// Codes ascending numbers below `end` as the gaps between them. Decoded numbers may exceed `end`.
 fn code_rising<C: BitCoder>(coder: &mut C, gaps: &mut IntegerModel, numbers: &mut [u64], end: usize) {
     if numbers.len() == end {
-        // If there are as many numbers as places, there are no gaps.
+        // If there are as many numbers as positions, there are no gaps.
         (0..).zip(numbers).for_each(|(place, number)| *number = place);
         return;
     }
@@ -160,7 +161,7 @@ fn code_rising<C: BitCoder>(coder: &mut C, gaps: &mut IntegerModel, numbers: &mu
     }
 }
 
-/// The sequence of the returns, from the moved ones and their places.
+/// The sequence of the returns, given the moved ones and their positions.
 fn merge(moved: &[u64], places: &[u64], returns: usize) -> Option<Vec<u64>> {
     let mut is_moved = vec![false; returns];
     for &element in moved {
@@ -171,8 +172,8 @@ fn merge(moved: &[u64], places: &[u64], returns: usize) -> Option<Vec<u64>> {
     Some(sequence.into_iter().map(u64::from).collect())
 }
 
-/// Puts each placed element in its place and fills the other places in turn. `None` if a place is taken or
-/// lies outside, or if the elements do not fill `total` places.
+/// Puts each placed element at its position and fills the other positions in order. `None` if a position is
+/// taken or out of range, or if the elements do not fill `total` positions.
 fn interleave(
     placed: impl Iterator<Item = (u64, u64)>,
     mut fill: impl Iterator<Item = u64>,
@@ -193,17 +194,17 @@ fn interleave(
     fill.next().is_none().then_some(order)
 }
 
-/// The smallest set of elements, rising, without which the rest of the sequence rises: all but a longest
-/// increasing subsequence (patience sorting).
+/// The smallest set of elements, ascending, without which the rest of the sequence is ascending: all except a
+/// longest increasing subsequence (patience sorting).
 fn moved_elements(sequence: &[u32]) -> Vec<u32> {
     if sequence.is_sorted() {
         return Vec::new();
     }
-    // For each length, the index of the smallest last element of a rising subsequence.
+    // For each length, the index of the smallest last element of an increasing subsequence.
     let mut last: Vec<usize> = Vec::new();
     let mut before: Vec<Option<usize>> = Vec::with_capacity(sequence.len());
     for (index, &element) in sequence.iter().enumerate() {
-        // Most elements follow the greatest so far.
+        // Most elements are greater than all before.
         let is_greatest = last.last().is_none_or(|&l| sequence[l] < element);
         let length = if is_greatest { last.len() } else { last.partition_point(|&l| sequence[l] < element) };
         before.push(length.checked_sub(1).map(|l| last[l]));
@@ -257,7 +258,7 @@ mod tests {
             let mut keys: Vec<_> = order.iter().copied().zip(0u32..).collect();
             keys.sort_unstable();
             let returns = (keys.len() as f64 * share) as usize;
-            // Strays come in the order of the file.
+            // The strays are in the order of the file.
             let mut stray = returns as u32;
             let order: Vec<u32> = keys.into_iter().map(|(_, element)| {
                 if element < returns as u32 { element } else { stray += 1; stray - 1 }

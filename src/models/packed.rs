@@ -1,6 +1,6 @@
-//! Numbers in blocks, each block in as many bits as its largest number takes: nothing is faster. What is coded of a
-//! range is the difference to the one before, and of a level of intensity that to the least of its block.
-//! FORMAT.md 8.16.
+//! Numbers in blocks, each block with as many bits per number as its largest needs: the fastest method.
+//! Ranges are coded as differences from the one before, intensity levels as differences from the least of
+//! their block. FORMAT.md 8.16.
 
 use pulp::NullaryFnOnce;
 
@@ -9,17 +9,18 @@ use crate::ground::lanes::dispatch;
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::models::{Bins, IntensityScale};
 
-/// Numbers in a block: larger blocks save widths, smaller ones waste less where a single number is large.
+/// Numbers in a block: larger blocks save widths, smaller ones waste less if a single number is large.
 const BLOCK: usize = 8;
-/// The most bits of a number.
+/// The largest number of bits of a number.
 const MOST_WIDTH: u8 = 32;
 /// The width of a block is a token whose context is the width of the block before.
 const WIDTH_CONTEXTS: usize = MOST_WIDTH as usize + 1;
 /// The context of the number of values before one that is not on the grid.
 const GAP: usize = WIDTH_CONTEXTS;
-/// The most bits of a level above the least of its block.
+/// The largest number of bits of a level relative to the least of its block.
 const MOST_LEVEL_WIDTH: u8 = 9;
-/// The context of the least level of a block of width 0 or 1; further ones follow for each two widths.
+/// The context of the least level of a block of width 0 or 1; one further context for each two widths
+/// follows.
 const LEAST: usize = GAP + 1;
 
 /// Number of contexts of a section of ranges.
@@ -27,9 +28,9 @@ pub const PACKED_RANGE_CONTEXTS: usize = WIDTH_CONTEXTS;
 /// Number of contexts of a section of intensities.
 pub const PACKED_INTENSITY_CONTEXTS: usize = LEAST + MOST_LEVEL_WIDTH as usize / 2 + 1;
 
-/// Codes ranges, in steps, in the order of the cells: their bins of `bin` steps around the range before. As
-/// in [`RangeTokens`](super::RangeTokens), ranges are from 1 to 2^`range_bits` - 1 and are decoded as the
-/// middles of their bins.
+/// Codes ranges, in steps, in the order of the cells: the bins, `bin` steps wide and centred on the range
+/// before, that contain them. As in [`RangeTokens`](super::RangeTokens), ranges are from 1 to 2^`range_bits`
+/// - 1 and are decoded as the middles of their bins.
 pub fn code_packed_ranges<C: TokenCoder>(coder: &mut C, (range_bits, bin): (u32, u32), ranges: &mut [u32]) {
     /// The prediction of the first range.
     const TYPICAL: u32 = 3000;
@@ -53,7 +54,7 @@ pub fn code_packed_ranges<C: TokenCoder>(coder: &mut C, (range_bits, bin): (u32,
     code_values(coder, TYPICAL, ranges, miss, range);
 }
 
-/// Codes intensities, in the order of the cells: their levels on the scale, and which of them are not on it.
+/// Codes intensities in the order of the cells: their levels on the scale, and the values that are not on it.
 /// If there is no grid, the bits of the values are coded as numbers.
 pub fn code_packed_intensities<C: TokenCoder>(coder: &mut C, scale: &IntensityScale, values: &mut [f32]) {
     if !scale.is_on_grid() {
@@ -85,7 +86,7 @@ pub fn code_packed_intensities<C: TokenCoder>(coder: &mut C, scale: &IntensitySc
     }
 }
 
-/// Codes the values that are not on the grid, which the encoder knows together with their places.
+/// Codes the values that are not on the grid. The encoder passes them in `known`, with their indices.
 fn code_off_grid<C: TokenCoder>(coder: &mut C, known: &[(usize, f32)], values: &mut [f32]) {
     let mut known = known.iter();
     let mut next = 0;
@@ -100,8 +101,8 @@ fn code_off_grid<C: TokenCoder>(coder: &mut C, known: &[(usize, f32)], values: &
     }
 }
 
-/// Codes values as differences: `difference(before, value)` gives what is coded, and `differing(before,
-/// difference)` gives the value back.
+/// Codes values as differences: `difference(before, value)` returns the number to be coded, and
+/// `differing(before, difference)` the value.
 fn code_values<C: TokenCoder>(
     coder: &mut C,
     before: u32,
@@ -112,7 +113,7 @@ fn code_values<C: TokenCoder>(
     dispatch(Packing { coder, values, blocks: Differences { before, width: 0, difference, differing } });
 }
 
-/// Codes one block of values after the other.
+/// Codes values block by block.
 trait Blocks {
     /// Codes a block.
     fn code<C: TokenCoder>(&mut self, coder: &mut C, block: &mut [u32]);
@@ -132,7 +133,7 @@ impl<C: TokenCoder, B: Blocks> NullaryFnOnce for Packing<'_, C, B> {
     fn call(self) {
         let Packing { coder, values, mut blocks } = self;
         let (whole, rest) = values.as_chunks_mut::<BLOCK>();
-        // The block length is a constant here, so this loop is compiled for it.
+        // The block length is a constant here, so that this loop is compiled for it.
         for block in whole {
             blocks.code(coder, block);
             if coder.is_exhausted() {
@@ -175,7 +176,7 @@ impl<D: Fn(u32, u32) -> u32, V: Fn(u32, u32) -> u32> Blocks for Differences<D, V
     }
 }
 
-/// Blocks of levels. Their noise is so large that they lie closer to the least of their block than to each other.
+/// Blocks of levels. Levels are so noisy that they are closer to the least of their block than to each other.
 #[derive(Default)]
 struct Levels {
     /// The least level of the preceding block.
@@ -208,7 +209,7 @@ fn width_of(numbers: &[u32; BLOCK]) -> u8 {
     (u32::BITS - largest.leading_zeros()) as u8
 }
 
-/// Codes numbers of `width` bits, as many at a time as the coder takes.
+/// Codes numbers of `width` bits, as many at a time as the coder accepts.
 #[inline(always)]
 fn code_block<C: TokenCoder>(coder: &mut C, width: u32, numbers: &mut [u32]) {
     match width {
@@ -232,14 +233,14 @@ fn code_groups<C: TokenCoder, const N: usize>(coder: &mut C, width: u32, numbers
     rest.iter_mut().for_each(|number| *number = coder.bits((*number).into(), width) as u32);
 }
 
-/// Clamps a range of a damaged section to the valid ones; kept out of line, so that valid ranges need not
-/// wait.
+/// Clamps a range of a damaged section to the valid ones; a function of its own, so that it does not slow
+/// down valid ranges.
 #[cold]
 fn cut(range: u32, most: u32) -> u32 {
     range.clamp(1, most)
 }
 
-/// The difference of a value to the one before, small magnitudes first: 0, -1, 1, -2 become 0, 1, 2, 3.
+/// The difference of a value from the one before, small magnitudes first: 0, -1, 1, -2 become 0, 1, 2, 3.
 #[inline]
 fn difference(before: u32, value: u32) -> u32 {
     let difference = value.wrapping_sub(before) as i32;

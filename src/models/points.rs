@@ -1,25 +1,24 @@
-//! Points one by one, for scans without a scanner model and for the strays of those with one.
-//! FORMAT.md 8.4.
+//! Points one by one, for scans without a scanner model and for the strays of others. FORMAT.md 8.4.
 //!
-//! A point is predicted from those before it and from the nearest one of the preceding turn, if the points go
-//! round in turns: first its larger horizontal coordinate, then the other one along the expected direction,
-//! then the height at the distance that these two give.
+//! A point is predicted from those before it and, if the points are in turns, from the nearest one of the
+//! preceding turn: first its larger horizontal coordinate, then the other one along the expected direction,
+//! then the height at the resulting distance.
 
 use super::least_squares::LeastSquares;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::Coordinates;
 
-/// Ways to predict each coordinate; the one with the smallest recent errors is used.
+/// Number of candidate predictions for each coordinate; the one with the smallest recent errors is used.
 const CANDIDATES: usize = 4;
 /// Classes of the recent errors, in bits.
 const ERROR_BITS: usize = 36;
 
-/// What the coder has learned about points.
+/// The adaptive models of points.
 #[derive(Clone)]
 pub struct PointModel {
     coordinates: [CoordinateModel; 3],
-    /// Height as a function of distance along a turn: a beam's cone.
+    /// Height as a function of distance within a turn: a beam's cone.
     cone: LeastSquares<4>,
 }
 
@@ -33,8 +32,7 @@ impl Default for PointModel {
 }
 
 impl PointModel {
-    /// Codes positions one after the other. Most of them lie on this grid; `None` stands for the grid of the
-    /// file.
+    /// Codes positions one after the other. Most of them are on `grid`; `None` means the grid of the file.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -101,7 +99,7 @@ impl PointModel {
     }
 }
 
-/// In metres; a step beyond it tells nothing about a beam's cone.
+/// In metres; a larger step carries no information about a beam's cone.
 const CONE_REACH: f64 = 1000.0;
 
 /// One coordinate against several predictions.
@@ -110,7 +108,7 @@ struct CoordinateModel {
     /// The recent error of each candidate, in bits.
     errors: [f32; CANDIDATES],
     raw: AdaptiveBit,
-    /// For each candidate and class of recent error.
+    /// Residuals for each candidate and class of recent error.
     residual: Vec<IntegerModel>,
 }
 
@@ -149,12 +147,12 @@ impl CoordinateModel {
     }
 }
 
-/// A position to predict from; what is not finite counts as 0.
+/// A position to predict from; coordinates that are not finite count as 0.
 fn finite(position: [f32; 3]) -> [f64; 3] {
     position.map(|v| if v.is_finite() { f64::from(v) } else { 0.0 })
 }
 
-/// A measure of the azimuth without trigonometry: 0 to 4, rising with the angle.
+/// A measure of the azimuth without trigonometry: 0 to 4, increasing with the angle.
 fn direction(x: f64, y: f64) -> f64 {
     let sum = x.abs() + y.abs();
     let part = if sum == 0.0 { 0.0 } else { y / sum };
@@ -165,7 +163,7 @@ fn direction(x: f64, y: f64) -> f64 {
     }
 }
 
-/// Follows points around the axis, turn after turn, and finds the neighbour in the turn before.
+/// Follows points around the axis, turn by turn, and finds neighbours in the preceding turn.
 #[derive(Clone, Default)]
 pub struct TurnTracker {
     above: Vec<(usize, f64)>,
@@ -185,7 +183,7 @@ impl TurnTracker {
         self.above.get(cursor).map(|(index, _)| *index)
     }
 
-    /// Adds a point; a jump over most of a turn starts a new one.
+    /// Adds a point; a jump over most of a turn starts a new turn.
     fn push(&mut self, index: usize, direction: f64) {
         if self.current.last().is_some_and(|(_, last)| (direction - last).abs() > 3.0) {
             self.above = std::mem::take(&mut self.current);
@@ -202,7 +200,7 @@ pub fn neighbours_above(positions: &[[f32; 3]]) -> Vec<Option<usize>> {
         .map(|index| {
             let [x, y, _] = finite(positions[index]);
             let direction = direction(x, y);
-            // Pushed first, so that the first point of a turn looks into the one just ended.
+            // Added first, so that the first point of a turn is compared with the turn just completed.
             turns.push(index, direction);
             turns.nearest_above(direction)
         })

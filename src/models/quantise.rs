@@ -1,13 +1,13 @@
 //! Numbers quantised to a few classes, to serve as contexts. FORMAT.md 7.2 and 7.3.
 
-/// The sign and half-octave of a difference: 0 to 31, with 16 for no difference.
+/// The sign and half-octave of a difference: 0 to 31, with 16 for a difference of 0.
 #[inline]
 pub fn signed_level(difference: i32) -> usize {
     let level = LEVELS.get(difference.unsigned_abs() as usize).map_or(15, |&level| usize::from(level));
     if difference < 0 { 16 - level } else { 16 + level }
 }
 
-/// The half-octave of each magnitude below that of the last class.
+/// The half-octave of each magnitude below the last class.
 static LEVELS: [u8; 128] = {
     let mut levels = [0; 128];
     let mut magnitude = 0;
@@ -31,7 +31,7 @@ const fn half_octave(magnitude: u32) -> u32 {
     }
 }
 
-/// Counts how many thresholds a value has reached; they start at `first` and grow by `factor`.
+/// Counts the thresholds that a value reaches; they start at `first` and grow by `factor`.
 #[derive(Clone, Debug)]
 pub struct Levels<const N: usize>([f32; N]);
 

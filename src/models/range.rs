@@ -1,9 +1,9 @@
-//! The ranges: a mixture of predictors gives each range a distribution. Interval after interval is halved
-//! under it, and counters in several contexts correct the probability of each half. FORMAT.md 8.6.
+//! The ranges: a mixture of predictors gives each range a probability distribution. An interval of ranges is
+//! halved repeatedly, and counters in several contexts correct the probability of each half. FORMAT.md 8.6.
 //!
 //! The predictors of a return are its neighbours, the line through two of them, and an online least-squares
-//! fit. Where an earlier frame has a return in a cell, this adds two predictors, features of a least-squares
-//! fit of its own, and contexts.
+//! fit. Where an earlier frame has a return in a cell, two more predictors, features for a separate
+//! least-squares fit, and contexts are added.
 
 mod back;
 mod bins;
@@ -33,18 +33,18 @@ use residuals::{Classes, Residuals, Rows};
 use site::{Site, pair};
 pub use tokens::{KnownCells, RANGE_CONTEXTS, RangeTokens, start_tables};
 
-/// Features of the least-squares predictor, those of the reference, and both.
+/// Number of features of the least-squares predictor, of those of the reference, and of both.
 const FEATURES: usize = 8;
 const REFERENCE_FEATURES: usize = 4;
 const ALL_FEATURES: usize = FEATURES + REFERENCE_FEATURES;
 /// Predictors in the mixture, without and with those of the reference.
 const PREDICTORS: usize = 5;
 const ALL_PREDICTORS: usize = PREDICTORS + 2;
-/// Places of the least-squares predictor and of the one that stands for surprises.
+/// Indices of the least-squares predictor and of the one for surprises.
 const FIT: usize = 3;
 const SURPRISE: usize = 4;
-/// Classes of the measures that make a context: activity around, errors around, errors of the reference
-/// around.
+/// Number of classes of the measures that contexts consist of: surrounding activity, surrounding errors,
+/// surrounding errors of the reference.
 const ACTIVITY_LEVELS: usize = 12;
 const ERROR_LEVELS: usize = 12;
 const REFERENCE_LEVELS: usize = 7;
@@ -56,10 +56,10 @@ const EDGE: f32 = 60.0;
 /// Features and predictions are limited to this many steps from the left neighbour.
 const FEATURE_REACH: f64 = 300.0;
 const FIT_REACH: f64 = 400.0;
-/// Nodes of the tree of decisions that have counters of their own.
+/// Nodes of the decision tree that have their own counters.
 const NODES: usize = 64;
-/// Views of the context, each with counters of its own; and the number of opinions that are mixed: those of
-/// the views, the mixture's, a constant one, and those of the reference's views.
+/// Views of the context, each with its own counters; and the number of opinions that are mixed: those of the
+/// views, the mixture's, a constant one, and those of the reference's views.
 const VIEWS: usize = 4;
 const REFERENCE_VIEWS: usize = 2;
 const OPINIONS: usize = 8;
@@ -73,7 +73,7 @@ const RATES: Rates = Rates { weights: 0.02, scales: 0.02, early: 0.0 };
 type ErrorLevels = Levels<{ ERROR_LEVELS - 1 }>;
 type RangeBits = MixedBits<VIEWS, OPINIONS>;
 
-/// What the coder has learned about ranges.
+/// The adaptive models of ranges.
 #[derive(Clone)]
 pub struct RangeModel {
     shape: ErrorShape,
@@ -83,14 +83,13 @@ pub struct RangeModel {
     fits: Vec<LeastSquares<FEATURES>>,
     residuals: Residuals,
     mixture: Mixture<PREDICTORS, 1>,
-    /// The same for cells with a reference, once there was a reference.
+    /// The models of cells with a reference, once there was a reference.
     with_reference: Option<Box<WithReference>>,
-    /// The deep model, which replaces all this [once it is chosen](Self::use_deep).
+    /// The deep model, which replaces all of these [once it is chosen](Self::use_deep).
     deep: Option<Box<DeepModel>>,
 }
 
-/// What the coder has learned about cells with a reference. It starts from what it has learned about the
-/// others.
+/// The models of cells with a reference. They start as a copy of those of the other cells.
 #[derive(Clone)]
 struct WithReference {
     fits: Vec<LeastSquares<ALL_FEATURES>>,
@@ -115,29 +114,30 @@ impl Default for RangeModel {
     }
 }
 
-/// The initial scale, in steps, of a context, which is a class of errors.
+/// The initial scale, in steps, in a context, which is a class of errors.
 fn first_scale(context: usize) -> f32 {
     (2..context % ERROR_LEVELS).fold(3.0, |scale, _| scale * 1.6)
 }
 
-/// What is known of all cells before their ranges are coded.
+/// The data known for all cells before their ranges are coded.
 pub struct RangeContext<'a> {
     /// Which cells hold a return.
     pub occupancy: &'a Grid<bool>,
     /// The intensities, limited to 1 to 128; 0 = no return.
     pub intensity: &'a Grid<u16>,
-    /// What an earlier frame has there.
+    /// The prediction from an earlier frame.
     pub reference: Option<&'a Reference>,
     /// Ranges are from 1 to 2^`range_bits` - 1 steps.
     pub range_bits: u32,
-    /// Steps in a bin: ranges are coded to within half a bin. 1: exactly.
+    /// Bin width in steps: ranges are coded to within half a bin. 1: exactly.
     pub bin: u32,
 }
 
 /// A coded range, and its predictions, in steps.
 struct Coded {
     range: i64,
-    /// By least squares, and with what the residuals around tell added; relative to the left neighbour.
+    /// The least-squares prediction, without and with the offset from the surrounding residuals; relative to
+    /// the left neighbour.
     fit: f64,
     hinted: f64,
     base: i64,
@@ -150,7 +150,7 @@ impl RangeModel {
     }
 
     /// Codes the range, in steps, of every cell that holds a return. If bins are wider than a step, both
-    /// sides continue with the middles of the bins, which are also written into the encoder's grid.
+    /// sides continue with the middles of the bins, which are also written to the encoder's grid.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, known: &RangeContext, steps: &mut Grid<u32>) {
         if let Some(deep) = &mut self.deep {
             deep.start_frame(known.occupancy.columns(), known.reference.is_some());
@@ -257,7 +257,7 @@ impl RangeModel {
 }
 
 impl WithReference {
-    /// Codes a range from its neighbours and from what an earlier frame has there.
+    /// Codes a range from its neighbours and from the reference.
     #[inline]
     fn code<C: BitCoder>(
         &mut self,

@@ -1,24 +1,25 @@
-//! The shape of a prediction's error: a Gaussian core, from the sensor's noise, and a wide tail, from the
-//! edges of objects. Found on real scans: ranges on smooth surfaces have Gaussian noise.
+//! The distribution of a prediction's error: a Gaussian core, from the scanner's noise, and a wide tail, from
+//! the edges of objects. Observed on real scans: ranges on smooth surfaces have Gaussian noise.
 //! FORMAT.md 8.6.
 
-/// The table reaches this many standard deviations of the core to each side.
+/// The table extends this many standard deviations of the core to each side.
 const REACH: f64 = 40.0;
 const STEPS: usize = 2048;
-/// Share of the core, and how many times wider the tail is.
+/// Weight of the core, and the width of the tail relative to it.
 const CORE: f64 = 0.7;
 const TAIL_WIDTH: f64 = 3.0;
 
 /// The cumulative distribution of an error whose mean magnitude is 1.
 #[derive(Clone)]
 pub struct ErrorShape {
-    /// The probability below the start of each step, and that of the step.
+    /// The cumulative probability at the start of each step, and the probability of the step.
     below: Box<[[f32; 2]; STEPS]>,
     /// Steps per unit.
     fineness: f32,
 }
 
-/// An [`ErrorShape`] around each of `P` predictions: the lines that map a value to its places in the table.
+/// An [`ErrorShape`] around each of `P` predictions: the linear functions that map a value to its position in
+/// the table.
 #[derive(Clone, Copy, Debug)]
 pub struct Placed<const P: usize> {
     predictions: [f32; P],
@@ -53,12 +54,12 @@ impl ErrorShape {
         Placed { predictions, slopes: scales.map(|scale| self.fineness / scale) }
     }
 
-    /// The probabilities that the value is below `value`.
+    /// The cumulative probabilities at `value`.
     #[inline]
     pub fn below<const P: usize>(&self, placed: &Placed<P>, value: f32) -> [f32; P] {
         const MIDDLE: f32 = (STEPS / 2) as f32;
         const LAST: f32 = (STEPS - 1) as f32;
-        // In the sum with 2^23 a unit is the lowest bit, and half a unit less makes rounding go down.
+        // In a sum with 2^23 the lowest bit has the value 1, and subtracting one half makes rounding go down.
         const UNIT: f32 = (1 << 23) as f32;
         let mut steps = [0u32; P];
         let mut parts = [0.0; P];

@@ -7,8 +7,8 @@ use crate::scan::squared_distance;
 use crate::scanner::Coordinates;
 use proptest::prelude::*;
 
-/// Codes a section twice, as two frames of a group. Returns what the encoder made of it the second time, and
-/// what was decoded.
+/// Codes a section twice, as two frames of a group. Returns the encoder's values after the second time, and
+/// the decoded ones.
 fn round_trip<T: Clone>(
     contexts: usize,
     full: &T,
@@ -33,7 +33,7 @@ fn round_trip<T: Clone>(
     (encoded, decoded)
 }
 
-/// A grid of 9 rows from as many values as there are, each occupied or not.
+/// A grid of 9 rows with these values, each cell occupied or not.
 fn grid<T: Clone + Default>(values: &[T]) -> Grid<T> {
     let mut grid = Grid::new(9, values.len() / 9);
     grid.cells_mut().iter_mut().zip(values).for_each(|(cell, value)| *cell = value.clone());
@@ -80,7 +80,7 @@ proptest! {
         let range_of = |range: u32| 1 + (if smooth { 5000 + range % 50 } else { range }) % ((1 << range_bits) - 1);
         let occupancy = grid(&ranges.iter().map(|(filled, _)| *filled).collect::<Vec<_>>());
         let steps = grid(&ranges.iter().map(|(filled, range)| u32::from(*filled) * range_of(*range)).collect::<Vec<_>>());
-        // Of the frame before, some cells are occupied, and some of these are at the same distance.
+        // Some cells of the frame before are occupied, and some of these have the same range.
         let before = |range: &u32| if range.is_multiple_of(5) { 0 } else { range.saturating_sub(moved * (range % 3)) };
         let same = steps.map(before);
         let levels = steps.map(|range| (range % 129) as u16);

@@ -5,7 +5,7 @@ use super::text_format::{Scalar, TextFormat};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
-/// The longest record, in bytes. Those of scanners have 12 to about 50, those of point features a few
+/// The longest record, in bytes. Scanners' records have 12 to about 50 bytes, those of point features a few
 /// thousand.
 pub const MAX_STRIDE: u32 = 1 << 16;
 /// The longest name of a field, in bytes.
@@ -66,32 +66,34 @@ pub enum Wrapping {
     /// Field by field (all x, then all y, ...), compressed with LZF, after two u32 with the compressed and
     /// the uncompressed size (PCD `binary_compressed`).
     PcdCompressed {
-        /// Which of the LZF compressors wrote it.
+        /// The LZF compressor that wrote it.
         lzf: LzfDialect,
     },
     /// As text, one record a line (ascii PCD and PLY, `.csv`, `.txt`, `.xyz`).
     Text(TextFormat),
-    /// One after the other, the bytes of each value from the last to the first (binary big-endian PLY).
+    /// One after the other, each value big-endian (binary big-endian PLY).
     BigEndian,
-    /// One after the other, with integers of 32 bits in place of x, y and z (LAS).
+    /// One after the other, with 32-bit integers in place of x, y and z (LAS).
     Scaled([Axis; 3]),
-    /// One after the other, with a double in place of each value of some float32 fields; of each field, whether it is one.
+    /// One after the other, with doubles in place of the float32 values of some fields; for each field,
+    /// whether it is one of those.
     Widened(Vec<bool>),
 }
 
-/// How a coordinate follows from an integer: `integer / per_metre + offset`, in double precision, then rounded to float32.
+/// How a coordinate is computed from an integer: `integer / per_metre + offset`, in double precision, then
+/// rounded to float32.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Axis {
-    /// Steps a metre; a positive number.
+    /// Steps per metre; a positive number.
     pub per_metre: f64,
-    /// The coordinate of 0, in metres; a finite number.
+    /// The coordinate that corresponds to 0, in metres; a finite number.
     pub offset: f64,
 }
 
-/// Valid ones hold no NaN.
+/// Reflexive for valid axes, which hold no NaN.
 impl Eq for Axis {}
 
-/// The LZF compressors that write PCD files. Their format is the same, but they find different matches.
+/// The LZF compressors that write PCD files. They share a format but find different matches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LzfDialect {
     /// 2^13 hash slots, the "ultra fast" hash (today's PCL).
@@ -116,7 +118,7 @@ const SCALED: u8 = 4;
 const WIDENED: u8 = 5;
 
 impl Layout {
-    /// Number of bytes of a record; 0 if the file holds no records.
+    /// Number of bytes in a record; 0 if the file holds no records.
     pub fn stride(&self) -> usize {
         self.fields.iter().map(Field::width).sum()
     }
@@ -247,11 +249,11 @@ impl Layout {
     /// Takes a serialised layout off the front of `input`.
     ///
     /// # Errors
-    /// [`Error::Corrupt`] if it is cut short or is not [valid](Self::validate).
+    /// [`Error::Corrupt`] if it is cut short or not [valid](Self::validate).
     pub fn read_from(input: &mut &[u8]) -> Result<Layout> {
         let wrapping = read_byte(input)?;
         let count = read_number(input)?;
-        // The list grows with the input: each field takes three bytes or more.
+        // Not allocated up front: the list grows with the input, as each field takes at least three bytes.
         let mut fields = Vec::new();
         for _ in 0..count {
             fields.push(read_field(input)?);
@@ -282,7 +284,7 @@ impl Layout {
     }
 }
 
-/// The types that an intensity may have: those all of whose values are float32 values.
+/// The types that an intensity may have: those whose values float32 represents exactly.
 pub const INTENSITY_TYPES: [Scalar; 3] = [Scalar::F32, Scalar::U8, Scalar::U16];
 
 fn read_field(input: &mut &[u8]) -> Result<Field> {
@@ -341,7 +343,7 @@ mod tests {
         }
     }
 
-    /// A layout with these fields after KITTI's.
+    /// KITTI's layout with these fields appended.
     fn with(fields: &[Field]) -> Layout {
         Layout { fields: [&kitti().fields, fields].concat(), ..kitti() }
     }

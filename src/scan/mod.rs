@@ -15,7 +15,7 @@ pub struct PointCloud {
     pub positions: Vec<[f32; 3]>,
     /// One value for each point, in the file's own unit. Empty if the records hold no intensity.
     pub intensity: Vec<f32>,
-    /// The other fields, in the order of the records.
+    /// The channels: all other fields, in the order of the records.
     pub channels: Vec<Channel>,
 }
 
@@ -29,7 +29,7 @@ pub struct Channel {
 }
 
 impl PointCloud {
-    /// Some of the points, in this order.
+    /// The points with these numbers, in this order.
     pub fn select(&self, points: &[u32]) -> PointCloud {
         PointCloud {
             positions: pick(&self.positions, points),
@@ -38,7 +38,7 @@ impl PointCloud {
         }
     }
 
-    /// The channel of this name.
+    /// The channel with this name.
     #[cfg(test)]
     pub fn channel(&self, name: &str) -> Option<&Channel> {
         self.channels.iter().find(|channel| channel.field.name == name)
@@ -46,7 +46,7 @@ impl PointCloud {
 }
 
 impl Channel {
-    /// The values of some of the points, in this order.
+    /// The values of the points with these numbers, in this order.
     fn select(&self, points: &[u32]) -> Channel {
         let width = self.field.width();
         let value = |&point: &u32| &self.bytes[point as usize * width..][..width];
@@ -54,16 +54,16 @@ impl Channel {
     }
 }
 
-/// The values of `points`; nothing if there are no values at all.
+/// The values at the indices `points`; nothing if there are no values at all.
 fn pick<T: Copy>(values: &[T], points: &[u32]) -> Vec<T> {
     if values.is_empty() { Vec::new() } else { points.iter().map(|&point| values[point as usize]).collect() }
 }
 
-/// A file, taken apart into records of points and the bytes around them.
-/// A file that holds no records of a known kind is all `prefix`.
+/// A file, split into records of points and the bytes around them. A file without records of a known kind is
+/// all `prefix`.
 #[derive(Clone, Debug, Default)]
 pub struct ScanFile {
-    /// The file's name as it is to be restored, without any folder.
+    /// The name under which the file is restored, without any folder.
     pub name: String,
     /// How the records are laid out.
     pub layout: Layout,
@@ -73,17 +73,17 @@ pub struct ScanFile {
     pub records: usize,
     /// The contents of the records.
     pub cloud: PointCloud,
-    /// Bytes after the records, such as a cut-off last record.
+    /// Bytes after the records, such as an incomplete last record.
     pub suffix: Vec<u8>,
 }
 
 impl ScanFile {
-    /// A file that holds no records of a known kind: every byte is `prefix`.
+    /// A file without records of a known kind: all bytes are `prefix`.
     pub fn opaque(name: impl Into<String>, bytes: Vec<u8>) -> Self {
         ScanFile { name: name.into(), prefix: bytes, ..ScanFile::default() }
     }
 
-    /// True if the file's bytes are kept as they are, with no records.
+    /// True if the file has no records and its bytes are kept as they are.
     pub fn is_opaque(&self) -> bool {
         self.layout.fields.is_empty()
     }

@@ -1,17 +1,19 @@
-//! Files whose records were sorted by a channel: in order already, but by a sort that does not keep equal records in
-//! theirs. FORMAT.md 8.21.
+//! Files whose records were sorted by a channel although they were in order already, by a sort that is not
+//! stable. FORMAT.md 8.21.
 //!
-//! Programs that collect the points of a turn sort them by time. A scanner gives all points of a packet one time stamp, so
-//! the sort has nothing to do but that, and still it shuffles each packet's points. How it does depends on nothing but where
-//! one time stamp ends and the next begins, so the *order of arrival* comes back from the file alone.
+//! Programs that collect the points of a turn sort them by time. The points usually are in that order, but a
+//! scanner gives all points of a packet the same time stamp, and an unstable sort shuffles these. The
+//! permutation depends only on where one time stamp ends and the next begins, so the *order of arrival* can
+//! be recovered from the file alone.
 
 use super::{Channel, PointCloud};
 
-/// Ranges of at most this many records are not divided any further.
+/// Ranges of at most this many records are not partitioned further.
 const SHORT: usize = 16;
 
-/// Of each place of the file, the record that is there, in the order of arrival: what C++'s `std::sort` makes of records
-/// whose keys do not fall, as libstdc++ has it. Equal keys are those of the same bytes side by side.
+/// For each position in the file, the index of its record in the order of arrival: the permutation that C++'s
+/// `std::sort`, as implemented by libstdc++, applies to records whose keys do not decrease. Keys are compared
+/// by their bytes.
 pub fn file_order(keys: &Channel) -> Vec<u32> {
     let mut run = 0;
     let mut last = None;
@@ -23,12 +25,13 @@ pub fn file_order(keys: &Channel) -> Vec<u32> {
     let mut records: Vec<(u32, u32)> = records.collect();
     let depth = 2 * records.len().checked_ilog2().unwrap_or(0);
     divide(&mut records, depth);
-    // That sort ends with insertions, which keep the order of equal keys.
+    // That sort ends with an insertion sort, which is stable.
     records.sort_by_key(|(key, _)| *key);
     records.into_iter().map(|(_, record)| record).collect()
 }
 
-/// Divides a range by a key, and both parts again, until they are short or `depth` is used up, which sorted keys do not do.
+/// Partitions a range by a key, and both parts again, until they are short or `depth` is used up, which does
+/// not happen for sorted keys.
 fn divide(mut records: &mut [(u32, u32)], mut depth: u32) {
     while records.len() > SHORT && depth > 0 {
         depth -= 1;
@@ -45,7 +48,7 @@ fn divide(mut records: &mut [(u32, u32)], mut depth: u32) {
         };
         records.swap(0, places[median]);
         let key = records[0].0;
-        // The median has a key on either side that stops these loops.
+        // The median of three guarantees a key on either side that stops these loops.
         let (mut from, mut to) = (1, records.len());
         let cut = loop {
             while records[from].0 < key {
@@ -67,14 +70,14 @@ fn divide(mut records: &mut [(u32, u32)], mut depth: u32) {
     }
 }
 
-/// The channel by which a file's records were sorted so, and its points in the order of arrival. None if they are in no
-/// better order then.
+/// The channel by which a file's records were sorted, and its points in the order of arrival. None if that
+/// order is not more regular.
 pub fn in_order_of_arrival(cloud: &PointCloud) -> Option<(usize, PointCloud)> {
-    /// How much better the elevation of each point must tell that of the next one.
+    /// Required improvement of the prediction of each point's elevation from that of the point before.
     const BETTER: f64 = 1.2;
     let may_be_key = |(_, channel): &(usize, &Channel)| is_rising_in_runs(channel);
     let mut candidates = cloud.channels.iter().enumerate().filter(may_be_key).peekable();
-    // Most files have none, and slopes take time.
+    // Most files have no such channel, and computing slopes takes time.
     candidates.peek()?;
     let slopes = Slopes::of(&cloud.positions)?;
     let as_is = slopes.told((0..cloud.positions.len() as u32).map(|place| place as usize));
@@ -90,9 +93,9 @@ pub fn in_order_of_arrival(cloud: &PointCloud) -> Option<(usize, PointCloud)> {
     None
 }
 
-/// Whether the values of a channel do not fall, and most are equal to the one before.
+/// Whether the values of a channel never decrease, and most equal the one before.
 fn is_rising_in_runs(channel: &Channel) -> bool {
-    /// Records of a run, on the average, at least: fewer are not shuffled.
+    /// Minimum mean length of a run of equal values, in records: shorter runs are not shuffled.
     const FEWEST: usize = 4;
     let scalar = channel.field.scalar;
     if channel.field.count != 1 || scalar.size() < 4 {
@@ -103,24 +106,24 @@ fn is_rising_in_runs(channel: &Channel) -> bool {
     let mut pairs = values.clone().zip(values.skip(1));
     let does_not_fall = pairs.all(|(one, next)| {
         runs += usize::from(one != next);
-        // Nor is there a run for each few records.
+        // Also false as soon as there are too many runs.
         one == next || runs * FEWEST <= records && scalar.number(one) < scalar.number(next)
     });
     does_not_fall && runs > 1
 }
 
-/// In which of a few classes the elevation of each point is.
+/// The class of each point's elevation.
 struct Slopes {
     classes: Vec<u8>,
 }
 
-/// Classes of elevations, each with as many points.
+/// Number of elevation classes, which have equally many points.
 const CLASSES: usize = 64;
 
 impl Slopes {
-    /// None if there are too few points to tell.
+    /// None if there are too few points.
     fn of(positions: &[[f32; 3]]) -> Option<Self> {
-        /// Points that tell where the classes end.
+        /// Number of points from which the class boundaries are estimated.
         const SAMPLE: usize = 2048;
         const FEWEST: usize = 1024;
         if positions.len() < FEWEST {
@@ -139,7 +142,8 @@ impl Slopes {
         Some(Slopes { classes: positions.iter().map(class).collect() })
     }
 
-    /// How many points are of the class that follows most often on that of the one before them.
+    /// The number of points whose class is the one that most often follows the class of the point before
+    /// them.
     fn told(&self, order: impl Iterator<Item = usize>) -> u32 {
         let mut counts = vec![[0u32; CLASSES]; CLASSES];
         order.fold(None, |last: Option<u8>, place| {
@@ -163,12 +167,12 @@ mod tests {
         Channel { field: Field::new("time", Scalar::F64), bytes }
     }
 
-    /// What `std::sort` of GCC 12 makes of 40 records of which each eight have equal keys.
+    /// The permutation by GCC 12's `std::sort` of 40 records with five keys of eight records each.
     const EIGHTS: [u32; 40] = [
         1, 0, 7, 6, 5, 4, 3, 2, 8, 9, 10, 11, 12, 13, 14, 15, 23, 22, 21, 20, 18, 17, 16, 19, 30, 31, 29, 28,
         27, 26, 25, 24, 32, 33, 34, 35, 36, 37, 38, 39,
     ];
-    /// The same of 24 records with equal keys.
+    /// The same for 24 records with equal keys.
     const EQUAL: [u32; 24] =
         [12, 23, 22, 21, 20, 19, 18, 17, 16, 15, 14, 13, 0, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1];
 

@@ -2,16 +2,16 @@
 
 use crate::ground::error::{Error, Result};
 
-/// The most digits that a rule may have: more than any program prints, and a limit of how far a malicious
+/// The largest number of digits in a rule: more than any program prints, and a bound on how far a malicious
 /// stream can expand one value.
 pub const MAX_DIGITS: u8 = 40;
 
-/// A value of any type, exactly. Those of one type are of one kind.
+/// A value of any type, exactly. All values of a type are of the same variant.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub enum Number {
-    /// That of an integer type.
+    /// A value of an integer type.
     Integer(i128),
-    /// That of a floating-point type.
+    /// A value of a floating-point type.
     Float(f64),
 }
 
@@ -58,7 +58,7 @@ impl Scalar {
         }
     }
 
-    /// The type of this number in the serialised form.
+    /// The type with this number in the serialised form.
     pub fn from_number(number: u8) -> Option<Self> {
         Self::ALL.get(usize::from(number)).copied()
     }
@@ -68,7 +68,7 @@ impl Scalar {
         ["i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64", "f32", "f64"][self as usize]
     }
 
-    /// The type of this name.
+    /// The type with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|scalar| scalar.name() == name)
     }
@@ -105,7 +105,7 @@ impl Scalar {
     }
 }
 
-/// How a value becomes text. The brackets give the rule in C or Python.
+/// How a value is written as text. The rule in C or Python is in brackets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NumberRule {
     /// A decimal integer (`%d`); the only rule for integer types.
@@ -116,7 +116,7 @@ pub enum NumberRule {
     Scientific(u8),
     /// At most this many significant digits, without trailing zeros (`%.Ng`, C++ streams).
     Significant(u8),
-    /// The fewest digits that give the value back (`repr`).
+    /// The fewest digits from which the value can be restored (`repr`).
     Shortest {
         /// The value is first widened to double precision, as Python does with its floats.
         double: bool,
@@ -165,11 +165,11 @@ impl NumberRule {
 pub struct Column {
     /// The type of the values in a record.
     pub scalar: Scalar,
-    /// How they become text.
+    /// How they are written as text.
     pub rule: NumberRule,
 }
 
-/// What stands between two columns.
+/// The separator between two columns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Separator {
     /// A space.
@@ -226,7 +226,7 @@ pub struct TextFormat {
     pub crlf: bool,
     /// What separates columns.
     pub separator: Separator,
-    /// A space follows each separator but one behind the last column.
+    /// A space follows each separator except one after the last column.
     pub space_after: bool,
     /// A separator follows the last column too.
     pub trailing_separator: bool,
@@ -279,7 +279,7 @@ impl TextFormat {
             open_end: flags & OPEN_END != 0,
             columns: Vec::new(),
         };
-        // The list grows with the input.
+        // Not allocated up front: the list grows with the input.
         for _ in 0..columns {
             let (&[kind, parameter], rest) = input.split_first_chunk().ok_or_else(damaged)?;
             *input = rest;

@@ -1,5 +1,5 @@
-//! The grid of coordinates: whole millimetres, float32 values as they are, or, where an error is allowed, any
-//! coarser grid. FORMAT.md 3.4.
+//! The grid of coordinates: whole millimetres, any float32 values, or, where an error is allowed, a coarser
+//! grid. FORMAT.md 3.4.
 
 use crate::ground::decimal;
 use crate::ground::float_order::{from_ordered, ordered};
@@ -10,20 +10,20 @@ use crate::ground::rounding::round_ties_even;
 pub enum Coordinates {
     /// `float32(k / 1000)`, k whole millimetres: KITTI raw.
     Millimetre,
-    /// Any float32: KITTI-360. Units count the representable values in rising order.
+    /// Any float32: KITTI-360. Units count the representable values in ascending order.
     Float32,
     /// `float32(k * step)`: coordinates that were rounded to this grid.
     Lattice {
-        /// In nanometres.
+        /// The step in nanometres.
         step_nm: u64,
     },
-    /// The float32 values nearest to the numbers of so many significant decimal digits, 1 to 9: text (`%g`). Units count
-    /// those numbers in rising order.
+    /// The float32 values nearest to decimal numbers with this many significant digits, 1 to 9: text (`%g`).
+    /// Units count those numbers in ascending order.
     Digits(u8),
 }
 
 impl Coordinates {
-    /// The grid of some coordinates (metres): millimetres if nearly all of them are whole millimetres.
+    /// The grid of some coordinates (metres): millimetres if nearly all are whole millimetres.
     pub fn of<'a>(values: impl Iterator<Item = &'a f32>) -> Self {
         let (mut on_grid, mut total) = (0usize, 0usize);
         for value in values {
@@ -33,7 +33,8 @@ impl Coordinates {
         if on_grid * 100 > total * 95 { Coordinates::Millimetre } else { Coordinates::Float32 }
     }
 
-    /// The coarsest grid on which all of some coordinates (metres) lie: decimal places, decimal digits, or any float32.
+    /// The coarsest grid that contains all of some coordinates (metres): decimal places, decimal digits, or
+    /// any float32.
     pub fn finest_of(values: &[f32]) -> Self {
         let lattice = |step_nm: u64| Coordinates::Lattice { step_nm };
         let [centimetre, others @ ..] = [10_000_000, 100_000, 10_000, 1000].map(lattice);
@@ -54,7 +55,7 @@ impl Coordinates {
         if code == 0 { Coordinates::Millimetre } else { Coordinates::Float32 }
     }
 
-    /// The unit to which a value in metres, as the formula gives it, rounds: below 2^40, and 0 for NaN.
+    /// The unit nearest to a value of the formula in metres: below 2^40, and 0 for NaN.
     pub fn unit_of(self, metres: f64) -> i64 {
         match self {
             _ if metres.is_nan() => 0,
@@ -84,18 +85,18 @@ impl Coordinates {
     #[inline]
     pub fn nearest(self, formula: f64) -> f32 {
         if self == Coordinates::Float32 {
-            // The same without a detour.
+            // The same result without the conversion to a unit.
             return if formula.is_nan() { 0.0 } else { formula as f32 };
         }
         self.value(self.unit_of(formula), formula)
     }
 
-    /// Whether a coordinate of the file lies on the grid, and a zero has the sign that
-    /// [`value`](Self::value) would give it.
+    /// Whether a coordinate of the file is on the grid, and has the sign that [`value`](Self::value) gives if
+    /// it is zero.
     #[inline]
     pub fn holds(self, value: f32, formula: f64) -> bool {
         match self {
-            // Beyond 1,000 km the grid is finer than float32, and no scanner sees that far.
+            // Beyond 1,000 km the grid is finer than float32, and no scanner has such ranges.
             Coordinates::Millimetre => {
                 let own = f64::from(value);
                 let signed = if value == 0.0 { f64::from(zero_of(formula)) } else { own };
@@ -106,12 +107,12 @@ impl Coordinates {
         }
     }
 
-    /// Whether [`holds`](Self::holds) is true of all these values.
+    /// Whether [`holds`](Self::holds) is true for all these values.
     #[inline(always)]
     pub fn holds_all<const N: usize>(self, values: [f64; N], formula: [f64; N]) -> bool {
         if self == Coordinates::Millimetre {
-            // A shortcut for the most frequent case: values on the grid that are not 0 need no check of their
-            // sign.
+            // A shortcut for the most frequent case: values on the grid other than 0, whose sign need not be
+            // checked.
             let mut all = true;
             for value in values {
                 let near = (round_ties_even(value * 1000.0) * 0.001) as f32;
@@ -124,12 +125,12 @@ impl Coordinates {
         (0..N).all(|i| self.holds(values[i] as f32, formula[i]))
     }
 
-    /// The unit of any float32, on the grid of all of them.
+    /// The unit of any float32 on the grid of all float32 values.
     pub fn unit_of_float(value: f32) -> i64 {
         ordered(value)
     }
 
-    /// Whether [`value`](Self::value) gives a zero of the file its own sign.
+    /// Whether [`value`](Self::value) returns a zero with the sign of this zero.
     fn keeps_zero(self, zero: f32, formula: f64) -> bool {
         match self {
             Coordinates::Millimetre | Coordinates::Digits(_) => zero.to_bits() == zero_of(formula).to_bits(),
@@ -137,11 +138,11 @@ impl Coordinates {
         }
     }
 
-    /// The unit of a coordinate of the file, if the grid holds that very value.
+    /// The unit of a coordinate of the file, if the grid contains exactly that value.
     pub fn unit_in_file(self, value: f32) -> Option<i64> {
         match self {
             Coordinates::Millimetre => {
-                // Beyond 1,000 km the grid is finer than float32, and no scanner sees that far.
+                // Beyond 1,000 km the grid is finer than float32, and no scanner has such ranges.
                 let unit = self.unit_of(f64::from(value));
                 let on_grid = value.abs() < 1e6 && (unit as f64 / 1000.0) as f32 == value;
                 on_grid.then_some(unit)
@@ -160,13 +161,13 @@ impl Coordinates {
     }
 }
 
-/// The least decimal exponent of a float32, less one.
+/// Added to decimal exponents, so that those of all float32 values are positive.
 const DECIMAL_EXPONENTS: i64 = 46;
-/// More than the exponents of all float64 values in magnitude.
+/// A bound above the magnitude of all float64 exponents.
 const MOST_EXPONENT: i64 = 400;
 
-/// The place of the number with so many significant digits that is nearest to a value, among all such numbers: 0 is that
-/// of 0 and of all that are nearer to it than the least.
+/// The signed index of the decimal number with `digits` significant digits that is nearest to a value, among
+/// all such numbers. 0 stands for 0 and for all values nearer to it than to the least such number.
 fn decimal_unit(value: f64, digits: u8) -> i64 {
     let value = if value.is_finite() { value } else { 0.0 };
     let digits = digits.clamp(1, 9);
@@ -182,14 +183,14 @@ fn decimal_unit(value: f64, digits: u8) -> i64 {
     if value < 0.0 { -unit } else { unit }
 }
 
-/// The integer of so many digits that is nearest to a number but for a power of ten, and the decimal exponent of its first
-/// digit.
+/// The integer of `digits` digits nearest to a number scaled by a power of ten, and the decimal exponent of
+/// the number's first digit.
 #[cold]
 fn written_out(value: f64, digits: u8) -> Option<(u64, i32)> {
     use std::io::Write;
     let mut text = [0u8; 32];
     let mut rest = &mut text[..];
-    // Rounds exact decimal expansions half to even, as C does. Never longer than the buffer.
+    // Rounds exact decimal expansions half to even, as C does. The text always fits the buffer.
     write!(rest, "{:.*e}", usize::from(digits) - 1, value).ok()?;
     let length = 32 - rest.len();
     let (mantissa, exponent) = std::str::from_utf8(&text[..length]).ok()?.split_once('e')?;
@@ -198,7 +199,7 @@ fn written_out(value: f64, digits: u8) -> Option<(u64, i32)> {
     Some((number, exponent.parse().unwrap_or(0)))
 }
 
-/// The inverse of [`decimal_unit`], as float32, for any integer but 0.
+/// The inverse of [`decimal_unit`], as float32, for any integer except 0.
 fn decimal_value(unit: i64, digits: u8) -> f32 {
     let least = 10u64.pow(u32::from(digits.clamp(1, 9)) - 1);
     let place = unit.unsigned_abs().saturating_sub(1);
@@ -215,13 +216,13 @@ fn lattice_step(step_nm: u64) -> f64 {
     step_nm as f64 * 1e-9
 }
 
-/// The millimetre nearest to `formula`, in metres, keeping the sign even of zero: up to 2,000 km the same as
-/// [`Coordinates::nearest`], but without a division.
+/// The millimetre nearest to `formula`, in metres, with the sign kept even for zero: up to 2,000 km the same
+/// as [`Coordinates::nearest`], but without a division.
 #[inline]
 pub fn nearest_millimetre(formula: f64) -> f32 {
     let unit = round_ties_even((formula * 1000.0).clamp(-1e12, 1e12));
-    // As a float32 this is unit / 1000, which up to that distance is never closer than 1e-13 to the middle
-    // between two float32 values.
+    // As a float32 this equals unit / 1000, which up to that distance is at least 1e-13 away from the
+    // midpoint between two float32 values.
     let value = (unit * 0.001).copysign(formula) as f32;
     if formula.is_nan() { 0.0 } else { value }
 }
@@ -248,7 +249,7 @@ mod tests {
 
     #[test]
     fn the_nearest_millimetre_is_a_thousandth_as_float32() {
-        // All below 300 m, and some up to 2,000 km.
+        // All values below 300 m, and some up to 2,000 km.
         for unit in (0..300_000).chain((300_000..2_000_000_000).step_by(9_973)) {
             let expected = (f64::from(unit) / 1000.0) as f32;
             assert_eq!(nearest_millimetre(f64::from(unit) / 1000.0 + 1e-4), expected, "{unit}");

@@ -11,13 +11,15 @@ use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
 use crate::scan::{PointCloud, ScanFile, squared_distance};
 
-/// A scanner: what turns integers (beam or laser, azimuth tick, range steps) into the coordinates of a file.
+/// A scanner: the model that turns integers (beam or laser, azimuth tick, range steps) into the coordinates
+/// of a file.
 ///
-/// A family knows its formula, the order of its points in a file, how its columns are coded, and how to find its
-/// constants from points alone. A new one is a folder, a variant here, and a line in each of the functions below.
+/// A family defines its formula, the order of its points in a file, the coding of its columns, and how its
+/// constants are estimated from points alone. A new family is a folder, a variant here, and a line in each of
+/// the functions below.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Scanner {
-    /// Beam by beam, each by rising azimuth.
+    /// Beam by beam, each in ascending order of azimuth.
     Hdl64(Hdl64),
     /// Firing by firing.
     Firings(Firings),
@@ -27,7 +29,7 @@ pub enum Scanner {
 const HDL64: u64 = 1;
 const FIRINGS: u64 = 2;
 
-/// What the coder has learned about columns, whatever the family.
+/// The adaptive models of columns, whatever the family.
 #[derive(Clone, Default)]
 pub struct ColumnModels {
     hdl64: hdl64::ColumnModel,
@@ -35,7 +37,7 @@ pub struct ColumnModels {
 }
 
 impl fmt::Display for Scanner {
-    /// What was found of it, in the words of those who know scanners.
+    /// The scanner's properties in users' terms.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Scanner::Hdl64(scanner) => write!(
@@ -50,17 +52,17 @@ impl fmt::Display for Scanner {
 }
 
 impl Scanner {
-    /// Fits a scanner to a sample of a stream's scans, as they were measured: of the families, that which explains
-    /// most of the points. None if none explains enough of them.
+    /// Fits a scanner to a sample of a stream's scans, as they were measured: of the families, the one that
+    /// explains most of the points. None if none explains enough of them.
     pub fn fit(sample: &[ScanFile]) -> Option<Scanner> {
         let beams = || hdl64::fit(sample).map(Scanner::Hdl64);
         let largest = sample.iter().max_by_key(|scan| scan.cloud.positions.len());
-        // Seen at once, where it takes long to see that nothing else made the scans.
+        // An evident HDL-64E is recognised quickly, whereas ruling out all other scanners takes long.
         let evident = largest.filter(|scan| hdl64::is_evident(&scan.cloud.positions)).and_then(|_| beams());
         if evident.is_some() {
             return evident;
         }
-        // What the first explains is in the order of firings, which is in no other family's.
+        // If `firings` explains the scans, they are in firing order, which no other family has.
         let firings = firings::fit(sample)
             .map(|(scanner, _)| by_time::fit(sample, Some(&scanner)).unwrap_or(scanner))
             .or_else(|| by_time::fit(sample, None))
@@ -68,7 +70,7 @@ impl Scanner {
         firings.or_else(beams)
     }
 
-    /// The share of the points of a scan that have a place in its range image.
+    /// The share of a scan's points that are in its range image.
     pub fn share(&self, cloud: &PointCloud) -> f64 {
         let image = self.project(cloud, REACH).image;
         let points = cloud.positions.iter().filter(|[x, y, _]| x.hypot(*y) > 0.0).count();
@@ -103,7 +105,7 @@ impl Scanner {
     /// Reads the payload of a record of this family; none if this program does not know the family.
     ///
     /// # Errors
-    /// If the payload is cut short, too long, or holds what no scanner has.
+    /// If the payload is cut short, too long, or holds values that no scanner has.
     pub fn of_record(family: u64, mut payload: &[u8]) -> Result<Option<Scanner>> {
         let input = &mut payload;
         let scanner = match family {
@@ -117,7 +119,8 @@ impl Scanner {
         Ok(Some(scanner))
     }
 
-    /// The scanner, if it is of this family: regions, registration and the references of P frames know no other.
+    /// The scanner, if it is of this family: regions, registration and references of P frames support no
+    /// other.
     pub fn hdl64(&self) -> Option<&Hdl64> {
         match self {
             Scanner::Hdl64(scanner) => Some(scanner),
@@ -125,7 +128,7 @@ impl Scanner {
         }
     }
 
-    /// A scanner of this family that sees a range image as this one does: for pictures and regions.
+    /// A scanner of the HDL-64E family with about the same rows and columns: for pictures and regions.
     pub fn likeness(&self) -> Cow<'_, Hdl64> {
         match self {
             Scanner::Hdl64(scanner) => Cow::Borrowed(scanner),
@@ -165,7 +168,7 @@ impl Scanner {
         }
     }
 
-    /// The longest range that a range image of this scanner holds, in steps.
+    /// The longest range in a range image of this scanner, in steps.
     pub fn most_steps(&self) -> u32 {
         match self {
             Scanner::Hdl64(scanner) => scanner.most_steps(),
@@ -181,7 +184,7 @@ impl Scanner {
         }
     }
 
-    /// The same scanner, its ranges rounded to other steps, in micrometres.
+    /// The same scanner with another range step, in micrometres.
     pub fn with_range_step(self, range_step_um: u32) -> Self {
         match self {
             Scanner::Hdl64(scanner) => Scanner::Hdl64(scanner.with_range_step(range_step_um)),
@@ -189,8 +192,8 @@ impl Scanner {
         }
     }
 
-    /// Projects a scan into a range image that loses nothing. Points that the formula misses by more than `reach`
-    /// metres along an axis, besides half a range step, are strays.
+    /// Projects a scan into a lossless range image. Points that deviate from the formula by more than `reach`
+    /// metres along an axis, plus half a range step, are strays.
     pub fn project(&self, cloud: &PointCloud, reach: f64) -> Projection {
         match self {
             Scanner::Hdl64(scanner) => hdl64::project(scanner, cloud, reach),
@@ -198,7 +201,7 @@ impl Scanner {
         }
     }
 
-    /// How far the formula misses the points of the image, in metres.
+    /// The deviations of the image's points from the formula, in metres.
     pub fn misses(&self, projection: &Projection, cloud: &PointCloud) -> Vec<f64> {
         match self {
             Scanner::Hdl64(scanner) => projection.misses(scanner, cloud),
@@ -214,10 +217,10 @@ impl Scanner {
         }
     }
 
-    /// Codes which columns the range image has.
+    /// Codes the columns of the range image.
     ///
     /// # Errors
-    /// If there are more than `most`, or they are none that this scanner can have.
+    /// If there are more than `most`, or if this scanner cannot have them.
     pub fn code_columns<C: BitCoder>(
         &self,
         models: &mut ColumnModels,
@@ -234,7 +237,7 @@ impl Scanner {
         }
     }
 
-    /// The returns of an image in the order in which a file holds them.
+    /// The returns of an image in the order of the file.
     pub fn file_order(&self, image: &RangeImage) -> Vec<Return> {
         match self {
             Scanner::Hdl64(scanner) => image.file_order(scanner),
@@ -242,8 +245,8 @@ impl Scanner {
         }
     }
 
-    /// Where a return is by the formula, in metres, `offset_m` metres farther than its steps say: what a coordinate
-    /// of the file rounds or corrects.
+    /// The position of a return by the formula, in metres, at a range `offset_m` metres longer than its
+    /// steps. It is what a coordinate of the file rounds or corrects.
     pub fn position(&self, found: &Return, offset_m: f64) -> [f64; 3] {
         match self {
             Scanner::Hdl64(scanner) => {
@@ -253,7 +256,7 @@ impl Scanner {
         }
     }
 
-    /// As [`position`](Self::position), of many returns, as float32: as the file's grid has them if they are
+    /// As [`position`](Self::position), for many returns, as float32; rounded to the file's grid if
     /// `on_grid`.
     pub fn positions(&self, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
         match self {

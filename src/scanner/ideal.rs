@@ -1,6 +1,6 @@
-//! The ideal sensor of the article (IV-A, equation 2): all beams start at one point, at the elevations
-//! published by the manufacturer, and all columns are equally far apart. That of another scanner than the article's has
-//! the elevations that were found.
+//! The ideal scanner of the article (IV-A, equation 2): all beams start at one point, at the elevations
+//! published by the manufacturer, and all columns are equally spaced. For scanners other than the article's
+//! it has the elevations estimated by the fit.
 
 use std::f64::consts::TAU;
 
@@ -17,7 +17,7 @@ const LOWER_STEP: f64 = 0.5;
 /// Beams of one block.
 const BLOCK: usize = 32;
 
-/// An HDL-64E as the article sees it: 64 rows by `columns` columns (2000 for 0.18 degrees), with column 0
+/// An HDL-64E as modelled by the article: 64 rows by `columns` columns (2000 for 0.18 degrees), with column 0
 /// along x and ranges in steps of `range_step_um` micrometres. Neither may be 0.
 pub fn ideal(columns: u32, range_step_um: u32) -> Hdl64 {
     let elevations = (0..BLOCK)
@@ -32,7 +32,8 @@ fn ideal_at(elevations: impl Iterator<Item = f64>, columns: u32, range_step_um: 
     Hdl64::new(Coordinates::Float32, columns, range_step_um, beams)
 }
 
-/// The ideal sensor for scans of a scanner: one of firings has its own elevations, all others the article's.
+/// The ideal scanner for the scans of `scanner`: with its own elevations if it is of the `firings` family,
+/// otherwise with the article's.
 pub fn ideal_of(scanner: Option<&Scanner>, columns: u32, range_step_um: u32) -> Hdl64 {
     match scanner.and_then(Scanner::firings) {
         Some(scanner) => ideal_at(scanner.elevations(), columns, range_step_um),

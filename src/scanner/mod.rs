@@ -1,5 +1,5 @@
-//! What the scanner is: the formula that turns integers (beam, tick, range steps) into the
-//! coordinates of a file, and the fit of its constants to the sequence at hand.
+//! Models of scanners: the formula that turns integers (beam, tick, range steps) into the coordinates of a
+//! file, and the fit of its constants to a sequence.
 
 pub mod firings;
 pub mod hdl64;

@@ -1,8 +1,8 @@
 //! The points of a scan as a range image: one row for each laser, one column for each firing.
 //!
-//! A cell holds the range in steps of the scanner, or 0 where there is no return. Points that the scanner's
-//! formula misses by more than a few grid units, that fall into a cell already taken, or that lie in no
-//! column stay outside as *strays*.
+//! A cell holds the range in steps of the scanner, or 0 if there is no return. Points that deviate from the
+//! scanner's formula by more than a few grid units, whose cell is taken already, or that are in no column
+//! stay outside as *strays*.
 
 use crate::ground::grid::Grid;
 
@@ -11,22 +11,22 @@ use crate::ground::grid::Grid;
 pub struct RangeImage {
     /// The column tick of each column.
     pub columns: Vec<u32>,
-    /// What else the scanner's family must know about each column; empty if the ticks are enough.
+    /// Further data about each column that the scanner's family needs; empty if the ticks are enough.
     pub spans: Vec<u32>,
     /// Rows x columns; range in steps, 0 = no return.
     pub steps: Grid<u32>,
-    /// Whether every cell is a record of the file: those without a return are *blanks*, as scanners and programs keep
-    /// them (zeros, NaN, or the scanner's own place).
+    /// Whether every cell is a record of the file. Those without a return are *blanks*, as scanners and
+    /// programs store them (zeros, NaN, or the scanner's own position).
     pub is_full: bool,
-    /// Further returns of the cells, in the order of the cells, row after row: a scanner may tell more than one of a
-    /// beam. Full images have none.
+    /// Echoes, further returns of the cells, in row order of the cells: a scanner may report more than one
+    /// return per shot. Full images have none.
     pub echoes: Vec<Echo>,
 }
 
 /// A further return of a cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Echo {
-    /// The number of the cell, row after row.
+    /// The index of the cell, counted row after row.
     pub cell: u32,
     /// Range in steps.
     pub steps: u32,
@@ -49,7 +49,7 @@ impl RangeImage {
         self.steps.cells().iter().filter(|&&steps| steps > 0).count()
     }
 
-    /// Number of records of the file in the image: returns, their echoes, and blanks if there are any.
+    /// Number of records of the file in the image: returns, echoes and blanks.
     pub fn records(&self) -> usize {
         if self.is_full { self.steps.cells().len() } else { self.returns() + self.echoes.len() }
     }
@@ -76,6 +76,6 @@ pub struct Return {
     pub tick: u32,
     /// Range in steps; 0 for a blank.
     pub steps: u32,
-    /// 0 for the first return of a cell, else the number of the echo, counted from 1.
+    /// 0 for the first return of a cell, else the number of the echo, from 1.
     pub echo: u32,
 }

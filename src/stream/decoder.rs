@@ -1,4 +1,4 @@
-//! A stream to a sequence of files.
+//! Decodes a stream to a sequence of files.
 
 use std::borrow::Borrow;
 use std::collections::VecDeque;
@@ -17,31 +17,31 @@ use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
 use crate::scanner::Scanner;
 
-/// One decoded file. Whether it is the file that was encoded shows when its bytes are asked for, or by
+/// One decoded file. Whether it equals the encoded file is checked when its bytes are written, or by
 /// [`checked`](Self::checked).
 #[derive(Clone, Debug)]
 pub struct DecodedFrame {
     /// Its number in the sequence, the first being 0.
     pub number: u64,
-    /// What the stream says of it. The name is as in the stream: check it before use as a path.
+    /// The frame header. The name is as in the stream: check it before use as a path.
     pub header: FrameHeader,
-    /// The file, taken apart.
+    /// The file, split into points and the bytes around them.
     pub scan: ScanFile,
-    /// What the file was before, if it is not given back exactly.
+    /// Properties of the original file, if it is not restored exactly.
     pub source: Option<Source>,
-    /// Whether it holds the points of the file before, and in their order.
+    /// Whether it has the points of the original file in the same order.
     pub keeps_order: bool,
-    /// The range image, if there is one and it was asked for.
+    /// The range image, if there is one and it was requested.
     pub image: Option<DecodedImage>,
-    /// What each step of decoding took.
+    /// The time of each decoding step.
     pub steps: StepReport,
 }
 
 impl DecodedFrame {
-    /// Gives the file's bytes, piece by piece.
+    /// Passes the file's bytes to `give`, piece by piece.
     ///
     /// # Errors
-    /// If, as shows in the end, they are not those of the file that was encoded; those of `give`.
+    /// If they are not those of the encoded file, which is known only at the end; and those of `give`.
     pub fn write(&self, give: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
         write_checked(&self.scan, &self.header, give)
             .map_err(|e| e.within_frame(self.number, &self.header.name))
@@ -50,28 +50,28 @@ impl DecodedFrame {
     /// The file's bytes.
     ///
     /// # Errors
-    /// If they are not those of the file that was encoded.
+    /// If they are not those of the encoded file.
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         files::collected(|give| self.write(give))
     }
 
-    /// The frame, if it is the file that was encoded.
+    /// The frame, if its bytes are those of the encoded file.
     ///
     /// # Errors
-    /// If it is not.
+    /// If they are not.
     pub fn checked(self) -> Result<Self> {
         self.write(|_| Ok(())).map(|()| self)
     }
 }
 
-/// Decodes a stream front to back, as from a pipe. Groups are decoded in parallel: `work` is done on each
-/// frame by the thread that has decoded it, as soon as it has, and what becomes of the frame is handed to `sink` in
-/// order, on the calling thread. The whole stream is read and checked even if only some frames are asked
-/// for. Returns how many frames the stream holds.
+/// Decodes a stream from front to back, as from a pipe. Groups are decoded in parallel: the thread that has
+/// decoded a frame calls `work` on it at once, and the results are passed to `sink` in order, on the calling
+/// thread. The whole stream is read and checked even if only some frames are requested. Returns the number of
+/// frames in the stream.
 ///
 /// # Errors
-/// If the input fails or is damaged anywhere, if a frame asks for more than the limits, if there are no such
-/// frames, or if the work or the sink fails.
+/// If the input fails or is damaged anywhere, if a frame exceeds the limits, if there are no such frames, or
+/// if the work or the sink fails.
 pub fn decode<T: Send>(
     input: impl Read + Send,
     options: &DecodeOptions,
@@ -85,11 +85,11 @@ pub fn decode<T: Send>(
     Ok(jobs.index().frame_count())
 }
 
-/// As [`decode`], but reads only the groups that hold the frames asked for. Returns how many frames
-/// the stream holds.
+/// As [`decode`], but reads only the groups that hold the requested frames. Returns the number of frames in
+/// the stream.
 ///
 /// # Errors
-/// As [`decode`]; damage elsewhere in the stream goes unseen.
+/// As [`decode`]; damage elsewhere in the stream is not detected.
 pub fn decode_indexed<T: Send>(
     input: impl Read + Seek + Send,
     options: &DecodeOptions,
@@ -114,7 +114,7 @@ fn decode_jobs<T: Send>(
     run_ordered(resolve_threads(options.threads), jobs, work, deliver)
 }
 
-/// Decodes the frames of a group up to the last that is asked for, and does `work` on each of these.
+/// Decodes the frames of a group up to the last requested one, and calls `work` on each requested one.
 pub(crate) fn decode_group<T>(
     job: GroupJob,
     options: &DecodeOptions,
@@ -136,7 +136,8 @@ pub(crate) fn decode_group<T>(
     Ok(results)
 }
 
-/// Decodes one frame; returns its file if it is asked for (those before it are needed for its sake).
+/// Decodes one frame; returns its file if it is requested (earlier frames are decoded because others depend
+/// on them).
 fn decode_frame<S: Borrow<Scanner>>(
     coder: &mut GroupDecoder<S>,
     number: u64,
@@ -153,12 +154,12 @@ fn decode_frame<S: Borrow<Scanner>>(
     Ok(Some(DecodedFrame { number, header, scan, source, keeps_order, image, steps }))
 }
 
-/// A group that is decoded as far as it is asked for, and goes on from there.
+/// A group that is decoded as far as requested, and can be continued.
 pub(crate) struct PartlyDecodedGroup {
     /// Number of the next frame.
     next: u64,
     coder: GroupDecoder<Scanner>,
-    /// Those that are not decoded yet.
+    /// The frames that are not decoded yet.
     coded: VecDeque<CodedFrame>,
 }
 
@@ -166,7 +167,7 @@ impl PartlyDecodedGroup {
     /// A group of which nothing is decoded yet.
     ///
     /// # Errors
-    /// If a scanner of it is of a family that this program does not know.
+    /// If one of its scanners is of a family that this program does not know.
     pub fn new(job: GroupJob, limits: &Limits, images: bool) -> Result<Self> {
         let scanners = job.models()?.into_iter().map(Option::<&Scanner>::cloned);
         let coder = GroupDecoder::new(scanners, limits).keeping_images(images);
@@ -176,7 +177,7 @@ impl PartlyDecodedGroup {
     /// The next frame; `None` after the last. It is not [checked](DecodedFrame::checked).
     ///
     /// # Errors
-    /// If the frame is damaged, or asks for more than the limits. The group is of no use then.
+    /// If the frame is damaged or exceeds the limits. The group cannot be continued then.
     pub fn decode_next(&mut self) -> Result<Option<DecodedFrame>> {
         let Some(frame) = self.coded.pop_front() else { return Ok(None) };
         let number = self.next;
@@ -186,8 +187,8 @@ impl PartlyDecodedGroup {
     }
 }
 
-/// Gives the bytes of a file, piece by piece; an error if in the end they are not those that the frame's header tells
-/// of.
+/// Passes the bytes of a file to `give`, piece by piece; an error if in the end their size or checksum
+/// differs from the frame's header.
 pub(crate) fn write_checked(
     scan: &ScanFile,
     header: &FrameHeader,

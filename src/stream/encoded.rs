@@ -1,4 +1,4 @@
-//! A stream as it is encoded, and what it has come to.
+//! A stream that is being written, and statistics of what was encoded.
 
 use std::io::Write;
 
@@ -8,30 +8,30 @@ use crate::frame::parameters::Source;
 use crate::frame::steps::StepReport;
 use crate::ground::error::Result;
 
-/// What was encoded.
+/// Statistics of an encoded stream.
 #[derive(Clone, Debug, Default)]
 pub struct Encoded {
-    /// Name, stamp, size, checksum and points of each file as it decodes, in order.
+    /// The headers of the frames, in order.
     pub frames: Vec<FrameHeader>,
-    /// What each step took and left; where several predictions were tried, with the one that was taken.
+    /// Time and size of each step; where several predictions were tried, those of the chosen one.
     pub steps: StepReport,
-    /// The same, frame by frame.
+    /// Time and size of each step, frame by frame.
     pub frame_steps: Vec<StepReport>,
-    /// Points of all original files.
+    /// Number of points in all original files.
     pub points: u64,
-    /// Points that the outlier filter dropped.
+    /// Points removed by the outlier filter.
     pub outliers: u64,
-    /// Points lost because the range image had no cell of their own for them.
+    /// Points lost because the range image had no separate cell for them.
     pub lost: u64,
-    /// Files beside the scans. They are among the frames.
+    /// Number of files beside the scans, which are included in `frames`.
     pub beside: u64,
-    /// Bytes of these.
+    /// Bytes of the files beside the scans.
     pub beside_bytes: u64,
-    /// Bytes of these as they are coded.
+    /// Coded bytes of the files beside the scans.
     pub beside_coded: u64,
-    /// Frames that no model fits, so that a general-purpose coder took the bytes of their files.
+    /// Frames that no model fits, so that their files' bytes were coded by a general-purpose compressor.
     pub unmodelled: u64,
-    /// Frames that were taken over from an interrupted run. Of these, steps have no times.
+    /// Frames kept from an interrupted run. Their steps have no times.
     pub resumed_frames: u64,
     /// Bytes of the stream.
     pub stream_bytes: u64,
@@ -46,7 +46,7 @@ impl Encoded {
 
 /// A frame of the stream.
 pub(crate) struct FrameOfStream {
-    /// What it decodes to.
+    /// The frame header.
     pub header: FrameHeader,
     pub steps: StepReport,
     /// The original file.
@@ -55,6 +55,8 @@ pub(crate) struct FrameOfStream {
 }
 
 impl FrameOfStream {
+    /// The frame that was coded as this one.
+    ///
     /// # Errors
     /// If the frame's parameters are damaged.
     pub(crate) fn of(frame: &CodedFrame, steps: StepReport) -> Result<Self> {
@@ -82,7 +84,7 @@ impl Encoded {
     }
 }
 
-/// A stream that groups are written to.
+/// A stream to which groups are written.
 pub(crate) struct OpenStream<W> {
     writer: StreamWriter<W>,
     encoded: Encoded,
@@ -101,7 +103,7 @@ impl<W: Write> OpenStream<W> {
         Ok(OpenStream { writer, encoded: Encoded::default() })
     }
 
-    /// Goes on with a stream that holds this already, in so many bytes, of these scanners.
+    /// Continues a stream that already has these contents, `position` bytes long, with these scanners.
     pub fn resume(
         out: W,
         (index, position): (Index, u64),

@@ -1,4 +1,4 @@
-//! A sequence of files to a stream.
+//! Encodes a sequence of files as a stream.
 
 use std::borrow::Cow;
 use std::io::Write;
@@ -15,16 +15,16 @@ use crate::frame::steps::StepReport;
 use crate::ground::error::{Limits, Result};
 use crate::scan::ScanFile;
 
-/// A group is closed early when its files reach this many bytes together: decoders hold a whole
-/// group in memory.
+/// A group is closed early when its files reach this many bytes in total: decoders hold a whole group in
+/// memory.
 const GROUP_FILE_BYTES: u64 = 256 << 20;
 
-/// Encodes a sequence. Groups are encoded in parallel; the stream's bytes do not depend on how many
-/// at a time. `on_frame` is called, from any thread, as each frame is done.
+/// Encodes a sequence. Groups are encoded in parallel; the stream does not depend on the number of threads.
+/// `on_frame` is called, from any thread, as each frame is done.
 ///
 /// # Errors
-/// If a file cannot be read or is over the limits that every decoder keeps ([`Limits::default`]), if
-/// a name cannot be given back, if the output fails, or if the settings are out of range.
+/// If a file cannot be read or exceeds the limits that every decoder has ([`Limits::default`]), if a name
+/// cannot be restored, if the output fails, or if the settings are out of range.
 pub fn encode<W: Write>(
     frames: &[FrameInput],
     config: &EncoderConfig,
@@ -35,9 +35,9 @@ pub fn encode<W: Write>(
     encode_groups(&choose_scanners(frames, config)?, groups_of(frames, config), config, out, on_frame)
 }
 
-/// As [`encode`], of frames that are yet to come: each group is written as soon as it is coded, which does
-/// not wait for the frame after it. Scanners are fitted to the first group; tracks that begin later are coded
-/// without. A few groups are in memory at a time.
+/// As [`encode`], for frames that arrive over time: each group is written as soon as it is coded, without
+/// waiting for the frame after it. Scanners are fitted to the first group; tracks that begin later are coded
+/// without a scanner. A few groups are in memory at a time.
 ///
 /// # Errors
 /// As [`encode`]; also the first error of `frames`.
@@ -58,7 +58,7 @@ pub fn encode_live<W: Write>(
     encode_groups(&scanners, first.map(Ok).into_iter().chain(groups), config, out, on_frame)
 }
 
-/// A stream of one group of frames, of scanners that are known.
+/// A stream with one group of frames, whose scanners are known.
 ///
 /// # Errors
 /// As [`encode`].
@@ -99,16 +99,16 @@ pub(crate) fn groups_of<'f>(
     drives.flat_map(move |drive| drive.chunks(gop)).map(|group| Ok(Cow::Borrowed(group)))
 }
 
-/// What all groups of a sequence share.
+/// The state shared by all groups of a sequence.
 pub(crate) struct SequenceCoder<'a> {
-    /// Of each drive.
+    /// Scanners, by drive number.
     scanners: &'a [DriveScanners],
     config: &'a EncoderConfig,
     on_frame: &'a (dyn Fn() + Sync),
 }
 
 impl<'a> SequenceCoder<'a> {
-    /// For groups of drives with these scanners.
+    /// A coder for groups of drives with these scanners.
     pub fn new(
         scanners: &'a [DriveScanners],
         config: &'a EncoderConfig,
@@ -117,7 +117,7 @@ impl<'a> SequenceCoder<'a> {
         SequenceCoder { scanners, config, on_frame }
     }
 
-    /// Encodes frames in parallel, and hands `write` what becomes of each item of `groups`, in order.
+    /// Encodes frames in parallel, and passes the result of each item of `groups` to `write`, in order.
     ///
     /// # Errors
     /// As [`encode`].
@@ -130,7 +130,7 @@ impl<'a> SequenceCoder<'a> {
         run_ordered(resolve_threads(self.config.threads), groups, work, write)
     }
 
-    /// Encodes frames of one drive as one group; as more if they are very large.
+    /// Encodes frames of one drive as one group, or as several if they are very large.
     ///
     /// # Errors
     /// As [`encode`].
@@ -152,14 +152,14 @@ impl<'a> SequenceCoder<'a> {
     }
 }
 
-/// A group, and what became of its files.
+/// A coded group, and properties of its files.
 pub(crate) struct EncodedGroup {
     pub group: Group,
-    /// Of each frame.
+    /// Time and size of each step, by frame.
     pub steps: Vec<StepReport>,
-    /// The original files.
+    /// The headers of the original files.
     pub originals: Vec<FrameHeader>,
-    /// Their bytes.
+    /// Total bytes of the original files.
     file_bytes: u64,
 }
 
@@ -205,8 +205,8 @@ impl<'s> GroupInProgress<'s> {
     }
 }
 
-/// A scan that decoders take under their limits: one of too many points, or whose text or compressed
-/// records unfold to too many bytes, is coded as the bytes of its file.
+/// A scan that decoders accept under their limits: a file with too many points, or whose text or compressed
+/// records decode to too many bytes, is coded as plain bytes.
 fn within_limits(scan: ScanFile) -> Result<ScanFile> {
     let limits = Limits::default();
     let channels: u64 = scan.cloud.channels.iter().map(|channel| channel.bytes.len() as u64).sum();

@@ -1,4 +1,4 @@
-//! What the encoder is given.
+//! The input of the encoder.
 
 use std::fs;
 use std::path::PathBuf;
@@ -21,7 +21,7 @@ pub struct FrameInput {
     drive: usize,
 }
 
-/// Where its points are.
+/// The data of a frame, or where to read them.
 #[derive(Clone, Debug)]
 enum Data {
     File { path: PathBuf, name: String },
@@ -29,46 +29,47 @@ enum Data {
     Scan(Box<ScanFile>),
 }
 
-/// A frame as the encoder takes it.
+/// A frame that was read, for the encoder.
 pub(crate) struct ReadFrame {
-    /// What its unit is.
+    /// The frame header of the decoded file.
     pub header: FrameHeader,
-    /// The same, taken apart.
+    /// The file, split into points and the bytes around them.
     pub scan: ScanFile,
 }
 
 impl FrameInput {
-    /// A file, read when its turn comes, and the name to give back on decoding, which may have folders with `/` between
-    /// them.
+    /// A file, which is read when its turn comes, and its name for decoding, which may be a path with `/` as
+    /// separator.
     pub fn file(path: PathBuf, name: String) -> Self {
         FrameInput { data: Data::File { path, name }, stamp: Stamp::default(), drive: 0 }
     }
 
-    /// A file [beside](Unit::Beside) the scans, which is kept as plain bytes; or, if the name ends in `/`, an empty folder.
+    /// A file [beside](Unit::Beside) the scans, which is stored as plain bytes; or, if the name ends in `/`,
+    /// an empty folder.
     pub fn beside(path: PathBuf, name: String) -> Self {
         let stamp = Stamp { unit: Unit::Beside, ..Stamp::default() };
         FrameInput::file(path, name).stamped(stamp)
     }
 
-    /// A file's bytes, and the name to give back on decoding.
+    /// The bytes of a file, and its name for decoding.
     pub fn memory(name: String, bytes: Vec<u8>) -> Self {
         FrameInput { data: Data::Memory { name, bytes }, stamp: Stamp::default(), drive: 0 }
     }
 
-    /// What is already taken apart: [points](Unit::Points) that never were a file, which need no name, unless
+    /// Points that are already parsed: [points in memory](Unit::Points), which need no name, unless
     /// [`stamped`](Self::stamped) says otherwise.
     pub fn scan(scan: ScanFile) -> Self {
         let stamp = Stamp { unit: Unit::Points, ..Stamp::default() };
         FrameInput { data: Data::Scan(Box::new(scan)), stamp, drive: 0 }
     }
 
-    /// The same, saying what it is, of which track, and of when; if this is not said, it is a file of the
-    /// first track, of which no time is known.
+    /// The same input with its kind, track and time. By default it is a file on the first track, without a
+    /// time.
     pub fn stamped(self, stamp: Stamp) -> Self {
         FrameInput { stamp, ..self }
     }
 
-    /// What was found below an input; frames of different drives are told apart.
+    /// The files found below an input; frames of different drives are marked as such.
     #[cfg(feature = "cli")]
     pub fn found(files: impl IntoIterator<Item = FoundFile>) -> Vec<Self> {
         let (mut inputs, mut last, mut number) = (Vec::new(), None, 0);
@@ -87,8 +88,8 @@ impl FrameInput {
         inputs
     }
 
-    /// The same, of the drive of this number: frames of different drives share no group, and each drive has its own
-    /// scanners. Frames of one drive follow each other.
+    /// The same input as part of the drive with this number: frames of different drives share no group, and
+    /// each drive has its own scanners. Frames of one drive must be consecutive.
     pub fn of_drive(self, drive: usize) -> Self {
         FrameInput { drive, ..self }
     }
@@ -98,15 +99,15 @@ impl FrameInput {
         self.drive
     }
 
-    /// What it is, of which track, and of when.
+    /// Its kind, track and time.
     pub fn stamp(&self) -> Stamp {
         self.stamp
     }
 
-    /// The name that the decoded file gets.
+    /// The name for the decoded file.
     ///
     /// # Errors
-    /// If no decoder would write a file of that name.
+    /// If no decoder would write a file with that name.
     pub fn name(&self) -> Result<&str> {
         let name = match &self.data {
             Data::File { name, .. } | Data::Memory { name, .. } => name,
@@ -120,7 +121,7 @@ impl FrameInput {
         Ok(name)
     }
 
-    /// Where it comes from, for errors.
+    /// Its origin, for errors.
     pub(crate) fn path(&self) -> PathBuf {
         match &self.data {
             Data::File { path, .. } => path.clone(),
@@ -154,7 +155,7 @@ impl FrameInput {
     /// The file's bytes.
     ///
     /// # Errors
-    /// If it cannot be read, or is larger than any decoder takes.
+    /// If it cannot be read, or is larger than any decoder accepts.
     pub fn read(&self) -> Result<Vec<u8>> {
         self.clone().into_bytes()
     }
@@ -171,10 +172,11 @@ impl FrameInput {
         }
     }
 
-    /// The frame, taken apart. `headerless` says what the records of files without a header hold.
+    /// The frame, parsed. `headerless` gives the fields of records in files without a header.
     ///
     /// # Errors
-    /// As [`read`](Self::read) and [`name`](Self::name); also if no group has so many tracks.
+    /// As [`read`](Self::read) and [`name`](Self::name); also if its track number exceeds what a group can
+    /// have.
     pub(crate) fn into_frame(self, headerless: Option<&HeaderlessLayout>) -> Result<ReadFrame> {
         let path = self.path();
         self.try_into_frame(headerless).map_err(|error| match error {
@@ -210,14 +212,14 @@ impl FrameInput {
     /// The header of a frame that decodes to these bytes; its points are not counted yet.
     ///
     /// # Errors
-    /// As [`name`](Self::name); also if no group has so many tracks.
+    /// As [`name`](Self::name); also if its track number exceeds what a group can have.
     pub(crate) fn header(&self, bytes: &[u8]) -> Result<FrameHeader> {
         Error::check_limit("number of a frame's track", self.stamp.track.into(), TRACKS_MAX - 1)?;
         Ok(FrameHeader { stamp: self.stamp, ..FrameHeader::of(self.name()?, bytes, 0) })
     }
 }
 
-/// What the header of a frame says of a unit that is taken apart.
+/// The frame header for a parsed file.
 fn header_of(scan: &ScanFile) -> Result<FrameHeader> {
     let mut header = FrameHeader { name: scan.name.clone(), ..FrameHeader::default() };
     files::write(scan, |piece| {

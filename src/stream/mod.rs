@@ -1,6 +1,6 @@
-//! A sequence of scans to a stream of groups, and back.
+//! Encodes a sequence of scans as a stream of groups, and decodes it.
 //!
-//! Groups are independent, so they are coded in parallel, and delivered in order.
+//! Groups are independent, so they are coded in parallel; they are delivered in order.
 
 pub mod decoder;
 pub mod encoded;

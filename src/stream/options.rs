@@ -1,4 +1,4 @@
-//! What the user can choose of decoding.
+//! The user's settings for decoding.
 
 use std::fmt;
 use std::str::FromStr;
@@ -10,11 +10,11 @@ use crate::ground::error::{Error, Limits, Result};
 pub struct DecodeOptions {
     /// Groups decoded at the same time; 0, the default, means one for each processor.
     pub threads: usize,
-    /// What the decoder is willing to allocate.
+    /// The largest sizes that the decoder allocates.
     pub limits: Limits,
     /// Which frames to decode. Default: all.
     pub frames: FrameRange,
-    /// Whether to give range images back too, as for pictures. Default: no.
+    /// Whether to return range images too, as for pictures. Default: no.
     pub images: bool,
 }
 
@@ -28,41 +28,41 @@ pub struct FrameRange {
 }
 
 impl FrameRange {
-    /// Whether these are all frames of any sequence.
+    /// Whether the range includes all frames of any sequence.
     pub fn is_all(&self) -> bool {
         *self == FrameRange::default()
     }
 
-    /// Whether the frame with this number is one of them.
+    /// Whether the range contains the frame with this number.
     pub fn contains(&self, number: u64) -> bool {
         number >= self.start && !self.is_past(number)
     }
 
-    /// Whether the frame with this number comes after them all.
+    /// Whether the frame with this number comes after the range.
     pub fn is_past(&self, number: u64) -> bool {
         self.end.is_some_and(|end| number >= end)
     }
 
-    /// Whether one of the `count` frames from `first` on is one of them.
+    /// Whether the range contains any of the `count` frames from `first` on.
     pub fn overlaps(&self, first: u64, count: u64) -> bool {
         count > 0 && !self.is_past(first) && first.saturating_add(count) > self.start
     }
 
-    /// Whether a group of `count` frames from `first` on is to be read: files beside the scans are if all frames are, and
-    /// have no numbers of their own otherwise.
+    /// Whether a group of `count` frames from `first` on is to be read. Files beside the scans are read only
+    /// if all frames are, as they have no numbers of their own.
     pub fn wants(&self, first: u64, count: u64, is_beside: bool) -> bool {
         self.overlaps(first, count) && (!is_beside || self.is_all())
     }
 
-    /// How many of a sequence of `count` frames these are.
+    /// The number of frames in the range, out of a sequence of `count` frames.
     pub fn count_of(&self, count: u64) -> u64 {
         self.end.map_or(count, |end| end.min(count)).saturating_sub(self.start)
     }
 
-    /// Checks that a sequence of `count` frames holds them all.
+    /// Checks that a sequence of `count` frames contains the whole range.
     ///
     /// # Errors
-    /// [`Error::Usage`] says how many frames there are.
+    /// [`Error::Usage`], with the number of frames.
     pub fn check(&self, count: u64) -> Result<()> {
         let missing = self.end.is_some_and(|end| end > count) || self.start >= count;
         if missing && !self.is_all() {

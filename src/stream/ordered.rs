@@ -1,4 +1,4 @@
-//! Work in parallel, results in order, memory bounded.
+//! Parallel work with results in order and bounded memory.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -12,17 +12,17 @@ use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Error, Result};
 use crate::ground::team;
 
-/// What the calling thread waits for.
+/// An event that the calling thread waits for.
 enum Event<J, T> {
     /// The next job.
     Job(Result<J>),
-    /// There is no job any more.
+    /// There are no more jobs.
     End,
-    /// The job with this number is done.
+    /// The job with this number has ended.
     Done(usize, Result<T>),
 }
 
-/// So many threads.
+/// A pool of `threads` threads.
 ///
 /// # Errors
 /// If they cannot be started.
@@ -30,18 +30,18 @@ pub(crate) fn pool(threads: usize) -> Result<ThreadPool> {
     team::pool(threads).build().map_err(|e| no_threads(threads, &e))
 }
 
-/// Threads for what is done at once within a frame; none if there is to be one.
+/// A pool for parallel work within a frame; none if `threads` is 1.
 ///
 /// # Errors
 /// If they cannot be started.
 pub(crate) fn pool_for_frames(threads: usize) -> Result<Option<ThreadPool>> {
-    /// What is done at once: two halves.
+    /// The largest number of parallel tasks: two halves.
     const MOST: usize = 2;
     let threads = resolve_threads(threads).min(MOST);
     (threads > 1).then(|| pool(threads)).transpose()
 }
 
-/// Does some work by a thread of a pool, or by this one if there is none.
+/// Runs a function on a thread of a pool, or on this thread if there is no pool.
 pub(crate) fn on<T: Send>(pool: Option<&ThreadPool>, work: impl FnOnce() -> T + Send) -> T {
     match pool {
         Some(pool) => pool.install(work),
@@ -53,14 +53,14 @@ fn no_threads(threads: usize, error: &ThreadPoolBuildError) -> Error {
     Error::Internal(format!("cannot start {threads} threads: {error}"))
 }
 
-/// Does `work` for each job on `threads` threads and hands the results to `sink` in the order of the
-/// jobs, each as soon as it and those before it are there. Jobs are drawn on a thread of their own, which
-/// may wait for its input; results are handed over on the calling thread. At most `threads + 1` jobs are
-/// drawn, under way or waiting, so memory does not grow with their number.
+/// Calls `work` for each job on `threads` threads and passes the results to `sink` in the order of the jobs,
+/// each as soon as it and those before are available. Jobs are drawn on a separate thread, which may wait for
+/// its input; results are passed on the calling thread. At most `threads + 1` jobs are drawn, running or
+/// waiting at a time, so that memory does not grow with their number.
 ///
 /// # Errors
-/// The first error of the jobs, the work or the sink, in the order of the jobs; which one does not
-/// depend on timing.
+/// The first error of the jobs, the work or the sink, in the order of the jobs; which one does not depend on
+/// timing.
 pub(crate) fn run_ordered<J: Send, T: Send>(
     threads: usize,
     jobs: impl Iterator<Item = Result<J>> + Send,
@@ -85,11 +85,11 @@ pub(crate) fn run_ordered<J: Send, T: Send>(
                 });
             };
             for _ in 0..=threads {
-                // The drawer is gone only after its last event, which is yet to be read.
+                // If the drawing thread is gone, its last event is yet to be received.
                 let _ = permits.send(());
             }
             let result = pass(&inbox, &permits, start, sink);
-            // After an error, do not begin what nobody waits for.
+            // After an error, do not start jobs whose results are not needed.
             stop.store(true, Ordering::Relaxed);
             drop(permits);
             result
@@ -113,7 +113,7 @@ fn draw<J, T>(
     }
 }
 
-/// Tells that there is no job any more, even if drawing one panics (which the scope passes on).
+/// Sends the end of the jobs, even if drawing one panics (the scope propagates the panic).
 struct Drawn<J, T>(Sender<Event<J, T>>);
 
 impl<J, T> Drop for Drawn<J, T> {
@@ -122,14 +122,14 @@ impl<J, T> Drop for Drawn<J, T> {
     }
 }
 
-/// Starts jobs as they come, and hands over results as they are next.
+/// Starts jobs as they arrive, and passes on results in order.
 fn pass<J, T>(
     inbox: &mpsc::Receiver<Event<J, T>>,
     permits: &Sender<()>,
     start: impl Fn(usize, J),
     mut sink: impl FnMut(T) -> Result<()>,
 ) -> Result<()> {
-    // Of the jobs from number `first` on, what is there.
+    // The available results of the jobs from number `first` on.
     let mut results: VecDeque<Option<Result<T>>> = VecDeque::new();
     let (mut first, mut ended) = (0, false);
     while !ended || !results.is_empty() {
@@ -160,7 +160,7 @@ fn pass<J, T>(
     Ok(())
 }
 
-/// Tells how a job ended, even if its worker panics (which the scope passes on).
+/// Sends the result of a job, even if its worker panics (the scope propagates the panic).
 struct Ticket<J, T> {
     events: Sender<Event<J, T>>,
     place: usize,
@@ -170,7 +170,7 @@ struct Ticket<J, T> {
 impl<J, T> Ticket<J, T> {
     fn done(mut self, result: Result<T>) {
         self.is_done = true;
-        // The receiver is gone after an error elsewhere; nobody misses the result.
+        // The receiver is gone after an error elsewhere; the result is not needed then.
         let _ = self.events.send(Event::Done(self.place, result));
     }
 }
@@ -184,28 +184,28 @@ impl<J, T> Drop for Ticket<J, T> {
     }
 }
 
-/// Threads that work ahead of a caller who comes now and then: jobs in, results out in the order of the jobs. The
-/// caller sees to it that not too many are under way.
+/// Threads that work ahead of a caller that polls from time to time: jobs in, results out in the order of the
+/// jobs. The caller must limit the number of unfinished jobs.
 pub(crate) struct Workers<T> {
-    /// None: jobs are done by the caller's thread, as they come.
+    /// None: jobs are run on the caller's thread when they are started.
     pool: Option<ThreadPool>,
     events: Sender<Event<(), T>>,
     inbox: Receiver<Event<(), T>>,
-    /// Of the jobs from number `first` on, what is there.
+    /// The available results of the jobs from number `first` on.
     results: VecDeque<Option<Result<T>>>,
     first: usize,
     threads: usize,
-    /// Set when nobody waits for results any more.
+    /// Set when results are no longer needed.
     stop: Arc<AtomicBool>,
 }
 
 impl<T: Send + 'static> Workers<T> {
-    /// So many threads; one is the caller's own.
+    /// A pool of `threads` threads; with 1, jobs are run on the caller's thread instead.
     ///
     /// # Errors
     /// If they cannot be started.
     pub fn new(threads: usize) -> Result<Self> {
-        // A worker that panics says so by its ticket.
+        // A panic of a worker is reported by its ticket.
         let pool = (threads > 1).then(|| team::pool(threads).panic_handler(drop).build()).transpose();
         let pool = pool.map_err(|e| no_threads(threads, &e))?;
         let (events, inbox) = mpsc::channel();
@@ -213,12 +213,12 @@ impl<T: Send + 'static> Workers<T> {
         Ok(Workers { pool, events, inbox, results, first: 0, threads, stop })
     }
 
-    /// Whether as many jobs are under way, or done and not taken, as there should be.
+    /// Whether enough jobs are running, or done with their results not taken.
     pub fn is_full(&self) -> bool {
         self.results.len() > self.threads
     }
 
-    /// Begins a job.
+    /// Starts a job.
     pub fn start(&mut self, job: impl FnOnce() -> Result<T> + Send + 'static) {
         let Some(pool) = &self.pool else {
             self.results.push_back(Some(job()));
@@ -356,7 +356,7 @@ mod tests {
         let mut delivered = Vec::new();
         run_ordered(2, receiver.into_iter().map(Ok), Ok, |job: u32| {
             delivered.push(job);
-            // Job 1 comes only after the result of job 0, and the end only after that of job 1.
+            // Job 1 arrives only after the result of job 0, and the end only after that of job 1.
             let next = sender.take().filter(|_| job == 0);
             next.iter().for_each(|next| next.send(1).unwrap());
             *sender.borrow_mut() = next;

@@ -15,23 +15,23 @@ use crate::scan::{ScanFile, sorted};
 use crate::scanner::motion::{self, by_time};
 use crate::scanner::{self, Scanner};
 
-/// Larger files than this, in bytes, are left out of the sample, which is in memory all at once.
+/// Files larger than this, in bytes, are left out of the sample, which is in memory all at once.
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 
 /// The scanners of a drive.
 pub struct DriveScanners {
-    /// That of each track, if there is a model that it fits.
+    /// The scanner of each track, if one fits.
     pub models: Vec<Option<Scanner>>,
-    /// What groups call these.
+    /// The references that groups use for these.
     pub ids: Vec<Option<ScannerId>>,
-    /// What is written of them: each once.
+    /// The records to be written, each once.
     pub records: Vec<ScannerRecord>,
-    /// Whether frames of one track are of several scanners: each is then coded in the track of its own.
+    /// Whether a track has frames of several scanners: each frame is then coded in its scanner's track.
     pub are_mixed: bool,
 }
 
 impl DriveScanners {
-    /// One for each track.
+    /// The scanners of a drive, one for each track.
     pub fn new(models: Vec<Option<Scanner>>) -> Self {
         let mut records = Vec::new();
         let mut name = |model: &Option<Scanner>| {
@@ -47,7 +47,7 @@ impl DriveScanners {
     }
 }
 
-/// The scanners of the drives that these frames are of, by the drives' numbers; at least one.
+/// The scanners of the drives of these frames, by drive number; at least one drive.
 ///
 /// # Errors
 /// If a file cannot be read.
@@ -62,8 +62,8 @@ pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> 
     Ok(scanners)
 }
 
-/// The scanners of frames that are coded one by one: known from the first frame in which one is found, or else from the
-/// last of a few.
+/// The scanners of frames that are coded one by one: those of the first frame to which a scanner fits, or
+/// else those of the last of a few frames.
 #[derive(Clone, Default)]
 pub(crate) struct KeptScanners {
     kept: Option<Arc<DriveScanners>>,
@@ -71,7 +71,7 @@ pub(crate) struct KeptScanners {
 }
 
 impl KeptScanners {
-    /// Those for the next frame, which is asked for only if it is to be looked at; `None` is no scan.
+    /// The scanners for the next frame. `frame` is called only if the frame is needed for the fit; `None` is no scan.
     ///
     /// # Errors
     /// If it cannot be read.
@@ -80,7 +80,7 @@ impl KeptScanners {
         frame: impl FnOnce() -> Option<FrameInput>,
         config: &EncoderConfig,
     ) -> Result<Arc<DriveScanners>> {
-        /// Frames in which a scanner is looked for.
+        /// Number of frames to which a fit is tried.
         const MOST_TRIES: usize = 5;
         if let Some(kept) = self.kept.as_ref().filter(|_| self.tries >= MOST_TRIES) {
             return Ok(Arc::clone(kept));
@@ -96,7 +96,7 @@ impl KeptScanners {
     }
 }
 
-/// The records of the scanners of several drives: each once.
+/// The records of the scanners of several drives, each once.
 pub(crate) fn records_of(scanners: &[DriveScanners]) -> Vec<ScannerRecord> {
     let mut records: Vec<ScannerRecord> = Vec::new();
     for record in scanners.iter().flat_map(|scanners| &scanners.records) {
@@ -123,19 +123,20 @@ fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<Dr
 }
 
 impl DriveScanners {
-    /// The track in which a frame is coded: its own, or if scanners are mixed, that of the one that explains most of it.
+    /// The track in which a frame is coded: its own, or, if scanners are mixed, that of the scanner that
+    /// explains most of it.
     pub fn track_of(&self, own: u8, scan: &ScanFile) -> u8 {
         if !self.are_mixed {
             return own;
         }
         let share = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, |one| one.share(&scan.cloud));
         let shares = (0u8..).zip(&self.models).map(|(track, scanner)| (track, share(scanner)));
-        // The first of equals.
+        // The first of equally good ones.
         shares.fold((own, 0.0), |best, next| if next.1 > best.1 { next } else { best }).0
     }
 }
 
-/// The models of the scanners of a track that these frames are of: more than one if the first does not explain the
+/// The models for the scanners of a track with these frames: more than one if the first does not explain the
 /// whole sample.
 fn choose_models(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
     Ok(match config.projection {
@@ -150,8 +151,8 @@ fn choose_models(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<S
     })
 }
 
-/// The scanner whose beams made these frames, for an image of an ideal one: fitted to the scans as they are, or, if that
-/// finds none, as they were measured.
+/// The scanner fitted to these frames, whose beams an image of an ideal scanner uses: fitted to the scans as
+/// they are, or, if that fails, as they were measured.
 ///
 /// # Errors
 /// If a file cannot be read.
@@ -164,17 +165,18 @@ pub(crate) fn scanner_seen(frames: &[&FrameInput], config: &EncoderConfig) -> Re
     Ok(fitted(frames, &measured)?.into_iter().next())
 }
 
-/// The scanners that are fitted to a sample of these frames.
+/// The scanners fitted to a sample of these frames.
 fn fitted(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
     let pool = pool(resolve_threads(config.threads))?;
     pool.install(|| sample(frames, config).map(fit_all))
 }
 
-/// Scanners that together explain the scans of a sample, as far as they are found.
+/// Scanners that together explain the scans of a sample, as far as fits succeed.
 fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
-    /// A scan of which less is explained is another scanner's.
+    /// Minimum share of a scan that its own scanner explains.
     const LEAST_SHARE: f64 = 0.5;
-    /// Scanners of one folder, and fits that find nothing before no more are tried.
+    /// The largest number of scanners in one folder, and the number of failed fits after which no more are
+    /// tried.
     const MOST: usize = 4;
     const MOST_FAILURES: usize = 2;
     let (mut found, mut failures) = (Vec::new(), 0);
@@ -184,7 +186,8 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
         let scanner = Scanner::fit(&sample);
         if let Some(scanner) = scanner {
             sample.retain(|scan| {
-                // What was moved by time stamps is known to be this scanner's only when it is moved back.
+                // A scan that was moved by time stamps can be attributed to this scanner only when it is
+                // moved back.
                 let is_moved =
                     || scanner.firings().is_some_and(|own| by_time::undo(&scan.cloud, own).is_some());
                 scanner.share(&scan.cloud) < LEAST_SHARE && !is_moved()
@@ -192,7 +195,7 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
             found.push(scanner);
         }
         if sample.len() == before {
-            // What explains nothing of its own sample is no scanner; the largest scan may be in the way.
+            // A fit that explains nothing of its own sample has failed, perhaps because of the largest scan.
             failures += 1;
             let largest = (0..before).max_by_key(|&place| sample[place].cloud.positions.len());
             largest.map(|place| sample.swap_remove(place));
@@ -201,7 +204,7 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
     found
 }
 
-/// The frames that the scanner model is fitted to, spread over the sequence.
+/// The frames to which the scanner is fitted, spread over the sequence.
 fn sample(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>> {
     let places: Vec<usize> = sample_places(frames.len(), config.sample_frames()).collect();
     let scans =
@@ -226,7 +229,8 @@ fn scan_of(frame: &FrameInput, config: &EncoderConfig) -> Result<Option<ScanFile
     Ok(Some(scan))
 }
 
-/// Where a sample of at most so many frames is taken: the first frame, the last, and others evenly between.
+/// The indices of a sample of at most `most` frames: the first frame, the last, and others evenly spaced
+/// between.
 pub(crate) fn sample_places(frames: usize, most: usize) -> impl Iterator<Item = usize> {
     let count = most.min(frames);
     (0..count).map(move |i| i * (frames - 1) / (count - 1).max(1))

@@ -1,5 +1,5 @@
-//! The groups of a stream that hold the frames asked for, each with its scanners: as they arrive,
-//! or by the index.
+//! The groups of a stream that hold the requested frames, each with its scanners: as they arrive, or by the
+//! index.
 
 use std::io::{Read, Seek};
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::container::{
 use crate::ground::error::{Error, Result};
 use crate::scanner::Scanner;
 
-/// A group, with all that it takes to decode or to copy it.
+/// A group, with everything needed to decode or copy it.
 pub struct GroupJob {
     /// Number of its first frame in the sequence.
     pub first_frame: u64,
@@ -33,7 +33,7 @@ impl GroupJob {
 
 /// A scanner, and its record.
 pub struct StoredScanner {
-    /// None if the family is unknown. Groups of such a scanner can be copied all the same.
+    /// None if the family is unknown. Groups with such a scanner can still be copied.
     model: Option<Scanner>,
     pub record: ScannerRecord,
 }
@@ -44,7 +44,7 @@ impl StoredScanner {
         Ok(Arc::new(StoredScanner { model, record }))
     }
 
-    /// What was found of it, in words.
+    /// A description of the scanner, in words.
     pub fn description(&self) -> String {
         let unknown = || format!("of family {}", self.record.family);
         self.model.as_ref().map_or_else(unknown, ToString::to_string)
@@ -61,20 +61,21 @@ pub(crate) fn record_of(model: &Scanner) -> ScannerRecord {
     ScannerRecord { family: model.family(), payload: model.to_payload() }
 }
 
-/// The error about a group whose scanner is not there.
+/// The error about a group whose scanner is missing.
 pub(crate) fn missing(scanner: ScannerId) -> Error {
     Error::corrupt(format!("scanner {scanner} is lost"))
 }
 
-/// Scanners that are kept between groups. Those of a stream with more of them are read again and again.
+/// Number of scanners that are kept between groups. If a stream alternates between more, they are read
+/// repeatedly.
 const KEPT_SCANNERS: usize = 16;
 
-/// The scanners of a stream that the last groups have used, the last of them first.
+/// The scanners of a stream that the latest groups used, the most recent first.
 #[derive(Clone, Default)]
 pub(crate) struct UsedScanners(Vec<(ScannerId, Arc<StoredScanner>)>);
 
 impl UsedScanners {
-    /// The scanners of a group's tracks; `read` gives those that are not kept.
+    /// The scanners of a group's tracks; `read` reads those that are not kept.
     pub fn of_group(
         &mut self,
         group: &Group,
@@ -101,12 +102,12 @@ pub struct StreamedGroups<R> {
 }
 
 impl<R: Read> StreamedGroups<R> {
-    /// From the first on.
+    /// Starts with the first group.
     pub fn new(reader: StreamReader<R>, range: FrameRange) -> Self {
         StreamedGroups { reader, scanners: UsedScanners::default(), range }
     }
 
-    /// Where all records so far are, wanted or not; after the last group, those of the stream.
+    /// The locations of all records so far, wanted or not; after the last group, of the whole stream.
     pub fn index(&self) -> &Index {
         self.reader.index()
     }
@@ -133,30 +134,30 @@ impl<R: Read> Iterator for StreamedGroups<R> {
     }
 }
 
-/// The groups that hold the frames asked for, read where the index says.
+/// The groups that hold the requested frames, read by means of the index.
 #[derive(Clone)]
 pub struct IndexedGroups<R> {
     reader: IndexedReader<R>,
     scanners: UsedScanners,
     range: FrameRange,
-    /// Bytes of groups that are read at once.
+    /// Number of bytes of consecutive groups that are read in one request.
     at_once: u64,
-    /// The next group's place in the index.
+    /// Index of the next group.
     place: usize,
 }
 
 impl<R: Read + Seek> IndexedGroups<R> {
-    /// From the first on.
+    /// Starts with the first group.
     pub fn new(reader: IndexedReader<R>, range: FrameRange) -> Self {
         IndexedGroups { reader, scanners: UsedScanners::default(), range, at_once: 0, place: 0 }
     }
 
-    /// Reads groups that follow one another at once, up to so many bytes.
+    /// Reads consecutive groups in one request, up to this many bytes.
     pub fn reading_at_once(self, bytes: u64) -> Self {
         IndexedGroups { at_once: bytes, ..self }
     }
 
-    /// Where all records are.
+    /// The locations of all records.
     pub fn index(&self) -> &Index {
         self.reader.index()
     }
@@ -170,7 +171,7 @@ impl<R: Read + Seek> IndexedGroups<R> {
         ids.into_iter().map(|id| StoredScanner::parse(self.reader.read_scanner(id)?)).collect()
     }
 
-    /// Goes on with the groups that hold these frames, wherever they are.
+    /// Continues with the groups that hold these frames, wherever they are.
     pub fn seek(&mut self, range: FrameRange) {
         let is_before = |group: &GroupEntry| group.first_frame + group.frames.len() as u64 <= range.start;
         self.place = self.index().groups.partition_point(is_before);

@@ -1,4 +1,4 @@
-//! Whole sequences: what comes back, from any number of threads, and that no damage goes unseen.
+//! Tests of whole sequences: they are restored with any number of threads, and all damage is detected.
 
 use std::io::Cursor;
 
@@ -12,7 +12,7 @@ use crate::frame::*;
 use crate::ground::error::{Error, Limits, Result};
 use crate::study::synth::{SynthConfig, drive};
 
-/// Seven files: scans, an empty one, an odd one, and one that is no scan.
+/// Seven files: scans, an empty one, an unusual one, and one that is not a scan.
 fn sample_files() -> Vec<(String, Vec<u8>)> {
     let record = |n: usize| {
         let values = [n as f32 * 0.25, 1.0 / (n as f32 - 3.0), -0.0, f32::NAN];
@@ -178,7 +178,7 @@ fn names_that_no_decoder_would_write_are_refused() {
     }
 }
 
-/// The frames of a scanner that stands still, as messages of a track of a recording.
+/// The frames of a scanner that stands still, as messages on one track of a recording.
 fn messages(track: u8, config: SynthConfig) -> Vec<FrameInput> {
     let still = SynthConfig { frames: 4, speed: 0.0, yaw_rate: 0.0, noise: 0.004, ..config };
     let message = |(number, frame): (i64, crate::study::synth::SynthFrame)| {
@@ -209,7 +209,7 @@ fn records(stream: &[u8]) -> (Vec<ScannerRecord>, Vec<Group>) {
     (scanners, groups)
 }
 
-/// What groups call these scanners.
+/// The references to these scanners.
 fn ids(scanners: &[ScannerRecord]) -> Vec<Option<ScannerId>> {
     scanners.iter().map(|scanner| Some(scanner.id())).collect()
 }
@@ -223,7 +223,7 @@ fn written(scanners: &[ScannerRecord], groups: &[Group]) -> Vec<u8> {
     writer.finish().unwrap().0
 }
 
-/// Holds decoded frames to what was encoded: bytes, name and stamp.
+/// Compares decoded frames with the encoded ones: bytes, name and stamp.
 fn assert_decodes_to(stream: &[u8], inputs: &[FrameInput]) {
     let mut inputs = inputs.iter();
     decode(stream, &options("..", 2), Ok, |frame| {
@@ -248,7 +248,8 @@ fn two_scanners_that_take_turns_cost_what_they_cost_alone() {
     let alone = [encoded(&one), encoded(&other_alone)];
     let [first, second] = [records(&alone[0]), records(&alone[1])];
 
-    // The same scanners, and the very sections that each frame has alone: P frames of its own track's past.
+    // The same scanners, and exactly the sections that each track has when encoded alone: P frames refer to
+    // their own track.
     let (scanners, groups) = records(&both);
     assert_eq!(scanners, [first.0, second.0].concat());
     assert_eq!(groups.len(), 1);
@@ -316,7 +317,7 @@ fn a_scanner_of_an_unknown_family_only_matters_to_its_groups() {
     let read = |range| decode_indexed(Cursor::new(&stream), &options(range, 1), Ok, |_| Ok(()));
     assert!(read("..4").is_ok() && read("4..").is_err());
 
-    // Groups are copied all the same.
+    // Groups can still be copied.
     let input = StreamReader::open(&stream[..], Limits::default());
     let mut copy = Vec::new();
     cat([input.map(|stream| Named { path: "in.lpc".into(), stream })], &mut copy).unwrap();

@@ -1,4 +1,4 @@
-//! Bounded mode's promise, held to by comparing files.
+//! Checks the error bound of bounded mode by comparing files.
 
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::Intensity;
@@ -7,19 +7,20 @@ use lidarpc::internals::scan::ScanFile;
 
 use super::{File, decode_files, encode_files};
 
-/// Bounded mode.
+/// The settings of bounded mode.
 pub fn bounded(max_error_um: u32) -> EncoderConfig {
     EncoderConfig { threads: 2, ..EncoderConfig::preset(Mode::Bounded { max_error_um }) }
 }
 
-/// Encodes and decodes files, and holds each point to the bound. Gives the stream and the largest error.
+/// Encodes and decodes files, and checks that each point is within the bound. Returns the stream and the
+/// largest error.
 pub fn keeps_the_bound(files: &[File], config: &EncoderConfig, max_error_um: u32) -> (Vec<u8>, f64) {
     let stream = encode_files(files, config);
     let largest = check_bound(files, &decode_files(&stream).expect("decodes"), config, max_error_um);
     (stream, largest)
 }
 
-/// Holds decoded files to the originals: same names, points, order and other fields; positions within
+/// Compares decoded files with the originals: same names, points, order and other fields; positions within
 /// the bound or, if they are not finite, bit by bit; intensities bit by bit or within half a step.
 pub fn check_bound(files: &[File], decoded: &[File], config: &EncoderConfig, max_error_um: u32) -> f64 {
     let bound = f64::from(max_error_um) * 1e-6;
@@ -28,7 +29,8 @@ pub fn check_bound(files: &[File], decoded: &[File], config: &EncoderConfig, max
     for ((name, before), (decoded_name, after)) in files.iter().zip(decoded) {
         assert_eq!(name, decoded_name);
         let (a, b) = (parse(name, before.clone()), parse(name, after.clone()));
-        // Not all of the layout: other numbers may look as if another rule had written them as text.
+        // Not the whole layout: the decoded numbers may look as if they had been written as text by another
+        // rule.
         let fields = |scan: &ScanFile| (scan.layout.position.is_some(), scan.layout.intensity.is_some());
         assert_eq!(
             (a.records, fields(&a), &a.cloud.channels),

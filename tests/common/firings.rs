@@ -1,4 +1,4 @@
-//! Made-up scanners of firings, and scans of them in a room of no shape.
+//! Made-up scanners of the `firings` family, and scans by them in a room with random walls.
 
 use std::f64::consts::TAU;
 
@@ -9,7 +9,8 @@ use lidarpc::internals::scanner::{Coordinates, Echo, RangeImage, Return};
 
 use super::scans::Points;
 
-/// A scanner of 32 lasers that fire out of order and look to either side, with constants as the recipe's maker has them.
+/// A scanner of 32 lasers that fire out of order and have azimuth offsets to either side, with constants as
+/// in the files of the recipe's manufacturer.
 pub fn made_up(recipe: Recipe) -> Firings {
     let (ticks, range_step_um) = match recipe {
         Recipe::SingleRangeXAhead => (2048, 1000),
@@ -41,7 +42,7 @@ pub fn made_up(recipe: Recipe) -> Firings {
     Firings::new(build, (0..32).map(laser).collect(), (0..32).map(|slot| slot * 5 % 32).collect())
 }
 
-/// Numbers below an end, one after the other, of no order.
+/// A generator of pseudo-random numbers, each below the given end.
 fn numbers(mut state: u64) -> impl FnMut(u64) -> u64 {
     move |end| {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -49,8 +50,8 @@ fn numbers(mut state: u64) -> impl FnMut(u64) -> u64 {
     }
 }
 
-/// A turn of a scanner of firings, of which every so many-th is there; one cell in ten has no return, which is a record
-/// in an Ouster's files.
+/// A turn of a scanner of the `firings` family, with every `thinning`-th firing; one cell in ten has no
+/// return, which is a record in an Ouster's files.
 pub fn image(scanner: &Firings, thinning: u32) -> RangeImage {
     let Build { recipe, ticks, range_step_um, ref timing, .. } = *scanner.build();
     let mut below = numbers(7 + recipe as u64);
@@ -74,7 +75,7 @@ pub fn image(scanner: &Firings, thinning: u32) -> RangeImage {
     image
 }
 
-/// The same with second returns in some cells.
+/// The image with second returns in some cells.
 pub fn with_echoes(mut image: RangeImage) -> RangeImage {
     let mut below = numbers(3);
     let cells = (0u32..).zip(image.steps.cells()).filter(|(_, steps)| **steps > 0);
@@ -87,7 +88,7 @@ pub fn with_echoes(mut image: RangeImage) -> RangeImage {
     image
 }
 
-/// The points of an image in the order of a file: blanks are zeros.
+/// The points of an image in the order of a file; blanks are zeros.
 pub fn points(scanner: &Firings, image: &RangeImage) -> Points {
     let point = |found: Return| {
         let [x, y, z] = match found.steps {
@@ -99,7 +100,8 @@ pub fn points(scanner: &Firings, image: &RangeImage) -> Points {
     scanner.file_order(image).into_iter().map(point).collect()
 }
 
-/// Points with their rows and the time stamps of their packets, of so many firings each, 111 microseconds a firing.
+/// Points with their rows and the time stamps of their packets, of `firings` firings each, at 111
+/// microseconds per firing.
 pub fn stamped(scanner: &Firings, image: &RangeImage, firings: u32) -> (Points, Vec<u16>, Vec<f64>) {
     let of =
         |found: Return| (found.row as u16, 1.635e9 + f64::from(found.column / firings * firings) * 111e-6);
@@ -107,8 +109,8 @@ pub fn stamped(scanner: &Firings, image: &RangeImage, firings: u32) -> (Points, 
     (points(scanner, image), rows, times)
 }
 
-/// Moves points by a part of a motion: each by what is left of it from its time stamp to the last one. The turn is a
-/// quaternion's.
+/// Moves points by a part of a motion: each by the part between its time stamp and the last one. The rotation
+/// is computed by a quaternion.
 pub fn moved_by_stamps(points: &Points, times: &[f64], rotation: [f64; 3], translation: [f64; 3]) -> Points {
     let ends = times.iter().fold([f64::MAX, f64::MIN], |[a, b], time| [a.min(*time), b.max(*time)]);
     let angle = rotation.iter().map(|r| r * r).sum::<f64>().sqrt();
@@ -128,23 +130,25 @@ pub fn moved_by_stamps(points: &Points, times: &[f64], rotation: [f64; 3], trans
     points.iter().zip(times).map(moved).collect()
 }
 
-/// Records as a program leaves them that sorts them by time, though they are in that order.
+/// The records as left by a program that sorts them by time although they are in that order already.
 pub fn sorted<T: Copy>(records: &[T], times: &[f64]) -> Vec<T> {
     let bytes = times.iter().flat_map(|time| time.to_le_bytes()).collect();
     let keys = Channel { field: Field::new("timestamp", Scalar::F64), bytes };
     file_order(&keys).into_iter().map(|record| records[record as usize]).collect()
 }
 
-/// The same scanner with lasers that fire one after the other, 1.57 of 55.56 microseconds apart, and a pause.
+/// The same scanner with lasers that fire one after the other, 1.57 of 55.56 microseconds apart, followed by
+/// a pause.
 pub fn timed(scanner: &Firings) -> Firings {
     let part = |slot: i32| (f64::from(slot) * 1.57 / 55.56 * f64::from(1 << 24)) as u32;
     let build = Build { timing: Timing::Parts((0..32).map(part).collect()), ..scanner.build().clone() };
     Firings::new(build, scanner.lasers().to_vec(), (0..32).collect())
 }
 
-/// A scan of a VLP-32C as Autoware's nebula computes it from packets of twelve blocks, but with tables of cosine and sine that
-/// are rounded once: a laser looks 1.4 or 4.2 degrees aside and is that many hundredths of degrees ahead in the table, so is what
-/// passes until it fires, and in the last block of a packet nothing passes.
+/// A scan of a VLP-32C as computed by Autoware's nebula from packets of twelve blocks, but with tables of
+/// cosine and sine that are rounded once. A laser's azimuth offset, 1.4 or 4.2 degrees to either side, is
+/// subtracted in hundredths of a degree before the lookup; the rotation until it fires is added, and is 0 in the
+/// last block of a packet.
 pub fn vlp_32c(packets: usize) -> Points {
     const BLOCKS: usize = 12;
     let mut below = numbers(11);
@@ -185,8 +189,8 @@ pub fn vlp_32c(packets: usize) -> Points {
     points
 }
 
-/// The same image with half of the lasers only in every other firing, the others of that half in between, as Hesai's scanners of
-/// 128 channels fire.
+/// The same image with half of the lasers only in every other firing, and the other half of them in the
+/// firings between, as Hesai's scanners of 128 channels fire.
 pub fn taking_turns(mut image: RangeImage) -> RangeImage {
     for row in image.steps.rows() / 2..image.steps.rows() {
         let cells = image.steps.row_mut(row).iter_mut().enumerate();
@@ -195,8 +199,9 @@ pub fn taking_turns(mut image: RangeImage) -> RangeImage {
     image
 }
 
-/// A scan of an Ouster in a room, as its SDK computes it in the sensor's frame, in single precision or double: an image
-/// row by row of which each is shifted by its own number of columns, and zeros where there is no return.
+/// A scan of an Ouster in a room, as computed by its SDK in the sensor's frame, in single or double
+/// precision: an image row by row, each row shifted by its own number of columns, and zeros where there is no
+/// return.
 pub fn ouster(rows: usize, is_single: bool) -> Points {
     let width = 512;
     let shift = |row: usize| [24, 8, 504, 488][row % 4];
@@ -207,7 +212,7 @@ pub fn ouster(rows: usize, is_single: bool) -> Points {
         let offsets: [f64; 4] = [-8.48, -2.83, 2.81, 8.5];
         let azimuth = -offsets[row % 4].to_radians();
         let encoder = TAU - measured as f64 * (TAU / width as f64);
-        // A room that grows longer from a corner on.
+        // A room that becomes longer from a corner on.
         let millimetres =
             2000.0 + 37.0 * (measured % 97) as f64 + (row * row) as f64 + (measured * 7 % 13) as f64;
         if (measured * 31 + row * 17) % 9 == 0 {

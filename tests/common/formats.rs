@@ -12,12 +12,12 @@ pub fn nuscenes(points: &[[f32; 4]]) -> Vec<u8> {
     points.iter().enumerate().flat_map(record).collect()
 }
 
-/// PCD, x, y and z alone.
+/// PCD with x, y and z only.
 pub fn pcd_xyz(points: &[[f32; 4]]) -> Vec<u8> {
     pcd("x y z", "4 4 4", "F F F", points, |_, [x, y, z, _]| [x, y, z].map(f32::to_le_bytes).concat())
 }
 
-/// PCD with fields before, between and behind the coordinates.
+/// PCD with fields before, between and after the coordinates.
 pub fn pcd_extra(points: &[[f32; 4]]) -> Vec<u8> {
     let fields = ("ring x y time z intensity flags", "2 4 4 8 4 4 1", "U F F F F F U");
     pcd(fields.0, fields.1, fields.2, points, |n, [x, y, z, i]| {
@@ -30,7 +30,8 @@ pub fn pcd_extra(points: &[[f32; 4]]) -> Vec<u8> {
     })
 }
 
-/// PCD as a ROS driver's structure, with the header that PCL makes of it: padding with and without COUNT.
+/// PCD with the structure of a ROS driver, and the header that PCL writes for it: padding with and without
+/// COUNT.
 pub fn pcd_ros(points: &[[f32; 4]]) -> Vec<u8> {
     let (count, fields) = (points.len(), "x y z _ intensity _ time ring return_type _");
     let mut bytes = format!(
@@ -97,14 +98,14 @@ pub fn csv(points: &[[f32; 4]]) -> Vec<u8> {
         .into_bytes()
 }
 
-/// Columns without names, each separator of two characters, and no end of the last line.
+/// Columns without names, with separators of two characters, and no end of the last line.
 pub fn columns(points: &[[f32; 4]]) -> Vec<u8> {
     let lines: Vec<_> =
         points.iter().map(|[x, y, z, i]| format!("{x:.3}; {y:.3}; {z:.3}; {i:.2};")).collect();
     lines.join("\r\n").into_bytes()
 }
 
-/// NumPy's array of structures, x, y, z, intensity and a ring.
+/// NumPy's structured array: x, y, z, intensity and a ring.
 pub fn npy(points: &[[f32; 4]]) -> Vec<u8> {
     let header = format!(
         "{{'descr': [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('intensity', '<f4'), ('ring', '|u1')], \
@@ -119,7 +120,7 @@ pub fn npy(points: &[[f32; 4]]) -> Vec<u8> {
     bytes
 }
 
-/// NumPy's table of doubles, column_5 being more than float32 holds.
+/// NumPy's table of doubles, of which column_5 does not fit float32.
 pub fn npy_doubles(points: &[[f32; 4]]) -> Vec<u8> {
     let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 5), }}\n", points.len());
     let mut bytes =
@@ -167,7 +168,7 @@ pub fn ply(points: &[[f32; 4]]) -> Vec<u8> {
     bytes
 }
 
-/// PLY of big-endian values, x, y, z and intensity.
+/// Big-endian PLY: x, y, z and intensity.
 pub fn ply_big_endian(points: &[[f32; 4]]) -> Vec<u8> {
     let mut bytes = ply_header("binary_big_endian", points.len());
     bytes.extend(points.as_flattened().iter().flat_map(|value| value.to_be_bytes()));
@@ -189,7 +190,8 @@ fn ply_header(encoding: &str, points: usize) -> Vec<u8> {
     .into_bytes()
 }
 
-/// A PCD file as PCL writes the records of Velodyne's ROS driver: 32 bytes, with padding and the ring.
+/// A PCD file of the records of Velodyne's ROS driver as PCL writes them: 32 bytes, with padding and the
+/// ring.
 pub fn pcd_velodyne(points: &[[f32; 4]]) -> Vec<u8> {
     let header = format!(
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ intensity ring _\n\

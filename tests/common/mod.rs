@@ -1,4 +1,4 @@
-//! What the tests of whole streams share: the round trip, scans to feed it, and their files.
+//! Code shared by the tests of whole streams: the round trip, scans for it, and their files.
 
 #![allow(dead_code, missing_docs)] // Each test file takes the part that it needs.
 
@@ -25,19 +25,19 @@ use proptest::test_runner::{Config, FileFailurePersistence};
 /// A file's name and bytes.
 pub type File = (String, Vec<u8>);
 
-/// Above this many bytes the decoding through the index, which is the same code, is left out.
+/// Above this size in bytes, decoding by the index, which uses the same code, is not tested.
 const SMALL: usize = 1 << 20;
 
-/// Encodes files, decodes them front to back and through the index, and holds what comes back to
-/// what went in, byte for byte. Returns the stream.
+/// Encodes files, decodes them from front to back and by the index, and compares the result with the input,
+/// byte for byte. Returns the stream.
 pub fn round_trip(files: &[File], config: &EncoderConfig) -> Vec<u8> {
     let stream = encode_files(files, config);
     comes_back(&stream, files, 0);
     stream
 }
 
-/// Decodes a stream front to back, and through the index on so many threads (0: one for each processor), and holds what
-/// comes back to what went in.
+/// Decodes a stream from front to back, and by the index on `threads` threads (0: one per processor), and
+/// compares the result with the input.
 pub fn comes_back(stream: &[u8], files: &[File], threads: usize) {
     assert_same(&decode_files(stream).expect("decodes"), files);
     if files.iter().map(|(_, bytes)| bytes.len()).sum::<usize>() < SMALL {
@@ -59,7 +59,7 @@ pub fn encode_files(files: &[File], config: &EncoderConfig) -> Vec<u8> {
     stream
 }
 
-/// Decodes a stream front to back, on this thread.
+/// Decodes a stream from front to back, on this thread.
 pub fn decode_files(stream: &[u8]) -> Result<Vec<File>> {
     decode_within(stream, Limits::default())
 }
@@ -92,7 +92,7 @@ fn assert_same(decoded: &[File], files: &[File]) {
     }
 }
 
-/// A stream's scanners and groups, to be altered and written anew with right checksums.
+/// A stream's scanners and groups, to be changed and written again with correct checksums.
 pub fn take_apart(stream: &[u8]) -> (Vec<ScannerRecord>, Vec<Group>) {
     let mut reader = StreamReader::open(stream, Limits::default()).unwrap();
     let (mut scanners, mut groups) = (Vec::new(), Vec::new());
@@ -137,14 +137,14 @@ pub fn in_package(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
-/// The folders of real scans, which are not part of the package: those in the folder that
-/// LIDARPC_DATA names, or in `../shared/data`. None if it is missing, and says so.
+/// The folders of real scans, which are not part of the package: those in the folder named by LIDARPC_DATA,
+/// or in `../shared/data`. If it is missing, prints so and returns none.
 pub fn real_folders() -> Vec<PathBuf> {
     let root = std::env::var_os("LIDARPC_DATA").map_or_else(|| in_package("../shared/data"), PathBuf::from);
     let entries = fs::read_dir(&root).map(|entries| entries.flatten().map(|e| e.path()).collect());
     let mut folders: Vec<PathBuf> = entries.unwrap_or_default();
     folders.retain(|path| path.is_dir());
-    // A folder of folders is one of them all.
+    // A folder of folders counts as one.
     let subfolders = |folder: &PathBuf| -> Vec<PathBuf> {
         let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
         entries.filter(|path| path.is_dir()).collect()

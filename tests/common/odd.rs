@@ -1,4 +1,4 @@
-//! Scans with anything done to them, and files of no meaning, for property tests.
+//! Scans with arbitrary changes, and files without meaning, for property tests.
 
 use std::sync::LazyLock;
 
@@ -11,7 +11,7 @@ use super::formats::{
 };
 use super::scans::{Points, moved, rows, scans, shuffled, small, unrounded};
 
-/// Scans to start from: two scanners, one off the millimetre grid, one off every grid.
+/// The scans to be changed: of two scanners, off the millimetre grid, and off every grid.
 pub static SCANS: LazyLock<Vec<Vec<Points>>> = LazyLock::new(|| {
     let (one, other) = (small(1, 3), SynthConfig { beams: 16, thinning: 20, ..small(7, 2) });
     let ones = scans(&one);
@@ -20,7 +20,7 @@ pub static SCANS: LazyLock<Vec<Vec<Points>>> = LazyLock::new(|| {
     vec![ones, scans(&other), floats, corrected]
 });
 
-/// How points become a file.
+/// The format in which points are written.
 #[derive(Clone, Copy, Debug)]
 pub enum Format {
     Kitti,
@@ -84,7 +84,7 @@ impl Format {
     }
 }
 
-/// What is done to a scan. Places are counted modulo the number of points.
+/// A change to a scan. Indices are taken modulo the number of points.
 #[derive(Clone, Debug)]
 pub enum Change {
     Shuffle(u64),
@@ -145,7 +145,7 @@ impl Change {
     }
 }
 
-/// Values that break things.
+/// Values that are likely to cause failures.
 fn odd_value() -> impl Strategy<Value = f32> {
     let listed = [0.0, -0.0, f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e-40, -1e-45, 0.001];
     let large = [f32::MAX, f32::MIN, 1e6, 999_999.94, -131.07, 16_777.217, 1e12, -0.0005, 65.535];
@@ -195,14 +195,14 @@ pub fn changed_scan() -> impl Strategy<Value = Quiet> {
     )
 }
 
-/// Bytes of no meaning under a meaningful name.
+/// Meaningless bytes under a meaningful name.
 pub fn noise() -> impl Strategy<Value = Quiet> {
     let extension = prop::sample::select(vec!["bin", "pcd", "ply", "pcd.bin", "txt"]);
     let byte = prop_oneof![Just(0u8), Just(255), any::<u8>()];
     (extension, prop::collection::vec(byte, 0..700)).prop_map(|(e, bytes)| Quiet(e, bytes))
 }
 
-/// A file's extension and bytes. Shows no bytes: a failure would print megabytes of them.
+/// A file's extension and bytes. The bytes are not printed: a failure would print megabytes of them.
 #[derive(Clone)]
 pub struct Quiet(pub &'static str, pub Vec<u8>);
 

@@ -21,7 +21,8 @@ impl Bench {
         Bench(TempDir::new().unwrap())
     }
 
-    /// With `seq/` holding [`odd_files`] and `out.lpc` made of it, two frames a group.
+    /// A folder that contains `seq/` with [`odd_files`], and `out.lpc` encoded from it with two frames a
+    /// group.
     pub fn encoded() -> Self {
         let bench = Bench::new();
         bench.write_files("seq", &odd_files());
@@ -57,7 +58,7 @@ impl Bench {
         command
     }
 
-    /// Runs it, which must succeed without a complaint; returns stdout.
+    /// Runs the program, which must succeed without messages; returns stdout.
     pub fn ok(&self, args: &str) -> Vec<u8> {
         let run = self.command(args).arg("--quiet").assert().success();
         let output = run.get_output();
@@ -69,7 +70,7 @@ impl Bench {
         serde_json::from_slice(&self.ok(args)).unwrap()
     }
 
-    /// As [`Bench::command`], where a limit on the size of files stands for a full disk.
+    /// As [`Bench::command`], with a limit on file sizes in place of a full disk.
     #[cfg(target_os = "linux")]
     pub fn on_full_disk(&self, args: &str) -> Command {
         let mut shell = Command::new("sh");
@@ -79,8 +80,8 @@ impl Bench {
         shell
     }
 
-    /// Runs it by a shell, in an address space of so many mebibytes. All threads allocate from one arena, for each takes
-    /// 64 MiB of addresses, used or not.
+    /// Runs the program by a shell, with an address space of `mebibytes` MiB. All threads allocate from one
+    /// arena, since each arena reserves 64 MiB of addresses, used or not.
     #[cfg(target_os = "linux")]
     pub fn within_memory(&self, mebibytes: u64, args: &str) -> assert_cmd::assert::Assert {
         let script =
@@ -89,7 +90,7 @@ impl Bench {
         shell.args(["-c", &script]).env("MALLOC_ARENA_MAX", "1").current_dir(self.0.path()).assert()
     }
 
-    /// Runs it, which must succeed; returns what it says on stderr.
+    /// Runs the program, which must succeed; returns its stderr.
     #[track_caller]
     pub fn says(&self, args: &str) -> String {
         let output = self.command(args).output().unwrap();
@@ -102,7 +103,7 @@ impl Bench {
         fs::read(self.path(name)).unwrap()
     }
 
-    /// Runs it, which must fail with exit code 1 and one line that starts with `lidarpc: PATH: `.
+    /// Runs the program, which must fail with exit code 1 and one line that starts with `lidarpc: PATH: `.
     #[track_caller]
     pub fn fails(&self, args: &str, path: &str) -> String {
         failure(&mut self.command(args), path)
@@ -124,7 +125,7 @@ pub fn scan(points: usize, seed: u32) -> Vec<u8> {
     (0..points * 4).flat_map(|n| value(n).to_le_bytes()).collect()
 }
 
-/// Scans, and what else may be called one.
+/// Scans, and other files with the names of scans.
 pub fn odd_files() -> Files {
     let special = [f32::NAN, f32::INFINITY, -0.0, 1e-40, f32::NEG_INFINITY, f32::from_bits(0x7fa0_0001)];
     let special = special.iter().cycle().take(20).flat_map(|value| value.to_le_bytes());

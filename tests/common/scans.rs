@@ -1,4 +1,4 @@
-//! Scans for tests: simulated ones, and the same as other scanners or programs would store them.
+//! Scans for tests: simulated ones, also in the form in which other scanners or programs would store them.
 
 use std::f64::consts::{PI, TAU};
 
@@ -10,7 +10,7 @@ const TICK_DEGREES: f64 = 0.09;
 /// x, y, z and intensity.
 pub type Points = Vec<[f32; 4]>;
 
-/// A narrow, thinned drive: quick, and still enough to fit a sensor model to.
+/// A narrow, thinned drive: fast, but sufficient for a scanner to be fitted.
 pub fn small(seed: u64, frames: usize) -> SynthConfig {
     SynthConfig { seed, frames, beams: 8, thinning: 10, ..SynthConfig::default() }
 }
@@ -31,8 +31,8 @@ pub fn rows(points: &[[f32; 4]]) -> Vec<Points> {
     points.chunk_by(|a, b| azimuth(b) - azimuth(a) > -3.0).map(<[_]>::to_vec).collect()
 }
 
-/// The scan of [`scans`] as float32 coordinates that were never rounded to the millimetre: the
-/// integers of each point are found again and put through the formula.
+/// The scan of [`scans`] as float32 coordinates that were never rounded to the millimetre: the integers of
+/// each point are recovered and passed through the formula.
 pub fn unrounded(config: &SynthConfig, points: &[[f32; 4]]) -> Points {
     from_integers(config, points, |beam, tick, d| {
         let (sin, cos) = beam.elevation.to_radians().sin_cos();
@@ -42,7 +42,7 @@ pub fn unrounded(config: &SynthConfig, points: &[[f32; 4]]) -> Points {
     })
 }
 
-/// The same, computed in single precision as KITTI-360's program did.
+/// The same, computed in single precision like KITTI-360's program.
 pub fn single_precision(config: &SynthConfig, points: &[[f32; 4]]) -> Points {
     from_integers(config, points, |beam, tick, d| {
         let (sin_v, cos_v) = beam.elevation.to_radians().sin_cos();
@@ -50,7 +50,7 @@ pub fn single_precision(config: &SynthConfig, points: &[[f32; 4]]) -> Points {
         let offset = beam.range_offset / cos_v;
         let distance = (d + offset) as f32;
         let aside = (beam.side / (f64::from(distance) * f64::from(cos))).atan().to_degrees();
-        // The program counts ticks from elsewhere.
+        // The program counts ticks from another tick.
         let first = i64::from(beam.shift);
         let counted = (tick - first).rem_euclid(i64::from(TICKS));
         let added = beam.turn + first as f64 * TICK_DEGREES;
@@ -67,7 +67,7 @@ pub fn single_precision(config: &SynthConfig, points: &[[f32; 4]]) -> Points {
     })
 }
 
-/// Finds beam, tick and range of each point again, and puts them through a formula.
+/// Recovers beam, tick and range of each point, and passes them through a formula.
 fn from_integers(
     config: &SynthConfig,
     points: &[[f32; 4]],
@@ -89,8 +89,8 @@ fn from_integers(
     beams.iter().zip(rows).flat_map(of_row).collect()
 }
 
-/// The scan seen from elsewhere, as programs store it that correct for the motion: float32 values
-/// off any grid.
+/// The scan from another position, as stored by programs that compensate for motion: float32 values off any
+/// grid.
 pub fn moved(points: &[[f32; 4]]) -> Points {
     let (sin, cos) = 0.01f64.sin_cos();
     let turn = |&[x, y, z, i]: &[f32; 4]| {
@@ -100,8 +100,8 @@ pub fn moved(points: &[[f32; 4]]) -> Points {
     points.iter().map(turn).collect()
 }
 
-/// The scan as programs store it that correct for the motion within the turn: each point is moved by the part of
-/// the motion that its azimuth, from -pi to pi, is of the turn.
+/// The scan as stored by programs that compensate for the motion within the turn: each point is moved by a
+/// part of the motion that corresponds to its azimuth, from -pi to pi, as a part of the turn.
 pub fn compensated(points: &[[f32; 4]], rotation: [f64; 3], translation: [f64; 3]) -> Points {
     let moved = |&[x, y, z, intensity]: &[f32; 4]| {
         let point = [x, y, z].map(f64::from);

@@ -1,4 +1,4 @@
-//! Small streams that use every section, to be damaged.
+//! Small streams that use every section, as a basis for damage.
 
 use std::sync::LazyLock;
 
@@ -20,8 +20,8 @@ use super::{File, decode_files, encode_files, put_together, take_apart};
 /// Scanners and groups.
 pub type Parts = (Vec<ScannerRecord>, Vec<Group>);
 
-/// Small streams that use every section between them, taken apart: a frame has some two hundred points, so that a fuzzer
-/// makes hundreds of executions a second.
+/// Small streams that together use every section, as parts: frames have some two hundred points, so that a
+/// fuzzer makes hundreds of executions a second.
 pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
     let [beams, firings @ ..] = &KNOWN[..] else { panic!("no scanners") };
     let frames = &beams.frames;
@@ -57,7 +57,7 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
         moved_through_a_map(&firings[0]),
         stamped(),
         coded(&Known::ideal(), &scanner, with_back_end(backend::LZMA)),
-        // P frames, by context, as tokens and by a back-end.
+        // P frames: by the context coder, as tokens and by a back-end.
         coded(beams, &still, at_level(9)),
         coded(beams, &still, EncoderConfig::default()),
         coded(beams, &scanner, halved(EncoderConfig::default())),
@@ -88,7 +88,7 @@ pub static STREAMS: LazyLock<Vec<Parts>> = LazyLock::new(|| {
     streams
 });
 
-/// A scan that was corrected for the scanner's motion, which takes more points to be found.
+/// A scan that was compensated for the scanner's motion; more points are needed to detect this.
 fn moved() -> Parts {
     let mut moved = compensated(&scans(&small(3, 1))[0], [0.001, 0.0, 0.03], [-0.8, 0.1, 0.02]);
     moved[3] = [f32::NAN, 1.0, -1.0, 0.5];
@@ -96,8 +96,8 @@ fn moved() -> Parts {
     take_apart(&encode_files(&[("0.bin".to_owned(), kitti(&moved))], &config))
 }
 
-/// A scan that was moved through the coordinates of a map. That is found in whole turns only, so a small stream has it put in:
-/// behind the sections of what was measured the one that says how it was moved.
+/// A scan that was moved through the coordinates of a map. This is detected in whole turns only, so the
+/// section that describes it is inserted into a small stream, after the sections of the measured points.
 pub fn moved_through_a_map(known: &Known) -> Parts {
     let points = &known.frames[0];
     let measured: Vec<[f32; 3]> = points.iter().map(|&[x, y, z, _]| [x, y, z]).collect();
@@ -130,7 +130,8 @@ pub fn moved_through_a_map(known: &Known) -> Parts {
     (scanners, groups)
 }
 
-/// A scan that was corrected by time stamps, and sorted by them, which takes more points to be found too.
+/// A scan that was compensated by time stamps, and sorted by them; more points are needed to detect this,
+/// too.
 fn stamped() -> Parts {
     let scanner = made_up(Recipe::Pandar64);
     let (mut points, rows, times) = super::firings::stamped(&scanner, &image(&scanner, 45), 2);
@@ -141,14 +142,15 @@ fn stamped() -> Parts {
     take_apart(&known.encode(&[("0.pcd".to_owned(), file)], &EncoderConfig::default()))
 }
 
-/// A scanner that need not be looked for in scans, and small scans of it.
+/// A known scanner, which need not be fitted, and small scans of it.
 #[derive(Default)]
 pub struct Known {
     pub scanner: Option<Scanner>,
     pub frames: Vec<Points>,
 }
 
-/// One with beams, then one of firings for each recipe, with second returns and interpolated ticks in turn.
+/// One scanner with beams, then one of the `firings` family for each recipe, alternately with second returns
+/// and interpolated ticks.
 pub static KNOWN: LazyLock<Vec<Known>> = LazyLock::new(|| {
     let scans = scans(&small(3, 3));
     let files: Vec<_> = scans.iter().map(|points| parse("0.bin", kitti(points))).collect();
@@ -178,7 +180,7 @@ impl Known {
         Known { scanner: Some(Scanner::Hdl64(scanner)), frames: Vec::new() }
     }
 
-    /// Encodes files to a stream of one group, of this scanner.
+    /// Encodes files as a stream of one group, with this scanner.
     pub fn encode(&self, files: &[File], config: &EncoderConfig) -> Vec<u8> {
         let inputs = files.iter().map(|(name, bytes)| FrameInput::memory(name.clone(), bytes.clone()));
         let config = EncoderConfig { gop: files.len().max(1), threads: 1, ..config.clone() };
@@ -187,17 +189,17 @@ impl Known {
     }
 }
 
-/// Exact mode, quicker or smaller.
+/// Exact mode at a level.
 pub fn at_level(level: u8) -> EncoderConfig {
     EncoderConfig { level: Level::new(level).unwrap(), ..EncoderConfig::default() }
 }
 
-/// The same settings, but images are halved, however small.
+/// The same settings, but images are split into halves, however small.
 pub fn halved(config: EncoderConfig) -> EncoderConfig {
     EncoderConfig { halved_from: 1, ..config }
 }
 
-/// Paper mode with a small image.
+/// Paper mode with a back-end and a small image.
 pub fn with_back_end(id: u8) -> EncoderConfig {
     EncoderConfig {
         projection: ProjectionKind::Ideal { columns: 200, range_step_um: 10_000 },

@@ -1,14 +1,15 @@
-//! Sweeps of an HDL-32E that were moved through a map in single precision, by a formula path of their own.
+//! Sweeps of an HDL-32E that were moved through a map in single precision, computed independently of the
+//! codec's formulas.
 
 use super::scans::Random;
 
 /// Records of a firing.
 pub const SLOTS: usize = 32;
-/// Firings of the sweeps, and ticks from one to the next.
+/// Firings in a sweep, and ticks from one to the next.
 const FIRINGS: usize = 1085;
 const FIRING_TICKS: f64 = 33.2;
 
-/// How a car goes, and where the scanner is in the map in the end.
+/// The motion of a car, and the final position of the scanner in the map.
 pub struct Drive {
     /// Metres a second.
     velocity: [f64; 3],
@@ -23,21 +24,21 @@ pub const TURNING: Drive =
 pub const STRAIGHT: Drive =
     Drive { velocity: [-0.2, 11.3, 0.1], yaw_rate: 0.01, origin: [411.8, -902.25, 1.83], heading: 2.4 };
 
-/// The elevation of a record's beam in degrees: thirds of four degrees as the data sheet rounds them, two of
-/// them down.
+/// The elevation of a record's beam in degrees: multiples of four thirds of a degree, rounded as in the data
+/// sheet, two of them towards zero.
 pub fn elevation(slot: usize) -> f64 {
     let hundredths = ((slot as f64 * 4.0 - 92.0) * 100.0 / 3.0).round();
     (hundredths + if slot == 3 || slot == 18 { 1.0 } else { 0.0 }) / 100.0
 }
 
-/// What the scanner measures in a street: (0, 0, 0) where nothing comes back.
+/// The scanner's measurements in a street: (0, 0, 0) where there is no return.
 pub fn street(seed: u64) -> Vec<[f32; 3]> {
     let mut random = Random(seed);
     let mut points = Vec::with_capacity(FIRINGS * SLOTS);
     for firing in 0..FIRINGS {
         for slot in 0..SLOTS {
             let place = if slot < 16 { 2 * slot } else { 2 * slot - 31 };
-            // As the scanner's driver has them: the blocks' ticks are whole, and so are their differences.
+            // As in the scanner's driver: the blocks' ticks are whole numbers, and so are their differences.
             let at = |firing: usize| (18_100.0 + firing as f64 * FIRING_TICKS).floor();
             let next = if firing % 12 == 3 && firing > 0 {
                 2.0 * at(firing) - at(firing - 1)
@@ -51,7 +52,7 @@ pub fn street(seed: u64) -> Vec<[f32; 3]> {
             let wall = 9.0 / (azimuth.sin().abs().max(0.05) * up.cos());
             let range = ground.min(wall);
             let is_lost = range > 60.0 || random.below(100) < 12;
-            // A sum of uniform numbers is nearly normal.
+            // A sum of uniformly distributed numbers is nearly normally distributed.
             let noise = (0..12).map(|_| random.below(1000) as f64 / 1000.0).sum::<f64>() - 6.0;
             let steps = if is_lost { 0.0 } else { (range / 0.002 + noise * 4.0).round() };
             let metres = steps as f32 * 0.002f32;
@@ -66,7 +67,7 @@ pub fn street(seed: u64) -> Vec<[f32; 3]> {
     points
 }
 
-/// The points as the file has them: to the map and back.
+/// The points as in the file: moved to the map and back.
 pub fn through_a_map(points: &[[f32; 3]], drive: &Drive) -> Vec<[f32; 3]> {
     let mut time = 0.0;
     let mut times = Vec::new();

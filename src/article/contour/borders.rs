@@ -6,16 +6,16 @@ use crate::entropy::{BitCoder, MixedBits};
 
 /// Rows and columns of a block.
 const BLOCK: usize = 4;
-/// Opinions that are mixed: those of all views and two more.
+/// Number of opinions that are mixed: those of all views and two more.
 const OPINIONS: usize = 8;
 const BLOCK_VIEWS: [usize; 4] = [1 << 7, 1 << 9, 32 << 4, 1 << 10];
 const BIT_VIEWS: [usize; 6] = [1 << 10, 1 << 12, 128 << 4, 1 << 12, 1 << 9, 1 << 12];
 /// Rows of blocks from this number on share their contexts.
 const BLOCK_ROWS: usize = 32;
-/// Beams from this number on share their contexts.
+/// Rows from this number on share their contexts.
 const ROWS: usize = 128;
 
-/// What the coder has learned about borders.
+/// The adaptive models of borders.
 #[derive(Clone)]
 pub struct BorderModel {
     blocks: MixedBits<4, OPINIONS>,
@@ -31,15 +31,15 @@ impl Default for BorderModel {
     }
 }
 
-/// A row of blocks. Block b is entry b + 1, because there is one more block on each side.
+/// A row of blocks. Block b is entry b + 1, because there is an additional block on each side.
 struct Stripe {
-    /// Its first row.
+    /// The first row of its cells.
     top: usize,
-    /// Number of returns of each block that are not yet coded.
+    /// Number of uncoded returns in each block.
     to_code: Vec<usize>,
-    /// Whether there is a border in each block; without returns, as in the block to the left.
+    /// Whether there is a border in each block; a block without returns has the value of the one to its left.
     has_border: Vec<bool>,
-    /// Whether a border of each block has already been coded.
+    /// Whether a border in each block was already coded.
     border_seen: Vec<bool>,
 }
 
@@ -55,7 +55,7 @@ impl Stripe {
     }
 }
 
-/// What is known of the bitmap.
+/// The known part of the bitmap.
 struct Known<'a> {
     returns: &'a Returns,
     /// The bit of each return; false if it is not yet coded.
@@ -67,7 +67,8 @@ struct Known<'a> {
 }
 
 impl BorderModel {
-    /// Codes which returns are on a border, given by the encoder's `borders`; the decoder's may be empty.
+    /// Codes which returns are on a border. The encoder passes them in `borders`, which may be empty in a
+    /// decoder.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, returns: &Returns, borders: &[bool]) -> Vec<bool> {
         let (rows, columns) = (returns.rows(), returns.columns());
         let mut known = Known {
@@ -99,7 +100,7 @@ impl BorderModel {
         known.bits
     }
 
-    /// Codes which blocks of a row contain a border, where there are any returns.
+    /// Codes which blocks of a row contain a border, skipping blocks without returns.
     fn code_blocks<C: BitCoder>(&mut self, coder: &mut C, known: &Known, stripe: &mut Stripe) {
         for block in 1..stripe.to_code.len() - 1 {
             if stripe.to_code[block] == 0 {
@@ -158,7 +159,8 @@ impl Known<'_> {
         (usize::from(touching > 0) | near << 1, views)
     }
 
-    /// The contexts of a bit: the bits around it, gaps between the returns, and what its block still lacks.
+    /// The contexts of a bit: the bits around it, gaps between the returns, and whether its block still needs
+    /// a border.
     fn around_bit(&self, stripe: &Stripe, number: usize) -> (usize, [usize; BIT_VIEWS.len()]) {
         let returns = self.returns;
         let bit = |other: Option<usize>| other.map_or(0, |other| usize::from(self.bits[other]));
@@ -189,12 +191,12 @@ impl Known<'_> {
     }
 }
 
-/// Numbers of empty cells between a return and those around it: 0, 1, or 2 for more; 3 if there is no return.
-/// Two directions share a number.
+/// Numbers of empty cells between a return and the next in each direction: 0, 1, or 2 for more; 3 if there is
+/// no return. Two directions are combined in a number.
 struct Gaps {
-    /// To the right, plus 4 times below.
+    /// To the right, plus 4 times that below.
     ahead: usize,
-    /// To the left, plus 4 times above.
+    /// To the left, plus 4 times that above.
     behind: usize,
 }
 

@@ -1,11 +1,11 @@
-//! The contour map (article, IV-D.1): the region that each return belongs to, as borders and what lies
-//! between them. The same functions code it in both directions. FORMAT.md 8.11.
+//! The contour map (article, IV-D.1): the region of each return, coded as borders and the regions of the
+//! pieces between them. The same functions code it in both directions. FORMAT.md 8.11.
 //!
 //! A return is on a border if the next return to its right or below it, however far away, belongs to another
 //! region. The bitmap of borders is coded in blocks of 4 x 4 cells. A return that is not on a border is
-//! joined with those to its right and below; returns that are joined are a *piece*. The region of each piece
-//! is coded in scan order. Single returns between borders, the article's exceptions, are pieces like others.
-//! The image does not wrap around: the seam is one column of many.
+//! joined with the next returns to its right and below; joined returns are a *piece*. The region of each
+//! piece is coded in scan order. Single returns between borders, the article's exceptions, are pieces like
+//! others. The image does not wrap around: the seam is one column of many.
 
 mod borders;
 mod pieces;
@@ -19,7 +19,7 @@ use borders::BorderModel;
 use returns::Returns;
 use values::ValueModel;
 
-/// What the coder has learned about contour maps.
+/// The adaptive models of contour maps.
 #[derive(Clone, Default)]
 pub struct ContourModel {
     borders: BorderModel,
@@ -28,13 +28,12 @@ pub struct ContourModel {
 
 impl ContourModel {
     /// Codes the labels (rows x columns) of the cells that hold a return. The encoder's must be numbered as
-    /// [`renumber`] does; the decoder's may hold anything, in the same size. Returns the number of regions.
+    /// by [`renumber`]; a decoder's are ignored except for their size. Returns the number of regions.
     ///
-    /// Rows should be [aligned](crate::scanner::Alignment::align), as borders that run straight down are
-    /// cheap.
+    /// Rows should be [aligned](crate::scanner::Alignment::align), since vertical borders are cheap.
     ///
     /// # Errors
-    /// If the stream names a region that does not exist.
+    /// If the stream refers to a region that does not exist.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -78,7 +77,7 @@ pub fn renumber(occupancy: &Grid<bool>, labels: &mut Grid<u32>) -> Vec<u32> {
     old
 }
 
-/// Which returns differ from the one to the right or the one below.
+/// Whether each return differs from the next one to the right or below.
 fn borders_of(returns: &Returns, regions_of: &[u32]) -> Vec<bool> {
     let is_border = |number: usize| {
         let differs = |other: Option<usize>| other.is_some_and(|o| regions_of[o] != regions_of[number]);

@@ -2,8 +2,8 @@
 
 use super::returns::Returns;
 
-/// The piece that each return belongs to, found by filling between the borders. A return that is not on a
-/// border is in one piece with those to its right and below. A piece is identified by its first return.
+/// The piece of each return, determined by filling between the borders. A return that is not on a border is
+/// in the same piece as the next returns to its right and below. A piece is identified by its first return.
 pub fn fill(returns: &Returns, borders: &[bool]) -> Vec<u32> {
     let mut first: Vec<u32> = (0..returns.len() as u32).collect();
     for number in (0..returns.len()).filter(|&number| !borders[number]) {
@@ -11,7 +11,7 @@ pub fn fill(returns: &Returns, borders: &[bool]) -> Vec<u32> {
             join(&mut first, number as u32, other as u32);
         }
     }
-    // The first return of a piece never comes after another one, so one pass is enough.
+    // The first return of a piece precedes all others of it, so one pass is enough.
     for number in 0..first.len() {
         first[number] = first[first[number] as usize];
     }
@@ -24,7 +24,7 @@ fn join(first: &mut [u32], a: u32, b: u32) {
     first[a.max(b) as usize] = a.min(b);
 }
 
-/// The first return of the piece; halves the path to it (union-find).
+/// The first return of a piece; halves the path to it (union-find).
 fn root(first: &mut [u32], mut number: u32) -> u32 {
     while first[number as usize] != number {
         first[number as usize] = first[first[number as usize] as usize];

@@ -1,5 +1,5 @@
-//! The returns of an image as the contour map sees them: numbered in scan order, each with its neighbours.
-//! Cells without a return do not exist here, so a border across them costs nothing.
+//! The returns of an image, numbered in scan order, each with its neighbours. Cells without a return are not
+//! represented, so a border across them costs nothing.
 
 use std::ops::Range;
 
@@ -8,7 +8,7 @@ use crate::ground::grid::Grid;
 /// Returns, with the next one in each direction of their row and column, however far away.
 pub struct Returns {
     columns: usize,
-    /// Where each row starts, and the end of the last.
+    /// The number of each row's first return, and the end of the last row.
     row_starts: Vec<usize>,
     /// Row and column of each return.
     cells: Vec<(u32, u32)>,

@@ -39,7 +39,7 @@ fn odd_maps_come_back() {
     assert!(comes_back(&all, &grid(64, 100, |_, _| 5)) < 40, "one region");
     comes_back(&all, &grid(64, 100, |r, c| (r * 100 + c) as u32));
     comes_back(&all, &grid(64, 100, |r, c| 1 + (r + c) as u32 % 2));
-    // More rows than have contexts of their own.
+    // More rows than have their own contexts.
     comes_back(&grid(300, 20, |r, c| (r * c) % 5 > 0), &grid(300, 20, |r, c| (r / 7 + c / 3) as u32));
 }
 
@@ -58,7 +58,7 @@ fn numbers_are_in_order_of_appearance() {
 
 #[test]
 fn cells_without_a_return_cost_nothing() {
-    // A wall of three regions, whole and with two returns of three missing.
+    // A wall of three regions, complete and with two of three returns missing.
     let labels = grid(60, 300, |r, c| (c + r / 10) as u32 / 110);
     let sparse = grid(60, 300, |r, c| (r + c) % 3 == 0);
     let whole = grid(60, 300, |_, _| true);
@@ -67,8 +67,7 @@ fn cells_without_a_return_cost_nothing() {
 
 #[test]
 fn what_borders_imply_costs_nothing() {
-    // A staircase from one region to another: wherever a piece begins, the border tells which one it belongs
-    // to.
+    // A diagonal border between two regions: wherever a piece begins, the border determines its region.
     let stairs = grid(64, 64, |r, c| u32::from(r + c >= 64));
     assert!(comes_back(&grid(64, 64, |_, _| true), &stairs) < 60);
 }

@@ -9,7 +9,7 @@ const RECENT: usize = 4;
 /// Classes of surroundings.
 const CONTEXTS: usize = 1 << 5;
 
-/// What the coder has learned about the regions of pieces.
+/// The adaptive models of the regions of pieces.
 #[derive(Clone, Default)]
 pub struct ValueModel {
     is_left: [AdaptiveBit; CONTEXTS],
@@ -22,12 +22,12 @@ pub struct ValueModel {
 
 /// The regions around the first return of a piece.
 struct Around {
-    /// The regions of the returns to the left, above, and above to the right, as far as the piece may belong
-    /// to them. All different; 0 = none.
+    /// The regions of the returns to the left, above, and above to the right, if the piece may belong to
+    /// them. All different; 0 = none.
     candidates: [u32; 3],
-    /// Regions that it does not belong to, as the borders tell; 0 = none.
+    /// Regions that the piece cannot belong to because of the borders; 0 = none.
     ruled_out: [u32; 2],
-    /// How the regions around it compare.
+    /// How the surrounding regions compare.
     context: usize,
 }
 
@@ -95,7 +95,7 @@ impl Around {
         let (left, above) = (returns.left(number), returns.above(number));
         let right_of = |other: Option<usize>| other.and_then(|other| returns.right(other));
         let left_of = |other: Option<usize>| other.and_then(|other| returns.left(other));
-        // Pieces that begin later have no region yet.
+        // Pieces that begin later do not have a region yet.
         let region = |other: Option<usize>| {
             let first = other.map(|other| pieces[other] as usize).filter(|&first| first < number);
             first.map_or(0, |first| regions_of[first])

@@ -1,4 +1,4 @@
-//! JPEG (ITU-T T.81, baseline), by crate `image`, for one pass: values are scaled to 8 bits by a step.
+//! JPEG (ITU-T T.81, baseline), by the crate `image`, for one pass: values are scaled to 8 bits by a step.
 //!
 //! The payload is one byte for the quality, then the coded data of the scan.
 
@@ -16,18 +16,18 @@ use super::recurrent::Pass;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 
-/// The sample of a value at the centre.
+/// The sample value that represents the centre.
 const CENTRE: i32 = 128;
-/// The next step that the encoder tries, relative to the last: larger ones leave room for a better quality,
+/// The steps that the encoder tries next, relative to the last: larger ones leave room for a better quality,
 /// smaller ones clip.
 const FACTORS: [f64; 2] = [std::f64::consts::SQRT_2, std::f64::consts::FRAC_1_SQRT_2];
-/// The largest step that it tries, relative to the one that brings all values to 8 bits.
+/// The largest step that it tries, relative to the one that scales all values to 8 bits.
 const MOST_SHARE: f64 = 64.0;
 /// The best quality.
 const BEST: u8 = 100;
 
-/// Codes a plane in one pass, with the step and the quality that leave the least error; `None` if so few
-/// bytes cannot hold an image, or if no loss is allowed.
+/// Codes a plane in one pass, with the step and the quality that leave the least error; `None` if
+/// `most_bytes` cannot hold an image, or if no loss is allowed.
 ///
 /// # Errors
 /// If there are more rows or columns than the format allows.
@@ -52,7 +52,7 @@ pub fn encode(plane: &Plane<'_>, most_bytes: Option<usize>) -> Result<Option<Pas
     Ok(best.map(|(_, pass)| pass))
 }
 
-/// Codes in `share` times the step that brings all values to 8 bits, with the quality that leaves the least
+/// Codes with `share` times the step that scales all values to 8 bits, and the quality that leaves the least
 /// error; also returns that error.
 fn encode_in_steps(
     plane: &Plane<'_>,
@@ -61,7 +61,7 @@ fn encode_in_steps(
     most_bytes: usize,
 ) -> Result<Option<(f64, Pass)>> {
     let (least, greatest) = plane.extremes();
-    // Where values are clipped, it is best to keep those around the median.
+    // If values are clipped, it is best to keep those around the median.
     let centre =
         if share < 1.0 { plane.median() } else { ((i64::from(least) + i64::from(greatest)) / 2) as i32 };
     let whole = (f64::from(greatest) - f64::from(least)) / 255.0;
@@ -111,7 +111,7 @@ fn encode_samples(samples: &Grid<u8>, quality: u8) -> Result<Vec<u8>> {
 /// The samples of an image, minus that of the centre: -128 to 127.
 ///
 /// # Errors
-/// If it is damaged in a way that the library notices.
+/// If it is damaged in a way that the library detects.
 pub fn decode(image: &[u8], rows: usize, columns: usize) -> Result<Grid<i32>> {
     let damaged = |what: &str| Error::corrupt(format!("JPEG: {what}"));
     let (&quality, scan) = image.split_first().ok_or_else(|| damaged("no image"))?;
@@ -139,7 +139,7 @@ pub fn decode(image: &[u8], rows: usize, columns: usize) -> Result<Grid<i32>> {
     Ok(grid)
 }
 
-/// The sides in the type that the format has.
+/// The sides in the type that the format requires.
 fn sides(rows: usize, columns: usize) -> Result<(u16, u16)> {
     let side = |length: usize| u16::try_from(length).ok().filter(|length| *length > 0);
     let wrong = || {

@@ -1,7 +1,7 @@
-//! JPEG 2000 (ITU-T T.800), by OpenJPEG in Rust (crates `openjp2` and `jpeg2k`), for one pass.
+//! JPEG 2000 (ITU-T T.800), by OpenJPEG translated to Rust (crates `openjp2` and `jpeg2k`), for one pass.
 //!
-//! The 5/3 wavelet is used at every rate: it works on integers, so that all decoders give the same samples,
-//! it can be lossless, and it leaves 1 to 20 % less error on range images than the 9/7 wavelet. The payload
+//! The 5/3 wavelet is used at every rate: it works on integers, so that all decoders return the same samples;
+//! it can be lossless; and it leaves 1 to 20 % less error on range images than the 9/7 wavelet. The payload
 //! is one byte each for the bits of a sample and the number of resolutions, then the packets.
 
 mod header;
@@ -13,17 +13,16 @@ use super::recurrent::{Pass, Turn};
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 
-/// The most bits of a sample, including its sign: the library has 32, of which the wavelet takes 2 and the
-/// estimate of errors 6.
+/// The largest number of bits of a sample, including its sign: the library has 32, of which the wavelet takes
+/// 2 and the error estimate 6.
 const MOST_BITS: u8 = 22;
-/// Resolutions for smooth images. More make hardly any difference.
+/// Number of resolutions for smooth images. More make hardly any difference.
 const RESOLUTIONS: u32 = 6;
 
-/// Codes a plane in one pass, within `most_bytes` or without loss; `None` if so few bytes cannot hold an
-/// image.
+/// Codes a plane in one pass, within `most_bytes` or losslessly; `None` if `most_bytes` cannot hold an image.
 ///
-/// An early pass goes without the wavelet: it takes isolated values, such as those at the edges of objects.
-/// What remains is smooth and suits the wavelet. Without loss, whichever is smaller is used.
+/// An early pass does not use the wavelet: it codes isolated values, such as those at the edges of objects.
+/// The rest is smooth and suits the wavelet. In lossless coding, the smaller result is used.
 ///
 /// # Errors
 /// If the library fails.
@@ -48,7 +47,7 @@ fn middle(plane: &Plane<'_>) -> i32 {
     ((i64::from(least) + i64::from(greatest)) / 2) as i32
 }
 
-/// Codes values minus their centre, in steps of 1 if that fits into [`MOST_BITS`].
+/// Codes values minus their centre, in steps of 1 if they then fit into [`MOST_BITS`].
 fn encode_values(
     values: &Grid<i32>,
     centre: i32,
@@ -59,7 +58,7 @@ fn encode_values(
     let above = |value: &i32| i64::from(*value) - i64::from(centre);
     let bits = values.cells().iter().map(|value| bits(above(value))).max().unwrap_or(1);
     let shift = bits.saturating_sub(MOST_BITS);
-    // Half a step is added for rounding; at the very top that would need another bit.
+    // Half a step is added for rounding; at the upper limit that would need another bit.
     let most = (1 << (MOST_BITS - 1)) - 1;
     let samples = values.map(|value| ((above(value) + ((1 << shift) >> 1)) >> shift).min(most) as i32);
 
@@ -67,7 +66,7 @@ fn encode_values(
     let shape = Shape::new(rows, columns, bits.min(MOST_BITS), resolutions.min(levels + 1) as u8)?;
     let empty = shape.header(0).len() + END.len();
     let Some(stream) = library::encode(&samples, shape, most_bytes.map(|bytes| bytes + empty)) else {
-        // It also fails where there is no room for the least image.
+        // It also fails if there is no room for the smallest image.
         return most_bytes.map(|_| None).ok_or_else(|| Error::corrupt("the JPEG 2000 library failed"));
     };
     let packets = packets(&stream).ok_or_else(|| Error::corrupt("the JPEG 2000 library wrote no image"))?;
@@ -91,7 +90,7 @@ fn packets(stream: &[u8]) -> Option<&[u8]> {
 /// The samples of an image.
 ///
 /// # Errors
-/// If it is damaged in a way that the library notices.
+/// If it is damaged in a way that the library detects.
 pub fn decode(image: &[u8], rows: usize, columns: usize) -> Result<Grid<i32>> {
     let damaged = |what: &str| Error::corrupt(format!("JPEG 2000: {what}"));
     let &[precision, resolutions, ref packets @ ..] = image else {

@@ -1,9 +1,9 @@
-//! Lossy image coding of the residuals of ranges (article, IV-D.2 and VI-C): JPEG and JPEG 2000, in passes,
-//! each of which codes the error left by those before. FORMAT.md 8.14.
+//! Lossy image coding of range residuals (article, IV-D.2 and VI-C): JPEG and JPEG 2000, in passes, each of
+//! which codes the remaining error of those before. FORMAT.md 8.14.
 //!
-//! Neither format knows empty cells: the encoder fills them so that they cost little, and the decoder ignores
-//! them. The images' headers follow from the settings and are not in the stream, so that the libraries see
-//! nothing of a stream but the coded samples.
+//! Neither format supports empty cells: the encoder fills them such that they cost little, and the decoder
+//! ignores them. The images' headers follow from the settings and are not in the stream, so that the
+//! libraries only read the coded samples from it.
 
 #[cfg(feature = "article")]
 mod jpeg;
@@ -28,7 +28,7 @@ use crate::ground::error::{Error, Result};
 pub enum ImageCodec {
     /// JPEG (ITU-T T.81): 8 bits a sample, always with loss.
     Jpeg,
-    /// JPEG 2000 (ITU-T T.800) with the reversible wavelet: without loss, if enough bits may be spent.
+    /// JPEG 2000 (ITU-T T.800) with the reversible wavelet: lossless, if enough bits may be used.
     Jpeg2000,
 }
 
@@ -44,16 +44,16 @@ impl ImageCodec {
         }
     }
 
-    /// The format of this name.
+    /// The format with this name.
     pub fn by_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|codec| codec.name() == name)
     }
 }
 
-/// How much may be spent on the ranges of a frame.
+/// The limit of the coded size of a frame's ranges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rate {
-    /// As much as it takes to lose nothing.
+    /// Lossless, without a limit.
     Lossless,
     /// This many bits for each return, on average.
     Bits(f64),
@@ -69,15 +69,16 @@ impl Rate {
     }
 }
 
-/// The most bits per return that [`Rate::Bits`] accepts.
+/// The largest number of bits per return that [`Rate::Bits`] accepts.
 const MOST_BITS: f64 = 64.0;
-/// The most passes.
+/// The largest number of passes.
 pub const MOST_PASSES: u8 = 8;
 
 /// Settings of the encoder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageConfig {
-    /// The most passes, 1 to 8; fewer are used where they leave less error. Default 2, as in the article.
+    /// The largest number of passes, 1 to 8; fewer are used if that leaves less error. Default 2, as in the
+    /// article.
     pub passes: u8,
     /// The rate of all passes together. Default 2 bits a return.
     pub rate: Rate,

@@ -2,7 +2,7 @@
 
 use crate::ground::grid::Grid;
 
-/// What is still to be coded: a value for each return.
+/// Values still to be coded, one for each return.
 #[derive(Clone, Debug)]
 pub struct Plane<'a> {
     /// Rows x columns; the values of cells without a return do not matter.
@@ -31,7 +31,7 @@ impl Plane<'_> {
             .unwrap_or_default()
     }
 
-    /// The median.
+    /// The median of the values.
     pub fn median(&self) -> i32 {
         let mut values: Vec<i32> = self.of_returns().collect();
         if values.is_empty() {
@@ -46,7 +46,7 @@ impl Plane<'_> {
         self.of_returns().map(|value| f64::from(value) * f64::from(value)).sum()
     }
 
-    /// What remains when `coded` is subtracted.
+    /// The difference after `coded` is subtracted.
     pub fn without(&self, coded: &Grid<i32>) -> Self {
         let mut left = self.clone();
         for row in 0..coded.rows() {
@@ -57,8 +57,8 @@ impl Plane<'_> {
         left
     }
 
-    /// All cells, with a constant in those without a return: costs almost nothing where most values are the
-    /// same.
+    /// All cells, with a constant in those without a return: this costs almost nothing if most values are
+    /// equal.
     pub fn padded(&self, with: i32) -> Grid<i32> {
         let mut filled = self.values.clone();
         for row in 0..filled.rows() {
@@ -68,9 +68,9 @@ impl Plane<'_> {
         filled
     }
 
-    /// All cells, with those without a return interpolated along straight lines between the returns to the
-    /// left and right: smooth, as suits a transform. Rows without returns are like the row above, or else the
-    /// row below.
+    /// All cells, with those without a return interpolated linearly between the returns to the left and
+    /// right: smooth, as suits a transform. Rows without returns are like the row above, or else the row
+    /// below.
     pub fn interpolated(&self) -> Grid<i32> {
         let mut filled = self.values.clone();
         let rows = filled.rows();
@@ -109,7 +109,7 @@ fn interpolate(values: &mut [i32], returns: &[bool]) {
     }
 }
 
-/// The value of the line through two others at a place, rounded down.
+/// The value at a position on the line through two others, rounded down.
 fn between((left, from): (usize, i32), (right, to): (usize, i32), place: usize) -> i32 {
     let (run, rise) = ((right - left) as i64, i64::from(to) - i64::from(from));
     (i64::from(from) + (rise * (place - left) as i64).div_euclid(run)) as i32

@@ -1,4 +1,4 @@
-//! Recurrent coding (article, VI-C, Fig. 14): each pass codes what those before have left.
+//! Recurrent coding (article, VI-C, Fig. 14): each pass codes the remaining error of those before.
 
 use super::plane::Plane;
 use super::{ImageCodec, MOST_PASSES, jpeg, jpeg2000};
@@ -6,35 +6,35 @@ use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 
-/// The share of the remaining bits that a pass gets if another one follows. Measured: less is better at high
-/// rates, more at low rates.
+/// The share of the remaining bits that a pass gets if another one follows. According to measurements, less
+/// is better at high rates, and more at low rates.
 const SHARE: f64 = 0.4;
-/// The most bytes that a pass takes besides its image.
+/// The largest number of bytes that a pass takes in addition to its image.
 const OVERHEAD: usize = 16;
 
-/// One pass: an image whose sample s stands for the value `centre + step * s`.
+/// One pass: an image in which a sample s represents the value `centre + step * s`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pass {
     pub centre: i32,
     pub step: u32,
-    /// In the format of the codec; if empty, all samples are 0.
+    /// The image in the codec's format; if empty, all samples are 0.
     pub image: Vec<u8>,
 }
 
-/// Whether more passes follow.
+/// Whether another pass follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
-    /// They do; this pass may leave to them what suits it less.
+    /// Another pass follows; this one may leave to it what suits it less.
     Early,
-    /// They do not.
+    /// No pass follows.
     Last,
 }
 
-/// Codes the residuals of the returns (rows x columns, in steps), within `most_bytes`, or without loss.
+/// Codes the residuals of the returns (rows x columns, in steps), within `most_bytes` or losslessly.
 ///
 /// # Errors
-/// If the image has more columns than the format allows, or if it is to be coded without loss and the format
-/// cannot do that.
+/// If the image has more columns than the format allows, or if it is to be coded losslessly and the format
+/// does not support that.
 pub fn encode(
     codec: ImageCodec,
     residuals: Grid<i32>,
@@ -53,8 +53,8 @@ pub fn encode(
     Ok(payload)
 }
 
-/// The passes that leave the least error within so many bytes: a single one, or several, each of which but
-/// the last gets a share of what is left.
+/// The passes that leave the least error within `bytes` bytes: a single one, or several, each of which except
+/// the last gets a share of the remaining bytes.
 fn within(codec: ImageCodec, plane: Plane<'_>, passes: u8, mut bytes: usize) -> Result<Vec<Pass>> {
     let mut early = Vec::new();
     let mut left = plane;
@@ -98,8 +98,8 @@ fn lossless(codec: ImageCodec, mut left: Plane<'_>) -> Result<Vec<Pass>> {
     Ok(passes)
 }
 
-/// The inverse of [`encode`], except for what was lost: the residual of each return of an image with so many
-/// rows and columns. The values of other cells are meaningless.
+/// The inverse of [`encode`], except for losses: the residual of each return of an image with these numbers
+/// of rows and columns. The values of other cells are meaningless.
 ///
 /// # Errors
 /// If the payload does not hold such an image.

@@ -4,7 +4,7 @@ use super::*;
 use crate::ground::grid::Grid;
 use crate::ground::random::Rng;
 
-/// What prediction might leave: a surface with steps, noise, a few outliers, and gaps.
+/// Typical residuals: a surface with steps, noise, a few outliers, and gaps.
 fn residuals(rows: usize, columns: usize, scale: f64) -> (Grid<i32>, Grid<bool>) {
     let mut random = Rng::keyed(3, &[rows as u64, columns as u64]);
     let mut values = Grid::new(rows, columns);
@@ -20,7 +20,7 @@ fn residuals(rows: usize, columns: usize, scale: f64) -> (Grid<i32>, Grid<bool>)
     (values, returns)
 }
 
-/// Encodes and decodes; returns the payload and what is left, which the decoder must find too.
+/// Encodes and decodes; returns the payload and the remaining error, on which encoder and decoder must agree.
 fn round_trip(
     codec: ImageCodec,
     (values, returns): &(Grid<i32>, Grid<bool>),
@@ -44,7 +44,7 @@ const LOSSLESS: ImageConfig = ImageConfig { passes: 1, rate: Rate::Lossless };
 #[test]
 fn lossless_is_exact() {
     let codec = ImageCodec::Jpeg2000;
-    // The last ones take more bits than a pass has.
+    // The largest values take more bits than a pass has.
     for scale in [0.0, 3.0, 1000.0, 1e6, 6e8] {
         for (rows, columns) in [(1, 1), (1, 50), (50, 1), (3, 3), (20, 90), (64, 70)] {
             let case = residuals(rows, columns, scale);

@@ -1,10 +1,10 @@
-//! What stands in for the image coders where they are not built.
+//! Replaces the image coders in builds without them.
 
 use super::ImageCodec;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 
-/// Encodes nothing.
+/// Always fails.
 ///
 /// # Errors
 /// [`Error::Unsupported`].
@@ -12,7 +12,7 @@ pub fn encode(codec: ImageCodec, _: Grid<i32>, _: &Grid<bool>, _: u8, _: Option<
     Err(not_built(codec))
 }
 
-/// Decodes nothing.
+/// Always fails.
 ///
 /// # Errors
 /// [`Error::Unsupported`].

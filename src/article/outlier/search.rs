@@ -1,4 +1,4 @@
-//! Which points stay: those with neighbours enough, by a tree.
+//! Selects the points with enough neighbours, by means of a tree.
 
 use std::collections::HashMap;
 use std::num::NonZero;
@@ -15,8 +15,8 @@ impl RadiusOutlier {
         cloud.select(&kept.map(|(point, _)| point).collect::<Vec<u32>>())
     }
 
-    /// For each point, whether at least n others are near. Points with a NaN or infinite coordinate neither
-    /// have neighbours nor count as such, and are always dropped.
+    /// For each point, whether at least n others are within the radius. Points with a NaN or infinite
+    /// coordinate neither have neighbours nor count as such, and are always dropped.
     pub fn keeps(&self, positions: &[[f32; 3]]) -> Vec<bool> {
         let finite: Vec<[f32; 3]> = positions.iter().copied().filter(is_finite).collect();
         if self.neighbours >= finite.len() {
@@ -26,7 +26,7 @@ impl RadiusOutlier {
         let Ok(tree) = ImmutableKdTree::<f32, 3>::new_from_slice(&finite) else {
             return vec![false; positions.len()];
         };
-        // A search for neighbours finds the point itself, too.
+        // A search for neighbours also finds the point itself.
         let wanted = NonZero::<usize>::MIN.saturating_add(self.neighbours);
         let squared = (self.radius_m * self.radius_m) as f32;
         let has_neighbours = |point: &[f32; 3]| {
@@ -37,18 +37,18 @@ impl RadiusOutlier {
     }
 }
 
-/// Number of points in cubes so small that all points in one are neighbours. Most points of a scan then need
-/// no search; and a search among thousands of equal points, such as the (0, 0, 0) that some files hold for
-/// beams without a return, would take forever.
+/// Number of points in cubes so small that all points in a cube are neighbours. Thus most points of a scan
+/// need no search; and a search among thousands of equal points, such as the (0, 0, 0) of records without a
+/// return in some files, would take very long.
 struct Voxels {
-    /// In metres.
+    /// Length of an edge in metres.
     edge: f64,
     counts: HashMap<[i64; 3], usize>,
 }
 
 impl Voxels {
     fn of(points: &[[f32; 3]], radius_m: f64) -> Self {
-        // The diagonal is a thousandth shorter than the radius, which is more than rounding can amount to.
+        // The diagonal is shorter than the radius by a thousandth, which exceeds all rounding errors.
         let mut voxels = Voxels { edge: radius_m * (0.999 / 3.0f64.sqrt()), counts: HashMap::new() };
         for voxel in points.iter().filter_map(|point| voxels.voxel(point)).collect::<Vec<_>>() {
             *voxels.counts.entry(voxel).or_default() += 1;
@@ -56,7 +56,7 @@ impl Voxels {
         voxels
     }
 
-    /// Number of points in the cube of a point; 0 if it is in none.
+    /// Number of points in the cube of a point; 0 if the point is in none.
     fn points_with(&self, point: &[f32; 3]) -> usize {
         self.voxel(point).and_then(|voxel| self.counts.get(&voxel)).copied().unwrap_or(0)
     }

@@ -11,25 +11,25 @@ use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 
-/// The regions, and how they are modelled.
+/// The regions and their models.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RegionModels {
     /// As in the article: the mean of each object, and one plane for the ground.
     #[default]
     Article,
-    /// For each region its mean or its plane; regions are split and merged wherever SSE + lambda * bits
-    /// decreases.
+    /// A mean or a plane for each region; regions are split and merged wherever this decreases SSE + lambda *
+    /// bits.
     Fitted,
 }
 
 /// How regions are fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IntraConfig {
-    /// The regions. Default: the article's.
+    /// The regions and their models. Default: the article's.
     pub models: RegionModels,
     /// lambda of equation 5, in squared steps per bit. Default 1000.
     pub lambda: f64,
-    /// How the ground plane is found.
+    /// How the ground plane is estimated.
     pub ransac: RansacConfig,
 }
 
@@ -60,12 +60,12 @@ impl IntraConfig {
     }
 }
 
-/// The regions of a frame and their models, in the form that they have in the stream.
+/// The regions of a frame and their models, as represented in the stream.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct IntraPrediction {
-    /// Rows x columns: the region of each return, from 1 on in order of appearance; 0 = no return.
+    /// Rows x columns: the region of each return, numbered from 1 in order of appearance; 0 = no return.
     pub labels: Grid<u32>,
-    /// The model of each region, from the first on.
+    /// The model of each region, in the order of their numbers.
     pub models: Vec<SurfaceModel>,
 }
 
@@ -113,7 +113,7 @@ impl IntraPrediction {
     /// Codes the contour map (article, IV-D.1).
     ///
     /// # Errors
-    /// If the stream names a region that does not exist.
+    /// If the stream refers to a region that does not exist.
     pub fn code_contour<C: BitCoder>(
         &mut self,
         model: &mut ContourModel,
@@ -144,7 +144,7 @@ impl IntraPrediction {
     }
 }
 
-/// The ground with the plane that RANSAC finds (Algorithm 1), or with its mean if there is none.
+/// The ground with the plane found by RANSAC (Algorithm 1), or with its mean if there is none.
 fn with_ground_plane(judge: &Judge, cells: Vec<(u32, u32)>, config: &RansacConfig) -> Region {
     let point = |&(row, column): &(u32, u32)| {
         let cell = (row as usize, column as usize);
@@ -160,7 +160,7 @@ fn with_ground_plane(judge: &Judge, cells: Vec<(u32, u32)>, config: &RansacConfi
 }
 
 /// The cells of each label. Returns that belong to no object join the region to their left, or above: a
-/// border around each costs more than any model of them saves.
+/// border around each would cost more than any model of them saves.
 fn cells_of(occupancy: &Grid<bool>, segmentation: &Segmentation) -> Vec<Vec<(u32, u32)>> {
     let mut cells = vec![Vec::new(); segmentation.end.max(FIRST_OBJECT) as usize];
     let mut above = vec![UNASSIGNED; occupancy.columns()];

@@ -1,4 +1,4 @@
-//! The prediction of ranges, whose residuals a general-purpose back-end or an image coder then codes.
+//! The prediction of ranges; the residuals are coded by a back-end or an image coder.
 
 pub mod intra;
 pub mod ransac;
@@ -32,7 +32,7 @@ impl Predictor {
         residuals
     }
 
-    /// The inverse of [`residuals`](Self::residuals), of which there must be one for each return. If they are
+    /// The inverse of [`residuals`](Self::residuals), given one residual for each return. If they are
     /// damaged, any ranges may result.
     pub fn restore(&self, occupancy: &Grid<bool>, residuals: &[i32]) -> Grid<u32> {
         let mut values = Grid::new(occupancy.rows(), occupancy.columns());
@@ -46,15 +46,15 @@ impl Predictor {
         steps
     }
 
-    /// The difference between each return and its prediction (equation 7), in steps, rows x columns; 0
-    /// elsewhere.
+    /// The difference between each return and its prediction (equation 7), in steps, rows x columns; 0 for
+    /// other cells.
     pub fn differences(&self, occupancy: &Grid<bool>, steps: &Grid<u32>) -> Grid<i32> {
         let mut values = Grid::new(steps.rows(), steps.columns());
         each_return(occupancy, |cell| values[cell] = steps[cell].wrapping_sub(self.predicted(cell)) as i32);
         values
     }
 
-    /// The ranges of the returns from differences that may be slightly off: from 1 to `most` steps.
+    /// The ranges of the returns, given approximate differences: from 1 to `most` steps.
     pub fn restore_within(&self, occupancy: &Grid<bool>, differences: &Grid<i32>, most: u32) -> Grid<u32> {
         let mut steps = Grid::new(occupancy.rows(), occupancy.columns());
         each_return(occupancy, |cell| {

@@ -1,5 +1,5 @@
-//! Which regions are worth their bits (article, IV-C.1): partitions are compared by SSE + lambda * bits
-//! (equation 5). Only the encoder needs this.
+//! Decides which regions are worth their bits (article, IV-C.1): partitions are compared by SSE + lambda *
+//! bits (equation 5). Only the encoder needs this.
 
 use std::collections::BTreeMap;
 
@@ -10,10 +10,10 @@ use crate::ground::grid::Grid;
 
 /// Cost of a border in bits for each cell along it, measured on real contour maps.
 const BORDER_BITS: f64 = 2.0;
-/// Further cost of a region in bits: its model and its number.
+/// Further cost of a region in bits: that of its model and its number.
 const MEAN_BITS: f64 = 20.0;
 const PLANE_BITS: f64 = 60.0;
-/// Regions of fewer returns are not split.
+/// Regions with fewer returns are not split.
 const SMALLEST_SPLIT: usize = 64;
 
 /// Returns that share a model.
@@ -38,7 +38,7 @@ pub struct Judge<'a> {
 }
 
 impl Judge<'_> {
-    /// The cells with this model.
+    /// A region of these cells with this model.
     pub fn region(&self, cells: Vec<(u32, u32)>, model: SurfaceModel) -> Region {
         let error = |&(row, column): &(u32, u32)| {
             let cell = (row as usize, column as usize);
@@ -57,13 +57,13 @@ impl Judge<'_> {
         region.squared_errors + self.lambda * bits
     }
 
-    /// The cells, modelled by their mean range.
+    /// A region of these cells, modelled by their mean range.
     pub fn with_mean(&self, cells: Vec<(u32, u32)>) -> Region {
         let mean = self.mean(&cells);
         self.region(cells, SurfaceModel::Mean(mean))
     }
 
-    /// The cells, modelled by their mean or their plane, whichever is cheaper.
+    /// A region of these cells, modelled by their mean or their plane, whichever is cheaper.
     pub fn with_best(&self, cells: Vec<(u32, u32)>) -> Region {
         let points = cells.iter().map(|&(row, column)| {
             let cell = (row as usize, column as usize);
@@ -83,7 +83,7 @@ impl Judge<'_> {
         ((sum + count / 2) / count) as u32
     }
 
-    /// Splits a region and its parts where depth varies, as long as that pays.
+    /// Splits a region, and recursively its parts, where depth varies, as long as the cost decreases.
     pub fn split(&self, region: Region, parts: &mut Vec<Region>) {
         let mut open = vec![region];
         while let Some(region) = open.pop() {
@@ -94,7 +94,7 @@ impl Judge<'_> {
         }
     }
 
-    /// The better of a split between columns and a split between rows, if either pays.
+    /// The better of a split between columns and a split between rows, if either decreases the cost.
     fn best_split(&self, region: &Region) -> Option<[Region; 2]> {
         if region.cells.len() < SMALLEST_SPLIT {
             return None;
@@ -105,7 +105,7 @@ impl Judge<'_> {
         (best.0 < self.cost(region)).then_some(best.1)
     }
 
-    /// Splits where two means explain most; returns the cost of the halves and of the border.
+    /// Splits at the position where two means explain most; returns the cost of the halves and of the border.
     fn split_by(
         &self,
         region: &Region,
@@ -141,8 +141,7 @@ impl Judge<'_> {
         Some((cost, halves))
     }
 
-    /// Merges neighbouring regions that are predicted by their means, where the border costs more than it
-    /// saves.
+    /// Merges neighbouring regions that are predicted by their means, if the border costs more than it saves.
     pub fn merge(&self, regions: Vec<Region>) -> Vec<Region> {
         let mut labels: Grid<u32> = Grid::new(self.steps.rows(), self.steps.columns());
         for (label, region) in (1..).zip(&regions) {
@@ -173,7 +172,7 @@ impl Judge<'_> {
     }
 }
 
-/// The length of the border between each two neighbouring regions, which are numbered from 0.
+/// The length of the border between each pair of neighbouring regions, which are numbered from 0.
 fn borders(labels: &Grid<u32>) -> BTreeMap<(usize, usize), u32> {
     let mut borders = BTreeMap::new();
     let mut meet = |a: u32, b: u32| {

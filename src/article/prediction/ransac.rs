@@ -4,18 +4,18 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::ground::random::Rng;
 
-/// How a plane is searched for.
+/// Parameters of the search for a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RansacConfig {
-    /// t: a point no farther from the plane than this supports it, in metres. Default 0.15.
+    /// t: the largest distance of supporting points from the plane, in metres. Default 0.15.
     pub tolerance_m: f64,
     /// The share of the points that the best plane is expected to contain (forseeable_support /
     /// length(point_list)). Default 0.5.
     pub foreseeable_support: f64,
-    /// alpha: the probability that one of the planes tried goes through three points of that share. Default
-    /// 0.99.
+    /// alpha: the probability that at least one of the tried planes goes through three points of that share.
+    /// Default 0.99.
     pub confidence: f64,
-    /// The most points that are used; of more, an even sample is taken. Default 4000.
+    /// The largest number of points that are used; of more, an even sample is taken. Default 4000.
     pub most_points: usize,
     /// The seed of the random choices. Default 1.
     pub seed: u64,
@@ -33,11 +33,11 @@ impl Default for RansacConfig {
     }
 }
 
-/// The most planes that are tried, whatever the settings.
+/// The largest number of planes that are tried, whatever the settings.
 const MOST_TRIALS: f64 = 1000.0;
 
 /// The best plane of the points (metres), as `w` with `w . p = 1` on it (equation 6 divided by d), refined by
-/// least squares over its support. `None` if no three points make a plane that does not pass through the
+/// least squares over its support. `None` if no three points define a plane that does not pass through the
 /// origin.
 pub fn fit_plane(points: &[[f64; 3]], config: &RansacConfig) -> Option<[f64; 3]> {
     let stride = points.len().div_ceil(config.most_points.max(3)).max(1);
@@ -67,7 +67,7 @@ fn trials(config: &RansacConfig) -> usize {
     trials.round().clamp(1.0, MOST_TRIALS) as usize
 }
 
-/// How well points support a plane.
+/// The support of a plane by points.
 struct Support {
     count: usize,
     deviation: f64,
@@ -100,7 +100,7 @@ fn through(points: &[Vector3<f64>; 3]) -> Option<Vector3<f64>> {
 }
 
 /// The plane with the least squared distances to points (metres), as `w` with `w . p = 1` on it. `None` if
-/// they lie on a line.
+/// the points are on a line.
 pub fn least_squares_plane(points: impl Iterator<Item = [f64; 3]>) -> Option<[f64; 3]> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for point in points.map(Vector3::from) {

@@ -5,7 +5,7 @@
 use crate::ground::grid::Grid;
 use crate::inter::snake_path as path;
 
-/// Replaces the value of each return by its difference to the one before it on the path.
+/// Replaces the value of each return by its difference from the one before it on the path.
 pub fn difference(occupancy: &Grid<bool>, values: &mut Grid<i32>) {
     let mut before = 0;
     for cell in path(occupancy) {

@@ -1,5 +1,5 @@
-//! Models of a region's surface (article, IV-C) in the form that they have in the stream, and the ranges that
-//! they predict. FORMAT.md 8.12.
+//! Models of a region's surface (article, IV-C) as represented in the stream, and the ranges that they
+//! predict. FORMAT.md 8.12.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::varint::{unzigzag, zigzag};
@@ -7,7 +7,7 @@ use crate::scanner::Hdl64;
 
 /// Plane parameters are in units of 2^-22 per metre: 3 mm of range at 100 m.
 const PLANE_UNIT: f64 = 1.0 / (1 << 22) as f64;
-/// Plane parameters are below this in magnitude, in units: planes at least 1 m away.
+/// The magnitude of plane parameters is below this, in units: planes at least 1 m away.
 const PLANE_END: i32 = 1 << 22;
 /// Metres: the scanner's reach (article, equation 1).
 const FARTHEST: f64 = 120.0;
@@ -33,8 +33,8 @@ impl SurfaceModel {
         }
     }
 
-    /// The range, in steps, at which the ray in `direction` (a unit vector) meets the surface. The same on
-    /// every machine: nothing but + - * / on f64.
+    /// The range, in steps, at which the ray in `direction` (a unit vector) intersects the surface. The same
+    /// on every machine: nothing but + - * / on f64.
     #[inline]
     pub fn range(&self, sensor: &Hdl64, direction: [f64; 3]) -> u32 {
         match *self {
@@ -42,14 +42,14 @@ impl SurfaceModel {
             SurfaceModel::Plane(w) => {
                 let [x, y, z] = direction;
                 let inverse = (f64::from(w[0]) * x + f64::from(w[1]) * y + f64::from(w[2]) * z) * PLANE_UNIT;
-                // A ray that does not meet the plane goes as far as the scanner's reach.
+                // The range of a ray that does not intersect the plane is the scanner's reach.
                 sensor.nearest_steps(if inverse * FARTHEST > 1.0 { 1.0 / inverse } else { FARTHEST })
             }
         }
     }
 }
 
-/// What the coder has learned about the models of regions.
+/// The adaptive models of the regions' surfaces.
 #[derive(Clone, Default)]
 pub struct SurfaceCoder {
     is_plane: [AdaptiveBit; 2],
@@ -61,7 +61,7 @@ pub struct SurfaceCoder {
 }
 
 impl SurfaceCoder {
-    /// Codes a model by its difference to the last one of its kind.
+    /// Codes a model by its difference from the last one of its kind.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, model: SurfaceModel) -> SurfaceModel {
         let is_plane = matches!(model, SurfaceModel::Plane(_));
         let is_plane = self.is_plane[usize::from(self.last_was_plane)].code(coder, is_plane);
@@ -79,7 +79,7 @@ impl SurfaceCoder {
     }
 }
 
-/// Codes a value by its difference to another.
+/// Codes a value by its difference from another.
 fn code_near<C: BitCoder>(coder: &mut C, model: &mut IntegerModel, value: i32, other: i32) -> i32 {
     let difference = i64::from(value) - i64::from(other);
     let difference = unzigzag(model.code(coder, zigzag(difference)));

@@ -9,7 +9,7 @@ use crate::ground::grid::Grid;
 /// Returns in a column are compared only if they are at most this many rows apart.
 const REACH: usize = 3;
 
-/// Labels all returns that have no label. Returns the end of the labels.
+/// Labels all unlabelled returns. Returns the end of the labels.
 pub fn mark(
     scene: &Scene,
     neighbours: &Neighbours,
@@ -36,7 +36,7 @@ pub fn mark(
     end
 }
 
-/// The surfaces that neighbours share.
+/// Decides which neighbours are on a common surface.
 struct Surfaces<'a> {
     scene: &'a Scene,
     neighbours: &'a Neighbours,
@@ -44,8 +44,7 @@ struct Surfaces<'a> {
 }
 
 impl Surfaces<'_> {
-    /// Labels everything connected with a return, breadth first; `cluster` then holds the returns that were
-    /// labelled.
+    /// Labels everything connected with a return, breadth first; `cluster` then holds the labelled returns.
     fn fill(&self, seed: Cell, label: u32, labels: &mut Grid<u32>, cluster: &mut Vec<Cell>) {
         labels[seed] = label;
         cluster.clear();

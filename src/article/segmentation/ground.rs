@@ -8,8 +8,8 @@ use crate::ground::grid::Grid;
 /// Number of returns above and below to which lines are drawn.
 const HOPS: usize = 3;
 
-/// Marks the ground, growing it from the lowest return of each column along flat lines. What is flat but not
-/// connected, such as a roof, is not ground.
+/// Marks the ground, growing it from the lowest return of each column along flat lines. Returns that are flat
+/// but not connected, such as a roof, are not ground.
 pub fn mark(scene: &Scene, neighbours: &Neighbours, config: &SegmentationConfig, labels: &mut Grid<u32>) {
     let lines = Lines::new(scene, neighbours, config);
     let mut open = Vec::new();
@@ -34,7 +34,7 @@ pub fn mark(scene: &Scene, neighbours: &Neighbours, config: &SegmentationConfig,
     }
 }
 
-/// The lines between returns that may be ground.
+/// Decides which lines between returns may be ground.
 struct Lines<'a> {
     scene: &'a Scene,
     neighbours: &'a Neighbours,
@@ -57,7 +57,7 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// The returns above and below to which a flat line leads. Beyond the next return the line must be short.
+    /// The returns above and below that a flat line connects. Beyond the next return the line must be short.
     fn flat_in_column(&self, cell: Cell) -> impl Iterator<Item = Cell> {
         let above = self.neighbours.above(cell).take(HOPS).enumerate();
         let below = self.neighbours.below(cell).take(HOPS).enumerate();
@@ -68,8 +68,8 @@ impl<'a> Lines<'a> {
         above.chain(below).filter(is_flat).map(|(_, other)| other)
     }
 
-    /// The returns to the left and right to which a flat line leads. Seen from the side, the edge of a roof
-    /// is almost level with the ground far behind it, so both must belong to one surface, too.
+    /// The returns to the left and right that a flat line connects. Seen from the side, the edge of a roof is
+    /// almost level with the ground far behind it, so both must also be on one surface.
     fn flat_in_row(&self, cell: Cell) -> impl Iterator<Item = Cell> {
         self.neighbours.beside(cell).filter(move |&other| {
             let (rise, square_run) = self.scene.rise_and_run(cell, other);
@@ -77,8 +77,8 @@ impl<'a> Lines<'a> {
         })
     }
 
-    /// Whether a flat line leads up or down. A wall is level from column to column; only this distinguishes
-    /// it from the ground.
+    /// Whether a flat line leads up or down. A wall is level from column to column too; only this
+    /// distinguishes it from the ground.
     fn lies(&self, cell: Cell) -> bool {
         self.flat_in_column(cell).next().is_some()
     }

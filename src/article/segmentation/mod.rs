@@ -1,6 +1,6 @@
 //! Ground and objects in a range image (article, IV-B), after I. Bogoslavskyi and C. Stachniss, "Fast Range
 //! Image-Based Segmentation of Sparse 3D Laser Scans for Online Operation" (2016) and "Efficient Online
-//! Segmentation for Sparse 3D Laser Scans" (2017). The time depends on the number of pixels alone. Only the
+//! Segmentation for Sparse 3D Laser Scans" (2017). The time depends only on the number of pixels. Only the
 //! encoder needs this.
 
 mod cluster;
@@ -15,14 +15,14 @@ use crate::scanner::Hdl64;
 use neighbours::Neighbours;
 use scene::Scene;
 
-/// What counts as ground, and what as one object.
+/// The criteria for ground and for objects.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SegmentationConfig {
     /// Two returns one above the other are ground if the slope of the line between them is smaller than this,
     /// in degrees (equation 3). Default: the article's 10.
     pub ground_angle: f64,
-    /// They are not ground if the line rises by more than this, in metres: far from the scanner, an angle
-    /// alone leads from the ground behind an object onto its top. Default: 0.4.
+    /// They are not ground if the line rises by more than this, in metres: far from the scanner, the angle
+    /// alone would lead from the ground behind an object to its top. Default: 0.4.
     pub ground_rise_m: f64,
     /// The two may be up to three returns apart if their horizontal distance is smaller than this, in metres.
     /// Near the scanner the rows on the ground are close together, and the elevation of an ideal beam is off
@@ -32,10 +32,10 @@ pub struct SegmentationConfig {
     /// larger than this, in degrees (equation 4). Default: 10, not the article's 75.
     ///
     /// The article states 75 degrees for the angle for which the method's authors state 10. At 75 degrees,
-    /// neighbours 0.18 degrees apart at 10 m may differ by 8 mm in range, less than the sensor's noise, and
-    /// any surface that is not seen straight on falls apart into pixels: of the returns above the ground, 97
-    /// % (city drive) and 98 % (road) then belong to no object of 20 returns, against 9 % and 5 % at 10
-    /// degrees.
+    /// neighbours 0.18 degrees apart at 10 m may differ by 8 mm in range, less than the scanner's noise, and
+    /// any surface that is not seen perpendicularly falls apart into pixels: of the returns above the ground,
+    /// 97 % (city drive) and 98 % (road) then belong to no object of 20 returns, compared to 9 % and 5 % at
+    /// 10 degrees.
     pub cluster_angle: f64,
     /// Clusters with fewer returns are not objects. Default: 20.
     pub smallest_cluster: usize,

@@ -9,11 +9,11 @@ pub type Cell = (usize, usize);
 
 /// Returns in a row are neighbours if they are at most this many columns apart.
 const ROW_REACH: usize = 4;
-/// Returns in a column are neighbours if they are at most this many rows apart. Some beams return little, and
-/// the ideal image has rows in which no real beam looks.
+/// Returns in a column are neighbours if they are at most this many rows apart. Some beams have few returns,
+/// and the ideal image has rows that no real beam measures.
 const COLUMN_REACH: usize = 10;
 
-/// The number of cells to the next return on each side; 0 = none near.
+/// The number of cells to the next return on each side; 0 = none within reach.
 #[derive(Clone, Copy, Default)]
 struct Distances {
     left: u8,

@@ -1,4 +1,4 @@
-//! The places of returns, and the angles between them.
+//! The positions of returns, and the angles between them.
 
 use std::f64::consts::TAU;
 

@@ -2,13 +2,14 @@ use super::*;
 use crate::scanner::RangeImage;
 use crate::scanner::{BeamConstants, Coordinates, ideal};
 
-/// The image of a scene: for each beam and azimuth (radians), the range in metres, if any.
+/// The image of a scene: `range` returns the range in metres, if any, for the elevation and the azimuth
+/// (radians) of a beam.
 fn image(range: impl Fn(f64, f64) -> Option<f64>) -> (RangeImage, Hdl64) {
     let sensor = ideal(360, 10_000);
     (image_of(&sensor, range), sensor)
 }
 
-/// The same for a sensor with 360 ticks.
+/// As [`image`], for a scanner with 360 ticks.
 fn image_of(sensor: &Hdl64, range: impl Fn(f64, f64) -> Option<f64>) -> RangeImage {
     let mut image = RangeImage::new(sensor.rows(), (0..360).collect());
     for row in 0..sensor.rows() {
@@ -22,7 +23,7 @@ fn image_of(sensor: &Hdl64, range: impl Fn(f64, f64) -> Option<f64>) -> RangeIma
     image
 }
 
-/// Flat ground 1.7 m below the scanner, up to 40 m.
+/// Flat ground 1.7 m below the scanner, up to 40 m away.
 fn ground(elevation: f64) -> Option<f64> {
     (elevation < -0.0425).then(|| 1.7 / -elevation.sin())
 }
@@ -81,7 +82,7 @@ fn beams_that_point_aside_see_the_same() {
     assert!((0..64).all(|row| (0..360).all(|column| same(row, column))));
 }
 
-/// The share of the ground in an image, in percent.
+/// The percentage of the ground in an image.
 fn ground_share(image: &RangeImage, sensor: &Hdl64, config: &SegmentationConfig) -> usize {
     let found = segment(&image.steps, &image.columns, sensor, config);
     found.labels.cells().iter().filter(|label| **label == GROUND).count() * 100 / image.returns()
@@ -98,7 +99,7 @@ fn ground_is_found_where_elevations_are_off_by_a_tenth_of_a_degree() {
 
 #[test]
 fn ground_goes_on_behind_rows_without_returns() {
-    // Eight rows return nothing.
+    // Eight rows have no returns.
     let (mut image, sensor) = image(|elevation, _| ground(elevation));
     (40..48).for_each(|row| image.steps.row_mut(row).fill(0));
     assert_eq!(ground_share(&image, &sensor, &SegmentationConfig::default()), 100);

@@ -1,5 +1,5 @@
-//! Bits read from the back of a stream to its front, as Huff0 and FSE write them: the highest set bit of the
-//! last byte marks the end.
+//! Bits read from the end of a stream to its beginning, as Huff0 and FSE write them: the highest set bit of
+//! the last byte marks the end.
 
 use crate::ground::error::{Error, Result};
 

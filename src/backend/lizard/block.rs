@@ -21,7 +21,7 @@ const LEVELS: std::ops::RangeInclusive<usize> = 10..=49;
 /// Lizard's codewords: the fields of a token for lengths, and their offsets.
 pub const LITERAL_FIELD: usize = 7;
 pub const MATCH_FIELD: usize = 15;
-/// Tokens below this have a 24-bit offset and no literals; the last of them says that more of the length
+/// Tokens below this have a 24-bit offset and no literals; the last of them means that more of the length
 /// follows.
 pub const FAR_TOKENS: usize = 32;
 /// The shortest match with a 24-bit offset.
@@ -124,8 +124,8 @@ fn decode_lizard(mut streams: Streams, out: &mut Vec<u8>, most: usize) -> Result
 }
 
 impl Streams<'_> {
-    /// A length whose field in the token may say that more follows: a byte, or 254 and two bytes, or 255 and
-    /// three.
+    /// A length, with its extension if the token's field is at its maximum: a byte, or 254 and two bytes, or
+    /// 255 and three.
     fn take_length(&mut self, field: usize, most: usize) -> Result<usize> {
         if field < most {
             return Ok(field);

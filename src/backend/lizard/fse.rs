@@ -1,15 +1,15 @@
-//! FSE, the tabled asymmetric numeral system by which Huff0's weights are coded (described in RFC 8878, 4.1
-//! and 4.2.1.2).
+//! FSE, the table-based asymmetric numeral system that codes Huff0's weights (described in RFC 8878, 4.1 and
+//! 4.2.1.2).
 
 use super::bits::BackwardBits;
 use crate::ground::error::{Error, Result};
 
-/// The accuracy of the tables for weights is at most this.
+/// The greatest accuracy of the tables for weights.
 const MOST_ACCURACY: usize = 6;
 /// Weights are below this.
 const SYMBOLS: usize = 13;
 
-/// Decodes up to `most` weights with two states that take turns.
+/// Decodes up to `most` weights with two alternating states.
 ///
 /// # Errors
 /// If the bytes are damaged.
@@ -19,8 +19,8 @@ pub fn decode(coded: &[u8], most: usize) -> Result<Vec<u8>> {
     let mut bits = BackwardBits::new(&coded[used..])?;
     let mut states = [bits.take(accuracy)?, bits.take(accuracy)?];
     let mut weights = Vec::new();
-    // Each state gives a symbol until there are not enough bits to update it; the symbol of the other state
-    // is then the last.
+    // Each state gives a symbol until there are not enough bits to update it; then the symbol of the other
+    // state is the last.
     for turn in 0.. {
         let state = turn % 2;
         let entry = &table[states[state]];
@@ -87,7 +87,7 @@ fn read_counts(coded: &[u8]) -> Result<(usize, Vec<i32>, usize)> {
         left -= count.abs();
         counts.push(count);
         if count == 0 {
-            // How many further symbols do not occur, two bits at a time.
+            // The number of further symbols that do not occur, two bits at a time.
             loop {
                 let more = bits.take(2);
                 counts.extend(std::iter::repeat_n(0, more));
@@ -102,7 +102,7 @@ fn read_counts(coded: &[u8]) -> Result<(usize, Vec<i32>, usize)> {
     if fits { Ok((accuracy, counts, used)) } else { Err(wrong()) }
 }
 
-/// The symbol of a state, and how the next state is found.
+/// The symbol of a state, and how the next state is computed.
 #[derive(Clone, Copy, Default)]
 struct Entry {
     symbol: u8,

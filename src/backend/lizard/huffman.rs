@@ -44,7 +44,7 @@ fn decode_four(mut input: &[u8], length: usize, table: &Table) -> Result<Vec<u8>
     Ok(out)
 }
 
-/// The symbol that each run of bits begins with.
+/// The symbol for each prefix of the bits.
 struct Table {
     bits: usize,
     /// For each value of the next bits: the symbol, and the number of bits that it takes.
@@ -64,7 +64,7 @@ impl Table {
         Table::of(weights)
     }
 
-    /// The table of these weights; that of the last symbol follows from the others.
+    /// The table for these weights; the weight of the last symbol follows from the others.
     fn of(mut weights: Vec<u8>) -> Result<Self> {
         let wrong = || Error::corrupt("weights that make no code");
         if weights.iter().any(|weight| usize::from(*weight) > LONGEST) {

@@ -13,7 +13,7 @@ use super::lz::frame::{self, FrameFormat};
 use super::{Backend, Level};
 use crate::ground::error::Result;
 
-/// At levels 1 to 9, 1 to 1024 earlier places are tried for each byte.
+/// At levels 1 to 9, 1 to 1024 earlier positions are tried for each byte.
 pub struct Lizard;
 
 const FORMAT: FrameFormat = FrameFormat {

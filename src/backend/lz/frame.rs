@@ -23,11 +23,11 @@ const CONTENT_CHECKSUM: u8 = 0b0000_0100;
 const RESERVED: u8 = 0b0000_0011;
 /// The bit of a block's length that marks it as not compressed.
 const STORED: usize = 1 << 31;
-/// Blocks are written with at most the size of this code: 1 MB.
+/// The code of the block size used for writing: 1 MB.
 const LARGEST_WRITTEN: usize = 3;
 
-/// Decodes a frame to at most `most` bytes. `decode_block` appends the contents of a block to what has been
-/// decoded so far, up to the given total.
+/// Decodes a frame to at most `most` bytes. `decode_block` appends the contents of a block to the bytes
+/// decoded so far, up to the total that it is given.
 ///
 /// # Errors
 /// If the frame is damaged, or anything follows it.
@@ -90,7 +90,7 @@ fn header_checksum(descriptor: &[u8]) -> u8 {
 }
 
 /// Writes a frame of independent blocks without checksums. A block that `compress_block` does not make
-/// smaller is stored.
+/// smaller is stored uncompressed.
 pub fn encode(input: &[u8], format: &FrameFormat, compress_block: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
     let code = (1..LARGEST_WRITTEN).find(|code| input.len() <= format.block_sizes[code - 1]);
     let code = code.unwrap_or(LARGEST_WRITTEN);

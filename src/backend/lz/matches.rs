@@ -1,12 +1,12 @@
-//! Earlier occurrences of the bytes at a place, found by hash chains.
+//! Earlier occurrences of the bytes at a position, found by hash chains.
 
 /// Bits of the hashes of three and of four bytes.
 const HASH3_BITS: u32 = 13;
 const HASH4_BITS: u32 = 15;
-/// No place.
+/// No position.
 const NONE: u32 = u32::MAX;
 
-/// A repetition.
+/// A match: a repetition of earlier bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Match {
     /// Distance back to its beginning.
@@ -17,20 +17,21 @@ pub struct Match {
 
 /// Settings of the search for matches.
 pub struct Search {
-    /// Number of earlier places to try.
+    /// Number of earlier positions to try.
     pub depth: usize,
-    /// Their least distance.
+    /// Least distance of these positions.
     pub nearest: usize,
     /// A match of this length ends the search.
     pub enough: usize,
 }
 
-/// The places of a block by the bytes that they begin with.
+/// The positions of a block by hashes of the bytes there.
 pub struct MatchFinder<'a> {
     input: &'a [u8],
-    /// The last place of each hash of three bytes.
+    /// The last position of each hash of three bytes.
     last3: Vec<u32>,
-    /// The last place of each hash of four bytes, and for each place the preceding one with the same hash.
+    /// The last position of each hash of four bytes, and for each position the preceding one with the same
+    /// hash.
     last4: Vec<u32>,
     before: Vec<u32>,
     next: usize,
@@ -49,7 +50,7 @@ impl<'a> MatchFinder<'a> {
     }
 
     /// Finds matches at `place` that end before `end`, each longer than the one before. Calls must be in
-    /// order of rising places.
+    /// ascending order of positions.
     pub fn find(&mut self, place: usize, end: usize, search: &Search, found: &mut Vec<Match>) {
         self.insert_up_to(place);
         if place + 4 > end {
@@ -103,7 +104,7 @@ impl<'a> MatchFinder<'a> {
     }
 }
 
-/// Number of bytes that two places have in common.
+/// Number of bytes that the data at two positions have in common.
 pub fn common_length(input: &[u8], a: usize, b: usize) -> usize {
     let (first, second) = (&input[a..], &input[b..]);
     first.iter().zip(second).take_while(|(a, b)| a == b).count()

@@ -1,4 +1,4 @@
-//! What LZ5 and Lizard share: frames, their checksum, and the search for matches.
+//! Code shared by LZ5 and Lizard: frames, their checksum, and the search for matches.
 
 pub mod frame;
 pub mod parser;

@@ -1,4 +1,4 @@
-//! Chooses the matches: the cheapest way through a block, by dynamic programming over the prices of literals
+//! Chooses the matches: the cheapest path through a block, by dynamic programming over the prices of literals
 //! and matches.
 
 use super::matches::{Match, MatchFinder, Search, common_length};
@@ -23,7 +23,7 @@ pub trait Format {
     /// Additional bits for the length of a run of literals when it grows to `literals`.
     fn run_bits(&self, literals: usize) -> u32;
 
-    /// The offset that is taken as that of the preceding match at the start of a block; 0 if there is none.
+    /// The offset that counts as the preceding match's at the start of a block; 0 if there is none.
     const FIRST_OFFSET: usize;
     /// The least distance of a match.
     const NEAREST: usize;
@@ -33,13 +33,13 @@ pub trait Format {
     const LAST_LITERALS: usize;
 }
 
-/// A match of this length is taken whole, without looking for others inside it, so that runs of equal bytes
-/// take no more time than other data.
+/// A match of this length is taken without a search for others inside it, so that runs of equal bytes take no
+/// more time than other data.
 const NICE_LENGTH: usize = 96;
 /// Bits of a literal.
 const LITERAL: u32 = 8;
 
-/// The cheapest known way to a place.
+/// The cheapest known path to a position.
 #[derive(Clone, Copy)]
 struct Step {
     bits: u32,
@@ -51,8 +51,8 @@ struct Step {
     length: u32,
 }
 
-/// Parses `input` from `start` on, where a new block begins; earlier bytes serve for matches. `depth` earlier
-/// places are tried for each. The bytes after the last match are literals.
+/// Parses `input` from `start` on, where a new block begins; earlier bytes can be matched. `depth` earlier
+/// positions are tried for each position. The bytes after the last match are literals.
 pub fn parse<F: Format>(format: &F, input: &[u8], start: usize, depth: usize) -> Vec<Sequence> {
     let mut finder = MatchFinder::new(input);
     let (count, limit) = (input.len() - start, input.len().saturating_sub(F::LAST_LITERALS));
@@ -114,7 +114,7 @@ fn improve(step: &mut Step, other: Step) {
     }
 }
 
-/// The sequences on the cheapest way to the end.
+/// The sequences on the cheapest path to the end.
 fn trace(steps: &[Step]) -> Vec<Sequence> {
     let mut sequences = Vec::new();
     let mut at = steps.len() - 1;

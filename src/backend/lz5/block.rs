@@ -13,9 +13,9 @@ use crate::ground::error::Result;
 
 /// Matches are at least this long; lengths in tokens are relative to it.
 const SHORTEST: usize = 3;
-/// The largest value of the token's field for the match length, which says that more follows.
+/// The largest value of the token's field for the match length, which means that more follows.
 const MATCH_FIELD: usize = 7;
-/// Offsets are below these.
+/// Upper limits of the offsets.
 const NEAR: usize = 1 << 10;
 const MIDDLE: usize = 1 << 16;
 const FAR: usize = 1 << 22;
@@ -100,7 +100,7 @@ pub fn decode(mut block: &[u8], out: &mut Vec<u8>, most: usize) -> Result<()> {
     }
 }
 
-/// A length whose field in the token may say that further bytes are added to it.
+/// A length, with its extension if the token's field is at its maximum.
 fn take_length(input: &mut &[u8], field: usize, most: usize) -> Result<usize> {
     let mut length = field;
     if field == most {
@@ -163,7 +163,8 @@ impl Format for Lz5Format {
         let kind = Kind::of_match(offset, repeats);
         let field = kind.literal_field();
         let more = |length: usize, field: usize| length.checked_sub(field).map_or(0, |rest| 1 + rest / 255);
-        // Up to 7 literals cost as little as with the widest field; narrower fields pay for them here.
+        // Up to 7 literals cost as little as with the widest field; the extra cost of narrower fields is
+        // added here.
         let narrow = usize::from(field < 7 && (field..7).contains(&literals));
         let bytes = 1 + kind.offset_bytes() + more(length - SHORTEST, MATCH_FIELD) + narrow;
         Some(8 * bytes as u32)

@@ -1,4 +1,4 @@
-//! Decoded scans against the originals.
+//! Comparison of decoded scans with the originals.
 
 use crate::stream;
 use std::io::{self, BufReader, Read, Write};
@@ -17,15 +17,15 @@ use crate::cli::{progress, table};
 pub struct Against {
     identical_files: u64,
     differing_files: u64,
-    /// Points paired by their order in the file.
+    /// Errors of points paired by their order in the file.
     rmse_m: Option<f64>,
     max_error_m: Option<f64>,
-    /// Of points paired by their order, in the file's unit.
+    /// Largest intensity error of such pairs, in the file's unit.
     max_intensity_error: f64,
-    /// Point to point, where the order has changed: from each decoded point to the nearest original.
+    /// Errors from point to point if the order has changed: from each decoded point to the nearest original.
     decoded_to_original_rmse_m: Option<f64>,
     decoded_to_original_max_m: Option<f64>,
-    /// From each original point, dropped ones included, to the nearest decoded one.
+    /// Errors from each original point, including removed ones, to the nearest decoded one.
     original_to_decoded_rmse_m: Option<f64>,
     original_to_decoded_max_m: Option<f64>,
     lost_points: u64,
@@ -35,7 +35,7 @@ pub struct Against {
     psnr: Option<Psnr>,
 }
 
-/// As mpeg-pcc-dmetric has it, in decibels; null if the points have not changed.
+/// PSNR as computed by mpeg-pcc-dmetric, in decibels; null if the points have not changed.
 #[derive(Serialize)]
 struct Psnr {
     peak_m: f64,
@@ -46,7 +46,7 @@ struct Psnr {
     d2_db: Option<f64>,
 }
 
-/// Decodes all frames and measures how far they are from the originals.
+/// Decodes all frames and measures their errors relative to the originals.
 pub fn compare(
     args: &StatsArgs,
     input: impl Read + Send,
@@ -71,7 +71,7 @@ pub fn compare(
     Ok(comparison.report())
 }
 
-/// What is measured, frame by frame.
+/// The measurements, frame by frame.
 #[derive(Default)]
 struct Comparison {
     identical_files: u64,

@@ -1,4 +1,4 @@
-//! What was found of the scanners, and how well it explains their scans.
+//! The fitted scanners, and how well they explain their scans.
 
 use std::io::{self, Write};
 
@@ -20,23 +20,23 @@ pub struct KnownScanners {
 struct KnownScanner {
     id: ScannerId,
     scanner: Scanner,
-    /// How well it explains its first exact scan, once there was one.
+    /// How well it explains its first exactly coded scan, once there was one.
     first: Option<Explained>,
 }
 
-/// What is reported of a scanner.
+/// The report on a scanner.
 #[derive(Serialize)]
 pub struct ScannerStats {
     /// Family, grid and recipe, in words.
     description: String,
-    /// Of the points of its first exact scan, the share in the range image; the others are strays.
+    /// The share of points in the range image, for its first exactly coded scan; the others are strays.
     share_in_image: Option<f64>,
-    /// Of the same points, the share that the formula gives to the last bit.
+    /// The share of the same points that the formula reproduces to the last bit.
     share_exact: Option<f64>,
 }
 
 impl KnownScanners {
-    /// Adds a record, unless it is one more copy, or of a family that this program does not know.
+    /// Adds a record, unless it is a copy, or of a family that this program does not know.
     ///
     /// # Errors
     /// If the record is damaged.
@@ -50,8 +50,8 @@ impl KnownScanners {
         Ok(())
     }
 
-    /// Decodes the group's first scan of each scanner that has not had one, if it is coded exactly. The group's first frame
-    /// has this number.
+    /// For each scanner without a sample yet, decodes the group's first scan of it, if that is coded exactly.
+    /// `first_frame` is the number of the group's first frame.
     ///
     /// # Errors
     /// If it is damaged.
@@ -80,7 +80,7 @@ impl KnownScanners {
         Ok(())
     }
 
-    /// What was found.
+    /// The report on all scanners.
     pub fn report(&self) -> Vec<ScannerStats> {
         let of_scanner = |known: &KnownScanner| ScannerStats {
             description: known.scanner.to_string(),
@@ -92,7 +92,7 @@ impl KnownScanners {
 }
 
 impl ScannerStats {
-    /// Prints it in one line.
+    /// Prints the report on a scanner in one line.
     pub fn print(&self, number: usize, out: &mut impl Write) -> io::Result<()> {
         write!(out, "scanner {number}: {}", self.description)?;
         if self.share_exact.is_some() {

@@ -1,5 +1,6 @@
-//! A page with a drive inside: `web/page.html` and `web/view.js` with the points of each frame, decoded and rounded. So it opens
-//! anywhere, from a disk too, and a program that writes it needs no decoder for browsers.
+//! A page that contains a drive: `web/page.html` and `web/view.js` with the points of each frame, decoded and
+//! rounded. Thus it opens anywhere, even from disk, and a program that writes it needs no decoder for
+//! browsers.
 
 use std::ffi::OsStr;
 use std::io::{Read, Seek, Write};
@@ -18,13 +19,13 @@ use crate::library::{ChannelInfo, Decoder, FrameDetails, FrameInfo, Scalar, Scan
 
 const PAGE: &str = include_str!("../../../web/page.html");
 const SCRIPT: &str = include_str!("../../../web/view.js");
-/// Where the frames go, and where the script.
+/// The places of the frames and of the script in the page.
 const MARKS: [&str; 2] = ["<!-- contents -->\n", "<script type=\"module\" src=\"view.js\"></script>\n"];
 
-/// What coordinates are rounded to, in metres, unless they reach too far for 16 bits.
+/// The unit to which coordinates are rounded, in metres, unless their extent exceeds 16 bits.
 const UNIT: f64 = 0.01;
 
-/// What the script reads. Its names are those of `js/index.d.ts`.
+/// The input of the script. Its names are those of `js/index.d.ts`.
 #[derive(Serialize)]
 struct Drive<'d> {
     name: &'d str,
@@ -38,21 +39,21 @@ struct Drive<'d> {
 struct Frame {
     number: u64,
     name: String,
-    /// Nanoseconds since 1970. As text, for JavaScript's numbers have 53 bits.
+    /// Nanoseconds since 1970. As text, because JavaScript's numbers have 53 bits.
     time: Option<String>,
     points: usize,
-    /// Of the file.
+    /// Size of the file.
     bytes: u64,
     coded_bytes: u64,
-    /// Metres that coordinates are multiples of.
+    /// The unit of coordinates, in metres.
     unit: f64,
-    /// Of the range image; 0 if there is none.
+    /// Rows of the range image; 0 if there is none.
     rows: usize,
     columns: usize,
     fields: Vec<Field>,
 }
 
-/// A field, of which each value is a byte: how many steps it is above the least.
+/// A field. Each value is a byte: the number of steps above the least value.
 #[derive(Serialize)]
 struct Field {
     name: String,
@@ -60,10 +61,10 @@ struct Field {
     step: f64,
 }
 
-/// Writes the page of a stream of this name and size. `advance` is called after each frame.
+/// Writes the page for a stream with this name and size. `advance` is called after each frame.
 ///
 /// # Errors
-/// If the stream is damaged, or does not hold these frames; those of the output.
+/// If the stream is damaged, or does not contain these frames; and those of the output.
 pub fn write<R: Read + Seek + Send>(
     decoder: &mut Decoder<R>,
     (path, bytes): (&str, u64),
@@ -87,7 +88,7 @@ pub fn write<R: Read + Seek + Send>(
         advance();
     }
     let name = Path::new(path).file_name().map_or_else(|| path.into(), OsStr::to_string_lossy);
-    // Names may be any: none is to end the script.
+    // Names may be any string, but must not end the script.
     let drive =
         serde_json::to_string(&Drive { name: &name, bytes, scanners, frames })?.replace('<', "\\u003c");
     writeln!(out, "<script type=\"application/json\" id=\"drive\">{drive}</script>")?;
@@ -95,13 +96,13 @@ pub fn write<R: Read + Seek + Send>(
     Ok(())
 }
 
-/// A frame, and its points as the function `unpacked` of the script takes them.
+/// A frame, and its points in the form that the script's function `unpacked` expects.
 fn pack(scan: &Scan, details: FrameDetails, info: &FrameInfo) -> error::Result<(Frame, Vec<u8>)> {
     let positions = positions(scan);
     let finite = positions.iter().flatten().filter(|metres| metres.is_finite());
     let reach = finite.fold(0.0, |reach: f64, metres| reach.max(metres.abs()));
     let unit = UNIT.max(reach / f64::from(i16::MAX));
-    // Cells that 16 bits do not count are in no image.
+    // Images whose cells 16 bits cannot count are left out.
     let image = scan.range_image().filter(|image| image.rows().max(image.columns()) < usize::from(u16::MAX));
     let (rows, columns) = image.map_or((0, 0), |image| (image.rows(), image.columns()));
     let mut cells = vec![[u16::MAX; 2]; positions.len()];
@@ -130,7 +131,7 @@ fn pack(scan: &Scan, details: FrameDetails, info: &FrameInfo) -> error::Result<(
         let finite = || values.iter().copied().filter(|value| value.is_finite());
         let least = finite().reduce(f64::min).unwrap_or(0.0);
         let range = finite().reduce(f64::max).unwrap_or(0.0) - least;
-        // Few whole numbers stay as they are.
+        // Small ranges of whole numbers are not scaled.
         let is_whole = range <= 255.0 && finite().all(|value| value.fract() == 0.0);
         let step = if is_whole { 1.0 } else { range / 255.0 };
         packed.extend(values.iter().map(|value| ((value - least) / step).round() as u8));
@@ -146,7 +147,7 @@ fn pack(scan: &Scan, details: FrameDetails, info: &FrameInfo) -> error::Result<(
     Ok((frame, compressed.finish()?))
 }
 
-/// x, y and z of each point, in metres; NaN in files that have none.
+/// x, y and z of each point, in metres; NaN for files without them.
 fn positions(scan: &Scan) -> Vec<[f64; 3]> {
     if !scan.positions().is_empty() {
         return scan.positions().iter().map(|position| position.map(f64::from)).collect();
@@ -179,7 +180,7 @@ fn numbers_of(scan: &Scan, channel: &ChannelInfo<'_>) -> error::Result<Vec<f64>>
     }
 }
 
-/// Appends the differences from one number to the next: the low bytes of all, then the high ones.
+/// Appends the differences between consecutive numbers: the low bytes of all, then the high bytes.
 fn write_differences(values: impl Iterator<Item = u16>, out: &mut Vec<u8>) {
     let differences =
         values.scan(0u16, |last, value| Some(value.wrapping_sub(std::mem::replace(last, value))));
@@ -188,7 +189,7 @@ fn write_differences(values: impl Iterator<Item = u16>, out: &mut Vec<u8>) {
     out.extend(high);
 }
 
-/// Bytes as text, four characters for three (RFC 4648).
+/// Bytes as text, four characters for three bytes (RFC 4648).
 fn base64(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);

@@ -26,8 +26,8 @@ pub enum Kind {
     Prediction,
     /// The prediction residuals, in metres.
     Residual,
-    /// The distances of points from the originals, in millimetres: from the points at the same place in the order or, if
-    /// the order has changed, from the nearest points.
+    /// The distances of points from the originals, in millimetres: from the points at the same place in the
+    /// order or, if the order has changed, from the nearest points.
     Error,
     /// The points from above, coloured by height.
     BirdsEye,
@@ -39,7 +39,7 @@ pub enum Kind {
     All,
 }
 
-/// All pictures of the range image and their titles, in the order in which they arise.
+/// All pictures of the range image and their titles, in the order of the coding steps.
 pub const PICTURES: [(Kind, &str); 7] = [
     (Kind::Range, "range, m"),
     (Kind::Occupancy, "occupancy"),
@@ -50,25 +50,25 @@ pub const PICTURES: [(Kind, &str); 7] = [
     (Kind::Error, "error, mm"),
 ];
 
-/// What the pictures of a range image show, ready to be drawn. Ranges are in millimetres, whatever the
+/// The contents of a range image's pictures, ready to be drawn. Ranges are in millimetres, whatever the
 /// image's steps.
 pub struct Pictures {
     occupancy: Grid<bool>,
     ranges: Grid<u32>,
     predicted: Grid<u32>,
-    /// As [`crate::article::segmentation`] labels it.
+    /// The labels of [`crate::article::segmentation`].
     labels: Grid<u32>,
     intra: IntraPrediction,
-    /// Millimetres, NaN where there is nothing to measure, if the original is known.
+    /// Errors in millimetres, NaN for cells without one, if the original is known.
     errors: Option<Grid<f32>>,
     zoom: Zoom,
 }
 
-/// Metres that the pictures' ranges are in.
+/// The unit of the pictures' ranges, in metres.
 const MILLIMETRE: f64 = 1e-3;
 
 impl Pictures {
-    /// The regions are the stream's, or those that intra prediction would find. `errors` are those of the
+    /// The regions are the stream's, or those that intra prediction would use. `errors` are those of the
     /// file's points, in metres.
     pub fn of(
         decoded: &DecodedImage,
@@ -111,7 +111,7 @@ impl Pictures {
         pictures
     }
 
-    /// Puts above one another what is so in space.
+    /// Aligns rows such that cells above one another have the same azimuth.
     fn align(&mut self, alignment: &Alignment) {
         alignment.align(&mut self.occupancy);
         alignment.align(&mut self.ranges);
@@ -121,7 +121,7 @@ impl Pictures {
         self.errors.iter_mut().for_each(|errors| alignment.align(errors));
     }
 
-    /// The picture of a kind; `None` of errors that are not known.
+    /// The picture of a kind; `None` if it shows errors and these are unknown.
     pub fn draw(&self, kind: Kind) -> Option<Picture> {
         let of_ranges =
             || Scale::of_ranges(self.ranges.cells().iter().map(|&range| f64::from(range) * MILLIMETRE));
@@ -147,7 +147,7 @@ impl Pictures {
         }
     }
 
-    /// Equation 7.
+    /// The residuals of equation 7.
     fn residuals(&self) -> Grid<i32> {
         let mut residuals = self.ranges.map(|&range| range as i32);
         for row in 0..residuals.rows() {

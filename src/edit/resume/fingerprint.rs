@@ -2,8 +2,8 @@
 
 use crate::container::{CodedFrame, Group};
 
-/// A checksum over the checksums of everything in the groups. A CRC over the bytes of the stream would not
-/// do: each section ends in its own CRC-32C, and a CRC over such bytes depends on their length alone.
+/// A checksum over the checksums of everything in the groups. A CRC over the bytes of the stream would be
+/// useless: each section ends in its own CRC-32C, and a CRC over such bytes depends on their length alone.
 pub fn fingerprint<'g>(groups: impl IntoIterator<Item = &'g Group>) -> u32 {
     let mut parts = Vec::new();
     for group in groups {

@@ -1,5 +1,5 @@
-//! The journal of an encode: what the stream was made from. It is text, one JSON value a line: the settings,
-//! then, whenever a group has been written to the stream, the files from which it was made.
+//! The journal of an encode: the inputs of the stream. It is text, one JSON value per line: the settings,
+//! then, for each group written to the stream, the files in it.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Seek, SeekFrom, Write};
@@ -25,20 +25,20 @@ struct Head {
 pub struct Entry {
     /// The files, in order.
     pub files: Vec<InputFile>,
-    /// Bytes of the stream up to the end of their groups.
+    /// Size of the stream at the end of their groups.
     pub stream_end: u64,
     /// The fingerprint of their groups.
     pub fingerprint: u32,
 }
 
-/// A file as it was encoded, before any loss.
+/// A file as it was before encoding.
 #[derive(Debug, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct InputFile {
     pub name: String,
-    /// Its unit, stream and time.
+    /// Its kind, track and time.
     pub stamp: String,
-    /// In bytes.
+    /// Size in bytes.
     pub size: u64,
     /// CRC-32C of its bytes.
     pub crc: u32,
@@ -51,11 +51,11 @@ impl InputFile {
     }
 }
 
-/// The contents of a journal, as far as its lines are complete.
+/// The contents of a journal, up to the last complete line.
 #[derive(Debug)]
 pub struct Journal {
     pub settings: Settings,
-    /// The lines after the first, each with its end, in bytes from the start.
+    /// The lines after the first, each with the offset of its end, in bytes.
     pub entries: Vec<(Entry, u64)>,
 }
 
@@ -79,7 +79,7 @@ impl Journal {
     }
 }
 
-/// Reads a line, and sets `end` to its end; `None` if there is no line, or an incomplete one.
+/// Reads a line, and sets `end` to the offset of its end; `None` if there is no line, or an incomplete one.
 fn read_line<T: DeserializeOwned>(input: &mut impl BufRead, end: &mut u64) -> Result<Option<T>> {
     let mut line = Vec::new();
     *end += input.read_until(b'\n', &mut line)? as u64;
@@ -91,8 +91,8 @@ fn read_line<T: DeserializeOwned>(input: &mut impl BufRead, end: &mut u64) -> Re
 pub struct JournalWriter(File);
 
 impl JournalWriter {
-    /// Creates a journal with its first line, and waits until that is on the disk: a stream must not outlive
-    /// its journal.
+    /// Creates a journal with its first line, and waits until that is on disk: a stream must not exist
+    /// without its journal.
     ///
     /// # Errors
     /// This and all other functions: if writing fails.
@@ -111,7 +111,7 @@ impl JournalWriter {
         Ok(JournalWriter(file))
     }
 
-    /// Writes a line about files whose groups have been written.
+    /// Writes a line about files whose groups were written.
     pub fn write(&mut self, entry: &Entry) -> Result<()> {
         self.write_line(entry)
     }

@@ -11,16 +11,16 @@ use crate::frame::steps::StepReport;
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::encoded::{Encoded, FrameOfStream};
 
-/// The beginning of a partial stream, as far as it is intact and the journal records what it was made from.
+/// The beginning of a partial stream that is intact and recorded in the journal.
 #[derive(Default)]
 pub struct Kept {
-    /// The settings with which it was made.
+    /// The settings with which it was encoded.
     pub settings: Settings,
     /// The journal's entries about its groups; empty if nothing is kept.
     pub entries: Vec<Entry>,
-    /// The places of its records.
+    /// The locations of its records.
     pub index: Index,
-    /// Its contents.
+    /// Statistics of its contents.
     pub encoded: Encoded,
     /// Its length in bytes.
     pub stream_end: u64,
@@ -29,8 +29,8 @@ pub struct Kept {
 }
 
 impl Kept {
-    /// Reads a stream up to the first byte that is not as the journal says. Damage is not an error; it only
-    /// leaves less to keep.
+    /// Reads a stream up to the first byte that contradicts the journal. Damage is not an error; it only
+    /// reduces what is kept.
     ///
     /// # Errors
     /// If the file cannot be read.
@@ -46,17 +46,17 @@ impl Kept {
             kept.entries.push(entry);
         }
         kept.encoded.resumed_frames = kept.encoded.frames.len() as u64;
-        // What was read after that is not kept.
+        // Records read after the kept part are not included.
         kept.index = reader.index().clone();
         kept.index.truncate(kept.stream_end);
         Ok(kept)
     }
 }
 
-/// Reads the next part of a stream, which an entry of the journal describes; gives its frames.
+/// Reads the part of a stream that an entry of the journal describes; returns its frames.
 ///
 /// # Errors
-/// If it is not as the journal says.
+/// If it contradicts the journal.
 fn read_part(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Vec<FrameOfStream>> {
     let mut groups = Vec::new();
     while reader.position() < entry.stream_end {
@@ -79,7 +79,7 @@ fn read_part(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Vec<
 impl FrameOfStream {
     fn kept(frame: &CodedFrame) -> Result<Self> {
         let mut kept = FrameOfStream::of(frame, StepReport::default())?;
-        // Of the file from which it was made, if that differs from the one to which it decodes.
+        // The size of the original file, if it differs from the decoded one.
         kept.steps = StepReport { frames: 1, original: kept.source.file_size, ..StepReport::default() };
         kept.steps.count_sections(&frame.sections);
         Ok(kept)

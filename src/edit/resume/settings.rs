@@ -5,10 +5,10 @@ use crate::frame::settings::EncoderConfig;
 /// Names and values, in the order in which they are compared.
 pub type Settings = Vec<(String, String)>;
 
-/// The settings of this program: its version, and all choices except the number of threads, which changes
-/// nothing. The number of frames is included, because the scanner is fitted to a sample of all of them.
+/// The settings of an encode: the program's version, and all choices except the number of threads, which has
+/// no effect. The number of frames is included, because scanners are fitted to a sample of all frames.
 pub fn list(config: &EncoderConfig, frames: usize) -> Settings {
-    // Every field is named, so that a new one cannot be forgotten here.
+    // Every field is named, so that new ones cannot be forgotten here.
     let EncoderConfig {
         gop,
         threads: _,

@@ -1,31 +1,31 @@
-//! Maps each number below 4096 to a token, so that each token has as many numbers as its frequency. By
-//! Walker's alias method: equal buckets, each shared by at most two tokens, make for a small table.
+//! Maps each number below 4096 to a token, so that each token has as many numbers as its frequency. Walker's
+//! alias method keeps the table small: equal buckets, each shared by at most two tokens.
 
 use super::frequencies::{Frequencies, SCALE, TOKENS};
 
 /// Numbers in a bucket.
 const BUCKET: u32 = SCALE / TOKENS as u32;
 
-/// A bucket: its first numbers belong to its own token, the rest to another.
+/// A bucket: its first numbers belong to its own token, the rest to another token.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Bucket {
     own_frequency: u16,
     other_frequency: u16,
-    /// The place of the bucket's first number among those of the other token; negative if it would lie before
-    /// their first.
+    /// The index of the bucket's first number among those of the other token; negative if it would be before
+    /// the first of them.
     other_place: i16,
-    /// How many numbers belong to the own token.
+    /// How many numbers belong to the bucket's own token.
     own: u8,
     other: u8,
 }
 
-/// What a number stands for.
+/// The token of a number below 4096.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slot {
     pub token: u8,
     /// The token's frequency.
     pub frequency: u32,
-    /// The place of the number among the token's.
+    /// The index of the number among those of the token.
     pub place: u32,
 }
 
@@ -42,7 +42,7 @@ pub fn buckets(Frequencies(frequencies): &Frequencies) -> [Bucket; TOKENS] {
     let (mut poor, mut rich): (Vec<usize>, Vec<usize>) =
         (0..TOKENS).filter(|&token| left[token] != BUCKET).partition(|&token| left[token] < BUCKET);
     while let (Some(from), Some(to)) = (rich.pop(), poor.pop()) {
-        // The rest of the poor token's bucket is filled from the end of the rich token's numbers.
+        // The rest of this token's bucket is filled from the end of the other token's numbers.
         let own = left[to];
         left[from] -= BUCKET - own;
         buckets[to].own = own as u8;
@@ -58,8 +58,8 @@ pub fn buckets(Frequencies(frequencies): &Frequencies) -> [Bucket; TOKENS] {
     buckets
 }
 
-/// Visits all numbers below 4096, with the token that each stands for and its place among that token's
-/// numbers.
+/// Calls `give` for all numbers below 4096 with the number's token, its index among that token's numbers, and
+/// the number.
 pub fn for_each_number(buckets: &[Bucket; TOKENS], mut give: impl FnMut(u8, u32, u32)) {
     for (index, bucket) in buckets.iter().enumerate() {
         let (first, own) = (index as u32 * BUCKET, u32::from(bucket.own));
@@ -69,13 +69,13 @@ pub fn for_each_number(buckets: &[Bucket; TOKENS], mut give: impl FnMut(u8, u32,
     }
 }
 
-/// What a number below 4096 stands for.
+/// The token of a number below 4096.
 #[inline]
 pub fn look_up(buckets: &[Bucket; TOKENS], number: u32) -> Slot {
     let index = (number / BUCKET) as usize % TOKENS;
     let bucket = &buckets[index];
     let place = number % BUCKET;
-    // Chosen without a branch, which would be unpredictable.
+    // Selected without a branch, which would be unpredictable.
     let is_own = place < u32::from(bucket.own);
     let token = if is_own { index as u8 } else { bucket.other };
     let frequency = if is_own { bucket.own_frequency } else { bucket.other_frequency };

@@ -12,17 +12,18 @@ pub const SCALE: u32 = 1 << SCALE_BITS;
 /// Number of tokens.
 pub const TOKENS: usize = 256;
 
-/// The token that stands for all those without a frequency; which of them it is, is coded separately.
+/// The token that replaces all those without a frequency; the actual token is coded separately.
 pub const ESCAPE: u8 = u8::MAX;
-/// Logarithms of the frequencies; not of 0.
+/// Binary logarithms of the frequencies, except of 0.
 static LOG2: LazyLock<Vec<f64>> =
     LazyLock::new(|| (0..=SCALE).map(|frequency| f64::from(frequency).log2()).collect());
 
 /// Approximate cost of an escape, in bits.
 const ESCAPE_COST: f64 = 20.0;
 
-/// The frequency of each token: 0 to 4095, 4096 in all. No token is certain, so no stream yields tokens
-/// without end; the frequency of [`ESCAPE`] is not 0, so a table can code tokens that it was not made for.
+/// The frequency of each token: 0 to 4095, with the sum 4096. No token is certain, so that no stream yields
+/// tokens without end; the frequency of [`ESCAPE`] is not 0, so that a table can code tokens that it was not
+/// made for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frequencies(pub [u16; TOKENS]);
 
@@ -35,13 +36,13 @@ impl Frequencies {
         let escape = usize::from(ESCAPE);
         frequencies[escape] = frequencies[escape].max(1);
         if counts[..escape].iter().all(|&count| count == 0) {
-            // Some other token, so that the escape is not certain.
+            // Gives a frequency to another token, so that the escape is not certain.
             frequencies[0] = 1;
         }
-        // What rounding leaves is added to, or taken from, the most frequent token, where it matters least.
+        // The rounding error is added to the most frequent token, where it matters least.
         let mut sum: u32 = frequencies.iter().sum();
         while sum != SCALE {
-            // The last of several equal ones.
+            // Of several equal ones, the last.
             let (mut largest, mut most) = (0, 0);
             for (token, &frequency) in frequencies.iter().enumerate() {
                 if frequency >= most {
@@ -88,7 +89,7 @@ impl Default for FrequencyModel {
 }
 
 impl FrequencyModel {
-    /// Codes the frequencies of a context if there are new ones.
+    /// Codes the frequencies of a context, if they are new.
     ///
     /// # Errors
     /// If they do not add up to 4096.
@@ -112,7 +113,7 @@ impl FrequencyModel {
         if !(1..u64::from(SCALE)).contains(&left) {
             return Err(Error::corrupt("token frequencies: no token is certain"));
         }
-        // The rest is the escape's.
+        // The remainder is the frequency of the escape.
         frequencies[escape] = left as u16;
         Ok(())
     }

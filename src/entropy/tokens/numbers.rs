@@ -1,5 +1,5 @@
-//! Numbers as tokens: those below [`DIRECT`] have a token each, larger ones share one with all numbers of the
-//! same octave that agree in the two bits below the highest.
+//! Numbers as tokens: each number below [`DIRECT`] has a token of its own; a larger one shares a token with
+//! all numbers of the same octave that agree in the two bits below the highest.
 
 /// Numbers below this have a token of their own.
 const DIRECT: u64 = 32;
@@ -9,12 +9,12 @@ const MANTISSA_BITS: u32 = 2;
 /// The highest octave that any token stands for.
 const HIGHEST_OCTAVE: u32 = 59;
 
-/// A number's token and the bits that it leaves open.
+/// A number's token, and the bits that the token does not determine.
 pub struct NumberToken {
     pub token: u8,
     /// The least number with this token.
     pub base: u64,
-    /// How many bits the token leaves open.
+    /// The number of bits that the token does not determine.
     pub low_bits: u32,
     /// These bits.
     pub rest: u64,
@@ -39,7 +39,8 @@ impl NumberToken {
         }
     }
 
-    /// A token alone, as a decoder knows it. Tokens that stand for no number count as the last one that does.
+    /// A token without the remaining bits, as a decoder reads it first. Invalid tokens count as the last
+    /// valid one.
     #[inline]
     pub fn from_token(token: u8) -> Self {
         let value = u64::from(token);
@@ -53,7 +54,7 @@ impl NumberToken {
     }
 }
 
-/// The least number that a token stands for, and how many there are.
+/// The least number with this token, and the number of numbers with it.
 pub fn numbers_of_token(token: u8) -> (u64, u64) {
     let NumberToken { base, low_bits, .. } = NumberToken::from_token(token);
     (base, 1 << low_bits)

@@ -12,7 +12,7 @@ use crate::ground::varint::read_unsigned;
 /// Reads tokens and plain bits. Past the end of the bytes it reads zeros, so any bytes decode to something.
 pub struct TokenReader<'a> {
     buckets: &'a [[Bucket; TOKENS]],
-    /// The state whose turn it is comes first.
+    /// The states, the next to be used first.
     states: [u32; STATES],
     escaped: std::slice::Iter<'a, u8>,
     words: &'a [[u8; 2]],
@@ -79,7 +79,7 @@ impl<'a> TokenReader<'a> {
         self.counts
     }
 
-    /// Shifts the next word into `state` if it is wanted, else leaves `state` as it is.
+    /// Shifts the next word into `state` if `wanted`, else returns `state` unchanged.
     #[inline]
     fn take_word(&mut self, state: u32, wanted: bool) -> u32 {
         let next = self.words.first().map_or(0, |word| u32::from(u16::from_le_bytes(*word)));
@@ -98,7 +98,7 @@ impl<'a> TokenReader<'a> {
         token.unwrap_or(0)
     }
 
-    /// The last bytes, from `at` on, as if zeros followed them.
+    /// The last bytes, from `at` on, padded with zeros.
     #[cold]
     fn last_bytes(&self, at: u64) -> u64 {
         let rest = usize::try_from(at).ok().and_then(|at| self.bits.get(at..)).unwrap_or_default();

@@ -1,5 +1,6 @@
-//! The tables of a section, one for each context. They live as long as a group and learn from each frame, so
-//! only the first frame has to send many. What is looked up is made of the frequencies when it is first needed.
+//! The tables of a section, one for each context. They persist for a group and learn from each frame, so that
+//! only the first frame has to transmit many. Lookup tables are computed from the frequencies when they are
+//! first needed.
 
 use std::sync::{Arc, OnceLock};
 
@@ -10,11 +11,11 @@ use super::frequencies::{Frequencies, SCALE, TOKENS};
 #[derive(Clone, Default)]
 pub struct TokenTables {
     contexts: Vec<Table>,
-    /// What a decoder looks up, by context; all empty where no token has occurred yet.
+    /// The decoder's lookup tables, by context; all empty where no token has occurred yet.
     pub(super) buckets: Vec<[Bucket; TOKENS]>,
-    /// Frames learned from.
+    /// Number of frames learned from.
     frames: u32,
-    /// Whether the next frame begins with new tables.
+    /// Whether the tables are to be recomputed before the next frame.
     is_due: bool,
     /// Whether the tables have been given their starting distribution.
     has_start: bool,
@@ -26,16 +27,16 @@ struct Table {
     /// How often each token has occurred.
     counts: Counts,
     frequencies: Option<Frequencies>,
-    /// What an encoder looks up, once it has been made of the frequencies.
+    /// The encoder's lookup table, once it was computed from the frequencies.
     encoder: Option<Arc<EncoderTable>>,
-    /// Whether the decoder's buckets are made of these frequencies.
+    /// Whether the decoder's buckets were computed from these frequencies.
     has_buckets: bool,
 }
 
 /// How often each token occurs.
 pub type Counts = [u32; TOKENS];
 
-/// Tables with which the first frame of every group starts, made once.
+/// Tables with which the first frame of every group starts, computed once.
 pub struct StartTables {
     counts: Vec<Counts>,
     frequencies: Vec<Frequencies>,
@@ -50,24 +51,24 @@ pub(super) struct EncoderTable {
     numbers: [u16; SCALE as usize],
 }
 
-/// The numbers of a token.
+/// A token's range of numbers.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Share {
     /// 2^44 over the frequency, rounded up.
     reciprocal: u64,
-    /// How many there are; 0 if the token is coded by way of [`ESCAPE`].
+    /// The number of numbers; 0 if the token is coded by an [`ESCAPE`].
     frequency: u16,
     /// The first of them in the table.
     start: u16,
 }
 
-/// With this many bits, reciprocals of frequencies divide states below 2^20 times the frequency exactly, in
-/// 64 bits.
+/// With this many bits, reciprocals of frequencies divide states below 2^20 times the frequency exactly in
+/// 64-bit arithmetic.
 const RECIPROCAL_BITS: u32 = 44;
 
 impl Share {
     pub fn of(frequency: u16, start: u16) -> Self {
-        // Most tokens have none, and divisions take long.
+        // Most tokens have frequency 0, and divisions are slow.
         let reciprocal = match frequency {
             0 => 0,
             _ => (1u64 << RECIPROCAL_BITS).div_ceil(frequency.into()),
@@ -104,13 +105,13 @@ impl EncoderTable {
         EncoderTable { shares, numbers }
     }
 
-    /// The numbers of a token.
+    /// The range of numbers of a token.
     #[inline]
     pub fn share(&self, token: u8) -> Share {
         self.shares[usize::from(token)]
     }
 
-    /// The number at a place among those of a token.
+    /// The number with this index among those of a token.
     #[inline]
     pub fn number(&self, share: Share, place: u32) -> u32 {
         u32::from(self.numbers[usize::from(share.start) + place as usize])
@@ -118,7 +119,7 @@ impl EncoderTable {
 }
 
 impl StartTables {
-    /// Those of contexts in which tokens typically occur so often.
+    /// Tables for contexts in which tokens typically occur with these counts.
     pub fn of(counts: Vec<Counts>) -> Self {
         let frequencies = counts.iter().map(Frequencies::of).collect();
         StartTables { counts, frequencies, buckets: OnceLock::new(), encoders: OnceLock::new() }
@@ -143,7 +144,7 @@ impl Default for Table {
 impl TokenTables {
     /// Gives each context its starting distribution, once, before any token has occurred. Its influence soon fades.
     pub fn start_from(&mut self, start: &StartTables, encodes: bool) {
-        /// The share that the initial counts have among those of tokens that have occurred.
+        /// The divisor of the initial counts, so that observed ones soon outweigh them.
         const SHARE: u32 = 32;
         if std::mem::replace(&mut self.has_start, true) {
             return;
@@ -163,7 +164,7 @@ impl TokenTables {
         }
     }
 
-    /// Starts a frame of `contexts` contexts: by what earlier ones have taught.
+    /// Starts a frame of `contexts` contexts, with the tables learned from earlier frames.
     pub(super) fn start_frame(&mut self, contexts: usize) {
         if self.contexts.len() < contexts {
             self.contexts.resize_with(contexts, Table::default);
@@ -176,8 +177,8 @@ impl TokenTables {
         }
     }
 
-    /// Learns from the tokens of a frame. New tables are made after 1, 2, 4, 8 ... frames, as later ones
-    /// would hardly differ, and when the next frame needs them.
+    /// Learns from the tokens of a frame. Tables are recomputed after 1, 2, 4, 8 ... frames, as they would
+    /// hardly differ in between, and only when the next frame needs them.
     pub fn learn(&mut self, counts: &[Counts]) {
         for (table, new) in self.contexts.iter_mut().zip(counts) {
             table.counts.iter_mut().zip(new).for_each(|(known, new)| *known = known.saturating_add(*new));
@@ -196,7 +197,7 @@ impl TokenTables {
         self.contexts[context].set(frequencies);
     }
 
-    /// Makes what an encoder of this context looks up.
+    /// Computes the encoder's lookup table for this context.
     pub(super) fn make_encoder(&mut self, context: usize) {
         let table = &mut self.contexts[context];
         if let (None, Some(frequencies)) = (&table.encoder, &table.frequencies) {
@@ -204,13 +205,13 @@ impl TokenTables {
         }
     }
 
-    /// What an encoder of this context looks up, if it was made.
+    /// The encoder's lookup table for this context, if it was computed.
     #[inline]
     pub(super) fn encoder(&self, context: usize) -> Option<&EncoderTable> {
         self.contexts.get(context)?.encoder.as_deref()
     }
 
-    /// Makes what decoders look up, of all contexts.
+    /// Computes the decoder's lookup tables for all contexts.
     pub(super) fn make_buckets(&mut self) {
         self.buckets.resize(self.contexts.len().max(self.buckets.len()), [Bucket::default(); TOKENS]);
         for (made, table) in

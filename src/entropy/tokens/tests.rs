@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 const CONTEXTS: usize = 5;
 
-/// Tokens, numbers and bits, some contexts with one kind of token only.
+/// Codes tokens, numbers and bits; some contexts have only one token.
 fn code<C: TokenCoder>(coder: &mut C, values: &[(usize, u64, u32)]) -> Vec<(u64, u64)> {
     let code_one = |&(context, value, count): &(usize, u64, u32)| {
         let token = coder.token(context % 2, value as u8 & 7);
@@ -88,7 +88,7 @@ fn frequent_tokens_take_little() {
     let mut writer = TokenWriter::new(1);
     (0..100_000u32).for_each(|i| assert_eq!(writer.token(0, u8::from(i % 100 == 0)), u8::from(i % 100 == 0)));
     let payload = writer.finish(&mut TokenTables::default()).unwrap();
-    // 0.081 bits each, and the states.
+    // 0.081 bits per token, and the states.
     assert!(payload.len() < 1038, "{}", payload.len());
 }
 

@@ -7,18 +7,18 @@ use crate::entropy::ArithmeticEncoder;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::write_unsigned;
 
-/// The least value of a state: smaller ones read 16 more bits.
+/// The least value of a state: smaller states read 16 more bits.
 pub(super) const LEAST_STATE: u32 = 1 << 16;
-/// Number of states. They take turns, token by token, so that one can work while the others wait.
+/// Number of states. They are used in turn, one token each, so that their computations can overlap.
 pub(super) const STATES: usize = 4;
 
 /// Collects tokens and plain bits.
 pub struct TokenWriter {
-    /// Each token in the lowest eight bits, its context above.
+    /// Each token in the lowest eight bits, its context above them.
     tokens: Vec<u32>,
     counts: Vec<[u32; TOKENS]>,
     bits: Vec<u8>,
-    /// Bits not yet written, and their number.
+    /// Bits not yet written as bytes, and their number.
     open: u64,
     open_bits: u32,
 }
@@ -38,7 +38,7 @@ impl TokenWriter {
     /// The payload of the section. Its tables are added to `tables`, which learn from the tokens.
     ///
     /// # Errors
-    /// None of its own; but the coder of the tables could return some.
+    /// None by itself; the coder of the tables may return some.
     pub fn finish(mut self, tables: &mut TokenTables) -> Result<Vec<u8>> {
         let mut payload = Vec::new();
         let frequencies = self.write_tables(tables)?;
@@ -55,7 +55,7 @@ impl TokenWriter {
         Ok(payload)
     }
 
-    /// Writes new tables where they save more than they cost.
+    /// Writes new tables for contexts where they save more than they cost.
     fn write_tables(&self, tables: &mut TokenTables) -> Result<Vec<u8>> {
         let (mut coder, mut model) = (ArithmeticEncoder::default(), FrequencyModel::default());
         tables.start_frame(self.counts.len());
@@ -78,8 +78,8 @@ impl TokenWriter {
         Ok(coder.finish())
     }
 
-    /// The tokens as 16-bit words (the decoder's initial states, then what it reads), and the tokens that are
-    /// escaped.
+    /// The tokens as 16-bit words (the decoder's initial states, then the words that it reads), and the
+    /// escaped tokens.
     fn words(&self, tables: &TokenTables) -> Result<(Vec<u16>, Vec<u8>)> {
         let mut escaped = Vec::new();
         let mut states = [LEAST_STATE; STATES];

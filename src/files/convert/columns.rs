@@ -20,11 +20,11 @@ pub struct Column {
 /// Where a value comes from.
 #[derive(Clone, Copy, Debug)]
 enum Origin {
-    /// The bytes from here on in the original record, unchanged.
+    /// The bytes at this offset of the original record, unchanged.
     At(usize),
-    /// The number of this type from here on, rounded to float32.
+    /// The number of this type at this offset, rounded to float32.
     Number(usize, Scalar),
-    /// No original value: it is 0.
+    /// No original value; the result is 0.
     Nowhere,
 }
 
@@ -47,8 +47,8 @@ impl Column {
     }
 }
 
-/// The columns of a scan: x, y, z, the intensity if there is one, then the others in the order of the file,
-/// each name once. `None` if x, y or z is missing.
+/// The columns of a scan: x, y, z, the intensity if there is one, then the others in the order of the file.
+/// Names are unique. `None` if x, y or z is missing.
 pub fn of_scan(scan: &ScanFile) -> Option<Vec<Column>> {
     if scan.is_opaque() {
         return None;
@@ -78,7 +78,7 @@ impl Column {
     }
 }
 
-/// The named fields; one with several values becomes as many columns.
+/// The named fields; one with several values becomes several columns.
 fn of_fields(layout: &Layout) -> Vec<Column> {
     let is_known = |field: &Field| field.count == 1;
     let intensity = field::find_intensity(&layout.fields, is_known);

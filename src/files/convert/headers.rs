@@ -1,4 +1,4 @@
-//! The headers of converted files, in the terms of the programs that read them.
+//! The headers of converted files, as the programs that read them expect them.
 //!
 //! Sources: "The PCD (Point Cloud Data) file format" (PCL documentation); G. Turk, "The PLY Polygon File
 //! Format" (1994).
@@ -44,7 +44,7 @@ pub fn csv(columns: &[Column]) -> String {
     names.join(",") + "\n"
 }
 
-/// The type names of 1994, which all readers know.
+/// The original type names of 1994, which all readers support.
 fn ply_type(scalar: Scalar) -> &'static str {
     match scalar {
         Scalar::I8 => "char",

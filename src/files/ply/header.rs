@@ -21,7 +21,7 @@ pub struct Header<'a> {
     pub before: Vec<Element>,
     /// The scalar properties of the vertices.
     pub fields: Vec<Declared<'a>>,
-    /// Number of vertices, which may be wrong: the body decides.
+    /// Number of vertices. It may be wrong: the number of records follows from the body.
     pub vertices: u64,
     /// Bytes of the header, including the line end after `end_header`.
     pub length: usize,
@@ -42,18 +42,18 @@ enum Property {
     List(Scalar, Scalar),
 }
 
-/// The position of a header's reader relative to the vertices.
+/// The section of the header that is being read.
 enum Place {
-    /// Before the vertices; these elements matter.
+    /// Before the vertices; the sizes of these elements are needed.
     Before,
     Vertices,
-    /// After them; these elements stay in the suffix, whatever they are.
+    /// After the vertices; these elements are part of the suffix, whatever they are.
     After,
 }
 
 impl<'a> Header<'a> {
-    /// Reads the header at the start of `bytes`; `None` if it is damaged, has no vertices, or gives them
-    /// lists.
+    /// Reads the header at the start of `bytes`; `None` if it is damaged, has no vertices, or has vertices
+    /// with lists.
     pub fn parse(bytes: &'a [u8]) -> Option<Self> {
         let mut rest = bytes;
         if next_line(&mut rest)? != "ply" {
@@ -102,7 +102,7 @@ impl Encoding {
         }
     }
 
-    /// A whole number in binary; `None` if it is not whole, or negative.
+    /// A whole number in binary; `None` if the value is not whole, or negative.
     fn number(self, scalar: Scalar, bytes: &[u8]) -> Option<usize> {
         let width = bytes.len();
         let number = match (self, scalar) {
@@ -121,7 +121,7 @@ impl Encoding {
 }
 
 impl Property {
-    /// The property by the words between `property` and its name.
+    /// The property, given the words between `property` and its name.
     fn of(kind: &[&str]) -> Option<Self> {
         match kind {
             [kind] => Some(Property::Scalar(scalar(kind)?)),
@@ -130,7 +130,7 @@ impl Property {
         }
     }
 
-    /// Number of bytes that it takes at the front of `bytes`.
+    /// Number of bytes that the property takes at the front of `bytes`.
     fn size(self, encoding: Encoding, bytes: &[u8]) -> Option<usize> {
         match self {
             Property::Scalar(scalar) => Some(scalar.size() as usize),
@@ -143,10 +143,11 @@ impl Property {
     }
 }
 
-/// Number of bytes that all instances of an element take at the front of `body`; `None` if it ends before.
+/// Number of bytes that all instances of an element take at the front of `body`; `None` if the body is
+/// shorter.
 pub fn skip(element: &Element, encoding: Encoding, body: &[u8]) -> Option<usize> {
     let mut rest = body;
-    // Each takes a byte or more, so there cannot be more of them than bytes.
+    // Each instance takes at least one byte, so there cannot be more instances than bytes.
     if element.properties.is_empty() || element.count > body.len() as u64 {
         return (element.count == 0).then_some(0);
     }

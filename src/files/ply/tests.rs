@@ -1,4 +1,4 @@
-//! Tests of vertices in all encodings, and of what surrounds them.
+//! Tests of vertices in all encodings, and of the bytes around them.
 
 use crate::files::tests::{comes_back, floats};
 use crate::scan::{NumberRule, Wrapping};

@@ -1,4 +1,5 @@
-//! The positions of the returns: those of the formula, corrected as far as necessary. And those of the blanks.
+//! The positions of the returns: those of the formula, corrected as far as necessary; and those of the
+//! blanks.
 
 use crate::container::SectionKind;
 use crate::entropy::TokenTables;
@@ -10,7 +11,7 @@ use crate::ground::error::Result;
 use crate::models::{BlankModel, CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
 use crate::scanner::{Coordinates, Return, Scanner};
 
-/// What a group's corrections have taught so far.
+/// The models of corrections.
 #[derive(Clone, Default)]
 pub struct CorrectionModels {
     adaptive: CorrectionModel,
@@ -33,7 +34,7 @@ impl CorrectionModels {
         if !frame.image.is_full {
             return self.code_returns(sections, scanner, frame);
         }
-        // The same without the blanks, which come after them.
+        // The blanks are taken out: they are coded after the returns.
         let all = std::mem::take(&mut frame.returns);
         let is_return = |found: &&Return| found.steps > 0;
         frame.returns = all.iter().filter(is_return).copied().collect();
@@ -98,7 +99,7 @@ impl CorrectionModels {
         let model = &mut self.adaptive;
         sections.section(SectionKind::Correction, true, |coder| {
             if grid == Coordinates::Millimetre && max_error.is_none() {
-                // Which point is corrected shows by the distances to the borders of its units.
+                // Whether a point is corrected depends on its distances from the rounding boundaries.
                 let points = returns.iter().zip(positions);
                 points.for_each(|(found, position)| model.correct(coder, grid, formula(found), position));
                 return Ok(());

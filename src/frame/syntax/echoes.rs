@@ -1,4 +1,4 @@
-//! The echoes: further returns of the cells, with their ranges and intensities. FORMAT.md 8.20.
+//! The echoes, further returns of the cells, with their ranges and intensities. FORMAT.md 8.20.
 
 use crate::container::SectionKind;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
@@ -9,32 +9,34 @@ use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::{Echo, MOST_STEPS};
 
-/// What a group's echoes have taught so far.
+/// The models of echoes.
 #[derive(Clone, Default)]
 pub struct EchoModels {
-    /// Whether there is one, by whether the returns to the left and above have one, and by whether it is the first.
+    /// Whether there is another echo. Contexts: whether the returns to the left and above have one, and
+    /// whether it is the first.
     exists: [AdaptiveBit; 8],
-    /// Whether its range is that of the first return, by whether that was so to the left.
+    /// Whether its range equals that of the first return; context: whether that was so to the left.
     same_range: [AdaptiveBit; 2],
-    /// Whether it is told by the last echo of the row, by whether the last one was.
+    /// Whether the last echo of the row predicts it better than the first return; context: the previous
+    /// answer.
     by_last: [AdaptiveBit; 2],
     /// Differences of ranges, in steps: from the first return, and from the last echo of the row.
     ranges: [IntegerModel; 2],
-    /// Whether its intensity is that of the first return, by whether the range is.
+    /// Whether its intensity equals that of the first return; context: whether the range does.
     same_intensity: [AdaptiveBit; 2],
-    /// Whether both intensities are whole numbers, and their differences.
+    /// Whether both intensities are whole numbers; and their differences.
     is_whole: AdaptiveBit,
     intensities: IntegerModel,
 }
 
-/// Whole numbers that float32 holds.
+/// Upper limit of whole numbers that float32 represents exactly.
 const MOST_WHOLE: f32 = 16_777_216.0;
 
 impl EchoModels {
-    /// Codes the echoes, if the image holds fewer returns than the frame has records for it.
+    /// Codes the echoes, if the image holds fewer returns than the frame has records in the image.
     ///
     /// # Errors
-    /// If the section is damaged, or holds another number of echoes.
+    /// If the section is damaged or holds another number of echoes.
     pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let in_image = frame.cells.len() + frame.blanks.len();
         let missing = (frame.records - frame.strays).saturating_sub(in_image);

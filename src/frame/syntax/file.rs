@@ -9,10 +9,10 @@ use crate::ground::varint::saturated;
 use crate::models::ByteModel;
 use crate::scan::Layout;
 
-/// What a group's files have taught so far.
+/// The models of file layouts and of the bytes around the records.
 #[derive(Clone, Default)]
 pub struct FileModels {
-    /// Of the last frame.
+    /// The layout of the last frame.
     layout: Option<Layout>,
     sizes: IntegerModel,
     zeros: IntegerModel,
@@ -23,7 +23,7 @@ impl FileModels {
     /// Codes the section.
     ///
     /// # Errors
-    /// If the frame has other points than its header says, or exceeds the limits.
+    /// If the frame's points differ from its header, or exceed the limits.
     pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let limits = *sections.limits();
         sections.section(SectionKind::File, true, |coder| self.code_file(coder, frame, &limits))
@@ -56,7 +56,7 @@ impl FileModels {
         Ok(())
     }
 
-    /// The layout; empty if it is that of the frame before.
+    /// The layout; empty if it equals that of the frame before.
     fn code_layout<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -82,7 +82,7 @@ impl FileModels {
         Ok(())
     }
 
-    /// Bytes of any number. Zeros at their end, with which some programs fill up a page, are only counted.
+    /// A string of bytes. Zeros at its end, with which some programs fill up a page, are only counted.
     fn code_bytes<C: BitCoder>(&mut self, coder: &mut C, bytes: &mut Vec<u8>, limits: &Limits) -> Result<()> {
         let length = saturated(self.sizes.code(coder, bytes.len() as u64));
         Error::check_limit("bytes of the frame", length as u64, limits.file_bytes)?;

@@ -1,4 +1,4 @@
-//! The columns of the range image, and which of its cells hold a return.
+//! The columns of the range image, and its occupancy.
 
 use std::mem::take;
 
@@ -13,17 +13,17 @@ use crate::inter::Reference;
 use crate::models::{OCCUPANCY_CONTEXTS, OccupancyModel, code_occupancy};
 use crate::scanner::{ColumnModels, Scanner};
 
-/// What a group's range images have taught so far.
+/// The models of columns and occupancy.
 #[derive(Clone, Default)]
 pub struct ImageModels {
     columns: ColumnModels,
-    /// Of the whole image or of its upper half, and of the lower half.
+    /// The models of the whole image or its upper half, and of the lower half.
     occupancy: [OccupancyModels; 2],
 }
 
 #[derive(Clone, Default)]
 struct OccupancyModels {
-    // Made when it is first wanted: it is large.
+    // Created when first needed, as it is large.
     adaptive: Option<OccupancyModel>,
     tokens: TokenTables,
 }
@@ -53,7 +53,7 @@ impl ImageModels {
     /// Codes which cells hold a return, if there is a range image.
     ///
     /// # Errors
-    /// If the section is damaged, or there are other returns than the frame has.
+    /// If the section is damaged, or the number of returns contradicts the frame.
     pub fn code_occupancy<S: SectionCoder>(
         &mut self,
         sections: &mut S,
@@ -83,7 +83,7 @@ impl ImageModels {
         frame.cells = frame.occupancy.places();
         let is_full = frame.image.is_full;
         let in_image = if is_full { frame.occupancy.cells().len() } else { frame.cells.len() };
-        // The others are echoes.
+        // The remaining records are echoes.
         if in_image > records || is_full && in_image < records {
             return Err(Error::corrupt("the range image holds another number of records than the frame"));
         }
@@ -117,7 +117,7 @@ impl OccupancyModels {
 }
 
 impl FrameParts {
-    /// The first row of the lower half, if the halves of the image are coded apart.
+    /// The first row of the lower half, if the halves of the image are coded separately.
     pub fn middle(&self) -> Option<usize> {
         (self.parameters.halved && self.records > self.strays).then(|| self.occupancy.rows().div_ceil(2))
     }

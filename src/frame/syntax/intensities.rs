@@ -21,20 +21,20 @@ use crate::models::{
 };
 use crate::scan::{Channel, Field, Scalar};
 
-/// What a group's intensities have taught so far.
+/// The models of intensities.
 #[derive(Clone, Default)]
 pub struct IntensityModels {
-    // Made when it is first wanted: it is large.
+    // Created when first needed, as it is large.
     adaptive: Option<IntensityModel>,
     tokens: TokenTables,
     packed: TokenTables,
-    /// Of those on no grid.
+    /// The models of intensities that are on no grid.
     rough: ChannelsModel,
 }
 
 impl IntensityModels {
-    /// Codes the intensities, if the frame has any and keeps them. Returns those of the returns as contexts for the
-    /// ranges.
+    /// Codes the intensities, if the frame has any and keeps them. Returns the context levels of the returns,
+    /// for the coding of the ranges.
     ///
     /// # Errors
     /// If the section is damaged.
@@ -86,8 +86,8 @@ impl IntensityModels {
         })
     }
 
-    /// Intensities on a grid that the models of intensities do not know, coded as a channel of the returns
-    /// and strays. Returns no contexts for the ranges.
+    /// Intensities on a grid that the intensity models do not support, coded as a channel of the returns and
+    /// strays. Returns no contexts for the ranges.
     fn code_rough<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -119,8 +119,8 @@ impl IntensityModels {
     }
 }
 
-/// The intensities of the returns, then of the strays. Returns those of the returns as contexts for the
-/// ranges.
+/// The intensities of the returns, then of the strays. Returns the context levels of the returns, for the
+/// coding of the ranges.
 fn code_adaptive<C: BitCoder>(
     model: &mut IntensityModel,
     coder: &mut C,
@@ -196,7 +196,7 @@ fn neighbours(levels: &Grid<u16>, left: [u16; 4], row: usize, column: usize) -> 
     }
 }
 
-/// The intensities of the returns, whose context levels are written into `levels`, then of the strays.
+/// The intensities of the returns, whose context levels are written to `levels`, then of the strays.
 fn code_tokens<C: TokenCoder>(
     coder: &mut C,
     mut scale: IntensityScale,
@@ -232,7 +232,7 @@ fn code_tokens<C: TokenCoder>(
     }
 }
 
-/// The encoder knows the values of all returns and strays.
+/// The encoder passes the values of all returns and strays.
 fn pack<C: TokenCoder>(
     coder: &mut C,
     mut scale: IntensityScale,
@@ -248,12 +248,12 @@ fn pack<C: TokenCoder>(
 }
 
 impl FrameParts {
-    /// Number of records that are no returns.
+    /// Number of records that are not returns.
     pub fn outside(&self) -> usize {
         self.strays + self.blanks.len()
     }
 
-    /// Takes the intensities out of the frame; those of the blanks are put behind those of the strays.
+    /// Moves the intensities out of the frame; those of the blanks follow those of the strays.
     pub fn take_intensities(&mut self) -> Intensities {
         let (of_cells, mut outside) = (take(&mut self.intensity), take(&mut self.stray_intensity));
         if !of_cells.cells().is_empty() {
@@ -262,7 +262,7 @@ impl FrameParts {
         Intensities { of_cells, outside }
     }
 
-    /// Puts them back.
+    /// Moves the intensities back into the frame.
     pub fn put_intensities(&mut self, Intensities { of_cells, mut outside }: Intensities) {
         outside.resize(self.outside(), 0.0);
         let of_blanks = outside.split_off(self.strays);
@@ -274,21 +274,21 @@ impl FrameParts {
 /// The intensities of a range image, or of half of one, while they are coded.
 #[derive(Default)]
 pub struct Intensities {
-    /// Of the returns.
+    /// The intensities of the returns.
     of_cells: Grid<f32>,
-    /// Of the strays, then of the blanks.
+    /// The intensities of the strays, then of the blanks.
     outside: Vec<f32>,
 }
 
 impl Intensities {
-    /// Those of the returns, then of the records that are none.
+    /// The intensities of the returns, then of all other records.
     fn all(&self, part: &Part) -> Vec<f32> {
         let mut values = self.of_cells.at(part.cells);
         values.extend(&self.outside);
         values
     }
 
-    /// Those of the rows above `row`, and those of the others.
+    /// The intensities of the rows above `row`, and those of the remaining rows.
     pub fn split(self, row: usize) -> [Self; 2] {
         let [upper, lower] = self.of_cells.split(row);
         [
@@ -297,7 +297,7 @@ impl Intensities {
         ]
     }
 
-    /// Both again.
+    /// The intensities of both halves together.
     pub fn joined([upper, lower]: [Self; 2]) -> Self {
         Intensities { of_cells: Grid::joined([upper.of_cells, lower.of_cells]), outside: lower.outside }
     }

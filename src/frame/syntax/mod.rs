@@ -1,6 +1,6 @@
-//! The syntax of a frame: which section codes what, in which order. Written once: the encoder walks it with a frame that
-//! is full, the decoder with one that is filled. Each file has what one part of a frame is coded by, at every level.
-//! FORMAT.md 4.2.
+//! The syntax of a frame: the sections and their order. It is written once, for both directions: the encoder
+//! processes a complete frame, the decoder fills an empty one. There is one file for each part of a frame,
+//! with the coders of that part at every level. FORMAT.md 4.2.
 
 mod corrections;
 mod echoes;
@@ -34,7 +34,7 @@ use reference::PastFrame;
 use returns::ReturnModels;
 use strays::StrayModels;
 
-/// What a group's frames have taught so far.
+/// The models of all parts of a frame, which persist for the frames of a track.
 #[derive(Clone, Default)]
 pub struct Models {
     file: FileModels,
@@ -49,7 +49,7 @@ pub struct Models {
 }
 
 impl Models {
-    /// Codes a frame. The decoder's frame is empty at first, except for the number of records, and is filled;
+    /// Codes a frame. The decoder's frame is initially empty except for the number of records, and is filled;
     /// it also gets the returns in file order, which both sides derive from the range image.
     ///
     /// # Errors
@@ -94,7 +94,7 @@ impl Models {
     }
 }
 
-/// How the frame is coded.
+/// The parameters: how the frame is coded.
 fn code_parameters<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) -> Result<()> {
     let mut payload = frame.parameters.to_payload();
     sections.payload(SectionKind::Parameters, &mut payload);
@@ -146,7 +146,7 @@ fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) 
     Ok(())
 }
 
-/// By which channel the records were sorted.
+/// The channel by which the records were sorted.
 fn code_sorted<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) -> Result<()> {
     const WHAT: &str = "sorted";
     let mut payload = Vec::new();

@@ -1,4 +1,4 @@
-//! The ranges of the returns: coded by context, or as residuals by a general-purpose back-end or an image coder
+//! The ranges of the returns: coded by the context coder, or as residuals by a back-end or an image coder
 //! (article, IV-C, IV-D and VI-C).
 
 use super::returns::Part;
@@ -24,10 +24,10 @@ use crate::models::{
 };
 use crate::scanner::Scanner;
 
-/// What a group's ranges have taught so far.
+/// The models of ranges.
 #[derive(Clone, Default)]
 pub struct RangeModels {
-    // Made when it is first wanted: it is large.
+    // Created when first needed, as it is large.
     mixed: Option<RangeModel>,
     tokens: RangeTokens,
     token_tables: TokenTables,
@@ -35,7 +35,8 @@ pub struct RangeModels {
 }
 
 impl RangeModels {
-    /// Codes the ranges by context, if they are coded so, given the context levels of the intensities.
+    /// Codes the ranges with the context coder, if the frame uses it, given the context levels of the
+    /// intensities.
     ///
     /// # Errors
     /// If the section is damaged.
@@ -84,7 +85,7 @@ impl RangeModels {
     }
 }
 
-/// What a group's regions have taught so far.
+/// The models of regions.
 #[derive(Clone, Default)]
 pub struct ResidualModels {
     contour: ContourModel,
@@ -92,8 +93,8 @@ pub struct ResidualModels {
 }
 
 impl ResidualModels {
-    /// Codes the ranges by a general-purpose back-end or an image coder, if there is a range image and they are not coded
-    /// [by context](RangeModels::code).
+    /// Codes the ranges by a back-end or an image coder, if there is a range image and they are not coded by
+    /// the [context coder](RangeModels::code).
     ///
     /// # Errors
     /// If a section is damaged, or a range is impossible.
@@ -154,7 +155,7 @@ impl ResidualModels {
     }
 }
 
-/// The residuals, coded by a general-purpose back-end.
+/// The residuals, coded by a back-end.
 fn code_residuals<S: SectionCoder>(
     sections: &mut S,
     predictor: &Predictor,
@@ -196,8 +197,8 @@ fn check_ranges(frame: &FrameParts, scanner: &Scanner) -> Result<()> {
     }
     Ok(())
 }
-/// The residuals, coded by an image coder; `side` bytes of the prediction have been written already, and no range is above
-/// `most` steps. The encoder continues with the ranges that the decoder will have.
+/// The residuals, coded by an image coder; `side` bytes of the prediction were already written, and no range
+/// exceeds `most` steps. The encoder continues with the decoded ranges.
 fn code_image<S: SectionCoder>(
     sections: &mut S,
     predictor: &Predictor,
@@ -229,8 +230,8 @@ fn code_image<S: SectionCoder>(
 }
 
 impl FrameParts {
-    /// Codes the ranges, as they were decoded, by context from now on, because their image is useless with
-    /// another prediction.
+    /// Switches the decoded ranges to the context coder, because their coded image is useless with another
+    /// prediction.
     pub fn leave_image(&mut self) {
         if let RangeCoder::Image(_) = self.parameters.range_coder {
             self.coded_image.clear();

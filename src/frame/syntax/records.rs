@@ -11,7 +11,7 @@ use crate::models::{ChannelsModel, OrderModel};
 use crate::scan::{Channel, Field};
 use crate::scanner::Scanner;
 
-/// What a group's records have taught so far.
+/// The models of order and channels.
 #[derive(Clone, Default)]
 pub struct RecordModels {
     order: OrderModel,
@@ -19,7 +19,7 @@ pub struct RecordModels {
 }
 
 impl RecordModels {
-    /// Codes where the order of the points is not that of the range image.
+    /// Codes how the order of the points differs from that of the range image.
     ///
     /// # Errors
     /// If the section is damaged.
@@ -34,7 +34,7 @@ impl RecordModels {
         })
     }
 
-    /// Codes the fields that are neither position nor intensity.
+    /// Codes the channels.
     ///
     /// # Errors
     /// If the section is damaged, or the channels exceed the limits.

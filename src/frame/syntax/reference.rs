@@ -20,10 +20,10 @@ impl PastFrame {
         self.0.as_deref()
     }
 
-    /// What it lets expect of this frame, if this is predicted from it.
+    /// The reference of this frame, if it is predicted from the frame before.
     ///
     /// # Errors
-    /// If there is no frame before, or one from which nothing can be predicted.
+    /// If there is no frame before, or one that cannot be used for prediction.
     pub fn reference(&self, scanner: Option<&Scanner>, frame: &FrameParts) -> Result<Option<Reference>> {
         let Some(scanner) = scanner.filter(|_| frame.parameters.prediction == Prediction::Inter) else {
             return Ok(None);
@@ -44,7 +44,8 @@ impl PastFrame {
         Ok(Some(past.reference(scanner, &frame.image.columns, &motion)))
     }
 
-    /// Takes this frame for the next one's. `levels` are the context levels of its intensities.
+    /// Keeps this frame for the prediction of the next one. `levels` are the context levels of its
+    /// intensities.
     pub fn remember(&mut self, scanner: Option<&Scanner>, levels: Grid<u16>, frame: &FrameParts) {
         let can_be_past = scanner.is_some()
             && frame.image.steps.cells().len() <= MOST_CELLS

@@ -1,5 +1,5 @@
-//! The returns of the range image: their intensities, then their ranges. The upper and the lower half of a large image are
-//! coded as two images, each with models of its own, so that two threads can do it. FORMAT.md 4.4.
+//! The returns of the range image: their intensities, then their ranges. The upper and the lower half of a
+//! large image are coded as two images with separate models, so that two threads can do it. FORMAT.md 4.4.
 
 use std::mem::take;
 
@@ -13,10 +13,10 @@ use crate::ground::grid::Grid;
 use crate::inter::Reference;
 use crate::scanner::Scanner;
 
-/// What the returns of a group have taught so far.
+/// The models of returns.
 #[derive(Clone, Default)]
 pub struct ReturnModels {
-    /// Of the whole image or of its upper half.
+    /// The models of the whole image or of its upper half.
     first: PartModels,
     lower: PartModels,
 }
@@ -27,23 +27,24 @@ struct PartModels {
     ranges: RangeModels,
 }
 
-/// A range image or half of one: what is known of it before its returns are coded.
+/// A range image or half of one, with the data that are known before its returns are coded.
 #[derive(Clone, Copy)]
 pub struct Part<'f> {
-    /// The frame, for how it is coded.
+    /// The frame, whose parameters say how it is coded.
     pub frame: &'f FrameParts,
     /// Which cells hold a return.
     pub occupancy: &'f Grid<bool>,
     /// The indices of these cells, row after row.
     pub cells: &'f [u32],
-    /// What the frame before predicts.
+    /// The prediction from the frame before.
     pub reference: Option<&'f Reference>,
-    /// Number of records that are no returns, whose intensities follow.
+    /// Number of records that are not returns, whose intensities follow.
     pub outside: usize,
 }
 
 impl ReturnModels {
-    /// Codes the intensities, and the ranges if they are coded by context. Returns the context levels of the intensities.
+    /// Codes the intensities, and the ranges if they are coded by the context coder. Returns the context
+    /// levels of the intensities.
     ///
     /// # Errors
     /// If a section is damaged.
@@ -70,7 +71,7 @@ impl ReturnModels {
         Ok(levels)
     }
 
-    /// Codes the upper and the lower half, at once if a thread is free.
+    /// Codes the upper and the lower half, in parallel if a thread is free.
     fn code_halves<S: SectionCoder>(
         &mut self,
         sections: &mut S,

@@ -13,7 +13,7 @@ use crate::models::channels::{Packed, code_packed};
 use crate::scan::Scalar;
 use crate::scanner::Coordinates;
 
-/// What a group's strays have taught so far.
+/// The models of strays.
 #[derive(Clone, Default)]
 pub struct StrayModels {
     points: PointModel,
@@ -34,8 +34,8 @@ impl StrayModels {
         })
     }
 
-    /// Points outside any range image: by the model of points, or, if most points are such, by a
-    /// general-purpose coder where that is shorter.
+    /// Points outside any range image: by the model of points, or, if most points are outside, by a
+    /// general-purpose compressor where that is shorter.
     fn code_strays<C: BitCoder>(
         &mut self,
         coder: &mut C,

@@ -1,24 +1,25 @@
-//! Where to start if nothing is known of the motion: a car drives ahead at any speed, straight or in a bend.
+//! Starting points if the motion is unknown: a car drives ahead at any speed, straight or in a bend.
 
 use super::pose::Pose;
 use super::projective::Aim;
 use super::surface::Surfel;
 
-/// Metres between frames: up to 45 m/s at ten frames a second, and backwards.
+/// Step between the candidates' distances, in metres per frame: up to 45 m/s at ten frames a second, and
+/// backwards.
 const STEP: f64 = 0.5;
 const FORWARD: i32 = 9;
 const BACKWARD: i32 = 2;
-/// Radians between frames.
+/// Step between the candidates' rotations, in radians per frame.
 const TURN: f64 = 0.025;
 const TURNS: i32 = 2;
-/// A surfel counts if it is within this many metres of what is seen in its place.
+/// A surfel agrees if it is within this many metres of the return in its direction.
 const REACH: f64 = 0.4;
-/// Number of surfels that are looked at.
+/// Number of surfels that are compared.
 const FEW: usize = 1000;
-/// Number of starts that are worth trying.
+/// Number of starting points that are worth trying.
 const BEST: usize = 3;
 
-/// Of many motions, those under which the most surfels are near what is seen in their place.
+/// The motions, out of many, for which the most surfels agree with the returns in their directions.
 pub fn starts(aim: &Aim, surfels: &[Surfel]) -> Vec<Pose> {
     let few: Vec<Surfel> = super::evenly(surfels, FEW).copied().collect();
     let mut starts = Vec::new();

@@ -19,11 +19,11 @@ use crate::scanner::RangeImage;
 use icp::NearestPoints;
 use projective::Aim;
 
-/// What registration compares.
+/// The elements that registration compares.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RegistrationMethod {
-    /// Planes of the reference with the returns seen in their place. On real drives five times as fast as the
-    /// other, and more accurate.
+    /// Planes of the reference with the returns in their directions. On real drives five times as fast as
+    /// ICP, and more accurate.
     #[default]
     Projective,
     /// Points with their nearest points: the article's ICP.
@@ -34,16 +34,16 @@ pub enum RegistrationMethod {
 /// How a motion is estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RegistrationConfig {
-    /// What is compared. Default: projective.
+    /// The elements that are compared. Default: projective.
     pub method: RegistrationMethod,
-    /// The most surfels or points that are compared, sampled evenly. Default 6000.
+    /// The largest number of surfels or points that are compared, sampled evenly. Default 6000.
     pub most_points: usize,
-    /// The most iterations. Default 25.
+    /// The largest number of iterations. Default 25.
     pub most_iterations: usize,
-    /// Distance in metres beyond which a pair does not count, in the first and in the last iteration. Default
-    /// 2 and 0.15.
+    /// Distance in metres beyond which a pair is ignored, in the first and in the last iteration. Default 2
+    /// and 0.15.
     pub reach_m: [f64; 2],
-    /// Converged once an iteration moves by less than this in metres, and rotates by less than this in tenths
+    /// Convergence: an iteration moves by less than this in metres, and rotates by less than this in tenths
     /// of a radian. Default 0.0005.
     pub precision_m: f64,
     /// The share of the points that must agree in the end. Default 0.25.
@@ -83,7 +83,7 @@ impl RegistrationConfig {
     }
 }
 
-/// If the fit is this good, no other start is tried.
+/// If the fit is this good, no further starting points are tried.
 const CERTAIN_FIT: f64 = 0.6;
 
 /// An estimated motion.
@@ -91,7 +91,7 @@ const CERTAIN_FIT: f64 = 0.6;
 pub struct Registration {
     /// The motion from the reference to the current frame.
     pub pose: Pose,
-    /// The fraction of the points that agree, each weighted less the farther off it is.
+    /// The fraction of the points that agree; points farther off have less weight.
     pub fit: f64,
 }
 
@@ -106,15 +106,15 @@ struct Step {
     weights: f64,
 }
 
-/// The iteration by this motion; `None` if it is no valid motion.
+/// An iteration with this motion; `None` if the motion is not valid.
 fn small_step(motion: RigidMotion, agreeing: usize, weights: f64) -> Option<Step> {
     let pose = motion.pose();
     let length = dot(pose.translation, pose.translation).sqrt() + 10.0 * pose.angle();
     length.is_finite().then_some(Step { motion, length, agreeing, weights })
 }
 
-/// Finds the motion that takes the surface to where `current` shows it, starting from `initial`. `None` if
-/// there is too little to compare, or if it does not fit.
+/// Finds the motion that brings the surface to where `current` shows it, starting from `initial`. `None` if
+/// there is too little to compare, or if the result does not fit.
 pub fn register(
     reference: &Surface,
     current: &RangeImage,
@@ -139,7 +139,7 @@ pub fn register(
         }
         #[cfg(feature = "article")]
         RegistrationMethod::Icp => {
-            /// Points of the reference for each point of the current frame.
+            /// Number of points of the reference for each point of the current frame.
             const DENSITY: usize = 4;
             let most = config.most_points.saturating_mul(DENSITY);
             let points = NearestPoints::of(evenly(&reference.surfels, most))?;
@@ -151,7 +151,7 @@ pub fn register(
     }
 }
 
-/// Iterates until the steps are small. The reach shrinks with each.
+/// Iterates until the steps are small. The reach shrinks with each iteration.
 fn approach(
     config: &RegistrationConfig,
     initial: &Pose,
@@ -175,7 +175,7 @@ fn approach(
     None
 }
 
-/// At most `most` of them, sampled evenly.
+/// At most `most` elements, sampled evenly.
 fn evenly<T>(all: &[T], most: usize) -> impl Iterator<Item = &T> {
     all.iter().step_by(all.len().div_ceil(most.max(1)).max(1))
 }

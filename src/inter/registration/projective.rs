@@ -1,6 +1,6 @@
-//! Projective registration: each surfel of the reference is compared with the return at the place in the
-//! current image where the surfel would be seen, which takes no search for neighbours. The distance is that
-//! of a point to a plane, and outliers have little weight (equation 8, with an information matrix along the
+//! Projective registration: each surfel of the reference is compared with the return at the cell of the
+//! current image where the surfel would be visible, which avoids a search for neighbours. The distance is
+//! from point to plane, and outliers have little weight (equation 8, with an information matrix along the
 //! normal).
 
 use std::f64::consts::PI;
@@ -13,7 +13,7 @@ use super::{Step, evenly, small_step};
 use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
 
-/// The current image, to which surfels are compared.
+/// The current image, with which surfels are compared.
 pub struct Aim<'a> {
     sensor: &'a Hdl64,
     current: &'a RangeImage,
@@ -49,7 +49,7 @@ impl<'a> Aim<'a> {
             normal.ger(weight, &gradient, &gradient, 1.0);
             right.axpy(weight * off, &gradient, 1.0);
         }
-        // Slight damping, without which a tunnel without features has no solution.
+        // Slight damping, without which there is no solution in a featureless tunnel.
         let damping = 1e-6 * normal.trace();
         let solution = (normal + Matrix6::identity() * damping).cholesky()?.solve(&right);
         let [roll, pitch, yaw, x, y, z] = solution.into();
@@ -57,7 +57,7 @@ impl<'a> Aim<'a> {
         small_step(step.motion(), agreeing, weights)
     }
 
-    /// The return of the current image at the place where a point would be seen.
+    /// The return of the current image in the cell where a point would be visible.
     fn seen(&self, row: usize, position: [f64; 3]) -> Option<[f64; 3]> {
         let sighting = self.sensor.locate(row, position)?;
         let column = self.column_of_tick[sighting.column_tick as usize]? as usize;
@@ -70,9 +70,9 @@ impl<'a> Aim<'a> {
 /// Classes of orientation: up or down, and equal parts of a half turn.
 const WAYS: usize = 13;
 
-/// At most `most` surfels with a normal, as evenly distributed over the orientations as possible. Otherwise
-/// the ground and the walls of a street, which do not tell how far the scanner has come along it, outvote all
-/// else.
+/// At most `most` surfels with a normal, distributed over the orientations as evenly as possible. Otherwise
+/// the ground and the walls of a street, which carry no information on the distance travelled along it, would
+/// outvote everything else.
 pub fn sample(surface: &Surface, most: usize) -> Vec<Surfel> {
     let mut by_way: [Vec<Surfel>; WAYS] = Default::default();
     for surfel in surface.surfels.iter().filter(|surfel| surfel.normal != [0.0; 3]) {
@@ -96,7 +96,7 @@ fn way([x, y, z]: [f64; 3]) -> usize {
     1 + (part as usize).min(WAYS - 2)
 }
 
-/// The nearest column of each tick, at most one tick away.
+/// The column nearest to each tick, at most one tick away.
 pub fn columns_by_tick(columns: &[u32], ticks: u32) -> Vec<Option<u32>> {
     let mut of_tick = vec![None; ticks as usize];
     for (column, &tick) in (0..).zip(columns) {

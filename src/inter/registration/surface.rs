@@ -1,5 +1,4 @@
-//! The surfaces that a range image shows: the position of each return, and the orientation of the surface
-//! there.
+//! The surfaces in a range image: the position of each return, and the orientation of the surface there.
 
 use crate::ground::grid::Grid;
 use crate::scanner::Alignment;
@@ -23,18 +22,19 @@ pub struct Surface {
     pub surfels: Vec<Surfel>,
 }
 
-/// Neighbours in a row belong to one surface if their ranges differ by less than the sum of this, in metres,
-/// and this share of the range.
+/// Neighbours in a row belong to one surface if their ranges differ by less than this many metres plus this
+/// share of the range.
 const ROW_GAP: f64 = 0.2;
 const ROW_GAP_SHARE: f64 = 0.03;
-/// The same for neighbours in a column, which are far apart on the ground.
+/// As for rows, for neighbours in a column, which are far apart on the ground.
 const COLUMN_GAP: f64 = 0.3;
 const COLUMN_GAP_SHARE: f64 = 0.15;
-/// Columns to the neighbours in a row that give its slope: over a longer distance, noise matters less.
+/// Distance, in columns, to the neighbours in a row that give its slope: over a longer distance, noise
+/// matters less.
 const ROW_REACH: isize = 2;
 
 impl Surface {
-    /// The surfaces of the ranges `steps` (rows x columns, 0 = no return) at these column ticks; the same on
+    /// The surfaces in the ranges `steps` (rows x columns, 0 = no return) at these column ticks; the same on
     /// every platform.
     pub fn of(sensor: &Hdl64, columns: &[u32], steps: &Grid<u32>) -> Self {
         let alignment = Alignment::of(sensor, columns.len());
@@ -116,7 +116,8 @@ impl Image<'_> {
         }
     }
 
-    /// The position of a cell's return and the difference of the ranges, if it belongs to the same surface.
+    /// The position of a cell's return and the difference of the ranges, if both returns are on the same
+    /// surface.
     fn near(&self, cell: (usize, usize), range: f64, gap: f64) -> Option<(f64, [f64; 3])> {
         let steps = self.steps[cell];
         let off = (self.sensor.metres(steps) - range).abs();

@@ -1,5 +1,5 @@
-//! The corrections as tokens: the number of points that need none, then the correction of the one that does,
-//! in units of the grid. FORMAT.md 8.16.
+//! The corrections as tokens: the number of points without a correction, then the correction of the next
+//! point, in units of the grid. FORMAT.md 8.16.
 
 use crate::entropy::TokenCoder;
 use crate::ground::varint::{unzigzag, zigzag};
@@ -11,9 +11,8 @@ const GAP: usize = 0;
 /// Number of contexts of a correction.
 pub const CORRECTION_CONTEXTS: usize = 4;
 
-/// Corrects positions, which lie on a grid (metres), given the formula's positions. The encoder replaces a
-/// position by the one `wanted` if they differ and, where an error is allowed, only if they are farther apart
-/// than that.
+/// Corrects positions, which are on a grid (metres), given the formula's positions. The encoder replaces a
+/// position by that in `wanted` if the two differ or, if an error is allowed, are farther apart than it.
 pub fn correct_positions<C: TokenCoder>(
     coder: &mut C,
     grid: Coordinates,

@@ -1,9 +1,9 @@
-//! Intensity levels coded from many views of their surroundings, with hashed lines of counters, and a
+//! Intensity levels, coded from many views of their surroundings, with hashed lines of counters, and a
 //! least-squares fit, mixed in two layers.
 //!
-//! Beams respond differently: a level that one beam gives often another never gives, and the same surface may
-//! get one of several levels, as the laser's power changes. Views of exact levels together with the beam
-//! learn this.
+//! Beams respond differently: some never give a level that another beam often gives, and the same surface may
+//! get one of several levels, as the laser's power varies. Views of exact levels together with the beam learn
+//! this.
 
 mod fit;
 mod surroundings;
@@ -24,21 +24,22 @@ use surroundings::Surroundings;
 use views::VIEWS;
 use zero::ZeroModel;
 
-/// The opinions of the views, that of the fit, and a constant one.
+/// The number of opinions: those of the views, that of the fit, and a constant one.
 const OPINIONS: usize = 12;
 const CONSTANT: f32 = 0.25;
-/// The lines of 32 bytes for each view, as a power of two: about twice as many as a frame has values.
+/// Binary logarithm of the number of 32-byte lines for each view: about twice as many lines as a frame has
+/// values.
 const INDEX_BITS: RangeInclusive<u32> = 8..=17;
 const RATES: MixRates = MixRates { first: 0.0045, last: 0.0005 };
 /// Nodes of the tree of a level's bits.
 const NODES: usize = 1 << MOST_BITS;
-/// Classes of the expected error, and of the gradient around.
+/// Number of classes of the expected error, and of the surrounding gradient.
 const ERROR_LEVELS: usize = 12;
 /// The levels of two neighbours, in steps of four.
 const PAIRS: usize = 32 * 32;
 const BITS: usize = MOST_BITS as usize;
 
-/// What the coder has learned about intensity levels.
+/// The adaptive models of intensity levels.
 #[derive(Clone)]
 pub struct DeepLevels {
     zero: ZeroModel,
@@ -71,7 +72,7 @@ impl Default for DeepLevels {
 
 impl DeepLevels {
     /// Starts a frame, or its strays, with `columns` columns and `values` values. If these are too many for
-    /// the present tables, larger ones, which are empty, replace them.
+    /// the current tables, larger and empty ones replace them.
     pub fn start_frame(&mut self, columns: usize, values: usize) {
         self.errors.start_frame(columns);
         let wanted = (1 + values.max(1).ilog2()).clamp(*INDEX_BITS.start(), *INDEX_BITS.end());
@@ -137,7 +138,7 @@ impl DeepLevels {
                 view += 1;
                 counters.line(candidates[view - 1])
             });
-            // The node within the levels of the tree that a line serves.
+            // The node within the levels of the tree that one line covers.
             let mut place = 1;
             for _ in 0..left.min(LINE_LEVELS) {
                 left -= 1;

@@ -1,9 +1,9 @@
-//! The errors of the predictions around a return.
+//! The prediction errors around a return.
 
-/// The error assumed where nothing has been coded yet, in context levels.
+/// The error assumed where nothing was coded yet, in context levels.
 const TYPICAL_ERROR: f32 = 4.0;
 
-/// The mean errors along the row, and down each column, in context levels.
+/// The mean errors along the row and down each column, in context levels.
 #[derive(Clone, Debug)]
 pub struct MeanErrors {
     mean: f32,
@@ -35,7 +35,7 @@ impl MeanErrors {
         self.mean + 0.5 * self.above[column]
     }
 
-    /// Learns the magnitude of an error.
+    /// Adds the magnitude of an error.
     #[inline]
     pub fn record(&mut self, column: usize, magnitude: f32) {
         self.mean = 0.6 * self.mean + 0.4 * magnitude;

@@ -1,5 +1,5 @@
-//! Intensity levels from two views of the levels before and one of the reference, mixed: the fastest of the
-//! adaptive models.
+//! Intensity levels, mixed from two views of the preceding levels and one of the reference: the fastest of
+//! the adaptive models.
 
 use std::hint::select_unpredictable;
 use std::mem::take;
@@ -7,20 +7,22 @@ use std::mem::take;
 use super::neighbours::{IntensityNeighbours, TYPICAL_LEVEL};
 use crate::entropy::{BitCoder, Counter, Logistic};
 
-/// Slots of each view, as a power of two, for small frames and for large ones: contexts share them. Tables for more
-/// contexts than a frame has values would take longer to make than the frame takes to be coded.
+/// Binary logarithm of the number of slots of each view, for small frames and for large ones; contexts share
+/// slots. Initialising tables for more contexts than a frame has values would take longer than coding the
+/// frame.
 const SLOT_BITS: (u32, u32) = (6, 13);
 /// Context levels of a return.
 const CONTEXT_LEVELS: usize = 128;
-/// Initial weights of two opinions, and of three: several know more than one, but much of it is the same.
+/// Initial weights for two opinions and for three. Their sum is above 1, as several opinions carry more
+/// information than one, but less than proportionally, since much of it is shared.
 const OF_TWO: f32 = 0.55;
 const OF_THREE: f32 = 0.45;
 /// The learning rate of the weights.
 const RATE: f32 = 0.02;
-/// What a beam has learned counts for its neighbour as so many values at most.
+/// Counters copied from the neighbouring row count as this many values at most.
 const INHERITED: u32 = 4;
 
-/// What the coder has learned about intensity levels, by the most bits that they have had so far: 7, unless there were more.
+/// The adaptive models of intensity levels, by the largest number of bits of a level so far, but at least 7.
 #[derive(Clone)]
 pub enum LightLevels {
     Seven(LevelViews<128>),
@@ -35,7 +37,8 @@ impl Default for LightLevels {
 }
 
 impl LightLevels {
-    /// Starts an image of so many rows and values, or its strays. If its levels have more bits than any before, it starts anew.
+    /// Starts an image with these numbers of rows and values, or its strays. If its levels have more bits
+    /// than any before, the models start anew.
     pub fn start_frame(&mut self, bits: u32, rows: usize, values: usize) {
         match self {
             Self::Seven(_) if bits == 8 => *self = Self::Eight(LevelViews::default()),
@@ -49,7 +52,7 @@ impl LightLevels {
         }
     }
 
-    /// Codes one level, of so many bits. `row` serves only as a context.
+    /// Codes one level of `bits` bits. `row` serves only as a context.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -66,8 +69,8 @@ impl LightLevels {
     }
 }
 
-/// What the views of levels below `NODES`, a power of two, have learned: that is how many nodes the tree of a level's bits
-/// has.
+/// The views of levels below `NODES`, a power of two, which is also the number of nodes in the tree of a
+/// level's bits.
 #[derive(Clone)]
 pub struct LevelViews<const NODES: usize> {
     before: View<NODES>,
@@ -112,7 +115,7 @@ impl<const NODES: usize> LevelViews<NODES> {
         let west = or(near.left[0], or(north, or(north_west, or(north_east, TYPICAL_LEVEL))));
         let west2 = or(near.left[1], west);
         let [w, ww, www] = [west, west2, near.left[2]].map(usize::from);
-        // The root of the subtree of all levels of so many bits.
+        // The root of the subtree of all levels with `bits` bits.
         let root = NODES >> bits;
         let slot_bits = self.before.slot_bits;
         let before = self.before.slot((w / 2) << 16 | (ww / 2) << 8 | www / 8);
@@ -139,8 +142,8 @@ struct View<const NODES: usize> {
 }
 
 impl<const NODES: usize> View<NODES> {
-    /// Makes room for so many slots; never shrinks. What has been learned stays with its contexts, whose slots are divided
-    /// among them.
+    /// Makes room for 2^`slot_bits` slots; never shrinks. Learned counters are kept: each slot is copied for
+    /// all contexts that shared it.
     fn grow(&mut self, slot_bits: u32) {
         if self.slots.is_empty() {
             self.slots = vec![[Counter::default(); NODES]; 1 << slot_bits];
@@ -159,16 +162,16 @@ impl<const NODES: usize> View<NODES> {
     }
 }
 
-/// Slots of counters for each row and context level to the west, row after row. If there are too few, rows share them that
-/// are a power of two apart.
+/// Slots of counters for each row and context level to the west, row after row. If there are too few slots,
+/// rows whose distance is a power of two share them.
 #[derive(Clone, Default)]
 struct RowView<const NODES: usize> {
     slots: Vec<[Counter; NODES]>,
 }
 
 impl<const NODES: usize> RowView<NODES> {
-    /// Makes room for so many slots, as a power of two; never shrinks. What rows that shared slots have learned stays with
-    /// each.
+    /// Makes room for 2^`slot_bits` slots; never shrinks. Rows that shared slots each keep a copy of the
+    /// learned counters.
     fn grow(&mut self, slot_bits: u32) {
         let slots = 1 << slot_bits;
         if self.slots.is_empty() {
@@ -178,12 +181,13 @@ impl<const NODES: usize> RowView<NODES> {
         }
     }
 
-    /// The counters of a row and a context level, from 1 on, to the west. At first they are those of the row above.
+    /// The counters of a row and a context level to the west, from 1 on. They start as a copy of those of the
+    /// row above.
     #[inline(always)]
     fn slot(&mut self, row: usize, west: usize, root: usize) -> &mut [Counter; NODES] {
         let last = self.slots.len() - 1;
         let place = (row * CONTEXT_LEVELS + west - 1) & last;
-        // The root has seen every value of its slot.
+        // The counter at the root has seen every value of its slot.
         if self.slots[place][root % NODES].is_new() && row > 0 {
             let above = place.wrapping_sub(CONTEXT_LEVELS) & last;
             self.slots[place] = self.slots[above].map(|counter| counter.based_on(INHERITED));
@@ -192,8 +196,8 @@ impl<const NODES: usize> RowView<NODES> {
     }
 }
 
-/// Prefetches the counters of a slot at once, but for the lowest level of the tree, which is half of them. A decoder learns
-/// bit by bit which of them it needs, and would otherwise wait for memory each time.
+/// Prefetches the counters of a slot, except those of the lowest level of the tree, which are half of them. A
+/// decoder learns only bit by bit which of them it needs, and would otherwise wait for memory each time.
 #[inline(always)]
 fn touch<const NODES: usize>(slot: &[Counter; NODES]) {
     /// Counters in a cache line.
@@ -202,10 +206,10 @@ fn touch<const NODES: usize>(slot: &[Counter; NODES]) {
     std::hint::black_box(lines.fold(0, |all, counter| all ^ counter.bits()));
 }
 
-/// What views say of the next bit.
+/// The views' opinions on the next bit, and their mix.
 #[derive(Clone, Copy)]
 struct Odds<const N: usize> {
-    /// Their opinions.
+    /// The opinions.
     opinions: [f32; N],
     /// The probability of a 1, in 1/65536.
     p: u32,
@@ -229,8 +233,9 @@ impl<const N: usize> Odds<N> {
     }
 }
 
-/// Codes the bits of a level, from the highest down: each by the weighted sum of the views' opinions; counters and weights
-/// learn from it. The decoder looks at what may come next before it knows the bit, so that it need not wait for it.
+/// Codes the bits of a level, from the highest down, each from the weighted sum of the views' opinions;
+/// counters and weights are adapted to it. The decoder computes the odds of the following bit for both values
+/// of the current one before it knows that, so as not to wait for it.
 #[inline(always)]
 fn code_bits<C: BitCoder, const N: usize, const NODES: usize>(
     coder: &mut C,
@@ -239,7 +244,7 @@ fn code_bits<C: BitCoder, const N: usize, const NODES: usize>(
     weights: &mut [[f32; N]],
     views: [&mut [Counter; NODES]; N],
 ) -> u32 {
-    // What is in a variable of its own may be in registers.
+    // A local variable may be kept in registers.
     let mut own = take(coder);
     let weights = &mut weights[..NODES];
     let mut node = NODES >> bits;

@@ -2,10 +2,10 @@
 
 use crate::inter::Reference;
 
-/// The context level assumed where nothing is known.
+/// The context level assumed if nothing is known.
 pub const TYPICAL_LEVEL: u16 = 20;
 
-/// The context levels (1 to 128, 0 = none) of the returns around one.
+/// The context levels (1 to 128, 0 = none) of the returns around a return.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct IntensityNeighbours {
     /// The last four returns of the row, nearest first.
@@ -14,16 +14,16 @@ pub struct IntensityNeighbours {
     pub above: [u16; 5],
     /// Two rows above: one column left, above, one right.
     pub above2: [u16; 3],
-    /// Those of an earlier frame, if it has a return here.
+    /// The levels of an earlier frame, if it has a return here.
     pub back: Option<IntensityReference>,
 }
 
 /// The context levels of an earlier frame around a return; 0 = none.
 #[derive(Clone, Copy, Debug)]
 pub struct IntensityReference {
-    /// Those of the same cell and of the cells to its left and right.
+    /// The levels of the same cell and of the cells to its left and right.
     pub same: [u16; 3],
-    /// That of the place where the surface seen here was then.
+    /// The level of the moved surface that is visible here.
     pub moved: u16,
 }
 
@@ -35,7 +35,7 @@ impl IntensityReference {
         (same[0] > 0 || moved > 0).then_some(IntensityReference { same, moved })
     }
 
-    /// That of the same cell, or else of the moved surface.
+    /// The level of the same cell, or else of the moved surface.
     pub fn level(&self) -> u16 {
         if self.same[0] > 0 { self.same[0] } else { self.moved }
     }

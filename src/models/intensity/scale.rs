@@ -1,11 +1,11 @@
-//! The grid of intensities: levels that are equal parts of 1.0.
+//! The grid of intensities: levels are multiples of an equal part of 1.0.
 
 /// Levels per 1.0 in the files of known scanners: hundredths (KITTI), 256ths (KITTI-360), 255ths, whole
 /// numbers (nuScenes, many PCD files).
 const SCALES: [u32; 4] = [100, 256, 255, 1];
-/// Bits in which such a number is coded.
+/// Number of bits of such a coded number.
 const SCALE_BITS: u32 = 16;
-/// The most bits of a level.
+/// The largest number of bits of a level.
 pub const MOST_BITS: u32 = 9;
 
 /// The grid on which the intensities of a frame lie.
@@ -18,10 +18,10 @@ pub struct IntensityScale {
     exceptions: bool,
 }
 
-/// A grid with a given number of levels per 1.0.
+/// A grid with some number of levels per 1.0.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct LevelGrid {
-    /// 0 if the intensities lie on no known grid.
+    /// 0 if the intensities are on no known grid.
     per_unit: u32,
     /// The value of each level; empty if there is no grid.
     values: Vec<f32>,
@@ -40,7 +40,7 @@ impl LevelGrid {
         (f64::from(value) * f64::from(self.per_unit) + 0.5) as u32
     }
 
-    /// The level of a value, if it is exactly that of a level.
+    /// The level with exactly this value, if there is one.
     #[inline]
     fn level_of(&self, value: f32) -> Option<u32> {
         let level = self.nearest(value);
@@ -49,7 +49,7 @@ impl LevelGrid {
     }
 
     /// The number of values that are not on the grid, and the highest level; `None` if there are more than
-    /// `most` of the former.
+    /// `most` such values.
     fn misses(&self, values: &[f32], most: usize) -> Option<(usize, u32)> {
         let (mut misses, mut highest) = (0, 0);
         for value in values {
@@ -64,7 +64,7 @@ impl LevelGrid {
 }
 
 impl IntensityScale {
-    /// Finds the grid of a frame's intensities, which may have `expected` levels per unit.
+    /// Determines the grid of a frame's intensities; `expected`: a number of levels per unit that is likely.
     pub fn of(intensity: &[f32], expected: Option<u32>) -> Self {
         let most = intensity.len() / 20;
         let mut best: Option<(usize, u32, LevelGrid)> = None;
@@ -84,7 +84,7 @@ impl IntensityScale {
         IntensityScale { grid, bits: (32 - highest.leading_zeros()).max(1), exceptions: misses > 0 }
     }
 
-    /// Codes the grid itself; `code_plain` codes plain numbers of a given number of bits.
+    /// Codes the grid itself; `code_plain` codes plain numbers with a given number of bits.
     pub fn code(&mut self, mut code_plain: impl FnMut(u32, u32) -> u32) {
         self.grid = LevelGrid::new(code_plain(self.grid.per_unit, SCALE_BITS));
         self.bits = code_plain(self.bits, 4).clamp(1, MOST_BITS);
@@ -108,13 +108,13 @@ impl IntensityScale {
         1 << self.bits.saturating_sub(7)
     }
 
-    /// The level of a value, if it is exactly that of a level.
+    /// The level with exactly this value, if there is one.
     #[inline]
     pub fn level_of(&self, value: f32) -> Option<u32> {
         self.grid.level_of(value)
     }
 
-    /// The level of a value that is exactly that of a level.
+    /// The level of a value that is on the grid.
     #[inline]
     pub fn level_on_grid(&self, value: f32) -> u32 {
         self.grid.nearest(value)

@@ -7,7 +7,7 @@ use crate::inter::Reference;
 const ROWS: usize = 8;
 const COLUMNS: usize = 160;
 
-/// Bands of brightness, seen by beams that each give only every third level, with some zeros.
+/// Bands of brightness, as measured by beams that use only every third level each, with some zeros.
 fn frame(seed: u64, per_unit: u32, brightest: f64) -> Grid<f32> {
     let mut random = Rng::keyed(seed, &[]);
     let mut values = Grid::new(ROWS, COLUMNS);
@@ -45,7 +45,7 @@ fn code<C: BitCoder>(coder: &mut C, is_deep: bool, scale: &IntensityScale, frame
             }
         }
         let mut next = Reference::new(ROWS, COLUMNS);
-        // What has moved may be visible where the same cell shows nothing.
+        // Moved surfaces may be visible where the same cell has no return.
         next.moved.levels = levels.clone();
         (0..COLUMNS / 2).for_each(|column| levels[(0, column)] = 0);
         next.same.levels = levels;
@@ -53,7 +53,7 @@ fn code<C: BitCoder>(coder: &mut C, is_deep: bool, scale: &IntensityScale, frame
     }
 }
 
-/// The number of bytes that the frames take; checks that they come back.
+/// The number of bytes of the coded frames; checks that they are decoded correctly.
 fn bytes_of(is_deep: bool, per_unit: u32, frames: &[Grid<f32>]) -> usize {
     let all: Vec<f32> = frames.iter().flat_map(|frame| frame.cells().to_vec()).collect();
     let scale = IntensityScale::of(&all, Some(per_unit));

@@ -1,15 +1,15 @@
-//! The intensities as tokens: each level is a token, whose context is the level before and whether that
-//! agrees with the one above. FORMAT.md 8.16.
+//! The intensities as tokens: each level is a token. Its context is the level before, and whether that agrees
+//! with the one above. FORMAT.md 8.16.
 
 use crate::entropy::TokenCoder;
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::models::IntensityScale;
 
-/// Of levels with more bits than this, the lowest bits are coded as plain bits.
+/// The number of bits coded as a token; of longer levels, the lowest bits are coded as plain bits.
 const TOKEN_BITS: u32 = 8;
-/// Contexts by the level before, of which 7 bits count.
+/// Contexts by the level before, of which 7 bits are used.
 const LEVEL_CONTEXTS: usize = 64;
-/// Levels, of 128, that count as equal.
+/// Largest difference of levels, out of 128, that counts as agreement.
 const NEAR: u16 = 4;
 /// The context of the flag for values that are not on the grid, and that of such values.
 const IS_OFF_GRID: usize = 2 * LEVEL_CONTEXTS;
@@ -25,7 +25,7 @@ pub struct IntensityTokens {
 
 impl IntensityTokens {
     /// Codes one value, given the context levels (1 to 128; 0 = none) of the return before and of the one
-    /// above. Returns its own.
+    /// above. Returns the value's own context level.
     #[inline]
     pub fn code<C: TokenCoder>(
         &mut self,

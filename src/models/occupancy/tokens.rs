@@ -1,5 +1,4 @@
-//! Which cells of the range image hold a return, as tokens: eight cells each, as their difference to the row
-//! above. FORMAT.md 8.16.
+//! Occupancy as tokens: eight cells each, as their difference from the row above. FORMAT.md 8.16.
 
 use crate::entropy::TokenCoder;
 use crate::ground::grid::Grid;
@@ -8,7 +7,7 @@ use crate::ground::grid::Grid;
 const CELLS: usize = 8;
 /// Kinds of eight cells: all occupied, none, and two in between.
 const KINDS: usize = 4;
-/// A context is made of the kind of the cells above and that of the cells before.
+/// A context consists of the kinds of the cells above and of the cells before.
 pub const OCCUPANCY_CONTEXTS: usize = KINDS * KINDS;
 
 /// Codes every cell.

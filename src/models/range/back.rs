@@ -6,13 +6,13 @@ use crate::inter::{Layer, Reference};
 
 /// Features of a least-squares fit that come from [`Surroundings`].
 pub const SURROUNDING_FEATURES: usize = 6;
-/// In steps; assumed at the start of a row.
+/// In steps; the error assumed at the start of a row.
 const TYPICAL_ERROR: f32 = 20.0;
 
-/// The ranges that an earlier frame has for a cell, in either layer.
+/// The ranges of an earlier frame for a cell, in both layers.
 #[derive(Clone)]
 pub struct Back {
-    /// The range of the same cell, or else of the moved layer; `moved` is the other way round.
+    /// The range in the layer of the same cells, or else in the moved layer; for `moved` it is the reverse.
     pub same: f64,
     pub moved: f64,
     same_west: f64,
@@ -41,8 +41,8 @@ impl Back {
     }
 }
 
-/// What else an earlier frame has around a cell: ranges, with the cell's own in place of missing ones, and
-/// the context levels of intensities, 0 for none.
+/// Further values of an earlier frame around a cell: ranges, with the cell's own in place of missing ones,
+/// and the context levels of intensities, 0 for none.
 pub struct Surroundings {
     pub moved_west: f64,
     pub moved_east: f64,

@@ -1,24 +1,23 @@
-//! Ranges in bins, of which only the bin is coded: near-lossless coding. The bins lie around the prediction,
-//! as in JPEG-LS (ITU-T T.87, A.4), so that whatever is predicted well enough costs next to nothing, wherever
-//! it lies.
+//! Bins of ranges, for near-lossless coding, where only the bin is coded. The bins are centred on the
+//! prediction, as in JPEG-LS (ITU-T T.87, A.4), so that accurately predicted ranges cost next to nothing.
 
 /// Bins of equal width. Bin `i` holds the ranges from `origin + i * width` on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bins {
-    /// Steps in a bin. 1: every range has a bin of its own, whose number is the range.
+    /// Bin width in steps. 1: every range has its own bin, whose number is the range.
     pub width: i64,
-    /// From 0 to `width` - 1 steps.
+    /// Offset of the bins, 0 to `width` - 1 steps.
     origin: i64,
     /// The bin around the prediction.
     pub central: i64,
 }
 
 impl Bins {
-    /// Creates bins, one of which has `base`, a range in steps, in its middle.
+    /// Creates bins such that `base`, a range in steps, is in the middle of one.
     #[inline]
     pub fn around(base: i64, width: i64) -> Self {
         if width == 1 {
-            // The same without divisions.
+            // The same result without divisions.
             return Bins { width, origin: 0, central: base };
         }
         let start = base - width / 2;
@@ -31,7 +30,7 @@ impl Bins {
         if self.width == 1 { range } else { (range - self.origin).div_euclid(self.width) }
     }
 
-    /// The first bin that holds ranges from 1 to 2^`range_bits` - 1, and the bin after the last.
+    /// The first bin that contains ranges from 1 to 2^`range_bits` - 1, and the bin after the last.
     pub fn all(&self, range_bits: u32) -> (i64, i64) {
         (self.of(1), self.of((1 << range_bits) - 1) + 1)
     }
@@ -42,8 +41,8 @@ impl Bins {
         (self.origin + bin * self.width).clamp(1, 1 << range_bits)
     }
 
-    /// The range that stands for a bin, 1 to 2^`range_bits` - 1 steps: the one in the middle, or the upper of
-    /// the two there.
+    /// The range that represents a bin, 1 to 2^`range_bits` - 1 steps: the middle one, or the upper of the
+    /// two middle ones.
     #[inline]
     pub fn middle(&self, bin: i64, range_bits: u32) -> i64 {
         (self.origin + bin * self.width + self.width / 2).clamp(1, (1 << range_bits) - 1)

@@ -1,7 +1,8 @@
 //! The deep model of ranges: more least-squares fits, among them one for each stretch of columns; several
-//! sets of weights for the same predictors, each in contexts of its own; and mixing in two layers.
+//! sets of weights for the same predictors, each with its own contexts; and mixing in two layers.
 //!
-//! Cells with and without a reference are treated alike: what there is of the reference makes contexts.
+//! Cells with and without a reference are treated alike: the reference, if there is one, contributes
+//! contexts.
 
 mod fits;
 mod halving;
@@ -20,18 +21,18 @@ pub use site::{DeepSite, Referred};
 
 /// Predictors in the mixture.
 const PREDICTORS: usize = 8;
-/// Numbers of sets of weights of the mixture, of views, opinions and mixers.
+/// Numbers of weight sets of the mixture, of views, of opinions and of mixers.
 const SETS: usize = 3;
 const VIEWS: usize = 8;
 const OPINIONS: usize = 12;
 const MIXERS: usize = 3;
-/// Rows with contexts of their own; those below share that of the last one.
+/// Rows with their own contexts; those below share the contexts of the last one.
 const ROWS: usize = 64;
 /// Kinds of references: none, and the classes of their errors.
 const KINDS: usize = 1 + REFERENCE_LEVELS;
-/// Changes of the intensity from two others: eight classes each.
+/// Classes of the difference of an intensity from two others: eight classes each.
 const CHANGES: usize = 64;
-/// No reference, or the changes from its two layers.
+/// No reference, or the differences from its two layers.
 const RECOGNITIONS: usize = 1 + CHANGES;
 /// Classes of the cell's own intensity.
 const OWN_LEVELS: usize = 4;
@@ -57,13 +58,13 @@ const SIZES: LayeredContext<VIEWS, MIXERS> = LayeredContext {
 
 type DeepBits = LayeredBits<SETS, VIEWS, OPINIONS, MIXERS>;
 
-/// What the coder has learned about ranges.
+/// The adaptive models of ranges.
 #[derive(Clone)]
 pub struct DeepModel {
     fits: Fits,
     mixture: Mixture<PREDICTORS, SETS>,
     bits: DeepBits,
-    /// Whether any frame so far has had a reference.
+    /// Whether any frame so far had a reference.
     had_reference: bool,
 }
 
@@ -84,8 +85,8 @@ impl Default for DeepModel {
 }
 
 impl DeepModel {
-    /// Prepares for an image of `columns`. When the first frame with a reference comes, all that depends on
-    /// references starts from what has been learned without.
+    /// Prepares for an image of `columns` columns. At the first frame with a reference, all models that
+    /// depend on references start as a copy of those that do not.
     pub fn start_frame(&mut self, columns: usize, has_reference: bool) {
         self.fits.start_frame(columns);
         if has_reference && !self.had_reference {
@@ -163,8 +164,8 @@ mod tests {
         steps
     }
 
-    /// Codes frames in steps to within half a bin, and decodes them; if `refer`, those after the first refer
-    /// to the one before. Returns the number of bytes.
+    /// Codes frames, in steps, to within half a bin, and decodes them; if `refer`, each frame after the first
+    /// has the one before as its reference. Returns the number of bytes.
     fn round_trip(bin: u32, refer: bool) -> usize {
         let mut random = Rng::keyed(7, &[]);
         let frames: Vec<_> = (0..3).map(|_| frame(&mut random)).collect();
@@ -205,7 +206,7 @@ mod tests {
     #[test]
     fn ranges_come_back_and_bins_take_less() {
         let [exact, binned] = [1, 5].map(|bin| round_trip(bin, false));
-        // Three bits of noise a return are the minimum.
+        // Three bits of noise per return are the minimum.
         assert!((1800..2600).contains(&exact), "{exact} bytes");
         assert!(binned < exact / 2, "{binned} of {exact} bytes");
     }

@@ -1,13 +1,13 @@
-//! The errors made around a cell.
+//! The prediction errors around a cell.
 
 use super::FEATURE_REACH;
 
-/// The errors made to the left and above.
+/// The prediction errors to the left and above.
 pub struct ErrorTrack {
     /// Running mean of the magnitudes along the row.
     mean: f32,
-    /// For each column, the running mean down the rows: first as it was above the current row, then updated
-    /// by it.
+    /// For each column, the running mean of the magnitudes down the rows: up to the row above, and including
+    /// the current row.
     above: Vec<f32>,
     current: Vec<f32>,
     /// The signed error of the left neighbour, and those of the row above.
@@ -56,13 +56,13 @@ impl ErrorTrack {
         self.signed_above.get(column + 1).copied().map_or(0.0, f64::from)
     }
 
-    /// Skips a column without a return: what is known of it stays.
+    /// Skips a column without a return, whose mean is not changed.
     pub fn skip(&mut self, column: usize) {
         self.current[column] = self.above[column];
         self.signed_current[column] = self.signed_above[column];
     }
 
-    /// Records the errors of the least-squares fit, and of the base at which coding starts.
+    /// Records the errors of the least-squares fit and of the base of the coding.
     pub fn record(&mut self, column: usize, fit_error: f64, base_error: f64) {
         let magnitude = fit_error.abs().min(FEATURE_REACH) as f32;
         self.mean = 0.6 * self.mean + 0.4 * magnitude;

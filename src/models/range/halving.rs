@@ -8,7 +8,8 @@ use crate::models::shape::ErrorShape;
 
 /// Codes in which half of the remaining bins a range is.
 pub trait Halves {
-    /// Halvings inside a bucket that are corrected by counters; the further ones are pure noise.
+    /// Number of halvings inside a bucket whose probabilities are corrected by counters; further bits are
+    /// pure noise.
     const CORRECTED: usize;
 
     /// The first of the remaining bins, and the bin after the last.
@@ -18,13 +19,13 @@ pub trait Halves {
     /// contribute.
     fn halve(&mut self, middle: i64, node: Option<usize>) -> bool;
 
-    /// Halves an interval so short that the density decreases evenly over it: the odds of its halves are then
-    /// the square root of those of the interval and its last sibling.
+    /// Halves an interval so short that the density decreases uniformly over it: the odds of its halves are
+    /// then the square root of the odds of the interval and its last sibling.
     fn halve_evenly(&mut self, middle: i64);
 }
 
-/// Codes a bin: first whether it is at or above the bin around the base, or below; then in which bucket, of
-/// growing width away from there, the first `fine` bins wide; then by halving the bucket.
+/// Codes a bin: first whether it is at or above the bin around the base, or below; then its bucket, of
+/// increasing width with the distance, the first being `fine` bins wide; then by halving the bucket.
 #[inline]
 pub fn code_bin<H: Halves>(halves: &mut H, base: i64, fine: i64) {
     let up = halves.halve(base, Some(0));
@@ -67,7 +68,7 @@ pub fn code_bin<H: Halves>(halves: &mut H, base: i64, fine: i64) {
 
 /// Width of the first bucket beside the base, in bins: a power of two near 0.6 scales.
 pub fn first_bucket(scale: f32) -> i64 {
-    // 0.6 * sqrt(2): this selects the nearest power, on a logarithmic scale.
+    // The factor is 0.6 * sqrt(2): this selects the nearest power on a logarithmic scale.
     ((scale * 0.84853) as u32).checked_ilog2().map_or(1, |octave| 1 << octave)
 }
 
@@ -76,7 +77,7 @@ pub struct Halving<'a, C, const P: usize, const X: usize> {
     pub coder: &'a mut C,
     pub shape: &'a ErrorShape,
     pub tables: &'static Logistic,
-    /// The last bin that the range may be in ends below 2^`range_bits`.
+    /// Ranges are below 2^`range_bits`.
     pub range_bits: u32,
     pub bins: Bins,
     pub mixture: &'a Mixture<P, 1>,
@@ -90,7 +91,7 @@ pub struct Halving<'a, C, const P: usize, const X: usize> {
     pub reference_views: [usize; X],
     /// The encoder's bin.
     pub bin: i64,
-    /// What is left of the bins.
+    /// The remaining bins.
     pub interval: Interval<P, 1>,
     /// The mixture's log odds for the last halves, upper against lower.
     pub odds: f32,

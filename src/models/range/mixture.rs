@@ -1,5 +1,5 @@
-//! A mixture of predictors, each with a weight and a scale in each context. What the predictors say is mixed by one or
-//! more sets of weights.
+//! A mixture of predictors, each with a weight and a scale in each context. The predictions are mixed by one
+//! or more sets of weights.
 
 use super::{FIT, FIT_REACH, SURPRISE};
 use crate::entropy::Logistic;
@@ -7,7 +7,7 @@ use crate::models::shape::{ErrorShape, Placed};
 
 /// The part of the probability that is distributed evenly over all ranges.
 const EVEN: f32 = 1.0 / 256.0;
-/// The least probability that a half is taken to have.
+/// The lower limit of the probability of a half.
 const LEAST: f32 = 1.0 / (1 << 26) as f32;
 
 /// The learning rates of a context's weights and scales.
@@ -15,14 +15,15 @@ const LEAST: f32 = 1.0 / (1 << 26) as f32;
 pub struct Rates {
     pub weights: f32,
     pub scales: f32,
-    /// Both rates are at least this divided by the number of returns that the context has seen plus 1.5.
+    /// Both rates are at least this value divided by (n + 1.5), where n is the number of returns seen in the
+    /// context.
     pub early: f32,
 }
 
-/// Returns are counted up to this number.
+/// The number of returns seen is limited to this.
 const MOST_SEEN: u16 = 1000;
 
-/// What the coder has learned about `P` predictors, mixed by `M` sets of weights.
+/// The adaptive models of `P` predictors, mixed by `M` sets of weights.
 #[derive(Clone)]
 pub struct Mixture<const P: usize, const M: usize> {
     /// The mean magnitude of each predictor's error, in steps, in the contexts of the last set of weights.
@@ -35,7 +36,7 @@ pub struct Mixture<const P: usize, const M: usize> {
 #[derive(Clone, Copy)]
 struct Weights<const P: usize> {
     weights: [f32; P],
-    /// Number of returns that the context has seen.
+    /// Number of returns seen in the context.
     seen: u16,
 }
 
@@ -55,7 +56,7 @@ pub struct Interval<const P: usize, const M: usize> {
     below_high: Below<P, M>,
 }
 
-/// Probability that a range is below some value: by each predictor, and by each set of weights.
+/// Probability that a range is below some value, according to each predictor and to each set of weights.
 #[derive(Clone, Copy)]
 pub struct Below<const P: usize, const M: usize> {
     each: [f32; P],
@@ -69,8 +70,8 @@ impl<const P: usize, const M: usize> Interval<P, M> {
         Interval { low, high, below_low: below(0.0, 0.0), below_high: below(1.0, 1.0 + EVEN) }
     }
 
-    /// The log odds of each set of weights for the halves above and below a place between the ends, upper against
-    /// lower.
+    /// The log odds of each set of weights for the halves above and below a point between the ends, upper
+    /// against lower.
     #[inline]
     pub fn split(&self, below_middle: &Below<P, M>, tables: &Logistic) -> [f32; M] {
         std::array::from_fn(|m| {
@@ -95,11 +96,11 @@ impl<const P: usize, const M: usize> Interval<P, M> {
 }
 
 impl<const P: usize, const M: usize> Mixture<P, M> {
-    /// The set of weights whose contexts are those of the scales.
+    /// The set of weights whose contexts the scales share.
     const LAST: usize = M - 1;
 
-    /// Creates a mixture of so many contexts for each set of weights. `first_scale` gives the scale that a context starts
-    /// with.
+    /// Creates a mixture with `contexts` contexts for each set of weights. `first_scale` returns the initial
+    /// scale in a context.
     pub fn new(rates: Rates, contexts: [usize; M], first_scale: impl Fn(usize) -> f32) -> Self {
         let scales = (0..contexts[Self::LAST]).map(|context| {
             let mut scales = [first_scale(context); P];
@@ -110,7 +111,7 @@ impl<const P: usize, const M: usize> Mixture<P, M> {
         Mixture { scales: scales.collect(), weights: contexts.map(|contexts| vec![equal; contexts]), rates }
     }
 
-    /// The same with additional predictors, about which nothing is known yet, and with all contexts repeated
+    /// The same mixture with additional predictors, which are untrained, and with all contexts repeated
     /// `copies` times.
     pub fn widened<const Q: usize>(&self, copies: usize) -> Mixture<Q, M> {
         let share = P as f32 / Q as f32;
@@ -134,8 +135,8 @@ impl<const P: usize, const M: usize> Mixture<P, M> {
         }
     }
 
-    /// Copies what the first `contexts` contexts of a set of weights have learned to those that follow, `contexts` at a
-    /// time.
+    /// Copies the learned state of the first `contexts` contexts of a set of weights to the contexts that
+    /// follow, `contexts` at a time.
     pub fn spread(&mut self, set: usize, contexts: usize) {
         for context in contexts..self.weights[set].len() {
             self.weights[set][context] = self.weights[set][context % contexts];
@@ -174,7 +175,7 @@ impl<const P: usize, const M: usize> Mixture<P, M> {
         Below { each, mixed }
     }
 
-    /// Adapts weights and scales to the range that has been coded, to whose bin the interval has shrunk.
+    /// Adapts weights and scales to the coded range, to whose bin the interval has shrunk.
     pub fn learn(&mut self, predicted: &Predicted<P, M>, interval: &Interval<P, M>, range: f32) {
         let mut likelihood = [0.0; P];
         for k in 0..P {
@@ -186,7 +187,7 @@ impl<const P: usize, const M: usize> Mixture<P, M> {
         let mut responsible = [0.0; P];
         for (set, context) in self.weights.iter_mut().zip(predicted.contexts) {
             let weights = &mut set[context];
-            // Those of the last set remain.
+            // The responsibilities according to the last set are used below.
             responsible = weights.learn(&likelihood, weight_rate.max(weights.early(early)));
         }
         let scales = &mut self.scales[last];
@@ -208,10 +209,11 @@ impl<const P: usize> Weights<P> {
         early / (f32::from(self.seen) + 1.5)
     }
 
-    /// Learns how likely each predictor held the range. Returns how responsible each is for it.
+    /// Adapts the weights to the likelihood of the range under each predictor. Returns the responsibility of
+    /// each predictor for it.
     #[inline]
     fn learn(&mut self, likelihood: &[f32; P], rate: f32) -> [f32; P] {
-        /// So that nothing is divided by 0.
+        /// Avoids a division by 0.
         const TINY: f32 = 1e-9;
         self.seen = (self.seen + 1).min(MOST_SEEN);
         let weights = &mut self.weights;
@@ -228,7 +230,7 @@ impl<const P: usize> Weights<P> {
     }
 }
 
-/// `more` and the products, summed in an order that suits vector units.
+/// `more` plus the products, summed in an order that suits vector units.
 #[inline(always)]
 fn sum_of_products<const P: usize>(more: f32, a: &[f32; P], b: &[f32; P]) -> f32 {
     let mut sums = [more, 0.0, 0.0, 0.0];

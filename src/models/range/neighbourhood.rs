@@ -2,7 +2,7 @@
 
 use super::{ACTIVITY_LEVELS, FEATURE_REACH, FEATURES};
 
-/// The ranges coded so far that the prediction of a cell uses; 0 where there is no return.
+/// The coded ranges that the prediction of a cell uses; 0 where there is no return.
 pub struct Window {
     /// The current row and the two above, with margins of empty cells.
     rows: [Vec<f64>; 3],
@@ -79,7 +79,7 @@ pub struct Neighbourhood {
     farther: [f64; 4],
 }
 
-/// The range assumed where nothing is known, in steps.
+/// The range assumed if nothing is known, in steps.
 const TYPICAL_RANGE: f64 = 3000.0;
 
 impl Neighbourhood {
@@ -98,7 +98,7 @@ impl Neighbourhood {
         .map(|range| self.feature(range))
     }
 
-    /// The same for the farther ones.
+    /// The differences to the left neighbour for the farther ranges.
     pub fn farther_features(&self) -> [f32; 4] {
         self.farther.map(|range| self.feature(range))
     }
@@ -109,7 +109,7 @@ impl Neighbourhood {
         (range - self.west).clamp(-FEATURE_REACH, FEATURE_REACH) as f32
     }
 
-    /// How rough the surroundings are, in octaves.
+    /// The roughness of the surroundings, in octaves.
     pub fn activity_level(&self) -> usize {
         let activity = (self.west - self.west2).abs()
             + (self.north - self.north_west).abs()

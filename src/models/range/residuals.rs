@@ -1,43 +1,43 @@
-//! What the residuals of the least squares still tell: neighbouring ones are alike, and surfaces of some
-//! intensities are measured too near or too far, and with more noise. FORMAT.md 7.4.
+//! Information in the residuals of the least-squares fit: neighbouring ones are similar, and surfaces of some
+//! intensities are measured with a bias, and with more noise. FORMAT.md 7.4.
 
 use crate::models::quantise::signed_level;
 use crate::models::range::site::intensity_change;
 
-/// Residuals to the left that the filter looks at, and those of the row above: from three columns to the
-/// left to four to the right.
+/// Number of residuals to the left that the filter uses, and of those in the row above: from three columns to
+/// the left to four to the right.
 const LEFT: usize = 12;
 const ABOVE: usize = 8;
 const ABOVE_TO_THE_LEFT: usize = 3;
-/// Numbers that a vector unit of any processor handles at once.
+/// Number of values that a vector unit of any processor computes with at once.
 const LANES: usize = 4;
-/// The rate at which the filter learns, and what is added to the power of its input, in square steps.
+/// The filter's learning rate, and the value added to the power of its input, in square steps.
 const FILTER_RATE: f32 = 0.015;
 const LEAST_POWER: f32 = 20.0;
-/// Residuals count as at most this many times the size below which a quarter of them are; what the filter
-/// and the offsets learn from, as this many times.
+/// Limits in multiples of the quartile: of residuals, and of the errors from which the filter and the offsets
+/// learn.
 const MOST_RESIDUAL: f32 = 5.0;
 const MOST_ERROR: f32 = 2.0;
-/// The size below which a quarter of the errors are, in steps: at first, at least, and how far it moves
-/// after an error above and below, so that three are above to one below.
+/// The lower quartile of the errors' magnitudes, in steps: its initial value, its minimum, and how far it
+/// moves after an error above and below it, so that three errors are above for each one below.
 const FIRST_QUARTILE: f32 = 8.0;
 const LEAST_QUARTILE: f32 = 0.5;
 const QUARTILE_UP: f32 = 0.0125;
 const QUARTILE_DOWN: f32 = 0.0375;
-/// Classes of an intensity for the offsets: half octaves.
+/// Classes of intensities for the offsets: half octaves.
 const HALF_OCTAVES: usize = 16;
 const OFFSET_RATE: f32 = 0.003;
-/// Classes of an intensity, and of how it differs from the one to the left, for the noise.
+/// Classes of intensities, and of their differences from the one to the left, for the noise.
 const OCTAVES: usize = 8;
 const CHANGES: usize = 8;
 const NOISE_RATE: f32 = 0.01;
-/// A miss counts as at most this many times the expected one.
+/// A miss counts as at most this multiple of the expected one.
 const MOST_RATIO: f32 = 4.0;
 
-/// What the coder has learned from the residuals.
+/// The adaptive models of the residuals.
 #[derive(Clone)]
 pub struct Residuals {
-    /// Of the filter.
+    /// The weights of the filter.
     weights: Inputs,
     quartile: f32,
     offsets: [[f32; HALF_OCTAVES]; HALF_OCTAVES],
@@ -60,11 +60,12 @@ impl Default for Residuals {
 
 /// The residuals of the row so far and of the row above, in steps.
 pub struct Rows {
-    /// In the order of the returns, after as many zeros as the filter looks at.
+    /// The residuals in the order of the returns, after as many zeros as the filter has inputs to the left.
     left: Vec<f32>,
-    /// How many of these there are.
+    /// The number of these.
     end: usize,
-    /// By column, with a margin on both sides: of the row above, and of this one as far as it is coded.
+    /// The residuals by column, with a margin on both sides: of the row above, and of the current one as far
+    /// as it is coded.
     above: Vec<f32>,
     here: Vec<f32>,
 }
@@ -106,7 +107,8 @@ pub struct Classes {
 }
 
 impl Classes {
-    /// Of the cell in this column, where `levels` are the context levels of the row's intensities; 0 = none.
+    /// The classes of the cell in this column, where `levels` are the context levels of the row's
+    /// intensities; 0 = none.
     #[inline(always)]
     pub fn of(levels: &[u16], column: usize) -> Self {
         let own = levels[column];
@@ -118,9 +120,9 @@ impl Classes {
     }
 }
 
-/// What the residuals around a cell tell.
+/// The information in the residuals around a cell.
 pub struct Hint {
-    /// To be added to the prediction of the least squares, in steps.
+    /// An offset for the least-squares prediction, in steps.
     pub offset: f32,
     inputs: Inputs,
     classes: Classes,
@@ -135,15 +137,14 @@ impl Residuals {
         Hint { offset, inputs, classes }
     }
 
-    /// The miss to be expected at a cell, if `expected` is that of its surroundings: surfaces of some
+    /// The expected miss at a cell, given the mean of its surroundings, `expected`: surfaces of some
     /// intensities are noisier than others.
     #[inline(always)]
     pub fn expected_miss(&self, hint: &Hint, expected: i32) -> u32 {
         (expected as f32 * self.noise[hint.classes.noise]) as i32 as u32
     }
 
-    /// Learns that a cell's miss was `miss` steps where `expected` sixteenths of a step were those of its
-    /// surroundings.
+    /// Learns from a cell's miss of `miss` steps, where the surroundings had `expected` sixteenths of a step.
     #[inline(always)]
     pub fn learn_noise(&mut self, hint: &Hint, miss: i32, expected: i32) {
         let noise = &mut self.noise[hint.classes.noise];
@@ -151,7 +152,7 @@ impl Residuals {
         *noise += (ratio - *noise) * NOISE_RATE;
     }
 
-    /// Learns how far a cell's range was from the prediction of the least squares: `residual` steps.
+    /// Learns from a cell whose range differed from the least-squares prediction by `residual` steps.
     #[inline(always)]
     pub fn learn(&mut self, rows: &mut Rows, column: usize, hint: &Hint, residual: f32) {
         let (own, west) = hint.classes.half_octaves;

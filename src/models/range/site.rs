@@ -1,4 +1,4 @@
-//! A cell to be coded, as described by its neighbours.
+//! A cell to be coded, described by its neighbours.
 
 use super::errors::ErrorTrack;
 use super::neighbourhood::Neighbourhood;
@@ -6,7 +6,7 @@ use super::{EDGE, ERROR_LEVELS, ErrorLevels, FEATURES, FIT_REACH, PREDICTORS, VI
 use crate::models::least_squares::LeastSquares;
 use crate::models::quantise::signed_level;
 
-/// A cell to be coded, as described by its neighbours.
+/// A cell to be coded, described by its neighbours.
 pub struct Site {
     pub near: Neighbourhood,
     pub features: [f32; FEATURES],
@@ -15,17 +15,17 @@ pub struct Site {
     pub edge: usize,
     pub error_level: usize,
     pub context: usize,
-    /// How the intensity differs from the one to the left and the one above: 0 to 63.
+    /// The difference of the intensity from the one to the left and the one above: 0 to 63.
     pub change: usize,
-    /// The signed errors made to the left, above, and above to the right, in steps.
+    /// The signed errors to the left, above, and above to the right, in steps.
     pub errors: [f64; 3],
-    /// The context of each view but the first.
+    /// The contexts of all views except the first.
     pub views: [usize; VIEWS],
 }
 
 impl Site {
-    /// The site of the cell in a column with these neighbours, given the intensities of its row and of the row above, which is
-    /// empty in the first.
+    /// The site of the cell in a column with these neighbours, given the intensities of its row and of the
+    /// row above (empty for the first row).
     #[inline]
     pub fn of(
         (levels, levels_above): (&[u16], &[u16]),
@@ -61,12 +61,12 @@ impl Site {
         [west, north, 2.0 * west - west2, west + fit, west].map(|value| value as f32)
     }
 
-    /// Where coding starts: a whole number of steps.
+    /// The base of the coding, in whole steps.
     pub fn base(&self, fit: f64, range_bits: u32) -> i64 {
         ((self.near.west + fit + 0.5) as i64).clamp(1, (1 << range_bits) - 2)
     }
 
-    /// The contexts of all views, if coding starts at `base`.
+    /// The contexts of all views for this base.
     pub fn views_from(&self, base: i64) -> [usize; VIEWS] {
         let base = base as f64;
         let mut views = self.views;
@@ -74,7 +74,7 @@ impl Site {
         views
     }
 
-    /// Adapts a fit to the range that has been coded.
+    /// Adapts a fit to the coded range.
     pub fn learn<const F: usize>(
         &self,
         fits: &mut LeastSquares<F>,
@@ -94,7 +94,7 @@ pub fn pair(a: f64, b: f64) -> usize {
     signed_level(a as i32) * 32 + signed_level(b as i32)
 }
 
-/// Eight classes of change from a neighbour's intensity; the last if it holds no return.
+/// Eight classes of the difference from a neighbour's intensity; the last if it holds no return.
 pub fn intensity_change(own: u16, other: u16) -> usize {
     if other == 0 {
         return 7;

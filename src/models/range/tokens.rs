@@ -1,5 +1,5 @@
-//! The ranges as tokens: prediction errors (misses), whose contexts are how rough the surroundings are and
-//! how large the misses around were. FORMAT.md 8.16.
+//! The ranges as tokens: prediction errors (misses) in contexts of the roughness of the surroundings and of
+//! the size of the surrounding misses. FORMAT.md 8.16.
 
 mod prediction;
 mod start;
@@ -17,16 +17,16 @@ use crate::models::Bins;
 use crate::models::range::residuals::{Classes, Residuals, Rows};
 use prediction::{Before, FIT_REACH, Fits, Guess, Near};
 
-/// The range assumed where nothing is known, in steps.
+/// The range assumed if nothing is known, in steps.
 const TYPICAL_RANGE: i32 = 3000;
 /// The miss assumed at the start of a row, in steps.
 const TYPICAL_MISS: i32 = 20;
 /// Misses count as at most this many steps.
 const MOST_MISS: i32 = 300;
-/// No range is farther from a prediction, in bins.
+/// A bound above the distance of any range from its prediction, in bins.
 const MOST_BINS: i64 = 1 << 25;
 
-/// What the coder has learned about ranges, besides the tables.
+/// The adaptive models of ranges, besides the tables.
 #[derive(Clone, Default)]
 pub struct RangeTokens {
     fits: Fits,
@@ -34,9 +34,9 @@ pub struct RangeTokens {
 }
 
 impl RangeTokens {
-    /// Codes the range, in steps, of every cell that holds a return: the number of its bin, of `bin` steps
-    /// around the prediction. Ranges are from 1 to 2^`range_bits` - 1; if bins are wider than a step, both
-    /// sides continue with the middles of the bins.
+    /// Codes the range, in steps, of every cell that holds a return: the number of its bin among bins, `bin`
+    /// steps wide, centred on the prediction. Ranges are from 1 to 2^`range_bits` - 1; if bins are wider than
+    /// a step, both sides continue with the middles of the bins.
     pub fn code<C: TokenCoder>(
         &mut self,
         coder: &mut C,
@@ -54,12 +54,12 @@ impl RangeTokens {
     }
 }
 
-/// What is known of all cells before their ranges are coded.
+/// The data known for all cells before their ranges are coded.
 pub struct KnownCells<'a> {
     /// Which cells hold a return.
     pub occupancy: &'a Grid<bool>,
-    /// Whether least squares predict from the neighbours and, where there is one, from the frame before;
-    /// otherwise the left neighbour does.
+    /// Whether ranges are predicted by least squares from the neighbours and, if there is one, from the frame
+    /// before; otherwise the left neighbour is the prediction.
     pub fitted: bool,
     /// The ranges of the frame before, in steps; 0 = nothing.
     pub expected: Option<&'a Grid<u32>>,
@@ -67,7 +67,8 @@ pub struct KnownCells<'a> {
     pub levels: &'a Grid<u16>,
 }
 
-/// The ranges of a frame. `SIMPLE`: bins are of one step, so need no division, and there is no frame before.
+/// The ranges of a frame. `SIMPLE`: bins are one step wide, so no division is needed, and there is no frame
+/// before.
 struct CodeRows<'a, C, const FITTED: bool, const SIMPLE: bool> {
     model: &'a mut RangeTokens,
     coder: &'a mut C,
@@ -97,7 +98,7 @@ impl<C: TokenCoder, const FITTED: bool, const SIMPLE: bool> NullaryFnOnce
         let KnownCells { occupancy, expected, levels, .. } = *known;
         let (bin, expected) = if SIMPLE { (1, None) } else { (bin, expected) };
         let width = occupancy.columns();
-        // For each column: the last ranges in it, and the size of the misses there.
+        // For each column: the last ranges, and the size of the misses.
         let mut ranges = vec![TYPICAL_RANGE; width + MARGIN];
         let mut ranges2 = vec![TYPICAL_RANGE; if FITTED { width } else { 0 }];
         let mut misses = vec![TYPICAL_MISS; width + MARGIN];

@@ -1,21 +1,21 @@
-//! Aligning the rows of a range image, so that cells above one another look in the same direction.
+//! Alignment of the rows of a range image, so that cells above one another have the same direction.
 
 use crate::ground::grid::Grid;
 use crate::scanner::Hdl64;
 
-/// How far each row of a range image is rotated against the others. A column holds what fired together, but
+/// The rotation of each row of a range image relative to the others. A column holds simultaneous shots, but
 /// the beams of a real scanner point up to about ten degrees to either side of its centre: the top and the
-/// bottom of a column may show very different directions. Rows shifted back by whole columns give a picture
-/// of the scene.
+/// bottom of a column may be in very different directions. Shifting rows back by whole columns gives a
+/// picture of the scene.
 #[derive(Clone, Debug)]
 pub struct Alignment {
-    /// In columns, for each row.
+    /// The shift of each row, in columns.
     turns: Vec<usize>,
 }
 
 impl Alignment {
-    /// The alignment of an image with `columns` columns by this sensor. Rows of the ideal sensor stay as they
-    /// are.
+    /// The alignment of an image with `columns` columns by this scanner. Rows of the ideal scanner are not
+    /// shifted.
     pub fn of(sensor: &Hdl64, columns: usize) -> Self {
         let ticks = u64::from(sensor.ticks);
         let turn = |row| {
@@ -33,8 +33,8 @@ impl Alignment {
         self.turns[row]
     }
 
-    /// Shifts the rows of an image so that its columns are lines of sight. It must have the size that this
-    /// alignment was made for.
+    /// Shifts the rows of an image so that each column has one azimuth. The image must have the size that
+    /// this alignment was made for.
     pub fn align<T: Clone + Default>(&self, grid: &mut Grid<T>) {
         (0..grid.rows()).for_each(|row| grid.row_mut(row).rotate_left(self.turns[row]));
     }
@@ -50,7 +50,7 @@ mod tests {
     use super::*;
     use crate::scanner::{BeamConstants, Coordinates, ideal};
 
-    /// A sensor of 4000 ticks with these shifts.
+    /// A scanner of 4000 ticks with these shifts.
     fn shifted(shifts: &[i64]) -> Hdl64 {
         let beam = |&column_shift: &i64| BeamConstants { column_shift, ..BeamConstants::default() };
         Hdl64::new(Coordinates::Millimetre, 4000, 2000, shifts.iter().map(beam).collect())

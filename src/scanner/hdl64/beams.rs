@@ -1,9 +1,9 @@
-//! Assigns the points of a sample to beams without knowing the scanner: files hold one beam after the other,
-//! each going round once, and the points of a beam lie on a cone.
+//! Assigns the points of a sample to beams without knowledge of the scanner: files hold one beam after the
+//! other, each covering one turn, and the points of a beam lie on a cone.
 //!
 //! The scans of a sequence need not agree: one may lack a beam, be cut short, or come from another scanner.
 //! The scan with which most others agree is the reference; the beams of the others are assigned to the cones
-//! on which they lie.
+//! on which their points lie.
 
 use std::f64::consts::TAU;
 
@@ -13,13 +13,13 @@ use rayon::prelude::*;
 use crate::ground::angle;
 use crate::ground::lanes::{dispatch, lanes};
 
-/// A point in the form that the fit needs, in metres and radians.
+/// A point in the form needed by the fit, in metres and radians.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Point {
     pub position: [f64; 3],
     /// Horizontal distance from the axis.
     pub rho: f64,
-    /// From 0 to 2 pi.
+    /// Azimuth from 0 to 2 pi.
     pub azimuth: f64,
 }
 
@@ -30,8 +30,8 @@ impl Point {
 }
 
 /// Splits the points of a scan into beams, where the azimuth falls back; a short step back over the seam does
-/// not start a new beam. Points without a direction are left out. Empty if there are too many beams: the points are then in
-/// some other order.
+/// not start a new beam. Points without a direction are left out. Empty if there are too many beams: then the
+/// points are in another order.
 pub(crate) fn split_beams(positions: &[[f32; 3]]) -> Vec<Vec<Point>> {
     dispatch(Splitting(positions))
 }
@@ -62,8 +62,8 @@ impl NullaryFnOnce for Splitting<'_> {
     }
 }
 
-/// Points in the form that the fit needs; a distance that is not above 0, or a coordinate that is not finite, shows that
-/// one has no direction.
+/// Points in the form needed by the fit. A distance that is not positive, or a coordinate that is not finite,
+/// marks a point without a direction.
 #[inline(always)]
 fn points<const N: usize>(positions: &[[f32; 3]; N]) -> [Point; N] {
     let [x, y, z]: [[f64; N]; 3] = [
@@ -93,9 +93,9 @@ impl Beams {
     fn take(&mut self, points: &[Point]) -> bool {
         /// More beams than any scanner has.
         const MOST_BEAMS: usize = 256;
-        /// In radians. Within a beam the azimuth falls by far less, even where points are out of order.
+        /// In radians. Within a beam, even points out of order fall back by far less.
         const FALL: f64 = 1.0;
-        /// In radians: a rise as large as this is a step back over the seam.
+        /// In radians: a rise of at least this much is a step back over the seam.
         const RISE: f64 = 5.0;
         for point in points {
             let [x, y, z] = point.position;
@@ -181,7 +181,7 @@ pub(crate) fn align<'a>(scans: &[&'a [Vec<Point>]]) -> Vec<Beam<'a>> {
     beams
 }
 
-/// The cone on which the points lie; the search starts at `place`.
+/// The number of the cone on which the points lie; the search starts at `place`.
 fn matching(cones: &[Cone], place: usize, points: &[Point]) -> Option<usize> {
     let after = place.min(cones.len());
     (after..cones.len()).chain(0..after).find(|&i| cones[i].holds(points))
@@ -197,9 +197,9 @@ pub(crate) struct Cone {
 impl Cone {
     /// The cone of a beam's points, if they lie on one.
     fn of(points: &[Point]) -> Option<Self> {
-        /// Fewer points lie on many cones.
+        /// Fewer points than this lie on many cones.
         const FEWEST: usize = 20;
-        /// Number of points that are enough.
+        /// Number of points that the fit uses.
         const SAMPLE: usize = 400;
         let sample: Vec<Point> = thinned(points, SAMPLE).copied().collect();
         let cone = Cone::fit(&sample);
@@ -221,7 +221,7 @@ impl Cone {
 
     /// Least squares, with weights that decrease with the distance from the cone.
     pub fn fit(points: &[Point]) -> Self {
-        /// In metres: the fit has converged when a round moves the cone by less.
+        /// In metres: the fit has converged when an iteration moves the cone by less.
         const SETTLED: f64 = 1e-5;
         let mut cone = Cone { height: 0.0, slope: 0.0 };
         for round in 0..15 {
@@ -240,7 +240,7 @@ impl Cone {
                 rz += weight * p.rho * p.z();
             }
             let determinant = n * rr - r * r;
-            // All points are at one distance, so any cone will do.
+            // All points are at one distance, so any cone with this height there fits.
             if determinant < 1e-9 * n * rr {
                 break;
             }

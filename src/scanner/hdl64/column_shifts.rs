@@ -10,10 +10,10 @@ use super::beams::{Beam, Point};
 use crate::ground::lanes::dispatch;
 use crate::scanner::Hdl64;
 
-/// For each beam, the whole number of ticks by which its columns are shifted against those of the beam with
-/// the most points, judged from one scan that contains both.
+/// For each beam, the whole number of ticks by which its columns are shifted relative to those of the beam
+/// with the most points, estimated from one scan that contains both.
 pub(crate) fn column_shifts(model: &Hdl64, beams: &[&Beam]) -> Vec<i64> {
-    // The beams of a firing look within 36 degrees of each other.
+    // The beams of a firing are within 36 degrees of each other.
     let widest = i64::from(model.ticks / 10);
     let filled =
         |row: usize| (0..beams[row].scans.len()).map(|scan| beams[row].points_in(scan)).sum::<usize>();
@@ -33,8 +33,9 @@ pub(crate) fn column_shifts(model: &Hdl64, beams: &[&Beam]) -> Vec<i64> {
     (0..beams.len()).into_par_iter().map(best).collect()
 }
 
-/// The arguments of [`column_shifts`]' search for the number of ticks that two beams both use, for each shift of up to
-/// `widest` ticks either way. A struct, so that the function can be compiled for several vector units.
+/// The arguments of the search in [`column_shifts`] for the number of ticks used by both of two beams, for
+/// each shift of up to `widest` ticks either way. A struct, so that the function can be compiled for several
+/// vector units.
 struct Agreements<'a> {
     mine: &'a [u64],
     theirs: &'a [u64],
@@ -48,7 +49,7 @@ impl NullaryFnOnce for Agreements<'_> {
     #[inline(always)]
     fn call(self) -> Vec<u32> {
         let Agreements { mine, theirs, ticks, widest } = self;
-        // The turn goes on from its start.
+        // Longer than a turn: the ticks continue from the start.
         let mut round = vec![0u64; (2 * ticks).div_ceil(BITS) + 1];
         for tick in (0..ticks).filter(|tick| theirs[tick / BITS] >> (tick % BITS) & 1 == 1) {
             [tick, tick + ticks].into_iter().for_each(|tick| round[tick / BITS] |= 1 << (tick % BITS));
@@ -59,7 +60,7 @@ impl NullaryFnOnce for Agreements<'_> {
             let (bits, theirs) = (start % BITS, &round[start / BITS..]);
             let mut both = 0;
             for ((mine, low), high) in mine.iter().zip(theirs).zip(&theirs[1..]) {
-                // In two steps, as no shift is by as many bits as there are.
+                // Shifted in two steps, since a shift by the full word length is not allowed.
                 both += (mine & (low >> bits | high << 1 << (BITS - 1 - bits))).count_ones();
             }
             agreements.push(both);
@@ -68,7 +69,7 @@ impl NullaryFnOnce for Agreements<'_> {
     }
 }
 
-/// Ticks in a word.
+/// Ticks per word.
 const BITS: usize = u64::BITS as usize;
 
 /// A bit for each tick: 1 if the beam has a point there.

@@ -1,12 +1,12 @@
-//! Which azimuth ticks are columns: the gaps between them, which alternate in a slow beat of the firing rate
+//! The azimuth ticks that are columns: the gaps between them alternate in a slow beat of the firing rate
 //! against the ticks. FORMAT.md 8.2.
 
 use crate::entropy::{AdaptiveBit, BitCoder};
 
-/// The distance from the last odd gap is counted up to this.
+/// The distance from the last odd gap is counted up to this value.
 const LONGEST_RUN: usize = 31;
 
-/// What the coder has learned about columns.
+/// The adaptive models of columns.
 #[derive(Clone)]
 pub struct ColumnModel {
     used: Vec<AdaptiveBit>,
@@ -19,7 +19,7 @@ impl Default for ColumnModel {
 }
 
 impl ColumnModel {
-    /// Codes a set of ticks below `ticks`, as rising numbers.
+    /// Codes a set of ticks below `ticks`, as ascending numbers.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, ticks: u32, columns: &mut Vec<u32>) {
         let known = std::mem::take(columns);
         let mut known = known.iter().peekable();
@@ -29,7 +29,8 @@ impl ColumnModel {
             let context = (gap.min(3) * (LONGEST_RUN + 1) + run) * 4 + last_gap.min(3);
             if self.used[context].code(coder, used) {
                 columns.push(tick);
-                // The short gap is the rare one; when it comes again depends on how long ago it last came.
+                // The short gap is the rare one; the probability of the next depends on the distance from the
+                // last.
                 run = if gap == 0 { 0 } else { (run + 1).min(LONGEST_RUN) };
                 last_gap = gap;
                 gap = 0;

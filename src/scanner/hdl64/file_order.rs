@@ -1,4 +1,4 @@
-//! The order in which a file holds the returns of a range image.
+//! The order of a range image's returns in the file.
 
 use pulp::NullaryFnOnce;
 
@@ -7,8 +7,8 @@ use crate::scanner::Hdl64;
 use crate::scanner::{RangeImage, Return};
 
 impl RangeImage {
-    /// The returns in the order of the file: row by row, by the azimuth that the formula gives; returns with
-    /// equal azimuths column by column.
+    /// The returns in the order of the file: row by row, in ascending order of the formula's azimuth; returns
+    /// with equal azimuths in the order of columns.
     pub fn file_order(&self, sensor: &Hdl64) -> Vec<Return> {
         dispatch(FileOrder { image: self, sensor })
     }
@@ -36,8 +36,8 @@ impl NullaryFnOnce for FileOrder<'_> {
             let mut count = 0;
             for columns in [first..image.columns.len(), 0..first] {
                 let cells = image.steps.row(row)[columns.clone()].iter().zip(&image.columns[columns.clone()]);
-                // Without a branch: each cell is written to the next place, and overwritten there unless it
-                // holds a return.
+                // Without branches: each cell is written to the next entry, which the following one
+                // overwrites unless the cell holds a return.
                 for ((&steps, &column_tick), column) in cells.zip(columns.start as u32..) {
                     of_row[count] =
                         Return { row: row as u32, column, tick: tick(column_tick), steps, echo: 0 };
@@ -54,10 +54,10 @@ impl NullaryFnOnce for FileOrder<'_> {
     }
 }
 
-/// Sorts the returns of a row by azimuth, then column; they are nearly sorted already.
+/// Sorts the returns of a row by azimuth, then column. They are nearly sorted already.
 #[inline(always)]
 fn sort(azimuths: &mut [f64], returns: &mut [Return]) {
-    /// The most places, for each return, by which it is worth moving returns one by one.
+    /// The mean number of moves per return up to which insertion is worthwhile.
     const MOVES: usize = 4;
     /// Number of returns that are examined together.
     const BLOCK: usize = 8;
@@ -87,12 +87,12 @@ fn sort(azimuths: &mut [f64], returns: &mut [Return]) {
     }
 }
 
-/// Rotates a row so that it begins where azimuths pass 0. It nearly does, but points near the seam may be at
-/// either end.
+/// Rotates a row so that it begins where azimuths pass 0. It nearly does already, but points near the seam
+/// may be at either end.
 fn turn_to_seam(azimuths: &mut [f64], returns: &mut [Return]) {
-    /// In radians: more than azimuths that are out of order differ by.
+    /// In radians: more than the difference of any azimuths that are out of order.
     const SEAM: f64 = 3.0;
-    /// The most returns that may be at the wrong end.
+    /// The largest number of returns at the wrong end.
     const FEW: usize = 100;
     let falls = |part: &[f64]| part.windows(2).rposition(|pair| pair[1] < pair[0] - SEAM);
     let tail = azimuths.len().saturating_sub(FEW);
@@ -149,7 +149,7 @@ mod tests {
         let (sensor, image) = scanner();
         let mut returns = image.file_order(&sensor);
         returns.retain(|found| found.row == 0);
-        // Azimuths that fall from place to place, but nowhere by as much as the seam.
+        // Azimuths that fall from one return to the next, but nowhere by as much as at the seam.
         let mut azimuths: Vec<f64> = (0..returns.len()).rev().map(|i| i as f64 * 1e-4).collect();
         let reversed: Vec<Return> = returns.iter().rev().copied().collect();
         sort(&mut azimuths, &mut returns);

@@ -1,9 +1,9 @@
 //! Fits the scanner's formula to the sequence itself, with no prior knowledge of the scanner except its
-//! grids: 0.09 degree azimuth ticks and 2 mm range steps (Velodyne HDL-64E).
+//! grids: azimuth ticks of 0.09 degrees and range steps of 2 mm (Velodyne HDL-64E).
 //!
-//! The steps for each beam: (1) z against rho, a robust line, gives elevation and height; (2) the sideways
-//! offset is the one that makes the azimuth ticks most coherent; (3) the phase of the range on its grid gives
-//! the range offset; (4) least squares on x, y and z gives all five constants.
+//! The steps for each beam: (1) a robust line through z against rho gives elevation and height; (2) the
+//! sideways offset is the one that makes the azimuth ticks most coherent; (3) the phase of the range on its
+//! grid gives the range offset; (4) least squares on x, y and z gives all five constants.
 
 use std::cmp::Reverse;
 use std::f64::consts::TAU;
@@ -28,13 +28,13 @@ const TICKS: u32 = 4000;
 pub const RANGE_STEP_UM: u32 = 2000;
 const RANGE_STEP: f64 = RANGE_STEP_UM as f64 * 1e-6;
 const TICK: f64 = TAU / TICKS as f64;
-/// Fewer points do not determine a beam.
+/// Minimum number of points that determine a beam.
 const FEWEST_POINTS: usize = 40;
-/// Number of points of a beam that are used where a sample is enough.
+/// Number of a beam's points that are used where a sample is enough.
 const SAMPLE: usize = 1500;
-/// Constants are wrong if they bring less than this share of a beam's points within reach of the corrections.
+/// Minimum share of a beam's points within reach of the corrections; with fewer the constants are wrong.
 const LEAST_OF_BEAM: f64 = 0.7;
-/// A scanner that explains a smaller share of the points is dropped.
+/// Minimum share of the points that the scanner must explain.
 const LEAST_SHARE: f64 = 0.5;
 
 /// Fits a scanner to a sample of the sequence's scans. `None` if the points are not those of such a scanner,
@@ -57,14 +57,14 @@ pub fn fit(sample: &[ScanFile]) -> Option<Hdl64> {
     grids.into_iter().find_map(|grid| fit_scans(grid, &on(grid)))
 }
 
-/// Whether a scan is beyond doubt one of such a scanner, by a few beams in the middle of it. No proof that it is of another
-/// if not.
+/// Whether a scan is certainly from such a scanner, judging by a few beams in its middle. If not, it may
+/// still be.
 pub fn is_evident(positions: &[[f32; 3]]) -> bool {
-    /// Beams that are looked at, and fewer of which a scan is not worth it.
+    /// Number of beams that are examined; scans with fewer are not.
     const BEAMS: usize = 5;
-    /// In metres: farther away points of another scanner do not lie on the ticks by chance.
+    /// In metres: points of another scanner beyond this distance are not on the ticks by chance.
     const FAR: f64 = 4.0;
-    /// Far points of a beam that are evidence, and the share of them that the formula must explain.
+    /// Minimum number of far points of a beam, and the share of them that the formula must explain.
     const FEWEST: usize = 100;
     const LEAST: f64 = 0.9;
     let is_left = |position: &[f32; 3]| position[1] >= 0.0;
@@ -81,7 +81,7 @@ pub fn is_evident(positions: &[[f32; 3]]) -> bool {
     let positions = &positions[middle - half..middle + half];
     let (beams, coordinates) =
         (split_beams(positions), Coordinates::of(positions.iter().step_by(7).flatten()));
-    // The first and the last beam are cut off.
+    // The first and the last beam are incomplete.
     let beams = beams.get(1..beams.len().saturating_sub(1)).unwrap_or_default();
     let is_evident = |beam: &&Vec<Point>| {
         let far: Vec<Point> = beam.iter().filter(|point| point.rho > FAR).copied().collect();
@@ -114,9 +114,9 @@ fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<Hdl64>
     })
 }
 
-/// The scanner with single-precision arithmetic, if that gives more of the coordinates exactly.
+/// The scanner with single-precision arithmetic, if this reproduces more of the coordinates exactly.
 fn in_single_precision(model: Hdl64, beams: &[&Beam]) -> Hdl64 {
-    /// Number of points of a beam that are compared.
+    /// Number of points of each beam that are compared.
     const COMPARED: usize = 200;
     let points: Vec<Vec<Point>> = beams.par_iter().map(|beam| beam.points()).collect();
     let refinements: Vec<Option<Refinement>> =
@@ -140,7 +140,7 @@ fn in_single_precision(model: Hdl64, beams: &[&Beam]) -> Hdl64 {
     if exact(&refined) > exact(&model) { refined } else { model }
 }
 
-/// The constants of one beam. `None` if it has too few points, or if they are not those of such a beam.
+/// The constants of one beam. `None` if there are too few points, or if they are not those of such a beam.
 fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<[f64; 5]> {
     if points.len() < FEWEST_POINTS {
         return None;
@@ -154,7 +154,7 @@ fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<[f64; 5]> {
     (explained_share(&constants, points) >= LEAST_OF_BEAM).then_some(constants)
 }
 
-/// A sample of the points that are so far away that their azimuth is accurate.
+/// A sample of points that are far enough away for an accurate azimuth.
 fn far_sample(points: &[Point]) -> Vec<Point> {
     for least in [5.0, 3.2, 0.0] {
         let far: Vec<&Point> = points.iter().filter(|p| p.rho > least).collect();
@@ -177,8 +177,8 @@ fn coherence(values: impl Iterator<Item = f64>, period: f64) -> (f64, f64) {
     (re.hypot(im), im.atan2(re))
 }
 
-/// Step 2: the sideways offset h that brings the azimuths onto the ticks, and the phase rot. First roughly,
-/// from some of the points, then from all of them.
+/// Step 2: the sideways offset h that brings the azimuths onto the ticks, and the phase rot. First
+/// approximately, from a part of the points, then from all of them.
 fn side_offset(far: &[Point]) -> (f64, f64) {
     let sample = |count: usize| thinned(far, count).copied().collect::<Vec<Point>>();
     let at =
@@ -195,7 +195,7 @@ fn side_offset(far: &[Point]) -> (f64, f64) {
 /// Step 3: the phase of the range on its grid, as the offset b in metres.
 fn range_phase(points: &[Point], elevation: f64) -> f64 {
     let mut ranges: Vec<f64> = thinned(points, SAMPLE).map(|p| p.rho / elevation.cos()).collect();
-    // Leaves out the nearest and the farthest.
+    // Leaves out the nearest and the farthest ranges.
     let (first, end) = (ranges.len() / 20, ranges.len() * 17 / 20);
     ranges.select_nth_unstable_by(end, f64::total_cmp);
     ranges[..end].select_nth_unstable_by(first, f64::total_cmp);
@@ -218,7 +218,7 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
         }
         system
     };
-    // The first steps are large, and a few points are enough for them.
+    // The first steps are large, so a few points are enough.
     for (count, reach) in
         [(SAMPLE / 8, 0.004), (SAMPLE / 8, 0.004), (SAMPLE / 4, 0.0015), (SAMPLE / 2, 0.0015)]
     {
@@ -233,17 +233,17 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
 }
 
 /// A coordinate rounded to the millimetre has an error of up to half a millimetre, however accurate the
-/// constants are: only larger errors show that the constants are wrong. Moves the constants until few errors
-/// are larger, which makes them far more accurate than least squares can.
+/// constants are; only larger errors show that the constants are wrong. This moves the constants until few
+/// errors are larger, which makes them far more accurate than least squares can.
 fn centre_in_roundings(constants: &mut [f64; 5], points: &[Point], whole: &System) {
     const ROUNDS: usize = 12;
     /// In metres.
     const HALF_UNIT: f64 = 5e-4;
     const REACH: f64 = 0.0015;
-    /// In metres: coordinates that are farther than this from a rounding border will not cross it, as least
-    /// squares is accurate to a few micrometres.
+    /// In metres: coordinates farther than this from a rounding boundary will not cross it, as least squares
+    /// is accurate to a few micrometres.
     const NEAR_BORDER: f64 = 3e-5;
-    /// How strongly the points that fit hold the constants in place.
+    /// How strongly the points inside their roundings hold the constants in place.
     const INERTIA: f64 = 0.003;
     let largest_misses = Formula::new(constants).largest_misses(points);
     let is_near_border = |largest: f64| largest > HALF_UNIT - NEAR_BORDER && largest < REACH;
@@ -273,13 +273,13 @@ struct System {
 impl System {
     fn add(&mut self, [x, y, z]: [f64; 3], formula: &Formula, site: &Site) {
         let [x_by, y_by, z_by] = formula.slopes(site);
-        // The other slopes are 0.
+        // The remaining derivatives are 0.
         self.add_axis([0, 1, 3, 4], x_by, x);
         self.add_axis([0, 1, 3, 4], y_by, y);
         self.add_axis([0, 2], z_by, z);
     }
 
-    /// Adds the error of one coordinate, with its slopes against some of the constants.
+    /// Adds the error of one coordinate, with its derivatives with respect to some of the constants.
     #[inline(always)]
     fn add_axis<const N: usize>(&mut self, constants: [usize; N], slope: [f64; 5], miss: f64) {
         if miss != 0.0 {
@@ -293,7 +293,7 @@ impl System {
         }
     }
 
-    /// Moves the constants to the solution; if there is none they stay.
+    /// Moves the constants to the solution; without one they are not changed.
     fn step(&self, constants: &mut [f64; 5]) {
         if let Some(cholesky) = self.normal.cholesky() {
             let step = cholesky.solve(&self.right);
@@ -324,7 +324,7 @@ struct Sites<const N: usize> {
 }
 
 impl<const N: usize> Sites<N> {
-    /// The largest of these over the axes.
+    /// The largest absolute error over the axes, for each point.
     #[inline(always)]
     fn largest_misses(&self) -> [f64; N] {
         let [x, y, z] = &self.miss;
@@ -370,8 +370,8 @@ impl Formula {
         });
         let rho: [f64; N] = lanes(|i| d[i] * self.cos_v + self.b);
         let by_rho: [f64; N] = lanes(|i| 1.0 / rho_in_file[i]);
-        // phi is less than a tick away from the point's azimuth, so a few terms of the series are enough to
-        // rotate the point there.
+        // phi is less than a tick away from the point's azimuth, so the point is rotated there by a few terms
+        // of the series.
         let turn: [f64; N] = lanes(|i| {
             let (side, side_in_file) = (small_atan(self.h / rho[i]), small_atan(self.h * by_rho[i]));
             let ticks = (azimuth[i] - side_in_file - self.rot) * (1.0 / TICK);
@@ -394,7 +394,7 @@ impl Formula {
         dispatch(LargestMisses { formula: self, points })
     }
 
-    /// The slopes of the formula's x, y and z against (V, b, c, h, rot).
+    /// The derivatives of the formula's x, y and z with respect to (V, b, c, h, rot).
     fn slopes(&self, &Site { d, rho, sin, cos, .. }: &Site) -> [[f64; 5]; 3] {
         let square = rho * rho + self.h * self.h;
         let rho_by = [-d * self.sin_v, 1.0, 0.0, 0.0, 0.0];

@@ -19,7 +19,7 @@ impl Tick {
     }
 }
 
-/// One beam's constants in the form in which the formula uses them, in metres and radians.
+/// One beam's constants in the form used by the formula, in metres and radians.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Formula {
     pub cos_v: f64,
@@ -62,7 +62,7 @@ impl Formula {
         metres * self.cos_v + self.b
     }
 
-    /// The range, in metres, at which the beam passes nearest to a point at distance `rho` and height `z`.
+    /// The range, in metres, at which the beam passes closest to a point at distance `rho` and height `z`.
     #[inline(always)]
     pub fn range(&self, rho: f64, z: f64) -> f64 {
         (rho - self.b) * self.cos_v + (z - self.c) * self.sin_v
@@ -73,7 +73,7 @@ impl Formula {
     pub fn points<const N: usize>(&self, ticks: [Tick; N], metres: [f64; N]) -> [[f64; N]; 3] {
         let headings: [(f64, f64); N] = lanes(|i| self.heading(&ticks[i]));
         let rho: [f64; N] = lanes(|i| self.rho(metres[i]));
-        // Rotated by atan(h / rho), whose cosine and sine are rho and h over their hypotenuse.
+        // Rotated by atan(h / rho), whose cosine and sine are rho and h divided by their hypotenuse.
         let along: [f64; N] = lanes(|i| rho[i] / (rho[i] * rho[i] + self.h * self.h).sqrt());
         [
             lanes(|i| along[i] * (headings[i].0 * rho[i] - headings[i].1 * self.h)),
@@ -82,7 +82,7 @@ impl Formula {
         ]
     }
 
-    /// phi: the azimuths, in radians from 0 to 2 pi, of `N` points, given those of their ticks.
+    /// phi: the azimuths of `N` points, in radians from 0 to 2 pi, given the angles of their ticks.
     #[inline(always)]
     pub fn azimuths<const N: usize>(&self, ticks: [f64; N], metres: [f64; N]) -> [f64; N] {
         let side: [f64; N] = lanes(|i| small_atan(self.h / self.rho(metres[i])));

@@ -1,4 +1,4 @@
-//! The heights of a beam at which z comes out exactly.
+//! The heights of a beam for which its z are reproduced exactly.
 
 use pulp::NullaryFnOnce;
 
@@ -7,29 +7,29 @@ use crate::ground::lanes::{dispatch, lanes};
 
 /// Number of points computed at a time.
 const LANES: usize = 8;
-/// The step, in metres, in which heights are looked for first, and the number of steps on each side of the mean.
+/// The step, in metres, of the first search, and the number of steps on each side of the mean.
 const STEP: f64 = 2.5e-10;
 const REACH: f64 = 800.0;
 
-/// What tells the height of a beam: ranges before any offset is added, and z.
+/// The data that determine the height of a beam: ranges before any offset is added, and z.
 pub(super) struct Heights {
     metres: Vec<f64>,
     z: Vec<f64>,
-    /// How far from z a value that rounds to it may be.
+    /// The maximum distance from z of values that round to it.
     tolerances: Vec<f64>,
 }
 
-/// How many z are exact at each height, as far as the steps tell.
+/// The result of counting the exact z at each height on the grid.
 struct Counted {
-    /// The height that remains for each point.
+    /// The height that each point implies.
     remaining: Vec<f64>,
-    /// The number of points that are exact at the best of the heights, and between which these are.
+    /// The largest number of points that are exact at one height, and the range of such heights.
     most: usize,
     best: [f64; 2],
 }
 
 impl Heights {
-    /// Of some ranges and z.
+    /// Collects ranges and z.
     pub fn new(points: &[(f64, f32)]) -> Self {
         let half_step = |z: f32| {
             let next = f32::from_bits(z.abs().to_bits() + 1);
@@ -42,19 +42,20 @@ impl Heights {
         }
     }
 
-    /// How many z are exact at the height that suits most of them, on a grid of heights.
+    /// The number of exact z at the best height on the grid.
     pub fn right(&self, beam: &Arithmetic) -> usize {
         dispatch(Counting { beam, heights: self }).most
     }
 
-    /// How many z are exact at the height that suits most of them, and that height.
+    /// The number of exact z at the best of all heights, and that height.
     pub fn best(&self, beam: &Arithmetic) -> (usize, f64) {
-        /// Steps on each side of the best of them between which the best of all heights are.
+        /// Steps on each side of the best heights on the grid within which the best of all heights is
+        /// searched for.
         const NEAR: f64 = 8.0;
         let Counted { remaining, best: [low, high], .. } = dispatch(Counting { beam, heights: self });
         let [start, end] = [low - NEAR * STEP, high + NEAR * STEP];
         let mut open = 0;
-        // The ends of the heights that suit a point: one point more, or one less.
+        // The ends of the interval of heights for each point: one exact point more, or one fewer.
         let mut ends: Vec<(f64, i32)> = Vec::new();
         for (height, tolerance) in remaining.into_iter().zip(&self.tolerances) {
             let (low, high) = (height - tolerance, height + tolerance);
@@ -105,7 +106,7 @@ impl NullaryFnOnce for Counting<'_> {
         let mean = sums.iter().chain(rest).sum::<f64>() / remaining.len() as f64;
         let place =
             |height: f64| ((height - mean) * (1.0 / STEP) + REACH).clamp(0.0, 2.0 * REACH + 1.0) as i32;
-        // Number of points that become exact at a height, minus those that cease to be.
+        // For each height, the number of points that become exact minus the number that cease to be.
         let mut changes = [0i32; 2 * REACH as usize + 2];
         for (heights, tolerances) in blocks.iter().zip(of_blocks) {
             let low: [i32; LANES] = lanes(|i| place(heights[i] - tolerances[i]));

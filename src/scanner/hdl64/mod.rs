@@ -1,4 +1,4 @@
-//! Velodyne HDL-64E: a formula with constants for each beam, files row by row.
+//! Velodyne HDL-64E: a formula with constants for each beam; files row by row.
 
 mod alignment;
 mod beams;

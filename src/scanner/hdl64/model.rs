@@ -13,7 +13,7 @@
 //! ```
 //!
 //! Encoder and decoder evaluate it with the same operations on the same quantised constants; the hot path
-//! uses only `+ - * / sqrt`, which every platform rounds alike.
+//! uses only `+ - * / sqrt`, which are rounded in the same way on every platform.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -33,9 +33,9 @@ const ANGLE_UNIT: f64 = 1.0 / (1u64 << 32) as f64;
 const LENGTH_UNIT: f64 = 1.0 / (1u64 << 24) as f64;
 /// The limit of quantised constants: 4 rad, or 1 km.
 const LARGEST_CONSTANT: u64 = 1 << 34;
-/// More beams than any scanner has.
+/// A bound above the number of beams of any scanner.
 const MOST_BEAMS: u64 = 1024;
-/// The number of float32 coordinates computed in single precision; follows those of the grids.
+/// The code of float32 coordinates computed in single precision; it follows the codes of the grids.
 const SINGLE_PRECISION: u64 = 2;
 /// The finest azimuth grid allowed: 0.001 degree.
 pub const MOST_TICKS: u64 = 360_000;
@@ -97,16 +97,16 @@ impl BeamConstants {
     }
 }
 
-/// Where a point is seen.
+/// The beam and column tick nearest to a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighting {
     /// The nearest beam.
     pub row: usize,
     /// The nearest column tick.
     pub column_tick: u32,
-    /// The range at which that beam passes nearest to it.
+    /// The range at which that beam passes closest to the point.
     pub metres: f64,
-    /// Its distance from that beam and tick, in radians.
+    /// The point's distance from that beam and tick, in radians.
     pub off: f64,
 }
 
@@ -120,7 +120,7 @@ pub struct Hdl64 {
     /// One range step, in micrometres (2000 for 2 mm); [`FLOAT_RANGES`]: steps are the bits of ranges
     /// in metres as float32.
     pub range_step_um: u32,
-    /// Constants of each beam, in the order of the rows of the file.
+    /// The constants of each beam, in the order of the rows of the file.
     constants: Vec<BeamConstants>,
     pub(crate) beams: Vec<Formula>,
     pub(crate) ticks_of_turn: Arc<LazyTable<Tick>>,
@@ -208,8 +208,7 @@ impl Hdl64 {
         self.constants[row].height as f64 * LENGTH_UNIT
     }
 
-    /// The unit vector in which beam `row` looks at azimuth tick `tick`, as if all beams started at one
-    /// point.
+    /// The unit vector of beam `row` at azimuth tick `tick`, as if all beams started at one point.
     #[inline]
     pub fn direction(&self, row: usize, tick: u32) -> [f64; 3] {
         let beam = &self.beams[row];
@@ -231,7 +230,7 @@ impl Hdl64 {
         }
     }
 
-    /// The longest range that a range image of this sensor holds, in steps.
+    /// The longest range in a range image of this scanner, in steps.
     pub fn most_steps(&self) -> u32 {
         if self.range_step_um == FLOAT_RANGES { FARTHEST.to_bits() } else { MOST_STEPS }
     }
@@ -289,8 +288,8 @@ impl Hdl64 {
         }
     }
 
-    /// The first column tick at which the azimuth of beam `row` has passed 0, from where on it rises.
-    /// Sideways offsets, which depend on the range, may still put single points out of order.
+    /// The first column tick at which the azimuth of beam `row` has passed 0; it increases from there on.
+    /// Sideways offsets, whose effect depends on the range, may still put single points out of order.
     pub fn first_column_tick(&self, row: usize) -> u32 {
         let turned = self.beams[row].rot * (f64::from(self.ticks) / TAU);
         self.column_tick(row, (-turned).ceil() as i64)
@@ -312,7 +311,7 @@ impl Hdl64 {
         self.point_at(row, tick, self.metres(steps))
     }
 
-    /// Ranges in steps, in metres.
+    /// Converts ranges from steps to metres.
     #[inline(always)]
     fn metres_of<const N: usize>(&self, steps: [u32; N]) -> [f64; N] {
         match self.range_step_um {
@@ -321,8 +320,8 @@ impl Hdl64 {
         }
     }
 
-    /// phi of the formula, in radians from 0 to 2 pi, for points of one row, which are in this order in the
-    /// file. `place` gives the tick and the steps of each.
+    /// phi of the formula, in radians from 0 to 2 pi, for points of one row in the order of the file. `place`
+    /// gives the tick and the steps of each.
     #[inline(always)]
     pub fn fill_azimuths<P>(
         &self,
@@ -371,10 +370,10 @@ impl Hdl64 {
         self.within_turn(round_ties_even(turned * (f64::from(self.ticks) / TAU)) as i64)
     }
 
-    /// Where a point (metres) near the cone of beam `hint` is seen; the same on every platform, because both
-    /// sides use it. `None` if it is on no cone, or too near.
+    /// The beam and column tick nearest to a point (metres) near the cone of beam `hint`; the same on every
+    /// platform, because both sides use it. `None` if the point is on no cone, or too near.
     pub fn locate(&self, hint: usize, [x, y, z]: [f64; 3]) -> Option<Sighting> {
-        /// In metres; anything nearer is inside the scanner.
+        /// In metres; nearer points are inside the scanner.
         const NEAREST: f64 = 0.5;
         let rho = (x * x + y * y).sqrt();
         let miss = |row: usize| self.beams.get(row).map(|beam| (beam.height_at(rho) - z).abs());
@@ -409,9 +408,10 @@ impl Hdl64 {
         [x, y, z]
     }
 
-    /// Fills in the positions of points of beam `row`, as accurately as the formula gives them
-    /// ([`position_at`](Self::position_at)) and in the form to which `stored` brings a coordinate in metres.
-    /// `place` gives the tick and the steps of each; the points are `offset_m` metres farther away than that.
+    /// Computes the positions of points of beam `row` as accurately as the formula allows
+    /// ([`position_at`](Self::position_at)). `stored` converts a coordinate in metres to its stored form.
+    /// `place` gives the tick and the steps of each point; the points are `offset_m` metres farther away than
+    /// their steps.
     #[inline(always)]
     pub fn fill_positions<P>(
         &self,
@@ -445,8 +445,8 @@ impl Hdl64 {
         }
     }
 
-    /// The position in the file, as accurately as the formula gives it, in metres; in single precision if the
-    /// file was written that way. The range need not be a whole number of steps.
+    /// The position as accurately as the formula allows, in metres; in single precision if the file was
+    /// computed that way. The range need not be a whole number of steps.
     #[inline]
     pub fn position_at(&self, row: usize, tick: u32, metres: f64) -> [f64; 3] {
         match self.single.get(row) {
@@ -460,7 +460,7 @@ impl Hdl64 {
         self.refinements.is_some()
     }
 
-    /// The beam whose cone passes nearest to a point at distance `rho` and height `z` (metres); the search
+    /// The beam whose cone passes closest to a point at distance `rho` and height `z` (metres); the search
     /// starts at `hint`.
     pub fn nearest_beam(&self, rho: f64, z: f64, hint: usize) -> usize {
         let miss = |row: usize| (self.beams[row].height_at(rho) - z).abs();
@@ -529,7 +529,7 @@ impl Hdl64 {
         Ok(model.with_refinements(refinements))
     }
 
-    /// Sets the column shifts, which the fit finds last.
+    /// Sets the column shifts, which the fit determines last.
     pub(crate) fn set_column_shifts(&mut self, shifts: &[i64]) {
         self.constants.iter_mut().zip(shifts).for_each(|(beam, &shift)| beam.column_shift = shift);
         self.shifts = shifts.iter().map(|&shift| self.within_turn(shift)).collect();
@@ -539,10 +539,10 @@ impl Hdl64 {
 /// In metres: less than half the distance between the cones of two beams at any range.
 pub(crate) const ON_CONE: f64 = 0.004;
 
-/// The longest range of any range image, in steps.
+/// The longest range in any range image, in steps.
 pub const MOST_STEPS: u32 = (1 << 24) - 1;
 
-/// The value of [`Hdl64::range_step_um`] that stands for float32 ranges.
+/// The value of [`Hdl64::range_step_um`] that means float32 ranges.
 pub const FLOAT_RANGES: u32 = 0;
 
 /// The coarsest range step, in micrometres.

@@ -1,5 +1,5 @@
-//! The inverse of the formula for several points at a time, near where they are expected. For the encoder,
-//! whose points nearly always follow one another by one tick.
+//! The inverse of the formula for several points at a time, near their expected ticks. For the encoder, in
+//! whose input nearly every point is one tick after the one before.
 
 use std::f64::consts::TAU;
 
@@ -12,9 +12,9 @@ use crate::scanner::{FLOAT_RANGES, Hdl64};
 const NEAR: f64 = 32.0;
 
 impl Hdl64 {
-    /// The ticks and range steps of points (metres, as in the file) of beam `row`, none of them far from tick
-    /// `hint`. `None` if any of them is not such a point, is not on the file's grid, or is missed by the
-    /// formula by `reach` metres or more along an axis.
+    /// The ticks and range steps of points (metres, as in the file) of beam `row`, all near tick `hint`.
+    /// `None` if any of them is not near it, is not on the file's grid, or deviates from the formula by
+    /// `reach` metres or more along an axis.
     #[inline(always)]
     pub fn invert_near<const N: usize>(
         &self,

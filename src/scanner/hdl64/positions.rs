@@ -6,8 +6,8 @@ use crate::ground::lanes::dispatch;
 use crate::scanner::Return;
 use crate::scanner::{Coordinates, Hdl64, nearest_millimetre};
 
-/// Positions of returns (metres), which are in order of rows and `offset_m` metres farther away than their
-/// steps: rounded to the file's grid if `on_grid`, otherwise as the formula gives them.
+/// Positions of returns (metres), which are in row order and `offset_m` metres farther away than their steps:
+/// rounded to the file's grid if `on_grid`, otherwise as the formula gives them.
 pub fn positions(sensor: &Hdl64, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
     dispatch(Filling { sensor, returns, offset_m, on_grid })
 }
@@ -26,7 +26,7 @@ impl NullaryFnOnce for Filling<'_> {
     #[inline(always)]
     fn call(self) -> Vec<[f32; 3]> {
         let Filling { sensor, returns, offset_m, on_grid } = self;
-        /// In metres: within the reach of `nearest_millimetre`, whatever the beams' offsets.
+        /// In metres: the range in which `nearest_millimetre` is valid, whatever the beams' offsets.
         const NEAR: f64 = 1.9e6;
         let grid = sensor.coordinates;
         let is_near = sensor.metres(sensor.most_steps()) < NEAR;

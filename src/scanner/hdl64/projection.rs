@@ -8,7 +8,7 @@ use crate::scan::{PointCloud, squared_distance};
 use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
 
-/// The place of each point of a scan.
+/// A range image and the points of its cells.
 #[derive(Debug, Default)]
 pub struct Projection {
     /// The range image.
@@ -17,12 +17,12 @@ pub struct Projection {
     pub point_of_cell: Grid<u32>,
     /// The point of each echo.
     pub point_of_echo: Vec<u32>,
-    /// The points outside the image, rising.
+    /// The points outside the image, in ascending order.
     pub strays: Vec<u32>,
 }
 
 impl Projection {
-    /// How far the formula misses the points of the image, in metres, row after row.
+    /// The deviations of the image's points from the formula, in metres, row after row.
     pub fn misses(&self, sensor: &Hdl64, cloud: &PointCloud) -> Vec<f64> {
         let mut misses = Vec::with_capacity(cloud.positions.len());
         for row in 0..self.image.steps.rows() {
@@ -37,20 +37,20 @@ impl Projection {
     }
 }
 
-/// The longest range in a lossless image, in steps: farther points are strays.
+/// The longest range in a lossless image, in steps; farther points are strays.
 const LONGEST: u32 = (1 << EXACT_RANGE_BITS) - 1;
-/// Ranges in such an image are below 2 to this power.
+/// The number of bits of such ranges.
 pub const EXACT_RANGE_BITS: u32 = 16;
 
-/// With many beams, a column that holds fewer points costs more than they do as strays.
+/// If there are many beams, a column with fewer points costs more than the points do as strays.
 const FEWEST_IN_COLUMN: u32 = 3;
-/// The largest error of the formula, in metres along an axis and besides half a range step, for a point of a
-/// lossless image.
+/// The largest error of the formula, in metres along an axis in addition to half a range step, for a point of
+/// a lossless image.
 pub const REACH: f64 = 0.003;
 
 /// Projects a scan into a range image (article, IV-A, with the calibrated scanner in place of the ideal one,
-/// so that nothing is lost). Points that the formula misses by more than `reach` metres along an axis,
-/// besides half a range step, are strays.
+/// so that nothing is lost). Points that deviate from the formula by more than `reach` metres along an axis,
+/// plus half a range step, are strays.
 pub fn project(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Projection {
     let places = places(sensor, cloud, reach + 0.5 * sensor.range_step_m());
     let mut in_column = vec![0u32; sensor.ticks as usize];
@@ -82,8 +82,8 @@ pub fn project(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Projection {
     projection
 }
 
-/// Projects a scan into the image of the ideal sensor (article, IV-A, equation 2): every point goes to the
-/// nearest beam and column, and of two in one cell the nearer one stays. Strays are the points that are in no
+/// Projects a scan into the image of the ideal scanner (article, IV-A, equation 2): every point goes to the
+/// nearest beam and column, and of two points in one cell the nearer one is kept. Strays are the points in no
 /// cell.
 pub fn project_nearest(sensor: &Hdl64, cloud: &PointCloud) -> Projection {
     let columns = (0..sensor.ticks).collect();
@@ -116,16 +116,16 @@ pub fn project_nearest(sensor: &Hdl64, cloud: &PointCloud) -> Projection {
     projection
 }
 
-/// Where a point belongs by the formula.
+/// The cell and range of a point by the formula.
 #[derive(Clone, Copy, Default, PartialEq)]
 struct Place {
     row: u32,
     column_tick: u32,
-    /// 0: nowhere, because the formula does not explain it.
+    /// Range in steps; 0 if the formula does not explain the point.
     steps: u32,
 }
 
-/// The place of each point.
+/// The cell and range of each point.
 fn places(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Vec<Place> {
     let search = Search { sensor, reach, row: 0, tick: 0, hint: 0 };
     dispatch(Searching { search, positions: &cloud.positions })
@@ -158,21 +158,21 @@ impl NullaryFnOnce for Searching<'_> {
     }
 }
 
-/// Finds the places of points that are in order of rows and ticks.
+/// Finds the cells of points that are in order of rows and ticks.
 struct Search<'a> {
     sensor: &'a Hdl64,
     /// In metres.
     reach: f64,
-    /// The place of the last point.
+    /// The row of the last point.
     row: usize,
     tick: u32,
-    /// The tick from which the next search starts: that of the last point before the last points that were found together, so
-    /// that the next search need not wait for the end of this one.
+    /// The tick from which the next search starts: that of the point before the last points that were found
+    /// together, so that the next search need not wait for this one to finish.
     hint: u32,
 }
 
 impl Search<'_> {
-    /// The places of the next points, if all of them are near that of the last one.
+    /// The cells of the next points, if all of them are near that of the last one.
     #[inline(always)]
     fn next<const N: usize>(&mut self, points: &[[f32; 3]; N]) -> Option<[Place; N]> {
         let found = self.sensor.invert_near(self.row, points, self.hint, self.reach)?;
@@ -184,7 +184,7 @@ impl Search<'_> {
         Some(lanes(|i| Place { row, column_tick: column_tick(found[i].0), steps: found[i].1 }))
     }
 
-    /// The place of the next point, wherever that is.
+    /// The cell of the next point, wherever that is.
     fn next_one(&mut self, position: &[f32; 3]) -> Place {
         if let Some([place]) = self.next(&[*position]) {
             return place;

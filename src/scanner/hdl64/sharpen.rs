@@ -1,10 +1,10 @@
-//! Finds the constants of single-precision arithmetic to their last bits, by the share of points that they
-//! give exactly.
+//! Finds the constants of single-precision arithmetic to their last bits, by maximising the share of points
+//! that are reproduced exactly.
 //!
-//! Nothing else can: least squares treats rounding as noise, but each point that comes out exactly proves
-//! that everything that went into it is exact. z depends on the range alone, so it determines elevation,
-//! range offset and height; x and y then determine the exact azimuths, and these the angle that is added to a
-//! tick's, and the tick from which the program counts.
+//! No other criterion is as sharp: least squares treats rounding as noise, but each point reproduced exactly
+//! is evidence that all its inputs are exact. z depends on the range alone, so it determines elevation, range
+//! offset and height; x and y then determine the exact azimuths, and these the angle added to that of a tick,
+//! and the tick from which the program counts.
 
 use std::cmp::Reverse;
 use std::f64::consts::TAU;
@@ -21,15 +21,15 @@ use crate::scanner::Hdl64;
 
 /// Number of points computed at a time.
 const LANES: usize = 8;
-/// Number of points of a beam that are used.
+/// Number of a beam's points that are used.
 const SAMPLE: usize = 1500;
-/// Fewer points are no evidence.
+/// Minimum number of points for a conclusion.
 const FEWEST_POINTS: usize = 100;
 /// Azimuths, in degrees, whose float32 values are fine enough to determine the constants.
 const SHARP: Range<f64> = 2.0..64.0;
-/// Azimuths, in degrees, that tell most.
+/// The most informative azimuths, in degrees.
 const FINEST: Range<f64> = 2.0..32.0;
-/// Arithmetic that gives a smaller share of the points exactly is not the file's.
+/// Minimum share of points reproduced exactly; with fewer the arithmetic is not the file's.
 const LEAST_SHARE: f64 = 0.5;
 
 /// A point of a beam, and the integers from which it was computed.
@@ -41,8 +41,8 @@ struct Site {
     position: [f32; 3],
 }
 
-/// The refinements of the constants of beam `row` with which single-precision arithmetic gives its points
-/// exactly. `None` if it does not.
+/// The refinements of the constants of beam `row` with which single-precision arithmetic reproduces its
+/// points exactly. `None` if it does not.
 pub(crate) fn sharpen(model: &Hdl64, row: usize, points: &[Point]) -> Option<Refinement> {
     let sites: Vec<Site> = thinned(points, SAMPLE).filter_map(|point| site(model, row, point)).collect();
     if sites.len() < FEWEST_POINTS {
@@ -58,7 +58,7 @@ pub(crate) fn sharpen(model: &Hdl64, row: usize, points: &[Point]) -> Option<Ref
     Some(Refinement::between(&rough, &beam))
 }
 
-/// The site of a point that the f64 formula gives up to rounding.
+/// The site of a point that the f64 formula reproduces up to rounding.
 fn site(model: &Hdl64, row: usize, point: &Point) -> Option<Site> {
     /// The largest effects of rounding, in metres along x, y and z.
     const NEAR: [f64; 3] = [1e-4, 1e-4, 2e-6];
@@ -69,7 +69,8 @@ fn site(model: &Hdl64, row: usize, point: &Point) -> Option<Site> {
     near.then(|| Site { tick, metres: model.metres(steps), position })
 }
 
-/// The centre of the best-scoring places on a grid of `step` around `centre`, `reach` steps to each side.
+/// The centre of the values with the best score on a grid of `step` around `centre`, `reach` steps to each
+/// side.
 fn best_around(centre: f64, step: f64, reach: i32, mut score: impl FnMut(f64) -> usize) -> (usize, f64) {
     let (mut best, mut first, mut last) = (0, 0, 0);
     for place in -reach..=reach {
@@ -109,7 +110,7 @@ fn fit_height(beam: &mut Arithmetic, sites: &[Site]) -> Option<()> {
     (reached as f64 >= LEAST_SHARE * sites.len() as f64).then_some(())
 }
 
-/// The float32 value `ulps` places after this one, away from zero.
+/// The float32 value `ulps` representable values after this one, away from zero.
 #[inline(always)]
 fn moved(value: f32, ulps: i8) -> f32 {
     f32::from_bits(value.to_bits().wrapping_add_signed(i32::from(ulps)))
@@ -122,7 +123,7 @@ fn slope(sites: &[Site]) -> f64 {
     line.slope_and_offset().0
 }
 
-/// The average offset that x and y imply for the range.
+/// The mean range offset that x and y imply.
 fn range_offset(sites: &[Site]) -> f64 {
     let mut line = Line::default();
     for Site { metres, position: [x, y, _], .. } in sites {
@@ -133,7 +134,8 @@ fn range_offset(sites: &[Site]) -> f64 {
     offset / cosine
 }
 
-/// What x and y tell of the azimuths of some points: the float32 azimuths that give them.
+/// The information of x and y on the azimuths of some points: the interval of float32 azimuths that reproduce
+/// them.
 #[derive(Clone, Default)]
 struct Azimuths {
     ticks: Vec<u32>,
@@ -144,7 +146,7 @@ struct Azimuths {
 }
 
 impl Azimuths {
-    /// Those of the points that some azimuth gives.
+    /// The intervals of the points for which there is one.
     fn of(beam: &Arithmetic, sites: &[Site]) -> Self {
         let mut azimuths = Azimuths::default();
         for (site, [lowest, highest]) in sites.iter().zip(dispatch(Giving { beam, sites })) {
@@ -162,7 +164,7 @@ impl Azimuths {
         self.ticks.len()
     }
 
-    /// These and others.
+    /// These points followed by those of `others`.
     fn and(mut self, others: &Azimuths) -> Self {
         self.ticks.extend_from_slice(&others.ticks);
         self.distances.extend_from_slice(&others.distances);
@@ -171,7 +173,7 @@ impl Azimuths {
         self
     }
 
-    /// About `count` of them.
+    /// A sample of about `count` points.
     fn some(&self, count: usize) -> Self {
         Azimuths {
             ticks: thinned(&self.ticks, count).copied().collect(),
@@ -202,7 +204,7 @@ impl Azimuths {
         dispatch(Sides { beam, distances: &self.distances })
     }
 
-    /// How many are exact if the beam is rotated sideways by these angles.
+    /// The number of exact points if the beam is rotated sideways by these angles.
     fn given(&self, beam: &Arithmetic, sides: &[f64]) -> usize {
         dispatch(Given { beam, azimuths: self, sides })
     }
@@ -215,7 +217,7 @@ struct Giving<'a> {
 }
 
 impl NullaryFnOnce for Giving<'_> {
-    /// The lowest and the highest azimuth that give each point; these the other way round if none does.
+    /// The lowest and the highest azimuth that reproduce each point; in reverse order if none does.
     type Output = Vec<[f32; 2]>;
 
     #[inline(always)]
@@ -303,7 +305,7 @@ impl NullaryFnOnce for Given<'_> {
 /// Sets the cosine, the sideways offset, the angle added to that of a tick, and the tick that counts as 0.
 /// `sharp` are the sites with [`SHARP`] azimuths.
 fn fit_azimuth(beam: &mut Arithmetic, sites: &[Site], sharp: &[Site]) -> Option<()> {
-    /// Only the right constants give such a share of exact azimuths.
+    /// Only correct constants give such a share of exact azimuths.
     const ENOUGH: f64 = 0.99;
     const ROUNDS: usize = 2;
     const SOME: usize = 600;
@@ -335,10 +337,11 @@ fn fit_azimuth(beam: &mut Arithmetic, sites: &[Site], sharp: &[Site]) -> Option<
 }
 
 /// Least squares for the sideways offset, before it is known how ticks are counted. Within an octave of the
-/// azimuth all rounding errors may be to one side, so each octave has a mean of its own.
+/// azimuth all rounding errors may be to one side, so each octave has its own mean.
 fn align_sideways(beam: &mut Arithmetic, azimuths: &Azimuths) {
     const OCTAVES: usize = 9;
-    /// In degrees. Azimuths that wrap around are rounded like 360 degrees, although they are small.
+    /// In degrees. Azimuths that wrap around are rounded like those near 360 degrees, although they are
+    /// small.
     const SEAM: f64 = 16.0;
     let mut octaves = [Line::default(); OCTAVES];
     for number in (0..azimuths.len()).filter(|number| azimuths.degrees(*number) > SEAM) {
@@ -357,12 +360,12 @@ fn align_sideways(beam: &mut Arithmetic, azimuths: &Azimuths) {
     }
 }
 
-/// The weight of an azimuth (in degrees, above 0): its rounding error grows with the octave.
+/// The weight of an azimuth (in degrees, above 0): rounding errors grow with the octave.
 fn weight(degrees: f64) -> f64 {
     (degrees.max(SHARP.start)).powi(-2)
 }
 
-/// Sums for fitting a line by least squares.
+/// Sums for the fit of a line by least squares.
 #[derive(Clone, Copy, Default)]
 struct Line {
     weight: f64,
@@ -394,12 +397,12 @@ impl Line {
     }
 }
 
-/// Searches for the sideways offset and the added angle that give most azimuths exactly, in the given steps
-/// in metres and degrees; returns their number.
+/// Searches for the sideways offset and the added angle that make most azimuths exact, on a grid with these
+/// steps in metres and degrees; returns the number of exact azimuths.
 fn turn(beam: &mut Arithmetic, azimuths: &Azimuths, [length, angle]: [f64; 2], reach: i32) -> usize {
-    // Calibration files give decimals.
+    // Calibration files contain decimals.
     let on_grid = |value: f64, step: f64| (value / step).round() * step;
-    // A sideways offset rotates all azimuths, which the added angle compensates.
+    // A sideways offset rotates all azimuths, for which the added angle compensates.
     let slope = azimuths.sides(beam).iter().sum::<f64>() / (beam.side_offset * azimuths.len() as f64);
     let pivoted = |side_offset: f64| Arithmetic {
         side_offset,
@@ -422,7 +425,7 @@ fn turn(beam: &mut Arithmetic, azimuths: &Azimuths, [length, angle]: [f64; 2], r
 /// The ticks that may count as 0, each with the angle that is then added to the others: those that agree best
 /// with how angles are rounded, the best first.
 fn count_from(beam: &Arithmetic, azimuths: &Azimuths) -> Vec<Arithmetic> {
-    /// Number of azimuths for a first look, and number of ticks for a closer one.
+    /// Number of azimuths in a first pass, and number of ticks in a second.
     const SOME: usize = 300;
     const LIKELY: usize = 40;
     const CANDIDATES: usize = 4;
@@ -442,7 +445,7 @@ fn count_from(beam: &Arithmetic, azimuths: &Azimuths) -> Vec<Arithmetic> {
     let some = azimuths.some(SOME);
     let (some_sides, sides) = (some.sides(beam), azimuths.sides(beam));
     let roughly = |tick: i64| (some.given(&counting_from(tick), &some_sides), tick);
-    // The beams of no scanner look farther sideways than this.
+    // No scanner has beams with a larger sideways angle.
     let widest = i64::from(beam.ticks / 10);
     let mut ticks: Vec<(usize, i64)> = (-widest..=widest).map(roughly).collect();
     ticks.sort_unstable_by_key(|&(right, tick)| (Reverse(right), tick.abs()));

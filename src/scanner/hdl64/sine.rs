@@ -1,8 +1,8 @@
-//! Sine and cosine in single precision, computed by the operations of the C library of the time (fdlibm).
+//! Sine and cosine in single precision, computed with the operations of the C library of the time (fdlibm).
 //! FORMAT.md 3.5.
 //!
-//! Their last bit is wrong for 6 to 10 % of the angles, and files contain that last bit, so they are computed
-//! in the same way here. Correctly rounded values give x and y of nine points in ten exactly, these give all.
+//! Their last bit is wrong for 6 to 10 % of the angles, and files contain that bit, so they are computed in
+//! the same way here. Correctly rounded values reproduce x and y of nine points in ten, these reproduce all.
 
 /// 2 / pi.
 const TWO_OVER_PI: f32 = f32::from_bits(0x3f22_f984);
@@ -10,7 +10,7 @@ const TWO_OVER_PI: f32 = f32::from_bits(0x3f22_f984);
 const HALF_PI_HEAD: f32 = f32::from_bits(0x3fc9_0f80);
 /// pi / 2 minus its head.
 const HALF_PI_TAIL: f32 = f32::from_bits(0x3735_4443);
-/// The first bits of that tail, and the rest of it.
+/// The leading bits of that tail, and the rest of it.
 const HALF_PI_TAIL_HEAD: f32 = f32::from_bits(0x3735_4400);
 const HALF_PI_TAIL_TAIL: f32 = f32::from_bits(0x2e85_a308);
 /// Angles up to this (pi / 4) are not reduced.
@@ -39,8 +39,7 @@ const COSINE: [f32; 6] = [
 /// Sine and cosine of an angle from 0 to 2 pi, in radians. For other angles the results are meaningless, but
 /// the same everywhere.
 ///
-/// Every case is computed, and then one is selected, so that vector units can handle several angles at a
-/// time.
+/// All cases are computed before one is selected, so that vector units can process several angles at a time.
 #[inline(always)]
 pub fn sine_and_cosine(angle: f32) -> (f32, f32) {
     let is_small = angle <= QUARTER_PI;
@@ -59,7 +58,7 @@ pub fn sine_and_cosine(angle: f32) -> (f32, f32) {
 /// The nearest number of quarter turns, and the remainder of the angle as a sum of two values.
 #[inline(always)]
 fn reduce(angle: f32) -> (i32, f32, f32) {
-    /// If this many leading bits are lost, the second part of pi / 2 is taken into account.
+    /// If more leading bits than this are lost, the second part of pi / 2 is taken into account.
     const MOST_BITS_LOST: i32 = 8;
     let exponent = |v: f32| (v.to_bits() >> 23 & 0xff) as i32;
     let quarter_turns = (angle * TWO_OVER_PI + 0.5) as i32;
@@ -75,7 +74,7 @@ fn reduce(angle: f32) -> (i32, f32, f32) {
     (quarter_turns, rest, (head - rest) - tail)
 }
 
-/// Sine of x if the original angle was that small, otherwise of x + error, for |x| up to pi / 4.
+/// Sine of x if the original angle was small, otherwise of x + error, for |x| up to pi / 4.
 #[inline(always)]
 fn sine_near_zero(x: f32, error: f32, is_small: bool) -> f32 {
     let [first, second, .., last] = SINE;

@@ -1,8 +1,8 @@
-//! The formula as it was computed by the program that wrote the file: partly in single precision, operation
-//! by operation. FORMAT.md 3.2.
+//! The formula as computed by the program that wrote the file: partly in single precision, operation by
+//! operation. FORMAT.md 3.2.
 //!
-//! Unrounded coordinates contain the last bit of every one of those operations. The constants are those of
-//! the f64 formula, only more accurate, so the stream holds the differences to them.
+//! Unrounded coordinates depend on the last bit of every one of those operations. The constants are those of
+//! the f64 formula, only more accurate, so the stream stores their differences from these.
 
 use std::f64::consts::PI;
 use std::ops::{Add, Sub};
@@ -16,7 +16,7 @@ use crate::ground::varint::{read_signed, write_signed};
 
 /// The unit of a refinement, in metres or degrees.
 const UNIT: f64 = 1.0 / (1u64 << 40) as f64;
-/// The limit of refinements: 1/16 m or degree, or more float32 values than there are.
+/// The limit of refinements: 1/16 m or degree, or more than the number of float32 values.
 const LARGEST: u64 = 1 << 36;
 /// Degrees of one radian.
 const DEGREES: f64 = 180.0 / PI;
@@ -89,17 +89,17 @@ impl Refinement {
     }
 }
 
-/// The constants of one beam in the form in which this arithmetic uses them.
+/// The constants of one beam in the form used by this arithmetic.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Arithmetic {
     /// Sine and cosine of the elevation.
     pub sine: f32,
     pub cosine: f32,
-    /// Added to a range along the beam, in metres.
+    /// Range offset: added to a range along the beam, in metres.
     pub range_offset: f64,
     /// Height of the beam's origin, in metres.
     pub height: f64,
-    /// In metres.
+    /// Sideways offset in metres.
     pub side_offset: f64,
     /// Added to the angle of a tick, in degrees.
     pub azimuth_offset: f64,
@@ -107,13 +107,13 @@ pub(crate) struct Arithmetic {
     pub first_tick: i64,
     /// Ticks in a turn.
     pub ticks: u32,
-    /// Degrees of a tick.
+    /// Degrees per tick.
     pub tick_degrees: f64,
 }
 
 impl Arithmetic {
-    /// Creates them from the constants (V, b, c, h, rot) of the f64 formula, in radians and metres, with
-    /// `ticks` in a turn.
+    /// Converts the constants (V, b, c, h, rot) of the f64 formula, in radians and metres, given `ticks` in a
+    /// turn.
     pub fn new([sin_v, cos_v, b, c, h, rot]: [f64; 6], ticks: u32) -> Self {
         let range_offset = b / cos_v;
         Arithmetic {
@@ -165,7 +165,7 @@ impl Arithmetic {
     /// The angle of a tick plus the azimuth offset, in degrees.
     #[inline(always)]
     pub fn turned(&self, tick: u32) -> f32 {
-        // Whole numbers, as f64, which vector units turn into no other so quickly.
+        // Whole numbers, computed in f64 because vector units are slow to convert 64-bit integers.
         let counted = within(f64::from(tick) - self.first_tick as f64, f64::from(self.ticks));
         let angle = (counted * self.tick_degrees) as f32;
         (f64::from(angle) + self.azimuth_offset) as f32
@@ -203,7 +203,8 @@ impl Arithmetic {
     }
 }
 
-/// A value that is less than one turn outside 0 to `turn`, brought back there; other values come nearer.
+/// A value that is less than one turn outside 0 to `turn`, brought into that range; other values come closer
+/// to it.
 #[inline(always)]
 fn within<T: Copy + Default + PartialOrd + Add<Output = T> + Sub<Output = T>>(value: T, turn: T) -> T {
     if value < T::default() {

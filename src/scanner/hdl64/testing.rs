@@ -4,8 +4,8 @@ use crate::ground::random::Rng;
 use crate::scanner::RangeImage;
 use crate::scanner::{BeamConstants, Coordinates, Hdl64};
 
-/// Some beams of an HDL-64E that pass the axis on both sides, and an image with near and far returns and
-/// none.
+/// Some beams of an HDL-64E that pass the axis on either side, and an image with near returns, far returns
+/// and cells without a return.
 pub fn scanner() -> (Hdl64, RangeImage) {
     let constants = |beam: usize| {
         let beam = beam as f64;

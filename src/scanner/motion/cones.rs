@@ -1,8 +1,8 @@
-//! What the cones of the beams tell about the motion: everything except the rotation about their axis, which
+//! The motion as determined by the cones of the beams: everything except the rotation about their axis, which
 //! leaves every point on its cone.
 //!
 //! Iterated weighted least squares: the height of each point above its beam's cone is explained by the cone's
-//! own two constants and by the motion, which all points share. The constants are eliminated beam by beam.
+//! two constants and by the motion, which all points share. The constants are eliminated beam by beam.
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
@@ -12,19 +12,19 @@ use crate::scanner::thinned;
 
 /// The unknowns: translation, then rotation about x and y.
 const UNKNOWNS: usize = 5;
-/// Number of points that are enough.
+/// Number of points that are used.
 const SAMPLE: usize = 5000;
-/// How near to its cone, in metres, a point must be to count, in each round. In the first there are no cones to compare
-/// with, in the next ones only rough ones.
+/// Largest distance, in metres, from its cone at which a point is used, for each iteration. In the first
+/// there are no cones to compare with, and the next cones are still inaccurate.
 const FIRST_REACH: [f64; 10] = [f64::INFINITY, 0.3, 0.3, 0.3, 0.03, 0.03, 0.03, 0.01, 0.01, 0.01];
-/// The same once there are cones.
+/// The distances once there are cones.
 const REACH: [f64; 6] = [0.3, 0.03, 0.03, 0.01, 0.01, 0.01];
-/// With fewer beams not all of a motion is determined, and they are not beams: the points are in some other
+/// With fewer beams a motion is not fully determined; besides, these are no beams: the points are in another
 /// order.
 const FEWEST_BEAMS: usize = 3;
-/// The share of the points that must lie on the cones in the end.
+/// The minimum share of points that must lie on the cones in the end.
 const LEAST_SHARE: f64 = 0.7;
-/// In metres: points closer to a cone than this lie on it. A few times the effect of rounding to millimetres.
+/// In metres: the largest distance of points on a cone; a few times the effect of rounding to millimetres.
 const ON_CONE: f64 = 0.002;
 
 /// z = height + slope * rho.
@@ -38,13 +38,13 @@ struct Cone {
 pub struct Cones {
     /// The points, beam by beam.
     seen: Vec<Seen>,
-    /// The end of each beam there, and its cone.
+    /// The end of each beam in that list, and its cone.
     beams: Vec<(usize, Cone)>,
     are_known: bool,
 }
 
 impl Cones {
-    /// Of points of any kind. `None` if there are too few beams.
+    /// From points of any type. `None` if there are too few beams.
     pub fn new<P>(beams: &[Vec<P>], seen: impl Fn(&P) -> Seen) -> Option<Self> {
         let total: usize = beams.iter().map(Vec::len).sum();
         if beams.len() < FEWEST_BEAMS || total == 0 {
@@ -59,8 +59,9 @@ impl Cones {
         Some(Cones { seen: all, beams: sampled, are_known: false })
     }
 
-    /// The motion that brings the points of each beam onto a cone, with the rotation about z taken from `motion`.
-    /// `None` if no motion does. `undone` says where points were measured, and may improve their parts.
+    /// The motion that brings the points of each beam onto a cone, with the rotation about z taken from
+    /// `motion`. `None` if there is none. `undone` computes where points were measured, and may correct their
+    /// parts of the turn.
     pub fn improved(
         &mut self,
         mut motion: Motion,
@@ -78,12 +79,12 @@ impl Cones {
         (on_cone as f64 >= LEAST_SHARE * self.seen.len() as f64).then_some(motion)
     }
 
-    /// One round, given where the points were measured by the motion: improves the cones, and returns the change of the
-    /// motion and the number of points on their cones.
+    /// One iteration, given the points as measured according to the motion: improves the cones, and returns
+    /// the change of the motion and the number of points on their cones.
     fn improve(&mut self, points: &[[f64; 3]], reach: f64) -> Option<([f64; 6], usize)> {
         /// In metres; keeps weights finite.
         const SOFT: f64 = 1e-3;
-        /// Holds components that the points do not determine.
+        /// Regularises components that the points do not determine.
         const RIDGE: f64 = 1e-6;
         // Only the lower triangle is used.
         let mut system = [[0.0; UNKNOWNS]; UNKNOWNS];
@@ -104,7 +105,7 @@ impl Cones {
                     continue;
                 }
                 let weight = if reach.is_finite() { 1.0 / (miss.abs() + SOFT) } else { 1.0 };
-                // The cone's normal, and how the distance decreases as the motion grows.
+                // The cone's normal, and the decrease of the distance as the motion grows.
                 let slope = -cone.slope / rho;
                 let [nx, ny] = [slope * x, slope * y];
                 let by = [nx, ny, 1.0, y - z * ny, z * nx - x].map(|slope| slope * part);

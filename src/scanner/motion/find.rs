@@ -1,4 +1,4 @@
-//! Estimates the motion of a scan, and moves its points back.
+//! Estimates the motion of a scan and moves its points back.
 
 use std::f64::consts::TAU;
 
@@ -10,8 +10,8 @@ use super::{Motion, Turn, grid};
 use crate::scanner::{BeamPoint, Coordinates, split_beams, thinned};
 
 /// The points as they were measured, on the millimetre grid, and the motion that moved them to those of the
-/// file; its list of misses is still empty. `None` if the points were not measured on that grid, or not moved
-/// in this way.
+/// file, with a list of misses that is still empty. `None` if the points were not measured on that grid, or
+/// not moved in this way.
 pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Turn)> {
     if !may_be_moved(positions) {
         return None;
@@ -26,7 +26,7 @@ pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Turn)> {
     let all: Vec<Seen> = beams.iter().flatten().map(seen).collect();
     let (mut cones, mut yaw) = (Cones::new(&beams, seen)?, Yaw::new(&all)?);
     let mut motion = Motion::default();
-    // Cones treat the motion as if there were no rotation about z, until that rotation is known.
+    // Cones are fitted as if there were no rotation about z, until that rotation is known.
     for _ in 0..2 {
         motion = yaw.found(cones.improved(motion, many::undone)?)?;
     }
@@ -37,10 +37,10 @@ pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Turn)> {
     (motion.is_possible() && explains(&Mover::new(&motion), &points, positions))
         .then_some((points, Turn { motion, misses: Vec::new() }))
 }
-/// Whether the formula gives nearly all points of a sample exactly.
+/// Whether the formula reproduces nearly all points of a sample exactly.
 fn explains(mover: &Mover, points: &[[f32; 3]], positions: &[[f32; 3]]) -> bool {
     const SAMPLE: usize = 2000;
-    /// A scan is left as it is if the formula misses more than one point in this many.
+    /// Of this many points, the formula may miss one; otherwise the scan is not changed.
     const FEWEST_TO_A_MISS: usize = 20;
     let pairs: Vec<_> = points.iter().zip(positions).collect();
     let is_missed = |(point, position): &&(&[f32; 3], &[f32; 3])| {
@@ -50,16 +50,16 @@ fn explains(mover: &Mover, points: &[[f32; 3]], positions: &[[f32; 3]]) -> bool 
     sample.iter().copied().filter(is_missed).count() * FEWEST_TO_A_MISS <= sample.len()
 }
 
-/// A quick test of a scan: moved points lie on no grid, except right in front of the scanner, where
+/// A quick test of a scan: moved points are on no grid, except straight in front of the scanner, where
 /// compensation does not move them.
 fn may_be_moved(positions: &[[f32; 3]]) -> bool {
-    /// y / x of points that even the fastest car moves by less than a third of a millimetre.
+    /// |y / x| of points that even the fastest car moves by less than a third of a millimetre.
     const IN_FRONT: f32 = 5e-4;
-    /// Fewer points are no evidence.
+    /// Minimum number of points for a conclusion.
     const FEWEST: u32 = 4;
-    /// A coherence that points on no grid do not reach by chance.
+    /// Minimum coherence, which points on no grid do not reach by chance.
     const LEAST: f64 = 0.4;
-    /// Points that show whether all are on the grid.
+    /// Number of points that are tested for being on the grid.
     const SAMPLE: usize = 2000;
     if Coordinates::of(thinned(positions, SAMPLE).flatten()) != Coordinates::Float32 {
         return false;

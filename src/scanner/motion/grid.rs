@@ -1,7 +1,7 @@
-//! What the millimetre grid tells about the motion. Each step makes the motion accurate enough for the next:
-//! first the rotation about z that brings points in front of the scanner, which hardly move, onto the grid;
-//! then the same with more and more of the turn; then the whole motion at once; last, the evidence of float32
-//! values that are rounded the wrong way.
+//! The motion as determined by the millimetre grid. Each step makes it accurate enough for the next: first
+//! the rotation about z that brings points in front of the scanner, which hardly move, onto the grid; then
+//! the same for growing parts of the turn; then the whole motion at once; finally the correction of
+//! coordinates that are rounded to the wrong float32 value.
 
 use std::f64::consts::TAU;
 
@@ -15,25 +15,26 @@ use crate::scanner::{nearest_millimetre, thinned};
 /// The unit of the grid, in metres.
 const UNIT: f64 = 1e-3;
 
-/// Points that tell the rotation about z. How far it moves a point, in metres per radian, is its lever.
+/// Points from which the rotation about z is estimated. A point's lever is how far the rotation moves it, in
+/// metres per radian.
 pub struct Yaw {
-    /// Those of the least levers, and the greatest of these levers.
+    /// The points with the shortest levers, and the longest of these levers.
     first: Vec<Seen>,
     reach: f64,
-    /// Samples of ever greater levers.
+    /// Samples with increasingly long levers.
     farther: Vec<Vec<Seen>>,
 }
 
 impl Yaw {
     /// `None` if there are too few points.
     pub fn new(points: &[Seen]) -> Option<Self> {
-        /// Number of points in the first search and in every later step, and the least number.
+        /// Number of points in the first search and in each later step, and the minimum number.
         const FIRST: usize = 120;
         const SAMPLE: usize = 1500;
         const FEWEST: usize = 60;
-        /// In metres: with a smaller lever the rotation moves no point by a unit.
+        /// In metres: with a shorter lever the rotation moves no point by a unit.
         const LEAST_REACH: f64 = 1e-3;
-        /// Factor by which each step extends the part of the turn.
+        /// Factor by which each step extends the lever.
         const GROWTH: f64 = 4.0;
         if points.len() < FEWEST {
             return None;
@@ -58,7 +59,7 @@ impl Yaw {
         })
     }
 
-    /// Completes a motion by its rotation about z. `None` if no rotation brings the points onto the grid.
+    /// Adds the rotation about z to a motion. `None` if no rotation brings the points onto the grid.
     pub fn found(&mut self, motion: Motion) -> Option<Motion> {
         let mut motion = search_yaw(motion, &mut self.first, self.reach)?;
         for near in &mut self.farther {
@@ -70,22 +71,22 @@ impl Yaw {
     }
 }
 
-/// The rotation about z with which the y of points in front of the scanner are nearest to the grid.
+/// The rotation about z for which the y of points in front of the scanner are nearest to the grid.
 fn search_yaw(motion: Motion, samples: &mut [Seen], reach: f64) -> Option<Motion> {
-    /// In radians a turn: a car that skids.
+    /// In radians a turn: a skidding car.
     const LARGEST: f64 = 0.3;
-    /// The most values that are tried.
+    /// Largest number of values that are tried in each direction.
     const MOST: f64 = 2000.0;
-    /// Of the places that look best, one is found in a second look this far around.
+    /// Number of steps around the best value that are tried again more exactly.
     const AROUND: i32 = 2;
-    /// A coherence of y that points on no grid do not reach by chance.
+    /// Minimum coherence of y, which points on no grid do not reach by chance.
     const LEAST: f64 = 0.3;
     // One step moves the farthest point by a tenth of a unit.
     let places = (LARGEST * reach / (0.1 * UNIT)).ceil().min(MOST) as i32;
     let step = LARGEST / f64::from(places.max(1));
     let with_yaw = |yaw: f64| Motion { rotation: [motion.rotation[0], motion.rotation[1], yaw], ..motion };
-    // A rotation turns points back by the parts at which they were seen, which are less than those at which they would
-    // be without it by one turn more of it: so y falls evenly with this.
+    // A rotation is undone in proportion to the part of the turn at which a point was seen, and that part
+    // itself depends on the rotation. In this variable y changes linearly.
     let even = |yaw: f64| yaw / (1.0 + yaw / TAU);
     let points = many::undone(&Mover::new(&with_yaw(0.0)), samples);
     let slopes: Vec<f64> = points.iter().zip(&*samples).map(|([x, ..], seen)| -seen.part * x).collect();
@@ -111,7 +112,7 @@ fn yaw_step(motion: &Motion, samples: &mut [Seen]) -> f64 {
     let (mut square, mut right) = (f64::MIN_POSITIVE, 0.0);
     for ([x, y, _], Seen { part, .. }) in points.into_iter().zip(&*samples) {
         for (value, by) in [(x, part * y), (y, -part * x)] {
-            // The nearer a value is to the middle between two units, the less it tells.
+            // Values near the midpoint between two units have less weight.
             let miss = rough_sine(value / UNIT) * UNIT / TAU;
             square += by * by;
             right -= by * miss;
@@ -121,10 +122,10 @@ fn yaw_step(motion: &Motion, samples: &mut [Seen]) -> f64 {
 }
 
 /// Improves all components of the motion, so that points on the grid are moved onto those of the file. `None`
-/// if they do not come near them.
+/// if they do not come close.
 pub fn polished(mut motion: Motion, points: &[Seen]) -> Option<Motion> {
     const SAMPLE: usize = 6000;
-    /// In metres, for each round.
+    /// Reach in metres, for each iteration.
     const REACH: [f64; 5] = [3e-4, 1e-4, NEAR, NEAR, NEAR];
     let mut sample: Vec<Seen> = thinned(points, SAMPLE).copied().collect();
     let mut taken = 0;
@@ -154,14 +155,15 @@ pub fn polished(mut motion: Motion, points: &[Seen]) -> Option<Motion> {
 /// In metres: larger than the error of the formula for any point that it explains.
 pub const NEAR: f64 = 2e-5;
 
-/// Changes the motion until few points are rounded to another float32 than the file's, which makes it far
+/// Changes the motion until few points are rounded to a float32 other than the file's, which makes it far
 /// more accurate than least squares can. `points` are as measured, `positions` as in the file.
 pub fn sharpened(motion: Motion, points: &[[f32; 3]], positions: &[[f32; 3]]) -> Motion {
-    /// One point in this many is used first, and to tell how the motion moves points.
+    /// Every `SAMPLE`-th point is used first, and to determine how the motion moves points.
     const SAMPLE: usize = 8;
-    /// In metres: values that are farther than this from the border of their float32 will not cross it.
+    /// In metres: values farther than this from the boundary of their float32 will not cross it.
     const NEAR_BORDER: f64 = 2e-8;
-    /// The same once the sample has made the motion more accurate, for so many points; for fewer it is as much more.
+    /// The same after the sample has made the motion more accurate, times the number of points: with more
+    /// points the motion is more accurate.
     const NEARER_BORDER: f64 = 2.5e-4;
     let some = |all: &[[f32; 3]]| all.iter().step_by(SAMPLE).copied().collect::<Vec<_>>();
     let (few, few_positions) = (some(points), some(positions));
@@ -180,12 +182,12 @@ pub fn sharpened(motion: Motion, points: &[[f32; 3]], positions: &[[f32; 3]]) ->
     })
 }
 
-/// Changes the motion until few of these points are rounded to another float32 than the file's. `mean` is how it moves a
-/// point.
+/// Changes the motion until few of these points are rounded to a float32 other than the file's. `mean` is the
+/// system of an average point.
 fn rounded_right(mut motion: Motion, mut points: Vec<Rounded>, mean: &System) -> Motion {
     const ROUNDS: usize = 30;
-    /// Values that are farther from the border of their float32 than so many times the largest error across a border
-    /// will not cross it.
+    /// Values will not cross the boundary of their float32 if they are farther from it than this multiple of
+    /// the largest error across a boundary.
     const NEAR_BORDER: f64 = 100.0;
     /// How strongly the points that fit hold the motion in place.
     const INERTIA: f64 = 0.02;
@@ -225,8 +227,8 @@ struct Rounded {
 
 impl Rounded {
     fn new(point: [f64; 3], position: &[f32; 3]) -> Self {
-        /// Formulas that are exact to within what f64 rounds differ by less than this part of the coordinates, and points
-        /// are brought just across a border.
+        /// Relative difference between evaluations of the formula that are exact up to f64 rounding. Points
+        /// are moved across a boundary by this margin.
         const ROUNDED: f64 = 4e-16;
         let rounded = point.iter().map(|metres| metres.abs()).sum::<f64>() * ROUNDED;
         let values = position.map(|value| {
@@ -253,7 +255,7 @@ impl Rounded {
     }
 }
 
-/// The least and the greatest of the values that are rounded to this float32.
+/// The least and the greatest value that are rounded to this float32.
 fn values_of(value: f32) -> [f64; 2] {
     let middle = |next: f32| (f64::from(value) + f64::from(next)) * 0.5;
     [middle(value.next_down()), middle(value.next_up())]
@@ -268,12 +270,12 @@ struct System {
 }
 
 impl System {
-    /// Adds the condition that a point that is seen at this part of the turn must be moved farther by `miss`, in metres,
-    /// along those axes that count.
+    /// Adds the condition that a point at this part of the turn must be moved farther by `miss`, in metres,
+    /// along the axes for which `counts` is true.
     #[inline(always)]
     fn add(&mut self, [x, y, z]: &[f64; 3], part: f64, miss: [f64; 3], counts: impl Fn(usize) -> bool) {
         let [x, y, z] = [x, y, z].map(|metres| metres * part);
-        // A small rotation moves a point by its cross product with it; the other slopes are 0.
+        // A small rotation moves a point by its cross product with it; the other derivatives are 0.
         let slopes = [([1, 2, 3], [z, -y, part]), ([0, 2, 4], [-z, x, part]), ([0, 1, 5], [y, -x, part])];
         for (axis, (unknowns, slopes)) in slopes.into_iter().enumerate().filter(|(axis, _)| counts(*axis)) {
             for i in 0..3 {
@@ -284,7 +286,7 @@ impl System {
         }
     }
 
-    /// With so many times the slopes of another system: its points hold the motion in place.
+    /// The sum with `times` times the normal matrix of another system, whose points hold the motion in place.
     fn and(mut self, other: &System, times: f64) -> Self {
         for (row, of_other) in self.normal.iter_mut().zip(&other.normal) {
             row.iter_mut().zip(of_other).for_each(|(sum, value)| *sum += value * times);

@@ -12,32 +12,32 @@ use crate::scanner::nearest_millimetre;
 /// Number of points computed at a time.
 const LANES: usize = 8;
 
-/// A point of the file, in metres, and at which part of the turn it was seen, as well as that is known.
+/// A point of the file, in metres, and the part of the turn at which it was seen, as accurately as known.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seen {
     pub position: [f64; 3],
     pub part: f64,
 }
 
-/// Where the points were measured, to within a few micrometres; now their parts of the turn are known as well.
+/// Where the points were measured, to within a few micrometres. Also updates their parts of the turn.
 pub fn undone(mover: &Mover, seen: &mut [Seen]) -> Vec<[f64; 3]> {
     dispatch(Undone { mover, seen })
 }
 
-/// Where points come to, to within what f64 rounds.
+/// Where compensation moves points, up to f64 rounding.
 pub fn moved<T>(mover: &Mover, items: &[T], point: impl Fn(&T) -> [f64; 3]) -> Vec<[f64; 3]> {
     dispatch(Moved { mover, items, point })
 }
 
-/// The measured points on the millimetre grid from which points of a file were made; 0 for those that no scanner
-/// sees. Just behind the scanner they may have been moved from the end of the turn past its beginning, or the other way
-/// round.
+/// The measured points on the millimetre grid from which points of a file were computed; 0 for points beyond
+/// the reach of any scanner. Just behind the scanner they may have been moved from the end of the turn past
+/// its beginning, or vice versa.
 pub fn measured(mover: &Mover, positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
     dispatch(Measured { mover, positions })
 }
 
-/// The numbers of the points that come within `reach` of where they are in the file, in metres along an axis, and of which
-/// a coordinate comes within `border` of a value that is rounded to another float32.
+/// The numbers of the points that are moved to within `reach` of their positions in the file, in metres along
+/// an axis, and have a coordinate within `border` of a value that is rounded to another float32.
 pub fn near_border(
     mover: &Mover,
     points: &[[f32; 3]],
@@ -47,13 +47,13 @@ pub fn near_border(
     dispatch(NearBorder { mover, points, positions, reach, border })
 }
 
-/// Whether a scanner sees so far.
+/// Whether a point is within the reach of scanners.
 #[inline(always)]
 pub fn is_in_reach(position: &[f32; 3]) -> bool {
-    /// In metres; farther away than any scanner sees.
+    /// In metres; beyond the reach of any scanner.
     const FARTHEST: f32 = 1000.0;
     let [x, y, z] = position;
-    // False for NaN, too.
+    // False for NaN too.
     (x.abs() < FARTHEST) & (y.abs() < FARTHEST) & (z.abs() < FARTHEST)
 }
 
@@ -174,7 +174,7 @@ fn are_near_border<const N: usize>(
     lanes(|i| {
         let farthest = misses[0][i].max(misses[1][i]).max(misses[2][i]);
         let least = clear(0, i).min(clear(1, i)).min(clear(2, i));
-        // The largest is not NaN where only one of them is.
+        // If only some are NaN, the maximum is not.
         let is_number = !(misses[0][i] + misses[1][i] + misses[2][i]).is_nan();
         is_number & (farthest <= reach) & (least < border)
     })
@@ -234,7 +234,8 @@ fn measured_block<const N: usize>(mover: &Mover, positions: &[[f32; 3]; N]) -> [
     lanes(|i| if in_reach[i] { [x[i], y[i], z[i]] } else { [0.0; 3] })
 }
 
-/// How far from where they are in the file measured points come, along an axis, in metres.
+/// The largest distance along an axis, in metres, between measured points after compensation and their
+/// positions in the file.
 #[inline(always)]
 fn misses<const N: usize>(mover: &Mover, points: &[[f32; N]; 3], moved: &[[f64; N]; 3]) -> [f64; N] {
     let [x, y, z] = points;
@@ -247,7 +248,7 @@ fn misses<const N: usize>(mover: &Mover, points: &[[f32; N]; 3], moved: &[[f64; 
     lanes(|i| miss(0, i).max(miss(1, i)).max(miss(2, i)))
 }
 
-/// The measured millimetres of points in metres.
+/// Points in metres, rounded to whole millimetres.
 #[inline(always)]
 fn on_grid<const N: usize>(points: &[[f64; N]; 3]) -> [[f32; N]; 3] {
     let [x, y, z] = points;

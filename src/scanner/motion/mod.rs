@@ -1,10 +1,10 @@
-//! Motion compensation, undone. There are three kinds: in one go, from the motion of a turn, here; firing
-//! by firing through the coordinates of a map, in [`world`]; and by the points' time stamps, in [`by_time`].
+//! Undoing motion compensation. There are three kinds: by the motion of a turn, here; firing by firing
+//! through the coordinates of a map, in [`world`]; and by the points' time stamps, in [`by_time`].
 //!
-//! A scanner that moves sees each point of a turn from another place; some
-//! data sets hold points that were moved to where they would have been seen from the place in the middle
-//! of the turn (KITTI odometry). Such coordinates lie on no grid, and on no beam's cone. With the motion they
-//! are moved back to what the scanner had measured: what is left is rounding.
+//! A moving scanner sees each point of a turn from a different position. Some data sets hold points that were
+//! moved to where they would have been seen from the position in the middle of the turn (KITTI odometry).
+//! Such coordinates are on no grid and on no beam's cone. Given the motion, they are moved back to the
+//! measured ones, up to rounding.
 //!
 //! For a motion of rotation r (axis times angle) and translation t in one turn, a point v seen at azimuth
 //! phi, from -pi to pi, is moved to
@@ -13,10 +13,9 @@
 //! s  = phi / (2 pi)
 //! v' = R(s r) v + s t              R(a): the rotation about the axis a by the angle |a|
 //! ```
-//!
-//! `find` finds the motion of a scan, from nothing but the scan: [`cones`] brings the points of each beam onto
-//! a cone, which tells all of the motion but the rotation about the cones' axis; [`grid`] brings them onto
-//! the millimetre grid.
+//! `find` estimates the motion of a scan from the scan alone: [`cones`] brings the points of each beam onto a
+//! cone, which determines all of the motion except the rotation about the cones' axis; [`grid`] brings them
+//! onto the millimetre grid.
 
 pub mod by_time;
 mod cones;
@@ -47,8 +46,8 @@ pub enum Compensation {
     Stamped(Stamped),
 }
 
-/// The points as they were measured, and how they were moved to those of the file, except for the points that
-/// the formula misses. `None` if they were not moved in any way that is looked for: through a map only if
+/// The points as they were measured, and how they were moved to those of the file, with the misses still to
+/// be found. `None` if they were not moved in any known way; the way through a map is tried only if
 /// `through_map`.
 pub fn undo(positions: &[[f32; 3]], through_map: bool) -> Option<(Vec<[f32; 3]>, Compensation)> {
     let of_map = || world::undo(positions).map(|(points, world)| (points, Compensation::World(world)));
@@ -56,15 +55,15 @@ pub fn undo(positions: &[[f32; 3]], through_map: bool) -> Option<(Vec<[f32; 3]>,
     through_map.then(of_map).flatten().or_else(of_turn)
 }
 
-/// The points as they were measured; as [`undo`], but sooner.
+/// The points as they were measured; as [`undo`], but faster.
 pub fn measured(positions: &[[f32; 3]], through_map: bool) -> Option<Vec<[f32; 3]>> {
     let of_map = through_map.then(|| world::measured(positions)).flatten();
     of_map.or_else(|| find::undo(positions).map(|(points, _)| points))
 }
 
 impl Compensation {
-    /// Takes down which points of the file `positions` the formula misses, given the decoded measured ones:
-    /// those that are not `near` it. What went through a map is given back to the bit.
+    /// Records the points of the file `positions` that the formula misses, given the decoded measured points:
+    /// those that are not `near` it. Points that went through a map are restored to the bit.
     pub fn find_misses(
         &mut self,
         (measured, channels): (&[[f32; 3]], &[Channel]),
@@ -78,7 +77,7 @@ impl Compensation {
         }
     }
 
-    /// Moves the points of a scan with these channels. Misses of points that are not there do nothing.
+    /// Moves the points of a scan with these channels. Misses with a number that no point has are ignored.
     pub fn apply(&self, positions: &mut [[f32; 3]], channels: &[Channel]) {
         match self {
             Compensation::Turn(turn) => turn.apply(positions),
@@ -88,12 +87,12 @@ impl Compensation {
     }
 }
 
-/// How the motion of a turn moved the points of a scan, and where they are elsewhere.
+/// How the motion of a turn moved the points of a scan, and the points that it misses.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Turn {
     /// The motion.
     pub motion: Motion,
-    /// Points that the formula does not give to the last bit, rising.
+    /// Points that the formula does not reproduce to the last bit, in ascending order.
     pub misses: Vec<Miss>,
 }
 
@@ -102,12 +101,12 @@ pub struct Turn {
 pub struct Miss {
     /// Its number in the file.
     pub point: u32,
-    /// What is added to each coordinate, in float32 values.
+    /// The value added to each coordinate, in float32 units.
     pub units: [i64; 3],
 }
 
 impl Turn {
-    /// Takes down which points of the file `positions` the formula misses, given the decoded measured ones:
+    /// Records the points of the file `positions` that the formula misses, given the decoded measured points:
     /// those that are not `near` it.
     pub fn find_misses(
         &mut self,
@@ -121,12 +120,13 @@ impl Turn {
         self.misses = find_misses(&formula, positions, near);
     }
 
-    /// Moves the points of a scan, in the order of the file. Misses of points that are not there do nothing.
+    /// Moves the points of a scan, in the order of the file. Misses with a number that no point has are
+    /// ignored.
     pub fn apply(&self, positions: &mut [[f32; 3]]) {
         let mover = Mover::new(&self.motion);
         for position in positions.iter_mut() {
             let moved = mover.moved(position.map(f64::from)).map(|metres| metres as f32);
-            // What is no number stays as it is: processors differ in the bits of a NaN that they compute.
+            // NaNs are not changed: processors differ in the bits of a NaN that they compute.
             if moved.iter().chain(&*position).all(|metres| !metres.is_nan()) {
                 *position = moved;
             }
@@ -151,7 +151,8 @@ fn find_misses(
     missed.map(miss).collect()
 }
 
-/// Brings points that a formula misses to where they are in the file. Those that are not there do nothing.
+/// Moves the points that a formula misses to their positions in the file. Misses with a number that no point
+/// has are ignored.
 fn put_right(positions: &mut [[f32; 3]], misses: &[Miss]) {
     for miss in misses {
         if let Some(position) = positions.get_mut(miss.point as usize) {

@@ -1,4 +1,4 @@
-//! The section of a frame that tells how its points were moved. FORMAT.md 8.15.
+//! The section of a frame that describes how its points were moved. FORMAT.md 8.15.
 
 use super::{Miss, Motion, Turn};
 use crate::ground::error::{Error, Result};

@@ -1,4 +1,4 @@
-//! The formula of motion compensation: where a point goes that was seen at some fraction of a turn.
+//! The formula of motion compensation: where it moves a point that was seen at some part of a turn.
 //! FORMAT.md 8.15.
 
 use std::f64::consts::TAU;
@@ -8,23 +8,23 @@ use crate::ground::error::{Error, Result};
 use crate::ground::lanes::lanes;
 use crate::ground::rounding::round_ties_even;
 
-/// How the scanner moved in one turn.
+/// The motion of the scanner in one turn.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
-    /// Axis of the rotation in a turn; its length is the angle in radians.
+    /// Axis of the rotation; its length is the angle in radians.
     pub rotation: [f64; 3],
-    /// In metres.
+    /// Translation in metres.
     pub translation: [f64; 3],
 }
 
-/// The largest rotation that is accepted, in radians, and the largest translation, in metres.
+/// The largest accepted rotation, in radians, and the largest accepted translation, in metres.
 const LARGEST_ROTATION: f64 = 8.0;
 const LARGEST_TRANSLATION: f64 = 1e6;
 
 impl Motion {
     /// Whether a stream may contain this motion.
     pub fn is_possible(&self) -> bool {
-        // False for NaN, too.
+        // False for NaN too.
         self.rotation.iter().all(|r| r.abs() <= LARGEST_ROTATION)
             && self.translation.iter().all(|t| t.abs() <= LARGEST_TRANSLATION)
     }
@@ -35,10 +35,10 @@ impl Motion {
         values.for_each(|value| out.extend_from_slice(&value.to_le_bytes()));
     }
 
-    /// Reads its six numbers, of a section of this name.
+    /// Reads its six numbers, in a section with this name.
     ///
     /// # Errors
-    /// If it is cut short, or no scanner moves so far.
+    /// If they are cut short, or if no scanner moves so far.
     pub(super) fn read_from(input: &mut &[u8], what: &str) -> Result<Self> {
         let mut values = [0.0; 6];
         for value in &mut values {
@@ -63,7 +63,7 @@ impl Motion {
     }
 }
 
-/// Moves points by fractions of a [`Motion`].
+/// Moves points by parts of a [`Motion`].
 #[derive(Clone, Copy, Debug)]
 pub struct Mover {
     /// A unit vector, or 0 if there is no rotation.
@@ -82,21 +82,21 @@ impl Mover {
         Mover { axis, angle, translation: motion.translation }
     }
 
-    /// The place to which compensation moves a point (metres).
+    /// The position to which compensation moves a point (metres).
     #[inline]
     pub fn moved(&self, point: [f64; 3]) -> [f64; 3] {
         self.at(part_of_turn(&point)).moved(point)
     }
 
-    /// What moves the points of this part of the motion.
+    /// The rigid motion at this part of the turn.
     #[inline]
     pub(in crate::scanner) fn at(&self, part: f64) -> RigidMotion {
         let (sin, cos) = libm::sincos(part * self.angle);
         RigidMotion { axis: self.axis, sin, cos, shift: self.translation.map(|metres| part * metres) }
     }
 
-    /// [`moved`](Self::moved) of `N` points, of which vector units compute several side by side: to within what f64
-    /// rounds, if the motion turns by less than a radian.
+    /// [`moved`](Self::moved) for `N` points, of which vector units compute several side by side: accurate up
+    /// to f64 rounding if the motion turns by less than a radian.
     #[inline(always)]
     pub(super) fn nearly_moved<const N: usize>(&self, points: &[[f64; N]; 3]) -> [[f64; N]; 3] {
         let [x, y, z] = points;
@@ -106,17 +106,17 @@ impl Mover {
         [lanes(|i| x[i] + part[i] * tx), lanes(|i| y[i] + part[i] * ty), lanes(|i| z[i] + part[i] * tz)]
     }
 
-    /// The places, to within a few micrometres, from which compensation has moved `N` points here, if they were seen
-    /// near these parts of the turn; and which parts that were. The same restriction applies.
+    /// The positions, to within a few micrometres, that compensation moves to these `N` points, given
+    /// approximate parts of the turn; and the accurate parts. The same restriction applies.
     #[inline(always)]
     pub(super) fn nearly_undone<const N: usize>(
         &self,
         moved: &[[f64; N]; 3],
         mut part: [f64; N],
     ) -> ([[f64; N]; 3], [f64; N]) {
-        /// Number of rounds that the nearest points of the fastest car need.
+        /// Number of iterations that the nearest points of the fastest car need.
         const MOST_ROUNDS: usize = 16;
-        /// A part of the turn that moves nothing by more than a few micrometres.
+        /// A difference of parts that moves nothing by more than a few micrometres.
         const SAME: f64 = 1e-6;
         let [x, y, z] = moved;
         let [tx, ty, tz] = self.translation;
@@ -142,7 +142,8 @@ impl Mover {
         (point, part)
     }
 
-    /// `N` points turned by these parts of the rotation, or back by them if `sign` is -1: Rodrigues' rotation formula.
+    /// `N` points rotated by these parts of the rotation, or back by them if `sign` is -1: Rodrigues'
+    /// rotation formula.
     #[inline(always)]
     fn turned<const N: usize>(&self, [x, y, z]: [[f64; N]; 3], part: &[f64; N], sign: f64) -> [[f64; N]; 3] {
         let [kx, ky, kz] = self.axis;
@@ -169,20 +170,20 @@ pub(in crate::scanner) struct RigidMotion {
 }
 
 impl RigidMotion {
-    /// Where a point comes to.
+    /// The position to which a point is moved.
     #[inline]
     pub fn moved(&self, point: [f64; 3]) -> [f64; 3] {
         let turned = self.turned(point, self.sin);
         std::array::from_fn(|axis| turned[axis] + self.shift[axis])
     }
 
-    /// From where it comes here.
+    /// The position from which a point is moved here.
     #[inline]
     pub fn undone(&self, moved: [f64; 3]) -> [f64; 3] {
         self.turned(std::array::from_fn(|axis| moved[axis] - self.shift[axis]), -self.sin)
     }
 
-    /// Rodrigues' rotation formula, with the sine of the angle.
+    /// Rodrigues' rotation formula, given the sine of the angle.
     #[inline]
     fn turned(&self, point: [f64; 3], sin: f64) -> [f64; 3] {
         let [kx, ky, kz] = self.axis;
@@ -197,8 +198,8 @@ impl RigidMotion {
     }
 }
 
-/// The fraction of the turn at which a point is seen: from -1/2 behind the scanner, through 0 in front of it,
-/// to 1/2.
+/// The part of the turn at which a point is seen: from -1/2 behind the scanner, through 0 in front of it, to
+/// 1/2.
 #[inline]
 pub fn part_of_turn(point: &[f64; 3]) -> f64 {
     libm::atan2(point[1], point[0]) / TAU

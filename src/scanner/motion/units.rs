@@ -1,12 +1,11 @@
-//! How corrections of coordinates are coded, in float32 values.
+//! The coding of corrections of coordinates, in float32 units.
 
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::ground::varint::{unzigzag, zigzag};
 
-/// Contexts of units: the exponent of the coordinate, below the first of which and above the last it makes no
-/// difference.
+/// Number of contexts of units: the exponent of the coordinate, clamped to the range in which it matters.
 const EXPONENTS: usize = 16;
-/// The biased exponent of the first: 2^-11 m.
+/// The biased exponent of the first context: 2^-11 m.
 const FIRST_EXPONENT: i32 = 127 - 11;
 
 /// A class of coordinates by their size: 0 for the smallest.
@@ -15,12 +14,12 @@ pub fn exponent_of(value: f32) -> usize {
     (exponent - FIRST_EXPONENT).clamp(0, EXPONENTS as i32 - 1) as usize
 }
 
-/// What the coder has learned about corrections, by axis and exponent.
+/// The adaptive models of corrections, by axis and exponent.
 #[derive(Default)]
 pub struct UnitModel([[IntegerModel; EXPONENTS]; 3]);
 
 impl UnitModel {
-    /// Codes what is added to the coordinates of a point that starts here.
+    /// Codes the values added to the coordinates of a point that starts at `start`.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, start: &[f32; 3], units: &mut [i64; 3]) {
         for axis in 0..3 {
             let model = &mut self.0[axis][exponent_of(start[axis])];

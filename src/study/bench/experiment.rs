@@ -27,9 +27,9 @@ pub struct Coded {
 
 /// A frame, encoded and decoded.
 pub struct CodedFrame {
-    /// What encoding it took. If several predictions were tried, the report of the one that was chosen.
+    /// Time and size of each step of encoding. If several predictions were tried, those of the chosen one.
     pub encoding: StepReport,
-    /// What it decodes to.
+    /// The decoded frame.
     pub decoded: DecodedFrame,
 }
 
@@ -40,8 +40,8 @@ impl CodedFrame {
     }
 }
 
-/// Codes a sample, each run of frames as a group. `on_frame` is called, from any thread, whenever a frame has
-/// been encoded.
+/// Codes a sample, each run of frames as a group. `on_frame` is called, from any thread, after each frame was
+/// encoded.
 ///
 /// # Errors
 /// If the settings are out of range, or a back-end's library fails.
@@ -73,19 +73,20 @@ impl Coded {
         self.stream_bytes.saturating_sub(sections)
     }
 
-    /// Bytes of some of the frames, with an equal share of the container's.
+    /// Bytes of the frames with these indices, with an equal share of the container's.
     pub fn bytes(&self, frames: impl Iterator<Item = usize>) -> f64 {
         let share = self.container_bytes() as f64 / self.frames.len().max(1) as f64;
         frames.map(|frame| self.frames[frame].encoding.coded() as f64 + share).sum()
     }
 
-    /// Coded bytes of the bytes of the files, in % (equation 11), of some of the frames; `None` if these are empty.
+    /// Coded bytes as a percentage of the files' bytes (equation 11), for the frames with these indices;
+    /// `None` if these files are empty.
     pub fn rate(&self, frames: impl Iterator<Item = usize> + Clone) -> Option<f64> {
         let original: f64 = frames.clone().map(|frame| self.frames[frame].encoding.original as f64).sum();
         (original > 0.0).then(|| 100.0 * self.bytes(frames) / original)
     }
 
-    /// The mean of a figure over some of the frames; `None` if there are none.
+    /// The mean of a value over the frames with these indices; `None` if there are none.
     pub fn mean(
         &self,
         frames: impl Iterator<Item = usize>,
@@ -95,7 +96,7 @@ impl Coded {
         (!figures.is_empty()).then(|| figures.iter().sum::<f64>() / figures.len() as f64)
     }
 
-    /// The distortion of some of the frames.
+    /// The distortion of the frames with these indices.
     pub fn distortion(
         &self,
         sample: &Sample,
@@ -110,12 +111,12 @@ impl Coded {
     }
 }
 
-/// How far decoded frames are from the originals.
+/// The errors of decoded frames.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Distortion {
-    /// Errors cell by cell (equation 12), where decoding gives a range image.
+    /// Errors cell by cell (equation 12), if decoding returns a range image.
     pub ranges: RangeErrors,
-    /// Errors point by point, where decoding gives all points in the order of the file. Scans that should be
+    /// Errors point by point, if decoding returns all points in the order of the file. Scans that should be
     /// range images but have none, because no scanner fits them, are compared in neither way.
     pub points: PointErrors,
 }
@@ -138,8 +139,8 @@ impl Distortion {
     }
 }
 
-/// The range image of the points that the outlier filter leaves, with the finest steps that it can have:
-/// float32 for the ideal sensor, the scanner's own for a calibrated one.
+/// The range image of the points that remain after the outlier filter, with the finest possible steps:
+/// float32 for the ideal scanner, the scanner's own for a calibrated one.
 fn reference_image(
     original: &PointCloud,
     scanner: &Scanner,
@@ -218,7 +219,7 @@ mod tests {
         for step in [10_000, 50_000] {
             let metres = f64::from(step) * 1e-6;
             let coarse = distortion(&paper(step, intra));
-            // Rounding errors are distributed evenly over a step.
+            // Rounding errors are uniformly distributed over a step.
             let expected = metres / 12f64.sqrt();
             assert!((coarse.rmse().unwrap() / expected - 1.0).abs() < 0.05, "{:?}", coarse.rmse());
             assert!(coarse.ranges.max().unwrap() < 1.001 * metres);

@@ -16,47 +16,47 @@ use crate::study::metrics;
 
 /// Range steps of the curves, in micrometres.
 const STEPS_UM: [u32; 7] = [1000, 2000, 5000, 10_000, 20_000, 50_000, 100_000];
-/// Those with `--quick`.
+/// The steps with `--quick`.
 const QUICK_STEPS_UM: [u32; 3] = [2000, 10_000, 50_000];
 
 /// Rates of image coders, in bits a return.
 const RATES: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
-/// Those with `--quick`.
+/// The rates with `--quick`.
 const QUICK_RATES: [f64; 2] = [1.0, 4.0];
 
-/// Errors that the coders of Tu et al. aim at, in metres.
+/// Target errors of the coders of Tu et al., in metres.
 const ERRORS_M: [f64; 6] = [0.002, 0.005, 0.01, 0.02, 0.05, 0.1];
-/// Those with `--quick`.
+/// The target errors with `--quick`.
 const QUICK_ERRORS_M: [f64; 2] = [0.01, 0.05];
 
-/// Errors at which curves are compared, in metres: the first that all coders reach.
+/// Errors at which curves are compared, in metres; the first that all coders reach is used.
 const COMPARED_M: [f64; 6] = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5];
 
 const INTRA: PredictionChoice = PredictionChoice::Always(Prediction::Intra);
 const INTER: PredictionChoice = PredictionChoice::EveryReference;
 
-/// A curve, or a point: settings of a coder that differ in one respect.
+/// A curve, or a point: settings of a coder that differ in one parameter.
 struct Curve {
     name: &'static str,
     of: Whose,
     marker: Marker,
-    /// The respect in words, and all settings.
+    /// The parameter's value in words, and all settings.
     points: Vec<(String, Setting)>,
 }
 
-/// Whose coder it is.
+/// The author of a coder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Whose {
-    /// This program's own.
+    /// This program.
     Ours,
-    /// What the article describes, or compares itself with as it is.
+    /// The article, which describes it or compares its own coder with it.
     Article,
-    /// Another one, by its name.
+    /// Another author, by name.
     Other(&'static str),
 }
 
 impl Whose {
-    /// In words, with the name of a curve.
+    /// The author and the name of a curve, in words.
     fn describe(self, curve: &str) -> String {
         match self {
             Whose::Ours => format!("lidarpc ({curve})"),
@@ -70,9 +70,9 @@ impl Whose {
 enum Setting {
     /// A stream of this program.
     Stream(Box<EncoderConfig>),
-    /// An octree, by the side of its voxels in micrometres.
+    /// An octree, with the side of its voxels in micrometres.
     Octree(u32),
-    /// A coder of Tu et al., by the error that it aims at, in metres.
+    /// A coder of Tu et al., with its target error in metres.
     Tu(Method, f64),
 }
 
@@ -85,8 +85,8 @@ pub struct Curves {
 }
 
 impl Curves {
-    /// The curves, with the columns of the image, the outlier filter and the regions of `base`; fewer points
-    /// on each if `quick`.
+    /// The curves, with the columns of the image, the outlier filter and the regions of `base`; with fewer
+    /// points each if `quick`.
     pub fn new(sample: &Sample, base: &EncoderConfig, quick: bool) -> Self {
         Curves { article: article_curves(sample, base, quick), others: other_curves(sample, base, quick) }
     }
@@ -97,8 +97,8 @@ impl Curves {
         curves.map(|curve| curve.points.len()).sum::<usize>() * sample.inputs.len()
     }
 
-    /// Measures all points; also says in one sentence who is ahead, if there is anything to compare. `base` and
-    /// `sensor` are for the coders of Tu et al.
+    /// Measures all points; also says in one sentence which coder is best, if there is anything to compare.
+    /// `base` and `sensor` are for the coders of Tu et al.
     ///
     /// # Errors
     /// If a back-end's library fails.
@@ -141,7 +141,8 @@ impl Curves {
     }
 }
 
-/// Who takes the fewest bits at an error that all reach, and how many times as many the others take.
+/// The coder that takes the fewest bits at an error that all reach, and the ratio of the others' bits to its
+/// own.
 fn who_is_ahead<'a>(curves: impl Iterator<Item = (Whose, &'a Series)> + Clone) -> Option<String> {
     let mut parties: Vec<Whose> = Vec::new();
     for (of, _) in curves.clone() {
@@ -172,8 +173,8 @@ fn who_is_ahead<'a>(curves: impl Iterator<Item = (Whose, &'a Series)> + Clone) -
     Some(if others.is_empty() { leads } else { format!("{leads}; {}", others.join(", ")) })
 }
 
-/// The fewest bits a point at which a curve has at most this error; between two of its points, by the line through
-/// their logarithms. `None` if it has no point with so small an error.
+/// The fewest bits per point at which a curve has at most this error; between two of its points, on the line
+/// through their logarithms. `None` if no point has so small an error.
 fn bits_at(points: &[Point], error: f64) -> Option<f64> {
     let small_enough = points.iter().filter(|point| point.y <= error).map(|point| point.x);
     let between = points.windows(2).filter_map(|pair| {
@@ -196,7 +197,7 @@ fn figure(number: &str, title: &str, note: String, series: Vec<Series>) -> Secti
     })
 }
 
-/// A curve that is one point.
+/// A curve with a single point.
 fn one(name: &'static str, of: Whose, marker: Marker, setting: &str, config: EncoderConfig) -> Curve {
     Curve { name, of, marker, points: vec![(setting.to_owned(), stream(config))] }
 }
@@ -205,8 +206,8 @@ fn stream(config: EncoderConfig) -> Setting {
     Setting::Stream(Box::new(config))
 }
 
-/// JPEG and JPEG 2000 at rising rates, for the image itself and for residuals; LZMA for residuals, without loss; and
-/// the coders with which the article compares its own.
+/// JPEG and JPEG 2000 at increasing rates, for the image itself and for residuals; lossless LZMA for
+/// residuals; and the coders with which the article compares its own.
 fn article_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Curve> {
     let rates: &[f64] = if quick { &QUICK_RATES } else { &RATES };
     let by_rate = |name, marker, codec, prediction| {
@@ -242,7 +243,7 @@ fn article_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Cur
     curves
 }
 
-/// The coders of others.
+/// The coders of other authors.
 fn rival_curves(quick: bool) -> Vec<Curve> {
     let errors: &[f64] = if quick { &QUICK_ERRORS_M } else { &ERRORS_M };
     let markers = [Marker::Square, Marker::Circle];
@@ -278,7 +279,7 @@ fn other_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Curve
         outliers: None,
         ..at(step, Coder::Context, smallest)
     };
-    // So coarse a step removes the intensities.
+    // Such a coarse step removes the intensities.
     let intensity = Intensity::Rounded { step_millionths: u32::MAX };
     let bounded = |max_error_um| EncoderConfig {
         threads: base.threads,
@@ -308,7 +309,7 @@ fn other_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Curve
     curves
 }
 
-/// What curves are measured on and with.
+/// The data and parameters for measuring curves.
 struct Measuring<'a> {
     sample: &'a Sample,
     sensor: &'a Hdl64,
@@ -317,8 +318,8 @@ struct Measuring<'a> {
 }
 
 impl Measuring<'_> {
-    /// Measures curves. Those of which nothing can be measured are left out. Also returns the largest shares of
-    /// returns that only one image has, and of returns that are dropped.
+    /// Measures curves. Those without a measurable point are left out. Also returns the largest share of
+    /// returns that only one image has, and that of dropped returns.
     fn all(&self, curves: &[Curve]) -> Result<(Vec<Series>, Missing)> {
         let mut series = Vec::new();
         let mut worst = Missing::default();
@@ -363,9 +364,9 @@ impl Measuring<'_> {
 
 /// A point of a curve.
 struct Measured {
-    /// Bits for each return that is decoded.
+    /// Bits for each decoded return.
     bits: Option<f64>,
-    /// In metres.
+    /// Error in metres.
     rmse: Option<f64>,
     missing: Missing,
 }
@@ -382,7 +383,7 @@ impl Measured {
     }
 }
 
-/// What an error does not cover.
+/// Returns not covered by an error.
 #[derive(Clone, Copy, Default)]
 struct Missing {
     /// The share of the returns that only one of the range images has.

@@ -33,11 +33,11 @@ use rivals::Rivals;
 use runs::Runs;
 use sample::Sample;
 
-/// Frames for the tables.
+/// The frames for the tables.
 const OF_TABLES: Extent = Extent { runs: 2, frames_a_run: 10 };
-/// Frames for the figures, where every point or bar takes another run.
+/// The frames for the figures, in which every point or bar needs another run.
 const OF_FIGURES: Extent = Extent { runs: 2, frames_a_run: 3 };
-/// Frames with `--quick`: the first ones.
+/// The frames with `--quick`: the first ones.
 const QUICK: Extent = Extent { runs: 1, frames_a_run: 3 };
 
 /// All experiments, ready to be run.
@@ -46,23 +46,24 @@ pub struct Bench {
     of_tables: Sample,
     of_figures: Sample,
     curves: Curves,
-    /// The scanner that was found, and the ideal sensor for its scans.
+    /// The fitted scanner, and the ideal scanner for its scans.
     found: Option<Scanner>,
     sensor: Hdl64,
 }
 
-/// What the experiments give.
+/// The results of the experiments.
 pub struct Findings {
-    /// Who is ahead on these frames, and by how much, in one sentence; empty if there is nothing to compare.
+    /// Which coder is best on these frames, and by how much, in one sentence; empty if there is nothing to
+    /// compare.
     pub summary: String,
     /// Tables and figures, in the order of the article.
     pub sections: Vec<Section>,
 }
 
 impl Bench {
-    /// Reads the frames of a drive that are needed. `base` gives the experiments their ideal projection in
-    /// steps, outlier filter, regions and registration; coders, predictions and the choice of P frames are
-    /// the experiments' own, and there are no intensities except in exact mode.
+    /// Reads the required frames of a drive. `base` gives the experiments their ideal projection in steps,
+    /// outlier filter, regions and registration; the experiments choose coders, predictions and P frames
+    /// themselves, and there are no intensities except in exact mode.
     ///
     /// # Errors
     /// If `base` has another projection, if a frame cannot be read, or if none of them has any points.
@@ -92,7 +93,7 @@ impl Bench {
         runs::frames_to_code(&self.of_tables) + rivals::frames_to_code(&self.of_tables) + figures
     }
 
-    /// What is run, for people: names and values.
+    /// A description of the experiments for people: names and values.
     pub fn facts(&self) -> Vec<(String, String)> {
         let about = |sample: &Sample| {
             let points = sample.points(0..sample.inputs.len());
@@ -132,7 +133,7 @@ impl Bench {
         )
     }
 
-    /// Runs them all. `on_frame` is called, from any thread, whenever a frame has been coded.
+    /// Runs all experiments. `on_frame` is called, from any thread, after each frame was coded.
     ///
     /// # Errors
     /// If a setting is out of range, or a back-end's library fails.

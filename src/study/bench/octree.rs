@@ -1,10 +1,11 @@
-//! An octree coder of point clouds, to compare with: that of the article's references 9 and 21, as in Table I.
+//! An octree coder of point clouds, for comparison: that of the article's references 9 and 21, as in Table I.
 //!
-//! Space is divided into voxels; the occupied ones are the leaves of a tree whose inner nodes are cubes of eight. Level
-//! by level, the byte of each node that says which of its eight parts hold points is coded by adaptive binary
-//! probabilities in the context of the level (J. Elseberg et al. for the tree, R. Mekuria et al. for the arithmetic
-//! coding of its bytes), then how many points share each voxel. Neither the order of the points nor anything but their
-//! places is kept. A point decodes to the centre of its voxel; centres are multiples of the voxels' side, so that a
+//! Space is divided into voxels; the occupied ones are the leaves of a tree in which each inner node is a
+//! cube of eight parts. Level by level, the byte of each node that says which of its eight parts contain
+//! points is coded with adaptive binary probabilities in the context of the level (J. Elseberg et al. for the
+//! tree, R. Mekuria et al. for the arithmetic coding of its bytes), then the number of points in each voxel.
+//! Only positions are kept, and not their order. A point decodes to the centre of its voxel; centres are
+//! multiples of the voxels' side, so that coordinates on that grid are preserved.
 //! file whose coordinates are on that grid keeps them.
 
 use super::sample::is_return;
@@ -12,32 +13,32 @@ use crate::entropy::{AdaptiveBit, ArithmeticDecoder, ArithmeticEncoder, BitCoder
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 
-/// The most levels below the root, so that the path to a leaf fits 128 bits.
+/// The largest number of levels below the root, such that the path to a leaf fits 128 bits.
 const MOST_LEVELS: u32 = 42;
-/// Voxels are numbered from the scanner; a point farther than this along an axis is left out.
+/// Voxels are numbered from the scanner; points farther than this along an axis are left out.
 const FARTHEST: f64 = (1u64 << (MOST_LEVELS - 2)) as f64;
-/// A decoder takes no more points than this from a stream.
+/// The largest number of points that a decoder accepts.
 const MOST_POINTS: u64 = 1 << 28;
 
 /// A coded cloud.
 pub struct Encoded {
     /// The stream.
     pub bytes: Vec<u8>,
-    /// Points in it: those that are a return.
+    /// Number of points in it: those that are returns.
     pub points: u64,
-    /// Voxels that hold one.
+    /// Number of voxels that contain a point.
     pub voxels: u64,
 }
 
-/// The voxel of a return; `None` of a point that is not finite or too far away, or that is at the scanner itself, as
-/// files keep what is no return.
+/// The voxel of a return; `None` for a point that is not finite or too far away, or that is at the scanner
+/// itself, as files store records without a return.
 fn voxel_of(point: &[f32; 3], voxel_m: f64) -> Option<[i64; 3]> {
     let voxel = point.map(|metres| (f64::from(metres) / voxel_m).round());
     (is_return(point) && voxel.iter().all(|place| place.abs() < FARTHEST))
         .then(|| voxel.map(|place| place as i64))
 }
 
-/// Codes places, in metres, in voxels with sides of so many micrometres, which is not 0.
+/// Codes positions, in metres, in voxels with sides of `voxel_um` micrometres, which is not 0.
 pub fn encode(positions: &[[f32; 3]], voxel_um: u32) -> Encoded {
     let voxel_m = f64::from(voxel_um) * 1e-6;
     let voxels: Vec<[i64; 3]> = positions.iter().filter_map(|point| voxel_of(point, voxel_m)).collect();
@@ -63,7 +64,7 @@ pub fn encode(positions: &[[f32; 3]], voxel_um: u32) -> Encoded {
     let (leaves, counts): (Vec<_>, Vec<_>) =
         paths.chunk_by(|a, b| a == b).map(|same| (same[0], same.len() as u64)).unzip();
     let mut coder = ArithmeticEncoder::default();
-    // An encoder has all it needs, so that nothing can be wrong.
+    // The encoder has valid data, so no error is possible.
     let coded = code_leaves(&mut coder, &leaves, levels, leaves.len());
     debug_assert!(coded.is_ok_and(|coded| coded == leaves));
     code_counts(&mut coder, &counts, leaves.len());
@@ -71,10 +72,11 @@ pub fn encode(positions: &[[f32; 3]], voxel_um: u32) -> Encoded {
     Encoded { bytes, points: voxels.len() as u64, voxels: leaves.len() as u64 }
 }
 
-/// The inverse of [`encode`]: the centre of the voxel of each point, in metres, those of one voxel next to each other.
+/// The inverse of [`encode`]: the centre of the voxel of each point, in metres, points of a voxel being
+/// consecutive.
 ///
 /// # Errors
-/// If the bytes are no such stream.
+/// If the bytes are not such a stream.
 pub fn decode(mut bytes: &[u8]) -> Result<Vec<[f32; 3]>> {
     let input = &mut bytes;
     let voxel_m = read_unsigned(input, "side of a voxel")? as f64 * 1e-6;
@@ -109,7 +111,7 @@ pub fn decode(mut bytes: &[u8]) -> Result<Vec<[f32; 3]>> {
     Ok(positions)
 }
 
-/// The path from the root to a voxel: of each level, from the top, which of the eight parts.
+/// The path from the root to a voxel: for each level, from the top, which of the eight parts.
 fn path(voxel: [u64; 3], levels: u32) -> u128 {
     let part = |level: u32| voxel.iter().fold(0, |part, place| part << 1 | u128::from(place >> level & 1));
     (0..levels).rev().fold(0, |path, level| path << 3 | part(level))
@@ -123,7 +125,7 @@ fn voxel_at(path: u128, levels: u32) -> [u64; 3] {
     [0, 1, 2].map(place)
 }
 
-/// Codes the paths to the leaves, which rise; a decoder gives none, but knows that there are at most so many.
+/// Codes the paths to the leaves, in ascending order; a decoder passes none, and `most` limits their number.
 fn code_leaves<C: BitCoder>(coder: &mut C, leaves: &[u128], levels: u32, most: usize) -> Result<Vec<u128>> {
     let mut nodes = vec![0];
     for level in (0..levels).rev() {
@@ -146,7 +148,7 @@ fn code_leaves<C: BitCoder>(coder: &mut C, leaves: &[u128], levels: u32, most: u
     Ok(nodes)
 }
 
-/// Codes how many points each of some voxels holds: one or more.
+/// Codes the number of points in each voxel, at least one.
 fn code_counts<C: BitCoder>(coder: &mut C, counts: &[u64], voxels: usize) -> Vec<u64> {
     let (mut is_shared, mut more) = (AdaptiveBit::default(), IntegerModel::default());
     let count = |voxel: usize| {
@@ -159,7 +161,7 @@ fn code_counts<C: BitCoder>(coder: &mut C, counts: &[u64], voxels: usize) -> Vec
     (0..voxels).map(count).collect()
 }
 
-/// The probabilities of the bytes of a level: of each bit in the context of those above it.
+/// The probabilities for the bytes of a level: of each bit in the context of those above it.
 struct ByteModel {
     nodes: [AdaptiveBit; 256],
 }
@@ -184,7 +186,7 @@ mod tests {
     use super::*;
     use crate::ground::random::Rng;
 
-    /// Points on a ground and a wall, on a grid of 1 mm, some of them twice.
+    /// Points on the ground and on a wall, on a grid of 1 mm, some of them twice.
     fn scene() -> Vec<[f32; 3]> {
         let mut random = Rng::keyed(7, &[]);
         let mut metres = |low: f64, high: f64| (random.between(low, high) * 1e3).round() / 1e3;

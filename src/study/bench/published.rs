@@ -1,7 +1,7 @@
 //! The values that the article states, for comparison. They were measured on other scenes, of 100 frames
 //! each, and on another machine (Intel i5-6300HQ, 2.3 GHz, 4 GB; section VI-A).
 
-/// A remark that accompanies them wherever they are shown.
+/// A remark that is shown with these values.
 pub const REMARK: &str = "published, other scenes and another machine";
 
 /// The article's scenes (VI-A).
@@ -22,13 +22,13 @@ pub const ORIGINAL_KB: [f64; 4] = [3208.0, 3149.0, 3331.0, 3222.0];
 /// Table II, by scene: KB after conversion.
 pub const CONVERTED_KB: [f64; 4] = [835.0, 837.0, 822.0, 823.0];
 
-/// A coder of the residuals, and what the article states about it.
+/// A coder of the residuals, and the article's values for it.
 pub struct PublishedCoder {
     /// Its name.
     pub name: &'static str,
     /// Tables II and III, by scene: KB after intra and after inter coding.
     pub coded_kb: [[f64; 4]; 2],
-    /// Tables IV and V: seconds of coding, and in all, of intra and of inter coding.
+    /// Tables IV and V: seconds of coding, and in total, for intra and for inter coding.
     pub seconds: [[f64; 2]; 2],
 }
 

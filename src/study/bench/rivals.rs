@@ -1,4 +1,4 @@
-//! The coders of others, run on a sample: the octree coder, and those of Tu et al.
+//! Other authors' coders, run on a sample: the octree coder, and those of Tu et al.
 
 use std::time::{Duration, Instant};
 
@@ -13,30 +13,30 @@ use crate::study::metrics::{NearestErrors, NearestPoints, RangeErrors};
 
 /// Sides of the octree's voxels in Table I, in micrometres.
 pub const VOXELS_UM: [u32; 3] = [1000, 5000, 10_000];
-/// That of the octree in Table VI: the article does not say which it is; this is the one that takes longest.
+/// The octree's side in Table VI: the article does not state it; this is the one that takes longest.
 const TIMED_UM: u32 = VOXELS_UM[0];
-/// Bits a return of the coders of Table VI, as of the article's own JPEG 2000.
+/// Bits per return for the coders of Table VI, as for the article's own JPEG 2000.
 const TIMED_BITS: f64 = 8.0;
 
 /// A frame, coded and decoded.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RivalFrame {
-    /// Bytes of it.
+    /// Coded size in bytes.
     pub bytes: u64,
-    /// Points that come back.
+    /// Number of decoded points.
     pub points: u64,
-    /// Voxels that hold one, of an octree.
+    /// Number of occupied voxels, for an octree.
     pub voxels: u64,
-    /// Points or ranges whose error is known.
+    /// Number of points or ranges with a known error.
     compared: u64,
-    /// Root of their mean squared error, in metres: of an octree, the distance of each original point from the nearest
-    /// decoded one; of range images, that of equation 12.
+    /// Root mean square error, in metres: for an octree, the distance of each original point from the nearest
+    /// decoded one; for range images, equation 12.
     rmse_m: f64,
-    /// The largest of these distances, in metres; of an octree only.
+    /// The largest of these distances, in metres; for an octree only.
     pub max_m: f64,
 }
 
-/// A sample, coded by one of the coders of others.
+/// A sample, coded by another author's coder.
 #[derive(Default)]
 pub struct Rival {
     /// The frames of the sample.
@@ -48,12 +48,13 @@ pub struct Rival {
 }
 
 impl Rival {
-    /// The sum of a figure over some of the frames.
+    /// The sum of a value over the frames with these indices.
     pub fn sum(&self, frames: impl Iterator<Item = usize>, figure: impl Fn(&RivalFrame) -> u64) -> u64 {
         frames.map(|frame| figure(&self.frames[frame])).sum()
     }
 
-    /// The root mean square error of some of the frames, in metres; `None` if nothing could be compared.
+    /// The root mean square error of the frames with these indices, in metres; `None` if nothing could be
+    /// compared.
     pub fn rmse(&self, frames: impl Iterator<Item = usize> + Clone) -> Option<f64> {
         let squares = frames.clone().map(|frame| &self.frames[frame]);
         let squares: f64 = squares.map(|frame| frame.compared as f64 * frame.rmse_m * frame.rmse_m).sum();
@@ -62,11 +63,11 @@ impl Rival {
     }
 }
 
-/// Those of the tables.
+/// The coders for the tables.
 pub struct Rivals {
     /// The octree coder with each of [`VOXELS_UM`].
     pub octrees: Vec<Rival>,
-    /// Names in Table VI, with the coders by range image.
+    /// The range image coders, with their names in Table VI.
     pub tu: Vec<(&'static str, Rival)>,
 }
 
@@ -130,7 +131,7 @@ pub fn octree(sample: &Sample, voxel_um: u32, on_frame: &(dyn Fn() + Sync)) -> R
     Ok(rival)
 }
 
-/// How far the returns of a scan are from the nearest of other points.
+/// The distances of a scan's returns from the nearest of other points.
 fn place_errors(cloud: &PointCloud, decoded: Vec<[f32; 3]>) -> NearestErrors {
     let returns = cloud.positions.iter().filter(|point| is_return(point)).copied().collect();
     let of = |positions| NearestPoints::of(&PointCloud { positions, ..PointCloud::default() });
@@ -141,7 +142,7 @@ fn place_errors(cloud: &PointCloud, decoded: Vec<[f32; 3]>) -> NearestErrors {
     errors
 }
 
-/// Codes a sample, run by run, as range images of a sensor.
+/// Codes a sample, run by run, as range images of a scanner.
 ///
 /// # Errors
 /// If the image coder's library fails.

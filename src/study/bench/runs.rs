@@ -1,5 +1,4 @@
-//! The runs from which Tables I to VI are made: the article's coders, intra and inter, and this program's
-//! own.
+//! The runs for Tables I to VI: the article's coders, intra and inter, and this program's own.
 
 use super::experiment::{self, Coded};
 use super::sample::Sample;
@@ -10,15 +9,15 @@ use crate::frame::Prediction;
 use crate::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
 use crate::ground::error::Result;
 
-/// A coder of residuals that the article names, run on the sample.
+/// A coder of residuals named in the article, run on the sample.
 pub struct Run {
-    /// As in [`published::CODERS`](super::published::CODERS).
+    /// The name in [`published::CODERS`](super::published::CODERS).
     pub name: &'static str,
-    /// Every frame an I frame.
+    /// With every frame as an I frame.
     pub intra: Coded,
-    /// Every frame that has one before it is a P frame; `None` if there is none.
+    /// With every frame that has one before it as a P frame; `None` if there is none.
     pub inter: Option<Coded>,
-    /// Each frame with the prediction that makes it smallest.
+    /// With the prediction that makes each frame smallest.
     pub smallest: Coded,
 }
 

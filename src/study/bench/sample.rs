@@ -6,19 +6,19 @@ use crate::ground::error::Result;
 use crate::scan::PointCloud;
 use crate::stream::FrameInput;
 
-/// How much of a drive is taken.
+/// The size of the sample of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Extent {
-    /// The most runs.
+    /// The largest number of runs.
     pub runs: usize,
-    /// The most consecutive frames in a run.
+    /// The largest number of consecutive frames in a run.
     pub frames_a_run: usize,
 }
 
 impl Extent {
     /// The numbers of the frames to take from a drive, and the number of frames in a run: the first run is at
-    /// the start, the last at the end, others evenly between; all frames are one run if there are no more
-    /// than that.
+    /// the start, the last at the end, others evenly spaced between; all frames are one run if there are no
+    /// more than that.
     pub fn places(self, frames: usize) -> (Vec<usize>, usize) {
         if frames <= self.runs * self.frames_a_run {
             return ((0..frames).collect(), frames);
@@ -42,7 +42,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// Reads some of the frames of a drive.
+    /// Reads a sample of the frames of a drive.
     ///
     /// # Errors
     /// If one cannot be read.
@@ -73,7 +73,7 @@ impl Sample {
         (0..self.inputs.len()).filter(|&frame| self.has_reference(frame) || !self.has_references())
     }
 
-    /// Number of points in some of the frames.
+    /// Number of points in the frames with these indices.
     pub fn points(&self, frames: impl Iterator<Item = usize>) -> u64 {
         frames.map(|frame| self.clouds[frame].positions.len() as u64).sum()
     }
@@ -103,7 +103,7 @@ impl Sample {
     }
 }
 
-/// Whether a point is a return: some files keep what is none as a point at the scanner, or as NaN.
+/// Whether a point is a return: some files store records without one as a point at the scanner, or as NaN.
 pub fn is_return(point: &[f32; 3]) -> bool {
     point.iter().all(|metres| metres.is_finite()) && point.iter().any(|metres| *metres != 0.0)
 }

@@ -1,4 +1,4 @@
-//! What the tables share.
+//! Code shared by the tables.
 
 use super::experiment::Coded;
 use super::published::SCENES;
@@ -11,7 +11,7 @@ pub struct Method<'a> {
     pub name: String,
     /// The sample coded by it; `None` if it cannot be measured here.
     pub coded: Option<&'a Coded>,
-    /// Whether only frames with one before them count.
+    /// Whether only frames that have one before them count.
     pub only_with_reference: bool,
 }
 
@@ -24,7 +24,7 @@ impl Method<'_> {
         }
     }
 
-    /// Its name, with what is measured of it.
+    /// Its name, with its measured values.
     pub fn measured<const M: usize>(
         &self,
         measure: impl Fn(&Self, &Coded) -> [Option<f64>; M],

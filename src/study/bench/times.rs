@@ -1,4 +1,4 @@
-//! Tables IV to VI: how long frames take.
+//! Tables IV to VI: times per frame.
 
 use std::time::Duration;
 

@@ -1,20 +1,21 @@
-//! Two coders of sequences of range images, to compare with, after C. Tu et al.: the article's references 10 (range
-//! images through a video codec, "Tu-MPEG" in Table VI) and 12 (frames between key frames, predicted by the motion
-//! that SLAM found, "Tu-SLAM").
+//! Two coders of sequences of range images, for comparison, after C. Tu et al.: the article's references 10
+//! (range images through a video codec, "Tu-MPEG" in Table VI) and 12 (frames between key frames, predicted
+//! by the motion estimated by SLAM, "Tu-SLAM").
 //!
-//! Both get the range image as it is, without the outlier filter, and code what prediction leaves of it by JPEG 2000.
-//! Neither paper was at hand: of the first its abstract, of both what the article says of them. What is simpler here, or
-//! in their favour:
+//! Both get the range image without the outlier filter, and code the prediction residuals by JPEG 2000. The
+//! papers themselves were not available: only the abstract of the first, and what the article says about
+//! both. Simplifications, or differences in their favour:
 //!
-//! - Range images are those of the article's ideal sensor, not tables of the scanner's packets, which files of
-//!   points do not have. So all coders of an image code the same one.
-//! - JPEG 2000 takes the place of MPEG and JPEG, whose samples have 8 bits: it is the better of the article's two
-//!   image coders (VI-C.2), its samples hold whole ranges, and it gets the two passes of the article's own coders.
-//! - Which cells hold a return is coded on its own, without loss; a table of packets has zeros in the others, around
-//!   which a transform rings.
+//! - Range images are those of the article's ideal scanner, not tables of the scanner's packets, which files
+//!   of points do not have. So all image coders code the same image.
+//! - JPEG 2000 takes the place of MPEG and JPEG, whose samples have 8 bits: it is the better of the article's
+//!   two image coders (VI-C.2), its samples hold whole ranges, and it gets the two passes of the article's
+//!   own coders.
+//! - Occupancy is coded separately, without loss; a table of packets has zeros in empty cells, around which a
+//!   transform rings.
 //! - The video codec has I and P frames and blocks of one size, and no B frames; its vectors are whole cells.
-//! - Poses come from registration of each frame with its key frames, not from SLAM. Each return is predicted from the
-//!   key frame nearer in time, or else from the other one.
+//! - Poses come from registration of each frame with its key frames, not from SLAM. Each return is predicted
+//!   from the key frame nearer in time, or else from the other one.
 
 use crate::article::image_coding::{self, ImageCodec};
 use crate::entropy::{AdaptiveBit, ArithmeticDecoder, ArithmeticEncoder, BitCoder, IntegerModel};
@@ -25,35 +26,36 @@ use crate::inter::registration::{Pose, QuantisedPose, RegistrationConfig, regist
 use crate::inter::{self, Layer, Past, Reference};
 use crate::scanner::{Hdl64, RangeImage};
 
-/// Rows and columns of a block, as of a macroblock of MPEG.
+/// Rows and columns of a block, like those of a macroblock of MPEG.
 const BLOCK: usize = 16;
-/// The largest vector of a block: rows, and columns to either side. At 0.18 degrees, 32 columns are what turns by 6
-/// degrees between frames, or passes 1 m aside at 10 m.
+/// The largest vector of a block: rows, and columns to either side. At 0.18 degrees, 32 columns correspond to
+/// a rotation of 6 degrees between frames, or to passing an object at 10 m by 1 m.
 const REACH: [i32; 2] = [2, 32];
-/// From one key frame to the next; the last frame of a run is a key frame too.
+/// Distance between key frames; the last frame of a run is a key frame too.
 const KEY_DISTANCE: usize = 3;
-/// What codes the images, in how many passes at most.
+/// The image coder, and its largest number of passes.
 const CODEC: ImageCodec = ImageCodec::Jpeg2000;
 const PASSES: u8 = 2;
-/// The fewest and the most bits for each return that are tried to reach an error, and how often some are.
+/// The lowest and the highest rate, in bits per return, that are tried to reach an error, and the number of
+/// trials.
 const BITS: [f64; 2] = [0.02, 24.0];
 const MOST_TRIES: usize = 8;
-/// An error that is at most so many times (as a logarithm to base 2) less than it may be is near enough.
+/// An error is near enough to the target if the binary logarithm of their ratio is between this and 0.
 const NEAR: f64 = -0.05;
 
 /// How frames are predicted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// Each but the first from the frame before, block by block.
+    /// Each frame except the first from the frame before, block by block.
     Video,
-    /// Those between key frames from both, by the scanner's motion.
+    /// Frames between key frames from both of these, by the scanner's motion.
     Slam,
 }
 
-/// What a frame may cost, or what it may lose.
+/// The target of a frame: its rate or its error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Aim {
-    /// Bits for each return.
+    /// Bits per return.
     Bits(f64),
     /// Root mean square of the ranges' errors, in metres.
     Error(f64),
@@ -63,9 +65,9 @@ pub enum Aim {
 pub struct Coder<'a> {
     /// How frames are predicted.
     pub method: Method,
-    /// The scanner of the images, in whose steps ranges are.
+    /// The scanner of the images, which defines the steps of ranges.
     pub sensor: &'a Hdl64,
-    /// How motions are found; only for encoding.
+    /// How motions are estimated; only for encoding.
     pub registration: RegistrationConfig,
 }
 
@@ -75,13 +77,13 @@ struct Turn {
     frame: usize,
     /// The frames from which it is predicted: before and after it, if there are any.
     sources: [Option<usize>; 2],
-    /// Which of them is nearer.
+    /// The nearer of these.
     nearer: usize,
 }
 
-/// What comes before the image of a frame.
+/// The data coded before the image of a frame.
 struct Side {
-    /// Vectors of the blocks, row by row: rows and columns. None without a frame to predict from.
+    /// Vectors of the blocks, row by row: rows and columns. Empty if there is no frame to predict from.
     vectors: Vec<[i32; 2]>,
     /// The motion of the scanner from each source.
     motions: [QuantisedPose; 2],
@@ -90,7 +92,7 @@ struct Side {
 }
 
 impl Coder<'_> {
-    /// Codes a run of images, each with all columns of the sensor.
+    /// Codes a run of images, each with all columns of the scanner.
     ///
     /// # Errors
     /// If the image coder's library fails.
@@ -125,7 +127,7 @@ impl Coder<'_> {
         Ok(payloads)
     }
 
-    /// The inverse of [`encode`](Self::encode), except for what was lost.
+    /// The inverse of [`encode`](Self::encode), except for losses.
     ///
     /// # Errors
     /// If the payloads do not hold such images.
@@ -172,7 +174,8 @@ impl Coder<'_> {
         keys.into_iter().chain(between).map(turn).collect()
     }
 
-    /// The motions from the sources to a frame, which start from those of the frame before; none where none is found.
+    /// The motions from the sources to a frame, starting from those of the frame before; none if the estimate
+    /// fails.
     fn motions(&self, pasts: &Pasts, image: &RangeImage, last: &mut [Pose; 2]) -> [QuantisedPose; 2] {
         let mut motions = [QuantisedPose::default(); 2];
         if self.method == Method::Slam {
@@ -189,7 +192,7 @@ impl Coder<'_> {
         motions
     }
 
-    /// Codes what comes before the image, and predicts the ranges of its returns, in steps.
+    /// Codes the data before the image, and predicts the ranges of its returns, in steps.
     fn code_side<C: BitCoder>(
         &self,
         coder: &mut C,
@@ -233,7 +236,7 @@ impl Coder<'_> {
         }
     }
 
-    /// Codes what prediction has left; also returns what that decodes to.
+    /// Codes the prediction residuals; also returns the decoded ones.
     fn code_image(
         &self,
         residuals: &Grid<i32>,
@@ -251,7 +254,8 @@ impl Coder<'_> {
             Aim::Bits(bits) => return at(bits),
             Aim::Error(metres) => metres,
         };
-        // On both sides of the aim: bits, and the logarithm of how many times the error is what it may be.
+        // The nearest trials on either side of the target: bits, and the logarithm of the ratio of the error
+        // to the target.
         let (mut too_few, mut enough): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
         let mut best = None;
         let mut bits: f64 = 3.0;
@@ -269,18 +273,18 @@ impl Coder<'_> {
             }
             bits = match (too_few, enough) {
                 (Some([few, above]), Some([many, below])) => {
-                    // Not so near to either that the other does not move.
+                    // Not too near to either side, so that both sides move.
                     let share = (above / (above - below)).clamp(0.2, 0.8);
                     few + share * (many - few)
                 }
-                // At best, a bit more for each return halves the error.
+                // At best, one more bit per return halves the error.
                 _ => (bits + 1.3 * times).clamp(BITS[0], BITS[1]),
             };
         }
         best.map_or_else(|| at(BITS[1]), Ok)
     }
 
-    /// The root mean square of what is lost of the returns' ranges, in metres.
+    /// The root mean square of the loss in the returns' ranges, in metres.
     fn rmse(&self, values: &Grid<i32>, decoded: &Grid<i32>, returns: &Grid<bool>, count: usize) -> f64 {
         let cells = values.cells().iter().zip(decoded.cells()).zip(returns.cells());
         let squares = cells.filter(|(_, is)| **is).map(|((a, b), _)| (f64::from(*a) - f64::from(*b)).powi(2));
@@ -301,7 +305,7 @@ impl Coder<'_> {
     }
 }
 
-/// The decoded images of a frame's sources, and what they predict.
+/// The decoded images of a frame's sources, prepared for prediction.
 type Pasts = [Option<(RangeImage, Past)>; 2];
 
 fn pasts(decoded: &[Option<RangeImage>], turn: Turn) -> Pasts {
@@ -332,7 +336,7 @@ fn code_returns<C: BitCoder>(coder: &mut C, returns: &mut Grid<bool>, predicted:
     }
 }
 
-/// The image before, each block from where its vector points; columns go round.
+/// The image before, with each block taken from where its vector points; columns wrap around.
 fn shifted(before: &RangeImage, vectors: &[[i32; 2]]) -> Layer {
     let (rows, columns) = (before.steps.rows(), before.steps.columns());
     let mut layer = Layer { steps: Grid::new(rows, columns), levels: Grid::new(rows, columns) };
@@ -346,7 +350,7 @@ fn shifted(before: &RangeImage, vectors: &[[i32; 2]]) -> Layer {
     layer
 }
 
-/// Where the vector of a cell points.
+/// The cell to which a vector points.
 fn source(
     (row, column): (usize, usize),
     [down, right]: [i32; 2],
@@ -357,14 +361,15 @@ fn source(
     (row as usize, column as usize)
 }
 
-/// The vector of each block with the least sum of absolute differences of the ranges; of equals, the shortest.
+/// The vector of each block with the least sum of absolute differences of the ranges; of equal ones, the
+/// shortest.
 fn vectors(before: &RangeImage, image: &RangeImage) -> Vec<[i32; 2]> {
     let (rows, columns) = (image.steps.rows(), image.steps.columns());
     let [down, right] = REACH;
     let mut candidates: Vec<[i32; 2]> =
         (-down..=down).flat_map(|down| (-right..=right).map(move |right| [down, right])).collect();
     candidates.sort_by_key(|[down, right]| down * down + right * right);
-    // Columns go round; with the turns' ends repeated, a search need not.
+    // Columns wrap around; repeating the ends of the turn avoids this in the search.
     let aside = right as usize;
     let mut around: Grid<u32> = Grid::new(rows, columns + 2 * aside);
     for row in 0..rows {
@@ -382,7 +387,7 @@ fn vectors(before: &RangeImage, image: &RangeImage) -> Vec<[i32; 2]> {
             .copied()
             .filter(|steps| *steps > 0)
             .collect();
-        // A return without one to compare with is as far off as returns of the block are far away.
+        // For a return without a counterpart, the difference is the median range of the block's returns.
         let middle = ranges.len() / 2;
         let alone = if ranges.is_empty() { 0 } else { *ranges.select_nth_unstable(middle).1 };
         let cost = |[down, right]: [i32; 2]| -> u64 {

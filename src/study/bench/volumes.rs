@@ -41,14 +41,14 @@ pub fn rates(sample: &Sample, runs: &Runs, rivals: &Rivals) -> Section {
     })
 }
 
-/// Coded bytes of the bytes of the files, in %; `None` if there are none.
+/// Coded bytes as a percentage of the files' bytes; `None` if these are empty.
 fn octree_rate(sample: &Sample, octree: &Rival) -> Option<f64> {
     let original: u64 = sample.inputs.iter().filter_map(|input| input.size().ok()).sum();
     let coded = octree.sum(0..octree.frames.len(), |frame| frame.bytes);
     metrics::ratio(original, coded).map(|ratio| 100.0 * ratio)
 }
 
-/// Beside Table I: what the octree coder takes and loses.
+/// A table beside Table I: the sizes and errors of the octree coder.
 pub fn octrees(sample: &Sample, rivals: &Rivals) -> Section {
     let row = |(&voxel_um, octree): (&u32, &Rival)| {
         let all = 0..octree.frames.len();

@@ -7,20 +7,20 @@ use rayon::prelude::*;
 
 use crate::scan::PointCloud;
 
-/// The points of a cloud, indexed for nearest-neighbour search: each place once, without points that have a
-/// NaN or infinite coordinate. There is at least one.
+/// The points of a cloud, indexed for nearest-neighbour search: each position once, without points that have
+/// a NaN or infinite coordinate. There is at least one.
 pub struct NearestPoints {
-    /// In metres, rising by x, then y, then z.
+    /// Positions in metres, in ascending order of x, then y, then z.
     points: Vec<[f64; 3]>,
-    /// Points of the cloud at each place.
+    /// Number of points of the cloud at each position.
     counts: Vec<u32>,
     tree: ImmutableKdTree<f64, 3>,
 }
 
-/// The nearest point to a place.
+/// The point nearest to a position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nearest {
-    /// Its number in [`NearestPoints::points`].
+    /// Its index in [`NearestPoints::points`].
     pub point: usize,
     /// Square of the distance, in square metres.
     pub squared: f64,
@@ -31,8 +31,8 @@ impl NearestPoints {
     pub fn of(cloud: &PointCloud) -> Option<Self> {
         let mut all: Vec<[f64; 3]> = cloud.positions.iter().filter_map(finite).collect();
         all.par_sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
-        // Files that store (0, 0, 0) for beams without a return have thousands of points in one place, among
-        // which a search would take forever.
+        // Files that store (0, 0, 0) for records without a return have thousands of points in one position,
+        // among which a search would take very long.
         let (points, counts): (Vec<_>, Vec<_>) =
             all.chunk_by(|a, b| a == b).map(|same| (same[0], same.len() as u32)).unzip();
         if points.is_empty() {
@@ -42,23 +42,23 @@ impl NearestPoints {
         Some(NearestPoints { points, counts, tree })
     }
 
-    /// The places, in metres.
+    /// The positions, in metres.
     pub fn points(&self) -> &[[f64; 3]] {
         &self.points
     }
 
-    /// The place nearest to a point.
+    /// The position nearest to a point.
     pub fn nearest(&self, point: &[f64; 3]) -> Nearest {
         let found = self.tree.query(point).nearest_one::<SquaredEuclidean<f64>>().execute();
         Nearest { point: found.item as usize, squared: found.distance }
     }
 
-    /// The place nearest to each of other points, on all processors.
+    /// The position nearest to each of other points, computed on all processors.
     pub fn nearest_to_all(&self, others: &NearestPoints) -> Vec<Nearest> {
         others.points.par_iter().map(|point| self.nearest(point)).collect()
     }
 
-    /// The numbers of the places nearest to a point: `count` of them, or all if there are fewer.
+    /// The indices of the positions nearest to a point: `count` of them, or all if there are fewer.
     pub fn nearest_few(&self, point: &[f64; 3], count: NonZero<usize>) -> Vec<usize> {
         let found = self.tree.query(point).nearest_n::<SquaredEuclidean<f64>>(count).execute();
         found.iter().map(|neighbour| neighbour.item as usize).collect()
@@ -72,14 +72,14 @@ pub struct NearestPairs {
     pub original: NearestPoints,
     /// The decoded points.
     pub decoded: NearestPoints,
-    /// The decoded place nearest to each original one.
+    /// The decoded position nearest to each original one.
     pub of_original: Vec<Nearest>,
-    /// The original place nearest to each decoded one.
+    /// The original position nearest to each decoded one.
     pub of_decoded: Vec<Nearest>,
 }
 
 impl NearestPairs {
-    /// Finds them; `None` if a cloud has no finite point.
+    /// Finds the pairs; `None` if a cloud has no finite point.
     pub fn of(original: &PointCloud, decoded: &PointCloud) -> Option<Self> {
         let (original, decoded) = (NearestPoints::of(original)?, NearestPoints::of(decoded)?);
         let of_original = decoded.nearest_to_all(&original);
@@ -88,7 +88,7 @@ impl NearestPairs {
     }
 }
 
-/// How far points are from the nearest ones of another cloud: the point-to-point distance (D1) of MPEG's
+/// Distances of points from the nearest ones of another cloud: the point-to-point distance (D1) of MPEG's
 /// common test conditions, in one direction. Distances are 3-D, in f64; points with a NaN or infinite
 /// coordinate are ignored.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -111,7 +111,7 @@ impl NearestErrors {
         }
     }
 
-    /// As [`add`](Self::add), for points whose nearest others are known.
+    /// As [`add`](Self::add), for points whose nearest counterparts are known.
     pub fn add_nearest(&mut self, points: &NearestPoints, nearest: &[Nearest]) {
         for (count, found) in points.counts.iter().zip(nearest) {
             self.measured += u64::from(*count);

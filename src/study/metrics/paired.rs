@@ -2,7 +2,7 @@
 
 use crate::scan::{PointCloud, squared_distance};
 
-/// How far decoded points are from the original ones.
+/// Errors of decoded points relative to the original ones.
 ///
 /// Points are paired by their order in the file: the first decoded with the first original, and so on. The
 /// error of a pair is the 3-D distance between its positions, computed in f64. A pair in which a coordinate
@@ -24,7 +24,7 @@ pub struct PointErrors {
     squared_sum: f64,
     /// Largest error, in metres.
     max: f64,
-    /// Largest difference between two intensities that are numbers, in the file's unit.
+    /// Largest difference between two intensities that are not NaN, in the file's unit.
     pub max_intensity: f64,
 }
 
@@ -39,7 +39,7 @@ impl PointErrors {
             self.add_pair(a, b);
         }
         for (a, b) in original.intensity.iter().zip(&decoded.intensity) {
-            // No number is larger than NaN.
+            // `max` ignores NaN.
             self.max_intensity = self.max_intensity.max((f64::from(*a) - f64::from(*b)).abs());
         }
     }
@@ -73,8 +73,8 @@ fn finite_squared_distance(a: &[f32; 3], b: &[f32; 3]) -> Option<f64> {
     finite.then(|| squared_distance(a, b))
 }
 
-/// The distance, in metres, of each decoded point from the original point at its place in the order; `None`
-/// if there is none, or if a coordinate is NaN or infinite.
+/// The distance, in metres, of each decoded point from the original point with the same index; `None` if
+/// there is none, or if a coordinate is NaN or infinite.
 pub fn paired_distances(original: &PointCloud, decoded: &PointCloud) -> Vec<Option<f64>> {
     let of_point = |(place, point): (usize, &[f32; 3])| {
         finite_squared_distance(original.positions.get(place)?, point).map(f64::sqrt)

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::nearest::{Nearest, NearestPairs, NearestPoints};
 
 /// The peak, in metres: 59.70, as in the literature on compressing KITTI's scans. The tool leaves the choice
-/// to the user; a PSNR means nothing without it.
+/// to the user; a PSNR is meaningless without it.
 pub const PEAK_M: f64 = 59.70;
 
 /// The tool's factor for geometry, whose errors have three coordinates.
@@ -23,12 +23,12 @@ const NORMAL_POINTS: NonZero<usize> = NonZero::<usize>::MIN.saturating_add(15);
 /// D1 and D2 of frames, symmetric.
 ///
 /// D1 is the mean of the squared distances from each point to the nearest one of the other cloud (point to
-/// point). D2 takes only the part of each such distance that is along the normal of the other point (point to
+/// point). D2 uses only the component of each such distance along the normal of the other point (point to
 /// plane). Of the two directions, original to decoded and back, the one with the larger mean counts. The
 /// normals of the original cloud are those of planes through the nearest points, towards the scanner; a
 /// decoded point has the mean normal of those original points to which it is nearest, or, if there are none,
-/// the normal of the original point nearest to it. Points in one place count once; those with a NaN or
-/// infinite coordinate do not count. PSNR is computed from the mean of all frames' errors, so that frames
+/// the normal of the original point nearest to it. Points at the same position count once; those with a NaN
+/// or infinite coordinate do not count. PSNR is computed from the mean of all frames' errors, so that frames
 /// without any error do not make it infinite.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryPsnr {

@@ -3,8 +3,8 @@
 use crate::scanner::RangeImage;
 use crate::scanner::Scanner;
 
-/// How far the ranges of a decoded image are from those of the original one: the RMSE of the article
-/// (VI-A, equation 12),
+/// Errors of the ranges of a decoded image relative to the original one: the RMSE of the article (VI-A,
+/// equation 12),
 ///
 /// ```text
 /// RMSE = sqrt(1 / (m n) * sum over cells of (I(i, j) - K(i, j))^2),
@@ -14,11 +14,11 @@ use crate::scanner::Scanner;
 /// no range. Returns that only one of the images has are counted separately. Ranges are in metres, in f64.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RangeErrors {
-    /// Returns of both images.
+    /// Returns in both images.
     pub compared: u64,
-    /// Returns of the original image alone.
+    /// Returns in the original image only.
     pub only_original: u64,
-    /// Returns of the decoded image alone.
+    /// Returns in the decoded image only.
     pub only_decoded: u64,
     /// Sum of the squared errors, in square metres.
     squared_sum: f64,
@@ -27,7 +27,7 @@ pub struct RangeErrors {
 }
 
 impl RangeErrors {
-    /// Adds the images of one frame, each with the scanner in whose steps it is. They have the same rows;
+    /// Adds the images of one frame, each with the scanner that defines its steps. They have the same rows;
     /// columns correspond if their ticks are equal.
     pub fn add(&mut self, original: (&Scanner, &RangeImage), decoded: (&Scanner, &RangeImage)) {
         let (mut left, mut right) = (0, 0);

@@ -5,7 +5,7 @@ use super::legend::with_legend;
 use super::painting::{GAP, Picture, TEXT_HEIGHT};
 use super::scale::Scale;
 
-/// The most pixels of a side.
+/// Largest number of pixels on a side.
 const LARGEST: f64 = 4096.0;
 /// Length of the scale bar, in metres.
 const YARD: f64 = 10.0;
@@ -65,7 +65,7 @@ impl BirdsEye {
         heights
     }
 
-    /// Distance in pixels from the side in the direction of a coordinate, if it is within reach.
+    /// Distance in pixels from the side that a coordinate points to, if it is within reach.
     fn place(&self, coordinate: f32) -> Option<usize> {
         let side = self.side();
         let pixel = (self.reach_m - f64::from(coordinate)) / (2.0 * self.reach_m) * side as f64;
@@ -93,7 +93,7 @@ mod tests {
 
     const VIEW: BirdsEye = BirdsEye { reach_m: 100.0, pixel_m: 0.5 };
 
-    /// The pixel of the place (x, y).
+    /// The pixel at the position (x, y).
     fn at(picture: &Picture, x: f64, y: f64) -> [u8; 3] {
         let pixel = |coordinate: f64| ((VIEW.reach_m - coordinate) / VIEW.pixel_m) as usize;
         picture.pixel(pixel(y), pixel(x)).unwrap()

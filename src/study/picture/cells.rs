@@ -16,9 +16,9 @@ pub struct Zoom {
 }
 
 impl Zoom {
-    /// The size for a table with `columns`: rows are four times as tall as columns are wide, since the beams
-    /// of a scanner are farther apart than its firings, and the picture is about 1500 pixels wide, or wider
-    /// if it has more columns.
+    /// The size for a table with `columns` columns: rows are four times as tall as columns are wide, since
+    /// the beams of a scanner are farther apart than its firings, and the picture is about 1500 pixels wide,
+    /// or wider if it has more columns.
     pub fn for_columns(columns: usize) -> Self {
         const WIDTH: usize = 1500;
         const WIDEST: usize = 16;
@@ -27,7 +27,7 @@ impl Zoom {
     }
 }
 
-/// What a label stands for.
+/// How a label is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LabelStyle {
     /// A region with a colour of its own.
@@ -38,8 +38,8 @@ pub enum LabelStyle {
     Unassigned,
 }
 
-/// A range image, or a prediction of one: rows x columns, in steps of `step_m` metres, 0 = no return; the
-/// nearer, the darker.
+/// A range image, or a prediction of one: rows x columns, in steps of `step_m` metres, 0 = no return; nearer
+/// is darker.
 pub fn range(steps: &Grid<u32>, step_m: f64, scale: &Scale, zoom: Zoom) -> Picture {
     let map = ColourMap::sequential();
     let picture = paint(steps, zoom, |_, &steps| match steps {
@@ -54,7 +54,7 @@ pub fn occupancy(occupancy: &Grid<bool>, zoom: Zoom) -> Picture {
     paint(occupancy, zoom, |_, &filled| if filled { PLAIN } else { BLACK })
 }
 
-/// The regions of a frame: label 0 means no return, and `style` says what the others are.
+/// The regions of a frame: label 0 means no return, and `style` defines how the others are drawn.
 pub fn labels(labels: &Grid<u32>, style: impl Fn(u32) -> LabelStyle, zoom: Zoom) -> Picture {
     paint(labels, zoom, |_, &label| match label {
         0 => BLACK,
@@ -80,8 +80,7 @@ pub fn residual(residuals: &Grid<i32>, occupancy: &Grid<bool>, step_m: f64, zoom
     with_legend(&picture, &map, &scale, "m")
 }
 
-/// Distances between decoded and original points, in millimetres; NaN = no return. The larger, the
-/// lighter.
+/// Distances between decoded and original points, in millimetres; NaN = no return. Larger is lighter.
 pub fn error(millimetres: &Grid<f32>, zoom: Zoom) -> Picture {
     let scale = Scale::of_errors(millimetres.cells().iter().map(|&error| f64::from(error)));
     let map = ColourMap::sequential();

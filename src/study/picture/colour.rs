@@ -1,7 +1,7 @@
-//! Colours whose differences look as large as those of the numbers that they stand for.
+//! Colours whose perceived differences correspond to the differences of the numbers that they represent.
 //!
-//! All of them are made in Oklch (lightness, chroma, hue), in which equal distances look equal (B. Ottosson,
-//! "A perceptual color space for image processing", 2020).
+//! All of them are defined in Oklch (lightness, chroma, hue), in which equal distances look equal (B.
+//! Ottosson, "A perceptual color space for image processing", 2020).
 
 /// Red, green and blue in sRGB.
 pub type Rgb = [u8; 3];
@@ -10,15 +10,15 @@ pub type Rgb = [u8; 3];
 pub const BLACK: Rgb = [0; 3];
 /// Text and marks.
 pub const WHITE: Rgb = [255; 3];
-/// A return of which nothing more is shown than that it exists.
+/// A return that is only shown to exist.
 pub const PLAIN: Rgb = [200; 3];
 /// A return that belongs to no region.
 pub const GREY: Rgb = [90; 3];
 
 /// Number of colours of a map.
 const SHADES: usize = 256;
-/// Degrees between the hues of neighbouring labels: the golden angle, which fills the circle evenly however
-/// many there are.
+/// Degrees between the hues of neighbouring labels: the golden angle, which fills the circle evenly for any
+/// number of labels.
 const GOLDEN_ANGLE: f64 = 137.507_764_05;
 
 /// Colours for the numbers from 0 to 1.
@@ -60,7 +60,7 @@ pub fn of_ground(label: u32) -> Rgb {
     oklch([0.42, 0.36, 0.48][label as usize % 3], 0.045, 70.0)
 }
 
-/// Lightness 0 to 1, chroma (0 is grey), hue in degrees; the chroma is reduced where sRGB does not reach it.
+/// Lightness 0 to 1, chroma (0 is grey), hue in degrees; the chroma is reduced if it is outside sRGB.
 fn oklch(lightness: f64, chroma: f64, hue: f64) -> Rgb {
     let (sin, cos) = hue.to_radians().sin_cos();
     let mut rgb = linear_rgb(lightness, chroma * cos, chroma * sin);

@@ -1,5 +1,5 @@
 //! Pictures of a frame: range image, occupancy, labels, prediction, residual, error, and the points from
-//! above or as a camera sees them. Pure functions of plain data, for the eye only.
+//! above or in perspective. Pure functions of plain data, for viewing only.
 
 mod bird;
 mod cells;

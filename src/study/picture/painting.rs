@@ -15,7 +15,7 @@ const DOT: usize = 2;
 pub const TEXT_HEIGHT: usize = font::HEIGHT * DOT;
 /// Distance from one letter to the next, in pixels.
 pub const LETTER_WIDTH: usize = font::ADVANCE * DOT;
-/// Distance between things, in pixels.
+/// Distance between elements, in pixels.
 pub const GAP: usize = 6;
 
 /// A picture of at least one pixel; row 0 is at the top.

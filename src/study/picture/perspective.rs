@@ -1,21 +1,21 @@
-//! The points as a camera sees them.
+//! The points in perspective, as seen by a camera.
 
 use super::colour::ColourMap;
 use super::legend::with_legend;
 use super::painting::Picture;
 use super::scale::Scale;
 
-/// A view from behind the scanner and above it, with x (forward) into the picture, coloured by height. Nearer points cover
-/// farther ones.
+/// A view from behind the scanner and above it, with x (forward) into the picture, coloured by height. Nearer
+/// points cover farther ones.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Perspective {
     /// Width and height of the picture, in pixels.
     pub size: [usize; 2],
-    /// The place of the camera: x, y and z in metres from the scanner.
+    /// The position of the camera: x, y and z in metres from the scanner.
     pub eye: [f64; 3],
     /// The angle by which the camera looks down, in degrees.
     pub down: f64,
-    /// The width of what it sees, in degrees.
+    /// The width of the field of view, in degrees.
     pub field: f64,
 }
 
@@ -29,7 +29,7 @@ impl Default for Perspective {
 impl Perspective {
     /// Draws points, with x, y and z in metres; those that are not finite or behind the camera are left out.
     pub fn draw(&self, points: &[[f32; 3]]) -> Picture {
-        /// The side of a point, in metres, and its smallest and largest picture, in pixels.
+        /// The side of a point, in metres, and the smallest and largest size of its image, in pixels.
         const SIDE: f64 = 0.07;
         const SIDES: [f64; 2] = [1.0, 4.0];
         let mut seen: Vec<_> = points.iter().filter_map(|point| self.place(point)).collect();
@@ -45,14 +45,14 @@ impl Perspective {
         with_legend(&picture, &map, &scale, "m")
     }
 
-    /// The width, in pixels, of what is a metre wide and a metre away.
+    /// The width, in pixels, of an object one metre wide and one metre away.
     fn pixels_at_one_metre(&self) -> f64 {
         self.size[0] as f64 / (2.0 * (self.field.to_radians() / 2.0).tan())
     }
 
-    /// Where a point is in the picture, if it is there.
+    /// The position of a point in the picture, if it is visible.
     fn place(&self, point: &[f32; 3]) -> Option<Placed> {
-        /// Nothing is drawn that is nearer, in metres.
+        /// Points nearer than this are not drawn, in metres.
         const NEAREST: f64 = 0.5;
         let [x, y, z] = [0, 1, 2].map(|axis| f64::from(point[axis]) - self.eye[axis]);
         let (sin, cos) = self.down.to_radians().sin_cos();
@@ -70,13 +70,13 @@ impl Perspective {
     }
 }
 
-/// A point that is seen.
+/// A visible point.
 struct Placed {
     /// Metres in front of the camera.
     depth: f64,
     /// Metres above the scanner.
     height: f64,
-    /// From the left and from the top.
+    /// Column and row of the pixel, from the left and from the top.
     pixel: [usize; 2],
 }
 
@@ -90,7 +90,8 @@ mod tests {
     fn ahead_is_the_middle_and_left_is_left() {
         let pixel = |point: [f32; 3]| VIEW.place(&point).map(|placed| placed.pixel);
         assert_eq!(pixel([10.0, 0.0, 0.0]), Some([100, 50]));
-        // 45 degrees reach to the sides; half as high as wide, the picture ends at half that slope. In the middle of a pixel.
+        // 45 degrees reach to the sides; as the picture is half as high as wide, it ends at half that slope.
+        // In the middle of a pixel.
         assert_eq!(pixel([10.0, 4.95, 1.95]), Some([50, 30]));
         assert_eq!(pixel([20.0, 9.9, 3.9]), Some([50, 30]));
         for out in [[-1.0, 0.0, 0.0], [10.0, 11.0, 0.0], [10.0, 0.0, 6.0], [f32::NAN; 3], [f32::INFINITY; 3]]

@@ -8,7 +8,7 @@ pub struct Scale {
     spacing: Spacing,
 }
 
-/// What is equal between equal distances on a scale.
+/// The kind of change that is constant along a scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Spacing {
     /// Equal differences.
@@ -42,7 +42,7 @@ impl Scale {
     pub fn of_heights(metres: impl Iterator<Item = f64>) -> Self {
         let sorted = sorted(metres);
         let low = percentile(&sorted, 0.02);
-        // With large numbers a small difference would be lost.
+        // For large numbers a small difference would be lost to rounding.
         let least_span = LEAST_SPAN.max(low.abs() * 1e-6);
         let high = percentile(&sorted, 0.98).max(low + least_span);
         Scale { low, high, spacing: Spacing::Linear }
@@ -63,7 +63,7 @@ impl Scale {
         Scale { low: -errors.high, ..errors }
     }
 
-    /// The place of a number: 0 at the lower end, 1 at the upper one.
+    /// The position of a number: 0 at the lower end, 1 at the upper one.
     pub fn part(&self, metres: f64) -> f64 {
         let [low, here, high] = [self.low, metres, self.high].map(|metres| match self.spacing {
             Spacing::Linear => metres,
@@ -73,7 +73,7 @@ impl Scale {
         (here - low) / (high - low)
     }
 
-    /// Round numbers on the scale, rising, each with its text.
+    /// Round numbers on the scale, in ascending order, each with its text.
     pub fn ticks(&self) -> Vec<(f64, String)> {
         match self.spacing {
             Spacing::Linear => self.linear_ticks(),
@@ -128,7 +128,7 @@ fn decimals(decade: i32) -> usize {
     decade.saturating_neg().clamp(0, 9) as usize
 }
 
-/// The finite numbers, rising.
+/// The finite numbers, in ascending order.
 fn sorted(metres: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = metres.filter(|value| value.is_finite()).collect();
     values.sort_by(f64::total_cmp);

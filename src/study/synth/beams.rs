@@ -33,7 +33,7 @@ pub struct Beam {
     pub elevation: f64,
     /// Added to the horizontal distance, in metres.
     pub range_offset: f64,
-    /// Height of the beam's origin over that of the sensor, in metres.
+    /// Height of the beam's origin above that of the scanner, in metres.
     pub height: f64,
     /// Sideways offset of the beam's origin, in metres; positive offsets turn it towards larger azimuths.
     pub side: f64,
@@ -70,8 +70,8 @@ fn beam(row: usize, rng: &mut Rng) -> Beam {
     }
 }
 
-/// The lasers of a block stand side by side in groups of six, so the shift rises within each group and falls
-/// back with the next one; two kinds of groups alternate.
+/// The lasers of a block are side by side in groups of six, so the shift increases within each group and
+/// falls back with the next one; two kinds of groups alternate.
 fn shift(row: usize, rng: &mut Rng) -> i32 {
     let upper = row < BEAMS / 2;
     let place = row % (BEAMS / 2) + if upper { 2 } else { 4 };
@@ -90,8 +90,7 @@ pub(super) struct Stored {
 }
 
 impl Beam {
-    /// The difference between the distance from the point on the axis that the ray passes and the whole
-    /// steps, in metres.
+    /// The difference between the distance along the ray from the axis and the whole steps, in metres.
     pub(super) fn distance_offset(&self) -> f64 {
         self.range_offset / cos(self.elevation * RADIANS)
     }
@@ -111,7 +110,7 @@ impl Beam {
         (f64::from(tick) * TICK_DEGREES + self.turn) * RADIANS
     }
 
-    /// The coordinates of a range and a tick, with the roundings to single precision of the original
+    /// The coordinates for a range and a tick, with the roundings to single precision of the original
     /// software: these move one point in a hundred to the other side of a millimetre boundary.
     pub(super) fn point(&self, tick: i32, steps: u32) -> Stored {
         let (sin_v, cos_v) = self.slope();

@@ -14,7 +14,7 @@ const CLIMB: f64 = 0.015;
 const TILT: f64 = 0.01;
 /// Fall of the road from its middle to the kerbs, in metres per metre.
 const CAMBER: f64 = 0.015;
-/// The undulation along the road: metres between supports, and from low to high.
+/// The undulation along the road: metres between supports, and metres from low to high.
 const WAVE_LENGTH: f64 = 25.0;
 const WAVE_HEIGHT: f64 = 0.35;
 /// All slopes together are never steeper than this.
@@ -58,7 +58,7 @@ impl Ground {
         (left + (right - left) * blend, (right - left) * 6.0 * at * (1.0 - at) / WAVE_LENGTH)
     }
 
-    /// Where a ray meets the ground, if that is at most `reach` metres away.
+    /// The point where a ray meets the ground, if it is at most `reach` metres away.
     pub(super) fn hit(&self, ray: &Ray, reach: f64) -> Option<Hit> {
         let kerb = self.kerb_distance(ray).min(reach);
         if let Some(distance) = self.march(ray, 0.0, kerb, 0.0) {
@@ -107,7 +107,7 @@ impl Ground {
         None
     }
 
-    /// What the ray sees of the ground at a distance.
+    /// The ground as seen by the ray at a distance.
     fn surface(&self, ray: &Ray, distance: f64) -> Hit {
         let [x, y, _] = ray.at(distance);
         let [along, across] = self.slopes(x);
@@ -135,7 +135,7 @@ fn is_marking(x: f64, y: f64) -> bool {
     dashed || (y.abs() - 3.9).abs() < 0.05
 }
 
-/// The zero between a place above and one below, accurate to well under the noise.
+/// The zero between a point above and one below, far more accurate than the noise.
 fn false_position(above: impl Fn(f64) -> f64, near: (f64, f64), far: (f64, f64)) -> f64 {
     let (mut near, mut far) = (near, far);
     let mut middle = far.0;

@@ -1,10 +1,10 @@
 //! A simulated drive: a Velodyne HDL-64E or VLP-16, a street generated from a seed, and scans in the form in
 //! which KITTI or the ROS driver stores them.
 //!
-//! For tests and demonstrations that need scans with the structure of real ones, but none of their data. What
-//! is imitated is the sensor: 64 beams with constants of their own, 2 mm range steps, 0.09 degree azimuth
-//! ticks, columns that all beams share, coordinates rounded to the millimetre, 8.9 mm of range noise. A seed
-//! gives the same bytes on every platform.
+//! For tests and demonstrations that need scans with the structure of real ones, but without their data. The
+//! simulation imitates the scanner: 64 beams with constants of their own, 2 mm range steps, 0.09 degree
+//! azimuth ticks, columns that all beams share, coordinates rounded to the millimetre, 8.9 mm of range noise.
+//! A seed gives the same bytes on every platform.
 //!
 //! ```
 //! use lidarpc::internals::study::synth::{SynthConfig, drive};
@@ -61,8 +61,8 @@ pub struct SynthConfig {
     pub speed: f64,
     /// The heading swings from side to side; this is its fastest change, in radians a frame. Default 0.004.
     pub yaw_rate: f64,
-    /// Whether the car moves while the head turns. If so, the points are those that the sensor saw from its
-    /// place at each firing, uncorrected, as in KITTI raw data. Default true.
+    /// Whether the car moves while the head rotates. If so, the points are as the scanner saw them from its
+    /// position at each firing, uncorrected, as in KITTI raw data. Default true.
     pub rolling: bool,
     /// Whether other cars drive too. Default true.
     pub traffic: bool,
@@ -97,8 +97,8 @@ impl Default for SynthConfig {
 }
 
 impl SynthConfig {
-    /// The drive in `testdata/drive`: three frames of all beams and every fourth firing, which leaves
-    /// each beam some hundred points to fit its constants to, in less than 1.6 MB.
+    /// The drive in `testdata/drive`: three frames of all beams and every fourth firing. Each beam then has
+    /// some hundred points for the fit of its constants, in less than 1.6 MB in total.
     #[cfg(any(test, feature = "internals"))]
     pub fn testdata() -> Self {
         SynthConfig { frames: 3, seed: 64, thinning: 4, ..SynthConfig::default() }
@@ -113,8 +113,8 @@ pub struct SynthFrame {
     /// x, y, z in metres and intensity. HDL-64E: beam by beam from the top, and by azimuth in each beam, with
     /// intensities from 0 to 0.99. VLP-16: firing by firing, with whole intensities from 0 to 255.
     pub points: Vec<[f32; 4]>,
-    /// The pose of the sensor in the world, looking ahead, in the middle of its turn: rotation, and position
-    /// in metres, as the first three rows of the matrix that takes points to the world.
+    /// The pose of the scanner in the world, in the middle of its turn, when it faces ahead: rotation, and
+    /// position in metres, as the first three rows of the matrix that maps points to the world.
     pub pose: [f64; 12],
 }
 

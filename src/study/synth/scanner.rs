@@ -1,4 +1,4 @@
-//! The turning head: when it fires, what comes back, and the order of the points in the file.
+//! The rotating head: when it fires, what it measures, and the order of the points in the file.
 
 use libm::{exp, rint, sqrt};
 
@@ -17,9 +17,9 @@ const FIRINGS: [f64; 2] = [2148.6, 2165.4];
 const JITTER: f64 = 0.01;
 /// Probability that a point's tick is one too high.
 const STRAY: f64 = 1e-5;
-/// The roof that carries the sensor, in the sensor's coordinates (metres).
+/// The roof that carries the scanner, in the scanner's coordinates (metres).
 const ROOF: ([f64; 3], [f64; 3]) = ([-1.6, -0.75, -2.0], [1.0, 0.75, -0.35]);
-/// Sensitivity: the higher, the farther away are dark and slanting surfaces seen.
+/// Sensitivity: the higher it is, the farther away dark and slanting surfaces are seen.
 const SENSITIVITY: f64 = 90.0;
 /// The distance to which `SENSITIVITY` applies, in metres.
 const SENSITIVITY_RANGE: f64 = 50.0;
@@ -63,7 +63,7 @@ impl Scanner<'_> {
         Rng::keyed(self.config.seed, &[u64::from(b'f'), frame as u64, row as u64])
     }
 
-    /// The sensor's pose when it fires in a column. A turn begins and ends behind the car.
+    /// The scanner's pose when it fires in a column. A turn begins and ends behind the car.
     fn pose(&self, time: f64, column: i32) -> Pose {
         let turned = f64::from((column + TICKS / 2) % TICKS) / f64::from(TICKS) - 0.5;
         pose(self.config, self.ground, time, turned)
@@ -80,7 +80,7 @@ impl Scanner<'_> {
         row.into_iter().map(|(Stored { position: [x, y, z], .. }, intensity)| [x, y, z, intensity]).collect()
     }
 
-    /// One pulse: the point and its intensity, if enough light comes back.
+    /// One pulse: the point and its intensity, if enough light returns.
     fn fire(
         &self,
         scene: &Scene,
@@ -98,8 +98,8 @@ impl Scanner<'_> {
     }
 }
 
-/// What the scanner measures along a ray that meets something: the distance in metres, with its noise. `None`
-/// if not enough light comes back, or if the surface is too near or too far.
+/// The scanner's measurement along a ray that hits something: the distance in metres, with noise. `None` if
+/// not enough light returns, or if the surface is too near or too far.
 pub(super) fn measured(config: &SynthConfig, hit: &Hit, rng: &mut Rng) -> Option<f64> {
     let noise = sqrt(config.noise * config.noise + hit.scatter * hit.scatter);
     let distance = hit.distance + noise * rng.normal();
@@ -114,12 +114,12 @@ fn is_heard(config: &SynthConfig, hit: &Hit, rng: &mut Rng) -> bool {
     rng.chance((1.0 - exp(-strength)) * (1.0 - hit.loss) * (1.0 - config.dropout))
 }
 
-/// The sensor's pose at a fraction of its turn, from -0.5 to 0.5.
+/// The scanner's pose at a fraction of its turn, from -0.5 to 0.5.
 pub(super) fn pose(config: &SynthConfig, ground: &Ground, time: f64, turned: f64) -> Pose {
     Pose::at(config, ground, if config.rolling { time + turned } else { time })
 }
 
-/// The ray of a beam in the sensor's coordinates.
+/// The ray of a beam in the scanner's coordinates.
 fn leave(beam: &Beam, tick: i32) -> Ray {
     let (sin_v, cos_v) = beam.slope();
     let (sin, cos) = libm::sincos(beam.azimuth(tick));
@@ -129,7 +129,7 @@ fn leave(beam: &Beam, tick: i32) -> Ray {
     }
 }
 
-/// What a ray of the sensor hits: the roof under it, or the street.
+/// What a ray of the scanner hits: the roof under it, or the street.
 pub(super) fn look(scene: &Scene, ray: &Ray, pose: &Pose, rng: &mut Rng) -> Option<Hit> {
     if let Some(span) = through_box(ray, ROOF.0, ROOF.1).filter(|span| span.enter > 0.0) {
         return Some(Hit::plain(span.enter, span.incidence, 0.4));
@@ -143,7 +143,7 @@ fn intensity(hit: &Hit, gain: f64, rng: &mut Rng) -> f32 {
     (brightness(hit, gain, rng).clamp(0.0, 99.0) / 100.0) as f32
 }
 
-/// The same as a whole number, not limited.
+/// As [`intensity`], as a whole number without limits.
 pub(super) fn brightness(hit: &Hit, gain: f64, rng: &mut Rng) -> f64 {
     let facing = 0.35 + 0.65 * sqrt(hit.incidence);
     let fading = 1.0 / (1.0 + hit.distance / 120.0);

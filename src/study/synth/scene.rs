@@ -1,4 +1,5 @@
-//! Everything that the sensor can see in one frame, sorted by direction so that a ray has to test few things.
+//! Everything that the scanner can see in one frame, sorted by direction so that few objects must be tested
+//! for a ray.
 
 use libm::{asin, atan2, sqrt};
 
@@ -17,19 +18,18 @@ const SECTORS: usize = 512;
 pub(super) struct Scene<'a> {
     ground: &'a Ground,
     things: Vec<Thing>,
-    /// For every sector the things in it, sorted by the least distance at which they may be, with that
-    /// distance.
+    /// For every sector the objects in it, sorted by their least possible distance, with that distance.
     sectors: Vec<Vec<(f64, usize)>>,
     reach: f64,
 }
 
 impl<'a> Scene<'a> {
-    /// The surroundings of a place on the plan, at a time counted in frames.
+    /// The surroundings of a position on the plan, at a time counted in frames.
     pub(super) fn new(config: &SynthConfig, ground: &'a Ground, middle: [f64; 2], time: f64) -> Self {
         let reach = config.max_range.clamp(0.0, 1000.0);
         let things = things(config, ground, middle[0] - reach, middle[0] + reach, time);
         let mut sectors = vec![Vec::new(); SECTORS];
-        // The sensor moves by half a frame's distance to either side of the middle.
+        // The scanner moves by half a frame's distance to either side of the middle.
         let margin = 0.5 * config.speed.abs() + 0.2;
         for (index, thing) in things.iter().enumerate() {
             enter(&mut sectors, index, thing, middle, margin);
@@ -40,7 +40,7 @@ impl<'a> Scene<'a> {
         Scene { ground, things, sectors, reach }
     }
 
-    /// The first surface that a ray meets within reach.
+    /// The first surface that a ray hits within reach.
     pub(super) fn trace(&self, ray: &Ray, rng: &mut Rng) -> Option<Hit> {
         let mut best = self.ground.hit(ray, self.reach);
         let sector = sector(atan2(ray.direction[1], ray.direction[0]));
@@ -59,7 +59,7 @@ fn sector(angle: f64) -> i64 {
     libm::floor(angle / core::f64::consts::TAU * SECTORS as f64) as i64
 }
 
-/// Enters a thing in all sectors in which it may be seen.
+/// Adds an object to all sectors in which it may be visible.
 fn enter(sectors: &mut [Vec<(f64, usize)>], index: usize, thing: &Thing, middle: [f64; 2], margin: f64) {
     let (x, y) = (thing.place[0] - middle[0], thing.place[1] - middle[1]);
     let (distance, radius) = (sqrt(x * x + y * y), thing.radius() + margin);
@@ -78,7 +78,7 @@ fn enter(sectors: &mut [Vec<(f64, usize)>], index: usize, thing: &Thing, middle:
 mod tests {
     use super::*;
 
-    /// The slow, obvious way: test every thing.
+    /// The slow, simple way: test every object.
     fn ask_all(scene: &Scene, ray: &Ray) -> Option<Hit> {
         let found = scene.things.iter().map(|thing| thing.hit(ray, &mut Rng::keyed(1, &[])));
         found.fold(scene.ground.hit(ray, scene.reach), nearer)
@@ -88,7 +88,7 @@ mod tests {
     fn sectors_hide_nothing() {
         let (config, ground) = (SynthConfig::default(), Ground::new(2));
         let mut scene = Scene::new(&config, &ground, [40.0, -1.8], 50.0);
-        // Leaves are met at random. Without them both ways must agree to the bit.
+        // Leaves are hit at random. Without them both ways must agree to the bit.
         for thing in &mut scene.things {
             if let super::super::thing::Kind::Foliage { gap, .. } = &mut thing.kind {
                 *gap = 1e9;

@@ -15,11 +15,12 @@ pub(super) struct Span {
     pub incidence: f64,
 }
 
-/// A box with the given corners.
+/// A box with these corners.
 pub(super) fn through_box(ray: &Ray, low: [f64; 3], high: [f64; 3]) -> Option<Span> {
     let (mut enter, mut leave, mut face) = (f64::NEG_INFINITY, f64::INFINITY, 0);
     for axis in 0..3 {
-        // A ray parallel to the face divides by zero; the infinities then mean "always" or "never" inside.
+        // If the ray is parallel to the face, this divides by zero; the infinities then mean "always" or
+        // "never" inside.
         let inverse = 1.0 / ray.direction[axis];
         let (a, b) = ((low[axis] - ray.origin[axis]) * inverse, (high[axis] - ray.origin[axis]) * inverse);
         if a.min(b) > enter {
@@ -30,7 +31,7 @@ pub(super) fn through_box(ray: &Ray, low: [f64; 3], high: [f64; 3]) -> Option<Sp
     (enter < leave).then(|| Span { enter, leave, axis: face, incidence: ray.direction[face].abs() })
 }
 
-/// An ellipsoid with the given centre and half axes.
+/// An ellipsoid with this centre and these half axes.
 pub(super) fn through_ellipsoid(ray: &Ray, centre: [f64; 3], half: [f64; 3]) -> Option<Span> {
     let from: [f64; 3] = core::array::from_fn(|axis| (ray.origin[axis] - centre[axis]) / half[axis]);
     let along: [f64; 3] = core::array::from_fn(|axis| ray.direction[axis] / half[axis]);
@@ -41,7 +42,7 @@ pub(super) fn through_ellipsoid(ray: &Ray, centre: [f64; 3], half: [f64; 3]) -> 
 }
 
 /// An upright cylinder about the vertical axis through the origin of the ray's coordinates; its ends are
-/// open, since nothing here is seen from above.
+/// open, since no cylinder is seen from above.
 pub(super) fn through_cylinder(ray: &Ray, radius: f64, height: [f64; 2]) -> Option<Span> {
     let flat = |v: [f64; 3]| [v[0], v[1], 0.0];
     let (from, along) = (flat(ray.origin), flat(ray.direction));

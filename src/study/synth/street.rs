@@ -1,5 +1,5 @@
-//! What stands along the street, generated piece by piece from the seed, so that a drive of any length needs
-//! no more memory than what the sensor can see.
+//! The objects along the street, generated piece by piece from the seed, so that a drive of any length only
+//! needs memory for what the scanner can see.
 
 use super::SynthConfig;
 use super::ground::{Ground, KERB};
@@ -14,7 +14,7 @@ const HEADWAY: f64 = 45.0;
 /// The right and the left side of the street, as signs of y.
 const SIDES: [f64; 2] = [-1.0, 1.0];
 
-/// All things between two places along the street, at a time in frames.
+/// All objects between two positions along the street, at a time in frames.
 pub(super) fn things(config: &SynthConfig, ground: &Ground, from: f64, to: f64, time: f64) -> Vec<Thing> {
     let mut street = Street { ground, seed: config.seed, things: Vec::new() };
     for piece in cells(from, to, PIECE) {
@@ -28,7 +28,7 @@ pub(super) fn things(config: &SynthConfig, ground: &Ground, from: f64, to: f64, 
     street.things
 }
 
-/// The numbers of the cells of a given length that lie between two places.
+/// The numbers of the cells of length `length` that lie between two positions.
 fn cells(from: f64, to: f64, length: f64) -> core::ops::Range<i64> {
     libm::floor(from / length) as i64..libm::ceil(to / length) as i64
 }
@@ -40,7 +40,7 @@ struct Street<'a> {
 }
 
 impl Street<'_> {
-    /// Puts a thing on the ground, turned by a small angle against the street.
+    /// Puts an object on the ground, rotated by a small angle against the street.
     fn put(&mut self, kind: Kind, [x, y]: [f64; 2], angle: f64, reflectivity: f64) {
         let heading = [libm::cos(angle), libm::sin(angle)];
         let place = [x, y, self.ground.height(x, y)];
@@ -60,7 +60,7 @@ impl Street<'_> {
         self.kerbside(start, side, &mut rng);
     }
 
-    /// A house, with or without a gap to the next one, and what stands in front of it.
+    /// A house, with or without a gap to the next one, and the objects in front of it.
     fn houses(&mut self, start: f64, side: f64, rng: &mut Rng) {
         let width = if rng.chance(0.5) { PIECE } else { rng.between(12.0, 17.0) };
         let front = rng.between(9.2, 13.5);
@@ -170,7 +170,7 @@ impl Street<'_> {
         self.put(leaves, place, 0.0, rng.between(0.3, 0.5));
     }
 
-    /// Moving cars: those in the own lane as fast as the sensor, the others towards it.
+    /// Moving cars: those in the own lane as fast as the scanner, the others in the opposite direction.
     fn drive(&mut self, config: &SynthConfig, from: f64, to: f64, time: f64) {
         let way = config.speed * time;
         for (lane, travelled) in [(LANE, way), (-LANE, -1.1 * way)] {

@@ -13,7 +13,7 @@ fn frames(config: &SynthConfig) -> Vec<SynthFrame> {
     drive(config).collect()
 }
 
-/// In degrees; a y of -0.0 was below the seam before rounding.
+/// Azimuth in degrees; a y of -0.0 was below the seam before rounding.
 fn azimuth(point: &[f32; 4]) -> f64 {
     let degrees = f64::from(point[1]).atan2(f64::from(point[0])).to_degrees();
     if degrees.is_sign_negative() { degrees + 360.0 } else { degrees }
@@ -30,7 +30,7 @@ fn invert(beam: &Beam, point: &[f32; 4]) -> (f64, f64) {
     let rho = x.hypot(y);
     let (sin, cos) = (beam.elevation * PI / 180.0).sin_cos();
     // Of the two ways to compute the distance, the one nearer to its own axis is more accurate; this is their
-    // best mixture.
+    // optimal mixture.
     let distance = (rho - beam.range_offset) * cos + (z - beam.height) * sin;
     let degrees = azimuth(point) - (beam.side / rho).atan().to_degrees() - beam.turn;
     (distance / STEP, degrees / 0.09)
@@ -141,7 +141,7 @@ fn noise_is_as_wide_as_asked() {
     let quiet = SynthConfig { noise: 0.0, dropout: 0.0, frames: 1, ..small() };
     let loud = SynthConfig { noise: 0.0089, ..quiet.clone() };
     let beams = scanner_beams(&quiet);
-    // The lowest beams see little but smooth road, so the same ticks return in both.
+    // The lowest beams see little except smooth road, so both drives have returns at the same ticks.
     let ranges = |config: &SynthConfig| -> Vec<std::collections::BTreeMap<i32, f64>> {
         let frame = &frames(config)[0];
         let rows = rows(&frame.points).into_iter().zip(&beams).skip(50);
@@ -160,7 +160,7 @@ fn noise_is_as_wide_as_asked() {
     assert!((0.0083..0.0096).contains(&sigma), "{sigma}");
 }
 
-/// Two frames, placed by their true poses, must agree: the ground in one is the ground in the other.
+/// Two frames, transformed by their true poses, must agree: the ground in one is the ground in the other.
 #[test]
 fn poses_bring_frames_together() {
     let config = SynthConfig { rolling: false, traffic: false, noise: 0.0, speed: 1.5, ..small() };
@@ -209,8 +209,8 @@ fn bytes_are_little_endian_records_of_four() {
     assert_eq!(frame.to_bin(), [0, 0, 128, 63, 0, 0, 0, 128, 0, 0, 32, 64, 0, 0, 128, 62]);
 }
 
-/// The committed drive is what the simulator makes. After a change that is meant to alter it, regenerate it
-/// with `cargo test --lib synth -- --ignored write_testdata`.
+/// The committed drive is the simulator's output. After an intended change of that, regenerate it with `cargo
+/// test --lib synth -- --ignored write_testdata`.
 #[test]
 fn testdata_is_what_the_simulator_makes() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/drive");

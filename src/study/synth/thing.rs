@@ -1,23 +1,23 @@
-//! The things that stand and drive in the street, and what a ray sees of them.
+//! The objects that stand and drive in the street, and how a ray hits them.
 
 use super::ray::{Hit, Ray};
 use super::shape::{Span, through_box, through_cylinder, through_ellipsoid};
 use crate::ground::random::{Rng, hash, unit};
 
-/// Something in the street.
+/// An object in the street.
 #[derive(Clone, Debug)]
 pub(super) struct Thing {
     /// What it is.
     pub kind: Kind,
-    /// Where its centre stands on the ground, in metres.
+    /// The position of its centre on the ground, in metres.
     pub place: [f64; 3],
-    /// Cosine and sine of the angle by which it is turned about the vertical.
+    /// Cosine and sine of the angle by which it is rotated about the vertical.
     pub heading: [f64; 2],
-    /// Share of the light that comes back.
+    /// Share of the light that returns.
     pub reflectivity: f64,
 }
 
-/// What a thing is. Lengths are in metres, in the thing's own axes.
+/// The kind of an object. Lengths are in metres, in the object's own axes.
 #[derive(Clone, Debug)]
 pub(super) enum Kind {
     /// A passenger car of this half length and half width, along its x axis.
@@ -34,7 +34,7 @@ pub(super) enum Kind {
 }
 
 impl Thing {
-    /// The first surface that the ray meets, if it meets any.
+    /// The first surface that the ray hits, if there is one.
     pub(super) fn hit(&self, ray: &Ray, rng: &mut Rng) -> Option<Hit> {
         let ray = ray.seen_from(self.place, self.heading[0], self.heading[1]);
         let plain = |span: Span| Hit::plain(span.enter, span.incidence, self.reflectivity);
@@ -53,7 +53,7 @@ impl Thing {
         hit.filter(|hit| hit.distance > 0.0)
     }
 
-    /// The radius of a circle on the plan, about the thing's place, that contains all of it, in metres.
+    /// The radius of a circle on the plan, around the object's position, that contains all of it, in metres.
     pub(super) fn radius(&self) -> f64 {
         match self.kind {
             Kind::Car { half: [x, y] } | Kind::Block { half: [x, y], .. } => libm::sqrt(x * x + y * y),
@@ -78,7 +78,7 @@ const BELT: f64 = 0.9;
 /// Radius of the rounded edges of a car's body, in metres.
 const ROUNDING: f64 = 0.12;
 
-/// A rounded body with a dome of glass and a roof on it.
+/// A rounded body, with a dome of glass and a roof on top.
 fn car(ray: &Ray, half: [f64; 2], paint: f64) -> Option<Hit> {
     let [x, y] = half;
     let body = through_box(ray, [-x, -y, SILL], [x, y, BELT]).map(|span| car_body(ray, span, half, paint));
@@ -125,7 +125,7 @@ fn house(ray: &Ray, [half_width, depth, height]: [f64; 3], seed: u64, tone: f64)
     let [x, _, z] = ray.at(span.enter);
     match opening(x, z, half_width, seed) {
         Some(niche) => Some(niche.look(ray, tone)),
-        // Plinths, frames and drainpipes: a front is not of one colour.
+        // Plinths, frames and drainpipes, as a front does not have a single colour.
         None if z < 0.5 => Some(Hit { reflectivity: 0.6 * tone, ..wall }),
         None => Some(wall),
     }
@@ -139,7 +139,7 @@ struct Niche {
     loss: f64,
 }
 
-/// The opening in the front at a place, if there is one.
+/// The opening in the front at a position, if there is one.
 fn opening(x: f64, z: f64, half_width: f64, seed: u64) -> Option<Niche> {
     let (bay, floor) = (libm::floor(x / BAY), libm::floor(z / FLOOR));
     if half_width - (bay + 0.5).abs() * BAY < 0.5 * BAY {
@@ -159,7 +159,7 @@ fn opening(x: f64, z: f64, half_width: f64, seed: u64) -> Option<Niche> {
 }
 
 impl Niche {
-    /// What a ray that goes in hits: the pane at the back or, on the way, a jamb.
+    /// What a ray that enters the opening hits: the pane at the back or, on the way, a jamb.
     fn look(&self, ray: &Ray, tone: f64) -> Hit {
         let walls: [f64; 3] = core::array::from_fn(|axis| match ray.direction[axis] {
             0.0 => f64::INFINITY,
@@ -176,7 +176,7 @@ impl Niche {
     }
 }
 
-/// A twig that the ray meets among the leaves, if any.
+/// A twig that the ray hits among the leaves, if any.
 fn foliage(span: Span, gap: f64, tone: f64, rng: &mut Rng) -> Option<Hit> {
     let distance = span.enter.max(0.0) + rng.exponential(gap);
     let reflectivity = tone * rng.between(0.3, 1.2);

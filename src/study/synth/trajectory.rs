@@ -1,25 +1,25 @@
-//! The path of the sensor: the car keeps to its lane and weaves a little.
+//! The path of the scanner: the car keeps to its lane and weaves slightly.
 
 use libm::{cos, sin, sqrt};
 
 use super::SynthConfig;
 use super::ground::Ground;
 
-/// Height of the sensor above the ground, in metres (Geiger et al. 2012, figure 3).
+/// Height of the scanner above the ground, in metres (Geiger et al. 2012, figure 3).
 pub(super) const SENSOR_HEIGHT: f64 = 1.73;
 /// The middle of the car's lane, in metres from the middle of the road.
 pub(super) const LANE: f64 = -1.9;
-/// The car leaves the middle of its lane by at most this, in metres.
+/// The largest distance of the car from the middle of its lane, in metres.
 const WEAVE: f64 = 0.6;
-/// Frames of one weave to the left and right; fewer where that would leave the lane.
+/// Frames for one weave to the left and right; fewer if this would leave the lane.
 const PERIOD: f64 = 80.0;
 
-/// Position and attitude of the sensor: takes the sensor's coordinates to those of the world.
+/// Position and attitude of the scanner: maps the scanner's coordinates to those of the world.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pose {
-    /// Columns are the sensor's forward, left and up.
+    /// The columns are the scanner's forward, left and up directions.
     pub rotation: [[f64; 3]; 3],
-    /// Where the sensor is, in metres.
+    /// The position of the scanner, in metres.
     pub origin: [f64; 3],
 }
 
@@ -39,12 +39,12 @@ impl Pose {
         }
     }
 
-    /// A direction in the sensor's coordinates, in those of the world.
+    /// Converts a direction from the scanner's coordinates to those of the world.
     pub(super) fn turn(&self, v: [f64; 3]) -> [f64; 3] {
         self.rotation.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
     }
 
-    /// A place in the sensor's coordinates, in those of the world.
+    /// Converts a position from the scanner's coordinates to those of the world.
     pub(super) fn place(&self, v: [f64; 3]) -> [f64; 3] {
         let turned = self.turn(v);
         core::array::from_fn(|axis| turned[axis] + self.origin[axis])
@@ -58,7 +58,7 @@ impl Pose {
     }
 }
 
-/// Place on the plan, and heading, which swings as a sine whose steepest slope is the yaw rate.
+/// Position on the plan, and heading, which varies as a sine whose steepest slope is the yaw rate.
 fn on_the_road(config: &SynthConfig, time: f64) -> ([f64; 2], f64) {
     let slowest = core::f64::consts::TAU / PERIOD;
     let frequency = slowest.max(sqrt((config.speed * config.yaw_rate).abs() / WEAVE));

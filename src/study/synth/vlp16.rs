@@ -60,7 +60,7 @@ fn azimuth(tick: u32, span: u32, firing: usize, laser: usize) -> u32 {
     (tick as f32 + span as f32 * passed / BLOCK_TIME).round() as u32 % TICKS
 }
 
-/// One pulse: the point and its intensity, if enough light comes back.
+/// One pulse: the point and its intensity, if enough light returns.
 fn fire(config: &SynthConfig, scene: &Scene, pose: &Pose, at: (i32, u32), rng: &mut Rng) -> Option<[f32; 4]> {
     let (elevation, tick) = (f64::from(at.0).to_radians(), f64::from(at.1).to_radians() / 100.0);
     // Azimuths run clockwise.
@@ -73,7 +73,7 @@ fn fire(config: &SynthConfig, scene: &Scene, pose: &Pose, at: (i32, u32), rng: &
     Some([x, y, z, intensity as f32])
 }
 
-/// The coordinates of a range and a tick, each operation rounded to single precision.
+/// The coordinates for a range and a tick, with each operation rounded to single precision.
 fn point(elevation: i32, tick: u32, steps: u32) -> [f32; 3] {
     let radians = |degrees: f64| f64::from((degrees * core::f64::consts::PI / 180.0) as f32);
     let vertical = radians(f64::from(elevation));

@@ -1,11 +1,11 @@
-//! The header of a baseline JPEG image of one component (ITU-T T.81, annex B). It follows from what the
-//! decoder knows, so it is not in the stream and cannot be damaged: the tables of annex K, with those of
-//! quantisation scaled by the quality in the way of the Independent JPEG Group.
+//! The header of a baseline JPEG image of one component (ITU-T T.81, annex B). It follows from data that the
+//! decoder has, so it is not in the stream and cannot be damaged: the tables of annex K, with the
+//! quantisation tables scaled by the quality as the Independent JPEG Group does.
 
 /// The end marker of the image.
 pub const END: [u8; 2] = [0xff, 0xd9];
 
-/// The last segment of the header: the only component, with the first tables, all frequencies.
+/// The last segment of the header: the only component, with the first tables and all frequencies.
 pub const SCAN_HEADER: [u8; 10] = [0xff, 0xda, 0, 8, 1, 1, 0, 0, 63, 0];
 
 /// Table K.1, row by row.
@@ -21,7 +21,7 @@ const QUANTISATION: [u8; 64] = [
     72, 92, 95, 98, 112, 100, 103, 99,
 ];
 
-/// Table K.3: the number of codes of each length, from 1 bit on, and what they stand for.
+/// Table K.3: the number of codes of each length, from 1 bit on, and their values.
 pub const DC_LENGTHS: [u8; 16] = [0, 1, 5, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0];
 pub const DC_VALUES: [u8; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 
@@ -42,7 +42,7 @@ pub const AC_VALUES: [u8; 162] = [
     0xf9, 0xfa,
 ];
 
-/// All bytes before those of the scan, for a quality from 1 to 100.
+/// All bytes before the scan data, for a quality from 1 to 100.
 pub fn header(rows: u16, columns: u16, quality: u8) -> Vec<u8> {
     let mut out = vec![0xff, 0xd8]; // SOI
     segment(&mut out, 0xdb, &[&[0], &quantisation(quality)]);
@@ -55,14 +55,15 @@ pub fn header(rows: u16, columns: u16, quality: u8) -> Vec<u8> {
     out
 }
 
-/// The quantisation table of a quality, in zigzag order.
+/// The quantisation table for a quality, in zigzag order.
 pub fn quantisation(quality: u8) -> [u8; 64] {
     let quality = u32::from(quality.clamp(1, 100));
     let scale = if quality < 50 { 5000 / quality } else { 200 - 2 * quality };
     zigzag().map(|place| ((u32::from(QUANTISATION[place]) * scale + 50) / 100).clamp(1, 255) as u8)
 }
 
-/// The positions in a block of 8 x 8 by rising frequency: along the diagonals, alternately up and down.
+/// The positions in a block of 8 x 8 in ascending order of frequency: along the diagonals, alternately up and
+/// down.
 pub fn zigzag() -> [usize; 64] {
     let mut places: [usize; 64] = std::array::from_fn(|place| place);
     places.sort_by_key(|place| {
@@ -86,8 +87,8 @@ mod tests {
 
     use super::*;
 
-    /// The library also writes its own name for the format, and in another order; both headers must decode to
-    /// the same.
+    /// The library's own header also contains a format name, and has another order; both headers must decode
+    /// to the same samples.
     #[test]
     fn the_header_is_as_good_as_the_librarys() {
         let (rows, columns) = (17, 30);

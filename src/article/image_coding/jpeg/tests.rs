@@ -1,5 +1,5 @@
-//! The format as its specification puts it, slow and obvious, against the library, which must give the same
-//! samples with and without its vector instructions.
+//! A straightforward implementation of the format's specification, compared with the library, which must
+//! return the same samples with and without its vector instructions.
 
 use super::header::{AC_LENGTHS, AC_VALUES, DC_LENGTHS, DC_VALUES, quantisation, zigzag};
 use super::*;
@@ -18,7 +18,7 @@ impl Bits<'_> {
         i32::from(self.1 >> self.2 & 1)
     }
 
-    /// A number of this size; its first bit is 0 if it is negative.
+    /// A number of this many bits; its first bit is 0 if it is negative.
     fn number(&mut self, size: u8) -> i32 {
         let value = (0..size).fold(0, |value, _| value << 1 | self.bit());
         if size > 0 && value >> (size - 1) == 0 { value - (1 << size) + 1 } else { value }

@@ -1,6 +1,6 @@
-//! The main header of the codestream (ITU-T T.800, annex A). It follows from what the decoder knows, so it is
-//! not in the stream and cannot be damaged: one tile of one component, one layer, code-blocks of 64 x 64, the
-//! reversible wavelet.
+//! The main header of the codestream (ITU-T T.800, annex A). It follows from data that the decoder has, so it
+//! is not in the stream and cannot be damaged: one tile of one component, one layer, code-blocks of 64 x 64,
+//! the reversible wavelet.
 
 use super::MOST_BITS;
 use crate::ground::error::{Error, Result};
@@ -20,15 +20,15 @@ pub struct Shape {
     pub columns: u32,
     /// Bits of a sample, including its sign.
     pub precision: u8,
-    /// One more than the number of times that the wavelet is applied.
+    /// One more than the number of times the wavelet is applied.
     pub resolutions: u8,
 }
 
 impl Shape {
-    /// The shape of an image of this size, if such an image is possible.
+    /// The shape of an image of this size.
     ///
     /// # Errors
-    /// If it is not.
+    /// If there is no such image.
     pub fn new(rows: usize, columns: usize, precision: u8, resolutions: u8) -> Result<Self> {
         let wrong = || Error::corrupt("JPEG 2000: no such image");
         let side = |length: usize| u32::try_from(length).map_err(|_| wrong());
@@ -39,7 +39,7 @@ impl Shape {
         Ok(Shape { rows: side(rows)?, columns: side(columns)?, precision, resolutions })
     }
 
-    /// All bytes before those of the packets, of which there are `packet_bytes`.
+    /// All bytes before the packets, which take `packet_bytes` bytes.
     pub fn header(self, packet_bytes: usize) -> Vec<u8> {
         let Shape { rows, columns, precision, resolutions } = self;
         let levels = resolutions - 1;

@@ -1,5 +1,5 @@
-//! Calls into openjp2, which is OpenJPEG translated to Rust and passes its output on by callbacks and raw
-//! pointers, which takes unsafe code.
+//! Calls into openjp2, which is OpenJPEG translated to Rust and delivers its output through callbacks and raw
+//! pointers: they need `unsafe`.
 
 #![allow(unsafe_code)]
 
@@ -15,11 +15,11 @@ use openjp2::{Codec, Stream, opj_image, opj_image_comptparm};
 use super::header::Shape;
 use crate::ground::grid::Grid;
 
-/// Bytes that the library collects before it passes them on.
+/// Number of bytes that the library collects before it delivers them.
 const BUFFER: usize = 1 << 16;
 
-/// Encodes one component of signed samples as a codestream, within about `most_bytes`, or without loss if
-/// there is no such bound. `None` if the library refuses.
+/// Encodes one component of signed samples as a codestream, within about `most_bytes`, or losslessly if there
+/// is no such limit. `None` if the library fails.
 pub fn encode(samples: &Grid<i32>, shape: Shape, most_bytes: Option<usize>) -> Option<Vec<u8>> {
     let precision = u32::from(shape.precision);
     let component = opj_image_comptparm {
@@ -68,10 +68,10 @@ pub fn encode(samples: &Grid<i32>, shape: Shape, most_bytes: Option<usize>) -> O
     is_done.then_some(written)
 }
 
-/// Receives what the library writes.
+/// Receives the library's output.
 extern "C" fn append(bytes: *mut c_void, count: usize, written: *mut c_void) -> usize {
     // SAFETY: the library calls this with `count` readable bytes of its buffer, and with the address that
-    // `encode` has set: that of a vector which nothing else uses meanwhile.
+    // `encode` has set: that of a vector that nothing else uses in the meantime.
     let (bytes, written) =
         unsafe { (slice::from_raw_parts(bytes.cast::<u8>(), count), &mut *written.cast::<Vec<u8>>()) };
     written.extend_from_slice(bytes);

@@ -9,7 +9,7 @@ use crate::scanner::{Hdl64, ideal};
 
 const COLUMNS: u32 = 64;
 
-/// Fits, codes, decodes and predicts with each kind of model; the image must come back.
+/// Fits, codes, decodes and predicts with each kind of model; the decoded image must be the same.
 fn comes_back(image: &RangeImage, sensor: &Hdl64, segmentation: &SegmentationConfig) {
     let occupancy = image.occupancy();
     let rays = Rays::of(sensor, &image.columns);

@@ -9,7 +9,7 @@ use crate::models::shape::{ErrorShape, Placed};
 /// Fits: one for each combination of whether there is a neighbour to the left, one above, and one in an
 /// earlier frame.
 const FITS: usize = 8;
-/// The least mean error that is considered possible, in context levels.
+/// The lower limit of mean errors, in context levels.
 const LEAST_SCALE: f32 = 0.3;
 /// The rate at which mean errors are learned.
 const SCALE_RATE: f32 = 0.01;
@@ -21,12 +21,12 @@ const LEAST: f32 = 1.0 / (1 << 24) as f32;
 pub struct Fit {
     fits: [LeastSquares<FEATURES>; FITS],
     shape: ErrorShape,
-    /// For each context, in context levels.
+    /// The mean error in each context, in context levels.
     scales: Vec<f32>,
 }
 
 impl Fit {
-    /// Creates fits that know nothing, with mean errors for `contexts` contexts.
+    /// Creates untrained fits, with mean errors for `contexts` contexts.
     pub fn new(contexts: usize) -> Self {
         Fit {
             fits: std::array::from_fn(|_| LeastSquares::new(0.998)),
@@ -67,7 +67,7 @@ impl Fit {
 #[derive(Clone, Copy, Debug)]
 pub struct FitOpinion {
     placed: Placed<1>,
-    /// The levels still possible after the bits so far: `low` to below `high`.
+    /// The levels that are still possible after the bits so far: `low` to below `high`.
     low: u32,
     high: u32,
     /// The probability of a level below `low`, below the middle, and below `high`.

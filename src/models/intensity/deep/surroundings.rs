@@ -20,13 +20,13 @@ pub struct Surroundings {
     /// The level of the same cell in an earlier frame, and that of its moved surface; 0 = none.
     pub same: u16,
     pub moved: u16,
-    /// One bit for each neighbour, set if it is [`ZERO`].
+    /// One bit for each neighbour, set if its level is [`ZERO`].
     pub zeros: usize,
-    /// Where a fit's prediction starts: the best neighbour that is neither missing nor 0.
+    /// The base of the features: the best neighbour that is neither missing nor 0.
     base: u16,
     features: [f32; FEATURES],
     gradient: f32,
-    /// Which of the fits applies.
+    /// The index of the fit that applies.
     fit: usize,
 }
 
@@ -61,7 +61,7 @@ impl Surroundings {
             fit: usize::from(n > 0) | usize::from(near.back.is_some()) << 1 | usize::from(w > 0) << 2,
         };
 
-        // A level of 0 tells nothing about the surface, so it counts as a gap here.
+        // A level of 0 carries no information about the surface, so it counts as a gap here.
         let [w, ww, www, wwww, nww, nw, n, ne, nee, nnw, nn, nne, same, same_west, same_east, moved] =
             [w, ww, www, wwww, nww, nw, n, ne, nee, nnw, nn, nne, same, same_west, same_east, moved]
                 .map(|level| if level == ZERO { 0 } else { level });
@@ -92,12 +92,13 @@ impl Surroundings {
         self.same > 0 || self.moved > 0
     }
 
-    /// Which fit applies, 0 to 7: by whether there is a level above, in an earlier frame, and to the left.
+    /// The index of the fit that applies, 0 to 7: whether there is a level above, in an earlier frame, and to
+    /// the left.
     pub fn fit(&self) -> usize {
         self.fit
     }
 
-    /// Where the features start.
+    /// The base of the features.
     pub fn base(&self) -> f32 {
         f32::from(self.base)
     }
@@ -107,7 +108,7 @@ impl Surroundings {
         &self.features
     }
 
-    /// How much the levels around differ from each other.
+    /// A measure of the differences among the surrounding levels.
     pub fn gradient(&self) -> f32 {
         self.gradient
     }

@@ -1,13 +1,13 @@
-//! Views of the surroundings of an intensity: each makes a context.
+//! Views of the surroundings of an intensity, each of which selects a context.
 
 use super::surroundings::Surroundings;
 use crate::entropy::hash;
 use crate::models::quantise::signed_level;
 
 pub const VIEWS: usize = 10;
-/// Beams from this number on share their contexts.
+/// Rows from this number on share their contexts.
 const ROW_CONTEXTS: usize = 128;
-/// Columns of a sector: what is learned there in one frame serves the next.
+/// Columns of a sector, whose counters carry over from frame to frame.
 const WIDE_SECTOR: usize = 64;
 pub const NARROW_SECTOR: usize = 32;
 

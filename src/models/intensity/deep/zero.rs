@@ -1,5 +1,5 @@
-//! Whether an intensity is 0, because the return was too weak. That is a case of its own, not the lowest of
-//! the levels that a surface may have.
+//! Whether an intensity is 0 because the return was too weak. This is a case of its own, not the lowest of a
+//! surface's possible levels.
 
 use super::surroundings::Surroundings;
 use super::views::NARROW_SECTOR;
@@ -7,14 +7,14 @@ use crate::entropy::{BitCoder, MixedBits};
 
 const VIEWS: usize = 8;
 const OPINIONS: usize = 12;
-/// Counters of each view, as a power of two: contexts share them by hashing.
+/// Binary logarithm of the number of counters of each view: contexts share them by hashing.
 const SLOT_BITS: u32 = 16;
-/// Weight sets: six of the neighbours are 0 or not, and as many again with a reference.
+/// Number of weight sets: by which of six neighbours are 0, and whether there is a reference.
 const SETS: usize = 128;
-/// Beams from this number on share their contexts.
+/// Rows from this number on share their contexts.
 const ROW_CONTEXTS: usize = 128;
 
-/// What the coder has learned about zeros.
+/// The adaptive models of zeros.
 #[derive(Clone)]
 pub struct ZeroModel {
     bits: MixedBits<VIEWS, OPINIONS>,
@@ -27,7 +27,7 @@ impl Default for ZeroModel {
 }
 
 impl ZeroModel {
-    /// Codes whether a level is 0. `prediction` is its predicted value otherwise.
+    /// Codes whether a level is 0. `prediction` is the predicted level if it is not.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,

@@ -8,20 +8,21 @@ use crate::models::range::{
     ALL_FEATURES, EDGES, ERROR_LEVELS, FEATURE_REACH, FEATURES, FIT_REACH, REFERENCE_FEATURES,
 };
 
-/// Features of the wide fit: those of near and farther neighbours, of intensities, of the reference and its
-/// surroundings; the last two are always 0.
+/// Number of features of the wide fit: of near and farther neighbours, of intensities, of the reference and
+/// its surroundings; the last two features are always 0.
 const WIDE_FEATURES: usize = 28;
 const FARTHER: usize = FEATURES;
 const INTENSITIES: usize = FARTHER + 4;
 const REFERENCE: usize = INTENSITIES + 4;
 const SURROUNDINGS: usize = REFERENCE + REFERENCE_FEATURES;
-/// Features of the blend: the predictions of the other fits, three ranges, two more that continue from
-/// neighbours as the reference does, the errors made around, and a constant, in steps.
+/// Number of features of the blend: the predictions of the other fits, three ranges, two more that continue
+/// from neighbours as the reference does, the surrounding errors, and a constant, in steps.
 const BLEND_FEATURES: usize = 12;
 const ALWAYS: f64 = 10.0;
 /// Columns that share a local fit.
 const STRETCH: usize = 64;
-/// What few returns teach is forgotten soon, and used soon: `SOON` samples between two solutions.
+/// Weights of older samples. Fits to the last few returns forget quickly, and are solved again after every
+/// `SOON` samples.
 const SHORT_MEMORY: f32 = 0.97;
 const LONG_MEMORY: f32 = 0.998;
 const SOON: u32 = 8;
@@ -29,13 +30,13 @@ const SOON: u32 = 8;
 /// The fits.
 #[derive(Clone)]
 pub struct Fits {
-    /// By kind of edge; those with a reference follow those without.
+    /// Fits by kind of edge; those with a reference follow those without.
     wide: Vec<LeastSquares<WIDE_FEATURES>>,
-    /// Of the last few returns, by kind of edge.
+    /// Fits to the last few returns, by kind of edge.
     recent: Vec<LeastSquares<FEATURES>>,
-    /// Of the last few returns in a stretch of columns, in this row and those above.
+    /// Fits to the last few returns in a stretch of columns, in this row and those above.
     local: Vec<LeastSquares<ALL_FEATURES>>,
-    /// Of the predictions of these, by class of error.
+    /// Fits to the predictions of these, by class of error.
     blend: Vec<LeastSquares<BLEND_FEATURES>>,
 }
 
@@ -44,7 +45,7 @@ pub struct Fitted {
     pub recent: f64,
     pub local: f64,
     pub blend: f64,
-    /// The blend with what the residuals around tell added.
+    /// The blend plus the offset from the surrounding residuals.
     pub hinted: f64,
     pub wide: f64,
     wide_fit: usize,
@@ -66,19 +67,19 @@ impl Default for Fits {
 }
 
 impl Fits {
-    /// Prepares for an image of `columns`.
+    /// Prepares for an image of `columns` columns.
     pub fn start_frame(&mut self, columns: usize) {
         let stretches = columns.div_ceil(STRETCH).max(self.local.len());
         self.local.resize(stretches, LeastSquares::new(SHORT_MEMORY).solved_every(SOON));
     }
 
-    /// Copies what the fits without a reference have learned to those with one.
+    /// Copies the learned state of the fits without a reference to those with one.
     pub fn spread(&mut self) {
         let (alone, referred) = self.wide.split_at_mut(EDGES);
         referred.clone_from_slice(alone);
     }
 
-    /// Predicts the range of a cell; `hint` is what the residuals around tell, in steps.
+    /// Predicts the range of a cell; `hint` is the offset from the surrounding residuals, in steps.
     #[inline]
     pub fn predict(&self, site: &Site, column: usize, referred: Option<&Referred>, hint: f64) -> Fitted {
         let mut wide_features = [0.0; WIDE_FEATURES];
@@ -141,7 +142,7 @@ impl Fits {
         }
     }
 
-    /// Adapts the fits to the range that has been coded, in steps.
+    /// Adapts the fits to the coded range, in steps.
     #[inline]
     pub fn learn(&mut self, site: &Site, fitted: &Fitted, range: f64) {
         site.learn(&mut self.wide[fitted.wide_fit], &fitted.wide_features, fitted.wide, range);
@@ -156,8 +157,8 @@ fn within_reach(fit: f32) -> f64 {
     f64::from(fit).clamp(-FIT_REACH, FIT_REACH)
 }
 
-/// How the cell's own intensity differs from those to the left and above, in levels and in a measure that
-/// singles out weak returns, which are measured late. 0 where a neighbour has none.
+/// The differences between the cell's intensity and those to the left and above, in levels and in a measure
+/// that singles out weak returns, which are measured late. 0 for neighbours without a return.
 #[inline]
 fn intensity_features([own, west, north]: [u16; 3]) -> [f32; 4] {
     let weakness = |level: u16| 40.0 / (f32::from(level) + 2.0);

@@ -18,7 +18,7 @@ pub struct DeepHalving<'a, C> {
     pub bins: Bins,
     pub mixture: &'a Mixture<PREDICTORS, SETS>,
     pub predicted: &'a Predicted<PREDICTORS, SETS>,
-    /// What is left of the bins.
+    /// The remaining bins.
     pub interval: Interval<PREDICTORS, SETS>,
     pub bits: &'a mut DeepBits,
     pub views: [usize; VIEWS],

@@ -1,4 +1,4 @@
-//! A cell as the deep model sees it: predictions and contexts.
+//! A cell for the deep model: predictions and contexts.
 
 use super::fits::Fitted;
 use super::{KINDS, MIXERS, OWN_LEVELS, PREDICTORS, ROWS, SETS, VIEWS};
@@ -7,7 +7,7 @@ use crate::models::range::back::{Back, Surroundings};
 use crate::models::range::site::{Site, intensity_change, pair};
 use crate::models::range::{CONTEXTS, ERROR_LEVELS, NODES};
 
-/// What an earlier frame has for a cell and around it.
+/// The values of an earlier frame for a cell and around it.
 pub struct Referred {
     pub back: Back,
     pub around: Surroundings,
@@ -23,12 +23,12 @@ pub struct DeepSite<'a> {
 /// The contexts that select the weights of the mixers and the corrections.
 #[derive(Clone, Copy)]
 pub struct SetContexts {
-    /// 0 without a reference, else by the class of its errors.
+    /// 0 without a reference, otherwise the class of its errors plus 1.
     pub kind: usize,
     pub error_level: usize,
-    /// The row; those below the last row with contexts of its own share that one's.
+    /// The row; those below the last row with its own contexts share that row's.
     pub row: usize,
-    /// How the intensity differs from that of the reference; 0 without a reference.
+    /// The difference of the intensity from that of the reference; 0 without a reference.
     pub recognition: usize,
 }
 
@@ -78,7 +78,7 @@ impl DeepSite<'_> {
         ]
     }
 
-    /// The context of each view, if coding starts at `base`.
+    /// The context of each view for this base.
     pub fn views(&self, contexts: &SetContexts, fitted: &Fitted, base: f64) -> [usize; VIEWS] {
         let SetContexts { kind, error_level, row, recognition, .. } = *contexts;
         let near = &self.site.near;

@@ -7,28 +7,28 @@ use crate::ground::grid::Grid;
 use crate::models::LeastSquares;
 use crate::models::magnitude::magnitude_level;
 
-/// Classes of the expected miss, if the left neighbour predicts.
+/// Classes of the expected miss, if the left neighbour is the prediction.
 pub const MISS_LEVELS: usize = 40;
-/// Classes of the expected miss and of the roughness around, if least squares predict.
+/// Classes of the expected miss and of the surrounding roughness, for least squares.
 const FITTED_MISS_LEVELS: usize = 16;
 const ACTIVITY_LEVELS: usize = 6;
 /// Number of contexts of a range.
 pub const RANGE_CONTEXTS: usize = FITTED_MISS_LEVELS * ACTIVITY_LEVELS;
-/// Number of features from the neighbours, and with the frame before.
+/// Number of features from the neighbours alone, and with the frame before.
 const FEATURES: usize = 8;
 const REFERRING_FEATURES: usize = 16;
 /// Kinds of edges; each has its own least-squares fits.
 const EDGES: usize = 4;
 /// A difference of ranges, in steps, that counts as an edge, or as a change from the frame before.
 const EDGE: i32 = 60;
-/// Features and predictions are limited to this many steps from where they start.
+/// Features and predictions are limited to this many steps from their base.
 const FEATURE_REACH: i32 = 300;
 pub const FIT_REACH: f32 = 400.0;
 
-/// What the coder has learned by least squares.
+/// The least-squares fits.
 #[derive(Clone)]
 pub struct Fits {
-    /// From the neighbours, and with the frame before: one for each kind of edge.
+    /// From the neighbours alone, and with the frame before: one fit for each kind of edge.
     near: [LeastSquares<FEATURES>; EDGES],
     before: [LeastSquares<REFERRING_FEATURES>; EDGES],
 }
@@ -40,7 +40,7 @@ impl Default for Fits {
 }
 
 impl Fits {
-    /// Learns the range that was predicted by a guess, in steps.
+    /// Learns from the range for which this guess was made, in steps.
     #[inline(always)]
     pub fn learn(&mut self, guess: &Guess, range: i32) {
         let off = (range - guess.from) as f32;
@@ -54,7 +54,7 @@ impl Fits {
     }
 }
 
-/// The ranges coded before that of a cell, in steps, with missing ones replaced by the next best.
+/// The ranges coded before a cell, in steps, with missing ones replaced by the next best.
 pub struct Near {
     pub west: i32,
     pub west2: i32,
@@ -67,7 +67,7 @@ pub struct Near {
     pub north2: i32,
 }
 
-/// What the frame before predicts for a cell and around it, in steps; 0 = nothing.
+/// The prediction of a cell and its surroundings from the frame before, in steps; 0 = none.
 pub struct Before {
     here: i32,
     west: i32,
@@ -80,8 +80,8 @@ pub struct Before {
 }
 
 impl Before {
-    /// The prediction for a cell whose left neighbour is `west` steps away; `None` if the frame before has
-    /// nothing there, or something else to the left of it.
+    /// The prediction for a cell whose left neighbour has the range `west`; `None` if the frame before has no
+    /// return there, or a different surface to the left of it.
     #[inline(always)]
     pub fn at(expected: &Grid<u32>, cell: (usize, usize), west: i32) -> Option<Self> {
         let at = |down, right| expected.beside(cell, down, right) as i32;
@@ -102,7 +102,7 @@ impl Before {
 
 /// The prediction of a range.
 pub struct Guess {
-    /// Where the prediction starts, in steps, and its distance from there.
+    /// The base of the prediction, in steps, and the offset from it.
     pub from: i32,
     pub fit: f32,
     /// The context of the miss.
@@ -110,7 +110,7 @@ pub struct Guess {
     by: By,
 }
 
-/// How it was made.
+/// How the guess was made.
 enum By {
     West,
     Fit { edge: usize, features: [f32; FEATURES] },
@@ -192,7 +192,7 @@ impl Near {
             + 2 * usize::from((from_west(self.north) - from_west(self.north_west)).abs() > EDGE as f32)
     }
 
-    /// The context if least squares predict.
+    /// The context for least squares.
     #[inline(always)]
     fn context(&self, expected: u32, bin: u32) -> usize {
         let activity = ((1 + self.activity() / bin).ilog2() as usize / 2).min(ACTIVITY_LEVELS - 1);
@@ -205,14 +205,14 @@ fn feature(range: i32, from: i32) -> f32 {
     (range - from).clamp(-FEATURE_REACH, FEATURE_REACH) as f32
 }
 
-/// The least miss, in sixteenths of a bin, that a context of least squares expects.
+/// The least miss, in sixteenths of a bin, that the given context of least squares expects.
 pub fn least_miss_of(context: usize) -> f64 {
     /// The cube root of 4.
     const STEP: f64 = 1.587_401;
     (0..context / ACTIVITY_LEVELS).fold(5.657, |miss, _| miss * STEP)
 }
 
-/// The class of an expected miss, in sixteenths of a bin: three classes for two octaves, from 2^2.5.
+/// The class of an expected miss, in sixteenths of a bin: three classes for two octaves, from 2^2.5 on.
 #[inline(always)]
 fn miss_level(expected: u32) -> usize {
     /// 2^15 / 2^7.5.

@@ -1,5 +1,5 @@
-//! The distribution of misses before any has occurred, so that small scans need not send tables: a bell with
-//! long tails, as wide as the miss that the context expects.
+//! The assumed distribution of misses before any has occurred, so that small scans need not transmit tables:
+//! a bell with long tails, as wide as the miss that the context expects.
 
 use std::sync::LazyLock;
 
@@ -7,14 +7,15 @@ use super::prediction::{MISS_LEVELS, RANGE_CONTEXTS, least_miss_of};
 use crate::entropy::{Counts, StartTables, numbers_of_token};
 use crate::models::magnitude::magnitude_of_level;
 
-/// Larger numbers are escaped until one has occurred.
+/// Numbers from this on are escaped until one has occurred.
 const FARTHEST: u64 = 1 << 18;
-/// Points that are evaluated for a token of many numbers.
+/// Number of points at which the density is evaluated for a token of many numbers.
 const POINTS: u64 = 4;
 /// The approximate sum of the counts of a context.
 const SUM: f64 = 4096.0;
 
-/// The tables of typical counts of tokens, by context, if ranges are predicted from their left neighbours, or are `fitted`.
+/// The tables of typical token counts, by context: for ranges predicted by least squares if `fitted`,
+/// otherwise from their left neighbours.
 pub fn start_tables(fitted: bool) -> &'static StartTables {
     static FITTED: LazyLock<StartTables> = LazyLock::new(|| {
         let width = |context| 1.5 + least_miss_of(context) / 48.0;
@@ -27,7 +28,7 @@ pub fn start_tables(fitted: bool) -> &'static StartTables {
     if fitted { &FITTED } else { &WEST }
 }
 
-/// Counts of misses with frequencies of 1 / (1 + (miss / width)^2).
+/// Counts of misses proportional to 1 / (1 + (miss / width)^2).
 fn bell(width: f64) -> Counts {
     let at = |miss: f64| {
         let part = miss / width;

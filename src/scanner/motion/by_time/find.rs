@@ -1,5 +1,6 @@
-//! Finds how a scan was moved by its time stamps: least squares between the points of the file and those that the scanner's
-//! formula gives, each of which is known as soon as the motion is known to within half a range step.
+//! Estimates how a scan was moved by its time stamps: least squares between the points of the file and those
+//! of the scanner's formula. The formula's points are known as soon as the motion is known to within half a
+//! range step.
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
@@ -9,14 +10,15 @@ use crate::scanner::firings::{Firings, Moved, Sight, fit_moved};
 use crate::scanner::motion::{Motion, Mover};
 use crate::scanner::{Coordinates, thinned};
 
-/// Points of a first search, and of the last one.
+/// Number of points in a first search, and in the last one.
 const SAMPLE: usize = 2000;
 const LARGE_SAMPLE: usize = 20_000;
 
-/// The points as they were measured, and how they were moved to those of the file; the list of misses is still empty. None
-/// if the scanner's formula gives the points as they are, or no motion makes it give most of them.
+/// The points as they were measured, and how they were moved to those of the file, with a list of misses that
+/// is still empty. None if the scanner's formula reproduces the points as they are, or if no motion makes it
+/// reproduce most of them.
 pub fn undo(cloud: &PointCloud, scanner: &Firings) -> Option<(Vec<[f32; 3]>, Stamped)> {
-    /// With fewer misses than this, there is nothing to be won.
+    /// Share of misses below which nothing can be gained.
     const FEW: f64 = 0.1;
     let sight = Sight::new(scanner);
     if scanner.build().coordinates != Coordinates::Float32 {
@@ -50,17 +52,17 @@ pub fn undo(cloud: &PointCloud, scanner: &Firings) -> Option<(Vec<[f32; 3]>, Sta
     None
 }
 
-/// A scanner with constants that fit the points of a scan once these are moved back, given one that nearly fits them as they
-/// are, if there is one. None if no motion makes them fit better.
+/// A scanner with constants that fit the points of a scan once these are moved back, given one that nearly
+/// fits them as they are, if there is one. None if no motion makes them fit better.
 pub fn fit(sample: &[ScanFile], near: Option<&Firings>) -> Option<Firings> {
-    /// Scans that are tried.
+    /// Number of scans that are tried.
     const MOST: usize = 3;
     let has_times = |scan: &&ScanFile| candidates(&scan.cloud.channels).next().is_some();
     sample.iter().filter(has_times).take(MOST).find_map(|scan| fit_scan(scan, near))
 }
 
 fn fit_scan(scan: &ScanFile, near: Option<&Firings>) -> Option<Firings> {
-    /// Each tells the constants better, and by these the motion.
+    /// Each iteration improves the constants, and these the motion.
     const TRIES: usize = 3;
     let all = points_without_parts(&scan.cloud)?;
     let without =
@@ -105,7 +107,7 @@ fn fit_scan(scan: &ScanFile, near: Option<&Firings>) -> Option<Firings> {
     None
 }
 
-/// Whether a share of points that come out to the last bit is worth a motion, given the share without one.
+/// Whether a share of exactly reproduced points is worth a motion, given the share without one.
 fn is_better(share: f64, without: f64) -> bool {
     share > 0.5 * (1.0 + without)
 }
@@ -119,13 +121,13 @@ pub(super) struct Point {
     pub part: f64,
 }
 
-/// The points that a motion may be found from; none if it is not looked for.
+/// The points from which a motion may be estimated; none if it is not searched for.
 fn points_without_parts(cloud: &PointCloud) -> Option<Vec<Point>> {
-    /// In metres; farther away than any scanner sees.
+    /// In metres; beyond the reach of any scanner.
     const FARTHEST: f32 = 1000.0;
     const FEWEST: usize = 200;
     candidates(&cloud.channels).next()?;
-    // False for NaN, too.
+    // False for NaN too.
     let is_in_reach = |position: &[f32; 3]| position.iter().all(|metres| metres.abs() < FARTHEST);
     let points = cloud.positions.iter().enumerate();
     let points = points.filter(|(_, position)| is_in_reach(position) && **position != [0.0; 3]);
@@ -138,7 +140,8 @@ fn with_parts(points: &[Point], parts: &[f64]) -> Vec<Point> {
     points.iter().map(|point| Point { part: parts[point.number], ..*point }).collect()
 }
 
-/// The channels that may hold time stamps, the widest first, and the moments to which points may have been moved.
+/// The channels that may hold time stamps, the widest first, and the moments to which points may have been
+/// moved.
 fn candidates(channels: &[Channel]) -> impl Iterator<Item = (usize, Moment)> {
     let times = [8, 4].into_iter().flat_map(move |size| {
         let of_size = channels.iter().enumerate();
@@ -147,9 +150,10 @@ fn candidates(channels: &[Channel]) -> impl Iterator<Item = (usize, Moment)> {
     times.flat_map(|(channel, _)| Moment::ALL.map(|moment| (channel, moment)))
 }
 
-/// Whether the values of a channel seldom fall from one record to the next, and are many.
+/// Whether the values of a channel seldom decrease from one record to the next, and are many.
 fn may_be_time(channel: &Channel) -> bool {
-    /// The part of the records from which on time may go back: at the end of each line of a file that holds row after row.
+    /// Time may go back at most once in this many records: at the end of each line if a file is stored row
+    /// after row.
     const MOST_FALLS: usize = 10;
     const FEWEST: usize = 16;
     if channel.field.count != 1 {
@@ -161,7 +165,7 @@ fn may_be_time(channel: &Channel) -> bool {
     falls * MOST_FALLS <= parts.len() && rises >= FEWEST
 }
 
-/// How many of some points come out to the last bit.
+/// The share of the points that are reproduced to the last bit.
 fn share<'p>(sight: &Sight, points: impl Iterator<Item = &'p Point>, motion: &Motion) -> f64 {
     let mover = Mover::new(motion);
     let (mut exact, mut count) = (0, 0);
@@ -175,9 +179,9 @@ fn share<'p>(sight: &Sight, points: impl Iterator<Item = &'p Point>, motion: &Mo
     f64::from(exact as u32) / f64::from(count.max(1))
 }
 
-/// Whether most points are as near to the formula's as points are that were moved by less than that.
+/// Whether most points are so near to the formula's that they were moved by less than `NEAR`.
 fn is_near(sight: &Sight, points: &[Point]) -> bool {
-    /// Metres; ranges of no step are farther off on the average.
+    /// Metres; for ranges that are not whole steps the mean distance is greater.
     const NEAR: f64 = 3e-4;
     let is_near = |point: &&Point| {
         let there = point.position.map(f64::from);
@@ -187,7 +191,8 @@ fn is_near(sight: &Sight, points: &[Point]) -> bool {
     2 * points.iter().filter(is_near).count() > points.len()
 }
 
-/// The points as they were measured: those of the formula where these are moved to the file's, or nearly so.
+/// The points as they were measured: those of the formula, if compensation moves them to (nearly) the file's;
+/// otherwise the file's moved back.
 fn measured(sight: &Sight, positions: &[[f32; 3]], parts: &[f64], motion: &Motion) -> Vec<[f32; 3]> {
     /// Metres.
     const NEAR: f64 = 2e-5;
@@ -201,20 +206,20 @@ fn measured(sight: &Sight, positions: &[[f32; 3]], parts: &[f64], motion: &Motio
             (0..3).all(|axis| (moved[axis] - there[axis]).abs() < NEAR)
         });
         let found = formula.unwrap_or(undone).map(|metres| metres as f32);
-        // What is no number stays as it is, and what is at the scanner tells nothing.
+        // NaNs are not changed, and points at the scanner carry no information.
         if *position == [0.0; 3] || found.iter().any(|metres| metres.is_nan()) { *position } else { found }
     };
     positions.iter().zip(parts).map(measured).collect()
 }
 
-/// For each round, metres up to which points count alike: those that are farther off count less.
+/// For each iteration, the distance in metres up to which points have equal weight; farther points have less.
 const ROUNDS: [f64; 8] = [1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7];
-/// Of these, the first by which a motion is improved that is nearly right.
+/// The first of these iterations for a motion that is nearly right.
 const SURE: usize = 3;
-/// The same for the last digits, which points of small coordinates tell.
+/// The distances for the last digits, which points with small coordinates determine.
 const LAST_ROUNDS: [f64; 5] = [1e-6, 1e-7, 1e-9, 1e-11, 1e-11];
 
-/// The motion by which the formula's points come nearest to those of the file.
+/// The motion for which the formula's points are nearest to those of the file.
 fn search(sight: &Sight, points: &[Point], mut motion: Motion, rounds: &[f64]) -> Option<Motion> {
     for &even in rounds {
         motion = step(sight, points, &motion, even, false)?;
@@ -222,7 +227,7 @@ fn search(sight: &Sight, points: &[Point], mut motion: Motion, rounds: &[f64]) -
     motion.is_possible().then_some(motion)
 }
 
-/// The same for a scanner of which each laser's elevation and azimuth may be a little off.
+/// As [`search`], for a scanner whose lasers' elevations and azimuths may be slightly wrong.
 fn search_with_constants(sight: &Sight, points: &[Point], mut motion: Motion) -> Option<Motion> {
     const ROUNDS: [f64; 4] = [1e-3, 1e-3, 1e-3, 1e-4];
     for even in ROUNDS {
@@ -231,7 +236,7 @@ fn search_with_constants(sight: &Sight, points: &[Point], mut motion: Motion) ->
     motion.is_possible().then_some(motion)
 }
 
-/// A round of iterated weighted least squares. If constants are free, those of each laser are eliminated.
+/// An iteration of weighted least squares. If constants are free, those of each laser are eliminated.
 fn step(
     sight: &Sight,
     points: &[Point],
@@ -239,9 +244,9 @@ fn step(
     even: f64,
     constants_are_free: bool,
 ) -> Option<Motion> {
-    /// Metres: what is farther off is of another return.
+    /// Metres: a point farther off belongs to another return.
     const FARTHEST: f64 = 0.05;
-    /// Holds components that the points do not determine, by their own scale.
+    /// Regularises components that the points do not determine, relative to their own scale.
     const RIDGE: f64 = 1e-12;
     let mover = Mover::new(motion);
     let rows = if constants_are_free { sight.rows() } else { 0 };
@@ -257,7 +262,7 @@ fn step(
         let rho = (x * x + y * y).sqrt();
         // A small rotation moves a point by its cross product with it.
         let slopes = [[0.0, z, -y, 1.0, 0.0, 0.0], [-z, 0.0, x, 0.0, 1.0, 0.0], [y, -x, 0.0, 0.0, 0.0, 1.0]];
-        // So does a laser's elevation, and its azimuth.
+        // The same for changes of a laser's elevation and azimuth.
         let own = [[-z * x / rho, -y], [-z * y / rho, x], [rho, 0.0]];
         for axis in 0..3 {
             let miss = there[axis] - moved[axis];
@@ -290,7 +295,7 @@ fn step(
     Some(motion.changed_by(&change.into()))
 }
 
-/// What the points of a laser say of its two constants.
+/// The sums for the two constants of a laser.
 #[derive(Clone, Default)]
 struct Laser {
     system: Matrix2<f64>,

@@ -1,14 +1,16 @@
-//! Motion compensation by time stamps, undone: each point of a scan was moved as far as the scanner did between its time
-//! stamp and one moment of the scan, as if the scanner had moved evenly (Apollo's compensator, and others like it):
+//! Undoing motion compensation by time stamps: each point of a scan was moved by the motion of the scanner
+//! between the point's time stamp and one moment of the scan, as if the scanner had moved uniformly (Apollo's
+//! compensator, and others like it):
 //!
 //! ```text
 //! s = (time - moment) / (last time - first time)
 //! v = f32(R(s r) p + s t)              R(a): the rotation about the axis a by the angle |a|
 //! ```
 //!
-//! for a point p as the scanner's formula gives it, and a motion of rotation r and translation t during the scan. `find`
-//! finds the motion from the points, their time stamps and the scanner; `rough`, where the scanner moved by more than its steps,
-//! from a channel that tells the lasers apart. What the formula misses is listed.
+//! for a point p of the scanner's formula, and a motion of rotation r and translation t during the scan.
+//! `find` estimates the motion from the points, their time stamps and the scanner; `rough` does so from a
+//! channel that distinguishes the lasers, if the scanner moved by more than its steps. Points that the
+//! formula misses are listed.
 
 mod find;
 mod payload;
@@ -19,7 +21,7 @@ pub use find::{fit, undo};
 use super::{Miss, Motion, Mover, find_misses, put_right};
 use crate::scan::{Channel, Number};
 
-/// To which moment points were moved.
+/// The moment to which points were moved.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Moment {
     /// The last time stamp.
@@ -27,7 +29,7 @@ pub enum Moment {
     Last,
     /// The first one.
     First,
-    /// Half way between the two.
+    /// Halfway between the two.
     Middle,
 }
 
@@ -36,21 +38,21 @@ impl Moment {
     const ALL: [Moment; 3] = [Moment::Last, Moment::First, Moment::Middle];
 }
 
-/// How the points of a scan were moved by their time stamps, and where they are elsewhere.
+/// How the points of a scan were moved by their time stamps, and the points that this misses.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Stamped {
-    /// The channel of the time stamps.
+    /// The index of the channel with the time stamps.
     pub channel: usize,
-    /// To which moment.
+    /// The moment to which points were moved.
     pub moment: Moment,
     /// The motion from the first time stamp to the last.
     pub motion: Motion,
-    /// Points that the formula does not give to the last bit, rising.
+    /// Points that the formula does not reproduce to the last bit, in ascending order.
     pub misses: Vec<Miss>,
 }
 
 impl Stamped {
-    /// Where the formula puts points, in the order of arrival.
+    /// The points as moved by the formula, in the order of arrival.
     fn formula(&self, measured: &[[f32; 3]], channels: &[Channel]) -> Vec<[f32; 3]> {
         let parts = channels.get(self.channel).map_or_else(Vec::new, |times| parts(times, self.moment));
         let mover = Mover::new(&self.motion);
@@ -61,13 +63,13 @@ impl Stamped {
                 of_last = (part, mover.at(part));
             }
             let moved = of_last.1.moved(point.map(f64::from)).map(|metres| metres as f32);
-            // What is no number stays as it is: processors differ in the bits of a NaN that they compute.
+            // NaNs are not changed: processors differ in the bits of a NaN that they compute.
             if moved.iter().chain(&point).all(|metres| !metres.is_nan()) { moved } else { point }
         });
         moved.collect()
     }
 
-    /// Takes down which points of the file `positions` the formula misses, given the decoded measured ones:
+    /// Records the points of the file `positions` that the formula misses, given the decoded measured points:
     /// those that are not `near` it.
     pub fn find_misses(
         &mut self,
@@ -78,7 +80,7 @@ impl Stamped {
         self.misses = find_misses(&self.formula(measured, channels), positions, near);
     }
 
-    /// Moves the points of a scan. Misses of points that are not there do nothing.
+    /// Moves the points of a scan. Misses with a number that no point has are ignored.
     pub fn apply(&self, positions: &mut [[f32; 3]], channels: &[Channel]) {
         let formula = self.formula(positions, channels);
         positions.iter_mut().zip(formula).for_each(|(position, moved)| *position = moved);
@@ -86,8 +88,8 @@ impl Stamped {
     }
 }
 
-/// The part of the motion of each point: from its time stamp to the moment, in times from the first stamp to the last.
-/// None of it for a time stamp that is no number.
+/// The part of the motion of each point: the time from the moment to its time stamp, relative to the time
+/// between the first and the last stamp. 0 for a time stamp that is NaN.
 fn parts(times: &Channel, moment: Moment) -> Vec<f64> {
     let since = since_first(times);
     let span = since.iter().copied().filter(|time| time.is_finite()).fold(0.0, f64::max);
@@ -96,11 +98,11 @@ fn parts(times: &Channel, moment: Moment) -> Vec<f64> {
         Moment::First => time / span,
         Moment::Middle => time / span - 0.5,
     };
-    // The sum with 0 has no zero with a sign.
+    // Adding 0 turns -0.0 into 0.0.
     since.into_iter().map(part).map(|part| if part.is_finite() { part + 0.0 } else { 0.0 }).collect()
 }
 
-/// The time from the first stamp to each.
+/// The time from the first time stamp to each.
 fn since_first(times: &Channel) -> Vec<f64> {
     let scalar = times.field.scalar;
     let values = times.bytes.chunks_exact(scalar.size() as usize);
@@ -114,7 +116,7 @@ fn since_first(times: &Channel) -> Vec<f64> {
         }
     }
     let since = |stamp: Number| match stamp {
-        // Subtracted before it is rounded.
+        // Subtracted before conversion to floating point, so that no digits are lost.
         Number::Integer(time) => (time - least) as f64,
         Number::Float(time) => time - least_float,
     };

@@ -1,5 +1,4 @@
-//! The section of a frame that tells how its points were moved by their time stamps.
-//! FORMAT.md 8.15.
+//! The section of a frame that describes how its points were moved by their time stamps. FORMAT.md 8.15.
 
 use super::{Moment, Stamped};
 use crate::entropy::{AdaptiveBit, ArithmeticDecoder, ArithmeticEncoder, BitCoder};
@@ -13,7 +12,7 @@ use crate::scanner::motion::{Miss, Motion};
 const WHAT: &str = "stamped";
 
 impl Stamped {
-    /// The payload of the section, for a frame whose points were measured here.
+    /// The payload of the section, for a frame whose points were measured at `measured`.
     pub fn to_payload(&self, measured: &[[f32; 3]], channels: &[Channel]) -> Vec<u8> {
         let mut bytes = Vec::new();
         write_unsigned(&mut bytes, self.channel as u64);
@@ -49,9 +48,10 @@ impl Stamped {
     }
 }
 
-/// Codes the misses among all points, and gives them.
+/// Codes the misses among all points, and returns them.
 fn code_misses<C: BitCoder>(coder: &mut C, formula: &[[f32; 3]], misses: &[Miss]) -> Vec<Miss> {
-    // By whether a coordinate is close to 0, where float32 values are, too, and how many of the last two points were missed.
+    // Contexts: whether a coordinate is close to 0, where float32 values are dense, and how many of the last
+    // two points were missed.
     let mut is_missed = [[AdaptiveBit::default(); 3]; 2];
     let mut of_units = UnitModel::default();
     let mut given = misses.iter().peekable();

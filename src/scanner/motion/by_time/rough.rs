@@ -1,5 +1,6 @@
-//! A first idea of how a scanner moved, of which nothing is known but which points are of the same laser: the cones of the
-//! lasers tell all of the motion but the rotation about their axis, and azimuths that are whole ticks tell that.
+//! A first estimate of a scanner's motion when all that is known is which points share a laser: the cones of
+//! the lasers determine all of the motion except the rotation about their axis, and the azimuths, which are
+//! whole ticks, determine that.
 
 use std::f64::consts::TAU;
 
@@ -10,8 +11,8 @@ use crate::scanner::motion::many::Seen;
 use crate::scanner::motion::{Motion, Mover};
 use crate::scanner::thinned;
 
-/// The motion, to within what a tick and a step hide. None if no channel tells the lasers apart, or no motion brings their
-/// points onto cones.
+/// The motion, as accurately as the size of ticks and steps allows. None if no channel distinguishes the
+/// lasers, or no motion brings their points onto cones.
 pub fn motion(points: &[Point], channels: &[Channel]) -> Option<Motion> {
     let beams = beams(points, channels)?;
     let seen = |point: &Point| Seen { position: point.position.map(f64::from), part: point.part };
@@ -20,7 +21,7 @@ pub fn motion(points: &[Point], channels: &[Channel]) -> Option<Motion> {
     };
     let mut cones = Cones::new(&beams, seen)?;
     let mut motion = cones.improved(Motion::default(), undone)?;
-    // Cones treat the motion as if there were no rotation about z, until that rotation is known.
+    // Cones are fitted as if there were no rotation about z, until that rotation is known.
     for _ in 0..2 {
         motion = with_yaw(motion, &beams)?;
         motion = cones.improved(motion, undone)?;
@@ -28,7 +29,8 @@ pub fn motion(points: &[Point], channels: &[Channel]) -> Option<Motion> {
     with_yaw(motion, &beams)
 }
 
-/// The points of each laser, by the first channel of small integers that are not too many.
+/// The points of each laser, according to the first channel of small integers with a plausible number of
+/// values.
 fn beams(points: &[Point], channels: &[Channel]) -> Option<Vec<Vec<Point>>> {
     const LASERS: std::ops::RangeInclusive<usize> = 4..=512;
     channels.iter().filter(|channel| channel.field.count == 1 && channel.field.width() <= 2).find_map(
@@ -44,7 +46,7 @@ fn beams(points: &[Point], channels: &[Channel]) -> Option<Vec<Vec<Point>>> {
     )
 }
 
-/// A point's azimuth but for the rotation about z, and its part of the motion.
+/// A point's azimuth before the rotation about z is undone, and its part of the motion.
 struct Azimuth {
     beam: usize,
     radians: f64,
@@ -53,18 +55,19 @@ struct Azimuth {
 
 /// The motion with the rotation about z that brings azimuths onto ticks. None if no rotation does.
 fn with_yaw(motion: Motion, beams: &[Vec<Point>]) -> Option<Motion> {
-    /// Ticks a turn that scanners have, the usual one first.
+    /// Numbers of ticks in a turn that scanners have, the usual one first.
     const TICKS: [f64; 5] = [36_000.0, 1024.0, 2048.0, 512.0, 4096.0];
-    /// Azimuths are as coherent as this when they lie on ticks.
+    /// Minimum coherence of azimuths that are on ticks.
     const COHERENT: f64 = 0.6;
-    /// What counts as much as the best of them.
+    /// Share of the best coherence that counts as equally good.
     const AS_GOOD: f64 = 0.95;
-    /// Radians in a scan by which a car that skids may turn more, or less, than is known.
+    /// Radians in a scan by which a skidding car may turn more, or less, than the motion says.
     const FARTHEST: f64 = 0.3;
-    /// The first part of the motion that is looked at, and by how much more each time.
+    /// The first part of the motion that is examined, and the factor by which it grows each time.
     const FIRST: f64 = 0.02;
     const GROWTH: f64 = 4.0;
-    /// Of a tick, to which the farthest azimuth is tried; and how many of these are tried later.
+    /// The resolution, in ticks, at the largest part; the number of values to either side that are tried
+    /// later; and the largest number of azimuths.
     const FINE: f64 = 0.1;
     const NEAR: i32 = 10;
     const MOST: usize = 4000;
@@ -95,7 +98,8 @@ fn with_yaw(motion: Motion, beams: &[Vec<Point>]) -> Option<Motion> {
             let tried = (-places..=places).map(|place| yaw + f64::from(place) * FINE * TAU / ticks / part);
             let tried: Vec<(f64, f64)> = tried.map(|yaw| (coherence(yaw, &near), yaw)).collect();
             let best = tried.iter().map(|(coherence, _)| *coherence).fold(0.0, f64::max);
-            // Time stamps are evenly spaced, so whole ticks from each to the next look the same: a car turns by less.
+            // Time stamps are evenly spaced, so rotations that differ by whole ticks per time stamp look the
+            // same: the smallest is the right one, since a car turns by less.
             let as_good = tried.into_iter().filter(|(coherence, _)| *coherence >= AS_GOOD * best);
             let is_first = part == FIRST;
             yaw = match is_first {

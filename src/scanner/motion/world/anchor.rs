@@ -1,11 +1,11 @@
-//! How the file's axes lie in the map, to the last digits: from pairs of float32 coordinates in both.
+//! The position of the file's axes in the map, to the last digits: from pairs of float32 coordinates in both.
 
 use nalgebra::{Matrix6, Vector6};
 
 use super::sweep::{Matrix, Vector};
 use super::undo::rotated;
 
-/// The distance of a float32 from the next.
+/// The distance from a float32 value to the next.
 #[inline]
 pub fn spacing(value: f64) -> f64 {
     let binade = f32::from_bits((value as f32).to_bits() & 0x7f80_0000);
@@ -16,18 +16,18 @@ pub fn rounded(v: Vector) -> Vector {
     v.map(|metres| f64::from(metres as f32))
 }
 
-/// A condition: along a direction, a point of the file comes from one of the map.
+/// A condition: along a direction, a point of the file corresponds to one of the map.
 pub struct Pair {
     pub file: Vector,
     pub map: Vector,
-    /// In the file.
+    /// The direction, in the file's axes.
     pub direction: Vector,
-    /// How well it is known, in metres.
+    /// The standard error, in metres.
     pub error: f64,
 }
 
-/// The rotation and the origin that bring the map's points to those of the file, with fewer and fewer of the
-/// pairs: those off by less than each of `limits` errors.
+/// The rotation and the origin that map the map's points to those of the file, using fewer and fewer of the
+/// pairs: those whose deviation is below each of `limits`, in multiples of their error.
 pub fn rigid(pairs: &[Pair], mut axes: Matrix, mut origin: Vector, limits: &[f64]) -> (Matrix, Vector) {
     let middle = pairs.iter().fold(Vector::zeros(), |sum, pair| sum + pair.file) / pairs.len().max(1) as f64;
     for limit in limits {

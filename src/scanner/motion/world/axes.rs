@@ -1,5 +1,6 @@
-//! The axes of the map, from nothing but the lattices of float32 on which the points lie along them: the
-//! coarsest first, from near pairs of points to ever farther ones, which tell its direction ever better.
+//! The axes of the map, estimated only from the lattices of float32 values on which the points lie along
+//! them: the coarsest lattice first, from close pairs of points to pairs increasingly far apart, which
+//! determine its direction increasingly well.
 
 use std::f64::consts::{PI, TAU};
 
@@ -16,10 +17,10 @@ pub struct Axes {
     pub steps: [f64; 2],
 }
 
-/// How far apart points of a sample are, in metres, and the sample.
+/// The distance between points of a sample, in metres, and the sample.
 type Level = (f64, Vec<Vector>);
 
-/// Cosine and sine of a phase in turns, to a thousandth.
+/// Cosine and sine of a phase in turns, to within a thousandth.
 #[inline]
 fn cos_sin(turns: f64) -> [f64; 2] {
     let wave = |turns: f64| {
@@ -30,7 +31,7 @@ fn cos_sin(turns: f64) -> [f64; 2] {
     [wave(turns + 0.25), wave(turns)]
 }
 
-/// How well points lie on a lattice of this step along a direction: 1 if all do.
+/// How well points are on a lattice of this step along a direction: 1 if all are.
 fn coherence(points: &[Vector], direction: &Vector, step: f64) -> f64 {
     let along = direction / step;
     let (mut re, mut im) = (0.0, 0.0);
@@ -42,7 +43,7 @@ fn coherence(points: &[Vector], direction: &Vector, step: f64) -> f64 {
     (re * re + im * im).sqrt() / points.len().max(1) as f64
 }
 
-/// At random, so many of them.
+/// A random sample of at most `most` points.
 fn sample(points: &[Vector], most: usize, random: &mut Rng) -> Vec<Vector> {
     if points.len() <= most {
         return points.to_vec();
@@ -50,13 +51,13 @@ fn sample(points: &[Vector], most: usize, random: &mut Rng) -> Vec<Vector> {
     (0..most).map(|_| points[random.below(points.len())]).collect()
 }
 
-/// Two directions at right angles to one and to each other.
+/// Two directions perpendicular to `direction` and to each other.
 fn beside(direction: &Vector) -> [Vector; 2] {
     let across = direction.cross(&Vector::z()).normalize();
     [across, direction.cross(&across)]
 }
 
-/// The samples in which lattices are looked for.
+/// The samples in which lattices are searched for.
 struct Samples {
     /// Differences of records of the same slot, with their lengths.
     pairs: Vec<(f64, Vector)>,
@@ -69,13 +70,13 @@ struct Samples {
 
 impl Samples {
     fn new(points: &[Vector], is_none: &[bool], pairs_of_none: bool) -> Self {
-        /// A level with fewer points says nothing.
+        /// Minimum number of points in a level.
         const FEWEST: usize = 100;
         const FEWEST_NEAR: usize = 60;
         const MANY: usize = 1200;
         const MANY_NEAR: usize = 1500;
         let mut random = Rng::keyed(0, &[]);
-        // One record without a return tells as much as all of a firing.
+        // One record without a return carries as much information as all those of a firing.
         let mut is_kept: Vec<bool> = is_none.iter().map(|none| !none).collect();
         for firing in 0..points.len() / SLOTS {
             if let Some(first) = (firing * SLOTS..(firing + 1) * SLOTS).find(|&record| is_none[record]) {
@@ -125,7 +126,7 @@ impl Samples {
         Samples { pairs: all_pairs, points: kept, levels, near_levels, far, random }
     }
 
-    /// The coarsest step of a direction that has a lattice of `step`.
+    /// The coarsest step of the lattice along a direction, which has a lattice of `step`.
     fn coarsest(&self, direction: &Vector, mut step: f64) -> f64 {
         while step < COARSEST && coherence(&self.far, direction, 2.0 * step) > 0.9 {
             step *= 2.0;
@@ -133,9 +134,10 @@ impl Samples {
         step
     }
 
-    /// The direction of the coarsest lattice, nearly level, and its step.
+    /// The direction of the coarsest lattice, nearly horizontal, and its step.
     fn first(&mut self) -> Option<(Vector, f64)> {
-        /// Metres between the points of the first sample: the first of these that is enough.
+        /// Largest distance, in metres, between the points of the first sample: the first value that gives
+        /// enough.
         const STARTS: [f64; 3] = [0.006, 0.012, 0.025];
         const FEWEST: usize = 150;
         const MANY: usize = 600;
@@ -174,9 +176,10 @@ impl Samples {
         None
     }
 
-    /// Follows a direction from near to far points. `span`: how far it may be off, in radians across and up.
+    /// Improves a direction by going from close to distant points. `span`: the uncertainty, in radians,
+    /// horizontally and vertically.
     fn sharpened(&self, mut direction: Vector, step: f64, mut span: [f64; 2]) -> Option<Vector> {
-        /// A coherence that is no chance.
+        /// Minimum coherence, which is not reached by chance.
         const LEAST: f64 = 0.55;
         for (reach, points) in &self.levels {
             for round in 0..2 {
@@ -244,7 +247,7 @@ impl Samples {
         direction
     }
 
-    /// The direction of a lattice of this step at right angles to another.
+    /// The direction of a lattice of this step perpendicular to another.
     fn second(&self, first: &Vector, step: f64, levels: &[Level], least: f64) -> Option<Vector> {
         const MOST_TRIED: usize = 30_001;
         let [a, b] = beside(first);
@@ -272,15 +275,15 @@ fn power_of_two(exponent: i32) -> f64 {
     libm::ldexp(1.0, exponent)
 }
 
-/// The step of the coarsest lattice that is looked for, in metres: that of float32 at 8 km.
+/// The step of the coarsest lattice that is searched for, in metres: that of float32 at 8 km.
 const COARSEST: f64 = 1.0 / 2048.0;
-/// Below this the scanner's noise hides a lattice of far points.
+/// Below this the scanner's noise hides the lattice of distant points.
 pub const FINE: f64 = 1.0 / 65536.0;
 
-/// Finds the axes of the map; none if the points lie on no lattice.
+/// Finds the axes of the map; none if the points are on no lattice.
 ///
-/// The pairs of records without a return all lie along the way of the car, and tell nothing across it: they
-/// are tried only where others are too few.
+/// The pairs of records without a return all lie along the path of the car, and carry no information across
+/// it: they are used only if there are too few others.
 pub fn find(points: &[Vector], is_none: &[bool]) -> Option<Axes> {
     [false, true].into_iter().find_map(|pairs_of_none| {
         let mut samples = Samples::new(points, is_none, pairs_of_none);
@@ -290,7 +293,7 @@ pub fn find(points: &[Vector], is_none: &[bool]) -> Option<Axes> {
 }
 
 impl Samples {
-    /// All axes, from the first and its step.
+    /// All axes, given the first and its step.
     fn completed(&self, first: Vector, first_step: f64) -> Option<Axes> {
         let of_far = (11..18).find_map(|exponent| {
             let step = power_of_two(-exponent);

@@ -1,16 +1,16 @@
-//! Motion compensation through a world frame, undone: each firing of a turning scanner was moved by its own
+//! Undoing motion compensation through a world frame: each firing of a turning scanner was moved by its own
 //! pose to coordinates of a map, which were rounded to float32, and from there back to the scanner at one
-//! moment, rounded to float32 again (nuScenes). A point p of a firing with the place T and the turn w of the
-//! scanner:
+//! moment, rounded to float32 again (nuScenes). For a point p of a firing with the scanner's position T and
+//! rotation w:
 //!
 //! ```text
 //! g = f32(Q (R(w) p + T) + o)          the map's coordinates; on coarse axes float32 is a lattice
 //! v = f32(Q^T (g - o))                 the point of the file
 //! ```
 //!
-//! Q and o say how the file's axes lie in the map. The pose runs straight between [`Knot`]s in time; the
-//! first firings have poses of their own. `undo` finds all this from nothing but the points; what the formula
-//! misses is listed as corrections: steps of the lattices first, then float32 values.
+//! Q and o describe the position of the file's axes in the map. The pose is linear between [`Knot`]s in time;
+//! the first firings have poses of their own. `undo` estimates all this from the points alone. Deviations
+//! from the formula are listed as corrections: steps of the lattices first, then float32 units.
 
 mod anchor;
 mod axes;
@@ -29,34 +29,35 @@ use crate::scanner::Coordinates;
 
 /// Records of a firing.
 const SLOTS: usize = 32;
-/// Of each firing of a packet, and of the first after most packets, to the next: microseconds.
+/// Microseconds from one firing to the next; after the last firing of most packets it is one more.
 const FIRING_US: f64 = 46.0;
 /// Firings of a packet.
 const PACKET: usize = 12;
-/// After every so many packets the next one is not late.
+/// After every `PACKETS`-th packet the next firing is not late.
 const PACKETS: usize = 25;
-/// Metres and radians of a unit of poses.
+/// Metres and radians per unit of poses.
 const PLACE_UNIT: f64 = 1.0 / (1u64 << 30) as f64;
 const TURN_UNIT: f64 = 1.0 / (1u64 << 36) as f64;
-/// Microseconds of a unit of the knots' times.
+/// Microseconds per unit of the knots' times.
 const TIME_UNIT: f64 = 0.25;
 
-/// More steps of a lattice than any point is off.
+/// A bound above the deviation of any point in steps of a lattice.
 const MOST_STEPS: f64 = (1u64 << 40) as f64;
 
-/// Where the scanner is: metres along the file's axes and radians of the turn's axis times angle.
+/// The pose of the scanner: position in metres along the file's axes, and rotation as axis times angle in
+/// radians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Pose {
-    /// In 2^-30 m.
+    /// Position in 2^-30 m.
     pub place: [i64; 3],
-    /// In 2^-36 radians.
+    /// Rotation in 2^-36 radians.
     pub turn: [i64; 3],
 }
 
 /// The pose at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Knot {
-    /// Since the first firing, in quarters of a microsecond.
+    /// Time since the first firing, in quarters of a microsecond.
     pub time: u32,
     /// The pose.
     pub pose: Pose,
@@ -67,23 +68,23 @@ pub struct Knot {
 pub struct Correction {
     /// Its number in the file.
     pub record: u32,
-    /// What is added along the first axes of the map, in steps of their lattices.
+    /// The values added along the first two axes of the map, in steps of their lattices.
     pub steps: [i64; 2],
-    /// What is added to each coordinate of the file, in float32 values.
+    /// The values added to the coordinates of the file, in float32 units.
     pub units: [i64; 3],
 }
 
-/// When firings are.
+/// The parameters of the firing times.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Times {
     /// The last firing of the first packet; it and those before have poses of their own.
     pub border: u32,
-    /// The first packet's end after which the next firing is not late.
+    /// The first packet after which the next firing is not late.
     pub short: u32,
 }
 
 impl Times {
-    /// The firing times in microseconds: one more for the first firing of a packet, except each 25th.
+    /// The firing times in microseconds: one more after each packet, except every 25th.
     fn of_firings(self, firings: usize) -> Vec<f64> {
         let (border, short) = (self.border as usize, self.short as usize);
         let is_late = |firing: usize| {
@@ -106,25 +107,25 @@ impl Times {
 pub struct World {
     /// Q: axis of the rotation to the map's axes; its length is the angle in radians.
     pub rotation: [f64; 3],
-    /// o: where the scanner is in the map, in metres.
+    /// o: the position of the scanner in the map, in metres.
     pub origin: [f64; 3],
-    /// The exponent of two of the lattice's step in metres, along the first two axes of the map: at most 0.
+    /// The binary exponent of the lattice's step in metres, along the first two axes of the map: at most 0.
     /// None if the lattice is too fine.
     pub lattices: [Option<i32>; 2],
-    /// When firings are.
+    /// The firing times.
     pub times: Times,
     /// The poses of the firings up to the first border.
     pub first: Vec<Pose>,
-    /// The others' poses: at least two knots, rising in time.
+    /// The poses of the other firings: at least two knots, in ascending order of time.
     pub knots: Vec<Knot>,
-    /// What the formula misses, rising.
+    /// The deviations from the formula, in ascending order of records.
     pub corrections: Vec<Correction>,
 }
 
-/// A rotation.
+/// A rotation matrix.
 type Matrix = [[f64; 3]; 3];
 
-/// The rotation about an axis by its length in radians: Rodrigues' formula.
+/// The rotation about an axis whose length is the angle in radians: Rodrigues' formula.
 fn rotation(axis: [f64; 3]) -> Matrix {
     let [x, y, z] = axis;
     let angle = (x * x + y * y + z * z).sqrt();
@@ -156,7 +157,7 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// The place and the turn of a pose, in metres and radians.
+/// The position and the rotation of a pose, in metres and radians.
 type Metric = [[f64; 3]; 2];
 
 impl Pose {
@@ -165,8 +166,8 @@ impl Pose {
     }
 }
 
-/// The pose at a time between two knots. A car that goes straight while it turns takes the scanner, `lever`
-/// above the ground, along a curve: it sags from the straight line.
+/// The pose at a time between two knots. If a car moves straight while it rotates, the scanner, `lever` above
+/// the ground, moves along a curve that sags from the straight line.
 fn between(knots: [(f64, &Metric); 2], time: f64, lever: [f64; 3]) -> Metric {
     let [(start, a), (end, b)] = knots;
     let part = (time - start) / (end - start);
@@ -180,7 +181,7 @@ fn between(knots: [(f64, &Metric); 2], time: f64, lever: [f64; 3]) -> Metric {
     [place, turn]
 }
 
-/// From the scanner to the map: g = f32(turn p + shift).
+/// The motion from the scanner to the map: g = f32(turn p + shift).
 struct Mover {
     turn: Matrix,
     shift: [f64; 3],
@@ -194,14 +195,14 @@ impl Mover {
     }
 }
 
-/// The formula, ready to use.
+/// The formula, prepared for use.
 struct Formula<'w> {
     world: &'w World,
-    /// Q, and back.
+    /// Q, and the inverse.
     axes: Matrix,
     back: Matrix,
     movers: Vec<Mover>,
-    /// Steps of the lattices in metres; 0 for none.
+    /// Steps of the lattices in metres; 0 for no lattice.
     steps: [f64; 2],
 }
 
@@ -228,7 +229,7 @@ impl<'w> Formula<'w> {
         self.movers[record / SLOTS].world(measured.map(f64::from))
     }
 
-    /// The file's coordinates of those of the map, so many steps of the lattices farther.
+    /// The file's coordinates of a point of the map, displaced by `steps` of the lattices.
     fn file(&self, mut world: [f64; 3], steps: &[i64; 2]) -> [f32; 3] {
         for axis in 0..2 {
             world[axis] += steps[axis] as f64 * self.steps[axis];
@@ -266,7 +267,7 @@ impl World {
         poses
     }
 
-    /// Takes down which records of the file `positions` the formula misses, given the measured ones.
+    /// Records the deviations of the file's `positions` from the formula, given the measured points.
     pub fn find_corrections(&mut self, measured: &[[f32; 3]], positions: &[[f32; 3]]) {
         let formula = Formula::new(self, measured.len());
         let unit = Coordinates::unit_of_float;
@@ -283,8 +284,8 @@ impl World {
         self.corrections = corrections;
     }
 
-    /// Moves the points of a scan, in the order of the file. Corrections of records that are not there do
-    /// nothing.
+    /// Moves the points of a scan, in the order of the file. Corrections of records that do not exist are
+    /// ignored.
     pub fn apply(&self, positions: &mut [[f32; 3]]) {
         let formula = Formula::new(self, positions.len());
         let mut corrections = self.corrections.iter().peekable();
@@ -297,7 +298,7 @@ impl World {
     }
 }
 
-/// What is corrected: what the formula gives, or where that is no number, the point itself, for processors
+/// The value to be corrected: that of the formula, or, if it is NaN, the measured point itself, as processors
 /// differ in the bits of a NaN that they compute.
 fn start(measured: &[f32; 3], given: [f32; 3]) -> [f32; 3] {
     if given.iter().any(|metres| metres.is_nan()) { *measured } else { given }

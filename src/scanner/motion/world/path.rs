@@ -1,5 +1,5 @@
-//! The path of the scanner through a sweep: straight lines between knots in time that come nearest to what
-//! all firings tell about their poses.
+//! The path of the scanner through a sweep: linear between knots in time, as near as possible to the poses
+//! that the firings imply.
 
 use std::collections::HashMap;
 
@@ -8,11 +8,11 @@ use nalgebra::{Matrix6, Vector6};
 use super::sweep::Vector;
 use super::{Metric, between};
 
-/// The place in metres, then the turn in radians.
+/// The position in metres, then the rotation in radians.
 pub type Six = Vector6<f64>;
 
-/// What a firing tells about its pose: the sum of squares is `squares - 2 d right + d normal d`, if the pose
-/// differs by d from the one at hand.
+/// The information of a firing on its pose: the sum of squares is `squares - 2 d right + d normal d`, if the
+/// pose differs by d from the current one.
 #[derive(Clone, Copy)]
 pub struct Told {
     pub normal: Matrix6<f64>,
@@ -29,7 +29,7 @@ impl Default for Told {
 /// The firings whose poses lie on a path.
 #[derive(Clone, Copy)]
 pub struct Firings<'a> {
-    /// In microseconds.
+    /// Times in microseconds.
     pub times: &'a [f64],
     pub poses: &'a [Six],
     pub told: &'a [Told],
@@ -50,7 +50,7 @@ pub fn six([place, turn]: Metric) -> Six {
     Six::new(place[0], place[1], place[2], turn[0], turn[1], turn[2])
 }
 
-/// The number of the piece of a path in which a time is.
+/// The index of the piece of a path that contains a time.
 fn piece_at(knots: &[f64], time: f64) -> usize {
     knots.partition_point(|knot| *knot <= time).saturating_sub(1).min(knots.len() - 2)
 }
@@ -68,10 +68,10 @@ impl Path {
     }
 }
 
-/// What the firings between two knots tell about these.
+/// The information of the firings between two knots on the poses of these.
 #[derive(Clone)]
 struct Piece {
-    /// Of the first knot, of both, of the second.
+    /// The blocks for the first knot, for both, and for the second.
     normal: [Matrix6<f64>; 3],
     right: [Six; 2],
 }
@@ -91,10 +91,10 @@ impl Piece {
     }
 }
 
-/// The poses of knots that these pieces make best, and by how much they lessen the sum of squares from where
-/// all are 0.
+/// The optimal poses of the knots, given their pieces, and the decrease of the sum of squares compared to
+/// poses that are all 0.
 fn solved(pieces: &[&Piece]) -> Option<(Vec<Six>, f64)> {
-    /// Keeps knots that nothing tells about, as a part of what most do.
+    /// Regularises knots without information, relative to the information on the others.
     const RIDGE: f64 = 1e-13;
     let knots = pieces.len() + 1;
     let mut diagonal = vec![Matrix6::zeros(); knots];
@@ -115,7 +115,7 @@ fn solved(pieces: &[&Piece]) -> Option<(Vec<Six>, f64)> {
     let mut chol = Vec::with_capacity(knots);
     for knot in 0..knots {
         if knot > 0 {
-            // Off the diagonal, the rows are those of the knot before.
+            // Off the diagonal, the rows are those of the preceding knot.
             let off = &pieces[knot - 1].normal[1];
             let before: &nalgebra::Cholesky<f64, _> = &chol[knot - 1];
             let solved = before.solve(off);
@@ -138,8 +138,8 @@ fn solved(pieces: &[&Piece]) -> Option<(Vec<Six>, f64)> {
 }
 
 impl<'a> Firings<'a> {
-    /// The path with these knots that comes nearest, and with it the firings' poses. A lever lets it sag
-    /// between knots, as the path before told.
+    /// The best path with these knots. With a lever, the path sags between knots as the preceding path
+    /// implies.
     pub fn path(&self, knots: &[f64], sag: Option<(&Vector, &Path)>) -> Option<Path> {
         let mut before = sag.map(|(lever, path)| (*lever, path.clone()));
         let rounds = if sag.is_some() { 2 } else { 1 };
@@ -165,16 +165,16 @@ impl<'a> Firings<'a> {
     }
 }
 
-/// Looks for the times of knots.
+/// Searches for the times of knots.
 pub struct KnotSearch<'a> {
     firings: Firings<'a>,
-    /// The right sides, and the poses' sum of squares, from a straight line through the whole sweep.
+    /// The right-hand sides and the sum of squares, relative to a straight line through the whole sweep.
     right: Vec<Six>,
     squares: f64,
     pieces: HashMap<[u64; 2], Piece>,
 }
 
-/// Microseconds between knots, at least.
+/// Minimum time between knots, in microseconds.
 const LEAST_GAP: f64 = 100.0;
 
 impl<'a> KnotSearch<'a> {
@@ -220,7 +220,7 @@ impl<'a> KnotSearch<'a> {
         solved(&pieces).map_or(f64::INFINITY, |(_, less)| self.squares - less)
     }
 
-    /// Moves knots by these steps, in microseconds, as long as that helps.
+    /// Moves knots by these steps, in microseconds, as long as that reduces the sum of squares.
     pub fn moved(&mut self, mut knots: Vec<f64>, steps: &[f64]) -> (Vec<f64>, f64) {
         const MOST_ROUNDS: usize = 4;
         let mut best = self.squares(&knots);
@@ -250,9 +250,11 @@ impl<'a> KnotSearch<'a> {
         (knots, best)
     }
 
-    /// Adds knots one by one, where they help most, until there are `most` or one helps less than `gain`.
+    /// Adds knots one by one, where they help most, until there are `most` or the next would help less than
+    /// `gain`.
     pub fn grown(&mut self, knots: Option<Vec<f64>>, most: usize, gain: f64) -> Vec<f64> {
-        /// Microseconds between the places that are tried, and from the ends and other knots.
+        /// Distance in microseconds between the times that are tried, and their minimum distance from the
+        /// ends and from other knots.
         const TRIED: f64 = 1000.0;
         const FROM_END: f64 = 500.0;
         const FROM_KNOT: f64 = 300.0;

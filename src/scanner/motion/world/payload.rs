@@ -1,5 +1,4 @@
-//! The section of a frame that tells how its points were moved through a world frame.
-//! FORMAT.md 8.15.
+//! The section of a frame that describes how its points were moved through a world frame. FORMAT.md 8.15.
 
 use super::{Correction, Formula, Knot, Pose, SLOTS, Times, World, start};
 use crate::entropy::{AdaptiveBit, ArithmeticDecoder, ArithmeticEncoder, BitCoder, IntegerModel};
@@ -9,23 +8,23 @@ use crate::scanner::motion::units::UnitModel;
 
 /// The section's name in errors.
 const WHAT: &str = "world";
-/// Larger numbers than a scanner's poses, turns in radians and places in metres need.
+/// A bound above the poses, rotations in radians and positions in metres of any scanner.
 const MOST_UNITS: u64 = 1 << 45;
 const LARGEST_ROTATION: f64 = 8.0;
 const FARTHEST: f64 = 1e9;
-/// Finer lattices than those of float32 near a metre, as powers of two.
+/// A bound on the fineness of lattices, as a power of two: finer than those of float32 near a metre.
 const FINEST: u64 = 60;
-/// More knots, and firings before the first border, than there are.
+/// A bound above the number of knots, and of firings before the first border.
 const MOST_KNOTS: u64 = 4096;
-/// Later than the end of any sweep, in quarters of a microsecond.
+/// A bound above the end of any sweep, in quarters of a microsecond.
 const LATEST: u64 = 1 << 31;
 
 impl World {
-    /// Whether a stream may hold this.
+    /// Whether a stream may contain this.
     pub(super) fn is_possible(&self) -> bool {
         let poses = self.first.iter().chain(self.knots.iter().map(|knot| &knot.pose));
         let mut units = poses.flat_map(|pose| pose.place.into_iter().chain(pose.turn));
-        // False for NaN, too.
+        // False for NaN too.
         self.rotation.iter().all(|r| r.abs() <= LARGEST_ROTATION)
             && self.origin.iter().all(|metres| metres.abs() <= FARTHEST)
             && units.all(|units| units.unsigned_abs() <= MOST_UNITS)
@@ -33,7 +32,7 @@ impl World {
             && self.knots.windows(2).all(|pair| pair[0].time < pair[1].time)
     }
 
-    /// The payload of the section, for a frame whose points were measured here.
+    /// The payload of the section, for a frame whose points were measured at `measured`.
     pub fn to_payload(&self, measured: &[[f32; 3]]) -> Vec<u8> {
         let mut bytes = Vec::new();
         let out = &mut bytes;
@@ -62,7 +61,7 @@ impl World {
     /// Reads the payload of the section.
     ///
     /// # Errors
-    /// If it is cut short, or contains what no scanner does.
+    /// If it is cut short, or holds values that no scanner produces.
     pub fn from_payload(bytes: &[u8], measured: &[[f32; 3]]) -> Result<Self> {
         let (mut world, rest) = Self::read_header(bytes, measured.len().div_ceil(SLOTS))?;
         let mut coder = ArithmeticDecoder::new(rest);
@@ -112,7 +111,7 @@ impl World {
     }
 }
 
-/// Poses are coded as what changes from the one before.
+/// Poses are coded as differences from the one before.
 fn write_pose(out: &mut Vec<u8>, pose: &Pose, last: &mut Pose) {
     let numbers = |pose: &Pose| pose.place.into_iter().chain(pose.turn);
     numbers(pose).zip(numbers(last)).for_each(|(now, before)| write_signed(out, now.wrapping_sub(before)));
@@ -134,7 +133,7 @@ fn read_value(input: &mut &[u8], most: f64) -> Result<f64> {
         input.split_first_chunk().ok_or_else(|| Error::corrupt(format!("{WHAT} is cut short")))?;
     *input = rest;
     let value = f64::from_le_bytes(*first);
-    // False for NaN, too.
+    // False for NaN too.
     if value.abs() <= most { Ok(value) } else { Err(Error::corrupt(format!("{WHAT}: {value} is too large"))) }
 }
 
@@ -145,18 +144,19 @@ fn read_bounded(input: &mut &[u8], what: &str, most: u64) -> Result<u64> {
     }
 }
 
-/// The models of the corrections.
+/// The adaptive models of the corrections.
 #[derive(Default)]
 struct Models {
-    /// Whether a record without a return is corrected as the one before in the firing.
+    /// Whether a record without a return has the same correction as the one before in the firing.
     again: AdaptiveBit,
-    /// Whether a record is corrected, by whether it has a return, and how many of the last two were.
+    /// Whether a record is corrected, in the context of whether it has a return, and how many of the last two
+    /// were corrected.
     is_missed: [[AdaptiveBit; 3]; 2],
     steps: [IntegerModel; 2],
     units: UnitModel,
 }
 
-/// Codes the corrections of all records, and gives them.
+/// Codes the corrections of all records, and returns them.
 fn code_corrections<C: BitCoder>(
     coder: &mut C,
     formula: &Formula,

@@ -1,5 +1,5 @@
-//! The last digits of how a sweep was moved: the path's knots, the place of the map's origin among its
-//! lattices and float32 values, the axes.
+//! The last digits of how a sweep was moved: the path's knots, the map's origin relative to its lattices and
+//! float32 values, the axes.
 
 use std::f64::consts::TAU;
 
@@ -13,7 +13,7 @@ use super::{Knot, PACKETS, PLACE_UNIT, Pose, SLOTS, TIME_UNIT, TURN_UNIT, Times,
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::Coordinates;
 
-/// Misses of more errors than these are not heard.
+/// Deviations of more than this many standard errors are ignored.
 const CLIP: f64 = 6.0;
 
 /// The firings after the first packet, and their path.
@@ -31,7 +31,7 @@ impl Following {
 }
 
 impl Search {
-    /// Finds everything to the last digits that the file tells.
+    /// Determines everything to the last digits that the file allows.
     pub(super) fn world(&mut self) -> Option<World> {
         self.begin_origin();
         let (times, short) = self.find_times()?;
@@ -62,11 +62,11 @@ impl Search {
         self.quantised(&following, short)
     }
 
-    /// Somewhere near the middle of a binade, at the right place within the lattices.
+    /// Starts near the middle of a binade, at the right phase of the lattices.
     fn begin_origin(&mut self) {
-        /// Metres: points near the scanner tell the place within a lattice.
+        /// Metres: points near the scanner determine the phase of a lattice.
         const NEAR: f64 = 0.3;
-        /// The height of the scanner above the ground, which is the map's zero.
+        /// The height of the scanner above the ground, which is the zero of the map.
         const HEIGHT: f64 = 1.8;
         let middle = |step: f64| 1.5 * step * f64::from(1 << 23);
         self.origin = Vector::new(middle(self.steps[0]), middle(self.fine_step), HEIGHT);
@@ -78,7 +78,8 @@ impl Search {
         }
     }
 
-    /// The firing times by which a path comes nearest, and which packet is the first that is not late.
+    /// The firing times that give the best path, and the first packet after which the next firing is not
+    /// late.
     fn find_times(&self) -> Option<(Vec<f64>, usize)> {
         let even: Vec<f64> = (0..self.firings).map(|firing| firing as f64 * MEAN_FIRING_US).collect();
         let told = self.all_told(0, Errors::Rounding(1.0, [0.0, 3e-7, 5e-8]), 8.0);
@@ -107,7 +108,7 @@ impl Search {
         self.axes.transpose() * Vector::new(0.0, 0.0, self.origin.z)
     }
 
-    /// Looks for the knots of the path, and follows it.
+    /// Searches for the knots of the path, and fits the path.
     fn find_knots(&mut self, following: &mut Following, round: usize) -> Option<()> {
         const MOST: [usize; 3] = [11, 14, 16];
         const GAINS: [f64; 3] = [100.0, 60.0, 60.0];
@@ -117,7 +118,7 @@ impl Search {
         let told = self.all_told(first, Errors::Rounding(1.0, more), CLIP);
         let firings = Firings { times: following.times(), poses: &self.poses[first..], told: &told };
         let mut search = KnotSearch::new(firings);
-        // The second round begins anew, now that the map's origin is about right.
+        // The second round starts anew, now that the map's origin is nearly right.
         let begun = (round == 2).then(|| following.path.times.clone());
         let knots = search.grown(begun, MOST[round], GAINS[round]);
         let (knots, _) = search.moved(knots, &STEPS);
@@ -135,8 +136,8 @@ impl Search {
         following.path = path;
     }
 
-    /// Fits the path again, with the same knots: with points inside their roundings at so little weight, if
-    /// any.
+    /// Fits the path again, with the same knots. `inside`: the weight of points inside their roundings, if it
+    /// is to be small.
     fn fit(&mut self, following: &mut Following, inside: Option<f64>) -> Option<()> {
         let first = following.first;
         let errors = inside.map_or(Errors::Rounding(1.0, [0.0; 3]), Errors::Inside);
@@ -147,7 +148,7 @@ impl Search {
         Some(())
     }
 
-    /// The place of the map's origin within a lattice, from points near the scanner, next to `near`.
+    /// The map's origin, modulo a lattice's step, from points near the scanner; the value next to `near`.
     fn phase(&self, axis: usize, near: f64, step: f64, is_used: impl Fn(usize) -> bool) -> f64 {
         let (mut re, mut im) = (0.0, 0.0);
         for record in (0..self.points.len()).filter(|&record| is_used(record)) {
@@ -158,9 +159,10 @@ impl Search {
         near - libm::atan2(im, re) / TAU * step
     }
 
-    /// The map's origin along axes without a lattice: where the roundings grow as the points' misses do.
+    /// The map's origin along axes without a lattice: where the deviations of the points grow as the spacing
+    /// of float32 does.
     fn find_binades(&mut self) {
-        /// One point in so many tells enough.
+        /// Every `SPARSE`-th firing is enough.
         const SPARSE: usize = 4;
         for axis in self.fine_axes() {
             let tried: Vec<f64> = if axis == 1 {
@@ -170,7 +172,7 @@ impl Search {
             } else {
                 (0..75).map(|number| 1.0 + 0.02 * f64::from(number)).collect()
             };
-            // What is left, the square of the file's rounding, and the place.
+            // The deviation, the square of the file's rounding error, and the position.
             let mut points = Vec::new();
             for firing in (0..self.firings).step_by(SPARSE) {
                 points.extend(self.misses(firing).map(|(record, miss, _)| {
@@ -205,7 +207,7 @@ impl Search {
         (0..3).filter(move |axis| !is_coarse[*axis])
     }
 
-    /// The points in the map as the formula has them.
+    /// The points in the map according to the formula.
     fn formula(&self) -> Vec<Vector> {
         let mut all = Vec::with_capacity(self.points.len());
         for firing in 0..self.firings {
@@ -216,8 +218,8 @@ impl Search {
         all
     }
 
-    /// The points in the map, rounded: as the file has them along axes of a lattice, as the formula has them
-    /// along others.
+    /// The points in the map, rounded. Records for which `of_file` is true are taken from the file; the
+    /// others from the file along axes with a lattice, and from the formula along the rest.
     fn targets(&self, formula: &[Vector], of_file: impl Fn(usize) -> bool) -> Vec<Vector> {
         let of_record = |record: usize| {
             let there = rounded(self.mapped[record] + self.origin);
@@ -233,13 +235,14 @@ impl Search {
         (0..self.points.len()).map(of_record).collect()
     }
 
-    /// Changes the axes and the origin, and what follows from them.
+    /// Changes the axes and the origin, and everything that depends on them.
     fn anchor(&mut self, pairs: &[Pair], limits: &[f64]) {
         (self.axes, self.origin) = rigid(pairs, self.axes, self.origin, limits);
         self.mapped = self.points.iter().map(|point| self.axes * point).collect();
     }
 
-    /// From records without a return, and along the lattices' axes from points that are not too far.
+    /// Fits the axes to records without a return, and along the axes of lattices to points that are not too
+    /// far.
     fn anchor_near(&mut self) {
         /// Metres along an axis of the file.
         const FARTHEST: f64 = 60.0;
@@ -263,7 +266,7 @@ impl Search {
         self.anchor(&pairs, &[1e9, 1e9, 1e9, 3.0, 1.0, 0.8]);
     }
 
-    /// A point of the file and one of the map, along each axis of the file.
+    /// The pairs of a point of the file and one of the map, along each axis of the file.
     fn pairs_of_file(&self, record: usize, map: Vector) -> [Pair; 3] {
         std::array::from_fn(|axis| {
             let file = self.points[record];
@@ -271,19 +274,19 @@ impl Search {
         })
     }
 
-    /// What is left of a record in float32 values, if it comes from this point of the map.
+    /// The deviation of a record in float32 units, if it corresponds to this point of the map.
     fn units_off(&self, record: usize, map: &Vector) -> [i64; 3] {
         let given = self.axes.transpose() * (map - self.origin);
         let unit = Coordinates::unit_of_float;
         std::array::from_fn(|axis| unit(self.positions[record][axis]) - unit(given[axis] as f32))
     }
 
-    /// The last binary digits of the origin along axes without a lattice, and its place in the binade: those
-    /// with which the most points come out.
+    /// The last binary digits of the origin along axes without a lattice, and its position in the binade:
+    /// those for which most points are reproduced.
     fn find_digits(&mut self) {
-        /// Metres from the scanner along an axis: nearer points tell less.
+        /// Metres from the scanner along an axis: nearer points carry less information.
         const NEAR: f64 = 3.0;
-        /// One point in so many tells enough.
+        /// Every `SPARSE`-th point is enough.
         const SPARSE: usize = 4;
         const DIGITS: i32 = 7;
         let formula = self.formula();
@@ -330,9 +333,9 @@ impl Search {
         self.origin = origin;
     }
 
-    /// From all points that come out but for a float32 value.
+    /// Fits the axes to all points that are reproduced to within one float32 unit.
     fn anchor_all(&mut self) {
-        /// Metres below which the map's height is too finely rounded.
+        /// Metres of height in the map below which float32 is too fine.
         const HIGH: f64 = 0.5;
         let formula = self.formula();
         let targets = self.targets(&formula, |_| false);
@@ -348,9 +351,9 @@ impl Search {
 
     /// The poses of the firings before the path.
     fn fit_first(&mut self, following: &Following) {
-        /// How many times the roundings' errors count at first: these poses are not known well.
+        /// Factors of the rounding errors, large at first: these poses are not known well.
         const LOOSE: [f64; 8] = [300.0, 300.0, 300.0, 10.0, 10.0, 1.0, 1.0, 1.0];
-        /// Holds what the points of one firing do not tell: of places, of turns.
+        /// Regularises what the points of one firing do not determine: of positions, of rotations.
         const RIDGE: [f64; 2] = [1e4, 1e6];
         let first = following.first.min(self.firings - super::PACKET - 1);
         let times = &following.times;
@@ -417,7 +420,7 @@ impl Search {
     }
 }
 
-/// The axis of a rotation, as long as its angle.
+/// The axis of a rotation, with the angle as its length.
 fn axis_of(rotation: Matrix) -> [f64; 3] {
     let quaternion = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
     let sin = quaternion.imag().norm();

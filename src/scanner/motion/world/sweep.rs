@@ -1,5 +1,5 @@
-//! What the scanner measured: the HDL-32E's formula in single precision, its records without a return, its
-//! ticks.
+//! The measurements of the scanner: the HDL-32E's formula in single precision, its records without a return,
+//! its ticks.
 
 use std::f64::consts::PI;
 
@@ -11,18 +11,18 @@ use crate::ground::rounding::round_ties_even;
 pub type Vector = Vector3<f64>;
 pub type Matrix = Matrix3<f64>;
 
-/// Degrees, in the order of the records of a firing.
+/// Elevations in degrees, in the order of the records of a firing.
 const ELEVATIONS: [f64; SLOTS] = [
     -30.67, -29.33, -28.0, -26.66, -25.33, -24.0, -22.67, -21.33, -20.0, -18.67, -17.33, -16.0, -14.67,
     -13.33, -12.0, -10.67, -9.33, -8.0, -6.66, -5.33, -4.0, -2.67, -1.33, 0.0, 1.33, 2.67, 4.0, 5.33, 6.67,
     8.0, 9.33, 10.67,
 ];
-/// Metres of a range step.
+/// Metres per range step.
 const RANGE_STEP: f64 = 0.002;
-/// Ticks of a turn, and radians of one.
+/// Ticks in a turn, and radians per tick.
 pub const TURN: i64 = 36_000;
 const TICK: f64 = PI / 18_000.0;
-/// Range steps from which on a point's own tick is sharp.
+/// Number of range steps from which on a point's own tick is accurate.
 pub const FAR_STEPS: u32 = 1000;
 
 /// The scanner's formula.
@@ -31,7 +31,7 @@ pub struct Sensor {
     turn: Vec<[f32; 2]>,
 }
 
-/// What a record holds: range steps and the tick, from 0 to a turn.
+/// The reading of a record: range steps, and the tick, from 0 to a turn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Reading {
     pub steps: u32,
@@ -56,7 +56,7 @@ impl Sensor {
         [flat * cos, -(flat * sin), metres * sin_v]
     }
 
-    /// The same as a vector.
+    /// The coordinates as a vector.
     pub fn vector(&self, slot: usize, reading: Reading) -> Vector {
         Vector::from(self.position(slot, reading).map(f64::from))
     }
@@ -66,27 +66,29 @@ impl Sensor {
         round_ties_even((range / RANGE_STEP).min(1e6)) as u32
     }
 
-    /// The reading nearest to a point, as the scanner sees it.
+    /// The reading nearest to a point in the scanner's coordinates.
     pub fn reading(point: &Vector) -> Reading {
         let tick = round_ties_even(-libm::atan2(point.y, point.x) / TICK) as i64;
         Reading { steps: Self::steps(point.norm()), tick: tick.rem_euclid(TURN) }
     }
 }
 
-/// Ticks from one to another, the shortest way.
+/// Ticks from one tick to another, the shorter way round.
 pub fn turned(from: i64, to: i64) -> i64 {
     (to - from + TURN / 2).rem_euclid(TURN) - TURN / 2
 }
 
-/// The place of the scanner at each firing, as records without a return have it, and which these are.
+/// The position of the scanner at each firing, as given by records without a return; and which records these
+/// are.
 pub struct Returnless {
     pub places: Vec<Vector>,
     pub is_none: Vec<bool>,
 }
 
-/// A place that several records of a firing share to the last bit: none has a return. Also how many share it.
+/// A position that several records of a firing share to the last bit, which shows that they have no return;
+/// and their number.
 pub fn shared_place(firing: &[[f32; 3]]) -> Option<([f32; 3], usize)> {
-    /// Metres that no car drives in a turn.
+    /// Metres: more than any car drives in a turn.
     const FARTHEST: f32 = 8.0;
     let may_be = |position: &&[f32; 3]| {
         position.iter().all(|metres| metres.abs() < FARTHEST) && position.iter().any(|metres| *metres != 0.0)
@@ -99,9 +101,9 @@ pub fn shared_place(firing: &[[f32; 3]]) -> Option<([f32; 3], usize)> {
 
 /// Finds the records without a return; none if hardly any firing has two.
 pub fn returnless(positions: &[[f32; 3]]) -> Option<Returnless> {
-    /// Metres: a record this near to the scanner's place has no return.
+    /// Metres: a record this near to the scanner's position has no return.
     const NEAR: f64 = 1e-3;
-    /// The least part of the firings with such records.
+    /// The minimum share of firings with such records.
     const LEAST: f64 = 0.2;
     let vector = |position: &[f32; 3]| Vector::from(position.map(f64::from));
     let firings: Vec<&[[f32; 3]]> = positions.chunks_exact(SLOTS).collect();
@@ -127,7 +129,7 @@ pub fn returnless(positions: &[[f32; 3]]) -> Option<Returnless> {
     Some(Returnless { places, is_none })
 }
 
-/// Fills the gaps by straight lines.
+/// Fills gaps by linear interpolation.
 fn filled(known: &[Option<Vector>]) -> Vec<Vector> {
     let there: Vec<(usize, Vector)> =
         known.iter().enumerate().filter_map(|(number, place)| Some((number, (*place)?))).collect();
@@ -148,27 +150,27 @@ fn filled(known: &[Option<Vector>]) -> Vec<Vector> {
         .collect()
 }
 
-/// The ticks of all records as the scanner's driver gives them.
+/// The ticks of all records according to the rule of the scanner's driver.
 pub struct Ticks {
     pub ticks: Vec<i64>,
     /// The last firing of the first packet.
     pub border: usize,
-    /// The part of the points whose own tick it is.
+    /// The share of the points whose own tick agrees.
     pub share: f64,
 }
 
-/// The place of a slot in time: the lasers fire by turns from below and from the middle.
+/// The temporal position of a slot: the lasers fire alternately from the bottom and from the middle.
 fn place_in_time(slot: usize) -> i64 {
     if slot < SLOTS / 2 { 2 * slot as i64 } else { 2 * slot as i64 - 31 }
 }
 
-/// Ticks that pass until a slot, of so many in a firing; a firing takes as long as 40 places.
+/// Ticks that pass before a slot fires, of `span` ticks in a firing; a firing takes 40 temporal positions.
 fn passed(span: i64, slot: usize) -> i64 {
     (2 * span * place_in_time(slot) + 40).div_euclid(80)
 }
 
-/// Finds the driver's rule: A + passed(D), where D is the step of A to the next firing, or in the last firing
-/// of a packet the one before. `own` are the points' own ticks where they are sharp.
+/// Finds the driver's rule: A + passed(D), where D is the difference of A to the next firing, or in the last
+/// firing of a packet the preceding difference. `own` are the points' own ticks, where they are accurate.
 pub fn ticks(own: &[Option<i64>]) -> Ticks {
     const SPANS: std::ops::Range<i64> = 30..38;
     const USUAL: i64 = 33;
@@ -192,7 +194,7 @@ pub fn ticks(own: &[Option<i64>]) -> Ticks {
             };
             own.iter().enumerate().filter(is_hit).count()
         };
-        // The first of equals.
+        // The first of equally good ones.
         tried.rev().max_by_key(hits).map_or(start, |(start, _)| start)
     };
     let starts: Vec<i64> = starts.iter().enumerate().map(best).collect();
@@ -217,7 +219,7 @@ pub fn ticks(own: &[Option<i64>]) -> Ticks {
     })
 }
 
-/// Ticks that go on across full turns, gaps filled by straight lines.
+/// Ticks that continue across full turns, with gaps filled by linear interpolation.
 fn unwrapped(starts: &[Option<i64>]) -> Vec<i64> {
     let mut last = None;
     let going_on: Vec<Option<Vector>> = starts

@@ -1,5 +1,5 @@
-//! The section of a frame: what is written is read, and damage is refused or does no harm. Whole sweeps are in
-//! `tests/compensation.rs`.
+//! Tests of the section: what is written is read back, and damage is rejected or harmless. Whole sweeps are
+//! in `tests/compensation.rs`.
 
 use super::*;
 use crate::ground::random::Rng;

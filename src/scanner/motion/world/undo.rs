@@ -1,6 +1,6 @@
-//! Finds how a sweep was moved through the world frame, each step of it accurate enough for the next: the
-//! scanner's places from records without a return, its turns from ranges and ticks that are whole numbers,
-//! the axes of the map from its lattices, then the path and the origin in the map by turns.
+//! Estimates how a sweep was moved through the world frame, in steps that are each accurate enough for the
+//! next: the scanner's positions from records without a return, its rotations from ranges and ticks being
+//! whole numbers, the axes of the map from its lattices, then the path and the origin in the map alternately.
 
 use nalgebra::Matrix3;
 
@@ -11,29 +11,29 @@ use super::sweep::{
 };
 use super::{FIRING_US, SLOTS, World, axes, rotation};
 
-/// The points as they were measured, and how they were moved to those of the file; its list of corrections is
-/// still empty. None if the points were not moved in this way.
+/// The points as they were measured, and how they were moved to those of the file, with a list of corrections
+/// that is still empty. None if the points were not moved in this way.
 pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, World)> {
     let mut search = Search::begun(positions)?;
     let world = search.world()?;
     Some((search.measured(), world))
 }
 
-/// The points as they were measured, without the last digits of how they were moved: the fit of the scanner
-/// needs no more.
+/// The points as they were measured, without the last digits of how they were moved: this is enough for the
+/// fit of the scanner.
 pub fn measured(positions: &[[f32; 3]]) -> Option<Vec<[f32; 3]>> {
     Search::begun(positions).map(|search| search.measured())
 }
 
-/// A quick test: firings of 32 records, and in many of them records without a return, all at the scanner's
-/// place.
+/// A quick test: firings of 32 records, many of them with records without a return, all at the scanner's
+/// position.
 fn may_be_moved(positions: &[[f32; 3]]) -> bool {
     const FEWEST_FIRINGS: usize = 200;
     const MOST_FIRINGS: usize = 4000;
-    /// Firings that tell enough, and how many of these must have such records.
+    /// Number of firings that are tested, and how many of them must have such records.
     const SAMPLE: usize = 64;
     const FEWEST: usize = 12;
-    /// Metres; farther away than any scanner sees.
+    /// Metres; beyond the reach of any scanner.
     const FARTHEST: f32 = 1000.0;
     let firings = positions.len() / SLOTS;
     if !positions.len().is_multiple_of(SLOTS) || !(FEWEST_FIRINGS..=MOST_FIRINGS).contains(&firings) {
@@ -44,11 +44,11 @@ fn may_be_moved(positions: &[[f32; 3]]) -> bool {
     with_none >= FEWEST && positions.iter().flatten().all(|metres| metres.abs() < FARTHEST)
 }
 
-/// Knots of the path before it is known well, and after how many microseconds firings are on the average.
+/// Number of knots of the path before it is known well, and the mean number of microseconds between firings.
 const EVEN_KNOTS: usize = 46;
 pub(super) const MEAN_FIRING_US: f64 = FIRING_US + 0.08;
 
-/// A sweep, and what is known of how it was moved.
+/// A sweep, and the current estimates of how it was moved.
 pub(super) struct Search {
     pub(super) sensor: Sensor,
     pub(super) positions: Vec<[f32; 3]>,
@@ -63,30 +63,30 @@ pub(super) struct Search {
     pub(super) mapped: Vec<Vector>,
     pub(super) origin: Vector,
     pub(super) readings: Vec<Reading>,
-    /// What the readings give.
+    /// The points according to the readings.
     pub(super) measured: Vec<Vector>,
     pub(super) poses: Vec<Six>,
     /// The last firing of the first packet.
     pub(super) border: usize,
-    /// The scanner's places, as records without a return have them.
+    /// The scanner's positions, according to records without a return.
     pub(super) places: Vec<Vector>,
 }
 
-/// What weighs a miss.
+/// The standard errors by which deviations are weighted.
 #[derive(Clone, Copy)]
 pub(super) enum Errors {
     /// In metres along each axis of the map.
     Fixed([f64; 3]),
-    /// Those of float32, so many times, and so many metres besides along each axis of the map.
+    /// The rounding errors of float32 times a factor, plus an error in metres along each axis of the map.
     Rounding(f64, [f64; 3]),
-    /// The same, and the points within their roundings count only as much as this.
+    /// The rounding errors of float32, where points within their roundings have this weight only.
     Inside(f64),
 }
 
 impl Search {
-    /// Everything up to the readings; none if it is no such sweep.
+    /// The estimates up to the readings; none if it is not such a sweep.
     fn begun(positions: &[[f32; 3]]) -> Option<Self> {
-        /// The part of the points that must have the ticks of the scanner's rule.
+        /// The minimum share of points that must have the ticks of the driver's rule.
         const LEAST: f64 = 0.9;
         if !may_be_moved(positions) {
             return None;
@@ -141,13 +141,13 @@ impl Search {
         firing * SLOTS..(firing + 1) * SLOTS
     }
 
-    /// A point as the scanner saw it.
+    /// A point in the scanner's coordinates.
     fn seen(&self, record: usize, turn: &Matrix) -> Vector {
         let pose = &self.poses[record / SLOTS];
         turn.transpose() * (self.points[record] - pose.fixed_rows::<3>(0))
     }
 
-    /// Reads every record by itself.
+    /// Determines the reading of every record by itself.
     fn read(&mut self) {
         self.readings = Vec::with_capacity(self.points.len());
         for firing in 0..self.firings {
@@ -159,8 +159,8 @@ impl Search {
         self.measure();
     }
 
-    /// Reads all records by the rule of the ticks, and gives the part of the far points whose own ticks these
-    /// are.
+    /// Determines the readings of all records by the rule of the ticks, and returns the share of far points
+    /// whose own ticks agree.
     pub(super) fn read_ticks(&mut self) -> f64 {
         self.read();
         let is_far = |record: &usize| !self.is_none[*record] && self.readings[*record].steps > FAR_STEPS;
@@ -184,7 +184,8 @@ impl Search {
         self.measured = (0..self.points.len()).map(of_record).collect();
     }
 
-    /// The measured points as floats: those of the formula where it comes near, others where the pose says.
+    /// The measured points as floats: those of the formula if it is close, otherwise those that the pose
+    /// implies.
     fn measured(&self) -> Vec<[f32; 3]> {
         /// In metres, along an axis.
         const NEAR: f64 = 3e-4;
@@ -205,30 +206,30 @@ impl Search {
         measured
     }
 
-    /// Reads the range of a record again.
+    /// Determines the reading of a record again, given its range.
     pub(super) fn reread(&mut self, record: usize, range: f64) {
         self.readings[record].steps = Sensor::steps(range);
         self.measured[record] = self.sensor.vector(record % SLOTS, self.readings[record]);
     }
 
-    /// The squared error of a point's rounding along an axis of the map, in the file and in the map.
+    /// The squared rounding error of a point along an axis of the map, in the file and in the map.
     pub(super) fn rounding(&self, record: usize, axis: usize) -> f64 {
         let in_file = self.file_rounding(record, axis);
         let in_map = spacing(self.origin[axis] + self.mapped[record][axis]);
         (in_map * in_map + in_file) / 12.0 + 1e-20
     }
 
-    /// The distances of the float32 values in the file, along an axis of the map.
+    /// The spacings of float32 values in the file, along an axis of the map.
     fn file_spacings(&self, record: usize, axis: usize) -> [f64; 3] {
         std::array::from_fn(|i| (self.axes[(axis, i)] * spacing(self.points[record][i])).abs())
     }
 
-    /// The sum of their squares.
+    /// The sum of the squares of these spacings.
     pub(super) fn file_rounding(&self, record: usize, axis: usize) -> f64 {
         self.file_spacings(record, axis).iter().map(|spacing| spacing * spacing).sum()
     }
 
-    /// What is left along the axes of the map, and the turned measured point.
+    /// The deviations along the axes of the map, and the rotated measured point.
     pub(super) fn misses(&self, firing: usize) -> impl Iterator<Item = (usize, Vector, Vector)> + '_ {
         let turn = turn_of(&self.poses[firing]);
         let place: Vector = self.poses[firing].fixed_rows::<3>(0).into();
@@ -238,11 +239,11 @@ impl Search {
         })
     }
 
-    /// What a firing tells about its pose. Misses of more than `clip` errors are not heard.
+    /// The information of a firing on its pose. Deviations of more than `clip` standard errors are ignored.
     pub(super) fn told(&self, firing: usize, errors: Errors, clip: f64) -> Told {
-        /// Points outside their roundings count this much.
+        /// The weight of points outside their roundings.
         const OUTSIDE: f64 = 30.0;
-        /// The part of the roundings in the file that are on the way.
+        /// The share of the file's rounding that is taken into account.
         const IN_FILE: f64 = 0.3;
         let mut told = Told::default();
         for (record, miss, turned) in self.misses(firing) {
@@ -290,9 +291,9 @@ impl Search {
     }
 }
 
-/// The tick of the rule, if a point of the reading is as near to it as its own.
+/// The tick according to the rule if the reading's own tick is close to it, otherwise the reading's own.
 fn nearer(reading: Reading, tick: i64) -> i64 {
-    /// Ticks by which near points may be off: their floats are not fine enough.
+    /// Ticks by which near points may be off, as their floats are not fine enough.
     const NEAR: i64 = 4;
     let most = if reading.steps > FAR_STEPS { 1 } else { NEAR };
     if turned(reading.tick, tick).abs() <= most { tick } else { reading.tick }
@@ -302,7 +303,7 @@ fn even(end: f64, count: usize) -> Vec<f64> {
     (0..count).map(|number| end * number as f64 / (count - 1) as f64).collect()
 }
 
-/// The rotation about an axis by its length in radians.
+/// The rotation about an axis whose length is the angle in radians.
 pub(super) fn rotated(axis: &Vector) -> Matrix {
     Matrix::from_row_slice(rotation((*axis).into()).as_flattened())
 }
@@ -312,15 +313,15 @@ pub(super) fn turn_of(pose: &Six) -> Matrix {
     rotated(&Vector::new(pose[3], pose[4], pose[5]))
 }
 
-/// The turns of all firings, one by one from the last, which is not turned.
+/// The rotations of all firings, one by one from the last, which is not rotated.
 fn followed(sensor: &Sensor, points: &[Vector], places: &[Vector], is_none: &[bool]) -> Vec<Vector> {
-    /// Firings that tell where the next one is, and how many a straight line needs.
+    /// Number of firings from which the next is extrapolated, and the minimum number for a straight line.
     const LOOK_BACK: usize = 24;
     const FEWEST_OF_LINE: usize = 12;
-    /// In metres: a reading that is this far off is another.
+    /// In metres: a point this far from a reading's has another reading.
     const NEAR: f64 = 3e-4;
     const FEWEST: usize = 3;
-    /// Square metres: holds turns that the points do not tell.
+    /// Square metres: regularises rotations that the points do not determine.
     const RIDGE: f64 = 0.25;
     let mut turns = vec![Vector::zeros(); places.len()];
     for firing in (0..places.len()).rev() {
@@ -353,7 +354,7 @@ fn followed(sensor: &Sensor, points: &[Vector], places: &[Vector], is_none: &[bo
     turns
 }
 
-/// The value before the first, by a straight line through all.
+/// The value before the first, by a straight line through all values.
 fn extrapolated(values: &[Vector]) -> Vector {
     let count = values.len() as f64;
     let middle = (count + 1.0) / 2.0;

@@ -1,5 +1,5 @@
-//! Figure 13 of the article: what prediction is worth to each lossless back-end. Measured twice: in the
-//! article's terms, with range image and residuals as 32-bit floats, and in integers, where plain differences
+//! Figure 13 of the article: the gain of each lossless back-end by prediction. Measured twice: as in the
+//! article, with range image and residuals as 32-bit floats, and in integers, with which plain differences
 //! compete.
 
 mod sections;
@@ -23,7 +23,7 @@ use crate::inter::{self, Past};
 use crate::scan::PointCloud;
 use crate::scanner::{Hdl64, RangeImage, project_nearest};
 
-/// What the ranges are predicted from.
+/// The source of the prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Source {
     Nothing,
@@ -64,14 +64,14 @@ const FORMS: [Form; 9] = [
     integers("inter, diff.", Source::FrameBefore, true),
 ];
 
-/// Bytes of one or more frames with one back-end, in each form. Contour map and models of regions are counted
-/// where regions predict; the occupancy, and the dozen bytes of a motion, are not counted anywhere.
+/// Bytes of one or more frames with one back-end, in each form. Contour map and models of regions are
+/// included in predictions from regions; the occupancy, and the dozen bytes of a motion, are never included.
 type Sizes = [u64; FORMS.len()];
 
 /// The figure's data.
 #[derive(Clone, Debug)]
 pub struct Figure13 {
-    /// Number of frames measured: those with a frame before them, for which all forms can be compared.
+    /// Number of measured frames: those with a frame before them, for which all forms can be compared.
     frames: u64,
     /// The number of frames and their origin, in words.
     sample: String,
@@ -85,8 +85,8 @@ pub struct Figure13 {
     sizes: Vec<Sizes>,
 }
 
-/// Measures a sample, in the range images of the ideal sensor, with the outlier filter and the regions of `config`.
-/// `on_frame` is called whenever a frame has been measured.
+/// Measures a sample, in the range images of the ideal scanner, with the outlier filter and the regions of
+/// `config`. `on_frame` is called after each frame.
 ///
 /// # Errors
 /// If a back-end's library fails.
@@ -127,7 +127,7 @@ pub fn measure(
     Ok(figure)
 }
 
-/// The range image of the points that the outlier filter leaves (III-A, IV-A).
+/// The range image of the points that remain after the outlier filter (III-A, IV-A).
 fn image(cloud: &PointCloud, sensor: &Hdl64, config: &EncoderConfig) -> RangeImage {
     let filtered = config.outliers.map(|filter| filter.filter(cloud));
     project_nearest(sensor, filtered.as_ref().unwrap_or(cloud)).image
@@ -204,8 +204,8 @@ struct Before {
 }
 
 impl Before {
-    /// The ranges that the frame before predicts (V-B and V-C); if the scanner's motion is not found, it is
-    /// taken to stand still. `None` if there is no frame before.
+    /// The ranges predicted from the frame before (V-B and V-C); if the scanner's motion cannot be estimated,
+    /// it is assumed to stand still. `None` if there is no frame before.
     fn predict(&mut self, image: &RangeImage, sensor: &Hdl64, config: &EncoderConfig) -> Option<Grid<u32>> {
         let before = self.image.take()?;
         let levels = Grid::new(before.steps.rows(), before.steps.columns());

@@ -5,7 +5,7 @@ use crate::study::bench::published;
 use crate::study::bench::report::{Axis, Figure, Marker, Origin, Point, Row, Scale, Section, Series, Table};
 use crate::study::bench::tables::column;
 
-/// The back-end that leaves everything as it is: shown in the table, not in the plots.
+/// The back-end that does not compress: shown in the table, not in the plots.
 const STORE: &str = "store";
 
 impl Figure13 {

@@ -1,32 +1,32 @@
-//! Placing values on an axis of a plot, and its ticks.
+//! Mapping of values to an axis of a plot, and its ticks.
 
 use super::number::significant;
 use super::{Axis, Scale};
 
 /// Pixels between 0 and the rest of a logarithmic axis.
 const ZERO_GAP: f64 = 36.0;
-/// The most ticks of a linear axis.
+/// The largest number of ticks on a linear axis.
 const MOST_TICKS: f64 = 8.0;
-/// A logarithmic axis of at most this many decades also has numbers at 2 and 5.
+/// A logarithmic axis of at most this many decades is also labelled at 2 and 5.
 const FEW_DECADES: f64 = 3.5;
 
-/// An axis with its place on the picture.
+/// An axis with its position in the picture.
 pub struct Placed {
     scale: Scale,
     /// Values at its ends; the smaller one of a logarithmic axis is not 0.
     ends: [f64; 2],
-    /// The places of these, in pixels.
+    /// The positions of these values, in pixels.
     pixels: [f64; 2],
-    /// The place of 0 on a logarithmic axis, if 0 is on it.
+    /// The position of 0 on a logarithmic axis, if 0 is on it.
     pub zero: Option<f64>,
 }
 
-/// A tick: its place and its label.
+/// A tick: its position and its label.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tick {
-    /// In pixels.
+    /// Position in pixels.
     pub at: f64,
-    /// May be empty.
+    /// The label; may be empty.
     pub label: String,
 }
 
@@ -54,7 +54,7 @@ impl Placed {
         Placed { scale: axis.scale.clone(), ends, pixels, zero }
     }
 
-    /// The place of a value, in pixels.
+    /// The position of a value, in pixels.
     pub fn place(&self, value: f64) -> f64 {
         let [low, high] = self.ends;
         let part = match (&self.scale, self.zero) {
@@ -65,7 +65,7 @@ impl Placed {
         self.pixels[0] + part.clamp(0.0, 1.0) * (self.pixels[1] - self.pixels[0])
     }
 
-    /// Its ticks, in rising order.
+    /// Its ticks, in ascending order.
     pub fn ticks(&self) -> Vec<Tick> {
         let [low, high] = self.ends;
         let tick = |value: f64, label: String| Tick { at: self.place(value), label };

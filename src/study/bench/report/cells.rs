@@ -1,4 +1,4 @@
-//! Tables and figures as cells of text, for the forms of output that people read.
+//! Tables and figures as cells of text, for human-readable output.
 
 use super::number::{decimals, significant};
 use super::{Axis, Figure, Origin, Scale, Section, Series, Table};
@@ -15,7 +15,7 @@ pub struct Cells {
 
 /// The heading of a column.
 pub struct Heading {
-    /// What it holds.
+    /// The name of the values.
     pub name: String,
     /// The unit; may be empty.
     pub unit: String,
@@ -35,8 +35,8 @@ impl Cells {
         }
     }
 
-    /// Runs of neighbouring columns with the same origin: the origin and the number of columns. Empty if
-    /// nothing is published.
+    /// Runs of neighbouring columns with the same origin: the origin and the number of columns. Empty if no
+    /// column is published.
     pub fn origins(&self) -> Vec<(Origin, usize)> {
         if self.columns.iter().all(|column| column.origin == Origin::Measured) {
             return Vec::new();

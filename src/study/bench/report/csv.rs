@@ -4,8 +4,8 @@
 //! section,series,x,x_unit,y,y_unit,origin
 //! ```
 //!
-//! For a table, `series` is the row, `x` the column and `y` the value. For a figure they mean what they say;
-//! a category is given by its name.
+//! For a table, `series` is the row, `x` the column and `y` the value. For a figure they are what their names
+//! say; a category is given by its name.
 
 use std::io::{self, Write};
 

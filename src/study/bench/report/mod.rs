@@ -1,5 +1,5 @@
-//! The results of experiments as data, from which every form of output is made: [`text`], [`csv`], [`html`],
-//! and JSON by `serde`.
+//! The results of experiments as data, from which every form of output is produced: [`text`], [`csv`],
+//! [`html`], and JSON by `serde`.
 
 pub mod csv;
 pub mod html;
@@ -23,7 +23,7 @@ pub struct Report {
     pub title: String,
     /// The most important result, in one sentence; may be empty.
     pub summary: String,
-    /// What was run, and on what: names and values, for people.
+    /// A description of the experiments and their input for people: names and values.
     pub facts: Vec<(String, String)>,
     /// Tables and figures, in the order of the article.
     pub sections: Vec<Section>,
@@ -89,13 +89,13 @@ impl Origin {
 /// A table of numbers.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Table {
-    /// As in the article: `Table I`.
+    /// Its number in the article: `Table I`.
     pub number: String,
     /// What it shows.
     pub title: String,
     /// How to read it; may be empty.
     pub note: String,
-    /// What the rows are.
+    /// The heading of the row names.
     pub label: String,
     /// The columns.
     pub columns: Vec<Column>,
@@ -121,14 +121,14 @@ pub struct Column {
 pub struct Row {
     /// Its heading.
     pub name: String,
-    /// Its values; `None` where there is none.
+    /// Its values; `None` where a value is missing.
     pub cells: Vec<Option<f64>>,
 }
 
 /// A plot.
 #[derive(Clone, Debug, Serialize)]
 pub struct Figure {
-    /// As in the article: `Figure 15`.
+    /// Its number in the article: `Figure 15`.
     pub number: String,
     /// What it shows.
     pub title: String,
@@ -149,7 +149,7 @@ pub struct Axis {
     pub name: String,
     /// The unit of its values; may be empty.
     pub unit: String,
-    /// How values are placed on it.
+    /// How values are mapped to it.
     pub scale: Scale,
 }
 
@@ -160,13 +160,13 @@ impl Axis {
     }
 }
 
-/// How values are placed on an axis.
+/// How values are mapped to an axis.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Scale {
-    /// Evenly, from 0.
+    /// Linearly, from 0.
     Linear,
-    /// By their logarithms; 0 has a place of its own.
+    /// By their logarithms; 0 has a position of its own.
     Log,
     /// Values are indices into these, from 0, top to bottom; only on the vertical axis.
     Categories(Vec<String>),
@@ -209,6 +209,6 @@ pub struct Point {
     pub x: f64,
     /// The vertical value.
     pub y: f64,
-    /// The setting that leads to it; may be empty.
+    /// The setting that gives this point; may be empty.
     pub label: String,
 }

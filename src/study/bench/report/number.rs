@@ -1,6 +1,6 @@
-//! Numbers in the form in which people read them.
+//! Numbers in human-readable form.
 
-/// With this many decimals, or as many as it has; a dash if there is no value.
+/// The number with this many decimals, or as many as it has; a dash if there is no value.
 pub fn decimals(value: Option<f64>, decimals: Option<usize>) -> String {
     match (value, decimals) {
         (None, _) => "-".to_owned(),
@@ -9,7 +9,7 @@ pub fn decimals(value: Option<f64>, decimals: Option<usize>) -> String {
     }
 }
 
-/// With three or four significant digits, and no exponent.
+/// The number with three or four significant digits, and no exponent.
 pub fn significant(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");

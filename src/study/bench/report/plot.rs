@@ -200,7 +200,7 @@ impl Svg {
     }
 }
 
-/// The class that gives the colour, and whether markers are filled.
+/// The class that defines the colour, and whether markers are filled.
 fn class(place: usize, series: &Series) -> String {
     format!("series c{} {}", place % COLOURS, series.origin.name())
 }
@@ -217,7 +217,7 @@ mod tests {
             let Section::Figure(figure) = section else { continue };
             let svg = draw(figure);
             let points: usize = figure.series.iter().map(|series| series.points.len()).sum();
-            // The legend has one more marker for each series.
+            // The legend has an additional marker for each series.
             assert_eq!(svg.matches("<path ").count(), points + figure.series.len());
             let lines = figure.series.iter().filter(|series| series.line).count();
             assert_eq!(svg.matches("<polyline ").count(), 2 * lines);

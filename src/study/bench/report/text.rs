@@ -6,7 +6,7 @@ use super::cells::{Cells, Heading};
 use super::{Report, Section};
 use crate::study::bench::published;
 
-/// The most characters of a line of prose.
+/// The largest number of characters in a line of prose.
 const WIDTH: usize = 100;
 /// Characters between columns.
 const GAP: usize = 2;
