@@ -343,6 +343,25 @@ fn files_of_returns_alone_row_by_row_are_understood() {
 }
 
 #[test]
+fn rows_of_a_vlp_16_are_put_back_into_firings() {
+    let points = scans(&config(3, 1, 1)).remove(0);
+    let mut rows = points.clone();
+    rows.sort_by_key(|[x, y, z, _]| {
+        -(f64::from(*z).atan2(f64::from(x.hypot(*y))).to_degrees().round() as i64)
+    });
+    let columns = |points: &Points| {
+        let (found, share) = fit(&[file(points)]).expect("found");
+        assert!(share > 0.99, "{share}");
+        found.project(&file(points).cloud, REACH).image.columns.len()
+    };
+    let (of_firings, of_rows) = (columns(&points), columns(&rows));
+    assert!(of_rows <= of_firings + of_firings / 100, "{of_rows} columns, not {of_firings}");
+    let size =
+        |points: &Points| round_trip(&files(std::slice::from_ref(points)), &EncoderConfig::default()).len();
+    assert!(size(&rows) < size(&points) * 11 / 10, "{} bytes, not {}", size(&rows), size(&points));
+}
+
+#[test]
 fn ousters_without_blanks_are_found_in_every_order() {
     let (rows, width) = (64, 512);
     let points = ouster(rows, false);

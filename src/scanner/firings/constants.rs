@@ -501,7 +501,7 @@ fn angles(
 }
 
 /// Some programs turn degrees into radians by 3.1415926: their angles are thousandths of degrees times this.
-const SHORT_PI: f64 = 3.141_592_6 / std::f64::consts::PI;
+const SHORT_PI: f64 = 31_415_926.0 / 1e7 / std::f64::consts::PI;
 
 /// Steps to either side in which the constant of a program is looked for that wrote it with fewer digits.
 const NEIGHBOURS: i32 = 12;

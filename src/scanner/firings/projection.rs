@@ -172,11 +172,12 @@ impl Firings {
             return self.project_full(places, width);
         }
         let (places, echoes) = without_echoes(places);
-        let (places, echoes, columns) = if self.rows_of_lines.is_empty() {
-            let columns = self.columns(&places);
-            (places, echoes, columns)
-        } else {
-            self.columns_of_lines(places, echoes)
+        let (places, echoes, columns) = match self.rows_of_lines.is_empty() {
+            true => {
+                let columns = self.columns(&places);
+                (places, echoes, columns)
+            }
+            false => self.columns_of_lines(places, echoes),
         };
         // Nor do decoders take a larger image than their limits allow.
         let most = (MOST_CELLS * cloud.positions.len()).min(Limits::default().points as usize);
@@ -352,56 +353,27 @@ impl Firings {
         places: Vec<Place>,
         echoes: Vec<(usize, Place)>,
     ) -> (Vec<Place>, Vec<(usize, Place)>, Vec<Column>) {
-        /// A step of more than this part of a turn is one back.
-        const BACK: f64 = 0.98;
-        let turn = self.build.ticks;
+        let (ticks, firing) = self.unrolled(&places);
         let firings = self.build.timing.firings(self.rows()).max(1);
-        let of_rows = || places.chunk_by(|a, b| a.row == b.row);
-        let steps = of_rows().flat_map(|row| row.windows(2));
-        let steps = steps.map(|pair| self.turned(pair[0].column_tick, pair[1].column_tick));
-        let (mut ahead, back): (Vec<i64>, Vec<i64>) = steps.partition(|step| *step > 0);
-        let is_falling = ahead.len() < back.len();
-        let along = |tick: u32| if is_falling { (turn - tick) % turn } else { tick };
-        // Rows begin about where the scanner did: behind the widest gap between the ticks at which they do.
-        let mut firsts: Vec<u32> = of_rows().map(|row| along(row[0].column_tick)).collect();
-        firsts.sort_unstable();
-        let before = firsts.iter().rev().take(1).chain(&firsts);
-        let gaps = before.zip(&firsts).map(|(before, first)| (self.ticks_from(*before, *first), *first));
-        let (_, start) = gaps.max_by_key(|(gap, _)| *gap).unwrap_or_default();
-        // Ticks from there, beyond a turn if the scanner went on.
-        let mut ticks = Vec::with_capacity(places.len());
-        for row in of_rows() {
-            let (mut last, mut passed) = (start, 0i64);
-            for place in row {
-                let tick = along(place.column_tick);
-                let step = i64::from(self.ticks_from(last, tick));
-                let is_back = ticks.len() > 0 && last != start && step as f64 > BACK * f64::from(turn);
-                passed += if is_back { step - i64::from(turn) } else { step };
-                ticks.push(passed);
-                last = tick;
-            }
-        }
-        // From firing to firing, and from block to block.
-        let middle = ahead.len() / 2;
-        let firing = if ahead.is_empty() { 0 } else { *ahead.select_nth_unstable(middle).1 };
-        let span =
-            if self.build.timing.is_interpolated() { (firing * i64::from(firings)) as f64 } else { 0.0 };
+        let (span, near) = match self.build.timing.is_interpolated() {
+            true => ((firing * i64::from(firings)) as f64, 0.5 * firing as f64),
+            false => (0.0, 0.0),
+        };
         let begun = |at: usize| ticks[at] as f64 - self.passed(0, places[at].slot) * span;
         let mut order: Vec<usize> = (0..places.len()).collect();
         order.sort_by(|&a, &b| begun(a).total_cmp(&begun(b)).then(places[a].slot.cmp(&places[b].slot)));
         let mut columns: Vec<std::ops::Range<usize>> = Vec::new();
-        let mut taken = vec![usize::MAX; self.rows()];
+        // For each slot, the number of columns up to the last one that has it.
+        let mut taken = vec![0; self.rows()];
         for (number, &at) in order.iter().enumerate() {
-            let slot = &mut taken[places[at].slot as usize];
-            let near = if span > 0.0 { 0.5 * firing as f64 } else { 0.0 };
-            let goes_on = columns.last().is_some_and(|column| {
-                begun(at) - begun(order[column.start]) <= near && *slot != columns.len() - 1
-            });
+            let taken = &mut taken[places[at].slot as usize];
+            let is_near = |column: &std::ops::Range<usize>| begun(at) - begun(order[column.start]) <= near;
+            let goes_on = columns.last().is_some_and(is_near) && *taken < columns.len();
             match columns.last_mut().filter(|_| goes_on) {
                 Some(column) => column.end = number + 1,
                 None => columns.push(number..number + 1),
             }
-            *slot = columns.len() - 1;
+            *taken = columns.len();
         }
         for column in &columns {
             order[column.clone()].sort_by_key(|&at| places[at].slot);
@@ -410,15 +382,52 @@ impl Firings {
         order.iter().enumerate().for_each(|(new, &at)| new_places[at] = new);
         let echoes = echoes.into_iter().map(|(of, place)| (new_places[of], place)).collect();
         let places: Vec<Place> = order.into_iter().map(|at| places[at]).collect();
-        let tick = |column: &std::ops::Range<usize>| places[column.start].column_tick;
-        let columns = columns.into_iter();
-        let mut columns: Vec<Column> = columns
-            .map(|column| Column { tick: tick(&column), places: column, span: Span::default() })
-            .collect();
+        let column = |of: std::ops::Range<usize>| Column {
+            tick: places[of.start].column_tick,
+            places: of,
+            span: Span::default(),
+        };
+        let mut columns: Vec<Column> = columns.into_iter().map(column).collect();
         if self.build.timing.is_interpolated() {
             self.find_spans(&places, &mut columns, span);
         }
         (places, echoes, columns)
+    }
+
+    /// For the places of rows that follow one another, the ticks since the scanner began: beyond a turn where it went on. And
+    /// those from firing to firing, mostly.
+    fn unrolled(&self, places: &[Place]) -> (Vec<i64>, i64) {
+        /// A step of more than this part of a turn is one back.
+        const BACK: f64 = 0.98;
+        let turn = self.build.ticks;
+        let of_rows = || places.chunk_by(|a, b| a.row == b.row);
+        let steps = of_rows().flat_map(|row| row.windows(2));
+        let steps = steps.map(|pair| self.turned(pair[0].column_tick, pair[1].column_tick));
+        let (rising, falling): (Vec<i64>, Vec<i64>) = steps.partition(|step| *step > 0);
+        let is_falling = rising.len() < falling.len();
+        let mut steps = if is_falling { falling } else { rising };
+        let middle = steps.len() / 2;
+        let firing = if steps.is_empty() { 0 } else { steps.select_nth_unstable(middle).1.abs() };
+        let along = |tick: u32| if is_falling { (turn - tick) % turn } else { tick };
+        // Rows begin about where the scanner did: behind the widest gap between the ticks at which they do.
+        let mut firsts: Vec<u32> = of_rows().map(|row| along(row[0].column_tick)).collect();
+        firsts.sort_unstable();
+        let before = firsts.last().into_iter().chain(&firsts);
+        let gaps = before.zip(&firsts).map(|(before, first)| (self.ticks_from(*before, *first), *first));
+        let (_, start) = gaps.max_by_key(|(gap, _)| *gap).unwrap_or_default();
+        let mut ticks = Vec::with_capacity(places.len());
+        for row in of_rows() {
+            let (mut last, mut passed) = (None, 0);
+            for place in row {
+                let tick = along(place.column_tick);
+                let step = self.ticks_from(last.unwrap_or(start), tick);
+                let is_back = last.is_some() && f64::from(step) > BACK * f64::from(turn);
+                passed += i64::from(step) - if is_back { i64::from(turn) } else { 0 };
+                ticks.push(passed);
+                last = Some(tick);
+            }
+        }
+        (ticks, firing)
     }
 
     /// The ticks from one block to the next, on the average.
