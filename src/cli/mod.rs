@@ -74,7 +74,7 @@ fn levels_in_short(args: impl IntoIterator<Item = OsString>) -> impl Iterator<It
 /// asked for page by page, or be kept for the thread that freed it.
 ///
 /// On the first of these, encoding the city drive on two threads takes 0.92 of the CPU time at level 1 and 0.96 at level 6
-/// (medians of nine pairs of runs). On the second, 60 frames of the road drive take 80 to 90 MB in place of 100 to 126 on
+/// (medians of nine pairs of runs). On the second, 60 frames of the road drive take 78 to 85 MB instead of 103 to 124 on
 /// two threads, in the same time.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn keep_memory() {
