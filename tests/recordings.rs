@@ -11,6 +11,7 @@ use lidarpc::recordings::{Clouds, Copied, TopicFilter, pack, unpack};
 use lidarpc::{Decoder, Encoder, Settings};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, WriteOptions};
+use predicates::prelude::PredicateBooleanExt;
 
 /// A message with its channel's number, topic, schema and metadata, its sequence number, both its times and its bytes.
 type OneMessage = (u16, String, String, BTreeMap<String, String>, u32, u64, u64, Vec<u8>);
@@ -261,6 +262,12 @@ fn the_program_packs_and_unpacks() {
     for command in ["verify", "stats", "info"] {
         let code = if command == "info" { 0 } else { 3 };
         lidarpc(&[command, &path("cut.mcap")]).code(code);
+    }
+    // What is wrong with the input names the input.
+    std::fs::write(path("bad.mcap"), b"\x89MCAP0\r\n\x01garbage").unwrap();
+    for command in ["encode", "decode"] {
+        let bad = lidarpc(&[command, &path("bad.mcap"), "-o", &path("none.mcap")]).code(1);
+        bad.stderr(predicates::str::contains("bad.mcap: ").and(predicates::str::contains("none.mcap").not()));
     }
     std::fs::write(path("old.bag"), b"#ROSBAG V2.0").unwrap();
     let bag = lidarpc(&["encode", &path("old.bag"), "-o", &path("old.lpc")]).failure();

@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use crate::files::{FileFormat, convert, write};
 use crate::frame::settings::EncoderConfig;
+use crate::ground::error::Error;
 use crate::library::Settings;
 use crate::recordings::{self, Clouds, Contents, Copied, Topic, TopicFilter};
 use crate::stream::{self, FrameInput};
@@ -74,7 +75,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     let start = Instant::now();
     let bar = progress::bar(None, "packing", quiet);
     let filter = TopicFilter { topics: args.topic.clone() };
-    let (copied, output) = copy(args.output(), args.force, |out| {
+    let (copied, output) = copy(input, args.output(), args.force, |out| {
         recordings::pack(open(input)?, out, &Settings::of_config(config.clone()), &filter, &|| bar.inc(1))
     })?;
     bar.finish_and_clear();
@@ -154,7 +155,7 @@ pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let copied = if is_named_so(args.output()) {
         keep_inputs(args.output(), &args.inputs)?;
         let bar = progress::bar(None, "unpacking", quiet);
-        let (copied, output) = copy(args.output(), args.force, |out| {
+        let (copied, output) = copy(input, args.output(), args.force, |out| {
             recordings::unpack(open(input)?, out, args.threads.threads, &|| bar.inc(1))
         })?;
         bar.finish_and_clear();
@@ -319,16 +320,21 @@ fn open(path: &Path) -> crate::ground::error::Result<BufReader<File>> {
 
 /// Writes a recording that is renamed when complete.
 fn copy(
+    input: &Path,
     path: &Path,
     force: bool,
-    write: impl FnOnce(&mut BufWriter<&mut File>) -> crate::ground::error::Result<Copied>,
+    write: impl FnOnce(&mut BufWriter<&mut File>) -> std::result::Result<Copied, Error>,
 ) -> Result<(Copied, FileOutput)> {
     let mut output = FileOutput::create(path, force)?;
     let FileOutput::Temporary { file, .. } = &mut output else {
         bail!("{}: a recording needs a file that can be sought in, not a pipe", path.display());
     };
     let mut out = BufWriter::with_capacity(1 << 20, file.as_file_mut());
-    let copied = write(&mut out).map_err(|error| about(error, &path.display().to_string()))?;
+    let copied = write(&mut out).map_err(|error| match error {
+        Error::Io(_) => about(error, &path.display().to_string()),
+        Error::InvalidSettings(_) => error.into(),
+        _ => about(error, &input.display().to_string()),
+    })?;
     out.flush()?;
     drop(out);
     Ok((copied, output))

@@ -79,7 +79,7 @@ impl<R: Read> Iterator for Records<R> {
 fn failed(error: McapError) -> Error {
     match error {
         McapError::Io(error) => error.into(),
-        other => Error::corrupt(format!("the recording: {other}")),
+        other => Error::Usage(format!("the recording: {other}")),
     }
 }
 
