@@ -177,7 +177,8 @@ impl Constants {
     }
 
     /// Number of points of these rows that are reproduced if each offset is corrected by whole ticks of its own, as
-    /// is necessary if ticks pass between the lasers of a firing. 0 if the points cannot show this.
+    /// is necessary if ticks pass between the lasers of a firing. 0 if points were moved, or if the recipe does not
+    /// round sums to single precision.
     fn exact_turned(&self, any: &Firings, offsets: &[f64], few: &[usize]) -> usize {
         let are_moved = few.iter().any(|&row| self.of_rows[row].iter().any(|point| point.moved.is_some()));
         if are_moved || !any.build.recipe.adds_in_single() {
@@ -231,7 +232,7 @@ impl Constants {
         /// that is tried.
         const FARTHEST: i32 = 1200;
         const NEAR: i32 = 4;
-        /// Every n-th point is enough for that.
+        /// Every n-th point is enough to try errors.
         const SPARSE: usize = 4;
         /// But not if points were moved or the last digits are unknown: number of the likeliest errors, which are then
         /// compared on more points.

@@ -406,7 +406,7 @@ fn first_parts(scanner: &Firings, places: &[Place], firings: usize) -> Option<Ve
     const FAR: i64 = 300;
     let rows = scanner.rows();
     let far = i64::from(scanner.build.ticks) / FAR;
-    // From slot to slot.
+    // Average steps from slot to slot.
     let (mut sums, mut counts) = (vec![0i64; rows], vec![0i64; rows]);
     let (mut all, mut slots) = (0, 0);
     for pair in places.windows(2).filter(|pair| pair[1].slot > pair[0].slot) {
@@ -427,7 +427,7 @@ fn first_parts(scanner: &Firings, places: &[Place], firings: usize) -> Option<Ve
     };
     let mut offsets = vec![0.0; rows];
     (1..rows).for_each(|slot| offsets[slot] = offsets[slot - 1] + advance(slot));
-    // From firing to firing.
+    // Steps from firing to firing.
     let firsts = places.iter().zip(places.iter().skip(1)).filter(|(a, b)| b.slot <= a.slot).map(|(_, b)| b);
     let starts: Vec<f64> =
         firsts.map(|place| f64::from(place.column_tick) - offsets[place.slot as usize]).collect();
