@@ -481,7 +481,8 @@ impl Firings {
         if !self.build.timing.is_interpolated() {
             return last.column_tick == place.column_tick;
         }
-        // Half of the ticks from one firing to the next is the limit between the two. In some blocks no ticks pass.
+        // A place of the next firing is off by more than half of the ticks between firings. In some blocks no ticks
+        // pass.
         let firing = span / f64::from(self.build.timing.firings(self.rows()).max(1));
         let expected = (self.passed(0, place.slot) - self.passed(0, last.slot)) * span;
         let turned = self.turned(last.column_tick, place.column_tick);
