@@ -27,7 +27,7 @@ use crate::common::scans::{Points, random_points, scans, small};
 use crate::common::streams::{KNOWN, Known, STREAMS, at_level, halved};
 use crate::common::{File as ScanFile, comes_back, decode_files, decode_within, put_together, round_trip};
 
-/// Far below the program's limits, for speed; the claims in streams are checked as strictly.
+/// Far below the program's limits, for speed; values in streams are checked against them just as strictly.
 const LIMITS: Limits = Limits { points: 1 << 16, file_bytes: 1 << 22, record_bytes: 1 << 24 };
 
 /// Takes any bytes, and panics if they reveal a fault.
@@ -76,9 +76,9 @@ pub fn sections(data: &[u8]) {
     let _ = decode_within(&put_together(&models, &groups), LIMITS);
 }
 
-/// Any bytes as changes to the parts of a valid stream, five bytes each: frames and sections are cut, joined,
-/// exchanged with those of another stream, removed, repeated and changed, and all checksums corrected. Thus
-/// the fuzzer's changes reach the coders where they read them.
+/// Any bytes as changes to the parts of a valid stream, five bytes each: frames and sections are truncated, joined,
+/// exchanged with those of another stream, removed, repeated and changed, and all checksums corrected, so that the
+/// changes reach the coders.
 pub fn parts(data: &[u8]) {
     let [stream, other, changes @ ..] = data else { return };
     let pick = |number: &u8| &STREAMS[usize::from(*number) % STREAMS.len()];
@@ -124,8 +124,7 @@ pub fn parts(data: &[u8]) {
     let _ = decode_within(&put_together(&models, &groups), LIMITS);
 }
 
-/// Any bytes as the output of a back-end, for a length in two bytes; also, what it compresses must be
-/// restored.
+/// Any bytes as the output of a back-end, for a length in two bytes; also, data that it compresses must be restored.
 pub fn backends(data: &[u8]) {
     let [id, low, high, bytes @ ..] = data else { return };
     let backend = BACKENDS[usize::from(*id) % BACKENDS.len()];
@@ -135,7 +134,7 @@ pub fn backends(data: &[u8]) {
     }
 }
 
-/// Any bytes as a file of each format: parsed and written, they are the same.
+/// Any bytes as a file of each format: parsed and written again, they are the same.
 pub fn readers(data: &[u8]) {
     let [kind, bytes @ ..] = data else { return };
     let name = NAMES[usize::from(*kind) % NAMES.len()];
@@ -269,7 +268,7 @@ pub fn round_trip_of(data: &[u8]) {
         2 => bounded(1 << (mode / 4 % 20)),
         _ => by_back_end(usize::from(mode / 4)),
     };
-    // Not always after another file.
+    // In one of four modes, no other file precedes it.
     comes_back_from(known, &files[usize::from(mode % 4 == 1)..], &config);
 }
 
@@ -331,7 +330,7 @@ fn change([what, axis, at, at_high, value, value_high]: [u8; 6]) -> Change {
         4 => Change::Keep(at, length),
         5 => Change::Delete(at, length),
         6 => Change::Duplicate(at, length),
-        // The upper half of a number: its sign, its exponent, and some of its digits.
+        // The upper half of a number: its sign, its exponent, and the upper bits of its significand.
         7 => Change::Coordinate(at, axis, f32::from_bits(u32::from(value) << 16)),
         8 => Change::Ulps(at, axis, small),
         9 => Change::Millimetres(at, axis, small),
@@ -359,8 +358,9 @@ pub fn sequence(data: &[u8]) {
     }
 }
 
-/// Any bytes as a message with a cloud, in each encoding: taken apart and put together, it is the same, and so is the payload
-/// of its compressed one. Or as a recording: read in each way, and packed and unpacked, it has the same messages.
+/// Any bytes as a message with a cloud, in each encoding: parsed and written again, it is the same, and so is the
+/// payload of its compressed message. Or any bytes as a recording: it is read in each way and, packed and unpacked,
+/// has the same messages.
 pub fn recordings(data: &[u8]) {
     let [kind, bytes @ ..] = data else { return };
     let encoding = match kind % 3 {

@@ -37,8 +37,7 @@ fn files(scans: &[Points]) -> Vec<File> {
     scans.iter().enumerate().map(|(number, points)| (format!("{number}.bin"), kitti(points))).collect()
 }
 
-/// The number of returns that the recipe reproduces to the last bit, of those that it does not, and of
-/// strays.
+/// The numbers of returns that the recipe reproduces to the last bit, of returns that it does not, and of strays.
 fn counts(scanner: &Firings, points: &Points) -> (usize, usize, usize) {
     let cloud = file(points).cloud;
     let projection = scanner.project(&cloud, REACH);
@@ -156,8 +155,8 @@ fn scanners_of_all_recipes_are_found_from_their_points() {
         let points = points(&truth, &image(&truth, 1));
         let (found, share) = fit(&[file(&points)]).unwrap_or_else(|| panic!("{recipe:?} is not found"));
         assert!(share > 0.999, "{recipe:?}: {share}");
-        // In double precision, the axis that counts as ahead makes no difference: a quarter of a turn is a
-        // whole number of ticks. Nor does a timing in which no slot is a tick later.
+        // In double precision, it does not matter which axis counts as ahead: a quarter of a turn is a whole number of
+        // ticks. Nor does a timing in which no slot is a tick later.
         let ahead = |build: &Build| {
             let recipe = match build.recipe {
                 Recipe::DoubleXAhead => Recipe::DoubleYAhead,
@@ -189,7 +188,7 @@ fn formulas_are_those_of_the_geometry() {
             let elevation = (laser.elevation as f64 * 1e-9).to_radians();
             let mut metres = f64::from(found.steps) * scanner.range_step_m();
             if matches!(scanner.build().recipe, Recipe::Ouster | Recipe::OusterRos) {
-                // These are measured from the axis.
+                // The ranges of these recipes are measured from the axis.
                 metres -= metre(origin.along_um);
             }
             let ahead = metres * elevation.cos() * azimuth.cos() + metre(origin.along_um) * start.cos();
@@ -291,7 +290,7 @@ fn lasers_that_take_turns_are_found() {
 fn constants_of_any_digits_are_found_to_the_last_bit() {
     let nominal = made_up(Recipe::Nebula);
     let lasers = nominal.lasers().iter().zip(0i64..).map(|(laser, row)| {
-        // As float32 values: Hesai's files of angles have more digits than thousandths.
+        // As float32 values: the angles in Hesai's files have more than three decimals.
         let single = |units: i64| (f64::from((units as f64 * 1e-9) as f32) * 1e9).round() as i64;
         Laser {
             elevation: single(laser.elevation + 37 * row * row * 1009 % 1_000_000),
@@ -337,7 +336,7 @@ fn files_of_returns_alone_row_by_row_are_understood() {
             .map(|found| projection.point_of_cell[(found.row as usize, found.column as usize)])
             .collect();
         assert!(again.is_sorted(), "{recipe:?}: the order of the file");
-        // One column for each that the scanner saw.
+        // Less than twice as many columns as the scanner measured.
         assert!(projection.image.columns.len() < 2 * image.columns.len(), "{recipe:?}");
     }
 }

@@ -48,7 +48,7 @@ pub fn main() -> ExitCode {
     main_of(std::env::args_os()).into()
 }
 
-/// As [`main`], with these arguments, the first of which is the program's name. Wrong usage ends the process.
+/// Like [`main`], with these arguments, the first of which is the program's name. Wrong usage ends the process.
 pub fn main_of(args: impl IntoIterator<Item = OsString>) -> u8 {
     keep_memory();
     let args = Args::parse_from(levels_in_short(args));
@@ -58,7 +58,7 @@ pub fn main_of(args: impl IntoIterator<Item = OsString>) -> u8 {
     }
 }
 
-/// What users of other compressors type, `-9`, as `--level=9`; behind `--` stand names.
+/// Rewrites `-9`, the notation of other compressors, as `--level=9`; arguments after `--` are names.
 fn levels_in_short(args: impl IntoIterator<Item = OsString>) -> impl Iterator<Item = OsString> {
     let mut are_names = false;
     args.into_iter().map(move |arg| {
@@ -70,15 +70,15 @@ fn levels_in_short(args: impl IntoIterator<Item = OsString>) -> impl Iterator<It
     })
 }
 
-/// Lets memory that is freed be used again for the next frame, by any thread, rather than go back to the system and be
-/// asked for page by page, or be kept for the thread that freed it.
+/// Keeps freed memory for the next frame instead of returning it to the system and requesting it again page by page,
+/// and lets all threads reuse it instead of only the thread that freed it.
 ///
-/// On the first of these, encoding the city drive on two threads takes 0.92 of the CPU time at level 1 and 0.96 at level 6
-/// (medians of nine pairs of runs). On the second, 60 frames of the road drive take 78 to 85 MB instead of 103 to 124 on
-/// two threads, in the same time.
+/// With the first measure, encoding the city drive on two threads takes 0.92 of the CPU time at level 1 and 0.96 at
+/// level 6 (medians of nine pairs of runs). With the second, 60 frames of the road drive take 78 to 85 MB instead of
+/// 103 to 124 MB on two threads, in the same time.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn keep_memory() {
-    /// Bytes: the most that glibc takes.
+    /// In bytes: the largest value that glibc accepts.
     const LARGEST_BLOCK: i32 = 32 << 20;
     const MOST_KEPT: i32 = 2 * LARGEST_BLOCK;
     // SAFETY: mallopt takes numbers only, and no other thread has been started.
@@ -90,14 +90,14 @@ fn keep_memory() {
     }
 }
 
-/// Other systems' allocators are left as they are.
+/// Allocators of other systems keep their settings.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 fn keep_memory() {}
 
-/// Does what the arguments say.
+/// Executes the command in the arguments.
 ///
 /// # Errors
-/// [`report`] says them and chooses the exit code.
+/// All errors; [`report`] prints them and chooses the exit code.
 fn run(args: &Args) -> anyhow::Result<()> {
     cleanup::on_signals();
     match &args.command {

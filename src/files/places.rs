@@ -1,24 +1,24 @@
-//! The places of the fields of a binary record whose header is wrong.
+//! The positions of the fields in a binary record whose header is wrong.
 //!
-//! PCL writes `COUNT 0` for padding, and some programs declare the gaps in their structures wrongly. The
-//! length of the body then tells how long a record is, and its bytes tell where the fields are.
+//! PCL writes `COUNT 0` for padding, and some programs declare the gaps in their structures incorrectly. The length
+//! of the body then shows how long a record is, and its bytes show where the fields are.
 
 use super::field::Declared;
 use crate::scan::{Field, MAX_STRIDE};
 
-/// With fewer points than this, the length of a record is not certain.
+/// With fewer points than this, the length of a record is uncertain.
 const FEWEST_POINTS: u64 = 100;
-/// The most records that are examined.
+/// Largest number of records that are examined.
 const MOST_SAMPLES: usize = 2000;
 
-/// A field and its place in a record.
+/// A field and its position in a record.
 struct Placed<'f, 'a> {
     declared: &'f Declared<'a>,
     at: usize,
 }
 
-/// The fields of the records that `body` begins with, according to its bytes; `None` if there is no reason to
-/// doubt the declaration.
+/// The fields of the records with which `body` begins, according to its bytes; `None` if there is no reason to doubt
+/// the declaration.
 pub(super) fn find(fields: &[Declared], body: &[u8], points: u64) -> Option<Vec<Field>> {
     let declared: u64 = fields.iter().map(|field| u64::from(field.width)).sum();
     let first_empty = fields.iter().position(|field| field.width == 0);
@@ -32,21 +32,20 @@ pub(super) fn find(fields: &[Declared], body: &[u8], points: u64) -> Option<Vec<
         return None;
     }
     let stride = stride as usize;
-    // As declared; as a structure without the padding after the first field that takes no bytes; without any
-    // padding.
+    // As declared; as a structure without the padding after the first field of width 0; without any padding.
     let candidates = [
         declared_places(fields),
         aligned_places(fields, first_empty.unwrap_or(0)),
         aligned_places(fields, 0),
     ];
     let placed = candidates.into_iter().flatten().filter(|placed| ends_within(placed, stride));
-    // The first of several equal ones.
+    // The first one wins ties.
     let best =
         placed.rev().max_by(|a, b| steadiness(a, body, stride).total_cmp(&steadiness(b, body, stride)))?;
     Some(with_padding(&best, stride))
 }
 
-/// Places each field where the declaration says; `None` beyond the longest records.
+/// Places each field where the declaration says; `None` if the record is too long.
 fn declared_places<'f, 'a>(fields: &'f [Declared<'a>]) -> Option<Vec<Placed<'f, 'a>>> {
     let mut at = 0;
     let mut placed = Vec::new();
@@ -59,8 +58,8 @@ fn declared_places<'f, 'a>(fields: &'f [Declared<'a>]) -> Option<Vec<Placed<'f, 
     Some(placed)
 }
 
-/// Places each value at a multiple of its size, as compilers do; declared padding counts only before the
-/// field with the number `until`. `None` beyond the longest records.
+/// Places each value at a multiple of its size, as compilers do; declared padding counts only before field number
+/// `until`. `None` if the record is too long.
 fn aligned_places<'f, 'a>(fields: &'f [Declared<'a>], until: usize) -> Option<Vec<Placed<'f, 'a>>> {
     let mut at = 0;
     let mut placed = Vec::new();
@@ -77,7 +76,7 @@ fn aligned_places<'f, 'a>(fields: &'f [Declared<'a>], until: usize) -> Option<Ve
     Some(placed)
 }
 
-/// Where a field ends that is at this place; `None` beyond the longest records.
+/// Where a field at this position ends; `None` if the record is too long.
 fn end(at: usize, declared: &Declared) -> Option<usize> {
     let end = at as u64 + u64::from(declared.width);
     (end <= MAX_STRIDE.into()).then_some(end as usize)
@@ -132,7 +131,7 @@ mod tests {
     use crate::files::tests::{comes_back, pcd};
     use crate::scan::{Scalar, ScanFile};
 
-    /// 48-byte records, a structure of x, y, z, intensity, a time and a ring.
+    /// 48-byte records: a structure of x, y, z, intensity, a time and a ring.
     fn body(points: u32) -> Vec<u8> {
         let mut body = Vec::new();
         for n in 0..points {
@@ -170,7 +169,7 @@ mod tests {
     #[test]
     fn places_that_are_declared_wrongly_are_found() {
         is_understood(&file("1 1 1 4 1 0 1 6 1 12", 500));
-        // The record's length is wrong too.
+        // The length of the record is wrong, too.
         let scan = file("1 1 1 4 1 0 1 9 1 16", 500);
         assert_eq!((scan.records, scan.suffix.len()), (500, 0));
         is_understood(&scan);
@@ -178,7 +177,7 @@ mod tests {
 
     #[test]
     fn fields_beyond_the_longest_records_are_not_looked_for() {
-        // On systems of 32 bits the sum of these widths is small.
+        // On 32-bit systems, the sum of these widths overflows to a small number.
         let header = pcd("_ a x y z t", "1 4 4 4 4 8", "U F F F F F", "4294967280 4 1 1 1 0", 500, "binary");
         comes_back("a.pcd", [header, body(500)].concat());
     }
@@ -191,7 +190,7 @@ mod tests {
             scan.layout.channels().any(|(at, field)| at == 38 && field.name == "ring"),
             "no reason to doubt"
         );
-        // Cut off; nothing suggests that records are shorter.
+        // Truncated; nothing suggests that records are shorter.
         let (points, cut) = (500, 48 * 500 - 7);
         let header = pcd("x y z _", "4 4 4 1", "F F F U", "1 1 1 36", points, "binary");
         let scan = comes_back("a.pcd", [&header, &body(500)[..cut]].concat());

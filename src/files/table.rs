@@ -4,12 +4,12 @@ use super::field::{Declared, FEWEST_COLUMNS, POSITION, names_coordinates, usual_
 use super::text_records::{self, first_line};
 use crate::scan::{Scalar, ScanFile, TextFormat};
 
-/// The most bytes before the first line of numbers.
+/// Largest number of bytes before the first line of numbers.
 const MOST_BEFORE: usize = 64 << 10;
-/// Wider tables are no points.
+/// Wider tables are not points.
 const MOST_COLUMNS: usize = 4096;
 
-/// Where the numbers of a file begin, and what they are called.
+/// Where the numbers of a file begin, and the names of their columns.
 pub(super) struct Table {
     /// Bytes before the first line of numbers.
     start: usize,
@@ -19,7 +19,7 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// Looks for numbers in a file, or in its beginning. `None` if there is no line of at least three.
+    /// Looks for numbers in a file, or in its beginning. `None` if no line has at least three numbers.
     pub(super) fn find(bytes: &[u8]) -> Option<Self> {
         let (mut start, mut header) = (0, None);
         while let Some(line) = first_line(bytes.get(start..)?).filter(|_| start < MOST_BEFORE) {
@@ -41,12 +41,13 @@ impl Table {
         self.is_named && names_coordinates(self.names.iter().map(String::as_str))
     }
 
-    /// Whether the numbers of a file, or of its beginning, look like points although nothing names them: many lines, not
-    /// too many columns, and of these the first three no counters and not in rising order, as times are.
+    /// Whether the numbers of a file, or of its beginning, look like points although nothing names them: there are
+    /// many lines and not too many columns, most numbers in the first three columns have a decimal point, unlike
+    /// counters, and the first column is not ascending, unlike times.
     pub(super) fn looks_like_points(&self, bytes: &[u8]) -> bool {
         const FEWEST_LINES: usize = 100;
         const MOST_LINES: usize = 1000;
-        // A matrix of a pose has twelve.
+        // The matrix of a pose has twelve numbers.
         const MOST_OF_POINTS: usize = 11;
         if self.is_named || self.names.len() > MOST_OF_POINTS {
             return false;
@@ -71,7 +72,7 @@ impl Table {
     }
 }
 
-/// Takes a file apart. `None` if it has no lines of numbers, or if they would not be restored exactly.
+/// Parses a file. `None` if it has no lines of numbers, or if they would not be restored exactly.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let table = Table::find(bytes)?;
     let is_coordinate = |name: &str| POSITION.iter().any(|axis| name.eq_ignore_ascii_case(axis));
@@ -85,11 +86,12 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
         let fields: Vec<_> = fields.collect();
         text_records::parse(&fields, bytes, table.start, u64::MAX)
     };
-    // Coordinates are not integers, even if all of them are whole, unless they are more than doubles hold.
+    // Coordinates are floating-point numbers even if all of them are whole, unless doubles cannot hold them
+    // exactly.
     parse(Some(Scalar::F64)).or_else(|| parse(None))
 }
 
-/// The names of columns that a line gives, in the way of the lines below it.
+/// The names of columns in a line, which is split like the lines below it.
 fn names_in(line: &str, format: &TextFormat) -> Vec<String> {
     let is_mark = |c: char| c.is_whitespace() || "#%/\u{feff}".contains(c);
     let line = line.trim_start_matches(is_mark).trim_end();
@@ -98,8 +100,8 @@ fn names_in(line: &str, format: &TextFormat) -> Vec<String> {
     names.filter(|name| separator != ' ' || !name.is_empty()).map(name_in).collect()
 }
 
-/// A name without its quotation marks and its unit. ParaView and VeloView call the coordinates Points:0, Points:1 and
-/// Points:2, Ouster's program those of the first return X1, Y1 and Z1.
+/// A name without its quotation marks and its unit. ParaView and VeloView name the coordinates Points:0, Points:1 and
+/// Points:2; Ouster's program names those of the first return X1, Y1 and Z1.
 fn name_in(text: &str) -> String {
     let name = text.trim().trim_matches('"').split(['(', '[']).next().unwrap_or_default().trim();
     let number = name.strip_prefix("Points").and_then(|rest| rest.rsplit_once(':')?.1.parse::<usize>().ok());
@@ -171,10 +173,10 @@ mod tests {
         ];
         assert_eq!(names(&scan), expected);
         assert_eq!((scan.records, scan.layout.position), (2, Some([0, 1, 2])));
-        // More than doubles hold, as fields of 64 bits can be.
+        // Integers that doubles cannot hold exactly, as in fields of 64 bits.
         let scan = comes_back("a.xyz", b"10035219362488647680 2 3\n8751164152776630337 2 3\n".to_vec());
         assert_eq!(names(&scan), [("x", "u64"), ("y", "u8"), ("z", "u8")]);
-        // A number of points before them, as some `.xyz` have it.
+        // Preceded by the number of points, as in some `.xyz` files.
         let scan = comes_back("a.xyz", b"2\n1 2 3\n4 5 6\n".to_vec());
         assert_eq!((scan.records, &scan.prefix[..]), (2, &b"2\n"[..]));
         // Names for another number of columns.

@@ -1,12 +1,12 @@
-//! Variable-length integers: seven bits a byte, least significant first, the top bit set on all but the last
-//! byte (LEB128). Signed ones are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3. FORMAT.md 1.
+//! Variable-length integers (LEB128): seven bits per byte, least significant first, with the top bit set in all bytes
+//! but the last. Signed integers are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3. FORMAT.md 1.
 
 use std::io::{ErrorKind, Read};
 use std::ops::RangeInclusive;
 
 use crate::ground::error::{Error, Result};
 
-/// The most bytes that a 64-bit integer takes.
+/// Largest number of bytes of a 64-bit integer.
 pub const VARINT_MAX: usize = 10;
 
 /// Appends an unsigned integer.
@@ -48,7 +48,7 @@ pub fn read_unsigned(input: &mut impl Read, what: &str) -> Result<u64> {
 /// Reads an unsigned integer in a range. `what` names the field in errors.
 ///
 /// # Errors
-/// As [`read_unsigned`], and if it is out of range.
+/// As for [`read_unsigned`], and if the integer is out of range.
 pub fn read_within(input: &mut impl Read, what: &str, range: RangeInclusive<u64>) -> Result<u64> {
     match read_unsigned(input, what)? {
         got if range.contains(&got) => Ok(got),
@@ -57,8 +57,8 @@ pub fn read_within(input: &mut impl Read, what: &str, range: RangeInclusive<u64>
     }
 }
 
-/// A number of a stream as a length or an index. One that is too large for this machine becomes the largest there is,
-/// which no check lets pass.
+/// Converts a number of a stream to a length or an index. One that is too large for this machine becomes the largest
+/// `usize`, which every check rejects.
 pub fn saturated(number: u64) -> usize {
     usize::try_from(number).unwrap_or(usize::MAX)
 }
@@ -71,12 +71,12 @@ pub fn write_signed(out: &mut Vec<u8>, value: i64) {
 /// Reads a signed integer.
 ///
 /// # Errors
-/// As [`read_unsigned`].
+/// As for [`read_unsigned`].
 pub fn read_signed(input: &mut impl Read, what: &str) -> Result<i64> {
     read_unsigned(input, what).map(unzigzag)
 }
 
-/// Signed to unsigned, with small magnitudes first.
+/// Maps signed integers to unsigned ones, small magnitudes to small numbers.
 pub fn zigzag(value: i64) -> u64 {
     ((value << 1) ^ (value >> 63)) as u64
 }

@@ -1,4 +1,4 @@
-//! What a recording holds: its clouds as scans, its topics, and whether another holds the same.
+//! The contents of a recording: its clouds as scans, its topics, and whether another recording has the same messages.
 
 use std::collections::HashMap;
 use std::io::Read;
@@ -15,10 +15,10 @@ use crate::ground::error::Result;
 use crate::library::Scan;
 use crate::stream::ordered::run_ordered;
 
-/// Which topics of clouds are meant.
+/// A selection of topics with clouds.
 #[derive(Clone, Debug, Default)]
 pub struct TopicFilter {
-    /// These; all if it is empty.
+    /// The selected topics; all if it is empty.
     pub topics: Vec<String>,
 }
 
@@ -28,29 +28,29 @@ impl TopicFilter {
     }
 }
 
-/// The clouds of a recording, packed or not, one after the other, each with its time and, if there are several topics, as a
-/// track of its own.
+/// The clouds of a recording, compressed or not, one after another, each with its time. If there are several topics,
+/// each topic is a track of its own.
 pub struct Clouds<'f, R> {
     records: Records<R>,
     filter: &'f TopicFilter,
     schemas: HashMap<u16, String>,
-    /// Channels of clouds, and the number of the track of each.
+    /// Channels of clouds, each with the number of its track.
     channels: HashMap<u16, (Encoding, u8)>,
-    /// What is wrong with the recording; it was taken up to there.
+    /// The fault at which reading stopped, if the recording has one.
     pub cut_short: Option<String>,
 }
 
 impl<'f, R: Read> Clouds<'f, R> {
-    /// Begins to read a recording.
+    /// Opens a recording.
     ///
     /// # Errors
-    /// If it is none, or the input fails.
+    /// If the input is not a recording, or fails.
     pub fn open(input: R, filter: &'f TopicFilter) -> Result<Self> {
         let records = Records::open(input)?;
         Ok(Clouds { records, filter, schemas: HashMap::new(), channels: HashMap::new(), cut_short: None })
     }
 
-    /// Takes note of a channel if its messages are clouds.
+    /// Registers a channel if its messages are clouds.
     fn channel(&mut self, channel: &Channel) {
         let Some(encoding) = Encoding::of(&channel.message_encoding) else { return };
         let schema = self.schemas.get(&channel.schema_id);
@@ -61,7 +61,7 @@ impl<'f, R: Read> Clouds<'f, R> {
         }
     }
 
-    /// A cloud of a message; none if it is none.
+    /// The cloud in a message; `None` if the message is not a cloud.
     fn cloud(&self, header: &MessageHeader, data: &[u8]) -> Result<Option<Scan>> {
         let Some(&(encoding, track)) = self.channels.get(&header.channel_id) else { return Ok(None) };
         let unpacked = unpacked(data, encoding)?;
@@ -100,14 +100,14 @@ impl<R: Read> Iterator for Clouds<'_, R> {
     }
 }
 
-/// What a recording holds.
+/// The contents of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Contents {
-    /// Its channels, in the order in which they first stand in it.
+    /// Its channels, in the order of their first records.
     pub topics: Vec<Topic>,
-    /// Attachments and records of metadata.
+    /// Number of attachments and metadata records.
     pub attachments: u64,
-    /// What is wrong with the recording from there on.
+    /// The fault at which reading stopped, if the recording has one.
     pub cut_short: Option<String>,
 }
 
@@ -118,23 +118,23 @@ pub struct Topic {
     pub name: String,
     /// The name of its schema.
     pub schema: String,
-    /// Its messages.
+    /// Number of messages.
     pub messages: u64,
-    /// Their bytes.
+    /// Bytes of these messages.
     pub bytes: u64,
-    /// Of these, compressed clouds.
+    /// Number of messages that are compressed clouds.
     pub clouds: u64,
-    /// Points of these; 0 if they were not decoded.
+    /// Points of these clouds; 0 if they were not decoded.
     pub points: u64,
-    /// Bytes of these before they were compressed; 0 if they were not decoded.
+    /// Bytes of these clouds before compression; 0 if they were not decoded.
     pub cloud_bytes: u64,
 }
 
-/// Lists what a recording holds, as far as it is whole; if `decodes`, every compressed cloud is decoded. `on_message` is
-/// called for each message.
+/// Lists the contents of a recording, up to its first fault; if `decodes`, every compressed cloud is decoded.
+/// `on_message` is called for each message.
 ///
 /// # Errors
-/// If the input is no recording, or fails; if a payload is damaged.
+/// If the input is not a recording, or fails; if a payload is damaged.
 pub fn examine(
     input: impl Read + Send,
     decodes: bool,
@@ -198,11 +198,11 @@ pub fn examine(
     Ok(Contents { topics, attachments, cut_short })
 }
 
-/// Compares two recordings: how many messages they hold, if these are the same, one after the other: topic, sequence number,
-/// times and bytes. 0 if not.
+/// Compares the messages of two recordings in order: topic, sequence number, times and bytes. Returns their number if
+/// all of them are the same, otherwise 0.
 ///
 /// # Errors
-/// If one of them is no recording, or an input fails.
+/// If one of them is not a recording, or an input fails.
 pub fn same_messages(a: impl Read, b: impl Read) -> Result<u64> {
     let (mut a, mut b) = (messages(Records::open(a)?), messages(Records::open(b)?));
     let mut count = 0;
@@ -215,7 +215,7 @@ pub fn same_messages(a: impl Read, b: impl Read) -> Result<u64> {
     }
 }
 
-/// The messages of a recording as far as it is whole, each with its topic.
+/// The messages of a recording, up to its first fault, each with its topic.
 fn messages<R: Read>(records: Records<R>) -> impl Iterator<Item = (String, MessageHeader, Vec<u8>)> {
     let mut topics = HashMap::new();
     records.map_while(Result::ok).filter_map(move |record| match record {

@@ -1,8 +1,9 @@
 //! Clouds in messages: `sensor_msgs/PointCloud2` and `point_cloud_interfaces/CompressedPointCloud2`, as ROS 1 and ROS 2
 //! serialise them.
 //!
-//! Both begin alike: header, height, width, fields, byte order, size of a record and of a row. Then come the records or what
-//! they were compressed to, whether all points are valid, and in the compressed message the name of its format.
+//! Both begin in the same way: header, height, width, fields, byte order, size of a record and of a row. Then come
+//! the records or the compressed payload, a flag for whether all points are valid and, in the compressed message, the
+//! name of its format.
 
 use std::ops::Range;
 
@@ -10,20 +11,20 @@ use crate::files::{big_endian_records, plain_layout, plain_records};
 use crate::ground::error::{Error, Result};
 use crate::scan::{Field, Layout, MAX_STRIDE, Scalar, ScanFile, Wrapping};
 
-/// What compressed messages say of their payload.
+/// The format that compressed messages name.
 pub const FORMAT: &str = "lidarpc";
 
 /// How messages are serialised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
-    /// ROS 1: one value after the other, little-endian.
+    /// ROS 1: one value after another, little-endian.
     Ros1,
-    /// ROS 2, CDR: four bytes that tell the byte order, then values at multiples of their size.
+    /// ROS 2, CDR: four bytes that identify the byte order, then values at multiples of their size.
     Cdr,
 }
 
 impl Encoding {
-    /// That of a channel's name for it, if it is known.
+    /// The encoding with this name in a channel, if it is known.
     pub fn of(name: &str) -> Option<Self> {
         match name {
             "cdr" => Some(Encoding::Cdr),
@@ -32,7 +33,7 @@ impl Encoding {
         }
     }
 
-    /// The name of a channel's schema of clouds, and of compressed ones.
+    /// The names of a channel's schema for clouds and for compressed clouds.
     pub fn schemas(self) -> [&'static str; 2] {
         match self {
             Encoding::Ros1 => ["sensor_msgs/PointCloud2", "point_cloud_interfaces/CompressedPointCloud2"],
@@ -42,7 +43,7 @@ impl Encoding {
         }
     }
 
-    /// How the schema of compressed clouds is written, and its text.
+    /// The encoding of the schema of compressed clouds, and its text.
     pub fn compressed_schema(self) -> (&'static str, String) {
         let rule = "=".repeat(80);
         let (kind, time, sequence) = match self {
@@ -64,24 +65,24 @@ impl Encoding {
     }
 }
 
-/// What both messages begin with, and where their data are.
+/// The common beginning of both messages, and the position of their data.
 struct Cloud<'m> {
     /// Nanoseconds since 1970.
     stamp: i64,
-    /// Points.
+    /// Number of points.
     points: u64,
     fields: Vec<PointField<'m>>,
     is_big_endian: bool,
     record_bytes: u32,
     row_bytes: u32,
     rows: u32,
-    /// Where the number of the data's bytes stands.
+    /// Where the length of the data is stored.
     length_at: usize,
     data: Range<usize>,
     is_dense: u8,
 }
 
-/// A field as the message describes it.
+/// A field as described in the message.
 struct PointField<'m> {
     name: &'m str,
     offset: u32,
@@ -97,11 +98,11 @@ struct Values<'m> {
     is_big_endian: bool,
 }
 
-/// What CDR begins with.
+/// Size of the header of a CDR message, in bytes.
 const ENCAPSULATION: usize = 4;
 
 impl<'m> Values<'m> {
-    /// None if a CDR message does not begin as one.
+    /// `None` if a CDR message has no valid header.
     fn new(bytes: &'m [u8], encoding: Encoding) -> Option<Self> {
         let (at, is_big_endian) = match (encoding, bytes) {
             (Encoding::Ros1, _) => (0, false),
@@ -129,7 +130,7 @@ impl<'m> Values<'m> {
         Some(if self.is_big_endian { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) })
     }
 
-    /// In CDR, strings end with a zero that their length counts.
+    /// In CDR, strings end with a zero byte, which their length includes.
     fn string(&mut self) -> Option<&'m str> {
         let length = self.u32()? as usize;
         let bytes = self.take(length)?;
@@ -142,9 +143,9 @@ impl<'m> Values<'m> {
 }
 
 impl<'m> Cloud<'m> {
-    /// Takes a message apart up to its data and what follows them in both kinds; none if it is cut short.
+    /// Parses a message up to its data and what follows them in both kinds; `None` if it is truncated.
     fn read(values: &mut Values<'m>) -> Option<Self> {
-        /// No record has more.
+        /// No record has more fields.
         const MOST_FIELDS: u32 = 1024;
         if values.encoding == Encoding::Ros1 {
             values.u32()?;
@@ -181,8 +182,8 @@ impl<'m> Cloud<'m> {
         })
     }
 
-    /// The fields of a record, with padding where the message describes none. None if they overlap, are of no known type,
-    /// or do not fit.
+    /// The fields of a record, with padding where the message describes none. `None` if they overlap, have an
+    /// unknown type, or do not fit.
     fn layout(&self) -> Option<Layout> {
         let mut described: Vec<&PointField> = self.fields.iter().collect();
         described.sort_by_key(|field| field.offset);
@@ -196,7 +197,7 @@ impl<'m> Cloud<'m> {
                 fields.push(Field::padding(gap));
             }
             let scalar = scalar(*datatype)?;
-            // A name that no field may have is told by the message all the same.
+            // An invalid field name can be dropped here, because the bytes of the message are kept.
             let name = if Field::is_name(name) { *name } else { "" };
             fields.push(Field { name: name.to_owned(), scalar, count: *count });
             end = offset.checked_add(scalar.size().checked_mul(*count)?)?;
@@ -212,14 +213,14 @@ impl<'m> Cloud<'m> {
     }
 }
 
-/// The type of a field by its number in the message.
+/// The type of a field, by its number in the message.
 fn scalar(datatype: u8) -> Option<Scalar> {
     use Scalar::{F32, F64, I8, I16, I32, U8, U16, U32};
     [I8, U8, I16, U16, I32, U32, F32, F64].get(usize::from(datatype.checked_sub(1)?)).copied()
 }
 
-/// A cloud taken apart: the bytes around its records are kept, so that it comes back as it was. None if the message is no
-/// cloud, or one that cannot be taken apart.
+/// Parses a cloud. The bytes around its records are kept, so that the message can be restored. `None` if the message
+/// is not a cloud, or is one that cannot be parsed.
 pub fn scan(message: &[u8], encoding: Encoding) -> Option<(ScanFile, i64)> {
     let cloud = Cloud::read(&mut Values::new(message, encoding)?)?;
     let layout = cloud.layout()?;
@@ -237,17 +238,17 @@ pub fn scan(message: &[u8], encoding: Encoding) -> Option<(ScanFile, i64)> {
     Some((scan?, cloud.stamp))
 }
 
-/// The records alone of a cloud taken apart, as points that were never in a message. None if their bytes are in another order
-/// than this program's.
+/// Only the records of a parsed cloud, as points without a message. `None` if their byte order is not the one that
+/// this program uses.
 pub fn points(scan: ScanFile) -> Option<ScanFile> {
     let is_plain = scan.layout.wrapping == Wrapping::Plain;
     is_plain.then(|| ScanFile { prefix: Vec::new(), suffix: Vec::new(), ..scan })
 }
 
-/// The compressed message of a cloud with this payload.
+/// The compressed message of a cloud, with this payload.
 ///
 /// # Errors
-/// If the message is no cloud, or the payload is larger than messages can be.
+/// If the message is not a cloud, or the payload is too large for a message.
 pub fn compress(message: &[u8], encoding: Encoding, payload: &[u8]) -> Result<Vec<u8>> {
     let values = Values::new(message, encoding);
     let cloud = values.and_then(|mut values| Some((Cloud::read(&mut values)?, values.is_big_endian)));
@@ -276,7 +277,7 @@ pub fn compress(message: &[u8], encoding: Encoding, payload: &[u8]) -> Result<Ve
     Ok(out)
 }
 
-/// The payload of a compressed message; none if it is of another format, or no compressed cloud.
+/// The payload of a compressed message; `None` if it has another format or is not a compressed cloud.
 pub fn payload(message: &[u8], encoding: Encoding) -> Option<&[u8]> {
     let mut values = Values::new(message, encoding)?;
     let cloud = Cloud::read(&mut values)?;

@@ -1,4 +1,4 @@
-//! Recordings whose clouds are compressed messages: copied record by record, and back.
+//! Recordings with clouds as compressed messages: copied record by record, in both directions.
 
 use std::collections::{HashMap, HashSet};
 use std::io::{Cursor, Read, Seek, Write};
@@ -18,36 +18,37 @@ use crate::stream::encoder::encode_known;
 use crate::stream::ordered::run_ordered;
 use crate::stream::scanner_choice::{DriveScanners, KeptScanners};
 
-/// The channels' metadata in which a packed recording keeps the number of the schema that a channel of clouds had, and the
-/// number of the channel of which a channel holds what is no cloud.
+/// Keys of the channel metadata in a packed recording: for a channel of clouds, the number of the schema that it had;
+/// for a channel of messages that are not clouds, the number of the channel to which they belong.
 const SCHEMA_KEY: &str = "lidarpc.schema";
 const CHANNEL_KEY: &str = "lidarpc.channel";
 
-/// What was copied.
+/// Numbers of what was copied.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Copied {
-    /// Messages in all.
+    /// All messages.
     pub messages: u64,
-    /// Of these, clouds that were compressed, or compressed ones that were decoded.
+    /// Clouds among them that were compressed, or compressed clouds that were decoded.
     pub clouds: u64,
-    /// Messages of clouds' topics that are no cloud as lidarpc knows them, and were copied as they are.
+    /// Messages in topics of clouds that lidarpc could not parse as clouds and copied unchanged.
     pub kept: u64,
-    /// Bytes of these clouds' messages before and after.
+    /// Bytes of the messages of compressed or decoded clouds, before and after.
     pub cloud_bytes: [u64; 2],
     /// Points of the clouds.
     pub points: u64,
-    /// Attachments and records of metadata.
+    /// Attachments and metadata records.
     pub attachments: u64,
-    /// What is wrong with the recording from there on; it was taken as far as it is whole.
+    /// The fault at which copying stopped, if the recording has one.
     pub cut_short: Option<String>,
 }
 
-/// Copies a recording from its first byte on, its clouds compressed. `on_message` is called for each message that is
-/// written. The input is looked through before: what packing adds gets numbers that the recording uses nowhere.
+/// Copies a recording from its first byte on and compresses its clouds. `on_message` is called for each message that
+/// is written. The input is scanned in advance, so that the schemas and channels that packing adds get numbers that
+/// the recording uses nowhere.
 ///
 /// # Errors
-/// If the input is no recording, or is packed already, or the input or the output fails; those of the settings. A
-/// recording that is cut short or damaged is taken up to there: see [`Copied::cut_short`].
+/// If the input is not a recording or is already packed, if the input or the output fails, or if the settings are
+/// invalid. A recording that is truncated or damaged is copied up to the fault: see [`Copied::cut_short`].
 pub fn pack<W: Write + Seek>(
     mut input: impl Read + Seek + Send,
     out: W,
@@ -62,10 +63,10 @@ pub fn pack<W: Write + Seek>(
     copy(input, out, config.threads, |record| packing.job(record), on_message)
 }
 
-/// Copies a packed recording, its clouds as they were.
+/// Copies a packed recording and restores its clouds.
 ///
 /// # Errors
-/// As [`pack`]; also if a payload is damaged.
+/// As for [`pack`]; also if a payload is damaged.
 pub fn unpack<W: Write + Seek>(
     input: impl Read + Send,
     out: W,
@@ -76,9 +77,9 @@ pub fn unpack<W: Write + Seek>(
     copy(input, out, threads, |record| unpacking.job(record), on_message)
 }
 
-/// What is done for a record.
+/// How a record is processed.
 enum Job {
-    /// These are written as they are.
+    /// The records are written as they are.
     Copy(Vec<Record<'static>>),
     /// A cloud is compressed.
     Pack { header: MessageHeader, data: Vec<u8>, topic: Arc<PackedTopic> },
@@ -91,7 +92,7 @@ impl Job {
         Job::Copy(vec![record])
     }
 
-    /// Does it, on any thread.
+    /// Executes the job, on any thread.
     fn done(self) -> Result<Done> {
         match self {
             Job::Copy(records) => Ok(Done { records, cloud: None, is_kept: false }),
@@ -101,12 +102,12 @@ impl Job {
     }
 }
 
-/// What becomes of a record.
+/// The result of a job.
 struct Done {
     records: Vec<Record<'static>>,
-    /// Of a cloud: its points, and its bytes before and after.
+    /// For a cloud: its points, and its bytes before and after.
     cloud: Option<(u64, [u64; 2])>,
-    /// Whether it is a message of a topic of clouds that is none.
+    /// Whether it is a message of a topic of clouds that is not a cloud.
     is_kept: bool,
 }
 
@@ -161,27 +162,27 @@ fn copy<W: Write + Seek>(
     Ok(copied)
 }
 
-/// What packing knows of a recording.
+/// The state of packing a recording.
 struct Packing<'a> {
     config: &'a EncoderConfig,
     filter: &'a TopicFilter,
     /// The names of the schemas.
     schemas: HashMap<u16, String>,
-    /// All channels that were seen; of those of clouds, what is needed to pack them.
+    /// All channels so far; for channels of clouds, what is needed to pack them.
     channels: HashMap<u16, Option<CloudChannel>>,
     /// The numbers of all schemas and channels of the recording.
     used: HashSet<u16>,
-    /// The highest number that a schema or channel that is added may get.
+    /// The highest number that an added schema or channel may get.
     next: u16,
 }
 
 /// A channel of clouds.
 struct CloudChannel {
     encoding: Encoding,
-    /// The channel for messages of the topic that are no clouds.
+    /// The channel for messages of the topic that are not clouds.
     others: Channel,
     scanners: KeptScanners,
-    /// That of the last message.
+    /// The settings for the last message.
     topic: Option<Arc<PackedTopic>>,
 }
 
@@ -212,7 +213,7 @@ impl Packing<'_> {
         }
     }
 
-    /// A channel, with the schema of compressed clouds if its messages are clouds.
+    /// A channel; if its messages are clouds, with the schema of compressed clouds.
     fn channel(&mut self, channel: Channel) -> Result<Job> {
         if channel.metadata.contains_key(SCHEMA_KEY) {
             return Err(Error::Usage("the recording is packed already".to_owned()));
@@ -240,9 +241,9 @@ impl Packing<'_> {
         Ok(Job::Copy(vec![schema, Record::Channel(packed)]))
     }
 
-    /// A number that no schema or channel has.
+    /// A number that no schema or channel uses.
     fn unused(&mut self) -> Result<u16> {
-        // The format has no number 0 for schemas.
+        // The format reserves the number 0 of schemas.
         let found = (1..=self.next).rev().find(|number| !self.used.contains(number));
         let found = found.ok_or_else(|| {
             Error::Usage(
@@ -262,7 +263,7 @@ fn compressed_schema(encoding: Encoding, id: u16) -> Record<'static> {
 }
 
 impl CloudChannel {
-    /// How its clouds are compressed: by the scanner that is found in the first message that shows one.
+    /// How its clouds are compressed: with the scanner of the first message to which one can be fitted.
     fn topic_of(&mut self, data: &[u8], config: &EncoderConfig) -> Result<Arc<PackedTopic>> {
         let frame = || message::scan(data, self.encoding).map(|(scan, _)| FrameInput::scan(scan));
         let scanners = self.scanners.for_next(frame, config)?;
@@ -297,14 +298,14 @@ impl PackedTopic {
     }
 }
 
-/// What unpacking knows of a recording.
+/// The state of unpacking a recording.
 #[derive(Default)]
 struct Unpacking {
     /// Schemas of compressed clouds, which are written only if a channel that was not packed refers to them.
     compressed: HashMap<u16, Record<'static>>,
     /// The channels of compressed clouds.
     packed: HashMap<u16, Encoding>,
-    /// Channels for what is no cloud, and those whose topic it is.
+    /// Channels for messages that are not clouds, and the channels of the topics to which they belong.
     others: HashMap<u16, u16>,
 }
 
@@ -336,7 +337,7 @@ impl Unpacking {
         }
     }
 
-    /// A channel as it was before it was packed.
+    /// A channel as it was before packing.
     fn channel(&mut self, mut channel: Channel) -> Result<Job> {
         let number = |text: String| {
             text.parse::<u16>().map_err(|_| Error::corrupt("a channel that was packed by another program"))
@@ -366,10 +367,10 @@ fn unpack_message(header: MessageHeader, data: Vec<u8>, encoding: Encoding) -> R
     })
 }
 
-/// The message that a compressed one decodes to, and its points; none if it is not compressed.
+/// The message that a compressed message decodes to, and its number of points; `None` if it is not compressed.
 ///
 /// # Errors
-/// If the payload is damaged, or is that of no message.
+/// If the payload is damaged or does not contain a message.
 pub fn unpacked(message: &[u8], encoding: Encoding) -> Result<Option<(Vec<u8>, usize)>> {
     let Some(payload) = message::payload(message, encoding) else { return Ok(None) };
     let scan = Decoder::open(Cursor::new(payload))?.scan(0)?;

@@ -1,4 +1,4 @@
-//! The records of an MCAP recording, read one after the other, and written with chunks and indexes.
+//! The records of an MCAP recording: read one after another, and written with chunks and indexes.
 
 use std::collections::HashSet;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -10,23 +10,23 @@ use mcap::{Attachment, McapError, Summary, WriteOptions, Writer};
 
 use crate::ground::error::{Error, Limits, Result};
 
-/// The first number of records that the format leaves to programs.
+/// The first number of records that the format leaves to applications.
 const FIRST_PRIVATE: u8 = 0x80;
 
-/// The records of a recording up to the end of its data, out of their chunks.
+/// The records of a recording up to the end of its data, taken out of their chunks.
 pub struct Records<R> {
     input: R,
     reader: LinearReader,
-    /// What it says of itself.
+    /// The header of the recording.
     pub header: Header,
     has_ended: bool,
 }
 
 impl<R: Read> Records<R> {
-    /// Begins to read.
+    /// Opens a recording.
     ///
     /// # Errors
-    /// If the input is no recording, or fails.
+    /// If the input is not a recording, or fails.
     pub fn open(input: R) -> Result<Self> {
         let options =
             LinearReaderOptions::default().with_record_length_limit(Limits::default().file_bytes as usize);
@@ -89,7 +89,7 @@ pub struct Output<W: Write + Seek> {
 }
 
 impl<W: Write + Seek> Output<W> {
-    /// Begins to write.
+    /// Begins a recording.
     ///
     /// # Errors
     /// If the output fails, as for the functions below.
@@ -99,7 +99,7 @@ impl<W: Write + Seek> Output<W> {
         Ok(Output { writer: options.create(out).map_err(failed)? })
     }
 
-    /// Writes a record, but for those that the writer makes itself.
+    /// Writes a record, except for those that the writer generates itself.
     pub fn write(&mut self, record: Record<'static>) -> Result<()> {
         let out = &mut self.writer;
         let written = match record {
@@ -121,7 +121,7 @@ impl<W: Write + Seek> Output<W> {
             Record::Unknown { opcode, data } if opcode >= FIRST_PRIVATE => {
                 out.write_private_record(opcode, &data, Default::default())
             }
-            // The writer makes its own.
+            // The writer generates these itself.
             _ => Ok(()),
         };
         written.map_err(failed)
@@ -133,11 +133,11 @@ impl<W: Write + Seek> Output<W> {
     }
 }
 
-/// The numbers of all schemas and channels of a recording, from wherever the input is; it is at its first byte then.
-/// Of a recording that is damaged, those up to there.
+/// The numbers of all schemas and channels of a recording, wherever the input is positioned; afterwards it is at its
+/// first byte. If the recording is damaged, the numbers up to the fault.
 ///
 /// # Errors
-/// If the input is no recording, or fails.
+/// If the input is not a recording, or fails.
 pub fn numbers_in(input: &mut (impl Read + Seek)) -> Result<HashSet<u16>> {
     let summary = summary(input)?;
     input.seek(SeekFrom::Start(0))?;
@@ -161,7 +161,7 @@ pub fn numbers_in(input: &mut (impl Read + Seek)) -> Result<HashSet<u16>> {
     Ok(numbers)
 }
 
-/// What a recording lists at its end, if it does.
+/// The summary at the end of a recording, if it has one.
 ///
 /// # Errors
 /// If the input fails.
@@ -176,7 +176,7 @@ fn summary(input: &mut (impl Read + Seek)) -> Result<Option<Summary>> {
                 let read = input.read(reader.insert(wanted))?;
                 reader.notify_read(read);
             }
-            // No place in a recording is before its first byte.
+            // A summary that refers to a position before the first byte is invalid.
             Ok(SummaryReadEvent::SeekRequest(to)) => match input.seek(to) {
                 Ok(place) => reader.notify_seeked(place),
                 Err(_) => return Ok(None),

@@ -15,14 +15,14 @@ use crate::scan::{ScanFile, sorted};
 use crate::scanner::motion::{self, by_time};
 use crate::scanner::{self, Scanner};
 
-/// Files larger than this, in bytes, are left out of the sample, which is in memory all at once.
+/// Larger files, in bytes, are left out of the sample, all of which is in memory at once.
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 
 /// The scanners of a drive.
 pub struct DriveScanners {
     /// The scanner of each track, if one fits.
     pub models: Vec<Option<Scanner>>,
-    /// The references that groups use for these.
+    /// The references to these scanners in groups.
     pub ids: Vec<Option<ScannerId>>,
     /// The records to be written, each once.
     pub records: Vec<ScannerRecord>,
@@ -62,8 +62,8 @@ pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> 
     Ok(scanners)
 }
 
-/// The scanners of frames that are coded one by one: those of the first frame to which a scanner fits, or
-/// else those of the last of a few frames.
+/// The scanners of frames that are coded one by one: those of the first frame to which a scanner fits, or otherwise
+/// those of the last of a few frames.
 #[derive(Clone, Default)]
 pub(crate) struct KeptScanners {
     kept: Option<Arc<DriveScanners>>,
@@ -71,16 +71,17 @@ pub(crate) struct KeptScanners {
 }
 
 impl KeptScanners {
-    /// The scanners for the next frame. `frame` is called only if the frame is needed for the fit; `None` is no scan.
+    /// The scanners for the next frame. `frame` is called only if the frame is needed for the fit; it returns
+    /// `None` for data that are not a scan.
     ///
     /// # Errors
-    /// If it cannot be read.
+    /// If the frame cannot be read.
     pub fn for_next(
         &mut self,
         frame: impl FnOnce() -> Option<FrameInput>,
         config: &EncoderConfig,
     ) -> Result<Arc<DriveScanners>> {
-        /// Number of frames to which a fit is tried.
+        /// Number of frames to which a fit is attempted.
         const MOST_TRIES: usize = 5;
         if let Some(kept) = self.kept.as_ref().filter(|_| self.tries >= MOST_TRIES) {
             return Ok(Arc::clone(kept));
@@ -123,21 +124,20 @@ fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<Dr
 }
 
 impl DriveScanners {
-    /// The track in which a frame is coded: its own, or, if scanners are mixed, that of the scanner that
-    /// explains most of it.
+    /// The track in which a frame is coded: its own or, if scanners are mixed, that of the scanner that explains
+    /// most of it.
     pub fn track_of(&self, own: u8, scan: &ScanFile) -> u8 {
         if !self.are_mixed {
             return own;
         }
         let share = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, |one| one.share(&scan.cloud));
         let shares = (0u8..).zip(&self.models).map(|(track, scanner)| (track, share(scanner)));
-        // The first of equally good ones.
+        // The first one wins ties.
         shares.fold((own, 0.0), |best, next| if next.1 > best.1 { next } else { best }).0
     }
 }
 
-/// The models for the scanners of a track with these frames: more than one if the first does not explain the
-/// whole sample.
+/// The scanner models for a track with these frames: more than one if the first does not explain the whole sample.
 fn choose_models(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
     Ok(match config.projection {
         ProjectionKind::Calibrated { range_step_um } => {
@@ -151,8 +151,8 @@ fn choose_models(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<S
     })
 }
 
-/// The scanner fitted to these frames, whose beams an image of an ideal scanner uses: fitted to the scans as
-/// they are, or, if that fails, as they were measured.
+/// The scanner fitted to these frames, whose beams an image of an ideal scanner uses: fitted to the scans as they are
+/// or, if that fails, as they were measured.
 ///
 /// # Errors
 /// If a file cannot be read.
@@ -186,8 +186,7 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
         let scanner = Scanner::fit(&sample);
         if let Some(scanner) = scanner {
             sample.retain(|scan| {
-                // A scan that was moved by time stamps can be attributed to this scanner only when it is
-                // moved back.
+                // A scan that was moved by time stamps can be attributed to this scanner only after it is moved back.
                 let is_moved =
                     || scanner.firings().is_some_and(|own| by_time::undo(&scan.cloud, own).is_some());
                 scanner.share(&scan.cloud) < LEAST_SHARE && !is_moved()
@@ -195,7 +194,7 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
             found.push(scanner);
         }
         if sample.len() == before {
-            // A fit that explains nothing of its own sample has failed, perhaps because of the largest scan.
+            // A fit that explains nothing of its own sample has failed, perhaps because of its largest scan.
             failures += 1;
             let largest = (0..before).max_by_key(|&place| sample[place].cloud.positions.len());
             largest.map(|place| sample.swap_remove(place));
@@ -212,7 +211,7 @@ fn sample(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile
     Ok(scans?.into_iter().flatten().collect())
 }
 
-/// A frame of the sample, as it was measured and in the order of arrival; none if it is too large.
+/// A frame of the sample, as it was measured and in the order of arrival; `None` if it is too large.
 fn scan_of(frame: &FrameInput, config: &EncoderConfig) -> Result<Option<ScanFile>> {
     if frame.size()? > SAMPLE_FILE_BYTES {
         return Ok(None);
@@ -229,8 +228,8 @@ fn scan_of(frame: &FrameInput, config: &EncoderConfig) -> Result<Option<ScanFile
     Ok(Some(scan))
 }
 
-/// The indices of a sample of at most `most` frames: the first frame, the last, and others evenly spaced
-/// between.
+/// The indices of a sample of at most `most` frames: the first frame, the last, and others evenly spaced between
+/// them.
 pub(crate) fn sample_places(frames: usize, most: usize) -> impl Iterator<Item = usize> {
     let count = most.min(frames);
     (0..count).map(move |i| i * (frames - 1) / (count - 1).max(1))

@@ -109,8 +109,8 @@ pub fn stamped(scanner: &Firings, image: &RangeImage, firings: u32) -> (Points, 
     (points(scanner, image), rows, times)
 }
 
-/// Moves points by a part of a motion: each by the part between its time stamp and the last one. The rotation
-/// is computed by a quaternion.
+/// Moves points by a fraction of a motion: each by the fraction between its time stamp and the last one. The rotation
+/// is computed with a quaternion.
 pub fn moved_by_stamps(points: &Points, times: &[f64], rotation: [f64; 3], translation: [f64; 3]) -> Points {
     let ends = times.iter().fold([f64::MAX, f64::MIN], |[a, b], time| [a.min(*time), b.max(*time)]);
     let angle = rotation.iter().map(|r| r * r).sum::<f64>().sqrt();
@@ -130,15 +130,14 @@ pub fn moved_by_stamps(points: &Points, times: &[f64], rotation: [f64; 3], trans
     points.iter().zip(times).map(moved).collect()
 }
 
-/// The records as left by a program that sorts them by time although they are in that order already.
+/// The records as left by a program that sorts them by time although they are already in that order.
 pub fn sorted<T: Copy>(records: &[T], times: &[f64]) -> Vec<T> {
     let bytes = times.iter().flat_map(|time| time.to_le_bytes()).collect();
     let keys = Channel { field: Field::new("timestamp", Scalar::F64), bytes };
     file_order(&keys).into_iter().map(|record| records[record as usize]).collect()
 }
 
-/// The same scanner with lasers that fire one after the other, 1.57 of 55.56 microseconds apart, followed by
-/// a pause.
+/// The same scanner with lasers that fire one after another, 1.57 of 55.56 microseconds apart, followed by a pause.
 pub fn timed(scanner: &Firings) -> Firings {
     let part = |slot: i32| (f64::from(slot) * 1.57 / 55.56 * f64::from(1 << 24)) as u32;
     let build = Build { timing: Timing::Parts((0..32).map(part).collect()), ..scanner.build().clone() };
@@ -189,8 +188,8 @@ pub fn vlp_32c(packets: usize) -> Points {
     points
 }
 
-/// The same image with half of the lasers only in every other firing, and the other half of them in the
-/// firings between, as Hesai's scanners of 128 channels fire.
+/// The same image with half of the lasers only in every other firing, and the other half in the firings between, as
+/// Hesai's 128-channel scanners fire.
 pub fn taking_turns(mut image: RangeImage) -> RangeImage {
     for row in image.steps.rows() / 2..image.steps.rows() {
         let cells = image.steps.row_mut(row).iter_mut().enumerate();

@@ -1,8 +1,8 @@
-//! Messages of ROS with clouds.
+//! ROS messages with clouds.
 
 use super::scans::Points;
 
-/// Writes values as CDR or ROS 1 does.
+/// Writes values as CDR or ROS 1 do.
 struct Message {
     bytes: Vec<u8>,
     is_cdr: bool,
@@ -31,7 +31,8 @@ impl Message {
     }
 }
 
-/// A cloud with fields in records of 26 bytes: x, y, z, intensity, ring, and a time of float64 that stands at no multiple of 8.
+/// A cloud with fields in records of 26 bytes: x, y, z, intensity, ring, and a float64 time at an offset that is not
+/// a multiple of 8.
 pub fn cloud(points: &Points, is_cdr: bool, is_big_endian: bool) -> Vec<u8> {
     let mut message = Message::new(is_cdr, is_big_endian);
     if !is_cdr {

@@ -1,4 +1,4 @@
-//! How the encoder chooses what codes a column.
+//! How the encoder chooses the way to code a column.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -12,28 +12,29 @@ use super::{Sources, is_constant, may_be_key};
 use crate::entropy::ArithmeticEncoder;
 use crate::scan::Scalar;
 
-/// Records that are coded to choose what predicts them.
+/// Number of records that are coded to choose what predicts them.
 const SAMPLE: usize = 6000;
-/// One in so many integers that do not follow a rule is few, if they are wide and above a base, which changes now and then.
+/// At most one in this number of integers may break a rule, if they are wide and above a base, which changes now and
+/// then.
 const FEW_BASES: usize = 64;
 
-/// A plan with a rule that seems to be worth a try.
+/// A plan with a rule that seems worth a try.
 enum Ruled {
     None,
-    /// Not all integers of a sample follow from it.
+    /// A part of the integers of a sample breaks the rule.
     OfSample(Integers),
-    /// Those of the sample do, but not all others.
+    /// Those of the sample follow the rule, but too many others do not.
     OfSome(Integers),
 }
 
 /// How to code a column.
 pub struct Choice {
     pub plan: Plan,
-    /// About how many bytes that takes.
+    /// Approximate number of bytes.
     pub bytes: usize,
     /// Whether no other way to code it is worth a try.
     pub is_sure: bool,
-    /// What to go by in the next frame, if all ways were tried.
+    /// What the next frame starts from, if all ways were tried.
     pub tried: Option<Tried>,
 }
 
@@ -41,7 +42,7 @@ pub struct Choice {
 #[derive(Clone, Copy)]
 pub struct Tried {
     plan: Integers,
-    /// Bytes for each record of a sample.
+    /// Bytes per record of a sample.
     bytes: f64,
 }
 
@@ -51,14 +52,14 @@ impl Choice {
     }
 }
 
-/// The records that are coded to choose between ways to code them: some from all over, since lines of the file differ.
-/// All of them if they are few.
+/// The records that are coded to compare ways of coding: some from all over the file, since its lines differ, or all
+/// records if they are few.
 pub fn sample(records: usize) -> Vec<Range<usize>> {
-    /// So many times [`SAMPLE`] is few.
+    /// Up to this multiple of [`SAMPLE`], records are few.
     const FEW: usize = 2;
-    /// Parts of the sample.
+    /// Number of parts of the sample.
     const PARTS: usize = 8;
-    /// One record in so many.
+    /// One record in this number is in the sample.
     const SHARE: usize = 8;
     if records <= FEW * SAMPLE {
         return std::iter::once(0..records).collect();
@@ -75,14 +76,14 @@ pub fn gather(values: &[u8], width: usize, records: &[Range<usize>]) -> Vec<u8> 
     records.iter().map(|part| &values[part.start * width..part.end * width]).collect::<Vec<_>>().concat()
 }
 
-/// So many records of the middle.
+/// `count` records from the middle.
 fn middle(records: usize, count: usize) -> Range<usize> {
     let start = records.saturating_sub(count) / 2;
     start..records.min(start + count)
 }
 
 impl ColumnModel {
-    /// How to code a column.
+    /// Chooses how to code a column.
     pub fn choose(&self, sources: &Sources, scalar: Scalar, values: &[u8]) -> Choice {
         let size = scalar.size() as usize;
         let records = values.len() / size;
@@ -105,7 +106,7 @@ impl ColumnModel {
         let ruled = match self.best_rule(plain, &part, scalar, sampled) {
             Some((plan, true)) => match self.settled(plan, sources, scalar, values) {
                 Ok(plan) => return Choice::sure(Plan::Integers(plan), 1),
-                // What the sample says of it is no help.
+                // The sample is misleading, so the plans are compared on all records.
                 Err(plan) => Ruled::OfSome(plan),
             },
             Some((plan, false)) => Ruled::OfSample(plan),
@@ -130,10 +131,10 @@ impl ColumnModel {
         Choice { plan: Plan::Integers(best), bytes, is_sure: false, tried: Some(tried) }
     }
 
-    /// The plan that was the best of all in a frame before, if it does as well now: to try them all takes many times as
-    /// long as to code the column.
+    /// The plan that was the best of all in an earlier frame, if it does as well now: trying all of them takes many
+    /// times as long as coding the column.
     fn tried_plan(&self, plain: Integers, part: &Sources, scalar: Scalar, values: &[u8]) -> Option<Integers> {
-        /// So much more is as well.
+        /// Up to this factor, more bytes count as equally good.
         const MORE: f64 = 1.02;
         let Tried { plan, bytes } = self.tried.filter(|tried| tried.plan.scale == plain.scale)?;
         let plan = Integers { has_exceptions: plain.has_exceptions, ..plan };
@@ -142,9 +143,9 @@ impl ColumnModel {
         (taken as f64 <= most).then_some(plan)
     }
 
-    /// Of a plan that goes by the columns of an image or by its ticks, what all integers say: a few rows do not tell the two
-    /// apart, nor what holds in rows without returns. The plan with the rule that more of them follow; as an error if too many
-    /// follow neither.
+    /// Checks a plan whose rule uses the columns of an image, or its ticks, on all integers: a few rows show
+    /// neither which of the two rules holds nor what holds in rows without returns. Returns the plan with the rule
+    /// that more integers follow, as an error if too many follow neither.
     fn settled(
         &self,
         plan: Integers,
@@ -168,7 +169,8 @@ impl ColumnModel {
         if missed <= integers.len() / 2 / FEW_BASES { Ok(plan) } else { Err(plan) }
     }
 
-    /// The rule that most integers of a sample follow, and whether nearly all do; none if few follow any.
+    /// The rule that most integers of a sample follow, and whether nearly all do; `None` if too few follow any
+    /// rule.
     fn best_rule(
         &self,
         plain: Integers,
@@ -176,9 +178,9 @@ impl ColumnModel {
         scalar: Scalar,
         values: &[u8],
     ) -> Option<(Integers, bool)> {
-        /// One in so many integers that do not follow is few.
+        /// At most one in this number of integers breaks a rule that nearly all follow.
         const FEW: usize = 512;
-        /// One in so many is too many.
+        /// If one in this number of integers or more breaks a rule, it is useless.
         const MANY: usize = 3;
         let integers: Vec<Option<i64>> = {
             let grid = plain.scale.grid(scalar);
@@ -232,7 +234,7 @@ impl ColumnModel {
         Some((best, is_sure))
     }
 
-    /// What takes the fewest bytes for a sample, with this rule or without any; and these bytes.
+    /// The plan that takes the fewest bytes for a sample, with this rule or without any, and these bytes.
     fn best_way(
         &self,
         plain: Integers,
@@ -241,7 +243,7 @@ impl ColumnModel {
         scalar: Scalar,
         values: &[u8],
     ) -> (Integers, usize) {
-        /// Bytes of such a sample; less is good enough.
+        /// In bytes: if a sample takes no more than this, no better plan is sought.
         const SMALL: usize = 40;
         let mut best = plain;
         let mut least = self.size_of(&Plan::Integers(best), part, scalar, values);
@@ -272,7 +274,7 @@ impl ColumnModel {
         (best, least)
     }
 
-    /// Bytes that a column takes.
+    /// Size of the coded column, in bytes.
     pub fn size_of(&self, plan: &Plan, sources: &Sources, scalar: Scalar, values: &[u8]) -> usize {
         let mut encoder = ArithmeticEncoder::default();
         let coded = self.clone().code(&mut encoder, plan, sources, scalar, &mut values.to_vec());
@@ -280,7 +282,7 @@ impl ColumnModel {
     }
 }
 
-/// How many integers of the second half do not follow a plan's rule; `None` if as many as `most`.
+/// The number of integers of the second half that break a plan's rule; `None` if there are `most` or more.
 fn misses(
     plan: &Integers,
     sources: &Sources,
@@ -305,13 +307,13 @@ fn misses(
     Some(misses)
 }
 
-/// How many records after it a run of values most often comes again; 0 if it seldom does.
+/// The distance, in records, at which a run of values most often recurs; 0 if it seldom does.
 fn likely_lag(size: usize, values: &[u8]) -> u32 {
-    /// Values of a run.
+    /// Values per run.
     const RUN: usize = 4;
-    /// How many runs are looked at.
+    /// Number of runs that are examined.
     const RUNS: usize = 500;
-    /// One in so many must come again at the same distance.
+    /// More than one run in this number must recur at the same distance.
     const PART: usize = 4;
     let records = values.len() / size;
     if records < 16 * RUN {
@@ -337,7 +339,7 @@ fn likely_lag(size: usize, values: &[u8]) -> u32 {
     }
 }
 
-/// Whether all values are those of a source.
+/// Whether all values equal those of a source.
 fn is_same(sources: &Sources, source: usize, scalar: Scalar, values: &[u8]) -> bool {
     let size = scalar.size() as usize;
     sources

@@ -13,20 +13,20 @@ use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scan::Scalar;
 
-/// What the coder has learned about a column.
+/// Adaptive models of a column.
 #[derive(Clone, Default)]
 pub struct ColumnModel {
-    /// Made when it is first wanted: it is large.
+    /// Allocated when it is first needed, because it is large.
     integers: Option<IntegersModel>,
     rules: RuleModel,
-    /// How it was last coded, if as integers.
+    /// The plan by which it was last coded, if as integers.
     last_plan: Option<Integers>,
-    /// What an encoder found the best, if it was coded so.
+    /// The best plan that an encoder found, if the column was coded by it.
     pub tried: Option<Tried>,
     off: OffModel,
 }
 
-/// What the coder has learned about values off the grid.
+/// Adaptive models of values off the grid.
 #[derive(Clone, Default)]
 struct OffModel {
     is_off: AdaptiveBit,
@@ -35,10 +35,10 @@ struct OffModel {
 }
 
 impl ColumnModel {
-    /// Codes the values of a column; a decoder gets as many zeros.
+    /// Codes the values of a column; a decoder passes zeros of the same length.
     ///
     /// # Errors
-    /// If a decoder's bytes make no column.
+    /// If a decoder's input is not a valid column.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -108,13 +108,13 @@ impl ColumnModel {
         Ok(())
     }
 
-    /// How the column was last coded, if as integers.
+    /// The plan by which the column was last coded, if as integers.
     pub fn last_plan(&self) -> Option<Integers> {
         self.last_plan
     }
 }
 
-/// Codes values as integers that follow from a rule, or nearly all do.
+/// Codes values as integers, all or nearly all of which follow a rule.
 #[inline(always)]
 fn code_by_rule<C: BitCoder>(
     coder: &mut C,
@@ -129,7 +129,7 @@ fn code_by_rule<C: BitCoder>(
         .enumerate()
         .map(|(record, value)| places.grid.integer(value).map(|integer| (places.site(record), integer)));
     let (doubts, learned) = model.code_doubts(coder, rule, known);
-    // Then an encoder has nothing more to say.
+    // If the rule is right for all integers, nothing else is coded.
     if let Some(learned) = learned.filter(|_| doubts.is_empty() && !plan.has_exceptions) {
         return model.know(learned);
     }
@@ -138,7 +138,8 @@ fn code_by_rule<C: BitCoder>(
     });
 }
 
-/// Codes values as integers, each by `code`, which is given the record's number and gets none for a value off the grid.
+/// Codes values as integers by calling `code` for each, with the number of its record; the integer is `None` for a
+/// value off the grid.
 #[inline(always)]
 fn code_each<C: BitCoder>(
     coder: &mut C,
@@ -158,14 +159,14 @@ fn code_each<C: BitCoder>(
             continue;
         }
         let coded = code(coder, record, integer.or(Some(0)));
-        // An encoder has it already.
+        // An encoder already has the value.
         if !C::ENCODES {
             grid.write(coded.unwrap_or(0), value);
         }
     }
 }
 
-/// What a plan knows of each record.
+/// What a plan uses of each record.
 pub struct Places<'a> {
     keys: Cow<'a, [u32]>,
     plan: Integers,
@@ -175,13 +176,13 @@ pub struct Places<'a> {
 
 impl<'a> Places<'a> {
     /// # Errors
-    /// If there is no channel of the plan's keys.
+    /// If the channel of the plan's keys does not exist.
     pub fn new(plan: &Integers, sources: &'a Sources, scalar: Scalar) -> Result<Self> {
         let (keys, grid) = (keys(plan.key, sources)?, plan.scale.grid(scalar));
         Ok(Places { keys, plan: *plan, context: sources.context, grid })
     }
 
-    /// What is known of a record, but for the integers before it.
+    /// What is known about a record, apart from the integers before it.
     #[inline(always)]
     pub fn site(&self, record: usize) -> Site {
         Site {
@@ -197,14 +198,14 @@ impl<'a> Places<'a> {
 }
 
 impl OffModel {
-    /// Codes whether a value is off the grid; if so, it is coded by its place among all numbers.
+    /// Codes whether a value is off the grid and, if so, its rank among all numbers.
     fn code<C: BitCoder>(&mut self, coder: &mut C, scalar: Scalar, is_off: bool, value: &mut [u8]) -> bool {
         if !self.is_off.code(coder, is_off) {
             return false;
         }
         let by_place = Scale::PLACE.grid(scalar);
         let place = if C::ENCODES { by_place.integer(value).unwrap_or(0) } else { 0 };
-        // Those below 2^62 either way differ by less than 2^63.
+        // Ranks between -2^62 and 2^62 differ by less than 2^63.
         let difference = zigzag(place.wrapping_sub(self.last));
         let is_long = coder.code_plain((difference >> 62 > 0).into(), 1) == 1;
         self.last = match is_long {
@@ -231,7 +232,7 @@ fn keys<'a>(key: u16, sources: &'a Sources) -> Result<Cow<'a, [u32]>> {
     })
 }
 
-/// A number in another type: the nearest there is.
+/// Converts a number to the nearest value of another type.
 pub fn convert(type_of: Scalar, from: &[u8], scalar: Scalar, to: &mut [u8]) {
     match type_of == scalar {
         true => to.copy_from_slice(from),

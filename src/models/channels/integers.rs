@@ -1,67 +1,69 @@
-//! Integers, one a record, each predicted in several ways: which way is right tells of the next one. What none
-//! tells is the difference from the one that errs least.
+//! Integers, one per record, each predicted in several ways: which predictions were right shows which to try first
+//! for the next one. If none of those tried is right, the difference from the prediction with the smallest recent
+//! error is coded.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel, MixedBits};
 use crate::ground::varint::{unzigzag, zigzag};
 
-/// Ways to predict an integer.
+/// Number of ways to predict an integer.
 const CANDIDATES: usize = 13;
-/// How many are asked in turn, the one that was right most often first.
+/// Number of predictions that are tried, starting with the one that was right most often.
 const TRIES: usize = 4;
-/// Contexts of a try, and opinions on it.
+/// Number of contexts of an attempt, and of opinions on it.
 const VIEWS: usize = 5;
 const OPINIONS: usize = 8;
-/// Bits of the number of entries of a table of what followed what.
+/// Log2 of the number of entries of a hash table.
 const TABLE_BITS: u32 = 14;
-/// Entries of such a table.
+/// Entries of a hash table.
 pub const ENTRIES: usize = 1 << TABLE_BITS;
-/// Levels of the recent error, in half bits.
+/// Number of levels of the recent error, in half bits.
 const ERROR_LEVELS: usize = 64;
-/// Differences of this many bits and more are coded as they are.
+/// If a difference has more bits than this, the integer itself is coded, without a model.
 const LONGEST: u32 = 62;
 
-/// Where a record is, and what is known of it.
+/// The place of a record, and what is known about it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Site {
     /// Its beam.
     pub key: u32,
-    /// Its column in the range image, the first being 1; 0 for none. Or, for a rule by ticks, its tick.
+    /// Its column in the range image, counted from 1; 0 if it has none. For a rule by ticks, its tick instead.
     pub column: u32,
-    /// What it is by its position, if that tells.
+    /// The integer that its position implies, if any.
     pub geometry: Option<i64>,
-    /// The integer a lag before, and the one before that.
+    /// The integer one lag before, and the integer before that one.
     pub lagged: Option<[i64; 2]>,
 }
 
-/// What the coder has learned about the integers of a column.
+/// Adaptive models of the integers of a column.
 #[derive(Clone)]
 pub struct IntegersModel {
     /// The last integers, the latest first.
     last: [i64; 3],
     /// The last site's key.
     key: u32,
-    /// By hash of the key: the last integer there, the one before, its difference from the geometry.
+    /// By hash of the key: the last integer with this key, the one before it, and the last one's difference from
+    /// the geometry.
     of_key: Vec<[i64; 3]>,
-    /// By hash of the last key and this one: the last difference.
+    /// By hash of this key and the last one: the last difference.
     of_keys: Vec<i64>,
     /// By column: the last integer.
     of_column: Vec<i64>,
-    /// By hash of the last two integers: what came next.
+    /// By hash of the last two integers: the integer that followed.
     after: Vec<i64>,
-    /// By hash of the last two differences: the next.
+    /// By hash of the last two differences: the difference that followed.
     after_steps: Vec<i64>,
-    /// How often each candidate has been right of late, from 0 to 1.
+    /// How often each candidate has recently been right, from 0 to 1.
     scores: [f32; CANDIDATES],
-    /// How far off each has been of late, in half bits.
+    /// The recent error of each candidate, in half bits.
     errors: [f32; CANDIDATES],
-    /// Which of the last tries were right, a bit each.
+    /// Which attempt was right for each of the last integers, two bits each.
     history: usize,
     hits: MixedBits<VIEWS, OPINIONS>,
     is_long: AdaptiveBit,
     differences: Vec<IntegerModel>,
 }
 
-/// Counters of each context of a try.
+/// Counters per context of an attempt.
 const PLACES: usize = 1 << 14;
 
 impl Default for IntegersModel {
@@ -84,7 +86,7 @@ impl Default for IntegersModel {
     }
 }
 
-/// The entries of the tables that a site looks at.
+/// The entries of the tables for a site.
 struct Entries {
     key: usize,
     keys: usize,
@@ -119,13 +121,13 @@ impl IntegersModel {
         }
     }
 
-    /// What each way expects.
+    /// The predictions of all candidates.
     #[inline]
     fn candidates(&self, site: &Site, entries: &Entries) -> [i64; CANDIDATES] {
         let [last, before, _] = self.last;
         let step = last.wrapping_sub(before);
         let [of_key, before_of_key, off] = self.of_key[entries.key];
-        // How far the record before was from the one before it in its own beam.
+        // The difference between the last record and the one before it with the same key.
         let change = last.wrapping_sub(self.of_key[slot(self.key.into(), 0)][1]);
         let [lagged, before_lagged] = site.lagged.unwrap_or([last; 2]);
         let geometry = site.geometry.unwrap_or(last);
@@ -146,7 +148,7 @@ impl IntegersModel {
         ]
     }
 
-    /// Of some candidates, a bit each, the first of those that were right most often.
+    /// The candidate of a bit mask that was right most often, the first one on ties.
     #[inline(always)]
     fn likeliest(&self, left: u32) -> Option<usize> {
         let of_most = (0..CANDIDATES).fold((CANDIDATES, -1.0), |(best, most), at| {
@@ -156,7 +158,7 @@ impl IntegersModel {
         Some(of_most.0).filter(|&best| best < CANDIDATES)
     }
 
-    /// Codes an integer, given what is expected.
+    /// Codes an integer, given its predictions.
     #[inline]
     fn code_by<C: BitCoder>(
         &mut self,
@@ -166,12 +168,12 @@ impl IntegersModel {
         candidates: &[i64; CANDIDATES],
         value: i64,
     ) -> i64 {
-        // Those that are not out, a bit each.
+        // Bit mask of the candidates that are not excluded yet.
         let mut left = (1u32 << CANDIDATES) - 1;
         for attempt in 0..TRIES {
             let Some(best) = self.likeliest(left) else { break };
             let expected = candidates[best];
-            // Those that expect the same, and are out if it is wrong.
+            // Bit mask of the candidates with the same prediction, all of which are excluded if it is wrong.
             let alike = alike(candidates, expected);
             left &= !alike;
             let trust = ones(alike).fold(0.0, |trust, at| trust + self.scores[at]);
@@ -210,7 +212,7 @@ impl IntegersModel {
 
     #[inline]
     fn learn(&mut self, site: &Site, entries: &Entries, candidates: &[i64; CANDIDATES], value: i64) {
-        // In two loops, of which the second is made for vector units.
+        // Two loops, so that the second one can be vectorised.
         let (mut right, mut half_bits) = ([0.0; CANDIDATES], [0.0; CANDIDATES]);
         for (at, candidate) in candidates.iter().enumerate() {
             right[at] = if *candidate == value { 1.0 } else { 0.0 };
@@ -234,13 +236,13 @@ impl IntegersModel {
     }
 }
 
-/// Which candidates are this integer, a bit each.
+/// Bit mask of the candidates that equal this integer.
 #[inline(always)]
 fn alike(candidates: &[i64; CANDIDATES], integer: i64) -> u32 {
     (0..CANDIDATES).fold(0, |alike, at| alike | u32::from(candidates[at] == integer) << at)
 }
 
-/// The places of the ones among some bits, rising.
+/// The positions of the ones in a bit mask, ascending.
 #[inline(always)]
 fn ones(mut bits: u32) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {
@@ -252,12 +254,12 @@ fn ones(mut bits: u32) -> impl Iterator<Item = usize> {
     })
 }
 
-/// A part of 1 in 32 levels.
+/// A share of 1 as one of 32 levels.
 fn level(part: f32) -> usize {
     ((part * 32.0) as usize).min(31)
 }
 
-/// The entry of two numbers in a table of [`ENTRIES`].
+/// The hash of two numbers, as an index of a table of [`ENTRIES`].
 #[inline(always)]
 pub fn slot(a: u64, b: u64) -> usize {
     let mixed =

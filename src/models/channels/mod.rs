@@ -1,7 +1,7 @@
-//! The fields of a record beside position and intensity, column by column: each by the method that the
-//! encoder found to be the shortest for it. FORMAT.md 8.9.
+//! The fields of a record other than position and intensity, column by column: each by the method that the encoder
+//! found to be the shortest for it. FORMAT.md 8.9.
 //!
-//! A column that is coded can tell of those after it, so narrow types come first: rings, then times.
+//! A column that is coded can predict those after it, so narrow types come first: rings, then times.
 
 mod choice;
 mod column;
@@ -27,38 +27,38 @@ use crate::entropy::{ArithmeticEncoder, BitCoder};
 use crate::ground::error::{Error, Result};
 use crate::scan::{Channel, Field, Scalar};
 
-/// Fields of more values than this are bytes.
+/// Fields with more values than this are coded as bytes.
 const MOST_ELEMENTS: u32 = 8;
 
-/// No more columns than this have a model of their own.
+/// Largest number of columns that have models of their own.
 const MOST_COLUMNS: usize = 64;
 
-/// What is known of the records before their channels are: all in the order of the file.
+/// What is known about the records before their channels are coded: all in file order.
 #[derive(Clone, Debug, Default)]
 pub struct RecordContext {
-    /// The row of each record in the range image, the first being 1; 0 for a stray. Empty without an image.
+    /// The row of each record in the range image, counted from 1; 0 for a stray. Empty without an image.
     pub rows: Vec<u32>,
-    /// The column of each, likewise.
+    /// The column of each record, likewise.
     pub columns: Vec<u32>,
     /// The range of each in steps, 0 for a stray. Empty without an image of a scanner of firings.
     pub steps: Vec<u32>,
-    /// The azimuth tick of each, likewise.
+    /// The azimuth tick of each record, likewise.
     pub ticks: Vec<u32>,
-    /// What a step is.
+    /// One range step, in metres.
     pub range_step_m: f64,
-    /// What a tick is.
+    /// One azimuth tick, in degrees.
     pub tick_degrees: f64,
-    /// Empty if there are none.
+    /// The positions; empty if there are none.
     pub positions: Vec<[f32; 3]>,
-    /// Empty if there are none.
+    /// The intensities; empty if there are none.
     pub intensity: Vec<f32>,
 }
 
-/// What the coder has learned about channels.
+/// Adaptive models of channels.
 #[derive(Clone, Default)]
 pub struct ChannelsModel {
     columns: Vec<ColumnModel>,
-    /// One for all channels: it is large.
+    /// Shared by all channels, because it is large.
     bytes: Option<ByteModel>,
 }
 
@@ -67,7 +67,7 @@ pub struct ChannelsModel {
 enum Shape {
     /// All records hold the same bytes.
     Constant,
-    /// Every value of a record is a column.
+    /// The values at the same position of all records are a column.
     Columns,
     /// As bytes of no known meaning.
     Bytes,
@@ -78,7 +78,7 @@ enum Shape {
 impl Shape {
     const ALL: [Shape; 4] = [Shape::Constant, Shape::Columns, Shape::Bytes, Shape::Packed];
 
-    /// Codes which one it is.
+    /// Codes the number of the shape.
     fn code<C: BitCoder>(self, coder: &mut C) -> Result<Self> {
         let number = coder.code_plain(self as u64, 8) as usize;
         Self::ALL
@@ -89,11 +89,11 @@ impl Shape {
 }
 
 impl ChannelsModel {
-    /// Codes the values of channels; a decoder gets them with as many zeros. `level` says how hard an encoder
-    /// tries.
+    /// Codes the values of channels; a decoder passes zeros of the same length. `level` is the effort of an
+    /// encoder.
     ///
     /// # Errors
-    /// If a decoder's bytes make no channels.
+    /// If a decoder's input does not contain valid channels.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -133,10 +133,10 @@ impl ChannelsModel {
     }
 }
 
-/// What a column can be told by.
+/// What can predict a column.
 struct Sources<'a> {
     channels: &'a [Channel],
-    /// The channels that are coded.
+    /// The channels that are already coded.
     known: &'a [usize],
     context: &'a RecordContext,
 }
@@ -153,7 +153,7 @@ impl Sources<'_> {
         }
     }
 
-    /// What tells of some of the records alone.
+    /// The sources of these records only.
     fn part(&self, records: &[Range<usize>]) -> OwnedSources {
         fn part<T: Copy>(values: &[T], records: &[Range<usize>]) -> Vec<T> {
             let parts = records.iter().map(|part| values.get(part.clone()).unwrap_or_default());
@@ -181,16 +181,16 @@ impl Sources<'_> {
         }
     }
 
-    /// The channel of this number, if it is coded and holds single values.
+    /// The channel with this number, if it is already coded and holds single values.
     fn channel(&self, number: usize) -> Option<&Channel> {
         let channel = self.known.contains(&number).then(|| &self.channels[number])?;
         (channel.field.count == 1).then_some(channel)
     }
 }
 
-/// The values of a source, one a record.
+/// The values of a source, one per record.
 enum Values<'a> {
-    /// Those along an axis.
+    /// The coordinates along an axis.
     Coordinates(&'a [[f32; 3]], usize),
     Intensities(&'a [f32]),
     Of(&'a Channel),
@@ -205,7 +205,7 @@ impl Values<'_> {
         }
     }
 
-    /// How many there are.
+    /// Their number.
     fn len(&self) -> usize {
         match self {
             Values::Coordinates(positions, _) => positions.len(),
@@ -214,7 +214,7 @@ impl Values<'_> {
         }
     }
 
-    /// The bytes of one, in the first places of these.
+    /// The bytes of one value, at the start of the array.
     fn get(&self, record: usize) -> [u8; 8] {
         let mut bytes = [0; 8];
         match self {
@@ -230,7 +230,7 @@ impl Values<'_> {
         bytes
     }
 
-    /// Gives each value in another type, until one is refused. Returns whether none was.
+    /// Passes each value, converted to another type, to `take` until that refuses one. Returns whether it took all.
     fn all_as(&self, scalar: Scalar, mut take: impl FnMut(usize, &[u8]) -> bool) -> bool {
         let (from, size) = (self.scalar(), scalar.size() as usize);
         let mut value = [0; 8];
@@ -302,9 +302,9 @@ impl ChannelCoder<'_> {
         }
     }
 
-    /// The shortest way to code a channel.
+    /// Chooses the shortest way to code a channel.
     fn choose(&mut self, sources: &Sources, bytes: &[u8]) -> (Shape, Vec<Plan>, Option<Packed>) {
-        /// Bytes; what takes less is not worth a further try.
+        /// In bytes: nothing else is tried if the columns take no more than this.
         const SMALL: usize = 64;
         if is_constant(bytes, self.width) {
             return (Shape::Constant, Vec::new(), None);
@@ -329,7 +329,7 @@ impl ChannelCoder<'_> {
         (shape, plans, packed)
     }
 
-    /// The shape that takes the fewest bytes, given those of the columns.
+    /// The shape that takes the fewest bytes; `size` is that of the columns.
     fn choose_shape(
         &self,
         sources: &Sources,
@@ -337,7 +337,7 @@ impl ChannelCoder<'_> {
         plans: &[Plan],
         size: usize,
     ) -> (Shape, Option<Packed>) {
-        /// A sample tells sizes to within one part in so many.
+        /// Sizes estimated from a sample are accurate to within one part in this number.
         const UNSURE: usize = 8;
         let sampled = choice::gather(bytes, self.width, &choice::sample(bytes.len() / self.width));
         let as_bytes = self.size_as_bytes(&sampled).saturating_mul(bytes.len()) / sampled.len().max(1);
@@ -348,7 +348,7 @@ impl ChannelCoder<'_> {
         let most = best.saturating_add(best / UNSURE);
         let packed = Packed::shortest(bytes, self.scalar, self.width, self.level, most);
         let Some(packed) = packed else { return (shape, None) };
-        // Models learn more of all records than of a sample.
+        // Models learn more from all records than from a sample.
         if sampled.len() < bytes.len() {
             best = match shape {
                 Shape::Columns => self.size_as_columns(plans, sources, bytes),
@@ -374,7 +374,7 @@ impl ChannelCoder<'_> {
     }
 }
 
-/// The values of each element.
+/// Splits records into the values of each element.
 fn split(bytes: &[u8], scalar: Scalar, count: usize) -> impl Iterator<Item = Cow<'_, [u8]>> {
     let size = scalar.size() as usize;
     (0..count).map(move |at| match count {
@@ -383,12 +383,12 @@ fn split(bytes: &[u8], scalar: Scalar, count: usize) -> impl Iterator<Item = Cow
     })
 }
 
-/// Whether all values of `width` bytes are the first one.
+/// Whether all values of `width` bytes equal the first one.
 fn is_constant(bytes: &[u8], width: usize) -> bool {
     bytes.get(width..).is_none_or(|rest| *rest == bytes[..rest.len()])
 }
 
-/// Fills bytes with the first `width` of them, over and over.
+/// Fills a buffer with repetitions of its first `width` bytes.
 fn repeat(bytes: &mut [u8], width: usize) {
     let mut filled = width;
     while filled < bytes.len() {

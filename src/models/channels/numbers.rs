@@ -1,5 +1,5 @@
-//! Values as integers: those of integer types as they are, floating point as multiples of a step if they are
-//! that, else as its place among all floating-point numbers.
+//! Values as integers: integer types as they are, floating-point values as multiples of a step if they are such,
+//! otherwise as their rank among all floating-point numbers.
 
 use byteorder::{ByteOrder, LittleEndian};
 
@@ -10,17 +10,17 @@ use crate::scan::Scalar;
 /// How values become integers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Scale {
-    /// 0: integers as they are, floating point by its place among all numbers; else 1 + 10 * the number of a form
-    /// + a decimal exponent, or beyond these the numbers of levels that make 1.
+    /// 0: integers as they are, floating-point values by their rank among all numbers. Otherwise 1 + 10 * the
+    /// number of a form + a decimal exponent; the numbers above these stand for the entries of [`LEVELS`].
     code: u8,
 }
 
 const EXPONENTS: u8 = 10;
 const FORMS: u8 = 6;
-/// Further quotients: a number of levels that make 1.
+/// Further quotients: the number of levels into which 1 is divided.
 const LEVELS: [u32; 4] = [255, 256, 65_535, 65_536];
 
-/// How an integer makes a floating-point number.
+/// How an integer n becomes a floating-point number.
 #[derive(Clone, Copy, Debug)]
 enum Form {
     /// n / 10^k, in double precision, then rounded.
@@ -29,14 +29,14 @@ enum Form {
     Product,
     /// n * (m * 10^-k), both factors and the product in single precision.
     Single(f64),
-    /// n over a number of levels, in double precision, then rounded.
+    /// n / a number of levels, in double precision, then rounded.
     Levels(f64),
-    /// n * 10^-k degrees in radians, in double precision, then rounded.
+    /// n * 10^-k degrees, converted to radians in double precision, then rounded.
     Degrees,
 }
 
 impl Scale {
-    /// As they are, or by their place among all numbers.
+    /// Integers as they are, or floating-point values by their rank among all numbers.
     pub const PLACE: Scale = Scale { code: 0 };
 
     /// The number in the stream.
@@ -44,16 +44,16 @@ impl Scale {
         self.code
     }
 
-    /// The scale of this number.
+    /// The scale with this number.
     pub fn from_code(code: u8) -> Option<Self> {
         (code <= FORMS * EXPONENTS + LEVELS.len() as u8).then_some(Scale { code })
     }
 
-    /// The scale that suits nearly all of these values best: the coarsest grid that they lie on.
+    /// The scale that suits nearly all of these values best: the coarsest grid on which they lie.
     pub fn of(scalar: Scalar, values: &[u8]) -> Self {
-        /// How many are looked at, at most, before all are.
+        /// Approximate number of values that are tested before all are.
         const SAMPLES: usize = 200;
-        /// One in so many may lie off the grid.
+        /// At most one value in this number may lie off the grid.
         const RARE: usize = 64;
         if !scalar.is_float() {
             return Scale::PLACE;
@@ -93,7 +93,7 @@ impl Scale {
         Some((form, i32::from(code % EXPONENTS)))
     }
 
-    /// What one step stands for.
+    /// The value of one step.
     pub fn step(self) -> f64 {
         match self.form() {
             None => 1.0,
@@ -122,7 +122,7 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// The integer of a value; `None` if it is off the grid.
+    /// The integer of a value; `None` if the value is off the grid.
     #[inline]
     pub fn integer(&self, value: &[u8]) -> Option<i64> {
         if self.form.is_none() {
@@ -130,7 +130,7 @@ impl Grid {
         }
         let number = number(self.scalar, value);
         let count = rounded(number / self.step);
-        // Larger ones are not exact, and some are no numbers.
+        // Larger integers are not exact, and NaN has none.
         if !count.is_finite() || count.abs() >= 9e15 {
             return None;
         }
@@ -145,7 +145,7 @@ impl Grid {
         self.form.is_some() && values.chunks_exact(size).any(|value| self.integer(value).is_none())
     }
 
-    /// The value of an integer.
+    /// Writes the value of an integer.
     #[inline]
     pub fn write(&self, integer: i64, value: &mut [u8]) {
         let Some(form) = self.form else { return write_place(self.scalar, integer, value) };
@@ -163,7 +163,7 @@ impl Grid {
         }
     }
 
-    /// The integer that comes nearest to a number.
+    /// The integer nearest to a number.
     pub fn nearest(&self, number: f64) -> i64 {
         match (self.form, self.scalar) {
             // Processors differ in the bits of a NaN that they compute.
@@ -187,7 +187,7 @@ fn power(exponent: i32) -> f64 {
     (0..exponent).fold(1.0, |power, _| power * 10.0)
 }
 
-/// The number that a value is.
+/// The value as a number.
 pub fn number(scalar: Scalar, value: &[u8]) -> f64 {
     match scalar {
         Scalar::F32 => LittleEndian::read_f32(value).into(),
@@ -200,7 +200,7 @@ pub fn number(scalar: Scalar, value: &[u8]) -> f64 {
 /// Writes the value of a type that is nearest to a number.
 pub fn write_number(scalar: Scalar, number: f64, value: &mut [u8]) {
     match scalar {
-        // Processors differ in the bits of a NaN of another precision.
+        // Processors differ in the bits of a NaN that is converted to another precision.
         Scalar::F32 if number.is_nan() => LittleEndian::write_u32(value, 0x7fc0_0000),
         Scalar::F64 if number.is_nan() => LittleEndian::write_u64(value, 0x7ff8_0000_0000_0000),
         Scalar::F32 => LittleEndian::write_f32(value, number as f32),
@@ -210,7 +210,7 @@ pub fn write_number(scalar: Scalar, number: f64, value: &mut [u8]) {
     }
 }
 
-/// An integer as it is; floating point as its place among all numbers, 0 being that of 0.
+/// An integer as it is; a floating-point value as its rank among all numbers, 0 being the rank of 0.
 #[inline]
 fn place(scalar: Scalar, value: &[u8]) -> i64 {
     match scalar {
@@ -234,7 +234,7 @@ fn write_place(scalar: Scalar, place: i64, value: &mut [u8]) {
         Scalar::F64 => bits64(place),
         _ => place as u64,
     };
-    // Sizes that are known when this is compiled are moved at once.
+    // Copies of a size known at compile time are single moves.
     match scalar.size() {
         1 => value[0] = bits as u8,
         2 => LittleEndian::write_u16(value, bits as u16),

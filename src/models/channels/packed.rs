@@ -1,4 +1,4 @@
-//! Columns by a general-purpose coder, once their bytes are arranged for it. FORMAT.md 8.17.
+//! Columns coded by a general-purpose coder after their bytes are arranged for it. FORMAT.md 8.17.
 
 use crate::backend::{self, LZMA, Level, ZSTD};
 use crate::entropy::{BitCoder, IntegerModel};
@@ -8,19 +8,19 @@ use crate::scan::Scalar;
 /// How the bytes of records are arranged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arrangement {
-    /// As they are.
+    /// Unchanged.
     Records,
     /// The first byte of every record, then the second, ...
     Planes,
-    /// The same of each value's difference from the one a record before.
+    /// The same, but for each value's difference from the value of the record before.
     Differences,
 }
 
 impl Arrangement {
-    /// All, at their numbers.
+    /// All arrangements, in the order of their numbers.
     pub const ALL: [Arrangement; 3] = [Arrangement::Records, Arrangement::Planes, Arrangement::Differences];
 
-    /// Arranges records of `width` bytes that hold values of this type.
+    /// Arranges records of `width` bytes with values of this type.
     pub fn apply(self, bytes: &[u8], scalar: Scalar, width: usize) -> Vec<u8> {
         match self {
             Arrangement::Records => bytes.to_vec(),
@@ -62,12 +62,12 @@ fn planes(bytes: &[u8], width: usize) -> Vec<u8> {
     (0..width).flat_map(|at| bytes.iter().skip(at).step_by(width)).copied().collect()
 }
 
-/// Up to eight little-endian bytes.
+/// The number in up to eight little-endian bytes.
 fn number(bytes: &[u8]) -> u64 {
     bytes.iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte))
 }
 
-/// Records as a general-purpose coder has them.
+/// Records as packed by a general-purpose coder.
 pub struct Packed {
     backend: u8,
     arrangement: Arrangement,
@@ -75,11 +75,11 @@ pub struct Packed {
 }
 
 impl Packed {
-    /// The shortest; `None` if none is shorter than `most` bytes, or that is little anyway.
+    /// The shortest packing; `None` if none is shorter than `most` bytes, or if `most` is small anyway.
     pub fn shortest(bytes: &[u8], scalar: Scalar, width: usize, level: Level, most: usize) -> Option<Self> {
-        /// Bytes a record in 16ths: what is coded in less is explained.
+        /// In 16ths of a byte per record: records that take less than this are explained by the models.
         const EXPLAINED: usize = 1;
-        /// Bytes.
+        /// In bytes.
         const SMALL: usize = 1000;
         let records = bytes.len() / width.max(1);
         if most < SMALL || most < records * EXPLAINED / 16 {
@@ -87,7 +87,7 @@ impl Packed {
         }
         let arranged = Arrangement::ALL.map(|arrangement| arrangement.apply(bytes, scalar, width));
         let quick = arranged.iter().map(|bytes| backend::compress_quickly(bytes).ok());
-        // What suits one coder mostly suits the other.
+        // The arrangement that suits one coder usually suits the other.
         let quick = quick.enumerate().filter_map(|(at, payload)| Some((at, payload?)));
         let (best, payload) = quick.min_by_key(|(_, payload)| payload.len())?;
         let is_worth_it = payload.len() as f64 * LZMA_GAIN < most as f64;
@@ -106,7 +106,7 @@ impl Packed {
 
     /// Whether it takes fewer bytes.
     pub fn is_shorter_than(&self, bytes: usize) -> bool {
-        /// The numbers before the payload.
+        /// Size of the numbers before the payload, in bytes.
         const HEADER: usize = 8;
         self.payload.len() + HEADER < bytes
     }
@@ -114,15 +114,16 @@ impl Packed {
 
 /// From this level on, LZMA is tried on every arrangement.
 const THOROUGH_LEVEL: u8 = 7;
-/// LZMA makes of what zstd has made no less than this part, but for what lies far apart.
+/// The smallest fraction of zstd's size that LZMA achieves, except if repetitions lie far apart.
 pub const LZMA_GAIN: f64 = 0.5;
-/// From this level on, the floor is what LZMA makes of the bytes.
+/// The level from which on the floor is the size that LZMA achieves: the first level above 3; the context coder has
+/// no 4 and 5, so in effect 6.
 pub const FLOOR_LEVEL: u8 = 4;
-/// Codes records that a general-purpose coder has packed; a decoder gets them with as many zeros, and no packed
-/// ones.
+/// Codes records that a general-purpose coder has packed. A decoder passes zeros of the same length, and `None` for
+/// `packed`.
 ///
 /// # Errors
-/// If a decoder's bytes are damaged.
+/// If a decoder's input is damaged.
 pub fn code_packed<C: BitCoder>(
     coder: &mut C,
     packed: Option<Packed>,
@@ -144,10 +145,10 @@ pub fn code_packed<C: BitCoder>(
     Ok(())
 }
 
-/// Codes bytes that are coded already, and how many they are.
+/// Codes bytes that are already compressed, and their number.
 fn code_payload<C: BitCoder>(coder: &mut C, payload: &mut Vec<u8>) -> Result<()> {
     let length = IntegerModel::default().code(coder, payload.len() as u64);
-    // They are as likely one as the other.
+    // Each takes eight bits, as compressed bytes are all equally likely.
     if length > coder.most_bits() / 8 || length > usize::MAX as u64 / 2 {
         return Err(Error::corrupt("packed bytes: more than the section can hold"));
     }

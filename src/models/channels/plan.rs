@@ -1,4 +1,4 @@
-//! How a column is coded: the encoder's choice, as it stands in the stream.
+//! How a column is coded: the encoder's choice, as stored in the stream.
 
 use super::RecordContext;
 use super::numbers::Scale;
@@ -12,7 +12,7 @@ pub enum Plan {
     /// All records have the same value.
     #[default]
     Constant,
-    /// The values are those of another column: 0 to 2 x, y and z, 3 the intensity, then the channels.
+    /// The values are those of another column: 0 to 2 for x, y and z, 3 for the intensity, then the channels.
     Same(u16),
     /// As integers, each predicted in several ways.
     Integers(Integers),
@@ -25,45 +25,45 @@ enum Method {
     Integers = 2,
 }
 
-/// What integers are, and what predicts them.
+/// How values become integers, and what predicts these.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Integers {
-    /// What makes them of values.
+    /// How values become integers.
     pub scale: Scale,
-    /// Whether some values lie off that scale.
+    /// Whether some values lie off this scale.
     pub has_exceptions: bool,
-    /// What tells one beam from another: 0 the row of the range image, if there is one, else the channel of this
-    /// number, the first being 1.
+    /// What identifies the beam of a record: 0 for its row in the range image, if there is one, otherwise the
+    /// number of a channel, counted from 1.
     pub key: u16,
-    /// How many records after it a value is likely to come again; 0: none.
+    /// The distance, in records, at which a value is likely to recur; 0 for none.
     pub lag: u32,
-    /// What of the position or of the place it may follow from.
+    /// The number, computed from the position or the place, from which integers may follow.
     pub geometry: Geometry,
-    /// By what rule nearly all follow, if there is one.
+    /// The rule that nearly all integers follow, if there is one.
     pub rule: Option<Rule>,
 }
 
-/// A number that follows from a position, or from a place in the range image.
+/// A number that is computed from a position, or from a place in the range image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Geometry(u8);
 
-/// The numbers of none, of distances, and of angles in radians, degrees and hundredths of degrees.
+/// Number of geometries: none, distances, and angles in radians, degrees and hundredths of degrees.
 const GEOMETRIES: u8 = 19;
-/// The first number of those that follow from a place: the range, and the azimuth either way round.
+/// The first of the geometries of a place: the range, then the azimuth in both directions.
 const FIRST_OF_PLACE: u8 = 12;
 
 impl Geometry {
-    /// Those of a position.
+    /// The geometries of a position.
     pub fn of_positions() -> impl Iterator<Item = Geometry> {
         (1..FIRST_OF_PLACE).map(Geometry)
     }
 
-    /// Those of a place in the range image.
+    /// The geometries of a place in the range image.
     pub fn of_places() -> impl Iterator<Item = Geometry> {
         (FIRST_OF_PLACE..GEOMETRIES).map(Geometry)
     }
 
-    /// The number of a record, if it is known.
+    /// The number for a record, if it is known.
     #[inline(always)]
     pub fn of(self, record: usize, context: &RecordContext) -> Option<f64> {
         if self.0 == 0 { None } else { self.of_record(record, context) }
@@ -104,10 +104,10 @@ impl Geometry {
 }
 
 impl Plan {
-    /// Codes the choice; a decoder gets any.
+    /// Codes the choice; a decoder passes any plan.
     ///
     /// # Errors
-    /// If a decoder reads none that this program knows.
+    /// If a decoder reads a choice that this program does not know.
     pub fn code<C: BitCoder>(self, coder: &mut C) -> Result<Self> {
         let unknown = || Error::unsupported("channels: unknown method");
         let (method, source) = match self {

@@ -1,27 +1,27 @@
-//! Integers that nearly all follow from their places by one rule: a bit says whether one does, where the encoder does not
-//! vouch for it. Only those that do not take the time to ask for what else may tell.
+//! Integers that nearly all follow from their places by one rule. A bit per integer says whether it follows the rule,
+//! unless the encoder declared that it does; other predictors are consulted only for integers that do not.
 
 use super::integers::{ENTRIES, IntegersModel, Site, slot};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 
-/// What an integer follows from, above what the position or the place tells.
+/// What an integer follows from, relative to what the position or the place implies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
-    /// It is a constant of its beam.
+    /// A constant of its beam.
     Beam,
-    /// It is a constant of its beam above one of its column.
+    /// A constant of its beam plus one of its column.
     Column,
-    /// It is what came the last time after the same integer in its beam.
+    /// The integer that its beam had the last time that the integer before was the same.
     After,
-    /// It is a constant of its beam above one of its azimuth tick: the time of a firing, where the columns of an image are not
-    /// firings but directions.
+    /// A constant of its beam plus one of its azimuth tick: the time of a firing, if the columns of an image are
+    /// directions rather than firings.
     Tick,
-    /// It is a constant of its beam, another in each of so many columns that come in turn, above a base that
-    /// changes seldom: the time of a packet, and that of a firing in it.
+    /// A constant of its beam, a different one in each of this number of columns in turn, plus a base that changes
+    /// seldom: the time of a packet, and that of a firing in it.
     Turn(u8),
 }
 
-/// The number of no rule, and those of the first rules; `Turn` has all above.
+/// The numbers of no rule and of the first rules; `Turn` has all numbers above them.
 const NONE: u8 = 0;
 const BEAM: u8 = 1;
 const COLUMN: u8 = 2;
@@ -29,10 +29,10 @@ const AFTER: u8 = 3;
 const TICK: u8 = 4;
 
 impl Rule {
-    /// The most columns that come in turn.
+    /// The largest number of columns in turn.
     pub const MOST_COLUMNS: u8 = u8::MAX - TICK;
 
-    /// The number in the stream, that of none being 0.
+    /// The number in the stream; 0 for no rule.
     pub fn to_code(rule: Option<Rule>) -> u8 {
         match rule {
             None => NONE,
@@ -44,7 +44,7 @@ impl Rule {
         }
     }
 
-    /// The rule of this number, if any.
+    /// The rule with this number, if any.
     pub fn from_code(code: u8) -> Option<Self> {
         match code {
             NONE => None,
@@ -57,17 +57,17 @@ impl Rule {
     }
 }
 
-/// Contexts of whether the rule is right: the last two answers, whether the column is a new one, and its number
-/// among those that come in turn.
+/// Contexts of whether the rule is right: the last two answers, whether the column is a new one, and its number among
+/// the columns in turn.
 const CONTEXTS: usize = 4 * 2 * TURN_CONTEXTS;
 const TURN_CONTEXTS: usize = 32;
 
-/// What the coder has learned about the integers of a column that follow from a rule.
+/// Adaptive models of the integers of a column that follow a rule.
 #[derive(Clone)]
 pub struct RuleModel {
     state: RuleState,
     is_right: Vec<AdaptiveBit>,
-    /// What misses are more than expected.
+    /// Differences between the integers that break the rule and the expected ones.
     misses: Option<IntegersModel>,
     doubted: IntegerModel,
     doubts_new_columns: AdaptiveBit,
@@ -76,34 +76,35 @@ pub struct RuleModel {
 /// The records of a column in which the rule may be wrong.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Doubts {
-    /// So many, the first ones.
+    /// The number of such records at the start.
     first: u64,
-    /// And each that is in another column than the one before it.
+    /// And each record in another column than the record before it.
     new_columns: bool,
 }
 
 impl Doubts {
-    /// Whether there are none.
+    /// Whether the rule is right for all records.
     pub fn is_empty(&self) -> bool {
         *self == Doubts::default()
     }
 }
 
-/// What the integers so far tell of the next by a rule. They count from what the position or the place tells, or from 0.
+/// What the rule predicts from the integers so far. They count relative to what the position or the place implies, or
+/// to 0.
 #[derive(Clone, Default)]
 pub struct RuleState {
-    /// By hash of the key, and of the column among those that come in turn: the integer above its base.
+    /// By hash of the key and of the column's number among those in turn: the integer minus its base.
     offsets: Vec<Option<i64>>,
-    /// By hash of the key and the last integer: what came next.
+    /// By hash of the key and the last integer: the integer that followed.
     after: Vec<Option<i64>>,
     /// By column, or by tick: the base.
     bases: Vec<Option<i64>>,
     base: i64,
-    /// The base before the last integer, if that was a miss, with its entry among the offsets, and it.
+    /// If the last integer broke the rule: the base before it, its entry among the offsets, and the integer.
     missed: Option<(i64, usize, i64)>,
     last: i64,
     last_column: u32,
-    /// Whether the last two were right, a bit each.
+    /// Whether the last integers followed the rule, a bit each.
     history: usize,
 }
 
@@ -119,7 +120,7 @@ impl Default for RuleModel {
     }
 }
 
-/// What is expected at a site, and the entries of the tables that say so.
+/// The integer that is expected at a site, and the table entries that it comes from.
 struct Expected {
     integer: i64,
     offset: usize,
@@ -129,13 +130,13 @@ struct Expected {
 }
 
 impl RuleModel {
-    /// Makes room for what is learned by a rule, before its first integer.
+    /// Allocates the tables of a rule, before its first integer.
     pub fn prepare(&mut self, rule: Rule) {
         self.state.prepare(rule);
     }
 
-    /// Codes where the next integers may not follow from the rule. The encoder is given them, each with its record's site
-    /// if it is on the scale; it also gets what all of them teach.
+    /// Codes for which of the next integers the rule may be wrong. The encoder passes these integers, each with the
+    /// site of its record, or `None` if it is off the scale; it also gets the state after all of them.
     #[inline(always)]
     pub fn code_doubts<C: BitCoder>(
         &mut self,
@@ -147,7 +148,8 @@ impl RuleModel {
         let mut learned = None;
         if C::ENCODES {
             let state = learned.insert(self.state.clone());
-            // The end of the last record that misses, and of the last that does so in no new column.
+            // The number of records up to the last one that breaks the rule, and up to the last such record that is not
+            // in a new column.
             let (mut of_any, mut of_others) = (0, 0);
             for (record, known) in (1..).zip(known) {
                 let Some((site, integer)) = known else { continue };
@@ -164,7 +166,7 @@ impl RuleModel {
         (doubts, learned)
     }
 
-    /// Takes over what integers teach that all follow from the rule, as if they had been coded.
+    /// Adopts the state after integers that all follow the rule, as if they had been coded.
     pub fn know(&mut self, learned: RuleState) {
         self.state = learned;
     }
@@ -192,7 +194,7 @@ impl RuleModel {
         coded.wrapping_add(told)
     }
 
-    /// Codes what an integer is more than expected.
+    /// Codes the difference of an integer from the expected one.
     #[cold]
     fn code_miss<C: BitCoder>(&mut self, coder: &mut C, key: u32, above: i64) -> i64 {
         let site = Site { key, ..Site::default() };
@@ -201,7 +203,7 @@ impl RuleModel {
 }
 
 impl RuleState {
-    /// As [`RuleModel::prepare`].
+    /// See [`RuleModel::prepare`].
     pub fn prepare(&mut self, rule: Rule) {
         self.offsets.resize(ENTRIES, None);
         if rule == Rule::After {
@@ -209,7 +211,7 @@ impl RuleState {
         }
     }
 
-    /// Learns the next integer. Returns whether it is as expected.
+    /// Learns the next integer. Returns whether it is the expected one.
     #[inline(always)]
     pub fn is_right(&mut self, rule: Rule, site: &Site, value: i64) -> bool {
         let value = value.wrapping_sub(site.geometry.unwrap_or(0));
@@ -258,7 +260,7 @@ impl RuleState {
         self.history = self.history << 1 | usize::from(is_right);
         self.last_column = site.column;
         let offset = &mut self.offsets[expected.offset];
-        // Most are right, and tell these rules nothing new.
+        // Most integers follow the rule, and these rules learn nothing new from them.
         match rule {
             Rule::Beam if is_right && offset.is_some() => return,
             Rule::Turn(_) if is_right && offset.is_some() => return self.missed = None,
@@ -282,8 +284,8 @@ impl RuleState {
         }
     }
 
-    /// Learns an integer above a base. Where it is another than expected, the base has changed, unless the next one
-    /// is on the base before: then only this one has.
+    /// Learns an integer above a base. If it is not the expected one, the base has changed, unless the next integer
+    /// is above the earlier base again: then only the constant of this integer has changed.
     fn learn_base(&mut self, entry: usize, value: i64) {
         let missed = self.missed.take();
         let Some(offset) = self.offsets[entry] else {

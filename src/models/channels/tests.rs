@@ -1,4 +1,4 @@
-//! Channels of every kind come back, and those that follow from others cost next to nothing.
+//! Channels of every kind are restored, and those that follow from others take next to no bytes.
 
 use proptest::prelude::*;
 
@@ -10,7 +10,7 @@ use super::rules::{Rule, RuleModel};
 use super::*;
 use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
 
-/// Codes channels in two frames, checks that they come back, and gives the bytes of the second.
+/// Codes channels in two frames, checks that they are restored, and returns the bytes of the second frame.
 fn round_trip(channels: &[Channel], context: &RecordContext) -> usize {
     let (mut writer, mut reader) = (ChannelsModel::default(), ChannelsModel::default());
     let mut size = 0;
@@ -36,14 +36,14 @@ fn channel<const N: usize>(name: &str, scalar: Scalar, values: impl Iterator<Ite
     Channel { field: Field::new(name, scalar), bytes: values.flatten().collect() }
 }
 
-/// A number that follows no rule.
+/// A pseudo-random number.
 fn noise(n: u32) -> u32 {
     (n.wrapping_mul(2_654_435_761) ^ n >> 3).wrapping_mul(0x9e37_79b1) >> 8
 }
 
 const RECORDS: u32 = 4000;
 
-/// Records of a scanner of 16 beams that misses some returns.
+/// Records of a scanner of 16 beams, with some returns missing.
 fn returns() -> Vec<u32> {
     (0..RECORDS * 2).filter(|&n| !noise(n).is_multiple_of(5)).take(RECORDS as usize).collect()
 }
@@ -71,7 +71,7 @@ fn times_of_firings_are_explained_by_the_ring() {
     assert!(both - rings < RECORDS as usize / 40, "{both} bytes, {rings} of rings");
 }
 
-/// What is known of returns of a scanner of 16 beams whose ticks are hundredths of degrees.
+/// The context of returns of a scanner of 16 beams whose ticks are hundredths of degrees.
 fn context_of_firings(returns: &[u32]) -> RecordContext {
     RecordContext {
         rows: returns.iter().map(|n| n % 16 + 1).collect(),
@@ -113,7 +113,7 @@ fn times_of_packets_are_known_in_all_their_firings() {
     let returns = returns();
     let context = context_of_firings(&returns);
     let time = |n: &u32| {
-        // Six firings to a packet, whose times are rough.
+        // Six firings per packet; the times of packets are irregular.
         let packet = 1.6e9 + f64::from(n / 96 * 330 + noise(n / 96) % 7) * 1e-6;
         (packet + (f64::from(n / 16 % 6) * 55.296 + f64::from(n % 16) * 2.304) * 1e-6).to_le_bytes()
     };
@@ -174,7 +174,7 @@ fn what_follows_from_the_position_costs_little() {
 
 #[test]
 fn what_repeats_far_away_is_packed() {
-    // Bytes of no rule that come again, but not after a fixed number of records.
+    // Bytes without a rule that recur, but not after a fixed number of records.
     let turn: Vec<u8> = (0..20_000).map(|n| noise(n) as u8).collect();
     let field = Field { count: 20, ..Field::padding(1) };
     let bytes = [&turn[..], &turn[..7000], &turn[..], &turn[..9000]].concat();
@@ -194,7 +194,7 @@ fn what_repeats_far_away_is_packed() {
     }
 }
 
-/// Codes and decodes integers by a rule, whatever they are.
+/// Codes and decodes arbitrary integers by a rule.
 fn round_trip_by(rule: Rule, sites: &[(u8, u8, Option<i64>)], integers: &[i64]) {
     let site = |&(key, column, geometry): &(u8, u8, Option<i64>)| Site {
         key: key.into(),
@@ -219,8 +219,8 @@ fn round_trip_by(rule: Rule, sites: &[(u8, u8, Option<i64>)], integers: &[i64]) 
     }
 }
 
-/// Codes frames of a column by a rule, with one model for all of them, and checks that they come back. Values are whole numbers
-/// or, off the scale, halves; of each record its row and column.
+/// Codes frames of a column by a rule, with one model for all of them, and checks that they are restored. Values are
+/// whole numbers or, off the scale, halves; `places` has the row and the column of each record.
 fn frames_round_trip_by(rule: Rule, places: &[(u8, u8)], frames: &[Vec<f32>]) {
     let scale = Scale::from_code(1).unwrap();
     let has_exceptions = frames.iter().flatten().any(|value| value.fract() != 0.0);
@@ -253,7 +253,7 @@ fn more_columns_than_have_models_come_back() {
     round_trip(&channels, &RecordContext::default());
 }
 
-/// Values of any type that are sometimes like those before them.
+/// Values of any type that are sometimes similar to those before them.
 fn any_channel(records: usize) -> impl Strategy<Value = Channel> {
     let values = prop::collection::vec(any::<[u8; 8]>(), records * 3);
     (values, 0u8..10, 1u32..4, 0u8..4, any::<bool>()).prop_map(
@@ -315,7 +315,7 @@ proptest! {
         has_off: bool,
     ) {
         let rule = Rule::from_code(code).unwrap();
-        // The same values over and over follow from what came before; 5 stands for one off the scale.
+        // Repeated values follow from those before them; 5 stands for a value off the scale.
         let value = |value: &u8| if *value == 5 && has_off { 0.5 } else { f32::from(*value / 2) };
         let frames = values.iter().map(|values| values.iter().take(records.len()).map(value).collect());
         let frames: Vec<Vec<f32>> = frames.flat_map(|frame: Vec<f32>| std::iter::repeat_n(frame, repeats)).collect();

@@ -1,4 +1,4 @@
-//! The azimuths of the firings: which tick each has, and how its slots go on from there.
+//! The azimuths of the firings: the tick of each, and the ticks from block to block.
 //! FORMAT.md 8.2.
 
 use super::Firings;
@@ -8,23 +8,23 @@ use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::RangeImage;
 
-/// What the last step differed from the one before it by, up to this, is a context of the next.
+/// The last difference, clamped to this magnitude, is the context of the next one.
 const FAR: i64 = 2;
-/// Values of such a context.
+/// Number of such contexts.
 const CONTEXTS: usize = 2 * FAR as usize + 1;
 
-/// What the coder has learned about columns of firings.
+/// Adaptive models of the columns of firings.
 #[derive(Clone)]
 pub struct FiringColumnModel {
     is_full: AdaptiveBit,
     count: IntegerModel,
-    /// Whether a column is of the same block as the one before it, by whether that was.
+    /// Whether a column belongs to the same block as the one before it, by whether that one did.
     same_block: [AdaptiveBit; 2],
-    /// What a step differs from the one before it by.
+    /// Differences between a step of the ticks and the step before it.
     steps: Vec<IntegerModel>,
-    /// What a span differs from the step to the next block by.
+    /// Differences between a span and the step to the next block.
     spans: Vec<IntegerModel>,
-    /// The number of the firing in its block, by whether it follows one of the same block.
+    /// The number of the firing in its block, by whether the column before it belongs to the same block.
     firing: [AdaptiveBit; 2],
 }
 
@@ -50,10 +50,11 @@ fn code_signed<C: BitCoder>(model: &mut IntegerModel, coder: &mut C, value: i64)
 }
 
 impl FiringColumnModel {
-    /// Codes whether all cells are records, the ticks of columns, and their spans if the scanner has any.
+    /// Codes whether every cell is a record, the ticks of the columns, and their spans if the timing is
+    /// interpolated.
     ///
     /// # Errors
-    /// If there are more columns than `most`, or a number is none that a column can have.
+    /// If there are more columns than `most`, or a value is out of range.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -74,7 +75,7 @@ impl FiringColumnModel {
         }
         let (mut last_tick, mut last_step, mut change) = (0i64, 0i64, 0i64);
         let mut was_same = false;
-        // The number of the block that each column is of.
+        // The block of each column.
         let mut blocks = Vec::new();
         for column in 0..count as usize {
             if coder.is_exhausted() {
@@ -86,7 +87,7 @@ impl FiringColumnModel {
                     .code(coder, C::ENCODES && column > 0 && tick == last_tick);
             was_same = same;
             if !same {
-                // The shortest way round.
+                // The shorter way round.
                 let step = (tick - last_tick + turn / 2).rem_euclid(turn) - turn / 2;
                 let difference =
                     code_signed(&mut self.steps[context(change)], coder, step.wrapping_sub(last_step));
@@ -103,7 +104,7 @@ impl FiringColumnModel {
         if interpolated { self.code_spans(coder, turn, &blocks, columns, spans) } else { Ok(()) }
     }
 
-    /// The spans, given the columns' ticks.
+    /// Codes the spans, given the ticks of the columns.
     fn code_spans<C: BitCoder>(
         &mut self,
         coder: &mut C,

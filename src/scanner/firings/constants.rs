@@ -1,5 +1,5 @@
-//! The constants of lasers, to the last bit of the file's coordinates: elevations and azimuth offsets rounded as makers round
-//! them, and the recipe by trying all of them.
+//! The constants of lasers, such that the file's coordinates are reproduced to the last bit: elevations and azimuth
+//! offsets, rounded as manufacturers round them, and the recipe, found by trying all of them.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -11,7 +11,7 @@ use crate::ground::rounding::round_ties_even;
 use crate::scanner::Return;
 use crate::scanner::motion::RigidMotion;
 
-/// Points of each laser that recipes are tried on.
+/// Number of points of each laser on which recipes are tried.
 pub(super) const TRIED: usize = 60;
 
 /// A return of the sample, in metres and radians.
@@ -20,23 +20,23 @@ pub(super) struct Point {
     pub position: [f64; 3],
     pub range: f64,
     pub elevation: f64,
-    /// How it came to where it is in the file, if that is elsewhere.
+    /// How it was moved to its position in the file, if it was.
     pub moved: Option<Moved>,
 }
 
 /// A point that was moved after it was measured.
 #[derive(Clone, Copy, Debug)]
 pub struct Moved {
-    /// Where it was measured, as well as that is known, in metres.
+    /// The measured position, as accurately as it is known, in metres.
     pub measured: [f64; 3],
-    /// What moved it.
+    /// The motion that was applied to it.
     pub(in crate::scanner) motion: RigidMotion,
-    /// Where it is in the file.
+    /// The position in the file.
     pub position: [f32; 3],
 }
 
 impl Point {
-    /// None for what has no direction.
+    /// `None` if the position is not finite or lies on the axis.
     pub fn new(position: [f64; 3], moved: Option<Moved>) -> Option<Self> {
         let [x, y, z] = position;
         let rho = (x * x + y * y).sqrt();
@@ -49,7 +49,7 @@ impl Point {
         })
     }
 
-    /// Whether a scanner's recipe gives its coordinates in the file to the last bit, along these axes.
+    /// Whether a scanner's recipe reproduces the point's coordinates in the file to the last bit, along these axes.
     fn is_given_by(&self, scanner: &Firings, found: &Return, axes: std::ops::Range<usize>) -> bool {
         let Some(Moved { motion, position, .. }) = &self.moved else {
             return scanner.gives(found, &self.position, axes);
@@ -62,7 +62,7 @@ impl Point {
     }
 }
 
-/// Some points of each row, the far ones where there are enough.
+/// About `most` points of each row, only far ones if there are enough.
 pub(super) fn by_rows(
     points: &[Point],
     rows: &[Option<usize>],
@@ -84,11 +84,11 @@ pub(super) fn by_rows(
     of_rows
 }
 
-/// The points of each row that are nearest to an axis of the file.
+/// The points of each row that are nearest to a coordinate axis of the file.
 pub(super) fn near_axes(points: &[Point], rows: &[Option<usize>], count: usize) -> Vec<Vec<Point>> {
-    /// Of a row.
+    /// Largest number of points of a row.
     const MOST: usize = 40;
-    /// As parts of the distance.
+    /// Distance from the axis, as a fraction of the coordinate along it.
     const NEAR: f64 = 0.1;
     let aside = |point: &Point| {
         let [x, y, _] = point.position.map(f64::abs);
@@ -107,25 +107,26 @@ pub(super) fn near_axes(points: &[Point], rows: &[Option<usize>], count: usize) 
     near
 }
 
-/// What is known of the lasers before it is rounded as their maker wrote it.
+/// What is known about the lasers before their constants are rounded as the manufacturer wrote them.
 pub(super) struct Constants {
-    /// Radians, falling.
+    /// In radians, from the highest to the lowest.
     pub elevations: Vec<f64>,
-    /// Azimuth offsets, in ticks, but for whole ones.
+    /// Azimuth offsets in ticks, without whole ticks.
     pub phases: Vec<f64>,
-    /// Some points of each.
+    /// Some points of each laser.
     pub of_rows: Vec<Vec<Point>>,
-    /// Ten times as many.
+    /// Ten times as many points of each laser.
     pub more_of_rows: Vec<Vec<Point>>,
-    /// Some that are nearest to an axis.
+    /// The points of each laser that are nearest to an axis.
     pub near_axes: Vec<Vec<Point>>,
 }
 
 impl Constants {
-    /// Of the recipes, the one that gives the most points to the last bit, the first of equals, with the lasers'
-    /// constants, and whether each is off by whole ticks of its own. `shifts` are those that each is ahead of the others.
+    /// The recipe that reproduces the most points to the last bit (the first one on ties), the constants of the
+    /// lasers, and whether each offset was corrected by whole ticks of its own. `shifts` are the whole ticks by
+    /// which each laser is ahead of the others.
     pub fn with_recipe(&self, build: &Build, shifts: &[f64]) -> Option<(Build, Vec<Laser>, bool)> {
-        /// Lasers that tell which recipe it is.
+        /// Number of lasers by which the recipe is chosen.
         const FEW: usize = 6;
         let tick = 360.0 / f64::from(build.ticks);
         let ahead = self.phases.iter().zip(shifts).map(|(phase, shift)| (phase + shift) * tick);
@@ -141,7 +142,7 @@ impl Constants {
         let recipes = Recipe::ALL.into_par_iter().filter(|recipe| !recipe.is_off_axis());
         let known =
             recipes.map(|recipe| Firings::new(Build { recipe, ..build.clone() }, Vec::new(), Vec::new()));
-        // Recipes that give fewer than another are of no interest.
+        // A recipe that reproduces fewer points than another need not be counted to the end.
         let most = AtomicUsize::new(0);
         let tried = known.clone().map(|any| {
             let (common, exact) = self.common(&any, &offsets, &few, most.load(Ordering::Relaxed));
@@ -163,7 +164,8 @@ impl Constants {
         let of_row = |row: usize| {
             let offset = offsets[row] + f64::from(common) * tick;
             let (mut laser, exact) = self.laser(&any, row, offset, 0);
-            // It may be off by whole ticks of its own, for want of points, or because as many pass until it fires.
+            // The offset may be wrong by whole ticks of its own, because there were too few points or because ticks
+            // pass until the laser fires.
             if may_turn && 4 * exact < 3 * self.of_rows[row].len() {
                 laser = self.turned(&any, row, offset).0;
             }
@@ -174,8 +176,9 @@ impl Constants {
         Some((any.build, lasers, are_turned))
     }
 
-    /// How many points of these rows come out if each is off by whole ticks of its own, as lasers are of which ticks pass until
-    /// they fire; 0 if nothing tells so.
+    /// Number of points of these rows that are reproduced if each offset is corrected by whole ticks of its own, as
+    /// is necessary if ticks pass between the lasers of a firing. 0 if points were moved, or if the recipe does not
+    /// round sums to single precision.
     fn exact_turned(&self, any: &Firings, offsets: &[f64], few: &[usize]) -> usize {
         let are_moved = few.iter().any(|&row| self.of_rows[row].iter().any(|point| point.moved.is_some()));
         if are_moved || !any.build.recipe.adds_in_single() {
@@ -184,8 +187,9 @@ impl Constants {
         few.iter().map(|&row| self.turned(any, row, offsets[row]).1).sum()
     }
 
-    /// The laser near another by which the most of many points come out to the last bit, where sums in single precision tell an
-    /// offset only by many points, and an elevation by its cosine only then.
+    /// The laser near another one that reproduces the most of many points to the last bit. With sums in single
+    /// precision, only many points determine the offset, and only then does the cosine distinguish elevations of
+    /// equal sine.
     fn of_sums(&self, any: &Firings, row: usize, laser: Laser) -> Laser {
         let points = &self.more_of_rows[row];
         let sharpest = |laser: Laser| sharpest(any, laser, points, &self.near_axes[row]);
@@ -202,10 +206,10 @@ impl Constants {
         same_sine.map(sharpest).fold(first, |best, next| if next.1 > best.1 { next } else { best }).0
     }
 
-    /// The constants of a laser whose azimuth offset, in degrees, is off by some whole ticks, and how many of its points
-    /// they give to the last bit.
+    /// The constants of a laser whose azimuth offset, in degrees, is wrong by an unknown number of whole ticks, and
+    /// how many of its points they reproduce to the last bit.
     fn turned(&self, any: &Firings, row: usize, offset: f64) -> (Laser, usize) {
-        /// Ticks that pass while the lasers fire, at most.
+        /// Largest number of ticks that pass while the lasers fire.
         const MOST: i32 = 40;
         let tick = 360.0 / f64::from(any.build.ticks);
         let (laser, exact) = self.laser(any, row, offset, 0);
@@ -217,31 +221,32 @@ impl Constants {
         let lasers = off.clone().map(|degrees| Laser { azimuth: roundings(degrees)[0], ..laser });
         let (best, _) = best_of(any, lasers, points, laser);
         let (other, others) = self.laser(any, row, best.azimuth_degrees(), exact);
-        // By chance, or by another recipe, none gives most.
+        // A chance match, or another recipe, does not reproduce most points.
         if others > exact && 4 * others >= 3 * points.len() { (other, others) } else { (laser, exact) }
     }
 
-    /// The whole ticks by which all offsets are off, as far as these rows tell, and how many of their points come out:
-    /// perhaps 0 if they are fewer than `least`.
+    /// The whole ticks by which all offsets are wrong, as far as these rows determine them, and how many of their
+    /// points are then reproduced: possibly 0 if there are fewer than `least`.
     fn common(&self, any: &Firings, offsets: &[f64], few: &[usize], least: usize) -> (i32, usize) {
-        /// Where ticks are thousandths of degrees, whole ones make a difference only in single precision: how far off
-        /// they are looked for.
+        /// If ticks are whole thousandths of degrees, whole ticks matter only in single precision: the largest error
+        /// that is tried.
         const FARTHEST: i32 = 1200;
         const NEAR: i32 = 4;
-        /// Of the points one in so many is enough for that.
+        /// Every n-th point is enough to try errors.
         const SPARSE: usize = 4;
-        /// Of points that were moved it is not: how many are held against more.
+        /// But not if points were moved or the last digits are unknown: number of the likeliest errors, which are then
+        /// compared on more points.
         const LIKELIEST: usize = 32;
-        /// Offsets that are none, in degrees.
+        /// Smaller offsets, in degrees, count as none.
         const NONE: f64 = 1e-5;
-        /// Degrees: by chance, an offset is not as near to a thousandth.
+        /// In degrees: no offset is this near to a thousandth by chance.
         const NEAR_THOUSANDTH: f64 = 1e-4;
         let tick = 360.0 / f64::from(any.build.ticks);
         let is_whole = 360_000 % any.build.ticks == 0;
         let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
         let has_none = offsets.iter().all(|offset| offset.abs() < NONE);
         let is_known = is_whole && (has_none || !any.build.recipe.adds_in_single());
-        // Of the points, as many may be missed.
+        // `left` is the number of points that may still be missed.
         let (mut found, mut left) = (Vec::new(), points - least.min(points));
         for &row in few {
             let least = if is_known { self.of_rows[row].len().saturating_sub(left) } else { 0 };
@@ -258,7 +263,7 @@ impl Constants {
         if exact == points || is_known {
             return (0, exact);
         }
-        // The nearest to the middle of equals.
+        // From the middle outwards, so that the smallest error wins ties.
         let rising = |most: i32| (1..=most).flat_map(|common| [common, -common]);
         if !is_whole {
             let thousandth = (1e-3 / ANGLE_UNIT) as i64;
@@ -277,7 +282,7 @@ impl Constants {
             }
             return (best.0, best.1.0);
         }
-        // Heights tell whether it is this recipe at all.
+        // Heights do not depend on the offset, so they show whether this is the right recipe at all.
         let heights = few
             .iter()
             .zip(&found)
@@ -289,13 +294,13 @@ impl Constants {
         let fewer: Vec<Vec<Point>> =
             few.iter().map(|&row| self.of_rows[row].iter().step_by(SPARSE).copied().collect()).collect();
         let are_moved = fewer.iter().flatten().any(|point| point.moved.is_some());
-        // Sums in single precision tell the last digits, so these had better be right.
+        // Sums in single precision depend on the last digits of the offsets, so these should be right.
         let is_thousandth = |&row: &usize| {
             let off = offsets[row] - roundings(offsets[row])[0] as f64 * ANGLE_UNIT;
             off.abs() < NEAR_THOUSANDTH
         };
         let are_thousandths = are_moved || few.iter().all(is_thousandth);
-        // How many of some points come out, or 0 if they are fewer than `least`.
+        // The number of points that are reproduced, or `None` if there are fewer than `least`.
         let count = |common: i32, points: &[Vec<Point>], least: usize| {
             let all: usize = points.iter().map(Vec::len).sum();
             let mut left = all.checked_sub(least)?;
@@ -314,7 +319,7 @@ impl Constants {
         };
         let all = std::iter::once(0).chain(rising(FARTHEST));
         let common = if are_thousandths && !are_moved {
-            // Of all points as many may be missed, so no more of these; and of the right one most come out.
+            // No more of these points may be missed than of all points, and with the right error most are reproduced.
             let size: usize = fewer.iter().map(Vec::len).sum();
             let least = size.saturating_sub(points - least.min(points)).max(size * 3 / 4).max(1);
             let found = all.fold((least - 1, 0), |best, common| {
@@ -322,8 +327,8 @@ impl Constants {
             });
             found.1
         } else {
-            // Before the motion is known well, or the last digits are, few points come out, so the likeliest are held
-            // against more of them.
+            // While the motion or the last digits are not known well, few points are reproduced, so the likeliest
+            // errors are compared on more points.
             let more: Vec<Vec<Point>> = few.iter().map(|&row| self.more_of_rows[row].clone()).collect();
             let mut counted: Vec<_> = all.map(|common| (count(common, &fewer, 0), common)).collect();
             counted.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
@@ -339,7 +344,7 @@ impl Constants {
                     })
                     .sum(),
             };
-            // The first of equals.
+            // The first one wins ties.
             let counted = counted.into_iter().map(|(_, common)| (count(common), common));
             counted.fold((0, 0), |best, next| if next.0 > best.0 { next } else { best }).1
         };
@@ -348,11 +353,12 @@ impl Constants {
         if sum > exact { (common, sum) } else { (0, exact) }
     }
 
-    /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they give to the last
-    /// bit: perhaps 0 if they are fewer than `least`.
+    /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they reproduce to
+    /// the last bit: possibly 0 if there are fewer than `least`.
     fn laser(&self, any: &Firings, row: usize, offset: f64, least: usize) -> (Laser, usize) {
         let points = &self.of_rows[row];
-        // Ranges are whole steps, so heights tell the elevation better than the positions do.
+        // Ranges are whole steps, so the height and the rounded range give the elevation more accurately than the
+        // position does.
         let elevation = |point: &Point| {
             let steps = whole_steps(point.range, any.range_step_m())?;
             Some(libm::asin((point.position[2] / (f64::from(steps) * any.range_step_m())).clamp(-1.0, 1.0)))
@@ -362,10 +368,10 @@ impl Constants {
         let elevation = elevations.get(elevations.len() / 2).copied().unwrap_or(self.elevations[row]);
         let [elevation, azimuth] =
             [elevation.to_degrees(), offset].map(|angle| (angle / ANGLE_UNIT).round() as i64);
-        // The height tells the elevation, but for those that have the same sine.
+        // The height determines the elevation, except among elevations of the same sine.
         let of_elevation =
             |elevation: i64, least| exact_points(any, Laser { elevation, azimuth }, points, 2..3, least);
-        // Heights near 0 come out only by a motion that is known better than it can be.
+        // Heights near 0 are reproduced only if the motion is known more accurately than it can be.
         let are_moved = points.iter().any(|point| point.moved.is_some());
         let (axes, least_high) = if are_moved { (0..2, 0) } else { (0..3, least) };
         let wanted = (points.len(), least_high);
@@ -375,7 +381,7 @@ impl Constants {
             let of_azimuth = |azimuth: i64, least| {
                 exact_points(any, Laser { elevation, azimuth }, points, axes.clone(), least)
             };
-            // No fewer than the best so far.
+            // Only more points than the best so far count.
             let wanted = (points.len(), least.max(best.1 + 1));
             let (azimuths, exact) = angles(any.build.recipe, azimuth, wanted, AZIMUTH_STEP, of_azimuth);
             if exact > best.1 {
@@ -389,12 +395,12 @@ impl Constants {
     }
 }
 
-/// Of some things the one worth the most, the first of equals.
+/// The element that is worth the most, the first one on ties.
 fn first_of_equals<T>(all: Vec<T>, worth: impl Fn(&T) -> usize) -> Option<T> {
     all.into_iter().rev().max_by_key(worth)
 }
 
-/// The laser with the azimuth offset near its own by which the most of some points come out to the last bit, and how many do.
+/// The laser with an azimuth offset near the given one that reproduces the most points to the last bit, and how many.
 fn polished(any: &Firings, laser: Laser, points: &[Point]) -> (Laser, usize) {
     /// Steps to either side.
     const FARTHEST: i64 = 12;
@@ -403,7 +409,8 @@ fn polished(any: &Firings, laser: Laser, points: &[Point]) -> (Laser, usize) {
     best_of(any, tried, points, laser)
 }
 
-/// The same to the last bit of the offset in degrees, which points near the axes tell: there sums of angles are small.
+/// The same, to the last bit of the offset in degrees. Points near the axes determine it, because sums of angles are
+/// small there.
 fn sharpest(any: &Firings, laser: Laser, points: &[Point], near_axes: &[Point]) -> (Laser, usize) {
     /// Units to either side.
     const FARTHEST: f64 = 4.0 * AZIMUTH_STEP;
@@ -417,7 +424,8 @@ fn sharpest(any: &Firings, laser: Laser, points: &[Point], near_axes: &[Point]) 
     if exact_so >= exact { (best, exact_so) } else { (laser, exact) }
 }
 
-/// The laser by which the most points come out to the last bit, the first of equals, and how many do; `none` if none do.
+/// The laser that reproduces the most points to the last bit, the first one on ties, and how many; `none` if no laser
+/// reproduces any.
 pub(super) fn best_of(
     any: &Firings,
     lasers: impl Iterator<Item = Laser>,
@@ -430,13 +438,13 @@ pub(super) fn best_of(
     })
 }
 
-/// Azimuth offsets are not told better apart, in units.
+/// The resolution of azimuth offsets, in units.
 const AZIMUTH_STEP: f64 = 1e-6 / ANGLE_UNIT;
-/// Elevations of the same sine in single precision, at most.
+/// Largest number of elevations with the same sine in single precision.
 const SAME: usize = 12;
 
-/// How many points of a laser come out to the last bit along these axes; 0 as soon as they are sure to be fewer than
-/// `least`.
+/// Number of points of a laser that are reproduced to the last bit along these axes; 0 as soon as there are certainly
+/// fewer than `least`.
 pub(super) fn exact_points(
     any: &Firings,
     laser: Laser,
@@ -459,9 +467,10 @@ pub(super) fn exact_points(
     points.len() - missed
 }
 
-/// The angles near another, in units, by which the most points come out, and how many do: as its maker may have written
-/// it, and its neighbours as the program's numbers go, but not finer than a step. Fewer than `least` of the points count as
-/// none. `count` says how many come out by an angle, or 0 if they are fewer than it is told.
+/// The angles near another, in units, that reproduce the most points, and how many. Tries the angle as its
+/// manufacturer may have written it, and neighbours at the resolution of the program's numbers, but in steps of at
+/// least `least_step`. Fewer than `least` points count as none. `count` returns the number of points that an angle
+/// reproduces, or 0 if there are fewer than its second argument.
 fn angles(
     recipe: Recipe,
     near: i64,
@@ -489,7 +498,7 @@ fn angles(
         let short = round_ties_even(near as f64 * ANGLE_UNIT * 1e3 / SHORT_PI) * 1e-3 * SHORT_PI;
         try_all(&mut best, &mut std::iter::once((short / ANGLE_UNIT).round() as i64));
     }
-    // Programs that keep single precision write seven digits, or more.
+    // Programs that use single precision write seven digits or more.
     let step = (recipe.angle_step(near as f64 * ANGLE_UNIT) / ANGLE_UNIT).max(least_step);
     let around = [thousandths, others[0]].into_iter();
     let neighbours = around.flat_map(|around| {
@@ -500,14 +509,15 @@ fn angles(
     best
 }
 
-/// Some programs turn degrees into radians by 3.1415926: their angles are thousandths of degrees times this.
+/// Some programs convert degrees to radians with 3.1415926 for pi: their angles are thousandths of degrees times
+/// this.
 const SHORT_PI: f64 = 31_415_926.0 / 1e7 / std::f64::consts::PI;
 
-/// Steps to either side in which the constant of a program is looked for that wrote it with fewer digits.
+/// Number of steps to either side that are tried, for a constant that a program wrote with fewer digits.
 const NEIGHBOURS: i32 = 12;
 
-/// An angle in degrees as its maker may have written it, in units: with three digits, with six, two, four and seven, and
-/// as it is.
+/// An angle in degrees as its manufacturer may have written it, in units: with three, six, two, four and seven
+/// digits, and unrounded.
 fn roundings(degrees: f64) -> [i64; 6] {
     let units = 1.0 / ANGLE_UNIT;
     [1e3, 1e6, 1e2, 1e4, 1e7, units]

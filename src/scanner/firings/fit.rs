@@ -1,5 +1,6 @@
-//! Finds a scanner of firings from points alone: the range step and the azimuth ticks by their coherence, the lasers by their
-//! cones and [constants](super::constants), and their order by who follows whom.
+//! Fits a scanner of firings to points alone: the range step and the azimuth ticks by the coherence of the points
+//! with them, the lasers by their cones and [constants](super::constants), and their order by which laser follows
+//! which.
 
 use std::f64::consts::TAU;
 
@@ -13,27 +14,29 @@ use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
 use crate::scanner::{Coordinates, REACH, Return};
 
-/// Range steps that scanners have, in micrometres, coarse ones first: what lies on one lies on its parts too.
+/// Range steps of known scanners, in micrometres, coarse ones first: multiples of a step are also multiples of its
+/// divisors.
 const RANGE_STEPS_UM: [u32; 9] = [12_000, 10_000, 8_000, 5_000, 4_000, 2_500, 2_000, 1_000, 500];
-/// Ticks a turn that scanners have: few ones first, for the same reason, and hundredths of degrees.
+/// Ticks per turn of known scanners: small numbers first, for the same reason, and hundredths of degrees.
 const TICKS: [u32; 5] = [512, 1024, 2048, 4096, 36_000];
-/// Values on a grid are as coherent as this, if they are float32.
+/// Minimum coherence of float32 values that lie on a grid.
 const COHERENT: f64 = 0.9;
-/// A scanner that explains fewer of the points than this is none.
+/// A scanner that explains a smaller share of the points is rejected.
 const LEAST_SHARE: f64 = 0.5;
-/// Parts of a tick by which the azimuths of a laser are off whole ticks, at most, if a program knows no others.
+/// Largest distance of a laser's azimuths from whole ticks, as a fraction of a tick, if a program knows only whole
+/// ticks.
 const WHOLE_PHASE: f64 = 0.02;
-/// Points that tell enough.
+/// A sufficient number of points.
 const SAMPLE: usize = 4000;
-/// Fits a scanner to a sample of a sequence's scans, and gives the share of the returns that it explains. None if
-/// the points are not those of such a scanner, firing by firing.
+/// Fits a scanner to a sample of a sequence's scans, and returns the share of the points that it explains. `None` if
+/// no scanner of this family explains enough of them.
 pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     let scan = sample.iter().max_by_key(|scan| scan.cloud.positions.len())?;
     let points = scan.cloud.positions.iter().map(|position| Point::new(position.map(f64::from), None));
     fit_points(scan, points)
 }
 
-/// The same for one scan whose points were moved: these are all of them.
+/// The same for one scan whose points were moved; `moved` has all of them.
 pub fn fit_moved(scan: &ScanFile, moved: &[Moved]) -> Option<Firings> {
     let positions = moved.iter().map(|point| point.measured.map(|metres| metres as f32)).collect();
     let mut measured = scan.clone();
@@ -42,7 +45,7 @@ pub fn fit_moved(scan: &ScanFile, moved: &[Moved]) -> Option<Firings> {
     fit_points(&measured, points).map(|(scanner, _)| scanner)
 }
 
-/// The same, given the points that have a direction among those of the scan.
+/// The same, given a point for each record of the scan, or `None` for records without a direction.
 fn fit_points(scan: &ScanFile, points: impl Iterator<Item = Option<Point>>) -> Option<(Firings, f64)> {
     let (numbers, points): (Vec<usize>, Vec<Point>) =
         points.enumerate().filter_map(|(record, point)| Some((record, point?))).unzip();
@@ -60,15 +63,15 @@ fn fit_points(scan: &ScanFile, points: impl Iterator<Item = Option<Point>>) -> O
             image.columns.len(),
         )
     });
-    // Of those that explain about as much, that of the fewest columns: there firings are whole.
-    // A timing of two firings a block must be worth its name.
+    // Among scanners that explain about as many points, the one with the fewest columns is best, because its
+    // firings are whole. A timing with two firings per block must explain enough to be worth it.
     let worth = |(scanner, share, columns): &(Firings, f64, usize)| {
         let simple = if scanner.build.timing.firings(scanner.rows()) > 1 { 0.999 } else { 1.0 };
         simple * share / (1.0 + *columns as f64 / found.points.len().max(1) as f64)
     };
     let best = shares.max_by(|a, b| worth(a).total_cmp(&worth(b)));
     let (scanner, share, _) = best.filter(|(_, share, _)| *share >= LEAST_SHARE)?;
-    // Decimal digits are no help to a recipe that is not the right one.
+    // Decimal digits do not help a recipe that is wrong.
     let is_digits = matches!(coordinates, Coordinates::Digits(_));
     let scanner = match is_digits.then(|| found.given(&scanner)) {
         Some((given, all)) if 2 * given <= all => {
@@ -82,17 +85,17 @@ fn fit_points(scan: &ScanFile, points: impl Iterator<Item = Option<Point>>) -> O
     Some((scanner, share))
 }
 
-/// What is known of a scan before its scanner is.
+/// Facts about a scan from which the fit starts.
 pub(super) struct Found<'s> {
     pub scan: &'s ScanFile,
-    /// The records of the points.
+    /// The record number of each point.
     pub numbers: Vec<usize>,
     pub points: Vec<Point>,
     pub coordinates: Coordinates,
 }
 
 impl Found<'_> {
-    /// Scanners whose beams start in one point that may have made the scan.
+    /// Scanners whose beams all start in one point and that may have measured the scan.
     fn on_axis(&self) -> Option<Vec<Firings>> {
         let Found { scan, numbers, points, coordinates } = self;
         let range_step_um = range_step(points.iter().map(|point| point.range))?;
@@ -108,7 +111,7 @@ impl Found<'_> {
         let has_blanks = numbers.len() < records;
         let grid = RecordGrid::find(&places, records, elevations.len(), has_blanks);
         if let Some(grid) = &grid {
-            // Lasers that have seen nothing: their records are there all the same.
+            // Lasers without returns still have records.
             while elevations.len() < grid.lines.len() {
                 elevations.push(elevations[elevations.len() - 1] - UNSEEN);
             }
@@ -123,7 +126,7 @@ impl Found<'_> {
             Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
         });
         let sequence: Vec<(usize, u32)> = sequence.collect();
-        // Echoes tell nothing of the order.
+        // Echoes say nothing about the order.
         let mut firsts = sequence.clone();
         firsts.dedup();
         let (own, lines) = match grid {
@@ -163,7 +166,7 @@ impl Found<'_> {
         };
         let candidates = |order: Order| {
             let of_offsets = scanner(&order, &order.shifts, &none);
-            // Programs that know whole ticks alone add a laser's to the firing's.
+            // Programs that know only whole ticks add a laser's ticks to those of the firing.
             let are_ticks = are_whole && order.shifts.iter().any(|shift| *shift != 0.0);
             let of_lags = are_ticks.then(|| scanner(&order, &none, &order.shifts)).flatten();
             let given = |(scanner, _): &(Firings, bool)| self.given(scanner).0;
@@ -184,7 +187,7 @@ impl Found<'_> {
         Some(orders.into_iter().flatten().flat_map(candidates).collect())
     }
 
-    /// How many points a scanner's recipe gives to the last bit, and how many it explains.
+    /// How many points a scanner's recipe reproduces to the last bit, and how many it explains.
     fn given(&self, scanner: &Firings) -> (usize, usize) {
         let positions = &self.scan.cloud.positions;
         let places = scanner.places(positions, REACH + 0.5 * scanner.range_step_m());
@@ -195,14 +198,15 @@ impl Found<'_> {
         (places.iter().filter(is_given).count(), places.len())
     }
 
-    /// A scanner, and if its firings have no tick of their own, the same with the timings that fit best.
+    /// The scanner and, if the lasers of a firing have different ticks, the same scanner with the timings that fit
+    /// best.
     pub(super) fn with_timings(&self, scanner: Firings, is_steady: bool) -> Vec<Firings> {
         if is_steady {
             return vec![scanner];
         }
         let places = scanner.places(&self.scan.cloud.positions, REACH + 0.5 * scanner.range_step_m());
         let (places, _) = without_echoes(places);
-        // Where rows lag behind, blocks of two firings are not looked for.
+        // If rows lag, blocks of two firings are not tried.
         let most = if scanner.lags.is_empty() { 2 } else { 1 };
         let timed = (1..=most).into_par_iter().filter_map(|firings| timed(&scanner, &places, firings));
         let mut all: Vec<Firings> = timed.collect();
@@ -211,9 +215,9 @@ impl Found<'_> {
     }
 }
 
-/// The coarsest step on which most ranges (metres) lie.
+/// The coarsest step on which most of the ranges (in metres) lie.
 pub(super) fn range_step(ranges: impl Iterator<Item = f64> + Clone) -> Option<u32> {
-    /// Metres: float32 coordinates tell nearer ranges no better.
+    /// In metres: nearer ranges are ignored, as float32 coordinates do not determine them better.
     const NEAREST: f64 = 0.5;
     const FEWEST: usize = 200;
     let far = ranges.filter(|range| *range > NEAREST);
@@ -224,7 +228,7 @@ pub(super) fn range_step(ranges: impl Iterator<Item = f64> + Clone) -> Option<u3
     RANGE_STEPS_UM.into_iter().find(|um| ranges.len() >= FEWEST && is_on(um))
 }
 
-/// How coherent values are with the whole numbers, and with this phase: 1 if all lie on them.
+/// How coherent values are with the whole numbers plus this phase: 1 if all lie on them.
 pub(super) fn strength(values: impl Iterator<Item = f64>, phase: f64) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for value in values {
@@ -234,7 +238,7 @@ pub(super) fn strength(values: impl Iterator<Item = f64>, phase: f64) -> f64 {
     sum / f64::from(count.max(1))
 }
 
-/// The phase of values against the whole numbers, in parts of one, and how coherent they are.
+/// The phase of values relative to the whole numbers, as a fraction of one, and their coherence.
 pub(super) fn phase(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let (mut re, mut im, mut count) = (0.0, 0.0, 0);
     for value in values {
@@ -245,15 +249,15 @@ pub(super) fn phase(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (libm::atan2(im, re) / TAU, (re * re + im * im).sqrt() / f64::from(count.max(1)))
 }
 
-/// Radians: the points of a laser lie this near to its cone.
+/// In radians: the largest distance of a laser's points from its cone.
 pub(super) const ON_CONE: f64 = 1e-4;
 
-/// The elevations of the lasers, from the highest to the lowest: the narrow heaps of the points' elevations. None if most points
-/// lie in none.
+/// The elevations of the lasers, from the highest to the lowest: narrow clusters of the points' elevations. `None` if
+/// fewer than half of the points lie in clusters, or the number of clusters is not that of a scanner.
 pub(super) fn elevations(points: &[Point]) -> Option<Vec<f64>> {
     const FEWEST_LASERS: usize = 4;
     const MOST_LASERS: usize = 512;
-    /// Metres: elevations of nearer points are not sharp, or only if their coordinates are.
+    /// In metres: the elevations of nearer points are blurred. The second limit is for precise coordinates.
     const NEAREST: [f64; 2] = [0.3, 0.05];
     let step = (points.len() / (16 * SAMPLE)).max(1);
     let sample = points.iter().step_by(step);
@@ -270,9 +274,9 @@ pub(super) fn elevations(points: &[Point]) -> Option<Vec<f64>> {
     is_scanner.then_some(found)
 }
 
-/// The middles of the narrow heaps of some falling elevations, and how many of these are in one.
+/// Given descending elevations: how many lie in narrow clusters, and the medians of the clusters.
 pub(super) fn narrow_heaps(elevations: &[f64]) -> (usize, Vec<f64>) {
-    /// Radians between the heaps of two lasers.
+    /// Radians between the clusters of two lasers.
     const GAP: f64 = 6e-5;
     let fewest = (elevations.len() / 2000).max(8);
     let heaps = elevations.chunk_by(|a, b| a - b < GAP);
@@ -283,24 +287,26 @@ pub(super) fn narrow_heaps(elevations: &[f64]) -> (usize, Vec<f64>) {
     })
 }
 
-/// Radians from the lowest laser to one that has seen nothing, wherever it looks.
+/// Radians from the lowest laser to one without returns, whose elevation is unknown.
 const UNSEEN: f64 = 1e-3;
 
-/// A file in which each laser has a record in each firing, whether it saw something or not.
+/// The grid of a file in which each laser has a record in each firing, with or without a return.
 pub(super) struct RecordGrid {
-    /// The row of each line: of each slot if the file holds firing after firing.
+    /// The row of each line; of each slot if the file holds firing after firing.
     pub lines: Vec<u32>,
     /// Whether the file holds row after row.
     pub by_lines: bool,
-    /// Firings.
+    /// Number of firings.
     pub width: usize,
 }
 
 impl RecordGrid {
-    /// Finds the grid of a file with so many records, of which these have these rows; none if it has none.
-    /// Without blanks, numbers that go into one another by chance are no evidence: then all returns must be where they belong.
+    /// Finds the grid of a file with this number of records; `places` has the record and the row of each return.
+    /// `None` if the file has no grid.
+    /// Without blanks, the number of records may be a multiple of the number of lines by chance: then nearly all
+    /// returns must be in their places.
     fn find(places: &[(usize, usize)], records: usize, rows: usize, has_blanks: bool) -> Option<Self> {
-        /// Lasers that may have seen nothing, for one that has.
+        /// Largest number of lines per row with returns; the other lines belong to lasers without returns.
         const MOST_LINES: usize = 2;
         const FEWEST_COLUMNS: usize = 8;
         let whole = (rows..=MOST_LINES * rows).filter(|lines| records.is_multiple_of(*lines));
@@ -310,7 +316,7 @@ impl RecordGrid {
         grids.find_map(|(lines, by_lines)| Self::of(places, rows, (lines, records / lines), by_lines, least))
     }
 
-    /// The grid of these lines, if each row has one of its own, and at least this part of the returns is there.
+    /// The grid with these lines, if it puts at least the share `least` of the returns into the line of their row.
     fn of(
         places: &[(usize, usize)],
         rows: usize,
@@ -335,7 +341,7 @@ impl RecordGrid {
         if f64::from(inside) < least * places.len() as f64 || places.is_empty() {
             return None;
         }
-        // The other rows, seen or not, are those of the other lines.
+        // The remaining rows, with or without returns, belong to the remaining lines.
         let seen = (0u32..).zip(taken).filter(|(_, taken)| !taken).map(|(row, _)| row);
         let mut rest = seen.chain(rows as u32..);
         let lines = row_of_line.into_iter().map(|row| row.or_else(|| rest.next())).collect::<Option<_>>()?;
@@ -376,8 +382,8 @@ impl RecordGrid {
     }
 }
 
-/// The elevations of a VLP-16, if those that were found are some of them: which lasers are missing matters, for azimuths
-/// go on while they fire.
+/// All elevations of a VLP-16, if the given ones are among them. It matters which lasers are missing, because the
+/// azimuth advances while they fire.
 fn completed(elevations: Vec<f64>) -> Vec<f64> {
     let mut all = VLP_16.map(|degrees| f64::from(degrees).to_radians());
     all.sort_unstable_by(|a, b| b.total_cmp(a));
@@ -385,7 +391,7 @@ fn completed(elevations: Vec<f64>) -> Vec<f64> {
     if elevations.iter().all(is_known) { all.to_vec() } else { elevations }
 }
 
-/// The ticks a turn on which the azimuths of most rows lie, each with a phase of its own.
+/// The number of ticks per turn on which the azimuths of most rows lie, each row with a phase of its own.
 fn ticks(of_rows: &[Vec<Point>]) -> Option<u32> {
     let coherence = |ticks: u32| {
         let of_row = |points: &Vec<Point>| {
@@ -398,8 +404,8 @@ fn ticks(of_rows: &[Vec<Point>]) -> Option<u32> {
     TICKS.into_iter().find(|&ticks| coherence(ticks) > COHERENT)
 }
 
-/// The azimuth of a point, clockwise from ahead. Where y is ahead all ticks are a quarter of a turn further, which is a
-/// whole number.
+/// The azimuth of a point in ticks, clockwise from x. If y is ahead, all azimuths differ by a quarter of a turn,
+/// which is a whole number of ticks.
 fn in_ticks(point: &Point, ticks: u32) -> f64 {
     let [x, y, _] = point.position;
     libm::atan2(-y, x) / TAU * f64::from(ticks)

@@ -1,8 +1,9 @@
-//! Cosine and sine in single precision as glibc has had them since 2.28: of about 1 % of all angles not the nearest
-//! float32. The polynomials and the reduction are those of its `sincosf`, for angles below 120 radians.
+//! Cosine and sine in single precision as glibc has computed them since 2.28: for about 1 % of all angles, not the
+//! nearest float32. The polynomials and the argument reduction are those of its `sincosf`, for angles below 120
+//! radians.
 //! FORMAT.md 3.5.
 
-/// Of sine, from x^3 on, and of cosine, from 1 on.
+/// Coefficients of the sine, from x^3 on, and of the cosine, from x^2 on.
 const SINE: [f64; 3] = [
     f64::from_bits(0xbfc5_5554_5995_a603),
     f64::from_bits(0x3f81_1076_0523_0bc4),
@@ -14,14 +15,15 @@ const COSINE: [f64; 4] = [
     f64::from_bits(0xbf56_c087_e89a_359d),
     f64::from_bits(0x3ef9_9343_027b_f8c3),
 ];
-/// 2^24 quarters of a turn in a radian, and the radians of a quarter.
+/// Quarters of a turn per radian, times 2^24; and radians per quarter.
 const QUARTERS: f64 = f64::from_bits(0x4164_5f30_6dc9_c883);
 const QUARTER: f64 = f64::from_bits(0x3ff9_21fb_5444_2d18);
-/// Below these angles there is nothing to reduce, and nothing to compute.
+/// Angles below the first need no argument reduction; those below the second, no computation.
 const EIGHTH: f32 = f32::from_bits(0x3f49_0fdb);
 const TINY: f32 = f32::from_bits(0x3980_0000);
 
-/// Cosine and sine as glibc had them before: the nearest float32, but of small angles two terms of the series.
+/// Cosine and sine as glibc computed them before 2.28: the nearest float32, but two terms of the series for small
+/// angles.
 pub fn old_cos_sin(angle: f32) -> [f32; 2] {
     /// In radians.
     const SMALL: f64 = 1.0 / 32.0;
@@ -41,12 +43,12 @@ pub fn cosf(angle: f32) -> f32 {
     if exponent(angle) < exponent(TINY) { 1.0 } else { of(angle, 1) }
 }
 
-/// Exponent and first bits of the mantissa.
+/// Exponent and leading bits of the mantissa.
 fn exponent(angle: f32) -> u32 {
     angle.to_bits() >> 20 & 0x7ff
 }
 
-/// The sine of an angle so many quarters of a turn further on, 0 or 1.
+/// The sine of an angle plus `cosine` quarters of a turn, 0 or 1.
 fn of(angle: f32, cosine: i32) -> f32 {
     let wide = f64::from(angle);
     let quarters = if exponent(angle) < exponent(EIGHTH) {

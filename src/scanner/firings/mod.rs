@@ -1,8 +1,8 @@
 //! Scanners whose files hold firing after firing: Velodyne's VLP and HDL-32E, Hesai's, Ouster's by columns.
 //!
-//! A firing is one column of the range image: each laser once, in an order of its own (the *slots*), at one azimuth
-//! tick or at ticks that go on from slot to slot. All beams leave one point. For a laser with elevation E and azimuth
-//! offset O, a range of `n` steps and an azimuth of `t` ticks:
+//! A firing is one column of the range image: one shot of each laser, in a fixed order (the *slots*), at one azimuth
+//! tick or at ticks that advance from slot to slot. All beams start in one point. For a laser with elevation E and
+//! azimuth offset O, a range of `n` steps and an azimuth of `t` ticks:
 //!
 //! ```text
 //! d = n * range_step
@@ -10,8 +10,8 @@
 //! x, y, z = d * cos E * cos A, -d * cos E * sin A, d * sin E      or with the axes of another program
 //! ```
 //!
-//! In which precision, and in which order this was computed, is the [`Recipe`] of the program that wrote the file. The
-//! beams of some scanners start away from the axis ([`Origin`]), in the direction of the tick, not of the beam.
+//! The [`Recipe`] of the program that wrote the file defines in which precision and in which order this was computed.
+//! The beams of some scanners start away from the axis ([`Origin`]), in the direction of the tick, not of the beam.
 
 mod columns;
 mod constants;
@@ -42,10 +42,10 @@ use crate::scanner::{BeamConstants, Coordinates, Hdl64, RangeImage, Return};
 use recipe::{Arithmetic, MOST_LOCATED, Turn};
 use timing::{Passed, Span};
 
-/// Degrees of one unit of a laser's constants.
+/// Degrees per unit of a laser's constants.
 const ANGLE_UNIT: f64 = 1e-9;
 
-/// The constants of a laser, as they stand in the stream.
+/// The constants of a laser, as stored in the stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Laser {
     /// E, in 1e-9 degrees.
@@ -66,7 +66,7 @@ impl Laser {
     }
 }
 
-/// Where a laser looks, for finding what it measured.
+/// The direction of a laser, for locating its measurements.
 #[derive(Clone, Copy, Debug, Default)]
 struct Bearing {
     /// Cosine and sine of E.
@@ -74,7 +74,7 @@ struct Bearing {
     sin: f64,
     /// O, in radians.
     offset: f64,
-    /// Where its beam starts: metres beside the axis and ahead of it, seen along the beam.
+    /// Where its beam starts: metres beside the axis and ahead of it, relative to the azimuth of the beam.
     beside: f64,
     ahead: f64,
 }
@@ -94,22 +94,22 @@ impl Bearing {
     }
 }
 
-/// What lasers measured that left some points.
+/// The measurements of lasers that are nearest to some points.
 #[derive(Clone, Copy, Debug)]
 struct Located<const N: usize> {
-    /// Whole; none if they are below 1.
+    /// Whole numbers; below 1 if there is no such measurement.
     steps: [f64; N],
     tick: [u32; N],
     /// Radians from the tick to the point.
     aside: [f64; N],
 }
 
-/// What is said of a scanner of firings as a whole.
+/// The properties of a scanner of firings that all its lasers share.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Build {
     /// The program that wrote the files.
     pub recipe: Recipe,
-    /// Azimuth ticks a turn; not 0.
+    /// Azimuth ticks per turn; not 0.
     pub ticks: u32,
     /// One range step, in micrometres.
     pub range_step_um: u32,
@@ -117,7 +117,7 @@ pub struct Build {
     pub coordinates: Coordinates,
     /// Where beams start.
     pub origin: Origin,
-    /// How the azimuth goes on inside a block.
+    /// How the azimuth advances within a block.
     pub timing: Timing,
 }
 
@@ -125,15 +125,15 @@ pub struct Build {
 #[derive(Clone, Debug)]
 pub struct Firings {
     build: Build,
-    /// In the order of the rows: from the highest to the lowest.
+    /// One per row, from the highest to the lowest.
     lasers: Vec<Laser>,
     /// The row of each slot.
     rows_of_slots: Vec<u32>,
     /// The row of each line of the file, if it holds row after row; empty if it holds firing after firing.
     rows_of_lines: Vec<u32>,
-    /// The ticks by which each row is behind its column, less than a turn; empty if none is.
+    /// The ticks by which each row lags behind its column, less than a turn; empty if none does.
     lags: Vec<u32>,
-    // What follows from these.
+    // Derived from the fields above.
     slots_of_rows: Vec<u32>,
     arithmetic: Vec<Arithmetic>,
     bearings: Vec<Bearing>,
@@ -173,20 +173,20 @@ impl Firings {
         }
     }
 
-    /// The same scanner with files that hold row after row, in this order: `rows_of_lines` must be a permutation of the
-    /// rows, or empty for files that hold firing after firing.
+    /// The same scanner for files that hold row after row, in this order: `rows_of_lines` must be a permutation of
+    /// the rows, or empty for files that hold firing after firing.
     pub fn line_by_line(self, rows_of_lines: Vec<u32>) -> Self {
         Firings { rows_of_lines, ..self }
     }
 
-    /// The same scanner with each row so many ticks behind its column: with columns that hold what was not fired together, as
-    /// in Ouster's destaggered clouds, or with lasers that look that far back, by a program that adds it to the tick. There
-    /// must be as many as rows, all less than a turn, or none.
+    /// The same scanner with rows that lag behind their columns by these ticks: columns then hold points that were
+    /// not fired together, as in Ouster's destaggered clouds, or the lasers look that far back and the program adds
+    /// this to the tick. `lags` must have one element per row, all less than a turn, or be empty.
     pub fn lagging(self, lags: Vec<u32>) -> Self {
         Firings { lags, ..self }
     }
 
-    /// The same scanner with firings that begin at another slot.
+    /// The same scanner with firings that begin at this slot of the order.
     fn begun_at(self, slot: usize) -> Self {
         let mut rows_of_slots = self.rows_of_slots;
         rows_of_slots.rotate_left(slot);
@@ -201,7 +201,7 @@ impl Firings {
         Firings { build: Build { timing, ..self.build }, passed, ..self }
     }
 
-    /// A scanner of one laser alone, for the fit.
+    /// A scanner with this laser alone, for the fit.
     fn of_laser(&self, laser: Laser) -> Self {
         let arithmetic =
             vec![Arithmetic::new(self.build.recipe, &laser, self.build.origin, self.build.ticks)];
@@ -219,7 +219,7 @@ impl Firings {
         }
     }
 
-    /// What is said of it as a whole.
+    /// The properties that all lasers share.
     pub fn build(&self) -> &Build {
         &self.build
     }
@@ -235,8 +235,8 @@ impl Firings {
         self.lasers.iter().map(|laser| laser.elevation_degrees().to_radians())
     }
 
-    /// An HDL-64E-like scanner that sees a range image as this one does, but for the direction in which it turns and
-    /// for the origin of its beams: for pictures and regions, not for positions.
+    /// An HDL-64E-like scanner that sees a range image as this one does, except for the direction of rotation and
+    /// the origin of the beams: for pictures and regions, not for positions.
     pub fn likeness(&self) -> Hdl64 {
         let beam = |laser: &Laser| {
             let offset = laser.azimuth_degrees().to_radians();
@@ -270,7 +270,7 @@ impl Firings {
         self.tick_of_slot(self.slots_of_rows[row] as usize, row, base, span)
     }
 
-    /// The same, given its slot too.
+    /// The same, given also the laser's slot.
     #[inline(always)]
     fn tick_of_slot(&self, slot: usize, row: usize, base: u32, Span { ticks: span, firing }: Span) -> u32 {
         let place = firing as usize * self.rows() + slot;
@@ -278,11 +278,11 @@ impl Firings {
         self.within_turn(self.build.timing.tick(&self.passed, place, base, span) + behind)
     }
 
-    /// A tick of a few turns in the first.
+    /// Reduces a tick of a few turns to the first turn.
     #[inline]
     fn within_turn(&self, tick: u32) -> u32 {
         let ticks = self.build.ticks;
-        // Divisions take long, and one turn is mostly enough.
+        // Divisions are slow, and subtracting one turn is usually enough.
         match tick.checked_sub(ticks) {
             None => tick,
             Some(tick) if tick < ticks => tick,
@@ -295,14 +295,14 @@ impl Firings {
         self.lags.get(row).copied().unwrap_or(0)
     }
 
-    /// What comes nearest to a position in metres if this laser measured it, in steps and ticks; none if there is no such
-    /// range.
+    /// The measurement of this laser that is nearest to a position in metres, in steps and ticks; `None` if there
+    /// is no such range.
     fn locate(&self, row: usize, position: [f64; 3]) -> Option<(u32, u32)> {
         let Located { steps: [steps], tick: [tick], .. } = self.locate_all(&[row], &position.map(|v| [v]));
         (steps >= 1.0 && steps < f64::from(MOST_LOCATED)).then_some((steps as u32, tick))
     }
 
-    /// The same of several positions, each measured by a laser of its own.
+    /// The same for several positions, each measured by a laser of its own.
     #[inline(always)]
     fn locate_all<const N: usize>(&self, rows: &[usize; N], [x, y, z]: &[[f64; N]; 3]) -> Located<N> {
         let bearing: [Bearing; N] = lanes(|i| self.bearings[rows[i]]);
@@ -330,7 +330,7 @@ impl Firings {
         });
         let mut tick: [u32; N] = lanes(|i| within[i] as u32);
         if within.iter().any(|tick| !(0.0..turn).contains(tick)) {
-            // Farther round, or no number.
+            // More than a turn away, or not a number.
             tick = lanes(|i| (ticks[i] as i64).rem_euclid(i64::from(self.build.ticks)) as u32);
         }
         Located {
@@ -340,7 +340,8 @@ impl Firings {
         }
     }
 
-    /// About where the formula puts what was located at some positions, in metres: to within a small part of a range step.
+    /// Approximately the positions, in metres, that the formula gives to located measurements: to within a small
+    /// fraction of a range step.
     #[inline(always)]
     fn near_all<const N: usize>(
         &self,
@@ -354,7 +355,7 @@ impl Firings {
         let step = self.range_step_m();
         let metres: [f64; N] = lanes(|i| located.steps[i] * step - nearer);
         let flat: [f64; N] = lanes(|i| metres[i] * bearing[i].cos + bearing[i].ahead);
-        // From the point: turned by what it is aside, and as far away as the steps say.
+        // Starts from the point, rotates it onto the tick, and scales it to the range in whole steps.
         let [cos, sin] = angle::small_cos_sin(located.aside);
         let scale: [f64; N] = lanes(|i| {
             let beside = bearing[i].beside;
@@ -367,8 +368,8 @@ impl Firings {
         ]
     }
 
-    /// The returns of an image, each followed by its echoes, and the blanks of a full one, in the order in which a file
-    /// holds them: firing by firing, slot by slot, or line by line.
+    /// The returns of an image, each followed by its echoes, and the blanks of a full one, in the order of a file:
+    /// firing by firing and slot by slot, or line by line.
     pub fn file_order(&self, image: &RangeImage) -> Vec<Return> {
         let width = image.columns.len();
         let mut returns = Vec::with_capacity(image.records());
@@ -397,7 +398,7 @@ impl Firings {
         if image.echoes.is_empty() { returns } else { with_echoes(&returns, image) }
     }
 
-    /// Where returns are, as a grid has them: [`position`](Self::position) of each.
+    /// The positions of returns, rounded to a grid: [`position`](Self::position) of each.
     pub fn positions(&self, returns: &[Return], offset_m: f64, grid: Coordinates) -> Vec<[f32; 3]> {
         if offset_m != 0.0 || grid != Coordinates::Float32 {
             let single = |metres: f64| if metres.is_nan() { 0.0 } else { grid.nearest(metres) };
@@ -413,7 +414,8 @@ impl Firings {
         returns.iter().map(position).collect()
     }
 
-    /// Where a return is, in metres, as well as the recipe gives it, `offset_m` metres farther than its steps say.
+    /// The position of a return in metres, as accurately as the recipe computes it, `offset_m` metres beyond the
+    /// range of its steps.
     pub fn position(&self, found: &Return, offset_m: f64) -> [f64; 3] {
         let arithmetic = &self.arithmetic[found.row as usize];
         if offset_m == 0.0 {
@@ -425,14 +427,14 @@ impl Firings {
         }
     }
 
-    /// Whether the recipe gives a position in the file to the last bit, along these axes.
+    /// Whether the recipe reproduces a position in the file to the last bit, along these axes.
     fn gives(&self, found: &Return, position: &[f64; 3], axes: std::ops::Range<usize>) -> bool {
         let grid = self.build.coordinates;
         let formula = self.position(found, 0.0);
         axes.into_iter().all(|axis| f64::from(grid.nearest(formula[axis])) == position[axis])
     }
 
-    /// Radians of a tick.
+    /// Radians per tick.
     fn radians(&self) -> f64 {
         TAU / f64::from(self.build.ticks)
     }

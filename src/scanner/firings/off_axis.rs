@@ -1,5 +1,5 @@
-//! Finds scanners whose beams start away from the axis: RoboSense's and LSLiDAR's, of which drivers hold the few places
-//! where beams start, and Ouster's, each unit of which has its own.
+//! Finds scanners whose beams start away from the axis: RoboSense's and LSLiDAR's, whose drivers define a few
+//! origins, and Ouster's, each unit of which has an origin of its own.
 
 use std::f64::consts::TAU;
 
@@ -15,7 +15,7 @@ use crate::ground::rounding::round_ties_even;
 use crate::scan::Channel;
 use crate::scanner::{REACH, Return};
 
-/// A maker's scanner whose beams start away from the axis.
+/// A manufacturer's scanner whose beams start away from the axis.
 struct Maker {
     recipe: Recipe,
     origin: Origin,
@@ -31,7 +31,7 @@ const fn lslidar(along_um: i32, offset: i32) -> Maker {
     Maker { recipe: Recipe::LsLidar, origin: Origin { along_um, up_um: 0 }, offset: Some(offset) }
 }
 
-/// As the drivers of the makers have them.
+/// The constants in the manufacturers' drivers.
 const MAKERS: [Maker; 14] = [
     robosense(34_980, 0),
     robosense(16_190, 95_710),
@@ -49,22 +49,23 @@ const MAKERS: [Maker; 14] = [
     lslidar(49_400, 1298),
 ];
 
-/// Ticks a turn where beams start away from the axis, as of all who make such scanners.
+/// Ticks per turn of all these scanners.
 const OFF_AXIS_TICKS: u32 = 36_000;
 
 impl Maker {
-    /// Whether its beams start about this far from the axis, and so high, in metres.
+    /// Whether its beams start about this far from the axis and at about this height, in metres.
     fn is_like(&self, [along, up]: [f64; 2]) -> bool {
         let [_, own_up] = self.origin.metres();
         (0.96..1.01).contains(&(along / self.along())) && (up - own_up).abs() < 1e-3
     }
 
-    /// A range step of which all that its scanners have are multiples, in metres.
+    /// A range step, in metres, of which the range steps of all its scanners are multiples.
     fn least_step_m(&self) -> f64 {
         if self.recipe == Recipe::RoboSense { 0.0025 } else { 0.002 }
     }
 
-    /// How far from the axis a beam's line crosses the height of its start, if its azimuth offset is small.
+    /// The distance from the axis at which a beam's line crosses the height of its start, if its azimuth offset is
+    /// small.
     fn along(&self) -> f64 {
         let turned = f64::from(self.offset.unwrap_or(0)) * 0.01;
         self.origin.metres()[0] * libm::cos(turned.to_radians())
@@ -72,10 +73,10 @@ impl Maker {
 }
 
 impl Found<'_> {
-    /// Scanners whose beams start away from the axis that may have made the scan: those of the maker that explains most
-    /// of the points.
+    /// Scanners whose beams start away from the axis and that may have measured the scan: those of the manufacturer
+    /// whose scanner reproduces the most points.
     pub(super) fn off_axis(&self) -> Option<Vec<Firings>> {
-        /// Points that tell whose scanner it is.
+        /// Number of points by which the manufacturer is determined.
         const SAMPLED: usize = 6000;
         let step = (self.points.len() / SAMPLED).max(1);
         let positions = &self.scan.cloud.positions;
@@ -101,7 +102,7 @@ impl Found<'_> {
             Some((scanner, exact))
         });
         let candidates: Vec<(Firings, usize)> = candidates.collect();
-        // What gives one point in ten at most is none of them.
+        // A scanner that reproduces no more than one point in ten is rejected.
         let best = candidates.into_iter().max_by_key(|(_, exact)| *exact);
         let best = best.filter(|(_, exact)| 10 * exact > sample.len());
         let Some((scanner, _)) = best else { return self.ouster().map(|scanner| vec![scanner]) };
@@ -113,7 +114,7 @@ impl Found<'_> {
         lines(&sequence, rows, ticks).map(|lines| vec![scanner.line_by_line(lines)])
     }
 
-    /// Rows and ticks of the points in the order of the file, without echoes.
+    /// Rows and ticks of the points in file order, without echoes.
     fn sequence(&self, scanner: &Firings) -> Vec<(usize, u32)> {
         let places = scanner.places(&self.scan.cloud.positions, REACH + 0.5 * scanner.range_step_m());
         let mut sequence: Vec<(usize, u32)> =
@@ -122,8 +123,8 @@ impl Found<'_> {
         sequence
     }
 
-    /// An Ouster with the order of a file that holds returns alone: column by column, staggered or not, or row by row. None
-    /// if it is in neither.
+    /// An Ouster with the order of a file that holds only returns: column by column, staggered or not, or row by
+    /// row. `None` if the file is in neither order.
     fn in_order_of_returns(&self, scanner: Firings) -> Option<Firings> {
         let (sequence, ticks) = (self.sequence(&scanner), scanner.build.ticks);
         let within_turn = |ahead: f64| (-ahead as i64).rem_euclid(i64::from(ticks)) as u32;
@@ -134,7 +135,7 @@ impl Found<'_> {
             return Some(Firings::new(scanner.build, scanner.lasers, order.rows_of_slots).lagging(lags));
         }
         let lines = lines(&sequence, scanner.rows(), ticks)?;
-        // A column is what lies in one direction.
+        // A column holds the points of one direction.
         let in_ticks = |laser: &Laser| round_ties_even(laser.azimuth_degrees() / 360.0 * f64::from(ticks));
         let lags = scanner.lasers.iter().map(|laser| within_turn(-in_ticks(laser))).collect();
         let rows_of_slots = (0..scanner.rows() as u32).collect();
@@ -142,10 +143,10 @@ impl Found<'_> {
         Some(scanner.line_by_line(lines).lagging(lags))
     }
 
-    /// The points of each laser, if a channel tells the lasers apart.
+    /// The points of each laser, if a channel identifies the lasers.
     fn rows_by_channel(&self) -> Option<Vec<Vec<Point>>> {
         const LASERS: std::ops::RangeInclusive<usize> = 4..=512;
-        /// Radians: points of a laser lie nearer to their median elevation.
+        /// In radians: points of a laser are nearer than this to their median elevation.
         const SPREAD: f64 = 0.06;
         let of = |channel: &Channel| {
             let width = channel.field.width();
@@ -179,7 +180,7 @@ impl Found<'_> {
         channels.filter(|channel| channel.field.width() <= 4 && !channel.field.name.is_empty()).find_map(of)
     }
 
-    /// The points of each laser, as narrow heaps of elevations from where a maker's beams start.
+    /// The points of each laser: narrow clusters of elevations as seen from where a maker's beams start.
     fn rows_by_elevation(&self, maker: &Maker) -> Option<Vec<Vec<Point>>> {
         let (along, [_, up]) = (maker.along(), maker.origin.metres());
         let moved: Vec<Point> = self
@@ -202,9 +203,9 @@ impl Found<'_> {
         Some(rows)
     }
 
-    /// The scanner of a maker with constants found from the points of its lasers.
+    /// The scanner of a maker, with constants determined from the points of its lasers.
     fn of_maker(&self, maker: &Maker, rows: Vec<Vec<Point>>) -> Option<Firings> {
-        /// Fewer points of a laser tell nothing.
+        /// Lasers with fewer points are ignored.
         const FEWEST: usize = 4;
         let rows: Vec<Vec<Point>> = rows.into_iter().filter(|row| row.len() >= FEWEST).collect();
         let lasers: Vec<Vec<Laser>> = rows.par_iter().map(|row| lasers_off_axis(maker, row)).collect();
@@ -240,8 +241,8 @@ impl Found<'_> {
 }
 
 impl Maker {
-    /// How far a point is from where its beam starts, in metres on the ground, and the azimuth of its beam, in radians,
-    /// if the laser is turned by so many hundredths of degrees from where it starts.
+    /// The horizontal distance of a point from the start of its beam, in metres, and the azimuth of the beam, in
+    /// radians, if the beam is turned by `offset` hundredths of degrees from the direction of its start.
     fn undo(&self, point: &Point, offset: i32) -> (f64, f64) {
         let [x, y, _] = point.position;
         let turned = (f64::from(offset) * 0.01).to_radians();
@@ -252,26 +253,27 @@ impl Maker {
     }
 }
 
-/// Lasers, best first, by which the azimuths of some points lie on whole ticks, and their ranges on whole steps.
+/// Lasers, best first, for which the azimuths of the points lie on whole ticks and their ranges on whole steps.
 fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
-    /// Hundredths of degrees.
+    /// In hundredths of degrees: the largest offset that is tried.
     const FARTHEST: i32 = 6000;
     const MOST: usize = 120;
-    /// Points that tell which offsets are worth a closer look, how coherent they are then, and how many offsets get it.
+    /// Number of points on which all offsets are tried; the coherence above which an offset is examined further;
+    /// the largest number of offsets that are examined.
     const FEW: usize = 24;
     const COHERENT_TICKS: f64 = 0.8;
     const MOST_OFFSETS: usize = 600;
-    /// Lasers that are given.
+    /// Number of lasers that are returned.
     const CANDIDATES: usize = 60;
     let mut sorted: Vec<&Point> = points.iter().collect();
     sorted.sort_by(|a, b| a.range.total_cmp(&b.range));
-    // Near points tell most.
+    // Near points are the most informative.
     sorted.truncate((2 * sorted.len() / 3).max(MOST.min(points.len())));
     let few = |most: usize| sorted.iter().step_by((sorted.len() / most).max(1));
     let in_ticks = f64::from(OFF_AXIS_TICKS) / TAU;
     let hundredth = (0.01 / ANGLE_UNIT) as i64;
     let [_, up] = maker.origin.metres();
-    // How coherent the points are with an offset, and the laser that has it.
+    // The coherence of the points for an offset, and the laser with that offset.
     let tried = |offset: i32, most: usize| {
         let undone: Vec<(f64, f64, f64)> = few(most)
             .map(|point| {
@@ -295,7 +297,7 @@ fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
     if let Some(offset) = maker.offset {
         return vec![tried(offset, MOST).1];
     }
-    // Azimuths tell most of the offsets apart, and quickly.
+    // Azimuths alone exclude most of the offsets, and quickly.
     let (flat, azimuths): (Vec<f64>, Vec<f64>) = few(FEW)
         .map(|point| {
             let [x, y, _] = point.position;
@@ -306,7 +308,7 @@ fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
     let coherent = |offset: &i32| {
         let beside = along * libm::sin((f64::from(*offset) * 0.01).to_radians());
         let ticks = flat.iter().zip(&azimuths).map(|(flat, azimuth)| {
-            // The arc sine of what is small.
+            // The arc sine; a series if the argument is small.
             let slope = beside / flat;
             let square = slope * slope;
             let turned = if slope.abs() > 0.1 {
@@ -327,9 +329,9 @@ fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
     found.into_iter().map(|(_, laser)| laser).collect()
 }
 
-/// Of some lasers and those near them, the one by which the most points come out to the last bit.
+/// Of some lasers and their neighbours, the one that reproduces the most points to the last bit.
 fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
-    /// Points that tell whether it is worth a closer look.
+    /// Number of points by which lasers are preselected.
     const FEW: usize = 12;
     let some = |most: usize| -> Vec<Point> {
         points.iter().step_by((points.len() / most).max(1)).copied().collect()
@@ -355,9 +357,10 @@ fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
     best_of(any, std::iter::once(best.1).chain(beside), &more, best.1).0
 }
 
-/// How far from the axis, and how high, the lines of the lasers cross, in metres; none if too few tell.
+/// The distance from the axis and the height at which the lines of the lasers cross, in metres; `None` if there are
+/// too few lines.
 fn line_start(rows: &[Vec<Point>]) -> Option<[f64; 2]> {
-    /// Steeper lines do not tell.
+    /// Steeper lines are ignored.
     const STEEPEST: f64 = 2.0;
     const FEWEST: usize = 50;
     let lines = rows.iter().filter(|row| row.len() >= FEWEST).filter_map(|row| beam_line(row));
@@ -367,11 +370,10 @@ fn line_start(rows: &[Vec<Point>]) -> Option<[f64; 2]> {
     steady_line(&lines)
 }
 
-/// Widths of Ouster's images, which are the ticks of a turn.
+/// Widths of Ouster's images, which equal the ticks per turn.
 const WIDTHS: [u32; 4] = [512, 1024, 2048, 4096];
 
-/// The points of each laser with the numbers of their records, and the lines of the file if it holds a record for each
-/// cell.
+/// The points of each laser with their record numbers, and the lines of the file if it holds a record for each cell.
 struct Rows {
     points: Vec<Vec<Point>>,
     records: Vec<Vec<usize>>,
@@ -379,10 +381,11 @@ struct Rows {
 }
 
 impl Found<'_> {
-    /// An Ouster whose beams start off the axis: with range r, elevation E, azimuth offset O and a beam that starts n from
-    /// the axis, `rho^2 = ((r - n) cos E)^2 + 2 (r - n) cos E n cos O + n^2` and `z = (r - n) sin E + up`.
+    /// An Ouster whose beams start away from the axis: for a range r, elevation E, azimuth offset O and a beam that
+    /// starts at a distance n from the axis, `rho^2 = ((r - n) cos E)^2 + 2 (r - n) cos E n cos O + n^2` and
+    /// `z = (r - n) sin E + up`.
     fn ouster(&self) -> Option<Firings> {
-        /// The range step of all but the profile of a low data rate.
+        /// The range step of the low data rate profile, and that of all others.
         const RANGE_STEPS_UM: [u32; 2] = [8000, 1000];
         let rows = self.ouster_rows()?;
         let lines: Vec<Option<[f64; 2]>> = rows.points.iter().map(|row| beam_line(row)).collect();
@@ -407,7 +410,7 @@ impl Found<'_> {
         })
     }
 
-    /// The scanner of this build with the lasers that are found, and how many of some of their points come out.
+    /// The scanner of this build with the lasers found for it, and how many of a sample of points it reproduces.
     fn ouster_of(&self, build: &Build, rows: &Rows, lines: &[Option<[f64; 2]>]) -> Option<(Firings, usize)> {
         let build = &Build { origin: sharpened_origin(build, &rows.points, lines), ..build.clone() };
         let any = Firings::new(build.clone(), Vec::new(), Vec::new());
@@ -421,7 +424,7 @@ impl Found<'_> {
         if exact == 0 {
             return None;
         }
-        // Lasers that have seen too little come after all others.
+        // Lasers with too few points come after all others.
         let lowest = found.iter().flatten().map(|(laser, _)| laser.elevation).min()?;
         let unseen = (0.1 / ANGLE_UNIT) as i64;
         let lasers = (1..).zip(&found).map(|(number, found)| match found {
@@ -439,12 +442,13 @@ impl Found<'_> {
         Some((scanner, exact))
     }
 
-    /// The points of each laser, as the file has a record for each cell of an image, or a channel tells them apart.
+    /// The points of each laser, by the lines of a file that has a record for each cell, by a channel, or by
+    /// elevation.
     fn ouster_rows(&self) -> Option<Rows> {
         const LASERS: [usize; 5] = [8, 16, 32, 64, 128];
-        /// Metres: the points of a laser lie so near to a line.
+        /// In metres: the largest distance of a laser's points from a line.
         const NEAR: f64 = 1e-3;
-        /// The least part of the points that does.
+        /// The minimum share of the points within that distance.
         const LEAST: f64 = 0.9;
         let records = self.scan.cloud.positions.len();
         let is_width = |lines: usize| WIDTHS.iter().any(|&width| records == lines * width as usize);
@@ -483,19 +487,19 @@ impl Found<'_> {
     }
 }
 
-/// How far from the axis the beams of Ouster's scanners start, in metres, and how high in the frame of the scanner's case or
-/// in that of its lens. Units differ by some hundredths of a millimetre.
+/// Distances from the axis at which the beams of Ouster's scanners start, in metres, and their heights in the frame
+/// of the scanner's case or of its lens. Individual scanners differ by some hundredths of a millimetre.
 const OUSTER_ALONG: [f64; 6] = [0.027_67, 0.027_116, 0.015_806, 0.016_721, 0.012_163, 0.013_762];
 const OUSTER_UP: [f64; 5] = [0.036_18, 0.038_195, 0.074_296, 0.078_296, 0.0];
 
 impl Found<'_> {
-    /// The points of each laser of an Ouster, as narrow heaps of elevations from where its beams start. None if they are in
-    /// none from anywhere.
+    /// The points of each laser of an Ouster: narrow clusters of elevations as seen from where its beams start.
+    /// `None` if no known start gives clusters with enough of the points.
     fn rows_by_start(&self) -> Option<Vec<Vec<Point>>> {
-        /// Metres: of nearer points, elevations depend on where the laser looks, too.
+        /// In metres: the elevations of nearer points also depend on the azimuth of the laser.
         const NEAREST: f64 = 4.0;
         const SAMPLED: usize = 10_000;
-        /// The least part of the points that is in the heaps.
+        /// The minimum share of the points in the clusters.
         const LEAST: f64 = 0.9;
         let elevation = |point: &Point, [along, up]: [f64; 2]| {
             let [x, y, z] = point.position;
@@ -527,8 +531,8 @@ impl Found<'_> {
 }
 
 impl Rows {
-    /// A scanner with the order of a file that holds an image, each of whose rows is this line. Where its laser looks in a
-    /// column tells how far a row is behind it.
+    /// A scanner with the order of a file that holds an image; `lines` has the line of each row. The direction of a
+    /// laser in a column gives the lag of its row.
     fn in_order_of_image(&self, scanner: Firings, grid: &RecordGrid, lines: &[usize]) -> Firings {
         let ticks = scanner.build.ticks;
         let column =
@@ -543,7 +547,7 @@ impl Rows {
             lags.chunk_by(|a, b| a == b).max_by_key(|same| same.len()).map_or(0, |same| same[0])
         };
         let lags: Vec<u32> = lines.iter().enumerate().map(lag).collect();
-        // What all are behind is where the image begins.
+        // The lag of the first row is where the image begins.
         let first = lags.first().copied().unwrap_or(0);
         let is_staggered = lags.iter().all(|&lag| lag == first);
         let lags = lags.into_iter().map(|lag| (lag + ticks - first) % ticks);
@@ -555,10 +559,11 @@ impl Rows {
     }
 }
 
-/// The line on which the points of a beam lie: its slope, and its height at the axis in metres. None if too few tell.
+/// The line on which the points of a beam lie: its slope, and its height at the axis in metres. `None` if there are
+/// too few points.
 fn beam_line(points: &[Point]) -> Option<[f64; 2]> {
     const FEWEST: usize = 12;
-    /// Points that tell enough.
+    /// A sufficient number of points.
     const MOST: usize = 2000;
     if points.len() < FEWEST {
         return None;
@@ -568,7 +573,7 @@ fn beam_line(points: &[Point]) -> Option<[f64; 2]> {
     steady_line(&pairs)
 }
 
-/// The line through some pairs but those that are far off: its slope, and its height at 0.
+/// The line through some pairs without outliers: its slope, and its height at 0.
 fn steady_line(pairs: &[[f64; 2]]) -> Option<[f64; 2]> {
     let (slope, height) = line(pairs.iter())?;
     let off = |pair: &&[f64; 2]| (slope * pair[0] + height - pair[1]).abs();
@@ -586,7 +591,7 @@ fn far_half(points: &[Point]) -> Vec<Point> {
     sorted
 }
 
-/// Whether the azimuths of most rows lie on so many ticks, each with a phase of its own.
+/// Whether the azimuths of most rows lie on multiples of 1/`ticks` of a turn, each row with a phase of its own.
 fn ticks_are_coherent(rows: &[Vec<Point>], ticks: u32) -> bool {
     const COHERENT: f64 = 0.8;
     let of_row = |points: &Vec<Point>| {
@@ -598,19 +603,19 @@ fn ticks_are_coherent(rows: &[Vec<Point>], ticks: u32) -> bool {
     sum > COHERENT * f64::max(count, 1.0)
 }
 
-/// Where the beams start, by the lines of the beams and the phases of their ranges: `z / sin E` is a whole number of
-/// steps, less n, plus `up / sin E`.
+/// The origin of the beams, from the lines of the beams and the phases of their ranges: `z / sin E` is a whole number
+/// of steps, less n, plus `up / sin E`.
 fn ouster_origin(rows: &[Vec<Point>], lines: &[Option<[f64; 2]>], range_step_m: f64) -> Option<Origin> {
-    /// Beams that are less steep tell no range by their height.
+    /// The heights of less steep beams do not determine their ranges.
     const STEEP: f64 = 0.15;
-    /// Micrometres by which the lines may be off: the azimuth offsets make the way from the axis seem shorter. Phases
-    /// tell it but for whole steps.
+    /// In micrometres: the largest errors of the lines, as azimuth offsets make the distance from the axis seem
+    /// shorter. Phases determine it up to whole steps.
     const ALONG: std::ops::Range<i32> = -250..750;
     const UP: std::ops::Range<i32> = -60..60;
-    /// Of these, first every so many-th, then those beside the best.
+    /// The first search takes every n-th of these, the second one the neighbours of the best.
     const COARSE: [i32; 2] = [20, 5];
     const COHERENT: f64 = 0.9;
-    /// Farther from the axis no Ouster's beams start.
+    /// In metres: no Ouster's beams start farther from the axis.
     const FARTHEST: f64 = 0.1;
     let known = || lines.iter().flatten();
     let pairs: Vec<[f64; 2]> = known().map(|[slope, height]| [-slope, *height]).collect();
@@ -618,7 +623,7 @@ fn ouster_origin(rows: &[Vec<Point>], lines: &[Option<[f64; 2]>], range_step_m: 
     if !(0.002..FARTHEST).contains(&along) {
         return None;
     }
-    // Of each beam: one over the sine of its elevation, the phase of its ranges as they seem, and how many tell it.
+    // For each beam: one over the sine of its elevation, the phase of its apparent ranges, and its weight.
     let mut phases = Vec::new();
     for (points, [slope, _]) in
         rows.iter().zip(lines).filter_map(|(points, line)| Some((points, line.as_ref()?)))
@@ -656,12 +661,12 @@ fn ouster_origin(rows: &[Vec<Point>], lines: &[Option<[f64; 2]>], range_step_m: 
     (best > COHERENT * total && total > 0.0).then_some(Origin { along_um, up_um })
 }
 
-/// The origin near that of a build by which the most heights come out to the last bit.
+/// The origin near that of `build` with which the most heights are reproduced to the last bit.
 fn sharpened_origin(build: &Build, rows: &[Vec<Point>], lines: &[Option<[f64; 2]>]) -> Origin {
-    /// Micrometres.
+    /// Micrometres to either side.
     const ALONG: i32 = 6;
     const UP: i32 = 3;
-    /// Lasers that tell it: those with the most points.
+    /// Number of lasers by which it is determined, among those with the most points.
     const FEW: usize = 6;
     let known = rows.iter().zip(lines).filter_map(|(row, line)| Some((row, (*line)?)));
     let mut known: Vec<(&Vec<Point>, [f64; 2])> = known.collect();
@@ -682,20 +687,20 @@ fn sharpened_origin(build: &Build, rows: &[Vec<Point>], lines: &[Option<[f64; 2]
         let any = Firings::new(Build { origin, ..build.clone() }, Vec::new(), Vec::new());
         (few.iter().map(|(laser, points)| exact_points(&any, *laser, points, 2..3, 0)).sum::<usize>(), origin)
     });
-    // The first of equals.
+    // The first one wins ties.
     counted.fold((0, build.origin), |best, next| if next.0 > best.0 { next } else { best }).1
 }
 
-/// The elevation of a slope, in radians, of three digits in degrees.
+/// The elevation of a slope, in radians, rounded to three digits in degrees.
 fn rounded_elevation(slope: f64) -> f64 {
     (round_ties_even(libm::atan(slope).to_degrees() * 1e3) * 1e-3).to_radians()
 }
 
-/// The laser of a slope by which most of the points come out, and how many of some do.
+/// The laser with this slope that reproduces the most points, and how many of a sample.
 fn ouster_laser(any: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
-    /// Degrees: farther from the middle no beam of an Ouster looks.
+    /// In degrees: the largest azimuth offset of an Ouster's beam.
     const FARTHEST: f64 = 15.0;
-    /// Points that tell whether a laser is worth a closer look.
+    /// Number of points by which lasers are preselected.
     const FEW: usize = 12;
     const ROUNDS: usize = 3;
     let some = |most: usize| -> Vec<Point> {
@@ -707,13 +712,13 @@ fn ouster_laser(any: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
     let (sin, cos) = libm::sincos((elevation as f64 * ANGLE_UNIT).to_radians());
     let [along, up] = any.build.origin.metres();
     let tick = 360.0 / f64::from(any.build.ticks);
-    // By how many degrees whole ticks are missed with an azimuth offset.
+    // The degrees by which whole ticks are missed with an azimuth offset.
     let missed = |offset: f64| {
         let (ahead, beside) =
             (along * libm::cos(offset.to_radians()), along * libm::sin(offset.to_radians()));
         let ticks = few.iter().map(|point| {
             let [x, y, z] = point.position;
-            // What the height tells better than the way on the ground, if the beam is steep.
+            // If the beam is steep, the height gives the horizontal distance more accurately than x and y do.
             let flat = match sin.abs() > cos {
                 true => (z - up) / sin * cos,
                 false => (x * x + y * y - beside * beside).max(0.0).sqrt() - ahead,
@@ -737,7 +742,7 @@ fn ouster_laser(any: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
     let mut candidates: Vec<(usize, Laser)> = candidates.collect();
     candidates.sort_by_key(|(exact, laser)| (std::cmp::Reverse(*exact), laser.azimuth.abs()));
     candidates.truncate(3);
-    // Newer ones are written with two digits.
+    // The angles of newer scanners have two digits.
     let around = |angle: i64| {
         let hundredth = round_ties_even(angle as f64 / (10 * thousandth) as f64) as i64 * 10 * thousandth;
         [angle, hundredth, angle - thousandth, angle + thousandth]

@@ -1,4 +1,4 @@
-//! The order in which lasers fire, and how the azimuth goes on while they do, from points in the order of a file.
+//! The order in which lasers fire, and how the azimuth advances while they do, from points in file order.
 
 use super::projection::{Column, Place, nearest};
 use super::timing::{MOST_BLOCKS, WHOLE};
@@ -7,25 +7,25 @@ use super::{Firings, Timing};
 /// The elevations of Velodyne's VLP-16 in degrees, in the order in which its lasers fire.
 pub(super) const VLP_16: [i32; 16] = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15];
 
-/// The part of the steps from one laser to another that are the same if all of a firing have one azimuth.
+/// Minimum share of equal steps from one laser to another, if all lasers of a firing have one azimuth.
 pub(super) const STEADY: f64 = 0.93;
 
 /// The order in which lasers fire.
 pub(super) struct Order {
     pub rows_of_slots: Vec<u32>,
-    /// Slots of this order at which a firing may as well begin, if the azimuth goes on while its lasers fire.
+    /// Other slots of this order at which a firing may begin, if the azimuth advances while its lasers fire.
     pub other_starts: Vec<usize>,
-    /// Whole ticks that each row is ahead. If this timing is not that of the scanner, those that pass while its lasers fire
-    /// are among them, or there are none.
+    /// The whole ticks by which each row is ahead. If `timing` is not that of the scanner, they include the ticks
+    /// that pass while its lasers fire, or are all 0.
     pub shifts: Vec<f64>,
     pub timing: Timing,
-    /// Whether this timing is that of the scanner.
+    /// Whether `timing` is that of the scanner.
     pub is_steady: bool,
 }
 
 impl Order {
-    /// That of lasers of which it is not known how they fire, as a file with row after row does not tell: only how far they look
-    /// ahead of one another.
+    /// The order of lasers if the file holds row after row and so does not show in which order they fire: only how
+    /// far they look ahead of one another.
     pub fn of_lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Self {
         Order {
             rows_of_slots: (0..rows as u32).collect(),
@@ -37,12 +37,12 @@ impl Order {
     }
 }
 
-/// The whole ticks by which each row is ahead of the one with the most returns: those by which most of its ticks are ticks of
-/// that one, as a scanner does not turn evenly. 0 if no other number is clearly better.
+/// The whole ticks by which each row is ahead of the one with the most returns: the shift for which most of its ticks
+/// are also ticks of that row, as a scanner does not turn evenly. 0 if no other shift is clearly better.
 fn shifts_of_lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Vec<f64> {
-    /// Degrees that lasers look apart.
+    /// Largest difference between the directions of two lasers, in degrees.
     const FARTHEST: f64 = 15.0;
-    /// Ticks of a row that tell enough, and so many times as many must agree as without a shift.
+    /// A sufficient number of ticks of a row, and the factor by which more of them must agree than without a shift.
     const SAMPLE: usize = 400;
     const CLEARLY: f64 = 1.3;
     let mut of_rows: Vec<Vec<u32>> = vec![Vec::new(); rows];
@@ -56,7 +56,7 @@ fn shifts_of_lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Vec<f6
     let shift = |row: &Vec<u32>| {
         let mut counts = vec![0u32; 2 * farthest as usize + 1];
         for &tick in row.iter().step_by((row.len() / SAMPLE).max(1)) {
-            // Its neighbours among the others, round the turn.
+            // The neighbouring ticks of the other row, also across the end of the turn.
             let first = most.partition_point(|&other| i64::from(other) < i64::from(tick) - farthest);
             let before = most.iter().rev().map(|&other| i64::from(other) - turn);
             let before = before.take_while(|&other| other >= i64::from(tick) - farthest);
@@ -76,10 +76,10 @@ fn shifts_of_lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Vec<f6
     of_rows.iter().map(shift).collect()
 }
 
-/// Finds the order of the lasers from rows and ticks in the order of a file. None if they are not in the order of
+/// Determines the order of the lasers from rows and ticks in file order. `None` if the file is not in the order of
 /// firings.
 pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Order> {
-    /// Fewer steps than these say nothing.
+    /// Pairs of lasers with fewer steps are ignored.
     const FEWEST: usize = 8;
     const OTHER_STARTS: usize = 2;
     let mut order = cycle(sequence, rows)?;
@@ -95,14 +95,14 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Optio
         let [(from, before), (to, after)] = [pair[0], pair[1]];
         steps[slots[from] * rows + slots[to]].push(turned(before, after));
     }
-    // The most frequent step, and how many are the same.
+    // The most frequent step, and how often it occurs.
     let mode = |steps: &mut Vec<i64>| {
         steps.sort_unstable();
         let most = steps.chunk_by(|a, b| a == b).max_by_key(|same| same.len());
         most.map_or((0, 0), |same| (same[0], same.len()))
     };
     let modes: Vec<(i64, usize)> = steps.iter_mut().map(mode).collect();
-    // Those from each slot to the next one, the last followed by the first.
+    // The steps from each slot to the next one; the first slot follows the last.
     let next = |slot: usize| slot * rows + (slot + 1) % rows;
     let share = |slot: usize| modes[next(slot)].1 as f64 / steps[next(slot)].len().max(1) as f64;
     let known = (0..rows * rows).filter(|&pair| steps[pair].len() >= FEWEST);
@@ -112,8 +112,8 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Optio
     let is_steady = same as f64 >= STEADY * all.saturating_sub(ends) as f64;
     let of_next: Vec<&[i64]> = (0..rows).map(|slot| &steps[next(slot)][..]).collect();
     let (last, has_shifts) = if is_steady {
-        // One azimuth a firing: its end is where the steps differ most, or else, if the scanner turns by the same from
-        // firing to firing, where it goes back from one end of the rows to the other.
+        // One azimuth per firing. Its end is where the steps differ most or, if the scanner turns by the same angle
+        // from firing to firing, where the order jumps from one end of the rows to the other.
         let seen = (0..rows).filter(|&slot| of_next[slot].len() >= FEWEST);
         let worst = seen.min_by(|&a, &b| share(a).total_cmp(&share(b))).unwrap_or(0);
         let jump = |slot: &usize| order[*slot].abs_diff(order[(*slot + 1) % rows]);
@@ -138,10 +138,10 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Optio
     Some(Order { rows_of_slots, other_starts, shifts, timing: Timing::Together, is_steady })
 }
 
-/// The rows in the order in which a file holds them, if it holds one after the other, each from one end to the other. None
-/// if it does not.
+/// The rows in the order of a file that holds one row after another, each from one end to the other. `None` if the
+/// file is not in such an order.
 pub(super) fn lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Vec<u32>> {
-    /// One place in so many may be out of this order.
+    /// At most one place in this number may be out of order.
     const RARE: usize = 50;
     let turn = i64::from(ticks);
     let steps = sequence.windows(2).filter(|pair| pair[0].0 == pair[1].0);
@@ -153,7 +153,7 @@ pub(super) fn lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Optio
     if out_of_order * RARE > sequence.len() {
         return None;
     }
-    // Each row where most of it is: by the middle one of its places.
+    // Each row is placed by the median of its positions in the file.
     let mut of_rows: Vec<Vec<usize>> = vec![Vec::new(); rows];
     sequence.iter().enumerate().for_each(|(place, (row, _))| of_rows[*row].push(place));
     let mut lines: Vec<u32> = (0..rows as u32).collect();
@@ -164,7 +164,7 @@ pub(super) fn lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Optio
     Some(lines)
 }
 
-/// The part of some steps, in rising order, that are the same but for how ticks are rounded.
+/// The share of steps, given in ascending order, that are equal except for the rounding of ticks.
 fn alike(steps: &[i64]) -> f64 {
     let mut counts: Vec<(i64, usize)> =
         steps.chunk_by(|a, b| a == b).map(|same| (same[0], same.len())).collect();
@@ -176,13 +176,14 @@ fn alike(steps: &[i64]) -> f64 {
     pairs.max().unwrap_or(0) as f64 / steps.len().max(1) as f64
 }
 
-/// The last slot of a firing whose azimuth goes on while its lasers fire, given the steps, in rising order, from each slot
-/// to the next; and whether its lasers look into directions farther apart than that.
+/// The last slot of a firing whose azimuth advances while its lasers fire, given the steps from each slot to the
+/// next, in ascending order; and whether the directions of its lasers differ by more than the azimuth advances.
 fn last_of_firing(steps: &[&[i64]]) -> Option<(usize, bool)> {
     let mean = |slot: &usize| steps[*slot].iter().sum::<i64>() as f64 / steps[*slot].len().max(1) as f64;
     let by_length = |a: &usize, b: &usize| mean(a).abs().total_cmp(&mean(b).abs());
     let longest = (0..steps.len()).max_by(by_length)?;
-    // The longest step is the one to the next firing, unless lasers look back and forth: then that one differs most.
+    // The longest step is the one to the next firing, unless lasers look back and forth: then it is the least
+    // regular one.
     let (there, back): (Vec<f64>, Vec<f64>) =
         (0..steps.len()).map(|slot| mean(&slot)).partition(|mean| *mean > 0.0);
     let [there, back] = [there, back].map(|means| means.iter().sum::<f64>().abs());
@@ -194,11 +195,11 @@ fn last_of_firing(steps: &[&[i64]]) -> Option<(usize, bool)> {
     last.map(|last| (last, true))
 }
 
-/// The whole ticks by which each slot of a firing is ahead of the first, from the most frequent step from each slot to each
-/// later one, and how often that occurs: along the steps that occur most often.
+/// The whole ticks by which each slot of a firing is ahead of the first. `step` returns the most frequent step from a
+/// slot to a later one, and its count; the shifts follow the steps with the highest counts.
 fn shifts_of_slots(rows: usize, step: impl Fn(usize, usize) -> (i64, usize)) -> Vec<i64> {
     let mut shifts = vec![0; rows];
-    // For each slot: how often the step from a slot that is known occurs, and where it leads.
+    // For each slot: the count of the best step from a known slot, and the shift that results.
     let mut best: Vec<Option<(usize, i64)>> = vec![Some((0, 0)); rows];
     let mut slot = 0;
     for _ in 0..rows {
@@ -234,9 +235,10 @@ pub(super) fn vlp_16(elevations: &[f64]) -> Option<Order> {
     rows_of_slots.filter(|_| is_all).map(order)
 }
 
-/// The rows in the order in which they follow one another, round and round, beginning anywhere. None if they do not.
+/// The rows in the order in which they follow one another cyclically, starting anywhere. `None` if most points are of
+/// the same row as the point before.
 fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
-    /// Rounds that tell enough.
+    /// A sufficient number of rounds.
     const ROUNDS: usize = 500;
     let mut counts = vec![0u32; rows];
     sequence.iter().for_each(|(row, _)| counts[*row] += 1);
@@ -244,7 +246,7 @@ fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
     if again * 2 > sequence.len() {
         return None;
     }
-    // Rounds begin with the row that is seen most.
+    // Rounds begin with the row that has the most points.
     let first = (0..rows).rev().max_by_key(|&row| counts[row])?;
     let rounds = sequence.chunk_by(|_, next| next.0 != first);
     let is_single = |round: &&[(usize, u32)]| {
@@ -262,8 +264,8 @@ fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
     let count = |is: &dyn Fn(usize) -> bool| (0..rows).filter(|&other| is(other)).count();
     let later: Vec<usize> = (0..rows).map(|row| count(&|other| precedes(row, other))).collect();
     let mut earlier: Vec<usize> = (0..rows).map(|row| count(&|other| precedes(other, row))).collect();
-    // The next one is that with the fewest that are left before it, and the most after it: lasers that take turns are never
-    // seen together.
+    // Next is the row with the fewest remaining rows before it and the most rows after it: lasers that take turns
+    // are never seen together.
     let mut order = Vec::with_capacity(rows);
     let mut rest: Vec<usize> = (0..rows).collect();
     let mut next = first;
@@ -276,10 +278,10 @@ fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
     Some(order)
 }
 
-/// The same scanner with a timing of so many firings a block, whose parts come out of the points; none if they tell none. If rows
-/// lag behind, a block is to have one firing, and the lags that go with the timing come out, too.
+/// The same scanner with a timing of `firings` firings per block, with parts estimated from the points; `None` if
+/// they are too few. If rows lag, `firings` must be 1, and the lags are estimated together with the timing.
 pub(super) fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Option<Firings> {
-    /// Rounds after which neither parts nor lags change any more.
+    /// Largest number of rounds until neither parts nor lags change.
     const ROUNDS: usize = 8;
     let rows = scanner.rows();
     let mut scanner = scanner.clone();
@@ -292,7 +294,7 @@ pub(super) fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Opti
     for _ in 0..ROUNDS {
         scanner = with_parts(scanner, &parts);
         let columns = scanner.columns(&places);
-        // For each slot of each firing: the ticks to the next block, and those from this one.
+        // For each slot of each firing: the ticks to the next block, and the ticks since this one began.
         let mut seen: Vec<Vec<(u32, i64)>> = vec![Vec::new(); parts.len()];
         for column in columns.iter().filter(|column| column.span.ticks > 0) {
             for place in &places[column.places.clone()] {
@@ -319,8 +321,8 @@ pub(super) fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Opti
     Some(with_parts(scanner, &parts))
 }
 
-/// For each slot, the ticks from the first slot in columns that no ticks to the next block explain: perhaps their programs let
-/// no azimuth go on there.
+/// For each slot, the ticks since the first slot, in columns that no span explains: perhaps the program did not
+/// interpolate azimuths there.
 fn without_span(scanner: &Firings, columns: &[Column], places: &[Place]) -> Vec<Vec<i64>> {
     let mut still = vec![Vec::new(); scanner.rows()];
     for column in columns {
@@ -337,16 +339,17 @@ fn without_span(scanner: &Firings, columns: &[Column], places: &[Place]) -> Vec<
     still
 }
 
-/// A scanner with the lag of each row, near its own, and the part of a block that make the most ticks come out: a laser that
-/// looks so many ticks back, and one that fires later, differ where blocks do. `seen` are, for each slot, ticks to the next
-/// block and from this one, `still` those from this one if none are to the next.
+/// The scanner with the lag of each row, near the present one, and the part of a block that explain the most ticks:
+/// where blocks differ, a laser that looks back by some ticks can be distinguished from one that fires later. `seen`
+/// has the ticks to the next block and those since this one began, for each slot; `still`, those since this one began
+/// if there are none to the next.
 fn relagged(
     scanner: Firings,
     parts: &mut [f64],
     seen: Vec<Vec<(u32, i64)>>,
     still: Vec<Vec<i64>>,
 ) -> Firings {
-    /// Scanners turn by less from block to block, in ticks, and so many columns tell enough.
+    /// Scanners turn by fewer ticks from block to block; and a sufficient number of columns.
     const WIDEST: i64 = 100;
     const COLUMNS: usize = 2000;
     let ticks = i64::from(scanner.build.ticks);
@@ -374,12 +377,12 @@ fn relagged(
     scanner.lagging(lags)
 }
 
-/// The part of a block, or of up to `most`, by which the most ticks come out, each as ticks to the next block and from this one;
-/// and how many do.
+/// The part of a block, or of up to `most` blocks, that explains the most ticks, and how many. Each element of `seen`
+/// has the ticks to the next block and those since this one began.
 fn part_of(mut seen: Vec<(u32, i64)>, most: i64) -> Option<(f64, usize)> {
     seen.retain(|(span, ticks)| (0..most * i64::from(*span)).contains(ticks));
     seen.sort_unstable();
-    // Where intervals of parts begin and end, and how many points are in each.
+    // Where the interval of possible parts begins and ends for each element, and its number of points.
     let mut ends: Vec<(f64, i64)> = Vec::new();
     for same in seen.chunk_by(|a, b| a == b) {
         let ((span, ticks), count) = (same[0], same.len() as i64);
@@ -397,13 +400,13 @@ fn part_of(mut seen: Vec<(u32, i64)>, most: i64) -> Option<(f64, usize)> {
     best.map(|(part, inside)| (part, inside as usize))
 }
 
-/// About which part of a block has passed at each slot of each of its firings, from what passes on the average.
+/// Approximately the part of a block that has passed at each slot of each of its firings, from averages.
 fn first_parts(scanner: &Firings, places: &[Place], firings: usize) -> Option<Vec<f64>> {
-    /// The part of a turn that passes in no firing.
+    /// A firing takes less than one part in this number of a turn.
     const FAR: i64 = 300;
     let rows = scanner.rows();
     let far = i64::from(scanner.build.ticks) / FAR;
-    // From slot to slot.
+    // Average steps from slot to slot.
     let (mut sums, mut counts) = (vec![0i64; rows], vec![0i64; rows]);
     let (mut all, mut slots) = (0, 0);
     for pair in places.windows(2).filter(|pair| pair[1].slot > pair[0].slot) {
@@ -424,7 +427,7 @@ fn first_parts(scanner: &Firings, places: &[Place], firings: usize) -> Option<Ve
     };
     let mut offsets = vec![0.0; rows];
     (1..rows).for_each(|slot| offsets[slot] = offsets[slot - 1] + advance(slot));
-    // From firing to firing.
+    // Steps from firing to firing.
     let firsts = places.iter().zip(places.iter().skip(1)).filter(|(a, b)| b.slot <= a.slot).map(|(_, b)| b);
     let starts: Vec<f64> =
         firsts.map(|place| f64::from(place.column_tick) - offsets[place.slot as usize]).collect();
@@ -439,7 +442,7 @@ fn first_parts(scanner: &Firings, places: &[Place], firings: usize) -> Option<Ve
     let (first, block) = if firings == 1 {
         (0.0, middle)
     } else {
-        // The short steps are those inside a block, if they are not all the same.
+        // Short steps are inside a block, unless all steps are about the same.
         let mean = steps.iter().sum::<f64>() / steps.len() as f64;
         let short = steps.partition_point(|step| *step < mean);
         let of = |steps: &[f64]| steps.get(steps.len() / 2).copied().unwrap_or(mean);
@@ -447,7 +450,7 @@ fn first_parts(scanner: &Firings, places: &[Place], firings: usize) -> Option<Ve
         if long > 1.5 * short { (short, short + long) } else { (mean, 2.0 * mean) }
     };
     let part = |firing: usize, slot: usize| {
-        // Rounded down, ticks are half a tick too few on the average.
+        // Ticks are rounded down, so they are half a tick too low on average.
         let half = if firing + slot > 0 { 0.5 } else { 0.0 };
         ((offsets[slot] + firing as f64 * first + half) / block).clamp(0.0, 1.0)
     };

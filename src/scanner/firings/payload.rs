@@ -8,11 +8,11 @@ use crate::ground::varint::{
 };
 use crate::scanner::{Coordinates, MOST_RANGE_STEP_UM, MOST_TICKS};
 
-/// Constants are within a turn.
+/// Constants are at most one turn, in 1e-9 degrees.
 const LARGEST_ANGLE: u64 = 360_000_000_000;
 /// More lasers than any scanner has.
 const MOST_LASERS: u64 = 1024;
-/// Farther than the beams of any scanner start from its origin.
+/// Beams of all scanners start nearer to the origin.
 const MOST_ORIGIN_UM: u64 = 1_000_000;
 
 impl Firings {
@@ -56,7 +56,7 @@ impl Firings {
     /// Reads the payload of the scanner's record.
     ///
     /// # Errors
-    /// If it is cut short or holds values that no scanner has.
+    /// If it is truncated or holds values that no scanner has.
     pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
         let recipe = read_within(bytes, "scanner: recipe", 0..=u64::from(u32::MAX))? as u32;
         let recipe = Recipe::of_number(recipe)
@@ -118,7 +118,7 @@ impl Firings {
     }
 }
 
-/// Reads each of the rows once, in any order.
+/// Reads a permutation of the rows.
 fn read_permutation(bytes: &mut &[u8], rows: u32) -> Result<Vec<u32>> {
     let (mut order, mut seen) = (Vec::new(), vec![false; rows as usize]);
     for _ in 0..rows {

@@ -12,39 +12,39 @@ use crate::ground::rounding::round_ties_even;
 use crate::scan::PointCloud;
 use crate::scanner::{Coordinates, Echo, Projection, RangeImage, Return, thinned};
 
-/// Ranges of an image that loses nothing are below this, in steps.
+/// Ranges of an exact image are below this, in steps.
 const LONGEST: u32 = 1 << 20;
-/// Cells for each point from which on the points are in no order that an image is worth.
+/// With more cells per point than this, the points are in no order that is worth an image.
 const MOST_CELLS: usize = 16;
 
-/// Where a point belongs by the formula.
+/// The place of a point in the range image, by the formula.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
     pub point: u32,
     pub row: u32,
     pub slot: u32,
-    /// That of the laser, and that of its column if all of a firing have one tick.
+    /// The tick of the laser, and that of its column if all lasers of a firing have one tick.
     pub tick: u32,
     pub column_tick: u32,
     pub steps: u32,
 }
 
-/// The tick of a column without returns, until one is made up.
+/// The tick of a column without returns, until it is filled in.
 const UNKNOWN: u32 = u32::MAX;
 
-/// Finds the returns of points.
+/// Finds the returns that are nearest to points.
 pub struct Sight<'f> {
     scanner: &'f Firings,
     elevations: Vec<f64>,
-    /// Tangents of the elevations in the middle between those of neighbours.
+    /// Tangents of the elevations halfway between neighbouring lasers.
     borders: Vec<f64>,
-    /// The scanner's origin of elevations, in metres.
+    /// Where the beams start, in metres from the axis and above the origin.
     along: f64,
     up: f64,
 }
 
 impl<'f> Sight<'f> {
-    /// Of this scanner.
+    /// For the returns of this scanner.
     pub fn new(scanner: &'f Firings) -> Self {
         let elevations: Vec<f64> = scanner.elevations().collect();
         let border = |pair: &[f64]| libm::tan(0.5 * (pair[0] + pair[1]));
@@ -58,19 +58,19 @@ impl<'f> Sight<'f> {
         self.elevations.len()
     }
 
-    /// The return that comes nearest to a position in metres, in no column yet, and where the recipe puts it. None if there
-    /// is no such range.
+    /// The return that is nearest to a position in metres, not yet in a column, and its position by the recipe.
+    /// `None` if there is no such range.
     pub fn nearest(&self, metres: [f64; 3]) -> Option<(Return, [f64; 3])> {
         let ([row], located) = self.find(&metres.map(|value| [value]));
         let found = located.found(row, 0)?;
         Some((found, self.scanner.position(&found, 0.0)))
     }
 
-    /// The rows of the lasers that come nearest to some positions, and what these measured.
+    /// The rows of the lasers that are nearest to some positions, and their measurements.
     #[inline(always)]
     fn find<const N: usize>(&self, metres: &[[f64; N]; 3]) -> ([usize; N], Located<N>) {
         let [x, y, z] = metres;
-        // About where the beam points: its offset is small.
+        // Approximately the direction of the beam: its azimuth offset is small.
         let ahead: [f64; N] = lanes(|i| (x[i] * x[i] + y[i] * y[i]).sqrt() - self.along);
         let above: [f64; N] = lanes(|i| z[i] - self.up);
         let slope: [f64; N] = lanes(|i| above[i] / ahead[i]);
@@ -83,7 +83,7 @@ impl<'f> Sight<'f> {
 }
 
 impl<const N: usize> Located<N> {
-    /// What one of the points is by, if there is such a range: in no column yet.
+    /// The return of one of the points, if there is such a range; not yet in a column.
     #[inline(always)]
     fn found(&self, row: usize, point: usize) -> Option<Return> {
         let (steps, tick) = (self.steps[point], self.tick[point]);
@@ -92,7 +92,7 @@ impl<const N: usize> Located<N> {
     }
 }
 
-/// The search for the places of points: for a function compiled for several vector units.
+/// The search for the places of points, as a type so that it can be compiled for several vector units.
 struct Search<'a> {
     scanner: &'a Firings,
     positions: &'a [[f32; 3]],
@@ -104,14 +104,14 @@ impl NullaryFnOnce for Search<'_> {
 
     #[inline(always)]
     fn call(self) -> Vec<Place> {
-        /// Points at a time.
+        /// Number of points that are processed together.
         const BLOCK: usize = 8;
         let Search { scanner, positions, reach } = self;
         let sight = Sight::new(scanner);
         let grid = scanner.build.coordinates;
         let mut places = Vec::with_capacity(positions.len());
         for (first, points) in (0u32..).step_by(BLOCK).zip(positions.chunks(BLOCK)) {
-            // What is missing of the last block is computed, too, but not looked at.
+            // The missing points of the last block are computed as well, but ignored.
             let mut block = [[0.0; 3]; BLOCK];
             block[..points.len()].copy_from_slice(points);
             let metres: [[f64; BLOCK]; 3] = lanes(|axis| lanes(|i| f64::from(block[i][axis])));
@@ -120,7 +120,7 @@ impl NullaryFnOnce for Search<'_> {
             for i in 0..points.len() {
                 let Some(found) = located.found(rows[i], i) else { continue };
                 let metres = [metres[0][i], metres[1][i], metres[2][i]];
-                // Every float32 is on its grid; on others the formula tells the sign of a zero.
+                // Every float32 is on its grid; on other grids, the formula gives the sign of a zero.
                 let formula = match grid {
                     Coordinates::Float32 => [near[0][i], near[1][i], near[2][i]],
                     _ => scanner.position(&found, 0.0),
@@ -135,7 +135,7 @@ impl NullaryFnOnce for Search<'_> {
     }
 }
 
-/// Points that were measured together: a column in the making.
+/// Points that were measured together: a column under construction.
 pub(super) struct Column {
     pub places: std::ops::Range<usize>,
     pub tick: u32,
@@ -143,11 +143,11 @@ pub(super) struct Column {
 }
 
 impl Firings {
-    /// Whether the recipe gives nearly all points of a sample to the last bit: they have not been moved since they were
-    /// measured.
+    /// Whether the recipe reproduces nearly all points of a sample to the last bit: then they have not been moved
+    /// since they were measured.
     pub fn explains(&self, positions: &[[f32; 3]]) -> bool {
         const SAMPLE: usize = 400;
-        /// One miss in so many points, at most.
+        /// Minimum number of points per miss.
         const FEWEST_TO_A_MISS: usize = 10;
         let sight = Sight::new(self);
         let is_exact = |position: &[f32; 3]| {
@@ -164,8 +164,8 @@ impl Firings {
         missed * FEWEST_TO_A_MISS < all
     }
 
-    /// Projects a scan into a range image. Points that the recipe misses by more than `reach` metres along an axis, that
-    /// are out of the firings' order, or that have no return are strays.
+    /// Projects a scan into a range image. Points that the recipe misses by more than `reach` metres along an axis,
+    /// that are out of the order of the firings, or that have no return become strays.
     pub fn project(&self, cloud: &PointCloud, reach: f64) -> Projection {
         let places = self.places(&cloud.positions, reach + 0.5 * self.range_step_m());
         if let Some(width) = self.full_width(&places, &cloud.positions) {
@@ -179,7 +179,7 @@ impl Firings {
             }
             false => self.columns_of_lines(places, echoes),
         };
-        // Nor do decoders take a larger image than their limits allow.
+        // Decoders do not accept a larger image than their limits allow, either.
         let most = (MOST_CELLS * cloud.positions.len()).min(Limits::default().points as usize);
         if columns.len().saturating_mul(self.rows()) > most {
             let strays = (0..cloud.positions.len() as u32).collect();
@@ -212,7 +212,7 @@ impl Firings {
             .into_iter()
             .filter_map(|(of, place)| Some((Echo { cell: cells[of]?, steps: place.steps }, place.point)))
             .collect();
-        // The order of one cell's stays.
+        // The sort is stable: the echoes of a cell keep their order.
         found.sort_by_key(|(echo, _)| echo.cell);
         found.iter().for_each(|(_, point)| is_stray[*point as usize] = false);
         let point_of_echo;
@@ -222,7 +222,8 @@ impl Firings {
         Projection { image, point_of_cell, point_of_echo, strays }
     }
 
-    /// The row and the column of a record in a file in which each cell of an image of so many columns is one.
+    /// The row and the column of a record, in a file in which every cell of an image of `width` columns is a
+    /// record.
     fn cell_of_record(&self, record: u32, width: usize) -> (u32, usize) {
         let (record, rows) = (record as usize, self.rows());
         match self.rows_of_lines.get(record / width) {
@@ -231,10 +232,11 @@ impl Firings {
         }
     }
 
-    /// The columns of the image if each of its cells is a record: returns are then in every so many-th one. Without a blank,
-    /// numbers that go into one another by chance are no evidence, so then all must be there.
+    /// The number of columns if every cell of the image is a record: then the row of a return follows from its
+    /// record number. Without a blank, the number of records may be a multiple of the number of rows by chance, so
+    /// all returns must be in their places.
     fn full_width(&self, places: &[Place], positions: &[[f32; 3]]) -> Option<usize> {
-        /// The least part of the returns that is where it belongs.
+        /// The minimum share of the returns in their places.
         const LEAST: f64 = 0.9;
         let records = positions.len();
         let width = records / self.rows();
@@ -248,7 +250,7 @@ impl Firings {
         (is_whole && !places.is_empty() && is_full()).then_some(width)
     }
 
-    /// Projects a scan of which each cell is a record. What the recipe does not explain is a blank.
+    /// Projects a scan in which every cell is a record. Records that the recipe does not explain become blanks.
     fn project_full(&self, mut places: Vec<Place>, width: usize) -> Projection {
         let cell = |place: &Place| self.cell_of_record(place.point, width);
         places.retain(|place| cell(place).0 == place.row);
@@ -289,7 +291,7 @@ impl Firings {
         Projection { image, point_of_cell, ..Projection::default() }
     }
 
-    /// The ticks of columns without a return, as if the scanner turned evenly.
+    /// Fills in the ticks of columns without a return, as if the scanner turned evenly.
     fn fill_in_ticks(&self, columns: &mut [Column]) {
         let known = |column: &Column| (column.tick != UNKNOWN).then_some(column.tick);
         let mut steps: Vec<u32> = columns
@@ -323,7 +325,7 @@ impl Firings {
         Place { point, row, slot: self.slots_of_rows[row as usize], tick, column_tick, steps }
     }
 
-    /// Places by columns: a new one begins where the slots begin anew, or the tick is another.
+    /// Splits places into columns: a new one begins where the slots start again, or where the tick changes.
     pub(super) fn columns(&self, places: &[Place]) -> Vec<Column> {
         let span = self.usual_span(places);
         let mut columns: Vec<Column> = Vec::new();
@@ -346,8 +348,9 @@ impl Firings {
         columns
     }
 
-    /// Places by columns if the file holds row after row: those of a tick are one, or if ticks go on while lasers fire, those
-    /// that began at about the same one. The places come back column by column.
+    /// Splits places into columns if the file holds row after row: those with the same tick are one column or, if
+    /// the azimuth advances while lasers fire, those whose firings began at about the same tick. Returns the places
+    /// column by column.
     fn columns_of_lines(
         &self,
         places: Vec<Place>,
@@ -363,7 +366,7 @@ impl Firings {
         let mut order: Vec<usize> = (0..places.len()).collect();
         order.sort_by(|&a, &b| begun(a).total_cmp(&begun(b)).then(places[a].slot.cmp(&places[b].slot)));
         let mut columns: Vec<std::ops::Range<usize>> = Vec::new();
-        // For each slot, the number of columns up to the last one that has it.
+        // For each slot, the number of columns up to and including the last one with a place of this slot.
         let mut taken = vec![0; self.rows()];
         for (number, &at) in order.iter().enumerate() {
             let taken = &mut taken[places[at].slot as usize];
@@ -394,10 +397,10 @@ impl Firings {
         (places, echoes, columns)
     }
 
-    /// For the places of rows that follow one another, the ticks since the scanner began: beyond a turn where it went on. And
-    /// those from firing to firing, mostly.
+    /// For the places of rows that follow one another, the ticks since the scan began, which may exceed a turn; and
+    /// the usual number of ticks from firing to firing.
     fn unrolled(&self, places: &[Place]) -> (Vec<i64>, i64) {
-        /// A step of more than this part of a turn is one back.
+        /// A step of more than this fraction of a turn is a step back.
         const BACK: f64 = 0.98;
         let turn = self.build.ticks;
         let of_rows = || places.chunk_by(|a, b| a.row == b.row);
@@ -409,7 +412,7 @@ impl Firings {
         let middle = steps.len() / 2;
         let firing = if steps.is_empty() { 0 } else { steps.select_nth_unstable(middle).1.abs() };
         let along = |tick: u32| if is_falling { (turn - tick) % turn } else { tick };
-        // Rows begin about where the scanner did: behind the widest gap between the ticks at which they do.
+        // Rows begin about where the scan does: behind the widest gap between their first ticks.
         let mut firsts: Vec<u32> = of_rows().map(|row| along(row[0].column_tick)).collect();
         firsts.sort_unstable();
         let before = firsts.last().into_iter().chain(&firsts);
@@ -430,9 +433,9 @@ impl Firings {
         (ticks, firing)
     }
 
-    /// The ticks from one block to the next, on the average.
+    /// The average number of ticks from one block to the next.
     fn usual_span(&self, places: &[Place]) -> f64 {
-        /// The part of a turn that passes in no firing.
+        /// A firing takes less than one part in this number of a turn.
         const FAR: i64 = 500;
         if !self.build.timing.is_interpolated() {
             return 0.0;
@@ -456,7 +459,7 @@ impl Firings {
         self.passed.parts.get(place).copied().unwrap_or(0.0)
     }
 
-    /// Ticks from one to another, both within a turn, the shortest way.
+    /// Ticks from one tick to another, both within a turn, the shorter way.
     #[inline]
     pub(super) fn turned(&self, from: u32, to: u32) -> i64 {
         let turn = i64::from(self.build.ticks);
@@ -468,27 +471,28 @@ impl Firings {
         }
     }
 
-    /// Ticks from one to another, forwards.
+    /// Ticks from one tick to another, forwards.
     fn ticks_from(&self, from: u32, to: u32) -> u32 {
         (to + self.build.ticks - from) % self.build.ticks
     }
 
-    /// Whether a place of a later slot may be of the same firing.
+    /// Whether a place with a later slot may belong to the same firing.
     fn goes_on(&self, last: &Place, place: &Place, span: f64) -> bool {
         if !self.build.timing.is_interpolated() {
             return last.column_tick == place.column_tick;
         }
-        // Half of what passes from a firing to the next tells the two apart. In some blocks nothing passes.
+        // A place of the next firing is off by more than half of the ticks between firings. In some blocks no ticks
+        // pass.
         let firing = span / f64::from(self.build.timing.firings(self.rows()).max(1));
         let expected = (self.passed(0, place.slot) - self.passed(0, last.slot)) * span;
         let turned = self.turned(last.column_tick, place.column_tick);
         (turned == 0 && !self.lags.is_empty()) || (turned as f64 - expected).abs() <= 0.5 * firing
     }
 
-    /// Finds the tick of each block, and the ticks to the next one: those by which the ticks of most of its places come
-    /// out.
+    /// Finds the tick of each block and the ticks to the next one: those that explain the ticks of most of its
+    /// places.
     fn find_spans(&self, places: &[Place], columns: &mut [Column], usual: f64) {
-        /// Blocks that no numbers explain, before no more are looked for.
+        /// Number of unexplained blocks after which the search may be abandoned.
         const MOST_FAILURES: usize = 16;
         let firings = self.build.timing.firings(self.rows()) as usize;
         let usual = round_ties_even(usual).max(0.0) as u32;
@@ -499,7 +503,7 @@ impl Firings {
             let size = |block: &std::ops::Range<usize>| {
                 columns[block.clone()].iter().map(|column| column.places.len()).sum::<usize>()
             };
-            // The firings of a block together, or else one alone, which may be the second one.
+            // The firings of a block together, or one alone, which may be the second one.
             let mut tried = vec![(all, 0)];
             if firings > 1 {
                 tried.extend([(one.clone(), 0), (one, 1)]);
@@ -537,8 +541,9 @@ impl Firings {
         }
     }
 
-    /// The tick of a block of these columns, the first of which is this firing of it, and the ticks to the next one, by
-    /// which the most ticks come out: of equals those nearest to what the next block tells, or what was there before.
+    /// The tick of a block of these columns, the first of which is firing `first_firing` of the block, and the
+    /// ticks to the next one: those that explain the most places. On ties, those nearest to what the next block
+    /// implies, or to those of the block before.
     fn block(
         &self,
         places: &[Place],
@@ -547,9 +552,9 @@ impl Firings {
         first_firing: u32,
         (last, usual): (u32, u32),
     ) -> Option<Found> {
-        /// Ticks between blocks differ by less than this from the usual, if the scanner turns evenly.
+        /// In ticks: spans differ by no more than this from the usual one, if the scanner turns evenly.
         const UNEVEN: u32 = 12;
-        /// Ticks by which a first place may be elsewhere than on the average.
+        /// In ticks: the largest distance of a first place from where it is on average.
         const OFF: i64 = 3;
         let of = |column: &Column| &places[column.places.clone()];
         let size: usize = columns[block.clone()].iter().map(|column| column.places.len()).sum();
@@ -558,7 +563,7 @@ impl Firings {
             .zip(first_firing..)
             .find_map(|(column, firing)| of(column).first().map(|place| (place, firing)));
         let (first, firing) = first?;
-        // Whether the block comes out, or else how much of it.
+        // The number of places that are explained, or 0 if it does not exceed `atleast`.
         let fitting = |tick: u32, span: u32, atleast: usize| {
             let mut missed = 0;
             for (firing, column) in (first_firing..).zip(&columns[block.clone()]) {
@@ -572,7 +577,7 @@ impl Firings {
             }
             size - missed
         };
-        // Where the azimuth of a block must be, given the place of a firing of it.
+        // The tick at which a block must begin, given a place of one of its firings.
         let turn = i64::from(self.build.ticks);
         let start = |place: &Place, firing: u32| {
             let passed = self.passed(firing, place.slot) * f64::from(last);
@@ -581,8 +586,8 @@ impl Firings {
         let from = start(first, firing);
         let next = columns.get(block.end).and_then(|column| of(column).first());
         let told = next.map(|next| start(next, 0));
-        // By a table of parts, ticks go on from any base alike: how many places come out by a span is then counted for all
-        // bases at once.
+        // With a table of parts, ticks advance from every base in the same way, so the places that a span explains are
+        // counted for all bases at once.
         let mut counts: [Option<[u32; 2 * OFF as usize + 1]>; 2 * UNEVEN as usize + 1] =
             [None; 2 * UNEVEN as usize + 1];
         let count = |parts: &[u32], span: u32| {
@@ -592,7 +597,7 @@ impl Firings {
                     let slot = firing as usize * self.rows() + place.slot as usize;
                     let passed = passed_ticks(span, parts.get(slot).copied().unwrap_or(0));
                     let off = i64::from(place.column_tick) - i64::from(passed) - from + OFF;
-                    // Divisions take long, and one turn is mostly enough.
+                    // Divisions are slow, and adding one turn is usually enough.
                     let less = if off < 0 { off + turn } else { off };
                     let off = if (0..turn).contains(&less) { less } else { off.rem_euclid(turn) } as usize;
                     counts.get_mut(off).into_iter().for_each(|count| *count += 1);
@@ -626,14 +631,14 @@ impl Firings {
                 }
             }
         }
-        // Some programs let no azimuth go on in the last block of a packet.
+        // Some programs do not interpolate azimuths in the last block of a packet.
         let still = fitting(first.column_tick, 0, best.map_or(0, |best| best.fitting));
         if still > 0 { Some(Found { tick: first.column_tick, span: 0, fitting: still }) } else { best }
     }
 }
 
-/// Places without those that repeat the row and the tick of the one before them: the echoes of that one, each with its
-/// number among those that are left.
+/// Places without those that repeat the row and the tick of the place before: these are its echoes, each returned
+/// with the index of that place among the remaining ones.
 pub(super) fn without_echoes(places: Vec<Place>) -> (Vec<Place>, Vec<(usize, Place)>) {
     // Most scans have none.
     if places.windows(2).all(|pair| (pair[0].row, pair[0].tick) != (pair[1].row, pair[1].tick)) {
@@ -652,7 +657,8 @@ pub(super) fn without_echoes(places: Vec<Place>) -> (Vec<Place>, Vec<(usize, Pla
     (first, echoes)
 }
 
-/// What explains a block: its tick, the ticks to the next one, and the number of places for which they are right.
+/// The explanation of a block: its tick, the ticks to the next one, and the number of places for which they are
+/// right.
 #[derive(Clone, Copy)]
 struct Found {
     tick: u32,
@@ -660,7 +666,7 @@ struct Found {
     fitting: usize,
 }
 
-/// The place of the nearest of some falling values.
+/// The index of the nearest of some descending values.
 pub(super) fn nearest(falling: &[f64], value: f64) -> usize {
     let after = falling.partition_point(|&other| other > value);
     match after {

@@ -1,4 +1,4 @@
-//! How the programs that write scans turn integers into coordinates: which precision, which order, which axes.
+//! How the programs that write scans turn integers into coordinates: precision, order of operations, axes.
 //! FORMAT.md 3.3.
 
 use std::f64::consts::PI;
@@ -9,7 +9,8 @@ use crate::ground::lanes::lanes;
 use crate::ground::lazy_table::LazyTable;
 use crate::ground::rounding::round_ties_even;
 
-/// A program that writes scans. A new one needs a number here, its words, and its arithmetic below; the fit tries them all.
+/// A program that writes scans. A new one needs a number here, its description, and its arithmetic below; the fit
+/// tries them all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Recipe {
@@ -22,32 +23,32 @@ pub enum Recipe {
     DoubleXAhead = 2,
     /// The same with ranges in single precision: Ouster.
     SingleRangeXAhead = 3,
-    /// RoboSense's `rs_driver`: single precision throughout, tables of hundredths of degrees, x ahead, azimuth clockwise,
-    /// and beams that start away from the axis.
+    /// RoboSense's `rs_driver`: single precision throughout, tables of hundredths of degrees, x ahead, azimuth
+    /// clockwise, and beams that start away from the axis.
     RoboSense = 4,
-    /// LSLiDAR's driver: double precision, rounded once, with degrees as this many radians: 0.017453293; y ahead, azimuth
+    /// LSLiDAR's driver: double precision, rounded once, with 0.017453293 radians per degree; y ahead, azimuth
     /// clockwise, and beams that start away from the axis.
     LsLidar = 5,
     /// Autoware's `nebula` for Hesai's scanners: sums of angles in single precision, glibc's cosine and sine of them, y
     /// ahead, azimuth clockwise.
     Nebula = 6,
-    /// The same as it was in 2023: sums of angles in double precision, rounded once.
+    /// The same in its version of 2023: sums of angles in double precision, rounded once.
     Nebula2023 = 7,
     /// As `VelodyneRos`, with glibc's cosine and sine.
     VelodyneRosGlibc = 8,
     /// Autoware's `nebula` for Velodyne's scanners: as `VelodyneRosGlibc`, with angles of ticks in double precision,
     /// rounded once.
     NebulaVelodyne = 9,
-    /// As `VelodyneRos`, with ranges in double precision, rounded once, angles of ticks by one product, and a quarter of a
-    /// turn to the right: a driver of Hesai's Pandar64.
+    /// As `VelodyneRos`, with ranges in double precision, rounded once, angles of ticks by one product, and turned
+    /// to the right by a quarter of a turn: a driver of Hesai's Pandar64.
     Pandar64 = 10,
-    /// Ouster's SDK for beams that start away from the axis: double precision, rounded once, x ahead, azimuth clockwise.
-    /// Ranges are measured from the axis.
+    /// Ouster's SDK for beams that start away from the axis: double precision, rounded once, x ahead, azimuth
+    /// clockwise. Ranges are measured from the axis.
     Ouster = 11,
     /// The same with direction and start of each beam rounded to single precision: Ouster's ROS driver.
     OusterRos = 12,
-    /// Apollo's driver for Velodyne's scanners: as `VelodyneRos`, with angles of ticks by a product with pi, products of x
-    /// and y in double precision, and cosine and sine of glibc before 2.28.
+    /// Apollo's driver for Velodyne's scanners: as `VelodyneRos`, with angles of ticks by a product with pi,
+    /// products of x and y in double precision, and cosine and sine of glibc before 2.28.
     Apollo = 13,
     /// The ONCE data set: as `Nebula2023`, with products in double precision and cosine and sine of glibc before 2.28.
     Once = 14,
@@ -85,7 +86,7 @@ impl Recipe {
         Self::ALL.into_iter().find(|recipe| *recipe as u32 == number)
     }
 
-    /// Whether it is only one of scanners whose beams start away from the axis.
+    /// Whether it is used only for scanners whose beams start away from the axis.
     pub(super) fn is_off_axis(self) -> bool {
         matches!(self, Recipe::LsLidar | Recipe::Ouster | Recipe::OusterRos)
     }
@@ -100,7 +101,7 @@ impl Recipe {
         !matches!(self, Recipe::DoubleYAhead | Recipe::DoubleXAhead | Recipe::SingleRangeXAhead)
     }
 
-    /// The program, in words.
+    /// The program, as a description.
     pub fn program(self) -> &'static str {
         match self {
             Recipe::VelodyneRos => "arithmetic of ROS velodyne_pointcloud",
@@ -141,7 +142,7 @@ impl Recipe {
         }
     }
 
-    /// Cosine and sine of an angle in single precision, as the program's C library has them.
+    /// Cosine and sine of an angle in single precision, as the program's C library computes them.
     fn cos_sin(self, radians: f32) -> [f32; 2] {
         match self {
             Recipe::Nebula | Recipe::Nebula2023 | Recipe::VelodyneRosGlibc | Recipe::NebulaVelodyne => {
@@ -152,7 +153,7 @@ impl Recipe {
         }
     }
 
-    /// Degrees by which lasers' angles are told apart: by a float32 in radians or degrees, or by seven digits.
+    /// The resolution of lasers' angles, in degrees: that of a float32 in radians or degrees, or seven digits.
     pub(super) fn angle_step(self, degrees: f64) -> f64 {
         let ulp = |value: f64| {
             let single = value.abs() as f32;
@@ -169,13 +170,13 @@ impl Recipe {
         }
     }
 
-    /// About the azimuth of a point, in radians from -pi to pi.
+    /// The approximate azimuth of a point, in radians from -pi to pi.
     pub(super) fn azimuth(self, x: f64, y: f64) -> f64 {
         let [azimuth] = self.azimuths(&[x], &[y]);
         azimuth
     }
 
-    /// The same of several points.
+    /// The same for several points.
     #[inline(always)]
     pub(super) fn azimuths<const N: usize>(self, x: &[f64; N], y: &[f64; N]) -> [f64; N] {
         match self.axes() {
@@ -189,7 +190,7 @@ fn radians(degrees: f64) -> f64 {
     degrees * PI / 180.0
 }
 
-/// Radians of a degree, as LSLiDAR's driver has them.
+/// Radians per degree in LSLiDAR's driver.
 const LS_DEGREE: f64 = 0.017_453_293;
 
 /// Where beams start: this far from the axis in the direction of the tick, and this far above the scanner's origin.
@@ -208,14 +209,15 @@ impl Origin {
     }
 }
 
-/// What a recipe has of every tick.
+/// What a recipe stores for every tick.
 #[derive(Debug)]
 pub(super) enum Turn {
     /// Cosine and sine, rounded to float32.
     Tables(LazyTable<[f32; 2]>),
     /// The angle in radians.
     Angles(LazyTable<f32>),
-    /// Degrees of one: the recipe adds a laser's offset before it takes the cosine. Cosine and sine without an offset.
+    /// Degrees per tick, because the recipe adds a laser's offset before it takes the cosine; and cosine and sine
+    /// without an offset.
     Degrees(f64, LazyTable<[f64; 2]>),
 }
 
@@ -269,23 +271,23 @@ fn cos_sin(radians: f64) -> [f64; 2] {
 /// A laser's constants as the recipe uses them.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Arithmetic {
-    /// Cosine and sine of the elevation, and of the azimuth offset if there is one; whether ranges are products in double
-    /// precision, and x and y are the other way round; whether x and y are products in double precision.
+    /// Cosine and sine of the elevation, and of the azimuth offset if there is one; whether ranges are products in
+    /// double precision and x and y are negated; whether x and y are products in double precision.
     Single { cos_v: f32, sin_v: f32, offset: Option<[f32; 2]>, is_turned: bool, in_double: bool },
     /// Cosine and sine of the elevation; the azimuth offset in degrees, and its cosine and sine.
     Double { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], axes: Axes, single_range: bool },
-    /// Of the elevation; the azimuth offset in ticks; metres from the axis and up.
+    /// Cosine and sine of the elevation; the azimuth offset in ticks; metres from the axis and up.
     Tables { cos_v: f32, sin_v: f32, turned: u32, along: f32, up: f32 },
     /// The same in double precision; the azimuth offset in ticks and in degrees, and its cosine and sine.
     Ls { cos_v: f64, sin_v: f64, turned: u32, offset: f64, offsets: [f64; 2], along: f64, up: f64 },
-    /// Of the elevation; the azimuth offset in radians.
+    /// Cosine and sine of the elevation; the azimuth offset in radians.
     Sum { cos_v: f32, sin_v: f32, offset: f32 },
-    /// The same; the azimuth offset in degrees.
+    /// The same, but the azimuth offset in degrees.
     Sum2023 { cos_v: f32, sin_v: f32, offset: f64 },
     /// The same, with products in double precision.
     Once { cos_v: f32, sin_v: f32, offset: f64 },
-    /// Of the elevation; the azimuth offset in degrees, and its cosine and sine; millimetres from the axis and up; whether
-    /// direction and start are rounded.
+    /// Cosine and sine of the elevation; the azimuth offset in degrees, and its cosine and sine; millimetres from
+    /// the axis and up; whether direction and start are rounded.
     Ouster { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], along: f64, up: f64, is_single: bool },
 }
 
@@ -356,7 +358,7 @@ impl Arithmetic {
         }
     }
 
-    /// The coordinates in the file of a whole number of steps.
+    /// The coordinates in the file of a range of whole steps.
     #[inline(always)]
     pub fn position(&self, turn: &Turn, tick: u32, steps: u32, range_step_um: u32) -> [f32; 3] {
         let step = f64::from(range_step_um) * 1e-6;
@@ -385,8 +387,8 @@ impl Arithmetic {
         }
     }
 
-    /// What [`double`](Self::double) gives, rounded to single precision, from the cosine and the sine of the tick: in a
-    /// fraction of the time. None in the rare cases in which the different errors might show.
+    /// The result of [`double`](Self::double), rounded to single precision, but from the cosine and the sine of the
+    /// tick: in a fraction of the time. `None` in the rare cases in which the different errors might show.
     #[inline(always)]
     fn double_by_table(&self, turn: &Turn, tick: u32, metres: f64) -> Option<[f32; 3]> {
         let Turn::Degrees(_, table) = turn else { return None };
@@ -416,7 +418,7 @@ impl Arithmetic {
         }
     }
 
-    /// The same of [`ouster`](Self::ouster).
+    /// The same for [`ouster`](Self::ouster).
     #[inline]
     fn ouster_by_table(&self, turn: &Turn, tick: u32, millimetres: f64) -> Option<[f32; 3]> {
         let (Arithmetic::Ouster { cos_v, sin_v, offsets, along, up, is_single, .. }, Turn::Degrees(_, table)) =
@@ -429,7 +431,7 @@ impl Arithmetic {
         let [direction, start] = ray([cos_t, -sin_t], [cos * cos_v, -sin * cos_v, *sin_v], *along, *up);
         let mut position = [0.0; 3];
         for axis in 0..3 {
-            // What is above is the same both ways.
+            // The height is computed in the same way by both.
             let error = if axis < 2 { TURNED_ERROR * 1e-3 } else { 0.0 };
             position[axis] = match is_single {
                 true => {
@@ -445,7 +447,7 @@ impl Arithmetic {
         Some(position)
     }
 
-    /// Ouster's coordinates.
+    /// The coordinates by the recipes of Ouster.
     fn ouster(&self, turn: &Turn, tick: u32, millimetres: f64) -> [f32; 3] {
         let is_single = matches!(self, Arithmetic::Ouster { is_single: true, .. });
         let [direction, start] = self.ray(turn, tick);
@@ -455,7 +457,7 @@ impl Arithmetic {
         })
     }
 
-    /// What a millimetre of range adds to a position, and where ranges start, in metres.
+    /// What a millimetre of range adds to a position, and the position at range 0, in metres.
     fn ray(&self, turn: &Turn, tick: u32) -> [[f64; 3]; 2] {
         let (Arithmetic::Ouster { cos_v, sin_v, offset, along, up, .. }, Turn::Degrees(degrees, _)) =
             (self, turn)
@@ -467,7 +469,7 @@ impl Arithmetic {
         ray([cos_t, -sin_t], [cos * cos_v, -sin * cos_v, *sin_v], *along, *up)
     }
 
-    /// The coordinates of any range in metres.
+    /// The coordinates of any range, in metres.
     pub fn position_at(&self, turn: &Turn, tick: u32, metres: f64) -> [f64; 3] {
         match self {
             Arithmetic::Double { .. } | Arithmetic::Ls { .. } => self.double(turn, tick, metres),
@@ -491,7 +493,7 @@ impl Arithmetic {
         [(flat * sin) as f32, (flat * cos) as f32, (metres * f64::from(*sin_v)) as f32]
     }
 
-    /// In single precision.
+    /// The coordinates computed in single precision.
     #[inline(always)]
     fn single(&self, turn: &Turn, tick: u32, metres: f32) -> [f32; 3] {
         match (self, turn) {
@@ -529,7 +531,7 @@ impl Arithmetic {
         }
     }
 
-    /// In double precision.
+    /// The coordinates computed in double precision.
     fn double(&self, turn: &Turn, tick: u32, metres: f64) -> [f64; 3] {
         let Turn::Degrees(degrees, table) = turn else { return [0.0; 3] };
         match self {
@@ -557,37 +559,38 @@ impl Arithmetic {
     }
 }
 
-/// An Ouster's beam in a direction, `ahead` being that of its tick: what a millimetre of range adds to a position, and
-/// where ranges start, in metres.
+/// An Ouster's beam: what a millimetre of range adds to a position, and the position at range 0, in metres. `beam` is
+/// the direction of the beam, `ahead` that of its tick.
 fn ray(ahead: [f64; 2], beam: [f64; 3], along: f64, up: f64) -> [[f64; 3]; 2] {
     let (ahead, above) = ([ahead[0], ahead[1], 0.0], [0.0, 0.0, up]);
     let start = |axis: usize| (along * ahead[axis] - along * beam[axis] + above[axis]) * 1e-3;
     [beam.map(|beam| beam * 1e-3), [0, 1, 2].map(start)]
 }
 
-/// More than cosine and sine by [`turned_by`] and those of the rounded sum of the angles differ by: the angles, of up to two
-/// turns in degrees, are rounded to 3e-14 degrees and turned into radians with errors of 3e-15; cosines and sines to 1e-16.
+/// An upper bound of the difference between cosine and sine by [`turned_by`] and those of the rounded sum of the
+/// angles: the angles, of up to two turns in degrees, are rounded to 3e-14 degrees and converted to radians with
+/// errors of 3e-15; cosines and sines are rounded to 1e-16.
 const TURNED_ERROR: f64 = 2e-14;
 
-/// Cosine and sine of the sum of two angles; none if one of them is so small that its sign is not sure.
+/// Cosine and sine of the sum of two angles; `None` if one of them is so small that its sign is uncertain.
 #[inline]
 fn turned_by([cos, sin]: [f64; 2], [cos_o, sin_o]: [f64; 2]) -> Option<[f64; 2]> {
     let turned = [cos * cos_o - sin * sin_o, sin * cos_o + cos * sin_o];
     turned.iter().all(|part| part.abs() > TURNED_ERROR).then_some(turned)
 }
 
-/// The float32 nearest to all numbers within `error` of a value; none if there are several.
+/// The float32 that is nearest to all numbers within `error` of a value; `None` if there is more than one.
 #[inline]
 fn sure(value: f64, error: f64) -> Option<f32> {
     let (low, high) = ((value - error) as f32, (value + error) as f32);
-    // Without an error, what is added changes no more than the sign of a zero.
+    // If the error is 0, adding it changes no more than the sign of a zero.
     (error == 0.0 || low.to_bits() == high.to_bits()).then_some(value as f32)
 }
 
-/// Ranges are below this, in steps.
+/// Upper limit of ranges, in steps.
 pub(super) const MOST_LOCATED: u32 = 1 << 24;
 
-/// A range in metres, in steps; none if it is too short or too long.
+/// A range in metres as a number of steps; `None` if it is too short or too long.
 pub(super) fn whole_steps(metres: f64, range_step_m: f64) -> Option<u32> {
     let steps = round_ties_even(metres / range_step_m);
     (steps >= 1.0 && steps < f64::from(MOST_LOCATED)).then_some(steps as u32)
@@ -598,7 +601,7 @@ mod tests {
     use super::*;
     use crate::ground::random::Rng;
 
-    /// The formula as it is written, without tables of what is not rounded.
+    /// The formula as it is written, without tables of unrounded values.
     fn written_out(arithmetic: &Arithmetic, turn: &Turn, tick: u32, steps: u32, um: u32) -> [f32; 3] {
         let step = f64::from(um) * 1e-6;
         let metres = match arithmetic {
@@ -635,7 +638,7 @@ mod tests {
                 let arithmetic = Arithmetic::new(recipe, &laser, origin, ticks);
                 for _ in 0..500 {
                     let (tick, steps) = (random.below(ticks as usize) as u32, random.below(60_000) as u32);
-                    // Whole quarters of a turn, where a coordinate is nearly zero, and no range.
+                    // Whole quarters of a turn, where a coordinate is nearly zero; and ranges of 0.
                     let tick = if steps % 16 == 0 { tick / (ticks / 4).max(1) * (ticks / 4) } else { tick };
                     let steps = if steps % 50 == 0 { 0 } else { steps };
                     let expected = written_out(&arithmetic, &turn, tick % ticks, steps, 2000);

@@ -1,31 +1,31 @@
-//! How the azimuth goes on while the lasers fire one after the other. FORMAT.md 3.3.
+//! How the azimuth advances while the lasers fire one after another. FORMAT.md 3.3.
 
-/// How the azimuth goes on inside a block: the firings that share one azimuth in the scanner's packets.
+/// How the azimuth advances within a block: the firings that share one azimuth in the scanner's packets.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Timing {
     /// All slots of a firing have the same tick.
     #[default]
     Together,
-    /// Velodyne's VLP-16, with two firings a block, in single precision: of the ticks to the next block, the part
-    /// `(s * slot + f * firing) / block` has passed at slot `s` of firing `f`; rounded.
+    /// Velodyne's VLP-16, with two firings per block, in single precision: at slot `s` of firing `f`, the part
+    /// `(s * slot + f * firing) / block` of the ticks to the next block has passed; rounded.
     Vlp16,
-    /// Of the ticks to the next block, these parts have passed at each slot, in 2^-24, firing after firing; rounded
+    /// The part of the ticks to the next block that has passed at each slot, in 2^-24, firing after firing; rounded
     /// down.
     Parts(Vec<u32>),
 }
 
-/// One in the unit of the parts of a block.
+/// One whole block, in the unit of its parts.
 pub const WHOLE: u32 = 1 << 24;
-/// Blocks that pass while the lasers of one fire, at most: the next one may begin before all have.
+/// Largest number of blocks that pass while the lasers of one fire: the next one may begin before all have.
 pub const MOST_BLOCKS: i64 = 2;
 
-/// The ticks that have passed, if this part of so many has.
+/// The ticks that have passed after `part` of a block of `span` ticks.
 #[inline(always)]
 pub fn passed_ticks(span: u32, part: u32) -> u32 {
     (u64::from(span) * u64::from(part) / u64::from(WHOLE)) as u32
 }
 
-/// From slot to slot, from firing to firing and from block to block of a VLP-16, in microseconds.
+/// Time from slot to slot, from firing to firing and from block to block of a VLP-16, in microseconds.
 const VLP_16_TIMES: [f32; 3] = [2.304, 55.296, 110.592];
 
 impl Timing {
@@ -34,7 +34,7 @@ impl Timing {
         *self != Timing::Together
     }
 
-    /// Firings of a block.
+    /// Number of firings per block.
     pub fn firings(&self, rows: usize) -> u32 {
         match self {
             Timing::Together => 1,
@@ -43,15 +43,15 @@ impl Timing {
         }
     }
 
-    /// The tick at a place in a block, counted slot by slot and firing by firing, that begins at the tick `base`, `span`
-    /// ticks before the next one; not taken back to the first turn.
+    /// The tick at a place in a block, counted slot by slot and firing by firing. The block begins at the tick
+    /// `base`, `span` ticks before the next one. The result is not reduced to the first turn.
     #[inline(always)]
     pub fn tick(&self, passed: &Passed, place: usize, base: u32, span: u32) -> u32 {
         match self {
             Timing::Together => base,
             Timing::Vlp16 => {
                 let [.., of_block] = VLP_16_TIMES;
-                // Halves away from zero, as the driver's `round`; no tick is negative, so that `as` rounds down.
+                // Rounds halves away from zero, as the driver's `round` does: no tick is negative, so `as` rounds down.
                 (base as f32 + span as f32 * passed.times[place] / of_block + 0.5) as u32
             }
             Timing::Parts(parts) => base + passed_ticks(span, parts.get(place).copied().unwrap_or(0)),
@@ -59,17 +59,17 @@ impl Timing {
     }
 }
 
-/// How much of a block has passed at each slot of its firings, one after the other.
+/// How much of a block has passed at each slot of its firings, firing by firing.
 #[derive(Clone, Debug, Default)]
 pub struct Passed {
-    /// The part.
+    /// As a fraction of the block.
     pub parts: Vec<f64>,
-    /// Microseconds, of a VLP-16.
+    /// In microseconds; only for a VLP-16.
     pub times: Vec<f32>,
 }
 
 impl Passed {
-    /// By the timing of a scanner with so many lasers.
+    /// For a scanner with this timing and `rows` lasers.
     pub fn new(timing: &Timing, rows: usize) -> Self {
         match timing {
             Timing::Together => Passed::default(),
@@ -91,22 +91,22 @@ impl Passed {
     }
 }
 
-/// A column's place in its block and the ticks to the next block, as the range image keeps them.
+/// A column's position in its block and the ticks to the next block, as stored in the range image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Span {
     /// Ticks from this block to the next.
     pub ticks: u32,
-    /// Which firing of the block this is.
+    /// The number of this firing in the block.
     pub firing: u32,
 }
 
 impl Span {
-    /// What a range image keeps.
+    /// Unpacks a value of the range image.
     pub fn of(kept: u32) -> Self {
         Span { ticks: kept >> 1, firing: kept & 1 }
     }
 
-    /// What it keeps of this one.
+    /// Packs it into a value of the range image.
     pub fn kept(self) -> u32 {
         self.ticks << 1 | self.firing
     }
