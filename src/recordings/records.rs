@@ -1,7 +1,8 @@
 //! The records of an MCAP recording: read one after another, and written with chunks and indexes.
 
 use std::collections::HashSet;
-use std::io::{Read, Seek, SeekFrom, Write};
+use std::io::{BufReader, Cursor, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::ops::Range;
 
 use mcap::records::{Channel, Header, Record, SchemaHeader, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -9,14 +10,16 @@ use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryRead
 use mcap::{Attachment, McapError, Summary, WriteOptions, Writer};
 
 use crate::ground::error::{Error, Limits, Result};
+use crate::ground::varint::saturated;
 
 /// The first number of records that the format leaves to applications.
 const FIRST_PRIVATE: u8 = 0x80;
 
 /// The records of a recording up to the end of its data, taken out of their chunks.
 pub struct Records<R> {
-    input: R,
-    reader: LinearReader,
+    file: BufReader<R>,
+    /// The chunk that is being read.
+    chunk: Option<Chunk>,
     /// The header of the recording.
     pub header: Header,
     has_ended: bool,
@@ -28,15 +31,48 @@ impl<R: Read> Records<R> {
     /// # Errors
     /// If the input is not a recording, or fails.
     pub fn open(input: R) -> Result<Self> {
-        let options =
-            LinearReaderOptions::default().with_record_length_limit(Limits::default().file_bytes as usize);
-        let reader = LinearReader::new_with_options(options);
+        let mut file = BufReader::new(input);
+        let mut magic = [0; mcap::MAGIC.len()];
+        read_whole(&mut file, &mut magic)?;
+        if magic != mcap::MAGIC {
+            return Err(failed(McapError::BadMagic));
+        }
         let header = Header { profile: String::new(), library: String::new() };
-        let mut records = Records { input, reader, header, has_ended: false };
+        let mut records = Records { file, chunk: None, header, has_ended: false };
         match records.next() {
             Some(Ok(Record::Header(header))) => Ok(Records { header, ..records }),
             Some(Err(error)) => Err(error),
             _ => Err(Error::Usage("no MCAP recording, or an empty one".to_owned())),
+        }
+    }
+
+    /// The next record: of the current chunk, or if there is none, of the file.
+    fn read(&mut self) -> Result<Option<Record<'static>>> {
+        loop {
+            if let Some(chunk) = &mut self.chunk {
+                match chunk.next()? {
+                    Some(record) => return Ok(Some(record)),
+                    None => self.chunk = None,
+                }
+            }
+            let mut opcode = [0];
+            let mut length = [0; 8];
+            read_whole(&mut self.file, &mut opcode)?;
+            read_whole(&mut self.file, &mut length)?;
+            let ([opcode], length) = (opcode, u64::from_le_bytes(length));
+            if length > Limits::default().file_bytes {
+                return Err(failed(McapError::RecordTooLarge { opcode, len: length }));
+            }
+            let mut contents = Vec::new();
+            self.file.by_ref().take(length).read_to_end(&mut contents)?;
+            match opcode {
+                op::DATA_END => return Ok(None),
+                op::MESSAGE_INDEX => {}
+                // What is left of a chunk that is cut short contains whole records.
+                op::CHUNK => self.chunk = Some(Chunk::new(length, contents)),
+                _ if (contents.len() as u64) < length => return Err(failed(McapError::UnexpectedEof)),
+                _ => return parsed(opcode, &contents).map(Some),
+            }
         }
     }
 }
@@ -45,34 +81,86 @@ impl<R: Read> Iterator for Records<R> {
     type Item = Result<Record<'static>>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        while !self.has_ended {
-            let event = match self.reader.next_event() {
-                Some(Ok(event)) => event,
-                Some(Err(error)) => {
-                    self.has_ended = true;
-                    return Some(Err(failed(error)));
-                }
-                None => break,
-            };
-            match event {
-                LinearReadEvent::ReadRequest(wanted) => match self.input.read(self.reader.insert(wanted)) {
-                    Ok(read) => self.reader.notify_read(read),
-                    Err(error) => {
-                        self.has_ended = true;
-                        return Some(Err(error.into()));
-                    }
-                },
-                LinearReadEvent::Record { opcode: op::DATA_END, .. } => self.has_ended = true,
-                LinearReadEvent::Record { opcode: op::MESSAGE_INDEX, .. } => {}
-                LinearReadEvent::Record { data, opcode } => {
-                    let record = mcap::parse_record(opcode, data).map(Record::into_owned);
-                    self.has_ended = record.is_err();
-                    return Some(record.map_err(failed));
+        if self.has_ended {
+            return None;
+        }
+        let record = self.read().transpose();
+        self.has_ended = !matches!(record, Some(Ok(_)));
+        record
+    }
+}
+
+/// The records of a chunk.
+struct Chunk {
+    bytes: Cursor<Vec<u8>>,
+    reader: LinearReader,
+}
+
+/// The length of a chunk's fields before its records, if these are not compressed.
+const CHUNK_FIELDS: usize = 40;
+/// Among these, the length of the name of the compression, and the length of the records.
+const NAME_LENGTH: Range<usize> = 28..32;
+const RECORDS_LENGTH: Range<usize> = 32..40;
+
+impl Chunk {
+    /// Reads a chunk. `length` is that of its record, of whose contents the end may be missing.
+    ///
+    /// Records that are not compressed are read as those of a file: the library's reader of such chunks (as of `mcap`
+    /// 0.26) does not check that a record is no longer than what is left of its chunk.
+    fn new(length: u64, contents: Vec<u8>) -> Self {
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_skip_end_magic(true)
+            .with_emit_chunks(true)
+            .with_record_length_limit(Limits::default().file_bytes as usize);
+        match contents.split_first_chunk::<CHUNK_FIELDS>() {
+            Some((fields, records)) if fields[NAME_LENGTH] == [0; 4] => {
+                let length = u64::from_le_bytes(fields[RECORDS_LENGTH].try_into().expect("eight bytes"));
+                let records = &records[..records.len().min(saturated(length))];
+                Chunk {
+                    bytes: Cursor::new(records.to_vec()),
+                    reader: LinearReader::new_with_options(options),
                 }
             }
+            _ => {
+                let bytes = [&[op::CHUNK], &length.to_le_bytes()[..], &contents].concat();
+                let reader = LinearReader::new_with_options(options.with_emit_chunks(false));
+                Chunk { bytes: Cursor::new(bytes), reader }
+            }
         }
-        None
     }
+
+    /// The next record.
+    fn next(&mut self) -> Result<Option<Record<'static>>> {
+        while let Some(event) = self.reader.next_event() {
+            match event.map_err(failed)? {
+                LinearReadEvent::ReadRequest(wanted) => {
+                    let read = self.bytes.read(self.reader.insert(wanted))?;
+                    self.reader.notify_read(read);
+                }
+                LinearReadEvent::Record { opcode: op::CHUNK | op::DATA_END, .. } => {
+                    return Err(Error::Usage(
+                        "the recording: a chunk or the end of the data within a chunk".to_owned(),
+                    ));
+                }
+                LinearReadEvent::Record { opcode, data } => return parsed(opcode, data).map(Some),
+            }
+        }
+        Ok(None)
+    }
+}
+
+/// A record from its contents.
+fn parsed(opcode: u8, contents: &[u8]) -> Result<Record<'static>> {
+    mcap::parse_record(opcode, contents).map(Record::into_owned).map_err(failed)
+}
+
+/// Fills `bytes` from the input.
+fn read_whole(input: &mut impl Read, bytes: &mut [u8]) -> Result<()> {
+    input.read_exact(bytes).map_err(|error| match error.kind() {
+        ErrorKind::UnexpectedEof => failed(McapError::UnexpectedEof),
+        _ => error.into(),
+    })
 }
 
 /// The error of a recording that cannot be read or written.
