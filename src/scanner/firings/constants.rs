@@ -121,11 +121,20 @@ pub(super) struct Constants {
     pub near_axes: Vec<Vec<Point>>,
 }
 
+/// What reproduces the points of a scan.
+#[derive(Clone)]
+pub(super) struct Determined {
+    pub recipe: Recipe,
+    /// With their constants.
+    pub lasers: Vec<Laser>,
+    /// Whether each offset was corrected by whole ticks of its own.
+    pub are_turned: bool,
+}
+
 impl Constants {
-    /// The recipe that reproduces the most points to the last bit (the first one on ties), the constants of the
-    /// lasers, and whether each offset was corrected by whole ticks of its own. `shifts` are the whole ticks by
-    /// which each laser is ahead of the others.
-    pub fn with_recipe(&self, build: &Build, shifts: &[f64]) -> Option<(Build, Vec<Laser>, bool)> {
+    /// The recipe that reproduces the most points to the last bit (the first one on ties), and the lasers. `shifts` are
+    /// the whole ticks by which each laser is ahead of the others.
+    pub fn determine(&self, build: &Build, shifts: &[f64]) -> Option<Determined> {
         /// Number of lasers by which the recipe is chosen.
         const FEW: usize = 6;
         let tick = 360.0 / f64::from(build.ticks);
@@ -142,12 +151,20 @@ impl Constants {
         let recipes = Recipe::ALL.into_par_iter().filter(|recipe| !recipe.is_off_axis());
         let known =
             recipes.map(|recipe| Firings::new(Build { recipe, ..build.clone() }, Vec::new(), Vec::new()));
-        // A recipe that reproduces fewer points than another need not be counted to the end.
-        let most = AtomicUsize::new(0);
-        let tried = known.clone().map(|any| {
+        // A recipe that reproduces fewer points than another need not be counted to the end, and one after the first
+        // that reproduces all of them need not be tried.
+        let (most, first_perfect) = (AtomicUsize::new(0), AtomicUsize::new(usize::MAX));
+        let tried = known.clone().filter_map(|any| {
+            let number = any.build.recipe as usize;
+            if number > first_perfect.load(Ordering::Relaxed) {
+                return None;
+            }
             let (common, exact) = self.common(&any, &offsets, &few, most.load(Ordering::Relaxed));
             most.fetch_max(exact, Ordering::Relaxed);
-            (any, common, exact)
+            if exact == points {
+                first_perfect.fetch_min(number, Ordering::Relaxed);
+            }
+            Some((any, common, exact))
         });
         let best = first_of_equals(tried.collect(), |(.., exact)| *exact)?;
         let turned = (4 * best.2 < 3 * points).then(|| {
@@ -163,28 +180,33 @@ impl Constants {
         let may_turn = any.build.recipe.adds_in_single() && 2 * exact > points;
         let of_row = |row: usize| {
             let offset = offsets[row] + f64::from(common) * tick;
-            let (mut laser, exact) = self.laser(&any, row, offset, 0);
+            let (elevations, _) = self.elevations(&any, row, 0);
+            let (mut laser, exact) = self.laser_among(&any, row, offset, &elevations, 0);
             // The offset may be wrong by whole ticks of its own, because there were too few points or because ticks
             // pass until the laser fires.
             if may_turn && 4 * exact < 3 * self.of_rows[row].len() {
-                laser = self.turned(&any, row, offset).0;
+                laser = self.turned(&any, row, offset, &elevations).0;
             }
             let sums = matches!(any.build.recipe, Recipe::Nebula | Recipe::Nebula2023 | Recipe::Once);
             if sums { self.of_sums(&any, row, laser) } else { laser }
         };
         let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
-        Some((any.build, lasers, are_turned))
+        Some(Determined { recipe: any.build.recipe, lasers, are_turned })
     }
 
     /// Number of points of these rows that are reproduced if each offset is corrected by whole ticks of its own, as
-    /// is necessary if ticks pass between the lasers of a firing. 0 if points were moved, or if the recipe does not
-    /// round sums to single precision.
+    /// is necessary if ticks pass between the lasers of a firing. 0 if points were moved, if the recipe does not
+    /// round sums to single precision, or if it does not reproduce three quarters of the heights.
     fn exact_turned(&self, any: &Firings, offsets: &[f64], few: &[usize]) -> usize {
-        let are_moved = few.iter().any(|&row| self.of_rows[row].iter().any(|point| point.moved.is_some()));
-        if are_moved || !any.build.recipe.adds_in_single() {
+        if self.are_moved(few) || !any.build.recipe.adds_in_single() {
             return 0;
         }
-        few.iter().map(|&row| self.turned(any, row, offsets[row]).1).sum()
+        let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
+        let elevations = self.elevations_of(any, few, (3 * points).div_ceil(4));
+        let exact = |(&row, (elevations, _)): (&usize, &(Vec<i64>, usize))| {
+            self.turned(any, row, offsets[row], elevations).1
+        };
+        few.iter().zip(&elevations).map(exact).sum()
     }
 
     /// The laser near another one that reproduces the most of many points to the last bit. With sums in single
@@ -207,12 +229,12 @@ impl Constants {
     }
 
     /// The constants of a laser whose azimuth offset, in degrees, is wrong by an unknown number of whole ticks, and
-    /// how many of its points they reproduce to the last bit.
-    fn turned(&self, any: &Firings, row: usize, offset: f64) -> (Laser, usize) {
+    /// how many of its points they reproduce to the last bit, given the likeliest elevations.
+    fn turned(&self, any: &Firings, row: usize, offset: f64, elevations: &[i64]) -> (Laser, usize) {
         /// Largest number of ticks that pass while the lasers fire.
         const MOST: i32 = 40;
         let tick = 360.0 / f64::from(any.build.ticks);
-        let (laser, exact) = self.laser(any, row, offset, 0);
+        let (laser, exact) = self.laser_among(any, row, offset, elevations, 0);
         let points = &self.of_rows[row];
         if exact == points.len() {
             return (laser, exact);
@@ -220,7 +242,7 @@ impl Constants {
         let off = (1..=MOST).flat_map(|ticks| [ticks, -ticks]).map(|ticks| offset + f64::from(ticks) * tick);
         let lasers = off.clone().map(|degrees| Laser { azimuth: roundings(degrees)[0], ..laser });
         let (best, _) = best_of(any, lasers, points, laser);
-        let (other, others) = self.laser(any, row, best.azimuth_degrees(), exact);
+        let (other, others) = self.laser_among(any, row, best.azimuth_degrees(), elevations, exact);
         // A chance match, or another recipe, does not reproduce most points.
         if others > exact && 4 * others >= 3 * points.len() { (other, others) } else { (laser, exact) }
     }
@@ -246,11 +268,18 @@ impl Constants {
         let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
         let has_none = offsets.iter().all(|offset| offset.abs() < NONE);
         let is_known = is_whole && (has_none || !any.build.recipe.adds_in_single());
+        // Heights do not depend on the offset, so they show whether this is the right recipe at all. The heights of
+        // points that were moved show nothing.
+        let are_moved = self.are_moved(few);
+        let elevations = self.elevations_of(any, few, if are_moved { 0 } else { least });
+        if elevations.is_empty() {
+            return (0, 0);
+        }
         // `left` is the number of points that may still be missed.
         let (mut found, mut left) = (Vec::new(), points - least.min(points));
-        for &row in few {
+        for (&row, (elevations, _)) in few.iter().zip(&elevations) {
             let least = if is_known { self.of_rows[row].len().saturating_sub(left) } else { 0 };
-            let (laser, exact) = self.laser(any, row, offsets[row], least);
+            let (laser, exact) = self.laser_among(any, row, offsets[row], elevations, least);
             if exact < least {
                 return (0, 0);
             }
@@ -274,7 +303,7 @@ impl Constants {
             let mut best = (0, worth(&found));
             for common in rising(NEAR) {
                 let offset = |row: usize| offsets[row] + f64::from(common) * tick;
-                let lasers: Vec<_> = few.iter().map(|&row| self.laser(any, row, offset(row), 0)).collect();
+                let lasers: Vec<_> = few.iter().map(|&row| self.laser(any, row, offset(row))).collect();
                 let worth = worth(&lasers);
                 if worth > best.1 {
                     best = (common, worth);
@@ -282,7 +311,6 @@ impl Constants {
             }
             return (best.0, best.1.0);
         }
-        // Heights do not depend on the offset, so they show whether this is the right recipe at all.
         let heights = few
             .iter()
             .zip(&found)
@@ -293,7 +321,6 @@ impl Constants {
         }
         let fewer: Vec<Vec<Point>> =
             few.iter().map(|&row| self.of_rows[row].iter().step_by(SPARSE).copied().collect()).collect();
-        let are_moved = fewer.iter().flatten().any(|point| point.moved.is_some());
         // Sums in single precision depend on the last digits of the offsets, so these should be right.
         let is_thousandth = |&row: &usize| {
             let off = offsets[row] - roundings(offsets[row])[0] as f64 * ANGLE_UNIT;
@@ -349,13 +376,33 @@ impl Constants {
             counted.fold((0, 0), |best, next| if next.0 > best.0 { next } else { best }).1
         };
         let offset = |row: usize| offsets[row] + f64::from(common) * tick;
-        let sum = few.iter().map(|&row| self.laser(any, row, offset(row), 0).1).sum();
+        let sum = few.iter().map(|&row| self.laser(any, row, offset(row)).1).sum();
         if sum > exact { (common, sum) } else { (0, exact) }
     }
 
-    /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they reproduce to
-    /// the last bit: possibly 0 if there are fewer than `least`.
-    fn laser(&self, any: &Firings, row: usize, offset: f64, least: usize) -> (Laser, usize) {
+    /// Whether points of these rows were moved.
+    fn are_moved(&self, rows: &[usize]) -> bool {
+        rows.iter().any(|&row| self.of_rows[row].iter().any(|point| point.moved.is_some()))
+    }
+
+    /// The likeliest elevations of these lasers, in units, and for how many points they reproduce the height; nothing
+    /// if there are certainly fewer than `least` of these points.
+    fn elevations_of(&self, any: &Firings, rows: &[usize], least: usize) -> Vec<(Vec<i64>, usize)> {
+        let points: usize = rows.iter().map(|&row| self.of_rows[row].len()).sum();
+        let mut left = points.checked_sub(least);
+        let mut all = Vec::new();
+        for &row in rows {
+            let Some(may_miss) = left else { return Vec::new() };
+            let size = self.of_rows[row].len();
+            let found = self.elevations(any, row, size.saturating_sub(may_miss));
+            left = may_miss.checked_sub(size - found.1);
+            all.push(found);
+        }
+        if left.is_some() { all } else { Vec::new() }
+    }
+
+    /// The same for one laser.
+    fn elevations(&self, any: &Firings, row: usize, least: usize) -> (Vec<i64>, usize) {
         let points = &self.of_rows[row];
         // Ranges are whole steps, so the height and the rounded range give the elevation more accurately than the
         // position does.
@@ -366,18 +413,37 @@ impl Constants {
         let mut elevations: Vec<f64> = points.iter().filter_map(elevation).collect();
         elevations.sort_by(f64::total_cmp);
         let elevation = elevations.get(elevations.len() / 2).copied().unwrap_or(self.elevations[row]);
-        let [elevation, azimuth] =
-            [elevation.to_degrees(), offset].map(|angle| (angle / ANGLE_UNIT).round() as i64);
+        let elevation = (elevation.to_degrees() / ANGLE_UNIT).round() as i64;
         // The height determines the elevation, except among elevations of the same sine.
+        let azimuth = 0;
         let of_elevation =
             |elevation: i64, least| exact_points(any, Laser { elevation, azimuth }, points, 2..3, least);
+        angles(any.build.recipe, elevation, (points.len(), least), 0.0, of_elevation)
+    }
+
+    /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they reproduce to
+    /// the last bit.
+    fn laser(&self, any: &Firings, row: usize, offset: f64) -> (Laser, usize) {
+        self.laser_among(any, row, offset, &self.elevations(any, row, 0).0, 0)
+    }
+
+    /// The same, given the likeliest elevations; possibly without points if there are fewer than `least`.
+    fn laser_among(
+        &self,
+        any: &Firings,
+        row: usize,
+        offset: f64,
+        elevations: &[i64],
+        least: usize,
+    ) -> (Laser, usize) {
+        let points = &self.of_rows[row];
+        let azimuth = (offset / ANGLE_UNIT).round() as i64;
         // Heights near 0 are reproduced only if the motion is known more accurately than it can be.
-        let are_moved = points.iter().any(|point| point.moved.is_some());
-        let (axes, least_high) = if are_moved { (0..2, 0) } else { (0..3, least) };
-        let wanted = (points.len(), least_high);
-        let elevations = angles(any.build.recipe, elevation, wanted, 0.0, of_elevation).0;
+        let axes = if self.are_moved(&[row]) { 0..2 } else { 0..3 };
+        let elevation = elevations.first().copied();
+        let elevation = elevation.unwrap_or((self.elevations[row].to_degrees() / ANGLE_UNIT).round() as i64);
         let mut best = (Laser { elevation, azimuth }, 0);
-        for elevation in elevations.into_iter().take(SAME) {
+        for &elevation in elevations.iter().take(SAME) {
             let of_azimuth = |azimuth: i64, least| {
                 exact_points(any, Laser { elevation, azimuth }, points, axes.clone(), least)
             };
@@ -387,7 +453,9 @@ impl Constants {
             if exact > best.1 {
                 best = (Laser { elevation, azimuth: azimuths.first().copied().unwrap_or(azimuth) }, exact);
             }
-            if exact == points.len() {
+            // Elevations of the same sine differ little in their cosine, so if the first one reproduces no point at all,
+            // the offset is wrong.
+            if exact == points.len() || (best.1 == 0 && least <= 1) {
                 break;
             }
         }

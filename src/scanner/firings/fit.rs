@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 
 use rayon::prelude::*;
 
-use super::constants::{Constants, Moved, Point, TRIED, by_rows, near_axes};
+use super::constants::{Constants, Determined, Moved, Point, TRIED, by_rows, near_axes};
 use super::order::{Order, STEADY, VLP_16, lines, order, timed, vlp_16};
 use super::projection::{Place, nearest, without_echoes};
 use super::{Build, Firings, Origin, Recipe, Timing};
@@ -142,21 +142,33 @@ impl Found<'_> {
                 },
             },
         };
-        let orders = [own, vlp_16(&elevations)];
+        let known = vlp_16(&elevations);
+        // A VLP-16's lasers have no offsets: what the file shows are the ticks that pass while they fire.
+        let own = own.map(|own| match &known {
+            Some(known) => Order { shifts: known.shifts.clone(), ..own },
+            None => own,
+        });
         let near_axes = near_axes(points, &rows, elevations.len());
         let constants = Constants { elevations, phases, of_rows, more_of_rows, near_axes };
         let none = vec![0.0; constants.elevations.len()];
         let are_whole = constants.phases.iter().all(|phase| phase.abs() < WHOLE_PHASE);
-        let scanner = |order: &Order, offsets: &[f64], ahead: &[f64]| {
-            let build = Build {
-                recipe: Recipe::VelodyneRos,
-                ticks,
-                range_step_um,
-                coordinates: *coordinates,
-                origin: Origin::default(),
-                timing: order.timing.clone(),
-            };
-            let (build, lasers, are_turned) = constants.with_recipe(&build, offsets)?;
+        let build = Build {
+            recipe: Recipe::VelodyneRos,
+            ticks,
+            range_step_um,
+            coordinates: *coordinates,
+            origin: Origin::default(),
+            timing: Timing::Together,
+        };
+        // What was determined for which offsets: several orders may have the same.
+        let mut determined: Vec<(Vec<f64>, Option<Determined>)> = Vec::new();
+        let mut scanner = |order: &Order, offsets: &[f64], ahead: &[f64]| {
+            if determined.iter().all(|(known, _)| known != offsets) {
+                determined.push((offsets.to_vec(), constants.determine(&build, offsets)));
+            }
+            let (_, found) = determined.iter().find(|(known, _)| known == offsets)?;
+            let Determined { recipe, lasers, are_turned } = found.clone()?;
+            let build = Build { recipe, timing: order.timing.clone(), ..build.clone() };
             let scanner =
                 Firings::new(build, lasers, order.rows_of_slots.clone()).line_by_line(lines.clone());
             let behind =
@@ -184,7 +196,7 @@ impl Found<'_> {
                 (None, None) => Vec::new(),
             }
         };
-        Some(orders.into_iter().flatten().flat_map(candidates).collect())
+        Some([own, known].into_iter().flatten().flat_map(candidates).collect())
     }
 
     /// How many points a scanner's recipe reproduces to the last bit, and how many it explains.

@@ -307,7 +307,7 @@ fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
     let [along, _] = maker.origin.metres();
     let coherent = |offset: &i32| {
         let beside = along * libm::sin((f64::from(*offset) * 0.01).to_radians());
-        let ticks = flat.iter().zip(&azimuths).map(|(flat, azimuth)| {
+        let ticks = |(flat, azimuth): (&f64, &f64)| {
             // The arc sine; a series if the argument is small.
             let slope = beside / flat;
             let square = slope * slope;
@@ -317,8 +317,13 @@ fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
                 slope * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))
             };
             (azimuth + turned) * in_ticks
-        });
-        strength(ticks, 0.0) > COHERENT_TICKS
+        };
+        // Few offsets remain possible for long.
+        let (least, mut possible) = (COHERENT_TICKS * flat.len() as f64, flat.len() as f64);
+        flat.iter().zip(&azimuths).all(|point| {
+            possible -= 1.0 - angle::rough_sine(ticks(point) + 0.25);
+            possible > least
+        })
     };
     let offsets: Vec<i32> = (-FARTHEST..=FARTHEST).filter(coherent).collect();
     let step = (offsets.len() / MOST_OFFSETS).max(1);
