@@ -258,6 +258,16 @@ fn recipes() -> Vec<Recipe> {
         EncoderConfig::default(),
     );
     exact("firings-once", || firings_files(firings::Recipe::Once, Cells::Returns), EncoderConfig::default());
+    exact(
+        "firings-focal-point",
+        || firings_files(firings::Recipe::VelodyneDecoder, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-hdl32e-heights",
+        || firings_files(firings::Recipe::VelodyneDecoderHdl32e, Cells::Echoes),
+        EncoderConfig::default(),
+    );
     exact("firings-ouster", || named(&[common::firings::ouster(16, false)]), EncoderConfig::default());
     exact("firings-ouster-ros", || named(&[common::firings::ouster(16, true)]), EncoderConfig::default());
     exact("firings-turned", || named(&[common::firings::vlp_32c(12)]), EncoderConfig::default());

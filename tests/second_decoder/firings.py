@@ -12,12 +12,13 @@ TOGETHER, VLP_16, ONE_FIRING, TWO_FIRINGS = range(4)
 WHOLE = 1 << 24
 
 # How the recipes' ranges are rounded, and which of them compute in double precision.
-SINGLE_PRODUCT = 0, 3, 4, 8, 9, 13
+SINGLE_PRODUCT = 0, 3, 4, 8, 9, 13, 15, 16
 ROUNDED_PRODUCT = 6, 7, 10
 DOUBLE = 1, 2, 3, 5, 11, 12, 14
-GLIBC = 8, 9
+GLIBC = 8, 9, 15, 16
+FOCAL_POINT = 15, 16
 OUSTER = 11, 12
-ROBOSENSE, LSLIDAR, PANDAR_64, APOLLO, ONCE, LAST = 4, 5, 10, 13, 14, 14
+ROBOSENSE, LSLIDAR, PANDAR_64, APOLLO, ONCE, LAST = 4, 5, 10, 13, 14, 16
 
 SLOT, FIRING, BLOCK = map(f32, (2.304, 55.296, 110.592))
 LS_DEGREE = 0.017453293
@@ -186,6 +187,10 @@ class Scanner:
         laser.turned = round(o / 360 * self.ticks) % self.ticks
         if self.position == self.single:
             v, offset = f32(radians(e)), f32(radians(-o))
+            if self.recipe in FOCAL_POINT:
+                v, offset = f32(radians(f32(e))), f32(radians(f32(-o)))
+                tangent = -sin(v) / cos(v)
+                laser.height = f32(f32(self.along) * f32(tangent)) if self.recipe == 15 else f32(round(self.along * tangent * 1e5) / 1e5)
             laser.cos_v, laser.sin_v = self.cosine(v), self.sine(v)
             laser.direction = (self.cosine(offset), self.sine(offset)) if o else None
         elif self.position == self.robosense:
@@ -215,7 +220,7 @@ class Scanner:
             found = self.of_ticks[tick] = make(tick)
         return found
 
-    # Recipes 0, 8, 9, 10 and 13
+    # Recipes 0, 8, 9, 10, 13, 15 and 16
 
     def direction_single(self, tick):
         if self.recipe == PANDAR_64:
@@ -224,6 +229,8 @@ class Scanner:
             a = f32(radians(self.tick_degrees * tick))
         elif self.recipe == APOLLO:
             a = f32(f32(f32(self.tick_degrees) * f32(tick * pi)) / 180)
+        elif self.recipe in FOCAL_POINT:
+            a = f32(f32(f32(self.tick_degrees) * f32(tick)) * f32(DEGREE))
         else:
             a = f32(radians(f32(f32(self.tick_degrees) * f32(tick))))
         return self.cosine(a), self.sine(a)
@@ -235,6 +242,8 @@ class Scanner:
             c, s = f32(f32(c * cos_o) + f32(s * sin_o)), f32(f32(s * cos_o) - f32(c * sin_o))
         flat = d * laser.cos_v if self.recipe == APOLLO else f32(d * laser.cos_v)
         x, y, z = f32(flat * c), f32(flat * s), f32(d * laser.sin_v)
+        if self.recipe in FOCAL_POINT:
+            z = f32(z + laser.height)
         return (-x, y, z) if self.recipe == PANDAR_64 else (x, -y, z)
 
     # Recipes 1 to 3

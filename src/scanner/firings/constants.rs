@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use super::recipe::whole_steps;
-use super::{ANGLE_UNIT, Build, Firings, Laser, Recipe};
+use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe};
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::Return;
 use crate::scanner::motion::RigidMotion;
@@ -18,6 +18,7 @@ pub(super) const TRIED: usize = 60;
 #[derive(Clone, Copy)]
 pub(super) struct Point {
     pub position: [f64; 3],
+    /// As seen from where its beam starts, or from where its range is measured.
     pub range: f64,
     pub elevation: f64,
     /// How it was moved to its position in the file, if it was.
@@ -47,6 +48,14 @@ impl Point {
             elevation: libm::atan2(z, rho),
             moved,
         })
+    }
+
+    /// The same point as measured by a beam through a focal point, this many metres in front of the axis.
+    pub fn through(self, focal: f64) -> Self {
+        let [x, y, z] = self.position;
+        let rho = (x * x + y * y).sqrt();
+        let elevation = libm::atan2(z, rho - focal);
+        Point { range: rho / libm::cos(elevation), elevation, ..self }
     }
 
     /// Whether a scanner's recipe reproduces the point's coordinates in the file to the last bit, along these axes.
@@ -148,7 +157,11 @@ impl Constants {
         few.truncate((few.len() / 2).max(FEW));
         let few: Vec<usize> = few.iter().step_by((few.len() / FEW).max(1)).copied().collect();
         let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
-        let recipes = Recipe::ALL.into_par_iter().filter(|recipe| !recipe.is_off_axis());
+        let is_on_axis = build.origin == Origin::default();
+        let recipes = Recipe::ALL.into_par_iter().filter(|recipe| match is_on_axis {
+            true => recipe.is_on_axis(),
+            false => recipe.starts_in_beam(),
+        });
         let known =
             recipes.map(|recipe| Firings::new(Build { recipe, ..build.clone() }, Vec::new(), Vec::new()));
         // A recipe that reproduces fewer points than another need not be counted to the end, and one after the first
@@ -405,8 +418,11 @@ impl Constants {
     fn elevations(&self, any: &Firings, row: usize, least: usize) -> (Vec<i64>, usize) {
         let points = &self.of_rows[row];
         // Ranges are whole steps, so the height and the rounded range give the elevation more accurately than the
-        // position does.
+        // position does, if beams start in the axis.
         let elevation = |point: &Point| {
+            if any.build.origin != Origin::default() {
+                return Some(point.elevation);
+            }
             let steps = whole_steps(point.range, any.range_step_m())?;
             Some(libm::asin((point.position[2] / (f64::from(steps) * any.range_step_m())).clamp(-1.0, 1.0)))
         };

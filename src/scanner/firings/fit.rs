@@ -28,6 +28,8 @@ const LEAST_SHARE: f64 = 0.5;
 const WHOLE_PHASE: f64 = 0.02;
 /// A sufficient number of points.
 const SAMPLE: usize = 4000;
+/// Distances of the focal points of Velodyne's scanners from their axes, in micrometres: VLP-16, VLP-32, VLS-128, HDL-32E.
+const FOCAL_POINTS_UM: [i32; 4] = [41_910, 42_400, 58_630, 28_956];
 /// Fits a scanner to a sample of a sequence's scans, and returns the share of the points that it explains. `None` if
 /// no scanner of this family explains enough of them.
 pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
@@ -54,7 +56,8 @@ fn fit_points(scan: &ScanFile, points: impl Iterator<Item = Option<Point>>) -> O
         points.iter().step_by(step).flat_map(|point| point.position.map(|value| value as f32)).collect();
     let coordinates = Coordinates::finest_of(&values);
     let found = Found { scan, numbers, points, coordinates };
-    let scanners = found.on_axis().filter(|scanners| !scanners.is_empty()).or_else(|| found.off_axis())?;
+    let on_axis = found.on_axis(Origin::default()).filter(|scanners| !scanners.is_empty());
+    let scanners = on_axis.or_else(|| found.through_focal_point()).or_else(|| found.off_axis())?;
     let shares = scanners.into_iter().map(|scanner| {
         let image = scanner.project(&scan.cloud, REACH).image;
         (
@@ -95,8 +98,22 @@ pub(super) struct Found<'s> {
 }
 
 impl Found<'_> {
+    /// Scanners whose beams intersect in a focal point and that may have measured the scan.
+    fn through_focal_point(&self) -> Option<Vec<Firings>> {
+        let tried = FOCAL_POINTS_UM.into_iter().filter_map(|along_um| {
+            let origin = Origin { along_um, up_um: 0 };
+            let [focal, _] = origin.metres();
+            let points: Vec<Point> = self.points.iter().map(|point| point.through(focal)).collect();
+            let found = Found { scan: self.scan, numbers: self.numbers.clone(), points, ..*self };
+            let scanners = found.on_axis(origin)?;
+            let (given, all) = found.given(scanners.first()?);
+            (2 * given > all).then_some((given, scanners))
+        });
+        tried.max_by_key(|(given, _)| *given).map(|(_, scanners)| scanners)
+    }
+
     /// Scanners whose beams all start in one point and that may have measured the scan.
-    fn on_axis(&self) -> Option<Vec<Firings>> {
+    fn on_axis(&self, origin: Origin) -> Option<Vec<Firings>> {
         let Found { scan, numbers, points, coordinates } = self;
         let range_step_um = range_step(points.iter().map(|point| point.range))?;
         let records = scan.cloud.positions.len();
@@ -145,7 +162,10 @@ impl Found<'_> {
         let known = vlp_16(&elevations);
         // A VLP-16's lasers have no offsets: what the file shows are the ticks that pass while they fire.
         let own = own.map(|own| match &known {
-            Some(known) => Order { shifts: known.shifts.clone(), ..own },
+            Some(known) => {
+                let is_steady = own.is_steady && own.shifts == known.shifts;
+                Order { shifts: known.shifts.clone(), is_steady, ..own }
+            }
             None => own,
         });
         let near_axes = near_axes(points, &rows, elevations.len());
@@ -157,7 +177,7 @@ impl Found<'_> {
             ticks,
             range_step_um,
             coordinates: *coordinates,
-            origin: Origin::default(),
+            origin,
             timing: Timing::Together,
         };
         // What was determined for which offsets: several orders may have the same.

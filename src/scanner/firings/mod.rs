@@ -11,7 +11,7 @@
 //! ```
 //!
 //! The [`Recipe`] of the program that wrote the file defines in which precision and in which order this was computed.
-//! The beams of some scanners start away from the axis ([`Origin`]), in the direction of the tick, not of the beam.
+//! The beams of some scanners start away from the axis ([`Origin`]), most in the direction of the tick, not of the beam.
 
 mod columns;
 mod constants;
@@ -77,19 +77,24 @@ struct Bearing {
     /// Where its beam starts: metres beside the axis and ahead of it, relative to the azimuth of the beam.
     beside: f64,
     ahead: f64,
+    /// By how many metres a range is more than the distance from there.
+    farther: f64,
 }
 
 impl Bearing {
-    fn new(laser: &Laser, origin: Origin) -> Self {
+    fn new(recipe: Recipe, laser: &Laser, origin: Origin) -> Self {
         let (elevation, offset) =
             (laser.elevation_degrees().to_radians(), laser.azimuth_degrees().to_radians());
         let [along, _] = origin.metres();
+        let aside = if recipe.starts_in_beam() { 0.0 } else { offset };
+        let cos = libm::cos(elevation);
         Bearing {
-            cos: libm::cos(elevation),
+            cos,
             sin: libm::sin(elevation),
             offset,
-            beside: along * libm::sin(offset),
-            ahead: along * libm::cos(offset),
+            beside: along * libm::sin(aside),
+            ahead: along * libm::cos(aside),
+            farther: recipe.farther(along, cos),
         }
     }
 }
@@ -155,7 +160,7 @@ impl Firings {
         (0u32..).zip(&rows_of_slots).for_each(|(slot, &row)| slots_of_rows[row as usize] = slot);
         let of_laser = |laser: &Laser| Arithmetic::new(build.recipe, laser, build.origin, build.ticks);
         let arithmetic = lasers.iter().map(of_laser).collect();
-        let bearings = lasers.iter().map(|laser| Bearing::new(laser, build.origin)).collect();
+        let bearings = lasers.iter().map(|laser| Bearing::new(build.recipe, laser, build.origin)).collect();
         let turn = Arc::new(Turn::new(build.recipe, build.ticks));
         let (rows_of_lines, lags) = (Vec::new(), Vec::new());
         let passed = Passed::new(&build.timing, lasers.len());
@@ -213,7 +218,7 @@ impl Firings {
             rows_of_lines: Vec::new(),
             lags: Vec::new(),
             slots_of_rows: vec![0],
-            bearings: vec![Bearing::new(&laser, self.build.origin)],
+            bearings: vec![Bearing::new(self.build.recipe, &laser, self.build.origin)],
             turn: self.turn.clone(),
             passed: Passed::default(),
         }
@@ -311,14 +316,16 @@ impl Firings {
         let (metres, azimuth): ([f64; N], [f64; N]) = if self.build.origin == Origin::default() {
             (lanes(|i| (flat[i] + z[i] * z[i]).sqrt()), azimuth)
         } else {
-            let [along, up] = self.build.origin.metres();
+            let [_, up] = self.build.origin.metres();
             let beside: [f64; N] = lanes(|i| bearing[i].beside);
             let past: [f64; N] = lanes(|i| (flat[i] - beside[i] * beside[i]).max(0.0).sqrt());
             let metres: [f64; N] =
                 lanes(|i| (past[i] - bearing[i].ahead) * bearing[i].cos + (z[i] - up) * bearing[i].sin);
-            let farther = if self.build.recipe.measures_from_axis() { along } else { 0.0 };
             let ahead: [f64; N] = lanes(|i| past[i] - bearing[i].ahead + bearing[i].ahead);
-            (lanes(|i| metres[i] + farther), lanes(|i| azimuth[i] + angle::atan2(beside[i], ahead[i])))
+            (
+                lanes(|i| metres[i] + bearing[i].farther),
+                lanes(|i| azimuth[i] + angle::atan2(beside[i], ahead[i])),
+            )
         };
         let (step, radians) = (self.range_step_m(), self.radians());
         let azimuth: [f64; N] = lanes(|i| azimuth[i] - bearing[i].offset);
@@ -350,10 +357,9 @@ impl Firings {
         located: &Located<N>,
     ) -> [[f64; N]; 3] {
         let bearing: [Bearing; N] = lanes(|i| self.bearings[rows[i]]);
-        let [along, up] = self.build.origin.metres();
-        let nearer = if self.build.recipe.measures_from_axis() { along } else { 0.0 };
+        let [_, up] = self.build.origin.metres();
         let step = self.range_step_m();
-        let metres: [f64; N] = lanes(|i| located.steps[i] * step - nearer);
+        let metres: [f64; N] = lanes(|i| located.steps[i] * step - bearing[i].farther);
         let flat: [f64; N] = lanes(|i| metres[i] * bearing[i].cos + bearing[i].ahead);
         // Starts from the point, rotates it onto the tick, and scales it to the range in whole steps.
         let [cos, sin] = angle::small_cos_sin(located.aside);
@@ -460,7 +466,10 @@ impl fmt::Display for Firings {
             Coordinates::Lattice { step_nm } => write!(f, ", rounded to {} micrometres", step_nm / 1000)?,
             Coordinates::Digits(digits) => write!(f, ", rounded to {digits} digits")?,
         }
-        if *origin != Origin::default() {
+        if recipe.starts_in_beam() {
+            let along = f64::from(origin.along_um) / 1e3;
+            write!(f, ", beams through a point {along} mm in front of the axis")?;
+        } else if *origin != Origin::default() {
             let [along, up] = [origin.along_um, origin.up_um].map(|um| f64::from(um) / 1e3);
             write!(f, ", beams from {along} mm off the axis and {up} mm above")?;
         }

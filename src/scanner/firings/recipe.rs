@@ -52,6 +52,11 @@ pub enum Recipe {
     Apollo = 13,
     /// The ONCE data set: as `Nebula2023`, with products in double precision and cosine and sine of glibc before 2.28.
     Once = 14,
+    /// The Python package `velodyne-decoder`: as `VelodyneRosGlibc`, with angles of ticks by two products, and a height
+    /// for each laser. Its beams intersect in a focal point in front of the axis.
+    VelodyneDecoder = 15,
+    /// The same for the HDL-32E, whose heights it has in hundredths of millimetres.
+    VelodyneDecoderHdl32e = 16,
 }
 
 /// Axes of the coordinates.
@@ -63,7 +68,7 @@ pub(super) enum Axes {
 
 impl Recipe {
     /// Every recipe, in the order in which the fit tries them.
-    pub const ALL: [Recipe; 15] = [
+    pub const ALL: [Recipe; 17] = [
         Recipe::VelodyneRos,
         Recipe::DoubleYAhead,
         Recipe::DoubleXAhead,
@@ -79,6 +84,8 @@ impl Recipe {
         Recipe::OusterRos,
         Recipe::Apollo,
         Recipe::Once,
+        Recipe::VelodyneDecoder,
+        Recipe::VelodyneDecoderHdl32e,
     ];
 
     /// The recipe of this number in the stream.
@@ -86,14 +93,24 @@ impl Recipe {
         Self::ALL.into_iter().find(|recipe| *recipe as u32 == number)
     }
 
-    /// Whether it is used only for scanners whose beams start away from the axis.
-    pub(super) fn is_off_axis(self) -> bool {
-        matches!(self, Recipe::LsLidar | Recipe::Ouster | Recipe::OusterRos)
+    /// Whether it is used for scanners whose beams all start in one point.
+    pub(super) fn is_on_axis(self) -> bool {
+        !matches!(self, Recipe::LsLidar | Recipe::Ouster | Recipe::OusterRos) && !self.starts_in_beam()
     }
 
-    /// Whether ranges are measured from the axis, not from where a beam starts.
-    pub(super) fn measures_from_axis(self) -> bool {
-        matches!(self, Recipe::Ouster | Recipe::OusterRos)
+    /// Whether beams start in the direction of the laser, not of the tick.
+    pub(super) fn starts_in_beam(self) -> bool {
+        matches!(self, Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e)
+    }
+
+    /// By how much a range is more than the distance from the start of its beam, in metres, given the distance of the
+    /// start from the axis and the cosine of the elevation.
+    pub(super) fn farther(self, along: f64, cos: f64) -> f64 {
+        match self {
+            Recipe::Ouster | Recipe::OusterRos => along,
+            Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e => along / cos,
+            _ => 0.0,
+        }
     }
 
     /// Whether it rounds sums of angles, or of products of their cosines and sines, to single precision.
@@ -119,6 +136,7 @@ impl Recipe {
             Recipe::OusterRos => "arithmetic of Ouster's ROS driver",
             Recipe::Apollo => "arithmetic of Apollo's driver for Velodyne",
             Recipe::Once => "arithmetic of the ONCE data set",
+            Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e => "arithmetic of velodyne-decoder",
         }
     }
 
@@ -132,7 +150,9 @@ impl Recipe {
             | Recipe::RoboSense
             | Recipe::Ouster
             | Recipe::OusterRos
-            | Recipe::Apollo => Axes::XAhead,
+            | Recipe::Apollo
+            | Recipe::VelodyneDecoder
+            | Recipe::VelodyneDecoderHdl32e => Axes::XAhead,
             Recipe::DoubleYAhead
             | Recipe::LsLidar
             | Recipe::Nebula
@@ -145,9 +165,12 @@ impl Recipe {
     /// Cosine and sine of an angle in single precision, as the program's C library computes them.
     fn cos_sin(self, radians: f32) -> [f32; 2] {
         match self {
-            Recipe::Nebula | Recipe::Nebula2023 | Recipe::VelodyneRosGlibc | Recipe::NebulaVelodyne => {
-                [glibc::cosf(radians), glibc::sinf(radians)]
-            }
+            Recipe::Nebula
+            | Recipe::Nebula2023
+            | Recipe::VelodyneRosGlibc
+            | Recipe::NebulaVelodyne
+            | Recipe::VelodyneDecoder
+            | Recipe::VelodyneDecoderHdl32e => [glibc::cosf(radians), glibc::sinf(radians)],
             Recipe::Apollo | Recipe::Once => glibc::old_cos_sin(radians),
             _ => [libm::cos(f64::from(radians)) as f32, libm::sin(f64::from(radians)) as f32],
         }
@@ -165,7 +188,11 @@ impl Recipe {
             | Recipe::NebulaVelodyne
             | Recipe::Pandar64
             | Recipe::Apollo => ulp(radians(degrees)).to_degrees(),
-            Recipe::Nebula | Recipe::Nebula2023 | Recipe::Once => ulp(degrees),
+            Recipe::Nebula
+            | Recipe::Nebula2023
+            | Recipe::Once
+            | Recipe::VelodyneDecoder
+            | Recipe::VelodyneDecoderHdl32e => ulp(degrees),
             _ => 1e-7,
         }
     }
@@ -185,6 +212,9 @@ impl Recipe {
         }
     }
 }
+
+/// Radians per degree in single precision.
+const DEGREE: f32 = (PI / 180.0) as f32;
 
 fn radians(degrees: f64) -> f64 {
     degrees * PI / 180.0
@@ -238,6 +268,10 @@ impl Turn {
                 let angle = move |t: u32| tick as f32 * (f64::from(t) * PI) as f32 / 180.0;
                 Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
             }
+            Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e => {
+                let angle = move |t: u32| tick as f32 * t as f32 * DEGREE;
+                Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
+            }
             Recipe::Pandar64 => {
                 let quarter = ticks / 4;
                 let angle = move |t: u32| ((t + quarter) % ticks) as f32 * (tick * PI / 180.0) as f32;
@@ -272,8 +306,16 @@ fn cos_sin(radians: f64) -> [f64; 2] {
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Arithmetic {
     /// Cosine and sine of the elevation, and of the azimuth offset if there is one; whether ranges are products in
-    /// double precision and x and y are negated; whether x and y are products in double precision.
-    Single { cos_v: f32, sin_v: f32, offset: Option<[f32; 2]>, is_turned: bool, in_double: bool },
+    /// double precision and x and y are negated; whether x and y are products in double precision; metres up, if the
+    /// laser has a height.
+    Single {
+        cos_v: f32,
+        sin_v: f32,
+        offset: Option<[f32; 2]>,
+        is_turned: bool,
+        in_double: bool,
+        up: Option<f32>,
+    },
     /// Cosine and sine of the elevation; the azimuth offset in degrees, and its cosine and sine.
     Double { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], axes: Axes, single_range: bool },
     /// Cosine and sine of the elevation; the azimuth offset in ticks; metres from the axis and up.
@@ -297,7 +339,6 @@ impl Arithmetic {
         let [along, up] = origin.metres();
         let turned = round_ties_even(laser.azimuth_degrees() / 360.0 * f64::from(ticks)) as i64;
         let turned = turned.rem_euclid(i64::from(ticks)) as u32;
-        let degree = (PI / 180.0) as f32;
         match recipe {
             Recipe::VelodyneRos
             | Recipe::VelodyneRosGlibc
@@ -309,7 +350,21 @@ impl Arithmetic {
                 let offset = radians(-laser.azimuth_degrees()) as f32;
                 let offset = (laser.azimuth != 0).then(|| recipe.cos_sin(offset));
                 let (is_turned, in_double) = (recipe == Recipe::Pandar64, recipe == Recipe::Apollo);
-                Arithmetic::Single { cos_v, sin_v, offset, is_turned, in_double }
+                Arithmetic::Single { cos_v, sin_v, offset, is_turned, in_double, up: None }
+            }
+            Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e => {
+                let single = |degrees: f64| radians(f64::from(degrees as f32)) as f32;
+                let elevation = single(laser.elevation_degrees());
+                let [cos_v, sin_v] = recipe.cos_sin(elevation);
+                let offset = (laser.azimuth != 0).then(|| recipe.cos_sin(single(-laser.azimuth_degrees())));
+                // A laser's height is where its beam, which passes through the focal point, meets the axis.
+                let [cos, sin] = cos_sin(f64::from(elevation));
+                let tangent = -sin / cos;
+                let up = match recipe {
+                    Recipe::VelodyneDecoder => along as f32 * tangent as f32,
+                    _ => (round_ties_even(along * tangent * 1e5) / 1e5) as f32,
+                };
+                Arithmetic::Single { cos_v, sin_v, offset, is_turned: false, in_double: false, up: Some(up) }
             }
             Recipe::DoubleYAhead | Recipe::DoubleXAhead | Recipe::SingleRangeXAhead => Arithmetic::Double {
                 single_range: recipe == Recipe::SingleRangeXAhead,
@@ -334,8 +389,8 @@ impl Arithmetic {
                 Arithmetic::Ls { cos_v, sin_v, turned, offset, offsets, along, up }
             }
             Recipe::Nebula => {
-                let [cos_v, sin_v] = recipe.cos_sin(laser.elevation_degrees() as f32 * degree);
-                Arithmetic::Sum { cos_v, sin_v, offset: laser.azimuth_degrees() as f32 * degree }
+                let [cos_v, sin_v] = recipe.cos_sin(laser.elevation_degrees() as f32 * DEGREE);
+                Arithmetic::Sum { cos_v, sin_v, offset: laser.azimuth_degrees() as f32 * DEGREE }
             }
             Recipe::Nebula2023 | Recipe::Once => {
                 let single = f64::from(laser.elevation_degrees() as f32);
@@ -497,7 +552,7 @@ impl Arithmetic {
     #[inline(always)]
     fn single(&self, turn: &Turn, tick: u32, metres: f32) -> [f32; 3] {
         match (self, turn) {
-            (Arithmetic::Single { cos_v, sin_v, offset, is_turned, in_double }, Turn::Tables(table)) => {
+            (Arithmetic::Single { cos_v, sin_v, offset, is_turned, in_double, up }, Turn::Tables(table)) => {
                 let [mut cos, mut sin] = *table.get(tick);
                 if let Some([cos_o, sin_o]) = offset {
                     (cos, sin) = (cos * cos_o + sin * sin_o, sin * cos_o - cos * sin_o);
@@ -509,7 +564,9 @@ impl Arithmetic {
                     let flat = metres * cos_v;
                     (flat * cos, flat * sin)
                 };
-                if *is_turned { [-x, y, metres * sin_v] } else { [x, -y, metres * sin_v] }
+                // Adding no height would change the sign of a zero.
+                let z = up.map_or(metres * sin_v, |up| metres * sin_v + up);
+                if *is_turned { [-x, y, z] } else { [x, -y, z] }
             }
             (Arithmetic::Tables { cos_v, sin_v, turned, along, up }, Turn::Tables(table)) => {
                 let [cos, sin] = *table.get((tick + turned) % table.len());
