@@ -57,7 +57,8 @@ fn fit_points(scan: &ScanFile, points: impl Iterator<Item = Option<Point>>) -> O
     let coordinates = Coordinates::finest_of(&values);
     let found = Found { scan, numbers, points, coordinates };
     let on_axis = found.on_axis(Origin::default()).filter(|scanners| !scanners.is_empty());
-    let scanners = on_axis.or_else(|| found.through_focal_point()).or_else(|| found.off_axis())?;
+    let elsewhere = || found.through_focal_point().or_else(|| found.off_axis());
+    let scanners = on_axis.or_else(elsewhere).or_else(|| Some(vec![found.ouster()?]))?;
     let shares = scanners.into_iter().map(|scanner| {
         let image = scanner.project(&scan.cloud, REACH).image;
         (

@@ -19,6 +19,7 @@ mod fit;
 mod glibc;
 mod off_axis;
 mod order;
+mod ouster;
 mod payload;
 mod projection;
 mod recipe;
