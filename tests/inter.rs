@@ -59,7 +59,7 @@ fn quicker_levels_take_p_frames_if_told() {
     assert_eq!(predictions(&round_trip(&DRIVE, &told)), [I, P, P, P, P]);
     assert_eq!(predictions(&round_trip(&DRIVE, &at_level(6))), [I; 5]);
     let told = EncoderConfig { level: at_level(3).level, ..told };
-    assert!(told.check().unwrap_err().to_string().contains("--predict inter needs level 6"));
+    assert!(told.check().unwrap_err().to_string().contains("inter prediction needs level 6"));
 }
 
 #[test]

@@ -108,7 +108,7 @@ impl Partial {
         let before = self.contents();
         let error = self.encode(files, config).map(|_| ()).unwrap_err().to_string();
         assert!(self.contents() == before, "something was changed");
-        assert!(error.contains("delete") && error.contains("without --resume"), "{error}");
+        assert!(error.contains("delete") && error.contains("without resuming"), "{error}");
         assert!(!error.contains('\n'), "{error}");
         error
     }

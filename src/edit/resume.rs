@@ -38,7 +38,7 @@ use crate::stream::ordered::run_ordered;
 use crate::stream::scanner_choice::{DriveScanners, choose_scanners, records_of};
 
 /// Advice for a partial stream that cannot be continued.
-const ADVICE: &str = "delete it to start anew, or encode without --resume";
+const ADVICE: &str = "delete it to start anew, or encode without resuming";
 
 /// The files of an encode that may be interrupted.
 #[derive(Debug)]

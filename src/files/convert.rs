@@ -99,7 +99,7 @@ impl FileFormat {
 pub fn convert(scan: &ScanFile, format: FileFormat) -> Result<ScanFile> {
     let refuse = |what: &str| Error::Input { path: scan.name.clone().into(), what: what.to_owned() };
     let columns = columns::of_scan(scan)
-        .ok_or_else(|| refuse("holds no points that can be converted; decode it without --format"))?;
+        .ok_or_else(|| refuse("holds no points that can be converted; decode it in its own format"))?;
     let columns = format.columns(columns).map_err(refuse)?;
     records::check(scan)?;
     let body = records::join(scan)?;

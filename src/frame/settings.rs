@@ -400,7 +400,7 @@ impl EncoderConfig {
         )?;
         require(
             !is_inter || self.modelling().has_p_frames(),
-            "levels 1 to 3 take every frame by itself; --predict inter needs level 6 or more",
+            "levels 1 to 3 take every frame by itself; inter prediction needs level 6 or more",
         )?;
         let fits_regions = self.predictions(None, true).contains(&Prediction::Intra)
             && self.intra.models == RegionModels::Fitted;
@@ -418,7 +418,7 @@ impl EncoderConfig {
                 wrong("jpeg always loses something; choose a rate, or jpeg2000")
             }
             (_, Rate::Bits(_), Positions::Exact) => {
-                wrong("exact mode loses nothing; choose --mode paper, or jpeg2000 at --rate lossless")
+                wrong("exact mode loses nothing; choose the mode paper, or jpeg2000 at the rate lossless")
             }
             _ => self.image.check(),
         }

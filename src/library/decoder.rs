@@ -260,7 +260,18 @@ impl Decoder<()> {
     /// # Errors
     /// If the input fails, is not a stream, or has another version of the format.
     pub fn stream<'r>(input: impl Read + Send + 'r, threads: usize) -> Result<Scans<'r>> {
-        let limits = Limits::default();
+        Self::stream_with_limits(input, threads, Limits::default())
+    }
+
+    /// As [`stream`](Self::stream), with limits on allocations.
+    ///
+    /// # Errors
+    /// As [`stream`](Self::stream).
+    pub fn stream_with_limits<'r>(
+        input: impl Read + Send + 'r,
+        threads: usize,
+        limits: Limits,
+    ) -> Result<Scans<'r>> {
         let groups = StreamedGroups::new(StreamReader::open(input, limits)?, FrameRange::default());
         let options = DecodeOptions { threads, limits, ..DecodeOptions::default() };
         Ok(Scans::new(Box::new(groups), options))

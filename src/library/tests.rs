@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use super::*;
 use crate::container::Unit;
 use crate::frame::EncoderConfig;
-use crate::ground::error::{Error, Result};
+use crate::ground::error::{Error, Limits, Result};
 use crate::scan::Scalar as ScalarType;
 use crate::stream::{FrameInput, encode_live};
 
@@ -243,6 +243,17 @@ fn scans_come_by_number_and_in_order() {
 }
 
 #[test]
+fn limits_hold_however_a_stream_is_read() {
+    let scans = drive().into_iter().map(|(name, bytes)| Scan::from_file(&name, bytes));
+    let stream = encoded(scans, Settings::exact());
+    let limits = Limits { points: 10, ..Limits::default() };
+    let mut decoder = Decoder::open_with_limits(Cursor::new(&stream), limits).unwrap();
+    assert!(matches!(decoder.scan(0), Err(Error::LimitExceeded { .. })));
+    let mut piped = Decoder::stream_with_limits(&stream[..], 1, limits).unwrap();
+    assert!(matches!(piped.next(), Some(Err(Error::LimitExceeded { .. }))));
+}
+
+#[test]
 fn a_stream_without_scans_is_a_stream() {
     let stream = encoded([], Settings::exact());
     let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap();
@@ -364,7 +375,6 @@ fn an_encoder_that_failed_stays_failed() {
 #[test]
 fn messages_stand_by_themselves_and_share_what_was_found() {
     use crate::container::{Record, StreamReader};
-    use crate::ground::error::Limits;
 
     let scanner_of = |stream: &[u8]| {
         let mut reader = StreamReader::open(stream, Limits::default()).unwrap();
