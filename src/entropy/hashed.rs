@@ -94,7 +94,7 @@ pub struct HashedCounters {
 }
 
 /// The two lines in which a context may be.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Candidates {
     hash: u32,
     tags: [u16; 2],

@@ -80,8 +80,9 @@ impl<const N: usize, const S: usize> LayeredMixer<N, S> {
             refined += REFINED_SHARE * odds;
             place
         });
-        let bit = coder.code(bit, self.tables.squash(refined));
-        let error = ((i32::from(bit) << 16) - self.tables.squash(mixed) as i32) as f32 / 65536.0;
+        let p = self.tables.squash(refined);
+        let bit = coder.code(bit, p);
+        let error = ((i32::from(bit) << 16) - p as i32) as f32 / 65536.0;
         let pull = error * self.last_rate;
         for i in 0..S {
             last[i] += pull * firsts[i];

@@ -19,7 +19,7 @@ mod weights;
 
 pub use adaptive::{AdaptiveBit, IntegerModel};
 pub use arithmetic::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
-pub use hashed::{HashedCounters, LINE_LEVELS, Line, hash, hash_below};
+pub use hashed::{Candidates, HashedCounters, LINE_LEVELS, Line, hash, hash_below};
 pub use layered_bits::{LayeredBits, LayeredContext};
 pub use layered_mixer::{LayeredMixer, MixContexts, MixRates};
 pub use logistic::{Counter, Logistic, MixedBits};

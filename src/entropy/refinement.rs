@@ -24,6 +24,8 @@ pub struct Refined {
     point: usize,
     /// Its distance from that point as a fraction of the distance to the next, from 0 to 1.
     part: f32,
+    /// The refined log odds.
+    odds: f32,
 }
 
 impl Refinement {
@@ -36,22 +38,26 @@ impl Refinement {
     /// The refined log odds of an estimate in a context.
     #[inline]
     pub fn refine(&self, context: usize, odds: f32) -> (Refined, f32) {
+        // In a sum with 2^23 the lowest bit has the value 1, and subtracting one half makes rounding go down. A
+        // place on a point may count as the end of the part below it, which gives the same odds.
+        const UNIT: f32 = (1 << 23) as f32;
         let place = (odds.clamp(-REACH, REACH) + REACH) * FINENESS;
-        let point = (place as usize).min(POINTS - 2);
-        let part = place - point as f32;
+        let rounded = (place - 0.5).max(0.0) + UNIT;
+        let point = (rounded.to_bits() as usize % 64).min(POINTS - 2);
+        let part = place - point as i32 as f32;
         let map = &self.maps[context];
-        (Refined { context, point, part }, map[point] * (1.0 - part) + map[point + 1] * part)
+        let odds = map[point] * (1.0 - part) + map[point + 1] * part;
+        (Refined { context, point, part, odds }, odds)
     }
 
-    /// Moves both points towards the bit that was coded.
+    /// Moves both points towards the bit that was coded, by their shares in the refined odds.
     #[inline]
     pub fn learn(&mut self, refined: Refined, bit: bool) {
         let target = if bit { 65536 } else { 0 };
+        let pull = RATE * ((target - self.tables.squash(refined.odds) as i32) as f32 / 65536.0);
         let map = &mut self.maps[refined.context];
-        for (point, share) in [(refined.point, 1.0 - refined.part), (refined.point + 1, refined.part)] {
-            let error = (target - self.tables.squash(map[point]) as i32) as f32 / 65536.0;
-            map[point] += RATE * share * error;
-        }
+        map[refined.point] += pull * (1.0 - refined.part);
+        map[refined.point + 1] += pull * refined.part;
     }
 }
 

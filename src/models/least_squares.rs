@@ -1,6 +1,10 @@
 //! Online least squares: the linear prediction that would have been best for the samples so far, with old
 //! errors forgotten exponentially. FORMAT.md 7.1.
 
+mod batched;
+
+pub use batched::BatchedLeastSquares;
+
 /// `N` weights, solved again every few samples from the running normal equations. `N` is a multiple of
 /// [`LANES`].
 #[derive(Clone, Debug)]
@@ -55,11 +59,7 @@ impl<const N: usize> LeastSquares<N> {
     /// The prediction from these features.
     #[inline(always)]
     pub fn predict(&self, features: &[f32; N]) -> f32 {
-        let mut sums = [0.0; LANES];
-        for i in 0..N {
-            sums[i % LANES] += self.weights[i] * features[i];
-        }
-        (sums[0] + sums[1]) + (sums[2] + sums[3])
+        sum_of_products(&self.weights, features)
     }
 
     /// Learns that `target` came with these features; `weight` is the weight of this sample.
@@ -118,6 +118,16 @@ impl<const N: usize> LeastSquares<N> {
             self.weights[i] = (forward[i] - known) * inverse[i];
         }
     }
+}
+
+/// The sum of the products, lane by lane.
+#[inline(always)]
+fn sum_of_products<const N: usize>(a: &[f32; N], b: &[f32; N]) -> f32 {
+    let mut sums = [0.0; LANES];
+    for i in 0..N {
+        sums[i % LANES] += a[i] * b[i];
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
 #[cfg(test)]

@@ -295,16 +295,16 @@ class LayeredMixer:
             x = points[m]
             if x is None:
                 x = points[m] = self.point[:]
-            found.append(x)
             t = array("f", (x[i] * rest, x[i + 1] * part))
             cell[0] = t[0] + t[1]
+            found.append((x, cell[0]))
             cell[0] *= 0.25
             cell[0] += odds
             odds = cell[0]
         bit = bits.decode(squash(odds))
         whole = 65536 if bit else 0
 
-        cell[0] = (whole - squash(mixed)) / 65536 * self.last_rate
+        cell[0] = (whole - squash(odds)) / 65536 * self.last_rate
         pull = cell[0]
         for k, (weights, s) in enumerate(zip(mixers, sets)):
             f = first[k]
@@ -317,16 +317,12 @@ class LayeredMixer:
             step = cell[0]
             weights[s] = array("f", map(add, own[k], array("f", [step * o for o in opinions])))
         t = array("f", (0.08,))[0]
-        cell[0] = t * rest
-        lower = cell[0]
-        cell[0] = t * part
-        upper = cell[0]
-        for x in found:
-            a = (whole - squash(x[i])) / 65536
-            b = (whole - squash(x[i + 1])) / 65536
-            cell[0] = lower * a
+        for x, y in found:
+            cell[0] = t * ((whole - squash(y)) / 65536)
+            by = cell[0]
+            cell[0] = by * rest
             x[i] += cell[0]
-            cell[0] = upper * b
+            cell[0] = by * part
             x[i + 1] += cell[0]
         return bit
 

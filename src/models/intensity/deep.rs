@@ -16,8 +16,10 @@ use super::errors::MeanErrors;
 use super::neighbours::IntensityNeighbours;
 use super::scale::{IntensityScale, MOST_BITS};
 use crate::entropy::{
-    BitCoder, HashedCounters, LINE_LEVELS, LayeredMixer, Logistic, MixContexts, MixRates, hash_below,
+    BitCoder, Candidates, HashedCounters, LINE_LEVELS, LayeredMixer, Logistic, MixContexts, MixRates,
+    hash_below,
 };
+use crate::ground::lanes::lanes;
 use crate::models::quantise::Levels;
 use fit::{Fit, FitOpinion};
 use surroundings::Surroundings;
@@ -97,19 +99,22 @@ impl DeepLevels {
     ) -> u32 {
         let around = Surroundings::new(near);
         let prediction = self.fit.predict(&around);
+        // The processor loads the lines while the zero is coded.
+        let hashes = views::hashes(&around, (row, column), prediction);
+        let first = self.candidates(&hashes, 1);
         if self.zero.code(coder, &around, (row, column), prediction, level == 0) {
             return 0;
         }
         let [expected, gradient] =
             [self.errors.expected(column), around.gradient()].map(|measure| self.levels.of(measure));
         let site = Site {
-            hashes: views::hashes(&around, (row, column), prediction),
+            hashes,
             has_reference: usize::from(around.has_reference()),
             pair: around.pair(),
             uncertainty: expected * ERROR_LEVELS + gradient,
         };
         let opinion = self.fit.opinion(prediction, site.uncertainty, scale);
-        let level = self.code_bits(coder, scale.bits(), &site, opinion, level);
+        let level = self.code_bits(coder, scale.bits(), &site, first, opinion, level);
         if level > 0 {
             let own = f32::from(scale.context_of(level));
             self.fit.learn(&around, prediction, site.uncertainty, own);
@@ -118,21 +123,25 @@ impl DeepLevels {
         level
     }
 
+    /// Looks for the lines of all views for the tree below `node`.
+    #[inline(always)]
+    fn candidates(&self, hashes: &[u32; VIEWS], node: usize) -> [Candidates; VIEWS] {
+        lanes(|view| self.counters[view].candidates(hash_below(hashes[view], node)))
+    }
+
     /// Codes the bits of a level, from the highest down.
     fn code_bits<C: BitCoder>(
         &mut self,
         coder: &mut C,
         bits: u32,
         site: &Site,
+        mut candidates: [Candidates; VIEWS],
         mut fit: FitOpinion,
         level: u32,
     ) -> u32 {
         let mut node = 1usize;
         let mut left = bits;
         while left > 0 {
-            let candidates: [_; VIEWS] = std::array::from_fn(|view| {
-                self.counters[view].candidates(hash_below(site.hashes[view], node))
-            });
             let mut view = 0;
             let mut lines = self.counters.each_mut().map(|counters| {
                 view += 1;
@@ -153,6 +162,9 @@ impl DeepLevels {
                 fit.narrow(bit);
                 node = node << 1 | usize::from(bit);
                 place = place << 1 | usize::from(bit);
+            }
+            if left > 0 {
+                candidates = self.candidates(&site.hashes, node);
             }
         }
         node as u32 - (1 << bits)

@@ -3,6 +3,7 @@
 
 use super::{FIT, FIT_REACH, SURPRISE};
 use crate::entropy::Logistic;
+use crate::ground::lanes::lanes;
 use crate::models::shape::{ErrorShape, Placed};
 
 /// The part of the probability that is distributed evenly over all ranges.
@@ -74,7 +75,7 @@ impl<const P: usize, const M: usize> Interval<P, M> {
     /// against lower.
     #[inline]
     pub fn split(&self, below_middle: &Below<P, M>, tables: &Logistic) -> [f32; M] {
-        std::array::from_fn(|m| {
+        lanes(|m| {
             let above = self.below_high.mixed[m] - below_middle.mixed[m];
             let below = below_middle.mixed[m] - self.below_low.mixed[m];
             let [above, below] = [above, below].map(|half| if half > LEAST { half } else { LEAST });
@@ -169,9 +170,7 @@ impl<const P: usize, const M: usize> Mixture<P, M> {
     ) -> Below<P, M> {
         let each = shape.below(&predicted.placed, range as f32);
         let even = EVEN / (1u32 << range_bits) as f32 * range as f32;
-        let mixed = std::array::from_fn(|m| {
-            sum_of_products(even, &self.weights[m][predicted.contexts[m]].weights, &each)
-        });
+        let mixed = lanes(|m| sum_of_products(even, &self.weights[m][predicted.contexts[m]].weights, &each));
         Below { each, mixed }
     }
 

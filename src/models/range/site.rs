@@ -74,7 +74,7 @@ impl Site {
         views
     }
 
-    /// Adapts a fit to the coded range.
+    /// Adapts a fit, which predicted `fit`, to the coded range.
     pub fn learn<const F: usize>(
         &self,
         fits: &mut LeastSquares<F>,
@@ -82,10 +82,17 @@ impl Site {
         fit: f64,
         range: f64,
     ) {
+        let (target, weight) = self.sample(fit, range);
+        fits.learn(features, target, weight);
+    }
+
+    /// What a fit that predicted `fit` learns from the coded range: its target, and the weight.
+    #[inline(always)]
+    pub fn sample(&self, fit: f64, range: f64) -> (f32, f32) {
         let target = (range - self.near.west).clamp(-FIT_REACH, FIT_REACH);
         let error = range - self.near.west - fit;
         let weight = 1.0 / (25.0 + error * error);
-        fits.learn(features, target as f32, weight as f32);
+        (target as f32, weight as f32)
     }
 }
 

@@ -3,7 +3,7 @@
 use super::surroundings::{FEATURES, Surroundings};
 use crate::entropy::Logistic;
 use crate::models::intensity::scale::IntensityScale;
-use crate::models::least_squares::LeastSquares;
+use crate::models::least_squares::BatchedLeastSquares;
 use crate::models::shape::{ErrorShape, Placed};
 
 /// Fits: one for each combination of whether there is a neighbour to the left, one above, and one in an
@@ -19,7 +19,7 @@ const LEAST: f32 = 1.0 / (1 << 24) as f32;
 /// The fits, and their mean errors.
 #[derive(Clone)]
 pub struct Fit {
-    fits: [LeastSquares<FEATURES>; FITS],
+    fits: [BatchedLeastSquares<FEATURES>; FITS],
     shape: ErrorShape,
     /// The mean error in each context, in context levels.
     scales: Vec<f32>,
@@ -29,7 +29,7 @@ impl Fit {
     /// Creates untrained fits, with mean errors for `contexts` contexts.
     pub fn new(contexts: usize) -> Self {
         Fit {
-            fits: std::array::from_fn(|_| LeastSquares::new(0.998)),
+            fits: std::array::from_fn(|_| BatchedLeastSquares::new(0.998)),
             shape: ErrorShape::new(),
             scales: vec![4.0; contexts],
         }

@@ -1,7 +1,7 @@
 //! Several least-squares fits, and one that blends their predictions.
 
 use super::Referred;
-use crate::models::least_squares::LeastSquares;
+use crate::models::least_squares::BatchedLeastSquares;
 use crate::models::range::back::SURROUNDING_FEATURES;
 use crate::models::range::site::Site;
 use crate::models::range::{
@@ -31,13 +31,13 @@ const SOON: u32 = 8;
 #[derive(Clone)]
 pub struct Fits {
     /// Fits by kind of edge; those with a reference follow those without.
-    wide: Vec<LeastSquares<WIDE_FEATURES>>,
+    wide: Vec<BatchedLeastSquares<WIDE_FEATURES>>,
     /// Fits to the last few returns, by kind of edge.
-    recent: Vec<LeastSquares<FEATURES>>,
+    recent: Vec<BatchedLeastSquares<FEATURES>>,
     /// Fits to the last few returns in a stretch of columns, in this row and those above.
-    local: Vec<LeastSquares<ALL_FEATURES>>,
+    local: Vec<BatchedLeastSquares<ALL_FEATURES>>,
     /// Fits to the predictions of these, by class of error.
-    blend: Vec<LeastSquares<BLEND_FEATURES>>,
+    blend: Vec<BatchedLeastSquares<BLEND_FEATURES>>,
 }
 
 /// The predictions of the fits for a cell, in steps from the left neighbour, with their features.
@@ -58,10 +58,10 @@ pub struct Fitted {
 impl Default for Fits {
     fn default() -> Self {
         Fits {
-            wide: vec![LeastSquares::new(LONG_MEMORY); 2 * EDGES],
-            recent: vec![LeastSquares::new(SHORT_MEMORY).solved_every(SOON); EDGES],
+            wide: vec![BatchedLeastSquares::new(LONG_MEMORY); 2 * EDGES],
+            recent: vec![BatchedLeastSquares::new(SHORT_MEMORY).solved_every(SOON); EDGES],
             local: Vec::new(),
-            blend: vec![LeastSquares::new(LONG_MEMORY).solved_every(SOON); ERROR_LEVELS],
+            blend: vec![BatchedLeastSquares::new(LONG_MEMORY).solved_every(SOON); ERROR_LEVELS],
         }
     }
 }
@@ -70,7 +70,7 @@ impl Fits {
     /// Prepares for an image of `columns` columns.
     pub fn start_frame(&mut self, columns: usize) {
         let stretches = columns.div_ceil(STRETCH).max(self.local.len());
-        self.local.resize(stretches, LeastSquares::new(SHORT_MEMORY).solved_every(SOON));
+        self.local.resize(stretches, BatchedLeastSquares::new(SHORT_MEMORY).solved_every(SOON));
     }
 
     /// Copies the learned state of the fits without a reference to those with one.
@@ -145,10 +145,14 @@ impl Fits {
     /// Adapts the fits to the coded range, in steps.
     #[inline]
     pub fn learn(&mut self, site: &Site, fitted: &Fitted, range: f64) {
-        site.learn(&mut self.wide[fitted.wide_fit], &fitted.wide_features, fitted.wide, range);
-        site.learn(&mut self.recent[site.edge], &site.features, fitted.recent, range);
-        site.learn(&mut self.local[fitted.stretch], &fitted.local_features, fitted.local, range);
-        site.learn(&mut self.blend[site.error_level], &fitted.blend_features, fitted.blend, range);
+        let (target, weight) = site.sample(fitted.recent, range);
+        self.recent[site.edge].learn(&site.features, target, weight);
+        let (target, weight) = site.sample(fitted.wide, range);
+        self.wide[fitted.wide_fit].learn(&fitted.wide_features, target, weight);
+        let (target, weight) = site.sample(fitted.local, range);
+        self.local[fitted.stretch].learn(&fitted.local_features, target, weight);
+        let (target, weight) = site.sample(fitted.blend, range);
+        self.blend[site.error_level].learn(&fitted.blend_features, target, weight);
     }
 }
 
