@@ -152,7 +152,7 @@ fn compare_inputs(
                 let partial = partial.display();
                 let what = format!(
                     "was changed after {partial} was begun with it; delete that to start anew, or encode \
-                     without --resume"
+                     without resuming"
                 );
                 return Err(Error::Input { path: input.path(), what });
             }

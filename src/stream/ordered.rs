@@ -55,8 +55,9 @@ fn no_threads(threads: usize, error: &ThreadPoolBuildError) -> Error {
 
 /// Calls `work` for each job on `threads` threads and passes the results to `sink` in the order of the jobs,
 /// each as soon as it and those before are available. Jobs are drawn on a separate thread, which may wait for
-/// its input; results are passed on the calling thread. At most `threads + 1` jobs are drawn, running or
-/// waiting at a time, so that memory does not grow with their number.
+/// its input; results are passed on the calling thread. At most `threads + 1` jobs are drawn, running or waiting
+/// at a time, so that memory does not grow with their number. After an error, this returns only when the job that
+/// is being drawn has arrived.
 ///
 /// # Errors
 /// The first error of the jobs, the work or the sink, in the order of the jobs; which one does not depend on

@@ -263,28 +263,15 @@ impl Constants {
     /// The whole ticks by which all offsets are wrong, as far as these rows determine them, and how many of their
     /// points are then reproduced: possibly 0 if there are fewer than `least`.
     fn common(&self, any: &Firings, offsets: &[f64], few: &[usize], least: usize) -> (i32, usize) {
-        /// If ticks are whole thousandths of degrees, whole ticks matter only in single precision: the largest error
-        /// that is tried.
-        const FARTHEST: i32 = 1200;
-        const NEAR: i32 = 4;
-        /// Every n-th point is enough to try errors.
-        const SPARSE: usize = 4;
-        /// But not if points were moved or the last digits are unknown: number of the likeliest errors, which are then
-        /// compared on more points.
-        const LIKELIEST: usize = 32;
         /// Smaller offsets, in degrees, count as none.
         const NONE: f64 = 1e-5;
-        /// In degrees: no offset is this near to a thousandth by chance.
-        const NEAR_THOUSANDTH: f64 = 1e-4;
-        let tick = 360.0 / f64::from(any.build.ticks);
         let is_whole = 360_000 % any.build.ticks == 0;
         let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
         let has_none = offsets.iter().all(|offset| offset.abs() < NONE);
         let is_known = is_whole && (has_none || !any.build.recipe.adds_in_single());
         // Heights do not depend on the offset, so they show whether this is the right recipe at all. The heights of
         // points that were moved show nothing.
-        let are_moved = self.are_moved(few);
-        let elevations = self.elevations_of(any, few, if are_moved { 0 } else { least });
+        let elevations = self.elevations_of(any, few, if self.are_moved(few) { 0 } else { least });
         if elevations.is_empty() {
             return (0, 0);
         }
@@ -292,7 +279,9 @@ impl Constants {
         let (mut found, mut left) = (Vec::new(), points - least.min(points));
         for (&row, (elevations, _)) in few.iter().zip(&elevations) {
             let least = if is_known { self.of_rows[row].len().saturating_sub(left) } else { 0 };
-            let (laser, exact) = self.laser_among(any, row, offsets[row], elevations, least);
+            // `least` depends on what other threads have found so far, so it must not decide whether to give up.
+            let wanted = if is_known { least.max(1) } else { 0 };
+            let (laser, exact) = self.laser_among(any, row, offsets[row], elevations, wanted);
             if exact < least {
                 return (0, 0);
             }
@@ -305,92 +294,8 @@ impl Constants {
         if exact == points || is_known {
             return (0, exact);
         }
-        // From the middle outwards, so that the smallest error wins ties.
-        let rising = |most: i32| (1..=most).flat_map(|common| [common, -common]);
-        if !is_whole {
-            let thousandth = (1e-3 / ANGLE_UNIT) as i64;
-            let worth = |lasers: &[(Laser, usize)]| {
-                let exact: usize = lasers.iter().map(|(_, exact)| exact).sum();
-                (exact, lasers.iter().filter(|(laser, _)| laser.azimuth % thousandth == 0).count())
-            };
-            let mut best = (0, worth(&found));
-            for common in rising(NEAR) {
-                let offset = |row: usize| offsets[row] + f64::from(common) * tick;
-                let lasers: Vec<_> = few.iter().map(|&row| self.laser(any, row, offset(row))).collect();
-                let worth = worth(&lasers);
-                if worth > best.1 {
-                    best = (common, worth);
-                }
-            }
-            return (best.0, best.1.0);
-        }
-        let heights = few
-            .iter()
-            .zip(&found)
-            .map(|(&row, (laser, _))| exact_points(any, *laser, &self.of_rows[row], 2..3, 0));
-        let heights = heights.sum::<usize>();
-        if 2 * heights < points || heights < least {
-            return (0, exact);
-        }
-        let fewer: Vec<Vec<Point>> =
-            few.iter().map(|&row| self.of_rows[row].iter().step_by(SPARSE).copied().collect()).collect();
-        // Sums in single precision depend on the last digits of the offsets, so these should be right.
-        let is_thousandth = |&row: &usize| {
-            let off = offsets[row] - roundings(offsets[row])[0] as f64 * ANGLE_UNIT;
-            off.abs() < NEAR_THOUSANDTH
-        };
-        let are_thousandths = are_moved || few.iter().all(is_thousandth);
-        // The number of points that are reproduced, or `None` if there are fewer than `least`.
-        let count = |common: i32, points: &[Vec<Point>], least: usize| {
-            let all: usize = points.iter().map(Vec::len).sum();
-            let mut left = all.checked_sub(least)?;
-            for ((&row, (laser, _)), points) in few.iter().zip(&found).zip(points) {
-                let degrees = offsets[row] + f64::from(common) * tick;
-                let azimuth = if are_thousandths {
-                    roundings(degrees)[0]
-                } else {
-                    (degrees / ANGLE_UNIT).round() as i64
-                };
-                let least = points.len().saturating_sub(left);
-                let exact = exact_points(any, Laser { azimuth, ..*laser }, points, 0..3, least);
-                left = left.checked_sub(points.len() - exact)?;
-            }
-            Some(least + left)
-        };
-        let all = std::iter::once(0).chain(rising(FARTHEST));
-        let common = if are_thousandths && !are_moved {
-            // No more of these points may be missed than of all points, and with the right error most are reproduced.
-            let size: usize = fewer.iter().map(Vec::len).sum();
-            let least = size.saturating_sub(points - least.min(points)).max(size * 3 / 4).max(1);
-            let found = all.fold((least - 1, 0), |best, common| {
-                count(common, &fewer, best.0 + 1).map_or(best, |count| (count, common))
-            });
-            found.1
-        } else {
-            // While the motion or the last digits are not known well, few points are reproduced, so the likeliest
-            // errors are compared on more points.
-            let more: Vec<Vec<Point>> = few.iter().map(|&row| self.more_of_rows[row].clone()).collect();
-            let mut counted: Vec<_> = all.map(|common| (count(common, &fewer, 0), common)).collect();
-            counted.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
-            counted.truncate(LIKELIEST);
-            let count = |common: i32| match are_moved {
-                true => count(common, &more, 0).unwrap_or(0),
-                false => few
-                    .iter()
-                    .zip(&found)
-                    .map(|(&row, (laser, _))| {
-                        let azimuth = ((offsets[row] + f64::from(common) * tick) / ANGLE_UNIT).round() as i64;
-                        polished(any, Laser { azimuth, ..*laser }, &self.of_rows[row]).1
-                    })
-                    .sum(),
-            };
-            // The first one wins ties.
-            let counted = counted.into_iter().map(|(_, common)| (count(common), common));
-            counted.fold((0, 0), |best, next| if next.0 > best.0 { next } else { best }).1
-        };
-        let offset = |row: usize| offsets[row] + f64::from(common) * tick;
-        let sum = few.iter().map(|&row| self.laser(any, row, offset(row)).1).sum();
-        if sum > exact { (common, sum) } else { (0, exact) }
+        let tried = Tried { constants: self, any, offsets, rows: few, found };
+        if is_whole { tried.common_in_single_precision(least) } else { tried.common_of_fractions() }
     }
 
     /// Whether points of these rows were moved.
@@ -443,7 +348,8 @@ impl Constants {
         self.laser_among(any, row, offset, &self.elevations(any, row, 0).0, 0)
     }
 
-    /// The same, given the likeliest elevations; possibly without points if there are fewer than `least`.
+    /// The same, given the likeliest elevations; possibly without points if there are fewer than `least`. If that is
+    /// 0, gives up where the offset is clearly wrong.
     fn laser_among(
         &self,
         any: &Firings,
@@ -471,11 +377,145 @@ impl Constants {
             }
             // Elevations of the same sine differ little in their cosine, so if the first one reproduces no point at all,
             // the offset is wrong.
-            if exact == points.len() || (best.1 == 0 && least <= 1) {
+            if exact == points.len() || (best.1 == 0 && least == 0) {
                 break;
             }
         }
         best
+    }
+}
+
+/// The lasers of some rows, found with a recipe whose offsets may all be wrong by the same number of ticks.
+struct Tried<'c> {
+    constants: &'c Constants,
+    any: &'c Firings,
+    /// The azimuth offsets of all rows, in degrees.
+    offsets: &'c [f64],
+    rows: &'c [usize],
+    /// The laser of each of these rows, and how many of its points it reproduces.
+    found: Vec<(Laser, usize)>,
+}
+
+impl Tried<'_> {
+    /// The offset of a row, in degrees, if all are wrong by this number of ticks.
+    fn offset(&self, row: usize, common: i32) -> f64 {
+        self.offsets[row] + f64::from(common) * (360.0 / f64::from(self.any.build.ticks))
+    }
+
+    /// From the middle outwards, so that the smallest error wins ties.
+    fn rising(most: i32) -> impl Iterator<Item = i32> {
+        (1..=most).flat_map(|common| [common, -common])
+    }
+
+    /// The error, and the number of points that are then reproduced, if ticks are no whole thousandths of degrees. With
+    /// the right one most offsets are.
+    fn common_of_fractions(&self) -> (i32, usize) {
+        /// The largest error that is tried.
+        const FARTHEST: i32 = 4;
+        let thousandth = (1e-3 / ANGLE_UNIT) as i64;
+        let worth = |lasers: &[(Laser, usize)]| {
+            let exact: usize = lasers.iter().map(|(_, exact)| exact).sum();
+            (exact, lasers.iter().filter(|(laser, _)| laser.azimuth % thousandth == 0).count())
+        };
+        let mut best = (0, worth(&self.found));
+        for common in Self::rising(FARTHEST) {
+            let laser = |&row: &usize| self.constants.laser(self.any, row, self.offset(row, common));
+            let worth = worth(&self.rows.iter().map(laser).collect::<Vec<_>>());
+            if worth > best.1 {
+                best = (common, worth);
+            }
+        }
+        (best.0, best.1.0)
+    }
+
+    /// The same if ticks are whole thousandths of degrees: whole ticks then matter only because the recipe rounds sums to
+    /// single precision. The error is 0 if fewer than `least` points would be reproduced.
+    fn common_in_single_precision(&self, least: usize) -> (i32, usize) {
+        /// The largest error that is tried.
+        const FARTHEST: i32 = 1200;
+        /// Every n-th point is enough to try errors.
+        const SPARSE: usize = 4;
+        /// In degrees: no offset is this near to a thousandth by chance.
+        const NEAR_THOUSANDTH: f64 = 1e-4;
+        let Constants { of_rows, .. } = self.constants;
+        let exact: usize = self.found.iter().map(|(_, exact)| exact).sum();
+        let points: usize = self.rows.iter().map(|&row| of_rows[row].len()).sum();
+        let lasers = self.rows.iter().zip(&self.found);
+        let heights: usize =
+            lasers.map(|(&row, (laser, _))| exact_points(self.any, *laser, &of_rows[row], 2..3, 0)).sum();
+        if 2 * heights < points || heights < least {
+            return (0, exact);
+        }
+        let fewer: Vec<Vec<Point>> =
+            self.rows.iter().map(|&row| of_rows[row].iter().step_by(SPARSE).copied().collect()).collect();
+        // Sums in single precision depend on the last digits of the offsets, so these should be right.
+        let is_thousandth = |&row: &usize| {
+            let off = self.offsets[row] - roundings(self.offsets[row])[0] as f64 * ANGLE_UNIT;
+            off.abs() < NEAR_THOUSANDTH
+        };
+        let are_moved = self.constants.are_moved(self.rows);
+        let are_thousandths = are_moved || self.rows.iter().all(is_thousandth);
+        let all = std::iter::once(0).chain(Self::rising(FARTHEST));
+        let common = if are_thousandths && !are_moved {
+            // No more of these points may be missed than of all points, and with the right error most are reproduced.
+            let size: usize = fewer.iter().map(Vec::len).sum();
+            let least = size.saturating_sub(points - least.min(points)).max(size * 3 / 4).max(1);
+            let found = all.fold((least - 1, 0), |best, common| {
+                self.count(common, true, &fewer, best.0 + 1).map_or(best, |count| (count, common))
+            });
+            found.1
+        } else {
+            self.likeliest(all, are_moved, &fewer)
+        };
+        let exact_so = |&row: &usize| self.constants.laser(self.any, row, self.offset(row, common)).1;
+        let sum = self.rows.iter().map(exact_so).sum();
+        if sum > exact { (common, sum) } else { (0, exact) }
+    }
+
+    /// The number of these points of the rows that are reproduced if all offsets are wrong by this number of ticks, or
+    /// `None` if there are fewer than `least`.
+    fn count(
+        &self,
+        common: i32,
+        are_thousandths: bool,
+        points: &[Vec<Point>],
+        least: usize,
+    ) -> Option<usize> {
+        let all: usize = points.iter().map(Vec::len).sum();
+        let mut left = all.checked_sub(least)?;
+        for ((&row, (laser, _)), points) in self.rows.iter().zip(&self.found).zip(points) {
+            let degrees = self.offset(row, common);
+            let azimuth =
+                if are_thousandths { roundings(degrees)[0] } else { (degrees / ANGLE_UNIT).round() as i64 };
+            let least = points.len().saturating_sub(left);
+            let exact = exact_points(self.any, Laser { azimuth, ..*laser }, points, 0..3, least);
+            left = left.checked_sub(points.len() - exact)?;
+        }
+        Some(least + left)
+    }
+
+    /// The error with which the most points are reproduced, while the motion or the last digits of the offsets are not
+    /// known well. Few points are then reproduced, so the likeliest errors are compared on more points.
+    fn likeliest(&self, all: impl Iterator<Item = i32>, are_moved: bool, fewer: &[Vec<Point>]) -> i32 {
+        /// Number of errors that are compared.
+        const LIKELIEST: usize = 32;
+        let Constants { of_rows, more_of_rows, .. } = self.constants;
+        let mut counted: Vec<_> =
+            all.map(|common| (self.count(common, are_moved, fewer, 0), common)).collect();
+        counted.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
+        counted.truncate(LIKELIEST);
+        let more: Vec<Vec<Point>> = self.rows.iter().map(|&row| more_of_rows[row].clone()).collect();
+        let polished = |common: i32, (&row, (laser, _)): (&usize, &(Laser, usize))| {
+            let azimuth = (self.offset(row, common) / ANGLE_UNIT).round() as i64;
+            polished(self.any, Laser { azimuth, ..*laser }, &of_rows[row]).1
+        };
+        let count = |common: i32| match are_moved {
+            true => self.count(common, true, &more, 0).unwrap_or(0),
+            false => self.rows.iter().zip(&self.found).map(|laser| polished(common, laser)).sum(),
+        };
+        // The first one wins ties.
+        let counted = counted.into_iter().map(|(_, common)| (count(common), common));
+        counted.fold((0, 0), |best, next| if next.0 > best.0 { next } else { best }).1
     }
 }
 
