@@ -43,7 +43,7 @@ impl Refinement {
         const UNIT: f32 = (1 << 23) as f32;
         let place = (odds.clamp(-REACH, REACH) + REACH) * FINENESS;
         let rounded = (place - 0.5).max(0.0) + UNIT;
-        let point = (rounded.to_bits() as usize % 64).min(POINTS - 2);
+        let point = (rounded.to_bits() as usize % POINTS.next_power_of_two()).min(POINTS - 2);
         let part = place - point as i32 as f32;
         let map = &self.maps[context];
         let odds = map[point] * (1.0 - part) + map[point + 1] * part;
