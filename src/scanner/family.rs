@@ -55,6 +55,16 @@ impl Scanner {
     /// Fits a scanner to a sample of a stream's scans, as they were measured: of the families, the one that
     /// explains most of the points. None if none explains enough of them.
     pub fn fit(sample: &[ScanFile]) -> Option<Scanner> {
+        Self::of_sample(sample).filter(Self::can_be_read)
+    }
+
+    /// Whether a decoder accepts the scanner's record. One that was fitted to values that no scanner measures may have
+    /// constants beyond all limits.
+    fn can_be_read(&self) -> bool {
+        Self::of_record(self.family(), &self.to_payload()).is_ok()
+    }
+
+    fn of_sample(sample: &[ScanFile]) -> Option<Scanner> {
         let beams = || hdl64::fit(sample).map(Scanner::Hdl64);
         let largest = sample.iter().max_by_key(|scan| scan.cloud.positions.len());
         // An evident HDL-64E is recognised quickly, whereas ruling out all other scanners takes long.
