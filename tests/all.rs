@@ -19,6 +19,7 @@ mod inputs;
 mod inter;
 mod kill;
 mod live;
+mod mounting;
 mod paper;
 mod recordings;
 mod registration;

@@ -142,6 +142,13 @@ fn firings_files(recipe: firings::Recipe, cells: Cells) -> Vec<File> {
     named(&[points.clone(), points])
 }
 
+/// Two scans of a VLP-16 that a program moved to the frame of a vehicle.
+fn mounted_files(mover: common::firings::Mover) -> Vec<File> {
+    let config = SynthConfig { scanner: SynthScanner::Vlp16, frames: 2, thinning: 12, ..small(4, 2) };
+    let moved = |scan: &common::scans::Points| mover.moved(scan, [1.3, -2.1, 91.7], [1.2, 0.3, 1.9]);
+    named(&scans(&config).iter().map(moved).collect::<Vec<_>>())
+}
+
 /// Two scans that were moved by their time stamps, and sorted by them.
 fn stamped_files() -> Vec<File> {
     let scanner = common::firings::made_up(firings::Recipe::Pandar64);
@@ -202,6 +209,11 @@ fn tree() -> Vec<u8> {
 /// A stream for each feature.
 fn recipes() -> Vec<Recipe> {
     let mut recipes: Vec<Recipe> = Vec::new();
+    for mover in common::firings::Mover::ALL {
+        let name = format!("exact-firings-mounted-{}", format!("{mover:?}").to_lowercase());
+        let encode = move || round_trip(&mounted_files(mover), &EncoderConfig::default());
+        recipes.push((name, Box::new(encode)));
+    }
     let mut exact = |name: &str, files: fn() -> Vec<File>, config: EncoderConfig| {
         recipes.push((format!("exact-{name}"), Box::new(move || round_trip(&files(), &config))));
     };

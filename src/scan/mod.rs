@@ -46,12 +46,29 @@ impl PointCloud {
 }
 
 impl Channel {
+    /// The bytes of a point's value.
+    pub fn value(&self, point: usize) -> &[u8] {
+        let width = self.field.width();
+        &self.bytes[point * width..][..width]
+    }
+
     /// The values of the points with these numbers, in this order.
     fn select(&self, points: &[u32]) -> Channel {
         let width = self.field.width();
         let value = |&point: &u32| &self.bytes[point as usize * width..][..width];
         Channel { field: self.field.clone(), bytes: points.iter().flat_map(value).copied().collect() }
     }
+}
+
+/// The first channel of small integers with a plausible number of values for the lasers of a scanner.
+pub fn channel_of_lasers(channels: &[Channel]) -> Option<&Channel> {
+    const LASERS: std::ops::RangeInclusive<usize> = 4..=512;
+    channels.iter().filter(|channel| channel.field.count == 1 && channel.field.width() <= 2).find(|channel| {
+        let mut values: Vec<&[u8]> = channel.bytes.chunks_exact(channel.field.width()).collect();
+        values.sort_unstable();
+        values.dedup();
+        LASERS.contains(&values.len())
+    })
 }
 
 /// The values at the indices `points`; nothing if there are no values at all.

@@ -73,11 +73,18 @@ impl Scanner {
             return evident;
         }
         // If `firings` explains the scans, they are in firing order, which no other family has.
-        let firings = firings::fit(sample)
-            .map(|(scanner, _)| by_time::fit(sample, Some(&scanner)).unwrap_or(scanner))
-            .or_else(|| by_time::fit(sample, None))
-            .map(Scanner::Firings);
-        firings.or_else(beams)
+        let found = firings::fit(sample).map(|(scanner, _)| scanner);
+        let largest = largest.map_or(&[][..], |scan| &scan.cloud.positions);
+        let exact = found.as_ref().map_or(0.0, |scanner| scanner.exact_share(largest));
+        if let Some(found) = found.as_ref().filter(|scanner| scanner.explains(largest)) {
+            return Some(Scanner::Firings(found.clone()));
+        }
+        // Half of what is missed must be worth a motion.
+        let is_better =
+            |scanner: &Firings| found.is_none() || scanner.exact_share(largest) > 0.5 * (1.0 + exact);
+        let moved = by_time::fit(sample, found.as_ref());
+        let mounted = || firings::fit_mounted(sample).map(|(scanner, _)| scanner).filter(is_better);
+        moved.or_else(mounted).or(found).map(Scanner::Firings).or_else(beams)
     }
 
     /// The share of a scan's points that are in its range image.

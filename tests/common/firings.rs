@@ -40,7 +40,8 @@ pub fn made_up(recipe: Recipe) -> Firings {
         _ => Origin::default(),
     };
     let coordinates = Coordinates::Float32;
-    let build = Build { recipe, ticks, range_step_um, coordinates, origin, timing: Timing::Together };
+    let build =
+        Build { recipe, ticks, range_step_um, coordinates, origin, timing: Timing::Together, mounting: None };
     Firings::new(build, (0..32).map(laser).collect(), (0..32).map(|slot| slot * 5 % 32).collect())
 }
 
@@ -275,4 +276,61 @@ pub fn ouster(rows: usize, is_single: bool) -> Points {
         points[row * width + column] = point;
     }
     points
+}
+
+/// A program that moves points to the frame of a vehicle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mover {
+    /// In single precision with vector units: the products of z and y are added to the translation first.
+    Pcl,
+    /// In single precision, from left to right.
+    Eigen,
+    /// In single precision with fused products and sums.
+    NumPy,
+    /// In double precision, rounded once.
+    NumPyDouble,
+    /// In double precision, rounded after the rotation and after the translation.
+    NuScenes,
+}
+
+impl Mover {
+    pub const ALL: [Mover; 5] = [Mover::Pcl, Mover::Eigen, Mover::NumPy, Mover::NumPyDouble, Mover::NuScenes];
+
+    /// Points rotated about x, then about y, then about z by these degrees, and moved by these metres.
+    pub fn moved(self, points: &Points, degrees: [f64; 3], metres: [f64; 3]) -> Points {
+        let [a, b, c] = degrees.map(f64::to_radians).map(f64::sin_cos);
+        let rows = [
+            [b.1 * c.1, a.0 * b.0 * c.1 - a.1 * c.0, a.1 * b.0 * c.1 + a.0 * c.0],
+            [b.1 * c.0, a.0 * b.0 * c.0 + a.1 * c.1, a.1 * b.0 * c.0 - a.0 * c.1],
+            [-b.0, a.0 * b.1, a.1 * b.1],
+        ];
+        let coordinate = |axis: usize, [x, y, z]: [f32; 3]| {
+            let ([p, q, r], t) = (rows[axis].map(|number| number as f32), metres[axis] as f32);
+            let turned: f64 = rows[axis].iter().zip([x, y, z]).map(|(row, v)| row * f64::from(v)).sum();
+            match self {
+                Mover::Pcl => {
+                    let sum = z * r + t;
+                    let sum = y * q + sum;
+                    x * p + sum
+                }
+                Mover::Eigen => {
+                    let sum = x * p + y * q;
+                    let sum = sum + z * r;
+                    sum + t
+                }
+                Mover::NumPy => {
+                    let sum = (f64::from(x) * f64::from(p)) as f32;
+                    let sum = f32::mul_add(q, y, sum);
+                    f32::mul_add(r, z, sum) + t
+                }
+                Mover::NumPyDouble => (turned + metres[axis]) as f32,
+                Mover::NuScenes => (f64::from(turned as f32) + metres[axis]) as f32,
+            }
+        };
+        let moved = |[x, y, z, i]: &[f32; 4]| {
+            let [u, v, w] = [0, 1, 2].map(|axis| coordinate(axis, [*x, *y, *z]));
+            [u, v, w, *i]
+        };
+        points.iter().map(moved).collect()
+    }
 }

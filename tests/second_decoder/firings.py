@@ -1,6 +1,7 @@
 """Sections 3.3, and 8.2 for its columns, of FORMAT.md: scanners of family `firings`."""
 
-from math import pi
+from math import inf, nextafter, pi
+from struct import pack, unpack
 
 from entropy import AdaptiveBit, IntegerModel, adaptive, integers, unzigzag, wrap
 from errors import Refused
@@ -35,6 +36,18 @@ def cos_single(v):
 
 def sin_single(v):
     return f32(sin(v))
+
+
+def fma(a, b, c):
+    """a * b + c for numbers that are f32, rounded to f32 once."""
+    product = a * b  # exact
+    total = product + c
+    rest = total - product
+    error = (product - (total - rest)) + (c - rest)
+    # What is lost must not make it a tie.
+    if error and not unpack("<Q", pack("<d", total))[0] & 1:
+        total = nextafter(total, inf if error > 0 else -inf)
+    return f32(total)
 
 
 class Column:
@@ -104,6 +117,13 @@ class Scanner:
         self.parts = [reader.varint() for _ in range(max(self.timing - 1, 0) * rows)]
         if any(part > 2 * WHOLE for part in self.parts):
             raise Refused("more than two blocks")
+        self.mounting = reader.varint()
+        if self.mounting > 5:
+            raise Refused("an unknown mounting")
+        numbers = [unpack("<d", reader.take(8))[0] for _ in range(12 if self.mounting else 0)]
+        if not all(abs(number) <= 1e6 for number in numbers):
+            raise Refused("an impossible mounting")
+        self.mounting_rows = [numbers[i : i + 4] for i in range(0, len(numbers), 4)]
         reader.end()
         self.slots = {row: slot for slot, row in enumerate(self.rows_of_slots)}
         self.cosine, self.sine = (glibc_cosf, glibc_sinf) if self.recipe in GLIBC else (cos_single, sin_single)
@@ -162,6 +182,27 @@ class Scanner:
 
     def expected_position(self, row, tick, steps, between):
         """The formula of the correction section (8.7)."""
+        measured = self.measured_position(row, tick, steps, between)
+        if not self.mounting:
+            return measured
+        x, y, z = map(f32, measured)
+        return tuple(self.moved(x, y, z, *row) for row in self.mounting_rows)
+
+    def moved(self, x, y, z, a, b, c, t):
+        """A coordinate in the frame of a vehicle."""
+        if self.mounting == 1:
+            return a * x + b * y + c * z + t
+        if self.mounting == 2:
+            return f32(a * x + b * y + c * z) + t
+        a, b, c, t = map(f32, (a, b, c, t))
+        if self.mounting == 3:
+            return f32(f32(x * a) + f32(f32(y * b) + f32(f32(z * c) + t)))
+        if self.mounting == 4:
+            return f32(f32(f32(f32(x * a) + f32(y * b)) + f32(z * c)) + t)
+        return f32(fma(z, c, fma(y, b, f32(x * a))) + t)
+
+    def measured_position(self, row, tick, steps, between):
+        """The same in the frame of the scanner."""
         if self.recipe in OUSTER:
             m = (steps * self.range_step - 0.5 * self.range_step) * 1e3 if between else steps * (self.range_step_um * 1e-3)
             direction, start = self.ouster(self.lasers[row], tick)

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use super::recipe::whole_steps;
-use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe};
+use super::{ANGLE_UNIT, Build, Firings, Laser, Mounting, Origin, Recipe};
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::Return;
 use crate::scanner::motion::RigidMotion;
@@ -16,13 +16,13 @@ pub(super) const TRIED: usize = 60;
 
 /// A return of the sample, in metres and radians.
 #[derive(Clone, Copy)]
-pub(super) struct Point {
+pub(super) struct Point<'m> {
     pub position: [f64; 3],
     /// As seen from where its beam starts, or from where its range is measured.
     pub range: f64,
     pub elevation: f64,
     /// How it was moved to its position in the file, if it was.
-    pub moved: Option<Moved>,
+    pub moved: Option<&'m Moved>,
 }
 
 /// A point that was moved after it was measured.
@@ -30,15 +30,24 @@ pub(super) struct Point {
 pub struct Moved {
     /// The measured position, as accurately as it is known, in metres.
     pub measured: [f64; 3],
-    /// The motion that was applied to it.
-    pub(in crate::scanner) motion: RigidMotion,
+    /// How it was moved.
+    pub(in crate::scanner) by: MovedBy,
     /// The position in the file.
     pub position: [f32; 3],
 }
 
-impl Point {
+/// How a point was moved after it was measured.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::scanner) enum MovedBy {
+    /// By a motion of its own, of which it shows little.
+    Motion(RigidMotion),
+    /// To the frame of a vehicle; the measured position is accurate to the last bit.
+    Mounting(Mounting),
+}
+
+impl<'m> Point<'m> {
     /// `None` if the position is not finite or lies on the axis.
-    pub fn new(position: [f64; 3], moved: Option<Moved>) -> Option<Self> {
+    pub fn new(position: [f64; 3], moved: Option<&'m Moved>) -> Option<Self> {
         let [x, y, z] = position;
         let rho = (x * x + y * y).sqrt();
         let range = (rho * rho + z * z).sqrt();
@@ -60,24 +69,27 @@ impl Point {
 
     /// Whether a scanner's recipe reproduces the point's coordinates in the file to the last bit, along these axes.
     fn is_given_by(&self, scanner: &Firings, found: &Return, axes: std::ops::Range<usize>) -> bool {
-        let Some(Moved { motion, position, .. }) = &self.moved else {
+        let Some(Moved { by, position, .. }) = self.moved else {
             return scanner.gives(found, &self.position, axes);
         };
         let mut start = self.position;
         let formula = scanner.position(found, 0.0);
         axes.clone().for_each(|axis| start[axis] = formula[axis]);
-        let moved = motion.moved(start);
-        axes.into_iter().all(|axis| moved[axis] as f32 == position[axis])
+        let (moved, mut shown) = match by {
+            MovedBy::Motion(motion) => (motion.moved(start), axes),
+            MovedBy::Mounting(mounting) => (mounting.moved(&start.map(|metres| metres as f32)), 0..3),
+        };
+        shown.all(|axis| moved[axis] as f32 == position[axis])
     }
 }
 
 /// About `most` points of each row, only far ones if there are enough.
-pub(super) fn by_rows(
-    points: &[Point],
+pub(super) fn by_rows<'m>(
+    points: &[Point<'m>],
     rows: &[Option<usize>],
     count: usize,
     most: usize,
-) -> Vec<Vec<Point>> {
+) -> Vec<Vec<Point<'m>>> {
     let mut of_rows = vec![Vec::new(); count];
     for (point, row) in points.iter().zip(rows) {
         if let Some(row) = row {
@@ -94,7 +106,11 @@ pub(super) fn by_rows(
 }
 
 /// The points of each row that are nearest to a coordinate axis of the file.
-pub(super) fn near_axes(points: &[Point], rows: &[Option<usize>], count: usize) -> Vec<Vec<Point>> {
+pub(super) fn near_axes<'m>(
+    points: &[Point<'m>],
+    rows: &[Option<usize>],
+    count: usize,
+) -> Vec<Vec<Point<'m>>> {
     /// Largest number of points of a row.
     const MOST: usize = 40;
     /// Distance from the axis, as a fraction of the coordinate along it.
@@ -117,17 +133,17 @@ pub(super) fn near_axes(points: &[Point], rows: &[Option<usize>], count: usize) 
 }
 
 /// What is known about the lasers before their constants are rounded as the manufacturer wrote them.
-pub(super) struct Constants {
+pub(super) struct Constants<'m> {
     /// In radians, from the highest to the lowest.
     pub elevations: Vec<f64>,
     /// Azimuth offsets in ticks, without whole ticks.
     pub phases: Vec<f64>,
     /// Some points of each laser.
-    pub of_rows: Vec<Vec<Point>>,
+    pub of_rows: Vec<Vec<Point<'m>>>,
     /// Ten times as many points of each laser.
-    pub more_of_rows: Vec<Vec<Point>>,
+    pub more_of_rows: Vec<Vec<Point<'m>>>,
     /// The points of each laser that are nearest to an axis.
-    pub near_axes: Vec<Vec<Point>>,
+    pub near_axes: Vec<Vec<Point<'m>>>,
 }
 
 /// What reproduces the points of a scan.
@@ -140,7 +156,7 @@ pub(super) struct Determined {
     pub are_turned: bool,
 }
 
-impl Constants {
+impl Constants<'_> {
     /// The recipe that reproduces the most points to the last bit (the first one on ties), and the lasers. `shifts` are
     /// the whole ticks by which each laser is ahead of the others.
     pub fn determine(&self, build: &Build, shifts: &[f64]) -> Option<Determined> {
@@ -387,7 +403,7 @@ impl Constants {
 
 /// The lasers of some rows, found with a recipe whose offsets may all be wrong by the same number of ticks.
 struct Tried<'c> {
-    constants: &'c Constants,
+    constants: &'c Constants<'c>,
     any: &'c Firings,
     /// The azimuth offsets of all rows, in degrees.
     offsets: &'c [f64],

@@ -39,16 +39,19 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
 }
 
 /// The same for one scan whose points were moved; `moved` has all of them.
-pub fn fit_moved(scan: &ScanFile, moved: &[Moved]) -> Option<Firings> {
+pub fn fit_moved(scan: &ScanFile, moved: &[Moved]) -> Option<(Firings, f64)> {
     let positions = moved.iter().map(|point| point.measured.map(|metres| metres as f32)).collect();
     let mut measured = scan.clone();
     measured.cloud.positions = positions;
-    let points = moved.iter().map(|point| Point::new(point.measured, Some(*point)));
-    fit_points(&measured, points).map(|(scanner, _)| scanner)
+    let points = moved.iter().map(|point| Point::new(point.measured, Some(point)));
+    fit_points(&measured, points)
 }
 
 /// The same, given a point for each record of the scan, or `None` for records without a direction.
-fn fit_points(scan: &ScanFile, points: impl Iterator<Item = Option<Point>>) -> Option<(Firings, f64)> {
+fn fit_points<'m>(
+    scan: &'m ScanFile,
+    points: impl Iterator<Item = Option<Point<'m>>>,
+) -> Option<(Firings, f64)> {
     let (numbers, points): (Vec<usize>, Vec<Point>) =
         points.enumerate().filter_map(|(record, point)| Some((record, point?))).unzip();
     let step = (points.len() / SAMPLE).max(1);
@@ -94,7 +97,7 @@ pub(super) struct Found<'s> {
     pub scan: &'s ScanFile,
     /// The record number of each point.
     pub numbers: Vec<usize>,
-    pub points: Vec<Point>,
+    pub points: Vec<Point<'s>>,
     pub coordinates: Coordinates,
 }
 
@@ -180,6 +183,7 @@ impl Found<'_> {
             coordinates: *coordinates,
             origin,
             timing: Timing::Together,
+            mounting: None,
         };
         // What was determined for which offsets: several orders may have the same.
         let mut determined: Vec<(Vec<f64>, Option<Determined>)> = Vec::new();
@@ -425,7 +429,7 @@ fn completed(elevations: Vec<f64>) -> Vec<f64> {
 }
 
 /// The number of ticks per turn on which the azimuths of most rows lie, each row with a phase of its own.
-fn ticks(of_rows: &[Vec<Point>]) -> Option<u32> {
+pub(super) fn ticks(of_rows: &[Vec<Point>]) -> Option<u32> {
     let coherence = |ticks: u32| {
         let of_row = |points: &Vec<Point>| {
             let (_, strength) = phase(points.iter().map(|point| in_ticks(point, ticks)));
@@ -439,7 +443,7 @@ fn ticks(of_rows: &[Vec<Point>]) -> Option<u32> {
 
 /// The azimuth of a point in ticks, clockwise from x. If y is ahead, all azimuths differ by a quarter of a turn,
 /// which is a whole number of ticks.
-fn in_ticks(point: &Point, ticks: u32) -> f64 {
+pub(super) fn in_ticks(point: &Point, ticks: u32) -> f64 {
     let [x, y, _] = point.position;
     libm::atan2(-y, x) / TAU * f64::from(ticks)
 }

@@ -17,6 +17,7 @@ mod columns;
 mod constants;
 mod fit;
 mod glibc;
+mod mounting;
 mod off_axis;
 mod order;
 mod ouster;
@@ -27,7 +28,9 @@ mod timing;
 
 pub use columns::FiringColumnModel;
 pub use constants::Moved;
+pub(in crate::scanner) use constants::MovedBy;
 pub use fit::{fit, fit_moved};
+pub use mounting::{Mounting, Order, fit as fit_mounted};
 pub use projection::Sight;
 pub use recipe::{Origin, Recipe};
 pub use timing::Timing;
@@ -111,7 +114,7 @@ struct Located<const N: usize> {
 }
 
 /// The properties of a scanner of firings that all its lasers share.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Build {
     /// The program that wrote the files.
     pub recipe: Recipe,
@@ -125,6 +128,8 @@ pub struct Build {
     pub origin: Origin,
     /// How the azimuth advances within a block.
     pub timing: Timing,
+    /// How points were moved to the frame of a vehicle, if they were.
+    pub mounting: Option<Box<Mounting>>,
 }
 
 /// A scanner of firings.
@@ -212,7 +217,7 @@ impl Firings {
         let arithmetic =
             vec![Arithmetic::new(self.build.recipe, &laser, self.build.origin, self.build.ticks)];
         Firings {
-            build: Build { timing: Timing::Together, ..self.build },
+            build: Build { timing: Timing::Together, mounting: None, ..self.build },
             lasers: vec![laser],
             arithmetic,
             rows_of_slots: vec![0],
@@ -415,22 +420,31 @@ impl Firings {
         let single = |metres: f32| if metres.is_nan() { 0.0 } else { metres };
         let position = |found: &Return| {
             let arithmetic = &self.arithmetic[found.row as usize];
-            let [x, y, z] = arithmetic.position(&self.turn, found.tick, found.steps, step);
-            [single(x), single(y), single(z)]
+            arithmetic.position(&self.turn, found.tick, found.steps, step)
         };
-        returns.iter().map(position).collect()
+        match &self.build.mounting {
+            None => returns.iter().map(|found| position(found).map(single)).collect(),
+            Some(mounting) => {
+                let moved = |found| mounting.moved(&position(found)).map(|metres| single(metres as f32));
+                returns.iter().map(moved).collect()
+            }
+        }
     }
 
     /// The position of a return in metres, as accurately as the recipe computes it, `offset_m` metres beyond the
     /// range of its steps.
     pub fn position(&self, found: &Return, offset_m: f64) -> [f64; 3] {
         let arithmetic = &self.arithmetic[found.row as usize];
-        if offset_m == 0.0 {
+        let measured = if offset_m == 0.0 {
             let step = self.build.range_step_um;
             arithmetic.position(&self.turn, found.tick, found.steps, step).map(f64::from)
         } else {
             let metres = f64::from(found.steps) * self.range_step_m() + offset_m;
             arithmetic.position_at(&self.turn, found.tick, metres)
+        };
+        match &self.build.mounting {
+            None => measured,
+            Some(mounting) => mounting.moved(&measured.map(|metres| metres as f32)),
         }
     }
 
@@ -449,7 +463,7 @@ impl Firings {
 
 impl fmt::Display for Firings {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Build { recipe, ticks, range_step_um, coordinates, origin, timing } = &self.build;
+        let Build { recipe, ticks, range_step_um, coordinates, origin, timing, mounting } = &self.build;
         let degrees = |laser: Option<&Laser>| laser.map_or(0.0, Laser::elevation_degrees);
         write!(
             f,
@@ -473,6 +487,9 @@ impl fmt::Display for Firings {
         } else if *origin != Origin::default() {
             let [along, up] = [origin.along_um, origin.up_um].map(|um| f64::from(um) / 1e3);
             write!(f, ", beams from {along} mm off the axis and {up} mm above")?;
+        }
+        if mounting.is_some() {
+            write!(f, ", moved to the frame of a vehicle")?;
         }
         let order = if self.rows_of_lines.is_empty() { "firing by firing" } else { "row by row" };
         write!(f, ", {order}")?;

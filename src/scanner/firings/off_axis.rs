@@ -123,7 +123,7 @@ impl Found<'_> {
     }
 
     /// The points of each laser, if a channel identifies the lasers.
-    pub(super) fn rows_by_channel(&self) -> Option<Vec<Vec<Point>>> {
+    pub(super) fn rows_by_channel(&self) -> Option<Vec<Vec<Point<'_>>>> {
         const LASERS: std::ops::RangeInclusive<usize> = 4..=512;
         /// In radians: points of a laser are nearer than this to their median elevation.
         const SPREAD: f64 = 0.06;
@@ -160,7 +160,7 @@ impl Found<'_> {
     }
 
     /// The points of each laser: narrow clusters of elevations as seen from where a maker's beams start.
-    fn rows_by_elevation(&self, maker: &Maker) -> Option<Vec<Vec<Point>>> {
+    fn rows_by_elevation(&self, maker: &Maker) -> Option<Vec<Vec<Point<'_>>>> {
         let (along, [_, up]) = (maker.along(), maker.origin.metres());
         let moved: Vec<Point> = self
             .points
@@ -208,6 +208,7 @@ impl Found<'_> {
             coordinates: self.coordinates,
             origin: maker.origin,
             timing: Timing::Together,
+            mounting: None,
         };
         let any = Firings::new(build.clone(), Vec::new(), Vec::new());
         let pairs = lasers.par_iter().zip(&rows);

@@ -21,8 +21,8 @@ const OUSTER_ALONG: [f64; 6] = [0.027_67, 0.027_116, 0.015_806, 0.016_721, 0.012
 const OUSTER_UP: [f64; 5] = [0.036_18, 0.038_195, 0.074_296, 0.078_296, 0.0];
 
 /// The points of each laser with their record numbers, and the lines of the file if it holds a record for each cell.
-struct Rows {
-    points: Vec<Vec<Point>>,
+struct Rows<'m> {
+    points: Vec<Vec<Point<'m>>>,
     records: Vec<Vec<usize>>,
     grid: Option<RecordGrid>,
 }
@@ -49,6 +49,7 @@ impl Found<'_> {
                     coordinates: self.coordinates,
                     origin,
                     timing: Timing::Together,
+                    mounting: None,
                 };
                 self.ouster_of(&build, &rows, &lines)
             });
@@ -111,7 +112,7 @@ impl Found<'_> {
 
     /// The points of each laser, by the lines of a file that has a record for each cell, by a channel, or by
     /// elevation.
-    fn ouster_rows(&self) -> Option<Rows> {
+    fn ouster_rows(&self) -> Option<Rows<'_>> {
         const LASERS: [usize; 5] = [8, 16, 32, 64, 128];
         /// In metres: the largest distance of a laser's points from a line.
         const NEAR: f64 = 1e-3;
@@ -155,7 +156,7 @@ impl Found<'_> {
 
     /// The points of each laser of an Ouster: narrow clusters of elevations as seen from where its beams start.
     /// `None` if no known start gives clusters with enough of the points.
-    fn rows_by_start(&self) -> Option<Vec<Vec<Point>>> {
+    fn rows_by_start(&self) -> Option<Vec<Vec<Point<'_>>>> {
         /// In metres: the elevations of nearer points also depend on the azimuth of the laser.
         const NEAREST: f64 = 4.0;
         const SAMPLED: usize = 10_000;
@@ -190,7 +191,7 @@ impl Found<'_> {
     }
 }
 
-impl Rows {
+impl Rows<'_> {
     /// A scanner with the order of a file that holds an image; `lines` has the line of each row. The direction of a
     /// laser in a column gives the lag of its row.
     fn in_order_of_image(&self, scanner: Firings, grid: &RecordGrid, lines: &[usize]) -> Firings {
@@ -220,7 +221,7 @@ impl Rows {
 }
 
 /// The farther half of some points.
-fn far_half(points: &[Point]) -> Vec<Point> {
+fn far_half<'m>(points: &[Point<'m>]) -> Vec<Point<'m>> {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| b.range.total_cmp(&a.range));
     sorted.truncate(points.len().div_ceil(2).min(10 * TRIED));

@@ -1,7 +1,8 @@
 //! A scanner of firings as its record in the stream. FORMAT.md 3.3.
 
+use super::mounting::Order;
 use super::timing::{MOST_BLOCKS, WHOLE};
-use super::{Build, Firings, Laser, Origin, Recipe, Timing};
+use super::{Build, Firings, Laser, Mounting, Origin, Recipe, Timing};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{
     read_signed, read_unsigned, read_within, saturated, write_signed, write_unsigned,
@@ -14,13 +15,16 @@ const LARGEST_ANGLE: u64 = 360_000_000_000;
 const MOST_LASERS: u64 = 1024;
 /// Beams of all scanners start nearer to the origin.
 const MOST_ORIGIN_UM: u64 = 1_000_000;
+/// The numbers of a mounting are smaller: metres, and cosines.
+const MOST_MOUNTING: f64 = 1e6;
 
 impl Firings {
     /// The payload of the scanner's record.
     pub fn to_payload(&self) -> Vec<u8> {
         let mut record = Vec::new();
         let out = &mut record;
-        let Build { recipe, ticks, range_step_um, coordinates, origin, ref timing } = self.build;
+        let Build { recipe, ticks, range_step_um, coordinates, origin, ref timing, ref mounting } =
+            self.build;
         [recipe as u32, ticks, range_step_um].iter().for_each(|&number| write_unsigned(out, number.into()));
         let (grid, step) = match coordinates {
             Coordinates::Float32 => (0, 0),
@@ -49,6 +53,10 @@ impl Firings {
                 write_unsigned(out, 1 + u64::from(timing.firings(self.rows())));
                 parts.iter().for_each(|&part| write_unsigned(out, part.into()));
             }
+        }
+        write_unsigned(out, mounting.as_ref().map_or(0, |mounting| mounting.order as u64));
+        for number in mounting.iter().flat_map(|mounting| mounting.rows.as_flattened()) {
+            out.extend_from_slice(&number.to_le_bytes());
         }
         record
     }
@@ -113,9 +121,32 @@ impl Firings {
             }
             other => return Err(Error::unsupported(format!("scanner: unknown timing {other}"))),
         };
-        let build = Build { recipe, ticks, range_step_um, coordinates, origin, timing };
+        let mounting = read_mounting(bytes)?.map(Box::new);
+        let build = Build { recipe, ticks, range_step_um, coordinates, origin, timing, mounting };
         Ok(Self::new(build, lasers, rows_of_slots).line_by_line(rows_of_lines).lagging(lags))
     }
+}
+
+/// Reads how points were moved to the frame of a vehicle, if they were.
+fn read_mounting(bytes: &mut &[u8]) -> Result<Option<Mounting>> {
+    let order = read_unsigned(bytes, "scanner")?;
+    if order == 0 {
+        return Ok(None);
+    }
+    let order = Order::of_number(order)
+        .ok_or_else(|| Error::unsupported(format!("scanner: unknown order of a mounting {order}")))?;
+    let mut rows = [[0.0; 4]; 3];
+    for number in rows.as_flattened_mut() {
+        let (first, rest) =
+            bytes.split_first_chunk().ok_or_else(|| Error::corrupt("scanner is cut short"))?;
+        (*number, *bytes) = (f64::from_le_bytes(*first), rest);
+        // False for NaN too.
+        let is_possible = number.abs() <= MOST_MOUNTING;
+        if !is_possible {
+            return Err(Error::corrupt("scanner: a number of the mounting is out of range"));
+        }
+    }
+    Ok(Some(Mounting { order, rows }))
 }
 
 /// Reads a permutation of the rows.

@@ -58,10 +58,11 @@ impl<'f> Sight<'f> {
         self.elevations.len()
     }
 
-    /// The return that is nearest to a position in metres, not yet in a column, and its position by the recipe.
-    /// `None` if there is no such range.
+    /// The return that is nearest to a position in the file, in metres, not yet in a column, and its position there by
+    /// the recipe. `None` if there is no such range.
     pub fn nearest(&self, metres: [f64; 3]) -> Option<(Return, [f64; 3])> {
-        let ([row], located) = self.find(&metres.map(|value| [value]));
+        let measured = self.scanner.in_frame(metres);
+        let ([row], located) = self.find(&measured.map(|value| [value]));
         let found = located.found(row, 0)?;
         Some((found, self.scanner.position(&found, 0.0)))
     }
@@ -93,13 +94,13 @@ impl<const N: usize> Located<N> {
 }
 
 /// The search for the places of points, as a type so that it can be compiled for several vector units.
-struct Search<'a> {
+struct Search<'a, const IS_MOUNTED: bool> {
     scanner: &'a Firings,
     positions: &'a [[f32; 3]],
     reach: f64,
 }
 
-impl NullaryFnOnce for Search<'_> {
+impl<const IS_MOUNTED: bool> NullaryFnOnce for Search<'_, IS_MOUNTED> {
     type Output = Vec<Place>;
 
     #[inline(always)]
@@ -114,16 +115,21 @@ impl NullaryFnOnce for Search<'_> {
             // The missing points of the last block are computed as well, but ignored.
             let mut block = [[0.0; 3]; BLOCK];
             block[..points.len()].copy_from_slice(points);
-            let metres: [[f64; BLOCK]; 3] = lanes(|axis| lanes(|i| f64::from(block[i][axis])));
+            let mut metres: [[f64; BLOCK]; 3] = lanes(|axis| lanes(|i| f64::from(block[i][axis])));
+            if IS_MOUNTED {
+                let measured: [[f64; 3]; BLOCK] = lanes(|i| scanner.in_frame(block[i].map(f64::from)));
+                metres = lanes(|axis| lanes(|i| measured[i][axis]));
+            }
             let (rows, located) = sight.find(&metres);
             let near = scanner.near_all(&rows, &metres, &located);
             for i in 0..points.len() {
                 let Some(found) = located.found(rows[i], i) else { continue };
-                let metres = [metres[0][i], metres[1][i], metres[2][i]];
                 // Every float32 is on its grid; on other grids, the formula gives the sign of a zero.
-                let formula = match grid {
-                    Coordinates::Float32 => [near[0][i], near[1][i], near[2][i]],
-                    _ => scanner.position(&found, 0.0),
+                let (formula, metres) = match grid {
+                    Coordinates::Float32 => {
+                        ([near[0][i], near[1][i], near[2][i]], [metres[0][i], metres[1][i], metres[2][i]])
+                    }
+                    _ => (scanner.position(&found, 0.0), block[i].map(f64::from)),
                 };
                 let is_near = (0..3).all(|axis| (formula[axis] - metres[axis]).abs() < reach);
                 if is_near && (grid == Coordinates::Float32 || grid.holds_all(metres, formula)) {
@@ -146,9 +152,13 @@ impl Firings {
     /// Whether the recipe reproduces nearly all points of a sample to the last bit: then they have not been moved
     /// since they were measured.
     pub fn explains(&self, positions: &[[f32; 3]]) -> bool {
+        const LEAST: f64 = 0.9;
+        self.exact_share(positions) > LEAST
+    }
+
+    /// The share of a sample of the points that the recipe reproduces to the last bit.
+    pub fn exact_share(&self, positions: &[[f32; 3]]) -> f64 {
         const SAMPLE: usize = 400;
-        /// Minimum number of points per miss.
-        const FEWEST_TO_A_MISS: usize = 10;
         let sight = Sight::new(self);
         let is_exact = |position: &[f32; 3]| {
             let metres = position.map(f64::from);
@@ -156,12 +166,12 @@ impl Firings {
             formula.is_some_and(|formula| formula.map(|v| self.build.coordinates.nearest(v)) == *position)
         };
         let returns = thinned(positions, SAMPLE).filter(|position| position.iter().any(|v| *v != 0.0));
-        let (mut missed, mut all) = (0, 0);
+        let (mut exact, mut all) = (0u32, 0u32);
         for position in returns.filter(|position| position.iter().all(|v| v.is_finite())) {
-            missed += usize::from(!is_exact(position));
+            exact += u32::from(is_exact(position));
             all += 1;
         }
-        missed * FEWEST_TO_A_MISS < all
+        f64::from(exact) / f64::from(all.max(1))
     }
 
     /// Projects a scan into a range image. Points that the recipe misses by more than `reach` metres along an axis,
@@ -242,7 +252,8 @@ impl Firings {
         let width = records / self.rows();
         let is_whole = records > 0 && records == width * self.rows();
         let is_there = |place: &&Place| self.cell_of_record(place.point, width).0 == place.row;
-        let is_blank = |p: &[f32; 3]| *p == [0.0; 3] || p.iter().any(|v| !v.is_finite());
+        let nothing = self.of_nothing();
+        let is_blank = |p: &[f32; 3]| *p == nothing || *p == [0.0; 3] || p.iter().any(|v| !v.is_finite());
         let is_full = || {
             let least = if positions.iter().any(is_blank) { LEAST } else { 1.0 };
             places.iter().filter(is_there).count() as f64 >= least * places.len() as f64
@@ -315,7 +326,10 @@ impl Firings {
 
     /// The places of the points that the recipe explains, in the order of the file.
     pub(super) fn places(&self, positions: &[[f32; 3]], reach: f64) -> Vec<Place> {
-        dispatch(Search { scanner: self, positions, reach })
+        match self.build.mounting {
+            None => dispatch(Search::<false> { scanner: self, positions, reach }),
+            Some(_) => dispatch(Search::<true> { scanner: self, positions, reach }),
+        }
     }
 
     /// The place of a point, given its return.

@@ -140,7 +140,7 @@ impl Recipe {
         }
     }
 
-    fn axes(self) -> Axes {
+    pub(super) fn axes(self) -> Axes {
         match self {
             Recipe::VelodyneRos
             | Recipe::VelodyneRosGlibc

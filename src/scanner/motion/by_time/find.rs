@@ -6,7 +6,7 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 use super::{Moment, Stamped, parts, rough};
 use crate::scan::{Channel, PointCloud, ScanFile};
-use crate::scanner::firings::{Firings, Moved, Sight, fit_moved};
+use crate::scanner::firings::{Firings, Moved, MovedBy, Sight, fit_moved};
 use crate::scanner::motion::{Motion, Mover};
 use crate::scanner::{Coordinates, thinned};
 
@@ -21,7 +21,7 @@ pub fn undo(cloud: &PointCloud, scanner: &Firings) -> Option<(Vec<[f32; 3]>, Sta
     /// Share of misses below which nothing can be gained.
     const FEW: f64 = 0.1;
     let sight = Sight::new(scanner);
-    if scanner.build().coordinates != Coordinates::Float32 {
+    if scanner.build().coordinates != Coordinates::Float32 || scanner.build().mounting.is_some() {
         return None;
     }
     let points = points_without_parts(cloud)?;
@@ -86,10 +86,14 @@ fn fit_scan(scan: &ScanFile, near: Option<&Firings>) -> Option<Firings> {
             let mover = Mover::new(&motion);
             let moved = |(position, part): (&[f32; 3], &f64)| {
                 let motion = mover.at(*part);
-                Moved { measured: motion.undone(position.map(f64::from)), motion, position: *position }
+                Moved {
+                    measured: motion.undone(position.map(f64::from)),
+                    by: MovedBy::Motion(motion),
+                    position: *position,
+                }
             };
             let moved: Vec<Moved> = scan.cloud.positions.iter().zip(&parts).map(moved).collect();
-            let Some(fitted) = fit_moved(scan, &moved) else { break };
+            let Some((fitted, _)) = fit_moved(scan, &moved) else { break };
             let sight = Sight::new(&fitted);
             let few: Vec<Point> = thinned(&points, SAMPLE).copied().collect();
             let motion = search(&sight, &few, motion, &ROUNDS[SURE..]);

@@ -5,7 +5,7 @@
 use std::f64::consts::TAU;
 
 use super::find::Point;
-use crate::scan::Channel;
+use crate::scan::{Channel, channel_of_lasers};
 use crate::scanner::motion::cones::Cones;
 use crate::scanner::motion::many::Seen;
 use crate::scanner::motion::{Motion, Mover};
@@ -29,21 +29,13 @@ pub fn motion(points: &[Point], channels: &[Channel]) -> Option<Motion> {
     with_yaw(motion, &beams)
 }
 
-/// The points of each laser, according to the first channel of small integers with a plausible number of
-/// values.
+/// The points of each laser, if a channel tells the lasers.
 fn beams(points: &[Point], channels: &[Channel]) -> Option<Vec<Vec<Point>>> {
-    const LASERS: std::ops::RangeInclusive<usize> = 4..=512;
-    channels.iter().filter(|channel| channel.field.count == 1 && channel.field.width() <= 2).find_map(
-        |channel| {
-            let width = channel.field.width();
-            let key = |point: &Point| &channel.bytes[point.number * width..][..width];
-            let mut sorted = points.to_vec();
-            sorted.sort_by(|a, b| key(a).cmp(key(b)));
-            let beams: Vec<Vec<Point>> =
-                sorted.chunk_by(|a, b| key(a) == key(b)).map(<[Point]>::to_vec).collect();
-            LASERS.contains(&beams.len()).then_some(beams)
-        },
-    )
+    let channel = channel_of_lasers(channels)?;
+    let key = |point: &Point| channel.value(point.number);
+    let mut sorted = points.to_vec();
+    sorted.sort_by(|a, b| key(a).cmp(key(b)));
+    Some(sorted.chunk_by(|a, b| key(a) == key(b)).map(<[Point]>::to_vec).collect())
 }
 
 /// A point's azimuth before the rotation about z is undone, and its part of the motion.

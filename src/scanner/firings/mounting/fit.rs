@@ -1,0 +1,489 @@
+//! Fits a scanner and its mounting to points alone.
+//!
+//! The [`pose`](super::pose) of the scanner turns points into ranges, elevations and azimuths, of which only the
+//! direction of azimuth 0 is still unknown. It shows in the roundings: a recipe rounds positions before they are moved,
+//! so that the right direction, of all that are whole ticks apart, misses the fewest coordinates. The numbers of the
+//! mounting then follow by least squares, and the measured points, to the last bit, from those of the recipe. To these
+//! a scanner is fitted as to any others.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use nalgebra::{SMatrix, SVector, Vector3};
+use rayon::prelude::*;
+
+use super::pose::{self, Pose};
+use super::{Mounting, Order};
+use crate::ground::rounding::round_ties_even;
+use crate::scan::{PointCloud, ScanFile, channel_of_lasers};
+use crate::scanner::firings::constants::{Moved, MovedBy, Point, TRIED, by_rows};
+use crate::scanner::firings::fit::{ON_CONE, elevations, fit_moved, in_ticks, phase, range_step, ticks};
+use crate::scanner::firings::projection::nearest;
+use crate::scanner::firings::recipe::{Axes, whole_steps};
+use crate::scanner::firings::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
+use crate::scanner::{Coordinates, Return, thinned};
+
+/// Number of points that are used for counting and comparing.
+const SAMPLE: usize = 8000;
+/// The same where every bit counts.
+const FEW: usize = 2000;
+
+/// A scanner with its mounting, and the share of the points that it explains. `None` if the largest scan of the sample
+/// does not show a scanner.
+pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
+    let scan = sample.iter().max_by_key(|scan| scan.cloud.positions.len())?;
+    let positions = &scan.cloud.positions;
+    let nothing = of_nothing(positions);
+    let is_return = |position: &[f32; 3]| Some(*position) != nothing && may_be_return(position);
+    let start = frame_of(&scan.cloud, is_return)?;
+    let returns: Vec<[f32; 3]> = positions.iter().filter(|position| is_return(position)).copied().collect();
+    let seen = Seen::of(&returns, &start)?;
+    let (scanner, seen, start) = seen.with_recipe(&start)?;
+    let sharpened = |seen: &Seen, start: &Mounting| {
+        let mut pairs = seen.pairs(&scanner);
+        pairs.extend(nothing.map(|position| ([0.0; 3], position)));
+        last_bits(&pairs, start)
+    };
+    let (mounting, exact) = sharpened(&seen, &start)?;
+    // Most recipes round x and y alike, so that a quarter of a turn shows only in the order of a mounting's sums.
+    let quarter = seen.later(scanner.build.ticks / 4);
+    let other = sharpened(&quarter, &start.turned(FRAC_PI_2)).filter(|(_, other)| *other > exact);
+    let mounting = other.map_or(mounting, |(mounting, _)| mounting);
+    let measured = scanner.mounted(mounting).measured(positions);
+    let moved = measured.iter().zip(positions).map(|(measured, position)| Moved {
+        measured: measured.map(f64::from),
+        by: MovedBy::Mounting(mounting),
+        position: *position,
+    });
+    let (fitted, share) = fit_moved(scan, &moved.collect::<Vec<_>>())?;
+    let values: Vec<f32> = thinned(positions, SAMPLE).flatten().copied().collect();
+    let build = Build { coordinates: Coordinates::finest_of(&values), ..fitted.build.clone() };
+    Some((Firings { build, ..fitted }.mounted(mounting), share))
+}
+
+/// Whether a point of a file may be a return: others are not finite, too far away for any scanner, or at the origin.
+fn may_be_return(position: &[f32; 3]) -> bool {
+    /// In metres.
+    const FARTHEST: f32 = 10_000.0;
+    position.iter().all(|metres| metres.abs() < FARTHEST) && *position != [0.0; 3]
+}
+
+/// Where a cloud has its records without a return, if they were moved, too: where more records are than returns can be.
+fn of_nothing(positions: &[[f32; 3]]) -> Option<[f32; 3]> {
+    const FEWEST: usize = 20;
+    let mut sorted: Vec<[u32; 3]> = positions
+        .iter()
+        .filter(|position| may_be_return(position))
+        .map(|position| position.map(f32::to_bits))
+        .collect();
+    sorted.sort_unstable();
+    let most = sorted.chunk_by(|a, b| a == b).max_by_key(|same| same.len())?;
+    (most.len() >= FEWEST).then(|| most[0].map(f32::from_bits))
+}
+
+fn vector(position: &[f32; 3]) -> Vector3<f64> {
+    Vector3::from(position.map(f64::from))
+}
+
+/// The mounting of the scanner that measured a cloud, except for the direction of its azimuth 0.
+fn frame_of(cloud: &PointCloud, is_return: impl Fn(&[f32; 3]) -> bool) -> Option<Mounting> {
+    const FEWEST: usize = 500;
+    let records = (0..cloud.positions.len()).filter(|&at| is_return(&cloud.positions[at]));
+    let records: Vec<usize> = records.collect();
+    if records.len() < FEWEST {
+        return None;
+    }
+    let point = |record: &usize| vector(&cloud.positions[*record]);
+    let points: Vec<Vector3<f64>> = records.iter().map(point).collect();
+    let of_rows = channel_of_lasers(&cloud.channels).map(|channel| {
+        let mut sorted = records.clone();
+        sorted.sort_by_key(|&record| channel.value(record));
+        sorted.iter().map(point).collect::<Vec<_>>()
+    });
+    let pose = pose::find(&points, of_rows.as_deref())?;
+    let upright = Mounting::of(&pose);
+    // Scanners turn clockwise, seen from above.
+    let azimuth = |point: &Vector3<f64>| {
+        let [x, y, _] = upright.undone((*point).into());
+        libm::atan2(y, x)
+    };
+    let azimuths: Vec<f64> = points.iter().map(azimuth).collect();
+    let steps = azimuths.windows(2).map(|pair| pair[1] - pair[0]);
+    let turned: f64 = steps.map(|step| step - round_ties_even(step / TAU) * TAU).sum();
+    Some(if turned > 0.0 { Mounting::of(&Pose { axis: -pose.axis, ..pose }) } else { upright })
+}
+
+impl Mounting {
+    /// A mounting with this pose.
+    fn of(pose: &Pose) -> Self {
+        let [one, other] = pose::across(&pose.axis);
+        let rows = [0, 1, 2].map(|axis| [one[axis], other[axis], pose.axis[axis], pose.apex[axis]]);
+        Mounting { order: Order::Double, rows }
+    }
+}
+
+/// A measurement, and its position in the file.
+type Measurement = (Return, [f32; 3]);
+/// A position in the frame of the scanner, and in the file.
+type Pair = ([f32; 3], [f32; 3]);
+
+/// Measurements of a scanner by their integers, up to the direction of azimuth 0.
+struct Seen {
+    build: Build,
+    lasers: Vec<Laser>,
+    points: Vec<Measurement>,
+    /// Number of directions to a tick: by thousandths of degrees if the lasers have azimuth offsets.
+    parts: u32,
+}
+
+impl Seen {
+    /// Finds the steps, ticks and lasers of the returns of a file.
+    fn of(returns: &[[f32; 3]], mounting: &Mounting) -> Option<Self> {
+        /// Coherence of offsets with whole ones.
+        const COMMON: f64 = 0.9;
+        let measured = thinned(returns, 4 * SAMPLE)
+            .map(|position| Some((Point::new(mounting.undone(position.map(f64::from)), None)?, *position)));
+        let (points, positions): (Vec<Point>, Vec<[f32; 3]>) = measured.flatten().unzip();
+        let range_step_um = range_step(points.iter().map(|point| point.range))?;
+        let elevations = elevations(&points)?;
+        let row = |point: &Point| {
+            let row = nearest(&elevations, point.elevation);
+            ((elevations[row] - point.elevation).abs() < ON_CONE).then_some(row)
+        };
+        let rows: Vec<Option<usize>> = points.iter().map(row).collect();
+        let of_rows = by_rows(&points, &rows, elevations.len(), 10 * TRIED);
+        let ticks = ticks(&of_rows)?;
+        let phase_of = |points: &Vec<Point>| phase(points.iter().map(|point| in_ticks(point, ticks))).0;
+        let phases: Vec<f64> = of_rows.iter().map(phase_of).collect();
+        let tick = 360.0 / f64::from(ticks);
+        // Azimuth 0 is turned such that the offsets of all lasers are whole ticks, or whole thousandths of degrees.
+        let thousandths = (tick * 1e3).round().max(1.0);
+        let in_parts = |parts: f64| {
+            let (common, strength) = phase(phases.iter().map(|phase| phase * parts));
+            (strength > COMMON).then_some((common / parts, parts as u32))
+        };
+        let found = in_parts(1.0).or_else(|| in_parts(thousandths).filter(|_| ticks == 36_000));
+        let (common, parts) = found.unwrap_or((phases[0], 1));
+        let offsets = phases.iter().map(|phase| phase - common - round_ties_even(phase - common));
+        let offsets: Vec<f64> = offsets.collect();
+        let lasers = elevations.iter().zip(&offsets).map(|(elevation, offset)| Laser {
+            elevation: as_written(elevation.to_degrees()),
+            azimuth: as_written(offset * tick),
+        });
+        let build = Build {
+            recipe: Recipe::DoubleXAhead,
+            ticks,
+            range_step_um,
+            coordinates: Coordinates::Float32,
+            origin: Origin::default(),
+            timing: Timing::Together,
+            mounting: None,
+        };
+        let step = f64::from(range_step_um) * 1e-6;
+        let found = points.iter().zip(&rows).zip(&positions).filter_map(|((point, row), position)| {
+            let row = (*row)?;
+            let tick = round_ties_even(in_ticks(point, ticks) - common - offsets[row]) as i64;
+            let tick = tick.rem_euclid(i64::from(ticks)) as u32;
+            let steps = whole_steps(point.range, step)?;
+            Some((Return { row: row as u32, column: 0, tick, steps, echo: 0 }, *position))
+        });
+        let points: Vec<Measurement> = found.collect();
+        Some(Seen { build, lasers: lasers.collect(), points, parts })
+    }
+
+    /// The scanner by a recipe, its azimuth offsets so many thousandths of degrees greater. The slots of its firings are
+    /// not known yet.
+    fn scanner(&self, recipe: Recipe, part: u32) -> Firings {
+        let build = Build { recipe, ..self.build.clone() };
+        let greater =
+            |laser: &Laser| Laser { azimuth: laser.azimuth + i64::from(part) * THOUSANDTH, ..*laser };
+        let lasers = self.lasers.iter().map(greater).collect();
+        Firings::new(build, lasers, (0..self.lasers.len() as u32).collect())
+    }
+
+    /// The measurements as positions.
+    fn pairs(&self, scanner: &Firings) -> Vec<Pair> {
+        let single = |found: &Return| scanner.position(found, 0.0).map(|metres| metres as f32);
+        self.points.iter().map(|(found, position)| (single(found), *position)).collect()
+    }
+
+    /// The scanner by the recipe by which points were rounded before they were moved, the measurements with the ticks that
+    /// it counts, and nearly its mounting. If the roundings tell no recipe, it is one in double precision.
+    fn with_recipe(mut self, start: &Mounting) -> Option<(Firings, Self, Mounting)> {
+        /// A direction that misses no more than this part of what others miss is no chance.
+        const WORTH: f64 = 0.93;
+        /// With one that misses no more than this part, no more recipes are tried.
+        const SURE: f64 = 0.85;
+        let mut tried: Vec<Direction> = Vec::new();
+        // Velodyne's offsets are whole ticks.
+        let recipes = if self.parts > 1 { &OF_HESAI[..] } else { &DIFFERENT };
+        for &recipe in recipes {
+            let of_parts =
+                (0..self.parts).into_par_iter().filter_map(|part| self.direction(recipe, part, start));
+            tried.extend(of_parts.collect::<Vec<_>>());
+            if tried.iter().any(|found| found.chance() < SURE) {
+                break;
+            }
+        }
+        let double = tried.iter().find(|found| found.recipe == Recipe::DoubleYAhead).copied();
+        let best = tried.into_iter().min_by(|a, b| a.chance().total_cmp(&b.chance()));
+        let best = best.filter(|best| best.chance() < WORTH).or(double)?;
+        self = self.later(best.later);
+        // Recipes that differ in a few roundings only have the same direction.
+        let similar = Recipe::ALL
+            .into_iter()
+            .filter(|recipe| recipe.is_on_axis() && recipe.axes() == best.recipe.axes());
+        let few = thinned(&self.points, SAMPLE).copied().collect();
+        let few = Seen { points: few, build: self.build.clone(), lasers: self.lasers.clone(), ..self };
+        let similar = similar.filter_map(|recipe| {
+            let scanner = few.scanner(recipe, best.part);
+            let pairs = few.pairs(&scanner);
+            let mounting = least_squares(&pairs, &best.mounting, &COARSE)?;
+            let missed = missed(&mounting, thinned(&pairs, FEW).copied());
+            Some((scanner, mounting, missed))
+        });
+        let (scanner, mounting, _) = similar.min_by_key(|(.., missed)| *missed)?;
+        Some((scanner, self, mounting))
+    }
+
+    /// The same measurements by a scanner whose azimuth 0 is so many ticks before.
+    fn later(mut self, later: u32) -> Self {
+        self.points.iter_mut().for_each(|(found, _)| found.tick = (found.tick + later) % self.build.ticks);
+        self
+    }
+
+    /// The direction of azimuth 0 for which the points of a recipe reproduce the most coordinates of the file.
+    fn direction(&self, recipe: Recipe, part: u32, start: &Mounting) -> Option<Direction> {
+        /// Numbers of points by which directions are compared, and the part of the directions that remains.
+        const ROUNDS: [(usize, usize); 4] = [(16, 16), (64, 16), (400, 16), (1600, 1)];
+        const FEWEST: usize = 8;
+        let scanner = self.scanner(recipe, part);
+        let ticks = self.build.ticks;
+        let quarter = if recipe.axes() == Axes::YAhead { FRAC_PI_2 } else { 0.0 };
+        let less = f64::from(part) * (THOUSANDTH as f64 * ANGLE_UNIT).to_radians();
+        let few: Vec<Measurement> = thinned(&self.points, SAMPLE).copied().collect();
+        let single = |found: &Return| scanner.position(found, 0.0).map(|metres| metres as f32);
+        let pairs: Vec<Pair> = few.iter().map(|(found, position)| (single(found), *position)).collect();
+        let mounting = least_squares(&pairs, &start.turned(less - quarter), &COARSE)?;
+        let turned = |later: u32| mounting.turned(f64::from(later) * TAU / f64::from(ticks));
+        let mut directions: Vec<(u32, u32)> = (0..ticks).map(|later| (0, later)).collect();
+        let mut by_chance = 0;
+        for (points, part) in ROUNDS {
+            let points: Vec<&Measurement> = thinned(&few, points).collect();
+            for (missed, later) in &mut directions {
+                let pairs = points.iter().map(|(found, position)| {
+                    let tick = (found.tick + *later) % ticks;
+                    (single(&Return { tick, ..*found }), *position)
+                });
+                *missed = self::missed(&turned(*later), pairs);
+            }
+            directions.sort_unstable();
+            by_chance = directions[directions.len() / 2].0;
+            directions.truncate((directions.len() / part).max(FEWEST));
+        }
+        let (missed, later) = directions[0];
+        Some(Direction { recipe, part, later, missed, by_chance, mounting: turned(later) })
+    }
+}
+
+/// Recipes of which none rounds most points as another does.
+const DIFFERENT: [Recipe; 7] = [
+    Recipe::VelodyneRos,
+    Recipe::DoubleYAhead,
+    Recipe::SingleRangeXAhead,
+    Recipe::Nebula,
+    Recipe::NebulaVelodyne,
+    Recipe::Pandar64,
+    Recipe::Apollo,
+];
+
+/// Those of Hesai's scanners.
+const OF_HESAI: [Recipe; 3] = [Recipe::DoubleYAhead, Recipe::Nebula, Recipe::Pandar64];
+
+/// A thousandth of a degree, in the unit of [`Laser`].
+const THOUSANDTH: i64 = 1_000_000;
+
+/// A direction of azimuth 0.
+#[derive(Clone, Copy)]
+struct Direction {
+    recipe: Recipe,
+    /// Thousandths of degrees, and ticks, by which it is before that of the measurements.
+    part: u32,
+    later: u32,
+    /// How many coordinates are not reproduced, and how many are not in another direction.
+    missed: u32,
+    by_chance: u32,
+    mounting: Mounting,
+}
+
+impl Direction {
+    /// The part of the coordinates missed in another direction that are missed in this one.
+    fn chance(&self) -> f64 {
+        f64::from(self.missed) / f64::from(self.by_chance.max(1))
+    }
+}
+
+/// A float32 unit at a coordinate, in metres.
+fn unit_at(coordinate: f32) -> f64 {
+    f64::from(coordinate.abs().next_up()) - f64::from(coordinate.abs())
+}
+
+/// How many coordinates a mounting does not reproduce, by the order of operations that reproduces the most.
+fn missed(mounting: &Mounting, pairs: impl Iterator<Item = Pair>) -> u32 {
+    /// Metres: smaller coordinates are more accurate than the mounting is known at first.
+    const SMALL: f32 = 0.5;
+    let mut missed = [0; Order::ALL.len()];
+    for (point, position) in pairs {
+        for axis in (0..3).filter(|&axis| position[axis].abs() > SMALL) {
+            let row = &mounting.rows[axis];
+            for (order, missed) in Order::ALL.into_iter().zip(&mut missed) {
+                *missed += u32::from(order.coordinate(row, &point) as f32 != position[axis]);
+            }
+        }
+    }
+    missed.into_iter().min().unwrap_or(0)
+}
+
+/// For each round of least squares, the least error, in metres, that is told from others, and how many times the error of
+/// a coordinate counts.
+type Rounds = [(f64, f64)];
+const COARSE: [(f64, f64); 4] = [(1e-6, f64::INFINITY), (1e-6, 8.0), (2e-7, 4.0), (2e-7, 4.0)];
+/// Small coordinates determine the last digits, if everything is computed in double precision.
+const FINE: [(f64, f64); 6] =
+    [(1e-7, 4.0), (1e-8, 4.0), (1e-9, 2.0), (1e-10, 1.0), (1e-11, 1.0), (1e-11, 1.0)];
+
+/// The mounting, in double precision, that brings points nearest to their positions in the file.
+fn least_squares(pairs: &[Pair], start: &Mounting, rounds: &Rounds) -> Option<Mounting> {
+    /// Metres: points farther off belong to other returns.
+    const FARTHEST: f64 = 5e-3;
+    let mut mounting = Mounting { order: Order::Double, ..*start };
+    for &(least, most) in rounds {
+        for axis in 0..3 {
+            let row = mounting.rows[axis];
+            let (mut system, mut right) = (SMatrix::<f64, 4, 4>::zeros(), SVector::<f64, 4>::zeros());
+            for (point, position) in pairs {
+                let [x, y, z] = point.map(f64::from);
+                let unit = unit_at(position[axis]).max(least);
+                let miss = f64::from(position[axis]) - (row[0] * x + row[1] * y + row[2] * z + row[3]);
+                if miss.abs() < FARTHEST.min(most * unit) {
+                    let slopes = SVector::from([x, y, z, 1.0]);
+                    let weight = (unit / least).powi(-2);
+                    system += slopes * slopes.transpose() * weight;
+                    right += slopes * (miss * weight);
+                }
+            }
+            let change = system.cholesky()?.solve(&right);
+            mounting.rows[axis] = std::array::from_fn(|place| row[place] + change[place]);
+        }
+    }
+    Some(mounting)
+}
+
+/// The numbers of a scanner's mounting to the last bit, and the order of its operations: those that reproduce the most
+/// coordinates; and how many of a sample they reproduce.
+fn last_bits(pairs: &[Pair], start: &Mounting) -> Option<(Mounting, usize)> {
+    /// What was written may reproduce fewer coordinates, as some lasers' constants are not known to the last bit yet.
+    const AS_GOOD: f64 = 0.99;
+    let start = least_squares(pairs, start, &COARSE)?;
+    let fine = least_squares(pairs, &start, &FINE).unwrap_or(start);
+    let few: Vec<Pair> = thinned(pairs, FEW).copied().collect();
+    let found = Order::ALL.into_par_iter().map(|order| {
+        let starts = if order.is_single() { vec![start] } else { vec![fine, start] };
+        let axes = [0, 1, 2].map(|axis| {
+            let sharpened = starts.iter().map(|start| sharpened(order, start.rows[axis], &few, axis));
+            // The first one wins ties.
+            let best = sharpened.reduce(|best, next| if next.1 > best.1 { next } else { best });
+            let (row, exact) = best.unwrap_or_default();
+            let written = written(start.rows[axis]).into_iter().map(|row| order.in_its_precision(row));
+            let written = written.map(|row| (row, exact_along(order, &row, &few, axis)));
+            let written = written.reduce(|best, next| if next.1 > best.1 { next } else { best });
+            written.filter(|(_, written)| *written as f64 > AS_GOOD * exact as f64).unwrap_or((row, exact))
+        });
+        let exact: usize = axes.iter().map(|(_, exact)| exact).sum();
+        (Mounting { order, rows: axes.map(|(row, _)| row) }, exact)
+    });
+    let found: Vec<(Mounting, usize)> = found.collect();
+    // The first one wins ties.
+    found.into_iter().rev().max_by_key(|(_, exact)| *exact)
+}
+
+/// A row as its author may have written it, if it turns by whole quarters of a turn: with a translation of tenths of
+/// millimetres, and for cosines of 0 also what programs compute as the cosine or sine of such an angle.
+fn written([a, b, c, t]: [f64; 4]) -> Vec<[f64; 4]> {
+    /// How near a number must be to what was written.
+    const NEAR: f64 = 2e-6;
+    /// The cosine of pi / 2 and the sine of pi in double precision.
+    const ZEROS: [f64; 5] = [
+        0.0,
+        6.123_233_995_736_766e-17,
+        -6.123_233_995_736_766e-17,
+        1.224_646_799_147_353_2e-16,
+        -1.224_646_799_147_353_2e-16,
+    ];
+    let nearest = |value: f64, parts: f64| {
+        let written = round_ties_even(value * parts) / parts;
+        ((written - value).abs() < NEAR).then_some(written)
+    };
+    let [Some(a), Some(b), Some(c)] = [a, b, c].map(|value| nearest(value, 1.0)) else { return Vec::new() };
+    let t = nearest(t, 1e4).unwrap_or(t);
+    let values = |value: f64| if value == 0.0 { ZEROS.to_vec() } else { vec![value] };
+    let mut rows = Vec::new();
+    for a in values(a) {
+        for b in values(b) {
+            rows.extend(values(c).into_iter().map(|c| [a, b, c, t]));
+        }
+    }
+    rows
+}
+
+/// How many coordinates a row reproduces along an axis to the last bit.
+fn exact_along(order: Order, row: &[f64; 4], pairs: &[Pair], axis: usize) -> usize {
+    let is_exact = |(point, position): &&Pair| order.coordinate(row, point) as f32 == position[axis];
+    pairs.iter().filter(is_exact).count()
+}
+
+/// The row near another one that reproduces the most coordinates along an axis to the last bit, and how many.
+fn sharpened(order: Order, row: [f64; 4], pairs: &[Pair], axis: usize) -> ([f64; 4], usize) {
+    /// Units to either side in which each number is searched.
+    const FARTHEST: i32 = 6;
+    /// Units of numbers in double precision, and rounds for others, whose unit is that of float32.
+    const FINE: [f64; 4] = [1e-8, 1e-9, 1e-10, 1e-11];
+    const ROUNDS: usize = 4;
+    let exact = |row: &[f64; 4]| exact_along(order, row, pairs, axis);
+    let neighbour = |value: f64, steps: i32, unit: Option<f64>| match unit {
+        Some(unit) => value + f64::from(steps) * unit,
+        None => f64::from(f32::from_bits((value as f32).to_bits().wrapping_add_signed(steps))),
+    };
+    let units: Vec<Option<f64>> =
+        if order.is_single() { vec![None; ROUNDS] } else { FINE.map(Some).to_vec() };
+    let row = order.in_its_precision(row);
+    let mut best = (row, exact(&row));
+    for unit in units {
+        let before = best.1;
+        for place in 0..4 {
+            let value = best.0[place];
+            for steps in (1..=FARTHEST).flat_map(|steps| [steps, -steps]) {
+                let mut row = best.0;
+                row[place] = neighbour(value, steps, unit);
+                let count = exact(&row);
+                if count > best.1 {
+                    best = (row, count);
+                }
+            }
+        }
+        if order.is_single() && best.1 == before {
+            break;
+        }
+    }
+    best
+}
+
+/// An angle as its manufacturer wrote it, in the unit of [`Laser`]: with three digits if it is so near to them.
+fn as_written(degrees: f64) -> i64 {
+    /// Degrees.
+    const NEAR: f64 = 2.5e-4;
+    let thousandths = round_ties_even(degrees * 1e3);
+    match (thousandths * 1e-3 - degrees).abs() < NEAR {
+        true => thousandths as i64 * THOUSANDTH,
+        false => (degrees / ANGLE_UNIT).round() as i64,
+    }
+}

@@ -1,0 +1,154 @@
+//! Scans in the frame of a vehicle: how a program moved the points of a scanner that is mounted on one. FORMAT.md 3.3.
+//!
+//! With a rotation R and a translation T, which are the same for all scans, a point p of the scanner's recipe becomes
+//!
+//! ```text
+//! v = R p + T
+//! ```
+//! The [`Order`] of the operations and their precision are those of the program. `pose` finds where the scanner is
+//! and how it is turned from points alone; `fit` finds the numbers.
+
+mod fit;
+mod pose;
+
+pub use fit::fit;
+
+use super::projection::Sight;
+use super::{Build, Firings};
+use crate::scanner::REACH;
+
+/// The order and precision in which a program computes `R p + T`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Order {
+    /// Double precision, rounded once.
+    Double = 1,
+    /// Double precision, rounded after the rotation and again after the translation: the devkit of nuScenes.
+    DoubleRoundedTwice = 2,
+    /// Single precision, the translation first: `x a + (y b + (z c + t))`: PCL.
+    SingleShiftFirst = 3,
+    /// Single precision, the translation last: `((x a + y b) + z c) + t`: Eigen.
+    SingleShiftLast = 4,
+    /// The same with fused products and sums: NumPy.
+    SingleFused = 5,
+}
+
+impl Order {
+    /// Every order.
+    pub const ALL: [Order; 5] = [
+        Order::Double,
+        Order::DoubleRoundedTwice,
+        Order::SingleShiftFirst,
+        Order::SingleShiftLast,
+        Order::SingleFused,
+    ];
+
+    /// The order of this number in the stream.
+    pub fn of_number(number: u64) -> Option<Self> {
+        Self::ALL.into_iter().find(|order| *order as u64 == number)
+    }
+
+    /// Whether the numbers of R and T are float32.
+    pub fn is_single(self) -> bool {
+        !matches!(self, Order::Double | Order::DoubleRoundedTwice)
+    }
+
+    /// The numbers of a row as they are stored.
+    fn in_its_precision(self, row: [f64; 4]) -> [f64; 4] {
+        if self.is_single() { row.map(|number| f64::from(number as f32)) } else { row }
+    }
+
+    /// A coordinate, from its row of R with its number of T, in the precision in which it is computed.
+    #[inline]
+    fn coordinate(self, row: &[f64; 4], point: &[f32; 3]) -> f64 {
+        let turned = |[a, b, c, _]: &[f64; 4]| {
+            let [x, y, z] = point.map(f64::from);
+            a * x + b * y + c * z
+        };
+        let [x, y, z] = *point;
+        let [a, b, c, t] = row.map(|number| number as f32);
+        match self {
+            Order::Double => turned(row) + row[3],
+            Order::DoubleRoundedTwice => f64::from(turned(row) as f32) + row[3],
+            Order::SingleShiftFirst => (x * a + (y * b + (z * c + t))).into(),
+            Order::SingleShiftLast => (((x * a + y * b) + z * c) + t).into(),
+            Order::SingleFused => (z.mul_add(c, y.mul_add(b, x * a)) + t).into(),
+        }
+    }
+}
+
+/// How the points of a scanner were moved to the frame of a vehicle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mounting {
+    /// How this was computed.
+    pub order: Order,
+    /// For each coordinate, its row of R and its number of T, in metres.
+    pub rows: [[f64; 4]; 3],
+}
+
+impl Mounting {
+    /// The position to which a point of the recipe is moved, in the precision in which it is computed.
+    #[inline]
+    pub fn moved(&self, point: &[f32; 3]) -> [f64; 3] {
+        [0, 1, 2].map(|axis| self.order.coordinate(&self.rows[axis], point))
+    }
+
+    /// The position from which a point is moved to this one: R^T (v - T).
+    #[inline(always)]
+    pub fn undone(&self, position: [f64; 3]) -> [f64; 3] {
+        let [u, v, w] = [0, 1, 2].map(|axis| position[axis] - self.rows[axis][3]);
+        let [a, b, c] = &self.rows;
+        [0, 1, 2].map(|axis| u * a[axis] + v * b[axis] + w * c[axis])
+    }
+
+    /// The same for a scanner that is turned by so many radians more, counterclockwise around its axis.
+    fn turned(&self, radians: f64) -> Self {
+        let (sin, cos) = libm::sincos(radians);
+        let rows = self.rows.map(|[a, b, c, t]| [a * cos + b * sin, b * cos - a * sin, c, t]);
+        Mounting { rows, ..*self }
+    }
+}
+
+impl Firings {
+    /// The same scanner with this mounting.
+    fn mounted(self, mounting: Mounting) -> Self {
+        Firings { build: Build { mounting: Some(Box::new(mounting)), ..self.build }, ..self }
+    }
+
+    /// The same scanner in a frame of its own.
+    fn unmounted(&self) -> Self {
+        Firings { build: Build { mounting: None, ..self.build.clone() }, ..self.clone() }
+    }
+
+    /// A position of the file, in metres, in the frame of the scanner.
+    #[inline(always)]
+    pub(super) fn in_frame(&self, position: [f64; 3]) -> [f64; 3] {
+        self.build.mounting.as_ref().map_or(position, |mounting| mounting.undone(position))
+    }
+
+    /// The position in the file of a record without a return, of which the recipe makes zeros.
+    pub(super) fn of_nothing(&self) -> [f32; 3] {
+        let mounting = self.build.mounting.as_deref();
+        mounting.map_or([0.0; 3], |mounting| mounting.moved(&[0.0; 3]).map(|metres| metres as f32))
+    }
+
+    /// The points of a file in the frame of the scanner: those of the recipe, or if it gives no near one, the file's moved
+    /// back.
+    fn measured(&self, positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        let Some(mounting) = &self.build.mounting else { return positions.to_vec() };
+        let reach = REACH + 0.5 * self.range_step_m();
+        let bare = self.unmounted();
+        let (sight, nothing) = (Sight::new(&bare), self.of_nothing());
+        let measured = |position: &[f32; 3]| {
+            if *position == nothing || *position == [0.0; 3] {
+                return [0.0; 3];
+            }
+            let there = mounting.undone(position.map(f64::from));
+            let formula = sight.nearest(there).map(|(_, formula)| formula);
+            let near =
+                formula.filter(|formula| (0..3).all(|axis| (formula[axis] - there[axis]).abs() < reach));
+            near.unwrap_or(there).map(|metres| metres as f32)
+        };
+        positions.iter().map(measured).collect()
+    }
+}

@@ -1,0 +1,164 @@
+//! Scans in the frame of a vehicle: points of a scanner that a program moved after they were measured.
+
+use crate::common::bound::{bounded, keeps_the_bound};
+use crate::common::firings::{Mover, image, made_up, points};
+use crate::common::formats::{kitti, pcd_stamped};
+use crate::common::scans::{Points, random_points};
+use crate::common::streams::at_level;
+use crate::common::{File, encode_files, round_trip};
+use lidarpc::internals::files::parse;
+use lidarpc::internals::frame::settings::EncoderConfig;
+use lidarpc::internals::scan::ScanFile;
+use lidarpc::internals::scanner::firings::{Firings, Mounting, Order, Recipe};
+use lidarpc::internals::scanner::{REACH, RangeImage, Scanner};
+use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, drive};
+
+/// A mounting like that on a car's roof.
+const DEGREES: [f64; 3] = [1.3, -2.1, 91.7];
+const METRES: [f64; 3] = [1.2, 0.3, 1.9];
+
+/// Scans of a VLP-16, with every `thinning`-th block of its firings.
+fn vlp_16(frames: usize, thinning: usize) -> Vec<Points> {
+    let scanner = SynthScanner::Vlp16;
+    let config = SynthConfig { scanner, seed: 7, frames, thinning, ..SynthConfig::default() };
+    drive(&config).map(|frame| frame.points).collect()
+}
+
+fn file(points: &Points) -> ScanFile {
+    parse("0.bin", kitti(points))
+}
+
+/// The scanner that is fitted to a scan, which must be one of firings; with its mounting.
+fn fitted(scan: ScanFile) -> (Firings, Option<Mounting>) {
+    let scanner = Scanner::fit(&[scan]).expect("a scanner is found");
+    let scanner = scanner.firings().expect("a scanner of firings").clone();
+    let mounting = scanner.build().mounting.as_deref().copied();
+    (scanner, mounting)
+}
+
+fn positions(points: &Points) -> Vec<[f32; 3]> {
+    points.iter().map(|&[x, y, z, _]| [x, y, z]).collect()
+}
+
+fn files(scans: &[Points]) -> Vec<File> {
+    scans.iter().enumerate().map(|(number, points)| (format!("{number}.bin"), kitti(points))).collect()
+}
+
+#[test]
+fn what_every_program_moved_is_reproduced_to_the_last_bit() {
+    let scan = &vlp_16(1, 1)[0];
+    for (mover, order) in Mover::ALL.into_iter().zip([
+        Order::SingleShiftFirst,
+        Order::SingleShiftLast,
+        Order::SingleFused,
+        Order::Double,
+        Order::DoubleRoundedTwice,
+    ]) {
+        let moved = mover.moved(scan, DEGREES, METRES);
+        let (scanner, mounting) = fitted(file(&moved));
+        let mounting = mounting.unwrap_or_else(|| panic!("{mover:?} is not found"));
+        assert_eq!(mounting.order, order);
+        let exact = scanner.exact_share(&positions(&moved));
+        assert!(exact > 0.98, "{mover:?}: {exact}");
+        for axis in 0..3 {
+            assert!((mounting.rows[axis][3] - METRES[axis]).abs() < 1e-6, "{mover:?}: {mounting:?}");
+        }
+        assert_eq!(scanner.build().recipe, fitted(file(scan)).0.build().recipe);
+    }
+}
+
+#[test]
+fn moved_files_are_hardly_larger() {
+    let scans = vlp_16(2, 2);
+    let moved: Vec<Points> =
+        scans.iter().map(|scan| Mover::Pcl.moved(scan, [40.0, -25.0, 200.0], [-3.0, 12.0, 2.5])).collect();
+    let size = |scans: &[Points]| encode_files(&files(scans), &EncoderConfig::default()).len();
+    let (measured, moved) = (size(&scans), size(&moved));
+    assert!(moved * 100 < measured * 103, "{moved} bytes, {measured} as measured");
+}
+
+#[test]
+fn upside_down_and_quarters_of_a_turn_are_found() {
+    let scan = &vlp_16(1, 1)[0];
+    let turns = [[180.0, 0.0, 0.0], [0.0, 0.0, 90.0], [0.0, 90.0, 0.0], [0.0, 0.0, 180.0]];
+    for (degrees, metres) in turns.into_iter().flat_map(|turn| [(turn, [0.0; 3]), (turn, [0.0, 0.0, 1.8])]) {
+        let moved = Mover::NumPyDouble.moved(scan, degrees, metres);
+        let (scanner, _) = fitted(file(&moved));
+        let exact = scanner.exact_share(&positions(&moved));
+        assert!(exact > 0.98, "{degrees:?} {metres:?}: {exact}");
+    }
+}
+
+#[test]
+fn lasers_with_azimuth_offsets_are_found_row_by_row_or_by_a_channel() {
+    let scanner = made_up(Recipe::DoubleYAhead);
+    let image = RangeImage { is_full: false, ..image(&scanner, 1) };
+    let by_rows = points(&scanner.clone().line_by_line((0..32).collect()), &image);
+    let by_firings = points(&scanner, &image);
+    let rows: Vec<u16> = scanner.file_order(&image).iter().map(|found| found.row as u16).collect();
+    let times = vec![0.0; by_firings.len()];
+    let moved = |points: &Points| Mover::Pcl.moved(points, DEGREES, METRES);
+    let with_channel = parse("0.pcd", pcd_stamped(&moved(&by_firings), &rows, &times));
+    for (scan, points) in [(file(&moved(&by_rows)), &by_rows), (with_channel, &by_firings)] {
+        let (found, mounting) = fitted(scan);
+        assert_eq!(mounting.expect("a mounting").order, Order::SingleShiftFirst);
+        let exact = found.exact_share(&positions(&moved(points)));
+        assert!(exact > 0.98, "{exact}");
+    }
+}
+
+#[test]
+fn records_without_a_return_are_moved_with_the_others() {
+    let scanner = made_up(Recipe::DoubleYAhead).line_by_line((0..32).rev().collect());
+    let image = RangeImage { is_full: true, ..image(&scanner, 1) };
+    let moved = Mover::Eigen.moved(&points(&scanner, &image), DEGREES, METRES);
+    let (found, _) = fitted(file(&moved));
+    let projection = found.project(&file(&moved).cloud, REACH);
+    assert!(projection.image.is_full && projection.strays.is_empty(), "{} strays", projection.strays.len());
+    let (formula, order) = (found.file_order(&projection.image), positions(&moved));
+    let exact = formula.iter().zip(&order).filter(|(found_there, position)| {
+        found.position(found_there, 0.0).map(|metres| metres as f32) == **position
+    });
+    let exact = exact.count();
+    assert!(exact * 100 > order.len() * 98, "{exact} of {}", order.len());
+    round_trip(&files(&[moved]), &EncoderConfig::default());
+}
+
+#[test]
+fn moved_scans_with_odd_points_come_back() {
+    let mut scans: Vec<Points> =
+        vlp_16(3, 4).iter().map(|scan| Mover::NumPyDouble.moved(scan, DEGREES, METRES)).collect();
+    scans[0].splice(100..100, random_points(40, 1));
+    scans[1].insert(7, [f32::NAN, f32::INFINITY, -0.0, 1.0]);
+    scans[1].insert(9, [0.0; 4]);
+    scans[2] = Mover::Pcl.moved(&scans[2], [0.0, 0.0, 1.0], [5.0, 0.0, 0.0]);
+    for level in [1, 6, 9] {
+        round_trip(&files(&scans), &at_level(level));
+    }
+}
+
+#[test]
+fn moved_scans_stay_within_a_bound() {
+    let scans: Vec<Points> =
+        vlp_16(2, 4).iter().map(|scan| Mover::Pcl.moved(scan, DEGREES, METRES)).collect();
+    let (stream, _) = keeps_the_bound(&files(&scans), &bounded(10_000), 10_000);
+    let exact = encode_files(&files(&scans), &EncoderConfig::default());
+    assert!(stream.len() * 5 < exact.len() * 4, "{} bytes, {} if exact", stream.len(), exact.len());
+}
+
+#[test]
+fn a_record_with_a_mounting_comes_back() {
+    let (scanner, _) = fitted(file(&Mover::NumPyDouble.moved(&vlp_16(1, 2)[0], DEGREES, METRES)));
+    let payload = scanner.to_payload();
+    let mut input = &payload[..];
+    let again = Firings::read_from(&mut input).unwrap();
+    assert!(input.is_empty());
+    assert_eq!(again.build(), scanner.build());
+    for cut in 0..payload.len() {
+        assert!(Firings::read_from(&mut &payload[..cut]).is_err(), "cut at {cut}");
+    }
+    let (start, number) = (payload.len() - 96, f64::NAN.to_le_bytes());
+    let mut damaged = payload;
+    damaged[start..start + 8].copy_from_slice(&number);
+    assert!(Firings::read_from(&mut &damaged[..]).is_err(), "a number that is none");
+}
