@@ -108,6 +108,17 @@ fn lasers_with_azimuth_offsets_are_found_row_by_row_or_by_a_channel() {
 }
 
 #[test]
+fn offsets_of_several_ticks_by_a_recipe_in_single_precision_are_found() {
+    let scanner = made_up(Recipe::VelodyneRos);
+    let image = RangeImage { is_full: false, ..image(&scanner, 1) };
+    let moved = Mover::Pcl.moved(&points(&scanner, &image), DEGREES, METRES);
+    let rows: Vec<u16> = scanner.file_order(&image).iter().map(|found| found.row as u16).collect();
+    let (found, _) = fitted(parse("0.pcd", pcd_stamped(&moved, &rows, &vec![0.0; moved.len()])));
+    let exact = found.exact_share(&positions(&moved));
+    assert!(exact > 0.98, "{exact}");
+}
+
+#[test]
 fn records_without_a_return_are_moved_with_the_others() {
     let scanner = made_up(Recipe::DoubleYAhead).line_by_line((0..32).rev().collect());
     let image = RangeImage { is_full: true, ..image(&scanner, 1) };

@@ -17,6 +17,7 @@ use crate::ground::rounding::round_ties_even;
 use crate::scan::{PointCloud, ScanFile, channel_of_lasers};
 use crate::scanner::firings::constants::{Moved, MovedBy, Point, TRIED, by_rows};
 use crate::scanner::firings::fit::{ON_CONE, elevations, fit_moved, in_ticks, phase, range_step, ticks};
+use crate::scanner::firings::order::{Order as FiringOrder, lines, order, vlp_16};
 use crate::scanner::firings::projection::nearest;
 use crate::scanner::firings::recipe::{Axes, whole_steps};
 use crate::scanner::firings::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
@@ -140,7 +141,8 @@ impl Seen {
     fn of(returns: &[[f32; 3]], mounting: &Mounting) -> Option<Self> {
         /// Coherence of offsets with whole ones.
         const COMMON: f64 = 0.9;
-        let measured = thinned(returns, 4 * SAMPLE)
+        let measured = returns
+            .iter()
             .map(|position| Some((Point::new(mounting.undone(position.map(f64::from)), None)?, *position)));
         let (points, positions): (Vec<Point>, Vec<[f32; 3]>) = measured.flatten().unzip();
         let range_step_um = range_step(points.iter().map(|point| point.range))?;
@@ -163,8 +165,14 @@ impl Seen {
         };
         let found = in_parts(1.0).or_else(|| in_parts(thousandths).filter(|_| ticks == 36_000));
         let (common, parts) = found.unwrap_or((phases[0], 1));
-        let offsets = phases.iter().map(|phase| phase - common - round_ties_even(phase - common));
-        let offsets: Vec<f64> = offsets.collect();
+        let parts_of_ticks = phases.iter().map(|phase| phase - common - round_ties_even(phase - common));
+        let parts_of_ticks: Vec<f64> = parts_of_ticks.collect();
+        let sequence = points.iter().zip(&rows).filter_map(|(point, row)| {
+            let tick = round_ties_even(in_ticks(point, ticks) - common - parts_of_ticks[(*row)?]) as i64;
+            Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
+        });
+        let whole = whole_ticks(sequence.collect(), &elevations, ticks);
+        let offsets: Vec<f64> = parts_of_ticks.iter().zip(whole).map(|(part, whole)| part + whole).collect();
         let lasers = elevations.iter().zip(&offsets).map(|(elevation, offset)| Laser {
             elevation: as_written(elevation.to_degrees()),
             azimuth: as_written(offset * tick),
@@ -186,7 +194,8 @@ impl Seen {
             let steps = whole_steps(point.range, step)?;
             Some((Return { row: row as u32, column: 0, tick, steps, echo: 0 }, *position))
         });
-        let points: Vec<Measurement> = found.collect();
+        let found: Vec<Measurement> = found.collect();
+        let points = thinned(&found, 4 * SAMPLE).copied().collect();
         Some(Seen { build, lasers: lasers.collect(), points, parts })
     }
 
@@ -298,6 +307,23 @@ const DIFFERENT: [Recipe; 7] = [
 
 /// Those of Hesai's scanners.
 const OF_HESAI: [Recipe; 3] = [Recipe::DoubleYAhead, Recipe::Nebula, Recipe::Pandar64];
+
+/// The whole ticks of each laser's azimuth offset, as far as the order of the file tells them, from the rows and ticks of
+/// its points: such that their mean is about 0.
+fn whole_ticks(mut sequence: Vec<(usize, u32)>, elevations: &[f64], ticks: u32) -> Vec<f64> {
+    let rows = elevations.len();
+    // Echoes say nothing about the order. A VLP-16's lasers have no offsets, but ticks pass while they fire.
+    sequence.dedup();
+    let of_file = || {
+        let by_firings = order(&sequence, rows, ticks);
+        by_firings
+            .or_else(|| lines(&sequence, rows, ticks).map(|_| FiringOrder::of_lines(&sequence, rows, ticks)))
+    };
+    let shifts = if vlp_16(elevations).is_some() { None } else { of_file().map(|order| order.shifts) };
+    let shifts = shifts.unwrap_or_else(|| vec![0.0; rows]);
+    let middle = round_ties_even(shifts.iter().sum::<f64>() / rows.max(1) as f64);
+    shifts.into_iter().map(|shift| shift - middle).collect()
+}
 
 /// A thousandth of a degree, in the unit of [`Laser`].
 const THOUSANDTH: i64 = 1_000_000;
