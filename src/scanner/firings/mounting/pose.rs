@@ -24,7 +24,7 @@ pub struct Pose {
 const FEWEST: usize = 20;
 /// Number of points, or of planes, that are used.
 const SAMPLE: usize = 4000;
-/// Largest share of points that may be in no heap of elevations.
+/// Smallest share of points that must be in heaps of elevations.
 const LEAST_SHARE: f64 = 0.5;
 /// In radians: the largest median distance of the points from their cones.
 const ON_CONE: f64 = 3e-5;
