@@ -8,7 +8,7 @@ use crate::common::firings::{
     image, made_up, ouster, points, taking_turns, timed, velodyne_decoder_vlp_16, vlp_32c, with_echoes,
 };
 use crate::common::formats::kitti;
-use crate::common::scans::Points;
+use crate::common::scans::{Points, rounded};
 use crate::common::streams::at_level;
 use crate::common::{self, File, round_trip, take_apart};
 use lidarpc::internals::container::SectionKind;
@@ -329,6 +329,53 @@ fn beams_through_a_focal_point_are_found() {
     let (exact, inexact, strays) = counts(&found, &points);
     // glibc's cosine is another float32 for one angle in a hundred, and the azimuth advances by fractions of a tick.
     assert!(inexact <= exact / 30 && strays <= exact / 100, "{exact}, {inexact}, {strays}");
+}
+
+#[test]
+fn rounded_coordinates_take_little_more_than_those_to_the_last_bit() {
+    let of = |scanner: Firings| points(&scanner, &image(&scanner, 1));
+    let made_up = |recipe| of(made_up(recipe));
+    let vlp_16 = scans(&config(8, 1, 1)).remove(0);
+    // Decimal places, and bytes in percent of those of the scan before it was rounded. The room of the last one has no
+    // noise, so that there is little else to code than what rounding has changed.
+    for (name, scan, limits) in [
+        ("VLP-16", vlp_16, &[(3, 105), (2, 100)][..]),
+        ("32 lasers with offsets", made_up(Recipe::DoubleYAhead), &[(3, 102), (2, 130)]),
+        ("32 lasers with offsets, in single precision", made_up(Recipe::VelodyneRos), &[(3, 102), (2, 145)]),
+        ("512 columns", ouster(32, false), &[(3, 180)]),
+    ] {
+        let before = round_trip(&files(std::slice::from_ref(&scan)), &EncoderConfig::default()).len();
+        for (places, most) in limits {
+            let after = round_trip(&files(&[rounded(&scan, *places)]), &EncoderConfig::default()).len();
+            assert!(after * 100 < before * most, "{name}, {places} places: {before} -> {after} bytes");
+        }
+    }
+}
+
+#[test]
+fn rounded_scans_that_are_cut_and_mixed_up_come_back() {
+    let whole = scans(&config(9, 1, 2)).remove(0);
+    let by_rows: Points = {
+        let mut points = whole.clone();
+        points.sort_by(|a, b| {
+            let slope = |p: &[f32; 4]| (p[2] / p[0].hypot(p[1]) * 50.0).round();
+            slope(b).total_cmp(&slope(a))
+        });
+        points
+    };
+    let twice: Points = whole.iter().flat_map(|point| [*point, point.map(|value| value * 1.01)]).collect();
+    // Near points have no certain tick; on the axes coordinates are zeros of either sign.
+    let near: Points = whole.iter().map(|&[x, y, z, i]| [x / 40.0, y / 40.0, z / 40.0, i]).collect();
+    let sector = whole[500..2000].to_vec();
+    for places in 1..4 {
+        let scans = [&whole, &by_rows, &twice, &near, &sector].map(|points| rounded(points, places));
+        for scan in scans.clone() {
+            round_trip(&files(&[scan]), &EncoderConfig::default());
+        }
+        let (_, largest) = keeps_the_bound(&files(&scans), &bounded(20_000), 20_000);
+        assert!(largest > 0.0);
+        round_trip(&files(&scans), &at_level(1));
+    }
 }
 
 #[test]

@@ -14,7 +14,7 @@ use crate::common::formats::{
     columns, csv, kitti, las, npy, npy_doubles, nuscenes, pcd_extra, pcd_text, pcd_velodyne, pcd_xyz, ply,
     ply_big_endian, ply_text,
 };
-use crate::common::scans::{compensated, random_points, scans, single_precision, small, unrounded};
+use crate::common::scans::{compensated, random_points, rounded, scans, single_precision, small, unrounded};
 use crate::common::streams::{KNOWN, at_level, halved, moved_through_a_map, with_back_end};
 use crate::common::{
     self, File, decode_files, encode_files, in_package, put_together, round_trip, take_apart,
@@ -147,6 +147,14 @@ fn mounted_files(mover: common::firings::Mover) -> Vec<File> {
     let config = SynthConfig { scanner: SynthScanner::Vlp16, frames: 2, thinning: 12, ..small(4, 2) };
     let moved = |scan: &common::scans::Points| mover.moved(scan, [1.3, -2.1, 91.7], [1.2, 0.3, 1.9]);
     named(&scans(&config).iter().map(moved).collect::<Vec<_>>())
+}
+
+/// Two scans of a VLP-16 whose coordinates were rounded to this number of decimal places; zeros have both signs.
+fn rounded_files(places: i32) -> Vec<File> {
+    let config = SynthConfig { scanner: SynthScanner::Vlp16, frames: 2, thinning: 12, ..small(5, 2) };
+    let mut scans: Vec<_> = scans(&config).iter().map(|scan| rounded(scan, places)).collect();
+    scans[1].iter_mut().step_by(50).for_each(|point| point[1] = point[1].signum() * 0.0);
+    named(&scans)
 }
 
 /// Two scans that were moved by their time stamps, and sorted by them.
@@ -283,6 +291,8 @@ fn recipes() -> Vec<Recipe> {
     exact("firings-ouster", || named(&[common::firings::ouster(16, false)]), EncoderConfig::default());
     exact("firings-ouster-ros", || named(&[common::firings::ouster(16, true)]), EncoderConfig::default());
     exact("firings-turned", || named(&[common::firings::vlp_32c(12)]), EncoderConfig::default());
+    exact("firings-millimetres", || rounded_files(3), EncoderConfig::default());
+    exact("firings-centimetres", || rounded_files(2), EncoderConfig::default());
     exact("firings-stamped", stamped_files, EncoderConfig::default());
     exact("standing-still", standing_still_files, EncoderConfig::default());
     for (level, name) in [(1, "-packed"), (6, ""), (9, "-deep")] {

@@ -72,11 +72,10 @@ impl Coordinates {
     /// before rounding.
     pub fn value(self, unit: i64, formula: f64) -> f32 {
         match self {
-            Coordinates::Millimetre if unit == 0 => zero_of(formula),
-            Coordinates::Millimetre => (unit as f64 / 1000.0) as f32,
             Coordinates::Float32 => from_ordered(unit),
+            _ if unit == 0 => zero_of(formula),
+            Coordinates::Millimetre => (unit as f64 / 1000.0) as f32,
             Coordinates::Lattice { step_nm } => (unit as f64 * lattice_step(step_nm)) as f32,
-            Coordinates::Digits(_) if unit == 0 => zero_of(formula),
             Coordinates::Digits(digits) => decimal_value(unit, digits),
         }
     }
@@ -133,8 +132,8 @@ impl Coordinates {
     /// Whether [`value`](Self::value) returns a zero with the sign of this zero.
     fn keeps_zero(self, zero: f32, formula: f64) -> bool {
         match self {
-            Coordinates::Millimetre | Coordinates::Digits(_) => zero.to_bits() == zero_of(formula).to_bits(),
-            Coordinates::Float32 | Coordinates::Lattice { .. } => true,
+            Coordinates::Float32 => true,
+            _ => zero.to_bits() == zero_of(formula).to_bits(),
         }
     }
 
@@ -148,11 +147,7 @@ impl Coordinates {
                 on_grid.then_some(unit)
             }
             Coordinates::Float32 => value.is_finite().then(|| ordered(value)),
-            Coordinates::Lattice { .. } => {
-                let unit = self.unit_of(f64::from(value));
-                (self.value(unit, 0.0).to_bits() == value.to_bits()).then_some(unit)
-            }
-            Coordinates::Digits(_) => {
+            Coordinates::Lattice { .. } | Coordinates::Digits(_) => {
                 let unit = self.unit_of(f64::from(value));
                 let near = self.value(unit, f64::from(value));
                 (value.is_finite() && near.to_bits() == value.to_bits()).then_some(unit)
@@ -310,6 +305,9 @@ mod tests {
             }
         }
         assert_eq!(Coordinates::finest_of(&[1.5, -20.25]), Coordinates::Lattice { step_nm: 10_000_000 });
+        let centimetres = Coordinates::finest_of(&[1.25, -0.0, 0.0]);
+        assert_eq!(centimetres, Coordinates::Lattice { step_nm: 10_000_000 });
+        assert_eq!(centimetres.value(0, -1e-3).to_bits(), (-0.0f32).to_bits());
         assert_eq!(Coordinates::finest_of(&[1.501, -20.25]), Coordinates::Millimetre);
         assert_eq!(Coordinates::finest_of(&[12.3456, -0.012_345_6]), Coordinates::Digits(6));
         let mut neighbours: Vec<f32> = (0..64).map(|i| f32::from_bits(120f32.to_bits() + i)).collect();

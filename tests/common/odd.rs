@@ -2,14 +2,14 @@
 
 use std::sync::LazyLock;
 
-use lidarpc::internals::study::synth::SynthConfig;
+use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 use proptest::prelude::*;
 
 use super::File;
 use super::formats::{
     columns, csv, kitti, las, npy, npy_doubles, nuscenes, pcd_extra, pcd_ros, pcd_text, pcd_xyz, ply,
 };
-use super::scans::{Points, moved, rows, scans, shuffled, small, unrounded};
+use super::scans::{Points, moved, rounded, rows, scans, shuffled, small, unrounded};
 
 /// The scans to be changed: of two scanners, off the millimetre grid, and off every grid.
 pub static SCANS: LazyLock<Vec<Vec<Points>>> = LazyLock::new(|| {
@@ -17,7 +17,8 @@ pub static SCANS: LazyLock<Vec<Vec<Points>>> = LazyLock::new(|| {
     let ones = scans(&one);
     let floats = ones.iter().map(|points| unrounded(&one, points)).collect();
     let corrected = ones.iter().map(|points| moved(points)).collect();
-    vec![ones, scans(&other), floats, corrected]
+    let firings = SynthConfig { scanner: SynthScanner::Vlp16, thinning: 16, ..small(3, 2) };
+    vec![ones, scans(&other), floats, corrected, scans(&firings)]
 });
 
 /// The format in which points are written.
@@ -97,6 +98,8 @@ pub enum Change {
     Coordinate(usize, usize, f32),
     Ulps(usize, usize, i32),
     Millimetres(usize, usize, i32),
+    /// All coordinates, to this number of decimal places.
+    Rounded(i32),
     Intensity(usize, f32),
     AllIntensities(f32),
     /// All points become this one.
@@ -135,6 +138,7 @@ impl Change {
                 let value = &mut points[at % count][axis];
                 *value = (((f64::from(*value) * 1000.0).round() + f64::from(mm)) / 1000.0) as f32;
             }
+            Change::Rounded(places) => *points = rounded(points, places),
             Change::Intensity(at, value) => points[at % count][3] = value,
             Change::AllIntensities(factor) => points.iter_mut().for_each(|p| p[3] *= factor),
             Change::OneCell(at) => {
@@ -169,6 +173,7 @@ fn change() -> impl Strategy<Value = Change> {
         6 => (at(), axis(), odd_value()).prop_map(|(a, x, v)| Change::Coordinate(a, x, v)),
         3 => (at(), axis(), -2i32..3).prop_map(|(a, x, n)| Change::Ulps(a, x, n)),
         4 => (at(), axis(), -6i32..7).prop_map(|(a, x, n)| Change::Millimetres(a, x, n)),
+        2 => (1i32..5).prop_map(Change::Rounded),
         4 => (at(), odd_value()).prop_map(|(a, v)| Change::Intensity(a, v)),
         1 => prop::sample::select(vec![0.0, 255.0, 256.0, 100.0, 0.3, f32::NAN]).prop_map(Change::AllIntensities),
         1 => at().prop_map(Change::OneCell),
@@ -177,7 +182,7 @@ fn change() -> impl Strategy<Value = Change> {
 
 /// A scan with changes, as a file: its extension and bytes.
 pub fn changed_scan() -> impl Strategy<Value = Quiet> {
-    let scan = (0..4usize, 0..3usize).prop_map(|(kind, frame)| {
+    let scan = (0..5usize, 0..3usize).prop_map(|(kind, frame)| {
         let frames = &SCANS[kind];
         frames[frame % frames.len()].clone()
     });

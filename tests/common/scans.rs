@@ -20,6 +20,14 @@ pub fn scans(config: &SynthConfig) -> Vec<Points> {
     drive(config).map(|frame| frame.points).collect()
 }
 
+/// The points with coordinates rounded to this number of decimal places, as most programs write them: some zeros are
+/// negative.
+pub fn rounded(points: &[[f32; 4]], places: i32) -> Points {
+    let unit = 10f64.powi(places);
+    let round = |metres: f32| ((f64::from(metres) * unit).round() / unit) as f32;
+    points.iter().map(|&[x, y, z, intensity]| [round(x), round(y), round(z), intensity]).collect()
+}
+
 /// Azimuth in radians, 0 to 2 pi; a y of -0.0 was below the seam before it was rounded.
 pub fn azimuth(point: &[f32; 4]) -> f64 {
     let azimuth = f64::from(point[1]).atan2(f64::from(point[0]));

@@ -83,12 +83,12 @@ class Grid:
     def value(self, unit, formula):
         if self.kind == FLOAT32:
             return from_ordered(unit)
-        if self.kind == LATTICE:
-            return bits_of_float(f32(float(unit) * self.step))
         if unit == 0:
             if isnan(formula):
                 return 0
             return bits_of_float(f32(formula)) & 0x80000000
+        if self.kind == LATTICE:
+            return bits_of_float(f32(float(unit) * self.step))
         if self.kind == DIGITS:
             least = 10 ** (self.step - 1)
             place, number = divmod(abs(unit) - 1, 9 * least)

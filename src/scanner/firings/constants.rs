@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
+use super::blur::Blur;
 use super::recipe::whole_steps;
 use super::{ANGLE_UNIT, Build, Firings, Laser, Mounting, Origin, Recipe};
 use crate::ground::rounding::round_ties_even;
@@ -168,6 +169,9 @@ impl Constants<'_> {
         let mean = ahead.iter().sum::<f64>() / ahead.len().max(1) as f64;
         let middle = round_ties_even(-mean / tick) * tick;
         let offsets: Vec<f64> = ahead.into_iter().map(|offset| offset + middle).collect();
+        if Blur::of(build.coordinates).is_any() {
+            return Some(self.of_rounded(build, &offsets));
+        }
         let mut few: Vec<usize> = (0..self.elevations.len()).collect();
         few.sort_by_key(|&row| std::cmp::Reverse(self.of_rows[row].len()));
         few.truncate((few.len() / 2).max(FEW));
@@ -221,6 +225,31 @@ impl Constants<'_> {
         };
         let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
         Some(Determined { recipe: any.build.recipe, lasers, are_turned })
+    }
+
+    /// What reproduces points whose coordinates were rounded, given the offsets of the lasers in degrees. Rounding hides
+    /// which recipe it was, and the last digits of constants.
+    fn of_rounded(&self, build: &Build, offsets: &[f64]) -> Determined {
+        /// Digits of angles in degrees; the last are those of the unit.
+        const DIGITS: [f64; 4] = [1.0, 1e2, 1e3, 1.0 / ANGLE_UNIT];
+        /// In degrees: the largest error of an angle.
+        const UNSURE: f64 = 2e-3;
+        let recipe = Recipe::DoubleXAhead;
+        let any = Firings::new(Build { recipe, ..build.clone() }, Vec::new(), Vec::new());
+        let written = |degrees: f64| {
+            let rounded = DIGITS.map(|digits| round_ties_even(degrees * digits) / digits);
+            let near = rounded.into_iter().filter(move |rounded| (rounded - degrees).abs() < UNSURE);
+            near.map(|degrees| (degrees / ANGLE_UNIT).round() as i64)
+        };
+        let of_row = |row: usize| {
+            let elevations = written(self.elevations[row].to_degrees());
+            let lasers = elevations
+                .flat_map(|elevation| written(offsets[row]).map(move |azimuth| Laser { elevation, azimuth }));
+            let none = lasers.clone().last().unwrap_or_default();
+            best_of(&any, lasers, &self.more_of_rows[row], none).0
+        };
+        let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
+        Determined { recipe, lasers, are_turned: false }
     }
 
     /// Number of points of these rows that are reproduced if each offset is corrected by whole ticks of its own, as

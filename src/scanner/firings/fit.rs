@@ -2,25 +2,34 @@
 //! with them, the lasers by their cones and [constants](super::constants), and their order by which laser follows
 //! which.
 
+use std::borrow::Cow;
 use std::f64::consts::TAU;
 
 use rayon::prelude::*;
 
+use super::blur::Blur;
 use super::constants::{Constants, Determined, Moved, Point, TRIED, by_rows, near_axes};
 use super::order::{Order, STEADY, VLP_16, lines, order, timed, vlp_16};
-use super::projection::{Place, nearest, without_echoes};
+use super::projection::{nearest, without_echoes};
 use super::{Build, Firings, Origin, Recipe, Timing};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
-use crate::scanner::{Coordinates, REACH, Return};
+use crate::scanner::{Coordinates, REACH};
 
 /// Range steps of known scanners, in micrometres, coarse ones first: multiples of a step are also multiples of its
 /// divisors.
 const RANGE_STEPS_UM: [u32; 9] = [12_000, 10_000, 8_000, 5_000, 4_000, 2_500, 2_000, 1_000, 500];
 /// Ticks per turn of known scanners: small numbers first, for the same reason, and hundredths of degrees.
-const TICKS: [u32; 5] = [512, 1024, 2048, 4096, 36_000];
+const TICKS: [u32; 5] = [512, 1024, 2048, 4096, HUNDREDTHS];
+const HUNDREDTHS: u32 = 36_000;
 /// Minimum coherence of float32 values that lie on a grid.
 const COHERENT: f64 = 0.9;
+/// A scanner that explains more than this share of the points need not be improved.
+const NEARLY_ALL: f64 = 0.995;
+/// The same for values before their coordinates were rounded, which is known less well.
+const COHERENT_BEFORE: f64 = 0.75;
+/// Minimum coherence that rounded coordinates may leave.
+const LEAST_COHERENT: f64 = 0.1;
 /// A scanner that explains a smaller share of the points is rejected.
 const LEAST_SHARE: f64 = 0.5;
 /// Largest distance of a laser's azimuths from whole ticks, as a fraction of a tick, if a program knows only whole
@@ -54,33 +63,34 @@ fn fit_points<'m>(
 ) -> Option<(Firings, f64)> {
     let (numbers, points): (Vec<usize>, Vec<Point>) =
         points.enumerate().filter_map(|(record, point)| Some((record, point?))).unzip();
-    let step = (points.len() / SAMPLE).max(1);
+    let measured = points.len();
+    let step = (measured / SAMPLE).max(1);
     let values: Vec<f32> =
         points.iter().step_by(step).flat_map(|point| point.position.map(|value| value as f32)).collect();
     let coordinates = Coordinates::finest_of(&values);
-    let found = Found { scan, numbers, points, coordinates };
-    let on_axis = found.on_axis(Origin::default()).filter(|scanners| !scanners.is_empty());
-    let elsewhere = || found.through_focal_point().or_else(|| found.off_axis());
-    let scanners = on_axis.or_else(elsewhere).or_else(|| Some(vec![found.ouster()?]))?;
-    let shares = scanners.into_iter().map(|scanner| {
-        let image = scanner.project(&scan.cloud, REACH).image;
-        (
-            scanner,
-            (image.returns() + image.echoes.len()) as f64 / found.points.len().max(1) as f64,
-            image.columns.len(),
-        )
-    });
-    // Among scanners that explain about as many points, the one with the fewest columns is best, because its
-    // firings are whole. A timing with two firings per block must explain enough to be worth it.
-    let worth = |(scanner, share, columns): &(Firings, f64, usize)| {
-        let simple = if scanner.build.timing.firings(scanner.rows()) > 1 { 0.999 } else { 1.0 };
-        simple * share / (1.0 + *columns as f64 / found.points.len().max(1) as f64)
-    };
-    let best = shares.max_by(|a, b| worth(a).total_cmp(&worth(b)));
-    let (scanner, share, _) = best.filter(|(_, share, _)| *share >= LEAST_SHARE)?;
+    let blur = Blur::of(coordinates);
+    // Rounding leaves the farthest points clearest; nearer ones are used only if those do not show all lasers.
+    let mut best: Option<Candidate> = None;
+    for nearest in blur.nearest(&points) {
+        let (numbers, points) = match nearest > 0.0 {
+            true => {
+                let all = numbers.iter().copied().zip(points.iter().copied());
+                let (numbers, points): (Vec<_>, Vec<_>) = all.filter(|(_, p)| p.range >= nearest).unzip();
+                (numbers.into(), points.into())
+            }
+            false => (Cow::Borrowed(&numbers[..]), Cow::Borrowed(&points[..])),
+        };
+        let found = Found { scan, numbers, points, measured, coordinates, blur, nearest };
+        let next = found.best();
+        best = next.into_iter().chain(best).reduce(|a, b| if b.worth > a.worth { b } else { a });
+        if best.as_ref().is_some_and(|best| best.share > NEARLY_ALL) {
+            break;
+        }
+    }
+    let Candidate { scanner, share, .. } = best.filter(|best| best.share >= LEAST_SHARE)?;
     // Decimal digits do not help a recipe that is wrong.
     let is_digits = matches!(coordinates, Coordinates::Digits(_));
-    let scanner = match is_digits.then(|| found.given(&scanner)) {
+    let scanner = match is_digits.then(|| scanner.given(&scan.cloud.positions)) {
         Some((given, all)) if 2 * given <= all => {
             let build = Build { coordinates: Coordinates::Float32, ..scanner.build };
             Firings::new(build, scanner.lasers, scanner.rows_of_slots)
@@ -96,21 +106,69 @@ fn fit_points<'m>(
 pub(super) struct Found<'s> {
     pub scan: &'s ScanFile,
     /// The record number of each point.
-    pub numbers: Vec<usize>,
-    pub points: Vec<Point<'s>>,
+    pub numbers: Cow<'s, [usize]>,
+    pub points: Cow<'s, [Point<'s>]>,
+    /// Number of all points, also of those that rounding has moved too far to be among `points`.
+    pub measured: usize,
     pub coordinates: Coordinates,
+    pub blur: Blur,
+    /// In metres: the range of the nearest of `points`, or less.
+    pub nearest: f64,
+}
+
+/// A scanner that may have measured a scan.
+struct Candidate {
+    scanner: Firings,
+    /// The share of the points that it explains.
+    share: f64,
+    worth: f64,
 }
 
 impl Found<'_> {
+    /// The scanner that explains the scan best.
+    fn best(&self) -> Option<Candidate> {
+        let on_axis = self.on_axis(Origin::default()).filter(|scanners| !scanners.is_empty());
+        let focal = || (!self.blur.is_any()).then(|| self.through_focal_point()).flatten();
+        let elsewhere = || focal().or_else(|| self.off_axis());
+        let scanners = on_axis.or_else(elsewhere).or_else(|| Some(vec![self.ouster()?]))?;
+        let candidates = scanners.into_iter().map(|scanner| self.candidate(scanner));
+        candidates.max_by(|a, b| a.worth.total_cmp(&b.worth))
+    }
+
+    /// Among scanners that explain about as many points, the one with the fewest columns is best, because its firings
+    /// are whole. A timing with two firings per block must explain enough to be worth it. Points that were rounded may be
+    /// explained by a timing that is not theirs, but not as accurately.
+    fn candidate(&self, scanner: Firings) -> Candidate {
+        let measured = self.measured.max(1) as f64;
+        let projection = scanner.project(&self.scan.cloud, REACH);
+        let image = &projection.image;
+        let share = (image.returns() + image.echoes.len()) as f64 / measured;
+        let simple = if scanner.build.timing.firings(scanner.rows()) > 1 { 0.999 } else { 1.0 };
+        let accuracy = if self.blur.is_any() { scanner.accuracy(&projection, &self.scan.cloud) } else { 1.0 };
+        let worth = simple * share / (1.0 + image.columns.len() as f64 / measured) * accuracy;
+        Candidate { scanner, share, worth }
+    }
+
+    /// In radians: the largest distance of a laser's points from its cone.
+    pub(super) fn on_cone(&self) -> f64 {
+        ON_CONE.max(self.blur.angle(self.nearest))
+    }
+
+    /// By how many ticks points may seem to be beside their own.
+    pub(super) fn slack(&self, ticks: u32) -> u32 {
+        if self.blur.is_any() { self.blur.ticks(self.nearest, ticks) } else { 0 }
+    }
+
     /// Scanners whose beams intersect in a focal point and that may have measured the scan.
     fn through_focal_point(&self) -> Option<Vec<Firings>> {
         let tried = FOCAL_POINTS_UM.into_iter().filter_map(|along_um| {
             let origin = Origin { along_um, up_um: 0 };
             let [focal, _] = origin.metres();
             let points: Vec<Point> = self.points.iter().map(|point| point.through(focal)).collect();
-            let found = Found { scan: self.scan, numbers: self.numbers.clone(), points, ..*self };
+            let numbers = Cow::Borrowed(&self.numbers[..]);
+            let found = Found { scan: self.scan, numbers, points: points.into(), ..*self };
             let scanners = found.on_axis(origin)?;
-            let (given, all) = found.given(scanners.first()?);
+            let (given, all) = scanners.first()?.given(&self.scan.cloud.positions);
             (2 * given > all).then_some((given, scanners))
         });
         tried.max_by_key(|(given, _)| *given).map(|(_, scanners)| scanners)
@@ -118,18 +176,19 @@ impl Found<'_> {
 
     /// Scanners whose beams all start in one point and that may have measured the scan.
     fn on_axis(&self, origin: Origin) -> Option<Vec<Firings>> {
-        let Found { scan, numbers, points, coordinates } = self;
-        let range_step_um = range_step(points.iter().map(|point| point.range))?;
+        let Found { scan, numbers, points, measured, coordinates, blur, .. } = self;
+        let on_cone = self.on_cone();
+        let range_step_um = range_step(points.iter().map(|point| point.range), *blur)?;
         let records = scan.cloud.positions.len();
-        let mut elevations = completed(elevations(points)?);
+        let mut elevations = completed(elevations(points, on_cone)?);
         let row = |point: &Point| {
             let row = nearest(&elevations, point.elevation);
-            ((elevations[row] - point.elevation).abs() < ON_CONE).then_some(row)
+            ((elevations[row] - point.elevation).abs() < on_cone).then_some(row)
         };
         let rows: Vec<Option<usize>> = points.iter().map(row).collect();
         let places: Vec<(usize, usize)> =
             numbers.iter().zip(&rows).filter_map(|(record, row)| Some((*record, (*row)?))).collect();
-        let has_blanks = numbers.len() < records;
+        let has_blanks = *measured < records;
         let grid = RecordGrid::find(&places, records, elevations.len(), has_blanks);
         if let Some(grid) = &grid {
             // Lasers without returns still have records.
@@ -139,9 +198,10 @@ impl Found<'_> {
         }
         let of_rows = by_rows(points, &rows, elevations.len(), TRIED);
         let more_of_rows = by_rows(points, &rows, elevations.len(), 10 * TRIED);
-        let ticks = ticks(&of_rows)?;
+        let for_ticks = if blur.is_any() { &more_of_rows } else { &of_rows };
+        let ticks = ticks(for_ticks, *blur)?;
         let phases: Vec<f64> =
-            of_rows.iter().map(|points| phase(points.iter().map(|point| in_ticks(point, ticks))).0).collect();
+            for_ticks.iter().map(|points| phase_of_ticks(points, ticks, *blur).0).collect();
         let sequence = points.iter().zip(&rows).filter_map(|(point, row)| {
             let tick = round_ties_even(in_ticks(point, ticks) - phases[(*row)?]) as i64;
             Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
@@ -155,7 +215,7 @@ impl Found<'_> {
                 let order = grid.order(&places, &sequence, ticks);
                 (Some(order), if grid.by_lines { grid.lines } else { Vec::new() })
             }
-            None => match order(&firsts, elevations.len(), ticks) {
+            None => match order(&firsts, elevations.len(), ticks, self.slack(ticks)) {
                 Some(order) => (Some(order), Vec::new()),
                 None => match lines(&firsts, elevations.len(), ticks) {
                     Some(lines) => (Some(Order::of_lines(&firsts, elevations.len(), ticks)), lines),
@@ -206,7 +266,7 @@ impl Found<'_> {
             // Programs that know only whole ticks add a laser's ticks to those of the firing.
             let are_ticks = are_whole && order.shifts.iter().any(|shift| *shift != 0.0);
             let of_lags = are_ticks.then(|| scanner(&order, &none, &order.shifts)).flatten();
-            let given = |(scanner, _): &(Firings, bool)| self.given(scanner).0;
+            let given = |(scanner, _): &(Firings, bool)| scanner.given(&scan.cloud.positions).0;
             let of_lags =
                 of_lags.filter(|lags| of_offsets.as_ref().is_none_or(|other| given(lags) > given(other)));
             match (of_lags, of_offsets) {
@@ -222,17 +282,6 @@ impl Found<'_> {
             }
         };
         Some([own, known].into_iter().flatten().flat_map(candidates).collect())
-    }
-
-    /// How many points a scanner's recipe reproduces to the last bit, and how many it explains.
-    fn given(&self, scanner: &Firings) -> (usize, usize) {
-        let positions = &self.scan.cloud.positions;
-        let places = scanner.places(positions, REACH + 0.5 * scanner.range_step_m());
-        let is_given = |place: &&Place| {
-            let found = Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
-            scanner.gives(&found, &positions[place.point as usize].map(f64::from), 0..3)
-        };
-        (places.iter().filter(is_given).count(), places.len())
     }
 
     /// The scanner and, if the lasers of a firing have different ticks, the same scanner with the timings that fit
@@ -253,16 +302,23 @@ impl Found<'_> {
 }
 
 /// The coarsest step on which most of the ranges (in metres) lie.
-pub(super) fn range_step(ranges: impl Iterator<Item = f64> + Clone) -> Option<u32> {
+pub(super) fn range_step(ranges: impl Iterator<Item = f64> + Clone, blur: Blur) -> Option<u32> {
     /// In metres: nearer ranges are ignored, as float32 coordinates do not determine them better.
     const NEAREST: f64 = 0.5;
     const FEWEST: usize = 200;
     let far = ranges.filter(|range| *range > NEAREST);
     let step = (far.clone().count() / SAMPLE).max(1);
     let ranges: Vec<f64> = far.step_by(step).collect();
-    let is_on =
-        |um: &u32| strength(ranges.iter().map(|range| range / (f64::from(*um) * 1e-6)), 0.0) > COHERENT;
-    RANGE_STEPS_UM.into_iter().find(|um| ranges.len() >= FEWEST && is_on(um))
+    let is_on = |um: &u32| {
+        let metres = f64::from(*um) * 1e-6;
+        let most = blur.coherence(metres);
+        let least = most * if blur.is_any() { COHERENT_BEFORE } else { COHERENT };
+        most > LEAST_COHERENT && strength(ranges.iter().map(|range| range / metres), 0.0) > least
+    };
+    // Rounding hides steps that are finer than its own.
+    let hidden = blur.is_any().then(|| blur.step_um());
+    let is_enough = ranges.len() >= FEWEST;
+    RANGE_STEPS_UM.into_iter().find(|um| is_enough && is_on(um)).or(hidden.filter(|_| is_enough))
 }
 
 /// How coherent values are with the whole numbers plus this phase: 1 if all lie on them.
@@ -286,12 +342,12 @@ pub(super) fn phase(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (libm::atan2(im, re) / TAU, (re * re + im * im).sqrt() / f64::from(count.max(1)))
 }
 
-/// In radians: the largest distance of a laser's points from its cone.
+/// In radians: the largest distance of a laser's points from its cone, if coordinates are not rounded.
 pub(super) const ON_CONE: f64 = 1e-4;
 
 /// The elevations of the lasers, from the highest to the lowest: narrow clusters of the points' elevations. `None` if
 /// fewer than half of the points lie in clusters, or the number of clusters is not that of a scanner.
-pub(super) fn elevations(points: &[Point]) -> Option<Vec<f64>> {
+pub(super) fn elevations(points: &[Point], on_cone: f64) -> Option<Vec<f64>> {
     const FEWEST_LASERS: usize = 4;
     const MOST_LASERS: usize = 512;
     /// In metres: the elevations of nearer points are blurred. The second limit is for precise coordinates.
@@ -302,7 +358,7 @@ pub(super) fn elevations(points: &[Point]) -> Option<Vec<f64>> {
         let far = sample.clone().filter(|point| point.range > nearest);
         let mut all: Vec<f64> = far.map(|point| point.elevation).collect();
         all.sort_unstable_by(|a, b| b.total_cmp(a));
-        (narrow_heaps(&all), all.len())
+        (narrow_heaps(&all, on_cone), all.len())
     };
     let [far, near] = NEAREST.map(heaps);
     let ((inside, found), all) = if near.0.0 > far.0.0 { near } else { far };
@@ -311,13 +367,15 @@ pub(super) fn elevations(points: &[Point]) -> Option<Vec<f64>> {
     is_scanner.then_some(found)
 }
 
-/// Given descending elevations: how many lie in narrow clusters, and the medians of the clusters.
-pub(super) fn narrow_heaps(elevations: &[f64]) -> (usize, Vec<f64>) {
-    /// Radians between the clusters of two lasers.
+/// Given descending elevations: how many lie in narrow clusters, at most this far from their middle, and the medians of
+/// the clusters.
+pub(super) fn narrow_heaps(elevations: &[f64], on_cone: f64) -> (usize, Vec<f64>) {
+    /// Radians between the clusters of two lasers, at least.
     const GAP: f64 = 6e-5;
     let fewest = (elevations.len() / 2000).max(8);
-    let heaps = elevations.chunk_by(|a, b| a - b < GAP);
-    let narrow = heaps.filter(|heap| heap.len() >= fewest && heap[0] - heap[heap.len() - 1] < 2.0 * ON_CONE);
+    let gap = GAP.max(on_cone / 3.0);
+    let heaps = elevations.chunk_by(|a, b| a - b < gap);
+    let narrow = heaps.filter(|heap| heap.len() >= fewest && heap[0] - heap[heap.len() - 1] < 2.0 * on_cone);
     narrow.fold((0, Vec::new()), |(inside, mut middles), heap| {
         middles.push(heap[heap.len() / 2]);
         (inside + heap.len(), middles)
@@ -429,16 +487,33 @@ fn completed(elevations: Vec<f64>) -> Vec<f64> {
 }
 
 /// The number of ticks per turn on which the azimuths of most rows lie, each row with a phase of its own.
-pub(super) fn ticks(of_rows: &[Vec<Point>]) -> Option<u32> {
+pub(super) fn ticks(of_rows: &[Vec<Point>], blur: Blur) -> Option<u32> {
     let coherence = |ticks: u32| {
         let of_row = |points: &Vec<Point>| {
-            let (_, strength) = phase(points.iter().map(|point| in_ticks(point, ticks)));
+            let (_, strength) = phase_of_ticks(points, ticks, blur);
             (strength * points.len() as f64, points.len() as f64)
         };
         let (sum, count) = of_rows.iter().map(of_row).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
         sum / f64::max(count, 1.0)
     };
-    TICKS.into_iter().find(|&ticks| coherence(ticks) > COHERENT)
+    let least = if blur.is_any() { COHERENT_BEFORE } else { COHERENT };
+    // Rounding hides hundredths of degrees if all points are near.
+    let hidden = blur.is_any().then_some(HUNDREDTHS);
+    TICKS.into_iter().find(|&ticks| coherence(ticks) > least).or(hidden)
+}
+
+/// The phase of a row's azimuths in ticks, and their coherence as it was before coordinates were rounded.
+fn phase_of_ticks(points: &[Point], ticks: u32, blur: Blur) -> (f64, f64) {
+    /// Standard deviations of a strength that chance does not reach.
+    const SURE: f64 = 3.0;
+    let (phase, strength) = phase(points.iter().map(|point| in_ticks(point, ticks)));
+    let count = points.len().max(1) as f64;
+    let left = points.iter().map(|point| blur.coherence_of_ticks(point, ticks)).sum::<f64>() / count;
+    let is_seen = !blur.is_any() || strength * count.sqrt() > SURE;
+    match is_seen && left > LEAST_COHERENT {
+        true => (phase, strength / left),
+        false => (0.0, 0.0),
+    }
 }
 
 /// The azimuth of a point in ticks, clockwise from x. If y is ahead, all azimuths differ by a quarter of a turn,

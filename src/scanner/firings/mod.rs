@@ -13,6 +13,7 @@
 //! The [`Recipe`] of the program that wrote the file defines in which precision and in which order this was computed.
 //! The beams of some scanners start away from the axis ([`Origin`]), most in the direction of the tick, not of the beam.
 
+mod blur;
 mod columns;
 mod constants;
 mod fit;
@@ -478,6 +479,7 @@ impl fmt::Display for Firings {
         match coordinates {
             Coordinates::Float32 => {}
             Coordinates::Millimetre => write!(f, ", rounded to millimetres")?,
+            Coordinates::Lattice { step_nm: 10_000_000 } => write!(f, ", rounded to centimetres")?,
             Coordinates::Lattice { step_nm } => write!(f, ", rounded to {} micrometres", step_nm / 1000)?,
             Coordinates::Digits(digits) => write!(f, ", rounded to {digits} digits")?,
         }

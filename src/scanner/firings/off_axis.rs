@@ -106,7 +106,7 @@ impl Found<'_> {
         let best = candidates.into_iter().max_by_key(|(_, exact)| *exact);
         let (scanner, _) = best.filter(|(_, exact)| 10 * exact > sample.len())?;
         let (sequence, rows, ticks) = (self.sequence(&scanner), scanner.rows(), scanner.build.ticks);
-        if let Some(order) = order(&sequence, rows, ticks) {
+        if let Some(order) = order(&sequence, rows, ticks, self.slack(ticks)) {
             let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
             return Some(self.with_timings(scanner, false));
         }
@@ -171,7 +171,7 @@ impl Found<'_> {
                 Point { elevation: libm::atan2(z - up, rho), ..*point }
             })
             .collect();
-        let elevations = elevations(&moved)?;
+        let elevations = elevations(&moved, self.on_cone())?;
         let mut rows = vec![Vec::new(); elevations.len()];
         for (point, moved) in self.points.iter().zip(&moved) {
             let row = nearest(&elevations, moved.elevation);
@@ -200,7 +200,7 @@ impl Found<'_> {
                 flat * libm::cos(elevation) + (point.position[2] - up) * libm::sin(elevation)
             }));
         }
-        let range_step_um = range_step(ranges.into_iter())?;
+        let range_step_um = range_step(ranges.into_iter(), self.blur)?;
         let build = Build {
             recipe: maker.recipe,
             ticks: OFF_AXIS_TICKS,

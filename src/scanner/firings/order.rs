@@ -76,9 +76,9 @@ fn shifts_of_lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Vec<f6
     of_rows.iter().map(shift).collect()
 }
 
-/// Determines the order of the lasers from rows and ticks in file order. `None` if the file is not in the order of
-/// firings.
-pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Order> {
+/// Determines the order of the lasers from rows and ticks in file order; each tick may be wrong by `slack`. `None` if the
+/// file is not in the order of firings.
+pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32, slack: u32) -> Option<Order> {
     /// Pairs of lasers with fewer steps are ignored.
     const FEWEST: usize = 8;
     const OTHER_STARTS: usize = 2;
@@ -98,6 +98,9 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Optio
     // The most frequent step, and how often it occurs.
     let mode = |steps: &mut Vec<i64>| {
         steps.sort_unstable();
+        if slack > 0 {
+            return densest(steps, 2 * i64::from(slack));
+        }
         let most = steps.chunk_by(|a, b| a == b).max_by_key(|same| same.len());
         most.map_or((0, 0), |same| (same[0], same.len()))
     };
@@ -136,6 +139,19 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Optio
     }
     let rows_of_slots = order.into_iter().map(|row| row as u32).collect();
     Some(Order { rows_of_slots, other_starts, shifts, timing: Timing::Together, is_steady })
+}
+
+/// The middle of the ascending steps that are densest within some ticks to either side, and their count.
+fn densest(steps: &[i64], aside: i64) -> (i64, usize) {
+    let mut best = (0, 0);
+    let mut end = 0;
+    for (start, first) in steps.iter().enumerate() {
+        end += steps[end..].iter().take_while(|step| **step <= first + 2 * aside).count();
+        if end - start > best.1 {
+            best = (steps[(start + end) / 2], end - start);
+        }
+    }
+    best
 }
 
 /// The rows in the order of a file that holds one row after another, each from one end to the other. `None` if the
@@ -285,7 +301,8 @@ pub(super) fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Opti
     const ROUNDS: usize = 8;
     let rows = scanner.rows();
     let mut scanner = scanner.clone();
-    let mut places = places.to_vec();
+    // Only ticks that are certain tell which part has passed.
+    let mut places: Vec<Place> = places.iter().filter(|place| place.slack == 0).copied().collect();
     let mut parts = first_parts(&scanner, &places, firings)?;
     let with_parts = |scanner: Firings, parts: &[f64]| {
         let of_parts = parts.iter().map(|part| (part * f64::from(WHOLE)) as u32);

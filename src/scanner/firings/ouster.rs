@@ -38,8 +38,14 @@ impl Found<'_> {
         let lines: Vec<Option<[f64; 2]>> = rows.points.iter().map(|row| beam_line(row)).collect();
         let far: Vec<Vec<Point>> = rows.points.iter().map(|row| far_half(row)).collect();
         let ticks = WIDTHS.into_iter().find(|&ticks| ticks_are_coherent(&far, ticks))?;
-        RANGE_STEPS_UM.into_iter().find_map(|range_step_um| {
-            let origin = ouster_origin(&rows.points, &lines, f64::from(range_step_um) * 1e-6)?;
+        // Rounding to millimetres hides steps of one.
+        let steps = if self.blur.is_any() { vec![self.blur.step_um()] } else { RANGE_STEPS_UM.to_vec() };
+        steps.into_iter().find_map(|range_step_um| {
+            let range_step_m = f64::from(range_step_um) * 1e-6;
+            let origin = match self.blur.is_any() {
+                true => origin_of_lines(&lines)?,
+                false => ouster_origin(&rows.points, &lines, range_step_m)?,
+            };
             let recipes = [Recipe::Ouster, Recipe::OusterRos].into_iter();
             let tried = recipes.map(|recipe| {
                 let build = Build {
@@ -95,7 +101,7 @@ impl Found<'_> {
     fn in_order_of_returns(&self, scanner: Firings) -> Option<Firings> {
         let (sequence, ticks) = (self.sequence(&scanner), scanner.build.ticks);
         let within_turn = |ahead: f64| (-ahead as i64).rem_euclid(i64::from(ticks)) as u32;
-        if let Some(order) = order(&sequence, scanner.rows(), ticks) {
+        if let Some(order) = order(&sequence, scanner.rows(), ticks, self.slack(ticks)) {
             let is_staggered = order.shifts.iter().all(|shift| *shift == 0.0);
             let lags = order.shifts.iter().map(|shift| within_turn(*shift));
             let lags = if is_staggered { Vec::new() } else { lags.collect() };
@@ -125,7 +131,7 @@ impl Found<'_> {
         let mut found = grids.filter_map(|(lines, by_lines)| {
             let width = records / lines;
             let (mut points, mut of_points) = (vec![Vec::new(); lines], vec![Vec::new(); lines]);
-            for (point, &record) in self.points.iter().zip(&self.numbers) {
+            for (point, &record) in self.points.iter().zip(self.numbers.iter()) {
                 let line = if by_lines { record / width } else { record % lines };
                 points[line].push(*point);
                 of_points[line].push(record);
@@ -136,7 +142,7 @@ impl Found<'_> {
                 if let Some([slope, height]) = beam_line(row) {
                     let is_near = |point: &&Point| {
                         let [x, y, z] = point.position;
-                        (slope * x.hypot(y) + height - z).abs() < NEAR
+                        (slope * x.hypot(y) + height - z).abs() < NEAR + 2.0 * self.blur.reach()
                     };
                     near += row.iter().filter(is_near).count();
                 }
@@ -173,14 +179,14 @@ impl Found<'_> {
             let mut sample: Vec<f64> =
                 far.iter().step_by(step).map(|point| elevation(point, start)).collect();
             sample.sort_unstable_by(|a, b| b.total_cmp(a));
-            let (inside, heaps) = narrow_heaps(&sample);
+            let (inside, heaps) = narrow_heaps(&sample, self.on_cone());
             (inside as f64 / sample.len().max(1) as f64, heaps, start)
         });
         let tried: Vec<_> = tried.collect();
         let best = tried.into_iter().rev().max_by(|a, b| a.0.total_cmp(&b.0));
         let (_, heaps, start) = best.filter(|(share, ..)| *share > LEAST)?;
         let mut rows = vec![Vec::new(); heaps.len()];
-        for point in &self.points {
+        for point in self.points.iter() {
             let elevation = elevation(point, start);
             let row = nearest(&heaps, elevation);
             if (heaps[row] - elevation).abs() < 10.0 * ON_CONE {
@@ -240,6 +246,16 @@ fn ticks_are_coherent(rows: &[Vec<Point>], ticks: u32) -> bool {
     sum > COHERENT * f64::max(count, 1.0)
 }
 
+/// The origin of the beams from their lines: heights fall with slopes by the distance from the axis.
+fn origin_of_lines(lines: &[Option<[f64; 2]>]) -> Option<Origin> {
+    /// In metres: no Ouster's beams start farther from the axis.
+    const FARTHEST: f64 = 0.1;
+    let pairs: Vec<[f64; 2]> = lines.iter().flatten().map(|[slope, height]| [-slope, *height]).collect();
+    let (along, up) = line(pairs.iter())?;
+    let [along_um, up_um] = [along, up].map(|metres| round_ties_even(metres * 1e6) as i32);
+    (0.002..FARTHEST).contains(&along).then_some(Origin { along_um, up_um })
+}
+
 /// The origin of the beams, from the lines of the beams and the phases of their ranges: `z / sin E` is a whole number
 /// of steps, less n, plus `up / sin E`.
 fn ouster_origin(rows: &[Vec<Point>], lines: &[Option<[f64; 2]>], range_step_m: f64) -> Option<Origin> {
@@ -252,14 +268,7 @@ fn ouster_origin(rows: &[Vec<Point>], lines: &[Option<[f64; 2]>], range_step_m: 
     /// The first search takes every n-th of these, the second one the neighbours of the best.
     const COARSE: [i32; 2] = [20, 5];
     const COHERENT: f64 = 0.9;
-    /// In metres: no Ouster's beams start farther from the axis.
-    const FARTHEST: f64 = 0.1;
-    let known = || lines.iter().flatten();
-    let pairs: Vec<[f64; 2]> = known().map(|[slope, height]| [-slope, *height]).collect();
-    let (along, up) = line(pairs.iter())?;
-    if !(0.002..FARTHEST).contains(&along) {
-        return None;
-    }
+    let Origin { along_um: along, up_um: up } = origin_of_lines(lines)?;
     // For each beam: one over the sine of its elevation, the phase of its apparent ranges, and its weight.
     let mut phases = Vec::new();
     for (points, [slope, _]) in
@@ -281,7 +290,6 @@ fn ouster_origin(rows: &[Vec<Point>], lines: &[Option<[f64; 2]>], range_step_m: 
             .map(|(of_height, phase, weight)| weight * libm::cos((phase + along - up * of_height) * TAU));
         fits.sum::<f64>()
     };
-    let [along, up] = [along, up].map(|metres| round_ties_even(metres * 1e6) as i32);
     let best_of = |pairs: &mut dyn Iterator<Item = (i32, i32)>| {
         let tried = pairs.map(|(along, up)| (strength(along, up), (along, up)));
         tried.max_by(|a, b| a.0.total_cmp(&b.0))

@@ -2,6 +2,7 @@
 
 use pulp::NullaryFnOnce;
 
+use super::blur::Blur;
 use super::timing::{Span, passed_ticks};
 use super::{Firings, Located, Timing};
 use crate::ground::angle;
@@ -10,7 +11,7 @@ use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::PointCloud;
-use crate::scanner::{Coordinates, Echo, Projection, RangeImage, Return, thinned};
+use crate::scanner::{Coordinates, Echo, Projection, REACH, RangeImage, Return, thinned};
 
 /// Ranges of an exact image are below this, in steps.
 const LONGEST: u32 = 1 << 20;
@@ -27,6 +28,8 @@ pub(super) struct Place {
     pub tick: u32,
     pub column_tick: u32,
     pub steps: u32,
+    /// By how many ticks these may be wrong, because the coordinates were rounded.
+    pub slack: u32,
 }
 
 /// The tick of a column without returns, until it is filled in.
@@ -110,6 +113,8 @@ impl<const IS_MOUNTED: bool> NullaryFnOnce for Search<'_, IS_MOUNTED> {
         let Search { scanner, positions, reach } = self;
         let sight = Sight::new(scanner);
         let grid = scanner.build.coordinates;
+        let blur = Blur::of(grid);
+        let reach = reach + blur.reach();
         let mut places = Vec::with_capacity(positions.len());
         for (first, points) in (0u32..).step_by(BLOCK).zip(positions.chunks(BLOCK)) {
             // The missing points of the last block are computed as well, but ignored.
@@ -133,7 +138,12 @@ impl<const IS_MOUNTED: bool> NullaryFnOnce for Search<'_, IS_MOUNTED> {
                 };
                 let is_near = (0..3).all(|axis| (formula[axis] - metres[axis]).abs() < reach);
                 if is_near && (grid == Coordinates::Float32 || grid.holds_all(metres, formula)) {
-                    places.push(scanner.place(first + i as u32, &found));
+                    let mut place = scanner.place(first + i as u32, &found);
+                    if blur.is_any() {
+                        let distance = (metres[0] * metres[0] + metres[1] * metres[1]).sqrt();
+                        place.slack = blur.ticks(distance, scanner.build.ticks);
+                    }
+                    places.push(place);
                 }
             }
         }
@@ -160,18 +170,22 @@ impl Firings {
     pub fn exact_share(&self, positions: &[[f32; 3]]) -> f64 {
         const SAMPLE: usize = 400;
         let sight = Sight::new(self);
+        let blur = Blur::of(self.build.coordinates);
+        let is_clear = |[x, y, _]: &&[f32; 3]| blur.ticks(f64::from(x.hypot(*y)), self.build.ticks) == 0;
         let is_exact = |position: &[f32; 3]| {
             let metres = position.map(f64::from);
             let formula = sight.nearest(metres).map(|(_, formula)| formula);
             formula.is_some_and(|formula| formula.map(|v| self.build.coordinates.nearest(v)) == *position)
         };
         let returns = thinned(positions, SAMPLE).filter(|position| position.iter().any(|v| *v != 0.0));
+        let returns = returns.filter(|position| !blur.is_any() || is_clear(position));
         let (mut exact, mut all) = (0u32, 0u32);
         for position in returns.filter(|position| position.iter().all(|v| v.is_finite())) {
             exact += u32::from(is_exact(position));
             all += 1;
         }
-        f64::from(exact) / f64::from(all.max(1))
+        // Rounded points that are all near contradict nothing.
+        if all == 0 && blur.is_any() { 1.0 } else { f64::from(exact) / f64::from(all.max(1)) }
     }
 
     /// Projects a scan into a range image. Points that the recipe misses by more than `reach` metres along an axis,
@@ -179,7 +193,7 @@ impl Firings {
     pub fn project(&self, cloud: &PointCloud, reach: f64) -> Projection {
         let places = self.places(&cloud.positions, reach + 0.5 * self.range_step_m());
         if let Some(width) = self.full_width(&places, &cloud.positions) {
-            return self.project_full(places, width);
+            return self.project_full(places, width, &cloud.positions, reach);
         }
         let (places, echoes) = without_echoes(places);
         let (places, echoes, columns) = match self.rows_of_lines.is_empty() {
@@ -210,9 +224,10 @@ impl Firings {
             for index in column.places.clone() {
                 let place = &places[index];
                 let row = place.row as usize;
-                if self.tick(row, column.tick, column.span) == place.tick {
+                let tick = self.tick(row, column.tick, column.span);
+                if let Some(steps) = self.steps_at(tick, place, &cloud.positions, reach) {
                     cells[index] = Some((row * columns.len() + number) as u32);
-                    image.steps[(row, number)] = place.steps;
+                    image.steps[(row, number)] = steps;
                     point_of_cell[(row, number)] = place.point;
                     is_stray[place.point as usize] = false;
                 }
@@ -220,7 +235,13 @@ impl Firings {
         }
         let mut found: Vec<(Echo, u32)> = echoes
             .into_iter()
-            .filter_map(|(of, place)| Some((Echo { cell: cells[of]?, steps: place.steps }, place.point)))
+            .filter_map(|(of, place)| {
+                let cell = cells[of]?;
+                let column = &columns[cell as usize % columns.len()];
+                let tick = self.tick(place.row as usize, column.tick, column.span);
+                let steps = self.steps_at(tick, &place, &cloud.positions, reach)?;
+                Some((Echo { cell, steps }, place.point))
+            })
             .collect();
         // The sort is stable: the echoes of a cell keep their order.
         found.sort_by_key(|(echo, _)| echo.cell);
@@ -230,6 +251,36 @@ impl Firings {
         let strays =
             (0u32..).zip(is_stray).filter(|(_, is_stray)| *is_stray).map(|(point, _)| point).collect();
         Projection { image, point_of_cell, point_of_echo, strays }
+    }
+
+    /// How many points the recipe reproduces to the last bit, and how many it explains, of those whose ticks are certain.
+    pub(super) fn given(&self, positions: &[[f32; 3]]) -> (usize, usize) {
+        let places = self.places(positions, REACH + 0.5 * self.range_step_m());
+        let is_given = |place: &&Place| {
+            let found = Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
+            self.gives(&found, &positions[place.point as usize].map(f64::from), 0..3)
+        };
+        let clear = || places.iter().filter(|place| place.slack == 0);
+        (clear().filter(is_given).count(), clear().count())
+    }
+
+    /// The share of the points in an image whose coordinates the recipe reproduces.
+    pub(super) fn accuracy(&self, projection: &Projection, cloud: &PointCloud) -> f64 {
+        let image = &projection.image;
+        let span = |column: usize| Span::of(image.spans.get(column).copied().unwrap_or(0));
+        let (mut given, mut all) = (0u32, 0u32);
+        for row in 0..self.rows() {
+            for (column, &base) in
+                image.columns.iter().enumerate().filter(|(column, _)| image.steps[(row, *column)] > 0)
+            {
+                let (tick, steps) = (self.tick(row, base, span(column)), image.steps[(row, column)]);
+                let found = Return { row: row as u32, column: column as u32, tick, steps, echo: 0 };
+                let point = projection.point_of_cell[(row, column)];
+                given += u32::from(self.gives(&found, &cloud.positions[point as usize].map(f64::from), 0..3));
+                all += 1;
+            }
+        }
+        f64::from(given) / f64::from(all.max(1))
     }
 
     /// The row and the column of a record, in a file in which every cell of an image of `width` columns is a
@@ -262,7 +313,13 @@ impl Firings {
     }
 
     /// Projects a scan in which every cell is a record. Records that the recipe does not explain become blanks.
-    fn project_full(&self, mut places: Vec<Place>, width: usize) -> Projection {
+    fn project_full(
+        &self,
+        mut places: Vec<Place>,
+        width: usize,
+        positions: &[[f32; 3]],
+        reach: f64,
+    ) -> Projection {
         let cell = |place: &Place| self.cell_of_record(place.point, width);
         places.retain(|place| cell(place).0 == place.row);
         places.sort_by_key(|place| (cell(place).1, place.slot));
@@ -294,12 +351,61 @@ impl Firings {
         }
         for (number, column) in columns.iter().enumerate() {
             for place in &places[column.places.clone()] {
-                if self.tick(place.row as usize, column.tick, column.span) == place.tick {
-                    image.steps[(place.row as usize, number)] = place.steps;
+                let tick = self.tick(place.row as usize, column.tick, column.span);
+                if let Some(steps) = self.steps_at(tick, place, positions, reach) {
+                    image.steps[(place.row as usize, number)] = steps;
                 }
             }
         }
         Projection { image, point_of_cell, ..Projection::default() }
+    }
+
+    /// Whether a place may be at a tick of its laser.
+    #[inline]
+    fn is_at(&self, tick: u32, place: &Place) -> bool {
+        tick == place.tick
+            || (place.slack > 0 && self.turned(tick, place.tick).unsigned_abs() <= u64::from(place.slack))
+    }
+
+    /// The range of a place at a tick of its laser, in steps: its own, or if the coordinates were rounded, the one that
+    /// reproduces the most of them. `None` if it is at another tick.
+    #[inline]
+    fn steps_at(&self, tick: u32, place: &Place, positions: &[[f32; 3]], reach: f64) -> Option<u32> {
+        if !self.is_at(tick, place) {
+            return None;
+        }
+        let blur = Blur::of(self.build.coordinates);
+        match blur.is_any() {
+            false => Some(place.steps),
+            true => self.blurred_steps_at(tick, place, &positions[place.point as usize], blur, reach),
+        }
+    }
+
+    fn blurred_steps_at(
+        &self,
+        tick: u32,
+        place: &Place,
+        position: &[f32; 3],
+        blur: Blur,
+        reach: f64,
+    ) -> Option<u32> {
+        let grid = self.build.coordinates;
+        let reach = reach + 0.5 * self.range_step_m() + blur.reach();
+        // The nearest first, which wins ties.
+        let off = (0..=2 * blur.steps(&self.build))
+            .map(|i| if i % 2 == 0 { i / 2 } else { (i / 2 + 1).wrapping_neg() });
+        let tried = off.filter_map(|off| {
+            let steps = place.steps.wrapping_add(off);
+            let found = Return { row: place.row, column: 0, tick, steps, echo: 0 };
+            let formula = self.position(&found, 0.0);
+            let is_near = (0..3).all(|axis| (formula[axis] - f64::from(position[axis])).abs() < reach);
+            let given = || (0..3).filter(|&axis| grid.nearest(formula[axis]) == position[axis]).count();
+            // At another tick, a zero may have another sign.
+            let is_held = || (0..3).all(|axis| grid.holds(position[axis], formula[axis]));
+            (steps > 0 && steps < LONGEST && is_near && is_held()).then(|| (given(), steps))
+        });
+        let best = tried.reduce(|best, next| if next.0 > best.0 { next } else { best });
+        best.map(|(_, steps)| steps)
     }
 
     /// Fills in the ticks of columns without a return, as if the scanner turned evenly.
@@ -336,17 +442,18 @@ impl Firings {
     #[inline(always)]
     fn place(&self, point: u32, &Return { row, tick, steps, .. }: &Return) -> Place {
         let column_tick = self.within_turn(tick + self.lag(row as usize));
-        Place { point, row, slot: self.slots_of_rows[row as usize], tick, column_tick, steps }
+        Place { point, row, slot: self.slots_of_rows[row as usize], tick, column_tick, steps, slack: 0 }
     }
 
     /// Splits places into columns: a new one begins where the slots start again, or where the tick changes.
     pub(super) fn columns(&self, places: &[Place]) -> Vec<Column> {
         let span = self.usual_span(places);
         let mut columns: Vec<Column> = Vec::new();
-        let mut last: Option<&Place> = None;
+        // The last place of a column, and the last one of those whose ticks are surest.
+        let mut last: Option<(&Place, &Place)> = None;
         for (number, place) in places.iter().enumerate() {
-            let goes_on = last.is_some_and(|last| place.slot > last.slot && self.goes_on(last, place, span));
-            match columns.last_mut().filter(|_| goes_on) {
+            let known = last.filter(|(last, sure)| place.slot > last.slot && self.goes_on(sure, place, span));
+            match columns.last_mut().filter(|_| known.is_some()) {
                 Some(column) => column.places.end = number + 1,
                 None => columns.push(Column {
                     places: number..number + 1,
@@ -354,12 +461,42 @@ impl Firings {
                     span: Span::default(),
                 }),
             }
-            last = Some(place);
+            let sure = known.map(|(_, sure)| sure).filter(|sure| sure.slack < place.slack);
+            last = Some((place, sure.unwrap_or(place)));
         }
         if self.build.timing.is_interpolated() {
             self.find_spans(places, &mut columns, span);
+        } else if Blur::of(self.build.coordinates).is_any() {
+            self.settle_ticks(places, &mut columns);
         }
         columns
+    }
+
+    /// Gives columns the ticks that agree with all of their places or, if there are several such ticks, the one that
+    /// the turn of the columns before makes likely.
+    fn settle_ticks(&self, places: &[Place], columns: &mut [Column]) {
+        let (mut last, mut step) = (None, 0);
+        for column in columns {
+            let mut of_column: Vec<&Place> = places[column.places.clone()].iter().collect();
+            of_column.sort_by_key(|place| place.slack);
+            let Some(first) = of_column.first().map(|place| place.column_tick) else { continue };
+            let (mut low, mut high) = (i64::MIN, i64::MAX);
+            for place in of_column {
+                let (off, slack) = (self.turned(first, place.column_tick), i64::from(place.slack));
+                let (lower, upper) = (low.max(off - slack), high.min(off + slack));
+                if lower > upper {
+                    break;
+                }
+                (low, high) = (lower, upper);
+            }
+            let likely = last.map_or(0, |last| self.turned(first, last) + step);
+            let turn = i64::from(self.build.ticks);
+            let tick = (i64::from(first) + likely.clamp(low, high)).rem_euclid(turn) as u32;
+            if let Some(last) = last {
+                step = self.turned(last, tick);
+            }
+            (column.tick, last) = (tick, Some(tick));
+        }
     }
 
     /// Splits places into columns if the file holds row after row: those with the same tick are one column or, if
@@ -458,7 +595,10 @@ impl Firings {
         for pair in places.windows(2).filter(|pair| pair[1].slot > pair[0].slot) {
             let passed = self.passed(0, pair[1].slot) - self.passed(0, pair[0].slot);
             let turned = self.turned(pair[0].column_tick, pair[1].column_tick);
-            if passed > 0.0 && (0..i64::from(self.build.ticks) / FAR).contains(&turned) {
+            let far = i64::from(self.build.ticks) / FAR;
+            // Ticks that are not certain err to both sides.
+            let least = if pair[0].slack + pair[1].slack > 0 { -far } else { 0 };
+            if passed > 0.0 && (least..far).contains(&turned) {
                 ticks += turned;
                 blocks += passed;
             }
@@ -493,14 +633,16 @@ impl Firings {
     /// Whether a place with a later slot may belong to the same firing.
     fn goes_on(&self, last: &Place, place: &Place, span: f64) -> bool {
         if !self.build.timing.is_interpolated() {
-            return last.column_tick == place.column_tick;
+            let off = self.turned(last.column_tick, place.column_tick).unsigned_abs();
+            return off <= u64::from(last.slack + place.slack);
         }
         // A place of the next firing is off by more than half of the ticks between firings. In some blocks no ticks
         // pass.
         let firing = span / f64::from(self.build.timing.firings(self.rows()).max(1));
         let expected = (self.passed(0, place.slot) - self.passed(0, last.slot)) * span;
         let turned = self.turned(last.column_tick, place.column_tick);
-        (turned == 0 && !self.lags.is_empty()) || (turned as f64 - expected).abs() <= 0.5 * firing
+        let slack = f64::from(last.slack + place.slack);
+        (turned == 0 && !self.lags.is_empty()) || (turned as f64 - expected).abs() <= 0.5 * firing + slack
     }
 
     /// Finds the tick of each block and the ticks to the next one: those that explain the ticks of most of its
@@ -510,7 +652,8 @@ impl Firings {
         const MOST_FAILURES: usize = 16;
         let firings = self.build.timing.firings(self.rows()) as usize;
         let usual = round_ties_even(usual).max(0.0) as u32;
-        let (mut number, mut last, mut failures) = (0, usual, 0);
+        // `before` is the tick at which the block before ends.
+        let (mut number, mut last, mut failures, mut before) = (0, usual, 0, None);
         while number < columns.len() {
             let all = number..(number + firings).min(columns.len());
             let one = number..number + 1;
@@ -524,7 +667,8 @@ impl Firings {
             }
             let mut best: Option<(Found, std::ops::Range<usize>, u32)> = None;
             for (block, first) in tried {
-                let Some(found) = self.block(places, columns, block.clone(), first, (last, usual)) else {
+                let Some(found) = self.block(places, columns, block.clone(), first, (last, usual), before)
+                else {
                     continue;
                 };
                 let is_whole = found.fitting == size(&block);
@@ -544,6 +688,8 @@ impl Firings {
             };
             failures += usize::from(2 * found.fitting < size(&block));
             number = block.end;
+            let is_last = first as usize + block.len() == firings;
+            before = is_last.then(|| self.within_turn(found.tick + found.span));
             for (firing, column) in (first..).zip(&mut columns[block]) {
                 column.tick = found.tick;
                 column.span = Span { ticks: found.span, firing };
@@ -557,7 +703,7 @@ impl Firings {
 
     /// The tick of a block of these columns, the first of which is firing `first_firing` of the block, and the
     /// ticks to the next one: those that explain the most places. On ties, those nearest to what the next block
-    /// implies, or to those of the block before.
+    /// implies, or to those of the block before, which ends at tick `before`.
     fn block(
         &self,
         places: &[Place],
@@ -565,6 +711,7 @@ impl Firings {
         block: std::ops::Range<usize>,
         first_firing: u32,
         (last, usual): (u32, u32),
+        before: Option<u32>,
     ) -> Option<Found> {
         /// In ticks: spans differ by no more than this from the usual one, if the scanner turns evenly.
         const UNEVEN: u32 = 12;
@@ -572,18 +719,14 @@ impl Firings {
         const OFF: i64 = 3;
         let of = |column: &Column| &places[column.places.clone()];
         let size: usize = columns[block.clone()].iter().map(|column| column.places.len()).sum();
-        let first = columns[block.clone()]
-            .iter()
-            .zip(first_firing..)
-            .find_map(|(column, firing)| of(column).first().map(|place| (place, firing)));
-        let (first, firing) = first?;
+        let (first, firing) = surest(columns[block.clone()].iter().zip(first_firing..), of)?;
         // The number of places that are explained, or 0 if it does not exceed `atleast`.
         let fitting = |tick: u32, span: u32, atleast: usize| {
             let mut missed = 0;
             for (firing, column) in (first_firing..).zip(&columns[block.clone()]) {
                 for place in of(column) {
                     let own = self.tick(place.row as usize, tick, Span { ticks: span, firing });
-                    missed += usize::from(own != place.tick);
+                    missed += usize::from(!self.is_at(own, place));
                     if missed + atleast >= size {
                         return 0;
                     }
@@ -597,9 +740,13 @@ impl Firings {
             let passed = self.passed(firing, place.slot) * f64::from(last);
             i64::from(place.column_tick) - round_ties_even(passed) as i64
         };
-        let from = start(first, firing);
-        let next = columns.get(block.end).and_then(|column| of(column).first());
-        let told = next.map(|next| start(next, 0));
+        let centred = |off: i64| (off + turn / 2).rem_euclid(turn) - turn / 2;
+        // If the place may have another tick, the one that the block before implies.
+        let own = start(first, firing);
+        let likely = before.map_or(0, |before| centred(i64::from(before) - own));
+        let from = own + likely.clamp(-i64::from(first.slack), i64::from(first.slack));
+        let next = columns.get(block.end).and_then(|column| surest(std::iter::once((column, 0)), of));
+        let told = next.filter(|(next, _)| next.slack == 0).map(|(next, _)| start(next, 0));
         // With a table of parts, ticks advance from every base in the same way, so the places that a span explains are
         // counted for all bases at once.
         let mut counts: [Option<[u32; 2 * OFF as usize + 1]>; 2 * UNEVEN as usize + 1] =
@@ -612,6 +759,12 @@ impl Firings {
                     let passed = passed_ticks(span, parts.get(slot).copied().unwrap_or(0));
                     let off = i64::from(place.column_tick) - i64::from(passed) - from + OFF;
                     // Divisions are slow, and adding one turn is usually enough.
+                    if place.slack > 0 {
+                        let (off, slack) = (centred(off), i64::from(place.slack));
+                        let all = (off - slack).max(0)..=(off + slack).min(2 * OFF);
+                        all.for_each(|off| counts[off as usize] += 1);
+                        continue;
+                    }
                     let less = if off < 0 { off + turn } else { off };
                     let off = if (0..turn).contains(&less) { less } else { off.rem_euclid(turn) } as usize;
                     counts.get_mut(off).into_iter().for_each(|count| *count += 1);
@@ -649,6 +802,17 @@ impl Firings {
         let still = fitting(first.column_tick, 0, best.map_or(0, |best| best.fitting));
         if still > 0 { Some(Found { tick: first.column_tick, span: 0, fitting: still }) } else { best }
     }
+}
+
+/// The first of the places of some columns whose tick is certain, or that for which it is surest, and what its column
+/// comes with.
+fn surest<'p, 'c>(
+    columns: impl Iterator<Item = (&'c Column, u32)> + Clone,
+    places: impl Fn(&Column) -> &'p [Place],
+) -> Option<(&'p Place, u32)> {
+    let all = columns.flat_map(|(column, number)| places(column).iter().map(move |place| (place, number)));
+    let certain = all.clone().find(|(place, _)| place.slack == 0);
+    certain.or_else(|| all.min_by_key(|(place, _)| place.slack))
 }
 
 /// Places without those that repeat the row and the tick of the place before: these are its echoes, each returned

@@ -15,6 +15,7 @@ use super::pose::{self, Pose};
 use super::{Mounting, Order};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::{PointCloud, ScanFile, channel_of_lasers};
+use crate::scanner::firings::blur::Blur;
 use crate::scanner::firings::constants::{Moved, MovedBy, Point, TRIED, by_rows};
 use crate::scanner::firings::fit::{ON_CONE, elevations, fit_moved, in_ticks, phase, range_step, ticks};
 use crate::scanner::firings::order::{Order as FiringOrder, lines, order, vlp_16};
@@ -145,15 +146,15 @@ impl Seen {
             .iter()
             .map(|position| Some((Point::new(mounting.undone(position.map(f64::from)), None)?, *position)));
         let (points, positions): (Vec<Point>, Vec<[f32; 3]>) = measured.flatten().unzip();
-        let range_step_um = range_step(points.iter().map(|point| point.range))?;
-        let elevations = elevations(&points)?;
+        let range_step_um = range_step(points.iter().map(|point| point.range), Blur::default())?;
+        let elevations = elevations(&points, ON_CONE)?;
         let row = |point: &Point| {
             let row = nearest(&elevations, point.elevation);
             ((elevations[row] - point.elevation).abs() < ON_CONE).then_some(row)
         };
         let rows: Vec<Option<usize>> = points.iter().map(row).collect();
         let of_rows = by_rows(&points, &rows, elevations.len(), 10 * TRIED);
-        let ticks = ticks(&of_rows)?;
+        let ticks = ticks(&of_rows, Blur::default())?;
         let phase_of = |points: &Vec<Point>| phase(points.iter().map(|point| in_ticks(point, ticks))).0;
         let phases: Vec<f64> = of_rows.iter().map(phase_of).collect();
         let tick = 360.0 / f64::from(ticks);
@@ -315,7 +316,7 @@ fn whole_ticks(mut sequence: Vec<(usize, u32)>, elevations: &[f64], ticks: u32) 
     // Echoes say nothing about the order. A VLP-16's lasers have no offsets, but ticks pass while they fire.
     sequence.dedup();
     let of_file = || {
-        let by_firings = order(&sequence, rows, ticks);
+        let by_firings = order(&sequence, rows, ticks, 0);
         by_firings
             .or_else(|| lines(&sequence, rows, ticks).map(|_| FiringOrder::of_lines(&sequence, rows, ticks)))
     };
