@@ -4,10 +4,13 @@
 
 use std::f64::consts::TAU;
 
-use super::Build;
 use super::constants::Point;
+use super::projection::{Column, LONGEST, Place};
+use super::timing::Span;
+use super::{Build, Firings};
 use crate::ground::rounding::round_ties_even;
-use crate::scanner::Coordinates;
+use crate::scan::PointCloud;
+use crate::scanner::{Coordinates, Projection, Return};
 
 /// By how much rounding has moved points, in metres along an axis, at most; 0 if the grid is so fine that it does not
 /// matter.
@@ -94,5 +97,108 @@ impl Blur {
         let mut nearest = ANGLES.map(|angle| f64::min(self.0 / angle, of_enough)).to_vec();
         nearest.dedup();
         nearest
+    }
+}
+
+impl Firings {
+    /// Whether a place may be at a tick of its laser.
+    #[inline]
+    pub(super) fn is_at(&self, tick: u32, place: &Place) -> bool {
+        tick == place.tick
+            || (place.slack > 0 && self.turned(tick, place.tick).unsigned_abs() <= u64::from(place.slack))
+    }
+
+    /// The range of a place at a tick of its laser, in steps: its own, or if the coordinates were rounded, the one that
+    /// reproduces the most of them. `None` if it is at another tick.
+    #[inline]
+    pub(super) fn steps_at(
+        &self,
+        tick: u32,
+        place: &Place,
+        positions: &[[f32; 3]],
+        reach: f64,
+    ) -> Option<u32> {
+        if !self.is_at(tick, place) {
+            return None;
+        }
+        let blur = Blur::of(self.build.coordinates);
+        match blur.is_any() {
+            false => Some(place.steps),
+            true => self.blurred_steps_at(tick, place, &positions[place.point as usize], blur, reach),
+        }
+    }
+
+    /// The same if the coordinates were rounded.
+    fn blurred_steps_at(
+        &self,
+        tick: u32,
+        place: &Place,
+        position: &[f32; 3],
+        blur: Blur,
+        reach: f64,
+    ) -> Option<u32> {
+        let grid = self.build.coordinates;
+        let reach = reach + 0.5 * self.range_step_m() + blur.reach();
+        let given = |steps: i64| {
+            let steps = u32::try_from(steps).ok().filter(|steps| (1..LONGEST).contains(steps))?;
+            let formula = self.position(&Return { row: place.row, column: 0, tick, steps, echo: 0 }, 0.0);
+            let is_near = (0..3).all(|axis| (formula[axis] - f64::from(position[axis])).abs() < reach);
+            // At another tick, a zero may have another sign.
+            let is_held = is_near && (0..3).all(|axis| grid.holds(position[axis], formula[axis]));
+            let given = || (0..3).filter(|&axis| grid.nearest(formula[axis]) == position[axis]).count();
+            is_held.then(|| (given(), steps))
+        };
+        // The nearest first, which wins ties.
+        let own = i64::from(place.steps);
+        let most = i64::from(blur.steps(&self.build));
+        let tried = std::iter::once(own).chain((1..=most).flat_map(|off| [own - off, own + off]));
+        let better = |best: (usize, u32), next: (usize, u32)| if next.0 > best.0 { next } else { best };
+        tried.filter_map(given).reduce(better).map(|(_, steps)| steps)
+    }
+
+    /// Gives columns the ticks that agree with all of their places or, if there are several such ticks, the one that
+    /// the turn of the columns before makes likely.
+    pub(super) fn settle_ticks(&self, places: &[Place], columns: &mut [Column]) {
+        let (mut last, mut step) = (None, 0);
+        for column in columns {
+            let mut of_column: Vec<&Place> = places[column.places.clone()].iter().collect();
+            of_column.sort_by_key(|place| place.slack);
+            let Some(first) = of_column.first().map(|place| place.column_tick) else { continue };
+            let (mut low, mut high) = (i64::MIN, i64::MAX);
+            for place in of_column {
+                let (off, slack) = (self.turned(first, place.column_tick), i64::from(place.slack));
+                let (lower, upper) = (low.max(off - slack), high.min(off + slack));
+                if lower > upper {
+                    break;
+                }
+                (low, high) = (lower, upper);
+            }
+            let likely = last.map_or(0, |last| self.turned(first, last) + step);
+            let turn = i64::from(self.build.ticks);
+            let tick = (i64::from(first) + likely.clamp(low, high)).rem_euclid(turn) as u32;
+            if let Some(last) = last {
+                step = self.turned(last, tick);
+            }
+            (column.tick, last) = (tick, Some(tick));
+        }
+    }
+
+    /// The share of the points in an image whose coordinates the recipe reproduces.
+    pub(super) fn accuracy(&self, projection: &Projection, cloud: &PointCloud) -> f64 {
+        let image = &projection.image;
+        let span = |column: usize| Span::of(image.spans.get(column).copied().unwrap_or(0));
+        let (mut given, mut all) = (0u32, 0u32);
+        for row in 0..self.rows() {
+            for (column, &base) in
+                image.columns.iter().enumerate().filter(|(column, _)| image.steps[(row, *column)] > 0)
+            {
+                let (tick, steps) = (self.tick(row, base, span(column)), image.steps[(row, column)]);
+                let found = Return { row: row as u32, column: column as u32, tick, steps, echo: 0 };
+                let point = projection.point_of_cell[(row, column)];
+                given += u32::from(self.gives(&found, &cloud.positions[point as usize].map(f64::from), 0..3));
+                all += 1;
+            }
+        }
+        f64::from(given) / f64::from(all.max(1))
     }
 }

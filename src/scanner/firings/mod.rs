@@ -13,6 +13,7 @@
 //! The [`Recipe`] of the program that wrote the file defines in which precision and in which order this was computed.
 //! The beams of some scanners start away from the axis ([`Origin`]), most in the direction of the tick, not of the beam.
 
+mod blocks;
 mod blur;
 mod columns;
 mod constants;

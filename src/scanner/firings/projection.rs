@@ -3,18 +3,17 @@
 use pulp::NullaryFnOnce;
 
 use super::blur::Blur;
-use super::timing::{Span, passed_ticks};
-use super::{Firings, Located, Timing};
+use super::timing::Span;
+use super::{Firings, Located};
 use crate::ground::angle;
 use crate::ground::error::Limits;
 use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
-use crate::ground::rounding::round_ties_even;
 use crate::scan::PointCloud;
 use crate::scanner::{Coordinates, Echo, Projection, REACH, RangeImage, Return, thinned};
 
 /// Ranges of an exact image are below this, in steps.
-const LONGEST: u32 = 1 << 20;
+pub(super) const LONGEST: u32 = 1 << 20;
 /// With more cells per point than this, the points are in no order that is worth an image.
 const MOST_CELLS: usize = 16;
 
@@ -264,25 +263,6 @@ impl Firings {
         (clear().filter(is_given).count(), clear().count())
     }
 
-    /// The share of the points in an image whose coordinates the recipe reproduces.
-    pub(super) fn accuracy(&self, projection: &Projection, cloud: &PointCloud) -> f64 {
-        let image = &projection.image;
-        let span = |column: usize| Span::of(image.spans.get(column).copied().unwrap_or(0));
-        let (mut given, mut all) = (0u32, 0u32);
-        for row in 0..self.rows() {
-            for (column, &base) in
-                image.columns.iter().enumerate().filter(|(column, _)| image.steps[(row, *column)] > 0)
-            {
-                let (tick, steps) = (self.tick(row, base, span(column)), image.steps[(row, column)]);
-                let found = Return { row: row as u32, column: column as u32, tick, steps, echo: 0 };
-                let point = projection.point_of_cell[(row, column)];
-                given += u32::from(self.gives(&found, &cloud.positions[point as usize].map(f64::from), 0..3));
-                all += 1;
-            }
-        }
-        f64::from(given) / f64::from(all.max(1))
-    }
-
     /// The row and the column of a record, in a file in which every cell of an image of `width` columns is a
     /// record.
     fn cell_of_record(&self, record: u32, width: usize) -> (u32, usize) {
@@ -360,54 +340,6 @@ impl Firings {
         Projection { image, point_of_cell, ..Projection::default() }
     }
 
-    /// Whether a place may be at a tick of its laser.
-    #[inline]
-    fn is_at(&self, tick: u32, place: &Place) -> bool {
-        tick == place.tick
-            || (place.slack > 0 && self.turned(tick, place.tick).unsigned_abs() <= u64::from(place.slack))
-    }
-
-    /// The range of a place at a tick of its laser, in steps: its own, or if the coordinates were rounded, the one that
-    /// reproduces the most of them. `None` if it is at another tick.
-    #[inline]
-    fn steps_at(&self, tick: u32, place: &Place, positions: &[[f32; 3]], reach: f64) -> Option<u32> {
-        if !self.is_at(tick, place) {
-            return None;
-        }
-        let blur = Blur::of(self.build.coordinates);
-        match blur.is_any() {
-            false => Some(place.steps),
-            true => self.blurred_steps_at(tick, place, &positions[place.point as usize], blur, reach),
-        }
-    }
-
-    fn blurred_steps_at(
-        &self,
-        tick: u32,
-        place: &Place,
-        position: &[f32; 3],
-        blur: Blur,
-        reach: f64,
-    ) -> Option<u32> {
-        let grid = self.build.coordinates;
-        let reach = reach + 0.5 * self.range_step_m() + blur.reach();
-        // The nearest first, which wins ties.
-        let off = (0..=2 * blur.steps(&self.build))
-            .map(|i| if i % 2 == 0 { i / 2 } else { (i / 2 + 1).wrapping_neg() });
-        let tried = off.filter_map(|off| {
-            let steps = place.steps.wrapping_add(off);
-            let found = Return { row: place.row, column: 0, tick, steps, echo: 0 };
-            let formula = self.position(&found, 0.0);
-            let is_near = (0..3).all(|axis| (formula[axis] - f64::from(position[axis])).abs() < reach);
-            let given = || (0..3).filter(|&axis| grid.nearest(formula[axis]) == position[axis]).count();
-            // At another tick, a zero may have another sign.
-            let is_held = || (0..3).all(|axis| grid.holds(position[axis], formula[axis]));
-            (steps > 0 && steps < LONGEST && is_near && is_held()).then(|| (given(), steps))
-        });
-        let best = tried.reduce(|best, next| if next.0 > best.0 { next } else { best });
-        best.map(|(_, steps)| steps)
-    }
-
     /// Fills in the ticks of columns without a return, as if the scanner turned evenly.
     fn fill_in_ticks(&self, columns: &mut [Column]) {
         let known = |column: &Column| (column.tick != UNKNOWN).then_some(column.tick);
@@ -470,33 +402,6 @@ impl Firings {
             self.settle_ticks(places, &mut columns);
         }
         columns
-    }
-
-    /// Gives columns the ticks that agree with all of their places or, if there are several such ticks, the one that
-    /// the turn of the columns before makes likely.
-    fn settle_ticks(&self, places: &[Place], columns: &mut [Column]) {
-        let (mut last, mut step) = (None, 0);
-        for column in columns {
-            let mut of_column: Vec<&Place> = places[column.places.clone()].iter().collect();
-            of_column.sort_by_key(|place| place.slack);
-            let Some(first) = of_column.first().map(|place| place.column_tick) else { continue };
-            let (mut low, mut high) = (i64::MIN, i64::MAX);
-            for place in of_column {
-                let (off, slack) = (self.turned(first, place.column_tick), i64::from(place.slack));
-                let (lower, upper) = (low.max(off - slack), high.min(off + slack));
-                if lower > upper {
-                    break;
-                }
-                (low, high) = (lower, upper);
-            }
-            let likely = last.map_or(0, |last| self.turned(first, last) + step);
-            let turn = i64::from(self.build.ticks);
-            let tick = (i64::from(first) + likely.clamp(low, high)).rem_euclid(turn) as u32;
-            if let Some(last) = last {
-                step = self.turned(last, tick);
-            }
-            (column.tick, last) = (tick, Some(tick));
-        }
     }
 
     /// Splits places into columns if the file holds row after row: those with the same tick are one column or, if
@@ -584,31 +489,9 @@ impl Firings {
         (ticks, firing)
     }
 
-    /// The average number of ticks from one block to the next.
-    fn usual_span(&self, places: &[Place]) -> f64 {
-        /// A firing takes less than one part in this number of a turn.
-        const FAR: i64 = 500;
-        if !self.build.timing.is_interpolated() {
-            return 0.0;
-        }
-        let (mut ticks, mut blocks) = (0, 0.0);
-        for pair in places.windows(2).filter(|pair| pair[1].slot > pair[0].slot) {
-            let passed = self.passed(0, pair[1].slot) - self.passed(0, pair[0].slot);
-            let turned = self.turned(pair[0].column_tick, pair[1].column_tick);
-            let far = i64::from(self.build.ticks) / FAR;
-            // Ticks that are not certain err to both sides.
-            let least = if pair[0].slack + pair[1].slack > 0 { -far } else { 0 };
-            if passed > 0.0 && (least..far).contains(&turned) {
-                ticks += turned;
-                blocks += passed;
-            }
-        }
-        if blocks > 0.0 { ticks as f64 / blocks } else { 0.0 }
-    }
-
     /// The part of a block that has passed at a slot of a firing.
     #[inline]
-    fn passed(&self, firing: u32, slot: u32) -> f64 {
+    pub(super) fn passed(&self, firing: u32, slot: u32) -> f64 {
         let place = firing as usize * self.rows() + slot as usize;
         self.passed.parts.get(place).copied().unwrap_or(0.0)
     }
@@ -629,190 +512,6 @@ impl Firings {
     fn ticks_from(&self, from: u32, to: u32) -> u32 {
         (to + self.build.ticks - from) % self.build.ticks
     }
-
-    /// Whether a place with a later slot may belong to the same firing.
-    fn goes_on(&self, last: &Place, place: &Place, span: f64) -> bool {
-        if !self.build.timing.is_interpolated() {
-            let off = self.turned(last.column_tick, place.column_tick).unsigned_abs();
-            return off <= u64::from(last.slack + place.slack);
-        }
-        // A place of the next firing is off by more than half of the ticks between firings. In some blocks no ticks
-        // pass.
-        let firing = span / f64::from(self.build.timing.firings(self.rows()).max(1));
-        let expected = (self.passed(0, place.slot) - self.passed(0, last.slot)) * span;
-        let turned = self.turned(last.column_tick, place.column_tick);
-        let slack = f64::from(last.slack + place.slack);
-        (turned == 0 && !self.lags.is_empty()) || (turned as f64 - expected).abs() <= 0.5 * firing + slack
-    }
-
-    /// Finds the tick of each block and the ticks to the next one: those that explain the ticks of most of its
-    /// places.
-    fn find_spans(&self, places: &[Place], columns: &mut [Column], usual: f64) {
-        /// Number of unexplained blocks after which the search may be abandoned.
-        const MOST_FAILURES: usize = 16;
-        let firings = self.build.timing.firings(self.rows()) as usize;
-        let usual = round_ties_even(usual).max(0.0) as u32;
-        // `before` is the tick at which the block before ends.
-        let (mut number, mut last, mut failures, mut before) = (0, usual, 0, None);
-        while number < columns.len() {
-            let all = number..(number + firings).min(columns.len());
-            let one = number..number + 1;
-            let size = |block: &std::ops::Range<usize>| {
-                columns[block.clone()].iter().map(|column| column.places.len()).sum::<usize>()
-            };
-            // The firings of a block together, or one alone, which may be the second one.
-            let mut tried = vec![(all, 0)];
-            if firings > 1 {
-                tried.extend([(one.clone(), 0), (one, 1)]);
-            }
-            let mut best: Option<(Found, std::ops::Range<usize>, u32)> = None;
-            for (block, first) in tried {
-                let Some(found) = self.block(places, columns, block.clone(), first, (last, usual), before)
-                else {
-                    continue;
-                };
-                let is_whole = found.fitting == size(&block);
-                let share = |found: &Found, block| found.fitting as f64 / size(block).max(1) as f64;
-                if is_whole
-                    || best.as_ref().is_none_or(|(other, b, _)| share(other, b) < share(&found, &block))
-                {
-                    best = Some((found, block, first));
-                }
-                if is_whole {
-                    break;
-                }
-            }
-            let Some((found, block, first)) = best else {
-                number += 1;
-                continue;
-            };
-            failures += usize::from(2 * found.fitting < size(&block));
-            number = block.end;
-            let is_last = first as usize + block.len() == firings;
-            before = is_last.then(|| self.within_turn(found.tick + found.span));
-            for (firing, column) in (first..).zip(&mut columns[block]) {
-                column.tick = found.tick;
-                column.span = Span { ticks: found.span, firing };
-            }
-            last = if found.span > 0 { found.span } else { last };
-            if failures > MOST_FAILURES && failures > number / 4 {
-                return;
-            }
-        }
-    }
-
-    /// The tick of a block of these columns, the first of which is firing `first_firing` of the block, and the
-    /// ticks to the next one: those that explain the most places. On ties, those nearest to what the next block
-    /// implies, or to those of the block before, which ends at tick `before`.
-    fn block(
-        &self,
-        places: &[Place],
-        columns: &[Column],
-        block: std::ops::Range<usize>,
-        first_firing: u32,
-        (last, usual): (u32, u32),
-        before: Option<u32>,
-    ) -> Option<Found> {
-        /// In ticks: spans differ by no more than this from the usual one, if the scanner turns evenly.
-        const UNEVEN: u32 = 12;
-        /// In ticks: the largest distance of a first place from where it is on average.
-        const OFF: i64 = 3;
-        let of = |column: &Column| &places[column.places.clone()];
-        let size: usize = columns[block.clone()].iter().map(|column| column.places.len()).sum();
-        let (first, firing) = surest(columns[block.clone()].iter().zip(first_firing..), of)?;
-        // The number of places that are explained, or 0 if it does not exceed `atleast`.
-        let fitting = |tick: u32, span: u32, atleast: usize| {
-            let mut missed = 0;
-            for (firing, column) in (first_firing..).zip(&columns[block.clone()]) {
-                for place in of(column) {
-                    let own = self.tick(place.row as usize, tick, Span { ticks: span, firing });
-                    missed += usize::from(!self.is_at(own, place));
-                    if missed + atleast >= size {
-                        return 0;
-                    }
-                }
-            }
-            size - missed
-        };
-        // The tick at which a block must begin, given a place of one of its firings.
-        let turn = i64::from(self.build.ticks);
-        let start = |place: &Place, firing: u32| {
-            let passed = self.passed(firing, place.slot) * f64::from(last);
-            i64::from(place.column_tick) - round_ties_even(passed) as i64
-        };
-        let centred = |off: i64| (off + turn / 2).rem_euclid(turn) - turn / 2;
-        // If the place may have another tick, the one that the block before implies.
-        let own = start(first, firing);
-        let likely = before.map_or(0, |before| centred(i64::from(before) - own));
-        let from = own + likely.clamp(-i64::from(first.slack), i64::from(first.slack));
-        let next = columns.get(block.end).and_then(|column| surest(std::iter::once((column, 0)), of));
-        let told = next.filter(|(next, _)| next.slack == 0).map(|(next, _)| start(next, 0));
-        // With a table of parts, ticks advance from every base in the same way, so the places that a span explains are
-        // counted for all bases at once.
-        let mut counts: [Option<[u32; 2 * OFF as usize + 1]>; 2 * UNEVEN as usize + 1] =
-            [None; 2 * UNEVEN as usize + 1];
-        let count = |parts: &[u32], span: u32| {
-            let mut counts = [0; 2 * OFF as usize + 1];
-            for (firing, column) in (first_firing..).zip(&columns[block.clone()]) {
-                for place in of(column) {
-                    let slot = firing as usize * self.rows() + place.slot as usize;
-                    let passed = passed_ticks(span, parts.get(slot).copied().unwrap_or(0));
-                    let off = i64::from(place.column_tick) - i64::from(passed) - from + OFF;
-                    // Divisions are slow, and adding one turn is usually enough.
-                    if place.slack > 0 {
-                        let (off, slack) = (centred(off), i64::from(place.slack));
-                        let all = (off - slack).max(0)..=(off + slack).min(2 * OFF);
-                        all.for_each(|off| counts[off as usize] += 1);
-                        continue;
-                    }
-                    let less = if off < 0 { off + turn } else { off };
-                    let off = if (0..turn).contains(&less) { less } else { off.rem_euclid(turn) } as usize;
-                    counts.get_mut(off).into_iter().for_each(|count| *count += 1);
-                }
-            }
-            counts
-        };
-        let mut fitting_near = |off: i64, tick: u32, span: u32, atleast: usize| match &self.build.timing {
-            Timing::Parts(parts) if turn > 2 * OFF => {
-                let counts =
-                    counts[(span + UNEVEN - usual) as usize].get_or_insert_with(|| count(parts, span));
-                Some(counts[(off + OFF) as usize] as usize).filter(|&fitting| fitting > atleast).unwrap_or(0)
-            }
-            _ => fitting(tick, span, atleast),
-        };
-        let mut best: Option<Found> = None;
-        for off in (0..=2 * OFF).map(|i| if i % 2 == 0 { i / 2 } else { -(i + 1) / 2 }) {
-            let tick = (from + off).rem_euclid(turn) as u32;
-            let told = told.map(|told| (told - from - off).rem_euclid(turn) as u32);
-            let near_told = told.into_iter().flat_map(|told| [told, told.saturating_sub(1), told + 1]);
-            let near_told = near_told.filter(|told| told.abs_diff(usual) <= UNEVEN);
-            let near_last = (0..=UNEVEN).flat_map(|off| [last.saturating_sub(off), last + off]);
-            let near = near_told.chain(near_last).filter(|span| span.abs_diff(usual) <= UNEVEN);
-            for span in near {
-                let fitting = fitting_near(off, tick, span, best.map_or(0, |best| best.fitting));
-                if fitting > 0 {
-                    best = Some(Found { tick, span, fitting });
-                }
-                if fitting == size {
-                    return best;
-                }
-            }
-        }
-        // Some programs do not interpolate azimuths in the last block of a packet.
-        let still = fitting(first.column_tick, 0, best.map_or(0, |best| best.fitting));
-        if still > 0 { Some(Found { tick: first.column_tick, span: 0, fitting: still }) } else { best }
-    }
-}
-
-/// The first of the places of some columns whose tick is certain, or that for which it is surest, and what its column
-/// comes with.
-fn surest<'p, 'c>(
-    columns: impl Iterator<Item = (&'c Column, u32)> + Clone,
-    places: impl Fn(&Column) -> &'p [Place],
-) -> Option<(&'p Place, u32)> {
-    let all = columns.flat_map(|(column, number)| places(column).iter().map(move |place| (place, number)));
-    let certain = all.clone().find(|(place, _)| place.slack == 0);
-    certain.or_else(|| all.min_by_key(|(place, _)| place.slack))
 }
 
 /// Places without those that repeat the row and the tick of the place before: these are its echoes, each returned
@@ -833,15 +532,6 @@ pub(super) fn without_echoes(places: Vec<Place>) -> (Vec<Place>, Vec<(usize, Pla
         }
     }
     (first, echoes)
-}
-
-/// The explanation of a block: its tick, the ticks to the next one, and the number of places for which they are
-/// right.
-#[derive(Clone, Copy)]
-struct Found {
-    tick: u32,
-    span: u32,
-    fitting: usize,
 }
 
 /// The index of the nearest of some descending values.
