@@ -24,12 +24,12 @@ const TICKS: [u32; 5] = [512, 1024, 2048, 4096, HUNDREDTHS];
 const HUNDREDTHS: u32 = 36_000;
 /// Minimum coherence of float32 values that lie on a grid.
 const COHERENT: f64 = 0.9;
-/// A scanner that explains more than this share of the points need not be improved.
-const NEARLY_ALL: f64 = 0.995;
 /// The same for values before their coordinates were rounded, which is known less well.
 const COHERENT_BEFORE: f64 = 0.75;
 /// Minimum coherence that rounded coordinates may leave.
 const LEAST_COHERENT: f64 = 0.1;
+/// A scanner that explains more than this share of the points need not be improved.
+const NEARLY_ALL: f64 = 0.995;
 /// A scanner that explains a smaller share of the points is rejected.
 const LEAST_SHARE: f64 = 0.5;
 /// Largest distance of a laser's azimuths from whole ticks, as a fraction of a tick, if a program knows only whole
@@ -72,18 +72,12 @@ fn fit_points<'m>(
     // Rounding leaves the farthest points clearest; nearer ones are used only if those do not show all lasers.
     let mut best: Option<Candidate> = None;
     for nearest in blur.nearest(&points) {
-        let (numbers, points) = match nearest > 0.0 {
-            true => {
-                let all = numbers.iter().copied().zip(points.iter().copied());
-                let (numbers, points): (Vec<_>, Vec<_>) = all.filter(|(_, p)| p.range >= nearest).unzip();
-                (numbers.into(), points.into())
-            }
-            false => (Cow::Borrowed(&numbers[..]), Cow::Borrowed(&points[..])),
-        };
+        let (numbers, points) = beyond(nearest, &numbers, &points);
         let found = Found { scan, numbers, points, measured, coordinates, blur, nearest };
+        let has_nearly_all = found.points.len() as f64 > NEARLY_ALL * measured as f64;
         let next = found.best();
         best = next.into_iter().chain(best).reduce(|a, b| if b.worth > a.worth { b } else { a });
-        if best.as_ref().is_some_and(|best| best.share > NEARLY_ALL) {
+        if has_nearly_all || best.as_ref().is_some_and(|best| best.share > NEARLY_ALL) {
             break;
         }
     }
@@ -100,6 +94,20 @@ fn fit_points<'m>(
         _ => scanner,
     };
     Some((scanner, share))
+}
+
+/// The points whose ranges are at least `nearest`, in metres, with their record numbers.
+fn beyond<'p, 'm>(
+    nearest: f64,
+    numbers: &'p [usize],
+    points: &'p [Point<'m>],
+) -> (Cow<'p, [usize]>, Cow<'p, [Point<'m>]>) {
+    if nearest <= 0.0 {
+        return (numbers.into(), points.into());
+    }
+    let all = numbers.iter().copied().zip(points.iter().copied());
+    let (numbers, points): (Vec<_>, Vec<_>) = all.filter(|(_, point)| point.range >= nearest).unzip();
+    (numbers.into(), points.into())
 }
 
 /// Facts about a scan from which the fit starts.
