@@ -157,13 +157,13 @@ impl Firings {
                     let slot = firing as usize * self.rows() + place.slot as usize;
                     let passed = passed_ticks(span, parts.get(slot).copied().unwrap_or(0));
                     let off = i64::from(place.column_tick) - i64::from(passed) - from + OFF;
-                    // Divisions are slow, and adding one turn is usually enough.
                     if place.slack > 0 {
                         let (off, slack) = (centred(off), i64::from(place.slack));
                         let all = (off - slack).max(0)..=(off + slack).min(2 * OFF);
                         all.for_each(|off| counts[off as usize] += 1);
                         continue;
                     }
+                    // Divisions are slow, and adding one turn is usually enough.
                     let less = if off < 0 { off + turn } else { off };
                     let off = if (0..turn).contains(&less) { less } else { off.rem_euclid(turn) } as usize;
                     counts.get_mut(off).into_iter().for_each(|count| *count += 1);
@@ -212,8 +212,7 @@ struct Found {
     fitting: usize,
 }
 
-/// The first of the places of some columns whose tick is certain, or that for which it is surest, and what its column
-/// comes with.
+/// The first place whose tick is certain, or that whose tick is surest, and the number that its column comes with.
 fn surest<'p, 'c>(
     columns: impl Iterator<Item = (&'c Column, u32)> + Clone,
     places: impl Fn(&Column) -> &'p [Place],

@@ -38,7 +38,7 @@ impl Found<'_> {
         let lines: Vec<Option<[f64; 2]>> = rows.points.iter().map(|row| beam_line(row)).collect();
         let far: Vec<Vec<Point>> = rows.points.iter().map(|row| far_half(row)).collect();
         let ticks = WIDTHS.into_iter().find(|&ticks| ticks_are_coherent(&far, ticks))?;
-        // Rounding to millimetres hides steps of one.
+        // Rounding hides steps that are no coarser than its own, and the phases of ranges.
         let steps = if self.blur.is_any() { vec![self.blur.step_um()] } else { RANGE_STEPS_UM.to_vec() };
         steps.into_iter().find_map(|range_step_um| {
             let range_step_m = f64::from(range_step_um) * 1e-6;
