@@ -5,13 +5,14 @@ use std::f64::consts::TAU;
 
 use crate::common::bound::{bounded, keeps_the_bound};
 use crate::common::firings::{
-    image, made_up, ouster, points, taking_turns, timed, velodyne_decoder_vlp_16, vlp_32c, with_echoes,
+    image, made_up, ouster, ouster_fields, points, taking_turns, timed, velodyne_decoder_vlp_16, vlp_32c,
+    with_echoes,
 };
 use crate::common::formats::kitti;
 use crate::common::scans::{Points, rounded};
 use crate::common::streams::at_level;
 use crate::common::{self, File, round_trip, take_apart};
-use lidarpc::internals::container::SectionKind;
+use lidarpc::internals::container::{Group, SectionKind};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scan::ScanFile;
@@ -73,6 +74,12 @@ fn the_constants_are_those_of_the_simulator() {
     }
 }
 
+/// The size of all sections of a kind.
+fn bytes_of(wanted: SectionKind, groups: &[Group]) -> usize {
+    let sections = groups.iter().flat_map(|group| &group.frames).flat_map(|frame| &frame.sections);
+    sections.filter(|section| section.kind == wanted).map(|section| section.payload.len()).sum()
+}
+
 #[test]
 fn the_order_of_the_file_costs_nothing_and_no_point_is_a_stray() {
     let scans = scans(&config(5, 3, 2));
@@ -81,10 +88,7 @@ fn the_order_of_the_file_costs_nothing_and_no_point_is_a_stray() {
     assert_eq!(scanners.len(), 1);
     let scanner = Scanner::of_record(scanners[0].family, &scanners[0].payload).unwrap();
     assert!(matches!(scanner, Some(Scanner::Firings(_))));
-    let bytes = |wanted: SectionKind| -> usize {
-        let sections = groups.iter().flat_map(|group| &group.frames).flat_map(|frame| &frame.sections);
-        sections.filter(|section| section.kind == wanted).map(|section| section.payload.len()).sum()
-    };
+    let bytes = |wanted: SectionKind| bytes_of(wanted, &groups);
     assert_eq!(bytes(SectionKind::Points), 0, "there are no strays");
     assert!(bytes(SectionKind::Order) <= 4 * scans.len());
     assert!(bytes(SectionKind::Correction) <= 300 * scans.len());
@@ -318,6 +322,27 @@ fn ousters_whose_beams_start_off_the_axis_are_found() {
         let stream = round_trip(&files(std::slice::from_ref(&points)), &EncoderConfig::default());
         assert!(stream.len() < points.len(), "{} bytes", stream.len());
     }
+}
+
+#[test]
+fn the_range_of_an_ouster_is_not_coded_twice() {
+    let file = (String::from("0.pcd"), ouster_fields(32));
+    let (_, groups) = take_apart(&round_trip(&[file], &EncoderConfig::default()));
+    let coded = bytes_of(SectionKind::Channels, &groups);
+    // 512 times, 32 rings, and ambient light of 1013 values, which take ten bits each.
+    let ambient = 32 * 512 * 10 / 8;
+    assert!(coded < ambient + 4000, "{coded} bytes");
+}
+
+#[test]
+fn the_fullest_scan_shows_the_scanner() {
+    // The last scan ends after a few columns.
+    let whole = ouster(32, false);
+    let mut cut = whole.clone();
+    (0..cut.len()).filter(|record| record % 512 > 30).for_each(|record| cut[record] = [0.0; 4]);
+    let (found, _) = fit(&[file(&whole), file(&cut)]).expect("found");
+    let (_, inexact, strays) = counts(&found, &whole);
+    assert_eq!((inexact, strays), (0, 0));
 }
 
 #[test]

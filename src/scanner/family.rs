@@ -66,7 +66,7 @@ impl Scanner {
 
     fn of_sample(sample: &[ScanFile]) -> Option<Scanner> {
         let beams = || hdl64::fit(sample).map(Scanner::Hdl64);
-        let largest = sample.iter().max_by_key(|scan| scan.cloud.positions.len());
+        let largest = sample.iter().max_by_key(|scan| scan.cloud.measured());
         // An evident HDL-64E is recognised quickly, whereas ruling out all other scanners takes long.
         let evident = largest.filter(|scan| hdl64::is_evident(&scan.cloud.positions)).and_then(|_| beams());
         if evident.is_some() {

@@ -196,7 +196,7 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
         if sample.len() == before {
             // A fit that explains nothing of its own sample has failed, perhaps because of its largest scan.
             failures += 1;
-            let largest = (0..before).max_by_key(|&place| sample[place].cloud.positions.len());
+            let largest = (0..before).max_by_key(|&place| sample[place].cloud.measured());
             largest.map(|place| sample.swap_remove(place));
         }
     }

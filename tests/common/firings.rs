@@ -240,12 +240,39 @@ pub fn taking_turns(mut image: RangeImage) -> RangeImage {
     image
 }
 
+/// The range in millimetres that an Ouster measures in a room that becomes longer from a corner on, by row and column.
+fn ouster_range(row: usize, measured: usize) -> Option<u32> {
+    let millimetres = 2000 + 37 * (measured % 97) + row * row + measured * 7 % 13;
+    (!(measured * 31 + row * 17).is_multiple_of(9)).then_some(millimetres as u32)
+}
+
+/// The same scan with the fields that Ouster's ROS driver writes: a time, a reflectivity, a ring, ambient light, and
+/// the range in millimetres.
+pub fn ouster_fields(rows: usize) -> Vec<u8> {
+    let width = 512;
+    let fields =
+        ("x y z intensity t reflectivity ring ambient range", "4 4 4 4 4 2 2 2 4", "F F F F U U U U U");
+    super::formats::pcd(fields.0, fields.1, fields.2, &ouster(rows, false), |record, point| {
+        let (row, column) = (record / width, record % width);
+        let range = ouster_range(row, (column + width - OUSTER_SHIFTS[row % 4]) % width).unwrap_or(0);
+        let mut bytes = point.map(f32::to_le_bytes).concat();
+        bytes.extend((column as u32 * 195_312 + 5).to_le_bytes());
+        bytes.extend((range as u16 / 40 % 50).to_le_bytes());
+        bytes.extend([row as u16, 16 * (record * record % 1013) as u16].map(u16::to_le_bytes).as_flattened());
+        bytes.extend(range.to_le_bytes());
+        bytes
+    })
+}
+
+/// By how many columns each row of an Ouster is shifted.
+const OUSTER_SHIFTS: [usize; 4] = [24, 8, 504, 488];
+
 /// A scan of an Ouster in a room, as computed by its SDK in the sensor's frame, in single or double
 /// precision: an image row by row, each row shifted by its own number of columns, and zeros where there is no
 /// return.
 pub fn ouster(rows: usize, is_single: bool) -> Points {
     let width = 512;
-    let shift = |row: usize| [24, 8, 504, 488][row % 4];
+    let shift = |row: usize| OUSTER_SHIFTS[row % 4];
     let mut points = vec![[0.0; 4]; rows * width];
     for (row, column) in (0..rows).flat_map(|row| (0..width).map(move |column| (row, column))) {
         let measured = (column + width - shift(row)) % width;
@@ -253,12 +280,8 @@ pub fn ouster(rows: usize, is_single: bool) -> Points {
         let offsets: [f64; 4] = [-8.48, -2.83, 2.81, 8.5];
         let azimuth = -offsets[row % 4].to_radians();
         let encoder = TAU - measured as f64 * (TAU / width as f64);
-        // A room that becomes longer from a corner on.
-        let millimetres =
-            2000.0 + 37.0 * (measured % 97) as f64 + (row * row) as f64 + (measured * 7 % 13) as f64;
-        if (measured * 31 + row * 17) % 9 == 0 {
-            continue;
-        }
+        let Some(millimetres) = ouster_range(row, measured) else { continue };
+        let millimetres = f64::from(millimetres);
         let (start, aside) = (encoder, encoder + azimuth);
         let beam = [aside.cos() * altitude.cos(), aside.sin() * altitude.cos(), altitude.sin()];
         let ahead = [start.cos(), start.sin(), 0.0];

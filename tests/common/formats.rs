@@ -60,7 +60,8 @@ pub fn pcd_stamped(points: &[[f32; 4]], rows: &[u16], times: &[f64]) -> Vec<u8> 
     })
 }
 
-fn pcd(
+/// PCD with any fields of one value each.
+pub fn pcd(
     fields: &str,
     sizes: &str,
     types: &str,

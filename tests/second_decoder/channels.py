@@ -6,13 +6,14 @@ from back_ends import unpacked
 from entropy import M64, AdaptiveBit, IntegerModel, unzigzag, wrap
 from errors import Refused
 from layout import F32, SIZES
-from models import MixedBits, f32, floats
+from models import MixedBits, f32, floats, ilog2
 from scanner import float_of_bits
-from sections import ByteModel
+from sections import ByteModel, Intensity, Near
 from values import Scale, at_place, converted, geometry, geometry_of_place
 
 CONSTANT, COLUMNS, BYTES, PACKED = range(4)
-SAME, INTEGERS = 1, 2
+SAME, INTEGERS, LEVELS = 1, 2, 3
+MOST_LEVELS = 512
 BEAM, COLUMN, AFTER, TICK = 1, 2, 3, 4
 CANDIDATES, TRIES = 13, 4
 TABLE = 1 << 14
@@ -111,6 +112,7 @@ class Column:
         self.is_off = AdaptiveBit()
         self.off = IntegerModel()
         self.last_off = 0
+        self.levels = None
 
     def code(self, bits, kind, records, sources):
         """The values."""
@@ -120,20 +122,22 @@ class Column:
         if method == SAME:
             source, values = sources.values(bits.plain(16))
             return [converted(source, value, kind) for value in values]
-        if method != INTEGERS:
+        if method not in (INTEGERS, LEVELS):
             raise Refused("a column of unknown method")
         scale = Scale(bits.plain(8), kind)
+        if method == LEVELS:
+            return self.code_levels(bits, scale, kind, records, sources.beside)
         has_exceptions = bits.plain(1)
         keys = sources.keys(bits.plain(16), records)
         lag = bits.plain(24)
         told_by = bits.plain(8)
-        if told_by > 18:
+        if told_by > 20:
             raise Refused("unknown geometry")
         rule = bits.plain(8)
         beside = sources.beside
         columns = (beside.ticks if rule == TICK else beside.columns) or [0] * records
         expected = [None] * records
-        if 0 < told_by < 12:
+        if 0 < told_by < 12 or told_by == 20:
             for n, position in enumerate(beside.positions):
                 expected[n] = scale.nearest(geometry(told_by, list(map(float_of_bits, position))))
         elif told_by:
@@ -158,12 +162,66 @@ class Column:
             found.append(scale.value(past[-1]))
         return found
 
+    def code_levels(self, bits, scale, kind, records, beside):
+        has_exceptions = bits.plain(1)
+        count = bits.plain(16)
+        if not 1 <= count <= MOST_LEVELS:
+            raise Refused("too many levels")
+        palette = [wrap(bits.plain(64), 64)]
+        step = IntegerModel()
+        for _ in range(1, count):
+            palette.append(wrap(palette[-1] + step.code(bits), 64))
+        rows = beside.rows or [0] * records
+        columns = beside.columns or [0] * records
+        if self.levels is None:
+            self.levels = Levels()
+        self.levels.start(count, max(rows, default=0) + 1, records)
+        found = []
+        for row, column in zip(rows, columns):
+            if has_exceptions and self.is_off.code(bits):
+                found.append(at_place(kind, self.off_scale(bits)))
+            else:
+                level = self.levels.code(bits, row, column)
+                found.append(scale.value(palette[min(level, count - 1)]))
+        return found
+
     def off_scale(self, bits):
         if bits.plain(1):
             self.last_off = wrap(bits.plain(64), 64)
         else:
             self.last_off = wrap(self.last_off + unzigzag(self.off.code(bits)), 64)
         return self.last_off
+
+
+class Levels:
+    """Few values, as intensities are coded."""
+
+    def __init__(self):
+        self.intensity = Intensity(None)
+
+    def start(self, count, rows, records):
+        self.bits = ilog2(max(count - 1, 1)) + 1
+        self.intensity.start(self.bits, rows, records)
+        self.known = {}
+        self.of_row = {}
+
+    def code(self, bits, row, column):
+        def at(down, right):
+            return self.known.get((row + down, column + right), 0)
+
+        up = -1 if at(-1, 0) or not at(1, 0) else 1
+        near = Near()
+        near.row, near.column = row, column
+        near.left = self.of_row.get(row, [0] * 4)
+        near.nww, near.nw, near.n, near.ne, near.nee = (at(up, right) for right in range(-2, 3))
+        near.nnw, near.nn, near.nne = (at(2 * up, right) for right in range(-1, 2))
+        near.s = near.m = near.sl = near.sr = 0
+        level = self.intensity.level(bits, self.bits, near)
+        context = min(level >> max(self.bits - 7, 0), 127) + 1
+        if row > 0:
+            self.known[row, column] = context
+        self.of_row[row] = [context] + near.left[:3]
+        return level
 
 
 def slot(a, b):

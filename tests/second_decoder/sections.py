@@ -428,9 +428,7 @@ class Intensity:
 
     def code(self, bits, scale, image, strays, reference):
         def begin(rows, columns, n):
-            if scale.bits > self.levels.bits:
-                self.levels = LevelViews(scale.bits)
-            self.levels.grow(clamp(ilog2(max(n, 1)), 6, 13), rows)
+            self.start(scale.bits, rows, n)
 
         def value(near, _):
             if self.off_grid.is_next(bits, scale):
@@ -440,6 +438,11 @@ class Intensity:
             return scale.value(level), scale.of_level(level)
 
         return values_of(image, strays, reference, begin, value)
+
+    def start(self, n, rows, values):
+        if n > self.levels.bits:
+            self.levels = LevelViews(n)
+        self.levels.grow(clamp(ilog2(max(values, 1)), 6, 13), rows)
 
     def level(self, bits, n, near):
         levels = self.levels

@@ -110,9 +110,11 @@ class Scale:
 
 
 def geometry_of_place(which, steps, tick, range_step_m, tick_degrees):
-    """What a place in the range image tells; `which` is 12 or more."""
+    """What a place in the range image tells; `which` is 12 to 19."""
     if which == 12:
         return steps * range_step_m
+    if which == 19:
+        return steps * range_step_m * 1000.0
     degrees = tick * tick_degrees
     unit = (which - 13) % 3
     angle = degrees * (pi / 180) if unit == 0 else degrees if unit == 1 else degrees * 100.0
@@ -120,11 +122,13 @@ def geometry_of_place(which, steps, tick, range_step_m, tick_degrees):
 
 
 def geometry(which, position):
-    """What a position tells; `which` is 1 to 11."""
+    """What a position tells; `which` is 1 to 11, or 20."""
     x, y, z = position
     flat = x * x + y * y
     if which == 1:
         return sqrt(flat + z * z)
+    if which == 20:
+        return sqrt(flat + z * z) * 1000.0
     if which == 2:
         return sqrt(flat)
     kind, unit = divmod(which - 3, 3)

@@ -5,8 +5,9 @@ use std::ops::Range;
 
 use super::column::{ColumnModel, Places};
 use super::integers::Site;
+use super::levels::Palette;
 use super::numbers::Scale;
-use super::plan::{Geometry, Integers, Plan};
+use super::plan::{Geometry, Integers, Levels, Plan};
 use super::rules::{Rule, RuleState};
 use super::{Sources, is_constant, may_be_key};
 use crate::entropy::ArithmeticEncoder;
@@ -97,6 +98,11 @@ impl ColumnModel {
         let scale = Scale::of(scalar, values);
         let has_exceptions = scale.grid(scalar).misses_any(values);
         let plain = Integers { scale, has_exceptions, ..Integers::default() };
+        if self.last_plan() == Some(Plan::Levels(Levels { scale, has_exceptions }))
+            && is_palette(scale, scalar, values)
+        {
+            return Choice::sure(Plan::Levels(Levels { scale, has_exceptions }), 1);
+        }
         let sampled = [middle(records, SAMPLE)];
         let part = sources.part(&sampled);
         let (part, sampled) = (part.sources(), &gather(values, size, &sampled));
@@ -128,6 +134,13 @@ impl ColumnModel {
         let sample = gather(values, size, &sampled);
         let bytes = self.size_of(&Plan::Integers(best), &sources.part(&sampled).sources(), scalar, &sample);
         let bytes = bytes.saturating_mul(values.len()) / sample.len().max(1);
+        if is_palette(plain.scale, scalar, values) {
+            let levels = Plan::Levels(Levels { scale, has_exceptions });
+            let of_levels = self.size_of(&levels, sources, scalar, values);
+            if of_levels < bytes {
+                return Choice { plan: levels, bytes: of_levels, is_sure: false, tried: None };
+            }
+        }
         Choice { plan: Plan::Integers(best), bytes, is_sure: false, tried: Some(tried) }
     }
 
@@ -154,7 +167,8 @@ impl ColumnModel {
         values: &[u8],
     ) -> std::result::Result<Integers, Integers> {
         let is_of_image = matches!(plan.rule, Some(Rule::Column | Rule::Tick));
-        if !is_of_image || sources.context.ticks.is_empty() || self.last_plan() == Some(plan) {
+        if !is_of_image || sources.context.ticks.is_empty() || self.last_plan() == Some(Plan::Integers(plan))
+        {
             return Ok(plan);
         }
         let grid = plan.scale.grid(scalar);
@@ -199,7 +213,9 @@ impl ColumnModel {
                 (least, best) = (misses, Some(plan));
             }
         };
-        if let Some(plan) = self.last_plan().filter(|plan| plan.rule.is_some()) {
+        if let Some(Plan::Integers(plan)) = self.last_plan()
+            && plan.rule.is_some()
+        {
             consider(Integers { scale: plain.scale, has_exceptions: plain.has_exceptions, ..plan });
         }
         let channels = part.known.iter().filter(|&&channel| may_be_key(&part.channels[channel].field));
@@ -227,7 +243,7 @@ impl ColumnModel {
         }
         let best = best?;
         let is_sure = least <= few(&best)
-            && (least <= integers.len() / 2 / FEW || self.last_plan() == Some(best) || {
+            && (least <= integers.len() / 2 / FEW || self.last_plan() == Some(Plan::Integers(best)) || {
                 let size = |plan| self.size_of(&Plan::Integers(plan), part, scalar, values);
                 size(best) <= size(Integers { rule: None, ..best })
             });
@@ -346,4 +362,10 @@ fn is_same(sources: &Sources, source: usize, scalar: Scalar, values: &[u8]) -> b
         .values(source)
         .filter(|from| from.len() == values.len() / size)
         .is_some_and(|from| from.all_as(scalar, |record, again| *again == values[record * size..][..size]))
+}
+
+/// Whether the integers of these values are few enough for a palette.
+fn is_palette(scale: Scale, scalar: Scalar, values: &[u8]) -> bool {
+    let grid = scale.grid(scalar);
+    Palette::of(values.chunks_exact(scalar.size() as usize).filter_map(|value| grid.integer(value))).is_some()
 }

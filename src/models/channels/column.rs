@@ -4,8 +4,9 @@ use std::borrow::Cow;
 
 use super::choice::Tried;
 use super::integers::{IntegersModel, Site};
+use super::levels::{LevelsModel, Palette};
 use super::numbers::{Grid, Scale, number, write_number};
-use super::plan::{Integers, Plan};
+use super::plan::{Integers, Levels, Plan};
 use super::rules::{Rule, RuleModel};
 use super::{RecordContext, Sources, may_be_key};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
@@ -19,8 +20,9 @@ pub struct ColumnModel {
     /// Allocated when it is first needed, because it is large.
     integers: Option<IntegersModel>,
     rules: RuleModel,
-    /// The plan by which it was last coded, if as integers.
-    last_plan: Option<Integers>,
+    levels: Option<LevelsModel>,
+    /// The plan by which it was last coded.
+    last_plan: Option<Plan>,
     /// The best plan that an encoder found, if the column was coded by it.
     pub tried: Option<Tried>,
     off: OffModel,
@@ -48,7 +50,14 @@ impl ColumnModel {
         values: &mut [u8],
     ) -> Result<()> {
         let size = scalar.size() as usize;
-        match plan.code(coder)? {
+        let plan = plan.code(coder)?;
+        if let Plan::Integers(Integers { scale, .. }) | Plan::Levels(Levels { scale, .. }) = plan {
+            if scale != Scale::PLACE && !scalar.is_float() {
+                return Err(Error::corrupt("channels: a scale of integers"));
+            }
+            self.last_plan = Some(plan);
+        }
+        match plan {
             Plan::Constant => {
                 let mut value = [0; 8];
                 let first = values.get(..size).unwrap_or(&[]);
@@ -70,7 +79,40 @@ impl ColumnModel {
                 Ok(())
             }
             Plan::Integers(plan) => self.code_integers(coder, plan, sources, scalar, values),
+            Plan::Levels(plan) => self.code_levels(coder, plan, sources.context, scalar, values),
         }
+    }
+
+    fn code_levels<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        plan: Levels,
+        context: &RecordContext,
+        scalar: Scalar,
+        values: &mut [u8],
+    ) -> Result<()> {
+        let grid = plan.scale.grid(scalar);
+        let records = values.chunks_exact(scalar.size() as usize);
+        let count = records.len();
+        let palette =
+            if C::ENCODES { Palette::of(records.filter_map(|value| grid.integer(value))) } else { None };
+        let palette = palette.unwrap_or_default().code(coder)?;
+        let model = self.levels.get_or_insert_default();
+        let highest = |numbers: &[u32]| numbers.iter().max().map_or(0, |&number| number as usize);
+        model.start_frame(&palette, (highest(&context.rows), highest(&context.columns)), count);
+        code_each(
+            coder,
+            &mut self.off,
+            (plan.has_exceptions, &grid),
+            scalar,
+            values,
+            |coder, record, integer| {
+                let number = |numbers: &[u32]| numbers.get(record).map_or(0, |&number| number as usize);
+                let cell = (number(&context.rows), number(&context.columns));
+                integer.map(|integer| model.code(coder, &palette, cell, integer))
+            },
+        );
+        Ok(())
     }
 
     fn code_integers<C: BitCoder>(
@@ -81,10 +123,6 @@ impl ColumnModel {
         scalar: Scalar,
         values: &mut [u8],
     ) -> Result<()> {
-        if plan.scale != Scale::PLACE && !scalar.is_float() {
-            return Err(Error::corrupt("channels: a scale of integers"));
-        }
-        self.last_plan = Some(plan);
         let places = Places::new(&plan, sources, scalar)?;
         let ColumnModel { integers, rules, off, .. } = self;
         if let Some(rule) = plan.rule {
@@ -94,22 +132,30 @@ impl ColumnModel {
         }
         let lag = plan.lag as usize;
         let mut past = Vec::new();
-        code_each(coder, off, (&plan, &places.grid), scalar, values, |coder, record, integer| {
-            let coded = integer.map(|integer| {
-                let mut site = places.site(record);
-                site.lagged = (lag > 0 && record > lag).then(|| [past[record - lag], past[record - lag - 1]]);
-                integers.get_or_insert_default().code(coder, &site, integer)
-            });
-            if lag > 0 {
-                past.push(coded.or(past.last().copied()).unwrap_or(0));
-            }
-            coded
-        });
+        code_each(
+            coder,
+            off,
+            (plan.has_exceptions, &places.grid),
+            scalar,
+            values,
+            |coder, record, integer| {
+                let coded = integer.map(|integer| {
+                    let mut site = places.site(record);
+                    site.lagged =
+                        (lag > 0 && record > lag).then(|| [past[record - lag], past[record - lag - 1]]);
+                    integers.get_or_insert_default().code(coder, &site, integer)
+                });
+                if lag > 0 {
+                    past.push(coded.or(past.last().copied()).unwrap_or(0));
+                }
+                coded
+            },
+        );
         Ok(())
     }
 
-    /// The plan by which the column was last coded, if as integers.
-    pub fn last_plan(&self) -> Option<Integers> {
+    /// The plan by which the column was last coded, unless its values were constant or those of another one.
+    pub fn last_plan(&self) -> Option<Plan> {
         self.last_plan
     }
 }
@@ -133,7 +179,7 @@ fn code_by_rule<C: BitCoder>(
     if let Some(learned) = learned.filter(|_| doubts.is_empty() && !plan.has_exceptions) {
         return model.know(learned);
     }
-    code_each(coder, off, (plan, &places.grid), scalar, values, |coder, record, integer| {
+    code_each(coder, off, (plan.has_exceptions, &places.grid), scalar, values, |coder, record, integer| {
         integer.map(|integer| model.code(coder, (rule, doubts), (record, &places.site(record)), integer))
     });
 }
@@ -144,7 +190,7 @@ fn code_by_rule<C: BitCoder>(
 fn code_each<C: BitCoder>(
     coder: &mut C,
     off: &mut OffModel,
-    (plan, grid): (&Integers, &Grid),
+    (has_exceptions, grid): (bool, &Grid),
     scalar: Scalar,
     values: &mut [u8],
     mut code: impl FnMut(&mut C, usize, Option<i64>) -> Option<i64>,
@@ -154,7 +200,7 @@ fn code_each<C: BitCoder>(
             return;
         }
         let integer = if C::ENCODES { grid.integer(value) } else { Some(0) };
-        if plan.has_exceptions && off.code(coder, scalar, integer.is_none(), value) {
+        if has_exceptions && off.code(coder, scalar, integer.is_none(), value) {
             code(coder, record, None);
             continue;
         }

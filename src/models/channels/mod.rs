@@ -6,6 +6,7 @@
 mod choice;
 mod column;
 mod integers;
+mod levels;
 mod numbers;
 mod packed;
 mod plan;

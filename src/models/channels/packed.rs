@@ -90,9 +90,8 @@ impl Packed {
         // The arrangement that suits one coder usually suits the other.
         let quick = quick.enumerate().filter_map(|(at, payload)| Some((at, payload?)));
         let (best, payload) = quick.min_by_key(|(_, payload)| payload.len())?;
-        let is_worth_it = payload.len() as f64 * LZMA_GAIN < most as f64;
         let mut packed = Packed { backend: ZSTD, arrangement: Arrangement::ALL[best], payload };
-        if level.number() >= FLOOR_LEVEL && is_worth_it {
+        if level.number() >= FLOOR_LEVEL && packed.is_worth_lzma(bytes, scalar, width, most) {
             let tried = (0..arranged.len()).filter(|&at| at == best || level.number() >= THOROUGH_LEVEL);
             for at in tried {
                 let payload = backend::compress_hardest(&arranged[at]).ok()?;
@@ -102,6 +101,26 @@ impl Packed {
             }
         }
         packed.is_shorter_than(most).then_some(packed)
+    }
+
+    /// Whether LZMA may take fewer than `most` bytes where zstd takes what is packed here: by what it gains on some
+    /// of the records, as it takes long for all of them.
+    fn is_worth_lzma(&self, bytes: &[u8], scalar: Scalar, width: usize, most: usize) -> bool {
+        /// Records of the sample. Fewer than four times as many are not sampled.
+        const SAMPLE: usize = 4096;
+        /// LZMA gains up to this factor more on all records than on the sample.
+        const UNSURE: f64 = 1.15;
+        let could_be = |gain: f64| self.payload.len() as f64 * gain < most as f64;
+        let records = bytes.len() / width.max(1);
+        if !could_be(LZMA_GAIN) || records < 4 * SAMPLE {
+            return could_be(LZMA_GAIN);
+        }
+        let sample = &bytes[(records - SAMPLE) / 2 * width..][..SAMPLE * width];
+        let sample = self.arrangement.apply(sample, scalar, width);
+        match (backend::compress_quickly(&sample), backend::compress_hardest(&sample)) {
+            (Ok(quick), Ok(hardest)) => could_be(hardest.len() as f64 / quick.len().max(1) as f64 / UNSURE),
+            _ => false,
+        }
     }
 
     /// Whether it takes fewer bytes.

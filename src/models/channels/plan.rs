@@ -16,6 +16,8 @@ pub enum Plan {
     Same(u16),
     /// As integers, each predicted in several ways.
     Integers(Integers),
+    /// As integers of which there are few.
+    Levels(Levels),
 }
 
 /// The number of a [`Plan`] in the stream.
@@ -23,6 +25,7 @@ enum Method {
     Constant = 0,
     Same = 1,
     Integers = 2,
+    Levels = 3,
 }
 
 /// How values become integers, and what predicts these.
@@ -43,24 +46,37 @@ pub struct Integers {
     pub rule: Option<Rule>,
 }
 
+/// How values become levels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Levels {
+    /// How values become integers.
+    pub scale: Scale,
+    /// Whether some values lie off this scale.
+    pub has_exceptions: bool,
+}
+
 /// A number that is computed from a position, or from a place in the range image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Geometry(u8);
 
 /// Number of geometries: none, distances, and angles in radians, degrees and hundredths of degrees.
-const GEOMETRIES: u8 = 19;
-/// The first of the geometries of a place: the range, then the azimuth in both directions.
+const GEOMETRIES: u8 = 21;
+/// The first of the geometries of a place: the range in metres, the azimuth in both directions, then the range in
+/// millimetres.
 const FIRST_OF_PLACE: u8 = 12;
+const MILLIMETRES_OF_PLACE: u8 = 19;
+/// The distance of a position in millimetres.
+const MILLIMETRES_OF_POSITION: u8 = 20;
 
 impl Geometry {
     /// The geometries of a position.
     pub fn of_positions() -> impl Iterator<Item = Geometry> {
-        (1..FIRST_OF_PLACE).map(Geometry)
+        (1..FIRST_OF_PLACE).chain([MILLIMETRES_OF_POSITION]).map(Geometry)
     }
 
     /// The geometries of a place in the range image.
     pub fn of_places() -> impl Iterator<Item = Geometry> {
-        (FIRST_OF_PLACE..GEOMETRIES).map(Geometry)
+        (FIRST_OF_PLACE..=MILLIMETRES_OF_PLACE).map(Geometry)
     }
 
     /// The number for a record, if it is known.
@@ -71,8 +87,13 @@ impl Geometry {
 
     fn of_record(self, record: usize, context: &RecordContext) -> Option<f64> {
         match self.0 {
-            0..FIRST_OF_PLACE => context.positions.get(record).map(|position| self.of_position(position)),
+            0..FIRST_OF_PLACE | MILLIMETRES_OF_POSITION => {
+                context.positions.get(record).map(|position| self.of_position(position))
+            }
             FIRST_OF_PLACE => Some(f64::from(*context.steps.get(record)?) * context.range_step_m),
+            MILLIMETRES_OF_PLACE => {
+                Some(f64::from(*context.steps.get(record)?) * context.range_step_m * 1000.0)
+            }
             _ => {
                 let degrees = f64::from(*context.ticks.get(record)?) * context.tick_degrees;
                 let angle = match (self.0 - FIRST_OF_PLACE - 1) % 3 {
@@ -95,6 +116,7 @@ impl Geometry {
         };
         match self.0 {
             1 => (flat + z * z).sqrt(),
+            MILLIMETRES_OF_POSITION => (flat + z * z).sqrt() * 1000.0,
             2 => flat.sqrt(),
             3..6 => angle(libm::atan2(y, x)),
             6..9 => angle(libm::atan2(x, y)),
@@ -114,6 +136,7 @@ impl Plan {
             Plan::Constant => (Method::Constant, 0),
             Plan::Same(source) => (Method::Same, source),
             Plan::Integers(_) => (Method::Integers, 0),
+            Plan::Levels(_) => (Method::Levels, 0),
         };
         match coder.code_plain(method as u64, 8) {
             0 => Ok(Plan::Constant),
@@ -132,6 +155,13 @@ impl Plan {
                 let geometry = Some(Geometry(geometry)).filter(|g| g.0 < GEOMETRIES).ok_or_else(unknown)?;
                 let rule = Rule::from_code(coder.code_plain(Rule::to_code(rule).into(), 8) as u8);
                 Ok(Plan::Integers(Integers { scale, has_exceptions, key, lag, geometry, rule }))
+            }
+            3 => {
+                let levels = if let Plan::Levels(levels) = self { levels } else { Levels::default() };
+                let code = coder.code_plain(levels.scale.to_code().into(), 8) as u8;
+                let scale = Scale::from_code(code).ok_or_else(unknown)?;
+                let has_exceptions = coder.code_plain(levels.has_exceptions.into(), 1) == 1;
+                Ok(Plan::Levels(Levels { scale, has_exceptions }))
             }
             _ => Err(unknown()),
         }

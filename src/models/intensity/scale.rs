@@ -84,6 +84,12 @@ impl IntensityScale {
         IntensityScale { grid, bits: (32 - highest.leading_zeros()).max(1), exceptions: misses > 0 }
     }
 
+    /// The grid of whole numbers below `count`.
+    pub fn of_levels(count: usize) -> Self {
+        let bits = count.saturating_sub(1).max(1).ilog2() + 1;
+        IntensityScale { grid: LevelGrid::new(1), bits: bits.min(MOST_BITS), exceptions: false }
+    }
+
     /// Codes the grid itself; `code_plain` codes plain numbers with a given number of bits.
     pub fn code(&mut self, mut code_plain: impl FnMut(u32, u32) -> u32) {
         self.grid = LevelGrid::new(code_plain(self.grid.per_unit, SCALE_BITS));

@@ -42,7 +42,7 @@ const FOCAL_POINTS_UM: [i32; 4] = [41_910, 42_400, 58_630, 28_956];
 /// Fits a scanner to a sample of a sequence's scans, and returns the share of the points that it explains. `None` if
 /// no scanner of this family explains enough of them.
 pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
-    let scan = sample.iter().max_by_key(|scan| scan.cloud.positions.len())?;
+    let scan = sample.iter().max_by_key(|scan| scan.cloud.measured())?;
     let points = scan.cloud.positions.iter().map(|position| Point::new(position.map(f64::from), None));
     fit_points(scan, points)
 }

@@ -32,7 +32,7 @@ const FEW: usize = 2000;
 /// A scanner with its mounting, and the share of the points that it explains. `None` if the largest scan of the sample
 /// does not show a scanner.
 pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
-    let scan = sample.iter().max_by_key(|scan| scan.cloud.positions.len())?;
+    let scan = sample.iter().max_by_key(|scan| scan.cloud.measured())?;
     let positions = &scan.cloud.positions;
     let nothing = of_nothing(positions);
     let is_return = |position: &[f32; 3]| Some(*position) != nothing && may_be_return(position);
