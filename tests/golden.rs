@@ -291,7 +291,9 @@ fn recipes() -> Vec<Recipe> {
     exact("firings-ouster", || named(&[common::firings::ouster(16, false)]), EncoderConfig::default());
     exact("firings-ouster-ros", || named(&[common::firings::ouster(16, true)]), EncoderConfig::default());
     let ouster_fields = || vec![("0.pcd".to_owned(), common::firings::ouster_fields(16))];
-    exact("firings-ouster-fields", ouster_fields, EncoderConfig::default());
+    for (level, name) in [(1, "-packed"), (3, "-fitted-tokens"), (6, "")] {
+        exact(&format!("firings-ouster-fields{name}"), ouster_fields, at_level(level));
+    }
     exact("firings-turned", || named(&[common::firings::vlp_32c(12)]), EncoderConfig::default());
     exact("firings-millimetres", || rounded_files(3), EncoderConfig::default());
     exact("firings-centimetres", || rounded_files(2), EncoderConfig::default());

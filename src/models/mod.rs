@@ -10,6 +10,7 @@ mod correction;
 mod intensity;
 mod least_squares;
 mod magnitude;
+mod numbers;
 mod occupancy;
 mod order;
 mod packed;

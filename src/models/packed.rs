@@ -55,12 +55,18 @@ pub fn code_packed_ranges<C: TokenCoder>(coder: &mut C, (range_bits, bin): (u32,
 }
 
 /// Codes intensities in the order of the cells: their levels on the scale, and the values that are not on it.
-/// If there is no grid, the bits of the values are coded as numbers.
+/// If there is no grid, their integers on a rough scale are coded.
 pub fn code_packed_intensities<C: TokenCoder>(coder: &mut C, scale: &IntensityScale, values: &mut [f32]) {
     if !scale.is_on_grid() {
-        let mut bits: Vec<u32> = values.iter().map(|value| value.to_bits()).collect();
-        code_values(coder, 0, &mut bits, difference, differing);
-        values.iter_mut().zip(bits).for_each(|(value, bits)| *value = f32::from_bits(bits));
+        let rough = scale.rough();
+        let mut integers = vec![0; values.len()];
+        if C::ENCODES {
+            integers.iter_mut().zip(&*values).for_each(|(integer, value)| *integer = rough.integer(*value));
+        }
+        code_values(coder, 0, &mut integers, difference, differing);
+        if !C::ENCODES {
+            values.iter_mut().zip(integers).for_each(|(value, integer)| *value = rough.value(integer));
+        }
         return;
     }
     let mut levels = vec![0; values.len()];

@@ -246,7 +246,7 @@ fn ouster_range(row: usize, measured: usize) -> Option<u32> {
     (!(measured * 31 + row * 17).is_multiple_of(9)).then_some(millimetres as u32)
 }
 
-/// The same scan with the fields that Ouster's ROS driver writes: a time, a reflectivity, a ring, ambient light, and
+/// The same scan with the fields that Ouster's ROS driver writes: a signal of twelve bits as the intensity, a time, a reflectivity, a ring, ambient light, and
 /// the range in millimetres.
 pub fn ouster_fields(rows: usize) -> Vec<u8> {
     let width = 512;
@@ -255,7 +255,9 @@ pub fn ouster_fields(rows: usize) -> Vec<u8> {
     super::formats::pcd(fields.0, fields.1, fields.2, &ouster(rows, false), |record, point| {
         let (row, column) = (record / width, record % width);
         let range = ouster_range(row, (column + width - OUSTER_SHIFTS[row % 4]) % width).unwrap_or(0);
-        let mut bytes = point.map(f32::to_le_bytes).concat();
+        let [x, y, z, _] = point;
+        let signal = range * 7 % 3001;
+        let mut bytes = [x, y, z, signal as f32].map(f32::to_le_bytes).concat();
         bytes.extend((column as u32 * 195_312 + 5).to_le_bytes());
         bytes.extend((range as u16 / 40 % 50).to_le_bytes());
         bytes.extend([row as u16, 16 * (record * record % 1013) as u16].map(u16::to_le_bytes).as_flattened());

@@ -27,7 +27,9 @@ from models import (
     signed_level,
     squash,
 )
+from layout import F32
 from scanner import MILLIMETRE, Grid, bits_of_float, float_of_bits, from_ordered, ordered
+from values import Scale as RoughScale
 
 
 class ByteModel:
@@ -268,6 +270,13 @@ class Scale:
         self.per_unit = plain(16)
         self.bits = clamp(plain(4), 1, 9)
         self.exceptions = plain(1)
+        if not self.per_unit:
+            scale = plain(8)
+            self.rough = RoughScale(scale if scale <= 64 else 0, F32)
+
+    def without_grid(self, integer):
+        """The bits of the value of an integer modulo 2^32 if there is no grid."""
+        return self.rough.value(wrap(integer, 32))
 
     def value(self, level):
         """The bits of the value of a level."""

@@ -34,19 +34,21 @@ class Occupancy:
 
 class Intensity:
     def __init__(self):
-        self.model = TokenModel(130)
+        self.model = TokenModel(146)
 
     def code(self, reader, image, strays):
         tokens = Tokens(self.model, reader)
         scale = Scale(tokens.bits)
         low = max(scale.bits - 8, 0)
-        last = 0
+        last = d = 0
 
         def value(west, north):
-            nonlocal last
+            nonlocal last, d
             if scale.per_unit == 0 or scale.exceptions and tokens.token(128) == 1:
-                last = last + unzigzag(tokens.number(129)) & 0xFFFFFFFF
-                return last, scale.context_level(last)
+                d = tokens.number(129 if scale.per_unit else 130 + min(ilog2(max(d, 1)), 15))
+                last = last + unzigzag(d) & 0xFFFFFFFF
+                v = last if scale.per_unit else scale.without_grid(last)
+                return v, scale.context_level(v)
             w = west if west > 0 else north
             agree = 1 if north > 0 and abs(w - north) < 4 else 0
             level = tokens.token(min(w // 2, 63) * 2 + agree) << low
@@ -298,7 +300,7 @@ class PackedIntensity:
             for _ in range(n):
                 d, before = values.send(value)
                 value = before + d & 0xFFFFFFFF
-                found.append(value)
+                found.append(scale.without_grid(value))
         else:
             width = least = 0
             while len(found) < n:

@@ -6,11 +6,11 @@ use std::ops::Range;
 use super::column::{ColumnModel, Places};
 use super::integers::Site;
 use super::levels::Palette;
-use super::numbers::Scale;
 use super::plan::{Geometry, Integers, Levels, Plan};
 use super::rules::{Rule, RuleState};
 use super::{Sources, is_constant, may_be_key};
 use crate::entropy::ArithmeticEncoder;
+use crate::models::numbers::Scale;
 use crate::scan::Scalar;
 
 /// Number of records that are coded to choose what predicts them.

@@ -5,13 +5,13 @@ use std::borrow::Cow;
 use super::choice::Tried;
 use super::integers::{IntegersModel, Site};
 use super::levels::{LevelsModel, Palette};
-use super::numbers::{Grid, Scale, number, write_number};
 use super::plan::{Integers, Levels, Plan};
 use super::rules::{Rule, RuleModel};
 use super::{RecordContext, Sources, may_be_key};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
+use crate::models::numbers::{Grid, Scale, number, write_number};
 use crate::scan::Scalar;
 
 /// Adaptive models of a column.

@@ -7,7 +7,6 @@ mod choice;
 mod column;
 mod integers;
 mod levels;
-mod numbers;
 mod packed;
 mod plan;
 mod rules;

@@ -1,10 +1,10 @@
 //! How a column is coded: the encoder's choice, as stored in the stream.
 
 use super::RecordContext;
-use super::numbers::Scale;
 use super::rules::Rule;
 use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
+use crate::models::numbers::Scale;
 
 /// How a column is coded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

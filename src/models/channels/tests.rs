@@ -4,11 +4,11 @@ use proptest::prelude::*;
 
 use super::column::ColumnModel;
 use super::integers::Site;
-use super::numbers::Scale;
 use super::plan::{Integers, Levels, Plan};
 use super::rules::{Rule, RuleModel};
 use super::*;
 use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
+use crate::models::numbers::Scale;
 
 /// Codes channels in two frames, checks that they are restored, and returns the bytes of the second frame.
 fn round_trip(channels: &[Channel], context: &RecordContext) -> usize {

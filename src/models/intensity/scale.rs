@@ -1,5 +1,8 @@
 //! The grid of intensities: levels are multiples of an equal part of 1.0.
 
+use crate::models::numbers::{Grid, Scale};
+use crate::scan::Scalar;
+
 /// Levels per 1.0 in the files of known scanners: hundredths (KITTI), 256ths (KITTI-360), 255ths, whole
 /// numbers (nuScenes, many PCD files).
 const SCALES: [u32; 4] = [100, 256, 255, 1];
@@ -16,6 +19,8 @@ pub struct IntensityScale {
     bits: u32,
     /// Whether some values of the frame are not on the grid.
     exceptions: bool,
+    /// How the values of a frame without a grid become integers.
+    rough: Scale,
 }
 
 /// A grid with some number of levels per 1.0.
@@ -63,6 +68,35 @@ impl LevelGrid {
     }
 }
 
+/// The integers of values without a [`LevelGrid`].
+#[derive(Clone, Copy)]
+pub struct RoughGrid(Grid);
+
+impl RoughGrid {
+    /// The integer of a value, modulo 2^32.
+    #[inline]
+    pub fn integer(&self, value: f32) -> u32 {
+        self.0.integer(&value.to_le_bytes()).unwrap_or(0) as u32
+    }
+
+    /// The value of an integer, modulo 2^32.
+    #[inline]
+    pub fn value(&self, integer: u32) -> f32 {
+        let mut bytes = [0; 4];
+        self.0.write((integer as i32).into(), &mut bytes);
+        f32::from_le_bytes(bytes)
+    }
+}
+
+/// A scale on which all of these values are integers of 32 bits.
+fn rough_scale(values: &[f32]) -> Scale {
+    let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    let scale = Scale::of(Scalar::F32, &bytes);
+    let rough = RoughGrid(scale.grid(Scalar::F32));
+    let comes_back = |value: &f32| rough.value(rough.integer(*value)).to_bits() == value.to_bits();
+    if values.iter().all(comes_back) { scale } else { Scale::PLACE }
+}
+
 impl IntensityScale {
     /// Determines the grid of a frame's intensities; `expected`: a number of levels per unit that is likely.
     pub fn of(intensity: &[f32], expected: Option<u32>) -> Self {
@@ -80,14 +114,17 @@ impl IntensityScale {
                 break;
             }
         }
-        let Some((misses, highest, grid)) = best else { return IntensityScale::default() };
-        IntensityScale { grid, bits: (32 - highest.leading_zeros()).max(1), exceptions: misses > 0 }
+        let Some((misses, highest, grid)) = best else {
+            return IntensityScale { rough: rough_scale(intensity), ..IntensityScale::default() };
+        };
+        let bits = (32 - highest.leading_zeros()).max(1);
+        IntensityScale { grid, bits, exceptions: misses > 0, rough: Scale::PLACE }
     }
 
     /// The grid of whole numbers below `count`.
     pub fn of_levels(count: usize) -> Self {
         let bits = count.saturating_sub(1).max(1).ilog2() + 1;
-        IntensityScale { grid: LevelGrid::new(1), bits: bits.min(MOST_BITS), exceptions: false }
+        IntensityScale { grid: LevelGrid::new(1), bits: bits.min(MOST_BITS), ..IntensityScale::default() }
     }
 
     /// Codes the grid itself; `code_plain` codes plain numbers with a given number of bits.
@@ -95,6 +132,10 @@ impl IntensityScale {
         self.grid = LevelGrid::new(code_plain(self.grid.per_unit, SCALE_BITS));
         self.bits = code_plain(self.bits, 4).clamp(1, MOST_BITS);
         self.exceptions = code_plain(u32::from(self.exceptions), 1) == 1;
+        if !self.is_on_grid() {
+            self.rough =
+                Scale::from_code(code_plain(self.rough.to_code().into(), 8) as u8).unwrap_or_default();
+        }
     }
 
     /// The level of a value as a context, limited to 1 to 128; 1 for values that are not on the grid.
@@ -130,6 +171,11 @@ impl IntensityScale {
     #[inline]
     pub fn value_of(&self, level: u32) -> f32 {
         self.grid.values.get(level as usize).copied().unwrap_or_default()
+    }
+
+    /// How the values of a frame without a grid become integers, of 32 bits.
+    pub fn rough(&self) -> RoughGrid {
+        RoughGrid(self.rough.grid(Scalar::F32))
     }
 
     /// Whether there is a grid at all.

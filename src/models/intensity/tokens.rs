@@ -14,13 +14,18 @@ const NEAR: u16 = 4;
 /// The context of the flag for values that are not on the grid, and that of such values.
 const IS_OFF_GRID: usize = 2 * LEVEL_CONTEXTS;
 const OFF_GRID: usize = IS_OFF_GRID + 1;
+/// The first context of the integers of a frame without a grid; the others follow, by the size of the difference
+/// before.
+const ROUGH: usize = OFF_GRID + 1;
+const ROUGH_SIZES: usize = 16;
 /// Number of contexts of an intensity.
-pub const INTENSITY_CONTEXTS: usize = OFF_GRID + 1;
+pub const INTENSITY_CONTEXTS: usize = ROUGH + ROUGH_SIZES;
 
 /// Codes the intensities of a frame.
 #[derive(Clone, Default)]
 pub struct IntensityTokens {
     last_off_grid: u32,
+    last_difference: u64,
 }
 
 impl IntensityTokens {
@@ -38,10 +43,22 @@ impl IntensityTokens {
         let is_off = !scale.is_on_grid()
             || (scale.has_exceptions() && { coder.token(IS_OFF_GRID, u8::from(level.is_none())) == 1 });
         if is_off {
-            let difference = zigzag(i64::from(value.to_bits()) - i64::from(self.last_off_grid));
-            let difference = unzigzag(coder.number(OFF_GRID, difference));
+            let (context, rough) = match scale.is_on_grid() {
+                true => (OFF_GRID, None),
+                false => (
+                    ROUGH + (self.last_difference.max(1).ilog2() as usize).min(ROUGH_SIZES - 1),
+                    Some(scale.rough()),
+                ),
+            };
+            let integer = rough.map_or(value.to_bits(), |rough| rough.integer(*value));
+            let difference = zigzag(i64::from(integer as i32) - i64::from(self.last_off_grid as i32));
+            self.last_difference = coder.number(context, difference);
+            let difference = unzigzag(self.last_difference);
             self.last_off_grid = i64::from(self.last_off_grid).wrapping_add(difference) as u32;
-            *value = f32::from_bits(self.last_off_grid);
+            if !C::ENCODES {
+                *value =
+                    rough.map_or(f32::from_bits(self.last_off_grid), |rough| rough.value(self.last_off_grid));
+            }
             return scale.context_level(*value);
         }
         let before = if west > 0 { west } else { north };
