@@ -38,11 +38,12 @@ impl PointCloud {
         }
     }
 
-    /// The number of points that a scanner measured: those at a finite position that is not 0. Organised clouds also
+    /// The number of points that have a direction: those whose x and y are finite and not both 0. Organised clouds also
     /// hold points for beams without a return.
     pub fn measured(&self) -> usize {
-        let is_measured = |[x, y, _]: &&[f32; 3]| (x.abs() + y.abs()).is_finite() && (*x != 0.0 || *y != 0.0);
-        self.positions.iter().filter(is_measured).count()
+        let has_direction =
+            |[x, y, _]: &&[f32; 3]| (x.abs() + y.abs()).is_finite() && (*x != 0.0 || *y != 0.0);
+        self.positions.iter().filter(has_direction).count()
     }
 
     /// The channel with this name.
