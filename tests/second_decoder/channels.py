@@ -1,18 +1,19 @@
 """Sections 8.9 and 8.17 of FORMAT.md: channels and packed bytes."""
 
 from array import array
+from math import sqrt
 
 from back_ends import unpacked
 from entropy import M64, AdaptiveBit, IntegerModel, unzigzag, wrap
 from errors import Refused
 from layout import F32, SIZES
-from models import MixedBits, f32, floats, ilog2
+from models import LeastSquares, MixedBits, f32, floats, ilog2, to_int
 from scanner import float_of_bits
 from sections import ByteModel, Intensity, Near
 from values import Scale, at_place, converted, geometry, geometry_of_place
 
 CONSTANT, COLUMNS, BYTES, PACKED = range(4)
-SAME, INTEGERS, LEVELS = 1, 2, 3
+SAME, INTEGERS, LEVELS, IMAGE = 1, 2, 3, 4
 MOST_LEVELS = 512
 BEAM, COLUMN, AFTER, TICK = 1, 2, 3, 4
 CANDIDATES, TRIES = 13, 4
@@ -113,6 +114,7 @@ class Column:
         self.off = IntegerModel()
         self.last_off = 0
         self.levels = None
+        self.image = None
 
     def code(self, bits, kind, records, sources):
         """The values."""
@@ -122,11 +124,13 @@ class Column:
         if method == SAME:
             source, values = sources.values(bits.plain(16))
             return [converted(source, value, kind) for value in values]
-        if method not in (INTEGERS, LEVELS):
+        if method not in (INTEGERS, LEVELS, IMAGE):
             raise Refused("a column of unknown method")
         scale = Scale(bits.plain(8), kind)
         if method == LEVELS:
             return self.code_levels(bits, scale, kind, records, sources.beside)
+        if method == IMAGE:
+            return self.code_image(bits, scale, kind, records, sources.beside)
         has_exceptions = bits.plain(1)
         keys = sources.keys(bits.plain(16), records)
         lag = bits.plain(24)
@@ -185,6 +189,23 @@ class Column:
                 found.append(scale.value(palette[min(level, count - 1)]))
         return found
 
+    def code_image(self, bits, scale, kind, records, beside):
+        has_exceptions = bits.plain(1)
+        divisor = max(bits.plain(16), 1)
+        rows = beside.rows or [0] * records
+        columns = beside.columns or [0] * records
+        steps = beside.steps or [0] * records
+        if self.image is None:
+            self.image = Image()
+        self.image.start(max(rows, default=0), max(columns, default=0))
+        found = []
+        for row, column, own in zip(rows, columns, steps):
+            if has_exceptions and self.is_off.code(bits):
+                found.append(at_place(kind, self.off_scale(bits)))
+            else:
+                found.append(scale.value(self.image.code(bits, row, column, own) * divisor))
+        return found
+
     def off_scale(self, bits):
         if bits.plain(1):
             self.last_off = wrap(bits.plain(64), 64)
@@ -222,6 +243,88 @@ class Levels:
             self.known[row, column] = context
         self.of_row[row] = [context] + near.left[:3]
         return level
+
+
+class Image:
+    """Numbers of an image."""
+
+    NONE = 0.0, 0.0, 0
+
+    def __init__(self):
+        self.fit = LeastSquares(8, 0.9995)
+        self.bits = MixedBits([1 << n for n in (12, 16, 16, 18, 18, 18)], 64, 0.3, 0.0, 0.004)
+        self.size = None
+        self.known = {}
+
+    def start(self, rows, columns):
+        self.before = self.known if self.size == (rows, columns) else {}
+        self.size = rows, columns
+        self.known = {}
+        self.of_row = {}
+
+    def code(self, bits, row, column, steps):
+        def at(down, right):
+            return self.known.get((row + down, column + right))
+
+        last = self.of_row.get(row, [])
+        up = -1 if at(-1, 0) or not at(1, 0) else 1
+        left = -1 if at(0, -1) or not at(0, 1) else 1
+        n, nw, ne = at(up, 0), at(up, left), at(up, -left)
+        w = last[0] if last else n or nw or ne or self.NONE
+        ww = last[1] if len(last) > 1 else w
+        n = n or nw or ne or w
+        nw, ne, nn = nw or n, ne or n, at(2 * up, 0) or n
+        back = self.before.get((row, column)) or w
+        features = floats([near[0] for near in (w, n, nw, ne, ww, nn, back)] + [1.0])
+        predicted = min(max(f32(self.fit.predict(features)), 0.0), 256.0)
+        expected = min(to_int(f32(f32(predicted * predicted) + 0.5)), 65535)
+
+        def half_bits(e):
+            off = f32(f32(f32(e * f32(f32(2 * predicted) + e)) * 4) + 1)
+            return min(ilog2(int(max(f32(off * off), 1.0))), 39)
+
+        errors = f32(f32(w[1] + n[1]) + f32(0.5 * f32(nw[1] + ne[1])))
+        spread = f32(abs(f32(w[0] - n[0])) + abs(f32(n[0] - nw[0])))
+        es, ss = half_bits(f32(errors / 3)), half_bits(f32(spread / 2))
+        octave = ilog2(max(expected, 1))
+        size = expected if expected < 8 else (octave - 1) * 4 + (expected >> octave - 2 & 3)
+        contexts = [
+            es,
+            self.slot(10, row, es // 4),
+            self.slot(10, expected, 0),
+            self.slot(12, w[2], n[2]),
+            self.slot(12, size * 64 + es // 2, ilog2(steps) + 1 if steps else 0),
+            self.slot(12, es * 64 + ss, size),
+        ]
+        v = min(max(expected + self.difference(bits, contexts), 0), 65535)
+        root = f32(sqrt(v))
+        self.fit.learn(features, root, 1.0)
+        own = root, abs(f32(root - predicted)), v + 1
+        if row and column:
+            self.known[row, column] = own
+        self.of_row[row] = [own] + last[:1]
+        return v
+
+    def difference(self, bits, contexts):
+        def bit(node):
+            return self.bits.code(bits, node, [c * 64 + node for c in contexts])
+
+        if bit(0):
+            return 0
+        is_negative = bit(1)
+        count = 0
+        while count < 16 and bit(2 + count):
+            count += 1
+        m = 1
+        for k in range(count):
+            m = 2 * m + bit(20 + count if k == 0 else 37 + count if k == 1 else 55 + min(k, 8))
+        return -m if is_negative else m
+
+    @staticmethod
+    def slot(n, a, c):
+        c = c * 0x85EBCA6B & 0xFFFFFFFF
+        c = (c << 13 | c >> 19) & 0xFFFFFFFF
+        return ((a * 0x9E3779B1 & 0xFFFFFFFF ^ c) * 0x9E3779B1 & 0xFFFFFFFF) >> 32 - n
 
 
 def slot(a, b):

@@ -4,9 +4,10 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use super::column::{ColumnModel, Places};
+use super::image::LIMIT;
 use super::integers::Site;
 use super::levels::Palette;
-use super::plan::{Geometry, Integers, Levels, Plan};
+use super::plan::{Geometry, Image, Integers, Levels, Plan};
 use super::rules::{Rule, RuleState};
 use super::{Sources, is_constant, may_be_key};
 use crate::entropy::ArithmeticEncoder;
@@ -98,10 +99,8 @@ impl ColumnModel {
         let scale = Scale::of(scalar, values);
         let has_exceptions = scale.grid(scalar).misses_any(values);
         let plain = Integers { scale, has_exceptions, ..Integers::default() };
-        if self.last_plan() == Some(Plan::Levels(Levels { scale, has_exceptions }))
-            && is_palette(scale, scalar, values)
-        {
-            return Choice::sure(Plan::Levels(Levels { scale, has_exceptions }), 1);
+        if let Some(plan) = self.same_kind(plain, scalar, values) {
+            return Choice::sure(plan, 1);
         }
         let sampled = [middle(records, SAMPLE)];
         let part = sources.part(&sampled);
@@ -134,14 +133,23 @@ impl ColumnModel {
         let sample = gather(values, size, &sampled);
         let bytes = self.size_of(&Plan::Integers(best), &sources.part(&sampled).sources(), scalar, &sample);
         let bytes = bytes.saturating_mul(values.len()) / sample.len().max(1);
-        if is_palette(plain.scale, scalar, values) {
-            let levels = Plan::Levels(Levels { scale, has_exceptions });
-            let of_levels = self.size_of(&levels, sources, scalar, values);
-            if of_levels < bytes {
-                return Choice { plan: levels, bytes: of_levels, is_sure: false, tried: None };
-            }
+        let of_neighbours = [levels_plan(plain, scalar, values), image_plan(plain, scalar, values)];
+        let sized = of_neighbours.into_iter().flatten();
+        let sized = sized.map(|plan| (self.size_of(&plan, sources, scalar, values), plan));
+        if let Some((bytes, plan)) = sized.min_by_key(|(bytes, _)| *bytes).filter(|(least, _)| *least < bytes)
+        {
+            return Choice { plan, bytes, is_sure: false, tried: None };
         }
         Choice { plan: Plan::Integers(best), bytes, is_sure: false, tried: Some(tried) }
+    }
+
+    /// A plan by neighbours, if the column was last coded by one of that kind: they suit the same columns in all frames.
+    fn same_kind(&self, plain: Integers, scalar: Scalar, values: &[u8]) -> Option<Plan> {
+        match self.last_plan()? {
+            Plan::Levels(_) => levels_plan(plain, scalar, values),
+            Plan::Image(_) => image_plan(plain, scalar, values),
+            _ => None,
+        }
     }
 
     /// The plan that was the best of all in an earlier frame, if it does as well now: trying all of them takes many
@@ -364,8 +372,44 @@ fn is_same(sources: &Sources, source: usize, scalar: Scalar, values: &[u8]) -> b
         .is_some_and(|from| from.all_as(scalar, |record, again| *again == values[record * size..][..size]))
 }
 
-/// Whether the integers of these values are few enough for a palette.
-fn is_palette(scale: Scale, scalar: Scalar, values: &[u8]) -> bool {
+/// The plan to code values as levels, if they are few.
+fn levels_plan(
+    Integers { scale, has_exceptions, .. }: Integers,
+    scalar: Scalar,
+    values: &[u8],
+) -> Option<Plan> {
+    Palette::of(integers(scale, scalar, values))?;
+    Some(Plan::Levels(Levels { scale, has_exceptions }))
+}
+
+/// The plan to code values as integers of an image, if they are not too large.
+fn image_plan(
+    Integers { scale, has_exceptions, .. }: Integers,
+    scalar: Scalar,
+    values: &[u8],
+) -> Option<Plan> {
+    let (mut divisor, mut most) = (0, 0);
+    for integer in integers(scale, scalar, values) {
+        if !(0..LIMIT * i64::from(u16::MAX)).contains(&integer) {
+            return None;
+        }
+        // Most integers are multiples of the divisor of those before.
+        if divisor == 0 || integer % divisor > 0 {
+            divisor = greatest_divisor(divisor, integer);
+        }
+        most = most.max(integer);
+    }
+    let divisor = u16::try_from(divisor.max(1)).ok()?;
+    (most / i64::from(divisor) < LIMIT).then_some(Plan::Image(Image { scale, has_exceptions, divisor }))
+}
+
+/// The integers of those values that are on a scale.
+fn integers(scale: Scale, scalar: Scalar, values: &[u8]) -> impl Iterator<Item = i64> {
     let grid = scale.grid(scalar);
-    Palette::of(values.chunks_exact(scalar.size() as usize).filter_map(|value| grid.integer(value))).is_some()
+    values.chunks_exact(scalar.size() as usize).filter_map(move |value| grid.integer(value))
+}
+
+/// The greatest common divisor.
+fn greatest_divisor(a: i64, b: i64) -> i64 {
+    if b == 0 { a } else { greatest_divisor(b, a % b) }
 }

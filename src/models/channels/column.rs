@@ -3,9 +3,10 @@
 use std::borrow::Cow;
 
 use super::choice::Tried;
+use super::image::ImageModel;
 use super::integers::{IntegersModel, Site};
 use super::levels::{LevelsModel, Palette};
-use super::plan::{Integers, Levels, Plan};
+use super::plan::{Image, Integers, Levels, Plan};
 use super::rules::{Rule, RuleModel};
 use super::{RecordContext, Sources, may_be_key};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
@@ -21,6 +22,7 @@ pub struct ColumnModel {
     integers: Option<IntegersModel>,
     rules: RuleModel,
     levels: Option<LevelsModel>,
+    image: Option<ImageModel>,
     /// The plan by which it was last coded.
     last_plan: Option<Plan>,
     /// The best plan that an encoder found, if the column was coded by it.
@@ -51,7 +53,10 @@ impl ColumnModel {
     ) -> Result<()> {
         let size = scalar.size() as usize;
         let plan = plan.code(coder)?;
-        if let Plan::Integers(Integers { scale, .. }) | Plan::Levels(Levels { scale, .. }) = plan {
+        if let Plan::Integers(Integers { scale, .. })
+        | Plan::Levels(Levels { scale, .. })
+        | Plan::Image(Image { scale, .. }) = plan
+        {
             if scale != Scale::PLACE && !scalar.is_float() {
                 return Err(Error::corrupt("channels: a scale of integers"));
             }
@@ -80,7 +85,27 @@ impl ColumnModel {
             }
             Plan::Integers(plan) => self.code_integers(coder, plan, sources, scalar, values),
             Plan::Levels(plan) => self.code_levels(coder, plan, sources.context, scalar, values),
+            Plan::Image(plan) => self.code_image(coder, plan, sources.context, scalar, values),
         }
+    }
+
+    fn code_image<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        plan: Image,
+        context: &RecordContext,
+        scalar: Scalar,
+        values: &mut [u8],
+    ) -> Result<()> {
+        let ColumnModel { image, off, .. } = self;
+        let model = image.get_or_insert_default();
+        model.start_frame(context.size());
+        let (grid, divisor) = (plan.scale.grid(scalar), i64::from(plan.divisor));
+        code_each(coder, off, (plan.has_exceptions, &grid), scalar, values, |coder, record, integer| {
+            let steps = context.steps.get(record).copied().unwrap_or(0);
+            integer.map(|integer| model.code(coder, context.cell(record), steps, integer / divisor) * divisor)
+        });
+        Ok(())
     }
 
     fn code_levels<C: BitCoder>(
@@ -98,8 +123,7 @@ impl ColumnModel {
             if C::ENCODES { Palette::of(records.filter_map(|value| grid.integer(value))) } else { None };
         let palette = palette.unwrap_or_default().code(coder)?;
         let model = self.levels.get_or_insert_default();
-        let highest = |numbers: &[u32]| numbers.iter().max().map_or(0, |&number| number as usize);
-        model.start_frame(&palette, (highest(&context.rows), highest(&context.columns)), count);
+        model.start_frame(&palette, context.size(), count);
         code_each(
             coder,
             &mut self.off,

@@ -5,6 +5,7 @@
 
 mod choice;
 mod column;
+mod image;
 mod integers;
 mod levels;
 mod packed;
@@ -52,6 +53,20 @@ pub struct RecordContext {
     pub positions: Vec<[f32; 3]>,
     /// The intensities; empty if there are none.
     pub intensity: Vec<f32>,
+}
+
+impl RecordContext {
+    /// The highest row and column of a record.
+    fn size(&self) -> (usize, usize) {
+        let highest = |numbers: &[u32]| numbers.iter().max().map_or(0, |&number| number as usize);
+        (highest(&self.rows), highest(&self.columns))
+    }
+
+    /// The row and column of a record, counted from 1; 0 if it has none.
+    fn cell(&self, record: usize) -> (usize, usize) {
+        let number = |numbers: &[u32]| numbers.get(record).map_or(0, |&number| number as usize);
+        (number(&self.rows), number(&self.columns))
+    }
 }
 
 /// Adaptive models of channels.

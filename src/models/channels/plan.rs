@@ -18,6 +18,8 @@ pub enum Plan {
     Integers(Integers),
     /// As integers of which there are few.
     Levels(Levels),
+    /// As integers that form an image.
+    Image(Image),
 }
 
 /// The number of a [`Plan`] in the stream.
@@ -26,6 +28,7 @@ enum Method {
     Same = 1,
     Integers = 2,
     Levels = 3,
+    Image = 4,
 }
 
 /// How values become integers, and what predicts these.
@@ -53,6 +56,17 @@ pub struct Levels {
     pub scale: Scale,
     /// Whether some values lie off this scale.
     pub has_exceptions: bool,
+}
+
+/// How values become the integers of an image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Image {
+    /// How values become integers.
+    pub scale: Scale,
+    /// Whether some values lie off this scale.
+    pub has_exceptions: bool,
+    /// All integers are multiples of this number, by which they are divided; at least 1.
+    pub divisor: u16,
 }
 
 /// A number that is computed from a position, or from a place in the range image.
@@ -137,6 +151,7 @@ impl Plan {
             Plan::Same(source) => (Method::Same, source),
             Plan::Integers(_) => (Method::Integers, 0),
             Plan::Levels(_) => (Method::Levels, 0),
+            Plan::Image(_) => (Method::Image, 0),
         };
         match coder.code_plain(method as u64, 8) {
             0 => Ok(Plan::Constant),
@@ -162,6 +177,15 @@ impl Plan {
                 let scale = Scale::from_code(code).ok_or_else(unknown)?;
                 let has_exceptions = coder.code_plain(levels.has_exceptions.into(), 1) == 1;
                 Ok(Plan::Levels(Levels { scale, has_exceptions }))
+            }
+            4 => {
+                let image = if let Plan::Image(image) = self { image } else { Image::default() };
+                let code = coder.code_plain(image.scale.to_code().into(), 8) as u8;
+                Ok(Plan::Image(Image {
+                    scale: Scale::from_code(code).ok_or_else(unknown)?,
+                    has_exceptions: coder.code_plain(image.has_exceptions.into(), 1) == 1,
+                    divisor: (coder.code_plain(image.divisor.into(), 16) as u16).max(1),
+                }))
             }
             _ => Err(unknown()),
         }
