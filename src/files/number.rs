@@ -54,10 +54,10 @@ impl NumberWriter {
             Scalar::F32 => self.write_float(LittleEndian::read_f32(value).into(), column, out)?,
             Scalar::F64 => self.write_float(LittleEndian::read_f64(value), column, out)?,
             Scalar::U8 | Scalar::U16 | Scalar::U32 | Scalar::U64 => {
-                write!(out, "{}", LittleEndian::read_uint(value, value.len()))?;
+                write_integer(LittleEndian::read_uint(value, value.len()), out);
             }
             Scalar::I8 | Scalar::I16 | Scalar::I32 | Scalar::I64 => {
-                write!(out, "{}", LittleEndian::read_int(value, value.len()))?;
+                write_integer(LittleEndian::read_int(value, value.len()), out);
             }
         }
         Ok(())
@@ -75,8 +75,12 @@ impl NumberWriter {
         }
         match column.rule {
             NumberRule::Fixed(decimals) => {
-                let decimals = usize::from(decimals);
-                write!(out, "{value:.decimals$}")?;
+                if let Some(number) = decimal::fixed(value, decimals.into()) {
+                    write_fixed(number, decimals.into(), out);
+                } else {
+                    let decimals = usize::from(decimals);
+                    write!(out, "{value:.decimals$}")?;
+                }
             }
             NumberRule::Scientific(digits) => {
                 let exponent = self.take_digits(value, Some(digits.into()), false)?;
@@ -116,7 +120,7 @@ impl NumberWriter {
         text.clear();
         let digits = after_first.and_then(|count| u32::try_from(count + 1).ok());
         if let Some((number, exponent)) = digits.and_then(|digits| decimal::significant(value, digits)) {
-            write!(text, "{number}")?;
+            write_integer(number, text);
             return Ok(exponent);
         }
         match after_first {
@@ -124,10 +128,11 @@ impl NumberWriter {
             None if single => write!(text, "{:e}", value as f32)?,
             None => write!(text, "{value:e}")?,
         }
-        if after_first.is_none() {
+        let (mut mantissa, mut exponent) = split_exponent(&self.digits);
+        if after_first.is_none() && is_tie(value, mantissa.saturating_sub(1).max(1), exponent) {
             self.settle_tie(value, single)?;
+            (mantissa, exponent) = split_exponent(&self.digits);
         }
-        let (mantissa, exponent) = split_exponent(&self.digits);
         self.digits.truncate(mantissa);
         self.digits.retain(|b| b.is_ascii_digit());
         Ok(exponent)
@@ -145,6 +150,30 @@ impl NumberWriter {
             std::mem::swap(&mut self.rounded, &mut self.digits);
         }
         Ok(())
+    }
+}
+
+/// Whether a number may be midway between two texts of this number of digits, the first of which stands for this power
+/// of ten: then one more digit writes it exactly.
+fn is_tie(value: f64, digits: usize, exponent: i32) -> bool {
+    let decimals = digits as i32 - exponent;
+    decimals <= 0 || decimals == decimal::exact_decimals(value)
+}
+
+fn write_integer(number: impl itoa::Integer, out: &mut Vec<u8>) {
+    out.extend_from_slice(itoa::Buffer::new().format(number).as_bytes());
+}
+
+/// A number times 10^`decimals`, with a decimal point.
+fn write_fixed(number: u64, decimals: usize, out: &mut Vec<u8>) {
+    let mut buffer = itoa::Buffer::new();
+    let digits = buffer.format(number).as_bytes();
+    let (whole, fraction) = digits.split_at(digits.len().saturating_sub(decimals));
+    out.extend_from_slice(if whole.is_empty() { b"0" } else { whole });
+    if decimals > 0 {
+        out.push(b'.');
+        out.extend((fraction.len()..decimals).map(|_| b'0'));
+        out.extend_from_slice(fraction);
     }
 }
 

@@ -24,11 +24,12 @@ pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64
         fields.iter().flat_map(|field| (0..field.count()).map(|_| field.scalar)).collect();
     let mut format = TextFormat::of_line(first_line(body)?);
     let mut tokens: Vec<&str> = Vec::new(); // of all lines, line by line
+    let mut scratch = Vec::new();
     let mut rest = body;
     let mut lines = 0u64;
     while lines < points
         && let Some(line) = first_line(rest)
-        && format.read_line(line, &scalars, &mut tokens).is_some()
+        && format.read_line(line, &scalars, &mut tokens, &mut scratch).is_some()
     {
         rest = &rest[line.len()..];
         lines += 1;
@@ -235,17 +236,20 @@ impl TextFormat {
         })
     }
 
-    /// Takes the texts out of a line; `None`, with nothing taken, if the line does not have this format.
+    /// Takes the texts out of a line; `None`, with nothing taken, if the line does not have this format. `scratch` spares
+    /// an allocation for each line.
     fn read_line<'a>(
         &self,
         line: &'a str,
         scalars: &[Option<Scalar>],
         tokens: &mut Vec<&'a str>,
+        scratch: &mut Vec<u8>,
     ) -> Option<()> {
-        let (before, mut values) = (tokens.len(), Vec::new());
+        let before = tokens.len();
+        scratch.clear();
         let mut scalars_left = scalars.iter();
         let complete = self.texts(line)?.try_for_each(|token| {
-            number::parse(token, scalars_left.next()?.unwrap_or(Scalar::F64), &mut values)?;
+            number::parse(token, scalars_left.next()?.unwrap_or(Scalar::F64), scratch)?;
             tokens.push(token);
             Some(())
         });

@@ -45,6 +45,43 @@ pub fn significant(value: f64, digits: u32) -> Option<(u64, i32)> {
         .filter(|(number, _)| *number >= least)
 }
 
+/// The integer nearest to a number times 10^`decimals`, of two equally near ones the even one. The number is not negative.
+/// None if the integer has more than 63 bits, or for more than 18 decimals.
+pub fn fixed(value: f64, decimals: u32) -> Option<u64> {
+    /// Bits of the mantissa below the first one.
+    const MANTISSA: u32 = f64::MANTISSA_DIGITS - 1;
+    let power = 10u64.checked_pow(decimals).filter(|_| decimals <= 18)?;
+    let octave = (value.to_bits() >> MANTISSA) as i32;
+    let fraction = value.to_bits() & ((1 << MANTISSA) - 1);
+    // The number is `mantissa * 2^exponent`.
+    let (mantissa, exponent) = match octave {
+        0 => (fraction, -1074),
+        _ => (fraction | 1 << MANTISSA, octave - 1075),
+    };
+    // Less than 2^113.
+    let product = u128::from(mantissa) * u128::from(power);
+    let integer = match u32::try_from(-exponent) {
+        Ok(shift @ 0..=113) => {
+            let (whole, rest) = (product >> shift, product & ((1 << shift) - 1));
+            let twice = rest << 1;
+            let is_up = twice > 1 << shift || twice == 1 << shift && whole & 1 == 1;
+            whole + u128::from(is_up)
+        }
+        Ok(_) => 0,
+        Err(_) => product.checked_mul(1u128.checked_shl(exponent as u32)?)?,
+    };
+    u64::try_from(integer).ok().filter(|integer| integer >> 63 == 0)
+}
+
+/// The number of decimals with which a positive number is written exactly: that of binary digits after its point.
+pub fn exact_decimals(value: f64) -> i32 {
+    const MANTISSA: u32 = f64::MANTISSA_DIGITS - 1;
+    let octave = (value.to_bits() >> MANTISSA) as i32;
+    let zeros = value.to_bits().trailing_zeros().min(MANTISSA) as i32;
+    // Subnormal numbers have the exponent of octave 1.
+    (1075 - octave.max(1) - zeros).max(0)
+}
+
 /// The float32 nearest to an integer times a power of ten. None if float64 arithmetic cannot guarantee the
 /// rounding.
 pub fn single(number: u64, exponent: i32) -> Option<f32> {
@@ -92,6 +129,39 @@ mod tests {
             }
         }
         assert!(sure > 600_000, "{sure}");
+    }
+
+    #[test]
+    fn decimals_are_those_of_the_standard_library() {
+        let mut given = 0;
+        for value in values().map(f64::from).chain([0.5, 1.5, 2.5, 0.125, 0.375, 5e-324, 9.2e18, 0.0]) {
+            for decimals in [0, 1, 2, 3, 6, 9, 18] {
+                let Some(number) = fixed(value, decimals) else { continue };
+                given += 1;
+                let expected = format!("{value:.*}", decimals as usize).replace('.', "");
+                let expected = expected.trim_start_matches('0');
+                assert_eq!(
+                    number.to_string(),
+                    if expected.is_empty() { "0" } else { expected },
+                    "{value} {decimals}"
+                );
+            }
+        }
+        assert!(given > 700_000, "{given}");
+        assert_eq!(
+            (fixed(1e19, 0), fixed(10.0, 18), fixed(1.0, 19), fixed(f64::MAX, 0)),
+            (None, None, None, None)
+        );
+    }
+
+    #[test]
+    fn numbers_have_as_many_decimals_as_binary_digits_after_the_point() {
+        for value in values().filter(|value| *value > 0.0) {
+            let text = format!("{:.160}", f64::from(value));
+            let decimals = text.trim_end_matches('0').split_once('.').unwrap().1.len();
+            assert_eq!(exact_decimals(value.into()), decimals as i32, "{value:e}");
+        }
+        assert_eq!((exact_decimals(f64::from_bits(1)), exact_decimals(1e300)), (1074, 0));
     }
 
     #[test]
