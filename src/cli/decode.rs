@@ -36,6 +36,14 @@ struct Report {
     seconds: f64,
 }
 
+impl Report {
+    /// The report in a line.
+    fn summary(&self) -> String {
+        let (frames, bytes) = (table::count(self.frames, "frame"), table::bytes(self.file_bytes));
+        format!("{frames}: {bytes} in {:.1} s", self.seconds)
+    }
+}
+
 pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let args = &DecodeArgs { output: Some(output_of(args)), ..args.clone() };
     check_stdin_once("decode", &args.inputs);
@@ -53,7 +61,6 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     if (args.frames.is_some() || args.time.is_some()) && !others.is_empty() {
         wrong_usage("decode", "--frames and --time choose frames of one file; decode the files one by one");
     }
-    let start = Instant::now();
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),
@@ -70,6 +77,12 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
         }
         return to_stdout(args, first, &options, &converter);
     }
+    to_folder(args, &options, &converter, quiet)
+}
+
+/// Decodes the inputs into a folder, and reports.
+fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, quiet: bool) -> Result<()> {
+    let start = Instant::now();
     // Opened before any output is created.
     let inputs: Vec<Input> = args.inputs.iter().map(|path| open(path)).collect::<Result<_>>()?;
     let folder = FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs);
@@ -90,7 +103,7 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
             bytes += file_bytes;
             Ok(())
         };
-        decode(args, input, &options, &mut losses, write, count).map_err(|error| {
+        decode(args, input, options, &mut losses, write, count).map_err(|error| {
             bar.finish_and_clear();
             about(error, &name_of(path))
         })?;
@@ -98,17 +111,17 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     }
     bar.finish_and_clear();
     folder.finish()?;
-    let seconds = start.elapsed().as_secs_f64();
+    let report = Report {
+        folder: args.output().display().to_string(),
+        frames: bar.position(),
+        file_bytes: bytes,
+        lost: all_losses.iter().map(|(losses, _)| losses.report()).collect(),
+        seconds: start.elapsed().as_secs_f64(),
+    };
     if args.json {
-        print_json(&Report {
-            folder: args.output().display().to_string(),
-            frames: bar.position(),
-            file_bytes: bytes,
-            lost: all_losses.iter().map(|(losses, _)| losses.report()).collect(),
-            seconds,
-        })?;
+        print_json(&report)?;
     } else if !quiet {
-        eprintln!("{}: {} in {seconds:.1} s", table::count(bar.position(), "frame"), table::bytes(bytes));
+        eprintln!("{}", report.summary());
     }
     let mut damaged = all_losses.iter().filter_map(|(losses, frames)| losses.check(*frames).err());
     let Some(error) = damaged.next() else { return Ok(()) };

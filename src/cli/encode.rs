@@ -28,28 +28,8 @@ use super::{coding, messages, progress, recording, table, tree};
 pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     let args = &EncodeArgs { output: Some(output_of(args)), verify: args.verify || args.rm, ..args.clone() };
     let is_piped = args.inputs.iter().any(|input| is_dash(input));
-    let is_stdout = is_dash(args.output());
-    for (wrong, what) in [
-        (args.rm && is_stdout, "--rm needs an output that can be read again, not stdout"),
-        (args.rm && is_piped, "--rm deletes files; stdin is none"),
-        (args.verify && is_stdout, "--verify needs an output that can be read again, not stdout"),
-        (args.resume && is_stdout, "--resume needs an output that stays, not stdout"),
-        (args.resume && is_piped, "--resume needs inputs that can be read again, not stdin"),
-        (args.all && is_piped, "--all keeps the files of folders, not of stdin"),
-        (is_piped && args.inputs.len() > 1, "`-`, for frames from stdin, stands alone"),
-    ] {
-        if wrong {
-            wrong_usage("encode", what);
-        }
-    }
-    check_json("encode", args.json, args.output());
     let mut config = coding::config("encode", &args.coding, &args.threads);
-    if args.rm && !config.is_exact() {
-        wrong_usage(
-            "encode",
-            "--rm deletes only what comes back as it was: leave out what makes the output lossy",
-        );
-    }
+    check(args, &config);
     if args.messages {
         return messages::encode(args, &config, quiet);
     }
@@ -96,6 +76,30 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
         remove(&found, &args.inputs)?;
     }
     Ok(())
+}
+
+/// Ends the program if these options do not go together.
+fn check(args: &EncodeArgs, config: &EncoderConfig) {
+    let is_piped = args.inputs.iter().any(|input| is_dash(input));
+    let is_stdout = is_dash(args.output());
+    for (wrong, what) in [
+        (args.rm && is_stdout, "--rm needs an output that can be read again, not stdout"),
+        (args.rm && is_piped, "--rm deletes files; stdin is none"),
+        (args.verify && is_stdout, "--verify needs an output that can be read again, not stdout"),
+        (args.resume && is_stdout, "--resume needs an output that stays, not stdout"),
+        (args.resume && is_piped, "--resume needs inputs that can be read again, not stdin"),
+        (args.all && is_piped, "--all keeps the files of folders, not of stdin"),
+        (is_piped && args.inputs.len() > 1, "`-`, for frames from stdin, stands alone"),
+    ] {
+        if wrong {
+            wrong_usage("encode", what);
+        }
+    }
+    check_json("encode", args.json, args.output());
+    if args.rm && !config.is_exact() {
+        let what = "--rm deletes only what comes back as it was: leave out what makes the output lossy";
+        wrong_usage("encode", what);
+    }
 }
 
 /// The output, or by default a file beside the input, with its name and the extension of streams.

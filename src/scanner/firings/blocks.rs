@@ -112,73 +112,64 @@ impl Firings {
         (last, usual): (u32, u32),
         before: Option<u32>,
     ) -> Option<Found> {
-        /// In ticks: spans differ by no more than this from the usual one, if the scanner turns evenly.
-        const UNEVEN: u32 = 12;
-        /// In ticks: the largest distance of a first place from where it is on average.
-        const OFF: i64 = 3;
         let of = |column: &Column| &places[column.places.clone()];
-        let size: usize = columns[block.clone()].iter().map(|column| column.places.len()).sum();
-        let (first, firing) = surest(columns[block.clone()].iter().zip(first_firing..), of)?;
-        // The number of places that are explained, or 0 if it does not exceed `atleast`.
-        let fitting = |tick: u32, span: u32, atleast: usize| {
-            let mut missed = 0;
-            for (firing, column) in (first_firing..).zip(&columns[block.clone()]) {
-                for place in of(column) {
-                    let own = self.tick(place.row as usize, tick, Span { ticks: span, firing });
-                    missed += usize::from(!self.is_at(own, place));
-                    if missed + atleast >= size {
-                        return 0;
-                    }
-                }
-            }
-            size - missed
-        };
-        // The tick at which a block must begin, given a place of one of its firings.
+        let own = &columns[block.clone()];
+        let (first, firing) = surest(own.iter().zip(first_firing..), of)?;
         let turn = i64::from(self.build.ticks);
+        // The tick at which a block must begin, given a place of one of its firings.
         let start = |place: &Place, firing: u32| {
             let passed = self.passed(firing, place.slot) * f64::from(last);
             i64::from(place.column_tick) - round_ties_even(passed) as i64
         };
-        let centred = |off: i64| (off + turn / 2).rem_euclid(turn) - turn / 2;
         // If the place may have another tick, the one that the block before implies.
-        let own = start(first, firing);
-        let likely = before.map_or(0, |before| centred(i64::from(before) - own));
-        let from = own + likely.clamp(-i64::from(first.slack), i64::from(first.slack));
+        let tick = start(first, firing);
+        let likely = before.map_or(0, |before| centred(i64::from(before) - tick, turn));
+        let from = tick + likely.clamp(-i64::from(first.slack), i64::from(first.slack));
         let next = columns.get(block.end).and_then(|column| surest(std::iter::once((column, 0)), of));
         let told = next.filter(|(next, _)| next.slack == 0).map(|(next, _)| start(next, 0));
+        let size = own.iter().map(|column| column.places.len()).sum();
+        let firings = Block { scanner: self, places, columns: own, first_firing, size };
+        let best = match firings.search(from, told, (last, usual)) {
+            Some(best) if best.fitting == size => return Some(best),
+            best => best,
+        };
+        // Some programs do not interpolate azimuths in the last block of a packet.
+        let still = firings.fitting(first.column_tick, 0, best.map_or(0, |best| best.fitting));
+        if still > 0 { Some(Found { tick: first.column_tick, span: 0, fitting: still }) } else { best }
+    }
+}
+
+/// In ticks: spans differ by no more than this from the usual one, if the scanner turns evenly.
+const UNEVEN: u32 = 12;
+/// In ticks: the largest distance of a block's start from where it is expected.
+const OFF: i64 = 3;
+
+/// Numbers of places that a span explains, for each distance of the block's start from where it is expected.
+type Counts = [u32; 2 * OFF as usize + 1];
+
+/// The firings of a block whose tick and span are searched for.
+struct Block<'a> {
+    scanner: &'a Firings,
+    places: &'a [Place],
+    columns: &'a [Column],
+    /// The number in its block of the firing in the first column.
+    first_firing: u32,
+    /// The number of all places.
+    size: usize,
+}
+
+impl Block<'_> {
+    /// The tick within [`OFF`] of `from`, and the span, that explain the most places. On ties, those nearest to `from`
+    /// and to the span at which the next block begins at `told`, or else to the `last` one.
+    fn search(&self, from: i64, told: Option<i64>, (last, usual): (u32, u32)) -> Option<Found> {
+        let turn = i64::from(self.scanner.build.ticks);
         // With a table of parts, ticks advance from every base in the same way, so the places that a span explains are
         // counted for all bases at once.
-        let mut counts: [Option<[u32; 2 * OFF as usize + 1]>; 2 * UNEVEN as usize + 1] =
-            [None; 2 * UNEVEN as usize + 1];
-        let count = |parts: &[u32], span: u32| {
-            let mut counts = [0; 2 * OFF as usize + 1];
-            for (firing, column) in (first_firing..).zip(&columns[block.clone()]) {
-                for place in of(column) {
-                    let slot = firing as usize * self.rows() + place.slot as usize;
-                    let passed = passed_ticks(span, parts.get(slot).copied().unwrap_or(0));
-                    let off = i64::from(place.column_tick) - i64::from(passed) - from + OFF;
-                    if place.slack > 0 {
-                        let (off, slack) = (centred(off), i64::from(place.slack));
-                        let all = (off - slack).max(0)..=(off + slack).min(2 * OFF);
-                        all.for_each(|off| counts[off as usize] += 1);
-                        continue;
-                    }
-                    // Divisions are slow, and adding one turn is usually enough.
-                    let less = if off < 0 { off + turn } else { off };
-                    let off = if (0..turn).contains(&less) { less } else { off.rem_euclid(turn) } as usize;
-                    counts.get_mut(off).into_iter().for_each(|count| *count += 1);
-                }
-            }
-            counts
+        let parts = match &self.scanner.build.timing {
+            Timing::Parts(parts) if turn > 2 * OFF => Some(parts),
+            _ => None,
         };
-        let mut fitting_near = |off: i64, tick: u32, span: u32, atleast: usize| match &self.build.timing {
-            Timing::Parts(parts) if turn > 2 * OFF => {
-                let counts =
-                    counts[(span + UNEVEN - usual) as usize].get_or_insert_with(|| count(parts, span));
-                Some(counts[(off + OFF) as usize] as usize).filter(|&fitting| fitting > atleast).unwrap_or(0)
-            }
-            _ => fitting(tick, span, atleast),
-        };
+        let mut counts: [Option<Counts>; 2 * UNEVEN as usize + 1] = [None; 2 * UNEVEN as usize + 1];
         let mut best: Option<Found> = None;
         for off in (0..=2 * OFF).map(|i| if i % 2 == 0 { i / 2 } else { -(i + 1) / 2 }) {
             let tick = (from + off).rem_euclid(turn) as u32;
@@ -186,21 +177,71 @@ impl Firings {
             let near_told = told.into_iter().flat_map(|told| [told, told.saturating_sub(1), told + 1]);
             let near_told = near_told.filter(|told| told.abs_diff(usual) <= UNEVEN);
             let near_last = (0..=UNEVEN).flat_map(|off| [last.saturating_sub(off), last + off]);
-            let near = near_told.chain(near_last).filter(|span| span.abs_diff(usual) <= UNEVEN);
-            for span in near {
-                let fitting = fitting_near(off, tick, span, best.map_or(0, |best| best.fitting));
-                if fitting > 0 {
+            for span in near_told.chain(near_last).filter(|span| span.abs_diff(usual) <= UNEVEN) {
+                let most = best.map_or(0, |best| best.fitting);
+                let fitting = match parts {
+                    Some(parts) => {
+                        let counts = &mut counts[(span + UNEVEN - usual) as usize];
+                        let counts = counts.get_or_insert_with(|| self.count(parts, span, from));
+                        counts[(off + OFF) as usize] as usize
+                    }
+                    None => self.fitting(tick, span, most),
+                };
+                if fitting > most {
                     best = Some(Found { tick, span, fitting });
                 }
-                if fitting == size {
+                if fitting == self.size {
                     return best;
                 }
             }
         }
-        // Some programs do not interpolate azimuths in the last block of a packet.
-        let still = fitting(first.column_tick, 0, best.map_or(0, |best| best.fitting));
-        if still > 0 { Some(Found { tick: first.column_tick, span: 0, fitting: still }) } else { best }
+        best
     }
+
+    /// The number of places that a tick and a span explain, or 0 if it does not exceed `atleast`.
+    fn fitting(&self, tick: u32, span: u32, atleast: usize) -> usize {
+        let mut missed = 0;
+        for (firing, column) in (self.first_firing..).zip(self.columns) {
+            for place in &self.places[column.places.clone()] {
+                let own = self.scanner.tick(place.row as usize, tick, Span { ticks: span, firing });
+                missed += usize::from(!self.scanner.is_at(own, place));
+                if missed + atleast >= self.size {
+                    return 0;
+                }
+            }
+        }
+        self.size - missed
+    }
+
+    /// The places that a span explains if the block starts within [`OFF`] of `from`, given the parts of a span that
+    /// pass before each slot.
+    fn count(&self, parts: &[u32], span: u32, from: i64) -> Counts {
+        let turn = i64::from(self.scanner.build.ticks);
+        let mut counts = Counts::default();
+        for (firing, column) in (self.first_firing..).zip(self.columns) {
+            for place in &self.places[column.places.clone()] {
+                let slot = firing as usize * self.scanner.rows() + place.slot as usize;
+                let passed = passed_ticks(span, parts.get(slot).copied().unwrap_or(0));
+                let off = i64::from(place.column_tick) - i64::from(passed) - from + OFF;
+                if place.slack > 0 {
+                    let (off, slack) = (centred(off, turn), i64::from(place.slack));
+                    let all = (off - slack).max(0)..=(off + slack).min(2 * OFF);
+                    all.for_each(|off| counts[off as usize] += 1);
+                    continue;
+                }
+                // Divisions are slow, and adding one turn is usually enough.
+                let less = if off < 0 { off + turn } else { off };
+                let off = if (0..turn).contains(&less) { less } else { off.rem_euclid(turn) } as usize;
+                counts.get_mut(off).into_iter().for_each(|count| *count += 1);
+            }
+        }
+        counts
+    }
+}
+
+/// A difference of ticks, less whole turns: at most half a turn to either side.
+fn centred(off: i64, turn: i64) -> i64 {
+    (off + turn / 2).rem_euclid(turn) - turn / 2
 }
 
 /// The explanation of a block: its tick, the ticks to the next one, and the number of places for which they are

@@ -184,26 +184,9 @@ impl Found<'_> {
 
     /// Scanners whose beams all start in one point and that may have measured the scan.
     fn on_axis(&self, origin: Origin) -> Option<Vec<Firings>> {
-        let Found { scan, numbers, points, measured, coordinates, blur, .. } = self;
-        let on_cone = self.on_cone();
+        let Found { points, coordinates, blur, .. } = self;
         let range_step_um = range_step(points.iter().map(|point| point.range), *blur)?;
-        let records = scan.cloud.positions.len();
-        let mut elevations = completed(elevations(points, on_cone)?);
-        let row = |point: &Point| {
-            let row = nearest(&elevations, point.elevation);
-            ((elevations[row] - point.elevation).abs() < on_cone).then_some(row)
-        };
-        let rows: Vec<Option<usize>> = points.iter().map(row).collect();
-        let places: Vec<(usize, usize)> =
-            numbers.iter().zip(&rows).filter_map(|(record, row)| Some((*record, (*row)?))).collect();
-        let has_blanks = *measured < records;
-        let grid = RecordGrid::find(&places, records, elevations.len(), has_blanks);
-        if let Some(grid) = &grid {
-            // Lasers without returns still have records.
-            while elevations.len() < grid.lines.len() {
-                elevations.push(elevations[elevations.len() - 1] - UNSEEN);
-            }
-        }
+        let Rows { elevations, of_points: rows, places, grid } = self.rows()?;
         let of_rows = by_rows(points, &rows, elevations.len(), TRIED);
         let more_of_rows = by_rows(points, &rows, elevations.len(), 10 * TRIED);
         let for_ticks = if blur.is_any() { &more_of_rows } else { &of_rows };
@@ -215,21 +198,12 @@ impl Found<'_> {
             Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
         });
         let sequence: Vec<(usize, u32)> = sequence.collect();
-        // Echoes say nothing about the order.
-        let mut firsts = sequence.clone();
-        firsts.dedup();
         let (own, lines) = match grid {
             Some(grid) => {
                 let order = grid.order(&places, &sequence, ticks);
                 (Some(order), if grid.by_lines { grid.lines } else { Vec::new() })
             }
-            None => match order(&firsts, elevations.len(), ticks, self.slack(ticks)) {
-                Some(order) => (Some(order), Vec::new()),
-                None => match lines(&firsts, elevations.len(), ticks) {
-                    Some(lines) => (Some(Order::of_lines(&firsts, elevations.len(), ticks)), lines),
-                    None => (None, Vec::new()),
-                },
-            },
+            None => self.order_and_lines(sequence, elevations.len(), ticks),
         };
         let known = vlp_16(&elevations);
         // A VLP-16's lasers have no offsets: what the file shows are the ticks that pass while they fire.
@@ -242,8 +216,6 @@ impl Found<'_> {
         });
         let near_axes = near_axes(points, &rows, elevations.len());
         let constants = Constants { elevations, phases, of_rows, more_of_rows, near_axes };
-        let none = vec![0.0; constants.elevations.len()];
-        let are_whole = constants.phases.iter().all(|phase| phase.abs() < WHOLE_PHASE);
         let build = Build {
             recipe: Recipe::VelodyneRos,
             ticks,
@@ -253,43 +225,54 @@ impl Found<'_> {
             timing: Timing::Together,
             mounting: None,
         };
-        // What was determined for which offsets: several orders may have the same.
-        let mut determined: Vec<(Vec<f64>, Option<Determined>)> = Vec::new();
-        let mut scanner = |order: &Order, offsets: &[f64], ahead: &[f64]| {
-            if determined.iter().all(|(known, _)| known != offsets) {
-                determined.push((offsets.to_vec(), constants.determine(&build, offsets)));
-            }
-            let (_, found) = determined.iter().find(|(known, _)| known == offsets)?;
-            let Determined { recipe, lasers, are_turned } = found.clone()?;
-            let build = Build { recipe, timing: order.timing.clone(), ..build.clone() };
-            let scanner =
-                Firings::new(build, lasers, order.rows_of_slots.clone()).line_by_line(lines.clone());
-            let behind =
-                ahead.iter().map(|ahead| (-*ahead as i64).rem_euclid(i64::from(ticks)) as u32).collect();
-            let lags = ahead.iter().any(|ahead| *ahead != 0.0);
-            Some((if lags { scanner.lagging(behind) } else { scanner }, are_turned))
+        let mut on_axis = OnAxis { found: self, constants, build, lines, determined: Vec::new() };
+        Some([own, known].into_iter().flatten().flat_map(|order| on_axis.scanners(&order)).collect())
+    }
+
+    /// The rows of the points, whose beams all start in one point.
+    fn rows(&self) -> Option<Rows> {
+        let on_cone = self.on_cone();
+        let mut elevations = completed(elevations(&self.points, on_cone)?);
+        let row = |point: &Point| {
+            let row = nearest(&elevations, point.elevation);
+            ((elevations[row] - point.elevation).abs() < on_cone).then_some(row)
         };
-        let candidates = |order: Order| {
-            let of_offsets = scanner(&order, &order.shifts, &none);
-            // Programs that know only whole ticks add a laser's ticks to those of the firing.
-            let are_ticks = are_whole && order.shifts.iter().any(|shift| *shift != 0.0);
-            let of_lags = are_ticks.then(|| scanner(&order, &none, &order.shifts)).flatten();
-            let given = |(scanner, _): &(Firings, bool)| scanner.given(&scan.cloud.positions).0;
-            let of_lags =
-                of_lags.filter(|lags| of_offsets.as_ref().is_none_or(|other| given(lags) > given(other)));
-            match (of_lags, of_offsets) {
-                (Some((scanner, _)), _) => {
-                    let starts = std::iter::once(&0).chain(&order.other_starts);
-                    let begun = starts.map(|&start| scanner.clone().begun_at(start));
-                    begun.flat_map(|scanner| self.with_timings(scanner, false)).collect()
-                }
-                (None, Some((scanner, are_turned))) => {
-                    self.with_timings(scanner, order.is_steady && !are_turned)
-                }
-                (None, None) => Vec::new(),
+        let of_points: Vec<Option<usize>> = self.points.iter().map(row).collect();
+        let places: Vec<(usize, usize)> = self
+            .numbers
+            .iter()
+            .zip(&of_points)
+            .filter_map(|(record, row)| Some((*record, (*row)?)))
+            .collect();
+        let records = self.scan.cloud.positions.len();
+        let has_blanks = self.measured < records;
+        let grid = RecordGrid::find(&places, records, elevations.len(), has_blanks);
+        if let Some(grid) = &grid {
+            // Lasers without returns still have records.
+            while elevations.len() < grid.lines.len() {
+                elevations.push(elevations[elevations.len() - 1] - UNSEEN);
             }
-        };
-        Some([own, known].into_iter().flatten().flat_map(candidates).collect())
+        }
+        Some(Rows { elevations, of_points, places, grid })
+    }
+
+    /// The order in which lasers fire, and the rows of the lines if points come line by line, given the row and the
+    /// tick of each point.
+    fn order_and_lines(
+        &self,
+        mut sequence: Vec<(usize, u32)>,
+        rows: usize,
+        ticks: u32,
+    ) -> (Option<Order>, Vec<u32>) {
+        // Echoes say nothing about the order.
+        sequence.dedup();
+        if let Some(order) = order(&sequence, rows, ticks, self.slack(ticks)) {
+            return (Some(order), Vec::new());
+        }
+        match lines(&sequence, rows, ticks) {
+            Some(lines) => (Some(Order::of_lines(&sequence, rows, ticks)), lines),
+            None => (None, Vec::new()),
+        }
     }
 
     /// The scanner and, if the lasers of a firing have different ticks, the same scanner with the timings that fit
@@ -306,6 +289,72 @@ impl Found<'_> {
         let mut all: Vec<Firings> = timed.collect();
         all.insert(0, scanner);
         all
+    }
+}
+
+/// The rows of a scan's points.
+struct Rows {
+    /// In radians, one for each row.
+    elevations: Vec<f64>,
+    /// The row of each point, if it is near a row's cone.
+    of_points: Vec<Option<usize>>,
+    /// The record numbers and rows of the points that have a row.
+    places: Vec<(usize, usize)>,
+    grid: Option<RecordGrid>,
+}
+
+/// What determines the scanners whose beams all start in one point, but for the order in which their lasers fire.
+struct OnAxis<'f, 's> {
+    found: &'f Found<'s>,
+    constants: Constants<'f>,
+    build: Build,
+    lines: Vec<u32>,
+    /// What was determined for which offsets: several orders may have the same.
+    determined: Vec<(Vec<f64>, Option<Determined>)>,
+}
+
+impl OnAxis<'_, '_> {
+    /// The scanners whose lasers fire in an order.
+    fn scanners(&mut self, order: &Order) -> Vec<Firings> {
+        let none = vec![0.0; self.constants.elevations.len()];
+        let of_offsets = self.scanner(order, &order.shifts, &none);
+        // Programs that know only whole ticks add a laser's ticks to those of the firing.
+        let are_whole = self.constants.phases.iter().all(|phase| phase.abs() < WHOLE_PHASE);
+        let are_ticks = are_whole && order.shifts.iter().any(|shift| *shift != 0.0);
+        let of_lags = are_ticks.then(|| self.scanner(order, &none, &order.shifts)).flatten();
+        let positions = &self.found.scan.cloud.positions;
+        let given = |(scanner, _): &(Firings, bool)| scanner.given(positions).0;
+        let of_lags =
+            of_lags.filter(|lags| of_offsets.as_ref().is_none_or(|other| given(lags) > given(other)));
+        match (of_lags, of_offsets) {
+            (Some((scanner, _)), _) => {
+                let starts = std::iter::once(&0).chain(&order.other_starts);
+                let begun = starts.map(|&start| scanner.clone().begun_at(start));
+                begun.flat_map(|scanner| self.found.with_timings(scanner, false)).collect()
+            }
+            (None, Some((scanner, are_turned))) => {
+                self.found.with_timings(scanner, order.is_steady && !are_turned)
+            }
+            (None, None) => Vec::new(),
+        }
+    }
+
+    /// The scanner whose lasers have these offsets and look ahead by these ticks, and whether each offset was corrected by
+    /// whole ticks of its own.
+    fn scanner(&mut self, order: &Order, offsets: &[f64], ahead: &[f64]) -> Option<(Firings, bool)> {
+        let OnAxis { constants, build, determined, .. } = self;
+        if determined.iter().all(|(known, _)| known != offsets) {
+            determined.push((offsets.to_vec(), constants.determine(build, offsets)));
+        }
+        let (_, found) = determined.iter().find(|(known, _)| known == offsets)?;
+        let Determined { recipe, lasers, are_turned } = found.clone()?;
+        let build = Build { recipe, timing: order.timing.clone(), ..build.clone() };
+        let scanner =
+            Firings::new(build, lasers, order.rows_of_slots.clone()).line_by_line(self.lines.clone());
+        let ticks = i64::from(self.build.ticks);
+        let behind = ahead.iter().map(|ahead| (-*ahead as i64).rem_euclid(ticks) as u32).collect();
+        let lags = ahead.iter().any(|ahead| *ahead != 0.0);
+        Some((if lags { scanner.lagging(behind) } else { scanner }, are_turned))
     }
 }
 

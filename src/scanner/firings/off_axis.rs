@@ -233,15 +233,18 @@ impl Maker {
     }
 }
 
+/// In hundredths of degrees: the largest offset that is tried.
+const FARTHEST: i32 = 6000;
+/// In units of angles.
+const HUNDREDTH: i64 = (0.01 / ANGLE_UNIT) as i64;
+/// Ticks of a radian.
+const IN_TICKS: f64 = OFF_AXIS_TICKS as f64 / TAU;
+
 /// Lasers, best first, for which the azimuths of the points lie on whole ticks and their ranges on whole steps.
 fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
-    /// In hundredths of degrees: the largest offset that is tried.
-    const FARTHEST: i32 = 6000;
     const MOST: usize = 120;
-    /// Number of points on which all offsets are tried; the coherence above which an offset is examined further;
-    /// the largest number of offsets that are examined.
+    /// Number of points on which all offsets are tried, and the largest number of offsets that are examined further.
     const FEW: usize = 24;
-    const COHERENT_TICKS: f64 = 0.8;
     const MOST_OFFSETS: usize = 600;
     /// Number of lasers that are returned.
     const CANDIDATES: usize = 60;
@@ -249,20 +252,37 @@ fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
     sorted.sort_by(|a, b| a.range.total_cmp(&b.range));
     // Near points are the most informative.
     sorted.truncate((2 * sorted.len() / 3).max(MOST.min(points.len())));
-    let few = |most: usize| sorted.iter().step_by((sorted.len() / most).max(1));
-    let in_ticks = f64::from(OFF_AXIS_TICKS) / TAU;
-    let hundredth = (0.01 / ANGLE_UNIT) as i64;
-    let [_, up] = maker.origin.metres();
-    // The coherence of the points for an offset, and the laser with that offset.
-    let tried = |offset: i32, most: usize| {
-        let undone: Vec<(f64, f64, f64)> = few(most)
+    let few = |most: usize| -> Vec<&Point> {
+        sorted.iter().step_by((sorted.len() / most).max(1)).copied().collect()
+    };
+    if let Some(offset) = maker.offset {
+        return vec![maker.laser(&few(MOST), offset).1];
+    }
+    let offsets = maker.coherent_offsets(&few(FEW));
+    let more = few(MOST / 3);
+    let step = (offsets.len() / MOST_OFFSETS).max(1);
+    let mut found: Vec<(f64, Laser)> =
+        offsets.into_iter().step_by(step).map(|offset| maker.laser(&more, offset)).collect();
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    found.truncate(CANDIDATES);
+    found.into_iter().map(|(_, laser)| laser).collect()
+}
+
+impl Maker {
+    /// The laser with an offset, in hundredths of degrees, and the coherence of its points with ticks and range steps.
+    fn laser(&self, points: &[&Point], offset: i32) -> (f64, Laser) {
+        /// Minimum coherence with ticks.
+        const COHERENT: f64 = 0.5;
+        let [_, up] = self.origin.metres();
+        let undone: Vec<(f64, f64, f64)> = points
+            .iter()
             .map(|point| {
-                let (flat, azimuth) = maker.undo(point, offset);
-                (azimuth * in_ticks, flat, point.position[2] - up)
+                let (flat, azimuth) = self.undo(point, offset);
+                (azimuth * IN_TICKS, flat, point.position[2] - up)
             })
             .collect();
         let of_ticks = strength(undone.iter().map(|(ticks, _, _)| *ticks), 0.0);
-        if of_ticks < 0.5 {
+        if of_ticks < COHERENT {
             return (-1.0, Laser::default());
         }
         let mut elevations: Vec<f64> =
@@ -270,48 +290,44 @@ fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
         elevations.sort_by(f64::total_cmp);
         let elevation = round_ties_even(elevations[elevations.len() / 2].to_degrees() * 100.0);
         let (sin, cos) = libm::sincos((elevation * 0.01).to_radians());
-        let ranges = undone.iter().map(|(_, flat, high)| (flat * cos + high * sin) / maker.least_step_m());
-        let laser = Laser { elevation: elevation as i64 * hundredth, azimuth: i64::from(offset) * hundredth };
+        let ranges = undone.iter().map(|(_, flat, high)| (flat * cos + high * sin) / self.least_step_m());
+        let laser = Laser { elevation: elevation as i64 * HUNDREDTH, azimuth: i64::from(offset) * HUNDREDTH };
         (of_ticks + strength(ranges, 0.0), laser)
-    };
-    if let Some(offset) = maker.offset {
-        return vec![tried(offset, MOST).1];
     }
-    // Azimuths alone exclude most of the offsets, and quickly.
-    let (flat, azimuths): (Vec<f64>, Vec<f64>) = few(FEW)
-        .map(|point| {
+
+    /// The offsets, in hundredths of degrees, with which the azimuths of points lie on ticks. Azimuths alone exclude most
+    /// offsets, and quickly.
+    fn coherent_offsets(&self, points: &[&Point]) -> Vec<i32> {
+        /// The coherence above which an offset is returned.
+        const COHERENT: f64 = 0.8;
+        let horizontal = |point: &&Point| {
             let [x, y, _] = point.position;
-            (x.hypot(y), maker.recipe.azimuth(x, y))
-        })
-        .unzip();
-    let [along, _] = maker.origin.metres();
-    let coherent = |offset: &i32| {
-        let beside = along * libm::sin((f64::from(*offset) * 0.01).to_radians());
-        let ticks = |(flat, azimuth): (&f64, &f64)| {
-            // The arc sine; a series if the argument is small.
-            let slope = beside / flat;
-            let square = slope * slope;
-            let turned = if slope.abs() > 0.1 {
-                libm::asin(slope.clamp(-1.0, 1.0))
-            } else {
-                slope * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))
-            };
-            (azimuth + turned) * in_ticks
+            (x.hypot(y), self.recipe.azimuth(x, y))
         };
-        // Few offsets remain possible for long.
-        let (least, mut possible) = (COHERENT_TICKS * flat.len() as f64, flat.len() as f64);
-        flat.iter().zip(&azimuths).all(|point| {
-            possible -= 1.0 - angle::rough_sine(ticks(point) + 0.25);
-            possible > least
-        })
-    };
-    let offsets: Vec<i32> = (-FARTHEST..=FARTHEST).filter(coherent).collect();
-    let step = (offsets.len() / MOST_OFFSETS).max(1);
-    let mut found: Vec<(f64, Laser)> =
-        offsets.into_iter().step_by(step).map(|offset| tried(offset, MOST / 3)).collect();
-    found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    found.truncate(CANDIDATES);
-    found.into_iter().map(|(_, laser)| laser).collect()
+        let (flat, azimuths): (Vec<f64>, Vec<f64>) = points.iter().map(horizontal).unzip();
+        let [along, _] = self.origin.metres();
+        let is_coherent = |offset: &i32| {
+            let beside = along * libm::sin((f64::from(*offset) * 0.01).to_radians());
+            let ticks = |(flat, azimuth): (&f64, &f64)| {
+                // The arc sine; a series if the argument is small.
+                let slope = beside / flat;
+                let square = slope * slope;
+                let turned = if slope.abs() > 0.1 {
+                    libm::asin(slope.clamp(-1.0, 1.0))
+                } else {
+                    slope * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))
+                };
+                (azimuth + turned) * IN_TICKS
+            };
+            // Few offsets remain possible for long.
+            let (least, mut possible) = (COHERENT * flat.len() as f64, flat.len() as f64);
+            flat.iter().zip(&azimuths).all(|point| {
+                possible -= 1.0 - angle::rough_sine(ticks(point) + 0.25);
+                possible > least
+            })
+        };
+        (-FARTHEST..=FARTHEST).filter(is_coherent).collect()
+    }
 }
 
 /// Of some lasers and their neighbours, the one that reproduces the most points to the last bit.
@@ -322,10 +338,9 @@ fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
         points.iter().step_by((points.len() / most).max(1)).copied().collect()
     };
     let (few, more) = (some(FEW), some(TRIED));
-    let hundredth = (0.01 / ANGLE_UNIT) as i64;
     let moved = |laser: &Laser, azimuth: i64, elevation: i64| Laser {
-        elevation: laser.elevation + elevation * hundredth,
-        azimuth: laser.azimuth + azimuth * hundredth,
+        elevation: laser.elevation + elevation * HUNDREDTH,
+        azimuth: laser.azimuth + azimuth * HUNDREDTH,
     };
     let mut best = (0, lasers[0]);
     for laser in lasers.iter().flat_map(|laser| (-1..=1).map(move |off| moved(laser, off, 0))) {
