@@ -1,12 +1,11 @@
 //! `lidarpc cat`
 
-use crate::edit;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use crate::container::StreamReader;
-use crate::edit::{Joined, Named};
+use crate::edit::{self, Joined, Named};
 use crate::ground::error::{self, Limits};
 use anyhow::Result;
 use serde::Serialize;

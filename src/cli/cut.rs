@@ -1,11 +1,10 @@
 //! `lidarpc cut`
 
-use crate::edit;
 use std::io::{BufReader, Write};
 use std::path::PathBuf;
 use std::time::Instant;
 
-use crate::edit::{Cut, Named};
+use crate::edit::{self, Cut, Named};
 use crate::stream::FrameRange;
 use anyhow::Result;
 use serde::Serialize;

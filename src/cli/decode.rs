@@ -1,6 +1,5 @@
 //! `lidarpc decode`
 
-use crate::edit;
 use std::collections::HashMap;
 use std::io::{self, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -8,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use crate::container::{IndexedReader, Unit};
-use crate::edit::Recovered;
+use crate::edit::{self, Recovered};
 use crate::files::sequence::STREAM_EXTENSION;
 use crate::files::{FileFormat, Give, convert};
 use crate::ground::error::{Error, Limits};

@@ -1,17 +1,16 @@
 //! `lidarpc encode`
 
-use crate::edit;
-use crate::stream;
 use std::fs::{self, File};
 use std::io::{self, BufReader, Write};
 use std::path::PathBuf;
 use std::time::Instant;
 
 use crate::container::Unit;
+use crate::edit;
 use crate::files::sequence::{FoundFile, LeftOut, STREAM_EXTENSION};
 use crate::files::{ArrivedFile, ArrivingFrames};
 use crate::frame::{EncoderConfig, Intensity, Positions};
-use crate::stream::{DecodeOptions, DecodedFrame, Encoded, FrameInput};
+use crate::stream::{self, DecodeOptions, DecodedFrame, Encoded, FrameInput};
 use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};
 use serde::Serialize;

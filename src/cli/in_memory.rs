@@ -1,6 +1,5 @@
 //! Encodes scans in memory for commands that work on streams.
 
-use crate::stream;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -9,7 +8,7 @@ use crate::container::MAGIC;
 use crate::frame::StepReport;
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::Result;
-use crate::stream::FrameInput;
+use crate::stream::{self, FrameInput};
 
 use super::input::is_dash;
 use super::progress;

@@ -1,6 +1,5 @@
 //! Streams to read, from a file or from stdin, and the scans to compare them with.
 
-use crate::stream;
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek};
@@ -10,7 +9,7 @@ use crate::container::IndexedReader;
 use crate::files::names::is_safe_path;
 use crate::files::sequence::find_frames;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::{DecodeOptions, DecodedFrame};
+use crate::stream::{self, DecodeOptions, DecodedFrame};
 
 use super::errors::{about, is_closed_pipe, say, wrong_usage};
 

@@ -1,12 +1,11 @@
 //! `lidarpc stats --poses`: the trajectory of the scanner.
 
-use crate::stream;
 use std::io::Write;
 use std::path::Path;
 
 use crate::frame::DecodedImage;
 use crate::inter::registration::{Pose, RegistrationConfig, RigidMotion, Surface, register};
-use crate::stream::{DecodeOptions, DecodedFrame};
+use crate::stream::{self, DecodeOptions, DecodedFrame};
 use anyhow::Result;
 
 use super::args::StatsArgs;

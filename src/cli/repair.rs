@@ -1,10 +1,9 @@
 //! `lidarpc repair`
 
-use crate::edit;
 use std::io::{BufReader, Write};
 use std::path::PathBuf;
 
-use crate::edit::Named;
+use crate::edit::{self, Named};
 use anyhow::Result;
 use serde::Serialize;
 

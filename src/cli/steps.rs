@@ -1,12 +1,11 @@
 //! `lidarpc stats --steps`: time and size of each coding step.
 
-use crate::stream;
 use std::io::{self, BufReader, Read, Write};
 
 use crate::files::sequence::find_frames;
 use crate::frame::{EncoderConfig, ProjectionKind, Step, StepReport};
 use crate::scanner::FLOAT_RANGES;
-use crate::stream::{DecodeOptions, DecodedFrame, FrameInput};
+use crate::stream::{self, DecodeOptions, DecodedFrame, FrameInput};
 use anyhow::Result;
 use serde::Serialize;
 

@@ -13,6 +13,7 @@ use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::ground::error::Error;
 use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};
+use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs};
@@ -59,12 +60,38 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
         format!("encoding {}", table::count(drives.len() as u64, "drive")),
         quiet,
     );
+    let reports = encode_each(args, &each, &drives, jobs, &bar, quiet);
+    bar.finish_and_clear();
+    let failed = reports.iter().filter(|report| report.is_err()).count();
+    let done: Vec<(Report, String)> = reports.into_iter().flatten().collect();
+    if args.json {
+        print_json(&TreeReport {
+            drives: done.iter().map(|(report, _)| report).collect(),
+            left_out: LeftOutReport::of(&left_out),
+        })?;
+    } else if !quiet {
+        print(&done, skipped, args.verbose, start);
+    }
+    ensure!(failed == 0, "{failed} of {} failed", table::count(drives.len() as u64, "drive"));
+    Ok(())
+}
+
+/// Encodes drives, `jobs` at a time. Their reports, in the order of the names of their streams; errors are printed as they
+/// occur.
+fn encode_each(
+    args: &EncodeArgs,
+    config: &EncoderConfig,
+    drives: &[Drive],
+    jobs: usize,
+    bar: &ProgressBar,
+    quiet: bool,
+) -> Vec<Result<(Report, String)>> {
     let (next, reports) = (AtomicUsize::new(0), Mutex::new(BTreeMap::new()));
     std::thread::scope(|scope| {
         for _ in 0..jobs.min(drives.len()) {
             scope.spawn(|| {
                 while let Some(drive) = drives.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    let report = encode_drive(args, &each, drive, quiet);
+                    let report = encode_drive(args, config, drive, quiet);
                     if let Err(error) = &report {
                         bar.suspend(|| say(error));
                     }
@@ -75,37 +102,31 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
             });
         }
     });
-    bar.finish_and_clear();
-    let reports = reports.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let failed = reports.values().filter(|report| report.is_err()).count();
-    let done: Vec<_> = reports.into_values().flatten().collect();
-    let seconds = start.elapsed().as_secs_f64();
+    reports.into_inner().unwrap_or_else(PoisonError::into_inner).into_values().collect()
+}
+
+/// Prints a line for each drive, unless there are many, and one for all. `skipped` had been encoded before.
+fn print(done: &[(Report, String)], skipped: usize, is_verbose: bool, start: Instant) {
+    /// The largest number of drives whose lines are printed unasked.
+    const FEW: usize = 20;
+    for (report, line) in done.iter().filter(|_| done.len() <= FEW || is_verbose) {
+        eprintln!("{}: {line}", report.file);
+    }
     let of_all = |count: fn(&Report) -> u64| done.iter().map(|(report, _)| count(report)).sum::<u64>();
     let (before, after) = (of_all(|report| report.file_bytes), of_all(|report| report.stream_bytes));
-    if args.json {
-        print_json(&TreeReport {
-            drives: done.iter().map(|(report, _)| report).collect(),
-            left_out: LeftOutReport::of(&left_out),
-        })?;
-    } else if !quiet {
-        for (report, line) in done.iter().filter(|_| done.len() <= 20 || args.verbose) {
-            eprintln!("{}: {line}", report.file);
-        }
-        let skipped = match skipped {
-            0 => String::new(),
-            drives => format!(", {} there already", table::count(drives as u64, "drive")),
-        };
-        eprintln!(
-            "{}, {}: {} -> {} ({}){skipped} in {seconds:.1} s",
-            table::count(done.len() as u64, "drive"),
-            table::count(of_all(|report| report.frames), "frame"),
-            table::bytes(before),
-            table::bytes(after),
-            table::percent(metrics::ratio(before, after)),
-        );
-    }
-    ensure!(failed == 0, "{failed} of {} failed", table::count(drives.len() as u64, "drive"));
-    Ok(())
+    let skipped = match skipped {
+        0 => String::new(),
+        drives => format!(", {} there already", table::count(drives as u64, "drive")),
+    };
+    eprintln!(
+        "{}, {}: {} -> {} ({}){skipped} in {:.1} s",
+        table::count(done.len() as u64, "drive"),
+        table::count(of_all(|report| report.frames), "frame"),
+        table::bytes(before),
+        table::bytes(after),
+        table::percent(metrics::ratio(before, after)),
+        start.elapsed().as_secs_f64(),
+    );
 }
 
 /// The drives of the inputs. Each may have the same names as others: inputs that are folders are searched one

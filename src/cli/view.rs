@@ -3,7 +3,6 @@
 mod page;
 mod pictures;
 
-use crate::stream;
 use std::io::{Cursor, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
@@ -12,7 +11,7 @@ use crate::files::sequence::find_frames;
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::Error;
 use crate::library::Decoder;
-use crate::stream::{DecodeOptions, DecodedFrame, FrameInput, FrameRange};
+use crate::stream::{self, DecodeOptions, DecodedFrame, FrameInput, FrameRange};
 use crate::study::metrics::{nearest_distances, paired_distances};
 use crate::study::picture::{self, BirdsEye, Perspective, Picture};
 use anyhow::{Context, Result, ensure};

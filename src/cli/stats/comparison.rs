@@ -1,10 +1,9 @@
 //! Comparison of decoded scans with the originals.
 
-use crate::stream;
 use std::io::{self, BufReader, Read, Write};
 
 use crate::files::parse_like;
-use crate::stream::{DecodeOptions, DecodedFrame};
+use crate::stream::{self, DecodeOptions, DecodedFrame};
 use crate::study::metrics::{GeometryPsnr, NearestErrors, NearestPairs, PEAK_M, PointErrors};
 use serde::Serialize;
 

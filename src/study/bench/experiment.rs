@@ -1,6 +1,5 @@
 //! One experiment: a sample, encoded with some settings in memory, decoded and measured.
 
-use crate::stream;
 use std::time::{Duration, Instant};
 
 use super::sample::Sample;
@@ -8,9 +7,8 @@ use crate::frame::settings::{EncoderConfig, ProjectionKind};
 use crate::frame::{Positions, StepReport};
 use crate::ground::error::Result;
 use crate::scan::PointCloud;
-use crate::scanner::{FLOAT_RANGES, RANGE_STEP_UM, Scanner};
-use crate::scanner::{REACH, RangeImage, project_nearest};
-use crate::stream::{DecodeOptions, DecodedFrame};
+use crate::scanner::{FLOAT_RANGES, RANGE_STEP_UM, REACH, RangeImage, Scanner, project_nearest};
+use crate::stream::{self, DecodeOptions, DecodedFrame};
 use crate::study::metrics::{PointErrors, RangeErrors};
 
 /// A sample, encoded and decoded.
