@@ -492,9 +492,12 @@ class Integers:
         for n, c in enumerate(candidates):
             s = scores[n]
             scores[n] = s + f32(f32((1.0 if c == v else 0.0) - s) / 32)
+        if self.history & 3 != 0:
+            return
+        for n, c in enumerate(candidates):
             distance = abs(wrap(c - v, 64)) if c != v else 0
             e = errors[n]
-            errors[n] = e + f32(2 * distance.bit_length() - e) / 8
+            errors[n] = e + f32(2 * distance.bit_length() - e) / 4
 
 
 def packed(bits, kind, width, records):

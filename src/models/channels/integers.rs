@@ -54,7 +54,7 @@ pub struct IntegersModel {
     after_steps: Vec<i64>,
     /// How often each candidate has recently been right, from 0 to 1.
     scores: [f32; CANDIDATES],
-    /// The recent error of each candidate, in half bits.
+    /// The recent error of each candidate where no attempt was right, in half bits.
     errors: [f32; CANDIDATES],
     /// Which attempt was right for each of the last integers, two bits each.
     history: usize,
@@ -212,16 +212,17 @@ impl IntegersModel {
 
     #[inline]
     fn learn(&mut self, site: &Site, entries: &Entries, candidates: &[i64; CANDIDATES], value: i64) {
-        // Two loops, so that the second one can be vectorised.
-        let (mut right, mut half_bits) = ([0.0; CANDIDATES], [0.0; CANDIDATES]);
-        for (at, candidate) in candidates.iter().enumerate() {
-            right[at] = if *candidate == value { 1.0 } else { 0.0 };
-            let off = candidate.wrapping_sub(value).unsigned_abs();
-            half_bits[at] = (2 * (u64::BITS - off.leading_zeros())) as i32 as f32;
+        for (score, candidate) in self.scores.iter_mut().zip(candidates) {
+            let right = if *candidate == value { 1.0 } else { 0.0 };
+            *score += (right - *score) * (1.0 / 32.0);
         }
-        for at in 0..CANDIDATES {
-            self.scores[at] += (right[at] - self.scores[at]) * (1.0 / 32.0);
-            self.errors[at] += (half_bits[at] - self.errors[at]) * (1.0 / 8.0);
+        // How far predictions were off matters only where none was right.
+        if self.history & 3 == 0 {
+            for (error, candidate) in self.errors.iter_mut().zip(candidates) {
+                let off = candidate.wrapping_sub(value).unsigned_abs();
+                let half_bits = (2 * (u64::BITS - off.leading_zeros())) as f32;
+                *error += (half_bits - *error) * (1.0 / 4.0);
+            }
         }
         let [last, before, _] = self.last;
         self.after[entries.after] = value;
