@@ -48,16 +48,8 @@ pub fn significant(value: f64, digits: u32) -> Option<(u64, i32)> {
 /// The integer nearest to a number times 10^`decimals`, of two equally near ones the even one. The number is not negative.
 /// None if the integer has more than 63 bits, or for more than 18 decimals.
 pub fn fixed(value: f64, decimals: u32) -> Option<u64> {
-    /// Bits of the mantissa below the first one.
-    const MANTISSA: u32 = f64::MANTISSA_DIGITS - 1;
     let power = 10u64.checked_pow(decimals).filter(|_| decimals <= 18)?;
-    let octave = (value.to_bits() >> MANTISSA) as i32;
-    let fraction = value.to_bits() & ((1 << MANTISSA) - 1);
-    // The number is `mantissa * 2^exponent`.
-    let (mantissa, exponent) = match octave {
-        0 => (fraction, -1074),
-        _ => (fraction | 1 << MANTISSA, octave - 1075),
-    };
+    let (mantissa, exponent) = mantissa_and_exponent(value);
     // Less than 2^113.
     let product = u128::from(mantissa) * u128::from(power);
     let integer = match u32::try_from(-exponent) {
@@ -75,11 +67,20 @@ pub fn fixed(value: f64, decimals: u32) -> Option<u64> {
 
 /// The number of decimals with which a positive number is written exactly: that of binary digits after its point.
 pub fn exact_decimals(value: f64) -> i32 {
-    const MANTISSA: u32 = f64::MANTISSA_DIGITS - 1;
-    let octave = (value.to_bits() >> MANTISSA) as i32;
-    let zeros = value.to_bits().trailing_zeros().min(MANTISSA) as i32;
-    // Subnormal numbers have the exponent of octave 1.
-    (1075 - octave.max(1) - zeros).max(0)
+    let (mantissa, exponent) = mantissa_and_exponent(value);
+    (-exponent - mantissa.trailing_zeros() as i32).max(0)
+}
+
+/// The m and e of a number m 2^e that is not negative.
+fn mantissa_and_exponent(value: f64) -> (u64, i32) {
+    /// Bits of the mantissa below the first one.
+    const BELOW: u32 = f64::MANTISSA_DIGITS - 1;
+    let fraction = value.to_bits() & ((1 << BELOW) - 1);
+    // Subnormal numbers have the exponent of octave 1, and no first bit.
+    match (value.to_bits() >> BELOW) as i32 {
+        0 => (fraction, -1074),
+        octave => (fraction | 1 << BELOW, octave - 1075),
+    }
 }
 
 /// The float32 nearest to an integer times a power of ten. None if float64 arithmetic cannot guarantee the

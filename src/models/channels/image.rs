@@ -117,7 +117,7 @@ impl ImageModel {
         let at = |down: isize, right: isize| -> Option<Known> {
             let place = (usize::try_from(row + down).ok()?, usize::try_from(column + right).ok()?);
             let is_inside = place.0 < self.known.rows() && place.1 < self.known.columns();
-            Some(self.known[if is_inside { place } else { return None }]).filter(|known| known.number > 0)
+            is_inside.then(|| self.known[place]).filter(|known| known.number > 0)
         };
         let [mut west, mut west_west] = self.of_row[cell.0];
         // Rows may come from top to bottom or the other way round, and so may columns.

@@ -128,13 +128,13 @@ impl Firings {
         let next = columns.get(block.end).and_then(|column| surest(std::iter::once((column, 0)), of));
         let told = next.filter(|(next, _)| next.slack == 0).map(|(next, _)| start(next, 0));
         let size = own.iter().map(|column| column.places.len()).sum();
-        let firings = Block { scanner: self, places, columns: own, first_firing, size };
-        let best = match firings.search(from, told, (last, usual)) {
+        let search = Block { scanner: self, places, columns: own, first_firing, size };
+        let best = match search.best(from, told, (last, usual)) {
             Some(best) if best.fitting == size => return Some(best),
             best => best,
         };
         // Some programs do not interpolate azimuths in the last block of a packet.
-        let still = firings.fitting(first.column_tick, 0, best.map_or(0, |best| best.fitting));
+        let still = search.fitting(first.column_tick, 0, best.map_or(0, |best| best.fitting));
         if still > 0 { Some(Found { tick: first.column_tick, span: 0, fitting: still }) } else { best }
     }
 }
@@ -161,7 +161,7 @@ struct Block<'a> {
 impl Block<'_> {
     /// The tick within [`OFF`] of `from`, and the span, that explain the most places. On ties, those nearest to `from`
     /// and to the span at which the next block begins at `told`, or else to the `last` one.
-    fn search(&self, from: i64, told: Option<i64>, (last, usual): (u32, u32)) -> Option<Found> {
+    fn best(&self, from: i64, told: Option<i64>, (last, usual): (u32, u32)) -> Option<Found> {
         let turn = i64::from(self.scanner.build.ticks);
         // With a table of parts, ticks advance from every base in the same way, so the places that a span explains are
         // counted for all bases at once.

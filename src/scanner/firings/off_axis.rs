@@ -235,7 +235,7 @@ impl Maker {
 
 /// In hundredths of degrees: the largest offset that is tried.
 const FARTHEST: i32 = 6000;
-/// In units of angles.
+/// A hundredth of a degree, in [`ANGLE_UNIT`].
 const HUNDREDTH: i64 = (0.01 / ANGLE_UNIT) as i64;
 /// Ticks of a radian.
 const IN_TICKS: f64 = OFF_AXIS_TICKS as f64 / TAU;
