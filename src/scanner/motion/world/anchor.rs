@@ -40,7 +40,12 @@ pub fn rigid(pairs: &[Pair], mut axes: Matrix, mut origin: Vector, limits: &[f64
                 let turn = (there - middle).cross(&pair.direction) / pair.error;
                 let place = pair.direction / pair.error;
                 let row = Vector6::new(turn.x, turn.y, turn.z, place.x, place.y, place.z);
-                normal += row * row.transpose();
+                // The lower triangle is enough for the decomposition.
+                for column in 0..6 {
+                    for i in column..6 {
+                        normal[(i, column)] += row[i] * row[column];
+                    }
+                }
                 right += row * off;
             }
         }

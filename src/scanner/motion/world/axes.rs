@@ -5,9 +5,11 @@
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::Matrix4;
+use pulp::NullaryFnOnce;
 
 use super::SLOTS;
 use super::sweep::{Matrix, Vector};
+use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::random::Rng;
 use crate::ground::rounding::round_ties_even;
 
@@ -18,37 +20,71 @@ pub struct Axes {
 }
 
 /// The distance between points of a sample, in metres, and the sample.
-type Level = (f64, Vec<Vector>);
+type Level = (f64, Sample);
 
-/// Cosine and sine of a phase in turns, to within a thousandth.
-#[inline]
-fn cos_sin(turns: f64) -> [f64; 2] {
-    let wave = |turns: f64| {
-        let part = turns - round_ties_even(turns);
+/// The sine of phases in turns, to within a thousandth.
+#[inline(always)]
+fn sine<const N: usize>(turns: [f64; N]) -> [f64; N] {
+    lanes(|lane| {
+        let part = turns[lane] - round_ties_even(turns[lane]);
         let rough = 8.0 * part - 16.0 * part * part.abs();
         0.225 * (rough * rough.abs() - rough) + rough
-    };
-    [wave(turns + 0.25), wave(turns)]
+    })
 }
 
-/// How well points are on a lattice of this step along a direction: 1 if all are.
-fn coherence(points: &[Vector], direction: &Vector, step: f64) -> f64 {
-    let along = direction / step;
-    let (mut re, mut im) = (0.0, 0.0);
-    for point in points {
-        let [cos, sin] = cos_sin(point.x * along.x + point.y * along.y + point.z * along.z);
-        re += cos;
-        im += sin;
+/// A sample of points, each coordinate in a list of its own.
+struct Sample([Vec<f64>; 3]);
+
+impl Sample {
+    /// At random, at most `most` of the points.
+    fn new(points: &[Vector], most: usize, random: &mut Rng) -> Self {
+        let chosen: Vec<Vector> = match points.len() <= most {
+            true => points.to_vec(),
+            false => (0..most).map(|_| points[random.below(points.len())]).collect(),
+        };
+        Sample(std::array::from_fn(|axis| chosen.iter().map(|point| point[axis]).collect()))
     }
-    (re * re + im * im).sqrt() / points.len().max(1) as f64
+
+    fn len(&self) -> usize {
+        self.0[0].len()
+    }
+
+    /// How well the points are on a lattice of this step along a direction: 1 if all are.
+    fn coherence(&self, direction: &Vector, step: f64) -> f64 {
+        dispatch(Coherence { sample: self, along: direction / step })
+    }
 }
 
-/// A random sample of at most `most` points.
-fn sample(points: &[Vector], most: usize, random: &mut Rng) -> Vec<Vector> {
-    if points.len() <= most {
-        return points.to_vec();
+/// Computes the coherence of a sample; `along` is the lattice's direction divided by its step.
+struct Coherence<'a> {
+    sample: &'a Sample,
+    along: Vector,
+}
+
+impl NullaryFnOnce for Coherence<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        const LANES: usize = 32;
+        let [x, y, z] = &self.sample.0;
+        let along = self.along;
+        let mut sums = [[0.0; LANES]; 2];
+        let [xs, ys, zs] = [x, y, z].map(|all| all.as_chunks::<LANES>());
+        for ((x, y), z) in xs.0.iter().zip(ys.0).zip(zs.0) {
+            let turns = lanes(|lane| x[lane] * along.x + y[lane] * along.y + z[lane] * along.z);
+            let [cos, sin] = [sine(lanes(|lane| turns[lane] + 0.25)), sine::<LANES>(turns)];
+            sums = [lanes(|lane| sums[0][lane] + cos[lane]), lanes(|lane| sums[1][lane] + sin[lane])];
+        }
+        for ((x, y), z) in xs.1.iter().zip(ys.1).zip(zs.1) {
+            let turns = x * along.x + y * along.y + z * along.z;
+            let [cos, sin] = sine([turns + 0.25, turns]);
+            sums[0][0] += cos;
+            sums[1][0] += sin;
+        }
+        let [re, im] = sums.map(|lanes| lanes.iter().sum::<f64>());
+        (re * re + im * im).sqrt() / self.sample.len().max(1) as f64
     }
-    (0..most).map(|_| points[random.below(points.len())]).collect()
 }
 
 /// Two directions perpendicular to `direction` and to each other.
@@ -64,7 +100,7 @@ struct Samples {
     points: Vec<(f64, Vector)>,
     levels: Vec<Level>,
     near_levels: Vec<Level>,
-    far: Vec<Vector>,
+    far: Sample,
     random: Rng,
 }
 
@@ -108,27 +144,29 @@ impl Samples {
         let mut levels = Vec::new();
         let mut near_levels = Vec::new();
         for reach in [0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.0] {
-            levels.push((reach, sample(&between(&all_pairs, reach / 6.0, reach), MANY, &mut random)));
+            levels.push((reach, Sample::new(&between(&all_pairs, reach / 6.0, reach), MANY, &mut random)));
         }
         for reach in [6.0, 12.0, 25.0, 50.0] {
-            levels.push((reach, sample(&between(&kept, 0.0, reach), MANY, &mut random)));
+            levels.push((reach, Sample::new(&between(&kept, 0.0, reach), MANY, &mut random)));
         }
         levels.retain(|(_, points)| points.len() > FEWEST);
         for reach in [0.004, 0.01, 0.03, 0.06] {
-            near_levels
-                .push((reach, sample(&between(&near_pairs, reach / 8.0, reach), MANY_NEAR, &mut random)));
+            near_levels.push((
+                reach,
+                Sample::new(&between(&near_pairs, reach / 8.0, reach), MANY_NEAR, &mut random),
+            ));
         }
         for reach in [0.15, 0.3, 0.45] {
-            near_levels.push((reach, sample(&between(&kept, 0.0, reach), MANY_NEAR, &mut random)));
+            near_levels.push((reach, Sample::new(&between(&kept, 0.0, reach), MANY_NEAR, &mut random)));
         }
         near_levels.retain(|(_, points)| points.len() > FEWEST_NEAR);
-        let far = sample(&between(&kept, 0.0, 30.0), 2000, &mut random);
+        let far = Sample::new(&between(&kept, 0.0, 30.0), 2000, &mut random);
         Samples { pairs: all_pairs, points: kept, levels, near_levels, far, random }
     }
 
     /// The coarsest step of the lattice along a direction, which has a lattice of `step`.
     fn coarsest(&self, direction: &Vector, mut step: f64) -> f64 {
-        while step < COARSEST && coherence(&self.far, direction, 2.0 * step) > 0.9 {
+        while step < COARSEST && self.far.coherence(direction, 2.0 * step) > 0.9 {
             step *= 2.0;
         }
         step
@@ -151,7 +189,7 @@ impl Samples {
                 (near.len() >= FEWEST).then_some((start, near))
             };
             let Some((start, near)) = STARTS.into_iter().find_map(near) else { continue };
-            let near = sample(&near, MANY, &mut self.random);
+            let near = Sample::new(&near, MANY, &mut self.random);
             let yaw_step = 0.4 * step / start;
             let mut found = Vec::new();
             for tilt in [-0.06, -0.03, 0.0, 0.03, 0.06] {
@@ -159,7 +197,7 @@ impl Samples {
                 let mut of_tilt: Vec<(f64, Vector)> = yaws
                     .map(|yaw| {
                         let direction = Vector::new(libm::cos(yaw), libm::sin(yaw), tilt).normalize();
-                        (coherence(&near, &direction, step), direction)
+                        (near.coherence(&direction, step), direction)
                     })
                     .collect();
                 of_tilt.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -193,7 +231,7 @@ impl Samples {
                         let part = |i: usize, n: usize| 2.0 * i as f64 / (n - 1) as f64 - 1.0;
                         let off = across * (part(i, wide) * span[0]) + up * (part(j, high) * span[1]);
                         let tried = (direction + off).normalize();
-                        let found = coherence(points, &tried, step);
+                        let found = points.coherence(&tried, step);
                         if found > best.0 {
                             best = (found, tried);
                         }
@@ -259,7 +297,7 @@ impl Samples {
                 return None;
             }
             let angles = (0..count).map(|i| angle + (2.0 * i as f64 / (count - 1) as f64 - 1.0) * span);
-            let found = angles.map(|angle| (coherence(points, &direction(angle), step), angle));
+            let found = angles.map(|angle| (points.coherence(&direction(angle), step), angle));
             let best = found.max_by(|a, b| a.0.total_cmp(&b.0))?;
             if best.0 < least {
                 return None;

@@ -1,9 +1,7 @@
 //! The path of the scanner through a sweep: linear between knots in time, as near as possible to the poses
 //! that the firings imply.
 
-use std::collections::HashMap;
-
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::{ArrayStorage, Matrix6, Vector6};
 
 use super::sweep::Vector;
 use super::{Metric, between};
@@ -91,50 +89,58 @@ impl Piece {
     }
 }
 
-/// The optimal poses of the knots, given their pieces, and the decrease of the sum of squares compared to
-/// poses that are all 0.
-fn solved(pieces: &[&Piece]) -> Option<(Vec<Six>, f64)> {
-    /// Regularises knots without information, relative to the information on the others.
+/// The information on the pose of a knot of all pieces on one side of it, whatever the poses of their other
+/// knots are.
+#[derive(Clone, Copy)]
+struct Side {
+    normal: Matrix6<f64>,
+    right: Six,
+    /// The decrease of the sum of squares by the poses of the other knots, compared to poses that are all 0;
+    /// minus infinity if they are not determined.
+    less: f64,
+}
+
+impl Side {
+    /// The side of a knot at the end of a path.
+    const NONE: Side = Side {
+        normal: Matrix6::from_array_storage(ArrayStorage([[0.0; 6]; 6])),
+        right: Six::from_array_storage(ArrayStorage([[0.0; 6]])),
+        less: 0.0,
+    };
+
+    /// With another piece, from the knot of this side, which is the piece's first or second, to its other.
+    fn across(&self, piece: &Piece, near: usize, ridge: &Matrix6<f64>) -> Side {
+        let right = self.right + piece.right[near];
+        let Some(cholesky) = (self.normal + piece.normal[2 * near] + ridge).cholesky() else {
+            return Side { less: f64::NEG_INFINITY, ..Side::NONE };
+        };
+        // The block for both knots is symmetric.
+        let both = &piece.normal[1];
+        let solved = cholesky.solve(both);
+        Side {
+            normal: piece.normal[2 - 2 * near] - both * solved,
+            right: piece.right[1 - near] - solved.transpose() * right,
+            less: self.less + right.dot(&cholesky.solve(&right)),
+        }
+    }
+
+    /// The optimal pose of a knot, given its sides, and the decrease of the sum of squares.
+    fn joined(&self, other: &Side, ridge: &Matrix6<f64>) -> (Six, f64) {
+        let right = self.right + other.right;
+        match (self.normal + other.normal + ridge).cholesky() {
+            None => (Six::zeros(), f64::NEG_INFINITY),
+            Some(cholesky) => {
+                let pose = cholesky.solve(&right);
+                (pose, self.less + other.less + right.dot(&pose))
+            }
+        }
+    }
+}
+
+/// Regularises knots without information, relative to the information of all firings on a pose.
+fn ridge(all: &Matrix6<f64>) -> Matrix6<f64> {
     const RIDGE: f64 = 1e-13;
-    let knots = pieces.len() + 1;
-    let mut diagonal = vec![Matrix6::zeros(); knots];
-    let mut right = vec![Six::zeros(); knots];
-    for (knot, piece) in pieces.iter().enumerate() {
-        diagonal[knot] += piece.normal[0];
-        diagonal[knot + 1] += piece.normal[2];
-        right[knot] += piece.right[0];
-        right[knot + 1] += piece.right[1];
-    }
-    let all = diagonal.iter().fold(Six::repeat(1e-6), |sum, block: &Matrix6<f64>| sum + block.diagonal());
-    for block in &mut diagonal {
-        for i in 0..6 {
-            block[(i, i)] += all[i] * RIDGE;
-        }
-    }
-    let whole = right.clone();
-    let mut chol = Vec::with_capacity(knots);
-    for knot in 0..knots {
-        if knot > 0 {
-            // Off the diagonal, the rows are those of the preceding knot.
-            let off = &pieces[knot - 1].normal[1];
-            let before: &nalgebra::Cholesky<f64, _> = &chol[knot - 1];
-            let solved = before.solve(off);
-            diagonal[knot] -= off.transpose() * solved;
-            let change = solved.transpose() * right[knot - 1];
-            right[knot] -= change;
-        }
-        chol.push(diagonal[knot].cholesky()?);
-    }
-    let mut poses = vec![Six::zeros(); knots];
-    for knot in (0..knots).rev() {
-        let mut rest = right[knot];
-        if knot + 1 < knots {
-            rest -= pieces[knot].normal[1] * poses[knot + 1];
-        }
-        poses[knot] = chol[knot].solve(&rest);
-    }
-    let less = whole.iter().zip(&poses).map(|(right, pose)| right.dot(pose)).sum();
-    Some((poses, less))
+    Matrix6::from_diagonal(&((all.diagonal() + Six::repeat(1e-6)) * RIDGE))
 }
 
 impl<'a> Firings<'a> {
@@ -143,6 +149,7 @@ impl<'a> Firings<'a> {
     pub fn path(&self, knots: &[f64], sag: Option<(&Vector, &Path)>) -> Option<Path> {
         let mut before = sag.map(|(lever, path)| (*lever, path.clone()));
         let rounds = if sag.is_some() { 2 } else { 1 };
+        let ridge = ridge(&self.told.iter().map(|told| told.normal).sum());
         for round in 0..rounds {
             let mut pieces = vec![Piece::new(); knots.len() - 1];
             for ((time, pose), told) in self.times.iter().zip(self.poses).zip(self.told) {
@@ -154,8 +161,7 @@ impl<'a> Firings<'a> {
                 }
                 pieces[piece].add(part, &told.normal, &(told.right + told.normal * from));
             }
-            let (poses, _) = solved(&pieces.iter().collect::<Vec<_>>())?;
-            let path = Path { times: knots.to_vec(), poses };
+            let path = Path { times: knots.to_vec(), poses: solved(&pieces, &ridge)? };
             if round + 1 == rounds {
                 return Some(path);
             }
@@ -165,13 +171,40 @@ impl<'a> Firings<'a> {
     }
 }
 
+/// The optimal poses of the knots between these pieces.
+fn solved(pieces: &[Piece], ridge: &Matrix6<f64>) -> Option<Vec<Six>> {
+    let mut after = vec![Side::NONE];
+    for piece in pieces.iter().rev() {
+        after.push(after[after.len() - 1].across(piece, 1, ridge));
+    }
+    let mut before = Side::NONE;
+    let mut poses = Vec::with_capacity(after.len());
+    for (knot, after) in after.iter().rev().enumerate() {
+        let (pose, less) = before.joined(after, ridge);
+        poses.push(Some(pose).filter(|_| less.is_finite())?);
+        before = pieces.get(knot).map_or(before, |piece| before.across(piece, 0, ridge));
+    }
+    Some(poses)
+}
+
+/// Sums over the first firings of a path, from which the pieces of any knots follow.
+#[derive(Clone, Copy)]
+struct Moments {
+    /// Of the firings' information, multiplied by the powers 0, 1 and 2 of the part of the sweep before the
+    /// firing.
+    normal: [Matrix6<f64>; 3],
+    /// By the powers 0 and 1.
+    right: [Six; 2],
+}
+
 /// Searches for the times of knots.
 pub struct KnotSearch<'a> {
-    firings: Firings<'a>,
-    /// The right-hand sides and the sum of squares, relative to a straight line through the whole sweep.
-    right: Vec<Six>,
+    times: &'a [f64],
+    /// Of all firings before each firing, and of all firings.
+    moments: Vec<Moments>,
+    ridge: Matrix6<f64>,
+    /// The sum of squares of a straight line through the whole sweep.
     squares: f64,
-    pieces: HashMap<[u64; 2], Piece>,
 }
 
 /// Minimum time between knots, in microseconds.
@@ -179,70 +212,106 @@ const LEAST_GAP: f64 = 100.0;
 
 impl<'a> KnotSearch<'a> {
     pub fn new(firings: Firings<'a>) -> Self {
-        let last = firings.times.len() - 1;
-        let (start, end) = (firings.times[0], firings.times[last]);
+        let Firings { times, poses, told } = firings;
+        let last = times.len() - 1;
         let mut squares = 0.0;
-        let right = (0..=last)
-            .map(|number| {
-                let (told, pose) = (&firings.told[number], firings.poses[number]);
-                let part = (firings.times[number] - start) / (end - start);
-                let off = pose - (firings.poses[0] * (1.0 - part) + firings.poses[last] * part);
-                let push = told.normal * off;
-                squares += told.squares + 2.0 * told.right.dot(&off) + push.dot(&off);
-                told.right + push
-            })
-            .collect();
-        KnotSearch { firings, right, squares, pieces: HashMap::new() }
+        let mut sum = Moments { normal: [Matrix6::zeros(); 3], right: [Six::zeros(); 2] };
+        let mut moments = vec![sum];
+        for ((time, pose), told) in times.iter().zip(poses).zip(told) {
+            let part = (time - times[0]) / (times[last] - times[0]);
+            let off = pose - (poses[0] * (1.0 - part) + poses[last] * part);
+            let push = told.normal * off;
+            squares += told.squares + 2.0 * told.right.dot(&off) + push.dot(&off);
+            let mut normal = told.normal;
+            for sum in &mut sum.normal {
+                *sum += normal;
+                normal *= part;
+            }
+            let right = told.right + push;
+            sum.right[0] += right;
+            sum.right[1] += right * part;
+            moments.push(sum);
+        }
+        KnotSearch { times, moments, ridge: ridge(&sum.normal[0]), squares }
     }
 
     fn ends(&self) -> [f64; 2] {
-        [self.firings.times[0], self.firings.times[self.firings.times.len() - 1]]
+        [self.times[0], self.times[self.times.len() - 1]]
+    }
+
+    /// The piece between knots at these times, relative to the straight line.
+    fn piece(&self, [first, second]: [f64; 2]) -> Piece {
+        let [start, end] = self.ends();
+        let firing = |knot: f64| self.times.partition_point(|time| *time < knot);
+        let to = if second < end { firing(second) } else { self.times.len() };
+        let [before, until] = [&self.moments[firing(first)], &self.moments[to]];
+        let normal: [Matrix6<f64>; 3] =
+            std::array::from_fn(|power| until.normal[power] - before.normal[power]);
+        let right: [Six; 2] = std::array::from_fn(|power| until.right[power] - before.right[power]);
+        // The weights of the knots are linear in the part p of the sweep: slope (b - p) and slope (p - a).
+        let [a, b] = [first, second].map(|time| (time - start) / (end - start));
+        let slope = 1.0 / (b - a);
+        let square = slope * slope;
+        Piece {
+            normal: [
+                (normal[2] - normal[1] * (2.0 * b) + normal[0] * (b * b)) * square,
+                (normal[1] * (a + b) - normal[2] - normal[0] * (a * b)) * square,
+                (normal[2] - normal[1] * (2.0 * a) + normal[0] * (a * a)) * square,
+            ],
+            right: [(right[0] * b - right[1]) * slope, (right[1] - right[0] * a) * slope],
+        }
+    }
+
+    /// The sides of all knots after them.
+    fn after(&self, knots: &[f64]) -> Vec<Side> {
+        let mut sides = vec![Side::NONE; knots.len()];
+        for knot in (1..knots.len()).rev() {
+            sides[knot - 1] = self.across(&sides[knot], [knots[knot - 1], knots[knot]], 1);
+        }
+        sides
+    }
+
+    fn across(&self, side: &Side, pair: [f64; 2], near: usize) -> Side {
+        side.across(&self.piece(pair), near, &self.ridge)
+    }
+
+    /// The sum of squares with the second of three knots between the sides of the first and the third.
+    fn squares_between(&self, sides: [&Side; 2], [first, second, third]: [f64; 3]) -> f64 {
+        let before = self.across(sides[0], [first, second], 0);
+        let after = self.across(sides[1], [second, third], 1);
+        self.squares - before.joined(&after, &self.ridge).1
     }
 
     /// The sum of squares with knots at these times.
-    pub fn squares(&mut self, knots: &[f64]) -> f64 {
-        let key = |pair: &[f64]| [pair[0].to_bits(), pair[1].to_bits()];
-        for (number, pair) in knots.windows(2).enumerate() {
-            if !self.pieces.contains_key(&key(pair)) {
-                let times = self.firings.times;
-                let from = if number == 0 { 0 } else { times.partition_point(|time| *time < pair[0]) };
-                let is_last = number + 2 == knots.len();
-                let to = if is_last { times.len() } else { times.partition_point(|time| *time < pair[1]) };
-                let mut piece = Piece::new();
-                for firing in from..to {
-                    let part = (times[firing] - pair[0]) / (pair[1] - pair[0]);
-                    piece.add(part, &self.firings.told[firing].normal, &self.right[firing]);
-                }
-                self.pieces.insert(key(pair), piece);
-            }
-        }
-        let pieces: Vec<&Piece> = knots.windows(2).map(|pair| &self.pieces[&key(pair)]).collect();
-        solved(&pieces).map_or(f64::INFINITY, |(_, less)| self.squares - less)
+    pub fn squares(&self, knots: &[f64]) -> f64 {
+        self.squares - self.after(knots)[0].joined(&Side::NONE, &self.ridge).1
     }
 
     /// Moves knots by these steps, in microseconds, as long as that reduces the sum of squares.
-    pub fn moved(&mut self, mut knots: Vec<f64>, steps: &[f64]) -> (Vec<f64>, f64) {
+    pub fn moved(&self, mut knots: Vec<f64>, steps: &[f64]) -> (Vec<f64>, f64) {
         const MOST_ROUNDS: usize = 4;
         let mut best = self.squares(&knots);
         for step in steps {
             for _ in 0..MOST_ROUNDS {
-                let before = best;
+                let start = best;
+                let after = self.after(&knots);
+                let mut before = Side::NONE;
                 for knot in 1..knots.len() - 1 {
+                    let [last, next] = [knots[knot - 1], knots[knot + 1]];
                     for step in [-step, *step] {
                         let time = knots[knot] + step;
-                        if time <= knots[knot - 1] + LEAST_GAP || time >= knots[knot + 1] - LEAST_GAP {
+                        if time <= last + LEAST_GAP || time >= next - LEAST_GAP {
                             continue;
                         }
-                        let old = std::mem::replace(&mut knots[knot], time);
-                        let now = self.squares(&knots);
+                        let now = self.squares_between([&before, &after[knot + 1]], [last, time, next]);
                         if now < best - 1e-6 {
                             best = now;
-                        } else {
-                            knots[knot] = old;
+                            knots[knot] = time;
                         }
                     }
+                    before = self.across(&before, [last, knots[knot]], 0);
                 }
-                if best == before {
+                if best == start {
                     break;
                 }
             }
@@ -252,28 +321,12 @@ impl<'a> KnotSearch<'a> {
 
     /// Adds knots one by one, where they help most, until there are `most` or the next would help less than
     /// `gain`.
-    pub fn grown(&mut self, knots: Option<Vec<f64>>, most: usize, gain: f64) -> Vec<f64> {
-        /// Distance in microseconds between the times that are tried, and their minimum distance from the
-        /// ends and from other knots.
-        const TRIED: f64 = 1000.0;
-        const FROM_END: f64 = 500.0;
-        const FROM_KNOT: f64 = 300.0;
+    pub fn grown(&self, knots: Option<Vec<f64>>, most: usize, gain: f64) -> Vec<f64> {
         const STEPS: [f64; 5] = [1600.0, 400.0, 130.0, 40.0, 12.0];
-        let [start, end] = self.ends();
-        let mut knots = knots.unwrap_or_else(|| vec![start, end]);
+        let mut knots = knots.unwrap_or_else(|| self.ends().to_vec());
         let mut best = self.squares(&knots);
         while knots.len() < most {
-            let places = (0..).map(|n| start + FROM_END + TRIED * f64::from(n));
-            let places = places.take_while(|place| *place < end - FROM_END);
-            let tried = places.filter(|place| knots.iter().all(|knot| (knot - place).abs() > FROM_KNOT));
-            let with = |place: f64| {
-                let mut more = knots.clone();
-                more.insert(more.partition_point(|knot| *knot < place), place);
-                more
-            };
-            let tried: Vec<Vec<f64>> = tried.map(with).collect();
-            let found = tried.into_iter().map(|knots| (self.squares(&knots), knots));
-            let Some((_, more)) = found.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+            let Some(more) = self.with_another(&knots) else { break };
             let steps = if more.len() < 6 { &STEPS[..] } else { &STEPS[1..] };
             let (more, now) = self.moved(more, steps);
             let gained = best - now;
@@ -283,5 +336,32 @@ impl<'a> KnotSearch<'a> {
             (knots, best) = (more, now);
         }
         knots
+    }
+
+    /// The knots and another where it helps most; none if there is no room.
+    fn with_another(&self, knots: &[f64]) -> Option<Vec<f64>> {
+        /// Distance in microseconds between the times that are tried, and their minimum distance from the
+        /// ends and from other knots.
+        const TRIED: f64 = 1000.0;
+        const FROM_END: f64 = 500.0;
+        const FROM_KNOT: f64 = 300.0;
+        let [start, end] = self.ends();
+        let times = (0..).map(|number| start + FROM_END + TRIED * f64::from(number));
+        let times = times.take_while(|time| *time < end - FROM_END);
+        let after = self.after(knots);
+        let mut before = vec![Side::NONE];
+        for pair in knots.windows(2) {
+            before.push(self.across(&before[before.len() - 1], [pair[0], pair[1]], 0));
+        }
+        let tried =
+            times.filter(|time| knots.iter().all(|knot| (knot - time).abs() > FROM_KNOT)).map(|time| {
+                let next = knots.partition_point(|knot| *knot < time);
+                let sides = [&before[next - 1], &after[next]];
+                (self.squares_between(sides, [knots[next - 1], time, knots[next]]), next, time)
+            });
+        let (_, next, time) = tried.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let mut more = knots.to_vec();
+        more.insert(next, time);
+        Some(more)
     }
 }

@@ -117,7 +117,7 @@ impl Search {
         let first = following.first;
         let told = self.all_told(first, Errors::Rounding(1.0, more), CLIP);
         let firings = Firings { times: following.times(), poses: &self.poses[first..], told: &told };
-        let mut search = KnotSearch::new(firings);
+        let search = KnotSearch::new(firings);
         // The second round starts anew, now that the map's origin is nearly right.
         let begun = (round == 2).then(|| following.path.times.clone());
         let knots = search.grown(begun, MOST[round], GAINS[round]);
@@ -176,20 +176,30 @@ impl Search {
             let mut points = Vec::new();
             for firing in (0..self.firings).step_by(SPARSE) {
                 points.extend(self.misses(firing).map(|(record, miss, _)| {
-                    (miss[axis], self.file_rounding(record, axis) / 12.0 + 1e-16, self.mapped[record][axis])
+                    (
+                        miss[axis],
+                        self.roundings[record].squares[axis] / 12.0 + 1e-16,
+                        self.mapped[record][axis],
+                    )
                 }));
             }
             let mut sizes: Vec<f64> = points.iter().map(|point| point.0.abs()).collect();
             sizes.sort_unstable_by(f64::total_cmp);
             let most = 20.0 * sizes[sizes.len() / 2];
             points.retain(|point| point.0.abs() < most);
+            // A logarithm of a product takes less than those of its factors, which are above 1e-16.
             let unlikely = |origin: f64| -> f64 {
-                let of_point = |(miss, in_file, place): &(f64, f64, f64)| {
-                    let in_map = spacing(origin + place);
-                    let square = in_map * in_map / 12.0 + in_file;
-                    0.5 * (libm::log(square) + (miss * miss / square).min(16.0))
+                let of_points = |points: &[(f64, f64, f64)]| {
+                    let (mut product, mut sum) = (1.0, 0.0);
+                    for (miss, in_file, place) in points {
+                        let in_map = spacing(origin + place);
+                        let square = in_map * in_map / 12.0 + in_file;
+                        product *= square;
+                        sum += (miss * miss / square).min(16.0);
+                    }
+                    0.5 * (libm::log(product) + sum)
                 };
-                points.iter().map(of_point).sum()
+                points.chunks(16).map(of_points).sum()
             };
             let best = tried.into_iter().map(|origin| (unlikely(origin), origin));
             if let Some((_, origin)) = best.min_by(|a, b| a.0.total_cmp(&b.0)) {
@@ -237,8 +247,9 @@ impl Search {
 
     /// Changes the axes and the origin, and everything that depends on them.
     fn anchor(&mut self, pairs: &[Pair], limits: &[f64]) {
-        (self.axes, self.origin) = rigid(pairs, self.axes, self.origin, limits);
-        self.mapped = self.points.iter().map(|point| self.axes * point).collect();
+        let axes;
+        (axes, self.origin) = rigid(pairs, self.axes, self.origin, limits);
+        self.set_axes(axes);
     }
 
     /// Fits the axes to records without a return, and along the axes of lattices to points that are not too
@@ -258,7 +269,7 @@ impl Search {
             } else if !self.is_none[record] && file.amax() < FARTHEST {
                 for axis in (0..2).filter(|&axis| self.is_coarse(axis)) {
                     let direction = self.axes.row(axis).transpose();
-                    let error = self.file_rounding(record, axis).sqrt();
+                    let error = self.roundings[record].squares[axis].sqrt();
                     pairs.push(Pair { file, map, direction, error });
                 }
             }
@@ -295,15 +306,16 @@ impl Search {
             .step_by(SPARSE)
             .collect();
         let from = self.origin;
+        let is_coarse = [0, 1].map(|axis| self.is_coarse(axis));
         let count = |origin: &Vector| {
             let is_given = |record: &&usize| {
                 let record = **record;
                 let mut map = rounded(formula[record] - from + origin);
-                for axis in (0..2).filter(|&axis| self.is_coarse(axis)) {
+                for axis in (0..2).filter(|&axis| is_coarse[axis]) {
                     map[axis] = f64::from((self.mapped[record][axis] + origin[axis]) as f32);
                 }
-                let given = self.axes.transpose() * (map - origin);
-                (0..3).all(|axis| given[axis] as f32 == self.positions[record][axis])
+                let off = map - origin;
+                (0..3).all(|axis| self.axes.column(axis).dot(&off) as f32 == self.positions[record][axis])
             };
             far.iter().filter(is_given).count()
         };
@@ -311,11 +323,13 @@ impl Search {
         for round in 0..2 {
             for axis in [1, 2].into_iter().filter(|&axis| !self.is_coarse(axis)) {
                 let step = spacing(origin[axis]);
+                let mut best = count(&origin);
                 for digit in 0..DIGITS {
                     let mut tried = origin;
                     tried[axis] += step * f64::from(1 << digit);
-                    if count(&tried) > count(&origin) {
-                        origin = tried;
+                    let of_tried = count(&tried);
+                    if of_tried > best {
+                        (origin, best) = (tried, of_tried);
                     }
                 }
                 let (count_of, apart) = if round == 0 { (15, 0.02) } else { (10, 0.002) };

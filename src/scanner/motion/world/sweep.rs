@@ -185,17 +185,18 @@ pub fn ticks(own: &[Option<i64>]) -> Ticks {
         starts.push(off.get(off.len() / 2).map(|middle| all[0] + middle));
     }
     let starts = unwrapped(&starts);
+    let slots_of: Vec<[i64; SLOTS]> =
+        SPANS.map(|span| std::array::from_fn(|slot| passed(span, slot))).collect();
     let best = |(firing, &start): (usize, &i64)| {
-        let own = &own[firing * SLOTS..][..SLOTS];
-        let tried = (-3..=3).flat_map(|off| SPANS.map(move |span| (start + off, span)));
-        let hits = |&(start, span): &(i64, i64)| {
-            let is_hit = |&(slot, own): &(usize, &Option<i64>)| {
-                own.is_some_and(|own| turned(own, start + passed(span, slot)) == 0)
-            };
-            own.iter().enumerate().filter(is_hit).count()
+        // Far from any tick, so that a record without a tick of its own agrees with none.
+        let since = |own: &Option<i64>| own.map_or(-TURN, |own| turned(start, own));
+        let since: Vec<i64> = own[firing * SLOTS..][..SLOTS].iter().map(since).collect();
+        let tried = (-3..=3).flat_map(|off| slots_of.iter().map(move |passed| (off, passed)));
+        let hits = |&(off, passed): &(i64, &[i64; SLOTS])| {
+            since.iter().zip(passed).filter(|&(since, passed)| *since == off + passed).count()
         };
         // The first of equally good ones.
-        tried.rev().max_by_key(hits).map_or(start, |(start, _)| start)
+        tried.rev().max_by_key(hits).map_or(start, |(off, _)| start + off)
     };
     let starts: Vec<i64> = starts.iter().enumerate().map(best).collect();
     let steps: Vec<i64> = starts.windows(2).map(|pair| pair[1] - pair[0]).collect();

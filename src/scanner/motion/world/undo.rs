@@ -61,6 +61,7 @@ pub(super) struct Search {
     pub(super) fine_step: f64,
     /// The points along the axes of the map.
     pub(super) mapped: Vec<Vector>,
+    pub(super) roundings: Vec<Roundings>,
     pub(super) origin: Vector,
     pub(super) readings: Vec<Reading>,
     /// The points according to the readings.
@@ -81,6 +82,73 @@ pub(super) enum Errors {
     Rounding(f64, [f64; 3]),
     /// The rounding errors of float32, where points within their roundings have this weight only.
     Inside(f64),
+}
+
+/// The rounding errors of a point of the file, along the axes of the map: the sum of what the spacings of its
+/// float32 coordinates contribute, and the sum of the squares.
+#[derive(Clone, Copy)]
+pub(super) struct Roundings {
+    sum: Vector,
+    pub(super) squares: Vector,
+}
+
+/// Sums over the points of a firing of weights w, deviations d along an axis of the map, and rotated measured
+/// points t, from which the axis' information on the pose follows.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    /// w, w d and w d d.
+    weight: f64,
+    push: f64,
+    squares: f64,
+    /// w t and w d t.
+    points: Vector,
+    pushed: Vector,
+    /// w t t: xx, xy, xz, yy, yz, zz.
+    products: [f64; 6],
+}
+
+impl Sums {
+    #[inline]
+    fn add(&mut self, weight: f64, off: f64, turned: &Vector) {
+        let push = weight * off;
+        let weighted = turned * weight;
+        self.weight += weight;
+        self.push += push;
+        self.squares += push * off;
+        self.points += weighted;
+        self.pushed += turned * push;
+        let products = [
+            weighted.x * turned.x,
+            weighted.x * turned.y,
+            weighted.x * turned.z,
+            weighted.y * turned.y,
+            weighted.y * turned.z,
+            weighted.z * turned.z,
+        ];
+        for (sum, product) in self.products.iter_mut().zip(products) {
+            *sum += product;
+        }
+    }
+
+    /// Adds the information along this direction: if the pose changes by (p, r), a deviation changes by
+    /// direction p + (t x direction) r.
+    fn tell(&self, direction: &Vector, told: &mut Told) {
+        let lever = -direction.cross_matrix();
+        let [xx, xy, xz, yy, yz, zz] = self.products;
+        let products = Matrix::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+        let both = direction * (lever * self.points).transpose();
+        let add = |told: &mut Told, at: (usize, usize), block: Matrix| {
+            let mut there = told.normal.fixed_view_mut::<3, 3>(at.0, at.1);
+            there += block;
+        };
+        add(told, (0, 0), direction * direction.transpose() * self.weight);
+        add(told, (0, 3), both);
+        add(told, (3, 0), both.transpose());
+        add(told, (3, 3), lever * products * lever.transpose());
+        let [place, turn] = [direction * self.push, lever * self.pushed];
+        told.right += Six::new(place.x, place.y, place.z, turn.x, turn.y, turn.z);
+        told.squares += self.squares;
+    }
 }
 
 impl Search {
@@ -107,8 +175,9 @@ impl Search {
         let mut search = Search {
             sensor,
             positions: positions.to_vec(),
-            mapped: points.iter().map(|point| rows * point).collect(),
             points,
+            mapped: Vec::new(),
+            roundings: Vec::new(),
             is_none,
             firings,
             axes: rows,
@@ -121,6 +190,7 @@ impl Search {
             border: 0,
             places,
         };
+        search.set_axes(rows);
         search.read();
         let times: Vec<f64> = (0..firings).map(|firing| firing as f64 * MEAN_FIRING_US).collect();
         let knots = even(times[firings - 1], EVEN_KNOTS);
@@ -212,21 +282,17 @@ impl Search {
         self.measured[record] = self.sensor.vector(record % SLOTS, self.readings[record]);
     }
 
-    /// The squared rounding error of a point along an axis of the map, in the file and in the map.
-    pub(super) fn rounding(&self, record: usize, axis: usize) -> f64 {
-        let in_file = self.file_rounding(record, axis);
-        let in_map = spacing(self.origin[axis] + self.mapped[record][axis]);
-        (in_map * in_map + in_file) / 12.0 + 1e-20
-    }
-
-    /// The spacings of float32 values in the file, along an axis of the map.
-    fn file_spacings(&self, record: usize, axis: usize) -> [f64; 3] {
-        std::array::from_fn(|i| (self.axes[(axis, i)] * spacing(self.points[record][i])).abs())
-    }
-
-    /// The sum of the squares of these spacings.
-    pub(super) fn file_rounding(&self, record: usize, axis: usize) -> f64 {
-        self.file_spacings(record, axis).iter().map(|spacing| spacing * spacing).sum()
+    /// Changes the axes of the map, and everything that follows from them.
+    pub(super) fn set_axes(&mut self, axes: Matrix) {
+        let shares = axes.abs();
+        let squares = shares.component_mul(&shares);
+        self.axes = axes;
+        self.mapped = self.points.iter().map(|point| axes * point).collect();
+        let along = |spacings: &Vector| Roundings {
+            sum: shares * spacings,
+            squares: squares * spacings.component_mul(spacings),
+        };
+        self.roundings = self.points.iter().map(|point| along(&point.map(spacing))).collect();
     }
 
     /// The deviations along the axes of the map, and the rotated measured point.
@@ -245,16 +311,17 @@ impl Search {
         const OUTSIDE: f64 = 30.0;
         /// The share of the file's rounding that is taken into account.
         const IN_FILE: f64 = 0.3;
-        let mut told = Told::default();
+        let mut sums = [Sums::default(); 3];
         for (record, miss, turned) in self.misses(firing) {
-            for axis in 0..3 {
-                let direction = self.axes.row(axis).transpose();
+            let roundings = &self.roundings[record];
+            let in_map = (self.mapped[record] + self.origin).map(spacing);
+            for (axis, sums) in sums.iter_mut().enumerate() {
+                let in_file = roundings.squares[axis];
+                let rounding = (in_map[axis] * in_map[axis] + in_file) / 12.0 + 1e-20;
                 let square = match errors {
                     Errors::Fixed(error) => error[axis] * error[axis],
-                    Errors::Rounding(times, more) => {
-                        times * times * (self.rounding(record, axis) + more[axis] * more[axis])
-                    }
-                    Errors::Inside(_) => self.rounding(record, axis),
+                    Errors::Rounding(times, more) => times * times * (rounding + more[axis] * more[axis]),
+                    Errors::Inside(_) => rounding,
                 };
                 let mut off = miss[axis];
                 if off * off >= clip * clip * square {
@@ -262,18 +329,17 @@ impl Search {
                 }
                 let mut weight = 1.0 / square;
                 if let Errors::Inside(inside) = errors {
-                    let half = spacing(self.mapped[record][axis] + self.origin[axis]) / 2.0
-                        + IN_FILE * self.file_spacings(record, axis).iter().sum::<f64>();
+                    let half = in_map[axis] / 2.0 + IN_FILE * roundings.sum[axis];
                     let beyond = off - off.clamp(-half, half);
                     weight *= if beyond == 0.0 { inside } else { OUTSIDE };
                     off = if beyond == 0.0 { off } else { beyond };
                 }
-                let lever = turned.cross(&direction);
-                let slope = Six::new(direction.x, direction.y, direction.z, lever.x, lever.y, lever.z);
-                told.normal += (slope * weight) * slope.transpose();
-                told.right += slope * (weight * off);
-                told.squares += weight * off * off;
+                sums.add(weight, off, &turned);
             }
+        }
+        let mut told = Told::default();
+        for (axis, sums) in sums.iter().enumerate() {
+            sums.tell(&self.axes.row(axis).transpose(), &mut told);
         }
         told
     }
