@@ -345,6 +345,44 @@ fn the_fullest_scan_shows_the_scanner() {
     assert_eq!((inexact, strays), (0, 0));
 }
 
+/// A scan in which only these of its records have a return.
+fn seen_in_part(scan: &Points, is_seen: impl Fn(usize, &[f32; 4]) -> bool) -> Points {
+    let blank = scan.contains(&[0.0; 4]);
+    let records = scan.iter().enumerate().map(|(record, point)| (is_seen(record, point), *point));
+    match blank {
+        true => records.map(|(is_seen, point)| if is_seen { point } else { [0.0; 4] }).collect(),
+        false => records.filter(|(is_seen, _)| *is_seen).map(|(_, point)| point).collect(),
+    }
+}
+
+#[test]
+fn lasers_that_the_fullest_scan_does_not_show_are_found_in_another() {
+    let room = |recipe| {
+        let scanner = made_up(recipe);
+        points(&scanner, &image(&scanner, 1))
+    };
+    let scans = [
+        ("an image by lines", ouster(32, false), 512),
+        ("an image by columns", room(Recipe::Ouster), 1),
+        (
+            "returns",
+            room(Recipe::VelodyneRos).into_iter().filter(|point| point[..3] != [0.0; 3]).collect(),
+            1,
+        ),
+    ];
+    for (name, whole, width) in scans {
+        // The upper lasers look into the sky.
+        let low = seen_in_part(&whole, |_, [x, y, z, _]| z.atan2(x.hypot(*y)) < 11.0f32.to_radians());
+        let columns = if width > 1 { width } else { whole.len() };
+        let part = seen_in_part(&whole, |record, _| record % columns < columns * 3 / 5);
+        let (found, _) = fit(&[file(&part), file(&low), file(&low)]).expect("found");
+        for scan in [&low, &part] {
+            let (_, inexact, strays) = counts(&found, scan);
+            assert!(inexact <= scan.len() / 1000 && strays == 0, "{name}: {inexact}, {strays}");
+        }
+    }
+}
+
 #[test]
 fn beams_through_a_focal_point_are_found() {
     let points = velodyne_decoder_vlp_16(110);

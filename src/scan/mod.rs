@@ -38,6 +38,25 @@ impl PointCloud {
         }
     }
 
+    /// These points and then those of another cloud. `None` if the clouds have different fields.
+    pub fn followed_by(&self, other: &PointCloud) -> Option<PointCloud> {
+        let both = |one: &Channel, other: &Channel| {
+            let bytes = [&one.bytes[..], &other.bytes].concat();
+            (one.field == other.field).then(|| Channel { field: one.field.clone(), bytes })
+        };
+        let channels = self.channels.iter().zip(&other.channels);
+        let have_same = self.channels.len() == other.channels.len()
+            && self.intensity.is_empty() == other.intensity.is_empty();
+        Some(PointCloud {
+            positions: [&self.positions[..], &other.positions].concat(),
+            intensity: [&self.intensity[..], &other.intensity].concat(),
+            channels: channels
+                .map(|(one, other)| both(one, other))
+                .collect::<Option<_>>()
+                .filter(|_| have_same)?,
+        })
+    }
+
     /// The number of points that have a direction: those whose x and y are finite and not both 0. Organised clouds also
     /// hold points for beams without a return.
     pub fn measured(&self) -> usize {

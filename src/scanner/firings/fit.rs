@@ -13,7 +13,7 @@ use super::order::{Order, STEADY, VLP_16, lines, order, timed, vlp_16};
 use super::projection::{nearest, without_echoes};
 use super::{Build, Firings, Origin, Recipe, Timing};
 use crate::ground::rounding::round_ties_even;
-use crate::scan::ScanFile;
+use crate::scan::{PointCloud, ScanFile};
 use crate::scanner::{Coordinates, REACH};
 
 /// Range steps of known scanners, in micrometres, coarse ones first: multiples of a step are also multiples of its
@@ -39,26 +39,66 @@ const WHOLE_PHASE: f64 = 0.02;
 const SAMPLE: usize = 4000;
 /// Distances of the focal points of Velodyne's scanners from their axes, in micrometres: VLP-16, VLP-32, VLS-128, HDL-32E.
 const FOCAL_POINTS_UM: [i32; 4] = [41_910, 42_400, 58_630, 28_956];
-/// Fits a scanner to a sample of a sequence's scans, and returns the share of the points that it explains. `None` if
-/// no scanner of this family explains enough of them.
+/// Fits a scanner to a sample of a sequence's scans: to the one with the most returns and, as long as that helps, to
+/// another that the scanner explains less well, which may show other lasers. Returns also the share of the points that it
+/// explains; `None` if no scanner of this family explains enough of them.
 pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
-    let scan = sample.iter().max_by_key(|scan| scan.cloud.measured())?;
-    let points = scan.cloud.positions.iter().map(|position| Point::new(position.map(f64::from), None));
-    fit_points(scan, points)
+    /// A share of the points that is worth another fit, and the largest number of these.
+    const WORTH: f64 = 0.005;
+    const MOST: usize = 2;
+    let mut seen = Cow::Borrowed(&sample.iter().max_by_key(|scan| scan.cloud.measured())?.cloud);
+    let mut found = fit_scan(&seen)?;
+    for _ in 0..MOST {
+        let located = |cloud: &PointCloud| found.0.located_share(&cloud.positions);
+        let less = LEAST_SHARE..located(&seen) - WORTH;
+        let shares = sample.iter().map(|scan| (located(&scan.cloud), &scan.cloud));
+        let worst = shares.filter(|(share, _)| less.contains(share)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let more = worst.and_then(|(_, other)| joined(&seen, other, found.0.rows_of_lines.len()));
+        let Some(more) = more else { break };
+        let explained = |(scanner, _): &(Firings, f64)| {
+            scanner.given(&more.positions).0 + scanner.located(&more.positions)
+        };
+        match fit_scan(&more).filter(|of_more| explained(of_more) > explained(&found)) {
+            Some(of_more) => (found, seen) = (of_more, Cow::Owned(more)),
+            None => break,
+        }
+    }
+    Some(found)
 }
 
-/// The same for one scan whose points were moved; `moved` has all of them.
-pub fn fit_moved(scan: &ScanFile, moved: &[Moved]) -> Option<(Firings, f64)> {
+/// Two scans as one, as though the scanner had turned on. If files that hold a record for each cell are in the order of
+/// `lines`, so is this one. `None` if they have different fields.
+fn joined(one: &PointCloud, other: &PointCloud, lines: usize) -> Option<PointCloud> {
+    let both = one.followed_by(other)?;
+    let [of_one, of_both] = [one, &both].map(|cloud| cloud.positions.len() as u32);
+    let of_other = of_both - of_one;
+    let lines = lines as u32;
+    if lines == 0 || of_one % lines != 0 || of_other % lines != 0 {
+        return Some(both);
+    }
+    let [width, other_width] = [of_one, of_other].map(|records| records / lines);
+    let order = (0..lines).flat_map(|line| {
+        let start = of_one + line * other_width;
+        (line * width..(line + 1) * width).chain(start..start + other_width)
+    });
+    Some(both.select(&order.collect::<Vec<_>>()))
+}
+
+fn fit_scan(cloud: &PointCloud) -> Option<(Firings, f64)> {
+    fit_points(cloud, cloud.positions.iter().map(|position| Point::new(position.map(f64::from), None)))
+}
+
+/// Fits a scanner to one scan whose points were moved; `moved` has all of them.
+pub fn fit_moved(cloud: &PointCloud, moved: &[Moved]) -> Option<(Firings, f64)> {
     let positions = moved.iter().map(|point| point.measured.map(|metres| metres as f32)).collect();
-    let mut measured = scan.clone();
-    measured.cloud.positions = positions;
+    let measured = PointCloud { positions, ..cloud.clone() };
     let points = moved.iter().map(|point| Point::new(point.measured, Some(point)));
     fit_points(&measured, points)
 }
 
 /// The same, given a point for each record of the scan, or `None` for records without a direction.
 fn fit_points<'m>(
-    scan: &'m ScanFile,
+    cloud: &'m PointCloud,
     points: impl Iterator<Item = Option<Point<'m>>>,
 ) -> Option<(Firings, f64)> {
     let (numbers, points): (Vec<usize>, Vec<Point>) =
@@ -73,7 +113,7 @@ fn fit_points<'m>(
     let mut best: Option<Candidate> = None;
     for nearest in blur.nearest(&points) {
         let (numbers, points) = beyond(nearest, &numbers, &points);
-        let found = Found { scan, numbers, points, measured, coordinates, blur, nearest };
+        let found = Found { cloud, numbers, points, measured, coordinates, blur, nearest };
         let has_nearly_all = found.points.len() as f64 > NEARLY_ALL * measured as f64;
         let next = found.best();
         best = next.into_iter().chain(best).reduce(|a, b| if b.worth > a.worth { b } else { a });
@@ -84,7 +124,7 @@ fn fit_points<'m>(
     let Candidate { scanner, share, .. } = best.filter(|best| best.share >= LEAST_SHARE)?;
     // Decimal digits do not help a recipe that is wrong.
     let is_digits = matches!(coordinates, Coordinates::Digits(_));
-    let scanner = match is_digits.then(|| scanner.given(&scan.cloud.positions)) {
+    let scanner = match is_digits.then(|| scanner.given(&cloud.positions)) {
         Some((given, all)) if 2 * given <= all => {
             let build = Build { coordinates: Coordinates::Float32, ..scanner.build };
             Firings::new(build, scanner.lasers, scanner.rows_of_slots)
@@ -112,7 +152,7 @@ fn beyond<'p, 'm>(
 
 /// Facts about a scan from which the fit starts.
 pub(super) struct Found<'s> {
-    pub scan: &'s ScanFile,
+    pub cloud: &'s PointCloud,
     /// The record number of each point.
     pub numbers: Cow<'s, [usize]>,
     pub points: Cow<'s, [Point<'s>]>,
@@ -148,11 +188,11 @@ impl Found<'_> {
     /// explained by a timing that is not theirs, but not as accurately.
     fn candidate(&self, scanner: Firings) -> Candidate {
         let measured = self.measured.max(1) as f64;
-        let projection = scanner.project(&self.scan.cloud, REACH);
+        let projection = scanner.project(self.cloud, REACH);
         let image = &projection.image;
         let share = (image.returns() + image.echoes.len()) as f64 / measured;
         let simple = if scanner.build.timing.firings(scanner.rows()) > 1 { 0.999 } else { 1.0 };
-        let accuracy = if self.blur.is_any() { scanner.accuracy(&projection, &self.scan.cloud) } else { 1.0 };
+        let accuracy = if self.blur.is_any() { scanner.accuracy(&projection, self.cloud) } else { 1.0 };
         let worth = simple * share / (1.0 + image.columns.len() as f64 / measured) * accuracy;
         Candidate { scanner, share, worth }
     }
@@ -174,9 +214,9 @@ impl Found<'_> {
             let [focal, _] = origin.metres();
             let points: Vec<Point> = self.points.iter().map(|point| point.through(focal)).collect();
             let numbers = Cow::Borrowed(&self.numbers[..]);
-            let found = Found { scan: self.scan, numbers, points: points.into(), ..*self };
+            let found = Found { cloud: self.cloud, numbers, points: points.into(), ..*self };
             let scanners = found.on_axis(origin)?;
-            let (given, all) = scanners.first()?.given(&self.scan.cloud.positions);
+            let (given, all) = scanners.first()?.given(&self.cloud.positions);
             (2 * given > all).then_some((given, scanners))
         });
         tried.max_by_key(|(given, _)| *given).map(|(_, scanners)| scanners)
@@ -244,7 +284,7 @@ impl Found<'_> {
             .zip(&of_points)
             .filter_map(|(record, row)| Some((*record, (*row)?)))
             .collect();
-        let records = self.scan.cloud.positions.len();
+        let records = self.cloud.positions.len();
         let has_blanks = self.measured < records;
         let grid = RecordGrid::find(&places, records, elevations.len(), has_blanks);
         if let Some(grid) = &grid {
@@ -281,7 +321,7 @@ impl Found<'_> {
         if is_steady {
             return vec![scanner];
         }
-        let places = scanner.places(&self.scan.cloud.positions, REACH + 0.5 * scanner.range_step_m());
+        let places = scanner.places(&self.cloud.positions, REACH + 0.5 * scanner.range_step_m());
         let (places, _) = without_echoes(places);
         // If rows lag, blocks of two firings are not tried.
         let most = if scanner.lags.is_empty() { 2 } else { 1 };
@@ -322,7 +362,7 @@ impl OnAxis<'_, '_> {
         let are_whole = self.constants.phases.iter().all(|phase| phase.abs() < WHOLE_PHASE);
         let are_ticks = are_whole && order.shifts.iter().any(|shift| *shift != 0.0);
         let of_lags = are_ticks.then(|| self.scanner(order, &none, &order.shifts)).flatten();
-        let positions = &self.found.scan.cloud.positions;
+        let positions = &self.found.cloud.positions;
         let given = |(scanner, _): &(Firings, bool)| scanner.given(positions).0;
         let of_lags =
             of_lags.filter(|lags| of_offsets.as_ref().is_none_or(|other| given(lags) > given(other)));

@@ -79,7 +79,7 @@ impl Found<'_> {
         /// Number of points by which the manufacturer is determined.
         const SAMPLED: usize = 6000;
         let step = (self.points.len() / SAMPLED).max(1);
-        let positions = &self.scan.cloud.positions;
+        let positions = &self.cloud.positions;
         let sample: Vec<[f32; 3]> = positions.iter().step_by(step).copied().collect();
         let by_key = self.rows_by_channel();
         let candidates = MAKERS.par_iter().filter_map(|maker| {
@@ -115,7 +115,7 @@ impl Found<'_> {
 
     /// Rows and ticks of the points in file order, without echoes.
     pub(super) fn sequence(&self, scanner: &Firings) -> Vec<(usize, u32)> {
-        let places = scanner.places(&self.scan.cloud.positions, REACH + 0.5 * scanner.range_step_m());
+        let places = scanner.places(&self.cloud.positions, REACH + 0.5 * scanner.range_step_m());
         let mut sequence: Vec<(usize, u32)> =
             places.iter().map(|place| (place.row as usize, place.tick)).collect();
         sequence.dedup();
@@ -155,7 +155,7 @@ impl Found<'_> {
             }
             (all > 0 && near * 10 > all * 9).then_some(rows)
         };
-        let channels = self.scan.cloud.channels.iter();
+        let channels = self.cloud.channels.iter();
         channels.filter(|channel| channel.field.width() <= 4 && !channel.field.name.is_empty()).find_map(of)
     }
 

@@ -124,9 +124,10 @@ impl Found<'_> {
         const NEAR: f64 = 1e-3;
         /// The minimum share of the points within that distance.
         const LEAST: f64 = 0.9;
-        let records = self.scan.cloud.positions.len();
-        let is_width = |lines: usize| WIDTHS.iter().any(|&width| records == lines * width as usize);
-        let grids = LASERS.into_iter().filter(|lines| is_width(*lines));
+        let records = self.cloud.positions.len();
+        // Several scans may have been joined.
+        let is_grid = |lines: &usize| records.is_multiple_of(lines * WIDTHS[0] as usize);
+        let grids = LASERS.into_iter().filter(is_grid);
         let grids = grids.flat_map(|lines| [(lines, true), (lines, false)]);
         let mut found = grids.filter_map(|(lines, by_lines)| {
             let width = records / lines;

@@ -263,6 +263,21 @@ impl Firings {
         (clear().filter(is_given).count(), clear().count())
     }
 
+    /// How many of these points are near a return by the formula.
+    pub(super) fn located(&self, positions: &[[f32; 3]]) -> usize {
+        self.places(positions, REACH + 0.5 * self.range_step_m()).len()
+    }
+
+    /// The share of a sample of the points that have a direction that are.
+    pub(super) fn located_share(&self, positions: &[[f32; 3]]) -> f64 {
+        const SAMPLE: usize = 4000;
+        let has_direction =
+            |[x, y, _]: &[f32; 3]| (x.abs() + y.abs()).is_finite() && (*x != 0.0 || *y != 0.0);
+        let points: Vec<[f32; 3]> = positions.iter().filter(|point| has_direction(point)).copied().collect();
+        let sample: Vec<[f32; 3]> = thinned(&points, SAMPLE).copied().collect();
+        self.located(&sample) as f64 / sample.len().max(1) as f64
+    }
+
     /// The row and the column of a record, in a file in which every cell of an image of `width` columns is a
     /// record.
     fn cell_of_record(&self, record: u32, width: usize) -> (u32, usize) {

@@ -56,7 +56,7 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
         by: MovedBy::Mounting(mounting),
         position: *position,
     });
-    let (fitted, share) = fit_moved(scan, &moved.collect::<Vec<_>>())?;
+    let (fitted, share) = fit_moved(&scan.cloud, &moved.collect::<Vec<_>>())?;
     let values: Vec<f32> = thinned(positions, SAMPLE).flatten().copied().collect();
     let build = Build { coordinates: Coordinates::finest_of(&values), ..fitted.build.clone() };
     Some((Firings { build, ..fitted }.mounted(mounting), share))
