@@ -78,6 +78,21 @@ fn moved_files_are_hardly_larger() {
 }
 
 #[test]
+fn a_scan_in_which_the_upper_lasers_see_nothing_shows_the_scanner() {
+    let scan = &vlp_16(1, 1)[0];
+    let is_low = |[x, y, z, _]: &&[f32; 4]| z.atan2(x.hypot(*y)) < 8f32.to_radians();
+    let low: Points = scan.iter().filter(is_low).copied().collect();
+    let part = scan[..scan.len() * 3 / 5].to_vec();
+    assert!(low.len() > part.len());
+    let [low, part] = [low, part].map(|points| Mover::NumPyDouble.moved(&points, DEGREES, METRES));
+    let scanner = Scanner::fit(&[file(&part), file(&low)]).expect("a scanner is found");
+    for points in [low, part] {
+        let exact = scanner.firings().expect("a scanner of firings").exact_share(&positions(&points));
+        assert!(exact > 0.98, "{exact}");
+    }
+}
+
+#[test]
 fn upside_down_and_quarters_of_a_turn_are_found() {
     let scan = &vlp_16(1, 1)[0];
     let turns = [[180.0, 0.0, 0.0], [0.0, 0.0, 90.0], [0.0, 90.0, 0.0], [0.0, 0.0, 180.0]];

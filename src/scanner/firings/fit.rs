@@ -43,6 +43,16 @@ const FOCAL_POINTS_UM: [i32; 4] = [41_910, 42_400, 58_630, 28_956];
 /// another that the scanner explains less well, which may show other lasers. Returns also the share of the points that it
 /// explains; `None` if no scanner of this family explains enough of them.
 pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
+    fit_by(sample, |cloud| {
+        fit_points(cloud, cloud.positions.iter().map(|position| Point::new(position.map(f64::from), None)))
+    })
+}
+
+/// The same, given the fit to one scan.
+pub(super) fn fit_by(
+    sample: &[ScanFile],
+    fit_scan: impl Fn(&PointCloud) -> Option<(Firings, f64)>,
+) -> Option<(Firings, f64)> {
     /// A share of the points that is worth another fit, and the largest number of these.
     const WORTH: f64 = 0.005;
     const MOST: usize = 2;
@@ -82,10 +92,6 @@ fn joined(one: &PointCloud, other: &PointCloud, lines: usize) -> Option<PointClo
         (line * width..(line + 1) * width).chain(start..start + other_width)
     });
     Some(both.select(&order.collect::<Vec<_>>()))
-}
-
-fn fit_scan(cloud: &PointCloud) -> Option<(Firings, f64)> {
-    fit_points(cloud, cloud.positions.iter().map(|position| Point::new(position.map(f64::from), None)))
 }
 
 /// Fits a scanner to one scan whose points were moved; `moved` has all of them.
@@ -576,7 +582,7 @@ impl RecordGrid {
 
 /// All elevations of a VLP-16, if the given ones are among them. It matters which lasers are missing, because the
 /// azimuth advances while they fire.
-fn completed(elevations: Vec<f64>) -> Vec<f64> {
+pub(super) fn completed(elevations: Vec<f64>) -> Vec<f64> {
     let mut all = VLP_16.map(|degrees| f64::from(degrees).to_radians());
     all.sort_unstable_by(|a, b| b.total_cmp(a));
     let is_known = |found: &f64| all.iter().any(|known| (known - found).abs() < ON_CONE);

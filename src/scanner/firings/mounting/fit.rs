@@ -17,7 +17,9 @@ use crate::ground::rounding::round_ties_even;
 use crate::scan::{PointCloud, ScanFile, channel_of_lasers};
 use crate::scanner::firings::blur::Blur;
 use crate::scanner::firings::constants::{Moved, MovedBy, Point, TRIED, by_rows};
-use crate::scanner::firings::fit::{ON_CONE, elevations, fit_moved, in_ticks, phase, range_step, ticks};
+use crate::scanner::firings::fit::{
+    ON_CONE, completed, elevations, fit_by, fit_moved, in_ticks, phase, range_step, ticks,
+};
 use crate::scanner::firings::order::{Order as FiringOrder, lines, order, vlp_16};
 use crate::scanner::firings::projection::nearest;
 use crate::scanner::firings::recipe::{Axes, whole_steps};
@@ -50,16 +52,20 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     let quarter = seen.later(scanner.build.ticks / 4);
     let other = sharpened(&quarter, &start.turned(FRAC_PI_2)).filter(|(_, other)| *other > exact);
     let mounting = other.map_or(mounting, |(mounting, _)| mounting);
-    let measured = scanner.mounted(mounting).measured(positions);
-    let moved = measured.iter().zip(positions).map(|(measured, position)| Moved {
-        measured: measured.map(f64::from),
-        by: MovedBy::Mounting(mounting),
-        position: *position,
-    });
-    let (fitted, share) = fit_moved(&scan.cloud, &moved.collect::<Vec<_>>())?;
-    let values: Vec<f32> = thinned(positions, SAMPLE).flatten().copied().collect();
-    let build = Build { coordinates: Coordinates::finest_of(&values), ..fitted.build.clone() };
-    Some((Firings { build, ..fitted }.mounted(mounting), share))
+    let mounted = scanner.mounted(mounting);
+    fit_by(sample, |cloud| {
+        let positions = &cloud.positions;
+        let measured = mounted.measured(positions);
+        let moved = measured.iter().zip(positions).map(|(measured, position)| Moved {
+            measured: measured.map(f64::from),
+            by: MovedBy::Mounting(mounting),
+            position: *position,
+        });
+        let (fitted, share) = fit_moved(cloud, &moved.collect::<Vec<_>>())?;
+        let values: Vec<f32> = thinned(positions, SAMPLE).flatten().copied().collect();
+        let build = Build { coordinates: Coordinates::finest_of(&values), ..fitted.build.clone() };
+        Some((Firings { build, ..fitted }.mounted(mounting), share))
+    })
 }
 
 /// Whether a point of a file may be a return: others are not finite, too far away for any scanner, or at the origin.
@@ -147,7 +153,7 @@ impl Seen {
             .map(|position| Some((Point::new(mounting.undone(position.map(f64::from)), None)?, *position)));
         let (points, positions): (Vec<Point>, Vec<[f32; 3]>) = measured.flatten().unzip();
         let range_step_um = range_step(points.iter().map(|point| point.range), Blur::default())?;
-        let elevations = elevations(&points, ON_CONE)?;
+        let elevations = completed(elevations(&points, ON_CONE)?);
         let row = |point: &Point| {
             let row = nearest(&elevations, point.elevation);
             ((elevations[row] - point.elevation).abs() < ON_CONE).then_some(row)
@@ -161,7 +167,8 @@ impl Seen {
         // Azimuth 0 is turned such that the offsets of all lasers are whole ticks, or whole thousandths of degrees.
         let thousandths = (tick * 1e3).round().max(1.0);
         let in_parts = |parts: f64| {
-            let (common, strength) = phase(phases.iter().map(|phase| phase * parts));
+            let seen = phases.iter().zip(&of_rows).filter(|(_, points)| !points.is_empty());
+            let (common, strength) = phase(seen.map(|(phase, _)| phase * parts));
             (strength > COMMON).then_some((common / parts, parts as u32))
         };
         let found = in_parts(1.0).or_else(|| in_parts(thousandths).filter(|_| ticks == 36_000));
