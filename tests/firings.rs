@@ -383,6 +383,24 @@ fn lasers_that_the_fullest_scan_does_not_show_are_found_in_another() {
     }
 }
 
+/// Whether a scanner's returns are in the order of the file.
+fn keeps_order(scanner: &Firings, points: &Points) -> bool {
+    let projection = scanner.project(&file(points).cloud, REACH);
+    let returns = scanner.file_order(&projection.image).into_iter();
+    let place = |found: Return| projection.point_of_cell[(found.row as usize, found.column as usize)];
+    returns.map(place).is_sorted()
+}
+
+#[test]
+fn files_of_returns_alone_row_by_row_keep_their_order_if_another_shows_more_lasers() {
+    let truth = made_up(Recipe::VelodyneRos).line_by_line((0..32).collect());
+    let whole = points(&truth, &RangeImage { is_full: false, ..image(&truth, 1) });
+    let low = seen_in_part(&whole, |_, [x, y, z, _]| z.atan2(x.hypot(*y)) < 11.0f32.to_radians());
+    let part = seen_in_part(&whole, |record, _| record % 5 < 3);
+    let (found, _) = fit(&[file(&part), file(&low)]).expect("found");
+    assert!(keeps_order(&found, &low) && keeps_order(&found, &part));
+}
+
 #[test]
 fn beams_through_a_focal_point_are_found() {
     let points = velodyne_decoder_vlp_16(110);
@@ -451,12 +469,8 @@ fn files_of_returns_alone_row_by_row_are_understood() {
         assert!(share > 0.999, "{recipe:?}: {share}");
         let (exact, inexact, strays) = counts(&found, &points);
         assert!(inexact <= points.len() / 1000 && strays == 0, "{recipe:?}: {exact}, {inexact}, {strays}");
+        assert!(keeps_order(&found, &points), "{recipe:?}: the order of the file");
         let projection = found.project(&file(&points).cloud, REACH);
-        let again = found.file_order(&projection.image).into_iter();
-        let again: Vec<u32> = again
-            .map(|found| projection.point_of_cell[(found.row as usize, found.column as usize)])
-            .collect();
-        assert!(again.is_sorted(), "{recipe:?}: the order of the file");
         // Less than twice as many columns as the scanner measured.
         assert!(projection.image.columns.len() < 2 * image.columns.len(), "{recipe:?}");
     }

@@ -39,6 +39,7 @@ const WHOLE_PHASE: f64 = 0.02;
 const SAMPLE: usize = 4000;
 /// Distances of the focal points of Velodyne's scanners from their axes, in micrometres: VLP-16, VLP-32, VLS-128, HDL-32E.
 const FOCAL_POINTS_UM: [i32; 4] = [41_910, 42_400, 58_630, 28_956];
+
 /// Fits a scanner to a sample of a sequence's scans: to the one with the most returns and, as long as that helps, to
 /// another that the scanner explains less well, which may show other lasers. Returns also the share of the points that it
 /// explains; `None` if no scanner of this family explains enough of them.
@@ -76,22 +77,24 @@ pub(super) fn fit_by(
     Some(found)
 }
 
-/// Two scans as one, as though the scanner had turned on. If files that hold a record for each cell are in the order of
-/// `lines`, so is this one. `None` if they have different fields.
+/// Two scans as one, as though the scanner had turned on. If files are in the order of `lines`, so is this one. `None` if
+/// they have different fields, or only returns, of which nothing tells how many are in a line.
 fn joined(one: &PointCloud, other: &PointCloud, lines: usize) -> Option<PointCloud> {
     let both = one.followed_by(other)?;
-    let [of_one, of_both] = [one, &both].map(|cloud| cloud.positions.len() as u32);
-    let of_other = of_both - of_one;
-    let lines = lines as u32;
-    if lines == 0 || of_one % lines != 0 || of_other % lines != 0 {
+    if lines == 0 {
         return Some(both);
     }
-    let [width, other_width] = [of_one, of_other].map(|records| records / lines);
+    let width = |cloud: &PointCloud| {
+        let records = cloud.positions.len();
+        let is_grid = records.is_multiple_of(lines) && cloud.measured() < records;
+        is_grid.then_some(records / lines)
+    };
+    let (width, other_width) = (width(one)?, width(other)?);
     let order = (0..lines).flat_map(|line| {
-        let start = of_one + line * other_width;
+        let start = one.positions.len() + line * other_width;
         (line * width..(line + 1) * width).chain(start..start + other_width)
     });
-    Some(both.select(&order.collect::<Vec<_>>()))
+    Some(both.select(&order.map(|record| record as u32).collect::<Vec<_>>()))
 }
 
 /// Fits a scanner to one scan whose points were moved; `moved` has all of them.
