@@ -57,12 +57,9 @@ impl PointCloud {
         })
     }
 
-    /// The number of points that have a direction: those whose x and y are finite and not both 0. Organised clouds also
-    /// hold points for beams without a return.
+    /// The number of points that have a direction. Organised clouds also hold points for beams without a return.
     pub fn measured(&self) -> usize {
-        let has_direction =
-            |[x, y, _]: &&[f32; 3]| (x.abs() + y.abs()).is_finite() && (*x != 0.0 || *y != 0.0);
-        self.positions.iter().filter(has_direction).count()
+        self.positions.iter().filter(|position| has_direction(position)).count()
     }
 
     /// The channel with this name.
@@ -85,6 +82,11 @@ impl Channel {
         let value = |&point: &u32| &self.bytes[point as usize * width..][..width];
         Channel { field: self.field.clone(), bytes: points.iter().flat_map(value).copied().collect() }
     }
+}
+
+/// Whether a point has a direction: x and y are finite and not both 0.
+pub fn has_direction([x, y, _]: &[f32; 3]) -> bool {
+    (x.abs() + y.abs()).is_finite() && (*x != 0.0 || *y != 0.0)
 }
 
 /// The first channel of small integers with a plausible number of values for the lasers of a scanner.

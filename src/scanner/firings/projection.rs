@@ -9,7 +9,7 @@ use crate::ground::angle;
 use crate::ground::error::Limits;
 use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
-use crate::scan::PointCloud;
+use crate::scan::{PointCloud, has_direction};
 use crate::scanner::{Coordinates, Echo, Projection, REACH, RangeImage, Return, thinned};
 
 /// Ranges of an exact image are below this, in steps.
@@ -268,11 +268,9 @@ impl Firings {
         self.places(positions, REACH + 0.5 * self.range_step_m()).len()
     }
 
-    /// The share of a sample of the points that have a direction that are.
+    /// The share of them among a sample of the points that have a direction.
     pub(super) fn located_share(&self, positions: &[[f32; 3]]) -> f64 {
         const SAMPLE: usize = 4000;
-        let has_direction =
-            |[x, y, _]: &[f32; 3]| (x.abs() + y.abs()).is_finite() && (*x != 0.0 || *y != 0.0);
         let points: Vec<[f32; 3]> = positions.iter().filter(|point| has_direction(point)).copied().collect();
         let sample: Vec<[f32; 3]> = thinned(&points, SAMPLE).copied().collect();
         self.located(&sample) as f64 / sample.len().max(1) as f64

@@ -66,6 +66,7 @@ impl NullaryFnOnce for Coherence<'_> {
 
     #[inline(always)]
     fn call(self) -> f64 {
+        /// Loops over fewer are unrolled into pairs instead of filling vector units.
         const LANES: usize = 32;
         let [x, y, z] = &self.sample.0;
         let along = self.along;
