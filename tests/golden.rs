@@ -11,8 +11,8 @@ use std::fs;
 use std::path::PathBuf;
 
 use crate::common::formats::{
-    columns, csv, kitti, las, npy, npy_doubles, nuscenes, pcd_extra, pcd_text, pcd_velodyne, pcd_xyz, ply,
-    ply_big_endian, ply_text,
+    columns, csv, kitti, las, npy, npy_by_column, npy_doubles, nuscenes, pcd_extra, pcd_text, pcd_velodyne,
+    pcd_xyz, ply, ply_big_endian, ply_text,
 };
 use crate::common::scans::{compensated, random_points, rounded, scans, single_precision, small, unrounded};
 use crate::common::streams::{KNOWN, at_level, halved, moved_through_a_map, with_back_end};
@@ -422,7 +422,7 @@ fn ply_files() -> Vec<File> {
 
 /// Columns of text, with separators and ends of all kinds, an array, and records with integer coordinates.
 fn table_files() -> Vec<File> {
-    let frames = scans(&small(3, 6));
+    let frames = scans(&small(3, 7));
     vec![
         ("0.csv".to_owned(), csv(&frames[0])),
         ("1.txt".to_owned(), columns(&frames[1])),
@@ -432,6 +432,7 @@ fn table_files() -> Vec<File> {
             "5.npy".to_owned(),
             npy_doubles(&[&frames[5][..], &[[f32::NAN, -f32::NAN, f32::INFINITY, -0.0]]].concat()),
         ),
+        ("6.npy".to_owned(), npy_by_column(&frames[6])),
         (
             "3.xyz".to_owned(),
             String::from_utf8(columns(&frames[3])).unwrap().replace("; ", "\t").replace(';', "").into_bytes(),

@@ -7,6 +7,7 @@
 #[cfg(feature = "cli")]
 mod arrival;
 mod big_endian;
+mod by_field;
 mod convert;
 mod field;
 mod headerless;
@@ -222,6 +223,7 @@ pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Resu
         }
         Wrapping::Text(format) => give(&text_records::write(&records::join(file)?, format)?)?,
         Wrapping::Widened(fields) => give(&widened::write(&records::join(file)?, &file.layout, fields))?,
+        Wrapping::ByField(fields) => give(&by_field::write(&records::join(file)?, &file.layout, fields))?,
         Wrapping::Scaled(axes) => {
             let mut body = records::join(file)?;
             scaled::to_steps(&mut body, &file.layout, axes);

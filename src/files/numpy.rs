@@ -4,7 +4,7 @@
 //! Source: NumPy, `numpy.lib.format`, versions 1 to 3.
 
 use super::field::{Declared, FEWEST_COLUMNS, layout_of, names_coordinates, usual_names};
-use super::{big_endian, field, widened};
+use super::{big_endian, by_field, field, widened};
 use crate::scan::{Field, Scalar, ScanFile, Wrapping};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
@@ -17,6 +17,8 @@ pub(super) struct Header {
     /// Number of records, which may be wrong: the body decides.
     records: u64,
     is_big_endian: bool,
+    /// Whether the records are stored column by column.
+    is_by_field: bool,
     /// Whether the file itself names the fields.
     is_named: bool,
     /// Bytes of the header.
@@ -25,8 +27,7 @@ pub(super) struct Header {
 
 impl Header {
     /// Reads the header that `bytes` begin with; `None` if it is damaged, or if the array has no records that
-    /// this program supports: column by column, of objects, of two byte orders, or a table of fewer than
-    /// three columns.
+    /// this program supports: of objects, of two byte orders, or a table of fewer than three columns.
     pub(super) fn parse(bytes: &[u8]) -> Option<Self> {
         let (version, rest) = bytes.strip_prefix(MAGIC)?.split_first_chunk::<2>()?;
         let (start, size) = match version {
@@ -40,10 +41,7 @@ impl Header {
         let Literal::Dictionary(entries) = Literal::read(&mut text, 0)? else { return None };
         let entry = |name: &str| entries.iter().find(|(key, _)| *key == name).map(|(_, value)| value);
         let shape = entry("shape")?.numbers()?;
-        // For a single row or column the two orders are the same.
-        if shape.len() > 1 && !matches!(entry("fortran_order")?, Literal::Word("False")) {
-            return None;
-        }
+        let is_column_major = shape.len() > 1 && !matches!(entry("fortran_order")?, Literal::Word("False"));
         let mut orders = Orders::default();
         let (fields, shape, is_named) = match entry("descr")? {
             Literal::Text(kind) => {
@@ -63,7 +61,9 @@ impl Header {
         };
         let records = shape.iter().try_fold(1u64, |product, count| product.checked_mul(*count))?;
         let is_big_endian = orders.is_big_endian()?;
-        Some(Header { fields, records, is_big_endian, is_named, length })
+        // Structures are whole in either order; their own order is that of the file.
+        let is_by_field = is_column_major && !is_named;
+        Some(Header { fields, records, is_big_endian, is_by_field, is_named, length })
     }
 
     /// Whether an array in a folder, which was not named explicitly, looks like points: it names coordinates,
@@ -86,9 +86,11 @@ impl Header {
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
     let layout = layout_of(header.fields, Wrapping::Plain)?;
-    match header.is_big_endian {
-        false => widened::parse(layout, bytes, header.length, header.records),
-        true => big_endian::parse(layout, bytes, header.length, header.records),
+    match (header.is_by_field, header.is_big_endian) {
+        (false, false) => widened::parse(layout, bytes, header.length, header.records),
+        (false, true) => big_endian::parse(layout, bytes, header.length, header.records),
+        (true, false) => by_field::parse(layout, bytes, header.length, header.records),
+        (true, true) => None,
     }
 }
 
@@ -350,6 +352,28 @@ mod tests {
     }
 
     #[test]
+    fn tables_may_be_stored_column_by_column() {
+        let columns = [[1.0, 9.0], [2.0, -1.0], [3.0, -0.0], [0.5, 0.25]];
+        let body = floats(columns.as_flattened());
+        let scan = comes_back("a.npy", array("'<f4'", "True", "(2, 4)", &[&body[..], b"more"].concat()));
+        assert_eq!((scan.records, &scan.suffix[..]), (2, &b"more"[..]));
+        assert_eq!(scan.cloud.positions, [[1.0, 2.0, 3.0], [9.0, -1.0, -0.0]]);
+        assert_eq!(scan.cloud.intensity, [0.5, 0.25]);
+        let scan = comes_back("a.npy", array("'<f4'", "True", "(1, 2, 4)", &body));
+        assert_eq!(scan.cloud.positions[1], [9.0, -1.0, -0.0]);
+        // As pandas writes its tables: doubles, of which all but the time are float32.
+        let doubles = columns.as_flattened().iter().map(|&value| f64::from(value)).chain([0.1, 0.2]);
+        let body: Vec<u8> = doubles.flat_map(f64::to_le_bytes).collect();
+        let scan = comes_back("a.npy", array("'<f8'", "True", "(2, 5)", &body));
+        assert_eq!(scan.layout.wrapping, Wrapping::ByField(vec![true, true, true, true, false]));
+        assert_eq!(scan.cloud.positions[1], [9.0, -1.0, -0.0]);
+        assert_eq!(scan.cloud.channels[0].bytes, [0.1_f64, 0.2].map(f64::to_le_bytes).concat());
+        // Structures are stored as wholes.
+        let scan = comes_back("a.npy", array("[('x', '<f4'), ('y', '<f4')]", "True", "(2, 2)", &body[..32]));
+        assert_eq!((scan.records, scan.layout.wrapping), (4, Wrapping::Plain));
+    }
+
+    #[test]
     fn structures_have_their_fields() {
         let descr = "[('x', '<f4'), ('y', '<f4'), (('height', 'z'), '<f4'), ('laser id', '|u1'), ('', '|V3'), ('t', '<M8[ns]'), \
                      (\"n\", '<i2', (2,)), ('name', '<U2'), ('half', '<f2'), ('ok', '|b1')]";
@@ -379,7 +403,8 @@ mod tests {
     fn other_arrays_are_opaque() {
         let deep = "(".repeat(60_000);
         for (descr, order, shape) in [
-            ("'<f4'", "True", "(2, 5)"),
+            ("'>f4'", "True", "(2, 5)"),
+            ("'<f4'", "True", "(3, 5)"),
             ("'<f4'", "False", "(10,)"),
             ("'<f4'", "False", "(5, 2)"),
             ("'<f4'", "False", "()"),
@@ -432,6 +457,10 @@ mod tests {
             let scan = comes_back("a.npy", [header, vec![1; 240]].concat());
             assert_eq!((scan.records, scan.suffix.len()), (7, 100), "{descr} {shape}");
         }
+        let header = crate::files::with_point_count(&array("'<f4'", "True", "(4, 3, 5)", b""), 2);
+        let body: Vec<f32> = (0..10).map(|value| value as f32).collect();
+        let scan = comes_back("a.npy", [header, floats(&body)].concat());
+        assert_eq!(scan.cloud.positions, [[0.0, 2.0, 4.0], [1.0, 3.0, 5.0]]);
     }
 
     #[test]

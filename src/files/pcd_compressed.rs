@@ -3,9 +3,9 @@
 
 use byteorder::{ByteOrder, LittleEndian};
 
-use super::{lzf, records};
+use super::{by_field, lzf, records};
 use crate::ground::error::{Error, Result};
-use crate::scan::{Field, Layout, LzfDialect, ScanFile, Wrapping};
+use crate::scan::{Layout, LzfDialect, ScanFile, Wrapping};
 
 /// Bytes before the compressed data: the two sizes.
 const SIZES: usize = 8;
@@ -23,10 +23,7 @@ pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize) -> Option<ScanFi
         return None;
     }
     let lzf = LzfDialect::ALL.into_iter().find(|&dialect| lzf::compress(&planes, dialect) == packed)?;
-    let mut body = vec![0; planes.len()];
-    for_each_value(&layout, planes.len() / stride, |in_planes, in_records| {
-        body[in_records].copy_from_slice(&planes[in_planes]);
-    });
+    let body = by_field::to_records(&planes, &layout.fields);
     let (layout, cloud) = records::split(layout, &body);
     Some(ScanFile {
         name: String::new(),
@@ -45,32 +42,9 @@ pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize) -> Option<ScanFi
 pub(super) fn write(body: &[u8], layout: &Layout, dialect: LzfDialect) -> Result<Vec<u8>> {
     let too_long = |_| Error::corrupt("records too long for a compressed PCD file");
     let size = u32::try_from(body.len()).map_err(too_long)?;
-    let mut planes = vec![0; body.len()];
-    for_each_value(layout, body.len() / layout.stride().max(1), |in_planes, in_records| {
-        planes[in_planes].copy_from_slice(&body[in_records]);
-    });
-    let packed = lzf::compress(&planes, dialect);
+    let packed = lzf::compress(&by_field::from_records(body, &layout.fields), dialect);
     let packed_size = u32::try_from(packed.len()).map_err(too_long)?;
     Ok([&packed_size.to_le_bytes()[..], &size.to_le_bytes(), &packed].concat())
-}
-
-/// Calls `visit` with the range of each value's bytes in field order and in record order.
-fn for_each_value(
-    layout: &Layout,
-    records: usize,
-    mut visit: impl FnMut(std::ops::Range<usize>, std::ops::Range<usize>),
-) {
-    let stride = layout.stride();
-    let mut in_planes = 0;
-    let mut in_record = 0;
-    for width in layout.fields.iter().map(Field::width) {
-        for record in 0..records {
-            let at = record * stride + in_record;
-            visit(in_planes..in_planes + width, at..at + width);
-            in_planes += width;
-        }
-        in_record += width;
-    }
 }
 
 #[cfg(test)]

@@ -94,7 +94,7 @@ fn taken(body: &[u8], stride: usize, at: usize, width: usize) -> Vec<u8> {
 }
 
 /// Copies values of `width` bytes between records, given the bytes, the stride and the offset on either side.
-fn copy_values(
+pub(super) fn copy_values(
     width: usize,
     (from, from_stride, from_at): (&[u8], usize, usize),
     (to, to_stride, to_at): (&mut [u8], usize, usize),

@@ -1,6 +1,5 @@
 //! Records whose doubles all have float32 precision, as written by programs that compute in double precision.
 //! FORMAT.md 9.
-//! FORMAT.md 9.
 
 use super::field::{POSITION, layout_of};
 use super::records::Parts;
@@ -11,19 +10,37 @@ use crate::scan::{Field, Layout, Scalar, ScanFile, Wrapping};
 pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, count: u64) -> Option<ScanFile> {
     layout.validate().ok()?;
     let parts = Parts::of(bytes, start, layout.stride(), count)?;
-    let widened = narrow_fields(&layout.fields, parts.body);
-    if parts.records == 0 || !widened.contains(&true) {
+    let Some(Narrowed { fields, is_widened, body }) = narrowed(&layout.fields, parts.body) else {
         return Some(parts.file(layout, parts.body));
+    };
+    Some(parts.file(layout_of(fields, Wrapping::Widened(is_widened))?, &body))
+}
+
+/// Records with float32 in place of doubles.
+pub(super) struct Narrowed {
+    /// The fields of the records.
+    pub fields: Vec<Field>,
+    /// For each field, whether the file has doubles instead.
+    pub is_widened: Vec<bool>,
+    /// The records.
+    pub body: Vec<u8>,
+}
+
+/// Complete records with float32 in place of doubles of which float32 preserves every bit; `None` if there are
+/// none. The layout of the fields must be valid.
+pub(super) fn narrowed(fields: &[Field], body: &[u8]) -> Option<Narrowed> {
+    let is_widened = narrow_fields(fields, body);
+    if body.is_empty() || !is_widened.contains(&true) {
+        return None;
     }
     let scalar = |(field, is_widened): (&Field, &bool)| match is_widened {
         true => Field { scalar: Scalar::F32, ..field.clone() },
         false => field.clone(),
     };
-    let fields: Vec<_> = layout.fields.iter().zip(&widened).map(scalar).collect();
-    let mut narrowed = Vec::with_capacity(parts.body.len());
-    for record in parts.body.chunks_exact(layout.stride()) {
+    let mut narrowed = Vec::with_capacity(body.len());
+    for record in body.chunks_exact(fields.iter().map(Field::width).sum()) {
         let mut rest = record;
-        for (field, is_widened) in layout.fields.iter().zip(&widened) {
+        for (field, is_widened) in fields.iter().zip(&is_widened) {
             let (own, after) = rest.split_at(field.width());
             rest = after;
             match is_widened {
@@ -32,9 +49,11 @@ pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, count: u64) -> O
             }
         }
     }
-    let layout = layout_of(fields, Wrapping::Widened(widened))?;
-    layout.validate().ok()?;
-    Some(parts.file(layout, &narrowed))
+    Some(Narrowed {
+        fields: fields.iter().zip(&is_widened).map(scalar).collect(),
+        is_widened,
+        body: narrowed,
+    })
 }
 
 /// Which fields are doubles that float32 preserves.

@@ -78,6 +78,9 @@ pub enum Wrapping {
     /// One after the other, with doubles in place of the float32 values of some fields; for each field,
     /// whether it is one of those.
     Widened(Vec<bool>),
+    /// Field by field (`.npy` in column-major order), with doubles in place of the float32 values of some
+    /// fields, as in `Widened`.
+    ByField(Vec<bool>),
 }
 
 /// How a coordinate is computed from an integer: `integer / per_metre + offset`, in double precision, then
@@ -116,6 +119,7 @@ const TEXT: u8 = 2;
 const BIG_ENDIAN: u8 = 3;
 const SCALED: u8 = 4;
 const WIDENED: u8 = 5;
+const BY_FIELD: u8 = 6;
 
 impl Layout {
     /// Number of bytes in a record; 0 if the file holds no records.
@@ -193,7 +197,7 @@ impl Layout {
                 check(self.position.is_some(), "no coordinates to scale")?;
                 check(axes.iter().all(is_valid), "a scale that is none")
             }
-            Wrapping::Widened(widened) => {
+            Wrapping::Widened(widened) | Wrapping::ByField(widened) => {
                 let suit = |(field, is_widened): (&Field, &bool)| !is_widened || field.scalar == Scalar::F32;
                 check(widened.len() == self.fields.len(), "widened fields that are none")?;
                 check(stride > 0, "no fields")?;
@@ -220,6 +224,7 @@ impl Layout {
             Wrapping::BigEndian => BIG_ENDIAN,
             Wrapping::Scaled(_) => SCALED,
             Wrapping::Widened(_) => WIDENED,
+            Wrapping::ByField(_) => BY_FIELD,
         });
         write_unsigned(out, self.fields.len() as u64);
         for field in &self.fields {
@@ -236,7 +241,9 @@ impl Layout {
             Wrapping::Plain | Wrapping::BigEndian => {}
             Wrapping::PcdCompressed { lzf } => out.push(*lzf as u8),
             Wrapping::Text(format) => format.write_to(out),
-            Wrapping::Widened(widened) => out.extend(widened.iter().map(|&is_widened| u8::from(is_widened))),
+            Wrapping::Widened(widened) | Wrapping::ByField(widened) => {
+                out.extend(widened.iter().map(|&is_widened| u8::from(is_widened)));
+            }
             Wrapping::Scaled(axes) => {
                 for axis in axes {
                     out.extend(axis.per_metre.to_le_bytes());
@@ -275,7 +282,8 @@ impl Layout {
                 Wrapping::Text(TextFormat::read_from(input, values)?)
             }
             SCALED => Wrapping::Scaled([read_axis(input)?, read_axis(input)?, read_axis(input)?]),
-            WIDENED => Wrapping::Widened(fields.iter().map(|_| read_flag(input)).collect::<Result<_>>()?),
+            WIDENED => Wrapping::Widened(read_flags(input, fields.len())?),
+            BY_FIELD => Wrapping::ByField(read_flags(input, fields.len())?),
             _ => return Err(Error::corrupt("record layout: unknown wrapping")),
         };
         let layout = Layout { wrapping, fields, position, intensity };
@@ -301,11 +309,12 @@ fn read_dialect(input: &mut &[u8]) -> Result<LzfDialect> {
     dialect.copied().ok_or_else(|| Error::corrupt("record layout: unknown LZF dialect"))
 }
 
-fn read_flag(input: &mut &[u8]) -> Result<bool> {
-    match read_byte(input)? {
+fn read_flags(input: &mut &[u8], count: usize) -> Result<Vec<bool>> {
+    let flag = |_| match read_byte(input)? {
         flag @ 0..=1 => Ok(flag == 1),
         _ => Err(Error::corrupt("record layout: unknown flag")),
-    }
+    };
+    (0..count).map(flag).collect()
 }
 
 fn read_axis(input: &mut &[u8]) -> Result<Axis> {
@@ -381,6 +390,7 @@ mod tests {
         let axes = [1e3, 1e2, 0.5].map(|per_metre| Axis { per_metre, offset: -per_metre });
         round_trip(&Layout { wrapping: Wrapping::Scaled(axes), ..kitti() });
         round_trip(&Layout { wrapping: Wrapping::Widened(vec![true, true, true, false]), ..kitti() });
+        round_trip(&Layout { wrapping: Wrapping::ByField(vec![true, true, true, false]), ..kitti() });
         let shortest = NumberRule::Shortest { double: true, point_zero: false };
         let columns = vec![
             Column { scalar: Scalar::F32, rule: NumberRule::Significant(8) },
@@ -443,6 +453,7 @@ mod tests {
             Layout { wrapping: Wrapping::BigEndian, ..Layout::default() },
             Layout { wrapping: scaled(1e3, 0.0), position: None, ..kitti() },
             Layout { wrapping: Wrapping::Widened(vec![true; 3]), ..kitti() },
+            Layout { wrapping: Wrapping::ByField(vec![true; 3]), ..kitti() },
             Layout { wrapping: Wrapping::Widened(vec![]), ..Layout::default() },
             Layout { wrapping: Wrapping::Widened(vec![true; 5]), ..with(&[Field::new("t", Scalar::F64)]) },
             Layout { wrapping: scaled(0.0, 0.0), ..kitti() },

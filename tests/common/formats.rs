@@ -123,14 +123,28 @@ pub fn npy(points: &[[f32; 4]]) -> Vec<u8> {
 
 /// NumPy's table of doubles, of which column_5 does not fit float32.
 pub fn npy_doubles(points: &[[f32; 4]]) -> Vec<u8> {
-    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 5), }}\n", points.len());
-    let mut bytes =
-        [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes()].concat();
-    for (n, point) in points.iter().enumerate() {
-        let values = point.iter().map(|value| f64::from(*value)).chain([1.3e9 + n as f64 * 1e-5]);
-        bytes.extend(values.flat_map(f64::to_le_bytes));
-    }
-    bytes
+    npy_table(points, "False", |values| values.as_flattened().to_vec())
+}
+
+/// The same, column by column, as pandas stores it.
+pub fn npy_by_column(points: &[[f32; 4]]) -> Vec<u8> {
+    npy_table(points, "True", |values| {
+        (0..5).flat_map(|column| values.iter().map(move |row| row[column])).collect()
+    })
+}
+
+fn npy_table(points: &[[f32; 4]], order: &str, ordered: fn(&[[f64; 5]]) -> Vec<f64>) -> Vec<u8> {
+    let header = format!("{{'descr': '<f8', 'fortran_order': {order}, 'shape': ({}, 5), }}\n", points.len());
+    let rows: Vec<_> = points
+        .iter()
+        .enumerate()
+        .map(|(n, point)| {
+            let [x, y, z, intensity] = point.map(f64::from);
+            [x, y, z, intensity, 1.3e9 + n as f64 * 1e-5]
+        })
+        .collect();
+    let body = ordered(&rows).into_iter().flat_map(f64::to_le_bytes).collect::<Vec<_>>();
+    [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes(), &body].concat()
 }
 
 /// LAS 1.2 of point format 1, steps of a millimetre, intensities as percent.

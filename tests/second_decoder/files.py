@@ -4,8 +4,8 @@ import struct
 from fractions import Fraction
 from math import isfinite, isnan
 
-from layout import BIG_ENDIAN, CRLF, F32, FIXED, INTEGER, OPEN_END, PCD_COMPRESSED, SCIENTIFIC, SEPARATOR_FLAGS
-from layout import SCALED, SEPARATORS, SIGNIFICANT, SPACE_AFTER, TEXT, TRAILING_SEPARATOR, TYPES, WIDENED
+from layout import BIG_ENDIAN, BY_FIELD, CRLF, F32, FIXED, INTEGER, OPEN_END, PCD_COMPRESSED, SCALED, SCIENTIFIC
+from layout import SEPARATOR_FLAGS, SEPARATORS, SIGNIFICANT, SPACE_AFTER, TEXT, TRAILING_SEPARATOR, TYPES, WIDENED
 from models import clamp, f32, to_int
 from scanner import float_of_bits
 
@@ -45,6 +45,8 @@ def wrapped(layout, records):
         return scaled(layout, records)
     if layout.wrapping == WIDENED:
         return widened(layout, records)
+    if layout.wrapping == BY_FIELD:
+        return by_field(layout, records)
     return records
 
 
@@ -73,10 +75,29 @@ def widened(layout, records):
     for start in range(0, len(records), layout.stride):
         for field, is_widened in zip(layout.fields, layout.widened):
             own = records[start + field.offset :][: field.width]
-            if is_widened:
-                own = b"".join(map(double, struct.unpack(f"<{len(own) // 4}I", own)))
-            out += own
+            out += doubles(own) if is_widened else own
     return bytes(out)
+
+
+def by_field(layout, records):
+    out = bytearray()
+    for field, is_widened in zip(layout.fields, layout.widened):
+        values = values_of(field, layout, records)
+        out += doubles(values) if is_widened else values
+    return bytes(out)
+
+
+def values_of(field, layout, records):
+    """The bytes of a field of all records."""
+    values = bytearray(len(records) // layout.stride * field.width)
+    for k in range(field.width):
+        values[k :: field.width] = records[field.offset + k :: layout.stride]
+    return bytes(values)
+
+
+def doubles(values):
+    """The bytes of doubles in place of those of float32."""
+    return b"".join(map(double, struct.unpack(f"<{len(values) // 4}I", values)))
 
 
 def double(bits):
@@ -89,13 +110,8 @@ def double(bits):
 
 
 def pcd_compressed(layout, records):
-    fields = bytearray()
-    for field in layout.fields:
-        plane = bytearray(len(records) // layout.stride * field.width)
-        for k in range(field.width):
-            plane[k :: field.width] = records[field.offset + k :: layout.stride]
-        fields += plane
-    packed = lzf(bytes(fields), *layout.dialect)
+    fields = b"".join(values_of(field, layout, records) for field in layout.fields)
+    packed = lzf(fields, *layout.dialect)
     return struct.pack("<II", len(packed), len(fields)) + packed
 
 

@@ -7,7 +7,7 @@ from unicodedata import category
 from container import Reader
 from errors import Refused
 
-PLAIN, PCD_COMPRESSED, TEXT, BIG_ENDIAN, SCALED, WIDENED = range(6)
+PLAIN, PCD_COMPRESSED, TEXT, BIG_ENDIAN, SCALED, WIDENED, BY_FIELD = range(7)
 # By the numbers of the types, their letters in the module `struct`.
 TYPES = "bBhHiIqQfd"
 I8, U8, I16, U16, I32, U32, I64, U64, F32, F64 = range(10)
@@ -85,7 +85,7 @@ class Layout:
                 raise Refused("a scale that is none")
             if not self.position:
                 raise Refused("no coordinates to scale")
-        elif self.wrapping == WIDENED:
+        elif self.wrapping in (WIDENED, BY_FIELD):
             self.widened = [reader.unsigned(1) for _ in self.fields]
             if any(flag > 1 or flag and field.kind != F32 for flag, field in zip(self.widened, self.fields)):
                 raise Refused("a widened field of another type")

@@ -1,0 +1,66 @@
+//! Records stored field by field: all values of the first field, then all of the second, and so on.
+//! FORMAT.md 9.
+
+use super::field::layout_of;
+use super::records::{Parts, copy_values};
+use super::widened;
+use crate::scan::{Field, Layout, Scalar, ScanFile, Wrapping};
+
+/// Splits a file whose `count` records begin at byte `start`. Doubles become float32 as in
+/// [`widened::parse`]. `None` if the layout is not valid, or if the file is too short.
+pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, count: u64) -> Option<ScanFile> {
+    layout.validate().ok()?;
+    let parts = Parts::of(bytes, start, layout.stride(), count)?;
+    if parts.records as u64 != count {
+        return None;
+    }
+    let body = to_records(parts.body, &layout.fields);
+    let (fields, is_widened, body) = match widened::narrowed(&layout.fields, &body) {
+        Some(narrowed) => (narrowed.fields, narrowed.is_widened, narrowed.body),
+        None => (layout.fields.clone(), vec![false; layout.fields.len()], body),
+    };
+    Some(parts.file(layout_of(fields, Wrapping::ByField(is_widened))?, &body))
+}
+
+/// The body with these records, whose doubles are float32 in the fields that are widened.
+pub(super) fn write(body: &[u8], layout: &Layout, is_widened: &[bool]) -> Vec<u8> {
+    let wide = |(field, is_widened): (&Field, &bool)| match is_widened {
+        true => Field { scalar: Scalar::F64, ..field.clone() },
+        false => field.clone(),
+    };
+    let fields: Vec<_> = layout.fields.iter().zip(is_widened).map(wide).collect();
+    from_records(&widened::write(body, layout, is_widened), &fields)
+}
+
+/// Complete records with these fields, from a body that is stored field by field.
+pub(super) fn to_records(by_field: &[u8], fields: &[Field]) -> Vec<u8> {
+    let mut records = vec![0; by_field.len()];
+    let stride = stride(fields);
+    let mut rest = by_field;
+    let mut at = 0;
+    for width in fields.iter().map(Field::width) {
+        let (own, after) = rest.split_at(by_field.len() / stride * width);
+        copy_values(width, (own, width, 0), (&mut records, stride, at));
+        (rest, at) = (after, at + width);
+    }
+    records
+}
+
+/// The inverse of [`to_records`].
+pub(super) fn from_records(records: &[u8], fields: &[Field]) -> Vec<u8> {
+    let mut by_field = vec![0; records.len()];
+    let stride = stride(fields);
+    let mut rest = &mut by_field[..];
+    let mut at = 0;
+    for width in fields.iter().map(Field::width) {
+        let (own, after) = rest.split_at_mut(records.len() / stride * width);
+        copy_values(width, (records, stride, at), (own, width, 0));
+        (rest, at) = (after, at + width);
+    }
+    by_field
+}
+
+/// Bytes of a record; at least 1.
+fn stride(fields: &[Field]) -> usize {
+    fields.iter().map(Field::width).sum::<usize>().max(1)
+}
