@@ -5,8 +5,8 @@ use std::f64::consts::TAU;
 
 use crate::common::bound::{bounded, keeps_the_bound};
 use crate::common::firings::{
-    image, made_up, ouster, ouster_fields, points, taking_turns, timed, velodyne_decoder_vlp_16, vlp_32c,
-    with_echoes,
+    OusterDriver, image, made_up, ouster, ouster_fields, points, taking_turns, timed,
+    velodyne_decoder_vlp_16, vlp_32c, with_echoes,
 };
 use crate::common::formats::kitti;
 use crate::common::scans::{Points, rounded};
@@ -185,7 +185,7 @@ fn formulas_are_those_of_the_geometry() {
             let azimuth = start + (laser.azimuth as f64 * 1e-9).to_radians();
             let elevation = (laser.elevation as f64 * 1e-9).to_radians();
             let mut metres = f64::from(found.steps) * scanner.range_step_m();
-            if matches!(recipe, Recipe::Ouster | Recipe::OusterRos) {
+            if recipe.measures_from_axis() {
                 // The ranges of these recipes are measured from the axis.
                 metres -= metre(origin.along_um);
             }
@@ -197,6 +197,10 @@ fn formulas_are_those_of_the_geometry() {
             }
             let ahead = metres * elevation.cos() * azimuth.cos() + metre(origin.along_um) * start.cos();
             let right = metres * elevation.cos() * azimuth.sin() + metre(origin.along_um) * start.sin();
+            if recipe == Recipe::OusterEarly {
+                // Its heights are computed as if beams started in front of the axis.
+                metres += 2.0 * metre(origin.along_um);
+            }
             let up = metres * elevation.sin() + metre(origin.up_um);
             let [x, y, z] = scanner.position(&found, 0.0);
             // Programs differ in which axis is ahead.
@@ -311,11 +315,15 @@ fn constants_of_any_digits_are_found_to_the_last_bit() {
 
 #[test]
 fn ousters_whose_beams_start_off_the_axis_are_found() {
-    for (is_single, recipe) in [(false, Recipe::Ouster), (true, Recipe::OusterRos)] {
-        let points = ouster(64, is_single);
+    for (driver, recipe, along) in [
+        (OusterDriver::Sdk, Recipe::Ouster, 27_116),
+        (OusterDriver::Ros, Recipe::OusterRos, 27_116),
+        (OusterDriver::Early, Recipe::OusterEarly, -27_116),
+    ] {
+        let points = ouster(64, driver);
         let (found, share) = fit(&[file(&points)]).expect("found");
         assert_eq!((found.build().recipe, found.build().ticks), (recipe, 512));
-        assert_eq!((found.build().origin.along_um, found.build().origin.up_um), (27_116, 36_180));
+        assert_eq!((found.build().origin.along_um, found.build().origin.up_um), (along, 36_180));
         assert_eq!(share, 1.0);
         let (_, inexact, strays) = counts(&found, &points);
         assert_eq!((inexact, strays), (0, 0));
@@ -337,7 +345,7 @@ fn the_range_of_an_ouster_is_not_coded_twice() {
 #[test]
 fn the_fullest_scan_shows_the_scanner() {
     // The last scan ends after a few columns.
-    let whole = ouster(32, false);
+    let whole = ouster(32, OusterDriver::Sdk);
     let mut cut = whole.clone();
     (0..cut.len()).filter(|record| record % 512 > 30).for_each(|record| cut[record] = [0.0; 4]);
     let (found, _) = fit(&[file(&whole), file(&cut)]).expect("found");
@@ -362,7 +370,7 @@ fn lasers_that_the_fullest_scan_does_not_show_are_found_in_another() {
         points(&scanner, &image(&scanner, 1))
     };
     let scans = [
-        ("an image by lines", ouster(32, false), 512),
+        ("an image by lines", ouster(32, OusterDriver::Sdk), 512),
         ("an image by columns", room(Recipe::Ouster), 1),
         (
             "returns",
@@ -423,7 +431,7 @@ fn rounded_coordinates_take_little_more_than_those_to_the_last_bit() {
         ("VLP-16", vlp_16, &[(3, 105), (2, 100)][..]),
         ("32 lasers with offsets", made_up(Recipe::DoubleYAhead), &[(3, 102), (2, 130)]),
         ("32 lasers with offsets, in single precision", made_up(Recipe::VelodyneRos), &[(3, 102), (2, 145)]),
-        ("512 columns", ouster(32, false), &[(3, 180)]),
+        ("512 columns", ouster(32, OusterDriver::Sdk), &[(3, 180)]),
     ] {
         let before = round_trip(&files(std::slice::from_ref(&scan)), &EncoderConfig::default()).len();
         for (places, most) in limits {
@@ -498,7 +506,7 @@ fn rows_of_a_vlp_16_are_put_back_into_firings() {
 #[test]
 fn ousters_without_blanks_are_found_in_every_order() {
     let (rows, width) = (64, 512);
-    let points = ouster(rows, false);
+    let points = ouster(rows, OusterDriver::Sdk);
     let cells = |order: &dyn Fn(usize, usize) -> usize| -> Points {
         let cells = (0..width).flat_map(|column| (0..rows).map(move |row| (row, column)));
         let points = cells.map(|(row, column)| points[row * width + order(row, column)]);

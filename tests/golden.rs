@@ -10,6 +10,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 
+use crate::common::firings::{OusterDriver, ouster};
 use crate::common::formats::{
     columns, csv, kitti, las, npy, npy_by_column, npy_doubles, nuscenes, pcd_extra, pcd_text, pcd_velodyne,
     pcd_xyz, ply, ply_big_endian, ply_text,
@@ -288,8 +289,9 @@ fn recipes() -> Vec<Recipe> {
         || firings_files(firings::Recipe::VelodyneDecoderHdl32e, Cells::Echoes),
         EncoderConfig::default(),
     );
-    exact("firings-ouster", || named(&[common::firings::ouster(16, false)]), EncoderConfig::default());
-    exact("firings-ouster-ros", || named(&[common::firings::ouster(16, true)]), EncoderConfig::default());
+    exact("firings-ouster", || named(&[ouster(16, OusterDriver::Sdk)]), EncoderConfig::default());
+    exact("firings-ouster-ros", || named(&[ouster(16, OusterDriver::Ros)]), EncoderConfig::default());
+    exact("firings-ouster-early", || named(&[ouster(16, OusterDriver::Early)]), EncoderConfig::default());
     let ouster_fields = || vec![("0.pcd".to_owned(), common::firings::ouster_fields(16))];
     for (level, name) in [(1, "-packed"), (3, "-fitted-tokens"), (6, "")] {
         exact(&format!("firings-ouster-fields{name}"), ouster_fields, at_level(level));

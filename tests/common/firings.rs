@@ -14,7 +14,7 @@ use super::scans::Points;
 pub fn made_up(recipe: Recipe) -> Firings {
     let (ticks, range_step_um) = match recipe {
         Recipe::SingleRangeXAhead => (2048, 1000),
-        Recipe::Ouster | Recipe::OusterRos => (1024, 1000),
+        recipe if recipe.measures_from_axis() => (1024, 1000),
         Recipe::RoboSense => (36_000, 2500),
         Recipe::DoubleYAhead => (36_000, 2000),
         _ => (36_000, 4000),
@@ -35,6 +35,7 @@ pub fn made_up(recipe: Recipe) -> Firings {
         Recipe::RoboSense => Origin { along_um: 34_980, up_um: 0 },
         Recipe::LsLidar => Origin { along_um: 36_100, up_um: 0 },
         Recipe::Ouster | Recipe::OusterRos => Origin { along_um: 15_806, up_um: 38_195 },
+        Recipe::OusterEarly => Origin { along_um: -12_163, up_um: 36_180 },
         Recipe::VelodyneDecoder => Origin { along_um: 42_400, up_um: 0 },
         Recipe::VelodyneDecoderHdl32e => Origin { along_um: 28_956, up_um: 0 },
         _ => Origin::default(),
@@ -67,7 +68,7 @@ pub fn image(scanner: &Firings, thinning: u32) -> RangeImage {
         tick += next;
     }
     let mut image = RangeImage::new(32, columns);
-    image.is_full = matches!(recipe, Recipe::Ouster | Recipe::OusterRos);
+    image.is_full = recipe.measures_from_axis();
     if timing.is_interpolated() {
         image.spans = spans;
     }
@@ -252,7 +253,7 @@ pub fn ouster_fields(rows: usize) -> Vec<u8> {
     let width = 512;
     let fields =
         ("x y z intensity t reflectivity ring ambient range", "4 4 4 4 4 2 2 2 4", "F F F F U U U U U");
-    super::formats::pcd(fields.0, fields.1, fields.2, &ouster(rows, false), |record, point| {
+    super::formats::pcd(fields.0, fields.1, fields.2, &ouster(rows, OusterDriver::Sdk), |record, point| {
         let (row, column) = (record / width, record % width);
         let range = ouster_range(row, (column + width - OUSTER_SHIFTS[row % 4]) % width).unwrap_or(0);
         let [x, y, z, _] = point;
@@ -269,10 +270,20 @@ pub fn ouster_fields(rows: usize) -> Vec<u8> {
 /// By how many columns each row of an Ouster is shifted.
 const OUSTER_SHIFTS: [usize; 4] = [24, 8, 504, 488];
 
-/// A scan of an Ouster in a room, as computed by its SDK in the sensor's frame, in single or double
-/// precision: an image row by row, each row shifted by its own number of columns, and zeros where there is no
-/// return.
-pub fn ouster(rows: usize, is_single: bool) -> Points {
+/// A program that computes an Ouster's points in the frame of its case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OusterDriver {
+    /// In double precision.
+    Sdk,
+    /// In single precision.
+    Ros,
+    /// In double precision; it turns directions to that frame, but not where beams start.
+    Early,
+}
+
+/// A scan of an Ouster in a room: an image row by row, each row shifted by its own number of columns, and zeros where
+/// there is no return.
+pub fn ouster(rows: usize, driver: OusterDriver) -> Points {
     let width = 512;
     let shift = |row: usize| OUSTER_SHIFTS[row % 4];
     let mut points = vec![[0.0; 4]; rows * width];
@@ -288,14 +299,15 @@ pub fn ouster(rows: usize, is_single: bool) -> Points {
         let beam = [aside.cos() * altitude.cos(), aside.sin() * altitude.cos(), altitude.sin()];
         let ahead = [start.cos(), start.sin(), 0.0];
         let turned = [-1.0, -1.0, 1.0];
+        let of_start = if driver == OusterDriver::Early { [1.0; 3] } else { turned };
         let mut point = [0.0; 4];
         for axis in 0..3 {
             let direction = turned[axis] * beam[axis] * 0.001;
             let up = if axis == 2 { 36.18 } else { 0.0 };
-            let offset = (turned[axis] * 27.116 * (ahead[axis] - beam[axis]) + up) * 0.001;
-            point[axis] = match is_single {
-                true => millimetres as f32 * direction as f32 + offset as f32,
-                false => (millimetres * direction + offset) as f32,
+            let offset = (of_start[axis] * 27.116 * (ahead[axis] - beam[axis]) + up) * 0.001;
+            point[axis] = match driver {
+                OusterDriver::Ros => millimetres as f32 * direction as f32 + offset as f32,
+                OusterDriver::Sdk | OusterDriver::Early => (millimetres * direction + offset) as f32,
             };
         }
         points[row * width + column] = point;

@@ -15,11 +15,12 @@ WHOLE = 1 << 24
 # How the recipes' ranges are rounded, and which of them compute in double precision.
 SINGLE_PRODUCT = 0, 3, 4, 8, 9, 13, 15, 16
 ROUNDED_PRODUCT = 6, 7, 10
-DOUBLE = 1, 2, 3, 5, 11, 12, 14
+DOUBLE = 1, 2, 3, 5, 11, 12, 14, 17
 GLIBC = 8, 9, 15, 16
 FOCAL_POINT = 15, 16
-OUSTER = 11, 12
-ROBOSENSE, LSLIDAR, PANDAR_64, APOLLO, ONCE, LAST = 4, 5, 10, 13, 14, 16
+OUSTER = 11, 12, 17
+ROBOSENSE, LSLIDAR, PANDAR_64, APOLLO, ONCE, OUSTER_EARLY = 4, 5, 10, 13, 14, 17
+LAST = OUSTER_EARLY
 
 SLOT, FIRING, BLOCK = map(f32, (2.304, 55.296, 110.592))
 LS_DEGREE = 0.017453293
@@ -139,6 +140,7 @@ class Scanner:
             7: self.sum,
             11: self.ouster,
             12: self.ouster,
+            OUSTER_EARLY: self.ouster,
             ONCE: self.once,
         }.get(self.recipe, self.single)
         self.lasers = [self.laser(elevation * 1e-9, azimuth * 1e-9) for elevation, azimuth in angles]
@@ -328,7 +330,7 @@ class Scanner:
         y = flat * cos(p) + self.along * cos(q)
         return x, y, d * laser.sin_v + self.up
 
-    # Recipes 11 and 12
+    # Recipes 11, 12 and 17
 
     def ouster(self, laser, tick):
         """What a millimetre adds, and where ranges start."""
@@ -337,8 +339,9 @@ class Scanner:
         beam = cos(q) * laser.cos_v, -sin(q) * laser.cos_v, laser.sin_v
         ahead, above = (cos(p), -sin(p), 0.0), (0.0, 0.0, self.up_um * 1e-3)
         along = self.along_um * 1e-3
+        farther = along, along, -along if self.recipe == OUSTER_EARLY else along
         direction = tuple(b * 1e-3 for b in beam)
-        start = tuple((along * f - along * b + n) * 1e-3 for f, b, n in zip(ahead, beam, above))
+        start = tuple((along * a - f * b + n) * 1e-3 for a, f, b, n in zip(ahead, farther, beam, above))
         return direction, start
 
     # Recipes 6 and 7

@@ -83,6 +83,8 @@ struct Bearing {
     /// Where its beam starts: metres beside the axis and ahead of it, relative to the azimuth of the beam.
     beside: f64,
     ahead: f64,
+    /// Metres above the origin.
+    up: f64,
     /// By how many metres a range is more than the distance from there.
     farther: f64,
 }
@@ -91,15 +93,16 @@ impl Bearing {
     fn new(recipe: Recipe, laser: &Laser, origin: Origin) -> Self {
         let (elevation, offset) =
             (laser.elevation_degrees().to_radians(), laser.azimuth_degrees().to_radians());
-        let [along, _] = origin.metres();
+        let [along, up] = origin.metres();
         let aside = if recipe.starts_in_beam() { 0.0 } else { offset };
-        let cos = libm::cos(elevation);
+        let (sin, cos) = libm::sincos(elevation);
         Bearing {
             cos,
-            sin: libm::sin(elevation),
+            sin,
             offset,
             beside: along * libm::sin(aside),
             ahead: along * libm::cos(aside),
+            up: up + recipe.higher(along, sin),
             farther: recipe.farther(along, cos),
         }
     }
@@ -324,11 +327,11 @@ impl Firings {
         let (metres, azimuth): ([f64; N], [f64; N]) = if self.build.origin == Origin::default() {
             (lanes(|i| (flat[i] + z[i] * z[i]).sqrt()), azimuth)
         } else {
-            let [_, up] = self.build.origin.metres();
             let beside: [f64; N] = lanes(|i| bearing[i].beside);
             let past: [f64; N] = lanes(|i| (flat[i] - beside[i] * beside[i]).max(0.0).sqrt());
-            let metres: [f64; N] =
-                lanes(|i| (past[i] - bearing[i].ahead) * bearing[i].cos + (z[i] - up) * bearing[i].sin);
+            let metres: [f64; N] = lanes(|i| {
+                (past[i] - bearing[i].ahead) * bearing[i].cos + (z[i] - bearing[i].up) * bearing[i].sin
+            });
             let ahead: [f64; N] = lanes(|i| past[i] - bearing[i].ahead + bearing[i].ahead);
             (
                 lanes(|i| metres[i] + bearing[i].farther),
@@ -365,7 +368,6 @@ impl Firings {
         located: &Located<N>,
     ) -> [[f64; N]; 3] {
         let bearing: [Bearing; N] = lanes(|i| self.bearings[rows[i]]);
-        let [_, up] = self.build.origin.metres();
         let step = self.range_step_m();
         let metres: [f64; N] = lanes(|i| located.steps[i] * step - bearing[i].farther);
         let flat: [f64; N] = lanes(|i| metres[i] * bearing[i].cos + bearing[i].ahead);
@@ -378,7 +380,7 @@ impl Firings {
         [
             lanes(|i| scale[i] * (x[i] * cos[i] - y[i] * sin[i])),
             lanes(|i| scale[i] * (x[i] * sin[i] + y[i] * cos[i])),
-            lanes(|i| metres[i] * bearing[i].sin + up),
+            lanes(|i| metres[i] * bearing[i].sin + bearing[i].up),
         ]
     }
 
@@ -489,7 +491,8 @@ impl fmt::Display for Firings {
             write!(f, ", beams through a point {along} mm in front of the axis")?;
         } else if *origin != Origin::default() {
             let [along, up] = [origin.along_um, origin.up_um].map(|um| f64::from(um) / 1e3);
-            write!(f, ", beams from {along} mm off the axis and {up} mm above")?;
+            let place = if along < 0.0 { "behind" } else { "off" };
+            write!(f, ", beams from {} mm {place} the axis and {up} mm above", along.abs())?;
         }
         if mounting.is_some() {
             write!(f, ", moved to the frame of a vehicle")?;
@@ -498,7 +501,9 @@ impl fmt::Display for Firings {
         write!(f, ", {order}")?;
         match recipe {
             _ if self.lags.is_empty() => {}
-            Recipe::SingleRangeXAhead | Recipe::Ouster | Recipe::OusterRos => write!(f, ", destaggered")?,
+            _ if *recipe == Recipe::SingleRangeXAhead || recipe.measures_from_axis() => {
+                write!(f, ", destaggered")?;
+            }
             _ => write!(f, ", lasers turned by whole ticks")?,
         }
         match timing {

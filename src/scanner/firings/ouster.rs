@@ -9,7 +9,7 @@ use super::fit::{Found, ON_CONE, RecordGrid, narrow_heaps, phase};
 use super::off_axis::{beam_line, line};
 use super::order::{lines, order};
 use super::projection::nearest;
-use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
+use super::{ANGLE_UNIT, Bearing, Build, Firings, Laser, Origin, Recipe, Timing};
 use crate::ground::rounding::round_ties_even;
 
 /// Widths of Ouster's images, which equal the ticks per turn.
@@ -30,7 +30,7 @@ struct Rows<'m> {
 impl Found<'_> {
     /// An Ouster whose beams start away from the axis: for a range r, elevation E, azimuth offset O and a beam that
     /// starts at a distance n from the axis, `rho^2 = ((r - n) cos E)^2 + 2 (r - n) cos E n cos O + n^2` and
-    /// `z = (r - n) sin E + up`.
+    /// `z = (r - n) sin E + up`. In the first of these, early drivers have -n in place of n.
     pub(super) fn ouster(&self) -> Option<Firings> {
         /// The range step of the low data rate profile, and that of all others.
         const RANGE_STEPS_UM: [u32; 2] = [8000, 1000];
@@ -41,13 +41,12 @@ impl Found<'_> {
         // Rounding hides steps that are no coarser than its own, and the phases of ranges.
         let steps = if self.blur.is_any() { vec![self.blur.step_um()] } else { RANGE_STEPS_UM.to_vec() };
         steps.into_iter().find_map(|range_step_um| {
-            let range_step_m = f64::from(range_step_um) * 1e-6;
-            let origin = match self.blur.is_any() {
-                true => origin_of_lines(&lines)?,
-                false => ouster_origin(&rows.points, &lines, range_step_m)?,
-            };
-            let recipes = [Recipe::Ouster, Recipe::OusterRos].into_iter();
+            let recipes = [Recipe::Ouster, Recipe::OusterRos, Recipe::OusterEarly].into_iter();
             let tried = recipes.map(|recipe| {
+                let origin = match self.blur.is_any() {
+                    true => origin_of_lines(&lines, recipe)?,
+                    false => origin_of_phases(&rows.points, &lines, recipe, range_step_um)?,
+                };
                 let build = Build {
                     recipe,
                     ticks,
@@ -248,28 +247,42 @@ fn ticks_are_coherent(rows: &[Vec<Point>], ticks: u32) -> bool {
 }
 
 /// The origin of the beams from their lines: heights fall with slopes by the distance from the axis.
-fn origin_of_lines(lines: &[Option<[f64; 2]>]) -> Option<Origin> {
+fn origin_of_lines(lines: &[Option<[f64; 2]>], recipe: Recipe) -> Option<Origin> {
     /// In metres: no Ouster's beams start farther from the axis.
     const FARTHEST: f64 = 0.1;
-    let pairs: Vec<[f64; 2]> = lines.iter().flatten().map(|[slope, height]| [-slope, *height]).collect();
+    let pair = |[slope, height]: &[f64; 2]| match recipe {
+        Recipe::OusterEarly => [slope - 2.0 * slope / slope.hypot(1.0), *height],
+        _ => [-slope, *height],
+    };
+    let pairs: Vec<[f64; 2]> = lines.iter().flatten().map(pair).collect();
     let (along, up) = line(pairs.iter())?;
+    if !(0.002..FARTHEST).contains(&along) {
+        return None;
+    }
+    let along = recipe.crossing(along);
     let [along_um, up_um] = [along, up].map(|metres| round_ties_even(metres * 1e6) as i32);
-    (0.002..FARTHEST).contains(&along).then_some(Origin { along_um, up_um })
+    Some(Origin { along_um, up_um })
 }
 
 /// The origin of the beams, from the lines of the beams and the phases of their ranges: `z / sin E` is a whole number
 /// of steps, less n, plus `up / sin E`.
-fn ouster_origin(rows: &[Vec<Point>], lines: &[Option<[f64; 2]>], range_step_m: f64) -> Option<Origin> {
+fn origin_of_phases(
+    rows: &[Vec<Point>],
+    lines: &[Option<[f64; 2]>],
+    recipe: Recipe,
+    range_step_um: u32,
+) -> Option<Origin> {
     /// The heights of less steep beams do not determine their ranges.
     const STEEP: f64 = 0.15;
-    /// In micrometres: the largest errors of the lines, as azimuth offsets make the distance from the axis seem
-    /// shorter. Phases determine it up to whole steps.
+    /// In micrometres: the largest errors of the lines, as azimuth offsets make beams seem to start farther back. Phases
+    /// determine where up to whole steps.
     const ALONG: std::ops::Range<i32> = -250..750;
     const UP: std::ops::Range<i32> = -60..60;
     /// The first search takes every n-th of these, the second one the neighbours of the best.
     const COARSE: [i32; 2] = [20, 5];
     const COHERENT: f64 = 0.9;
-    let Origin { along_um: along, up_um: up } = origin_of_lines(lines)?;
+    let Origin { along_um: along, up_um: up } = origin_of_lines(lines, recipe)?;
+    let range_step_m = f64::from(range_step_um) * 1e-6;
     // For each beam: one over the sine of its elevation, the phase of its apparent ranges, and its weight.
     let mut phases = Vec::new();
     for (points, [slope, _]) in
@@ -286,6 +299,7 @@ fn ouster_origin(rows: &[Vec<Point>], lines: &[Option<[f64; 2]>], range_step_m: 
     let total: f64 = phases.iter().map(|(_, _, weight)| weight).sum();
     let strength = |along_um: i32, up_um: i32| {
         let [along, up] = [along_um, up_um].map(|um| f64::from(um) * 1e-6 / range_step_m);
+        let along = recipe.crossing(along);
         let fits = phases
             .iter()
             .map(|(of_height, phase, weight)| weight * libm::cos((phase + along - up * of_height) * TAU));
@@ -355,8 +369,9 @@ fn ouster_laser(any: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
     let (few, more) = (some(FEW), some(TRIED));
     let thousandth = (1e-3 / ANGLE_UNIT) as i64;
     let elevation = round_ties_even(rounded_elevation(slope).to_degrees() * 1e3) as i64 * thousandth;
-    let (sin, cos) = libm::sincos((elevation as f64 * ANGLE_UNIT).to_radians());
-    let [along, up] = any.build.origin.metres();
+    let Bearing { cos, sin, up, .. } =
+        Bearing::new(any.build.recipe, &Laser { elevation, azimuth: 0 }, any.build.origin);
+    let [along, _] = any.build.origin.metres();
     let tick = 360.0 / f64::from(any.build.ticks);
     // The degrees by which whole ticks are missed with an azimuth offset.
     let missed = |offset: f64| {

@@ -40,7 +40,7 @@ pub struct Sight<'f> {
     elevations: Vec<f64>,
     /// Tangents of the elevations halfway between neighbouring lasers.
     borders: Vec<f64>,
-    /// Where the beams start, in metres from the axis and above the origin.
+    /// Where the beams cross, in metres from the axis and above the origin.
     along: f64,
     up: f64,
 }
@@ -52,6 +52,7 @@ impl<'f> Sight<'f> {
         let border = |pair: &[f64]| libm::tan(0.5 * (pair[0] + pair[1]));
         let borders = elevations.windows(2).map(border).collect();
         let [along, up] = scanner.build.origin.metres();
+        let along = scanner.build.recipe.crossing(along);
         Sight { scanner, elevations, borders, along, up }
     }
 

@@ -57,6 +57,9 @@ pub enum Recipe {
     VelodyneDecoder = 15,
     /// The same for the HDL-32E, whose heights it has in hundredths of millimetres.
     VelodyneDecoderHdl32e = 16,
+    /// As `Ouster`, in Ouster's ROS driver until 2021: it turns directions to the frame of the case by half a turn, but
+    /// not where beams start, which is therefore behind the axis.
+    OusterEarly = 17,
 }
 
 /// Axes of the coordinates.
@@ -68,7 +71,7 @@ pub(super) enum Axes {
 
 impl Recipe {
     /// Every recipe, in the order in which the fit tries them.
-    pub const ALL: [Recipe; 17] = [
+    pub const ALL: [Recipe; 18] = [
         Recipe::VelodyneRos,
         Recipe::DoubleYAhead,
         Recipe::DoubleXAhead,
@@ -86,6 +89,7 @@ impl Recipe {
         Recipe::Once,
         Recipe::VelodyneDecoder,
         Recipe::VelodyneDecoderHdl32e,
+        Recipe::OusterEarly,
     ];
 
     /// The recipe of this number in the stream.
@@ -95,7 +99,12 @@ impl Recipe {
 
     /// Whether it is used for scanners whose beams all start in one point.
     pub(super) fn is_on_axis(self) -> bool {
-        !matches!(self, Recipe::LsLidar | Recipe::Ouster | Recipe::OusterRos) && !self.starts_in_beam()
+        self != Recipe::LsLidar && !self.measures_from_axis() && !self.starts_in_beam()
+    }
+
+    /// Whether ranges are measured from the axis although beams start away from it.
+    pub fn measures_from_axis(self) -> bool {
+        matches!(self, Recipe::Ouster | Recipe::OusterRos | Recipe::OusterEarly)
     }
 
     /// Whether beams start in the direction of the laser, not of the tick.
@@ -107,9 +116,26 @@ impl Recipe {
     /// start from the axis and the cosine of the elevation.
     pub(super) fn farther(self, along: f64, cos: f64) -> f64 {
         match self {
-            Recipe::Ouster | Recipe::OusterRos => along,
+            _ if self.measures_from_axis() => along,
             Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e => along / cos,
             _ => 0.0,
+        }
+    }
+
+    /// By how many metres a beam starts higher than one without elevation, given the distance of its start from the
+    /// axis and the sine of its elevation.
+    pub(super) fn higher(self, along: f64, sin: f64) -> f64 {
+        match self {
+            Recipe::OusterEarly => 2.0 * along * sin,
+            _ => 0.0,
+        }
+    }
+
+    /// About where the beams of all lasers cross, in metres from the axis, given where they start.
+    pub(super) fn crossing(self, along: f64) -> f64 {
+        match self {
+            Recipe::OusterEarly => -along,
+            _ => along,
         }
     }
 
@@ -134,6 +160,7 @@ impl Recipe {
             Recipe::Pandar64 => "arithmetic of a ROS driver of the Pandar64",
             Recipe::Ouster => "arithmetic of Ouster's SDK",
             Recipe::OusterRos => "arithmetic of Ouster's ROS driver",
+            Recipe::OusterEarly => "arithmetic of Ouster's ROS driver until 2021",
             Recipe::Apollo => "arithmetic of Apollo's driver for Velodyne",
             Recipe::Once => "arithmetic of the ONCE data set",
             Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e => "arithmetic of velodyne-decoder",
@@ -150,6 +177,7 @@ impl Recipe {
             | Recipe::RoboSense
             | Recipe::Ouster
             | Recipe::OusterRos
+            | Recipe::OusterEarly
             | Recipe::Apollo
             | Recipe::VelodyneDecoder
             | Recipe::VelodyneDecoderHdl32e => Axes::XAhead,
@@ -328,9 +356,9 @@ pub(super) enum Arithmetic {
     Sum2023 { cos_v: f32, sin_v: f32, offset: f64 },
     /// The same, with products in double precision.
     Once { cos_v: f32, sin_v: f32, offset: f64 },
-    /// Cosine and sine of the elevation; the azimuth offset in degrees, and its cosine and sine; millimetres from
-    /// the axis and up; whether direction and start are rounded.
-    Ouster { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], along: f64, up: f64, is_single: bool },
+    /// Cosine and sine of the elevation; the azimuth offset in degrees, and its cosine and sine; where the beam
+    /// starts; whether direction and start are rounded.
+    Ouster { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], start: OusterStart, is_single: bool },
 }
 
 impl Arithmetic {
@@ -401,13 +429,12 @@ impl Arithmetic {
                     _ => Arithmetic::Sum2023 { cos_v, sin_v, offset },
                 }
             }
-            Recipe::Ouster | Recipe::OusterRos => Arithmetic::Ouster {
+            Recipe::Ouster | Recipe::OusterRos | Recipe::OusterEarly => Arithmetic::Ouster {
                 cos_v: libm::cos(elevation),
                 sin_v: libm::sin(elevation),
                 offset: laser.azimuth_degrees(),
                 offsets: cos_sin(radians(laser.azimuth_degrees())),
-                along: f64::from(origin.along_um) * 1e-3,
-                up: f64::from(origin.up_um) * 1e-3,
+                start: OusterStart::new(recipe, origin),
                 is_single: recipe == Recipe::OusterRos,
             },
         }
@@ -476,14 +503,15 @@ impl Arithmetic {
     /// The same for [`ouster`](Self::ouster).
     #[inline]
     fn ouster_by_table(&self, turn: &Turn, tick: u32, millimetres: f64) -> Option<[f32; 3]> {
-        let (Arithmetic::Ouster { cos_v, sin_v, offsets, along, up, is_single, .. }, Turn::Degrees(_, table)) =
+        let (Arithmetic::Ouster { cos_v, sin_v, offsets, start, is_single, .. }, Turn::Degrees(_, table)) =
             (self, turn)
         else {
             return None;
         };
         let [cos_t, sin_t] = *table.get(tick);
         let [cos, sin] = turned_by([cos_t, sin_t], *offsets)?;
-        let [direction, start] = ray([cos_t, -sin_t], [cos * cos_v, -sin * cos_v, *sin_v], *along, *up);
+        let along = start.along;
+        let [direction, start] = start.ray([cos_t, -sin_t], [cos * cos_v, -sin * cos_v, *sin_v]);
         let mut position = [0.0; 3];
         for axis in 0..3 {
             // The height is computed in the same way by both.
@@ -514,14 +542,14 @@ impl Arithmetic {
 
     /// What a millimetre of range adds to a position, and the position at range 0, in metres.
     fn ray(&self, turn: &Turn, tick: u32) -> [[f64; 3]; 2] {
-        let (Arithmetic::Ouster { cos_v, sin_v, offset, along, up, .. }, Turn::Degrees(degrees, _)) =
+        let (Arithmetic::Ouster { cos_v, sin_v, offset, start, .. }, Turn::Degrees(degrees, _)) =
             (self, turn)
         else {
             return [[0.0; 3]; 2];
         };
         let encoder = f64::from(tick) * degrees;
         let ([cos_t, sin_t], [cos, sin]) = (cos_sin(radians(encoder)), cos_sin(radians(encoder + offset)));
-        ray([cos_t, -sin_t], [cos * cos_v, -sin * cos_v, *sin_v], *along, *up)
+        start.ray([cos_t, -sin_t], [cos * cos_v, -sin * cos_v, *sin_v])
     }
 
     /// The coordinates of any range, in metres.
@@ -616,12 +644,36 @@ impl Arithmetic {
     }
 }
 
-/// An Ouster's beam: what a millimetre of range adds to a position, and the position at range 0, in metres. `beam` is
-/// the direction of the beam, `ahead` that of its tick.
-fn ray(ahead: [f64; 2], beam: [f64; 3], along: f64, up: f64) -> [[f64; 3]; 2] {
-    let (ahead, above) = ([ahead[0], ahead[1], 0.0], [0.0, 0.0, up]);
-    let start = |axis: usize| (along * ahead[axis] - along * beam[axis] + above[axis]) * 1e-3;
-    [beam.map(|beam| beam * 1e-3), [0, 1, 2].map(start)]
+/// Where an Ouster's beams start, in millimetres.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OusterStart {
+    /// From the axis, in the direction of the tick.
+    along: f64,
+    /// By how much ranges are more than the distances that heights are computed from.
+    farther: f64,
+    up: f64,
+}
+
+impl OusterStart {
+    fn new(recipe: Recipe, origin: Origin) -> Self {
+        let [along, up] = [origin.along_um, origin.up_um].map(|um| f64::from(um) * 1e-3);
+        OusterStart { along, farther: recipe.crossing(along), up }
+    }
+
+    /// A beam: what a millimetre of range adds to a position, and the position at range 0, in metres. `beam` is the
+    /// direction of the beam, `ahead` that of its tick.
+    fn ray(&self, ahead: [f64; 2], beam: [f64; 3]) -> [[f64; 3]; 2] {
+        let OusterStart { along, farther, up } = *self;
+        let start = |ahead, farther, beam, above| (along * ahead - farther * beam + above) * 1e-3;
+        [
+            beam.map(|beam| beam * 1e-3),
+            [
+                start(ahead[0], along, beam[0], 0.0),
+                start(ahead[1], along, beam[1], 0.0),
+                start(0.0, farther, beam[2], up),
+            ],
+        ]
+    }
 }
 
 /// An upper bound of the difference between cosine and sine by [`turned_by`] and those of the rounded sum of the
@@ -708,7 +760,7 @@ mod tests {
                     );
                     let metres = f64::from(steps) * 2e-3;
                     by_table += usize::from(match recipe {
-                        Recipe::Ouster | Recipe::OusterRos => {
+                        _ if recipe.measures_from_axis() => {
                             arithmetic.ouster_by_table(&turn, tick % ticks, f64::from(steps) * 2.0).is_some()
                         }
                         _ => arithmetic.double_by_table(&turn, tick % ticks, metres).is_some(),
