@@ -130,10 +130,15 @@ impl DriveScanners {
         if !self.are_mixed {
             return own;
         }
-        let share = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, |one| one.share(&scan.cloud));
-        let shares = (0u8..).zip(&self.models).map(|(track, scanner)| (track, share(scanner)));
+        // Both, as units of the same model see about the same, but only one of them to the last bit.
+        let explained = |scanner: &Scanner| {
+            scanner.share(&scan.cloud)
+                + scanner.firings().map_or(0.0, |own| own.exact_share(&scan.cloud.positions))
+        };
+        let of = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, explained);
+        let tracks = (0u8..).zip(&self.models).map(|(track, scanner)| (track, of(scanner)));
         // The first one wins ties.
-        shares.fold((own, 0.0), |best, next| if next.1 > best.1 { next } else { best }).0
+        tracks.fold((own, 0.0), |best, next| if next.1 > best.1 { next } else { best }).0
     }
 }
 
@@ -185,11 +190,16 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
         let before = sample.len();
         let scanner = Scanner::fit(&sample);
         if let Some(scanner) = scanner {
+            let own = scanner.firings();
+            let largest = sample.iter().max_by_key(|scan| scan.cloud.measured());
+            let is_exact = own.zip(largest).is_some_and(|(own, scan)| own.explains(&scan.cloud.positions));
             sample.retain(|scan| {
+                // Units of the same model see about the same, but only one of them to the last bit.
+                let exact =
+                    own.filter(|_| is_exact).map_or(1.0, |own| own.exact_share(&scan.cloud.positions));
                 // A scan that was moved by time stamps can be attributed to this scanner only after it is moved back.
-                let is_moved =
-                    || scanner.firings().is_some_and(|own| by_time::undo(&scan.cloud, own).is_some());
-                scanner.share(&scan.cloud) < LEAST_SHARE && !is_moved()
+                let is_moved = || own.is_some_and(|own| by_time::undo(&scan.cloud, own).is_some());
+                exact.min(scanner.share(&scan.cloud)) < LEAST_SHARE && !is_moved()
             });
             found.push(scanner);
         }

@@ -163,8 +163,10 @@ impl Found<'_> {
     /// The points of each laser of an Ouster: narrow clusters of elevations as seen from where its beams start.
     /// `None` if no known start gives clusters with enough of the points.
     fn rows_by_start(&self) -> Option<Vec<Vec<Point<'_>>>> {
-        /// In metres: the elevations of nearer points also depend on the azimuth of the laser.
-        const NEAREST: f64 = 4.0;
+        /// In metres: the nearer a point is, the more its elevation also depends on the azimuth of the laser. Points
+        /// beyond these distances are examined one after the other, the first at least as many as `FEWEST`.
+        const BEYOND: [f64; 4] = [4.0, 2.0, 1.0, 0.5];
+        const FEWEST: usize = 1000;
         const SAMPLED: usize = 10_000;
         /// The minimum share of the points in the clusters.
         const LEAST: f64 = 0.9;
@@ -172,19 +174,33 @@ impl Found<'_> {
             let [x, y, z] = point.position;
             libm::atan2(z - up, x.hypot(y) - along)
         };
-        let far: Vec<&Point> = self.points.iter().filter(|point| point.range > NEAREST).collect();
+        let beyond = |metres: f64| self.points.iter().filter(move |point| point.range > metres);
+        let first = BEYOND.into_iter().position(|metres| beyond(metres).count() >= FEWEST)?;
+        let far: Vec<&Point> = beyond(BEYOND[first]).collect();
         let step = (far.len() / SAMPLED).max(1);
+        let on_cone = |metres: f64| BEYOND[0] / metres * self.on_cone();
         let starts = OUSTER_ALONG.iter().flat_map(|&along| OUSTER_UP.map(|up| [along, up]));
         let tried = starts.collect::<Vec<_>>().into_par_iter().map(|start| {
             let mut sample: Vec<f64> =
                 far.iter().step_by(step).map(|point| elevation(point, start)).collect();
             sample.sort_unstable_by(|a, b| b.total_cmp(a));
-            let (inside, heaps) = narrow_heaps(&sample, self.on_cone());
+            let (inside, heaps) = narrow_heaps(&sample, on_cone(BEYOND[first]));
             (inside as f64 / sample.len().max(1) as f64, heaps, start)
         });
         let tried: Vec<_> = tried.collect();
         let best = tried.into_iter().rev().max_by(|a, b| a.0.total_cmp(&b.0));
-        let (_, heaps, start) = best.filter(|(share, ..)| *share > LEAST)?;
+        let (_, mut heaps, start) = best.filter(|(share, ..)| *share > LEAST)?;
+        // Lasers that see nothing far away, such as those that look at the ground.
+        for metres in BEYOND.into_iter().skip(first + 1) {
+            let is_apart = |elevation: &f64| {
+                (heaps[nearest(&heaps, *elevation)] - elevation).abs() > 10.0 * BEYOND[0] / metres * ON_CONE
+            };
+            let near = beyond(metres).map(|point| elevation(point, start));
+            let mut others: Vec<f64> = near.filter(is_apart).collect();
+            others.sort_unstable_by(|a, b| b.total_cmp(a));
+            heaps.extend(narrow_heaps(&others, on_cone(metres)).1);
+            heaps.sort_unstable_by(|a, b| b.total_cmp(a));
+        }
         let mut rows = vec![Vec::new(); heaps.len()];
         for point in self.points.iter() {
             let elevation = elevation(point, start);
