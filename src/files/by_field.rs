@@ -4,7 +4,8 @@
 use super::field::layout_of;
 use super::records::{Parts, copy_values};
 use super::widened;
-use crate::scan::{Field, Layout, Scalar, ScanFile, Wrapping};
+use crate::ground::error::Result;
+use crate::scan::{Field, Layout, Scalar, ScanFile, Widening, Wrapping};
 
 /// Splits a file whose `count` records begin at byte `start`. Doubles become float32 as in
 /// [`widened::parse`]. `None` if the layout is not valid, or if the file is too short.
@@ -15,21 +16,24 @@ pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, count: u64) -> O
         return None;
     }
     let body = to_records(parts.body, &layout.fields);
-    let (fields, is_widened, body) = match widened::narrowed(&layout.fields, &body) {
-        Some(narrowed) => (narrowed.fields, narrowed.is_widened, narrowed.body),
-        None => (layout.fields.clone(), vec![false; layout.fields.len()], body),
+    let (fields, widenings, body) = match widened::narrowed(&layout.fields, &body) {
+        Some(narrowed) => (narrowed.fields, narrowed.widenings, narrowed.body),
+        None => (layout.fields.clone(), vec![Widening::None; layout.fields.len()], body),
     };
-    Some(parts.file(layout_of(fields, Wrapping::ByField(is_widened))?, &body))
+    Some(parts.file(layout_of(fields, Wrapping::ByField(widenings))?, &body))
 }
 
 /// The body with these records, whose doubles are float32 in the fields that are widened.
-pub(super) fn write(body: &[u8], layout: &Layout, is_widened: &[bool]) -> Vec<u8> {
-    let wide = |(field, is_widened): (&Field, &bool)| match is_widened {
-        true => Field { scalar: Scalar::F64, ..field.clone() },
-        false => field.clone(),
+///
+/// # Errors
+/// Those of [`widened::write`].
+pub(super) fn write(body: &[u8], layout: &Layout, widenings: &[Widening]) -> Result<Vec<u8>> {
+    let wide = |(field, widening): (&Field, &Widening)| match widening {
+        Widening::None => field.clone(),
+        Widening::Exact | Widening::Decimal(_) => Field { scalar: Scalar::F64, ..field.clone() },
     };
-    let fields: Vec<_> = layout.fields.iter().zip(is_widened).map(wide).collect();
-    from_records(&widened::write(body, layout, is_widened), &fields)
+    let fields: Vec<_> = layout.fields.iter().zip(widenings).map(wide).collect();
+    Ok(from_records(&widened::write(body, layout, widenings)?, &fields))
 }
 
 /// Complete records with these fields, from a body that is stored field by field.

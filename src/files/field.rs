@@ -69,6 +69,16 @@ pub(super) fn names_coordinates<'a>(names: impl Iterator<Item = &'a str> + Clone
     POSITION.iter().all(|axis| names.clone().any(|name| name.eq_ignore_ascii_case(axis)))
 }
 
+/// Whether this is the name of a coordinate, ignoring case.
+pub(super) fn is_coordinate(name: &str) -> bool {
+    POSITION.iter().any(|axis| name.eq_ignore_ascii_case(axis))
+}
+
+/// Whether this is a name of an intensity, ignoring case.
+pub(super) fn is_intensity(name: &str) -> bool {
+    INTENSITY_NAMES.iter().any(|known| name.eq_ignore_ascii_case(known))
+}
+
 /// The field with this name, ignoring case.
 pub(super) fn find(fields: &[Field], name: &str) -> Option<usize> {
     fields.iter().position(|field| field.name.eq_ignore_ascii_case(name))

@@ -222,8 +222,8 @@ pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Resu
             give(&pcd_compressed::write(&records::join(file)?, &file.layout, *lzf)?)?;
         }
         Wrapping::Text(format) => give(&text_records::write(&records::join(file)?, format)?)?,
-        Wrapping::Widened(fields) => give(&widened::write(&records::join(file)?, &file.layout, fields))?,
-        Wrapping::ByField(fields) => give(&by_field::write(&records::join(file)?, &file.layout, fields))?,
+        Wrapping::Widened(fields) => give(&widened::write(&records::join(file)?, &file.layout, fields)?)?,
+        Wrapping::ByField(fields) => give(&by_field::write(&records::join(file)?, &file.layout, fields)?)?,
         Wrapping::Scaled(axes) => {
             let mut body = records::join(file)?;
             scaled::to_steps(&mut body, &file.layout, axes);

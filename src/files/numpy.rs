@@ -319,6 +319,7 @@ mod tests {
     use super::*;
     use crate::files::tests::{comes_back, floats};
     use crate::files::{starts_as_scan, starts_as_scan_of_folder};
+    use crate::scan::Widening;
 
     /// An array of version 1.
     fn array(descr: &str, order: &str, shape: &str, body: &[u8]) -> Vec<u8> {
@@ -365,7 +366,10 @@ mod tests {
         let doubles = columns.as_flattened().iter().map(|&value| f64::from(value)).chain([0.1, 0.2]);
         let body: Vec<u8> = doubles.flat_map(f64::to_le_bytes).collect();
         let scan = comes_back("a.npy", array("'<f8'", "True", "(2, 5)", &body));
-        assert_eq!(scan.layout.wrapping, Wrapping::ByField(vec![true, true, true, true, false]));
+        assert_eq!(
+            scan.layout.wrapping,
+            Wrapping::ByField([vec![Widening::Exact; 4], vec![Widening::None]].concat())
+        );
         assert_eq!(scan.cloud.positions[1], [9.0, -1.0, -0.0]);
         assert_eq!(scan.cloud.channels[0].bytes, [0.1_f64, 0.2].map(f64::to_le_bytes).concat());
         // Structures are stored as wholes.

@@ -8,6 +8,7 @@ use super::*;
 use crate::ground::error::Error;
 use crate::scan::{
     Axis, Channel, Column, Field, Layout, LzfDialect, NumberRule, PointCloud, Scalar, Separator, TextFormat,
+    Widening,
 };
 
 /// Little-endian bytes of float32 values.
@@ -76,8 +77,9 @@ fn forged(wrapping: Wrapping) -> ScanFile {
     ScanFile { layout, records: 2, cloud, ..ScanFile::default() }
 }
 
-fn wrappings() -> [Wrapping; 6] {
+fn wrappings() -> [Wrapping; 7] {
     let column = Column { scalar: Scalar::F32, rule: NumberRule::Fixed(40) };
+    let decimal = Widening::Decimal(column.rule);
     let format = TextFormat { separator: Separator::Tab, columns: vec![column; 4], ..TextFormat::default() };
     [
         Wrapping::Plain,
@@ -85,7 +87,8 @@ fn wrappings() -> [Wrapping; 6] {
         Wrapping::Text(format),
         Wrapping::BigEndian,
         Wrapping::Scaled([Axis { per_metre: 1000.0, offset: -1.0 }; 3]),
-        Wrapping::Widened(vec![true, false, true, true]),
+        Wrapping::Widened(vec![Widening::Exact, Widening::None, decimal, Widening::Exact]),
+        Wrapping::ByField(vec![decimal; 4]),
     ]
 }
 

@@ -1,83 +1,128 @@
-//! Records whose doubles all have float32 precision, as written by programs that compute in double precision.
-//! FORMAT.md 9.
+//! Records whose doubles are made from float32 or from few digits, as written by programs that compute in double
+//! precision. FORMAT.md 9.
 
-use super::field::{POSITION, layout_of};
+use std::fmt::Write;
+
+use super::field::{is_coordinate, is_intensity, layout_of};
+use super::number::{self, NumberWriter};
 use super::records::Parts;
-use crate::scan::{Field, Layout, Scalar, ScanFile, Wrapping};
+use crate::ground::error::{Error, Result};
+use crate::scan::{Column, Field, Layout, NumberRule, Scalar, ScanFile, Widening, Wrapping};
 
-/// Splits a file as [`plain_file`](super::records::plain_file) does, but doubles of which float32 preserves
-/// every bit become float32: x, y and z only all three.
+/// Splits a file as [`plain_file`](super::records::plain_file) does, but doubles that float32 determines become
+/// float32: x, y and z only all three.
 pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, count: u64) -> Option<ScanFile> {
     layout.validate().ok()?;
     let parts = Parts::of(bytes, start, layout.stride(), count)?;
-    let Some(Narrowed { fields, is_widened, body }) = narrowed(&layout.fields, parts.body) else {
+    let Some(Narrowed { fields, widenings, body }) = narrowed(&layout.fields, parts.body) else {
         return Some(parts.file(layout, parts.body));
     };
-    Some(parts.file(layout_of(fields, Wrapping::Widened(is_widened))?, &body))
+    Some(parts.file(layout_of(fields, Wrapping::Widened(widenings))?, &body))
 }
 
 /// Records with float32 in place of doubles.
 pub(super) struct Narrowed {
     /// The fields of the records.
     pub fields: Vec<Field>,
-    /// For each field, whether the file has doubles instead.
-    pub is_widened: Vec<bool>,
+    /// For each field, whether and how the file has doubles instead.
+    pub widenings: Vec<Widening>,
     /// The records.
     pub body: Vec<u8>,
 }
 
-/// Complete records with float32 in place of doubles of which float32 preserves every bit; `None` if there are
-/// none. The layout of the fields must be valid.
+/// Complete records with float32 in place of doubles that float32 determines; `None` if there are none. The layout
+/// of the fields must be valid.
 pub(super) fn narrowed(fields: &[Field], body: &[u8]) -> Option<Narrowed> {
-    let is_widened = narrow_fields(fields, body);
-    if body.is_empty() || !is_widened.contains(&true) {
+    let widenings = widenings(fields, body);
+    if body.is_empty() || widenings.iter().all(|widening| *widening == Widening::None) {
         return None;
     }
-    let scalar = |(field, is_widened): (&Field, &bool)| match is_widened {
-        true => Field { scalar: Scalar::F32, ..field.clone() },
-        false => field.clone(),
+    let scalar = |(field, widening): (&Field, &Widening)| match widening {
+        Widening::None => field.clone(),
+        Widening::Exact | Widening::Decimal(_) => Field { scalar: Scalar::F32, ..field.clone() },
     };
     let mut narrowed = Vec::with_capacity(body.len());
     for record in body.chunks_exact(fields.iter().map(Field::width).sum()) {
         let mut rest = record;
-        for (field, is_widened) in fields.iter().zip(&is_widened) {
+        for (field, widening) in fields.iter().zip(&widenings) {
             let (own, after) = rest.split_at(field.width());
             rest = after;
-            match is_widened {
-                true => own.as_chunks().0.iter().for_each(|value| narrowed.extend(narrow(value))),
-                false => narrowed.extend_from_slice(own),
+            match widening {
+                Widening::None => narrowed.extend_from_slice(own),
+                Widening::Exact | Widening::Decimal(_) => {
+                    own.as_chunks().0.iter().for_each(|value| narrowed.extend(narrow(value)));
+                }
             }
         }
     }
-    Some(Narrowed {
-        fields: fields.iter().zip(&is_widened).map(scalar).collect(),
-        is_widened,
-        body: narrowed,
-    })
+    Some(Narrowed { fields: fields.iter().zip(&widenings).map(scalar).collect(), widenings, body: narrowed })
 }
 
-/// Which fields are doubles that float32 preserves.
-fn narrow_fields(fields: &[Field], body: &[u8]) -> Vec<bool> {
+/// How the doubles of each field are made from float32.
+fn widenings(fields: &[Field], body: &[u8]) -> Vec<Widening> {
     let stride = fields.iter().map(Field::width).sum::<usize>().max(1);
     let mut at = 0;
-    let mut are_narrow: Vec<bool> = fields
+    let mut found: Vec<Widening> = fields
         .iter()
         .map(|field| {
             let own = at..at + field.width();
             at = own.end;
-            field.scalar == Scalar::F64
-                && body.chunks_exact(stride).all(|record| {
-                    let values = record[own.clone()].as_chunks().0.iter();
-                    { values }.all(|value| widen(&narrow(value)) == *value)
-                })
+            let values = body.chunks_exact(stride).flat_map(|record| record[own.clone()].as_chunks().0);
+            if field.scalar != Scalar::F64 {
+                Widening::None
+            } else if values.clone().all(|value| widen(&narrow(value)) == *value) {
+                Widening::Exact
+            } else if is_coordinate(&field.name) || is_intensity(&field.name) {
+                decimal_of(values)
+            } else {
+                // Times and other numbers of few digits are on grids of doubles.
+                Widening::None
+            }
         })
         .collect();
-    let is_coordinate = |field: &Field| POSITION.iter().any(|name| field.name.eq_ignore_ascii_case(name));
-    let all_coordinates = fields.iter().zip(&are_narrow).all(|(field, is)| *is || !is_coordinate(field));
-    for (field, is_narrow) in fields.iter().zip(&mut are_narrow) {
-        *is_narrow &= all_coordinates || !is_coordinate(field);
+    let is_double =
+        |(field, found): (&Field, &Widening)| is_coordinate(&field.name) && *found == Widening::None;
+    if fields.iter().zip(&found).any(is_double) {
+        let coordinates = fields.iter().zip(&mut found).filter(|(field, _)| is_coordinate(&field.name));
+        coordinates.for_each(|(_, found)| *found = Widening::None);
     }
-    are_narrow
+    found
+}
+
+/// The rule by whose texts float32 become these doubles, if there is one.
+fn decimal_of<'b>(values: impl Iterator<Item = &'b [u8; 8]> + Clone) -> Widening {
+    let mut decimals = Decimals::default();
+    let is_made_by = |rule: &NumberRule| {
+        values.clone().all(|value| decimals.widen(&narrow(value), *rule).is_ok_and(|wide| wide == *value))
+    };
+    rules(values.clone()).into_iter().find(is_made_by).map_or(Widening::None, Widening::Decimal)
+}
+
+/// The rules by which numbers may have been written that are read as these doubles, the likeliest first; none if some
+/// double has more digits than a float32.
+fn rules<'b>(values: impl Iterator<Item = &'b [u8; 8]>) -> Vec<NumberRule> {
+    /// The most digits that a float32 needs.
+    const MOST: usize = 9;
+    let (mut significant, mut decimals) = (1, 0);
+    let mut text = String::new();
+    for value in values.map(|value| f64::from_le_bytes(*value)).filter(|value| value.is_finite()) {
+        text.clear();
+        // Writing to a string does not fail.
+        let _ = write!(text, "{:e}", value.abs());
+        let (digits, exponent) = text.split_once('e').unwrap_or((&text, "0"));
+        let digits = digits.len() - usize::from(digits.contains('.'));
+        if digits > MOST {
+            return Vec::new();
+        }
+        significant = significant.max(digits);
+        decimals = decimals.max(digits as i32 - 1 - exponent.parse().unwrap_or(0));
+    }
+    let fixed = u8::try_from(decimals).ok().filter(|&decimals| usize::from(decimals) <= MOST);
+    let shortest = NumberRule::Shortest { double: false, point_zero: false };
+    [Some(NumberRule::Significant(significant as u8)), fixed.map(NumberRule::Fixed), Some(shortest)]
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 /// The float32 nearest to a double. Done on the bits, as not all processors keep the payload of a NaN when
@@ -105,27 +150,64 @@ fn widen(value: &[u8; 4]) -> [u8; 8] {
     wide.to_le_bytes()
 }
 
+/// Widens float32 by way of text; holds the buffers.
+#[derive(Default)]
+struct Decimals {
+    writer: NumberWriter,
+    text: Vec<u8>,
+    wide: Vec<u8>,
+}
+
+impl Decimals {
+    /// The double nearest to the text of a float32 by this rule.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] if the rule is not for floating-point numbers.
+    fn widen(&mut self, value: &[u8; 4], rule: NumberRule) -> Result<[u8; 8]> {
+        self.text.clear();
+        self.wide.clear();
+        self.writer.write(value, Column { scalar: Scalar::F32, rule }, &mut self.text)?;
+        let text = std::str::from_utf8(&self.text).ok();
+        let parsed = text.and_then(|text| number::parse(text, Scalar::F64, &mut self.wide));
+        let wide = parsed.and_then(|()| self.wide.first_chunk());
+        wide.copied().ok_or_else(|| Error::corrupt("a number's text is none"))
+    }
+}
+
 /// Complete records as the file has them, from records with float32 fields.
-pub(super) fn write(body: &[u8], layout: &Layout, widened: &[bool]) -> Vec<u8> {
+///
+/// # Errors
+/// [`Error::Corrupt`] if a rule is not for floating-point numbers.
+pub(super) fn write(body: &[u8], layout: &Layout, widenings: &[Widening]) -> Result<Vec<u8>> {
     let mut out = Vec::with_capacity(2 * body.len());
+    let mut decimals = Decimals::default();
     for record in body.chunks_exact(layout.stride().max(1)) {
         let mut rest = record;
-        for (field, is_widened) in layout.fields.iter().zip(widened) {
+        for (field, widening) in layout.fields.iter().zip(widenings) {
             let (own, after) = rest.split_at(field.width());
             rest = after;
-            match is_widened {
-                true => own.as_chunks().0.iter().for_each(|value| out.extend(widen(value))),
-                false => out.extend_from_slice(own),
+            match widening {
+                Widening::None => out.extend_from_slice(own),
+                Widening::Exact => own.as_chunks().0.iter().for_each(|value| out.extend(widen(value))),
+                Widening::Decimal(rule) => {
+                    for value in own.as_chunks().0 {
+                        out.extend(decimals.widen(value, *rule)?);
+                    }
+                }
             }
         }
     }
-    out
+    Ok(out)
 }
 
 #[cfg(test)]
 mod tests {
     use crate::files::tests::{comes_back, pcd};
-    use crate::scan::{Scalar, ScanFile, Wrapping};
+    use crate::scan::{NumberRule, Scalar, ScanFile, Widening, Wrapping};
+
+    fn exact(is_widened: [bool; 5]) -> Vec<Widening> {
+        is_widened.map(|is| if is { Widening::Exact } else { Widening::None }).to_vec()
+    }
 
     /// Two points of doubles: x, y, z, a pair and a time.
     fn file(points: &[[f64; 6]], end: &[u8]) -> ScanFile {
@@ -135,13 +217,41 @@ mod tests {
     }
 
     #[test]
+    fn coordinates_read_from_text_are_single() {
+        let close = f64::from_bits(12.345f64.to_bits() + 1);
+        for (values, rule) in [
+            ([12.345, -0.001], Some(NumberRule::Significant(5))),
+            // Of float32 by `%.8g` and by `%f`, and the shortest text of a float32.
+            ([-14.646725, 4.3874693], Some(NumberRule::Significant(8))),
+            ([100.123459, 4.387469], Some(NumberRule::Fixed(6))),
+            ([12.4706955, 14.646725], Some(NumberRule::Shortest { double: false, point_zero: false })),
+            ([0.100000001, -1.17549435e-38], Some(NumberRule::Significant(9))),
+            ([f64::NAN, 0.1], Some(NumberRule::Significant(1))),
+            ([f64::NEG_INFINITY, -0.3], Some(NumberRule::Significant(1))),
+            ([close, 1.0], None),
+            ([1.0 / 3.0, 1.0], None),
+            ([1e300, 1.0], None),
+        ] {
+            let scan = file(&values.map(|value| [value, value, value, 0.1, 0.2, value]), b"");
+            let Some(rule) = rule else {
+                assert_eq!(scan.layout.wrapping, Wrapping::Plain, "{values:?}");
+                continue;
+            };
+            let decimal = Widening::Decimal(rule);
+            let widenings = vec![decimal, decimal, decimal, Widening::None, Widening::None];
+            assert_eq!(scan.layout.wrapping, Wrapping::Widened(widenings), "{values:?}");
+            assert_eq!(scan.cloud.positions[1], [values[1] as f32; 3], "{values:?}");
+        }
+    }
+
+    #[test]
     fn doubles_that_are_singles_are_kept_so() {
         // A signalling NaN with a payload.
         let odd = f64::from_bits(0xfff0_1230 << 32 | 0x2000_0000);
         let points =
             [[1.5, -0.0, f64::INFINITY, 0.25, odd, 0.1], [0.0, 1e-40_f32.into(), 2.0, 1.0, -2.0, 0.2]];
         let scan = file(&points, b"more");
-        assert_eq!(scan.layout.wrapping, Wrapping::Widened(vec![true, true, true, true, false]));
+        assert_eq!(scan.layout.wrapping, Wrapping::Widened(exact([true, true, true, true, false])));
         assert_eq!((scan.records, scan.layout.stride(), scan.suffix.len()), (2, 3 * 4 + 2 * 4 + 8, 4));
         assert_eq!(scan.cloud.positions[0], [1.5, -0.0, f32::INFINITY]);
         assert_eq!(scan.cloud.channel("time").unwrap().field.scalar, Scalar::F64);
@@ -149,8 +259,8 @@ mod tests {
 
     #[test]
     fn coordinates_are_narrow_together() {
-        let scan = file(&[[1.0, 2.0, 0.1, 0.5, 0.5, 0.1], [1.0; 6]], b"");
-        assert_eq!(scan.layout.wrapping, Wrapping::Widened(vec![false, false, false, true, false]));
+        let scan = file(&[[1.0, 2.0, 1.0 / 3.0, 0.5, 0.5, 0.1], [1.0; 6]], b"");
+        assert_eq!(scan.layout.wrapping, Wrapping::Widened(exact([false, false, false, true, false])));
         assert_eq!(scan.layout.position, None);
         // A NaN that float32 does not have, and a number too large for it.
         for odd in [f64::from_bits(0x7ff0_0000_0000_0001), 1e300] {

@@ -22,7 +22,7 @@ use crate::ground::error::{Error, Limits, Result};
 use crate::ground::grid::Grid;
 use crate::inter;
 use crate::inter::registration::{Pose, QuantisedPose, register};
-use crate::scan::{ScanFile, Wrapping};
+use crate::scan::{ScanFile, Widening, Wrapping};
 use crate::scanner::RangeImage;
 use crate::scanner::Scanner;
 
@@ -81,7 +81,14 @@ impl<'s> GroupEncoder<'s> {
 /// written as text or integers instead of float32, in which distances are measured: each coordinate of each
 /// point is off by up to half a unit in its last place. 0 for other kinds of files.
 fn file_rounding_um(scan: &ScanFile) -> u32 {
-    if !matches!(scan.layout.wrapping, Wrapping::Text(_) | Wrapping::Scaled(_)) {
+    let is_rounded = match &scan.layout.wrapping {
+        Wrapping::Text(_) | Wrapping::Scaled(_) => true,
+        Wrapping::Widened(widenings) | Wrapping::ByField(widenings) => {
+            widenings.iter().any(|widening| matches!(widening, Widening::Decimal(_)))
+        }
+        Wrapping::Plain | Wrapping::PcdCompressed { .. } | Wrapping::BigEndian => false,
+    };
+    if !is_rounded {
         return 0;
     }
     let coordinates = scan.cloud.positions.as_flattened().iter().map(|v| v.abs()).filter(|v| v.is_finite());

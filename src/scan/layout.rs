@@ -1,7 +1,7 @@
 //! The fields of a file's records and how they are wrapped, and the serialised form of both.
 //! FORMAT.md 8.1.
 
-use super::text_format::{Scalar, TextFormat};
+use super::text_format::{NumberRule, Scalar, TextFormat};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
@@ -75,12 +75,23 @@ pub enum Wrapping {
     BigEndian,
     /// One after the other, with 32-bit integers in place of x, y and z (LAS).
     Scaled([Axis; 3]),
-    /// One after the other, with doubles in place of the float32 values of some fields; for each field,
-    /// whether it is one of those.
-    Widened(Vec<bool>),
+    /// One after the other, with doubles in place of the float32 values of some fields; for each field, how.
+    Widened(Vec<Widening>),
     /// Field by field (`.npy` in column-major order), with doubles in place of the float32 values of some
     /// fields, as in `Widened`.
-    ByField(Vec<bool>),
+    ByField(Vec<Widening>),
+}
+
+/// How the values of a field are stored in the file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Widening {
+    /// As in the record.
+    None,
+    /// A float32 as the double equal to it.
+    Exact,
+    /// A float32 as the double nearest to its text by this rule: the file was made from text, or from numbers of few
+    /// digits.
+    Decimal(NumberRule),
 }
 
 /// How a coordinate is computed from an integer: `integer / per_metre + offset`, in double precision, then
@@ -198,7 +209,11 @@ impl Layout {
                 check(axes.iter().all(is_valid), "a scale that is none")
             }
             Wrapping::Widened(widened) | Wrapping::ByField(widened) => {
-                let suit = |(field, is_widened): (&Field, &bool)| !is_widened || field.scalar == Scalar::F32;
+                let suit = |(field, widening): (&Field, &Widening)| match widening {
+                    Widening::None => true,
+                    Widening::Exact => field.scalar == Scalar::F32,
+                    Widening::Decimal(rule) => field.scalar == Scalar::F32 && rule.suits(Scalar::F32),
+                };
                 check(widened.len() == self.fields.len(), "widened fields that are none")?;
                 check(stride > 0, "no fields")?;
                 check(self.fields.iter().zip(widened).all(suit), "a widened field of another type")
@@ -242,7 +257,16 @@ impl Layout {
             Wrapping::PcdCompressed { lzf } => out.push(*lzf as u8),
             Wrapping::Text(format) => format.write_to(out),
             Wrapping::Widened(widened) | Wrapping::ByField(widened) => {
-                out.extend(widened.iter().map(|&is_widened| u8::from(is_widened)));
+                for widening in widened {
+                    match widening {
+                        Widening::None => out.push(0),
+                        Widening::Exact => out.push(1),
+                        Widening::Decimal(rule) => {
+                            let (rule, parameter) = rule.to_bytes();
+                            out.extend([2, rule, parameter]);
+                        }
+                    }
+                }
             }
             Wrapping::Scaled(axes) => {
                 for axis in axes {
@@ -282,8 +306,8 @@ impl Layout {
                 Wrapping::Text(TextFormat::read_from(input, values)?)
             }
             SCALED => Wrapping::Scaled([read_axis(input)?, read_axis(input)?, read_axis(input)?]),
-            WIDENED => Wrapping::Widened(read_flags(input, fields.len())?),
-            BY_FIELD => Wrapping::ByField(read_flags(input, fields.len())?),
+            WIDENED => Wrapping::Widened(read_widenings(input, fields.len())?),
+            BY_FIELD => Wrapping::ByField(read_widenings(input, fields.len())?),
             _ => return Err(Error::corrupt("record layout: unknown wrapping")),
         };
         let layout = Layout { wrapping, fields, position, intensity };
@@ -309,12 +333,16 @@ fn read_dialect(input: &mut &[u8]) -> Result<LzfDialect> {
     dialect.copied().ok_or_else(|| Error::corrupt("record layout: unknown LZF dialect"))
 }
 
-fn read_flags(input: &mut &[u8], count: usize) -> Result<Vec<bool>> {
-    let flag = |_| match read_byte(input)? {
-        flag @ 0..=1 => Ok(flag == 1),
-        _ => Err(Error::corrupt("record layout: unknown flag")),
+fn read_widenings(input: &mut &[u8], count: usize) -> Result<Vec<Widening>> {
+    let widening = |_| match read_byte(input)? {
+        0 => Ok(Widening::None),
+        1 => Ok(Widening::Exact),
+        2 => NumberRule::from_bytes(read_byte(input)?, read_byte(input)?)
+            .map(Widening::Decimal)
+            .ok_or_else(|| Error::corrupt("record layout: unknown number rule")),
+        _ => Err(Error::corrupt("record layout: unknown widening")),
     };
-    (0..count).map(flag).collect()
+    (0..count).map(widening).collect()
 }
 
 fn read_axis(input: &mut &[u8]) -> Result<Axis> {
@@ -389,8 +417,10 @@ mod tests {
         round_trip(&Layout { wrapping: Wrapping::BigEndian, ..with(&fields) });
         let axes = [1e3, 1e2, 0.5].map(|per_metre| Axis { per_metre, offset: -per_metre });
         round_trip(&Layout { wrapping: Wrapping::Scaled(axes), ..kitti() });
-        round_trip(&Layout { wrapping: Wrapping::Widened(vec![true, true, true, false]), ..kitti() });
-        round_trip(&Layout { wrapping: Wrapping::ByField(vec![true, true, true, false]), ..kitti() });
+        let decimal = Widening::Decimal(NumberRule::Significant(8));
+        let widenings = vec![Widening::Exact, decimal, decimal, Widening::None];
+        round_trip(&Layout { wrapping: Wrapping::Widened(widenings.clone()), ..kitti() });
+        round_trip(&Layout { wrapping: Wrapping::ByField(widenings), ..kitti() });
         let shortest = NumberRule::Shortest { double: true, point_zero: false };
         let columns = vec![
             Column { scalar: Scalar::F32, rule: NumberRule::Significant(8) },
@@ -452,10 +482,16 @@ mod tests {
             Layout { wrapping: text(vec![]), ..Layout::default() },
             Layout { wrapping: Wrapping::BigEndian, ..Layout::default() },
             Layout { wrapping: scaled(1e3, 0.0), position: None, ..kitti() },
-            Layout { wrapping: Wrapping::Widened(vec![true; 3]), ..kitti() },
-            Layout { wrapping: Wrapping::ByField(vec![true; 3]), ..kitti() },
+            Layout { wrapping: Wrapping::Widened(vec![Widening::Exact; 3]), ..kitti() },
+            Layout {
+                wrapping: Wrapping::ByField(vec![Widening::Decimal(NumberRule::Integer); 4]),
+                ..kitti()
+            },
             Layout { wrapping: Wrapping::Widened(vec![]), ..Layout::default() },
-            Layout { wrapping: Wrapping::Widened(vec![true; 5]), ..with(&[Field::new("t", Scalar::F64)]) },
+            Layout {
+                wrapping: Wrapping::Widened(vec![Widening::Exact; 5]),
+                ..with(&[Field::new("t", Scalar::F64)])
+            },
             Layout { wrapping: scaled(0.0, 0.0), ..kitti() },
             Layout { wrapping: scaled(-1.0, 0.0), ..kitti() },
             Layout { wrapping: scaled(f64::NAN, 0.0), ..kitti() },

@@ -4,7 +4,7 @@ mod layout;
 pub mod sorted;
 mod text_format;
 
-pub use layout::{Axis, Field, Layout, LzfDialect, MAX_NAME, MAX_STRIDE, Wrapping};
+pub use layout::{Axis, Field, Layout, LzfDialect, MAX_NAME, MAX_STRIDE, Widening, Wrapping};
 pub use text_format::{Column, MAX_DIGITS, Number, NumberRule, Scalar, Separator, TextFormat};
 
 /// The points of one scan, in the order of the file. Every bit of every value counts:

@@ -127,7 +127,7 @@ pub enum NumberRule {
 
 impl NumberRule {
     /// The rule's number and its parameter.
-    fn to_bytes(self) -> (u8, u8) {
+    pub(super) fn to_bytes(self) -> (u8, u8) {
         match self {
             NumberRule::Integer => (0, 0),
             NumberRule::Fixed(digits) => (1, digits),
@@ -137,7 +137,7 @@ impl NumberRule {
         }
     }
 
-    fn from_bytes(rule: u8, parameter: u8) -> Option<Self> {
+    pub(super) fn from_bytes(rule: u8, parameter: u8) -> Option<Self> {
         Some(match (rule, parameter) {
             (0, 0) => NumberRule::Integer,
             (1, digits) => NumberRule::Fixed(digits),
@@ -148,7 +148,7 @@ impl NumberRule {
         })
     }
 
-    fn suits(self, scalar: Scalar) -> bool {
+    pub(super) fn suits(self, scalar: Scalar) -> bool {
         match self {
             NumberRule::Integer => !scalar.is_float(),
             NumberRule::Fixed(digits) | NumberRule::Scientific(digits) => {

@@ -126,9 +126,12 @@ pub fn npy_doubles(points: &[[f32; 4]]) -> Vec<u8> {
     npy_table(points, "False", |values| values.as_flattened().to_vec())
 }
 
-/// The same, column by column, as pandas stores it.
+/// The same, column by column, as pandas stores it, with coordinates that were read from text of eight digits.
 pub fn npy_by_column(points: &[[f32; 4]]) -> Vec<u8> {
     npy_table(points, "True", |values| {
+        let digits = |value: f64| format!("{value:.7e}").parse().unwrap();
+        let values: Vec<_> =
+            values.iter().map(|&[x, y, z, i, t]| [digits(x), digits(y), digits(z), i, t]).collect();
         (0..5).flat_map(|column| values.iter().map(move |row| row[column])).collect()
     })
 }

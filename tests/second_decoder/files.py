@@ -73,17 +73,17 @@ def scaled(layout, records):
 def widened(layout, records):
     out = bytearray()
     for start in range(0, len(records), layout.stride):
-        for field, is_widened in zip(layout.fields, layout.widened):
+        for field, widening in zip(layout.fields, layout.widened):
             own = records[start + field.offset :][: field.width]
-            out += doubles(own) if is_widened else own
+            out += doubles(own, *widening) if widening else own
     return bytes(out)
 
 
 def by_field(layout, records):
     out = bytearray()
-    for field, is_widened in zip(layout.fields, layout.widened):
+    for field, widening in zip(layout.fields, layout.widened):
         values = values_of(field, layout, records)
-        out += doubles(values) if is_widened else values
+        out += doubles(values, *widening) if widening else values
     return bytes(out)
 
 
@@ -95,9 +95,18 @@ def values_of(field, layout, records):
     return bytes(values)
 
 
-def doubles(values):
-    """The bytes of doubles in place of those of float32."""
-    return b"".join(map(double, struct.unpack(f"<{len(values) // 4}I", values)))
+def doubles(values, rule, parameter):
+    """The bytes of doubles in place of those of float32: the same numbers, or those of their texts."""
+    if rule is None:
+        return b"".join(map(double, struct.unpack(f"<{len(values) // 4}I", values)))
+    return b"".join(of_text(number(v, "f", rule, parameter)) for v in struct.unpack(f"<{len(values) // 4}f", values))
+
+
+def of_text(text):
+    """The bytes of the double that a text stands for."""
+    if text.endswith("nan"):
+        return struct.pack("<Q", 0x7FF8 << 48 | text.startswith("-") << 63)
+    return struct.pack("<d", float(text))
 
 
 def double(bits):

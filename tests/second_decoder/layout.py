@@ -86,9 +86,7 @@ class Layout:
             if not self.position:
                 raise Refused("no coordinates to scale")
         elif self.wrapping in (WIDENED, BY_FIELD):
-            self.widened = [reader.unsigned(1) for _ in self.fields]
-            if any(flag > 1 or flag and field.kind != F32 for flag, field in zip(self.widened, self.fields)):
-                raise Refused("a widened field of another type")
+            self.widened = [self.read_widening(reader, field) for field in self.fields]
         elif self.wrapping not in (PLAIN, BIG_ENDIAN):
             raise Refused("unknown wrapping")
         if self.wrapping != PLAIN and not self.fields:
@@ -104,6 +102,23 @@ class Layout:
             raise Refused("a field of unknown type, or without values")
         return Field(name, kind, count, self.stride)
 
+    def read_widening(self, reader, field):
+        """None, or the rule and its parameter, where rule is None for the same number."""
+        widening = reader.unsigned(1)
+        if widening > 2 or widening and field.kind != F32:
+            raise Refused("a widened field of another type")
+        if widening < 2:
+            return (None, 0) if widening else None
+        return self.rule(F32, *reader.take(2))
+
+    def rule(self, kind, rule, parameter):
+        if rule > SHORTEST or (rule == INTEGER) != (kind < F32):
+            raise Refused("a rule that does not suit a type")
+        most = (0, 40, 40, 40, 3)[rule]
+        if parameter > most or rule == SIGNIFICANT and parameter == 0:
+            raise Refused("unknown rule of a text")
+        return rule, parameter
+
     def read_text(self, reader):
         """`columns`: letter, rule and parameter of each."""
         self.flags = reader.unsigned(1)
@@ -112,10 +127,6 @@ class Layout:
         self.columns = []
         for kind in (field.kind for field in self.fields for _ in range(field.count)):
             first, parameter = reader.take(2)
-            rule = first >> 4
-            if first & 15 != kind or rule > SHORTEST or (rule == INTEGER) != (kind < F32):
+            if first & 15 != kind:
                 raise Refused("unknown column of a text")
-            most = (0, 40, 40, 40, 3)[rule]
-            if parameter > most or rule == SIGNIFICANT and parameter == 0:
-                raise Refused("unknown rule of a text")
-            self.columns.append((TYPES[kind], rule, parameter))
+            self.columns.append((TYPES[kind], *self.rule(kind, first >> 4, parameter)))
