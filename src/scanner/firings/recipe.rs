@@ -57,7 +57,7 @@ pub enum Recipe {
     VelodyneDecoder = 15,
     /// The same for the HDL-32E, whose heights it has in hundredths of millimetres.
     VelodyneDecoderHdl32e = 16,
-    /// As `Ouster`, in Ouster's ROS driver until 2021: it turns directions to the frame of the case by half a turn, but
+    /// As `Ouster`, in Ouster's ROS driver of 2021: it turns directions to the frame of the case by half a turn, but
     /// not where beams start, which is therefore behind the axis.
     OusterEarly = 17,
 }
@@ -160,7 +160,7 @@ impl Recipe {
             Recipe::Pandar64 => "arithmetic of a ROS driver of the Pandar64",
             Recipe::Ouster => "arithmetic of Ouster's SDK",
             Recipe::OusterRos => "arithmetic of Ouster's ROS driver",
-            Recipe::OusterEarly => "arithmetic of Ouster's ROS driver until 2021",
+            Recipe::OusterEarly => "arithmetic of Ouster's ROS driver of 2021",
             Recipe::Apollo => "arithmetic of Apollo's driver for Velodyne",
             Recipe::Once => "arithmetic of the ONCE data set",
             Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e => "arithmetic of velodyne-decoder",
