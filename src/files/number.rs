@@ -6,7 +6,7 @@ use byteorder::{ByteOrder, LittleEndian};
 
 use crate::ground::decimal;
 use crate::ground::error::Result;
-use crate::scan::{Column, MAX_DIGITS, NumberRule, Scalar};
+use crate::scan::{Column, MAX_DIGITS, NumberRule, Printf, Scalar};
 
 /// `%g` and `repr` write numbers with a smaller exponent than this in scientific notation.
 const LEAST_PLAIN_EXPONENT: i32 = -4;
@@ -42,11 +42,17 @@ pub(super) fn parse(token: &str, scalar: Scalar, out: &mut Vec<u8>) -> Option<()
 /// Writes values as text; holds the buffers for the digits.
 #[derive(Default)]
 pub(super) struct NumberWriter {
+    printf: Printf,
     digits: Vec<u8>,
     rounded: Vec<u8>,
 }
 
 impl NumberWriter {
+    /// For texts as this C library prints them.
+    pub(super) fn new(printf: Printf) -> Self {
+        NumberWriter { printf, ..NumberWriter::default() }
+    }
+
     /// Appends the text of the value whose little-endian bytes are `value`, `column.scalar.size()`
     /// of them. The rule must suit the type.
     pub(super) fn write(&mut self, value: &[u8], column: Column, out: &mut Vec<u8>) -> Result<()> {
@@ -75,6 +81,7 @@ impl NumberWriter {
         }
         match column.rule {
             NumberRule::Fixed(decimals) => {
+                let value = self.settled(value, |exact| exact == i32::from(decimals) + 1);
                 if let Some(number) = decimal::fixed(value, decimals.into()) {
                     write_fixed(number, decimals.into(), out);
                 } else {
@@ -84,7 +91,7 @@ impl NumberWriter {
             }
             NumberRule::Scientific(digits) => {
                 let exponent = self.take_digits(value, Some(digits.into()), false)?;
-                write_scientific(&self.digits, exponent, out)?;
+                self.write_scientific(exponent, out)?;
             }
             NumberRule::Significant(digits) => {
                 let exponent = self.take_digits(value, Some(usize::from(digits).saturating_sub(1)), false)?;
@@ -92,7 +99,7 @@ impl NumberWriter {
                     self.digits.pop();
                 }
                 if exponent < LEAST_PLAIN_EXPONENT || exponent >= digits.into() {
-                    write_scientific(&self.digits, exponent, out)?;
+                    self.write_scientific(exponent, out)?;
                 } else {
                     write_plain(&self.digits, exponent, false, out);
                 }
@@ -101,7 +108,7 @@ impl NumberWriter {
                 let single = column.scalar == Scalar::F32 && !double;
                 let exponent = self.take_digits(value, None, single)?;
                 if !(LEAST_PLAIN_EXPONENT..REPR_EXPONENT).contains(&exponent) {
-                    write_scientific(&self.digits, exponent, out)?;
+                    self.write_scientific(exponent, out)?;
                 } else {
                     write_plain(&self.digits, exponent, point_zero, out);
                 }
@@ -112,10 +119,38 @@ impl NumberWriter {
         Ok(())
     }
 
+    /// The value as it is rounded to nearest, ties to even: a tie that is rounded away from zero is replaced by the next
+    /// number. Of the number of decimals that write the value exactly, `is_tie` says whether the last is the only one
+    /// that is rounded off; as powers of two end in a 5, the value is then a tie.
+    fn settled(&self, value: f64, is_tie: impl Fn(i32) -> bool) -> f64 {
+        let is_away = self.printf.ties_away && is_tie(decimal::exact_decimals(value));
+        if is_away { value.next_up() } else { value }
+    }
+
+    /// `d.ddde-05`: the digits with an exponent, which has a sign and at least two digits.
+    fn write_scientific(&self, exponent: i32, out: &mut Vec<u8>) -> Result<()> {
+        let (first, others) = self.digits.split_at(1.min(self.digits.len()));
+        out.extend_from_slice(first);
+        if !others.is_empty() {
+            out.push(b'.');
+            out.extend_from_slice(others);
+        }
+        let sign = if exponent < 0 { '-' } else { '+' };
+        let width = if self.printf.long_exponent { 3 } else { 2 };
+        write!(out, "e{sign}{:0width$}", exponent.unsigned_abs())?;
+        Ok(())
+    }
+
     /// Stores the significant digits of `value` in `self.digits`: `after_first` digits after the first, or
     /// the fewest digits from which the value can be restored (in single precision if `single`). Returns the
     /// decimal exponent of the first digit. `value` is finite and not negative.
     fn take_digits(&mut self, value: f64, after_first: Option<usize>, single: bool) -> Result<i32> {
+        let value = match after_first {
+            Some(count) if self.printf.ties_away => {
+                self.settled(value, |exact| exact > 0 && exact == count as i32 - first_exponent(value) + 1)
+            }
+            _ => value,
+        };
         let text = &mut self.digits;
         text.clear();
         let digits = after_first.and_then(|count| u32::try_from(count + 1).ok());
@@ -191,17 +226,12 @@ fn gives_back(text: &[u8], value: f64, single: bool) -> bool {
     })
 }
 
-/// `d.ddde-05`: an exponent with a sign and at least two digits.
-fn write_scientific(digits: &[u8], exponent: i32, out: &mut Vec<u8>) -> Result<()> {
-    let (first, others) = digits.split_at(1.min(digits.len()));
-    out.extend_from_slice(first);
-    if !others.is_empty() {
-        out.push(b'.');
-        out.extend_from_slice(others);
-    }
-    let sign = if exponent < 0 { '-' } else { '+' };
-    write!(out, "e{sign}{:02}", exponent.unsigned_abs())?;
-    Ok(())
+/// The decimal exponent of the first digit of a number that is not negative.
+fn first_exponent(value: f64) -> i32 {
+    let mut text = Vec::new();
+    // Writing to a vector does not fail.
+    let _ = write!(text, "{value:e}");
+    split_exponent(&text).1
 }
 
 /// Digits with a decimal point, and zeros up to it if necessary.
@@ -299,6 +329,38 @@ mod tests {
         let mut out = Vec::new();
         NumberWriter::default().write(&bytes, Column { scalar, rule }, &mut out).unwrap();
         String::from_utf8(out).unwrap()
+    }
+
+    #[test]
+    fn ties_and_exponents_are_those_of_windows() {
+        let old = Printf { ties_away: true, long_exponent: true };
+        let text = |value: f64, rule: NumberRule| {
+            let mut out = Vec::new();
+            let column = Column { scalar: Scalar::F64, rule };
+            NumberWriter::new(old).write(&value.to_le_bytes(), column, &mut out).unwrap();
+            String::from_utf8(out).unwrap()
+        };
+        for (value, rule, expected) in [
+            (-21.1640625, NumberRule::Significant(8), "-21.164063"),
+            (131072.125, NumberRule::Significant(8), "131072.13"),
+            (131072.375, NumberRule::Significant(8), "131072.38"),
+            (0.125, NumberRule::Fixed(2), "0.13"),
+            (0.375, NumberRule::Fixed(2), "0.38"),
+            (0.124, NumberRule::Fixed(2), "0.12"),
+            (0.126, NumberRule::Fixed(2), "0.13"),
+            (2.5, NumberRule::Fixed(0), "3"),
+            (9.5, NumberRule::Significant(1), "1e+001"),
+            (0.5, NumberRule::Significant(1), "0.5"),
+            (0.0, NumberRule::Significant(3), "0"),
+            (0.0, NumberRule::Fixed(2), "0.00"),
+            (2f64.powi(-20), NumberRule::Scientific(12), "9.536743164063e-007"),
+            (1.5e-100, NumberRule::Scientific(1), "1.5e-100"),
+            // What lies next to a tie is none.
+            (0.125f64.next_up(), NumberRule::Fixed(2), "0.13"),
+            (0.125f64.next_down(), NumberRule::Fixed(2), "0.12"),
+        ] {
+            assert_eq!(text(value, rule), expected, "{value}");
+        }
     }
 
     /// The expected texts are those of C's printf.

@@ -8,7 +8,7 @@ use super::field::{Declared, layout_of, name_of};
 use super::number::{self, NumberWriter, Survey};
 use super::records;
 use crate::ground::error::Result;
-use crate::scan::{Column, Field, Layout, Scalar, ScanFile, Separator, TextFormat, Wrapping};
+use crate::scan::{Column, Field, Layout, Printf, Scalar, ScanFile, Separator, TextFormat, Wrapping};
 
 /// Splits a file whose body starts at byte `start` and has at most `points` records of these fields, which
 /// must make a valid layout. The first line that does not look like those before it begins the `suffix`.
@@ -35,18 +35,18 @@ pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64
         lines += 1;
         format.open_end = !line.ends_with('\n');
     }
-    let found = find_columns(&scalars, &tokens).or_else(|| {
+    let found = find_format(&scalars, &tokens).or_else(|| {
         // If the file was cut short, the last number may be incomplete too.
         let last = tokens.len().checked_sub(scalars.len()).filter(|_| format.open_end)?;
         tokens.truncate(last);
         format.open_end = false;
         let end = body.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
         rest = &body[end..];
-        find_columns(&scalars, &tokens)
+        find_format(&scalars, &tokens)
     });
-    let (columns, values) = found?;
+    let (printf, columns, values) = found?;
     let records = tokens.len() / scalars.len();
-    format.columns = columns;
+    (format.printf, format.columns) = (printf, columns);
     let fields = as_stored(fields, &format.columns);
     let body = side_by_side(&values, &format.columns, records);
     let (layout, cloud) = records::split(valid(layout_of(fields, Wrapping::Text(format))?)?, &body);
@@ -60,11 +60,30 @@ pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64
     })
 }
 
-/// The columns, with the values of each. `None` if there are no columns, or if no rule restores the texts of
-/// one.
-fn find_columns(scalars: &[Option<Scalar>], tokens: &[&str]) -> Option<(Vec<Column>, Vec<Vec<u8>>)> {
+/// How numbers are printed, and the columns with the values of each. `None` if there are no columns, or if no rule
+/// restores the texts of one.
+fn find_format(scalars: &[Option<Scalar>], tokens: &[&str]) -> Option<(Printf, Vec<Column>, Vec<Vec<u8>>)> {
+    let is_long = |token: &&str| {
+        let exponent =
+            token.split_once('e').map_or("", |(_, exponent)| exponent.trim_start_matches(['+', '-']));
+        exponent.len() > 2 && exponent.starts_with('0')
+    };
+    let long_exponent = tokens.iter().any(is_long);
+    [false, true].into_iter().find_map(|ties_away| {
+        let printf = Printf { ties_away, long_exponent };
+        let (columns, values) = find_columns(scalars, tokens, printf)?;
+        Some((printf, columns, values))
+    })
+}
+
+/// The columns, with the values of each.
+fn find_columns(
+    scalars: &[Option<Scalar>],
+    tokens: &[&str],
+    printf: Printf,
+) -> Option<(Vec<Column>, Vec<Vec<u8>>)> {
     let texts = |at: usize| tokens.iter().skip(at).step_by(scalars.len()).copied();
-    let columns = scalars.iter().enumerate().map(|(at, &scalar)| find_column(scalar, texts(at)));
+    let columns = scalars.iter().enumerate().map(|(at, &scalar)| find_column(scalar, texts(at), printf));
     columns.collect::<Option<_>>().filter(|_| !tokens.is_empty())
 }
 
@@ -111,7 +130,7 @@ fn side_by_side(values: &[Vec<u8>], columns: &[Column], records: usize) -> Vec<u
 /// None, if the layout is valid.
 pub(super) fn write(body: &[u8], format: &TextFormat) -> Result<Vec<u8>> {
     let mut out = Vec::new();
-    let mut writer = NumberWriter::default();
+    let mut writer = NumberWriter::new(format.printf);
     let separator = format.separator.character() as u8;
     for record in body.chunks_exact(format.stride().max(1)) {
         let mut rest = record;
@@ -148,6 +167,7 @@ const ANY: [Scalar; 10] = {
 fn find_column<'a>(
     declared: Option<Scalar>,
     texts: impl Iterator<Item = &'a str> + Clone,
+    printf: Printf,
 ) -> Option<(Column, Vec<u8>)> {
     let candidates = match &declared {
         None => &ANY[..],
@@ -158,7 +178,7 @@ fn find_column<'a>(
         let mut values = Vec::new();
         texts.clone().try_for_each(|text| number::parse(text, scalar, &mut values))?;
         let pairs = texts.clone().zip(values.chunks_exact(scalar.size() as usize));
-        let column = find_rule(scalar, pairs)?;
+        let column = find_rule(scalar, pairs, printf)?;
         Some((column, values))
     })
 }
@@ -167,10 +187,11 @@ fn find_column<'a>(
 fn find_rule<'t, 'v>(
     scalar: Scalar,
     pairs: impl Iterator<Item = (&'t str, &'v [u8])> + Clone,
+    printf: Printf,
 ) -> Option<Column> {
     let mut survey = Survey::new();
     pairs.clone().for_each(|(text, _)| survey.add(text));
-    let mut writer = NumberWriter::default();
+    let mut writer = NumberWriter::new(printf);
     let mut out = Vec::new();
     survey.candidates(scalar).into_iter().map(|rule| Column { scalar, rule }).find(|&column| {
         pairs.clone().all(|(text, value)| {

@@ -1,6 +1,7 @@
 //! How the numbers of a text body (ascii PCD or PLY, or columns alone) are written. FORMAT.md 8.1 and 9.
 
 use crate::ground::error::{Error, Result};
+use crate::ground::varint::{read_unsigned, write_unsigned};
 
 /// The largest number of digits in a rule: more than any program prints, and a bound on how far a malicious
 /// stream can expand one value.
@@ -195,7 +196,7 @@ impl Separator {
     }
 
     /// Its flag in the serialised form.
-    fn flag(self) -> u8 {
+    fn flag(self) -> u64 {
         match self {
             Separator::Space => 0,
             Separator::Tab => TAB,
@@ -204,20 +205,32 @@ impl Separator {
         }
     }
 
-    fn from_flag(flag: u8) -> Option<Self> {
+    fn from_flag(flag: u64) -> Option<Self> {
         let all = [Separator::Space, Separator::Tab, Separator::Comma, Separator::Semicolon];
         all.into_iter().find(|separator| separator.flag() == flag)
     }
 }
 
 // The flags of a serialised format.
-const CRLF: u8 = 1;
-const TAB: u8 = 2;
-const TRAILING_SEPARATOR: u8 = 4;
-const COMMA: u8 = 8;
-const SEMICOLON: u8 = 16;
-const SPACE_AFTER: u8 = 32;
-const OPEN_END: u8 = 64;
+const CRLF: u64 = 1;
+const TAB: u64 = 2;
+const TRAILING_SEPARATOR: u64 = 4;
+const COMMA: u64 = 8;
+const SEMICOLON: u64 = 16;
+const SPACE_AFTER: u64 = 32;
+const OPEN_END: u64 = 64;
+const TIES_AWAY: u64 = 128;
+const LONG_EXPONENT: u64 = 256;
+
+/// How a C library prints numbers of a given number of digits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Printf {
+    /// A number midway between two texts is rounded away from zero if its last digit stands after the decimal point,
+    /// instead of to even: Windows before 2020.
+    pub ties_away: bool,
+    /// Exponents have at least three digits instead of two: Visual C++ before 2015.
+    pub long_exponent: bool,
+}
 
 /// How the records of a text body are written: one a line, with separators between the columns.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -232,6 +245,8 @@ pub struct TextFormat {
     pub trailing_separator: bool,
     /// The last line has no line end.
     pub open_end: bool,
+    /// How numbers are printed.
+    pub printf: Printf,
     /// The columns, in the order of the file and of the record.
     pub columns: Vec<Column>,
 }
@@ -249,16 +264,17 @@ impl TextFormat {
         }
     }
 
-    /// One byte of flags, then two bytes for each column; the number of columns follows from the fields.
+    /// Flags, then two bytes for each column; the number of columns follows from the fields.
     pub(super) fn write_to(&self, out: &mut Vec<u8>) {
-        let flag = |flag: u8, is_set: bool| if is_set { flag } else { 0 };
-        out.push(
-            flag(CRLF, self.crlf)
-                | self.separator.flag()
-                | flag(SPACE_AFTER, self.space_after)
-                | flag(TRAILING_SEPARATOR, self.trailing_separator)
-                | flag(OPEN_END, self.open_end),
-        );
+        let flag = |flag: u64, is_set: bool| if is_set { flag } else { 0 };
+        let flags = flag(CRLF, self.crlf)
+            | self.separator.flag()
+            | flag(SPACE_AFTER, self.space_after)
+            | flag(TRAILING_SEPARATOR, self.trailing_separator)
+            | flag(OPEN_END, self.open_end)
+            | flag(TIES_AWAY, self.printf.ties_away)
+            | flag(LONG_EXPONENT, self.printf.long_exponent);
+        write_unsigned(out, flags);
         for column in &self.columns {
             let (rule, parameter) = column.rule.to_bytes();
             out.extend([column.scalar as u8 | rule << 4, parameter]);
@@ -268,15 +284,15 @@ impl TextFormat {
     /// Reads `columns` columns.
     pub(super) fn read_from(input: &mut &[u8], columns: u64) -> Result<Self> {
         let damaged = || Error::corrupt("record layout: text format");
-        let (&flags, rest) = input.split_first().ok_or_else(damaged)?;
-        *input = rest;
-        const OTHERS: u8 = CRLF | SPACE_AFTER | TRAILING_SEPARATOR | OPEN_END;
+        let flags = read_unsigned(input, "record layout: text format")?;
+        const OTHERS: u64 = CRLF | SPACE_AFTER | TRAILING_SEPARATOR | OPEN_END | TIES_AWAY | LONG_EXPONENT;
         let mut format = TextFormat {
             crlf: flags & CRLF != 0,
             separator: Separator::from_flag(flags & !OTHERS).ok_or_else(damaged)?,
             space_after: flags & SPACE_AFTER != 0,
             trailing_separator: flags & TRAILING_SEPARATOR != 0,
             open_end: flags & OPEN_END != 0,
+            printf: Printf { ties_away: flags & TIES_AWAY != 0, long_exponent: flags & LONG_EXPONENT != 0 },
             columns: Vec::new(),
         };
         // Not allocated up front: the list grows with the input.
