@@ -263,6 +263,18 @@ fn the_timing_of_a_block_is_found() {
 }
 
 #[test]
+fn both_versions_of_robosenses_driver_are_found() {
+    for recipe in [Recipe::RoboSense, Recipe::RoboSenseEarly] {
+        let truth = made_up(recipe);
+        let points = points(&truth, &image(&truth, 1));
+        let (found, share) = fit(&[file(&points)]).expect("found");
+        assert_eq!((found.build().recipe, share), (recipe, 1.0));
+        let (_, inexact, strays) = counts(&found, &points);
+        assert_eq!((inexact, strays), (0, 0), "{recipe:?}");
+    }
+}
+
+#[test]
 fn lasers_that_look_back_and_forth_while_the_azimuth_goes_on_are_found() {
     let scan = vlp_32c(150);
     let (found, share) = fit(&[file(&scan)]).expect("found");

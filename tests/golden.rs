@@ -150,6 +150,14 @@ fn mounted_files(mover: common::firings::Mover) -> Vec<File> {
     named(&scans(&config).iter().map(moved).collect::<Vec<_>>())
 }
 
+/// A scan that was not rounded before it was moved, field after field, and one of which nothing tells that.
+fn unrounded_files() -> Vec<File> {
+    let scan = common::firings::unrounded_hdl_32e(180.0, -0.090_805, 12);
+    let by_field = (0..4).flat_map(|field| scan.iter().map(move |point| point[field]));
+    let by_field = by_field.flat_map(f32::to_le_bytes).collect();
+    vec![("0.bin".to_owned(), by_field), ("1.bin".to_owned(), common::formats::kitti(&scan))]
+}
+
 /// Two scans of a VLP-16 whose coordinates were rounded to this number of decimal places; zeros have both signs.
 fn rounded_files(places: i32) -> Vec<File> {
     let config = SynthConfig { scanner: SynthScanner::Vlp16, frames: 2, thinning: 12, ..small(5, 2) };
@@ -268,6 +276,12 @@ fn recipes() -> Vec<Recipe> {
         || firings_files(firings::Recipe::RoboSense, Cells::Timed),
         EncoderConfig::default(),
     );
+    exact(
+        "firings-off-axis-early",
+        || firings_files(firings::Recipe::RoboSenseEarly, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact("firings-mounted-unrounded", unrounded_files, EncoderConfig::default());
     exact(
         "firings-lslidar",
         || firings_files(firings::Recipe::LsLidar, Cells::Returns),

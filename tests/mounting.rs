@@ -1,7 +1,7 @@
 //! Scans in the frame of a vehicle: points of a scanner that a program moved after they were measured.
 
 use crate::common::bound::{bounded, keeps_the_bound};
-use crate::common::firings::{Mover, image, made_up, points};
+use crate::common::firings::{Mover, image, made_up, points, unrounded_hdl_32e};
 use crate::common::formats::{kitti, pcd_stamped};
 use crate::common::scans::{Points, random_points};
 use crate::common::streams::at_level;
@@ -64,6 +64,19 @@ fn what_every_program_moved_is_reproduced_to_the_last_bit() {
             assert!((mounting.rows[axis][3] - METRES[axis]).abs() < 1e-6, "{mover:?}: {mounting:?}");
         }
         assert_eq!(scanner.build().recipe, fitted(file(scan)).0.build().recipe);
+    }
+}
+
+#[test]
+fn points_that_were_not_rounded_before_they_were_moved_are_reproduced_too() {
+    for (degrees, up) in [(180.0, -0.090_805), (37.3, 1.73)] {
+        let scan = unrounded_hdl_32e(degrees, up, 1);
+        let (scanner, mounting) = fitted(file(&scan));
+        let mounting = mounting.unwrap_or_else(|| panic!("{degrees} degrees: not found"));
+        assert_eq!(mounting.order, Order::DoubleUnrounded, "{degrees} degrees");
+        let exact = scanner.exact_share(&positions(&scan));
+        assert!(exact > 0.98, "{degrees} degrees: {exact}");
+        round_trip(&files(&[scan]), &EncoderConfig::default());
     }
 }
 

@@ -1,12 +1,15 @@
 //! Records without a header: KITTI's `.bin`, nuScenes' `.pcd.bin`, and records whose fields the user
-//! specifies.
+//! specifies; and the `.bin` of the Oxford Radar RobotCar data set, which holds KITTI's fields one after the other.
 //!
 //! Sources: A. Geiger et al., "Vision meets Robotics: The KITTI Dataset" (raw data development
-//! kit); nuScenes devkit, `LidarPointCloud.from_file`.
+//! kit); nuScenes devkit, `LidarPointCloud.from_file`; robotcar-dataset-sdk, `load_velodyne_binary`.
 
 use std::fmt;
 use std::str::FromStr;
 
+use byteorder::{ByteOrder, LittleEndian};
+
+use super::by_field;
 use super::field::{find, layout_of};
 use super::records::plain_file;
 use crate::ground::error::{Error, Result};
@@ -98,6 +101,37 @@ impl FromStr for HeaderlessLayout {
     }
 }
 
+/// Splits a file with KITTI's fields, record by record or field by field.
+pub(super) fn parse_kitti(bytes: &[u8]) -> Option<ScanFile> {
+    let layout = HeaderlessLayout::kitti();
+    match is_by_field(bytes) {
+        true => by_field::parse(layout.layout()?, bytes, 0, (bytes.len() / KITTI_RECORD) as u64),
+        false => layout.parse(bytes),
+    }
+}
+
+/// Bytes of a record with KITTI's fields.
+const KITTI_RECORD: usize = 16;
+
+/// Whether a file with KITTI's fields holds all values of one, then all of the next. Nothing says so but the
+/// intensities, which are never negative: if those of records are, and the last quarter of the file is not.
+fn is_by_field(bytes: &[u8]) -> bool {
+    const FEWEST: usize = 100;
+    const SAMPLE: usize = 1000;
+    /// Of coordinates, far more are negative.
+    const LEAST_NEGATIVE: f64 = 0.05;
+    let records = bytes.len() / KITTI_RECORD;
+    if records < FEWEST || !bytes.len().is_multiple_of(KITTI_RECORD) {
+        return false;
+    }
+    let sample = || (0..records).step_by((records / SAMPLE).max(1));
+    let value = |number: usize| LittleEndian::read_f32(&bytes[4 * number..]);
+    let is_intensity = |value: f32| value >= 0.0 && value.is_finite();
+    let negative = sample().filter(|record| value(4 * record + 3) < 0.0).count();
+    negative as f64 > LEAST_NEGATIVE * sample().count() as f64
+        && sample().all(|record| is_intensity(value(3 * records + record)))
+}
+
 /// A field of a list: `name`, `name:type` or `name:type*count`. The error says what is wrong.
 fn field(text: &str) -> std::result::Result<Field, String> {
     let (name, kind) = text.split_once(':').unwrap_or((text, "f32"));
@@ -135,6 +169,26 @@ mod tests {
         assert!(scan.cloud.positions[1][0].is_sign_negative());
         assert_eq!(scan.cloud.intensity, [0.5, 0.25]);
         assert_eq!(scan.suffix, [9; 15]);
+    }
+
+    #[test]
+    fn kitti_fields_may_follow_one_another() {
+        let coordinate = |i: u16, by: f32| f32::from(i % 37) * by - 3.0;
+        let points = || (0..500u16).map(|i| [coordinate(i, 0.5), coordinate(i, 0.25), coordinate(i, 0.1)]);
+        let intensities: Vec<f32> = (0..500u16).map(|i| f32::from(i % 256)).collect();
+        let axis = |axis: usize| points().map(|point| point[axis]).collect::<Vec<_>>();
+        let by_field = [axis(0), axis(1), axis(2), intensities.clone()].concat();
+        let scan = comes_back("0.bin", floats(&by_field));
+        assert!(matches!(scan.layout.wrapping, Wrapping::ByField(_)));
+        assert_eq!(scan.cloud.positions, points().collect::<Vec<_>>());
+        assert_eq!(scan.cloud.intensity, intensities);
+        // Record by record, with negative intensities, or with more bytes, it is as ever.
+        let records = points().zip(&intensities).flat_map(|([x, y, z], i)| [x, y, z, *i]);
+        let records: Vec<f32> = records.collect();
+        let odd = [by_field[..1500].to_vec(), axis(0)].concat();
+        for bytes in [floats(&records), floats(&odd), [floats(&by_field), vec![7]].concat()] {
+            assert_eq!(comes_back("0.bin", bytes).layout.wrapping, Wrapping::Plain);
+        }
     }
 
     #[test]

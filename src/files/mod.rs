@@ -146,7 +146,7 @@ pub fn parse(name: &str, bytes: Vec<u8>) -> ScanFile {
 pub fn parse_with(name: &str, bytes: Vec<u8>, headerless: Option<&HeaderlessLayout>) -> ScanFile {
     let parsed = Kind::of(name).and_then(|(kind, _)| match (kind, headerless) {
         (Kind::Kitti | Kind::NuScenes, Some(layout)) => layout.parse(&bytes),
-        (Kind::Kitti, None) => HeaderlessLayout::kitti().parse(&bytes),
+        (Kind::Kitti, None) => headerless::parse_kitti(&bytes),
         (Kind::NuScenes, None) => HeaderlessLayout::nuscenes().parse(&bytes),
         (Kind::Pcd, _) => pcd::parse(&bytes),
         (Kind::Ply, _) => ply::parse(&bytes),

@@ -15,13 +15,13 @@ pub fn made_up(recipe: Recipe) -> Firings {
     let (ticks, range_step_um) = match recipe {
         Recipe::SingleRangeXAhead => (2048, 1000),
         recipe if recipe.measures_from_axis() => (1024, 1000),
-        Recipe::RoboSense => (36_000, 2500),
+        Recipe::RoboSense | Recipe::RoboSenseEarly => (36_000, 2500),
         Recipe::DoubleYAhead => (36_000, 2000),
         _ => (36_000, 4000),
     };
     let degrees = |thousandths: i64| thousandths * 1_000_000;
     let laser = |row: i64| match recipe {
-        Recipe::RoboSense => Laser {
+        Recipe::RoboSense | Recipe::RoboSenseEarly => Laser {
             elevation: degrees(15_000 - 1_230 * row),
             azimuth: degrees([2_270, -7_900, 2_320, -7_850][row as usize % 4]),
         },
@@ -32,7 +32,7 @@ pub fn made_up(recipe: Recipe) -> Firings {
         },
     };
     let origin = match recipe {
-        Recipe::RoboSense => Origin { along_um: 34_980, up_um: 0 },
+        Recipe::RoboSense | Recipe::RoboSenseEarly => Origin { along_um: 34_980, up_um: 0 },
         Recipe::LsLidar => Origin { along_um: 36_100, up_um: 0 },
         Recipe::Ouster | Recipe::OusterRos => Origin { along_um: 15_806, up_um: 38_195 },
         Recipe::OusterEarly => Origin { along_um: -12_163, up_um: 36_180 },
@@ -370,4 +370,37 @@ impl Mover {
         };
         points.iter().map(moved).collect()
     }
+}
+
+/// A turn of an HDL-32E, laser after laser, whose points a program keeps in double precision until it has turned them by
+/// these degrees about x and raised them: at 180 degrees, the files of the Oxford Radar RobotCar data set.
+pub fn unrounded_hdl_32e(degrees: f64, up: f64, thinning: u64) -> Points {
+    let mut below = numbers(11);
+    let (sin_turn, cos_turn) = match degrees {
+        180.0 => (0.0, -1.0),
+        _ => degrees.to_radians().sin_cos(),
+    };
+    let mut turn = Points::new();
+    let mut ticks = Vec::new();
+    let mut tick = 18_000;
+    while tick < 18_000 + 36_000 {
+        ticks.push(tick % 36_000);
+        tick += (32 + below(3)) * thinning;
+    }
+    for laser in 0..32 {
+        let elevation = (1862.0 - f64::from(laser) * 232.7).round() * 1e-4;
+        for tick in &ticks {
+            let range = (3000 + 40 * (tick / 1000) + below(200) + 100 * laser as u64) as f64 * 0.002;
+            if below(10) == 0 {
+                continue;
+            }
+            let azimuth = *tick as f64 * TAU / 36_000.0;
+            let flat = elevation.cos() * range;
+            let [x, y, z] = [azimuth.sin() * flat, azimuth.cos() * flat, elevation.sin() * range];
+            let moved = [x, cos_turn * y - sin_turn * z, sin_turn * y + cos_turn * z + up];
+            let [x, y, z] = moved.map(|metres| metres as f32);
+            turn.push([x, y, z, (range as u32 % 100) as f32]);
+        }
+    }
+    turn
 }

@@ -13,14 +13,15 @@ TOGETHER, VLP_16, ONE_FIRING, TWO_FIRINGS = range(4)
 WHOLE = 1 << 24
 
 # How the recipes' ranges are rounded, and which of them compute in double precision.
-SINGLE_PRODUCT = 0, 3, 4, 8, 9, 13, 15, 16
+SINGLE_PRODUCT = 0, 3, 4, 8, 9, 13, 15, 16, 18
 ROUNDED_PRODUCT = 6, 7, 10
 DOUBLE = 1, 2, 3, 5, 11, 12, 14, 17
 GLIBC = 8, 9, 15, 16
 FOCAL_POINT = 15, 16
 OUSTER = 11, 12, 17
-ROBOSENSE, LSLIDAR, PANDAR_64, APOLLO, ONCE, OUSTER_EARLY = 4, 5, 10, 13, 14, 17
-LAST = OUSTER_EARLY
+UNROUNDED = 1, 2, 3, 5
+ROBOSENSE, LSLIDAR, PANDAR_64, APOLLO, ONCE, OUSTER_EARLY, ROBOSENSE_EARLY = 4, 5, 10, 13, 14, 17, 18
+LAST = ROBOSENSE_EARLY
 
 SLOT, FIRING, BLOCK = map(f32, (2.304, 55.296, 110.592))
 LS_DEGREE = 0.017453293
@@ -119,7 +120,7 @@ class Scanner:
         if any(part > 2 * WHOLE for part in self.parts):
             raise Refused("more than two blocks")
         self.mounting = reader.varint()
-        if self.mounting > 5:
+        if self.mounting > 6:
             raise Refused("an unknown mounting")
         numbers = [unpack("<d", reader.take(8))[0] for _ in range(12 if self.mounting else 0)]
         if not all(abs(number) <= 1e6 for number in numbers):
@@ -141,6 +142,7 @@ class Scanner:
             11: self.ouster,
             12: self.ouster,
             OUSTER_EARLY: self.ouster,
+            ROBOSENSE_EARLY: self.robosense,
             ONCE: self.once,
         }.get(self.recipe, self.single)
         self.lasers = [self.laser(elevation * 1e-9, azimuth * 1e-9) for elevation, azimuth in angles]
@@ -187,12 +189,12 @@ class Scanner:
         measured = self.measured_position(row, tick, steps, between)
         if not self.mounting:
             return measured
-        x, y, z = map(f32, measured)
+        x, y, z = measured if self.mounting == 6 else map(f32, measured)
         return tuple(self.moved(x, y, z, *row) for row in self.mounting_rows)
 
     def moved(self, x, y, z, a, b, c, t):
         """A coordinate in the frame of a vehicle."""
-        if self.mounting == 1:
+        if self.mounting in (1, 6):
             return a * x + b * y + c * z + t
         if self.mounting == 2:
             return f32(a * x + b * y + c * z) + t
@@ -222,7 +224,8 @@ class Scanner:
         elif self.recipe in ROUNDED_PRODUCT:
             d = f32(d)
         position = self.position(self.lasers[row], tick, d)
-        return position if between else tuple(map(f32, position))
+        is_rounded = not between and not (self.mounting == 6 and self.recipe in UNROUNDED)
+        return tuple(map(f32, position)) if is_rounded else position
 
     def laser(self, e, o):
         laser = Laser()
@@ -236,6 +239,8 @@ class Scanner:
                 laser.height = f32(f32(self.along) * f32(tangent)) if self.recipe == 15 else f32(round(self.along * tangent * 1e5) / 1e5)
             laser.cos_v, laser.sin_v = self.cosine(v), self.sine(v)
             laser.direction = (self.cosine(offset), self.sine(offset)) if o else None
+        elif self.recipe == ROBOSENSE_EARLY:
+            laser.cos_v, laser.sin_v = self.direction_of_tick(round(e / 360 * self.ticks) % self.ticks)
         elif self.position == self.robosense:
             laser.cos_v, laser.sin_v = cos_single(radians(e)), sin_single(radians(e))
         elif self.position == self.lslidar:
@@ -305,10 +310,10 @@ class Scanner:
         flat = d * laser.cos_v
         return f32(flat * old_sinf(a)), f32(flat * old_cosf(a)), f32(d * laser.sin_v)
 
-    # Recipe 4
+    # Recipes 4 and 18
 
     def direction_of_tick(self, tick):
-        a = radians(tick * self.tick_degrees)
+        a = radians(tick * (f32(self.tick_degrees) if self.recipe == ROBOSENSE_EARLY else self.tick_degrees))
         return cos_single(a), sin_single(a)
 
     def robosense(self, laser, tick, d):

@@ -74,11 +74,14 @@ impl<'m> Point<'m> {
             return scanner.gives(found, &self.position, axes);
         };
         let mut start = self.position;
-        let formula = scanner.position(found, 0.0);
+        let formula = match by {
+            MovedBy::Mounting(mounting) if !mounting.order.rounds_first() => scanner.unrounded(found),
+            _ => scanner.position(found, 0.0),
+        };
         axes.clone().for_each(|axis| start[axis] = formula[axis]);
         let (moved, mut shown) = match by {
             MovedBy::Motion(motion) => (motion.moved(start), axes),
-            MovedBy::Mounting(mounting) => (mounting.moved(&start.map(|metres| metres as f32)), 0..3),
+            MovedBy::Mounting(mounting) => (mounting.moved(&start), 0..3),
         };
         shown.all(|axis| moved[axis] as f32 == position[axis])
     }
@@ -663,6 +666,8 @@ fn angles(
     if best.1 == points {
         return best;
     }
+    let radians = round_ties_even((near as f64 * ANGLE_UNIT).to_radians() * 1e4) * 1e-4;
+    try_all(&mut best, &mut std::iter::once((radians.to_degrees() / ANGLE_UNIT).round() as i64));
     if recipe == Recipe::Pandar64 {
         let short = round_ties_even(near as f64 * ANGLE_UNIT * 1e3 / SHORT_PI) * 1e-3 * SHORT_PI;
         try_all(&mut best, &mut std::iter::once((short / ANGLE_UNIT).round() as i64));

@@ -422,15 +422,26 @@ impl Firings {
         }
         let step = self.build.range_step_um;
         let single = |metres: f32| if metres.is_nan() { 0.0 } else { metres };
-        let position = |found: &Return| {
-            let arithmetic = &self.arithmetic[found.row as usize];
-            arithmetic.position(&self.turn, found.tick, found.steps, step)
-        };
         match &self.build.mounting {
-            None => returns.iter().map(|found| position(found).map(single)).collect(),
+            None => {
+                let position = |found: &Return| {
+                    let arithmetic = &self.arithmetic[found.row as usize];
+                    arithmetic.position(&self.turn, found.tick, found.steps, step).map(single)
+                };
+                returns.iter().map(position).collect()
+            }
             Some(mounting) => {
-                let moved = |found| mounting.moved(&position(found)).map(|metres| single(metres as f32));
-                returns.iter().map(moved).collect()
+                let moved = |found: &Return| {
+                    let arithmetic = &self.arithmetic[found.row as usize];
+                    let nearly = (!mounting.order.rounds_first())
+                        .then(|| arithmetic.nearly_unrounded(&self.turn, found.tick, found.steps, step));
+                    let quickly =
+                        nearly.flatten().and_then(|(point, error)| mounting.surely_moved(&point, error));
+                    quickly.unwrap_or_else(|| {
+                        mounting.moved(&self.measured_position(found)).map(|metres| metres as f32)
+                    })
+                };
+                returns.iter().map(|found| moved(found).map(single)).collect()
             }
         }
     }
@@ -438,18 +449,33 @@ impl Firings {
     /// The position of a return in metres, as accurately as the recipe computes it, `offset_m` metres beyond the
     /// range of its steps.
     pub fn position(&self, found: &Return, offset_m: f64) -> [f64; 3] {
-        let arithmetic = &self.arithmetic[found.row as usize];
         let measured = if offset_m == 0.0 {
-            let step = self.build.range_step_um;
-            arithmetic.position(&self.turn, found.tick, found.steps, step).map(f64::from)
+            self.measured_position(found)
         } else {
             let metres = f64::from(found.steps) * self.range_step_m() + offset_m;
-            arithmetic.position_at(&self.turn, found.tick, metres)
+            self.arithmetic[found.row as usize].position_at(&self.turn, found.tick, metres)
         };
         match &self.build.mounting {
             None => measured,
-            Some(mounting) => mounting.moved(&measured.map(|metres| metres as f32)),
+            Some(mounting) => mounting.moved(&measured),
         }
+    }
+
+    /// The position of a return in the frame of the scanner, in metres, rounded if it is before it is moved.
+    #[inline(always)]
+    fn measured_position(&self, found: &Return) -> [f64; 3] {
+        let arithmetic = &self.arithmetic[found.row as usize];
+        let step = self.build.range_step_um;
+        match &self.build.mounting {
+            Some(mounting) if !mounting.order.rounds_first() => self.unrounded(found),
+            _ => arithmetic.position(&self.turn, found.tick, found.steps, step).map(f64::from),
+        }
+    }
+
+    /// The position of a return in the frame of the scanner, in metres, in the precision in which it is computed.
+    fn unrounded(&self, found: &Return) -> [f64; 3] {
+        let arithmetic = &self.arithmetic[found.row as usize];
+        arithmetic.unrounded(&self.turn, found.tick, found.steps, self.build.range_step_um)
     }
 
     /// Whether the recipe reproduces a position in the file to the last bit, along these axes.

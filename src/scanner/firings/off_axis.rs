@@ -90,16 +90,24 @@ impl Found<'_> {
             if !maker.is_like(line_start(&rows)?) {
                 return None;
             }
-            let scanner = self.of_maker(maker, rows)?;
-            let reach = 0.5 * scanner.range_step_m() + 1e-5;
-            let places = scanner.places(&sample, reach);
-            let is_exact = |place: &&Place| {
-                let found =
-                    Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
-                scanner.gives(&found, &sample[place.point as usize].map(f64::from), 0..3)
+            let of_recipe = |recipe: Recipe| {
+                let scanner = self.of_maker(maker, recipe, &rows)?;
+                let reach = 0.5 * scanner.range_step_m() + 1e-5;
+                let places = scanner.places(&sample, reach);
+                let is_exact = |place: &&Place| {
+                    let found =
+                        Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
+                    scanner.gives(&found, &sample[place.point as usize].map(f64::from), 0..3)
+                };
+                let exact = places.iter().filter(is_exact).count();
+                Some((scanner, exact, places.len()))
             };
-            let exact = places.iter().filter(is_exact).count();
-            Some((scanner, exact))
+            let (scanner, exact, placed) = of_recipe(maker.recipe)?;
+            let early = (maker.recipe == Recipe::RoboSense && 2 * exact < placed)
+                .then(|| of_recipe(Recipe::RoboSenseEarly))
+                .flatten()
+                .filter(|(_, early, _)| *early > exact);
+            Some(early.map_or((scanner, exact), |(scanner, exact, _)| (scanner, exact)))
         });
         let candidates: Vec<(Firings, usize)> = candidates.collect();
         // A scanner that reproduces no more than one point in ten is rejected.
@@ -182,11 +190,11 @@ impl Found<'_> {
         Some(rows)
     }
 
-    /// The scanner of a maker, with constants determined from the points of its lasers.
-    fn of_maker(&self, maker: &Maker, rows: Vec<Vec<Point>>) -> Option<Firings> {
+    /// The scanner of a maker by a recipe, with constants determined from the points of its lasers.
+    fn of_maker(&self, maker: &Maker, recipe: Recipe, rows: &[Vec<Point>]) -> Option<Firings> {
         /// Lasers with fewer points are ignored.
         const FEWEST: usize = 4;
-        let rows: Vec<Vec<Point>> = rows.into_iter().filter(|row| row.len() >= FEWEST).collect();
+        let rows: Vec<&Vec<Point>> = rows.iter().filter(|row| row.len() >= FEWEST).collect();
         let lasers: Vec<Vec<Laser>> = rows.par_iter().map(|row| lasers_off_axis(maker, row)).collect();
         let mut ranges = Vec::new();
         for (row, laser) in rows.iter().zip(&lasers).filter_map(|(row, lasers)| Some((row, lasers.first()?)))
@@ -202,7 +210,7 @@ impl Found<'_> {
         }
         let range_step_um = range_step(ranges.into_iter(), self.blur)?;
         let build = Build {
-            recipe: maker.recipe,
+            recipe,
             ticks: OFF_AXIS_TICKS,
             range_step_um,
             coordinates: self.coordinates,

@@ -60,6 +60,9 @@ pub enum Recipe {
     /// As `Ouster`, in Ouster's ROS driver of 2021: it turns directions to the frame of the case by half a turn, but
     /// not where beams start, which is therefore behind the axis.
     OusterEarly = 17,
+    /// As `RoboSense`, in an early version of the driver: a hundredth of a degree is a float32, and elevations below 0
+    /// are taken from the end of the tables.
+    RoboSenseEarly = 18,
 }
 
 /// Axes of the coordinates.
@@ -71,7 +74,7 @@ pub(super) enum Axes {
 
 impl Recipe {
     /// Every recipe, in the order in which the fit tries them.
-    pub const ALL: [Recipe; 18] = [
+    pub const ALL: [Recipe; 19] = [
         Recipe::VelodyneRos,
         Recipe::DoubleYAhead,
         Recipe::DoubleXAhead,
@@ -90,6 +93,7 @@ impl Recipe {
         Recipe::VelodyneDecoder,
         Recipe::VelodyneDecoderHdl32e,
         Recipe::OusterEarly,
+        Recipe::RoboSenseEarly,
     ];
 
     /// The recipe of this number in the stream.
@@ -152,6 +156,7 @@ impl Recipe {
             Recipe::DoubleXAhead => "double precision with x ahead",
             Recipe::SingleRangeXAhead => "arithmetic of Ouster's SDK",
             Recipe::RoboSense => "arithmetic of RoboSense's rs_driver",
+            Recipe::RoboSenseEarly => "arithmetic of RoboSense's early rs_driver",
             Recipe::LsLidar => "arithmetic of LSLiDAR's driver",
             Recipe::Nebula => "arithmetic of Autoware's nebula for Hesai",
             Recipe::Nebula2023 => "arithmetic of Autoware's nebula for Hesai of 2023",
@@ -175,6 +180,7 @@ impl Recipe {
             | Recipe::DoubleXAhead
             | Recipe::SingleRangeXAhead
             | Recipe::RoboSense
+            | Recipe::RoboSenseEarly
             | Recipe::Ouster
             | Recipe::OusterRos
             | Recipe::OusterEarly
@@ -306,11 +312,10 @@ impl Turn {
                 Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
             }
             Recipe::RoboSense => {
-                let entry = move |t: u32| {
-                    let angle = radians(f64::from(t) * tick);
-                    [libm::cos(angle) as f32, libm::sin(angle) as f32]
-                };
-                Turn::Tables(LazyTable::new(ticks, entry))
+                Turn::Tables(LazyTable::new(ticks, move |t| single_cos_sin(radians(f64::from(t) * tick))))
+            }
+            Recipe::RoboSenseEarly => {
+                Turn::Tables(LazyTable::new(ticks, move |t| single_cos_sin(early_radians(t, ticks))))
             }
             Recipe::Nebula => {
                 Turn::Angles(LazyTable::new(ticks, move |t| (degrees(t) * (PI / 180.0)) as f32))
@@ -328,6 +333,15 @@ impl Turn {
 
 fn cos_sin(radians: f64) -> [f64; 2] {
     [libm::cos(radians), libm::sin(radians)]
+}
+
+fn single_cos_sin(radians: f64) -> [f32; 2] {
+    cos_sin(radians).map(|value| value as f32)
+}
+
+/// The angle of a tick in RoboSense's early driver.
+fn early_radians(tick: u32, ticks: u32) -> f64 {
+    radians(f64::from(tick) * f64::from((360.0 / f64::from(ticks)) as f32))
 }
 
 /// A laser's constants as the recipe uses them.
@@ -365,8 +379,11 @@ impl Arithmetic {
     pub fn new(recipe: Recipe, laser: &Laser, origin: Origin, ticks: u32) -> Self {
         let elevation = radians(laser.elevation_degrees());
         let [along, up] = origin.metres();
-        let turned = round_ties_even(laser.azimuth_degrees() / 360.0 * f64::from(ticks)) as i64;
-        let turned = turned.rem_euclid(i64::from(ticks)) as u32;
+        let in_ticks = |degrees: f64| {
+            let whole = round_ties_even(degrees / 360.0 * f64::from(ticks)) as i64;
+            whole.rem_euclid(i64::from(ticks)) as u32
+        };
+        let turned = in_ticks(laser.azimuth_degrees());
         match recipe {
             Recipe::VelodyneRos
             | Recipe::VelodyneRosGlibc
@@ -402,13 +419,14 @@ impl Arithmetic {
                 offsets: cos_sin(radians(laser.azimuth_degrees())),
                 axes: recipe.axes(),
             },
-            Recipe::RoboSense => Arithmetic::Tables {
-                cos_v: libm::cos(elevation) as f32,
-                sin_v: libm::sin(elevation) as f32,
-                turned,
-                along: along as f32,
-                up: up as f32,
-            },
+            Recipe::RoboSense | Recipe::RoboSenseEarly => {
+                let elevation = match recipe {
+                    Recipe::RoboSense => elevation,
+                    _ => early_radians(in_ticks(laser.elevation_degrees()), ticks),
+                };
+                let [cos_v, sin_v] = single_cos_sin(elevation);
+                Arithmetic::Tables { cos_v, sin_v, turned, along: along as f32, up: up as f32 }
+            }
             Recipe::LsLidar => {
                 let elevation = laser.elevation_degrees() * LS_DEGREE;
                 let (cos_v, sin_v) = (libm::cos(elevation), libm::sin(elevation));
@@ -454,10 +472,7 @@ impl Arithmetic {
             }
             Arithmetic::Once { .. } => self.once(turn, tick, double),
             Arithmetic::Double { .. } | Arithmetic::Ls { .. } => {
-                let metres = match self {
-                    Arithmetic::Double { single_range: true, .. } => f64::from(single),
-                    _ => double,
-                };
+                let metres = self.metres(steps, range_step_um);
                 self.double_by_table(turn, tick, metres)
                     .unwrap_or_else(|| self.double(turn, tick, metres).map(|v| v as f32))
             }
@@ -469,22 +484,48 @@ impl Arithmetic {
         }
     }
 
+    /// The same in the precision in which they are computed, before they are rounded once.
+    pub fn unrounded(&self, turn: &Turn, tick: u32, steps: u32, range_step_um: u32) -> [f64; 3] {
+        match self {
+            Arithmetic::Double { .. } | Arithmetic::Ls { .. } => {
+                self.double(turn, tick, self.metres(steps, range_step_um))
+            }
+            _ => self.position(turn, tick, steps, range_step_um).map(f64::from),
+        }
+    }
+
+    /// Nearly the same, in a fraction of the time, and the largest error of x and y; z has none. `None` for some ticks, and
+    /// for most recipes.
+    #[inline(always)]
+    pub fn nearly_unrounded(
+        &self,
+        turn: &Turn,
+        tick: u32,
+        steps: u32,
+        range_step_um: u32,
+    ) -> Option<([f64; 3], f64)> {
+        self.double_nearly(turn, tick, self.metres(steps, range_step_um))
+    }
+
+    /// A range of whole steps, in metres, as recipes in double precision compute it.
+    #[inline(always)]
+    fn metres(&self, steps: u32, range_step_um: u32) -> f64 {
+        let step = f64::from(range_step_um) * 1e-6;
+        match self {
+            Arithmetic::Double { single_range: true, .. } => f64::from(steps as f32 * step as f32),
+            _ => f64::from(steps) * step,
+        }
+    }
+
     /// The result of [`double`](Self::double), rounded to single precision, but from the cosine and the sine of the
     /// tick: in a fraction of the time. `None` in the rare cases in which the different errors might show.
     #[inline(always)]
     fn double_by_table(&self, turn: &Turn, tick: u32, metres: f64) -> Option<[f32; 3]> {
         let Turn::Degrees(_, table) = turn else { return None };
         match self {
-            Arithmetic::Double { cos_v, sin_v, offsets, axes, .. } => {
-                let [cos, sin] = turned_by(*table.get(tick), *offsets)?;
-                let flat = metres * cos_v;
-                let error = flat.abs() * TURNED_ERROR;
-                let (cos, sin) = (flat * cos, flat * sin);
-                let (x, y) = match axes {
-                    Axes::XAhead => (cos, -sin),
-                    Axes::YAhead => (sin, cos),
-                };
-                Some([sure(x, error)?, sure(y, error)?, (metres * sin_v) as f32])
+            Arithmetic::Double { .. } => {
+                let ([x, y, z], error) = self.double_nearly(turn, tick, metres)?;
+                Some([sure(x, error)?, sure(y, error)?, z as f32])
             }
             Arithmetic::Ls { cos_v, sin_v, turned, offsets: [cos_o, sin_o], along, up, .. } => {
                 let [cos, sin] = *table.get((tick + turned) % table.len());
@@ -498,6 +539,23 @@ impl Arithmetic {
             }
             _ => None,
         }
+    }
+
+    /// Nearly the result of [`double`](Self::double), and the largest error of x and y; z has none.
+    #[inline(always)]
+    fn double_nearly(&self, turn: &Turn, tick: u32, metres: f64) -> Option<([f64; 3], f64)> {
+        let (Arithmetic::Double { cos_v, sin_v, offsets, axes, .. }, Turn::Degrees(_, table)) = (self, turn)
+        else {
+            return None;
+        };
+        let [cos, sin] = turned_by(*table.get(tick), *offsets)?;
+        let flat = metres * cos_v;
+        let (cos, sin) = (flat * cos, flat * sin);
+        let (x, y) = match axes {
+            Axes::XAhead => (cos, -sin),
+            Axes::YAhead => (sin, cos),
+        };
+        Some(([x, y, metres * sin_v], flat.abs() * TURNED_ERROR))
     }
 
     /// The same for [`ouster`](Self::ouster).
@@ -679,7 +737,7 @@ impl OusterStart {
 /// An upper bound of the difference between cosine and sine by [`turned_by`] and those of the rounded sum of the
 /// angles: the angles, of up to two turns in degrees, are rounded to 3e-14 degrees and converted to radians with
 /// errors of 3e-15; cosines and sines are rounded to 1e-16.
-const TURNED_ERROR: f64 = 2e-14;
+pub(super) const TURNED_ERROR: f64 = 2e-14;
 
 /// Cosine and sine of the sum of two angles; `None` if one of them is so small that its sign is uncertain.
 #[inline]
@@ -690,7 +748,7 @@ fn turned_by([cos, sin]: [f64; 2], [cos_o, sin_o]: [f64; 2]) -> Option<[f64; 2]>
 
 /// The float32 that is nearest to all numbers within `error` of a value; `None` if there is more than one.
 #[inline]
-fn sure(value: f64, error: f64) -> Option<f32> {
+pub(super) fn sure(value: f64, error: f64) -> Option<f32> {
     let (low, high) = ((value - error) as f32, (value + error) as f32);
     // If the error is 0, adding it changes no more than the sign of a zero.
     (error == 0.0 || low.to_bits() == high.to_bits()).then_some(value as f32)

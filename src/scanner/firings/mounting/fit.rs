@@ -6,7 +6,7 @@
 //! mounting then follow by least squares, and the measured points, to the last bit, from those of the recipe. To these
 //! a scanner is fitted as to any others.
 
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use nalgebra::{SMatrix, SVector, Vector3};
 use rayon::prelude::*;
@@ -57,7 +57,7 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
         let positions = &cloud.positions;
         let measured = mounted.measured(positions);
         let moved = measured.iter().zip(positions).map(|(measured, position)| Moved {
-            measured: measured.map(f64::from),
+            measured: *measured,
             by: MovedBy::Mounting(mounting),
             position: *position,
         });
@@ -131,8 +131,8 @@ impl Mounting {
 
 /// A measurement, and its position in the file.
 type Measurement = (Return, [f32; 3]);
-/// A position in the frame of the scanner, and in the file.
-type Pair = ([f32; 3], [f32; 3]);
+/// A position in the frame of the scanner, not rounded, and in the file.
+type Pair = ([f64; 3], [f32; 3]);
 
 /// Measurements of a scanner by their integers, up to the direction of azimuth 0.
 struct Seen {
@@ -181,10 +181,10 @@ impl Seen {
         });
         let whole = whole_ticks(sequence.collect(), &elevations, ticks);
         let offsets: Vec<f64> = parts_of_ticks.iter().zip(whole).map(|(part, whole)| part + whole).collect();
-        let lasers = elevations.iter().zip(&offsets).map(|(elevation, offset)| Laser {
-            elevation: as_written(elevation.to_degrees()),
-            azimuth: as_written(offset * tick),
-        });
+        let degrees: Vec<f64> = elevations.iter().map(|elevation| elevation.to_degrees()).collect();
+        let lasers = all_as_written(&degrees).into_iter().zip(&offsets);
+        let lasers = lasers
+            .map(|(elevation, offset)| Laser { elevation, azimuth: as_written(offset * tick, DEGREES) });
         let build = Build {
             recipe: Recipe::DoubleXAhead,
             ticks,
@@ -219,8 +219,7 @@ impl Seen {
 
     /// The measurements as positions.
     fn pairs(&self, scanner: &Firings) -> Vec<Pair> {
-        let single = |found: &Return| scanner.position(found, 0.0).map(|metres| metres as f32);
-        self.points.iter().map(|(found, position)| (single(found), *position)).collect()
+        self.points.iter().map(|(found, position)| (scanner.unrounded(found), *position)).collect()
     }
 
     /// The scanner by the recipe by which points were rounded before they were moved, the measurements with the ticks that
@@ -241,7 +240,8 @@ impl Seen {
                 break;
             }
         }
-        let double = tried.iter().find(|found| found.recipe == Recipe::DoubleYAhead).copied();
+        let double = tried.iter().find(|found| found.recipe == Recipe::DoubleYAhead);
+        let double = double.map(|found| found.aligned(self.build.ticks));
         let best = tried.into_iter().min_by(|a, b| a.chance().total_cmp(&b.chance()));
         let best = best.filter(|best| best.chance() < WORTH).or(double)?;
         self = self.later(best.later);
@@ -255,7 +255,7 @@ impl Seen {
             let scanner = few.scanner(recipe, best.part);
             let pairs = few.pairs(&scanner);
             let mounting = least_squares(&pairs, &best.mounting, &COARSE)?;
-            let missed = missed(&mounting, thinned(&pairs, FEW).copied());
+            let missed = missed(&mounting, &Order::ALL, thinned(&pairs, FEW).copied());
             Some((scanner, mounting, missed))
         });
         let (scanner, mounting, _) = similar.min_by_key(|(.., missed)| *missed)?;
@@ -278,8 +278,8 @@ impl Seen {
         let quarter = if recipe.axes() == Axes::YAhead { FRAC_PI_2 } else { 0.0 };
         let less = f64::from(part) * (THOUSANDTH as f64 * ANGLE_UNIT).to_radians();
         let few: Vec<Measurement> = thinned(&self.points, SAMPLE).copied().collect();
-        let single = |found: &Return| scanner.position(found, 0.0).map(|metres| metres as f32);
-        let pairs: Vec<Pair> = few.iter().map(|(found, position)| (single(found), *position)).collect();
+        let rounded = |found: &Return| scanner.position(found, 0.0);
+        let pairs: Vec<Pair> = few.iter().map(|(found, position)| (rounded(found), *position)).collect();
         let mounting = least_squares(&pairs, &start.turned(less - quarter), &COARSE)?;
         let turned = |later: u32| mounting.turned(f64::from(later) * TAU / f64::from(ticks));
         let mut directions: Vec<(u32, u32)> = (0..ticks).map(|later| (0, later)).collect();
@@ -289,9 +289,9 @@ impl Seen {
             for (missed, later) in &mut directions {
                 let pairs = points.iter().map(|(found, position)| {
                     let tick = (found.tick + *later) % ticks;
-                    (single(&Return { tick, ..*found }), *position)
+                    (rounded(&Return { tick, ..*found }), *position)
                 });
-                *missed = self::missed(&turned(*later), pairs);
+                *missed = self::missed(&turned(*later), &ROUNDED_FIRST, pairs);
             }
             directions.sort_unstable();
             by_chance = directions[directions.len() / 2].0;
@@ -354,6 +354,19 @@ impl Direction {
     fn chance(&self) -> f64 {
         f64::from(self.missed) / f64::from(self.by_chance.max(1))
     }
+
+    /// The whole tick nearest to the first axis of the file. Where points were not rounded before they were moved, any
+    /// direction is as good as another, and this one is the likeliest.
+    fn aligned(&self, ticks: u32) -> Self {
+        let [a, b, ..] = self.mounting.rows[0];
+        let tick = TAU / f64::from(ticks);
+        let later = round_ties_even(libm::atan2(b, a) / tick);
+        Direction {
+            later: (i64::from(self.later) + later as i64).rem_euclid(i64::from(ticks)) as u32,
+            mounting: self.mounting.turned(later * tick),
+            ..*self
+        }
+    }
 }
 
 /// A float32 unit at a coordinate, in metres.
@@ -361,20 +374,29 @@ fn unit_at(coordinate: f32) -> f64 {
     f64::from(coordinate.abs().next_up()) - f64::from(coordinate.abs())
 }
 
-/// How many coordinates a mounting does not reproduce, by the order of operations that reproduces the most.
-fn missed(mounting: &Mounting, pairs: impl Iterator<Item = Pair>) -> u32 {
+/// The orders of which the roundings tell the direction of azimuth 0.
+const ROUNDED_FIRST: [Order; 5] = [
+    Order::Double,
+    Order::DoubleRoundedTwice,
+    Order::SingleShiftFirst,
+    Order::SingleShiftLast,
+    Order::SingleFused,
+];
+
+/// How many coordinates a mounting does not reproduce, by the one of these orders of operations that reproduces the most.
+fn missed(mounting: &Mounting, orders: &[Order], pairs: impl Iterator<Item = Pair>) -> u32 {
     /// Metres: smaller coordinates are more accurate than the mounting is known at first.
     const SMALL: f32 = 0.5;
     let mut missed = [0; Order::ALL.len()];
     for (point, position) in pairs {
         for axis in (0..3).filter(|&axis| position[axis].abs() > SMALL) {
             let row = &mounting.rows[axis];
-            for (order, missed) in Order::ALL.into_iter().zip(&mut missed) {
+            for (order, missed) in orders.iter().zip(&mut missed) {
                 *missed += u32::from(order.coordinate(row, &point) as f32 != position[axis]);
             }
         }
     }
-    missed.into_iter().min().unwrap_or(0)
+    missed[..orders.len()].iter().copied().min().unwrap_or(0)
 }
 
 /// For each round of least squares, the least error, in metres, that is told from others, and how many times the error of
@@ -395,7 +417,7 @@ fn least_squares(pairs: &[Pair], start: &Mounting, rounds: &Rounds) -> Option<Mo
             let row = mounting.rows[axis];
             let (mut system, mut right) = (SMatrix::<f64, 4, 4>::zeros(), SVector::<f64, 4>::zeros());
             for (point, position) in pairs {
-                let [x, y, z] = point.map(f64::from);
+                let [x, y, z] = *point;
                 let unit = unit_at(position[axis]).max(least);
                 let miss = f64::from(position[axis]) - (row[0] * x + row[1] * y + row[2] * z + row[3]);
                 if miss.abs() < FARTHEST.min(most * unit) {
@@ -417,10 +439,16 @@ fn least_squares(pairs: &[Pair], start: &Mounting, rounds: &Rounds) -> Option<Mo
 fn last_bits(pairs: &[Pair], start: &Mounting) -> Option<(Mounting, usize)> {
     /// What was written may reproduce fewer coordinates, as some lasers' constants are not known to the last bit yet.
     const AS_GOOD: f64 = 0.99;
-    let start = least_squares(pairs, start, &COARSE)?;
-    let fine = least_squares(pairs, &start, &FINE).unwrap_or(start);
+    let rounded = |(point, position): &Pair| (Order::Double.rounded_first(*point), *position);
+    let rounded: Vec<Pair> = pairs.iter().map(rounded).collect();
+    let squares = |pairs: &[Pair]| {
+        let start = least_squares(pairs, start, &COARSE)?;
+        Some((start, least_squares(pairs, &start, &FINE).unwrap_or(start)))
+    };
+    let (of_rounded, of_unrounded) = (squares(&rounded)?, squares(pairs)?);
     let few: Vec<Pair> = thinned(pairs, FEW).copied().collect();
     let found = Order::ALL.into_par_iter().map(|order| {
+        let (start, fine) = if order.rounds_first() { of_rounded } else { of_unrounded };
         let starts = if order.is_single() { vec![start] } else { vec![fine, start] };
         let axes = [0, 1, 2].map(|axis| {
             let sharpened = starts.iter().map(|start| sharpened(order, start.rows[axis], &few, axis));
@@ -441,7 +469,7 @@ fn last_bits(pairs: &[Pair], start: &Mounting) -> Option<(Mounting, usize)> {
 }
 
 /// A row as its author may have written it, if it turns by whole quarters of a turn: with a translation of tenths of
-/// millimetres, and for cosines of 0 also what programs compute as the cosine or sine of such an angle.
+/// millimetres or of micrometres, and for cosines of 0 also what programs compute as the cosine or sine of such an angle.
 fn written([a, b, c, t]: [f64; 4]) -> Vec<[f64; 4]> {
     /// How near a number must be to what was written.
     const NEAR: f64 = 2e-6;
@@ -458,7 +486,7 @@ fn written([a, b, c, t]: [f64; 4]) -> Vec<[f64; 4]> {
         ((written - value).abs() < NEAR).then_some(written)
     };
     let [Some(a), Some(b), Some(c)] = [a, b, c].map(|value| nearest(value, 1.0)) else { return Vec::new() };
-    let t = nearest(t, 1e4).unwrap_or(t);
+    let t = nearest(t, 1e4).or_else(|| nearest(t, 1e6)).unwrap_or(t);
     let values = |value: f64| if value == 0.0 { ZEROS.to_vec() } else { vec![value] };
     let mut rows = Vec::new();
     for a in values(a) {
@@ -511,13 +539,27 @@ fn sharpened(order: Order, row: [f64; 4], pairs: &[Pair], axis: usize) -> ([f64;
     best
 }
 
-/// An angle as its manufacturer wrote it, in the unit of [`Laser`]: with three digits if it is so near to them.
-fn as_written(degrees: f64) -> i64 {
+/// Grids of angles, in degrees: manufacturers write thousandths of degrees, some programs ten-thousandths of radians.
+const DEGREES: f64 = 1e-3;
+const RADIANS: f64 = 1e-4 * 180.0 / PI;
+
+/// Elevations in degrees as they were written, all on one of the grids, in the unit of [`Laser`].
+fn all_as_written(degrees: &[f64]) -> Vec<i64> {
+    let off = |grid: f64| {
+        let off = |degrees: &f64| (degrees / grid - round_ties_even(degrees / grid)).abs() * grid;
+        let mut off: Vec<f64> = degrees.iter().map(off).collect();
+        off.sort_by(f64::total_cmp);
+        off.get(off.len() / 2).copied().unwrap_or_default()
+    };
+    let grid = if off(RADIANS) < off(DEGREES) { RADIANS } else { DEGREES };
+    degrees.iter().map(|&degrees| as_written(degrees, grid)).collect()
+}
+
+/// An angle as it was written on a grid, if it is so near to it, in the unit of [`Laser`].
+fn as_written(degrees: f64, grid: f64) -> i64 {
     /// Degrees.
     const NEAR: f64 = 2.5e-4;
-    let thousandths = round_ties_even(degrees * 1e3);
-    match (thousandths * 1e-3 - degrees).abs() < NEAR {
-        true => thousandths as i64 * THOUSANDTH,
-        false => (degrees / ANGLE_UNIT).round() as i64,
-    }
+    let nearest = round_ties_even(degrees / grid) * grid;
+    let written = if (nearest - degrees).abs() < NEAR { nearest } else { degrees };
+    (written / ANGLE_UNIT).round() as i64
 }

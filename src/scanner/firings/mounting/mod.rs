@@ -14,6 +14,7 @@ mod pose;
 pub use fit::fit;
 
 use super::projection::Sight;
+use super::recipe::{TURNED_ERROR, sure};
 use super::{Build, Firings};
 use crate::scanner::REACH;
 
@@ -31,16 +32,20 @@ pub enum Order {
     SingleShiftLast = 4,
     /// The same with fused products and sums: NumPy.
     SingleFused = 5,
+    /// Double precision, rounded once, as the points were not rounded before: programs that keep points in double
+    /// precision until they write them.
+    DoubleUnrounded = 6,
 }
 
 impl Order {
     /// Every order.
-    pub const ALL: [Order; 5] = [
+    pub const ALL: [Order; 6] = [
         Order::Double,
         Order::DoubleRoundedTwice,
         Order::SingleShiftFirst,
         Order::SingleShiftLast,
         Order::SingleFused,
+        Order::DoubleUnrounded,
     ];
 
     /// The order of this number in the stream.
@@ -50,7 +55,17 @@ impl Order {
 
     /// Whether the numbers of R and T are float32.
     pub fn is_single(self) -> bool {
-        !matches!(self, Order::Double | Order::DoubleRoundedTwice)
+        !matches!(self, Order::Double | Order::DoubleRoundedTwice | Order::DoubleUnrounded)
+    }
+
+    /// Whether points were rounded to float32 before they were moved.
+    pub fn rounds_first(self) -> bool {
+        self != Order::DoubleUnrounded
+    }
+
+    /// A point of the recipe as it is moved.
+    pub fn rounded_first(self, point: [f64; 3]) -> [f64; 3] {
+        if self.rounds_first() { point.map(|metres| f64::from(metres as f32)) } else { point }
     }
 
     /// The numbers of a row as they are stored.
@@ -60,15 +75,15 @@ impl Order {
 
     /// A coordinate, from its row of R with its number of T, in the precision in which it is computed.
     #[inline]
-    fn coordinate(self, row: &[f64; 4], point: &[f32; 3]) -> f64 {
+    fn coordinate(self, row: &[f64; 4], point: &[f64; 3]) -> f64 {
         let turned = |[a, b, c, _]: &[f64; 4]| {
-            let [x, y, z] = point.map(f64::from);
+            let [x, y, z] = self.rounded_first(*point);
             a * x + b * y + c * z
         };
-        let [x, y, z] = *point;
+        let [x, y, z] = point.map(|metres| metres as f32);
         let [a, b, c, t] = row.map(|number| number as f32);
         match self {
-            Order::Double => turned(row) + row[3],
+            Order::Double | Order::DoubleUnrounded => turned(row) + row[3],
             Order::DoubleRoundedTwice => f64::from(turned(row) as f32) + row[3],
             Order::SingleShiftFirst => (x * a + (y * b + (z * c + t))).into(),
             Order::SingleShiftLast => (((x * a + y * b) + z * c) + t).into(),
@@ -89,8 +104,21 @@ pub struct Mounting {
 impl Mounting {
     /// The position to which a point of the recipe is moved, in the precision in which it is computed.
     #[inline]
-    pub fn moved(&self, point: &[f32; 3]) -> [f64; 3] {
+    pub fn moved(&self, point: &[f64; 3]) -> [f64; 3] {
         [0, 1, 2].map(|axis| self.order.coordinate(&self.rows[axis], point))
+    }
+
+    /// The same rounded to float32, given nearly a point of the recipe that is not rounded, and the largest error of its
+    /// x and y. `None` in the rare cases in which the error might show.
+    #[inline]
+    pub(super) fn surely_moved(&self, point: &[f64; 3], error: f64) -> Option<[f32; 3]> {
+        let coordinate = |row: &[f64; 4]| {
+            let [a, b, c, t] = row.map(f64::abs);
+            let error = (a + b) * error + TURNED_ERROR * (c * point[2].abs() + t);
+            sure(self.order.coordinate(row, point), error)
+        };
+        let [x, y, z] = &self.rows;
+        Some([coordinate(x)?, coordinate(y)?, coordinate(z)?])
     }
 
     /// The position from which a point is moved to this one: R^T (v - T).
@@ -134,8 +162,10 @@ impl Firings {
 
     /// The points of a file in the frame of the scanner: those of the recipe, or if it gives no near one, the file's moved
     /// back.
-    fn measured(&self, positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
-        let Some(mounting) = &self.build.mounting else { return positions.to_vec() };
+    fn measured(&self, positions: &[[f32; 3]]) -> Vec<[f64; 3]> {
+        let Some(mounting) = &self.build.mounting else {
+            return positions.iter().map(|position| position.map(f64::from)).collect();
+        };
         let reach = REACH + 0.5 * self.range_step_m();
         let bare = self.unmounted();
         let (sight, nothing) = (Sight::new(&bare), self.of_nothing());
@@ -144,10 +174,10 @@ impl Firings {
                 return [0.0; 3];
             }
             let there = mounting.undone(position.map(f64::from));
-            let formula = sight.nearest(there).map(|(_, formula)| formula);
+            let formula = sight.nearest(there).map(|(found, _)| self.measured_position(&found));
             let near =
                 formula.filter(|formula| (0..3).all(|axis| (formula[axis] - there[axis]).abs() < reach));
-            near.unwrap_or(there).map(|metres| metres as f32)
+            near.unwrap_or_else(|| mounting.order.rounded_first(there))
         };
         positions.iter().map(measured).collect()
     }

@@ -51,7 +51,10 @@ pub fn find(points: &[Vector3<f64>], rows: Option<&[Vector3<f64>]>) -> Option<Po
         Some(along_axis(pose, &sample))
     });
     let few: Vec<Vector3<f64>> = thinned(&sample, SAMPLE / 2).copied().collect();
-    let mut starts = of_rows.chain(of_firings).flatten();
+    // Many scanners stand upright, and many clouds were moved by little.
+    let upright = Pose { axis: Vector3::z(), apex: Vector3::zeros() };
+    let usual = [upright, along_axis(upright, &sample)].into_iter();
+    let mut starts = usual.chain(of_rows.chain(of_firings).flatten());
     let near = |start: Pose| APART.into_iter().find_map(|apart| refined(start, &few, apart));
     starts.find_map(near).and_then(|pose| refined(pose, &sample, FOUND))
 }
