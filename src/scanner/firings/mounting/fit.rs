@@ -2,9 +2,9 @@
 //!
 //! The [`pose`](super::pose) of the scanner turns points into ranges, elevations and azimuths, of which only the
 //! direction of azimuth 0 is still unknown. It shows in the roundings: a recipe rounds positions before they are moved,
-//! so that the right direction, of all that are whole ticks apart, misses the fewest coordinates. The numbers of the
-//! mounting then follow by least squares, and the measured points, to the last bit, from those of the recipe. To these
-//! a scanner is fitted as to any others.
+//! so that the right direction, of all that are whole ticks apart, misses the fewest coordinates. If the program did not
+//! round them, all these directions are right. The numbers of the mounting then follow by least squares, and the
+//! measured points, to the last bit, from those of the recipe. To these a scanner is fitted as to any others.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
