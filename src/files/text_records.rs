@@ -399,6 +399,16 @@ mod tests {
         }
     }
 
+    #[test]
+    fn texts_of_windows_are_numbers() {
+        let header = pcd("x y z", "4 4 4", "F F F", "1 1 1", 2, "ascii");
+        let lines = b"-21.164063 11.238921 1.2558537\r\n0.125 1e-005 -5.2e-006\r\n".to_vec();
+        let scan = comes_back("a.pcd", [header, lines].concat());
+        assert_eq!(scan.cloud.positions[0], [-21.164_063, 11.238_921, 1.255_853_7]);
+        let Wrapping::Text(format) = &scan.layout.wrapping else { panic!("{:?}", scan.layout) };
+        assert_eq!(format.printf, Printf { ties_away: true, long_exponent: true });
+    }
+
     /// All rules for floating point, with up to as many digits as programs use.
     fn any_rule() -> impl Strategy<Value = NumberRule> {
         prop_oneof![
@@ -416,12 +426,12 @@ mod tests {
         any::<f64>().prop_filter("too large", |number| !number.is_finite() || number.abs() < 9e307)
     }
 
-    /// The text of the values with this type and rule.
-    fn text_of(scalar: Scalar, rule: NumberRule, bytes: Vec<u8>) -> Vec<u8> {
+    /// The text of the values with this type and rule, as a C library prints it.
+    fn text_of(scalar: Scalar, rule: NumberRule, printf: Printf, bytes: Vec<u8>) -> Vec<u8> {
         let size = scalar.size();
         let records = bytes.len() / size as usize;
         let columns = vec![Column { scalar, rule }];
-        let format = TextFormat { columns, ..TextFormat::default() };
+        let format = TextFormat { printf, columns, ..TextFormat::default() };
         let wrapping = Wrapping::Text(format);
         let prefix = pcd("v", &size.to_string(), "F", "1", records as u64, "ascii");
         let field = Field::new("v", scalar);
@@ -437,12 +447,14 @@ mod tests {
             any in prop::collection::vec(any_number(), 0..20),
             tame in prop::collection::vec(-99999i32..99999, 1..20),
             rule in any_rule(),
+            (ties_away, long_exponent) in any::<(bool, bool)>(),
         ) {
+            let printf = Printf { ties_away, long_exponent };
             let values = any.into_iter().chain(tame.into_iter().map(|n| f64::from(n) / 64.0));
             let doubles: Vec<u8> = values.clone().flat_map(f64::to_le_bytes).collect();
             let singles: Vec<u8> = values.flat_map(|v| (v as f32).to_le_bytes()).collect();
             for (scalar, bytes) in [(Scalar::F64, doubles), (Scalar::F32, singles)] {
-                let scan = comes_back("a.pcd", text_of(scalar, rule, bytes));
+                let scan = comes_back("a.pcd", text_of(scalar, rule, printf, bytes));
                 prop_assert!(!scan.is_opaque(), "{:?} {}", rule, String::from_utf8_lossy(&scan.prefix));
             }
         }

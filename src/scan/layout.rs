@@ -368,7 +368,7 @@ fn read_number(input: &mut &[u8]) -> Result<u32> {
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::{Column, NumberRule, Separator};
+    use super::super::{Column, NumberRule, Printf, Separator};
     use super::*;
 
     fn kitti() -> Layout {
@@ -388,7 +388,8 @@ mod tests {
     fn text(columns: Vec<Column>) -> Wrapping {
         let separator = Separator::Semicolon;
         let format = TextFormat { crlf: true, separator, trailing_separator: true, ..TextFormat::default() };
-        Wrapping::Text(TextFormat { space_after: true, open_end: true, columns, ..format })
+        let printf = Printf { ties_away: true, long_exponent: true };
+        Wrapping::Text(TextFormat { space_after: true, open_end: true, printf, columns, ..format })
     }
 
     fn scaled(per_metre: f64, offset: f64) -> Wrapping {
