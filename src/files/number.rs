@@ -121,7 +121,7 @@ impl NumberWriter {
 
     /// The value as it is rounded to nearest, ties to even: a tie that is rounded away from zero is replaced by the next
     /// number. Of the number of decimals that write the value exactly, `is_tie` says whether the last is the only one
-    /// that is rounded off; as powers of two end in a 5, the value is then a tie.
+    /// that is rounded off; as the last decimal of a binary fraction is a 5, the value is then a tie.
     fn settled(&self, value: f64, is_tie: impl Fn(i32) -> bool) -> f64 {
         let is_away = self.printf.ties_away && is_tie(decimal::exact_decimals(value));
         if is_away { value.next_up() } else { value }
