@@ -48,28 +48,32 @@ pub fn compress_hardest(input: &[u8]) -> Result<Vec<u8>> {
     /// LZMA's lc, lp and pb (context bits from the byte before, of a literal's position, of a match's
     /// position): for text, for values of four bytes, and for values or records of eight.
     const CONTEXTS: [(u32, u32, u32); 3] = [(3, 0, 2), (0, 2, 2), (0, 3, 3)];
+    /// Where bytes repeat so well that this many take one, the longest matches gain nothing, and a search for
+    /// them takes several times as long as elsewhere.
+    const REPETITIVE: usize = 100;
     let from = input.len().saturating_sub(SAMPLE) / 2 / 8 * 8;
     let sample = &input[from..input.len().min(from + SAMPLE)];
-    let mut best: Option<(Vec<u8>, LzmaOptions)> = None;
-    for contexts in CONTEXTS {
-        let options = hardest(contexts);
-        let coded = compress_by(sample, options.clone())?;
-        if best.as_ref().is_none_or(|(least, _)| coded.len() < least.len()) {
-            best = Some((coded, options));
+    let mut best: Option<(usize, LzmaOptions)> = None;
+    for (lc, lp, pb) in CONTEXTS {
+        let options = LzmaOptions { lc, lp, pb, ..LzmaOptions::with_preset(QUICK) };
+        let size = compress_by(sample, options.clone())?.len();
+        if best.as_ref().is_none_or(|(least, _)| size < *least) {
+            best = Some((size, options));
         }
     }
-    match best {
-        Some((coded, _)) if sample.len() == input.len() => Ok(coded),
-        best => compress_by(input, best.map_or_else(|| hardest(CONTEXTS[0]), |(_, options)| options)),
-    }
+    let (size, options) = best.unwrap_or_default();
+    compress_by(input, if size * REPETITIVE < sample.len() { options } else { hardest(options) })
 }
 
-/// The options of `xz -9e` with these values of lc, lp and pb.
-fn hardest((lc, lp, pb): (u32, u32, u32)) -> LzmaOptions {
+/// liblzma's preset by which the contexts are compared.
+const QUICK: u32 = 6;
+
+/// These options, but with the search of `xz -9e`.
+fn hardest(options: LzmaOptions) -> LzmaOptions {
     /// LZMA's longest match: matches of this length are taken without further search.
     const NICE_LENGTH: u32 = 273;
     const DEPTH: i32 = 512;
-    LzmaOptions { nice_len: NICE_LENGTH, depth_limit: DEPTH, lc, lp, pb, ..LzmaOptions::with_preset(9) }
+    LzmaOptions { nice_len: NICE_LENGTH, depth_limit: DEPTH, ..options }
 }
 
 fn compress_by(input: &[u8], mut options: LzmaOptions) -> Result<Vec<u8>> {
