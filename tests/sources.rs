@@ -108,6 +108,29 @@ fn folders_are_listed_in_their_order() {
     assert_eq!(text.lines().filter_map(named).collect::<Vec<_>>(), FOLDERS);
 }
 
+/// Those of the standard library differ from system to system, so that streams, or their encoder's choices, would as well.
+#[test]
+fn functions_of_angles_and_logarithms_come_from_libm() {
+    const FUNCTIONS: [&str; 20] = [
+        "sin", "cos", "tan", "sin_cos", "asin", "acos", "atan", "atan2", "hypot", "cbrt", "exp", "exp2",
+        "exp_m1", "ln", "ln_1p", "log", "log2", "log10", "powf", "mul_add",
+    ];
+    let is_of_std = |line: &str| {
+        FUNCTIONS.iter().any(|name| {
+            let methods = [format!(".{name}("), format!("f32::{name}"), format!("f64::{name}")];
+            methods.iter().any(|method| line.contains(method))
+        })
+    };
+    let mut wrong = Vec::new();
+    for (name, text) in sources() {
+        let lines = code(&name, &text);
+        let found = lines.iter().filter(|line| is_of_std(line) && !name.starts_with("study/"));
+        wrong.extend(found.map(|line| format!("src/{name}: {}", line.trim())));
+    }
+    assert!(wrong.is_empty(), "use those of libm:\n{}", wrong.join("\n"));
+    assert!(is_of_std("let range = x.hypot(y);") && !is_of_std("let range = libm::hypot(x, y);"));
+}
+
 /// A number such as `8` or `8.16` at the beginning of a text, and what follows it.
 fn number_of_section(text: &str) -> Option<(&str, &str)> {
     let digits = |text: &str| text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());

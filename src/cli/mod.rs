@@ -45,12 +45,13 @@ use errors::report;
 
 /// The whole program: arguments in, exit code out.
 pub fn main() -> ExitCode {
+    keep_memory();
     main_of(std::env::args_os()).into()
 }
 
-/// Like [`main`], with these arguments, the first of which is the program's name. Wrong usage ends the process.
+/// Like [`main`], within a process that may do other things, and with these arguments, the first of which is the program's
+/// name. Wrong usage ends the process.
 pub fn main_of(args: impl IntoIterator<Item = OsString>) -> u8 {
-    keep_memory();
     let args = Args::parse_from(levels_in_short(args));
     match run(&args) {
         Ok(()) => errors::DONE,

@@ -165,7 +165,7 @@ impl<R: Read + Seek> IndexedReader<R> {
     pub fn open(input: R, limits: Limits) -> Result<Self> {
         let mut input = Pieces::open(input)?;
         let header = StreamHeader::read_from(&mut input.reader_at(0)?)?;
-        IndexedReader::of_header(input, limits, Some(header))
+        IndexedReader::of_header(input, limits, header)
     }
 
     /// As [`open`](Self::open), but starts with the last 64 KiB, and reads the stream header only if it is
@@ -177,7 +177,7 @@ impl<R: Read + Seek> IndexedReader<R> {
         let mut input = Pieces::open(input)?;
         if input.size() == 0 || input.is_tail(0) {
             let header = StreamHeader::read_from(&mut input.reader_at(0)?)?;
-            return IndexedReader::of_header(input, limits, Some(header));
+            return IndexedReader::of_header(input, limits, header);
         }
         let mut reader = IndexedReader { input, limits, index: Arc::default() };
         let index = reader.read_index(None);
@@ -191,9 +191,9 @@ impl<R: Read + Seek> IndexedReader<R> {
         Ok(reader)
     }
 
-    fn of_header(input: Pieces<R>, limits: Limits, header: Option<StreamHeader>) -> Result<Self> {
+    fn of_header(input: Pieces<R>, limits: Limits, header: StreamHeader) -> Result<Self> {
         let mut reader = IndexedReader { input, limits, index: Arc::default() };
-        reader.index = Arc::new(reader.read_index(header)?);
+        reader.index = Arc::new(reader.read_index(Some(header))?);
         Ok(reader)
     }
 

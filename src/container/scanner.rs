@@ -32,7 +32,8 @@ impl ScannerId {
     /// If it is cut short or above 2^32.
     pub(super) fn read_from(input: &mut &[u8]) -> Result<Option<ScannerId>> {
         let Some(id) = read_unsigned(input, "scanner of a group")?.checked_sub(1) else { return Ok(None) };
-        let id = u32::try_from(id).map_err(|_| Error::corrupt("a group of a scanner that none can be"))?;
+        let id = u32::try_from(id)
+            .map_err(|_| Error::corrupt("a scanner of a group: its checksum is above 2^32 - 1"))?;
         Ok(Some(ScannerId(id)))
     }
 }

@@ -220,10 +220,11 @@ fn may_be(record: &FoundRecord, head: usize, bytes: &[u8]) -> bool {
             name_length <= NAME_MAX && name.is_some_and(|name| std::str::from_utf8(name).is_ok())
         }
         INDEX => {
-            // The number of scanners, then the family of the first or the number of groups; both are limited
-            // by the offset of the record.
-            let (Some(scanners), Some(groups)) = (next(), next()) else { return false };
-            scanners < record.offset && (scanners > 0 || groups < record.offset)
+            // The number of scanners, then the checksum of the first, which may be anything, or the number of
+            // groups. Both numbers are limited by the offset of the record.
+            let Some(scanners) = next() else { return false };
+            let is_possible = |number| number < record.offset;
+            is_possible(scanners) && (scanners > 0 || next().is_some_and(is_possible))
         }
         SCANNER => {
             let (Some(_), Some(length)) = (next(), next()) else { return false };
@@ -280,6 +281,16 @@ mod tests {
             let mut bytes = vec![9; 40];
             write_record(&mut bytes, GROUP, &payload).unwrap();
             assert_eq!(find(&bytes), [(40, GROUP)]);
+        }
+    }
+
+    #[test]
+    fn indexes_are_found_whatever_the_checksum_of_their_first_scanner() {
+        for checksum in [[0x80, 0, 1, 2], [0xff; 4], [0; 4]] {
+            let payload = [&[1][..], &checksum, &[0x80; 3 * WINDOW]].concat();
+            let mut bytes = vec![9; 40];
+            write_record(&mut bytes, INDEX, &payload).unwrap();
+            assert_eq!(find(&bytes), [(40, INDEX)]);
         }
     }
 

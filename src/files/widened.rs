@@ -170,7 +170,7 @@ impl Decimals {
         let text = std::str::from_utf8(&self.text).ok();
         let parsed = text.and_then(|text| number::parse(text, Scalar::F64, &mut self.wide));
         let wide = parsed.and_then(|()| self.wide.first_chunk());
-        wide.copied().ok_or_else(|| Error::corrupt("a number's text is none"))
+        wide.copied().ok_or_else(|| Error::corrupt("the text of a widened number is not a number"))
     }
 }
 

@@ -98,7 +98,7 @@ impl WholeFile {
         }
         let layout = records;
         if layout.as_ref().is_some_and(|layout| layout.wrapping != Wrapping::Plain) {
-            return Err(Error::corrupt("bytes: records that are no bytes"));
+            return Err(Error::corrupt("bytes: the layout is not that of a plain file"));
         }
         let prefix = read_length(&mut input)?;
         let length = read_length(&mut input)?;

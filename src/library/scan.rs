@@ -1,5 +1,7 @@
 //! A scan: points with named, typed channels, and metadata.
 
+use std::collections::HashSet;
+
 use super::range_image::RangeImage;
 use super::scalar::{Scalar, Values};
 use crate::container::{Stamp, Time, TimeSource, Unit};
@@ -174,9 +176,11 @@ impl Scan {
         })
     }
 
-    /// The named channels, in the order of the records: all fields except the position.
+    /// The named channels, in the order of the records: all fields except the position, and of a file's fields with
+    /// the same name only the first.
     pub fn channels(&self) -> impl Iterator<Item = ChannelInfo<'_>> {
-        self.channels.iter().filter(|channel| !channel.name.is_empty()).map(|channel| ChannelInfo {
+        let mut names = HashSet::from([""]);
+        self.channels.iter().filter(move |channel| names.insert(&channel.name)).map(|channel| ChannelInfo {
             name: &channel.name,
             scalar: channel.values.scalar(),
             count: channel.count,

@@ -190,6 +190,18 @@ fn intensities_of_every_type_come_back() {
 }
 
 #[test]
+fn of_fields_with_one_name_the_first_is_a_channel() {
+    let header =
+        "VERSION 0.7\nFIELDS x y z a a\nSIZE 4 4 4 1 2\nTYPE F F F U U\nCOUNT 1 1 1 1 1\nWIDTH 1\nHEIGHT 1\n";
+    let file = [header.as_bytes(), b"POINTS 1\nDATA binary\n", &[0; 12], &[7, 1, 2]].concat();
+    let scan = Scan::from_file("1.pcd", file.clone());
+    let names: Vec<_> = scan.channels().map(|channel| (channel.name, channel.scalar.name())).collect();
+    assert_eq!(names, [("a", "u8")]);
+    assert_eq!(scan.channel::<u8>("a").unwrap(), [7]);
+    assert_eq!(scan.file_bytes().unwrap().unwrap(), file);
+}
+
+#[test]
 fn channels_that_do_not_fit_are_refused() {
     let scan = || Scan::from_xyzi(&[[0.0; 4]; 3]);
     let refusals = [

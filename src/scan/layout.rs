@@ -206,7 +206,10 @@ impl Layout {
                     axis.per_metre.is_finite() && axis.per_metre > 0.0 && axis.offset.is_finite()
                 };
                 check(self.position.is_some(), "no coordinates to scale")?;
-                check(axes.iter().all(is_valid), "a scale that is none")
+                check(
+                    axes.iter().all(is_valid),
+                    "a scale that is not positive, or an offset that is not finite",
+                )
             }
             Wrapping::Widened(widened) | Wrapping::ByField(widened) => {
                 let suit = |(field, widening): (&Field, &Widening)| match widening {
@@ -214,7 +217,7 @@ impl Layout {
                     Widening::Exact => field.scalar == Scalar::F32,
                     Widening::Decimal(rule) => field.scalar == Scalar::F32 && rule.suits(Scalar::F32),
                 };
-                check(widened.len() == self.fields.len(), "widened fields that are none")?;
+                check(widened.len() == self.fields.len(), "another number of widened fields")?;
                 check(stride > 0, "no fields")?;
                 check(self.fields.iter().zip(widened).all(suit), "a widened field of another type")
             }

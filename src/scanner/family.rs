@@ -90,7 +90,7 @@ impl Scanner {
     /// The share of a scan's points that are in its range image.
     pub fn share(&self, cloud: &PointCloud) -> f64 {
         let image = self.project(cloud, REACH).image;
-        let points = cloud.positions.iter().filter(|[x, y, _]| x.hypot(*y) > 0.0).count();
+        let points = cloud.positions.iter().filter(|[x, y, _]| libm::hypotf(*x, *y) > 0.0).count();
         (image.returns() + image.echoes.len()) as f64 / points.max(1) as f64
     }
 

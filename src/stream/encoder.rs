@@ -205,12 +205,12 @@ impl<'s> GroupInProgress<'s> {
     }
 }
 
-/// A scan that decoders accept under their limits: a file with too many points, or whose text or compressed
-/// records decode to too many bytes, is coded as plain bytes.
+/// A scan that decoders accept under their limits: a file with too many points, or whose records, as numbers or
+/// decompressed, take too many bytes, is coded as plain bytes.
 fn within_limits(scan: ScanFile) -> Result<ScanFile> {
     let limits = Limits::default();
-    let channels: u64 = scan.cloud.channels.iter().map(|channel| channel.bytes.len() as u64).sum();
-    if scan.records as u64 <= limits.points && channels <= limits.file_bytes {
+    let bytes = scan.records.saturating_mul(scan.layout.stride());
+    if scan.records as u64 <= limits.points && bytes as u64 <= limits.file_bytes {
         return Ok(scan);
     }
     let bytes = scan.to_bytes()?;

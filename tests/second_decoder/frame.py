@@ -367,7 +367,7 @@ class Decoder:
         labels = models = None
         if parameters.prediction == REGIONS:
             if not self.scanner.has_surfaces:
-                raise Refused("regions of a scanner that has none")
+                raise Refused("regions, which only scanners of the family hdl64 have")
             labels = self.contour.code(self.bits(kinds.CONTOUR), image)
             models = self.regions.code(self.bits(kinds.REGIONS), self.contour.regions)
         payload = self.next_section(kinds.RESIDUAL)

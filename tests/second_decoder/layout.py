@@ -82,7 +82,7 @@ class Layout:
         elif self.wrapping == SCALED:
             self.axes = [struct.unpack("<dd", reader.take(16)) for _ in range(3)]
             if not all(isfinite(per_metre) and per_metre > 0 and isfinite(offset) for per_metre, offset in self.axes):
-                raise Refused("a scale that is none")
+                raise Refused("a scale that is not positive, or an offset that is not finite")
             if not self.position:
                 raise Refused("no coordinates to scale")
         elif self.wrapping in (WIDENED, BY_FIELD):

@@ -227,6 +227,8 @@ def moved_layer(scanner, past, columns, motion):
         if not 0.5 < metres < 10**6:
             continue
         tick = (atan2(y, x) - small_atan(beam.h / rho) - beam.rot) * (ticks / TAU)
+        if not abs(tick) < 1e9:
+            continue
         whole = round(tick)
         column = near_column[(whole + beam.column_shift) % ticks]
         if column is None:

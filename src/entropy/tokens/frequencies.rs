@@ -16,7 +16,7 @@ pub const TOKENS: usize = 256;
 pub const ESCAPE: u8 = u8::MAX;
 /// Binary logarithms of the frequencies, except of 0.
 static LOG2: LazyLock<Vec<f64>> =
-    LazyLock::new(|| (0..=SCALE).map(|frequency| f64::from(frequency).log2()).collect());
+    LazyLock::new(|| (0..=SCALE).map(|frequency| libm::log2(f64::from(frequency))).collect());
 
 /// Approximate cost of an escape, in bits.
 const ESCAPE_COST: f64 = 20.0;
@@ -111,7 +111,7 @@ impl FrequencyModel {
             before = *frequency;
         }
         if !(1..u64::from(SCALE)).contains(&left) {
-            return Err(Error::corrupt("token frequencies: no token is certain"));
+            return Err(Error::corrupt("token frequencies: the escape has none of them, or all"));
         }
         // The remainder is the frequency of the escape.
         frequencies[escape] = left as u16;

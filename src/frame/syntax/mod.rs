@@ -20,7 +20,7 @@ use super::whole::WholeFile;
 use crate::container::SectionKind;
 use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Result};
-use crate::ground::varint::{read_unsigned, write_unsigned};
+use crate::ground::varint::{read_unsigned, saturated, write_unsigned};
 use crate::inter::Past;
 use crate::scanner::Scanner;
 use crate::scanner::motion::{Compensation, Stamped, Turn, World};
@@ -131,7 +131,10 @@ fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) 
     sections.payload(SectionKind::Stamped, &mut of_stamps);
     frame.compensation = match (of_turn.is_empty(), of_world.is_empty(), of_stamps.is_empty()) {
         (true, true, true) => None,
-        (false, true, true) => Some(Compensation::Turn(Turn::from_payload(&of_turn, frame.records)?)),
+        (false, true, true) => {
+            let turn = Turn::from_payload(&of_turn, frame.records);
+            Some(Compensation::Turn(turn.map_err(|e| e.within_section(SectionKind::Compensation))?))
+        }
         (true, false, true) => {
             let world = World::from_payload(&of_world, &frame.positions_in_order()?);
             Some(Compensation::World(world.map_err(|e| e.within_section(SectionKind::World))?))
@@ -141,7 +144,7 @@ fn code_compensation<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) 
             let stamped = Stamped::from_payload(&of_stamps, &measured, &frame.channels);
             Some(Compensation::Stamped(stamped.map_err(|e| e.within_section(SectionKind::Stamped))?))
         }
-        _ => return Err(Error::corrupt("points that were moved twice")),
+        _ => return Err(Error::corrupt("more than one of the sections compensation, world and stamped")),
     };
     Ok(())
 }
@@ -152,14 +155,16 @@ fn code_sorted<S: SectionCoder>(sections: &mut S, frame: &mut FrameParts) -> Res
     let mut payload = Vec::new();
     frame.sorted.into_iter().for_each(|channel| write_unsigned(&mut payload, channel as u64));
     sections.payload(SectionKind::Sorted, &mut payload);
-    if !S::ENCODES && !payload.is_empty() {
-        let mut input = &payload[..];
-        let channel = read_unsigned(&mut input, WHAT)?;
-        if channel >= frame.channels.len() as u64 || !input.is_empty() {
-            return Err(Error::corrupt("sorted: no channel of the frame"));
-        }
-        frame.sorted = Some(channel as usize);
+    if S::ENCODES || payload.is_empty() {
+        return Ok(());
     }
+    let mut input = &payload[..];
+    let channel = read_unsigned(&mut input, WHAT).and_then(|channel| {
+        let channel = saturated(channel);
+        let is_one = channel < frame.channels.len() && input.is_empty();
+        is_one.then_some(channel).ok_or_else(|| Error::corrupt("sorted: no channel of the frame"))
+    });
+    frame.sorted = Some(channel.map_err(|e| e.within_section(SectionKind::Sorted))?);
     Ok(())
 }
 

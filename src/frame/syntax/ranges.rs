@@ -147,7 +147,9 @@ impl ResidualModels {
             frame.intra.code_models(&mut self.surfaces, coder);
             Ok(())
         })?;
-        let scanner = scanner.hdl64().ok_or_else(|| Error::corrupt("regions of a scanner that has none"))?;
+        let scanner = scanner
+            .hdl64()
+            .ok_or_else(|| Error::corrupt("regions, which only scanners of the family hdl64 have"))?;
         let rays = Rays::of(scanner, &frame.image.columns);
         let predict = || frame.intra.ranges(&frame.occupancy, &rays);
         let ranges = sections.report().timed(Step::Prediction, predict);

@@ -32,15 +32,16 @@ impl PastFrame {
             self.get().ok_or_else(|| Error::corrupt("there is no frame before to predict this one from"))?;
         Error::check_limit("cells of a P frame", frame.occupancy.cells().len() as u64, MOST_CELLS as u64)?;
         let motion = frame.parameters.motion;
-        if let Some(scanner) = scanner.firings() {
-            return Ok(Some(past.same_directions(&frame.image.columns, scanner.build().ticks)));
-        }
+        let scanner = match scanner {
+            Scanner::Hdl64(scanner) => scanner,
+            Scanner::Firings(scanner) => {
+                return Ok(Some(past.same_directions(&frame.image.columns, scanner.build().ticks)));
+            }
+        };
         if frame.parameters.can_do_without_surfaces() && motion == QuantisedPose::default() {
             return Ok(Some(past.same_cells_alone(&frame.image.columns)));
         }
         let motion = motion.pose().motion();
-        let scanner =
-            scanner.hdl64().ok_or_else(|| Error::corrupt("a P frame of a scanner that has none"))?;
         Ok(Some(past.reference(scanner, &frame.image.columns, &motion)))
     }
 

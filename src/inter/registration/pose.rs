@@ -105,9 +105,9 @@ impl RigidMotion {
     pub fn pose(&self) -> Pose {
         let r = &self.rotation;
         Pose {
-            yaw: r[1][0].atan2(r[0][0]),
-            pitch: (-r[2][0]).clamp(-1.0, 1.0).asin(),
-            roll: r[2][1].atan2(r[2][2]),
+            yaw: libm::atan2(r[1][0], r[0][0]),
+            pitch: libm::asin((-r[2][0]).clamp(-1.0, 1.0)),
+            roll: libm::atan2(r[2][1], r[2][2]),
             translation: self.translation,
         }
     }

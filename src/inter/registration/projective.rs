@@ -92,7 +92,7 @@ fn way([x, y, z]: [f64; 3]) -> usize {
     if z * z > x * x + y * y {
         return 0;
     }
-    let part = y.atan2(x).rem_euclid(PI) / PI * (WAYS - 1) as f64;
+    let part = libm::atan2(y, x).rem_euclid(PI) / PI * (WAYS - 1) as f64;
     1 + (part as usize).min(WAYS - 2)
 }
 

@@ -310,7 +310,7 @@ impl Maker {
         const COHERENT: f64 = 0.8;
         let horizontal = |point: &&Point| {
             let [x, y, _] = point.position;
-            (x.hypot(y), self.recipe.azimuth(x, y))
+            (libm::hypot(x, y), self.recipe.azimuth(x, y))
         };
         let (flat, azimuths): (Vec<f64>, Vec<f64>) = points.iter().map(horizontal).unzip();
         let [along, _] = self.origin.metres();
@@ -387,7 +387,7 @@ pub(super) fn beam_line(points: &[Point]) -> Option<[f64; 2]> {
     if points.len() < FEWEST {
         return None;
     }
-    let pair = |point: &Point| [point.position[0].hypot(point.position[1]), point.position[2]];
+    let pair = |point: &Point| [libm::hypot(point.position[0], point.position[1]), point.position[2]];
     let pairs: Vec<[f64; 2]> = points.iter().step_by(points.len().div_ceil(MOST)).map(pair).collect();
     steady_line(&pairs)
 }

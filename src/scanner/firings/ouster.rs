@@ -142,7 +142,7 @@ impl Found<'_> {
                 if let Some([slope, height]) = beam_line(row) {
                     let is_near = |point: &&Point| {
                         let [x, y, z] = point.position;
-                        (slope * x.hypot(y) + height - z).abs() < NEAR + 2.0 * self.blur.reach()
+                        (slope * libm::hypot(x, y) + height - z).abs() < NEAR + 2.0 * self.blur.reach()
                     };
                     near += row.iter().filter(is_near).count();
                 }
@@ -172,7 +172,7 @@ impl Found<'_> {
         const LEAST: f64 = 0.9;
         let elevation = |point: &Point, [along, up]: [f64; 2]| {
             let [x, y, z] = point.position;
-            libm::atan2(z - up, x.hypot(y) - along)
+            libm::atan2(z - up, libm::hypot(x, y) - along)
         };
         let beyond = |metres: f64| self.points.iter().filter(move |point| point.range > metres);
         let first = BEYOND.into_iter().position(|metres| beyond(metres).count() >= FEWEST)?;
@@ -267,7 +267,7 @@ fn origin_of_lines(lines: &[Option<[f64; 2]>], recipe: Recipe) -> Option<Origin>
     /// In metres: no Ouster's beams start farther from the axis.
     const FARTHEST: f64 = 0.1;
     let pair = |[slope, height]: &[f64; 2]| match recipe {
-        Recipe::OusterEarly => [slope - 2.0 * slope / slope.hypot(1.0), *height],
+        Recipe::OusterEarly => [slope - 2.0 * slope / libm::hypot(*slope, 1.0), *height],
         _ => [-slope, *height],
     };
     let pairs: Vec<[f64; 2]> = lines.iter().flatten().map(pair).collect();

@@ -171,7 +171,8 @@ impl Firings {
         const SAMPLE: usize = 400;
         let sight = Sight::new(self);
         let blur = Blur::of(self.build.coordinates);
-        let is_clear = |[x, y, _]: &&[f32; 3]| blur.ticks(f64::from(x.hypot(*y)), self.build.ticks) == 0;
+        let is_clear =
+            |[x, y, _]: &&[f32; 3]| blur.ticks(f64::from(libm::hypotf(*x, *y)), self.build.ticks) == 0;
         let is_exact = |position: &[f32; 3]| {
             let metres = position.map(f64::from);
             let formula = sight.nearest(metres).map(|(_, formula)| formula);

@@ -146,7 +146,7 @@ fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<[f64; 5]> {
         return None;
     }
     let cone = Cone::fit(&thinned(points, SAMPLE / 3).copied().collect::<Vec<_>>());
-    let elevation = cone.slope.atan();
+    let elevation = libm::atan(cone.slope);
     let (side, rot) = side_offset(&far_sample(points));
     let offset = range_phase(points, elevation);
     let start = [elevation, offset, cone.height + cone.slope * offset, side, rot];
@@ -174,7 +174,7 @@ fn coherence(values: impl Iterator<Item = f64>, period: f64) -> (f64, f64) {
         re += rough_sine(turns + 0.25);
         im += rough_sine(turns);
     }
-    (re.hypot(im), im.atan2(re))
+    (libm::hypot(re, im), libm::atan2(im, re))
 }
 
 /// Step 2: the sideways offset h that brings the azimuths onto the ticks, and the phase rot. First
@@ -194,13 +194,13 @@ fn side_offset(far: &[Point]) -> (f64, f64) {
 
 /// Step 3: the phase of the range on its grid, as the offset b in metres.
 fn range_phase(points: &[Point], elevation: f64) -> f64 {
-    let mut ranges: Vec<f64> = thinned(points, SAMPLE).map(|p| p.rho / elevation.cos()).collect();
+    let mut ranges: Vec<f64> = thinned(points, SAMPLE).map(|p| p.rho / libm::cos(elevation)).collect();
     // Leaves out the nearest and the farthest ranges.
     let (first, end) = (ranges.len() / 20, ranges.len() * 17 / 20);
     ranges.select_nth_unstable_by(end, f64::total_cmp);
     ranges[..end].select_nth_unstable_by(first, f64::total_cmp);
     let middle = &ranges[first..end];
-    coherence(middle.iter().copied(), RANGE_STEP).1 / TAU * RANGE_STEP * elevation.cos()
+    coherence(middle.iter().copied(), RANGE_STEP).1 / TAU * RANGE_STEP * libm::cos(elevation)
 }
 
 /// Step 4: Gauss-Newton on the errors of x, y and z, with the integers fixed; repeated, because the integers
@@ -350,7 +350,7 @@ impl Site {
 
 impl Formula {
     fn new(&[v, b, c, h, rot]: &[f64; 5]) -> Self {
-        Formula { sin_v: v.sin(), cos_v: v.cos(), b, c, h, rot }
+        Formula { sin_v: libm::sin(v), cos_v: libm::cos(v), b, c, h, rot }
     }
 
     fn at_one(&self, point: &Point) -> Site {

@@ -24,7 +24,7 @@ use crate::ground::error::{Error, Result};
 use crate::ground::lanes::lanes;
 use crate::ground::lazy_table::LazyTable;
 use crate::ground::rounding::round_ties_even;
-use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
+use crate::ground::varint::{read_signed, read_unsigned, read_within, write_signed, write_unsigned};
 use crate::scanner::Coordinates;
 
 /// The unit of quantised angles, in radians.
@@ -359,7 +359,7 @@ impl Hdl64 {
         let beam = &self.beams[row];
         let rho = (x * x + y * y).sqrt();
         let steps = self.steps(beam.range(rho, z))?;
-        let azimuth = y.atan2(x);
+        let azimuth = libm::atan2(y, x);
         azimuth.is_finite().then(|| (self.nearest_tick(row, azimuth, rho), steps))
     }
 
@@ -375,6 +375,8 @@ impl Hdl64 {
     pub fn locate(&self, hint: usize, [x, y, z]: [f64; 3]) -> Option<Sighting> {
         /// In metres; nearer points are inside the scanner.
         const NEAREST: f64 = 0.5;
+        /// Near the axis, a beam's offset divided by the distance may be anything.
+        const MOST_TICK: f64 = 1e9;
         let rho = (x * x + y * y).sqrt();
         let miss = |row: usize| self.beams.get(row).map(|beam| (beam.height_at(rho) - z).abs());
         let (mut row, mut least) = (hint, miss(hint)?);
@@ -395,6 +397,9 @@ impl Hdl64 {
         }
         let azimuth = libm::atan2(y, x) - small_atan(beam.h / rho) - beam.rot;
         let tick = azimuth * (f64::from(self.ticks) / TAU);
+        if tick.is_nan() || tick.abs() >= MOST_TICK {
+            return None;
+        }
         let nearest = round_ties_even(tick);
         let aside = (tick - nearest).abs() * (TAU / f64::from(self.ticks));
         let column_tick = self.column_tick(row, nearest as i64);
@@ -503,13 +508,10 @@ impl Hdl64 {
             SINGLE_PRECISION => (Coordinates::Float32, true),
             other => return Err(Error::corrupt(format!("sensor model: unknown coordinate grid {other}"))),
         };
-        let mut bounded = |what: &str, min, max| match read_unsigned(bytes, "sensor model")? {
-            got if (min..=max).contains(&got) => Ok(got as u32),
-            got => Err(Error::over_limit(what, got, max)),
-        };
-        let ticks = bounded("sensor model: ticks a turn", 1, MOST_TICKS)?;
-        let range_step_um = bounded("sensor model: range step in micrometres", 0, MOST_RANGE_STEP_UM)?;
-        let rows = bounded("sensor model: beams", 1, MOST_BEAMS)?;
+        let ticks = read_within(bytes, "sensor model: ticks a turn", 1..=MOST_TICKS)? as u32;
+        let range_step_um =
+            read_within(bytes, "sensor model: range step in micrometres", 0..=MOST_RANGE_STEP_UM)? as u32;
+        let rows = read_within(bytes, "sensor model: beams", 1..=MOST_BEAMS)? as u32;
         let mut constants = Vec::new();
         for _ in 0..rows {
             let mut beam = BeamConstants::default();
@@ -550,3 +552,17 @@ pub const MOST_RANGE_STEP_UM: u64 = 1_000_000;
 
 /// The longest float32 range, in metres.
 const FARTHEST: f32 = 1e6;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_point_on_the_axis_is_seen_nowhere() {
+        let mut beam = BeamConstants::quantise([0.0, -1.0, 0.0, 0.026, 0.0]);
+        beam.column_shift = 1;
+        let sensor = Hdl64::new(Coordinates::Millimetre, 4000, 2000, vec![beam]);
+        assert!(sensor.locate(0, [0.0, 0.0, 0.0]).is_none());
+        assert!(sensor.locate(0, [0.0, 9.0, 0.0]).is_some());
+    }
+}

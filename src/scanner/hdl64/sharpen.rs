@@ -128,7 +128,7 @@ fn range_offset(sites: &[Site]) -> f64 {
     let mut line = Line::default();
     for Site { metres, position: [x, y, _], .. } in sites {
         // Rounding errors grow with the distance.
-        line.add(*metres, f64::from(*x).hypot(f64::from(*y)), 1.0 / (metres * metres));
+        line.add(*metres, libm::hypot(f64::from(*x), f64::from(*y)), 1.0 / (metres * metres));
     }
     let (cosine, offset) = line.slope_and_offset();
     offset / cosine
@@ -345,7 +345,7 @@ fn align_sideways(beam: &mut Arithmetic, azimuths: &Azimuths) {
     const SEAM: f64 = 16.0;
     let mut octaves = [Line::default(); OCTAVES];
     for number in (0..azimuths.len()).filter(|number| azimuths.degrees(*number) > SEAM) {
-        let octave = (azimuths.degrees(number).log2() as usize).min(OCTAVES - 1);
+        let octave = (libm::log2(azimuths.degrees(number)) as usize).min(OCTAVES - 1);
         let formula = f64::from(azimuths.ticks[number]) * beam.tick_degrees + beam.azimuth_offset;
         octaves[octave].add(azimuths.slope(number, beam), azimuths.miss(number, beam, formula), 1.0);
     }

@@ -67,7 +67,7 @@ fn may_be_moved(positions: &[[f32; 3]]) -> bool {
     let in_front = positions.iter().filter(|[x, y, _]| *x > 0.5 && y.abs() < IN_FRONT * x && x.is_finite());
     let (mut sum, mut count) = (0.0, 0u32);
     for [x, _, z] in in_front.filter(|[_, _, z]| z.is_finite()) {
-        sum += [x, z].map(|v| (f64::from(*v) * 1000.0 * TAU).cos()).iter().sum::<f64>();
+        sum += [x, z].map(|v| libm::cos(f64::from(*v) * 1000.0 * TAU)).iter().sum::<f64>();
         count += 2;
     }
     count < 2 * FEWEST || sum > LEAST * f64::from(count)

@@ -99,7 +99,7 @@ fn search_yaw(motion: Motion, samples: &mut [Seen], reach: f64) -> Option<Motion
     let (_, rough) = yaws.map(|yaw| (roughly(yaw), yaw)).max_by(|a, b| a.0.total_cmp(&b.0))?;
     let coherence = |yaw: f64| {
         let points = many::undone(&Mover::new(&with_yaw(yaw)), &mut samples.to_vec());
-        points.iter().map(|[_, y, _]| (y / UNIT * TAU).cos()).sum::<f64>() / points.len() as f64
+        points.iter().map(|[_, y, _]| libm::cos(y / UNIT * TAU)).sum::<f64>() / points.len() as f64
     };
     let near = (-AROUND..=AROUND).map(|place| rough + f64::from(place) * step);
     let (best, yaw) = near.map(|yaw| (coherence(yaw), yaw)).max_by(|a, b| a.0.total_cmp(&b.0))?;

@@ -283,6 +283,8 @@ impl Seen {
         let mounting = least_squares(&pairs, &start.turned(less - quarter), &COARSE)?;
         let turned = |later: u32| mounting.turned(f64::from(later) * TAU / f64::from(ticks));
         let mut directions: Vec<(u32, u32)> = (0..ticks).map(|later| (0, later)).collect();
+        // Their roundings tell the direction of azimuth 0.
+        let orders: Vec<Order> = Order::ALL.into_iter().filter(|order| order.rounds_first()).collect();
         let mut by_chance = 0;
         for (points, part) in ROUNDS {
             let points: Vec<&Measurement> = thinned(&few, points).collect();
@@ -291,7 +293,7 @@ impl Seen {
                     let tick = (found.tick + *later) % ticks;
                     (rounded(&Return { tick, ..*found }), *position)
                 });
-                *missed = self::missed(&turned(*later), &ROUNDED_FIRST, pairs);
+                *missed = self::missed(&turned(*later), &orders, pairs);
             }
             directions.sort_unstable();
             by_chance = directions[directions.len() / 2].0;
@@ -373,15 +375,6 @@ impl Direction {
 fn unit_at(coordinate: f32) -> f64 {
     f64::from(coordinate.abs().next_up()) - f64::from(coordinate.abs())
 }
-
-/// The orders of which the roundings tell the direction of azimuth 0.
-const ROUNDED_FIRST: [Order; 5] = [
-    Order::Double,
-    Order::DoubleRoundedTwice,
-    Order::SingleShiftFirst,
-    Order::SingleShiftLast,
-    Order::SingleFused,
-];
 
 /// How many coordinates a mounting does not reproduce, by the one of these orders of operations that reproduces the most.
 fn missed(mounting: &Mounting, orders: &[Order], pairs: impl Iterator<Item = Pair>) -> u32 {

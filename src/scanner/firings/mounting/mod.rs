@@ -87,7 +87,7 @@ impl Order {
             Order::DoubleRoundedTwice => f64::from(turned(row) as f32) + row[3],
             Order::SingleShiftFirst => (x * a + (y * b + (z * c + t))).into(),
             Order::SingleShiftLast => (((x * a + y * b) + z * c) + t).into(),
-            Order::SingleFused => (z.mul_add(c, y.mul_add(b, x * a)) + t).into(),
+            Order::SingleFused => (libm::fmaf(z, c, libm::fmaf(y, b, x * a)) + t).into(),
         }
     }
 }

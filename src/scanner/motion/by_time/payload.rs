@@ -3,7 +3,7 @@
 use super::{Moment, Stamped};
 use crate::entropy::{AdaptiveBit, ArithmeticDecoder, ArithmeticEncoder, BitCoder};
 use crate::ground::error::{Error, Result};
-use crate::ground::varint::{read_unsigned, write_unsigned};
+use crate::ground::varint::{read_unsigned, saturated, write_unsigned};
 use crate::scan::Channel;
 use crate::scanner::motion::units::{UnitModel, exponent_of};
 use crate::scanner::motion::{Miss, Motion};
@@ -30,7 +30,7 @@ impl Stamped {
     /// If it is cut short, or holds a channel that the frame does not have or a motion that no scanner makes.
     pub fn from_payload(mut bytes: &[u8], measured: &[[f32; 3]], channels: &[Channel]) -> Result<Self> {
         let input = &mut bytes;
-        let channel = read_unsigned(input, WHAT)? as usize;
+        let channel = saturated(read_unsigned(input, WHAT)?);
         if channels.get(channel).is_none_or(|channel| channel.field.count != 1) {
             return Err(Error::corrupt(format!("{WHAT}: no channel of time stamps")));
         }

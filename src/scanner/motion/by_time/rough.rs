@@ -80,7 +80,7 @@ fn with_yaw(motion: Motion, beams: &[Vec<Point>]) -> Option<Motion> {
                 let sum = &mut sums[azimuth.beam];
                 (sum[0], sum[1]) = (sum[0] + cos, sum[1] + sin);
             }
-            sums.iter().map(|[cos, sin]| cos.hypot(*sin)).sum::<f64>() / azimuths.len().max(1) as f64
+            sums.iter().map(|[cos, sin]| libm::hypot(*cos, *sin)).sum::<f64>() / azimuths.len().max(1) as f64
         };
         let (mut yaw, mut part) = (0.0, FIRST);
         let mut places = (FARTHEST * FIRST / (FINE * TAU / ticks)).ceil() as i32;
