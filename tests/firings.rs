@@ -574,3 +574,18 @@ fn two_scanners_in_one_folder_are_told_apart() {
         assert!(tracks[0] == tracks[2] && tracks[1] == tracks[3] && tracks[0] != tracks[1]);
     }
 }
+
+#[test]
+fn scanners_that_take_turns_are_all_found() {
+    let scan = |recipe| {
+        let scanner = made_up(recipe);
+        points(&scanner, &image(&scanner, 1))
+    };
+    let recipes = [Recipe::VelodyneRos, Recipe::SingleRangeXAhead, Recipe::DoubleYAhead, Recipe::RoboSense];
+    let scans = recipes.map(scan);
+    let two_in_turn: Vec<_> = (0..21).map(|frame| scans[frame % 2].clone()).collect();
+    for (scans, count) in [(&scans[..], scans.len()), (&two_in_turn, 2)] {
+        let stream = round_trip(&files(scans), &EncoderConfig::default());
+        assert_eq!(take_apart(&stream).0.len(), count);
+    }
+}

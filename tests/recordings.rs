@@ -6,7 +6,7 @@ use std::io::Cursor;
 use crate::common::messages::cloud;
 use crate::common::scans::{Points, scans};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
-use lidarpc::recordings::internals::{Encoding, scan};
+use lidarpc::recordings::internals::{Encoding, points as points_of, scan};
 use lidarpc::recordings::{Clouds, Copied, TopicFilter, pack, unpack};
 use lidarpc::{Decoder, Encoder, Settings};
 use mcap::records::{MessageHeader, Metadata};
@@ -273,6 +273,13 @@ fn the_program_packs_and_unpacks() {
     let bag = lidarpc(&["encode", &path("old.bag"), "-o", &path("old.lpc")]).failure();
     bag.stderr(predicates::str::contains("rosbags-convert"));
     lidarpc(&["encode", &path("drive.mcap"), "-o", &path("drive.mcap"), "--force"]).failure();
+    // Nothing of a recording is lost.
+    for lossy in [["--max-error", "1cm"], ["--mode", "paper"]] {
+        let refused =
+            lidarpc(&[&["encode", &path("drive.mcap"), "-o", &path("lossy.mcap")], &lossy[..]].concat())
+                .code(2);
+        refused.stderr(predicates::str::contains("restored byte for byte"));
+    }
 }
 
 #[test]
@@ -286,4 +293,15 @@ fn clouds_that_claim_more_points_than_there_are_numbers_are_none() {
         let claims = [&message[..place], &[0xff; 8], &message[place + 8..]].concat();
         assert!(scan(&claims, encoding).is_none());
     }
+}
+
+#[test]
+fn clouds_without_a_position_are_no_scans_alone() {
+    let message = cloud(&turns(1)[0][..100].to_vec(), true, false);
+    let is_scan =
+        |message: &[u8]| scan(message, Encoding::Cdr).and_then(|(scan, _)| points_of(scan)).is_some();
+    assert!(is_scan(&message));
+    let place = message.windows(6).position(|bytes| bytes == b"\x02\0\0\0y\0").unwrap();
+    let without_y = [&message[..place + 4], b"q", &message[place + 5..]].concat();
+    assert!(!is_scan(&without_y));
 }

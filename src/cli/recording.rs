@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use crate::files::{FileFormat, convert, write};
 use crate::frame::settings::EncoderConfig;
+use crate::frame::{Intensity, Positions};
 use crate::ground::error::Error;
 use crate::library::Settings;
 use crate::recordings::{self, Clouds, Contents, Copied, Topic, TopicFilter};
@@ -71,6 +72,12 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     keep_inputs(args.output(), &args.inputs)?;
     if !is_named_so(args.output()) {
         return encode_clouds(args, input, config, quiet);
+    }
+    if config.positions != Positions::Exact || config.intensity != Intensity::Exact {
+        wrong_usage(
+            "encode",
+            "a recording is restored byte for byte; give -o FILE.lpc to lose something of its clouds",
+        );
     }
     let start = Instant::now();
     let bar = progress::bar(None, "packing", quiet);

@@ -239,10 +239,10 @@ pub fn scan(message: &[u8], encoding: Encoding) -> Option<(ScanFile, i64)> {
 }
 
 /// Only the records of a parsed cloud, as points without a message. `None` if their byte order is not the one that
-/// this program uses.
+/// this program uses, or if they have no position.
 pub fn points(scan: ScanFile) -> Option<ScanFile> {
-    let is_plain = scan.layout.wrapping == Wrapping::Plain;
-    is_plain.then(|| ScanFile { prefix: Vec::new(), suffix: Vec::new(), ..scan })
+    let are_points = scan.layout.wrapping == Wrapping::Plain && scan.layout.position.is_some();
+    are_points.then(|| ScanFile { prefix: Vec::new(), suffix: Vec::new(), ..scan })
 }
 
 /// The compressed message of a cloud, with this payload.

@@ -16,6 +16,6 @@ pub use pack::{Copied, pack, unpack};
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {
-    pub use super::message::{Encoding, compress, payload, scan};
+    pub use super::message::{Encoding, compress, payload, points, scan};
     pub use super::pack::unpacked;
 }

@@ -166,6 +166,7 @@ pub(crate) struct EncodedGroup {
 /// A group that is being encoded.
 struct GroupInProgress<'s> {
     scanners: &'s DriveScanners,
+    config: &'s EncoderConfig,
     coder: GroupEncoder<'s>,
     encoded: EncodedGroup,
 }
@@ -177,6 +178,7 @@ impl<'s> GroupInProgress<'s> {
         let models: Vec<_> = scanners.models.iter().map(Option::as_ref).collect();
         GroupInProgress {
             scanners,
+            config: sequence.config,
             coder: GroupEncoder::new(&models, sequence.config),
             encoded: EncodedGroup { group, steps: Vec::new(), originals: Vec::new(), file_bytes: 0 },
         }
@@ -191,7 +193,7 @@ impl<'s> GroupInProgress<'s> {
         let ReadFrame { header: original, scan } = frame;
         let scan = within_limits(scan)?;
         let mut original = original;
-        original.stamp.track = self.scanners.track_of(original.stamp.track, &scan);
+        original.stamp.track = self.scanners.track_of(original.stamp.track, &scan, self.config);
         let tracks = usize::from(original.stamp.track) + 1;
         let scanners = &mut self.encoded.group.scanners;
         scanners.resize(scanners.len().max(tracks), None);

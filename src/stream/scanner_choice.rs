@@ -11,7 +11,7 @@ use crate::container::{ScannerId, ScannerRecord, Unit};
 use crate::frame::Positions;
 use crate::frame::settings::{Coder, EncoderConfig, ProjectionKind, resolve_threads};
 use crate::ground::error::Result;
-use crate::scan::{ScanFile, sorted};
+use crate::scan::{PointCloud, ScanFile, sorted};
 use crate::scanner::motion::{self, by_time};
 use crate::scanner::{self, Scanner};
 
@@ -126,19 +126,26 @@ fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<Dr
 impl DriveScanners {
     /// The track in which a frame is coded: its own or, if scanners are mixed, that of the scanner that explains
     /// most of it.
-    pub fn track_of(&self, own: u8, scan: &ScanFile) -> u8 {
+    pub fn track_of(&self, own: u8, scan: &ScanFile, config: &EncoderConfig) -> u8 {
         if !self.are_mixed {
             return own;
         }
+        match self.track_by_points(own, &scan.cloud) {
+            (track, explained) if explained >= LEAST_SHARE => track,
+            _ => self.track_by_points(own, &as_measured(scan.cloud.clone(), config)).0,
+        }
+    }
+
+    /// The track of the scanner that explains most of these points, and how much that is; `own` if none explains any.
+    fn track_by_points(&self, own: u8, cloud: &PointCloud) -> (u8, f64) {
         // Both, as units of the same model see about the same, but only one of them to the last bit.
         let explained = |scanner: &Scanner| {
-            scanner.share(&scan.cloud)
-                + scanner.firings().map_or(0.0, |own| own.exact_share(&scan.cloud.positions))
+            scanner.share(cloud) + scanner.firings().map_or(0.0, |own| own.exact_share(&cloud.positions))
         };
         let of = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, explained);
         let tracks = (0u8..).zip(&self.models).map(|(track, scanner)| (track, of(scanner)));
         // The first one wins ties.
-        tracks.fold((own, 0.0), |best, next| if next.1 > best.1 { next } else { best }).0
+        tracks.fold((own, 0.0), |best, next| if next.1 > best.1 { next } else { best })
     }
 }
 
@@ -170,19 +177,52 @@ pub(crate) fn scanner_seen(frames: &[&FrameInput], config: &EncoderConfig) -> Re
     Ok(fitted(frames, &measured)?.into_iter().next())
 }
 
-/// The scanners fitted to a sample of these frames.
+/// The scanners fitted to a sample of these frames: to more of them if there are several scanners.
 fn fitted(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
-    let pool = pool(resolve_threads(config.threads))?;
-    pool.install(|| sample(frames, config).map(fit_all))
+    /// Number of frames.
+    const SAMPLE_OF_MIXED: usize = 16;
+    let few = config.sample_frames();
+    pool(resolve_threads(config.threads))?.install(|| {
+        let found = fit_all(sample(frames, few, config)?);
+        if few >= frames.len().min(SAMPLE_OF_MIXED) {
+            return Ok(found);
+        }
+        // Frames of two scanners in turn are told by neighbours.
+        let is_mixed = match &found[..] {
+            [] => false,
+            [only] => {
+                let neighbours = [scan_of(frames[0], config)?, scan_of(frames[1], config)?];
+                !unexplained(only, neighbours.into_iter().flatten().collect()).is_empty()
+            }
+            _ => true,
+        };
+        if is_mixed { sample(frames, SAMPLE_OF_MIXED, config).map(fit_all) } else { Ok(found) }
+    })
+}
+
+/// Minimum share of a scan that its own scanner explains.
+const LEAST_SHARE: f64 = 0.5;
+
+/// The scans that this scanner, which was fitted to some of them, does not explain.
+fn unexplained(scanner: &Scanner, mut scans: Vec<ScanFile>) -> Vec<ScanFile> {
+    let own = scanner.firings();
+    let is_exact = own.is_some_and(|own| scans.iter().any(|scan| own.explains(&scan.cloud.positions)));
+    scans.retain(|scan| {
+        // Units of the same model see about the same, but only one of them to the last bit.
+        let exact = own.filter(|_| is_exact).map_or(1.0, |own| own.exact_share(&scan.cloud.positions));
+        // A scan that was moved by time stamps can be attributed to this scanner only after it is moved back.
+        let is_moved = || own.is_some_and(|own| by_time::undo(&scan.cloud, own).is_some());
+        let explained = exact.min(scanner.share(&scan.cloud));
+        !scan.cloud.positions.is_empty() && explained < LEAST_SHARE && !is_moved()
+    });
+    scans
 }
 
 /// Scanners that together explain the scans of a sample, as far as fits succeed.
 fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
-    /// Minimum share of a scan that its own scanner explains.
-    const LEAST_SHARE: f64 = 0.5;
     /// The largest number of scanners in one folder, and the number of failed fits after which no more are
     /// tried.
-    const MOST: usize = 4;
+    const MOST: usize = 8;
     const MOST_FAILURES: usize = 2;
     let (mut found, mut failures) = (Vec::new(), 0);
     sample.retain(|scan| !scan.cloud.positions.is_empty());
@@ -190,17 +230,7 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
         let before = sample.len();
         let scanner = Scanner::fit(&sample);
         if let Some(scanner) = scanner {
-            let own = scanner.firings();
-            let largest = sample.iter().max_by_key(|scan| scan.cloud.measured());
-            let is_exact = own.zip(largest).is_some_and(|(own, scan)| own.explains(&scan.cloud.positions));
-            sample.retain(|scan| {
-                // Units of the same model see about the same, but only one of them to the last bit.
-                let exact =
-                    own.filter(|_| is_exact).map_or(1.0, |own| own.exact_share(&scan.cloud.positions));
-                // A scan that was moved by time stamps can be attributed to this scanner only after it is moved back.
-                let is_moved = || own.is_some_and(|own| by_time::undo(&scan.cloud, own).is_some());
-                exact.min(scanner.share(&scan.cloud)) < LEAST_SHARE && !is_moved()
-            });
+            sample = unexplained(&scanner, sample);
             found.push(scanner);
         }
         if sample.len() == before {
@@ -213,9 +243,9 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
     found
 }
 
-/// The frames to which the scanner is fitted, spread over the sequence.
-fn sample(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<ScanFile>> {
-    let places: Vec<usize> = sample_places(frames.len(), config.sample_frames()).collect();
+/// At most `most` frames, spread over the sequence, to which the scanner is fitted.
+fn sample(frames: &[&FrameInput], most: usize, config: &EncoderConfig) -> Result<Vec<ScanFile>> {
+    let places: Vec<usize> = sample_places(frames.len(), most).collect();
     let scans =
         places.into_par_iter().map(|place| scan_of(frames[place], config)).collect::<Result<Vec<_>>>();
     Ok(scans?.into_iter().flatten().collect())
@@ -226,16 +256,19 @@ fn scan_of(frame: &FrameInput, config: &EncoderConfig) -> Result<Option<ScanFile
     if frame.size()? > SAMPLE_FILE_BYTES {
         return Ok(None);
     }
-    let mut scan = frame.clone().into_frame(config.headerless.as_ref())?.scan;
-    if let Some((_, cloud)) = sorted::in_order_of_arrival(&scan.cloud) {
-        scan.cloud = cloud;
-    }
+    let scan = frame.clone().into_frame(config.headerless.as_ref())?.scan;
+    Ok(Some(ScanFile { cloud: as_measured(scan.cloud, config), ..scan }))
+}
+
+/// Points as they were measured and in the order of arrival.
+fn as_measured(cloud: PointCloud, config: &EncoderConfig) -> PointCloud {
+    let mut cloud = sorted::in_order_of_arrival(&cloud).map_or(cloud, |(_, cloud)| cloud);
     let undone =
-        config.undoes_compensation().then(|| motion::measured(&scan.cloud.positions, config.undoes_map()));
+        config.undoes_compensation().then(|| motion::measured(&cloud.positions, config.undoes_map()));
     if let Some(positions) = undone.flatten() {
-        scan.cloud.positions = positions;
+        cloud.positions = positions;
     }
-    Ok(Some(scan))
+    cloud
 }
 
 /// The indices of a sample of at most `most` frames: the first frame, the last, and others evenly spaced between
