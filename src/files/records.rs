@@ -63,13 +63,9 @@ pub(super) fn split(mut layout: Layout, body: &[u8]) -> (Layout, PointCloud) {
     let value = |record: &[u8], at: usize| LittleEndian::read_f32(&record[at..]);
     // Field by field, because a vector that is collected in one go does not check its capacity for each
     // value.
-    let positions = match layout.position_offsets() {
-        Some(offsets) if are_adjacent(offsets) => {
-            records.clone().map(|record| adjacent(record, offsets[0]).map(f32::from_le_bytes)).collect()
-        }
-        Some(offsets) => records.clone().map(|record| offsets.map(|at| value(record, at))).collect(),
-        None => Vec::new(),
-    };
+    let positions = layout.position_offsets().map_or_else(Vec::new, |offsets| {
+        records.clone().map(|record| offsets.map(|at| value(record, at))).collect()
+    });
     let mut intensity: Vec<f32> = match layout.intensity_place() {
         Some((at, Scalar::F32)) => records.map(|record| value(record, at)).collect(),
         Some((at, Scalar::U16)) => {
@@ -88,18 +84,6 @@ pub(super) fn split(mut layout: Layout, body: &[u8]) -> (Layout, PointCloud) {
         .map(|(at, field)| Channel { field: field.clone(), bytes: taken(body, stride, at, field.width()) })
         .collect();
     (layout, PointCloud { positions, intensity, channels })
-}
-
-/// Whether x, y and z follow one another, as nearly everywhere: then they are copied at once.
-fn are_adjacent([x, y, z]: [usize; 3]) -> bool {
-    y == x + 4 && z == y + 4
-}
-
-/// The bytes of x, y and z, which follow one another from byte `at` of a record on.
-fn adjacent(record: &[u8], at: usize) -> [[u8; 4]; 3] {
-    let bytes = &record[at..at + 12];
-    let (values, _) = bytes.as_chunks();
-    [values[0], values[1], values[2]]
 }
 
 /// The bytes of one field, record after record.
@@ -187,17 +171,9 @@ pub(super) fn join(file: &ScanFile) -> Result<Vec<u8>> {
 fn fill(layout: &Layout, cloud: &PointCloud, records: Range<usize>, body: &mut [u8]) {
     let stride = layout.stride().max(1);
     if let Some(offsets) = layout.position_offsets() {
-        let positions = body.chunks_exact_mut(stride).zip(&cloud.positions[records.clone()]);
-        if are_adjacent(offsets) {
-            let at = offsets[0];
-            for (record, position) in positions {
-                record[at..at + 12].copy_from_slice(position.map(f32::to_le_bytes).as_flattened());
-            }
-        } else {
-            for (record, position) in positions {
-                for (at, value) in offsets.into_iter().zip(position) {
-                    LittleEndian::write_f32(&mut record[at..], *value);
-                }
+        for (record, position) in body.chunks_exact_mut(stride).zip(&cloud.positions[records.clone()]) {
+            for (at, value) in offsets.into_iter().zip(position) {
+                LittleEndian::write_f32(&mut record[at..], *value);
             }
         }
     }
