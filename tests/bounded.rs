@@ -1,7 +1,7 @@
 //! Bounded mode: every point is restored at its index, within the bound.
 
 use crate::common::bound::{bounded, keeps_the_bound};
-use crate::common::formats::{kitti, nuscenes, pcd_extra, pcd_text, ply};
+use crate::common::formats::{kitti, nuscenes, pcd, pcd_extra, pcd_text, ply};
 use crate::common::odd::{SCANS, changed_scan, noise};
 use crate::common::scans::{Points, random_points, scans, shuffled, small};
 use crate::common::{File, cases, decode_files, encode_files, first_files, real_folders, section_bytes};
@@ -80,6 +80,22 @@ fn every_format_keeps_the_bound() {
     .to_vec();
     for max_error_um in [300, 20_000] {
         keeps_the_bound(&files, &bounded(max_error_um), max_error_um);
+    }
+}
+
+#[test]
+fn a_bound_costs_no_more_than_none_where_channels_follow_from_positions() {
+    let with_distances = |points: &Points| {
+        pcd("x y z distance azimuth", "4 4 4 4 4", "F F F F F", points, |_, [x, y, z, _]| {
+            [x, y, z, (x * x + y * y + z * z).sqrt(), y.atan2(x)].map(f32::to_le_bytes).concat()
+        })
+    };
+    let files: Vec<File> =
+        (0..).zip(&SCANS[4]).map(|(n, points)| (format!("{n}.pcd"), with_distances(points))).collect();
+    let exact = encode_files(&files, &EncoderConfig::default()).len();
+    for max_error_um in [500, 10_000, 50_000] {
+        let (stream, _) = keeps_the_bound(&files, &bounded(max_error_um), max_error_um);
+        assert!(stream.len() < exact + 10, "{max_error_um} um: {} bytes, exact {exact}", stream.len());
     }
 }
 

@@ -284,7 +284,7 @@ fn a_sweep_moved_through_a_map_is_measured_again_and_comes_back() {
         let wrong = quickly.iter().zip(&truth).filter(|(a, b)| a != b).count();
         assert!(wrong * 100 < truth.len(), "{wrong} points are not as measured at first");
 
-        world.find_corrections(&found, &file);
+        world.find_corrections(&found, &file, |a, b| a.map(f32::to_bits) == b.map(f32::to_bits));
         let payload = world.to_payload(&found);
         assert!(payload.len() < truth.len() / 4, "{} bytes for {}", payload.len(), world.corrections.len());
         let read = World::from_payload(&payload, &found).unwrap();
@@ -316,5 +316,19 @@ fn all_levels_but_the_first_undo_a_map() {
         let stream = encode_files(&named(std::slice::from_ref(&points)), &at_level(level));
         let is_undone = section_bytes(&stream).get(&SectionKind::World).is_some_and(|&bytes| bytes > 0);
         assert_eq!(is_undone, level > 1, "level {level}");
+    }
+}
+
+#[test]
+fn the_bound_makes_sweeps_that_went_through_a_map_smaller() {
+    let sweep = through_a_map(&street(1), &TURNING);
+    let points: Points = sweep.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
+    let files = named(std::slice::from_ref(&points));
+    let exact = encode_files(&files, &EncoderConfig::default());
+    for (max_error_um, of_exact) in [(2_000, 0.95), (20_000, 0.7)] {
+        let (stream, _) = keeps_the_bound(&files, &bounded(max_error_um), max_error_um);
+        assert!(section_bytes(&stream).contains_key(&SectionKind::World));
+        let limit = (of_exact * exact.len() as f64) as usize;
+        assert!(stream.len() < limit, "{max_error_um} um: {} bytes, exact {}", stream.len(), exact.len());
     }
 }

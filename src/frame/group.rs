@@ -3,7 +3,7 @@
 //! independent of each other.
 
 use std::borrow::Borrow;
-use std::mem::take;
+use std::mem::{replace, take};
 
 use super::bound::Bound;
 use super::fidelity::{Intensity, Positions};
@@ -36,6 +36,14 @@ pub struct GroupEncoder<'s> {
 struct TrackEncoder<'s> {
     scanner: Option<&'s Scanner>,
     config: &'s EncoderConfig,
+    state: TrackState,
+    /// Whether bounded mode was smaller than exact mode for a frame of the group.
+    bound_pays: bool,
+}
+
+/// What the frames of a track leave for the next.
+#[derive(Clone, Default)]
+struct TrackState {
     models: Models,
     /// The last motion of the scanner, from frame to frame.
     motion: QuantisedPose,
@@ -55,6 +63,18 @@ pub struct EncodedFrame {
     pub steps: StepReport,
 }
 
+impl EncodedFrame {
+    /// Bytes of the sections.
+    fn size(&self) -> usize {
+        size_of_sections(&self.sections)
+    }
+}
+
+/// Bytes of sections, without their headers.
+fn size_of_sections(sections: &[Section]) -> usize {
+    sections.iter().map(|section| section.payload.len()).sum()
+}
+
 impl<'s> GroupEncoder<'s> {
     /// A new group whose tracks have these scanners.
     pub fn new(scanners: &[Option<&'s Scanner>], config: &'s EncoderConfig) -> Self {
@@ -63,9 +83,9 @@ impl<'s> GroupEncoder<'s> {
     }
 
     /// Encodes the next frame so that decoders accept it under [`Limits::default`]. `original` describes its
-    /// file and names its track; a track that the group does not have yet has no scanner. A frame that would
-    /// exceed the bound of bounded mode, such as text with too few digits for the decoded values, is coded
-    /// exactly.
+    /// file and names its track; a track that the group does not have yet has no scanner. In bounded mode, a
+    /// frame is coded exactly if it would exceed the bound, such as text with too few digits for the decoded
+    /// values, or if that is smaller: some channels follow from exact positions alone.
     ///
     /// # Errors
     /// If the scan exceeds those limits, or if a back-end's library fails.
@@ -107,14 +127,7 @@ fn step_rounding_um(scan: &ScanFile) -> u32 {
 
 impl<'s> TrackEncoder<'s> {
     fn new(scanner: Option<&'s Scanner>, config: &'s EncoderConfig) -> Self {
-        TrackEncoder {
-            scanner,
-            config,
-            models: Models::default(),
-            motion: QuantisedPose::default(),
-            frames: 0,
-            halves: None,
-        }
+        TrackEncoder { scanner, config, state: TrackState::default(), bound_pays: false }
     }
 
     /// As [`GroupEncoder::encode_frame`].
@@ -122,25 +135,45 @@ impl<'s> TrackEncoder<'s> {
         if original.stamp.unit == Unit::Beside {
             return self.encode_beside(&scan, original);
         }
-        let Positions::Bounded { max_error_um, on_grid } = self.config.positions else {
+        if !matches!(self.config.positions, Positions::Bounded { .. }) {
             return Ok(self.encode_as(self.config, scan, original)?.0);
-        };
-        let within = |max_error_um| Positions::Bounded { max_error_um, on_grid };
-        let of_file = max_error_um.saturating_sub(file_rounding_um(&scan));
-        let of_points = of_file.saturating_sub(step_rounding_um(&scan));
-        if let Some(bound) = Bound::of(within(of_file), self.config.intensity).filter(|_| of_points > 0) {
-            let config = EncoderConfig { positions: within(of_points), ..self.config.clone() };
-            let before = self.models.clone();
-            let (encoded, decoded) = self.encode_as(&config, scan.clone(), original.clone())?;
-            if decoded.is_some_and(|bytes| bound.holds(&scan, &parse_like(&scan, &scan.name, bytes))) {
-                return Ok(encoded);
-            }
-            self.models = before;
-            self.frames -= 1;
         }
+        let before = self.state.clone();
+        let mut bounded = self.encode_within_bound(&scan, &original)?;
+        if let Some(bounded) = bounded.take_if(|_| self.bound_pays) {
+            return Ok(bounded);
+        }
+        let after = replace(&mut self.state, before);
         let (positions, intensity) = (Positions::Exact, Intensity::Exact);
-        let exact = EncoderConfig { positions, intensity, ..self.config.clone() };
-        Ok(self.encode_as(&exact, scan, original)?.0)
+        let config = EncoderConfig { positions, intensity, ..self.config.clone() };
+        let (exact, _) = self.encode_as(&config, scan, original)?;
+        match bounded {
+            Some(bounded) if bounded.size() < exact.size() => {
+                self.bound_pays = true;
+                self.state = after;
+                Ok(bounded)
+            }
+            _ => Ok(exact),
+        }
+    }
+
+    /// Encodes the next frame in bounded mode; `None` if the decoded file would exceed the bound.
+    fn encode_within_bound(
+        &mut self,
+        scan: &ScanFile,
+        original: &FrameHeader,
+    ) -> Result<Option<EncodedFrame>> {
+        let Positions::Bounded { max_error_um, on_grid } = self.config.positions else { return Ok(None) };
+        let within = |max_error_um| Positions::Bounded { max_error_um, on_grid };
+        let of_file = max_error_um.saturating_sub(file_rounding_um(scan));
+        let of_points = of_file.saturating_sub(step_rounding_um(scan));
+        let Some(bound) = Bound::of(within(of_file), self.config.intensity).filter(|_| of_points > 0) else {
+            return Ok(None);
+        };
+        let config = EncoderConfig { positions: within(of_points), ..self.config.clone() };
+        let (encoded, decoded) = self.encode_as(&config, scan.clone(), original.clone())?;
+        let holds = decoded.is_some_and(|bytes| bound.holds(scan, &parse_like(scan, &scan.name, bytes)));
+        Ok(holds.then_some(encoded))
     }
 
     /// Encodes a file that is not a scan, in every mode, as its bytes.
@@ -148,7 +181,7 @@ impl<'s> TrackEncoder<'s> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let whole = WholeFile::of_any_file(file, self.config.level)?;
         let mut writer = SectionWriter::new(Effort::default());
-        self.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, 0))?;
+        self.state.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, 0))?;
         steps.add(&writer.report);
         pay_for(&mut writer.sections, original.file_size);
         steps.count_sections(&writer.sections);
@@ -166,15 +199,15 @@ impl<'s> TrackEncoder<'s> {
         let name = scan.name.clone();
         let mut frame = FrameParts::from_scan(scan, self.scanner, config, &mut steps)?;
         frame.parameters.halved = self.halves(&frame);
-        let before = is_unexplained(&frame, config).then(|| (self.models.clone(), steps));
+        let before = is_unexplained(&frame, config).then(|| (self.state.models.clone(), steps));
         let mut best: Option<Attempt> = None;
         let fit = steps.timed(Step::Registration, || self.estimate_motion(&frame));
         let has_regions = self.scanner.is_some_and(|scanner| scanner.hdl64().is_some());
         let mut predictions = self.config.predictions(fit, has_regions).into_iter().peekable();
         while let Some(prediction) = predictions.next() {
             let (models, frame) = match predictions.peek() {
-                Some(_) => (self.models.clone(), frame.clone()),
-                None => (take(&mut self.models), take(&mut frame)),
+                Some(_) => (self.state.models.clone(), frame.clone()),
+                None => (take(&mut self.state.models), take(&mut frame)),
             };
             let attempt = self.attempt(frame, prediction, models, steps)?;
             if best.as_ref().is_none_or(|best| attempt.cost() < best.cost()) {
@@ -185,21 +218,21 @@ impl<'s> TrackEncoder<'s> {
             return Err(Error::Internal("no prediction to choose from".to_owned()));
         };
         let unfolded = frame.unfolded_bytes();
-        self.frames += 1;
+        self.state.frames += 1;
         if let Some((models, mut steps)) = before {
-            let own = sections.iter().map(|section| section.payload.len()).sum();
+            let own = size_of_sections(&sections);
             let (records, scan) = (frame.records, frame.clone().into_scan(&name)?);
             if let Some(whole) = WholeFile::shortest(&scan, config.level, own)? {
-                self.models = models;
+                self.state.models = models;
                 let mut writer = SectionWriter::new(Effort::default());
-                self.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, records))?;
+                self.state.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, records))?;
                 steps.add(&writer.report);
                 pay_for(&mut writer.sections, original.file_size.max(records as u64));
                 steps.count_sections(&writer.sections);
                 return Ok((EncodedFrame { header: original, sections: writer.sections, steps }, None));
             }
         }
-        self.models = models;
+        self.state.models = models;
         if frame.parameters.source.is_none() {
             pay_for(&mut sections, unfolded.max(original.file_size));
             return Ok((EncodedFrame { header: original, sections, steps }, None));
@@ -219,7 +252,7 @@ impl<'s> TrackEncoder<'s> {
         let returns = frame.occupancy.cells().iter().filter(|filled| **filled).count();
         modelling.parts().is_adaptive()
             && returns > 0
-            && *self.halves.get_or_insert(returns >= self.config.halved_from)
+            && *self.state.halves.get_or_insert(returns >= self.config.halved_from)
     }
 
     /// Estimates the motion of the scanner since the frame before, if the frame may be predicted from that
@@ -227,8 +260,8 @@ impl<'s> TrackEncoder<'s> {
     fn estimate_motion(&mut self, frame: &FrameParts) -> Option<f64> {
         /// The minimum share of returns with the same range as before if the scanner stands still.
         const STANDING_STILL: f64 = 0.5;
-        let (scanner, past) = (self.scanner?, self.models.past()?);
-        let choice = self.config.inter_choice(self.frames);
+        let (scanner, past) = (self.scanner?, self.state.models.past()?);
+        let choice = self.config.inter_choice(self.state.frames);
         let is_too_large = frame.image.steps.cells().len() > inter::MOST_CELLS;
         if frame.strays == frame.records || is_too_large || choice == InterChoice::Never {
             return None;
@@ -240,15 +273,16 @@ impl<'s> TrackEncoder<'s> {
                 return None;
             }
             if surfaces.is_none() || frame.parameters.can_do_without_surfaces() {
-                self.motion = QuantisedPose::default();
+                self.state.motion = QuantisedPose::default();
                 return Some(agreement);
             }
         }
         let scanner = surfaces?;
         let surface = past.surface(scanner);
-        let found = register(surface, &frame.image, scanner, &self.motion.pose(), &self.config.registration);
+        let found =
+            register(surface, &frame.image, scanner, &self.state.motion.pose(), &self.config.registration);
         let motion = found.and_then(|found| found.pose.quantise());
-        self.motion = motion.unwrap_or_default();
+        self.state.motion = motion.unwrap_or_default();
         motion.and(found).map(|found| found.fit)
     }
 
@@ -262,7 +296,7 @@ impl<'s> TrackEncoder<'s> {
     ) -> Result<Attempt> {
         let is_image = matches!(frame.parameters.range_coder, RangeCoder::Image(_));
         let original = is_image.then(|| frame.image.steps.clone());
-        frame.parameters.motion = self.motion;
+        frame.parameters.motion = self.state.motion;
         frame.predict(prediction, self.scanner, self.config, &mut steps);
         let effort = Effort { level: self.config.level, image: self.config.image };
         let mut writer = SectionWriter::new(effort);
@@ -296,7 +330,7 @@ struct Attempt {
 impl Attempt {
     /// The squared error, then the bytes of the sections.
     fn cost(&self) -> (f64, usize) {
-        (self.error, self.sections.iter().map(|section| section.payload.len()).sum())
+        (self.error, size_of_sections(&self.sections))
     }
 }
 

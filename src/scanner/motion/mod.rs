@@ -63,7 +63,7 @@ pub fn measured(positions: &[[f32; 3]], through_map: bool) -> Option<Vec<[f32; 3
 
 impl Compensation {
     /// Records the points of the file `positions` that the formula misses, given the decoded measured points:
-    /// those that are not `near` it. Points that went through a map are restored to the bit.
+    /// those that are not `near` it.
     pub fn find_misses(
         &mut self,
         (measured, channels): (&[[f32; 3]], &[Channel]),
@@ -72,7 +72,7 @@ impl Compensation {
     ) {
         match self {
             Compensation::Turn(turn) => turn.find_misses(measured, positions, near),
-            Compensation::World(world) => world.find_corrections(measured, positions),
+            Compensation::World(world) => world.find_corrections(measured, positions, near),
             Compensation::Stamped(stamped) => stamped.find_misses((measured, channels), positions, near),
         }
     }

@@ -267,19 +267,26 @@ impl World {
         poses
     }
 
-    /// Records the deviations of the file's `positions` from the formula, given the measured points.
-    pub fn find_corrections(&mut self, measured: &[[f32; 3]], positions: &[[f32; 3]]) {
+    /// Records the points of the file's `positions` that the formula misses, given the decoded measured points:
+    /// those that are not `near` it.
+    pub fn find_corrections(
+        &mut self,
+        measured: &[[f32; 3]],
+        positions: &[[f32; 3]],
+        near: impl Fn(&[f32; 3], &[f32; 3]) -> bool,
+    ) {
         let formula = Formula::new(self, measured.len());
         let unit = Coordinates::unit_of_float;
         let mut corrections = Vec::new();
         for (record, (measured, position)) in measured.iter().zip(positions).enumerate() {
             let world = formula.world(record, measured);
+            if near(position, &start(measured, formula.file(world, &[0; 2]))) {
+                continue;
+            }
             let steps = formula.steps_to(&world, position);
             let given = start(measured, formula.file(world, &steps));
             let units = std::array::from_fn(|axis| unit(position[axis]) - unit(given[axis]));
-            if steps != [0; 2] || units != [0; 3] {
-                corrections.push(Correction { record: record as u32, steps, units });
-            }
+            corrections.push(Correction { record: record as u32, steps, units });
         }
         self.corrections = corrections;
     }
