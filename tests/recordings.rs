@@ -190,6 +190,51 @@ fn a_recording_that_is_cut_short_is_taken_as_far_as_it_is_whole() {
 }
 
 #[test]
+fn records_that_claim_to_be_longer_than_they_are_are_not_read() {
+    let record = |opcode: u8, contents: &[u8]| {
+        [&[opcode], &(contents.len() as u64).to_le_bytes()[..], contents].concat()
+    };
+    let start = [mcap::MAGIC, &record(1, &[0; 8])].concat();
+    let endless = [0xff; 4];
+    // A header, a schema, a channel and its metadata, a chunk, metadata: with one text of 4 GiB each. An attachment
+    // without its checksum.
+    let claims = [
+        (3, vec![1, 0]),
+        (4, vec![1, 0, 1, 0]),
+        (4, [&[1, 0, 1, 0][..], &[0; 8], &[4, 0, 0, 0]].concat()),
+        (6, vec![0; 28]),
+        (12, Vec::new()),
+        (9, vec![0; 32]),
+    ];
+    for (opcode, fields) in claims {
+        let contents = if opcode == 9 { fields } else { [&fields[..], &endless].concat() };
+        let damaged = [&start[..], &record(opcode, &contents)].concat();
+        let copied = packed(&damaged, &Settings::default(), &TopicFilter::default()).1;
+        let fault = copied.cut_short.expect("a fault");
+        assert!(fault.contains(&format!("kind {opcode}")), "{fault}");
+    }
+    let header = [mcap::MAGIC, &record(1, &endless)].concat();
+    let error = pack(
+        Cursor::new(header),
+        Cursor::new(Vec::new()),
+        &Settings::default(),
+        &TopicFilter::default(),
+        &|| (),
+    );
+    assert!(error.unwrap_err().to_string().contains("kind 1"));
+    // A summary is not needed, so that one with a channel of 4 GiB is ignored.
+    let original = recording(None, true);
+    let (messages, ..) = contents(&original);
+    let data = &original[..original.len() - 37];
+    let summary = record(4, &[&[1, 0, 1, 0][..], &endless].concat());
+    let footer = record(2, &[&(data.len() as u64).to_le_bytes()[..], &[0; 12]].concat());
+    let damaged = [data, &summary, &footer, mcap::MAGIC].concat();
+    let (small, copied) = packed(&damaged, &Settings::default(), &TopicFilter::default());
+    assert_eq!(copied.cut_short, None);
+    assert_eq!(contents(&unpacked(&small).0).0, messages);
+}
+
+#[test]
 fn clouds_become_a_stream_with_their_times() {
     let original = recording(None, true);
     let small = packed(&original, &Settings::default(), &TopicFilter::default()).0;

@@ -6,8 +6,7 @@ use std::ops::Range;
 
 use mcap::records::{Channel, Header, Record, SchemaHeader, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
-use mcap::{Attachment, McapError, Summary, WriteOptions, Writer};
+use mcap::{Attachment, McapError, WriteOptions, Writer};
 
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::saturated;
@@ -55,21 +54,12 @@ impl<R: Read> Records<R> {
                     None => self.chunk = None,
                 }
             }
-            let mut opcode = [0];
-            let mut length = [0; 8];
-            read_whole(&mut self.file, &mut opcode)?;
-            read_whole(&mut self.file, &mut length)?;
-            let ([opcode], length) = (opcode, u64::from_le_bytes(length));
-            if length > Limits::default().file_bytes {
-                return Err(failed(McapError::RecordTooLarge { opcode, len: length }));
-            }
-            let mut contents = Vec::new();
-            self.file.by_ref().take(length).read_to_end(&mut contents)?;
+            let (opcode, length, contents) = read_record(&mut self.file)?;
             match opcode {
                 op::DATA_END => return Ok(None),
                 op::MESSAGE_INDEX => {}
                 // What is left of a chunk that is cut short contains whole records.
-                op::CHUNK => self.chunk = Some(Chunk::new(length, contents)),
+                op::CHUNK => self.chunk = Some(Chunk::new(length, contents)?),
                 _ if (contents.len() as u64) < length => return Err(failed(McapError::UnexpectedEof)),
                 _ => return parsed(opcode, &contents).map(Some),
             }
@@ -107,13 +97,14 @@ impl Chunk {
     ///
     /// Records that are not compressed are read as those of a file: the library's reader of such chunks (as of `mcap`
     /// 0.26) does not check that a record is no longer than what is left of its chunk.
-    fn new(length: u64, contents: Vec<u8>) -> Self {
+    fn new(length: u64, contents: Vec<u8>) -> Result<Self> {
+        check_lengths(op::CHUNK, &contents)?;
         let options = LinearReaderOptions::default()
             .with_skip_start_magic(true)
             .with_skip_end_magic(true)
             .with_emit_chunks(true)
             .with_record_length_limit(Limits::default().file_bytes as usize);
-        match contents.split_first_chunk::<CHUNK_FIELDS>() {
+        Ok(match contents.split_first_chunk::<CHUNK_FIELDS>() {
             Some((fields, records)) if fields[NAME_LENGTH] == [0; 4] => {
                 let length = u64::from_le_bytes(fields[RECORDS_LENGTH].try_into().expect("eight bytes"));
                 let records = &records[..records.len().min(saturated(length))];
@@ -127,7 +118,7 @@ impl Chunk {
                 let reader = LinearReader::new_with_options(options.with_emit_chunks(false));
                 Chunk { bytes: Cursor::new(bytes), reader }
             }
-        }
+        })
     }
 
     /// The next record.
@@ -150,9 +141,85 @@ impl Chunk {
     }
 }
 
+/// Reads the opcode of a record, its length, and as much of its contents as there is.
+fn read_record(input: &mut impl Read) -> Result<(u8, u64, Vec<u8>)> {
+    let mut opcode = [0];
+    let mut length = [0; 8];
+    read_whole(input, &mut opcode)?;
+    read_whole(input, &mut length)?;
+    let ([opcode], length) = (opcode, u64::from_le_bytes(length));
+    if length > Limits::default().file_bytes {
+        return Err(failed(McapError::RecordTooLarge { opcode, len: length }));
+    }
+    let mut contents = Vec::new();
+    input.by_ref().take(length).read_to_end(&mut contents)?;
+    Ok((opcode, length, contents))
+}
+
 /// A record from its contents.
 fn parsed(opcode: u8, contents: &[u8]) -> Result<Record<'static>> {
+    check_lengths(opcode, contents)?;
     mcap::parse_record(opcode, contents).map(Record::into_owned).map_err(failed)
+}
+
+/// A field of a record.
+enum Field {
+    /// Bytes of known number.
+    Fixed(usize),
+    /// Bytes after their number in 32 bits.
+    Text,
+    /// Bytes after their number in 64 bits.
+    Data,
+    /// Pairs of texts, after the number of their bytes in 32 bits.
+    Texts,
+}
+
+/// Checks that no field of a record is longer than what is left of it: the library (as of `mcap` 0.26) allocates
+/// memory for texts before it reads them, and expects that attachments end in a checksum.
+fn check_lengths(opcode: u8, contents: &[u8]) -> Result<()> {
+    use Field::{Data, Fixed, Text, Texts};
+    let fields: &[Field] = match opcode {
+        op::HEADER => &[Text, Text],
+        op::SCHEMA => &[Fixed(2), Text, Text, Text],
+        op::CHANNEL => &[Fixed(4), Text, Text, Texts],
+        op::CHUNK => &[Fixed(28), Text, Fixed(8)],
+        op::CHUNK_INDEX => &[Fixed(32), Text, Fixed(8), Text, Fixed(16)],
+        op::ATTACHMENT => &[Fixed(16), Text, Text, Data, Fixed(4)],
+        op::ATTACHMENT_INDEX => &[Fixed(40), Text, Text],
+        op::METADATA => &[Text, Texts],
+        op::METADATA_INDEX => &[Fixed(16), Text],
+        _ => &[],
+    };
+    let too_short =
+        || Error::Usage(format!("the recording: a record of kind {opcode} is longer than its contents"));
+    let mut rest = contents;
+    for field in fields {
+        let length = match field {
+            Fixed(length) => Some(*length),
+            Text | Texts => take_number::<4>(&mut rest),
+            Data => take_number::<8>(&mut rest),
+        };
+        let (of_field, after) =
+            length.and_then(|length| rest.split_at_checked(length)).ok_or_else(too_short)?;
+        if let Texts = field {
+            let mut texts = of_field;
+            while !texts.is_empty() {
+                let length = take_number::<4>(&mut texts);
+                texts = length.and_then(|length| texts.get(length..)).ok_or_else(too_short)?;
+            }
+        }
+        rest = after;
+    }
+    Ok(())
+}
+
+/// Takes a number of `N` bytes from the start of the input.
+fn take_number<const N: usize>(input: &mut &[u8]) -> Option<usize> {
+    let (number, rest) = input.split_first_chunk::<N>()?;
+    *input = rest;
+    let mut bytes = [0; 8];
+    bytes[..N].copy_from_slice(number);
+    Some(saturated(u64::from_le_bytes(bytes)))
 }
 
 /// Fills `bytes` from the input.
@@ -227,16 +294,10 @@ impl<W: Write + Seek> Output<W> {
 /// # Errors
 /// If the input is not a recording, or fails.
 pub fn numbers_in(input: &mut (impl Read + Seek)) -> Result<HashSet<u16>> {
-    let summary = summary(input)?;
+    let listed = numbers_of_summary(input)?;
     input.seek(SeekFrom::Start(0))?;
-    let listed = summary.filter(|summary| {
-        summary.stats.as_ref().is_some_and(|stats| {
-            usize::from(stats.schema_count) == summary.schemas.len()
-                && stats.channel_count as usize == summary.channels.len()
-        })
-    });
-    if let Some(summary) = listed {
-        return Ok(summary.schemas.into_keys().chain(summary.channels.into_keys()).collect());
+    if let Some(numbers) = listed {
+        return Ok(numbers);
     }
     let records = Records::open(&mut *input)?;
     let numbers = records.map_while(Result::ok).filter_map(|record| match record {
@@ -249,28 +310,58 @@ pub fn numbers_in(input: &mut (impl Read + Seek)) -> Result<HashSet<u16>> {
     Ok(numbers)
 }
 
-/// The summary at the end of a recording, if it has one.
+/// The numbers of all schemas and channels, if the summary at the end of a recording lists all that its statistics
+/// count.
 ///
 /// # Errors
 /// If the input fails.
-fn summary(input: &mut (impl Read + Seek)) -> Result<Option<Summary>> {
-    let options = SummaryReaderOptions::default()
-        .with_file_size(input.seek(SeekFrom::End(0))?)
-        .with_record_length_limit(Limits::default().file_bytes as usize);
-    let mut reader = SummaryReader::new_with_options(options);
-    while let Some(event) = reader.next_event() {
-        match event {
-            Ok(SummaryReadEvent::ReadRequest(wanted)) => {
-                let read = input.read(reader.insert(wanted))?;
-                reader.notify_read(read);
+fn numbers_of_summary(input: &mut (impl Read + Seek)) -> Result<Option<HashSet<u16>>> {
+    let Some(summary) = summary(input)? else { return Ok(None) };
+    let (mut schemas, mut channels, mut expected) = (HashSet::new(), HashSet::new(), None);
+    let mut rest = &summary[..];
+    while !rest.is_empty() {
+        let record = read_record(&mut rest).and_then(|(opcode, _, contents)| parsed(opcode, &contents));
+        match record {
+            Ok(Record::Schema { header, .. }) => drop(schemas.insert(header.id)),
+            Ok(Record::Channel(channel)) => drop(channels.insert(channel.id)),
+            Ok(Record::Statistics(counts)) => {
+                expected = Some((usize::from(counts.schema_count), counts.channel_count as usize));
             }
-            // A summary that refers to a position before the first byte is invalid.
-            Ok(SummaryReadEvent::SeekRequest(to)) => match input.seek(to) {
-                Ok(place) => reader.notify_seeked(place),
-                Err(_) => return Ok(None),
-            },
+            Ok(_) => {}
             Err(_) => return Ok(None),
         }
     }
-    Ok(reader.finish())
+    let is_complete = expected == Some((schemas.len(), channels.len()));
+    Ok(is_complete.then(|| schemas.into_iter().chain(channels).collect()))
+}
+
+/// The records of the summary at the end of a recording, if it has one that is intact.
+///
+/// # Errors
+/// If the input fails.
+fn summary(input: &mut (impl Read + Seek)) -> Result<Option<Vec<u8>>> {
+    /// Bytes of the footer's record: its kind, its length and three numbers.
+    const FOOTER: usize = 1 + 8 + 20;
+    const END: usize = FOOTER + mcap::MAGIC.len();
+    let Some(end) = input.seek(SeekFrom::End(0))?.checked_sub(END as u64) else { return Ok(None) };
+    input.seek(SeekFrom::Start(end))?;
+    let mut footer = [0; END];
+    input.read_exact(&mut footer)?;
+    if footer[0] != op::FOOTER || footer[FOOTER..] != *mcap::MAGIC {
+        return Ok(None);
+    }
+    let Ok(Record::Footer(fields)) = parsed(op::FOOTER, &footer[9..FOOTER]) else { return Ok(None) };
+    let length = end.checked_sub(fields.summary_start);
+    let Some(length) = length.filter(|length| *length <= Limits::default().file_bytes) else {
+        return Ok(None);
+    };
+    input.seek(SeekFrom::Start(fields.summary_start))?;
+    let mut summary = Vec::new();
+    input.take(length).read_to_end(&mut summary)?;
+    // The checksum is of the summary and of the footer up to itself; 0 stands for none.
+    let mut crc = flate2::Crc::new();
+    crc.update(&summary);
+    crc.update(&footer[..FOOTER - 4]);
+    let is_intact = fields.summary_start > 0 && [0, crc.sum()].contains(&fields.summary_crc);
+    Ok(is_intact.then_some(summary))
 }
