@@ -100,6 +100,28 @@ fn a_bound_costs_no_more_than_none_where_channels_follow_from_positions() {
 }
 
 #[test]
+fn few_digits_of_a_text_use_the_bound_too() {
+    // As by C's %.5g, whose last digit is a millimetre beyond 10 m.
+    let digits = |metres: f32| {
+        let scale = 10f64.powi(4 - f64::from(metres.abs()).log10().floor() as i32);
+        ((f64::from(metres) * scale).round() / scale) as f32
+    };
+    let files: Vec<File> = (0..)
+        .zip(&SCANS[4])
+        .map(|(n, points)| {
+            let points: Points =
+                points.iter().map(|&[x, y, z, i]| [digits(x), digits(y), digits(z), i]).collect();
+            (format!("{n}.pcd"), pcd_text(&points))
+        })
+        .collect();
+    let exact = encode_files(&files, &EncoderConfig::default()).len();
+    for max_error_um in [5_000, 7_000, 10_000, 20_000] {
+        let (stream, _) = keeps_the_bound(&files, &bounded(max_error_um), max_error_um);
+        assert!(stream.len() < exact * 9 / 10, "{max_error_um} um: {} bytes, exact {exact}", stream.len());
+    }
+}
+
+#[test]
 fn numbers_of_a_text_keep_the_bound_too() {
     let text = |digits: usize| {
         let points: Vec<_> = random_points(3000, 7).iter().map(|p| p.map(|v| v * 0.3137 % 20.0)).collect();

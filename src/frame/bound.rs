@@ -93,6 +93,14 @@ impl Bound {
             && *channels == after.channels
     }
 
+    /// By how many metres writing the decoded positions to a file displaced those that are then beyond the bound, at
+    /// most; 0 if none is.
+    pub fn displaced_by(&self, original: &[[f32; 3]], decoded: &[[f32; 3]], written: &[[f32; 3]]) -> f64 {
+        let points = original.iter().zip(decoded).zip(written);
+        let beyond = points.filter(|((original, _), written)| !self.is_near(original, written));
+        beyond.map(|((_, decoded), written)| squared_distance(decoded, written).sqrt()).fold(0.0, f64::max)
+    }
+
     /// Whether a decoded position is within the bound of the original.
     pub fn is_near(&self, a: &[f32; 3], b: &[f32; 3]) -> bool {
         squared_distance(a, b).sqrt() <= self.max_error || a.map(f32::to_bits) == b.map(f32::to_bits)

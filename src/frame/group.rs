@@ -39,6 +39,8 @@ struct TrackEncoder<'s> {
     state: TrackState,
     /// Whether bounded mode was smaller than exact mode for a frame of the group.
     bound_pays: bool,
+    /// The part of the bound, in micrometres, that the digits of text have needed so far.
+    of_digits_um: u32,
 }
 
 /// What the frames of a track leave for the next.
@@ -61,6 +63,12 @@ pub struct EncodedFrame {
     pub sections: Vec<Section>,
     /// Time and size of each step. If several predictions were tried, those of the chosen one.
     pub steps: StepReport,
+}
+
+/// A file that differs from the original.
+struct LossyFile {
+    scan: ScanFile,
+    bytes: Vec<u8>,
 }
 
 impl EncodedFrame {
@@ -127,7 +135,7 @@ fn step_rounding_um(scan: &ScanFile) -> u32 {
 
 impl<'s> TrackEncoder<'s> {
     fn new(scanner: Option<&'s Scanner>, config: &'s EncoderConfig) -> Self {
-        TrackEncoder { scanner, config, state: TrackState::default(), bound_pays: false }
+        TrackEncoder { scanner, config, state: TrackState::default(), bound_pays: false, of_digits_um: 0 }
     }
 
     /// As [`GroupEncoder::encode_frame`].
@@ -157,23 +165,45 @@ impl<'s> TrackEncoder<'s> {
         }
     }
 
-    /// Encodes the next frame in bounded mode; `None` if the decoded file would exceed the bound.
+    /// Encodes the next frame in bounded mode; `None` if the decoded file would exceed the bound. If only the digits of
+    /// its text are to blame, the points are coded with a smaller error.
     fn encode_within_bound(
         &mut self,
         scan: &ScanFile,
         original: &FrameHeader,
     ) -> Result<Option<EncodedFrame>> {
+        /// Number of times that a frame is coded at most.
+        const ATTEMPTS: usize = 3;
         let Positions::Bounded { max_error_um, on_grid } = self.config.positions else { return Ok(None) };
         let within = |max_error_um| Positions::Bounded { max_error_um, on_grid };
         let of_file = max_error_um.saturating_sub(file_rounding_um(scan));
-        let of_points = of_file.saturating_sub(step_rounding_um(scan));
-        let Some(bound) = Bound::of(within(of_file), self.config.intensity).filter(|_| of_points > 0) else {
-            return Ok(None);
-        };
-        let config = EncoderConfig { positions: within(of_points), ..self.config.clone() };
-        let (encoded, decoded) = self.encode_as(&config, scan.clone(), original.clone())?;
-        let holds = decoded.is_some_and(|bytes| bound.holds(scan, &parse_like(scan, &scan.name, bytes)));
-        Ok(holds.then_some(encoded))
+        let Some(bound) = Bound::of(within(of_file), self.config.intensity) else { return Ok(None) };
+        let before = self.state.clone();
+        for _ in 0..ATTEMPTS {
+            let of_points = of_file.saturating_sub(step_rounding_um(scan)).saturating_sub(self.of_digits_um);
+            if of_points == 0 {
+                break;
+            }
+            let config = EncoderConfig { positions: within(of_points), ..self.config.clone() };
+            self.state = before.clone();
+            let (encoded, decoded) = self.encode_as(&config, scan.clone(), original.clone())?;
+            let Some(decoded) = decoded else { break };
+            if matches!(scan.layout.wrapping, Wrapping::Plain | Wrapping::BigEndian) {
+                // The file holds the decoded values as they are.
+                return Ok(bound.holds(scan, &decoded.scan).then_some(encoded));
+            }
+            let written = parse_like(scan, &scan.name, decoded.bytes);
+            if bound.holds(scan, &written) {
+                return Ok(Some(encoded));
+            }
+            let positions = [scan, &decoded.scan, &written].map(|scan| &scan.cloud.positions[..]);
+            let displaced_um = 1e6 * bound.displaced_by(positions[0], positions[1], positions[2]);
+            if displaced_um == 0.0 {
+                break;
+            }
+            self.of_digits_um = self.of_digits_um.max(displaced_um.ceil() as u32);
+        }
+        Ok(None)
     }
 
     /// Encodes a file that is not a scan, in every mode, as its bytes.
@@ -188,13 +218,13 @@ impl<'s> TrackEncoder<'s> {
         Ok(EncodedFrame { header: original, sections: writer.sections, steps })
     }
 
-    /// Encodes the next frame with these settings. Returns the decoded file, if it differs.
+    /// Encodes the next frame with these settings. Returns the decoded file too, unless it is the original.
     fn encode_as(
         &mut self,
         config: &EncoderConfig,
         scan: ScanFile,
         original: FrameHeader,
-    ) -> Result<(EncodedFrame, Option<Vec<u8>>)> {
+    ) -> Result<(EncodedFrame, Option<LossyFile>)> {
         let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
         let name = scan.name.clone();
         let mut frame = FrameParts::from_scan(scan, self.scanner, config, &mut steps)?;
@@ -242,7 +272,8 @@ impl<'s> TrackEncoder<'s> {
         let header =
             FrameHeader { stamp: original.stamp, ..FrameHeader::of(&name, &bytes, decoded.records as u64) };
         pay_for(&mut sections, unfolded.max(header.file_size));
-        Ok((EncodedFrame { header, sections, steps }, Some(bytes)))
+        let decoded = LossyFile { scan: decoded, bytes };
+        Ok((EncodedFrame { header, sections, steps }, Some(decoded)))
     }
 
     /// Whether the halves of a frame's image are coded separately. The first frame decides for all: they are
