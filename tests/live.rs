@@ -198,11 +198,24 @@ fn archives_of_all_dialects_are_read() {
     let expected = [
         ("1.bin".to_owned(), vec![7; 513]),
         ("points.csv".to_owned(), b"x,y,z\n1,2,3\n".to_vec()),
-        (long.clone(), b"abc".to_vec()),
+        (format!("folder/{long}"), b"abc".to_vec()),
     ];
     assert_eq!(arrive(&archive.concat()).unwrap(), expected);
     let archive = [entry("x", b'x', pax.as_bytes()), entry("cut", b'0', b"abc"), END.to_vec()].concat();
     assert_eq!(arrive(&archive).unwrap(), [(long, b"abc".to_vec())]);
+}
+
+#[test]
+fn drives_in_several_folders_of_an_archive_do_not_collide() {
+    let names = ["./tree/a/1.bin", "./tree/b/1.bin", "./tree/a/2.bin", "1.bin"];
+    let entries = names.map(|name| entry(name, b'0', &[7; 16])).concat();
+    let arrived = arrive(&[&entries[..], &END].concat());
+    // The last one is in another folder than the first, but has no folder to be told by.
+    assert!(arrived.unwrap_err().contains("a second time"));
+    let entries = names[..3].iter().map(|name| entry(name, b'0', &[7; 16])).collect::<Vec<_>>().concat();
+    let arrived = arrive(&[&entries[..], &END].concat()).unwrap();
+    let names: Vec<_> = arrived.iter().map(|(name, _)| &name[..]).collect();
+    assert_eq!(names, ["1.bin", "tree/b/1.bin", "2.bin"]);
 }
 
 #[test]

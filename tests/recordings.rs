@@ -318,13 +318,64 @@ fn the_program_packs_and_unpacks() {
     let bag = lidarpc(&["encode", &path("old.bag"), "-o", &path("old.lpc")]).failure();
     bag.stderr(predicates::str::contains("rosbags-convert"));
     lidarpc(&["encode", &path("drive.mcap"), "-o", &path("drive.mcap"), "--force"]).failure();
-    // Nothing of a recording is lost.
-    for lossy in [["--max-error", "1cm"], ["--mode", "paper"]] {
-        let refused =
-            lidarpc(&[&["encode", &path("drive.mcap"), "-o", &path("lossy.mcap")], &lossy[..]].concat())
-                .code(2);
-        refused.stderr(predicates::str::contains("restored byte for byte"));
+    // Points may be off by no more than a bound, but none is dropped; options without an effect are refused.
+    let lossy = ["encode", &path("drive.mcap"), "-o", &path("lossy.mcap")];
+    for (options, complaint) in [
+        (&["--mode", "paper"][..], "drops points"),
+        (&["--max-error", "1cm", "--verify"], "byte for byte"),
+        (&["--gop", "3"], "compressed alone"),
+        (&["--layout", "xyz"], "name their fields"),
+    ] {
+        lidarpc(&[&lossy[..], options].concat()).code(2).stderr(predicates::str::contains(complaint));
     }
+    let rounded = json(&[&lossy[..], &["--max-error", "1cm"]].concat());
+    assert_eq!((&rounded["mode"], &rounded["max_error_m"]), (&"bounded".into(), &0.01.into()));
+    for [command, complaint] in
+        [["estimate", "`encode` a recording"], ["repair", "no stream"], ["view", "no stream"]]
+    {
+        let output = path("out.png");
+        let output: &[&str] = if command == "estimate" { &[] } else { &["-o", &output] };
+        let drive = path("drive.mcap");
+        lidarpc(&[&[command, &drive], output].concat()).code(2).stderr(predicates::str::contains(complaint));
+    }
+    lidarpc(&["encode", &path("drive.mcap")]).code(2).stderr(predicates::str::contains("FILE.mcap"));
+}
+
+#[test]
+fn a_bound_is_kept_in_recordings_too() {
+    let original = recording(None, true);
+    let (messages, attachments, metadata) = contents(&original);
+    let exact = packed(&original, &Settings::default(), &TopicFilter::default()).1.cloud_bytes[1];
+    let (small, copied) = packed(&original, &Settings::bounded(0.02), &TopicFilter::default());
+    assert!(copied.cloud_bytes[1] < exact * 9 / 10, "{} bytes, exact {exact}", copied.cloud_bytes[1]);
+    let (restored, restored_attachments, restored_metadata) = contents(&unpacked(&small).0);
+    assert_eq!((&attachments, &metadata), (&restored_attachments, &restored_metadata));
+    assert_eq!(messages.len(), restored.len());
+    let mut largest = 0.0f64;
+    for (before, after) in messages.iter().zip(&restored) {
+        let about = |message: &OneMessage| {
+            let (id, topic, schema, metadata, sequence, sent, received, bytes) = message.clone();
+            (id, topic, schema, metadata, sequence, sent, received, bytes.len())
+        };
+        assert_eq!(about(before), about(after));
+        let is_cloud = before.7 != after.7;
+        let points = |bytes: &[u8]| scan(bytes, Encoding::Cdr).unwrap().0.cloud.positions;
+        for (a, b) in
+            is_cloud.then(|| points(&before.7).into_iter().zip(points(&after.7))).into_iter().flatten()
+        {
+            let apart = |axis: usize| f64::from(a[axis]) - f64::from(b[axis]);
+            largest = largest.max((0..3).map(|axis| apart(axis).powi(2)).sum::<f64>().sqrt());
+        }
+    }
+    assert!(largest > 0.005 && largest <= 0.02, "{largest} m");
+    let paper = pack(
+        Cursor::new(&original),
+        Cursor::new(Vec::new()),
+        &Settings::paper(),
+        &TopicFilter::default(),
+        &|| (),
+    );
+    assert!(paper.unwrap_err().to_string().contains("drops points"));
 }
 
 #[test]

@@ -29,6 +29,8 @@ use super::{messages, progress, recording, table, tree};
 struct Report {
     folder: String,
     frames: u64,
+    /// Files beside the scans; their bytes are included in `file_bytes`.
+    files_beside: u64,
     file_bytes: u64,
     /// Losses, by file.
     lost: Vec<LossReport>,
@@ -38,8 +40,8 @@ struct Report {
 impl Report {
     /// The report in a line.
     fn summary(&self) -> String {
-        let (frames, bytes) = (table::count(self.frames, "frame"), table::bytes(self.file_bytes));
-        format!("{frames}: {bytes} in {:.1} s", self.seconds)
+        let frames = table::frames_and_files(self.frames, self.files_beside);
+        format!("{frames}: {} in {:.1} s", table::bytes(self.file_bytes), self.seconds)
     }
 }
 
@@ -88,18 +90,20 @@ fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, 
     let counts = inputs.iter().map(|input| input.frame_count(options.limits));
     let total = counts.sum::<Option<u64>>().map(|total| options.frames.count_of(total));
     let bar = progress::bar(total, "decoding", quiet);
-    let mut bytes = 0;
+    let (mut bytes, mut beside) = (0, 0);
     let mut all_losses = Vec::new();
     for (path, input) in args.inputs.iter().zip(inputs) {
         let before = bar.position();
         let mut losses = Losses::new(path);
-        let write = |frame| {
+        let write = |frame: DecodedFrame| {
+            let is_beside = frame.header.stamp.unit == Unit::Beside;
             let file = converter.file(frame)?;
-            folder.write(file.name(), |give| file.write(give))
+            Ok((folder.write(file.name(), |give| file.write(give))?, is_beside))
         };
-        let count = |file_bytes: u64| {
+        let count = |(file_bytes, is_beside): (u64, bool)| {
             bar.inc(1);
             bytes += file_bytes;
+            beside += u64::from(is_beside);
             Ok(())
         };
         decode(args, input, options, &mut losses, write, count).map_err(|error| {
@@ -110,9 +114,11 @@ fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, 
     }
     bar.finish_and_clear();
     folder.finish()?;
+    converter.tell(quiet);
     let report = Report {
         folder: args.output().display().to_string(),
-        frames: bar.position(),
+        frames: bar.position() - beside,
+        files_beside: beside,
         file_bytes: bytes,
         lost: all_losses.iter().map(|(losses, _)| losses.report()).collect(),
         seconds: start.elapsed().as_secs_f64(),
@@ -200,6 +206,7 @@ fn to_stdout(args: &DecodeArgs, path: &Path, options: &DecodeOptions, converter:
     let mut stdout = io::stdout().lock();
     let written = file.write(&mut |piece| Ok(stdout.write_all(piece)?));
     written.and_then(|()| Ok(stdout.flush()?)).context("stdout")?;
+    converter.tell(false);
     losses.check(1)
 }
 
@@ -231,16 +238,31 @@ impl File {
 /// Converts frames to files: the original ones, or in another format.
 pub struct Converter {
     format: Option<FileFormat>,
-    /// The frames' own names, by the names of the converted files.
+    /// The frames' own names, by the names of the written files.
     names: Mutex<HashMap<String, String>>,
+    /// Files without points, which cannot be converted: their number, and the name of the first.
+    pointless: Mutex<(u64, Option<String>)>,
 }
 
 impl Converter {
     fn new(format: Option<FormatArg>) -> Self {
-        Converter { format: format.map(FormatArg::format), names: Mutex::default() }
+        let format = format.map(FormatArg::format);
+        Converter { format, names: Mutex::default(), pointless: Mutex::default() }
     }
 
-    /// The file of a frame.
+    /// Tells how many files were not converted.
+    pub fn tell(&self, quiet: bool) {
+        let pointless = self.pointless.lock().unwrap_or_else(PoisonError::into_inner);
+        if let ((count, Some(first)), false) = (&*pointless, quiet) {
+            let first = first.replace(char::is_control, "?");
+            let files = table::count(*count, "file");
+            eprintln!(
+                "lidarpc: {files} without points, such as {first}: not converted, but written as stored"
+            );
+        }
+    }
+
+    /// The file of a frame. Files without points are not converted.
     ///
     /// # Errors
     /// If the frame cannot be converted, or if another frame already has its file name.
@@ -251,17 +273,26 @@ impl Converter {
         let Some(format) = self.format.filter(|_| !is_beside).or(of_points) else {
             return Ok(File::Original(Box::new(frame)));
         };
-        let DecodedFrame { number, header, mut scan, .. } = frame.checked()?;
-        if scan.name.is_empty() {
-            scan.name = format!("{number:06}");
-        }
-        let converted = convert(&scan, format)?;
+        let frame = frame.checked()?;
+        let name = frame.header.name.clone();
+        let file = if frame.scan.layout.position.is_none() {
+            let mut pointless = self.pointless.lock().unwrap_or_else(PoisonError::into_inner);
+            pointless.0 += 1;
+            pointless.1.get_or_insert_with(|| name.clone());
+            File::Original(Box::new(frame))
+        } else {
+            let DecodedFrame { number, mut scan, .. } = frame;
+            if scan.name.is_empty() {
+                scan.name = format!("{number:06}");
+            }
+            File::Converted(Box::new(convert(&scan, format)?))
+        };
         let mut names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(other) = names.insert(converted.name.clone(), header.name.clone()) {
-            let what = format!("becomes {}, as {other} does; decode them apart, by --frames", converted.name);
-            return Err(Error::Input { path: header.name.into(), what });
+        if let Some(other) = names.insert(file.name().to_owned(), name.clone()) {
+            let what = format!("becomes {}, as {other} does; decode them apart, by --frames", file.name());
+            return Err(Error::Input { path: name.into(), what });
         }
         drop(names);
-        Ok(File::Converted(Box::new(converted)))
+        Ok(file)
     }
 }

@@ -111,7 +111,14 @@ fn output_of(args: &EncodeArgs) -> PathBuf {
         _ => None,
     };
     let Some(name) = name else {
-        wrong_usage("encode", "say where to, by -o FILE: the input gives no name for the output");
+        let is_recording = args.inputs.len() == 1 && recording::is_recording(&args.inputs[0]);
+        wrong_usage(
+            "encode",
+            match is_recording {
+                true => "say where to: by -o FILE.mcap the whole recording, by -o FILE.lpc the clouds alone",
+                false => "say where to, by -o FILE: the input gives no name for the output",
+            },
+        );
     };
     let mut name = name.to_owned();
     name.push(".");
@@ -294,7 +301,7 @@ pub fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &Encoded) -> 
         table::bytes(encoded.stream_bytes),
         table::percent(ratio),
         table::decimals(bits),
-        fidelity(config, encoded),
+        fidelity(config, Some(encoded)),
     );
     let mut plain = plain_bytes(encoded);
     if let Some(first) = plain.next() {
@@ -308,21 +315,30 @@ pub fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &Encoded) -> 
         line.push_str(&format!(", {} without a model that fits", table::count(encoded.unmodelled, "frame")));
     }
     if args.verify {
-        line.push_str(", verified (names and bytes; times and permissions of files are not stored)");
+        line.push_str(match config.positions {
+            _ if config.is_exact() => {
+                ", verified (names and bytes; times and permissions of files are not stored)"
+            }
+            Positions::Bounded { .. } => ", verified (names, and that all points are within the bound)",
+            _ => ", verified (names, and that every frame decodes as it did while it was encoded)",
+        });
     }
     line
 }
 
-/// How accurately the points are restored.
-fn fidelity(config: &EncoderConfig, encoded: &Encoded) -> String {
+/// How accurately points are restored, and in paper mode how many were dropped, if that was counted.
+pub fn fidelity(config: &EncoderConfig, encoded: Option<&Encoded>) -> String {
     let mut words = match config.positions {
         Positions::Exact => "lossless".to_owned(),
         Positions::Bounded { max_error_um, .. } => format!("within {} mm", f64::from(max_error_um) / 1000.0),
-        Positions::Formula => {
-            let dropped = encoded.outliers + encoded.lost;
-            let share = table::percent(metrics::ratio(encoded.points, dropped));
-            format!("paper mode: {} points dropped ({share})", table::grouped(dropped))
-        }
+        Positions::Formula => match encoded {
+            Some(encoded) => {
+                let dropped = encoded.outliers + encoded.lost;
+                let share = table::percent(metrics::ratio(encoded.points, dropped));
+                format!("paper mode: {} points dropped ({share})", table::grouped(dropped))
+            }
+            None => "paper mode".to_owned(),
+        },
     };
     words.push_str(&match config.intensity {
         Intensity::Exact => String::new(),
@@ -338,9 +354,8 @@ fn fidelity(config: &EncoderConfig, encoded: &Encoded) -> String {
 #[derive(Serialize)]
 pub struct Report {
     pub file: String,
-    mode: &'static str,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    max_error_m: Option<f64>,
+    #[serde(flatten)]
+    fidelity: FidelityReport,
     pub frames: u64,
     /// Files beside the scans; their bytes are included in `file_bytes`.
     files_beside: u64,
@@ -359,6 +374,26 @@ pub struct Report {
     left_out: Vec<LeftOutReport>,
     verified: bool,
     seconds: f64,
+}
+
+/// How accurately points are restored.
+#[derive(Serialize)]
+pub struct FidelityReport {
+    mode: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max_error_m: Option<f64>,
+}
+
+impl FidelityReport {
+    /// That of these settings.
+    pub fn of(config: &EncoderConfig) -> Self {
+        let (mode, max_error_m) = match config.positions {
+            Positions::Exact => ("exact", None),
+            Positions::Bounded { max_error_um, .. } => ("bounded", Some(f64::from(max_error_um) * 1e-6)),
+            Positions::Formula => ("paper", None),
+        };
+        FidelityReport { mode, max_error_m }
+    }
 }
 
 #[derive(Serialize)]
@@ -391,15 +426,9 @@ impl Report {
         left_out: &LeftOut,
         seconds: f64,
     ) -> Self {
-        let (mode, max_error_m) = match config.positions {
-            Positions::Exact => ("exact", None),
-            Positions::Bounded { max_error_um, .. } => ("bounded", Some(f64::from(max_error_um) * 1e-6)),
-            Positions::Formula => ("paper", None),
-        };
         Report {
             file: args.output().display().to_string(),
-            mode,
-            max_error_m,
+            fidelity: FidelityReport::of(config),
             frames: encoded.frames.len() as u64 - encoded.beside,
             files_beside: encoded.beside,
             bytes_beside: encoded.beside_bytes,

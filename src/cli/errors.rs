@@ -1,11 +1,13 @@
 //! Errors in one line: `lidarpc: PATH: what is wrong; what to do`.
 
 use std::io::{self, ErrorKind};
+use std::path::Path;
 
 use clap::CommandFactory;
 use clap::error::ErrorKind as ClapKind;
 
 use super::args::Args;
+use super::output::name_of_output;
 use crate::ground::error::Error;
 
 /// Ends the program as clap does for wrong usage of this subcommand.
@@ -67,9 +69,18 @@ pub fn about(error: Error, name: &str) -> anyhow::Error {
     }
 }
 
-/// The contexts, which name the file, then what is wrong and what to do about it.
+/// An error while an output is written: about that output, unless the error itself names a file.
+pub fn about_output(error: anyhow::Error, path: &Path) -> anyhow::Error {
+    if error.is::<io::Error>() { error.context(name_of_output(path)) } else { error }
+}
+
+/// The contexts, which name the file, then what is wrong and what to do about it. Errors of files all have one; those
+/// without are of stdout.
 fn message(error: &anyhow::Error) -> String {
     let mut parts = Vec::new();
+    if error.is::<io::Error>() && error.chain().count() == 1 {
+        parts.push("stdout".to_owned());
+    }
     for cause in error.chain() {
         if let Some(error) = cause.downcast_ref::<Error>() {
             parts.push(explain(error));
@@ -154,6 +165,8 @@ mod tests {
     fn a_message_names_the_file_once_and_says_what_to_do() {
         let missing = || Error::from(io::Error::from(ErrorKind::NotFound)).at("seq/1.bin");
         assert_eq!(message(&missing().into()), "seq/1.bin: does not exist; check the path");
+        let full = message(&io::Error::from(ErrorKind::StorageFull).into());
+        assert_eq!(full, "stdout: no space left; free some, or write elsewhere");
 
         let inner: anyhow::Result<()> = Err(Error::corrupt("index").into());
         let error = inner.context("out.lpc").unwrap_err();

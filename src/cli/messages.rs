@@ -18,6 +18,7 @@ use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs};
 use super::decode::{Converter, File};
+use super::encode::{FidelityReport, fidelity};
 use super::errors::{about, wrong_usage};
 use super::frames;
 use super::input::{is_dash, name_of, open};
@@ -28,6 +29,9 @@ use super::table;
 #[derive(Serialize)]
 struct Report {
     file: String,
+    /// Only after encoding.
+    #[serde(flatten)]
+    fidelity: Option<FidelityReport>,
     messages: u64,
     file_bytes: u64,
     stream_bytes: u64,
@@ -67,7 +71,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     encoded.map_err(|error| about(error, &name_of_output(args.output())))?;
     frames::check_left_out(arriving.left_out(), "stdin", args.strict, quiet)?;
     output.finish().map_err(|error| about(error, &name_of_output(args.output())))?;
-    sizes.report(args.json, quiet, name_of_output(args.output()), start)
+    sizes.report(args.json, quiet, name_of_output(args.output()), Some(config), start)
 }
 
 /// `decode --messages`: into a folder, or to stdout in the format of the input.
@@ -110,7 +114,7 @@ pub fn decode(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter,
     if let Some(folder) = folder {
         folder.finish()?;
     }
-    sizes.report(args.json, quiet, name_of(args.output()), start)
+    sizes.report(args.json, quiet, name_of(args.output()), None, start)
 }
 
 /// Writes a message after its line, and flushes it.
@@ -129,19 +133,32 @@ struct Sizes {
 }
 
 impl Sizes {
-    fn report(&self, json: bool, quiet: bool, file: String, start: Instant) -> Result<()> {
+    /// Reports them; `config`: the settings, if messages were encoded.
+    fn report(
+        &self,
+        json: bool,
+        quiet: bool,
+        file: String,
+        config: Option<&EncoderConfig>,
+        start: Instant,
+    ) -> Result<()> {
         let Sizes { messages, file_bytes, stream_bytes } = *self;
         let seconds = start.elapsed().as_secs_f64();
         if json {
-            return print_json(&Report { file, messages, file_bytes, stream_bytes, seconds });
+            let fidelity = config.map(FidelityReport::of);
+            return print_json(&Report { file, fidelity, messages, file_bytes, stream_bytes, seconds });
         }
         if !quiet {
             eprintln!(
-                "{}: files of {}, streams of {} ({}) in {seconds:.1} s",
+                "{}: files of {}, streams of {} ({}){} in {seconds:.1} s",
                 table::count(messages, "message"),
                 table::bytes(file_bytes),
                 table::bytes(stream_bytes),
                 table::percent(metrics::ratio(file_bytes, stream_bytes)),
+                match config {
+                    Some(config) => format!(", {}", fidelity(config, None)),
+                    None => String::new(),
+                },
             );
         }
         Ok(())

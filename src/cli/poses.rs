@@ -9,7 +9,7 @@ use crate::stream::{self, DecodeOptions, DecodedFrame};
 use anyhow::Result;
 
 use super::args::StatsArgs;
-use super::errors::about;
+use super::errors::{about, about_output};
 use super::input::{name_of, open};
 use super::output::{FileOutput, keep_inputs, name_of_output};
 use super::progress;
@@ -35,11 +35,10 @@ pub fn run(args: &StatsArgs, path: &Path, quiet: bool) -> Result<()> {
     bar.finish_and_clear();
     decoded.map_err(|error| about(error, &name_of(&args.input)))?;
     let mut writer = output.writer();
-    for pose in &poses {
-        writeln!(writer, "{}", line(pose))?;
-    }
-    writer.flush()?;
+    let mut lines = poses.iter().map(line);
+    let written = lines.try_for_each(|line| writeln!(writer, "{line}")).and_then(|()| writer.flush());
     drop(writer);
+    written.map_err(|error| about_output(error.into(), path))?;
     output.finish().map_err(|error| about(error, &name_of_output(path)))?;
     let lost = way.lost;
     if lost > 0 && !quiet {

@@ -17,6 +17,7 @@ use anyhow::{Result, bail, ensure};
 use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, FormatArg, StatsArgs};
+use super::encode::{self, FidelityReport};
 use super::errors::{NotWhole, about, wrong_usage};
 use super::input::is_dash;
 use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
@@ -41,6 +42,9 @@ fn is_named_so(path: &Path) -> bool {
 #[derive(Serialize)]
 struct Report {
     file: String,
+    /// Only after encoding.
+    #[serde(flatten)]
+    fidelity: Option<FidelityReport>,
     messages: u64,
     clouds: u64,
     points: u64,
@@ -51,6 +55,8 @@ struct Report {
     cloud_bytes_after: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
     cut_short: Option<String>,
+    /// Messages on topics of clouds that have no place in a stream of clouds alone.
+    left_out: u64,
     verified: bool,
     seconds: f64,
 }
@@ -64,6 +70,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
         (args.resume, "--resume takes scans, not a recording"),
         (args.all, "--all keeps the files of folders; all that a recording holds is kept without it"),
         (args.rm, "--rm deletes scans, not a recording"),
+        (args.coding.layout.is_some(), "--layout is for files without a header; clouds name their fields"),
     ] {
         if wrong {
             wrong_usage("encode", what);
@@ -73,11 +80,23 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     if !is_named_so(args.output()) {
         return encode_clouds(args, input, config, quiet);
     }
-    if config.positions != Positions::Exact || config.intensity != Intensity::Exact {
-        wrong_usage(
-            "encode",
-            "a recording is restored byte for byte; give -o FILE.lpc to lose something of its clouds",
-        );
+    for (wrong, what) in [
+        (
+            config.positions == Positions::Formula || config.intensity == Intensity::None,
+            "paper mode drops points and intensities, which messages keep; give --max-error, or -o FILE.lpc",
+        ),
+        (
+            args.verify && !config.is_exact(),
+            "--verify compares byte for byte; leave it out, or what makes the clouds lossy",
+        ),
+        (
+            args.coding.gop.is_some() || args.coding.predict.is_some(),
+            "--gop and --predict need -o FILE.lpc: in a recording, each cloud is compressed alone",
+        ),
+    ] {
+        if wrong {
+            wrong_usage("encode", what);
+        }
     }
     let start = Instant::now();
     let bar = progress::bar(None, "packing", quiet);
@@ -90,7 +109,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
         verify(input, &output, &copied, args.threads.threads)?;
     }
     output.finish().map_err(|error| about(error, &args.output().display().to_string()))?;
-    say(args.json, quiet, args.output(), &copied, args.verify, start)?;
+    say(args.json, quiet, args.output(), (&copied, 0), Some((config, args.verify)), start)?;
     check_whole(input, copied.cut_short.as_deref())
 }
 
@@ -116,7 +135,7 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
     bar.finish_and_clear();
     drop(writer);
     let encoded = encoded.map_err(|error| about(error, &name))?;
-    let cut_short = clouds.cut_short.take();
+    let (cut_short, left_out) = (clouds.cut_short.take(), clouds.left_out);
     ensure!(
         !encoded.frames.is_empty(),
         "{}: holds no cloud that can be encoded alone; --topic chooses",
@@ -126,6 +145,7 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
     if args.json {
         print_json(&Report {
             file: name,
+            fidelity: Some(FidelityReport::of(config)),
             messages: encoded.frames.len() as u64,
             clouds: encoded.frames.len() as u64,
             points: encoded.points,
@@ -134,16 +154,19 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
             cloud_bytes_before: encoded.file_bytes(),
             cloud_bytes_after: encoded.stream_bytes,
             cut_short: cut_short.clone(),
+            left_out,
             verified: false,
             seconds: start.elapsed().as_secs_f64(),
         })?;
     } else if !quiet {
         eprintln!(
-            "{}: {} -> {} ({}), the clouds alone, in {:.1} s",
+            "{}: {} -> {} ({}), the clouds alone, {}{} in {:.1} s",
             table::count(encoded.frames.len() as u64, "cloud"),
             table::bytes(encoded.file_bytes()),
             table::bytes(encoded.stream_bytes),
             table::percent(metrics::ratio(encoded.file_bytes(), encoded.stream_bytes)),
+            encode::fidelity(config, Some(&encoded)),
+            left_out_of(left_out),
             start.elapsed().as_secs_f64(),
         );
     }
@@ -159,7 +182,7 @@ pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
         wrong_usage("decode", "--frames, --time and --keep-going take a stream, not a recording");
     }
     let start = Instant::now();
-    let copied = if is_named_so(args.output()) {
+    let (copied, left_out) = if is_named_so(args.output()) {
         keep_inputs(args.output(), &args.inputs)?;
         let bar = progress::bar(None, "unpacking", quiet);
         let (copied, output) = copy(input, args.output(), args.force, |out| {
@@ -167,16 +190,16 @@ pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
         })?;
         bar.finish_and_clear();
         output.finish().map_err(|error| about(error, &args.output().display().to_string()))?;
-        copied
+        (copied, 0)
     } else {
         decode_clouds(args, input, quiet)?
     };
-    say(args.json, quiet, args.output(), &copied, false, start)?;
+    say(args.json, quiet, args.output(), (&copied, left_out), None, start)?;
     check_whole(input, copied.cut_short.as_deref())
 }
 
-/// Decodes the clouds to files in a folder.
-fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<Copied> {
+/// Decodes the clouds to files in a folder. Returns also the number of messages that were left out.
+fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<(Copied, u64)> {
     if is_dash(args.output()) {
         wrong_usage("decode", "a recording is decoded into a folder, or to FILE.mcap");
     }
@@ -201,7 +224,7 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<Copied>
     bar.finish_and_clear();
     copied.cut_short = clouds.cut_short.take();
     folder.finish()?;
-    Ok(copied)
+    Ok((copied, clouds.left_out))
 }
 
 /// The contents of a recording, for `info`, `stats` and `verify`.
@@ -325,6 +348,14 @@ fn open(path: &Path) -> crate::ground::error::Result<BufReader<File>> {
     Ok(BufReader::with_capacity(1 << 20, File::open(path)?))
 }
 
+/// The messages on topics of clouds that were left out, in words.
+fn left_out_of(left_out: u64) -> String {
+    match left_out {
+        0 => String::new(),
+        _ => format!(", {} of a topic of clouds left out", table::count(left_out, "message")),
+    }
+}
+
 /// Writes a recording that is renamed when complete.
 fn copy(
     input: &Path,
@@ -342,7 +373,7 @@ fn copy(
         Error::InvalidSettings(_) => error.into(),
         _ => about(error, &input.display().to_string()),
     })?;
-    out.flush()?;
+    out.flush().map_err(|error| about(error.into(), &path.display().to_string()))?;
     drop(out);
     Ok((copied, output))
 }
@@ -351,9 +382,9 @@ fn copy(
 fn verify(input: &Path, output: &FileOutput, copied: &Copied, threads: usize) -> Result<()> {
     let at = |error| about(error, &input.display().to_string());
     let Some(packed) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
-    let mut restored = tempfile::tempfile()?;
+    let mut restored = tempfile::tempfile().map_err(|error| at(error.into()))?;
     recordings::unpack(BufReader::new(packed), &mut restored, threads, &|| ()).map_err(at)?;
-    std::io::Seek::rewind(&mut restored)?;
+    std::io::Seek::rewind(&mut restored).map_err(|error| at(error.into()))?;
     let same = recordings::same_messages(open(input).map_err(at)?, BufReader::new(restored)).map_err(at)?;
     ensure!(
         same == copied.messages,
@@ -362,20 +393,22 @@ fn verify(input: &Path, output: &FileOutput, copied: &Copied, threads: usize) ->
     Ok(())
 }
 
-/// Prints the result.
+/// Prints the result, with the number of messages that were left out; `encoded`: the settings and whether the output was verified, if clouds were encoded.
 fn say(
     json: bool,
     quiet: bool,
     output: &Path,
-    copied: &Copied,
-    verified: bool,
+    (copied, left_out): (&Copied, u64),
+    encoded: Option<(&EncoderConfig, bool)>,
     start: Instant,
 ) -> Result<()> {
+    let verified = encoded.is_some_and(|(_, verified)| verified);
     let seconds = start.elapsed().as_secs_f64();
     let [before, after] = copied.cloud_bytes;
     if json {
         return print_json(&Report {
             file: output.display().to_string(),
+            fidelity: encoded.map(|(config, _)| FidelityReport::of(config)),
             messages: copied.messages,
             clouds: copied.clouds,
             points: copied.points,
@@ -384,6 +417,7 @@ fn say(
             cloud_bytes_before: before,
             cloud_bytes_after: after,
             cut_short: copied.cut_short.clone(),
+            left_out,
             verified,
             seconds,
         });
@@ -403,9 +437,14 @@ fn say(
             ),
         };
         eprintln!(
-            "{}, {}: {sizes}{kept}{} in {seconds:.1} s",
+            "{}, {}: {sizes}{kept}{}{}{} in {seconds:.1} s",
             table::count(copied.messages, "message"),
             table::count(copied.clouds, "cloud"),
+            match encoded {
+                Some((config, _)) => format!(", {}", encode::fidelity(config, None)),
+                None => String::new(),
+            },
+            left_out_of(left_out),
             if verified { ", verified" } else { "" },
         );
     }

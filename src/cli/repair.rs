@@ -8,11 +8,11 @@ use anyhow::Result;
 use serde::Serialize;
 
 use super::args::RepairArgs;
-use super::errors::about;
+use super::errors::{about, wrong_usage};
 use super::input::{name_of, open};
 use super::losses::{LossReport, Losses};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
-use super::table;
+use super::{recording, table};
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -24,6 +24,11 @@ struct Report {
 
 pub fn run(args: &RepairArgs, quiet: bool) -> Result<()> {
     check_json("repair", args.json, &args.output);
+    if recording::is_recording(&args.input) {
+        let what =
+            "a recording is no stream; `encode` and `decode` take all that stands before its first fault";
+        wrong_usage("repair", what);
+    }
     let input = name_of(&args.input);
     let stream = open(&args.input)?.rewindable().map_err(|error| about(error, &input))?;
     keep_inputs(&args.output, std::slice::from_ref(&args.input))?;

@@ -23,6 +23,15 @@ pub fn count(count: u64, what: &str) -> String {
     format!("{count} {what}{plural}")
 }
 
+/// `3 frames`, `3 frames and 1 file beside the scans`.
+pub fn frames_and_files(frames: u64, files: u64) -> String {
+    let frames = count(frames, "frame");
+    match files {
+        0 => frames,
+        _ => format!("{frames} and {} beside the scans", count(files, "file")),
+    }
+}
+
 /// A number with thousands separators: `338,112`.
 pub fn grouped(number: u64) -> String {
     let digits = number.to_string();

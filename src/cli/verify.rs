@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-use crate::container::FrameHeader;
+use crate::container::{FrameHeader, Unit};
 use crate::ground::error::Error;
 use crate::ground::lanes::keep_to_plain_code;
 use crate::stream::{DecodeOptions, DecodedFrame};
@@ -26,6 +26,8 @@ struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
     frames: u64,
+    /// Files beside the scans; their bytes are included in `file_bytes`.
+    files_beside: u64,
     file_bytes: u64,
     /// Whether the frames were compared with the originals.
     compared: bool,
@@ -51,6 +53,7 @@ pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
             whole: false,
             error: None,
             frames: 0,
+            files_beside: 0,
             file_bytes: 0,
             compared: originals.is_some(),
             deep: args.deep,
@@ -61,7 +64,8 @@ pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
         if !quiet && !args.json && report.whole {
             let same = if report.compared { ", all as the originals" } else { "" };
             let deep = if report.deep { ", decoded without vector units" } else { "" };
-            let (frames, bytes) = (table::count(report.frames, "frame"), table::bytes(report.file_bytes));
+            let frames = table::frames_and_files(report.frames, report.files_beside);
+            let bytes = table::bytes(report.file_bytes);
             writeln!(io::stdout(), "{}: whole; {frames}, {bytes}{same}{deep}", report.file)?;
         }
         reports.push(report);
@@ -104,17 +108,19 @@ fn verify(
     // Compared on the thread that decoded the frame, so that no frame waits in memory for those before it.
     let compared = originals.as_mut().map(Mutex::new);
     let check = |frame: DecodedFrame| {
-        let DecodedFrame { number, header: FrameHeader { name, file_size, .. }, .. } = &frame;
-        let Some(originals) = &compared else { return frame.write(|_| Ok(())).map(|()| *file_size) };
+        let DecodedFrame { number, header: FrameHeader { name, file_size, stamp, .. }, .. } = &frame;
+        let counted = (*file_size, stamp.unit == Unit::Beside);
+        let Some(originals) = &compared else { return frame.write(|_| Ok(())).map(|()| counted) };
         let original = originals.lock().unwrap_or_else(PoisonError::into_inner).take(name)?;
         if original != frame.to_bytes()? {
             return Err(Error::Usage(format!("frame {number} ({name:?}) is not the original")));
         }
-        Ok(*file_size)
+        Ok(counted)
     };
-    let decoded = input.decode(&options, check, |file_size| {
+    let decoded = input.decode(&options, check, |(file_size, is_beside)| {
         bar.inc(1);
-        report.frames += 1;
+        report.frames += u64::from(!is_beside);
+        report.files_beside += u64::from(is_beside);
         report.file_bytes += file_size;
         Ok(())
     });

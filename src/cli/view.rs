@@ -17,15 +17,18 @@ use crate::study::picture::{self, BirdsEye, Perspective, Picture};
 use anyhow::{Context, Result, ensure};
 
 use super::args::{Threads, ViewArgs};
-use super::errors::{about, wrong_usage};
+use super::errors::{about, about_output, wrong_usage};
 use super::input::{Originals, name_of, open};
 use super::output::{FileOutput, keep_inputs};
-use super::{coding, in_memory, progress};
+use super::{coding, in_memory, progress, recording};
 
 pub use pictures::Kind;
 use pictures::{PICTURES, Pictures};
 
 pub fn run(args: &ViewArgs, quiet: bool) -> Result<()> {
+    if recording::is_recording(&args.input) {
+        wrong_usage("view", "a recording is no stream; encode its clouds to FILE.lpc, and view that");
+    }
     match (&args.html, &args.output) {
         (Some(page), _) => write_page(args, page, quiet),
         (None, Some(picture)) => write_picture(args, picture),
@@ -43,9 +46,9 @@ fn write_picture(args: &ViewArgs, path: &Path) -> Result<()> {
     let picture = draw(args, &decode(args, &config)?, &config)?;
     let mut output = FileOutput::binary(path, args.force)?;
     let mut writer = output.writer();
-    writer.write_all(&picture.to_png()?)?;
-    writer.flush()?;
+    let written = writer.write_all(&picture.to_png()?).and_then(|()| writer.flush());
     drop(writer);
+    written.map_err(|error| about_output(error.into(), path))?;
     output.finish()?;
     Ok(())
 }
@@ -79,10 +82,11 @@ fn page_of<R: Read + Seek + Send>(
     let mut output = FileOutput::create(path, args.force)?;
     let bar = progress::bar(Some(numbers.end - numbers.start), "decoding", quiet);
     let mut writer = output.writer();
-    page::write(&mut decoder, (name, bytes), numbers, &mut writer, || bar.inc(1))?;
+    let written = page::write(&mut decoder, (name, bytes), numbers, &mut writer, || bar.inc(1));
     bar.finish_and_clear();
-    writer.flush()?;
+    let written = written.and_then(|()| Ok(writer.flush()?));
     drop(writer);
+    written.map_err(|error| about_output(error, path))?;
     output.finish()?;
     Ok(())
 }

@@ -19,7 +19,7 @@ const COMPRESSORS: [(&[u8], &str); 4] =
 /// A file that arrived.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ArrivedFile {
-    /// Its name, without a folder.
+    /// Its name; in an archive, with its folder unless that is the first one.
     pub name: String,
     /// Its bytes.
     pub bytes: Vec<u8>,

@@ -1,7 +1,7 @@
 //! The frames of an input: which files, under which names, and in which order.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::{fmt, fs};
 
@@ -277,6 +277,11 @@ impl Tree {
                         }
                     }
                     Ok(kind) if !kind.is_file() => LeftOutKind::Special,
+                    Err(error) if is_scan && is_link && error.kind() == ErrorKind::NotFound => {
+                        let what =
+                            "is a link to a file that does not exist; restore that file, or remove the link";
+                        return Err(input_error(&path, what));
+                    }
                     Err(error) if is_scan => return Err(unreadable(&path, &error)),
                     Ok(kind) if all && kind.len() > Limits::default().file_bytes => LeftOutKind::TooLarge,
                     _ if all => {
@@ -418,7 +423,7 @@ fn input_error(path: &Path, what: impl Into<String>) -> Error {
 
 fn unreadable(path: &Path, error: &std::io::Error) -> Error {
     match error.kind() {
-        std::io::ErrorKind::NotFound => input_error(path, "does not exist; check the path"),
+        ErrorKind::NotFound => input_error(path, "does not exist; check the path"),
         _ => input_error(path, format!("cannot be read: {error}")),
     }
 }
@@ -543,7 +548,7 @@ mod tests {
 
         let dir = folder(&["links/1.bin", "latin/1.bin"]);
         std::os::unix::fs::symlink("nowhere", dir.path().join("links/2.bin")).unwrap();
-        assert!(complaint(&dir, &["links"], "links/2.bin").contains("does not exist"));
+        assert!(complaint(&dir, &["links"], "links/2.bin").contains("a link to a file that does not exist"));
         let name = std::ffi::OsStr::from_bytes(b"caf\xe9.bin");
         write(dir.path().join("latin").join(name), b"").unwrap();
         assert!(find(&dir, &["latin"]).unwrap_err().to_string().contains("UTF-8"));

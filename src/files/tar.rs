@@ -24,6 +24,8 @@ pub(super) struct TarReader<R> {
     /// Bytes before the next header: the rest of the previous file's last block. They are read together with
     /// that header, as they may not arrive earlier.
     padding: u64,
+    /// The folder of the first scan.
+    folder: Option<String>,
     pub left_out: LeftOut,
 }
 
@@ -36,11 +38,12 @@ struct Header {
 
 impl<R: Read> TarReader<R> {
     pub fn new(input: R) -> Self {
-        TarReader { input, padding: 0, left_out: LeftOut::default() }
+        TarReader { input, padding: 0, folder: None, left_out: LeftOut::default() }
     }
 
-    /// The next scan, under its name without folders; `None` after the last. Hidden files, files not
-    /// recognised as scans, and symbolic links are left out, like those of a folder.
+    /// The next scan; `None` after the last. Scans of the first folder are named without it, others by their paths,
+    /// so that drives in several folders do not collide. Hidden files, files not recognised as scans, and symbolic
+    /// links are left out, like those of a folder.
     ///
     /// # Errors
     /// If the input fails, is cut short, or is not a tar archive; also if a scan is a hard link, since the bytes
@@ -49,7 +52,7 @@ impl<R: Read> TarReader<R> {
         while let Some(Header { path, kind, size }) = self.next_header()? {
             self.padding = size.wrapping_neg() % BLOCK;
             // Before POSIX, a folder was stored as a file whose name ended in a slash.
-            let name = path.rsplit('/').next().unwrap_or_default();
+            let (folder, name) = path.rsplit_once('/').unwrap_or(("", &path));
             let is_file = matches!(kind, EntryType::Regular | EntryType::Continuous);
             let is_hidden = name.starts_with('.');
             let mut start = Vec::new();
@@ -65,6 +68,8 @@ impl<R: Read> TarReader<R> {
                 EntryType::Regular | EntryType::Continuous if is_scan => {
                     let mut whole = start.as_slice().chain(&mut self.input);
                     let bytes = read_file(&mut whole, name, size)?;
+                    let is_in_first = self.folder.get_or_insert_with(|| folder.to_owned()) == folder;
+                    let name = if is_in_first { name } else { path.trim_start_matches("./") };
                     return Ok(Some(ArrivedFile { name: name.to_owned(), bytes }));
                 }
                 EntryType::Link if is_scan => {

@@ -36,6 +36,8 @@ pub struct Clouds<'f, R> {
     schemas: HashMap<u16, String>,
     /// Channels of clouds, each with the number of its track.
     channels: HashMap<u16, (Encoding, u8)>,
+    /// Number of messages on these channels so far that are no clouds with coordinates.
+    pub left_out: u64,
     /// The fault at which reading stopped, if the recording has one.
     pub cut_short: Option<String>,
 }
@@ -47,7 +49,8 @@ impl<'f, R: Read> Clouds<'f, R> {
     /// If the input is not a recording, or fails.
     pub fn open(input: R, filter: &'f TopicFilter) -> Result<Self> {
         let records = Records::open(input)?;
-        Ok(Clouds { records, filter, schemas: HashMap::new(), channels: HashMap::new(), cut_short: None })
+        let (schemas, channels) = (HashMap::new(), HashMap::new());
+        Ok(Clouds { records, filter, schemas, channels, left_out: 0, cut_short: None })
     }
 
     /// Registers a channel if its messages are clouds.
@@ -62,13 +65,14 @@ impl<'f, R: Read> Clouds<'f, R> {
     }
 
     /// The cloud in a message; `None` if the message is not a cloud.
-    fn cloud(&self, header: &MessageHeader, data: &[u8]) -> Result<Option<Scan>> {
+    fn cloud(&mut self, header: &MessageHeader, data: &[u8]) -> Result<Option<Scan>> {
         let Some(&(encoding, track)) = self.channels.get(&header.channel_id) else { return Ok(None) };
         let unpacked = unpacked(data, encoding)?;
         let message = unpacked.as_ref().map_or(data, |(message, _)| message);
         let taken = message::scan(message, encoding);
         let Some((scan, stamp)) = taken.and_then(|(scan, stamp)| Some((message::points(scan)?, stamp)))
         else {
+            self.left_out += 1;
             return Ok(None);
         };
         let time = Time { source: TimeSource::Recording, nanoseconds: stamp };

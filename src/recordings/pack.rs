@@ -11,6 +11,7 @@ use super::message::{self, Encoding};
 use super::records::{Output, Records, numbers_in};
 use crate::container::{Stamp, Time, TimeSource, Unit};
 use crate::frame::settings::{EncoderConfig, resolve_threads};
+use crate::frame::{Intensity, Positions};
 use crate::ground::error::{Error, Result};
 use crate::library::{Decoder, Settings};
 use crate::stream::FrameInput;
@@ -48,7 +49,7 @@ pub struct Copied {
 ///
 /// # Errors
 /// If the input is not a recording or is already packed, if the input or the output fails, or if the settings are
-/// invalid. A recording that is truncated or damaged is copied up to the fault: see [`Copied::cut_short`].
+/// invalid or those of paper mode. A recording that is truncated or damaged is copied up to the fault: see [`Copied::cut_short`].
 pub fn pack<W: Write + Seek>(
     mut input: impl Read + Seek + Send,
     out: W,
@@ -57,6 +58,11 @@ pub fn pack<W: Write + Seek>(
     on_message: &(dyn Fn() + Sync),
 ) -> Result<Copied> {
     let config = &settings.config()?;
+    if config.positions == Positions::Formula || config.intensity == Intensity::None {
+        return Err(Error::InvalidSettings(
+            "paper mode drops points and intensities, which messages keep".to_owned(),
+        ));
+    }
     let used = numbers_in(&mut input)?;
     let (schemas, channels) = (HashMap::new(), HashMap::new());
     let mut packing = Packing { config, filter, schemas, channels, used, next: u16::MAX };
