@@ -23,21 +23,21 @@ fn stages(c: &mut Criterion) {
     for (name, scans) in drives() {
         let mut group = c.benchmark_group(format!("fit/{name}"));
         group.sample_size(10).throughput(Throughput::Elements(points(&scans)));
-        group.bench_function("sensor", |b| b.iter(|| fit(black_box(&scans))));
+        group.bench_function("scanner", |b| b.iter(|| fit(black_box(&scans))));
         group.finish();
-        if let Some(sensor) = fit(&scans) {
-            frame_stages(c, &(name, scans), &sensor);
+        if let Some(scanner) = fit(&scans) {
+            frame_stages(c, &(name, scans), &scanner);
         }
     }
 }
 
 /// The stages of coding one frame, in order. Models start afresh each time.
-fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &Hdl64) {
+fn frame_stages(c: &mut Criterion, (name, scans): &Drive, scanner: &Hdl64) {
     let cloud = &scans[0].cloud;
-    let Projection { image, point_of_cell, .. } = project(sensor, cloud, REACH);
+    let Projection { image, point_of_cell, .. } = project(scanner, cloud, REACH);
     let occupancy = filled(&image.steps);
     let no_intensity = Grid::<u16>::new(occupancy.rows(), occupancy.columns());
-    let returns = image.file_order(sensor);
+    let returns = image.file_order(scanner);
     let order: Vec<u32> = (0..returns.len() as u32).collect();
     let exceptions = OrderExceptions::of_places(&order, returns.len());
     let positions: Vec<[f32; 3]> = returns
@@ -48,11 +48,11 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &Hdl64) {
     let mut group = c.benchmark_group(format!("stages/{name}"));
     group.sample_size(10).measurement_time(Duration::from_secs(2));
     group.throughput(Throughput::Elements(cloud.positions.len() as u64));
-    group.bench_function("project", |b| b.iter(|| project(sensor, black_box(cloud), REACH)));
-    group.bench_function("file_order", |b| b.iter(|| black_box(&image).file_order(sensor)));
+    group.bench_function("project", |b| b.iter(|| project(scanner, black_box(cloud), REACH)));
+    group.bench_function("file_order", |b| b.iter(|| black_box(&image).file_order(scanner)));
     group.bench_function("columns", |b| {
         b.iter(|| {
-            ColumnModel::default().code(&mut encoder(), sensor.ticks, &mut image.columns.clone());
+            ColumnModel::default().code(&mut encoder(), scanner.ticks, &mut image.columns.clone());
         });
     });
     group.bench_function("occupancy", |b| {
@@ -76,8 +76,8 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, sensor: &Hdl64) {
         b.iter(|| {
             let (mut coder, mut model) = (encoder(), CorrectionModel::default());
             for (found, position) in returns.iter().zip(&positions) {
-                let formula = sensor.point(found.row as usize, found.tick, found.steps);
-                let (grid, mut position) = (sensor.coordinates, *position);
+                let formula = scanner.point(found.row as usize, found.tick, found.steps);
+                let (grid, mut position) = (scanner.coordinates, *position);
                 if grid == Coordinates::Millimetre {
                     model.correct(&mut coder, grid, formula, &mut position);
                     continue;

@@ -746,7 +746,7 @@ fn parts_that_are_joined_are_the_whole() {
 }
 
 #[test]
-fn streams_of_all_modes_and_sensors_are_cut_and_joined() {
+fn streams_of_all_modes_and_scanners_are_cut_and_joined() {
     let bench = Bench::encoded();
     bench.ok("synth -o drive --frames 3 --seed 3");
     bench.ok("encode drive -o p.lpc --mode paper --columns 300 --gop 3");

@@ -132,7 +132,7 @@ proptest! {
         if middle % gop == 0 {
             prop_assert!(whole == *stream, "groups are copied whole");
         }
-        prop_assert!(take_apart(&whole).0.len() == take_apart(stream).0.len(), "a sensor model is there twice");
+        prop_assert!(take_apart(&whole).0.len() == take_apart(stream).0.len(), "a scanner model is there twice");
     }
 }
 

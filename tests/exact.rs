@@ -89,7 +89,7 @@ fn images_with_many_returns_are_halved_whatever_the_threads() {
 }
 
 #[test]
-fn good_frames_come_back_through_the_sensor_model() {
+fn good_frames_come_back_through_the_scanner_model() {
     for (n, frames) in SCANS.iter().take(3).enumerate() {
         let files: Vec<File> =
             frames.iter().enumerate().map(|(n, points)| (format!("{n}.bin"), kitti(points))).collect();
@@ -147,11 +147,12 @@ fn zeros_of_both_signs() {
 #[test]
 fn zeros_of_either_sign_where_the_formula_gives_zero() {
     let sample: Vec<_> = good_files().into_iter().map(|(name, bytes)| parse(&name, bytes)).collect();
-    let sensor = fit(&sample).expect("a scanner is found");
+    let scanner = fit(&sample).expect("a scanner is found");
     let mut zeros = Points::new();
-    for (row, tick) in (0..sensor.rows()).flat_map(|row| [0, 999, 1000, 1999, 2000, 3999].map(|t| (row, t))) {
+    for (row, tick) in (0..scanner.rows()).flat_map(|row| [0, 999, 1000, 1999, 2000, 3999].map(|t| (row, t)))
+    {
         for steps in (1500..30_000).step_by(7) {
-            let rounded = sensor.point(row, tick, steps).map(|v| ((v * 1000.0).round() / 1000.0) as f32);
+            let rounded = scanner.point(row, tick, steps).map(|v| ((v * 1000.0).round() / 1000.0) as f32);
             if rounded[0] == 0.0 || rounded[1] == 0.0 {
                 zeros.push([rounded[0], rounded[1], rounded[2], 0.5]);
             }

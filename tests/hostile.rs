@@ -141,7 +141,7 @@ proptest! {
     }
 
     #[test]
-    fn any_sensor_record_is_an_error_or_one_meaning(bytes in prop::collection::vec(any::<u8>(), 0..60)) {
+    fn any_scanner_record_is_an_error_or_one_meaning(bytes in prop::collection::vec(any::<u8>(), 0..60)) {
         let mut input = &bytes[..];
         if let Ok(model) = Hdl64::read_from(&mut input) {
             check_model(&model);
@@ -149,7 +149,7 @@ proptest! {
     }
 
     #[test]
-    fn any_numbers_make_a_sensor_model_or_an_error(
+    fn any_numbers_make_a_scanner_model_or_an_error(
         head in (0u64..3, wild(), wild(), 0u64..4),
         constants in prop::collection::vec(wild(), 24)
     ) {
@@ -191,7 +191,7 @@ fn check_model(model: &Hdl64) {
 }
 
 #[test]
-fn sensor_records_with_impossible_numbers_are_refused() {
+fn scanner_records_with_impossible_numbers_are_refused() {
     let good: [i64; 10] = [0, 4000, 2000, 1, 1, 2, 3, 4, 5, 6];
     let record = |numbers: &[i64]| {
         let mut bytes = Vec::new();
@@ -294,8 +294,11 @@ fn forged_counts_are_an_error() {
         for payload in [&[][..], &[0xff; 9]] {
             let frame =
                 [vec![file_section(&kitti_layout(), records, strays)], sections(&IMAGE, payload)].concat();
-            for sensor in [None, Some(&model(2, 40))] {
-                assert!(decode_files(&forged(sensor, records, frame.clone())).is_err(), "{records} {strays}");
+            for scanner in [None, Some(&model(2, 40))] {
+                assert!(
+                    decode_files(&forged(scanner, records, frame.clone())).is_err(),
+                    "{records} {strays}"
+                );
             }
         }
     }
@@ -370,13 +373,13 @@ fn records_without_bytes_are_an_error() {
 /// million cells.
 #[test]
 fn an_image_larger_than_any_scan_is_an_error() {
-    let sensor = model(1024, 360_000);
+    let scanner = model(1024, 360_000);
     let mut columns = ArithmeticEncoder::default();
-    ColumnModel::default().code(&mut columns, sensor.ticks, &mut (0..sensor.ticks).collect());
+    ColumnModel::default().code(&mut columns, scanner.ticks, &mut (0..scanner.ticks).collect());
     let mut frame = vec![file_section(&kitti_layout(), 1000, 0)];
     frame.push(Section { kind: SectionKind::Columns, payload: columns.finish() });
     frame.extend(sections(&IMAGE[1..], &[]));
-    let error = decode_files(&forged(Some(&sensor), 1000, frame)).unwrap_err().to_string();
+    let error = decode_files(&forged(Some(&scanner), 1000, frame)).unwrap_err().to_string();
     assert!(error.contains("cells of the range image"), "{error}");
 }
 
@@ -399,7 +402,7 @@ fn strays_of_bytes_that_are_made_up_are_an_error_in_time() {
 fn random_sections_behind_a_good_file_section() {
     let mut random = Random(9);
     let good = file_section(&kitti_layout(), 60, 7);
-    let sensor = model(5, 40);
+    let scanner = model(5, 40);
     let mut errors = BTreeSet::new();
     for round in 0..40 {
         let mut payload: Vec<u8> = (0..30).map(|_| random.number() as u8).collect();
@@ -410,7 +413,7 @@ fn random_sections_behind_a_good_file_section() {
             frame.push(Section { kind, payload: payload.clone() });
         }
         for modelling in [Modelling::Mixed, Modelling::Deep, Modelling::Light, Modelling::Packed] {
-            let error = decode_files(&forged_as(modelling, Some(&sensor), 60, frame.clone())).unwrap_err();
+            let error = decode_files(&forged_as(modelling, Some(&scanner), 60, frame.clone())).unwrap_err();
             errors.insert(error.to_string());
         }
     }

@@ -149,11 +149,11 @@ fn the_stream_does_not_depend_on_threads() {
 
 #[test]
 fn a_p_frame_without_the_one_before_is_an_error() {
-    let (sensors, mut groups) = take_apart(&encode_files(&DRIVE, &at_level(8)));
+    let (scanners, mut groups) = take_apart(&encode_files(&DRIVE, &at_level(8)));
     let parameters = FrameParameters { prediction: P, ..FrameParameters::default() };
     let section = Section { kind: SectionKind::Parameters, payload: parameters.to_payload() };
     let first = &mut groups[0].frames[0].sections[0];
     assert_eq!(std::mem::replace(first, section).kind, SectionKind::Parameters);
-    let error = decode_files(&put_together(&sensors, &groups)).unwrap_err().to_string();
+    let error = decode_files(&put_together(&scanners, &groups)).unwrap_err().to_string();
     assert!(error.contains("no frame before"), "{error}");
 }

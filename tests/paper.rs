@@ -67,15 +67,15 @@ fn keeps_the_image(files: &[File], config: &EncoderConfig) -> Vec<File> {
     let record = take_apart(&stream).0.into_iter().next();
     let scanner = record.and_then(|record| Scanner::of_record(record.family, &record.payload).unwrap());
     let found = scanner.as_ref().and_then(Scanner::hdl64).cloned();
-    let sensor = found.unwrap_or_else(|| ideal(columns, range_step_um));
-    assert_eq!((sensor.ticks, sensor.range_step_um), (columns, range_step_um));
+    let scanner = found.unwrap_or_else(|| ideal(columns, range_step_um));
+    assert_eq!((scanner.ticks, scanner.range_step_um), (columns, range_step_um));
     let decoded = decode_files(&stream).unwrap();
     assert_eq!(decoded.len(), files.len());
     for (((name, bytes), (_, original)), parameters) in decoded.iter().zip(files).zip(parameters(&stream)) {
         let (before, after) = (parse(name, original.clone()), parse(name, bytes.clone()));
-        let expected = project_nearest(&sensor, &filtered(&before.cloud)).image;
-        let returns = expected.file_order(&sensor);
-        let point = |found: &Return| sensor.point(found.row as usize, found.tick, found.steps);
+        let expected = project_nearest(&scanner, &filtered(&before.cloud)).image;
+        let returns = expected.file_order(&scanner);
+        let point = |found: &Return| scanner.point(found.row as usize, found.tick, found.steps);
         let same = returns.iter().map(|found| point(found).map(|v| (v as f32).to_bits()));
         assert!(same.eq(after.cloud.positions.iter().map(|p| p.map(f32::to_bits))), "{name} {config:?}");
         let Some(Source { file_size, points, outliers, lost }) = parameters.source else {
@@ -138,8 +138,8 @@ fn intensities_and_other_fields_stay_with_their_points() {
     let before = parse("0.pcd", files[0].1.clone()).cloud;
     let after = parse("0.pcd", decoded[0].1.clone()).cloud;
     let before = config.outliers.unwrap().filter(&before);
-    let sensor = ideal(500, 5000);
-    let (from, to) = (project_nearest(&sensor, &before), project_nearest(&sensor, &after));
+    let scanner = ideal(500, 5000);
+    let (from, to) = (project_nearest(&scanner, &before), project_nearest(&scanner, &after));
     for row in 0..64 {
         for column in (0..500).filter(|&column| from.image.steps[(row, column)] > 0) {
             let [a, b] = [&from, &to].map(|p| p.point_of_cell[(row, column)] as usize);
@@ -340,13 +340,13 @@ fn image_coders_spend_what_they_may_and_err_less_for_more() {
 #[test]
 fn lossy_points_are_at_the_decoded_ranges() {
     let files = named(&SCANS);
-    let sensor = ideal(500, 5000);
+    let scanner = ideal(500, 5000);
     for codec in ImageCodec::ALL {
         let config = by_image(codec, 3.0, PredictionChoice::Always(Prediction::Inter));
         let (stream, pairs) = images(&files, &config);
         for ((_, bytes), [original, decoded]) in decode_files(&stream).unwrap().into_iter().zip(&pairs) {
-            let returns = decoded.file_order(&sensor);
-            let point = |found: &Return| sensor.point(found.row as usize, found.tick, found.steps);
+            let returns = decoded.file_order(&scanner);
+            let point = |found: &Return| scanner.point(found.row as usize, found.tick, found.steps);
             let expected = returns.iter().map(|found| point(found).map(|v| (v as f32).to_bits()));
             let positions = parse("0.bin", bytes).cloud.positions;
             assert!(expected.eq(positions.iter().map(|p| p.map(f32::to_bits))));

@@ -12,7 +12,7 @@ use lidarpc::internals::study::synth::{SynthConfig, SynthFrame, drive};
 
 /// Images of a drive, and the motion that led to each of them except the first.
 struct Drive {
-    sensor: Hdl64,
+    scanner: Hdl64,
     images: Vec<RangeImage>,
     motions: Vec<RigidMotion>,
 }
@@ -20,11 +20,11 @@ struct Drive {
 fn simulated(config: &SynthConfig) -> Drive {
     let frames: Vec<SynthFrame> = drive(config).collect();
     let scans: Vec<_> = frames.iter().map(|frame| parse(&frame.name, frame.to_bin())).collect();
-    let sensor = fit(&scans).unwrap();
-    let images = scans.iter().map(|scan| project(&sensor, &scan.cloud, REACH).image).collect();
+    let scanner = fit(&scans).unwrap();
+    let images = scans.iter().map(|scan| project(&scanner, &scan.cloud, REACH).image).collect();
     let poses: Vec<_> = frames.iter().map(|frame| motion_of(&frame.pose)).collect();
     let motions = poses.windows(2).map(|pair| pair[0].then(&pair[1].inverse())).collect();
-    Drive { sensor, images, motions }
+    Drive { scanner, images, motions }
 }
 
 fn motion_of(pose: &[f64; 12]) -> RigidMotion {
@@ -36,11 +36,11 @@ fn motion_of(pose: &[f64; 12]) -> RigidMotion {
 
 impl Drive {
     fn surface(&self, frame: usize) -> Surface {
-        Surface::of(&self.sensor, &self.images[frame].columns, &self.images[frame].steps)
+        Surface::of(&self.scanner, &self.images[frame].columns, &self.images[frame].steps)
     }
 
     fn register(&self, frame: usize, initial: &Pose, config: &RegistrationConfig) -> Option<Registration> {
-        register(&self.surface(frame), &self.images[frame + 1], &self.sensor, initial, config)
+        register(&self.surface(frame), &self.images[frame + 1], &self.scanner, initial, config)
     }
 }
 
@@ -103,14 +103,14 @@ fn a_scanner_at_rest_has_not_moved() {
 #[test]
 fn what_cannot_be_registered_is_noticed() {
     let here = simulated(&SynthConfig { thinning: 4, ..small(1, 2) });
-    let nothing = RangeImage::new(here.sensor.rows(), here.images[0].columns.clone());
+    let nothing = RangeImage::new(here.scanner.rows(), here.images[0].columns.clone());
     let mut one = nothing.clone();
     one.steps[(0, 0)] = 5000;
     for method in [RegistrationMethod::Projective, RegistrationMethod::Icp] {
         let config = RegistrationConfig { method, ..RegistrationConfig::default() };
         let register = |reference: &RangeImage, current: &RangeImage| {
-            let surface = Surface::of(&here.sensor, &reference.columns, &reference.steps);
-            register(&surface, current, &here.sensor, &Pose::default(), &config)
+            let surface = Surface::of(&here.scanner, &reference.columns, &reference.steps);
+            register(&surface, current, &here.scanner, &Pose::default(), &config)
         };
         for (reference, current) in
             [(&nothing, &here.images[0]), (&here.images[0], &nothing), (&one, &one), (&one, &here.images[0])]

@@ -27,19 +27,19 @@ fn fitted(sample: &[Points]) -> Option<Hdl64> {
 }
 
 /// The share of a scan's points that are returns of the range image.
-fn explained(sensor: &Hdl64, points: &Points) -> f64 {
-    1.0 - project(sensor, &file(points).cloud, REACH).strays.len() as f64 / points.len() as f64
+fn explained(scanner: &Hdl64, points: &Points) -> f64 {
+    1.0 - project(scanner, &file(points).cloud, REACH).strays.len() as f64 / points.len() as f64
 }
 
 /// The share of a scan's points that the formula reproduces to the millimetre.
-fn exact(sensor: &Hdl64, points: &Points) -> f64 {
+fn exact(scanner: &Hdl64, points: &Points) -> f64 {
     let mut exact = 0;
     let mut row = 0;
     for point in points {
         let [x, y, z] = [0, 1, 2].map(|axis| f64::from(point[axis]));
-        row = sensor.nearest_beam(x.hypot(y), z, row);
-        let Some((tick, steps)) = sensor.invert(row, [x, y, z]) else { continue };
-        let formula = sensor.point(row, tick, steps);
+        row = scanner.nearest_beam(x.hypot(y), z, row);
+        let Some((tick, steps)) = scanner.invert(row, [x, y, z]) else { continue };
+        let formula = scanner.point(row, tick, steps);
         let hit = |(f, p): (&f64, f64)| (f * 1000.0).round() == (p * 1000.0).round();
         exact += usize::from(formula.iter().zip([x, y, z]).all(hit));
     }
@@ -48,28 +48,28 @@ fn exact(sensor: &Hdl64, points: &Points) -> f64 {
 
 /// A scanner is fitted to the sample, and explains all except a few points of `good`.
 fn explains(sample: &[Points], good: &Points, least: f64) -> Hdl64 {
-    let sensor = fitted(sample).expect("a scanner is found");
-    let share = explained(&sensor, good);
+    let scanner = fitted(sample).expect("a scanner is found");
+    let share = explained(&scanner, good);
     assert!(share >= least, "{share} of the points explained, less than {least}");
-    comes_back(&sensor, good);
-    sensor
+    comes_back(&scanner, good);
+    scanner
 }
 
 /// A model read from the record gives the same projection, point for point.
-fn comes_back(sensor: &Hdl64, points: &Points) {
+fn comes_back(scanner: &Hdl64, points: &Points) {
     let mut bytes = Vec::new();
-    sensor.write_to(&mut bytes);
+    scanner.write_to(&mut bytes);
     let mut input = &bytes[..];
     let again = Hdl64::read_from(&mut input).unwrap();
     assert!(input.is_empty());
-    assert_eq!(again, *sensor);
-    let (a, b) = (project(sensor, &file(points).cloud, REACH), project(&again, &file(points).cloud, REACH));
+    assert_eq!(again, *scanner);
+    let (a, b) = (project(scanner, &file(points).cloud, REACH), project(&again, &file(points).cloud, REACH));
     assert_eq!(a.image, b.image);
     assert_eq!(a.strays, b.strays);
-    for found in a.image.file_order(sensor) {
+    for found in a.image.file_order(scanner) {
         let place = (found.row as usize, found.tick, found.steps);
-        let bits = |sensor: &Hdl64| sensor.point(place.0, place.1, place.2).map(f64::to_bits);
-        assert_eq!(bits(sensor), bits(&again));
+        let bits = |scanner: &Hdl64| scanner.point(place.0, place.1, place.2).map(f64::to_bits);
+        assert_eq!(bits(scanner), bits(&again));
     }
 }
 
@@ -78,9 +78,9 @@ fn one_frame_or_many_and_scanners_of_other_constants() {
     for seed in 1..5 {
         let frames = scans(&config(seed));
         for sample in [&frames[..1], &frames[..2], &frames[..]] {
-            let sensor = explains(sample, &frames[3], 0.998);
-            assert_eq!((sensor.rows(), sensor.coordinates), (64, Coordinates::Millimetre));
-            let exact = exact(&sensor, &frames[3]);
+            let scanner = explains(sample, &frames[3], 0.998);
+            assert_eq!((scanner.rows(), scanner.coordinates), (64, Coordinates::Millimetre));
+            let exact = exact(&scanner, &frames[3]);
             assert!(exact > if sample.len() > 2 { 0.97 } else { 0.85 }, "{exact} to the millimetre");
         }
     }
@@ -180,8 +180,8 @@ fn fewer_beams_and_thinned_azimuth() {
     for beams in [1, 2, 4, 16, 32] {
         let config = SynthConfig { beams, thinning: 4, ..config(6) };
         let frames = scans(&config);
-        let sensor = explains(&frames, &frames[1], 0.99);
-        assert_eq!(sensor.rows(), beams);
+        let scanner = explains(&frames, &frames[1], 0.99);
+        assert_eq!(scanner.rows(), beams);
     }
     let thinned = scans(&SynthConfig { thinning: 40, frames: 8, ..config(7) });
     explains(&thinned, &thinned[1], 0.99);
@@ -191,9 +191,9 @@ fn fewer_beams_and_thinned_azimuth() {
 fn coordinates_that_were_not_rounded() {
     let config = config(8);
     let frames: Vec<Points> = scans(&config).iter().map(|points| unrounded(&config, points)).collect();
-    let sensor = explains(&frames, &frames[3], 0.998);
-    assert_eq!(sensor.coordinates, Coordinates::Float32);
-    assert!(!sensor.is_single_precision());
+    let scanner = explains(&frames, &frames[3], 0.998);
+    assert_eq!(scanner.coordinates, Coordinates::Float32);
+    assert!(!scanner.is_single_precision());
 }
 
 /// Constants are found to their last bits: the formula reproduces the file exactly.
@@ -201,13 +201,13 @@ fn coordinates_that_were_not_rounded() {
 fn coordinates_computed_in_single_precision() {
     let config = SynthConfig { beams: 8, thinning: 2, ..config(8) };
     let frames: Vec<Points> = scans(&config).iter().map(|points| single_precision(&config, points)).collect();
-    let sensor = explains(&frames, &frames[3], 0.998);
-    assert!(sensor.is_single_precision());
-    let projected = project(&sensor, &file(&frames[3]).cloud, REACH);
-    let right = projected.image.file_order(&sensor).into_iter().filter(|found| {
+    let scanner = explains(&frames, &frames[3], 0.998);
+    assert!(scanner.is_single_precision());
+    let projected = project(&scanner, &file(&frames[3]).cloud, REACH);
+    let right = projected.image.file_order(&scanner).into_iter().filter(|found| {
         let point = projected.point_of_cell[(found.row as usize, found.column as usize)];
-        let metres = sensor.metres(found.steps);
-        let position = sensor.position_at(found.row as usize, found.tick, metres);
+        let metres = scanner.metres(found.steps);
+        let position = scanner.position_at(found.row as usize, found.tick, metres);
         position.map(|v| (v as f32).to_bits())
             == [0, 1, 2].map(|axis| frames[3][point as usize][axis].to_bits())
     });

@@ -49,15 +49,15 @@ impl Past {
     }
 
     /// The surfaces of the frame.
-    pub fn surface(&self, sensor: &Hdl64) -> &Surface {
-        self.surface.get_or_init(|| Surface::of(sensor, &self.image.columns, &self.image.steps))
+    pub fn surface(&self, scanner: &Hdl64) -> &Surface {
+        self.surface.get_or_init(|| Surface::of(scanner, &self.image.columns, &self.image.steps))
     }
 
     /// The reference of an image with these columns, after this motion of the scanner.
-    pub fn reference(&self, sensor: &Hdl64, columns: &[u32], motion: &RigidMotion) -> Reference {
+    pub fn reference(&self, scanner: &Hdl64, columns: &[u32], motion: &RigidMotion) -> Reference {
         Reference {
             same: self.same_cells(columns),
-            moved: render(self.surface(sensor), &self.levels, motion, sensor, columns),
+            moved: render(self.surface(scanner), &self.levels, motion, scanner, columns),
         }
     }
 

@@ -30,11 +30,11 @@ pub fn render(
     surface: &Surface,
     levels: &Grid<u16>,
     motion: &RigidMotion,
-    sensor: &Hdl64,
+    scanner: &Hdl64,
     columns: &[u32],
 ) -> Layer {
-    let rows = sensor.rows();
-    let canvas = Canvas { sensor, columns, column_of_tick: columns_by_tick(columns, sensor.ticks) };
+    let rows = scanner.rows();
+    let canvas = Canvas { scanner, columns, column_of_tick: columns_by_tick(columns, scanner.ticks) };
     let mut seen: Grid<Option<Seen>> = Grid::new(rows, columns.len());
     for surfel in &surface.surfels {
         let level = levels[(surfel.cell.0 as usize, surfel.cell.1 as usize)];
@@ -48,13 +48,13 @@ pub fn render(
             *old = Some(new);
         }
     }
-    let alignment = Alignment::of(sensor, columns.len());
+    let alignment = Alignment::of(scanner, columns.len());
     let mut layer = Layer { steps: Grid::new(rows, columns.len()), levels: Grid::new(rows, columns.len()) };
     for row in 0..rows {
         for column in 0..columns.len() {
             let found = seen[(row, column)].or_else(|| canvas.beside(&seen, &alignment, (row, column)));
             if let Some(found) = found {
-                layer.steps[(row, column)] = sensor.nearest_steps(found.metres).max(1);
+                layer.steps[(row, column)] = scanner.nearest_steps(found.metres).max(1);
                 layer.levels[(row, column)] = found.level;
             }
         }
@@ -63,7 +63,7 @@ pub fn render(
 }
 
 struct Canvas<'a> {
-    sensor: &'a Hdl64,
+    scanner: &'a Hdl64,
     columns: &'a [u32],
     column_of_tick: Vec<Option<u32>>,
 }
@@ -73,7 +73,7 @@ impl Canvas<'_> {
     fn see(&self, surfel: &Surfel, level: u16, motion: &RigidMotion) -> Option<((usize, usize), Seen)> {
         let position = motion.apply(surfel.position);
         let Sighting { row, column_tick, metres, off } =
-            self.sensor.locate(surfel.cell.0 as usize, position)?;
+            self.scanner.locate(surfel.cell.0 as usize, position)?;
         let column = self.column_of_tick[column_tick as usize]? as usize;
         let normal = motion.turn(surfel.normal);
         let seen = Seen { metres, off, position, normal, level };
@@ -82,10 +82,10 @@ impl Canvas<'_> {
 
     /// The intersection of the surfel's plane with a cell's ray, if it is near the surfel.
     fn extend(&self, seen: &Seen, (row, column): (usize, usize)) -> Option<Seen> {
-        let tick = self.sensor.tick_of_column(row, self.columns[column]);
-        let on_ray = self.sensor.point_at(row, tick, seen.metres);
+        let tick = self.scanner.tick_of_column(row, self.columns[column]);
+        let on_ray = self.scanner.point_at(row, tick, seen.metres);
         let away: [f64; 3] = std::array::from_fn(|i| seen.position[i] - on_ray[i]);
-        let slope = dot(seen.normal, self.sensor.direction(row, tick));
+        let slope = dot(seen.normal, self.scanner.direction(row, tick));
         let further = dot(seen.normal, away) / slope;
         let is_near = further.abs() < EXTENT * seen.metres;
         is_near.then_some(Seen { metres: seen.metres + further, ..*seen })

@@ -47,11 +47,11 @@ mod tests {
 
     #[test]
     fn points_are_spherical_coordinates() {
-        let sensor = ideal(2000, 10_000);
-        assert_eq!(sensor.rows(), 64);
-        let [x, y, z] = sensor.point(0, 500, 1000);
+        let scanner = ideal(2000, 10_000);
+        assert_eq!(scanner.rows(), 64);
+        let [x, y, z] = scanner.point(0, 500, 1000);
         let up = (2.0f64).to_radians();
         assert!(x.abs() < 1e-6 && (y - 10.0 * up.cos()).abs() < 1e-6 && (z - 10.0 * up.sin()).abs() < 1e-6);
-        assert_eq!(sensor.invert(0, [x, y, z]), Some((500, 1000)));
+        assert_eq!(scanner.invert(0, [x, y, z]), Some((500, 1000)));
     }
 }

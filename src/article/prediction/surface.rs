@@ -36,14 +36,14 @@ impl SurfaceModel {
     /// The range, in steps, at which the ray in `direction` (a unit vector) intersects the surface. The same
     /// on every machine: nothing but + - * / on f64.
     #[inline]
-    pub fn range(&self, sensor: &Hdl64, direction: [f64; 3]) -> u32 {
+    pub fn range(&self, scanner: &Hdl64, direction: [f64; 3]) -> u32 {
         match *self {
             SurfaceModel::Mean(steps) => steps,
             SurfaceModel::Plane(w) => {
                 let [x, y, z] = direction;
                 let inverse = (f64::from(w[0]) * x + f64::from(w[1]) * y + f64::from(w[2]) * z) * PLANE_UNIT;
                 // The range of a ray that does not intersect the plane is the scanner's reach.
-                sensor.nearest_steps(if inverse * FARTHEST > 1.0 { 1.0 / inverse } else { FARTHEST })
+                scanner.nearest_steps(if inverse * FARTHEST > 1.0 { 1.0 / inverse } else { FARTHEST })
             }
         }
     }
@@ -96,12 +96,12 @@ mod tests {
 
     #[test]
     fn a_plane_is_met_where_it_is() {
-        let sensor = ideal(2000, 1000);
+        let scanner = ideal(2000, 1000);
         // 2 m below.
         let floor = SurfaceModel::plane([0.0, 0.0, -0.5], 77);
-        let down = sensor.direction(63, 0);
-        assert!(floor.range(&sensor, down).abs_diff((2000.0 / -down[2]) as u32) <= 1);
-        assert_eq!(floor.range(&sensor, sensor.direction(0, 0)), 120_000, "upwards");
+        let down = scanner.direction(63, 0);
+        assert!(floor.range(&scanner, down).abs_diff((2000.0 / -down[2]) as u32) <= 1);
+        assert_eq!(floor.range(&scanner, scanner.direction(0, 0)), 120_000, "upwards");
         assert_eq!(SurfaceModel::plane([1.5, 0.0, 0.0], 77), SurfaceModel::Mean(77));
     }
 
@@ -119,11 +119,11 @@ mod tests {
             let bytes = encoder.finish();
             let mut decoder = ArithmeticDecoder::new(&bytes);
             let mut coder = SurfaceCoder::default();
-            let sensor = ideal(16, 1000);
+            let scanner = ideal(16, 1000);
             for model in models {
                 let decoded = coder.code(&mut decoder, SurfaceModel::Mean(0));
                 prop_assert_eq!(decoded, model);
-                decoded.range(&sensor, sensor.direction(5, 7));
+                decoded.range(&scanner, scanner.direction(5, 7));
             }
         }
     }

@@ -100,11 +100,11 @@ pub const FIRST_OBJECT: u32 = 3;
 pub fn segment(
     steps: &Grid<u32>,
     columns: &[u32],
-    sensor: &Hdl64,
+    scanner: &Hdl64,
     config: &SegmentationConfig,
 ) -> Segmentation {
-    let alignment = Alignment::of(sensor, columns.len());
-    let scene = Scene::of(steps, columns, sensor, &alignment);
+    let alignment = Alignment::of(scanner, columns.len());
+    let scene = Scene::of(steps, columns, scanner, &alignment);
     let neighbours = Neighbours::of(&scene.ranges);
     let mut labels = Grid::new(steps.rows(), steps.columns());
     ground::mark(&scene, &neighbours, config, &mut labels);

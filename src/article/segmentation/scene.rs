@@ -30,28 +30,28 @@ pub struct Scene {
 
 impl Scene {
     /// The scene of an image, given its ranges in steps and its column ticks.
-    pub fn of(steps: &Grid<u32>, columns: &[u32], sensor: &Hdl64, alignment: &Alignment) -> Self {
+    pub fn of(steps: &Grid<u32>, columns: &[u32], scanner: &Hdl64, alignment: &Alignment) -> Self {
         let mut ranges = Grid::new(steps.rows(), steps.columns());
         for row in 0..ranges.rows() {
             for (range, &steps) in ranges.row_mut(row).iter_mut().zip(steps.row(row)) {
-                *range = sensor.metres(steps) as f32;
+                *range = scanner.metres(steps) as f32;
             }
         }
         alignment.align(&mut ranges);
         let beam = |row| {
-            let elevation = sensor.elevation(row);
+            let elevation = scanner.elevation(row);
             Beam {
                 cos: libm::cos(elevation) as f32,
                 sin: libm::sin(elevation) as f32,
-                height: sensor.height(row) as f32,
+                height: scanner.height(row) as f32,
                 turn: alignment.turn(row),
             }
         };
-        let tick = TAU / f64::from(sensor.ticks);
+        let tick = TAU / f64::from(scanner.ticks);
         let azimuth = |column: &u32| (f64::from(*column) * tick) as f32;
         Scene {
             ranges,
-            beams: (0..sensor.rows()).map(beam).collect(),
+            beams: (0..scanner.rows()).map(beam).collect(),
             azimuths: columns.iter().chain(columns).map(azimuth).collect(),
         }
     }

@@ -118,14 +118,14 @@ fn small_step(motion: RigidMotion, agreeing: usize, weights: f64) -> Option<Step
 pub fn register(
     reference: &Surface,
     current: &RangeImage,
-    sensor: &Hdl64,
+    scanner: &Hdl64,
     initial: &Pose,
     config: &RegistrationConfig,
 ) -> Option<Registration> {
     match config.method {
         RegistrationMethod::Projective => {
             let surfels = projective::sample(reference, config.most_points);
-            let aim = Aim::at(sensor, current);
+            let aim = Aim::at(scanner, current);
             let from = |start: &Pose| {
                 approach(config, start, surfels.len(), |motion, reach| aim.step(&surfels, motion, reach))
             };
@@ -143,7 +143,7 @@ pub fn register(
             const DENSITY: usize = 4;
             let most = config.most_points.saturating_mul(DENSITY);
             let points = NearestPoints::of(evenly(&reference.surfels, most))?;
-            let current = Surface::of(sensor, &current.columns, &current.steps).surfels;
+            let current = Surface::of(scanner, &current.columns, &current.steps).surfels;
             let current: Vec<_> =
                 evenly(&current, config.most_points).map(|surfel| surfel.position).collect();
             approach(config, initial, current.len(), |motion, reach| points.step(&current, motion, reach))

@@ -15,15 +15,15 @@ use crate::scanner::RangeImage;
 
 /// The current image, with which surfels are compared.
 pub struct Aim<'a> {
-    sensor: &'a Hdl64,
+    scanner: &'a Hdl64,
     current: &'a RangeImage,
     column_of_tick: Vec<Option<u32>>,
 }
 
 impl<'a> Aim<'a> {
     /// Prepares an image.
-    pub fn at(sensor: &'a Hdl64, current: &'a RangeImage) -> Self {
-        Aim { sensor, current, column_of_tick: columns_by_tick(&current.columns, sensor.ticks) }
+    pub fn at(scanner: &'a Hdl64, current: &'a RangeImage) -> Self {
+        Aim { scanner, current, column_of_tick: columns_by_tick(&current.columns, scanner.ticks) }
     }
 
     /// One Gauss-Newton step with Tukey's weights, composed with `motion`. `None` if the surfels do not
@@ -59,11 +59,11 @@ impl<'a> Aim<'a> {
 
     /// The return of the current image in the cell where a point would be visible.
     fn seen(&self, row: usize, position: [f64; 3]) -> Option<[f64; 3]> {
-        let sighting = self.sensor.locate(row, position)?;
+        let sighting = self.scanner.locate(row, position)?;
         let column = self.column_of_tick[sighting.column_tick as usize]? as usize;
         let steps = self.current.steps[(sighting.row, column)];
-        let tick = self.sensor.tick_of_column(sighting.row, self.current.columns[column]);
-        (steps > 0).then(|| self.sensor.point(sighting.row, tick, steps))
+        let tick = self.scanner.tick_of_column(sighting.row, self.current.columns[column]);
+        (steps > 0).then(|| self.scanner.point(sighting.row, tick, steps))
     }
 }
 

@@ -36,16 +36,16 @@ const ROW_REACH: isize = 2;
 impl Surface {
     /// The surfaces in the ranges `steps` (rows x columns, 0 = no return) at these column ticks; the same on
     /// every platform.
-    pub fn of(sensor: &Hdl64, columns: &[u32], steps: &Grid<u32>) -> Self {
-        let alignment = Alignment::of(sensor, columns.len());
+    pub fn of(scanner: &Hdl64, columns: &[u32], steps: &Grid<u32>) -> Self {
+        let alignment = Alignment::of(scanner, columns.len());
         let mut positions = Grid::new(steps.rows(), steps.columns());
         for row in 0..steps.rows() {
             let cells = positions.row_mut(row).iter_mut().zip(steps.row(row)).zip(columns);
             for ((position, &steps), &column) in cells.filter(|((_, steps), _)| **steps > 0) {
-                *position = sensor.point(row, sensor.tick_of_column(row, column), steps);
+                *position = scanner.point(row, scanner.tick_of_column(row, column), steps);
             }
         }
-        let image = Image { sensor, alignment: &alignment, positions: &positions, steps };
+        let image = Image { scanner, alignment: &alignment, positions: &positions, steps };
         let mut surfels = Vec::new();
         for row in 0..steps.rows() {
             for column in (0..steps.columns()).filter(|&column| steps[(row, column)] > 0) {
@@ -61,7 +61,7 @@ impl Surface {
 }
 
 struct Image<'a> {
-    sensor: &'a Hdl64,
+    scanner: &'a Hdl64,
     alignment: &'a Alignment,
     positions: &'a Grid<[f64; 3]>,
     steps: &'a Grid<u32>,
@@ -77,7 +77,7 @@ impl Image<'_> {
 
     /// The slope along the row.
     fn along(&self, row: usize, column: usize) -> Option<[f64; 3]> {
-        let range = self.sensor.metres(self.steps[(row, column)]);
+        let range = self.scanner.metres(self.steps[(row, column)]);
         let gap = ROW_GAP + ROW_GAP_SHARE * range;
         let beside = |right: isize| {
             (1..=ROW_REACH).rev().find_map(|reach| {
@@ -97,7 +97,7 @@ impl Image<'_> {
 
     /// The slope across the rows, to the neighbour whose range differs less.
     fn across(&self, row: usize, column: usize) -> Option<[f64; 3]> {
-        let range = self.sensor.metres(self.steps[(row, column)]);
+        let range = self.scanner.metres(self.steps[(row, column)]);
         let gap = COLUMN_GAP + COLUMN_GAP_SHARE * range;
         let width = self.steps.columns();
         let beside = |down: isize| {
@@ -120,7 +120,7 @@ impl Image<'_> {
     /// surface.
     fn near(&self, cell: (usize, usize), range: f64, gap: f64) -> Option<(f64, [f64; 3])> {
         let steps = self.steps[cell];
-        let off = (self.sensor.metres(steps) - range).abs();
+        let off = (self.scanner.metres(steps) - range).abs();
         (steps > 0 && off < gap).then(|| (off, self.positions[cell]))
     }
 }

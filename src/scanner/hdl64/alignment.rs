@@ -16,14 +16,14 @@ pub struct Alignment {
 impl Alignment {
     /// The alignment of an image with `columns` columns by this scanner. Rows of the ideal scanner are not
     /// shifted.
-    pub fn of(sensor: &Hdl64, columns: usize) -> Self {
-        let ticks = u64::from(sensor.ticks);
+    pub fn of(scanner: &Hdl64, columns: usize) -> Self {
+        let ticks = u64::from(scanner.ticks);
         let turn = |row| {
-            let shift = u64::from(sensor.column_tick(row, 0));
+            let shift = u64::from(scanner.column_tick(row, 0));
             ((shift * columns as u64 + ticks / 2) / ticks) as usize
         };
         // A shift of almost a turn may be rounded up to a whole turn, which is no shift.
-        let turns = (0..sensor.rows()).map(|row| turn(row).checked_rem(columns).unwrap_or(0)).collect();
+        let turns = (0..scanner.rows()).map(|row| turn(row).checked_rem(columns).unwrap_or(0)).collect();
         Alignment { turns }
     }
 
@@ -58,12 +58,12 @@ mod tests {
 
     #[test]
     fn what_looks_the_same_way_comes_together() {
-        let sensor = shifted(&[0, 20, -20, 3999]);
+        let scanner = shifted(&[0, 20, -20, 3999]);
         let columns: Vec<u32> = (0..2000).map(|column| 2 * column).collect();
-        let alignment = Alignment::of(&sensor, columns.len());
+        let alignment = Alignment::of(&scanner, columns.len());
         let mut seen = Grid::new(4, 2000);
         for row in 0..4 {
-            let way = |(tick, &column): (&mut u32, &u32)| *tick = sensor.tick_of_column(row, column);
+            let way = |(tick, &column): (&mut u32, &u32)| *tick = scanner.tick_of_column(row, column);
             seen.row_mut(row).iter_mut().zip(&columns).for_each(way);
         }
         let before = seen.clone();

@@ -9,15 +9,15 @@ use crate::scanner::{RangeImage, Return};
 impl RangeImage {
     /// The returns in the order of the file: row by row, in ascending order of the formula's azimuth; returns
     /// with equal azimuths in the order of columns.
-    pub fn file_order(&self, sensor: &Hdl64) -> Vec<Return> {
-        dispatch(FileOrder { image: self, sensor })
+    pub fn file_order(&self, scanner: &Hdl64) -> Vec<Return> {
+        dispatch(FileOrder { image: self, scanner })
     }
 }
 
 /// The arguments of [`RangeImage::file_order`], for a function compiled for several vector units.
 struct FileOrder<'a> {
     image: &'a RangeImage,
-    sensor: &'a Hdl64,
+    scanner: &'a Hdl64,
 }
 
 impl NullaryFnOnce for FileOrder<'_> {
@@ -25,14 +25,14 @@ impl NullaryFnOnce for FileOrder<'_> {
 
     #[inline(always)]
     fn call(self) -> Vec<Return> {
-        let FileOrder { image, sensor } = self;
+        let FileOrder { image, scanner } = self;
         let mut returns = Vec::with_capacity(image.returns());
         let mut of_row = vec![Return::default(); image.columns.len() + 1];
         let mut azimuths = Vec::new();
         for row in 0..image.steps.rows() {
-            let first = sensor.first_column_tick(row);
+            let first = scanner.first_column_tick(row);
             let first = image.columns.partition_point(|&column_tick| column_tick < first);
-            let tick = sensor.ticks_of_columns(row);
+            let tick = scanner.ticks_of_columns(row);
             let mut count = 0;
             for columns in [first..image.columns.len(), 0..first] {
                 let cells = image.steps.row(row)[columns.clone()].iter().zip(&image.columns[columns.clone()]);
@@ -46,7 +46,7 @@ impl NullaryFnOnce for FileOrder<'_> {
             }
             let found = &mut of_row[..count];
             azimuths.resize(count, 0.0);
-            sensor.fill_azimuths(row, found, |found| (found.tick, found.steps), &mut azimuths);
+            scanner.fill_azimuths(row, found, |found| (found.tick, found.steps), &mut azimuths);
             sort(&mut azimuths, found);
             returns.extend_from_slice(found);
         }
@@ -122,15 +122,15 @@ mod tests {
 
     #[test]
     fn returns_come_by_their_azimuths_on_every_vector_unit() {
-        let (sensor, image) = scanner();
-        let returns = image.file_order(&sensor);
-        assert_eq!(returns, FileOrder { image: &image, sensor: &sensor }.call());
+        let (scanner, image) = scanner();
+        let returns = image.file_order(&scanner);
+        assert_eq!(returns, FileOrder { image: &image, scanner: &scanner }.call());
         assert_eq!(returns.len(), image.returns());
         let mut out_of_columns = 0;
         for pair in returns.windows(2).filter(|pair| pair[0].row == pair[1].row) {
             let [before, after] = [pair[0], pair[1]].map(|found| {
                 let mut azimuth = [0.0];
-                sensor.fill_azimuths(
+                scanner.fill_azimuths(
                     found.row as usize,
                     &[found],
                     |found| (found.tick, found.steps),
@@ -146,8 +146,8 @@ mod tests {
 
     #[test]
     fn the_order_of_returns_in_no_order_is_found_too() {
-        let (sensor, image) = scanner();
-        let mut returns = image.file_order(&sensor);
+        let (scanner, image) = scanner();
+        let mut returns = image.file_order(&scanner);
         returns.retain(|found| found.row == 0);
         // Azimuths that fall from one return to the next, but nowhere by as much as at the seam.
         let mut azimuths: Vec<f64> = (0..returns.len()).rev().map(|i| i as f64 * 1e-4).collect();

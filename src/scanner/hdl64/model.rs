@@ -503,22 +503,22 @@ impl Hdl64 {
     /// # Errors
     /// If the record is cut short or holds values that no scanner has.
     pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
-        let (coordinates, is_single_precision) = match read_unsigned(bytes, "sensor model")? {
+        let (coordinates, is_single_precision) = match read_unsigned(bytes, "scanner model")? {
             code @ 0..2 => (Coordinates::from_code(code), false),
             SINGLE_PRECISION => (Coordinates::Float32, true),
-            other => return Err(Error::corrupt(format!("sensor model: unknown coordinate grid {other}"))),
+            other => return Err(Error::corrupt(format!("scanner model: unknown coordinate grid {other}"))),
         };
-        let ticks = read_within(bytes, "sensor model: ticks a turn", 1..=MOST_TICKS)? as u32;
+        let ticks = read_within(bytes, "scanner model: ticks a turn", 1..=MOST_TICKS)? as u32;
         let range_step_um =
-            read_within(bytes, "sensor model: range step in micrometres", 0..=MOST_RANGE_STEP_UM)? as u32;
-        let rows = read_within(bytes, "sensor model: beams", 1..=MOST_BEAMS)? as u32;
+            read_within(bytes, "scanner model: range step in micrometres", 0..=MOST_RANGE_STEP_UM)? as u32;
+        let rows = read_within(bytes, "scanner model: beams", 1..=MOST_BEAMS)? as u32;
         let mut constants = Vec::new();
         for _ in 0..rows {
             let mut beam = BeamConstants::default();
             for field in beam.fields() {
-                *field = read_signed(bytes, "sensor model")?;
+                *field = read_signed(bytes, "scanner model")?;
                 if field.unsigned_abs() > LARGEST_CONSTANT {
-                    return Err(Error::corrupt("sensor model: a constant is out of range"));
+                    return Err(Error::corrupt("scanner model: a constant is out of range"));
                 }
             }
             constants.push(beam);
@@ -561,8 +561,8 @@ mod tests {
     fn a_point_on_the_axis_is_seen_nowhere() {
         let mut beam = BeamConstants::quantise([0.0, -1.0, 0.0, 0.026, 0.0]);
         beam.column_shift = 1;
-        let sensor = Hdl64::new(Coordinates::Millimetre, 4000, 2000, vec![beam]);
-        assert!(sensor.locate(0, [0.0, 0.0, 0.0]).is_none());
-        assert!(sensor.locate(0, [0.0, 9.0, 0.0]).is_some());
+        let scanner = Hdl64::new(Coordinates::Millimetre, 4000, 2000, vec![beam]);
+        assert!(scanner.locate(0, [0.0, 0.0, 0.0]).is_none());
+        assert!(scanner.locate(0, [0.0, 9.0, 0.0]).is_some());
     }
 }

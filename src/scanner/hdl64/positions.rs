@@ -8,13 +8,13 @@ use crate::scanner::{Coordinates, Hdl64, nearest_millimetre};
 
 /// Positions of returns (metres), which are in row order and `offset_m` metres farther away than their steps:
 /// rounded to the file's grid if `on_grid`, otherwise as the formula gives them.
-pub fn positions(sensor: &Hdl64, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
-    dispatch(Filling { sensor, returns, offset_m, on_grid })
+pub fn positions(scanner: &Hdl64, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
+    dispatch(Filling { scanner, returns, offset_m, on_grid })
 }
 
 /// The arguments of [`positions`], for a function compiled for several vector units.
 struct Filling<'a> {
-    sensor: &'a Hdl64,
+    scanner: &'a Hdl64,
     returns: &'a [Return],
     offset_m: f64,
     on_grid: bool,
@@ -25,25 +25,32 @@ impl NullaryFnOnce for Filling<'_> {
 
     #[inline(always)]
     fn call(self) -> Vec<[f32; 3]> {
-        let Filling { sensor, returns, offset_m, on_grid } = self;
+        let Filling { scanner, returns, offset_m, on_grid } = self;
         /// In metres: the range in which `nearest_millimetre` is valid, whatever the beams' offsets.
         const NEAR: f64 = 1.9e6;
-        let grid = sensor.coordinates;
-        let is_near = sensor.metres(sensor.most_steps()) < NEAR;
+        let grid = scanner.coordinates;
+        let is_near = scanner.metres(scanner.most_steps()) < NEAR;
         match (on_grid, grid) {
-            (true, Coordinates::Millimetre) if is_near => fill(sensor, returns, offset_m, nearest_millimetre),
+            (true, Coordinates::Millimetre) if is_near => {
+                fill(scanner, returns, offset_m, nearest_millimetre)
+            }
             (true, Coordinates::Float32) => {
                 // The same result as `nearest`, without converting to units and back.
-                fill(sensor, returns, offset_m, |formula| if formula.is_nan() { 0.0 } else { formula as f32 })
+                fill(
+                    scanner,
+                    returns,
+                    offset_m,
+                    |formula| if formula.is_nan() { 0.0 } else { formula as f32 },
+                )
             }
-            (true, _) => fill(sensor, returns, offset_m, |formula| grid.nearest(formula)),
-            (false, _) => fill(sensor, returns, offset_m, |formula| formula as f32),
+            (true, _) => fill(scanner, returns, offset_m, |formula| grid.nearest(formula)),
+            (false, _) => fill(scanner, returns, offset_m, |formula| formula as f32),
         }
     }
 }
 
 #[inline(always)]
-fn fill(sensor: &Hdl64, returns: &[Return], offset_m: f64, stored: impl Fn(f64) -> f32) -> Vec<[f32; 3]> {
+fn fill(scanner: &Hdl64, returns: &[Return], offset_m: f64, stored: impl Fn(f64) -> f32) -> Vec<[f32; 3]> {
     let mut positions = vec![[0.0; 3]; returns.len()];
     let (mut returns, mut rest) = (returns, positions.as_mut_slice());
     while let Some(first) = returns.first() {
@@ -51,7 +58,7 @@ fn fill(sensor: &Hdl64, returns: &[Return], offset_m: f64, stored: impl Fn(f64) 
         let (of_row, others) = returns.split_at(of_row);
         let (own, behind) = rest.split_at_mut(of_row.len());
         let place = |found: &Return| (found.tick, found.steps);
-        sensor.fill_positions(first.row as usize, (of_row, offset_m), place, &stored, own);
+        scanner.fill_positions(first.row as usize, (of_row, offset_m), place, &stored, own);
         (returns, rest) = (others, behind);
     }
     positions
@@ -67,20 +74,21 @@ mod tests {
     fn every_vector_unit_gives_the_same_bits() {
         let bits =
             |positions: &[[f32; 3]]| positions.concat().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
-        let (sensor, image) = scanner();
-        let single = sensor.clone().with_refinements(vec![Refinement::default(); sensor.rows()]);
+        let (scanner, image) = scanner();
+        let single = scanner.clone().with_refinements(vec![Refinement::default(); scanner.rows()]);
         let mut of_floats = single.clone();
         of_floats.coordinates = Coordinates::Float32;
-        for sensor in [of_floats, single, sensor] {
-            let returns = image.file_order(&sensor);
+        for scanner in [of_floats, single, scanner] {
+            let returns = image.file_order(&scanner);
             for on_grid in [false, true] {
-                let here = positions(&sensor, &returns, 1e-4, on_grid);
-                let anywhere = Filling { sensor: &sensor, returns: &returns, offset_m: 1e-4, on_grid }.call();
+                let here = positions(&scanner, &returns, 1e-4, on_grid);
+                let anywhere =
+                    Filling { scanner: &scanner, returns: &returns, offset_m: 1e-4, on_grid }.call();
                 assert_eq!(bits(&here), bits(&anywhere));
                 let alone = returns.iter().map(|found| {
-                    let metres = sensor.metres(found.steps) + 1e-4;
-                    let position = sensor.position_at(found.row as usize, found.tick, metres);
-                    position.map(|m| if on_grid { sensor.coordinates.nearest(m) } else { m as f32 })
+                    let metres = scanner.metres(found.steps) + 1e-4;
+                    let position = scanner.position_at(found.row as usize, found.tick, metres);
+                    position.map(|m| if on_grid { scanner.coordinates.nearest(m) } else { m as f32 })
                 });
                 assert_eq!(bits(&here), bits(&alone.collect::<Vec<_>>()));
             }

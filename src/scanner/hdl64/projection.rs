@@ -23,12 +23,12 @@ pub struct Projection {
 
 impl Projection {
     /// The deviations of the image's points from the formula, in metres, row after row.
-    pub fn misses(&self, sensor: &Hdl64, cloud: &PointCloud) -> Vec<f64> {
+    pub fn misses(&self, scanner: &Hdl64, cloud: &PointCloud) -> Vec<f64> {
         let mut misses = Vec::with_capacity(cloud.positions.len());
         for row in 0..self.image.steps.rows() {
             for (column, &steps) in self.image.steps.row(row).iter().enumerate().filter(|(_, s)| **s > 0) {
-                let tick = sensor.tick_of_column(row, self.image.columns[column]);
-                let formula = sensor.point(row, tick, steps).map(|metres| metres as f32);
+                let tick = scanner.tick_of_column(row, self.image.columns[column]);
+                let formula = scanner.point(row, tick, steps).map(|metres| metres as f32);
                 let point = &cloud.positions[self.point_of_cell[(row, column)] as usize];
                 misses.push(squared_distance(&formula, point).sqrt());
             }
@@ -51,21 +51,21 @@ pub const REACH: f64 = 0.003;
 /// Projects a scan into a range image (article, IV-A, with the calibrated scanner in place of the ideal one,
 /// so that nothing is lost). Points that deviate from the formula by more than `reach` metres along an axis,
 /// plus half a range step, are strays.
-pub fn project(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Projection {
-    let places = places(sensor, cloud, reach + 0.5 * sensor.range_step_m());
-    let mut in_column = vec![0u32; sensor.ticks as usize];
+pub fn project(scanner: &Hdl64, cloud: &PointCloud, reach: f64) -> Projection {
+    let places = places(scanner, cloud, reach + 0.5 * scanner.range_step_m());
+    let mut in_column = vec![0u32; scanner.ticks as usize];
     places
         .iter()
         .filter(|place| place.steps > 0)
         .for_each(|place| in_column[place.column_tick as usize] += 1);
-    let fewest = FEWEST_IN_COLUMN.min(sensor.rows().div_ceil(3) as u32);
-    let columns: Vec<u32> = (0..sensor.ticks).filter(|&c| in_column[c as usize] >= fewest).collect();
-    let mut column_of_tick = vec![None; sensor.ticks as usize];
+    let fewest = FEWEST_IN_COLUMN.min(scanner.rows().div_ceil(3) as u32);
+    let columns: Vec<u32> = (0..scanner.ticks).filter(|&c| in_column[c as usize] >= fewest).collect();
+    let mut column_of_tick = vec![None; scanner.ticks as usize];
     (0u32..).zip(&columns).for_each(|(column, &tick)| column_of_tick[tick as usize] = Some(column));
 
     let mut projection = Projection {
-        point_of_cell: Grid::new(sensor.rows(), columns.len()),
-        image: RangeImage::new(sensor.rows(), columns),
+        point_of_cell: Grid::new(scanner.rows(), columns.len()),
+        image: RangeImage::new(scanner.rows(), columns),
         ..Projection::default()
     };
     for (point, place) in (0u32..).zip(&places) {
@@ -85,22 +85,22 @@ pub fn project(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Projection {
 /// Projects a scan into the image of the ideal scanner (article, IV-A, equation 2): every point goes to the
 /// nearest beam and column, and of two points in one cell the nearer one is kept. Strays are the points in no
 /// cell.
-pub fn project_nearest(sensor: &Hdl64, cloud: &PointCloud) -> Projection {
-    let columns = (0..sensor.ticks).collect();
+pub fn project_nearest(scanner: &Hdl64, cloud: &PointCloud) -> Projection {
+    let columns = (0..scanner.ticks).collect();
     let mut projection = Projection {
-        point_of_cell: Grid::new(sensor.rows(), sensor.ticks as usize),
-        image: RangeImage::new(sensor.rows(), columns),
+        point_of_cell: Grid::new(scanner.rows(), scanner.ticks as usize),
+        image: RangeImage::new(scanner.rows(), columns),
         ..Projection::default()
     };
     let mut row = 0;
     for (point, position) in (0u32..).zip(&cloud.positions) {
         let position @ [x, y, z] = position.map(f64::from);
-        row = sensor.nearest_beam((x * x + y * y).sqrt(), z, row);
-        let Some((tick, steps)) = sensor.invert(row, position) else {
+        row = scanner.nearest_beam((x * x + y * y).sqrt(), z, row);
+        let Some((tick, steps)) = scanner.invert(row, position) else {
             projection.strays.push(point);
             continue;
         };
-        let cell = (row, sensor.column_tick(row, i64::from(tick)) as usize);
+        let cell = (row, scanner.column_tick(row, i64::from(tick)) as usize);
         let held = projection.image.steps[cell];
         if held == 0 || steps < held {
             if held > 0 {
@@ -126,8 +126,8 @@ struct Place {
 }
 
 /// The cell and range of each point.
-fn places(sensor: &Hdl64, cloud: &PointCloud, reach: f64) -> Vec<Place> {
-    let search = Search { sensor, reach, row: 0, tick: 0, hint: 0 };
+fn places(scanner: &Hdl64, cloud: &PointCloud, reach: f64) -> Vec<Place> {
+    let search = Search { scanner, reach, row: 0, tick: 0, hint: 0 };
     dispatch(Searching { search, positions: &cloud.positions })
 }
 
@@ -160,7 +160,7 @@ impl NullaryFnOnce for Searching<'_> {
 
 /// Finds the cells of points that are in order of rows and ticks.
 struct Search<'a> {
-    sensor: &'a Hdl64,
+    scanner: &'a Hdl64,
     /// In metres.
     reach: f64,
     /// The row of the last point.
@@ -175,12 +175,12 @@ impl Search<'_> {
     /// The cells of the next points, if all of them are near that of the last one.
     #[inline(always)]
     fn next<const N: usize>(&mut self, points: &[[f32; 3]; N]) -> Option<[Place; N]> {
-        let found = self.sensor.invert_near(self.row, points, self.hint, self.reach)?;
+        let found = self.scanner.invert_near(self.row, points, self.hint, self.reach)?;
         if found.iter().any(|(_, steps)| *steps > LONGEST) {
             return None;
         }
         (self.hint, self.tick) = (self.tick, found.last()?.0);
-        let (row, column_tick) = (self.row as u32, self.sensor.columns_of_ticks(self.row));
+        let (row, column_tick) = (self.row as u32, self.scanner.columns_of_ticks(self.row));
         Some(lanes(|i| Place { row, column_tick: column_tick(found[i].0), steps: found[i].1 }))
     }
 
@@ -190,18 +190,18 @@ impl Search<'_> {
             return place;
         }
         let point @ [x, y, z] = position.map(f64::from);
-        self.row = self.sensor.nearest_beam((x * x + y * y).sqrt(), z, self.row);
-        match self.sensor.invert(self.row, point).filter(|(_, steps)| *steps <= LONGEST) {
+        self.row = self.scanner.nearest_beam((x * x + y * y).sqrt(), z, self.row);
+        match self.scanner.invert(self.row, point).filter(|(_, steps)| *steps <= LONGEST) {
             Some((tick, steps)) => {
                 (self.hint, self.tick) = (tick, tick);
-                let formula = self.sensor.point(self.row, tick, steps);
+                let formula = self.scanner.point(self.row, tick, steps);
                 let mut axes = formula.into_iter().zip(position);
                 let is_near = |(formula, value): (f64, &f32)| {
                     (formula - f64::from(*value)).abs() < self.reach
-                        && self.sensor.coordinates.holds(*value, formula)
+                        && self.scanner.coordinates.holds(*value, formula)
                 };
                 let place = || {
-                    let column_tick = self.sensor.column_tick(self.row, i64::from(tick));
+                    let column_tick = self.scanner.column_tick(self.row, i64::from(tick));
                     Place { row: self.row as u32, column_tick, steps }
                 };
                 if axes.all(is_near) { place() } else { Place::default() }
@@ -219,13 +219,13 @@ mod tests {
 
     #[test]
     fn points_find_their_cells_on_every_vector_unit() {
-        let (sensor, image) = scanner();
-        let positions = positions(&sensor, &image.file_order(&sensor), 0.0, true);
-        let reach = REACH + 0.5 * sensor.range_step_m();
-        let search = Search { sensor: &sensor, reach, row: 0, tick: 0, hint: 0 };
+        let (scanner, image) = scanner();
+        let positions = positions(&scanner, &image.file_order(&scanner), 0.0, true);
+        let reach = REACH + 0.5 * scanner.range_step_m();
+        let search = Search { scanner: &scanner, reach, row: 0, tick: 0, hint: 0 };
         let cloud = PointCloud { positions, ..PointCloud::default() };
         let anywhere = Searching { search, positions: &cloud.positions }.call();
-        assert!(places(&sensor, &cloud, reach) == anywhere);
-        assert_eq!(project(&sensor, &cloud, REACH).image, image);
+        assert!(places(&scanner, &cloud, reach) == anywhere);
+        assert_eq!(project(&scanner, &cloud, REACH).image, image);
     }
 }

@@ -80,9 +80,9 @@ impl Refinement {
     pub(crate) fn read_from(bytes: &mut &[u8]) -> Result<Self> {
         let mut refinement = Refinement::default();
         for field in refinement.fields() {
-            *field = read_signed(bytes, "sensor model")?;
+            *field = read_signed(bytes, "scanner model")?;
             if field.unsigned_abs() > LARGEST {
-                return Err(Error::corrupt("sensor model: a refinement is out of range"));
+                return Err(Error::corrupt("scanner model: a refinement is out of range"));
             }
         }
         Ok(refinement)

@@ -17,7 +17,7 @@ pub fn scanner() -> (Hdl64, RangeImage) {
             0.02 * beam,
         ])
     };
-    let sensor = Hdl64::new(Coordinates::Millimetre, 4000, 2000, (0..5).map(constants).collect());
+    let scanner = Hdl64::new(Coordinates::Millimetre, 4000, 2000, (0..5).map(constants).collect());
     let mut image = RangeImage::new(5, (0..4000).step_by(2).collect());
     let mut random = Rng::keyed(1, &[]);
     for steps in image.steps.cells_mut() {
@@ -27,5 +27,5 @@ pub fn scanner() -> (Hdl64, RangeImage) {
             _ => 2000 + random.below(40) as u32,
         };
     }
-    (sensor, image)
+    (scanner, image)
 }

@@ -98,25 +98,25 @@ impl Curves {
     }
 
     /// Measures all points; also says in one sentence which coder is best, if there is anything to compare.
-    /// `base` and `sensor` are for the coders of Tu et al.
+    /// `base` and `scanner` are for the coders of Tu et al.
     ///
     /// # Errors
     /// If a back-end's library fails.
     pub fn measure(
         &self,
         sample: &Sample,
-        sensor: &Hdl64,
+        scanner: &Hdl64,
         base: &EncoderConfig,
         on_frame: &(dyn Fn() + Sync),
     ) -> Result<(Vec<Section>, Option<String>)> {
-        let measuring = Measuring { sample, sensor, base, on_frame };
+        let measuring = Measuring { sample, scanner, base, on_frame };
         let (article, worst) = measuring.all(&self.article)?;
         let note = format!(
             "On {}, of each run all frames but the first, which is there to predict from. Bits are those of \
              the coded frames, everything included, for each return that comes back. RMSE: equation 12 over \
              the returns of both range images, the original's made of float32 ranges; at most {:.2} % of the \
              returns are in one of them only. It leaves out what the projection itself does to the points: \
-             {:.1} % have no cell of their own or are outliers, and the ideal sensor's beams are not the \
+             {:.1} % have no cell of their own or are outliers, and the ideal scanner's beams are not the \
              scanner's. Directly: nothing is predicted. In two passes, each of the error of those before, where \
              that leaves less. Floats: without loss. Tu-MPEG (blocks of the frame before) and Tu-SLAM (key frames, \
              moved) code the same range image, without the outlier filter, in JPEG 2000 instead of MPEG and JPEG. \
@@ -312,7 +312,7 @@ fn other_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Curve
 /// The data and parameters for measuring curves.
 struct Measuring<'a> {
     sample: &'a Sample,
-    sensor: &'a Hdl64,
+    scanner: &'a Hdl64,
     base: &'a EncoderConfig,
     on_frame: &'a (dyn Fn() + Sync),
 }
@@ -348,14 +348,14 @@ impl Measuring<'_> {
     }
 
     fn point(&self, setting: &Setting) -> Result<Measured> {
-        let Measuring { sample, sensor, base, on_frame } = *self;
+        let Measuring { sample, scanner, base, on_frame } = *self;
         match setting {
             Setting::Stream(config) => measure(sample, config, on_frame),
             Setting::Octree(voxel_um) => {
                 Ok(Measured::of(sample, &rivals::octree(sample, *voxel_um, on_frame)?))
             }
             Setting::Tu(method, metres) => {
-                let rival = rivals::tu(sample, sensor, base, *method, Aim::Error(*metres), on_frame)?;
+                let rival = rivals::tu(sample, scanner, base, *method, Aim::Error(*metres), on_frame)?;
                 Ok(Measured::of(sample, &rival))
             }
         }

@@ -48,7 +48,7 @@ pub struct Bench {
     curves: Curves,
     /// The fitted scanner, and the ideal scanner for its scans.
     found: Option<Scanner>,
-    sensor: Hdl64,
+    scanner: Hdl64,
 }
 
 /// The results of the experiments.
@@ -83,8 +83,8 @@ impl Bench {
         let base = EncoderConfig { order: FrameOrder::Ratio, intensity: Intensity::None, ..base.clone() };
         let curves = Curves::new(&of_figures, &base, quick);
         let found = scanner_seen(&of_tables.inputs.iter().collect::<Vec<_>>(), &base)?;
-        let sensor = ideal_of(found.as_ref(), columns, range_step_um);
-        Ok(Bench { base, of_tables, of_figures, curves, found, sensor })
+        let scanner = ideal_of(found.as_ref(), columns, range_step_um);
+        Ok(Bench { base, of_tables, of_figures, curves, found, scanner })
     }
 
     /// Number of times that a frame will be coded.
@@ -122,14 +122,14 @@ impl Bench {
 
     /// The range image, in words.
     fn image(&self) -> String {
-        let degrees = || (0..self.sensor.rows()).map(|row| self.sensor.elevation(row).to_degrees());
+        let degrees = || (0..self.scanner.rows()).map(|row| self.scanner.elevation(row).to_degrees());
         format!(
             "ideal, {} rows from {:.2} to {:.2} degrees by {} columns, steps of {} mm unless a curve says otherwise",
-            self.sensor.rows(),
+            self.scanner.rows(),
             degrees().fold(f64::INFINITY, f64::min),
             degrees().fold(f64::NEG_INFINITY, f64::max),
-            self.sensor.ticks,
-            f64::from(self.sensor.range_step_um) / 1e3,
+            self.scanner.ticks,
+            f64::from(self.scanner.range_step_um) / 1e3,
         )
     }
 
@@ -138,16 +138,16 @@ impl Bench {
     /// # Errors
     /// If a setting is out of range, or a back-end's library fails.
     pub fn run(&self, on_frame: &(dyn Fn() + Sync)) -> Result<Findings> {
-        let Bench { base, of_tables, of_figures, curves, sensor, .. } = self;
+        let Bench { base, of_tables, of_figures, curves, scanner, .. } = self;
         let runs = Runs::run(of_tables, base, on_frame)?;
-        let rivals = Rivals::run(of_tables, sensor, base, on_frame)?;
+        let rivals = Rivals::run(of_tables, scanner, base, on_frame)?;
         let mut sections =
             vec![volumes::rates(of_tables, &runs, &rivals), volumes::octrees(of_tables, &rivals)];
         sections.extend(volumes::volumes(of_tables, &runs));
         sections.extend(times::steps(of_tables, &runs));
         sections.push(times::coding(of_tables, &runs, &rivals));
-        sections.extend(figure_13::measure(of_figures, sensor, base, on_frame)?.sections());
-        let (figures, ahead) = curves.measure(of_figures, sensor, base, on_frame)?;
+        sections.extend(figure_13::measure(of_figures, scanner, base, on_frame)?.sections());
+        let (figures, ahead) = curves.measure(of_figures, scanner, base, on_frame)?;
         sections.extend(figures);
         let exact = runs.exact.rate(0..of_tables.inputs.len());
         let exact = exact.map(|rate| format!("byte for byte, lidarpc takes {rate:.2} % of the files"));

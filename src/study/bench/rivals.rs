@@ -86,13 +86,13 @@ impl Rivals {
     /// If the image coder's library fails.
     pub fn run(
         sample: &Sample,
-        sensor: &Hdl64,
+        scanner: &Hdl64,
         base: &EncoderConfig,
         on_frame: &(dyn Fn() + Sync),
     ) -> Result<Self> {
         let octrees = VOXELS_UM.iter().map(|&voxel_um| octree(sample, voxel_um, on_frame));
         let tu = TU.into_iter().map(|(name, method)| {
-            Ok((name, tu(sample, sensor, base, method, Aim::Bits(TIMED_BITS), on_frame)?))
+            Ok((name, tu(sample, scanner, base, method, Aim::Bits(TIMED_BITS), on_frame)?))
         });
         Ok(Rivals { octrees: octrees.collect::<Result<_>>()?, tu: tu.collect::<Result<_>>()? })
     }
@@ -148,30 +148,30 @@ fn place_errors(cloud: &PointCloud, decoded: Vec<[f32; 3]>) -> NearestErrors {
 /// If the image coder's library fails.
 pub fn tu(
     sample: &Sample,
-    sensor: &Hdl64,
+    scanner: &Hdl64,
     base: &EncoderConfig,
     method: Method,
     aim: Aim,
     on_frame: &(dyn Fn() + Sync),
 ) -> Result<Rival> {
-    let coder = Coder { method, sensor, registration: base.registration };
-    let scanner = Scanner::Hdl64(sensor.clone());
-    let floats = sensor.clone().with_range_step(FLOAT_RANGES);
+    let coder = Coder { method, scanner, registration: base.registration };
+    let of_family = Scanner::Hdl64(scanner.clone());
+    let floats = scanner.clone().with_range_step(FLOAT_RANGES);
     let in_floats = Scanner::Hdl64(floats.clone());
     let mut rival = Rival::default();
     for run in sample.clouds.chunks(sample.run.max(1)) {
         let start = Instant::now();
-        let images: Vec<RangeImage> = run.iter().map(|cloud| project_nearest(sensor, cloud).image).collect();
+        let images: Vec<RangeImage> = run.iter().map(|cloud| project_nearest(scanner, cloud).image).collect();
         let payloads = coder.encode(&images, aim)?;
         rival.encoding_time += start.elapsed();
         let start = Instant::now();
         let decoded = coder.decode(&payloads)?;
-        let positions = |image: &RangeImage| scanner.positions(&scanner.file_order(image), 0.0, false);
+        let positions = |image: &RangeImage| of_family.positions(&of_family.file_order(image), 0.0, false);
         let points: Vec<_> = decoded.iter().map(positions).collect();
         rival.decoding_time += start.elapsed();
         for (((cloud, image), payload), points) in run.iter().zip(&decoded).zip(&payloads).zip(&points) {
             let mut errors = RangeErrors::default();
-            errors.add((&in_floats, &project_nearest(&floats, cloud).image), (&scanner, image));
+            errors.add((&in_floats, &project_nearest(&floats, cloud).image), (&of_family, image));
             rival.frames.push(RivalFrame {
                 bytes: payload.len() as u64,
                 points: points.len() as u64,

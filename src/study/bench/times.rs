@@ -131,7 +131,7 @@ pub fn coding(sample: &Sample, runs: &Runs, rivals: &Rivals) -> Section {
         title: "encoding and decoding time of a frame".into(),
         note: format!(
             "From files in memory to a stream in memory and back, on one thread: parsing, checksums, every \
-             prediction that is tried and, in exact mode, the fit of the sensor included; that is why it is more \
+             prediction that is tried and, in exact mode, the fit of the scanner included; that is why it is more \
              than the steps take. The mean of {}; of inter coding each run's first frame is an I frame. The octree, \
              with voxels of 1 mm, and the coders of Tu et al., at 8 bits a return, start from points in memory and end \
              there; Tu-SLAM finds the motion by registration, which in the article's reference 12 is known.",

@@ -66,7 +66,7 @@ pub struct Coder<'a> {
     /// How frames are predicted.
     pub method: Method,
     /// The scanner of the images, which defines the steps of ranges.
-    pub sensor: &'a Hdl64,
+    pub scanner: &'a Hdl64,
     /// How motions are estimated; only for encoding.
     pub registration: RegistrationConfig,
 }
@@ -133,7 +133,7 @@ impl Coder<'_> {
     /// If the payloads do not hold such images.
     pub fn decode(&self, payloads: &[Vec<u8>]) -> Result<Vec<RangeImage>> {
         let mut decoded: Vec<Option<RangeImage>> = vec![None; payloads.len()];
-        let (rows, columns) = (self.sensor.rows(), self.sensor.ticks as usize);
+        let (rows, columns) = (self.scanner.rows(), self.scanner.ticks as usize);
         for turn in self.order(payloads.len()) {
             let mut payload = &payloads[turn.frame][..];
             let length = read_unsigned(&mut payload, "length of what comes before the image")?;
@@ -183,8 +183,8 @@ impl Coder<'_> {
             for ((motion, last), (_, past)) in
                 sources.filter_map(|(motion, past)| Some((motion, past.as_ref()?)))
             {
-                let surface = past.surface(self.sensor);
-                let found = register(surface, image, self.sensor, last, &self.registration);
+                let surface = past.surface(self.scanner);
+                let found = register(surface, image, self.scanner, last, &self.registration);
                 *motion = found.and_then(|found| found.pose.quantise()).unwrap_or_default();
                 *last = motion.pose();
             }
@@ -222,7 +222,7 @@ impl Coder<'_> {
                     let Some((_, past)) = &pasts[source] else { continue };
                     let motion = &mut side.motions[source];
                     motion.values = motion.values.map(|value| integer(coder, value));
-                    let seen = past.reference(self.sensor, &ticks, &motion.pose().motion());
+                    let seen = past.reference(self.scanner, &ticks, &motion.pose().motion());
                     fill(&mut reference.moved.steps, &seen.moved.steps);
                     fill(&mut reference.same.steps, &seen.same.steps);
                 }
@@ -288,18 +288,18 @@ impl Coder<'_> {
     fn rmse(&self, values: &Grid<i32>, decoded: &Grid<i32>, returns: &Grid<bool>, count: usize) -> f64 {
         let cells = values.cells().iter().zip(decoded.cells()).zip(returns.cells());
         let squares = cells.filter(|(_, is)| **is).map(|((a, b), _)| (f64::from(*a) - f64::from(*b)).powi(2));
-        (squares.sum::<f64>() / count.max(1) as f64).sqrt() * self.sensor.range_step_m()
+        (squares.sum::<f64>() / count.max(1) as f64).sqrt() * self.scanner.range_step_m()
     }
 
     /// The decoded image.
     fn image_of(&self, predicted: &Grid<u32>, left: &Grid<i32>, returns: &Grid<bool>) -> RangeImage {
-        let mut image = RangeImage::new(returns.rows(), (0..self.sensor.ticks).collect());
+        let mut image = RangeImage::new(returns.rows(), (0..self.scanner.ticks).collect());
         let cells = predicted.cells().iter().zip(left.cells()).zip(returns.cells());
         for (steps, ((&predicted, &left), _)) in
             image.steps.cells_mut().iter_mut().zip(cells).filter(|(_, (_, is))| **is)
         {
             let sum = i64::from(predicted) + i64::from(left);
-            *steps = sum.clamp(1, i64::from(self.sensor.most_steps())) as u32;
+            *steps = sum.clamp(1, i64::from(self.scanner.most_steps())) as u32;
         }
         image
     }
@@ -414,38 +414,38 @@ mod tests {
     use crate::scanner::{ideal, project_nearest};
     use crate::study::synth::{SynthConfig, drive};
 
-    fn coder(method: Method, sensor: &Hdl64) -> Coder<'_> {
-        Coder { method, sensor, registration: RegistrationConfig::default() }
+    fn coder(method: Method, scanner: &Hdl64) -> Coder<'_> {
+        Coder { method, scanner, registration: RegistrationConfig::default() }
     }
 
-    fn images(sensor: &Hdl64, frames: usize) -> Vec<RangeImage> {
+    fn images(scanner: &Hdl64, frames: usize) -> Vec<RangeImage> {
         let config = SynthConfig { frames, thinning: 4, ..SynthConfig::default() };
-        let image = |cloud| project_nearest(sensor, &cloud).image;
+        let image = |cloud| project_nearest(scanner, &cloud).image;
         drive(&config).map(|frame| image(parse(&frame.name, frame.to_bin()).cloud)).collect()
     }
 
     #[test]
     fn key_frames_come_before_those_between_them() {
-        let sensor = ideal(64, 1000);
+        let scanner = ideal(64, 1000);
         let turn = |frame, sources, nearer| Turn { frame, sources, nearer };
         let key = |frame| turn(frame, [None, None], 0);
-        let turns = coder(Method::Slam, &sensor).order(6);
+        let turns = coder(Method::Slam, &scanner).order(6);
         let keys = [key(0), key(3)];
         assert_eq!(turns[..2], keys);
         assert_eq!((turns[2].frame, turns[2].sources), (5, [None, None]), "the last of the run");
         let both = |first, second| [Some(first), Some(second)];
         assert_eq!(turns[3..], [turn(1, both(0, 3), 0), turn(2, both(0, 3), 1), turn(4, both(3, 5), 0)]);
         let video: Vec<_> =
-            coder(Method::Video, &sensor).order(3).into_iter().map(|turn| turn.sources).collect();
+            coder(Method::Video, &scanner).order(3).into_iter().map(|turn| turn.sources).collect();
         assert_eq!(video, [[None, None], [Some(0), None], [Some(1), None]]);
     }
 
     #[test]
     fn ranges_come_back_within_the_error_that_was_aimed_at() {
-        let sensor = ideal(500, 1000);
-        let images = images(&sensor, 4);
+        let scanner = ideal(500, 1000);
+        let images = images(&scanner, 4);
         for method in [Method::Video, Method::Slam] {
-            let coder = coder(method, &sensor);
+            let coder = coder(method, &scanner);
             let mut before = usize::MAX;
             for metres in [0.01, 0.1] {
                 let payloads = coder.encode(&images, Aim::Error(metres)).unwrap();
@@ -466,8 +466,8 @@ mod tests {
 
     #[test]
     fn motion_makes_frames_between_key_frames_smaller() {
-        let sensor = ideal(500, 1000);
-        let payloads = coder(Method::Slam, &sensor).encode(&images(&sensor, 4), Aim::Error(0.05)).unwrap();
+        let scanner = ideal(500, 1000);
+        let payloads = coder(Method::Slam, &scanner).encode(&images(&scanner, 4), Aim::Error(0.05)).unwrap();
         let lengths: Vec<_> = payloads.iter().map(Vec::len).collect();
         assert!(
             lengths[1..3].iter().all(|length| length < lengths.first().min(lengths.last()).unwrap()),
@@ -477,9 +477,9 @@ mod tests {
 
     #[test]
     fn bits_are_those_of_the_image() {
-        let sensor = ideal(500, 1000);
-        let images = images(&sensor, 1);
-        let coder = coder(Method::Video, &sensor);
+        let scanner = ideal(500, 1000);
+        let images = images(&scanner, 1);
+        let coder = coder(Method::Video, &scanner);
         let [few, many] =
             [1.0, 5.0].map(|bits| coder.encode(&images, Aim::Bits(bits)).unwrap()[0].len() as f64);
         let difference = 4.0 * images[0].returns() as f64 / 8.0;
@@ -506,9 +506,9 @@ mod tests {
 
     #[test]
     fn damaged_frames_are_errors() {
-        let sensor = ideal(100, 10_000);
-        let coder = coder(Method::Video, &sensor);
-        let payloads = coder.encode(&images(&sensor, 1), Aim::Bits(2.0)).unwrap();
+        let scanner = ideal(100, 10_000);
+        let coder = coder(Method::Video, &scanner);
+        let payloads = coder.encode(&images(&scanner, 1), Aim::Bits(2.0)).unwrap();
         let half = payloads[0][..payloads[0].len() / 2].to_vec();
         assert!(coder.decode(&[half]).is_err());
         assert!(coder.decode(&[Vec::new()]).is_err());

@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_stands_where_the_sensor_drives() {
+    fn nothing_stands_where_the_scanner_drives() {
         let (config, ground) = (SynthConfig::default(), Ground::new(1));
         for frame in 0..100 {
             let way = config.speed * f64::from(frame);

@@ -10,10 +10,10 @@ use crate::scanner::{Hdl64, ideal};
 const COLUMNS: u32 = 64;
 
 /// Fits, codes, decodes and predicts with each kind of model; the decoded image must be the same.
-fn comes_back(image: &RangeImage, sensor: &Hdl64, segmentation: &SegmentationConfig) {
+fn comes_back(image: &RangeImage, scanner: &Hdl64, segmentation: &SegmentationConfig) {
     let occupancy = image.occupancy();
-    let rays = Rays::of(sensor, &image.columns);
-    let segmentation = segment(&image.steps, &image.columns, sensor, segmentation);
+    let rays = Rays::of(scanner, &image.columns);
+    let segmentation = segment(&image.steps, &image.columns, scanner, segmentation);
     for models in [RegionModels::Article, RegionModels::Fitted] {
         let config = IntraConfig { models, ..IntraConfig::default() };
         let mut fitted = IntraPrediction::fit(&image.steps, &occupancy, &rays, &segmentation, &config);
@@ -48,24 +48,24 @@ fn image(steps: impl Fn(usize, usize) -> u32) -> RangeImage {
 
 #[test]
 fn odd_images_come_back() {
-    let sensor = ideal(COLUMNS, 10_000);
+    let scanner = ideal(COLUMNS, 10_000);
     let config = SegmentationConfig::default();
-    comes_back(&RangeImage::new(64, Vec::new()), &sensor, &config);
-    comes_back(&image(|_, _| 0), &sensor, &config);
-    comes_back(&image(|row, column| u32::from((row, column) == (9, 9)) * 500), &sensor, &config);
-    comes_back(&image(|_, _| 1), &sensor, &config);
-    comes_back(&image(|row, _| if row > 20 { 10_000 / (row as u32 - 10) } else { 0 }), &sensor, &config);
+    comes_back(&RangeImage::new(64, Vec::new()), &scanner, &config);
+    comes_back(&image(|_, _| 0), &scanner, &config);
+    comes_back(&image(|row, column| u32::from((row, column) == (9, 9)) * 500), &scanner, &config);
+    comes_back(&image(|_, _| 1), &scanner, &config);
+    comes_back(&image(|row, _| if row > 20 { 10_000 / (row as u32 - 10) } else { 0 }), &scanner, &config);
     let alone = SegmentationConfig { smallest_cluster: 1, ..config };
-    comes_back(&image(|row, column| 1 + ((row * 7919 + column * 104_729) % 60_000) as u32), &sensor, &alone);
+    comes_back(&image(|row, column| 1 + ((row * 7919 + column * 104_729) % 60_000) as u32), &scanner, &alone);
 }
 
 #[test]
 fn flat_ground_leaves_next_to_nothing() {
-    let sensor = ideal(COLUMNS, 10_000);
-    let floor = |row: usize| if row < 20 { None } else { sensor.steps(1.7 / -sensor.elevation(row).sin()) };
+    let scanner = ideal(COLUMNS, 10_000);
+    let floor = |row: usize| if row < 20 { None } else { scanner.steps(1.7 / -scanner.elevation(row).sin()) };
     let image = image(|row, _| floor(row).unwrap_or(0));
-    let (occupancy, rays) = (image.occupancy(), Rays::of(&sensor, &image.columns));
-    let segmentation = segment(&image.steps, &image.columns, &sensor, &SegmentationConfig::default());
+    let (occupancy, rays) = (image.occupancy(), Rays::of(&scanner, &image.columns));
+    let segmentation = segment(&image.steps, &image.columns, &scanner, &SegmentationConfig::default());
     let config = IntraConfig::default();
     let fitted = IntraPrediction::fit(&image.steps, &occupancy, &rays, &segmentation, &config);
     assert_eq!(fitted.models.len(), 1);
@@ -76,7 +76,7 @@ fn flat_ground_leaves_next_to_nothing() {
 
 #[test]
 fn a_wall_with_a_step_is_split_where_it_pays() {
-    let sensor = ideal(COLUMNS, 10_000);
+    let scanner = ideal(COLUMNS, 10_000);
     let image = image(|row, column| {
         if row > 40 {
             0
@@ -86,7 +86,7 @@ fn a_wall_with_a_step_is_split_where_it_pays() {
             1040
         }
     });
-    let (occupancy, rays) = (image.occupancy(), Rays::of(&sensor, &image.columns));
+    let (occupancy, rays) = (image.occupancy(), Rays::of(&scanner, &image.columns));
     let mut labels = image.steps.clone();
     for row in 0..64 {
         labels.row_mut(row).iter_mut().for_each(|label| *label = u32::from(*label > 0) * FIRST_OBJECT);
@@ -104,8 +104,8 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
     #[test]
     fn any_image_comes_back(cells in prop::collection::vec(prop_oneof![Just(0u32), 1u32..20_000], 256)) {
-        let sensor = ideal(COLUMNS, 10_000);
+        let scanner = ideal(COLUMNS, 10_000);
         let image = image(|row, column| cells[(row * 37 + column * 11) % 256]);
-        comes_back(&image, &sensor, &SegmentationConfig { smallest_cluster: 3, ..Default::default() });
+        comes_back(&image, &scanner, &SegmentationConfig { smallest_cluster: 3, ..Default::default() });
     }
 }

@@ -25,8 +25,8 @@ const TICK: f64 = PI / 18_000.0;
 /// Number of range steps from which on a point's own tick is accurate.
 pub const FAR_STEPS: u32 = 1000;
 
-/// The scanner's formula.
-pub struct Sensor {
+/// The formula of the HDL-32E.
+pub struct Hdl32e {
     elevations: [[f32; 2]; SLOTS],
     turn: Vec<[f32; 2]>,
 }
@@ -38,10 +38,10 @@ pub struct Reading {
     pub tick: i64,
 }
 
-impl Sensor {
+impl Hdl32e {
     pub fn new() -> Self {
         let cos_sin = |angle: f64| [libm::cos(angle) as f32, libm::sin(angle) as f32];
-        Sensor {
+        Hdl32e {
             elevations: ELEVATIONS.map(|degrees| cos_sin(degrees * (PI / 180.0))),
             turn: (0..TURN).map(|tick| cos_sin(tick as f64 * TICK)).collect(),
         }

@@ -7,7 +7,7 @@ use nalgebra::Matrix3;
 use super::anchor::spacing;
 use super::path::{Firings, Six, Told};
 use super::sweep::{
-    FAR_STEPS, Matrix, Reading, Returnless, Sensor, Ticks, Vector, returnless, shared_place, ticks, turned,
+    FAR_STEPS, Hdl32e, Matrix, Reading, Returnless, Ticks, Vector, returnless, shared_place, ticks, turned,
 };
 use super::{FIRING_US, SLOTS, World, axes, rotation};
 
@@ -50,7 +50,7 @@ pub(super) const MEAN_FIRING_US: f64 = FIRING_US + 0.08;
 
 /// A sweep, and the current estimates of how it was moved.
 pub(super) struct Search {
-    pub(super) sensor: Sensor,
+    pub(super) scanner: Hdl32e,
     pub(super) positions: Vec<[f32; 3]>,
     pub(super) points: Vec<Vector>,
     pub(super) is_none: Vec<bool>,
@@ -163,8 +163,8 @@ impl Search {
             positions.iter().map(|position| Vector::from(position.map(f64::from))).collect();
         let Returnless { places, is_none } = returnless(positions)?;
         let firings = places.len();
-        let sensor = Sensor::new();
-        let turns = followed(&sensor, &points, &places, &is_none);
+        let scanner = Hdl32e::new();
+        let turns = followed(&scanner, &points, &places, &is_none);
         let axes::Axes { rows, steps } = axes::find(&points, &is_none)?;
         let is_coarse = |step: f64| if step >= axes::FINE { step } else { 0.0 };
         let poses = places
@@ -173,7 +173,7 @@ impl Search {
             .map(|(place, turn)| Six::new(place.x, place.y, place.z, turn.x, turn.y, turn.z))
             .collect();
         let mut search = Search {
-            sensor,
+            scanner,
             positions: positions.to_vec(),
             points,
             mapped: Vec::new(),
@@ -223,7 +223,7 @@ impl Search {
         for firing in 0..self.firings {
             let turn = turn_of(&self.poses[firing]);
             for record in self.of_firing(firing) {
-                self.readings.push(Sensor::reading(&self.seen(record, &turn)));
+                self.readings.push(Hdl32e::reading(&self.seen(record, &turn)));
             }
         }
         self.measure();
@@ -249,7 +249,7 @@ impl Search {
     fn measure(&mut self) {
         let of_record = |record: usize| match self.is_none[record] {
             true => Vector::zeros(),
-            false => self.sensor.vector(record % SLOTS, self.readings[record]),
+            false => self.scanner.vector(record % SLOTS, self.readings[record]),
         };
         self.measured = (0..self.points.len()).map(of_record).collect();
     }
@@ -267,7 +267,7 @@ impl Search {
                 measured.push(if self.is_none[record] {
                     [0.0; 3]
                 } else if (seen - self.measured[record]).amax() < NEAR {
-                    self.sensor.position(record % SLOTS, self.readings[record])
+                    self.scanner.position(record % SLOTS, self.readings[record])
                 } else {
                     seen.map(|metres| metres as f32).into()
                 });
@@ -278,8 +278,8 @@ impl Search {
 
     /// Determines the reading of a record again, given its range.
     pub(super) fn reread(&mut self, record: usize, range: f64) {
-        self.readings[record].steps = Sensor::steps(range);
-        self.measured[record] = self.sensor.vector(record % SLOTS, self.readings[record]);
+        self.readings[record].steps = Hdl32e::steps(range);
+        self.measured[record] = self.scanner.vector(record % SLOTS, self.readings[record]);
     }
 
     /// Changes the axes of the map, and everything that follows from them.
@@ -380,7 +380,7 @@ pub(super) fn turn_of(pose: &Six) -> Matrix {
 }
 
 /// The rotations of all firings, one by one from the last, which is not rotated.
-fn followed(sensor: &Sensor, points: &[Vector], places: &[Vector], is_none: &[bool]) -> Vec<Vector> {
+fn followed(scanner: &Hdl32e, points: &[Vector], places: &[Vector], is_none: &[bool]) -> Vec<Vector> {
     /// Number of firings from which the next is extrapolated, and the minimum number for a straight line.
     const LOOK_BACK: usize = 24;
     const FEWEST_OF_LINE: usize = 12;
@@ -402,8 +402,8 @@ fn followed(sensor: &Sensor, points: &[Vector], places: &[Vector], is_none: &[bo
             let (mut normal, mut right, mut count) = (Matrix3::identity() * RIDGE, Vector::zeros(), 0);
             for slot in (0..SLOTS).filter(|slot| !is_none[firing * SLOTS + slot]) {
                 let off = points[firing * SLOTS + slot] - places[firing];
-                let reading = Sensor::reading(&(rotation.transpose() * off));
-                let turned = rotation * sensor.vector(slot, reading);
+                let reading = Hdl32e::reading(&(rotation.transpose() * off));
+                let turned = rotation * scanner.vector(slot, reading);
                 let miss = off - turned;
                 if reading.steps > FAR_STEPS && miss.amax() < NEAR {
                     let cross = turned.cross_matrix();

@@ -92,7 +92,7 @@ pub struct Figure13 {
 /// If a back-end's library fails.
 pub fn measure(
     sample: &Sample,
-    sensor: &Hdl64,
+    scanner: &Hdl64,
     config: &EncoderConfig,
     on_frame: &dyn Fn(),
 ) -> Result<Figure13> {
@@ -114,12 +114,12 @@ pub fn measure(
         if !sample.has_reference(frame) {
             before = Before::default();
         }
-        let image = image(cloud, sensor, config);
+        let image = image(cloud, scanner, config);
         if sample.compared().any(|compared| compared == frame) {
             figure.frames += 1;
             figure.original += sample.inputs[frame].size()?;
-            let from_before = before.predict(&image, sensor, config);
-            pool.install(|| figure.add(&image, from_before, sensor, config))?;
+            let from_before = before.predict(&image, scanner, config);
+            pool.install(|| figure.add(&image, from_before, scanner, config))?;
         }
         before.image = Some(image);
         on_frame();
@@ -128,9 +128,9 @@ pub fn measure(
 }
 
 /// The range image of the points that remain after the outlier filter (III-A, IV-A).
-fn image(cloud: &PointCloud, sensor: &Hdl64, config: &EncoderConfig) -> RangeImage {
+fn image(cloud: &PointCloud, scanner: &Hdl64, config: &EncoderConfig) -> RangeImage {
     let filtered = config.outliers.map(|filter| filter.filter(cloud));
-    project_nearest(sensor, filtered.as_ref().unwrap_or(cloud)).image
+    project_nearest(scanner, filtered.as_ref().unwrap_or(cloud)).image
 }
 
 impl Figure13 {
@@ -138,12 +138,12 @@ impl Figure13 {
         &mut self,
         image: &RangeImage,
         from_before: Option<Grid<u32>>,
-        sensor: &Hdl64,
+        scanner: &Hdl64,
         config: &EncoderConfig,
     ) -> Result<()> {
         let occupancy = image.occupancy();
-        let rays = Rays::of(sensor, &image.columns);
-        let segmentation = segment(&image.steps, &image.columns, sensor, &config.segmentation);
+        let rays = Rays::of(scanner, &image.columns);
+        let segmentation = segment(&image.steps, &image.columns, scanner, &config.segmentation);
         let mut intra = IntraPrediction::fit(&image.steps, &occupancy, &rays, &segmentation, &config.intra);
         let side = side_bytes(&mut intra, &occupancy)?;
         let from_regions = intra.ranges(&occupancy, &rays);
@@ -159,7 +159,7 @@ impl Figure13 {
         let residuals = FORMS.map(residuals);
         let size = |backend: &dyn Backend, form: Form, residuals: &[i32]| -> Result<u64> {
             let bytes = match form.floats {
-                true => as_floats(residuals, &occupancy, sensor),
+                true => as_floats(residuals, &occupancy, scanner),
                 // Ranges that are not differences are large numbers.
                 false => {
                     let best = if form.snake { backend.packing() } else { Packing::Planes };
@@ -189,8 +189,8 @@ fn side_bytes(intra: &mut IntraPrediction, occupancy: &Grid<bool>) -> Result<u64
 }
 
 /// The whole image as floats in metres, 0 where there is no return.
-fn as_floats(residuals: &[i32], occupancy: &Grid<bool>, sensor: &Hdl64) -> Vec<u8> {
-    let metres = |steps: i32| (f64::from(steps) * f64::from(sensor.range_step_um) * 1e-6) as f32;
+fn as_floats(residuals: &[i32], occupancy: &Grid<bool>, scanner: &Hdl64) -> Vec<u8> {
+    let metres = |steps: i32| (f64::from(steps) * f64::from(scanner.range_step_um) * 1e-6) as f32;
     let mut residuals = residuals.iter();
     let value = |filled: &bool| if *filled { residuals.next().copied().unwrap_or_default() } else { 0 };
     occupancy.cells().iter().map(value).flat_map(|steps| metres(steps).to_le_bytes()).collect()
@@ -206,14 +206,14 @@ struct Before {
 impl Before {
     /// The ranges predicted from the frame before (V-B and V-C); if the scanner's motion cannot be estimated,
     /// it is assumed to stand still. `None` if there is no frame before.
-    fn predict(&mut self, image: &RangeImage, sensor: &Hdl64, config: &EncoderConfig) -> Option<Grid<u32>> {
+    fn predict(&mut self, image: &RangeImage, scanner: &Hdl64, config: &EncoderConfig) -> Option<Grid<u32>> {
         let before = self.image.take()?;
         let levels = Grid::new(before.steps.rows(), before.steps.columns());
         let past = Past::new(before, levels);
-        let surface = past.surface(sensor);
-        let found = register(surface, image, sensor, &self.motion.pose(), &config.registration);
+        let surface = past.surface(scanner);
+        let found = register(surface, image, scanner, &self.motion.pose(), &config.registration);
         self.motion = found.and_then(|found| found.pose.quantise()).unwrap_or_default();
-        let reference = past.reference(sensor, &image.columns, &self.motion.pose().motion());
+        let reference = past.reference(scanner, &image.columns, &self.motion.pose().motion());
         Some(inter::ranges(&reference, &image.occupancy()))
     }
 }
